@@ -1,0 +1,1 @@
+"""Files to labelled datasets and back; one module a format, no physics."""

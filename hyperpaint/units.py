@@ -1,0 +1,205 @@
+"""Units: CF text in ``attrs``, pint at the boundary.
+
+The registry is private, and in it the steradian, the count and the electron are dimensions: a forgotten
+``pi sr`` between radiance and irradiance is then an error, where pint's own registry, like UDUNITS, lets it
+pass. No Quantity ever enters an array, a graph or a store.
+"""
+
+from __future__ import annotations
+
+import functools
+import re
+from typing import TYPE_CHECKING, Any
+
+from .errors import UnitsError
+
+if TYPE_CHECKING:
+    import pint
+    import xarray as xr
+
+__all__ = ["canonical", "conversion_factor", "convert", "registry", "same_dimension"]
+
+_DEFINITIONS = """
+nano- = 1e-9 = n-
+micro- = 1e-6 = u- = µ- = μ-
+milli- = 1e-3 = m-
+centi- = 1e-2 = c-
+deci- = 1e-1 = d-
+hecto- = 1e2 = h-
+kilo- = 1e3 = k-
+mega- = 1e6 = M-
+giga- = 1e9 = G-
+meter = [length] = m = metre
+second = [time] = s = sec
+gram = [mass] = g
+kelvin = [temperature] = K
+steradian = [solid_angle] = sr
+count = [count] = _ = counts = digital_number = digital_numbers = DN = dn = adu = ADU
+electron = [electron_count] = _ = electrons
+radian = [] = rad
+degree = 0.017453292519943295 = deg = degrees = arcdegree
+percent = 0.01
+permille = 0.001
+minute = 60 * second = min
+hour = 60 * minute = h = hr
+day = 24 * hour = d
+hertz = 1 / second = Hz
+newton = kilogram * meter / second ** 2 = N
+joule = newton * meter = J
+watt = joule / second = W
+angstrom = 1e-10 * meter
+micron = 1e-6 * meter
+foot = 0.3048 * meter = ft = feet
+flick = 1e10 * watt / steradian / meter ** 3
+"""
+
+# m-2 -> m**-2, but neither 1e-3 nor nm_2 is touched
+_CF_POWER = re.compile(r"(?<![0-9.A-Za-z_µμ])([A-Za-zµμ]+)\^?(-?[0-9]+)\b")
+# ENVI writes words where CF writes symbols
+_WORDS = {
+    "nanometers": "nm",
+    "nanometres": "nm",
+    "nanometer": "nm",
+    "micrometers": "um",
+    "micrometres": "um",
+    "micrometer": "um",
+    "microns": "um",
+    "millimeters": "mm",
+    "centimeters": "cm",
+    "meters": "m",
+    "metres": "m",
+    "%": "percent",
+}
+# a power that may reach pint: of a name or a number, to a literal of one or two digits, never of a power
+_POWER = re.compile(r"(?:\*\*|\^)")
+_SAFE_POWER = re.compile(r"(?<=[A-Za-z0-9µμ .])(?:\*\*|\^)\s*[-+]?[0-9]{1,2}(?![0-9.*^]|\s*\*\*|\s*\^)")
+_WORD = re.compile("|".join(rf"(?<![A-Za-z]){re.escape(word)}(?![A-Za-z])" for word in _WORDS), re.IGNORECASE)
+
+
+def _spell_for_pint(text: str) -> str:
+    text = _WORD.sub(lambda match: _WORDS[match[0].lower()], text)
+    text = text.replace("·", " ").replace("²", "2").replace("⁻", "-").replace("¹", "1")
+    return _CF_POWER.sub(r"\1**\2", text)
+
+
+@functools.cache
+def registry() -> pint.UnitRegistry[Any]:
+    """Return hyperpaint's private unit registry.
+
+    It reads CF spelling (``W m-2 sr-1 nm-1``), the words of ENVI headers (``Nanometers``) and units with a
+    scale (``1e-10 W cm-2 nm-1 sr-1``). It is never made pint's application registry.
+    """
+    import pint
+
+    made: pint.UnitRegistry[Any] = pint.UnitRegistry(None, preprocessors=[_spell_for_pint])
+    for line in _DEFINITIONS.strip().splitlines():
+        made.define(line)
+    return made
+
+
+def _quantity(text: object) -> Any:
+    if not isinstance(text, str):
+        msg = f"units must be text in CF spelling such as 'W m-2 sr-1 nm-1', found {text!r}"
+        raise UnitsError(msg)
+    # pint evaluates powers, so that 9**9**9 would never return
+    if len(text) > 200 or len(_POWER.findall(text)) != len(_SAFE_POWER.findall(text)):
+        msg = f"units {text[:60]!r} cannot be read; expected CF spelling such as 'W m-2 sr-1 nm-1'"
+        raise UnitsError(msg)
+    return _parse(text.strip() or "1")
+
+
+@functools.lru_cache(maxsize=1024)
+def _parse(text: str) -> Any:
+    units = registry()
+    try:
+        return units.Quantity(1.0, "") * units.parse_expression(text)
+    except Exception as error:  # pint leaks TypeError, tokenize errors and its own classes
+        msg = f"units {text!r} cannot be read; expected CF spelling such as 'W m-2 sr-1 nm-1'"
+        raise UnitsError(msg) from error
+
+
+def conversion_factor(found: str, wanted: str) -> float:
+    """Return the number that turns a value in ``found`` into one in ``wanted``.
+
+    Parameters
+    ----------
+    found, wanted
+        Units in CF spelling; ``found`` may carry a scale.
+
+    Raises
+    ------
+    UnitsError
+        A unit cannot be read, or the two have different dimensions.
+
+    Examples
+    --------
+    >>> conversion_factor("uW cm-2 sr-1 nm-1", "W m-2 sr-1 nm-1")
+    0.01
+    >>> conversion_factor("W m-2 sr-1 nm-1", "W m-2 nm-1")
+    Traceback (most recent call last):
+    hyperpaint.errors.UnitsError: units 'W m-2 sr-1 nm-1' are not convertible to 'W m-2 nm-1'; ...
+    """
+    if found == wanted:
+        return 1.0
+    source, target = _quantity(found), _quantity(wanted)
+    if source.dimensionality != target.dimensionality:
+        msg = (
+            f"units {found!r} are not convertible to {wanted!r}; "
+            "check the quantity, and whether a solid angle (sr) or an exposure (s) is missing"
+        )
+        raise UnitsError(msg)
+    # twelve digits: the factor of a decimal unit is then the decimal number itself
+    return float(f"{(source / target).to_base_units().magnitude:.12g}")
+
+
+def same_dimension(found: str, wanted: str) -> bool:
+    """Tell whether two unit texts measure the same dimension; False where one cannot be read."""
+    try:
+        return bool(_quantity(found).dimensionality == _quantity(wanted).dimensionality)
+    except UnitsError:
+        return False
+
+
+def canonical(text: str) -> str:
+    """Return ``text`` if it can be read as units, else raise UnitsError."""
+    _quantity(text)
+    return text
+
+
+def convert(array: xr.DataArray, wanted: str, name: str | None = None) -> xr.DataArray:
+    """Return ``array`` in the units ``wanted``, lazily, its dtype kept.
+
+    Parameters
+    ----------
+    array
+        Labelled values with a ``units`` attribute.
+    wanted
+        Units in CF spelling.
+    name
+        What messages call the array; its own name by default.
+
+    Raises
+    ------
+    UnitsError
+        The ``units`` attribute is missing, unreadable, or of another dimension.
+
+    Examples
+    --------
+    >>> import xarray as xr
+    >>> width = xr.DataArray([0.006], dims="band", attrs={"units": "um"}, name="fwhm")
+    >>> convert(width, "nm").values
+    array([6.])
+    """
+    name = name or str(array.name)
+    found = array.attrs.get("units")
+    if found is None:
+        msg = f"{name!r} has no units; set {name}.attrs['units'], for example to {wanted!r}"
+        raise UnitsError(msg)
+    try:
+        factor = conversion_factor(str(found), wanted)
+    except UnitsError as error:
+        msg = f"{name!r}: {error}"
+        raise UnitsError(msg) from error
+    if factor != 1.0:
+        array = array.copy(data=array.data * array.dtype.type(factor))
+    return array.assign_attrs(units=wanted)
