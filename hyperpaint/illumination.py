@@ -1,0 +1,464 @@
+"""From an irradiance series to the irradiance of every scan line, band and column.
+
+In wavelength the spectrometer's samples are matched to the imager's responses (`match_irradiance`); in time
+the matched series is linear between the two samples around a line. What lies outside the record, or in a gap
+of it, is NaN and flagged: nothing is extrapolated.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+
+from . import schema
+from .errors import PaintWarning, Problems, SchemaError, TimeError
+from .responses import Matching, Responses, log_slope, matching_operator
+from .schema import Quality
+from .sun import diffuse_fraction, solar_position
+from .units import convert
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+__all__ = ["LineLight", "Smile", "Tilt", "line_light", "match_irradiance", "matched_series", "smile_cells"]
+
+Float = npt.NDArray[np.float64]
+Array = npt.NDArray[Any]
+
+NODE_SPACING = 0.5
+"""Distance of the wavelength shifts at which operators are made [nm]; between them E is cubic."""
+MAX_NOISE_GAIN = 3.0
+UNSTABLE_CHANGE = 0.02
+"""Relative change of the 400-1000 nm irradiance between two samples above which light is unstable."""
+LOW_SUN_ZENITH = 75.0
+
+
+@dataclass(frozen=True)
+class Tilt:
+    """A panel that is not level, and what it sees.
+
+    Attributes
+    ----------
+    angle
+        Between its normal and the zenith [degree].
+    azimuth
+        Of its normal, clockwise from north [degree].
+    sky_view
+        Part of the sky it sees [1]; ``(1 + cos angle) / 2``, that of an open field, by default.
+    surroundings
+        Reflectance of what fills the rest of its view [1].
+    diffuse_fraction : (band,)
+        Diffuse part of the global irradiance [1]; the clear-sky model of `hyperpaint.sun` by default.
+    """
+
+    angle: float
+    azimuth: float
+    sky_view: float | None = None
+    surroundings: float = 0.2
+    diffuse_fraction: Any = None
+
+    def factor(self, time: Array, latitude: float, longitude: float, wavelength: Float) -> Float:
+        r"""Return the irradiance on the panel over that on level ground, (time, band) [1].
+
+        Notes
+        -----
+        .. math:: E_t = E_{dir} \frac{\cos\theta_i}{\cos\theta_s} + V E_{dif} + (1 - V) \rho_n E
+
+        with :math:`V` the sky view and :math:`\rho_n` the surroundings, written as a departure from 1, so
+        that a level panel gives exactly 1.
+        """
+        zenith, sun_azimuth = (np.radians(angle) for angle in solar_position(time, latitude, longitude))
+        slope = np.radians(self.angle)
+        incidence = np.cos(slope) * np.cos(zenith) + np.sin(slope) * np.sin(zenith) * np.cos(
+            sun_azimuth - np.radians(self.azimuth)
+        )
+        beam = np.clip(incidence, 0.0, None) / np.clip(np.cos(zenith), 1e-3, None)
+        view = (1.0 + np.cos(slope)) / 2.0 if self.sky_view is None else self.sky_view
+        if self.diffuse_fraction is None:
+            diffuse = np.stack([diffuse_fraction(wavelength, float(np.degrees(z))) for z in zenith])
+        else:
+            diffuse = np.broadcast_to(
+                np.asarray(self.diffuse_fraction, np.float64), (zenith.size, wavelength.size)
+            )
+        return np.asarray(
+            1.0 + (1.0 - diffuse) * (beam[:, None] - 1.0) + (view - 1.0) * (diffuse - self.surroundings)
+        )
+
+
+@dataclass(frozen=True)
+class Smile:
+    """The smile as the kernels want it: a cubic in every cell between two wavelength shifts.
+
+    Attributes
+    ----------
+    nodes : (node,)
+        Wavelength shifts [nm]; a single 0 where there is no smile.
+    shift : (1 or band, column), float32
+        Place of a column in its cell, 0 to 1.
+    edges : (1 or band, run + 1), cells : (1 or band, run)
+        Runs of neighbouring columns that share a cell.
+    """
+
+    nodes: Float
+    shift: Array
+    edges: Array
+    cells: Array
+
+    def cubics(self, series: Float) -> Float:
+        """Return cubics (..., band, cell, 4) through values (..., node, band).
+
+        One node gives (..., band, 1, 1), the values themselves. Elsewhere it is Lagrange's polynomial
+        through the four nodes around a cell, in powers of the place in it.
+        """
+        if self.nodes.size == 1:
+            return np.swapaxes(series, -1, -2)[..., None]
+        before, low, high, after = (series[..., k : self.nodes.size - 3 + k, :] for k in range(4))
+        powers = (
+            low,
+            -before / 3 - low / 2 + high - after / 6,
+            before / 2 - low + high / 2,
+            -before / 6 + low / 2 - high / 2 + after / 6,
+        )
+        return np.moveaxis(np.stack(powers, axis=-1), -3, -2)
+
+
+def smile_cells(wavelength_shift: npt.ArrayLike | None, columns: int) -> Smile:
+    """Return the nodes, cells and runs of a smile.
+
+    Parameters
+    ----------
+    wavelength_shift : (cross_track,) or (band, cross_track)
+        True minus nominal wavelength of each column [nm]; None or all zero for no smile.
+    columns
+        Number of columns.
+
+    Raises
+    ------
+    SchemaError
+        The shift is not finite, or beyond 20 nm.
+    """
+    given = np.zeros(columns) if wavelength_shift is None else wavelength_shift
+    shift = np.atleast_2d(np.asarray(given, np.float64))
+    if not (np.isfinite(shift).all() and np.abs(shift).max() <= 20.0):
+        msg = "'wavelength_shift' must be finite and at most 20 nm; check its units"
+        raise SchemaError(msg)
+    if not shift.any():
+        whole = np.array([[0, columns]])
+        return Smile(np.zeros(1), np.zeros((1, columns), np.float32), whole, np.zeros((1, 1), np.int64))
+    first = int(np.floor(shift.min() / NODE_SPACING))
+    last = max(int(np.ceil(shift.max() / NODE_SPACING)), first + 1)
+    cell = np.clip(np.floor(shift / NODE_SPACING).astype(np.int64) - first, 0, last - first - 1)
+    starts = [np.concatenate(([0], np.flatnonzero(np.diff(row)) + 1)) for row in cell]
+    most = max(start.size for start in starts)
+    # rows with fewer runs are filled with empty ones
+    edges = np.stack([np.pad(start, (0, most + 1 - start.size), constant_values=columns) for start in starts])
+    cells = np.take_along_axis(cell, np.minimum(edges[:, :-1], columns - 1), axis=1)
+    nodes = np.arange(first - 1, last + 2, dtype=np.float64) * NODE_SPACING
+    return Smile(nodes, (shift / NODE_SPACING - first - cell).astype(np.float32), edges, cells)
+
+
+def match_irradiance(
+    irradiance: xr.DataArray,
+    wavelength: npt.ArrayLike,
+    fwhm: npt.ArrayLike,
+    *,
+    irradiance_fwhm: npt.ArrayLike = 3.0,
+    nodes: npt.ArrayLike = (0.0,),
+    srf_shape: str = "gaussian",
+    irradiance_srf_shape: str = "gaussian",
+    responsivity: npt.ArrayLike | None = None,
+    srf_offset: npt.ArrayLike | None = None,
+    srf: npt.ArrayLike | None = None,
+) -> xr.DataArray:
+    r"""Return the irradiance as the imager's own bands would have seen it.
+
+    Lazy in ``irradiance``; the operator itself is made at once, from wavelengths and widths alone.
+
+    Parameters
+    ----------
+    irradiance : (irradiance_time, irradiance_wavelength)
+        Downwelling spectral irradiance with its coordinate ``irradiance_wavelength`` [nm].
+        [any unit of irradiance]
+    wavelength, fwhm : (band,)
+        Centres and full widths at half maximum of the imager's bands [nm].
+    irradiance_fwhm
+        Full width at half maximum of the spectrometer, a number or one for each of its wavelengths [nm].
+    nodes
+        Wavelength shifts [nm] at which the bands are evaluated, for the imager's smile.
+    srf_shape, irradiance_srf_shape
+        Line shapes of the imager and of the spectrometer: ``"gaussian"``, ``"slit"`` or ``"tabulated"``
+        (imager only).
+    responsivity : (band,)
+        Relative responsivity of the imager, any scale; its slope over one band weighs the response.
+    srf_offset : (srf_offset,), srf : (band, srf_offset)
+        Tabulated line shapes of the imager.
+
+    Returns
+    -------
+    (irradiance_time, node, band), float32
+        Irradiance [W m-2 nm-1], with coordinates ``node`` [nm], ``wavelength`` [nm], and of the operator
+        ``misfit``, ``noise_gain`` and ``coverage`` (node, band) [1]. NaN where the spectrometer does not
+        cover a band.
+
+    Raises
+    ------
+    SchemaError
+        Dims, widths or shapes do not fit; every problem is listed.
+    UnitsError
+        ``irradiance`` is not an irradiance.
+
+    Warns
+    -----
+    PaintWarning
+        The imager is sharper than the spectrometer allows (noise gain above 3), or bands lie outside its
+        range.
+
+    Notes
+    -----
+    The operator is that of `hyperpaint.responses.matching_operator`. Its rows sum to 1, so that a constant
+    irradiance passes unchanged.
+
+    Examples
+    --------
+    >>> import xarray as xr
+    >>> grey = xr.DataArray(
+    ...     np.full((1, 101), 1.3, "float32"), dims=("irradiance_time", "irradiance_wavelength"),
+    ...     coords={"irradiance_wavelength": np.arange(500.0, 601.0)}, attrs={"units": "W m-2 nm-1"})
+    >>> matched = match_irradiance(grey, [540.0, 550.0], [6.0, 6.0])
+    >>> matched.dims, matched.values.round(4).tolist()
+    (('irradiance_time', 'node', 'band'), [[[1.3, 1.3]]])
+    """
+    import xarray as xr
+
+    problems = Problems("irradiance cannot be matched to the imager's bands", SchemaError)
+    dims = schema.VARIABLES["irradiance"].dims
+    if set(irradiance.dims) != set(dims):
+        problems.add(f"'irradiance' has dims {irradiance.dims}, expected {dims}")
+    elif schema.IRRADIANCE_WAVELENGTH not in irradiance.coords:
+        problems.add("'irradiance' has no coordinate 'irradiance_wavelength' [nm]")
+    problems.raise_if_any()
+    irradiance = convert(irradiance.transpose(*dims), schema.VARIABLES["irradiance"].units, "irradiance")
+    samples = irradiance[schema.IRRADIANCE_WAVELENGTH]
+    if "units" in samples.attrs:
+        samples = convert(samples, "nm")
+    matching = _operator(
+        samples.values,
+        irradiance_fwhm,
+        irradiance_srf_shape,
+        {
+            "wavelength": wavelength,
+            "fwhm": fwhm,
+            "srf_shape": srf_shape,
+            "responsivity": responsivity,
+            "srf_offset": srf_offset,
+            "srf": srf,
+        },
+        nodes,
+    )
+    made = xr.apply_ufunc(
+        lambda spectra: _apply(matching, spectra).astype(np.float32),
+        irradiance.chunk({schema.IRRADIANCE_WAVELENGTH: -1}) if irradiance.chunks else irradiance,
+        input_core_dims=[[schema.IRRADIANCE_WAVELENGTH]],
+        output_core_dims=[["node", "band"]],
+        dask="parallelized",
+        output_dtypes=[np.float32],
+        dask_gufunc_kwargs={
+            "output_sizes": {"node": matching.misfit.shape[0], "band": matching.misfit.shape[1]}
+        },
+    )
+    quality = {
+        name: (("node", "band"), getattr(matching, name)) for name in ("misfit", "noise_gain", "coverage")
+    }
+    made = made.assign_coords(
+        node=(
+            "node",
+            np.atleast_1d(np.asarray(nodes, np.float64)),
+            {"units": "nm", "long_name": "Wavelength shift"},
+        ),
+        wavelength=(
+            "band",
+            np.atleast_1d(np.asarray(wavelength, np.float64)),
+            schema.VARIABLES["wavelength"].attrs,
+        ),
+        **quality,
+    )
+    return schema.label(made, "irradiance")
+
+
+def _operator(
+    samples: Float,
+    irradiance_fwhm: Any,
+    irradiance_shape: str,
+    imager: Mapping[str, Any],
+    nodes: npt.ArrayLike,
+) -> Matching:
+    """Return the operator between a spectrometer and an imager, with warnings a user can act on."""
+    wavelength = np.atleast_1d(np.asarray(imager["wavelength"], np.float64))
+    fwhm = np.broadcast_to(np.asarray(imager["fwhm"], np.float64), wavelength.shape)
+    responsivity = imager.get("responsivity")
+    slope = None if responsivity is None else log_slope(wavelength, np.asarray(responsivity), 1.5 * fwhm)
+    spectrometer = Responses(samples, irradiance_fwhm, irradiance_shape)
+    bands = Responses(
+        wavelength, fwhm, imager["srf_shape"], slope=slope, offset=imager["srf_offset"], table=imager["srf"]
+    )
+    matching = matching_operator(spectrometer, bands, nodes)
+    sharp = np.flatnonzero(np.nanmax(np.nan_to_num(matching.noise_gain), axis=0) > MAX_NOISE_GAIN)
+    if sharp.size:
+        warnings.warn(
+            f"{sharp.size} bands are sharper than the irradiance spectrometer resolves (noise gain above "
+            f"{MAX_NOISE_GAIN:g}, first at {wavelength[sharp[0]]:.1f} nm); structure narrower than its width "
+            "stays in their reflectance",
+            PaintWarning,
+            stacklevel=3,
+        )
+    outside = np.flatnonzero(np.isnan(matching.weights).any(axis=(0, 2)))
+    if outside.size:
+        warnings.warn(
+            f"{outside.size} bands ({wavelength[outside].min():.1f} to {wavelength[outside].max():.1f} nm) "
+            f"lie outside the irradiance record ({samples.min():g} to {samples.max():g} nm) and become NaN",
+            PaintWarning,
+            stacklevel=3,
+        )
+    return matching
+
+
+def _apply(matching: Matching, spectra: Array) -> Float:
+    """Return spectra (..., sample) as matched values (..., node, band); NaN only where a weight meets one."""
+    missing = np.isnan(spectra)
+    weights = matching.weights
+    matched = np.tensordot(np.where(missing, 0.0, spectra), weights, axes=([-1], [-1]))
+    if missing.any():
+        touched = np.tensordot(missing.astype(np.float64), np.abs(weights) > 1e-6, axes=([-1], [-1])) > 0
+        matched = np.where(touched, np.nan, matched)
+    return np.asarray(matched)
+
+
+def matched_series(
+    spectra: Array,
+    samples: Float,
+    irradiance_fwhm: Any,
+    irradiance_shape: str,
+    imager: Mapping[str, Any],
+    nodes: Float,
+) -> Float:
+    """Return a series (time, sample) as float64 (time, node, band); the array side of `match_irradiance`."""
+    order = np.argsort(samples, kind="stable")
+    width = np.broadcast_to(np.asarray(irradiance_fwhm, np.float64), samples.shape)[order]
+    matching = _operator(samples[order], width, irradiance_shape, imager, nodes)
+    return _apply(matching, np.asarray(spectra, np.float64)[:, order])
+
+
+@dataclass(frozen=True)
+class LineLight:
+    """Which irradiance samples light each line.
+
+    Attributes
+    ----------
+    before, after : (line,), int64
+        The samples on either side of the line.
+    weight : (line,), float64
+        Of the later sample; NaN where the line has no light.
+    age : (line,), float32
+        Time to the nearest sample [s].
+    flags : (line,), uint16
+        Bits of `Quality` that hold for the whole line.
+    """
+
+    before: npt.NDArray[np.int64]
+    after: npt.NDArray[np.int64]
+    weight: Float
+    age: npt.NDArray[np.float32]
+    flags: npt.NDArray[np.uint16]
+
+
+def line_light(
+    time: Array,
+    irradiance_time: Array,
+    power: Float,
+    max_gap: float | None = None,
+    latitude: Array | None = None,
+    longitude: Array | None = None,
+) -> LineLight:
+    """Return the neighbours and weights of every line in an irradiance record.
+
+    Parameters
+    ----------
+    time : (line,)
+        UTC at mid exposure; NaT for a line without data. They need not be in order.
+    irradiance_time : (sample,)
+        UTC of the samples; must increase.
+    power : (sample,)
+        Irradiance of each sample, summed over 400-1000 nm, any scale; NaN marks a sample to leave out.
+    max_gap
+        Longest interval that is interpolated [s]; 2.5 median intervals by default.
+    latitude, longitude : (line,)
+        Place of the camera [degree]; without them the sun's height is not judged.
+
+    Raises
+    ------
+    TimeError
+        Irradiance times do not increase, are missing, or there is no valid sample.
+
+    Notes
+    -----
+    The weight is the quotient of two int64 intervals in nanoseconds, so that no bit of it depends on chunks
+    or on the distance to 1970.
+    """
+    lines = np.asarray(time).astype("datetime64[ns]")
+    samples = np.asarray(irradiance_time).astype("datetime64[ns]")
+    check_irradiance_times(samples)
+    kept = np.flatnonzero(np.isfinite(power))
+    if kept.size == 0:
+        msg = "the irradiance record holds no valid spectrum"
+        raise TimeError(msg)
+    missing = np.isnat(lines)
+    stamps, ticks = lines.astype(np.int64), samples[kept].astype(np.int64)
+    stamps = np.where(missing, ticks[0], stamps)
+    low = np.searchsorted(ticks, stamps, side="right") - 1
+    outside = (low < 0) | (stamps > ticks[-1])
+    low = np.clip(low, 0, max(ticks.size - 2, 0))
+    high = np.minimum(low + 1, ticks.size - 1)
+    since, interval = stamps - ticks[low], ticks[high] - ticks[low]
+    weight = since / np.maximum(interval, 1)
+    age = np.minimum(np.abs(since), np.abs(ticks[high] - stamps)) / 1e9
+    if max_gap is None:
+        max_gap = 2.5 * float(np.median(np.diff(ticks))) / 1e9 if ticks.size > 1 else 0.0
+    gap = ~outside & (interval / 1e9 > max_gap) & (weight > 0.0) & (weight < 1.0)
+    energy = power[kept]
+    change = np.abs(energy[high] - energy[low]) / np.maximum(np.minimum(energy[high], energy[low]), 1e-30)
+    flags = np.zeros(lines.shape, np.uint16)
+    flags[outside | gap] |= np.uint16(Quality.IRRADIANCE_GAP)
+    flags[~outside & (change > UNSTABLE_CHANGE)] |= np.uint16(Quality.ILLUMINATION_UNSTABLE)
+    if latitude is not None and longitude is not None:
+        zenith, _ = solar_position(lines, latitude, longitude)
+        flags[np.nan_to_num(zenith, nan=0.0) > LOW_SUN_ZENITH] |= np.uint16(Quality.LOW_SUN)
+    flags[missing] = Quality.NO_DATA
+    dark = outside | gap | missing
+    return LineLight(
+        kept[low].astype(np.int64),
+        kept[high].astype(np.int64),
+        np.where(dark, np.nan, weight),
+        np.where(missing, np.nan, age).astype(np.float32),
+        flags,
+    )
+
+
+def check_irradiance_times(samples: Array) -> None:
+    """Raise TimeError unless stamps are all there and increase."""
+    problems = Problems("irradiance times cannot be used", TimeError)
+    if np.isnat(samples).any():
+        problems.add(f"{int(np.isnat(samples).sum())} of {samples.size} stamps are missing (NaT); drop them")
+    steps = np.diff(samples.astype(np.int64))
+    same, back = np.flatnonzero(steps == 0), np.flatnonzero(steps < 0)
+    if same.size:
+        problems.add(f"{same.size} duplicate stamps, first {samples[same[0]]}; keep one spectrum of each")
+    if back.size:
+        problems.add(
+            f"stamps run backwards at {samples[back[0] + 1]}; sort them with .sortby('irradiance_time')"
+        )
+    problems.raise_if_any()

@@ -1,0 +1,171 @@
+"""Counts to radiance or reflectance, in one pass over memory.
+
+Rows are short functions of their own, which the compiler inlines and vectorises; the slab function below is
+what tasks call. Division and rounding are IEEE single precision throughout: the same bits come out whatever
+the number of lines in a slab.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from ._jit import kernel
+from .quality import flag_row, merge_flags
+
+__all__ = ["calibrate_slab", "round_bits"]
+
+Array = npt.NDArray[Any]
+
+_NAN = np.float32(np.nan)
+_ONE = np.uint32(1)
+
+
+@kernel
+def scale_row(counts: Array, dark: Array, gain: Array, scale: Any, limit: Any, out: Array) -> None:
+    """Write gain * scale * (counts - dark); NaN from ``limit`` counts on."""
+    for x in range(counts.size):
+        raw = counts[x]
+        value = (np.float32(raw) - dark[x]) * (gain[x] * scale)
+        out[x] = value if raw < limit else _NAN
+
+
+@kernel
+def divide_row(
+    counts: Array, dark: Array, gain: Array, shift: Array, cubic: Array, limit: Any, out: Array
+) -> None:
+    """Write gain * (counts - dark) over a cubic in ``shift``; NaN from ``limit`` counts on."""
+    c0, c1, c2, c3 = cubic[0], cubic[1], cubic[2], cubic[3]
+    for x in range(counts.size):
+        raw, s = counts[x], shift[x]
+        light = c0 + s * (c1 + s * (c2 + s * c3))
+        value = (np.float32(raw) - dark[x]) * gain[x] / light
+        out[x] = value if raw < limit else _NAN
+
+
+@kernel
+def limit_row(counts: Array, limits: Array, out: Array) -> None:
+    """Write NaN where counts reach the limits of their own elements."""
+    for x in range(counts.size):
+        out[x] = out[x] if counts[x] < limits[x] else _NAN
+
+
+@kernel
+def round_row(bits: Array, dropped: Any) -> None:
+    """Round float32 values, given as their bits, to nearest-even with ``dropped`` mantissa bits cleared."""
+    half = (_ONE << (dropped - _ONE)) - _ONE
+    keep = ~((_ONE << dropped) - _ONE)
+    for x in range(bits.size):
+        value = bits[x]
+        bits[x] = (value + half + ((value >> dropped) & _ONE)) & keep
+
+
+@kernel
+def round_bits(bits: Array, dropped: Any) -> None:
+    """Round float32 values (line, band, column), given as uint32, in place; as numcodecs' BitRound does."""
+    for line in range(bits.shape[0]):
+        for band in range(bits.shape[1]):
+            round_row(bits[line, band], dropped)
+
+
+@kernel
+def blend(low: Array, high: Array, weight: Any, out: Array) -> None:
+    """Write low + weight (high - low) over (band, column)."""
+    for band in range(out.shape[0]):
+        for x in range(out.shape[1]):
+            out[band, x] = low[band, x] + weight * (high[band, x] - low[band, x])
+
+
+@kernel
+def calibrate_slab(
+    counts: Array,
+    dark: Array,
+    dark_index: Array,
+    dark_weight: Array,
+    gain: Array,
+    light: Array,
+    shift: Array,
+    edges: Array,
+    cells: Array,
+    limit: Array,
+    floor: Array,
+    zero: Array,
+    flag_limits: Array,
+    line_flags: Array,
+    column_flags: Array,
+    dropped: Any,
+    out: Array,
+    bits: Array,
+    quality: Array,
+) -> None:
+    """Calibrate whole lines, flag them, and round what is written.
+
+    Parameters
+    ----------
+    counts : (line, band, column), uint16 or float32
+    dark : (n, band, column), float32; dark_index, dark_weight : (line,)
+        The dark of a line lies between ``dark[i]`` and ``dark[i + 1]``; one dark alone serves every line.
+    gain : (band, column), float32
+        NaN marks a bad element.
+    light : (line, band, cell, 1 or 4), float32
+        One coefficient: what counts are multiplied by. Four: a cubic in ``shift``, by which they are
+        divided, for each cell of the smile.
+    shift : (1 or band, column), float32
+        Position of a column inside its cell.
+    edges : (1 or band, run + 1), int64; cells : (1 or band, run), int64
+        Columns where runs begin whose columns share a cell, and that cell.
+    limit : (band, 1 or column), like counts
+        Counts from which a sample is saturated.
+    floor, zero : (band, column), like counts
+        Counts below which a sample lies under the dark beyond noise, and under it at all; 0 counts nothing.
+    flag_limits : (2,), uint16
+        Number of samples under the dark that a pixel may have; the bit of a line without data.
+    line_flags : (line,), column_flags : (column,), uint16
+        Bits that hold for whole lines and columns.
+    dropped : uint32
+        Mantissa bits cleared in what is written; 0 writes all.
+    out : (line, band, column), float32; bits
+        Written; the same memory as uint32.
+    quality : (line, column) or (0, 0), uint16
+        Written unless empty.
+    """
+    n_line, n_band, n_column = counts.shape
+    flagging = quality.shape[0] > 0
+    one_limit = limit.shape[1] == 1
+    mixed_dark = np.empty((n_band, n_column) if dark.shape[0] > 1 else (0, 0), np.float32)
+    saturated = np.empty(n_column, np.uint16)
+    below = np.empty(n_column, np.uint16)
+    negative = np.empty(n_column, np.uint16)
+    for line in range(n_line):
+        line_dark = dark[0]
+        if dark.shape[0] > 1:
+            first = dark_index[line]
+            blend(dark[first], dark[first + 1], dark_weight[line], mixed_dark)
+            line_dark = mixed_dark
+        saturated[:] = 0
+        below[:] = 0
+        negative[:] = 0
+        for band in range(n_band):
+            row, written = counts[line, band], out[line, band]
+            if light.shape[3] == 1:
+                scale_row(row, line_dark[band], gain[band], light[line, band, 0, 0], limit[band, 0], written)
+            else:
+                own = band if shift.shape[0] > 1 else 0
+                for run in range(cells.shape[1]):
+                    i, j = edges[own, run], edges[own, run + 1]
+                    divide_row(
+                        row[i:j], line_dark[band, i:j], gain[band, i:j], shift[own, i:j],
+                        light[line, band, cells[own, run]], limit[band, 0], written[i:j],
+                    )  # fmt: skip
+            if not one_limit:
+                limit_row(row, limit[band], written)
+            if dropped > 0:
+                round_row(bits[line, band], dropped)
+            if flagging:
+                flag_row(row, limit[band], floor[band], zero[band], saturated, below, negative)
+        if flagging:
+            merge_flags(
+                saturated, below, negative, flag_limits, line_flags[line], column_flags, quality[line]
+            )

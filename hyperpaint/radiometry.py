@@ -1,0 +1,354 @@
+"""Counts to radiance to reflectance.
+
+    L   = radiance_gain (counts - dark) / exposure_time
+    rho = pi L / E
+
+Both are lazy: one task a slab of lines, one pass over memory.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from . import schema, slabs
+from .errors import Problems, SchemaError
+from .illumination import Tilt
+from .schema import ALONG_TRACK, BAND, CROSS_TRACK, IRRADIANCE_TIME, IRRADIANCE_WAVELENGTH
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+__all__ = ["Panel", "radiance", "reflectance", "subtract_dark"]
+
+_LIGHT = ("irradiance", "irradiance_fwhm")
+_OWN_BITS = 1 | 2 | 4 | 8 | 16 | 32 | 2048
+"""Bits of `quality` that are set here, from counts, times and calibration."""
+
+
+@dataclass(frozen=True)
+class Panel:
+    """A target of known reflectance in the scene.
+
+    Attributes
+    ----------
+    along_track, cross_track
+        Lines and columns it fills, by position.
+    reflectance
+        Its reflectance factor [1]: a number, or a DataArray with a coordinate ``wavelength`` [nm].
+    """
+
+    along_track: slice
+    cross_track: slice
+    reflectance: Any
+
+    def on(self, wavelength: Any) -> Any:
+        """Return the reflectance at wavelengths (band,) [nm]; NaN outside what is known."""
+        if np.ndim(self.reflectance) == 0:
+            return np.full(np.shape(wavelength), float(self.reflectance))
+        known = self.reflectance["wavelength"].values
+        order = np.argsort(known, kind="stable")
+        return np.interp(wavelength, known[order], self.reflectance.values[order], np.nan, np.nan)
+
+
+def subtract_dark(counts: xr.DataArray, dark_counts: xr.DataArray) -> xr.DataArray:
+    """Return counts above the dark, (along_track, band, cross_track), float32 [count].
+
+    A view for looking at signals; `radiance` subtracts the dark itself.
+
+    Parameters
+    ----------
+    counts : (along_track, band, cross_track)
+        Raw counts [count].
+    dark_counts : (band, cross_track)
+        Counts with the lens capped [count]; several (dark_time) are averaged.
+    """
+    if "dark_time" in dark_counts.dims:
+        dark_counts = dark_counts.mean("dark_time")
+    above = counts.astype(np.float32) - dark_counts.astype(np.float32)
+    return above.transpose(*schema.CUBE).assign_attrs(units="count", long_name="Counts above the dark")
+
+
+def radiance(dataset: xr.Dataset) -> xr.Dataset:
+    r"""Spectral radiance at the sensor, from raw counts.
+
+    Lazy: one task a slab of lines, no pixel is read.
+
+    Parameters
+    ----------
+    dataset
+        A flight line: ``counts`` (along_track, band, cross_track), ``dark_counts`` and ``radiance_gain``
+        (band, cross_track), ``exposure_time`` and ``saturation_count``, each with ``units``.
+
+    Returns
+    -------
+    Dataset
+        The same with ``radiance`` (along_track, band, cross_track), float32 [W m-2 sr-1 nm-1], and
+        ``quality`` (along_track, cross_track), uint16. Saturated samples and bad elements are NaN.
+
+    Raises
+    ------
+    SchemaError, UnitsError
+        Variables are missing, or have other dims or units; every problem is listed. When computed: values
+        that cannot be, such as a dark at another exposure.
+
+    Notes
+    -----
+    .. math:: L = g\,(C - D) / t
+
+    with :math:`g` the radiance gain, :math:`C` and :math:`D` the counts and the dark, :math:`t` the
+    exposure time. The paper's eq. 4 has the exposure ratio inverted and an area in place of the pupil's;
+    altitude never enters. Several darks are interpolated in time, or to the line's exposure by bias and
+    rate, never by scaling the bias.
+
+    Examples
+    --------
+    The worked example: 1966.09 counts above the dark in 5 ms.
+
+    >>> import hyperpaint.radiometry as radiometry
+    >>> line = radiometry.worked_example()
+    >>> print(f"{float(radiometry.radiance(line).radiance[0, 0, 0]):.6f}")
+    0.165521
+    """
+    dataset = schema.rename_to_roles(dataset)
+    if "counts" not in dataset.variables:
+        return dataset.assign(schema.require(dataset, ["radiance"], "radiance"))
+    cube, values = _cube_inputs(dataset, "radiance")
+    made, quality, _ = slabs.calibrated(cube, cube=values, light=None)
+    return _with(dataset, "radiance", made, quality)
+
+
+def reflectance(
+    dataset: xr.Dataset,
+    irradiance: xr.Dataset | None = None,
+    *,
+    tilt: Tilt | tuple[float, float] | None = None,
+    panel: Panel | None = None,
+    keep_bits: int | None = None,
+) -> xr.Dataset:
+    r"""Reflectance factor under the irradiance measured at the time of every line.
+
+    Lazy: one task a slab of lines, one pass over memory, no pixel is read.
+
+    Parameters
+    ----------
+    dataset
+        A flight line. From ``counts`` when present, with what `radiance` needs; else from ``radiance``;
+        else what is stored is returned. Further ``time`` (along_track), ``wavelength`` and ``fwhm``
+        (band), ``wavelength_shift`` where there is smile, and the irradiance.
+    irradiance
+        Replaces the line's own: ``irradiance`` (irradiance_time, irradiance_wavelength), ``irradiance_fwhm``
+        and, if wished, ``irradiance_max_gap``, each with ``units``.
+    tilt
+        A panel that is not level, as `Tilt` or (angle, azimuth) [degree]; needs latitude and longitude.
+    panel
+        A target of known reflectance in the scene, to which every band is scaled.
+    keep_bits
+        Mantissa bits that are kept, rounding to nearest-even; all 23 by default.
+
+    Returns
+    -------
+    Dataset
+        The same with ``reflectance`` (along_track, band, cross_track), float32 [1], ``quality``
+        (along_track, cross_track), uint16, and ``irradiance_age`` (along_track), float32 [s]. NaN where a
+        sample is saturated, an element bad, or a line outside the irradiance record or in a gap of it.
+        Values below 0 and, in glint, above 1 are kept.
+
+    Raises
+    ------
+    SchemaError, UnitsError, TimeError
+        Variables are missing, or have other dims or units, or irradiance times do not increase; every
+        problem is listed. When computed: values that cannot be.
+
+    Notes
+    -----
+    .. math:: \rho = \pi L / E
+
+    with :math:`E` the downwelling irradiance on a level surface as the imager's band at that column would
+    have seen it, linear in time between the two samples around the line. It is a hemispherical-conical
+    reflectance factor, the irradiance-weighted mean over the band's response; no cosine of the sun's
+    zenith angle enters, since the receptor already measures horizontal irradiance. The paper's eq. 6 prints a
+    product of radiance and irradiance, which is not a reflectance.
+
+    References
+    ----------
+    .. [1] Z. Mulhollan, A. Rangnekar, T. Bauch, M. J. Hoffman, A. Vodacek, "Calibrated Vehicle Paint
+       Signatures for Simulating Hyperspectral Imagery", CVPR Workshops 2020, section 3.
+
+    Examples
+    --------
+    >>> import hyperpaint.radiometry as radiometry
+    >>> line = radiometry.worked_example()
+    >>> print(f"{float(radiometry.reflectance(line).reflectance[0, 0, 0]):.6f}")
+    0.400000
+    """
+    dataset = schema.rename_to_roles(dataset)
+    if not {"counts", "radiance"} & set(dataset.variables):
+        return dataset.assign(schema.require(dataset, ["reflectance"], "reflectance"))
+    if irradiance is not None:
+        dataset = _replace_irradiance(dataset, irradiance)
+    if keep_bits is not None and not 1 <= keep_bits <= 23:
+        msg = f"keep_bits={keep_bits}, expected 1 to 23 mantissa bits of float32"
+        raise SchemaError(msg)
+    cube, values = _cube_inputs(dataset, "reflectance")
+    light = _light_inputs(dataset, tilt)
+    known = None if panel is None else _panel_inputs(dataset, panel)
+    tilted = Tilt(*tilt) if isinstance(tilt, tuple) else tilt
+    made, quality, plan = slabs.calibrated(
+        cube, cube=values, light=light, tilt=tilted, panel=known, keep_bits=keep_bits
+    )
+    notes = {"tilt": str(tilted) if tilted else None, "panel": str(panel) if panel else None}
+    result = _with(dataset, "reflectance", made, quality)
+    result["reflectance"].attrs.update({key: text for key, text in notes.items() if text})
+    return result.assign(irradiance_age=_age(plan, cube))
+
+
+def _cube_inputs(dataset: xr.Dataset, purpose: str) -> tuple[xr.DataArray, dict[str, Any]]:
+    """Return the cube to start from and the small variables that calibrate it."""
+    from_counts = "counts" in dataset.variables
+    needed = ["counts", "dark_counts", "radiance_gain", "exposure_time", "saturation_count"]
+    if not from_counts:
+        needed = ["radiance"]
+    if purpose == "reflectance":
+        needed += ["time", "wavelength", "fwhm", *(n for n in _LIGHT if n not in dataset.variables)]
+    optional = [
+        "dark_exposure_time",
+        "read_noise",
+        "wavelength_shift",
+        "latitude",
+        "longitude",
+        "srf",
+        "srf_offset",
+    ]
+    optional += ["good", "dark_time", "time"]
+    names = dict.fromkeys([*needed, *(name for name in optional if name in dataset.variables)])
+    found = schema.require(dataset, names, purpose)
+    cube = slabs.line_chunked(found.pop("counts" if from_counts else "radiance"))
+    if purpose == "radiance":
+        found.pop("wavelength_shift", None)
+    return cube, {name: slabs.small(array) for name, array in found.items()}
+
+
+def _light_inputs(dataset: xr.Dataset, tilt: Any) -> dict[str, Any]:
+    """Return the irradiance and its companions, checked as far as their labels allow."""
+    from .illumination import check_irradiance_times
+
+    names = [*_LIGHT, IRRADIANCE_TIME, IRRADIANCE_WAVELENGTH]
+    if "irradiance_max_gap" in dataset.variables:
+        names.append("irradiance_max_gap")
+    if tilt is not None:
+        names += ["latitude", "longitude"]
+    found = schema.require(dataset, names, "reflectance")
+    if found[IRRADIANCE_TIME].chunks is None:
+        check_irradiance_times(found[IRRADIANCE_TIME].values.astype("datetime64[ns]"))
+    values = {name: slabs.small(array) for name, array in found.items()}
+    values["srf_shape"] = _shape(dataset, "srf_shape")
+    values["irradiance_srf_shape"] = _shape(dataset, "irradiance_srf_shape")
+    return values
+
+
+def _shape(dataset: xr.Dataset, attr: str) -> str:
+    shape = str(dataset.attrs.get(attr, "gaussian"))
+    if shape not in schema.SRF_SHAPES:
+        msg = f"attribute {attr!r} is {shape!r}, expected one of {', '.join(schema.SRF_SHAPES)}"
+        raise SchemaError(msg)
+    return shape
+
+
+def _replace_irradiance(dataset: xr.Dataset, irradiance: xr.Dataset) -> xr.Dataset:
+    """Return the line with another irradiance record in place of its own."""
+    own = [n for n in dataset.variables if str(n).startswith("irradiance")]
+    names = [n for n in irradiance.variables if str(n).startswith("irradiance")]
+    shape = irradiance.attrs.get("irradiance_srf_shape")
+    if "irradiance" not in names:
+        msg = (
+            f"the dataset given as irradiance has no variable 'irradiance', only {list(irradiance.variables)}"
+        )
+        raise SchemaError(msg)
+    kept = {n: dataset[n] for n in ("irradiance_fwhm", "irradiance_max_gap") if n in own and n not in names}
+    made = dataset.drop_vars(own).assign({n: v for n, v in kept.items() if v.ndim == 0})
+    made = made.merge(irradiance[[n for n in names if n in irradiance.data_vars]], combine_attrs="override")
+    return made.assign_attrs(irradiance_srf_shape=shape) if shape else made
+
+
+def _panel_inputs(dataset: xr.Dataset, panel: Panel) -> dict[str, Any]:
+    """Return what is known of a panel in the scene, and its reflectance as seen without it."""
+    problems = Problems("the panel cannot be used", SchemaError)
+    for dim in (ALONG_TRACK, CROSS_TRACK):
+        chosen = range(dataset.sizes[dim])[getattr(panel, dim)]
+        if not len(chosen):
+            problems.add(f"{dim}={getattr(panel, dim)} holds none of the {dataset.sizes[dim]} of this line")
+    problems.raise_if_any()
+    region = dataset.isel({ALONG_TRACK: panel.along_track, CROSS_TRACK: panel.cross_track})
+    seen = reflectance(region)["reflectance"]
+    wavelength = slabs.small(dataset["wavelength"])
+    if dataset["wavelength"].chunks is not None:
+        wavelength = wavelength.map_blocks(panel.on, dtype=np.float64)
+        return {"observed": seen.data, "reflectance": wavelength}
+    return {"observed": seen.data, "reflectance": panel.on(wavelength)}
+
+
+def _age(plan: Any, cube: xr.DataArray) -> xr.DataArray:
+    import dask
+    import dask.array as da
+    import xarray as xr
+
+    age = dask.delayed(slabs.age_of_irradiance, pure=True)(plan)
+    lines = da.from_delayed(age, (cube.sizes[ALONG_TRACK],), np.float32)
+    return schema.label(xr.DataArray(lines, dims=ALONG_TRACK), "irradiance_age")
+
+
+def _with(dataset: xr.Dataset, name: str, made: Any, quality: Any) -> xr.Dataset:
+    """Return the dataset with a calibrated cube and its quality, attributes set outright."""
+    import xarray as xr
+
+    flags = xr.DataArray(quality, dims=(ALONG_TRACK, CROSS_TRACK))
+    if "quality" in dataset.variables:
+        # what others found, such as glint or shadow, stays; what is found here is found anew
+        others = schema.require(dataset, ["quality"], name)["quality"].variable & np.uint16(
+            0xFFFF ^ _OWN_BITS
+        )
+        flags = flags | others
+        if "counts" not in dataset.variables:
+            flags = flags | schema.require(dataset, ["quality"], name)["quality"].variable
+    made = xr.DataArray(made, dims=(ALONG_TRACK, BAND, CROSS_TRACK))
+    return dataset.assign(
+        {name: schema.label(made, name), "quality": schema.label(flags.astype(np.uint16), "quality")}
+    )
+
+
+def worked_example() -> xr.Dataset:
+    """Return one pixel whose reflectance is 0.4 by construction (three equal columns, three bands).
+
+    E 1.3 W m-2 nm-1 on a surface of reflectance 0.4; etendue 1.8598e-11 m2 sr, 5 ms, bands 6 nm wide of
+    peak response 2e16 counts per joule: 1966.09 counts above the dark.
+    """
+    import xarray as xr
+
+    gaussian_area = np.sqrt(np.pi / (4 * np.log(2)))
+    etendue, exposure, peak, fwhm = 1.8598e-11, 5e-3, 2.0e16, 6.0
+    gain = 1.0 / (etendue * peak * gaussian_area * fwhm)
+    counts = exposure * 0.4 * 1.3 / np.pi / gain
+    time = np.datetime64("2020-06-21T17:00:00", "ns")
+    variables = {
+        "counts": (schema.CUBE, np.full((1, 3, 3), counts + 100.0, np.float32)),
+        "dark_counts": ((BAND, CROSS_TRACK), np.full((3, 3), 100.0, np.float32)),
+        "radiance_gain": ((BAND, CROSS_TRACK), np.full((3, 3), gain, np.float32)),
+        "exposure_time": ((), exposure),
+        "saturation_count": ((), np.float32(4095.0)),
+        "irradiance": ((IRRADIANCE_TIME, IRRADIANCE_WAVELENGTH), np.full((2, 301), 1.3, np.float32)),
+        "irradiance_fwhm": ((), 3.0),
+    }
+    coords = {
+        "time": (ALONG_TRACK, [time + np.timedelta64(1, "s")]),
+        "wavelength": (BAND, [548.0, 550.0, 552.0]),
+        "fwhm": (BAND, np.full(3, fwhm)),
+        IRRADIANCE_TIME: time + np.array([0, 2], "timedelta64[s]"),
+        IRRADIANCE_WAVELENGTH: np.arange(400.0, 701.0),
+    }
+    made = xr.Dataset(variables, coords)
+    for name in made.variables:
+        made[name].attrs = dict(schema.VARIABLES[str(name)].attrs)
+    return made

@@ -1,0 +1,256 @@
+"""Spectral responses, and the operators that turn one instrument's samples into another's bands.
+
+Sampling a 3 nm spectrometer at the band centres of a 6 nm imager leaves tens of per cent at the oxygen band.
+Here the weights on the spectrometer's samples are chosen so that their summed responses reproduce the
+imager's band response; for two Gaussians this equals the residual kernel ``sqrt(FWHM_i^2 - FWHM_s^2)``, and
+it holds for any other pair of shapes too.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from .errors import Problems, SchemaError
+from .schema import SRF_SHAPES
+
+__all__ = ["Matching", "Responses", "band_spacing", "log_slope", "matching_operator"]
+
+Float = npt.NDArray[np.float64]
+
+GAUSSIAN_SIGMA = 1.0 / (2.0 * np.sqrt(2.0 * np.log(2.0)))
+"""Standard deviation of a Gaussian per unit of full width at half maximum."""
+
+_REACH = 2.2
+"""Half support of a Gaussian line shape in FWHM; beyond it lie 2e-7 of its area."""
+
+RIDGE = 1e-4
+"""Ridge of the least squares, in units of the mean squared norm of a spectrometer response."""
+
+
+@dataclass(frozen=True)
+class Responses:
+    """Spectral responses of a set of bands.
+
+    A response is the line shape times the responsivity, which over one band is an exponential in wavelength.
+
+    Attributes
+    ----------
+    wavelength : (band,)
+        Centres [nm].
+    fwhm : (band,)
+        Full widths at half maximum [nm].
+    shape
+        ``"gaussian"``; ``"slit"``: the slit image, a box ``fwhm`` wide, seen by a pixel one band spacing
+        wide, which makes a trapezoid; ``"tabulated"``: `table` on `offset`.
+    spacing : (band,)
+        Band spacing [nm]; only the slit shape uses it.
+    slope : (band,)
+        Relative slope of the responsivity, d ln R / d wavelength [nm-1].
+    offset : (srf_offset,), table : (band, srf_offset)
+        Tabulated line shapes: distances from the centre [nm] and values of any scale.
+    """
+
+    wavelength: Float
+    fwhm: Float
+    shape: str = "gaussian"
+    spacing: Float | None = None
+    slope: Float | None = None
+    offset: Float | None = None
+    table: Float | None = None
+
+    def __post_init__(self) -> None:
+        wavelength = np.atleast_1d(np.asarray(self.wavelength, np.float64))
+        fwhm = np.broadcast_to(np.asarray(self.fwhm, np.float64), wavelength.shape)
+        problems = Problems("spectral responses cannot be used", SchemaError)
+        if self.shape not in SRF_SHAPES:
+            problems.add(f"line shape {self.shape!r}, expected one of {', '.join(SRF_SHAPES)}")
+        if not np.isfinite(wavelength).all():
+            problems.add("wavelengths must be finite [nm]")
+        if self.shape != "tabulated" and not (np.isfinite(fwhm).all() and (fwhm > 0).all()):
+            problems.add("'fwhm' must be finite and positive [nm]")
+        if self.shape == "tabulated":
+            problems_of_table(problems, self.offset, self.table, wavelength.size)
+        problems.raise_if_any()
+        object.__setattr__(self, "wavelength", wavelength)
+        object.__setattr__(self, "fwhm", fwhm)
+        if self.shape == "slit" and self.spacing is None:
+            object.__setattr__(self, "spacing", band_spacing(wavelength))
+
+    def shifted(self, shift: float) -> Responses:
+        """Return the same responses with every centre moved by ``shift`` [nm]."""
+        return replace(self, wavelength=self.wavelength + shift)
+
+    def reach(self) -> Float:
+        """Half support of each band [nm], beyond which a response is negligible."""
+        if self.shape == "gaussian":
+            return np.asarray(_REACH * self.fwhm)
+        if self.shape == "slit":
+            return np.asarray(0.5 * (self.fwhm + np.asarray(self.spacing)))
+        return np.full(self.wavelength.shape, float(np.max(np.abs(np.asarray(self.offset)))))
+
+    def on(self, grid: Float, band: int) -> Float:
+        """Return the response of one band on an even grid [nm], its sum times the step being 1."""
+        distance = grid - self.wavelength[band]
+        width = self.fwhm[band]
+        if self.shape == "gaussian":
+            # cut off, since products of far tails are denormal numbers, a hundred times slower
+            tail = np.abs(distance) > _REACH * width
+            made = np.where(tail, 0.0, np.exp(-0.5 * (distance / (GAUSSIAN_SIGMA * width)) ** 2))
+        elif self.shape == "slit":
+            pixel = np.asarray(self.spacing)[band]
+            edge = 0.5 * (width + pixel) - np.abs(distance)
+            made = np.clip(edge, 0.0, min(width, pixel))
+        else:
+            made = np.interp(distance, np.asarray(self.offset), np.asarray(self.table)[band], 0.0, 0.0)
+        if self.slope is not None:
+            made = made * np.exp(self.slope[band] * distance)
+        total = made.sum()
+        if total <= 0:
+            return np.zeros_like(grid)
+        return np.asarray(made / (total * (grid[1] - grid[0])))
+
+
+def problems_of_table(problems: Problems, offset: Any, table: Any, bands: int) -> None:
+    """Note what is wrong with tabulated line shapes."""
+    if offset is None or table is None:
+        problems.add("shape 'tabulated' needs 'srf' (band, srf_offset) and 'srf_offset' [nm]")
+        return
+    offset, table = np.asarray(offset), np.asarray(table)
+    if table.shape != (bands, offset.size):
+        problems.add(f"'srf' has shape {table.shape}, expected ({bands}, {offset.size}): (band, srf_offset)")
+    elif not (np.isfinite(table).all() and (table.sum(axis=1) > 0).all()):
+        problems.add("every row of 'srf' must be finite and have a positive sum")
+    if offset.size < 3 or not (np.diff(offset) > 0).all():
+        problems.add("'srf_offset' must increase and have at least three values [nm]")
+
+
+def band_spacing(wavelength: npt.ArrayLike) -> Float:
+    """Return the distance between neighbouring bands at each band [nm].
+
+    Examples
+    --------
+    >>> band_spacing([400.0, 402.0, 405.0])
+    array([2. , 2.5, 3. ])
+    """
+    wavelength = np.asarray(wavelength, np.float64)
+    if wavelength.size < 2:
+        return np.ones_like(wavelength)
+    return np.asarray(np.abs(np.gradient(wavelength)))
+
+
+def log_slope(wavelength: Float, responsivity: Float, width: Float) -> Float:
+    """Return d ln R / d wavelength at every band [nm-1], fitted over one ``width`` to either side.
+
+    Parameters
+    ----------
+    wavelength : (band,)
+        Centres [nm].
+    responsivity : (band,)
+        Relative responsivity, any scale; values that are not positive and finite are left out.
+    width : (band,)
+        Half width of the window of the fit [nm].
+    """
+    usable = np.isfinite(responsivity) & (responsivity > 0)
+    log = np.log(np.where(usable, responsivity, 1.0))
+    slopes = np.zeros(wavelength.shape)
+    for band, centre in enumerate(wavelength):
+        near = usable & (np.abs(wavelength - centre) <= width[band])
+        distance = wavelength[near] - centre
+        if distance.size >= 3 and np.ptp(distance) > 0:
+            distance = distance - distance.mean()
+            slopes[band] = (distance @ log[near]) / (distance @ distance)
+    return slopes
+
+
+@dataclass(frozen=True)
+class Matching:
+    """Operators from a spectrometer's samples to an imager's bands.
+
+    Attributes
+    ----------
+    weights : (node, band, sample)
+        Weights on the spectrometer's samples; each row sums to 1, or is NaN where the spectrometer does not
+        cover the band.
+    misfit : (node, band)
+        Root-mean-square distance of the two responses over that of the imager's [1].
+    noise_gain : (node, band)
+        Norm of a row: the noise of a matched value over that of one sample [1].
+    coverage : (node, band)
+        Part of the imager's response inside the spectrometer's range [1].
+    """
+
+    weights: Float
+    misfit: Float
+    noise_gain: Float
+    coverage: Float
+
+
+def matching_operator(
+    spectrometer: Responses, imager: Responses, nodes: npt.ArrayLike = (0.0,), *, ridge: float = RIDGE
+) -> Matching:
+    r"""Return the weights that make a spectrometer's samples see as an imager's bands do.
+
+    Parameters
+    ----------
+    spectrometer
+        Responses of the spectrometer's samples.
+    imager
+        Responses of the imager's bands at its centre column.
+    nodes
+        Wavelength shifts [nm] at which operators are made, for the imager's smile.
+    ridge
+        Strength of the regularisation.
+
+    Notes
+    -----
+    With :math:`s_j` the responses of the samples and :math:`r` that of a band, all of unit area, the weights
+    minimise
+
+    .. math:: \int \Big(\sum_j w_j s_j - r\Big)^2 d\lambda + \epsilon\,\overline{\|s\|^2} \sum_j w_j^2,
+              \qquad \sum_j w_j = 1 .
+
+    A row is NaN where less than 99.9 % of the band's response lies inside the spectrometer's range: nothing
+    is extrapolated.
+    """
+    shifts = np.atleast_1d(np.asarray(nodes, np.float64))
+    order = np.argsort(spectrometer.wavelength, kind="stable")
+    centres, reach = spectrometer.wavelength[order], spectrometer.reach()[order]
+    step = min(spectrometer.fwhm.min(), imager.fwhm.min()) / 40.0
+    shape = (shifts.size, imager.wavelength.size)
+    weights = np.zeros((*shape, centres.size))
+    misfit, noise_gain, coverage = np.full(shape, np.nan), np.full(shape, np.nan), np.zeros(shape)
+    moved = [imager.shifted(float(shift)) for shift in shifts]
+    # one grid and one set of samples serve a band at all its shifts
+    half = imager.reach() + np.ptp(shifts) / 2
+    for band, centre in enumerate(imager.wavelength + (shifts.min() + shifts.max()) / 2):
+        near = np.flatnonzero(np.abs(centres - centre) <= half[band] + 0.5 * reach)
+        grid = np.arange(-half[band] - 2 * reach.max(), half[band] + 2 * reach.max() + step, step) + centre
+        responses = np.stack([bands.on(grid, band) for bands in moved])
+        inside = (grid >= centres[0]) & (grid <= centres[-1])
+        coverage[:, band] = responses[:, inside].sum(axis=1) * step
+        covered = coverage[:, band] >= 0.999
+        weights[~covered, band] = np.nan
+        if near.size == 0 or not covered.any():
+            weights[:, band] = np.nan
+            continue
+        samples = np.stack([spectrometer.on(grid, int(order[j])) for j in near])
+        rows = _constrained_ridge(samples, responses[covered], ridge)
+        for node, row in zip(np.flatnonzero(covered), rows, strict=True):
+            weights[node, band, order[near]] = row
+        residual = rows @ samples - responses[covered]
+        misfit[covered, band] = np.sqrt((residual**2).sum(axis=1) / (responses[covered] ** 2).sum(axis=1))
+        noise_gain[covered, band] = np.sqrt((rows**2).sum(axis=1))
+    return Matching(weights, misfit, noise_gain, coverage)
+
+
+def _constrained_ridge(samples: Float, responses: Float, ridge: float) -> Float:
+    """Return the ridge weights (node, sample), each row summing to 1, of samples for responses on a grid."""
+    gram = samples @ samples.T
+    gram[np.diag_indices_from(gram)] += ridge * np.trace(gram) / len(gram)
+    solved = np.linalg.solve(gram, np.column_stack([samples @ responses.T, np.ones(len(gram))])).T
+    free, ones = solved[:-1], solved[-1]
+    return np.asarray(free + ones * ((1.0 - free.sum(axis=1)) / ones.sum())[:, None])
