@@ -255,14 +255,14 @@ def _scaled_dark(dark: Array, taken: Float, exposure: float) -> Array:
 def _count_limits(
     cube: Mapping[str, Any], dark: Array, gain: Array, good: Array, dtype: np.dtype[Any]
 ) -> tuple[Array, Array, Array]:
-    """Return counts that are saturated (band, 1 or column), under the noise and under the dark."""
+    """Return counts that are saturated (1, 1 or band, column), under the noise and under the dark."""
     bands, columns = gain.shape
     whole = np.issubdtype(dtype, np.integer)
     nothing = np.zeros((bands, columns), dtype) if whole else np.full((bands, columns), -np.inf, dtype)
     if "radiance_gain" not in cube:
-        return np.full((bands, 1), np.inf, dtype), nothing, nothing
+        return np.full((1, 1), np.inf, dtype), nothing, nothing
     saturation = np.asarray(cube["saturation_count"], np.float64) - SATURATION_MARGIN
-    limit = np.full((bands, 1), saturation) if saturation.ndim == 0 else saturation
+    limit = saturation.reshape(1, 1) if saturation.ndim == 0 else saturation
     noise = np.asarray(cube.get("read_noise", DEFAULT_READ_NOISE), np.float64)
     sigma = np.sqrt(noise**2 + _QUANTISATION)
     level = dark.mean(axis=0, dtype=np.float64)

@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 from ._jit import kernel
 
-__all__ = ["flag_row", "merge_flags"]
+__all__ = ["flag_line", "gather_row"]
 
 Array = npt.NDArray[Any]
 
@@ -19,42 +19,52 @@ _NONE = np.uint16(0)
 
 
 @kernel
-def flag_row(
-    counts: Array, limit: Array, floor: Array, zero: Array, saturated: Array, below: Array, negative: Array
-) -> None:
-    """Add one band to the flags of a line.
+def gather_row(counts: Array, zero: Array, line: Any, band: Any, peak: Array, negative: Array) -> None:
+    """Keep the highest counts of each column, and how many of its bands lie under the dark.
 
-    Three loops, since one that wrote three arrays would not be vectorised.
+    Two loops, since one that wrote two arrays would not be vectorised.
     """
-    if limit.size == 1:
-        for x in range(counts.size):
-            saturated[x] |= np.uint16(counts[x] >= limit[0])
-    else:
-        for x in range(counts.size):
-            saturated[x] |= np.uint16(counts[x] >= limit[x])
-    for x in range(counts.size):
-        below[x] |= np.uint16(counts[x] < floor[x])
-    for x in range(counts.size):
-        negative[x] += np.uint16(counts[x] < zero[x])
+    for x in range(peak.size):
+        peak[x] = max(peak[x], counts[line, band, x])
+    for x in range(peak.size):
+        negative[x] += np.uint16(counts[line, band, x] < zero[band, x])
 
 
 @kernel
-def merge_flags(
-    saturated: Array,
-    below: Array,
+def flag_line(
+    counts: Array,
+    limit: Array,
+    floor: Array,
+    peak: Array,
     negative: Array,
     limits: Array,
     line_flags: Any,
     column_flags: Array,
+    line: Any,
     quality: Array,
 ) -> None:
-    """Write the quality of one line from what `flag_row` gathered.
+    """Write the quality of one line from what `gather_row` kept.
 
-    A line without data carries the flags of the line alone: its counts mean nothing.
+    Bands are visited again only where the counts of an element decide: with a limit of its own, or in a
+    column with anything under the dark. A line without data carries the flags of the line alone, since its
+    counts mean nothing.
     """
-    no_data = (line_flags & limits[1]) != 0
-    for x in range(quality.size):
-        found = saturated[x] * _SATURATED
-        dark = below[x] != 0 or negative[x] > limits[0]
-        found |= _BELOW_DARK if dark else _NONE
-        quality[x] = line_flags if no_data else found | line_flags | column_flags[x]
+    if (line_flags & limits[1]) != 0:
+        for x in range(peak.size):
+            quality[line, x] = line_flags
+        return
+    for x in range(peak.size):
+        found = line_flags | column_flags[x]
+        if limit.size == 1:
+            found |= _SATURATED if peak[x] >= limit[0, 0] else _NONE
+        else:
+            for band in range(counts.shape[1]):
+                if counts[line, band, x] >= limit[band, x]:
+                    found |= _SATURATED
+        if negative[x] > limits[0]:
+            found |= _BELOW_DARK
+        elif negative[x] > 0:
+            for band in range(counts.shape[1]):
+                if counts[line, band, x] < floor[band, x]:
+                    found |= _BELOW_DARK
+        quality[line, x] = found

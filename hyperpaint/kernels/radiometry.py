@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ._jit import kernel
-from .quality import flag_row, merge_flags
+from .quality import flag_line, gather_row
 
 __all__ = ["calibrate_slab", "round_bits"]
 
@@ -24,42 +24,58 @@ _ONE = np.uint32(1)
 
 
 @kernel
-def scale_row(counts: Array, dark: Array, gain: Array, scale: Any, limit: Any, out: Array) -> None:
-    """Write gain * scale * (counts - dark); NaN from ``limit`` counts on."""
-    for x in range(counts.size):
-        raw = counts[x]
-        value = (np.float32(raw) - dark[x]) * (gain[x] * scale)
-        out[x] = value if raw < limit else _NAN
-
-
-@kernel
-def divide_row(
-    counts: Array, dark: Array, gain: Array, shift: Array, cubic: Array, limit: Any, out: Array
+def scale_row(
+    counts: Array, dark: Array, gain: Array, scale: Any, limit: Any, line: Any, band: Any, out: Array
 ) -> None:
-    """Write gain * (counts - dark) over a cubic in ``shift``; NaN from ``limit`` counts on."""
-    c0, c1, c2, c3 = cubic[0], cubic[1], cubic[2], cubic[3]
-    for x in range(counts.size):
-        raw, s = counts[x], shift[x]
-        light = c0 + s * (c1 + s * (c2 + s * c3))
-        value = (np.float32(raw) - dark[x]) * gain[x] / light
-        out[x] = value if raw < limit else _NAN
+    """Write gain * scale * (counts - dark); NaN from ``limit`` counts on."""
+    for x in range(counts.shape[2]):
+        raw = counts[line, band, x]
+        value = (np.float32(raw) - dark[band, x]) * (gain[band, x] * scale)
+        out[line, band, x] = value if raw < limit else _NAN
 
 
 @kernel
-def limit_row(counts: Array, limits: Array, out: Array) -> None:
+def divide_run(
+    counts: Array,
+    dark: Array,
+    gain: Array,
+    shift: Array,
+    light: Array,
+    cell: Any,
+    limit: Any,
+    line: Any,
+    band: Any,
+    own: Any,
+    first: Any,
+    last: Any,
+    out: Array,
+) -> None:
+    """Write gain * (counts - dark) over a cubic in ``shift``, for columns ``first`` to ``last``."""
+    c0, c1 = light[line, band, cell, 0], light[line, band, cell, 1]
+    c2, c3 = light[line, band, cell, 2], light[line, band, cell, 3]
+    # unsigned: an index that cannot be negative needs no wrap-around, which would stop vectorisation
+    for x in range(np.uint64(first), np.uint64(last)):
+        raw, s = counts[line, band, x], shift[own, x]
+        irradiance = c0 + s * (c1 + s * (c2 + s * c3))
+        value = (np.float32(raw) - dark[band, x]) * gain[band, x] / irradiance
+        out[line, band, x] = value if raw < limit else _NAN
+
+
+@kernel
+def limit_row(counts: Array, limit: Array, line: Any, band: Any, out: Array) -> None:
     """Write NaN where counts reach the limits of their own elements."""
-    for x in range(counts.size):
-        out[x] = out[x] if counts[x] < limits[x] else _NAN
+    for x in range(counts.shape[2]):
+        out[line, band, x] = out[line, band, x] if counts[line, band, x] < limit[band, x] else _NAN
 
 
 @kernel
-def round_row(bits: Array, dropped: Any) -> None:
+def round_row(bits: Array, line: Any, band: Any, dropped: Any) -> None:
     """Round float32 values, given as their bits, to nearest-even with ``dropped`` mantissa bits cleared."""
     half = (_ONE << (dropped - _ONE)) - _ONE
     keep = ~((_ONE << dropped) - _ONE)
-    for x in range(bits.size):
-        value = bits[x]
-        bits[x] = (value + half + ((value >> dropped) & _ONE)) & keep
+    for x in range(bits.shape[2]):
+        value = bits[line, band, x]
+        bits[line, band, x] = (value + half + ((value >> dropped) & _ONE)) & keep
 
 
 @kernel
@@ -67,7 +83,7 @@ def round_bits(bits: Array, dropped: Any) -> None:
     """Round float32 values (line, band, column), given as uint32, in place; as numcodecs' BitRound does."""
     for line in range(bits.shape[0]):
         for band in range(bits.shape[1]):
-            round_row(bits[line, band], dropped)
+            round_row(bits, line, band, dropped)
 
 
 @kernel
@@ -116,7 +132,7 @@ def calibrate_slab(
         Position of a column inside its cell.
     edges : (1 or band, run + 1), int64; cells : (1 or band, run), int64
         Columns where runs begin whose columns share a cell, and that cell.
-    limit : (band, 1 or column), like counts
+    limit : (1, 1) or (band, column), like counts
         Counts from which a sample is saturated.
     floor, zero : (band, column), like counts
         Counts below which a sample lies under the dark beyond noise, and under it at all; 0 counts nothing.
@@ -133,10 +149,9 @@ def calibrate_slab(
     """
     n_line, n_band, n_column = counts.shape
     flagging = quality.shape[0] > 0
-    one_limit = limit.shape[1] == 1
+    one_limit = limit.size == 1
     mixed_dark = np.empty((n_band, n_column) if dark.shape[0] > 1 else (0, 0), np.float32)
-    saturated = np.empty(n_column, np.uint16)
-    below = np.empty(n_column, np.uint16)
+    peak = np.empty(n_column, counts.dtype)
     negative = np.empty(n_column, np.uint16)
     for line in range(n_line):
         line_dark = dark[0]
@@ -144,28 +159,34 @@ def calibrate_slab(
             first = dark_index[line]
             blend(dark[first], dark[first + 1], dark_weight[line], mixed_dark)
             line_dark = mixed_dark
-        saturated[:] = 0
-        below[:] = 0
+        peak[:] = 0
         negative[:] = 0
         for band in range(n_band):
-            row, written = counts[line, band], out[line, band]
             if light.shape[3] == 1:
-                scale_row(row, line_dark[band], gain[band], light[line, band, 0, 0], limit[band, 0], written)
+                scale_row(counts, line_dark, gain, light[line, band, 0, 0], limit[0, 0], line, band, out)
             else:
                 own = band if shift.shape[0] > 1 else 0
                 for run in range(cells.shape[1]):
-                    i, j = edges[own, run], edges[own, run + 1]
-                    divide_row(
-                        row[i:j], line_dark[band, i:j], gain[band, i:j], shift[own, i:j],
-                        light[line, band, cells[own, run]], limit[band, 0], written[i:j],
+                    divide_run(
+                        counts, line_dark, gain, shift, light, cells[own, run], limit[0, 0],
+                        line, band, own, edges[own, run], edges[own, run + 1], out,
                     )  # fmt: skip
             if not one_limit:
-                limit_row(row, limit[band], written)
+                limit_row(counts, limit, line, band, out)
             if dropped > 0:
-                round_row(bits[line, band], dropped)
+                round_row(bits, line, band, dropped)
             if flagging:
-                flag_row(row, limit[band], floor[band], zero[band], saturated, below, negative)
+                gather_row(counts, zero, line, band, peak, negative)
         if flagging:
-            merge_flags(
-                saturated, below, negative, flag_limits, line_flags[line], column_flags, quality[line]
+            flag_line(
+                counts,
+                limit,
+                floor,
+                peak,
+                negative,
+                flag_limits,
+                line_flags[line],
+                column_flags,
+                line,
+                quality,
             )
