@@ -230,8 +230,8 @@ def match_irradiance(
     ...     np.full((1, 101), 1.3, "float32"), dims=("irradiance_time", "irradiance_wavelength"),
     ...     coords={"irradiance_wavelength": np.arange(500.0, 601.0)}, attrs={"units": "W m-2 nm-1"})
     >>> matched = match_irradiance(grey, [540.0, 550.0], [6.0, 6.0])
-    >>> matched.dims, matched.values.round(4).tolist()
-    (('irradiance_time', 'node', 'band'), [[[1.3, 1.3]]])
+    >>> print(matched.dims, matched.values.round(4))
+    ('irradiance_time', 'node', 'band') [[[1.3 1.3]]]
     """
     import xarray as xr
 

@@ -11,13 +11,13 @@ import functools
 import re
 from typing import TYPE_CHECKING, Any
 
-from .errors import UnitsError
+from .errors import MissingExtraError, UnitsError
 
 if TYPE_CHECKING:
     import pint
     import xarray as xr
 
-__all__ = ["canonical", "conversion_factor", "convert", "registry", "same_dimension"]
+__all__ = ["canonical", "conversion_factor", "convert", "quantify", "registry", "same_dimension"]
 
 _DEFINITIONS = """
 nano- = 1e-9 = n-
@@ -83,15 +83,18 @@ def _spell_for_pint(text: str) -> str:
 
 
 @functools.cache
-def registry() -> pint.UnitRegistry[Any]:
+def registry(force_ndarray_like: bool = False) -> pint.UnitRegistry[Any]:
     """Return hyperpaint's private unit registry.
 
     It reads CF spelling (``W m-2 sr-1 nm-1``), the words of ENVI headers (``Nanometers``) and units with a
-    scale (``1e-10 W cm-2 nm-1 sr-1``). It is never made pint's application registry.
+    scale (``1e-10 W cm-2 nm-1 sr-1``). It is never made pint's application registry. Only pint-xarray asks
+    for ``force_ndarray_like``, under which a float32 Quantity times a number becomes float64.
     """
     import pint
 
-    made: pint.UnitRegistry[Any] = pint.UnitRegistry(None, preprocessors=[_spell_for_pint])
+    made: pint.UnitRegistry[Any] = pint.UnitRegistry(
+        None, preprocessors=[_spell_for_pint], force_ndarray_like=force_ndarray_like
+    )
     for line in _DEFINITIONS.strip().splitlines():
         made.define(line)
     return made
@@ -203,3 +206,29 @@ def convert(array: xr.DataArray, wanted: str, name: str | None = None) -> xr.Dat
     if factor != 1.0:
         array = array.copy(data=array.data * array.dtype.type(factor))
     return array.assign_attrs(units=wanted)
+
+
+def quantify(dataset: xr.Dataset) -> xr.Dataset:
+    """Return ``dataset`` with its data variables as pint Quantities of hyperpaint's registry.
+
+    Raises
+    ------
+    MissingExtraError
+        pint-xarray is not installed.
+    """
+    try:
+        import pint_xarray  # noqa: F401
+    except ImportError as error:
+        needed = MissingExtraError.of("pint-xarray", "units", "a Quantity view")
+        raise needed from error
+
+    units = registry(force_ndarray_like=True)
+    found = {
+        name: units.Unit(_spell_for_pint(str(array.attrs["units"])))
+        for name, array in dataset.data_vars.items()
+        if "units" in array.attrs and array.dtype.kind in "fiu"
+    }
+    # coordinates are left alone: an index of Quantities can no longer be selected on
+    plain = dict.fromkeys(dataset.coords)
+    quantified: xr.Dataset = dataset.pint.quantify({**plain, **found}, unit_registry=units)
+    return quantified

@@ -1,0 +1,100 @@
+"""The ``.paint`` accessor: the spelling of hyperpaint's functions on a Dataset, and nothing else."""
+
+from __future__ import annotations
+
+from collections.abc import Hashable, Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import xarray as xr
+
+if TYPE_CHECKING:
+    import numpy.typing as npt
+
+    from .illumination import Tilt
+    from .radiometry import Panel
+
+__all__ = ["PaintAccessor"]
+
+Dims = Mapping[str, Hashable]
+
+
+@xr.register_dataset_accessor("paint")
+class PaintAccessor:
+    """Methods on a flight line. Each returns something new, lazily unless it says otherwise.
+
+    Dims are found by role; those of other programs (downtrack, crosstrack, bands, y, x, ...) are known, and
+    any other is named by ``dims={"along_track": "my_dim"}``.
+    """
+
+    def __init__(self, dataset: xr.Dataset) -> None:
+        self._dataset = dataset
+
+    def _by_role(self, dims: Dims | None = None) -> xr.Dataset:
+        from .schema import rename_to_roles
+
+        return rename_to_roles(self._dataset, dims)
+
+    def radiance(self, *, dims: Dims | None = None) -> xr.Dataset:
+        """Add ``radiance`` and ``quality``; see `hyperpaint.radiance`."""
+        from .radiometry import radiance
+
+        return radiance(self._by_role(dims))
+
+    def reflectance(
+        self,
+        irradiance: xr.Dataset | None = None,
+        *,
+        tilt: Tilt | tuple[float, float] | None = None,
+        panel: Panel | None = None,
+        keep_bits: int | None = None,
+        dims: Dims | None = None,
+    ) -> xr.Dataset:
+        """Add ``reflectance``, ``quality`` and ``irradiance_age``; see `hyperpaint.reflectance`."""
+        from .radiometry import reflectance
+
+        return reflectance(self._by_role(dims), irradiance, tilt=tilt, panel=panel, keep_bits=keep_bits)
+
+    def smooth(
+        self, method: str = "savitzky-golay", window: int = 11, *, order: int = 2, dims: Dims | None = None
+    ) -> xr.Dataset:
+        """Replace ``reflectance`` by its smoothed self; see `hyperpaint.smooth`."""
+        from .smoothing import smooth
+
+        return smooth(self._by_role(dims), method, window, order=order)
+
+    def at(self, wavelength: npt.ArrayLike, *, dims: Dims | None = None) -> xr.Dataset:
+        """Return the bands nearest to wavelengths [nm]; see `hyperpaint.bands.at`."""
+        from .bands import at
+
+        return at(self._by_role(dims), wavelength)
+
+    def to_nominal(self, *, dims: Dims | None = None) -> xr.Dataset:
+        """Return spectra with the smile taken out; see `hyperpaint.bands.to_nominal`."""
+        from .bands import to_nominal
+
+        return to_nominal(self._by_role(dims))
+
+    def rgb(self, *, stretch: tuple[float, float] = (2.0, 98.0), dims: Dims | None = None) -> xr.DataArray:
+        """Return a true-colour picture; see `hyperpaint.plot.rgb`."""
+        from .plot import rgb
+
+        return rgb(self._by_role(dims), stretch=stretch)
+
+    def quicklook(
+        self, path: str | Path | None = None, *, lines: int = 1000, dims: Dims | None = None
+    ) -> Any:
+        """Draw colour, quality, irradiance and spectra (eager); see `hyperpaint.plot.quicklook`."""
+        from .plot import quicklook
+
+        return quicklook(self._by_role(dims), path, lines=lines)
+
+    def quantify(self) -> xr.Dataset:
+        """Return a view for pint-xarray users: data variables as Quantities (extra ``units``).
+
+        Coordinates stay plain, so that they can still be selected on. Quantities are for looking and for
+        arithmetic in a session; stores, graphs and hyperpaint's own functions take the plain dataset.
+        """
+        from .units import quantify
+
+        return quantify(self._dataset)

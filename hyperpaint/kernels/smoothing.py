@@ -1,0 +1,98 @@
+"""Filters over the spectral axis that a missing band touches in its own window only."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from ._jit import kernel
+
+__all__ = ["filter_slab"]
+
+Array = npt.NDArray[Any]
+
+_NAN = np.float32(np.nan)
+_ZERO = np.float32(0.0)
+_ONE = np.float32(1.0)
+
+
+@kernel
+def accumulate_row(
+    values: Array, line: Any, source: Any, weight: Any, total: Array, norm: Array, complete: Array
+) -> None:
+    """Add one band of the window to the sums of a row; a missing value adds nothing."""
+    for x in range(total.size):
+        value = values[line, source, x]
+        there = value == value
+        total[x] += weight * (value if there else _ZERO)
+        norm[x] += weight if there else _ZERO
+        complete[x] = complete[x] if there else _ZERO
+
+
+@kernel
+def filter_slab(
+    values: Array, weights: Array, first: Array, renormalise: Any, fallback: Array, out: Array
+) -> None:
+    """Write the weighted sum of each band's window.
+
+    Parameters
+    ----------
+    values, out : (line, band, column), float32
+    weights : (band, width), float32; first : (band,), int64
+        Weights of the window of a band, and the band it begins at; a row sums to 1.
+    renormalise
+        Whether a window with missing values is divided by the weights that are left (a mean), or taken from
+        ``fallback`` (a filter with negative weights, whose rest may sum to nothing).
+    fallback : (band, width, width), float32
+        Row ``k`` of a band: weights of the window without its ``k``-th value.
+
+    Notes
+    -----
+    A missing band stays missing. Where two or more values are missing and the filter does not renormalise,
+    the value is left as it is.
+    """
+    n_line, n_band, n_column = values.shape
+    width = weights.shape[1]
+    total = np.empty(n_column, np.float32)
+    norm = np.empty(n_column, np.float32)
+    complete = np.empty(n_column, np.float32)
+    for line in range(n_line):
+        for band in range(n_band):
+            total[:] = _ZERO
+            norm[:] = _ZERO
+            complete[:] = _ONE
+            for k in range(width):
+                accumulate_row(values, line, first[band] + k, weights[band, k], total, norm, complete)
+            for x in range(n_column):
+                value = values[line, band, x]
+                if value != value:
+                    out[line, band, x] = _NAN
+                elif complete[x] == _ONE:
+                    out[line, band, x] = total[x]
+                elif renormalise:
+                    out[line, band, x] = total[x] / norm[x]
+                else:
+                    out[line, band, x] = without_missing(values, fallback, line, band, x, first[band], width)
+
+
+@kernel
+def without_missing(
+    values: Array, fallback: Array, line: Any, band: Any, x: Any, first: Any, width: Any
+) -> Any:
+    """Return the filtered value of a window with one value missing, the value itself with more."""
+    missing = 0
+    gap = 0
+    for k in range(width):
+        value = values[line, first + k, x]
+        if value != value:
+            missing += 1
+            gap = k
+    if missing > 1:
+        return values[line, band, x]
+    total = _ZERO
+    for k in range(width):
+        if k != gap:
+            total += fallback[band, gap, k] * values[line, first + k, x]
+    return total

@@ -1,0 +1,252 @@
+"""Pictures of a flight line."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+
+from . import schema
+from .errors import MissingExtraError, SchemaError
+from .radiometry import reflectance
+from .responses import band_spacing
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+__all__ = ["colour_matching", "quicklook", "rgb"]
+
+Array = npt.NDArray[Any]
+
+# XYZ of an equal-energy white, adapted to D65 (Bradford), to linear sRGB (IEC 61966-2-1)
+_BRADFORD_E_TO_D65 = np.array(
+    [
+        [0.9531874, -0.0265906, 0.0238731],
+        [-0.0382467, 1.0288406, 0.0094060],
+        [0.0026068, -0.0030332, 1.0892565],
+    ]
+)
+_XYZ_TO_SRGB = np.array(
+    [
+        [3.2404542, -1.5371385, -0.4985314],
+        [-0.9692660, 1.8760108, 0.0415560],
+        [0.0556434, -0.2040259, 1.0572252],
+    ]
+)
+
+
+def colour_matching(wavelength: npt.ArrayLike) -> Array:
+    """Return the CIE 1931 colour-matching functions x, y, z (3, band) at wavelengths [nm].
+
+    The multi-lobe fit of [1]_, within 1 % of the tables.
+
+    References
+    ----------
+    .. [1] C. Wyman, P.-P. Sloan, P. Shirley, "Simple Analytic Approximations to the CIE XYZ Color Matching
+       Functions", J. Computer Graphics Techniques 2(2), 1-11 (2013).
+
+    Examples
+    --------
+    >>> print(colour_matching([555.0]).round(2).ravel())
+    [0.52 1.   0.01]
+    """
+    nm = np.asarray(wavelength, np.float64)
+
+    def lobe(centre: float, below: float, above: float) -> Array:
+        return np.asarray(np.exp(-0.5 * ((nm - centre) / np.where(nm < centre, below, above)) ** 2))
+
+    x = 1.056 * lobe(599.8, 37.9, 31.0) + 0.362 * lobe(442.0, 16.0, 26.7) - 0.065 * lobe(501.1, 20.4, 26.2)
+    y = 0.821 * lobe(568.8, 46.9, 40.5) + 0.286 * lobe(530.9, 16.3, 31.1)
+    z = 1.217 * lobe(437.0, 11.8, 36.0) + 0.681 * lobe(459.0, 26.0, 13.8)
+    return np.stack([x, y, z])
+
+
+def rgb(dataset: xr.Dataset, *, stretch: tuple[float, float] = (2.0, 98.0)) -> xr.DataArray:
+    """Return a true-colour picture: reflectance through the CIE 1931 observer to sRGB.
+
+    Lazy; computing it reads every band between 380 and 780 nm.
+
+    Parameters
+    ----------
+    dataset
+        A flight line with ``reflectance``, or with what it follows from, and ``wavelength`` (band).
+    stretch
+        Percentiles of brightness that become black and white, found in at most 64 lines; (0, 100) shows the
+        reflectance itself, white being 1.
+
+    Returns
+    -------
+    (along_track, cross_track, rgb), float32
+        sRGB from 0 to 1. Saturated pixels are white, pixels without any value black.
+
+    Raises
+    ------
+    SchemaError
+        There is no reflectance, or there are no visible bands.
+    """
+    import xarray as xr
+
+    dataset = schema.rename_to_roles(dataset)
+    if "reflectance" not in dataset.variables:
+        dataset = reflectance(dataset)
+    cube = dataset["reflectance"]
+    wavelength = schema.require(dataset, ["wavelength"], "a true-colour picture")["wavelength"].values
+    visible = np.flatnonzero((wavelength > 380) & (wavelength < 780))
+    if visible.size < 3:
+        msg = f"a true-colour picture needs three bands between 380 and 780 nm, found {visible.size}"
+        raise SchemaError(msg)
+    weights = colour_matching(wavelength[visible]) * band_spacing(wavelength[visible])
+    weights = _XYZ_TO_SRGB @ _BRADFORD_E_TO_D65 @ (weights / weights.sum(axis=1, keepdims=True))
+    source = cube.isel({schema.BAND: visible})
+    if source.chunks is not None:
+        source = source.chunk({schema.BAND: -1})
+    linear = xr.apply_ufunc(
+        _mix,
+        source,
+        kwargs={"weights": weights.astype(np.float32)},
+        input_core_dims=[[schema.BAND]],
+        output_core_dims=[["rgb"]],
+        dask="parallelized",
+        output_dtypes=[np.float32],
+        dask_gufunc_kwargs={"output_sizes": {"rgb": 3}},
+    ).drop_vars(["wavelength", "fwhm", "good"], errors="ignore")
+    dims = [dim for dim in source.dims if dim != schema.BAND]
+    low, high = _levels(linear, dims[0], stretch)
+    shown = ((linear - low) / np.maximum(high - low, np.float32(1e-6))).clip(0.0, 1.0)
+    made: xr.DataArray = xr.apply_ufunc(_encode_srgb, shown, dask="parallelized", output_dtypes=[np.float32])
+    made = made.transpose(*dims, "rgb").rename("rgb")
+    made = made.assign_coords(rgb=("rgb", ["red", "green", "blue"]))
+    made.attrs = {"long_name": "True colour (sRGB)", "stretch": f"{stretch[0]:g} to {stretch[1]:g} %"}
+    return made
+
+
+def _encode_srgb(linear: Array) -> Array:
+    """Return linear values 0 to 1 as the sRGB standard encodes them."""
+    curved = 1.055 * np.maximum(linear, 0.0031308) ** (1 / 2.4) - 0.055
+    return np.asarray(np.where(linear <= 0.0031308, 12.92 * linear, curved), np.float32)
+
+
+def _mix(values: Array, *, weights: Array) -> Array:
+    """Return linear sRGB of spectra (..., band); a missing band of a seen pixel is over-bright."""
+    missing = np.isnan(values)
+    seen = ~missing.all(axis=-1, keepdims=True)
+    return np.asarray(np.where(missing, seen.astype(np.float32), values) @ weights.T, np.float32)
+
+
+def _levels(linear: xr.DataArray, lines: Any, stretch: tuple[float, float]) -> tuple[Any, Any]:
+    """Return what becomes black and white, from a part of the lines, lazily."""
+    import xarray as xr
+
+    if stretch == (0.0, 100.0):
+        return np.float32(0.0), np.float32(1.0)
+    some = linear.isel({lines: slice(None, None, max(1, linear.sizes[lines] // 64))})
+    if some.chunks is not None:
+        some = some.chunk(-1)
+    found = xr.apply_ufunc(
+        lambda picture: np.percentile(picture.mean(axis=-1), stretch, axis=(-2, -1)).astype(np.float32),
+        some.transpose(..., "rgb"),
+        input_core_dims=[list(some.dims)],
+        output_core_dims=[["level"]],
+        dask="parallelized",
+        output_dtypes=[np.float32],
+        dask_gufunc_kwargs={"output_sizes": {"level": 2}},
+    )
+    return found.isel(level=0), found.isel(level=1)
+
+
+def quicklook(dataset: xr.Dataset, path: str | Path | None = None, *, lines: int = 1000) -> Any:
+    """Draw a flight line: true colour, quality, irradiance over time.
+
+    Eager: computes a picture of at most ``lines`` lines.
+
+    Parameters
+    ----------
+    dataset
+        A flight line with its reflectance, or with what it follows from.
+    path
+        Where to write a picture (PNG, PDF, ...); nowhere by default.
+    lines
+        Lines shown at the most; of a longer line every n-th is read.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+
+    Raises
+    ------
+    MissingExtraError
+        matplotlib is not installed.
+    """
+    try:
+        from matplotlib.figure import Figure
+    except ImportError as error:
+        needed = MissingExtraError.of("matplotlib", "viz", "a quicklook")
+        raise needed from error
+
+    dataset = schema.rename_to_roles(dataset)
+    if "reflectance" not in dataset.variables or "quality" not in dataset.variables:
+        dataset = reflectance(dataset)
+    step = max(1, dataset.sizes[schema.ALONG_TRACK] // lines)
+    dataset = dataset.isel({schema.ALONG_TRACK: slice(None, None, step)})
+    picture, quality = rgb(dataset).values, dataset["quality"].values
+    figure = Figure(figsize=(11, 7), layout="constrained")
+    grid = figure.add_gridspec(2, 3, height_ratios=(3, 1.3))
+    shown, flags, light = figure.add_subplot(grid[0, :2]), figure.add_subplot(grid[0, 2]), None
+    shown.imshow(picture.swapaxes(0, 1), aspect="auto", interpolation="nearest")
+    shown.set(title=f"{dataset.attrs.get('name', 'flight line')}: true colour", ylabel="cross_track")
+    shown.set_xlabel("along_track" + (f" (every {step})" if step > 1 else ""))
+    _draw_flags(flags, quality)
+    light = figure.add_subplot(grid[1, :2])
+    _draw_irradiance(light, dataset)
+    _draw_spectra(figure.add_subplot(grid[1, 2]), dataset)
+    if path is not None:
+        figure.savefig(path, dpi=110)
+    return figure
+
+
+def _draw_flags(axes: Any, quality: Array) -> None:
+    """Draw the share of pixels under every flag that occurs."""
+    share = {flag: float((quality & int(flag) != 0).mean()) for flag in schema.Quality}
+    found = {flag: part for flag, part in share.items() if part > 0}
+    names = [str(flag.name).lower().replace("_", " ") for flag in found] or ["no flag set"]
+    axes.barh(names, [100 * part for part in found.values()] or [0.0], color="#b5543c")
+    axes.set(title="quality", xlabel="pixels [%]")
+    axes.invert_yaxis()
+
+
+def _draw_irradiance(axes: Any, dataset: xr.Dataset) -> None:
+    """Draw irradiance over time at three wavelengths, and when the line was flown."""
+    if "irradiance" not in dataset.variables:
+        axes.set_axis_off()
+        return
+    series = dataset["irradiance"].compute()
+    start = series[schema.IRRADIANCE_TIME].values[0]
+    seconds = (series[schema.IRRADIANCE_TIME].values - start) / np.timedelta64(1, "s")
+    samples = series[schema.IRRADIANCE_WAVELENGTH].values
+    for nm, colour in ((450.0, "#3566a8"), (550.0, "#4d8f3a"), (850.0, "#8c3b6b")):
+        if samples.min() <= nm <= samples.max():
+            axes.plot(
+                seconds, series.values[:, np.abs(samples - nm).argmin()], color=colour, label=f"{nm:.0f} nm"
+            )
+    flown = (dataset["time"].values - start) / np.timedelta64(1, "s")
+    axes.axvspan(np.nanmin(flown), np.nanmax(flown), color="0.9", zorder=0, label="line")
+    axes.set(title="downwelling irradiance", xlabel=f"seconds after {str(start)[:19]} UTC")
+    axes.set_ylabel("W m$^{-2}$ nm$^{-1}$")
+    axes.set_ylim(bottom=0)
+    axes.legend(fontsize="small", loc="lower right", ncols=2)
+
+
+def _draw_spectra(axes: Any, dataset: xr.Dataset) -> None:
+    """Draw the quartiles of reflectance over the lines shown, band by band."""
+    some = dataset["reflectance"].isel(
+        {schema.ALONG_TRACK: slice(None, None, max(1, dataset.sizes[schema.ALONG_TRACK] // 50))}
+    )
+    quartiles = np.nanpercentile(some.values, (25, 50, 75), axis=(0, 2))
+    wavelength = dataset["wavelength"].values
+    axes.fill_between(wavelength, quartiles[0], quartiles[2], color="0.85", label="middle half")
+    axes.plot(wavelength, quartiles[1], color="0.2", label="median")
+    axes.set(title="reflectance of all pixels", xlabel="wavelength [nm]")
+    axes.set_ylim(bottom=0)
+    axes.legend(fontsize="small")

@@ -1,0 +1,140 @@
+"""Box and Savitzky-Golay filters over the spectral axis.
+
+The paper smooths with a box. It is kept, off by default: over 11 bands it moves a red edge by up to 0.026 in
+reflectance, where a Savitzky-Golay filter of the same width moves it by 0.002.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+
+from . import schema
+from .errors import Problems, SchemaError
+from .slabs import line_chunked
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+__all__ = ["METHODS", "smooth"]
+
+METHODS = ("savitzky-golay", "box")
+
+Array = npt.NDArray[Any]
+
+
+def smooth(
+    dataset: xr.Dataset, method: str = "savitzky-golay", window: int = 11, *, order: int = 2
+) -> xr.Dataset:
+    """Smooth ``reflectance`` over the bands.
+
+    Lazy: one task a slab of lines.
+
+    Parameters
+    ----------
+    dataset
+        Holds ``reflectance`` with a dim ``band``.
+    method
+        ``"savitzky-golay"``: the least-squares polynomial of each window; ``"box"``: its mean.
+    window
+        Number of bands, odd. At the ends the window keeps its width for the polynomial, and is cut for the
+        box.
+    order
+        Degree of the polynomial.
+
+    Returns
+    -------
+    Dataset
+        The same with ``reflectance`` replaced, float32 [1], which its attribute ``smoothing`` says.
+
+    Raises
+    ------
+    SchemaError
+        There is no reflectance, or the window does not fit; every problem is listed.
+
+    Notes
+    -----
+    A missing band stays missing, and changes only the bands whose window holds it. Quality flags are left
+    as they are: a flag set before is still set.
+
+    References
+    ----------
+    .. [1] A. Savitzky, M. J. E. Golay, Anal. Chem. 36, 1627-1639 (1964). doi:10.1021/ac60214a047
+
+    Examples
+    --------
+    >>> import xarray as xr
+    >>> step = xr.Dataset({"reflectance": ("band", np.float32([0, 0, 0, 1, 1, 1]), {"units": "1"})})
+    >>> print(smooth(step, "box", 3).reflectance.values.round(2))
+    [0.   0.   0.33 0.67 1.   1.  ]
+    """
+    import xarray as xr
+
+    problems = Problems("cannot smooth", SchemaError)
+    if "reflectance" not in dataset.variables:
+        problems.add("'reflectance' is missing; call .paint.reflectance() first")
+    if method not in METHODS:
+        problems.add(f"method {method!r}, expected one of {', '.join(METHODS)}")
+    if window < 3 or window % 2 == 0:
+        problems.add(f"window {window}, expected an odd number of bands, 3 or more")
+    bands = dataset["reflectance"].sizes.get(schema.BAND, 0) if "reflectance" in dataset else window
+    if window > bands:
+        problems.add(f"window {window} is wider than the {bands} bands")
+    if method == "savitzky-golay" and not 0 <= order < window - 1:
+        problems.add(f"order {order}, expected 0 to {window - 2} for a window of {window}")
+    problems.raise_if_any()
+    array = dataset["reflectance"]
+    first, weights, fallback = _window_weights(method, window, order, bands)
+    cube = set(schema.CUBE) == set(array.dims)
+    source = line_chunked(array) if cube else array
+    filtered = xr.apply_ufunc(
+        _filter,
+        source.chunk({schema.BAND: -1}) if source.chunks else source,
+        kwargs={"weights": weights, "first": first, "fallback": fallback, "box": method == "box"},
+        input_core_dims=[[schema.BAND, schema.CROSS_TRACK] if cube else [schema.BAND]],
+        output_core_dims=[[schema.BAND, schema.CROSS_TRACK] if cube else [schema.BAND]],
+        dask="parallelized",
+        output_dtypes=[np.float32],
+        keep_attrs=True,
+    ).transpose(*array.dims)
+    text = f"box, {window} bands" if method == "box" else f"Savitzky-Golay, {window} bands, order {order}"
+    attrs = {**array.attrs, **schema.VARIABLES["reflectance"].attrs, "smoothing": text}
+    return dataset.assign(reflectance=filtered.assign_attrs(attrs))
+
+
+def _filter(values: Array, *, weights: Array, first: Array, fallback: Array, box: bool) -> Array:
+    from .kernels.smoothing import filter_slab
+
+    shaped = values.astype(np.float32, copy=False)
+    # spectra without a cross-track dim are lines one column wide
+    if shaped.ndim != 3:
+        shaped = shaped.reshape(-1, first.size, 1)
+    out = np.empty(shaped.shape, np.float32)
+    filter_slab(np.ascontiguousarray(shaped), weights, first, box, fallback, out)
+    return out.reshape(values.shape)
+
+
+def _window_weights(method: str, window: int, order: int, bands: int) -> tuple[Array, Array, Array]:
+    """Return the first band of each window, its weights, and its weights without each of its values."""
+    first = np.clip(np.arange(bands) - window // 2, 0, bands - window)
+    centres = np.arange(bands) - first
+    place = np.arange(window)
+    if method == "box":
+        near = np.abs(place - centres[:, None]) <= window // 2
+        weights = near / near.sum(axis=1, keepdims=True)
+        return first, weights.astype(np.float32), np.zeros((1, 1, 1), np.float32)
+    whole = np.stack([_polynomial_weights(place - centre, order) for centre in place])
+    without = np.zeros((window, window, window))
+    for centre in place:
+        for gap in place:
+            left = place != gap
+            without[centre, gap, left] = _polynomial_weights(place[left] - centre, order)
+    return first, whole[centres].astype(np.float32), without[centres].astype(np.float32)
+
+
+def _polynomial_weights(distance: Array, order: int) -> Array:
+    """Return the weights of values at ``distance`` in their least-squares polynomial at 0."""
+    powers = np.vander(distance.astype(np.float64), order + 1, increasing=True)
+    return np.asarray(np.linalg.pinv(powers)[0])
