@@ -1,8 +1,9 @@
-"""Fixtures every test may use."""
+"""Fixtures every test may use, and the rule that real files beside the project are really read."""
 
 from __future__ import annotations
 
 import contextlib
+import os
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -11,6 +12,7 @@ import dask
 import pytest
 
 SHARED_DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
+_REAL = {"ran": 0, "skipped": 0}
 
 
 @pytest.fixture(scope="session")
@@ -35,3 +37,24 @@ def _no_compute() -> Iterator[None]:
 def no_compute() -> Callable[[], contextlib.AbstractContextManager[None]]:
     """Return a context in which any dask compute fails."""
     return _no_compute
+
+
+def pytest_runtest_logreport(report: pytest.TestReport) -> None:
+    if "real_data" not in report.keywords:
+        return
+    if report.skipped:
+        _REAL["skipped"] += 1
+    elif report.when == "call":
+        _REAL["ran"] += 1
+
+
+def pytest_terminal_summary(terminalreporter: Any) -> None:
+    if SHARED_DATA.is_dir():
+        terminalreporter.write_line(f"real files: {_REAL['ran']} tests read them, {_REAL['skipped']} skipped")
+
+
+def pytest_sessionfinish(session: pytest.Session) -> None:
+    """Fail a run that was told to read the real files and did not."""
+    required = os.environ.get("HYPERPAINT_REQUIRE_REAL_DATA") and not session.config.option.collectonly
+    if required and session.exitstatus == 0 and not _REAL["ran"]:
+        session.exitstatus = pytest.ExitCode.TESTS_FAILED
