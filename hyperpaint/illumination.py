@@ -301,7 +301,7 @@ def _operator(
     wavelength = np.atleast_1d(np.asarray(imager["wavelength"], np.float64))
     fwhm = np.broadcast_to(np.asarray(imager["fwhm"], np.float64), wavelength.shape)
     responsivity = imager.get("responsivity")
-    slope = None if responsivity is None else log_slope(wavelength, np.asarray(responsivity), 1.5 * fwhm)
+    slope = None if responsivity is None else log_slope(wavelength, np.asarray(responsivity), 2.0 * fwhm)
     spectrometer = Responses(samples, irradiance_fwhm, irradiance_shape)
     bands = Responses(
         wavelength, fwhm, imager["srf_shape"], slope=slope, offset=imager["srf_offset"], table=imager["srf"]

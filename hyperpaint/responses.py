@@ -143,7 +143,10 @@ def band_spacing(wavelength: npt.ArrayLike) -> Float:
 
 
 def log_slope(wavelength: Float, responsivity: Float, width: Float) -> Float:
-    """Return d ln R / d wavelength at every band [nm-1], fitted over one ``width`` to either side.
+    """Return d ln R / d wavelength at every band [nm-1].
+
+    The slope at the band of the parabola through its neighbours: at the ends of the array, where they lie to
+    one side, a straight line would take the curvature for slope.
 
     Parameters
     ----------
@@ -159,10 +162,10 @@ def log_slope(wavelength: Float, responsivity: Float, width: Float) -> Float:
     slopes = np.zeros(wavelength.shape)
     for band, centre in enumerate(wavelength):
         near = usable & (np.abs(wavelength - centre) <= width[band])
-        distance = wavelength[near] - centre
-        if distance.size >= 3 and np.ptp(distance) > 0:
-            distance = distance - distance.mean()
-            slopes[band] = (distance @ log[near]) / (distance @ distance)
+        distance = (wavelength[near] - centre) / width[band]
+        if np.unique(distance).size >= 3:
+            parabola = np.vander(distance, 3, increasing=True)
+            slopes[band] = np.linalg.lstsq(parabola, log[near])[0][1] / width[band]
     return slopes
 
 

@@ -72,7 +72,7 @@ _WORDS = {
 }
 # a power that may reach pint: of a name or a number, to a literal of one or two digits, never of a power
 _POWER = re.compile(r"(?:\*\*|\^)")
-_SAFE_POWER = re.compile(r"(?<=[A-Za-z0-9µμ .])(?:\*\*|\^)\s*[-+]?[0-9]{1,2}(?![0-9.*^]|\s*\*\*|\s*\^)")
+_SAFE_POWER = re.compile(r"(?<=[A-Za-z0-9µμ .])(?:\*\*|\^)\s*[-+]?[0-9]{1,2}(?![0-9.]|\s*\*\*|\s*\^)")
 _WORD = re.compile("|".join(rf"(?<![A-Za-z]){re.escape(word)}(?![A-Za-z])" for word in _WORDS), re.IGNORECASE)
 
 

@@ -1,0 +1,485 @@
+"""Spectra of ASD field spectrometers, binary or exported as text, as labelled arrays."""
+
+from __future__ import annotations
+
+import datetime as dt
+import glob
+import os
+import warnings
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Literal, TypeVar
+
+import numpy as np
+import numpy.typing as npt
+import xarray as xr
+
+from hyperpaint.errors import FormatError, PaintWarning, Problems, SchemaError, TimeError
+from hyperpaint.schema import VARIABLES, label
+
+from .asd_calibration import CALIBRATION_KEYS, derive_quantity
+from .asd_layout import AsdCalibration, AsdFile, AsdGps, is_asd, read_asd
+from .asd_text import AsdText, is_asd_text, read_asd_text
+from .irradiance_csv import is_irradiance_csv
+
+__all__ = [
+    "AsdCalibration",
+    "AsdFile",
+    "AsdGps",
+    "Spectrum",
+    "check_utc_offset",
+    "find_files",
+    "listed",
+    "mask_undefined",
+    "open_asd",
+    "read_asd",
+    "read_spectra",
+    "sniff",
+    "utc_offsets",
+]
+
+Kind = Literal["binary", "text", "csv", "unknown"]
+Paths = str | os.PathLike[str] | Sequence[str | os.PathLike[str]]
+_FloatArray = npt.NDArray[np.float64]
+_T = TypeVar("_T")
+_R = TypeVar("_R")
+
+QUANTITIES = ("counts", "radiance", "reflectance", "irradiance")
+_QUANTITY_OF_DATA_TYPE = {"raw": "counts", **{name: name for name in QUANTITIES[1:]}}
+_HEAD_BYTES = 16 * 1024
+_TEXT_SUFFIXES = (".txt", ".tsv", ".csv")
+
+
+@dataclass(frozen=True, eq=False)
+class Spectrum:
+    """One spectrum in one quantity, wherever it was read from.
+
+    Attributes
+    ----------
+    source
+        File name; for one of many in a file, with its column.
+    wavelength, values
+        (wavelength), float64; [nm] and the units of the quantity.
+    local_time, utc_offset_h, averaging_s
+        Stamp of the logging PC, its zone [h] and the averaging window [s]; None where the file does not say.
+    dark_utc, gps
+        As in `AsdFile`.
+    saturated
+        (wavelength), where the file flags the detector as saturated.
+    """
+
+    source: str
+    wavelength: _FloatArray
+    values: _FloatArray
+    local_time: dt.datetime | None = None
+    utc_offset_h: float | None = None
+    averaging_s: float | None = None
+    dark_utc: dt.datetime | None = None
+    gps: AsdGps | None = None
+    saturated: npt.NDArray[np.bool_] | None = None
+
+
+def open_asd(
+    paths: Paths,
+    quantity: str | None = None,
+    *,
+    utc_offset_h: float | None = None,
+    calibration: Mapping[str, str | os.PathLike[str]] | None = None,
+) -> xr.Dataset:
+    r"""Open spectra of an ASD field spectrometer.
+
+    Parameters
+    ----------
+    paths
+        A file, a glob, a folder, or a list of files: binary ``.asd`` files of any version, or text exports.
+    quantity
+        ``counts``, ``reflectance`` (spectrum / white reference), ``radiance`` or ``irradiance``. By default
+        what the operator looked at, which binary files say; a text export does not, and is guessed from the
+        range of the operator's plot with a warning.
+    utc_offset_h
+        Local time of the logging PC minus UTC [h]. By default each file's own, which files with a white
+        reference hold.
+    calibration
+        Files of the instrument's calibration, by ``lamp`` (``.ill``), ``fore_optic`` (``.raw``) and ``panel``
+        (``.ref``), for radiance and irradiance from files without calibration blocks.
+
+    Returns
+    -------
+    xarray.Dataset
+        One variable, named by its quantity, on (spectrum, wavelength), float64, ordered by time; coordinates
+        ``wavelength`` [nm], ``time`` (UTC, NaT for exports without a stamp), ``source``, and ``latitude``,
+        ``longitude``, ``altitude`` where a file has a GPS fix. Stamps are whole seconds, as in the files.
+
+    Raises
+    ------
+    FormatError
+        Files are missing or damaged, lack the reference or the calibration blocks the quantity needs, or
+        differ in wavelengths; all are named.
+    TimeError
+        The UTC offset of a file is unknown.
+    SchemaError
+        ``quantity`` or ``calibration`` is not one of those above.
+
+    Warns
+    -----
+    PaintWarning
+        Saturated or undefined samples, which become NaN; a guessed quantity; spectra whose dark current was
+        not subtracted; a UTC offset that contradicts the files.
+
+    Notes
+    -----
+    A file always holds raw counts, from which, after the vendor's software,
+
+        E = LMP * (DN / FO) * (t_cal / t),  L = E * BSE / pi
+
+    with the lamp's irradiance LMP, the counts FO that it gave in t_cal, and the panel's reflectance BSE. The
+    formula is proven for the VNIR detector alone, so that radiance and irradiance end at the first splice
+    (1000 nm). Text exports come as the vendor's software computed them, to their last wavelength.
+
+    Examples
+    --------
+    >>> import pathlib, tempfile
+    >>> path = pathlib.Path(tempfile.mkdtemp(), "paint.asd.txt")
+    >>> _ = path.write_text("Wavelength;paint.asd\n550; 0.0669 \n551; 0.0671 \n")
+    >>> open_asd(path, "reflectance")["reflectance"].values
+    array([[0.0669, 0.0671]])
+    """
+    files = find_files(paths)
+    spectra, quantity = read_spectra(files, quantity, calibration=calibration)
+    stamped = [s for s in spectra if s.local_time is not None]
+    offsets = dict(zip(map(id, stamped), utc_offsets(stamped, utc_offset_h), strict=True))
+    times = np.array([_utc(s, offsets.get(id(s))) for s in spectra], "datetime64[ns]")
+    order = np.argsort(times, kind="stable")  # NaT last
+    spectra = [spectra[i] for i in order]
+    values = xr.DataArray(np.stack([s.values for s in spectra]), dims=("spectrum", "wavelength"))
+    return xr.Dataset(
+        {quantity: label(values, quantity)},
+        coords=_coords(spectra, times[order]),
+        attrs={"instrument": "ASD"},
+    )
+
+
+def _utc(spectrum: Spectrum, offset_h: float | None) -> np.datetime64:
+    if spectrum.local_time is None or offset_h is None:
+        return np.datetime64("NaT", "ns")
+    return np.datetime64(spectrum.local_time, "ns") - np.timedelta64(round(offset_h * 3600e9), "ns")
+
+
+def _coords(spectra: Sequence[Spectrum], times: npt.NDArray[np.datetime64]) -> dict[str, Any]:
+    coords: dict[str, Any] = {
+        "wavelength": (
+            "wavelength",
+            spectra[0].wavelength,
+            {**VARIABLES["wavelength"].attrs, "long_name": "Wavelength of the spectrometer"},
+        ),
+        "time": ("spectrum", times, {"long_name": "UTC at which the spectrum was saved"}),
+        "source": ("spectrum", np.array([s.source for s in spectra], object), {"long_name": "File"}),
+    }
+    if any(s.gps for s in spectra):
+        for name in ("latitude", "longitude", "altitude"):
+            found = [np.nan if s.gps is None else getattr(s.gps, name) for s in spectra]
+            attrs = {**VARIABLES[name].attrs, "long_name": f"{name.capitalize()} of the spectrometer"}
+            coords[name] = ("spectrum", np.array(found, np.float64), attrs)
+    return coords
+
+
+def find_files(paths: Paths) -> list[Path]:
+    """Return the files that ``paths`` names: a file, a glob, a folder of spectra, or a list of these.
+
+    Of a folder, the ``.asd`` files (or the numbered ``.000`` ones of old software), else its text files.
+
+    Raises
+    ------
+    FormatError
+        Nothing is there.
+    """
+    if isinstance(paths, str | os.PathLike):
+        paths = [paths]
+    problems = Problems("spectra cannot be opened", FormatError)
+    files: list[Path] = []
+    for entry in paths:
+        text = os.fspath(entry)
+        path = Path(text)
+        if path.is_dir():
+            found = _files_of_folder(path)
+        elif path.exists() or not glob.has_magic(text):
+            found = [path]
+        else:
+            found = [Path(match) for match in sorted(glob.glob(text, recursive=True))]
+        if not found:
+            problems.add(f"{text}: no spectra found; expected .asd files, text exports or a csv")
+        files += found
+    if not files and not problems:
+        problems.add("an empty list of files; name at least one")
+    problems.raise_if_any()
+    return files
+
+
+def _files_of_folder(folder: Path) -> list[Path]:
+    files = sorted(p for p in folder.iterdir() if p.is_file() and not p.name.startswith("."))
+    binaries = [p for p in files if p.suffix.lower() == ".asd" or p.suffix[1:].isdigit()]
+    return binaries or [p for p in files if p.suffix.lower() in _TEXT_SUFFIXES]
+
+
+def read_spectra(
+    files: Sequence[Path],
+    quantity: str | None,
+    *,
+    calibration: Mapping[str, str | os.PathLike[str]] | None = None,
+) -> tuple[list[Spectrum], str]:
+    """Read binary files and text exports into spectra of one quantity on one set of wavelengths.
+
+    Returns
+    -------
+    spectra : list of Spectrum
+        In the order of ``files``.
+    quantity : str
+        What they are.
+
+    Raises
+    ------
+    FormatError
+        See `open_asd`.
+    SchemaError
+        See `open_asd`.
+    """
+    if quantity is not None and quantity not in QUANTITIES:
+        msg = f"quantity={quantity!r}: expected one of {', '.join(QUANTITIES)}"
+        raise SchemaError(msg)
+    external = _external_calibration(calibration or {})
+    contents = _for_all(files, _read_file)
+    wanted = quantity or _common_quantity(contents)
+    derived = _for_all(contents, lambda content: _spectra_of(content, wanted, external))
+    spectra = [spectrum for of_file in derived for spectrum in of_file]
+    _require_one_grid(spectra)
+    _warn_of_dark(contents, wanted)
+    return mask_undefined(spectra, wanted), wanted
+
+
+def _read_file(path: Path) -> AsdFile | AsdText:
+    kind = sniff(path)
+    if kind == "binary":
+        return read_asd(path)
+    if kind == "text":
+        return read_asd_text(path)
+    reason = (
+        "neither a binary .asd file nor a text export of ASD spectra" if path.is_file() else "no such file"
+    )
+    msg = f"{path.name}: {reason}"
+    raise FormatError(msg)
+
+
+def sniff(path: Path) -> Kind:
+    """Return what kind of spectra a file holds, by its first bytes; ``unknown`` also where there is none."""
+    try:
+        with path.open("rb") as stream:
+            head = stream.read(_HEAD_BYTES)
+    except OSError:
+        return "unknown"
+    if is_asd(head):
+        return "binary"
+    if is_asd_text(head):
+        return "text"
+    return "csv" if is_irradiance_csv(head) else "unknown"
+
+
+def _for_all(items: Iterable[_T], function: Callable[[_T], _R]) -> list[_R]:
+    """Return ``function`` of each item, or raise one error that names every file it failed for."""
+    made: list[_R] = []
+    failed: dict[str, list[str]] = {}
+    for item in items:
+        try:
+            made.append(function(item))
+        except FormatError as error:
+            name, _, reason = str(error).partition(": ")
+            failed.setdefault(reason, []).append(name)
+    problems = Problems("spectra cannot be used", FormatError)
+    for reason, names in failed.items():
+        problems.add(f"{', '.join(names)}: {reason}")
+    problems.raise_if_any()
+    return made
+
+
+def _common_quantity(contents: Sequence[AsdFile | AsdText]) -> str:
+    """Return the quantity that all files say they are, or seem to be."""
+    found: dict[str | None, list[str]] = {}
+    for content in contents:
+        if isinstance(content, AsdFile):
+            key = _QUANTITY_OF_DATA_TYPE.get(content.data_type)
+        else:
+            key = content.likely_quantity
+        found.setdefault(key, []).append(content.name)
+    if len(found) > 1 or None in found:
+        problems = Problems("the quantity of the spectra is not clear; pass quantity=", FormatError)
+        for key, names in found.items():
+            problems.add(f"{key or 'unknown'}: {', '.join(names)}")
+        problems.raise_if_any()
+    quantity = next(str(key) for key in found)
+    texts = [content.name for content in contents if isinstance(content, AsdText)]
+    if texts:
+        _warn(
+            f"text exports do not say their quantity; {quantity} is a guess from the range of the operator's "
+            f"plot. Pass quantity={quantity!r} if it is right. Files: {', '.join(texts)}"
+        )
+    return quantity
+
+
+def _spectra_of(content: AsdFile | AsdText, quantity: str, external: Mapping[str, AsdFile]) -> list[Spectrum]:
+    if isinstance(content, AsdFile):
+        wavelength, values, saturated = derive_quantity(content, quantity, external)
+        return [
+            Spectrum(
+                source=content.name,
+                wavelength=wavelength,
+                values=values,
+                local_time=content.local_time,
+                utc_offset_h=content.utc_offset_h,
+                averaging_s=content.integration_ms * 1e-3 * max(content.sample_averages, 1),
+                dark_utc=content.dark_utc,
+                gps=content.gps,
+                saturated=saturated,
+            )
+        ]
+    averaging_s = None
+    if content.integration_ms is not None:
+        averaging_s = content.integration_ms * 1e-3 * max(content.sample_averages or 1, 1)
+    several = len(content.spectra) > 1
+    return [
+        Spectrum(
+            source=f"{content.name}:{column}" if several else content.name,
+            wavelength=content.wavelength,
+            values=values,
+            local_time=content.local_time,
+            averaging_s=averaging_s,
+        )
+        for column, values in zip(content.spectra, content.values, strict=True)
+    ]
+
+
+def _external_calibration(calibration: Mapping[str, str | os.PathLike[str]]) -> dict[str, AsdFile]:
+    unknown = sorted(set(calibration) - set(CALIBRATION_KEYS))
+    if unknown:
+        msg = f"calibration keys {unknown}: expected some of {', '.join(CALIBRATION_KEYS)}"
+        raise SchemaError(msg)
+    read = _for_all(calibration.values(), read_asd)
+    return {CALIBRATION_KEYS[key]: file for key, file in zip(calibration, read, strict=True)}
+
+
+def _require_one_grid(spectra: Sequence[Spectrum]) -> None:
+    groups: list[tuple[_FloatArray, list[str]]] = []
+    for spectrum in spectra:
+        for wavelength, names in groups:
+            if np.array_equal(wavelength, spectrum.wavelength):
+                names.append(spectrum.source)
+                break
+        else:
+            groups.append((spectrum.wavelength, [spectrum.source]))
+    if len(groups) > 1:
+        problems = Problems("spectra differ in their wavelengths; open them apart", FormatError)
+        for wavelength, names in groups:
+            problems.add(
+                f"{len(wavelength)} from {wavelength[0]:g} to {wavelength[-1]:g} nm: {', '.join(names)}"
+            )
+        problems.raise_if_any()
+
+
+def _warn_of_dark(contents: Sequence[AsdFile | AsdText], quantity: str) -> None:
+    binaries = [content for content in contents if isinstance(content, AsdFile)]
+    with_dark = [file.name for file in binaries if not file.dark_subtracted]
+    if with_dark and quantity != "counts":
+        _warn(f"the dark current was not subtracted, so that {quantity} is biased, in: {listed(with_dark)}")
+
+
+def mask_undefined(spectra: Sequence[Spectrum], quantity: str) -> list[Spectrum]:
+    """Turn saturated and undefined samples, and empty spectra, into NaN, and say so."""
+    reasons: dict[str, list[str]] = {}
+    masked = []
+    for spectrum in spectra:
+        undefined = ~np.isfinite(spectrum.values)
+        if undefined.any():
+            reasons.setdefault("undefined (not finite)", []).append(spectrum.source)
+        if quantity != "counts" and not spectrum.values.any():
+            reasons.setdefault("zero throughout", []).append(spectrum.source)
+            undefined[:] = True
+        # raw counts stay as they are: their user looks for saturation there
+        if quantity != "counts" and spectrum.saturated is not None and spectrum.saturated.any():
+            reasons.setdefault("saturated", []).append(spectrum.source)
+            undefined |= spectrum.saturated
+        masked.append(replace(spectrum, values=np.where(undefined, np.nan, spectrum.values)))
+    for reason, names in reasons.items():
+        _warn(
+            f"samples that are {reason} become NaN in {len(names)} of {len(spectra)} spectra: {listed(names)}"
+        )
+    return masked
+
+
+def utc_offsets(
+    spectra: Sequence[Spectrum], utc_offset_h: float | None, *, one_clock: bool = False
+) -> list[float]:
+    """Return local time minus UTC [h] of each spectrum.
+
+    Parameters
+    ----------
+    spectra
+        With what their files say about the zone of the logging PC.
+    utc_offset_h
+        The user's word, which wins over the files', with a warning where these differ.
+    one_clock
+        The spectra are one series off one PC: files that say nothing take the offset of those that do,
+        which must agree.
+
+    Raises
+    ------
+    TimeError
+        An offset is unknown or impossible, or the files of one series contradict one another.
+    """
+    known: dict[float, list[str]] = {}
+    for spectrum in spectra:
+        if spectrum.utc_offset_h is not None:
+            known.setdefault(spectrum.utc_offset_h, []).append(spectrum.source)
+    said = "; ".join(f"{hours:+g} h in {listed(names)}" for hours, names in known.items())
+    if utc_offset_h is not None:
+        check_utc_offset(utc_offset_h)
+        if set(known) - {utc_offset_h}:
+            _warn(f"utc_offset_h={utc_offset_h:+g} is used although the files say otherwise: {said}")
+        return [utc_offset_h] * len(spectra)
+    if one_clock and len(known) > 1:
+        msg = f"the files of one series differ in their UTC offset; pass utc_offset_h=. Found {said}"
+        raise TimeError(msg)
+    if one_clock and known:
+        return [next(iter(known))] * len(spectra)
+    silent = [spectrum for spectrum in spectra if spectrum.utc_offset_h is None]
+    if silent:
+        hint = next((hint for hint in map(_offset_hint, silent) if hint), "")
+        msg = (
+            "the time stamps are local and the files do not say their zone; pass utc_offset_h= "
+            f"(local time minus UTC in hours){hint}. Files: {listed([s.source for s in silent])}"
+        )
+        raise TimeError(msg)
+    return [spectrum.utc_offset_h for spectrum in spectra if spectrum.utc_offset_h is not None]
+
+
+def check_utc_offset(hours: float) -> None:
+    """Raise TimeError where ``hours`` is the offset of no zone."""
+    if not -14.0 <= hours <= 14.0:
+        msg = f"utc_offset_h={hours}: expected local time minus UTC in hours, within -14 to 14"
+        raise TimeError(msg)
+
+
+def _offset_hint(spectrum: Spectrum) -> str:
+    """Return what the dark current suggests: it is stamped in UTC, and taken shortly before the spectrum."""
+    if spectrum.dark_utc is None or spectrum.local_time is None:
+        return ""
+    hours = (spectrum.local_time - spectrum.dark_utc) // dt.timedelta(hours=1)
+    return f", perhaps {hours:+d} by the stamp of the dark current" if -12 <= hours <= 14 else ""
+
+
+def listed(names: Sequence[str], most: int = 20) -> str:
+    """Return the names as text, the first ones of a long list."""
+    rest = f" and {len(names) - most} more" if len(names) > most else ""
+    return ", ".join(names[:most]) + rest
+
+
+def _warn(message: str) -> None:
+    warnings.warn(message, PaintWarning, stacklevel=2)

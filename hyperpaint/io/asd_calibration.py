@@ -1,0 +1,99 @@
+"""From the raw counts of an ASD file to the quantity that its white reference or calibration gives."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+import numpy.typing as npt
+
+from hyperpaint.errors import FormatError
+
+from .asd_layout import AsdFile
+
+__all__ = ["CALIBRATION_KEYS", "derive_quantity"]
+
+_FloatArray = npt.NDArray[np.float64]
+
+CALIBRATION_KEYS = {"lamp": "LMP", "fore_optic": "FO", "panel": "BSE"}
+"""What users call the files of an instrument's calibration, and the kind of block each replaces."""
+
+_NEEDED_BLOCKS = {"irradiance": ("LMP", "FO"), "radiance": ("LMP", "FO", "BSE")}
+
+
+def derive_quantity(
+    file: AsdFile, quantity: str, external: Mapping[str, AsdFile]
+) -> tuple[_FloatArray, _FloatArray, npt.NDArray[np.bool_]]:
+    """Return the wavelengths, the values in ``quantity``, and where the detector was saturated.
+
+    See the notes of `open_asd` for the formulas; ``external`` holds calibration files by kind, which win
+    over the blocks in the file.
+
+    Raises
+    ------
+    FormatError
+        The reference or calibration blocks that the quantity needs are missing.
+    """
+    wavelength, values = file.wavelength, file.spectrum
+    if quantity == "reflectance":
+        if file.reference is None:
+            msg = (
+                f"{file.name}: no white reference in the file, so no reflectance; "
+                "pass quantity='counts', or give files saved after the white reference was taken"
+            )
+            raise FormatError(msg)
+        values = _ratio(file.spectrum, file.reference)
+    elif quantity in _NEEDED_BLOCKS:
+        values = file.spectrum * _responsivity(file, quantity, external)
+        vnir = wavelength <= _splices(file)[0]
+        return wavelength[vnir], values[vnir], _saturated(file)[vnir]
+    return wavelength, values, _saturated(file)
+
+
+def _responsivity(file: AsdFile, quantity: str, external: Mapping[str, AsdFile]) -> _FloatArray:
+    """Return irradiance or radiance per count (wavelength)."""
+    blocks = {kind: (block.values, block.integration_ms) for kind, block in file.calibrations.items()}
+    for kind, other in external.items():
+        if not np.array_equal(other.wavelength, file.wavelength):
+            msg = f"{file.name}: its wavelengths are not those of the calibration file {other.name}"
+            raise FormatError(msg)
+        blocks[kind] = (other.spectrum, other.integration_ms)
+    missing = [kind for kind in _NEEDED_BLOCKS[quantity] if kind not in blocks]
+    if missing:
+        keys = [key for key, kind in CALIBRATION_KEYS.items() if kind in missing]
+        msg = (
+            f"{file.name}: no calibration block {' and '.join(missing)} in the file, so no {quantity}; pass "
+            f"calibration={{{', '.join(f'{key!r}: path' for key in keys)}}} with the instrument's files "
+            "(.ill, .raw, .ref), or export the spectra as text with the vendor's software"
+        )
+        raise FormatError(msg)
+    lamp_counts, lamp_ms = blocks["FO"]
+    if file.integration_ms <= 0 or lamp_ms <= 0:
+        msg = (
+            f"{file.name}: integration time {file.integration_ms:g} ms, that of the calibration "
+            f"{lamp_ms:g} ms; expected positive numbers"
+        )
+        raise FormatError(msg)
+    per_count = _ratio(blocks["LMP"][0], lamp_counts) * (lamp_ms / file.integration_ms)
+    return per_count * blocks["BSE"][0] / np.pi if quantity == "radiance" else per_count
+
+
+def _ratio(numerator: _FloatArray, denominator: _FloatArray) -> _FloatArray:
+    """Return the ratio, NaN where the denominator is zero or undefined."""
+    made = np.full(numerator.shape, np.nan)
+    with np.errstate(all="ignore"):  # damaged values; what is not finite is reported later
+        np.divide(numerator, denominator, out=made, where=denominator != 0.0)
+    return made
+
+
+def _splices(file: AsdFile) -> tuple[float, float]:
+    """Return the last wavelengths of VNIR and SWIR 1, infinite where there is no further detector."""
+    first, second = (splice if splice > 0 else np.inf for splice in file.splices)
+    return first, second
+
+
+def _saturated(file: AsdFile) -> npt.NDArray[np.bool_]:
+    first, second = _splices(file)
+    detector = np.searchsorted([first, max(first, second)], file.wavelength)
+    flags = np.array([name in file.saturated for name in ("VNIR", "SWIR1", "SWIR2")])
+    return flags[detector]

@@ -1,0 +1,153 @@
+"""A whole collect as one tree: every flight line that a ``collect.toml`` names, opened lazily."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from hyperpaint.errors import CollectError, Problems
+
+from .calibration_store import open_calibration
+from .collect_toml import Camera, Collect, FlightlineEntry, IrradianceEntry, parse_collect, read_collect
+from .findings import Findings, Unavailable
+from .flightline import FlightlineInputs, assemble
+from .line_times import Timing
+from .navigation import Navigation, read_imu_gps
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+__all__ = ["Collect", "open_collect", "read_collect"]
+
+
+def open_collect(
+    path: str | os.PathLike[str], *, need_irradiance: bool = True, chunks: Any = "auto"
+) -> xr.DataTree:
+    """Open everything a ``collect.toml`` names, without reading a cube.
+
+    Parameters
+    ----------
+    path
+        The file.
+    need_irradiance
+        False where only radiance is wanted: a collect without irradiance is then whole.
+    chunks
+        dask chunks of the cubes, as for `open_flightline`.
+
+    Returns
+    -------
+    xarray.DataTree
+        ``/flightlines/<id>`` (see `open_flightline`), ``/irradiance`` and ``/calibration``; the root holds
+        attributes and no variables.
+
+    Raises
+    ------
+    CollectError
+        The file, or anything it names, cannot be used; all problems of all files are listed.
+
+    Warns
+    -----
+    PaintWarning
+        As `open_flightline` and `open_irradiance`.
+
+    Examples
+    --------
+    >>> tree = open_collect("collect.toml")                                       # doctest: +SKIP
+    >>> tree["flightlines/raw_0"].to_dataset().paint.reflectance()                # doctest: +SKIP
+    """
+    import xarray as xr
+
+    path = Path(path)
+    problems = Problems(f"{path} cannot be processed", CollectError)
+    collect, reported = parse_collect(path, problems, need_irradiance=need_irradiance)
+    findings = Findings(str(path))
+    calibration: xr.Dataset | Unavailable | None = None
+    if collect.calibration is not None or "calibration" in reported:
+        calibration = Unavailable.REPORTED
+    if collect.calibration is not None:
+        with findings.step():
+            calibration = open_calibration(collect.calibration)
+    irradiance: xr.Dataset | Unavailable | None = Unavailable.REPORTED
+    with findings.step():
+        irradiance = _open_irradiance(collect.irradiance)
+    navigation = dict(_navigation(collect, findings))
+    lines: dict[str, xr.Dataset] = {}
+    for entry in collect.flightlines:
+        own = Findings(entry.id)
+        inputs = _inputs(collect, entry, reported, navigation)
+        inputs = replace(inputs, calibration=calibration, irradiance=irradiance, chunks=chunks)
+        lines[entry.id] = assemble(inputs, own)
+        findings.errors += own.errors
+    # what several lines share is said once
+    for text in dict.fromkeys(str(error) for error in findings.errors):
+        problems.add(text)
+    problems.raise_if_any()
+    groups: dict[str, xr.Dataset] = {"/": xr.Dataset(attrs={"name": collect.name, "source": path.name})}
+    groups |= {f"/flightlines/{name}": line for name, line in lines.items()}
+    if isinstance(irradiance, xr.Dataset):
+        groups["/irradiance"] = irradiance
+    if isinstance(calibration, xr.Dataset):
+        groups["/calibration"] = calibration
+    return xr.DataTree.from_dict(groups)
+
+
+def _open_irradiance(entry: IrradianceEntry | None) -> xr.Dataset | None:
+    if entry is None or not entry.files:
+        return None
+    from .irradiance import open_irradiance
+
+    files: Any = list(entry.files) if len(entry.files) > 1 else entry.files[0]
+    return open_irradiance(files, **entry.options)
+
+
+def _navigation(collect: Collect, findings: Findings) -> Iterator[tuple[Path, Navigation]]:
+    """Read each navigation file once; the cubes of one flight share it."""
+    camera = collect.camera
+    for path in dict.fromkeys(entry.nav for entry in collect.flightlines):
+        if path is not None:
+            with findings.step():
+                yield path, read_imu_gps(path, _timing(camera).correction)
+
+
+def _timing(camera: Camera, **line: Any) -> Timing:
+    return Timing(
+        stamp=camera.stamp,
+        clock_offset_s=camera.clock_offset_s,
+        time_scale="gps" if camera.time_scale == "gps" else "utc",
+        gps_leap_seconds=camera.gps_leap_seconds,
+        **line,
+    )
+
+
+def _inputs(
+    collect: Collect, entry: FlightlineEntry, reported: set[str], navigation: Mapping[Path, Navigation]
+) -> FlightlineInputs:
+    camera = collect.camera
+    timing: Timing | Unavailable = Unavailable.REPORTED
+    if f"times of {entry.id}" not in reported and (entry.nav is None or entry.nav in navigation):
+        timing = _timing(
+            camera,
+            frame_index=entry.frame_index,
+            nav=None if entry.nav is None else navigation[entry.nav],
+            gps_time=entry.gps_time,
+            date=entry.date,
+            start_time=entry.start_time,
+            frame_period=entry.frame_period or camera.frame_period,
+        )
+    dark: Any = list(collect.dark) if isinstance(collect.dark, tuple) else collect.dark
+    return FlightlineInputs(
+        cube=entry.cube,
+        timing=timing,
+        exposure_time=camera.exposure_time if entry.exposure_time is None else entry.exposure_time,
+        dark=Unavailable.REPORTED if "dark" in reported else dark,
+        bit_depth=camera.bit_depth,
+        saturation_count=camera.saturation_count,
+        radiance_units=camera.radiance_units,
+        fwhm_nm=camera.fwhm_nm,
+        name=entry.id,
+        keep_whole_lines=entry.keep_whole_lines,
+        attrs={"collect": collect.name},
+    )

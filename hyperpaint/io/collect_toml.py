@@ -1,0 +1,498 @@
+"""What a ``collect.toml`` says: read, checked, and its files found, before anything is opened."""
+
+from __future__ import annotations
+
+import datetime
+import difflib
+import glob
+import math
+import os
+import re
+import tomllib
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from hyperpaint.errors import CollectError, Problems, TimeError
+
+from .line_times import utc_of
+
+__all__ = [
+    "Camera",
+    "Collect",
+    "FlightlineEntry",
+    "IrradianceEntry",
+    "ReferenceEntry",
+    "parse_collect",
+    "read_collect",
+]
+
+_MAX_BYTES = 1 << 20
+_ID = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,99}")
+_MAGIC = re.compile(r"[*?\[]")
+#: Names that mean something to Zarr.
+_RESERVED = {"zarr.json", "c"}
+
+
+@dataclass(frozen=True)
+class Camera:
+    """``[camera]``: what holds for all flight lines; times in seconds."""
+
+    bit_depth: int = 12
+    saturation_count: float | None = None
+    exposure_time: float | None = None
+    frame_period: float | None = None
+    stamp: str = "end"
+    clock_offset_s: float | None = None
+    time_scale: str = "utc"
+    gps_leap_seconds: int | None = None
+    fwhm_nm: float | None = None
+    radiance_units: str | None = None
+
+
+@dataclass(frozen=True)
+class IrradianceEntry:
+    """``[irradiance]``: files in a fixed order, and arguments of `open_irradiance`."""
+
+    files: tuple[Path, ...]
+    options: Mapping[str, Any] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class FlightlineEntry:
+    """One ``[[flightlines]]``; times in seconds."""
+
+    id: str
+    cube: Path
+    frame_index: Path | None = None
+    nav: Path | None = None
+    gps_time: Path | None = None
+    date: str | None = None
+    start_time: Any = None
+    exposure_time: float | None = None
+    frame_period: float | None = None
+    keep_whole_lines: bool = False
+
+
+@dataclass(frozen=True)
+class ReferenceEntry:
+    """One ``[[references]]``: a field spectrometer's files."""
+
+    instrument: str
+    files: tuple[Path, ...]
+
+
+@dataclass(frozen=True)
+class Collect:
+    """What a ``collect.toml`` says, its paths absolute and found.
+
+    Attributes
+    ----------
+    path
+        The file.
+    name
+        Of the collect.
+    camera, calibration, irradiance, flightlines, references
+        Its tables; ``irradiance`` and ``calibration`` None where not needed and not given.
+    dark
+        Dark cubes, or ``"none"`` or ``"calibration"``.
+    """
+
+    path: Path
+    name: str
+    camera: Camera
+    calibration: Path | None
+    dark: tuple[Path, ...] | str | None
+    irradiance: IrradianceEntry | None
+    flightlines: tuple[FlightlineEntry, ...]
+    references: tuple[ReferenceEntry, ...] = ()
+
+
+# --- schema ------------------------------------------------------------------------------------------------
+
+_Check = Callable[[Any], str | None]
+
+
+def _text(value: Any) -> str | None:
+    return None if isinstance(value, str) and value.strip() else "a text"
+
+
+def _number(value: Any) -> str | None:
+    good = isinstance(value, (int, float)) and not isinstance(value, bool) and math.isfinite(value)
+    return None if good else "a number"
+
+
+def _positive(value: Any) -> str | None:
+    return None if _number(value) is None and value > 0 else "a positive number"
+
+
+def _whole(least: int, most: int) -> _Check:
+    def check(value: Any) -> str | None:
+        good = isinstance(value, int) and not isinstance(value, bool) and least <= value <= most
+        return None if good else f"a whole number from {least} to {most}"
+
+    return check
+
+
+def _flag(value: Any) -> str | None:
+    return None if isinstance(value, bool) else "true or false"
+
+
+def _one_of(*allowed: str) -> _Check:
+    def check(value: Any) -> str | None:
+        return (
+            None if isinstance(value, str) and value in allowed else f"one of {', '.join(map(repr, allowed))}"
+        )
+
+    return check
+
+
+def _texts(value: Any) -> str | None:
+    several = value if isinstance(value, list) and value else [value]
+    return None if all(_text(one) is None for one in several) else "a text or a list of texts"
+
+
+def _table(value: Any) -> str | None:
+    return None if isinstance(value, dict) else "a table of texts"
+
+
+def _time(value: Any) -> str | None:
+    good = isinstance(value, (str, datetime.date))
+    return None if good else "a date or time"
+
+
+_STAMP = _one_of("start", "mid", "end")
+_SCHEMA: Mapping[str, Mapping[str, _Check]] = {
+    "collect": {"name": _text, "description": _text},
+    "camera": {
+        "bit_depth": _whole(1, 16),
+        "saturation_count": _positive,
+        "exposure_time_ms": _positive,
+        "frame_period_ms": _positive,
+        "stamp": _STAMP,
+        "clock_offset_s": _number,
+        "time_scale": _one_of("utc", "gps"),
+        "gps_leap_seconds": _whole(-100, 100),
+        "fwhm_nm": _positive,
+        "radiance_units": _text,
+    },
+    "calibration": {"path": _text, "sweep": _text},
+    "dark": {"cubes": _texts},
+    "irradiance": {
+        "files": _texts,
+        "quantity": _text,
+        "utc_offset_h": _number,
+        "clock_offset_s": _number,
+        "stamp": _STAMP,
+        "fwhm_nm": _positive,
+        "max_gap_s": _positive,
+        "units": _text,
+        "averaging_s": _number,
+        "calibration": _table,
+    },
+    "flightlines": {
+        "id": _text,
+        "cube": _text,
+        "frame_index": _text,
+        "nav": _text,
+        "gps_time": _text,
+        "date": _time,
+        "start_time": _time,
+        "exposure_time_ms": _positive,
+        "frame_period_ms": _positive,
+        "keep_whole_lines": _flag,
+    },
+    "references": {"instrument": _text, "files": _texts},
+}
+_LISTS = ("flightlines", "references")
+
+
+def _load(path: Path) -> dict[str, Any]:
+    """Return the tables of the file, or raise CollectError with the place of the mistake."""
+    try:
+        if path.stat().st_size > _MAX_BYTES:
+            msg = f"{path}: larger than {_MAX_BYTES} bytes, no collect.toml"
+            raise CollectError(msg)
+        return tomllib.loads(path.read_bytes().decode("utf-8"))
+    except OSError as error:
+        msg = f"{path}: cannot be read ({error.strerror or error})"
+        raise CollectError(msg) from error
+    except (ValueError, RecursionError) as error:  # TOMLDecodeError and UnicodeDecodeError are ValueErrors
+        msg = f"{path}: not TOML: {error!s:.300}"
+        raise CollectError(msg) from error
+
+
+class _Reader:
+    """Takes checked values out of the tables, noting every problem."""
+
+    def __init__(self, path: Path, raw: Mapping[str, Any], problems: Problems) -> None:
+        self.folder = path.parent
+        self.problems = problems
+        #: Tables, and ids of flight lines without times, whose problems have been noted.
+        self.reported: set[str] = set()
+        self.given = set(raw)
+        self.tables = {name: self._section(name, raw) for name in _SCHEMA}
+        self.dark = self._dark_word(raw)
+        for key in raw:
+            if key not in _SCHEMA:
+                problems.add(f"unknown table or key {key!r}{_suggest(key, _SCHEMA)}")
+
+    def _dark_word(self, raw: Mapping[str, Any]) -> str | None:
+        word = raw.get("dark")
+        if isinstance(word, dict):
+            word = word.get("cubes")
+        return word if word in ("none", "calibration") else None
+
+    def _section(self, name: str, raw: Mapping[str, Any]) -> list[dict[str, Any]]:
+        """Return the tables of this name with what is valid in them."""
+        value = raw.get(name)
+        if value is None or (name == "dark" and value in ("none", "calibration")):
+            return []
+        several = name in _LISTS
+        tables = value if isinstance(value, list) else [value]
+        if isinstance(value, list) != several or not all(isinstance(table, dict) for table in tables):
+            shape = f"[[{name}]]" if several else f"[{name}]"
+            extra = ', or dark = "none"' if name == "dark" else ""
+            self.problems.add(f"{name!r} is {_shown(value)}, expected {shape}{extra}")
+            return []
+        return [self._checked(self._place(name, number), name, table) for number, table in enumerate(tables)]
+
+    def _place(self, name: str, number: int) -> str:
+        return f"[[{name}]] {number + 1}" if name in _LISTS else f"[{name}]"
+
+    def _checked(self, place: str, name: str, table: Mapping[str, Any]) -> dict[str, Any]:
+        made: dict[str, Any] = {}
+        for key, value in table.items():
+            check = _SCHEMA[name].get(key)
+            if check is None:
+                self.problems.add(f"{place} unknown key {key!r}{_suggest(key, _SCHEMA[name])}")
+                continue
+            expected = check(value)
+            if expected is None:
+                made[key] = value
+            else:
+                self.problems.add(f"{place} {key} = {_shown(value)}, expected {expected}")
+        # keys that were there but wrong are not missing
+        made["?"] = set(table)
+        return made
+
+    def one(self, name: str) -> dict[str, Any]:
+        """Return the single table of this name, empty where absent."""
+        return next(iter(self.tables[name]), {"?": set()})
+
+    def path(self, place: str, key: str, value: str | None) -> Path | None:
+        """Return a path that exists, taken from the folder of the file."""
+        if value is None:
+            return None
+        path = self.folder / value
+        if "\0" in value or not os.path.lexists(path):
+            self.problems.add(f"{place} {key} = {value!r}: no such file ({path})")
+            return None
+        return path
+
+    def files(self, place: str, key: str, value: str | list[str]) -> tuple[Path, ...]:
+        """Return the files of paths and globs, each glob sorted; one that matches nothing is a problem."""
+        found: list[Path] = []
+        for text in value if isinstance(value, list) else [value]:
+            if "\0" not in text and _MAGIC.search(text) and not os.path.lexists(self.folder / text):
+                matches = sorted(glob.glob(text, root_dir=self.folder, recursive=True))
+                found += [self.folder / match for match in matches]
+                if not matches:
+                    self.problems.add(f"{place} {key} = {text!r}: matches no file in {self.folder}")
+            elif (path := self.path(place, key, text)) is not None:
+                found.append(path)
+        return tuple(dict.fromkeys(found))
+
+
+def _suggest(key: str, known: Mapping[str, Any]) -> str:
+    close = difflib.get_close_matches(key[:100], known, n=1)
+    return f"; did you mean {close[0]!r}?" if close else f"; known are {', '.join(known)}"
+
+
+def _shown(value: Any) -> str:
+    text = repr(value)
+    return text if len(text) <= 60 else f"{text[:57]}..."
+
+
+# --- tables into dataclasses -------------------------------------------------------------------------------
+
+
+def _seconds(table: Mapping[str, Any], key: str) -> float | None:
+    return None if key not in table else float(f"{table[key] / 1000:.12g}")
+
+
+def _camera(reader: _Reader) -> Camera:
+    table = reader.one("camera")
+    same = ("bit_depth", "saturation_count", "stamp", "clock_offset_s", "time_scale", "gps_leap_seconds")
+    given = {key: table[key] for key in (*same, "fwhm_nm", "radiance_units") if key in table}
+    return Camera(
+        **given,
+        exposure_time=_seconds(table, "exposure_time_ms"),
+        frame_period=_seconds(table, "frame_period_ms"),
+    )
+
+
+def _calibration(reader: _Reader) -> Path | None:
+    table = reader.one("calibration")
+    if "sweep" in table["?"]:
+        problem = "[calibration] sweep: a lab sweep cannot be calibrated on the way by this version"
+        reader.problems.add(f"{problem}; run `hyperpaint calibrate SWEEP --out CAL.zarr` and give path")
+    path = reader.path("[calibration]", "path", table.get("path"))
+    if path is None and reader.tables["calibration"] and not table["?"] & {"path", "sweep"}:
+        reader.problems.add("[calibration] path is missing")
+    if path is None and table["?"]:
+        reader.reported.add("calibration")
+    return path
+
+
+def _dark(reader: _Reader) -> tuple[Path, ...] | str | None:
+    if reader.dark is not None:
+        return reader.dark
+    table = reader.one("dark")
+    found = reader.files("[dark]", "cubes", table["cubes"]) if "cubes" in table else ()
+    if not found and table["?"]:
+        reader.reported.add("dark")
+    return found or None
+
+
+def _irradiance(reader: _Reader) -> IrradianceEntry | None:
+    table = reader.one("irradiance")
+    if "files" not in table:
+        if table["?"] and "files" not in table["?"]:
+            reader.problems.add("[irradiance] files is missing: the spectrometer's files")
+        return None
+    options = {key: value for key, value in table.items() if key not in ("?", "files", "calibration")}
+    if "calibration" in table:
+        found = {
+            str(key): reader.path("[irradiance.calibration]", str(key), str(value))
+            for key, value in table["calibration"].items()
+        }
+        options["calibration"] = {key: path for key, path in found.items() if path is not None}
+    return IrradianceEntry(reader.files("[irradiance]", "files", table["files"]), options)
+
+
+def _flightline(
+    reader: _Reader, number: int, table: Mapping[str, Any], camera: Camera
+) -> FlightlineEntry | None:
+    place = f"[[flightlines]] {number + 1}"
+    if "cube" not in table:
+        if "cube" not in table["?"]:
+            reader.problems.add(f"{place} cube is missing")
+        return None
+    cube = reader.path(place, "cube", table["cube"])
+    name = table.get("id", Path(table["cube"]).name.split(".")[0])
+    if not _ID.fullmatch(name) or name in _RESERVED:
+        expected = "letters, digits, '.', '_' and '-': it names a group of the store"
+        reader.problems.add(f"{place} id = {_shown(name)}, expected {expected}")
+    before = len(reader.problems)
+    paths = {key: reader.path(place, key, table.get(key)) for key in ("frame_index", "nav", "gps_time")}
+    start = table.get("start_time")
+    if start is not None:
+        try:
+            start = utc_of(start, "start_time")
+        except TimeError as error:
+            reader.problems.add(f"{place} {error}")
+    _check_timing(reader, place, table, camera)
+    if len(reader.problems) > before:
+        reader.reported.add(f"times of {name}")
+    if cube is None:
+        return None
+    return FlightlineEntry(
+        name,
+        cube,
+        **paths,
+        date=str(table["date"]) if "date" in table else None,
+        start_time=start,
+        exposure_time=_seconds(table, "exposure_time_ms"),
+        frame_period=_seconds(table, "frame_period_ms"),
+        keep_whole_lines=table.get("keep_whole_lines", False),
+    )
+
+
+def _check_timing(reader: _Reader, place: str, table: Mapping[str, Any], camera: Camera) -> None:
+    given = table["?"]
+    period = "frame_period_ms" in given or "frame_period_ms" in reader.one("camera")["?"]
+    by_index = "frame_index" in given and given & {"nav", "start_time", "gps_time", "date"}
+    if not by_index and not ("start_time" in given and period):
+        stated = sorted(given & {"frame_index", "nav", "start_time"}) + (
+            ["frame_period_ms"] if period else []
+        )
+        reader.problems.add(
+            f"{place} no line times: found {', '.join(stated) or 'nothing'},"
+            " expected frame_index and nav, or start_time and frame_period_ms"
+        )
+    if "date" in given and camera.clock_offset_s is None:
+        reader.problems.add(
+            f"{place} date needs [camera] clock_offset_s: UTC = computer clock + clock_offset_s"
+        )
+
+
+def _flightlines(reader: _Reader, camera: Camera) -> tuple[FlightlineEntry, ...]:
+    tables = reader.tables["flightlines"]
+    if not tables:
+        reader.problems.add("no [[flightlines]]: at least one with a cube is needed")
+    found = [_flightline(reader, number, table, camera) for number, table in enumerate(tables)]
+    entries = [entry for entry in found if entry is not None]
+    # as on file systems that ignore case
+    names = [entry.id.lower() for entry in entries]
+    for name in sorted({name for name in names if names.count(name) > 1}):
+        reader.problems.add(
+            f"[[flightlines]] id {name!r} is given to {names.count(name)} lines; each needs its own"
+        )
+    return tuple(entries)
+
+
+def _references(reader: _Reader) -> tuple[ReferenceEntry, ...]:
+    made: list[ReferenceEntry] = []
+    for number, table in enumerate(reader.tables["references"]):
+        place = f"[[references]] {number + 1}"
+        absent = [key for key in ("instrument", "files") if key not in table["?"]]
+        if absent:
+            reader.problems.add(f"{place} {' and '.join(absent)} missing")
+        if "instrument" in table and "files" in table:
+            made.append(ReferenceEntry(table["instrument"], reader.files(place, "files", table["files"])))
+    return tuple(made)
+
+
+def parse_collect(path: Path, problems: Problems, *, need_irradiance: bool) -> tuple[Collect, set[str]]:
+    """Return what of the file is valid, and the parts whose problems are in ``problems``."""
+    reader = _Reader(path, _load(path), problems)
+    camera = _camera(reader)
+    irradiance = _irradiance(reader)
+    if need_irradiance and "irradiance" not in reader.given:
+        problems.add("no [irradiance]: reflectance needs the spectrometer's files (not needed for radiance)")
+    collect = Collect(
+        path=path,
+        name=reader.one("collect").get("name", path.resolve().parent.name),
+        camera=camera,
+        calibration=_calibration(reader),
+        dark=_dark(reader),
+        irradiance=irradiance,
+        flightlines=_flightlines(reader, camera),
+        references=_references(reader),
+    )
+    return collect, reader.reported
+
+
+def read_collect(path: str | os.PathLike[str], *, need_irradiance: bool = True) -> Collect:
+    """Read and check a ``collect.toml``; what it names is looked for, not opened.
+
+    Parameters
+    ----------
+    path
+        The file; paths in it are relative to its folder.
+    need_irradiance
+        False where only radiance is wanted.
+
+    Raises
+    ------
+    CollectError
+        Not TOML (with the line), unknown keys, wrong types or values, what is missing or not found; all
+        problems are listed.
+    """
+    path = Path(path)
+    problems = Problems(f"{path} cannot be processed", CollectError)
+    made, _ = parse_collect(path, problems, need_irradiance=need_irradiance)
+    problems.raise_if_any()
+    return made

@@ -1,0 +1,371 @@
+"""ENVI cubes, opened lazily: raw counts, radiance or reflectance of any length.
+
+The file is read in slabs, when values are asked for and no sooner. Sensor geometry is shown as
+``(along_track, band, cross_track)`` whatever the interleave, map geometry as ``(y, x, band)``.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import warnings
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import xarray as xr
+from xarray.core import indexing
+
+from hyperpaint import schema, units
+from hyperpaint.errors import FormatError, PaintWarning, Problems, UnitsError
+
+from .envi_array import EnviArray, Scaling
+from .envi_header import EnviHeader, MapInfo, read_header
+
+__all__ = ["find_pair", "open_envi"]
+
+_DATA_SUFFIXES = (".img", ".dat", ".raw", ".bil", ".bip", ".bsq", ".sli")
+# axes of the file, slowest first
+_FILE_AXES = {"bil": "lbs", "bip": "lsb", "bsq": "bls"}
+_LEVEL = re.compile(r"(?:^|,)\s*(radiance|reflectance)\s*(?=$|[\],\[])", re.IGNORECASE)
+
+
+def find_pair(path: str | os.PathLike[str]) -> tuple[Path, Path]:
+    """Find the header and the data file that belong together.
+
+    Parameters
+    ----------
+    path
+        Either of the two. A header ``raw_0.hdr`` goes with ``raw_0``, or with that name and one of the
+        suffixes .img .dat .raw .bil .bip .bsq .sli; a data file goes with its name and ``.hdr``, with its own
+        suffix or without.
+
+    Returns
+    -------
+    header, data
+        Paths as they were spelled.
+
+    Raises
+    ------
+    FormatError
+        The other file is missing, or could be one of several.
+    FileNotFoundError
+        There is no such file.
+    """
+    path = Path(path)
+    if not path.is_file():
+        msg = f"no such file: {str(path)!r}"
+        raise FileNotFoundError(msg)
+    if path.suffix.lower() == ".hdr":
+        return path, _data_of(path)
+    header = _existing([Path(f"{path}{suffix}") for suffix in (".hdr", ".HDR")])
+    header = header or _existing([path.with_suffix(suffix) for suffix in (".hdr", ".HDR")])
+    if not header:
+        msg = (
+            f"ENVI data file {str(path)!r} has no header beside it; "
+            f"expected {path.name + '.hdr'!r} or {path.stem + '.hdr'!r}"
+        )
+        raise FormatError(msg)
+    return header[0], path
+
+
+def _data_of(header: Path) -> Path:
+    whole = header.with_suffix("")
+    suffixes = [suffix for lower in _DATA_SUFFIXES for suffix in (lower, lower.upper())]
+    found = _existing([whole]) or _existing([Path(f"{whole}{suffix}") for suffix in suffixes])
+    if not found:
+        msg = (
+            f"ENVI header {str(header)!r} has no data file beside it; "
+            f"expected {whole.name!r}, with no suffix or with one of {' '.join(_DATA_SUFFIXES)}"
+        )
+        raise FormatError(msg)
+    if len(found) > 1:
+        names = ", ".join(repr(path.name) for path in found)
+        msg = f"ENVI header {str(header)!r} could belong to {names}; open the data file you mean"
+        raise FormatError(msg)
+    return found[0]
+
+
+def _existing(candidates: list[Path]) -> list[Path]:
+    """Return the files among the candidates; two spellings of one file count once."""
+    found: list[Path] = []
+    for path in candidates:
+        if path.is_file() and not any(path.samefile(other) for other in found):
+            found.append(path)
+    return found
+
+
+def open_envi(path: str | os.PathLike[str], *, keep_whole_lines: bool = False) -> xr.Dataset:
+    """Open an ENVI cube lazily.
+
+    Parameters
+    ----------
+    path
+        The header or the data file.
+    keep_whole_lines
+        Take the number of lines from the size of the data file instead of the header, for recordings that
+        were cut short (power loss, or a header written before the last line). A line begun at the end of a
+        short file is dropped; a file longer than declared must hold whole lines exactly, since a remainder
+        there means that the header describes another cube. Not possible for ``bsq``: a short file lacks
+        bands.
+
+    Returns
+    -------
+    xarray.Dataset
+        One variable: ``counts`` (integers without a scale), ``radiance`` or ``reflectance`` (where the header
+        says so), else ``values``; dims (along_track, band, cross_track), or (y, x, band) with map info.
+        Radiance and reflectance are float32, a reflectance scale factor or band gains and offsets applied and
+        the ignore value, compared with what is stored, NaN. Integers without a scale keep their type, and
+        the attribute ``data_ignore_value``. Coordinates ``wavelength`` [nm], ``fwhm`` [nm] and ``good`` on
+        ``band``, without an index; ``y`` and ``x`` [map units] at pixel centres where the grid is not
+        rotated (a rotated one has the attribute ``map_info`` alone).
+        Attributes ``envi_header`` and ``envi_comments`` hold all the header says, as JSON text.
+
+    Raises
+    ------
+    FormatError
+        The header is damaged, contradicts itself or does not fit the size of the data file.
+    FileNotFoundError
+        There is no such file.
+
+    Warns
+    -----
+    PaintWarning
+        Something was inferred that may make values or wavelengths wrong, or lines were kept or dropped.
+
+    Notes
+    -----
+    A level in the description (``,RADIANCE``, ``,REFLECTANCE``: the last one counts) wins over Headwall's
+    ``;Units`` comment, which sets the units of radiance and is known to stay behind in reflectance products.
+    Integers called reflectance without a scale are ``values``.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> scratch = tempfile.TemporaryDirectory()
+    >>> folder = Path(scratch.name)
+    >>> np.arange(24, dtype="u2").tofile(folder / "raw_0")
+    >>> _ = (folder / "raw_0.hdr").write_text('''ENVI
+    ... samples = 4
+    ... lines = 3
+    ... bands = 2
+    ... data type = 12
+    ... interleave = bil
+    ... byte order = 0
+    ... wavelength units = nm
+    ... wavelength = {450, 550}''')
+    >>> line = open_envi(folder / "raw_0.hdr")
+    >>> dict(line.sizes)
+    {'along_track': 3, 'band': 2, 'cross_track': 4}
+    >>> line.counts.isel(along_track=1, cross_track=0).values
+    array([ 8, 12], dtype=uint16)
+    >>> scratch.cleanup()
+    """
+    header_path, data_path = find_pair(path)
+    header = read_header(header_path)
+    _refuse_contradictions(header, header_path)
+    status = os.stat(data_path)
+    lines = _lines_in_file(header, data_path, status.st_size, keep_whole_lines)
+    _warn(header, data_path, lines)
+
+    name, attrs = _quantity(header)
+    sizes = {"l": lines, "b": header.bands, "s": header.samples}
+    file_axes = _FILE_AXES[header.interleave]
+    shown = "lbs" if header.map_info is None else "lsb"
+    dims = schema.CUBE if header.map_info is None else ("y", "x", "band")
+    array = EnviArray(
+        path=os.path.abspath(data_path),
+        file_size=status.st_size,
+        modified_ns=status.st_mtime_ns,
+        offset=header.header_offset,
+        stored=header.dtype,
+        file_shape=(sizes[file_axes[0]], sizes[file_axes[1]], sizes[file_axes[2]]),
+        axes=(file_axes.index(shown[0]), file_axes.index(shown[1]), file_axes.index(shown[2])),
+        band_axis=shown.index("b"),
+        scaling=_scaling(header, name),
+    )
+    if array.scaling is None and header.data_ignore_value is not None:
+        attrs["data_ignore_value"] = header.data_ignore_value
+    chunks = dict(zip(dims, array.shape, strict=True))
+    chunks[dims[0]] = min(schema.CHUNK_LINES, lines)
+    variable = xr.Variable(
+        dims, indexing.LazilyIndexedArray(array), attrs, encoding={"preferred_chunks": chunks}
+    )
+    return xr.Dataset(
+        {name: variable}, coords=_coordinates(header, lines), attrs=_attributes(header, data_path, lines)
+    )
+
+
+def _refuse_contradictions(header: EnviHeader, path: Path) -> None:
+    problems = Problems(f"ENVI header {str(path)!r} cannot be used", FormatError)
+    if header.is_spectral_library:
+        problems.add(f"file type is {header.fields['file type']!r}: a spectral library, expected a cube")
+    scale = header.reflectance_scale_factor not in (None, 1.0)
+    if scale and _has_gain(header):
+        problems.add(
+            "both 'reflectance scale factor' and band gains or offsets are given; delete those that do not "
+            "belong to what is stored"
+        )
+    if scale and _level(header) == "radiance":
+        problems.add("the description says RADIANCE but a 'reflectance scale factor' is given; delete one")
+    problems.raise_if_any()
+
+
+def _has_gain(header: EnviHeader) -> bool:
+    gain, offset = header.data_gain_values, header.data_offset_values
+    return bool((gain is not None and (gain != 1).any()) or (offset is not None and (offset != 0).any()))
+
+
+def _lines_in_file(header: EnviHeader, path: Path, found: int, keep_whole_lines: bool) -> int:
+    """Return the number of lines; raise where the file is not as long as the header says."""
+    expected = header.header_offset + header.lines * header.line_bytes
+    if found == expected:
+        return header.lines
+    whole, remainder = divmod(max(0, found - header.header_offset), header.line_bytes)
+    by_lines = header.interleave != "bsq"
+    possible = by_lines and whole >= 1 and (found < expected or remainder == 0)
+    if keep_whole_lines and possible:
+        return whole
+    change = "shorter" if found < expected else "longer"
+    problem = (
+        f"found {found} bytes, expected {expected} ({header.header_offset} + {header.lines} lines x "
+        f"{header.bands} bands x {header.samples} samples x {header.dtype.itemsize} bytes): the file is "
+        f"{abs(expected - found)} bytes {change} than its header says"
+    )
+    if by_lines:
+        problem += f"\nit holds {whole} whole lines and {remainder} bytes more"
+    if possible:
+        problem += f"; keep_whole_lines=True opens those {whole} lines"
+    else:
+        problem += "\ncheck samples, bands, lines and data type, or copy the file again"
+    problems = Problems(f"ENVI data file {str(path)!r} does not fit its header", FormatError)
+    problems.add(problem)
+    problems.raise_if_any()
+    return header.lines
+
+
+def _warn(header: EnviHeader, path: Path, lines: int) -> None:
+    found = list(header.warnings)
+    if _is_unscaled(header):
+        found.append(
+            "the description says REFLECTANCE but integers are stored and no scale is given: opened as "
+            "'values'; add for example 'reflectance scale factor = 10000' to the header"
+        )
+    if lines != header.lines:
+        found.append(f"{lines} whole lines are kept where the header says {header.lines}")
+    if found:
+        warnings.warn(f"{path.name}: {'; '.join(found)}", PaintWarning, stacklevel=3)
+
+
+def _level(header: EnviHeader) -> str | None:
+    """Return the processing level that the description names."""
+    levels = _LEVEL.findall(header.description[:10_000])
+    return str(levels[-1]).lower() if levels else None
+
+
+def _is_unscaled(header: EnviHeader) -> bool:
+    """Whether integers are called reflectance without the scale that would make them fractions."""
+    unscaled = header.reflectance_scale_factor in (None, 1.0) and not _has_gain(header)
+    return _level(header) == "reflectance" and header.dtype.kind in "iu" and unscaled
+
+
+def _comment_units(header: EnviHeader) -> str | None:
+    """Return Headwall's units comment, if it can be read as units."""
+    for key, text in header.comments.items():
+        if key.lower() == "units":
+            plain = text.replace("^", "").strip()
+            try:
+                return units.canonical(plain)
+            except UnitsError:
+                return None
+    return None
+
+
+def _quantity(header: EnviHeader) -> tuple[str, dict[str, Any]]:
+    """Return the name and the attributes of the variable."""
+    if _is_unscaled(header):
+        return "values", {}
+    level = _level(header)
+    said = _comment_units(header)
+    is_radiance = said is not None and units.same_dimension(said, schema.VARIABLES["radiance"].units)
+    integer = header.dtype.kind in "iu"
+    scale = header.reflectance_scale_factor
+    if level is None and scale is not None and (scale != 1.0 or not integer):
+        level = "reflectance"
+    if level is None and is_radiance:
+        level = "radiance"
+    if level == "reflectance":
+        return level, schema.VARIABLES[level].attrs
+    if level == "radiance":
+        attrs = {key: value for key, value in schema.VARIABLES[level].attrs.items() if key != "units"}
+        return level, {**attrs, "units": said} if is_radiance else attrs
+    if integer and not _has_gain(header) and header.file_type in ("", "envi", "envi standard"):
+        return "counts", schema.VARIABLES["counts"].attrs
+    return "values", {}
+
+
+def _scaling(header: EnviHeader, name: str) -> Scaling | None:
+    gained = _has_gain(header)
+    divisor = header.reflectance_scale_factor
+    if divisor == 1.0:
+        divisor = None
+    stored = header.dtype.newbyteorder("=")
+    scaled = gained or divisor is not None or name in ("radiance", "reflectance")
+    if not scaled and (header.data_ignore_value is None or stored.kind in "iu"):
+        return None
+    wanted = np.dtype(np.float32) if scaled else stored
+    if stored.kind == "c":
+        wanted = stored
+    if wanted == stored and not gained and divisor is None and header.data_ignore_value is None:
+        return None
+    return Scaling(
+        dtype=wanted,
+        ignore=header.data_ignore_value,
+        divisor=divisor,
+        gain=header.data_gain_values if gained else None,
+        offset=header.data_offset_values if gained else None,
+    )
+
+
+def _coordinates(header: EnviHeader, lines: int) -> dict[str, Any]:
+    coords: dict[str, Any] = {
+        name: ("band", values, schema.VARIABLES[name].attrs)
+        for name, values in (
+            ("wavelength", header.wavelength), ("fwhm", header.fwhm), ("good", header.good),
+        )
+        if values is not None
+    }  # fmt: skip
+    if header.map_info is not None and header.map_info.rotation == 0:
+        coords.update(_map_coordinates(header.map_info, lines, header.samples))
+    return coords
+
+
+def _map_coordinates(info: MapInfo, lines: int, samples: int) -> dict[str, Any]:
+    """Return pixel centres of an unrotated grid; the reference pixel (1, 1) is an outer corner."""
+    column, row = info.reference_pixel
+    x = info.reference[0] + (np.arange(samples) + 1.5 - column) * info.pixel_size[0]
+    y = info.reference[1] - (np.arange(lines) + 1.5 - row) * info.pixel_size[1]
+    geographic = info.projection.lower().startswith("geographic")
+    unit = {"meters": "m", "metres": "m", "feet": "ft", "degrees": "degree"}.get(info.units.lower())
+    if geographic:
+        x_attrs = {"standard_name": "longitude", "units": "degrees_east"}
+        y_attrs = {"standard_name": "latitude", "units": "degrees_north"}
+    else:
+        x_attrs = {"standard_name": "projection_x_coordinate", **({"units": unit} if unit else {})}
+        y_attrs = {"standard_name": "projection_y_coordinate", **({"units": unit} if unit else {})}
+    return {"y": ("y", y, y_attrs), "x": ("x", x, x_attrs)}
+
+
+def _attributes(header: EnviHeader, path: Path, lines: int) -> dict[str, Any]:
+    attrs: dict[str, Any] = {"source": path.name, "envi_header": json.dumps(header.fields)}
+    if header.comments:
+        attrs["envi_comments"] = json.dumps(header.comments)
+    if header.notes:
+        attrs["envi_notes"] = "; ".join(header.notes)
+    if lines != header.lines:
+        attrs["lines_declared"] = header.lines
+    for key in ("map info", "coordinate system string"):
+        if header.map_info is not None and key in header.fields:
+            attrs[key.replace(" ", "_")] = header.fields[key]
+    return attrs

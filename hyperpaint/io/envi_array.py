@@ -1,0 +1,248 @@
+"""The samples of an ENVI data file as a lazy array that reads only the bytes asked for.
+
+A memory map handed to dask is copied whole into memory, and pickled with the graph. `EnviArray` is a few
+hundred bytes instead: the path and the layout. Each read opens the file for itself, so that threads and
+processes share nothing.
+"""
+
+from __future__ import annotations
+
+import io
+import itertools
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from xarray.backends import BackendArray
+from xarray.core import indexing
+
+from hyperpaint.errors import FormatError
+
+__all__ = ["EnviArray", "Scaling"]
+
+Array = npt.NDArray[Any]
+Positions = npt.NDArray[np.int64]
+
+# bytes that are cheaper to read and drop than to skip with another system call
+_GAP = 32 * 2**10
+# bytes read at once where not all of them are kept
+_BOX = 8 * 2**20
+
+
+@dataclass(frozen=True, eq=False)
+class Scaling:
+    """From stored samples to values: ``(stored * gain + offset) / divisor``, `ignore` becoming NaN.
+
+    Attributes
+    ----------
+    dtype
+        Type of the values, floating or complex.
+    ignore
+        Compared with what is stored, before anything is scaled.
+    divisor
+        The reflectance scale factor.
+    gain, offset
+        One for each band.
+    """
+
+    dtype: np.dtype[Any]
+    ignore: int | float | None = None
+    divisor: float | None = None
+    gain: npt.NDArray[np.float64] | None = None
+    offset: npt.NDArray[np.float64] | None = None
+
+    def apply(self, stored: Array, per_band: Callable[[Array], Array]) -> Array:
+        """Return values of `stored`; `per_band` cuts and shapes a band vector to fit it."""
+        # float32 holds 16 bits exactly; wider integers pass through float64
+        values = stored.astype(np.result_type(stored.dtype, np.float32))
+        if self.gain is not None:
+            values *= per_band(self.gain)
+        if self.offset is not None:
+            values += per_band(self.offset)
+        if self.divisor is not None:
+            values /= self.divisor
+        if self.ignore is not None:
+            values[stored == self.ignore] = np.nan
+        return values.astype(self.dtype, copy=False)
+
+
+@dataclass(frozen=True, eq=False)
+class EnviArray(BackendArray):
+    """Samples of an ENVI data file, in any order of dims, in native byte order.
+
+    Attributes
+    ----------
+    path
+        Absolute path of the data file.
+    file_size, modified_ns
+        Of the file when it was opened. dask names an array by its fields: the same file gets the same name,
+        another version another.
+    offset
+        Bytes before the first sample.
+    stored
+        Type of a stored sample, byte order included.
+    file_shape
+        Slowest axis of the file first.
+    axes
+        Axis of the file that each dim is.
+    band_axis
+        The dim that counts bands.
+    scaling
+        None for samples as they are stored.
+    """
+
+    path: str
+    file_size: int
+    modified_ns: int
+    offset: int
+    stored: np.dtype[Any]
+    file_shape: tuple[int, int, int]
+    axes: tuple[int, int, int]
+    band_axis: int
+    scaling: Scaling | None = None
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Sizes of the dims."""
+        return tuple(self.file_shape[axis] for axis in self.axes)
+
+    @property
+    def dtype(self) -> np.dtype[Any]:
+        """Type of the values, in native byte order."""
+        return self.stored.newbyteorder("=") if self.scaling is None else self.scaling.dtype
+
+    def __getitem__(self, key: indexing.ExplicitIndexer) -> Any:
+        return indexing.explicit_indexing_adapter(
+            key, self.shape, indexing.IndexingSupport.OUTER, self._outer
+        )
+
+    def _outer(self, key: tuple[Any, ...]) -> Array:
+        """Return the samples at the crossings of one index, slice or sorted index array for each dim."""
+        positions = [_positions(index, size) for index, size in zip(key, self.shape, strict=True)]
+        values = self._read(positions)
+        if self.scaling is not None:
+            fit = tuple(-1 if axis == self.band_axis else 1 for axis in range(3))
+            bands = positions[self.band_axis]
+            values = self.scaling.apply(values, lambda vector: vector[bands].reshape(fit))
+        kept = [size for size, index in zip(values.shape, key, strict=True) if not _is_integer(index)]
+        return values.reshape(kept)
+
+    def _read(self, positions: list[Positions]) -> Array:
+        shape = tuple(len(wanted) for wanted in positions)
+        made = np.empty(shape, self.stored.newbyteorder("="))
+        if made.size == 0:
+            return made
+        # the same memory, its axes in the order of the file
+        in_file_order = made.transpose(np.argsort(self.axes))
+        along = [positions[axis] for axis in np.argsort(self.axes)]
+        with open(self.path, "rb", buffering=0) as file:
+            if self.axes == (0, 1, 2) and _is_slab(along, self.file_shape):
+                first = int(along[0][0]) * self.file_shape[1] * self.file_shape[2]
+                self._fill(file, first, made.reshape(-1))
+                if not self.stored.isnative:
+                    made.byteswap(inplace=True)
+            else:
+                self._gather(file, along, in_file_order)
+        return made
+
+    def _gather(self, file: io.FileIO, along: list[Positions], into: Array) -> None:
+        """Read boxes of the file that hold the wanted samples, and keep those."""
+        _, rows, columns = self.file_shape
+        row_bytes = columns * self.stored.itemsize
+        plane_bytes = rows * row_bytes
+        planes, lines, samples = along
+        width = (int(samples[-1]) - int(samples[0]) + 1) * self.stored.itemsize
+        line_runs = list(_runs(lines, row_bytes, width, _GAP, None))
+        plane_gap = -1  # each plane for itself, where its lines come in several runs
+        if len(line_runs) == 1:
+            width += (int(lines[-1]) - int(lines[0])) * row_bytes
+            plane_gap = _GAP
+        for first, last in _runs(planes, plane_bytes, width, plane_gap, _BOX):
+            for top, bottom in line_runs:
+                chosen = (planes[first:last], lines[top:bottom], samples)
+                box = self._box(file, chosen)
+                into[first:last, top:bottom] = box
+
+    def _box(self, file: io.FileIO, chosen: tuple[Positions, Positions, Positions]) -> Array:
+        """Read from the first to the last wanted sample and return the wanted ones."""
+        _, rows, columns = self.file_shape
+        low, high = [int(wanted[0]) for wanted in chosen], [int(wanted[-1]) for wanted in chosen]
+        # several planes are read with all lines between them, one plane from its first wanted line on
+        top, height = (0, rows) if high[0] > low[0] else (low[1], high[1] - low[1] + 1)
+        box = np.empty((high[0] - low[0] + 1, height, columns), self.stored)
+        start = (low[1] - top) * columns + low[2]
+        stop = ((high[0] - low[0]) * height + high[1] - top) * columns + high[2] + 1
+        self._fill(file, (low[0] * rows + top) * columns + start, box.reshape(-1)[start:stop])
+        planes, lines, samples = (
+            _selector(wanted - base) for wanted, base in zip(chosen, (low[0], top, 0), strict=True)
+        )
+        picked: Array = box[planes][:, lines][:, :, samples]
+        return picked
+
+    def _fill(self, file: io.FileIO, first: int, into: Array) -> None:
+        """Read samples from number `first` on into contiguous memory, byte for byte."""
+        view = into.view(np.uint8).data
+        file.seek(self.offset + first * self.stored.itemsize)
+        done = 0
+        while done < len(view):
+            count = file.readinto(view[done:])
+            if not count:
+                msg = (
+                    f"ENVI data file {self.path!r} ends {len(view) - done} bytes early: it was "
+                    f"{self.file_size} bytes when it was opened; open it again"
+                )
+                raise FormatError(msg)
+            done += count
+
+
+def _is_integer(index: object) -> bool:
+    return isinstance(index, int | np.integer)
+
+
+def _positions(index: Any, size: int) -> Positions:
+    if _is_integer(index):
+        return np.array([index], dtype=np.int64)
+    if isinstance(index, slice):
+        return np.arange(*index.indices(size), dtype=np.int64)
+    return np.asarray(index, dtype=np.int64)
+
+
+def _is_slab(along: list[Positions], file_shape: tuple[int, int, int]) -> bool:
+    """Whether the samples are one run of whole planes of the file."""
+    planes, rows, columns = along
+    return (
+        np.array_equal(rows, np.arange(file_shape[1]))
+        and np.array_equal(columns, np.arange(file_shape[2]))
+        and bool((np.diff(planes) == 1).all())
+    )
+
+
+def _runs(
+    positions: Positions, pitch: int, width: int, gap: int, largest: int | None
+) -> Iterator[tuple[int, int]]:
+    """Group sorted positions whose pieces, `width` of every `pitch` bytes, are read at once.
+
+    Yields
+    ------
+    tuple of int
+        First and last + 1 of the indices into `positions`.
+    """
+    breaks = np.diff(positions) * pitch - width > gap
+    if gap < 0:
+        breaks[:] = True
+    if largest is not None:
+        breaks |= np.diff(positions // max(1, largest // pitch)) != 0
+    edges = [0, *(np.flatnonzero(breaks) + 1).tolist(), len(positions)]
+    yield from itertools.pairwise(edges)
+
+
+def _selector(positions: Positions) -> slice | Positions:
+    """Return a slice where positions are evenly spaced: it copies nothing."""
+    steps = np.diff(positions)
+    if len(steps) == 0:
+        return slice(int(positions[0]), int(positions[0]) + 1)
+    if steps[0] > 0 and (steps == steps[0]).all():
+        return slice(int(positions[0]), int(positions[-1]) + 1, int(steps[0]))
+    return positions

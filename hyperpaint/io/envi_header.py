@@ -1,0 +1,492 @@
+"""What the keys of an ENVI header mean: sizes, types, wavelengths, scale, place.
+
+Reading is bounded and linear in the length of the file, and every problem found is raised at once.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from hyperpaint.errors import FormatError, Problems
+
+from .envi_grammar import Findings, Scanned, bare, scan, shown
+
+__all__ = ["EnviHeader", "MapInfo", "parse_header", "read_header"]
+
+FloatArray = npt.NDArray[np.float64]
+
+MAX_HEADER_BYTES = 16 * 2**20
+
+_DTYPES = {
+    "1": "u1", "2": "i2", "3": "i4", "4": "f4", "5": "f8", "6": "c8", "9": "c16",
+    "12": "u2", "13": "u4", "14": "i8", "15": "u8",
+}  # fmt: skip
+_BYTE_ORDERS = {"0": "<", "1": ">"}
+_INTERLEAVES = ("bil", "bip", "bsq")
+
+# nm per unit; ENVI's own words first
+_NANOMETRES = {
+    **dict.fromkeys(("nanometers", "nanometer", "nanometres", "nanometre", "nm"), 1.0),
+    **dict.fromkeys(("micrometers", "micrometer", "micrometres", "micrometre", "microns", "micron"), 1e3),
+    **dict.fromkeys(("um", "µm", "μm"), 1e3),
+    **dict.fromkeys(("angstroms", "angstrom"), 0.1),
+    **dict.fromkeys(("millimeters", "mm"), 1e6),
+    **dict.fromkeys(("centimeters", "cm"), 1e7),
+    **dict.fromkeys(("meters", "m"), 1e9),
+}
+_UNSAID = ("", "unknown")
+_NOT_WAVELENGTHS = ("wavenumber", "ghz", "mhz", "index")
+_LARGEST_MICROMETRE = 100.0
+
+_ITEM = re.compile(r"[^,\s]+")
+_NAMED_WAVELENGTH = re.compile(
+    r"(?<![0-9.])([0-9]{1,6}(?:\.[0-9]{1,9})?) ?(nm|um|[µμ]m|(?:nano|micro)met(?:er|re)s?|microns?)\b",
+    re.IGNORECASE,
+)
+
+
+@dataclass(frozen=True)
+class MapInfo:
+    """Where pixels lie on a map.
+
+    Attributes
+    ----------
+    projection
+        Name of the projection, as written.
+    reference_pixel
+        Column and row of the reference, counted from 1; (1, 1) is the outer upper-left corner of the first
+        pixel.
+    reference
+        Map coordinates x, y of the reference.
+    pixel_size
+        Width and height of a pixel, both positive [map units].
+    details
+        Zone, hemisphere and datum, as written.
+    units
+        Map units as written; empty where the header does not say.
+    rotation
+        Angle of the grid [degree], as written.
+    """
+
+    projection: str
+    reference_pixel: tuple[float, float]
+    reference: tuple[float, float]
+    pixel_size: tuple[float, float]
+    details: tuple[str, ...] = ()
+    units: str = ""
+    rotation: float = 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class EnviHeader:
+    """What an ENVI header says.
+
+    Attributes
+    ----------
+    lines, samples, bands
+        Size of the cube: along track, across track, spectral.
+    header_offset
+        Bytes before the first sample of the data file.
+    dtype
+        Type of a stored sample, byte order included.
+    interleave
+        ``bil`` (line, band, sample), ``bip`` (line, sample, band) or ``bsq`` (band, line, sample).
+    wavelength, fwhm
+        Of each band [nm], in the order of the file, which need not be monotonic; None where unknown.
+    good
+        False for bands the header marks as bad; None where it has no bad band list.
+    band_names
+        As written; empty where absent.
+    data_ignore_value
+        Stored value that means "no data".
+    reflectance_scale_factor
+        Stored value of a reflectance of one.
+    data_gain_values, data_offset_values
+        Per band: physical = stored * gain + offset.
+    map_info
+        None for cubes in sensor geometry.
+    description
+        As written, without braces.
+    fields
+        Every key (lower case) and its raw text, in the order of the file, braces included.
+    comments
+        ``;key = value`` lines, in the order of the file.
+    notes
+        What was inferred or looked odd.
+    warnings
+        Those of the notes that may make values or wavelengths wrong.
+    """
+
+    lines: int
+    samples: int
+    bands: int
+    header_offset: int
+    dtype: np.dtype[Any]
+    interleave: str
+    wavelength: FloatArray | None = None
+    fwhm: FloatArray | None = None
+    good: npt.NDArray[np.bool_] | None = None
+    band_names: tuple[str, ...] = ()
+    data_ignore_value: int | float | None = None
+    reflectance_scale_factor: float | None = None
+    data_gain_values: FloatArray | None = None
+    data_offset_values: FloatArray | None = None
+    map_info: MapInfo | None = None
+    description: str = ""
+    fields: dict[str, str] = field(default_factory=dict)
+    comments: dict[str, str] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()
+    warnings: tuple[str, ...] = ()
+
+    @property
+    def line_bytes(self) -> int:
+        """Bytes of one line, all bands."""
+        return self.samples * self.bands * self.dtype.itemsize
+
+    @property
+    def file_type(self) -> str:
+        """``file type`` in lower case; empty where absent."""
+        return self.fields.get("file type", "").lower()
+
+    @property
+    def is_spectral_library(self) -> bool:
+        """Whether each line is a spectrum and each sample a wavelength."""
+        return "spectral library" in self.file_type
+
+
+def read_header(path: str | os.PathLike[str]) -> EnviHeader:
+    """Read an ENVI header file.
+
+    Parameters
+    ----------
+    path
+        The ``.hdr`` file.
+
+    Raises
+    ------
+    FormatError
+        The file is no ENVI header, is over 16 MB, or contradicts itself; all problems are listed.
+    OSError
+        The file cannot be read.
+    """
+    with open(path, "rb") as file:
+        # read() sets aside all it is allowed to read
+        raw = file.read(min(os.fstat(file.fileno()).st_size, MAX_HEADER_BYTES) + 1)
+    name = f"ENVI header {os.fspath(path)!r}"
+    if len(raw) > MAX_HEADER_BYTES:
+        msg = f"{name} cannot be read: it is over {MAX_HEADER_BYTES >> 20} MB; is it the data file?"
+        raise FormatError(msg)
+    try:
+        text = raw.decode("utf-8-sig")
+    except UnicodeDecodeError:
+        text = raw.decode("latin-1")
+    return parse_header(text, name)
+
+
+def parse_header(text: str, name: str = "ENVI header") -> EnviHeader:
+    """Read the text of an ENVI header.
+
+    Parameters
+    ----------
+    text
+        Text from the line ``ENVI`` on.
+    name
+        What messages call it.
+
+    Raises
+    ------
+    FormatError
+        The text is no ENVI header or contradicts itself; all problems are listed.
+
+    Examples
+    --------
+    >>> header = parse_header('''ENVI
+    ... samples = 640
+    ... lines = 2000
+    ... bands = 3
+    ... data type = 12
+    ... interleave = bil
+    ... byte order = 0
+    ... wavelength = {0.45, 0.55, 0.65}
+    ... ;Exposure (ms) = 5''')
+    >>> header.wavelength
+    array([450., 550., 650.])
+    >>> header.notes
+    ('no wavelength units: values below 100 taken as micrometres',)
+    >>> header.comments["Exposure (ms)"]
+    '5'
+    """
+    findings = Findings(Problems(f"{name} cannot be used", FormatError))
+    scanned = scan(text, findings)
+    header = _interpret(scanned, findings) if scanned.fields else None
+    findings.raise_if_any()
+    if header is None:
+        msg = f"{name} cannot be used: it holds no 'key = value' line"
+        raise FormatError(msg)
+    return header
+
+
+class _Reader:
+    """Turns raw values into checked ones; notes a problem and returns None where one is wrong."""
+
+    def __init__(self, fields: Mapping[str, str], findings: Findings) -> None:
+        self.fields = fields
+        self.findings = findings
+
+    def integer(self, key: str, *, least: int, default: int | None = None) -> int:
+        text = self.fields.get(key)
+        kind = "a whole number above 0" if least else "a whole number, 0 or above"
+        if text is None:
+            if default is None:
+                self.findings.problem(f"{key!r} is missing; expected {kind}")
+            return default or 0
+        if re.fullmatch(r"\+?[0-9]{1,30}", text) is None or int(text) < least:
+            self.findings.problem(f"{key!r} is {shown(text)}, expected {kind}")
+            return 0
+        return int(text)
+
+    def choice(self, key: str, allowed: Mapping[str, str]) -> str | None:
+        text = self.fields.get(key)
+        if text is not None and text.lower() in allowed:
+            return allowed[text.lower()]
+        found = "missing" if text is None else shown(text)
+        self.findings.problem(f"{key!r} is {found}, expected one of {', '.join(allowed)}")
+        return None
+
+    def number(self, key: str) -> float | None:
+        text = self.fields.get(key)
+        if text is None or not bare(text):
+            return None
+        try:
+            return _to_float(bare(text))
+        except ValueError:
+            self.findings.problem(f"{key!r} is {shown(text)}, expected one number")
+            return None
+
+    def numbers(self, key: str, count: int, per: str) -> FloatArray | None:
+        """Return a list with one finite number for each band."""
+        text = self.fields.get(key)
+        if text is None or not bare(text):
+            return None
+        if count < 1:  # the count itself is a problem already
+            return None
+        text = bare(text)
+        # counted before it is split: a list of millions never becomes objects unless the cube is as large
+        found = sum(1 for _ in _ITEM.finditer(text))
+        if found != count:
+            self.findings.problem(
+                f"{key!r} has {found} values for {count} {per}; expected one for each, or no {key!r} at all"
+            )
+            return None
+        try:
+            values = np.array([_to_float(item) for item in _ITEM.findall(text)], dtype=np.float64)
+        except ValueError as error:
+            self.findings.problem(f"{key!r}: {error}, expected numbers")
+            return None
+        if not np.isfinite(values).all():
+            where = int(np.flatnonzero(~np.isfinite(values))[0]) + 1
+            self.findings.problem(f"{key!r}: value {where} is {values[where - 1]}, expected finite numbers")
+            return None
+        return values
+
+
+def _to_float(text: str) -> float:
+    """Return the number; unlike float(), take neither underscores nor other scripts' digits."""
+    if len(text) <= 64 and text.isascii() and "_" not in text:
+        try:
+            return float(text)
+        except ValueError:
+            pass
+    msg = f"{shown(text)} is not a number"
+    raise ValueError(msg)
+
+
+def _interpret(scanned: Scanned, findings: Findings) -> EnviHeader:
+    reader = _Reader(scanned.fields, findings)
+    lines, samples, bands = (reader.integer(key, least=1) for key in ("lines", "samples", "bands"))
+    offset = reader.integer("header offset", least=0, default=0)
+    dtype = _dtype(reader)
+    interleave = reader.choice("interleave", {name: name for name in _INTERLEAVES})
+    _refuse_unsupported(reader)
+    library = "spectral library" in scanned.fields.get("file type", "").lower()
+    count, per = (samples, "samples of a spectral library") if library else (bands, "bands")
+    names = _band_names(reader, bands)
+    wavelength, fwhm = _spectral_axis(reader, count, per, names)
+    good = reader.numbers("bbl", count, per)
+    if good is not None and not np.isin(good, (0.0, 1.0)).all():
+        findings.problem("'bbl' holds values other than 0 (bad band) and 1 (good band)")
+    scale = reader.number("reflectance scale factor")
+    if scale is not None and not (math.isfinite(scale) and scale > 0):
+        findings.problem(f"'reflectance scale factor' is {scale}, expected a number above 0")
+    return EnviHeader(
+        lines=lines,
+        samples=samples,
+        bands=bands,
+        header_offset=offset,
+        dtype=dtype,
+        interleave=interleave or "",
+        wavelength=wavelength,
+        fwhm=fwhm,
+        good=None if good is None else good == 1.0,
+        band_names=names,
+        data_ignore_value=_ignore_value(reader),
+        reflectance_scale_factor=scale,
+        data_gain_values=reader.numbers("data gain values", bands, "bands"),
+        data_offset_values=reader.numbers("data offset values", bands, "bands"),
+        map_info=_map_info(reader),
+        description=bare(scanned.fields.get("description", "")),
+        fields=scanned.fields,
+        comments=scanned.comments,
+        notes=tuple(findings.notes),
+        warnings=tuple(findings.warnings),
+    )
+
+
+def _dtype(reader: _Reader) -> np.dtype[Any]:
+    code = reader.choice("data type", _DTYPES) or "u1"
+    if "byte order" in reader.fields:
+        order = reader.choice("byte order", _BYTE_ORDERS) or "<"
+    else:
+        order = "<"
+        if np.dtype(code).itemsize > 1:
+            reader.findings.note(
+                "no byte order: assumed little-endian; add 'byte order = 0' (big-endian: 1) to the header",
+                warn=True,
+            )
+    return np.dtype(order + code)
+
+
+def _refuse_unsupported(reader: _Reader) -> None:
+    for key in ("major frame offsets", "minor frame offsets"):
+        text = reader.fields.get(key, "")
+        if set(bare(text)) - set("0, \t\n"):
+            reader.findings.problem(f"{key!r} is {shown(text)}: padded lines are not supported")
+    if reader.fields.get("file compression", "0") != "0":
+        reader.findings.problem("'file compression' is set: unpack the data file and set it to 0")
+
+
+def _ignore_value(reader: _Reader) -> int | float | None:
+    text = bare(reader.fields.get("data ignore value", ""))
+    # a whole number is kept as such: float64 cannot hold every 64-bit one
+    if re.fullmatch(r"[-+]?[0-9]{1,20}", text):
+        return int(text)
+    value = reader.number("data ignore value")
+    return int(value) if value is not None and value.is_integer() and abs(value) < 2**53 else value
+
+
+def _band_names(reader: _Reader, bands: int) -> tuple[str, ...]:
+    text = bare(reader.fields.get("band names", ""))
+    if not text:
+        return ()
+    found = text.rstrip(", \t\n").count(",") + 1
+    if found != bands:
+        reader.findings.note(f"'band names' has {found} names for {bands} bands: names ignored")
+        return ()
+    return tuple(name.strip() for name in text.rstrip(", \t\n").split(","))
+
+
+def _spectral_axis(
+    reader: _Reader, count: int, per: str, names: tuple[str, ...]
+) -> tuple[FloatArray | None, FloatArray | None]:
+    """Return wavelength and FWHM in nm."""
+    wavelength, fwhm = reader.numbers("wavelength", count, per), reader.numbers("fwhm", count, per)
+    text = bare(reader.fields.get("wavelength units", ""))
+    unit = text.lower()
+    if wavelength is None and fwhm is None and "wavelength" not in reader.fields:
+        return _wavelength_of_names(names, reader.findings), None
+    if unit in _NOT_WAVELENGTHS:
+        reader.findings.note(f"wavelength units are {text!r}: the lists are not read as wavelengths")
+        return None, None
+    if unit not in _UNSAID and unit not in _NANOMETRES:
+        reader.findings.problem(
+            f"'wavelength units' is {shown(text)}, expected Nanometers, Micrometers, Angstroms, "
+            "Millimeters, Centimeters, Meters, Wavenumber, GHz, MHz, Index or Unknown"
+        )
+        return None, None
+    if wavelength is None and "wavelength" not in reader.fields:
+        wavelength = _wavelength_of_names(names, reader.findings)
+        factor = _NANOMETRES.get(unit, 1.0)
+        if unit in _UNSAID:
+            reader.findings.note("no wavelength units: 'fwhm' taken as nanometres")
+    else:
+        factor = _nanometres_per_unit(unit, wavelength, reader.findings)
+        if wavelength is not None:
+            wavelength = wavelength * factor
+            if (wavelength <= 0).any():
+                reader.findings.problem("'wavelength' holds values that are not above 0")
+    if fwhm is not None and (fwhm < 0).any():
+        reader.findings.problem("'fwhm' holds values below 0")
+    return wavelength, None if fwhm is None else fwhm * factor
+
+
+def _nanometres_per_unit(unit: str, wavelength: FloatArray | None, findings: Findings) -> float:
+    if wavelength is None or wavelength.size == 0:
+        return _NANOMETRES.get(unit, 1.0)
+    longest = float(wavelength.max())
+    small = longest < _LARGEST_MICROMETRE
+    if unit in _UNSAID:
+        said = "values below 100 taken as micrometres" if small else "values taken as nanometres"
+        findings.note(f"no wavelength units: {said}")
+        return 1e3 if small else 1.0
+    factor = _NANOMETRES[unit]
+    if (factor == 1.0 and small) or (factor == 1e3 and not small):
+        findings.note(
+            f"wavelength units are {unit!r} but the longest wavelength is {longest:g}: is the unit right?",
+            warn=True,
+        )
+    return factor
+
+
+def _wavelength_of_names(names: tuple[str, ...], findings: Findings) -> FloatArray | None:
+    """Return the wavelengths that GDAL leaves in band names, such as ``399.356 nm``."""
+    found = []
+    for name in names:
+        match = _NAMED_WAVELENGTH.search(name[:200])
+        if match is None or float(match[1]) <= 0:
+            return None
+        found.append(float(match[1]) * _NANOMETRES[match[2].lower()])
+    if not found:
+        return None
+    findings.note("no wavelength list: wavelengths taken from the band names")
+    return np.array(found, dtype=np.float64)
+
+
+def _map_info(reader: _Reader) -> MapInfo | None:
+    text = bare(reader.fields.get("map info", ""))
+    if not text:
+        return None
+    items = [item.strip() for item in text[:10_000].split(",")]
+    if items[0].lower() == "arbitrary":
+        reader.findings.note("map info is 'Arbitrary': taken as sensor geometry")
+        return None
+    words = dict(item.lower().split("=", 1) for item in items if "=" in item)
+    plain = [item for item in items if "=" not in item]
+    try:
+        column, row, x, y, width, height = map(_to_float, [*plain[1:7], *[""] * (7 - len(plain))])
+        rotation = _to_float(words.get("rotation", "0").strip())
+    except ValueError as error:
+        reader.findings.problem(
+            f"'map info' is {shown(text)} ({error}); expected projection, reference column and row, x, y, "
+            "pixel width and height, then zone, datum, units=..., rotation=..."
+        )
+        return None
+    if not all(map(math.isfinite, (column, row, x, y, width, height, rotation))) or min(width, height) <= 0:
+        reader.findings.problem(f"'map info' is {shown(text)}; expected finite numbers and sizes above 0")
+        return None
+    return MapInfo(
+        projection=plain[0],
+        reference_pixel=(column, row),
+        reference=(x, y),
+        pixel_size=(width, height),
+        details=tuple(plain[7:]),
+        units=words.get("units", "").strip(),
+        rotation=rotation,
+    )

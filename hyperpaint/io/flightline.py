@@ -1,0 +1,521 @@
+"""One flight line, from its instruments' files: counts and everything needed to calibrate them, lazily."""
+
+from __future__ import annotations
+
+import json
+import os
+import warnings
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+
+from hyperpaint.errors import (
+    FormatError,
+    PaintWarning,
+    SchemaError,
+)
+from hyperpaint.schema import (
+    ALONG_TRACK,
+    BAND,
+    CHUNK_LINES,
+    CROSS_TRACK,
+    CUBE,
+    VARIABLES,
+    label,
+    rename_to_roles,
+)
+from hyperpaint.units import conversion_factor, convert
+
+from .calibration_store import open_calibration
+from .dark import Dark, open_dark
+from .findings import Findings, Unavailable
+from .headwall import exposure_seconds, find_settings, read_settings
+from .irradiance_cut import cut_irradiance
+from .line_times import LineTimes, Timing, line_times
+from .navigation import Navigation
+
+if TYPE_CHECKING:
+    import xarray as xr
+    from numpy.typing import NDArray
+
+    type_path = str | os.PathLike[str]
+
+__all__ = ["FlightlineInputs", "assemble", "open_flightline"]
+
+#: Nanometres between header and calibration beyond which the user hears of it.
+_WAVELENGTH_TOLERANCE = 0.5
+_BLANK = np.uint16(65535)
+
+
+@dataclass(frozen=True, kw_only=True)
+class FlightlineInputs:
+    """What `assemble` needs; the fields are the arguments of `open_flightline`."""
+
+    cube: Path | xr.Dataset
+    timing: Timing | Unavailable
+    exposure_time: Any = None
+    dark: Any = None
+    calibration: Path | xr.Dataset | Unavailable | None = None
+    irradiance: Any = None
+    bit_depth: int = 12
+    saturation_count: float | None = None
+    radiance_units: str | None = None
+    fwhm_nm: float | None = None
+    chunks: Any = "auto"
+    name: str | None = None
+    keep_whole_lines: bool = False
+    attrs: Mapping[str, Any] = field(default_factory=dict)
+
+
+def open_flightline(
+    cube: type_path | xr.Dataset,
+    *,
+    frame_index: type_path | None = None,
+    nav: type_path | Navigation | None = None,
+    dark: Any = None,
+    calibration: type_path | xr.Dataset | None = None,
+    irradiance: Any = None,
+    exposure_time: float | Sequence[float] | None = None,
+    frame_period: float | None = None,
+    start_time: Any = None,
+    gps_time: type_path | None = None,
+    date: str | None = None,
+    stamp: Literal["start", "mid", "end"] = "end",
+    nav_clock_offset_s: float | None = None,
+    time_scale: Literal["utc", "gps"] = "utc",
+    gps_leap_seconds: int | None = None,
+    nav_max_gap_s: float | None = None,
+    bit_depth: int = 12,
+    saturation_count: float | None = None,
+    radiance_units: str | None = None,
+    fwhm_nm: float | None = None,
+    chunks: Any = "auto",
+    name: str | None = None,
+    keep_whole_lines: bool = False,
+) -> xr.Dataset:
+    """Open a flight line with all that calibrates it, without reading the cube.
+
+    Parameters
+    ----------
+    cube
+        ENVI cube in sensor geometry (either file of the pair), or its Dataset: raw counts, or a vendor's
+        radiance, which needs neither ``calibration`` nor ``dark``.
+    frame_index
+        ``frameIndex_<N>.txt``. As many rows as lines: by row. As many lines as frames from first to last: by
+        number, missing frames being blank lines (``time`` NaT, ``counts`` 65535). An index of the whole
+        flight serves ``raw_<N>`` as well.
+    nav
+        ``imu_gps.txt``: UTC, and position and attitude at mid exposure.
+    dark
+        Dark cube or cubes (``dark_counts`` is the mean of their lines), a Dataset with ``dark_counts``,
+        ``"calibration"`` for those of the calibration, or ``"none"``.
+    calibration
+        See `open_calibration`. Its wavelengths win over those of the header.
+    irradiance
+        From `open_irradiance`, or paths for it. Kept: the line +- 60 s, and at least the bracketing samples.
+        Without it the line cannot become reflectance.
+    exposure_time
+        Seconds, scalar or (along_track,); by default from ``settings.txt`` beside the cube, then from the
+        header's comment lines. Where they disagree the argument wins.
+    frame_period
+        Seconds from line to line; with ``start_time`` it replaces ``frame_index`` and ``nav``.
+    start_time
+        Stamp of the first line, with a zone.
+    gps_time, date
+        For frame indices stamped by the recording computer: ``gps_time.txt``, or the day (``"2024-06-01"``),
+        with ``nav_clock_offset_s``.
+    stamp
+        What a line's time stamp marks.
+    nav_clock_offset_s, time_scale, gps_leap_seconds
+        UTC = stamp of the navigation + offset [s]; ``"gps"`` takes leap seconds off, from a table unless
+        said.
+    nav_max_gap_s
+        Longest interval of the navigation that is interpolated [s]; default 2.5 x the median, at least 0.1 s.
+    bit_depth, saturation_count
+        The converter is full at ``saturation_count``: as given, else as in the calibration, else
+        ``2**bit_depth - 1``.
+    radiance_units
+        Units of a radiance cube whose header does not say them.
+    fwhm_nm
+        Width of the bands [nm] where neither calibration nor header tells it.
+    chunks
+        dask chunks of the cube: ``"auto"`` for 32 whole lines, None for no dask, else as for
+        `xarray.Dataset.chunk`.
+    name
+        Name of the line; by default that of the cube.
+    keep_whole_lines
+        Open the whole lines of a file that was cut short.
+
+    Returns
+    -------
+    xarray.Dataset
+        ``counts`` (along_track, band, cross_track) uint16 or ``radiance`` float32, lazy, with the variables
+        and coordinates of `hyperpaint.schema`; ``time`` is UTC at mid exposure.
+
+    Raises
+    ------
+    FormatError
+        A file is damaged, or is not what it should be.
+    TimeError
+        Line times are missing or contradictory, or navigation or irradiance does not cover the line.
+    SchemaError, UnitsError
+        The calibration lacks something, or does not fit the cube.
+    CollectError
+        Several of these; all are listed.
+
+    Warns
+    -----
+    PaintWarning
+        Sources disagree, or lines fall outside the navigation record.
+
+    Examples
+    --------
+    >>> line = open_flightline(                                                   # doctest: +SKIP
+    ...     "flight/raw_0.hdr", frame_index="flight/frameIndex_0.txt", nav="flight/imu_gps.txt",
+    ...     dark="dark/raw_0.hdr", calibration="calibration.zarr")
+    """
+    import xarray as xr
+
+    source = cube if isinstance(cube, xr.Dataset) else Path(cube)
+    timing = Timing(
+        frame_index=None if frame_index is None else Path(frame_index),
+        nav=nav if nav is None or isinstance(nav, Navigation) else Path(nav),
+        gps_time=None if gps_time is None else Path(gps_time),
+        date=date,
+        start_time=start_time,
+        frame_period=frame_period,
+        stamp=stamp,
+        clock_offset_s=nav_clock_offset_s,
+        time_scale=time_scale,
+        gps_leap_seconds=gps_leap_seconds,
+        max_gap_s=nav_max_gap_s,
+    )
+    found: Path | xr.Dataset | None = None
+    if calibration is not None:
+        found = calibration if isinstance(calibration, xr.Dataset) else Path(calibration)
+    inputs = FlightlineInputs(
+        cube=source,
+        timing=timing,
+        exposure_time=exposure_time,
+        dark=dark,
+        calibration=found,
+        irradiance=irradiance,
+        bit_depth=bit_depth,
+        saturation_count=saturation_count,
+        radiance_units=radiance_units,
+        fwhm_nm=fwhm_nm,
+        chunks=chunks,
+        name=name,
+        keep_whole_lines=keep_whole_lines,
+    )
+    shown = name or (source.name if isinstance(source, Path) else "from a Dataset")
+    findings = Findings(f"flight line {shown!r} cannot be opened")
+    made = assemble(inputs, findings)
+    findings.raise_if_any()
+    return made
+
+
+def assemble(inputs: FlightlineInputs, findings: Findings) -> xr.Dataset:
+    """Open every input, noting in ``findings`` what is wrong with any; return the line if nothing is.
+
+    Steps whose input failed are left out, so that every problem is found once.
+    """
+    import xarray as xr
+
+    path = _path_of(inputs)
+    cube: xr.DataArray | None = None
+    opened = xr.Dataset()
+    is_counts = True
+    with findings.step():
+        opened = _open_file(inputs)
+        is_counts = "counts" in opened
+        cube = _check_cube(opened, inputs)
+    exposure: NDArray[np.float64] | None = None
+    with findings.step():
+        exposure, exposure_source = _exposure(inputs, path, opened, required=is_counts)
+    calibration: xr.Dataset | None = None
+    with findings.step():
+        calibration = _calibration(inputs, cube, required=is_counts)
+    timing = Timing() if isinstance(inputs.timing, Unavailable) else inputs.timing
+    times: LineTimes | None = None
+    if cube is not None and timing is inputs.timing:
+        with findings.step():
+            times = line_times(
+                path,
+                cube.sizes[ALONG_TRACK],
+                timing,
+                0.0 if exposure is None else exposure,
+                shortened=inputs.keep_whole_lines,
+            )
+    dark: Dark | None = None
+    if is_counts and not isinstance(inputs.dark, Unavailable):
+        with findings.step():
+            dark = open_dark(inputs.dark, timing, calibration, cube)
+    irradiance: xr.Dataset | None = None
+    with findings.step():
+        irradiance = _irradiance(inputs, times)
+    saturation: xr.DataArray | None = None
+    with findings.step():
+        saturation = _saturation(inputs, calibration)
+    if findings.errors or cube is None or times is None:
+        return xr.Dataset()
+    parts: dict[str, xr.DataArray] = {cube.name: _lazy(cube, times, inputs)}  # type: ignore[dict-item]
+    attrs: dict[str, Any] = {"name": inputs.name or path.name.split(".")[0], "source": path.name}
+    if exposure is not None:
+        dims = (ALONG_TRACK,) if exposure.ndim else ()
+        parts["exposure_time"] = label(xr.DataArray(exposure, dims=dims), "exposure_time")
+        attrs["exposure_source"] = exposure_source
+    parts |= _calibration_parts(calibration, is_counts)
+    if dark is not None and saturation is not None:
+        parts |= {"saturation_count": saturation, **dark.variables(needs_noise="read_noise" not in parts)}
+        attrs["dark_source"] = dark.source
+    if irradiance is not None:
+        parts |= {str(key): value for key, value in irradiance.data_vars.items()}
+    made = xr.Dataset(parts, _coordinates(opened, calibration, times, inputs, path))
+    made.attrs = {
+        **attrs,
+        "srf_shape": "gaussian" if calibration is None else calibration.attrs["srf_shape"],
+        "irradiance_srf_shape": "gaussian"
+        if irradiance is None
+        else irradiance.attrs["irradiance_srf_shape"],
+        "time_source": times.source,
+        "stamp": timing.stamp,
+        "dropped_frames": times.dropped,
+        **{key: opened.attrs[key] for key in ("envi_comments", "envi_notes") if key in opened.attrs},
+        **inputs.attrs,
+    }
+    return made
+
+
+def _path_of(inputs: FlightlineInputs) -> Path:
+    if isinstance(inputs.cube, Path):
+        return inputs.cube
+    return Path(inputs.name or str(inputs.cube.attrs.get("source", "cube")))
+
+
+# --- cube --------------------------------------------------------------------------------------------------
+
+
+def _open_file(inputs: FlightlineInputs) -> xr.Dataset:
+    from .envi import open_envi
+
+    if isinstance(inputs.cube, Path):
+        opened = open_envi(inputs.cube, keep_whole_lines=inputs.keep_whole_lines)
+    else:
+        opened = rename_to_roles(inputs.cube)
+    if "values" in opened and inputs.radiance_units:
+        opened = opened.rename(values="radiance")
+    return opened
+
+
+def _check_cube(opened: xr.Dataset, inputs: FlightlineInputs) -> xr.DataArray:
+    """Return ``counts`` or ``radiance`` in sensor geometry, with units."""
+    path = _path_of(inputs)
+    name = next((name for name in ("counts", "radiance") if name in opened), None)
+    if name is None:
+        held = ", ".join(map(str, opened.data_vars)) or "nothing"
+        msg = f"{path}: holds {held}, expected raw counts or radiance (then give radiance_units)"
+        raise FormatError(msg)
+    cube = opened[name]
+    if set(cube.dims) != set(CUBE):
+        msg = f"{path}: dims {tuple(map(str, cube.dims))}, expected {CUBE}: sensor geometry, not a map"
+        raise FormatError(msg)
+    if not all(cube.sizes.values()):
+        msg = f"{path}: empty, {dict(cube.sizes)}"
+        raise FormatError(msg)
+    if name == "counts" and (cube.dtype.kind != "u" or cube.dtype.itemsize > 2):
+        msg = (
+            f"{path}: samples are {cube.dtype}, expected raw counts: uint16 (ENVI data type 12) or uint8 (1)"
+        )
+        raise FormatError(msg)
+    if name == "radiance":
+        units = inputs.radiance_units or cube.attrs.get("units")
+        if units is None:
+            msg = f"{path}: radiance without units; give radiance_units, for example 'mW cm-2 sr-1 um-1'"
+            raise FormatError(msg)
+        cube = cube.assign_attrs(units=units)
+        # a wrong unit is said now, with the other problems
+        conversion_factor(str(units), VARIABLES[name].units)
+    return cube if cube.dims == CUBE else cube.transpose(*CUBE)
+
+
+def _lazy(cube: xr.DataArray, times: LineTimes, inputs: FlightlineInputs) -> xr.DataArray:
+    """Chunk the cube, convert it, blank its dropped lines; no sample is read."""
+    import xarray as xr
+
+    name = str(cube.name)
+    cube = cube.reset_coords(drop=True).drop_vars(list(cube.coords), errors="ignore").drop_encoding()
+    if isinstance(inputs.chunks, str) and inputs.chunks == "auto":
+        if cube.chunks is None:
+            cube = cube.chunk({ALONG_TRACK: CHUNK_LINES, BAND: -1, CROSS_TRACK: -1})
+    elif inputs.chunks is not None:
+        cube = cube.chunk(inputs.chunks)
+    if name == "radiance":
+        return label(convert(cube.astype(np.float32), VARIABLES[name].units), name)
+    if cube.dtype != np.uint16:
+        cube = cube.astype(np.uint16)
+    if not times.recorded.all():
+        cube = cube.where(xr.DataArray(times.recorded, dims=ALONG_TRACK), _BLANK)
+    return label(cube, name)
+
+
+# --- exposure ----------------------------------------------------------------------------------------------
+
+
+def _exposure(
+    inputs: FlightlineInputs, path: Path, opened: xr.Dataset, *, required: bool
+) -> tuple[NDArray[np.float64] | None, str]:
+    """Return seconds and where they come from: the argument, ``settings.txt``, the header's comments."""
+    said: dict[str, float] = {}
+    given = None if inputs.exposure_time is None else np.asarray(inputs.exposure_time, np.float64)
+    if given is not None:
+        lines = opened.sizes.get(ALONG_TRACK)
+        if given.ndim > 1 or (given.ndim == 1 and lines is not None and given.size != lines):
+            msg = f"{path.name}: exposure_time has shape {given.shape}, expected a scalar or {lines} lines"
+            raise SchemaError(msg)
+        if not (np.isfinite(given).all() and (given > 0).all()):
+            msg = f"{path.name}: exposure_time {given.min() * 1e3:g} ms, expected a positive number"
+            raise SchemaError(msg)
+    settings = find_settings(path) if isinstance(inputs.cube, Path) else None
+    comments = json.loads(opened.attrs.get("envi_comments", "{}"))
+    for source, pairs in (
+        ("settings.txt", settings and read_settings(settings)),
+        ("header comments", comments),
+    ):
+        try:
+            value = exposure_seconds(pairs or {}, f"{path.name}: {source}")
+        except FormatError:
+            if given is None:
+                raise
+            continue
+        if value is not None:
+            said[source] = value
+    stated = ", ".join(f"{source} {value * 1e3:g} ms" for source, value in said.items())
+    if given is not None:
+        if any(not np.allclose(given, value, rtol=1e-6, atol=0) for value in said.values()):
+            message = f"exposure_time {given.flat[0] * 1e3:g} ms is used; {stated}"
+            warnings.warn(f"{path.name}: {message}", PaintWarning, stacklevel=4)
+        return given, "given"
+    if said:
+        source, value = next(iter(said.items()))
+        if len(set(said.values())) > 1:
+            warnings.warn(f"{path.name}: {stated}; the first is used", PaintWarning, stacklevel=4)
+        return np.array(value), source
+    # an unread header is another problem, not a missing exposure
+    if required and opened.sizes:
+        msg = (
+            f"{path.name}: no exposure in settings.txt beside the cube nor in the header's comments;"
+            " give exposure_time [s] (exposure_time_ms in collect.toml)"
+        )
+        raise SchemaError(msg)
+    return None, ""
+
+
+# --- calibration -------------------------------------------------------------------------------------------
+
+
+def _calibration(inputs: FlightlineInputs, cube: xr.DataArray | None, *, required: bool) -> xr.Dataset | None:
+    if isinstance(inputs.calibration, Unavailable):
+        return None
+    if inputs.calibration is None:
+        if required:
+            msg = f"{_path_of(inputs).name}: no calibration; raw counts need one (calibration=)"
+            raise SchemaError(msg)
+        if cube is not None and "wavelength" not in cube.coords:
+            msg = (
+                f"{_path_of(inputs).name}: no wavelengths in the header; give the calibration of this camera"
+            )
+            raise SchemaError(msg)
+        return None
+    calibration = open_calibration(inputs.calibration)
+    if cube is not None:
+        gain = calibration["radiance_gain"]
+        expected = {dim: cube.sizes[dim] for dim in gain.dims}
+        if dict(gain.sizes) != expected:
+            msg = (
+                f"{_path_of(inputs).name} has {_shape(expected)}, the calibration {_shape(gain.sizes)};"
+                " give the calibration of this camera and binning"
+            )
+            raise SchemaError(msg)
+    return calibration
+
+
+def _shape(sizes: Mapping[Any, int]) -> str:
+    return f"{sizes[BAND]} bands x {sizes[CROSS_TRACK]} columns"
+
+
+def _calibration_parts(calibration: xr.Dataset | None, is_counts: bool) -> dict[str, xr.DataArray]:
+    """Return what a line keeps of its calibration; of a radiance cube's, the line shape only."""
+    if calibration is None:
+        return {}
+    left = {"dark_counts", "dark_exposure_time", "saturation_count"}
+    kept = [name for name in map(str, calibration.data_vars) if name not in left]
+    if not is_counts:
+        kept = [name for name in kept if name == "srf"]
+    return {name: calibration[name].reset_coords(drop=True) for name in kept}
+
+
+def _saturation(inputs: FlightlineInputs, calibration: xr.Dataset | None) -> xr.DataArray:
+    import xarray as xr
+
+    given = inputs.saturation_count
+    if given is None and calibration is not None and "saturation_count" in calibration:
+        return calibration["saturation_count"].reset_coords(drop=True)
+    if given is None:
+        if not 1 <= inputs.bit_depth <= 16:
+            msg = f"bit_depth {inputs.bit_depth}, expected 1 to 16"
+            raise SchemaError(msg)
+        given = 2**inputs.bit_depth - 1
+    if not 0 < given <= 65535:
+        msg = f"saturation_count {given}, expected a count up to 65535"
+        raise SchemaError(msg)
+    return label(xr.DataArray(np.float32(given)), "saturation_count")
+
+
+# --- coordinates -------------------------------------------------------------------------------------------
+
+
+def _coordinates(
+    opened: xr.Dataset, calibration: xr.Dataset | None, times: LineTimes, inputs: FlightlineInputs, path: Path
+) -> dict[str, xr.DataArray]:
+    import xarray as xr
+
+    made: dict[str, xr.DataArray] = {}
+    for source in (opened, calibration):
+        for name in ("wavelength", "fwhm", "good", "wavelength_shift", "srf_offset"):
+            if source is not None and name in source.coords:
+                array = source.coords[name].reset_coords(drop=True)
+                if name == "good" and name in made:
+                    array = array & made[name]
+                made[name] = label(array, name)
+    if "fwhm" not in made and inputs.fwhm_nm is not None:
+        made["fwhm"] = label(xr.DataArray(np.full(opened.sizes[BAND], inputs.fwhm_nm), dims=BAND), "fwhm")
+    if calibration is not None and "wavelength" in opened.coords:
+        apart = float(np.abs(opened["wavelength"].values - calibration["wavelength"].values).max())
+        if apart > _WAVELENGTH_TOLERANCE:
+            message = f"wavelengths of header and calibration are up to {apart:.3g} nm apart"
+            warnings.warn(
+                f"{path.name}: {message}; those of the calibration are used", PaintWarning, stacklevel=4
+            )
+    along = {"time": times.time, "frame": times.frame, **times.place}
+    made |= {name: label(xr.DataArray(values, dims=ALONG_TRACK), name) for name, values in along.items()}
+    return made
+
+
+# --- irradiance --------------------------------------------------------------------------------------------
+
+
+def _irradiance(inputs: FlightlineInputs, times: LineTimes | None) -> xr.Dataset | None:
+    import xarray as xr
+
+    source = inputs.irradiance
+    if source is None or isinstance(source, Unavailable):
+        return None
+    if not isinstance(source, xr.Dataset):
+        from .irradiance import open_irradiance
+
+        source = open_irradiance(source)
+    return source if times is None else cut_irradiance(source, times.time)

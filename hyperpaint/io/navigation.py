@@ -1,0 +1,537 @@
+"""Navigation records: where the camera was, how it was turned, and what UTC its clocks showed.
+
+``imu_gps.txt`` is read by its header names (three generations of the program), ``gps_time.txt`` ties the
+recording computer's clock to the receiver's. Offsets and leap seconds are data: nothing is corrected that the
+caller did not say.
+"""
+
+from __future__ import annotations
+
+import re
+import warnings
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+
+from hyperpaint.errors import FormatError, PaintWarning, Problems, TimeError
+
+from .headwall import (
+    FrameIndex,
+    Table,
+    check_increasing,
+    name_rows,
+    read_table,
+    read_text,
+    time_of_day,
+    to_integers,
+)
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+__all__ = [
+    "LEAP_SECONDS",
+    "LEAP_SECONDS_EXPIRY",
+    "Clock",
+    "ClockCorrection",
+    "Navigation",
+    "gps_to_utc",
+    "read_gps_time",
+    "read_imu_gps",
+]
+
+LEAP_SECONDS: Mapping[str, int] = {
+    "1980-01-06": 0, "1981-07-01": 1, "1982-07-01": 2, "1983-07-01": 3, "1985-07-01": 4, "1988-01-01": 5,
+    "1990-01-01": 6, "1991-01-01": 7, "1992-07-01": 8, "1993-07-01": 9, "1994-07-01": 10, "1996-01-01": 11,
+    "1997-07-01": 12, "1999-01-01": 13, "2006-01-01": 14, "2009-01-01": 15, "2012-07-01": 16,
+    "2015-07-01": 17, "2017-01-01": 18,
+}  # fmt: skip
+"""GPS time minus UTC [s] from 0 h UTC of a day on (IERS ``leap-seconds.list``: TAI - UTC less 19 s)."""
+
+LEAP_SECONDS_EXPIRY = "2026-06-28"
+"""Day until which the IERS has promised `LEAP_SECONDS`; later times get the last value, with a warning."""
+
+_NS_PER_S = 1_000_000_000
+_NS_PER_US = 1000
+_LARGEST_OFFSET = 1e9
+_DAY = 86_400_000_000  # us
+_CLOCK_STEP = 200 * 1_000_000  # ns: no two clocks drift this far apart between neighbouring rows
+_MONTHS = ("jan", "feb", "mar", "apr", "may", "jun", "jul", "aug", "sep", "oct", "nov", "dec")
+_DATE_TIME = re.compile(
+    r"([0-9]{4})[-/]([0-9]{1,2}|[A-Za-z]{3})[-/]([0-9]{1,2})[ T]+"
+    r"([0-9]{1,2}):([0-9]{2}):([0-9]{2})(?:\.([0-9]{1,9}))?Z?"
+)
+_NAT = np.iinfo(np.int64).min
+#: Name in the file to name in a flight line, and the largest magnitude that is an angle or height at all.
+_COLUMNS = {
+    "lat": ("latitude", 90.0),
+    "lon": ("longitude", 360.0),
+    "alt": ("altitude", 1e5),
+    "roll": ("roll", 360.0),
+    "pitch": ("pitch", 360.0),
+    "yaw": ("heading", 360.0),
+}
+_ATTITUDE = ("roll", "pitch", "heading")
+_CLOCK_COLUMNS = ("timestamp", "systemtime", "gps_utc")
+_UTC_COLUMN = "gps_utc_date&time"
+
+
+# --- clocks ------------------------------------------------------------------------------------------------
+
+
+def gps_to_utc(gps: NDArray[np.int64], leap_seconds: int | None = None) -> NDArray[np.int64]:
+    """Turn GPS time into UTC.
+
+    Parameters
+    ----------
+    gps
+        Nanoseconds since 1970-01-01 as a GPS clock shows them, any shape.
+    leap_seconds
+        GPS minus UTC [s]; by default from `LEAP_SECONDS`.
+
+    Warns
+    -----
+    PaintWarning
+        Times beyond `LEAP_SECONDS_EXPIRY`, ``leap_seconds`` not given.
+
+    Raises
+    ------
+    TimeError
+        Times before GPS time began.
+
+    Examples
+    --------
+    >>> shown = np.array(["2024-06-01T12:00:18"], "datetime64[ns]").astype("int64")
+    >>> gps_to_utc(shown).astype("datetime64[ns]").astype("datetime64[s]")
+    array(['2024-06-01T12:00:00'], dtype='datetime64[s]')
+    """
+    if leap_seconds is not None:
+        return gps - leap_seconds * _NS_PER_S
+    offsets = np.array(list(LEAP_SECONDS.values()), np.int64)
+    days = np.array(list(LEAP_SECONDS), "datetime64[ns]").astype(np.int64)
+    place = np.searchsorted(days + offsets * _NS_PER_S, gps, side="right") - 1
+    if np.any(place < 0):
+        msg = "times before 1980-01-06, when GPS time began; is this clock GPS time?"
+        raise TimeError(msg)
+    expiry = np.datetime64(LEAP_SECONDS_EXPIRY, "ns").astype(np.int64)
+    if np.any(gps > expiry):
+        warnings.warn(
+            f"the table of leap seconds is promised until {LEAP_SECONDS_EXPIRY}; {offsets[-1]} s is used for"
+            " later times: check, and give gps_leap_seconds",
+            PaintWarning,
+            stacklevel=2,
+        )
+    utc: NDArray[np.int64] = gps - offsets[place] * _NS_PER_S
+    return utc
+
+
+@dataclass(frozen=True)
+class ClockCorrection:
+    """How the time stamps of a navigation record become UTC.
+
+    Attributes
+    ----------
+    offset_s
+        UTC = stamp + ``offset_s`` [s].
+    time_scale
+        What the stamps count: ``"utc"``, or ``"gps"``, from which leap seconds are taken.
+    leap_seconds
+        GPS minus UTC [s] where `LEAP_SECONDS` is not to be used.
+    """
+
+    offset_s: float = 0.0
+    time_scale: Literal["utc", "gps"] = "utc"
+    leap_seconds: int | None = None
+
+    def __post_init__(self) -> None:
+        if not abs(self.offset_s) <= _LARGEST_OFFSET:
+            msg = f"a clock offset of {self.offset_s} s; expected at most {_LARGEST_OFFSET:g} s either way"
+            raise TimeError(msg)
+        if self.time_scale not in ("utc", "gps"):
+            msg = f"time_scale {self.time_scale!r}, expected 'utc' or 'gps'"
+            raise TimeError(msg)
+
+    def apply(self, stamp: NDArray[np.int64]) -> NDArray[np.int64]:
+        """Return UTC in nanoseconds since 1970-01-01."""
+        if self.time_scale == "gps":
+            stamp = gps_to_utc(stamp, self.leap_seconds)
+        return stamp + round(self.offset_s * _NS_PER_S)
+
+
+@dataclass(frozen=True)
+class Clock:
+    """A clock tied to UTC at knots, straight between them.
+
+    Attributes
+    ----------
+    stamp
+        Microseconds of the clock, strictly increasing, (knot,).
+    utc
+        Nanoseconds since 1970-01-01, strictly increasing, (knot,).
+    source
+        Says where the knots come from.
+    daily
+        The stamps are times of day, so that one past midnight may be a day early or late.
+    """
+
+    stamp: NDArray[np.int64]
+    utc: NDArray[np.int64]
+    source: str
+    daily: bool = False
+
+    def at(self, stamp: NDArray[np.int64]) -> NDArray[np.datetime64]:
+        """Return UTC [datetime64[ns]] at stamps, NaT before the first and after the last knot."""
+        if self.daily:
+            fits = (d for d in (0, _DAY, -_DAY) if _overlap(stamp + d, self.stamp))
+            stamp = stamp + next(fits, 0)
+        place, weight, inside = _bracket(self.stamp, stamp)
+        after = np.minimum(place + 1, len(self.utc) - 1)
+        step = (self.utc[after] - self.utc[place]).astype(np.float64)
+        utc = self.utc[place] + np.round(weight * step).astype(np.int64)
+        return np.where(inside, utc, _NAT).astype("datetime64[ns]")
+
+
+def _overlap(one: NDArray[np.int64], other: NDArray[np.int64]) -> bool:
+    return bool(one.min() <= other.max() and one.max() >= other.min())
+
+
+def _bracket(
+    knots: NDArray[np.int64], at: NDArray[np.int64]
+) -> tuple[NDArray[np.intp], NDArray[np.float64], NDArray[np.bool_]]:
+    """Return the knot before, the weight of the knot after, and what lies inside the knots."""
+    inside = (at >= knots[0]) & (at <= knots[-1])
+    place = np.clip(np.searchsorted(knots, at, side="right") - 1, 0, max(len(knots) - 2, 0))
+    after = np.minimum(place + 1, len(knots) - 1)
+    # differences of int64 first: an absolute time in float64 would lose 100 ns
+    width = np.maximum(knots[after] - knots[place], 1)
+    weight = np.where(inside, at - knots[place], 0) / width
+    return place, weight, inside
+
+
+def _tie(
+    stamp: NDArray[np.int64],
+    utc: NDArray[np.int64],
+    rows: NDArray[np.int64],
+    source: str,
+    *,
+    daily: bool = False,
+) -> Clock:
+    """Make a clock of rows, after checking that its stamps and UTC run together."""
+    check_increasing(stamp, rows, source)
+    backwards = rows[1:][np.diff(utc) < 0]
+    if backwards.size:
+        msg = f"{source}: UTC runs backwards in {name_rows(backwards)}; delete or re-order these rows"
+        raise TimeError(msg)
+    # a receiver slower than the log repeats its time: a new value counts from its first row
+    first = np.concatenate([[True], np.diff(utc) > 0])
+    stamp, utc, rows = stamp[first], utc[first], rows[first]
+    drift = np.diff(utc).astype(np.float64) - np.diff(stamp).astype(np.float64) * _NS_PER_US
+    steps = np.flatnonzero(np.abs(drift) > _CLOCK_STEP)
+    if steps.size:
+        msg = (
+            f"{source}: UTC steps by {drift[steps[0]] / _NS_PER_S:+.3f} s against the clock of the stamps in"
+            f" {name_rows(rows[steps + 1])} (a receiver that learnt its leap seconds?); cut the record there"
+        )
+        raise TimeError(msg)
+    return Clock(stamp, utc, source, daily)
+
+
+# --- imu_gps.txt -------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Navigation:
+    """One navigation record.
+
+    Attributes
+    ----------
+    name
+        File name, for messages.
+    rows
+        Line of the file of each row.
+    stamps
+        Clock column (lower case) to microseconds, (row,); ``"time of day"`` counts from midnight of the first
+        row's day.
+    utc
+        UTC, nanoseconds since 1970-01-01, (row,); None where the file holds no date.
+    values
+        ``latitude longitude altitude roll pitch heading`` [degree, m], (row,); NaN where unknown.
+    """
+
+    name: str
+    rows: NDArray[np.int64]
+    stamps: Mapping[str, NDArray[np.int64]]
+    utc: NDArray[np.int64] | None
+    values: Mapping[str, NDArray[np.float64]] = field(repr=False)
+
+    def clock_for(self, index: FrameIndex) -> Clock:
+        """Return the clock of the frame index, tied to UTC by this record.
+
+        Raises
+        ------
+        TimeError
+            The record holds no UTC or no such clock, its stamps repeat or run backwards, its clocks step
+            against each other, or it does not overlap the frame index.
+        """
+        wanted = _CLOCK_COLUMNS if index.clock == "instrument" else ("time of day",)
+        spans: list[str] = []
+        for column in wanted:
+            stamp = self.stamps.get(column)
+            if stamp is None or self.utc is None:
+                continue
+            daily = column == "time of day"
+            if not daily and not _overlap(index.stamp, stamp):
+                spans.append(f"{column} {stamp.min()} to {stamp.max()}")
+                continue
+            return _tie(stamp, self.utc, self.rows, f"{self.name}: {column}", daily=daily)
+        held = "; ".join(spans) or f"columns {sorted(self.stamps)}, {'no ' if self.utc is None else ''}UTC"
+        msg = (
+            f"{index.name} counts {index.clock} {index.stamp[0]} to {index.stamp[-1]} us, which"
+            f" {self.name} does not cover ({held}); give the navigation of this flight, or gps_time or date"
+        )
+        raise TimeError(msg)
+
+    def dated_by(self, clock: Clock) -> Navigation:
+        """Return the record with UTC from a clock of the recording computer; rows outside it are dropped."""
+        stamp = self.stamps.get("time of day")
+        if self.utc is not None or stamp is None:
+            return self
+        check_increasing(stamp, self.rows, f"{self.name}: column 'time'")
+        utc = clock.at(stamp).astype(np.int64)
+        return replace(self, utc=utc)._where(utc != _NAT)
+
+    def _where(self, keep: NDArray[np.bool_]) -> Navigation:
+        return Navigation(
+            self.name,
+            self.rows[keep],
+            {name: stamp[keep] for name, stamp in self.stamps.items()},
+            None if self.utc is None else self.utc[keep],
+            {name: value[keep] for name, value in self.values.items()},
+        )
+
+    def at(
+        self, time: NDArray[np.datetime64], max_gap_s: float | None = None
+    ) -> dict[str, NDArray[np.float64]]:
+        """Return position and attitude at times, linear between rows.
+
+        Parameters
+        ----------
+        time
+            UTC [datetime64[ns]], NaT allowed, (along_track,).
+        max_gap_s
+            Longest interval [s] that is interpolated; by default 2.5 times the median one, at least 0.1 s.
+
+        Returns
+        -------
+        dict of (along_track,) float64
+            The names of `values`; NaN in gaps, outside the record and at NaT.
+
+        Raises
+        ------
+        TimeError
+            The record has no UTC, or it runs backwards.
+        """
+        if self.utc is None:
+            msg = f"{self.name} holds no UTC; give gps_time, or date and clock_offset_s"
+            raise TimeError(msg)
+        if np.any(np.diff(self.utc) < 0):
+            rows = self.rows[1:][np.diff(self.utc) < 0]
+            msg = f"{self.name}: UTC runs backwards in {name_rows(rows)}; delete or re-order these rows"
+            raise TimeError(msg)
+        new = np.concatenate([[True], np.diff(self.utc) > 0])
+        knots = self.utc[new]
+        place, weight, inside = _bracket(knots, time.astype("datetime64[ns]").astype(np.int64))
+        after = np.minimum(place + 1, len(knots) - 1)
+        steps = np.diff(knots) / _NS_PER_S
+        gap = max_gap_s or max(2.5 * float(np.median(steps)) if steps.size else 0.0, 0.1)
+        known = inside & ((knots[after] - knots[place]) / _NS_PER_S <= gap)
+        made: dict[str, NDArray[np.float64]] = {}
+        for name, value in self.values.items():
+            before = value[new][place]
+            step = value[new][after] - before
+            if name in ("heading", "longitude"):
+                step = (step + 180.0) % 360.0 - 180.0  # the short way round
+            result = before + weight * step
+            if name == "heading":
+                result %= 360.0
+            elif name == "longitude":
+                result = (result + 180.0) % 360.0 - 180.0
+            made[name] = np.where(known, result, np.nan)
+        return made
+
+
+def read_imu_gps(path: str | Path, correction: ClockCorrection | None = None) -> Navigation:
+    """Read ``imu_gps.txt``, whichever of its three generations it is.
+
+    All have ``Roll Pitch Yaw Lat Lon Alt`` [degree, m]; the clock is ``Timestamp`` in microseconds with
+    ``Gps_UTC_Date&Time``, or ``Time`` of the recording computer, or ``SystemTime`` and ``GPS_UTC`` with a
+    date that spells its month. ``heading`` is ``Yaw``, which belongs to roll and pitch; what the column
+    ``Heading`` means is not published. Rows before the inertial system has aligned (``Roll`` exactly 0) have
+    no attitude, and are dropped where their date is not yet that of the others.
+
+    Parameters
+    ----------
+    path
+        The file.
+    correction
+        How ``Gps_UTC_Date&Time`` becomes UTC; by default it is UTC.
+
+    Raises
+    ------
+    FormatError
+        Binary (some systems write another log under this name), without the columns, or cells that are not
+        numbers, angles or dates.
+    """
+    table = read_table(path, "navigation record", needs=list(_COLUMNS))
+    problems = Problems(f"{path} cannot be used as navigation", FormatError)
+    values = {name: _numbers(table, column, limit, problems) for column, (name, limit) in _COLUMNS.items()}
+    problems.raise_if_any()
+    unaligned = np.cumsum(values["roll"] != 0.0) == 0
+    nowhere = (values["latitude"] == 0.0) & (values["longitude"] == 0.0)
+    for name in _ATTITUDE:
+        values[name][unaligned] = np.nan
+    for name in ("latitude", "longitude", "altitude"):
+        values[name][nowhere] = np.nan
+    utc = None
+    if _UTC_COLUMN in table.columns:
+        utc = _dates(table, _UTC_COLUMN, unaligned)
+    record = Navigation(table.name, table.rows, _stamps(table), utc=None, values=values)
+    if unaligned.all():
+        warnings.warn(
+            f"{path}: Roll is 0 throughout, the inertial system never aligned: no attitude",
+            PaintWarning,
+            stacklevel=2,
+        )
+    if utc is None:
+        return record
+    keep = _dated(utc, next(iter(record.stamps.values()), None), unaligned)
+    if not keep.any():
+        msg = f"{path}: no row with a date"
+        raise FormatError(msg)
+    return replace(
+        record, utc=(correction or ClockCorrection()).apply(np.where(keep, utc, utc[keep][0]))
+    )._where(keep)
+
+
+def _numbers(table: Table, column: str, limit: float, problems: Problems) -> NDArray[np.float64]:
+    cells = table.columns[column]
+    made = np.full(len(cells), np.nan)
+    wrong: list[int] = []
+    for place, cell in enumerate(cells):
+        try:
+            made[place] = float(cell) if "_" not in cell else np.inf
+        except ValueError:
+            made[place] = np.inf
+        if abs(made[place]) > limit:
+            wrong.append(int(table.rows[place]))
+    if wrong:
+        problems.add(f"column {column!r} is not a number within {limit:g} in {name_rows(wrong)}")
+    return made
+
+
+def _dates(table: Table, column: str, unaligned: NDArray[np.bool_]) -> NDArray[np.int64]:
+    """Return nanoseconds since 1970-01-01, the least int64 where an unaligned row has no date."""
+    texts: list[str] = []
+    wrong: list[int] = []
+    for place, cell in enumerate(table.columns[column]):
+        text = _iso(cell)
+        texts.append(text)
+        if text == "NaT" and not unaligned[place]:
+            wrong.append(int(table.rows[place]))
+    if wrong:
+        msg = f"{table.name}: column {column!r} is not like '2021/07/23 12:34:56.789' in {name_rows(wrong)}"
+        raise FormatError(msg)
+    return np.array(texts, "datetime64[ns]").astype(np.int64)
+
+
+def _iso(cell: str) -> str:
+    match = _DATE_TIME.fullmatch(cell.strip())
+    if match is None:
+        return "NaT"
+    year, month, day, hour, minute, second, fraction = match.groups()
+    if not month.isdigit():
+        if month.lower() not in _MONTHS:
+            return "NaT"
+        month = str(_MONTHS.index(month.lower()) + 1)
+    text = f"{year}-{month:0>2}-{day:0>2}T{hour:0>2}:{minute}:{second}.{fraction or '0'}"
+    # beyond these years nanoseconds overflow, and a receiver without a fix shows its epoch
+    if not 1980 <= int(year) <= 2200:
+        return "NaT"
+    try:
+        np.datetime64(text, "ns")
+    except ValueError:  # the 31st of a shorter month, the 25th hour
+        return "NaT"
+    return text
+
+
+def _stamps(table: Table) -> dict[str, NDArray[np.int64]]:
+    made: dict[str, NDArray[np.int64]] = {}
+    for column in _CLOCK_COLUMNS:
+        if column not in table.columns:
+            continue
+        try:
+            made[column] = to_integers(table, column)
+        except FormatError:
+            if column == "timestamp":
+                raise
+            # of SystemTime and GPS_UTC either may be no count of microseconds
+    if "time" in table.columns:
+        made["time of day"] = time_of_day(table, "time")[0]
+    return made
+
+
+def _dated(
+    utc: NDArray[np.int64], stamp: NDArray[np.int64] | None, unaligned: NDArray[np.bool_]
+) -> NDArray[np.bool_]:
+    """Tell which rows have a date; of unaligned ones, a date that agrees with those of the aligned."""
+    dated: NDArray[np.bool_] = np.not_equal(utc, _NAT)
+    aligned = dated & ~unaligned
+    if stamp is None or not aligned.any():
+        return dated
+    offset = utc / 1e9 - stamp / 1e6
+    agrees = np.abs(offset - np.median(offset[aligned])) < 1.0
+    kept: NDArray[np.bool_] = dated & (agrees | ~unaligned)
+    return kept
+
+
+# --- gps_time.txt ------------------------------------------------------------------------------------------
+
+
+def read_gps_time(path: str | Path, correction: ClockCorrection | None = None) -> Clock:
+    """Read ``gps_time.txt``, which ties the recording computer's time of day to the receiver's date and time.
+
+    Parameters
+    ----------
+    path
+        The file: ``HH:MM:SS <microseconds>``, a tab, date and time. A first line that is neither is taken
+        for a header.
+    correction
+        How the receiver's stamps become UTC; by default they are UTC.
+
+    Raises
+    ------
+    FormatError
+        Binary, or rows that are not such pairs.
+    TimeError
+        Stamps repeat or run backwards, or the two clocks step against each other.
+    """
+    path = Path(path)
+    lines = [(number, line) for number, line in enumerate(read_text(path).split("\n"), 1) if line.strip()]
+    if lines and _iso(lines[0][1].partition("\t")[2]) == "NaT":
+        del lines[0]
+    if not lines:
+        msg = f"{path}: no rows of computer time, tab, receiver date and time"
+        raise FormatError(msg)
+    rows = np.array([number for number, _ in lines], np.int64)
+    pairs = [line.split("\t") for _, line in lines]
+    wrong = [int(row) for row, pair in zip(rows, pairs, strict=True) if len(pair) < 2]
+    if wrong:
+        msg = f"{path}: {name_rows(wrong)} without a tab between computer time and receiver time"
+        raise FormatError(msg)
+    table = Table(path.name, rows, {"pc": [pair[0] for pair in pairs], "pos": [pair[1] for pair in pairs]})
+    utc = _dates(table, "pos", np.zeros(len(rows), bool))
+    utc = (correction or ClockCorrection()).apply(utc)
+    return _tie(time_of_day(table, "pc")[0], utc, rows, path.name, daily=True)

@@ -1,0 +1,218 @@
+"""Arrays to storage chunks and checksums, one dask block at a time."""
+
+from __future__ import annotations
+
+import contextlib
+import itertools
+import os
+import uuid
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from .layout import encode_chunk, storage_chunks
+from .record import checksum
+
+if TYPE_CHECKING:
+    import dask.array as da
+    import numpy as np
+    import xarray as xr
+
+__all__ = ["Target", "compute", "is_streamed", "lazy_checksums", "placeholder", "region"]
+
+
+@dataclass(frozen=True)
+class Target:
+    """A Zarr array that blocks are written to; pickles small, for processes and clusters.
+
+    Attributes
+    ----------
+    array
+        The Zarr array.
+    folder
+        Its folder on a local disk: chunks are then encoded and written without zarr's event loop.
+    chunk
+        Storage chunk.
+    fill
+        Fills what an edge chunk lacks.
+    """
+
+    array: Any
+    folder: Path | None
+    chunk: tuple[int, ...]
+    fill: Any
+
+    def write(self, block: np.ndarray[Any, Any], offset: tuple[int, ...]) -> np.ndarray[Any, Any]:
+        """Write a block that starts at the storage chunk ``offset``; return each chunk's checksum.
+
+        Parameters
+        ----------
+        block
+            Whole storage chunks, but at the far edges of the array.
+        offset
+            Position of the first chunk in the grid.
+
+        Returns
+        -------
+        numpy.ndarray of uint32
+            One checksum a chunk, in the shape of the grid.
+        """
+        import numpy as np
+
+        block = _as_stored(block, self.array.dtype)
+        grid = tuple(-(-size // step) for size, step in zip(block.shape, self.chunk, strict=True))
+        sums = np.empty(grid, dtype=np.uint32)
+        for index in np.ndindex(grid):
+            piece = np.ascontiguousarray(block[region(index, self.chunk, block.shape)])
+            sums[index] = checksum(piece)
+            position = tuple(first + step for first, step in zip(offset, index, strict=True))
+            if self.folder is None:
+                self.array[region(position, self.chunk, self.array.shape)] = piece
+            else:
+                self._write_file(piece, position)
+        return sums
+
+    def _write_file(self, piece: np.ndarray[Any, Any], position: tuple[int, ...]) -> None:
+        assert self.folder is not None
+        path = self.folder / self.array.metadata.encode_chunk_key(position)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        # a scheduler may run a task twice at once: each writes its own file, the last rename stands
+        temporary = path.with_name(f".{path.name}.{uuid.uuid4().hex}")
+        with open(temporary, "wb") as file:
+            file.writelines(encode_chunk(piece, self.chunk, self.fill))
+        os.replace(temporary, path)
+
+
+class _Slabs:
+    """An array in memory or in a file, as dask slices it: by block, inside the task, without copies."""
+
+    def __init__(self, variable: xr.Variable) -> None:
+        self.variable = variable
+        self.shape, self.dtype, self.ndim = variable.shape, variable.dtype, variable.ndim
+
+    def __getitem__(self, key: Any) -> np.ndarray[Any, Any]:
+        import numpy as np
+
+        return np.asarray(self.variable[key].values)
+
+
+def region(index: tuple[int, ...], chunk: tuple[int, ...], shape: tuple[int, ...]) -> tuple[slice, ...]:
+    """Return the part of an array that one storage chunk holds.
+
+    Examples
+    --------
+    >>> region((1, 0), (32, 5), (40, 5))
+    (slice(32, 40, None), slice(0, 5, None))
+    """
+    return tuple(
+        slice(i * step, min((i + 1) * step, size)) for i, step, size in zip(index, chunk, shape, strict=True)
+    )
+
+
+def is_streamed(variable: xr.Variable) -> bool:
+    """Tell whether a variable is written block by block; the others are small and written by xarray."""
+    import dask
+
+    if variable.dtype.kind not in "biufcmM" or not variable.ndim or not variable.size:
+        return False
+    chunk = storage_chunks(variable.dims, variable.shape, variable.dtype.itemsize)
+    return dask.is_dask_collection(variable) or chunk != variable.shape
+
+
+def placeholder(variable: xr.Variable) -> xr.Variable:
+    """Return a variable of the same form, from which xarray makes the metadata; it is never computed."""
+    import dask.array as da
+
+    return variable.copy(data=da.zeros(variable.shape, dtype=variable.dtype, chunks=-1))
+
+
+def lazy_checksums(variable: xr.Variable, target: Target) -> da.Array:
+    """Return the checksums of a variable's chunks; to compute them is to store the variable."""
+    import dask
+    import dask.array as da
+    import numpy as np
+
+    data = variable.data if dask.is_dask_collection(variable) else _sliced(variable, target.chunk)
+    offsets = tuple(
+        tuple(start // step for start in itertools.accumulate((0, *sizes[:-1])))
+        for sizes, step in zip(data.chunks, target.chunk, strict=True)
+    )
+    grid = tuple(
+        tuple(-(-size // step) for size in sizes)
+        for sizes, step in zip(data.chunks, target.chunk, strict=True)
+    )
+    return da.map_blocks(
+        _store_block,
+        data,
+        target=target,
+        offsets=offsets,
+        chunks=grid,
+        dtype=np.uint32,
+        meta=np.empty((0,) * data.ndim, dtype=np.uint32),
+        name=f"store-{uuid.uuid4().hex}",
+    )
+
+
+def _sliced(variable: xr.Variable, chunk: tuple[int, ...]) -> da.Array:
+    import dask.array as da
+    import numpy as np
+
+    return da.from_array(
+        _Slabs(variable),
+        chunks=chunk,
+        name=f"slabs-{uuid.uuid4().hex}",
+        asarray=False,
+        meta=np.empty((0,) * variable.ndim, dtype=variable.dtype),
+    )
+
+
+def _store_block(
+    block: np.ndarray[Any, Any],
+    target: Target,
+    offsets: tuple[tuple[int, ...], ...],
+    block_id: tuple[int, ...] = (),
+) -> np.ndarray[Any, Any]:
+    return target.write(block, tuple(starts[i] for starts, i in zip(offsets, block_id, strict=True)))
+
+
+def _as_stored(block: np.ndarray[Any, Any], dtype: np.dtype[Any]) -> np.ndarray[Any, Any]:
+    """Return a block in the dtype on disk: times as int64 nanoseconds."""
+    import numpy as np
+
+    if block.dtype.kind in "mM":
+        return block.astype(f"{block.dtype.kind}8[ns]", copy=False).view(np.int64)
+    if block.dtype.newbyteorder("=") != dtype.newbyteorder("="):
+        msg = f"a block came as {block.dtype}, declared was {dtype}"
+        raise TypeError(msg)
+    return block.astype(dtype.newbyteorder("<"), copy=False)
+
+
+def compute(lazy: Mapping[str, da.Array], *, progress: bool) -> dict[str, np.ndarray[Any, Any]]:
+    """Compute together what is lazy, so that what two arrays share is computed once.
+
+    Parameters
+    ----------
+    lazy
+        Name to checksums.
+    progress
+        Show a bar: dask's own, or that of the cluster where a client is the default scheduler.
+    """
+    import dask
+    from dask.base import get_scheduler
+
+    if not lazy:
+        return {}
+    client = getattr(get_scheduler(), "__self__", None)
+    if progress and client is not None and hasattr(client, "gather"):
+        from distributed import progress as show
+
+        futures = client.compute(list(lazy.values()))
+        show(futures)
+        return dict(zip(lazy, client.gather(futures), strict=True))
+    with contextlib.ExitStack() as stack:
+        if progress:
+            from dask.diagnostics import ProgressBar
+
+            stack.enter_context(ProgressBar())
+        return dict(zip(lazy, dask.compute(*lazy.values()), strict=True))

@@ -1,0 +1,286 @@
+"""Layout on disk: chunks, codec, fill values and encodings of every variable.
+
+One rule for every group, so that what `xarray.open_zarr` shows a user is what one task computes on:
+
+* an array along the flight (`along_track` and at least one more dim) is cut every 32 whole lines;
+* a map (`y`, `x`, ...) is cut in tiles of 128 x 128 cells, all bands;
+* anything else is one chunk, unless it is larger than 64 MiB.
+"""
+
+from __future__ import annotations
+
+import functools
+import itertools
+import math
+from collections.abc import Hashable, Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+from hyperpaint.errors import Problems, StoreError
+from hyperpaint.schema import ALONG_TRACK, CHUNK_LINES, TIME_UNITS
+
+if TYPE_CHECKING:
+    import numpy as np
+    import xarray as xr
+
+__all__ = ["encode_chunk", "encoding_of", "fill_value", "is_at_hand", "prepare", "regroup", "storage_chunks"]
+
+TILE = 128
+"""Cells along each side of a map tile: 18 MB of float32 at 272 bands."""
+
+LARGEST_SINGLE_CHUNK = 64 * 2**20
+"""Bytes of an array without lines that is still stored in one piece."""
+
+SPLIT_CHUNK = 16 * 2**20
+"""Bytes of the pieces of one that is not."""
+
+#: Sentinel of small integers: no 12- or 14-bit camera counts to it, and as quality it sets every flag.
+_INTEGER_FILL = 65535
+
+_CODEC = {"cname": "lz4", "clevel": 5}
+
+
+def storage_chunks(dims: Sequence[Hashable], shape: Sequence[int], itemsize: int) -> tuple[int, ...]:
+    """Return the storage chunk of an array.
+
+    Parameters
+    ----------
+    dims
+        Dim names.
+    shape
+        Sizes.
+    itemsize
+        Bytes of one sample.
+
+    Returns
+    -------
+    tuple of int
+        Chunk sizes, each at least 1.
+
+    Examples
+    --------
+    >>> storage_chunks(("along_track", "band", "cross_track"), (2000, 272, 640), 2)
+    (32, 272, 640)
+    >>> storage_chunks(("band", "cross_track"), (272, 640), 4)
+    (272, 640)
+    """
+    chunks = [max(1, size) for size in shape]
+    if ALONG_TRACK in dims and len(dims) > 1:
+        axis = dims.index(ALONG_TRACK)
+        chunks[axis] = min(chunks[axis], CHUNK_LINES)
+    elif "y" in dims and "x" in dims:
+        for name in ("y", "x"):
+            chunks[dims.index(name)] = min(chunks[dims.index(name)], TILE)
+    elif len(dims) > 1 and math.prod(chunks) * itemsize > LARGEST_SINGLE_CHUNK:
+        row = math.prod(chunks[1:]) * itemsize
+        chunks[0] = min(chunks[0], max(1, SPLIT_CHUNK // row))
+    return tuple(chunks)
+
+
+def regroup(pieces: Sequence[int], step: int) -> tuple[int, ...]:
+    """Return dask chunks along one dim that start at multiples of the storage chunk.
+
+    Borders move down to the next multiple of ``step``; those that meet become one. What is aligned already
+    comes back unchanged, so nothing is recomputed or moved without need.
+
+    Parameters
+    ----------
+    pieces
+        Dask chunks along the dim.
+    step
+        Storage chunk along the dim.
+
+    Returns
+    -------
+    tuple of int
+        Multiples of ``step``, but for the last.
+
+    Examples
+    --------
+    >>> regroup((50, 50, 20), 32)
+    (32, 64, 24)
+    >>> regroup((8,) * 9, 32)
+    (32, 32, 8)
+    """
+    size = sum(pieces)
+    if size == 0:
+        return tuple(pieces)
+    borders = {0, size}
+    border = 0
+    for piece in pieces:
+        border += piece
+        borders.add(border // step * step)
+    ordered = sorted(borders)
+    return tuple(after - before for before, after in itertools.pairwise(ordered))
+
+
+def fill_value(dtype: np.dtype[Any]) -> Any:
+    """Return what a missing chunk reads as: never a value that could be taken for data, where one exists.
+
+    NaN for floats, NaT for times, 65535 (or the largest number of a smaller type) for integers; booleans
+    and strings have no such value, for them `hyperpaint.verify` is the only protection.
+    """
+    import numpy as np
+
+    if dtype.kind in "fc":
+        return dtype.type(np.nan)
+    if dtype.kind in "mM":
+        return int(np.iinfo(np.int64).min)
+    if dtype.kind in "iu":
+        return min(_INTEGER_FILL, int(np.iinfo(dtype).max))
+    return False if dtype.kind == "b" else None
+
+
+def encoding_of(variable: xr.Variable) -> dict[str, Any]:
+    """Return the xarray encoding of a variable: chunks, codec, fill value, and units of time."""
+    from zarr.codecs import BloscCodec, Crc32cCodec
+
+    dtype = variable.dtype
+    typesize = dtype.itemsize if dtype.kind in "biufcmM" else 1
+    encoding: dict[str, Any] = {
+        "compressors": (BloscCodec(typesize=typesize, shuffle="bitshuffle", **_CODEC), Crc32cCodec()),
+        "write_empty_chunks": True,
+    }
+    if variable.ndim:
+        encoding["chunks"] = storage_chunks(variable.dims, variable.shape, typesize)
+    fill = fill_value(dtype)
+    if fill is not None:
+        encoding["fill_value"] = fill
+    if dtype.kind in "fc":
+        # NaN stands for itself: a `_FillValue` would only cost each reader one more pass
+        encoding["_FillValue"] = None
+    elif dtype.kind == "M":
+        encoding |= {"units": TIME_UNITS, "dtype": "int64"}
+    elif dtype.kind == "m":
+        encoding |= {"units": "nanoseconds", "dtype": "int64"}
+    return encoding
+
+
+def prepare(dataset: xr.Dataset, group: str) -> xr.Dataset:
+    """Return ``dataset`` as it will be stored: no stale encodings, strings as objects, aligned dask chunks.
+
+    Raises
+    ------
+    StoreError
+        Names, dtypes or attributes cannot be stored; all are listed.
+    """
+    problems = Problems(f"the dataset cannot be stored as group {'/' + group!r}", StoreError)
+    _check_attrs("the dataset", dataset.attrs, problems)
+    for name, variable in dataset.variables.items():
+        _check_name(name, problems)
+        _check_attrs(f"{name!r}", variable.attrs, problems)
+        if variable.dtype.kind not in "biufcmMUOT":
+            problems.add(f"{name!r} has dtype {variable.dtype}; expected numbers, booleans, times or text")
+        elif variable.dtype.kind == "O" and (wrong := _not_text(variable)):
+            problems.add(f"{name!r} holds Python objects ({wrong}); expected text, or a numeric dtype")
+    for name in sorted({str(index.dim) for index in dataset.xindexes.values() if _is_multi(index)}):
+        problems.add(f"{name!r} has a multi-index; call .reset_index({name!r}) first")
+    problems.raise_if_any()
+    prepared = dataset.drop_encoding()
+    changed = {name: _prepared(variable) for name, variable in prepared.variables.items()}
+    replaced = {name: new for name, new in changed.items() if new is not prepared.variables[name]}
+    return prepared.assign({n: v for n, v in replaced.items() if n not in prepared.coords}).assign_coords(
+        {n: v for n, v in replaced.items() if n in prepared.coords}
+    )
+
+
+def _prepared(variable: xr.Variable) -> xr.Variable:
+    import dask.array as da
+
+    if variable.dtype.kind in "UT":
+        # fixed-length text has no place in the Zarr v3 specification
+        return variable.astype(object)
+    if not is_at_hand(variable) or not isinstance(variable.data, da.Array) or not variable.size:
+        return variable
+    step = storage_chunks(variable.dims, variable.shape, variable.dtype.itemsize)
+    chunks = tuple(
+        regroup(pieces, each) if each < size else (size,)
+        for pieces, each, size in zip(variable.data.chunks, step, variable.shape, strict=True)
+    )
+    return variable if chunks == variable.data.chunks else variable.copy(data=variable.data.rechunk(chunks))
+
+
+def _is_multi(index: Any) -> bool:
+    import xarray as xr
+
+    return isinstance(index, xr.indexes.PandasMultiIndex)
+
+
+def is_at_hand(variable: xr.Variable) -> bool:
+    """Tell whether ``variable.data`` costs nothing: a lazy file-backed array would be read whole."""
+    import dask
+
+    return dask.is_dask_collection(variable) or bool(variable._in_memory)
+
+
+def _not_text(variable: xr.Variable) -> str | None:
+    import numpy as np
+
+    if not variable._in_memory:
+        return None
+    odd = {type(value).__name__ for value in np.ravel(variable.values) if not isinstance(value, str)}
+    return ", ".join(sorted(odd)) or None
+
+
+def _check_name(name: Hashable, problems: Problems) -> None:
+    if not isinstance(name, str) or not name or "/" in name or name.startswith((".", "__")):
+        problems.add(f"variable name {name!r}; expected text without '/' that starts with no '.' or '__'")
+
+
+def _check_attrs(owner: str, attrs: Mapping[Any, Any], problems: Problems) -> None:
+    for key, value in attrs.items():
+        if not isinstance(key, str) or not _is_plain(value):
+            kind = type(value).__name__
+            problems.add(
+                f"attribute {key!r} of {owner} is a {kind}; expected text, numbers, lists or dicts of them "
+                "(write times as ISO text)"
+            )
+
+
+def _is_plain(value: Any, depth: int = 0) -> bool:
+    import numpy as np
+
+    if value is None or isinstance(value, str | bool | int | float | np.bool | np.integer | np.floating):
+        return True
+    if isinstance(value, np.ndarray):
+        return value.dtype.kind in "biufU"
+    if depth > 20:
+        return False
+    if isinstance(value, Mapping):
+        return all(isinstance(k, str) and _is_plain(v, depth + 1) for k, v in value.items())
+    return isinstance(value, list | tuple) and all(_is_plain(v, depth + 1) for v in value)
+
+
+@functools.cache
+def _blosc(typesize: int) -> Any:
+    import numcodecs
+    from numcodecs.blosc import BITSHUFFLE, Blosc
+
+    # many tasks encode at once, one thread each
+    numcodecs.blosc.use_threads = False
+    return Blosc(shuffle=BITSHUFFLE, typesize=typesize, **_CODEC)
+
+
+def encode_chunk(block: np.ndarray[Any, Any], chunk: tuple[int, ...], fill: Any) -> tuple[bytes, bytes]:
+    """Return a storage chunk as its bytes on disk: blosc, then the crc32c that follows it.
+
+    The very bytes that zarr-python makes with the codecs of `encoding_of`, without its copies and its one
+    event loop, which cost as much again as the compression.
+
+    Parameters
+    ----------
+    block
+        The chunk, C-contiguous and little-endian; smaller than ``chunk`` at the far edge of an array.
+    chunk
+        Storage chunk.
+    fill
+        Fills what an edge chunk lacks.
+    """
+    import google_crc32c
+    import numpy as np
+
+    if block.shape != chunk:
+        padded = np.full(chunk, fill, dtype=block.dtype)
+        padded[tuple(slice(0, size) for size in block.shape)] = block
+        block = padded
+    encoded = _blosc(block.dtype.itemsize).encode(block)
+    return encoded, int(google_crc32c.value(encoded)).to_bytes(4, "little")

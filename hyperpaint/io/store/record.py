@@ -1,0 +1,197 @@
+"""The completion record of a group: what was stored, with a checksum for every chunk.
+
+Two parts. Every array has a file in its own folder with the checksums of its chunks (in an array's folder,
+since `zarr` warns of any file it does not know in a group's). The group has the attribute
+``hyperpaint_complete``, written last: the seal over all those files.
+
+Attributes travel with a Dataset into whatever is computed from it. The seal is therefore worth nothing
+without the files it seals: a half-written copy made by another program carries it, and is refused. Tools that
+copy files (cp, rsync, object-store sync) carry both.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+from hyperpaint.errors import IncompleteStoreError
+from hyperpaint.schema import FORMAT_VERSION
+
+from .location import Location
+
+if TYPE_CHECKING:
+    import numpy as np
+
+__all__ = [
+    "CHUNKS",
+    "COMPLETE",
+    "ArrayRecord",
+    "GroupRecord",
+    "attributes_checksum",
+    "checksum",
+    "metadata_checksum",
+    "read_record",
+]
+
+CHUNKS = "hyperpaint-chunks.json"
+"""File in an array's folder."""
+
+COMPLETE = "hyperpaint_complete"
+"""Attribute of a finished group."""
+
+_SEAL = re.compile(r"token=([0-9A-Za-z_-]{1,64}) chunks=([0-9a-f]{8}) attributes=([0-9a-f]{8})")
+
+
+@dataclass(frozen=True)
+class ArrayRecord:
+    """One array of a group.
+
+    Attributes
+    ----------
+    metadata
+        Checksum of its ``zarr.json``.
+    grid
+        Number of chunks along each dim.
+    chunks
+        crc32c of the decoded samples of every chunk, little-endian, in C order of the grid; what an edge
+        chunk holds beyond the array does not count.
+    """
+
+    metadata: int
+    grid: tuple[int, ...]
+    chunks: tuple[int, ...]
+
+    def to_document(self) -> dict[str, Any]:
+        """Return the content of the array's file."""
+        return {
+            "hyperpaint_format": FORMAT_VERSION,
+            "metadata": self.metadata,
+            "grid": list(self.grid),
+            "crc32c": list(self.chunks),
+        }
+
+    @classmethod
+    def from_document(cls, document: Mapping[str, Any]) -> ArrayRecord:
+        """Return the record that a parsed file holds; any of four errors where it holds none."""
+        if int(document["hyperpaint_format"]) > FORMAT_VERSION:
+            msg = f"format {document['hyperpaint_format']} is newer than {FORMAT_VERSION}; update hyperpaint"
+            raise ValueError(msg)
+        record = cls(
+            int(document["metadata"]),
+            tuple(map(int, document["grid"])),
+            tuple(map(int, document["crc32c"])),
+        )
+        if math.prod(record.grid) != len(record.chunks):
+            msg = f"a grid of {record.grid} chunks has {len(record.chunks)} checksums"
+            raise ValueError(msg)
+        return record
+
+
+@dataclass(frozen=True)
+class GroupRecord:
+    """The completion record of a group.
+
+    Attributes
+    ----------
+    token
+        Names inputs and parameters: equal tokens, equal content.
+    attributes
+        Checksum of the group's attributes, the seal left out.
+    arrays
+        Name to record.
+    """
+
+    token: str
+    attributes: int
+    arrays: Mapping[str, ArrayRecord] = field(default_factory=dict)
+
+    @property
+    def digest(self) -> int:
+        """Checksum over the records of all arrays."""
+        return metadata_checksum(
+            {name: metadata_checksum(array.to_document()) for name, array in self.arrays.items()}
+        )
+
+    @property
+    def seal(self) -> str:
+        """The attribute's value."""
+        return f"token={self.token} chunks={self.digest:08x} attributes={self.attributes:08x}"
+
+
+def read_record(location: Location, group: str) -> GroupRecord | None:
+    """Return the completion record of a group; None where it was never finished.
+
+    Raises
+    ------
+    IncompleteStoreError
+        The record is damaged or not of this group, or arrays are missing or were added.
+    """
+    node = location.metadata(group) or {}
+    seal = (node.get("attributes") or {}).get(COMPLETE)
+    if seal is None:
+        return None
+    where = f"group {'/' + group!r} of {location.url}"
+    match = _SEAL.fullmatch(str(seal))
+    if match is None:
+        msg = f"the completion record of {where} is damaged: {COMPLETE} = {seal!r:.80}; write it again"
+        raise IncompleteStoreError(msg)
+    record = GroupRecord(match[1], int(match[3], 16), _array_records(location, group, where))
+    if record.digest != int(match[2], 16):
+        msg = f"the arrays in {where} are not all those that were stored together; write it again"
+        raise IncompleteStoreError(msg)
+    return record
+
+
+def _array_records(location: Location, group: str, where: str) -> dict[str, ArrayRecord]:
+    records = {}
+    subgroups = set(location.subgroups(group))
+    for name in location.folders(group):
+        if name in subgroups:
+            continue
+        document = location.read_json(group, name, CHUNKS)
+        if document is None:
+            msg = f"array {name!r} in {where} has no record of its chunks: it was added, or never finished"
+            raise IncompleteStoreError(msg)
+        try:
+            records[name] = ArrayRecord.from_document(document)
+        except (ValueError, KeyError, TypeError, OverflowError) as error:
+            msg = (
+                f"the record {location.key(group, name, CHUNKS)} is damaged: {error!r}; write the group again"
+            )
+            raise IncompleteStoreError(msg) from None
+    return records
+
+
+def attributes_checksum(node: Mapping[str, Any]) -> int:
+    """Return the crc32c of the attributes in a group's ``zarr.json``, without the seal."""
+    attributes = node.get("attributes") or {}
+    return metadata_checksum({key: value for key, value in attributes.items() if key != COMPLETE})
+
+
+def checksum(values: np.ndarray[Any, Any]) -> int:
+    """Return the crc32c of decoded samples.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> checksum(np.arange(4, dtype="uint16")) == checksum(np.arange(4, dtype=">u2"))
+    True
+    """
+    import google_crc32c
+    import numpy as np
+
+    if values.dtype.kind in "OTU":
+        return int(google_crc32c.value(json.dumps([str(text) for text in values.ravel()]).encode()))
+    plain = np.ascontiguousarray(values, dtype=values.dtype.newbyteorder("<"))
+    return int(google_crc32c.value(plain))
+
+
+def metadata_checksum(document: Mapping[str, Any]) -> int:
+    """Return the crc32c of a JSON object, whatever its spacing and the order of its keys."""
+    import google_crc32c
+
+    return int(google_crc32c.value(json.dumps(document, sort_keys=True).encode()))

@@ -1,0 +1,190 @@
+"""`verify`: tells whether every chunk of a store is there, readable, and what was written."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from typing import Any
+
+from hyperpaint.errors import IncompleteStoreError, StoreError
+
+from .blocks import region
+from .location import METADATA, Location
+from .record import (
+    CHUNKS,
+    ArrayRecord,
+    GroupRecord,
+    attributes_checksum,
+    checksum,
+    metadata_checksum,
+    read_record,
+)
+
+__all__ = ["StoreReport", "verify"]
+
+
+@dataclass(frozen=True)
+class StoreReport:
+    """What `verify` found.
+
+    Attributes
+    ----------
+    path
+        The store.
+    groups
+        Groups that hold arrays.
+    chunks
+        Number of chunks that were read and compared.
+    problems
+        One line each; empty where all is well.
+    """
+
+    path: str
+    groups: tuple[str, ...]
+    chunks: int
+    problems: tuple[str, ...]
+
+    @property
+    def ok(self) -> bool:
+        """True where nothing is wrong."""
+        return not self.problems
+
+    def __str__(self) -> str:
+        state = f"{len(self.problems)} problems" if self.problems else "whole"
+        head = f"{self.path}: {len(self.groups)} groups, {self.chunks} chunks, {state}"
+        return "\n  ".join([head, *self.problems])
+
+
+def verify(path: str | os.PathLike[str]) -> StoreReport:
+    """Read every chunk of a store and compare it with the completion records.
+
+    Finds groups that were never finished, chunks that are missing, damaged, exchanged, stale or not of the
+    store, metadata that were changed, and groups that are listed but gone.
+
+    Parameters
+    ----------
+    path
+        Folder or URL of the store.
+
+    Returns
+    -------
+    StoreReport
+        With every problem found; ``report.ok`` where there is none.
+
+    Raises
+    ------
+    StoreError
+        There is no Zarr store.
+
+    Examples
+    --------
+    >>> import numpy as np, xarray as xr
+    >>> from hyperpaint.io.store import to_store
+    >>> path = to_store(xr.Dataset({"wavelength": ("band", np.arange(3.0))}), "memory://small.zarr")
+    >>> print(verify(path))
+    memory://small.zarr: 1 groups, 1 chunks, whole
+    """
+    location = Location.of(path)
+    problems: list[str] = []
+    if not location.has("", METADATA):
+        msg = f"{location.url} is no Zarr v3 store; expected a folder with a {METADATA}"
+        raise StoreError(msg)
+    groups = location.groups()
+    problems.extend(_root_problems(location, groups))
+    chunks = 0
+    for group in groups:
+        try:
+            record = read_record(location, group)
+        except IncompleteStoreError as error:
+            problems.append(str(error))
+            continue
+        if record is None:
+            problems.append(f"/{group}: no completion record; it was never finished, write it again")
+            continue
+        chunks += sum(len(array.chunks) for array in record.arrays.values())
+        problems.extend(_group_problems(location, group, record))
+    return StoreReport(location.url, tuple(groups), chunks, tuple(problems))
+
+
+def _root_problems(location: Location, groups: list[str]) -> Iterator[str]:
+    try:
+        root = location.read_json("", METADATA) or {}
+    except IncompleteStoreError as error:
+        yield str(error)
+        return
+    consolidated = root.get("consolidated_metadata")
+    listed = consolidated.get("metadata") if isinstance(consolidated, dict) else None
+    if not isinstance(listed, dict):
+        yield "/: no consolidated metadata; run the writer again"
+        return
+    for name, document in listed.items():
+        try:
+            actual = location.metadata(name)
+        except IncompleteStoreError:
+            continue  # reported with its group
+        if actual is None:
+            yield f"/{name}: listed in the root's metadata but not there"
+        elif not isinstance(document, dict) or not _same_node(document, actual):
+            yield f"/{name}: the root's consolidated metadata are not those of the node"
+    for group in groups:
+        if group and group not in listed:
+            yield f"/{group}: not listed in the root's consolidated metadata; run the writer again"
+
+
+def _same_node(listed: dict[str, Any], actual: dict[str, Any]) -> bool:
+    plain = {key: value for key, value in listed.items() if key != "consolidated_metadata"}
+    return metadata_checksum(plain) == metadata_checksum(actual)
+
+
+def _group_problems(location: Location, group: str, record: GroupRecord) -> Iterator[str]:
+    where = f"/{group}"
+    try:
+        node = location.metadata(group)
+    except IncompleteStoreError as error:
+        yield str(error)
+        return
+    if node is None or attributes_checksum(node) != record.attributes:
+        yield f"{where}: attributes are not those recorded"
+    for name, array in record.arrays.items():
+        yield from _array_problems(location, group, name, array)
+
+
+def _array_problems(location: Location, group: str, name: str, record: ArrayRecord) -> Iterator[str]:
+    import numpy as np
+    import zarr
+
+    where = f"{group}/{name}" if group else name
+    try:
+        document = location.metadata(where)
+    except IncompleteStoreError as error:
+        yield str(error)
+        return
+    if document is None:
+        yield f"/{where}: the array is missing"
+        return
+    if metadata_checksum(document) != record.metadata:
+        yield f"/{where}: metadata are not those recorded"
+        return  # its chunks cannot be told any more
+    array = zarr.open_array(location.group_url(where), mode="r", zarr_format=3)
+    positions = list(np.ndindex(record.grid))
+    keys = [array.metadata.encode_chunk_key(position) for position in positions]
+    prefix = location.key(where).rstrip("/") + "/"
+    present = {file.removeprefix(prefix) for file in location.fs.find(location.key(where))}
+    for stray in sorted(present - {*keys, METADATA, CHUNKS}):
+        yield f"/{where}/{stray}: not a chunk of this array"
+
+    def problem(position: tuple[int, ...], key: str, expected: int) -> str | None:
+        if key not in present:
+            return f"/{where}/{key}: the chunk is missing"
+        try:
+            values = array[region(position, array.chunks, array.shape)] if array.ndim else array[...]
+            found = checksum(np.asarray(values))
+        except Exception as error:  # a damaged chunk may raise anything that a codec raises
+            return f"/{where}/{key}: cannot be read: {type(error).__name__}: {error}"
+        return None if found == expected else f"/{where}/{key}: not what was written (checksum differs)"
+
+    with ThreadPoolExecutor(os.cpu_count()) as pool:
+        found = pool.map(problem, positions, keys, record.chunks)
+        yield from (line for line in found if line)

@@ -1,0 +1,211 @@
+"""Where a local store is built: one folder beside it, with the lock of the one writer.
+
+``.partial-<store>/`` holds
+
+* ``lock``: host, process and start of the writer;
+* ``build-<group>``: a group under construction, a small Zarr store of its own;
+* ``replaced-<group>``: the old group, for the moment between two renames.
+
+Whatever a killed writer left there is put right by the next one, before it does anything else.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import shutil
+import socket
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+from urllib.parse import quote, unquote
+
+from hyperpaint.errors import StoreError
+
+from .location import sync_folder
+
+__all__ = ["Workshop", "workshop"]
+
+_ROOT = "%root"
+#: Seconds after which a lock without content is taken for the leftover of a killed writer.
+_EMPTY_LOCK_AGE = 30.0
+
+
+class Workshop:
+    """The folder beside a store in which its groups are built.
+
+    Parameters
+    ----------
+    store
+        Folder of the store.
+    """
+
+    def __init__(self, store: Path) -> None:
+        self.store = store
+        self.folder = store.parent / f".partial-{store.name}"
+
+    def build(self, group: str) -> Path:
+        """Return the folder in which a group is built, empty."""
+        folder = self._path("build", group)
+        shutil.rmtree(folder, ignore_errors=True)
+        return folder
+
+    def discard(self, group: str) -> None:
+        """Remove what has been built of a group."""
+        shutil.rmtree(self._path("build", group), ignore_errors=True)
+
+    def publish(self, group: str) -> None:
+        """Put a finished group in its place by renaming, the old one out of the way first."""
+        target = self.store / group if group else self.store
+        replaced = self._path("replaced", group)
+        if target.exists():
+            os.rename(target, replaced)
+        target.parent.mkdir(parents=True, exist_ok=True)
+        os.rename(self._path("build", group), target)
+        sync_folder(target.parent)
+        shutil.rmtree(replaced, ignore_errors=True)
+
+    def recover(self) -> None:
+        """Undo a replacement that was cut short, and remove half-built groups."""
+        for found in sorted(self.folder.iterdir()):
+            kind, _, name = found.name.partition("-")
+            if kind == "replaced":
+                group = "" if name == _ROOT else unquote(name)
+                target = self.store / group if group else self.store
+                if not target.exists():
+                    os.rename(found, target)
+            if kind in ("replaced", "build"):
+                shutil.rmtree(found, ignore_errors=True)
+        for pattern in (".zarr.json.*", "*.partial"):  # half-written metadata, zarr's and ours
+            for leftover in (*self.store.glob(pattern), *self.store.glob(f"*/{pattern}")):
+                if leftover.is_file():
+                    leftover.unlink(missing_ok=True)
+
+    def _path(self, kind: str, group: str) -> Path:
+        return self.folder / f"{kind}-{quote(group, safe='') or _ROOT}"
+
+
+@contextlib.contextmanager
+def workshop(store: Path) -> Iterator[Workshop]:
+    """Open the workshop of a store, as its only writer.
+
+    Raises
+    ------
+    StoreError
+        Another process is writing the store.
+    """
+    made = Workshop(store)
+    lock = made.folder / "lock"
+    _acquire(lock, store)
+    try:
+        made.recover()
+        yield made
+    finally:
+        lock.unlink(missing_ok=True)
+        # a writer that waits for its turn may be in there already
+        with contextlib.suppress(OSError):
+            made.folder.rmdir()
+
+
+def _acquire(lock: Path, store: Path) -> None:
+    owner = json.dumps(
+        {
+            "host": socket.gethostname(),
+            "pid": os.getpid(),
+            "started": _process_start(os.getpid()),
+            "since": time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime()),
+        }
+    )
+    for _ in range(20):
+        lock.parent.mkdir(parents=True, exist_ok=True)
+        try:
+            descriptor = os.open(lock, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o644)
+        except FileExistsError:
+            if not _take_over(lock, owner, store):
+                time.sleep(0.02)
+                continue
+            return
+        except FileNotFoundError:  # the writer before us has just removed the folder
+            continue
+        with os.fdopen(descriptor, "w") as file:
+            file.write(owner)
+        return
+    msg = f"{store} is being written: {lock} comes and goes; wait for the other writer to finish"
+    raise StoreError(msg)
+
+
+def _take_over(lock: Path, owner: str, store: Path) -> bool:
+    """Make a dead writer's lock ours; raise where the writer lives, return False to try again.
+
+    The kernel's lock on the file makes sure that of two processes that find it stale only one wins.
+    """
+    try:
+        import fcntl
+    except ImportError:  # pragma: no cover - Windows
+        fcntl = None  # type: ignore[assignment]
+    try:
+        file = open(lock, "r+")  # noqa: SIM115 - closed below
+    except FileNotFoundError:
+        return False
+    with file:
+        if fcntl is not None:
+            fcntl.flock(file, fcntl.LOCK_EX)
+        try:
+            if not os.path.samestat(os.fstat(file.fileno()), os.stat(lock)):
+                return False
+        except FileNotFoundError:
+            return False
+        text = file.read()
+        if not text and time.time() - os.fstat(file.fileno()).st_mtime < _EMPTY_LOCK_AGE:
+            return False
+        _refuse_living(text, lock, store, can_take_over=fcntl is not None)
+        file.seek(0)
+        file.truncate()
+        file.write(owner)
+    return True
+
+
+def _refuse_living(text: str, lock: Path, store: Path, *, can_take_over: bool) -> None:
+    try:
+        holder: dict[str, Any] = dict(json.loads(text)) if text else {}
+    except (ValueError, TypeError):
+        holder = {}
+    if not holder:
+        return
+    here = holder.get("host") == socket.gethostname()
+    if here and can_take_over and not _alive(holder.get("pid"), holder.get("started")):
+        return
+    hint = (
+        "wait for it to finish"
+        if here
+        else f"wait for it to finish, or delete {lock} once you know that it has died"
+    )
+    msg = (
+        f"{store} is being written by process {holder.get('pid')} on {holder.get('host')} "
+        f"since {holder.get('since')}; {hint}"
+    )
+    raise StoreError(msg)
+
+
+def _alive(pid: Any, started: Any) -> bool:
+    if not isinstance(pid, int) or pid <= 0:
+        return False
+    try:
+        os.kill(pid, 0)
+    except ProcessLookupError:
+        return False
+    except OSError:
+        return True
+    # a number is used again after a while: the start time tells the processes apart
+    return started is None or _process_start(pid) in (None, started)
+
+
+def _process_start(pid: int) -> int | None:
+    """Return a process's start in clock ticks since boot, where the system tells."""
+    try:
+        stat = Path(f"/proc/{pid}/stat").read_text()
+        return int(stat.rpartition(")")[2].split()[19])
+    except (OSError, ValueError, IndexError):
+        return None

@@ -1,0 +1,457 @@
+"""`to_store`: the one writer of Zarr stores."""
+
+from __future__ import annotations
+
+import contextlib
+import uuid
+import warnings
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeVar
+
+from hyperpaint.errors import IncompleteStoreError, PaintError, Problems, StoreError
+from hyperpaint.schema import FORMAT_VERSION
+
+from . import blocks, layout
+from .location import METADATA, Location, clean_group
+from .record import (
+    CHUNKS,
+    COMPLETE,
+    ArrayRecord,
+    GroupRecord,
+    attributes_checksum,
+    checksum,
+    metadata_checksum,
+    read_record,
+)
+from .sources import reads_from
+from .workshop import Workshop, workshop
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+__all__ = ["to_store"]
+
+PathT = TypeVar("PathT", str, Path)
+
+#: Attributes that say when, not what: they do not make another content.
+_TIMELY = ("created", "history", "hyperpaint_version", COMPLETE)
+
+
+def to_store(
+    data: xr.Dataset | xr.DataTree,
+    path: PathT,
+    group: str | None = None,
+    *,
+    overwrite: bool = False,
+    progress: bool = False,
+    source_token: str | None = None,
+) -> PathT:
+    """Write a dataset, or a tree of them, into a Zarr v3 store.
+
+    Cubes are stored in chunks of 32 whole lines, everything with a checksum (blosc lz4 + bitshuffle, then
+    crc32c). `xarray.open_zarr(path, group=...)` opens the result as it went in: counts as uint16, reflectance
+    as float32, times to the nanosecond.
+
+    A group is built beside the store, in ``.partial-<store>``, and put in its place when it is whole and its
+    completion record is written; other groups are never touched. A run that is killed leaves the store as it
+    was, and the next run clears up. Behind a URL (``memory://``, ``s3://`` ...) nothing can be renamed or
+    locked: there the group is written in place, its record still comes last, and the caller sees to it that
+    there is one writer.
+
+    Parameters
+    ----------
+    data
+        A Dataset becomes one group; every node of a DataTree that holds variables becomes one. Lazy arrays
+        are computed block by block, with the scheduler in force; a cluster must see the same file system.
+    path
+        Folder, or a URL of fsspec.
+    group
+        Group inside the store, such as ``"flightlines/raw_0"``; by default its root.
+    overwrite
+        Replace groups that exist. Without it, a finished group of the same content is left alone, any other
+        is refused.
+    progress
+        Show a progress bar.
+    source_token
+        Names the content: equal tokens, equal content. By default derived from the arrays: dask's names for
+        lazy ones, the values for others. Give one where the names do not follow the data, such as a digest
+        of the files read and of the parameters.
+
+    Returns
+    -------
+    str or Path
+        ``path``.
+
+    Raises
+    ------
+    StoreError
+        The group exists, is being written, feeds the data, or cannot be written; or names, dtypes or
+        attributes cannot be stored. All problems of the call are listed, and nothing has been changed.
+
+    Examples
+    --------
+    >>> import numpy as np, xarray as xr
+    >>> cube = xr.Dataset({"counts": (("along_track", "band", "cross_track"), np.ones((64, 3, 2), "uint16"))})
+    >>> to_store(cube, "memory://lot.zarr", "flightlines/raw_0")
+    'memory://lot.zarr'
+    >>> xr.open_zarr("memory://lot.zarr", group="flightlines/raw_0")["counts"].data.chunksize
+    (32, 3, 2)
+    """
+    location = Location.of(path)
+    jobs, attrs = _plan(data, clean_group(group), source_token)
+    _refuse_own_source(jobs, location)
+    pending = _pending(jobs, location, overwrite=overwrite)
+    if not pending and _is_listed(jobs, attrs, location):
+        return path
+    with _errors_of_the_system(location), _opened(location) as shop:
+        # what another writer finished while we waited counts
+        for job in _pending(jobs, location, overwrite=overwrite):
+            _write_group(job, location, shop, progress=progress)
+        _finish(attrs, location)
+    return path
+
+
+@dataclass(frozen=True)
+class _Job:
+    """One group to write."""
+
+    group: str
+    dataset: xr.Dataset
+    token: str
+
+
+def _plan(
+    data: xr.Dataset | xr.DataTree, group: str, source_token: str | None
+) -> tuple[list[_Job], dict[str, dict[str, Any]]]:
+    """Return the groups to write, and the attributes of groups without variables."""
+    import xarray as xr
+
+    if isinstance(data, xr.Dataset):
+        nodes, is_tree = {group: data}, False
+    else:
+        nodes, is_tree = (
+            {_inside(group, data, node): node.to_dataset(inherit=False) for node in data.subtree},
+            True,
+        )
+    jobs, attrs = [], {}
+    for name, dataset in nodes.items():
+        prepared = layout.prepare(dataset, name)
+        if is_tree and not dataset.variables:
+            attrs[name] = dict(prepared.attrs)
+        else:
+            jobs.append(_Job(name, prepared, _token(dataset, source_token)))
+    return jobs, attrs
+
+
+def _inside(group: str, tree: xr.DataTree, node: xr.DataTree) -> str:
+    """Return the group of a node, the tree itself being stored as ``group``."""
+    path = node.path.removeprefix(tree.path) if node is not tree else ""
+    return "/".join(part for part in (group, path.strip("/")) if part)
+
+
+def _token(dataset: xr.Dataset, source_token: str | None) -> str:
+    from dask.base import tokenize
+
+    def kept(attrs: Any) -> dict[str, Any]:
+        return {key: value for key, value in attrs.items() if key not in _TIMELY}
+
+    variables = []
+    for name, variable in sorted(dataset.variables.items(), key=lambda item: str(item[0])):
+        form = (str(name), variable.dims, variable.shape, str(variable.dtype), kept(variable.attrs))
+        content = _content(variable) if source_token is None else None
+        variables.append((*form, content))
+    coords = sorted(map(str, dataset.coords))
+    return str(tokenize(FORMAT_VERSION, source_token, variables, coords, kept(dataset.attrs)))
+
+
+def _content(variable: xr.Variable) -> Any:
+    """Return what stands for a variable's values."""
+    if layout.is_at_hand(variable):
+        return variable.data
+    # a lazy file-backed array does not tell what its file holds, and would be read whole to find out
+    return uuid.uuid4().hex
+
+
+def _refuse_own_source(jobs: list[_Job], location: Location) -> None:
+    problems = Problems(f"cannot write {location.url}", StoreError)
+    for job in jobs:
+        if names := reads_from(job.dataset, location, job.group):
+            problems.add(
+                f"group {'/' + job.group!r} would be overwritten while {', '.join(names)} "
+                f"{'is' if len(names) == 1 else 'are'} read from it; "
+                "write to another group or path, or .load() the dataset first"
+            )
+    problems.raise_if_any()
+
+
+def _pending(jobs: list[_Job], location: Location, *, overwrite: bool) -> list[_Job]:
+    """Return the jobs that are not done yet; refuse those that would touch what must stay."""
+    problems = Problems(f"cannot write {location.url}", StoreError)
+    pending = []
+    for job in jobs:
+        found = _found(job, location)
+        if found == "same":
+            continue
+        if found == "foreign":
+            problems.add("it exists and is no Zarr v3 store; choose another path")
+        elif found == "parent":
+            problems.add(
+                f"group {'/' + job.group!r} holds other groups, which would be lost; choose another group"
+            )
+        elif found == "array":
+            problems.add(f"{'/' + job.group!r} or a group above it is an array; choose another group")
+        elif found and not overwrite:
+            problems.add(f"group {'/' + job.group!r} exists, {found}; pass overwrite=True to replace it")
+        pending.append(job)
+    problems.raise_if_any()
+    return pending
+
+
+def _found(job: _Job, location: Location) -> str:
+    """Return what is in a group's place: nothing (""), the same content, or what else."""
+    if not location.has(""):
+        return ""
+    root = location.read_json("", METADATA)
+    if root is None and location.fs.ls(location.root):
+        return "foreign"
+    for above in _above(job.group):
+        if (location.metadata(above) or {}).get("node_type") == "array":
+            return "array"
+    metadata = location.metadata(job.group)
+    if metadata is None:
+        return ""
+    if metadata.get("node_type") == "array":
+        return "array"
+    try:
+        record = read_record(location, job.group)
+    except IncompleteStoreError:
+        record = None
+    if record is not None and record.token == job.token:
+        return "same"
+    if location.subgroups(job.group):
+        return "parent"
+    return "was never finished" if record is None else "with other content"
+
+
+def _above(group: str) -> list[str]:
+    parts = group.split("/") if group else []
+    return ["/".join(parts[:depth]) for depth in range(len(parts))]
+
+
+@contextlib.contextmanager
+def _opened(location: Location) -> Iterator[Workshop | None]:
+    if location.local is None:
+        yield None
+        return
+    location.local.parent.mkdir(parents=True, exist_ok=True)
+    with workshop(location.local.absolute()) as shop:
+        yield shop
+
+
+@contextlib.contextmanager
+def _errors_of_the_system(location: Location) -> Iterator[None]:
+    """Turn a full disk or a folder that must not be written into one readable error."""
+    try:
+        yield
+    except PaintError:
+        raise
+    except OSError as error:
+        msg = f"cannot write {location.url}: {error}; mend this and run again"
+        raise StoreError(msg) from error
+
+
+def _write_group(job: _Job, location: Location, shop: Workshop | None, *, progress: bool) -> None:
+    if shop is None:
+        # in place: without its seal the group is incomplete from here on
+        if location.has(job.group):
+            location.fs.rm(location.key(job.group), recursive=True)
+        _build(job, Location.of(location.group_url(job.group)), progress=progress)
+        _make_groups_above(job.group, location)
+        return
+    folder = shop.build(job.group)
+    try:
+        _build(job, Location.of(folder), progress=progress)
+        _unlist(job.group, location)
+        _make_groups_above(job.group, location)
+        shop.publish(job.group)
+    except BaseException:
+        shop.discard(job.group)
+        raise
+
+
+def _build(job: _Job, place: Location, *, progress: bool) -> None:
+    """Write a group as a store of its own: metadata, chunks, their records, and the seal last."""
+    arrays = _write_arrays(job.dataset, place, progress=progress)
+    for name, array in arrays.items():
+        place.write_json(array.to_document(), name, CHUNKS)
+    document = place.metadata("") or {}
+    record = GroupRecord(job.token, attributes_checksum(document), arrays)
+    document["attributes"] = {**document.get("attributes", {}), COMPLETE: record.seal}
+    place.write_json(document, METADATA)
+
+
+def _write_arrays(dataset: xr.Dataset, place: Location, *, progress: bool) -> dict[str, ArrayRecord]:
+    """Write a group's metadata and chunks; return the records of its arrays."""
+    import numpy as np
+    import zarr
+
+    variables = {str(name): variable for name, variable in dataset.variables.items()}
+    streamed = {name: variable for name, variable in variables.items() if blocks.is_streamed(variable)}
+    _write_metadata(dataset.assign_attrs(_stamped(dataset.attrs, "to_store")), list(streamed), place.url)
+    node = zarr.open_group(place.url, mode="r+", zarr_format=3, use_consolidated=False)
+    arrays = {name: _writable(node, name) for name in variables}
+    lazy = {
+        name: blocks.lazy_checksums(variable, _target(arrays[name], name, variable, place))
+        for name, variable in streamed.items()
+    }
+    sums = blocks.compute(lazy, progress=progress)
+    _sweep(place)
+    records = {}
+    for name, array in arrays.items():
+        if name in sums:
+            grid, chunks = sums[name].shape, sums[name].ravel().tolist()
+        else:
+            # what xarray wrote is small: it is read again, which also proves that it can be
+            grid, chunks = (1,) * array.ndim, [checksum(np.asarray(array[...]))]
+        metadata = metadata_checksum(place.metadata("", name) or {})
+        records[name] = ArrayRecord(metadata, grid, tuple(chunks))
+    return records
+
+
+def _target(array: Any, name: str, variable: xr.Variable, place: Location) -> blocks.Target:
+    folder = None if place.local is None else place.local / name
+    return blocks.Target(array, folder, array.chunks, layout.fill_value(variable.dtype))
+
+
+def _writable(node: Any, name: str) -> Any:
+    import zarr
+
+    place = node.store_path / name
+    return zarr.open_array(place, mode="r+", zarr_format=3, config={"write_empty_chunks": True})
+
+
+def _sweep(place: Location) -> None:
+    """Remove the files of tasks that died while they wrote and were run again elsewhere."""
+    for leftover in place.local.rglob(".*") if place.local is not None else ():
+        leftover.unlink()
+
+
+def _write_metadata(dataset: xr.Dataset, streamed: list[str], url: str) -> None:
+    """Let xarray write the metadata of all variables and the values of those that are not streamed."""
+    holders = {name: blocks.placeholder(dataset.variables[name]) for name in streamed}
+    coords = {name: holder for name, holder in holders.items() if name in dataset.coords}
+    others = {name: holder for name, holder in holders.items() if name not in coords}
+    small = dataset.drop_vars(streamed).compute()
+    template = small.assign_coords(coords).assign(others)[list(dataset.variables)]
+    encoding = {name: layout.encoding_of(variable) for name, variable in dataset.variables.items()}
+    with _without_known_warnings():
+        template.to_zarr(url, mode="w", encoding=encoding, zarr_format=3, consolidated=False, compute=False)
+
+
+def _stamped(attrs: Any, action: str) -> dict[str, Any]:
+    """Return attributes with format, version, time and one more line of history."""
+    import datetime
+
+    now = datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds")
+    line = f"{now} hyperpaint {_version()}: {action}"
+    return {
+        **{key: value for key, value in attrs.items() if key != COMPLETE},
+        "Conventions": "CF-1.11",
+        "hyperpaint_format": FORMAT_VERSION,
+        "hyperpaint_version": _version(),
+        "created": now,
+        "history": "\n".join(text for text in (str(attrs.get("history", "")), line) if text),
+    }
+
+
+def _version() -> str:
+    from importlib.metadata import PackageNotFoundError, version
+
+    try:
+        return version("hyperpaint")
+    except PackageNotFoundError:
+        return "unknown"
+
+
+@contextlib.contextmanager
+def _without_known_warnings() -> Iterator[None]:
+    """Silence the one known warning: consolidated metadata are not in the v3 specification."""
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", message="Consolidated metadata is currently not part")
+        yield
+
+
+def _make_groups_above(group: str, location: Location) -> None:
+    import zarr
+
+    for above in _above(group):
+        if location.metadata(above) is None:
+            zarr.open_group(
+                location.group_url(above), mode="a", zarr_format=3, attributes=_stamped({}, "created")
+            )
+
+
+def _unlist(group: str, location: Location) -> None:
+    """Drop consolidated metadata that lists a group about to be replaced: they would describe the old one."""
+    document = location.read_json("", METADATA) if group else None
+    if location.local is None or document is None:
+        return
+    listed = (document.get("consolidated_metadata") or {}).get("metadata", {})
+    if group in listed:
+        del document["consolidated_metadata"]
+        location.write_json(document, METADATA)
+
+
+def _finish(attrs: dict[str, dict[str, Any]], location: Location) -> None:
+    """Set the attributes of groups without variables, then consolidate the root."""
+    import zarr
+
+    for group, wanted in attrs.items():
+        _make_groups_above(group, location)
+        node = location.metadata(group)
+        if node is None or not _has_attrs(node, wanted):
+            zarr.open_group(location.group_url(group), mode="a", zarr_format=3).attrs.update(
+                _stamped({**(node or {}).get("attributes", {}), **_plain(wanted)}, "to_store")
+            )
+    with _without_known_warnings():
+        zarr.consolidate_metadata(location.url, zarr_format=3)
+
+
+def _plain(attrs: dict[str, Any]) -> dict[str, Any]:
+    """Return attributes as JSON holds them."""
+    import numpy as np
+
+    return {
+        key: value.tolist() if isinstance(value, np.ndarray | np.generic) else value
+        for key, value in attrs.items()
+    }
+
+
+def _has_attrs(node: dict[str, Any], wanted: dict[str, Any]) -> bool:
+    stored = node.get("attributes", {})
+    return all(
+        key in stored and stored[key] == value for key, value in _plain(wanted).items() if key not in _TIMELY
+    )
+
+
+def _is_listed(jobs: list[_Job], attrs: dict[str, dict[str, Any]], location: Location) -> bool:
+    """Tell whether the root's consolidated metadata and attributes are up to date."""
+    root = location.read_json("", METADATA) or {}
+    listed = (root.get("consolidated_metadata") or {}).get("metadata", {})
+    for group, wanted in attrs.items():
+        node = location.metadata(group)
+        if node is None or not _has_attrs(node, wanted) or (group and group not in listed):
+            return False
+    return all(_lists(listed, job.group, read_record(location, job.group)) for job in jobs)
+
+
+def _lists(listed: dict[str, Any], group: str, record: GroupRecord | None) -> bool:
+    if record is None:
+        return False
+    prefix = f"{group}/" if group else ""
+    return all(
+        name in listed and metadata_checksum(listed[name]) == array.metadata
+        for name, array in ((prefix + key, array) for key, array in record.arrays.items())
+    )

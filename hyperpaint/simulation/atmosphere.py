@@ -1,0 +1,189 @@
+"""Downwelling irradiance with spectral structure finer than any instrument here.
+
+The light is a sum of two spectra, direct and diffuse, each with its own factor in time. Solar continuum:
+Planck's law at 5772 K. Clear sky: Rayleigh, Angstrom aerosol and ozone after Bird & Riordan (1986), SPECTRL2,
+in its simplest form. Lines: the oxygen A and B bands from the rotational constants of O2 (Herzberg 1950),
+so that the sharp band head is where it belongs; water and the weak solar lines at random positions that
+never change; the strong Fraunhofer lines where they are. What counts is not the sky's exact depth but that
+lines are far narrower than the instruments, as in nature: shared interpolation cannot hide a mismatch.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["GRID_STEP", "Light", "Sky", "spectral_grid"]
+
+Floats = NDArray[np.float64]
+
+GRID_STEP = 0.05
+"""Spacing of the simulator's wavelength grid [nm]: a third of the narrowest line."""
+
+_LINE_WIDTH = 0.12  # nm, full width of an atmospheric line
+_NATURE = 19590  # the same lines in every simulation, whatever its seed
+
+#: Centre [nm], full width [nm], depth of the strong solar lines: Ca K, Ca H, G band, H-gamma, H-beta, Mg b
+#: (3), Na D (2), H-alpha.
+_FRAUNHOFER = (
+    (393.37, 1.20, 0.85), (396.85, 1.00, 0.80), (430.78, 0.90, 0.45), (434.05, 0.30, 0.60),
+    (486.13, 0.25, 0.75), (516.73, 0.16, 0.70), (517.27, 0.20, 0.80), (518.36, 0.22, 0.80),
+    (588.995, 0.14, 0.85), (589.592, 0.14, 0.80), (656.28, 0.25, 0.78),
+)  # fmt: skip
+
+#: Band origin [cm-1], upper rotational constant [cm-1], strength of the oxygen A and B bands.
+_OXYGEN = ((13120.9, 1.3912, 3.0), (14525.7, 1.3728, 0.5))
+_OXYGEN_GROUND = 1.4377  # cm-1
+_SECOND_RADIATION = 1.4388  # hc/k [cm K]
+
+#: Centre [nm], spread [nm], number of lines, mean peak optical depth at one air mass of the water bands.
+_WATER = ((592.0, 3.0, 40, 0.15), (650.0, 3.0, 30, 0.08), (723.0, 6.0, 130, 0.35), (820.0, 7.0, 150, 0.30),
+          (940.0, 17.0, 420, 0.9), (968.0, 8.0, 90, 0.4))  # fmt: skip
+
+
+def spectral_grid(first: float, last: float, step: float = GRID_STEP) -> Floats:
+    """Return an even wavelength grid [nm] that covers ``first`` to ``last``."""
+    return np.arange(np.floor(first / step), np.ceil(last / step) + 1) * step
+
+
+@dataclass(frozen=True)
+class Sky:
+    """A clear sky.
+
+    Attributes
+    ----------
+    sun_zenith
+        Angle between the sun and the vertical [degree].
+    aerosol
+        Aerosol optical depth at 500 nm.
+    ozone
+        Ozone column [atm cm].
+    water
+        Precipitable water relative to a usual summer day.
+
+    Examples
+    --------
+    >>> wavelength = spectral_grid(500.0, 600.0)
+    >>> direct, diffuse = Sky().irradiance(wavelength)
+    >>> round(float((direct + diffuse)[1000]), 2)
+    1.41
+    """
+
+    sun_zenith: float = 25.0
+    aerosol: float = 0.10
+    ozone: float = 0.31
+    water: float = 1.0
+
+    def irradiance(self, wavelength: Floats) -> tuple[Floats, Floats]:
+        """Return direct and diffuse irradiance of a level surface [W m-2 nm-1]."""
+        cosine = np.cos(np.radians(self.sun_zenith))
+        mass = 1.0 / cosine
+        microns = wavelength / 1000.0
+        rayleigh = np.exp(-0.008735 * microns**-4.08 * mass)
+        aerosol = np.exp(-self.aerosol * (wavelength / 500.0) ** -1.3 * mass)
+        chappuis = 0.125 * np.exp(-0.5 * ((wavelength - 602.0) / 45.0) ** 2)
+        gases = np.exp(
+            -(self.ozone * chappuis + _oxygen(wavelength) + self.water * _water(wavelength)) * mass
+        )
+        top = solar_irradiance(wavelength) * cosine * gases
+        direct = top * rayleigh * aerosol
+        diffuse = top * (0.5 * (1.0 - rayleigh) + 0.8 * (1.0 - aerosol) * rayleigh)
+        return direct, diffuse
+
+
+def solar_irradiance(wavelength: Floats) -> Floats:
+    """Return the sun's irradiance above the atmosphere, with its lines [W m-2 nm-1]."""
+    metres = wavelength * 1e-9
+    planck = 2 * 6.62607015e-34 * 2.99792458e8**2 / metres**5 / np.expm1(0.01438777 / (metres * 5772.0))
+    solid_angle = np.pi * (6.957e8 / 1.495979e11) ** 2
+    transmitted = np.exp(-_solar_lines(wavelength))
+    for centre, width, depth in _FRAUNHOFER:
+        transmitted *= 1.0 - depth * np.exp(-4 * np.log(2) * ((wavelength - centre) / width) ** 2)
+    return np.asarray(planck * solid_angle * 1e-9 * transmitted)
+
+
+def _sum_of_lines(wavelength: Floats, centres: Floats, depths: Floats, width: float) -> Floats:
+    """Return the optical depth of narrow Gaussian lines; each touches only its neighbourhood."""
+    total = np.zeros_like(wavelength)
+    starts = np.searchsorted(wavelength, centres - 4 * width)
+    stops = np.searchsorted(wavelength, centres + 4 * width)
+    for centre, depth, start, stop in zip(centres, depths, starts, stops, strict=True):
+        offset = (wavelength[start:stop] - centre) / width
+        total[start:stop] += depth * np.exp(-4 * np.log(2) * offset**2)
+    return total
+
+
+def _oxygen(wavelength: Floats) -> Floats:
+    """Return the optical depth of the oxygen bands at one air mass.
+
+    Lines stand at nu0 + (B' + B'') m + (B' - B'') m^2, with m = J + 1 in the R branch, which turns back into
+    the band head, and m = -J in the P branch; J odd; each a doublet 2 cm-1 apart. Strengths follow the
+    Boltzmann factor of the lower level at 270 K.
+    """
+    odd = np.arange(1, 42, 2)
+    population = (2 * odd + 1) * np.exp(-_SECOND_RADIATION / 270.0 * _OXYGEN_GROUND * odd * (odd + 1))
+    population /= population.max()
+    total = np.zeros_like(wavelength)
+    for origin, upper, strength in _OXYGEN:
+        for m in (odd + 1.0, -1.0 * odd):
+            wavenumber = origin + (upper + _OXYGEN_GROUND) * m + (upper - _OXYGEN_GROUND) * m**2
+            for split in (0.0, -2.0):
+                centres = 1e7 / (wavenumber + split) / 1.000275  # in air
+                total += _sum_of_lines(wavelength, centres, 0.5 * strength * population, _LINE_WIDTH)
+    return total
+
+
+def _water(wavelength: Floats) -> Floats:
+    rng = np.random.default_rng([_NATURE, 1])
+    total = np.zeros_like(wavelength)
+    for centre, spread, number, depth in _WATER:
+        centres = rng.normal(centre, spread, number)
+        depths = rng.exponential(depth, number)
+        total += _sum_of_lines(wavelength, centres, depths, _LINE_WIDTH)
+    return total
+
+
+def _solar_lines(wavelength: Floats) -> Floats:
+    """Return the optical depth of the crowd of weak metal lines, dense in the blue."""
+    rng = np.random.default_rng([_NATURE, 2])
+    centres = 340.0 + rng.exponential(110.0, 2500)
+    depths = rng.exponential(0.06, 2500)
+    return _sum_of_lines(wavelength, centres, depths, 0.12)
+
+
+@dataclass(frozen=True)
+class Light:
+    """How the direct and the diffuse light change while the camera flies.
+
+    Attributes
+    ----------
+    drift_per_minute
+        Relative change of the direct light in a minute; the diffuse light changes half as much the other way,
+        so that the colour of the light changes too.
+    cloud
+        Fraction of the direct light that a cloud takes, time its edge needs to pass [s], and when it starts
+        [s after the first line]; None for a clear sky. A third of what is lost returns as diffuse light.
+    """
+
+    drift_per_minute: float = 0.0
+    cloud: tuple[float, float, float] | None = None
+
+    def factors(self, seconds: Floats) -> Floats:
+        """Return factors of direct and diffuse light ``seconds`` after the first line, shape (2, time)."""
+        minutes = np.asarray(seconds, dtype=np.float64) / 60.0
+        direct = 1.0 + self.drift_per_minute * minutes
+        diffuse = 1.0 - 0.5 * self.drift_per_minute * minutes
+        if self.cloud is not None:
+            fraction, duration, start = self.cloud
+            passed = np.clip((minutes * 60.0 - start) / duration, 0.0, 1.0)
+            diffuse = diffuse + fraction * passed / 3.0
+            direct = direct * (1.0 - fraction * passed)
+        return np.stack([direct, diffuse])
+
+    def mean_factors(self, start: Floats, stop: Floats, points: int = 32) -> Floats:
+        """Return `factors` averaged from ``start`` to ``stop`` [s], by the midpoint rule."""
+        steps = (np.arange(points) + 0.5) / points
+        times = start[:, None] + (stop - start)[:, None] * steps
+        return np.asarray(self.factors(times.ravel()).reshape(2, len(start), points).mean(axis=2))

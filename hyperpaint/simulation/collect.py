@@ -1,0 +1,318 @@
+"""A whole simulated collect: the instruments' files, the calibration, and the truth beside them."""
+
+from __future__ import annotations
+
+import itertools
+import shutil
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hyperpaint.errors import SchemaError, StoreError
+from hyperpaint.schema import CHUNK_LINES
+
+from .flight import Flight, Lines, SkySamples
+from .instruments import (
+    BilWriter,
+    write_asd,
+    write_frame_index,
+    write_navigation,
+    write_settings,
+)
+from .settings import SimulationSettings
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+__all__ = ["simulate_collect", "simulate_line"]
+
+_PARTS = ("flight", "dark", "asd", "calibration.zarr", "truth.zarr", "collect.toml")
+_BOOT = 1_234_567_891_000  # ns on the instrument's clock at the first line: it knows no date
+_NAVIGATION_PERIOD, _NAVIGATION_MARGIN = 10**7, 2 * 10**9  # ns: 100 Hz, two seconds around the flight
+_DARK_LEAD = 60 * 10**9  # ns from the first dark frame to the first line
+
+Progress = Callable[[int, int], None]
+
+
+def simulate_collect(
+    folder: str | Path,
+    *,
+    lines: int = 512,
+    bands: int = 272,
+    columns: int = 320,
+    seed: int = 0,
+    truth: bool = True,
+    overwrite: bool = False,
+    progress: Progress | None = None,
+    block_lines: int = CHUNK_LINES,
+    **effects: Any,
+) -> Path:
+    """Simulate a flight over a car park and write it as the instruments would have.
+
+    Written are a Headwall folder (``flight``: cubes, frame index, navigation, settings), a dark cube
+    (``dark``), an irradiance series (``asd``), ``calibration.zarr``, ``truth.zarr`` and, last of all,
+    ``collect.toml``.
+
+    Parameters
+    ----------
+    folder
+        Made where it does not exist.
+    lines, bands, columns
+        Shape of the cube.
+    seed
+        The same seed gives the same bytes of every instrument file.
+    truth
+        Write ``truth.zarr``: radiance and reflectance of every sample, class and masks of every pixel.
+    overwrite
+        Replace an earlier simulated collect in the folder.
+    progress
+        Called with lines done and lines to do.
+    block_lines
+        Lines worked on together; bounds the memory, changes no value.
+    **effects
+        Fields of `hyperpaint.simulation.SimulationSettings`: ``noise``, ``smile_nm``, ``srf_shape`` ...
+
+    Returns
+    -------
+    Path of ``collect.toml``.
+
+    Raises
+    ------
+    SchemaError
+        An effect is unknown or out of range; all are listed.
+    StoreError
+        The folder holds something already, and ``overwrite`` is not set.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     path = simulate_collect(folder, lines=8, bands=4, columns=6)
+    ...     print(path.name, sorted(entry.name for entry in path.parent.iterdir()))
+    collect.toml ['asd', 'calibration.zarr', 'collect.toml', 'dark', 'flight', 'truth.zarr']
+    """
+    settings = SimulationSettings.of(
+        {"lines": lines, "bands": bands, "columns": columns, "seed": seed, **effects}
+    )
+    if not settings.quantise:
+        msg = "quantise=False: files hold whole counts; use simulate_line for float32 counts in memory"
+        raise SchemaError(msg)
+    if block_lines < 1:
+        msg = f"block_lines={block_lines}, expected a whole number above 0"
+        raise SchemaError(msg)
+    root = _prepare(Path(folder), overwrite)
+    flight = Flight(settings)
+    _write_dark(flight, root / "dark")
+    _write_sky(flight.sky_samples(), settings, root / "asd")
+    from .stores import write_calibration
+
+    write_calibration(flight, root / "calibration.zarr")
+    _write_flight(flight, root, block_lines, progress, truth)
+    path = root / "collect.toml"
+    # a reader that finds this file finds all the others whole
+    path.write_text(_collect_text(settings), encoding="utf-8")
+    return path
+
+
+def _prepare(root: Path, overwrite: bool) -> Path:
+    if root.exists() and not root.is_dir():
+        msg = f"{root} is a file; name a folder for the simulated collect"
+        raise StoreError(msg)
+    if root.is_dir() and any(root.iterdir()):
+        if not overwrite:
+            msg = (
+                f"{root} is not empty; name another folder, or replace an earlier collect with overwrite=True"
+            )
+            raise StoreError(msg)
+        for part in reversed(_PARTS):  # collect.toml first: what is half removed is no collect
+            target = root / part
+            if target.is_dir() and not target.is_symlink():
+                shutil.rmtree(target)
+            else:
+                target.unlink(missing_ok=True)
+    for part in _PARTS[:3]:
+        (root / part).mkdir(parents=True)
+    return root
+
+
+def _instrument_stamps(since_start: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Return microseconds of the instrument's clock at nanoseconds after the first line."""
+    return np.asarray((since_start + _BOOT) // 1000, dtype=np.int64)
+
+
+def _frame_stamps(middles: NDArray[np.int64], settings: SimulationSettings) -> NDArray[np.int64]:
+    half = round(settings.exposure_time_ms * 1e6 / 2)
+    return _instrument_stamps(middles + {"start": -half, "mid": 0, "end": half}[settings.stamp])
+
+
+def _comments(flight: Flight) -> dict[str, object]:
+    """Return what Headwall writes below the ENVI part of a header."""
+    settings = flight.settings
+    return {
+        "AOI width": settings.columns,
+        "Array Pixel Pitch (um)": 7.4,
+        "AverageDispersion": round(float(flight.imager.spacing.mean()), 6),
+        "Exposure (ms)": settings.exposure_time_ms,
+        "HSIII_VERSION": "hyperpaint simulation",
+        "Lens EFL (mm)": 12,
+        "Serial Number": "SIM-0001",
+    }
+
+
+def _write_settings_file(folder: Path, settings: SimulationSettings) -> None:
+    values = {"Exposure (ms)": settings.exposure_time_ms, "Frame Period (ms)": settings.frame_period_ms}
+    write_settings(folder / "settings.txt", values)
+
+
+def _write_dark(flight: Flight, folder: Path) -> None:
+    settings = flight.settings
+    dark = flight.dark_frames()
+    with BilWriter(folder / "raw_0", flight.wavelength, settings.columns, _comments(flight)) as cube:
+        cube.append(dark)
+    frames = np.arange(len(dark), dtype=np.int64)
+    middles = np.rint(frames * settings.frame_period_ms * 1e6).astype(np.int64) - _DARK_LEAD
+    write_frame_index(folder / "frameIndex_0.txt", frames, _frame_stamps(middles, settings))
+    _write_settings_file(folder, settings)
+
+
+def _write_sky(samples: SkySamples, settings: SimulationSettings, folder: Path) -> None:
+    zone = round(settings.utc_offset_h * 3600)
+    # the reference was taken ten minutes before the flight
+    reference = int(samples.stamp[0]) - 600
+    for index, (stamp, spectrum) in enumerate(zip(samples.stamp.tolist(), samples.irradiance, strict=True)):
+        name = folder / f"sky{index:05d}.asd"
+        write_asd(name, spectrum, stamp=stamp, utc_offset=zone, reference_stamp=reference)
+
+
+def _blocks(start: int, stop: int, size: int) -> Iterator[tuple[int, int]]:
+    for begin in range(start, stop, size):
+        yield begin, min(begin + size, stop)
+
+
+def _write_flight(
+    flight: Flight, root: Path, block_lines: int, progress: Progress | None, with_truth: bool
+) -> None:
+    from .stores import TruthStore
+
+    settings, folder = flight.settings, root / "flight"
+    truth = TruthStore(flight, root / "truth.zarr") if with_truth else None
+    recorded = np.ones(settings.lines, dtype=bool)
+    recorded[settings.dropped_frames] = False
+    starts = settings.cube_starts.tolist()
+    memory: Lines | None = None
+    for first, last in itertools.pairwise(starts):
+        frames = first + np.flatnonzero(recorded[first:last])
+        name = f"{frames[0]}"
+        with BilWriter(
+            folder / f"raw_{name}", flight.wavelength, settings.columns, _comments(flight)
+        ) as cube:
+            for begin, end in _blocks(first, last, block_lines):
+                block = flight.lines(begin, end, into=memory)
+                memory = block if memory is None or len(memory.counts) < len(block.counts) else memory
+                cube.append(flight.detector.convert(block.counts[recorded[begin:end]]))
+                if truth is not None:
+                    truth.write(begin, block, recorded[begin:end])
+                if progress is not None:
+                    progress(end, settings.lines)
+        stamps = _frame_stamps(flight.line_times[frames], settings)
+        write_frame_index(folder / f"frameIndex_{name}.txt", frames, stamps)
+    _write_settings_file(folder, settings)
+    since = np.arange(
+        -_NAVIGATION_MARGIN,
+        int(flight.line_times[-1]) + _NAVIGATION_MARGIN,
+        _NAVIGATION_PERIOD,
+        dtype=np.int64,
+    )
+    utc = (flight.start + since).astype("datetime64[ns]")
+    write_navigation(folder / "imu_gps.txt", flight.pose(since / 1e9), _instrument_stamps(since), utc)
+
+
+def _collect_text(settings: SimulationSettings) -> str:
+    recorded = np.setdiff1d(np.arange(settings.lines), settings.dropped_frames)
+    names = [int(recorded[recorded >= first][0]) for first in settings.cube_starts[:-1]]
+    flightlines = "".join(
+        f"""
+[[flightlines]]
+id = "raw_{name}"
+cube = "flight/raw_{name}.hdr"
+frame_index = "flight/frameIndex_{name}.txt"
+nav = "flight/imu_gps.txt"
+"""
+        for name in names
+    )
+    return f"""# simulated by hyperpaint: seed {settings.seed}, truth in truth.zarr
+
+[collect]
+name = "simulated car park"
+
+[camera]
+bit_depth = {settings.bit_depth}
+exposure_time_ms = {float(settings.exposure_time_ms)!r}
+frame_period_ms = {float(settings.frame_period_ms)!r}
+stamp = "{settings.stamp}"
+
+[calibration]
+path = "calibration.zarr"
+
+[dark]
+cubes = ["dark/raw_0.hdr"]
+
+[irradiance]
+files = "asd/*.asd"
+quantity = "irradiance"
+utc_offset_h = {float(settings.utc_offset_h)!r}
+clock_offset_s = {float(settings.clock_offset_s)!r}
+stamp = "{settings.irradiance_stamp}"
+fwhm_nm = {float(settings.irradiance_fwhm_nm)!r}
+{flightlines}"""
+
+
+def simulate_line(
+    *,
+    lines: int = 64,
+    bands: int = 272,
+    columns: int = 32,
+    seed: int = 0,
+    matched: bool = False,
+    **effects: Any,
+) -> xr.Dataset:
+    """Simulate a flight line in memory, with its truth, for tests of single functions.
+
+    Parameters
+    ----------
+    lines, bands, columns, seed
+        As for `simulate_collect`.
+    matched
+        Add ``matched_irradiance``: what every element would have seen of each irradiance sample, exactly.
+    **effects
+        Fields of `hyperpaint.simulation.SimulationSettings`. ``quantise=False`` leaves the counts float32.
+
+    Returns
+    -------
+    A flight line as the store holds one (``counts``, ``dark_counts``, ``radiance_gain``, ``irradiance`` ...),
+    with ``true_radiance``, ``true_reflectance``, ``surface`` and ``true_saturated`` beside it.
+    ``dark_counts`` is the mean of the dark frames with ``quantise``, else the dark itself.
+
+    Raises
+    ------
+    SchemaError
+        An effect is unknown or out of range; all are listed.
+
+    Examples
+    --------
+    >>> line = simulate_line(lines=4, bands=5, columns=3, noise=False, quantise=False)
+    >>> rate = (line.counts - line.dark_counts) / line.exposure_time
+    >>> float(abs(line.radiance_gain * rate / line.true_radiance - 1).max()) < 1e-5
+    True
+    """
+    from .stores import line_dataset
+
+    settings = SimulationSettings.of(
+        {"lines": lines, "bands": bands, "columns": columns, "seed": seed, **effects}
+    )
+    flight = Flight(settings)
+    block: Lines = flight.lines(0, settings.lines)
+    return line_dataset(flight, block, matched=matched)

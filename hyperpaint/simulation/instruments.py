@@ -1,0 +1,243 @@
+"""Writers of the instruments' own files, independent of the package's readers.
+
+Headwall folder: `reference/formats.md` 2; ASD binary, version 7: `reference/formats.md` 3.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from types import TracebackType
+from typing import Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = [
+    "ASD_WAVELENGTH",
+    "BilWriter",
+    "write_asd",
+    "write_frame_index",
+    "write_navigation",
+    "write_settings",
+]
+
+Floats = NDArray[np.float64]
+
+ASD_WAVELENGTH = np.arange(350.0, 1076.0)
+"""Wavelengths of the simulated spectrometer [nm]."""
+
+ASD_INTEGRATION_MS, ASD_AVERAGES = 34, 20
+"""Integration time [ms] of one scan of the simulated spectrometer, and scans in a spectrum."""
+
+_CALIBRATION_MS = 136
+_OLE_EPOCH = np.datetime64("1899-12-30T00:00:00", "s")
+
+
+class BilWriter:
+    """Writes a cube line block by line block, band-interleaved by line, and its header at the end.
+
+    Parameters
+    ----------
+    path
+        Binary without an extension; the header stands beside it.
+    wavelength
+        Centre wavelengths, shape (band,) [nm], written with three decimals.
+    columns
+        Samples of a line.
+    comments
+        Lines ``;key = value`` below the ENVI part.
+    """
+
+    def __init__(self, path: Path, wavelength: Floats, columns: int, comments: Mapping[str, object]) -> None:
+        self._path, self._wavelength, self._columns, self._comments = path, wavelength, columns, comments
+        self._lines = 0
+
+    def __enter__(self) -> Self:
+        self._file = self._path.open("wb")
+        return self
+
+    def append(self, counts: NDArray[np.uint16]) -> None:
+        """Write whole lines, shape (along_track, band, cross_track)."""
+        self._file.write(np.ascontiguousarray(counts, dtype="<u2").data)
+        self._lines += len(counts)
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._file.close()
+        if kind is None:
+            self._path.with_name(self._path.name + ".hdr").write_text(self._header(), encoding="ascii")
+
+    def _header(self) -> str:
+        bands = len(self._wavelength)
+        shown = ",".join(str(1 + int(np.abs(self._wavelength - nm).argmin())) for nm in (640.0, 550.0, 470.0))
+        # Headwall puts the comma at the start of the next line
+        wavelengths = "\n,".join(f"{nm:.3f}" for nm in self._wavelength)
+        comments = "".join(f";{key} = {value}\n" for key, value in self._comments.items())
+        return (
+            "ENVI\n"
+            "description = {[HEADWALL Hyperspec III]}\n"
+            f"samples = {self._columns}\nlines = {self._lines}\nbands = {bands}\n"
+            "header offset = 0\nfile type = ENVI Standard\ndata type = 12\ninterleave = bil\n"
+            f"sensor type = Unknown\ndefault bands = {{{shown}}}\nbyte order = 0\nwavelength units = nm\n"
+            f"wavelength = {{\n{wavelengths}\n}}\n{comments}"
+        )
+
+
+def write_settings(path: Path, settings: Mapping[str, object]) -> None:
+    """Write ``settings.txt``: lines ``key = value``."""
+    path.write_text("".join(f"{key} = {value}\n" for key, value in settings.items()), encoding="ascii")
+
+
+def write_frame_index(path: Path, frames: NDArray[np.int64], stamps: NDArray[np.int64]) -> None:
+    """Write a ``frameIndex`` file (variant A): frame number, microseconds of the instrument's clock."""
+    rows = "".join(
+        f"{frame}\t{stamp}\n" for frame, stamp in zip(frames.tolist(), stamps.tolist(), strict=True)
+    )
+    path.write_text(f"Frame#\tTimestamp\n{rows}", encoding="ascii")
+
+
+def write_navigation(
+    path: Path,
+    pose: Mapping[str, Floats],
+    stamps: NDArray[np.int64],
+    utc: NDArray[np.datetime64],
+) -> None:
+    """Write ``imu_gps.txt`` (variant A).
+
+    Parameters
+    ----------
+    path
+        The file.
+    pose
+        roll, pitch, heading, latitude, longitude [degree], altitude [m], each of shape (row,).
+    stamps
+        Microseconds of the instrument's clock, shape (row,).
+    utc
+        The same instants in UTC, shape (row,).
+    """
+    header = "Roll\tPitch\tYaw\tLat\tLon\tAlt\tTimestamp\tGps_UTC_Date&Time\tStatus\tHeading\n"
+    names = ("roll", "pitch", "heading", "latitude", "longitude", "altitude")
+    columns = [pose[name].tolist() for name in names]
+    clock = [
+        text.replace("-", "/").replace("T", " ") for text in np.datetime_as_string(utc, unit="us").tolist()
+    ]
+    rows = [
+        f"{roll:.6f}\t{pitch:.6f}\t{heading:.6f}\t{lat:.9f}\t{lon:.9f}\t{alt:.4f}\t{stamp}\t{date}\t4\t{heading:.6f}\n"
+        for roll, pitch, heading, lat, lon, alt, stamp, date in zip(
+            *columns, stamps.tolist(), clock, strict=True
+        )
+    ]
+    path.write_text(header + "".join(rows), encoding="ascii")
+
+
+def _lamp() -> Floats:
+    """Return the irradiance of a calibration lamp, smooth as a filament at 3100 K [W m-2 nm-1]."""
+    shape = ASD_WAVELENGTH**-5 / np.expm1(1.4388e7 / (ASD_WAVELENGTH * 3100.0))
+    return np.asarray(0.3 * shape / shape.max())
+
+
+def _lamp_counts() -> Floats:
+    """Return the counts of the fore optic under that lamp, with the detector's own ripple [count]."""
+    detector = np.exp(-0.5 * ((ASD_WAVELENGTH - 700.0) / 190.0) ** 2)
+    ripple = 1.0 + 0.03 * np.sin(ASD_WAVELENGTH / 17.0)
+    return np.asarray(9000.0 * detector * ripple * _lamp() / 0.3 + 40.0)
+
+
+def write_asd(path: Path, irradiance: Floats, *, stamp: int, utc_offset: int, reference_stamp: int) -> None:
+    """Write one irradiance spectrum as an ASD binary, version 7.
+
+    The file holds raw counts and three calibration blocks; irradiance is LMP x counts / FO x
+    (integration time of FO / integration time).
+
+    Parameters
+    ----------
+    path
+        The file.
+    irradiance
+        On `ASD_WAVELENGTH`, shape (726,) [W m-2 nm-1].
+    stamp
+        Clock of the logging computer, as seconds since 1970 in its idea of UTC.
+    utc_offset
+        Zone of that computer [s].
+    reference_stamp
+        The same clock when the reference was taken.
+    """
+    lamp, lamp_counts = _lamp(), _lamp_counts()
+    counts = irradiance * lamp_counts / lamp * (ASD_INTEGRATION_MS / _CALIBRATION_MS)
+    channels = len(ASD_WAVELENGTH)
+    blocks = (
+        (1, b"bse_sim.ref", np.full(channels, 0.99)),
+        (2, b"lamp_sim.ill", lamp),
+        (3, b"fo_sim.raw", lamp_counts),
+    )
+    parts = [
+        _asd_header(counts, stamp, utc_offset, reference_stamp),
+        counts.astype("<f8").tobytes(),
+        struct.pack("<Hdd", 0xFFFF, _ole(reference_stamp + utc_offset), _ole(stamp + utc_offset)),
+        struct.pack("<H", 0),
+        np.ones(channels, dtype="<f8").tobytes(),
+        _EMPTY_CLASSIFIER,
+        struct.pack("<hhHH", 0, 0, 0, 0),  # dependent variables: none
+        struct.pack("<B", len(blocks)),
+        *(struct.pack("<b20sihh", kind, name, _CALIBRATION_MS, 0, 0) for kind, name, _ in blocks),
+        *(values.astype("<f8").tobytes() for _, _, values in blocks),
+    ]
+    path.write_bytes(b"".join(parts))
+
+
+# two codes, twenty empty strings, no constituents, an array of no dims
+_EMPTY_CLASSIFIER = struct.pack("<BB20HHH", 0, 0, *[0] * 20, 0, 0)
+
+
+def _asd_header(counts: Floats, stamp: int, utc_offset: int, reference_stamp: int) -> bytes:
+    header = bytearray(484)
+    fields: Sequence[tuple[int, str, tuple[object, ...]]] = (
+        (0, "3s", (b"as7",)),
+        (3, "157s", (b"hyperpaint simulation, remote cosine receptor",)),
+        (160, "9h", _c_time(stamp + utc_offset)),
+        (178, "BBBB", (0x57, 0x70, 0, 1)),  # program 5.7, file 7.0, itime, dark subtracted
+        (182, "i", (reference_stamp,)),
+        (186, "B", (4,)),  # irradiance
+        (187, "i", (reference_stamp,)),
+        (191, "ff", (ASD_WAVELENGTH[0], 1.0)),
+        (199, "B", (2,)),  # float64
+        (204, "H", (len(counts),)),
+        (390, "I", (ASD_INTEGRATION_MS,)),
+        (394, "h", (180,)),  # cosine receptor
+        (398, "HH", (1, 18875)),
+        (402, "4f", (0.0, 65535.0, ASD_WAVELENGTH[0], ASD_WAVELENGTH[-1])),
+        (418, "H", (16,)),
+        (425, "3H", (ASD_AVERAGES, ASD_AVERAGES, ASD_AVERAGES)),
+        (431, "B", (2,)),  # LSVNIR
+        (444, "ff", (ASD_WAVELENGTH[-1], -1.0)),
+    )
+    for offset, layout, values in fields:
+        struct.pack_into("<" + layout, header, offset, *values)
+    return bytes(header)
+
+
+def _c_time(local: int) -> tuple[int, ...]:
+    """Return C's ``tm`` of a local time in seconds: sec min hour mday mon year wday yday isdst."""
+    moment = np.datetime64(local, "s")
+    day = moment.astype("datetime64[D]")
+    year, month = day.astype("datetime64[Y]"), day.astype("datetime64[M]")
+    seconds = int((moment - day).astype(np.int64))
+    return (
+        seconds % 60,
+        seconds // 60 % 60,
+        seconds // 3600,
+        int((day - month).astype(np.int64)) + 1,
+        int(month.astype(np.int64)) % 12,
+        int(year.astype(np.int64)) + 70,
+        (int(day.astype(np.int64)) + 4) % 7,
+        int((day - year).astype(np.int64)),
+        0,
+    )
+
+
+def _ole(local: int) -> float:
+    """Return days since 1899-12-30 of a local time in seconds since 1970."""
+    return float((np.datetime64(local, "s") - _OLE_EPOCH).astype(np.int64)) / 86400.0

@@ -1,0 +1,331 @@
+"""What a simulated collect is made of: every effect is one field, with its unit and its default."""
+
+from __future__ import annotations
+
+import itertools
+import re
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, fields
+from typing import Any
+
+import numpy as np
+
+from hyperpaint.errors import Problems, SchemaError
+
+from .sensor import SHAPES
+
+__all__ = ["SimulationSettings"]
+
+STAMPS = ("start", "mid", "end")
+
+
+@dataclass(frozen=True, kw_only=True)
+class SimulationSettings:
+    """Size and effects of a simulated collect; every effect can be switched off.
+
+    Attributes
+    ----------
+    lines, bands, columns
+        Shape of the cube, dropped frames included. The scene is 16 m wide, whatever the number of columns.
+    seed
+        Chooses the scene, the detector's pattern, the noise. The light's spectral lines never change.
+    cubes
+        Number of cubes the flight is cut into; they share one navigation file.
+    start_time
+        UTC at mid exposure of the first line, ISO 8601 without a zone.
+    exposure_time_ms, frame_period_ms
+        Exposure, and time from line to line [ms].
+    stamp
+        What a frame's stamp marks: "start", "mid" or "end" of the exposure.
+    first_wavelength, last_wavelength
+        Centres of the outer bands [nm].
+    srf_shape
+        Line shape of the imager: "gaussian" or "slit" (a box ``fwhm_nm`` wide convolved with a box one band
+        spacing wide).
+    fwhm_nm
+        Full width at half maximum of the imager [nm].
+    smile_nm
+        Wavelength shift at the edge of the swath, zero at the centre column [nm].
+    noise
+        Shot and read noise in the scene's frames.
+    dark_noise
+        Read noise in the dark frames.
+    quantise
+        Whole, clipped counts (uint16); False leaves float32 counts, in memory only.
+    bit_depth
+        Bits of the converter.
+    electrons_per_count, read_noise
+        Gain [electron count-1], and spread of a dark count [count].
+    dark_level, dark_pattern
+        Mean dark, and spread of its fixed pattern over the elements [count].
+    dark_frames
+        Frames of the dark cube.
+    nonuniformity
+        Spread of the elements' response about the common responsivity, 1 sigma [1].
+    bad_elements
+        Number of elements that see no light; their gain is NaN.
+    texture
+        Spread of a surface's brightness from pixel to pixel, 1 sigma [1].
+    glint
+        Fraction of the car pixels that mirror the sun and saturate.
+    sun_zenith
+        [degree]
+    drift_per_minute
+        Relative change of the direct light in a minute; the diffuse light changes half as much the other way.
+    cloud
+        Fraction of the direct light that a cloud takes, duration of the ramp [s], its start [s after the
+        first line]; None for none.
+    dropped
+        Frames that were never recorded: a number of them, chosen by the seed, or their frame numbers.
+    irradiance_interval_s
+        Whole seconds from one irradiance sample to the next, since the spectrometer stamps whole seconds.
+    irradiance_margin_s
+        Length of the irradiance record before and after the line [s].
+    irradiance_fwhm_nm
+        Full width at half maximum of the spectrometer [nm].
+    irradiance_noise
+        Relative noise of each irradiance value, 1 sigma [1].
+    irradiance_stamp
+        What a spectrometer's stamp marks: "start", "mid" or "end" of its 0.68 s average.
+    irradiance_gap
+        Samples between these two times [s after the first line] are missing; None for none.
+    clock_offset_s
+        Seconds the spectrometer's clock is slow: UTC = stamp - utc_offset_h + clock_offset_s.
+    utc_offset_h
+        Zone of the computer that logs the spectrometer [h].
+
+    Raises
+    ------
+    SchemaError
+        A value is out of its range; all are listed.
+
+    Examples
+    --------
+    >>> SimulationSettings(lines=64).shape
+    (64, 272, 320)
+    >>> SimulationSettings(exposure_time_ms=-5.0, srf_shape="box")
+    Traceback (most recent call last):
+    hyperpaint.errors.SchemaError: the collect cannot be simulated:
+      srf_shape='box', expected one of gaussian, slit
+      exposure_time_ms=-5.0, expected a number above 0
+    """
+
+    lines: int = 512
+    bands: int = 272
+    columns: int = 320
+    seed: int = 0
+    cubes: int = 1
+    start_time: str = "2021-07-20T17:10:00"
+    exposure_time_ms: float = 5.0
+    frame_period_ms: float = 7.0
+    stamp: str = "end"
+    first_wavelength: float = 399.356
+    last_wavelength: float = 1001.42
+    srf_shape: str = "gaussian"
+    fwhm_nm: float = 6.0
+    smile_nm: float = 0.5
+    noise: bool = True
+    dark_noise: bool = True
+    quantise: bool = True
+    bit_depth: int = 12
+    electrons_per_count: float = 20.0
+    read_noise: float = 0.5
+    dark_level: float = 110.0
+    dark_pattern: float = 3.0
+    dark_frames: int = 64
+    nonuniformity: float = 0.02
+    bad_elements: int = 0
+    texture: float = 0.02
+    glint: float = 0.001
+    sun_zenith: float = 25.0
+    drift_per_minute: float = 0.001
+    cloud: tuple[float, float, float] | None = None
+    dropped: int | Sequence[int] = 0
+    irradiance_interval_s: int = 2
+    irradiance_margin_s: float = 6.0
+    irradiance_fwhm_nm: float = 3.0
+    irradiance_noise: float = 0.0
+    irradiance_stamp: str = "end"
+    irradiance_gap: tuple[float, float] | None = None
+    clock_offset_s: float = 37.25
+    utc_offset_h: float = -5.0
+
+    def __post_init__(self) -> None:
+        problems = Problems("the collect cannot be simulated", SchemaError)
+        self._check_choices(problems)
+        self._check_numbers(problems)
+        if not len(problems):
+            self._check_together(problems)
+        problems.raise_if_any()
+
+    @classmethod
+    def of(cls, values: Mapping[str, Any]) -> SimulationSettings:
+        """Return settings from keywords.
+
+        Raises
+        ------
+        SchemaError
+            Keywords are unknown, or values out of range.
+        """
+        known = {field.name for field in fields(cls)}
+        unknown = sorted(set(values) - known)
+        if unknown:
+            msg = f"unknown settings {', '.join(unknown)}; expected some of {', '.join(sorted(known))}"
+            raise SchemaError(msg)
+        return cls(**values)
+
+    @property
+    def shape(self) -> tuple[int, int, int]:
+        """Lines, bands, columns."""
+        return self.lines, self.bands, self.columns
+
+    @property
+    def exposure_time(self) -> float:
+        """Exposure [s]."""
+        return self.exposure_time_ms / 1000.0
+
+    @property
+    def dropped_frames(self) -> np.ndarray[tuple[int], np.dtype[np.int64]]:
+        """Numbers of the frames that were never recorded, in order; never the first or last of a cube."""
+        if not isinstance(self.dropped, int):
+            return np.unique(np.asarray(self.dropped, dtype=np.int64))
+        starts = self.cube_starts
+        inner = np.setdiff1d(np.arange(self.lines), np.concatenate([starts[:-1], starts[1:] - 1]))
+        rng = np.random.default_rng([self.seed, 5])
+        return np.sort(rng.choice(inner, self.dropped, replace=False)).astype(np.int64)
+
+    @property
+    def cube_starts(self) -> np.ndarray[tuple[int], np.dtype[np.int64]]:
+        """First frame of every cube, and one past the last frame of the flight."""
+        return np.linspace(0, self.lines, self.cubes + 1).astype(np.int64)
+
+    def _check_choices(self, problems: Problems) -> None:
+        choices = {"srf_shape": SHAPES, "stamp": STAMPS, "irradiance_stamp": STAMPS}
+        for name, allowed in choices.items():
+            if getattr(self, name) not in allowed:
+                problems.add(f"{name}={getattr(self, name)!r}, expected one of {', '.join(allowed)}")
+        for name in ("noise", "dark_noise", "quantise"):
+            if not isinstance(getattr(self, name), bool):
+                problems.add(f"{name}={getattr(self, name)!r}, expected True or False")
+        if not _is_start_time(self.start_time):
+            problems.add(
+                f"start_time={self.start_time!r}, expected text like '2021-07-20T17:10:00', "
+                "in UTC without a zone, from 1980 to 2037"
+            )
+
+    def _check_numbers(self, problems: Problems) -> None:
+        for name, (lowest, highest) in _WHOLE.items():
+            value = getattr(self, name)
+            if (
+                isinstance(value, bool)
+                or not isinstance(value, int | np.integer)
+                or not lowest <= value <= highest
+            ):
+                problems.add(f"{name}={value!r}, expected a whole number from {lowest} to {highest}")
+        for names, allowed, meaning in _RANGES:
+            for name in names:
+                value = getattr(self, name)
+                if not _is_number(value) or not allowed(value):
+                    problems.add(f"{name}={value!r}, expected {meaning}")
+        for name, length in (("cloud", 3), ("irradiance_gap", 2)):
+            value = getattr(self, name)
+            if value is not None and not (
+                isinstance(value, tuple | list) and len(value) == length and all(map(_is_number, value))
+            ):
+                problems.add(f"{name}={value!r}, expected {length} numbers, or None")
+        if not isinstance(self.dropped, int) and not (
+            isinstance(self.dropped, list | tuple | range) and all(isinstance(f, int) for f in self.dropped)
+        ):
+            problems.add(f"dropped={self.dropped!r}, expected a number of frames or a list of frame numbers")
+
+    def _check_together(self, problems: Problems) -> None:
+        if self.exposure_time_ms > self.frame_period_ms:
+            problems.add(
+                f"exposure_time_ms={self.exposure_time_ms} exceeds frame_period_ms={self.frame_period_ms}"
+            )
+        minutes = (self.lines * self.frame_period_ms / 1000.0 + 2 * self.irradiance_margin_s) / 60.0
+        if abs(self.drift_per_minute) * minutes > 0.9:
+            problems.add(
+                f"drift_per_minute={self.drift_per_minute} leaves no light after {minutes:.1f} minutes"
+            )
+        if self.first_wavelength >= self.last_wavelength:
+            problems.add(f"first_wavelength={self.first_wavelength} is not below last_wavelength")
+        if self.lines < 2 * self.cubes:
+            problems.add(f"cubes={self.cubes}, expected at most one for every two of the {self.lines} lines")
+        if self.bad_elements > self.bands * self.columns:
+            problems.add(f"bad_elements={self.bad_elements}, of {self.bands * self.columns} elements")
+        if self.dark_level >= 2**self.bit_depth - 1:
+            problems.add(f"dark_level={self.dark_level} fills the converter of {self.bit_depth} bits")
+        if self.cloud is not None and not (0 <= self.cloud[0] <= 1 and self.cloud[1] > 0):
+            problems.add(f"cloud={self.cloud}, expected a fraction from 0 to 1 and a duration above 0 s")
+        dropped = self.dropped
+        if isinstance(dropped, int):
+            most = self.lines - 2 * self.cubes
+            if not 0 <= dropped <= most:
+                problems.add(f"dropped={dropped}, expected at most {most}: a cube keeps its outer frames")
+        elif any(not 0 <= frame < self.lines for frame in dropped):
+            problems.add(f"dropped frames outside 0 to {self.lines - 1}")
+        elif any(
+            len(set(range(start, stop)) - set(dropped)) == 0
+            for start, stop in itertools.pairwise(self.cube_starts.tolist())
+        ):
+            problems.add("dropped frames leave a cube empty")
+
+
+def _is_number(value: object) -> bool:
+    kinds = int | float | np.integer | np.floating
+    return isinstance(value, kinds) and not isinstance(value, bool) and bool(np.isfinite(value))
+
+
+def _is_start_time(value: object) -> bool:
+    # the spectrometer's files count seconds in 32 bits
+    if not isinstance(value, str) or not _ISO_TIME.fullmatch(value):
+        return False
+    try:
+        moment = np.datetime64(value, "ns")
+    except ValueError:
+        return False
+    return bool(np.datetime64("1980-01-01") <= moment < np.datetime64("2038-01-01"))
+
+
+_ISO_TIME = re.compile(r"[0-9]{4}-[0-9]{2}-[0-9]{2}([T ][0-9]{2}:[0-9]{2}(:[0-9]{2}(\.[0-9]{1,9})?)?)?")
+
+
+_WHOLE = {
+    "lines": (2, 10_000_000),
+    "bands": (2, 10_000),
+    "columns": (1, 100_000),
+    "seed": (0, 2**63 - 1),
+    "cubes": (1, 10_000),
+    "bit_depth": (1, 16),
+    "dark_frames": (1, 100_000),
+    "bad_elements": (0, 2**40),
+    "irradiance_interval_s": (1, 3600),
+}
+
+_Rule = tuple[tuple[str, ...], Callable[[float], bool], str]
+_RANGES: tuple[_Rule, ...] = (
+    (
+        ("exposure_time_ms", "frame_period_ms", "fwhm_nm", "electrons_per_count", "irradiance_fwhm_nm"),
+        lambda value: value > 0,
+        "a number above 0",
+    ),
+    (
+        ("read_noise", "dark_level", "dark_pattern", "irradiance_noise"),
+        lambda value: value >= 0,
+        "a number from 0",
+    ),
+    (("nonuniformity", "texture"), lambda value: 0 <= value <= 0.2, "a number from 0 to 0.2"),
+    (("irradiance_margin_s",), lambda value: 0 <= value <= 3600, "a number from 0 to 3600"),
+    (("glint",), lambda value: 0 <= value <= 1, "a number from 0 to 1"),
+    (("smile_nm",), lambda value: abs(value) <= 20, "a number from -20 to 20"),
+    (("sun_zenith",), lambda value: 0 <= value <= 85, "a number from 0 to 85"),
+    (("drift_per_minute",), lambda value: abs(value) <= 1, "a number from -1 to 1"),
+    (
+        ("first_wavelength", "last_wavelength"),
+        lambda value: 380 <= value <= 1050,
+        "a number from 380 to 1050",
+    ),
+    (("utc_offset_h",), lambda value: abs(value) <= 14, "a number from -14 to 14"),
+    (("clock_offset_s",), lambda value: abs(value) <= 86400, "a number from -86400 to 86400"),
+)

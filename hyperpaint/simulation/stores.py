@@ -1,0 +1,228 @@
+"""Calibration and truth as labelled arrays: the only part of the simulator that knows xarray and zarr."""
+
+from __future__ import annotations
+
+import warnings
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import xarray as xr
+import zarr
+from numpy.typing import NDArray
+from zarr.codecs import BloscCodec
+
+from hyperpaint.schema import CHUNK_LINES, CUBE, FORMAT_VERSION, TIME_UNITS, VARIABLES
+
+from .flight import Flight, Lines
+from .instruments import ASD_WAVELENGTH
+from .paints import MATERIALS
+
+__all__ = ["TruthStore", "line_dataset", "write_calibration"]
+
+ALONG_TRACK, BAND, CROSS_TRACK = CUBE
+_PLANE = (ALONG_TRACK, CROSS_TRACK)
+
+_SURFACE_ATTRS: dict[str, Any] = {
+    "long_name": "Class of the surface",
+    "flag_values": list(range(len(MATERIALS))),
+    "flag_meanings": " ".join(MATERIALS),
+}
+_MASKS = {
+    "saturated": "True where the converter was full in any band",
+    "glint": "True where the pixel mirrors the sun",
+}
+
+_NO_DATA_ATTRS = {"long_name": "True where the frame was never recorded"}
+
+
+def _variable(name: str, values: Any, dims: tuple[str, ...] | None = None) -> xr.Variable:
+    """Return values under the dims, dtype and attributes of the table of variables."""
+    row = VARIABLES[name]
+    values = np.asarray(values).astype(row.dtype)
+    if dims is None:
+        dims = next(d for d in (row.dims, *row.alternatives) if len(d) == values.ndim)
+    return xr.Variable(dims, values, row.attrs)
+
+
+def _band_coords(flight: Flight) -> dict[str, xr.Variable]:
+    bands = flight.settings.bands
+    return {
+        "wavelength": _variable("wavelength", flight.wavelength),
+        "fwhm": _variable("fwhm", np.full(bands, flight.settings.fwhm_nm)),
+        "good": _variable("good", np.ones(bands)),
+        "wavelength_shift": _variable("wavelength_shift", flight.imager.wavelength_shift, (CROSS_TRACK,)),
+    }
+
+
+def _calibration(flight: Flight) -> dict[str, xr.Variable]:
+    return {
+        "radiance_gain": _variable("radiance_gain", flight.radiance_gain),
+        "electrons_per_count": _variable("electrons_per_count", flight.settings.electrons_per_count),
+        "read_noise": _variable("read_noise", flight.settings.read_noise),
+    }
+
+
+def write_calibration(flight: Flight, path: Path) -> None:
+    """Write ``calibration.zarr``: the gain of every element, wavelengths, smile, line shape, noise."""
+    made = xr.Dataset(
+        _calibration(flight),
+        coords=_band_coords(flight),
+        attrs={
+            "hyperpaint_format": FORMAT_VERSION,
+            "name": "simulated calibration",
+            "srf_shape": flight.settings.srf_shape,
+            "etendue": flight.etendue,
+            "history": f"exact calibration of the simulated imager, seed {flight.settings.seed}",
+        },
+    )
+    # one chunk each, and everything written: a missing chunk is then a fault
+    encoding = {name: {"chunks": array.shape} for name, array in made.variables.items() if array.ndim}
+    made.to_zarr(path, mode="w", zarr_format=3, consolidated=False, encoding=encoding)
+    _consolidate(path)
+
+
+def _consolidate(path: Path) -> None:
+    """Gather the metadata at the root, where plain `xarray.open_zarr` looks first."""
+    with warnings.catch_warnings():
+        # zarr warns that consolidated metadata is not yet in the specification of version 3
+        warnings.simplefilter("ignore")
+        zarr.consolidate_metadata(path)
+
+
+def _time(flight: Flight, recorded: NDArray[np.bool_] | None = None) -> xr.Variable:
+    stamps = (flight.start + flight.line_times).astype("datetime64[ns]")
+    if recorded is not None:
+        stamps[~recorded] = np.datetime64("NaT", "ns")
+    return _variable("time", stamps)
+
+
+class TruthStore:
+    """``truth.zarr``, filled line block by line block.
+
+    Parameters
+    ----------
+    flight
+        What is simulated.
+    path
+        The store; replaced where it exists.
+    """
+
+    def __init__(self, flight: Flight, path: Path) -> None:
+        settings = flight.settings
+        self._full = flight.detector.saturation_count
+        coords = {
+            **_band_coords(flight),
+            "time": _time(flight),
+            "frame": _variable("frame", np.arange(settings.lines)),
+        }
+        head = xr.Dataset(
+            coords=coords,
+            attrs={
+                "hyperpaint_format": FORMAT_VERSION,
+                "name": "truth of a simulated collect",
+                "srf_shape": settings.srf_shape,
+                "irradiance_srf_shape": "gaussian",
+            },
+        )
+        time_encoding = {"dtype": "int64", "units": TIME_UNITS, "calendar": "proleptic_gregorian"}
+        head.to_zarr(path, mode="w", zarr_format=3, consolidated=False, encoding={"time": time_encoding})
+        group = zarr.open_group(path, mode="r+")
+        cube, plane = settings.shape, (settings.lines, settings.columns)
+        self._arrays = {
+            **{
+                name: _create(group, name, cube, CUBE, "float32", VARIABLES[name].attrs)
+                for name in ("reflectance", "radiance")
+            },
+            "surface": _create(group, "surface", plane, _PLANE, "int16", _SURFACE_ATTRS),
+            "no_data": _create(group, "no_data", (settings.lines,), (ALONG_TRACK,), "bool", _NO_DATA_ATTRS),
+        }
+        for name, text in _MASKS.items():
+            self._arrays[name] = _create(group, name, plane, _PLANE, "bool", {"long_name": text})
+        _consolidate(path)
+
+    def write(self, start: int, lines: Lines, recorded: NDArray[np.bool_]) -> None:
+        """Write the lines from ``start`` on."""
+        here = slice(start, start + len(recorded))
+        self._arrays["reflectance"][here] = lines.reflectance
+        self._arrays["radiance"][here] = lines.radiance
+        self._arrays["surface"][here] = lines.surface
+        self._arrays["glint"][here] = lines.glint
+        self._arrays["saturated"][here] = _saturated(lines, self._full)
+        self._arrays["no_data"][here] = ~recorded
+
+
+def _saturated(lines: Lines, full: int) -> NDArray[np.bool_]:
+    return np.asarray((lines.counts >= full - 0.5).any(axis=1))
+
+
+def _create(
+    group: zarr.Group,
+    name: str,
+    shape: tuple[int, ...],
+    dims: tuple[str, ...],
+    dtype: str,
+    attrs: dict[str, Any],
+) -> Any:
+    itemsize = np.dtype(dtype).itemsize
+    return group.create_array(
+        name,
+        shape=shape,
+        chunks=(min(CHUNK_LINES, shape[0]), *shape[1:]),
+        dtype=dtype,
+        compressors=[BloscCodec(typesize=itemsize, cname="lz4", clevel=5, shuffle="bitshuffle")],
+        fill_value=np.nan if dtype == "float32" else np.dtype(dtype).type(0),
+        dimension_names=dims,
+        attributes=attrs,
+        config={"write_empty_chunks": True},
+    )
+
+
+def line_dataset(flight: Flight, block: Lines, *, matched: bool) -> xr.Dataset:
+    """Return all lines of a flight as a flight line Dataset with its truth."""
+    settings, detector = flight.settings, flight.detector
+    recorded = np.ones(settings.lines, dtype=bool)
+    recorded[settings.dropped_frames] = False
+    counts = detector.convert(block.counts) if settings.quantise else block.counts
+    counts[~recorded] = 65535
+    dark = flight.dark_frames().mean(axis=0) if settings.quantise else detector.dark
+    samples = flight.sky_samples()
+    dims = ("irradiance_time", BAND, CROSS_TRACK)
+    made = xr.Dataset(
+        {
+            "counts": xr.Variable(CUBE, counts, VARIABLES["counts"].attrs),
+            "dark_counts": _variable("dark_counts", dark, (BAND, CROSS_TRACK)),
+            **_calibration(flight),
+            "exposure_time": _variable("exposure_time", settings.exposure_time),
+            "saturation_count": _variable("saturation_count", detector.saturation_count),
+            "irradiance": _variable("irradiance", samples.irradiance),
+            "irradiance_fwhm": _variable("irradiance_fwhm", settings.irradiance_fwhm_nm),
+            "irradiance_max_gap": _variable("irradiance_max_gap", 2.5 * settings.irradiance_interval_s),
+            "true_radiance": xr.Variable(CUBE, block.radiance, VARIABLES["radiance"].attrs),
+            "true_reflectance": xr.Variable(CUBE, block.reflectance, VARIABLES["reflectance"].attrs),
+            "surface": xr.Variable(_PLANE, block.surface, _SURFACE_ATTRS),
+            "true_saturated": xr.Variable(_PLANE, _saturated(block, detector.saturation_count)),
+        },
+        coords={
+            **_band_coords(flight),
+            "time": _time(flight, recorded),
+            "frame": _variable("frame", np.arange(settings.lines)),
+            **{
+                name: _variable(name, values) for name, values in flight.pose(flight.line_times / 1e9).items()
+            },
+            "irradiance_time": _variable(
+                "irradiance_time", (flight.start + samples.middle).astype("datetime64[ns]")
+            ),
+            "irradiance_wavelength": _variable("irradiance_wavelength", ASD_WAVELENGTH),
+        },
+        attrs={
+            "name": "simulated line",
+            "srf_shape": settings.srf_shape,
+            "irradiance_srf_shape": "gaussian",
+        },
+    )
+    if matched:
+        made["matched_irradiance"] = xr.Variable(
+            dims, flight.matched_irradiance(samples.factors), VARIABLES["irradiance"].attrs
+        )
+    return made

@@ -1,0 +1,346 @@
+import contextlib
+import csv
+import datetime as dt
+import re
+import struct
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from hyperpaint.errors import FormatError, PaintWarning, SchemaError, TimeError
+from hyperpaint.io.asd import find_files, open_asd, read_asd
+from hyperpaint.io.asd_text import read_asd_text
+
+GRID = np.arange(350.0, 1051.0)
+COUNTS = 1000.0 + np.arange(len(GRID)) * 3.0
+LAMP, LAMP_COUNTS, PANEL = np.full(len(GRID), 0.2), np.full(len(GRID), 4000.0), np.full(len(GRID), 0.99)
+BLOCKS = {1: (0, PANEL), 2: (0, LAMP), 3: (136, LAMP_COUNTS)}
+
+
+def at(array, nanometres):
+    return float(array.sel(wavelength=nanometres).squeeze())
+
+
+# --- real files
+
+
+@pytest.mark.real_data
+@pytest.mark.parametrize(
+    ("name", "version", "offset", "local", "counts"),
+    [
+        ("v6sample00000.asd", 6, -6.0, dt.datetime(2009, 7, 21, 12, 39, 29), (350.0, 29.31173796)),
+        ("v7sample00000.asd", 7, None, dt.datetime(2009, 7, 21, 13, 36, 11), None),
+        ("v7sample00003.asd", 7, -6.0, dt.datetime(2009, 7, 21, 13, 37, 7), None),
+        ("v7sample00005.asd", 7, -6.0, dt.datetime(2009, 7, 21, 13, 38, 16), None),
+        ("soil.asd", 8, 12.0, dt.datetime(2015, 8, 11, 16, 1, 8), None),
+        ("handheld_raw.asd", 7, None, dt.datetime(2016, 5, 21, 15, 11, 58), (325.0, 1348.10969471)),
+        ("ribb00001.asd", 7, 2.0, dt.datetime(2018, 8, 8, 10, 3, 28), None),
+        ("ww00045.asd", 7, 2.0, dt.datetime(2022, 4, 21, 12, 51, 28), None),
+    ],
+)
+def test_real_headers(shared_data, name, version, offset, local, counts):
+    file = read_asd(shared_data / "asd_binary" / name)
+    assert (file.version, file.utc_offset_h, file.local_time) == (version, offset, local)
+    assert file.spectrum.dtype == file.wavelength.dtype == np.float64
+    if counts:
+        assert file.spectrum[file.wavelength == counts[0]] == pytest.approx(counts[1], rel=1e-9)
+
+
+@pytest.mark.real_data
+@pytest.mark.parametrize(
+    ("name", "known"),
+    [
+        ("v6sample00000.asd", {550: 0.838715695, 1000: 0.878999151}),
+        ("v7sample00003.asd", {550: 0.852098975, 1000: 0.892995520}),
+        ("v7sample00005.asd", {550: 0.847199224}),
+        ("soil.asd", {550: 0.253994864, 1000: 0.471799076}),
+    ],
+)
+def test_real_reflectance(shared_data, name, known):
+    opened = open_asd(shared_data / "asd_binary" / name, "reflectance")
+    assert opened["reflectance"].dims == ("spectrum", "wavelength")
+    assert opened["reflectance"].attrs["units"] == "1"
+    for nanometres, value in known.items():
+        assert at(opened["reflectance"], nanometres) == pytest.approx(value, abs=1e-9)
+
+
+@pytest.mark.real_data
+@pytest.mark.parametrize("number", [1, 2, 3])
+def test_reflectance_is_the_vendors(shared_data, number):
+    folder = shared_data / "asd_binary"
+    ours = open_asd(folder / f"ribb0000{number}.asd")["reflectance"].values[0]
+    vendors = read_asd_text(folder / f"ribb0000{number}.asd.txt")
+    np.testing.assert_allclose(ours, vendors.values[0], rtol=1e-12, atol=1e-12)
+
+
+@pytest.mark.real_data
+def test_real_details(shared_data):
+    folder = shared_data / "asd_binary"
+    sample = read_asd(folder / "v6sample00000.asd")
+    assert (sample.integration_ms, sample.gains, sample.instrument_number) == (68.0, (188, 175), 6355)
+    assert read_asd(folder / "soil.asd").integration_ms == 8.5
+    panel = read_asd(folder / "v7sample00005.asd").calibrations["ABS"]
+    assert panel.name == "abs64665_54.ref"
+    assert panel.values[0] == pytest.approx(0.98625571, abs=1e-8)
+    fore_optic = read_asd(folder / "v7sample00000.asd").calibrations["FO"]
+    assert (fore_optic.integration_ms, fore_optic.gains) == (136.0, (31, 16))
+    handheld = read_asd(folder / "handheld_raw.asd")
+    assert (handheld.instrument, handheld.splices, handheld.reference) == ("HandHeld", (1075.0, -1.0), None)
+    with pytest.raises(FormatError, match=r"handheld_raw\.asd: no white reference"):
+        open_asd(folder / "handheld_raw.asd", "reflectance", utc_offset_h=12)
+
+
+@pytest.mark.real_data
+def test_real_radiance_ends_at_the_splice(shared_data):
+    opened = open_asd(shared_data / "asd_binary" / "v7sample00000.asd", utc_offset_h=-6)
+    radiance = opened["radiance"]
+    known = {350: 0.00036096, 550: 0.034134, 700: 0.11626, 1000: 0.35085}
+    for nanometres, value in known.items():
+        assert at(radiance, nanometres) == pytest.approx(value, rel=5e-5)
+    assert radiance["wavelength"].values[-1] == 1000.0
+    assert radiance.attrs["units"] == "W m-2 sr-1 nm-1"
+
+
+@pytest.mark.real_data
+def test_unknown_zone_is_refused_with_a_hint(shared_data):
+    with pytest.raises(TimeError, match=r"utc_offset_h=.*perhaps -6 .*v7sample00000\.asd"):
+        open_asd(shared_data / "asd_binary" / "v7sample00000.asd")
+
+
+@pytest.mark.real_data
+def test_gps_is_that_of_the_nmea_log(shared_data):
+    opened = open_asd(str(shared_data / "asd_binary" / "ww*.asd"))
+    fixes = {}
+    with (shared_data / "gps_imu" / "asd_nmea_042122gps.log").open() as log:
+        for row in csv.reader(log):
+            if len(row) > 12:
+                fixes[row[1].rsplit("\\", 1)[1]] = row[3:12]
+    for index, name in enumerate(opened["source"].values):
+        utc, latitude, north, longitude, east, *_, altitude = fixes[name]
+        assert (north, east) == ("N", "E")
+        spectrum = opened.isel(spectrum=index)
+        assert float(spectrum["latitude"]) == pytest.approx(
+            int(latitude[:2]) + float(latitude[2:]) / 60, abs=1e-9
+        )
+        assert float(spectrum["longitude"]) == pytest.approx(
+            int(longitude[:3]) + float(longitude[3:]) / 60, abs=1e-9
+        )
+        assert float(spectrum["altitude"]) == float(altitude)
+        file = read_asd(shared_data / "asd_binary" / name)
+        assert file.gps.utc.strftime("%H%M%S") == utc
+    assert opened["time"].values[0] == np.datetime64("2022-04-21T10:51:28", "ns")
+    assert opened["time"].dtype == np.dtype("datetime64[ns]")
+
+
+# --- every version and number format, written by the tests' own writer
+
+
+@pytest.mark.parametrize("version", range(1, 9))
+@pytest.mark.parametrize("dtype", ["<f4", "<i4", "<f8"])
+def test_synthetic_versions(write_asd, version, dtype):
+    path = write_asd(
+        "a.asd", COUNTS, version=version, dtype=dtype, reference=COUNTS + 1, trailer=b"\xff\xfe\xfd"
+    )
+    file = read_asd(path)
+    np.testing.assert_array_equal(file.wavelength, GRID)
+    np.testing.assert_array_equal(file.spectrum, COUNTS)
+    assert (file.version, file.comment, file.sample_averages) == (version, "a comment", 1)
+    assert file.local_time == dt.datetime(2024, 5, 21, 11, 33, 7)
+    if version == 1:
+        assert file.reference is None
+    else:
+        np.testing.assert_array_equal(file.reference, COUNTS + 1)
+
+
+def test_filled_optional_blocks(write_asd):
+    blocks = {0: (0, PANEL), **BLOCKS}
+    path = write_asd("a.asd", COUNTS, version=8, blocks=blocks, labels=("protein", ""), audit=("<event/>",))
+    file = read_asd(path)
+    assert set(file.calibrations) == {"ABS", "BSE", "LMP", "FO"}
+    np.testing.assert_array_equal(file.calibrations["FO"].values, LAMP_COUNTS)
+
+
+def test_version_6_may_end_before_the_classifier(write_asd, tmp_path):
+    whole = write_asd("a.asd", COUNTS, version=6).read_bytes()
+    (tmp_path / "short.asd").write_bytes(whole[:-46])
+    np.testing.assert_array_equal(read_asd(tmp_path / "short.asd").spectrum, COUNTS)
+
+
+@pytest.mark.parametrize("nominal", [8, 9])
+def test_irradiance_through_the_calibration_blocks(write_asd, nominal):
+    path = write_asd("a.asd", COUNTS, data_type=4, blocks=BLOCKS, integration_ms=nominal, averages=5)
+    irradiance = open_asd(path, utc_offset_h=0)["irradiance"]
+    expected = 0.2 * COUNTS[:651] / 4000.0 * (136 / 8.5)
+    np.testing.assert_allclose(irradiance.values[0], expected, rtol=1e-13)
+    assert irradiance["wavelength"].values[-1] == 1000.0
+    radiance = open_asd(path, "radiance", utc_offset_h=0)["radiance"]
+    np.testing.assert_allclose(radiance.values[0], expected * 0.99 / np.pi, rtol=1e-13)
+
+
+def test_missing_blocks_are_named_and_files_stand_in(write_asd):
+    path = write_asd("a.asd", COUNTS, data_type=4, blocks={2: (0, LAMP)})
+    with pytest.raises(FormatError, match=r"a\.asd: no calibration block FO .*'fore_optic': path.*text"):
+        open_asd(path, utc_offset_h=0)
+    files = {
+        "lamp": write_asd("x.ill", LAMP * 2),
+        "fore_optic": write_asd("x.raw", LAMP_COUNTS, integration_ms=68),
+    }
+    irradiance = open_asd(path, utc_offset_h=0, calibration=files)["irradiance"]
+    np.testing.assert_allclose(irradiance.values[0], 0.4 * COUNTS[:651] / 4000.0 * (68 / 136), rtol=1e-13)
+    with pytest.raises(SchemaError, match="lamp, fore_optic, panel"):
+        open_asd(path, calibration={"ill": files["lamp"]})
+    other_grid = {**files, "lamp": write_asd("y.ill", LAMP[:-1])}
+    with pytest.raises(FormatError, match=r"not those of the calibration file y\.ill"):
+        open_asd(path, utc_offset_h=0, calibration=other_grid)
+
+
+def test_saturation_and_zero_division_become_nan_and_are_said(write_asd):
+    path = write_asd("a.asd", COUNTS, reference=np.where(GRID == 400, 0, 2000), saturation=2)
+    with pytest.warns(PaintWarning) as found:
+        reflectance = open_asd(path, "reflectance", utc_offset_h=0)["reflectance"]
+    assert sorted(re.search("that are (.*) become", str(w.message))[1] for w in found) == [
+        "saturated",
+        "undefined (not finite)",
+    ]
+    expected = (GRID > 1000) | (GRID == 400)
+    np.testing.assert_array_equal(np.isnan(reflectance.values[0]), expected)
+    np.testing.assert_array_equal(open_asd(path, "counts", utc_offset_h=0)["counts"].values[0], COUNTS)
+
+
+def test_dark_that_was_not_subtracted_is_said(write_asd):
+    path = write_asd("a.asd", COUNTS, reference=COUNTS, dark_subtracted=False)
+    with pytest.warns(PaintWarning, match="dark current was not subtracted"):
+        open_asd(path, "reflectance", utc_offset_h=0)
+
+
+def test_spectra_are_ordered_by_time_and_offsets_come_from_each_file(write_asd):
+    for name, hour, offset in (("a.asd", 12, 2.0), ("b.asd", 9, 5.5)):
+        zone = {"reference_epoch": 1716286000, "utc_offset_h": offset}
+        path = write_asd(name, COUNTS, local=dt.datetime(2024, 5, 21, hour), reference=COUNTS, **zone)
+    folder = path.parent
+    opened = open_asd(folder)
+    assert list(opened["source"].values) == ["b.asd", "a.asd"]
+    expected = np.array(["2024-05-21T03:30", "2024-05-21T10:00"], "datetime64[ns]")
+    np.testing.assert_array_equal(opened["time"].values, expected)
+    with pytest.warns(PaintWarning, match=r"utc_offset_h=\+2 .*\+5\.5 h in b\.asd"):
+        opened = open_asd(folder, utc_offset_h=2)
+    assert opened["time"].values[0] == np.datetime64("2024-05-21T07:00", "ns")
+
+
+# --- what is refused
+
+
+def test_all_bad_files_are_named_at_once(write_asd, tmp_path):
+    good = write_asd("good.asd", COUNTS)
+    (tmp_path / "cut.asd").write_bytes(good.read_bytes()[:-100])
+    (tmp_path / "long.asd").write_bytes(good.read_bytes() + b"more")
+    (tmp_path / "note.asd").write_text("nothing to see")
+    with pytest.raises(FormatError) as raised:
+        open_asd([*sorted(tmp_path.glob("*.asd")), tmp_path / "gone.asd"], utc_offset_h=0)
+    for name in ("cut.asd", "long.asd", "note.asd", "gone.asd"):
+        assert name in str(raised.value)
+    assert "good.asd" not in str(raised.value)
+
+
+@pytest.mark.parametrize("paths", [[], "nothing*.asd"])
+def test_nothing_to_open(paths, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(FormatError, match="spectra cannot be opened"):
+        find_files(paths)
+
+
+def test_a_folder_without_spectra(tmp_path):
+    with pytest.raises(FormatError, match="no spectra found"):
+        open_asd(tmp_path)
+
+
+def test_different_wavelengths_are_refused(write_asd):
+    paths = [write_asd("a.asd", COUNTS), write_asd("b.asd", COUNTS, first=325.0)]
+    with pytest.raises(FormatError, match=r"(?s)350 to 1050 nm: a\.asd.*325 to 1025 nm: b\.asd"):
+        open_asd(paths, utc_offset_h=0)
+
+
+def test_unclear_quantity(write_asd):
+    paths = [
+        write_asd("a.asd", COUNTS, data_type=1, reference=COUNTS),
+        write_asd("b.asd", COUNTS, data_type=8),
+    ]
+    with pytest.raises(FormatError, match=r"(?s)pass quantity=.*reflectance: a\.asd.*unknown: b\.asd"):
+        open_asd(paths, utc_offset_h=0)
+    with pytest.raises(SchemaError, match="counts, radiance, reflectance, irradiance"):
+        open_asd(paths, "dn")
+
+
+@pytest.mark.parametrize("offset_h", [-18000.0, 15.0, float("nan")])
+def test_impossible_zone(write_asd, offset_h):
+    with pytest.raises(TimeError, match="in hours"):
+        open_asd(write_asd("a.asd", COUNTS), utc_offset_h=offset_h)
+
+
+@pytest.mark.parametrize(
+    ("offset", "packed", "problem"),
+    [
+        (160, struct.pack("<9h", 0, 0, 0, 31, 1, 124, 0, 0, 0), "no date"),
+        (186, b"\x09", "data type"),
+        (199, b"\x03", "data format"),
+        (191, struct.pack("<f", float("nan")), "first wavelength"),
+        (204, b"\0\0", "no channels"),
+        (334 + 16, struct.pack("<2d", 4875.0, -1142.5), "GPS position"),
+    ],
+)
+def test_contradictory_headers(write_asd, offset, packed, problem):
+    path = write_asd("a.asd", COUNTS)
+    data = bytearray(path.read_bytes())
+    data[offset : offset + len(packed)] = packed
+    path.write_bytes(data)
+    with pytest.raises(FormatError, match=problem):
+        read_asd(path)
+
+
+def test_a_position_west_and_south(write_asd):
+    gps = struct.pack("<5dhbbbbbh5sbb", 0, 0, -1230.0, 4515.0, 12.0, 1, 0, 59, 58, 23, 0, 0, b"", 0, 0)
+    fix = read_asd(write_asd("a.asd", COUNTS, gps=gps)).gps
+    assert (fix.latitude, fix.longitude, fix.altitude, fix.utc) == (-12.5, -45.25, 12.0, dt.time(23, 58, 59))
+
+
+@settings(
+    max_examples=250,
+    deadline=1000,
+    suppress_health_check=[HealthCheck.function_scoped_fixture],
+    derandomize=True,
+)
+@given(data=st.data())
+def test_mutated_files_raise_nothing_but_format_errors(tmp_path, write_asd, data):
+    version = data.draw(st.integers(1, 8))
+    seed = write_asd(
+        "seed.asd", COUNTS[:20], version=version, reference=COUNTS[:20], labels=("x",), audit=("y",),
+        blocks={kind: (ms, block[:20]) for kind, (ms, block) in BLOCKS.items()},
+    ).read_bytes()  # fmt: skip
+    mutant = bytearray(seed)
+    for _ in range(data.draw(st.integers(1, 6))):
+        at_byte = data.draw(st.integers(0, len(mutant) - 1))
+        mutant[at_byte] = data.draw(st.sampled_from([0, 1, 0x7F, 0x80, 0xFE, 0xFF]))
+    mutant = mutant[: data.draw(st.integers(0, len(mutant)))] if data.draw(st.booleans()) else mutant
+    path = Path(tmp_path, "mutant.asd")
+    path.write_bytes(mutant)
+    with contextlib.suppress(FormatError):
+        file = read_asd(path)
+        assert file.wavelength.shape == file.spectrum.shape
+
+
+def test_declared_sizes_are_not_believed(write_asd):
+    """A million-fold count in each place that holds one costs neither time nor memory."""
+    path = write_asd("a.asd", COUNTS, version=8, reference=COUNTS, labels=("x",), audit=("y",), blocks=BLOCKS)
+    whole = path.read_bytes()
+    tail = 484 + 2 * 8 * len(COUNTS) + 20
+    started = time.perf_counter()
+    for at_byte in range(tail, min(tail + 200, len(whole))):
+        mutant = whole[:at_byte] + b"\xff\xff\xff\x7f" + whole[at_byte + 4 :]
+        path.write_bytes(mutant)
+        with contextlib.suppress(FormatError):
+            read_asd(path)
+    assert time.perf_counter() - started < 10

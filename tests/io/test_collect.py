@@ -1,0 +1,280 @@
+"""``collect.toml``, and the tree it opens."""
+
+from __future__ import annotations
+
+import re
+import shutil
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import xarray as xr
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from hyperpaint.errors import CollectError
+from hyperpaint.io.collect import open_collect, read_collect
+from hyperpaint.io.envi_array import EnviArray
+from hyperpaint.simulation.collect import simulate_collect
+
+LINES = 60
+
+
+@pytest.fixture(scope="module")
+def simulated(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("collect")
+    return simulate_collect(
+        folder, lines=LINES, bands=6, columns=5, cubes=2, dropped=[7, 8, 40], dark_frames=20, noise=False
+    ).parent
+
+
+@pytest.fixture
+def folder(simulated: Path, tmp_path: Path) -> Path:
+    return Path(shutil.copytree(simulated, tmp_path / "collect"))
+
+
+def change(folder: Path, *pairs: tuple[str, str], end: str = "") -> Path:
+    path = folder / "collect.toml"
+    text = path.read_text()
+    for old, new in pairs:
+        assert re.search(old, text, re.MULTILINE), old
+        text = re.sub(old, new, text, flags=re.MULTILINE)
+    path.write_text(text + end)
+    return path
+
+
+def problems_of(path: Path, *, opened: bool = False, **options: Any) -> str:
+    with pytest.raises(CollectError) as caught:
+        (open_collect if opened else read_collect)(path, **options)
+    return str(caught.value)
+
+
+# --- what is right -----------------------------------------------------------------------------------------
+
+
+def test_what_the_file_says(folder: Path) -> None:
+    path = change(
+        folder,
+        (r"^stamp = .*\n\n\[cal", 'stamp = "mid"\nclock_offset_s = 1.5\ntime_scale = "gps"\n\n[cal'),
+        (r'(id = "raw_0")', r"\1\nexposure_time_ms = 4"),
+        end='\n[[references]]\ninstrument = "svc"\nfiles = ["asd/sky00000.asd", "asd/sky0000[12].asd"]\n',
+    )
+    collect = read_collect(path)
+    assert collect.name == "simulated car park"
+    assert (collect.camera.exposure_time, collect.camera.frame_period) == (0.005, 0.007)
+    assert (collect.camera.stamp, collect.camera.clock_offset_s, collect.camera.time_scale) == (
+        "mid",
+        1.5,
+        "gps",
+    )
+    assert collect.calibration == folder / "calibration.zarr"
+    assert collect.dark == (folder / "dark" / "raw_0.hdr",)
+    assert [line.id for line in collect.flightlines] == ["raw_0", "raw_30"]
+    assert [line.exposure_time for line in collect.flightlines] == [0.004, None]
+    assert collect.flightlines[0].nav == collect.flightlines[1].nav == folder / "flight" / "imu_gps.txt"
+    assert collect.irradiance is not None
+    assert collect.irradiance.files == tuple(sorted((folder / "asd").glob("*.asd")))
+    assert collect.irradiance.options == {
+        "quantity": "irradiance", "utc_offset_h": -5.0, "clock_offset_s": 37.25,
+        "stamp": "end", "fwhm_nm": 3.0,
+    }  # fmt: skip
+    assert [file.name for file in collect.references[0].files] == [f"sky0000{i}.asd" for i in range(3)]
+
+
+@pytest.mark.parametrize("said", ['dark = "none"\n', "[dark]\ncubes = 'none'\n"])
+def test_no_dark_is_said_in_either_way(folder: Path, said: str) -> None:
+    path = change(folder, (r"^\[dark\]\ncubes = .*\n", ""))
+    text = path.read_text()
+    path.write_text(said + text if said.startswith("dark") else text + said)
+    assert read_collect(path).dark == "none"
+    tree = open_collect(path)
+    assert (tree["flightlines/raw_0/dark_counts"] == 0).all()
+
+
+def test_the_tree_holds_every_line_and_nothing_at_its_root(folder: Path) -> None:
+    tree = open_collect(folder / "collect.toml")
+    assert tree.to_dataset().sizes == {}
+    assert not tree.to_dataset().variables
+    assert set(tree["flightlines"].children) == {"raw_0", "raw_30"}
+    truth = xr.open_zarr(folder / "truth.zarr")
+    for name, first in (("raw_0", 0), ("raw_30", 30)):
+        line = tree[f"flightlines/{name}"].to_dataset()
+        frame = line["frame"].values
+        assert frame[0] == first
+        assert not set(frame.tolist()) & {7, 8, 40}
+        expected = truth["time"].isel(along_track=frame).values
+        apart = np.abs(line["time"].values - expected).max()
+        assert apart <= np.timedelta64(1, "us")
+        assert line.attrs["collect"] == "simulated car park"
+        assert "irradiance" in line
+    assert tree["irradiance"]["irradiance"].ndim == 2
+    assert tree["calibration"]["radiance_gain"].shape == (6, 5)
+    assert float(tree["flightlines/raw_0"].attrs["dropped_frames"]) == 2
+
+
+def test_no_cube_is_read(folder: Path, monkeypatch: pytest.MonkeyPatch, no_compute: Any) -> None:
+    (folder / "dark" / "raw_0").rename(folder / "dark" / "kept")
+    path = change(folder, (r"^\[dark\]\ncubes = .*\n", "[dark]\ncubes = 'none'\n"))
+
+    def refuse(self: EnviArray, key: Any) -> None:
+        pytest.fail("a cube was read")
+
+    monkeypatch.setattr(EnviArray, "__getitem__", refuse)
+    with no_compute():
+        tree = open_collect(path)
+    assert tree["flightlines/raw_0/counts"].chunks is not None
+
+
+def test_navigation_shared_by_the_cubes_is_read_once(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    from hyperpaint.io import collect
+
+    read: list[Path] = []
+    original = collect.read_imu_gps
+
+    def count(path: Path, *arguments: Any) -> Any:
+        read.append(path)
+        return original(path, *arguments)
+
+    monkeypatch.setattr(collect, "read_imu_gps", count)
+    open_collect(folder / "collect.toml")
+    assert read == [folder / "flight" / "imu_gps.txt"]
+
+
+def test_the_clock_of_the_navigation_is_corrected(folder: Path) -> None:
+    before = open_collect(folder / "collect.toml")["flightlines/raw_0/time"].values
+    path = change(folder, (r"^bit_depth", 'clock_offset_s = 20.5\ntime_scale = "gps"\nbit_depth'))
+    after = open_collect(path)["flightlines/raw_0/time"].values
+    assert np.unique(after - before).tolist() == [np.timedelta64(2_500_000_000, "ns").astype(int)]
+
+
+def test_lines_without_side_files_start_at_a_time(folder: Path) -> None:
+    path = change(
+        folder,
+        (r"^frame_index = .*raw_0.*\n|^frame_index = .*_0.*\n", "start_time = 2021-07-20T12:10:00-05:00\n"),
+        (r"^nav = .*\n", ""),
+        (r"^frame_index = .*_30.*\n", 'start_time = "2021-07-20T17:10:00.210Z"\n'),
+    )
+    tree = open_collect(path)
+    first = tree["flightlines/raw_0/time"].values[0]
+    assert first == np.datetime64("2021-07-20T17:09:59.997500000")
+    assert "latitude" not in tree["flightlines/raw_0"].to_dataset()
+
+
+def test_radiance_needs_no_irradiance(folder: Path) -> None:
+    path = change(folder, (r"^\[irradiance\]\n(.+\n)+", ""))
+    assert "no [irradiance]" in problems_of(path)
+    tree = open_collect(path, need_irradiance=False)
+    assert "irradiance" not in tree.children
+    assert "irradiance" not in tree["flightlines/raw_0"].to_dataset()
+
+
+# --- what is wrong -----------------------------------------------------------------------------------------
+
+
+def test_every_problem_of_the_file_is_listed(folder: Path) -> None:
+    path = change(
+        folder,
+        (r"^exposure_time_ms = .*", "exposure_time_ms = -5.0\nexposure_ms = 5"),
+        (r"^bit_depth = .*", "bit_depth = 'twelve'"),
+        (r'^path = "calibration.zarr"', 'path = "nowhere.zarr"'),
+        (r'^files = "asd/\*.asd"', 'files = "asd/*.csv"'),
+        (r'^id = "raw_30"', 'id = "raw_0"'),
+        (r'^cube = "flight/raw_0.hdr"', 'cube = "flight/raw_1.hdr"'),
+        (r"^\[collect\]", "[colect]"),
+        end='\n[[flightlines]]\nid = "../escape"\ncube = "flight/raw_0.hdr"\n\n[[references]]\nfiles = 3\n',
+    )
+    text = problems_of(path)
+    for part in (
+        "[camera] exposure_time_ms = -5.0, expected a positive number",
+        "[camera] unknown key 'exposure_ms'; did you mean 'exposure_time_ms'?",
+        "[camera] bit_depth = 'twelve', expected a whole number from 1 to 16",
+        "[calibration] path = 'nowhere.zarr': no such file",
+        "[irradiance] files = 'asd/*.csv': matches no file",
+        "[[flightlines]] 1 cube = 'flight/raw_1.hdr': no such file",
+        "unknown table or key 'colect'; did you mean 'collect'?",
+        "[[flightlines]] 3 id = '../escape'",
+        "[[flightlines]] 3 no line times: found frame_period_ms",
+        "[[references]] 1 instrument missing",
+        "[[references]] 1 files = 3, expected a text or a list of texts",
+    ):
+        assert part in text, part
+
+
+def test_duplicate_ids_are_refused_whatever_their_case(folder: Path) -> None:
+    path = change(folder, (r'^id = "raw_30"', 'id = "RAW_0"'))
+    assert "'raw_0' is given to 2 lines" in problems_of(path)
+
+
+@pytest.mark.parametrize("name", ["", "a/b", "..", ".hidden", "zarr.json", "c", "a b", "x" * 200])
+def test_ids_are_names_of_groups(folder: Path, name: str) -> None:
+    assert "id" in problems_of(change(folder, (r'^id = "raw_30"', f'id = "{name}"')))
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "expected"),
+    [
+        (r"^\[calibration\]\npath = .*\n", "", "no calibration"),
+        (r"^path = .*", 'sweep = "lab.zarr"', "hyperpaint calibrate"),
+        (r"^path = .*", "", "[calibration] path is missing"),
+        (r"^\[dark\]\ncubes = .*\n", "", 'dark="none"'),
+        (r"^cube = .*raw_0.*\n", "", "[[flightlines]] 1 cube is missing"),
+        (r"^stamp = .*\n\n\[cal", 'stamp = "begin"\n\n[cal', "expected one of 'start', 'mid', 'end'"),
+        (r"^nav = .*\n", "", "no line times: found frame_index, frame_period_ms"),
+        (r"^nav = .*\n", "start_time = 2021-07-20T12:10:00\n", "no zone"),
+        (r"^nav = .*\n", 'date = "2021-07-20"\n', "clock_offset_s"),
+        (r"^utc_offset_h = .*", "utc_offset_h = nan", "expected a number"),
+        (r"^utc_offset_h = .*", "utc_offset_h = true", "expected a number"),
+        (r"^\[camera\]", "[[camera]]", "'camera' is"),
+        (r"^\[\[flightlines\]\]", "[[lines]]", "no [[flightlines]]"),
+        (r"^cubes = .*", "cubes = []", "expected a text or a list of texts"),
+    ],
+)
+def test_one_problem_at_a_time(folder: Path, old: str, new: str, expected: str) -> None:
+    assert expected in problems_of(change(folder, (old, new)), opened=True)
+
+
+def test_the_place_of_a_mistake_in_the_toml_is_told(folder: Path) -> None:
+    text = problems_of(change(folder, (r"^bit_depth = .*", "bit_depth = = 12")))
+    assert "line 7" in text
+    (folder / "collect.toml").write_bytes(b"\xff\xfe")
+    assert "not TOML" in problems_of(folder / "collect.toml")
+    (folder / "collect.toml").write_text("a = " + "[" * 10_000)
+    assert "not TOML" in problems_of(folder / "collect.toml")
+    assert "cannot be read" in problems_of(folder / "none.toml")
+
+
+def test_problems_of_all_files_come_in_one_message(folder: Path) -> None:
+    with (folder / "flight" / "raw_0").open("ab") as file:
+        file.write(b"123")
+    (folder / "flight" / "frameIndex_30.txt").write_text("Frame#\tTimestamp\n30\t5\n31\t5\n")
+    xr.open_zarr(folder / "calibration.zarr").load().isel(band=slice(5)).to_zarr(
+        folder / "fewer.zarr", consolidated=False, zarr_format=3
+    )
+    path = change(
+        folder, (r"calibration.zarr", "fewer.zarr"), (r"^exposure_time_ms = .*", "exposure_time_ms = -1")
+    )
+    text = problems_of(path, opened=True)
+    assert "exposure_time_ms = -1, expected a positive number" in text
+    assert "the file is 3 bytes longer than its header says" in text
+    assert "6 bands x 5 columns, the calibration 5 bands x 5 columns" in text
+    assert "repeats or runs backwards in line 3" in text
+
+
+def test_one_problem_shared_by_the_lines_is_said_once(folder: Path) -> None:
+    (folder / "flight" / "imu_gps.txt").write_text("nothing")
+    text = problems_of(folder / "collect.toml", opened=True)
+    assert text.count("imu_gps.txt: a navigation record starts") == 1
+    assert "no line times" not in text
+
+
+@settings(max_examples=120, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(data=st.text(max_size=25), place=st.integers(0, 700), cut=st.integers(0, 25))
+def test_mutated_files_raise_only_collect_errors(simulated: Path, data: str, place: int, cut: int) -> None:
+    whole = (simulated / "collect.toml").read_text()
+    path = simulated / "mutated.toml"
+    path.write_text(whole[:place] + data + whole[place + cut :], encoding="utf-8", errors="replace")
+    try:
+        read_collect(path)
+    except CollectError:
+        return

@@ -1,0 +1,692 @@
+"""ENVI cubes through the lazy reader: values, names, laziness, damage, and other readers as oracles."""
+
+from __future__ import annotations
+
+import itertools
+import json
+import os
+import pickle
+import shutil
+import subprocess
+import sys
+import time
+import tomllib
+import warnings
+from concurrent.futures import ThreadPoolExecutor
+from importlib.metadata import entry_points
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import xarray as xr
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from hyperpaint import schema
+from hyperpaint.errors import FormatError, PaintWarning
+from hyperpaint.io.backends import EnviBackendEntrypoint
+from hyperpaint.io.envi import find_pair, open_envi
+from hyperpaint.io.envi_array import EnviArray
+
+CODES = {
+    "u1": 1,
+    "i2": 2,
+    "i4": 3,
+    "f4": 4,
+    "f8": 5,
+    "c8": 6,
+    "c16": 9,
+    "u2": 12,
+    "u4": 13,
+    "i8": 14,
+    "u8": 15,
+}
+FROM_LBS = {"bil": (0, 1, 2), "bip": (0, 2, 1), "bsq": (1, 0, 2)}
+
+
+def write_cube(
+    path: Path, cube: np.ndarray, *lines: str, interleave: str = "bil", order: str = "<", offset: int = 0
+) -> Path:
+    """Write a (line, band, sample) cube and its header by plain numpy, and return the header's path."""
+    stored = cube.astype(cube.dtype.newbyteorder(order)).transpose(FROM_LBS[interleave])
+    path.write_bytes(b"\xee" * offset + stored.tobytes())
+    header = path.parent / (path.name + ".hdr")
+    code = CODES[cube.dtype.newbyteorder("=").str[1:]]
+    header.write_text(
+        f"ENVI\nlines = {cube.shape[0]}\nbands = {cube.shape[1]}\nsamples = {cube.shape[2]}\n"
+        f"data type = {code}\ninterleave = {interleave}\nbyte order = {'<>'.index(order)}\n"
+        f"header offset = {offset}\n" + "\n".join(lines) + "\n"
+    )
+    return header
+
+
+def toy(dtype: str = "f4") -> np.ndarray:
+    """Return the cube of test_image: 1 + sample + 4 line + 20 band."""
+    i, k, j = np.meshgrid(np.arange(5), np.arange(20), np.arange(4), indexing="ij")
+    made: np.ndarray = (1 + j + 4 * i + 20 * k).astype(dtype)
+    return made
+
+
+@pytest.fixture
+def bytes_read(monkeypatch: pytest.MonkeyPatch) -> list[int]:
+    """Record the bytes of each read of a data file."""
+    seen: list[int] = []
+    original = EnviArray._fill
+
+    def recorded(self: EnviArray, file: Any, first: int, into: np.ndarray) -> None:
+        seen.append(into.nbytes)
+        original(self, file, first, into)
+
+    monkeypatch.setattr(EnviArray, "_fill", recorded)
+    return seen
+
+
+# --- values ------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("interleave", FROM_LBS)
+@pytest.mark.parametrize("order", ["<", ">"])
+@pytest.mark.parametrize("dtype", CODES)
+def test_toy_cube_in_every_layout(tmp_path: Path, interleave: str, order: str, dtype: str) -> None:
+    cube = (toy("i8") % 251).astype(dtype)
+    header = write_cube(tmp_path / "toy", cube, interleave=interleave, order=order, offset=7)
+    line = open_envi(header)
+    (name,) = line.data_vars
+    assert name == ("counts" if np.dtype(dtype).kind in "iu" else "values")
+    array = line[name]
+    assert array.dims == schema.CUBE
+    assert array.dtype == np.dtype(dtype)
+    assert array.dtype.isnative
+    values = array.values
+    assert values.dtype == np.dtype(dtype)
+    assert values.dtype.isnative
+    np.testing.assert_array_equal(values, cube)
+
+
+_LENGTHS = (5, 20, 4)
+
+
+def _index(size: int) -> st.SearchStrategy[Any]:
+    return st.one_of(
+        st.integers(-size, size - 1),
+        # xarray itself fails on empty slices that run backwards
+        st.slices(size).filter(lambda s: (s.step or 1) > 0 or len(range(*s.indices(size))) > 0),
+        st.lists(st.integers(-size, size - 1), max_size=size + 2).map(lambda v: np.array(v, dtype=int)),
+        st.just(slice(None)),
+    )
+
+
+@pytest.mark.parametrize("gap", [0, 8, 32 * 2**10])
+@pytest.mark.parametrize("interleave", FROM_LBS)
+def test_any_index_equals_numpy(
+    tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch, interleave: str, gap: int
+) -> None:
+    from hyperpaint.io import envi_array
+
+    monkeypatch.setattr(envi_array, "_GAP", gap)
+    monkeypatch.setattr(envi_array, "_BOX", 100)
+    cube = toy("u2")
+    header = write_cube(tmp_path_factory.mktemp("any") / "toy", cube, interleave=interleave, order=">")
+    line = open_envi(header).counts
+
+    @settings(max_examples=60, deadline=None)
+    @given(st.tuples(*map(_index, _LENGTHS)))
+    def check(key: tuple[Any, ...]) -> None:
+        expected = cube
+        for axis in (2, 1, 0):
+            expected = expected[(slice(None),) * axis + (key[axis],)]
+        found = line[key]
+        assert found.shape == expected.shape
+        np.testing.assert_array_equal(found.values, expected)
+
+    check()
+
+
+def test_pointwise_index(tmp_path: Path) -> None:
+    cube = toy("u2")
+    line = open_envi(write_cube(tmp_path / "toy", cube, interleave="bip")).counts
+    i, j = xr.DataArray([4, 0, 2], dims="pixel"), xr.DataArray([3, 3, 0], dims="pixel")
+    np.testing.assert_array_equal(line.isel(along_track=i, cross_track=j), cube[[4, 0, 2], :, [3, 3, 0]])
+
+
+@pytest.mark.parametrize("interleave", FROM_LBS)
+def test_dask_chunks_of_any_shape(tmp_path: Path, interleave: str) -> None:
+    cube = np.random.default_rng(1).integers(0, 4096, (70, 6, 9)).astype("u2")
+    header = write_cube(tmp_path / "cube", cube, interleave=interleave)
+    for chunks in ({"along_track": 32}, {"band": 1}, {"along_track": 7, "band": 4, "cross_track": 5}):
+        line = open_envi(header).chunk(chunks)
+        assert line.counts.dtype == np.uint16
+        np.testing.assert_array_equal(line.counts.compute(scheduler="threads", num_workers=2), cube)
+    assert line.chunks["along_track"][0] == 7
+
+
+def test_default_chunks_are_whole_lines(tmp_path: Path) -> None:
+    header = write_cube(tmp_path / "cube", np.zeros((70, 6, 9), "u2"))
+    line = xr.open_dataset(header, engine=EnviBackendEntrypoint, chunks={})
+    assert dict(line.chunks) == {"along_track": (32, 32, 6), "band": (6,), "cross_track": (9,)}
+    assert line.counts.encoding["preferred_chunks"] == {"along_track": 32, "band": 6, "cross_track": 9}
+
+
+# --- names, units, coordinates -----------------------------------------------------------------------------
+
+_RADIANCE_UNITS = ";Units = mW/(cm2*sr*um)"
+
+
+@pytest.mark.parametrize(
+    ("dtype", "lines", "name", "units"),
+    [
+        ("u2", (), "counts", "count"),
+        ("i4", ("file type = ENVI Standard", "description = {[HEADWALL Hyperspec III]}"), "counts", "count"),
+        ("u1", ("file type = ENVI Classification",), "values", None),
+        ("f4", (), "values", None),
+        ("f4", ("description = {[HEADWALL Hyperspec III],RADIANCE}",), "radiance", None),
+        ("f4", ("description = {[HEADWALL Hyperspec III],RADIANCE}", _RADIANCE_UNITS), "radiance", "said"),
+        ("u2", ("description = {[HEADWALL Hyperspec III],RADIANCE}", _RADIANCE_UNITS), "radiance", "said"),
+        ("f4", (_RADIANCE_UNITS,), "radiance", "said"),
+        ("f4", (";Units = mW/(cm^2*sr*um)",), "radiance", "mW/(cm2*sr*um)"),
+        ("f4", (";Units = furlong per fortnight",), "values", None),
+        ("f4", ("description = {[x],RADIANCE,REFLECTANCE}", _RADIANCE_UNITS), "reflectance", "1"),
+        ("f4", ("description = {[HEADWALL Hyperspec III],REFLECTANCE,[OR]}",), "reflectance", "1"),
+        ("u2", ("description = {x,REFLECTANCE}", "reflectance scale factor = 1e4"), "reflectance", "1"),
+        ("u2", ("reflectance scale factor = 10000",), "reflectance", "1"),
+        ("f4", ("reflectance scale factor = 1",), "reflectance", "1"),
+        ("u2", ("reflectance scale factor = 1.0",), "counts", "count"),
+        ("f4", ("description = {radiance and other irradiance}",), "values", None),
+        ("u2", ("data gain values = {" + "2," * 20 + "}",), "values", None),
+        ("u2", ("data gain values = {" + "1," * 20 + "}",), "counts", "count"),
+        ("f4", ("data gain values = {" + "2," * 20 + "}", _RADIANCE_UNITS), "radiance", "said"),
+    ],
+)
+def test_name_and_units(
+    tmp_path: Path, dtype: str, lines: tuple[str, ...], name: str, units: str | None
+) -> None:
+    line = open_envi(write_cube(tmp_path / "toy", toy(dtype), *lines))
+    assert list(line.data_vars) == [name]
+    expected = "mW/(cm2*sr*um)" if units == "said" else units
+    assert line[name].attrs.get("units") == expected
+    if name in ("radiance", "reflectance"):
+        assert line[name].dtype == np.float32
+        assert line[name].values.dtype == np.float32
+        assert line[name].attrs["long_name"] == schema.VARIABLES[name].meaning
+
+
+def test_integers_called_reflectance_need_a_scale(tmp_path: Path) -> None:
+    header = write_cube(tmp_path / "toy", toy("u2"), "description = {x,REFLECTANCE}")
+    with pytest.warns(PaintWarning, match="reflectance scale factor = 10000"):
+        line = open_envi(header)
+    assert list(line.data_vars) == ["values"]
+    assert line["values"].dtype == np.uint16
+
+
+def test_radiance_units_convert_through_the_schema(tmp_path: Path) -> None:
+    line = open_envi(write_cube(tmp_path / "toy", toy("f4"), "description = {x,RADIANCE}", _RADIANCE_UNITS))
+    found = schema.require(line, ["radiance"], "reflectance")["radiance"]
+    assert found.attrs["units"] == "W m-2 sr-1 nm-1"
+    np.testing.assert_allclose(found.values, toy("f8") * 0.01, rtol=1e-6)
+
+
+def test_ignore_value_is_compared_before_scaling(tmp_path: Path) -> None:
+    cube = toy("i2")
+    cube[1, 2, 3] = -9999
+    header = write_cube(
+        tmp_path / "toy", cube, "reflectance scale factor = 10000", "data ignore value = -9999"
+    )
+    line = open_envi(header).chunk({"along_track": 2})
+    values = line.reflectance.compute()
+    assert values.dtype == line.reflectance.dtype == np.float32
+    expected = (cube / 1e4).astype(np.float32)
+    expected[1, 2, 3] = np.nan
+    np.testing.assert_array_equal(values, expected)
+
+
+@pytest.mark.parametrize("interleave", FROM_LBS)
+def test_gain_and_offset_of_each_band(tmp_path: Path, interleave: str) -> None:
+    cube, gain, offset = toy("u2"), 0.5 + np.arange(20) / 7, np.arange(20) - 3.0
+    header = write_cube(
+        tmp_path / "toy", cube,
+        f"data gain values = {{{', '.join(map(repr, gain.tolist()))}}}",
+        f"data offset values = {{{', '.join(map(repr, offset.tolist()))}}}",
+        "data ignore value = 1", interleave=interleave,
+    )  # fmt: skip
+    values = open_envi(header)["values"].isel(band=[3, 0, 11])
+    expected = (cube * gain[:, None] + offset[:, None])[:, [3, 0, 11]]
+    expected[0, 1, 0] = np.nan
+    assert values.dtype == np.float32
+    np.testing.assert_allclose(values, expected, rtol=3e-7, atol=1e-5)
+    assert values.values.dtype == np.float32
+
+
+def test_float_ignore_value_written_with_fewer_digits(tmp_path: Path) -> None:
+    cube = toy("f4")
+    cube[0, 0, 0] = -1.23e34
+    values = open_envi(write_cube(tmp_path / "toy", cube, "data ignore value = -1.23e+034"))["values"]
+    assert np.isnan(values[0, 0, 0])
+    assert int(np.isnan(values).sum()) == 1
+    assert values.dtype == np.float32
+
+
+def test_counts_keep_their_type_and_name_the_ignore_value(tmp_path: Path) -> None:
+    counts = open_envi(write_cube(tmp_path / "toy", toy("u2"), "data ignore value = 65535")).counts
+    assert counts.dtype == np.uint16
+    assert counts.attrs["data_ignore_value"] == 65535
+
+
+def test_coordinates_on_band_have_no_index(tmp_path: Path) -> None:
+    values = ", ".join(str(0.9 - i / 100) for i in range(20))
+    line = open_envi(
+        write_cube(
+            tmp_path / "toy", toy("u2"), f"wavelength = {{{values}}}", "wavelength units = um",
+            "fwhm = {" + "0.006," * 20 + "}", "bbl = {" + "0 " * 3 + "1 " * 17 + "}",
+        )
+    )  # fmt: skip
+    assert not line.indexes
+    np.testing.assert_allclose(line.wavelength, 900 - 10 * np.arange(20), rtol=1e-14)  # not sorted
+    for name in ("wavelength", "fwhm", "good"):
+        assert line[name].dims == ("band",)
+        assert line[name].dtype == schema.dtype_of(name)
+        assert line[name].attrs == schema.VARIABLES[name].attrs
+    assert int((~line.good).sum()) == 3
+
+
+def test_attributes_keep_all_the_header_says(tmp_path: Path) -> None:
+    header = write_cube(
+        tmp_path / "raw_0", toy("u2"), "strange key = {a, b}", ";Exposure (ms) = 5", "; remark"
+    )
+    line = open_envi(header)
+    assert line.attrs["source"] == "raw_0"
+    fields = json.loads(line.attrs["envi_header"])
+    assert next(iter(fields)) == "lines"
+    assert fields["strange key"] == "{a, b}"
+    assert json.loads(line.attrs["envi_comments"]) == {"Exposure (ms)": "5"}
+    assert json.dumps(line.attrs)
+    assert str(tmp_path) not in json.dumps(line.attrs)
+
+
+_UTM = "map info = {UTM, 1, 1, 500000, 4000000, 0.5, 0.25, 18, North, WGS-84, units=Meters}"
+
+
+def test_map_geometry(tmp_path: Path) -> None:
+    line = open_envi(write_cube(tmp_path / "toy", toy("f4"), _UTM, interleave="bsq"))
+    array = line["values"]
+    assert array.dims == ("y", "x", "band")
+    np.testing.assert_array_equal(array, toy("f4").transpose(0, 2, 1))
+    np.testing.assert_array_equal(line.x, 500000.25 + 0.5 * np.arange(4))
+    np.testing.assert_array_equal(line.y, 4000000 - 0.125 - 0.25 * np.arange(5))
+    assert line.x.attrs == {"standard_name": "projection_x_coordinate", "units": "m"}
+    assert line.attrs["map_info"].startswith("{UTM")
+    np.testing.assert_array_equal(
+        line["values"].sel(x=500000.75, y=3999999.9, method="nearest"), toy()[0, :, 1]
+    )
+
+
+def test_map_geometry_geographic_with_another_reference_pixel(tmp_path: Path) -> None:
+    info = "map info = {Geographic Lat/Lon, 2.5, 3, -77.5, 43.1, 1e-5, 2e-5, WGS84, units=Degrees}"
+    line = open_envi(write_cube(tmp_path / "toy", toy("f4"), info))
+    # the middle of column 1 (counted from 0) is column 2.5 of ENVI
+    np.testing.assert_allclose(line.x.values[1], -77.5, rtol=1e-15)
+    np.testing.assert_allclose(line.y.values[2], 43.1 - 1e-5, rtol=1e-15)
+    assert line.x.attrs == {"standard_name": "longitude", "units": "degrees_east"}
+
+
+def test_rotated_map_has_no_one_dimensional_coordinates(tmp_path: Path) -> None:
+    line = open_envi(write_cube(tmp_path / "toy", toy("f4"), _UTM.replace("}", ", rotation=30}")))
+    assert line["values"].dims == ("y", "x", "band")
+    assert not {"x", "y"} & set(line.coords)
+    assert "rotation=30" in line.attrs["map_info"]
+
+
+def test_arbitrary_map_info_is_sensor_geometry(tmp_path: Path) -> None:
+    info = "map info = {Arbitrary, 1, 1, 0, 0, 1, 1, 0, North}"
+    assert open_envi(write_cube(tmp_path / "toy", toy("u2"), info)).counts.dims == schema.CUBE
+
+
+# --- the pair ----------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("header", "data"),
+    [
+        ("raw_0.hdr", "raw_0"), ("raw_0.HDR", "raw_0"), ("a.hdr", "a.img"), ("a.hdr", "a.DAT"),
+        ("a.hdr", "a.raw"), ("a.hdr", "a.bil"), ("a.hdr", "a.bip"), ("a.hdr", "a.bsq"),
+        ("x.img.hdr", "x.img"), ("x.bil.hdr", "x.bil"), ("v1.2.hdr", "v1.2"), ("v1.2.hdr", "v1.2.img"),
+    ],
+)  # fmt: skip
+def test_either_file_finds_the_other(tmp_path: Path, header: str, data: str) -> None:
+    written = write_cube(tmp_path / data, toy("u2"))
+    if written.name != header:
+        written.rename(tmp_path / header)
+    backend = EnviBackendEntrypoint()
+    for name in (header, data):
+        assert find_pair(tmp_path / name) == (tmp_path / header, tmp_path / data)
+        assert backend.guess_can_open(tmp_path / name)
+        assert backend.guess_can_open(str(tmp_path / name))
+    assert open_envi(str(tmp_path / data)).sizes["band"] == 20
+
+
+def test_pair_problems(tmp_path: Path) -> None:
+    header = write_cube(tmp_path / "a.img", toy("u2")).rename(tmp_path / "a.hdr")
+    shutil.copy(tmp_path / "a.img", tmp_path / "a.dat")
+    with pytest.raises(FormatError, match=r"'a\.img', 'a\.dat'.*open the data file you mean"):
+        find_pair(header)
+    assert find_pair(tmp_path / "a.dat") == (header, tmp_path / "a.dat")
+    (tmp_path / "lonely.hdr").write_text("ENVI\n")
+    with pytest.raises(FormatError, match="no data file beside it"):
+        find_pair(tmp_path / "lonely.hdr")
+    (tmp_path / "bare").write_bytes(b"")
+    with pytest.raises(FormatError, match="no header beside it"):
+        find_pair(tmp_path / "bare")
+    for missing in ("nothing.hdr", "nothing", "."):
+        with pytest.raises(FileNotFoundError, match="no such file"):
+            find_pair(tmp_path / missing)
+
+
+def test_guess_leaves_other_files_alone(tmp_path: Path) -> None:
+    (tmp_path / "a.hdr").write_text("ENVI\n")
+    for name in ("a.nc", "a.tif", "b", "b.img"):
+        (tmp_path / name).write_bytes(b"x")
+    (tmp_path / "other.hdr").write_bytes(b"#?RADIANCE\n")
+    (tmp_path / "a.zarr").mkdir()
+    guess = EnviBackendEntrypoint().guess_can_open
+    for name in ("a.nc", "a.tif", "b", "b.img", "other.hdr", "missing.hdr", "a.zarr", "bad\0name", "."):
+        assert not guess(str(tmp_path / name)), name
+    for thing in ("", ".", "..", "https://example.org/a.img", 3, None, b"bytes", {}):
+        assert not guess(thing)
+
+
+# --- the size of the file ----------------------------------------------------------------------------------
+
+
+def _resize(header: Path, change: int) -> None:
+    data = header.with_suffix("")
+    size = data.stat().st_size + change
+    with open(data, "r+b") as file:
+        file.truncate(size)
+
+
+@pytest.mark.parametrize("change", [-1, -160, -161, -799, 1, 160, 161, 800])
+@pytest.mark.parametrize("interleave", FROM_LBS)
+def test_any_wrong_size_is_refused(tmp_path: Path, interleave: str, change: int) -> None:
+    header = write_cube(tmp_path / "toy", toy("u2"), interleave=interleave, offset=3)  # 160 bytes a line
+    _resize(header, change)
+    with pytest.raises(FormatError, match=f"found {803 + change} bytes, expected 803") as caught:
+        open_envi(header)
+    whole = (800 + change) // 160
+    said = f"keep_whole_lines=True opens those {whole} lines"
+    possible = interleave != "bsq" and whole > 0 and (change < 0 or change % 160 == 0)
+    assert (said in str(caught.value)) == possible
+    assert ("whole lines" in str(caught.value)) == (interleave != "bsq")
+    if not possible:
+        with pytest.raises(FormatError, match="does not fit its header"):
+            open_envi(header, keep_whole_lines=True)
+
+
+@pytest.mark.parametrize(("change", "lines"), [(-160, 4), (-161, 3), (-799 + 160, 1), (160, 6), (800, 10)])
+@pytest.mark.parametrize("interleave", ["bil", "bip"])
+def test_whole_lines_are_kept_on_request(tmp_path: Path, interleave: str, change: int, lines: int) -> None:
+    header = write_cube(tmp_path / "toy", toy("u2"), interleave=interleave)
+    _resize(header, change)
+    with pytest.warns(PaintWarning, match=f"{lines} whole lines are kept where the header says 5"):
+        line = xr.open_dataset(header, engine=EnviBackendEntrypoint, keep_whole_lines=True)
+    assert line.sizes["along_track"] == lines
+    assert line.attrs["lines_declared"] == 5
+    expected = np.zeros((lines, 20, 4), "u2")
+    expected[:5] = toy("u2")[:lines]
+    np.testing.assert_array_equal(line.counts, expected)
+
+
+def test_keep_whole_lines_changes_nothing_for_a_sound_file(tmp_path: Path) -> None:
+    header = write_cube(tmp_path / "toy", toy("u2"))
+    xr.testing.assert_identical(open_envi(header), open_envi(header, keep_whole_lines=True))
+
+
+@pytest.mark.parametrize(
+    "changed",
+    [
+        "lines = 1000000000",
+        "lines = 1000000000000000000",
+        "bands = 2000000000",
+        "header offset = 99999999999",
+    ],
+)
+def test_declared_sizes_allocate_nothing(tmp_path: Path, changed: str) -> None:
+    header = write_cube(tmp_path / "toy", toy("u2"))
+    key = changed.split(" =")[0]
+    kept = [text for text in header.read_text().splitlines() if not text.startswith(key)]
+    header.write_text("\n".join([*kept, changed]))
+    with pytest.raises(FormatError, match=r"expected [0-9]+ \("):
+        open_envi(header)
+
+
+def test_contradictions_are_refused(tmp_path: Path) -> None:
+    header = write_cube(
+        tmp_path / "toy", toy("u2"), "reflectance scale factor = 1e4", "description = {x,RADIANCE}",
+        "data gain values = {" + "2," * 20 + "}", "file type = ENVI Spectral Library",
+    )  # fmt: skip
+    with pytest.raises(FormatError) as caught:
+        open_envi(header)
+    for expected in ("spectral library", "band gains", "RADIANCE"):
+        assert expected in str(caught.value)
+
+
+def test_file_cut_after_opening_is_noticed(tmp_path: Path) -> None:
+    header = write_cube(tmp_path / "toy", toy("u2"))
+    line = open_envi(header)
+    _resize(header, -10)
+    np.testing.assert_array_equal(line.counts[3], toy("u2")[3])
+    with pytest.raises(FormatError, match="10 bytes early"):
+        line.counts.load()
+
+
+# --- laziness ----------------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def long_header(tmp_path: Path) -> Path:
+    """Return a 100,000-line cube of 35 GB that takes no room on the disk."""
+    header = write_cube(tmp_path / "raw_0", np.zeros((1, 272, 640), "u2"))
+    header.write_text(header.read_text().replace("lines = 1\n", "lines = 100000\n"))
+    line_bytes = 272 * 640 * 2
+    with open(tmp_path / "raw_0", "r+b") as file:
+        file.truncate(100_000 * line_bytes)
+        file.seek(77_777 * line_bytes)
+        file.write(np.full(272 * 640, 1234, "<u2").tobytes())
+    return header
+
+
+def test_long_cube_opens_without_reading(long_header: Path, bytes_read: list[int]) -> None:
+    start = time.process_time()
+    line = xr.open_dataset(long_header, engine=EnviBackendEntrypoint, chunks={"along_track": 32})
+    graph = line.counts.astype("f4").__dask_graph__()
+    spent = time.process_time() - start
+    assert len(line.chunks["along_track"]) == 3125
+    assert len(graph.layers) == 3
+    assert bytes_read == []
+    assert spent < 2  # milliseconds, and a slow machine
+    np.testing.assert_array_equal(line.counts[77_777].compute(), 1234)
+    assert 0 < sum(bytes_read) <= 32 * 272 * 640 * 2
+
+
+def test_reads_only_what_is_asked(long_header: Path, bytes_read: list[int]) -> None:
+    counts = open_envi(long_header).counts
+    for key, most in [
+        ((77_777,), 272 * 640 * 2),  # one line
+        ((slice(5, 37),), 32 * 272 * 640 * 2),  # a slab
+        ((slice(0, 1000, 100), 100), 10 * 640 * 2),  # one band of ten lines
+        ((77_777, [0, 271]), 2 * 640 * 2),  # two distant bands
+        ((77_777, 3, 9), 2),  # one sample
+        ((77_777, slice(None), 9), 272 * 640 * 2),  # one spectrum: one read of its line
+    ]:
+        bytes_read.clear()
+        counts[key].load()
+        assert 0 < sum(bytes_read) <= most, key
+    assert len(bytes_read) == 1
+
+
+def test_bsq_band_is_one_read(tmp_path: Path, bytes_read: list[int]) -> None:
+    cube = np.random.default_rng(0).integers(0, 4096, (50, 8, 700)).astype("u2")
+    counts = open_envi(write_cube(tmp_path / "cube", cube, interleave="bsq")).counts
+    np.testing.assert_array_equal(counts[:, 3], cube[:, 3])
+    assert bytes_read == [50 * 700 * 2]
+
+
+def test_array_is_small_and_picklable(long_header: Path) -> None:
+    line = open_envi(long_header)
+    for thing in (line, line.counts.variable._data, line.counts):
+        raw = pickle.dumps(thing)
+        assert len(raw) < 4096
+    np.testing.assert_array_equal(pickle.loads(pickle.dumps(line)).counts[77_777, 5], 1234)
+    chunked = line.chunk({"along_track": 50_000})
+    assert len(pickle.dumps(chunked.counts.data)) < 8192
+
+
+def test_reading_in_threads(tmp_path: Path) -> None:
+    cube = np.random.default_rng(0).integers(0, 4096, (64, 5, 11)).astype("u2")
+    counts = open_envi(write_cube(tmp_path / "cube", cube)).counts
+    with ThreadPoolExecutor(4) as pool:
+        found = list(pool.map(lambda i: counts[i].values, range(64)))
+    np.testing.assert_array_equal(found, cube)
+
+
+def test_two_opens_give_the_same_dask_names(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    header = write_cube(
+        tmp_path / "toy", toy("u2"), "reflectance scale factor = 10000",
+        "bbl = {" + "1," * 20 + "}",
+    )  # fmt: skip
+    monkeypatch.chdir(tmp_path)
+
+    def names(path: str | Path) -> list[str]:
+        engine = xr.open_dataset(path, engine=EnviBackendEntrypoint, chunks={})
+        return [open_envi(path).chunk({"along_track": 2}).reflectance.data.name, engine.reflectance.data.name]
+
+    first = names(header)
+    assert names(header) == first
+    assert names("toy.hdr")[0] == first[0]  # however the path is spelled
+    status = os.stat(tmp_path / "toy")
+    os.utime(tmp_path / "toy", ns=(status.st_atime_ns, status.st_mtime_ns + 10**9))
+    assert names(header)[0] != first[0]
+    text = header.read_text()
+    header.write_text(text.replace("10000", "1000"))
+    assert names(header)[0] != first[0]
+
+
+# --- xarray's door -----------------------------------------------------------------------------------------
+
+
+def test_open_dataset_options(tmp_path: Path) -> None:
+    header = write_cube(tmp_path / "toy", toy("u2"), "bbl = {" + "1," * 20 + "}")
+    line = xr.open_dataset(header, engine=EnviBackendEntrypoint, drop_variables="good")
+    assert "good" not in line.variables
+    line = xr.open_dataset(header, engine=EnviBackendEntrypoint, drop_variables=["counts", "absent"])
+    assert set(line.variables) == {"good"}
+
+
+def test_installed_plugin_opens_by_itself(tmp_path: Path) -> None:
+    if not any(point.name == "envi" for point in entry_points(group="xarray.backends")):
+        pytest.skip("hyperpaint is not installed: its entry point 'envi' is not registered")
+    header = write_cube(tmp_path / "raw_0", toy("u2"))
+    for path in (header, tmp_path / "raw_0"):
+        np.testing.assert_array_equal(xr.open_dataset(path).counts, toy("u2"))
+
+
+def test_declared_entry_point_opens_by_itself(tmp_path: Path) -> None:
+    """As if installed: the entry point that pyproject.toml declares, in a fresh interpreter."""
+    root = Path(__file__).resolve().parents[2]
+    declared = tomllib.loads((root / "pyproject.toml").read_text())["project"]["entry-points"]
+    points = "\n".join(f"{key} = {value}" for key, value in declared["xarray.backends"].items())
+    made = tmp_path / "site" / "hyperpaint_declared-0.dist-info"
+    made.mkdir(parents=True)
+    (made / "METADATA").write_text("Metadata-Version: 2.1\nName: hyperpaint-declared\nVersion: 0\n")
+    (made / "entry_points.txt").write_text(f"[xarray.backends]\n{points}\n")
+    write_cube(tmp_path / "raw_0", toy("u2"))
+    code = (
+        "import xarray as xr, sys\n"
+        "for path in sys.argv[1:]: print(int(xr.open_dataset(path).counts[4, 19, 3]))\n"
+        "from hyperpaint.io import backends\n"
+    )
+    result = subprocess.run(
+        [sys.executable, "-c", code, str(tmp_path / "raw_0.hdr"), str(tmp_path / "raw_0")],
+        env={**os.environ, "PYTHONPATH": os.pathsep.join([str(tmp_path / "site"), str(root)])},
+        capture_output=True, text=True, timeout=120, check=False,
+    )  # fmt: skip
+    assert result.stdout.split() == ["400", "400"], result.stderr
+
+
+def test_entry_point_module_imports_nothing_of_ours() -> None:
+    code = (
+        "import sys, xarray; before = set(sys.modules); import hyperpaint.io.backends\n"
+        "print(*sorted(m for m in set(sys.modules) - before if m.split('.')[0] not in ('hyperpaint',)))\n"
+        "print(*sorted(m for m in set(sys.modules) - before if m.startswith('hyperpaint.io.')))\n"
+    )
+    root = Path(__file__).resolve().parents[2]
+    result = subprocess.run(
+        [sys.executable, "-c", code], env={**os.environ, "PYTHONPATH": str(root)},
+        capture_output=True, text=True, timeout=120, check=True,
+    )  # fmt: skip
+    others, ours = result.stdout.split("\n")[:2]
+    assert ours.split() == ["hyperpaint.io.backends"]
+    assert not {"numba", "pint", "scipy", "dask", "zarr"} & {m.split(".")[0] for m in others.split()}
+
+
+# --- other readers as oracles ------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def toy_variants(tmp_path: Path) -> list[tuple[Path, Path]]:
+    """Return header and data file of the toy cube in every interleave and byte order."""
+    made = []
+    for interleave, order in itertools.product(FROM_LBS, "<>"):
+        path = tmp_path / f"toy_{interleave}_{'<>'.index(order)}"
+        made.append((write_cube(path, toy("i2"), interleave=interleave, order=order), path))
+    return made
+
+
+def test_spectral_python_agrees(toy_variants: list[tuple[Path, Path]]) -> None:
+    pytest.importorskip("spectral")
+    from spectral.io import envi as spy
+
+    for header, data in toy_variants:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            oracle = np.asarray(spy.open(str(header), str(data)).open_memmap(interleave="bip"))
+        np.testing.assert_array_equal(open_envi(data).counts.transpose(..., "band"), oracle)
+
+
+def test_gdal_agrees(toy_variants: list[tuple[Path, Path]]) -> None:
+    rasterio = pytest.importorskip("rasterio")
+    for _, data in toy_variants:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            with rasterio.open(data, driver="ENVI") as source:
+                oracle = source.read()
+        np.testing.assert_array_equal(open_envi(data).counts.transpose("band", ...), oracle)
+
+
+@pytest.mark.parametrize("reference", ["1, 1", "2.5, 3"])
+def test_gdal_places_pixels_alike(tmp_path: Path, reference: str) -> None:
+    rasterio = pytest.importorskip("rasterio")
+    info = f"map info = {{UTM, {reference}, 500000, 4000000, 0.5, 0.25, 18, North, WGS-84, units=Meters}}"
+    line = open_envi(write_cube(tmp_path / "toy", toy("f4"), info))
+    with rasterio.open(tmp_path / "toy", driver="ENVI") as source:
+        expected = [source.xy(row, column) for row, column in ((0, 0), (4, 3))]
+    found = [(float(line.x[column]), float(line.y[row])) for row, column in ((0, 0), (4, 3))]
+    np.testing.assert_allclose(found, expected, rtol=0, atol=1e-9)
+
+
+def test_scaled_reflectance_against_spectral_python(tmp_path: Path) -> None:
+    """SPy divides the ignore value as well; everything else agrees."""
+    pytest.importorskip("spectral")
+    from spectral.io import envi as spy
+
+    cube = toy("i2")
+    cube[2, 2, 2] = -9999
+    header = write_cube(
+        tmp_path / "toy", cube, "reflectance scale factor = 10000", "data ignore value = -9999"
+    )
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        oracle = np.asarray(spy.open(str(header), str(tmp_path / "toy")).load())
+    found = open_envi(header).reflectance.transpose("along_track", "cross_track", "band").values
+    assert np.isnan(found[2, 2, 2])
+    assert oracle[2, 2, 2] == np.float32(-0.9999)
+    np.testing.assert_allclose(np.where(np.isnan(found), -0.9999, found), oracle, rtol=2e-7)

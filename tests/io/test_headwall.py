@@ -1,0 +1,246 @@
+"""Settings, frame indices and dark cubes of a Headwall folder."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import xarray as xr
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from hyperpaint.errors import FormatError, TimeError
+from hyperpaint.io.envi import open_envi
+from hyperpaint.io.headwall import (
+    FrameIndex,
+    exposure_seconds,
+    match_frames,
+    read_frame_index,
+    read_settings,
+    read_table,
+    sum_dark,
+)
+
+
+def write(path: Path, text: str, newline: str = "\n") -> Path:
+    path.write_bytes(text.replace("\n", newline).encode("latin-1"))
+    return path
+
+
+def index_of(frame: list[int], stamp: list[int] | None = None) -> FrameIndex:
+    stamps = stamp or [7000 * number for number in frame]
+    return FrameIndex("frameIndex.txt", np.array(frame), np.array(stamps), "instrument")
+
+
+# --- settings ----------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("newline", ["\n", "\r\n", "\r"])
+def test_settings_keep_every_pair(tmp_path: Path, newline: str) -> None:
+    text = "Exposure (ms) = 5.5\nFrame Period (ms)=7\n\nOperator = a = b\nno pair\n"
+    pairs = read_settings(write(tmp_path / "settings.txt", text, newline))
+    assert pairs == {"Exposure (ms)": "5.5", "Frame Period (ms)": "7", "Operator": "a = b"}
+    assert exposure_seconds(pairs, "settings.txt") == 0.0055
+
+
+@pytest.mark.parametrize(
+    ("pairs", "seconds"),
+    [
+        ({"Exposure (ms)": "5.0"}, 0.005),
+        ({"  exposure   (us) ": "5000"}, 0.005),
+        ({"Exposure Time (s)": "0.005"}, 0.005),
+        ({"Integration (ms)": "12"}, 0.012),
+        ({"Exposure": "5"}, None),
+        ({"Exposure mode": "auto"}, None),
+        ({}, None),
+    ],
+)
+def test_exposure_with_its_unit(pairs: dict[str, str], seconds: float | None) -> None:
+    assert exposure_seconds(pairs, "x") == seconds
+
+
+@pytest.mark.parametrize(
+    "pairs",
+    [
+        {"Exposure (ms)": "five"},
+        {"Exposure (ms)": "-5"},
+        {"Exposure (ms)": "0"},
+        {"Exposure (ms)": "nan"},
+        {"Exposure (nm)": "5"},
+        {"Exposure (ms)": "5", "Exposure (us)": "6000"},
+    ],
+)
+def test_exposure_that_is_none(pairs: dict[str, str]) -> None:
+    with pytest.raises(FormatError, match=r"settings\.txt"):
+        exposure_seconds(pairs, "settings.txt")
+
+
+def test_settings_that_cannot_be_read(tmp_path: Path) -> None:
+    with pytest.raises(FormatError, match="cannot be read"):
+        read_settings(tmp_path / "settings.txt")
+    with pytest.raises(FormatError, match="cannot be read"):
+        read_settings(tmp_path)
+
+
+# --- frame index -------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("newline", ["\n", "\r\n"])
+def test_frame_index_in_microseconds(tmp_path: Path, newline: str) -> None:
+    path = write(
+        tmp_path / "frameIndex_458.txt", "Frame#\tTimestamp\n458\t10\n459\t7010\n461\t21010\n", newline
+    )
+    index = read_frame_index(path)
+    assert index.frame.tolist() == [458, 459, 461]
+    assert index.stamp.tolist() == [10, 7010, 21010]
+    assert (index.clock, index.fitted) == ("instrument", False)
+    assert index.frame.dtype == index.stamp.dtype == np.int64
+
+
+def test_frame_index_by_time_of_day_across_midnight(tmp_path: Path) -> None:
+    text = "Frame#\tTime\n0\t23:59:59 993000\n1\t00:00:00 0\n2\t00:00:00 7000\n"
+    index = read_frame_index(write(tmp_path / "f.txt", text))
+    assert index.clock == "time of day"
+    assert (index.stamp - 86_400_000_000).tolist() == [-7000, 0, 7000]
+
+
+def test_frame_index_in_whole_seconds_is_straightened(tmp_path: Path) -> None:
+    frame = np.arange(100, 1100)
+    true = 36_000_000_000 + 400_000 + 33_333 * (frame - 100)
+    rows = "".join(
+        f"{number} {second // 3600:02d}:{second // 60 % 60:02d}:{second % 60:02d}\n"
+        for number, second in zip(frame, true // 1_000_000, strict=True)
+    )
+    index = read_frame_index(write(tmp_path / "f.txt", "Frame# Time\n" + rows))
+    assert index.fitted
+    assert np.abs(index.stamp - true).max() < 30_000
+    assert (np.diff(index.stamp) > 0).all()
+
+
+def test_whole_seconds_need_a_steady_rate(tmp_path: Path) -> None:
+    with pytest.raises(TimeError, match="fewer than three"):
+        read_frame_index(write(tmp_path / "f.txt", "Frame#\tTime\n0\t10:00:00\n1\t10:00:00\n2\t10:00:01\n"))
+    text = "Frame#\tTime\n0\t10:00:00\n1\t10:00:01\n2\t10:00:02\n3\t10:00:30\n"
+    with pytest.raises(TimeError, match="steady"):
+        read_frame_index(write(tmp_path / "f.txt", text))
+
+
+@pytest.mark.parametrize(
+    ("text", "error", "match"),
+    [
+        ("Frame#\tTimestamp\n0\t5\n1\t5\n", TimeError, "line 3"),
+        ("Frame#\tTimestamp\n0\t5\n1\t9\n2\t8\n3\t7\n", TimeError, "lines 4, 5"),
+        ("Frame#\tTimestamp\n1\t5\n1\t6\n", FormatError, "line 3"),
+        ("Frame#\tTimestamp\n-1\t5\n", FormatError, "line 2"),
+        ("Frame#\tTimestamp\n0\n", FormatError, "line 2"),
+        ("Frame#\tTimestamp\n0\t5.5\n", FormatError, "line 2"),
+        ("Frame#\tTimestamp\n0\t1_000\n", FormatError, "line 2"),
+        ("Frame#\tTimestamp\n0\t99999999999999999999\n", FormatError, "line 2"),
+        ("Frame#\tTimestamp\n", FormatError, "without rows"),
+        ("0\t5\n1\t6\n", FormatError, "header"),
+        ("Frame#\n0\n", FormatError, "one column"),
+        ("", FormatError, "header"),
+        ("Frame#\tTime\n0\t25:00:00 1\n", FormatError, "line 2"),
+        ("Frame#\tTimestamp\n0\t5\n\0\0", FormatError, "binary"),
+    ],
+)
+def test_damaged_frame_index(tmp_path: Path, text: str, error: type[Exception], match: str) -> None:
+    with pytest.raises(error, match=match):
+        read_frame_index(write(tmp_path / "f.txt", text))
+
+
+@settings(max_examples=150, deadline=None)
+@given(data=st.binary(max_size=60), place=st.integers(0, 60), cut=st.integers(0, 60))
+def test_mutated_frame_index_raises_only_its_errors(
+    tmp_path_factory: pytest.TempPathFactory, data: bytes, place: int, cut: int
+) -> None:
+    whole = b"Frame#\tTimestamp\r\n0\t100\r\n1\t7100\r\n3\t21100\r\n"
+    path = tmp_path_factory.getbasetemp() / "mutated_frame_index.txt"
+    path.write_bytes(whole[:place] + data + whole[place + cut :])
+    try:
+        index = read_frame_index(path)
+    except (FormatError, TimeError):
+        return
+    assert (np.diff(index.frame) > 0).all()
+    assert (np.diff(index.stamp) > 0).all()
+
+
+def test_trailing_tabs_and_blank_lines_are_no_cells(tmp_path: Path) -> None:
+    table = read_table(write(tmp_path / "t.txt", "a\tb\t\n1\t2\t\n\n3\t4\n"), "table", needs=["a"])
+    assert table.columns == {"a": ["1", "3"], "b": ["2", "4"]}
+    assert table.rows.tolist() == [2, 4]
+
+
+# --- lines of a cube ---------------------------------------------------------------------------------------
+
+
+def test_as_many_lines_as_rows_go_by_row() -> None:
+    frame, row = match_frames(index_of([10, 11, 14]), 3, Path("cube"))
+    assert frame.tolist() == [10, 11, 14]
+    assert row.tolist() == [0, 1, 2]
+
+
+def test_as_many_lines_as_frames_go_by_number() -> None:
+    frame, row = match_frames(index_of([10, 11, 14]), 5, Path("cube"))
+    assert frame.tolist() == [10, 11, 12, 13, 14]
+    assert row.tolist() == [0, 1, -1, -1, 2]
+
+
+def test_neither_says_both_numbers() -> None:
+    with pytest.raises(FormatError, match=r"4 lines.* 3 rows, frames 10 to 14 \(5 by number\)"):
+        match_frames(index_of([10, 11, 14]), 4, Path("cube"))
+
+
+def test_cubes_of_a_flight_share_its_frame_index(tmp_path: Path) -> None:
+    for number in (0, 4, 8):
+        (tmp_path / f"raw_{number}.hdr").touch()
+    index = index_of([0, 1, 2, 3, 4, 6, 7, 8, 9])
+    frame, row = match_frames(index, 4, tmp_path / "raw_0.hdr")
+    assert (frame.tolist(), row.tolist()) == ([0, 1, 2, 3], [0, 1, 2, 3])
+    frame, row = match_frames(index, 3, tmp_path / "raw_4.hdr")  # only what was recorded
+    assert (frame.tolist(), row.tolist()) == ([4, 6, 7], [4, 5, 6])
+    frame, row = match_frames(index, 4, tmp_path / "raw_4")  # with a blank line for the dropped frame
+    assert (frame.tolist(), row.tolist()) == ([4, 5, 6, 7], [4, -1, 5, 6])
+    frame, row = match_frames(index, 2, tmp_path / "raw_8.hdr")
+    assert (frame.tolist(), row.tolist()) == ([8, 9], [7, 8])
+    with pytest.raises(FormatError, match="neither fits"):
+        match_frames(index, 5, tmp_path / "raw_4.hdr")
+
+
+def test_a_cube_cut_short_has_the_first_rows() -> None:
+    frame, _ = match_frames(index_of([5, 6, 7, 8]), 3, Path("cube"), shortened=True)
+    assert frame.tolist() == [5, 6, 7]
+    with pytest.raises(FormatError):  # which frames are missing is unknown where some were dropped before
+        match_frames(index_of([5, 6, 8, 9]), 3, Path("cube"), shortened=True)
+
+
+# --- dark --------------------------------------------------------------------------------------------------
+
+
+def test_sums_of_a_dark_cube_are_exact() -> None:
+    counts = np.random.default_rng(1).integers(0, 65536, (75, 3, 4), dtype=np.uint16)
+    frames = sum_dark(xr.DataArray(counts, dims=("along_track", "band", "cross_track")), "dark")
+    np.testing.assert_array_equal(frames.total, counts.astype(object).sum(axis=0).astype(np.uint64))
+    np.testing.assert_allclose(frames.mean, counts.mean(axis=0, dtype=np.float64), rtol=1e-15)
+    np.testing.assert_allclose(frames.variance, counts.var(axis=0, ddof=1, dtype=np.float64), rtol=1e-12)
+
+
+def test_sum_dark_refuses_what_is_no_raw_cube() -> None:
+    dims = ("along_track", "band", "cross_track")
+    with pytest.raises(FormatError, match="float32"):
+        sum_dark(xr.DataArray(np.zeros((2, 2, 2), np.float32), dims=dims), "dark")
+    with pytest.raises(FormatError, match="no lines"):
+        sum_dark(xr.DataArray(np.zeros((0, 2, 2), np.uint16), dims=dims), "dark")
+    with pytest.raises(FormatError, match="expected"):
+        sum_dark(xr.DataArray(np.zeros((2, 2), np.uint16), dims=("y", "x")), "dark")
+
+
+@pytest.mark.real_data
+def test_the_real_headwall_dark_cube(shared_data: Path) -> None:
+    opened = open_envi(shared_data / "envi_cube" / "darkReference")
+    frames = sum_dark(opened["counts"], "darkReference")
+    assert frames.lines == 1
+    assert frames.mean.shape == (978, 1600)
+    assert frames.mean.mean() == pytest.approx(13.97111260, abs=5e-9)
+    assert (frames.mean.min(), frames.mean.max()) == (2, 47)

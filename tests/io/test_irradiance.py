@@ -1,0 +1,418 @@
+import contextlib
+import datetime as dt
+import random
+
+import numpy as np
+import pytest
+import xarray as xr
+
+from hyperpaint.errors import (
+    FormatError,
+    IncompleteStoreError,
+    PaintWarning,
+    SchemaError,
+    TimeError,
+    UnitsError,
+)
+from hyperpaint.io.irradiance import open_irradiance
+from hyperpaint.io.irradiance_csv import read_irradiance_csv
+from hyperpaint.io.store import to_store
+
+GRID = np.arange(350.0, 1051.0)
+LAMP, LAMP_COUNTS = 0.2 + GRID * 1e-4, 4000.0 + GRID
+BLOCKS = {2: (0, LAMP), 3: (136, LAMP_COUNTS)}
+SKY = 0.8 + 0.1 * np.sin(GRID / 50.0)
+NOON = dt.datetime(2024, 5, 21, 12)
+COUNTS = SKY * LAMP_COUNTS / LAMP  # at the integration time of the calibration
+
+
+def utc(*texts):
+    return np.array(texts, "datetime64[ns]")
+
+
+@pytest.fixture
+def log(write_asd):
+    """Return a function that writes a series of .asd files, one a given second after noon."""
+
+    def write(*seconds, prefix="sky", **fields):
+        fields = {"data_type": 4, "blocks": BLOCKS, **fields}
+        return [
+            write_asd(
+                f"{prefix}{i:05d}.asd", COUNTS * (1 + i / 100), local=NOON + dt.timedelta(seconds=s), **fields
+            )
+            for i, s in enumerate(seconds)
+        ]
+
+    return write
+
+
+def sky(times, **coords):
+    values = np.linspace(0.5, 0.9, len(times) * 3).reshape(-1, 3)
+    coords = {
+        "time": np.asarray(times),
+        "wavelength": ("wavelength", [500.0, 600.0, 700.0], {"units": "nm"}),
+        **coords,
+    }
+    return xr.DataArray(
+        values, coords, ("time", "wavelength"), name="irradiance", attrs={"units": "W m-2 nm-1"}
+    )
+
+
+# --- real files
+
+
+@pytest.mark.real_data
+def test_the_real_skyward_exports_make_a_series(shared_data):
+    folder = shared_data / "asd_ascii"
+    # the later one first
+    files = [folder / "asd-e-irrad-sky.csv", folder / "asd-e-irrad-sky.tsv"]
+    series = open_irradiance(files, "irradiance", utc_offset_h=3)
+    expected = utc("2024-05-21T08:33:06.932", "2024-05-21T08:33:12.932")  # the middle of 136 ms
+    np.testing.assert_array_equal(series["irradiance_time"].values, expected)
+    assert series["irradiance_time"].dtype == np.dtype("datetime64[ns]")
+    assert series["irradiance"].dims == ("irradiance_time", "irradiance_wavelength")
+    assert series["irradiance"].dtype == np.float32
+    at_550 = series["irradiance"].sel(irradiance_wavelength=550).values
+    np.testing.assert_allclose(at_550, [0.890753970640618, 0.890642958711871], rtol=1e-7)
+    integral = (
+        series["irradiance"].sel(irradiance_wavelength=slice(400, 1000)).integrate("irradiance_wavelength")
+    )
+    np.testing.assert_allclose(integral, [391.381, 391.411], atol=6e-4)
+    assert series["irradiance_fwhm"] == 3.0
+    assert series["irradiance_max_gap"] == 15.0
+    assert series.attrs["irradiance_srf_shape"] == "gaussian"
+    assert "assumed" in series.attrs["irradiance_fwhm_source"]
+    assert "assumed" in series.attrs["irradiance_units_source"]
+
+
+@pytest.mark.real_data
+def test_real_exports_need_a_zone_and_say_their_guess(shared_data):
+    files = str(shared_data / "asd_ascii" / "asd-e-irrad-sky.*")
+    with pytest.raises(TimeError, match="utc_offset_h="):
+        open_irradiance(files, "irradiance")
+    with pytest.warns(PaintWarning, match="irradiance is a guess"):
+        guessed = open_irradiance(files, utc_offset_h=3)
+    xr.testing.assert_identical(guessed, open_irradiance(files, "irradiance", utc_offset_h=3))
+
+
+@pytest.mark.real_data
+def test_an_export_that_seems_to_be_reflectance_is_refused(shared_data):
+    with (
+        pytest.warns(PaintWarning, match="reflectance is a guess"),
+        pytest.raises(FormatError, match="seem to hold reflectance"),
+    ):
+        open_irradiance(shared_data / "asd_ascii" / "asd-Rfr-soil.tsv", utc_offset_h=3)
+
+
+# --- binaries
+
+
+def test_binaries_through_their_calibration(log):
+    series = open_irradiance(log(0, 2, 4, averages=10), utc_offset_h=0)
+    expected = SKY[:651] * np.array([[1.0], [1.01], [1.02]])
+    np.testing.assert_allclose(series["irradiance"].values, expected, rtol=1e-6)
+    np.testing.assert_array_equal(series["irradiance_wavelength"].values, GRID[:651])
+    middles = utc(
+        "2024-05-21T11:59:59.32", "2024-05-21T12:00:01.32", "2024-05-21T12:00:03.32"
+    )  # 1.36 s windows
+    np.testing.assert_array_equal(series["irradiance_time"].values, middles)
+    assert series["irradiance_max_gap"] == 5.0
+    assert series["irradiance_max_gap"].dtype == series["irradiance_fwhm"].dtype == np.float64
+    assert series["irradiance"].attrs["units"] == "W m-2 nm-1"
+    assert "irradiance_units_source" not in series.attrs
+
+
+@pytest.mark.parametrize(("stamp", "second"), [("start", 0.068), ("mid", 0.0), ("end", -0.068)])
+def test_stamps_move_to_the_middle(log, stamp, second):
+    times = open_irradiance(log(1, 2), utc_offset_h=0, stamp=stamp)["irradiance_time"].values
+    assert (times[0] - np.datetime64("2024-05-21T12:00:01", "ns")) / np.timedelta64(1, "s") == pytest.approx(
+        second
+    )
+
+
+def test_the_averaging_window_can_be_said(log):
+    times = open_irradiance(log(1, 2), utc_offset_h=0, averaging_s=2.0)["irradiance_time"].values
+    assert times[0] == np.datetime64("2024-05-21T12:00:00", "ns")
+
+
+def test_a_logging_pc_five_hours_off(log):
+    """The zone comes from the white reference; a wrong clock on top of it from the user."""
+    files = log(0, 2, reference=COUNTS, reference_epoch=1716300000, utc_offset_h=-5.0)
+    series = open_irradiance(files, stamp="mid", clock_offset_s=37.25)
+    np.testing.assert_array_equal(
+        series["irradiance_time"].values, utc("2024-05-21T17:00:37.25", "2024-05-21T17:00:39.25")
+    )
+    assert series.attrs["irradiance_utc_offset_h"] == [-5.0]
+    assert series.attrs["irradiance_clock_offset_s"] == 37.25
+    with pytest.warns(PaintWarning, match=r"utc_offset_h=\+2 is used although .* -5 h"):
+        series = open_irradiance(files, stamp="mid", utc_offset_h=2)
+    assert series["irradiance_time"].values[0] == np.datetime64("2024-05-21T10:00", "ns")
+
+
+def test_files_that_say_nothing_take_the_zone_of_those_that_do(log):
+    files = log(0, 2) + log(4, prefix="w", reference=COUNTS, reference_epoch=1716300000, utc_offset_h=1.0)
+    assert open_irradiance(files, stamp="mid")["irradiance_time"].values[0] == np.datetime64(
+        "2024-05-21T11:00", "ns"
+    )
+    files += log(6, prefix="v", reference=COUNTS, reference_epoch=1716300000, utc_offset_h=2.0)
+    with pytest.raises(TimeError, match=r"\+1 h in w00000\.asd; \+2 h in v00000\.asd"):
+        open_irradiance(files)
+    with pytest.raises(TimeError, match="utc_offset_h="):
+        open_irradiance(files[:2])
+
+
+def test_shuffled_files_come_out_sorted_and_duplicates_are_refused(log, tmp_path):
+    seconds = [8, 2, 6, 0, 4]
+    series = open_irradiance(log(*seconds), utc_offset_h=0, stamp="mid")
+    elapsed = (series["irradiance_time"].values - np.datetime64(NOON, "ns")) / np.timedelta64(1, "s")
+    np.testing.assert_array_equal(elapsed, sorted(seconds))
+    scale = series["irradiance"].values[:, 0] / series["irradiance"].values[1, 0]
+    np.testing.assert_allclose(scale, np.array([1.03, 1.01, 1.04, 1.02, 1.0]) / 1.01, rtol=1e-6)
+    files = log(0, 2, 2)
+    (tmp_path / "copy.asd").write_bytes(files[0].read_bytes())
+    with pytest.raises(TimeError) as raised:
+        open_irradiance([*files, tmp_path / "copy.asd"], utc_offset_h=0)
+    assert "sky00001.asd and sky00002.asd" in str(raised.value)
+    assert "sky00000.asd and copy.asd (the same spectrum twice)" in str(raised.value)
+
+
+def test_saturated_and_empty_samples_become_nan(log, write_asd):
+    files = log(0, 2, 4) + log(6, prefix="bright", saturation=1)
+    files.append(write_asd("dead.asd", COUNTS * 0, local=NOON + dt.timedelta(seconds=8), blocks=BLOCKS))
+    with pytest.warns(PaintWarning) as found:
+        series = open_irradiance(files, utc_offset_h=0)
+    messages = sorted(str(warning.message) for warning in found)
+    assert len(messages) == 2
+    assert "saturated" in messages[0]
+    assert "bright00000.asd" in messages[0]
+    assert "zero throughout" in messages[1]
+    assert "dead.asd" in messages[1]
+    missing = np.isnan(series["irradiance"]).all("irradiance_wavelength")
+    np.testing.assert_array_equal(missing, [False, False, False, True, True])
+
+
+def test_raw_counts_with_calibration_files(log, write_asd):
+    files = log(0, 2, blocks={}, data_type=0)
+    with pytest.raises(FormatError, match=r"sky00000\.asd, sky00001\.asd: no calibration block LMP and FO"):
+        open_irradiance(files, utc_offset_h=0)
+    calibration = {"lamp": write_asd("c/a.ill", LAMP), "fore_optic": write_asd("c/a.raw", LAMP_COUNTS)}
+    series = open_irradiance(files, utc_offset_h=0, calibration=calibration)
+    np.testing.assert_allclose(series["irradiance"].values[0], SKY[:651], rtol=1e-6)
+
+
+def test_a_folder_prefers_binaries(log, tmp_path):
+    log(0, 2)
+    (tmp_path / "sky00000.asd.txt").write_text("Wavelength;sky00000.asd\n350;1\n")
+    assert open_irradiance(tmp_path, utc_offset_h=0).sizes["irradiance_time"] == 2
+
+
+def test_a_single_sample_needs_a_gap(log):
+    files = log(0)
+    with pytest.raises(TimeError, match="max_gap_s="):
+        open_irradiance(files, utc_offset_h=0)
+    assert open_irradiance(files, utc_offset_h=0, max_gap_s=5)["irradiance_max_gap"] == 5.0
+
+
+def test_all_wrong_arguments_at_once():
+    with pytest.raises(SchemaError) as raised:
+        open_irradiance(
+            "x", "radiance", stamp="begin", fwhm_nm=0, max_gap_s=-1, averaging_s=-1, clock_offset_s=np.nan
+        )
+    for name in ("quantity", "stamp", "fwhm_nm", "max_gap_s", "averaging_s", "clock_offset_s"):
+        assert f"{name}=" in str(raised.value)
+
+
+def test_exports_without_a_stamp_make_no_series(tmp_path):
+    (tmp_path / "a.txt").write_text("Wavelength;a.asd\n500;0.8\n501;0.8\n")
+    with pytest.raises(TimeError, match=r"without a time stamp.*a\.txt"):
+        open_irradiance(tmp_path, "irradiance", utc_offset_h=0)
+
+
+# --- units
+
+
+@pytest.mark.parametrize("factor", [1e6, 1e3, 100.0, 1e-4, 1e-6])
+def test_impossible_light_is_refused(log, factor):
+    """E in mW, uW, uW cm-2, W cm-2 or kW that is said to be W m-2 nm-1."""
+    files = log(0, 2, blocks={2: (0, LAMP * factor), 3: (136, LAMP_COUNTS)})
+    with pytest.raises(UnitsError, match="uW said to be W"):
+        open_irradiance(files, utc_offset_h=0)
+    spelled = {
+        1e6: "uW m-2 nm-1",
+        1e3: "mW m-2 nm-1",
+        100.0: "uW cm-2 nm-1",
+        1e-4: "W cm-2 nm-1",
+        1e-6: "W mm-2 nm-1",
+    }
+    series = open_irradiance(files, utc_offset_h=0, units=spelled[factor])
+    np.testing.assert_allclose(series["irradiance"].values[0], SKY[:651], rtol=1e-6)
+
+
+def test_other_dimensions_are_refused(log):
+    with pytest.raises(UnitsError, match="W m-2 sr-1 nm-1"):
+        open_irradiance(log(0, 2), utc_offset_h=0, units="W m-2 sr-1 nm-1")
+
+
+# --- csv
+
+CSV = """# units: mW m-2 nm-1
+# fwhm_nm: 2.5
+time,500,600
+2024-05-21T12:00:02{z},900,800
+2024-05-21T12:00:00{z},890,
+"""
+
+
+def test_csv_series(tmp_path):
+    (tmp_path / "sky.csv").write_text(CSV.format(z="+03:00"))
+    with pytest.warns(PaintWarning, match=r"not finite.*sky\.csv:5"):
+        series = open_irradiance(tmp_path / "sky.csv")
+    np.testing.assert_array_equal(
+        series["irradiance_time"].values, utc("2024-05-21T09:00", "2024-05-21T09:00:02")
+    )
+    np.testing.assert_allclose(series["irradiance"].values, [[0.89, np.nan], [0.9, 0.8]], rtol=1e-6)
+    assert series["irradiance_fwhm"] == 2.5
+    assert series["irradiance"].dtype == np.float32
+
+
+def test_csv_stamps_may_each_have_their_zone(tmp_path):
+    rows = "2024-05-21T12:00:02+03:00,0.9\n2024-05-21T09:00:00Z,0.8\n"
+    (tmp_path / "sky.csv").write_text("# units: W m-2 nm-1\n# fwhm_nm: 3\ntime,500\n" + rows)
+    series = open_irradiance(tmp_path / "sky.csv")
+    np.testing.assert_allclose(series["irradiance"].values[:, 0], [0.8, 0.9], rtol=1e-6)
+    assert series["irradiance_max_gap"] == 5.0
+
+
+def test_csv_needs_zone_units_and_width(tmp_path):
+    path = tmp_path / "sky.csv"
+    path.write_text(CSV.format(z="").replace("890,", "890,790"))
+    with pytest.raises(TimeError, match="utc_offset_h="):
+        open_irradiance(path)
+    assert open_irradiance(path, utc_offset_h=-5)["irradiance_time"].values[0] == utc("2024-05-21T17:00")[0]
+    path.write_text("time,500,600\n2024-05-21T12:00:02Z,0.9,0.8\n2024-05-21T12:00:00Z,0.9,0.8\n")
+    with pytest.raises(UnitsError, match="units="):
+        open_irradiance(path)
+    with pytest.raises(SchemaError, match="fwhm_nm="):
+        open_irradiance(path, units="W m-2 nm-1")
+    assert open_irradiance(path, units="W m-2 nm-1", fwhm_nm=3)["irradiance_fwhm"] == 3.0
+
+
+@pytest.mark.parametrize(
+    ("text", "problem"),
+    [
+        ("", "no header"),
+        ("time,600,500\n", "must be positive and increase"),
+        ("time,nan\n", "must be positive and increase"),
+        ("time,a\n", "header cannot be read"),
+        ("time,500\n", "no rows"),
+        ("time,500\nnoon,1\n", "line 2 cannot be read"),
+        ("time,500\n2024-05-21T12:00:00Z,1,2\n", "2 values"),
+        ("time,500\n0001-01-01,1\n", "outside 1970 to 2199"),
+        ("time,500\n2024-05-21T12:00:00Z,1\n2024-05-21T12:00:01,1\n", "give it to all or to none"),
+        ("# fwhm_nm: three\ntime,500\n2024-05-21T12:00:00Z,1\n", "fwhm_nm: three"),
+    ],
+)
+def test_damaged_csv(tmp_path, text, problem):
+    (tmp_path / "sky.csv").write_text(text)
+    with pytest.raises(FormatError, match=problem):
+        read_irradiance_csv(tmp_path / "sky.csv")
+
+
+def test_mutated_csv_raises_nothing_but_format_errors(tmp_path):
+    generator = random.Random(7)
+    pieces = ["\0", "\n", ",", "nan", "1e999", "-", "9" * 400, "\xff", "time,", "_", "#", "Z", ":"]
+    for _ in range(300):
+        mutant = CSV.format(z="Z")
+        for _ in range(generator.randint(1, 5)):
+            start = generator.randrange(len(mutant))
+            mutant = mutant[:start] + generator.choice(pieces) + mutant[start + generator.randint(0, 8) :]
+        (tmp_path / "sky.csv").write_text(mutant, "utf-8")
+        with contextlib.suppress(FormatError):
+            table = read_irradiance_csv(tmp_path / "sky.csv")
+            assert table.values.shape == (len(table.times), len(table.wavelength))
+
+
+def test_csv_and_binaries_do_not_mix(log, tmp_path):
+    (tmp_path / "sky.csv").write_text(CSV.format(z="Z"))
+    with pytest.raises(FormatError, match=r"do not mix.*sky00000\.asd"):
+        open_irradiance([*log(0), tmp_path / "sky.csv"])
+
+
+# --- xarray and its stores
+
+
+@pytest.mark.parametrize("resolution", ["s", "ms", "us", "ns"])
+def test_every_time_resolution_comes_out_in_nanoseconds(resolution):
+    times = np.array(["2024-05-21T12:00:04", "2024-05-21T12:00:00"], f"datetime64[{resolution}]")
+    data = sky(times)
+    series = open_irradiance(data, fwhm_nm=3)
+    assert series["irradiance_time"].dtype == np.dtype("datetime64[ns]")
+    np.testing.assert_array_equal(
+        series["irradiance_time"].values, utc("2024-05-21T12:00", "2024-05-21T12:00:04")
+    )
+    np.testing.assert_array_equal(series["irradiance"].values, data.values[::-1].astype(np.float32))
+
+
+def test_units_and_width_of_an_xarray_series():
+    data = sky(utc("2024-05-21T12:00", "2024-05-21T12:01")) * 1000
+    with pytest.raises(UnitsError, match="has no units"):
+        open_irradiance(data.drop_attrs(deep=False), fwhm_nm=3)
+    data.attrs["units"] = "mW m-2 nm-1"
+    with pytest.raises(UnitsError, match="drop the argument"):
+        open_irradiance(data, fwhm_nm=3, units="W m-2 nm-1")
+    with pytest.raises(SchemaError, match="fwhm_nm="):
+        open_irradiance(data)
+    width = xr.DataArray([0.003, 0.004, 0.005], dims="wavelength", attrs={"units": "um"})
+    series = open_irradiance(data.to_dataset().assign(irradiance_fwhm=width))
+    np.testing.assert_allclose(series["irradiance_fwhm"].values, [3, 4, 5])
+    np.testing.assert_allclose(series["irradiance"].values, data.values / 1000, rtol=1e-6)
+
+
+def test_what_is_no_series_is_refused():
+    times = utc("2024-05-21T12:00", "2024-05-21T12:01")
+    with pytest.raises(SchemaError, match="no variable 'irradiance'"):
+        open_irradiance(sky(times).to_dataset(name="radiance"))
+    with pytest.raises(SchemaError, match="expected a time and a wavelength"):
+        open_irradiance(sky(times).rename(time="when"))
+    with pytest.raises(TimeError, match="expected datetime64"):
+        open_irradiance(sky([1.0, 2.0]), fwhm_nm=3)
+    with pytest.raises(TimeError, match="in hours"):
+        open_irradiance(sky(times), fwhm_nm=3, utc_offset_h=-18000)
+    with pytest.raises(SchemaError, match="does not increase"):
+        open_irradiance(sky(times).isel(wavelength=slice(None, None, -1)), fwhm_nm=3)
+    with pytest.raises(TimeError, match="sample 0 and sample 1"):
+        open_irradiance(sky(times[[0, 0]]), fwhm_nm=3)
+
+
+@pytest.mark.parametrize(("name", "group"), [("s.zarr", None), ("s.zarr", "irradiance"), ("s.nc", None)])
+def test_store_round_trip(log, tmp_path, name, group):
+    series = open_irradiance(log(0, 2, 4), utc_offset_h=1)
+    if name.endswith(".nc"):
+        series.to_netcdf(tmp_path / name, engine="h5netcdf")
+    else:
+        series.to_zarr(tmp_path / name, group=group, consolidated=False, zarr_format=3)
+    again = open_irradiance(tmp_path / name)
+    for name in ("irradiance", "irradiance_fwhm", "irradiance_max_gap"):
+        xr.testing.assert_identical(again[name].drop_encoding(), series[name])
+    assert again.attrs["irradiance_fwhm_source"] == "said by the data"
+
+
+def test_an_unfinished_group_of_a_collect_is_refused(log, tmp_path):
+    series = open_irradiance(log(0, 2, 4), utc_offset_h=1)
+    to_store(series, tmp_path / "lot.zarr", group="irradiance")
+    again = open_irradiance(tmp_path / "lot.zarr")
+    np.testing.assert_array_equal(again["irradiance"].values, series["irradiance"].values)
+    np.testing.assert_array_equal(again["irradiance_time"].values, series["irradiance_time"].values)
+    # what hyperpaint marks as its own, and no completion record
+    series.assign_attrs(hyperpaint_format=1).to_zarr(tmp_path / "half.zarr", consolidated=False)
+    with pytest.raises(IncompleteStoreError, match="never finished"):
+        open_irradiance(tmp_path / "half.zarr")
+
+
+def test_a_damaged_store_is_named(tmp_path):
+    (tmp_path / "sky.zarr").mkdir()
+    (tmp_path / "sky.zarr" / "zarr.json").write_text("{")
+    with pytest.raises(FormatError, match=r"sky\.zarr: cannot be opened"):
+        open_irradiance(tmp_path / "sky.zarr")
+    with pytest.raises(FormatError, match=r"gone\.zarr: cannot be opened"):
+        open_irradiance(tmp_path / "gone.zarr")

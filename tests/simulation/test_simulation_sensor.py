@@ -1,0 +1,144 @@
+"""The imager's forward model against hand calculations."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from hyperpaint.simulation.atmosphere import spectral_grid
+from hyperpaint.simulation.sensor import (
+    SHAPES,
+    Detector,
+    Imager,
+    convolve_gaussian,
+    expected_counts,
+    filled_etendue,
+    line_shape,
+    smile,
+)
+
+K = np.sqrt(np.pi / (4 * np.log(2)))
+PEAK, WIDTH, SPACING = 2.0e16, 6.0, 600 / 271
+GRID = spectral_grid(380.0, 1030.0)
+
+
+def worked_imager(shape: str = "gaussian", slope: float = 0.0) -> Imager:
+    """Imager of `physics.md` 2.3: 272 bands from 400 to 1000 nm."""
+    return Imager(
+        wavelength=400.0 + SPACING * np.arange(272),
+        wavelength_shift=np.zeros(1),
+        fwhm=WIDTH,
+        shape=shape,
+        responsivity=lambda nm: PEAK * K * WIDTH * (1.0 + slope * (nm - 700.0)),
+        element_factor=np.ones((272, 1)),
+    )
+
+
+def test_worked_example_field() -> None:
+    imager = worked_imager()
+    radiance = np.full((1, len(GRID)), 0.40 * 1.30 / np.pi)
+    integral = imager.integrals(radiance, GRID)
+    counts = expected_counts(integral, 5e-3, 1.8598e-11)
+    assert counts[0, 136, 0] == pytest.approx(1966.09, abs=0.005)
+    area = imager.integrals(np.ones_like(radiance), GRID)
+    recovered = counts / (5e-3 * 1.8598e-11 * area)
+    np.testing.assert_allclose(np.pi * recovered / 1.30, 0.40, rtol=1e-12)
+
+
+def test_worked_example_lab() -> None:
+    imager = worked_imager()
+    centre = imager.wavelength[136]
+    line = line_shape(GRID - centre, 2.0, 0.0, "gaussian", 0.05)[None]
+    counts = 50e-3 * 3.0e-12 * imager.integrals(line, GRID)
+    assert counts[0, 136, 0] == pytest.approx(2846.05, abs=0.005)
+    assert counts.sum() == pytest.approx(8654.12, abs=0.01)
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+def test_line_area_identity(shape: str) -> None:
+    """SUM_b INT m R_b = R0(lambda) / spacing, whatever the shape and the monochromator's width."""
+    imager = worked_imager(shape, slope=1e-3)
+    for width in (0.5, 2.0, 12.0):
+        line = line_shape(GRID - 650.3, width, 0.0, "gaussian", 0.05)[None]
+        total = imager.integrals(line, GRID).sum()
+        assert total * SPACING == pytest.approx(PEAK * K * WIDTH * (1 - 1e-3 * 49.7), rel=1e-3)
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+@pytest.mark.parametrize("centre", [500.0, 500.0137])
+def test_line_shape_has_unit_area_and_its_width(shape: str, centre: float) -> None:
+    offset = GRID - centre
+    response = line_shape(offset, 6.0, 2.2, shape, 0.05)
+    assert response.sum() * 0.05 == pytest.approx(1.0, abs=1e-12)
+    assert (response * offset).sum() * 0.05 == pytest.approx(0.0, abs=1e-9)
+    above = offset[response >= response.max() / 2]
+    assert np.ptp(above) == pytest.approx(6.0, abs=0.11)
+    if shape == "slit":
+        # variance of two boxes: (a^2 + b^2) / 12, and of the grid cell
+        spread = (response * offset**2).sum() * 0.05
+        assert spread == pytest.approx((36 + 2.2**2 + 0.05**2) / 12, rel=1e-6)
+        assert not response[np.abs(offset) > 4.2].any()
+
+
+def test_slit_is_the_convolution_of_two_boxes() -> None:
+    step = 0.01
+    offset = np.arange(-800, 801) * step
+    boxes = [np.clip((width / 2 - np.abs(offset)) / step + 0.5, 0, 1) / width for width in (6.0, 2.2)]
+    expected = np.convolve(*boxes, mode="same") * step
+    np.testing.assert_allclose(line_shape(offset, 6.0, 2.2, "slit", step), expected, atol=2e-4)
+
+
+def test_smile_moves_the_response_of_a_column() -> None:
+    shift = smile(5, 0.8)
+    np.testing.assert_allclose(shift, [0.8, 0.2, 0.0, 0.2, 0.8])
+    imager = Imager(
+        np.array([500.0, 510.0]), shift, 6.0, "gaussian", lambda nm: np.ones_like(nm), np.ones((2, 5))
+    )
+    grid = spectral_grid(450.0, 560.0)
+    moments = imager.integrals(np.stack([np.ones_like(grid), grid]), grid)
+    np.testing.assert_allclose(moments[1] / moments[0], imager.wavelength[:, None] + shift, atol=1e-9)
+
+
+def test_integrals_agree_with_each_response() -> None:
+    rng = np.random.default_rng(3)
+    factor = 1 + 0.1 * rng.random((3, 21))
+    imager = Imager(np.array([500.0, 503.0, 506.0]), smile(21, 1.3), 4.0, "slit", lambda nm: nm**2, factor)
+    grid = spectral_grid(480.0, 530.0)
+    spectra = rng.random((2, len(grid)))
+    made = imager.integrals(spectra, grid)
+    for band in range(3):
+        np.testing.assert_allclose(made[:, band], spectra @ imager.response(band, grid) * 0.05, rtol=1e-9)
+
+
+def test_a_grid_that_ends_inside_a_response_is_refused() -> None:
+    with pytest.raises(ValueError, match="grid covers"):
+        worked_imager().integrals(np.ones((1, 100)), spectral_grid(500.0, 505.0)[:100])
+
+
+def test_convolution_of_gaussians_adds_their_variances() -> None:
+    narrow = line_shape(GRID - 700.0, 4.0, 0.0, "gaussian", 0.05)[None]
+    seen = convolve_gaussian(narrow, GRID, np.arange(690.0, 711.0), 3.0)[0]
+    expected = line_shape(np.arange(690.0, 711.0) - 700.0, 5.0, 0.0, "gaussian", 1.0)
+    np.testing.assert_allclose(seen, expected, atol=1e-12)
+
+
+def test_etendue_from_either_pupil() -> None:
+    pupil = np.pi / 4 * (12e-3 / 2.5) ** 2 * (7.4e-6 / 12e-3) * (20e-6 / 12e-3)
+    assert filled_etendue() == pytest.approx(pupil, rel=1e-12)
+    assert filled_etendue() == pytest.approx(1.8598e-11, rel=1e-4)
+
+
+def test_noise_has_the_variance_of_the_model() -> None:
+    detector = Detector(np.full((400, 500), 100.0), 20.0, 0.5, 12)
+    for signal in (0.0, 50.0, 3000.0):
+        counts = detector.read(np.full((400, 500), signal), np.random.default_rng(1))
+        assert counts.mean() == pytest.approx(100.0 + signal, abs=5 * counts.std() / 447)
+        # 2e5 samples: the variance is known to 0.3 %
+        assert counts.var() == pytest.approx(signal / 20.0 + 0.25, rel=0.015)
+
+
+def test_converter_rounds_and_clips() -> None:
+    detector = Detector(np.zeros((1, 4)), 20.0, 0.5, 12)
+    counts = detector.convert(np.array([[-3.0, 17.4, 17.6, 5000.0]]))
+    assert counts.dtype == np.uint16
+    assert counts.tolist() == [[0, 17, 18, 4095]]

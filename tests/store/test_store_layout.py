@@ -1,0 +1,126 @@
+"""Chunks, codec and encodings on disk."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import dask.array as da
+import numpy as np
+import pytest
+import xarray as xr
+import zarr
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from hyperpaint.errors import StoreError
+from hyperpaint.io.store import layout
+
+
+@given(st.lists(st.integers(1, 90), min_size=1, max_size=12), st.integers(1, 40))
+def test_regrouped_chunks_start_at_storage_chunks(pieces: list[int], step: int) -> None:
+    made = layout.regroup(pieces, step)
+    starts = np.cumsum((0, *made))[:-1]
+    assert sum(made) == sum(pieces)
+    assert (starts % step == 0).all()
+    assert all(size >= step for size in made[:-1])
+    assert layout.regroup(made, step) == made
+    # no task gets to hold more than the pieces it is made of, and what completes its first chunk
+    assert max(made) <= max(pieces) + step
+
+
+@pytest.mark.parametrize("pieces", [(32,) * 5, (64, 32, 7), (128,), (31,)])
+def test_aligned_chunks_stay(pieces: tuple[int, ...]) -> None:
+    assert layout.regroup(pieces, 32) == pieces
+
+
+@pytest.mark.parametrize(
+    ("dims", "shape", "expected"),
+    [
+        (("along_track", "band", "cross_track"), (2000, 272, 640), (32, 272, 640)),
+        (("along_track", "band", "cross_track"), (7, 272, 640), (7, 272, 640)),
+        (("along_track", "cross_track"), (2000, 640), (32, 640)),
+        (("band", "along_track"), (4, 2000), (4, 32)),
+        (("along_track",), (100_000,), (100_000,)),
+        (("band", "cross_track"), (272, 640), (272, 640)),
+        (("irradiance_time", "irradiance_wavelength"), (3600, 2151), (3600, 2151)),
+        (("irradiance_time", "irradiance_wavelength"), (86_400, 2151), (1949, 2151)),
+        (("y", "x", "band"), (1000, 900, 272), (128, 128, 272)),
+        ((), (), ()),
+    ],
+)
+def test_storage_chunks(dims: tuple[str, ...], shape: tuple[int, ...], expected: tuple[int, ...]) -> None:
+    assert layout.storage_chunks(dims, shape, 4) == expected
+
+
+@pytest.mark.parametrize("dtype", ["uint16", "float32", "float64", "int64", "uint8", "bool", "int16"])
+@pytest.mark.parametrize("lines", [32, 5])
+def test_chunk_has_the_bytes_that_zarr_writes(dtype: str, lines: int, tmp_path: Path) -> None:
+    values = (np.random.default_rng(0).random((lines, 7, 11)) * 100).astype(dtype)
+    variable = xr.Variable(("along_track", "band", "cross_track"), np.zeros((64, 7, 11), dtype))
+    encoding = layout.encoding_of(variable)
+    array = zarr.create_array(
+        tmp_path / "a.zarr",
+        shape=(lines, 7, 11),
+        dtype=dtype,
+        chunks=encoding["chunks"],
+        compressors=encoding["compressors"],
+        fill_value=encoding["fill_value"],
+    )
+    array[:] = values
+    encoded, crc = layout.encode_chunk(values, encoding["chunks"], encoding["fill_value"])
+    assert (tmp_path / "a.zarr/c/0/0/0").read_bytes() == encoded + crc
+
+
+@pytest.mark.parametrize(
+    ("dtype", "fill"),
+    [
+        ("uint16", 65535),
+        ("uint8", 255),
+        ("int16", 32767),
+        ("int64", 65535),
+        ("bool", False),
+        ("M8[ns]", np.iinfo("i8").min),
+    ],
+)
+def test_fill_value_fits_the_dtype(dtype: str, fill: int) -> None:
+    assert layout.fill_value(np.dtype(dtype)) == fill
+
+
+def test_float_fill_is_nan_of_the_dtype() -> None:
+    fill = layout.fill_value(np.dtype("float32"))
+    assert fill.dtype == "float32"
+    assert np.isnan(fill)
+
+
+@settings(max_examples=25, deadline=None)
+@given(
+    st.lists(st.integers(1, 50), min_size=1, max_size=5),
+    st.sampled_from([(6,), (1, 5), (2, 2, 2)]),
+)
+def test_prepared_blocks_hold_whole_storage_chunks(lines: list[int], bands: tuple[int, ...]) -> None:
+    data = da.zeros((sum(lines), 6, 4), chunks=(tuple(lines), bands, 3), dtype="float32")
+    dataset = xr.Dataset({"radiance": (("along_track", "band", "cross_track"), data)})
+    chunks = layout.prepare(dataset, "").radiance.chunks
+    assert chunks is not None
+    assert chunks[1:] == ((6,), (4,))
+    assert all(size % 32 == 0 for size in chunks[0][:-1])
+
+
+def test_prepare_lists_all_problems() -> None:
+    dataset = xr.Dataset(
+        {
+            "a/b": ("x", [1]),
+            "when": ("x", [1], {"start": np.datetime64("2026-01-01")}),
+            "thing": ("x", np.array([{}], dtype=object)),
+        },
+        attrs={"o": object()},
+    )
+    with pytest.raises(StoreError) as caught:
+        layout.prepare(dataset, "g")
+    assert all(text in str(caught.value) for text in ("'a/b'", "'start' of 'when'", "'thing'", "'o'"))
+
+
+def test_multi_index_is_refused_with_the_mend() -> None:
+    dataset = xr.Dataset(coords={"a": ("x", [1, 2]), "b": ("x", [3, 4])}).set_index(x=["a", "b"])
+    with pytest.raises(StoreError, match="reset_index"):
+        layout.prepare(dataset, "")

@@ -1,0 +1,395 @@
+"""`to_store`: what goes in comes out, and nothing else in the store changes."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import warnings
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import dask
+import dask.array as da
+import numpy as np
+import pytest
+import xarray as xr
+import zarr
+
+from hyperpaint.errors import StoreError
+from hyperpaint.io.store import is_complete, list_groups, open_store, to_store, verify
+from hyperpaint.io.store.sources import reads_from
+
+CUBE = ("along_track", "band", "cross_track")
+GROUP = "flightlines/raw_0"
+
+
+def flightline(lines: int = 70, seed: int = 0, *, lazy: bool = True) -> xr.Dataset:
+    rng = np.random.default_rng(seed)
+    counts = rng.integers(0, 65536, (lines, 3, 5), dtype="uint16")
+    reflectance = rng.random((lines, 3, 5), dtype="float32")
+    reflectance[1, 1, 1], reflectance[2] = np.inf, np.nan
+    time = np.datetime64("2026-06-01T12:00:00.123456789", "ns") + np.arange(lines) * 7_000_001
+    time[3] = np.datetime64("NaT")
+    dataset = xr.Dataset(
+        {
+            "counts": (CUBE, counts, {"units": "count"}),
+            "reflectance": (CUBE, reflectance, {"units": "1"}),
+            "quality": (
+                ("along_track", "cross_track"),
+                counts[:, 0],
+                {"flag_masks": np.array([1, 2], "uint16")},
+            ),
+            "radiance_gain": (("band", "cross_track"), rng.random((3, 5), dtype="float32")),
+            "exposure_time": ((), 0.005, {"units": "s"}),
+            "irradiance": (("irradiance_time", "irradiance_wavelength"), rng.random((4, 6), dtype="float32")),
+            "lag": ("irradiance_time", np.array([1, 2, "NaT", 4], "m8[ns]")),
+            "note": ("band", np.array(["", "blue\n\u00e9", "c"], dtype=object)),
+            "camera": ((), "nano"),
+        },
+        coords={
+            "time": ("along_track", time),
+            "frame": ("along_track", np.arange(lines) + 2**40),
+            "wavelength": ("band", [400.1, 500.2, 600.3]),
+            "good": ("band", [True, False, True]),
+            "irradiance_time": time[:1] + np.arange(4) * 10**9,
+        },
+        attrs={"srf_shape": "gaussian", "gain": np.float32(2), "bands": np.arange(3)},
+    )
+    if lazy:
+        dataset = dataset.chunk({"along_track": 13})
+        dataset["time"] = dataset["time"].chunk(9)
+    return dataset
+
+
+def assert_same(stored: xr.Dataset, source: xr.Dataset) -> None:
+    """Bit for bit, dtypes included."""
+    assert set(stored.variables) == set(source.variables)
+    assert set(stored.coords) == set(source.coords)
+    for name, variable in source.variables.items():
+        found = stored.variables[name]
+        assert found.dims == variable.dims
+        if variable.dtype.kind in "OUT":
+            assert found.values.tolist() == variable.values.tolist()
+            continue
+        assert found.dtype == variable.dtype, name
+        assert found.values.tobytes() == np.ascontiguousarray(variable.values).tobytes(), name
+
+
+def files(folder: Path) -> dict[str, tuple[int, bytes]]:
+    return {
+        str(path.relative_to(folder)): (path.stat().st_mtime_ns, path.read_bytes())
+        for path in folder.rglob("*")
+        if path.is_file()
+    }
+
+
+@pytest.mark.parametrize("lazy", [True, False])
+@pytest.mark.parametrize("group", [GROUP, None])
+def test_round_trip(lazy: bool, group: str | None, tmp_path: Path) -> None:
+    source = flightline(lazy=lazy)
+    assert to_store(source, tmp_path / "lot.zarr", group) == tmp_path / "lot.zarr"
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        stored = xr.open_zarr(tmp_path / "lot.zarr", group=group)
+        assert stored.counts.chunks == ((32, 32, 6), (3,), (5,))
+        assert stored.quality.chunks == ((32, 32, 6), (5,))
+        assert stored.time.chunks == ((70,),)
+        assert "wavelength" not in stored.indexes
+        assert_same(stored, source)
+        assert_same(open_store(tmp_path / "lot.zarr", group), source)
+    assert stored.counts.attrs == {"units": "count"}
+    assert verify(tmp_path / "lot.zarr").ok
+    assert os.listdir(tmp_path) == ["lot.zarr"]
+
+
+def test_attributes(tmp_path: Path) -> None:
+    to_store(flightline().assign_attrs(history="2026-01-01 flown"), tmp_path / "lot.zarr", GROUP)
+    attrs = xr.open_zarr(tmp_path / "lot.zarr", group=GROUP).attrs
+    assert attrs["hyperpaint_format"] == 1
+    assert attrs["Conventions"] == "CF-1.11"
+    assert attrs["srf_shape"] == "gaussian"
+    assert attrs["gain"] == 2
+    assert attrs["bands"] == [0, 1, 2]
+    assert attrs["history"].startswith("2026-01-01 flown\n20")
+    assert np.datetime64(attrs["created"].removesuffix("+00:00")) > np.datetime64("2024-01-01")
+    assert zarr.open_group(tmp_path / "lot.zarr", mode="r").attrs["hyperpaint_format"] == 1
+
+
+def test_counts_have_a_sentinel_but_no_mask(tmp_path: Path) -> None:
+    to_store(flightline(), tmp_path / "lot.zarr", GROUP)
+    (tmp_path / "lot.zarr" / GROUP / "counts/c/1/0/0").unlink()
+    (tmp_path / "lot.zarr" / GROUP / "time/c/0").unlink()
+    stored = xr.open_zarr(tmp_path / "lot.zarr", group=GROUP)
+    assert stored.counts.dtype == "uint16"
+    assert (stored.counts[32:64] == 65535).all()
+    assert stored.time.isnull().all()
+
+
+def test_file_backed_variable_without_dask(tmp_path: Path) -> None:
+    source = flightline(lazy=False)
+    to_store(source, tmp_path / "a.zarr", "x")
+    lazy = xr.open_zarr(tmp_path / "a.zarr", group="x", chunks=None)
+    assert not lazy.counts.variable._in_memory
+    to_store(lazy, tmp_path / "b.zarr")
+    assert not lazy.counts.variable._in_memory
+    assert_same(xr.open_zarr(tmp_path / "b.zarr"), source)
+
+
+@pytest.mark.parametrize("dims", [("band", "along_track", "cross_track"), ("y", "x", "band")])
+def test_other_orders(dims: tuple[str, ...], tmp_path: Path) -> None:
+    values = np.random.default_rng(2).random((3, 150, 140), dtype="float32")
+    source = xr.Dataset({"reflectance": (dims, values)})
+    to_store(source.chunk(), tmp_path / "a.zarr")
+    to_store(source, tmp_path / "b.zarr")
+    assert_same(xr.open_zarr(tmp_path / "a.zarr"), source)
+    assert_same(xr.open_zarr(tmp_path / "b.zarr"), source)
+
+
+def test_big_endian_source(tmp_path: Path) -> None:
+    values = np.arange(70 * 6, dtype=">u2").reshape(70, 2, 3)
+    to_store(xr.Dataset({"counts": (CUBE, values)}).chunk(along_track=32), tmp_path / "a.zarr")
+    stored = xr.open_zarr(tmp_path / "a.zarr")
+    np.testing.assert_array_equal(stored.counts, values)
+    assert stored.counts.dtype == "uint16"
+    assert verify(tmp_path / "a.zarr").ok
+
+
+def test_stale_encoding_is_dropped(tmp_path: Path) -> None:
+    source = flightline()
+    source.counts.encoding = {"chunks": (5, 1, 1), "scale_factor": 0.1, "dtype": "int32", "_FillValue": 0}
+    source.time.encoding = {"units": "milliseconds since 2000-01-01", "dtype": "int32"}
+    to_store(source, tmp_path / "lot.zarr", GROUP)
+    assert_same(xr.open_zarr(tmp_path / "lot.zarr", group=GROUP), source)
+    assert source.counts.encoding["chunks"] == (5, 1, 1)
+
+
+def test_same_content_writes_nothing(tmp_path: Path) -> None:
+    path = tmp_path / "lot.zarr"
+    to_store(flightline(), path, GROUP)
+    before = files(tmp_path)
+    to_store(flightline(), path, GROUP)
+    to_store(flightline(), path, GROUP, overwrite=True)
+    assert files(tmp_path) == before
+
+
+def test_other_content_needs_overwrite(tmp_path: Path) -> None:
+    path = tmp_path / "lot.zarr"
+    to_store(flightline(), path, GROUP)
+    to_store(flightline(seed=5), path, "flightlines/raw_1")
+    before = files(tmp_path)
+    with pytest.raises(StoreError, match="overwrite=True"):
+        to_store(flightline(seed=1), path, GROUP)
+    assert files(tmp_path) == before
+    to_store(flightline(lines=40, seed=1), path, GROUP, overwrite=True)
+    assert_same(xr.open_zarr(path, group=GROUP), flightline(lines=40, seed=1))
+    assert_same(xr.open_zarr(path, group="flightlines/raw_1"), flightline(seed=5))
+    assert verify(path).ok
+    assert os.listdir(tmp_path) == ["lot.zarr"]
+
+
+def test_source_token_names_the_content(tmp_path: Path) -> None:
+    path = tmp_path / "lot.zarr"
+
+    def unnamed() -> xr.Dataset:
+        values = da.random.default_rng(3).random((40, 2, 2), chunks=20).astype("float32")
+        return xr.Dataset(
+            {"radiance": (CUBE, da.map_blocks(np.copy, values, name=f"x{os.urandom(4).hex()}"))}
+        )
+
+    to_store(unnamed(), path, source_token="a")
+    to_store(unnamed(), path, source_token="a")
+    for token in ("b", None):
+        with pytest.raises(StoreError, match="other content"):
+            to_store(unnamed(), path, source_token=token)
+
+
+def test_refuses_to_overwrite_what_it_reads(tmp_path: Path) -> None:
+    path = tmp_path / "lot.zarr"
+    to_store(flightline(), path, GROUP)
+    before = files(tmp_path)
+    for opened in (
+        xr.open_zarr(path, group=GROUP),
+        xr.open_zarr(path, group=GROUP, chunks=None),
+        xr.open_zarr(path, group=GROUP)
+        .persist(optimize_graph=False)
+        .assign(
+            reflectance=xr.open_zarr(os.path.relpath(path), group=GROUP).reflectance[:, ::2].astype("float32")
+            * 2
+        ),
+    ):
+        with pytest.raises(StoreError, match=r"reflectance.*(is|are) read from it"):
+            to_store(opened, path, GROUP, overwrite=True)
+        assert files(tmp_path) == before
+    to_store(xr.open_zarr(path, group=GROUP), path, "copies/raw_0")
+    to_store(xr.open_zarr(path, group=GROUP).compute(), path, GROUP, overwrite=True)
+
+
+def test_finds_the_source_through_a_rewritten_graph(tmp_path: Path) -> None:
+    from hyperpaint.io.store.location import Location
+
+    path = tmp_path / "lot.zarr"
+    to_store(flightline(), path, GROUP)
+    (optimised,) = dask.optimize(xr.open_zarr(path, group=GROUP)[["counts"]] + 1)
+    assert reads_from(optimised, Location.of(path), GROUP) == ["counts"]
+    assert reads_from(optimised, Location.of(path), "flightlines/raw") == []
+    assert reads_from(optimised, Location.of(tmp_path), "") == ["counts"]
+
+
+@pytest.mark.parametrize(
+    ("prepare", "group", "message"),
+    [
+        (lambda path: path.write_text("x"), None, "no Zarr v3 store"),
+        (lambda path: (path.mkdir(), (path / "a.txt").write_text("x")), "g", "no Zarr v3 store"),
+        (lambda path: to_store(flightline(), path, "a/b"), "a", "holds groups"),
+        (lambda path: to_store(flightline(), path, "a/b"), None, "holds groups"),
+        (lambda path: to_store(flightline(), path, "a"), "a/counts", "array"),
+        (lambda path: to_store(flightline(), path, "a"), "a/counts/x", "array"),
+        (Path.exists, "../x", "group"),
+        (Path.exists, "a/.partial", "group"),
+    ],
+)
+def test_refusals(prepare: Callable[[Path], Any], group: str | None, message: str, tmp_path: Path) -> None:
+    prepare(tmp_path / "lot.zarr")
+    before = files(tmp_path)
+    with pytest.raises(StoreError, match=message):
+        to_store(flightline(seed=9), tmp_path / "lot.zarr", group, overwrite=True)
+    assert files(tmp_path) == before
+
+
+def test_source_that_fails_leaves_everything_as_it_was(tmp_path: Path) -> None:
+    path = tmp_path / "lot.zarr"
+    to_store(flightline(), path, GROUP)
+    before = files(tmp_path)
+
+    def fail(block: np.ndarray, block_id: tuple[int, ...] = ()) -> np.ndarray:
+        if block_id[0] == 1:
+            raise RuntimeError("the disk of the camera broke")
+        return block
+
+    counts = da.map_blocks(fail, da.zeros((96, 2, 2), chunks=(32, 2, 2), dtype="uint16"), dtype="uint16")
+    source = xr.Dataset({"counts": (CUBE, counts)})
+    for group in (GROUP, "flightlines/raw_1"):
+        with pytest.raises(RuntimeError, match="camera"):
+            to_store(source, path, group, overwrite=True)
+        assert files(tmp_path) == before
+    with pytest.raises(RuntimeError, match="camera"):
+        to_store(source, tmp_path / "new.zarr")
+    assert os.listdir(tmp_path) == ["lot.zarr"]
+
+
+def test_folder_that_must_not_be_written(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    with pytest.raises(StoreError, match="cannot write"):
+        to_store(flightline(), tmp_path / "file" / "lot.zarr")
+
+
+def test_datatree(tmp_path: Path) -> None:
+    path = tmp_path / "lot.zarr"
+    tree = xr.DataTree.from_dict(
+        {
+            "/": xr.Dataset(attrs={"name": "parking-lot"}),
+            "/flightlines/raw_0": flightline(),
+            "/flightlines/raw_1": flightline(lines=40, seed=1),
+            "/irradiance": flightline()[["irradiance"]],
+        }
+    )
+    to_store(tree, path)
+    assert list_groups(path) == ["flightlines/raw_0", "flightlines/raw_1", "irradiance"]
+    before = files(tmp_path)
+    to_store(tree, path)
+    assert files(tmp_path) == before
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        opened = xr.open_datatree(path, engine="zarr", chunks={})
+        root = xr.open_zarr(path)
+    assert opened.attrs["name"] == "parking-lot"
+    assert not root.variables
+    for node in ("flightlines/raw_0", "flightlines/raw_1"):
+        assert_same(opened[node].to_dataset(), tree[node].to_dataset())
+    assert verify(path).ok
+    tree["flightlines/raw_1"] = xr.DataTree(flightline(lines=33, seed=2))
+    with pytest.raises(StoreError, match="raw_1"):
+        to_store(tree, path)
+    to_store(tree["flightlines"], path, "flightlines", overwrite=True)
+    assert_same(xr.open_zarr(path, group="flightlines/raw_1"), flightline(lines=33, seed=2))
+    assert zarr.open_group(path, mode="r").attrs["name"] == "parking-lot"
+    assert verify(path).ok
+
+
+def test_memory_url() -> None:
+    url = f"memory://{os.urandom(4).hex()}.zarr"
+    assert to_store(flightline(), url, GROUP) == url
+    to_store(flightline(), url, GROUP)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert_same(xr.open_zarr(url, group=GROUP), flightline())
+    with pytest.raises(StoreError, match="overwrite"):
+        to_store(flightline(seed=1), url, GROUP)
+    with pytest.raises(StoreError, match="read from it"):
+        to_store(open_store(url, GROUP), url, GROUP, overwrite=True)
+    to_store(flightline(lines=33, seed=1), url, GROUP, overwrite=True)
+    assert_same(open_store(url, GROUP), flightline(lines=33, seed=1))
+    assert verify(url).ok
+    assert not is_complete(url, "flightlines")
+
+
+def test_memory_url_of_a_failed_writer_is_incomplete() -> None:
+    url = f"memory://{os.urandom(4).hex()}.zarr"
+    to_store(flightline(), url, GROUP)
+
+    def fail(block: np.ndarray) -> np.ndarray:
+        raise RuntimeError("broken")
+
+    counts = da.map_blocks(
+        fail, da.zeros((96, 2, 2), chunks=(32, 2, 2)), dtype="float64", meta=np.empty((0, 0, 0))
+    )
+    with pytest.raises(RuntimeError, match="broken"):
+        to_store(xr.Dataset({"counts": (CUBE, counts)}), url, GROUP, overwrite=True)
+    assert not is_complete(url, GROUP)
+    assert not verify(url).ok
+
+
+@pytest.mark.parametrize("scheduler", ["threads", "processes", "synchronous"])
+def test_schedulers_write_the_same_bytes(scheduler: str, tmp_path: Path) -> None:
+    with dask.config.set(scheduler="synchronous"):
+        to_store(flightline(), tmp_path / "a.zarr")
+    with dask.config.set(scheduler=scheduler, num_workers=2):
+        to_store(flightline(), tmp_path / "b.zarr")
+    for name in ("counts", "reflectance", "time"):
+        one, two = files(tmp_path / f"a.zarr/{name}"), files(tmp_path / f"b.zarr/{name}")
+        assert {key: value[1] for key, value in one.items()} == {key: value[1] for key, value in two.items()}
+
+
+def test_progress_bar(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    to_store(flightline(), tmp_path / "a.zarr", progress=True)
+    assert "100%" in capsys.readouterr().out
+
+
+def test_each_source_block_is_computed_once(tmp_path: Path) -> None:
+    calls: list[int] = []
+
+    def count(block: np.ndarray) -> np.ndarray:
+        calls.append(1)
+        return block
+
+    cube = da.map_blocks(
+        count, da.zeros((96, 2, 2), chunks=(32, 2, 2)), dtype="float64", meta=np.empty((0, 0, 0))
+    )
+    shared = xr.Dataset({"radiance": (CUBE, cube), "reflectance": (CUBE, cube * 2)})
+    with dask.config.set(scheduler="synchronous"):
+        to_store(shared, tmp_path / "a.zarr")
+    assert len(calls) == 3
+
+
+def test_import_stays_light() -> None:
+    code = (
+        "import sys, xarray; before = set(sys.modules); import hyperpaint.io.store; "
+        "print([m for m in ('zarr', 'dask', 'numcodecs', 'google_crc32c', 'fsspec') "
+        "if m in sys.modules and m not in before])"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=True
+    )
+    assert done.stdout.strip() == "[]"
