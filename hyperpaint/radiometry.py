@@ -23,6 +23,7 @@ if TYPE_CHECKING:
 
 __all__ = ["Panel", "radiance", "reflectance", "subtract_dark"]
 
+_COUNTED = ("counts", "dark_counts")
 _LIGHT = ("irradiance", "irradiance_fwhm")
 _OWN_BITS = 1 | 2 | 4 | 8 | 16 | 32 | 2048
 """Bits of `quality` that are set here, from counts, times and calibration."""
@@ -54,9 +55,7 @@ class Panel:
 
 
 def subtract_dark(counts: xr.DataArray, dark_counts: xr.DataArray) -> xr.DataArray:
-    """Return counts above the dark, (along_track, band, cross_track), float32 [count].
-
-    A view for looking at signals; `radiance` subtracts the dark itself.
+    """Return counts above the dark, to look at signals; `radiance` subtracts the dark itself.
 
     Parameters
     ----------
@@ -64,10 +63,28 @@ def subtract_dark(counts: xr.DataArray, dark_counts: xr.DataArray) -> xr.DataArr
         Raw counts [count].
     dark_counts : (band, cross_track)
         Counts with the lens capped [count]; several (dark_time) are averaged.
+
+    Returns
+    -------
+    (along_track, band, cross_track), float32, or float64 where the dark is
+        Counts above the dark [count]; negative values are kept.
+
+    Raises
+    ------
+    SchemaError
+        A unit is missing or not a count, or dims do not fit.
     """
-    if "dark_time" in dark_counts.dims:
-        dark_counts = dark_counts.mean("dark_time")
-    above = counts.astype(np.float32) - dark_counts.astype(np.float32)
+    import xarray as xr
+
+    found = schema.require(
+        xr.Dataset({"counts": counts, "dark_counts": dark_counts}), _COUNTED, "counts above the dark"
+    )
+    dark = found["dark_counts"]
+    if "dark_time" in dark.dims:
+        dark = dark.mean("dark_time")
+    # float before the subtraction: 90 - 100 in uint16 is 65526
+    dtype = np.float64 if dark.dtype == np.float64 else np.float32
+    above = found["counts"].astype(dtype) - dark.astype(dtype)
     return above.transpose(*schema.CUBE).assign_attrs(units="count", long_name="Counts above the dark")
 
 
