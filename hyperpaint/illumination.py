@@ -77,7 +77,9 @@ class Tilt:
         incidence = np.cos(slope) * np.cos(zenith) + np.sin(slope) * np.sin(zenith) * np.cos(
             sun_azimuth - np.radians(self.azimuth)
         )
-        beam = np.clip(incidence, 0.0, None) / np.clip(np.cos(zenith), 1e-3, None)
+        height = np.cos(zenith)
+        # without a beam to speak of, nothing departs from level ground
+        beam = np.where(height > 1e-3, np.clip(incidence, 0.0, None) / np.maximum(height, 1e-3), 1.0)
         view = (1.0 + np.cos(slope)) / 2.0 if self.sky_view is None else self.sky_view
         if self.diffuse_fraction is None:
             diffuse = np.stack([diffuse_fraction(wavelength, float(np.degrees(z))) for z in zenith])

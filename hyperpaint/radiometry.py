@@ -243,6 +243,8 @@ def _cube_inputs(dataset: xr.Dataset, purpose: str) -> tuple[xr.DataArray, dict[
     names = dict.fromkeys([*needed, *(name for name in optional if name in dataset.variables)])
     found = schema.require(dataset, names, purpose)
     cube = slabs.line_chunked(found.pop("counts" if from_counts else "radiance"))
+    if not from_counts:
+        cube = cube.astype(np.float32)
     if purpose == "radiance":
         found.pop("wavelength_shift", None)
     return cube, {name: slabs.small(array) for name, array in found.items()}

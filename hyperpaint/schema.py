@@ -130,6 +130,7 @@ _TABLE = (
     Variable("reflectance_u_random", CUBE, "1", "float32", "Random uncertainty of reflectance"),
     Variable("reflectance_u_systematic", CUBE, "1", "float32", "Systematic uncertainty of reflectance"),
     Variable("quality", (ALONG_TRACK, CROSS_TRACK), "", "uint16", "Quality flags"),
+    Variable("overview", ("overview_y", "overview_x", "rgb"), "", "uint8", "Small true-colour picture (sRGB)"),
     # --- calibration of every detector element
     Variable(
         "dark_counts", _ELEMENT, "count", "float32", "Counts with the lens capped",

@@ -73,6 +73,7 @@ class Plan:
     limit: Array
     floor: Array
     zero: Array
+    watched: Array
     flag_limits: Array
     line_flags: Array
     column_flags: Array
@@ -88,7 +89,9 @@ class Plan:
         weight = self.lines.weight[start:stop, None, None, None]
         irradiance = self.series[before] + weight * (self.series[after] - self.series[before])
         if self.smile.nodes.size > 1:
-            return np.ascontiguousarray(irradiance / (np.pi * rate * scale), np.float32)
+            # where there is no light at either end of a cell
+            dim = (irradiance[..., :1] <= 0) | (irradiance.sum(axis=-1, keepdims=True) <= 0)
+            return np.ascontiguousarray(np.where(dim, np.nan, irradiance) / (np.pi * rate * scale), np.float32)
         lit = np.where(irradiance > 0, irradiance, np.nan)
         return np.ascontiguousarray(np.pi * rate * scale / lit, np.float32)
 
@@ -103,7 +106,7 @@ def line_chunked(cube: xr.DataArray) -> xr.DataArray:
     cube = cube.transpose(*CUBE)
     if cube.chunks is None:
         return cube.chunk({CUBE[0]: CHUNK_LINES, CUBE[1]: -1, CUBE[2]: -1})
-    if any(len(cube.chunksizes[dim]) > 1 for dim in CUBE[1:]):
+    if any(len(cube.variable.chunksizes[dim]) > 1 for dim in CUBE[1:]):
         return cube.chunk({CUBE[1]: -1, CUBE[2]: -1})
     return cube
 
@@ -153,8 +156,10 @@ def make_plan(
     from_counts = "radiance_gain" in cube
     gain = np.asarray(cube["radiance_gain"] if from_counts else np.ones((bands, columns)), np.float32)
     exposure = np.broadcast_to(np.asarray(cube["exposure_time"] if from_counts else 1.0, np.float64), lines)
-    limit, floor, zero = _count_limits(cube, dark, gain, good, np.dtype(dtype))
-    bad_share = (~np.isfinite(gain[good])).mean(axis=0) if good.any() else np.zeros(columns)
+    bad = ~np.isfinite(gain + dark.sum(axis=0))
+    watched = good[:, None] & ~bad
+    limit, floor, zero = _count_limits(cube, dark, watched, np.dtype(dtype))
+    bad_share = bad[good].mean(axis=0) if good.any() else np.zeros(columns)
     column_flags = np.where(bad_share > BAD_BAND_SHARE, Quality.BAD_DETECTOR, 0).astype(np.uint16)
     time = np.asarray(cube["time"]).astype("datetime64[ns]") if "time" in cube else None
     line_flags = np.zeros(lines, np.uint16)
@@ -165,8 +170,11 @@ def make_plan(
     if light is not None and time is not None:
         responsivity = None
         if from_counts:
-            with np.errstate(invalid="ignore", divide="ignore"):
-                responsivity = np.nanmean(np.where(np.isfinite(gain), 1.0 / gain, np.nan), axis=1)
+            # a band that is bad in every column is NaN, and is left out of the slope
+            usable = np.isfinite(gain)
+            with np.errstate(invalid="ignore"):
+                total = np.where(usable, 1.0 / gain.astype(np.float64), 0.0).sum(axis=1)
+                responsivity = total / usable.sum(axis=1)
         series, neighbours = _illuminate(cube, light, time, smile, responsivity, tilt)
         line_flags |= neighbours.flags
     rate = np.where(line_flags & Quality.NO_DATA, np.nan, 1.0 / exposure)
@@ -183,6 +191,7 @@ def make_plan(
         limit=limit,
         floor=floor,
         zero=zero,
+        watched=watched,
         flag_limits=np.array([int(NEGATIVE_BAND_SHARE * good.sum()), Quality.NO_DATA], np.uint16),
         line_flags=line_flags,
         column_flags=column_flags,
@@ -253,29 +262,29 @@ def _scaled_dark(dark: Array, taken: Float, exposure: float) -> Array:
 
 
 def _count_limits(
-    cube: Mapping[str, Any], dark: Array, gain: Array, good: Array, dtype: np.dtype[Any]
+    cube: Mapping[str, Any], dark: Array, watched: Array, dtype: np.dtype[Any]
 ) -> tuple[Array, Array, Array]:
     """Return counts that are saturated (1, 1 or band, column), under the noise and under the dark."""
-    bands, columns = gain.shape
+    bands, columns = watched.shape
     whole = np.issubdtype(dtype, np.integer)
     nothing = np.zeros((bands, columns), dtype) if whole else np.full((bands, columns), -np.inf, dtype)
     if "radiance_gain" not in cube:
         return np.full((1, 1), np.inf, dtype), nothing, nothing
     saturation = np.asarray(cube["saturation_count"], np.float64) - SATURATION_MARGIN
+    saturation = np.where(np.isnan(saturation), np.inf, saturation)
     limit = saturation.reshape(1, 1) if saturation.ndim == 0 else saturation
     noise = np.asarray(cube.get("read_noise", DEFAULT_READ_NOISE), np.float64)
     sigma = np.sqrt(noise**2 + _QUANTISATION)
     level = dark.mean(axis=0, dtype=np.float64)
-    counted = good[:, None] & np.isfinite(gain)
-    below, zero = level - NOISE_SIGMAS * sigma, level
+    below, zero = np.where(watched, level - NOISE_SIGMAS * sigma, 0.0), np.where(watched, level, 0.0)
     if whole:
         most = np.iinfo(dtype).max
         # an integer is below a bound exactly when it is below the bound rounded up
         limit, below, zero = (np.clip(np.ceil(bound), 0, most) for bound in (limit, below, zero))
     return (
         np.ascontiguousarray(limit, dtype),
-        np.where(counted, below, nothing).astype(dtype),
-        np.where(counted, zero, nothing).astype(dtype),
+        np.where(watched, below, nothing).astype(dtype),
+        np.where(watched, zero, nothing).astype(dtype),
     )
 
 
@@ -363,6 +372,7 @@ def run_slab(
         plan.limit,
         plan.floor,
         plan.zero,
+        plan.watched,
         plan.flag_limits,
         plan.line_flags[here],
         plan.column_flags,

@@ -130,6 +130,8 @@ def diffuse_fraction(
     [0.23 0.06]
     """
     um = np.atleast_1d(np.asarray(wavelength, np.float64)) / 1000.0
+    if zenith > 90.0:  # all light comes from the sky
+        return np.ones_like(um)
     cosine = max(np.cos(np.radians(zenith)), 1e-3)
     mass = float(air_mass(zenith))
     optical_depth = aerosol_optical_depth * (um / 0.5) ** -angstrom_exponent

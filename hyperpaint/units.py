@@ -11,7 +11,9 @@ import functools
 import re
 from typing import TYPE_CHECKING, Any
 
-from .errors import MissingExtraError, UnitsError
+import numpy as np
+
+from .errors import MissingExtraError, Problems, UnitsError
 
 if TYPE_CHECKING:
     import pint
@@ -73,12 +75,20 @@ _WORDS = {
 # a power that may reach pint: of a name or a number, to a literal of one or two digits, never of a power
 _POWER = re.compile(r"(?:\*\*|\^)")
 _SAFE_POWER = re.compile(r"(?<=[A-Za-z0-9µμ .])(?:\*\*|\^)\s*[-+]?[0-9]{1,2}(?![0-9.]|\s*\*\*|\s*\^)")
+# pint would turn raised digits into a power of its own, after the check above
+_RAISED = re.compile("[⁺⁻]?[⁰¹²³⁴⁵⁶⁷⁸⁹]+")
+_LOWERED = str.maketrans("⁺⁻⁰¹²³⁴⁵⁶⁷⁸⁹", "+-0123456789")
 _WORD = re.compile("|".join(rf"(?<![A-Za-z]){re.escape(word)}(?![A-Za-z])" for word in _WORDS), re.IGNORECASE)
+
+
+def _plain_powers(text: str) -> str:
+    """Return ``text`` with raised digits written as powers, which can then be judged."""
+    return _RAISED.sub(lambda match: f"**{match[0].translate(_LOWERED)} ", text)
 
 
 def _spell_for_pint(text: str) -> str:
     text = _WORD.sub(lambda match: _WORDS[match[0].lower()], text)
-    text = text.replace("·", " ").replace("²", "2").replace("⁻", "-").replace("¹", "1")
+    text = _plain_powers(text).replace("·", " ")
     return _CF_POWER.sub(r"\1**\2", text)
 
 
@@ -105,6 +115,7 @@ def _quantity(text: object) -> Any:
         msg = f"units must be text in CF spelling such as 'W m-2 sr-1 nm-1', found {text!r}"
         raise UnitsError(msg)
     # pint evaluates powers, so that 9**9**9 would never return
+    text = _plain_powers(text[:201])
     if len(text) > 200 or len(_POWER.findall(text)) != len(_SAFE_POWER.findall(text)):
         msg = f"units {text[:60]!r} cannot be read; expected CF spelling such as 'W m-2 sr-1 nm-1'"
         raise UnitsError(msg)
@@ -115,7 +126,10 @@ def _quantity(text: object) -> Any:
 def _parse(text: str) -> Any:
     units = registry()
     try:
-        return units.Quantity(1.0, "") * units.parse_expression(text)
+        made = units.Quantity(1.0, "") * units.parse_expression(text)
+        if not 0.0 < made.to_base_units().magnitude < float("inf"):
+            raise ValueError
+        return made
     except Exception as error:  # pint leaks TypeError, tokenize errors and its own classes
         msg = f"units {text!r} cannot be read; expected CF spelling such as 'W m-2 sr-1 nm-1'"
         raise UnitsError(msg) from error
@@ -170,7 +184,7 @@ def canonical(text: str) -> str:
 
 
 def convert(array: xr.DataArray, wanted: str, name: str | None = None) -> xr.DataArray:
-    """Return ``array`` in the units ``wanted``, lazily, its dtype kept.
+    """Return ``array`` in the units ``wanted``, lazily; floats keep their dtype, scaled integers become floats.
 
     Parameters
     ----------
@@ -204,7 +218,9 @@ def convert(array: xr.DataArray, wanted: str, name: str | None = None) -> xr.Dat
         msg = f"{name!r}: {error}"
         raise UnitsError(msg) from error
     if factor != 1.0:
-        array = array.copy(data=array.data * array.dtype.type(factor))
+        # as an integer, a factor of 0.001 would be 0
+        kind = np.result_type(array.dtype, np.float16)
+        array = array.copy(data=array.data * kind.type(factor))
     return array.assign_attrs(units=wanted)
 
 
@@ -215,6 +231,8 @@ def quantify(dataset: xr.Dataset) -> xr.Dataset:
     ------
     MissingExtraError
         pint-xarray is not installed.
+    UnitsError
+        Units cannot be read, or carry a scale, which a Quantity's unit cannot; all are listed.
     """
     try:
         import pint_xarray  # noqa: F401
@@ -223,11 +241,17 @@ def quantify(dataset: xr.Dataset) -> xr.Dataset:
         raise needed from error
 
     units = registry(force_ndarray_like=True)
-    found = {
-        name: units.Unit(_spell_for_pint(str(array.attrs["units"])))
-        for name, array in dataset.data_vars.items()
-        if "units" in array.attrs and array.dtype.kind in "fiu"
-    }
+    problems = Problems("a Quantity view cannot be made", UnitsError)
+    found = {}
+    for name, array in dataset.data_vars.items():
+        if "units" not in array.attrs or array.dtype.kind not in "fiu":
+            continue
+        text = array.attrs["units"]
+        try:
+            found[name] = units.Unit(_spell_for_pint(canonical(text)))
+        except Exception:  # pint leaks its own classes
+            problems.add(f"{str(name)!r} has units {text!r}; expected CF spelling without a scale")
+    problems.raise_if_any()
     # coordinates are left alone: an index of Quantities can no longer be selected on
     plain = dict.fromkeys(dataset.coords)
     quantified: xr.Dataset = dataset.pint.quantify({**plain, **found}, unit_registry=units)

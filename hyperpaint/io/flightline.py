@@ -142,8 +142,8 @@ def open_flightline(
     fwhm_nm
         Width of the bands [nm] where neither calibration nor header tells it.
     chunks
-        dask chunks of the cube: ``"auto"`` for 32 whole lines, None for no dask, else as for
-        `xarray.Dataset.chunk`.
+        dask chunks of the cube: ``"auto"`` for 32 whole lines, None for no dask (except where units are
+        converted or dropped lines blanked), else as for `xarray.Dataset.chunk`.
     name
         Name of the line; by default that of the cube.
     keep_whole_lines
@@ -344,22 +344,37 @@ def _check_cube(opened: xr.Dataset, inputs: FlightlineInputs) -> xr.DataArray:
 
 def _lazy(cube: xr.DataArray, times: LineTimes, inputs: FlightlineInputs) -> xr.DataArray:
     """Chunk the cube, convert it, blank its dropped lines; no sample is read."""
-    import xarray as xr
-
     name = str(cube.name)
-    cube = cube.reset_coords(drop=True).drop_vars(list(cube.coords), errors="ignore").drop_encoding()
-    if isinstance(inputs.chunks, str) and inputs.chunks == "auto":
-        if cube.chunks is None:
-            cube = cube.chunk({ALONG_TRACK: CHUNK_LINES, BAND: -1, CROSS_TRACK: -1})
-    elif inputs.chunks is not None:
+    cube = cube.drop_vars(list(cube.coords)).drop_encoding()
+    dropped = np.flatnonzero(~times.recorded)
+    units = cube.attrs.get("units")
+    as_is = name == "counts" or (units == VARIABLES[name].units and cube.dtype == np.float32)
+    automatic = isinstance(inputs.chunks, str) and inputs.chunks == "auto"
+    if not automatic and inputs.chunks is not None:
         cube = cube.chunk(inputs.chunks)
+    elif cube.chunks is None and (automatic or dropped.size or not as_is):
+        # without dask, converting or blanking would read the cube
+        cube = cube.chunk({ALONG_TRACK: CHUNK_LINES, BAND: -1, CROSS_TRACK: -1})
     if name == "radiance":
-        return label(convert(cube.astype(np.float32), VARIABLES[name].units), name)
-    if cube.dtype != np.uint16:
+        cube = convert(cube.astype(np.float32, copy=False), VARIABLES[name].units)
+    elif cube.dtype != np.uint16:
         cube = cube.astype(np.uint16)
-    if not times.recorded.all():
-        cube = cube.where(xr.DataArray(times.recorded, dims=ALONG_TRACK), _BLANK)
+    if dropped.size:
+        blanked = cube.data.map_blocks(_blank, dropped=dropped, dtype=cube.dtype, meta=cube.data._meta)
+        cube = cube.copy(data=blanked)
     return label(cube, name)
+
+
+def _blank(
+    block: NDArray[Any], dropped: NDArray[np.intp], block_info: Mapping[Any, Any] | None = None
+) -> NDArray[Any]:
+    """Return a block of lines without what stands in the dropped ones."""
+    start, stop = (block_info or {})[0]["array-location"][0]
+    inside = dropped[(dropped >= start) & (dropped < stop)] - start
+    if inside.size:
+        block = block.copy()
+        block[inside] = _BLANK if block.dtype == np.uint16 else np.nan
+    return block
 
 
 # --- exposure ----------------------------------------------------------------------------------------------

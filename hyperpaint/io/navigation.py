@@ -418,33 +418,37 @@ def read_imu_gps(path: str | Path, correction: ClockCorrection | None = None) ->
 
 def _numbers(table: Table, column: str, limit: float, problems: Problems) -> NDArray[np.float64]:
     cells = table.columns[column]
-    made = np.full(len(cells), np.nan)
-    wrong: list[int] = []
-    for place, cell in enumerate(cells):
-        try:
-            made[place] = float(cell) if "_" not in cell else np.inf
-        except ValueError:
-            made[place] = np.inf
-        if abs(made[place]) > limit:
-            wrong.append(int(table.rows[place]))
-    if wrong:
+    try:
+        made = np.array(list(map(float, cells)))
+    except ValueError:
+        made = np.array([_number(cell) for cell in cells])
+    if "_" in "".join(cells):  # 1_000 is a number to Python only
+        made[["_" in cell for cell in cells]] = np.inf
+    wrong = table.rows[np.abs(made) > limit]
+    if wrong.size:
         problems.add(f"column {column!r} is not a number within {limit:g} in {name_rows(wrong)}")
     return made
 
 
+def _number(cell: str) -> float:
+    try:
+        return float(cell)
+    except ValueError:
+        return np.inf
+
+
 def _dates(table: Table, column: str, unaligned: NDArray[np.bool_]) -> NDArray[np.int64]:
     """Return nanoseconds since 1970-01-01, the least int64 where an unaligned row has no date."""
-    texts: list[str] = []
-    wrong: list[int] = []
-    for place, cell in enumerate(table.columns[column]):
-        text = _iso(cell)
-        texts.append(text)
-        if text == "NaT" and not unaligned[place]:
-            wrong.append(int(table.rows[place]))
-    if wrong:
+    texts = [_iso(cell) for cell in table.columns[column]]
+    try:
+        made = np.array(texts, "datetime64[ns]")
+    except ValueError:  # the 31st of a shorter month, the 25th hour
+        made = np.array([_instant(text) for text in texts])
+    wrong = table.rows[np.isnat(made) & ~unaligned]
+    if wrong.size:
         msg = f"{table.name}: column {column!r} is not like '2021/07/23 12:34:56.789' in {name_rows(wrong)}"
         raise FormatError(msg)
-    return np.array(texts, "datetime64[ns]").astype(np.int64)
+    return made.astype(np.int64)
 
 
 def _iso(cell: str) -> str:
@@ -452,19 +456,21 @@ def _iso(cell: str) -> str:
     if match is None:
         return "NaT"
     year, month, day, hour, minute, second, fraction = match.groups()
+    # beyond these years nanoseconds overflow, and a receiver without a fix shows its epoch
+    if not "1980" <= year < "2200":
+        return "NaT"
     if not month.isdigit():
         if month.lower() not in _MONTHS:
             return "NaT"
         month = str(_MONTHS.index(month.lower()) + 1)
-    text = f"{year}-{month:0>2}-{day:0>2}T{hour:0>2}:{minute}:{second}.{fraction or '0'}"
-    # beyond these years nanoseconds overflow, and a receiver without a fix shows its epoch
-    if not 1980 <= int(year) <= 2200:
-        return "NaT"
+    return f"{year}-{month:0>2}-{day:0>2}T{hour:0>2}:{minute}:{second}.{fraction or '0'}"
+
+
+def _instant(text: str) -> np.datetime64:
     try:
-        np.datetime64(text, "ns")
-    except ValueError:  # the 31st of a shorter month, the 25th hour
-        return "NaT"
-    return text
+        return np.datetime64(text, "ns")
+    except ValueError:
+        return np.datetime64("NaT", "ns")
 
 
 def _stamps(table: Table) -> dict[str, NDArray[np.int64]]:

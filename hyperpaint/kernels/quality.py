@@ -15,7 +15,6 @@ Array = npt.NDArray[Any]
 
 _SATURATED = np.uint16(1)
 _BELOW_DARK = np.uint16(2)
-_NONE = np.uint16(0)
 
 
 @kernel
@@ -34,7 +33,9 @@ def gather_row(counts: Array, zero: Array, line: Any, band: Any, peak: Array, ne
 def flag_line(
     counts: Array,
     limit: Array,
+    lowest: Any,
     floor: Array,
+    watched: Array,
     peak: Array,
     negative: Array,
     limits: Array,
@@ -45,8 +46,8 @@ def flag_line(
 ) -> None:
     """Write the quality of one line from what `gather_row` kept.
 
-    Bands are visited again only where the counts of an element decide: with a limit of its own, or in a
-    column with anything under the dark. A line without data carries the flags of the line alone, since its
+    Bands are visited again only where the counts of an element decide: in a column that reaches the lowest
+    limit, or with anything under the dark. Elements that are not watched set nothing. A line without data carries the flags of the line alone, since its
     counts mean nothing.
     """
     if (line_flags & limits[1]) != 0:
@@ -55,11 +56,10 @@ def flag_line(
         return
     for x in range(peak.size):
         found = line_flags | column_flags[x]
-        if limit.size == 1:
-            found |= _SATURATED if peak[x] >= limit[0, 0] else _NONE
-        else:
+        if peak[x] >= lowest:
             for band in range(counts.shape[1]):
-                if counts[line, band, x] >= limit[band, x]:
+                own = limit[0, 0] if limit.size == 1 else limit[band, x]
+                if watched[band, x] and counts[line, band, x] >= own:
                     found |= _SATURATED
         if negative[x] > limits[0]:
             found |= _BELOW_DARK

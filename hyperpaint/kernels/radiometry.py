@@ -108,6 +108,7 @@ def calibrate_slab(
     limit: Array,
     floor: Array,
     zero: Array,
+    watched: Array,
     flag_limits: Array,
     line_flags: Array,
     column_flags: Array,
@@ -136,6 +137,8 @@ def calibrate_slab(
         Counts from which a sample is saturated.
     floor, zero : (band, column), like counts
         Counts below which a sample lies under the dark beyond noise, and under it at all; 0 counts nothing.
+    watched : (band, column), bool
+        Elements whose saturation sets a flag.
     flag_limits : (2,), uint16
         Number of samples under the dark that a pixel may have; the bit of a line without data.
     line_flags : (line,), column_flags : (column,), uint16
@@ -150,6 +153,7 @@ def calibrate_slab(
     n_line, n_band, n_column = counts.shape
     flagging = quality.shape[0] > 0
     one_limit = limit.size == 1
+    lowest, highest = limit.min(), limit.max()
     mixed_dark = np.empty((n_band, n_column) if dark.shape[0] > 1 else (0, 0), np.float32)
     peak = np.empty(n_column, counts.dtype)
     negative = np.empty(n_column, np.uint16)
@@ -163,12 +167,12 @@ def calibrate_slab(
         negative[:] = 0
         for band in range(n_band):
             if light.shape[3] == 1:
-                scale_row(counts, line_dark, gain, light[line, band, 0, 0], limit[0, 0], line, band, out)
+                scale_row(counts, line_dark, gain, light[line, band, 0, 0], highest, line, band, out)
             else:
                 own = band if shift.shape[0] > 1 else 0
                 for run in range(cells.shape[1]):
                     divide_run(
-                        counts, line_dark, gain, shift, light, cells[own, run], limit[0, 0],
+                        counts, line_dark, gain, shift, light, cells[own, run], highest,
                         line, band, own, edges[own, run], edges[own, run + 1], out,
                     )  # fmt: skip
             if not one_limit:
@@ -181,7 +185,9 @@ def calibrate_slab(
             flag_line(
                 counts,
                 limit,
+                lowest,
                 floor,
+                watched,
                 peak,
                 negative,
                 flag_limits,

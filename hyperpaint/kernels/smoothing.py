@@ -28,7 +28,7 @@ def accumulate_row(
         there = value == value
         total[x] += weight * (value if there else _ZERO)
         norm[x] += weight if there else _ZERO
-        complete[x] = complete[x] if there else _ZERO
+        complete[x] = complete[x] if there or weight == _ZERO else _ZERO
 
 
 @kernel

@@ -212,9 +212,11 @@ def _write_flight(
             for begin, end in _blocks(first, last, block_lines):
                 block = flight.lines(begin, end, into=memory)
                 memory = block if memory is None or len(memory.counts) < len(block.counts) else memory
-                cube.append(flight.detector.convert(block.counts[recorded[begin:end]]))
+                kept = recorded[begin:end]
+                counts = block.counts if kept.all() else block.counts[kept]
+                cube.append(flight.detector.convert(counts))
                 if truth is not None:
-                    truth.write(begin, block, recorded[begin:end])
+                    truth.write(begin, block, kept)
                 if progress is not None:
                     progress(end, settings.lines)
         stamps = _frame_stamps(flight.line_times[frames], settings)

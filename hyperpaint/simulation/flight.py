@@ -233,7 +233,8 @@ class Flight:
         term += diffuse * self._incident[1]
         np.divide(seen, term, out=made.reflectance[row], casting="same_kind")
         np.multiply(seen, self._per_radiance, out=made.radiance[row], casting="same_kind")
-        signal = expected_counts(seen / np.pi, settings.exposure_time, self.etendue)
+        seen *= 1.0 / np.pi
+        signal = expected_counts(seen, settings.exposure_time, self.etendue)
         signal[self.bad] = 0.0
         rng = self._rng(_NOISE, line) if settings.noise else None
         made.counts[row] = self.detector.read(signal, rng)

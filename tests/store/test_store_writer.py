@@ -215,8 +215,7 @@ def test_refuses_to_overwrite_what_it_reads(tmp_path: Path) -> None:
         xr.open_zarr(path, group=GROUP)
         .persist(optimize_graph=False)
         .assign(
-            reflectance=xr.open_zarr(os.path.relpath(path), group=GROUP).reflectance[:, ::2].astype("float32")
-            * 2
+            reflectance=xr.open_zarr(os.path.relpath(path), group=GROUP)["reflectance"].astype("float32") * 2
         ),
     ):
         with pytest.raises(StoreError, match=r"reflectance.*(is|are) read from it"):
@@ -231,7 +230,7 @@ def test_finds_the_source_through_a_rewritten_graph(tmp_path: Path) -> None:
 
     path = tmp_path / "lot.zarr"
     to_store(flightline(), path, GROUP)
-    (optimised,) = dask.optimize(xr.open_zarr(path, group=GROUP)[["counts"]] + 1)
+    (optimised,) = dask.optimize(xr.open_zarr(path, group=GROUP)[["counts"]].reset_coords(drop=True) + 1)
     assert reads_from(optimised, Location.of(path), GROUP) == ["counts"]
     assert reads_from(optimised, Location.of(path), "flightlines/raw") == []
     assert reads_from(optimised, Location.of(tmp_path), "") == ["counts"]
@@ -242,8 +241,8 @@ def test_finds_the_source_through_a_rewritten_graph(tmp_path: Path) -> None:
     [
         (lambda path: path.write_text("x"), None, "no Zarr v3 store"),
         (lambda path: (path.mkdir(), (path / "a.txt").write_text("x")), "g", "no Zarr v3 store"),
-        (lambda path: to_store(flightline(), path, "a/b"), "a", "holds groups"),
-        (lambda path: to_store(flightline(), path, "a/b"), None, "holds groups"),
+        (lambda path: to_store(flightline(), path, "a/b"), "a", "holds other groups"),
+        (lambda path: to_store(flightline(), path, "a/b"), None, "holds other groups"),
         (lambda path: to_store(flightline(), path, "a"), "a/counts", "array"),
         (lambda path: to_store(flightline(), path, "a"), "a/counts/x", "array"),
         (Path.exists, "../x", "group"),

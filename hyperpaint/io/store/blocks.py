@@ -76,7 +76,9 @@ class Target:
     def _write_file(self, piece: np.ndarray[Any, Any], position: tuple[int, ...]) -> None:
         assert self.folder is not None
         path = self.folder / self.array.metadata.encode_chunk_key(position)
-        path.parent.mkdir(parents=True, exist_ok=True)
+        # step by step from the array's folder: a task that outlives its failed run must not make that again
+        for parent in reversed(path.relative_to(self.folder).parents[:-1]):
+            (self.folder / parent).mkdir(exist_ok=True)
         # a scheduler may run a task twice at once: each writes its own file, the last rename stands
         temporary = path.with_name(f".{path.name}.{uuid.uuid4().hex}")
         with open(temporary, "wb") as file:

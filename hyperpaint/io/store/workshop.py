@@ -3,7 +3,7 @@
 ``.partial-<store>/`` holds
 
 * ``lock``: host, process and start of the writer;
-* ``build-<group>``: a group under construction, a small Zarr store of its own;
+* ``build-<group>-<attempt>``: a group under construction, a small Zarr store of its own;
 * ``replaced-<group>``: the old group, for the moment between two renames.
 
 Whatever a killed writer left there is put right by the next one, before it does anything else.
@@ -17,6 +17,7 @@ import os
 import shutil
 import socket
 import time
+import uuid
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -47,23 +48,29 @@ class Workshop:
         self.folder = store.parent / f".partial-{store.name}"
 
     def build(self, group: str) -> Path:
-        """Return the folder in which a group is built, empty."""
-        folder = self._path("build", group)
-        shutil.rmtree(folder, ignore_errors=True)
-        return folder
+        """Return a new folder name for a group; no other attempt, ended or not, writes there."""
+        return self.folder / f"build-{_quoted(group)}-{uuid.uuid4().hex}"
 
-    def discard(self, group: str) -> None:
-        """Remove what has been built of a group."""
-        shutil.rmtree(self._path("build", group), ignore_errors=True)
+    def discard(self, build: Path) -> None:
+        """Remove what has been built.
 
-    def publish(self, group: str) -> None:
+        dask does not wait for the tasks that still run when another fails: once the folder has another name,
+        they cannot write any more.
+        """
+        discarded = build.with_name(f"{build.name}-discarded")
+        with contextlib.suppress(OSError):
+            os.rename(build, discarded)
+        shutil.rmtree(discarded, ignore_errors=True)
+        shutil.rmtree(build, ignore_errors=True)
+
+    def publish(self, build: Path, group: str) -> None:
         """Put a finished group in its place by renaming, the old one out of the way first."""
         target = self.store / group if group else self.store
-        replaced = self._path("replaced", group)
+        replaced = self.folder / f"replaced-{_quoted(group)}"
         if target.exists():
             os.rename(target, replaced)
         target.parent.mkdir(parents=True, exist_ok=True)
-        os.rename(self._path("build", group), target)
+        os.rename(build, target)
         sync_folder(target.parent)
         shutil.rmtree(replaced, ignore_errors=True)
 
@@ -83,8 +90,9 @@ class Workshop:
                 if leftover.is_file():
                     leftover.unlink(missing_ok=True)
 
-    def _path(self, kind: str, group: str) -> Path:
-        return self.folder / f"{kind}-{quote(group, safe='') or _ROOT}"
+
+def _quoted(group: str) -> str:
+    return quote(group, safe="") or _ROOT
 
 
 @contextlib.contextmanager

@@ -275,9 +275,9 @@ def _write_group(job: _Job, location: Location, shop: Workshop | None, *, progre
         _build(job, Location.of(folder), progress=progress)
         _unlist(job.group, location)
         _make_groups_above(job.group, location)
-        shop.publish(job.group)
+        shop.publish(folder, job.group)
     except BaseException:
-        shop.discard(job.group)
+        shop.discard(folder)
         raise
 
 
@@ -335,7 +335,7 @@ def _writable(node: Any, name: str) -> Any:
 def _sweep(place: Location) -> None:
     """Remove the files of tasks that died while they wrote and were run again elsewhere."""
     for leftover in place.local.rglob(".*") if place.local is not None else ():
-        leftover.unlink()
+        leftover.unlink(missing_ok=True)
 
 
 def _write_metadata(dataset: xr.Dataset, streamed: list[str], url: str) -> None:

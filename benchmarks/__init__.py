@@ -1,0 +1,1 @@
+"""Benchmarks of hyperpaint, each with its floor beside it."""

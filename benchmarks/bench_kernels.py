@@ -1,0 +1,125 @@
+"""Loops over arrays: memory in, memory out, one thread."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from .common import (
+    BANDS,
+    COLUMNS,
+    FRAME_PERIOD,
+    SMILE,
+    calibrate,
+    counts_block,
+    flight_line,
+    instrument,
+    plan_of,
+    sky,
+    wavelengths,
+)
+
+
+class Calibrate:
+    """Counts to reflectance in a preallocated slab; the floor is numpy's cast of the same arrays."""
+
+    params = ([32, 128],)
+    param_names = ("lines",)
+
+    def setup(self, lines):
+        self.counts = np.ascontiguousarray(counts_block()[:lines])
+        self.out = np.empty(self.counts.shape, np.float32)
+        self.quality = np.empty((lines, COLUMNS), np.uint16)
+        self.no_quality = np.empty((0, 0), np.uint16)
+        self.plans = [plan_of(flight_line(lines, smile=smile, counts=self.counts)) for smile in (False, True)]
+        self.time_plain(lines)
+        self.time_smile_quality_rounding(lines)
+
+    def _run(self, smile, quality, dropped):
+        calibrate(self.plans[smile], self.counts, 0, self.out, quality, dropped)
+
+    def time_floor(self, lines):
+        np.copyto(self.out, self.counts)
+
+    def time_plain(self, lines):
+        self._run(smile=False, quality=self.no_quality, dropped=0)
+
+    def time_quality(self, lines):
+        self._run(smile=False, quality=self.quality, dropped=0)
+
+    def time_smile(self, lines):
+        self._run(smile=True, quality=self.no_quality, dropped=0)
+
+    def time_smile_quality_rounding(self, lines):
+        self._run(smile=True, quality=self.quality, dropped=11)
+
+
+class Smooth:
+    """Filters over the spectral axis; the floor is the cast of a cube of this shape."""
+
+    params = ([32, 128],)
+    param_names = ("lines",)
+
+    def setup(self, lines):
+        self.counts = np.ascontiguousarray(counts_block()[:lines])
+        self.values = self.counts.astype(np.float32)
+        self.out = np.empty_like(self.values)
+        width = 11
+        self.weights = np.full((BANDS, width), 1.0 / width, np.float32)
+        self.first = np.clip(np.arange(BANDS) - width // 2, 0, BANDS - width)
+        self.fallback = np.zeros((BANDS, width, width), np.float32)
+        self.time_box(lines)
+
+    def time_floor(self, lines):
+        np.copyto(self.out, self.counts)
+
+    def time_box(self, lines):
+        from hyperpaint.kernels.smoothing import filter_slab
+
+        filter_slab(self.values, self.weights, self.first, True, self.fallback, self.out)
+
+
+class MatchIrradiance:
+    """A sky series to the imager's bands; the floor is the bare float64 product with a ready operator."""
+
+    params = ([60, 1800],)
+    param_names = ("spectra",)
+
+    def setup(self, spectra):
+        self.samples = np.arange(350.0, 2501.0)
+        drift = 1.0 + 0.1 * np.sin(np.arange(spectra) * FRAME_PERIOD)
+        self.series = (drift[:, None] * sky(self.samples)).astype(np.float32)
+        self.bands = wavelengths()
+        self.imager = {
+            "wavelength": self.bands,
+            "fwhm": np.full(BANDS, 6.0),
+            "srf_shape": "gaussian",
+            "srf_offset": None,
+            "srf": None,
+            "responsivity": 1.0 / instrument()["gain"].mean(axis=1),
+        }
+        inside = slice(*np.searchsorted(self.samples, [380.0, 1021.0]))
+        self.window = self.series[:, inside].astype(np.float64)
+        self.operator = self._gaussians(self.samples[inside])
+
+    def _gaussians(self, samples):
+        weights = np.exp(-0.5 * ((samples - self.bands[:, None]) / 2.2) ** 2)
+        return np.ascontiguousarray(weights.T / weights.sum(axis=1))
+
+    def time_floor(self, spectra):
+        self.window @ self.operator
+
+    def time_match(self, spectra):
+        self._match(np.zeros(1))
+
+    def time_match_with_smile(self, spectra):
+        self._match(np.arange(-0.5, SMILE + 0.75, 0.5))
+
+    def _match(self, nodes):
+        from hyperpaint.illumination import matched_series
+
+        matched_series(self.series, self.samples, 3.0, "gaussian", self.imager, nodes)
+
+    def time_integral_of_each_band(self, spectra):
+        responses = np.exp(-0.5 * ((self.samples - self.bands[:, None]) / 2.2) ** 2)
+        for response in responses:
+            np.trapezoid(self.series * response, self.samples) / np.trapezoid(response, self.samples)

@@ -1,0 +1,138 @@
+"""From a store of counts to a store of reflectance, and to what a person looks at."""
+
+from __future__ import annotations
+
+import functools
+import itertools
+import shutil
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+
+from .common import BANDS, COLUMNS, THREADS, calibrate, chunk_files, counts_store, plan_of, scratch
+
+_numbers = itertools.count()
+_SLAB = (32, BANDS, COLUMNS)
+
+
+def threads():
+    import dask
+
+    return dask.config.set(scheduler="threads", num_workers=THREADS)
+
+
+class ToStore:
+    """Counts to stored float32 reflectance, two threads.
+
+    The floor does the same job with nothing around it: read, decode, kernel, encode, write, in memory that is
+    used again. The naive variant is what one writes with xarray and dask alone.
+    """
+
+    params = ([128, 1024],)
+    param_names = ("lines",)
+    number = 1
+    timeout = 120
+
+    def setup(self, lines):
+        import numcodecs.blosc
+        import xarray as xr
+
+        numcodecs.blosc.use_threads = False
+        self.line = xr.open_zarr(counts_store(lines))
+        self.files = chunk_files(counts_store(lines))
+        self.plan = plan_of(self.line)
+
+    def teardown(self, lines):
+        for folder in scratch().glob("out-*"):
+            shutil.rmtree(folder)
+
+    def _fresh(self):
+        return scratch() / f"out-{next(_numbers)}"
+
+    def time_to_store(self, lines):
+        import hyperpaint as hp
+
+        with threads():
+            hp.to_store(self.line.paint.reflectance()[["reflectance"]], self._fresh())
+
+    def time_to_store_with_quality(self, lines):
+        import hyperpaint as hp
+
+        with threads():
+            hp.to_store(self.line.paint.reflectance()[["reflectance", "quality"]], self._fresh())
+
+    def time_floor(self, lines):
+        folder = self._fresh()
+        folder.mkdir()
+        with ThreadPoolExecutor(THREADS) as pool:
+            list(pool.map(lambda part: self._bare(folder, part), range(THREADS)))
+
+    def _bare(self, folder, part):
+        from numcodecs.blosc import BITSHUFFLE, Blosc
+
+        coder, encoder = Blosc(), Blosc("lz4", 5, BITSHUFFLE, typesize=4)
+        counts, out = np.empty(_SLAB, np.uint16), np.empty(_SLAB, np.float32)
+        no_quality = np.empty((0, 0), np.uint16)
+        for number in range(part, len(self.files), THREADS):
+            stored = self.files[number].read_bytes()
+            coder.decode(memoryview(stored)[:-4], out=counts)  # the last four bytes are a checksum
+            calibrate(self.plan, counts, number * _SLAB[0], out, no_quality)
+            (folder / str(number)).write_bytes(encoder.encode(out))
+
+    def time_naive(self, lines):
+        line = self.line
+        light = line["irradiance"].astype("float64").interp(irradiance_time=line["time"])
+        light = light.interp(irradiance_wavelength=line["wavelength"]).reset_coords(drop=True)
+        above = line["counts"] - line["dark_counts"].astype("float64")
+        radiance = above * line["radiance_gain"].astype("float64") / line["exposure_time"]
+        reflectance = (np.pi * radiance / light).drop_vars(["time"], errors="ignore").transpose(*line["counts"].dims)
+        with threads():
+            reflectance.rename("reflectance").to_dataset().to_zarr(
+                self._fresh(), zarr_format=3, consolidated=False
+            )
+
+
+@functools.cache
+def reflectance_store(lines):
+    import xarray as xr
+
+    import hyperpaint as hp
+
+    path = scratch() / f"reflectance-{lines}.zarr"
+    made = xr.open_zarr(counts_store(lines)).paint.reflectance()[["reflectance"]]
+    with threads():
+        return hp.to_store(made, path, source_token=str(lines))
+
+
+class Look:
+    """What a person asks of a cube, computed from counts or read as stored float32 (the floor)."""
+
+    params = ([64, 1024], ["every_pixel", "one_spectrum", "region", "one_band", "lines_64"])
+    param_names = ("lines", "view")
+    timeout = 120
+
+    def setup(self, lines, view):
+        import xarray as xr
+
+        self.counted = xr.open_zarr(counts_store(lines)).paint.reflectance()["reflectance"].data
+        self.stored = xr.open_zarr(reflectance_store(lines))["reflectance"].data
+
+    def _look(self, cube, lines, view):
+        middle = lines // 2
+        with threads():
+            if view == "every_pixel":
+                cube.max(axis=(0, 2)).compute()
+            elif view == "one_spectrum":
+                cube[middle, :, 100].compute()
+            elif view == "region":
+                cube[middle : middle + 40, :, 100:140].compute()
+            elif view == "one_band":
+                cube[:, 100, :].compute()
+            else:
+                cube[middle - 32 : middle + 32].compute()
+
+    def time_from_counts(self, lines, view):
+        self._look(self.counted, lines, view)
+
+    def time_floor_stored_float32(self, lines, view):
+        self._look(self.stored, lines, view)

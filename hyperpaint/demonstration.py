@@ -1,0 +1,358 @@
+"""A simulated collect, processed as if it were real, against its truth."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+
+from .errors import MissingExtraError, StoreError
+from .pipeline import run
+from .schema import ALONG_TRACK, BAND, CHUNK_LINES, CROSS_TRACK
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+__all__ = ["Agreement", "Comparison", "compare", "refuse_foreign", "run_demonstration"]
+
+Floats = npt.NDArray[np.float64]
+
+STORE, PICTURE = "lot.zarr", "quicklook.png"
+MARKER = "# simulated by hyperpaint"
+"""Opens the ``collect.toml`` of a simulated collect."""
+_OURS = frozenset(
+    {"flight", "dark", "asd", "calibration.zarr", "truth.zarr", "collect.toml", STORE, PICTURE, f".partial-{STORE}"}
+)
+
+BANDS_NM = (420.0, 980.0)
+"""Outside, the camera is too blind for a noisy count to say much."""
+OXYGEN_NM = (750.0, 780.0)
+
+MAX_BIAS = 0.002
+"""Of any material's mean over its pixels and bands."""
+MAX_RMSE = 0.01
+"""Of all single samples, sensor noise included."""
+
+EFFECTS: dict[str, Any] = {"smile_nm": 0.5, "dropped": 3, "glint": 0.002, "drift_per_minute": 0.02}
+"""What makes the demonstration's collect a real one, beside noise and a clock 37.25 s slow."""
+
+
+@dataclass(frozen=True)
+class Agreement:
+    """Recovered against true reflectance of one material [1].
+
+    Attributes
+    ----------
+    material
+        Its name.
+    pixels
+        Pixels of it without a quality flag.
+    true, recovered
+        Means over its pixels and bands.
+    rmse_of_mean
+        Root mean square over bands of the error of its mean spectrum.
+    rmse
+        Root mean square error of its single samples.
+    oxygen
+        Largest relative error of its mean spectrum in the oxygen window, 750 to 780 nm.
+    """
+
+    material: str
+    pixels: int
+    true: float
+    recovered: float
+    rmse_of_mean: float
+    rmse: float
+    oxygen: float
+
+    @property
+    def bias(self) -> float:
+        """Mean recovered minus mean true reflectance."""
+        return self.recovered - self.true
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """Recovered against true reflectance of a collect.
+
+    Attributes
+    ----------
+    materials
+        One agreement each, in the simulator's order.
+    overall
+        Of all pixels together.
+    flagged
+        Share of pixels left out because of a quality flag.
+    """
+
+    materials: tuple[Agreement, ...]
+    overall: Agreement
+    flagged: float
+
+    @property
+    def problems(self) -> tuple[str, ...]:
+        """What is outside the tolerance, one line each."""
+        found = [
+            f"{one.material}: bias {one.bias:+.4f}, tolerance {MAX_BIAS}"
+            for one in (*self.materials, self.overall)
+            if not abs(one.bias) < MAX_BIAS
+        ]
+        if not self.overall.rmse < MAX_RMSE:
+            found.append(f"all pixels: RMSE {self.overall.rmse:.4f}, tolerance {MAX_RMSE}")
+        return tuple(found)
+
+    @property
+    def ok(self) -> bool:
+        """True where everything is within tolerance."""
+        return not self.problems
+
+    def __str__(self) -> str:
+        head = ("material", "pixels", "true", "recovered", "bias", "RMSE mean", "RMSE", "O2 window")
+        rows = [head, *(_row(one) for one in (*self.materials, self.overall))]
+        widths = [max(len(row[column]) for row in rows) for column in range(len(head))]
+        lines = [
+            "  ".join(
+                cell.rjust(width) if column else cell.ljust(width)
+                for column, (cell, width) in enumerate(zip(row, widths, strict=True))
+            )
+            for row in rows
+        ]
+        rule = "-" * len(lines[0])
+        return "\n".join([lines[0], rule, *lines[1:-1], rule, lines[-1]])
+
+
+def _row(one: Agreement) -> tuple[str, ...]:
+    return (
+        one.material,
+        f"{one.pixels}",
+        f"{one.true:.4f}",
+        f"{one.recovered:.4f}",
+        f"{one.bias:+.5f}",
+        f"{one.rmse_of_mean:.5f}",
+        f"{one.rmse:.5f}",
+        f"{100 * one.oxygen:.2f} %",
+    )
+
+
+def compare(store: Path, truth: Path) -> Comparison:
+    """Compare the reflectance in a store with the truth of a simulated collect.
+
+    Over bands that are good and between 420 and 980 nm, and pixels without a quality flag; truth stays on each
+    column's own wavelengths, as reflectance does.
+
+    Parameters
+    ----------
+    store
+        Made by `process`; read with plain `xarray.open_zarr`.
+    truth
+        The ``truth.zarr`` of that collect.
+    """
+    import xarray as xr
+
+    from .io.store import list_groups
+
+    known = xr.open_zarr(truth)
+    names = str(known["surface"].attrs["flag_meanings"]).split()
+    groups = [name for name in list_groups(store) if name.startswith("flightlines/")]
+    sums: _Sums | None = None
+    for group in groups:
+        line = xr.open_zarr(store, group=group)
+        if sums is None:
+            sums = _Sums.empty(len(names), line["wavelength"].values, line["good"].values)
+        for slab, true in _slabs(line, known):
+            sums.add(slab, true)
+    if sums is None:
+        msg = f"{store} holds no flight line to compare"
+        raise StoreError(msg)
+    return sums.comparison(names)
+
+
+def _slabs(line: xr.Dataset, truth: xr.Dataset) -> Iterator[tuple[xr.Dataset, xr.Dataset]]:
+    """Yield some lines at a time with their truth, found by frame number."""
+    frames = line["frame"].values
+    for start in range(0, frames.size, CHUNK_LINES):
+        lines = slice(start, start + CHUNK_LINES)
+        names = ["reflectance", "surface"]
+        true = truth[names].isel({ALONG_TRACK: frames[lines]})
+        yield line[["reflectance", "quality"]].isel({ALONG_TRACK: lines}).compute(), true.compute()
+
+
+@dataclass
+class _Sums:
+    """Running sums over pixels, (material, band), float64."""
+
+    wavelength: Floats
+    used: npt.NDArray[np.bool_]
+    count: Floats
+    true: Floats
+    error: Floats
+    squared: Floats
+    pixels: int = 0
+
+    @classmethod
+    def empty(cls, materials: int, wavelength: Floats, good: npt.NDArray[np.bool_]) -> _Sums:
+        used = good & (wavelength >= BANDS_NM[0]) & (wavelength <= BANDS_NM[1])
+        shape = (materials, int(used.sum()))
+        return cls(wavelength[used], used, *(np.zeros(shape) for _ in range(4)))
+
+    def add(self, slab: xr.Dataset, truth: xr.Dataset) -> None:
+        """Add the pixels of a slab that carry no flag."""
+        order = (ALONG_TRACK, CROSS_TRACK, BAND)
+        clean = slab["quality"].values == 0
+        self.pixels += clean.size
+        recovered = slab["reflectance"].transpose(*order).values[clean][:, self.used].astype(np.float64)
+        true = truth["reflectance"].transpose(*order).values[clean][:, self.used].astype(np.float64)
+        valid = np.isfinite(recovered)
+        error = np.where(valid, recovered - true, 0.0)
+        member = truth["surface"].values[clean] == np.arange(len(self.count))[:, None]
+        member = member.astype(np.float64)
+        self.count += member @ valid
+        self.true += member @ np.where(valid, true, 0.0)
+        self.error += member @ error
+        self.squared += member @ error**2
+
+    def comparison(self, names: list[str]) -> Comparison:
+        """Return what the sums say."""
+        counts = self.count.max(axis=1)
+        seen = [index for index in range(len(names)) if counts[index] > 0]
+        materials = tuple(self._agreement(names[index], [index]) for index in seen)
+        overall = self._agreement("all pixels", seen)
+        return Comparison(materials, overall, 1.0 - counts.sum() / max(self.pixels, 1))
+
+    def _agreement(self, name: str, rows: list[int]) -> Agreement:
+        count = self.count[rows].sum(axis=0)
+        true, error = self.true[rows].sum(axis=0) / count, self.error[rows].sum(axis=0) / count
+        window = (self.wavelength >= OXYGEN_NM[0]) & (self.wavelength <= OXYGEN_NM[1])
+        return Agreement(
+            material=name,
+            pixels=int(count.max()),
+            true=float(true.mean()),
+            recovered=float((true + error).mean()),
+            rmse_of_mean=float(np.sqrt(np.mean(error**2))),
+            rmse=float(np.sqrt(self.squared[rows].sum() / count.sum())),
+            oxygen=float(np.abs(error[window] / true[window]).max()) if window.any() else float("nan"),
+        )
+
+
+# --- the demonstration -------------------------------------------------------------------------------------
+
+
+def refuse_foreign(folder: Path, *, overwrite: bool) -> None:
+    """Refuse a folder whose content a simulated collect must not replace.
+
+    Raises
+    ------
+    StoreError
+        The folder is not empty and holds no simulated collect; with ``overwrite``, it holds what no
+        simulation wrote.
+    """
+    if not folder.is_dir() or not any(folder.iterdir()):
+        return
+    toml = folder / "collect.toml"
+    simulated = toml.is_file() and toml.read_bytes().startswith(MARKER.encode())
+    headers = [*folder.glob("flight/*.hdr"), *folder.glob("dark/*.hdr")]
+    others = sorted(entry.name for entry in folder.iterdir() if entry.name not in _OURS)
+    if any(b"hyperpaint simulation" not in header.read_bytes() for header in headers) or (
+        toml.exists() and not simulated
+    ):
+        msg = f"{folder} holds a collect that was not simulated, which stays as it is; name another folder"
+        raise StoreError(msg)
+    if overwrite or (simulated and not others):
+        return
+    shown = ", ".join(others[:5] or sorted(entry.name for entry in folder.iterdir())[:5])
+    msg = f"{folder} is not empty ({shown}); name another folder, or pass overwrite=True to write into it"
+    raise StoreError(msg)
+
+
+def run_demonstration(
+    folder: Path,
+    *,
+    lines: int,
+    bands: int,
+    columns: int,
+    seed: int,
+    overwrite: bool = False,
+    progress: bool = False,
+    simulated: Callable[[int, int], None] | None = None,
+    say: Callable[[str], None] = lambda _: None,
+) -> Comparison:
+    """Simulate a collect, process it as if it were real, and compare with its truth.
+
+    Leaves the raw files, ``collect.toml``, ``truth.zarr``, the store ``lot.zarr`` and, where matplotlib is
+    installed, ``quicklook.png`` in the folder.
+
+    Parameters
+    ----------
+    folder
+        Made where it does not exist; an earlier demonstration in it is replaced.
+    lines, bands, columns, seed
+        As for `simulate_collect`.
+    overwrite
+        Write into a folder that holds other files, which stay.
+    progress
+        Show progress of the processing on stderr.
+    simulated
+        Called with lines done and lines to do while the collect is simulated.
+    say
+        Called with every line of text.
+
+    Raises
+    ------
+    StoreError
+        The folder holds something that must stay.
+    """
+    from .simulation import simulate_collect
+
+    refuse_foreign(folder, overwrite=overwrite)
+    begin = time.perf_counter()
+    collect = simulate_collect(
+        folder, lines=lines, bands=bands, columns=columns, seed=seed, overwrite=True, progress=simulated, **EFFECTS
+    )
+    middle = time.perf_counter()
+    say(f"simulated {lines} lines x {bands} bands x {columns} columns in {middle - begin:.1f} s: {collect}")
+    outcome = run(collect, folder / STORE, overwrite=True, progress=progress)
+    say(f"processed as if it were real in {time.perf_counter() - middle:.1f} s: {outcome.path}")
+    found = compare(outcome.path, folder / "truth.zarr")
+    say("")
+    say(str(found))
+    say("")
+    say(
+        f"Reflectance, {BANDS_NM[0]:.0f} to {BANDS_NM[1]:.0f} nm, pixels without a quality flag "
+        f"({100 * found.flagged:.1f} % are flagged). Bias: mean over pixels and bands.\n"
+        "RMSE mean: over bands, of a material's mean spectrum. RMSE: of single samples, sensor noise included.\n"
+        "O2 window: largest relative error of the mean spectrum, 750 to 780 nm."
+    )
+    _say_verdict(found, say)
+    _draw(outcome.path, folder / PICTURE, say)
+    return found
+
+
+def _say_verdict(found: Comparison, say: Callable[[str], None]) -> None:
+    overall = found.overall
+    say(
+        f"overall bias {overall.bias:+.5f} (tolerance {MAX_BIAS}, also for each material), "
+        f"RMSE {overall.rmse:.5f} (tolerance {MAX_RMSE}): "
+        + ("within tolerance" if found.ok else "OUTSIDE TOLERANCE")
+    )
+    for problem in found.problems:
+        say(f"  {problem}")
+
+
+def _draw(store: Path, picture: Path, say: Callable[[str], None]) -> None:
+    """Write a quicklook of the first line where matplotlib is installed; else say how to get it."""
+    import xarray as xr
+
+    from .io.store import list_groups
+
+    group = next(name for name in list_groups(store) if name.startswith("flightlines/"))
+    try:
+        xr.open_zarr(store, group=group).paint.quicklook(picture)
+    except MissingExtraError as error:
+        say(f"no picture: {error}")
+    else:
+        say(f"picture: {picture}")

@@ -1,0 +1,333 @@
+"""A whole collect, from the instruments' files to one finished store."""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import json
+import sys
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+from .errors import CollectError, MissingExtraError, PaintError, Problems, SchemaError, StoreError
+from .schema import ALONG_TRACK, CROSS_TRACK, FORMAT_VERSION, VARIABLES
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+__all__ = ["Outcome", "process", "run"]
+
+KEPT_BITS = 12
+"""Mantissa bits of the stored reflectance: a relative error of at most 2**-13, 1.2e-4."""
+
+CLUSTER_LINES = 256
+"""Lines in one task on a cluster, where a task costs more than on threads."""
+
+OVERVIEW_SHAPE = (1000, 640)
+"""Most lines and columns of the stored picture."""
+
+INPUTS = "inputs_digest"
+"""Attribute that names the inputs and parameters a group was made from."""
+
+Product = Literal["radiance", "reflectance"]
+Kept = Literal["none", "stored"]
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What `run` did.
+
+    Attributes
+    ----------
+    path
+        The store.
+    written
+        Groups that were written.
+    kept
+        Groups that were there already, made from the same inputs and parameters.
+    """
+
+    path: Path
+    written: tuple[str, ...]
+    kept: tuple[str, ...]
+
+
+def process(
+    collect: str | Path,
+    out: str | Path,
+    *,
+    to: Product = "reflectance",
+    reflectance: Kept = "stored",
+    scheduler: str | None = None,
+    overwrite: bool = False,
+    progress: bool = False,
+) -> Path:
+    """Process a collect into one Zarr store.
+
+    Each flight line becomes a group ``flightlines/<id>``: counts, everything that calibrates them, ``quality``,
+    ``irradiance_age``, ``reflectance`` with 12 mantissa bits kept and a small true-colour ``overview``. The
+    whole irradiance record and the calibration are archived beside them.
+
+    Everything is opened, and one slab of every line computed, before anything is written. A rerun writes only
+    the groups that are missing, and nothing where all are there.
+
+    Parameters
+    ----------
+    collect
+        A ``collect.toml``; see `open_collect`.
+    out
+        The store, a folder.
+    to
+        ``"radiance"`` needs no irradiance, and stores ``radiance`` in place of ``reflectance``.
+    reflectance
+        ``"none"`` leaves the computed cube out; ``.paint.reflectance()`` makes it from the stored counts.
+    scheduler
+        Address of a dask.distributed scheduler, whose workers see the same files; threads by default.
+    overwrite
+        Replace groups that were made from other inputs or parameters.
+    progress
+        Show on stderr which line is being written, and how far it is.
+
+    Returns
+    -------
+    Path of the store.
+
+    Raises
+    ------
+    CollectError
+        The collect, or anything it names, cannot be used; all problems of all files are listed.
+    SchemaError
+        ``to`` or ``reflectance`` is none of the words above.
+    StoreError
+        The store holds something else, is being written, or cannot be written.
+    MissingExtraError
+        ``scheduler`` is given, and distributed is not installed.
+
+    Warns
+    -----
+    PaintWarning
+        As `open_collect`.
+
+    Examples
+    --------
+    >>> path = process("collect.toml", "lot.zarr")                                # doctest: +SKIP
+    >>> xr.open_zarr(path, group="flightlines/raw_0").paint.rgb()                 # doctest: +SKIP
+    """
+    return run(
+        collect,
+        out,
+        to=to,
+        reflectance=reflectance,
+        scheduler=scheduler,
+        overwrite=overwrite,
+        progress=progress,
+    ).path
+
+
+def run(
+    collect: str | Path,
+    out: str | Path,
+    *,
+    to: Product = "reflectance",
+    reflectance: Kept = "stored",
+    scheduler: str | None = None,
+    overwrite: bool = False,
+    progress: bool = False,
+) -> Outcome:
+    """Do what `process` does, and tell what was written; the arguments are those of `process`."""
+    import xarray as xr
+
+    from .io.collect import open_collect
+    from .io.store import to_store
+
+    out = Path(out)
+    _check_words(to, reflectance)
+    with _cluster(scheduler):
+        tree = open_collect(
+            collect,
+            need_irradiance=to == "reflectance",
+            chunks="auto" if scheduler is None else {ALONG_TRACK: CLUSTER_LINES},
+        )
+        groups = _groups(tree, Path(collect), {"to": to, "reflectance": reflectance})
+        kept = _kept(groups, out, overwrite=overwrite)
+        pending = {name: dataset for name, dataset in groups.items() if name not in kept}
+        made = {name: _product(dataset, name, to, reflectance) for name, dataset in pending.items()}
+        _rehearse(made, collect)
+        lines = [name for name, dataset in made.items() if ALONG_TRACK in dataset.dims]
+        for name, dataset in made.items():
+            if progress and name in lines:
+                which = f"flight line {lines.index(name) + 1} of {len(lines)}"
+                sys.stderr.write(f"{name}: {which}, {dataset.sizes[ALONG_TRACK]} scan lines\n")
+            with _bars_on_stderr():
+                to_store(
+                    dataset, out, name, overwrite=overwrite, progress=progress, source_token=_token(dataset)
+                )
+        root = xr.DataTree(xr.Dataset(attrs=tree.attrs))
+        to_store(root, out, overwrite=overwrite)
+    return Outcome(out, tuple(made), tuple(kept))
+
+
+def _check_words(to: str, reflectance: str) -> None:
+    problems = Problems("cannot process", SchemaError)
+    for name, value, allowed in (
+        ("to", to, ("radiance", "reflectance")),
+        ("reflectance", reflectance, ("none", "stored")),
+    ):
+        if value not in allowed:
+            problems.add(f"{name}={value!r}, expected {' or '.join(map(repr, allowed))}")
+    problems.raise_if_any()
+
+
+# --- what is to be written ---------------------------------------------------------------------------------
+
+
+def _groups(tree: xr.DataTree, collect: Path, parameters: Mapping[str, Any]) -> dict[str, xr.Dataset]:
+    """Return the groups of a store as they were opened, each naming what it is made from."""
+    from .io.collect import read_collect
+    from .io.envi import find_pair
+
+    entries = read_collect(collect, need_irradiance=parameters["to"] == "reflectance").flightlines
+    cubes = {f"flightlines/{entry.id}": find_pair(entry.cube)[1] for entry in entries}
+    groups = {}
+    for name in (*cubes, "irradiance", "calibration"):
+        if f"/{name}" not in tree.groups:
+            continue
+        dataset = tree[name].to_dataset()
+        said = dict(parameters) if name in cubes else {}
+        digest = _digest(dataset, cubes.get(name), said)
+        groups[name] = dataset.assign_attrs({INPUTS: digest})
+    return groups
+
+
+def _digest(dataset: xr.Dataset, cube: Path | None, parameters: Mapping[str, Any]) -> str:
+    """Return a digest of all values but the cube's, of the cube's size and time, and of the parameters."""
+    import dask
+    import numpy as np
+
+    found = hashlib.sha256(json.dumps([FORMAT_VERSION, KEPT_BITS, parameters], sort_keys=True).encode())
+    if cube is not None:
+        status = cube.stat()
+        found.update(f"{cube.name} {status.st_size} {status.st_mtime_ns}".encode())
+    found.update(json.dumps(dataset.attrs, sort_keys=True, default=str).encode())
+    for name, variable in sorted(dataset.variables.items(), key=lambda item: str(item[0])):
+        found.update(f"{name} {variable.dims} {variable.shape} {variable.dtype} {variable.attrs}".encode())
+        if not dask.is_dask_collection(variable):
+            found.update(np.ascontiguousarray(variable.values).tobytes())
+    return found.hexdigest()[:32]
+
+
+def _token(dataset: xr.Dataset) -> str:
+    return str(dataset.attrs[INPUTS])
+
+
+def _kept(groups: Mapping[str, xr.Dataset], out: Path, *, overwrite: bool) -> list[str]:
+    """Return the groups that are there already; refuse a store that holds anything else.
+
+    Raises
+    ------
+    StoreError
+        Groups of other inputs stand where ours would, or beside them; all are listed.
+    """
+    from .io.store import is_complete, list_groups, open_store
+
+    if not out.exists():
+        return []
+    problems = Problems(f"cannot write {out}", StoreError)
+    kept = []
+    found = list_groups(out) if not out.is_dir() or any(out.iterdir()) else []
+    for name in found:
+        same = is_complete(out, name) and open_store(out, name).attrs.get(INPUTS)
+        if name not in groups:
+            if name.startswith("flightlines/"):
+                problems.add(f"it holds /{name}, which is not of this collect; choose another path")
+        elif same == _token(groups[name]):
+            kept.append(name)
+        elif not overwrite:
+            state = "with other inputs or parameters" if same else "never finished, or not by process"
+            problems.add(f"/{name} is there already, {state}; pass overwrite=True to replace it")
+    problems.raise_if_any()
+    return kept
+
+
+def _product(dataset: xr.Dataset, name: str, to: Product, kept: Kept) -> xr.Dataset:
+    """Return a flight line with all that is stored of it; other groups as they are."""
+    if not name.startswith("flightlines/"):
+        return dataset
+    if to == "radiance":
+        made = dataset.paint.radiance()
+        return made.drop_vars("radiance") if kept == "none" and "counts" in made else made
+    made = dataset.paint.reflectance(keep_bits=KEPT_BITS)
+    made["reflectance"].attrs["keep_bits"] = KEPT_BITS
+    picture = _overview(made)
+    if picture is not None:
+        made = made.assign(overview=picture)
+    return made.drop_vars("reflectance") if kept == "none" else made
+
+
+def _overview(dataset: xr.Dataset) -> xr.DataArray | None:
+    """Return a small true-colour picture, (overview_y, overview_x, rgb) uint8, or None without colours.
+
+    Lazy, from the same slabs that are written: no cube is read twice.
+    """
+    import numpy as np
+
+    from .plot import rgb
+
+    steps = {
+        dim: -(-dataset.sizes[dim] // most)
+        for dim, most in zip((ALONG_TRACK, CROSS_TRACK), OVERVIEW_SHAPE, strict=True)
+    }
+    few = dataset[["reflectance"]].isel({dim: slice(None, None, step) for dim, step in steps.items()})
+    try:
+        picture = rgb(few)
+    except SchemaError:  # fewer than three visible bands
+        return None
+    row = VARIABLES["overview"]
+    made = (picture * np.float32(255.0) + np.float32(0.5)).astype(np.uint8).reset_coords(drop=True)
+    made = made.drop_vars(list(made.coords)).rename(dict(zip(made.dims, row.dims, strict=True)))
+    made.attrs = {**row.attrs, "line_step": steps[ALONG_TRACK], "column_step": steps[CROSS_TRACK]}
+    return made.rename("overview")
+
+
+def _rehearse(groups: Mapping[str, xr.Dataset], collect: str | Path) -> None:
+    """Compute the first slab of every line, so that values that cannot be are found before writing."""
+    problems = Problems(f"{collect} cannot be processed", CollectError)
+    for name, dataset in groups.items():
+        if "quality" in dataset.variables:
+            try:
+                dataset["quality"].isel({ALONG_TRACK: slice(0, 1)}).compute()
+            except (PaintError, OSError) as error:
+                problems.add(f"/{name}: {error}")
+    problems.raise_if_any()
+
+
+# --- where it is computed ----------------------------------------------------------------------------------
+
+
+@contextlib.contextmanager
+def _cluster(address: str | None) -> Iterator[None]:
+    """Make a cluster the place where dask computes; threads without an address."""
+    if address is None:
+        yield
+        return
+    try:
+        from distributed import Client
+    except ImportError as error:
+        needed = MissingExtraError.of("distributed", "distributed", "processing on a cluster")
+        raise needed from error
+    try:
+        client = Client(address, timeout="10s", set_as_default=True)
+    except (OSError, ValueError, TimeoutError) as error:
+        msg = f"no dask scheduler answers at {address!r} ({error}); expected something like tcp://host:8786"
+        raise CollectError(msg) from error
+    with client:
+        yield
+
+
+@contextlib.contextmanager
+def _bars_on_stderr() -> Iterator[None]:
+    """Send progress bars to stderr, so that stdout holds results only."""
+    with contextlib.redirect_stdout(sys.stderr):
+        yield

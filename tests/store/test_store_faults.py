@@ -1,0 +1,378 @@
+"""Killed writers, damaged stores, two writers: nothing half-written or damaged is taken for whole."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import signal
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import dask.array as da
+import numpy as np
+import pytest
+import xarray as xr
+import zarr
+
+from hyperpaint.errors import IncompleteStoreError, StoreError
+from hyperpaint.io.store import is_complete, list_groups, open_store, to_store, verify
+from hyperpaint.io.store.workshop import workshop
+
+CUBE = ("along_track", "band", "cross_track")
+GROUP = "flightlines/raw_0"
+
+WRITER = """
+import sys, time
+import dask, dask.array as da, numpy as np, xarray as xr
+from hyperpaint.io.store import to_store
+
+def slab(block_id=None):
+    time.sleep(0.03)
+    return np.random.default_rng(block_id[0]).integers(0, 4096, (32, 4, 50), dtype="uint16")
+
+counts = da.map_blocks(slab, chunks=((32,) * 20, (4,), (50,)), dtype="uint16",
+                       meta=np.empty((0, 0, 0), "uint16"), name="slab-" + sys.argv[2])
+print("ready", flush=True)
+with dask.config.set(scheduler="threads", num_workers=1):
+    to_store(xr.Dataset({"counts": (("along_track", "band", "cross_track"), counts)}), sys.argv[1],
+             "flightlines/raw_0", overwrite=True)
+print("done", flush=True)
+"""
+
+
+@pytest.fixture
+def store(tmp_path: Path) -> Path:
+    rng = np.random.default_rng(0)
+    for number in range(2):
+        line = xr.Dataset(
+            {
+                "counts": (CUBE, rng.integers(0, 4096, (70, 3, 50), dtype="uint16")),
+                "radiance_gain": (("band", "cross_track"), rng.random((3, 50), dtype="float32")),
+            },
+            coords={"wavelength": ("band", [400.0, 500.0, 600.0]), "frame": ("along_track", np.arange(70))},
+        )
+        to_store(line, tmp_path / "lot.zarr", f"flightlines/raw_{number}")
+    return tmp_path / "lot.zarr"
+
+
+def chunk(store: Path, key: str = "counts/c/1/0/0") -> Path:
+    return store / GROUP / key
+
+
+def start_writer(path: Path, name: str) -> subprocess.Popen[str]:
+    writer = subprocess.Popen(
+        [sys.executable, "-c", WRITER, str(path), name],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    assert writer.stdout is not None
+    assert writer.stdout.readline() == "ready\n"
+    return writer
+
+
+def wait_for(found: Callable[[], object], seconds: float = 30.0) -> None:
+    until = time.monotonic() + seconds
+    while not found():
+        assert time.monotonic() < until, "waited in vain"
+        time.sleep(0.005)
+
+
+def chunks_built(path: Path) -> int:
+    return len(list((path.parent / f".partial-{path.name}").glob("build-*/counts/c/*/0/0")))
+
+
+@pytest.mark.parametrize("chunks_before_kill", [0, 3, 12, 19])
+@pytest.mark.parametrize("replacing", [False, True])
+def test_killed_writer(chunks_before_kill: int, replacing: bool, tmp_path: Path) -> None:
+    path = tmp_path / "lot.zarr"
+    if replacing:
+        old = start_writer(path, "old")
+        assert old.communicate(timeout=60)[0] == "done\n"
+    writer = start_writer(path, "new")
+    wait_for(lambda: chunks_built(path) >= chunks_before_kill)
+    writer.send_signal(signal.SIGKILL)
+    writer.communicate(timeout=60)
+    # what was there is there, what was not there is not
+    assert is_complete(path, GROUP) is replacing
+    assert (verify(path).ok if replacing else not path.exists()) is True
+    if not replacing:
+        with pytest.raises(StoreError):
+            open_store(path, GROUP)
+    again = start_writer(path, "new")
+    out, err = again.communicate(timeout=60)
+    assert out == "done\n", err
+    stored = open_store(path, GROUP).counts
+    expected = [np.random.default_rng(i).integers(0, 4096, (32, 4, 50), dtype="uint16") for i in range(20)]
+    np.testing.assert_array_equal(stored, np.concatenate(expected))
+    assert verify(path).ok
+    assert os.listdir(tmp_path) == ["lot.zarr"]
+
+
+def test_kill_between_the_two_renames_gives_the_old_group_back(store: Path) -> None:
+    partial = store.parent / f".partial-{store.name}"
+    partial.mkdir()
+    os.rename(store / GROUP, partial / "replaced-flightlines%2Fraw_0")
+    (partial / "build-x-1").mkdir()
+    (store / ".zarr.json.123").write_text("{")
+    with workshop(store):
+        assert is_complete(store, GROUP)
+    assert not partial.exists()
+    assert verify(store).ok
+
+
+@pytest.mark.parametrize("stage", ["unlisted", "listed late"])
+def test_kill_before_the_root_is_consolidated(stage: str, store: Path) -> None:
+    root = json.loads((store / "zarr.json").read_text())
+    if stage == "unlisted":
+        del root["consolidated_metadata"]
+    else:
+        for name in [n for n in root["consolidated_metadata"]["metadata"] if n.startswith(GROUP)]:
+            del root["consolidated_metadata"]["metadata"][name]
+    (store / "zarr.json").write_text(json.dumps(root))
+    assert not verify(store).ok
+    source = open_store(store, GROUP).compute()
+    with pytest.raises(StoreError, match="other content"):
+        to_store(source, store, GROUP)
+    to_store(source, store, GROUP, overwrite=True)
+    assert verify(store).ok
+    xr.open_zarr(store, group=GROUP)
+
+
+def test_half_written_copy_by_another_program_is_refused(store: Path) -> None:
+    """The seal travels with the attributes, and is worth nothing without the records."""
+    line = open_store(store, GROUP)
+    assert "hyperpaint_complete" in line.attrs
+    line.drop_encoding().to_zarr(store.parent / "copy.zarr", consolidated=False, compute=False)
+    with pytest.raises(IncompleteStoreError, match="no record"):
+        open_store(store.parent / "copy.zarr")
+    assert not verify(store.parent / "copy.zarr").ok
+
+
+def test_copied_files_are_complete(store: Path) -> None:
+    shutil.copytree(store, store.parent / "copy.zarr")
+    assert verify(store.parent / "copy.zarr").ok
+    assert is_complete(store.parent / "copy.zarr", GROUP)
+
+
+def test_store_of_another_program_has_no_record(tmp_path: Path) -> None:
+    xr.Dataset({"a": ("x", [1.0])}).to_zarr(tmp_path / "a.zarr", consolidated=False)
+    with pytest.raises(IncompleteStoreError, match="never finished"):
+        open_store(tmp_path / "a.zarr")
+    assert list_groups(tmp_path / "a.zarr") == [""]
+    assert "no completion record" in str(verify(tmp_path / "a.zarr"))
+
+
+def test_missing_store_and_group_are_named(store: Path) -> None:
+    with pytest.raises(StoreError, match=r"no group '/flightlines/raw_7'.*/flightlines/raw_0"):
+        open_store(store, "flightlines/raw_7")
+    for function in (list_groups, verify):
+        with pytest.raises(StoreError, match=r"no Zarr v3 store"):
+            function(store.parent / "none.zarr")
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_bit_flip_is_seen_by_everyone(seed: int, store: Path) -> None:
+    damaged = bytearray(chunk(store).read_bytes())
+    place = int(np.random.default_rng(seed).integers(len(damaged) * 8))
+    damaged[place // 8] ^= 1 << place % 8
+    chunk(store).write_bytes(damaged)
+    with pytest.raises((ValueError, RuntimeError)):
+        xr.open_zarr(store, group=GROUP).counts.compute()
+    report = verify(store)
+    assert not report.ok
+    assert report.problems[0].startswith("/flightlines/raw_0/counts/c/1/0/0: cannot be read")
+    assert len(report.problems) == 1
+
+
+def _delete(store: Path) -> None:
+    chunk(store).unlink()
+
+
+def _swap(store: Path) -> None:
+    one, two = chunk(store), chunk(store, "counts/c/0/0/0")
+    os.rename(one, one.with_name("t"))
+    os.rename(two, one)
+    os.rename(one.with_name("t"), two)
+
+
+def _stale(store: Path) -> None:
+    shutil.copy(store / "flightlines/raw_1/counts/c/1/0/0", chunk(store))
+
+
+def _truncate(store: Path) -> None:
+    chunk(store).write_bytes(chunk(store).read_bytes()[:100])
+
+
+def _empty(store: Path) -> None:
+    chunk(store).write_bytes(b"")
+
+
+def _stray(store: Path) -> None:
+    shutil.copy(chunk(store), chunk(store).with_name("1"))
+
+
+def _delete_small(store: Path) -> None:
+    chunk(store, "frame/c/0").unlink()
+
+
+@pytest.mark.parametrize("damage", [_delete, _swap, _stale, _truncate, _empty, _stray, _delete_small])
+def test_damaged_chunks_are_seen_by_verify(damage: Callable[[Path], None], store: Path) -> None:
+    damage(store)
+    report = verify(store)
+    assert not report.ok
+    assert all(line.startswith("/flightlines/raw_0/") for line in report.problems)
+    assert len(report.problems) == (2 if damage is _swap else 1)
+
+
+def _array_gone(store: Path) -> None:
+    shutil.rmtree(store / GROUP / "radiance_gain")
+
+
+def _group_gone(store: Path) -> None:
+    shutil.rmtree(store / GROUP)
+
+
+def _array_added(store: Path) -> None:
+    zarr.open_group(store / GROUP).create_array("extra", shape=(3,), dtype="f4")
+
+
+def _metadata_changed(store: Path) -> None:
+    zarr.open_array(store / GROUP / "counts").attrs["units"] = "W"
+
+
+def _attributes_changed(store: Path) -> None:
+    zarr.open_group(store / GROUP).attrs["srf_shape"] = "slit"
+
+
+def _json_damaged(store: Path) -> None:
+    (store / GROUP / "counts/zarr.json").write_text("[" * 100_000)
+
+
+def _record_damaged(store: Path) -> None:
+    path = store / GROUP / "counts/hyperpaint-chunks.json"
+    path.write_text(path.read_text().replace("32", "33", 1))
+
+
+def _record_not_json(store: Path) -> None:
+    (store / GROUP / "counts/hyperpaint-chunks.json").write_text('{"hyperpaint_format": [], "grid": 1e999}')
+
+
+def _record_of_another(store: Path) -> None:
+    shutil.copy(store / "flightlines/raw_1/counts/hyperpaint-chunks.json", store / GROUP / "counts")
+
+
+def _seal_damaged(store: Path) -> None:
+    path = store / GROUP / "zarr.json"
+    path.write_text(path.read_text().replace("token=", "tokem="))
+
+
+@pytest.mark.parametrize(
+    ("damage", "readable"),
+    [
+        (_array_gone, False),
+        (_group_gone, False),
+        (_array_added, False),
+        (_metadata_changed, False),
+        (_attributes_changed, True),
+        (_json_damaged, False),
+        (_record_damaged, False),
+        (_record_not_json, False),
+        (_record_of_another, False),
+        (_seal_damaged, False),
+    ],
+)
+def test_damaged_metadata(damage: Callable[[Path], None], readable: bool, store: Path) -> None:
+    damage(store)
+    assert not verify(store).ok
+    assert is_complete(store, GROUP) is readable
+    if not readable:
+        with pytest.raises(StoreError):
+            open_store(store, GROUP)
+    # the other group is none the worse, and this one can be written again
+    assert is_complete(store, "flightlines/raw_1")
+    to_store(open_store(store, "flightlines/raw_1").compute(), store, GROUP, overwrite=True)
+    assert verify(store).ok
+
+
+def test_later_format_is_refused(store: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("hyperpaint.io.store.record.FORMAT_VERSION", 0)
+    with pytest.raises(IncompleteStoreError, match="update hyperpaint"):
+        open_store(store, GROUP)
+
+
+def test_second_writer_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "lot.zarr"
+    writer = start_writer(path, "first")
+    wait_for(lambda: chunks_built(path) > 1)
+    with pytest.raises(StoreError, match=f"being written by process {writer.pid} on {socket.gethostname()}"):
+        to_store(xr.Dataset({"a": ("x", [1.0])}), path, "other")
+    assert writer.communicate(timeout=60)[0] == "done\n"
+    to_store(xr.Dataset({"a": ("x", [1.0])}), path, "other")
+    assert verify(path).ok
+
+
+def test_lock_of_another_host_is_respected(tmp_path: Path) -> None:
+    lock = tmp_path / ".partial-lot.zarr" / "lock"
+    lock.parent.mkdir()
+    lock.write_text(json.dumps({"host": "elsewhere", "pid": 1, "since": "2026-01-01T00:00:00Z"}))
+    with pytest.raises(StoreError, match="on elsewhere since 2026.*delete"):
+        to_store(xr.Dataset({"a": ("x", [1.0])}), tmp_path / "lot.zarr")
+    assert lock.exists()
+
+
+@pytest.mark.parametrize("content", ["dead", "reused", "garbage"])
+def test_stale_lock_is_taken_over(content: str, tmp_path: Path) -> None:
+    lock = tmp_path / ".partial-lot.zarr" / "lock"
+    lock.parent.mkdir()
+    dead = subprocess.Popen([sys.executable, "-c", ""])
+    dead.wait(timeout=30)
+    holder = {"host": socket.gethostname(), "pid": dead.pid, "started": 1}
+    if content == "reused":
+        if not Path("/proc/self/stat").exists():
+            pytest.skip("the start time of a process is only known on Linux")
+        holder["pid"] = os.getpid()
+    lock.write_text("{" if content == "garbage" else json.dumps(holder))
+    to_store(xr.Dataset({"a": ("x", [1.0])}), tmp_path / "lot.zarr")
+    assert os.listdir(tmp_path) == ["lot.zarr"]
+
+
+def test_concurrent_writers_take_turns_or_are_refused(tmp_path: Path) -> None:
+    from concurrent.futures import ThreadPoolExecutor
+
+    def write(number: int) -> bool:
+        try:
+            to_store(xr.Dataset({"a": ("x", np.full(9, float(number)))}), tmp_path / "lot.zarr", f"g{number}")
+        except StoreError as error:
+            assert "being written" in str(error)
+            return False
+        return True
+
+    with ThreadPoolExecutor(4) as pool:
+        done = list(pool.map(write, range(8)))
+    assert any(done)
+    assert list_groups(tmp_path / "lot.zarr") == [f"g{n}" for n, ok in enumerate(done) if ok]
+    assert verify(tmp_path / "lot.zarr").ok
+    assert os.listdir(tmp_path) == ["lot.zarr"]
+
+
+@pytest.mark.slow
+def test_cluster_of_processes(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    distributed = pytest.importorskip("distributed")
+    random = np.random.default_rng(1).integers(0, 4096, (300, 4, 20), dtype="uint16")
+    line = xr.Dataset({"counts": (CUBE, da.from_array(random, chunks=(100, 4, 20)))})
+    with (
+        distributed.LocalCluster(
+            n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None
+        ) as cluster,
+        distributed.Client(cluster, timeout=30),
+    ):
+        to_store(line, tmp_path / "lot.zarr", GROUP, progress=True)
+    np.testing.assert_array_equal(open_store(tmp_path / "lot.zarr", GROUP).counts, random)
+    assert verify(tmp_path / "lot.zarr").ok
+    assert os.listdir(tmp_path) == ["lot.zarr"]
