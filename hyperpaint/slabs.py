@@ -59,6 +59,8 @@ class Plan:
         Matched irradiance [W m-2 nm-1], as cubics over the smile; None for radiance.
     scale : (band,), float64
         Factor of a known panel in the scene; 1 without.
+    starts : (slab,)
+        First line of every slab.
     """
 
     dark: Array
@@ -78,6 +80,7 @@ class Plan:
     line_flags: Array
     column_flags: Array
     dropped: int
+    starts: Array
 
     def light(self, start: int, stop: int) -> Array:
         """Return what the kernel multiplies or divides lines by, (line, band, cell, 1 or 4), float32."""
@@ -91,7 +94,8 @@ class Plan:
         if self.smile.nodes.size > 1:
             # where there is no light at either end of a cell
             dim = (irradiance[..., :1] <= 0) | (irradiance.sum(axis=-1, keepdims=True) <= 0)
-            return np.ascontiguousarray(np.where(dim, np.nan, irradiance) / (np.pi * rate * scale), np.float32)
+            irradiance = np.where(dim, np.nan, irradiance)
+            return np.ascontiguousarray(irradiance / (np.pi * rate * scale), np.float32)
         lit = np.where(irradiance > 0, irradiance, np.nan)
         return np.ascontiguousarray(np.pi * rate * scale / lit, np.float32)
 
@@ -123,6 +127,7 @@ def plan_values(dataset: xr.Dataset, names: Mapping[str, str]) -> dict[str, Any]
 def make_plan(
     shape: tuple[int, int, int],
     dtype: str,
+    starts: Array,
     *,
     cube: Mapping[str, Any],
     light: Mapping[str, Any] | None,
@@ -136,6 +141,8 @@ def make_plan(
     ----------
     shape, dtype
         Of the cube (along_track, band, cross_track).
+    starts : (slab,)
+        First line of every slab.
     cube
         Values of `dark_counts`, `radiance_gain`, `exposure_time` and the other variables of the table, by
         name; without a gain the cube is taken to be radiance.
@@ -196,6 +203,7 @@ def make_plan(
         line_flags=line_flags,
         column_flags=column_flags,
         dropped=0 if keep_bits is None else 23 - keep_bits,
+        starts=starts,
     )
 
 
@@ -348,13 +356,11 @@ def _panel_scale(panel: Mapping[str, Any]) -> Float:
         return np.asarray(panel["reflectance"] * number / total)
 
 
-def run_slab(
-    counts: Array, plan: Plan, starts: tuple[int, ...], block_id: tuple[int, ...]
-) -> tuple[Array, Array]:
+def run_slab(counts: Array, plan: Plan, block_id: tuple[int, ...]) -> tuple[Array, Array]:
     """Return the calibrated slab (line, band, column), float32, and its quality (line, column), uint16."""
     from .kernels.radiometry import calibrate_slab
 
-    start = starts[block_id[0]]
+    start = int(plan.starts[block_id[0]])
     lines, bands, columns = counts.shape
     out = np.empty((lines, bands, columns), np.float32)
     quality = np.empty((lines, columns), np.uint16)
@@ -415,11 +421,9 @@ def calibrated(source: xr.DataArray, **inputs: Any) -> tuple[da.Array, da.Array,
     counts = source.data
     if counts.dtype not in (np.dtype(np.uint16), np.dtype(np.float32)):
         counts = counts.astype(np.float32)
-    plan = dask.delayed(make_plan, pure=True)(counts.shape, counts.dtype.str, **inputs)
-    starts = dask.delayed(tuple(int(n) for n in np.cumsum((0, *counts.chunks[0][:-1]))))
-    slabs = da.map_blocks(
-        run_slab, counts, plan, starts, dtype=object, meta=np.empty((0, 0, 0), object), name=None
-    )
+    starts = np.cumsum((0, *counts.chunks[0][:-1]))
+    plan = dask.delayed(make_plan, pure=True)(counts.shape, counts.dtype.str, starts, **inputs)
+    slabs = da.map_blocks(run_slab, counts, plan, dtype=object, meta=np.empty((0, 0, 0), object), name=None)
     made = da.blockwise(_cube_of, "lbx", slabs, "lbx", meta=np.empty((0, 0, 0), np.float32))
     quality = da.blockwise(_quality_of, "lx", slabs, "lbx", meta=np.empty((0, 0), np.uint16))
     return made, quality, plan

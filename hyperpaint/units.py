@@ -184,7 +184,7 @@ def canonical(text: str) -> str:
 
 
 def convert(array: xr.DataArray, wanted: str, name: str | None = None) -> xr.DataArray:
-    """Return ``array`` in the units ``wanted``, lazily; floats keep their dtype, scaled integers become floats.
+    """Return ``array`` in the units ``wanted``, lazily; floats keep their dtype, integers may become floats.
 
     Parameters
     ----------

@@ -47,8 +47,8 @@ def flag_line(
     """Write the quality of one line from what `gather_row` kept.
 
     Bands are visited again only where the counts of an element decide: in a column that reaches the lowest
-    limit, or with anything under the dark. Elements that are not watched set nothing. A line without data carries the flags of the line alone, since its
-    counts mean nothing.
+    limit, or with anything under the dark. Elements that are not watched set nothing. A line without data
+    carries the flags of the line alone, since its counts mean nothing.
     """
     if (line_flags & limits[1]) != 0:
         for x in range(peak.size):
