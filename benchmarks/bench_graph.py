@@ -7,20 +7,28 @@ import functools
 from .common import BANDS, COLUMNS, flight_line, scratch
 
 
-@functools.cache
-def empty_store(lines):
-    """Write all of a flight line but the chunks of its cube: whoever reads one is found out."""
+def write_without_cube(path, lines):
+    """Write all of a flight line but the chunks of its cube."""
+    import warnings
+
     import dask.array as da
     import zarr
 
     from hyperpaint.io.store.layout import encoding_of
 
     cube = da.zeros((lines, BANDS, COLUMNS), "uint16", chunks=(32, BANDS, COLUMNS))
-    line = flight_line(lines, smile=True, counts=cube)
-    path = scratch() / f"empty-{lines}.zarr"
+    line = flight_line(lines, counts=cube)
     encoding = {name: encoding_of(variable) for name, variable in line.variables.items()}
     line.to_zarr(path, zarr_format=3, consolidated=False, encoding=encoding, compute=False)
-    zarr.consolidate_metadata(path)
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", message="Consolidated metadata")
+        zarr.consolidate_metadata(path)
+
+
+@functools.cache
+def empty_store(lines):
+    path = scratch() / f"empty-{lines}.zarr"
+    write_without_cube(path, lines)
     return path
 
 
@@ -31,13 +39,9 @@ class Graph:
     param_names = ("lines",)
 
     def setup(self, lines):
-        import warnings
-
         import xarray as xr
 
-        with warnings.catch_warnings():
-            warnings.filterwarnings("ignore", message="Consolidated metadata")
-            self.path = empty_store(lines)
+        self.path = empty_store(lines)
         self.line = xr.open_zarr(self.path)
         self.made = self.line.paint.reflectance()
 

@@ -85,7 +85,9 @@ class ToStore:
         light = light.interp(irradiance_wavelength=line["wavelength"]).reset_coords(drop=True)
         above = line["counts"] - line["dark_counts"].astype("float64")
         radiance = above * line["radiance_gain"].astype("float64") / line["exposure_time"]
-        reflectance = (np.pi * radiance / light).drop_vars(["time"], errors="ignore").transpose(*line["counts"].dims)
+        reflectance = (
+            (np.pi * radiance / light).drop_vars(["time"], errors="ignore").transpose(*line["counts"].dims)
+        )
         with threads():
             reflectance.rename("reflectance").to_dataset().to_zarr(
                 self._fresh(), zarr_format=3, consolidated=False

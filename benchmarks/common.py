@@ -62,7 +62,12 @@ def sky(wavelength: np.ndarray) -> np.ndarray:
     """Return a clear sky's irradiance [W m-2 nm-1], oxygen and water bands included."""
     nm = np.asarray(wavelength, np.float64)
     smooth = 1.5 * np.exp(-0.5 * ((nm - 520.0) / 280.0) ** 2)
-    for centre, width, depth in ((762.0, 2.0, 0.7), (687.0, 1.5, 0.3), (940.0, 18.0, 0.5), (1400.0, 40.0, 0.9)):
+    for centre, width, depth in (
+        (762.0, 2.0, 0.7),
+        (687.0, 1.5, 0.3),
+        (940.0, 18.0, 0.5),
+        (1400.0, 40.0, 0.9),
+    ):
         smooth = smooth * (1.0 - depth * np.exp(-0.5 * ((nm - centre) / width) ** 2))
     return smooth
 
@@ -205,12 +210,15 @@ def plan_of(line: Any) -> Any:
     return make_plan(
         line["counts"].shape,
         line["counts"].dtype.str,
+        np.arange(0, line.sizes["along_track"], 32),
         cube={name: line[name].values for name in cube},
         light={**{name: line[name].values for name in light}, **line.attrs},
     )
 
 
-def calibrate(plan: Any, counts: np.ndarray, start: int, out: np.ndarray, quality: np.ndarray, dropped: int = 0) -> None:
+def calibrate(
+    plan: Any, counts: np.ndarray, start: int, out: np.ndarray, quality: np.ndarray, dropped: int = 0
+) -> None:
     """Run the kernel on the lines of a plan from ``start`` on, into given memory."""
     from hyperpaint.kernels.radiometry import calibrate_slab
 

@@ -66,9 +66,9 @@ def process(
 ) -> Path:
     """Process a collect into one Zarr store.
 
-    Each flight line becomes a group ``flightlines/<id>``: counts, everything that calibrates them, ``quality``,
-    ``irradiance_age``, ``reflectance`` with 12 mantissa bits kept and a small true-colour ``overview``. The
-    whole irradiance record and the calibration are archived beside them.
+    Each flight line becomes a group ``flightlines/<id>``: counts, everything that calibrates them,
+    ``quality``, ``irradiance_age``, ``reflectance`` with 12 mantissa bits kept and a small true-colour
+    ``overview``. The whole irradiance record and the calibration are archived beside them.
 
     Everything is opened, and one slab of every line computed, before anything is written. A rerun writes only
     the groups that are missing, and nothing where all are there.
@@ -80,7 +80,7 @@ def process(
     out
         The store, a folder.
     to
-        ``"radiance"`` needs no irradiance, and stores ``radiance`` in place of ``reflectance``.
+        ``"radiance"`` needs no irradiance, and stores ``radiance``, unrounded, in place of ``reflectance``.
     reflectance
         ``"none"`` leaves the computed cube out; ``.paint.reflectance()`` makes it from the stored counts.
     scheduler
@@ -255,6 +255,7 @@ def _product(dataset: xr.Dataset, name: str, to: Product, kept: Kept) -> xr.Data
     """Return a flight line with all that is stored of it; other groups as they are."""
     if not name.startswith("flightlines/"):
         return dataset
+    made: xr.Dataset
     if to == "radiance":
         made = dataset.paint.radiance()
         return made.drop_vars("radiance") if kept == "none" and "counts" in made else made

@@ -211,9 +211,10 @@ def _draw_flags(axes: Any, quality: Array) -> None:
     share = {flag: float((quality & int(flag) != 0).mean()) for flag in schema.Quality}
     found = {flag: part for flag, part in share.items() if part > 0}
     names = [str(flag.name).lower().replace("_", " ") for flag in found] or ["no flag set"]
-    axes.barh(names, [100 * part for part in found.values()] or [0.0], color="#b5543c")
-    axes.set(title="quality", xlabel="pixels [%]")
-    axes.invert_yaxis()
+    bars = axes.barh(names, [100 * part for part in found.values()] or [0.0], height=0.6, color="#b5543c")
+    axes.bar_label(bars, [f" {100 * part:.2g} %" for part in found.values()] or [""], fontsize="small")
+    axes.set(title="quality", xlabel="pixels [%]", ylim=(max(len(names), 8) - 0.4, -0.6))
+    axes.set_xlim(0, 1.3 * axes.get_xlim()[1])
 
 
 def _draw_irradiance(axes: Any, dataset: xr.Dataset) -> None:
@@ -239,14 +240,15 @@ def _draw_irradiance(axes: Any, dataset: xr.Dataset) -> None:
 
 
 def _draw_spectra(axes: Any, dataset: xr.Dataset) -> None:
-    """Draw the quartiles of reflectance over the lines shown, band by band."""
+    """Draw how reflectance is spread over the lines shown, band by band."""
     some = dataset["reflectance"].isel(
         {schema.ALONG_TRACK: slice(None, None, max(1, dataset.sizes[schema.ALONG_TRACK] // 50))}
     )
-    quartiles = np.nanpercentile(some.values, (25, 50, 75), axis=(0, 2))
+    parts = np.nanpercentile(some.values, (5, 25, 50, 75, 95), axis=(0, 2))
     wavelength = dataset["wavelength"].values
-    axes.fill_between(wavelength, quartiles[0], quartiles[2], color="0.85", label="middle half")
-    axes.plot(wavelength, quartiles[1], color="0.2", label="median")
+    axes.fill_between(wavelength, parts[0], parts[4], color="0.92", label="5 to 95 %")
+    axes.fill_between(wavelength, parts[1], parts[3], color="0.8", label="middle half")
+    axes.plot(wavelength, parts[2], color="0.2", label="median")
     axes.set(title="reflectance of all pixels", xlabel="wavelength [nm]")
     axes.set_ylim(bottom=0)
     axes.legend(fontsize="small")

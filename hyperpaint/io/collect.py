@@ -55,8 +55,12 @@ def open_collect(
 
     Examples
     --------
-    >>> tree = open_collect("collect.toml")                                       # doctest: +SKIP
-    >>> tree["flightlines/raw_0"].to_dataset().paint.reflectance()                # doctest: +SKIP
+    >>> import tempfile
+    >>> from hyperpaint.simulation import simulate_collect
+    >>> path = simulate_collect(tempfile.mkdtemp(), lines=40, bands=4, columns=6, cubes=2)
+    >>> tree = open_collect(path)
+    >>> sorted(tree.children), sorted(tree["flightlines"].children)
+    (['calibration', 'flightlines', 'irradiance'], ['raw_0', 'raw_20'])
     """
     import xarray as xr
 

@@ -456,7 +456,29 @@ def _references(reader: _Reader) -> tuple[ReferenceEntry, ...]:
 
 
 def parse_collect(path: Path, problems: Problems, *, need_irradiance: bool) -> tuple[Collect, set[str]]:
-    """Return what of the file is valid, and the parts whose problems are in ``problems``."""
+    """Read what of a ``collect.toml`` is valid, so that what it names can be checked as well.
+
+    Parameters
+    ----------
+    path
+        The file.
+    problems
+        Takes what is wrong.
+    need_irradiance
+        False where only radiance is wanted.
+
+    Returns
+    -------
+    collect : Collect
+        What is valid.
+    reported : set of str
+        ``"calibration"``, ``"dark"`` and ``"times of <id>"`` where their problems have been noted.
+
+    Raises
+    ------
+    CollectError
+        The file cannot be read, or is not TOML.
+    """
     reader = _Reader(path, _load(path), problems)
     camera = _camera(reader)
     irradiance = _irradiance(reader)

@@ -173,9 +173,18 @@ def open_flightline(
 
     Examples
     --------
-    >>> line = open_flightline(                                                   # doctest: +SKIP
-    ...     "flight/raw_0.hdr", frame_index="flight/frameIndex_0.txt", nav="flight/imu_gps.txt",
-    ...     dark="dark/raw_0.hdr", calibration="calibration.zarr")
+    >>> import tempfile
+    >>> from hyperpaint.simulation import simulate_collect
+    >>> folder = simulate_collect(tempfile.mkdtemp(), lines=40, bands=4, columns=6).parent
+    >>> line = open_flightline(
+    ...     folder / "flight/raw_0.hdr",
+    ...     frame_index=folder / "flight/frameIndex_0.txt",
+    ...     nav=folder / "flight/imu_gps.txt",
+    ...     dark=folder / "dark/raw_0.hdr",
+    ...     calibration=folder / "calibration.zarr",
+    ... )
+    >>> line["counts"].chunks, line["time"].values[0], line.attrs["exposure_source"]
+    (((32, 8), (4,), (6,)), np.datetime64('2021-07-20T17:10:00.000000000'), 'settings.txt')
     """
     import xarray as xr
 

@@ -45,7 +45,7 @@ def cut_irradiance(irradiance: xr.Dataset, time: NDArray[np.datetime64]) -> xr.D
     names = ["irradiance", "irradiance_fwhm", "irradiance_max_gap"]
     found = require(irradiance, names, "the irradiance of a flight line")
     stamps = found["irradiance"][IRRADIANCE_TIME].values.astype("datetime64[ns]")
-    if np.isnat(stamps).any() or (np.diff(stamps) <= np.timedelta64(0)).any():
+    if np.isnat(stamps).any() or (np.diff(stamps) <= np.timedelta64(0, "ns")).any():
         msg = "irradiance times repeat, run backwards or are missing; sort them and drop repeated ones"
         raise TimeError(msg)
     known = time[~np.isnat(time)]

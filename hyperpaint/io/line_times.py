@@ -170,7 +170,7 @@ def line_times(
         frame, row = match_frames(index, lines, cube, shortened=shortened)
     recorded = row >= 0
     clock = _clock(timing, index, nav, row[recorded], cube)
-    time = np.full(lines, np.datetime64("NaT"), "datetime64[ns]")
+    time = np.full(lines, np.datetime64("NaT", "ns"), "datetime64[ns]")
     if index is not None:
         time[recorded] = clock.at(index.stamp[row[recorded]])
         _check_rate(index, row[recorded], timing, exposure_time, cube)

@@ -364,6 +364,15 @@ def test_a_tabulated_line_shape_needs_its_table() -> None:
     assert open_calibration(table)["srf"].dims == ("band", "srf_offset")
 
 
+def test_a_tabulated_line_shape_goes_with_the_line(folder: Path) -> None:
+    table = make_calibration(srf=(("band", "srf_offset"), np.ones((BANDS, 5)), {"units": "1"}))
+    table = table.assign_coords(srf_offset=("srf_offset", np.arange(-2.0, 3.0), NM))
+    line = open_line(folder, calibration=table.assign_attrs(srf_shape="tabulated"))
+    assert line["srf"].dtype == np.float64
+    assert line["srf_offset"].values.tolist() == [-2, -1, 0, 1, 2]
+    assert line.attrs["srf_shape"] == "tabulated"
+
+
 @pytest.mark.parametrize("suffix", [".zarr", ".nc"])
 def test_calibration_stores(tmp_path: Path, suffix: str) -> None:
     path = tmp_path / f"calibration{suffix}"
@@ -490,9 +499,9 @@ def test_the_irradiance_is_cut_to_the_line(folder: Path) -> None:
 
 def test_at_least_the_bracketing_samples_are_kept() -> None:
     sky = make_irradiance(-500, 1000, 500)
-    made = cut_irradiance(sky, T0 + np.array([1, 2]) * np.timedelta64(10**9))
+    made = cut_irradiance(sky, T0 + np.array([1, 2]) * np.timedelta64(1, "s"))
     assert ((made["irradiance_time"].values - T0) / np.timedelta64(1, "s")).tolist() == [0, 500]
-    made = cut_irradiance(sky, np.array([T0, np.datetime64("NaT")]))
+    made = cut_irradiance(sky, np.array([T0, np.datetime64("NaT", "ns")]))
     assert ((made["irradiance_time"].values - T0) / np.timedelta64(1, "s")).tolist() == [0]
 
 

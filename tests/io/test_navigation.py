@@ -308,6 +308,21 @@ def test_mutated_navigation_raises_only_its_errors(
     assert made.time.dtype == "datetime64[ns]"
 
 
+@settings(max_examples=100, deadline=None)
+@given(data=st.binary(max_size=30), place=st.integers(0, 100), cut=st.integers(0, 30))
+def test_mutated_gps_time_raises_only_its_errors(
+    tmp_path_factory: pytest.TempPathFactory, data: bytes, place: int, cut: int
+) -> None:
+    path = tmp_path_factory.getbasetemp() / "mutated_gps_time.txt"
+    whole = b"23:59:58 0\t2021/07/23 21:59:59.25\r\n00:00:01 0\t2021/07/23 22:00:02.25\r\n"
+    path.write_bytes(whole[:place] + data + whole[place + cut :])
+    try:
+        clock = read_gps_time(path)
+    except (FormatError, TimeError):
+        return
+    assert (np.diff(clock.utc) > 0).all()
+
+
 # --- lines -------------------------------------------------------------------------------------------------
 
 
@@ -429,6 +444,12 @@ def test_any_datetime_unit_becomes_nanoseconds(unit: str) -> None:
 def test_zones_are_needed_of_texts_and_datetimes() -> None:
     zone = datetime.timezone(datetime.timedelta(hours=-5))
     assert utc_of(datetime.datetime(2021, 7, 23, 7, tzinfo=zone), "t") == T0
-    for value in (datetime.datetime(2021, 7, 23), np.datetime64("NaT"), None, 5, "1960-01-01T00:00:00Z"):
+    for value in (
+        datetime.datetime(2021, 7, 23),
+        np.datetime64("NaT", "ns"),
+        None,
+        5,
+        "1960-01-01T00:00:00Z",
+    ):
         with pytest.raises(TimeError):
             utc_of(value, "t")

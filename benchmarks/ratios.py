@@ -1,0 +1,285 @@
+"""All speed goals as ratios, each measured in one process with its floor beside it.
+
+    python benchmarks/ratios.py             every ratio, about two minutes
+    python benchmarks/ratios.py kernel io   only these
+    python benchmarks/ratios.py memory      peak memory; writes 13 GB under TMPDIR and removes them
+
+Absolute times are those of this machine at this moment; the ratios are what can be compared. Repeats are
+interleaved, the least of each counts.
+"""
+
+from __future__ import annotations
+
+import argparse
+import functools
+import json
+import os
+import shutil
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+ROOT = Path(__file__).resolve().parents[1]
+if __package__ in (None, ""):  # run as a script: `benchmarks` is then not importable yet
+    sys.path.insert(0, str(ROOT))
+
+
+@dataclass(frozen=True)
+class Row:
+    """One line of the table."""
+
+    what: str
+    ours: float
+    floor: float
+    unit: str
+    goal: float
+    at_least: bool = False
+
+    @property
+    def ratio(self) -> float:
+        return self.floor / self.ours if self.at_least else self.ours / self.floor
+
+    @property
+    def met(self) -> bool:
+        return self.ratio >= self.goal if self.at_least else self.ratio <= self.goal
+
+    def __str__(self) -> str:
+        goal = f"{'>=' if self.at_least else '<='} {self.goal:g}x"
+        measured = f"{self.ours:10.4g} {self.floor:10.4g} {self.unit:<5}"
+        return f"{self.what:<62} {measured} {self.ratio:7.2f}x  {goal:<9} {'met' if self.met else 'MISSED'}"
+
+
+HEADER = f"{'':<62} {'ours':>10} {'floor':>10} {'':<5} {'ratio':>8}  goal"
+
+
+def timed(case: Any, arguments: tuple[Any, ...], names: tuple[str, ...], rounds: int) -> dict[str, float]:
+    """Return the least wall time [ms] of the methods of a benchmark class."""
+    from benchmarks.common import best_of
+
+    case.setup(*arguments)
+    variants = {name: functools.partial(getattr(case, f"time_{name}"), *arguments) for name in names}
+    clear = functools.partial(getattr(case, "teardown", lambda *_: None), *arguments)
+    return {name: 1e3 * seconds for name, seconds in best_of(variants, rounds, clear).items()}
+
+
+def imports() -> Iterator[Row]:
+    from benchmarks.common import best_of
+
+    environment = {k: v for k, v in os.environ.items() if k != "PYTHONDONTWRITEBYTECODE"}
+    environment["PYTHONPATH"] = os.pathsep.join([str(ROOT), *filter(None, [os.environ.get("PYTHONPATH")])])
+
+    def start(module: str) -> None:
+        subprocess.run([sys.executable, "-c", f"import {module}"], check=True, env=environment, cwd=ROOT)
+
+    best = best_of({name: functools.partial(start, name) for name in ("hyperpaint", "xarray")}, 15)
+    yield Row("import hyperpaint / import xarray", 1e3 * best["hyperpaint"], 1e3 * best["xarray"], "ms", 1.15)
+
+
+def kernel() -> Iterator[Row]:
+    from benchmarks.bench_kernels import Calibrate
+
+    names = ("floor", "plain", "smile_quality_rounding")
+    best = timed(Calibrate(), (128,), names, 25)
+    yield Row(
+        "kernel, 128 lines, one thread / np.copyto(float32, uint16)", best["plain"], best["floor"], "ms", 1.4
+    )
+    full = best["smile_quality_rounding"]
+    yield Row("  the same with smile, quality and rounding", full, best["floor"], "ms", 2.5)
+
+
+def irradiance() -> Iterator[Row]:
+    from benchmarks.bench_kernels import MatchIrradiance
+
+    names = ("floor", "match", "integral_of_each_band")
+    best = timed(MatchIrradiance(), (1800,), names, 2)
+    slow = best["integral_of_each_band"]
+    yield Row(
+        "one hour of sky spectra to 272 bands / bare matrix product", best["match"], best["floor"], "ms", 10
+    )
+    yield Row("  against an integral for each band", best["match"], slow, "ms", 300, at_least=True)
+
+
+def store() -> Iterator[Row]:
+    from benchmarks.bench_pipeline import ToStore
+
+    best = timed(ToStore(), (2048,), ("floor", "to_store", "naive"), 3)
+    ours = best["to_store"]
+    yield Row("to_store(reflectance), 2048 lines / read-encode-write", ours, best["floor"], "ms", 1.6)
+    yield Row("  against naive xarray + dask", ours, best["naive"], "ms", 4, at_least=True)
+
+
+def look() -> Iterator[Row]:
+    from benchmarks.bench_pipeline import Look
+
+    goals = {"every_pixel": 1.3, "one_spectrum": 1.3, "region": 1.3, "one_band": 1.3, "lines_64": 0.87}
+    for view, goal in goals.items():
+        best = timed(Look(), (2048, view), ("floor_stored_float32", "from_counts"), 4)
+        stored = best["floor_stored_float32"]
+        text = f"{view.replace('_', ' ')}: from counts against stored float32"
+        yield Row(text, best["from_counts"], stored, "ms", goal, at_least=True)
+
+
+def graph() -> Iterator[Row]:
+    from benchmarks.bench_graph import Graph
+
+    case = Graph()
+    best = timed(case, (100_000,), ("build_and_optimise",), 5)
+    seconds = best["build_and_optimise"] / 1e3
+    with counted_reads("counts/c/") as reads:
+        case.time_open(100_000)
+        case.time_build_and_optimise(100_000)
+    yield Row("graph of 100,000 lines, build and optimise / 1 s", seconds, 1.0, "s", 0.4)
+    yield Row("  tasks a slab, reflectance alone", case.track_tasks_per_slab(100_000), 1.0, "tasks", 2)
+    yield Row("  chunks of the cube read meanwhile", float(len(reads)), 1.0, "reads", 0)
+
+
+def io() -> Iterator[Row]:
+    from benchmarks.bench_io import ReadEnvi
+
+    best = timed(ReadEnvi(), (1024,), ("floor", "drain"), 8)
+    yield Row("ENVI cube drained through dask / pread into one buffer", best["drain"], best["floor"], "ms", 2)
+
+
+class counted_reads:  # noqa: N801 (a context manager)
+    """Gather the keys that are read from local Zarr stores and contain a text."""
+
+    def __init__(self, text: str) -> None:
+        self.text, self.keys = text, []
+
+    def __enter__(self) -> list[str]:
+        from zarr.storage import LocalStore
+
+        self.plain = plain = LocalStore.get
+
+        async def get(store: Any, key: str, *args: Any, **kwargs: Any) -> Any:
+            if self.text in key:
+                self.keys.append(key)
+            return await plain(store, key, *args, **kwargs)
+
+        LocalStore.get = get
+        return self.keys
+
+    def __exit__(self, *_: object) -> None:
+        from zarr.storage import LocalStore
+
+        LocalStore.get = self.plain
+
+
+def memory() -> Iterator[Row]:
+    """Peak memory of whole processes; each child reports its own.
+
+    The long store holds the short one's chunks as hard links, so that it costs no disk.
+    """
+    with tempfile.TemporaryDirectory(prefix="hyperpaint-memory-") as name:
+        folder = Path(name)
+        idle = _child("_imports", folder)["peak"]
+        _child("_prepare", folder)
+        peaks = {}
+        for lines in (6_144, 24_576):
+            done = _child("_process", folder, str(lines))
+            peaks[lines] = done["peak"]
+            print(f"  {lines} lines: {done['peak']:.0f} MB at most, {done['seconds']:.1f} s", file=sys.stderr)
+        long, short = peaks[24_576], peaks[6_144]
+    yield Row("peak memory, 24,576 lines, above the imports / 100 MB", long - idle, 100.0, "MB", 4)
+    yield Row("  24,576 against 6,144 lines", long, short, "MB", 1.15)
+
+
+def _child(step: str, *arguments: object) -> dict[str, float]:
+    command = [sys.executable, __file__, step, *map(str, arguments)]
+    done = subprocess.run(command, check=True, stdout=subprocess.PIPE, text=True)
+    return dict(json.loads(done.stdout.splitlines()[-1]))
+
+
+def _peak() -> float:
+    """Return the peak memory of this process [MB]."""
+    try:
+        # not ru_maxrss, which Linux hands down from the process that started this one
+        status = Path("/proc/self/status").read_text()
+        return int(status.split("VmHWM:")[1].split()[0]) / 1e3
+    except (OSError, IndexError):
+        import resource
+
+        return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / (1e6 if sys.platform == "darwin" else 1e3)
+
+
+def _imports(_folder: Path) -> None:
+    import dask.array
+    import numba
+    import numcodecs.blosc
+    import pint
+    import scipy.interpolate
+    import xarray
+    import zarr
+
+    import hyperpaint.kernels.radiometry  # noqa: F401
+
+
+def _prepare(folder: Path) -> None:
+    from benchmarks.common import BLOCK_LINES, chunk_files, flight_line
+    from hyperpaint import to_store
+
+    to_store(flight_line(BLOCK_LINES), folder / "block.zarr")
+    blocks = chunk_files(folder / "block.zarr")
+    for lines in (6_144, 24_576):
+        path = folder / f"{lines}.zarr"
+        _write_frame(path, lines)
+        for number in range(lines // 32):
+            place = path / "counts" / "c" / str(number) / "0"
+            place.mkdir(parents=True)
+            os.link(blocks[number % len(blocks)], place / "0")
+
+
+def _write_frame(path: Path, lines: int) -> None:
+    from benchmarks.bench_graph import write_without_cube
+
+    write_without_cube(path, lines)
+
+
+def _process(folder: Path, lines: str) -> None:
+    import xarray as xr
+
+    import hyperpaint as hp
+    from benchmarks.bench_pipeline import threads
+
+    line = xr.open_zarr(folder / f"{lines}.zarr")
+    with threads():
+        hp.to_store(line.paint.reflectance()[["reflectance"]], folder / "out.zarr")
+    shutil.rmtree(folder / "out.zarr")
+
+
+GROUPS: dict[str, Callable[[], Iterator[Row]]] = {
+    group.__name__: group for group in (imports, kernel, irradiance, graph, io, look, store)
+}
+EXTRA = {"memory": memory}
+CHILDREN = {child.__name__: child for child in (_imports, _prepare, _process)}
+
+
+def main(arguments: list[str]) -> int:
+    if arguments and arguments[0] in CHILDREN:
+        start = time.perf_counter()
+        CHILDREN[arguments[0]](Path(arguments[1]), *arguments[2:])
+        print(json.dumps({"peak": _peak(), "seconds": time.perf_counter() - start}))
+        return 0
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("groups", nargs="*", choices=[*GROUPS, *EXTRA, []], help="default: all but memory")
+    chosen = parser.parse_args(arguments).groups or list(GROUPS)
+    print(f"load {os.getloadavg()[0]:.1f} on {os.cpu_count()} cores\n{HEADER}")
+    rows = []
+    for name in chosen:
+        for row in {**GROUPS, **EXTRA}[name]():
+            print(row, flush=True)
+            rows.append(row)
+    missed = sum(not row.met for row in rows)
+    print(f"{len(rows) - missed} of {len(rows)} goals met; load {os.getloadavg()[0]:.1f}")
+    return 1 if missed else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

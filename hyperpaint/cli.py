@@ -1,0 +1,302 @@
+"""The command line: ``hyperpaint`` or ``python -m hyperpaint``.
+
+Thin: options in, one function of the package, text out. What is heavy is imported inside a command.
+
+Exit status: 0 done, 1 the data fail a check, 2 the call or an input is wrong.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import warnings
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import click
+
+from . import __version__
+from .errors import PaintError, PaintWarning
+
+__all__ = ["main"]
+
+FAILED_CHECK, WRONG_INPUT = 1, 2
+
+_FOLDER = click.Path(file_okay=False, path_type=Path)
+_INPUT = click.Path(exists=True, path_type=Path)
+
+
+class _Program(click.Group):
+    """A group of commands whose errors are one readable message, and whose warnings are one line each."""
+
+    def invoke(self, ctx: click.Context) -> Any:
+        """Run the command that the context names."""
+        with _short_warnings():
+            try:
+                return super().invoke(ctx)
+            except (PaintError, OSError) as error:
+                # what Python calls an argument is an option here
+                text = str(error).replace("pass overwrite=True", "pass --overwrite")
+                text = text.replace("with overwrite=True", "with --overwrite")
+                click.echo(f"error: {text}", err=True)
+                ctx.exit(WRONG_INPUT)
+
+
+@contextlib.contextmanager
+def _short_warnings() -> Iterator[None]:
+    """Print each of hyperpaint's own warnings once, without Python's file and line."""
+    seen: set[str] = set()
+    with warnings.catch_warnings():
+        otherwise = warnings.showwarning
+
+        def show(message: Warning | str, category: type[Warning], *where: Any, **more: Any) -> None:
+            if not issubclass(category, PaintWarning):
+                otherwise(message, category, *where, **more)
+            elif str(message) not in seen:
+                seen.add(str(message))
+                click.echo(f"warning: {message}", err=True)
+
+        warnings.showwarning = show
+        warnings.simplefilter("always", PaintWarning)
+        yield
+
+
+@click.group(
+    cls=_Program,
+    context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100},
+    epilog="""\b
+Examples:
+  hyperpaint demo --out demo                          see the whole chain on a simulated collect
+  hyperpaint info flight/raw_0.hdr                    what is this file?
+  hyperpaint info collect.toml                        does everything open, and what would be done?
+  hyperpaint process collect.toml --out lot.zarr      raw counts to calibrated reflectance
+  hyperpaint verify lot.zarr                          is every chunk of it there and right?
+
+\b
+Then, in Python:
+  import xarray as xr, hyperpaint
+  line = xr.open_zarr("lot.zarr", group="flightlines/raw_0")
+  line.paint.reflectance()                            lazy, from the stored counts
+  line.paint.quicklook("line.png")
+
+Exit status: 0 done, 1 the data fail a check, 2 the call or an input is wrong.""",
+)
+@click.version_option(__version__, prog_name="hyperpaint")
+def main() -> None:
+    """Turn the raw counts of a pushbroom camera into calibrated reflectance, in labelled xarray."""
+
+
+# --- demo and simulate -------------------------------------------------------------------------------------
+
+
+@main.command(
+    epilog="""\b
+Example:
+  hyperpaint demo --out demo"""
+)
+@click.option("--out", "folder", required=True, type=_FOLDER, help="Folder for everything the demo makes.")
+@click.option("--lines", default=256, show_default=True, type=click.IntRange(min=8), help="Scan lines.")
+@click.option("--bands", default=272, show_default=True, type=click.IntRange(min=8), help="Spectral bands.")
+@click.option("--columns", default=320, show_default=True, type=click.IntRange(min=8), help="Columns.")
+@click.option("--seed", default=0, show_default=True, type=click.IntRange(min=0), help="Another collect.")
+@click.option("--overwrite", is_flag=True, help="Write into a folder that holds other files.")
+@click.option("--quiet", is_flag=True, help="No progress bars.")
+@click.pass_context
+def demo(ctx: click.Context, /, folder: Path, overwrite: bool, quiet: bool, **shape: Any) -> None:
+    """Simulate a collect, process it as if it were real, and compare with the truth.
+
+    Writes raw files in the instruments' own formats, collect.toml, a store, truth.zarr and a picture into the
+    folder, and prints recovered against true reflectance of every paint. Exit status 1 outside tolerance.
+    """
+    import time
+
+    from .demonstration import PICTURE, STORE, run_demonstration
+
+    begin = time.perf_counter()
+    shown = _is_watched(quiet)
+    with _bar("simulating", shown) as simulated:
+        found = run_demonstration(
+            folder, **shape, overwrite=overwrite, progress=shown, simulated=simulated, say=click.echo
+        )
+    click.echo(f"\n{time.perf_counter() - begin:.0f} s in all. Now try:")
+    click.echo(f"  hyperpaint info {folder / 'collect.toml'}")
+    click.echo(f"  hyperpaint verify {folder / STORE}")
+    if (folder / PICTURE).is_file():
+        click.echo(f"  and look at {folder / PICTURE}; or in Python:")
+    else:
+        click.echo("  or in Python:")
+    click.echo("    import xarray as xr, hyperpaint")
+    click.echo(f'    line = xr.open_zarr("{folder / STORE}", group="flightlines/raw_0")')
+    click.echo("    line.paint.reflectance().reflectance")
+    if not found.ok:
+        ctx.exit(FAILED_CHECK)
+
+
+@main.command(
+    epilog="""\b
+Examples:
+  hyperpaint simulate sim --lines 2000
+  hyperpaint simulate sim --shape slit --smile 1.5 --cloud 0.6 4 2 --dropped 12
+  hyperpaint simulate sim --no-noise --no-smile --seed 7 --overwrite"""
+)
+@click.argument("folder", metavar="DIR", type=_FOLDER)
+@click.option("--lines", default=512, show_default=True, type=int, help="Scan lines.")
+@click.option("--bands", default=272, show_default=True, type=int, help="Spectral bands.")
+@click.option("--columns", default=320, show_default=True, type=int, help="Columns.")
+@click.option("--seed", default=0, show_default=True, type=int, help="Same seed, same files.")
+@click.option("--cubes", type=int, help="Cubes the flight is cut into.")
+@click.option(
+    "--shape", "srf_shape", type=click.Choice(["gaussian", "slit"]), help="Line shape of the camera."
+)
+@click.option("--fwhm", "fwhm_nm", type=float, metavar="NM", help="Width of the camera's bands.")
+@click.option(
+    "--smile", "smile_nm", type=float, metavar="NM", help="Wavelength shift at the edge of the swath."
+)
+@click.option("--no-smile", "smile_nm", flag_value=0.0, type=float, help="The same as --smile 0.")
+@click.option("--noise/--no-noise", default=None, help="Shot and read noise in the scene.")
+@click.option("--dark-noise/--no-dark-noise", default=None, help="Read noise in the dark frames.")
+@click.option("--bit-depth", type=int, help="Bits of the converter.")
+@click.option("--exposure-ms", "exposure_time_ms", type=float, metavar="MS", help="Exposure of a line.")
+@click.option("--period-ms", "frame_period_ms", type=float, metavar="MS", help="Time from line to line.")
+@click.option("--stamp", type=click.Choice(["start", "mid", "end"]), help="What a frame's stamp marks.")
+@click.option("--dropped", type=int, metavar="N", help="Frames that were never recorded.")
+@click.option("--bad-elements", type=int, metavar="N", help="Detector elements that see no light.")
+@click.option("--glint", type=float, metavar="SHARE", help="Share of car pixels that mirror the sun.")
+@click.option(
+    "--drift", "drift_per_minute", type=float, metavar="SHARE", help="Change of sunlight in a minute."
+)
+@click.option(
+    "--cloud", type=float, nargs=3, default=None, metavar="SHARE RAMP START",
+    help="A cloud takes a share of the sun, over a ramp of seconds, from a start in seconds on.",
+)  # fmt: skip
+@click.option(
+    "--gap", "irradiance_gap", type=float, nargs=2, default=None, metavar="START STOP",
+    help="Seconds between which no irradiance was logged.",
+)  # fmt: skip
+@click.option("--irradiance-noise", type=float, metavar="SHARE", help="Noise of each irradiance value.")
+@click.option("--clock-offset", "clock_offset_s", type=float, metavar="S", help="Seconds its clock is slow.")
+@click.option("--utc-offset", "utc_offset_h", type=float, metavar="H", help="Zone of the logging PC.")
+@click.option("--sun-zenith", type=float, metavar="DEGREE", help="Zenith angle of the sun.")
+@click.option("--truth/--no-truth", default=True, show_default=True, help="Write truth.zarr.")
+@click.option("--overwrite", is_flag=True, help="Replace an earlier simulated collect.")
+@click.option("--quiet", is_flag=True, help="No progress bar.")
+def simulate(folder: Path, truth: bool, overwrite: bool, quiet: bool, **settings: Any) -> None:
+    """Write a simulated collect with known truth, in the instruments' own formats.
+
+    DIR receives a Headwall folder (flight), a dark cube, ASD files, calibration.zarr, truth.zarr and
+    collect.toml. What is not given has the simulator's default; every effect can be switched off.
+    """
+    from .demonstration import refuse_foreign
+    from .simulation import simulate_collect
+
+    given = {name: value for name, value in settings.items() if value is not None}
+    refuse_foreign(folder, overwrite=overwrite)
+    with _bar("simulating", _is_watched(quiet)) as simulated:
+        path = simulate_collect(folder, truth=truth, overwrite=overwrite, progress=simulated, **given)
+    click.echo(f"{path}\nprocess it with: hyperpaint process {path} --out {folder / 'lot.zarr'}")
+
+
+def _is_watched(quiet: bool) -> bool:
+    """Tell whether progress is wanted: a log file is no place for a bar."""
+    return not quiet and click.get_text_stream("stderr").isatty()
+
+
+@contextlib.contextmanager
+def _bar(label: str, shown: bool) -> Iterator[Any]:
+    """Yield what a function calls with (done, to do), to draw a bar on stderr; None where not shown."""
+    if not shown:
+        yield None
+        return
+    bars: list[Any] = []
+    with contextlib.ExitStack() as stack:
+
+        def update(done: int, total: int) -> None:
+            if not bars:
+                stream = click.get_text_stream("stderr")
+                bar = click.progressbar(length=total, label=label, file=stream)
+                bars.append(stack.enter_context(bar))
+            bars[0].update(done - bars[0].pos)
+            if done >= total:
+                stack.close()
+
+        yield update
+
+
+# --- process, info, verify ---------------------------------------------------------------------------------
+
+
+@main.command(
+    epilog="""\b
+Examples:
+  hyperpaint process collect.toml --out lot.zarr
+  hyperpaint process collect.toml --out lot.zarr --reflectance none     a third of the disk
+  hyperpaint process collect.toml --out lot.zarr --scheduler tcp://node0:8786"""
+)
+@click.argument(
+    "collect", metavar="COLLECT.toml", type=click.Path(exists=True, dir_okay=False, path_type=Path)
+)
+@click.option(
+    "--out", required=True, metavar="STORE.zarr", type=click.Path(path_type=Path), help="The store."
+)
+@click.option(
+    "--to", type=click.Choice(["radiance", "reflectance"]), default="reflectance", show_default=True,
+    help="Radiance needs no irradiance.",
+)  # fmt: skip
+@click.option(
+    "--reflectance", type=click.Choice(["none", "stored"]), default="stored", show_default=True,
+    help="Also store the computed cube, for other programs; it always follows from the stored counts.",
+)  # fmt: skip
+@click.option("--scheduler", metavar="ADDRESS", help="Compute on this dask.distributed cluster.")
+@click.option("--overwrite", is_flag=True, help="Replace groups made from other inputs or parameters.")
+@click.option("--quiet", is_flag=True, help="No progress bar.")
+def process(collect: Path, out: Path, quiet: bool, **options: Any) -> None:
+    """Process a collect into one Zarr store of calibrated flight lines.
+
+    Everything is checked before anything is written. An interrupted run is resumed by running it again; a
+    store that is already complete is left as it is.
+    """
+    from .pipeline import run
+
+    done = run(collect, out, progress=_is_watched(quiet), **options)
+    if not done.written:
+        click.echo(f"{out} is already complete: same inputs, same parameters; nothing was done")
+        return
+    click.echo(f"{out}: wrote {_listed(done.written)}")
+    if done.kept:
+        click.echo(f"{out}: {_listed(done.kept)} there already, from the same inputs")
+
+
+def _listed(groups: tuple[str, ...]) -> str:
+    return ", ".join(f"/{group}" for group in groups)
+
+
+@main.command(
+    epilog="""\b
+Examples:
+  hyperpaint info collect.toml
+  hyperpaint info lot.zarr/flightlines/raw_0"""
+)
+@click.argument("path", type=_INPUT)
+def info(path: Path) -> None:
+    """Tell what a file or store is: dims, units, wavelengths, times, exposure, completeness.
+
+    PATH is an ENVI header or cube, an ASD file, a text or csv export, a frame index, a navigation record, a
+    collect.toml, or a Zarr store or one of its groups. Of a collect everything is opened, and what `process`
+    would do is said.
+    """
+    from .info import describe_path
+
+    click.echo(describe_path(path))
+
+
+@main.command()
+@click.argument("store", metavar="STORE.zarr", type=click.Path(path_type=Path))
+@click.pass_context
+def verify(ctx: click.Context, /, store: Path) -> None:
+    """Read every chunk of a store and compare it with its record; exit status 1 where one is wrong."""
+    from .io.store import verify as verify_store
+
+    report = verify_store(store)
+    click.echo(str(report))
+    if not report.ok:
+        ctx.exit(FAILED_CHECK)

@@ -1,0 +1,345 @@
+"""What a file or a store is, in a few lines of text."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from .errors import FormatError, IncompleteStoreError, StoreError
+from .schema import ALONG_TRACK, BAND, IRRADIANCE_TIME, IRRADIANCE_WAVELENGTH
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+__all__ = ["describe_path"]
+
+_EXPECTED = (
+    "expected an ENVI header or cube, an ASD file, a text or csv export of spectra, a frame index, "
+    "imu_gps.txt, settings.txt, a collect.toml, or a Zarr store or a group in it"
+)
+
+
+def describe_path(path: str | Path) -> str:
+    """Return what a file or store is: dims, units, wavelengths, times, exposure, completeness.
+
+    Reads headers and small files; of cubes and stores no sample. Of a ``collect.toml`` everything is opened
+    that `process` would open, and what it would do is said.
+
+    Parameters
+    ----------
+    path
+        A file, a Zarr store, or a group inside one (``lot.zarr/flightlines/raw_0``).
+
+    Raises
+    ------
+    FormatError
+        The file is damaged, or of no kind known here.
+    CollectError
+        The collect cannot be processed; all problems are listed.
+    StoreError
+        The folder is no Zarr store.
+    """
+    path = Path(path)
+    if not path.exists():
+        msg = f"no such file or folder: {path}"
+        raise FormatError(msg)
+    facts = dict(_folder(path) if path.is_dir() else _file(path))
+    width = max(map(len, facts))
+    indent = "\n" + " " * (width + 4)
+    rows = (f"  {name.ljust(width)}  {text.replace(chr(10), indent)}" for name, text in facts.items() if text)
+    return "\n".join([str(path), *rows])
+
+
+Facts = Iterator[tuple[str, str]]
+
+
+def _file(path: Path) -> Facts:
+    from .io.asd import sniff
+
+    if path.suffix.lower() == ".toml":
+        return _collect(path)
+    if path.suffix.lower() == ".hdr":
+        return _envi(path)
+    kind: str = sniff(path)
+    readers: Mapping[str, Callable[[Path], Facts]] = {
+        "binary": _asd,
+        "text": _asd_text,
+        "csv": _irradiance_csv,
+    }
+    if kind in readers:
+        return readers[kind](path)
+    name = path.name.lower()
+    if name.startswith("frameindex"):
+        return _frame_index(path)
+    if "imu" in name and path.suffix.lower() == ".txt":
+        return _navigation(path)
+    if name == "settings.txt":
+        return _settings(path)
+    beside = (path.with_name(path.name + ".hdr"), path.with_suffix(".hdr"))
+    if any(header.is_file() for header in beside):
+        return _envi(path)
+    msg = f"{path}: not a kind of file known here; {_EXPECTED}"
+    raise FormatError(msg)
+
+
+# --- one kind of file each ---------------------------------------------------------------------------------
+
+
+def _envi(path: Path) -> Facts:
+    from .io.envi import find_pair, open_envi
+    from .io.envi_header import read_header
+    from .io.headwall import exposure_seconds
+
+    header_path, data = find_pair(path)
+    header = read_header(header_path)
+    if header.is_spectral_library:
+        yield "is", f"ENVI spectral library: {header.lines} spectra of {header.samples} values"
+        return
+    opened = open_envi(path)
+    name, cube = next(iter(opened.data_vars.items()))
+    yield (
+        "is",
+        f"ENVI cube, {header.interleave}, {header.dtype.newbyteorder('=')}, {_bytes(data.stat().st_size)}",
+    )
+    yield str(name), _form(cube)
+    yield from _spectral(opened)
+    exposure = exposure_seconds(header.comments, header_path.name)
+    yield "exposure", "" if exposure is None else f"{exposure * 1e3:g} ms (header comments)"
+    yield "notes", "\n".join(header.notes)
+
+
+def _asd(path: Path) -> Facts:
+    from .io.asd_layout import read_asd
+
+    file = read_asd(path)
+    yield "is", f"ASD spectrum, binary version {file.version}, {file.instrument} {file.instrument_number}"
+    yield (
+        "holds",
+        f"{file.data_type} (stored as raw counts){'' if file.reference is None else ', white reference'}",
+    )
+    yield "wavelength", _range(file.wavelength, "nm")
+    zone = "zone unknown" if file.utc_offset_h is None else f"UTC{file.utc_offset_h:+g} h"
+    yield "saved", f"{file.local_time} by the logging PC ({zone})"
+    yield "exposure", f"{file.integration_ms:g} ms, {file.sample_averages} averaged"
+    optic = "cosine receptor" if file.fore_optic >= 180 else f"{file.fore_optic} degree"
+    yield "fore optic", "none" if file.fore_optic == 0 else optic
+    yield (
+        "calibration",
+        ", ".join(f"{kind} ({block.name})" for kind, block in file.calibrations.items()) or "none",
+    )
+    yield "position", "" if file.gps is None else f"{file.gps.latitude:.6f}, {file.gps.longitude:.6f}"
+    yield "saturated", ", ".join(sorted(file.saturated))
+
+
+def _asd_text(path: Path) -> Facts:
+    from .io.asd_text import read_asd_text
+
+    text = read_asd_text(path)
+    yield "is", f"text export of ASD spectra: {len(text.spectra)} spectra"
+    yield (
+        "holds",
+        f"{text.likely_quantity} (a guess from the plot range)" if text.likely_quantity else "unknown units",
+    )
+    yield "wavelength", _range(text.wavelength, "nm")
+    yield "saved", "" if text.local_time is None else f"{text.local_time} by the logging PC (zone unknown)"
+    yield "exposure", "" if text.integration_ms is None else f"{text.integration_ms:g} ms"
+
+
+def _irradiance_csv(path: Path) -> Facts:
+    from .io.irradiance_csv import read_irradiance_csv
+
+    found: Any = read_irradiance_csv(path)
+    shape = np.shape(found.values)
+    yield "is", f"csv series of irradiance: {shape[0]} samples x {shape[-1]} wavelengths"
+    yield "wavelength", _range(found.wavelength, "nm")
+
+
+def _frame_index(path: Path) -> Facts:
+    from .io.headwall import read_frame_index
+
+    index = read_frame_index(path)
+    frames = index.frame
+    missing = int(frames[-1] - frames[0] + 1 - frames.size)
+    yield "is", "Headwall frame index"
+    yield "frames", f"{frames.size}, number {frames[0]} to {frames[-1]}, {missing} missing"
+
+
+def _navigation(path: Path) -> Facts:
+    from .io.navigation import read_imu_gps
+
+    record = read_imu_gps(path)
+    yield "is", f"navigation record: {record.rows.size} rows"
+    if record.utc is not None:
+        yield "times", _times(record.utc.astype("datetime64[ns]"))
+    for name in ("latitude", "longitude", "altitude"):
+        yield name, _range(record.values[name], "m" if name == "altitude" else "degree", digits=6)
+
+
+def _settings(path: Path) -> Facts:
+    from .io.headwall import exposure_seconds, read_settings
+
+    pairs = read_settings(path)
+    exposure = exposure_seconds(pairs, path.name)
+    yield "is", f"Headwall settings: {len(pairs)} entries"
+    yield "exposure", "" if exposure is None else f"{exposure * 1e3:g} ms"
+
+
+# --- collects and stores -----------------------------------------------------------------------------------
+
+
+def _collect(path: Path) -> Facts:
+    from .io.collect import open_collect, read_collect
+
+    collect = read_collect(path, need_irradiance=False)
+    lit = collect.irradiance is not None
+    tree = open_collect(path, need_irradiance=lit)
+    several = _count(len(collect.flightlines), "flight line")
+    yield "is", f"collect {collect.name!r}, {several}; every file opens"
+    total = 0
+    for entry in collect.flightlines:
+        line = tree[f"flightlines/{entry.id}"].to_dataset()
+        total += line["counts" if "counts" in line else "radiance"].nbytes
+        yield entry.id, _joined(_line(line))
+    if lit:
+        yield "irradiance", _joined(_irradiance(tree["irradiance"].to_dataset()))
+    for reference in collect.references:
+        yield "references", f"{reference.instrument}: {_count(len(reference.files), 'file')}"
+    product = "reflectance" if lit else "radiance only, since there is no irradiance"
+    options = "" if lit else " --to radiance"
+    yield (
+        "process",
+        f"would store {several} ({_bytes(total)} of cubes), quality and {product}:\n"
+        f"hyperpaint process {path} --out STORE.zarr{options}",
+    )
+
+
+def _line(line: xr.Dataset) -> Facts:
+    """Yield what stands for a flight line, opened or stored."""
+    for name in ("counts", "radiance", "reflectance"):
+        if name in line:
+            yield name, _form(line[name])
+    yield from _spectral(line)
+    if "time" in line.coords:
+        yield "times", _times(line["time"].values)
+    if "exposure_time" in line.variables:
+        source = line.attrs.get("exposure_source", "")
+        text = _range(np.unique(line["exposure_time"].values) * 1e3, "ms")
+        yield "exposure", f"{text} ({source})" if source else text
+    yield "dark", str(line.attrs.get("dark_source", ""))
+    if "irradiance" in line:
+        yield "irradiance", f"{_count(line.sizes[IRRADIANCE_TIME], 'sample')} around the line"
+
+
+def _irradiance(dataset: xr.Dataset) -> Facts:
+    yield "irradiance", _form(dataset["irradiance"])
+    yield "wavelength", _range(dataset[IRRADIANCE_WAVELENGTH].values, "nm")
+    yield "times", _times(dataset[IRRADIANCE_TIME].values)
+
+
+def _folder(path: Path) -> Facts:
+    if (path / "zarr.json").is_file():
+        return _store(path)
+    known = sorted(
+        entry.name
+        for entry in path.iterdir()
+        if entry.suffix.lower() in (".toml", ".hdr", ".asd", ".zarr") and not entry.name.startswith(".")
+    )
+    seen = f"; in it are {', '.join(known[:8])}{' ...' if len(known) > 8 else ''}" if known else ""
+    msg = f"{path} is a folder and no Zarr store{seen}; {_EXPECTED}"
+    raise StoreError(msg)
+
+
+def _store(path: Path) -> Facts:
+    from .io.store import list_groups
+
+    groups = list_groups(path)
+    if groups == [""]:
+        yield "is", "one group of Zarr arrays"
+        yield from _group(path, "")
+        return
+    yield "is", f"Zarr store, {_count(len(groups), 'group')} with arrays"
+    for name in groups:
+        yield f"/{name}", _joined(_group(path, name))
+
+
+def _group(path: Path, name: str) -> Facts:
+    """Yield what a group holds, or why it must not be read."""
+    import xarray as xr
+
+    from .io.store import open_store
+
+    try:
+        group = open_store(path, name)
+        yield "state", f"complete, written {group.attrs.get('created', 'at an unknown time')}"
+    except IncompleteStoreError as error:
+        yield "state", f"NOT COMPLETE, or of another program: {error}"
+        group = xr.open_zarr(path, group=name or None, consolidated=False)
+    if ALONG_TRACK in group.dims:
+        yield from _line(group)
+        told = ("counts", "radiance", "reflectance", "irradiance", "exposure_time")
+        yield "beside", ", ".join(sorted(str(key) for key in group.data_vars if key not in told))
+    elif "irradiance" in group:
+        yield from _irradiance(group)
+    else:
+        yield from ((str(key), _form(array)) for key, array in sorted(group.data_vars.items(), key=str))
+        yield from _spectral(group)
+
+
+def _joined(facts: Facts) -> str:
+    return "\n".join(f"{name}: {text}" for name, text in facts if text)
+
+
+# --- words -------------------------------------------------------------------------------------------------
+
+
+def _form(array: xr.DataArray) -> str:
+    """Return the dims, dtype and units of an array."""
+    shape = " x ".join(f"{size} {dim}" for dim, size in array.sizes.items()) or "scalar"
+    units = array.attrs.get("units")
+    return f"{shape}, {array.dtype}" + (f" [{units}]" if units else "")
+
+
+def _spectral(dataset: xr.Dataset) -> Facts:
+    if "wavelength" not in dataset.coords:
+        yield "wavelength", "unknown" if BAND in dataset.dims else ""
+        return
+    text = _range(dataset["wavelength"].values, "nm")
+    if "fwhm" in dataset.coords:
+        text += f", fwhm {_range(dataset['fwhm'].values, 'nm')}"
+    if "good" in dataset.coords and not dataset["good"].values.all():
+        text += f", {_count(int((~dataset['good'].values).sum()), 'bad band')}"
+    yield "wavelength", text
+
+
+def _count(number: int, thing: str) -> str:
+    return f"{number} {thing}" if number == 1 else f"{number} {thing}s"
+
+
+def _range(values: Any, units: str, digits: int = 3) -> str:
+    known = np.asarray(values, np.float64)
+    known = known[np.isfinite(known)]
+    if not known.size:
+        return "unknown"
+    low, high = (f"{value:.{digits}f}".rstrip("0").rstrip(".") for value in (known.min(), known.max()))
+    return f"{low} {units}" if low == high else f"{low} to {high} {units}"
+
+
+def _times(times: Any) -> str:
+    known = times[~np.isnat(times)]
+    if not known.size:
+        return "times unknown"
+    first, last = (np.datetime_as_string(time, unit="ms") for time in (known.min(), known.max()))
+    lost = f", {times.size - known.size} without a time" if known.size < times.size else ""
+    return f"{first} to {last} UTC{lost}"
+
+
+def _bytes(count: int) -> str:
+    size = float(count)
+    for unit in ("bytes", "kB", "MB"):
+        if size < 1000:
+            return f"{size:.0f} {unit}" if unit == "bytes" else f"{size:.1f} {unit}"
+        size /= 1000
+    return f"{size:.1f} GB"

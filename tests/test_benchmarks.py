@@ -1,0 +1,93 @@
+"""Every benchmark runs, at its smallest size: a benchmark that broke is found here, not months later."""
+
+from __future__ import annotations
+
+import importlib
+import inspect
+import itertools
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+MODULES = ("bench_graph", "bench_import", "bench_io", "bench_kernels", "bench_pipeline")
+SLOW = {"time_integral_of_each_band"}
+"""Kept for its size alone: `ratios.py` shows what a loop over bands costs."""
+
+
+def _benchmarks() -> Iterator[Any]:
+    if not (ROOT / "benchmarks").is_dir():
+        return
+    sys.path.insert(0, str(ROOT))
+    try:
+        for name in MODULES:
+            module = importlib.import_module(f"benchmarks.{name}")
+            for label, kind in inspect.getmembers(module, inspect.isclass):
+                if kind.__module__ == module.__name__:
+                    yield pytest.param(kind, id=f"{name}-{label}")
+    finally:
+        sys.path.remove(str(ROOT))
+
+
+def _smallest(kind: Any) -> Iterator[tuple[Any, ...]]:
+    """Return the smallest of each numeric parameter with every value of the others."""
+    choices = [[min(v)] if isinstance(v[0], int) else v for v in getattr(kind, "params", ())]
+    return itertools.product(*choices)
+
+
+@pytest.mark.skipif(not (ROOT / "benchmarks").is_dir(), reason="installed without its benchmarks")
+@pytest.mark.parametrize("kind", _benchmarks())
+def test_benchmark_runs_at_its_smallest_size(kind: Any) -> None:
+    methods = [
+        name for name in dir(kind) if name.startswith(("time_", "track_", "timeraw_")) and name not in SLOW
+    ]
+    assert methods
+    for arguments in _smallest(kind):
+        case = kind()
+        getattr(case, "setup", lambda *_: None)(*arguments)
+        try:
+            for name in methods:
+                made = getattr(case, name)(*arguments)
+                if name.startswith("timeraw_"):
+                    compile(made, name, "exec")
+                elif name.startswith("track_"):
+                    assert made >= 0
+        finally:
+            getattr(case, "teardown", lambda *_: None)(*arguments)
+
+
+@pytest.mark.skipif(not (ROOT / "benchmarks").is_dir(), reason="installed without its benchmarks")
+def test_counts_are_those_of_a_camera(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.syspath_prepend(str(ROOT))
+    common = importlib.import_module("benchmarks.common")
+    first = common.counts_block(64, 40, 96)
+    common.counts_block.cache_clear()
+    assert first.dtype == "uint16"
+    assert (first == common.counts_block(64, 40, 96)).all()
+    saturated = (first == common.FULL_SCALE).any(axis=1).mean()
+    assert 0.0002 < saturated < 0.02
+    # shot noise: neighbouring lines of one surface differ by the square root of their electrons
+    assert 5 < first[:, 20, 2].std() < 200
+
+
+def test_the_bare_job_makes_what_the_store_holds(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A floor that did less work than ours would make every ratio look bad, one that did another, meaningless."""
+    np = pytest.importorskip("numpy")
+    monkeypatch.syspath_prepend(str(ROOT))
+    common, pipeline = (importlib.import_module(f"benchmarks.{n}") for n in ("common", "bench_pipeline"))
+    case = pipeline.ToStore()
+    case.setup(64)
+    try:
+        case.time_floor(64)
+        case.time_to_store(64)
+        floor, ours = sorted(common.scratch().glob("out-*"), key=lambda p: int(p.name.split("-")[1]))
+        for number, file in enumerate(common.chunk_files(ours, "reflectance")):
+            stored = file.read_bytes()
+            assert stored[:-4] == (floor / str(number)).read_bytes()
+        made = case.line.paint.reflectance()["reflectance"]
+        assert np.isfinite(made.values).mean() > 0.98
+    finally:
+        case.teardown(64)
