@@ -1,5 +1,7 @@
 """Loops over arrays: memory in, memory out, one thread."""
 
+# ruff: noqa: ARG002 (asv hands every parameter to every method)
+
 from __future__ import annotations
 
 import numpy as np

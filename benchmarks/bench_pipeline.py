@@ -1,5 +1,7 @@
 """From a store of counts to a store of reflectance, and to what a person looks at."""
 
+# ruff: noqa: ARG002 (asv hands every parameter to every method)
+
 from __future__ import annotations
 
 import functools
@@ -85,13 +87,9 @@ class ToStore:
         light = light.interp(irradiance_wavelength=line["wavelength"]).reset_coords(drop=True)
         above = line["counts"] - line["dark_counts"].astype("float64")
         radiance = above * line["radiance_gain"].astype("float64") / line["exposure_time"]
-        reflectance = (
-            (np.pi * radiance / light).drop_vars(["time"], errors="ignore").transpose(*line["counts"].dims)
-        )
+        made = (np.pi * radiance / light).transpose(*line["counts"].dims).to_dataset(name="reflectance")
         with threads():
-            reflectance.rename("reflectance").to_dataset().to_zarr(
-                self._fresh(), zarr_format=3, consolidated=False
-            )
+            made.to_zarr(self._fresh(), zarr_format=3, consolidated=False)
 
 
 @functools.cache

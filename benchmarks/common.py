@@ -226,7 +226,8 @@ def calibrate(
     calibrate_slab(
         counts, plan.dark, plan.dark_index[here], plan.dark_weight[here], plan.gain,
         plan.light(here.start, here.stop), plan.smile.shift, plan.smile.edges, plan.smile.cells,
-        plan.limit, plan.floor, plan.zero, plan.watched, plan.flag_limits, plan.line_flags[here], plan.column_flags,
+        plan.limit, plan.floor, plan.zero, plan.watched, plan.flag_limits,
+        plan.line_flags[here], plan.column_flags,
         np.uint32(dropped), out, out.view(np.uint32), quality,
     )  # fmt: skip
 

@@ -208,15 +208,11 @@ def _peak() -> float:
 
 
 def _imports(_folder: Path) -> None:
-    import dask.array
-    import numba
-    import numcodecs.blosc
-    import pint
-    import scipy.interpolate
-    import xarray
-    import zarr
+    import importlib
 
-    import hyperpaint.kernels.radiometry  # noqa: F401
+    modules = ("dask.array", "numba", "numcodecs.blosc", "pint", "scipy.interpolate", "xarray", "zarr")
+    for module in (*modules, "hyperpaint.kernels.radiometry", "hyperpaint.io.store"):
+        importlib.import_module(module)
 
 
 def _prepare(folder: Path) -> None:

@@ -8,6 +8,7 @@ Exit status: 0 done, 1 the data fail a check, 2 the call or an input is wrong.
 from __future__ import annotations
 
 import contextlib
+import sys
 import warnings
 from collections.abc import Iterator
 from pathlib import Path
@@ -198,7 +199,7 @@ def simulate(folder: Path, truth: bool, overwrite: bool, quiet: bool, **settings
 
 def _is_watched(quiet: bool) -> bool:
     """Tell whether progress is wanted: a log file is no place for a bar."""
-    return not quiet and click.get_text_stream("stderr").isatty()
+    return not quiet and sys.stderr.isatty()
 
 
 @contextlib.contextmanager
@@ -212,8 +213,7 @@ def _bar(label: str, shown: bool) -> Iterator[Any]:
 
         def update(done: int, total: int) -> None:
             if not bars:
-                stream = click.get_text_stream("stderr")
-                bar = click.progressbar(length=total, label=label, file=stream)
+                bar = click.progressbar(length=total, label=label, file=sys.stderr)
                 bars.append(stack.enter_context(bar))
             bars[0].update(done - bars[0].pos)
             if done >= total:

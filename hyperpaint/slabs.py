@@ -214,8 +214,9 @@ def _check_values(cube: Mapping[str, Any], shape: tuple[int, int, int]) -> None:
         if expected and np.shape(value)[-2:] != expected:
             problems.add(f"{name!r} has shape {np.shape(value)}, expected (band, cross_track) = {expected}")
     exposure = np.asarray(cube.get("exposure_time", 1.0), np.float64)
-    if not (np.isfinite(exposure).all() and (exposure > 0).all()):
-        problems.add(f"'exposure_time' must be positive, found {np.nanmin(exposure):g} s")
+    wrong = exposure[~(np.isfinite(exposure) & (exposure > 0))]
+    if wrong.size:
+        problems.add(f"'exposure_time' must be positive, found {wrong[0]:g} s")
     elif (exposure > 60).any():
         problems.add(f"'exposure_time' is {exposure.max():g} s; is it in milliseconds? set its units to 'ms'")
     gain = np.asarray(cube.get("radiance_gain", 1.0))

@@ -99,9 +99,11 @@ def flight(
 
 def stored(line: xr.Dataset, path: Any, chunk: int = 8) -> xr.Dataset:
     """Write a flight line to a plain Zarr store, and open it as any user would: everything is lazy."""
-    whole = {dim: -1 for dim in line.dims}
-    chunked = line.chunk({**whole, "along_track": chunk} if "along_track" in line.dims else whole)
-    chunked.to_zarr(path, zarr_format=2)
+    cubes = [name for name in ("counts", "radiance") if name in line]
+    whole = line.chunk({dim: -1 for dim in line.dims})
+    whole.assign({name: line[name].variable.chunk({"along_track": chunk}) for name in cubes}).to_zarr(
+        path, zarr_format=2
+    )
     return xr.open_zarr(path)
 
 

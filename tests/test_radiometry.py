@@ -78,10 +78,11 @@ def test_linear_light_is_reproduced_exactly() -> None:
 
 
 def test_the_wrong_neighbour_in_time_would_be_seen() -> None:
-    made = flight(lines=4, drift=0.2)
+    made = flight(lines=4, drift=0.2, level=0.2)
+    made.line["saturation_count"].values[()] = 1e6
     np.testing.assert_allclose(values(made.line), made.reflectance, rtol=1e-5)
     late = made.line.assign_coords(irradiance_time=made.line.irradiance_time + np.timedelta64(2, "s"))
-    assert np.abs(values(late) / made.reflectance - 1).min() > 0.1
+    assert np.abs(values(late) / made.reflectance - 1).min() > 0.1  # 2 s late
 
 
 def test_twice_the_exposure_changes_counts_and_nothing_else() -> None:
@@ -502,7 +503,7 @@ def test_a_lazy_record_is_refused_when_it_is_read() -> None:
 
 
 def test_clocks_that_are_off() -> None:
-    made = flight(drift=0.05)
+    made = flight(drift=0.01)
     offset = np.timedelta64(37_250_000_000, "ns")
     wrong = made.line.assign_coords(irradiance_time=made.line.irradiance_time + offset)
     got = reflectance(wrong).compute()  # the record begins 27 s after the line
@@ -820,9 +821,7 @@ def test_values_that_cannot_be(name: str, value: Any, word: str) -> None:
 def test_calibration_of_another_camera() -> None:
     line, other = flight().line, flight(columns=5).line
     wrong = line.drop_vars("radiance_gain")
-    gain = da.from_array(other.radiance_gain.values)
-    wrong["radiance_gain"] = xr.Variable(("band", "cross_track"), np.ones((12, 6)), line.radiance_gain.attrs)
-    del wrong["radiance_gain"]
+    gain = other.radiance_gain.values
     with pytest.raises(ValueError, match="cross_track"):
         wrong.assign(radiance_gain=(("band", "cross_track"), gain, line.radiance_gain.attrs))
 

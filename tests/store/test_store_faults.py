@@ -274,6 +274,10 @@ def _record_of_another(store: Path) -> None:
     shutil.copy(store / "flightlines/raw_1/counts/hyperpaint-chunks.json", store / GROUP / "counts")
 
 
+def _group_metadata_damaged(store: Path) -> None:
+    (store / GROUP / "zarr.json").write_text("")
+
+
 def _seal_damaged(store: Path) -> None:
     path = store / GROUP / "zarr.json"
     path.write_text(path.read_text().replace("token=", "tokem="))
@@ -292,6 +296,7 @@ def _seal_damaged(store: Path) -> None:
         (_record_not_json, False),
         (_record_of_another, False),
         (_seal_damaged, False),
+        (_group_metadata_damaged, False),
     ],
 )
 def test_damaged_metadata(damage: Callable[[Path], None], readable: bool, store: Path) -> None:

@@ -30,7 +30,9 @@ def flightline(lines: int = 70, seed: int = 0, *, lazy: bool = True) -> xr.Datas
     counts = rng.integers(0, 65536, (lines, 3, 5), dtype="uint16")
     reflectance = rng.random((lines, 3, 5), dtype="float32")
     reflectance[1, 1, 1], reflectance[2] = np.inf, np.nan
-    time = np.datetime64("2026-06-01T12:00:00.123456789", "ns") + (np.arange(lines) * 7_000_001).astype("m8[ns]")
+    time = np.datetime64("2026-06-01T12:00:00.123456789", "ns") + (np.arange(lines) * 7_000_001).astype(
+        "m8[ns]"
+    )
     time[3] = np.datetime64("NaT", "ns")
     dataset = xr.Dataset(
         {

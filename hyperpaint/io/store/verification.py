@@ -105,7 +105,7 @@ def verify(path: str | os.PathLike[str]) -> StoreReport:
             continue
         chunks += sum(len(array.chunks) for array in record.arrays.values())
         problems.extend(_group_problems(location, group, record))
-    return StoreReport(location.url, tuple(groups), chunks, tuple(problems))
+    return StoreReport(location.url, tuple(groups), chunks, tuple(dict.fromkeys(problems)))
 
 
 def _root_problems(location: Location, groups: list[str]) -> Iterator[str]:
@@ -122,8 +122,9 @@ def _root_problems(location: Location, groups: list[str]) -> Iterator[str]:
     for name, document in listed.items():
         try:
             actual = location.metadata(name)
-        except IncompleteStoreError:
-            continue  # reported with its group
+        except IncompleteStoreError as error:
+            yield str(error)
+            continue
         if actual is None:
             yield f"/{name}: listed in the root's metadata but not there"
         elif not isinstance(document, dict) or not _same_node(document, actual):

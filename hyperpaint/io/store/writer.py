@@ -128,13 +128,11 @@ def _plan(
     """Return the groups to write, and the attributes of groups without variables."""
     import xarray as xr
 
+    is_tree = not isinstance(data, xr.Dataset)
     if isinstance(data, xr.Dataset):
-        nodes, is_tree = {group: data}, False
+        nodes = {group: data}
     else:
-        nodes, is_tree = (
-            {_inside(group, data, node): node.to_dataset(inherit=False) for node in data.subtree},
-            True,
-        )
+        nodes = {_inside(group, data, node): node.to_dataset(inherit=False) for node in data.subtree}
     jobs, attrs = [], {}
     for name, dataset in nodes.items():
         prepared = layout.prepare(dataset, name)
@@ -219,20 +217,20 @@ def _found(job: _Job, location: Location) -> str:
     for above in _above(job.group):
         if (location.metadata(above) or {}).get("node_type") == "array":
             return "array"
-    metadata = location.metadata(job.group)
+    try:
+        metadata = location.metadata(job.group)
+        record = read_record(location, job.group)
+    except IncompleteStoreError:  # damaged: to be replaced
+        metadata, record = {}, None
     if metadata is None:
         return ""
     if metadata.get("node_type") == "array":
         return "array"
-    try:
-        record = read_record(location, job.group)
-    except IncompleteStoreError:
-        record = None
     if record is not None and record.token == job.token:
         return "same"
     if location.subgroups(job.group):
         return "parent"
-    return "was never finished" if record is None else "with other content"
+    return "was never finished or is damaged" if record is None else "with other content"
 
 
 def _above(group: str) -> list[str]:

@@ -1,0 +1,258 @@
+"""`process`: what lands in the store, when nothing is done, and what is refused."""
+
+from __future__ import annotations
+
+import re
+import shutil
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import xarray as xr
+
+import hyperpaint as hp
+from hyperpaint.pipeline import run
+
+
+@pytest.fixture(scope="module")
+def source(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Folder of a small simulated collect: two cubes, dropped frames."""
+    folder = tmp_path_factory.mktemp("collect")
+    hp.simulate_collect(folder, lines=80, bands=48, columns=12, cubes=2, dropped=3, seed=3)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def store(source: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The processed collect; tests only read it."""
+    return hp.process(source / "collect.toml", tmp_path_factory.mktemp("store") / "lot.zarr")
+
+
+@pytest.fixture
+def collect(source: Path, tmp_path: Path) -> Path:
+    """A copy of the collect that a test may spoil; its ``collect.toml``."""
+    shutil.copytree(source, tmp_path / "raw", copy_function=shutil.copy2)
+    return tmp_path / "raw" / "collect.toml"
+
+
+def groups_of(store: Path) -> list[str]:
+    from hyperpaint.io.store import list_groups
+
+    return list_groups(store)
+
+
+def lines_of(store: Path) -> Iterator[xr.Dataset]:
+    for group in groups_of(store):
+        if group.startswith("flightlines/"):
+            yield xr.open_zarr(store, group=group)
+
+
+def state_of(folder: Path) -> dict[str, tuple[int, int]]:
+    return {
+        str(path.relative_to(folder)): (path.stat().st_mtime_ns, path.stat().st_size)
+        for path in sorted(folder.rglob("*"))
+    }
+
+
+def round_bits(values: np.ndarray[Any, Any], bits: int) -> np.ndarray[Any, Any]:
+    """Round float32 to ``bits`` mantissa bits, to nearest-even, by integer arithmetic of its own."""
+    raw = values.view(np.uint32).astype(np.uint64)
+    drop = 23 - bits
+    half = np.uint64((1 << (drop - 1)) - 1)
+    even = (raw >> np.uint64(drop)) & np.uint64(1)
+    rounded = ((raw + half + even) >> np.uint64(drop)) << np.uint64(drop)
+    made = rounded.astype(np.uint32).view(np.float32)
+    return np.where(np.isnan(values), values, made)
+
+
+def test_a_collect_becomes_one_group_a_line_and_the_archives(store: Path) -> None:
+    lines = [name for name in groups_of(store) if name.startswith("flightlines/")]
+    assert len(lines) == 2
+    assert set(groups_of(store)) == {*lines, "calibration", "irradiance"}
+    assert hp.verify(store).ok
+    for line in lines_of(store):
+        assert line["counts"].dtype == np.uint16
+        assert line["reflectance"].dtype == np.float32
+        assert line["quality"].dtype == np.uint16
+        assert line["irradiance_age"].dtype == np.float32
+        assert line["reflectance"].attrs["keep_bits"] == 12
+        assert line["counts"].data.chunksize[0] == 32
+        assert line.attrs["hyperpaint_format"] == 1
+
+
+def test_stored_reflectance_is_the_computed_one_rounded(store: Path) -> None:
+    for line in lines_of(store):
+        computed = line.paint.reflectance()
+        expected = round_bits(computed["reflectance"].values, 12)
+        np.testing.assert_array_equal(line["reflectance"].values, expected)
+        np.testing.assert_array_equal(line["quality"].values, computed["quality"].values)
+        np.testing.assert_array_equal(line["irradiance_age"].values, computed["irradiance_age"].values)
+        ratio = line["reflectance"].values / computed["reflectance"].values
+        assert np.nanmax(np.abs(ratio - 1)) <= 2.0**-13
+
+
+def test_store_and_files_give_the_same_bits(source: Path, store: Path) -> None:
+    tree = hp.open_collect(source / "collect.toml")
+    for group in groups_of(store):
+        if group.startswith("flightlines/"):
+            opened = tree[group].to_dataset().paint.reflectance(keep_bits=12)
+            stored = xr.open_zarr(store, group=group)
+            for name in ("counts", "reflectance", "quality"):
+                np.testing.assert_array_equal(opened[name].values, stored[name].values)
+            np.testing.assert_array_equal(opened["time"].values, stored["time"].values)
+
+
+def test_overview_is_the_picture_of_the_line(store: Path) -> None:
+    line = next(lines_of(store))
+    picture = line["overview"]
+    assert picture.dims == ("overview_y", "overview_x", "rgb")
+    assert picture.dtype == np.uint8
+    assert picture.shape == (line.sizes["along_track"], line.sizes["cross_track"], 3)
+    expected = hp.rgb(line[["reflectance"]]).values
+    np.testing.assert_allclose(picture.values / 255.0, expected, atol=0.51 / 255)
+
+
+def test_rerun_changes_nothing(collect: Path, tmp_path: Path) -> None:
+    out = tmp_path / "lot.zarr"
+    first = run(collect, out)
+    before = state_of(tmp_path)
+    second = run(collect, out)
+    assert set(second.kept) == set(first.written)
+    assert second.written == ()
+    assert state_of(tmp_path) == before
+
+
+def test_rerun_writes_only_what_is_missing(collect: Path, tmp_path: Path) -> None:
+    out = tmp_path / "lot.zarr"
+    text = collect.read_text()
+    one = text[: text.rindex("[[flightlines]]")]
+    collect.write_text(one)
+    run(collect, out)
+    before = state_of(out / "flightlines" / "raw_0")
+    collect.write_text(text)
+    found = run(collect, out)
+    assert len(found.written) == 1
+    assert found.written[0].startswith("flightlines/")
+    assert state_of(out / "flightlines" / "raw_0") == before
+    assert hp.verify(out).ok
+
+
+def test_other_inputs_are_refused_without_overwrite(collect: Path, tmp_path: Path) -> None:
+    out = tmp_path / "lot.zarr"
+    hp.process(collect, out)
+    before = state_of(out)
+    collect.write_text(collect.read_text().replace("clock_offset_s = 37.25", "clock_offset_s = 38.25"))
+    with pytest.raises(hp.StoreError, match="overwrite=True") as caught:
+        hp.process(collect, out)
+    for name in ("/flightlines/raw_0", "/irradiance"):
+        assert name in str(caught.value)
+    assert "/calibration" not in str(caught.value)
+    assert state_of(out) == before
+    found = run(collect, out, overwrite=True)
+    assert found.kept == ("calibration",)
+    assert hp.verify(out).ok
+
+
+def test_a_changed_cube_is_other_input(collect: Path, tmp_path: Path) -> None:
+    out = tmp_path / "lot.zarr"
+    hp.process(collect, out)
+    cube = collect.parent / "flight" / "raw_0"
+    samples = np.fromfile(cube, "<u2")
+    samples[0] += 1
+    samples.tofile(cube)
+    with pytest.raises(hp.StoreError, match="/flightlines/raw_0 is there already"):
+        hp.process(collect, out)
+
+
+def test_lines_of_another_collect_are_never_mixed_in(collect: Path, tmp_path: Path) -> None:
+    out = tmp_path / "lot.zarr"
+    hp.process(collect, out)
+    collect.write_text(collect.read_text().replace('id = "raw_0"', 'id = "other"'))
+    with pytest.raises(hp.StoreError, match="raw_0, which is not of this collect"):
+        hp.process(collect, out, overwrite=True)
+
+
+def test_a_folder_that_is_no_store_is_refused(collect: Path, tmp_path: Path) -> None:
+    out = tmp_path / "photos"
+    out.mkdir()
+    (out / "holiday.jpg").write_bytes(b"x")
+    with pytest.raises(hp.StoreError):
+        hp.process(collect, out, overwrite=True)
+    assert [entry.name for entry in out.iterdir()] == ["holiday.jpg"]
+
+
+def test_radiance_needs_no_irradiance(collect: Path, tmp_path: Path) -> None:
+    text = collect.read_text()
+    start, stop = text.index("[irradiance]"), text.index("[[flightlines]]")
+    collect.write_text(text[:start] + text[stop:])
+    with pytest.raises(hp.CollectError, match="irradiance"):
+        hp.process(collect, tmp_path / "lot.zarr")
+    assert not (tmp_path / "lot.zarr").exists()
+    out = hp.process(collect, tmp_path / "lot.zarr", to="radiance")
+    for line in lines_of(out):
+        assert "reflectance" not in line
+        assert line["radiance"].dtype == np.float32
+        np.testing.assert_array_equal(line["radiance"].values, line.paint.radiance()["radiance"].values)
+
+
+def test_reflectance_need_not_be_stored(collect: Path, store: Path, tmp_path: Path) -> None:
+    out = hp.process(collect, tmp_path / "small.zarr", reflectance="none")
+    for line, whole in zip(lines_of(out), lines_of(store), strict=True):
+        assert "reflectance" not in line
+        np.testing.assert_array_equal(line["quality"].values, whole["quality"].values)
+        np.testing.assert_array_equal(line["overview"].values, whole["overview"].values)
+        computed = line.paint.reflectance(keep_bits=12)["reflectance"].values
+        np.testing.assert_array_equal(computed, whole["reflectance"].values)
+
+
+def test_values_that_cannot_be_are_found_before_writing(
+    collect: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(*_args: Any, **_kwargs: Any) -> None:
+        msg = "the gain cannot be"
+        raise hp.SchemaError(msg)
+
+    monkeypatch.setattr("hyperpaint.slabs.make_plan", refuse)
+    with pytest.raises(hp.CollectError, match="the gain cannot be") as caught:
+        hp.process(collect, tmp_path / "lot.zarr")
+    assert str(caught.value).count("the gain cannot be") == 2  # one for each line
+    assert not (tmp_path / "lot.zarr").exists()
+    assert [entry.name for entry in tmp_path.iterdir()] == ["raw"]
+
+
+def test_words_are_checked(collect: Path, tmp_path: Path) -> None:
+    words: Any = {"to": "albedo", "reflectance": "maybe"}
+    with pytest.raises(hp.SchemaError, match=r"(?s)to='albedo'.*reflectance='maybe'"):
+        hp.process(collect, tmp_path / "lot.zarr", **words)
+
+
+def test_progress_names_the_line_on_stderr(
+    collect: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    hp.process(collect, tmp_path / "lot.zarr", progress=True)
+    shown = capsys.readouterr()
+    assert shown.out == ""
+    assert re.match(r"flightlines/raw_0: flight line 1 of 2, \d+ scan lines\n", shown.err)
+    assert "100% Completed" in shown.err
+
+
+def test_a_cluster_gives_the_same_bits(collect: Path, store: Path, tmp_path: Path) -> None:
+    distributed = pytest.importorskip("distributed")
+    with distributed.LocalCluster(
+        n_workers=1, threads_per_worker=2, processes=False, dashboard_address=None
+    ) as cluster:
+        found = run(collect, tmp_path / "lot.zarr", scheduler=cluster.scheduler_address)
+        again = run(collect, tmp_path / "lot.zarr")
+    assert len(found.written) == 4
+    assert again.written == ()
+    for line, expected in zip(lines_of(found.path), lines_of(store), strict=True):
+        for name in ("counts", "reflectance", "quality", "overview"):
+            np.testing.assert_array_equal(line[name].values, expected[name].values)
+
+
+def test_a_wrong_address_is_one_error(collect: Path, tmp_path: Path) -> None:
+    pytest.importorskip("distributed")
+    with pytest.raises(hp.CollectError, match="no dask scheduler answers at 'nonsense'"):
+        hp.process(collect, tmp_path / "lot.zarr", scheduler="nonsense")
