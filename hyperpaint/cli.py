@@ -191,10 +191,11 @@ def simulate(folder: Path, truth: bool, overwrite: bool, quiet: bool, **settings
     from .simulation import simulate_collect
 
     given = {name: value for name, value in settings.items() if value is not None}
-    refuse_foreign(folder, overwrite=overwrite)
+    if overwrite:
+        refuse_foreign(folder, overwrite=True)
     with _bar("simulating", _is_watched(quiet)) as simulated:
         path = simulate_collect(folder, truth=truth, overwrite=overwrite, progress=simulated, **given)
-    click.echo(f"{path}\nprocess it with: hyperpaint process {path} --out {folder / 'lot.zarr'}")
+    click.echo(f"{path}\nprocess it with: hyperpaint process {path} --out lot.zarr")
 
 
 def _is_watched(quiet: bool) -> bool:

@@ -269,7 +269,7 @@ def refuse_foreign(folder: Path, *, overwrite: bool) -> None:
     Raises
     ------
     StoreError
-        The folder is not empty and holds no simulated collect; with ``overwrite``, it holds what no
+        The folder is not empty and no earlier demonstration; with ``overwrite``, it holds raw data that no
         simulation wrote.
     """
     if not folder.is_dir() or not any(folder.iterdir()):
@@ -283,7 +283,7 @@ def refuse_foreign(folder: Path, *, overwrite: bool) -> None:
     ):
         msg = f"{folder} holds a collect that was not simulated, which stays as it is; name another folder"
         raise StoreError(msg)
-    if overwrite or (simulated and not others):
+    if overwrite or (simulated and (folder / STORE).is_dir() and not others):
         return
     shown = ", ".join(others[:5] or sorted(entry.name for entry in folder.iterdir())[:5])
     msg = f"{folder} is not empty ({shown}); name another folder, or pass overwrite=True to write into it"

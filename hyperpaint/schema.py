@@ -237,7 +237,7 @@ def quality_attrs() -> dict[str, Any]:
 def label(array: xr.DataArray, name: str, **extra: Any) -> xr.DataArray:
     """Return ``array`` under the name and attributes of the table, which replace those it had."""
     attrs = quality_attrs() if name == "quality" else VARIABLES[name].attrs
-    made = array.rename(name)
+    made = array.rename(name).copy(deep=False)  # renamed alone, it would share its attributes
     made.attrs = {**attrs, **extra}
     return made
 
@@ -332,7 +332,8 @@ def rename_to_roles(dataset: xr.Dataset, dims: Mapping[str, Hashable] | None = N
     for role, aliases in DIM_ALIASES.items():
         if role in dataset.dims or role in names.values():
             continue
-        alias = next((d for d in dataset.dims if str(d).lower() in aliases and d not in names), None)
+        known = (role, *aliases)
+        alias = next((d for d in dataset.dims if str(d).lower() in known and d not in names), None)
         if alias is not None:
             names[alias] = role
     # a dim `wavelength` with a coordinate of that name becomes the coordinate wavelength(band)

@@ -8,9 +8,6 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
-# before numpy comes in: BLAS threads that wait for one another make small matrices ten times slower
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-
 import dask
 import pytest
 

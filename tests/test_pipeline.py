@@ -20,7 +20,7 @@ from hyperpaint.pipeline import run
 def source(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Folder of a small simulated collect: two cubes, dropped frames."""
     folder = tmp_path_factory.mktemp("collect")
-    hp.simulate_collect(folder, lines=80, bands=48, columns=12, cubes=2, dropped=3, seed=3)
+    hp.simulate_collect(folder, lines=72, bands=20, columns=12, cubes=2, dropped=3, seed=3)
     return folder
 
 
@@ -256,3 +256,21 @@ def test_a_wrong_address_is_one_error(collect: Path, tmp_path: Path) -> None:
     pytest.importorskip("distributed")
     with pytest.raises(hp.CollectError, match="no dask scheduler answers at 'nonsense'"):
         hp.process(collect, tmp_path / "lot.zarr", scheduler="nonsense")
+
+
+def test_vendor_radiance_becomes_reflectance(collect: Path, store: Path, tmp_path: Path) -> None:
+    line = hp.open_collect(collect)["flightlines/raw_0"].to_dataset()
+    radiance = line.paint.radiance()["radiance"].values
+    header = collect.parent / "flight" / "raw_0.hdr"
+    text = header.read_text()
+    assert "data type = 12" in text
+    header.write_text(text.replace("data type = 12", "data type = 4"))
+    (radiance * np.float32(100.0)).astype("<f4").tofile(collect.parent / "flight" / "raw_0")
+    toml = collect.read_text().replace("[camera]", '[camera]\nradiance_units = "uW cm-2 sr-1 nm-1"')
+    collect.write_text(toml[: toml.rindex("[[flightlines]]")])
+    out = hp.process(collect, tmp_path / "lot.zarr")
+    made = xr.open_zarr(out, group="flightlines/raw_0").load()
+    expected = next(lines_of(store))["reflectance"].values
+    assert made["radiance"].dtype == np.float32
+    np.testing.assert_allclose(made["radiance"].values, radiance, rtol=1e-5)
+    np.testing.assert_allclose(made["reflectance"].values, expected, rtol=2.0**-11)

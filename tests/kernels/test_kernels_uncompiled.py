@@ -1,0 +1,25 @@
+"""The kernel tests once more, as plain Python."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+HERE = Path(__file__).resolve().parent
+
+
+def test_kernels_run_without_compilation() -> None:
+    names = [HERE / f"test_kernels_{subject}.py" for subject in ("radiometry", "smoothing", "resampling")]
+    command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", *map(str, names)]
+    found = subprocess.run(
+        command,
+        cwd=HERE.parents[1],
+        env={**os.environ, "NUMBA_DISABLE_JIT": "1"},
+        capture_output=True,
+        text=True,
+        timeout=300,
+        check=False,
+    )
+    assert found.returncode == 0, found.stdout[-3000:] + found.stderr[-1000:]

@@ -1,0 +1,129 @@
+"""The demonstration, end to end, and that its comparison can fail."""
+
+from __future__ import annotations
+
+import shutil
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+import xarray as xr
+from click.testing import CliRunner
+
+import hyperpaint as hp
+from hyperpaint import demonstration
+from hyperpaint.cli import main
+from hyperpaint.demonstration import compare, refuse_foreign
+
+SHAPE = ("--lines", "64", "--bands", "100", "--columns", "24")
+
+
+@pytest.fixture(scope="module")
+def demo(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
+    """Folder of a small demonstration, and what it printed."""
+    folder = tmp_path_factory.mktemp("demo") / "out"
+    done = CliRunner().invoke(main, ["demo", "--out", str(folder), *SHAPE])
+    assert done.exit_code == 0, done.output
+    assert done.stderr == ""
+    return folder, done.stdout
+
+
+def test_demo_leaves_what_it_says(demo: tuple[Path, str]) -> None:
+    folder, shown = demo
+    left = {entry.name for entry in folder.iterdir()} - {"quicklook.png"}
+    assert left == {"asd", "calibration.zarr", "collect.toml", "dark", "flight", "lot.zarr", "truth.zarr"}
+    assert hp.verify(folder / "lot.zarr").ok
+    assert "within tolerance" in shown
+    assert "Now try:" in shown
+    assert f"hyperpaint verify {folder / 'lot.zarr'}" in shown
+
+
+def test_demo_prints_an_aligned_table(demo: tuple[Path, str]) -> None:
+    lines = demo[1].splitlines()
+    start = next(number for number, line in enumerate(lines) if line.startswith("material"))
+    stop = next(number for number, line in enumerate(lines) if line.startswith("all pixels"))
+    table = lines[start : stop + 1]
+    assert len({len(line) for line in table}) == 1
+    assert {"asphalt", "grass"} <= {line.split()[0] for line in table}
+
+
+def test_demo_draws_a_picture(demo: tuple[Path, str]) -> None:
+    pytest.importorskip("matplotlib")
+    picture = demo[0] / "quicklook.png"
+    assert picture.read_bytes().startswith(b"\x89PNG")
+    assert f"picture: {picture}" in demo[1]
+
+
+def test_without_matplotlib_the_demo_says_how_to_get_a_picture(
+    demo: tuple[Path, str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    said: list[str] = []
+    monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
+    demonstration._draw(demo[0] / "lot.zarr", tmp_path / "quicklook.png", said.append)
+    assert said == [
+        "no picture: a quicklook needs matplotlib; install it with: python -m pip install 'hyperpaint[viz]'"
+    ]
+    assert not (tmp_path / "quicklook.png").exists()
+
+
+def test_comparison_agrees_with_a_plain_computation(demo: tuple[Path, str]) -> None:
+    folder, _ = demo
+    found = compare(folder / "lot.zarr", folder / "truth.zarr")
+    line = xr.open_zarr(folder / "lot.zarr", group="flightlines/raw_0").load()
+    truth = xr.open_zarr(folder / "truth.zarr").isel(along_track=line["frame"].values).load()
+    bands = (line["wavelength"].values >= 420) & (line["wavelength"].values <= 980)
+    clean = line["quality"].values == 0
+    grass = str(truth["surface"].attrs["flag_meanings"]).split().index("grass")
+    chosen = clean & (truth["surface"].values == grass)
+    one = next(agreement for agreement in found.materials if agreement.material == "grass")
+    rec = line["reflectance"].transpose(..., "band").values[chosen][:, bands].astype(np.float64)
+    true = truth["reflectance"].transpose(..., "band").values[chosen][:, bands].astype(np.float64)
+    assert one.pixels == chosen.sum()
+    assert one.bias == pytest.approx((rec - true).mean(), abs=1e-12)
+    assert one.rmse == pytest.approx(np.sqrt(((rec - true) ** 2).mean()), rel=1e-9)
+    assert one.recovered == pytest.approx(rec.mean(), rel=1e-9)
+    assert sum(agreement.pixels for agreement in found.materials) == found.overall.pixels == clean.sum()
+
+
+def test_a_wrong_chain_is_outside_tolerance(
+    demo: tuple[Path, str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """One per cent of gain is enough."""
+    folder, _ = demo
+    line = xr.open_zarr(folder / "lot.zarr", group="flightlines/raw_0").load().drop_encoding()
+    wrong = line.assign(reflectance=line["reflectance"] * np.float32(1.02))
+    hp.to_store(wrong, tmp_path / "wrong.zarr", "flightlines/raw_0")
+    found = compare(tmp_path / "wrong.zarr", folder / "truth.zarr")
+    assert not found.ok
+    assert any(problem.startswith("all pixels: bias") for problem in found.problems)
+    assert any("oxygen" in problem for problem in found.problems)
+    monkeypatch.setattr(demonstration, "compare", lambda *_: found)
+    done = CliRunner().invoke(
+        main, ["demo", "--out", str(tmp_path / "again"), "--lines", "8", "--bands", "8"]
+    )
+    assert done.exit_code == 1
+    assert "OUTSIDE TOLERANCE" in done.stdout
+
+
+def test_demo_replaces_only_demos(demo: tuple[Path, str], tmp_path: Path) -> None:
+    folder, _ = demo
+    refuse_foreign(folder, overwrite=False)
+    refuse_foreign(tmp_path / "new", overwrite=False)
+    hp.simulate_collect(tmp_path / "only_simulated", lines=8, bands=4, columns=4)
+    with pytest.raises(hp.StoreError, match="is not empty"):
+        refuse_foreign(tmp_path / "only_simulated", overwrite=False)
+    shutil.rmtree(tmp_path / "only_simulated")
+    (tmp_path / "thesis.tex").write_text("text")
+    done = CliRunner().invoke(main, ["demo", "--out", str(tmp_path), *SHAPE])
+    assert done.exit_code == 2
+    assert "is not empty (thesis.tex)" in done.stderr
+    assert "--overwrite" in done.stderr
+    assert [entry.name for entry in tmp_path.iterdir()] == ["thesis.tex"]
+
+
+def test_real_raw_data_are_never_replaced(tmp_path: Path) -> None:
+    (tmp_path / "flight").mkdir()
+    (tmp_path / "flight" / "raw_0.hdr").write_text("ENVI\nsamples = 640\n")
+    with pytest.raises(hp.StoreError, match="not simulated"):
+        refuse_foreign(tmp_path, overwrite=True)

@@ -1,0 +1,141 @@
+"""Operators between instruments: rows that sum to one, the residual kernel, identity, coverage."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from hyperpaint.errors import SchemaError
+from hyperpaint.responses import Responses, band_spacing, log_slope, matching_operator
+
+SIGMA = 1 / (2 * np.sqrt(2 * np.log(2)))
+SAMPLES = np.arange(480.0, 621.0)
+
+
+def gaussian(distance: np.ndarray, fwhm: float) -> np.ndarray:
+    made = np.exp(-0.5 * (distance / (SIGMA * fwhm)) ** 2)
+    return made / made.sum()
+
+
+@settings(max_examples=25, deadline=None)
+@given(
+    spectrometer=st.floats(1.5, 5.0),
+    imager=st.floats(1.5, 12.0),
+    centre=st.floats(520.0, 580.0),
+    shape=st.sampled_from(["gaussian", "slit"]),
+    slope=st.floats(-0.02, 0.02),
+    node=st.floats(-3, 3),
+)
+def test_rows_sum_to_one_and_grey_light_passes(
+    spectrometer: float, imager: float, centre: float, shape: str, slope: float, node: float
+) -> None:
+    bands = Responses([centre, centre + 4], [imager] * 2, shape, slope=np.full(2, slope))
+    made = matching_operator(Responses(SAMPLES, spectrometer), bands, [node])
+    np.testing.assert_allclose(made.weights.sum(axis=-1), 1.0, atol=1e-9)
+    assert np.isfinite(made.misfit).all()
+    np.testing.assert_allclose(made.noise_gain, np.sqrt((made.weights**2).sum(axis=-1)))
+
+
+@pytest.mark.parametrize("imager", [4.5, 6.0, 9.0])
+def test_two_gaussians_equal_the_residual_kernel(imager: float) -> None:
+    made = matching_operator(Responses(SAMPLES, 3.0), Responses([550.3], [imager]))
+    kernel = gaussian(SAMPLES - 550.3, np.sqrt(imager**2 - 9.0))
+    np.testing.assert_allclose(made.weights[0, 0], kernel, atol=3e-4)
+    assert made.misfit.max() < 5e-4
+
+
+def test_equal_widths_are_nearly_the_identity() -> None:
+    made = matching_operator(Responses(SAMPLES, 3.0), Responses([550.0], [3.0]))
+    assert made.misfit.max() < 5e-3
+    assert 0.6 < made.noise_gain.max() < 1.2
+    light = 1 + 0.3 * np.sin(2 * np.pi * SAMPLES / 9)
+    assert made.weights[0, 0] @ light == pytest.approx(light[70], rel=3e-3)
+
+
+def test_sharper_than_the_spectrometer_gains_noise() -> None:
+    gains = [
+        matching_operator(Responses(SAMPLES, 3.0), Responses([550.0], [w])).noise_gain.max()
+        for w in (6.0, 3.0, 2.0, 1.5)
+    ]
+    assert (np.diff(gains) > 0).all()
+    assert gains[1] < 3.0 < gains[2]
+
+
+def test_nodes_move_to_longer_wavelengths() -> None:
+    ramp = SAMPLES - 550.0
+    made = matching_operator(Responses(SAMPLES, 3.0), Responses([550.0], [6.0]), [-1.5, 0.0, 2.0])
+    np.testing.assert_allclose(made.weights[:, 0] @ ramp, [-1.5, 0.0, 2.0], atol=1e-4)
+
+
+def test_slope_of_the_responsivity_moves_the_centre_of_gravity() -> None:
+    ramp = SAMPLES - 550.0
+    bands = Responses([550.0], [6.0], slope=np.array([0.01]))
+    moved = matching_operator(Responses(SAMPLES, 3.0), bands).weights[0, 0] @ ramp
+    assert moved == pytest.approx(0.01 * (6.0 * SIGMA) ** 2, rel=0.01)
+
+
+@pytest.mark.parametrize("order", ["backwards", "shuffled"])
+def test_samples_in_any_order(order: str) -> None:
+    turn = np.arange(141)[::-1] if order == "backwards" else np.random.default_rng(0).permutation(141)
+    bands = Responses([530.0, 550.0], [6.0, 6.0])
+    straight = matching_operator(Responses(SAMPLES, 3.0), bands).weights
+    turned = matching_operator(Responses(SAMPLES[turn], 3.0), bands).weights
+    np.testing.assert_allclose(turned, straight[..., turn], atol=1e-12)
+
+
+def test_what_is_not_covered_is_missing() -> None:
+    bands = Responses([470.0, 484.0, 490.0, 550.0, 616.0, 640.0], [6.0] * 6)
+    made = matching_operator(Responses(SAMPLES, 3.0), bands)
+    assert np.isnan(made.weights[0]).all(axis=-1).tolist() == [True, True, False, False, True, True]
+    assert made.coverage[0, 3] == pytest.approx(1.0, abs=1e-5)
+    assert made.coverage[0, 0] < 0.01
+    assert made.coverage[0, 1] == pytest.approx(0.94, abs=0.03)
+
+
+def test_a_table_equals_the_shape_it_was_made_from() -> None:
+    offset = np.linspace(-14, 14, 561)
+    centres = np.array([540.0, 555.5])
+    for shape in ("gaussian", "slit"):
+        plain = Responses(centres, [6.0, 6.0], shape)
+        table = np.stack([plain.on(offset + c, b) for b, c in enumerate(centres)])
+        tabulated = Responses(centres, [6.0, 6.0], "tabulated", offset=offset, table=7 * table)
+        first = matching_operator(Responses(SAMPLES, 3.0), plain).weights
+        second = matching_operator(Responses(SAMPLES, 3.0), tabulated).weights
+        np.testing.assert_allclose(second, first, atol=2e-3)
+
+
+def test_slit_is_a_trapezoid_of_unit_area() -> None:
+    grid = np.arange(-10, 10, 0.01) + 550
+    made = Responses([548.0, 550.0, 552.0], [6.0] * 3, "slit").on(grid, 1)
+    assert made.sum() * 0.01 == pytest.approx(1.0)
+    box = np.convolve(np.abs(grid - 550) <= 3, np.ones(200) / 200, "same")
+    np.testing.assert_allclose(made, box / box.sum() / 0.01, atol=2e-3)
+    half = grid[made > made.max() / 2]
+    assert np.ptp(half) == pytest.approx(6.0, abs=0.05)
+
+
+def test_everything_that_is_wrong_is_listed() -> None:
+    with pytest.raises(SchemaError) as caught:
+        Responses([500.0, np.nan], [6.0, -1.0], "round")
+    assert str(caught.value).count("\n") >= 2
+    for table in (None, np.ones((1, 5)), np.zeros((2, 5))):
+        with pytest.raises(SchemaError, match="srf"):
+            Responses([500.0, 502.0], [6.0, 6.0], "tabulated", offset=np.arange(5.0), table=table)
+    with pytest.raises(SchemaError, match="srf_offset"):
+        Responses([500.0], [6.0], "tabulated", offset=np.zeros(5), table=np.ones((1, 5)))
+
+
+def test_band_spacing() -> None:
+    np.testing.assert_allclose(band_spacing([400.0, 402.0, 405.0]), [2, 2.5, 3])
+    np.testing.assert_allclose(band_spacing([405.0, 402.0, 400.0]), [3, 2.5, 2])
+    np.testing.assert_allclose(band_spacing([400.0]), [1])
+
+
+def test_log_slope_is_found_and_leaves_bad_bands_out() -> None:
+    nm = np.arange(500.0, 600.0, 2.0)
+    responsivity = 7e3 * np.exp(-0.012 * nm)
+    responsivity[[3, 20, 21]] = [np.nan, 0.0, -1.0]
+    np.testing.assert_allclose(log_slope(nm, responsivity, np.full(50, 9.0)), -0.012, rtol=1e-9)
+    np.testing.assert_array_equal(log_slope(nm, np.full(50, np.nan), np.full(50, 9.0)), 0.0)
