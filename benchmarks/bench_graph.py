@@ -37,7 +37,7 @@ def empty_store(lines):
 class Graph:
     """`reflectance` of a store that plain `xarray.open_zarr` opened."""
 
-    params = ([1_000, 100_000],)
+    params = ([100_000],)
     param_names = ("lines",)
 
     def setup(self, lines):

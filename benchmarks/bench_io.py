@@ -9,14 +9,14 @@ import os
 
 import numpy as np
 
-from .common import BANDS, COLUMNS, THREADS, counts_block, scratch
+from .common import BANDS, BLOCK_LINES, COLUMNS, THREADS, counts_block, scratch
 
 
 @functools.cache
 def envi_cube(lines):
     """Write an ENVI cube, band-interleaved by line; return its header."""
     path = scratch() / f"raw-{lines}"
-    block = counts_block()
+    block = counts_block(min(lines, BLOCK_LINES))
     with open(path, "wb") as file:
         for start in range(0, lines, len(block)):
             file.write(block[: lines - start].tobytes())
@@ -31,7 +31,7 @@ def envi_cube(lines):
 class ReadEnvi:
     """A raw cube drained slab by slab; the floor is pread into one buffer a thread."""
 
-    params = ([128, 1024],)
+    params = ([256],)
     param_names = ("lines",)
 
     def setup(self, lines):

@@ -160,7 +160,7 @@ def run(
             if progress and name in lines:
                 which = f"flight line {lines.index(name) + 1} of {len(lines)}"
                 sys.stderr.write(f"{name}: {which}, {dataset.sizes[ALONG_TRACK]} scan lines\n")
-            with _bars_on_stderr():
+            with _bars_on_stderr() if progress else contextlib.nullcontext():
                 to_store(
                     dataset, out, name, overwrite=overwrite, progress=progress, source_token=_token(dataset)
                 )

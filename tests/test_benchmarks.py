@@ -15,9 +15,6 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
 MODULES = ("bench_graph", "bench_import", "bench_io", "bench_kernels", "bench_pipeline")
-SLOW = {"time_integral_of_each_band"}
-"""Kept for its size alone: `ratios.py` shows what a loop over bands costs."""
-
 
 def _benchmarks() -> Iterator[Any]:
     if not (ROOT / "benchmarks").is_dir():
@@ -33,12 +30,6 @@ def _benchmarks() -> Iterator[Any]:
         sys.path.remove(str(ROOT))
 
 
-def _smallest(kind: Any) -> Iterator[tuple[Any, ...]]:
-    """Return the smallest of each numeric parameter with every value of the others."""
-    choices = [[min(v)] if isinstance(v[0], int) else v for v in getattr(kind, "params", ())]
-    return itertools.product(*choices)
-
-
 @pytest.mark.skipif(not (ROOT / "benchmarks").is_dir(), reason="installed without its benchmarks")
 @pytest.mark.parametrize("kind", list(_benchmarks()))
 def test_benchmark_runs_at_its_smallest_size(kind: Any) -> None:
@@ -46,7 +37,7 @@ def test_benchmark_runs_at_its_smallest_size(kind: Any) -> None:
         name for name in dir(kind) if name.startswith(("time_", "track_", "timeraw_")) and name not in SLOW
     ]
     assert methods
-    for arguments in _smallest(kind):
+    for arguments in itertools.product(*([min(v)] if isinstance(v[0], int) else v for v in getattr(kind, "params", ()))):
         case = kind()
         getattr(case, "setup", lambda *_: None)(*arguments)
         try:

@@ -1,0 +1,229 @@
+"""Irradiance of every line: in wavelength, in time, over the smile and on a tilted panel."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import xarray as xr
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from hyperpaint.errors import PaintWarning, SchemaError, TimeError, UnitsError
+from hyperpaint.illumination import Tilt, line_light, match_irradiance, smile_cells
+from hyperpaint.schema import Quality
+from hyperpaint.sun import solar_position
+
+START = np.datetime64("2020-06-21T17:00", "ns")
+SAMPLES = np.arange(480.0, 621.0)
+
+
+def record(spectra: np.ndarray, samples: np.ndarray = SAMPLES) -> xr.DataArray:
+    return xr.DataArray(
+        spectra,
+        dims=("irradiance_time", "irradiance_wavelength"),
+        coords={"irradiance_wavelength": ("irradiance_wavelength", samples, {"units": "nm"})},
+        attrs={"units": "W m-2 nm-1"},
+        name="irradiance",
+    )
+
+
+def ns(seconds: object) -> np.ndarray:
+    return START + np.round(np.asarray(seconds, float) * 1e9).astype("timedelta64[ns]")
+
+
+# ---------------------------------------------------------------------------------------------- matching
+
+
+def test_match_is_labelled_lazy_and_float32(no_compute: object) -> None:
+    light = record(np.ones((4, 141), "f4")).chunk(irradiance_time=1, irradiance_wavelength=50)
+    with no_compute():  # type: ignore[operator]
+        made = match_irradiance(light, [540.0, 550.0], [6.0, 6.0], nodes=[-0.5, 0.0, 0.5])
+    assert made.dims == ("irradiance_time", "node", "band")
+    assert made.dtype == made.compute().dtype == np.float32
+    assert made.attrs["units"] == "W m-2 nm-1"
+    assert made.misfit.dims == made.noise_gain.dims == made.coverage.dims == ("node", "band")
+    np.testing.assert_allclose(made, 1.0, rtol=1e-6)
+
+
+def test_match_takes_other_units_and_orders() -> None:
+    rng = np.random.default_rng(0)
+    spectra = rng.uniform(1, 2, (2, 141)).astype("f4")
+    plain = match_irradiance(record(spectra), [540.0, 550.0], [6.0, 6.0])
+    other = record(spectra[:, ::-1] * 100, SAMPLES[::-1] / 1000).T
+    other.attrs["units"] = "uW cm-2 nm-1"
+    other.irradiance_wavelength.attrs["units"] = "um"
+    before = other.copy(deep=True)
+    np.testing.assert_allclose(match_irradiance(other, [540.0, 550.0], [6.0, 6.0]), plain, rtol=1e-5)
+    xr.testing.assert_identical(other, before)
+
+
+def test_missing_samples_touch_their_bands_only() -> None:
+    spectra = np.ones((2, 141), "f4")
+    spectra[1, 60] = np.nan  # 540 nm
+    made = match_irradiance(record(spectra), [510.0, 540.0, 600.0], [6.0] * 3).values[:, 0]
+    assert np.isnan(made).tolist() == [[False] * 3, [False, True, False]]
+
+
+def test_warnings_a_user_can_act_on() -> None:
+    light = record(np.ones((1, 141), "f4"))
+    with pytest.warns(PaintWarning, match="2 bands are sharper"):
+        match_irradiance(light, [540.0, 550.0], [1.5, 1.5])
+    with pytest.warns(PaintWarning, match="1 bands .* lie outside the irradiance record"):
+        made = match_irradiance(light, [300.0, 550.0], [6.0, 6.0])
+    assert np.isnan(made.values[0, 0]).tolist() == [True, False]
+
+
+def test_match_refuses() -> None:
+    light = record(np.ones((1, 141), "f4"))
+    with pytest.raises(SchemaError, match="dims"):
+        match_irradiance(light.isel(irradiance_time=0), [550.0], [6.0])
+    with pytest.raises(SchemaError, match="no coordinate"):
+        match_irradiance(light.drop_vars("irradiance_wavelength"), [550.0], [6.0])
+    with pytest.raises(UnitsError, match="irradiance"):
+        match_irradiance(light.assign_attrs(units="W m-2 sr-1 nm-1"), [550.0], [6.0])
+    with pytest.raises(SchemaError, match="fwhm"):
+        match_irradiance(light, [550.0], [-6.0])
+    with pytest.raises(SchemaError, match="line shape"):
+        match_irradiance(light, [550.0], [6.0], srf_shape="round")
+
+
+# ------------------------------------------------------------------------------------------------- smile
+
+
+@settings(max_examples=30, deadline=None)
+@given(
+    seed=st.integers(0, 10_000),
+    columns=st.integers(1, 40),
+    rows=st.sampled_from([None, 1, 5]),
+    reach=st.floats(0.01, 4.0),
+)
+def test_every_column_finds_its_cell(seed: int, columns: int, rows: int | None, reach: float) -> None:
+    rng = np.random.default_rng(seed)
+    shift = rng.uniform(-reach, reach, columns if rows is None else (rows, columns))
+    smile = smile_cells(shift, columns)
+    table = np.atleast_2d(shift)
+    assert ((smile.shift >= 0) & (smile.shift <= 1 + 1e-6)).all()
+    for row, edges in enumerate(smile.edges):
+        assert edges[0] == 0
+        assert edges[-1] == columns
+        assert (np.diff(edges) >= 0).all()
+        for run, cell in enumerate(smile.cells[row]):
+            for x in range(edges[run], edges[run + 1]):
+                place = smile.nodes[cell + 1] + 0.5 * smile.shift[row, x]
+                assert place == pytest.approx(table[row, x], abs=1e-6)
+
+
+def test_cubics_pass_through_any_cubic() -> None:
+    smile = smile_cells(np.array([-1.2, 0.3, 0.9]), 3)
+    curve = np.polynomial.Polynomial([0.3, -0.2, 0.1, 0.05])
+    cubics = smile.cubics(curve(smile.nodes)[:, None] * np.ones((2, 1, 4)))
+    assert cubics.shape == (2, 4, smile.nodes.size - 3, 4)
+    for x, wanted in enumerate([-1.2, 0.3, 0.9]):
+        run = np.searchsorted(smile.edges[0], x, side="right") - 1
+        terms = cubics[0, 0, smile.cells[0, run]]
+        assert np.polyval(terms[::-1], float(smile.shift[0, x])) == pytest.approx(curve(wanted), abs=1e-6)
+
+
+def test_no_smile_is_one_node() -> None:
+    for shift in (None, np.zeros(4)):
+        smile = smile_cells(shift, 4)
+        assert smile.nodes.tolist() == [0.0]
+        series = np.arange(6.0).reshape(2, 1, 3)
+        np.testing.assert_array_equal(smile.cubics(series)[..., 0, 0], series[:, 0])
+    for bad in (np.full(4, np.nan), np.full(4, 500.0)):
+        with pytest.raises(SchemaError, match="wavelength_shift"):
+            smile_cells(bad, 4)
+
+
+# -------------------------------------------------------------------------------------------------- time
+
+
+@settings(max_examples=40, deadline=None)
+@given(
+    steps=st.lists(st.integers(1, 10**11), min_size=1, max_size=12),
+    lines=st.lists(st.integers(-(10**10), 10**12), min_size=1, max_size=20),
+)
+def test_neighbours_and_weights(steps: list[int], lines: list[int]) -> None:
+    ticks = np.cumsum([0, *steps])
+    light = line_light(
+        START + np.array(lines).astype("timedelta64[ns]"),
+        START + ticks.astype("timedelta64[ns]"),
+        np.ones(ticks.size),
+        1e9,
+    )
+    for k, now in enumerate(lines):
+        if now < 0 or now > ticks[-1]:
+            assert np.isnan(light.weight[k])
+            assert light.flags[k] == Quality.IRRADIANCE_GAP
+            continue
+        low, high = ticks[light.before[k]], ticks[light.after[k]]
+        assert low <= now <= high
+        assert light.weight[k] == (now - low) / (high - low)
+        assert light.age[k] == np.float32(min(now - low, high - now) / 1e9)
+        assert light.flags[k] == 0
+
+
+def test_one_sample_lights_its_own_instant() -> None:
+    light = line_light(ns([0.0, 1.0]), ns([0.0]), np.ones(1))
+    assert light.weight[0] == 0
+    assert np.isnan(light.weight[1])
+
+
+def test_default_gap_is_two_and_a_half_intervals() -> None:
+    samples = np.array([0.0, 2, 4, 6, 10, 16, 18])
+    light = line_light(ns([5.0, 8.0, 12.0, 10.0]), ns(samples), np.ones(7))
+    assert np.isnan(light.weight).tolist() == [False, False, True, False]
+
+
+def test_spectra_without_a_value_are_passed_over() -> None:
+    power = np.array([1.0, np.nan, 1.0])
+    light = line_light(ns([1.0, 2.0]), ns([0.0, 1.0, 4.0]), power, 5.0)
+    assert light.before.tolist() == [0, 0]
+    assert light.after.tolist() == [2, 2]
+    np.testing.assert_array_equal(light.weight, [0.25, 0.5])
+    with pytest.raises(TimeError, match="no valid spectrum"):
+        line_light(ns([1.0]), ns([0.0, 2.0]), np.full(2, np.nan))
+
+
+def test_far_from_1970_no_bit_is_lost() -> None:
+    light = line_light(ns([1e-9]), ns([0.0, 3e-9]), np.ones(2), 1.0)
+    assert light.weight[0] == 1 / 3
+
+
+# ------------------------------------------------------------------------------------------------- tilt
+
+
+def test_tilt_closes_to_ten_digits() -> None:
+    times, wavelength = ns([0.0, 3600.0]), np.array([450.0, 850.0])
+    zenith, azimuth = (np.radians(a) for a in solar_position(times, 43.08, -77.67))
+    diffuse, angle, facing, surroundings = np.array([0.23, 0.06]), 10.0, 170.0, 0.15
+    # by vectors, not by the formula of the code
+    sun = np.stack([np.sin(zenith) * np.sin(azimuth), np.sin(zenith) * np.cos(azimuth), np.cos(zenith)], -1)
+    a, f = np.radians(angle), np.radians(facing)
+    normal = np.array([np.sin(a) * np.sin(f), np.sin(a) * np.cos(f), np.cos(a)])
+    view = (1 + np.cos(a)) / 2
+    expected = (
+        (1 - diffuse) * (sun @ normal / sun[:, 2])[:, None] + view * diffuse + (1 - view) * surroundings
+    )
+    tilt = Tilt(angle, facing, surroundings=surroundings, diffuse_fraction=diffuse)
+    np.testing.assert_allclose(tilt.factor(times, 43.08, -77.67, wavelength), expected, rtol=1e-10)
+
+
+def test_toward_the_sun_is_brighter_as_published() -> None:
+    time = np.array(["2020-07-15T17:15"], "datetime64[ns]")  # noon in Rochester, zenith near 22 degrees
+    toward = Tilt(5.0, 180.0).factor(time, 43.08, -77.67, np.array([850.0]))[0, 0]
+    away = Tilt(5.0, 0.0).factor(time, 43.08, -77.67, np.array([850.0]))[0, 0]
+    assert 1.02 < toward < 1.05
+    assert 0.94 < away < 0.98
+
+
+@pytest.mark.parametrize("hour", range(0, 24, 3))
+def test_a_level_panel_is_exactly_one_at_any_hour(hour: int) -> None:
+    times = START.astype("datetime64[D]") + np.array([hour * 60, hour * 60 + 50], "timedelta64[m]")
+    np.testing.assert_array_equal(Tilt(0.0, 77.0).factor(times, 43.08, -77.67, np.array([450.0, 850.0])), 1.0)
+
+
+def test_a_panel_turned_from_the_sun_sees_the_sky_alone() -> None:
+    time = np.array(["2020-12-21T17:10"], "datetime64[ns]")  # zenith 66 degrees
+    made = Tilt(60.0, 0.0, surroundings=0.0, diffuse_fraction=0.3).factor(time, 43.08, -77.67, np.array([550.0]))
+    assert made[0, 0] == pytest.approx(0.3 * 0.75, rel=1e-9)

@@ -1,0 +1,65 @@
+"""What tasks share: the plan, its values, and chunks of whole lines."""
+
+from __future__ import annotations
+
+import pickle
+
+import numpy as np
+import xarray as xr
+from strategies import flight
+
+from hyperpaint import slabs
+
+
+def plan_of(line: xr.Dataset) -> slabs.Plan:
+    light = ("irradiance", "irradiance_fwhm", "irradiance_time", "irradiance_wavelength")
+    cube = ("dark_counts", "radiance_gain", "exposure_time", "saturation_count", "time", "wavelength", "fwhm")
+    return slabs.make_plan(
+        line.counts.shape,
+        line.counts.dtype.str,
+        cube={name: line[name].values for name in cube},
+        light={**{name: line[name].values for name in light}, **line.attrs},
+    )
+
+
+def test_a_plan_does_not_grow_with_the_cube() -> None:
+    small, large = (len(pickle.dumps(plan_of(flight(lines=n, bands=4, columns=3).line))) for n in (10, 1010))
+    assert (large - small) / 1000 < 100  # bytes a line
+
+
+def test_light_of_a_slab_is_that_of_its_lines() -> None:
+    plan = plan_of(flight(lines=9).line)
+    whole = plan.light(0, 9)
+    assert whole.dtype == np.float32
+    np.testing.assert_array_equal(plan.light(4, 7), whole[4:7])
+
+
+def test_counts_under_a_bound_are_those_under_it_rounded_up() -> None:
+    line = flight(dtype=np.uint16, dark=100.25).line
+    plan = plan_of(line)
+    assert plan.limit.dtype == plan.zero.dtype == np.uint16
+    assert plan.zero[0, 0] == 101
+    assert plan.limit[0, 0] == 4079
+    assert plan_of(flight(dtype=np.float32, dark=100.25).line).zero[0, 0] == np.float32(100.25)
+
+
+def test_a_dark_under_zero_counts_nothing() -> None:
+    plan = plan_of(flight(dtype=np.uint16, dark=-3.0).line)
+    assert not plan.zero.any()
+    assert not plan.floor.any()
+
+
+def test_chunks_are_whole_lines(no_compute: object) -> None:
+    cube = xr.DataArray(np.zeros((70, 4, 5), "u2"), dims=("along_track", "band", "cross_track"))
+    with no_compute():  # type: ignore[operator]
+        assert slabs.line_chunked(cube).chunks == ((32, 32, 6), (4,), (5,))
+        turned = cube.transpose("cross_track", "along_track", "band").chunk(band=2, cross_track=3, along_track=10)
+        assert slabs.line_chunked(turned).chunks == ((10,) * 7, (4,), (5,))
+        kept = cube.chunk(along_track=(1, 69))
+        assert slabs.line_chunked(kept).chunks == ((1, 69), (4,), (5,))
+
+
+def test_small_values_stay_lazy() -> None:
+    array = xr.DataArray(np.ones(3), dims="band")
+    assert isinstance(slabs.small(array), np.ndarray)
+    assert not isinstance(slabs.small(array.chunk()), np.ndarray)
