@@ -18,7 +18,7 @@ def write_without_cube(path, lines):
 
     from hyperpaint.io.store.layout import encoding_of
 
-    cube = da.zeros((lines, BANDS, COLUMNS), "uint16", chunks=(32, BANDS, COLUMNS))
+    cube = da.zeros((lines, BANDS, COLUMNS), dtype="uint16", chunks=(32, BANDS, COLUMNS))
     line = flight_line(lines, counts=cube)
     encoding = {name: encoding_of(variable) for name, variable in line.variables.items()}
     line.to_zarr(path, zarr_format=3, consolidated=False, encoding=encoding, compute=False)

@@ -31,7 +31,7 @@ def envi_cube(lines):
 class ReadEnvi:
     """A raw cube drained slab by slab; the floor is pread into one buffer a thread."""
 
-    params = ([256],)
+    params = ([128],)
     param_names = ("lines",)
 
     def setup(self, lines):

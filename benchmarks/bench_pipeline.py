@@ -30,7 +30,7 @@ class ToStore:
     used again. The naive variant is what one writes with xarray and dask alone.
     """
 
-    params = ([256],)
+    params = ([128],)
     param_names = ("lines",)
     number = 1
     timeout = 120
@@ -107,7 +107,7 @@ def reflectance_store(lines):
 class Look:
     """What a person asks of a cube, computed from counts or read as stored float32 (the floor)."""
 
-    params = ([256], ["every_pixel", "one_spectrum", "region", "one_band", "lines_64"])
+    params = ([128], ["every_pixel", "one_spectrum", "region", "one_band", "lines_64"])
     param_names = ("lines", "view")
     timeout = 120
 

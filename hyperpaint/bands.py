@@ -58,7 +58,7 @@ def at(dataset: xr.Dataset, wavelength: npt.ArrayLike) -> xr.Dataset:
 def to_nominal(dataset: xr.Dataset) -> xr.Dataset:
     """Return spectra at the nominal wavelengths: the smile taken out.
 
-    Lazy: one task a slab of lines.
+    Lazy: one task a slab of lines; only the wavelengths and their shifts are read.
 
     Parameters
     ----------

@@ -8,6 +8,7 @@ it holds for any other pair of shapes too.
 
 from __future__ import annotations
 
+import functools
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -31,7 +32,7 @@ RIDGE = 1e-4
 """Ridge of the least squares, in units of the mean squared norm of a spectrometer response."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Responses:
     """Spectral responses of a set of bands.
 
@@ -79,6 +80,16 @@ class Responses:
         object.__setattr__(self, "fwhm", fwhm)
         if self.shape == "slit" and self.spacing is None:
             object.__setattr__(self, "spacing", band_spacing(wavelength))
+
+    def _content(self) -> tuple[Any, ...]:
+        arrays = (self.wavelength, self.fwhm, self.spacing, self.slope, self.offset, self.table)
+        return (self.shape, *(None if a is None else np.asarray(a, np.float64).tobytes() for a in arrays))
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Responses) and self._content() == other._content()
+
+    def __hash__(self) -> int:
+        return hash(self._content())
 
     def shifted(self, shift: float) -> Responses:
         """Return the same responses with every centre moved by ``shift`` [nm]."""
@@ -219,7 +230,16 @@ def matching_operator(
     A row is NaN where less than 99.9 % of the band's response lies inside the spectrometer's range: nothing
     is extrapolated.
     """
-    shifts = np.atleast_1d(np.asarray(nodes, np.float64))
+    shifts = tuple(np.atleast_1d(np.asarray(nodes, np.float64)).tolist())
+    return _remembered_operator(spectrometer, imager, shifts, ridge)
+
+
+@functools.lru_cache(maxsize=8)
+def _remembered_operator(
+    spectrometer: Responses, imager: Responses, nodes: tuple[float, ...], ridge: float
+) -> Matching:
+    """Make an operator once for all flight lines of a camera, and for every recomputation of one."""
+    shifts = np.array(nodes)
     order = np.argsort(spectrometer.wavelength, kind="stable")
     centres, reach = spectrometer.wavelength[order], spectrometer.reach()[order]
     step = min(spectrometer.fwhm.min(), imager.fwhm.min()) / 40.0
@@ -244,16 +264,21 @@ def matching_operator(
         rows = _constrained_ridge(samples, responses[covered], ridge)
         for node, row in zip(np.flatnonzero(covered), rows, strict=True):
             weights[node, band, order[near]] = row
-        residual = rows @ samples - responses[covered]
+        residual = np.einsum("ni,ig->ng", rows, samples) - responses[covered]
         misfit[covered, band] = np.sqrt((residual**2).sum(axis=1) / (responses[covered] ** 2).sum(axis=1))
         noise_gain[covered, band] = np.sqrt((rows**2).sum(axis=1))
+    for array in (weights, misfit, noise_gain, coverage):
+        array.flags.writeable = False
     return Matching(weights, misfit, noise_gain, coverage)
 
 
 def _constrained_ridge(samples: Float, responses: Float, ridge: float) -> Float:
     """Return the ridge weights (node, sample), each row summing to 1, of samples for responses on a grid."""
-    gram = samples @ samples.T
+    # einsum: threads of a BLAS that wait for busy cores make products this small ten times slower
+    gram = np.einsum("ig,jg->ij", samples, samples)
     gram[np.diag_indices_from(gram)] += ridge * np.trace(gram) / len(gram)
-    solved = np.linalg.solve(gram, np.column_stack([samples @ responses.T, np.ones(len(gram))])).T
+    solved = np.linalg.solve(
+        gram, np.column_stack([np.einsum("ig,ng->in", samples, responses), np.ones(len(gram))])
+    ).T
     free, ones = solved[:-1], solved[-1]
     return np.asarray(free + ones * ((1.0 - free.sum(axis=1)) / ones.sum())[:, None])

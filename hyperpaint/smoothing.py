@@ -89,10 +89,11 @@ def smooth(
     first, weights, fallback = _window_weights(method, window, order, bands)
     cube = set(schema.CUBE) == set(array.dims)
     source = line_chunked(array) if cube else array
+    options = {"weights": weights, "first": first, "fallback": fallback, "box": method == "box", "cube": cube}
     filtered = xr.apply_ufunc(
         _filter,
         source.chunk({schema.BAND: -1}) if source.chunks else source,
-        kwargs={"weights": weights, "first": first, "fallback": fallback, "box": method == "box"},
+        kwargs=options,
         input_core_dims=[[schema.BAND, schema.CROSS_TRACK] if cube else [schema.BAND]],
         output_core_dims=[[schema.BAND, schema.CROSS_TRACK] if cube else [schema.BAND]],
         dask="parallelized",
@@ -104,12 +105,12 @@ def smooth(
     return dataset.assign(reflectance=filtered.assign_attrs(attrs))
 
 
-def _filter(values: Array, *, weights: Array, first: Array, fallback: Array, box: bool) -> Array:
+def _filter(values: Array, *, weights: Array, first: Array, fallback: Array, box: bool, cube: bool) -> Array:
     from .kernels.smoothing import filter_slab
 
     shaped = values.astype(np.float32, copy=False)
-    # spectra without a cross-track dim are lines one column wide
-    if shaped.ndim != 3:
+    # spectra without a cross-track dim are lines one column wide, whatever their other dims
+    if not cube:
         shaped = shaped.reshape(-1, first.size, 1)
     out = np.empty(shaped.shape, np.float32)
     filter_slab(np.ascontiguousarray(shaped), weights, first, box, fallback, out)

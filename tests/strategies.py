@@ -7,6 +7,7 @@ that a fault there cannot hide here.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -61,7 +62,9 @@ def flight(
     seconds = 10.0 + 0.007 * np.arange(lines)
     light = level + drift * seconds
     gain = (0.35 * exposure / 3000.0 * rng.uniform(0.9, 1.4, (bands, columns))).astype(np.float32)
-    offset = rng.uniform(80, 120, (bands, columns)) if dark is None else np.broadcast_to(dark, (bands, columns))
+    offset = (
+        rng.uniform(80, 120, (bands, columns)) if dark is None else np.broadcast_to(dark, (bands, columns))
+    )
     offset = offset.astype(np.float32)
     radiance = rho * light[:, None, None] / np.pi
     counts = radiance * exposure / gain.astype(np.float64) + offset
@@ -100,7 +103,7 @@ def flight(
 def stored(line: xr.Dataset, path: Any, chunk: int = 8) -> xr.Dataset:
     """Write a flight line to a plain Zarr store, and open it as any user would: everything is lazy."""
     cubes = [name for name in ("counts", "radiance") if name in line]
-    whole = line.chunk({dim: -1 for dim in line.dims})
+    whole = line.chunk(dict.fromkeys(line.dims, -1))
     whole.assign({name: line[name].variable.chunk({"along_track": chunk}) for name in cubes}).to_zarr(
         path, zarr_format=2
     )
@@ -112,4 +115,4 @@ def chunkings(draw: st.DrawFn, size: int) -> tuple[int, ...]:
     """Return chunk sizes that add up to ``size``."""
     cuts = draw(st.sets(st.integers(1, max(size - 1, 1)), max_size=min(size - 1, 4))) if size > 1 else set()
     edges = [0, *sorted(cuts), size]
-    return tuple(b - a for a, b in zip(edges, edges[1:], strict=False))
+    return tuple(b - a for a, b in pairwise(edges))

@@ -51,4 +51,6 @@ def test_problems_are_listed_together() -> None:
 
 def test_a_missing_extra_says_how_to_install_it() -> None:
     error = errors.MissingExtraError.of("matplotlib", "viz", "a picture")
-    assert str(error) == "a picture needs matplotlib; install it with: python -m pip install 'hyperpaint[viz]'"
+    assert (
+        str(error) == "a picture needs matplotlib; install it with: python -m pip install 'hyperpaint[viz]'"
+    )

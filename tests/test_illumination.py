@@ -225,5 +225,7 @@ def test_a_level_panel_is_exactly_one_at_any_hour(hour: int) -> None:
 
 def test_a_panel_turned_from_the_sun_sees_the_sky_alone() -> None:
     time = np.array(["2020-12-21T17:10"], "datetime64[ns]")  # zenith 66 degrees
-    made = Tilt(60.0, 0.0, surroundings=0.0, diffuse_fraction=0.3).factor(time, 43.08, -77.67, np.array([550.0]))
+    made = Tilt(60.0, 0.0, surroundings=0.0, diffuse_fraction=0.3).factor(
+        time, 43.08, -77.67, np.array([550.0])
+    )
     assert made[0, 0] == pytest.approx(0.3 * 0.75, rel=1e-9)

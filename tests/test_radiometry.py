@@ -207,12 +207,12 @@ def test_dark_at_two_exposures_gives_bias_and_rate() -> None:
     above = (line.counts - line.dark_counts).transpose(*line.counts.dims).values
     line["counts"] = line.counts.copy(data=(above + bias + rate * 5e-3).astype(np.float32))
     shape = (2, 12, 6)
-    dark = np.broadcast_to(bias + rate * np.array([2e-3, 8e-3])[:, None, None], shape)
+    dark = np.broadcast_to(bias + rate * np.array([2e-3, 10e-3])[:, None, None], shape)
     line = line.drop_vars("dark_counts").assign_coords(
         dark_time=("dark_time", START + np.array([0, 1], "timedelta64[s]"))
     )
     line["dark_counts"] = (("dark_time", "band", "cross_track"), dark.astype(np.float32), {"units": "count"})
-    line["dark_exposure_time"] = ("dark_time", [2.0, 8.0], {"units": "ms"})
+    line["dark_exposure_time"] = ("dark_time", [2.0, 10.0], {"units": "ms"})
     np.testing.assert_allclose(values(line), made.reflectance, rtol=2e-5)
 
 
@@ -240,9 +240,7 @@ def test_subtract_dark_is_a_view_of_the_signal() -> None:
     line = flight(dtype=np.uint16).line
     above = subtract_dark(line.counts, line.dark_counts)
     assert above.dtype == np.float32
-    np.testing.assert_array_equal(
-        above.values, line.counts.values.astype("f4") - line.dark_counts.values
-    )
+    np.testing.assert_array_equal(above.values, line.counts.values.astype("f4") - line.dark_counts.values)
 
 
 # ------------------------------------------------------------------------------------------------- flags
@@ -318,7 +316,7 @@ def test_below_dark_by_five_sigma(dtype: Any) -> None:
     line = flight(bands=40, dark=100.0, dtype=dtype).line
     # five times sqrt(2^2 + 1/12) is 10.104
     line["counts"].values[1, 3, 0] = 89
-    line["counts"].values[2, 3, 0] = 90
+    line["counts"].values[2, 3, 0] = 90 if dtype == np.uint16 else 89.95  # quantisation is noise too
     got = reflectance(line).compute()
     np.testing.assert_array_equal(np.argwhere(got.quality.values == Quality.BELOW_DARK), [[1, 0]])
     assert got.quality.values.sum() == Quality.BELOW_DARK
@@ -497,7 +495,9 @@ def test_records_that_run_backwards_or_stand_still_are_refused() -> None:
 
 def test_a_lazy_record_is_refused_when_it_is_read() -> None:
     line = flight().line.isel(irradiance_time=[0, 2, 1, 3, 4, 5, 6]).drop_indexes("irradiance_time")
-    lazily = line.assign_coords(irradiance_time=("irradiance_time", da.from_array(line.irradiance_time.values)))
+    lazily = line.assign_coords(
+        irradiance_time=("irradiance_time", da.from_array(line.irradiance_time.values))
+    )
     with pytest.raises(TimeError, match="backwards"):
         reflectance(lazily).reflectance.compute()
 
@@ -547,9 +547,7 @@ def test_a_known_tilt_closes() -> None:
     tilt = hp.Tilt(8.0, 200.0, surroundings=0.15, diffuse_fraction=0.2)
     onto = tilt.factor(made.line.irradiance_time.values, 43.08, -77.67, made.line.wavelength.values)
     lit = np.array([np.interp(10 + 0.007 * k, 2.0 * np.arange(12), onto[:, 0]) for k in range(24)])
-    np.testing.assert_allclose(
-        values(made.line, tilt=tilt), made.reflectance / lit[:, None, None], rtol=2e-5
-    )
+    np.testing.assert_allclose(values(made.line, tilt=tilt), made.reflectance / lit[:, None, None], rtol=2e-5)
 
 
 def test_tilt_needs_a_position() -> None:
@@ -599,7 +597,11 @@ def hard_line() -> xr.Dataset:
         time=("along_track", stamps),
         dark_time=("dark_time", START + np.array([0, 30], "timedelta64[s]")),
     )
-    line["dark_counts"] = (("dark_time", "band", "cross_track"), np.stack([dark, dark + 3]), {"units": "count"})
+    line["dark_counts"] = (
+        ("dark_time", "band", "cross_track"),
+        np.stack([dark, dark + 3]),
+        {"units": "count"},
+    )
     return line
 
 
@@ -650,9 +652,7 @@ def test_any_order_of_dims(hard_line: xr.Dataset) -> None:
 def test_counts_of_other_types(dtype: str) -> None:
     line = flight(dtype=np.uint16).line
     line["counts"].values[:] = line.counts.values // 20
-    np.testing.assert_array_equal(
-        values(line.assign(counts=line.counts.astype(dtype))), values(line)
-    )
+    np.testing.assert_array_equal(values(line.assign(counts=line.counts.astype(dtype))), values(line))
 
 
 def test_rounding_keeps_the_bits_that_were_asked_for() -> None:
@@ -666,7 +666,7 @@ def test_rounding_keeps_the_bits_that_were_asked_for() -> None:
             reflectance(line, keep_bits=bad)
 
 
-# -------------------------------------------------------------------------------------------- smile, dark light
+# -------------------------------------------------------------------------------------- smile, darkness
 
 
 def test_smile_without_structure_changes_nothing() -> None:
@@ -738,7 +738,7 @@ def test_two_tasks_a_slab_at_the_most(tmp_path: Any) -> None:
     assert (sizes[96] - sizes[16]) / 10 <= 2
 
 
-def test_graph_of_a_long_line_is_quick(no_compute: Any) -> None:
+def test_graph_of_a_long_line_is_quick(no_compute: Any, record_property: Any) -> None:
     line = flight(lines=1, bands=272, columns=640).line
     lines = 100_000
     long = line.drop_dims("along_track").assign_coords(
@@ -751,7 +751,7 @@ def test_graph_of_a_long_line_is_quick(no_compute: Any) -> None:
         made = reflectance(long)["reflectance"]
         dask.optimize(made)
     spent = clock.perf_counter() - begin
-    print(f"graph of 100,000 lines: {spent:.3f} s")
+    record_property("seconds", spent)
     assert spent < 2.0
 
 

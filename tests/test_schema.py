@@ -58,7 +58,11 @@ def test_label_replaces_attributes() -> None:
 def test_require_converts_and_puts_dims_in_order() -> None:
     dataset = xr.Dataset(
         {
-            "radiance_gain": (("cross_track", "band"), np.ones((3, 2), "f4"), {"units": "uW cm-2 sr-1 nm-1 s count-1"}),
+            "radiance_gain": (
+                ("cross_track", "band"),
+                np.ones((3, 2), "f4"),
+                {"units": "uW cm-2 sr-1 nm-1 s count-1"},
+            ),
             "fwhm": ("band", [0.006, 0.006], {"units": "um"}),
         }
     )

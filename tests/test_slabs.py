@@ -17,6 +17,7 @@ def plan_of(line: xr.Dataset) -> slabs.Plan:
     return slabs.make_plan(
         line.counts.shape,
         line.counts.dtype.str,
+        np.array([0]),
         cube={name: line[name].values for name in cube},
         light={**{name: line[name].values for name in light}, **line.attrs},
     )
@@ -53,7 +54,9 @@ def test_chunks_are_whole_lines(no_compute: object) -> None:
     cube = xr.DataArray(np.zeros((70, 4, 5), "u2"), dims=("along_track", "band", "cross_track"))
     with no_compute():  # type: ignore[operator]
         assert slabs.line_chunked(cube).chunks == ((32, 32, 6), (4,), (5,))
-        turned = cube.transpose("cross_track", "along_track", "band").chunk(band=2, cross_track=3, along_track=10)
+        turned = cube.transpose("cross_track", "along_track", "band").chunk(
+            band=2, cross_track=3, along_track=10
+        )
         assert slabs.line_chunked(turned).chunks == ((10,) * 7, (4,), (5,))
         kept = cube.chunk(along_track=(1, 69))
         assert slabs.line_chunked(kept).chunks == ((1, 69), (4,), (5,))

@@ -49,7 +49,8 @@ def test_saturated_samples_are_still_missing_afterwards() -> None:
 
 @pytest.mark.parametrize("method", METHODS)
 @pytest.mark.parametrize(
-    "chunks", [{"along_track": 1}, {"along_track": 7}, {"along_track": 6, "band": 4}, {"cross_track": 3}, {"band": 1}]
+    "chunks",
+    [{"along_track": 1}, {"along_track": 7}, {"along_track": 6, "band": 4}, {"cross_track": 3}, {"band": 1}],
 )
 def test_the_same_bits_whatever_the_chunks(method: str, chunks: Any, no_compute: Any) -> None:
     whole = cube()
@@ -63,7 +64,9 @@ def test_the_same_bits_whatever_the_chunks(method: str, chunks: Any, no_compute:
     assert found.values.tobytes() == smooth(whole, method, 5).reflectance.values.tobytes()
 
 
-@pytest.mark.parametrize("dims", [("band",), ("paint", "band"), ("y", "x", "band"), ("band", "cross_track", "along_track")])
+@pytest.mark.parametrize(
+    "dims", [("band",), ("paint", "band"), ("y", "x", "band"), ("band", "cross_track", "along_track")]
+)
 def test_any_arrangement_of_dims(dims: tuple[str, ...]) -> None:
     sizes = {"band": 15, "paint": 3, "y": 2, "x": 4, "cross_track": 3, "along_track": 2}
     values = np.random.default_rng(1).uniform(0, 1, [sizes[d] for d in dims]).astype("f4")

@@ -125,7 +125,9 @@ def test_hostile_text_is_refused_at_once() -> None:
         "    except UnitsError as error:\n        assert len(str(error)) < 700, text\n"
         "    assert not same_dimension(text, 'm')\n"
     )
-    done = subprocess.run([sys.executable, "-c", code], timeout=60, capture_output=True, text=True, check=False)
+    done = subprocess.run(
+        [sys.executable, "-c", code], timeout=60, capture_output=True, text=True, check=False
+    )
     assert done.returncode == 0, done.stderr
 
 

@@ -12,8 +12,10 @@ from hyperpaint.kernels.radiometry import calibrate_slab, round_bits
 NO_DATA = 2048
 
 
-def problem(dtype: Any, *, smile: int = 0, darks: int = 1, own_limit: bool = False, seed: int = 0) -> dict[str, Any]:
-    """Return arguments of a slab with saturation, bad elements, values under the dark and a line without data."""
+def problem(
+    dtype: Any, *, smile: int = 0, darks: int = 1, own_limit: bool = False, seed: int = 0
+) -> dict[str, Any]:
+    """Return arguments of a slab that meets every case: saturated, bad, under the dark, without data."""
     rng = np.random.default_rng(seed)
     lines, bands, columns = 7, 9, 13
     counts = rng.uniform(60, 4095, (lines, bands, columns)).astype(dtype)

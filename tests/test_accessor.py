@@ -1,0 +1,71 @@
+"""The accessor is a spelling: same signatures, same results, no state."""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+import xarray as xr
+from strategies import flight
+
+import hyperpaint as hp
+from hyperpaint import bands, plot, radiometry, smoothing, units
+from hyperpaint.accessor import PaintAccessor
+
+FUNCTIONS: dict[str, Callable[..., Any]] = {
+    "radiance": radiometry.radiance,
+    "reflectance": radiometry.reflectance,
+    "smooth": smoothing.smooth,
+    "at": bands.at,
+    "to_nominal": bands.to_nominal,
+    "rgb": plot.rgb,
+    "quicklook": plot.quicklook,
+    "quantify": units.quantify,
+}
+
+
+def test_no_method_without_a_function() -> None:
+    public = {name for name in vars(PaintAccessor) if not name.startswith("_")}
+    assert public == set(FUNCTIONS)
+
+
+@pytest.mark.parametrize("name", FUNCTIONS)
+def test_signatures_are_those_of_the_functions(name: str) -> None:
+    method = inspect.signature(getattr(PaintAccessor, name))
+    function = inspect.signature(FUNCTIONS[name])
+    mine = [p for p in list(method.parameters.values())[1:] if p.name != "dims"]
+    theirs = list(function.parameters.values())[1:]
+    assert [(p.name, p.kind, p.default) for p in mine] == [(p.name, p.kind, p.default) for p in theirs]
+    for own, other in zip(mine, theirs, strict=True):
+        assert str(own.annotation) == str(other.annotation)
+    assert getattr(PaintAccessor, name).__doc__
+
+
+def test_accessor_asks_nothing_of_a_dataset() -> None:
+    # a check in the constructor would make hasattr() raise
+    assert hasattr(xr.Dataset(), "paint")
+    assert hasattr(xr.Dataset({"a": 1}), "paint")
+
+
+def test_it_follows_changes_in_place() -> None:
+    line = flight().line
+    first = line.paint.reflectance().reflectance.values
+    line["radiance_gain"] = (line.radiance_gain * 2).assign_attrs(line.radiance_gain.attrs)
+    np.testing.assert_allclose(line.paint.reflectance().reflectance.values, 2 * first, rtol=1e-6)
+
+
+def test_dims_by_hand() -> None:
+    line = flight().line
+    other = line.rename_dims(along_track="t", band="b", cross_track="c")
+    made = other.paint.reflectance(dims={"along_track": "t", "band": "b", "cross_track": "c"})
+    np.testing.assert_array_equal(made.reflectance, line.paint.reflectance().reflectance)
+    assert other.counts.dims == ("t", "b", "c")
+
+
+def test_functions_and_accessor_agree() -> None:
+    line = flight().line
+    xr.testing.assert_identical(line.paint.reflectance(), hp.reflectance(line))
+    xr.testing.assert_identical(line.paint.radiance(), hp.radiance(line))
