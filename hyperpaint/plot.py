@@ -97,21 +97,24 @@ def rgb(dataset: xr.Dataset, *, stretch: tuple[float, float] = (2.0, 98.0)) -> x
     if visible.size < 3:
         msg = f"a true-colour picture needs three bands between 380 and 780 nm, found {visible.size}"
         raise SchemaError(msg)
-    weights = colour_matching(wavelength[visible]) * band_spacing(wavelength[visible])
-    weights = _XYZ_TO_SRGB @ _BRADFORD_E_TO_D65 @ (weights / weights.sum(axis=1, keepdims=True))
+    shift = None
+    if "wavelength_shift" in dataset.variables:
+        found = schema.require(dataset, ["wavelength_shift"], "a true-colour picture")["wavelength_shift"]
+        shift = (found.isel({schema.BAND: visible}) if schema.BAND in found.dims else found).values
     source = cube.isel({schema.BAND: visible})
     if source.chunks is not None:
-        source = source.chunk({schema.BAND: -1})
+        source = source.chunk({schema.BAND: -1, schema.CROSS_TRACK: -1})
+    source = source.transpose(..., schema.BAND, schema.CROSS_TRACK)
     linear = xr.apply_ufunc(
         _mix,
         source,
-        kwargs={"weights": weights.astype(np.float32)},
-        input_core_dims=[[schema.BAND]],
-        output_core_dims=[["rgb"]],
+        kwargs={"weights": _srgb_weights(wavelength[visible], shift)},
+        input_core_dims=[[schema.BAND, schema.CROSS_TRACK]],
+        output_core_dims=[[schema.CROSS_TRACK, "rgb"]],
         dask="parallelized",
         output_dtypes=[np.float32],
         dask_gufunc_kwargs={"output_sizes": {"rgb": 3}},
-    ).drop_vars(["wavelength", "fwhm", "good"], errors="ignore")
+    ).drop_vars(["wavelength", "fwhm", "good", "wavelength_shift"], errors="ignore")
     dims = [dim for dim in source.dims if dim != schema.BAND]
     low, high = _levels(linear, dims[0], stretch)
     shown = ((linear - low) / np.maximum(high - low, np.float32(1e-6))).clip(0.0, 1.0)
@@ -128,11 +131,22 @@ def _encode_srgb(linear: Array) -> Array:
     return np.asarray(np.where(linear <= 0.0031308, 12.92 * linear, curved), np.float32)
 
 
+def _srgb_weights(wavelength: Array, shift: Array | None) -> Array:
+    """Return what turns reflectance into linear sRGB, (rgb, band, 1 or column): each column its own smile."""
+    own = wavelength[:, None]
+    if shift is not None:
+        own = own + np.atleast_2d(shift)
+    matching = colour_matching(own) * band_spacing(wavelength)[:, None]
+    matching = matching / matching.sum(axis=1, keepdims=True)
+    return np.asarray(np.tensordot(_XYZ_TO_SRGB @ _BRADFORD_E_TO_D65, matching, 1), np.float32)
+
+
 def _mix(values: Array, *, weights: Array) -> Array:
-    """Return linear sRGB of spectra (..., band); a missing band of a seen pixel is over-bright."""
+    """Return linear sRGB of (..., band, column); a missing band of a seen pixel is over-bright."""
     missing = np.isnan(values)
-    seen = ~missing.all(axis=-1, keepdims=True)
-    return np.asarray(np.where(missing, seen.astype(np.float32), values) @ weights.T, np.float32)
+    seen = ~missing.all(axis=-2, keepdims=True)
+    known = np.where(missing, seen.astype(np.float32), values)
+    return np.stack([(known * weight).sum(axis=-2, dtype=np.float32) for weight in weights], axis=-1)
 
 
 def _levels(linear: xr.DataArray, lines: Any, stretch: tuple[float, float]) -> tuple[Any, Any]:

@@ -56,8 +56,9 @@ def smooth(
 
     Notes
     -----
-    A missing band stays missing, and changes only the bands whose window holds it. Quality flags are left
-    as they are: a flag set before is still set.
+    A missing band stays missing, and changes only the bands whose window holds it. Bands that are not
+    ``good`` are left as they are, and out of their neighbours' windows. Quality flags are left as they are: a
+    flag set before is still set.
 
     References
     ----------
@@ -90,6 +91,8 @@ def smooth(
     cube = set(schema.CUBE) == set(array.dims)
     source = line_chunked(array) if cube else array
     options = {"weights": weights, "first": first, "fallback": fallback, "box": method == "box", "cube": cube}
+    if "good" in dataset.variables:
+        options["good"] = dataset["good"].values.astype(bool)
     filtered = xr.apply_ufunc(
         _filter,
         source.chunk({schema.BAND: -1}) if source.chunks else source,
@@ -105,7 +108,16 @@ def smooth(
     return dataset.assign(reflectance=filtered.assign_attrs(attrs))
 
 
-def _filter(values: Array, *, weights: Array, first: Array, fallback: Array, box: bool, cube: bool) -> Array:
+def _filter(
+    values: Array,
+    *,
+    weights: Array,
+    first: Array,
+    fallback: Array,
+    box: bool,
+    cube: bool,
+    good: Array | None = None,
+) -> Array:
     from .kernels.smoothing import filter_slab
 
     shaped = values.astype(np.float32, copy=False)
@@ -113,7 +125,10 @@ def _filter(values: Array, *, weights: Array, first: Array, fallback: Array, box
     if not cube:
         shaped = shaped.reshape(-1, first.size, 1)
     out = np.empty(shaped.shape, np.float32)
-    filter_slab(np.ascontiguousarray(shaped), weights, first, box, fallback, out)
+    known = shaped if good is None else np.where(good[:, None], shaped, np.float32(np.nan))
+    filter_slab(np.ascontiguousarray(known), weights, first, box, fallback, out)
+    if good is not None:
+        out[:, ~good] = shaped[:, ~good]
     return out.reshape(values.shape)
 
 

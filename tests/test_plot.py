@@ -96,3 +96,19 @@ def test_quicklook_without_matplotlib(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
     with pytest.raises(MissingExtraError, match=r"hyperpaint\[viz\]"):
         quicklook(flight().line)
+
+
+def test_smile_does_not_tint_the_picture() -> None:
+    """Expected: one paint, seen by columns on their own wavelengths, has one colour."""
+    shift = np.linspace(-3.0, 3.0, 7)
+    edge = 0.1 + 0.6 / (1.0 + np.exp(-(NM[:, None] + shift - 590.0) / 12.0))
+    cube = xr.Dataset(
+        {"reflectance": (("along_track", "band", "cross_track"), edge[None].astype("f4"), {"units": "1"})},
+        {
+            "wavelength": ("band", NM, {"units": "nm"}),
+            "wavelength_shift": ("cross_track", shift, {"units": "nm"}),
+        },
+    )
+    seen = rgb(cube, stretch=WHITE).values[0]
+    tinted = rgb(cube.drop_vars("wavelength_shift"), stretch=WHITE).values[0]
+    assert np.ptp(seen, axis=0).max() < 0.1 * np.ptp(tinted, axis=0).max()

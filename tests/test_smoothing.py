@@ -97,3 +97,18 @@ def test_everything_that_is_wrong_is_listed() -> None:
         smooth(cube(), "box", 17)
     with pytest.raises(SchemaError, match="order"):
         smooth(cube(), "savitzky-golay", 5, order=4)
+
+
+@pytest.mark.parametrize("method", ["box", "savitzky-golay"])
+def test_a_band_that_is_not_good_touches_nothing(method: str) -> None:
+    spectrum = np.linspace(0.2, 0.4, 21, dtype="f4")
+    spoilt = spectrum.copy()
+    spoilt[10] = 9.0
+    good = np.arange(21) != 10
+
+    def smoothed(values: np.ndarray) -> np.ndarray:
+        made = xr.Dataset({"reflectance": ("band", values, {"units": "1"})}, {"good": ("band", good)})
+        return smooth(made, method, 5).reflectance.values
+
+    np.testing.assert_array_equal(smoothed(spoilt)[good], smoothed(spectrum)[good])
+    assert smoothed(spoilt)[10] == np.float32(9.0)
