@@ -4,6 +4,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 
 from .common import (
@@ -11,7 +13,6 @@ from .common import (
     COLUMNS,
     FRAME_PERIOD,
     SMILE,
-    calibrate,
     counts_block,
     flight_line,
     instrument,
@@ -36,23 +37,26 @@ class Calibrate:
         self.time_plain(lines)
         self.time_smile_quality_rounding(lines)
 
-    def _run(self, smile, quality, dropped):
-        calibrate(self.plans[smile], self.counts, 0, self.out, quality, dropped)
+    def _run(self, smile, quality, cleared_bits=0):
+        from hyperpaint.slabs import calibrate_lines
+
+        plan = dataclasses.replace(self.plans[smile], cleared_bits=cleared_bits)
+        calibrate_lines(plan, self.counts, 0, self.out, quality)
 
     def time_floor(self, lines):
         np.copyto(self.out, self.counts)
 
     def time_plain(self, lines):
-        self._run(smile=False, quality=self.no_quality, dropped=0)
+        self._run(smile=False, quality=self.no_quality)
 
     def time_quality(self, lines):
-        self._run(smile=False, quality=self.quality, dropped=0)
+        self._run(smile=False, quality=self.quality)
 
     def time_smile(self, lines):
-        self._run(smile=True, quality=self.no_quality, dropped=0)
+        self._run(smile=True, quality=self.no_quality)
 
     def time_smile_quality_rounding(self, lines):
-        self._run(smile=True, quality=self.quality, dropped=11)
+        self._run(smile=True, quality=self.quality, cleared_bits=11)
 
 
 class Smooth:

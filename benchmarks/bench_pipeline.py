@@ -11,7 +11,7 @@ from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 
-from .common import BANDS, COLUMNS, THREADS, calibrate, chunk_files, counts_store, plan_of, scratch
+from .common import BANDS, COLUMNS, THREADS, chunk_files, counts_store, plan_of, scratch
 
 _numbers = itertools.count()
 _SLAB = (32, BANDS, COLUMNS)
@@ -70,16 +70,25 @@ class ToStore:
             list(pool.map(lambda part: self._bare(folder, part), range(THREADS)))
 
     def _bare(self, folder, part):
+        import google_crc32c
         from numcodecs.blosc import BITSHUFFLE, Blosc
+
+        from hyperpaint.slabs import calibrate_lines
 
         coder, encoder = Blosc(), Blosc("lz4", 5, BITSHUFFLE, typesize=4)
         counts, out = np.empty(_SLAB, np.uint16), np.empty(_SLAB, np.float32)
         no_quality = np.empty((0, 0), np.uint16)
         for number in range(part, len(self.files), THREADS):
-            stored = self.files[number].read_bytes()
-            coder.decode(memoryview(stored)[:-4], out=counts)  # the last four bytes are a checksum
-            calibrate(self.plan, counts, number * _SLAB[0], out, no_quality)
-            (folder / str(number)).write_bytes(encoder.encode(out))
+            stored = memoryview(self.files[number].read_bytes())
+            # the codec is blosc, then crc32c in the last four bytes
+            if google_crc32c.value(stored[:-4].tobytes()) != int.from_bytes(stored[-4:], "little"):
+                raise ValueError(number)
+            coder.decode(stored[:-4], out=counts)
+            calibrate_lines(self.plan, counts, number * _SLAB[0], out, no_quality)
+            encoded = encoder.encode(out)
+            checksum = google_crc32c.value(encoded).to_bytes(4, "little")
+            with open(folder / str(number), "wb") as file:
+                file.writelines((encoded, checksum))
 
     def time_naive(self, lines):
         line = self.line

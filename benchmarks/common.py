@@ -202,7 +202,7 @@ def counts_store(lines: int, *, smile: bool = False) -> Path:
 
 def plan_of(line: Any) -> Any:
     """Return what the tasks of a flight line share (see `hyperpaint.slabs.Plan`), its values being loaded."""
-    from hyperpaint.slabs import make_plan
+    from hyperpaint.planning import make_plan
 
     light = ("irradiance", "irradiance_fwhm", "irradiance_time", "irradiance_wavelength")
     cube = ("dark_counts", "radiance_gain", "exposure_time", "saturation_count", "read_noise", "time")
@@ -214,22 +214,6 @@ def plan_of(line: Any) -> Any:
         cube={name: line[name].values for name in cube},
         light={**{name: line[name].values for name in light}, **line.attrs},
     )
-
-
-def calibrate(
-    plan: Any, counts: np.ndarray, start: int, out: np.ndarray, quality: np.ndarray, dropped: int = 0
-) -> None:
-    """Run the kernel on the lines of a plan from ``start`` on, into given memory."""
-    from hyperpaint.kernels.radiometry import calibrate_slab
-
-    here = slice(start, start + len(counts))
-    calibrate_slab(
-        counts, plan.dark, plan.dark_index[here], plan.dark_weight[here], plan.gain,
-        plan.light(here.start, here.stop), plan.smile.shift, plan.smile.edges, plan.smile.cells,
-        plan.limit, plan.floor, plan.zero, plan.watched, plan.flag_limits,
-        plan.line_flags[here], plan.column_flags,
-        np.uint32(dropped), out, out.view(np.uint32), quality,
-    )  # fmt: skip
 
 
 def chunk_files(store: Path, name: str = "counts") -> list[Path]:

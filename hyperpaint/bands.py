@@ -44,6 +44,7 @@ def at(dataset: xr.Dataset, wavelength: npt.ArrayLike) -> xr.Dataset:
     >>> float(at(cube, 551.2).wavelength)
     551.0
     """
+    dataset = schema.rename_to_roles(dataset)
     centres = schema.require(dataset, ["wavelength"], "the bands at a wavelength")["wavelength"].values
     wanted = np.asarray(wavelength, np.float64)
     nearest = np.abs(centres - wanted[..., None]).argmin(axis=-1)
@@ -84,6 +85,7 @@ def to_nominal(dataset: xr.Dataset) -> xr.Dataset:
     """
     import xarray as xr
 
+    dataset = schema.rename_to_roles(dataset)
     products = [name for name in ("radiance", "reflectance") if name in dataset.variables]
     if not products:
         msg = "neither 'radiance' nor 'reflectance' to bring to nominal wavelengths; compute one first"

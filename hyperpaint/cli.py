@@ -91,15 +91,22 @@ def main() -> None:
 
 
 @main.command(
+    short_help="Simulate, process and compare with the truth.",
     epilog="""\b
 Example:
-  hyperpaint demo --out demo"""
+  hyperpaint demo --out demo""",
 )
 @click.option("--out", "folder", required=True, type=_FOLDER, help="Folder for everything the demo makes.")
 @click.option("--lines", default=256, show_default=True, type=click.IntRange(min=8), help="Scan lines.")
 @click.option("--bands", default=272, show_default=True, type=click.IntRange(min=8), help="Spectral bands.")
 @click.option("--columns", default=320, show_default=True, type=click.IntRange(min=8), help="Columns.")
-@click.option("--seed", default=0, show_default=True, type=click.IntRange(min=0), help="Another collect.")
+@click.option(
+    "--seed",
+    default=0,
+    show_default=True,
+    type=click.IntRange(min=0),
+    help="Random seed; same seed, same files.",
+)
 @click.option("--overwrite", is_flag=True, help="Write into a folder that holds other files.")
 @click.option("--quiet", is_flag=True, help="No progress bars.")
 @click.pass_context
@@ -134,17 +141,18 @@ def demo(ctx: click.Context, /, folder: Path, overwrite: bool, quiet: bool, **sh
 
 
 @main.command(
+    short_help="Write a simulated collect with known truth.",
     epilog="""\b
 Examples:
   hyperpaint simulate sim --lines 2000
   hyperpaint simulate sim --shape slit --smile 1.5 --cloud 0.6 4 2 --dropped 12
-  hyperpaint simulate sim --no-noise --no-smile --seed 7 --overwrite"""
+  hyperpaint simulate sim --no-noise --no-smile --seed 7 --overwrite""",
 )
 @click.argument("folder", metavar="DIR", type=_FOLDER)
 @click.option("--lines", default=512, show_default=True, type=int, help="Scan lines.")
 @click.option("--bands", default=272, show_default=True, type=int, help="Spectral bands.")
 @click.option("--columns", default=320, show_default=True, type=int, help="Columns.")
-@click.option("--seed", default=0, show_default=True, type=int, help="Same seed, same files.")
+@click.option("--seed", default=0, show_default=True, type=int, help="Random seed; same seed, same files.")
 @click.option("--cubes", type=int, help="Cubes the flight is cut into.")
 @click.option(
     "--shape", "srf_shape", type=click.Choice(["gaussian", "slit"]), help="Line shape of the camera."
@@ -175,8 +183,16 @@ Examples:
     help="Seconds between which no irradiance was logged.",
 )  # fmt: skip
 @click.option("--irradiance-noise", type=float, metavar="SHARE", help="Noise of each irradiance value.")
-@click.option("--clock-offset", "clock_offset_s", type=float, metavar="S", help="Seconds its clock is slow.")
-@click.option("--utc-offset", "utc_offset_h", type=float, metavar="H", help="Zone of the logging PC.")
+@click.option(
+    "--clock-offset",
+    "clock_offset_s",
+    type=float,
+    metavar="S",
+    help="Seconds the spectrometer's clock is slow.",
+)
+@click.option(
+    "--utc-offset", "utc_offset_h", type=float, metavar="H", help="UTC offset of the logging PC [h]."
+)
 @click.option("--sun-zenith", type=float, metavar="DEGREE", help="Zenith angle of the sun.")
 @click.option("--truth/--no-truth", default=True, show_default=True, help="Write truth.zarr.")
 @click.option("--overwrite", is_flag=True, help="Replace an earlier simulated collect.")
@@ -227,11 +243,12 @@ def _bar(label: str, shown: bool) -> Iterator[Any]:
 
 
 @main.command(
+    short_help="Process a collect into one Zarr store.",
     epilog="""\b
 Examples:
   hyperpaint process collect.toml --out lot.zarr
   hyperpaint process collect.toml --out lot.zarr --reflectance none     a third of the disk
-  hyperpaint process collect.toml --out lot.zarr --scheduler tcp://node0:8786"""
+  hyperpaint process collect.toml --out lot.zarr --scheduler tcp://node0:8786""",
 )
 @click.argument(
     "collect", metavar="COLLECT.toml", type=click.Path(exists=True, dir_okay=False, path_type=Path)
@@ -245,7 +262,8 @@ Examples:
 )  # fmt: skip
 @click.option(
     "--reflectance", type=click.Choice(["none", "stored"]), default="stored", show_default=True,
-    help="Also store the computed cube, for other programs; it always follows from the stored counts.",
+    help="'stored' also writes the computed cube, for other programs; 'none' leaves it to be computed "
+    "from counts.",
 )  # fmt: skip
 @click.option("--scheduler", metavar="ADDRESS", help="Compute on this dask.distributed cluster.")
 @click.option("--overwrite", is_flag=True, help="Replace groups made from other inputs or parameters.")
@@ -272,25 +290,31 @@ def _listed(groups: tuple[str, ...]) -> str:
 
 
 @main.command(
+    short_help="Show what a file, collect or store is.",
     epilog="""\b
 Examples:
   hyperpaint info collect.toml
-  hyperpaint info lot.zarr/flightlines/raw_0"""
+  hyperpaint info lot.zarr/flightlines/raw_0""",
 )
 @click.argument("path", type=_INPUT)
 def info(path: Path) -> None:
-    """Tell what a file or store is: dims, units, wavelengths, times, exposure, completeness.
+    """Show what a file or store is: dims, units, wavelengths, times, exposure, completeness.
 
     PATH is an ENVI header or cube, an ASD file, a text or csv export, a frame index, a navigation record, a
-    collect.toml, or a Zarr store or one of its groups. Of a collect everything is opened, and what `process`
-    would do is said.
+    collect.toml, or a Zarr store or one of its groups. Of a collect everything is opened; shown is what
+    `process` would do.
     """
     from .info import describe_path
 
     click.echo(describe_path(path))
 
 
-@main.command()
+@main.command(
+    short_help="Check every chunk of a store against its record.",
+    epilog="""\b
+Example:
+  hyperpaint verify lot.zarr""",
+)
 @click.argument("store", metavar="STORE.zarr", type=click.Path(path_type=Path))
 @click.pass_context
 def verify(ctx: click.Context, /, store: Path) -> None:

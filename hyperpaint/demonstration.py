@@ -14,6 +14,7 @@ import numpy.typing as npt
 from .errors import MissingExtraError, StoreError
 from .pipeline import run
 from .schema import ALONG_TRACK, BAND, CHUNK_LINES, CROSS_TRACK
+from .simulation.collect import CAMERA_SOFTWARE, MARKER, PARTS
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -23,21 +24,7 @@ __all__ = ["Agreement", "Comparison", "compare", "refuse_foreign", "run_demonstr
 Floats = npt.NDArray[np.float64]
 
 STORE, PICTURE = "lot.zarr", "quicklook.png"
-MARKER = "# simulated by hyperpaint"
-"""Opens the ``collect.toml`` of a simulated collect."""
-_OURS = frozenset(
-    {
-        "flight",
-        "dark",
-        "asd",
-        "calibration.zarr",
-        "truth.zarr",
-        "collect.toml",
-        STORE,
-        PICTURE,
-        f".partial-{STORE}",
-    }
-)
+_OURS = frozenset({*PARTS, STORE, PICTURE, f".partial-{STORE}"})
 
 BANDS_NM = (420.0, 980.0)
 """Outside, the camera is too blind for a noisy count to say much."""
@@ -278,7 +265,7 @@ def refuse_foreign(folder: Path, *, overwrite: bool) -> None:
     simulated = toml.is_file() and toml.read_bytes().startswith(MARKER.encode())
     headers = [*folder.glob("flight/*.hdr"), *folder.glob("dark/*.hdr")]
     others = sorted(entry.name for entry in folder.iterdir() if entry.name not in _OURS)
-    if any(b"hyperpaint simulation" not in header.read_bytes() for header in headers) or (
+    if any(CAMERA_SOFTWARE.encode() not in header.read_bytes() for header in headers) or (
         toml.exists() and not simulated
     ):
         msg = f"{folder} holds a collect that was not simulated, which stays as it is; name another folder"

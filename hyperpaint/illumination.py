@@ -40,37 +40,54 @@ LOW_SUN_ZENITH = 75.0
 
 @dataclass(frozen=True)
 class Tilt:
-    """A panel that is not level, and what it sees.
+    """The attitude of a surface that is not level, and what it sees.
 
     Attributes
     ----------
     angle
-        Between its normal and the zenith [degree].
+        Between its normal and the zenith, 0 to 90 [degree].
     azimuth
         Of its normal, clockwise from north [degree].
-    sky_view
+    sky_view_factor
         Part of the sky it sees [1]; ``(1 + cos angle) / 2``, that of an open field, by default.
-    surroundings
+    ground_reflectance
         Reflectance of what fills the rest of its view [1].
     diffuse_fraction : (band,)
         Diffuse part of the global irradiance [1]; the clear-sky model of `hyperpaint.sun` by default.
+
+    Raises
+    ------
+    SchemaError
+        A value is out of its range; all are listed.
     """
 
     angle: float
     azimuth: float
-    sky_view: float | None = None
-    surroundings: float = 0.2
+    sky_view_factor: float | None = None
+    ground_reflectance: float = 0.2
     diffuse_fraction: Any = None
 
+    def __post_init__(self) -> None:
+        problems = Problems("this tilt cannot be", SchemaError)
+        if not 0.0 <= self.angle <= 90.0:
+            problems.add(f"angle {self.angle:g}, expected 0 to 90 degrees from level")
+        if not np.isfinite(self.azimuth):
+            problems.add(f"azimuth {self.azimuth:g}, expected degrees clockwise from north")
+        for name in ("sky_view_factor", "ground_reflectance", "diffuse_fraction"):
+            value = getattr(self, name)
+            if value is not None and not ((np.asarray(value) >= 0) & (np.asarray(value) <= 1)).all():
+                problems.add(f"{name} {value}, expected 0 to 1")
+        problems.raise_if_any()
+
     def factor(self, time: Array, latitude: float, longitude: float, wavelength: Float) -> Float:
-        r"""Return the irradiance on the panel over that on level ground, (time, band) [1].
+        r"""Return the irradiance on the surface over that on level ground, (time, band) [1].
 
         Notes
         -----
         .. math:: E_t = E_{dir} \frac{\cos\theta_i}{\cos\theta_s} + V E_{dif} + (1 - V) \rho_n E
 
-        with :math:`V` the sky view and :math:`\rho_n` the surroundings, written as a departure from 1, so
-        that a level panel gives exactly 1.
+        with :math:`V` the sky view factor and :math:`\rho_n` the ground's reflectance, written as a departure
+        from 1, so that a level surface gives exactly 1.
         """
         zenith, sun_azimuth = (np.radians(angle) for angle in solar_position(time, latitude, longitude))
         slope = np.radians(self.angle)
@@ -80,7 +97,7 @@ class Tilt:
         height = np.cos(zenith)
         # without a beam to speak of, nothing departs from level ground
         beam = np.where(height > 1e-3, np.clip(incidence, 0.0, None) / np.maximum(height, 1e-3), 1.0)
-        view = (1.0 + np.cos(slope)) / 2.0 if self.sky_view is None else self.sky_view
+        view = (1.0 + np.cos(slope)) / 2.0 if self.sky_view_factor is None else self.sky_view_factor
         if self.diffuse_fraction is None:
             diffuse = np.stack([diffuse_fraction(wavelength, float(np.degrees(z))) for z in zenith])
         else:
@@ -88,7 +105,7 @@ class Tilt:
                 np.asarray(self.diffuse_fraction, np.float64), (zenith.size, wavelength.size)
             )
         return np.asarray(
-            1.0 + (1.0 - diffuse) * (beam[:, None] - 1.0) + (view - 1.0) * (diffuse - self.surroundings)
+            1.0 + (1.0 - diffuse) * (beam[:, None] - 1.0) + (view - 1.0) * (diffuse - self.ground_reflectance)
         )
 
 
@@ -245,11 +262,11 @@ def match_irradiance(
         problems.add("'irradiance' has no coordinate 'irradiance_wavelength' [nm]")
     problems.raise_if_any()
     irradiance = convert(irradiance.transpose(*dims), schema.VARIABLES["irradiance"].units, "irradiance")
-    samples = irradiance[schema.IRRADIANCE_WAVELENGTH]
-    if "units" in samples.attrs:
-        samples = convert(samples, "nm")
+    channels = irradiance[schema.IRRADIANCE_WAVELENGTH]
+    if "units" in channels.attrs:
+        channels = convert(channels, "nm")
     matching = _operator(
-        samples.values,
+        channels.values,
         irradiance_fwhm,
         irradiance_srf_shape,
         {
@@ -293,7 +310,7 @@ def match_irradiance(
 
 
 def _operator(
-    samples: Float,
+    channels: Float,
     irradiance_fwhm: Any,
     irradiance_shape: str,
     imager: Mapping[str, Any],
@@ -304,9 +321,15 @@ def _operator(
     fwhm = np.broadcast_to(np.asarray(imager["fwhm"], np.float64), wavelength.shape)
     responsivity = imager.get("responsivity")
     slope = None if responsivity is None else log_slope(wavelength, np.asarray(responsivity), 2.0 * fwhm)
-    spectrometer = Responses(samples, irradiance_fwhm, irradiance_shape)
+    spectrometer = Responses(channels, irradiance_fwhm, irradiance_shape)
     bands = Responses(
-        wavelength, fwhm, imager["srf_shape"], slope=slope, offset=imager["srf_offset"], table=imager["srf"]
+        wavelength,
+        fwhm,
+        imager["srf_shape"],
+        spacing=imager.get("spacing"),
+        slope=slope,
+        offset=imager["srf_offset"],
+        table=imager["srf"],
     )
     matching = matching_operator(spectrometer, bands, nodes)
     sharp = np.flatnonzero(np.nanmax(np.nan_to_num(matching.noise_gain), axis=0) > MAX_NOISE_GAIN)
@@ -322,7 +345,7 @@ def _operator(
     if outside.size:
         warnings.warn(
             f"{outside.size} bands ({wavelength[outside].min():.1f} to {wavelength[outside].max():.1f} nm) "
-            f"lie outside the irradiance record ({samples.min():g} to {samples.max():g} nm) and become NaN",
+            f"lie outside the irradiance record ({channels.min():g} to {channels.max():g} nm) and become NaN",
             PaintWarning,
             stacklevel=3,
         )
@@ -330,7 +353,7 @@ def _operator(
 
 
 def _apply(matching: Matching, spectra: Array) -> Float:
-    """Return spectra (..., sample) as matched values (..., node, band); NaN only where a weight meets one."""
+    """Return spectra (..., channel) as (..., node, band); NaN only where a weight meets one."""
     missing = np.isnan(spectra)
     weights = matching.weights
     matched = np.tensordot(np.where(missing, 0.0, spectra), weights, axes=([-1], [-1]))
@@ -342,16 +365,16 @@ def _apply(matching: Matching, spectra: Array) -> Float:
 
 def matched_series(
     spectra: Array,
-    samples: Float,
+    channels: Float,
     irradiance_fwhm: Any,
     irradiance_shape: str,
     imager: Mapping[str, Any],
     nodes: Float,
 ) -> Float:
-    """Return a series (time, sample) as float64 (time, node, band); the array side of `match_irradiance`."""
-    order = np.argsort(samples, kind="stable")
-    width = np.broadcast_to(np.asarray(irradiance_fwhm, np.float64), samples.shape)[order]
-    matching = _operator(samples[order], width, irradiance_shape, imager, nodes)
+    """Return a series (time, channel) as float64 (time, node, band); the array side of `match_irradiance`."""
+    order = np.argsort(channels, kind="stable")
+    width = np.broadcast_to(np.asarray(irradiance_fwhm, np.float64), channels.shape)[order]
+    matching = _operator(channels[order], width, irradiance_shape, imager, nodes)
     return _apply(matching, np.asarray(spectra, np.float64)[:, order])
 
 
@@ -381,7 +404,7 @@ class LineLight:
 def line_light(
     time: Array,
     irradiance_time: Array,
-    power: Float,
+    broadband: Float,
     max_gap: float | None = None,
     latitude: Array | None = None,
     longitude: Array | None = None,
@@ -394,7 +417,7 @@ def line_light(
         UTC at mid exposure; NaT for a line without data. They need not be in order.
     irradiance_time : (sample,)
         UTC of the samples; must increase.
-    power : (sample,)
+    broadband : (sample,)
         Irradiance of each sample, summed over 400-1000 nm, any scale; NaN marks a sample to leave out.
     max_gap
         Longest interval that is interpolated [s]; 2.5 median intervals by default.
@@ -414,7 +437,7 @@ def line_light(
     lines = np.asarray(time).astype("datetime64[ns]")
     samples = np.asarray(irradiance_time).astype("datetime64[ns]")
     check_irradiance_times(samples)
-    kept = np.flatnonzero(np.isfinite(power))
+    kept = np.flatnonzero(np.isfinite(broadband))
     if kept.size == 0:
         msg = "the irradiance record holds no valid spectrum"
         raise TimeError(msg)
@@ -428,11 +451,14 @@ def line_light(
     since, interval = stamps - ticks[low], ticks[high] - ticks[low]
     weight = since / np.maximum(interval, 1)
     age = np.minimum(np.abs(since), np.abs(ticks[high] - stamps)) / 1e9
+    if max_gap is not None and not max_gap > 0:
+        msg = f"'irradiance_max_gap' is {max_gap:g} s, expected a positive number"
+        raise SchemaError(msg)
     if max_gap is None:
         max_gap = 2.5 * float(np.median(np.diff(ticks))) / 1e9 if ticks.size > 1 else 0.0
     gap = ~outside & (interval / 1e9 > max_gap) & (weight > 0.0) & (weight < 1.0)
-    energy = power[kept]
-    change = np.abs(energy[high] - energy[low]) / np.maximum(np.minimum(energy[high], energy[low]), 1e-30)
+    level = broadband[kept]
+    change = np.abs(level[high] - level[low]) / np.maximum(np.minimum(level[high], level[low]), 1e-30)
     flags = np.zeros(lines.shape, np.uint16)
     flags[outside | gap] |= np.uint16(Quality.IRRADIANCE_GAP)
     flags[~outside & (change > UNSTABLE_CHANGE)] |= np.uint16(Quality.ILLUMINATION_UNSTABLE)
@@ -440,11 +466,11 @@ def line_light(
         zenith, _ = solar_position(lines, latitude, longitude)
         flags[np.nan_to_num(zenith, nan=0.0) > LOW_SUN_ZENITH] |= np.uint16(Quality.LOW_SUN)
     flags[missing] = Quality.NO_DATA
-    dark = outside | gap | missing
+    unlit = outside | gap | missing
     return LineLight(
         kept[low].astype(np.int64),
         kept[high].astype(np.int64),
-        np.where(dark, np.nan, weight),
+        np.where(unlit, np.nan, weight),
         np.where(missing, np.nan, age).astype(np.float32),
         flags,
     )

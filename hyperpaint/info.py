@@ -26,7 +26,7 @@ def describe_path(path: str | Path) -> str:
     """Return what a file or store is: dims, units, wavelengths, times, exposure, completeness.
 
     Reads headers and small files; of cubes and stores no sample. Of a ``collect.toml`` everything is opened
-    that `process` would open, and what it would do is said.
+    that `process` would open; shown is what it would do.
 
     Parameters
     ----------
@@ -40,7 +40,7 @@ def describe_path(path: str | Path) -> str:
     CollectError
         The collect cannot be processed; all problems are listed.
     StoreError
-        The folder is no Zarr store.
+        The folder is not a Zarr store.
     """
     path = Path(path)
     if not path.exists():
@@ -248,7 +248,7 @@ def _folder(path: Path) -> Facts:
         if entry.suffix.lower() in (".toml", ".hdr", ".asd", ".zarr") and not entry.name.startswith(".")
     )
     seen = f"; in it are {', '.join(known[:8])}{' ...' if len(known) > 8 else ''}" if known else ""
-    msg = f"{path} is a folder and no Zarr store{seen}; {_EXPECTED}"
+    msg = f"{path} is a folder, not a Zarr store{seen}; {_EXPECTED}"
     raise StoreError(msg)
 
 
@@ -270,17 +270,21 @@ def _group(path: Path, name: str) -> Facts:
     import xarray as xr
 
     from .io.store import open_store
+    from .io.store.record import COMPLETE
 
     try:
         group = open_store(path, name)
         yield "state", f"complete, written {group.attrs.get('created', 'at an unknown time')}"
     except IncompleteStoreError as error:
-        yield "state", f"NOT COMPLETE, or of another program: {error}"
         group = xr.open_zarr(path, group=name or None, consolidated=False)
+        # what the store writer began carries its stamp from the first moment on
+        foreign = COMPLETE not in group.attrs and "hyperpaint_version" not in group.attrs
+        unsealed = "no completion record (not written by hyperpaint's store writer)"
+        yield "state", unsealed if foreign else f"NOT COMPLETE: {error}"
     if ALONG_TRACK in group.dims:
         yield from _line(group)
-        told = ("counts", "radiance", "reflectance", "irradiance", "exposure_time")
-        yield "beside", ", ".join(sorted(str(key) for key in group.data_vars if key not in told))
+        shown = ("counts", "radiance", "reflectance", "irradiance", "exposure_time")
+        yield "also holds", ", ".join(sorted(str(key) for key in group.data_vars if key not in shown))
     elif "irradiance" in group:
         yield from _irradiance(group)
     else:

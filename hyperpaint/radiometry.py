@@ -16,17 +16,41 @@ import numpy as np
 from . import schema, slabs
 from .errors import Problems, SchemaError
 from .illumination import Tilt
-from .schema import ALONG_TRACK, BAND, CROSS_TRACK, IRRADIANCE_TIME, IRRADIANCE_WAVELENGTH
+from .planning import make_plan
+from .schema import ALONG_TRACK, BAND, CROSS_TRACK, IRRADIANCE_TIME, IRRADIANCE_WAVELENGTH, Quality
+from .units import convert
 
 if TYPE_CHECKING:
     import xarray as xr
 
 __all__ = ["Panel", "radiance", "reflectance", "subtract_dark"]
 
-_COUNTED = ("counts", "dark_counts")
+_COUNTED = ("counts", "dark_counts", "radiance_gain", "exposure_time", "saturation_count")
 _LIGHT = ("irradiance", "irradiance_fwhm")
-_OWN_BITS = 1 | 2 | 4 | 8 | 16 | 32 | 2048
-"""Bits of `quality` that are set here, from counts, times and calibration."""
+_OPTIONAL = (
+    "dark_exposure_time",
+    "dark_time",
+    "read_noise",
+    "time",
+    "good",
+    "band_spacing",
+    "wavelength_shift",
+    "latitude",
+    "longitude",
+    "srf",
+    "srf_offset",
+)
+#: Bits that are found anew, for each product; the others are what someone else found, and stay.
+_OWN_BITS = {
+    "radiance": Quality.SATURATED | Quality.BELOW_DARK | Quality.BAD_DETECTOR | Quality.NO_DATA,
+    "reflectance": Quality.SATURATED
+    | Quality.BELOW_DARK
+    | Quality.BAD_DETECTOR
+    | Quality.NO_DATA
+    | Quality.IRRADIANCE_GAP
+    | Quality.ILLUMINATION_UNSTABLE
+    | Quality.LOW_SUN,
+}
 
 
 @dataclass(frozen=True)
@@ -38,20 +62,36 @@ class Panel:
     along_track, cross_track
         Lines and columns it fills, by position.
     reflectance
-        Its reflectance factor [1]: a number, or a DataArray with a coordinate ``wavelength`` [nm].
+        Its reflectance factor: a number [1], or a DataArray [any unit of it] with a coordinate ``wavelength``
+        [any unit of length].
+
+    Raises
+    ------
+    SchemaError
+        A reflectance that is not one.
     """
 
     along_track: slice
     cross_track: slice
     reflectance: Any
 
-    def on(self, wavelength: Any) -> Any:
+    def __post_init__(self) -> None:
+        labelled = hasattr(self.reflectance, "coords")
+        if labelled and "wavelength" not in self.reflectance.coords:
+            msg = "the panel's reflectance has no coordinate 'wavelength' [nm]"
+            raise SchemaError(msg)
+        if not labelled and not (np.ndim(self.reflectance) == 0 and 0 < self.reflectance <= 1.2):
+            msg = f"the panel's reflectance is {self.reflectance}, expected 0 to 1, or a DataArray"
+            raise SchemaError(msg)
+
+    def at(self, wavelength: Any) -> Any:
         """Return the reflectance at wavelengths (band,) [nm]; NaN outside what is known."""
         if np.ndim(self.reflectance) == 0:
             return np.full(np.shape(wavelength), float(self.reflectance))
-        known = self.reflectance["wavelength"].values
-        order = np.argsort(known, kind="stable")
-        return np.interp(wavelength, known[order], self.reflectance.values[order], np.nan, np.nan)
+        known = convert(self.reflectance, "1", "reflectance")
+        nm = convert(known["wavelength"].astype(np.float64), "nm").values
+        order = np.argsort(nm, kind="stable")
+        return np.interp(wavelength, nm[order], known.values[order], np.nan, np.nan)
 
 
 def subtract_dark(counts: xr.DataArray, dark_counts: xr.DataArray) -> xr.DataArray:
@@ -76,9 +116,8 @@ def subtract_dark(counts: xr.DataArray, dark_counts: xr.DataArray) -> xr.DataArr
     """
     import xarray as xr
 
-    found = schema.require(
-        xr.Dataset({"counts": counts, "dark_counts": dark_counts}), _COUNTED, "counts above the dark"
-    )
+    both = xr.Dataset({"counts": counts, "dark_counts": dark_counts})
+    found = schema.require(both, _COUNTED[:2], "counts above the dark")
     dark = found["dark_counts"]
     if "dark_time" in dark.dims:
         dark = dark.mean("dark_time")
@@ -131,9 +170,10 @@ def radiance(dataset: xr.Dataset) -> xr.Dataset:
     """
     dataset = schema.rename_to_roles(dataset)
     if "counts" not in dataset.variables:
+        _refuse_without(dataset, ("counts", "radiance"), "radiance")
         return dataset.assign(schema.require(dataset, ["radiance"], "radiance"))
     cube, values = _cube_inputs(dataset, "radiance")
-    made, quality, _ = slabs.calibrated(cube, cube=values, light=None)
+    made, quality, _ = slabs.calibrated(cube, make_plan, cube=values, light=None)
     return _with(dataset, "radiance", made, quality)
 
 
@@ -159,7 +199,8 @@ def reflectance(
         Replaces the line's own: ``irradiance`` (irradiance_time, irradiance_wavelength), ``irradiance_fwhm``
         and, if wished, ``irradiance_max_gap``, each with ``units``.
     tilt
-        A panel that is not level, as `Tilt` or (angle, azimuth) [degree]; needs latitude and longitude.
+        Attitude of a surface that is not level, as `Tilt` or (angle, azimuth) [degree]; needs latitude and
+        longitude.
     panel
         A target of known reflectance in the scene, to which every band is scaled.
     keep_bits
@@ -202,7 +243,15 @@ def reflectance(
     0.400000
     """
     dataset = schema.rename_to_roles(dataset)
+    attitude = _attitude(tilt)
+    _refuse_without(dataset, ("counts", "radiance", "reflectance"), "reflectance")
     if not {"counts", "radiance"} & set(dataset.variables):
+        if any(option is not None for option in (irradiance, tilt, panel, keep_bits)):
+            msg = (
+                "irradiance=, tilt=, panel= and keep_bits= need 'counts' or 'radiance', "
+                "found 'reflectance' only"
+            )
+            raise SchemaError(msg)
         return dataset.assign(schema.require(dataset, ["reflectance"], "reflectance"))
     if irradiance is not None:
         dataset = _replace_irradiance(dataset, irradiance)
@@ -210,38 +259,46 @@ def reflectance(
         msg = f"keep_bits={keep_bits}, expected 1 to 23 mantissa bits of float32"
         raise SchemaError(msg)
     cube, values = _cube_inputs(dataset, "reflectance")
-    light = _light_inputs(dataset, tilt)
+    light = _light_inputs(dataset, attitude)
     known = None if panel is None else _panel_inputs(dataset, panel)
-    tilted = Tilt(*tilt) if isinstance(tilt, tuple) else tilt
     made, quality, plan = slabs.calibrated(
-        cube, cube=values, light=light, tilt=tilted, panel=known, keep_bits=keep_bits
+        cube, make_plan, cube=values, light=light, tilt=attitude, panel=known, keep_bits=keep_bits
     )
-    notes = {"tilt": str(tilted) if tilted else None, "panel": str(panel) if panel else None}
+    notes = {"tilt": str(attitude) if attitude else None, "panel": str(panel) if panel else None}
     result = _with(dataset, "reflectance", made, quality)
     result["reflectance"].attrs.update({key: text for key, text in notes.items() if text})
     return result.assign(irradiance_age=_age(plan, cube))
 
 
+def _refuse_without(dataset: xr.Dataset, names: tuple[str, ...], purpose: str) -> None:
+    if not set(names) & set(dataset.variables):
+        held = ", ".join(map(str, dataset.data_vars)) or "no variable"
+        msg = (
+            f"cannot compute {purpose} from {held}; expected 'counts' with {', '.join(_COUNTED[1:])}, "
+            f"or {' or '.join(repr(name) for name in names[1:])}"
+        )
+        raise SchemaError(msg)
+
+
+def _attitude(tilt: Any) -> Tilt | None:
+    if tilt is None or isinstance(tilt, Tilt):
+        return tilt
+    if not isinstance(tilt, tuple) or len(tilt) != 2:
+        msg = f"tilt={tilt!r}, expected hyperpaint.Tilt or (angle, azimuth) in degrees"
+        raise SchemaError(msg)
+    return Tilt(*tilt)
+
+
 def _cube_inputs(dataset: xr.Dataset, purpose: str) -> tuple[xr.DataArray, dict[str, Any]]:
     """Return the cube to start from and the small variables that calibrate it."""
     from_counts = "counts" in dataset.variables
-    needed = ["counts", "dark_counts", "radiance_gain", "exposure_time", "saturation_count"]
-    if not from_counts:
-        needed = ["radiance"]
+    needed = [*_COUNTED] if from_counts else ["radiance"]
     if purpose == "reflectance":
         needed += ["time", "wavelength", "fwhm", *(n for n in _LIGHT if n not in dataset.variables)]
-    optional = [
-        "dark_exposure_time",
-        "read_noise",
-        "wavelength_shift",
-        "latitude",
-        "longitude",
-        "srf",
-        "srf_offset",
-    ]
-    optional += ["good", "dark_time", "time"]
-    names = dict.fromkeys([*needed, *(name for name in optional if name in dataset.variables)])
-    found = schema.require(dataset, names, purpose)
+    optional = [name for name in _OPTIONAL if name in dataset.variables]
+    if not from_counts and "radiance_gain" in dataset.variables:
+        optional.append("radiance_gain")  # tells the slope of the responsivity
+    found = schema.require(dataset, dict.fromkeys([*needed, *optional]), purpose)
     cube = slabs.line_chunked(found.pop("counts" if from_counts else "radiance"))
     if not from_counts:
         cube = cube.astype(np.float32)
@@ -276,20 +333,27 @@ def _shape(dataset: xr.Dataset, attr: str) -> str:
     return shape
 
 
-def _replace_irradiance(dataset: xr.Dataset, irradiance: xr.Dataset) -> xr.Dataset:
-    """Return the line with another irradiance record in place of its own."""
-    own = [n for n in dataset.variables if str(n).startswith("irradiance")]
-    names = [n for n in irradiance.variables if str(n).startswith("irradiance")]
-    shape = irradiance.attrs.get("irradiance_srf_shape")
-    if "irradiance" not in names:
+def _replace_irradiance(dataset: xr.Dataset, irradiance: Any) -> xr.Dataset:
+    """Return the line with another irradiance record, and all that belongs to it, in place of its own."""
+    import xarray as xr
+
+    if not isinstance(irradiance, xr.Dataset):
         msg = (
-            f"the dataset given as irradiance has no variable 'irradiance', only {list(irradiance.variables)}"
+            f"irradiance= is {type(irradiance).__name__}, expected a Dataset with 'irradiance' and "
+            "'irradiance_fwhm', as hyperpaint.open_irradiance returns it"
         )
         raise SchemaError(msg)
-    kept = {n: dataset[n] for n in ("irradiance_fwhm", "irradiance_max_gap") if n in own and n not in names}
-    made = dataset.drop_vars(own).assign({n: v for n, v in kept.items() if v.ndim == 0})
-    made = made.merge(irradiance[[n for n in names if n in irradiance.data_vars]], combine_attrs="override")
-    return made.assign_attrs(irradiance_srf_shape=shape) if shape else made
+    names = [name for name in irradiance.data_vars if str(name).startswith("irradiance")]
+    if "irradiance" not in names:
+        held = ", ".join(map(str, irradiance.data_vars)) or "nothing"
+        msg = f"the Dataset given as irradiance= holds {held}, expected 'irradiance' and 'irradiance_fwhm'"
+        raise SchemaError(msg)
+    own = [name for name in dataset.variables if str(name).startswith("irradiance")]
+    kept = {name: text for name, text in dataset.attrs.items() if not name.startswith("irradiance")}
+    told = {name: text for name, text in irradiance.attrs.items() if str(name).startswith("irradiance")}
+    made = dataset.drop_vars(own).merge(irradiance[names], combine_attrs="override")
+    made.attrs = {**kept, **told}
+    return made
 
 
 def _panel_inputs(dataset: xr.Dataset, panel: Panel) -> dict[str, Any]:
@@ -304,9 +368,9 @@ def _panel_inputs(dataset: xr.Dataset, panel: Panel) -> dict[str, Any]:
     seen = reflectance(region)["reflectance"]
     wavelength = slabs.small(dataset["wavelength"])
     if dataset["wavelength"].chunks is not None:
-        wavelength = wavelength.map_blocks(panel.on, dtype=np.float64)
+        wavelength = wavelength.map_blocks(panel.at, dtype=np.float64)
         return {"observed": seen.data, "reflectance": wavelength}
-    return {"observed": seen.data, "reflectance": panel.on(wavelength)}
+    return {"observed": seen.data, "reflectance": panel.at(wavelength)}
 
 
 def _age(plan: Any, cube: xr.DataArray) -> xr.DataArray:
@@ -325,13 +389,10 @@ def _with(dataset: xr.Dataset, name: str, made: Any, quality: Any) -> xr.Dataset
 
     flags = xr.DataArray(quality, dims=(ALONG_TRACK, CROSS_TRACK))
     if "quality" in dataset.variables:
-        # what others found, such as glint or shadow, stays; what is found here is found anew
-        others = schema.require(dataset, ["quality"], name)["quality"].variable & np.uint16(
-            0xFFFF ^ _OWN_BITS
-        )
-        flags = flags | others
-        if "counts" not in dataset.variables:
-            flags = flags | schema.require(dataset, ["quality"], name)["quality"].variable
+        before = schema.require(dataset, ["quality"], name)["quality"].variable
+        # what others found, such as glint or shadow, stays; what is found here from counts is found anew
+        anew = int(_OWN_BITS[name]) if "counts" in dataset.variables else 0
+        flags = flags | (before & np.uint16(0xFFFF ^ anew))
     made = xr.DataArray(made, dims=(ALONG_TRACK, BAND, CROSS_TRACK))
     return dataset.assign(
         {name: schema.label(made, name), "quality": schema.label(flags.astype(np.uint16), "quality")}

@@ -1,7 +1,7 @@
-"""Spectral responses, and the operators that turn one instrument's samples into another's bands.
+"""Spectral responses, and the operators that turn one instrument's channels into another's bands.
 
 Sampling a 3 nm spectrometer at the band centres of a 6 nm imager leaves tens of per cent at the oxygen band.
-Here the weights on the spectrometer's samples are chosen so that their summed responses reproduce the
+Here the weights on the spectrometer's channels are chosen so that their summed responses reproduce the
 imager's band response; for two Gaussians this equals the residual kernel ``sqrt(FWHM_i^2 - FWHM_s^2)``, and
 it holds for any other pair of shapes too.
 """
@@ -78,8 +78,9 @@ class Responses:
         problems.raise_if_any()
         object.__setattr__(self, "wavelength", wavelength)
         object.__setattr__(self, "fwhm", fwhm)
-        if self.shape == "slit" and self.spacing is None:
-            object.__setattr__(self, "spacing", band_spacing(wavelength))
+        if self.shape == "slit":
+            spacing = self.spacing if self.spacing is not None else _even_spacing(wavelength)
+            object.__setattr__(self, "spacing", np.broadcast_to(spacing, wavelength.shape))
 
     def _content(self) -> tuple[Any, ...]:
         arrays = (self.wavelength, self.fwhm, self.spacing, self.slope, self.offset, self.table)
@@ -139,6 +140,19 @@ def problems_of_table(problems: Problems, offset: Any, table: Any, bands: int) -
         problems.add("'srf_offset' must increase and have at least three values [nm]")
 
 
+def _even_spacing(wavelength: Float) -> Float:
+    """Return the spacing of bands that are all there; a choice of bands does not tell how wide pixels are."""
+    steps = np.abs(np.diff(wavelength))
+    jumps = np.abs(np.log(steps[1:] / steps[:-1])) if steps.all() else np.array([np.inf])
+    if wavelength.size < 2 or jumps.max(initial=0.0) > np.log(1.3):
+        msg = (
+            "a slit-shaped response needs the camera's band spacing, which the bands here do not tell; give "
+            "'band_spacing' (band) [nm], or choose bands after the reflectance is computed"
+        )
+        raise SchemaError(msg)
+    return band_spacing(wavelength)
+
+
 def band_spacing(wavelength: npt.ArrayLike) -> Float:
     """Return the distance between neighbouring bands at each band [nm].
 
@@ -182,17 +196,17 @@ def log_slope(wavelength: Float, responsivity: Float, width: Float) -> Float:
 
 @dataclass(frozen=True)
 class Matching:
-    """Operators from a spectrometer's samples to an imager's bands.
+    """Operators from a spectrometer's channels to an imager's bands.
 
     Attributes
     ----------
-    weights : (node, band, sample)
-        Weights on the spectrometer's samples; each row sums to 1, or is NaN where the spectrometer does not
+    weights : (node, band, channel)
+        Weights on the spectrometer's channels; each row sums to 1, or is NaN where the spectrometer does not
         cover the band.
     misfit : (node, band)
         Root-mean-square distance of the two responses over that of the imager's [1].
     noise_gain : (node, band)
-        Norm of a row: the noise of a matched value over that of one sample [1].
+        Norm of a row: the noise of a matched value over that of one channel [1].
     coverage : (node, band)
         Part of the imager's response inside the spectrometer's range [1].
     """
@@ -206,12 +220,12 @@ class Matching:
 def matching_operator(
     spectrometer: Responses, imager: Responses, nodes: npt.ArrayLike = (0.0,), *, ridge: float = RIDGE
 ) -> Matching:
-    r"""Return the weights that make a spectrometer's samples see as an imager's bands do.
+    r"""Return the weights that make a spectrometer's channels see as an imager's bands do.
 
     Parameters
     ----------
     spectrometer
-        Responses of the spectrometer's samples.
+        Responses of the spectrometer's channels.
     imager
         Responses of the imager's bands at its centre column.
     nodes
@@ -221,14 +235,14 @@ def matching_operator(
 
     Notes
     -----
-    With :math:`s_j` the responses of the samples and :math:`r` that of a band, all of unit area, the weights
+    With :math:`s_j` the responses of the channels and :math:`r` that of a band, all of unit area, the weights
     minimise
 
     .. math:: \int \Big(\sum_j w_j s_j - r\Big)^2 d\lambda + \epsilon\,\overline{\|s\|^2} \sum_j w_j^2,
               \qquad \sum_j w_j = 1 .
 
-    A row is NaN where less than 99.9 % of the band's response lies inside the spectrometer's range: nothing
-    is extrapolated.
+    A row is NaN where less than 99.9 % of the band's response lies inside the spectrometer's range, or where
+    channels are missing over more than two widths of them inside it: nothing is extrapolated.
     """
     shifts = tuple(np.atleast_1d(np.asarray(nodes, np.float64)).tolist())
     return _remembered_operator(spectrometer, imager, shifts, ridge)
@@ -247,7 +261,7 @@ def _remembered_operator(
     weights = np.zeros((*shape, centres.size))
     misfit, noise_gain, coverage = np.full(shape, np.nan), np.full(shape, np.nan), np.zeros(shape)
     moved = [imager.shifted(float(shift)) for shift in shifts]
-    # one grid and one set of samples serve a band at all its shifts
+    # one grid and one set of channels serve a band at all its shifts
     half = imager.reach() + np.ptp(shifts) / 2
     for band, centre in enumerate(imager.wavelength + (shifts.min() + shifts.max()) / 2):
         near = np.flatnonzero(np.abs(centres - centre) <= half[band] + 0.5 * reach)
@@ -255,16 +269,18 @@ def _remembered_operator(
         responses = np.stack([bands.on(grid, band) for bands in moved])
         inside = (grid >= centres[0]) & (grid <= centres[-1])
         coverage[:, band] = responses[:, inside].sum(axis=1) * step
+        if _has_hole(centres, centre, imager.fwhm[band] + np.ptp(shifts), 2.0 * spectrometer.fwhm.max()):
+            coverage[:, band] = 0.0
         covered = coverage[:, band] >= 0.999
         weights[~covered, band] = np.nan
         if near.size == 0 or not covered.any():
             weights[:, band] = np.nan
             continue
-        samples = np.stack([spectrometer.on(grid, int(order[j])) for j in near])
-        rows = _constrained_ridge(samples, responses[covered], ridge)
+        channels = np.stack([spectrometer.on(grid, int(order[j])) for j in near])
+        rows = _constrained_ridge(channels, responses[covered], ridge)
         for node, row in zip(np.flatnonzero(covered), rows, strict=True):
             weights[node, band, order[near]] = row
-        residual = np.einsum("ni,ig->ng", rows, samples) - responses[covered]
+        residual = np.einsum("ni,ig->ng", rows, channels) - responses[covered]
         misfit[covered, band] = np.sqrt((residual**2).sum(axis=1) / (responses[covered] ** 2).sum(axis=1))
         noise_gain[covered, band] = np.sqrt((rows**2).sum(axis=1))
     for array in (weights, misfit, noise_gain, coverage):
@@ -272,13 +288,21 @@ def _remembered_operator(
     return Matching(weights, misfit, noise_gain, coverage)
 
 
-def _constrained_ridge(samples: Float, responses: Float, ridge: float) -> Float:
-    """Return the ridge weights (node, sample), each row summing to 1, of samples for responses on a grid."""
+def _has_hole(centres: Float, centre: float, half: float, widest: float) -> bool:
+    """Tell whether sorted channels leave more than ``widest`` open within ``half`` of a centre [nm]."""
+    first = max(int(np.searchsorted(centres, centre - half)) - 1, 0)
+    last = int(np.searchsorted(centres, centre + half)) + 1
+    steps = np.diff(centres[first:last])
+    return bool(steps.size and steps.max() > widest)
+
+
+def _constrained_ridge(channels: Float, responses: Float, ridge: float) -> Float:
+    """Return the ridge weights (node, channel) of channels for responses, each row summing to 1."""
     # einsum: threads of a BLAS that wait for busy cores make products this small ten times slower
-    gram = np.einsum("ig,jg->ij", samples, samples)
+    gram = np.einsum("ig,jg->ij", channels, channels)
     gram[np.diag_indices_from(gram)] += ridge * np.trace(gram) / len(gram)
     solved = np.linalg.solve(
-        gram, np.column_stack([np.einsum("ig,ng->in", samples, responses), np.ones(len(gram))])
+        gram, np.column_stack([np.einsum("ig,ng->in", channels, responses), np.ones(len(gram))])
     ).T
     free, ones = solved[:-1], solved[-1]
     return np.asarray(free + ones * ((1.0 - free.sum(axis=1)) / ones.sum())[:, None])

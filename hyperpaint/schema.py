@@ -20,13 +20,22 @@ if TYPE_CHECKING:
     import xarray as xr
 
 __all__ = [
+    "ALONG_TRACK",
+    "BAND",
     "CHUNK_LINES",
+    "CROSS_TRACK",
     "CUBE",
+    "DIM_ALIASES",
     "FORMAT_VERSION",
+    "IRRADIANCE_TIME",
+    "IRRADIANCE_WAVELENGTH",
+    "SRF_SHAPES",
+    "TIME_UNITS",
     "VARIABLES",
     "Quality",
     "Variable",
     "describe",
+    "dtype_of",
     "label",
     "quality_attrs",
     "rename_to_roles",
@@ -70,6 +79,12 @@ class Variable:
         numpy dtype name, before and after compute.
     meaning
         One line; becomes ``long_name``.
+    alternatives
+        Other dims that are allowed.
+    standard_name
+        Of the CF conventions, where there is one.
+    coordinate
+        Whether it is a coordinate rather than a data variable.
     """
 
     name: str
@@ -183,6 +198,10 @@ _TABLE = (
         standard_name="radiation_wavelength", coordinate=True,
     ),
     Variable("fwhm", (BAND,), "nm", "float64", "Full width at half maximum of the line shape", coordinate=True),
+    Variable(
+        "band_spacing", (BAND,), "nm", "float64",
+        "Distance to the neighbouring bands of the camera, whatever bands are left here", coordinate=True,
+    ),
     Variable("good", (BAND,), "", "bool", "False where a band is not to be used", coordinate=True),
     Variable(
         "wavelength_shift", (CROSS_TRACK,), "nm", "float64",

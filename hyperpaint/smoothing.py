@@ -73,6 +73,8 @@ def smooth(
     """
     import xarray as xr
 
+    if schema.BAND not in dataset.dims:
+        dataset = schema.rename_to_roles(dataset)
     problems = Problems("cannot smooth", SchemaError)
     if "reflectance" not in dataset.variables:
         problems.add("'reflectance' is missing; call .paint.reflectance() first")
@@ -80,25 +82,29 @@ def smooth(
         problems.add(f"method {method!r}, expected one of {', '.join(METHODS)}")
     if window < 3 or window % 2 == 0:
         problems.add(f"window {window}, expected an odd number of bands, 3 or more")
-    bands = dataset["reflectance"].sizes.get(schema.BAND, 0) if "reflectance" in dataset else window
-    if window > bands:
+    bands = dataset["reflectance"].sizes.get(schema.BAND) if "reflectance" in dataset else window
+    if bands is None:
+        problems.add(f"'reflectance' has dims {dataset['reflectance'].dims}, none of which is 'band'")
+    elif window > bands:
         problems.add(f"window {window} is wider than the {bands} bands")
     if method == "savitzky-golay" and not 0 <= order < window - 1:
         problems.add(f"order {order}, expected 0 to {window - 2} for a window of {window}")
     problems.raise_if_any()
     array = dataset["reflectance"]
-    first, weights, fallback = _window_weights(method, window, order, bands)
+    first, weights, fallback = _window_weights(method, window, order, array.sizes[schema.BAND])
     cube = set(schema.CUBE) == set(array.dims)
     source = line_chunked(array) if cube else array
     options = {"weights": weights, "first": first, "fallback": fallback, "box": method == "box", "cube": cube}
+    arrays = [source.chunk({schema.BAND: -1}) if source.chunks else source]
+    core = [schema.BAND, schema.CROSS_TRACK] if cube else [schema.BAND]
     if "good" in dataset.variables:
-        options["good"] = dataset["good"].values.astype(bool)
+        arrays.append(dataset["good"].reset_coords(drop=True))
     filtered = xr.apply_ufunc(
         _filter,
-        source.chunk({schema.BAND: -1}) if source.chunks else source,
+        *arrays,
         kwargs=options,
-        input_core_dims=[[schema.BAND, schema.CROSS_TRACK] if cube else [schema.BAND]],
-        output_core_dims=[[schema.BAND, schema.CROSS_TRACK] if cube else [schema.BAND]],
+        input_core_dims=[core, [schema.BAND]][: len(arrays)],
+        output_core_dims=[core],
         dask="parallelized",
         output_dtypes=[np.float32],
         keep_attrs=True,
@@ -110,13 +116,13 @@ def smooth(
 
 def _filter(
     values: Array,
+    good: Array | None = None,
     *,
     weights: Array,
     first: Array,
     fallback: Array,
     box: bool,
     cube: bool,
-    good: Array | None = None,
 ) -> Array:
     from .kernels.smoothing import filter_slab
 

@@ -116,7 +116,7 @@ def diffuse_fraction(
     With :math:`T_r, T_{as}, T_{aa}` the transmittances of Rayleigh scattering, aerosol scattering and
     aerosol absorption and :math:`F_s` the forward fraction, the scattered parts are
     :math:`\tfrac12 (1 - T_r^{0.95}) T_{aa}`, :math:`T_r^{1.5} T_{aa} (1 - T_{as}) F_s` and their
-    reflection between sky and ground. The extra `sim` brings pvlib's full model.
+    reflection between sky and ground.
 
     References
     ----------

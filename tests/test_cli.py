@@ -178,7 +178,7 @@ def _no_exposure(folder: Path) -> str:
 
 def _microwatts(folder: Path) -> str:
     _light_from_csv(folder, 1e6)
-    return "uW said to be W"
+    return "uW labelled as W"
 
 
 def _light_from_csv(folder: Path, factor: float) -> None:
@@ -289,7 +289,7 @@ def test_info_and_verify_of_a_store(hyperpaint: Hyperpaint, collect: Path, tmp_p
     damaged = hyperpaint("verify", out)
     assert damaged.exit_code == 1
     assert "the chunk is missing" in damaged.stdout
-    assert "no Zarr v3 store" in refused(hyperpaint("verify", tmp_path / "nothing.zarr"))
+    assert "not a Zarr v3 store" in refused(hyperpaint("verify", tmp_path / "nothing.zarr"))
 
 
 @pytest.mark.real_data

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 import xarray as xr
@@ -34,9 +36,9 @@ def ns(seconds: object) -> np.ndarray:
 # ---------------------------------------------------------------------------------------------- matching
 
 
-def test_match_is_labelled_lazy_and_float32(no_compute: object) -> None:
+def test_match_is_labelled_lazy_and_float32(no_compute: Any) -> None:
     light = record(np.ones((4, 141), "f4")).chunk(irradiance_time=1, irradiance_wavelength=50)
-    with no_compute():  # type: ignore[operator]
+    with no_compute():
         made = match_irradiance(light, [540.0, 550.0], [6.0, 6.0], nodes=[-0.5, 0.0, 0.5])
     assert made.dims == ("irradiance_time", "node", "band")
     assert made.dtype == made.compute().dtype == np.float32
@@ -205,7 +207,7 @@ def test_tilt_closes_to_ten_digits() -> None:
     expected = (
         (1 - diffuse) * (sun @ normal / sun[:, 2])[:, None] + view * diffuse + (1 - view) * surroundings
     )
-    tilt = Tilt(angle, facing, surroundings=surroundings, diffuse_fraction=diffuse)
+    tilt = Tilt(angle, facing, ground_reflectance=surroundings, diffuse_fraction=diffuse)
     np.testing.assert_allclose(tilt.factor(times, 43.08, -77.67, wavelength), expected, rtol=1e-10)
 
 
@@ -225,7 +227,7 @@ def test_a_level_panel_is_exactly_one_at_any_hour(hour: int) -> None:
 
 def test_a_panel_turned_from_the_sun_sees_the_sky_alone() -> None:
     time = np.array(["2020-12-21T17:10"], "datetime64[ns]")  # zenith 66 degrees
-    made = Tilt(60.0, 0.0, surroundings=0.0, diffuse_fraction=0.3).factor(
+    made = Tilt(60.0, 0.0, ground_reflectance=0.0, diffuse_fraction=0.3).factor(
         time, 43.08, -77.67, np.array([550.0])
     )
     assert made[0, 0] == pytest.approx(0.3 * 0.75, rel=1e-9)

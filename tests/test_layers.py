@@ -18,8 +18,8 @@ ROOT = Path(hyperpaint.__file__).parent
 FOUNDATION = {"errors", "units", "schema"}
 SHARED = FOUNDATION | {"responses", "sun"}
 SUBJECTS = {
-    "illumination", "slabs", "radiometry", "smoothing", "bands", "calibration", "noise", "quality",
-    "georeference", "regions", "signatures", "validation", "mixing", "paper",
+    "illumination", "slabs", "planning", "radiometry", "smoothing", "bands", "calibration", "noise",
+    "quality", "georeference", "regions", "signatures", "validation", "mixing", "paper",
 }  # fmt: skip
 TASKS = {"slabs"}  # the layer of tasks that subject modules share
 TOP = {"plot", "report", "accessor", "demonstration", "info", "pipeline", "cli", "__main__", "__init__"}
@@ -31,7 +31,8 @@ ALLOWED = {
     "sun": FOUNDATION,
     "illumination": SHARED,
     "slabs": SHARED | {"illumination"},
-    "radiometry": SHARED | TASKS | {"illumination"},
+    "planning": SHARED | TASKS | {"illumination"},
+    "radiometry": SHARED | TASKS | {"illumination", "planning"},
 }
 
 

@@ -18,8 +18,9 @@ import xarray as xr
 from hyperpaint.errors import FormatError, PaintWarning, Problems, SchemaError, TimeError
 from hyperpaint.schema import VARIABLES, label
 
+from .asd_blocks import AsdCalibration, AsdGps
 from .asd_calibration import CALIBRATION_KEYS, derive_quantity
-from .asd_layout import AsdCalibration, AsdFile, AsdGps, is_asd, read_asd
+from .asd_layout import AsdFile, is_asd, read_asd
 from .asd_text import AsdText, is_asd_text, read_asd_text
 from .irradiance_csv import is_irradiance_csv
 

@@ -11,7 +11,6 @@ from __future__ import annotations
 import datetime as dt
 import math
 import os
-import struct
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -21,15 +20,23 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from hyperpaint.errors import FormatError
+from .asd_blocks import (
+    AsdCalibration,
+    AsdGps,
+    Cursor,
+    nominal_integration_ms,
+    parse_gps,
+    plain_text,
+    read_later_blocks,
+)
+from .reading import read_limited
 
-__all__ = ["AsdCalibration", "AsdFile", "AsdGps", "is_asd", "nominal_integration_ms", "read_asd"]
+__all__ = ["AsdFile", "is_asd", "read_asd"]
 
 _FloatArray = npt.NDArray[np.float64]
 
 HEADER_BYTES = 484
 _LARGEST_FILE = 64 * 2**20  # ten times what 65,535 channels with every calibration block would need
-_TRAILER = b"\xff\xfe\xfd"  # newer software appends it to files that it saves again
 
 # name and struct format of each field of the header, in file order
 _HEADER = (
@@ -92,53 +99,7 @@ _INSTRUMENTS = {
     10: "HandHeld",
 }
 _DETECTORS = {1: "VNIR", 2: "SWIR1", 4: "SWIR2"}
-_CALIBRATION_KINDS = ("ABS", "BSE", "LMP", "FO")
 _OLE_EPOCH_DAYS = 25569  # 1970-01-01 in days since 1899-12-30
-
-
-@dataclass(frozen=True, eq=False)
-class AsdGps:
-    """Position that the spectrometer's GPS gave.
-
-    Attributes
-    ----------
-    latitude, longitude
-        Degrees, north and east positive (the file itself counts west positive).
-    altitude
-        Metres.
-    utc
-        Time of day of the fix; the date is not in the file.
-    """
-
-    latitude: float
-    longitude: float
-    altitude: float
-    utc: dt.time
-
-
-@dataclass(frozen=True, eq=False)
-class AsdCalibration:
-    """One calibration block.
-
-    Attributes
-    ----------
-    kind
-        ABS panel reflectance, BSE panel for radiance, LMP lamp irradiance [W m-2 nm-1], FO lamp counts.
-    name
-        File the block was copied from.
-    integration_ms
-        Integration time of the calibration, see `nominal_integration_ms`.
-    gains
-        SWIR 1 and SWIR 2.
-    values
-        (wavelength).
-    """
-
-    kind: str
-    name: str
-    integration_ms: float
-    gains: tuple[int, int]
-    values: _FloatArray
 
 
 @dataclass(frozen=True, eq=False)
@@ -156,7 +117,7 @@ class AsdFile:
     local_time
         When the spectrum was saved, by the clock of the logging PC, in whole seconds, without a zone.
     utc_offset_h
-        Local time minus UTC [h], or None where the file has no white reference to tell it.
+        Local time minus UTC [h], or None where the file has no white reference to take it from.
     dark_utc
         When the dark current was measured, or None.
     data_type
@@ -219,20 +180,6 @@ def is_asd(head: bytes) -> bool:
     return head[:3] in _VERSIONS and b"\0" in head[:HEADER_BYTES]
 
 
-def nominal_integration_ms(milliseconds: int) -> float:
-    """Return the integration time that a nominal whole number of milliseconds stands for.
-
-    The file says 8 or 9 where the instrument integrates for 8.5 ms; the longer times (17, 34, 68 ...) are
-    exact.
-
-    Examples
-    --------
-    >>> nominal_integration_ms(9), nominal_integration_ms(136)
-    (8.5, 136.0)
-    """
-    return 8.5 if milliseconds in (8, 9) else float(milliseconds)
-
-
 def read_asd(path: str | os.PathLike[str]) -> AsdFile:
     """Read one binary ``.asd`` file, of any version, to its last byte.
 
@@ -250,83 +197,16 @@ def read_asd(path: str | os.PathLike[str]) -> AsdFile:
     Raises
     ------
     FormatError
-        The file cannot be read, is no ``.asd`` file, or is truncated, over-long or contradictory.
+        The file cannot be read, is not an ``.asd`` file, or is truncated, over-long or contradictory.
     """
     path = Path(path)
-    try:
-        size = path.stat().st_size
-        if size > _LARGEST_FILE:
-            msg = f"{path.name}: {size} bytes, more than any .asd file; expected an ASD spectrometer's file"
-            raise FormatError(msg)
-        data = path.read_bytes()
-    except OSError as error:
-        msg = f"{path}: cannot be read ({error.strerror or error}); check the path"
-        raise FormatError(msg) from error
-    return _parse(data, path.name)
-
-
-class _Cursor:
-    """Reads a file from front to back and refuses to read past its end."""
-
-    def __init__(self, data: bytes, name: str) -> None:
-        self._data = data
-        self._name = name
-        self._at = 0
-
-    def error(self, problem: str) -> FormatError:
-        return FormatError(f"{self._name}: {problem}")
-
-    @property
-    def left(self) -> int:
-        return len(self._data) - self._at
-
-    @property
-    def at_end(self) -> bool:
-        return self.left == 0 or self._data[self._at :] == _TRAILER
-
-    def bytes(self, count: int, what: str) -> bytes:
-        if count > self.left:
-            msg = (
-                f"{what} needs {count} bytes at offset {self._at}, {self.left} are left: "
-                "the file is truncated or damaged; copy it again from the instrument"
-            )
-            raise self.error(msg)
-        self._at += count
-        return self._data[self._at - count : self._at]
-
-    def values(self, fmt: str, what: str) -> tuple[Any, ...]:
-        return struct.unpack("<" + fmt, self.bytes(struct.calcsize("<" + fmt), what))
-
-    def text(self, what: str) -> str:
-        (length,) = self.values("H", f"the length of {what}")
-        return _text(self.bytes(length, what))
-
-    def array(self, count: int, dtype: np.dtype[Any], what: str) -> _FloatArray:
-        raw = np.frombuffer(self.bytes(count * dtype.itemsize, what), dtype)
-        with np.errstate(invalid="ignore"):  # signalling NaN in a damaged file
-            made = raw.astype(np.float64)
-        made.flags.writeable = False
-        return made
-
-    def safe_array(self, item_bytes: int, what: str) -> int:
-        """Read the head of an OLE SAFEARRAY and return how many items follow."""
-        (dims,) = self.values("H", what)
-        if dims * 8 > self.left or dims > 60:
-            msg = f"{what} has {dims} dimensions: the file is damaged"
-            raise self.error(msg)
-        count = 1 if dims else 0
-        for _ in range(dims):
-            count *= self.values("Ii", what)[0]
-        if count * item_bytes > self.left:
-            msg = f"{what} declares {count} items, more than the {self.left} bytes left can hold"
-            raise self.error(msg)
-        return count
+    return _parse(read_limited(path, _LARGEST_FILE, "an ASD spectrometer's file"), path.name)
 
 
 def _parse(data: bytes, name: str) -> AsdFile:
-    cursor = _Cursor(data, name)
+    cursor = Cursor(data, name)
     if data[:3] not in _VERSIONS:
-        msg = f"begins with {data[:3]!r}, expected one of ASD, as2 to as8: no .asd file"
+        msg = f"begins with {data[:3]!r}, expected one of ASD, as2 to as8: not an .asd file"
         raise cursor.error(msg)
     version = _VERSIONS[data[:3]]
     header = _header(cursor)
@@ -343,14 +223,14 @@ def _parse(data: bytes, name: str) -> AsdFile:
         # a file without a reference holds zeros or an old one in its place
         values = cursor.array(channels, dtype, "the white reference")
         reference = values if flag and np.any(values != 0.0) else None
-    calibrations = _later_blocks(cursor, version, channels)
+    calibrations = read_later_blocks(cursor, version, channels)
     if not cursor.at_end:
         msg = f"{cursor.left} bytes follow the last block of a version {version} file: damaged"
         raise cursor.error(msg)
     return AsdFile(
         name=name,
         version=version,
-        comment=_text(header["comment"]),
+        comment=plain_text(header["comment"]),
         description=description,
         local_time=_local_time(cursor, header["saved"]),
         utc_offset_h=None if reference is None else _utc_offset_h(reference_ole, header["reference_epoch"]),
@@ -363,7 +243,7 @@ def _parse(data: bytes, name: str) -> AsdFile:
         sample_averages=header["averages"][2],
         gains=header["swir_gains_offsets"][:2],
         splices=header["splices"],
-        gps=_gps(cursor, header["gps"]),
+        gps=parse_gps(cursor, header["gps"]),
         calibrations=MappingProxyType(calibrations),
         instrument=_INSTRUMENTS.get(header["instrument"], f"unknown ({header['instrument']})"),
         instrument_number=header["instrument_number"],
@@ -373,7 +253,7 @@ def _parse(data: bytes, name: str) -> AsdFile:
     )
 
 
-def _header(cursor: _Cursor) -> dict[str, Any]:
+def _header(cursor: Cursor) -> dict[str, Any]:
     header: dict[str, Any] = {}
     for name, fmt in _HEADER:
         values = cursor.values(fmt, f"the header ({name})")
@@ -390,64 +270,7 @@ def _header(cursor: _Cursor) -> dict[str, Any]:
     return header
 
 
-def _later_blocks(cursor: _Cursor, version: int, channels: int) -> dict[str, AsdCalibration]:
-    """Read what versions 6, 7 and 8 added, and return the calibration blocks by kind."""
-    if version < 6 or (version == 6 and cursor.at_end):
-        return {}
-    _classifier(cursor)
-    calibrations = {}
-    if version >= 7:
-        _dependent_variables(cursor)
-        calibrations = _calibrations(cursor, channels)
-    if version >= 8:
-        cursor.values("i", "the audit count")
-        for _ in range(cursor.safe_array(2, "the audit log")):
-            cursor.text("an audit event")
-        cursor.values("Bq", "the signature")
-        for _ in range(7):
-            cursor.text("the signature")
-        cursor.bytes(128, "the signature")
-    return calibrations
-
-
-def _classifier(cursor: _Cursor) -> None:
-    cursor.values("BB", "the classifier block")
-    for _ in range(20):
-        cursor.text("the classifier block")
-    cursor.values("H", "the constituent count")
-    for _ in range(cursor.safe_array(96, "the constituents")):
-        cursor.text("a constituent")
-        cursor.text("a constituent")
-        cursor.values("9di2d", "a constituent")
-
-
-def _dependent_variables(cursor: _Cursor) -> None:
-    cursor.values("hh", "the dependent variables")
-    for _ in range(cursor.safe_array(2, "the labels of the dependent variables")):
-        cursor.text("the label of a dependent variable")
-    count = cursor.safe_array(4, "the dependent variables")
-    cursor.bytes(4 * count, "the dependent variables")
-
-
-def _calibrations(cursor: _Cursor, channels: int) -> dict[str, AsdCalibration]:
-    (count,) = cursor.values("B", "the number of calibration blocks")
-    heads = [cursor.values("b20sihh", "the head of a calibration block") for _ in range(count)]
-    blocks: dict[str, AsdCalibration] = {}
-    for code, name, milliseconds, *gains in heads:
-        if not 0 <= code < len(_CALIBRATION_KINDS):
-            msg = f"calibration block of type {code}, expected 0 to 3: damaged"
-            raise cursor.error(msg)
-        kind = _CALIBRATION_KINDS[code]
-        if kind in blocks:
-            msg = f"two calibration blocks of kind {kind}, expected one of each: damaged"
-            raise cursor.error(msg)
-        values = cursor.array(channels, np.dtype("<f8"), f"the {kind} calibration block")
-        integration_ms = nominal_integration_ms(milliseconds)
-        blocks[kind] = AsdCalibration(kind, _text(name), integration_ms, (gains[0], gains[1]), values)
-    return blocks
-
-
-def _wavelength(cursor: _Cursor, header: Mapping[str, Any]) -> _FloatArray:
+def _wavelength(cursor: Cursor, header: Mapping[str, Any]) -> _FloatArray:
     first, step = header["first_wavelength"], header["wavelength_step"]
     if not (0 < first < 1e5 and 0 < step < 1e4):
         msg = f"first wavelength {first} nm, step {step} nm, expected positive numbers: damaged"
@@ -457,7 +280,7 @@ def _wavelength(cursor: _Cursor, header: Mapping[str, Any]) -> _FloatArray:
     return made
 
 
-def _local_time(cursor: _Cursor, tm: tuple[int, ...]) -> dt.datetime:
+def _local_time(cursor: Cursor, tm: tuple[int, ...]) -> dt.datetime:
     second, minute, hour, day, month, year = tm[:6]
     try:
         if not (80 <= year < 250 and 0 <= second <= 61):
@@ -465,7 +288,7 @@ def _local_time(cursor: _Cursor, tm: tuple[int, ...]) -> dt.datetime:
         # C allows the second 60
         return dt.datetime(year + 1900, month + 1, day, hour, minute) + dt.timedelta(seconds=second)
     except ValueError as error:
-        msg = f"time of the spectrum {tm[:6]} is no date: damaged"
+        msg = f"time of the spectrum {tm[:6]} is not a date: damaged"
         raise cursor.error(msg) from error
 
 
@@ -480,39 +303,3 @@ def _utc_offset_h(ole_days: float, epoch_s: int) -> float | None:
 
 def _epoch(seconds: int) -> dt.datetime | None:
     return dt.datetime(1970, 1, 1) + dt.timedelta(seconds=seconds) if seconds > 0 else None
-
-
-def _gps(cursor: _Cursor, block: bytes) -> AsdGps | None:
-    values = struct.unpack("<5dhbbbbbh5sbb", block)
-    _, _, latitude, longitude, altitude, _, _, second, minute, hour = values[:10]
-    if latitude == longitude == altitude == 0.0:
-        return None
-    try:
-        fix = dt.time(hour, minute, second)
-        # west positive in the file
-        return AsdGps(_degrees(latitude, 90.0), -_degrees(longitude, 180.0), _metres(altitude), fix)
-    except ValueError as error:
-        msg = (
-            f"GPS position {latitude}, {longitude}, {altitude} m at {hour}:{minute}:{second}, "
-            "expected ddmm.mmmm, dddmm.mmmm and metres: damaged"
-        )
-        raise cursor.error(msg) from error
-
-
-def _degrees(ddmm: float, limit: float) -> float:
-    if not abs(ddmm) <= limit * 100.0:
-        raise ValueError
-    degrees, minutes = divmod(abs(ddmm), 100.0)
-    if minutes >= 60.0:
-        raise ValueError
-    return math.copysign(degrees + minutes / 60.0, ddmm)
-
-
-def _metres(altitude: float) -> float:
-    if not abs(altitude) < 1e5:
-        raise ValueError
-    return altitude
-
-
-def _text(raw: bytes) -> str:
-    return raw.split(b"\0", 1)[0].decode("latin-1").strip()

@@ -22,7 +22,8 @@ import numpy.typing as npt
 
 from hyperpaint.errors import FormatError
 
-from .asd_layout import nominal_integration_ms
+from .asd_blocks import nominal_integration_ms
+from .reading import read_limited
 
 __all__ = ["AsdText", "is_asd_text", "read_asd_text"]
 
@@ -30,7 +31,7 @@ _LARGEST_FILE = 512 * 2**20
 _SEPARATORS = (";", "\t", ",")
 _NUMBER = r"([-+]?[0-9]+(?:\.[0-9]*)?(?:[Ee][-+]?[0-9]+)?)"
 _TABLE = re.compile(r'"?wavelengths?"?\s*[;,\t]', re.IGNORECASE)
-# Windows' C library spells what is no number in its own way
+# Windows' C library spells what is not a number in its own way
 _NO_NUMBERS = {"1.#qnan": math.nan, "-1.#ind": math.nan, "1.#ind": math.nan, "1.#inf": math.inf}
 
 
@@ -108,18 +109,12 @@ def read_asd_text(path: str | os.PathLike[str]) -> AsdText:
     array([[0.89, 0.91]])
     """
     path = Path(path)
-    try:
-        size = path.stat().st_size
-        if size > _LARGEST_FILE:
-            msg = f"{path.name}: {size} bytes, more than any text export; expected a table of spectra"
-            raise FormatError(msg)
-        lines = _lines(path.read_bytes())
-    except OSError as error:
-        msg = f"{path}: cannot be read ({error.strerror or error}); check the path"
-        raise FormatError(msg) from error
+    lines = _lines(read_limited(path, _LARGEST_FILE, "a text export of spectra"))
     start = next((i for i, line in enumerate(lines) if _TABLE.match(line)), None)
     if start is None:
-        msg = f"{path.name}: no line begins with 'Wavelength' and a separator: no text export of ASD spectra"
+        msg = (
+            f"{path.name}: no line begins with 'Wavelength' and a separator: not a text export of ASD spectra"
+        )
         raise FormatError(msg)
     spectra, wavelength, values = _table(path.name, lines[start:])
     return AsdText(path.name, spectra, wavelength, values, **_preamble(path.name, "\n".join(lines[:start])))
@@ -175,7 +170,7 @@ def _local_time(name: str, match: re.Match[str]) -> dt.datetime:
             raise ValueError
         return made
     except ValueError as error:
-        msg = f"{name}: {match[0]!r} is no date in the order month/day/year"
+        msg = f"{name}: {match[0]!r} is not a date in the order month/day/year"
         raise FormatError(msg) from error
 
 

@@ -62,7 +62,7 @@ def open_calibration(source: str | os.PathLike[str] | xr.Dataset, *, group: str 
     Warns
     -----
     PaintWarning
-        The line shape is not said and taken to be Gaussian.
+        The line shape is not given, and taken to be Gaussian.
 
     Examples
     --------
@@ -127,7 +127,7 @@ def check_calibration(dataset: xr.Dataset, subject: str = "this Dataset") -> xr.
     Warns
     -----
     PaintWarning
-        The line shape is not said and taken to be Gaussian.
+        The line shape is not given, and taken to be Gaussian.
     """
     import xarray as xr
 

@@ -13,7 +13,8 @@ from hyperpaint.errors import CollectError, Problems
 from .calibration_store import open_calibration
 from .collect_toml import Camera, Collect, FlightlineEntry, IrradianceEntry, parse_collect, read_collect
 from .findings import Findings, Unavailable
-from .flightline import FlightlineInputs, assemble
+from .flightline import assemble
+from .line_parts import FlightlineInputs
 from .line_times import Timing
 from .navigation import Navigation, read_imu_gps
 
@@ -85,7 +86,7 @@ def open_collect(
         inputs = replace(inputs, calibration=calibration, irradiance=irradiance, chunks=chunks)
         lines[entry.id] = assemble(inputs, own)
         findings.errors += own.errors
-    # what several lines share is said once
+    # what several lines share is reported once
     for text in dict.fromkeys(str(error) for error in findings.errors):
         problems.add(text)
     problems.raise_if_any()
@@ -141,11 +142,13 @@ def _inputs(
             start_time=entry.start_time,
             frame_period=entry.frame_period or camera.frame_period,
         )
+    exposure = camera.exposure_time if entry.exposure_time is None else entry.exposure_time
+    attrs = {"collect": collect.name} | ({} if exposure is None else {"exposure_source": collect.path.name})
     dark: Any = list(collect.dark) if isinstance(collect.dark, tuple) else collect.dark
     return FlightlineInputs(
         cube=entry.cube,
         timing=timing,
-        exposure_time=camera.exposure_time if entry.exposure_time is None else entry.exposure_time,
+        exposure_time=exposure,
         dark=Unavailable.REPORTED if "dark" in reported else dark,
         bit_depth=camera.bit_depth,
         saturation_count=camera.saturation_count,
@@ -153,5 +156,5 @@ def _inputs(
         fwhm_nm=camera.fwhm_nm,
         name=entry.id,
         keep_whole_lines=entry.keep_whole_lines,
-        attrs={"collect": collect.name},
+        attrs=attrs,
     )

@@ -2,20 +2,19 @@
 
 from __future__ import annotations
 
-import datetime
 import difflib
 import glob
-import math
 import os
 import re
 import tomllib
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from hyperpaint.errors import CollectError, Problems, TimeError
 
+from .collect_schema import LISTS, SCHEMA
 from .line_times import utc_of
 
 __all__ = [
@@ -109,110 +108,14 @@ class Collect:
     references: tuple[ReferenceEntry, ...] = ()
 
 
-# --- schema ------------------------------------------------------------------------------------------------
-
-_Check = Callable[[Any], str | None]
-
-
-def _text(value: Any) -> str | None:
-    return None if isinstance(value, str) and value.strip() else "a text"
-
-
-def _number(value: Any) -> str | None:
-    good = isinstance(value, (int, float)) and not isinstance(value, bool) and math.isfinite(value)
-    return None if good else "a number"
-
-
-def _positive(value: Any) -> str | None:
-    return None if _number(value) is None and value > 0 else "a positive number"
-
-
-def _whole(least: int, most: int) -> _Check:
-    def check(value: Any) -> str | None:
-        good = isinstance(value, int) and not isinstance(value, bool) and least <= value <= most
-        return None if good else f"a whole number from {least} to {most}"
-
-    return check
-
-
-def _flag(value: Any) -> str | None:
-    return None if isinstance(value, bool) else "true or false"
-
-
-def _one_of(*allowed: str) -> _Check:
-    def check(value: Any) -> str | None:
-        return (
-            None if isinstance(value, str) and value in allowed else f"one of {', '.join(map(repr, allowed))}"
-        )
-
-    return check
-
-
-def _texts(value: Any) -> str | None:
-    several = value if isinstance(value, list) and value else [value]
-    return None if all(_text(one) is None for one in several) else "a text or a list of texts"
-
-
-def _table(value: Any) -> str | None:
-    return None if isinstance(value, dict) else "a table of texts"
-
-
-def _time(value: Any) -> str | None:
-    good = isinstance(value, (str, datetime.date))
-    return None if good else "a date or time"
-
-
-_STAMP = _one_of("start", "mid", "end")
-_SCHEMA: Mapping[str, Mapping[str, _Check]] = {
-    "collect": {"name": _text, "description": _text},
-    "camera": {
-        "bit_depth": _whole(1, 16),
-        "saturation_count": _positive,
-        "exposure_time_ms": _positive,
-        "frame_period_ms": _positive,
-        "stamp": _STAMP,
-        "clock_offset_s": _number,
-        "time_scale": _one_of("utc", "gps"),
-        "gps_leap_seconds": _whole(-100, 100),
-        "fwhm_nm": _positive,
-        "radiance_units": _text,
-    },
-    "calibration": {"path": _text, "sweep": _text},
-    "dark": {"cubes": _texts},
-    "irradiance": {
-        "files": _texts,
-        "quantity": _text,
-        "utc_offset_h": _number,
-        "clock_offset_s": _number,
-        "stamp": _STAMP,
-        "fwhm_nm": _positive,
-        "max_gap_s": _positive,
-        "units": _text,
-        "averaging_s": _number,
-        "calibration": _table,
-    },
-    "flightlines": {
-        "id": _text,
-        "cube": _text,
-        "frame_index": _text,
-        "nav": _text,
-        "gps_time": _text,
-        "date": _time,
-        "start_time": _time,
-        "exposure_time_ms": _positive,
-        "frame_period_ms": _positive,
-        "keep_whole_lines": _flag,
-    },
-    "references": {"instrument": _text, "files": _texts},
-}
-_LISTS = ("flightlines", "references")
+# --- tables into checked values ----------------------------------------------------------------------------
 
 
 def _load(path: Path) -> dict[str, Any]:
     """Return the tables of the file, or raise CollectError with the place of the mistake."""
     try:
         if path.stat().st_size > _MAX_BYTES:
-            msg = f"{path}: larger than {_MAX_BYTES} bytes, no collect.toml"
+            msg = f"{path}: larger than {_MAX_BYTES} bytes, not a collect.toml"
             raise CollectError(msg)
         return tomllib.loads(path.read_bytes().decode("utf-8"))
     except OSError as error:
@@ -232,11 +135,11 @@ class _Reader:
         #: Tables, and ids of flight lines without times, whose problems have been noted.
         self.reported: set[str] = set()
         self.given = set(raw)
-        self.tables = {name: self._section(name, raw) for name in _SCHEMA}
+        self.tables = {name: self._section(name, raw) for name in SCHEMA}
         self.dark = self._dark_word(raw)
         for key in raw:
-            if key not in _SCHEMA:
-                problems.add(f"unknown table or key {key!r}{_suggest(key, _SCHEMA)}")
+            if key not in SCHEMA:
+                problems.add(f"unknown table or key {key!r}{_suggest(key, SCHEMA)}")
 
     def _dark_word(self, raw: Mapping[str, Any]) -> str | None:
         word = raw.get("dark")
@@ -249,7 +152,7 @@ class _Reader:
         value = raw.get(name)
         if value is None or (name == "dark" and value in ("none", "calibration")):
             return []
-        several = name in _LISTS
+        several = name in LISTS
         tables = value if isinstance(value, list) else [value]
         if isinstance(value, list) != several or not all(isinstance(table, dict) for table in tables):
             shape = f"[[{name}]]" if several else f"[{name}]"
@@ -259,14 +162,14 @@ class _Reader:
         return [self._checked(self._place(name, number), name, table) for number, table in enumerate(tables)]
 
     def _place(self, name: str, number: int) -> str:
-        return f"[[{name}]] {number + 1}" if name in _LISTS else f"[{name}]"
+        return f"[[{name}]] {number + 1}" if name in LISTS else f"[{name}]"
 
     def _checked(self, place: str, name: str, table: Mapping[str, Any]) -> dict[str, Any]:
         made: dict[str, Any] = {}
         for key, value in table.items():
-            check = _SCHEMA[name].get(key)
+            check = SCHEMA[name].get(key)
             if check is None:
-                self.problems.add(f"{place} unknown key {key!r}{_suggest(key, _SCHEMA[name])}")
+                self.problems.add(f"{place} unknown key {key!r}{_suggest(key, SCHEMA[name])}")
                 continue
             expected = check(value)
             if expected is None:

@@ -106,12 +106,15 @@ def open_dark(
     SchemaError
         No dark was named, or one does not fit the cube.
     FormatError
-        A file is no cube of raw counts.
+        A file is not a cube of raw counts.
     """
     import xarray as xr
 
     if source is None or (isinstance(source, (list, tuple)) and not source):
-        msg = 'no dark reference; give dark cubes, or say dark="none" where the counts are dark-corrected'
+        msg = (
+            'no dark reference; give dark cubes, or dark="none" where the counts are dark-corrected '
+            '(in collect.toml: cubes = [...] or cubes = "none" in [dark])'
+        )
         raise SchemaError(msg)
     shape = None if cube is None else tuple(cube.sizes[dim] for dim in _ELEMENT)
     if isinstance(source, str) and source == DARK_NONE:
@@ -194,7 +197,7 @@ def _exposure(opened: xr.Dataset, path: Path | None, name: str) -> float | None:
 
 
 def _time(opened: xr.Dataset, path: Path | None, timing: Timing, lines: int) -> np.datetime64 | None:
-    """Return UTC at the middle of a dark cube, None where nothing tells it."""
+    """Return UTC at the middle of a dark cube, None where it is unknown."""
     if "time" in opened.coords:
         known = opened["time"].values.astype("datetime64[ns]")
         known = known[~np.isnat(known)]

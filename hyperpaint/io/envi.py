@@ -236,7 +236,9 @@ def _lines_in_file(header: EnviHeader, path: Path, found: int, keep_whole_lines:
     if by_lines:
         problem += f"\nit holds {whole} whole lines and {remainder} bytes more"
     if possible:
-        problem += f"; keep_whole_lines=True opens those {whole} lines"
+        problem += (
+            f"; keep_whole_lines=True (keep_whole_lines = true in collect.toml) opens those {whole} lines"
+        )
     else:
         problem += "\ncheck samples, bands, lines and data type, or copy the file again"
     problems = Problems(f"ENVI data file {str(path)!r} does not fit its header", FormatError)

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import io
 import itertools
+import os
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any
@@ -77,8 +78,8 @@ class EnviArray(BackendArray):
     path
         Absolute path of the data file.
     file_size, modified_ns
-        Of the file when it was opened. dask names an array by its fields: the same file gets the same name,
-        another version another.
+        Of the file when it was opened; a read refuses a file that has changed since. dask names an array by
+        its fields: the same file gets the same name, another version another.
     offset
         Bytes before the first sample.
     stored
@@ -138,6 +139,7 @@ class EnviArray(BackendArray):
         in_file_order = made.transpose(np.argsort(self.axes))
         along = [positions[axis] for axis in np.argsort(self.axes)]
         with open(self.path, "rb", buffering=0) as file:
+            self._refuse_changed(file)
             if self.axes == (0, 1, 2) and _is_slab(along, self.file_shape):
                 first = int(along[0][0]) * self.file_shape[1] * self.file_shape[2]
                 self._fill(file, first, made.reshape(-1))
@@ -146,6 +148,17 @@ class EnviArray(BackendArray):
             else:
                 self._gather(file, along, in_file_order)
         return made
+
+    def _refuse_changed(self, file: io.FileIO) -> None:
+        """Raise where the file is not the one that was opened: its layout and meaning may be others."""
+        status = os.fstat(file.fileno())
+        if (status.st_size, status.st_mtime_ns) != (self.file_size, self.modified_ns):
+            msg = (
+                f"ENVI data file {self.path!r} has changed since it was opened: found {status.st_size} bytes "
+                f"of {_moment(status.st_mtime_ns)}, expected {self.file_size} bytes of "
+                f"{_moment(self.modified_ns)}; open it again"
+            )
+            raise FormatError(msg)
 
     def _gather(self, file: io.FileIO, along: list[Positions], into: Array) -> None:
         """Read boxes of the file that hold the wanted samples, and keep those."""
@@ -195,6 +208,10 @@ class EnviArray(BackendArray):
                 )
                 raise FormatError(msg)
             done += count
+
+
+def _moment(nanoseconds: int) -> str:
+    return f"{np.datetime64(nanoseconds, 'ns')} UTC"
 
 
 def _is_integer(index: object) -> bool:

@@ -173,7 +173,7 @@ def read_header(path: str | os.PathLike[str]) -> EnviHeader:
     Raises
     ------
     FormatError
-        The file is no ENVI header, is over 16 MB, or contradicts itself; all problems are listed.
+        The file is not an ENVI header, is over 16 MB, or contradicts itself; all problems are listed.
     OSError
         The file cannot be read.
     """
@@ -204,7 +204,7 @@ def parse_header(text: str, name: str = "ENVI header") -> EnviHeader:
     Raises
     ------
     FormatError
-        The text is no ENVI header or contradicts itself; all problems are listed.
+        The text is not an ENVI header or contradicts itself; all problems are listed.
 
     Examples
     --------

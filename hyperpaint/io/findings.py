@@ -1,4 +1,8 @@
-"""Problems of independent inputs, gathered so that one message lists them all."""
+"""Problems of independent inputs, gathered so that one message lists them all.
+
+`hyperpaint.errors.Problems` lists the faults of one input as texts; `Findings` catches the errors that
+several inputs raise, keeps a lone one as it is, and lists more than one through `Problems`.
+"""
 
 from __future__ import annotations
 

@@ -2,38 +2,30 @@
 
 from __future__ import annotations
 
-import json
 import os
 import warnings
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from hyperpaint.errors import (
-    FormatError,
-    PaintWarning,
-    SchemaError,
-)
-from hyperpaint.schema import (
-    ALONG_TRACK,
-    BAND,
-    CHUNK_LINES,
-    CROSS_TRACK,
-    CUBE,
-    VARIABLES,
-    label,
-    rename_to_roles,
-)
-from hyperpaint.units import conversion_factor, convert
+from hyperpaint.errors import PaintWarning, SchemaError
+from hyperpaint.schema import ALONG_TRACK, BAND, CROSS_TRACK, label
 
 from .calibration_store import open_calibration
 from .dark import Dark, open_dark
 from .findings import Findings, Unavailable
-from .headwall import exposure_seconds, find_settings, read_settings
 from .irradiance_cut import cut_irradiance
+from .line_parts import (
+    FlightlineInputs,
+    check_cube,
+    find_exposure,
+    find_saturation,
+    lazy_cube,
+    open_file,
+    path_of,
+)
 from .line_times import LineTimes, Timing, line_times
 from .navigation import Navigation
 
@@ -43,31 +35,10 @@ if TYPE_CHECKING:
 
     type_path = str | os.PathLike[str]
 
-__all__ = ["FlightlineInputs", "assemble", "open_flightline"]
+__all__ = ["assemble", "open_flightline"]
 
 #: Nanometres between header and calibration beyond which the user hears of it.
 _WAVELENGTH_TOLERANCE = 0.5
-_BLANK = np.uint16(65535)
-
-
-@dataclass(frozen=True, kw_only=True)
-class FlightlineInputs:
-    """What `assemble` needs; the fields are the arguments of `open_flightline`."""
-
-    cube: Path | xr.Dataset
-    timing: Timing | Unavailable
-    exposure_time: Any = None
-    dark: Any = None
-    calibration: Path | xr.Dataset | Unavailable | None = None
-    irradiance: Any = None
-    bit_depth: int = 12
-    saturation_count: float | None = None
-    radiance_units: str | None = None
-    fwhm_nm: float | None = None
-    chunks: Any = "auto"
-    name: str | None = None
-    keep_whole_lines: bool = False
-    attrs: Mapping[str, Any] = field(default_factory=dict)
 
 
 def open_flightline(
@@ -131,7 +102,7 @@ def open_flightline(
         What a line's time stamp marks.
     nav_clock_offset_s, time_scale, gps_leap_seconds
         UTC = stamp of the navigation + offset [s]; ``"gps"`` takes leap seconds off, from a table unless
-        said.
+        given.
     nav_max_gap_s
         Longest interval of the navigation that is interpolated [s]; default 2.5 x the median, at least 0.1 s.
     bit_depth, saturation_count
@@ -140,7 +111,7 @@ def open_flightline(
     radiance_units
         Units of a radiance cube whose header does not say them.
     fwhm_nm
-        Width of the bands [nm] where neither calibration nor header tells it.
+        Width of the bands [nm] where neither calibration nor header gives it.
     chunks
         dask chunks of the cube: ``"auto"`` for 32 whole lines, None for no dask (except where units are
         converted or dropped lines blanked), else as for `xarray.Dataset.chunk`.
@@ -234,17 +205,17 @@ def assemble(inputs: FlightlineInputs, findings: Findings) -> xr.Dataset:
     """
     import xarray as xr
 
-    path = _path_of(inputs)
+    path = path_of(inputs)
     cube: xr.DataArray | None = None
     opened = xr.Dataset()
     is_counts = True
     with findings.step():
-        opened = _open_file(inputs)
+        opened = open_file(inputs)
         is_counts = "counts" in opened
-        cube = _check_cube(opened, inputs)
+        cube = check_cube(opened, inputs)
     exposure: NDArray[np.float64] | None = None
     with findings.step():
-        exposure, exposure_source = _exposure(inputs, path, opened, required=is_counts)
+        exposure, exposure_source = find_exposure(inputs, path, opened, required=is_counts)
     calibration: xr.Dataset | None = None
     with findings.step():
         calibration = _calibration(inputs, cube, required=is_counts)
@@ -268,10 +239,10 @@ def assemble(inputs: FlightlineInputs, findings: Findings) -> xr.Dataset:
         irradiance = _irradiance(inputs, times)
     saturation: xr.DataArray | None = None
     with findings.step():
-        saturation = _saturation(inputs, calibration)
+        saturation = find_saturation(inputs, calibration)
     if findings.errors or cube is None or times is None:
         return xr.Dataset()
-    parts: dict[str, xr.DataArray] = {cube.name: _lazy(cube, times, inputs)}  # type: ignore[dict-item]
+    parts: dict[str, xr.DataArray] = {cube.name: lazy_cube(cube, times, inputs)}  # type: ignore[dict-item]
     attrs: dict[str, Any] = {"name": inputs.name or path.name.split(".")[0], "source": path.name}
     if exposure is not None:
         dims = (ALONG_TRACK,) if exposure.ndim else ()
@@ -299,145 +270,6 @@ def assemble(inputs: FlightlineInputs, findings: Findings) -> xr.Dataset:
     return made
 
 
-def _path_of(inputs: FlightlineInputs) -> Path:
-    if isinstance(inputs.cube, Path):
-        return inputs.cube
-    return Path(inputs.name or str(inputs.cube.attrs.get("source", "cube")))
-
-
-# --- cube --------------------------------------------------------------------------------------------------
-
-
-def _open_file(inputs: FlightlineInputs) -> xr.Dataset:
-    from .envi import open_envi
-
-    if isinstance(inputs.cube, Path):
-        opened = open_envi(inputs.cube, keep_whole_lines=inputs.keep_whole_lines)
-    else:
-        opened = rename_to_roles(inputs.cube)
-    if "values" in opened and inputs.radiance_units:
-        opened = opened.rename(values="radiance")
-    return opened
-
-
-def _check_cube(opened: xr.Dataset, inputs: FlightlineInputs) -> xr.DataArray:
-    """Return ``counts`` or ``radiance`` in sensor geometry, with units."""
-    path = _path_of(inputs)
-    name = next((name for name in ("counts", "radiance") if name in opened), None)
-    if name is None:
-        held = ", ".join(map(str, opened.data_vars)) or "nothing"
-        msg = f"{path}: holds {held}, expected raw counts or radiance (then give radiance_units)"
-        raise FormatError(msg)
-    cube = opened[name]
-    if set(cube.dims) != set(CUBE):
-        msg = f"{path}: dims {tuple(map(str, cube.dims))}, expected {CUBE}: sensor geometry, not a map"
-        raise FormatError(msg)
-    if not all(cube.sizes.values()):
-        msg = f"{path}: empty, {dict(cube.sizes)}"
-        raise FormatError(msg)
-    if name == "counts" and (cube.dtype.kind != "u" or cube.dtype.itemsize > 2):
-        msg = (
-            f"{path}: samples are {cube.dtype}, expected raw counts: uint16 (ENVI data type 12) or uint8 (1)"
-        )
-        raise FormatError(msg)
-    if name == "radiance":
-        units = inputs.radiance_units or cube.attrs.get("units")
-        if units is None:
-            msg = f"{path}: radiance without units; give radiance_units, for example 'mW cm-2 sr-1 um-1'"
-            raise FormatError(msg)
-        cube = cube.assign_attrs(units=units)
-        # a wrong unit is said now, with the other problems
-        conversion_factor(str(units), VARIABLES[name].units)
-    return cube if cube.dims == CUBE else cube.transpose(*CUBE)
-
-
-def _lazy(cube: xr.DataArray, times: LineTimes, inputs: FlightlineInputs) -> xr.DataArray:
-    """Chunk the cube, convert it, blank its dropped lines; no sample is read."""
-    name = str(cube.name)
-    cube = cube.drop_vars(list(cube.coords)).drop_encoding()
-    dropped = np.flatnonzero(~times.recorded)
-    units = cube.attrs.get("units")
-    as_is = name == "counts" or (units == VARIABLES[name].units and cube.dtype == np.float32)
-    automatic = isinstance(inputs.chunks, str) and inputs.chunks == "auto"
-    if not automatic and inputs.chunks is not None:
-        cube = cube.chunk(inputs.chunks)
-    elif cube.chunks is None and (automatic or dropped.size or not as_is):
-        # without dask, converting or blanking would read the cube
-        cube = cube.chunk({ALONG_TRACK: CHUNK_LINES, BAND: -1, CROSS_TRACK: -1})
-    if name == "radiance":
-        cube = convert(cube.astype(np.float32, copy=False), VARIABLES[name].units)
-    elif cube.dtype != np.uint16:
-        cube = cube.astype(np.uint16)
-    if dropped.size:
-        blanked = cube.data.map_blocks(_blank, dropped=dropped, dtype=cube.dtype, meta=cube.data._meta)
-        cube = cube.copy(data=blanked)
-    return label(cube, name)
-
-
-def _blank(
-    block: NDArray[Any], dropped: NDArray[np.intp], block_info: Mapping[Any, Any] | None = None
-) -> NDArray[Any]:
-    """Return a block of lines without what stands in the dropped ones."""
-    start, stop = (block_info or {})[0]["array-location"][0]
-    inside = dropped[(dropped >= start) & (dropped < stop)] - start
-    if inside.size:
-        block = block.copy()
-        block[inside] = _BLANK if block.dtype == np.uint16 else np.nan
-    return block
-
-
-# --- exposure ----------------------------------------------------------------------------------------------
-
-
-def _exposure(
-    inputs: FlightlineInputs, path: Path, opened: xr.Dataset, *, required: bool
-) -> tuple[NDArray[np.float64] | None, str]:
-    """Return seconds and where they come from: the argument, ``settings.txt``, the header's comments."""
-    said: dict[str, float] = {}
-    given = None if inputs.exposure_time is None else np.asarray(inputs.exposure_time, np.float64)
-    if given is not None:
-        lines = opened.sizes.get(ALONG_TRACK)
-        if given.ndim > 1 or (given.ndim == 1 and lines is not None and given.size != lines):
-            msg = f"{path.name}: exposure_time has shape {given.shape}, expected a scalar or {lines} lines"
-            raise SchemaError(msg)
-        if not (np.isfinite(given).all() and (given > 0).all()):
-            msg = f"{path.name}: exposure_time {given.min() * 1e3:g} ms, expected a positive number"
-            raise SchemaError(msg)
-    settings = find_settings(path) if isinstance(inputs.cube, Path) else None
-    comments = json.loads(opened.attrs.get("envi_comments", "{}"))
-    for source, pairs in (
-        ("settings.txt", settings and read_settings(settings)),
-        ("header comments", comments),
-    ):
-        try:
-            value = exposure_seconds(pairs or {}, f"{path.name}: {source}")
-        except FormatError:
-            if given is None:
-                raise
-            continue
-        if value is not None:
-            said[source] = value
-    stated = ", ".join(f"{source} {value * 1e3:g} ms" for source, value in said.items())
-    if given is not None:
-        if any(not np.allclose(given, value, rtol=1e-6, atol=0) for value in said.values()):
-            message = f"exposure_time {given.flat[0] * 1e3:g} ms is used; {stated}"
-            warnings.warn(f"{path.name}: {message}", PaintWarning, stacklevel=4)
-        return given, "given"
-    if said:
-        source, value = next(iter(said.items()))
-        if len(set(said.values())) > 1:
-            warnings.warn(f"{path.name}: {stated}; the first is used", PaintWarning, stacklevel=4)
-        return np.array(value), source
-    # an unread header is another problem, not a missing exposure
-    if required and opened.sizes:
-        msg = (
-            f"{path.name}: no exposure in settings.txt beside the cube nor in the header's comments;"
-            " give exposure_time [s] (exposure_time_ms in collect.toml)"
-        )
-        raise SchemaError(msg)
-    return None, ""
-
-
 # --- calibration -------------------------------------------------------------------------------------------
 
 
@@ -446,12 +278,10 @@ def _calibration(inputs: FlightlineInputs, cube: xr.DataArray | None, *, require
         return None
     if inputs.calibration is None:
         if required:
-            msg = f"{_path_of(inputs).name}: no calibration; raw counts need one (calibration=)"
+            msg = f"{path_of(inputs).name}: no calibration; raw counts need one (calibration=)"
             raise SchemaError(msg)
         if cube is not None and "wavelength" not in cube.coords:
-            msg = (
-                f"{_path_of(inputs).name}: no wavelengths in the header; give the calibration of this camera"
-            )
+            msg = f"{path_of(inputs).name}: no wavelengths in the header; give the calibration of this camera"
             raise SchemaError(msg)
         return None
     calibration = open_calibration(inputs.calibration)
@@ -460,7 +290,7 @@ def _calibration(inputs: FlightlineInputs, cube: xr.DataArray | None, *, require
         expected = {dim: cube.sizes[dim] for dim in gain.dims}
         if dict(gain.sizes) != expected:
             msg = (
-                f"{_path_of(inputs).name} has {_shape(expected)}, the calibration {_shape(gain.sizes)};"
+                f"{path_of(inputs).name} has {_shape(expected)}, the calibration {_shape(gain.sizes)};"
                 " give the calibration of this camera and binning"
             )
             raise SchemaError(msg)
@@ -482,23 +312,6 @@ def _calibration_parts(calibration: xr.Dataset | None, is_counts: bool) -> dict[
     return {name: calibration[name].reset_coords(drop=True) for name in kept}
 
 
-def _saturation(inputs: FlightlineInputs, calibration: xr.Dataset | None) -> xr.DataArray:
-    import xarray as xr
-
-    given = inputs.saturation_count
-    if given is None and calibration is not None and "saturation_count" in calibration:
-        return calibration["saturation_count"].reset_coords(drop=True)
-    if given is None:
-        if not 1 <= inputs.bit_depth <= 16:
-            msg = f"bit_depth {inputs.bit_depth}, expected 1 to 16"
-            raise SchemaError(msg)
-        given = 2**inputs.bit_depth - 1
-    if not 0 < given <= 65535:
-        msg = f"saturation_count {given}, expected a count up to 65535"
-        raise SchemaError(msg)
-    return label(xr.DataArray(np.float32(given)), "saturation_count")
-
-
 # --- coordinates -------------------------------------------------------------------------------------------
 
 
@@ -509,7 +322,7 @@ def _coordinates(
 
     made: dict[str, xr.DataArray] = {}
     for source in (opened, calibration):
-        for name in ("wavelength", "fwhm", "good", "wavelength_shift", "srf_offset"):
+        for name in ("wavelength", "fwhm", "band_spacing", "good", "wavelength_shift", "srf_offset"):
             if source is not None and name in source.coords:
                 array = source.coords[name].reset_coords(drop=True)
                 if name == "good" and name in made:
@@ -517,6 +330,10 @@ def _coordinates(
                 made[name] = label(array, name)
     if "fwhm" not in made and inputs.fwhm_nm is not None:
         made["fwhm"] = label(xr.DataArray(np.full(opened.sizes[BAND], inputs.fwhm_nm), dims=BAND), "fwhm")
+    if "wavelength" in made and made["wavelength"].size > 1 and "band_spacing" not in made:
+        # kept with every band, so that a choice of bands still knows how wide the pixels are
+        spacing = np.abs(np.gradient(made["wavelength"].values))
+        made["band_spacing"] = label(xr.DataArray(spacing, dims=BAND), "band_spacing")
     if calibration is not None and "wavelength" in opened.coords:
         apart = float(np.abs(opened["wavelength"].values - calibration["wavelength"].values).max())
         if apart > _WAVELENGTH_TOLERANCE:

@@ -19,6 +19,8 @@ from hyperpaint.errors import FormatError, Problems, TimeError, UnitsError
 from hyperpaint.schema import CHUNK_LINES, CUBE
 from hyperpaint.units import conversion_factor
 
+from .reading import read_limited
+
 if TYPE_CHECKING:
     import xarray as xr
     from numpy.typing import NDArray
@@ -64,15 +66,7 @@ def read_text(path: Path, limit: int = _MAX_SETTINGS) -> str:
     FormatError
         The file cannot be read, is larger than ``limit`` bytes, or is binary.
     """
-    try:
-        size = path.stat().st_size
-        if size > limit:
-            msg = f"{path}: {size} bytes, expected a text file of at most {limit}"
-            raise FormatError(msg)
-        data = path.read_bytes()
-    except OSError as error:
-        msg = f"{path}: cannot be read ({error.strerror or error})"
-        raise FormatError(msg) from error
+    data = read_limited(path, limit, "a text file")
     if b"\0" in data:
         msg = f"{path}: binary, expected text; some systems write binary logs under the same name: export it"
         raise FormatError(msg)
@@ -408,7 +402,7 @@ def match_frames(
     msg = (
         f"{cube.name} has {lines} lines; {index.name} has {rows} rows, frames {first} to {last}"
         f" ({last - first + 1} by number): neither fits; give the frame index of this cube"
-        " (a cube cut short in flight: keep_whole_lines=True)"
+        " (a cube cut short in flight: keep_whole_lines=True, or keep_whole_lines = true in collect.toml)"
     )
     raise FormatError(msg)
 

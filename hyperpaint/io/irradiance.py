@@ -29,6 +29,7 @@ from .asd import (
     utc_offsets,
 )
 from .irradiance_csv import read_irradiance_csv
+from .stamps import TO_MIDDLE
 
 __all__ = ["open_irradiance"]
 
@@ -38,7 +39,6 @@ _FloatArray = npt.NDArray[np.float64]
 ASD_FWHM_NM = 3.0
 _ASD_FWHM_SOURCE = f"assumed: {ASD_FWHM_NM:g} nm, the resolution of ASD instruments at 700 nm"
 _GAP_INTERVALS = 2.5
-_TO_MIDDLE = {"start": 0.5, "mid": 0.0, "end": -0.5}
 _STORE_SUFFIXES = (".zarr", ".nc", ".nc4", ".h5")
 _STORE_FILES = ("zarr.json", ".zgroup", ".zattrs")
 
@@ -55,7 +55,7 @@ class _Series:
     """Samples as they were logged, before clocks and units are settled."""
 
     sources: Sequence[str]
-    stamps: npt.NDArray[np.datetime64]  # (sample), in the zone that utc_offset_h tells
+    stamps: npt.NDArray[np.datetime64]  # (sample), in the zone of utc_offset_h
     utc_offset_h: Sequence[float]
     averaging_s: _FloatArray  # (sample)
     wavelength: _FloatArray
@@ -63,7 +63,7 @@ class _Series:
     units: str
     origin: str
     fwhm: _FloatArray | float | None = None
-    fwhm_source: str = "said by the data"
+    fwhm_source: str = "given by the data"
     max_gap_s: float | None = None
     attrs: Mapping[str, Any] = field(default_factory=dict)
 
@@ -162,11 +162,11 @@ def open_irradiance(
     else:
         series = _from_files(find_files(paths), quantity, utc_offset_h, units, calibration)
     window = series.averaging_s if averaging_s is None else np.full(len(series.stamps), averaging_s)
-    times = _utc_middle(series, clock_offset_s, _TO_MIDDLE[stamp] * window)
+    times = _utc_middle(series, clock_offset_s, TO_MIDDLE[stamp] * window)
     order = np.argsort(times, kind="stable")
     _refuse_duplicates(series, times, order)
     values = series.values[order] * conversion_factor(series.units, VARIABLES["irradiance"].units)
-    _judge(series.wavelength, values)
+    _check_magnitude(series.wavelength, values)
     made = _dataset(series, times[order], values, fwhm_nm, max_gap_s)
     made.attrs.update(
         irradiance_utc_offset_h=sorted(set(map(float, series.utc_offset_h))),
@@ -190,8 +190,8 @@ def _check_arguments(
         problems.add(f"quantity={quantity!r}: expected 'irradiance'; hp.open_asd opens other quantities")
     if not np.isfinite(clock_offset_s):
         problems.add(f"clock_offset_s={clock_offset_s}: expected seconds")
-    if stamp not in _TO_MIDDLE:
-        problems.add(f"stamp={stamp!r}: expected one of {', '.join(_TO_MIDDLE)}")
+    if stamp not in TO_MIDDLE:
+        problems.add(f"stamp={stamp!r}: expected one of {', '.join(TO_MIDDLE)}")
     for name, value in (("fwhm_nm", fwhm_nm), ("max_gap_s", max_gap_s)):
         if value is not None and not (np.isfinite(value) and value > 0):
             problems.add(f"{name}={value}: expected a positive number")
@@ -426,8 +426,8 @@ def _refuse_duplicates(
     problems.raise_if_any()
 
 
-def _judge(wavelength: _FloatArray, values: _FloatArray) -> None:
-    """Refuse a series whose scale no daylight has: it was said to be in other units than it is."""
+def _check_magnitude(wavelength: _FloatArray, values: _FloatArray) -> None:
+    """Refuse a series whose scale no daylight has: its units are others than those given."""
     judged = values[:, (wavelength >= _JUDGED_NM[0]) & (wavelength <= _JUDGED_NM[1])]
     judged = judged[np.isfinite(judged).any(axis=1)] if judged.shape[1] else judged[:0]
     if not len(judged):
@@ -443,7 +443,7 @@ def _judge(wavelength: _FloatArray, values: _FloatArray) -> None:
     )
     msg = (
         f"the median irradiance of 400-1000 nm is {brightest:.3g} W m-2 nm-1, {direction}; are the values in "
-        "other units (uW said to be W?) or another quantity, such as counts? Pass units=, or convert them"
+        "other units (uW labelled as W?) or another quantity, such as counts? Pass units=, or convert them"
     )
     raise UnitsError(msg)
 
@@ -462,7 +462,7 @@ def _dataset(
     gap_s = series.max_gap_s if max_gap_s is None else max_gap_s
     if gap_s is None:
         if len(times) < 2:
-            msg = f"a single irradiance sample ({series.origin}) tells no interval; pass max_gap_s="
+            msg = f"a single irradiance sample ({series.origin}) has no interval; pass max_gap_s="
             raise TimeError(msg)
         gap_s = _GAP_INTERVALS * float(np.median(np.diff(times).astype(np.int64))) / 1e9
     dims = (IRRADIANCE_TIME, IRRADIANCE_WAVELENGTH)
@@ -490,6 +490,6 @@ def _dataset(
             "irradiance_srf_shape": "gaussian",
             **series.attrs,
             "irradiance_source": series.origin,
-            "irradiance_fwhm_source": series.fwhm_source if fwhm_nm is None else "said by the user",
+            "irradiance_fwhm_source": series.fwhm_source if fwhm_nm is None else "given by the user",
         },
     )

@@ -13,6 +13,8 @@ import numpy.typing as npt
 
 from hyperpaint.errors import FormatError
 
+from .reading import read_limited
+
 __all__ = ["IrradianceTable", "is_irradiance_csv", "read_irradiance_csv"]
 
 _LARGEST_FILE = 2**30
@@ -87,16 +89,9 @@ def read_irradiance_csv(path: str | os.PathLike[str]) -> IrradianceTable:
     ('W m-2 nm-1', array([[0.89, 0.9 ]]))
     """
     path = Path(path)
-    try:
-        size = path.stat().st_size
-        if size > _LARGEST_FILE:
-            msg = f"{path.name}: {size} bytes are no irradiance series; store it as Zarr"
-            raise FormatError(msg)
-        text = path.read_text("utf-8-sig", errors="replace")
-    except OSError as error:
-        msg = f"{path}: cannot be read ({error.strerror or error}); check the path"
-        raise FormatError(msg) from error
-    return _parse(path.name, text)
+    data = read_limited(path, _LARGEST_FILE, "an irradiance series (a longer one fits Zarr)")
+    text = data.decode("utf-8-sig", errors="replace")
+    return _parse(path.name, text.replace("\r\n", "\n").replace("\r", "\n"))
 
 
 def _parse(name: str, text: str) -> IrradianceTable:
@@ -109,7 +104,7 @@ def _parse(name: str, text: str) -> IrradianceTable:
         elif line.strip():
             rows.append((number, [cell.strip().strip('"') for cell in line.strip().split(",")]))
     if not rows or rows[0][1][0].lower() != "time":
-        msg = f"{name}: no header 'time,<wavelength>,...': no irradiance series"
+        msg = f"{name}: no header 'time,<wavelength>,...': not an irradiance series"
         raise FormatError(msg)
     wavelength = _wavelength(name, rows[0][1][1:])
     if len(rows) < 2:

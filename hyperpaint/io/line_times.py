@@ -14,8 +14,10 @@ import numpy as np
 
 from hyperpaint.errors import PaintWarning, Problems, TimeError
 
+from .clocks import Clock, ClockCorrection
 from .headwall import FrameIndex, cube_number, match_frames, read_frame_index
-from .navigation import Clock, ClockCorrection, Navigation, read_gps_time, read_imu_gps
+from .navigation import Navigation, read_gps_time, read_imu_gps
+from .stamps import TO_MIDDLE
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -26,8 +28,6 @@ _NS_PER_S = 1_000_000_000
 _DAY_US = 86_400_000_000
 _LONGEST = 1e4
 _DATE = re.compile(r"[0-9]{4}-[0-9]{2}-[0-9]{2}")
-#: From what the stamp marks to mid exposure, in exposures.
-_TO_MIDDLE = {"start": 0.5, "mid": 0.0, "end": -0.5}
 
 
 @dataclass(frozen=True)
@@ -135,7 +135,7 @@ def line_times(
     Parameters
     ----------
     cube
-        Path of the cube; ``raw_<N>`` tells its first frame.
+        Path of the cube; ``raw_<N>`` names its first frame.
     lines
         Its number of lines.
     timing
@@ -180,9 +180,7 @@ def line_times(
             "timedelta64[ns]"
         )
     _report_outside(cube, np.isnat(time[recorded]), clock)
-    half = np.round(np.asarray(exposure_time) * _TO_MIDDLE[timing.stamp] * _NS_PER_S).astype(
-        "timedelta64[ns]"
-    )
+    half = np.round(np.asarray(exposure_time) * TO_MIDDLE[timing.stamp] * _NS_PER_S).astype("timedelta64[ns]")
     time = time + half
     place: Mapping[str, NDArray[np.float64]] = {}
     if nav is not None:
@@ -193,7 +191,7 @@ def line_times(
 
 def _check(timing: Timing) -> None:
     problems = Problems("the clocks of the flight cannot be used as described", TimeError)
-    if timing.stamp not in _TO_MIDDLE:
+    if timing.stamp not in TO_MIDDLE:
         problems.add(f"stamp {timing.stamp!r}, expected 'start', 'mid' or 'end' (of the exposure)")
     for name, seconds in (("frame_period", timing.frame_period), ("nav_max_gap_s", timing.max_gap_s)):
         if seconds is not None and not 0 < seconds <= _LONGEST:

@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ._jit import kernel
-from .quality import flag_line, gather_row
+from .quality import count_levels, flag_line, gather_row
 
 __all__ = ["calibrate_slab", "round_bits"]
 
@@ -25,13 +25,20 @@ _ONE = np.uint32(1)
 
 @kernel
 def scale_row(
-    counts: Array, dark: Array, gain: Array, scale: Any, limit: Any, line: Any, band: Any, out: Array
+    counts: Array,
+    dark: Array,
+    gain: Array,
+    scale: Any,
+    saturation_limit: Any,
+    line: Any,
+    band: Any,
+    out: Array,
 ) -> None:
-    """Write gain * scale * (counts - dark); NaN from ``limit`` counts on."""
+    """Write gain * scale * (counts - dark); NaN from ``saturation_limit`` counts on."""
     for x in range(counts.shape[2]):
         raw = counts[line, band, x]
         value = (np.float32(raw) - dark[band, x]) * (gain[band, x] * scale)
-        out[line, band, x] = value if raw < limit else _NAN
+        out[line, band, x] = value if raw < saturation_limit else _NAN
 
 
 @kernel
@@ -42,7 +49,7 @@ def divide_run(
     shift: Array,
     light: Array,
     cell: Any,
-    limit: Any,
+    saturation_limit: Any,
     line: Any,
     band: Any,
     own: Any,
@@ -58,32 +65,32 @@ def divide_run(
         raw, s = counts[line, band, x], shift[own, x]
         irradiance = c0 + s * (c1 + s * (c2 + s * c3))
         value = (np.float32(raw) - dark[band, x]) * gain[band, x] / irradiance
-        out[line, band, x] = value if raw < limit else _NAN
+        out[line, band, x] = value if raw < saturation_limit else _NAN
 
 
 @kernel
-def limit_row(counts: Array, limit: Array, line: Any, band: Any, out: Array) -> None:
+def limit_row(counts: Array, saturation_limit: Array, line: Any, band: Any, out: Array) -> None:
     """Write NaN where counts reach the limits of their own elements."""
     for x in range(counts.shape[2]):
-        out[line, band, x] = out[line, band, x] if counts[line, band, x] < limit[band, x] else _NAN
+        out[line, band, x] = out[line, band, x] if counts[line, band, x] < saturation_limit[band, x] else _NAN
 
 
 @kernel
-def round_row(bits: Array, line: Any, band: Any, dropped: Any) -> None:
-    """Round float32 values, given as their bits, to nearest-even with ``dropped`` mantissa bits cleared."""
-    half = (_ONE << (dropped - _ONE)) - _ONE
-    keep = ~((_ONE << dropped) - _ONE)
+def round_row(bits: Array, line: Any, band: Any, cleared_bits: Any) -> None:
+    """Round float32 values, given as their bits, to nearest-even, clearing the last mantissa bits."""
+    half = (_ONE << (cleared_bits - _ONE)) - _ONE
+    keep = ~((_ONE << cleared_bits) - _ONE)
     for x in range(bits.shape[2]):
         value = bits[line, band, x]
-        bits[line, band, x] = (value + half + ((value >> dropped) & _ONE)) & keep
+        bits[line, band, x] = (value + half + ((value >> cleared_bits) & _ONE)) & keep
 
 
 @kernel
-def round_bits(bits: Array, dropped: Any) -> None:
+def round_bits(bits: Array, cleared_bits: Any) -> None:
     """Round float32 values (line, band, column), given as uint32, in place; as numcodecs' BitRound does."""
     for line in range(bits.shape[0]):
         for band in range(bits.shape[1]):
-            round_row(bits, line, band, dropped)
+            round_row(bits, line, band, cleared_bits)
 
 
 @kernel
@@ -105,14 +112,14 @@ def calibrate_slab(
     shift: Array,
     edges: Array,
     cells: Array,
-    limit: Array,
-    floor: Array,
-    zero: Array,
-    watched: Array,
-    flag_limits: Array,
+    saturation_limit: Array,
+    noise_margin: Array,
+    whole: Any,
+    most_negative: Any,
+    no_data: Any,
     line_flags: Array,
     column_flags: Array,
-    dropped: Any,
+    cleared_bits: Any,
     out: Array,
     bits: Array,
     quality: Array,
@@ -133,17 +140,17 @@ def calibrate_slab(
         Position of a column inside its cell.
     edges : (1 or band, run + 1), int64; cells : (1 or band, run), int64
         Columns where runs begin whose columns share a cell, and that cell.
-    limit : (1, 1) or (band, column), like counts
+    saturation_limit : (1, 1) or (band, column), like counts
         Counts from which a sample is saturated.
-    floor, zero : (band, column), like counts
-        Counts below which a sample lies under the dark beyond noise, and under it at all; 0 counts nothing.
-    watched : (band, column), bool
-        Elements whose saturation sets a flag.
-    flag_limits : (2,), uint16
+    noise_margin : (band, column), float32
+        How far below the dark noise may take a sample; NaN for an element that sets no flag.
+    whole : bool
+        Counts are integers.
+    most_negative, no_data : uint16
         Number of samples under the dark that a pixel may have; the bit of a line without data.
     line_flags : (line,), column_flags : (column,), uint16
         Bits that hold for whole lines and columns.
-    dropped : uint32
+    cleared_bits : uint32
         Mantissa bits cleared in what is written; 0 writes all.
     out : (line, band, column), float32; bits
         Written; the same memory as uint32.
@@ -152,17 +159,23 @@ def calibrate_slab(
     """
     n_line, n_band, n_column = counts.shape
     flagging = quality.shape[0] > 0
-    one_limit = limit.size == 1
-    lowest, highest = limit.min(), limit.max()
+    one_limit = saturation_limit.size == 1
+    lowest, highest = saturation_limit.min(), saturation_limit.max()
     mixed_dark = np.empty((n_band, n_column) if dark.shape[0] > 1 else (0, 0), np.float32)
     peak = np.empty(n_column, counts.dtype)
     negative = np.empty(n_column, np.uint16)
+    level = np.empty((n_band, n_column) if flagging else (0, 0), counts.dtype)
+    floor = np.empty((n_band, n_column) if flagging else (0, 0), counts.dtype)
+    saturated = np.empty(n_column, np.uint16)
+    below = np.empty(n_column, np.uint16)
     for line in range(n_line):
         line_dark = dark[0]
         if dark.shape[0] > 1:
             first = dark_index[line]
             blend(dark[first], dark[first + 1], dark_weight[line], mixed_dark)
             line_dark = mixed_dark
+        if flagging and (line == 0 or dark.shape[0] > 1):
+            count_levels(line_dark, noise_margin, whole, level, floor)
         peak[:] = 0
         negative[:] = 0
         for band in range(n_band):
@@ -176,23 +189,26 @@ def calibrate_slab(
                         line, band, own, edges[own, run], edges[own, run + 1], out,
                     )  # fmt: skip
             if not one_limit:
-                limit_row(counts, limit, line, band, out)
-            if dropped > 0:
-                round_row(bits, line, band, dropped)
+                limit_row(counts, saturation_limit, line, band, out)
+            if cleared_bits > 0:
+                round_row(bits, line, band, cleared_bits)
             if flagging:
-                gather_row(counts, zero, line, band, peak, negative)
+                gather_row(counts, level, line, band, peak, negative)
         if flagging:
             flag_line(
                 counts,
-                limit,
+                saturation_limit,
                 lowest,
                 floor,
-                watched,
+                noise_margin,
                 peak,
                 negative,
-                flag_limits,
+                most_negative,
+                no_data,
                 line_flags[line],
                 column_flags,
                 line,
+                saturated,
+                below,
                 quality,
             )

@@ -27,9 +27,17 @@ from .settings import SimulationSettings
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["simulate_collect", "simulate_line"]
+__all__ = ["CAMERA_SOFTWARE", "MARKER", "PARTS", "simulate_collect", "simulate_line"]
 
-_PARTS = ("flight", "dark", "asd", "calibration.zarr", "truth.zarr", "collect.toml")
+PARTS = ("flight", "dark", "asd", "calibration.zarr", "truth.zarr", "collect.toml")
+"""Files and folders of a simulated collect."""
+
+MARKER = "# simulated by hyperpaint"
+"""Opens the ``collect.toml`` of a simulated collect."""
+
+CAMERA_SOFTWARE = "hyperpaint simulation"
+"""Stands in the headers of simulated cubes for the version of the camera's software."""
+
 _BOOT = 1_234_567_891_000  # ns on the instrument's clock at the first line: it knows no date
 _NAVIGATION_PERIOD, _NAVIGATION_MARGIN = 10**7, 2 * 10**9  # ns: 100 Hz, two seconds around the flight
 _DARK_LEAD = 60 * 10**9  # ns from the first dark frame to the first line
@@ -127,13 +135,13 @@ def _prepare(root: Path, overwrite: bool) -> Path:
                 f"{root} is not empty; name another folder, or replace an earlier collect with overwrite=True"
             )
             raise StoreError(msg)
-        for part in reversed(_PARTS):  # collect.toml first: what is half removed is no collect
+        for part in reversed(PARTS):  # collect.toml first: what is half removed is not a collect
             target = root / part
             if target.is_dir() and not target.is_symlink():
                 shutil.rmtree(target)
             else:
                 target.unlink(missing_ok=True)
-    for part in _PARTS[:3]:
+    for part in PARTS[:3]:
         (root / part).mkdir(parents=True)
     return root
 
@@ -156,7 +164,7 @@ def _comments(flight: Flight) -> dict[str, object]:
         "Array Pixel Pitch (um)": 7.4,
         "AverageDispersion": round(float(flight.imager.spacing.mean()), 6),
         "Exposure (ms)": settings.exposure_time_ms,
-        "HSIII_VERSION": "hyperpaint simulation",
+        "HSIII_VERSION": CAMERA_SOFTWARE,
         "Lens EFL (mm)": 12,
         "Serial Number": "SIM-0001",
     }
@@ -245,7 +253,7 @@ nav = "flight/imu_gps.txt"
 """
         for name in names
     )
-    return f"""# simulated by hyperpaint: seed {settings.seed}, truth in truth.zarr
+    return f"""{MARKER}: seed {settings.seed}, truth in truth.zarr
 
 [collect]
 name = "simulated car park"

@@ -1,6 +1,7 @@
 """Writers of the instruments' own files, independent of the package's readers.
 
-Headwall folder: `reference/formats.md` 2; ASD binary, version 7: `reference/formats.md` 3.
+ENVI header and BIL cube as the ENVI documentation describes them, with the side files of a Headwall
+Nano-Hyperspec flight folder; ASD binary after "ASD File Format, version 8, revision B", written as version 7.
 """
 
 from __future__ import annotations

@@ -5,7 +5,7 @@ An element (band b, column x) answers to a photon of wavelength lambda with
     R_b,x(lambda) = f_b,x R0(lambda) s(lambda - lambda_b - shift_x)   counts per joule,
 
 s of unit area, R0 the smooth responsivity common to all elements (optics, grating, quantum efficiency), f the
-element's own factor near one. With etendue A Omega and exposure t it counts (`reference/physics.md` 2.1)
+element's own factor near one. With etendue A Omega and exposure t it counts
 
     n = t A Omega INT L(lambda) R_b,x(lambda) d lambda + dark.
 """
@@ -140,8 +140,8 @@ def nominal_responsivity(electrons_per_count: float) -> Callable[[Floats], Float
     """Return R0(lambda) of the simulated imager [count nm J-1].
 
     Efficiency of optics, grating and silicon x photons per joule x nm a pixel / electrons per count. The
-    efficiency is 0.19 at 420 nm, 0.28 at 550, 0.13 at 850 and 0.03 at 980, of the level that
-    `reference/physics.md` 3.6 infers: at noon a white panel nearly fills twelve bits in 5 ms. R0 falls by 4 %
+    efficiency is 0.19 at 420 nm, 0.28 at 550, 0.13 at 850 and 0.03 at 980, of a level at which
+    a white panel at noon nearly fills twelve bits in 5 ms. R0 falls by 4 %
     in the 20 nm around the oxygen band.
     """
 
@@ -261,7 +261,7 @@ def expected_counts(integral: Floats, exposure_time: float, etendue: float) -> F
 
     Examples
     --------
-    The worked example of `reference/physics.md` 2.3.
+    A panel of reflectance 0.40 under 1.30 W m-2 nm-1 sends L = rho E / pi; R peaks at 2e16 and is 6 nm wide.
 
     >>> area = 2.0e16 * np.sqrt(np.pi / (4 * np.log(2))) * 6.0  # INT R d lambda: peak x shape x FWHM
     >>> expected_counts(np.array([0.40 * 1.30 / np.pi * area]), 5e-3, 1.8598e-11).round(2)

@@ -412,7 +412,7 @@ def test_any_wrong_size_is_refused(tmp_path: Path, interleave: str, change: int)
     with pytest.raises(FormatError, match=f"found {803 + change} bytes, expected 803") as caught:
         open_envi(header)
     whole = (800 + change) // 160
-    said = f"keep_whole_lines=True opens those {whole} lines"
+    said = f"keep_whole_lines=True (keep_whole_lines = true in collect.toml) opens those {whole} lines"
     possible = interleave != "bsq" and whole > 0 and (change < 0 or change % 160 == 0)
     assert (said in str(caught.value)) == possible
     assert ("whole lines" in str(caught.value)) == (interleave != "bsq")
@@ -473,7 +473,26 @@ def test_file_cut_after_opening_is_noticed(tmp_path: Path) -> None:
     header = write_cube(tmp_path / "toy", toy("u2"))
     line = open_envi(header)
     _resize(header, -10)
+    with pytest.raises(FormatError, match=r"790 bytes of .* expected 800 bytes"):
+        line.counts.load()
+
+
+def test_file_rewritten_at_the_same_length_is_noticed(tmp_path: Path) -> None:
+    header = write_cube(tmp_path / "toy", toy("u2"))
+    line = open_envi(header)
     np.testing.assert_array_equal(line.counts[3], toy("u2")[3])
+    data = tmp_path / "toy"
+    before = data.stat()
+    data.write_bytes(bytes(before.st_size))
+    os.utime(data, ns=(before.st_atime_ns, before.st_mtime_ns + 1))
+    with pytest.raises(FormatError, match=r"has changed since it was opened.*open it again"):
+        line.counts.isel(along_track=3).load()
+
+
+def test_file_cut_while_it_is_read_is_noticed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    header = write_cube(tmp_path / "toy", toy("u2"))
+    line = open_envi(header)
+    monkeypatch.setattr(EnviArray, "_refuse_changed", lambda *_: _resize(header, -10))
     with pytest.raises(FormatError, match="10 bytes early"):
         line.counts.load()
 

@@ -1,4 +1,4 @@
-"""Real ENVI cubes: their known values (../shared/data/SOURCES.md), and other readers as oracles."""
+"""Real ENVI cubes: their known values, and other readers as oracles."""
 
 from __future__ import annotations
 

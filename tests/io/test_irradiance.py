@@ -235,7 +235,7 @@ def test_exports_without_a_stamp_make_no_series(tmp_path):
 def test_impossible_light_is_refused(log, factor):
     """E in mW, uW, uW cm-2, W cm-2 or kW that is said to be W m-2 nm-1."""
     files = log(0, 2, blocks={2: (0, LAMP * factor), 3: (136, LAMP_COUNTS)})
-    with pytest.raises(UnitsError, match="uW said to be W"):
+    with pytest.raises(UnitsError, match="uW labelled as W"):
         open_irradiance(files, utc_offset_h=0)
     spelled = {
         1e6: "uW m-2 nm-1",
@@ -394,7 +394,7 @@ def test_store_round_trip(log, tmp_path, name, group):
     again = open_irradiance(tmp_path / name)
     for name in ("irradiance", "irradiance_fwhm", "irradiance_max_gap"):
         xr.testing.assert_identical(again[name].drop_encoding(), series[name])
-    assert again.attrs["irradiance_fwhm_source"] == "said by the data"
+    assert again.attrs["irradiance_fwhm_source"] == "given by the data"
 
 
 def test_an_unfinished_group_of_a_collect_is_refused(log, tmp_path):

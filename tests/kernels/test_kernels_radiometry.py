@@ -23,7 +23,6 @@ def problem(
     gain = rng.uniform(1e-6, 3e-6, (bands, columns)).astype(np.float32)
     gain[2, 3] = gain[5, :2] = np.nan
     limit = rng.uniform(2000, 4000, (bands, columns)) if own_limit else np.full((1, 1), 3600.0)
-    level = dark.mean(axis=0)
     watched = np.isfinite(gain) & (np.arange(bands) != 4)[:, None]
     if smile:
         rows = bands if smile == 2 else 1
@@ -48,10 +47,10 @@ def problem(
         "edges": edges,
         "cells": cells,
         "limit": np.ceil(limit).astype(dtype),
-        "floor": np.where(watched, np.ceil(level - 10), 0).astype(dtype),
-        "zero": np.where(watched, np.ceil(level), 0).astype(dtype),
-        "watched": watched,
-        "flag_limits": np.array([1, NO_DATA], np.uint16),
+        "noise_margin": np.where(watched, 10, np.nan).astype(np.float32),
+        "whole": np.bool_(np.issubdtype(dtype, np.integer)),
+        "most_negative": np.uint16(1),
+        "no_data": np.uint16(NO_DATA),
         "line_flags": line_flags,
         "column_flags": np.where(np.arange(columns) == 5, 4, 0).astype(np.uint16),
     }
@@ -79,11 +78,12 @@ def oracle(p: dict[str, Any]) -> tuple[np.ndarray, np.ndarray]:
                 lit = terms[0] if terms.size == 1 else np.polyval(terms[::-1], s)
                 if raw < limit[band, x]:
                     made[line, band, x] = signal * lit if terms.size == 1 else signal / lit
-                elif p["watched"][band, x]:
+                elif not np.isnan(p["noise_margin"][band, x]):
                     bits |= 1
-                negative += raw < p["zero"][band, x]
-                bits |= 2 * bool(raw < p["floor"][band, x])
-            bits |= 2 * (negative > p["flag_limits"][0])
+                if not np.isnan(p["noise_margin"][band, x]):
+                    negative += raw < dark
+                    bits |= 2 * bool(raw < dark - p["noise_margin"][band, x])
+            bits |= 2 * (negative > p["most_negative"])
             no_data = p["line_flags"][line] & NO_DATA
             quality[line, x] = p["line_flags"][line] | (0 if no_data else bits | p["column_flags"][x])
     return made, quality

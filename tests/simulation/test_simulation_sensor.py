@@ -23,7 +23,7 @@ GRID = spectral_grid(380.0, 1030.0)
 
 
 def worked_imager(shape: str = "gaussian", slope: float = 0.0) -> Imager:
-    """Imager of `physics.md` 2.3: 272 bands from 400 to 1000 nm."""
+    """Imager of the worked example: 272 bands from 400 to 1000 nm."""
     return Imager(
         wavelength=400.0 + SPACING * np.arange(272),
         wavelength_shift=np.zeros(1),

@@ -70,15 +70,14 @@ class Target:
             if self.folder is None:
                 self.array[region(position, self.chunk, self.array.shape)] = piece
             else:
-                self._write_file(piece, position)
+                self._write_file(piece, position, self.folder)
         return sums
 
-    def _write_file(self, piece: np.ndarray[Any, Any], position: tuple[int, ...]) -> None:
-        assert self.folder is not None
-        path = self.folder / self.array.metadata.encode_chunk_key(position)
+    def _write_file(self, piece: np.ndarray[Any, Any], position: tuple[int, ...], folder: Path) -> None:
+        path = folder / self.array.metadata.encode_chunk_key(position)
         # step by step from the array's folder: a task that outlives its failed run must not make that again
-        for parent in reversed(path.relative_to(self.folder).parents[:-1]):
-            (self.folder / parent).mkdir(exist_ok=True)
+        for parent in reversed(path.relative_to(folder).parents[:-1]):
+            (folder / parent).mkdir(exist_ok=True)
         # a scheduler may run a task twice at once: each writes its own file, the last rename stands
         temporary = path.with_name(f".{path.name}.{uuid.uuid4().hex}")
         with open(temporary, "wb") as file:

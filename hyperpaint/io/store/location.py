@@ -14,7 +14,7 @@ __all__ = ["METADATA", "Location", "clean_group", "replace_file", "sync_folder"]
 
 METADATA = "zarr.json"
 
-#: A metadata document larger than this is no metadata of ours (a collect of 60 lines has 2 MB).
+#: A metadata document larger than this is not metadata of ours (a collect of 60 lines has 2 MB).
 _LARGEST_JSON = 256 * 2**20
 
 
@@ -93,7 +93,7 @@ class Location:
         Raises
         ------
         IncompleteStoreError
-            The file is no JSON object.
+            The file is not a JSON object.
         """
         raw = self.read(group, *parts)
         if raw is None:

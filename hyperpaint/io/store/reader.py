@@ -26,7 +26,7 @@ def list_groups(path: str | os.PathLike[str]) -> list[str]:
     """
     location = Location.of(path)
     if location.read_json("", "zarr.json") is None:
-        msg = f"{location.url} is no Zarr v3 store; expected a folder with a zarr.json"
+        msg = f"{location.url} is not a Zarr v3 store; expected a folder with a zarr.json"
         raise StoreError(msg)
     return location.groups()
 
@@ -34,7 +34,7 @@ def list_groups(path: str | os.PathLike[str]) -> list[str]:
 def is_complete(path: str | os.PathLike[str], group: str | None = None) -> bool:
     """Tell whether a group was finished: it is sealed, and its arrays are those recorded.
 
-    Cheap: no chunk is read. That every chunk is there and right is told by `hyperpaint.verify`.
+    Cheap: no chunk is read. That every chunk is there and right is checked by `hyperpaint.verify`.
     """
     try:
         _complete_record(Location.of(path), clean_group(group))

@@ -1,4 +1,4 @@
-"""`verify`: tells whether every chunk of a store is there, readable, and what was written."""
+"""`verify`: checks whether every chunk of a store is there, readable, and what was written."""
 
 from __future__ import annotations
 
@@ -52,9 +52,14 @@ class StoreReport:
         return not self.problems
 
     def __str__(self) -> str:
-        state = f"{len(self.problems)} problems" if self.problems else "whole"
-        head = f"{self.path}: {len(self.groups)} groups, {self.chunks} chunks, {state}"
+        state = _count(len(self.problems), "problem") if self.problems else "whole"
+        held = f"{_count(len(self.groups), 'group')}, {_count(self.chunks, 'chunk')}"
+        head = f"{self.path}: {held}, {state}"
         return "\n  ".join([head, *self.problems])
+
+
+def _count(number: int, thing: str) -> str:
+    return f"{number} {thing}{'' if number == 1 else 's'}"
 
 
 def verify(path: str | os.PathLike[str]) -> StoreReport:
@@ -84,12 +89,12 @@ def verify(path: str | os.PathLike[str]) -> StoreReport:
     >>> from hyperpaint.io.store import to_store
     >>> path = to_store(xr.Dataset({"wavelength": ("band", np.arange(3.0))}), "memory://small.zarr")
     >>> print(verify(path))
-    memory://small.zarr: 1 groups, 1 chunks, whole
+    memory://small.zarr: 1 group, 1 chunk, whole
     """
     location = Location.of(path)
     problems: list[str] = []
     if not location.has("", METADATA):
-        msg = f"{location.url} is no Zarr v3 store; expected a folder with a {METADATA}"
+        msg = f"{location.url} is not a Zarr v3 store; expected a folder with a {METADATA}"
         raise StoreError(msg)
     groups = location.groups()
     problems.extend(_root_problems(location, groups))
@@ -167,7 +172,7 @@ def _array_problems(location: Location, group: str, name: str, record: ArrayReco
         return
     if metadata_checksum(document) != record.metadata:
         yield f"/{where}: metadata are not those recorded"
-        return  # its chunks cannot be told any more
+        return  # its chunks cannot be read without them
     array = zarr.open_array(location.group_url(where), mode="r", zarr_format=3)
     positions = list(np.ndindex(record.grid))
     keys = [array.metadata.encode_chunk_key(position) for position in positions]

@@ -26,7 +26,7 @@ from .record import (
     read_record,
 )
 from .sources import reads_from
-from .workshop import Workshop, workshop
+from .staging import Staging, staging
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -36,7 +36,7 @@ __all__ = ["to_store"]
 PathT = TypeVar("PathT", str, Path)
 
 #: Attributes that say when, not what: they do not make another content.
-_TIMELY = ("created", "history", "hyperpaint_version", COMPLETE)
+_VOLATILE_ATTRS = ("created", "history", "hyperpaint_version", COMPLETE)
 
 
 def to_store(
@@ -105,10 +105,10 @@ def to_store(
     pending = _pending(jobs, location, overwrite=overwrite)
     if not pending and _is_listed(jobs, attrs, location):
         return path
-    with _errors_of_the_system(location), _opened(location) as shop:
+    with _errors_of_the_system(location), _opened(location) as stage:
         # what another writer finished while we waited counts
         for job in _pending(jobs, location, overwrite=overwrite):
-            _write_group(job, location, shop, progress=progress)
+            _write_group(job, location, stage, progress=progress)
         _finish(attrs, location)
     return path
 
@@ -153,7 +153,7 @@ def _token(dataset: xr.Dataset, source_token: str | None) -> str:
     from dask.base import tokenize
 
     def kept(attrs: Any) -> dict[str, Any]:
-        return {key: value for key, value in attrs.items() if key not in _TIMELY}
+        return {key: value for key, value in attrs.items() if key not in _VOLATILE_ATTRS}
 
     variables = []
     for name, variable in sorted(dataset.variables.items(), key=lambda item: str(item[0])):
@@ -168,7 +168,7 @@ def _content(variable: xr.Variable) -> Any:
     """Return what stands for a variable's values."""
     if layout.is_at_hand(variable):
         return variable.data
-    # a lazy file-backed array does not tell what its file holds, and would be read whole to find out
+    # a lazy file-backed array does not say what its file holds, and would be read whole to find out
     return uuid.uuid4().hex
 
 
@@ -193,7 +193,7 @@ def _pending(jobs: list[_Job], location: Location, *, overwrite: bool) -> list[_
         if found == "same":
             continue
         if found == "foreign":
-            problems.add("it exists and is no Zarr v3 store; choose another path")
+            problems.add("it exists and is not a Zarr v3 store; choose another path")
         elif found == "parent":
             problems.add(
                 f"group {'/' + job.group!r} holds other groups, which would be lost; choose another group"
@@ -239,13 +239,13 @@ def _above(group: str) -> list[str]:
 
 
 @contextlib.contextmanager
-def _opened(location: Location) -> Iterator[Workshop | None]:
+def _opened(location: Location) -> Iterator[Staging | None]:
     if location.local is None:
         yield None
         return
     location.local.parent.mkdir(parents=True, exist_ok=True)
-    with workshop(location.local.absolute()) as shop:
-        yield shop
+    with staging(location.local.absolute()) as stage:
+        yield stage
 
 
 @contextlib.contextmanager
@@ -260,22 +260,22 @@ def _errors_of_the_system(location: Location) -> Iterator[None]:
         raise StoreError(msg) from error
 
 
-def _write_group(job: _Job, location: Location, shop: Workshop | None, *, progress: bool) -> None:
-    if shop is None:
+def _write_group(job: _Job, location: Location, stage: Staging | None, *, progress: bool) -> None:
+    if stage is None:
         # in place: without its seal the group is incomplete from here on
         if location.has(job.group):
             location.fs.rm(location.key(job.group), recursive=True)
         _build(job, Location.of(location.group_url(job.group)), progress=progress)
         _make_groups_above(job.group, location)
         return
-    folder = shop.build(job.group)
+    folder = stage.build(job.group)
     try:
         _build(job, Location.of(folder), progress=progress)
         _unlist(job.group, location)
         _make_groups_above(job.group, location)
-        shop.publish(folder, job.group)
+        stage.publish(folder, job.group)
     except BaseException:
-        shop.discard(folder)
+        stage.discard(folder)
         raise
 
 
@@ -305,7 +305,7 @@ def _write_arrays(dataset: xr.Dataset, place: Location, *, progress: bool) -> di
         for name, variable in streamed.items()
     }
     sums = blocks.compute(lazy, progress=progress)
-    _sweep(place)
+    _remove_leftovers(place)
     records = {}
     for name, array in arrays.items():
         if name in sums:
@@ -330,7 +330,7 @@ def _writable(node: Any, name: str) -> Any:
     return zarr.open_array(place, mode="r+", zarr_format=3, config={"write_empty_chunks": True})
 
 
-def _sweep(place: Location) -> None:
+def _remove_leftovers(place: Location) -> None:
     """Remove the files of tasks that died while they wrote and were run again elsewhere."""
     for leftover in place.local.rglob(".*") if place.local is not None else ():
         leftover.unlink(missing_ok=True)
@@ -430,7 +430,9 @@ def _plain(attrs: dict[str, Any]) -> dict[str, Any]:
 def _has_attrs(node: dict[str, Any], wanted: dict[str, Any]) -> bool:
     stored = node.get("attributes", {})
     return all(
-        key in stored and stored[key] == value for key, value in _plain(wanted).items() if key not in _TIMELY
+        key in stored and stored[key] == value
+        for key, value in _plain(wanted).items()
+        if key not in _VOLATILE_ATTRS
     )
 
 

@@ -241,8 +241,8 @@ def test_finds_the_source_through_a_rewritten_graph(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("prepare", "group", "message"),
     [
-        (lambda path: path.write_text("x"), None, "no Zarr v3 store"),
-        (lambda path: (path.mkdir(), (path / "a.txt").write_text("x")), "g", "no Zarr v3 store"),
+        (lambda path: path.write_text("x"), None, "not a Zarr v3 store"),
+        (lambda path: (path.mkdir(), (path / "a.txt").write_text("x")), "g", "not a Zarr v3 store"),
         (lambda path: to_store(flightline(), path, "a/b"), "a", "holds other groups"),
         (lambda path: to_store(flightline(), path, "a/b"), None, "holds other groups"),
         (lambda path: to_store(flightline(), path, "a"), "a/counts", "array"),

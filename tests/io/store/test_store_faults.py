@@ -21,7 +21,7 @@ import zarr
 
 from hyperpaint.errors import IncompleteStoreError, StoreError
 from hyperpaint.io.store import is_complete, list_groups, open_store, to_store, verify
-from hyperpaint.io.store.workshop import workshop
+from hyperpaint.io.store.staging import staging
 
 CUBE = ("along_track", "band", "cross_track")
 GROUP = "flightlines/raw_0"
@@ -127,7 +127,7 @@ def test_kill_between_the_two_renames_gives_the_old_group_back(store: Path) -> N
     os.rename(store / GROUP, partial / "replaced-flightlines%2Fraw_0")
     (partial / "build-x-1").mkdir()
     (store / ".zarr.json.123").write_text("{")
-    with workshop(store):
+    with staging(store):
         assert is_complete(store, GROUP)
     assert not partial.exists()
     assert verify(store).ok
@@ -179,7 +179,7 @@ def test_missing_store_and_group_are_named(store: Path) -> None:
     with pytest.raises(StoreError, match=r"no group '/flightlines/raw_7'.*/flightlines/raw_0"):
         open_store(store, "flightlines/raw_7")
     for function in (list_groups, verify):
-        with pytest.raises(StoreError, match=r"no Zarr v3 store"):
+        with pytest.raises(StoreError, match=r"not a Zarr v3 store"):
             function(store.parent / "none.zarr")
 
 

@@ -1,4 +1,4 @@
-"""Where a local store is built: one folder beside it, with the lock of the one writer.
+"""Where a local store is staged: one folder beside it, with the lock of the one writer.
 
 ``.partial-<store>/`` holds
 
@@ -27,14 +27,14 @@ from hyperpaint.errors import StoreError
 
 from .location import sync_folder
 
-__all__ = ["Workshop", "workshop"]
+__all__ = ["Staging", "staging"]
 
 _ROOT = "%root"
 #: Seconds after which a lock without content is taken for the leftover of a killed writer.
 _EMPTY_LOCK_AGE = 30.0
 
 
-class Workshop:
+class Staging:
     """The folder beside a store in which its groups are built.
 
     Parameters
@@ -96,15 +96,15 @@ def _quoted(group: str) -> str:
 
 
 @contextlib.contextmanager
-def workshop(store: Path) -> Iterator[Workshop]:
-    """Open the workshop of a store, as its only writer.
+def staging(store: Path) -> Iterator[Staging]:
+    """Open the staging folder of a store, as its only writer.
 
     Raises
     ------
     StoreError
         Another process is writing the store.
     """
-    made = Workshop(store)
+    made = Staging(store)
     lock = made.folder / "lock"
     _acquire(lock, store)
     try:
@@ -206,12 +206,12 @@ def _alive(pid: Any, started: Any) -> bool:
         return False
     except OSError:
         return True
-    # a number is used again after a while: the start time tells the processes apart
+    # a number is used again after a while: the start time distinguishes the processes
     return started is None or _process_start(pid) in (None, started)
 
 
 def _process_start(pid: int) -> int | None:
-    """Return a process's start in clock ticks since boot, where the system tells."""
+    """Return a process's start in clock ticks since boot, where the system has it."""
     try:
         stat = Path(f"/proc/{pid}/stat").read_text()
         return int(stat.rpartition(")")[2].split()[19])

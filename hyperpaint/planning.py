@@ -1,0 +1,302 @@
+"""From a line's small variables to the `Plan` its slabs share: darks, limits, light.
+
+All of it runs once a line, inside the graph: values that cannot be are found when something is computed.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from .errors import PaintWarning, Problems, SchemaError, TimeError
+from .illumination import LineLight, Smile, Tilt, line_light, matched_series, smile_cells
+from .schema import Quality
+from .slabs import Plan
+
+__all__ = ["make_plan"]
+
+Array = npt.NDArray[Any]
+Float = npt.NDArray[np.float64]
+
+SATURATION_MARGIN = 16.0
+"""Counts below the converter's end from which a sample is no longer trusted."""
+NOISE_SIGMAS = 5.0
+DEFAULT_READ_NOISE = 2.0
+"""Spread of a dark count [count] where neither the calibration nor the dark tells."""
+BAD_BAND_SHARE = 0.05
+NEGATIVE_BAND_SHARE = 0.1
+SAME_EXPOSURE = 0.01
+"""Relative difference up to which a dark serves a line's exposure."""
+_QUANTISATION = 1.0 / 12.0
+
+
+def make_plan(
+    shape: tuple[int, int, int],
+    dtype: str,
+    starts: Array,
+    *,
+    cube: Mapping[str, Any],
+    light: Mapping[str, Any] | None,
+    tilt: Tilt | None = None,
+    panel: Mapping[str, Any] | None = None,
+    keep_bits: int | None = None,
+) -> Plan:
+    """Gather what every slab of a cube needs.
+
+    Parameters
+    ----------
+    shape, dtype
+        Of the cube (along_track, band, cross_track).
+    starts : (slab,)
+        First line of every slab.
+    cube
+        Values of `dark_counts`, `radiance_gain`, `exposure_time` and the other variables of the table, by
+        name; without dark counts the cube is radiance, and a gain tells its responsivity only.
+    light
+        Values of `irradiance` and its companions; None for radiance.
+    tilt, panel, keep_bits
+        See `hyperpaint.radiometry.reflectance`.
+
+    Raises
+    ------
+    SchemaError, TimeError
+        Values that cannot be: all that were found.
+    """
+    lines, bands, columns = shape
+    from_counts = "dark_counts" in cube
+    _check_values(cube, shape)
+    good = np.asarray(cube.get("good", np.ones(bands, bool)), bool)
+    exposure = np.broadcast_to(np.asarray(cube["exposure_time"] if from_counts else 1.0, np.float64), lines)
+    dark, dark_index, dark_weight = _darks(cube, exposure) if from_counts else _no_dark(shape)
+    gain = np.ones((bands, columns), np.float32)
+    if from_counts:
+        gain = np.array(cube["radiance_gain"], np.float32)
+        gain[~np.isfinite(gain) | ~np.isfinite(dark).all(axis=0)] = np.nan
+    bad = np.isnan(gain)
+    bad_share = bad[good].mean(axis=0) if good.any() else np.zeros(columns)
+    time = np.asarray(cube["time"]).astype("datetime64[ns]") if "time" in cube else None
+    line_flags = np.zeros(lines, np.uint16)
+    if time is not None:
+        line_flags[np.isnat(time)] = Quality.NO_DATA
+    smile = smile_cells(cube.get("wavelength_shift") if light else None, columns)
+    series = neighbours = None
+    if light is not None and time is not None:
+        series, neighbours = _illuminate(cube, light, time, smile, tilt)
+        line_flags |= neighbours.flags
+    return Plan(
+        dark=np.nan_to_num(dark, posinf=0.0, neginf=0.0),
+        dark_index=dark_index,
+        dark_weight=dark_weight,
+        gain=gain,
+        rate=np.where(line_flags & Quality.NO_DATA, np.nan, 1.0 / exposure),
+        scale=np.ones(bands) if panel is None else _panel_scale(panel),
+        series=series,
+        lines=neighbours,
+        smile=smile,
+        saturation_limit=_saturation_limit(cube, np.dtype(dtype)),
+        noise_margin=_noise_margin(cube, good[:, None] & ~bad & from_counts),
+        most_negative=int(NEGATIVE_BAND_SHARE * good.sum()),
+        line_flags=line_flags,
+        column_flags=np.where(bad_share > BAD_BAND_SHARE, Quality.BAD_DETECTOR, 0).astype(np.uint16),
+        cleared_bits=0 if keep_bits is None else 23 - keep_bits,
+        starts=starts,
+    )
+
+
+def _check_values(cube: Mapping[str, Any], shape: tuple[int, int, int]) -> None:
+    problems = Problems("this line cannot be calibrated", SchemaError)
+    for name in ("dark_counts", "radiance_gain"):
+        if name in cube and np.shape(cube[name])[-2:] != shape[1:]:
+            problems.add(
+                f"{name!r} has shape {np.shape(cube[name])}, expected (band, cross_track) = {shape[1:]}"
+            )
+    exposure = np.asarray(cube.get("exposure_time", 1.0), np.float64)
+    wrong = exposure[~(np.isfinite(exposure) & (exposure > 0))]
+    if wrong.size:
+        problems.add(f"'exposure_time' must be positive, found {wrong[0]:g} s")
+    elif (exposure > 60).any():
+        problems.add(f"'exposure_time' is {exposure.max():g} s; is it in milliseconds? set its units to 'ms'")
+    gain = np.asarray(cube.get("radiance_gain", 1.0))
+    if np.isfinite(gain).any() and np.min(gain[np.isfinite(gain)]) <= 0:
+        problems.add("'radiance_gain' must be positive; NaN marks a bad element")
+    if not np.isfinite(gain).any():
+        problems.add("'radiance_gain' holds no finite value")
+    full = np.asarray(cube.get("saturation_count", np.inf), np.float64)
+    if (full <= 2 * SATURATION_MARGIN).any():
+        problems.add(
+            f"'saturation_count' is {np.nanmin(full):g}, expected that of the converter, such as 4095"
+        )
+    problems.raise_if_any()
+
+
+def _no_dark(shape: tuple[int, int, int]) -> tuple[Array, Array, Array]:
+    lines, bands, columns = shape
+    return np.zeros((1, bands, columns), np.float32), np.zeros(lines, np.int64), np.zeros(lines, np.float32)
+
+
+def _darks(cube: Mapping[str, Any], exposure: Float) -> tuple[Array, Array, Array]:
+    """Return darks (n, band, column), and between which of them every line lies, at which weight.
+
+    Darks at the line's exposure are interpolated in time. Where no dark is, or lines differ in exposure, bias
+    and rate are fitted to the darks, and lines lie between two of them in exposure; the bias is never scaled.
+    """
+    dark = np.asarray(cube["dark_counts"], np.float32)
+    dark = dark[None] if dark.ndim == 2 else dark
+    times = cube.get("dark_time")
+    taken_at = cube.get("dark_exposure_time")
+    if taken_at is not None:
+        taken = np.broadcast_to(np.asarray(taken_at, np.float64), len(dark))
+        usable = np.abs(taken[:, None] / exposure - 1.0) <= SAME_EXPOSURE
+        if not usable.all(axis=1).any():
+            return _darks_in_exposure(dark, taken, exposure)
+        dark = dark[usable.all(axis=1)]
+        times = None if times is None else np.asarray(times)[usable.all(axis=1)]
+    elif np.ptp(exposure) > SAME_EXPOSURE * exposure.max():
+        text = "lines differ in exposure, and 'dark_exposure_time' is missing: one dark is taken for all"
+        warnings.warn(text, PaintWarning, stacklevel=2)
+    index, weight = np.zeros(exposure.size, np.int64), np.zeros(exposure.size, np.float32)
+    if len(dark) == 1 or times is None or "time" not in cube:
+        return dark.mean(axis=0, dtype=np.float64).astype(np.float32)[None], index, weight
+    stamps = np.asarray(times).astype("datetime64[ns]")
+    if np.isnat(stamps).any():
+        msg = f"{np.isnat(stamps).sum()} of {stamps.size} 'dark_time' are missing (NaT); drop these darks"
+        raise TimeError(msg)
+    order = np.argsort(stamps, kind="stable")
+    dark, ticks = dark[order], stamps[order].astype(np.int64)
+    now = np.asarray(cube["time"]).astype("datetime64[ns]")
+    lines = np.where(np.isnat(now), ticks[0], now.astype(np.int64))
+    # before the first and after the last dark that one is held: the best there is, and a dark drifts slowly
+    index = np.clip(np.searchsorted(ticks, lines, side="right") - 1, 0, len(dark) - 2)
+    weight = (lines - ticks[index]) / np.maximum(ticks[index + 1] - ticks[index], 1)
+    return dark, index.astype(np.int64), np.clip(weight, 0.0, 1.0).astype(np.float32)
+
+
+def _darks_in_exposure(dark: Array, taken: Float, exposure: Float) -> tuple[Array, Array, Array]:
+    """Return the fitted darks at the shortest and the longest exposure, and the place of lines between."""
+    if np.ptp(taken) <= SAME_EXPOSURE * taken.max():
+        found = np.unique(exposure.round(9)) * 1e3
+        msg = (
+            f"the dark was taken at {taken[0] * 1e3:g} ms, the line at "
+            f"{', '.join(f'{ms:g}' for ms in found[:4])} ms; take a dark at the line's exposure, or darks at "
+            "two exposures, from which bias and rate follow"
+        )
+        raise SchemaError(msg)
+    centred = taken - taken.mean()
+    rate = np.tensordot(centred, dark, axes=(0, 0)) / (centred @ centred)
+    shortest, longest = exposure.min(), exposure.max()
+    ends = [dark.mean(axis=0, dtype=np.float64) + rate * (end - taken.mean()) for end in (shortest, longest)]
+    fitted = np.stack(ends).astype(np.float32)
+    index = np.zeros(exposure.size, np.int64)
+    if longest == shortest:
+        return fitted[:1], index, np.zeros(exposure.size, np.float32)
+    return fitted, index, ((exposure - shortest) / (longest - shortest)).astype(np.float32)
+
+
+def _saturation_limit(cube: Mapping[str, Any], dtype: np.dtype[Any]) -> Array:
+    """Return counts from which a sample is saturated, (1, 1) or (band, column)."""
+    if "dark_counts" not in cube:
+        return np.full((1, 1), np.inf, dtype)
+    limit = np.asarray(cube["saturation_count"], np.float64) - SATURATION_MARGIN
+    limit = np.where(np.isnan(limit), np.inf, limit)
+    if np.issubdtype(dtype, np.integer):
+        # an integer reaches a bound exactly when it reaches the bound rounded up
+        limit = np.clip(np.ceil(limit), 0, np.iinfo(dtype).max)
+    return np.ascontiguousarray(limit.reshape(1, 1) if limit.ndim == 0 else limit, dtype)
+
+
+def _noise_margin(cube: Mapping[str, Any], watched: Array) -> Array:
+    """Return how far below the dark noise may take a sample (band, column) [count]; NaN where unwatched."""
+    noise = np.asarray(cube.get("read_noise", DEFAULT_READ_NOISE), np.float64)
+    margin = NOISE_SIGMAS * np.sqrt(noise**2 + _QUANTISATION)
+    return np.ascontiguousarray(np.where(watched, margin, np.nan), np.float32)
+
+
+def _illuminate(
+    cube: Mapping[str, Any], light: Mapping[str, Any], time: Array, smile: Smile, tilt: Tilt | None
+) -> tuple[Float, LineLight]:
+    """Return the matched series as cubics over the smile, and the spectra around every line."""
+    spectra = np.asarray(light["irradiance"], np.float64)
+    channels = np.asarray(light["irradiance_wavelength"], np.float64)
+    stamps = np.asarray(light["irradiance_time"]).astype("datetime64[ns]")
+    gap = light.get("irradiance_max_gap")
+    lines = line_light(
+        time,
+        stamps,
+        _broadband(spectra, channels),
+        None if gap is None else float(gap),
+        cube.get("latitude"),
+        cube.get("longitude"),
+    )
+    # a record of the whole day lights a line of a minute
+    used, places = np.unique(np.stack([lines.before, lines.after]), return_inverse=True)
+    before, after = places.reshape(2, -1)
+    imager = {
+        "wavelength": np.asarray(cube["wavelength"], np.float64),
+        "fwhm": np.asarray(cube["fwhm"], np.float64),
+        "spacing": cube.get("band_spacing"),
+        "srf_shape": light["srf_shape"],
+        "srf_offset": cube.get("srf_offset"),
+        "srf": cube.get("srf"),
+        "responsivity": _responsivity(cube),
+    }
+    matched = matched_series(
+        spectra[used], channels, light["irradiance_fwhm"], light["irradiance_srf_shape"], imager, smile.nodes
+    )
+    if tilt is not None:
+        latitude, longitude = (_mean_place(cube[name], name) for name in ("latitude", "longitude"))
+        onto = tilt.factor(stamps[used], latitude, longitude, imager["wavelength"])
+        matched = matched * onto[:, None, :]
+    return smile.cubics(matched), LineLight(before, after, lines.weight, lines.age, lines.flags)
+
+
+def _responsivity(cube: Mapping[str, Any]) -> Float | None:
+    """Return the mean relative responsivity of every band; NaN where it is bad in every column."""
+    if "radiance_gain" not in cube:
+        return None
+    gain = np.asarray(cube["radiance_gain"], np.float64)
+    usable = np.isfinite(gain)
+    total = np.where(usable, 1.0 / np.where(usable, gain, 1.0), 0.0).sum(axis=1)
+    with np.errstate(invalid="ignore"):
+        return np.asarray(total / usable.sum(axis=1))
+
+
+def _mean_place(degrees: Any, name: str) -> float:
+    known = np.asarray(degrees, np.float64)
+    known = known[np.isfinite(known)]
+    if known.size == 0:
+        msg = f"tilt= needs the sun's position, but {name!r} is missing on every line"
+        raise SchemaError(msg)
+    return float(known.mean())
+
+
+def _broadband(spectra: Float, channels: Float) -> Float:
+    """Return the 400-1000 nm sum of each spectrum; NaN where it misses what nearly all others have.
+
+    Wavelengths missing in more than a tenth of the spectra do not count: they cost their bands, not the
+    record.
+    """
+    inside = spectra[:, (channels >= 400.0) & (channels <= 1000.0)]
+    if inside.shape[1] == 0:
+        inside = spectra
+    known = np.isnan(inside).mean(axis=0) <= 0.1
+    return np.asarray(inside[:, known].sum(axis=1)) if known.any() else np.full(len(spectra), np.nan)
+
+
+def _panel_scale(panel: Mapping[str, Any]) -> Float:
+    """Return known over observed reflectance of a panel, band by band."""
+    observed = np.asarray(panel["observed"], np.float64)
+    pixels = np.isfinite(observed)
+    number = pixels.sum(axis=(0, 2))
+    if not number.any():
+        msg = "the panel's region holds no valid pixel; it is saturated, in a gap, or outside the line"
+        raise SchemaError(msg)
+    share = number / (observed.shape[0] * observed.shape[2])
+    if (share < 0.5).any():
+        text = f"more than half of the panel's pixels are saturated or bad in {(share < 0.5).sum()} bands"
+        warnings.warn(text, PaintWarning, stacklevel=2)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        return np.asarray(panel["reflectance"] * number / np.where(pixels, observed, 0.0).sum(axis=(0, 2)))
