@@ -15,6 +15,8 @@ Array = npt.NDArray[Any]
 
 _SATURATED = np.uint16(1)
 _BELOW_DARK = np.uint16(2)
+_FEW = 20
+"""One column in so many costs as much, visited alone, as all of them row by row."""
 
 
 @kernel
@@ -48,15 +50,19 @@ def gather_row(counts: Array, level: Array, line: Any, band: Any, peak: Array, n
 
 
 @kernel
+def reaches_limit(counts: Array, saturation_limit: Array, margin: Array, line: Any, band: Any, x: Any) -> Any:
+    """Tell whether an element has a margin, and reaches its limit."""
+    limit = saturation_limit[0, 0] if saturation_limit.size == 1 else saturation_limit[band, x]
+    return (margin[band, x] == margin[band, x]) & (counts[line, band, x] >= limit)
+
+
+@kernel
 def saturated_row(
     counts: Array, saturation_limit: Array, margin: Array, line: Any, band: Any, saturated: Array
 ) -> None:
     """Mark columns whose element in this band has a margin, and reaches its limit."""
-    one = saturation_limit.size == 1
     for x in range(saturated.size):
-        limit = saturation_limit[0, 0] if one else saturation_limit[band, x]
-        watched = margin[band, x] == margin[band, x]
-        saturated[x] |= np.uint16(watched & (counts[line, band, x] >= limit))
+        saturated[x] |= np.uint16(reaches_limit(counts, saturation_limit, margin, line, band, x))
 
 
 @kernel
@@ -86,26 +92,35 @@ def flag_line(
 ) -> None:
     """Write the quality of one line from what `gather_row` kept.
 
-    The bands are visited again only on lines where the counts of single elements decide: where a column
-    reaches the lowest limit, or has anything under the dark. A line without data carries the flags of the
-    line alone, since its counts mean nothing.
+    The bands are visited again only where the counts of single elements decide: in columns that reach the
+    lowest limit, or have anything under the dark. A few columns are visited one by one, many row by row. A
+    line without data carries the flags of the line alone, since its counts mean nothing.
     """
     if (line_flags & no_data) != 0:
         for x in range(peak.size):
             quality[line, x] = line_flags
         return
-    bright, doubtful = False, False
+    bright, doubtful = 0, 0
     for x in range(peak.size):
         saturated[x] = 0
         below[x] = 0
-        bright |= peak[x] >= lowest
-        doubtful |= negative[x] > 0
-    if bright:
-        for band in range(counts.shape[1]):
+        bright += peak[x] >= lowest
+        doubtful += negative[x] > 0
+    few = peak.size // _FEW
+    bands = counts.shape[1]
+    if bright > few:
+        for band in range(bands):
             saturated_row(counts, saturation_limit, margin, line, band, saturated)
-    if doubtful:
-        for band in range(counts.shape[1]):
+    if doubtful > few:
+        for band in range(bands):
             below_row(counts, floor, line, band, below)
+    for x in range(peak.size):
+        if 0 < bright <= few and peak[x] >= lowest:
+            for band in range(bands):
+                saturated[x] |= np.uint16(reaches_limit(counts, saturation_limit, margin, line, band, x))
+        if 0 < doubtful <= few and negative[x] > 0:
+            for band in range(bands):
+                below[x] |= np.uint16(counts[line, band, x] < floor[band, x])
     for x in range(peak.size):
         found = line_flags | column_flags[x]
         if saturated[x] != 0:
