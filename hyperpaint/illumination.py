@@ -370,12 +370,15 @@ def matched_series(
     irradiance_shape: str,
     imager: Mapping[str, Any],
     nodes: Float,
-) -> Float:
-    """Return a series (time, channel) as float64 (time, node, band); the array side of `match_irradiance`."""
+) -> tuple[Float, Float]:
+    """Return a series (time, channel) as float64 (time, node, band), and the misfit (node, band) [1].
+
+    The array side of `match_irradiance`.
+    """
     order = np.argsort(channels, kind="stable")
     width = np.broadcast_to(np.asarray(irradiance_fwhm, np.float64), channels.shape)[order]
     matching = _operator(channels[order], width, irradiance_shape, imager, nodes)
-    return _apply(matching, np.asarray(spectra, np.float64)[:, order])
+    return _apply(matching, np.asarray(spectra, np.float64)[:, order]), matching.misfit
 
 
 @dataclass(frozen=True)

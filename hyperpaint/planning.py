@@ -84,8 +84,9 @@ def make_plan(
         line_flags[np.isnat(time)] = Quality.NO_DATA
     smile = smile_cells(cube.get("wavelength_shift") if light else None, columns)
     series = neighbours = None
+    misfit = np.full(bands, np.nan, np.float32)
     if light is not None and time is not None:
-        series, neighbours = _illuminate(cube, light, time, smile, tilt)
+        series, neighbours, misfit = _illuminate(cube, light, time, smile, tilt)
         line_flags |= neighbours.flags
     return Plan(
         dark=np.nan_to_num(dark, posinf=0.0, neginf=0.0),
@@ -96,6 +97,7 @@ def make_plan(
         scale=np.ones(bands) if panel is None else _panel_scale(panel),
         series=series,
         lines=neighbours,
+        misfit=misfit,
         smile=smile,
         saturation_limit=_saturation_limit(cube, np.dtype(dtype)),
         noise_margin=_noise_margin(cube, good[:, None] & ~bad & from_counts),
@@ -217,8 +219,8 @@ def _noise_margin(cube: Mapping[str, Any], watched: Array) -> Array:
 
 def _illuminate(
     cube: Mapping[str, Any], light: Mapping[str, Any], time: Array, smile: Smile, tilt: Tilt | None
-) -> tuple[Float, LineLight]:
-    """Return the matched series as cubics over the smile, and the spectra around every line."""
+) -> tuple[Float, LineLight, Array]:
+    """Return the matched series as cubics over the smile, the spectra around every line, and the misfit."""
     spectra = np.asarray(light["irradiance"], np.float64)
     channels = np.asarray(light["irradiance_wavelength"], np.float64)
     stamps = np.asarray(light["irradiance_time"]).astype("datetime64[ns]")
@@ -243,14 +245,15 @@ def _illuminate(
         "srf": cube.get("srf"),
         "responsivity": _responsivity(cube),
     }
-    matched = matched_series(
+    matched, misfit = matched_series(
         spectra[used], channels, light["irradiance_fwhm"], light["irradiance_srf_shape"], imager, smile.nodes
     )
     if tilt is not None:
         latitude, longitude = (_mean_place(cube[name], name) for name in ("latitude", "longitude"))
         onto = tilt.factor(stamps[used], latitude, longitude, imager["wavelength"])
         matched = matched * onto[:, None, :]
-    return smile.cubics(matched), LineLight(before, after, lines.weight, lines.age, lines.flags)
+    light_of_lines = LineLight(before, after, lines.weight, lines.age, lines.flags)
+    return smile.cubics(matched), light_of_lines, misfit.max(axis=0).astype(np.float32)
 
 
 def _responsivity(cube: Mapping[str, Any]) -> Float | None:

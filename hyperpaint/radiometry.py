@@ -210,7 +210,8 @@ def reflectance(
     -------
     Dataset
         The same with ``reflectance`` (along_track, band, cross_track), float32 [1], ``quality``
-        (along_track, cross_track), uint16, and ``irradiance_age`` (along_track), float32 [s]. NaN where a
+        (along_track, cross_track), uint16, ``irradiance_age`` (along_track), float32 [s], and
+        ``irradiance_misfit`` (band), float32 [1]. NaN where a
         sample is saturated, an element bad, or a line outside the irradiance record or in a gap of it.
         Values below 0 and, in glint, above 1 are kept.
 
@@ -267,7 +268,10 @@ def reflectance(
     notes = {"tilt": str(attitude) if attitude else None, "panel": str(panel) if panel else None}
     result = _with(dataset, "reflectance", made, quality)
     result["reflectance"].attrs.update({key: text for key, text in notes.items() if text})
-    return result.assign(irradiance_age=_age(plan, cube))
+    lines, bands = cube.sizes[ALONG_TRACK], cube.sizes[BAND]
+    age = _small_output("irradiance_age", slabs.age_of_irradiance, plan, ALONG_TRACK, lines)
+    misfit = _small_output("irradiance_misfit", slabs.misfit_of_irradiance, plan, BAND, bands)
+    return result.assign(irradiance_age=age, irradiance_misfit=misfit)
 
 
 def _refuse_without(dataset: xr.Dataset, names: tuple[str, ...], purpose: str) -> None:
@@ -373,14 +377,14 @@ def _panel_inputs(dataset: xr.Dataset, panel: Panel) -> dict[str, Any]:
     return {"observed": seen.data, "reflectance": panel.at(wavelength)}
 
 
-def _age(plan: Any, cube: xr.DataArray) -> xr.DataArray:
+def _small_output(name: str, function: Any, plan: Any, dim: str, size: int) -> xr.DataArray:
+    """Return a variable that the plan holds, lazily."""
     import dask
     import dask.array as da
     import xarray as xr
 
-    age = dask.delayed(slabs.age_of_irradiance, pure=True)(plan)
-    lines = da.from_delayed(age, (cube.sizes[ALONG_TRACK],), np.float32)
-    return schema.label(xr.DataArray(lines, dims=ALONG_TRACK), "irradiance_age")
+    values = da.from_delayed(dask.delayed(function, pure=True)(plan), (size,), np.float32)
+    return schema.label(xr.DataArray(values, dims=dim), name)
 
 
 def _with(dataset: xr.Dataset, name: str, made: Any, quality: Any) -> xr.Dataset:

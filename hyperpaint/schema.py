@@ -189,6 +189,10 @@ _TABLE = (
         "irradiance_max_gap", (), "s", "float64",
         "Longest interval between irradiance samples that is still interpolated",
     ),
+    Variable(
+        "irradiance_misfit", (BAND,), "1", "float32",
+        "Distance of the response that irradiance was matched to from that of the camera, relative",
+    ),
     Variable("irradiance_age", _LINE, "s", "float32", "Time to the nearest irradiance sample"),
     # --- coordinates of a line and of a band
     Variable("time", _LINE, "", "datetime64[ns]", "UTC at mid exposure", standard_name="time", coordinate=True),

@@ -27,6 +27,7 @@ __all__ = [
     "calibrate_lines",
     "calibrated",
     "line_chunked",
+    "misfit_of_irradiance",
     "run_slab",
     "small",
 ]
@@ -58,6 +59,8 @@ class Plan:
         Matched irradiance [W m-2 nm-1], as cubics over the smile; None for radiance.
     lines
         The spectra around every line in time; None for radiance.
+    misfit : (band,), float32
+        Largest distance of the matched response from the imager's over the smile, relative [1].
     smile
         Cells of the smile, and where columns lie in them.
     saturation_limit : (1, 1) or (band, column), like the counts
@@ -83,6 +86,7 @@ class Plan:
     scale: Float
     series: Float | None
     lines: LineLight | None
+    misfit: Array
     smile: Smile
     saturation_limit: Array
     noise_margin: Array
@@ -187,6 +191,11 @@ def _quality_of(slabs: list[tuple[Array, Array]]) -> Array:
 def age_of_irradiance(plan: Plan) -> Array:
     """Return the time from every line to the nearest irradiance sample (line,) [s]."""
     return np.full(plan.rate.shape, np.nan, np.float32) if plan.lines is None else plan.lines.age
+
+
+def misfit_of_irradiance(plan: Plan) -> Array:
+    """Return how far every band's matched response is from the imager's (band,) [1]."""
+    return plan.misfit
 
 
 def calibrated(

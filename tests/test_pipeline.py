@@ -241,7 +241,7 @@ def test_progress_names_the_line_on_stderr(
 def test_a_cluster_gives_the_same_bits(collect: Path, store: Path, tmp_path: Path) -> None:
     distributed = pytest.importorskip("distributed")
     with distributed.LocalCluster(
-        n_workers=1, threads_per_worker=2, processes=False, dashboard_address=None
+        n_workers=1, threads_per_worker=2, processes=False, dashboard_address=":0"
     ) as cluster:
         found = run(collect, tmp_path / "lot.zarr", scheduler=cluster.scheduler_address)
         again = run(collect, tmp_path / "lot.zarr")

@@ -380,7 +380,7 @@ def test_cluster_of_processes(tmp_path: Path, capsys: pytest.CaptureFixture[str]
     line = xr.Dataset({"counts": (CUBE, da.from_array(random, chunks=(100, 4, 20)))})
     with (
         distributed.LocalCluster(
-            n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None
+            n_workers=2, threads_per_worker=1, processes=True, dashboard_address=":0"
         ) as cluster,
         distributed.Client(cluster, timeout=30),
     ):
