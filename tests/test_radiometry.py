@@ -420,7 +420,7 @@ def test_dropped_frames_are_no_data_and_nothing_else() -> None:
     line = made.line
     line["counts"].values[5] = 65535
     stamps = line.time.values.copy()
-    stamps[5] = np.datetime64("NaT")
+    stamps[5] = np.datetime64("NaT", "ns")
     line = line.assign_coords(time=("along_track", stamps))
     for got, name in ((reflectance(line), "reflectance"), (radiance(line), "radiance")):
         assert (got.quality.values[5] == Quality.NO_DATA).all()
@@ -489,7 +489,7 @@ def test_records_that_run_backwards_or_stand_still_are_refused() -> None:
         with pytest.raises(TimeError, match=word):
             reflectance(line.isel(irradiance_time=order))
     stamps = line.irradiance_time.values.copy()
-    stamps[3] = np.datetime64("NaT")
+    stamps[3] = np.datetime64("NaT", "ns")
     with pytest.raises(TimeError, match="NaT"):
         reflectance(line.assign_coords(irradiance_time=("irradiance_time", stamps)))
 
@@ -595,7 +595,7 @@ def hard_line() -> xr.Dataset:
     line["counts"].values[rng.random((40, 12, 6)) < 0.01] = 4095
     line["radiance_gain"].values[3, 4] = np.nan
     stamps = line.time.values.copy() + np.arange(40) * np.timedelta64(300_000_000, "ns")
-    stamps[11] = np.datetime64("NaT")
+    stamps[11] = np.datetime64("NaT", "ns")
     dark = line.dark_counts.values
     line = line.drop_vars("dark_counts").assign_coords(
         time=("along_track", stamps),
