@@ -226,7 +226,11 @@ def _draw_flags(axes: Any, quality: Array) -> None:
     found = {flag: part for flag, part in share.items() if part > 0}
     names = [str(flag.name).lower().replace("_", " ") for flag in found] or ["no flag set"]
     bars = axes.barh(names, [100 * part for part in found.values()] or [0.0], height=0.6, color="#b5543c")
-    axes.bar_label(bars, [f" {100 * part:.2g} %" for part in found.values()] or [""], fontsize="small")
+    axes.bar_label(
+        bars,
+        [f" {100 * part:.3f}".rstrip("0").rstrip(".") + " %" for part in found.values()] or [""],
+        fontsize="small",
+    )
     axes.set(title="quality", xlabel="pixels [%]", ylim=(max(len(names), 8) - 0.4, -0.6))
     axes.set_xlim(0, 1.3 * axes.get_xlim()[1])
 
