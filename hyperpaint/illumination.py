@@ -354,8 +354,10 @@ def _operator(
 
 def _apply(matching: Matching, spectra: Array) -> Float:
     """Return spectra (..., channel) as (..., node, band); NaN only where a weight meets one."""
+    # a spectrometer reaches far beyond the camera: most of its channels have no weight
+    used = (np.nan_to_num(matching.weights) != 0.0).any(axis=(0, 1))
+    spectra, weights = spectra[..., used], matching.weights[..., used]
     missing = np.isnan(spectra)
-    weights = matching.weights
     matched = np.tensordot(np.where(missing, 0.0, spectra), weights, axes=([-1], [-1]))
     if missing.any():
         touched = np.tensordot(missing.astype(np.float64), np.abs(weights) > 1e-6, axes=([-1], [-1])) > 0

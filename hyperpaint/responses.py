@@ -184,13 +184,15 @@ def log_slope(wavelength: Float, responsivity: Float, width: Float) -> Float:
     """
     usable = np.isfinite(responsivity) & (responsivity > 0)
     log = np.log(np.where(usable, responsivity, 1.0))
+    distance = (wavelength - wavelength[:, None]) / width[:, None]
+    near = usable & (np.abs(distance) <= 1.0)
+    terms = [near * distance**power for power in range(5)]
+    sums = [term.sum(axis=1) for term in terms]
+    normal = np.stack([np.stack(sums[row : row + 3], axis=-1) for row in range(3)], axis=-2)
+    right = np.stack([term @ log for term in terms[:3]], axis=-1)
+    enough = np.linalg.det(normal) > 1e-9  # three different places at least, as a parabola needs
     slopes = np.zeros(wavelength.shape)
-    for band, centre in enumerate(wavelength):
-        near = usable & (np.abs(wavelength - centre) <= width[band])
-        distance = (wavelength[near] - centre) / width[band]
-        if np.unique(distance).size >= 3:
-            parabola = np.vander(distance, 3, increasing=True)
-            slopes[band] = np.linalg.lstsq(parabola, log[near])[0][1] / width[band]
+    slopes[enough] = np.linalg.solve(normal[enough], right[enough, :, None])[:, 1, 0] / width[enough]
     return slopes
 
 
