@@ -12,6 +12,7 @@ if TYPE_CHECKING:
     import numpy.typing as npt
 
     from .illumination import Tilt
+    from .io.store import StoreReport
     from .radiometry import Panel
 
 __all__ = ["PaintAccessor"]
@@ -88,6 +89,26 @@ class PaintAccessor:
         from .plot import quicklook
 
         return quicklook(self._by_role(dims), path, lines=lines)
+
+    def verify(self) -> StoreReport:
+        """Read every chunk of the store that the dataset was opened from (eager); see `hyperpaint.verify`.
+
+        Raises
+        ------
+        StoreError
+            The dataset does not say where it was opened from, or no Zarr store is there.
+        """
+        from .errors import StoreError
+        from .io.store import verify
+
+        source = self._dataset.encoding.get("source")
+        if not isinstance(source, str):
+            msg = (
+                "the dataset does not say which store it was opened from, as those of xarray.open_zarr do; "
+                "call hyperpaint.verify(path)"
+            )
+            raise StoreError(msg)
+        return verify(source)
 
     def quantify(self) -> xr.Dataset:
         """Return a view for pint-xarray users: data variables as Quantities (extra ``units``).

@@ -266,6 +266,10 @@ Examples:
     "from counts.",
 )  # fmt: skip
 @click.option("--scheduler", metavar="ADDRESS", help="Compute on this dask.distributed cluster.")
+@click.option(
+    "--memory-limit", metavar="SIZE",
+    help="Most memory of the process, or of each worker, such as '2 GiB'.  [default: 80% of the available]",
+)  # fmt: skip
 @click.option("--overwrite", is_flag=True, help="Replace groups made from other inputs or parameters.")
 @click.option("--quiet", is_flag=True, help="No progress bar.")
 def process(collect: Path, out: Path, quiet: bool, **options: Any) -> None:

@@ -12,10 +12,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from .errors import CollectError, MissingExtraError, PaintError, Problems, SchemaError, StoreError
-from .schema import ALONG_TRACK, CROSS_TRACK, FORMAT_VERSION, VARIABLES
+from .schema import ALONG_TRACK, CHUNK_LINES, CROSS_TRACK, FORMAT_VERSION, VARIABLES
 
 if TYPE_CHECKING:
     import xarray as xr
+    from distributed import Client
+
+    from .budget import Demand
 
 __all__ = ["Outcome", "process", "run"]
 
@@ -61,6 +64,7 @@ def process(
     to: Product = "reflectance",
     reflectance: Kept = "stored",
     scheduler: str | None = None,
+    memory_limit: str | int | None = None,
     overwrite: bool = False,
     progress: bool = False,
 ) -> Path:
@@ -84,7 +88,12 @@ def process(
     reflectance
         ``"none"`` leaves the computed cube out; ``.paint.reflectance()`` makes it from the stored counts.
     scheduler
-        Address of a dask.distributed scheduler, whose workers see the same files; threads by default.
+        Address of a dask.distributed scheduler, whose workers see the same files. By default the client
+        that is active, else threads.
+    memory_limit
+        Most memory of this process, or of each worker: bytes, or text such as ``"2 GiB"``. By default 80 % of
+        what is available. The peak is computed before the run; where it would be larger, fewer lines a task
+        and fewer threads are taken.
     overwrite
         Replace groups that were made from other inputs or parameters.
     progress
@@ -99,9 +108,10 @@ def process(
     CollectError
         The collect, or anything it names, cannot be used; all problems of all files are listed.
     SchemaError
-        ``to`` or ``reflectance`` is none of the words above.
+        ``to`` or ``reflectance`` is none of the words above, or ``memory_limit`` is no size.
     StoreError
-        The store holds something else, is being written, or cannot be written.
+        The store holds something else, is being written, or cannot be written; or memory or disk would not
+        suffice, of which the needed figure is told before anything is written.
     MissingExtraError
         ``scheduler`` is given, and distributed is not installed.
 
@@ -121,6 +131,7 @@ def process(
         to=to,
         reflectance=reflectance,
         scheduler=scheduler,
+        memory_limit=memory_limit,
         overwrite=overwrite,
         progress=progress,
     ).path
@@ -133,27 +144,32 @@ def run(
     to: Product = "reflectance",
     reflectance: Kept = "stored",
     scheduler: str | None = None,
+    memory_limit: str | int | None = None,
     overwrite: bool = False,
     progress: bool = False,
 ) -> Outcome:
     """Do what `process` does, and tell what was written; the arguments are those of `process`."""
     import xarray as xr
 
-    from .io.collect import open_collect
+    from .budget import check_disk, disk_needed, parse_size
     from .io.store import to_store
 
     out = Path(out)
     _check_words(to, reflectance)
-    with _cluster(scheduler):
-        tree = open_collect(
-            collect,
-            need_irradiance=to == "reflectance",
-            chunks="auto" if scheduler is None else {ALONG_TRACK: CLUSTER_LINES},
-        )
-        groups = _groups(tree, Path(collect), {"to": to, "reflectance": reflectance})
+    limit = None if memory_limit is None else parse_size(memory_limit)
+    parameters = {"to": to, "reflectance": reflectance}
+    with contextlib.ExitStack() as stack:
+        client = stack.enter_context(_cluster(scheduler))
+        lines_a_task = CHUNK_LINES if client is None else CLUSTER_LINES
+        tree, groups = _opened(collect, lines_a_task, parameters)
         kept = _kept(groups, out, overwrite=overwrite)
-        pending = {name: dataset for name, dataset in groups.items() if name not in kept}
-        made = {name: _product(dataset, name, to, reflectance) for name, dataset in pending.items()}
+        pending = [name for name in groups if name not in kept]
+        demand = _demand({name: groups[name] for name in pending}, lines_a_task, client, limit)
+        stack.enter_context(_threads(demand.threads if client is None else None))
+        if demand.lines < lines_a_task:
+            tree, groups = _opened(collect, demand.lines, parameters)
+        made = {name: _product(groups[name], name, to, reflectance) for name in pending}
+        check_disk(out, sum(map(disk_needed, made.values())))
         _rehearse(made, collect)
         lines = [name for name, dataset in made.items() if ALONG_TRACK in dataset.dims]
         for name, dataset in made.items():
@@ -181,6 +197,17 @@ def _check_words(to: str, reflectance: str) -> None:
 
 
 # --- what is to be written ---------------------------------------------------------------------------------
+
+
+def _opened(
+    collect: str | Path, lines: int, parameters: Mapping[str, Any]
+) -> tuple[xr.DataTree, dict[str, xr.Dataset]]:
+    """Open a collect with so many lines a task; return it, and the groups of a store."""
+    from .io.collect import open_collect
+
+    need_irradiance = parameters["to"] == "reflectance"
+    tree = open_collect(collect, need_irradiance=need_irradiance, chunks={ALONG_TRACK: lines})
+    return tree, _groups(tree, Path(collect), parameters)
 
 
 def _groups(tree: xr.DataTree, collect: Path, parameters: Mapping[str, Any]) -> dict[str, xr.Dataset]:
@@ -307,11 +334,53 @@ def _rehearse(groups: Mapping[str, xr.Dataset], collect: str | Path) -> None:
 # --- where it is computed ----------------------------------------------------------------------------------
 
 
+def _demand(groups: Mapping[str, xr.Dataset], lines: int, client: Client | None, limit: int | None) -> Demand:
+    """Return lines a task and threads that keep this process, or each worker, within its memory."""
+    from . import budget
+
+    loads = {name: budget.Load.of(line) for name, line in groups.items() if ALONG_TRACK in line.dims}
+    if client is None:
+        resident, available = budget.resident_memory(), budget.available_memory()
+        if limit is None and available is not None:
+            limit = resident + int(budget.USABLE * available)
+        fixed = max(budget.PROCESS, resident + budget.RUNNING)
+        return budget.fit(loads, lines=lines, threads=_thread_count(), fixed=fixed, limit=limit)
+    workers = client.scheduler_info(n_workers=-1)["workers"].values()
+    limits = [worker["memory_limit"] for worker in workers if worker["memory_limit"]]
+    if limit is None and limits:
+        limit = int(budget.USABLE * min(limits))
+    threads = max((worker["nthreads"] for worker in workers), default=1)
+    return budget.fit(
+        loads, lines=lines, threads=threads, fixed=budget.WORKER, limit=limit, least_threads=threads
+    )
+
+
+def _thread_count() -> int:
+    """Return how many threads dask would take here."""
+    import dask
+    from dask.system import CPU_COUNT
+
+    if dask.config.get("scheduler", None) in ("sync", "synchronous", "single-threaded"):
+        return 1
+    pool = dask.config.get("pool", None)
+    return int(getattr(pool, "_max_workers", 0) or dask.config.get("num_workers", None) or CPU_COUNT)
+
+
+def _threads(count: int | None) -> contextlib.AbstractContextManager[Any]:
+    """Return a context in which dask takes no more threads than that; None leaves them as they are."""
+    import dask
+
+    if count is None or count >= _thread_count():
+        return contextlib.nullcontext()
+    limited: contextlib.AbstractContextManager[Any] = dask.config.set(num_workers=count, pool=None)
+    return limited
+
+
 @contextlib.contextmanager
-def _cluster(address: str | None) -> Iterator[None]:
-    """Make a cluster the place where dask computes; threads without an address."""
+def _cluster(address: str | None) -> Iterator[Client | None]:
+    """Make a cluster the place where dask computes; the caller's own, or threads, without an address."""
     if address is None:
-        yield
+        yield _default_client()
         return
     try:
         from distributed import Client
@@ -324,7 +393,15 @@ def _cluster(address: str | None) -> Iterator[None]:
         msg = f"no dask scheduler answers at {address!r} ({error}); expected something like tcp://host:8786"
         raise CollectError(msg) from error
     with client:
-        yield
+        yield client
+
+
+def _default_client() -> Client | None:
+    """Return the client the caller made, where dask computes with one."""
+    from dask.base import get_scheduler
+
+    client = getattr(get_scheduler(), "__self__", None)
+    return client if hasattr(client, "scheduler_info") else None
 
 
 @contextlib.contextmanager

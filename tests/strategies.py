@@ -1,7 +1,7 @@
-"""Flight lines with known truth, and hypothesis strategies.
+"""Flight lines with known truth, hypothesis strategies, and what tests of radiometry ask of a line.
 
-Plain numpy, float64, one line an equation: nothing of the package is used but its table of attributes, so
-that a fault there cannot hide here.
+Flights are plain numpy, float64, one line an equation: nothing of the package makes them but its table of
+attributes, so that a fault there cannot hide here.
 """
 
 from __future__ import annotations
@@ -15,9 +15,12 @@ import xarray as xr
 from hypothesis import strategies as st
 
 from hyperpaint import schema
+from hyperpaint.radiometry import reflectance
 
 START = np.datetime64("2020-06-21T17:00:00", "ns")
 LINE_PERIOD = np.timedelta64(7_000_000, "ns")
+SHIFT = np.linspace(-1.4, 1.2, 6) ** 2
+"""Smile of the six columns of a `flight` [nm]."""
 
 
 @dataclass
@@ -108,6 +111,17 @@ def stored(line: xr.Dataset, path: Any, chunk: int = 8) -> xr.Dataset:
         path, zarr_format=2
     )
     return xr.open_zarr(path)
+
+
+def values(line: xr.Dataset, **options: Any) -> np.ndarray:
+    """Return the computed reflectance of a line."""
+    return reflectance(line, **options)["reflectance"].values
+
+
+def assert_same(first: xr.Dataset, second: xr.Dataset) -> None:
+    """Assert that two calibrated lines have the same bits."""
+    for name in ("reflectance", "quality", "irradiance_age"):
+        assert first[name].values.tobytes() == second[name].values.tobytes(), name
 
 
 @st.composite

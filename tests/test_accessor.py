@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import inspect
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -14,6 +15,8 @@ from strategies import flight
 import hyperpaint as hp
 from hyperpaint import bands, plot, radiometry, smoothing, units
 from hyperpaint.accessor import PaintAccessor
+from hyperpaint.errors import StoreError
+from hyperpaint.io import store
 
 FUNCTIONS: dict[str, Callable[..., Any]] = {
     "radiance": radiometry.radiance,
@@ -24,6 +27,7 @@ FUNCTIONS: dict[str, Callable[..., Any]] = {
     "rgb": plot.rgb,
     "quicklook": plot.quicklook,
     "quantify": units.quantify,
+    "verify": store.verify,
 }
 
 
@@ -69,3 +73,14 @@ def test_functions_and_accessor_agree() -> None:
     line = flight().line
     xr.testing.assert_identical(line.paint.reflectance(), hp.reflectance(line))
     xr.testing.assert_identical(line.paint.radiance(), hp.radiance(line))
+
+
+def test_verify_finds_the_store_of_a_dataset(tmp_path: Path) -> None:
+    line = flight().line
+    hp.to_store(line, tmp_path / "lot.zarr", "flightlines/raw_0")
+    opened = xr.open_zarr(tmp_path / "lot.zarr", group="flightlines/raw_0")
+    assert opened.paint.verify() == hp.verify(tmp_path / "lot.zarr")
+    (tmp_path / "lot.zarr/flightlines/raw_0/counts/c/0/0/0").unlink()
+    assert not opened.paint.verify().ok
+    with pytest.raises(StoreError, match=r"hyperpaint\.verify\(path\)"):
+        line.paint.verify()

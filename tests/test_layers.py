@@ -19,7 +19,7 @@ FOUNDATION = {"errors", "units", "schema"}
 SHARED = FOUNDATION | {"responses", "sun"}
 SUBJECTS = {
     "illumination", "slabs", "planning", "radiometry", "smoothing", "bands", "calibration", "noise",
-    "quality", "georeference", "regions", "signatures", "validation", "mixing", "paper",
+    "quality", "georeference", "regions", "signatures", "validation", "mixing", "paper", "budget",
 }  # fmt: skip
 TASKS = {"slabs"}  # the layer of tasks that subject modules share
 TOP = {"plot", "report", "accessor", "demonstration", "info", "pipeline", "cli", "__main__", "__init__"}
@@ -29,6 +29,7 @@ ALLOWED = {
     "schema": {"errors", "units"},
     "responses": FOUNDATION,
     "sun": FOUNDATION,
+    "budget": FOUNDATION,
     "illumination": SHARED,
     "slabs": SHARED | {"illumination"},
     "planning": SHARED | TASKS | {"illumination"},

@@ -1,33 +1,20 @@
-"""Counts to reflectance: physics first, then bits, chunks, laziness and refusals."""
+"""Counts to reflectance: the equations, darks, panels and tilt, smile, and what is refused."""
 
 from __future__ import annotations
 
-import time as clock
 from typing import Any
 
-import dask
-import dask.array as da
 import numpy as np
 import pytest
 import xarray as xr
-from hypothesis import HealthCheck, given, settings
+from hypothesis import given, settings
 from hypothesis import strategies as st
-from strategies import START, chunkings, flight, labelled, stored
+from strategies import SHIFT, START, assert_same, flight, labelled, values
 
 import hyperpaint as hp
-from hyperpaint.errors import PaintWarning, SchemaError, TimeError, UnitsError
+from hyperpaint.errors import PaintWarning, SchemaError, UnitsError
 from hyperpaint.radiometry import Panel, radiance, reflectance, subtract_dark, worked_example
 from hyperpaint.schema import Quality
-
-
-def values(line: xr.Dataset, **options: Any) -> np.ndarray:
-    return reflectance(line, **options)["reflectance"].values
-
-
-def assert_same(first: xr.Dataset, second: xr.Dataset) -> None:
-    for name in ("reflectance", "quality", "irradiance_age"):
-        assert first[name].values.tobytes() == second[name].values.tobytes(), name
-
 
 # ------------------------------------------------------------------------------------------ the equations
 
@@ -163,15 +150,6 @@ def test_from_radiance_when_there_are_no_counts() -> None:
     assert reflectance(stored_only).reflectance.identical(stored_only.reflectance)
 
 
-def test_from_radiance_keeps_every_flag_that_was_set() -> None:
-    line = flight().line
-    line["counts"].values[2, 3, 1] = 4095
-    calibrated = radiance(line).compute().drop_vars("counts")
-    got = reflectance(calibrated)
-    assert got.quality.values[2, 1] & Quality.SATURATED
-    assert np.isnan(got.reflectance.values[2, 3, 1])
-
-
 # ------------------------------------------------------------------------------------------------- darks
 
 
@@ -244,294 +222,6 @@ def test_subtract_dark_is_a_view_of_the_signal() -> None:
     np.testing.assert_array_equal(above.values, line.counts.values.astype("f4") - line.dark_counts.values)
 
 
-# ------------------------------------------------------------------------------------------------- flags
-
-
-def quality_of(line: xr.Dataset) -> np.ndarray:
-    return reflectance(line)["quality"].values
-
-
-@pytest.mark.parametrize("dtype", [np.uint16, np.float32])
-def test_saturation_starts_sixteen_counts_below_the_end(dtype: Any) -> None:
-    line = flight(dtype=dtype).line
-    line["counts"].values[3, 5, 2] = 4079
-    line["counts"].values[4, 5, 2] = 4078
-    got = reflectance(line).compute()
-    flagged = np.argwhere(got.quality.values & Quality.SATURATED)
-    np.testing.assert_array_equal(flagged, [[3, 2]])
-    np.testing.assert_array_equal(np.argwhere(np.isnan(got.reflectance.values)), [[3, 5, 2]])
-    assert got.quality.values.sum() == Quality.SATURATED
-
-
-def test_saturation_is_judged_before_the_dark_is_taken_away() -> None:
-    line = flight(dtype=np.uint16, dark=300.0).line
-    line["counts"].values[0, 0, 0] = 4090  # 3790 above the dark
-    assert quality_of(line)[0, 0] == Quality.SATURATED
-
-
-@pytest.mark.parametrize("dtype", [np.uint16, np.float32])
-def test_saturation_of_every_element_of_its_own(dtype: Any) -> None:
-    made = flight(dtype=dtype, flat=True)
-    own = np.full((12, 6), 5000.0)
-    own[0, 0] = 600.0  # the first element must not speak for the others
-    own[7, 3] = 700.0
-    line = made.line.drop_vars("saturation_count")
-    line["saturation_count"] = (("band", "cross_track"), own, {"units": "count"})
-    got = reflectance(line).compute()
-    missing = np.isnan(got.reflectance.values)
-    assert missing[:, 0, 0].all()
-    assert missing[:, 7, 3].all()
-    assert missing.sum() == 48
-    saturated = got.quality.values & Quality.SATURATED
-    assert saturated[:, [0, 3]].all()
-    assert not saturated[:, [1, 2, 4, 5]].any()
-
-
-def test_unknown_saturation_of_an_element_never_saturates() -> None:
-    line = flight(dtype=np.uint16).line.drop_vars("saturation_count")
-    own = np.full((12, 6), 4095.0)
-    own[2, 2] = np.nan
-    line["saturation_count"] = (("band", "cross_track"), own, {"units": "count"})
-    line["counts"].values[0, 2, 2] = 4090
-    line["counts"].values[1, 2, 3] = 4090
-    got = reflectance(line).compute()
-    np.testing.assert_array_equal(np.argwhere(got.quality.values), [[1, 3]])
-
-
-def test_a_stuck_bad_element_does_not_saturate_its_column() -> None:
-    line = flight(bands=40, dtype=np.uint16).line
-    line["counts"].values[:, 9, 1] = 4095
-    line["radiance_gain"].values[9, 1] = np.nan
-    line["counts"].values[:, 17, :] = 4095
-    line["good"].values[17] = False
-    got = reflectance(line).compute()
-    assert not got.quality.values.any()
-    assert np.isnan(got.reflectance.values[:, 9, 1]).all()
-    # in a pixel where another element saturates, it does
-    line["counts"].values[5, 20, 1] = 4095
-    np.testing.assert_array_equal(np.argwhere(quality_of(line)), [[5, 1]])
-
-
-@pytest.mark.parametrize("dtype", [np.uint16, np.float32])
-def test_below_dark_by_five_sigma(dtype: Any) -> None:
-    line = flight(bands=40, dark=100.0, dtype=dtype).line
-    # five times sqrt(2^2 + 1/12) is 10.104
-    line["counts"].values[1, 3, 0] = 89
-    line["counts"].values[2, 3, 0] = 90 if dtype == np.uint16 else 89.95  # quantisation is noise too
-    got = reflectance(line).compute()
-    np.testing.assert_array_equal(np.argwhere(got.quality.values == Quality.BELOW_DARK), [[1, 0]])
-    assert got.quality.values.sum() == Quality.BELOW_DARK
-    assert got.reflectance.values[1, 3, 0] < 0  # kept
-
-
-def test_below_dark_in_more_than_a_tenth_of_the_bands() -> None:
-    line = flight(bands=40, dark=100.0, dtype=np.uint16).line
-    line["counts"].values[1, :5, 0] = 99
-    line["counts"].values[2, :3, 0] = 99
-    line["counts"].values[3, :40:8, 1] = 100  # not under the dark
-    np.testing.assert_array_equal(np.argwhere(quality_of(line)), [[1, 0]])
-    line["good"].values[:2] = False
-    assert not quality_of(line).any()
-
-
-def test_bad_detector_only_over_five_per_cent_of_the_good_bands() -> None:
-    line = flight(bands=40).line
-    line["radiance_gain"].values[[1, 2], 0] = np.nan
-    line["radiance_gain"].values[[1, 2, 3], 1] = np.nan
-    line["radiance_gain"].values[[1, 2, 3], 2] = np.inf
-    got = reflectance(line).compute()
-    assert (got.quality.values[:, 1:3] == Quality.BAD_DETECTOR).all()
-    assert not got.quality.values[:, [0, 3, 4, 5]].any()
-    line["good"].values[3] = False  # two of 39 good bands are left
-    assert (quality_of(line)[:, 1:3] == Quality.BAD_DETECTOR).all()
-    line["good"].values[2] = False
-    assert not quality_of(line).any()
-
-
-def test_a_band_that_is_bad_everywhere_warns_nobody() -> None:
-    made = flight(bands=40)
-    made.line["radiance_gain"].values[7] = np.nan
-    got = values(made.line)
-    assert np.isnan(got[:, 7]).all()
-    np.testing.assert_allclose(np.delete(got, 7, 1), np.delete(made.reflectance, 7, 1), rtol=1e-5)
-
-
-def test_gaps_are_missing_and_flagged() -> None:
-    made = flight(lines=900)  # 10.0 to 16.3 s
-    keep = made.line.irradiance_time.values != START + np.timedelta64(12, "s")
-    holed = made.line.isel(irradiance_time=keep)  # 10, 14, 16, 18 s
-    wide = holed.assign(irradiance_max_gap=holed.irradiance_max_gap * 0.6)  # 3 s
-    got = reflectance(wide).compute()
-    seconds = (wide.time.values - START) / np.timedelta64(1, "s")
-    inside = (seconds > 10) & (seconds < 14)
-    assert ((got.quality.values & Quality.IRRADIANCE_GAP != 0) == inside[:, None]).all()
-    assert (np.isnan(got.reflectance.values) == inside[:, None, None]).all()
-    np.testing.assert_allclose(got.reflectance.values[~inside], made.reflectance[~inside], rtol=1e-5)
-    # on a sample there is light, whatever the gap beside it
-    assert np.isfinite(got.reflectance.values[0]).all()
-    assert got.quality.values[0, 0] == 0
-    # 5 s are allowed: linear light comes out right
-    np.testing.assert_allclose(values(holed), made.reflectance, rtol=1e-5)
-
-
-def test_nothing_is_extrapolated() -> None:
-    made = flight(lines=900)
-    short = made.line.isel(irradiance_time=slice(6, 8))  # 12 and 14 s
-    got = reflectance(short).compute()
-    seconds = (short.time.values - START) / np.timedelta64(1, "s")
-    outside = (seconds < 12) | (seconds > 14)
-    assert (np.isnan(got.reflectance.values) == outside[:, None, None]).all()
-    assert ((got.quality.values == Quality.IRRADIANCE_GAP) == outside[:, None]).all()
-    age = np.minimum(np.abs(seconds - 12), np.abs(seconds - 14))
-    np.testing.assert_allclose(got.irradiance_age.values, age, atol=1e-6)
-    assert got.irradiance_age.dtype == np.float32
-
-
-def test_a_spectrum_with_holes_is_left_out() -> None:
-    made = flight(lines=300)
-    made.line["irradiance"].values[6, 100:120] = np.nan  # at 12 s
-    got = reflectance(made.line).compute()
-    np.testing.assert_allclose(got.reflectance.values, made.reflectance, rtol=1e-5)
-    assert got.irradiance_age.values.max() > 1.9
-
-
-@pytest.mark.parametrize(("change", "flagged"), [(0.019, False), (0.021, True), (-0.0206, True)])
-def test_unstable_light_over_two_per_cent(change: float, flagged: bool) -> None:
-    line = flight(lines=300, drift=0.0).line  # 10.0 to 12.1 s
-    line["irradiance"].values[6:] *= 1 + change
-    quality = quality_of(line)
-    between = line.time.values < START + np.timedelta64(12, "s")
-    assert ((quality == Quality.ILLUMINATION_UNSTABLE) == (between[:, None] & flagged)).all()
-
-
-def test_low_sun_needs_a_position() -> None:
-    made = flight(position=True)
-    evening = np.timedelta64(6 * 3600 + 40 * 60, "s")  # zenith about 82 degrees
-    line = made.line.assign_coords(
-        time=made.line.time + evening, irradiance_time=made.line.irradiance_time + evening
-    )
-    assert (quality_of(line) == Quality.LOW_SUN).all()
-    assert not quality_of(line.drop_vars(["latitude", "longitude"])).any()
-    assert not quality_of(made.line).any()
-
-
-def test_dropped_frames_are_no_data_and_nothing_else() -> None:
-    made = flight(dtype=np.uint16, position=True)
-    line = made.line
-    line["counts"].values[5] = 65535
-    stamps = line.time.values.copy()
-    stamps[5] = np.datetime64("NaT", "ns")
-    line = line.assign_coords(time=("along_track", stamps))
-    for got, name in ((reflectance(line), "reflectance"), (radiance(line), "radiance")):
-        assert (got.quality.values[5] == Quality.NO_DATA).all()
-        assert not np.delete(got.quality.values, 5, axis=0).any()
-        assert np.isnan(got[name].values[5]).all()
-        assert np.isfinite(np.delete(got[name].values, 5, axis=0)).all()
-    assert np.isnan(reflectance(line).irradiance_age.values[5])
-
-
-def test_flags_of_others_stay() -> None:
-    line = flight(dtype=np.uint16).line
-    found = np.zeros((24, 6), np.uint16)
-    found[2, 3] = Quality.GLINT | Quality.SATURATED  # the second is found anew, from counts
-    found[4, 1] = Quality.SHADOW
-    line["quality"] = (("along_track", "cross_track"), found)
-    line["counts"].values[7, 0, 0] = 4095
-    quality = quality_of(line)
-    assert quality[2, 3] == Quality.GLINT
-    assert quality[4, 1] == Quality.SHADOW
-    assert quality[7, 0] == Quality.SATURATED
-    assert np.count_nonzero(quality) == 3
-    again = reflectance(reflectance(line)).quality.values
-    np.testing.assert_array_equal(again, quality)
-
-
-def test_quality_attributes_follow_cf() -> None:
-    attrs = reflectance(flight().line).quality.attrs
-    assert attrs["flag_masks"].dtype == np.uint16
-    assert len(attrs["flag_meanings"].split()) == len(attrs["flag_masks"])
-    assert "units" not in attrs
-
-
-# -------------------------------------------------------------------------------------------------- time
-
-
-@pytest.mark.parametrize("line_unit", ["s", "ms", "us", "ns"])
-@pytest.mark.parametrize("record_unit", ["s", "us", "ns"])
-def test_mixed_units_of_time(line_unit: str, record_unit: str) -> None:
-    made = flight(lines=4, bands=3, columns=2, drift=0.05)
-    line = made.line
-    # whole seconds, so that every unit can hold them
-    seconds = np.array([1, 3, 9, 21])
-    line = line.assign_coords(time=("along_track", START + seconds.astype("timedelta64[s]")))
-    expected = values(line)
-    mixed = line.assign_coords(
-        time=("along_track", line.time.values.astype(f"datetime64[{line_unit}]")),
-        irradiance_time=("irradiance_time", line.irradiance_time.values.astype(f"datetime64[{record_unit}]")),
-    )
-    np.testing.assert_array_equal(values(mixed), expected)
-    light = 1.2 + 0.05 * seconds
-    np.testing.assert_allclose(
-        expected, made.reflectance * (made.irradiance / light)[:, None, None], rtol=1e-5
-    )
-
-
-def test_shuffled_lines_come_out_in_their_places() -> None:
-    line = flight(lines=300, drift=0.05).line
-    order = np.random.default_rng(1).permutation(300)
-    got, expected = reflectance(line.isel(along_track=order)), reflectance(line).isel(along_track=order)
-    assert_same(got, expected)
-
-
-def test_records_that_run_backwards_or_stand_still_are_refused() -> None:
-    line = flight().line
-    for order, word in (([0, 1, 1, 2, 3, 4, 5, 6], "duplicate"), ([0, 2, 1, 3, 4, 5, 6], "backwards")):
-        with pytest.raises(TimeError, match=word):
-            reflectance(line.isel(irradiance_time=order))
-    stamps = line.irradiance_time.values.copy()
-    stamps[3] = np.datetime64("NaT", "ns")
-    with pytest.raises(TimeError, match="NaT"):
-        reflectance(line.assign_coords(irradiance_time=("irradiance_time", stamps)))
-
-
-def test_a_lazy_record_is_refused_when_it_is_read() -> None:
-    line = flight().line.isel(irradiance_time=[0, 2, 1, 3, 4, 5, 6]).drop_indexes("irradiance_time")
-    lazily = line.assign_coords(
-        irradiance_time=("irradiance_time", da.from_array(line.irradiance_time.values))
-    )
-    with pytest.raises(TimeError, match="backwards"):
-        reflectance(lazily).reflectance.compute()
-
-
-def test_clocks_that_are_off() -> None:
-    made = flight(drift=0.01)
-    offset = np.timedelta64(37_250_000_000, "ns")
-    wrong = made.line.assign_coords(irradiance_time=made.line.irradiance_time + offset)
-    got = reflectance(wrong).compute()  # the record begins 27 s after the line
-    assert np.isnan(got.reflectance.values).all()
-    assert (got.quality.values == Quality.IRRADIANCE_GAP).all()
-    np.testing.assert_array_equal(
-        values(wrong.assign_coords(irradiance_time=wrong.irradiance_time - offset)), values(made.line)
-    )
-    hours = np.timedelta64(5 * 3600, "s")
-    local = made.line.assign_coords(time=made.line.time - hours)
-    assert np.isnan(values(local)).all()
-    both = local.assign_coords(irradiance_time=local.irradiance_time - hours)
-    np.testing.assert_array_equal(values(both), values(made.line))
-
-
-def test_a_record_of_its_own_replaces_the_lines() -> None:
-    made = flight()
-    record = made.line[["irradiance", "irradiance_fwhm"]].assign_attrs(irradiance_srf_shape="gaussian")
-    twice = record.assign(irradiance=record.irradiance * 2).isel(irradiance_time=slice(2, 9))
-    twice["irradiance"].attrs = dict(record.irradiance.attrs)
-    np.testing.assert_allclose(values(made.line, irradiance=twice), made.reflectance / 2, rtol=1e-5)
-    bare = made.line.drop_vars([n for n in made.line.variables if str(n).startswith("irradiance")])
-    np.testing.assert_allclose(values(bare, irradiance=twice), made.reflectance / 2, rtol=1e-5)
-    with pytest.raises(SchemaError, match="holds light, expected"):
-        reflectance(bare, xr.Dataset({"light": 1}))
-
-
 # --------------------------------------------------------------------------------------- tilt and panels
 
 
@@ -582,94 +272,6 @@ def test_a_panel_without_light_is_refused() -> None:
         values(line, panel=Panel(slice(3, 8), slice(1, 4), 0.4))
 
 
-# ------------------------------------------------------------------------------------------ bits, chunks
-
-SHIFT = np.linspace(-1.4, 1.2, 6) ** 2
-
-
-@pytest.fixture(scope="module")
-def hard_line() -> xr.Dataset:
-    """Every branch at once: smile, two darks, saturation, bad elements, a dropped frame, a gap."""
-    line = flight(lines=40, bands=12, columns=6, dtype=np.uint16, smile=SHIFT, position=True, drift=0.01).line
-    rng = np.random.default_rng(4)
-    line["counts"].values[rng.random((40, 12, 6)) < 0.01] = 4095
-    line["radiance_gain"].values[3, 4] = np.nan
-    stamps = line.time.values.copy() + np.arange(40) * np.timedelta64(300_000_000, "ns")
-    stamps[11] = np.datetime64("NaT", "ns")
-    dark = line.dark_counts.values
-    line = line.drop_vars("dark_counts").assign_coords(
-        time=("along_track", stamps),
-        dark_time=("dark_time", START + np.array([0, 30], "timedelta64[s]")),
-    )
-    line["dark_counts"] = (
-        ("dark_time", "band", "cross_track"),
-        np.stack([dark, dark + 3]),
-        {"units": "count"},
-    )
-    return line
-
-
-@pytest.mark.parametrize("scheduler", ["synchronous", "threads"])
-@pytest.mark.parametrize(
-    "chunks",
-    [
-        {"along_track": 1},
-        {"along_track": 7, "band": -1, "cross_track": -1},
-        {"along_track": 40},
-        {"along_track": 16, "band": 5},
-        {"along_track": (3, 30, 7), "band": (1, 11), "cross_track": (4, 2)},
-    ],
-)
-def test_the_same_bits_whatever_the_chunks(hard_line: xr.Dataset, chunks: Any, scheduler: str) -> None:
-    with dask.config.set(scheduler="synchronous"):
-        whole = reflectance(hard_line, keep_bits=12).compute()
-    with dask.config.set(scheduler=scheduler):
-        assert_same(whole, reflectance(hard_line.chunk(chunks), keep_bits=12).compute())
-
-
-def test_the_same_bits_in_other_processes(hard_line: xr.Dataset) -> None:
-    line = hard_line.chunk({"along_track": 20})
-    with dask.config.set(scheduler="processes", num_workers=1):
-        other = reflectance(line)[["reflectance", "quality", "irradiance_age"]].compute()
-    assert_same(reflectance(line), other)
-
-
-@settings(max_examples=8, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
-@given(data=st.data())
-def test_the_same_bits_for_any_chunks(hard_line: xr.Dataset, data: st.DataObject) -> None:
-    chunks = {
-        dim: data.draw(chunkings(hard_line.sizes[dim]), label=dim)
-        for dim in ("along_track", "band", "cross_track")
-    }
-    with dask.config.set(scheduler="synchronous"):
-        assert_same(reflectance(hard_line), reflectance(hard_line.chunk(chunks)))
-
-
-def test_any_order_of_dims(hard_line: xr.Dataset) -> None:
-    turned = hard_line.transpose("cross_track", "band", "along_track", ...)
-    assert_same(reflectance(hard_line), reflectance(turned))
-    other = hard_line.rename_dims(along_track="downtrack", band="bands", cross_track="crosstrack")
-    assert_same(reflectance(hard_line), other.paint.reflectance())
-
-
-@pytest.mark.parametrize("dtype", ["uint8", ">u2", "int16", "int32", "float64", "float32"])
-def test_counts_of_other_types(dtype: str) -> None:
-    line = flight(dtype=np.uint16).line
-    line["counts"].values[:] = line.counts.values // 20
-    np.testing.assert_array_equal(values(line.assign(counts=line.counts.astype(dtype))), values(line))
-
-
-def test_rounding_keeps_the_bits_that_were_asked_for() -> None:
-    line = flight().line
-    full, rounded = values(line), values(line, keep_bits=12)
-    np.testing.assert_allclose(rounded, full, rtol=2.0**-13)
-    assert not (rounded.view(np.uint32) & ((1 << 11) - 1)).any()
-    np.testing.assert_array_equal(values(line, keep_bits=23), full)
-    for bad in (0, 24, -1):
-        with pytest.raises(SchemaError, match="keep_bits"):
-            reflectance(line, keep_bits=bad)
-
-
 # -------------------------------------------------------------------------------------- smile, darkness
 
 
@@ -699,94 +301,6 @@ def test_bands_outside_the_record_are_missing_with_a_warning() -> None:
         got = values(line)
     assert np.isnan(got[:, 0]).all()
     assert np.isfinite(got[:, 3:]).all()
-
-
-# ------------------------------------------------------------------------------------------------- lazy
-
-
-def test_nothing_is_read_while_building(tmp_path: Any, hard_line: xr.Dataset, no_compute: Any) -> None:
-    line = stored(hard_line, tmp_path / "line.zarr")
-    assert line.time.chunks is not None  # non-index coordinates are lazy too
-    with no_compute():
-        made = reflectance(line, panel=Panel(slice(0, 4), slice(0, 3), 0.4), tilt=(3.0, 90.0))
-        calibrated = line.paint.radiance()
-        for name, array in (("reflectance", made), ("radiance", calibrated)):
-            assert array[name].dtype == np.float32
-            assert array[name].chunks is not None
-            assert array.quality.dtype == np.uint16
-            assert array[name].dims == ("along_track", "band", "cross_track")
-            assert array.quality.dims == ("along_track", "cross_track")
-        assert made.irradiance_age.dtype == np.float32
-        smoothed = made.paint.smooth()
-    for name in ("reflectance", "quality", "irradiance_age"):
-        assert made[name].compute().dtype == made[name].dtype
-        assert made[name].compute().shape == made[name].shape
-    assert smoothed.reflectance.compute().dtype == np.float32
-    assert_same(reflectance(hard_line), reflectance(line))
-
-
-def test_lazy_from_radiance(tmp_path: Any, no_compute: Any) -> None:
-    line = radiance(flight().line).drop_vars("counts").compute()
-    lazily = stored(line, tmp_path / "radiance.zarr")
-    with no_compute():
-        made = reflectance(lazily)
-    assert_same(reflectance(line), made)
-
-
-def test_two_tasks_a_slab_at_the_most(tmp_path: Any) -> None:
-    sizes = {}
-    for lines in (16, 96):
-        line = stored(flight(lines=lines).line, tmp_path / f"{lines}.zarr")
-        (fused,) = dask.optimize(line.paint.reflectance()["reflectance"])
-        sizes[lines] = len(fused.__dask_graph__())
-    assert (sizes[96] - sizes[16]) / 10 <= 2
-
-
-def test_graph_of_a_long_line_is_quick(no_compute: Any, record_property: Any) -> None:
-    line = flight(lines=1, bands=272, columns=640).line
-    lines = 100_000
-    long = line.drop_dims("along_track").assign_coords(
-        time=("along_track", START + np.arange(lines) * np.timedelta64(7_000_000, "ns"))
-    )
-    cube = da.zeros((lines, 272, 640), chunks=(32, -1, -1), dtype=np.uint16)
-    long["counts"] = (("along_track", "band", "cross_track"), cube, {"units": "count"})
-    begin = clock.perf_counter()
-    with no_compute():
-        made = reflectance(long)["reflectance"]
-        dask.optimize(made)
-    spent = clock.perf_counter() - begin
-    record_property("seconds", spent)
-    assert spent < 2.0
-
-
-def test_inputs_are_never_changed(hard_line: xr.Dataset) -> None:
-    before = hard_line.copy(deep=True)
-    reflectance(hard_line, tilt=(2.0, 10.0), panel=Panel(slice(0, 4), slice(0, 3), 0.4)).compute()
-    radiance(hard_line).compute()
-    xr.testing.assert_identical(hard_line, before)
-
-
-@pytest.mark.parametrize("keep", [True, False, "default"])
-def test_attributes_are_replaced(keep: Any) -> None:
-    line = flight().line
-    line["counts"].attrs["comment"] = "stale"
-    with xr.set_options(keep_attrs=keep):
-        made = reflectance(line)
-        bright = radiance(line)
-    assert made.reflectance.attrs["units"] == "1"
-    assert made.reflectance.attrs["long_name"]
-    assert "comment" not in made.reflectance.attrs
-    assert bright.radiance.attrs["units"] == "W m-2 sr-1 nm-1"
-    assert made.irradiance_age.attrs["units"] == "s"
-    assert made.quality.attrs["flag_meanings"].startswith("saturated below_dark")
-    assert made.attrs["name"] == "raw_0"
-    assert set(line.variables) < set(made.variables)
-
-
-def test_stored_reflectance_is_always_computed_anew() -> None:
-    made = flight()
-    stale = made.line.assign(reflectance=made.line.counts.assign_attrs(units="1"))
-    np.testing.assert_allclose(values(stale), made.reflectance, rtol=1e-5)
 
 
 # ------------------------------------------------------------------------------------------------ refusals
@@ -863,29 +377,6 @@ def test_worked_example_is_labelled() -> None:
 # ----------------------------------------------------------------------------------- what a review found
 
 
-def test_radiance_leaves_the_bits_of_light_alone() -> None:
-    line = flight().line
-    line["irradiance_max_gap"] = ((), 0.01, {"units": "s"})
-    lit = reflectance(line).compute()
-    assert (lit.quality & Quality.IRRADIANCE_GAP).any()
-    np.testing.assert_array_equal(radiance(lit).quality, lit.quality)
-
-
-def test_another_record_brings_its_own_gap_and_width() -> None:
-    line = flight().line
-    step = float(np.diff(line.irradiance_time.values)[0] / np.timedelta64(1, "s"))
-    line = line.assign(irradiance_max_gap=((), 1.5 * step, {"units": "s"}))
-    other = line[["irradiance", "irradiance_fwhm"]].isel(irradiance_time=slice(None, None, 2))
-    assert (
-        reflectance(line.isel(irradiance_time=slice(None, None, 2))).quality & Quality.IRRADIANCE_GAP
-    ).any()
-    assert not (reflectance(line, other).quality & Quality.IRRADIANCE_GAP).any()
-    with pytest.raises(SchemaError, match="irradiance_fwhm"):
-        reflectance(line, other.drop_vars("irradiance_fwhm"))
-    with pytest.raises(SchemaError, match="is DataArray, expected a Dataset"):
-        reflectance(line, other.irradiance)  # type: ignore[arg-type]
-
-
 def test_arguments_that_cannot_be_heeded_are_refused() -> None:
     line = flight(position=True).line
     only = reflectance(line).drop_vars("counts")
@@ -919,62 +410,12 @@ def test_lines_of_two_exposures_have_their_own_darks() -> None:
         values(line.isel(dark_time=[0]))
 
 
-def test_below_dark_follows_a_drifting_dark() -> None:
-    line = flight(dtype=np.uint16).line
-    level = line.dark_counts.values
-    drift = np.array([-10.0, 10.0], "f4")[:, None, None]
-    span = line.time.values[[0, -1]]
-    line = line.drop_vars("dark_counts")
-    line["dark_counts"] = (("dark_time", "band", "cross_track"), level + drift, {"units": "count"})
-    line = line.assign_coords(dark_time=span)
-    weight = ((line.time.values - span[0]) / (span[1] - span[0]))[:, None, None]
-    dark = np.broadcast_to(level - 10 + 20 * weight, line.counts.shape)
-
-    def flags(offset: float) -> xr.DataArray:
-        counts = np.ceil(dark + offset).clip(0).astype("u2")
-        return reflectance(line.assign(counts=line.counts.copy(data=counts))).quality & Quality.BELOW_DARK
-
-    assert not flags(1.0).any()
-    assert flags(-8.0).all()
-
-
 def test_radiance_as_a_start_keeps_the_slope_of_the_responsivity() -> None:
     line = flight().line
     slope = np.linspace(1.0, 3.0, line.sizes["band"])[:, None].astype("f4")
     line["radiance_gain"] = line.radiance_gain.copy(data=line.radiance_gain.values * slope)
     start = radiance(line).drop_vars("counts")
     np.testing.assert_allclose(values(start), values(line), rtol=1e-6)
-
-
-def test_one_spectrum_with_more_than_the_others_costs_nothing() -> None:
-    line = flight().line
-    spectra = np.repeat(line.irradiance.values, 5, axis=0)
-    spectra[1:, -2:] = np.nan  # all but one end early
-    when = line.irradiance_time.values[0] + np.arange(len(spectra)) * np.timedelta64(1, "s")
-    record = xr.Dataset(
-        {"irradiance": (line.irradiance.dims, spectra, {"units": "W m-2 nm-1"})},
-        {"irradiance_time": when, "irradiance_wavelength": line.irradiance_wavelength},
-    ).assign(irradiance_fwhm=line.irradiance_fwhm)
-    assert not (reflectance(line, record).quality & Quality.IRRADIANCE_GAP).any()
-
-
-def test_a_long_record_does_not_weigh_on_the_tasks() -> None:
-    line = flight().line
-    when = line.irradiance_time.values[0] + np.arange(5000) * np.timedelta64(1, "s")
-    record = xr.Dataset(
-        {
-            "irradiance": (
-                line.irradiance.dims,
-                np.repeat(line.irradiance.values[:1], 5000, 0),
-                {"units": "W m-2 nm-1"},
-            )
-        },
-        {"irradiance_time": when, "irradiance_wavelength": line.irradiance_wavelength},
-    ).assign(irradiance_fwhm=line.irradiance_fwhm)
-    made = reflectance(line, record).reflectance.data
-    (key,) = (key for key in made.dask if str(key).startswith("make_plan"))
-    plan = dask.get(dict(made.dask), key)
-    assert len(plan.series) < 100
 
 
 def test_panel_units_are_converted() -> None:

@@ -44,7 +44,8 @@ def derive_quantity(
             raise FormatError(msg)
         values = _ratio(file.spectrum, file.reference)
     elif quantity in _NEEDED_BLOCKS:
-        values = file.spectrum * _responsivity(file, quantity, external)
+        with np.errstate(all="ignore"):  # damaged values; what is not finite is reported later
+            values = file.spectrum * _responsivity(file, quantity, external)
         vnir = wavelength <= _splices(file)[0]
         return wavelength[vnir], values[vnir], _saturated(file)[vnir]
     return wavelength, values, _saturated(file)

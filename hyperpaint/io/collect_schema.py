@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import datetime
-import math
+import sys
 from collections.abc import Callable, Mapping
 from typing import Any
 
@@ -18,8 +18,9 @@ def _text(value: Any) -> str | None:
 
 
 def _number(value: Any) -> str | None:
-    good = isinstance(value, (int, float)) and not isinstance(value, bool) and math.isfinite(value)
-    return None if good else "a number"
+    # compared, not converted: a whole number may be larger than any float
+    good = isinstance(value, (int, float)) and not isinstance(value, bool)
+    return None if good and abs(value) <= sys.float_info.max else "a number"
 
 
 def _positive(value: Any) -> str | None:

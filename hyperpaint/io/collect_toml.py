@@ -28,6 +28,7 @@ __all__ = [
 ]
 
 _MAX_BYTES = 1 << 20
+_LONGEST_GLOB = 1000
 _ID = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,99}")
 _MAGIC = re.compile(r"[*?\[]")
 #: Names that mean something to Zarr.
@@ -198,7 +199,12 @@ class _Reader:
         """Return the files of paths and globs, each glob sorted; one that matches nothing is a problem."""
         found: list[Path] = []
         for text in value if isinstance(value, list) else [value]:
-            if "\0" not in text and _MAGIC.search(text) and not os.path.lexists(self.folder / text):
+            if len(text) > _LONGEST_GLOB or text.count("**") > 1:
+                # glob recurses a level a folder, and its time multiplies with every '**'
+                self.problems.add(
+                    f"{place} {key} = {_shown(text)}: expected at most {_LONGEST_GLOB} characters, one '**'"
+                )
+            elif "\0" not in text and _MAGIC.search(text) and not os.path.lexists(self.folder / text):
                 matches = sorted(glob.glob(text, root_dir=self.folder, recursive=True))
                 found += [self.folder / match for match in matches]
                 if not matches:
@@ -214,7 +220,10 @@ def _suggest(key: str, known: Mapping[str, Any]) -> str:
 
 
 def _shown(value: Any) -> str:
-    text = repr(value)
+    try:
+        text = repr(value)
+    except ValueError:  # Python refuses to print whole numbers of over 4300 digits, which hexadecimals can be
+        text = "a number of thousands of digits"
     return text if len(text) <= 60 else f"{text[:57]}..."
 
 

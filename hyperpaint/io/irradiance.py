@@ -165,7 +165,7 @@ def open_irradiance(
     times = _utc_middle(series, clock_offset_s, TO_MIDDLE[stamp] * window)
     order = np.argsort(times, kind="stable")
     _refuse_duplicates(series, times, order)
-    values = series.values[order] * conversion_factor(series.units, VARIABLES["irradiance"].units)
+    values = _in_float32_range(series, order, conversion_factor(series.units, VARIABLES["irradiance"].units))
     _check_magnitude(series.wavelength, values)
     made = _dataset(series, times[order], values, fwhm_nm, max_gap_s)
     made.attrs.update(
@@ -424,6 +424,19 @@ def _refuse_duplicates(
         remark = " (the same spectrum twice)" if same else ""
         problems.add(f"{series.stamps[second]}: {series.sources[first]} and {series.sources[second]}{remark}")
     problems.raise_if_any()
+
+
+def _in_float32_range(series: _Series, order: npt.NDArray[np.intp], factor: float) -> _FloatArray:
+    """Return the ordered values in the units of the table; refuse numbers that only damage writes."""
+    raw = series.values[order]
+    with np.errstate(over="ignore"):
+        values: _FloatArray = raw * factor
+    lost = np.isfinite(raw) & ~(np.abs(values) <= np.finfo(np.float32).max)
+    if lost.any():
+        where = listed([series.sources[place] for place in order[lost.any(axis=1)]])
+        msg = f"irradiance up to {np.abs(raw[lost]).max():.3g} {series.units}; is the file damaged? {where}"
+        raise FormatError(msg)
+    return values
 
 
 def _check_magnitude(wavelength: _FloatArray, values: _FloatArray) -> None:

@@ -1,12 +1,10 @@
-"""ENVI cubes through the lazy reader: values, names, laziness, damage, and other readers as oracles."""
+"""ENVI cubes through the lazy reader: values, damage, laziness, and other readers as oracles."""
 
 from __future__ import annotations
 
 import itertools
-import json
 import os
 import pickle
-import shutil
 import subprocess
 import sys
 import time
@@ -20,52 +18,15 @@ from typing import Any
 import numpy as np
 import pytest
 import xarray as xr
+from envi_cubes import CODES, FROM_LBS, toy, write_cube
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hyperpaint import schema
 from hyperpaint.errors import FormatError, PaintWarning
 from hyperpaint.io.backends import EnviBackendEntrypoint
-from hyperpaint.io.envi import find_pair, open_envi
+from hyperpaint.io.envi import open_envi
 from hyperpaint.io.envi_array import EnviArray
-
-CODES = {
-    "u1": 1,
-    "i2": 2,
-    "i4": 3,
-    "f4": 4,
-    "f8": 5,
-    "c8": 6,
-    "c16": 9,
-    "u2": 12,
-    "u4": 13,
-    "i8": 14,
-    "u8": 15,
-}
-FROM_LBS = {"bil": (0, 1, 2), "bip": (0, 2, 1), "bsq": (1, 0, 2)}
-
-
-def write_cube(
-    path: Path, cube: np.ndarray, *lines: str, interleave: str = "bil", order: str = "<", offset: int = 0
-) -> Path:
-    """Write a (line, band, sample) cube and its header by plain numpy, and return the header's path."""
-    stored = cube.astype(cube.dtype.newbyteorder(order)).transpose(FROM_LBS[interleave])
-    path.write_bytes(b"\xee" * offset + stored.tobytes())
-    header = path.parent / (path.name + ".hdr")
-    code = CODES[cube.dtype.newbyteorder("=").str[1:]]
-    header.write_text(
-        f"ENVI\nlines = {cube.shape[0]}\nbands = {cube.shape[1]}\nsamples = {cube.shape[2]}\n"
-        f"data type = {code}\ninterleave = {interleave}\nbyte order = {'<>'.index(order)}\n"
-        f"header offset = {offset}\n" + "\n".join(lines) + "\n"
-    )
-    return header
-
-
-def toy(dtype: str = "f4") -> np.ndarray:
-    """Return the cube of test_image: 1 + sample + 4 line + 20 band."""
-    i, k, j = np.meshgrid(np.arange(5), np.arange(20), np.arange(4), indexing="ij")
-    made: np.ndarray = (1 + j + 4 * i + 20 * k).astype(dtype)
-    return made
 
 
 @pytest.fixture
@@ -166,232 +127,6 @@ def test_default_chunks_are_whole_lines(tmp_path: Path) -> None:
     line = xr.open_dataset(header, engine=EnviBackendEntrypoint, chunks={})
     assert dict(line.chunks) == {"along_track": (32, 32, 6), "band": (6,), "cross_track": (9,)}
     assert line.counts.encoding["preferred_chunks"] == {"along_track": 32, "band": 6, "cross_track": 9}
-
-
-# --- names, units, coordinates -----------------------------------------------------------------------------
-
-_RADIANCE_UNITS = ";Units = mW/(cm2*sr*um)"
-
-
-@pytest.mark.parametrize(
-    ("dtype", "lines", "name", "units"),
-    [
-        ("u2", (), "counts", "count"),
-        ("i4", ("file type = ENVI Standard", "description = {[HEADWALL Hyperspec III]}"), "counts", "count"),
-        ("u1", ("file type = ENVI Classification",), "values", None),
-        ("f4", (), "values", None),
-        ("f4", ("description = {[HEADWALL Hyperspec III],RADIANCE}",), "radiance", None),
-        ("f4", ("description = {[HEADWALL Hyperspec III],RADIANCE}", _RADIANCE_UNITS), "radiance", "said"),
-        ("u2", ("description = {[HEADWALL Hyperspec III],RADIANCE}", _RADIANCE_UNITS), "radiance", "said"),
-        ("f4", (_RADIANCE_UNITS,), "radiance", "said"),
-        ("f4", (";Units = mW/(cm^2*sr*um)",), "radiance", "mW/(cm2*sr*um)"),
-        ("f4", (";Units = furlong per fortnight",), "values", None),
-        ("f4", ("description = {[x],RADIANCE,REFLECTANCE}", _RADIANCE_UNITS), "reflectance", "1"),
-        ("f4", ("description = {[HEADWALL Hyperspec III],REFLECTANCE,[OR]}",), "reflectance", "1"),
-        ("u2", ("description = {x,REFLECTANCE}", "reflectance scale factor = 1e4"), "reflectance", "1"),
-        ("u2", ("reflectance scale factor = 10000",), "reflectance", "1"),
-        ("f4", ("reflectance scale factor = 1",), "reflectance", "1"),
-        ("u2", ("reflectance scale factor = 1.0",), "counts", "count"),
-        ("f4", ("description = {radiance and other irradiance}",), "values", None),
-        ("u2", ("data gain values = {" + "2," * 20 + "}",), "values", None),
-        ("u2", ("data gain values = {" + "1," * 20 + "}",), "counts", "count"),
-        ("f4", ("data gain values = {" + "2," * 20 + "}", _RADIANCE_UNITS), "radiance", "said"),
-    ],
-)
-def test_name_and_units(
-    tmp_path: Path, dtype: str, lines: tuple[str, ...], name: str, units: str | None
-) -> None:
-    line = open_envi(write_cube(tmp_path / "toy", toy(dtype), *lines))
-    assert list(line.data_vars) == [name]
-    expected = "mW/(cm2*sr*um)" if units == "said" else units
-    assert line[name].attrs.get("units") == expected
-    if name in ("radiance", "reflectance"):
-        assert line[name].dtype == np.float32
-        assert line[name].values.dtype == np.float32
-        assert line[name].attrs["long_name"] == schema.VARIABLES[name].meaning
-
-
-def test_integers_called_reflectance_need_a_scale(tmp_path: Path) -> None:
-    header = write_cube(tmp_path / "toy", toy("u2"), "description = {x,REFLECTANCE}")
-    with pytest.warns(PaintWarning, match="reflectance scale factor = 10000"):
-        line = open_envi(header)
-    assert list(line.data_vars) == ["values"]
-    assert line["values"].dtype == np.uint16
-
-
-def test_radiance_units_convert_through_the_schema(tmp_path: Path) -> None:
-    line = open_envi(write_cube(tmp_path / "toy", toy("f4"), "description = {x,RADIANCE}", _RADIANCE_UNITS))
-    found = schema.require(line, ["radiance"], "reflectance")["radiance"]
-    assert found.attrs["units"] == "W m-2 sr-1 nm-1"
-    np.testing.assert_allclose(found.values, toy("f8") * 0.01, rtol=1e-6)
-
-
-def test_ignore_value_is_compared_before_scaling(tmp_path: Path) -> None:
-    cube = toy("i2")
-    cube[1, 2, 3] = -9999
-    header = write_cube(
-        tmp_path / "toy", cube, "reflectance scale factor = 10000", "data ignore value = -9999"
-    )
-    line = open_envi(header).chunk({"along_track": 2})
-    values = line.reflectance.compute()
-    assert values.dtype == line.reflectance.dtype == np.float32
-    expected = (cube / 1e4).astype(np.float32)
-    expected[1, 2, 3] = np.nan
-    np.testing.assert_array_equal(values, expected)
-
-
-@pytest.mark.parametrize("interleave", FROM_LBS)
-def test_gain_and_offset_of_each_band(tmp_path: Path, interleave: str) -> None:
-    cube, gain, offset = toy("u2"), 0.5 + np.arange(20) / 7, np.arange(20) - 3.0
-    header = write_cube(
-        tmp_path / "toy", cube,
-        f"data gain values = {{{', '.join(map(repr, gain.tolist()))}}}",
-        f"data offset values = {{{', '.join(map(repr, offset.tolist()))}}}",
-        "data ignore value = 1", interleave=interleave,
-    )  # fmt: skip
-    values = open_envi(header)["values"].isel(band=[3, 0, 11])
-    expected = (cube * gain[:, None] + offset[:, None])[:, [3, 0, 11]]
-    expected[0, 1, 0] = np.nan
-    assert values.dtype == np.float32
-    np.testing.assert_allclose(values, expected, rtol=3e-7, atol=1e-5)
-    assert values.values.dtype == np.float32
-
-
-def test_float_ignore_value_written_with_fewer_digits(tmp_path: Path) -> None:
-    cube = toy("f4")
-    cube[0, 0, 0] = -1.23e34
-    values = open_envi(write_cube(tmp_path / "toy", cube, "data ignore value = -1.23e+034"))["values"]
-    assert np.isnan(values[0, 0, 0])
-    assert int(np.isnan(values).sum()) == 1
-    assert values.dtype == np.float32
-
-
-def test_counts_keep_their_type_and_name_the_ignore_value(tmp_path: Path) -> None:
-    counts = open_envi(write_cube(tmp_path / "toy", toy("u2"), "data ignore value = 65535")).counts
-    assert counts.dtype == np.uint16
-    assert counts.attrs["data_ignore_value"] == 65535
-
-
-def test_coordinates_on_band_have_no_index(tmp_path: Path) -> None:
-    values = ", ".join(str(0.9 - i / 100) for i in range(20))
-    line = open_envi(
-        write_cube(
-            tmp_path / "toy", toy("u2"), f"wavelength = {{{values}}}", "wavelength units = um",
-            "fwhm = {" + "0.006," * 20 + "}", "bbl = {" + "0 " * 3 + "1 " * 17 + "}",
-        )
-    )  # fmt: skip
-    assert not line.indexes
-    np.testing.assert_allclose(line.wavelength, 900 - 10 * np.arange(20), rtol=1e-14)  # not sorted
-    for name in ("wavelength", "fwhm", "good"):
-        assert line[name].dims == ("band",)
-        assert line[name].dtype == schema.dtype_of(name)
-        assert line[name].attrs == schema.VARIABLES[name].attrs
-    assert int((~line.good).sum()) == 3
-
-
-def test_attributes_keep_all_the_header_says(tmp_path: Path) -> None:
-    header = write_cube(
-        tmp_path / "raw_0", toy("u2"), "strange key = {a, b}", ";Exposure (ms) = 5", "; remark"
-    )
-    line = open_envi(header)
-    assert line.attrs["source"] == "raw_0"
-    fields = json.loads(line.attrs["envi_header"])
-    assert next(iter(fields)) == "lines"
-    assert fields["strange key"] == "{a, b}"
-    assert json.loads(line.attrs["envi_comments"]) == {"Exposure (ms)": "5"}
-    assert json.dumps(line.attrs)
-    assert str(tmp_path) not in json.dumps(line.attrs)
-
-
-_UTM = "map info = {UTM, 1, 1, 500000, 4000000, 0.5, 0.25, 18, North, WGS-84, units=Meters}"
-
-
-def test_map_geometry(tmp_path: Path) -> None:
-    line = open_envi(write_cube(tmp_path / "toy", toy("f4"), _UTM, interleave="bsq"))
-    array = line["values"]
-    assert array.dims == ("y", "x", "band")
-    np.testing.assert_array_equal(array, toy("f4").transpose(0, 2, 1))
-    np.testing.assert_array_equal(line.x, 500000.25 + 0.5 * np.arange(4))
-    np.testing.assert_array_equal(line.y, 4000000 - 0.125 - 0.25 * np.arange(5))
-    assert line.x.attrs == {"standard_name": "projection_x_coordinate", "units": "m"}
-    assert line.attrs["map_info"].startswith("{UTM")
-    np.testing.assert_array_equal(
-        line["values"].sel(x=500000.75, y=3999999.9, method="nearest"), toy()[0, :, 1]
-    )
-
-
-def test_map_geometry_geographic_with_another_reference_pixel(tmp_path: Path) -> None:
-    info = "map info = {Geographic Lat/Lon, 2.5, 3, -77.5, 43.1, 1e-5, 2e-5, WGS84, units=Degrees}"
-    line = open_envi(write_cube(tmp_path / "toy", toy("f4"), info))
-    # the middle of column 1 (counted from 0) is column 2.5 of ENVI
-    np.testing.assert_allclose(line.x.values[1], -77.5, rtol=1e-15)
-    np.testing.assert_allclose(line.y.values[2], 43.1 - 1e-5, rtol=1e-15)
-    assert line.x.attrs == {"standard_name": "longitude", "units": "degrees_east"}
-
-
-def test_rotated_map_has_no_one_dimensional_coordinates(tmp_path: Path) -> None:
-    line = open_envi(write_cube(tmp_path / "toy", toy("f4"), _UTM.replace("}", ", rotation=30}")))
-    assert line["values"].dims == ("y", "x", "band")
-    assert not {"x", "y"} & set(line.coords)
-    assert "rotation=30" in line.attrs["map_info"]
-
-
-def test_arbitrary_map_info_is_sensor_geometry(tmp_path: Path) -> None:
-    info = "map info = {Arbitrary, 1, 1, 0, 0, 1, 1, 0, North}"
-    assert open_envi(write_cube(tmp_path / "toy", toy("u2"), info)).counts.dims == schema.CUBE
-
-
-# --- the pair ----------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(
-    ("header", "data"),
-    [
-        ("raw_0.hdr", "raw_0"), ("raw_0.HDR", "raw_0"), ("a.hdr", "a.img"), ("a.hdr", "a.DAT"),
-        ("a.hdr", "a.raw"), ("a.hdr", "a.bil"), ("a.hdr", "a.bip"), ("a.hdr", "a.bsq"),
-        ("x.img.hdr", "x.img"), ("x.bil.hdr", "x.bil"), ("v1.2.hdr", "v1.2"), ("v1.2.hdr", "v1.2.img"),
-    ],
-)  # fmt: skip
-def test_either_file_finds_the_other(tmp_path: Path, header: str, data: str) -> None:
-    written = write_cube(tmp_path / data, toy("u2"))
-    if written.name != header:
-        written.rename(tmp_path / header)
-    backend = EnviBackendEntrypoint()
-    for name in (header, data):
-        assert find_pair(tmp_path / name) == (tmp_path / header, tmp_path / data)
-        assert backend.guess_can_open(tmp_path / name)
-        assert backend.guess_can_open(str(tmp_path / name))
-    assert open_envi(str(tmp_path / data)).sizes["band"] == 20
-
-
-def test_pair_problems(tmp_path: Path) -> None:
-    header = write_cube(tmp_path / "a.img", toy("u2")).rename(tmp_path / "a.hdr")
-    shutil.copy(tmp_path / "a.img", tmp_path / "a.dat")
-    with pytest.raises(FormatError, match=r"'a\.img', 'a\.dat'.*open the data file you mean"):
-        find_pair(header)
-    assert find_pair(tmp_path / "a.dat") == (header, tmp_path / "a.dat")
-    (tmp_path / "lonely.hdr").write_text("ENVI\n")
-    with pytest.raises(FormatError, match="no data file beside it"):
-        find_pair(tmp_path / "lonely.hdr")
-    (tmp_path / "bare").write_bytes(b"")
-    with pytest.raises(FormatError, match="no header beside it"):
-        find_pair(tmp_path / "bare")
-    for missing in ("nothing.hdr", "nothing", "."):
-        with pytest.raises(FileNotFoundError, match="no such file"):
-            find_pair(tmp_path / missing)
-
-
-def test_guess_leaves_other_files_alone(tmp_path: Path) -> None:
-    (tmp_path / "a.hdr").write_text("ENVI\n")
-    for name in ("a.nc", "a.tif", "b", "b.img"):
-        (tmp_path / name).write_bytes(b"x")
-    (tmp_path / "other.hdr").write_bytes(b"#?RADIANCE\n")
-    (tmp_path / "a.zarr").mkdir()
-    guess = EnviBackendEntrypoint().guess_can_open
-    for name in ("a.nc", "a.tif", "b", "b.img", "other.hdr", "missing.hdr", "a.zarr", "bad\0name", "."):
-        assert not guess(str(tmp_path / name)), name
-    for thing in ("", ".", "..", "https://example.org/a.img", 3, None, b"bytes", {}):
-        assert not guess(thing)
 
 
 # --- the size of the file ----------------------------------------------------------------------------------

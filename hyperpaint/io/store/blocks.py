@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import itertools
-import os
 import uuid
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -13,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from .layout import encode_chunk, storage_chunks
 from .record import checksum
+from .resume import write_chunk
 
 if TYPE_CHECKING:
     import dask.array as da
@@ -68,21 +68,15 @@ class Target:
             sums[index] = checksum(piece)
             position = tuple(first + step for first, step in zip(offset, index, strict=True))
             if self.folder is None:
-                self.array[region(position, self.chunk, self.array.shape)] = piece
+                self.array[self.region(position)] = piece
             else:
-                self._write_file(piece, position, self.folder)
+                key = self.array.metadata.encode_chunk_key(position)
+                write_chunk(self.folder, key, encode_chunk(piece, self.chunk, self.fill), int(sums[index]))
         return sums
 
-    def _write_file(self, piece: np.ndarray[Any, Any], position: tuple[int, ...], folder: Path) -> None:
-        path = folder / self.array.metadata.encode_chunk_key(position)
-        # step by step from the array's folder: a task that outlives its failed run must not make that again
-        for parent in reversed(path.relative_to(folder).parents[:-1]):
-            (folder / parent).mkdir(exist_ok=True)
-        # a scheduler may run a task twice at once: each writes its own file, the last rename stands
-        temporary = path.with_name(f".{path.name}.{uuid.uuid4().hex}")
-        with open(temporary, "wb") as file:
-            file.writelines(encode_chunk(piece, self.chunk, self.fill))
-        os.replace(temporary, path)
+    def region(self, position: tuple[int, ...]) -> tuple[slice, ...]:
+        """Return the part of the array that one storage chunk holds."""
+        return region(position, self.chunk, self.array.shape)
 
 
 class _Slabs:
@@ -128,8 +122,21 @@ def placeholder(variable: xr.Variable) -> xr.Variable:
     return variable.copy(data=da.zeros(variable.shape, dtype=variable.dtype, chunks=-1))
 
 
-def lazy_checksums(variable: xr.Variable, target: Target) -> da.Array:
-    """Return the checksums of a variable's chunks; to compute them is to store the variable."""
+def lazy_checksums(
+    variable: xr.Variable, target: Target, known: Mapping[tuple[int, ...], int] | None = None
+) -> da.Array:
+    """Return the checksums of a variable's chunks; to compute them is to store the variable.
+
+    Parameters
+    ----------
+    variable
+        What is stored.
+    target
+        Where.
+    known
+        Position in the grid to checksum, for chunks that are there already: a block of which all chunks are
+        known is not computed.
+    """
     import dask
     import dask.array as da
     import numpy as np
@@ -143,7 +150,7 @@ def lazy_checksums(variable: xr.Variable, target: Target) -> da.Array:
         tuple(-(-size // step) for size in sizes)
         for sizes, step in zip(data.chunks, target.chunk, strict=True)
     )
-    return da.map_blocks(
+    sums = da.map_blocks(
         _store_block,
         data,
         target=target,
@@ -153,6 +160,29 @@ def lazy_checksums(variable: xr.Variable, target: Target) -> da.Array:
         meta=np.empty((0,) * data.ndim, dtype=np.uint32),
         name=f"store-{uuid.uuid4().hex}",
     )
+    return _without_known(sums, offsets, known) if known else sums
+
+
+def _without_known(
+    sums: da.Array, offsets: tuple[tuple[int, ...], ...], known: Mapping[tuple[int, ...], int]
+) -> da.Array:
+    """Put values in the place of blocks whose checksums are known; their tasks are then culled."""
+    import dask.array as da
+    import numpy as np
+    from dask.highlevelgraph import HighLevelGraph
+
+    name = f"resumed-{uuid.uuid4().hex}"
+    layer: dict[tuple[Any, ...], Any] = {}
+    for index in np.ndindex(sums.numblocks):
+        first = tuple(starts[i] for starts, i in zip(offsets, index, strict=True))
+        sizes = tuple(pieces[i] for pieces, i in zip(sums.chunks, index, strict=True))
+        chunks = [known.get(tuple(map(sum, zip(first, step, strict=True)))) for step in np.ndindex(sizes)]
+        if None in chunks:
+            layer[(name, *index)] = (sums.name, *index)
+        else:
+            layer[(name, *index)] = np.array(chunks, dtype=np.uint32).reshape(sizes)
+    graph = HighLevelGraph.from_collections(name, layer, dependencies=[sums])
+    return da.Array(graph, name, chunks=sums.chunks, meta=sums._meta)
 
 
 def _sliced(variable: xr.Variable, chunk: tuple[int, ...]) -> da.Array:

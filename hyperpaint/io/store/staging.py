@@ -3,10 +3,11 @@
 ``.partial-<store>/`` holds
 
 * ``lock``: host, process and start of the writer;
-* ``build-<group>-<attempt>``: a group under construction, a small Zarr store of its own;
+* ``build-<group>-<content>-<attempt>``: a group under construction, a small Zarr store of its own;
 * ``replaced-<group>``: the old group, for the moment between two renames.
 
-Whatever a killed writer left there is put right by the next one, before it does anything else.
+Whatever a killed writer left there is put right by the next one, before it does anything else. It takes up
+what was built of the same group with the same content, and removes the rest.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ import shutil
 import socket
 import time
 import uuid
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from pathlib import Path
 from typing import Any
 from urllib.parse import quote, unquote
@@ -27,9 +28,10 @@ from hyperpaint.errors import StoreError
 
 from .location import sync_folder
 
-__all__ = ["Staging", "staging"]
+__all__ = ["Staging", "discard", "staging"]
 
 _ROOT = "%root"
+_DISCARDED = "-discarded"
 #: Seconds after which a lock without content is taken for the leftover of a killed writer.
 _EMPTY_LOCK_AGE = 30.0
 
@@ -47,21 +49,14 @@ class Staging:
         self.store = store
         self.folder = store.parent / f".partial-{store.name}"
 
-    def build(self, group: str) -> Path:
+    def build(self, group: str, content: str) -> Path:
         """Return a new folder name for a group; no other attempt, ended or not, writes there."""
-        return self.folder / f"build-{_quoted(group)}-{uuid.uuid4().hex}"
+        return self.folder / f"{_build_prefix(group, content)}{uuid.uuid4().hex[:12]}"
 
-    def discard(self, build: Path) -> None:
-        """Remove what has been built.
-
-        dask does not wait for the tasks that still run when another fails: once the folder has another name,
-        they cannot write any more.
-        """
-        discarded = build.with_name(f"{build.name}-discarded")
-        with contextlib.suppress(OSError):
-            os.rename(build, discarded)
-        shutil.rmtree(discarded, ignore_errors=True)
-        shutil.rmtree(build, ignore_errors=True)
+    def leftovers(self, group: str, content: str) -> list[Path]:
+        """Return what earlier attempts built of a group with the same content."""
+        prefix = _build_prefix(group, content)
+        return sorted(found for found in self.folder.iterdir() if found.name.startswith(prefix))
 
     def publish(self, build: Path, group: str) -> None:
         """Put a finished group in its place by renaming, the old one out of the way first."""
@@ -74,8 +69,9 @@ class Staging:
         sync_folder(target.parent)
         shutil.rmtree(replaced, ignore_errors=True)
 
-    def recover(self) -> None:
-        """Undo a replacement that was cut short, and remove half-built groups."""
+    def recover(self, wanted: Collection[tuple[str, str]] = ()) -> None:
+        """Undo a replacement that was cut short, and remove half-built groups but for those wanted."""
+        prefixes = tuple(_build_prefix(group, content) for group, content in wanted)
         for found in sorted(self.folder.iterdir()):
             kind, _, name = found.name.partition("-")
             if kind == "replaced":
@@ -83,21 +79,46 @@ class Staging:
                 target = self.store / group if group else self.store
                 if not target.exists():
                     os.rename(found, target)
-            if kind in ("replaced", "build"):
                 shutil.rmtree(found, ignore_errors=True)
+            if kind == "build" and (not found.name.startswith(prefixes) or found.name.endswith(_DISCARDED)):
+                discard(found)
         for pattern in (".zarr.json.*", "*.partial"):  # half-written metadata, zarr's and ours
             for leftover in (*self.store.glob(pattern), *self.store.glob(f"*/{pattern}")):
                 if leftover.is_file():
                     leftover.unlink(missing_ok=True)
 
 
+def discard(build: Path) -> None:
+    """Remove what has been built.
+
+    dask does not wait for the tasks that still run when another fails: once the folder has another name, they
+    cannot write any more.
+    """
+    discarded = build.with_name(f"{build.name}{_DISCARDED}")
+    with contextlib.suppress(OSError):
+        os.rename(build, discarded)
+    shutil.rmtree(discarded, ignore_errors=True)
+    shutil.rmtree(build, ignore_errors=True)
+
+
 def _quoted(group: str) -> str:
     return quote(group, safe="") or _ROOT
 
 
+def _build_prefix(group: str, content: str) -> str:
+    return f"build-{_quoted(group)}-{content}-"
+
+
 @contextlib.contextmanager
-def staging(store: Path) -> Iterator[Staging]:
+def staging(store: Path, wanted: Collection[tuple[str, str]] = ()) -> Iterator[Staging]:
     """Open the staging folder of a store, as its only writer.
+
+    Parameters
+    ----------
+    store
+        Folder of the store.
+    wanted
+        Groups and contents about to be written: what earlier attempts built of them is kept.
 
     Raises
     ------
@@ -108,7 +129,7 @@ def staging(store: Path) -> Iterator[Staging]:
     lock = made.folder / "lock"
     _acquire(lock, store)
     try:
-        made.recover()
+        made.recover(wanted)
         yield made
     finally:
         lock.unlink(missing_ok=True)
@@ -137,8 +158,12 @@ def _acquire(lock: Path, store: Path) -> None:
             return
         except FileNotFoundError:  # the writer before us has just removed the folder
             continue
-        with os.fdopen(descriptor, "w") as file:
-            file.write(owner)
+        try:
+            with os.fdopen(descriptor, "w") as file:
+                file.write(owner)
+        except OSError:  # a full disk: nobody shall wait for an empty lock
+            lock.unlink(missing_ok=True)
+            raise
         return
     msg = f"{store} is being written: {lock} comes and goes; wait for the other writer to finish"
     raise StoreError(msg)

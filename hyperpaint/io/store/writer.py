@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import uuid
 import warnings
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
@@ -25,8 +25,9 @@ from .record import (
     metadata_checksum,
     read_record,
 )
+from .resume import adopt, is_mendable
 from .sources import reads_from
-from .staging import Staging, staging
+from .staging import Staging, discard, staging
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -55,10 +56,11 @@ def to_store(
     as float32, times to the nanosecond.
 
     A group is built beside the store, in ``.partial-<store>``, and put in its place when it is whole and its
-    completion record is written; other groups are never touched. A run that is killed leaves the store as it
-    was, and the next run clears up. Behind a URL (``memory://``, ``s3://`` ...) nothing can be renamed or
-    locked: there the group is written in place, its record still comes last, and the caller sees to it that
-    there is one writer.
+    completion record is written; other groups are never touched. A run that is killed, or ends on a full
+    disk, leaves the store as it was. The next run with the same content takes up its finished blocks, once
+    they have been read and found whole, and computes only the others. Behind a URL (``memory://``, ``s3://``
+    ...) nothing can be renamed or locked: there the group is written in place and always from the start, its
+    record still comes last, and the caller sees to it that there is one writer.
 
     Parameters
     ----------
@@ -105,7 +107,7 @@ def to_store(
     pending = _pending(jobs, location, overwrite=overwrite)
     if not pending and _is_listed(jobs, attrs, location):
         return path
-    with _errors_of_the_system(location), _opened(location) as stage:
+    with _errors_of_the_system(location), _opened(location, jobs) as stage:
         # what another writer finished while we waited counts
         for job in _pending(jobs, location, overwrite=overwrite):
             _write_group(job, location, stage, progress=progress)
@@ -120,6 +122,13 @@ class _Job:
     group: str
     dataset: xr.Dataset
     token: str
+
+    @property
+    def content(self) -> str:
+        """Names what is built: one group is never made by two versions of the program."""
+        from dask.base import tokenize
+
+        return str(tokenize(self.token, _version()))
 
 
 def _plan(
@@ -239,12 +248,12 @@ def _above(group: str) -> list[str]:
 
 
 @contextlib.contextmanager
-def _opened(location: Location) -> Iterator[Staging | None]:
+def _opened(location: Location, jobs: list[_Job]) -> Iterator[Staging | None]:
     if location.local is None:
         yield None
         return
     location.local.parent.mkdir(parents=True, exist_ok=True)
-    with staging(location.local.absolute()) as stage:
+    with staging(location.local.absolute(), [(job.group, job.content) for job in jobs]) as stage:
         yield stage
 
 
@@ -265,23 +274,26 @@ def _write_group(job: _Job, location: Location, stage: Staging | None, *, progre
         # in place: without its seal the group is incomplete from here on
         if location.has(job.group):
             location.fs.rm(location.key(job.group), recursive=True)
-        _build(job, Location.of(location.group_url(job.group)), progress=progress)
+        _build(job, Location.of(location.group_url(job.group)), [], progress=progress)
         _make_groups_above(job.group, location)
         return
-    folder = stage.build(job.group)
+    leftovers = stage.leftovers(job.group, job.content)
+    folder = stage.build(job.group, job.content)
     try:
-        _build(job, Location.of(folder), progress=progress)
+        _build(job, Location.of(folder), leftovers, progress=progress)
         _unlist(job.group, location)
         _make_groups_above(job.group, location)
         stage.publish(folder, job.group)
-    except BaseException:
-        stage.discard(folder)
+    except BaseException as error:
+        if not is_mendable(error):
+            for built in (folder, *leftovers):
+                discard(built)
         raise
 
 
-def _build(job: _Job, place: Location, *, progress: bool) -> None:
+def _build(job: _Job, place: Location, leftovers: list[Path], *, progress: bool) -> None:
     """Write a group as a store of its own: metadata, chunks, their records, and the seal last."""
-    arrays = _write_arrays(job.dataset, place, progress=progress)
+    arrays = _write_arrays(job.dataset, place, leftovers, progress=progress)
     for name, array in arrays.items():
         place.write_json(array.to_document(), name, CHUNKS)
     document = place.metadata("") or {}
@@ -290,8 +302,10 @@ def _build(job: _Job, place: Location, *, progress: bool) -> None:
     place.write_json(document, METADATA)
 
 
-def _write_arrays(dataset: xr.Dataset, place: Location, *, progress: bool) -> dict[str, ArrayRecord]:
-    """Write a group's metadata and chunks; return the records of its arrays."""
+def _write_arrays(
+    dataset: xr.Dataset, place: Location, leftovers: list[Path], *, progress: bool
+) -> dict[str, ArrayRecord]:
+    """Write a group's metadata and the chunks that no leftover has; return the records of its arrays."""
     import numpy as np
     import zarr
 
@@ -300,12 +314,14 @@ def _write_arrays(dataset: xr.Dataset, place: Location, *, progress: bool) -> di
     _write_metadata(dataset.assign_attrs(_stamped(dataset.attrs, "to_store")), list(streamed), place.url)
     node = zarr.open_group(place.url, mode="r+", zarr_format=3, use_consolidated=False)
     arrays = {name: _writable(node, name) for name in variables}
+    targets = {name: _target(arrays[name], name, variable, place) for name, variable in streamed.items()}
+    known = _taken_up(targets, leftovers)
     lazy = {
-        name: blocks.lazy_checksums(variable, _target(arrays[name], name, variable, place))
+        name: blocks.lazy_checksums(variable, targets[name], known[name])
         for name, variable in streamed.items()
     }
     sums = blocks.compute(lazy, progress=progress)
-    _remove_leftovers(place)
+    _remove_hidden(place)
     records = {}
     for name, array in arrays.items():
         if name in sums:
@@ -330,10 +346,22 @@ def _writable(node: Any, name: str) -> Any:
     return zarr.open_array(place, mode="r+", zarr_format=3, config={"write_empty_chunks": True})
 
 
-def _remove_leftovers(place: Location) -> None:
-    """Remove the files of tasks that died while they wrote and were run again elsewhere."""
-    for leftover in place.local.rglob(".*") if place.local is not None else ():
-        leftover.unlink(missing_ok=True)
+def _taken_up(
+    targets: Mapping[str, blocks.Target], leftovers: list[Path]
+) -> dict[str, dict[tuple[int, ...], int]]:
+    """Take the finished chunks out of what earlier attempts left; return the checksums of each array's."""
+    known: dict[str, dict[tuple[int, ...], int]] = {name: {} for name in targets}
+    for leftover in leftovers:
+        for name, target in targets.items():
+            adopt(leftover / name, target, known[name])
+        discard(leftover)
+    return known
+
+
+def _remove_hidden(place: Location) -> None:
+    """Remove the chunks' records, and the files of tasks that died while they wrote."""
+    for hidden in place.local.rglob(".*") if place.local is not None else ():
+        hidden.unlink(missing_ok=True)
 
 
 def _write_metadata(dataset: xr.Dataset, streamed: list[str], url: str) -> None:

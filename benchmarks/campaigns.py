@@ -1,0 +1,65 @@
+"""Fault campaigns at full count: damage made on purpose, and whether anything wrong got through.
+
+    python benchmarks/campaigns.py                          every campaign, hours
+    python benchmarks/campaigns.py --scale 0.01             a hundredth of it
+    python benchmarks/campaigns.py --only parsers,storage   only these
+    python benchmarks/campaigns.py --only parsers --first 200000    further inputs, never tried before
+
+Every fault is a function of its campaign and its number, so that one that got through can be made again.
+Exits with 1 where a campaign failed, or was stopped (Ctrl-C shows what was counted so far).
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[1]
+if __package__ in (None, ""):  # run as a script: `benchmarks` is then not importable yet
+    sys.path.insert(0, str(ROOT))
+
+from benchmarks.faults import parsers, storage, times, writers  # noqa: E402
+from benchmarks.faults.outcome import HEADER, Outcome, total  # noqa: E402
+
+CAMPAIGNS = {
+    "parsers": parsers.campaign,
+    "storage": storage.campaign,
+    "kills": writers.kills,
+    "time": times.campaign,
+    "races": writers.races,
+}
+MOST_SHOWN = 10
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Run what the command line asks for, print the table, return the exit status."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
+    parser.add_argument("--only", default=",".join(CAMPAIGNS), help="campaigns, separated by commas")
+    parser.add_argument("--scale", type=float, default=1.0, help="fraction of the full count")
+    parser.add_argument("--first", type=int, default=0, help="number of the first fault")
+    asked = parser.parse_args(arguments)
+    names = asked.only.split(",")
+    if unknown := sorted(set(names) - set(CAMPAIGNS)):
+        parser.error(f"no campaign {', '.join(unknown)}; there are {', '.join(CAMPAIGNS)}")
+    print(HEADER, flush=True)
+    failed = stopped = False
+    for name in names:
+        parts: list[Outcome] = []
+        try:
+            parts.extend(CAMPAIGNS[name](asked.scale, first=asked.first))
+        except KeyboardInterrupt:
+            stopped = True
+        for outcome in total(parts):
+            print(outcome, flush=True)
+            for line in outcome.wrong[:MOST_SHOWN]:
+                print(f"    {line}", flush=True)
+            failed |= not outcome.good
+        if stopped:
+            print("stopped before its end: this is what was counted so far")
+            break
+    return int(failed or stopped)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,1 @@
+"""Fault campaigns: damage made on purpose, counted against what the package notices."""

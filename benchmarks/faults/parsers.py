@@ -1,0 +1,308 @@
+"""Mutated inputs: a parser may refuse a file with its own error, within a second and 256 MB, or read it."""
+
+from __future__ import annotations
+
+import contextlib
+import resource
+import shutil
+import signal
+import tempfile
+import time
+import warnings
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from hyperpaint.errors import (
+    CollectError,
+    FormatError,
+    PaintError,
+    PaintWarning,
+    TimeError,
+    UnitsError,
+)
+
+from .mutation import mutated
+from .outcome import MOST_BYTES, MOST_SECONDS, Outcome, in_parallel
+
+__all__ = ["PARSERS", "Parser", "campaign", "prepare", "run_part"]
+
+COUNT = 200_000
+SHARED_DATA = Path(__file__).resolve().parents[3] / "shared" / "data"
+_PART = 500
+#: A parser that runs longer than this is stopped: it has failed, and the campaign goes on.
+_HANGS = 30
+
+
+@dataclass(frozen=True)
+class Parser:
+    """What reads a file, the errors that its documentation names, and whole files to start from.
+
+    Attributes
+    ----------
+    read
+        Takes a path.
+    errors
+        May be raised.
+    seeds
+        Files in the folder of `prepare`; the mutated one takes the place of a copy, beside its neighbours.
+    real
+        Files in the folder of real samples, used where that is present.
+    """
+
+    read: Callable[[Path], object]
+    errors: tuple[type[PaintError], ...]
+    seeds: tuple[str, ...]
+    real: tuple[str, ...] = ()
+
+    def files(self, folder: Path) -> list[Path]:
+        """Return the seeds as paths, in an order that no machine changes."""
+        real = [path for pattern in self.real for path in sorted(SHARED_DATA.glob(pattern))]
+        return [*(folder / name for name in self.seeds), *real]
+
+
+def _envi(path: Path) -> None:
+    from hyperpaint.io.envi import open_envi
+
+    opened = open_envi(path)
+    for array in opened.data_vars.values():
+        array.isel({array.dims[0]: [0, -1]}).load()
+
+
+def _asd(path: Path) -> None:
+    from hyperpaint.io.asd import open_asd
+
+    open_asd(path, None if path.suffix == ".asd" else "reflectance", utc_offset_h=0.0)
+
+
+def _asd_layout(path: Path) -> None:
+    from hyperpaint.io.asd_layout import read_asd
+
+    read_asd(path)
+
+
+def _asd_text(path: Path) -> None:
+    from hyperpaint.io.asd_text import read_asd_text
+
+    read_asd_text(path)
+
+
+def _irradiance_csv(path: Path) -> None:
+    from hyperpaint.io.irradiance_csv import read_irradiance_csv
+
+    read_irradiance_csv(path)
+
+
+def _irradiance(path: Path) -> None:
+    from hyperpaint.io.irradiance import open_irradiance
+
+    open_irradiance(path, utc_offset_h=0.0, fwhm_nm=3.0, max_gap_s=5.0, units="W m-2 nm-1")
+
+
+def _frame_index(path: Path) -> None:
+    from hyperpaint.io.headwall import read_frame_index
+
+    read_frame_index(path)
+
+
+def _navigation(path: Path) -> None:
+    from hyperpaint.io.navigation import read_imu_gps
+
+    read_imu_gps(path)
+
+
+def _settings(path: Path) -> None:
+    from hyperpaint.io.headwall import exposure_seconds, read_settings
+
+    exposure_seconds(read_settings(path), path.name)
+
+
+def _gps_time(path: Path) -> None:
+    from hyperpaint.io.navigation import read_gps_time
+
+    read_gps_time(path)
+
+
+def _collect(path: Path) -> None:
+    from hyperpaint.io.collect_toml import read_collect
+
+    read_collect(path)
+
+
+_BINARY = ("asd_binary/*.asd",)
+_TEXT = ("asd_ascii/*", "asd_binary/*.txt")
+
+PARSERS: Mapping[str, Parser] = {
+    "envi": Parser(
+        _envi,
+        (FormatError,),
+        ("flight/raw_0.hdr", "dark/raw_0.hdr"),
+        ("envi_cube/test_image.hdr", "envi_cube/ang*.hdr", "envi_cube/prm*.hdr", "envi_cube/corn*.hdr"),
+    ),
+    "asd": Parser(_asd_layout, (FormatError,), ("asd/sky00000.asd",), _BINARY),
+    "asd-text": Parser(_asd_text, (FormatError,), ("sky.txt",), _TEXT),
+    "asd-open": Parser(_asd, (FormatError, TimeError), ("asd/sky00000.asd", "sky.txt"), (*_BINARY, *_TEXT)),
+    "irradiance-csv": Parser(_irradiance_csv, (FormatError,), ("sky.csv", "zone.csv")),
+    "irradiance-open": Parser(
+        _irradiance, (FormatError, TimeError, UnitsError), ("sky.csv", "zone.csv", "asd/sky00001.asd")
+    ),
+    "frame-index": Parser(
+        _frame_index,
+        (FormatError, TimeError),
+        ("flight/frameIndex_0.txt", "frameIndex_time.txt", "frameIndex_seconds.txt"),
+    ),
+    "imu-gps": Parser(
+        _navigation, (FormatError,), ("flight/imu_gps.txt", "imu_gps_month.txt", "imu_gps_time.txt")
+    ),
+    "settings": Parser(_settings, (FormatError,), ("flight/settings.txt", "settings_comments.txt")),
+    "gps-time": Parser(_gps_time, (FormatError, TimeError), ("gps_time.txt",)),
+    "collect-toml": Parser(_collect, (CollectError,), ("collect.toml",)),
+}
+
+
+# --- whole files -------------------------------------------------------------------------------------------
+
+
+def prepare(folder: Path) -> None:
+    """Write the simulated seeds: a small collect, and the variants of its files that other programs write."""
+    from hyperpaint.simulation import simulate_collect
+
+    simulate_collect(folder, lines=24, bands=4, columns=6, overwrite=True)
+    times = [f"12:00:{step // 10:02d}.{step % 10}" for step in range(30)]
+    micro = [f"12:00:{step // 10:02d} {step % 10}00000" for step in range(30)]
+    spectra = "".join(f",{1.0 + band / 100:.3f}" for band in range(60))
+    head = "".join(f",{400 + 10 * band}" for band in range(60))
+    nav = "0.1\t0.2\t90.5\t43.1\t-77.6\t150.0"
+    written = {
+        "sky.csv": "# units: W m-2 nm-1\n# fwhm_nm: 3\n"
+        + f"time{head}\n"
+        + "".join(f"2024-05-21T{time}Z{spectra}\n" for time in times),
+        "zone.csv": f"time{head}\n" + "".join(f"2024-05-21 {time}{spectra}\n" for time in times),
+        "sky.txt": "Wavelength\tsky.asd\tsky2.asd\r\n"
+        + "".join(f"{nm}\t{nm / 900:.6f}\t{nm / 800:.4E}\r\n" for nm in range(350, 650)),
+        "frameIndex_time.txt": "Frame#\tTime\r\n"
+        + "".join(f"{row}\t{time}\r\n" for row, time in enumerate(micro)),
+        "frameIndex_seconds.txt": "Frame#\tTime\r\n"
+        + "".join(f"{row}\t12:00:{row // 10:02d}\r\n" for row in range(40)),
+        "imu_gps_month.txt": "Roll\tPitch\tYaw\tLat\tLon\tAlt\tSystemTime\tGPS_UTC\tGps_UTC_Date&Time\r\n"
+        + "".join(f"{nav}\t{1000000 + row}\t{row}\t2021/Jul/20 {time}\r\n" for row, time in enumerate(times)),
+        "imu_gps_time.txt": "Roll\tPitch\tYaw\tLat\tLon\tAlt\tTime\r\n"
+        + "".join(f"{nav}\t{time}\r\n" for time in micro),
+        "settings_comments.txt": "Exposure (ms) = 5.0\r\nExposure = 5.0 ms\r\n[camera]\r\nfps=140\r\n",
+        "gps_time.txt": "PC\tPOS\r\n"
+        + "".join(f"{pc}\t2021/07/20 {time}\r\n" for pc, time in zip(micro, times, strict=True)),
+    }
+    for name, text in written.items():
+        (folder / name).write_bytes(text.encode())
+
+
+def _place(parser: Parser, folder: Path, own: Path) -> list[tuple[Path, bytes]]:
+    """Copy the seeds with their neighbours into a worker's own folder; return where, and their bytes."""
+    placed = []
+    for number, file in enumerate(parser.files(folder)):
+        room = own / str(number)
+        if file.name == "collect.toml":
+            shutil.copytree(file.parent, room)
+        else:
+            room.mkdir()
+            beside = file.parent.glob(f"{file.stem}*") if file.suffix == ".hdr" else [file]
+            for neighbour in beside:
+                (room / neighbour.name).write_bytes(neighbour.read_bytes())
+        placed.append((room / file.name, file.read_bytes()))
+    return placed
+
+
+# --- one worker --------------------------------------------------------------------------------------------
+
+
+class _Hangs(BaseException):
+    """A parser ran for so long that it was stopped."""
+
+
+def _resident(key: str) -> int:
+    """Return ``VmRSS`` or its peak ``VmHWM`` [byte]; 0 where the system does not tell."""
+    try:
+        text = Path("/proc/self/status").read_text()
+    except OSError:
+        return 0
+    return int(text.partition(f"{key}:")[2].split()[0]) * 1024
+
+
+@contextlib.contextmanager
+def _limits() -> Iterator[None]:
+    """Let memory grow by little more than is allowed, and stop what hangs."""
+
+    def stop(*_: Any) -> None:
+        raise _Hangs
+
+    before, alarm = resource.getrlimit(resource.RLIMIT_AS), signal.signal(signal.SIGALRM, stop)
+    if (used := _resident("VmSize")) > 0:
+        resource.setrlimit(resource.RLIMIT_AS, (used + 2 * MOST_BYTES, before[1]))
+    try:
+        yield
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0)
+        resource.setrlimit(resource.RLIMIT_AS, before)
+        signal.signal(signal.SIGALRM, alarm)
+
+
+def _measured(read: Callable[[Path], object], path: Path) -> tuple[BaseException | None, float, int]:
+    """Return what left the parser, its processor time and the growth of memory."""
+    with contextlib.suppress(OSError):
+        Path("/proc/self/clear_refs").write_text("5")  # the peak begins anew
+    before = _resident("VmRSS")
+    signal.setitimer(signal.ITIMER_REAL, _HANGS)
+    begun = time.process_time()
+    raised: BaseException | None = None
+    try:
+        read(path)
+    except (Exception, _Hangs) as error:
+        raised = error
+    seconds = time.process_time() - begun
+    signal.setitimer(signal.ITIMER_REAL, 0)
+    return raised, seconds, max(_resident("VmHWM") - before, 0)
+
+
+def run_part(name: str, folder: Path, numbers: range) -> Outcome:
+    """Mutate, read and judge inputs ``numbers`` of one parser."""
+    parser = PARSERS[name]
+    made = Outcome(f"parser {name}", seconds=0.0, memory=0)
+    with tempfile.TemporaryDirectory() as own, warnings.catch_warnings(), _limits():
+        # a warning of numpy's would mean values that nobody meant
+        warnings.simplefilter("error")
+        warnings.simplefilter("ignore", PaintWarning)
+        placed = _place(parser, folder, Path(own))
+        parser.read(placed[0][0])  # imports are no part of the first input's time
+        for number in numbers:
+            path, seed = placed[number % len(placed)]
+            path.write_bytes(mutated(seed, name, number))
+            raised, seconds, memory = _measured(parser.read, path)
+            made.count += 1
+            made.notes["read" if raised is None else "refused"] += 1
+            if raised is not None and not (type(raised) in parser.errors and str(raised)):
+                text = str(raised).replace(own, "")
+                made.wrong.append(f"{name} input {number}: {type(raised).__name__}: {text:.200}")
+            elif seconds > MOST_SECONDS or memory > MOST_BYTES:
+                made.wrong.append(f"{name} input {number}: {seconds:.2f} s, {memory / 2**20:.0f} MB")
+            made.seconds = max(made.seconds or 0.0, seconds)
+            made.memory = max(made.memory or 0, memory)
+        return made
+
+
+def _run(part: tuple[str, Path, range]) -> list[Outcome]:
+    return [run_part(*part)]
+
+
+def campaign(scale: float = 1.0, *, first: int = 0, names: tuple[str, ...] = ()) -> Iterator[Outcome]:
+    """Yield the outcome of every part; ``first`` resumes, or continues an earlier campaign."""
+    count = max(1, round(COUNT * scale))
+    with tempfile.TemporaryDirectory() as scratch:
+        folder = Path(scratch)
+        prepare(folder)
+        parts = [
+            (name, folder, range(start, min(start + _PART, first + count)))
+            for name in (names or PARSERS)
+            for start in range(first, first + count, _PART)
+        ]
+        yield from in_parallel(_run, parts)

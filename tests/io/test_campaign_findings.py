@@ -1,0 +1,55 @@
+"""Inputs that the fault campaigns found: each once left its parser in a wrong way."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from hyperpaint.errors import CollectError, FormatError, PaintWarning
+from hyperpaint.io.asd import open_asd
+from hyperpaint.io.collect_toml import read_collect
+from hyperpaint.io.irradiance import open_irradiance
+
+
+@pytest.mark.parametrize("pattern", ["*/" * 3000, "**/" * 30 + "*.asd", "[" * 5000])
+def test_globs_that_recurse_or_never_end(pattern: str, tmp_path: Path) -> None:
+    # RecursionError from glob (a level a folder); with many '**' the time multiplies
+    path = tmp_path / "collect.toml"
+    path.write_text(f'[irradiance]\nfiles = "{pattern}"\n')
+    with pytest.raises(CollectError, match=r"expected at most 1000 characters, one '\*\*'"):
+        read_collect(path)
+
+
+@pytest.mark.parametrize("number", ["9" * 400, "-" + "9" * 400, "0x" + "f" * 5000, "[0x" + "f" * 5000 + "]"])
+def test_whole_numbers_beyond_float64(number: str, tmp_path: Path) -> None:
+    # OverflowError: int too large to convert to float; ValueError where it is printed
+    path = tmp_path / "collect.toml"
+    path.write_text(f"[camera]\nexposure_time_ms = {number}\n")
+    with pytest.raises(CollectError, match="expected a positive number"):
+        read_collect(path)
+
+
+@pytest.mark.parametrize("cell", ["1e39", "-1e300", "1.7e308"])
+def test_irradiance_beyond_float32(cell: str, tmp_path: Path) -> None:
+    # RuntimeWarning: overflow encountered in cast, and inf in the series
+    path = tmp_path / "sky.csv"
+    rows = "2024-05-21T12:00:00Z,0.9,0.9,0.9\n" + f"2024-05-21T12:00:02Z,0.9,{cell},0.9\n"
+    path.write_text(f"# units: uW cm-2 nm-1\n# fwhm_nm: 3\ntime,500,600,700\n{rows}")
+    with pytest.raises(FormatError, match=r"is the file damaged\? sky.csv:5"):
+        open_irradiance(path, units="kW m-2 nm-1")
+
+
+def test_asd_product_beyond_float64(write_asd: Callable[..., Path]) -> None:
+    # RuntimeWarning: overflow encountered in multiply
+    counts = np.full(11, 1000.0)
+    damaged = counts.copy()
+    damaged[4] = 1e300
+    blocks: dict[int, Any] = {2: (136, np.full(11, 1e10)), 3: (136, np.full(11, 1.0))}
+    path = write_asd("sky.asd", damaged, data_type=7, blocks=blocks, utc_offset_h=0.0)
+    with pytest.warns(PaintWarning, match="not finite"):
+        opened = open_asd(path, "irradiance", utc_offset_h=0.0)
+    np.testing.assert_array_equal(np.flatnonzero(np.isnan(opened.irradiance.values[0])), [4])
