@@ -270,8 +270,9 @@ def test_measured_peaks_stay_below_the_model(large: Path, tmp_path: Path, thread
         check=True,
     )
     needed, peak = map(int, done.stdout.split())
-    # below it, though not by far: a thread that waits for a busy core holds fewer slabs
-    assert peak <= needed <= 2.0 * peak
+    assert peak <= needed
+    if threads == 1:  # a second thread that waits for a busy core holds no slab, and the peak is anyone's
+        assert needed <= 1.4 * peak
     size = sum(path.stat().st_size for path in (tmp_path / "lot.zarr").rglob("*") if path.is_file())
     counts, product = 320 * 272 * 640 * 2, 320 * 272 * 640 * 4
     assert size < 1.1 * (0.55 * counts + 0.45 * product)

@@ -28,6 +28,7 @@ from .asd import (
     sniff,
     utc_offsets,
 )
+from .daylight import check_magnitude
 from .irradiance_csv import read_irradiance_csv
 from .stamps import TO_MIDDLE
 
@@ -41,13 +42,6 @@ _ASD_FWHM_SOURCE = f"assumed: {ASD_FWHM_NM:g} nm, the resolution of ASD instrume
 _GAP_INTERVALS = 2.5
 _STORE_SUFFIXES = (".zarr", ".nc", ".nc4", ".h5")
 _STORE_FILES = ("zarr.json", ".zgroup", ".zattrs")
-
-# Above the atmosphere the sun gives 2.2 W m-2 nm-1 at most and 1.5 in the median of 400-1000 nm, and light
-# off clouds hardly adds more than the air takes; 3e-4 is deep twilight, yet more than full sun mistaken for
-# W cm-2 nm-1.
-_HIGHEST_MEDIAN = 3.0
-_LOWEST_MEDIAN = 3e-4
-_JUDGED_NM = (400.0, 1000.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -166,7 +160,7 @@ def open_irradiance(
     order = np.argsort(times, kind="stable")
     _refuse_duplicates(series, times, order)
     values = _in_float32_range(series, order, conversion_factor(series.units, VARIABLES["irradiance"].units))
-    _check_magnitude(series.wavelength, values)
+    check_magnitude(series.wavelength, values)
     made = _dataset(series, times[order], values, fwhm_nm, max_gap_s)
     made.attrs.update(
         irradiance_utc_offset_h=sorted(set(map(float, series.utc_offset_h))),
@@ -437,28 +431,6 @@ def _in_float32_range(series: _Series, order: npt.NDArray[np.intp], factor: floa
         msg = f"irradiance up to {np.abs(raw[lost]).max():.3g} {series.units}; is the file damaged? {where}"
         raise FormatError(msg)
     return values
-
-
-def _check_magnitude(wavelength: _FloatArray, values: _FloatArray) -> None:
-    """Refuse a series whose scale no daylight has: its units are others than those given."""
-    judged = values[:, (wavelength >= _JUDGED_NM[0]) & (wavelength <= _JUDGED_NM[1])]
-    judged = judged[np.isfinite(judged).any(axis=1)] if judged.shape[1] else judged[:0]
-    if not len(judged):
-        return
-    medians = np.nanmedian(judged, axis=1)
-    brightest = float(medians.max())
-    if _LOWEST_MEDIAN <= brightest <= _HIGHEST_MEDIAN:
-        return
-    direction = (
-        f"brighter than the sun above the atmosphere (at most {_HIGHEST_MEDIAN:g} is believed)"
-        if brightest > _HIGHEST_MEDIAN
-        else f"darker than deep twilight (at least {_LOWEST_MEDIAN:g} is believed)"
-    )
-    msg = (
-        f"the median irradiance of 400-1000 nm is {brightest:.3g} W m-2 nm-1, {direction}; are the values in "
-        "other units (uW labelled as W?) or another quantity, such as counts? Pass units=, or convert them"
-    )
-    raise UnitsError(msg)
 
 
 def _dataset(
