@@ -1,8 +1,7 @@
-"""From an irradiance series to the irradiance of every scan line, band and column.
+"""From an irradiance series to the irradiance of every band and column.
 
-In wavelength the spectrometer's samples are matched to the imager's responses (`match_irradiance`); in time
-the matched series is linear between the two samples around a line. What lies outside the record, or in a gap
-of it, is NaN and flagged: nothing is extrapolated.
+The spectrometer's samples are matched to the imager's responses (`match_irradiance`), at the wavelength
+shifts of its smile, and turned onto a tilted surface. Which samples light a line is the matter of `synchrony`.
 """
 
 from __future__ import annotations
@@ -16,16 +15,15 @@ import numpy as np
 import numpy.typing as npt
 
 from . import schema
-from .errors import PaintWarning, Problems, SchemaError, TimeError
+from .errors import PaintWarning, Problems, SchemaError
 from .responses import Matching, Responses, log_slope, matching_operator
-from .schema import Quality
 from .sun import diffuse_fraction, solar_position
 from .units import convert
 
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["LineLight", "Smile", "Tilt", "line_light", "match_irradiance", "matched_series", "smile_cells"]
+__all__ = ["Smile", "Tilt", "match_irradiance", "matched_series", "smile_cells"]
 
 Float = npt.NDArray[np.float64]
 Array = npt.NDArray[Any]
@@ -33,9 +31,6 @@ Array = npt.NDArray[Any]
 NODE_SPACING = 0.5
 """Distance of the wavelength shifts at which operators are made [nm]; between them E is cubic."""
 MAX_NOISE_GAIN = 3.0
-UNSTABLE_CHANGE = 0.02
-"""Relative change of the 400-1000 nm irradiance between two samples above which light is unstable."""
-LOW_SUN_ZENITH = 75.0
 
 
 @dataclass(frozen=True)
@@ -381,117 +376,3 @@ def matched_series(
     width = np.broadcast_to(np.asarray(irradiance_fwhm, np.float64), channels.shape)[order]
     matching = _operator(channels[order], width, irradiance_shape, imager, nodes)
     return _apply(matching, np.asarray(spectra, np.float64)[:, order]), matching.misfit
-
-
-@dataclass(frozen=True)
-class LineLight:
-    """Which irradiance samples light each line.
-
-    Attributes
-    ----------
-    before, after : (line,), int64
-        The samples on either side of the line.
-    weight : (line,), float64
-        Of the later sample; NaN where the line has no light.
-    age : (line,), float32
-        Time to the nearest sample [s].
-    flags : (line,), uint16
-        Bits of `Quality` that hold for the whole line.
-    """
-
-    before: npt.NDArray[np.int64]
-    after: npt.NDArray[np.int64]
-    weight: Float
-    age: npt.NDArray[np.float32]
-    flags: npt.NDArray[np.uint16]
-
-
-def line_light(
-    time: Array,
-    irradiance_time: Array,
-    broadband: Float,
-    max_gap: float | None = None,
-    latitude: Array | None = None,
-    longitude: Array | None = None,
-) -> LineLight:
-    """Return the neighbours and weights of every line in an irradiance record.
-
-    Parameters
-    ----------
-    time : (line,)
-        UTC at mid exposure; NaT for a line without data. They need not be in order.
-    irradiance_time : (sample,)
-        UTC of the samples; must increase.
-    broadband : (sample,)
-        Irradiance of each sample, summed over 400-1000 nm, any scale; NaN marks a sample to leave out.
-    max_gap
-        Longest interval that is interpolated [s]; 2.5 median intervals by default.
-    latitude, longitude : (line,)
-        Place of the camera [degree]; without them the sun's height is not judged.
-
-    Raises
-    ------
-    TimeError
-        Irradiance times do not increase, are missing, or there is no valid sample.
-
-    Notes
-    -----
-    The weight is the quotient of two int64 intervals in nanoseconds, so that no bit of it depends on chunks
-    or on the distance to 1970.
-    """
-    lines = np.asarray(time).astype("datetime64[ns]")
-    samples = np.asarray(irradiance_time).astype("datetime64[ns]")
-    check_irradiance_times(samples)
-    kept = np.flatnonzero(np.isfinite(broadband))
-    if kept.size == 0:
-        msg = "the irradiance record holds no valid spectrum"
-        raise TimeError(msg)
-    missing = np.isnat(lines)
-    stamps, ticks = lines.astype(np.int64), samples[kept].astype(np.int64)
-    stamps = np.where(missing, ticks[0], stamps)
-    low = np.searchsorted(ticks, stamps, side="right") - 1
-    outside = (low < 0) | (stamps > ticks[-1])
-    low = np.clip(low, 0, max(ticks.size - 2, 0))
-    high = np.minimum(low + 1, ticks.size - 1)
-    since, interval = stamps - ticks[low], ticks[high] - ticks[low]
-    weight = since / np.maximum(interval, 1)
-    age = np.minimum(np.abs(since), np.abs(ticks[high] - stamps)) / 1e9
-    if max_gap is not None and not max_gap > 0:
-        msg = f"'irradiance_max_gap' is {max_gap:g} s, expected a positive number"
-        raise SchemaError(msg)
-    if max_gap is None:
-        max_gap = 2.5 * float(np.median(np.diff(ticks))) / 1e9 if ticks.size > 1 else 0.0
-    gap = ~outside & (interval / 1e9 > max_gap) & (weight > 0.0) & (weight < 1.0)
-    level = broadband[kept]
-    change = np.abs(level[high] - level[low]) / np.maximum(np.minimum(level[high], level[low]), 1e-30)
-    flags = np.zeros(lines.shape, np.uint16)
-    flags[outside | gap] |= np.uint16(Quality.IRRADIANCE_GAP)
-    flags[~outside & (change > UNSTABLE_CHANGE)] |= np.uint16(Quality.ILLUMINATION_UNSTABLE)
-    if latitude is not None and longitude is not None:
-        zenith, _ = solar_position(lines, latitude, longitude)
-        flags[np.nan_to_num(zenith, nan=0.0) > LOW_SUN_ZENITH] |= np.uint16(Quality.LOW_SUN)
-    flags[missing] = Quality.NO_DATA
-    unlit = outside | gap | missing
-    return LineLight(
-        kept[low].astype(np.int64),
-        kept[high].astype(np.int64),
-        np.where(unlit, np.nan, weight),
-        np.where(missing, np.nan, age).astype(np.float32),
-        flags,
-    )
-
-
-def check_irradiance_times(samples: Array) -> None:
-    """Raise TimeError unless stamps are all there and increase."""
-    problems = Problems("irradiance times cannot be used", TimeError)
-    if np.isnat(samples).any():
-        problems.add(f"{int(np.isnat(samples).sum())} of {samples.size} stamps are missing (NaT); drop them")
-    steps = np.diff(samples.astype(np.int64))
-    same, back = np.flatnonzero(steps == 0), np.flatnonzero(steps < 0)
-    if same.size:
-        problems.add(f"{same.size} duplicate stamps, first {samples[same[0]]}; keep one spectrum of each")
-    if back.size:
-        problems.add(
-            f"stamps run backwards at {samples[back[0] + 1]}; sort them with .sortby('irradiance_time')"
-        )
-    problems.raise_if_any()

@@ -13,9 +13,10 @@ import numpy as np
 import numpy.typing as npt
 
 from .errors import PaintWarning, Problems, SchemaError, TimeError
-from .illumination import LineLight, Smile, Tilt, line_light, matched_series, smile_cells
+from .illumination import Smile, Tilt, matched_series, smile_cells
 from .schema import Quality
 from .slabs import Plan
+from .synchrony import LineLight, line_light
 
 __all__ = ["make_plan"]
 
@@ -224,14 +225,15 @@ def _illuminate(
     spectra = np.asarray(light["irradiance"], np.float64)
     channels = np.asarray(light["irradiance_wavelength"], np.float64)
     stamps = np.asarray(light["irradiance_time"]).astype("datetime64[ns]")
-    gap = light.get("irradiance_max_gap")
+    gap, clock = (light.get(name) for name in ("irradiance_max_gap", "irradiance_clock_uncertainty"))
     lines = line_light(
         time,
         stamps,
-        _broadband(spectra, channels),
+        _levels(spectra, channels),
         None if gap is None else float(gap),
         cube.get("latitude"),
         cube.get("longitude"),
+        None if clock is None else float(clock),
     )
     # a record of the whole day lights a line of a minute
     used, places = np.unique(np.stack([lines.before, lines.after]), return_inverse=True)
@@ -252,7 +254,7 @@ def _illuminate(
         latitude, longitude = (_mean_place(cube[name], name) for name in ("latitude", "longitude"))
         onto = tilt.factor(stamps[used], latitude, longitude, imager["wavelength"])
         matched = matched * onto[:, None, :]
-    light_of_lines = LineLight(before, after, lines.weight, lines.age, lines.flags)
+    light_of_lines = LineLight(before, after, lines.weight, lines.age, lines.sensitivity, lines.flags)
     return smile.cubics(matched), light_of_lines, misfit.max(axis=0).astype(np.float32)
 
 
@@ -276,17 +278,21 @@ def _mean_place(degrees: Any, name: str) -> float:
     return float(known.mean())
 
 
-def _broadband(spectra: Float, channels: Float) -> Float:
-    """Return the 400-1000 nm sum of each spectrum; NaN where it misses what nearly all others have.
+def _levels(spectra: Float, channels: Float) -> Float:
+    """Return sums of each spectrum over intervals of 100 nm; NaN where it misses what nearly all others have.
 
     Wavelengths missing in more than a tenth of the spectra do not count: they cost their bands, not the
     record.
     """
-    inside = spectra[:, (channels >= 400.0) & (channels <= 1000.0)]
-    if inside.shape[1] == 0:
-        inside = spectra
-    known = np.isnan(inside).mean(axis=0) <= 0.1
-    return np.asarray(inside[:, known].sum(axis=1)) if known.any() else np.full(len(spectra), np.nan)
+    inside = (channels >= 400.0) & (channels <= 1000.0)
+    inside = inside if inside.any() else np.ones(channels.size, bool)
+    used = inside & (np.isnan(spectra).mean(axis=0) <= 0.1)
+    if not used.any():
+        return np.full((len(spectra), 1), np.nan)
+    interval = np.floor(np.minimum(channels, 999.0) / 100.0)
+    return np.stack(
+        [spectra[:, used & (interval == i)].sum(axis=1) for i in np.unique(interval[used])], axis=1
+    )
 
 
 def _panel_scale(panel: Mapping[str, Any]) -> Float:

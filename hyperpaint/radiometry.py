@@ -49,7 +49,8 @@ _OWN_BITS = {
     | Quality.NO_DATA
     | Quality.IRRADIANCE_GAP
     | Quality.ILLUMINATION_UNSTABLE
-    | Quality.LOW_SUN,
+    | Quality.LOW_SUN
+    | Quality.TIMING_SENSITIVE,
 }
 
 
@@ -197,7 +198,7 @@ def reflectance(
         (band), ``wavelength_shift`` where there is smile, and the irradiance.
     irradiance
         Replaces the line's own: ``irradiance`` (irradiance_time, irradiance_wavelength), ``irradiance_fwhm``
-        and, if wished, ``irradiance_max_gap``, each with ``units``.
+        and, if wished, ``irradiance_max_gap`` and ``irradiance_clock_uncertainty``, each with ``units``.
     tilt
         Attitude of a surface that is not level, as `Tilt` or (angle, azimuth) [degree]; needs latitude and
         longitude.
@@ -210,10 +211,11 @@ def reflectance(
     -------
     Dataset
         The same with ``reflectance`` (along_track, band, cross_track), float32 [1], ``quality``
-        (along_track, cross_track), uint16, ``irradiance_age`` (along_track), float32 [s], and
-        ``irradiance_misfit`` (band), float32 [1]. NaN where a
-        sample is saturated, an element bad, or a line outside the irradiance record or in a gap of it.
-        Values below 0 and, in glint, above 1 are kept.
+        (along_track, cross_track), uint16, ``irradiance_age`` (along_track), float32 [s],
+        ``timing_sensitivity`` (along_track), float32 [1]: by how much irradiance changes within the clocks'
+        uncertainty, and ``irradiance_misfit`` (band), float32 [1]. NaN where a sample is saturated, an
+        element bad, or a line outside the irradiance record or in a gap of it. Values below 0 and, in glint,
+        above 1 are kept.
 
     Raises
     ------
@@ -270,8 +272,9 @@ def reflectance(
     result["reflectance"].attrs.update({key: text for key, text in notes.items() if text})
     lines, bands = cube.sizes[ALONG_TRACK], cube.sizes[BAND]
     age = _small_output("irradiance_age", slabs.age_of_irradiance, plan, ALONG_TRACK, lines)
+    timing = _small_output("timing_sensitivity", slabs.sensitivity_to_timing, plan, ALONG_TRACK, lines)
     misfit = _small_output("irradiance_misfit", slabs.misfit_of_irradiance, plan, BAND, bands)
-    return result.assign(irradiance_age=age, irradiance_misfit=misfit)
+    return result.assign(irradiance_age=age, timing_sensitivity=timing, irradiance_misfit=misfit)
 
 
 def _refuse_without(dataset: xr.Dataset, names: tuple[str, ...], purpose: str) -> None:
@@ -313,11 +316,11 @@ def _cube_inputs(dataset: xr.Dataset, purpose: str) -> tuple[xr.DataArray, dict[
 
 def _light_inputs(dataset: xr.Dataset, tilt: Any) -> dict[str, Any]:
     """Return the irradiance and its companions, checked as far as their labels allow."""
-    from .illumination import check_irradiance_times
+    from .synchrony import check_irradiance_times
 
     names = [*_LIGHT, IRRADIANCE_TIME, IRRADIANCE_WAVELENGTH]
-    if "irradiance_max_gap" in dataset.variables:
-        names.append("irradiance_max_gap")
+    companions = ("irradiance_max_gap", "irradiance_clock_uncertainty")
+    names += [name for name in companions if name in dataset.variables]
     if tilt is not None:
         names += ["latitude", "longitude"]
     found = schema.require(dataset, names, "reflectance")

@@ -122,6 +122,7 @@ class Quality(IntFlag):
     MIXED_EDGE = 512
     OFF_SWATH = 1024
     NO_DATA = 2048
+    TIMING_SENSITIVE = 4096
 
 
 _ELEMENT = (BAND, CROSS_TRACK)
@@ -190,10 +191,18 @@ _TABLE = (
         "Longest interval between irradiance samples that is still interpolated",
     ),
     Variable(
+        "irradiance_clock_uncertainty", (), "s", "float64",
+        "How far the clocks of camera and spectrometer may disagree",
+    ),
+    Variable(
         "irradiance_misfit", (BAND,), "1", "float32",
         "Distance of the response that irradiance was matched to from that of the camera, relative",
     ),
     Variable("irradiance_age", _LINE, "s", "float32", "Time to the nearest irradiance sample"),
+    Variable(
+        "timing_sensitivity", _LINE, "1", "float32",
+        "Largest relative change of irradiance within the clocks' uncertainty",
+    ),
     # --- coordinates of a line and of a band
     Variable("time", _LINE, "", "datetime64[ns]", "UTC at mid exposure", standard_name="time", coordinate=True),
     Variable("frame", _LINE, "1", "int64", "Frame number of the instrument", coordinate=True),

@@ -14,8 +14,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from .illumination import LineLight, Smile
+from .illumination import Smile
 from .schema import CHUNK_LINES, CUBE, Quality
+from .synchrony import LineLight
 
 if TYPE_CHECKING:
     import dask.array as da
@@ -29,6 +30,7 @@ __all__ = [
     "line_chunked",
     "misfit_of_irradiance",
     "run_slab",
+    "sensitivity_to_timing",
     "small",
 ]
 
@@ -191,6 +193,11 @@ def _quality_of(slabs: list[tuple[Array, Array]]) -> Array:
 def age_of_irradiance(plan: Plan) -> Array:
     """Return the time from every line to the nearest irradiance sample (line,) [s]."""
     return np.full(plan.rate.shape, np.nan, np.float32) if plan.lines is None else plan.lines.age
+
+
+def sensitivity_to_timing(plan: Plan) -> Array:
+    """Return what an error of the clocks could do to every line (line,), relative [1]."""
+    return np.full(plan.rate.shape, np.nan, np.float32) if plan.lines is None else plan.lines.sensitivity
 
 
 def misfit_of_irradiance(plan: Plan) -> Array:

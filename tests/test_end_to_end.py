@@ -31,6 +31,7 @@ def store(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFacto
         cubes=2,
         dropped=3,
         clock_offset_s=37.25,
+        clock_uncertainty_s=0.0,
         utc_offset_h=5.5,
         drift_per_minute=0.2,
     )

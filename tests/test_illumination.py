@@ -1,4 +1,4 @@
-"""Irradiance of every line: in wavelength, in time, over the smile and on a tilted panel."""
+"""Irradiance of every band and column: in wavelength, over the smile and on a tilted panel."""
 
 from __future__ import annotations
 
@@ -10,9 +10,8 @@ import xarray as xr
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hyperpaint.errors import PaintWarning, SchemaError, TimeError, UnitsError
-from hyperpaint.illumination import Tilt, line_light, match_irradiance, smile_cells
-from hyperpaint.schema import Quality
+from hyperpaint.errors import PaintWarning, SchemaError, UnitsError
+from hyperpaint.illumination import Tilt, match_irradiance, smile_cells
 from hyperpaint.sun import solar_position
 
 START = np.datetime64("2020-06-21T17:00", "ns")
@@ -135,61 +134,6 @@ def test_no_smile_is_one_node() -> None:
     for bad in (np.full(4, np.nan), np.full(4, 500.0)):
         with pytest.raises(SchemaError, match="wavelength_shift"):
             smile_cells(bad, 4)
-
-
-# -------------------------------------------------------------------------------------------------- time
-
-
-@settings(max_examples=40, deadline=None)
-@given(
-    steps=st.lists(st.integers(1, 10**11), min_size=1, max_size=12),
-    lines=st.lists(st.integers(-(10**10), 10**12), min_size=1, max_size=20),
-)
-def test_neighbours_and_weights(steps: list[int], lines: list[int]) -> None:
-    ticks = np.cumsum([0, *steps])
-    light = line_light(
-        START + np.array(lines).astype("timedelta64[ns]"),
-        START + ticks.astype("timedelta64[ns]"),
-        np.ones(ticks.size),
-        1e9,
-    )
-    for k, now in enumerate(lines):
-        if now < 0 or now > ticks[-1]:
-            assert np.isnan(light.weight[k])
-            assert light.flags[k] == Quality.IRRADIANCE_GAP
-            continue
-        low, high = ticks[light.before[k]], ticks[light.after[k]]
-        assert low <= now <= high
-        assert light.weight[k] == (now - low) / (high - low)
-        assert light.age[k] == np.float32(min(now - low, high - now) / 1e9)
-        assert light.flags[k] == 0
-
-
-def test_one_sample_lights_its_own_instant() -> None:
-    light = line_light(ns([0.0, 1.0]), ns([0.0]), np.ones(1))
-    assert light.weight[0] == 0
-    assert np.isnan(light.weight[1])
-
-
-def test_default_gap_is_two_and_a_half_intervals() -> None:
-    samples = np.array([0.0, 2, 4, 6, 10, 16, 18])
-    light = line_light(ns([5.0, 8.0, 12.0, 10.0]), ns(samples), np.ones(7))
-    assert np.isnan(light.weight).tolist() == [False, False, True, False]
-
-
-def test_spectra_without_a_value_are_passed_over() -> None:
-    power = np.array([1.0, np.nan, 1.0])
-    light = line_light(ns([1.0, 2.0]), ns([0.0, 1.0, 4.0]), power, 5.0)
-    assert light.before.tolist() == [0, 0]
-    assert light.after.tolist() == [2, 2]
-    np.testing.assert_array_equal(light.weight, [0.25, 0.5])
-    with pytest.raises(TimeError, match="no valid spectrum"):
-        line_light(ns([1.0]), ns([0.0, 2.0]), np.full(2, np.nan))
-
-
-def test_far_from_1970_no_bit_is_lost() -> None:
-    light = line_light(ns([1e-9]), ns([0.0, 3e-9]), np.ones(2), 1.0)
-    assert light.weight[0] == 1 / 3
 
 
 # ------------------------------------------------------------------------------------------------- tilt

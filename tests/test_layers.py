@@ -18,8 +18,8 @@ ROOT = Path(hyperpaint.__file__).parent
 FOUNDATION = {"errors", "units", "schema"}
 SHARED = FOUNDATION | {"responses", "sun"}
 SUBJECTS = {
-    "illumination", "slabs", "planning", "radiometry", "smoothing", "bands", "calibration", "noise",
-    "quality", "georeference", "regions", "signatures", "validation", "mixing", "paper", "budget",
+    "illumination", "synchrony", "slabs", "planning", "radiometry", "smoothing", "bands", "calibration",
+    "noise", "quality", "georeference", "regions", "signatures", "validation", "mixing", "paper", "budget",
 }  # fmt: skip
 TASKS = {"slabs"}  # the layer of tasks that subject modules share
 TOP = {"plot", "report", "accessor", "demonstration", "info", "pipeline", "cli", "__main__", "__init__"}
@@ -31,9 +31,10 @@ ALLOWED = {
     "sun": FOUNDATION,
     "budget": FOUNDATION,
     "illumination": SHARED,
-    "slabs": SHARED | {"illumination"},
-    "planning": SHARED | TASKS | {"illumination"},
-    "radiometry": SHARED | TASKS | {"illumination", "planning"},
+    "synchrony": SHARED,
+    "slabs": SHARED | {"illumination", "synchrony"},
+    "planning": SHARED | TASKS | {"illumination", "synchrony"},
+    "radiometry": SHARED | TASKS | {"illumination", "synchrony", "planning"},
 }
 
 

@@ -39,10 +39,11 @@ def test_quality_bits_are_those_of_the_store() -> None:
         "mixed_edge": 512,
         "off_swath": 1024,
         "no_data": 2048,
+        "timing_sensitive": 4096,
     }
     attrs = schema.quality_attrs()
-    assert attrs["flag_meanings"].split()[-1] == "no_data"
-    assert attrs["flag_masks"].tolist() == [2**k for k in range(12)]
+    assert attrs["flag_meanings"].split()[-1] == "timing_sensitive"
+    assert attrs["flag_masks"].tolist() == [2**k for k in range(13)]
 
 
 def test_label_replaces_attributes() -> None:

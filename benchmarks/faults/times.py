@@ -28,6 +28,8 @@ LARGEST_EFFECT = 0.01
 _PART = 25
 _LINES, _BANDS, _COLUMNS, _PERIOD_MS = 48, 6, 6, 200.0
 _TELLING = Quality.IRRADIANCE_GAP | Quality.ILLUMINATION_UNSTABLE | Quality.NO_DATA
+#: Faults of which `timing_sensitive` warns; of the others it does not count as a word.
+_OF_CLOCKS = ("offset 0.5-5 s", "offset 18 s", "offset 37 s", "whole hours", "drift")
 _DATE = "%Y/%m/%d %H:%M:%S.%f"
 
 _Change = Callable[[Path, random.Random], None]
@@ -249,8 +251,8 @@ def _process(folder: Path) -> tuple[Any, list[str]]:
     return made, [str(warning.message) for warning in heard]
 
 
-def _effects(made: Any, whole: Any) -> tuple[float, float]:
-    """Return the largest relative error of a line, and that of a line that no flag tells of."""
+def _effects(made: Any, whole: Any, telling: int) -> tuple[float, float]:
+    """Return the largest relative error of a line, and that of a line that none of these flags tells of."""
     rows = {frame: row for row, frame in enumerate(whole.frame.values.tolist())}
     errors, untold = [0.0], [0.0]
     for row, frame in enumerate(made.frame.values.tolist()):
@@ -260,7 +262,7 @@ def _effects(made: Any, whole: Any) -> tuple[float, float]:
         ratio = ratio[np.isfinite(ratio)]
         if ratio.size:
             errors.append(abs(float(np.median(ratio)) - 1.0))
-            if not (made.quality.values[row] & np.uint16(_TELLING)).any():
+            if not (made.quality.values[row] & np.uint16(telling)).any():
                 untold.append(errors[-1])
     return max(errors), max(untold)
 
@@ -284,7 +286,8 @@ def _faulty(number: int, made: Outcome) -> None:
         except Exception as error:
             made.wrong.append(f"{kind} {number}: {type(error).__name__}: {error!s:.200}")
             return
-    effect, untold = _effects(found, expected)
+    telling = _TELLING | (Quality.TIMING_SENSITIVE if kind in _OF_CLOCKS else 0)
+    effect, untold = _effects(found, expected, telling)
     if effect <= LARGEST_EFFECT:
         made.notes["without effect"] += 1
     elif untold <= LARGEST_EFFECT:
@@ -305,7 +308,7 @@ def _clean(number: int, made: Outcome) -> None:
         except Exception as error:
             made.wrong.append(f"clean {number}: {type(error).__name__}: {error!s:.200}")
             return
-    flagged = (found.quality.values & np.uint16(_TELLING)).any()
+    flagged = (found.quality.values & np.uint16(_TELLING | Quality.TIMING_SENSITIVE)).any()
     if heard or flagged:
         made.wrong.append(f"clean {number}: {'flags' if flagged else heard[0]:.200}")
 

@@ -27,6 +27,10 @@ def _positive(value: Any) -> str | None:
     return None if _number(value) is None and value > 0 else "a positive number"
 
 
+def _not_negative(value: Any) -> str | None:
+    return None if _number(value) is None and value >= 0 else "a number from 0 on"
+
+
 def _whole(least: int, most: int) -> Check:
     def check(value: Any) -> str | None:
         good = isinstance(value, int) and not isinstance(value, bool) and least <= value <= most
@@ -87,6 +91,7 @@ SCHEMA: Mapping[str, Mapping[str, Check]] = {
         "stamp": _STAMP,
         "fwhm_nm": _positive,
         "max_gap_s": _positive,
+        "clock_uncertainty_s": _not_negative,
         "units": _text,
         "averaging_s": _number,
         "calibration": _table,

@@ -59,6 +59,7 @@ class _Series:
     fwhm: _FloatArray | float | None = None
     fwhm_source: str = "given by the data"
     max_gap_s: float | None = None
+    clock_uncertainty_s: float | None = None
     attrs: Mapping[str, Any] = field(default_factory=dict)
 
 
@@ -74,6 +75,7 @@ def open_irradiance(
     units: str | None = None,
     calibration: Mapping[str, str | os.PathLike[str]] | None = None,
     averaging_s: float | None = None,
+    clock_uncertainty_s: float | None = None,
 ) -> xr.Dataset:
     """Open a series of downwelling irradiance spectra.
 
@@ -104,12 +106,16 @@ def open_irradiance(
     averaging_s
         Length of the averaging window [s]. By default what the file says (integration time times the spectra
         averaged), else 0.
+    clock_uncertainty_s
+        How far the clocks of camera and spectrometer may still disagree [s]. Without it they count as not
+        checked; see `hyperpaint.synchrony`.
 
     Returns
     -------
     xarray.Dataset
         ``irradiance`` (irradiance_time, irradiance_wavelength) [W m-2 nm-1] float32, in memory, ordered by
-        time; ``irradiance_fwhm`` [nm], ``irradiance_max_gap`` [s]; coordinates ``irradiance_time`` (UTC at
+        time; ``irradiance_fwhm`` [nm], ``irradiance_max_gap`` [s] and, where it is known,
+        ``irradiance_clock_uncertainty`` [s]; coordinates ``irradiance_time`` (UTC at
         the middle of each sample, datetime64[ns]) and ``irradiance_wavelength`` [nm]. The attributes tell
         what was assumed. ASD stamps are whole seconds, as in the files: what lies below a second is lost.
 
@@ -148,7 +154,7 @@ def open_irradiance(
     >>> series["irradiance"].values[:, 0]
     array([0.8, 0.9], dtype=float32)
     """
-    _check_arguments(quantity, clock_offset_s, stamp, fwhm_nm, max_gap_s, averaging_s)
+    _check_arguments(quantity, clock_offset_s, stamp, fwhm_nm, max_gap_s, averaging_s, clock_uncertainty_s)
     if isinstance(paths, xr.Dataset | xr.DataArray):
         series = _from_xarray(paths, utc_offset_h, units)
     elif isinstance(paths, str | os.PathLike) and _is_store(Path(paths)):
@@ -162,6 +168,10 @@ def open_irradiance(
     values = _in_float32_range(series, order, conversion_factor(series.units, VARIABLES["irradiance"].units))
     check_magnitude(series.wavelength, values)
     made = _dataset(series, times[order], values, fwhm_nm, max_gap_s)
+    known = series.clock_uncertainty_s if clock_uncertainty_s is None else clock_uncertainty_s
+    if known is not None:
+        name = "irradiance_clock_uncertainty"
+        made[name] = label(xr.DataArray(np.float64(known)), name)
     made.attrs.update(
         irradiance_utc_offset_h=sorted(set(map(float, series.utc_offset_h))),
         irradiance_clock_offset_s=float(clock_offset_s),
@@ -178,6 +188,7 @@ def _check_arguments(
     fwhm_nm: float | None,
     max_gap_s: float | None,
     averaging_s: float | None,
+    clock_uncertainty_s: float | None,
 ) -> None:
     problems = Problems("an irradiance series cannot be opened as asked", SchemaError)
     if quantity not in (None, "irradiance"):
@@ -189,8 +200,9 @@ def _check_arguments(
     for name, value in (("fwhm_nm", fwhm_nm), ("max_gap_s", max_gap_s)):
         if value is not None and not (np.isfinite(value) and value > 0):
             problems.add(f"{name}={value}: expected a positive number")
-    if averaging_s is not None and not (np.isfinite(averaging_s) and averaging_s >= 0):
-        problems.add(f"averaging_s={averaging_s}: expected seconds, not negative")
+    for name, value in (("averaging_s", averaging_s), ("clock_uncertainty_s", clock_uncertainty_s)):
+        if value is not None and not (np.isfinite(value) and value >= 0):
+            problems.add(f"{name}={value}: expected seconds, not negative")
     problems.raise_if_any()
 
 
@@ -361,7 +373,7 @@ def _from_xarray(
         spectra = [Spectrum(name, nanometres, row) for name, row in zip(sources, values, strict=True)]
         values = np.stack([spectrum.values for spectrum in mask_undefined(spectra, "irradiance")])
     fwhm = data.get("irradiance_fwhm")
-    gap = data.get("irradiance_max_gap")
+    gap, clock = (data.get(f"irradiance_{name}") for name in ("max_gap", "clock_uncertainty"))
     return _Series(
         sources=sources,
         stamps=time.values.astype("datetime64[ns]"),
@@ -373,6 +385,7 @@ def _from_xarray(
         origin=origin,
         fwhm=None if fwhm is None else convert(fwhm, "nm").values,
         max_gap_s=None if gap is None else float(convert(gap, "s")),
+        clock_uncertainty_s=None if clock is None else float(convert(clock, "s")),
         attrs={key: value for key, value in data.attrs.items() if str(key).startswith("irradiance_")},
     )
 

@@ -24,7 +24,8 @@ def cut_irradiance(irradiance: xr.Dataset, time: NDArray[np.datetime64]) -> xr.D
     Parameters
     ----------
     irradiance
-        ``irradiance`` (irradiance_time, irradiance_wavelength), ``irradiance_fwhm``, ``irradiance_max_gap``.
+        ``irradiance`` (irradiance_time, irradiance_wavelength), ``irradiance_fwhm``, ``irradiance_max_gap``
+        and, where known, ``irradiance_clock_uncertainty``.
     time
         UTC of the lines, NaT allowed, (along_track,).
 
@@ -43,6 +44,8 @@ def cut_irradiance(irradiance: xr.Dataset, time: NDArray[np.datetime64]) -> xr.D
     import xarray as xr
 
     names = ["irradiance", "irradiance_fwhm", "irradiance_max_gap"]
+    if "irradiance_clock_uncertainty" in irradiance:
+        names.append("irradiance_clock_uncertainty")
     found = require(irradiance, names, "the irradiance of a flight line")
     stamps = found["irradiance"][IRRADIANCE_TIME].values.astype("datetime64[ns]")
     if np.isnat(stamps).any() or (np.diff(stamps) <= np.timedelta64(0, "ns")).any():

@@ -253,6 +253,8 @@ nav = "flight/imu_gps.txt"
 """
         for name in names
     )
+    known = settings.clock_uncertainty_s
+    clock = "" if known is None else f"clock_uncertainty_s = {float(known)!r}\n"
     return f"""{MARKER}: seed {settings.seed}, truth in truth.zarr
 
 [collect]
@@ -275,7 +277,7 @@ files = "asd/*.asd"
 quantity = "irradiance"
 utc_offset_h = {float(settings.utc_offset_h)!r}
 clock_offset_s = {float(settings.clock_offset_s)!r}
-stamp = "{settings.irradiance_stamp}"
+{clock}stamp = "{settings.irradiance_stamp}"
 fwhm_nm = {float(settings.irradiance_fwhm_nm)!r}
 {flightlines}"""
 

@@ -91,6 +91,8 @@ class SimulationSettings:
         Samples between these two times [s after the first line] are missing; None for none.
     clock_offset_s
         Seconds the spectrometer's clock is slow: UTC = stamp - utc_offset_h + clock_offset_s.
+    clock_uncertainty_s
+        What is declared of how well that is known [s]; None declares nothing.
     utc_offset_h
         Zone of the computer that logs the spectrometer [h].
 
@@ -148,6 +150,7 @@ class SimulationSettings:
     irradiance_stamp: str = "end"
     irradiance_gap: tuple[float, float] | None = None
     clock_offset_s: float = 37.25
+    clock_uncertainty_s: float | None = None
     utc_offset_h: float = -5.0
 
     def __post_init__(self) -> None:
@@ -233,6 +236,9 @@ class SimulationSettings:
                 isinstance(value, tuple | list) and len(value) == length and all(map(_is_number, value))
             ):
                 problems.add(f"{name}={value!r}, expected {length} numbers, or None")
+        known = self.clock_uncertainty_s
+        if known is not None and not (_is_number(known) and known >= 0):
+            problems.add(f"clock_uncertainty_s={known!r}, expected a number from 0 on, or None")
         if not isinstance(self.dropped, int) and not (
             isinstance(self.dropped, list | tuple | range) and all(isinstance(f, int) for f in self.dropped)
         ):

@@ -1,0 +1,224 @@
+"""From the times of lines and irradiance samples to the samples that light each line.
+
+Irradiance is linear in time between the two samples around a line. What lies outside the record, or in a gap
+of it, is flagged: nothing is extrapolated. How far the clocks of camera and spectrometer disagree is not in
+the data; what such an error could do to a line is (`timing_sensitivity`).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from .errors import Problems, SchemaError, TimeError
+from .schema import Quality
+from .sun import solar_position
+
+__all__ = ["LineLight", "check_irradiance_times", "line_light", "timing_sensitivity"]
+
+Float = npt.NDArray[np.float64]
+Array = npt.NDArray[Any]
+
+UNSTABLE_CHANGE = 0.02
+"""Relative change of the 400-1000 nm irradiance between two samples above which light is unstable."""
+LOW_SUN_ZENITH = 75.0
+UNKNOWN_CLOCK = 40.0
+"""Error of clocks [s] that nobody has checked: GPS time taken for UTC is 18 s off, TAI 37 s."""
+TIMING_EFFECT = 0.01
+"""Relative change of irradiance within the clocks' uncertainty above which a line is timing sensitive."""
+
+
+@dataclass(frozen=True)
+class LineLight:
+    """Which irradiance samples light each line.
+
+    Attributes
+    ----------
+    before, after : (line,), int64
+        The samples on either side of the line.
+    weight : (line,), float64
+        Of the later sample; NaN where the line has no light.
+    age : (line,), float32
+        Time to the nearest sample [s].
+    sensitivity : (line,), float32
+        What an error of the clocks could do to reflectance, relative [1]; see `timing_sensitivity`.
+    flags : (line,), uint16
+        Bits of `Quality` that hold for the whole line.
+    """
+
+    before: npt.NDArray[np.int64]
+    after: npt.NDArray[np.int64]
+    weight: Float
+    age: npt.NDArray[np.float32]
+    sensitivity: npt.NDArray[np.float32]
+    flags: npt.NDArray[np.uint16]
+
+
+def line_light(
+    time: Array,
+    irradiance_time: Array,
+    levels: Float,
+    max_gap: float | None = None,
+    latitude: Array | None = None,
+    longitude: Array | None = None,
+    clock_uncertainty: float | None = None,
+) -> LineLight:
+    """Return the neighbours and weights of every line in an irradiance record.
+
+    Parameters
+    ----------
+    time : (line,)
+        UTC at mid exposure; NaT for a line without data. They need not be in order.
+    irradiance_time : (sample,)
+        UTC of the samples; must increase.
+    levels : (sample,) or (sample, interval)
+        Irradiance of each sample, summed over 400-1000 nm or over intervals of it, any scale; NaN marks a
+        sample to leave out.
+    max_gap
+        Longest interval that is interpolated [s]; 2.5 median intervals by default.
+    latitude, longitude : (line,)
+        Place of the camera [degree]; without them the sun's height is not judged.
+    clock_uncertainty
+        How far the clocks of camera and spectrometer may disagree [s]; `UNKNOWN_CLOCK` by default.
+
+    Raises
+    ------
+    TimeError
+        Irradiance times do not increase, are missing, or there is no valid sample.
+    SchemaError
+        ``max_gap`` or ``clock_uncertainty`` cannot be.
+
+    Notes
+    -----
+    The weight is the quotient of two int64 intervals in nanoseconds, so that no bit of it depends on chunks
+    or on the distance to 1970.
+    """
+    lines = np.asarray(time).astype("datetime64[ns]")
+    samples = np.asarray(irradiance_time).astype("datetime64[ns]")
+    check_irradiance_times(samples)
+    _check_seconds(max_gap, clock_uncertainty)
+    levels = np.reshape(levels, (samples.size, -1))
+    kept = np.flatnonzero(np.isfinite(levels).all(axis=1))
+    if kept.size == 0:
+        msg = "the irradiance record holds no valid spectrum"
+        raise TimeError(msg)
+    missing = np.isnat(lines)
+    stamps, ticks = lines.astype(np.int64), samples[kept].astype(np.int64)
+    stamps = np.where(missing, ticks[0], stamps)
+    low = np.searchsorted(ticks, stamps, side="right") - 1
+    outside = (low < 0) | (stamps > ticks[-1])
+    low = np.clip(low, 0, max(ticks.size - 2, 0))
+    high = np.minimum(low + 1, ticks.size - 1)
+    since, interval = stamps - ticks[low], ticks[high] - ticks[low]
+    weight = since / np.maximum(interval, 1)
+    age = np.minimum(np.abs(since), np.abs(ticks[high] - stamps)) / 1e9
+    if max_gap is None:
+        max_gap = 2.5 * float(np.median(np.diff(ticks))) / 1e9 if ticks.size > 1 else 0.0
+    gap = ~outside & (interval / 1e9 > max_gap) & (weight > 0.0) & (weight < 1.0)
+    level = levels[kept].sum(axis=1)
+    change = np.abs(level[high] - level[low]) / np.maximum(np.minimum(level[high], level[low]), 1e-30)
+    unlit = outside | gap | missing
+    within = UNKNOWN_CLOCK if clock_uncertainty is None else clock_uncertainty
+    sensitivity = timing_sensitivity(stamps, ticks, levels[kept], within)
+    sensitivity[unlit] = np.nan
+    flags = np.zeros(lines.shape, np.uint16)
+    flags[outside | gap] |= np.uint16(Quality.IRRADIANCE_GAP)
+    flags[~outside & (change > UNSTABLE_CHANGE)] |= np.uint16(Quality.ILLUMINATION_UNSTABLE)
+    flags[sensitivity > TIMING_EFFECT] |= np.uint16(Quality.TIMING_SENSITIVE)
+    if latitude is not None and longitude is not None:
+        zenith, _ = solar_position(lines, latitude, longitude)
+        flags[np.nan_to_num(zenith, nan=0.0) > LOW_SUN_ZENITH] |= np.uint16(Quality.LOW_SUN)
+    flags[missing] = Quality.NO_DATA
+    return LineLight(
+        kept[low].astype(np.int64),
+        kept[high].astype(np.int64),
+        np.where(unlit, np.nan, weight),
+        np.where(missing, np.nan, age).astype(np.float32),
+        sensitivity.astype(np.float32),
+        flags,
+    )
+
+
+def timing_sensitivity(stamps: Array, ticks: Array, levels: Float, within: float) -> Float:
+    r"""Return the largest error that clocks could cause in the irradiance of each line (line,), relative [1].
+
+    Parameters
+    ----------
+    stamps : (line,), int64
+        Times of the lines [ns].
+    ticks : (sample,), int64
+        Times of the samples, increasing [ns].
+    levels : (sample, interval)
+        Irradiance of each sample, summed over intervals of wavelength, any scale.
+    within
+        How far the clocks may disagree [s].
+
+    Notes
+    -----
+    .. math:: \max_{k, |\delta| \le u} \exp \left| \ln \frac{E_k(t + \delta)}{E_k(t)} \right| - 1
+
+    over the intervals :math:`k`, since a cloud takes more of the red than of the blue. As far as the record
+    reaches: what lies beyond its ends is not known. A cloud's shadow also needs time from the spectrometer to
+    the scene, which acts as a clock error does.
+
+    Examples
+    --------
+    >>> ramp = np.array([[1.0], [1.0], [0.9], [0.9]])  # one sample a second
+    >>> seconds = np.arange(4) * 10**9
+    >>> timing_sensitivity(np.array([0, 10**9]), seconds, ramp, 0.5).round(4)
+    array([0.    , 0.0526])
+    """
+    if len(ticks) < 2:
+        return np.zeros(stamps.shape)
+    powers = np.log(np.maximum(levels, 1e-30))
+    empty = np.full(levels.shape[1], np.inf)
+    u = round(within * 1e9)
+    low, here, high = (_at(ticks, levels, stamps + shift) for shift in (-u, 0, u))
+    # inside the window the extremes are at samples; most lines share theirs with their neighbours
+    first, last = np.searchsorted(ticks, stamps - u), np.searchsorted(ticks, stamps + u, side="right")
+    windows, which = np.unique(np.stack([first, last]), axis=1, return_inverse=True)
+    extremes = np.array(
+        [
+            (powers[a:b].min(axis=0), powers[a:b].max(axis=0)) if b > a else (empty, -empty)
+            for a, b in windows.T
+        ]
+    )
+    least, most = np.moveaxis(extremes[which.ravel()], 1, 0)
+    least, most = (np.minimum(least, np.minimum(low, high)), np.maximum(most, np.maximum(low, high)))
+    return np.asarray(np.expm1(np.maximum(here - least, most - here).max(axis=1)))
+
+
+def _at(ticks: Array, levels: Float, stamps: Array) -> Float:
+    """Return the logarithm of the levels at times, linear between samples; held beyond the ends."""
+    after = np.clip(np.searchsorted(ticks, stamps, side="right"), 1, ticks.size - 1)
+    weight = np.clip((stamps - ticks[after - 1]) / (ticks[after] - ticks[after - 1]), 0.0, 1.0)[:, None]
+    between = levels[after - 1] + weight * (levels[after] - levels[after - 1])
+    return np.asarray(np.log(np.maximum(between, 1e-30)))
+
+
+def _check_seconds(max_gap: float | None, clock_uncertainty: float | None) -> None:
+    problems = Problems("irradiance cannot be given to lines", SchemaError)
+    if max_gap is not None and not max_gap > 0:
+        problems.add(f"'irradiance_max_gap' is {max_gap:g} s, expected a positive number")
+    if clock_uncertainty is not None and not 0 <= clock_uncertainty < 1e6:
+        problems.add(f"'irradiance_clock_uncertainty' is {clock_uncertainty:g} s, expected 0 or more seconds")
+    problems.raise_if_any()
+
+
+def check_irradiance_times(samples: Array) -> None:
+    """Raise TimeError unless stamps are all there and increase."""
+    problems = Problems("irradiance times cannot be used", TimeError)
+    if np.isnat(samples).any():
+        problems.add(f"{int(np.isnat(samples).sum())} of {samples.size} stamps are missing (NaT); drop them")
+    steps = np.diff(samples.astype(np.int64))
+    same, back = np.flatnonzero(steps == 0), np.flatnonzero(steps < 0)
+    if same.size:
+        problems.add(f"{same.size} duplicate stamps, first {samples[same[0]]}; keep one spectrum of each")
+    if back.size:
+        problems.add(
+            f"stamps run backwards at {samples[back[0] + 1]}; sort them with .sortby('irradiance_time')"
+        )
+    problems.raise_if_any()

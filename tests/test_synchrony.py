@@ -1,0 +1,132 @@
+"""Which irradiance samples light each line, and what an error of the clocks could do."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from hyperpaint.errors import SchemaError, TimeError
+from hyperpaint.schema import Quality
+from hyperpaint.synchrony import line_light, timing_sensitivity
+
+START = np.datetime64("2020-06-21T17:00", "ns")
+
+
+def ns(seconds: object) -> np.ndarray:
+    return START + np.round(np.asarray(seconds, float) * 1e9).astype("timedelta64[ns]")
+
+
+# --- neighbours --------------------------------------------------------------------------------------------
+
+
+@settings(max_examples=40, deadline=None)
+@given(
+    steps=st.lists(st.integers(1, 10**11), min_size=1, max_size=12),
+    lines=st.lists(st.integers(-(10**10), 10**12), min_size=1, max_size=20),
+)
+def test_neighbours_and_weights(steps: list[int], lines: list[int]) -> None:
+    ticks = np.cumsum([0, *steps])
+    light = line_light(
+        START + np.array(lines).astype("timedelta64[ns]"),
+        START + ticks.astype("timedelta64[ns]"),
+        np.ones(ticks.size),
+        1e9,
+    )
+    for k, now in enumerate(lines):
+        if now < 0 or now > ticks[-1]:
+            assert np.isnan(light.weight[k])
+            assert light.flags[k] == Quality.IRRADIANCE_GAP
+            continue
+        low, high = ticks[light.before[k]], ticks[light.after[k]]
+        assert low <= now <= high
+        assert light.weight[k] == (now - low) / (high - low)
+        assert light.age[k] == np.float32(min(now - low, high - now) / 1e9)
+        assert light.flags[k] == 0
+
+
+def test_one_sample_lights_its_own_instant() -> None:
+    light = line_light(ns([0.0, 1.0]), ns([0.0]), np.ones(1))
+    assert light.weight[0] == 0
+    assert np.isnan(light.weight[1])
+
+
+def test_default_gap_is_two_and_a_half_intervals() -> None:
+    samples = np.array([0.0, 2, 4, 6, 10, 16, 18])
+    light = line_light(ns([5.0, 8.0, 12.0, 10.0]), ns(samples), np.ones(7))
+    assert np.isnan(light.weight).tolist() == [False, False, True, False]
+
+
+def test_spectra_without_a_value_are_passed_over() -> None:
+    power = np.array([1.0, np.nan, 1.0])
+    light = line_light(ns([1.0, 2.0]), ns([0.0, 1.0, 4.0]), power, 5.0)
+    assert light.before.tolist() == [0, 0]
+    assert light.after.tolist() == [2, 2]
+    np.testing.assert_array_equal(light.weight, [0.25, 0.5])
+    with pytest.raises(TimeError, match="no valid spectrum"):
+        line_light(ns([1.0]), ns([0.0, 2.0]), np.full(2, np.nan))
+
+
+def test_far_from_1970_no_bit_is_lost() -> None:
+    light = line_light(ns([1e-9]), ns([0.0, 3e-9]), np.ones(2), 1.0)
+    assert light.weight[0] == 1 / 3
+
+
+# --- clocks ------------------------------------------------------------------------------------------------
+
+
+@settings(max_examples=40, deadline=None)
+@given(
+    seed=st.integers(0, 10**6),
+    samples=st.integers(2, 30),
+    within=st.floats(0.0, 30.0),
+)
+def test_sensitivity_is_the_worst_of_all_offsets(seed: int, samples: int, within: float) -> None:
+    rng = np.random.default_rng(seed)
+    ticks = np.cumsum(rng.integers(1, 5 * 10**9, samples))
+    levels = rng.uniform(0.2, 1.0, (samples, 3))
+    lines = rng.integers(ticks[0], ticks[-1] + 1, 7)
+    got = timing_sensitivity(lines, ticks, levels, within)
+    u = round(within * 1e9)
+    for line, found in zip(lines, got, strict=True):
+        # every offset of a fine grid, and those that meet a sample exactly
+        offsets = np.concatenate([np.linspace(-u, u, 101).round(), ticks[np.abs(ticks - line) <= u] - line])
+        changes = []
+        for interval in range(3):
+            here = np.interp(line, ticks, levels[:, interval])
+            ratio = np.interp(line + offsets, ticks, levels[:, interval]) / here
+            changes += [ratio.max() - 1, 1 / ratio.min() - 1]
+        assert found == pytest.approx(max(changes), abs=1e-6)
+
+
+def test_a_known_clock_lifts_the_flag() -> None:
+    """Light that falls by 10 % in 20 s: at 0.5 %/s a clock known to 2 s makes 1 %."""
+    samples = np.arange(0.0, 101.0, 2.0)
+    levels = 1.0 - 0.1 * np.clip((samples - 40) / 20, 0, 1)
+    times = ns([10.0, 50.0, 95.0])
+    unknown = line_light(times, ns(samples), levels, 5.0)
+    assert (unknown.flags & Quality.TIMING_SENSITIVE > 0).tolist() == [True, True, True]
+    close = line_light(times, ns(samples), levels, 5.0, clock_uncertainty=5.0)
+    assert (close.flags & Quality.TIMING_SENSITIVE > 0).tolist() == [False, True, False]
+    exact = line_light(times, ns(samples), levels, 5.0, clock_uncertainty=1.0)
+    assert not (exact.flags & Quality.TIMING_SENSITIVE).any()
+    assert exact.sensitivity.dtype == np.float32
+    assert exact.sensitivity[1] == pytest.approx(0.005 / (0.95 - 0.005), rel=1e-4)
+
+
+def test_a_clear_sky_needs_no_clock() -> None:
+    """0.1 %/min, as near noon, is 0.07 % in 40 s."""
+    samples = np.arange(0.0, 601.0, 2.0)
+    light = line_light(ns([100.0, 300.0]), ns(samples), 1.0 - 0.001 * samples / 60, 5.0)
+    assert not light.flags.any()
+    assert light.sensitivity.max() < 0.001
+
+
+def test_one_sample_tells_nothing_of_timing() -> None:
+    assert timing_sensitivity(np.array([5]), np.array([5]), np.ones((1, 2)), 40.0).tolist() == [0.0]
+
+
+def test_impossible_seconds_are_named_together() -> None:
+    with pytest.raises(SchemaError, match=r"max_gap.*-1 s[\s\S]*clock_uncertainty.*-2 s"):
+        line_light(ns([0.0]), ns([0.0]), np.ones(1), -1.0, clock_uncertainty=-2.0)
