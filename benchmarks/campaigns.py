@@ -19,15 +19,19 @@ ROOT = Path(__file__).resolve().parents[1]
 if __package__ in (None, ""):  # run as a script: `benchmarks` is then not importable yet
     sys.path.insert(0, str(ROOT))
 
-from benchmarks.faults import parsers, storage, times, writers  # noqa: E402
+from benchmarks.faults import bombs, disks, parsers, power, storage, times, workers, writers  # noqa: E402
 from benchmarks.faults.outcome import HEADER, Outcome, total  # noqa: E402
 
 CAMPAIGNS = {
     "parsers": parsers.campaign,
+    "bombs": bombs.campaign,
     "storage": storage.campaign,
+    "workers": workers.campaign,
     "kills": writers.kills,
     "time": times.campaign,
     "races": writers.races,
+    "disks": disks.campaign,
+    "power": power.campaign,
 }
 MOST_SHOWN = 10
 

@@ -1,17 +1,22 @@
-"""What a run takes: its peak memory and its disk space, known before it starts.
+"""The memory a run takes, known before it starts.
 
 Memory is modelled, not measured: a fixed share, the calibration and matched spectra that every task reads,
 and for every thread the slabs of lines it has in hand. Peaks measured at 272 x 640 and
 136 x 320 elements, with 1 to 4 threads and 32 to 128 lines a task, lay 5 to 17 % below the model with kernels
 compiled before; `MARGIN` comes on top.
+
+Where the address space is limited as well (``ulimit -v``, some batch systems), more is needed than what
+becomes resident: stacks, and the arenas that glibc reserves for every thread. `HELPER_SPACE` and
+`THREAD_SPACE` are what was measured of it.
 """
 
 from __future__ import annotations
 
+import contextlib
 import math
 import os
-import shutil
-from collections.abc import Iterable, Mapping
+import threading
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -23,18 +28,25 @@ if TYPE_CHECKING:
     import xarray as xr
 
 __all__ = [
+    "HELPER_SPACE",
+    "MARGIN",
     "PROCESS",
     "RUNNING",
+    "THREAD_SPACE",
     "USABLE",
     "WORKER",
     "Demand",
     "Load",
     "available_memory",
-    "check_disk",
-    "disk_needed",
+    "check_memory",
     "fit",
+    "limited_threads",
     "parse_size",
+    "process_limit",
     "resident_memory",
+    "size_text",
+    "thread_count",
+    "thread_space",
 ]
 
 RUNNING = 100 * 10**6
@@ -61,8 +73,16 @@ MARGIN = 1.1
 USABLE = 0.8
 """Share of the available memory that a run takes when it is given no limit."""
 
-STORED_SHARE = {"counts": 0.55, "rounded": 0.45}
-"""Bytes on disk of a byte in memory: 12-bit counts in uint16, float32 with 12 mantissa bits."""
+HELPER_SPACE = 48 * 2**20
+"""Address space of each thread that zarr starts for its files, beyond what becomes resident.
+
+They are up to four more than there are processors. On two processors, with six of them and the event loop,
+runs that became resident with 172 MiB (one thread) and 270 MiB (two) failed within 400 and 550 MiB of address
+space, and passed within 550 and 700.
+"""
+
+THREAD_SPACE = 72 * 2**20
+"""Address space of a thread that computes, beyond its slabs: a stack of 8 MiB, an arena of 64 MiB."""
 
 SMILE_STEP = 0.5
 """Distance of the shifts at which matched irradiance is kept [nm]."""
@@ -164,6 +184,7 @@ def fit(
     fixed: int,
     limit: int | None,
     least_threads: int = 1,
+    a_thread: int = 0,
 ) -> Demand:
     """Return lines a task and threads with which every flight line stays within a limit.
 
@@ -181,6 +202,8 @@ def fit(
         Most memory of the process [byte]; None for no limit.
     least_threads
         Threads that there are at least.
+    a_thread
+        What each thread takes besides its slabs [byte]; see `thread_space`.
 
     Raises
     ------
@@ -196,7 +219,7 @@ def fit(
 
     def demand(lines: int, threads: int) -> Demand:
         peaks = [load.peak(lines=lines, threads=threads, fixed=fixed) for load in loads.values()]
-        return Demand(lines, threads, int(MARGIN * max(peaks, default=0)))
+        return Demand(lines, threads, int(MARGIN * max(peaks, default=0)) + threads * a_thread * bool(peaks))
 
     found = demand(lines, threads)
     if limit is None:
@@ -208,10 +231,11 @@ def fit(
     if found.needed > limit:
         worst = max(loads, key=lambda name: loads[name].peak(lines=found.lines, threads=1, fixed=fixed))
         mend = "fewer threads a worker, " if least_threads > 1 else ""
+        which = "the limit of the address space (ulimit -v)" if a_thread else "the memory limit"
         msg = (
-            f"/{worst} needs {_text(found.needed)} of memory with {_counted(found.threads, 'thread')} and "
-            f"{found.lines} lines a task, the fewest possible, but {_text(limit)} may be taken; "
-            f"{mend}end other programs, raise the memory limit, or take a larger machine"
+            f"/{worst} needs {size_text(found.needed)} of memory with {_counted(found.threads, 'thread')} "
+            f"and {found.lines} lines a task, the fewest possible, but {size_text(limit)} may be taken; "
+            f"{mend}end other programs, raise {which}, or take a larger machine"
         )
         raise StoreError(msg)
     return found
@@ -247,16 +271,69 @@ def parse_size(size: str | int) -> int:
 
 
 def available_memory(system: Path = Path("/")) -> int | None:
-    """Return the memory that can still be taken [byte], of the machine or its container; None if unknown.
+    """Return the memory that can still be taken [byte]; None if unknown.
+
+    The least of what the machine, its container and the limit of this process's address space leave; of the
+    last, what helper threads reserve is taken off first.
 
     Parameters
     ----------
     system
         Where ``proc`` and ``sys`` are.
     """
+    found = [_shared_memory(system), _address_space(system)]
+    return min((max(0, each) for each in found if each is not None), default=None)
+
+
+def _shared_memory(system: Path) -> int | None:
+    """Return what the machine and its container leave: other programs take of it as well."""
     found = [_machine_memory(system), *_container_memory(system)]
-    known = [each for each in found if each is not None]
-    return max(0, min(known)) if known else None
+    return min((each for each in found if each is not None), default=None)
+
+
+def process_limit(resident: int, limit: int | None = None) -> int | None:
+    """Return the most memory that this process may take [byte]; None for no limit.
+
+    Parameters
+    ----------
+    resident
+        What it holds now [byte].
+    limit
+        Given by the user, in place of `USABLE` of what is available; a limit of the address space, which no
+        other program shares, holds besides.
+    """
+    shared, space = _shared_memory(Path("/")), _address_space(Path("/"))
+    if limit is None and shared is not None:
+        limit = resident + int(USABLE * max(0, shared))
+    if space is None:
+        return limit
+    most = resident + max(0, space)
+    return most if limit is None else min(limit, most)
+
+
+def thread_space() -> int:
+    """Return the address space that a computing thread takes besides its slabs [byte]; 0 without a limit."""
+    return 0 if _address_limit() is None else THREAD_SPACE
+
+
+def _address_limit() -> int | None:
+    try:
+        import resource
+    except ImportError:  # pragma: no cover - Windows
+        return None
+    limit = resource.getrlimit(resource.RLIMIT_AS)[0]
+    return None if limit == resource.RLIM_INFINITY else limit
+
+
+def _address_space(system: Path) -> int | None:
+    """Return the address space that is left to slabs; None without a limit, or where its use is not known."""
+    limit, pages = _address_limit(), _read(system / "proc/self/statm").split()
+    if limit is None or not pages:
+        return None
+    # zarr's threads are those of asyncio; what runs already has its space
+    running = sum(thread.name.startswith(("asyncio_", "zarr_io")) for thread in threading.enumerate())
+    helpers = max(0, min(32, (os.cpu_count() or 1) + 4) + 1 - running)
+    return limit - int(pages[0]) * os.sysconf("SC_PAGE_SIZE") - helpers * HELPER_SPACE
 
 
 def _machine_memory(system: Path) -> int | None:
@@ -311,72 +388,92 @@ def resident_memory() -> int:
     return int(pages[1]) * os.sysconf("SC_PAGE_SIZE") if len(pages) > 1 else 200 * 10**6
 
 
-# --- disk --------------------------------------------------------------------------------------------------
+# --- threads -----------------------------------------------------------------------------------------------
 
 
-def disk_needed(dataset: xr.Dataset) -> int:
-    """Return the bytes a group takes on disk at the most, margin included.
+def thread_count() -> int:
+    """Return how many threads dask would take here."""
+    import dask
+    from dask.system import CPU_COUNT
 
-    Examples
-    --------
-    >>> import numpy as np, xarray as xr
-    >>> cube = (("along_track", "band", "cross_track"), np.zeros((640, 272, 640), "uint16"))
-    >>> disk_needed(xr.Dataset({"counts": cube})) // 10**6
-    138
-    """
-    needed = 0.0
-    for name, variable in dataset.variables.items():
-        if name == "counts" and variable.dtype.itemsize == 2:
-            share = STORED_SHARE["counts"]
-        else:
-            share = STORED_SHARE["rounded"] if "keep_bits" in variable.attrs else 1.0
-        needed += share * variable.nbytes
-    return int(MARGIN * needed) + 4 * 10**6
+    if dask.config.get("scheduler", None) in ("sync", "synchronous", "single-threaded"):
+        return 1
+    pool = dask.config.get("pool", None)
+    return int(getattr(pool, "_max_workers", 0) or dask.config.get("num_workers", None) or CPU_COUNT)
 
 
-def check_disk(store: Path, needed: int) -> None:
-    """Refuse a store for which its disk has no room.
+@contextlib.contextmanager
+def limited_threads(count: int | None) -> Iterator[None]:
+    """Let dask take no more threads than that; None leaves them as they are."""
+    import dask
+
+    if count is None or count >= thread_count():
+        yield
+        return
+    with dask.config.set(num_workers=count, pool=None):
+        yield
+
+
+def check_memory(dataset: xr.Dataset, subject: str) -> int | None:
+    """Return how many threads may store a dataset at once; refuse one of which not even one block fits.
+
+    Its dask chunks are as they are, so that only threads can be saved. No value is read.
 
     Parameters
     ----------
-    store
-        Where it will be; neither it nor the folders above need be there yet.
-    needed
-        Bytes to be written; those an interrupted run left beside the store are taken off.
+    dataset
+        Cubes along the flight that are dask arrays count; what is in memory does not.
+    subject
+        Names it in the error.
+
+    Returns
+    -------
+    int or None
+        None where nothing is known against any number.
 
     Raises
     ------
     StoreError
-        There is less room; the figures are given.
+        One block is larger than the memory that is available; the figures are given.
     """
-    store = store.absolute()
-    above = next((folder for folder in store.parents if folder.exists()), None)
-    if above is None:
-        return
-    free = shutil.disk_usage(above).free
-    begun = store.with_name(f".partial-{store.name}")
-    left = needed - sum(_size(path) for path in begun.rglob("*")) if begun.is_dir() else needed
-    if left > free:
+    cubes = [v for v in dataset.variables.values() if v.chunks and ALONG_TRACK in v.dims and v.ndim > 1]
+    available = available_memory()
+    if not cubes or available is None or not all(v.size for v in cubes):
+        return None
+    length = cubes[0].sizes[ALONG_TRACK]
+    a_line = [v.nbytes // length for v in cubes]
+    lines = max(max(v.chunksizes[ALONG_TRACK]) for v in cubes)
+    encoded = int(ENCODED_COPIES * min(CHUNK_LINES, length) * max(a_line))
+    surely = lines * sum(a_line) + encoded + thread_space()
+    if surely > available:
         msg = (
-            f"cannot write {store}: {_text(left)} of disk are needed, {_text(free)} are free; make room, "
-            "choose another disk, or leave reflectance to be computed from counts (reflectance='none')"
+            f"{subject} needs {size_text(surely)} of memory for one dask chunk of {_counted(lines, 'line')}, "
+            f"but {size_text(available)} are available; take fewer lines a chunk (chunks={{'{ALONG_TRACK}': "
+            f"{CHUNK_LINES}}}), end other programs, or raise the memory limit"
         )
         raise StoreError(msg)
+    # what a cube alone is made from is taken to be half as large: 16-bit counts of a float32 product
+    alone = sum(size > max(a_line) // 4 for size in a_line) == 1
+    load = Load(sum(a_line) + alone * max(a_line) // 2, 0, encoded, 0, length)
+    resident, threads = resident_memory(), thread_count()
+    limit = process_limit(resident)
+    while threads > 1 and limit is not None:
+        peak = load.peak(lines=lines, threads=threads, fixed=resident + RUNNING)
+        if MARGIN * peak + threads * thread_space() <= limit:
+            break
+        threads -= 1
+    return threads
 
 
-def _size(path: Path) -> int:
-    try:
-        return path.stat().st_size if path.is_file() else 0
-    except OSError:  # another run clears it up
-        return 0
+# --- sizes ------------------------------------------------------------------------------------------------
 
 
-def _text(size: int) -> str:
+def size_text(size: int) -> str:
     """Return a size for reading: MiB below one GiB.
 
     Examples
     --------
-    >>> _text(3 * 2**30), _text(5 * 2**20)
+    >>> size_text(3 * 2**30), size_text(5 * 2**20)
     ('3.00 GiB', '5 MiB')
     """
     return f"{size / 2**30:.2f} GiB" if size >= 2**30 else f"{math.ceil(size / 2**20)} MiB"

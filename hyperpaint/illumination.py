@@ -1,7 +1,7 @@
 """From an irradiance series to the irradiance of every band and column.
 
 The spectrometer's samples are matched to the imager's responses (`match_irradiance`), at the wavelength
-shifts of its smile, and turned onto a tilted surface. Which samples light a line is the matter of `synchrony`.
+shifts of its smile, and turned onto a tilted surface. Which samples light a line: see `synchrony`.
 """
 
 from __future__ import annotations

@@ -28,6 +28,9 @@ KEPT_BITS = 12
 CLUSTER_LINES = 256
 """Lines in one task on a cluster, where a task costs more than on threads."""
 
+WORKERS_WAIT = 60
+"""How long a cluster without workers is waited for [s]."""
+
 OVERVIEW_SHAPE = (1000, 640)
 """Most lines and columns of the stored picture."""
 
@@ -111,7 +114,9 @@ def process(
         ``to`` or ``reflectance`` is none of the words above, or ``memory_limit`` is no size.
     StoreError
         The store holds something else, is being written, or cannot be written; or memory or disk would not
-        suffice, of which the needed figure is told before anything is written.
+        suffice, of which the needed figure is told before anything is written; or workers, or the scheduler,
+        were lost, or a block failed again and again: the message names it, and the same call finishes the
+        run.
     MissingExtraError
         ``scheduler`` is given, and distributed is not installed.
 
@@ -151,8 +156,10 @@ def run(
     """Do what `process` does, and tell what was written; the arguments are those of `process`."""
     import xarray as xr
 
-    from .budget import check_disk, disk_needed, parse_size
+    from .budget import limited_threads, parse_size
     from .io.store import to_store
+    from .io.store.computing import errors_of_the_cluster
+    from .io.store.writer import check_room
 
     out = Path(out)
     _check_words(to, reflectance)
@@ -160,17 +167,18 @@ def run(
     parameters = {"to": to, "reflectance": reflectance}
     with contextlib.ExitStack() as stack:
         client = stack.enter_context(_cluster(scheduler))
+        stack.enter_context(errors_of_the_cluster(f"cannot process {collect}"))
         lines_a_task = CHUNK_LINES if client is None else CLUSTER_LINES
         tree, groups = _opened(collect, lines_a_task, parameters)
         kept = _kept(groups, out, overwrite=overwrite)
         pending = [name for name in groups if name not in kept]
         demand = _demand({name: groups[name] for name in pending}, lines_a_task, client, limit)
-        stack.enter_context(_threads(demand.threads if client is None else None))
+        stack.enter_context(limited_threads(demand.threads if client is None else None))
         if demand.lines < lines_a_task:
             tree, groups = _opened(collect, demand.lines, parameters)
         made = {name: _product(groups[name], name, to, reflectance) for name in pending}
-        check_disk(out, sum(map(disk_needed, made.values())))
-        _rehearse(made, collect)
+        check_room(made, out, {name: _token(dataset) for name, dataset in made.items()})
+        _rehearse(made, collect, client)
         lines = [name for name, dataset in made.items() if ALONG_TRACK in dataset.dims]
         for name, dataset in made.items():
             if progress and name in lines:
@@ -203,7 +211,7 @@ def _opened(
     collect: str | Path, lines: int, parameters: Mapping[str, Any]
 ) -> tuple[xr.DataTree, dict[str, xr.Dataset]]:
     """Open a collect with so many lines a task; return it, and the groups of a store."""
-    from .io.collect import open_collect
+    from .laboratory import open_collect
 
     need_irradiance = parameters["to"] == "reflectance"
     tree = open_collect(collect, need_irradiance=need_irradiance, chunks={ALONG_TRACK: lines})
@@ -319,13 +327,22 @@ def _overview(dataset: xr.Dataset) -> xr.DataArray | None:
     return made.rename("overview")
 
 
-def _rehearse(groups: Mapping[str, xr.Dataset], collect: str | Path) -> None:
-    """Compute the first slab of every line, so that values that cannot be are found before writing."""
+def _rehearse(groups: Mapping[str, xr.Dataset], collect: str | Path, client: Client | None) -> None:
+    """Compute the first slab of every line, so that values that cannot be are found before writing.
+
+    On a cluster this also compiles the kernels once, where the workers share a cache.
+    """
+    from .io.store.computing import RETRIES, errors_of_the_cluster
+
+    options = {} if client is None else {"retries": RETRIES}
     problems = Problems(f"{collect} cannot be processed", CollectError)
     for name, dataset in groups.items():
         if "quality" in dataset.variables:
             try:
-                dataset["quality"].isel({ALONG_TRACK: slice(0, 1)}).compute()
+                with errors_of_the_cluster(f"cannot compute the first lines of /{name}"):
+                    dataset["quality"].isel({ALONG_TRACK: slice(0, 1)}).compute(**options)
+            except StoreError:  # of the cluster, not of the data
+                raise
             except (PaintError, OSError) as error:
                 problems.add(f"/{name}: {error}")
     problems.raise_if_any()
@@ -340,11 +357,15 @@ def _demand(groups: Mapping[str, xr.Dataset], lines: int, client: Client | None,
 
     loads = {name: budget.Load.of(line) for name, line in groups.items() if ALONG_TRACK in line.dims}
     if client is None:
-        resident, available = budget.resident_memory(), budget.available_memory()
-        if limit is None and available is not None:
-            limit = resident + int(budget.USABLE * available)
-        fixed = max(budget.PROCESS, resident + budget.RUNNING)
-        return budget.fit(loads, lines=lines, threads=_thread_count(), fixed=fixed, limit=limit)
+        resident = budget.resident_memory()
+        return budget.fit(
+            loads,
+            lines=lines,
+            threads=budget.thread_count(),
+            fixed=max(budget.PROCESS, resident + budget.RUNNING),
+            limit=budget.process_limit(resident, limit),
+            a_thread=budget.thread_space(),
+        )
     workers = client.scheduler_info(n_workers=-1)["workers"].values()
     limits = [worker["memory_limit"] for worker in workers if worker["memory_limit"]]
     if limit is None and limits:
@@ -355,32 +376,16 @@ def _demand(groups: Mapping[str, xr.Dataset], lines: int, client: Client | None,
     )
 
 
-def _thread_count() -> int:
-    """Return how many threads dask would take here."""
-    import dask
-    from dask.system import CPU_COUNT
-
-    if dask.config.get("scheduler", None) in ("sync", "synchronous", "single-threaded"):
-        return 1
-    pool = dask.config.get("pool", None)
-    return int(getattr(pool, "_max_workers", 0) or dask.config.get("num_workers", None) or CPU_COUNT)
-
-
-def _threads(count: int | None) -> contextlib.AbstractContextManager[Any]:
-    """Return a context in which dask takes no more threads than that; None leaves them as they are."""
-    import dask
-
-    if count is None or count >= _thread_count():
-        return contextlib.nullcontext()
-    limited: contextlib.AbstractContextManager[Any] = dask.config.set(num_workers=count, pool=None)
-    return limited
-
-
 @contextlib.contextmanager
 def _cluster(address: str | None) -> Iterator[Client | None]:
     """Make a cluster the place where dask computes; the caller's own, or threads, without an address."""
+    from .io.store.computing import client_in_force
+
     if address is None:
-        yield _default_client()
+        client = client_in_force()
+        if client is not None:
+            _wait_for_workers(client)
+        yield client
         return
     try:
         from distributed import Client
@@ -393,15 +398,21 @@ def _cluster(address: str | None) -> Iterator[Client | None]:
         msg = f"no dask scheduler answers at {address!r} ({error}); expected something like tcp://host:8786"
         raise CollectError(msg) from error
     with client:
+        _wait_for_workers(client)
         yield client
 
 
-def _default_client() -> Client | None:
-    """Return the client the caller made, where dask computes with one."""
-    from dask.base import get_scheduler
-
-    client = getattr(get_scheduler(), "__self__", None)
-    return client if hasattr(client, "scheduler_info") else None
+def _wait_for_workers(client: Client) -> None:
+    """Wait for the first worker, whose memory decides how the run is done; refuse a cluster without any."""
+    try:
+        client.wait_for_workers(1, timeout=WORKERS_WAIT)
+    except TimeoutError as error:
+        msg = (
+            f"no worker has come to the scheduler at {client.scheduler_info()['address']} within "
+            f"{WORKERS_WAIT} s; start some (dask worker ADDRESS), or wait longer yourself: "
+            "client.wait_for_workers(1)"
+        )
+        raise StoreError(msg) from error
 
 
 @contextlib.contextmanager

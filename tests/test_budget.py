@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import importlib
+import os
 import subprocess
 import sys
+import threading
 from collections import namedtuple
 from pathlib import Path
 from typing import Any
 
 import dask
+import dask.array as da
 import numpy as np
 import pytest
 import xarray as xr
@@ -18,18 +22,26 @@ from strategies import flight
 import hyperpaint as hp
 from hyperpaint import budget, pipeline
 from hyperpaint.budget import (
+    HELPER_SPACE,
+    THREAD_SPACE,
     Load,
     available_memory,
-    check_disk,
-    disk_needed,
+    check_memory,
     fit,
+    limited_threads,
     parse_size,
+    process_limit,
     resident_memory,
+    thread_count,
+    thread_space,
 )
 from hyperpaint.cli import main
 from hyperpaint.errors import SchemaError, StoreError
+from hyperpaint.io.store import room
+from hyperpaint.io.store.room import check_disk, disk_needed
 
 MIB = 2**20
+ROOT = Path(__file__).resolve().parents[1]
 Usage = namedtuple("Usage", "total used free")
 
 
@@ -136,6 +148,131 @@ def test_version_one_of_control_groups(tmp_path: Path) -> None:
     assert available_memory(tmp_path) == 6000
 
 
+# --- address space -----------------------------------------------------------------------------------------
+
+
+def limited(monkeypatch: pytest.MonkeyPatch, size: int | None) -> None:
+    monkeypatch.setattr(budget, "_address_limit", lambda: size)
+
+
+def test_a_limited_address_space_leaves_less(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    write(tmp_path / "proc", meminfo="MemAvailable: 8000000 kB")
+    write(tmp_path / "proc/self", statm="100000 5000 1 1 0 1 0")
+    limited(monkeypatch, None)
+    assert available_memory(tmp_path) == 8_000_000 * 1024
+    assert thread_space() == 0
+    used = 100_000 * os.sysconf("SC_PAGE_SIZE")
+    limited(monkeypatch, used + 4 * 2**30)
+    monkeypatch.setattr(budget.os, "cpu_count", lambda: 2)
+    monkeypatch.setattr(budget.threading, "enumerate", list)
+    assert available_memory(tmp_path) == 4 * 2**30 - 7 * HELPER_SPACE
+    assert thread_space() == THREAD_SPACE
+    # helpers that run have taken their space already
+    started = [threading.Thread(name=name) for name in ("asyncio_0", "zarr_io", "mine")]
+    monkeypatch.setattr(budget.threading, "enumerate", lambda: started)
+    assert available_memory(tmp_path) == 4 * 2**30 - 5 * HELPER_SPACE
+    limited(monkeypatch, used + 1)
+    assert available_memory(tmp_path) == 0
+    (tmp_path / "proc/self/statm").unlink()
+    assert available_memory(tmp_path) == 8_000_000 * 1024
+
+
+def test_the_limit_of_a_process_is_the_least_of_all(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(budget, "_shared_memory", lambda _: 1000)
+    monkeypatch.setattr(budget, "_address_space", lambda _: None)
+    assert process_limit(50) == 850
+    assert process_limit(50, 10_000) == 10_000  # who gives a limit means it
+    monkeypatch.setattr(budget, "_address_space", lambda _: 600)
+    assert process_limit(50) == 650  # no other program takes of it
+    assert process_limit(50, 10_000) == 650
+    assert process_limit(50, 100) == 100
+    monkeypatch.setattr(budget, "_shared_memory", lambda _: None)
+    assert process_limit(50) == 650
+    monkeypatch.setattr(budget, "_address_space", lambda _: None)
+    assert process_limit(50) is None
+
+
+def test_each_thread_costs_address_space() -> None:
+    wished: dict[str, Any] = {"lines": 32, "threads": 4, "fixed": 200 * MIB}
+    free = fit({"a": load()}, limit=None, **wished)
+    assert fit({"a": load()}, limit=None, a_thread=70 * MIB, **wished).needed == free.needed + 280 * MIB
+    assert fit({"a": load()}, limit=free.needed, a_thread=70 * MIB, **wished).threads < 4
+    with pytest.raises(StoreError, match=r"needs \d+ MiB .*raise the limit of the address space"):
+        fit({"a": load()}, limit=300 * MIB, a_thread=70 * MIB, **wished)
+
+
+LIMITED = """
+import resource, sys
+import hyperpaint.io.collect, hyperpaint.pipeline, hyperpaint.radiometry, zarr, dask.array
+used = int(open("/proc/self/statm").read().split()[0]) * resource.getpagesize()
+resource.setrlimit(resource.RLIMIT_AS, (used + 450 * 2**20,) * 2)
+try:
+    hyperpaint.process(sys.argv[1], sys.argv[2])
+except hyperpaint.errors.StoreError as error:
+    print(error)
+"""
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="address space is limited on Linux")
+def test_a_process_of_too_little_address_space_is_refused_with_the_figure(
+    collect: Path, tmp_path: Path
+) -> None:
+    command = [sys.executable, "-c", LIMITED, str(collect), str(tmp_path / "lot.zarr")]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
+    assert "/flightlines/raw_0 needs " in done.stdout, done.stderr[-500:]
+    assert "(ulimit -v)" in done.stdout
+    assert not (tmp_path / "lot.zarr").exists()
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(sys.platform != "linux", reason="address space is limited on Linux")
+@pytest.mark.skipif(not (ROOT / "benchmarks").is_dir(), reason="installed without its benchmarks")
+def test_a_cube_larger_than_the_address_space(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.syspath_prepend(str(ROOT))
+    space = importlib.import_module("benchmarks.address_space")
+    assert space.show(tmp_path, 1100 * MIB, 1024 * MIB)
+    assert "bit-identical" in capsys.readouterr().out
+
+
+# --- threads -----------------------------------------------------------------------------------------------
+
+
+def test_threads_are_limited_and_given_back() -> None:
+    with dask.config.set(scheduler="threads", num_workers=4, pool=None):
+        assert thread_count() == 4
+        with limited_threads(2):
+            assert thread_count() == 2
+        for same in (None, 4, 9):
+            with limited_threads(same):
+                assert thread_count() == 4
+        with dask.config.set(scheduler="synchronous"):
+            assert thread_count() == 1
+
+
+def test_blocks_of_a_lazy_cube_limit_the_threads(monkeypatch: pytest.MonkeyPatch) -> None:
+    cube = xr.DataArray(
+        da.zeros((6400, 272, 640), chunks=(64, 272, 640), dtype="float32"),
+        dims=("along_track", "band", "cross_track"),
+    )
+    stored = xr.Dataset({"reflectance": cube})
+    with dask.config.set(scheduler="threads", num_workers=4):
+        monkeypatch.setattr(budget, "available_memory", lambda: 16 * 2**30)
+        monkeypatch.setattr(budget, "_shared_memory", lambda _: 16 * 2**30)
+        assert check_memory(stored, "it") == 4
+        monkeypatch.setattr(budget, "_shared_memory", lambda _: 700 * MIB)
+        assert check_memory(stored, "it") in (1, 2)
+        monkeypatch.setattr(budget, "available_memory", lambda: 60 * MIB)
+        with pytest.raises(
+            StoreError, match="it needs 75 MiB of memory for one dask chunk of 64 lines, but 60"
+        ):
+            check_memory(stored, "it")
+        assert check_memory(stored.isel(band=0).load(), "it") is None  # in memory already
+        monkeypatch.setattr(budget, "available_memory", lambda: None)
+        assert check_memory(stored, "it") is None
+
+
 # --- disk --------------------------------------------------------------------------------------------------
 
 
@@ -151,21 +288,23 @@ def test_a_full_disk_is_refused_before_anything_is_written(
     collect: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     out = tmp_path / "far" / "lot.zarr"
-    monkeypatch.setattr(budget.shutil, "disk_usage", lambda _: Usage(10**12, 10**12, 1000))
+    monkeypatch.setattr(room.shutil, "disk_usage", lambda _: Usage(10**12, 10**12, 1000))
     with pytest.raises(StoreError, match=r"\d+ MiB of disk are needed, 1 MiB are free; make room"):
         hp.process(collect, out)
     assert not any(tmp_path.iterdir())
 
 
 def test_what_an_interrupted_run_left_counts(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(budget.shutil, "disk_usage", lambda _: Usage(10**12, 10**12, 1000))
+    monkeypatch.setattr(room.shutil, "disk_usage", lambda _: Usage(10**12, 10**12, 1000))
     check_disk(tmp_path / "lot.zarr", 1000)
     with pytest.raises(StoreError, match="of disk are needed"):
         check_disk(tmp_path / "lot.zarr", 1500)
     begun = tmp_path / ".partial-lot.zarr" / "a"
     begun.mkdir(parents=True)
     (begun / "chunk").write_bytes(bytes(600))
-    check_disk(tmp_path / "lot.zarr", 1500)
+    check_disk(tmp_path / "lot.zarr", 1500, [begun])
+    with pytest.raises(StoreError, match="of disk are needed"):
+        check_disk(tmp_path / "lot.zarr", 1500)  # what is taken up is named
 
 
 # --- process -----------------------------------------------------------------------------------------------

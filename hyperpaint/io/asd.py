@@ -273,6 +273,8 @@ def _read_file(path: Path) -> AsdFile | AsdText:
 
 def sniff(path: Path) -> Kind:
     """Return what kind of spectra a file holds, by its first bytes; ``unknown`` also where there is none."""
+    if not path.is_file():  # a pipe would wait
+        return "unknown"
     try:
         with path.open("rb") as stream:
             head = stream.read(_HEAD_BYTES)

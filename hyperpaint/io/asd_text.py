@@ -23,7 +23,7 @@ import numpy.typing as npt
 from hyperpaint.errors import FormatError
 
 from .asd_blocks import nominal_integration_ms
-from .reading import read_limited
+from .reading import read_limited_text
 
 __all__ = ["AsdText", "is_asd_text", "read_asd_text"]
 
@@ -109,7 +109,7 @@ def read_asd_text(path: str | os.PathLike[str]) -> AsdText:
     array([[0.89, 0.91]])
     """
     path = Path(path)
-    lines = _lines(read_limited(path, _LARGEST_FILE, "a text export of spectra"))
+    lines = _lines(read_limited_text(path, _LARGEST_FILE, "a text export of spectra"))
     start = next((i for i, line in enumerate(lines) if _TABLE.match(line)), None)
     if start is None:
         msg = (

@@ -87,6 +87,8 @@ class EnviBackendEntrypoint(BackendEntrypoint):
 
 def _is_envi_header(path: Path) -> bool:
     try:
+        if not path.is_file():  # a pipe would wait
+            return False
         with open(path, "rb") as file:
             return file.read(7).removeprefix(b"\xef\xbb\xbf").startswith(b"ENVI")
     except (OSError, ValueError):

@@ -387,6 +387,9 @@ def _band_names(reader: _Reader, bands: int) -> tuple[str, ...]:
     if not text:
         return ()
     found = text.rstrip(", \t\n").count(",") + 1
+    if found > max(1000, 10 * bands):
+        reader.findings.problem(f"'band names' has {found} names for {bands} bands; delete the list")
+        return ()
     if found != bands:
         reader.findings.note(f"'band names' has {found} names for {bands} bands: names ignored")
         return ()

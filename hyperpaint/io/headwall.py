@@ -19,7 +19,7 @@ from hyperpaint.errors import FormatError, Problems, TimeError, UnitsError
 from hyperpaint.schema import CHUNK_LINES, CUBE
 from hyperpaint.units import conversion_factor
 
-from .reading import read_limited
+from .reading import read_limited_text
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -66,7 +66,7 @@ def read_text(path: Path, limit: int = _MAX_SETTINGS) -> str:
     FormatError
         The file cannot be read, is larger than ``limit`` bytes, or is binary.
     """
-    data = read_limited(path, limit, "a text file")
+    data = read_limited_text(path, limit, "a text file")
     if b"\0" in data:
         msg = f"{path}: binary, expected text; some systems write binary logs under the same name: export it"
         raise FormatError(msg)

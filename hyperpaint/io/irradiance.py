@@ -13,7 +13,14 @@ import numpy as np
 import numpy.typing as npt
 import xarray as xr
 
-from hyperpaint.errors import FormatError, PaintError, Problems, SchemaError, TimeError, UnitsError
+from hyperpaint.errors import (
+    FormatError,
+    IncompleteStoreError,
+    Problems,
+    SchemaError,
+    TimeError,
+    UnitsError,
+)
 from hyperpaint.schema import IRRADIANCE_TIME, IRRADIANCE_WAVELENGTH, VARIABLES, label
 from hyperpaint.units import conversion_factor, convert
 
@@ -30,6 +37,7 @@ from .asd import (
 )
 from .daylight import check_magnitude
 from .irradiance_csv import read_irradiance_csv
+from .reading import load_netcdf
 from .stamps import TO_MIDDLE
 
 __all__ = ["open_irradiance"]
@@ -40,6 +48,8 @@ _FloatArray = npt.NDArray[np.float64]
 ASD_FWHM_NM = 3.0
 _ASD_FWHM_SOURCE = f"assumed: {ASD_FWHM_NM:g} nm, the resolution of ASD instruments at 700 nm"
 _GAP_INTERVALS = 2.5
+#: Pairs of samples with one stamp that a message names.
+_MOST_SHOWN = 20
 _STORE_SUFFIXES = (".zarr", ".nc", ".nc4", ".h5")
 _STORE_FILES = ("zarr.json", ".zgroup", ".zattrs")
 
@@ -312,22 +322,25 @@ def _is_store(path: Path) -> bool:
 
 def _open_store(path: Path) -> xr.Dataset:
     """Return the dataset that holds the series: the root, or of a collect's store its group irradiance."""
+    from .store import load_unverified, open_store
+    from .store.location import Location
+
+    group, ours = None, False
     try:
-        if path.is_file():
-            return xr.load_dataset(path)
-        import zarr
-
-        root = zarr.open_group(path, mode="r", use_consolidated=False)
-        inner = root.get("irradiance")
-        group, node = ("irradiance", inner) if isinstance(inner, zarr.Group) else (None, root)
-        if "hyperpaint_format" in node.attrs:
-            from .store import open_store  # refuses what was never finished
-
-            return open_store(path, group, chunks=None).load()
-        foreign: xr.Dataset = xr.open_zarr(path, group=group, chunks=None, consolidated=False)
-        return foreign.load()
-    except PaintError:
-        raise
+        if not path.is_dir():
+            return load_netcdf(path)
+        location = Location.of(path)
+        inner, node = location.metadata("irradiance") or {}, location.metadata("") or {}
+        if inner.get("node_type") == "group":
+            group, node = "irradiance", inner
+        ours = "hyperpaint_format" in (node.get("attributes") or {})
+        # ours is refused where it was never finished
+        return open_store(path, group, chunks=None).load() if ours else load_unverified(path, group)
+    except IncompleteStoreError as error:
+        if ours:
+            raise
+        msg = f"{path}: cannot be opened as a Zarr store ({error})"
+        raise FormatError(msg) from error
     except Exception as error:  # zarr, h5py and xarray leak classes of their own on damaged stores
         msg = f"{path}: cannot be opened as a Zarr or netCDF store ({type(error).__name__}: {error})"
         raise FormatError(msg) from error
@@ -426,10 +439,13 @@ def _refuse_duplicates(
         "with finer stamps",
         TimeError,
     )
-    for first, second in zip(order[twice], order[twice + 1], strict=True):
+    shown = twice[:_MOST_SHOWN]
+    for first, second in zip(order[shown], order[shown + 1], strict=True):
         same = np.array_equal(series.values[first], series.values[second], equal_nan=True)
         remark = " (the same spectrum twice)" if same else ""
         problems.add(f"{series.stamps[second]}: {series.sources[first]} and {series.sources[second]}{remark}")
+    if len(twice) > len(shown):
+        problems.add(f"... ({len(twice)} pairs in all)")
     problems.raise_if_any()
 
 

@@ -13,7 +13,7 @@ import numpy.typing as npt
 
 from hyperpaint.errors import FormatError
 
-from .reading import read_limited
+from .reading import read_limited_text
 
 __all__ = ["IrradianceTable", "is_irradiance_csv", "read_irradiance_csv"]
 
@@ -89,7 +89,7 @@ def read_irradiance_csv(path: str | os.PathLike[str]) -> IrradianceTable:
     ('W m-2 nm-1', array([[0.89, 0.9 ]]))
     """
     path = Path(path)
-    data = read_limited(path, _LARGEST_FILE, "an irradiance series (a longer one fits Zarr)")
+    data = read_limited_text(path, _LARGEST_FILE, "an irradiance series (a longer one fits Zarr)")
     text = data.decode("utf-8-sig", errors="replace")
     return _parse(path.name, text.replace("\r\n", "\n").replace("\r", "\n"))
 

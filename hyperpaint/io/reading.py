@@ -2,11 +2,26 @@
 
 from __future__ import annotations
 
+import os
+import re
+import stat
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from hyperpaint.errors import FormatError
 
-__all__ = ["read_limited"]
+if TYPE_CHECKING:
+    import xarray as xr
+
+__all__ = ["load_netcdf", "read_limited", "read_limited_text"]
+
+LONGEST_LINE = 2**20
+"""Bytes of a line of text: spectra side by side have some 12 a cell."""
+
+_LINE = re.compile(rb"[^\r\n]+")
+
+MOST_NETCDF_BYTES = 2**30
+"""Bytes of all variables of a netCDF file that is loaded at once."""
 
 
 def read_limited(path: Path, limit: int, expected: str) -> bytes:
@@ -27,11 +42,58 @@ def read_limited(path: Path, limit: int, expected: str) -> bytes:
         The file cannot be read, or is larger than ``limit``.
     """
     try:
-        size = path.stat().st_size
-        if size <= limit:
-            return path.read_bytes()
+        found = path.stat()
+        size = found.st_size
+        if stat.S_ISREG(found.st_mode) and size <= limit:
+            with open(path, "rb") as file:
+                # read() sets aside all it is allowed to read
+                return file.read(size)
     except OSError as error:
         msg = f"{path}: cannot be read ({error.strerror or error}); check the path"
         raise FormatError(msg) from error
+    if not stat.S_ISREG(found.st_mode):
+        msg = f"{path}: a folder, pipe or device, expected {expected}; check the path"
+        raise FormatError(msg)
     msg = f"{path}: {size} bytes, expected {expected} of at most {limit} bytes; check the path"
     raise FormatError(msg)
+
+
+def read_limited_text(path: Path, limit: int, expected: str) -> bytes:
+    """Return the bytes of a text file, as `read_limited`; its lines are bounded too.
+
+    A line is split into cells, each of which takes thirty times its bytes.
+
+    Raises
+    ------
+    FormatError
+        As `read_limited`; or a line is longer than `LONGEST_LINE`.
+    """
+    data = read_limited(path, limit, expected)
+    if len(data) > LONGEST_LINE:
+        longest = max((line.end() - line.start() for line in _LINE.finditer(data)), default=0)
+        if longest > LONGEST_LINE:
+            msg = f"{path}: a line of {longest} bytes, expected {expected}, lines of at most {LONGEST_LINE}"
+            raise FormatError(msg)
+    return data
+
+
+def load_netcdf(path: Path, group: str | None = None) -> xr.Dataset:
+    """Load a small netCDF file whole.
+
+    Raises
+    ------
+    FormatError
+        It declares more than `MOST_NETCDF_BYTES`, or is no plain file.
+    Exception
+        Whatever the engine raises where the file is damaged.
+    """
+    import xarray as xr
+
+    if not path.is_file():
+        msg = f"{path}: expected a netCDF file; check the path"
+        raise FormatError(msg)
+    with xr.open_dataset(os.fspath(path), group=group) as dataset:
+        if dataset.nbytes > MOST_NETCDF_BYTES:
+            msg = f"{path} declares {dataset.nbytes} bytes, expected at most {MOST_NETCDF_BYTES}"
+            raise FormatError(msg)
+        return dataset.load()

@@ -18,6 +18,14 @@ def kernel(function: Function) -> Function:
     The lock is released, since dask's threads run kernels side by side; ``parallel=True`` would abort the
     process there. The numpy error model lets the compiler vectorise divisions. No fast-math: the same bits
     must come out whatever the chunking.
+
+    What is compiled is kept on disk, for every later process: in ``NUMBA_CACHE_DIR``, else beside the
+    package, else, where that must not be written, in the user's cache folder. Where none can be written
+    (a container with a read-only disk) every process compiles for itself.
     """
-    compiled: Function = numba.njit(nogil=True, cache=True, error_model="numpy")(function)
+    options = {"nogil": True, "error_model": "numpy"}
+    try:
+        compiled: Function = numba.njit(cache=True, **options)(function)
+    except RuntimeError:  # numba has found no folder for it
+        compiled = numba.njit(**options)(function)
     return compiled

@@ -15,12 +15,19 @@ from hyperpaint.io.collect_toml import read_collect
 from hyperpaint.io.irradiance import open_irradiance
 
 
-@pytest.mark.parametrize("pattern", ["*/" * 3000, "**/" * 30 + "*.asd", "[" * 5000])
-def test_globs_that_recurse_or_never_end(pattern: str, tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("pattern", "said"),
+    [
+        ("*/" * 3000, "expected a pattern of at most 1000 characters"),
+        ("**/" * 30 + "*.asd", "matches no file"),
+        ("[" * 5000, "expected a pattern of at most 1000 characters"),
+    ],
+)
+def test_globs_that_recurse_or_never_end(pattern: str, said: str, tmp_path: Path) -> None:
     # RecursionError from glob (a level a folder); with many '**' the time multiplies
     path = tmp_path / "collect.toml"
     path.write_text(f'[irradiance]\nfiles = "{pattern}"\n')
-    with pytest.raises(CollectError, match=r"expected at most 1000 characters, one '\*\*'"):
+    with pytest.raises(CollectError, match=said):
         read_collect(path)
 
 

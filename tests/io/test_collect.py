@@ -215,7 +215,7 @@ def test_ids_are_names_of_groups(folder: Path, name: str) -> None:
     ("old", "new", "expected"),
     [
         (r"^\[calibration\]\npath = .*\n", "", "no calibration"),
-        (r"^path = .*", 'sweep = "lab.zarr"', "hyperpaint calibrate"),
+        (r"^path = .*", 'sweep = "lab.zarr"', "[calibration] sweep = 'lab.zarr': no such file"),
         (r"^path = .*", "", "[calibration] path is missing"),
         (r"^\[dark\]\ncubes = .*\n", "", 'dark="none"'),
         (r"^cube = .*raw_0.*\n", "", "[[flightlines]] 1 cube is missing"),

@@ -2,8 +2,19 @@
 
 from __future__ import annotations
 
-from .reader import is_complete, list_groups, open_store
+from .layout import encoding
+from .reader import is_complete, list_groups, load_unverified, open_store, open_unverified
 from .verification import StoreReport, verify
 from .writer import to_store
 
-__all__ = ["StoreReport", "is_complete", "list_groups", "open_store", "to_store", "verify"]
+__all__ = [
+    "StoreReport",
+    "encoding",
+    "is_complete",
+    "list_groups",
+    "load_unverified",
+    "open_store",
+    "open_unverified",
+    "to_store",
+    "verify",
+]

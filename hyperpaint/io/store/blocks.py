@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import itertools
 import uuid
 from collections.abc import Mapping
@@ -19,7 +18,7 @@ if TYPE_CHECKING:
     import numpy as np
     import xarray as xr
 
-__all__ = ["Target", "compute", "is_streamed", "lazy_checksums", "placeholder", "region"]
+__all__ = ["Target", "is_streamed", "lazy_checksums", "placeholder", "region"]
 
 
 @dataclass(frozen=True)
@@ -217,33 +216,3 @@ def _as_stored(block: np.ndarray[Any, Any], dtype: np.dtype[Any]) -> np.ndarray[
         msg = f"a block came as {block.dtype}, declared was {dtype}"
         raise TypeError(msg)
     return block.astype(dtype.newbyteorder("<"), copy=False)
-
-
-def compute(lazy: Mapping[str, da.Array], *, progress: bool) -> dict[str, np.ndarray[Any, Any]]:
-    """Compute together what is lazy, so that what two arrays share is computed once.
-
-    Parameters
-    ----------
-    lazy
-        Name to checksums.
-    progress
-        Show a bar: dask's own, or that of the cluster where a client is the default scheduler.
-    """
-    import dask
-    from dask.base import get_scheduler
-
-    if not lazy:
-        return {}
-    client = getattr(get_scheduler(), "__self__", None)
-    if progress and client is not None and hasattr(client, "gather"):
-        from distributed import progress as show
-
-        futures = client.compute(list(lazy.values()))
-        show(futures)
-        return dict(zip(lazy, client.gather(futures), strict=True))
-    with contextlib.ExitStack() as stack:
-        if progress:
-            from dask.diagnostics import ProgressBar
-
-            stack.enter_context(ProgressBar())
-        return dict(zip(lazy, dask.compute(*lazy.values()), strict=True))

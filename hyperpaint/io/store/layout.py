@@ -22,7 +22,16 @@ if TYPE_CHECKING:
     import numpy as np
     import xarray as xr
 
-__all__ = ["encode_chunk", "encoding_of", "fill_value", "is_at_hand", "prepare", "regroup", "storage_chunks"]
+__all__ = [
+    "encode_chunk",
+    "encoding",
+    "encoding_of",
+    "fill_value",
+    "is_at_hand",
+    "prepare",
+    "regroup",
+    "storage_chunks",
+]
 
 TILE = 128
 """Cells along each side of a map tile: 18 MB of float32 at 272 bands."""
@@ -128,6 +137,33 @@ def fill_value(dtype: np.dtype[Any]) -> Any:
     if dtype.kind in "iu":
         return min(_INTEGER_FILL, int(np.iinfo(dtype).max))
     return False if dtype.kind == "b" else None
+
+
+def encoding(dataset: xr.Dataset) -> dict[Hashable, dict[str, Any]]:
+    """Return the xarray encoding `to_store` uses, for writers that know nothing of hyperpaint.
+
+    With it, `Dataset.to_zarr` into any Zarr v3 store (an icechunk session, say) keeps chunks of 32 whole
+    lines, fill values that cannot be taken for data, and the crc32c that lets every later reader notice a
+    damaged chunk; Zarr's default has none.
+
+    Parameters
+    ----------
+    dataset
+        What will be written; reads dims, shapes and dtypes only.
+
+    Returns
+    -------
+    dict
+        Variable name to encoding, for the ``encoding`` of `xarray.Dataset.to_zarr`.
+
+    Examples
+    --------
+    >>> import numpy as np, xarray as xr
+    >>> cube = xr.Dataset({"reflectance": (("along_track", "band"), np.ones((100, 4), "float32"))})
+    >>> encoding(cube)["reflectance"]["chunks"]
+    (32, 4)
+    """
+    return {name: encoding_of(variable) for name, variable in dataset.variables.items()}
 
 
 def encoding_of(variable: xr.Variable) -> dict[str, Any]:

@@ -4,18 +4,18 @@ from __future__ import annotations
 
 import json
 import os
+import stat
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from hyperpaint.errors import IncompleteStoreError, StoreError
 
-__all__ = ["METADATA", "Location", "clean_group", "replace_file", "sync_folder"]
+from .documents import MOST_JSON_BYTES, parse_document
+
+__all__ = ["METADATA", "Location", "clean_group", "plain_file", "replace_file", "sync_folder"]
 
 METADATA = "zarr.json"
-
-#: A metadata document larger than this is not metadata of ours (a collect of 60 lines has 2 MB).
-_LARGEST_JSON = 256 * 2**20
 
 
 def clean_group(group: str | None) -> str:
@@ -77,11 +77,23 @@ class Location:
         return bool(self.fs.exists(self.key(group, *parts)))
 
     def read(self, group: str, *parts: str) -> bytes | None:
-        """Return a small file's bytes; None where there is no such file."""
+        """Return a small file's bytes; None where there is no such file.
+
+        Raises
+        ------
+        StoreError
+            The path leaves the store, the file is none, is larger than metadata are, or cannot be read.
+        """
         key = self.key(group, *parts)
         try:
-            if self.fs.size(key) > _LARGEST_JSON:
-                msg = f"{key} is larger than {_LARGEST_JSON} bytes, which no metadata of a store is"
+            if self.local is not None:
+                if plain_file(self.root, key[len(self.root) :].lstrip("/")) is None:
+                    return None
+            elif ".." in key.split("/"):
+                msg = f"{key} leads out of the store"
+                raise StoreError(msg)
+            if self.fs.size(key) > MOST_JSON_BYTES:
+                msg = f"{key} is larger than {MOST_JSON_BYTES} bytes, which no metadata of a store is"
                 raise IncompleteStoreError(msg)
             return bytes(self.fs.cat_file(key))
         except (FileNotFoundError, IsADirectoryError, NotADirectoryError):
@@ -93,21 +105,12 @@ class Location:
         Raises
         ------
         IncompleteStoreError
-            The file is not a JSON object.
+            The file is not a JSON object, or more than metadata of a store are.
+        StoreError
+            The path leaves the store, or the file cannot be read.
         """
         raw = self.read(group, *parts)
-        if raw is None:
-            return None
-        try:
-            document = json.loads(raw)
-        except (ValueError, RecursionError) as error:
-            msg = f"{self.key(group, *parts)} is damaged: {type(error).__name__}: {error}"
-            raise IncompleteStoreError(msg) from None
-        if not isinstance(document, dict):
-            kind = type(document).__name__
-            msg = f"{self.key(group, *parts)} is damaged: expected a JSON object, found {kind}"
-            raise IncompleteStoreError(msg)
-        return document
+        return None if raw is None else parse_document(raw, self.key(group, *parts))
 
     def metadata(self, group: str, *parts: str) -> dict[str, Any] | None:
         """Return the ``zarr.json`` of a node without consolidated metadata; None where there is no node."""
@@ -126,18 +129,22 @@ class Location:
 
     def groups(self) -> list[str]:
         """Return every group that holds arrays, sorted; unreadable nodes are passed over."""
-        found: set[str] = set()
+        arrays = (path for path, kind in self.nodes().items() if kind == "array")
+        return sorted({path.rpartition("/")[0] for path in arrays})
+
+    def nodes(self) -> dict[str, str]:
+        """Return every node below the root: ``group``, ``array``, or ``unreadable``."""
+        found: dict[str, str] = {}
         pending = [""]
         while pending:
             group = pending.pop()
             for child in self.folders(group):
                 path = f"{group}/{child}" if group else child
-                node = self._node_type(path)
-                if node == "group":
+                if (kind := self._node_type(path)) in ("group", "array", "unreadable"):
+                    found[path] = str(kind)
+                if kind == "group":
                     pending.append(path)
-                elif node == "array":
-                    found.add(group)
-        return sorted(found)
+        return found
 
     def subgroups(self, group: str) -> list[str]:
         """Return the names of the groups right below a group."""
@@ -148,21 +155,83 @@ class Location:
         ]
 
     def folders(self, group: str) -> list[str]:
-        """Return the names of the folders in a group."""
+        """Return the names of the folders in a group.
+
+        Raises
+        ------
+        StoreError
+            One of them is a link, which would lead out of the store, or around in it without end.
+        """
         try:
             entries = self.fs.ls(self.key(group), detail=True)
         except (FileNotFoundError, NotADirectoryError):
             return []
-        return [
-            entry["name"].rstrip("/").rsplit("/", 1)[-1] for entry in entries if entry["type"] == "directory"
-        ]
+        if links := [e["name"] for e in entries if e.get("islink") and os.path.isdir(e["name"])]:
+            msg = f"{', '.join(links)}: a link to another folder; a store holds plain files and folders"
+            raise StoreError(msg)
+        folders = (entry["name"] for entry in entries if entry["type"] == "directory")
+        return [name.rstrip("/").rsplit("/", 1)[-1] for name in folders]
 
     def _node_type(self, path: str) -> str | None:
         try:
             document = self.read_json(path, METADATA)
-        except IncompleteStoreError:
-            return None
+        except StoreError:
+            return "unreadable"
         return None if document is None else str(document.get("node_type"))
+
+    def files(self, group: str) -> set[str]:
+        """Return the paths of all files below a group, relative to it; links are files."""
+        if self.local is None:
+            prefix = self.key(group).rstrip("/") + "/"
+            return {file.removeprefix(prefix) for file in self.fs.find(self.key(group))}
+        found: set[str] = set()
+        for folder, folders, names in os.walk(self.local / group):
+            links = [name for name in folders if os.path.islink(os.path.join(folder, name))]
+            inside = Path(folder).relative_to(self.local / group)
+            found.update((inside / name).as_posix() for name in (*names, *links))
+        return found
+
+
+def plain_file(root: str, key: str) -> os.stat_result | None:
+    """Return the state of a plain file in a local store; None where there is no file.
+
+    Parameters
+    ----------
+    root
+        The store's folder, which may itself be reached through links.
+    key
+        Path inside it.
+
+    Raises
+    ------
+    StoreError
+        The path leaves the store, passes through a link, or ends in something that is no plain file: a
+        store holds files and folders only.
+    """
+    parts = key.split("/")
+    if any(part in ("", ".", "..") or "\\" in part or "\0" in part for part in parts):
+        msg = f"{root}: {key!r:.200} is no path inside a store"
+        raise StoreError(msg)
+    place = root
+    found: os.stat_result | None = None
+    for part in parts:
+        place = f"{place}/{part}"
+        try:
+            found = os.lstat(place)
+        except (FileNotFoundError, NotADirectoryError):
+            return None
+        except OSError as error:
+            msg = f"{place:.200} cannot be read: {error.strerror}"
+            raise StoreError(msg) from error
+        if stat.S_ISLNK(found.st_mode):
+            msg = f"{place} is a link; a store holds plain files and folders"
+            raise StoreError(msg)
+    if found is None or stat.S_ISDIR(found.st_mode):
+        return None
+    if not stat.S_ISREG(found.st_mode):
+        msg = f"{place} is no plain file, but a pipe or a device; a store holds plain files and folders"
+        raise StoreError(msg)
+    return found
 
 
 def replace_file(path: Path, content: bytes) -> None:

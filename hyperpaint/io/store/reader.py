@@ -1,4 +1,8 @@
-"""Open stores, and refuse what was never finished."""
+"""Open stores, and refuse what was never finished, or may not be read at all.
+
+Whoever wrote a store, nothing of it is decoded before its metadata (`documents`) and each chunk as it is read
+(`frames`) have been checked. What only every chunk together can tell, `verification` finds.
+"""
 
 from __future__ import annotations
 
@@ -7,13 +11,17 @@ from typing import TYPE_CHECKING, Any
 
 from hyperpaint.errors import IncompleteStoreError, StoreError
 
+from .documents import check_node
 from .location import Location, clean_group
 from .record import GroupRecord, metadata_checksum, read_record
 
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["is_complete", "list_groups", "open_store"]
+__all__ = ["is_complete", "list_groups", "load_unverified", "open_store", "open_unverified"]
+
+MOST_LOADED_BYTES = 2**30
+"""Bytes of all arrays of a group that is loaded at once."""
 
 
 def list_groups(path: str | os.PathLike[str]) -> list[str]:
@@ -46,6 +54,10 @@ def is_complete(path: str | os.PathLike[str], group: str | None = None) -> bool:
 def open_store(path: str | os.PathLike[str], group: str | None = None, **kwargs: Any) -> xr.Dataset:
     """Open a finished group lazily, like `xarray.open_zarr`.
 
+    The group must be sealed and its metadata those recorded; each chunk, when it is read, must be there and
+    decode to the size that is declared, whoever wrote it. That all chunks hold what was written is told by
+    `hyperpaint.verify`.
+
     Parameters
     ----------
     path
@@ -65,14 +77,64 @@ def open_store(path: str | os.PathLike[str], group: str | None = None, **kwargs:
     IncompleteStoreError
         The group was never finished, or its metadata are damaged.
     StoreError
-        There is no such store or group; those that exist are listed.
+        There is no such store or group (those that exist are listed); or it holds what is not read: codecs,
+        data types, sizes or links that no store of ours has.
     """
+    location, name = Location.of(path), clean_group(group)
+    record = _complete_record(location, name)
+    return _opened(location, name, record.seal, whole=True, **kwargs)
+
+
+def open_unverified(path: str | os.PathLike[str], group: str | None = None, **kwargs: Any) -> xr.Dataset:
+    """Open a group lazily, finished or not, by hyperpaint or not; its chunks are checked as they are read.
+
+    Raises
+    ------
+    StoreError
+        There is no such store or group, or it holds what is not read.
+    """
+    location, name = Location.of(path), clean_group(group)
+    node = location.metadata(name)
+    if node is None:
+        old = any(location.has(name, file) for file in (".zgroup", ".zarray", ".zmetadata"))
+        hint = "; it is Zarr 2: rewrite it with xarray's to_zarr(..., zarr_format=3)" if old else ""
+        msg = f"there is no group {'/' + name!r} of Zarr 3 in {location.url}{hint}"
+        raise StoreError(msg)
+    check_node(node, location.key(name))
+    return _opened(location, name, str(metadata_checksum(node)), whole=False, **kwargs)
+
+
+def load_unverified(path: str | os.PathLike[str], group: str | None = None) -> xr.Dataset:
+    """Load a small group whole, finished or not, by hyperpaint or not.
+
+    Raises
+    ------
+    StoreError
+        As `open_unverified`; or its arrays are larger than `MOST_LOADED_BYTES` together.
+    """
+    opened = open_unverified(path, group, chunks=None)
+    if opened.nbytes > MOST_LOADED_BYTES:
+        msg = f"{os.fspath(path)} declares {opened.nbytes} bytes, expected at most {MOST_LOADED_BYTES}"
+        raise StoreError(msg)
+    return opened.load()
+
+
+def _opened(location: Location, group: str, content: str, *, whole: bool, **kwargs: Any) -> xr.Dataset:
     import xarray as xr
 
-    location, name = Location.of(path), clean_group(group)
-    _complete_record(location, name)
+    from .guard import guarded
+
+    store = guarded(location, whole=whole, content=content)
     # the root's consolidated metadata may be older than a group whose writer was killed just before the end
-    opened: xr.Dataset = xr.open_zarr(location.url, group=name or None, **{"consolidated": False, **kwargs})
+    options = {"consolidated": False, **kwargs}
+    try:
+        opened: xr.Dataset = xr.open_zarr(store, group=group or None, **options)
+    except StoreError:
+        raise
+    except Exception as error:  # zarr, numpy and xarray's decoding each have their own
+        msg = f"{location.group_url(group)} cannot be opened: {type(error).__name__}: {error!s:.300}"
+        raise StoreError(msg) from error
+    opened.encoding["source"] = location.url
     return opened
 
 
@@ -93,5 +155,9 @@ def _complete_record(location: Location, group: str) -> GroupRecord:
         if document is None or metadata_checksum(document) != array.metadata:
             state = "is missing" if document is None else "has metadata other than recorded"
             msg = f"array {name!r} in {where} {state}; write the group again"
+            raise IncompleteStoreError(msg)
+        form = check_node(document, location.key(group, name))
+        if form is None or form.grid != array.grid:
+            msg = f"array {name!r} in {where} has {form and form.grid} chunks, recorded are {array.grid}"
             raise IncompleteStoreError(msg)
     return record

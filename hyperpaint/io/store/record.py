@@ -43,6 +43,7 @@ CHUNKS = "hyperpaint-chunks.json"
 COMPLETE = "hyperpaint_complete"
 """Attribute of a finished group."""
 
+_MOST_DIMS = 32
 _SEAL = re.compile(r"token=([0-9A-Za-z_-]{1,64}) chunks=([0-9a-f]{8}) attributes=([0-9a-f]{8})")
 
 
@@ -80,11 +81,13 @@ class ArrayRecord:
         if int(document["hyperpaint_format"]) > FORMAT_VERSION:
             msg = f"format {document['hyperpaint_format']} is newer than {FORMAT_VERSION}; update hyperpaint"
             raise ValueError(msg)
-        record = cls(
-            int(document["metadata"]),
-            tuple(map(int, document["grid"])),
-            tuple(map(int, document["crc32c"])),
-        )
+        record = cls(document["metadata"], tuple(document["grid"]), tuple(document["crc32c"]))
+        if len(record.grid) > _MOST_DIMS or not all(
+            type(number) is int and 0 <= number < 2**32
+            for number in (record.metadata, *record.grid, *record.chunks)
+        ):
+            msg = "expected whole numbers below 2**32"
+            raise ValueError(msg)
         if math.prod(record.grid) != len(record.chunks):
             msg = f"a grid of {record.grid} chunks has {len(record.chunks)} checksums"
             raise ValueError(msg)

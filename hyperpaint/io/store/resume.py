@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING
 
 from hyperpaint.errors import PaintError
 
+from .durability import start_flush
 from .record import checksum
 
 if TYPE_CHECKING:
@@ -44,7 +45,7 @@ def write_chunk(folder: Path, key: str, parts: Sequence[bytes], value: int) -> N
     """
     path = folder / key
     _make_parents(folder, path)
-    _replace(path, parts)
+    _replace(path, parts, flush=True)
     _replace(_record_of(path), [f"{key} {value:08x}\n".encode()])
 
 
@@ -103,7 +104,7 @@ def is_mendable(error: BaseException) -> bool:
     be wrong again, or come with other content.
     """
     if isinstance(error, PaintError):
-        return False
+        return error.__cause__ is not None and is_mendable(error.__cause__)
     lost = type(error).__module__.partition(".")[0] == "distributed"
     return lost or not isinstance(error, Exception) or isinstance(error, OSError | MemoryError)
 
@@ -127,9 +128,15 @@ def _make_parents(folder: Path, path: Path) -> None:
         (folder / parent).mkdir(exist_ok=True)
 
 
-def _replace(path: Path, parts: Sequence[bytes]) -> None:
+def _replace(path: Path, parts: Sequence[bytes], *, flush: bool = False) -> None:
     # a scheduler may run a task twice at once: each writes its own file, the last rename stands
     temporary = path.with_name(f".{path.name}.{uuid.uuid4().hex}")
-    with open(temporary, "wb") as file:
-        file.writelines(parts)
-    os.replace(temporary, path)
+    try:
+        with open(temporary, "wb") as file:
+            file.writelines(parts)
+            if flush:
+                start_flush(file)
+        os.replace(temporary, path)
+    except OSError:  # on a full disk its room is needed
+        temporary.unlink(missing_ok=True)
+        raise

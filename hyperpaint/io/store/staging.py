@@ -28,7 +28,7 @@ from hyperpaint.errors import StoreError
 
 from .location import sync_folder
 
-__all__ = ["Staging", "discard", "staging"]
+__all__ = ["Staging", "clear_up", "discard", "staging"]
 
 _ROOT = "%root"
 _DISCARDED = "-discarded"
@@ -56,7 +56,25 @@ class Staging:
     def leftovers(self, group: str, content: str) -> list[Path]:
         """Return what earlier attempts built of a group with the same content."""
         prefix = _build_prefix(group, content)
-        return sorted(found for found in self.folder.iterdir() if found.name.startswith(prefix))
+        try:
+            entries = list(self.folder.iterdir())
+        except (FileNotFoundError, NotADirectoryError):
+            return []
+        return sorted(
+            found
+            for found in entries
+            if found.name.startswith(prefix) and not found.name.endswith(_DISCARDED)
+        )
+
+    def close(self, build: Path, group: str, content: str) -> Path:
+        """Give what has been built another name, and return that.
+
+        A cluster repeats a task whose worker dies, even one that is no longer waited for. From here on such a
+        task finds no folder to write to.
+        """
+        closed = self.build(group, content)
+        os.rename(build, closed)
+        return closed
 
     def publish(self, build: Path, group: str) -> None:
         """Put a finished group in its place by renaming, the old one out of the way first."""
@@ -67,6 +85,7 @@ class Staging:
         target.parent.mkdir(parents=True, exist_ok=True)
         os.rename(build, target)
         sync_folder(target.parent)
+        sync_folder(self.store.parent)
         shutil.rmtree(replaced, ignore_errors=True)
 
     def recover(self, wanted: Collection[tuple[str, str]] = ()) -> None:
@@ -132,10 +151,20 @@ def staging(store: Path, wanted: Collection[tuple[str, str]] = ()) -> Iterator[S
         made.recover(wanted)
         yield made
     finally:
-        lock.unlink(missing_ok=True)
-        # a writer that waits for its turn may be in there already
-        with contextlib.suppress(OSError):
-            made.folder.rmdir()
+        # a writer that waits for its turn may be in there already; a disk may have become read-only
+        _let_go(lock)
+
+
+def clear_up(store: Path) -> None:
+    """Remove what a writer that died at its very end left beside a store.
+
+    Nothing is done where another writer is at work, or where there is something to take up.
+    """
+    folder = Staging(store).folder
+    with contextlib.suppress(StoreError, OSError):
+        if not any(found.name.startswith("build-") for found in folder.iterdir()):
+            with staging(store):
+                pass
 
 
 def _acquire(lock: Path, store: Path) -> None:
@@ -161,8 +190,11 @@ def _acquire(lock: Path, store: Path) -> None:
         try:
             with os.fdopen(descriptor, "w") as file:
                 file.write(owner)
+                # a power cut shall leave no lock of which nobody knows whose it was
+                file.flush()
+                os.fsync(file.fileno())
         except OSError:  # a full disk: nobody shall wait for an empty lock
-            lock.unlink(missing_ok=True)
+            _let_go(lock)
             raise
         return
     msg = f"{store} is being written: {lock} comes and goes; wait for the other writer to finish"
@@ -194,10 +226,22 @@ def _take_over(lock: Path, owner: str, store: Path) -> bool:
         if not text and time.time() - os.fstat(file.fileno()).st_mtime < _EMPTY_LOCK_AGE:
             return False
         _refuse_living(text, lock, store, can_take_over=fcntl is not None)
-        file.seek(0)
-        file.truncate()
-        file.write(owner)
+        try:
+            file.seek(0)
+            file.truncate()
+            file.write(owner)
+            file.flush()
+            os.fsync(file.fileno())
+        except OSError:  # a full disk, as above
+            _let_go(lock)
+            raise
     return True
+
+
+def _let_go(lock: Path) -> None:
+    with contextlib.suppress(OSError):
+        lock.unlink(missing_ok=True)
+        lock.parent.rmdir()
 
 
 def _refuse_living(text: str, lock: Path, store: Path, *, can_take_over: bool) -> None:

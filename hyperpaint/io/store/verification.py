@@ -8,9 +8,10 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Any
 
-from hyperpaint.errors import IncompleteStoreError, StoreError
+from hyperpaint.errors import StoreError
 
 from .blocks import region
+from .documents import check_node
 from .location import METADATA, Location
 from .record import (
     CHUNKS,
@@ -23,6 +24,15 @@ from .record import (
 )
 
 __all__ = ["StoreReport", "verify"]
+
+
+#: Names without a node that are told one by one.
+_MOST_LISTED = 20
+
+_NO_RECORDS = (
+    "icechunk keeps no checksums of chunks to compare with, so read a group whole instead: where it was "
+    "written with hyperpaint.encoding, a damaged chunk raises"
+)
 
 
 @dataclass(frozen=True)
@@ -66,7 +76,9 @@ def verify(path: str | os.PathLike[str]) -> StoreReport:
     """Read every chunk of a store and compare it with the completion records.
 
     Finds groups that were never finished, chunks that are missing, damaged, exchanged, stale or not of the
-    store, metadata that were changed, and groups that are listed but gone.
+    store, metadata that were changed, and groups that are listed but gone. Safe on a store from anybody:
+    what may not be read (foreign codecs and data types, chunks that would not decode to what is declared,
+    links) is reported and not touched; plain `xarray.open_zarr` has no such guard.
 
     Parameters
     ----------
@@ -81,7 +93,7 @@ def verify(path: str | os.PathLike[str]) -> StoreReport:
     Raises
     ------
     StoreError
-        There is no Zarr store.
+        There is no Zarr store, or it has no place of its own, as a session of icechunk.
 
     Examples
     --------
@@ -91,18 +103,15 @@ def verify(path: str | os.PathLike[str]) -> StoreReport:
     >>> print(verify(path))
     memory://small.zarr: 1 group, 1 chunk, whole
     """
-    location = Location.of(path)
+    location = _location(path)
     problems: list[str] = []
-    if not location.has("", METADATA):
-        msg = f"{location.url} is not a Zarr v3 store; expected a folder with a {METADATA}"
-        raise StoreError(msg)
     groups = location.groups()
     problems.extend(_root_problems(location, groups))
     chunks = 0
     for group in groups:
         try:
             record = read_record(location, group)
-        except IncompleteStoreError as error:
+        except StoreError as error:
             problems.append(str(error))
             continue
         if record is None:
@@ -113,10 +122,25 @@ def verify(path: str | os.PathLike[str]) -> StoreReport:
     return StoreReport(location.url, tuple(groups), chunks, tuple(dict.fromkeys(problems)))
 
 
+def _location(path: str | os.PathLike[str]) -> Location:
+    try:
+        location = Location.of(os.fspath(path))
+    except TypeError:
+        kind = type(path).__name__
+        msg = f"a store to verify is named by its folder or URL, not by {kind}; {_NO_RECORDS}"
+        raise StoreError(msg) from None
+    if not location.has("", METADATA):
+        msg = f"{location.url} is not a Zarr v3 store; expected a folder with a {METADATA}"
+        if location.has("", "snapshots") and location.has("", "manifests"):
+            msg = f"{location.url} is an icechunk repository, not a store of hyperpaint; {_NO_RECORDS}"
+        raise StoreError(msg)
+    return location
+
+
 def _root_problems(location: Location, groups: list[str]) -> Iterator[str]:
     try:
         root = location.read_json("", METADATA) or {}
-    except IncompleteStoreError as error:
+    except StoreError as error:
         yield str(error)
         return
     consolidated = root.get("consolidated_metadata")
@@ -124,10 +148,21 @@ def _root_problems(location: Location, groups: list[str]) -> Iterator[str]:
     if not isinstance(listed, dict):
         yield "/: no consolidated metadata; run the writer again"
         return
+    nodes = location.nodes()
+    yield from (
+        f"/{name}: its metadata cannot be read" for name, kind in nodes.items() if kind == "unreadable"
+    )
+    gone = [name for name in listed if name not in nodes]
+    for name in gone[:_MOST_LISTED]:
+        yield f"/{name[:200]}: listed in the root's metadata but not there"
+    if len(gone) > _MOST_LISTED:
+        yield f"/: {len(gone) - _MOST_LISTED} more nodes listed in the root's metadata but not there"
     for name, document in listed.items():
+        if name not in nodes:
+            continue
         try:
             actual = location.metadata(name)
-        except IncompleteStoreError as error:
+        except StoreError as error:
             yield str(error)
             continue
         if actual is None:
@@ -148,7 +183,7 @@ def _group_problems(location: Location, group: str, record: GroupRecord) -> Iter
     where = f"/{group}"
     try:
         node = location.metadata(group)
-    except IncompleteStoreError as error:
+    except StoreError as error:
         yield str(error)
         return
     if node is None or attributes_checksum(node) != record.attributes:
@@ -161,10 +196,12 @@ def _array_problems(location: Location, group: str, name: str, record: ArrayReco
     import numpy as np
     import zarr
 
+    from .guard import guarded
+
     where = f"{group}/{name}" if group else name
     try:
         document = location.metadata(where)
-    except IncompleteStoreError as error:
+    except StoreError as error:
         yield str(error)
         return
     if document is None:
@@ -173,11 +210,18 @@ def _array_problems(location: Location, group: str, name: str, record: ArrayReco
     if metadata_checksum(document) != record.metadata:
         yield f"/{where}: metadata are not those recorded"
         return  # its chunks cannot be read without them
-    array = zarr.open_array(location.group_url(where), mode="r", zarr_format=3)
+    try:
+        form = check_node(document, f"/{where}")
+        array = zarr.open_array(guarded(location), path=where, mode="r", zarr_format=3)
+    except Exception as error:  # zarr's own checks have classes of their own
+        yield str(error) if isinstance(error, StoreError) else f"/{where}: {type(error).__name__}: {error}"
+        return
+    if form is None or form.grid != record.grid:
+        yield f"/{where}: has {form and form.grid} chunks, recorded are {record.grid}"
+        return
     positions = list(np.ndindex(record.grid))
     keys = [array.metadata.encode_chunk_key(position) for position in positions]
-    prefix = location.key(where).rstrip("/") + "/"
-    present = {file.removeprefix(prefix) for file in location.fs.find(location.key(where))}
+    present = location.files(where)
     for stray in sorted(present - {*keys, METADATA, CHUNKS}):
         yield f"/{where}/{stray}: not a chunk of this array"
 

@@ -4,16 +4,28 @@ from __future__ import annotations
 
 import contextlib
 import uuid
-import warnings
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
-from hyperpaint.errors import IncompleteStoreError, PaintError, Problems, StoreError
+from hyperpaint.budget import check_memory, limited_threads
+from hyperpaint.errors import IncompleteStoreError, Problems, StoreError
 from hyperpaint.schema import FORMAT_VERSION
 
-from . import blocks, layout
+from . import blocks, computing, layout
+from .durability import flush_group
+from .listing import (
+    VOLATILE_ATTRS,
+    finish_root,
+    groups_above,
+    is_listed,
+    make_groups_above,
+    stamped,
+    unlist,
+    version_of_program,
+    without_known_warnings,
+)
 from .location import METADATA, Location, clean_group
 from .record import (
     CHUNKS,
@@ -26,18 +38,17 @@ from .record import (
     read_record,
 )
 from .resume import adopt, is_mendable
+from .room import check_disk, disk_needed, errors_of_the_system
 from .sources import reads_from
-from .staging import Staging, discard, staging
+from .staging import Staging, clear_up, discard, staging
 
 if TYPE_CHECKING:
+    import numpy as np
     import xarray as xr
 
 __all__ = ["to_store"]
 
 PathT = TypeVar("PathT", str, Path)
-
-#: Attributes that say when, not what: they do not make another content.
-_VOLATILE_ATTRS = ("created", "history", "hyperpaint_version", COMPLETE)
 
 
 def to_store(
@@ -58,9 +69,15 @@ def to_store(
     A group is built beside the store, in ``.partial-<store>``, and put in its place when it is whole and its
     completion record is written; other groups are never touched. A run that is killed, or ends on a full
     disk, leaves the store as it was. The next run with the same content takes up its finished blocks, once
-    they have been read and found whole, and computes only the others. Behind a URL (``memory://``, ``s3://``
-    ...) nothing can be renamed or locked: there the group is written in place and always from the start, its
-    record still comes last, and the caller sees to it that there is one writer.
+    they have been read and found whole, and computes only the others. Every file and folder is flushed to the
+    disk before the record is written, and before the group gets its place: after a power cut a group that has
+    a record is whole, as far as the disk keeps what it has confirmed.
+
+    Whether disk and memory will do is looked at before anything is written; no value is read for it.
+
+    Behind a URL (``memory://``, ``s3://`` ...) nothing can be renamed or locked: there the group is written
+    in place and always from the start, its record still comes last, and the caller sees to it that there is
+    one writer.
 
     Parameters
     ----------
@@ -90,7 +107,8 @@ def to_store(
     ------
     StoreError
         The group exists, is being written, feeds the data, or cannot be written; or names, dtypes or
-        attributes cannot be stored. All problems of the call are listed, and nothing has been changed.
+        attributes cannot be stored; all problems of the call are listed. Or disk or memory would not suffice,
+        or ran out, of which the needed figure is told. The store is as it was.
 
     Examples
     --------
@@ -103,15 +121,19 @@ def to_store(
     """
     location = Location.of(path)
     jobs, attrs = _plan(data, clean_group(group), source_token)
-    _refuse_own_source(jobs, location)
-    pending = _pending(jobs, location, overwrite=overwrite)
-    if not pending and _is_listed(jobs, attrs, location):
-        return path
-    with _errors_of_the_system(location), _opened(location, jobs) as stage:
-        # what another writer finished while we waited counts
-        for job in _pending(jobs, location, overwrite=overwrite):
-            _write_group(job, location, stage, progress=progress)
-        _finish(attrs, location)
+    with errors_of_the_system(location, {job.group: job.dataset for job in jobs}):
+        _refuse_own_source(jobs, location)
+        pending = _pending(jobs, location, overwrite=overwrite)
+        if not pending and is_listed([job.group for job in jobs], attrs, location):
+            if location.local is not None:
+                clear_up(location.local.absolute())
+            return path
+        threads = _check_room(pending, location)
+        with _opened(location, jobs) as stage, limited_threads(threads):
+            # what another writer finished while we waited counts
+            for job in _pending(jobs, location, overwrite=overwrite):
+                _write_group(job, location, stage, progress=progress)
+            finish_root(attrs, location)
     return path
 
 
@@ -128,7 +150,7 @@ class _Job:
         """Names what is built: one group is never made by two versions of the program."""
         from dask.base import tokenize
 
-        return str(tokenize(self.token, _version()))
+        return str(tokenize(self.token, version_of_program()))
 
 
 def _plan(
@@ -162,7 +184,7 @@ def _token(dataset: xr.Dataset, source_token: str | None) -> str:
     from dask.base import tokenize
 
     def kept(attrs: Any) -> dict[str, Any]:
-        return {key: value for key, value in attrs.items() if key not in _VOLATILE_ATTRS}
+        return {key: value for key, value in attrs.items() if key not in VOLATILE_ATTRS}
 
     variables = []
     for name, variable in sorted(dataset.variables.items(), key=lambda item: str(item[0])):
@@ -223,7 +245,7 @@ def _found(job: _Job, location: Location) -> str:
     root = location.read_json("", METADATA)
     if root is None and location.fs.ls(location.root):
         return "foreign"
-    for above in _above(job.group):
+    for above in groups_above(job.group):
         if (location.metadata(above) or {}).get("node_type") == "array":
             return "array"
     try:
@@ -242,11 +264,6 @@ def _found(job: _Job, location: Location) -> str:
     return "was never finished or is damaged" if record is None else "with other content"
 
 
-def _above(group: str) -> list[str]:
-    parts = group.split("/") if group else []
-    return ["/".join(parts[:depth]) for depth in range(len(parts))]
-
-
 @contextlib.contextmanager
 def _opened(location: Location, jobs: list[_Job]) -> Iterator[Staging | None]:
     if location.local is None:
@@ -257,16 +274,42 @@ def _opened(location: Location, jobs: list[_Job]) -> Iterator[Staging | None]:
         yield stage
 
 
-@contextlib.contextmanager
-def _errors_of_the_system(location: Location) -> Iterator[None]:
-    """Turn a full disk or a folder that must not be written into one readable error."""
-    try:
-        yield
-    except PaintError:
-        raise
-    except OSError as error:
-        msg = f"cannot write {location.url}: {error}; mend this and run again"
-        raise StoreError(msg) from error
+def check_room(groups: Mapping[str, xr.Dataset], path: str | Path, tokens: Mapping[str, str]) -> None:
+    """Refuse groups for which a store's disk has no room, taken together.
+
+    Parameters
+    ----------
+    groups
+        Group to what `to_store` will be given.
+    path
+        The store.
+    tokens
+        Group to ``source_token``.
+
+    Raises
+    ------
+    StoreError
+        There is less room; the figures are given.
+    """
+    jobs = [_Job(name, dataset, _token(dataset, tokens[name])) for name, dataset in groups.items()]
+    _check_disk(jobs, Location.of(path))
+
+
+def _check_disk(jobs: list[_Job], location: Location) -> None:
+    if location.local is None or not jobs:
+        return
+    stage = Staging(location.local.absolute())
+    begun = [folder for job in jobs for folder in stage.leftovers(job.group, job.content)]
+    check_disk(location.local, sum(disk_needed(job.dataset) for job in jobs), begun)
+
+
+def _check_room(jobs: list[_Job], location: Location) -> int | None:
+    """Refuse what disk or memory will not hold; return how many threads it may take, None for any."""
+    _check_disk(jobs, location)
+    if computing.client_in_force() is not None:
+        return None  # the memory is that of the workers
+    threads = [check_memory(job.dataset, f"group {'/' + job.group!r}") for job in jobs]
+    return min((count for count in threads if count is not None), default=None)
 
 
 def _write_group(job: _Job, location: Location, stage: Staging | None, *, progress: bool) -> None:
@@ -274,15 +317,18 @@ def _write_group(job: _Job, location: Location, stage: Staging | None, *, progre
         # in place: without its seal the group is incomplete from here on
         if location.has(job.group):
             location.fs.rm(location.key(job.group), recursive=True)
-        _build(job, Location.of(location.group_url(job.group)), [], progress=progress)
-        _make_groups_above(job.group, location)
+        place = Location.of(location.group_url(job.group))
+        _seal(job, place, _write_arrays(job, place, [], progress=progress))
+        make_groups_above(job.group, location)
         return
     leftovers = stage.leftovers(job.group, job.content)
     folder = stage.build(job.group, job.content)
     try:
-        _build(job, Location.of(folder), leftovers, progress=progress)
-        _unlist(job.group, location)
-        _make_groups_above(job.group, location)
+        sums = _write_arrays(job, Location.of(folder), leftovers, progress=progress)
+        folder = stage.close(folder, job.group, job.content)
+        _seal(job, Location.of(folder), sums)
+        unlist(job.group, location)
+        make_groups_above(job.group, location)
         stage.publish(folder, job.group)
     except BaseException as error:
         if not is_mendable(error):
@@ -291,11 +337,14 @@ def _write_group(job: _Job, location: Location, stage: Staging | None, *, progre
         raise
 
 
-def _build(job: _Job, place: Location, leftovers: list[Path], *, progress: bool) -> None:
-    """Write a group as a store of its own: metadata, chunks, their records, and the seal last."""
-    arrays = _write_arrays(job.dataset, place, leftovers, progress=progress)
+def _seal(job: _Job, place: Location, sums: Mapping[str, np.ndarray[Any, Any]]) -> None:
+    """Write the records of a group's chunks, flush all of it to the disk, and write the seal last."""
+    _remove_hidden(place)
+    arrays = _records(job.dataset, place, sums)
     for name, array in arrays.items():
         place.write_json(array.to_document(), name, CHUNKS)
+    if place.local is not None:
+        flush_group(place.local, _chunk_files(job.dataset, place.local, arrays))
     document = place.metadata("") or {}
     record = GroupRecord(job.token, attributes_checksum(document), arrays)
     document["attributes"] = {**document.get("attributes", {}), COMPLETE: record.seal}
@@ -303,35 +352,59 @@ def _build(job: _Job, place: Location, leftovers: list[Path], *, progress: bool)
 
 
 def _write_arrays(
-    dataset: xr.Dataset, place: Location, leftovers: list[Path], *, progress: bool
+    job: _Job, place: Location, leftovers: list[Path], *, progress: bool
+) -> dict[str, np.ndarray[Any, Any]]:
+    """Write a group's metadata and the chunks that no leftover has; return the chunks' checksums."""
+    import zarr
+
+    dataset = job.dataset
+    variables = {str(name): variable for name, variable in dataset.variables.items()}
+    streamed = {name: variable for name, variable in variables.items() if blocks.is_streamed(variable)}
+    with computing.errors_of_the_cluster(f"cannot store /{job.group}"):
+        _write_metadata(dataset.assign_attrs(stamped(dataset.attrs, "to_store")), list(streamed), place.url)
+        node = zarr.open_group(place.url, mode="r+", zarr_format=3, use_consolidated=False)
+        targets = {
+            name: _target(_writable(node, name), name, variable, place) for name, variable in streamed.items()
+        }
+        known = _taken_up(targets, leftovers)
+        lazy = {
+            name: blocks.lazy_checksums(variable, targets[name], known[name])
+            for name, variable in streamed.items()
+        }
+        return computing.compute(lazy, targets, group=job.group, progress=progress)
+
+
+def _records(
+    dataset: xr.Dataset, place: Location, sums: Mapping[str, np.ndarray[Any, Any]]
 ) -> dict[str, ArrayRecord]:
-    """Write a group's metadata and the chunks that no leftover has; return the records of its arrays."""
+    """Return the records of all arrays; checksums that are not given are those of the values."""
     import numpy as np
     import zarr
 
-    variables = {str(name): variable for name, variable in dataset.variables.items()}
-    streamed = {name: variable for name, variable in variables.items() if blocks.is_streamed(variable)}
-    _write_metadata(dataset.assign_attrs(_stamped(dataset.attrs, "to_store")), list(streamed), place.url)
-    node = zarr.open_group(place.url, mode="r+", zarr_format=3, use_consolidated=False)
-    arrays = {name: _writable(node, name) for name in variables}
-    targets = {name: _target(arrays[name], name, variable, place) for name, variable in streamed.items()}
-    known = _taken_up(targets, leftovers)
-    lazy = {
-        name: blocks.lazy_checksums(variable, targets[name], known[name])
-        for name, variable in streamed.items()
-    }
-    sums = blocks.compute(lazy, progress=progress)
-    _remove_hidden(place)
+    node = zarr.open_group(place.url, mode="r", zarr_format=3, use_consolidated=False)
     records = {}
-    for name, array in arrays.items():
+    for name in map(str, dataset.variables):
+        array = node[name]
         if name in sums:
             grid, chunks = sums[name].shape, sums[name].ravel().tolist()
         else:
             # what xarray wrote is small: it is read again, which also proves that it can be
-            grid, chunks = (1,) * array.ndim, [checksum(np.asarray(array[...]))]
+            grid = tuple(-(-size // step) for size, step in zip(array.shape, array.chunks, strict=True))
+            pieces = (blocks.region(index, array.chunks, array.shape) for index in np.ndindex(grid))
+            chunks = [checksum(np.asarray(array[piece])) for piece in pieces]
         metadata = metadata_checksum(place.metadata("", name) or {})
         records[name] = ArrayRecord(metadata, grid, tuple(chunks))
     return records
+
+
+def _chunk_files(dataset: xr.Dataset, folder: Path, arrays: Mapping[str, ArrayRecord]) -> Iterator[Path]:
+    """Yield the files of all chunks that blocks were written to."""
+    import numpy as np
+
+    for name, array in arrays.items():
+        if blocks.is_streamed(dataset.variables[name]):
+            for position in np.ndindex(array.grid):
+                yield folder.joinpath(name, "c", *map(str, position))
 
 
 def _target(array: Any, name: str, variable: xr.Variable, place: Location) -> blocks.Target:
@@ -372,114 +445,5 @@ def _write_metadata(dataset: xr.Dataset, streamed: list[str], url: str) -> None:
     small = dataset.drop_vars(streamed).compute()
     template = small.assign_coords(coords).assign(others)[list(dataset.variables)]
     encoding = {name: layout.encoding_of(variable) for name, variable in dataset.variables.items()}
-    with _without_known_warnings():
+    with without_known_warnings():
         template.to_zarr(url, mode="w", encoding=encoding, zarr_format=3, consolidated=False, compute=False)
-
-
-def _stamped(attrs: Any, action: str) -> dict[str, Any]:
-    """Return attributes with format, version, time and one more line of history."""
-    import datetime
-
-    now = datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds")
-    line = f"{now} hyperpaint {_version()}: {action}"
-    return {
-        **{key: value for key, value in attrs.items() if key != COMPLETE},
-        "Conventions": "CF-1.11",
-        "hyperpaint_format": FORMAT_VERSION,
-        "hyperpaint_version": _version(),
-        "created": now,
-        "history": "\n".join(text for text in (str(attrs.get("history", "")), line) if text),
-    }
-
-
-def _version() -> str:
-    from importlib.metadata import PackageNotFoundError, version
-
-    try:
-        return version("hyperpaint")
-    except PackageNotFoundError:
-        return "unknown"
-
-
-@contextlib.contextmanager
-def _without_known_warnings() -> Iterator[None]:
-    """Silence the one known warning: consolidated metadata are not in the v3 specification."""
-    with warnings.catch_warnings():
-        warnings.filterwarnings("ignore", message="Consolidated metadata is currently not part")
-        yield
-
-
-def _make_groups_above(group: str, location: Location) -> None:
-    import zarr
-
-    for above in _above(group):
-        if location.metadata(above) is None:
-            zarr.open_group(
-                location.group_url(above), mode="a", zarr_format=3, attributes=_stamped({}, "created")
-            )
-
-
-def _unlist(group: str, location: Location) -> None:
-    """Drop consolidated metadata that lists a group about to be replaced: they would describe the old one."""
-    document = location.read_json("", METADATA) if group else None
-    if location.local is None or document is None:
-        return
-    listed = (document.get("consolidated_metadata") or {}).get("metadata", {})
-    if group in listed:
-        del document["consolidated_metadata"]
-        location.write_json(document, METADATA)
-
-
-def _finish(attrs: dict[str, dict[str, Any]], location: Location) -> None:
-    """Set the attributes of groups without variables, then consolidate the root."""
-    import zarr
-
-    for group, wanted in attrs.items():
-        _make_groups_above(group, location)
-        node = location.metadata(group)
-        if node is None or not _has_attrs(node, wanted):
-            zarr.open_group(location.group_url(group), mode="a", zarr_format=3).attrs.update(
-                _stamped({**(node or {}).get("attributes", {}), **_plain(wanted)}, "to_store")
-            )
-    with _without_known_warnings():
-        zarr.consolidate_metadata(location.url, zarr_format=3)
-
-
-def _plain(attrs: dict[str, Any]) -> dict[str, Any]:
-    """Return attributes as JSON holds them."""
-    import numpy as np
-
-    return {
-        key: value.tolist() if isinstance(value, np.ndarray | np.generic) else value
-        for key, value in attrs.items()
-    }
-
-
-def _has_attrs(node: dict[str, Any], wanted: dict[str, Any]) -> bool:
-    stored = node.get("attributes", {})
-    return all(
-        key in stored and stored[key] == value
-        for key, value in _plain(wanted).items()
-        if key not in _VOLATILE_ATTRS
-    )
-
-
-def _is_listed(jobs: list[_Job], attrs: dict[str, dict[str, Any]], location: Location) -> bool:
-    """Tell whether the root's consolidated metadata and attributes are up to date."""
-    root = location.read_json("", METADATA) or {}
-    listed = (root.get("consolidated_metadata") or {}).get("metadata", {})
-    for group, wanted in attrs.items():
-        node = location.metadata(group)
-        if node is None or not _has_attrs(node, wanted) or (group and group not in listed):
-            return False
-    return all(_lists(listed, job.group, read_record(location, job.group)) for job in jobs)
-
-
-def _lists(listed: dict[str, Any], group: str, record: GroupRecord | None) -> bool:
-    if record is None:
-        return False
-    prefix = f"{group}/" if group else ""
-    return all(
-        name in listed and metadata_checksum(listed[name]) == array.metadata
-        for name, array in ((prefix + key, array) for key, array in record.arrays.items())
-    )

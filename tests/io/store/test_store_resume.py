@@ -323,7 +323,7 @@ def test_leftovers_of_another_version_are_discarded(
 ) -> None:
     path = tmp_path / "lot.zarr"
     with monkeypatch.context() as patch:
-        patch.setattr("hyperpaint.io.store.writer._version", lambda: "0.0")
+        patch.setattr("hyperpaint.io.store.writer.version_of_program", lambda: "0.0")
         cut_short(path)
     to_store(line(), path, GROUP, source_token=TOKEN)
     assert sorted(asked) == list(range(BLOCKS))

@@ -1,0 +1,281 @@
+"""Where blocks are computed: threads or a cluster; what goes wrong there names the block.
+
+A cluster repeats a task whose worker died, and `RETRIES` times one that raised: a file system shared by many
+nodes fails for a moment now and then. What a block comes to is fetched as soon as it is done, so that the
+death of a worker costs the blocks it had in hand and no other.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import concurrent.futures
+import contextlib
+import sys
+import time
+import traceback
+from collections.abc import Generator, Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, NoReturn
+
+from hyperpaint.errors import PaintError, StoreError
+from hyperpaint.schema import ALONG_TRACK
+
+if TYPE_CHECKING:
+    import dask.array as da
+    import numpy as np
+    from distributed import Client
+
+    from .blocks import Target
+
+__all__ = ["RETRIES", "client_in_force", "compute", "errors_of_the_cluster"]
+
+RETRIES = 3
+"""How often a cluster repeats a task that raised an error, before the error counts."""
+
+_AGAIN = "run again: the chunks that are finished will be taken up"
+_SAME_FILES = "; every worker must see the same files, under the same paths"
+_CANCELLED = (asyncio.CancelledError, concurrent.futures.CancelledError)
+_BAR = 40
+
+Key = tuple[Any, ...]
+Found = Generator[tuple[Key, Any], None, None]
+
+
+@dataclass(frozen=True)
+class _Block:
+    """One block: the array it is of, its place among the array's checksums, and words for its lines."""
+
+    array: str
+    sums: tuple[slice, ...]
+    words: str
+
+
+def compute(
+    lazy: Mapping[str, da.Array], targets: Mapping[str, Target], *, group: str, progress: bool
+) -> dict[str, np.ndarray[Any, Any]]:
+    """Compute together what is lazy, so that what two arrays share is computed once.
+
+    Parameters
+    ----------
+    lazy
+        Name to checksums, from `blocks.lazy_checksums`.
+    targets
+        Name to what its blocks are written to.
+    group
+        Group of the store, for messages.
+    progress
+        Show a bar.
+
+    Raises
+    ------
+    StoreError
+        A block could not be read, computed or written, or the cluster was lost; the message names the block.
+        Other errors of a task are raised as they are, with a note that names it.
+    """
+    import numpy as np
+    from dask.base import get_scheduler
+    from dask.highlevelgraph import HighLevelGraph
+
+    if not lazy:
+        return {}
+    arrays = list(lazy.values())
+    blocks: dict[Key, _Block] = {}
+    for name, array in lazy.items():
+        blocks |= _blocks(name, array, targets[name])
+    merged = HighLevelGraph.merge(*(array.__dask_graph__() for array in arrays))
+    # together: apart, what two arrays share would be fused into both
+    graph = dict(arrays[0].__dask_optimize__(merged, list(blocks)))
+    sums = {name: np.empty(array.shape, array.dtype) for name, array in lazy.items()}
+    client = client_in_force()
+    if client is None:
+        found = _on_threads(get_scheduler(collections=arrays), graph, blocks, group, progress=progress)
+    else:
+        found = _on_cluster(client, graph, blocks, group)
+        found = _with_bar(found, len(blocks)) if progress else found
+    with contextlib.closing(found):
+        for key, value in found:
+            sums[blocks[key].array][blocks[key].sums] = value
+    return sums
+
+
+def client_in_force() -> Client | None:
+    """Return the client with which dask computes, None where it is none."""
+    from dask.base import get_scheduler
+
+    client = getattr(get_scheduler(), "__self__", None)
+    return client if hasattr(client, "scheduler_info") else None
+
+
+@contextlib.contextmanager
+def errors_of_the_cluster(what: str) -> Iterator[None]:
+    """Turn lost workers, and a lost scheduler, into an error that says what could not be done.
+
+    Parameters
+    ----------
+    what
+        Begins the message, such as ``"cannot process collect.toml"``.
+
+    Raises
+    ------
+    StoreError
+        In place of any error of distributed.
+    """
+    try:
+        yield
+    except PaintError:
+        raise
+    except (Exception, *_CANCELLED) as error:
+        told = _told_of_cluster(error)
+        if told is None:
+            raise
+        msg = f"{what}: {told}; {_AGAIN}"
+        raise StoreError(msg) from error
+
+
+# --- blocks ------------------------------------------------------------------------------------------------
+
+
+def _blocks(name: str, sums: da.Array, target: Target) -> dict[Key, _Block]:
+    """Return the blocks of an array by their keys in the graph."""
+    import numpy as np
+    from dask.array.core import slices_from_chunks
+
+    dim, *_ = target.array.metadata.dimension_names or ("row",)
+    called = "lines" if dim == ALONG_TRACK else dim
+    found = {}
+    for index, region in zip(np.ndindex(sums.numblocks), slices_from_chunks(sums.chunks), strict=True):
+        first = region[0].start * target.chunk[0]
+        last = min(region[0].stop * target.chunk[0], target.array.shape[0]) - 1
+        found[(sums.name, *index)] = _Block(name, region, f"{called} {first} to {last} of {name}")
+    return found
+
+
+def _fed(graph: Mapping[Key, Any], blocks: Mapping[Key, _Block], key: Any) -> list[_Block]:
+    """Return the blocks that a task of the graph is needed for."""
+    from dask.core import get_deps
+
+    _, dependents = get_deps(dict(graph))
+    seen, pending = set(), [key]
+    while pending:
+        above = pending.pop()
+        if above not in seen:
+            seen.add(above)
+            pending.extend(dependents.get(above, ()))
+    return [block for name, block in blocks.items() if name in seen]
+
+
+def _place(group: str, blocks: Iterable[_Block]) -> str:
+    """Return words for a group's blocks; the group alone where the task was needed for many of them."""
+    found = list(blocks)
+    words = dict.fromkeys(block.words for block in found)
+    arrays = {block.array for block in found}
+    return f"/{group}, {' and '.join(words)}" if 0 < len(words) == len(arrays) else f"/{group}"
+
+
+# --- threads -----------------------------------------------------------------------------------------------
+
+
+def _on_threads(
+    get: Any, graph: dict[Key, Any], blocks: Mapping[Key, _Block], group: str, *, progress: bool
+) -> Found:
+    """Yield keys and checksums, all at the end; ``get`` is any scheduler of dask in this process."""
+    keys = list(blocks)
+    with contextlib.ExitStack() as stack:
+        if progress:
+            from dask.diagnostics import ProgressBar
+
+            stack.enter_context(ProgressBar())
+        try:
+            results = get(graph, keys)
+        except Exception as error:
+            failed = _failed_task(error)
+            _raise_named(error, _place(group, [] if failed is None else _fed(graph, blocks, failed)))
+    yield from zip(keys, results, strict=True)
+
+
+def _failed_task(error: BaseException) -> Any:
+    """Return the key of the task that raised an error, None where dask does not tell."""
+    from dask.local import execute_task
+
+    for frame, _ in traceback.walk_tb(error.__traceback__):
+        if frame.f_code is execute_task.__code__:
+            return frame.f_locals.get("key")
+    return None
+
+
+# --- cluster -----------------------------------------------------------------------------------------------
+
+
+def _on_cluster(client: Client, graph: dict[Key, Any], blocks: Mapping[Key, _Block], group: str) -> Found:
+    """Yield keys and checksums as they come."""
+    from distributed import as_completed
+
+    with errors_of_the_cluster(f"cannot store /{group}"):
+        futures = client.get(graph, list(blocks), sync=False, retries=RETRIES)
+    wanted = {future.key: future for future in futures}
+    del futures
+    try:
+        for future, result in as_completed(wanted.values(), with_results=True, raise_errors=False):
+            # not the future's status: it may be lost again, with its worker, since the result was fetched
+            if isinstance(result, tuple | BaseException):
+                # a task's error comes with its type and traceback, a cancellation as it is
+                error = result[1] if isinstance(result, tuple) else result
+                hint = _SAME_FILES if isinstance(error, FileNotFoundError | PermissionError) else ""
+                _raise_named(error, _place(group, [blocks[future.key]]), hint)
+            # the cluster forgets what is fetched: a worker that dies takes no finished block with it
+            del wanted[future.key]
+            yield future.key, result
+    finally:
+        # the cluster would remember failed tasks for as long as a traceback holds their futures, and another
+        # run would fail with them
+        if wanted:
+            with contextlib.suppress(Exception):  # of a scheduler that is lost
+                client.cancel(list(wanted.values()), force=True)
+
+
+def _with_bar(found: Found, total: int) -> Found:
+    """Draw dask's bar while blocks come in; distributed's own vanishes in notebooks and at its end."""
+    from dask.utils import format_time
+
+    begun = time.perf_counter()
+    with contextlib.closing(found), contextlib.ExitStack() as stack:
+        stack.callback(sys.stdout.write, "\n")  # an error is told below the bar
+        for done, each in enumerate(found, start=1):
+            elapsed = format_time(time.perf_counter() - begun)
+            bar = "#" * (_BAR * done // total)
+            sys.stdout.write(f"\r[{bar:<{_BAR}}] | {100 * done // total}% Completed | {elapsed}")
+            sys.stdout.flush()
+            yield each
+
+
+def _told_of_cluster(error: BaseException) -> str | None:
+    """Return what happened to the cluster, None for an error of other origin."""
+    if type(error).__name__ == "KilledWorker":
+        times = getattr(error, "allowed_failures", 0) + 1
+        last = getattr(getattr(error, "last_worker", None), "address", "unknown")
+        workers = "a worker" if times == 1 else f"{times} workers"
+        return f"{workers} died over it, last {last}, whose log may say why; mostly it is too little memory"
+    if isinstance(error, _CANCELLED):
+        reason = getattr(error, "reason", error)
+        return "the scheduler was lost" if "connection" in str(reason) else f"it was cancelled ({reason})"
+    if type(error).__module__.partition(".")[0] == "distributed":
+        return f"the cluster was lost ({type(error).__name__}: {error})"
+    return None
+
+
+def _raise_named(error: BaseException, place: str, hint: str = "") -> NoReturn:
+    """Raise an error of a task so that it names the block.
+
+    Raises
+    ------
+    StoreError
+        In place of what another run may be spared: errors of the system, of memory and of the cluster.
+    """
+    told = _told_of_cluster(error)
+    if told is None and not isinstance(error, PaintError) and isinstance(error, OSError | MemoryError):
+        told = f"{type(error).__name__}: {error}{hint}; mend this"
+    if told is None:
+        error.add_note(f"while storing {place}")
+        raise error
+    msg = f"cannot store {place}: {told}; {_AGAIN}"
+    raise StoreError(msg) from error

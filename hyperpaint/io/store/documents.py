@@ -1,0 +1,359 @@
+"""What the metadata of a store may say, whoever wrote it: bounded JSON, plain numbers, known codecs.
+
+A store from somebody else is a program for the libraries that read it: its metadata name the codecs that
+are run, and how much memory is allocated for a chunk. Here is what hyperpaint accepts; `frames` holds the
+chunks to it, and `guard` sees to it that nothing is read without both.
+
+Codecs: ``bytes``, ``transpose``, ``vlen-utf8`` (text only), at most one of ``blosc``, ``zstd`` and ``gzip``,
+and ``crc32c``. Not ``sharding_indexed``, whose index is one more set of offsets to distrust and which
+`to_store` does not write; nothing under ``numcodecs.``, where ``pickle`` lives; no object codec but text's.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, TypeGuard
+
+from hyperpaint.errors import IncompleteStoreError, Problems, StoreError
+
+__all__ = ["MOST_JSON_BYTES", "ChunkForm", "array_form", "check_node", "parse_document"]
+
+MOST_JSON_BYTES = 32 * 2**20
+"""Bytes of a metadata document: a collect of 60 lines has 2 MB."""
+
+#: Objects, lists and separators in it: each costs memory many times its own size.
+_MOST_CONTAINERS = 300_000
+_MOST_SEPARATORS = 1_000_000
+_MOST_DEPTH = 64
+
+MOST_CHUNK_BYTES = 2**30
+"""Decoded bytes of a chunk; `layout` makes none above a tenth of it for any camera there is."""
+
+MOST_AXIS_BYTES = 256 * 2**20
+"""Bytes of an array with one dim: xarray loads those that are indexes as soon as a group is opened."""
+
+MOST_CHUNKS = 1_000_000
+"""Chunks of an array: 32 million lines."""
+
+MOST_TEXT_BYTES = 64 * 2**20
+"""Decoded bytes of a chunk of text, whose metadata do not say how long it is."""
+
+_MOST_DIMS = 32
+_MOST_CODECS = 8
+_MOST_NAME = 255
+_MOST_FILL = 4096
+_LARGEST_SIZE = 2**48
+
+_ITEM_BYTES = {
+    **dict.fromkeys(("bool", "int8", "uint8"), 1),
+    **dict.fromkeys(("int16", "uint16", "float16"), 2),
+    **dict.fromkeys(("int32", "uint32", "float32"), 4),
+    **dict.fromkeys(("int64", "uint64", "float64", "complex64"), 8),
+    "complex128": 16,
+}
+_TIME_TYPES = ("numpy.datetime64", "numpy.timedelta64")
+_FIXED_TEXT_TYPES = ("fixed_length_utf32", "null_terminated_bytes")
+_TEXT_TYPES = ("string", "variable_length_utf8")
+_LONGEST_FIXED_TEXT = 2**16
+
+_TO_BYTES = ("bytes", "vlen-utf8")
+COMPRESSORS = ("blosc", "zstd", "gzip")
+_BYTES_TO_BYTES = (*COMPRESSORS, "crc32c")
+_CODECS = ("transpose", *_TO_BYTES, *_BYTES_TO_BYTES)
+
+
+@dataclass(frozen=True)
+class ChunkForm:
+    """What every encoded chunk of an array has to be.
+
+    Attributes
+    ----------
+    shape, chunk
+        Sizes of the array and of its chunks.
+    item_bytes
+        Bytes of a sample; 0 for text, whose samples have no fixed length.
+    codecs
+        Names of the codecs from bytes to bytes, in the order in which they encode.
+    """
+
+    shape: tuple[int, ...]
+    chunk: tuple[int, ...]
+    item_bytes: int
+    codecs: tuple[str, ...]
+
+    @property
+    def is_text(self) -> bool:
+        """Whether samples have no fixed length."""
+        return self.item_bytes == 0
+
+    @property
+    def grid(self) -> tuple[int, ...]:
+        """Chunks along each dim."""
+        return tuple(-(-size // step) for size, step in zip(self.shape, self.chunk, strict=True))
+
+    @property
+    def items(self) -> int:
+        """Samples of a chunk; what an edge chunk holds beyond the array counts."""
+        return math.prod(self.chunk)
+
+    @property
+    def decoded_bytes(self) -> int:
+        """Bytes of a decoded chunk; of text, the most that it may have."""
+        return MOST_TEXT_BYTES if self.is_text else self.items * self.item_bytes
+
+    @property
+    def most_encoded_bytes(self) -> int:
+        """Bytes that no encoded chunk exceeds: compressors add little to what they cannot compress."""
+        return self.decoded_bytes + self.decoded_bytes // 64 + 4096
+
+
+def parse_document(raw: bytes, where: str) -> dict[str, Any]:
+    """Return the JSON object of a metadata file.
+
+    Parameters
+    ----------
+    raw
+        Its bytes.
+    where
+        Names the file in messages.
+
+    Raises
+    ------
+    IncompleteStoreError
+        It is not a JSON object, or larger, deeper or with more values than any metadata of a store.
+    """
+    problem = _too_much(raw)
+    if not problem:
+        try:
+            document = json.loads(raw)
+        except (ValueError, RecursionError) as error:
+            problem = f"{type(error).__name__}: {error}"
+        else:
+            if isinstance(document, dict) and not _is_deep(document):
+                return document
+            kind = type(document).__name__
+            problem = (
+                f"values are nested more than {_MOST_DEPTH} deep"
+                if isinstance(document, dict)
+                else f"expected a JSON object, found {kind}"
+            )
+    msg = f"{where} is damaged: {problem}"
+    raise IncompleteStoreError(msg)
+
+
+def _too_much(raw: bytes) -> str:
+    """Return why a document is not even parsed: its values could fill the memory."""
+    if len(raw) > MOST_JSON_BYTES:
+        return f"{len(raw)} bytes, expected metadata of at most {MOST_JSON_BYTES}"
+    containers = raw.count(b"{") + raw.count(b"[")
+    if containers > _MOST_CONTAINERS or raw.count(b",") > _MOST_SEPARATORS:
+        return f"more values than metadata of a store have ({_MOST_CONTAINERS} objects and lists)"
+    return ""
+
+
+def _is_deep(document: dict[str, Any]) -> bool:
+    level: list[Any] = [document]
+    for _ in range(_MOST_DEPTH):
+        children: list[Any] = []
+        for value in level:
+            children.extend(value.values() if isinstance(value, dict) else value)
+        level = [child for child in children if isinstance(child, dict | list)]
+        if not level:
+            return False
+    return True
+
+
+def check_node(document: Mapping[str, Any], where: str) -> ChunkForm | None:
+    """Check the ``zarr.json`` of a node; return the form of an array's chunks, None for a group.
+
+    Raises
+    ------
+    StoreError
+        The node is neither a group nor an array that may be read; all problems are listed.
+    """
+    kind = document.get("node_type")
+    if document.get("zarr_format") != 3 or kind not in ("group", "array"):
+        msg = (
+            f"{where}: zarr_format {document.get('zarr_format')!r:.40}, node_type {kind!r:.40}; "
+            "expected a group or an array of Zarr format 3"
+        )
+        raise StoreError(msg)
+    if not isinstance(document.get("attributes", {}), dict):
+        msg = f"{where}: attributes are not a JSON object"
+        raise StoreError(msg)
+    return array_form(document, where) if kind == "array" else None
+
+
+def array_form(document: Mapping[str, Any], where: str) -> ChunkForm:
+    """Return what the chunks of an array have to be, from its ``zarr.json``.
+
+    Parameters
+    ----------
+    document
+        Parsed metadata.
+    where
+        Names the array in messages.
+
+    Raises
+    ------
+    StoreError
+        Data type, sizes, codecs or another entry is not one that is read; all problems are listed.
+
+    Examples
+    --------
+    >>> codecs = [{"name": "bytes", "configuration": {"endian": "little"}}, {"name": "numcodecs.pickle"}]
+    >>> array_form({"shape": [64], "data_type": "uint16", "fill_value": 0, "codecs": codecs,
+    ...             "chunk_grid": {"name": "regular", "configuration": {"chunk_shape": [32]}}}, "counts")
+    Traceback (most recent call last):
+    hyperpaint.errors.StoreError: counts will not be read:
+      codec 'numcodecs.pickle'; expected bytes, vlen-utf8, transpose, blosc, zstd, gzip or crc32c
+    """
+    problems = Problems(f"{where} will not be read", StoreError)
+    item_bytes = _item_bytes(document.get("data_type"), problems)
+    shape = _sizes(document.get("shape"), 0)
+    chunk = _chunk(document.get("chunk_grid"))
+    if shape is None:
+        problems.add(f"shape {document.get('shape')!r:.80}; expected at most {_MOST_DIMS} sizes below 2**48")
+    if chunk is None:
+        problems.add(f"chunk_grid {document.get('chunk_grid')!r:.120}; expected a regular one, sizes from 1")
+    codecs = _codecs(document.get("codecs"), text=item_bytes == 0, problems=problems)
+    _check_others(document, problems)
+    if shape is not None and chunk is not None:
+        form = ChunkForm(shape, chunk, item_bytes or 0, codecs)
+        if item_bytes is not None:
+            _check_sizes(form, problems)
+        problems.raise_if_any()
+        return form
+    problems.raise_if_any()
+    raise AssertionError  # a missing shape or chunk has been reported
+
+
+def _is_whole(value: Any) -> TypeGuard[int]:
+    return isinstance(value, int) and not isinstance(value, bool)
+
+
+def _sizes(values: Any, least: int) -> tuple[int, ...] | None:
+    if not isinstance(values, list) or len(values) > _MOST_DIMS:
+        return None
+    if not all(_is_whole(value) and least <= value <= _LARGEST_SIZE for value in values):
+        return None
+    return tuple(values)
+
+
+def _named(entry: Any) -> tuple[str, dict[str, Any]]:
+    """Return the name and the configuration of a codec, grid or data type; "" where it is neither."""
+    if isinstance(entry, str):
+        return entry, {}
+    if isinstance(entry, dict) and isinstance(entry.get("name"), str):
+        configuration = entry.get("configuration", {})
+        if isinstance(configuration, dict):
+            return entry["name"], configuration
+    return "", {}
+
+
+def _chunk(grid: Any) -> tuple[int, ...] | None:
+    name, configuration = _named(grid)
+    return _sizes(configuration.get("chunk_shape"), 1) if name == "regular" else None
+
+
+def _item_bytes(data_type: Any, problems: Problems) -> int | None:
+    """Return the bytes of a sample, 0 for text; None where the data type is not one that is read."""
+    name, configuration = _named(data_type)
+    if name in _ITEM_BYTES:
+        return _ITEM_BYTES[name]
+    if name in _TEXT_TYPES:
+        return 0
+    if name in _TIME_TYPES:
+        return 8
+    length = configuration.get("length_bytes")
+    if name in _FIXED_TEXT_TYPES and _is_whole(length) and 1 <= length <= _LONGEST_FIXED_TEXT:
+        return length
+    problems.add(f"data_type {data_type!r:.80}; expected numbers, booleans, times or text")
+    return None
+
+
+def _codecs(entries: Any, *, text: bool, problems: Problems) -> tuple[str, ...]:
+    """Return the codecs from bytes to bytes."""
+    if not isinstance(entries, list) or not 1 <= len(entries) <= _MOST_CODECS:
+        problems.add(f"codecs {entries!r:.80}; expected a list of 1 to {_MOST_CODECS}")
+        return ()
+    named = [_named(entry) for entry in entries]
+    names = [name for name, _ in named]
+    unknown = [str(entries[i])[:60] for i, name in enumerate(names) if not name]
+    unknown += [repr(name)[:60] for name in names if name and name not in _CODECS]
+    for name in unknown:
+        expected = "bytes, vlen-utf8, transpose, blosc, zstd, gzip or crc32c"
+        hint = "; rewrite it in plain chunks" if "sharding" in name else ""
+        problems.add(f"codec {name}; expected {expected}{hint}")
+    if unknown:
+        return ()
+    wanted = "vlen-utf8" if text else "bytes"
+    first = next((i for i, name in enumerate(names) if name != "transpose"), len(names))
+    after = tuple(names[first + 1 :])
+    if names[first : first + 1] != [wanted] or not set(after) <= set(_BYTES_TO_BYTES):
+        problems.add(
+            f"codecs {', '.join(names)}; expected [transpose,] {wanted}, then a compressor and crc32c"
+        )
+    elif sum(name in COMPRESSORS for name in after) > 1:
+        problems.add(f"codecs {', '.join(names)}; expected at most one compressor")
+    if wrong := [name for name, configuration in named if not _is_plain(configuration)]:
+        problems.add(f"configuration of codec {', '.join(wrong)}; expected numbers, names and short lists")
+    return after
+
+
+def _is_plain(configuration: Mapping[str, Any]) -> bool:
+    """Tell whether a codec's configuration holds nothing but small numbers, names and lists of numbers."""
+
+    def small(value: Any) -> bool:
+        if isinstance(value, str):
+            return len(value) <= _MOST_NAME
+        return value is None or isinstance(value, bool) or (_is_whole(value) and abs(value) < 2**31)
+
+    return all(
+        small(value)
+        or (
+            isinstance(value, list)
+            and len(value) <= _MOST_DIMS
+            and all(_is_whole(v) and small(v) for v in value)
+        )
+        for value in configuration.values()
+    )
+
+
+def _check_others(document: Mapping[str, Any], problems: Problems) -> None:
+    if document.get("storage_transformers"):
+        problems.add("storage_transformers; expected none")
+    if len(json.dumps(document.get("fill_value"))) > _MOST_FILL:
+        problems.add(f"a fill_value of more than {_MOST_FILL} characters")
+    names = document.get("dimension_names")
+    if names is not None and not _are_names(names):
+        problems.add(f"dimension_names {names!r:.80}; expected one short text for each dim")
+    name, configuration = _named(document.get("chunk_key_encoding", "default"))
+    if name not in ("default", "v2") or configuration.get("separator", "/") not in ("/", "."):
+        problems.add(f"chunk_key_encoding {document.get('chunk_key_encoding')!r:.80}; expected 'default'")
+
+
+def _are_names(names: Any) -> TypeGuard[Sequence[str | None]]:
+    return isinstance(names, list) and all(
+        name is None or (isinstance(name, str) and len(name) <= _MOST_NAME) for name in names
+    )
+
+
+def _check_sizes(form: ChunkForm, problems: Problems) -> None:
+    if len(form.shape) != len(form.chunk):
+        problems.add(f"chunks of {form.chunk} for a shape of {form.shape}")
+        return
+    if not form.is_text and form.decoded_bytes > MOST_CHUNK_BYTES:
+        size = f"chunks of {form.chunk} with {form.item_bytes} bytes a sample"
+        problems.add(f"{size}; expected at most {MOST_CHUNK_BYTES} bytes")
+    if form.is_text and form.items * 4 > MOST_TEXT_BYTES:
+        problems.add(f"chunks of {form.chunk} texts; expected at most {MOST_TEXT_BYTES // 4}")
+    if (count := math.prod(form.grid)) > MOST_CHUNKS:
+        problems.add(f"{count} chunks ({form.grid}); expected at most {MOST_CHUNKS}")
+    if len(form.shape) == 1 and form.shape[0] * max(form.item_bytes, 4) > MOST_AXIS_BYTES:
+        problems.add(
+            f"{form.shape[0]} samples along one dim; expected at most {MOST_AXIS_BYTES} bytes of them"
+        )

@@ -1,0 +1,158 @@
+"""Disk space: whether a store has room, before it is written; and what a full disk, or memory, is told as."""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import math
+import os
+import shutil
+from collections.abc import Iterable, Iterator, Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from hyperpaint.budget import MARGIN, size_text
+from hyperpaint.errors import PaintError, StoreError
+
+from .layout import storage_chunks
+from .location import Location
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+__all__ = ["check_disk", "disk_needed", "errors_of_the_system"]
+
+STORED_SHARE = {"counts": 0.55, "rounded": 0.45}
+"""Bytes on disk of a byte in memory: 12-bit counts in uint16, float32 with 12 mantissa bits."""
+
+_BLOCK = 4096
+"""Least room of a file or folder; a chunk is a file in two folders, with a record beside it for a while."""
+
+_FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
+
+
+def disk_needed(dataset: xr.Dataset) -> int:
+    """Return the bytes a group takes on disk at the most, margin included.
+
+    Examples
+    --------
+    >>> import numpy as np, xarray as xr
+    >>> cube = (("along_track", "band", "cross_track"), np.zeros((640, 272, 640), "uint16"))
+    >>> disk_needed(xr.Dataset({"counts": cube})) // 10**6
+    135
+    """
+    needed, blocks = 0.0, 16
+    for name, variable in dataset.variables.items():
+        if name == "counts" and variable.dtype.itemsize == 2:
+            share = STORED_SHARE["counts"]
+        else:
+            share = STORED_SHARE["rounded"] if "keep_bits" in variable.attrs else 1.0
+        needed += share * variable.nbytes
+        chunk = storage_chunks(variable.dims, variable.shape, variable.dtype.itemsize)
+        chunks = math.prod(-(-size // step) for size, step in zip(variable.shape, chunk, strict=True))
+        blocks += 4 * chunks + 4
+    return int(MARGIN * needed) + blocks * _BLOCK
+
+
+def check_disk(store: Path, needed: int, begun: Iterable[Path] = ()) -> None:
+    """Refuse a store for which its disk has no room.
+
+    Parameters
+    ----------
+    store
+        Where it will be; neither it nor the folders above need be there yet.
+    needed
+        Bytes to be written.
+    begun
+        What an interrupted run left and this one takes up: its bytes are taken off.
+
+    Raises
+    ------
+    StoreError
+        There is less room; the figures are given.
+    """
+    free = _free(store)
+    left = needed - sum(_size(file) for folder in begun for file in folder.rglob("*"))
+    if free is not None and left > free:
+        msg = (
+            f"cannot write {store}: {size_text(left)} of disk are needed, {size_text(free)} are free; make "
+            "room, choose another disk, or leave reflectance to be computed from counts (reflectance='none')"
+        )
+        raise StoreError(msg)
+
+
+def _free(store: Path) -> int | None:
+    """Return the free bytes of the disk on which a store is, or will be; None where that cannot be told."""
+    for folder in store.absolute().parents:
+        with contextlib.suppress(OSError):
+            return shutil.disk_usage(folder).free
+    return None
+
+
+def _size(path: Path) -> int:
+    try:
+        return path.stat().st_size if path.is_file() else 0
+    except OSError:  # another run clears it up
+        return 0
+
+
+@contextlib.contextmanager
+def errors_of_the_system(location: Location, groups: Mapping[str, xr.Dataset]) -> Iterator[None]:
+    """Turn a full disk or memory, and folders and files that cannot be used, into one readable error.
+
+    Parameters
+    ----------
+    location
+        The store.
+    groups
+        What is being written.
+    """
+    try:
+        yield
+    except PaintError as error:
+        cause = error.__cause__  # a block's error, which names the block
+        if isinstance(cause, OSError) and cause.errno in _FULL:
+            msg = f"{error}; {_room(location, groups)}"
+            raise StoreError(msg) from cause
+        raise
+    except OSError as error:
+        raise StoreError(_told(error, location, groups)) from error
+    except (MemoryError, RuntimeError) as error:
+        # threads that cannot be started are told as a RuntimeError
+        if isinstance(error, RuntimeError) and "start new thread" not in str(error):
+            raise
+        msg = (
+            f"cannot write {location.url}: memory ran out ({str(error) or 'nothing can be allocated'}); take "
+            "fewer lines a dask chunk or fewer threads, end other programs, or raise the limit; run again: "
+            "the chunks that are finished will be taken up"
+        )
+        raise StoreError(msg) from error
+
+
+def _told(error: OSError, location: Location, groups: Mapping[str, xr.Dataset]) -> str:
+    reason = error.strerror or str(error)
+    again = "run again: the chunks that are finished will be taken up"
+    if error.errno in _FULL:
+        reason = f"{reason}; {_room(location, groups)}"
+    elif error.filename and location.local is not None and not _is_beside(error.filename, location.local):
+        reason = f"{reason}: {error.filename}, which it is made from; mend this"
+    else:
+        reason = f"{reason}{f' ({error.filename})' if error.filename else ''}; mend this"
+    return f"cannot write {location.url}: {reason} and {again}"
+
+
+def _room(location: Location, groups: Mapping[str, xr.Dataset]) -> str:
+    """Return words for the room that groups need, and that there is."""
+    needed = size_text(sum(map(disk_needed, groups.values())))
+    free = None if location.local is None else _free(location.local)
+    found = "" if free is None else f", {size_text(free)} are free now"
+    return f"{', '.join(f'/{group}' for group in groups)} may take {needed} in all{found}; make room"
+
+
+def _is_beside(file: object, store: Path) -> bool:
+    """Tell whether a file is in a store or in the folder where it is staged."""
+    above = os.path.abspath(store.parent)
+    inside = (
+        os.path.relpath(os.path.abspath(os.fsdecode(file)), above) if isinstance(file, str | bytes) else ""
+    )
+    return inside.split(os.sep)[0] in (store.name, f".partial-{store.name}")

@@ -1,0 +1,250 @@
+"""Disks that are full or vanish, and power cuts: told before or told cleanly, and nothing looks finished."""
+
+from __future__ import annotations
+
+import errno
+import os
+import shutil
+from collections import namedtuple
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import dask
+import dask.array as da
+import numpy as np
+import pytest
+import xarray as xr
+
+from hyperpaint import budget
+from hyperpaint.errors import StoreError
+from hyperpaint.io.store import durability, is_complete, resume, room, to_store, verify, writer
+from hyperpaint.io.store.room import check_disk, disk_needed
+
+CUBE = ("along_track", "band", "cross_track")
+GROUP = "flightlines/raw_0"
+Usage = namedtuple("Usage", "total used free")
+
+
+def line(lines: int = 128, chunk: int = 32, name: str = "counts") -> xr.Dataset:
+    values = np.arange(lines * 6, dtype="uint16").reshape(lines, 2, 3)
+    return xr.Dataset({name: (CUBE, da.from_array(values, chunks=(chunk, 2, 3)))})
+
+
+def free(monkeypatch: pytest.MonkeyPatch, size: int) -> None:
+    monkeypatch.setattr(room.shutil, "disk_usage", lambda _: Usage(10**12, 10**12, size))
+
+
+# --- disk --------------------------------------------------------------------------------------------------
+
+
+def test_a_full_disk_is_told_before_anything_is_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def read(block: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
+        raise AssertionError
+
+    unread = line()
+    unread["counts"] = unread.counts.copy(
+        data=unread.counts.data.map_blocks(read, dtype="uint16", meta=block)
+    )
+    free(monkeypatch, 1000)
+    with pytest.raises(StoreError, match=r"1 MiB of disk are needed, 1 MiB are free; make room"):
+        to_store(unread, tmp_path / "far" / "lot.zarr", GROUP)
+    assert not any(tmp_path.iterdir())
+
+
+block = np.empty((0, 0, 0), "uint16")
+
+
+def test_what_is_there_already_needs_no_room(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    to_store(line(), tmp_path / "lot.zarr", GROUP)
+    free(monkeypatch, 0)
+    to_store(line(), tmp_path / "lot.zarr", GROUP)
+    with pytest.raises(StoreError, match="of disk are needed"):
+        to_store(line(160), tmp_path / "lot.zarr", GROUP, overwrite=True)
+
+
+def test_only_what_is_taken_up_is_taken_off(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    whole = {"one": line()}
+    needed = disk_needed(whole["one"])
+    path = tmp_path / "lot.zarr"
+    content = writer._Job("one", whole["one"], writer._token(whole["one"], "token")).content
+    free(monkeypatch, needed - 500)
+    with pytest.raises(StoreError, match="of disk are needed"):
+        writer.check_room(whole, path, {"one": "token"})
+    for build in (f"build-one-{content}-1", f"build-two-{content}-1", "build-one-other-1", "replaced-one"):
+        folder = tmp_path / ".partial-lot.zarr" / build
+        folder.mkdir(parents=True)
+        (folder / "chunk").write_bytes(bytes(600))
+        if build == f"build-one-{content}-1":
+            writer.check_room(whole, path, {"one": "token"})
+            shutil.rmtree(folder)
+    with pytest.raises(StoreError, match="of disk are needed"):
+        writer.check_room(whole, path, {"one": "token"})
+
+
+def test_a_small_group_asks_for_little_but_for_every_chunk(tmp_path: Path) -> None:
+    assert disk_needed(xr.Dataset({"a": ("x", [1.0])})) < 150_000
+    to_store(line(6400), tmp_path / "lot.zarr")
+    blocks = sum(path.stat().st_blocks for path in (tmp_path / "lot.zarr").rglob("*"))
+    assert 512 * blocks < disk_needed(line(6400)) < 4_000_000
+
+
+def test_a_disk_of_unknown_size_is_no_reason_to_refuse(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def unknown(_: Path) -> Usage:
+        raise OSError(errno.ENOSYS, "unknown")
+
+    monkeypatch.setattr(room.shutil, "disk_usage", unknown)
+    check_disk(tmp_path / "lot.zarr", 10**15)
+
+
+@pytest.mark.parametrize("number", [errno.ENOSPC, errno.EDQUOT])
+def test_a_disk_that_fills_up_says_what_was_needed(
+    number: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    plain, path = resume._replace, tmp_path / "lot.zarr"
+
+    def full(file: Path, parts: Any, **options: Any) -> None:
+        if "c/2/" in str(file):
+            raise OSError(number, os.strerror(number), str(file))
+        plain(file, parts, **options)
+
+    monkeypatch.setattr(resume, "_replace", full)
+    with dask.config.set(scheduler="synchronous"):
+        with pytest.raises(StoreError, match=rf"{os.strerror(number)}.*may take 1 MiB in all, .* make room"):
+            to_store(line(), path, GROUP, source_token="a")
+        assert not is_complete(path, GROUP)
+        monkeypatch.setattr(resume, "_replace", plain)
+        to_store(line(), path, GROUP, source_token="a")
+    assert verify(path).ok
+    assert os.listdir(tmp_path) == ["lot.zarr"]
+
+
+# --- errors of the system ----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("error", "told"),
+    [
+        (MemoryError(), r"memory ran out \(nothing can be allocated\); take fewer lines"),
+        (RuntimeError("can't start new thread"), r"memory ran out \(can't start new thread\)"),
+        (FileNotFoundError(errno.ENOENT, "gone", "/far/raw_0"), "gone: /far/raw_0, which it is made from"),
+        (PermissionError(errno.EACCES, "no right", "lot.zarr/zarr.json"), r"no right \(lot.zarr/zarr.json\)"),
+        (OSError("odd"), "odd; mend this and run again"),
+    ],
+)
+def test_errors_of_the_system_are_told(error: Exception, told: str, tmp_path: Path) -> None:
+    location = writer.Location.of("lot.zarr")
+    with pytest.raises(StoreError, match=told), room.errors_of_the_system(location, {GROUP: line()}):
+        raise error
+
+
+def test_other_errors_stay_as_they_are() -> None:
+    location = writer.Location.of("lot.zarr")
+    for error in (RuntimeError("other"), ValueError("wrong"), StoreError("ours")):
+        with pytest.raises(type(error), match=f"^{error}$"), room.errors_of_the_system(location, {}):
+            raise error
+
+
+# --- memory ------------------------------------------------------------------------------------------------
+
+
+def test_blocks_that_cannot_fit_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    huge = da.zeros((64_000, 272, 640), chunks=(32_000, 272, 640), dtype="uint16")
+    monkeypatch.setattr(budget, "available_memory", lambda: 2**30)
+    with pytest.raises(
+        StoreError, match=r"needs 10\.\d+ GiB of memory for one dask chunk of 32000 lines, but"
+    ):
+        to_store(xr.Dataset({"counts": (CUBE, huge)}), tmp_path / "lot.zarr", GROUP)
+    assert not any(tmp_path.iterdir())
+
+
+# --- power cuts --------------------------------------------------------------------------------------------
+
+
+class Flushed:
+    """Which files and folders have been flushed since they were last written."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.order: list[str] = []
+        plain = os.fsync
+
+        def fsync(descriptor: int) -> None:
+            self.order.append(os.readlink(f"/proc/self/fd/{descriptor}"))
+            plain(descriptor)
+
+        monkeypatch.setattr(os, "fsync", fsync)
+
+
+@pytest.mark.skipif(not Path("/proc/self/fd").exists(), reason="open files are named in Linux's /proc")
+def test_everything_is_flushed_before_the_seal_and_before_the_place(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    flushed, states = Flushed(monkeypatch), []
+    plain = writer.Staging.publish
+
+    def publish(stage: Any, build: Path, group: str) -> None:
+        states.append((build, len(flushed.order), sorted(map(str, [build, *build.rglob("*")]))))
+        plain(stage, build, group)
+
+    monkeypatch.setattr(writer.Staging, "publish", publish)
+    path = tmp_path / "lot.zarr"
+    to_store(line().assign_coords(frame=("along_track", np.arange(128))), path, GROUP)
+    ((build, count, present),) = states
+    before = flushed.order[:count]
+    # the seal is in the group's own metadata, which replaces a file that was flushed under another name
+    seal = next(i for i in reversed(range(count)) if before[i].startswith(f"{build}/.zarr.json."))
+    assert set(present) <= set(before[:seal])
+    assert before[seal + 1] == str(build)
+    after = flushed.order[count:]
+    for folder in (path / "flightlines", path, tmp_path):
+        assert str(folder) in after
+    # documents of the groups above come under another name, and replace what is there
+    for folder in (path, path / "flightlines"):
+        assert any(name.startswith(f"{folder}/.zarr.json.") for name in flushed.order)
+
+
+def test_a_chunk_that_somebody_removed_is_missed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    plain, path = writer._remove_hidden, tmp_path / "lot.zarr"
+
+    def clear_up(place: Any) -> None:
+        plain(place)
+        (place.local / "counts/c/1/0/0").unlink()
+
+    monkeypatch.setattr(writer, "_remove_hidden", clear_up)
+    with pytest.raises(StoreError, match=r"a finished chunk has been removed \(.*counts/c/1/0/0\)"):
+        to_store(line(), path, GROUP, source_token="a")
+    assert not path.exists()
+    monkeypatch.setattr(writer, "_remove_hidden", plain)
+    to_store(line(), path, GROUP, source_token="a")
+    assert verify(path).ok
+
+
+def test_a_rerun_clears_up_behind_a_writer_that_died_at_its_end(tmp_path: Path) -> None:
+    path, partial = tmp_path / "lot.zarr", tmp_path / ".partial-lot.zarr"
+    to_store(line(), path, GROUP, source_token="a")
+    partial.mkdir()
+    (partial / "lock").write_text("{}")
+    to_store(line(), path, GROUP, source_token="a")
+    assert not partial.exists()
+    # what another group was built of is left for its own rerun
+    (partial / "build-other-1-1").mkdir(parents=True)
+    to_store(line(), path, GROUP, source_token="a")
+    assert (partial / "build-other-1-1").exists()
+
+
+def test_a_disk_that_refuses_to_flush_leaves_nothing_finished(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def broken(_: str) -> None:
+        raise OSError(errno.EIO, "broken disk")
+
+    plain: Callable[[Any], None] = durability._flush
+    monkeypatch.setattr(durability, "_flush", broken)
+    with pytest.raises(StoreError, match="broken disk"):
+        to_store(line(), tmp_path / "lot.zarr", GROUP, source_token="a")
+    assert not is_complete(tmp_path / "lot.zarr", GROUP)
+    monkeypatch.setattr(durability, "_flush", plain)
+    to_store(line(), tmp_path / "lot.zarr", GROUP, source_token="a")
+    assert verify(tmp_path / "lot.zarr").ok
