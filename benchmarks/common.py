@@ -216,6 +216,23 @@ def plan_of(line: Any) -> Any:
     )
 
 
+def spread_of_plan() -> Any:
+    """Return what uncertainties follow from, every component being known."""
+    from hyperpaint.propagation import spread_of
+
+    gain = instrument()["gain"]
+    known = {
+        "electrons_per_count": ELECTRONS_PER_COUNT,
+        "read_noise": READ_NOISE,
+        "radiance_gain_u_random": np.full(gain.shape, 0.003),
+        "radiance_gain_u_systematic": 0.02,
+        "irradiance_u_systematic": 0.02,
+        "wavelength_u": 0.1,
+        "dark_counts_u_systematic": 0.2,
+    }
+    return spread_of(known, {"wavelength": wavelengths()}, None, "uint16", ~np.isfinite(gain))
+
+
 def chunk_files(store: Path, name: str = "counts") -> list[Path]:
     """Return the chunk files of a cube along the flight."""
     folder = store / name / "c"

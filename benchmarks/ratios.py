@@ -2,6 +2,7 @@
 
     python benchmarks/ratios.py             every ratio, about two minutes
     python benchmarks/ratios.py kernel io   only these
+    python benchmarks/ratios.py distributed two workers of dask.distributed against two threads
     python benchmarks/ratios.py memory      peak memory; writes 13 GB under TMPDIR and removes them
 
 Absolute times are those of this machine at this moment; the ratios are what can be compared. Repeats are
@@ -83,10 +84,20 @@ def imports() -> Iterator[Row]:
 def kernel() -> Iterator[Row]:
     from benchmarks.bench_kernels import Calibrate
 
-    names = ("time_floor", "time_plain", "time_smile_quality_rounding")
-    floor, plain, full = timed(Calibrate(), (128,), names, 25).values()
+    names = (
+        "time_floor",
+        "time_plain",
+        "time_smile_quality_rounding",
+        "time_uncertainty",
+        "time_three_casts",
+    )
+    floor, plain, full, uncertain, casts = timed(Calibrate(), (128,), names, 25).values()
     yield Row("kernel, 128 lines, one thread / np.copyto(float32, uint16)", plain, floor, "ms", 1.4)
     yield Row("  the same with smile, quality and rounding", full, floor, "ms", 2.5)
+    yield Row(
+        "  with both uncertainties / three casts, since it writes three cubes", uncertain, casts, "ms", 1.5
+    )
+    yield Row("  with both uncertainties / without", uncertain, plain, "ms", 4)
 
 
 def irradiance() -> Iterator[Row]:
@@ -136,6 +147,50 @@ def io() -> Iterator[Row]:
 
     floor, ours = timed(ReadEnvi(), (1024,), ("time_floor", "time_drain"), 8).values()
     yield Row("ENVI cube drained through dask / pread into one buffer", ours, floor, "ms", 2)
+
+
+def distributed(lines: int = 2048) -> Iterator[Row]:
+    """Two workers of one thread against two threads, each with the chunks the package takes there."""
+    import dask
+    from distributed import Client, LocalCluster
+
+    from benchmarks.bench_pipeline import threads
+    from benchmarks.common import THREADS, best_of, counts_store, scratch
+    from hyperpaint.pipeline import CLUSTER_LINES
+    from hyperpaint.schema import CHUNK_LINES
+
+    products = {
+        "to_store(reflectance)": ["reflectance"],
+        "to_store(counts, reflectance, quality)": ["counts", "reflectance", "quality"],
+    }
+    with (
+        LocalCluster(n_workers=THREADS, threads_per_worker=1, dashboard_address=":0") as cluster,
+        Client(cluster, set_as_default=False) as client,
+    ):
+        for text, names in products.items():
+
+            def on_threads(names: list[str] = names) -> None:
+                with threads():
+                    _write(counts_store(lines), names, CHUNK_LINES)
+
+            def on_cluster(names: list[str] = names) -> None:
+                with client.as_current(), dask.config.set(scheduler=client):
+                    _write(counts_store(lines), names, CLUSTER_LINES)
+
+            variants = {"threads": on_threads, "cluster": on_cluster}
+            best = best_of(variants, 5, lambda: shutil.rmtree(scratch() / "out.zarr"))
+            what = f"{text}, {lines} lines, 2 workers / 2 threads"
+            yield Row(what, 1e3 * best["cluster"], 1e3 * best["threads"], "ms", 1.7)
+
+
+def _write(store: Path, names: list[str], chunk: int) -> None:
+    import xarray as xr
+
+    import hyperpaint as hp
+    from benchmarks.common import scratch
+
+    line = xr.open_zarr(store, chunks=None).chunk({"along_track": chunk})
+    hp.to_store(line.paint.reflectance(keep_bits=12)[names], scratch() / "out.zarr")
 
 
 class counted_reads:  # noqa: N801 (a context manager)
@@ -244,7 +299,7 @@ def _process(folder: Path, lines: str) -> None:
 GROUPS: dict[str, Callable[[], Iterator[Row]]] = {
     group.__name__: group for group in (imports, kernel, irradiance, graph, io, look, store)
 }
-EXTRA = {"memory": memory}
+EXTRA = {"distributed": distributed, "memory": memory}
 CHILDREN = {child.__name__: child for child in (_imports, _prepare, _process)}
 
 
@@ -257,7 +312,9 @@ def main(arguments: list[str]) -> int:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("groups", nargs="*", choices=[*GROUPS, *EXTRA, []], help="default: all but memory")
+    parser.add_argument(
+        "groups", nargs="*", choices=[*GROUPS, *EXTRA, []], help="default: all but the last two"
+    )
     chosen = parser.parse_args(arguments).groups or list(GROUPS)
     print(f"load {os.getloadavg()[0]:.1f} on {os.cpu_count()} cores\n{HEADER}")
     rows = []

@@ -25,14 +25,20 @@ from .errors import (
 from .schema import Quality
 
 if TYPE_CHECKING:
+    from .alignment import align_to_irradiance
+    from .alignment_applied import apply_alignment
+    from .calibration import calibrate
     from .illumination import Tilt, match_irradiance
     from .io.asd import open_asd
-    from .io.collect import open_collect
     from .io.flightline import open_flightline
     from .io.irradiance import open_irradiance
-    from .io.store import to_store, verify
+    from .io.store import encoding, to_store, verify
+    from .laboratory import open_collect
+    from .noise import estimate_noise, mean_uncertainty
+    from .oxygen import oxygen_residual
     from .pipeline import process
     from .plot import quicklook, rgb
+    from .plot_calibration import calibration_report
     from .radiometry import Panel, radiance, reflectance
     from .simulation import simulate_collect
     from .smoothing import smooth
@@ -43,11 +49,19 @@ __version__ = "0.1.0"
 _HOME = {
     "Panel": "radiometry",
     "Tilt": "illumination",
+    "align_to_irradiance": "alignment",
+    "apply_alignment": "alignment_applied",
+    "calibrate": "calibration",
+    "calibration_report": "plot_calibration",
+    "encoding": "io.store",
+    "estimate_noise": "noise",
     "match_irradiance": "illumination",
+    "mean_uncertainty": "noise",
     "open_asd": "io.asd",
-    "open_collect": "io.collect",
+    "open_collect": "laboratory",
     "open_flightline": "io.flightline",
     "open_irradiance": "io.irradiance",
+    "oxygen_residual": "oxygen",
     "process": "pipeline",
     "quicklook": "plot",
     "radiance": "radiometry",
@@ -75,11 +89,19 @@ __all__ = [
     "TimeError",
     "UnitsError",
     "__version__",
+    "align_to_irradiance",
+    "apply_alignment",
+    "calibrate",
+    "calibration_report",
+    "encoding",
+    "estimate_noise",
     "match_irradiance",
+    "mean_uncertainty",
     "open_asd",
     "open_collect",
     "open_flightline",
     "open_irradiance",
+    "oxygen_residual",
     "process",
     "quicklook",
     "radiance",

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Mapping
+from collections.abc import Hashable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -11,6 +11,8 @@ import xarray as xr
 if TYPE_CHECKING:
     import numpy.typing as npt
 
+    from .alignment import Window
+    from .column_means import Progress
     from .illumination import Tilt
     from .io.store import StoreReport
     from .radiometry import Panel
@@ -46,6 +48,7 @@ class PaintAccessor:
         self,
         irradiance: xr.Dataset | None = None,
         *,
+        uncertainty: bool = False,
         tilt: Tilt | tuple[float, float] | None = None,
         panel: Panel | None = None,
         keep_bits: int | None = None,
@@ -54,7 +57,10 @@ class PaintAccessor:
         """Add ``reflectance``, ``quality`` and ``irradiance_age``; see `hyperpaint.reflectance`."""
         from .radiometry import reflectance
 
-        return reflectance(self._by_role(dims), irradiance, tilt=tilt, panel=panel, keep_bits=keep_bits)
+        line = self._by_role(dims)
+        return reflectance(
+            line, irradiance, uncertainty=uncertainty, tilt=tilt, panel=panel, keep_bits=keep_bits
+        )
 
     def smooth(
         self, method: str = "savitzky-golay", window: int = 11, *, order: int = 2, dims: Dims | None = None
@@ -75,6 +81,48 @@ class PaintAccessor:
         from .bands import to_nominal
 
         return to_nominal(self._by_role(dims))
+
+    def align_to_irradiance(
+        self,
+        *,
+        window: Window | Sequence[Window] | None = None,
+        separate: bool = False,
+        lines: slice | None = None,
+        degree: int = 5,
+        group: int = 1,
+        max_shift: float = 2.0,
+        max_uncertainty: float = 0.1,
+        progress: Progress | None = None,
+        dims: Dims | None = None,
+    ) -> xr.Dataset:
+        """Find shift and width of every column (eager); see `hyperpaint.align_to_irradiance`."""
+        from .alignment import align_to_irradiance
+
+        return align_to_irradiance(
+            self._by_role(dims),
+            window=window,
+            separate=separate,
+            lines=lines,
+            degree=degree,
+            group=group,
+            max_shift=max_shift,
+            max_uncertainty=max_uncertainty,
+            progress=progress,
+        )
+
+    def apply_alignment(
+        self, found: xr.Dataset, *, degree: int = 2, fwhm: bool = True, dims: Dims | None = None
+    ) -> xr.Dataset:
+        """Return the line with the wavelengths found in flight; see `hyperpaint.apply_alignment`."""
+        from .alignment_applied import apply_alignment
+
+        return apply_alignment(self._by_role(dims), found, degree=degree, fwhm=fwhm)
+
+    def oxygen_residual(self, *, progress: Progress | None = None, dims: Dims | None = None) -> xr.DataArray:
+        """Return what is left of the oxygen band, by column (eager); see `hyperpaint.oxygen_residual`."""
+        from .oxygen import oxygen_residual
+
+        return oxygen_residual(self._by_role(dims), progress=progress)
 
     def rgb(self, *, stretch: tuple[float, float] = (2.0, 98.0), dims: Dims | None = None) -> xr.DataArray:
         """Return a true-colour picture; see `hyperpaint.plot.rgb`."""
@@ -104,8 +152,8 @@ class PaintAccessor:
         source = self._dataset.encoding.get("source")
         if not isinstance(source, str):
             msg = (
-                "the dataset does not say which store it was opened from, as those of xarray.open_zarr do; "
-                "call hyperpaint.verify(path)"
+                "the dataset does not say which store it was opened from, as those do that xarray.open_zarr "
+                "opens by path or URL; call hyperpaint.verify(path), or load it whole where it is in icechunk"
             )
             raise StoreError(msg)
         return verify(source)

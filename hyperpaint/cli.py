@@ -37,7 +37,8 @@ class _Program(click.Group):
                 return super().invoke(ctx)
             except (PaintError, OSError) as error:
                 # what Python calls an argument is an option here
-                text = str(error).replace("pass overwrite=True", "pass --overwrite")
+                text = "\n".join([str(error), *getattr(error, "__notes__", ())])
+                text = text.replace("pass overwrite=True", "pass --overwrite")
                 text = text.replace("with overwrite=True", "with --overwrite")
                 click.echo(f"error: {text}", err=True)
                 ctx.exit(WRONG_INPUT)
@@ -70,6 +71,7 @@ Examples:
   hyperpaint demo --out demo                          see the whole chain on a simulated collect
   hyperpaint info flight/raw_0.hdr                    what is this file?
   hyperpaint info collect.toml                        does everything open, and what would be done?
+  hyperpaint calibrate sweep.zarr --out cal.zarr      a lab sweep to a calibration
   hyperpaint process collect.toml --out lot.zarr      raw counts to calibrated reflectance
   hyperpaint verify lot.zarr                          is every chunk of it there and right?
 
@@ -195,9 +197,13 @@ Examples:
 )
 @click.option("--sun-zenith", type=float, metavar="DEGREE", help="Zenith angle of the sun.")
 @click.option("--truth/--no-truth", default=True, show_default=True, help="Write truth.zarr.")
+@click.option(
+    "--sweep", is_flag=True,
+    help="Write a lab sweep of the same camera too, which collect.toml then names for its calibration.",
+)  # fmt: skip
 @click.option("--overwrite", is_flag=True, help="Replace an earlier simulated collect.")
 @click.option("--quiet", is_flag=True, help="No progress bar.")
-def simulate(folder: Path, truth: bool, overwrite: bool, quiet: bool, **settings: Any) -> None:
+def simulate(folder: Path, truth: bool, sweep: bool, overwrite: bool, quiet: bool, **settings: Any) -> None:
     """Write a simulated collect with known truth, in the instruments' own formats.
 
     DIR receives a Headwall folder (flight), a dark cube, ASD files, calibration.zarr, truth.zarr and
@@ -210,7 +216,14 @@ def simulate(folder: Path, truth: bool, overwrite: bool, quiet: bool, **settings
     if overwrite:
         refuse_foreign(folder, overwrite=True)
     with _bar("simulating", _is_watched(quiet)) as simulated:
-        path = simulate_collect(folder, truth=truth, overwrite=overwrite, progress=simulated, **given)
+        path = simulate_collect(
+            folder,
+            truth=truth,
+            sweep={} if sweep else None,
+            overwrite=overwrite,
+            progress=simulated,
+            **given,
+        )
     click.echo(f"{path}\nprocess it with: hyperpaint process {path} --out lot.zarr")
 
 
@@ -237,6 +250,74 @@ def _bar(label: str, shown: bool) -> Iterator[Any]:
                 stack.close()
 
         yield update
+
+
+# --- calibrate ---------------------------------------------------------------------------------------------
+
+
+@main.command(
+    short_help="Turn a lab sweep into a calibration.",
+    epilog="""\b
+Examples:
+  hyperpaint calibrate lab/sweep.zarr --out calibration.zarr --report calibration.png
+  hyperpaint calibrate lab/sweep.zarr --out calibration.zarr --flux-uncertainty 0.02 --overwrite
+
+\b
+A collect.toml can also name the sweep itself:
+  [calibration]
+  sweep = 'lab/sweep.zarr'""",
+)
+@click.argument("sweep", metavar="SWEEP.zarr", type=_INPUT)
+@click.option(
+    "--out", required=True, metavar="CAL.zarr", type=click.Path(path_type=Path), help="The calibration."
+)
+@click.option(
+    "--shape", "srf_shape", type=click.Choice(["gaussian", "slit"]),
+    help="Line shape of the camera.  [default: the one that the lines fit better]",
+)  # fmt: skip
+@click.option(
+    "--flux-uncertainty", type=click.FloatRange(0.0, 1.0), metavar="SHARE", default=0.04, show_default=True,
+    help="Relative standard uncertainty of the power meter.",
+)  # fmt: skip
+@click.option(
+    "--capture-uncertainty", type=click.FloatRange(0.0, 1.0), metavar="SHARE", default=0.0, show_default=True,
+    help="The same of the capture fraction.",
+)  # fmt: skip
+@click.option(
+    "--etendue-uncertainty", type=click.FloatRange(0.0, 1.0), metavar="SHARE", default=0.0, show_default=True,
+    help="The same of the etendue.",
+)  # fmt: skip
+@click.option(
+    "--report", metavar="PICTURE", type=click.Path(dir_okay=False, path_type=Path),
+    help="Also draw lines, residuals, smile and gain (png, pdf ...).",
+)  # fmt: skip
+@click.option(
+    "--relative", is_flag=True, help="No capture fraction or etendue: the shape of the gain, without scale."
+)
+@click.option("--overwrite", is_flag=True, help="Replace a calibration made from something else.")
+@click.option("--quiet", is_flag=True, help="No progress bar.")
+def calibrate(sweep: Path, out: Path, relative: bool, quiet: bool, **options: Any) -> None:
+    """Turn a monochromator sweep into the calibration of a camera.
+
+    Fits every line over bands, and makes of them the wavelength of every element, the width and shape of the
+    bands, and the gain, with uncertainties. Steps and elements that cannot be trusted are named and left out;
+    nothing is extrapolated.
+
+    SWEEP.zarr holds counts (step, band, cross_track), dark_counts, step_wavelength, flux, capture_fraction,
+    exposure_time, monochromator_fwhm and etendue, with units.
+    """
+    from .laboratory import write_calibration
+
+    with _bar("calibrating", _is_watched(quiet)) as shown:
+        made = write_calibration(sweep, out, absolute=not relative, progress=shown, **options)
+    good = made.wavelength[made.good]
+    click.echo(f"{out}: {int(made.good.sum())} of {made.sizes['band']} bands have a gain", nl=False)
+    click.echo(f", {float(good.min()):.1f} to {float(good.max()):.1f} nm")
+    click.echo(
+        f"line shape {made.srf_shape}, FWHM {float(made.fwhm.median()):.2f} nm, "
+        f"smile {float(made.wavelength_shift.max() - made.wavelength_shift.min()):.2f} nm, "
+        f"wavelengths to {float(made.wavelength_u):.2g} nm"
+    )
 
 
 # --- process, info, verify ---------------------------------------------------------------------------------

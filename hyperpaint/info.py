@@ -191,7 +191,8 @@ def _settings(path: Path) -> Facts:
 
 
 def _collect(path: Path) -> Facts:
-    from .io.collect import open_collect, read_collect
+    from .io.collect import read_collect
+    from .laboratory import open_collect
 
     collect = read_collect(path, need_irradiance=False)
     lit = collect.irradiance is not None
@@ -267,16 +268,14 @@ def _store(path: Path) -> Facts:
 
 def _group(path: Path, name: str) -> Facts:
     """Yield what a group holds, or why it must not be read."""
-    import xarray as xr
-
-    from .io.store import open_store
+    from .io.store import open_store, open_unverified
     from .io.store.record import COMPLETE
 
     try:
         group = open_store(path, name)
         yield "state", f"complete, written {group.attrs.get('created', 'at an unknown time')}"
     except IncompleteStoreError as error:
-        group = xr.open_zarr(path, group=name or None, consolidated=False)
+        group = open_unverified(path, name)
         # what the store writer began carries its stamp from the first moment on
         foreign = COMPLETE not in group.attrs and "hyperpaint_version" not in group.attrs
         unsealed = "no completion record (not written by hyperpaint's store writer)"

@@ -14,8 +14,9 @@ import numpy.typing as npt
 
 from .errors import PaintWarning, Problems, SchemaError, TimeError
 from .illumination import Smile, Tilt, matched_series, smile_cells
+from .propagation import spread_of
 from .schema import Quality
-from .slabs import Plan
+from .slabs import QUANTISATION, Plan
 from .synchrony import LineLight, line_light
 
 __all__ = ["make_plan"]
@@ -32,7 +33,6 @@ BAD_BAND_SHARE = 0.05
 NEGATIVE_BAND_SHARE = 0.1
 SAME_EXPOSURE = 0.01
 """Relative difference up to which a dark serves a line's exposure."""
-_QUANTISATION = 1.0 / 12.0
 
 
 def make_plan(
@@ -45,6 +45,7 @@ def make_plan(
     tilt: Tilt | None = None,
     panel: Mapping[str, Any] | None = None,
     keep_bits: int | None = None,
+    uncertain: Mapping[str, Any] | None = None,
 ) -> Plan:
     """Gather what every slab of a cube needs.
 
@@ -61,6 +62,9 @@ def make_plan(
         Values of `irradiance` and its companions; None for radiance.
     tilt, panel, keep_bits
         See `hyperpaint.radiometry.reflectance`.
+    uncertain
+        Values of `electrons_per_count`, `read_noise` and of the uncertainties that are known, by name; None
+        where uncertainties were not asked for.
 
     Raises
     ------
@@ -107,6 +111,7 @@ def make_plan(
         column_flags=np.where(bad_share > BAD_BAND_SHARE, Quality.BAD_DETECTOR, 0).astype(np.uint16),
         cleared_bits=0 if keep_bits is None else 23 - keep_bits,
         starts=starts,
+        spread=None if uncertain is None else spread_of(uncertain, cube, light, dtype, bad),
     )
 
 
@@ -214,7 +219,7 @@ def _saturation_limit(cube: Mapping[str, Any], dtype: np.dtype[Any]) -> Array:
 def _noise_margin(cube: Mapping[str, Any], watched: Array) -> Array:
     """Return how far below the dark noise may take a sample (band, column) [count]; NaN where unwatched."""
     noise = np.asarray(cube.get("read_noise", DEFAULT_READ_NOISE), np.float64)
-    margin = NOISE_SIGMAS * np.sqrt(noise**2 + _QUANTISATION)
+    margin = NOISE_SIGMAS * np.sqrt(noise**2 + QUANTISATION)
     return np.ascontiguousarray(np.where(watched, margin, np.nan), np.float32)
 
 

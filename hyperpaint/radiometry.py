@@ -17,6 +17,7 @@ from . import schema, slabs
 from .errors import Problems, SchemaError
 from .illumination import Tilt
 from .planning import make_plan
+from .propagation import UNCERTAINTIES, uncertainty_inputs, with_uncertainty
 from .schema import ALONG_TRACK, BAND, CROSS_TRACK, IRRADIANCE_TIME, IRRADIANCE_WAVELENGTH, Quality
 from .units import convert
 
@@ -65,18 +66,24 @@ class Panel:
     reflectance
         Its reflectance factor: a number [1], or a DataArray [any unit of it] with a coordinate ``wavelength``
         [any unit of length].
+    uncertainty
+        Relative standard uncertainty of its reflectance [1].
 
     Raises
     ------
     SchemaError
-        A reflectance that is not one.
+        A reflectance that is not one, or an uncertainty that cannot be.
     """
 
     along_track: slice
     cross_track: slice
     reflectance: Any
+    uncertainty: float = 0.0
 
     def __post_init__(self) -> None:
+        if not 0.0 <= self.uncertainty < 1.0:
+            msg = f"the panel's uncertainty is {self.uncertainty}, expected a fraction of 1, such as 0.02"
+            raise SchemaError(msg)
         labelled = hasattr(self.reflectance, "coords")
         if labelled and "wavelength" not in self.reflectance.coords:
             msg = "the panel's reflectance has no coordinate 'wavelength' [nm]"
@@ -174,7 +181,7 @@ def radiance(dataset: xr.Dataset) -> xr.Dataset:
         _refuse_without(dataset, ("counts", "radiance"), "radiance")
         return dataset.assign(schema.require(dataset, ["radiance"], "radiance"))
     cube, values = _cube_inputs(dataset, "radiance")
-    made, quality, _ = slabs.calibrated(cube, make_plan, cube=values, light=None)
+    (made,), quality, _ = slabs.calibrated(cube, make_plan, cube=values, light=None)
     return _with(dataset, "radiance", made, quality)
 
 
@@ -182,6 +189,7 @@ def reflectance(
     dataset: xr.Dataset,
     irradiance: xr.Dataset | None = None,
     *,
+    uncertainty: bool = False,
     tilt: Tilt | tuple[float, float] | None = None,
     panel: Panel | None = None,
     keep_bits: int | None = None,
@@ -199,6 +207,9 @@ def reflectance(
     irradiance
         Replaces the line's own: ``irradiance`` (irradiance_time, irradiance_wavelength), ``irradiance_fwhm``
         and, if wished, ``irradiance_max_gap`` and ``irradiance_clock_uncertainty``, each with ``units``.
+    uncertainty
+        Add standard uncertainties. They need counts, and ``electrons_per_count`` and ``read_noise`` of the
+        calibration or from `hyperpaint.estimate_noise`.
     tilt
         Attitude of a surface that is not level, as `Tilt` or (angle, azimuth) [degree]; needs latitude and
         longitude.
@@ -215,7 +226,9 @@ def reflectance(
         ``timing_sensitivity`` (along_track), float32 [1]: by how much irradiance changes within the clocks'
         uncertainty, and ``irradiance_misfit`` (band), float32 [1]. NaN where a sample is saturated, an
         element bad, or a line outside the irradiance record or in a gap of it. Values below 0 and, in glint,
-        above 1 are kept.
+        above 1 are kept. With ``uncertainty`` also ``reflectance_u_random`` and
+        ``reflectance_u_systematic``, as ``reflectance``; their attributes are those of obsarray, and name the
+        components that are known.
 
     Raises
     ------
@@ -232,6 +245,21 @@ def reflectance(
     reflectance factor, the irradiance-weighted mean over the band's response; no cosine of the sun's
     zenith angle enters, since the receptor already measures horizontal irradiance. The paper's eq. 6 prints a
     product of radiance and irradiance, which is not a reflectance.
+
+    Uncertainties are absolute, so that they hold at and below zero:
+
+    .. math:: u_r &= \frac{\pi g}{t E} \sqrt{\max(C - D, 0) / k + \sigma_r^2 + 1/12 + u_D^2} \\
+              u_s^2 &= \rho^2 (u_g^2 + u_E^2)
+              + \left(\frac{\pi}{E} \frac{\partial L}{\partial \lambda} u_\lambda\right)^2
+              + \left(\frac{\pi g}{t E} u_{D,s}\right)^2
+
+    with :math:`k` electrons a count, :math:`\sigma_r` the read noise, 1/12 for whole counts, :math:`u_D` of
+    the mean dark, and the ``radiance_gain_u_*``, ``irradiance_u_systematic``, ``wavelength_u`` and
+    ``dark_counts_u_systematic`` of the dataset; what is missing counts as zero. Wavelength acts on radiance,
+    since the irradiance is matched to the wavelengths that are assumed: where the light is flat, it is
+    :math:`\partial\rho / \partial\lambda`, beside an absorption band of the air mostly the slope of
+    the light. With a panel, its own uncertainty takes the place of what all elements share. In a mean only
+    :math:`u_r` shrinks; see `hyperpaint.mean_uncertainty`.
 
     References
     ----------
@@ -255,7 +283,8 @@ def reflectance(
                 "found 'reflectance' only"
             )
             raise SchemaError(msg)
-        return dataset.assign(schema.require(dataset, ["reflectance"], "reflectance"))
+        stored = ["reflectance", *(UNCERTAINTIES if uncertainty else ())]
+        return dataset.assign(schema.require(dataset, stored, "reflectance"))
     if irradiance is not None:
         dataset = _replace_irradiance(dataset, irradiance)
     if keep_bits is not None and not 1 <= keep_bits <= 23:
@@ -264,12 +293,19 @@ def reflectance(
     cube, values = _cube_inputs(dataset, "reflectance")
     light = _light_inputs(dataset, attitude)
     known = None if panel is None else _panel_inputs(dataset, panel)
-    made, quality, plan = slabs.calibrated(
-        cube, make_plan, cube=values, light=light, tilt=attitude, panel=known, keep_bits=keep_bits
+    uncertain = (
+        uncertainty_inputs(dataset, None if panel is None else panel.uncertainty) if uncertainty else None
+    )
+    options = {"tilt": attitude, "panel": known, "keep_bits": keep_bits, "uncertain": uncertain}
+    cubes, quality, plan = slabs.calibrated(
+        cube, make_plan, cubes=1 if uncertain is None else 3, cube=values, light=light, **options
     )
     notes = {"tilt": str(attitude) if attitude else None, "panel": str(panel) if panel else None}
-    result = _with(dataset, "reflectance", made, quality)
+    # uncertainties of an earlier reflectance are not those of this one
+    result = _with(dataset.drop_vars(UNCERTAINTIES, errors="ignore"), "reflectance", cubes[0], quality)
     result["reflectance"].attrs.update({key: text for key, text in notes.items() if text})
+    if uncertain is not None:
+        result = with_uncertainty(result, cubes[1:], uncertain)
     lines, bands = cube.sizes[ALONG_TRACK], cube.sizes[BAND]
     age = _small_output("irradiance_age", slabs.age_of_irradiance, plan, ALONG_TRACK, lines)
     timing = _small_output("timing_sensitivity", slabs.sensitivity_to_timing, plan, ALONG_TRACK, lines)

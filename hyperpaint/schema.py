@@ -29,7 +29,10 @@ __all__ = [
     "FORMAT_VERSION",
     "IRRADIANCE_TIME",
     "IRRADIANCE_WAVELENGTH",
+    "MONOCHROMATOR_SHAPES",
     "SRF_SHAPES",
+    "STEP",
+    "SWEEP_VARIABLES",
     "TIME_UNITS",
     "VARIABLES",
     "Quality",
@@ -53,6 +56,9 @@ CUBE = (ALONG_TRACK, BAND, CROSS_TRACK)
 """Dims of a cube in sensor geometry, in the instrument's own order: band-interleaved by line."""
 
 IRRADIANCE_TIME, IRRADIANCE_WAVELENGTH = "irradiance_time", "irradiance_wavelength"
+STEP = "step"
+"""Dim of a lab sweep: one wavelength of the monochromator after the other."""
+
 TIME_UNITS = "nanoseconds since 1970-01-01"
 
 #: What the neighbours call our dims, in lower case.
@@ -130,6 +136,8 @@ _LINE = (ALONG_TRACK,)
 _GAIN = "W m-2 sr-1 nm-1 s count-1"
 _RADIANCE = "W m-2 sr-1 nm-1"
 _IRRADIANCE = "W m-2 nm-1"
+_LINE_FIT = (STEP, CROSS_TRACK)
+_SWEEP = (STEP, BAND, CROSS_TRACK)
 
 # fmt: off
 _TABLE = (
@@ -233,6 +241,55 @@ _TABLE = (
     Variable("roll", _LINE, "degree", "float64", "Roll", coordinate=True),
     Variable("pitch", _LINE, "degree", "float64", "Pitch", coordinate=True),
     Variable("heading", _LINE, "degree", "float64", "Heading", coordinate=True),
+    # --- what a lab calibration adds
+    Variable("dark_bias", _ELEMENT, "count", "float32", "Dark counts at no exposure"),
+    Variable("dark_rate", _ELEMENT, "count s-1", "float32", "Dark counts per exposure time"),
+    Variable(
+        "dark_counts_u_random", _ELEMENT, "count", "float32",
+        "Standard uncertainty of dark_counts, independent from element to element", alternatives=((),),
+    ),
+    Variable(
+        "dark_counts_u_systematic", _ELEMENT, "count", "float32",
+        "Standard uncertainty of dark_counts, common to all elements", alternatives=((), (BAND,)),
+    ),
+    Variable("flat_field", _ELEMENT, "1", "float32", "Factor on dark-subtracted counts that levels the columns"),
+    Variable(
+        "radiance_gain_u_random", _ELEMENT, "1", "float32",
+        "Relative standard uncertainty of radiance_gain, independent from element to element",
+        alternatives=((BAND,), ()),
+    ),
+    Variable(
+        "radiance_gain_u_systematic", _ELEMENT, "1", "float32",
+        "Relative standard uncertainty of radiance_gain, common to all elements", alternatives=((BAND,), ()),
+    ),
+    Variable("wavelength_u", (), "nm", "float64", "Standard uncertainty of wavelength", alternatives=((BAND,),)),
+    Variable(
+        "irradiance_u_systematic", (), "1", "float32", "Relative standard uncertainty of irradiance, common to all times",
+        alternatives=((IRRADIANCE_WAVELENGTH,),),
+    ),
+    Variable("responsivity", _ELEMENT, "count J-1", "float64", "Counts per energy of light entering a pixel's etendue"),
+    Variable(
+        "quantum_efficiency", (BAND,), "1", "float64", "Electrons per photon entering a pixel's etendue",
+        alternatives=(_ELEMENT,),
+    ),
+    Variable("stray_light", (BAND, "source_band"), "1", "float64", "Share of the light of a band that another band sees"),
+    # --- the lines a calibration was made from
+    Variable("step_wavelength", (STEP,), "nm", "float64", "Wavelength of the monochromator", coordinate=True),
+    Variable("line_band", _LINE_FIT, "1", "float64", "Band at the centre of a monochromatic line"),
+    Variable("line_centre", _LINE_FIT, "nm", "float64", "Where the wavelength map puts a line, to be compared with step_wavelength"),
+    Variable("line_fwhm", _LINE_FIT, "nm", "float64", "Full width at half maximum of a line, as seen by the camera"),
+    Variable("line_own_fwhm", _LINE_FIT, "nm", "float64", "The same with the monochromator's own width taken out"),
+    Variable("line_amplitude", _LINE_FIT, "count", "float64", "Height of a line"),
+    Variable("line_area", _LINE_FIT, "count", "float64", "Sum over bands of a line"),
+    Variable(
+        "line_covariance", (*_LINE_FIT, "parameter", "other_parameter"), "", "float64",
+        "Covariance of the parameters of a line",
+    ),
+    Variable("line_trusted", _LINE_FIT, "", "bool", "Whether a line went into the calibration"),
+    Variable("beam_centre", (STEP,), "1", "float64", "Column at the centre of the beam"),
+    Variable("beam_fwhm", (STEP,), "1", "float64", "Full width at half maximum of the beam in columns"),
+    Variable("out_of_band", (STEP,), "1", "float64", "Share of a line's counts that lies outside of the line"),
+    Variable("second_order", (STEP,), "1", "float64", "Counts at twice the wavelength over those of the line"),
     # --- line shapes measured sample by sample (srf_shape = "tabulated")
     Variable("srf_offset", ("srf_offset",), "nm", "float64", "Distance from the centre of a band", coordinate=True),
     Variable("srf", (BAND, "srf_offset"), "1", "float64", "Line shape of a band, any scale"),
@@ -240,6 +297,45 @@ _TABLE = (
 # fmt: on
 
 VARIABLES: Mapping[str, Variable] = {variable.name: variable for variable in _TABLE}
+
+# fmt: off
+_SWEEP_TABLE = (
+    Variable("counts", _SWEEP, "count", "float32", "Counts, mean of the frames of a step, dark not subtracted"),
+    Variable("counts_variance", _SWEEP, "count2", "float32", "Variance of one frame over the frames of a step"),
+    Variable("dark_counts", _ELEMENT, "count", "float32", "Counts without light", alternatives=(_SWEEP,)),
+    Variable(
+        "dark_exposure_time", (), "s", "float64", "Exposure time of the dark reference", alternatives=((STEP,),)
+    ),
+    Variable("frame_count", (), "1", "int64", "Frames averaged in a step", alternatives=((STEP,),)),
+    Variable("step_wavelength", (STEP,), "nm", "float64", "Wavelength of the monochromator", coordinate=True),
+    Variable(
+        "flux", (STEP,), "W", "float64", "Radiant flux of the whole beam, equal in all lit columns",
+        alternatives=(_LINE_FIT,),
+    ),
+    Variable(
+        "capture_fraction", (), "1", "float64", "Share of flux that enters slit width by one column, all bands",
+        alternatives=((STEP,), _LINE_FIT),
+    ),
+    Variable("exposure_time", (), "s", "float64", "Exposure time", alternatives=((STEP,),)),
+    Variable(
+        "monochromator_fwhm", (), "nm", "float64", "Full width at half maximum of the monochromator's line",
+        alternatives=((STEP,),),
+    ),
+    Variable(
+        "etendue", (), "m2 sr", "float64", "Filled slit width times pixel pitch times projected solid angle",
+        alternatives=((CROSS_TRACK,),),
+    ),
+    VARIABLES["saturation_count"],
+    VARIABLES["electrons_per_count"],
+    VARIABLES["read_noise"],
+)
+# fmt: on
+
+SWEEP_VARIABLES: Mapping[str, Variable] = {variable.name: variable for variable in _SWEEP_TABLE}
+"""The table of a lab sweep, whose counts are means on other dims than those of a flight line."""
+
+MONOCHROMATOR_SHAPES = ("gaussian", "triangle")
+"""Line shapes of a monochromator, named by the attribute ``monochromator_shape`` of a sweep."""
 
 SRF_SHAPES = ("gaussian", "slit", "tabulated")
 """Line shapes of a band, named by the dataset attribute ``srf_shape``."""
@@ -274,7 +370,9 @@ def label(array: xr.DataArray, name: str, **extra: Any) -> xr.DataArray:
     return made
 
 
-def require(dataset: xr.Dataset, names: Iterable[str], purpose: str) -> dict[str, xr.DataArray]:
+def require(
+    dataset: xr.Dataset, names: Iterable[str], purpose: str, table: Mapping[str, Variable] = VARIABLES
+) -> dict[str, xr.DataArray]:
     """Return the named variables, in the units and dim order of the table.
 
     Reads dims, dtypes and attributes only, never values.
@@ -287,6 +385,8 @@ def require(dataset: xr.Dataset, names: Iterable[str], purpose: str) -> dict[str
         Rows of the table that are needed.
     purpose
         Opens the message: what cannot be computed without them.
+    table
+        `VARIABLES`, or `SWEEP_VARIABLES` for a lab sweep.
 
     Raises
     ------
@@ -296,7 +396,7 @@ def require(dataset: xr.Dataset, names: Iterable[str], purpose: str) -> dict[str
     problems = Problems(f"cannot compute {purpose}", SchemaError)
     found: dict[str, xr.DataArray] = {}
     for name in names:
-        spec = VARIABLES[name]
+        spec = table[name]
         if name not in dataset.variables:
             shape = ", ".join(spec.dims) or "a scalar"
             problems.add(

@@ -23,7 +23,9 @@ if TYPE_CHECKING:
     import xarray as xr
 
 __all__ = [
+    "QUANTISATION",
     "Plan",
+    "Spread",
     "age_of_irradiance",
     "calibrate_lines",
     "calibrated",
@@ -37,8 +39,33 @@ __all__ = [
 Array = npt.NDArray[Any]
 Float = npt.NDArray[np.float64]
 
+QUANTISATION = 1.0 / 12.0
+"""Variance that conversion to whole counts adds [count2]."""
 MAX_CHUNK_BYTES = 24_000_000
 """Float32 output of one task; a larger block costs the allocator a trip to the kernel each time."""
+
+
+@dataclass(frozen=True)
+class Spread:
+    """What the uncertainty of every sample follows from.
+
+    Attributes
+    ----------
+    per_electron, noise_floor : (1 or band, column), float32
+        Counts per electron, and the variance of a count without light [count2].
+    relative : (1 or band, column), float32
+        What is proportional to reflectance and common to the flight [1].
+    offset : (1 or band, column), float32
+        Systematic uncertainty of the dark [count].
+    slope : (0 or band, 4), float32
+        Weights of the steps to the neighbouring bands; see `hyperpaint.kernels.uncertainty`.
+    """
+
+    per_electron: Array
+    noise_floor: Array
+    relative: Array
+    offset: Array
+    slope: Array
 
 
 @dataclass(frozen=True)
@@ -78,6 +105,8 @@ class Plan:
         Mantissa bits that rounding clears; 0 rounds nothing.
     starts : (slab,)
         First line of every slab.
+    spread
+        None where uncertainties were not asked for.
     """
 
     dark: Array
@@ -97,6 +126,7 @@ class Plan:
     column_flags: Array
     cleared_bits: int
     starts: Array
+    spread: Spread | None = None
 
     def light(self, start: int, stop: int) -> Array:
         """Return what the kernel multiplies or divides lines by, (line, band, cell, 1 or 4), float32."""
@@ -133,7 +163,20 @@ def line_chunked(cube: xr.DataArray) -> xr.DataArray:
     return cube
 
 
-def calibrate_lines(plan: Plan, counts: Array, start: int, out: Array, quality: Array) -> None:
+_NO_ROWS = np.empty((0, 0), np.float32)
+_NO_CUBE = np.empty((0, 0, 0), np.float32)
+_NO_SPREAD = Spread(_NO_ROWS, _NO_ROWS, _NO_ROWS, _NO_ROWS, _NO_ROWS)
+
+
+def calibrate_lines(
+    plan: Plan,
+    counts: Array,
+    start: int,
+    out: Array,
+    quality: Array,
+    u_random: Array = _NO_CUBE,
+    u_systematic: Array = _NO_CUBE,
+) -> None:
     """Calibrate the lines from ``start`` on into given memory.
 
     Parameters
@@ -146,10 +189,13 @@ def calibrate_lines(plan: Plan, counts: Array, start: int, out: Array, quality: 
         Written.
     quality : (line, column) or (0, 0), uint16
         Written unless empty.
+    u_random, u_systematic : (line, band, column) or (0, 0, 0), float32
+        Written unless empty; they need the plan's ``spread``.
     """
     from .kernels.radiometry import calibrate_slab
 
     here = slice(start, start + len(counts))
+    spread = plan.spread or _NO_SPREAD
     calibrate_slab(
         counts,
         plan.dark,
@@ -171,22 +217,35 @@ def calibrate_lines(plan: Plan, counts: Array, start: int, out: Array, quality: 
         out,
         out.view(np.uint32),
         quality,
+        spread.per_electron,
+        spread.noise_floor,
+        spread.relative,
+        spread.offset,
+        spread.slope,
+        u_random,
+        u_systematic,
+        u_random.view(np.uint32),
+        u_systematic.view(np.uint32),
     )
 
 
-def run_slab(counts: Array, plan: Plan, block_id: tuple[int, ...]) -> tuple[Array, Array]:
-    """Return the calibrated slab (line, band, column), float32, and its quality (line, column), uint16."""
+def run_slab(counts: Array, plan: Plan, block_id: tuple[int, ...]) -> tuple[Array, ...]:
+    """Return the calibrated slab (line, band, column), float32, and its quality (line, column), uint16.
+
+    With a plan that knows their `Spread`, the random and the systematic uncertainty follow, as the first.
+    """
     out = np.empty(counts.shape, np.float32)
     quality = np.empty((counts.shape[0], counts.shape[2]), np.uint16)
-    calibrate_lines(plan, np.ascontiguousarray(counts), int(plan.starts[block_id[0]]), out, quality)
-    return out, quality
+    cubes = () if plan.spread is None else (np.empty_like(out), np.empty_like(out))
+    calibrate_lines(plan, np.ascontiguousarray(counts), int(plan.starts[block_id[0]]), out, quality, *cubes)
+    return out, quality, *cubes
 
 
-def _cube_of(slab: tuple[Array, Array]) -> Array:
-    return slab[0]
+def _cube_of(slab: tuple[Array, ...], part: int = 0) -> Array:
+    return slab[part]
 
 
-def _quality_of(slabs: list[tuple[Array, Array]]) -> Array:
+def _quality_of(slabs: list[tuple[Array, ...]]) -> Array:
     return slabs[0][1]
 
 
@@ -206,16 +265,18 @@ def misfit_of_irradiance(plan: Plan) -> Array:
 
 
 def calibrated(
-    source: xr.DataArray, planner: Callable[..., Plan], **inputs: Any
-) -> tuple[da.Array, da.Array, Any]:
-    """Return the calibrated cube and its quality, lazily, and the plan they share.
+    source: xr.DataArray, planner: Callable[..., Plan], *, cubes: int = 1, **inputs: Any
+) -> tuple[tuple[da.Array, ...], da.Array, Any]:
+    """Return the calibrated cubes and their quality, lazily, and the plan they share.
 
-    One task a slab makes both; asked for alone, either costs one fused task a slab.
+    One task a slab makes all; asked for alone, each costs one fused task a slab.
 
     Parameters
     ----------
     source : (along_track, band, cross_track)
         Counts or radiance in chunks of whole lines; see `line_chunked`.
+    cubes
+        1, or 3 where the plan holds a `Spread`: the cube, its random and its systematic uncertainty.
     planner, **inputs
         Makes the plan, from the cube's shape, dtype and slabs and these.
     """
@@ -228,6 +289,7 @@ def calibrated(
     starts = np.cumsum((0, *counts.chunks[0][:-1]))
     plan = dask.delayed(planner, pure=True)(counts.shape, counts.dtype.str, starts, **inputs)
     slabs = da.map_blocks(run_slab, counts, plan, dtype=object, meta=np.empty((0, 0, 0), object), name=None)
-    made = da.blockwise(_cube_of, "lbx", slabs, "lbx", meta=np.empty((0, 0, 0), np.float32))
+    parts = ({}, {"part": 2}, {"part": 3})[:cubes]
+    made = tuple(da.blockwise(_cube_of, "lbx", slabs, "lbx", meta=_NO_CUBE, **part) for part in parts)
     quality = da.blockwise(_quality_of, "lx", slabs, "lbx", meta=np.empty((0, 0), np.uint16))
     return made, quality, plan

@@ -47,7 +47,8 @@ def smooth(
     Returns
     -------
     Dataset
-        The same with ``reflectance`` replaced, float32 [1], which its attribute ``smoothing`` says.
+        The same with ``reflectance`` replaced, float32 [1], which its attribute ``smoothing`` says; without
+        ``reflectance_u_random``, which is not that of filtered noise.
 
     Raises
     ------
@@ -111,6 +112,10 @@ def smooth(
     ).transpose(*array.dims)
     text = f"box, {window} bands" if method == "box" else f"Savitzky-Golay, {window} bands, order {order}"
     attrs = {**array.attrs, **schema.VARIABLES["reflectance"].attrs, "smoothing": text}
+    if "unc_comps" in attrs:
+        # filtered noise is smaller, and no longer independent from band to band
+        attrs["unc_comps"] = [name for name in attrs["unc_comps"] if name != "reflectance_u_random"]
+        dataset = dataset.drop_vars("reflectance_u_random", errors="ignore")
     return dataset.assign(reflectance=filtered.assign_attrs(attrs))
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import warnings
-from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -13,6 +12,8 @@ import numpy as np
 from hyperpaint.errors import FormatError, PaintWarning, Problems, SchemaError, UnitsError
 from hyperpaint.schema import BAND, CROSS_TRACK, SRF_SHAPES, VARIABLES, dtype_of, label
 from hyperpaint.units import convert
+
+from .reading import load_netcdf
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -24,12 +25,39 @@ _ELEMENT = (BAND, CROSS_TRACK)
 _REQUIRED = ("radiance_gain", "wavelength", "fwhm")
 _OPTIONAL = (
     "wavelength_shift",
+    "band_spacing",
     "good",
     "dark_counts",
     "dark_exposure_time",
     "saturation_count",
     "electrons_per_count",
     "read_noise",
+)
+#: What a lab calibration adds, of which nothing but units and dims is asked.
+_OF_A_SWEEP = (
+    "radiance_gain_u_random",
+    "radiance_gain_u_systematic",
+    "wavelength_u",
+    "irradiance_u_systematic",
+    "dark_bias",
+    "dark_rate",
+    "flat_field",
+    "responsivity",
+    "quantum_efficiency",
+    "stray_light",
+    "step_wavelength",
+    "line_band",
+    "line_centre",
+    "line_fwhm",
+    "line_own_fwhm",
+    "line_amplitude",
+    "line_area",
+    "line_covariance",
+    "line_trusted",
+    "beam_centre",
+    "beam_fwhm",
+    "out_of_band",
+    "second_order",
 )
 _TABULATED = ("srf_offset", "srf")
 
@@ -55,7 +83,7 @@ def open_calibration(source: str | os.PathLike[str] | xr.Dataset, *, group: str 
     Raises
     ------
     FormatError
-        The store cannot be read.
+        The store cannot be read, or is one of ours and was never finished or has lost a part.
     SchemaError
         Variables, units or values are missing or impossible; all problems are listed.
 
@@ -92,21 +120,28 @@ def open_calibration(source: str | os.PathLike[str] | xr.Dataset, *, group: str 
 
 
 def _read(path: Path, group: str | None) -> xr.Dataset:
-    import xarray as xr
-
-    reader: Callable[..., xr.Dataset] = xr.open_zarr if path.is_dir() else xr.open_dataset
-    options: dict[str, Any] = {"chunks": None} if path.is_dir() else {}
     try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", RuntimeWarning)  # stores without consolidated metadata are small
-            with reader(path, group=group, **options) as dataset:
-                return dataset.load()
+        return _load_store(path, group) if path.is_dir() else load_netcdf(path, group)
     except Exception as error:  # zarr, codecs, numpy and the netCDF engines each have their own
         hint = "" if path.is_dir() else "; netCDF-4 needs: python -m pip install h5netcdf"
         msg = (
             f"{path}: not a readable Zarr store or netCDF file ({type(error).__name__}: {error!s:.200}){hint}"
         )
         raise FormatError(msg) from error
+
+
+def _load_store(path: Path, group: str | None) -> xr.Dataset:
+    """Load a group, which must be finished where hyperpaint wrote it; other programs leave no record."""
+    from .store import load_unverified, open_store
+    from .store.location import Location, clean_group
+    from .store.record import CHUNKS, COMPLETE
+
+    location, name = Location.of(path), clean_group(group)
+    attributes = (location.metadata(name) or {}).get("attributes") or {}
+    ours = COMPLETE in attributes or any(
+        location.has(name, array, CHUNKS) for array in location.folders(name)
+    )
+    return open_store(path, group, chunks=None).load() if ours else load_unverified(path, group)
 
 
 def check_calibration(dataset: xr.Dataset, subject: str = "this Dataset") -> xr.Dataset:
@@ -133,7 +168,7 @@ def check_calibration(dataset: xr.Dataset, subject: str = "this Dataset") -> xr.
 
     problems = Problems(f"{subject} cannot be used as calibration", SchemaError)
     shape = dataset.attrs.get("srf_shape")
-    wanted = [*_REQUIRED, *(name for name in _OPTIONAL if name in dataset.variables)]
+    wanted = [*_REQUIRED, *(name for name in (*_OPTIONAL, *_OF_A_SWEEP) if name in dataset.variables)]
     if shape == "tabulated" or "srf" in dataset.variables:
         wanted += _TABULATED
     made: dict[str, xr.DataArray] = {}
@@ -196,12 +231,15 @@ def _check_values(name: str, values: np.ndarray[Any, Any], problems: Problems) -
         elif not (np.isfinite(known).all() and (known > 0).all()):
             bad = int((~np.isfinite(known) | (known <= 0)).sum())
             problems.add(f"'radiance_gain' is zero, negative or infinite in {bad} elements; bad ones are NaN")
-    elif name in ("wavelength", "fwhm", "saturation_count", "electrons_per_count"):
+    elif name in ("wavelength", "fwhm", "band_spacing", "saturation_count", "electrons_per_count"):
         if not (np.isfinite(values).all() and (values > 0).all()):
             problems.add(f"{name!r} is not finite and positive everywhere")
     elif name == "wavelength_shift":
         if not (np.isfinite(values).all() and (np.abs(values) < 100.0).all()):
             problems.add("'wavelength_shift' is not finite and below 100 nm everywhere")
+    elif name.startswith("radiance_gain_u_") or name in ("wavelength_u", "irradiance_u_systematic"):
+        if (values < 0).any():
+            problems.add(f"{name!r} is negative in places, expected a standard uncertainty")
     elif name in ("read_noise", "srf"):
         known = values[~np.isnan(values)] if name == "read_noise" else values
         if not (np.isfinite(known).all() and (known >= 0).all()):

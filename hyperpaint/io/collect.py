@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -25,7 +25,11 @@ __all__ = ["Collect", "open_collect", "read_collect"]
 
 
 def open_collect(
-    path: str | os.PathLike[str], *, need_irradiance: bool = True, chunks: Any = "auto"
+    path: str | os.PathLike[str],
+    *,
+    need_irradiance: bool = True,
+    chunks: Any = "auto",
+    calibrate: Callable[[Path], xr.Dataset] | None = None,
 ) -> xr.DataTree:
     """Open everything a ``collect.toml`` names, without reading a cube.
 
@@ -37,6 +41,8 @@ def open_collect(
         False where only radiance is wanted: a collect without irradiance is then whole.
     chunks
         dask chunks of the cubes, as for `open_flightline`.
+    calibrate
+        Turns the path of a lab sweep into a calibration; `hyperpaint.open_collect` brings one.
 
     Returns
     -------
@@ -75,6 +81,10 @@ def open_collect(
     if collect.calibration is not None:
         with findings.step():
             calibration = open_calibration(collect.calibration)
+    if collect.sweep is not None:
+        calibration = Unavailable.REPORTED
+        with findings.step():
+            calibration = _calibrated(collect.sweep, calibrate)
     irradiance: xr.Dataset | Unavailable | None = Unavailable.REPORTED
     with findings.step():
         irradiance = _open_irradiance(collect.irradiance)
@@ -97,6 +107,13 @@ def open_collect(
     if isinstance(calibration, xr.Dataset):
         groups["/calibration"] = calibration
     return xr.DataTree.from_dict(groups)
+
+
+def _calibrated(sweep: Path, calibrate: Callable[[Path], xr.Dataset] | None) -> xr.Dataset:
+    if calibrate is None:
+        msg = f"{sweep}: a lab sweep, for which open_collect needs calibrate=; hyperpaint.open_collect has it"
+        raise CollectError(msg)
+    return open_calibration(calibrate(sweep))
 
 
 def _open_irradiance(entry: IrradianceEntry | None) -> xr.Dataset | None:

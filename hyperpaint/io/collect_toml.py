@@ -3,19 +3,21 @@
 from __future__ import annotations
 
 import difflib
-import glob
 import os
 import re
+import stat
 import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from hyperpaint.errors import CollectError, Problems, TimeError
+from hyperpaint.errors import CollectError, FormatError, Problems, TimeError
 
 from .collect_schema import LISTS, SCHEMA
+from .file_patterns import is_pattern, matching_files
 from .line_times import utc_of
+from .reading import read_limited
 
 __all__ = [
     "Camera",
@@ -28,9 +30,9 @@ __all__ = [
 ]
 
 _MAX_BYTES = 1 << 20
-_LONGEST_GLOB = 1000
 _ID = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,99}")
-_MAGIC = re.compile(r"[*?\[]")
+#: A key of so many parts: tomllib's time for it grows with the square of their number.
+_LONG_KEY = re.compile(rb"""(?:\.[ \t]*(?:[A-Za-z0-9_-]+|"[^"\n]{0,99}"|'[^'\n]{0,99}')[ \t]*){64}""")
 #: Names that mean something to Zarr.
 _RESERVED = {"zarr.json", "c"}
 
@@ -95,6 +97,8 @@ class Collect:
         Of the collect.
     camera, calibration, irradiance, flightlines, references
         Its tables; ``irradiance`` and ``calibration`` None where not needed and not given.
+    sweep
+        Lab sweep to calibrate in place of a ``calibration``.
     dark
         Dark cubes, or ``"none"`` or ``"calibration"``.
     """
@@ -107,6 +111,7 @@ class Collect:
     irradiance: IrradianceEntry | None
     flightlines: tuple[FlightlineEntry, ...]
     references: tuple[ReferenceEntry, ...] = ()
+    sweep: Path | None = None
 
 
 # --- tables into checked values ----------------------------------------------------------------------------
@@ -115,13 +120,14 @@ class Collect:
 def _load(path: Path) -> dict[str, Any]:
     """Return the tables of the file, or raise CollectError with the place of the mistake."""
     try:
-        if path.stat().st_size > _MAX_BYTES:
-            msg = f"{path}: larger than {_MAX_BYTES} bytes, not a collect.toml"
-            raise CollectError(msg)
-        return tomllib.loads(path.read_bytes().decode("utf-8"))
-    except OSError as error:
-        msg = f"{path}: cannot be read ({error.strerror or error})"
-        raise CollectError(msg) from error
+        raw = read_limited(path, _MAX_BYTES, "a collect.toml")
+    except FormatError as error:
+        raise CollectError(str(error)) from error
+    if _LONG_KEY.search(raw):
+        msg = f"{path}: a key of more than 64 parts, expected those of a collect.toml"
+        raise CollectError(msg)
+    try:
+        return tomllib.loads(raw.decode("utf-8"))
     except (ValueError, RecursionError) as error:  # TOMLDecodeError and UnicodeDecodeError are ValueErrors
         msg = f"{path}: not TOML: {error!s:.300}"
         raise CollectError(msg) from error
@@ -193,25 +199,36 @@ class _Reader:
         if "\0" in value or not os.path.lexists(path):
             self.problems.add(f"{place} {key} = {value!r}: no such file ({path})")
             return None
+        if _is_special(path):
+            self.problems.add(f"{place} {key} = {value!r}: a pipe or device, expected a file or folder")
+            return None
         return path
 
     def files(self, place: str, key: str, value: str | list[str]) -> tuple[Path, ...]:
         """Return the files of paths and globs, each glob sorted; one that matches nothing is a problem."""
         found: list[Path] = []
         for text in value if isinstance(value, list) else [value]:
-            if len(text) > _LONGEST_GLOB or text.count("**") > 1:
-                # glob recurses a level a folder, and its time multiplies with every '**'
-                self.problems.add(
-                    f"{place} {key} = {_shown(text)}: expected at most {_LONGEST_GLOB} characters, one '**'"
-                )
-            elif "\0" not in text and _MAGIC.search(text) and not os.path.lexists(self.folder / text):
-                matches = sorted(glob.glob(text, root_dir=self.folder, recursive=True))
-                found += [self.folder / match for match in matches]
+            if "\0" not in text and is_pattern(text) and not os.path.lexists(self.folder / text):
+                try:
+                    matches = matching_files(self.folder, text)
+                except ValueError as error:
+                    self.problems.add(f"{place} {key} = {_shown(text)}: {error}")
+                    continue
+                found += [match for match in matches if not _is_special(match)]
                 if not matches:
                     self.problems.add(f"{place} {key} = {text!r}: matches no file in {self.folder}")
             elif (path := self.path(place, key, text)) is not None:
                 found.append(path)
         return tuple(dict.fromkeys(found))
+
+
+def _is_special(path: Path) -> bool:
+    """Tell whether a path names what must not be opened: a pipe would wait, a device never end."""
+    try:
+        mode = path.stat().st_mode
+    except OSError:
+        return False
+    return not (stat.S_ISREG(mode) or stat.S_ISDIR(mode))
 
 
 def _suggest(key: str, known: Mapping[str, Any]) -> str:
@@ -245,17 +262,18 @@ def _camera(reader: _Reader) -> Camera:
     )
 
 
-def _calibration(reader: _Reader) -> Path | None:
+def _calibration(reader: _Reader) -> tuple[Path | None, Path | None]:
+    """Return the paths of a calibration and of a lab sweep, of which there is one at most."""
     table = reader.one("calibration")
-    if "sweep" in table["?"]:
-        problem = "[calibration] sweep: a lab sweep cannot be calibrated on the way by this version"
-        reader.problems.add(f"{problem}; run `hyperpaint calibrate SWEEP --out CAL.zarr` and give path")
+    if {"path", "sweep"} <= table["?"]:
+        reader.problems.add("[calibration] has both path and sweep; keep the one that is to be used")
     path = reader.path("[calibration]", "path", table.get("path"))
-    if path is None and reader.tables["calibration"] and not table["?"] & {"path", "sweep"}:
-        reader.problems.add("[calibration] path is missing")
-    if path is None and table["?"]:
+    sweep = reader.path("[calibration]", "sweep", table.get("sweep"))
+    if reader.tables["calibration"] and not table["?"] & {"path", "sweep"}:
+        reader.problems.add("[calibration] path is missing (or sweep, a lab sweep)")
+    if path is None and sweep is None and table["?"]:
         reader.reported.add("calibration")
-    return path
+    return path, sweep
 
 
 def _dark(reader: _Reader) -> tuple[Path, ...] | str | None:
@@ -396,15 +414,17 @@ def parse_collect(path: Path, problems: Problems, *, need_irradiance: bool) -> t
     irradiance = _irradiance(reader)
     if need_irradiance and "irradiance" not in reader.given:
         problems.add("no [irradiance]: reflectance needs the spectrometer's files (not needed for radiance)")
+    calibration, sweep = _calibration(reader)
     collect = Collect(
         path=path,
         name=reader.one("collect").get("name", path.resolve().parent.name),
         camera=camera,
-        calibration=_calibration(reader),
+        calibration=calibration,
         dark=_dark(reader),
         irradiance=irradiance,
         flightlines=_flightlines(reader, camera),
         references=_references(reader),
+        sweep=sweep,
     )
     return collect, reader.reported
 

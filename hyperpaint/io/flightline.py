@@ -305,8 +305,22 @@ def _calibration_parts(calibration: xr.Dataset | None, is_counts: bool) -> dict[
     """Return what a line keeps of its calibration; of a radiance cube's, the line shape only."""
     if calibration is None:
         return {}
-    left = {"dark_counts", "dark_exposure_time", "saturation_count"}
-    kept = [name for name in map(str, calibration.data_vars) if name not in left]
+    left = {
+        "dark_counts",
+        "dark_exposure_time",
+        "dark_bias",
+        "dark_rate",
+        "flat_field",  # in the gain already
+        "responsivity",
+        "saturation_count",
+    }
+    # the lines of a lab sweep stay with the calibration
+    own = {BAND, CROSS_TRACK, "srf_offset", "irradiance_wavelength"}
+    kept = [
+        str(name)
+        for name, array in calibration.data_vars.items()
+        if name not in left and set(array.dims) <= own
+    ]
     if not is_counts:
         kept = [name for name in kept if name == "srf"]
     return {name: calibration[name].reset_coords(drop=True) for name in kept}

@@ -14,6 +14,7 @@ import numpy.typing as npt
 
 from ._jit import kernel
 from .quality import count_levels, flag_line, gather_row
+from .uncertainty import propagate_line
 
 __all__ = ["calibrate_slab", "round_bits"]
 
@@ -123,8 +124,17 @@ def calibrate_slab(
     out: Array,
     bits: Array,
     quality: Array,
+    per_electron: Array,
+    noise_floor: Array,
+    relative: Array,
+    offset: Array,
+    slope: Array,
+    u_random: Array,
+    u_systematic: Array,
+    u_random_bits: Array,
+    u_systematic_bits: Array,
 ) -> None:
-    """Calibrate whole lines, flag them, and round what is written.
+    """Calibrate whole lines, flag them, say how sure they are, and round what is written.
 
     Parameters
     ----------
@@ -156,9 +166,16 @@ def calibrate_slab(
         Written; the same memory as uint32.
     quality : (line, column) or (0, 0), uint16
         Written unless empty.
+    per_electron, noise_floor, relative, offset, slope
+        See `hyperpaint.kernels.uncertainty.propagate_line`.
+    u_random, u_systematic : (line, band, column) or (0, 0, 0), float32; their bits
+        Written unless empty; the same memory as uint32.
     """
     n_line, n_band, n_column = counts.shape
     flagging = quality.shape[0] > 0
+    doubting = u_random.shape[0] > 0
+    irradiance = np.empty((3, n_column), np.float32)
+    inverse = np.empty((3, n_column), np.float32)
     one_limit = saturation_limit.size == 1
     lowest, highest = saturation_limit.min(), saturation_limit.max()
     mixed_dark = np.empty((n_band, n_column) if dark.shape[0] > 1 else (0, 0), np.float32)
@@ -190,10 +207,19 @@ def calibrate_slab(
                     )  # fmt: skip
             if not one_limit:
                 limit_row(counts, saturation_limit, line, band, out)
-            if cleared_bits > 0:
+            if cleared_bits > 0 and not doubting:
                 round_row(bits, line, band, cleared_bits)
             if flagging:
                 gather_row(counts, level, line, band, peak, negative)
+        if doubting:
+            propagate_line(
+                gain, light, shift, edges, cells, per_electron, noise_floor, relative, offset, slope,
+                line, out, irradiance, inverse, u_random, u_systematic,
+            )  # fmt: skip
+            for band in range(n_band if cleared_bits > 0 else 0):
+                round_row(bits, line, band, cleared_bits)
+                round_row(u_random_bits, line, band, cleared_bits)
+                round_row(u_systematic_bits, line, band, cleared_bits)
         if flagging:
             flag_line(
                 counts,

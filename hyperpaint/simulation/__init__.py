@@ -2,7 +2,8 @@
 
 Plain numpy in float64 from the sky to the converter, and its own writers of the instruments' files: a chain
 that recovers the truth from them has shown something. `atmosphere` makes the light, `paints` the surfaces,
-`scenes` the car park, `sensor` the camera, `instruments` the files, `collect` the whole.
+`scenes` the car park, `sensor` and `camera` the camera, `instruments` the files, `collect` the whole;
+`sweep` shines a monochromator into the same camera.
 """
 
 from __future__ import annotations
@@ -12,10 +13,27 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from .collect import simulate_collect, simulate_line
     from .settings import SimulationSettings
+    from .sweep import simulate_sweep
+    from .sweep_settings import SweepSettings
+    from .sweep_stores import write_sweep
 
-__all__ = ["SimulationSettings", "simulate_collect", "simulate_line"]
+__all__ = [
+    "SimulationSettings",
+    "SweepSettings",
+    "simulate_collect",
+    "simulate_line",
+    "simulate_sweep",
+    "write_sweep",
+]
 
-_HOMES = {"SimulationSettings": "settings", "simulate_collect": "collect", "simulate_line": "collect"}
+_HOMES = {
+    "SimulationSettings": "settings",
+    "SweepSettings": "sweep_settings",
+    "simulate_collect": "collect",
+    "simulate_line": "collect",
+    "simulate_sweep": "sweep",
+    "write_sweep": "sweep_stores",
+}
 
 
 def __getattr__(name: str) -> Any:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import shutil
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -23,13 +23,15 @@ from .instruments import (
     write_settings,
 )
 from .settings import SimulationSettings
+from .sweep import Sweep
+from .sweep_settings import SweepSettings
 
 if TYPE_CHECKING:
     import xarray as xr
 
 __all__ = ["CAMERA_SOFTWARE", "MARKER", "PARTS", "simulate_collect", "simulate_line"]
 
-PARTS = ("flight", "dark", "asd", "calibration.zarr", "truth.zarr", "collect.toml")
+PARTS = ("flight", "dark", "asd", "lab", "calibration.zarr", "truth.zarr", "collect.toml")
 """Files and folders of a simulated collect."""
 
 MARKER = "# simulated by hyperpaint"
@@ -53,6 +55,7 @@ def simulate_collect(
     columns: int = 320,
     seed: int = 0,
     truth: bool = True,
+    sweep: Mapping[str, Any] | None = None,
     overwrite: bool = False,
     progress: Progress | None = None,
     block_lines: int = CHUNK_LINES,
@@ -74,6 +77,10 @@ def simulate_collect(
         The same seed gives the same bytes of every instrument file.
     truth
         Write ``truth.zarr``: radiance and reflectance of every sample, class and masks of every pixel.
+    sweep
+        Also take the camera into the lab: ``lab/sweep.zarr`` is a monochromator sweep with these effects
+        (fields of `hyperpaint.simulation.SweepSettings`, ``{}`` for the defaults), ``lab/sweep_truth.zarr``
+        its truth. ``collect.toml`` then names the sweep in place of ``calibration.zarr``.
     overwrite
         Replace an earlier simulated collect in the folder.
     progress
@@ -90,7 +97,7 @@ def simulate_collect(
     Raises
     ------
     SchemaError
-        An effect is unknown or out of range; all are listed.
+        An effect, of the flight or of the sweep, is unknown or out of range; all are listed.
     StoreError
         The folder holds something already, and ``overwrite`` is not set.
 
@@ -111,6 +118,7 @@ def simulate_collect(
     if block_lines < 1:
         msg = f"block_lines={block_lines}, expected a whole number above 0"
         raise SchemaError(msg)
+    lab = None if sweep is None else Sweep(SweepSettings.of(sweep, settings))
     root = _prepare(Path(folder), overwrite)
     flight = Flight(settings)
     _write_dark(flight, root / "dark")
@@ -118,11 +126,20 @@ def simulate_collect(
     from .stores import write_calibration
 
     write_calibration(flight, root / "calibration.zarr")
+    if lab is not None:
+        _write_lab(lab, root / "lab", truth)
     _write_flight(flight, root, block_lines, progress, truth)
     path = root / "collect.toml"
     # a reader that finds this file finds all the others whole
-    path.write_text(_collect_text(settings), encoding="utf-8")
+    path.write_text(_collect_text(settings, lab is not None), encoding="utf-8")
     return path
+
+
+def _write_lab(sweep: Sweep, folder: Path, truth: bool) -> None:
+    from .sweep_stores import store_sweep
+
+    folder.mkdir()
+    store_sweep(sweep, folder / "sweep.zarr", truth=truth)
 
 
 def _prepare(root: Path, overwrite: bool) -> Path:
@@ -240,7 +257,7 @@ def _write_flight(
     write_navigation(folder / "imu_gps.txt", flight.pose(since / 1e9), _instrument_stamps(since), utc)
 
 
-def _collect_text(settings: SimulationSettings) -> str:
+def _collect_text(settings: SimulationSettings, with_sweep: bool) -> str:
     recorded = np.setdiff1d(np.arange(settings.lines), settings.dropped_frames)
     names = [int(recorded[recorded >= first][0]) for first in settings.cube_starts[:-1]]
     flightlines = "".join(
@@ -254,6 +271,7 @@ nav = "flight/imu_gps.txt"
         for name in names
     )
     known = settings.clock_uncertainty_s
+    calibration = 'sweep = "lab/sweep.zarr"' if with_sweep else 'path = "calibration.zarr"'
     clock = "" if known is None else f"clock_uncertainty_s = {float(known)!r}\n"
     return f"""{MARKER}: seed {settings.seed}, truth in truth.zarr
 
@@ -267,7 +285,7 @@ frame_period_ms = {float(settings.frame_period_ms)!r}
 stamp = "{settings.stamp}"
 
 [calibration]
-path = "calibration.zarr"
+{calibration}
 
 [dark]
 cubes = ["dark/raw_0.hdr"]

@@ -15,18 +15,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .atmosphere import Light, Sky, spectral_grid
+from .camera import Camera
 from .instruments import ASD_AVERAGES, ASD_INTEGRATION_MS, ASD_WAVELENGTH
 from .paints import CAR_PAINTS, MATERIALS, reflectance
 from .scenes import CarPark
-from .sensor import (
-    ETENDUE,
-    Detector,
-    Imager,
-    convolve_gaussian,
-    expected_counts,
-    nominal_responsivity,
-    smile,
-)
+from .sensor import convolve_gaussian, expected_counts
 from .settings import SimulationSettings
 
 __all__ = ["Flight", "Lines", "SkySamples"]
@@ -34,7 +27,7 @@ __all__ = ["Flight", "Lines", "SkySamples"]
 Floats = NDArray[np.float64]
 
 # keys of the random streams: [seed, stream, line], so that nothing depends on how lines are grouped
-_TEXTURE, _GLINT, _NOISE, _DARK, _ELEMENTS, _BAD, _DARK_FRAMES, _SKY = range(10, 18)
+_TEXTURE, _GLINT, _NOISE, _DARK_FRAMES, _SKY = 10, 11, 12, 16, 17
 
 _CAR = np.array([name in CAR_PAINTS for name in MATERIALS])
 _TEXTURED = np.array([not name.startswith("panel") for name in MATERIALS])
@@ -99,31 +92,17 @@ class Flight:
 
     def __init__(self, settings: SimulationSettings) -> None:
         self.settings = settings
-        shape = (settings.bands, settings.columns)
-        self.wavelength = np.linspace(settings.first_wavelength, settings.last_wavelength, settings.bands)
-        factor = 1.0 + settings.nonuniformity * self._normal(_ELEMENTS, shape)
-        self.imager = Imager(
-            self.wavelength,
-            smile(settings.columns, settings.smile_nm),
-            settings.fwhm_nm,
-            settings.srf_shape,
-            nominal_responsivity(settings.electrons_per_count),
-            factor,
-        )
-        dark = np.maximum(settings.dark_level + settings.dark_pattern * self._normal(_DARK, shape), 0.0)
-        self.detector = Detector(dark, settings.electrons_per_count, settings.read_noise, settings.bit_depth)
-        bad = self._rng(_BAD).choice(dark.size, settings.bad_elements, replace=False)
-        self.bad = np.zeros(shape, dtype=bool)
-        self.bad.flat[bad] = True
+        self.camera = Camera.of(settings)
+        self.imager = self.camera.imager
+        self.wavelength = self.imager.wavelength
+        self.detector = self.camera.detector(settings.exposure_time)
+        self.bad = self.camera.bad
         self.park = CarPark(settings.columns, settings.seed)
         self.light = Light(settings.drift_per_minute, settings.cloud)
         self._tabulate()
 
     def _rng(self, stream: int, *key: int) -> np.random.Generator:
         return np.random.default_rng([self.settings.seed, stream, *key])
-
-    def _normal(self, stream: int, shape: tuple[int, ...]) -> Floats:
-        return np.clip(self._rng(stream).standard_normal(shape), -3.0, 3.0)
 
     def _tabulate(self) -> None:
         reach, width = self.imager.reach, 4.0 * self.settings.irradiance_fwhm_nm
@@ -153,7 +132,7 @@ class Flight:
     @property
     def etendue(self) -> float:
         """Etendue of an element [m2 sr]."""
-        return ETENDUE
+        return self.camera.etendue
 
     @cached_property
     def start(self) -> int:
@@ -169,7 +148,7 @@ class Flight:
     @property
     def radiance_gain(self) -> Floats:
         """1 / (etendue INT R), NaN at bad elements, shape (band, cross_track) [W m-2 sr-1 nm-1 s count-1]."""
-        return np.where(self.bad, np.nan, 1.0 / (self.etendue * self.response_area))
+        return self.camera.radiance_gain(self.response_area)
 
     def matched_irradiance(self, factors: Floats) -> Floats:
         """Return the irradiance that each element would have seen, INT E R / INT R.

@@ -167,7 +167,7 @@ class Imager:
     wavelength_shift
         Smile, shape (cross_track,) [nm].
     fwhm
-        Full width at half maximum, the same in every band [nm].
+        Full width at half maximum of every band, shape (band,), or one for all [nm].
     shape
         One of `SHAPES`.
     responsivity
@@ -178,7 +178,7 @@ class Imager:
 
     wavelength: Floats
     wavelength_shift: Floats
-    fwhm: float
+    fwhm: Floats | float
     shape: str
     responsivity: Callable[[Floats], Floats]
     element_factor: Floats
@@ -189,12 +189,17 @@ class Imager:
         return np.gradient(self.wavelength)
 
     @cached_property
+    def band_fwhm(self) -> Floats:
+        """Full width at half maximum of every band, shape (band,) [nm]."""
+        return np.broadcast_to(np.asarray(self.fwhm, dtype=np.float64), self.wavelength.shape)
+
+    @cached_property
     def reach(self) -> float:
         """Distance from a band's nominal centre beyond which no column responds [nm]."""
         smile_reach = float(np.abs(self.wavelength_shift).max())
         if self.shape == "gaussian":
-            return _GAUSSIAN_REACH * self.fwhm + smile_reach
-        return (self.fwhm + float(self.spacing.max())) / 2 + smile_reach + 0.1
+            return _GAUSSIAN_REACH * float(self.band_fwhm.max()) + smile_reach
+        return float((self.band_fwhm + self.spacing).max()) / 2 + smile_reach + 0.1
 
     def response(self, band: int, grid: Floats) -> Floats:
         """Return R_b,x on an even wavelength grid, shape (grid, cross_track) [count J-1]."""
@@ -205,8 +210,12 @@ class Imager:
     def _common_response(self, band: int, grid: Floats, shift: Floats) -> Floats:
         """Return R_b without the elements' own factors at wavelength shifts [nm], shape (grid, shift)."""
         offset = grid[:, None] - (self.wavelength[band] + shift)
-        shape = line_shape(offset, self.fwhm, float(self.spacing[band]), self.shape, grid[1] - grid[0])
+        shape = self.line_shape(band, offset, grid[1] - grid[0])
         return np.asarray(self.responsivity(grid)[:, None] * shape)
+
+    def line_shape(self, band: int, offset: Floats, step: float) -> Floats:
+        """Return the line shape of a band [nm-1] at distances from its centre [nm], on a grid of ``step``."""
+        return line_shape(offset, float(self.band_fwhm[band]), float(self.spacing[band]), self.shape, step)
 
     def integrals(self, spectra: Floats, grid: Floats) -> Floats:
         """Return INT S(lambda) R_b,x(lambda) d lambda of every spectrum and element.

@@ -39,11 +39,15 @@ class SimulationSettings:
         What a frame's stamp marks: "start", "mid" or "end" of the exposure.
     first_wavelength, last_wavelength
         Centres of the outer bands [nm].
+    dispersion_bow_nm
+        How far the centres of the inner bands stand from even spacing, most in the middle [nm].
     srf_shape
         Line shape of the imager: "gaussian" or "slit" (a box ``fwhm_nm`` wide convolved with a box one band
         spacing wide).
     fwhm_nm
         Full width at half maximum of the imager [nm].
+    fwhm_slope
+        Relative change of that width from the middle to the last band.
     smile_nm
         Wavelength shift at the edge of the swath, zero at the centre column [nm].
     noise
@@ -57,11 +61,15 @@ class SimulationSettings:
     electrons_per_count, read_noise
         Gain [electron count-1], and spread of a dark count [count].
     dark_level, dark_pattern
-        Mean dark, and spread of its fixed pattern over the elements [count].
+        Mean dark at no exposure, and spread of its fixed pattern over the elements [count].
+    dark_rate
+        Mean growth of the dark with exposure [count s-1].
     dark_frames
         Frames of the dark cube.
     nonuniformity
         Spread of the elements' response about the common responsivity, 1 sigma [1].
+    column_nonuniformity
+        The same of whole columns: a slit that is not equally wide everywhere [1].
     bad_elements
         Number of elements that see no light; their gain is NaN.
     texture
@@ -123,8 +131,10 @@ class SimulationSettings:
     stamp: str = "end"
     first_wavelength: float = 399.356
     last_wavelength: float = 1001.42
+    dispersion_bow_nm: float = 0.0
     srf_shape: str = "gaussian"
     fwhm_nm: float = 6.0
+    fwhm_slope: float = 0.0
     smile_nm: float = 0.5
     noise: bool = True
     dark_noise: bool = True
@@ -134,8 +144,10 @@ class SimulationSettings:
     read_noise: float = 0.5
     dark_level: float = 110.0
     dark_pattern: float = 3.0
+    dark_rate: float = 0.0
     dark_frames: int = 64
     nonuniformity: float = 0.02
+    column_nonuniformity: float = 0.0
     bad_elements: int = 0
     texture: float = 0.02
     glint: float = 0.001
@@ -260,8 +272,11 @@ class SimulationSettings:
             problems.add(f"cubes={self.cubes}, expected at most one for every two of the {self.lines} lines")
         if self.bad_elements > self.bands * self.columns:
             problems.add(f"bad_elements={self.bad_elements}, of {self.bands * self.columns} elements")
-        if self.dark_level >= 2**self.bit_depth - 1:
-            problems.add(f"dark_level={self.dark_level} fills the converter of {self.bit_depth} bits")
+        if self.dark_level + self.dark_rate * self.exposure_time >= 2**self.bit_depth - 1:
+            problems.add(
+                f"dark_level={self.dark_level} and dark_rate={self.dark_rate} fill the converter "
+                f"of {self.bit_depth} bits"
+            )
         if self.cloud is not None and not (0 <= self.cloud[0] <= 1 and self.cloud[1] > 0):
             problems.add(f"cloud={self.cloud}, expected a fraction from 0 to 1 and a duration above 0 s")
         dropped = self.dropped
@@ -317,13 +332,19 @@ _RANGES: tuple[_Rule, ...] = (
         "a number above 0",
     ),
     (
-        ("read_noise", "dark_level", "dark_pattern", "irradiance_noise"),
+        ("read_noise", "dark_level", "dark_pattern", "dark_rate", "irradiance_noise"),
         lambda value: value >= 0,
         "a number from 0",
     ),
-    (("nonuniformity", "texture"), lambda value: 0 <= value <= 0.2, "a number from 0 to 0.2"),
+    (
+        ("nonuniformity", "column_nonuniformity", "texture"),
+        lambda value: 0 <= value <= 0.2,
+        "a number from 0 to 0.2",
+    ),
     (("irradiance_margin_s",), lambda value: 0 <= value <= 3600, "a number from 0 to 3600"),
     (("glint",), lambda value: 0 <= value <= 1, "a number from 0 to 1"),
+    (("fwhm_slope",), lambda value: abs(value) <= 0.5, "a number from -0.5 to 0.5"),
+    (("dispersion_bow_nm",), lambda value: abs(value) <= 20, "a number from -20 to 20"),
     (("smile_nm",), lambda value: abs(value) <= 20, "a number from -20 to 20"),
     (("sun_zenith",), lambda value: 0 <= value <= 85, "a number from 0 to 85"),
     (("drift_per_minute",), lambda value: abs(value) <= 1, "a number from -1 to 1"),

@@ -18,7 +18,7 @@ from .flight import Flight, Lines
 from .instruments import ASD_WAVELENGTH
 from .paints import MATERIALS
 
-__all__ = ["TruthStore", "line_dataset", "write_calibration"]
+__all__ = ["TruthStore", "consolidate", "line_dataset", "write_calibration"]
 
 ALONG_TRACK, BAND, CROSS_TRACK = CUBE
 _PLANE = (ALONG_TRACK, CROSS_TRACK)
@@ -49,7 +49,7 @@ def _band_coords(flight: Flight) -> dict[str, xr.Variable]:
     bands = flight.settings.bands
     return {
         "wavelength": _variable("wavelength", flight.wavelength),
-        "fwhm": _variable("fwhm", np.full(bands, flight.settings.fwhm_nm)),
+        "fwhm": _variable("fwhm", flight.imager.band_fwhm),
         "good": _variable("good", np.ones(bands)),
         "wavelength_shift": _variable("wavelength_shift", flight.imager.wavelength_shift, (CROSS_TRACK,)),
     }
@@ -79,10 +79,10 @@ def write_calibration(flight: Flight, path: Path) -> None:
     # one chunk each, and everything written: a missing chunk is then a fault
     encoding = {name: {"chunks": array.shape} for name, array in made.variables.items() if array.ndim}
     made.to_zarr(path, mode="w", zarr_format=3, consolidated=False, encoding=encoding)
-    _consolidate(path)
+    consolidate(path)
 
 
-def _consolidate(path: Path) -> None:
+def consolidate(path: Path) -> None:
     """Gather the metadata at the root, where plain `xarray.open_zarr` looks first."""
     with warnings.catch_warnings():
         # zarr warns that consolidated metadata is not yet in the specification of version 3
@@ -139,7 +139,7 @@ class TruthStore:
         }
         for name, text in _MASKS.items():
             self._arrays[name] = _create(group, name, plane, _PLANE, "bool", {"long_name": text})
-        _consolidate(path)
+        consolidate(path)
 
     def write(self, start: int, lines: Lines, recorded: NDArray[np.bool_]) -> None:
         """Write the lines from ``start`` on."""

@@ -93,7 +93,9 @@ def run(p: dict[str, Any], dropped: int = 0, flagging: bool = True) -> tuple[np.
     shape = p["counts"].shape
     out = np.full(shape, 77, np.float32)
     quality = np.full((shape[0], shape[2]) if flagging else (0, 0), 9999, np.uint16)
-    calibrate_slab(*p.values(), np.uint32(dropped), out, out.view(np.uint32), quality)
+    rows, cube = [np.empty((0, 0), np.float32)] * 5, [np.empty((0, 0, 0), np.float32)] * 2
+    bits = [array.view(np.uint32) for array in (out, *cube)]
+    calibrate_slab(*p.values(), np.uint32(dropped), out, bits[0], quality, *rows, *cube, *bits[1:])
     return out, quality
 
 

@@ -1,0 +1,137 @@
+"""A flight line with the wavelengths and widths that were found in flight."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+
+from . import schema
+from .errors import Problems, SchemaError
+from .schema import BAND, CROSS_TRACK
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+__all__ = ["apply_alignment"]
+
+Float = npt.NDArray[np.float64]
+
+
+def apply_alignment(line: xr.Dataset, found: xr.Dataset, *, degree: int = 2, fwhm: bool = True) -> xr.Dataset:
+    """Return the line with the wavelengths and widths that `hyperpaint.align_to_irradiance` found.
+
+    Parameters
+    ----------
+    line
+        The flight line that was looked at.
+    found
+        What was found, whole or in groups of columns; columns that are flagged are not used.
+    degree
+        Of the polynomial over columns that smooths the shift.
+    fwhm
+        Replace the widths too.
+
+    Returns
+    -------
+    Dataset
+        The same with ``wavelength_shift`` (cross_track), or (band, cross_track) where several windows or the
+        line have it so, float64 [nm]; ``fwhm`` (band), float64 [nm], times the mean factor found, since the
+        table holds no width of a column. Between windows both are linear in wavelength, beyond them constant.
+        The attribute ``alignment`` says what was done. Reflectance, which held for other wavelengths, is left
+        out. ``wavelength`` stays as it is, so that flight lines keep one axis: the shift at the centre column
+        need not be zero.
+
+    Raises
+    ------
+    SchemaError
+        Too few columns can tell, or ``found`` belongs to another line.
+
+    Notes
+    -----
+    Columns weigh with the inverse of their variance, and less the farther they lie from the curve (Huber's
+    weights, at 1.5 times the scatter), so that a column with a bad element does not bend its neighbours.
+    """
+    dataset = schema.rename_to_roles(line)
+    known = schema.require(
+        dataset,
+        ["wavelength", "fwhm", *(n for n in ("wavelength_shift",) if n in dataset.variables)],
+        "the alignment",
+    )
+    columns = dataset.sizes[CROSS_TRACK]
+    each = found if "window" in found.dims else found.expand_dims("window")
+    problems = Problems("the alignment cannot be applied", SchemaError)
+    if each.sizes[BAND] != dataset.sizes[BAND] or not -0.5 < float(each["column"].max()) <= columns - 1:
+        problems.add("it was found on a line with other bands or columns")
+    reliable = each["flag"].values == 0
+    for centre, number in zip(np.ravel(each["window_centre"]), reliable.sum(axis=1), strict=True):
+        if number < degree + 1:
+            problems.add(
+                f"{number} of {reliable.shape[1]} columns can tell at {centre:.0f} nm, expected at least "
+                f"{degree + 1} for a polynomial of degree {degree}; see 'flag', or average groups of columns"
+            )
+    problems.raise_if_any()
+    corrections, factors = zip(
+        *(
+            _smoothed(each.isel(window=w, **{CROSS_TRACK: reliable[w]}), columns, degree)
+            for w in range(len(reliable))
+        ),
+        strict=True,
+    )
+    return _replaced(dataset, known, each, np.stack(corrections), np.array(factors) if fwhm else None)
+
+
+def _smoothed(found: xr.Dataset, columns: int, degree: int) -> tuple[Float, float]:
+    """Return the shift's correction of all columns (column,) [nm] and the mean width factor of one window."""
+    scale = max((columns - 1) / 2.0, 1.0)
+    basis = np.polynomial.legendre.legvander(found["column"].values / scale - 1.0, degree)
+    value, spread = found["shift_correction"].values, np.maximum(found["wavelength_shift_u"].values, 1e-6)
+    weight = 1.0 / spread
+    for _ in range(20):
+        solved = np.linalg.lstsq(basis * weight[:, None], value * weight, rcond=None)[0]
+        away = np.abs(value - basis @ solved) / spread
+        scatter = max(1.4826 * float(np.median(away)), 1e-3)
+        # square roots, since a weight multiplies the residual before it is squared
+        weight = np.sqrt(np.minimum(1.0, 1.5 * scatter / np.maximum(away, 1e-12))) / spread
+    everywhere = np.polynomial.legendre.legvander(np.arange(columns) / scale - 1.0, degree)
+    factor, width = found["fwhm_factor"].values, 1.0 / np.maximum(found["fwhm_u"].values, 1e-6) ** 2
+    near = np.abs(factor - np.median(factor)) <= 3.0 * 1.4826 * np.median(np.abs(factor - np.median(factor)))
+    return everywhere @ solved, float((factor * width)[near].sum() / width[near].sum())
+
+
+def _replaced(
+    dataset: xr.Dataset, known: Mapping[str, xr.DataArray], found: xr.Dataset, correction: Float, factor: Any
+) -> xr.Dataset:
+    """Return the line with what was found in place, and a sentence that says so."""
+    import xarray as xr
+
+    centres, wavelength = np.atleast_1d(found["window_centre"].values), known["wavelength"].values
+    order = np.argsort(centres)
+
+    def over_bands(values: Float) -> Float:
+        return np.asarray(np.interp(wavelength, centres[order], values[order]))
+
+    if len(order) == 1:
+        shift = xr.DataArray(correction[0], dims=CROSS_TRACK)
+    else:
+        shift = xr.DataArray(np.apply_along_axis(over_bands, 0, correction), dims=(BAND, CROSS_TRACK))
+    if "wavelength_shift" in known:
+        declared = known["wavelength_shift"]
+        shift = shift + xr.DataArray(declared.values, dims=declared.dims)
+    order_of_dims = [dim for dim in (BAND, CROSS_TRACK) if dim in shift.dims]
+    stale = ("reflectance", "reflectance_u_random", "reflectance_u_systematic", "irradiance_misfit")
+    made = dataset.drop_vars([name for name in stale if name in dataset.variables]).assign_coords(
+        wavelength_shift=schema.label(shift.transpose(*order_of_dims), "wavelength_shift")
+    )
+    told = (
+        f"wavelength_shift corrected in flight against the irradiance record at {found.attrs['window']}, "
+        f"mean {correction.mean():+.3f} nm"
+    )
+    if factor is not None:
+        width = xr.DataArray(known["fwhm"].values * over_bands(factor), dims=BAND)
+        made = made.assign_coords(fwhm=schema.label(width, "fwhm"))
+        told += f"; fwhm times {', '.join(f'{value:.4f}' for value in factor)}"
+    before = dataset.attrs.get("alignment")
+    return made.assign_attrs(alignment=f"{before}; then {told}" if before else told)

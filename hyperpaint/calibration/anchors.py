@@ -1,0 +1,380 @@
+"""Absolute anchors: whatever is known of the light, the result is one gain for every element."""
+
+from __future__ import annotations
+
+import warnings
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+
+from hyperpaint.errors import PaintWarning, Problems, SchemaError
+from hyperpaint.responses import Responses, log_slope
+from hyperpaint.schema import ALONG_TRACK, BAND, CROSS_TRACK, VARIABLES, label, require
+from hyperpaint.units import convert, same_dimension
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+__all__ = [
+    "anchor_to_radiance",
+    "calibration_from_coefficients",
+    "etendue_from_optics",
+    "etendue_from_pupil",
+    "panel_radiance",
+]
+
+Float = npt.NDArray[np.float64]
+_ELEMENT = (BAND, CROSS_TRACK)
+_NODE_SPACING = 0.25  # nm; over so little the mean of a spectrum over a band is straight
+_LEAST_COVER = 0.999
+
+
+def etendue_from_optics(f_number: float, pixel_pitch: float, slit_width: float) -> float:
+    r"""Return the etendue of a detector element from the image side [m2 sr].
+
+    :math:`A\Omega = p\,w\,\pi / (4 N^2)`, without transmission, which belongs to the responsivity.
+
+    Parameters
+    ----------
+    f_number
+        Of the fore optics.
+    pixel_pitch
+        Along the slit [m].
+    slit_width
+        [m]
+
+    Returns
+    -------
+    float
+
+    Raises
+    ------
+    SchemaError
+        A number is not positive, or lengths are not in metres.
+
+    Examples
+    --------
+    The same from the pupil's side, with a focal length of 12 mm (pupil 4.8 mm, fields of 0.617 and 1.667
+    mrad):
+
+    >>> f"{etendue_from_optics(2.5, 7.4e-6, 20e-6):.4e}"
+    '1.8598e-11'
+    >>> f"{etendue_from_pupil(4.8e-3, 7.4e-6 / 12e-3, 20e-6 / 12e-3):.4e}"
+    '1.8598e-11'
+    """
+    _check_lengths({"pixel_pitch": pixel_pitch, "slit_width": slit_width}, 1e-2)
+    _check_lengths({"f_number": f_number}, 1e3)
+    return float(pixel_pitch * slit_width * np.pi / (4.0 * f_number**2))
+
+
+def etendue_from_pupil(diameter: float, field_along_slit: float, field_across_slit: float) -> float:
+    """Return the etendue of a detector element from the pupil's side [m2 sr].
+
+    Parameters
+    ----------
+    diameter
+        Of the entrance pupil [m].
+    field_along_slit, field_across_slit
+        Instantaneous fields of view [rad]: pixel pitch and slit width over the focal length.
+
+    Returns
+    -------
+    float
+
+    Raises
+    ------
+    SchemaError
+        A number is not positive, or not in metres and radians.
+    """
+    _check_lengths({"diameter": diameter}, 10.0)
+    _check_lengths({"field_along_slit": field_along_slit, "field_across_slit": field_across_slit}, 1.0)
+    return float(np.pi / 4.0 * diameter**2 * field_along_slit * field_across_slit)
+
+
+def _check_lengths(values: dict[str, float], high: float) -> None:
+    problems = Problems("no etendue can be told", SchemaError)
+    for name, value in values.items():
+        if not 0 < value < high:
+            problems.add(f"{name}={value!r}, expected above 0 and below {high:g}, in metres and radians")
+    problems.raise_if_any()
+
+
+def panel_radiance(irradiance: xr.DataArray, reflectance: float | xr.DataArray) -> xr.DataArray:
+    """Return the spectral radiance of a level Lambertian panel [W m-2 sr-1 nm-1]: ``reflectance x E / pi``.
+
+    Parameters
+    ----------
+    irradiance
+        On the panel, with units and a dim of wavelengths.
+    reflectance
+        Of the panel [1]; on the wavelengths of ``irradiance`` where it is a spectrum.
+
+    Returns
+    -------
+    xarray.DataArray
+
+    Raises
+    ------
+    UnitsError
+        ``irradiance`` has no units of irradiance.
+    """
+    made = convert(irradiance, VARIABLES["irradiance"].units, "irradiance") * reflectance / np.pi
+    return label(made, "radiance")
+
+
+def anchor_to_radiance(
+    calibration: xr.Dataset,
+    frames: xr.Dataset,
+    radiance: xr.DataArray,
+    *,
+    scale: str = "element",
+    uncertainty: float = 0.02,
+) -> xr.Dataset:
+    """Return a calibration whose gain makes frames of a known source read its radiance.
+
+    Parameters
+    ----------
+    calibration
+        Wavelengths, widths and line shape of the camera, as `hyperpaint.calibrate` or a store gives them. A
+        gain is needed only for ``scale="common"``.
+    frames
+        ``counts`` ([along_track,] band, cross_track), ``dark_counts`` (band, cross_track) at the same
+        exposure and ``exposure_time`` of a sphere or panel that fills the field.
+    radiance
+        Its spectral radiance with units, on one dim with a coordinate of that name or ``wavelength`` [nm].
+    scale
+        "element": every element gets its own factor, which holds flat field and responsivity. "common": one
+        factor for all, the median, that leaves the shape of the sweep.
+    uncertainty
+        Relative standard uncertainty of the radiance.
+
+    Returns
+    -------
+    xarray.Dataset
+        With another ``radiance_gain``: ``L_b,x x exposure_time / (counts - dark)``, L the mean radiance over
+        the element's response; NaN where the source's spectrum does not reach, or no light came.
+
+    Raises
+    ------
+    SchemaError, UnitsError
+        Something is missing, or nothing of the camera is covered; all problems are listed.
+
+    Warns
+    -----
+    PaintWarning
+        Some frames are saturated; those elements keep no gain.
+    """
+    if scale not in ("element", "common"):
+        msg = f"scale {scale!r}, expected 'element' or 'common'"
+        raise SchemaError(msg)
+    found = require(calibration, ["wavelength", "fwhm"], "an anchor")
+    spectrum = convert(radiance, VARIABLES["radiance"].units, "radiance")
+    level = _band_means(calibration, found, spectrum)
+    signal, exposure = _signal(frames, calibration)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        gain = np.where(signal > 0, level * exposure / signal, np.nan)
+    if scale == "common":
+        own = require(calibration, ["radiance_gain"], "a common scale")["radiance_gain"].to_numpy()
+        factor = float(np.nanmedian(gain / own))
+        gain = own * factor
+    if not np.isfinite(gain).any():
+        msg = "no element is covered by the source's spectrum and lit by it; check wavelengths and dark"
+        raise SchemaError(msg)
+    return _with_gain(calibration, gain, f"radiance of a known source, {scale} scale", uncertainty)
+
+
+def _with_gain(calibration: xr.Dataset, gain: Float, anchor: str, uncertainty: float) -> xr.Dataset:
+    import xarray as xr
+
+    good = np.isfinite(gain).mean(axis=1) > 0.5
+    systematic = np.where(good, np.float32(uncertainty), np.float32(np.nan)).astype(np.float32)
+    made = calibration.drop_vars(
+        [name for name in ("radiance_gain_u_random", "radiance_gain_u_systematic") if name in calibration]
+    )
+    return made.assign(
+        radiance_gain=label(xr.DataArray(gain.astype(np.float32), dims=_ELEMENT), "radiance_gain"),
+        radiance_gain_u_systematic=label(xr.DataArray(systematic, dims=BAND), "radiance_gain_u_systematic"),
+    ).assign_coords(good=label(xr.DataArray(good, dims=BAND), "good")).assign_attrs(
+        absolute_anchor=anchor, absolute_scale="known"
+    )  # fmt: skip
+
+
+def _signal(frames: xr.Dataset, calibration: xr.Dataset) -> tuple[Float, float]:
+    """Return mean counts above dark (band, cross_track), NaN where saturated, and the exposure [s]."""
+    problems = Problems("these frames cannot be used as an anchor", SchemaError)
+    for name in ("counts", "dark_counts", "exposure_time"):
+        if name not in frames.variables:
+            problems.add(f"{name!r} is missing: {VARIABLES[name].meaning.lower()} [{VARIABLES[name].units}]")
+    problems.raise_if_any()
+    exposure = np.unique(require(frames, ["exposure_time"], "an anchor")["exposure_time"].to_numpy())
+    if len(exposure) != 1 or not exposure[0] > 0:
+        problems.add(f"'exposure_time' {exposure.tolist()}, expected one positive number")
+    counts, dark = frames["counts"], frames["dark_counts"]
+    for array in (counts, dark):
+        if not set(_ELEMENT) <= set(array.dims) <= {*_ELEMENT, ALONG_TRACK}:
+            problems.add(
+                f"{array.name!r} has dims {tuple(map(str, array.dims))}, "
+                "expected ([along_track,] band, cross_track)"
+            )
+    for array in (counts, dark):
+        expected = {dim: calibration.sizes.get(dim, array.sizes.get(dim)) for dim in _ELEMENT}
+        sizes = {dim: array.sizes.get(dim) for dim in _ELEMENT}
+        if sizes != expected and sizes != {BAND: expected[BAND], CROSS_TRACK: sizes[CROSS_TRACK]}:
+            problems.add(f"{array.name!r} has sizes {sizes}, the calibration {expected}")
+    problems.raise_if_any()
+    others = [dim for dim in counts.dims if dim not in _ELEMENT]
+    full = None
+    if "saturation_count" in {*frames.variables, *calibration.variables}:
+        limit: Any = frames.get("saturation_count", calibration.get("saturation_count"))
+        full = counts >= limit - 16.0
+        full = full.any(others) if others else full
+    mean = counts.astype(np.float64).mean(others) if others else counts.astype(np.float64)
+    level = (mean - dark.mean(ALONG_TRACK) if ALONG_TRACK in dark.dims else mean - dark).transpose(*_ELEMENT)
+    signal = np.asarray(level.to_numpy(), np.float64)
+    if full is not None and (saturated := np.asarray(full.transpose(*_ELEMENT).to_numpy())).any():
+        warnings.warn(
+            f"{int(saturated.sum())} elements are saturated in the anchor's frames",
+            PaintWarning,
+            stacklevel=3,
+        )
+        signal = np.where(saturated, np.nan, signal)
+    return signal, float(exposure[0])
+
+
+def _band_means(calibration: xr.Dataset, found: dict[str, Any], spectrum: xr.DataArray) -> Float:
+    """Return the mean of a spectrum over the response of every element (band, cross_track)."""
+    if spectrum.ndim != 1:
+        msg = f"the source's radiance has dims {tuple(map(str, spectrum.dims))}, expected one, of wavelengths"
+        raise SchemaError(msg)
+    dim = spectrum.dims[0]
+    axis = spectrum["wavelength"] if "wavelength" in spectrum.coords else spectrum[dim]
+    if "units" in axis.attrs and not same_dimension(str(axis.attrs["units"]), "nm"):
+        msg = f"wavelengths of the source have units {axis.attrs['units']!r}, expected nm"
+        raise SchemaError(msg)
+    grid = (
+        (convert(axis, "nm", "wavelength") if "units" in axis.attrs else axis).to_numpy().astype(np.float64)
+    )
+    values = spectrum.to_numpy().astype(np.float64)
+    if grid.size < 2 or not (np.diff(grid) > 0).all():
+        msg = "wavelengths of the source's radiance do not increase; sort them"
+        raise SchemaError(msg)
+    shift = calibration["wavelength_shift"] if "wavelength_shift" in calibration.variables else None
+    shifts = np.zeros((1, 1)) if shift is None else shift.to_numpy()
+    shifts = np.atleast_2d(shifts)
+    spacing = calibration.get("band_spacing")
+    responses = Responses(
+        found["wavelength"].to_numpy(),
+        found["fwhm"].to_numpy(),
+        str(calibration.attrs.get("srf_shape", "gaussian")),
+        spacing=None if spacing is None else spacing.to_numpy(),
+        offset=calibration["srf_offset"].to_numpy() if "srf_offset" in calibration.variables else None,
+        table=calibration["srf"].to_numpy() if "srf" in calibration.variables else None,
+        slope=_slope(calibration, found),
+    )
+    low, high = float(shifts.min()), float(shifts.max())
+    nodes = np.linspace(low, high, max(int(np.ceil((high - low) / _NODE_SPACING)) + 1, 1))
+    bands = responses.wavelength.size
+    columns = calibration.sizes.get(CROSS_TRACK, shifts.shape[1])
+    made = np.empty((bands, columns))
+    for band in range(bands):
+        at_nodes = [_mean_over(responses.shifted(float(node)), band, grid, values) for node in nodes]
+        made[band] = np.interp(shifts[band if len(shifts) > 1 else 0], nodes, at_nodes)
+    return made
+
+
+def _slope(calibration: xr.Dataset, found: dict[str, Any]) -> Float | None:
+    """Return the slope of the log responsivity over a band (band,) [nm-1], where a gain tells it."""
+    if "radiance_gain" not in calibration.variables:
+        return None
+    gain = calibration["radiance_gain"].transpose(*_ELEMENT).to_numpy().astype(np.float64)
+    level = np.full(len(gain), np.nan)
+    rows = np.isfinite(gain).any(axis=1)
+    level[rows] = 1.0 / np.nanmedian(gain[rows], axis=1)
+    return log_slope(found["wavelength"].to_numpy(), level, 2.0 * found["fwhm"].to_numpy())
+
+
+def _mean_over(responses: Responses, band: int, grid: Float, values: Float) -> float:
+    half = float(responses.reach()[band])
+    step = min(float(responses.fwhm[band]) / 40.0, half / 20.0)
+    centre = float(responses.wavelength[band])
+    fine = np.arange(centre - half - step, centre + half + 1.5 * step, step)
+    response = responses.on(fine, band) * step
+    inside = (fine >= grid[0]) & (fine <= grid[-1])
+    if response[inside].sum() < _LEAST_COVER:
+        return float("nan")
+    return float((response[inside] * np.interp(fine[inside], grid, values)).sum() / response[inside].sum())
+
+
+def calibration_from_coefficients(
+    coefficients: xr.DataArray,
+    wavelength: xr.DataArray,
+    fwhm: xr.DataArray,
+    *,
+    exposure_time: float | None = None,
+    srf_shape: str = "gaussian",
+    uncertainty: float = 0.05,
+) -> xr.Dataset:
+    """Return a calibration from a vendor's coefficients of every element.
+
+    Parameters
+    ----------
+    coefficients : (band, cross_track)
+        With units: radiance x exposure per count, or radiance per count at one exposure; zeros and values
+        that are not finite mark bad elements.
+    wavelength, fwhm : (band,)
+        With units.
+    exposure_time
+        Exposure [s] at which radiance per count holds.
+    srf_shape
+        Line shape of the camera.
+    uncertainty
+        Relative standard uncertainty of the coefficients.
+
+    Returns
+    -------
+    xarray.Dataset
+
+    Raises
+    ------
+    SchemaError, UnitsError
+        Units or dims are others than those.
+
+    Examples
+    --------
+    >>> import xarray as xr
+    >>> units = {"units": "mW cm-2 um-1 sr-1 count-1"}
+    >>> gain = xr.DataArray([[2.0]], dims=("band", "cross_track"), attrs=units)
+    >>> nm = {"units": "nm"}
+    >>> made = calibration_from_coefficients(
+    ...     gain, xr.DataArray([550.0], dims="band", attrs=nm), xr.DataArray([6.0], dims="band", attrs=nm),
+    ...     exposure_time=5e-3)
+    >>> round(float(made.radiance_gain[0, 0]), 9), made.radiance_gain.units
+    (0.0001, 'W m-2 sr-1 nm-1 s count-1')
+    """
+    import xarray as xr
+
+    wanted = VARIABLES["radiance_gain"].units
+    if coefficients.ndim != 2 or set(coefficients.dims) != set(_ELEMENT):
+        msg = f"coefficients have dims {tuple(map(str, coefficients.dims))}, expected {_ELEMENT}"
+        raise SchemaError(msg)
+    gain = coefficients.astype(np.float64).transpose(*_ELEMENT)
+    units = str(coefficients.attrs.get("units", ""))
+    if same_dimension(units, "W m-2 sr-1 nm-1 count-1"):
+        if exposure_time is None or not exposure_time > 0:
+            msg = f"coefficients in {units!r} hold at one exposure; give exposure_time [s]"
+            raise SchemaError(msg)
+        gain = convert(gain, "W m-2 sr-1 nm-1 count-1", "coefficients") * exposure_time
+    else:
+        gain = convert(gain, wanted, "coefficients")
+    values = gain.to_numpy()
+    values = np.where(np.isfinite(values) & (values > 0), values, np.nan)
+    made = xr.Dataset(
+        coords={"wavelength": _axis(wavelength, "wavelength"), "fwhm": _axis(fwhm, "fwhm")},
+        attrs={"srf_shape": srf_shape},
+    )
+    return _with_gain(made, values, "coefficients of the vendor", uncertainty)
+
+
+def _axis(array: xr.DataArray, name: str) -> xr.DataArray:
+    return label(convert(array.reset_coords(drop=True).astype(np.float64), "nm", name), name)

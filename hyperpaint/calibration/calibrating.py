@@ -1,0 +1,266 @@
+"""All of a lab calibration in order: sweep in, wavelengths, widths, dark, gain and uncertainties out."""
+
+from __future__ import annotations
+
+import itertools
+import warnings
+from collections.abc import Callable, Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+
+from hyperpaint.errors import PaintWarning, SchemaError
+from hyperpaint.schema import BAND, CROSS_TRACK
+
+from .detector import deviant_darks, factors_of, linearised
+from .lab_sweep import LabSweep, check_sweep, listed
+from .line_fits import SHAPES
+from .line_pull import line_pull
+from .result import Budget, Result, line_level
+from .steps import Lines, Read, deviant_elements, fit_as_seen, fit_through, read_lines
+from .wavelength_map import WavelengthMap, fit_wavelength_map
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+__all__ = ["calibrate"]
+
+Float = npt.NDArray[np.float64]
+Bool = npt.NDArray[np.bool_]
+
+_FEWEST = 4
+_UNEVEN = 0.8  # share of the brightest columns' light below which a beam is not even
+
+
+def calibrate(
+    sweep: xr.Dataset,
+    *,
+    absolute: bool = True,
+    srf_shape: str | None = None,
+    flux_uncertainty: float = 0.04,
+    capture_uncertainty: float = 0.0,
+    etendue_uncertainty: float = 0.0,
+    linearity: Sequence[float] = (),
+    flat_field: xr.DataArray | None = None,
+    bad_elements: xr.DataArray | None = None,
+    smile_degree: int | None = None,
+    progress: Callable[[int, int], None] | None = None,
+) -> xr.Dataset:
+    r"""Return the calibration of a camera from a monochromator sweep.
+
+    Parameters
+    ----------
+    sweep
+        Means of the frames of every step, dark not subtracted; the rows of
+        `hyperpaint.schema.SWEEP_VARIABLES`. ``counts`` (step, band, cross_track), ``dark_counts`` ([step,]
+        band, cross_track) [count], ``step_wavelength`` (step), ``monochromator_fwhm`` [nm],
+        ``exposure_time`` [s], ``flux`` [W] of the whole beam, ``capture_fraction`` [1] and ``etendue`` [m2
+        sr]. ``flux`` per step is taken as equal in all lit columns, so that column differences are response;
+        per step and column it is what each column gets. Optional: ``counts_variance``, ``frame_count``,
+        ``dark_exposure_time``, ``saturation_count``, ``electrons_per_count``, ``read_noise``. Attribute
+        ``monochromator_shape``: "gaussian" or "triangle". Lazy variables are read one step at a time.
+    absolute
+        False where capture fraction or etendue are not known: the gain then has the right shape and no
+        scale, to be given by `hyperpaint.calibration.anchor_to_radiance`.
+    srf_shape
+        "gaussian" or "slit"; None for the one that the lines fit better.
+    flux_uncertainty, capture_uncertainty, etendue_uncertainty
+        Relative standard uncertainties; 3 to 5 % is typical of power meters without a certificate.
+    linearity
+        Coefficients of `hyperpaint.calibration.linearity`; () for none.
+    flat_field
+        Of `hyperpaint.calibration.flat_field`: the gains of a band then have its column differences.
+    bad_elements
+        (band, cross_track) bool: elements to leave out, besides those that the sweep betrays.
+    smile_degree
+        Degree over columns of the wavelength map; None for the lowest that the lines need.
+    progress
+        Called with steps done and to do.
+
+    Returns
+    -------
+    xarray.Dataset
+        In memory: ``radiance_gain`` (band, cross_track), NaN where it would be extrapolated or the element
+        is bad, with its uncertainties; coordinates ``wavelength``, ``fwhm``, ``good`` (band),
+        ``wavelength_shift``; the dark; ``responsivity``; ``stray_light``; and the lines it was made from.
+        Attributes tell the choices.
+
+    Raises
+    ------
+    SchemaError
+        The sweep cannot be calibrated; all problems are listed.
+
+    Warns
+    -----
+    PaintWarning
+        Steps were left out; the monochromator's line is too wide to tell the camera's from; the beam's own
+        profile is taken for response.
+
+    Notes
+    -----
+    ``radiance_gain = 1 / (spacing x etendue x R)`` with ``R = area / (exposure_time x flux x
+    capture_fraction)`` at the lines, dark-subtracted counts summed over bands, interpolated over wavelength:
+    the line-area method, which needs neither the width nor the shape of line and response. Width and shape
+    come from fits of offset + area x profile, the profile being the monochromator's line convolved with the
+    camera's.
+
+    Examples
+    --------
+    >>> from hyperpaint.simulation import simulate_sweep
+    >>> sweep = simulate_sweep(steps=31, bands=136, columns=4, noise=False, quantise=False, nonuniformity=0)
+    >>> made = calibrate(sweep)
+    >>> error = made.radiance_gain / sweep.true_radiance_gain - 1
+    >>> bool(abs(error.isel(band=slice(20, 116))).max() < 2e-3), made.srf_shape
+    (True, 'gaussian')
+    """
+    import xarray as xr
+
+    given: Any = sweep
+    if not isinstance(given, xr.Dataset):
+        msg = f"sweep is {type(given).__name__}, expected a Dataset; open its store with xarray.open_zarr"
+        raise SchemaError(msg)
+    if srf_shape is not None and srf_shape not in SHAPES:
+        msg = f"srf_shape {srf_shape!r}, expected one of {', '.join(SHAPES)}, or None"
+        raise SchemaError(msg)
+    lab = check_sweep(sweep, absolute=absolute)
+    tick = _counter(progress, lab.shape[0] * (3 if srf_shape else 4))
+    bad = _bad_at_the_door(lab, bad_elements)
+    flat = None if flat_field is None else factors_of(flat_field, bad.shape)
+    read = read_lines(lab, bad, linearised(linearity), flat, tick)
+    _need_lines(lab, read)
+    seen, fits = fit_as_seen(lab, read, tick)
+    rough = _map(seen, lab, lab.wavelength, smile_degree)
+    shapes = {name: code for name, code in SHAPES.items() if srf_shape in (None, name)}
+    by_shape = {name: fit_through(lab, read, rough, code, fits, tick) for name, code in shapes.items()}
+    misfit = _misfits(by_shape)
+    shape = min(misfit, key=lambda name: misfit[name])
+    lines = by_shape[shape]
+    dead = deviant_elements(lab, read, lines, rough, SHAPES[shape])
+    if dead.any():
+        bad |= dead
+        for window in read.windows:
+            if window is not None:
+                window.leave_out(bad)
+        lines = fit_through(lab, read, rough, SHAPES[shape], fits, lambda: None)
+    _say_what_is_left_out(lab, read, lines)
+    surface, slope, pull = _map_through(lines, lab, read, rough, shape, smile_degree)
+    budget = Budget(flux_uncertainty, capture_uncertainty, etendue_uncertainty)
+    result = Result(lab, read, lines, surface, slope, pull, shape, misfit, bad, budget, tuple(linearity))
+    return result.dataset(flat)
+
+
+def _counter(progress: Callable[[int, int], None] | None, total: int) -> Callable[[], None]:
+    done = itertools.count(1)
+
+    def tick() -> None:
+        if progress is not None:
+            progress(next(done), total)
+
+    return tick
+
+
+def _bad_at_the_door(lab: LabSweep, given: xr.DataArray | None) -> Bool:
+    """Return the elements (band, cross_track) that are known as bad before a line is looked at."""
+    bad = deviant_darks(lab.dark.at(float(lab.exposure.min())), lab.saturation)
+    if given is not None:
+        if set(given.dims) != {BAND, CROSS_TRACK} or given.transpose(BAND, CROSS_TRACK).shape != bad.shape:
+            expected = f"{BAND} and {CROSS_TRACK} of {bad.shape}"
+            msg = f"bad_elements has sizes {dict(given.sizes)}, expected {expected}"
+            raise SchemaError(msg)
+        bad = bad | given.transpose(BAND, CROSS_TRACK).to_numpy().astype(bool)
+    if bad.all():
+        msg = "this lab sweep cannot be calibrated:\n  no element has a finite dark that is not saturated"
+        raise SchemaError(msg)
+    return bad
+
+
+def _need_lines(lab: LabSweep, read: Read) -> None:
+    dark = [float(w) for w, window in zip(lab.wavelength, read.windows, strict=True) if window is None]
+    if len(dark) > len(read.windows) - _FEWEST:
+        msg = (
+            f"this lab sweep cannot be calibrated:\n  no line above the noise at {len(dark)} of "
+            f"{len(read.windows)} steps ({listed(dark, 'nm')}); is the dark that of these "
+            "exposures, and was the lamp on?"
+        )
+        raise SchemaError(msg)
+
+
+def _map(lines: Lines, lab: LabSweep, wavelength: Float, degree: int | None) -> WavelengthMap:
+    """Return the wavelength map through the trusted lines at the wavelengths (step,) of their light."""
+    step, column = np.nonzero(lines.trusted)
+    if len(np.unique(step)) < _FEWEST:
+        full = ", most are saturated or at the edge of the array"
+        msg = (
+            f"this lab sweep cannot be calibrated:\n  {len(np.unique(step))} steps have lines that can be "
+            f"trusted, expected {_FEWEST} or more{full}; shorten the exposure, or give more steps"
+        )
+        raise SchemaError(msg)
+    return fit_wavelength_map(
+        lines.centre[step, column], column.astype(np.float64), wavelength[step], lab.shape[1:],
+        column_degree=degree, uncertainty=lines.centre_u[step, column],
+    )  # fmt: skip
+
+
+def _misfits(by_shape: Mapping[str, Lines]) -> dict[str, float]:
+    """Return the mean log of chi2 per degree of freedom of each shape, over lines that all of them fit."""
+    common = np.logical_and.reduce([lines.trusted for lines in by_shape.values()])
+    if not common.any():
+        return dict.fromkeys(by_shape, 0.0)
+    return {
+        name: float(np.log(np.maximum(lines.chi2[common] / lines.degrees[common], 1e-12)).mean())
+        for name, lines in by_shape.items()
+    }
+
+
+def _say_what_is_left_out(lab: LabSweep, read: Read, lines: Lines) -> None:
+    wavelength = lab.wavelength
+    without = [float(w) for w, window in zip(wavelength, read.windows, strict=True) if window is None]
+    if without:
+        warnings.warn(
+            f"no line above the noise at {listed(without, 'nm')}: left out", PaintWarning, stacklevel=3
+        )
+    full = [
+        f"{w:g} nm ({int(window.saturated.sum())} of {window.saturated.size} lit columns)"
+        for w, window in zip(wavelength, read.windows, strict=True)
+        if window is not None and window.saturated.any()
+    ]
+    if full:
+        warnings.warn(f"saturated lines are left out: {listed(full)}", PaintWarning, stacklevel=3)
+    lit = lines.trusted.any(axis=0)
+    if lab.by_column or not lit.any():
+        return
+    beams = [window.beam[lit] for window in read.windows if window is not None]
+    lowest = float(np.nanmedian([np.nanpercentile(beam, 2) for beam in beams]))
+    if lowest < _UNEVEN:
+        warnings.warn(
+            "flux is told per step only and so taken as equal in all lit columns, yet counts fall to "
+            f"{lowest:.0%} of the brightest columns': the beam's own profile would pass for response. Give "
+            "flux or capture_fraction per step and cross_track, or a flat_field",
+            PaintWarning,
+            stacklevel=3,
+        )
+
+
+def _map_through(
+    lines: Lines, lab: LabSweep, read: Read, rough: WavelengthMap, shape: str, degree: int | None
+) -> tuple[WavelengthMap, Float, Float]:
+    """Return the wavelength map, the slope of the log responsivity [nm-1] and the pull [nm] at the steps."""
+    nothing = np.zeros(lab.shape[0])
+    known = np.flatnonzero(lines.trusted.any(axis=1))
+    level = line_level(lines, lab, rough)
+    if known.size < _FEWEST or not (level[known] > 0).all():
+        return _map(lines, lab, lab.wavelength, degree), nothing, nothing
+    at = lab.wavelength[known]
+
+    def at_all_steps(values: Float) -> Float:
+        return np.interp(lab.wavelength, at, values)
+
+    def middle(values: Float) -> Float:
+        return at_all_steps(np.nanmedian(np.where(lines.trusted, values, np.nan)[known], axis=1))
+
+    slope = at_all_steps(np.gradient(np.log(level[known]), at))
+    spacing = rough.spacing(np.nan_to_num(lines.centre), np.arange(lab.shape[2]))
+    own = middle(lines.own_width * spacing)
+    pull = line_pull(lab, read.noise, slope, own, middle(spacing), middle(lines.amplitude), shape)
+    return _map(lines, lab, lab.wavelength + pull, degree), slope, pull

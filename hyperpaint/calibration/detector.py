@@ -1,0 +1,294 @@
+"""The detector without a spectrum: dark counts at any exposure, flat field, linearity, bad elements."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+
+from hyperpaint.errors import Problems, SchemaError
+from hyperpaint.schema import BAND, CROSS_TRACK, label
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+__all__ = [
+    "DarkModel",
+    "dark_at",
+    "dark_model",
+    "deviant_darks",
+    "fit_dark_model",
+    "flat_field",
+    "linearity",
+]
+
+Float = npt.NDArray[np.float64]
+_ELEMENT = (BAND, CROSS_TRACK)
+_SAME_EXPOSURE = 1e-3
+"""Relative difference of exposures below which they count as one: what drivers round to."""
+
+
+@dataclass(frozen=True, eq=False)
+class DarkModel:
+    """Dark counts as bias + rate x exposure.
+
+    Attributes
+    ----------
+    bias, rate : (band, cross_track)
+        [count], [count s-1]; from darks at one exposure the bias is all there is, and the rate is NaN.
+    exposures
+        Different exposures that it was made from [s].
+    residual
+        Root mean square distance of the darks from the model [count].
+    """
+
+    bias: Float
+    rate: Float
+    exposures: tuple[float, ...]
+    residual: float
+
+    @property
+    def known_rate(self) -> bool:
+        """Whether darks at two exposures or more tell the rate."""
+        return len(self.exposures) > 1
+
+    def reaches(self, exposure: float) -> bool:
+        """Tell whether the dark at an exposure [s] is known."""
+        return self.known_rate or abs(exposure - self.exposures[0]) <= _SAME_EXPOSURE * exposure
+
+    def at(self, exposure: float) -> Float:
+        """Return the dark counts at an exposure [s]; with a single dark, those of that dark."""
+        return self.bias + exposure * self.rate if self.known_rate else self.bias
+
+
+def fit_dark_model(dark: Float, exposure: Float) -> DarkModel:
+    """Return the least-squares model of darks (dark, band, cross_track) at exposures (dark,) [s]."""
+    different = [float(exposure.min())]
+    for value in np.sort(exposure):
+        if value > different[-1] * (1.0 + _SAME_EXPOSURE):
+            different.append(float(value))
+    mean = dark.mean(axis=0)
+    if len(different) == 1:
+        rms = float(np.sqrt(np.nanmean((dark - mean) ** 2)))
+        return DarkModel(mean, np.full_like(mean, np.nan), tuple(different), rms)
+    offset = exposure - exposure.mean()
+    rate = np.tensordot(offset, dark, axes=1) / (offset**2).sum()
+    bias = mean - rate * exposure.mean()
+    residual = dark - bias - exposure[:, None, None] * rate
+    return DarkModel(bias, rate, tuple(different), float(np.sqrt(np.nanmean(residual**2))))
+
+
+def dark_model(darks: xr.Dataset | Sequence[xr.Dataset]) -> xr.Dataset:
+    """Return dark counts as bias + rate x exposure, from darks at several exposures.
+
+    Parameters
+    ----------
+    darks
+        Each with ``dark_counts`` ([dark_time,] band, cross_track) [count] and ``dark_exposure_time``
+        ([dark_time]) [s], as flight lines and calibrations hold them.
+
+    Returns
+    -------
+    xarray.Dataset
+        ``dark_bias`` [count], ``dark_rate`` [count s-1] (band, cross_track); attributes ``dark_exposures_s``,
+        ``dark_residual_count`` (root mean square), and, of darks with times, ``dark_drift_count``: how far
+        the mean of the last lies from that of the first beyond what their exposures explain.
+
+    Raises
+    ------
+    SchemaError
+        Variables are missing, shapes differ, or all darks have one exposure.
+
+    Examples
+    --------
+    >>> import xarray as xr
+    >>> def dark(seconds):
+    ...     counts = xr.DataArray([[100 + 50 * seconds]], dims=("band", "cross_track"))
+    ...     counts.attrs["units"] = "count"
+    ...     exposure = xr.DataArray(seconds, attrs={"units": "s"})
+    ...     return xr.Dataset({"dark_counts": counts, "dark_exposure_time": exposure})
+    >>> model = dark_model([dark(0.01), dark(0.03)])
+    >>> round(float(model.dark_bias[0, 0]), 6), round(float(model.dark_rate[0, 0]), 6)
+    (100.0, 50.0)
+    """
+    import xarray as xr
+
+    from hyperpaint.schema import require
+
+    given = [darks] if isinstance(darks, xr.Dataset) else list(darks)
+    problems = Problems("no dark model can be made", SchemaError)
+    frames: list[Float] = []
+    exposures: list[float] = []
+    for dark in given:
+        try:
+            found = require(dark, ["dark_counts", "dark_exposure_time"], "a dark model")
+        except SchemaError as error:
+            problems.add(str(error))
+            continue
+        counts = np.asarray(found["dark_counts"].to_numpy(), np.float64)
+        counts = counts if counts.ndim == 3 else counts[None]
+        frames.extend(counts)
+        exposures.extend(np.broadcast_to(found["dark_exposure_time"].to_numpy(), len(counts)).tolist())
+    shapes = sorted({frame.shape for frame in frames})
+    if len(shapes) > 1:
+        problems.add(f"darks of shapes {shapes}, expected one")
+    if not all(0 < value < np.inf for value in exposures):
+        problems.add("'dark_exposure_time' is not finite and positive everywhere")
+    problems.raise_if_any()
+    model = fit_dark_model(np.stack(frames), np.array(exposures))
+    if not model.known_rate:
+        msg = f"all darks have an exposure of {exposures[0] * 1e3:g} ms; a rate needs two exposures"
+        raise SchemaError(msg)
+    drift = np.nanmean(frames[-1] - model.at(exposures[-1])) - np.nanmean(frames[0] - model.at(exposures[0]))
+    return xr.Dataset(
+        {
+            "dark_bias": label(xr.DataArray(model.bias.astype(np.float32), dims=_ELEMENT), "dark_bias"),
+            "dark_rate": label(xr.DataArray(model.rate.astype(np.float32), dims=_ELEMENT), "dark_rate"),
+        },
+        attrs={
+            "dark_exposures_s": list(model.exposures),
+            "dark_residual_count": model.residual,
+            "dark_drift_count": float(drift),
+        },
+    )
+
+
+def dark_at(model: xr.Dataset, exposure_time: float) -> xr.DataArray:
+    """Return the ``dark_counts`` (band, cross_track) [count] of a dark model at an exposure [s].
+
+    Only the rate is scaled by the exposure, never the bias.
+    """
+    dark = model["dark_bias"] + np.float32(exposure_time) * model["dark_rate"]
+    return label(dark.astype(np.float32), "dark_counts")
+
+
+def flat_field(frames: xr.DataArray, dark: xr.DataArray | None = None) -> xr.DataArray:
+    """Return the factors that level the columns of each band, from evenly lit frames.
+
+    Parameters
+    ----------
+    frames
+        Counts (..., band, cross_track) [count] of a sphere or a diffuser; of a scene, many lines over much
+        the same ground, of which the median over all other dims is taken.
+    dark
+        Dark counts (band, cross_track) [count] at the same exposure; None where they are taken off already.
+
+    Returns
+    -------
+    xarray.DataArray
+        ``flat_field`` (band, cross_track) [1]: factor on dark-subtracted counts, of mean inverse 1 over the
+        columns of a band; NaN where an element sees no light.
+
+    Raises
+    ------
+    SchemaError
+        ``frames`` lack band or cross_track.
+
+    Examples
+    --------
+    >>> import xarray as xr
+    >>> frames = xr.DataArray([[[90.0, 110.0]]], dims=("along_track", "band", "cross_track"))
+    >>> flat_field(frames).round(4).values
+    array([[1.1111, 0.9091]], dtype=float32)
+    """
+    if not set(_ELEMENT) <= set(frames.dims):
+        msg = f"flat-field frames have dims {tuple(map(str, frames.dims))}, expected {BAND} and {CROSS_TRACK}"
+        raise SchemaError(msg)
+    others = [dim for dim in frames.dims if dim not in _ELEMENT]
+    level = frames.astype(np.float64)
+    if others:
+        level = level.chunk(dict.fromkeys(others, -1)) if level.chunks is not None else level
+        level = level.median(others)
+    level = level.transpose(*_ELEMENT)
+    if dark is not None:
+        level = level - dark.transpose(*_ELEMENT).astype(np.float64)
+    level = level.where(level > 0)
+    return label((level.mean(CROSS_TRACK) / level).transpose(*_ELEMENT).astype(np.float32), "flat_field")
+
+
+def factors_of(flat: xr.DataArray, shape: tuple[int, ...]) -> Float:
+    """Return the values of a `flat_field` for an array of ``shape`` (band, cross_track).
+
+    Raises
+    ------
+    SchemaError
+        Its dims or sizes are others.
+    """
+    if set(flat.dims) != set(_ELEMENT) or flat.transpose(*_ELEMENT).shape != shape:
+        msg = f"flat_field has sizes {dict(flat.sizes)}, expected {BAND} and {CROSS_TRACK} of {shape}"
+        raise SchemaError(msg)
+    return np.asarray(flat.transpose(*_ELEMENT).to_numpy(), np.float64)
+
+
+def linearity(signal: npt.ArrayLike, measured: npt.ArrayLike, degree: int = 3) -> tuple[float, ...]:
+    r"""Return the polynomial that turns measured counts into ones proportional to the light.
+
+    Parameters
+    ----------
+    signal
+        Light of each measurement, any unit: exposures [s] of one steady source, lamp levels ...
+    measured
+        Dark-subtracted counts.
+    degree
+        Of the polynomial.
+
+    Returns
+    -------
+    Coefficients :math:`a_2, a_3 \dots` of :math:`c + a_2 c^2 + a_3 c^3 + \dots`, of which small counts are
+    left as they are; ``()`` is the identity.
+
+    Raises
+    ------
+    SchemaError
+        Fewer measurements than the polynomial has unknowns, or impossible ones.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> light = np.linspace(0.1, 1, 10)
+    >>> measured = 1000 * light * (1 - 0.02 * light)
+    >>> linear = measured + sum(a * measured**k for k, a in enumerate(linearity(light, measured), 2))
+    >>> bool(np.ptp(linear / light) < 0.1)
+    True
+    """
+    light, counts = np.asarray(signal, np.float64).ravel(), np.asarray(measured, np.float64).ravel()
+    if light.size != counts.size or light.size < degree or not (light > 0).all() or not (counts > 0).all():
+        msg = f"linearity of degree {degree} needs {degree} or more positive signals, each with its counts"
+        raise SchemaError(msg)
+    # s light = c + a2 c^2 + ...: linear in s and the a; divided by c all measurements weigh alike
+    scale = counts.max()
+    columns = [light / counts, *(-((counts / scale) ** (power - 1)) for power in range(2, degree + 1))]
+    solved = np.linalg.lstsq(np.column_stack(columns), np.ones_like(counts), rcond=None)[0]
+    return tuple(
+        float(a / scale ** (power - 1)) for power, a in zip(range(2, degree + 1), solved[1:], strict=True)
+    )
+
+
+def linearised(coefficients: Sequence[float]) -> Callable[[Any], Any]:
+    """Return the function that applies `linearity`; of no coefficients, the identity, bit for bit."""
+
+    def apply(counts: Any) -> Any:
+        if not coefficients:
+            return counts
+        made = 0.0
+        for coefficient in reversed(coefficients):
+            made = (made + coefficient) * counts
+        return counts * (1.0 + made)
+
+    return apply
+
+
+def deviant_darks(dark: Float, saturation: Float | None) -> npt.NDArray[np.bool_]:
+    """Return the elements (band, cross_track) whose dark is not finite, saturated or far from all others."""
+    finite = np.isfinite(dark)
+    known = np.where(finite, dark, np.nan)
+    middle = np.nanmedian(known)
+    # a camera's dark has a pattern, so far is far beyond its own spread
+    spread = 1.4826 * np.nanmedian(np.abs(known - middle))
+    far = np.abs(known - middle) > max(30.0 * spread, 100.0)
+    if saturation is not None:
+        far |= known > 0.5 * saturation
+    return np.asarray(~finite | far)

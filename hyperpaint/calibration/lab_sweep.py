@@ -1,0 +1,292 @@
+"""A lab sweep at the door: everything it must hold, checked together, and its frames one step at a time."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+
+from hyperpaint.errors import Problems, SchemaError
+from hyperpaint.schema import CROSS_TRACK, MONOCHROMATOR_SHAPES, STEP, SWEEP_VARIABLES, require
+
+from .detector import DarkModel, fit_dark_model
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+__all__ = ["LabSweep", "check_sweep", "listed"]
+
+Float = npt.NDArray[np.float64]
+
+SATURATION_MARGIN = 16.0
+"""Counts below ``saturation_count`` from which a sample is not trusted, as in flight."""
+
+_FEWEST_STEPS = 4
+_REQUIRED = ("counts", "dark_counts", "step_wavelength", "exposure_time", "monochromator_fwhm")
+_ABSOLUTE = ("flux", "capture_fraction", "etendue")
+_OPTIONAL = (
+    "counts_variance",
+    "dark_exposure_time",
+    "frame_count",
+    "saturation_count",
+    "electrons_per_count",
+    "read_noise",
+)
+
+
+@dataclass(frozen=True, eq=False)
+class LabSweep:
+    """A checked sweep, in the units of the table, its small variables in memory.
+
+    Attributes
+    ----------
+    counts, variance
+        Lazy where the sweep was: (step, band, cross_track); ``variance`` None where it is not known.
+    dark
+        Dark counts at the exposure of any step.
+    wavelength : (step,)
+        Of the monochromator [nm].
+    width : (step,)
+        Full width at half maximum of its line [nm].
+    triangular
+        Whether its line is a triangle, else a Gaussian.
+    exposure : (step,)
+        [s]
+    frames : (step,)
+        Frames averaged.
+    power : (step, cross_track)
+        Radiant flux that enters slit width x one column, all bands together [W]; ones where only the shape of
+        the responsivity can be had.
+    etendue : (cross_track,)
+        [m2 sr]
+    saturation
+        Count at which the converter is full, or None; scalar or (band, cross_track).
+    electrons_per_count, read_noise
+        None where they are not known; the median of the elements.
+    absolute
+        Whether flux, capture fraction and etendue were all given.
+    by_column
+        Whether the light of every column was told, rather than that of the beam.
+    """
+
+    counts: xr.DataArray
+    variance: xr.DataArray | None
+    dark: DarkModel
+    wavelength: Float
+    width: Float
+    triangular: bool
+    exposure: Float
+    frames: Float
+    power: Float
+    etendue: Float
+    saturation: Float | None
+    electrons_per_count: float | None
+    read_noise: float | None
+    absolute: bool
+    by_column: bool
+
+    @property
+    def shape(self) -> tuple[int, int, int]:
+        """Steps, bands and columns."""
+        steps, bands, columns = self.counts.shape
+        return steps, bands, columns
+
+    def frame(self, step: int) -> Float:
+        """Return the mean counts of one step, dark not subtracted (band, cross_track)."""
+        return np.asarray(self.counts.isel({STEP: step}).to_numpy(), np.float64)
+
+    def frame_variance(self, step: int) -> Float | None:
+        """Return the variance of one frame of a step (band, cross_track), or None."""
+        if self.variance is None:
+            return None
+        return np.asarray(self.variance.isel({STEP: step}).to_numpy(), np.float64)
+
+
+def listed(values: Any, unit: str = "", limit: int = 6) -> str:
+    """Return some values as text, and how many more there are."""
+    values = list(values)
+    text = ", ".join(f"{value:g}" if isinstance(value, float) else str(value) for value in values[:limit])
+    more = f" and {len(values) - limit} more" if len(values) > limit else ""
+    return f"{text}{f' {unit}' if unit else ''}{more}"
+
+
+def check_sweep(sweep: xr.Dataset, *, absolute: bool = True) -> LabSweep:
+    """Return a sweep in the units of the table, or say all that is wrong with it.
+
+    Parameters
+    ----------
+    sweep
+        See `hyperpaint.calibrate`.
+    absolute
+        False where an anchor gives the absolute scale: flux may then be in any unit of power, and capture
+        fraction and etendue are not needed.
+
+    Raises
+    ------
+    SchemaError
+        Variables, dims, units or values are missing or impossible; all problems are listed.
+    """
+    problems = Problems("this lab sweep cannot be calibrated", SchemaError)
+    found = _variables(sweep, absolute, problems)
+    steps = sweep.sizes.get(STEP, 0)
+    columns = sweep.sizes.get(CROSS_TRACK, 0)
+    if sweep.sizes and steps < _FEWEST_STEPS:
+        problems.add(f"{steps} steps, expected at least {_FEWEST_STEPS}")
+    values = {
+        name: np.asarray(array.to_numpy(), np.float64)
+        for name, array in found.items()
+        if name not in ("counts", "counts_variance", "dark_counts")
+    }
+    _check_order(values, problems)
+    for name, high in (
+        ("flux", np.inf), ("exposure_time", np.inf), ("etendue", np.inf), ("capture_fraction", 1.0),
+        ("monochromator_fwhm", np.inf), ("frame_count", np.inf), ("saturation_count", np.inf),
+        ("electrons_per_count", np.inf),
+    ):  # fmt: skip
+        if name in values:
+            _check_positive(
+                name, found[name].dims, values[name], high, values.get("step_wavelength"), problems
+            )
+    shape = sweep.attrs.get("monochromator_shape", "gaussian")
+    if shape not in MONOCHROMATOR_SHAPES:
+        problems.add(
+            f"attribute monochromator_shape {shape!r}, expected one of {', '.join(MONOCHROMATOR_SHAPES)}"
+        )
+    dark = _dark(found, values, problems)
+    problems.raise_if_any()
+    assert dark is not None
+    return _assembled(found, values, dark, (steps, columns), shape == "triangle")
+
+
+def _variables(sweep: xr.Dataset, absolute: bool, problems: Problems) -> dict[str, xr.DataArray]:
+    wanted = [*_REQUIRED, *(name for name in (*_ABSOLUTE, *_OPTIONAL) if name in sweep.variables)]
+    if absolute:
+        wanted = [*_REQUIRED, *_ABSOLUTE, *(name for name in _OPTIONAL if name in sweep.variables)]
+    elif "flux" not in wanted:
+        wanted.insert(5, "flux")
+    found: dict[str, xr.DataArray] = {}
+    for name in wanted:
+        try:
+            found |= require(sweep, [name], "it", SWEEP_VARIABLES)
+        except SchemaError as error:
+            problems.add(str(error).split("\n  ", 1)[-1])
+    kinds = {name: array for name, array in found.items() if array.dtype.kind not in "iuf"}
+    for name, array in kinds.items():
+        problems.add(f"{name!r} has dtype {array.dtype}, expected {SWEEP_VARIABLES[name].dtype}")
+        del found[name]
+    return found
+
+
+def _check_order(values: dict[str, Float], problems: Problems) -> None:
+    if "step_wavelength" not in values:
+        return
+    wavelength = values["step_wavelength"]
+    if not np.isfinite(wavelength).all() or (wavelength <= 0).any():
+        problems.add("'step_wavelength' is not finite and positive everywhere")
+        return
+    wrong = np.flatnonzero(np.diff(wavelength) <= 0)
+    if wrong.size:
+        places = listed(
+            [f"{wavelength[k + 1]:g} after {wavelength[k]:g} nm (step {k + 1})" for k in wrong], "", 3
+        )
+        problems.add(
+            f"steps are out of order: {places}; where counts belong to these wavelengths, "
+            "sort with sweep.sortby('step_wavelength') and drop repeated ones"
+        )
+
+
+def _check_positive(
+    name: str, dims: tuple[Any, ...], values: Float, high: float, wavelength: Float | None, problems: Problems
+) -> None:
+    wrong = ~(np.isfinite(values) & (values > 0) & (values <= high))
+    if not wrong.any():
+        return
+    expected = "positive and finite" if high == np.inf else f"above 0 and at most {high:g}"
+    where, mend = "", ""
+    if STEP in dims:
+        steps = np.flatnonzero(wrong.any(axis=tuple(range(1, values.ndim))))
+        at = "" if wavelength is None else f" ({listed(wavelength[steps], 'nm')})"
+        where = f" at {steps.size} of {len(values)} steps{at}"
+        mend = "; measure it, or leave these steps out with sweep.isel(step=...)"
+    found = values[wrong].ravel()[0]
+    problems.add(f"{name!r} is {found:g}{where}, expected {expected}{mend}")
+
+
+def _dark(found: dict[str, xr.DataArray], values: dict[str, Float], problems: Problems) -> DarkModel | None:
+    if "dark_counts" not in found:
+        return None
+    dark = found["dark_counts"]
+    by_step = STEP in dark.dims
+    exposure = values.get("exposure_time")
+    at = values.get("dark_exposure_time", exposure)
+    if exposure is None or at is None:
+        return None
+    if by_step:
+        at = np.broadcast_to(at, dark.sizes[STEP])
+    elif at.ndim:
+        # one dark for all steps: taken at their exposure, if they have only one
+        if np.ptp(at) > 1e-6 * at.max():
+            where = (
+                "exposure_time varies" if "dark_exposure_time" not in values else "dark_exposure_time varies"
+            )
+            problems.add(
+                f"{where} from step to step, but there is one dark_counts; give dark_counts per step"
+            )
+            return None
+        at = at[0]
+    array = np.asarray(dark.to_numpy(), np.float64)
+    if not by_step:
+        array, at = array[None], np.atleast_1d(at)
+    model = fit_dark_model(array, np.asarray(at, np.float64))
+    apart = [e for e in np.unique(exposure) if not model.reaches(float(e))]
+    if apart:
+        problems.add(
+            f"dark at another exposure: steps at {listed([e * 1e3 for e in apart], 'ms')}, dark at "
+            f"{listed([e * 1e3 for e in np.unique(at)], 'ms')}; take a dark at the exposure of the steps, or "
+            "darks at two exposures, from which bias and rate follow"
+        )
+        return None
+    return model
+
+
+def _assembled(
+    found: dict[str, xr.DataArray],
+    values: dict[str, Float],
+    dark: DarkModel,
+    sizes: tuple[int, int],
+    triangular: bool,
+) -> LabSweep:
+    steps, columns = sizes
+
+    def per_step(name: str, default: float) -> Float:
+        return np.broadcast_to(values.get(name, np.float64(default)), (steps,)).astype(np.float64)
+
+    def per_line(name: str) -> Float:
+        value = values.get(name, np.ones(()))
+        return np.broadcast_to(value[:, None] if value.ndim == 1 else value, (steps, columns))
+
+    def scalar(name: str) -> float | None:
+        return float(np.nanmedian(values[name])) if name in values else None
+
+    by_column = any(
+        name in found and CROSS_TRACK in found[name].dims for name in ("flux", "capture_fraction")
+    )
+    return LabSweep(
+        counts=found["counts"],
+        variance=found.get("counts_variance"),
+        dark=dark,
+        wavelength=values["step_wavelength"],
+        width=per_step("monochromator_fwhm", 0.0),
+        triangular=triangular,
+        exposure=per_step("exposure_time", np.nan),
+        frames=per_step("frame_count", 1.0),
+        power=np.asarray(per_line("flux") * per_line("capture_fraction")),
+        etendue=np.broadcast_to(values.get("etendue", np.float64(1.0)), (columns,)).astype(np.float64),
+        saturation=values.get("saturation_count"),
+        electrons_per_count=scalar("electrons_per_count"),
+        read_noise=scalar("read_noise"),
+        absolute=all(name in found for name in _ABSOLUTE),
+        by_column=by_column,
+    )

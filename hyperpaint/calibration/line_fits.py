@@ -1,0 +1,407 @@
+"""The line of one sweep step: where it lies, which columns it lights, its fit over bands, its area.
+
+Two axes, two fits, never mixed: over bands the light of one wavelength shows the response of the camera, over
+columns the profile of the beam, which says nothing about the camera.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from hyperpaint.kernels.lines import (
+    AREA,
+    CENTRE,
+    GAUSSIAN,
+    OFFSET,
+    SLIT,
+    WIDTH,
+    fit_lines,
+    full_widths,
+    profiles,
+)
+
+from .lab_sweep import SATURATION_MARGIN
+
+__all__ = ["SHAPES", "Fits", "Light", "NoiseModel", "Window", "find_line", "fit_beam", "fit_window"]
+
+Float = npt.NDArray[np.float64]
+Bool = npt.NDArray[np.bool_]
+
+SHAPES = {"gaussian": GAUSSIAN, "slit": SLIT}
+"""Line shapes a sweep can tell apart, and what the kernel calls them."""
+
+LIT = 0.2
+"""Share of the brightest column from which a column counts as lit."""
+
+REACH = 2.2
+"""Half the window of a line in full widths at half maximum; beyond lie 2e-7 of a Gaussian's area."""
+
+_DEVIANT = 0.15  # of a line's height: an element this far from the fit is not noise
+_GAUSS = np.sqrt(np.pi / (4.0 * np.log(2.0)))  # area of a Gaussian of unit height and full width
+
+
+@dataclass(frozen=True)
+class NoiseModel:
+    """Variance of one frame: constant + slope x signal [count2]."""
+
+    constant: float
+    slope: float
+
+    def variance(self, signal: Float, frames: float) -> Float:
+        """Return the variance of the mean of some frames."""
+        return np.asarray((self.constant + self.slope * np.maximum(signal, 0.0)) / frames)
+
+
+@dataclass(frozen=True)
+class Light:
+    """What lights the camera at one step, for fits in units of bands: widths in bands, shape of the line."""
+
+    width: Float
+    triangular: bool
+
+
+@dataclass(frozen=True, eq=False)
+class Window:
+    """The bands about the line of one step, column by column.
+
+    Attributes
+    ----------
+    columns : (line,)
+        Lit columns.
+    first : (line,)
+        Band of the first sample; negative where the window begins before the array.
+    values : (line, sample)
+        Counts less dark and background; NaN outside the array and at bad elements.
+    background, background_variance : (line,)
+        What was taken off [count], and the variance of it in units of that of one band.
+    saturated : (line,)
+        Whether a sample is at the converter's end.
+    beam : (cross_track,)
+        Light of every column relative to the brightest; NaN where no element is good.
+    out_of_band : (band,)
+        Counts of the bands outside the window relative to the area, mean of the lit columns; 0 inside.
+    band
+        Where the line peaks.
+    """
+
+    columns: npt.NDArray[np.int64]
+    first: npt.NDArray[np.int64]
+    values: Float
+    background: Float
+    background_variance: Float
+    saturated: Bool
+    beam: Float
+    out_of_band: Float
+    band: int
+
+    @property
+    def places(self) -> Float:
+        """Band of every sample (line, sample)."""
+        return np.asarray(self.first[:, None] + np.arange(self.values.shape[1]), np.float64)
+
+    def leave_out(self, bad: Bool) -> None:
+        """Blank the samples of bad elements (band, cross_track)."""
+        places = self.first[:, None] + np.arange(self.values.shape[1])
+        self.values[bad[np.clip(places, 0, len(bad) - 1), self.columns[:, None]]] = np.nan
+
+
+@dataclass(frozen=True, eq=False)
+class Fits:
+    """Fits of one step's lines; widths and centres in bands.
+
+    Attributes
+    ----------
+    parameters : (line, 4)
+        Centre [band], own full width at half maximum of the camera [band], area [count], offset [count].
+    covariance : (line, 4, 4)
+        Of the parameters.
+    width : (line,)
+        Full width at half maximum of the line as it is seen [band].
+    amplitude : (line,)
+        Height [count].
+    area, area_variance : (line,)
+        Sum over bands [count]: as measured, with what was not seen taken from the fit.
+    unseen : (line,)
+        Share of the area that was taken from the fit.
+    chi2, degrees : (line,)
+        Weighted sum of squared residuals and degrees of freedom.
+    converged : (line,)
+        Whether the search has ended at finite numbers.
+    """
+
+    parameters: Float
+    covariance: Float
+    width: Float
+    amplitude: Float
+    area: Float
+    area_variance: Float
+    unseen: Float
+    chi2: Float
+    degrees: Float
+    converged: Bool
+
+
+def find_line(net: Float, raw: Float, bad: Bool, saturation: Float | None) -> Window | None:
+    """Return the window about the line of one step, or None where there is none.
+
+    Parameters
+    ----------
+    net, raw : (band, cross_track)
+        Counts less dark, and as they were read.
+    bad : (band, cross_track)
+        Elements to leave out.
+    saturation
+        Count at which the converter is full, or None.
+    """
+    bands, columns = net.shape
+    clean = np.where(bad | ~np.isfinite(net), np.nan, net)
+    spectrum = _mean(clean, axis=1)
+    lit = np.isfinite(spectrum)
+    spectrum = np.where(lit, spectrum - np.median(spectrum[lit]), 0.0)
+    smooth = np.convolve(spectrum, np.ones(3) / 3.0, mode="same")
+    peak = int(np.argmax(smooth))
+    far = np.abs(np.arange(bands) - peak) > 0.1 * bands
+    scatter = 1.4826 * float(np.median(np.abs(spectrum[far]))) if far.any() else 0.0
+    if not smooth[peak] > max(8.0 * scatter, 1e-9):
+        return None
+    width = _rough_width(spectrum, peak)
+    half = int(np.ceil(REACH * width + 2.0))
+    # where the line lies in each column, smile and all
+    margin = int(np.ceil(width)) + 3
+    near = np.arange(max(peak - margin, 0), min(peak + margin + 1, bands))
+    strip = np.where(np.isfinite(clean[near]), clean[near], 0.0)
+    strip = strip[:-2] + strip[1:-1] + strip[2:] if len(near) > 4 else strip
+    at = near[np.argmax(strip, axis=0) + (1 if len(near) > 4 else 0)]
+    first = (at - half).astype(np.int64)
+    places = first[:, None] + np.arange(2 * half + 1)
+    inside = (places >= 0) & (places < bands)
+    clipped = np.clip(places, 0, bands - 1)
+    across = np.arange(columns)[:, None]
+    values = np.where(inside, clean[clipped, across], np.nan)
+    outside = clean.copy()
+    outside[clipped, across] = np.nan
+    background, variance = _background(outside)
+    values = values - background[:, None]
+    full = np.zeros(columns, np.bool_)
+    if saturation is not None:
+        limit = np.broadcast_to(saturation, net.shape) - SATURATION_MARGIN
+        full = ((raw >= limit)[clipped, across] & inside & np.isfinite(values)).any(axis=1)
+    light = np.where(np.isfinite(values).sum(axis=1) >= min(6, bands), np.nansum(values, axis=1), np.nan)
+    brightest = _brightest(light)
+    lit = np.flatnonzero(light > LIT * brightest)
+    if not brightest > 0 or not lit.size:
+        return None
+    rest = _mean(np.where(np.isfinite(outside), outside, np.nan)[:, lit] / light[lit], axis=1)
+    return Window(
+        columns=lit,
+        first=first[lit],
+        values=values[lit],
+        background=background[lit],
+        background_variance=variance[lit],
+        saturated=full[lit],
+        beam=light / brightest,
+        out_of_band=np.where(np.isfinite(rest), rest, 0.0),
+        band=peak,
+    )
+
+
+def _mean(values: Float, axis: int) -> Float:
+    """Return the mean of what is finite; NaN where nothing is."""
+    known = np.isfinite(values)
+    count = known.sum(axis=axis)
+    total = np.where(known, values, 0.0).sum(axis=axis)
+    return np.asarray(np.where(count > 0, total / np.maximum(count, 1), np.nan))
+
+
+def _rough_width(spectrum: Float, peak: int) -> float:
+    """Return the full width of a peak from area over height, at least one band [band]."""
+    half = 3
+    for _ in range(6):
+        part = spectrum[max(peak - half, 0) : peak + half + 1]
+        # of a line at the edge of the array only one side is there
+        share = 1.0 + min(peak, len(spectrum) - 1 - peak, half) / half
+        width = max(2.0 * part.sum() / share / (part.max() * _GAUSS), 1.0)
+        wanted = int(np.ceil(2.0 * width + 1.0))
+        if wanted <= half:
+            break
+        half = min(wanted, len(spectrum))
+    return float(min(width, len(spectrum) / 4.0))
+
+
+def _background(outside: Float) -> tuple[Float, Float]:
+    """Return the mean of each column beyond its window, clipped, and its variance in that of a band.
+
+    A dark that has drifted lifts all bands alike; left in, it would add to the area band by band.
+    """
+    known = np.isfinite(outside)
+    if known.sum(axis=0).min(initial=0) < 12:
+        return np.zeros(outside.shape[1]), np.zeros(outside.shape[1])
+    middle = np.nanmedian(outside, axis=0)
+    spread = 1.4826 * np.nanmedian(np.abs(outside - middle), axis=0)
+    kept = known & (np.abs(outside - middle) <= 4.0 * spread)
+    count = np.maximum(kept.sum(axis=0), 1)
+    return np.where(kept, outside, 0.0).sum(axis=0) / count, 1.0 / count
+
+
+def _brightest(light: Float) -> float:
+    """Return the light of the brightest columns, whatever a single one says."""
+    known = np.where(np.isfinite(light), light, 0.0)
+    if known.size < 5:
+        return float(known.max(initial=0.0))
+    stacked = np.lib.stride_tricks.sliding_window_view(known, 5)
+    return float(np.median(stacked, axis=1).max())
+
+
+def fit_beam(beam: Float) -> tuple[float, float]:
+    """Return centre and full width at half maximum of the beam over columns; NaN where it shows no peak."""
+    known = np.isfinite(beam)
+    columns = np.arange(beam.size, dtype=np.float64)
+    weights = np.where(known, 1.0, 0.0)[None]
+    values = np.where(known, beam, 0.0)
+    total = np.maximum(values, 0.0).sum()
+    if known.sum() < 8 or not total > 0:
+        return np.nan, np.nan
+    centre = float((np.maximum(values, 0.0) * columns).sum() / total)
+    parameters = np.array([[centre, total / _GAUSS, total, 0.0]])
+    covariance, chi2, converged = np.empty((1, 4, 4)), np.empty(1), np.zeros(1, np.bool_)
+    fit_lines(
+        values[None], weights, np.zeros(1, np.int64), np.zeros(1), GAUSSIAN, False, parameters, covariance,
+        chi2, converged,
+    )  # fmt: skip
+    middle, width, area, offset = parameters[0]
+    peaked = bool(converged[0]) and width < 3.0 * beam.size and -width < middle < beam.size + width
+    if not peaked or not abs(offset) < 0.5 * area / (width * _GAUSS):
+        return np.nan, np.nan
+    return float(middle), float(width)
+
+
+def fit_window(
+    window: Window, noise: NoiseModel, frames: float, shape: int, light: Light, start: Fits | None = None
+) -> Fits:
+    """Return the fits of all lines of a window.
+
+    Parameters
+    ----------
+    window
+        See `find_line`.
+    noise, frames
+        Weights of the fit.
+    shape
+        Value of `SHAPES`.
+    light
+        What the camera looked at; of no width in the first fit, which is of the line as it is seen.
+    start
+        Fits to begin from.
+    """
+    known = np.isfinite(window.values)
+    values = np.where(known, window.values, 0.0)
+    parameters = _start(window, light) if start is None else _restart(start, light)
+    model = values if start is None else _model(window, start, shape, light, parameters)
+    height = np.max(np.where(known, values, -np.inf), axis=1, keepdims=True)
+    # weights that follow each count's own noise favour low counts: they follow a model where there is one
+    floor = (1e-4 * height) ** 2 if start is not None else (3e-2 * height) ** 2
+    variance = noise.variance(model, frames) + floor
+    covariance, chi2, converged, used = _fit_twice(window, values, variance, parameters, shape, light)
+    unit = _profiles(window, parameters, shape, light)
+    area, unseen = _area(window, parameters, unit, used)
+    area_variance = np.where(used, noise.variance(np.where(used, values, 0.0), frames), 0.0).sum(axis=1)
+    area_variance += used.sum(axis=1) ** 2 * window.background_variance * noise.variance(np.zeros(1), frames)
+    area_variance += unseen**2 * covariance[:, AREA, AREA]
+    width = np.empty(len(values))
+    full_widths(parameters[:, WIDTH].copy(), light.width, shape, light.triangular, width)
+    return Fits(
+        parameters=parameters,
+        covariance=covariance,
+        width=width,
+        amplitude=parameters[:, AREA] * _peaks(parameters, shape, light),
+        area=area,
+        area_variance=area_variance,
+        unseen=unseen,
+        chi2=chi2,
+        degrees=np.maximum(used.sum(axis=1) - 4.0, 1.0),
+        converged=converged & np.isfinite(area) & (parameters[:, AREA] > 0),
+    )
+
+
+def _fit_twice(
+    window: Window, values: Float, variance: Float, parameters: Float, shape: int, light: Light
+) -> tuple[Float, Float, Bool, Bool]:
+    """Fit in place, and again without the worst sample where that is no noise.
+
+    Returns covariance, chi2, whether the search has ended, and the samples that were used.
+    """
+    lines = len(values)
+    covariance, chi2, converged = np.empty((lines, 4, 4)), np.empty(lines), np.zeros(lines, np.bool_)
+    used = np.isfinite(window.values)
+    begin = parameters.copy()
+    for last in (False, True):
+        parameters[:] = np.where(np.isfinite(parameters), parameters, begin)
+        fit_lines(
+            values, np.where(used, 1.0 / variance, 0.0), window.first, light.width, shape, light.triangular,
+            parameters, covariance, chi2, converged,
+        )  # fmt: skip
+        if last:
+            break
+        fitted = parameters[:, AREA, None] * _profiles(window, parameters, shape, light)
+        apart = np.where(used, np.abs(values - fitted - parameters[:, OFFSET, None]), 0.0)
+        amplitude = np.abs(parameters[:, AREA] * _peaks(parameters, shape, light))
+        worst = apart.max(axis=1, keepdims=True)
+        # one dead element pulls its neighbours' fit, so only the worst goes
+        far = (apart > np.maximum(8.0 * np.sqrt(variance), _DEVIANT * amplitude[:, None])) & (apart >= worst)
+        if not far.any():
+            break
+        used &= ~far
+    return covariance, chi2, converged, used
+
+
+def _start(window: Window, light: Light) -> Float:
+    values = np.where(np.isfinite(window.values), np.maximum(window.values, 0.0), 0.0)
+    peak = np.argmax(values, axis=1)
+    height = values.max(axis=1)
+    near = np.abs(np.arange(values.shape[1]) - peak[:, None]) <= values.shape[1] / 4
+    # of a line cut off by the edge of the array, its better half is doubled
+    side = np.arange(values.shape[1]) - peak[:, None]
+    halves = [np.where(near & (sign * side > 0), values, 0.0).sum(axis=1) for sign in (1, -1)]
+    area = height + 2.0 * np.maximum(*halves)
+    seen = np.maximum(area / (height * _GAUSS), 1.0)
+    own = np.sqrt(np.maximum(seen**2 - light.width**2, (0.3 * seen) ** 2))
+    return np.column_stack([window.first + peak, own, area, np.zeros_like(area)]).astype(np.float64)
+
+
+def _restart(start: Fits, light: Light) -> Float:
+    parameters = start.parameters.copy()
+    parameters[:, WIDTH] = np.sqrt(np.maximum(start.width**2 - light.width**2, (0.3 * start.width) ** 2))
+    return parameters
+
+
+def _model(window: Window, start: Fits, shape: int, light: Light, parameters: Float) -> Float:
+    return np.asarray(start.parameters[:, AREA, None] * _profiles(window, parameters, shape, light))
+
+
+def _profiles(window: Window, parameters: Float, shape: int, light: Light) -> Float:
+    out = np.empty(window.values.shape)
+    distance = window.places - parameters[:, CENTRE, None]
+    profiles(distance, parameters[:, WIDTH].copy(), light.width, shape, light.triangular, out)
+    return out
+
+
+def _peaks(parameters: Float, shape: int, light: Light) -> Float:
+    out = np.empty((len(parameters), 1))
+    profiles(np.zeros_like(out), parameters[:, WIDTH].copy(), light.width, shape, light.triangular, out)
+    return out[:, 0]
+
+
+def _area(window: Window, parameters: Float, unit: Float, used: Bool) -> tuple[Float, Float]:
+    """Return the sum over all bands of each line, and the share of it that only the fit knows.
+
+    What the bands that were read do not hold of a line lies beyond the edge of the array, or on bad elements.
+    Bands far apart, more than half a line's width, sum to a little more or less than the light, depending on
+    where between them it falls; the profile tells how much.
+    """
+    measured = np.where(used, window.values, 0.0).sum(axis=1)
+    total = np.maximum(unit.sum(axis=1), 1e-300)
+    unseen = np.clip(1.0 - np.where(used, unit, 0.0).sum(axis=1) / total, 0.0, 1.0)
+    return measured / total + unseen * parameters[:, AREA], unseen

@@ -1,0 +1,174 @@
+"""Light where it does not belong: scattered into wings over all bands, and the second order of the grating.
+
+The bands of a sweep outside of its lines are the stray-light matrix, one column a step. Between steps it is
+filled by what hardly changes from step to step: the wings as a function of the distance from the line, the
+second order as a share of the line at twice its wavelength.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+
+from hyperpaint.errors import SchemaError
+from hyperpaint.schema import BAND, VARIABLES, label
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+__all__ = ["correct_stray_light", "second_order_share", "stray_light_matrix"]
+
+Float = npt.NDArray[np.float64]
+
+_MOST_AMPLIFIED = 10.0  # sum of a row of the inverse, beyond which the light would be mostly stray
+
+
+def second_order_share(rows: Float, step_wavelength: Float, wavelength: Float, width: Float) -> Float:
+    """Return counts at twice the wavelength over those of the line, a step (step,) [1].
+
+    Parameters
+    ----------
+    rows : (step, band)
+        Counts outside the lines relative to the lines' areas; 0 inside their windows.
+    step_wavelength : (step,)
+        [nm]
+    wavelength : (band,)
+        [nm]
+    width : (step,)
+        Full width at half maximum of the line as it is seen [nm]; the second order is up to twice as wide.
+    """
+    share = np.full(len(rows), np.nan)
+    for step, (centre, fwhm) in enumerate(zip(2.0 * step_wavelength, width, strict=True)):
+        distance = np.abs(wavelength - centre)
+        near, ring = distance <= 2.0 * fwhm, (distance > 3.0 * fwhm) & (distance <= 6.0 * fwhm)
+        inside = wavelength.min() + 2.0 * fwhm <= centre <= wavelength.max() - 2.0 * fwhm
+        if inside and ring.sum() >= 4 and (rows[step][near] != 0).all():
+            share[step] = (rows[step][near] - np.median(rows[step][ring])).sum()
+    return share
+
+
+def stray_light_matrix(
+    rows: Float, centre: Float, step_wavelength: Float, wavelength: Float, width: Float, second: Float
+) -> Float:
+    """Return the share of each band's light that every other band sees (band, source_band) [1].
+
+    Parameters
+    ----------
+    rows : (step, band)
+        Counts outside the lines relative to the lines' areas; 0 inside their windows.
+    centre : (step,)
+        Bands of the lines.
+    step_wavelength, wavelength, width
+        As in `second_order_share`.
+    second : (step,)
+        Of `second_order_share`.
+    """
+    bands = rows.shape[1]
+    distance = np.arange(bands) - centre[:, None]
+    beyond = np.abs(wavelength - 2.0 * step_wavelength[:, None]) > 3.0 * width[:, None]
+    usable = (rows != 0) & beyond
+    wing = _line_spread(distance[usable], rows[usable], bands)
+    place = np.arange(bands)
+    matrix = wing(place[:, None] - place)
+    known = np.isfinite(second)
+    if known.any():
+        matrix += _second_order(step_wavelength[known], second[known], wavelength, float(np.median(width)))
+    return np.asarray(matrix)
+
+
+def _line_spread(distance: Float, share: Float, bands: int) -> Any:
+    """Return the wings as a function of the distance in bands: medians of bins that widen with distance."""
+    edges = np.unique(np.round(np.geomspace(1.0, bands, 25)))
+    edges = np.concatenate([-edges[::-1], edges])
+    bins = np.digitize(distance, edges)
+    centres, levels = [], []
+    for index in range(1, len(edges)):
+        inside = bins == index
+        if inside.sum() >= 8:
+            centres.append(float(distance[inside].mean()))
+            levels.append(float(np.median(share[inside])))
+    if not centres:
+        return np.zeros_like
+    nearest = float(np.abs(distance).min())
+
+    def wing(at: npt.NDArray[Any]) -> Float:
+        # within the window of a line its own light hides what scatters: there is none by definition
+        return np.where(np.abs(at) >= nearest, np.maximum(np.interp(at, centres, levels), 0.0), 0.0)
+
+    return wing
+
+
+def _second_order(step_wavelength: Float, share: Float, wavelength: Float, width: float) -> Float:
+    inside = (2.0 * wavelength >= wavelength.min()) & (2.0 * wavelength <= wavelength.max())
+    level = np.interp(wavelength, step_wavelength, np.maximum(share, 0.0), left=share[0], right=share[-1])
+    level = np.where(inside, np.maximum(level, 0.0), 0.0)
+    shape = np.exp(-4.0 * np.log(2.0) * ((wavelength[:, None] - 2.0 * wavelength) / (1.5 * width)) ** 2)
+    return np.asarray(level * shape / np.maximum(shape.sum(axis=0), 1.0))
+
+
+def correct_stray_light(cube: xr.DataArray, stray_light: xr.DataArray) -> xr.DataArray:
+    """Return a cube without the light that its bands saw of other bands.
+
+    Parameters
+    ----------
+    cube
+        Dark-subtracted counts, or what is proportional to them per band and column, with a dim ``band``.
+    stray_light : (band, source_band)
+        As `hyperpaint.calibrate` gives it: measured = (1 + D) true.
+
+    Returns
+    -------
+    xarray.DataArray
+        ``(1 + D)^-1`` applied along ``band``, lazily where the cube is lazy; the cube itself where D is zero.
+
+    Raises
+    ------
+    SchemaError
+        Shapes do not fit, or the matrix cannot be inverted.
+
+    Examples
+    --------
+    >>> import numpy as np, xarray as xr
+    >>> D = xr.DataArray([[0, 0.1], [0.0, 0]], dims=("band", "source_band"))
+    >>> seen = xr.DataArray([[2.1, 1.0]], dims=("along_track", "band"))
+    >>> correct_stray_light(seen, D).round(6).values
+    array([[2., 1.]])
+    """
+    import xarray as xr
+
+    name = str(stray_light.name or "stray_light")
+    matrix = np.asarray(stray_light.transpose(BAND, "source_band").to_numpy(), np.float64)
+    if BAND not in cube.dims or matrix.shape != (cube.sizes[BAND],) * 2 or not np.isfinite(matrix).all():
+        msg = (
+            f"{name} has shape {matrix.shape}, the cube {dict(cube.sizes)}; expected a finite square matrix "
+            f"over the {BAND}s of the cube"
+        )
+        raise SchemaError(msg)
+    if not matrix.any():
+        return cube
+    try:
+        inverse = np.linalg.inv(np.eye(len(matrix)) + matrix)
+    except np.linalg.LinAlgError:
+        inverse = np.full_like(matrix, np.inf)
+    if not np.abs(inverse).sum(axis=1).max() < _MOST_AMPLIFIED:
+        msg = f"{name} cannot be inverted: it says that most light is stray; expected shares far below 1"
+        raise SchemaError(msg)
+    if cube.chunks is not None:
+        cube = cube.chunk({BAND: -1})
+    dtype = np.result_type(cube.dtype, np.float32)
+    operator = xr.DataArray(inverse.astype(dtype), dims=("corrected", BAND))
+    made: xr.DataArray = xr.dot(cube.astype(dtype), operator, dim=BAND).rename({"corrected": BAND})
+    made = made.transpose(*cube.dims)
+    made = made.assign_coords({key: value for key, value in cube.coords.items() if key not in made.coords})
+    made.attrs = {**cube.attrs, "stray_light": "corrected with the matrix of the lab sweep"}
+    made.name = cube.name
+    return made
+
+
+def labelled_matrix(matrix: Float) -> xr.DataArray:
+    """Return a matrix as ``stray_light``."""
+    import xarray as xr
+
+    return label(xr.DataArray(matrix, dims=VARIABLES["stray_light"].dims), "stray_light")

@@ -1,0 +1,168 @@
+r"""From the areas of monochromatic lines to the gain of every element.
+
+With :math:`R_b(\lambda) = R_0(\lambda)\,s(\lambda - \lambda_b)`, :math:`s` of unit area, a line of unit-area
+profile :math:`m` counts in all bands together, per energy that enters,
+
+.. math:: \sum_b \int m\,R_b\,d\lambda = (m * R_0)(\lambda_k) / \delta
+
+whatever the width and shape of :math:`m` and :math:`s`: the line-area identity (:math:`\delta` the spacing of
+bands). A band wants :math:`\int R_b\,d\lambda = (s * R_0)(\lambda_b)`. To second order the two differ by
+:math:`\tfrac12 (\sigma_s^2 - \sigma_m^2) R_0''`, which is taken from the sweep itself.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+__all__ = ["element_gain", "interpolate_nodes", "monotone_slopes", "second_order_factor", "shape_variance"]
+
+Float = npt.NDArray[np.float64]
+Bool = npt.NDArray[np.bool_]
+
+_WIDEST_GAP = 3.0  # median steps; over more than that nothing is interpolated
+
+
+def shape_variance(fwhm: Float, shape: str, spacing: Float | float = 0.0) -> Float:
+    """Return the variance of a line shape [nm2]: "gaussian", "triangle" (of equal slits) or "slit"."""
+    if shape == "gaussian":
+        return np.asarray(fwhm**2 / (8.0 * np.log(2.0)))
+    if shape == "triangle":
+        return np.asarray(fwhm**2 / 6.0)
+    return np.asarray((fwhm**2 + np.square(spacing)) / 12.0)
+
+
+def second_order_factor(wavelength: Float, line: Float, own: Float, source: Float) -> Float:
+    """Return what turns the responsivity that a line saw into that of a band at the same wavelength.
+
+    Parameters
+    ----------
+    wavelength : (step,)
+        [nm]
+    line : (step,)
+        Responsivity from the lines' areas, any scale; the median of the columns, NaN where it is not known.
+    own, source : (step,)
+        Variances of the camera's line shape and of the monochromator's [nm2].
+    """
+    factor = np.ones_like(line)
+    known = np.flatnonzero(np.isfinite(line) & (line > 0))
+    if known.size < 5:
+        return factor
+    x, y = wavelength[known], line[known]
+    left, right = np.diff(x)[:-1], np.diff(x)[1:]
+    bend = 2.0 * ((y[2:] - y[1:-1]) / right - (y[1:-1] - y[:-2]) / left) / (left + right)
+    relative = np.empty_like(y)
+    relative[1:-1] = bend / y[1:-1]
+    relative[0], relative[-1] = relative[1], relative[-2]
+    # smoothed, since noise of a second difference is six times that of the values
+    smooth = np.convolve(np.pad(relative, 1, mode="edge"), [0.25, 0.5, 0.25], mode="valid")
+    factor[known] = 1.0 + 0.5 * (own - source)[known] * smooth
+    return np.clip(factor, 0.9, 1.1)
+
+
+def monotone_slopes(x: Float, y: Float) -> Float:
+    """Return slopes at the nodes that interpolate smooth values well, and never ring.
+
+    Those of a cubic spline, of fourth order; where the values turn from one curvature to the other, limited
+    as Fritsch and Carlson's (Hyman 1983), which keeps every piece monotone that its ends leave so.
+
+    Parameters
+    ----------
+    x : (node,)
+    y : (node, column)
+    """
+    from scipy.interpolate import CubicSpline
+
+    if len(x) < 3:
+        return np.repeat(np.diff(y, axis=0) / np.diff(x)[:, None], len(x), axis=0)
+    slope = np.asarray(CubicSpline(x, y, axis=0).derivative()(x))
+    secant = np.diff(y, axis=0) / np.diff(x)[:, None]
+    before, after = np.vstack([secant[:1], secant]), np.vstack([secant, secant[-1:]])
+    least = 3.0 * np.minimum(np.abs(before), np.abs(after))
+    limited = np.clip(slope, -least, least)
+    limited = np.where((before * after > 0) & (limited * before < 0), 0.0, limited)
+    bend = np.sign(np.diff(secant, axis=0))
+    # concave or convex at a node and both its neighbours: a smooth top, not the foot of a step
+    padded = np.vstack([bend[:1], bend[:1], bend, bend[-1:], bend[-1:]])
+    smooth = (padded[:-2] == padded[1:-1]) & (padded[1:-1] == padded[2:]) & (padded[1:-1] != 0)
+    return np.asarray(np.where(smooth, slope, limited))
+
+
+def interpolate_nodes(
+    x: Float, y: Float, known: Bool, at: Float, tolerance: float = 0.0
+) -> tuple[Float, Bool]:
+    """Return each column's values between its known nodes, and where there is anything between which to be.
+
+    Parameters
+    ----------
+    x : (node,)
+        Increasing.
+    y : (node, column)
+    known : (node, column)
+        Nodes that are used; columns with fewer than four get nothing.
+    at : (place, column)
+    tolerance
+        How far beyond the outer nodes a place may lie and still count as on them.
+
+    Returns
+    -------
+    Values (place, column), NaN beyond the outer nodes and in gaps of over three steps; and whether finite.
+    """
+    made = np.full(at.shape, np.nan)
+    patterns, member = np.unique(known, axis=1, return_inverse=True)
+    widest = _WIDEST_GAP * float(np.median(np.diff(x)))
+    for index in range(patterns.shape[1]):
+        nodes = np.flatnonzero(patterns[:, index])
+        columns = np.flatnonzero(member.ravel() == index)
+        if nodes.size < 4:
+            continue
+        made[:, columns] = _hermite(x[nodes], y[np.ix_(nodes, columns)], at[:, columns], widest, tolerance)
+    return made, np.isfinite(made)
+
+
+def _hermite(x: Float, y: Float, at: Float, widest: float, tolerance: float) -> Float:
+    slope = monotone_slopes(x, y)
+    at = np.where((at < x[0]) & (at >= x[0] - tolerance), x[0], at)
+    at = np.where((at > x[-1]) & (at <= x[-1] + tolerance), x[-1], at)
+    left = np.clip(np.searchsorted(x, at, side="right") - 1, 0, len(x) - 2)
+    width = np.diff(x)[left]
+    u = (at - x[left]) / width
+    column = np.arange(at.shape[1])
+    y0, y1 = y[left, column], y[left + 1, column]
+    m0, m1 = slope[left, column] * width, slope[left + 1, column] * width
+    made = y0 * (1 + 2 * u) * (1 - u) ** 2 + m0 * u * (1 - u) ** 2
+    made += y1 * u**2 * (3 - 2 * u) + m1 * u**2 * (u - 1)
+    return np.where((u >= 0) & (u <= 1) & (width <= widest), made, np.nan)
+
+
+def element_gain(
+    step_wavelength: Float,
+    node: Float,
+    known: Bool,
+    wavelength: Float,
+    etendue: Float,
+    tolerance: float = 0.0,
+) -> tuple[Float, Bool]:
+    """Return the gain of every element [W m-2 sr-1 nm-1 s count-1] from responsivities at the steps.
+
+    Parameters
+    ----------
+    step_wavelength : (step,)
+        [nm]
+    node : (step, cross_track)
+        Responsivity of a band times spacing, the integral of its response [count nm J-1].
+    known : (step, cross_track)
+    wavelength : (band, cross_track)
+        Of the elements [nm].
+    etendue : (cross_track,)
+        [m2 sr]
+    tolerance
+        Uncertainty of the wavelengths [nm], within which an element counts as on the outer step.
+
+    Returns
+    -------
+    The gain, NaN where it would be extrapolated; and whether it is known.
+    """
+    log = np.log(np.where(known & (node > 0), node, 1.0))
+    made, finite = interpolate_nodes(step_wavelength, log, known & (node > 0), wavelength, tolerance)
+    return np.asarray(np.exp(-made) / etendue), finite

@@ -1,0 +1,260 @@
+"""All steps of a sweep: read once, one after the other, and fitted line by line."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, fields
+
+import numpy as np
+import numpy.typing as npt
+
+from hyperpaint.errors import SchemaError
+from hyperpaint.kernels.lines import CENTRE, GAUSSIAN, WIDTH, profiles
+
+from .lab_sweep import SATURATION_MARGIN, LabSweep, listed
+from .line_fits import Fits, Light, NoiseModel, Window, find_line, fit_window
+from .wavelength_map import WavelengthMap
+
+__all__ = ["Lines", "Read", "deviant_elements", "fit_as_seen", "fit_through", "read_lines"]
+
+Float = npt.NDArray[np.float64]
+Bool = npt.NDArray[np.bool_]
+Tick = Callable[[], None]
+
+_BRIGHT = 0.12  # of a line's height, from which a dead element would show
+_DEVIANT = 0.5  # of the light of its line, by which such an element is off
+_INSIDE = 0.5  # full widths between a line's centre and the edge of the array, at least
+_QUANTISATION = 1.0 / 12.0  # variance of rounding [count2]
+_SIGNAL_EDGES = np.concatenate([[-np.inf], np.geomspace(2.0, 65536.0, 40), [np.inf]])
+
+
+@dataclass(frozen=True, eq=False)
+class Read:
+    """What is kept of a sweep once it has been read.
+
+    Attributes
+    ----------
+    windows
+        One a step; None where there is no line.
+    rows : (step, band)
+        Counts outside the lines relative to the lines' areas.
+    noise
+        Of one frame.
+    noise_source
+        Says where the noise model comes from.
+    """
+
+    windows: list[Window | None]
+    rows: Float
+    noise: NoiseModel
+    noise_source: str
+
+
+@dataclass(eq=False)
+class Lines:
+    """What is known of the lines of all steps, (step, cross_track) unless said; NaN where there is none."""
+
+    centre: Float
+    own_width: Float
+    width: Float
+    amplitude: Float
+    area: Float
+    area_u: Float
+    centre_u: Float
+    own_width_u: Float
+    covariance: Float
+    chi2: Float
+    degrees: Float
+    trusted: Bool
+    completed: Bool
+
+    @classmethod
+    def empty(cls, steps: int, columns: int) -> Lines:
+        """Return lines of which nothing is known yet."""
+        shape = (steps, columns)
+        made = {field.name: np.full(shape, np.nan) for field in fields(cls)}
+        return cls(
+            **made
+            | {
+                "covariance": np.full((*shape, 4, 4), np.nan),
+                "trusted": np.zeros(shape, np.bool_),
+                "completed": np.zeros(shape, np.bool_),
+            }
+        )
+
+    def store(self, step: int, window: Window, fits: Fits, bands: int) -> None:
+        """Keep the fits of one step."""
+        at = (step, window.columns)
+        self.centre[at] = fits.parameters[:, CENTRE]
+        self.own_width[at] = fits.parameters[:, WIDTH]
+        self.width[at] = fits.width
+        self.amplitude[at] = fits.amplitude
+        self.area[at] = fits.area
+        with np.errstate(invalid="ignore"):
+            self.area_u[at] = np.sqrt(fits.area_variance) / fits.area
+            self.centre_u[at] = np.sqrt(fits.covariance[:, CENTRE, CENTRE])
+            self.own_width_u[at] = np.sqrt(fits.covariance[:, WIDTH, WIDTH])
+        self.covariance[at] = fits.covariance
+        self.chi2[at], self.degrees[at] = fits.chi2, fits.degrees
+        centre, half = fits.parameters[:, CENTRE], _INSIDE * fits.width
+        with np.errstate(invalid="ignore"):
+            inside = (centre >= half) & (centre <= bands - 1 - half)
+        self.trusted[at] = fits.converged & inside & ~window.saturated & np.isfinite(self.area_u[at])
+
+
+def read_lines(
+    lab: LabSweep, bad: Bool, linearised: Callable[[Float], Float], flat: Float | None, tick: Tick
+) -> Read:
+    """Read every step once and keep the windows about its lines.
+
+    Raises
+    ------
+    SchemaError
+        The lines do not move along the array as the wavelengths do.
+    """
+    steps, bands, _ = lab.shape
+    windows: list[Window | None] = []
+    rows = np.zeros((steps, bands))
+    tally = np.zeros((3, len(_SIGNAL_EDGES) - 1))
+    scatter = []
+    for step in range(steps):
+        raw = lab.frame(step)
+        net = linearised(raw - lab.dark.at(float(lab.exposure[step])))
+        variance = lab.frame_variance(step)
+        if variance is not None:
+            full = lab.saturation is not None and raw >= lab.saturation - SATURATION_MARGIN
+            _count_in(tally, net, variance, bad | full)
+        if flat is not None:
+            net = net * flat
+        window = find_line(net, raw, bad, lab.saturation)
+        if window is not None:
+            rows[step] = window.out_of_band
+            distance = np.abs(np.arange(bands) - window.band)
+            far = net[distance > 0.25 * bands]
+            scatter.append(1.4826**2 * np.nanmedian((far - np.nanmedian(far)) ** 2) * lab.frames[step])
+        windows.append(window)
+        tick()
+    _check_monotone(lab, windows)
+    noise, source = _noise_model(lab, tally, scatter)
+    return Read(windows, rows, noise, source)
+
+
+def _count_in(tally: Float, net: Float, variance: Float, bad: Bool) -> None:
+    known = np.isfinite(net) & np.isfinite(variance) & ~bad
+    signal, found = net[known], variance[known]
+    bins = np.searchsorted(_SIGNAL_EDGES, signal, side="right") - 1
+    for row, weight in enumerate((None, signal, found)):
+        tally[row] += np.bincount(bins, weight, tally.shape[1])
+
+
+def _noise_model(lab: LabSweep, tally: Float, scatter: list[float]) -> tuple[NoiseModel, str]:
+    """Return the photon-transfer line of the sweep, else what is stated, else the scatter off the lines."""
+    used = tally[0] > 50
+    if used.sum() >= 3 and tally[2][used].any():
+        count, signal, variance = (
+            tally[0][used],
+            tally[1][used] / tally[0][used],
+            tally[2][used] / tally[0][used],
+        )
+        weight = np.sqrt(count) / np.maximum(variance, 1e-6)
+        terms = np.column_stack([np.ones_like(signal), signal]) * weight[:, None]
+        constant, slope = np.linalg.lstsq(terms, variance * weight, rcond=None)[0]
+        if slope > 0:
+            return NoiseModel(max(float(constant), 0.0), float(slope)), "variance of the frames"
+    if lab.electrons_per_count is not None:
+        read_noise = lab.read_noise or 0.0
+        return NoiseModel(read_noise**2 + _QUANTISATION, 1.0 / lab.electrons_per_count), "as stated"
+    return NoiseModel(
+        float(np.median(scatter)) if scatter else 0.0, 0.0
+    ), "scatter of the bands off the lines"
+
+
+def _check_monotone(lab: LabSweep, windows: list[Window | None]) -> None:
+    found = [(step, window.band) for step, window in enumerate(windows) if window is not None]
+    if len(found) < 3:
+        return
+    place = np.array([band for _, band in found])
+    moves = np.diff(place)
+    back = np.flatnonzero(moves * np.sign(np.median(moves)) < -2)
+    if back.size:
+        where = listed(
+            [f"{lab.wavelength[found[k + 1][0]]:g} nm at band {place[k + 1]}, after {place[k]}" for k in back]
+        )
+        msg = (
+            "this lab sweep cannot be calibrated:\n  lines do not move along the array as the wavelengths "
+            f"do: {where}; are the steps in order, and do counts and step_wavelength belong together?"
+        )
+        raise SchemaError(msg)
+
+
+def fit_as_seen(lab: LabSweep, read: Read, tick: Tick) -> tuple[Lines, list[Fits | None]]:
+    """Return Gaussian fits of the lines as they are, whatever the light: good for where they lie."""
+    lines = Lines.empty(lab.shape[0], lab.shape[2])
+    kept: list[Fits | None] = []
+    for step, window in enumerate(read.windows):
+        fits = None
+        if window is not None:
+            light = Light(np.zeros(len(window.columns)), False)
+            fits = fit_window(window, read.noise, float(lab.frames[step]), GAUSSIAN, light)
+            lines.store(step, window, fits, lab.shape[1])
+        kept.append(fits)
+        tick()
+    return lines, kept
+
+
+def fit_through(
+    lab: LabSweep, read: Read, surface: WavelengthMap, shape: int, seen: list[Fits | None], tick: Tick
+) -> Lines:
+    """Return fits of the camera's own response, the monochromator's line convolved with it."""
+    lines = Lines.empty(lab.shape[0], lab.shape[2])
+    for step, (window, start) in enumerate(zip(read.windows, seen, strict=True)):
+        if window is not None and start is not None:
+            spacing = surface.spacing(start.parameters[:, CENTRE], window.columns)
+            light = Light(np.asarray(lab.width[step] / spacing), lab.triangular)
+            fits = fit_window(window, read.noise, float(lab.frames[step]), shape, light, start)
+            lines.store(step, window, fits, lab.shape[1])
+        tick()
+    return lines
+
+
+def deviant_elements(lab: LabSweep, read: Read, lines: Lines, surface: WavelengthMap, shape: int) -> Bool:
+    """Return the elements (band, cross_track) whose light is not that of the line they stand in.
+
+    Place and width of a line are those that all others tell, which one dead element cannot disturb; its
+    height is the median over its bands.
+    """
+    _, bands, columns = lab.shape
+    suspect, seen = np.zeros((bands, columns), np.int64), np.zeros((bands, columns), np.int64)
+    for step, window in enumerate(read.windows):
+        own = lines.own_width[step] * surface.spacing(np.nan_to_num(lines.centre[step]), np.arange(columns))
+        if window is None or not lines.trusted[step].any():
+            continue
+        width = float(np.median(own[lines.trusted[step]]))
+        centre = surface.band_of(float(lab.wavelength[step]), window.columns)
+        spacing = surface.spacing(centre, window.columns)
+        unit = np.empty(window.values.shape)
+        profiles(
+            window.places - centre[:, None],
+            width / spacing,
+            lab.width[step] / spacing,
+            shape,
+            lab.triangular,
+            unit,
+        )
+        bright = np.isfinite(window.values) & (unit > _BRIGHT * unit.max(axis=1, keepdims=True))
+        bright &= (~window.saturated & (bright.sum(axis=1) >= 3))[:, None]
+        rows = bright.any(axis=1)
+        if not rows.any():
+            continue
+        ratio = np.full(unit.shape, np.nan)
+        np.divide(window.values, unit, out=ratio, where=bright)
+        height = np.zeros((len(unit), 1))
+        height[rows, 0] = np.nanmedian(ratio[rows], axis=1)
+        noise = 8.0 * np.sqrt(read.noise.variance(height * unit, float(lab.frames[step])))
+        apart = np.abs(np.where(bright, window.values, 0.0) - height * unit)
+        far = bright & (apart > np.maximum(noise, _DEVIANT * np.abs(height) * unit))
+        place = window.places.astype(np.int64)
+        column = np.broadcast_to(window.columns[:, None], place.shape)
+        for mask, counter in ((far, suspect), (bright, seen)):
+            np.add.at(counter, (place[mask], column[mask]), 1)
+    return np.asarray((suspect > 0) & (2 * suspect > seen))

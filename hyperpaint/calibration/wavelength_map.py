@@ -1,0 +1,195 @@
+"""From line centres to the wavelength of every element: a smooth surface over bands and columns."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from numpy.polynomial import chebyshev
+
+from hyperpaint.errors import SchemaError
+
+__all__ = ["WavelengthMap", "fit_wavelength_map", "fit_width"]
+
+Float = npt.NDArray[np.float64]
+Bool = npt.NDArray[np.bool_]
+
+BAND_DEGREE = 3
+COLUMN_DEGREES = (0, 1, 2, 3, 4)
+_TUKEY = 4.685  # standard deviations beyond which Tukey's biweight gives no weight
+_ROUNDS = 20
+_HALVINGS = 40
+
+
+@dataclass(frozen=True, eq=False)
+class WavelengthMap:
+    """Wavelength as a tensor of Chebyshev polynomials in band and column.
+
+    Attributes
+    ----------
+    coefficients : (band degree + 1, column degree + 1)
+        [nm]
+    bands, columns
+        Sizes of the array.
+    lit
+        First and last column that the fit has seen; beyond them the surface stays as it is there.
+    residual
+        Robust standard deviation of the lines about the surface [nm].
+    weight : (line,)
+        Tukey's weights of the lines.
+    """
+
+    coefficients: Float
+    bands: int
+    columns: int
+    lit: tuple[int, int]
+    residual: float
+    weight: Float
+
+    def at(self, band: npt.ArrayLike, column: npt.ArrayLike) -> Float:
+        """Return the wavelength at fractional bands and columns [nm]."""
+        u, v = self._scaled(np.asarray(band, np.float64), np.asarray(column, np.float64))
+        return np.asarray(chebyshev.chebval2d(u, v, self.coefficients))
+
+    def spacing(self, band: npt.ArrayLike, column: npt.ArrayLike) -> Float:
+        """Return ``|d wavelength / d band|`` [nm]."""
+        u, v = self._scaled(np.asarray(band, np.float64), np.asarray(column, np.float64))
+        slope = chebyshev.chebder(self.coefficients, axis=0) * (2.0 / max(self.bands - 1, 1))
+        return np.asarray(np.abs(chebyshev.chebval2d(u, v, slope)))
+
+    def band_of(self, wavelength: float, column: npt.NDArray[np.int64]) -> Float:
+        """Return the fractional bands of a wavelength [nm] in some columns, to a little beyond the array."""
+        low = np.full(column.shape, -0.05 * self.bands - 2.0)
+        high = np.full(column.shape, 1.05 * self.bands + 1.0)
+        rising = self.at(self.bands - 1.0, column) > self.at(0.0, column)
+        for _ in range(_HALVINGS):
+            middle = 0.5 * (low + high)
+            below = (self.at(middle, column) < wavelength) == rising
+            low, high = np.where(below, middle, low), np.where(below, high, middle)
+        return np.asarray(0.5 * (low + high))
+
+    def grid(self) -> tuple[Float, Float]:
+        """Return wavelength and spacing of every element (band, cross_track) [nm]."""
+        band, column = np.meshgrid(np.arange(self.bands), np.arange(self.columns), indexing="ij")
+        return self.at(band, column), self.spacing(band, column)
+
+    def _scaled(self, band: Float, column: Float) -> tuple[Float, Float]:
+        band, column = np.broadcast_arrays(band, np.clip(column, *self.lit))
+        return 2.0 * band / max(self.bands - 1, 1) - 1.0, 2.0 * column / max(self.columns - 1, 1) - 1.0
+
+
+def fit_wavelength_map(
+    band: Float, column: Float, wavelength: Float, sizes: tuple[int, int], *,
+    column_degree: int | None = None, uncertainty: Float | None = None,
+) -> WavelengthMap:  # fmt: skip
+    """Return the robust low-order surface through line centres.
+
+    Parameters
+    ----------
+    band, column : (line,)
+        Where each line was found, in fractional bands.
+    wavelength : (line,)
+        Of its light [nm].
+    sizes
+        Bands and columns of the array.
+    column_degree
+        Of the smile; None for the lowest of 0 to 4 beyond which nothing is gained.
+    uncertainty : (line,)
+        Standard deviation of each centre [band].
+
+    Raises
+    ------
+    SchemaError
+        Too few lines for the surface.
+    """
+    different = len(np.unique(np.round(wavelength, 6)))
+    across = len(np.unique(column))
+    degree = min(BAND_DEGREE, different - 2)
+    if degree < 1:
+        msg = f"lines of {different} wavelengths, expected 3 or more for a wavelength map"
+        raise SchemaError(msg)
+    degrees = [column_degree] if column_degree is not None else [d for d in COLUMN_DEGREES if d < across]
+    weight = np.ones_like(band)
+    if uncertainty is not None:
+        # bright lines are not better than the monochromator's dial, so no line may rule the others
+        floor = max(float(np.median(uncertainty)), 1e-9)
+        weight = 1.0 / (uncertainty**2 + floor**2)
+        weight /= weight.mean()
+    best: WavelengthMap | None = None
+    criterion = np.inf
+    for trial in degrees:
+        made = _robust(band, column, wavelength, sizes, (degree, min(trial, max(across - 1, 0))), weight)
+        # Bayesian information, with rounding of stored counts as a floor
+        terms = made.coefficients.size
+        found = band.size * 2.0 * np.log(made.residual + 1e-6) + terms * np.log(band.size)
+        if found < criterion:
+            best, criterion = made, found
+    assert best is not None
+    return best
+
+
+def _robust(
+    band: Float,
+    column: Float,
+    wavelength: Float,
+    sizes: tuple[int, int],
+    degrees: tuple[int, int],
+    prior: Float,
+) -> WavelengthMap:
+    bands, columns = sizes
+    u, v = 2.0 * band / max(bands - 1, 1) - 1.0, 2.0 * column / max(columns - 1, 1) - 1.0
+    terms = np.asarray(chebyshev.chebvander2d(u, v, list(degrees)), np.float64)
+    tukey = np.ones_like(band)
+    solved = np.zeros(terms.shape[1])
+    sigma = np.inf
+    for _ in range(_ROUNDS):
+        solved, last = _weighted(terms, wavelength, prior * tukey), solved
+        residual = wavelength - terms @ solved
+        sigma = 1.4826 * float(np.median(np.abs(residual)))
+        if sigma < 1e-9 or np.abs(solved - last).max() < 1e-7:
+            break
+        z = residual / (_TUKEY * sigma)
+        tukey = np.where(np.abs(z) < 1.0, (1.0 - z**2) ** 2, 0.0)
+    kept = tukey > 0
+    freedom = max(kept.sum() - terms.shape[1], 1)
+    rms = float(np.sqrt(((wavelength - terms @ solved)[kept] ** 2).sum() / freedom))
+    shape = (degrees[0] + 1, degrees[1] + 1)
+    lit = (int(column.min()), int(column.max()))
+    return WavelengthMap(solved.reshape(shape), bands, columns, lit, rms, tukey)
+
+
+def _weighted(terms: Float, values: Float, weight: Float) -> Float:
+    normal = np.einsum("ni,n,nj->ij", terms, weight, terms, optimize=True)
+    right = terms.T @ (weight * values)
+    return np.asarray(np.linalg.lstsq(normal, right, rcond=None)[0])
+
+
+def fit_width(wavelength: Float, width: Float, uncertainty: Float, at: Float, degree: int = 2) -> Float:
+    """Return the width of every band [nm] from those of the steps, robustly; beyond them that of the last.
+
+    Parameters
+    ----------
+    wavelength, width, uncertainty : (step,)
+        Of the lines, medians over the columns [nm].
+    at : (band,)
+        Where the width is wanted [nm].
+    """
+    low, high = float(wavelength.min()), float(wavelength.max())
+    scale = max(high - low, 1.0)
+    degree = max(min(degree, len(wavelength) - 2), 0)
+    terms = np.asarray(chebyshev.chebvander(2.0 * (wavelength - low) / scale - 1.0, degree), np.float64)
+    prior = 1.0 / (uncertainty**2 + max(float(np.median(uncertainty)), 1e-9) ** 2)
+    tukey: Any = np.ones_like(width)
+    solved = np.zeros(degree + 1)
+    for _ in range(_ROUNDS):
+        solved = _weighted(terms, width, prior / prior.mean() * tukey)
+        residual = width - terms @ solved
+        sigma = 1.4826 * float(np.median(np.abs(residual)))
+        if sigma < 1e-9:
+            break
+        z = residual / (_TUKEY * sigma)
+        tukey = np.where(np.abs(z) < 1.0, (1.0 - z**2) ** 2, 0.0)
+    inside = np.clip(at, low, high)
+    return np.asarray(chebyshev.chebval(2.0 * (inside - low) / scale - 1.0, solved))

@@ -1,0 +1,304 @@
+"""Least-squares fits of monochromatic lines, one line after the other."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from ._jit import kernel
+
+__all__ = [
+    "AREA", "CENTRE", "GAUSSIAN", "OFFSET", "SLIT", "WIDTH",
+    "fit_lines", "full_widths", "line_profile", "profiles",
+]  # fmt: skip
+
+Array = npt.NDArray[Any]
+
+#: Places of the parameters of a line: centre [samples], full width at half maximum of the instrument's own
+#: response [samples], area [value x samples], offset [value].
+CENTRE, WIDTH, AREA, OFFSET = 0, 1, 2, 3
+
+#: Shapes of the instrument's own response.
+GAUSSIAN, SLIT = 0, 1
+
+_SIGMA = 1.0 / (2.0 * math.sqrt(2.0 * math.log(2.0)))
+_ROOT2 = math.sqrt(2.0)
+_ROOT2PI = math.sqrt(2.0 * math.pi)
+_NARROWEST = 0.05  # samples; a box narrower than this cannot be told from none
+_STEPS = 60
+
+
+@kernel
+def _ramp(x: float, sigma: float) -> float:
+    """Return the second integral of a Gaussian of unit area; of a point, max(x, 0)."""
+    if sigma < 1e-6 or abs(x) > 8.0 * sigma:
+        return max(x, 0.0)
+    z = x / sigma
+    return float(0.5 * x * (1.0 + math.erf(z / _ROOT2)) + sigma * math.exp(-0.5 * z * z) / _ROOT2PI)
+
+
+@kernel
+def _two_boxes(x: float, a: float, b: float, sigma: float) -> float:
+    """Return a Gaussian convolved with boxes ``a`` and ``b`` wide, of unit area."""
+    x = -abs(x)  # on the rising side ramps are small: nothing large cancels
+    outer, inner = 0.5 * (a + b), 0.5 * (a - b)
+    total = _ramp(x + outer, sigma) - _ramp(x + inner, sigma)
+    total -= _ramp(x - inner, sigma) - _ramp(x - outer, sigma)
+    return max(total / (a * b), 0.0)
+
+
+@kernel
+def _cube(x: float) -> float:
+    """Return the fourth integral of a point, x^3 / 6 above zero."""
+    return x * x * x / 6.0 if x > 0.0 else 0.0
+
+
+@kernel
+def _four_boxes(x: float, a: float, b: float, c: float) -> float:
+    """Return boxes ``a``, ``b``, ``c`` and ``c`` wide convolved with one another, of unit area."""
+    x = -abs(x)
+    total = 0.0
+    for i in range(2):
+        for j in range(2):
+            at = x + (0.5 - i) * a + (0.5 - j) * b
+            sign = 1.0 if i == j else -1.0
+            total += sign * (_cube(at + c) - 2.0 * _cube(at) + _cube(at - c))
+    return max(total / (a * b * c * c), 0.0)
+
+
+@kernel
+def line_profile(x: float, width: float, source: float, shape: int, triangular: bool) -> float:
+    """Return the profile of a line, of unit area, at a distance from its centre [samples].
+
+    Parameters
+    ----------
+    x
+        Distance from the centre.
+    width
+        Full width at half maximum of the instrument's own response: of a slit, the width of its image.
+    source
+        Full width at half maximum of the light.
+    shape
+        `GAUSSIAN`, or `SLIT`: a box ``width`` wide seen by samples one wide.
+    triangular
+        Whether the light has a triangular line, else a Gaussian one.
+    """
+    if shape == GAUSSIAN:
+        if triangular and source > _NARROWEST:
+            return _two_boxes(x, source, source, _SIGMA * width)
+        sigma = _SIGMA * width
+        if not triangular:
+            sigma = _SIGMA * math.sqrt(width * width + source * source)
+        z = x / sigma
+        return float(math.exp(-0.5 * z * z) / (_ROOT2PI * sigma))
+    if triangular and source > _NARROWEST:
+        return _four_boxes(x, width, 1.0, source)
+    return _two_boxes(x, width, 1.0, 0.0 if triangular else _SIGMA * source)
+
+
+@kernel
+def _solve4(matrix: Array, right: Array, out: Array) -> bool:
+    """Solve a symmetric positive 4 x 4 system by Cholesky's method; False where it is singular."""
+    low = np.zeros((4, 4))
+    for i in range(4):
+        for j in range(i + 1):
+            total = matrix[i, j]
+            for k in range(j):
+                total -= low[i, k] * low[j, k]
+            if i == j:
+                if not total > 1e-14 * matrix[i, i]:
+                    return False
+                low[i, i] = math.sqrt(total)
+            else:
+                low[i, j] = total / low[j, j]
+    for i in range(4):
+        total = right[i]
+        for k in range(i):
+            total -= low[i, k] * out[k]
+        out[i] = total / low[i, i]
+    for i in range(3, -1, -1):
+        total = out[i]
+        for k in range(i + 1, 4):
+            total -= low[k, i] * out[k]
+        out[i] = total / low[i, i]
+    return True
+
+
+@kernel
+def _normal_equations(
+    values: Array, weights: Array, first: int, p: Array, source: float, shape: int, triangular: bool,
+    matrix: Array, right: Array,
+) -> float:  # fmt: skip
+    """Fill the normal equations at parameters ``p`` and return the weighted sum of squared residuals."""
+    step = 1e-5 * max(p[WIDTH], 0.1)
+    matrix[:] = 0.0
+    right[:] = 0.0
+    chi2 = 0.0
+    row = np.empty(4)
+    for i in range(values.shape[0]):
+        w = weights[i]
+        if not w > 0.0:
+            continue
+        x = first + i - p[CENTRE]
+        height = line_profile(x, p[WIDTH], source, shape, triangular)
+        right_of = line_profile(x + step, p[WIDTH], source, shape, triangular)
+        left_of = line_profile(x - step, p[WIDTH], source, shape, triangular)
+        wider = line_profile(x, p[WIDTH] + step, source, shape, triangular)
+        row[CENTRE] = -p[AREA] * (right_of - left_of) / (2.0 * step)
+        row[WIDTH] = p[AREA] * (wider - height) / step
+        row[AREA] = height
+        row[OFFSET] = 1.0
+        residual = values[i] - p[AREA] * height - p[OFFSET]
+        chi2 += w * residual * residual
+        for j in range(4):
+            right[j] += w * row[j] * residual
+            for k in range(j + 1):
+                matrix[j, k] += w * row[j] * row[k]
+    for j in range(4):
+        for k in range(j):
+            matrix[k, j] = matrix[j, k]
+    return chi2
+
+
+@kernel
+def _chi2(
+    values: Array, weights: Array, first: int, p: Array, source: float, shape: int, triangular: bool
+) -> float:
+    total = 0.0
+    for i in range(values.shape[0]):
+        if weights[i] > 0.0:
+            height = line_profile(first + i - p[CENTRE], p[WIDTH], source, shape, triangular)
+            residual = values[i] - p[AREA] * height - p[OFFSET]
+            total += weights[i] * residual * residual
+    return total
+
+
+@kernel
+def _fit_line(
+    values: Array, weights: Array, first: int, p: Array, source: float, shape: int, triangular: bool,
+    covariance: Array,
+) -> tuple[float, bool]:  # fmt: skip
+    """Improve the parameters of one line in place; return its chi2, and whether the search has ended."""
+    matrix, right, damped = np.empty((4, 4)), np.empty(4), np.empty((4, 4))
+    change, trial = np.empty(4), np.empty(4)
+    damping = 1e-3
+    chi2 = _normal_equations(values, weights, first, p, source, shape, triangular, matrix, right)
+    ended = False
+    for _ in range(_STEPS):
+        damped[:] = matrix
+        for j in range(4):
+            damped[j, j] *= 1.0 + damping
+        if not _solve4(damped, right, change):
+            break
+        for j in range(4):
+            trial[j] = p[j] + change[j]
+        trial[WIDTH] = min(max(trial[WIDTH], 0.5 * p[WIDTH], _NARROWEST), 2.0 * p[WIDTH])
+        found = _chi2(values, weights, first, trial, source, shape, triangular)
+        if found <= chi2:
+            moved = abs(trial[CENTRE] - p[CENTRE]) + abs(trial[WIDTH] - p[WIDTH])
+            p[:] = trial
+            gained = chi2 - found
+            chi2 = _normal_equations(values, weights, first, p, source, shape, triangular, matrix, right)
+            damping = max(damping * 0.1, 1e-12)
+            if moved < 1e-9 * p[WIDTH] or gained <= 1e-13 * chi2:
+                ended = True
+                break
+        else:
+            damping *= 10.0
+            if damping > 1e8:
+                ended = True  # no step is better: rounding is all that is left
+                break
+    unit = np.zeros(4)
+    for j in range(4):
+        unit[:] = 0.0
+        unit[j] = 1.0
+        if not _solve4(matrix, unit, change):
+            covariance[:] = np.nan
+            return chi2, False
+        covariance[j] = change
+    return chi2, ended
+
+
+@kernel
+def fit_lines(
+    values: Array, weights: Array, first: Array, source: Array, shape: int, triangular: bool,
+    parameters: Array, covariance: Array, chi2: Array, converged: Array,
+) -> None:  # fmt: skip
+    """Fit offset + area x profile to every row by the method of Levenberg and Marquardt.
+
+    Parameters
+    ----------
+    values : (line, sample), float64
+    weights : (line, sample), float64
+        One over the variance; zero leaves a sample out.
+    first : (line,), int64
+        Place of the first sample of a row.
+    source : (line,), float64
+        Full width at half maximum of the light [samples].
+    shape, triangular
+        See `line_profile`.
+    parameters : (line, 4), float64
+        Where to begin, and the result: see `CENTRE`.
+    covariance : (line, 4, 4), float64
+        Inverse of the normal matrix; NaN where it is singular.
+    chi2 : (line,), float64
+        Weighted sum of squared residuals.
+    converged : (line,), bool
+    """
+    for line in range(values.shape[0]):
+        if not (np.isfinite(parameters[line]).all() and parameters[line, WIDTH] > 0.0):
+            parameters[line] = np.nan
+            covariance[line] = np.nan
+            chi2[line] = np.nan
+            converged[line] = False
+            continue
+        found, ended = _fit_line(
+            values[line], weights[line], first[line], parameters[line], source[line], shape, triangular,
+            covariance[line],
+        )  # fmt: skip
+        chi2[line] = found
+        converged[line] = ended and np.isfinite(found)
+
+
+@kernel
+def profiles(places: Array, width: Array, source: Array, shape: int, triangular: bool, out: Array) -> None:
+    """Write the unit-area profile of every line at distances from its centre.
+
+    Parameters
+    ----------
+    places, out : (line, sample), float64
+    width, source : (line,), float64
+    shape, triangular
+        See `line_profile`.
+    """
+    for line in range(places.shape[0]):
+        for i in range(places.shape[1]):
+            out[line, i] = line_profile(places[line, i], width[line], source[line], shape, triangular)
+
+
+@kernel
+def full_widths(width: Array, source: Array, shape: int, triangular: bool, out: Array) -> None:
+    """Write the full width at half maximum of lines as they are seen, by bisection.
+
+    Parameters
+    ----------
+    width, source, out : (line,), float64
+    shape, triangular
+        See `line_profile`.
+    """
+    for line in range(width.shape[0]):
+        if not np.isfinite(width[line] + source[line]):
+            out[line] = np.nan
+            continue
+        half = 0.5 * line_profile(0.0, width[line], source[line], shape, triangular)
+        low, high = 0.0, width[line] + 2.0 * source[line] + 1.0
+        for _ in range(50):
+            middle = 0.5 * (low + high)
+            if line_profile(middle, width[line], source[line], shape, triangular) > half:
+                low = middle
+            else:
+                high = middle
+        out[line] = low + high

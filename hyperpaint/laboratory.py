@@ -1,0 +1,143 @@
+"""Lab sweeps in files: the one place where readers and calibration meet."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from .errors import SchemaError
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+__all__ = ["calibrate_sweep", "open_collect", "write_calibration"]
+
+
+def calibrate_sweep(
+    path: str | os.PathLike[str], *, progress: Callable[[int, int], None] | None = None, **options: Any
+) -> xr.Dataset:
+    """Return the calibration that a stored lab sweep gives.
+
+    Parameters
+    ----------
+    path
+        See `hyperpaint.io.sweep_store.open_sweep`.
+    progress
+        Called with steps done and to do.
+    **options
+        Of `hyperpaint.calibrate`.
+
+    Returns
+    -------
+    xarray.Dataset
+
+    Raises
+    ------
+    FormatError, SchemaError
+        The sweep cannot be read, or cannot be calibrated; all problems are listed.
+
+    Warns
+    -----
+    PaintWarning
+        As `hyperpaint.calibrate`.
+    """
+    from .calibration import calibrate
+    from .io.sweep_store import open_sweep
+
+    sweep = open_sweep(path)
+    try:
+        made = calibrate(sweep, progress=progress, **options)
+    except SchemaError as error:
+        msg = f"{path}: {error}"
+        raise SchemaError(msg) from error
+    return made.assign_attrs(sweep=Path(path).name)
+
+
+def write_calibration(
+    sweep: str | os.PathLike[str],
+    out: str | os.PathLike[str],
+    *,
+    overwrite: bool = False,
+    progress: Callable[[int, int], None] | None = None,
+    **options: Any,
+) -> xr.Dataset:
+    """Write the calibration that a stored lab sweep gives into a store, and return it.
+
+    Parameters
+    ----------
+    sweep
+        The sweep's store.
+    out
+        Folder of the calibration's store.
+    overwrite
+        Replace another calibration; one of the same content is left alone.
+    progress, **options
+        As `calibrate_sweep`.
+
+    Returns
+    -------
+    xarray.Dataset
+
+    Raises
+    ------
+    FormatError, SchemaError
+        As `calibrate_sweep`.
+    StoreError
+        The store cannot be written, or holds something else.
+    """
+    from .io.store import to_store
+
+    if Path(out).resolve() == Path(sweep).resolve():
+        msg = f"{out} is the sweep itself; choose another path for the calibration"
+        raise SchemaError(msg)
+    made = calibrate_sweep(sweep, progress=progress, **options)
+    to_store(made, Path(out), overwrite=overwrite)
+    return made
+
+
+def open_collect(
+    path: str | os.PathLike[str], *, need_irradiance: bool = True, chunks: Any = "auto"
+) -> xr.DataTree:
+    """Open everything a ``collect.toml`` names, without reading a cube.
+
+    A lab sweep that it names (``[calibration] sweep``) is calibrated on the way.
+
+    Parameters
+    ----------
+    path
+        The file.
+    need_irradiance
+        False where only radiance is wanted: a collect without irradiance is then whole.
+    chunks
+        dask chunks of the cubes, as for `open_flightline`.
+
+    Returns
+    -------
+    xarray.DataTree
+        ``/flightlines/<id>`` (see `open_flightline`), ``/irradiance`` and ``/calibration``; the root holds
+        attributes and no variables.
+
+    Raises
+    ------
+    CollectError
+        The file, or anything it names, cannot be used; all problems of all files are listed.
+
+    Warns
+    -----
+    PaintWarning
+        As `open_flightline`, `open_irradiance` and `calibrate`.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> from hyperpaint.simulation import simulate_collect
+    >>> path = simulate_collect(tempfile.mkdtemp(), lines=40, bands=4, columns=6, cubes=2)
+    >>> tree = open_collect(path)
+    >>> sorted(tree.children), sorted(tree["flightlines"].children)
+    (['calibration', 'flightlines', 'irradiance'], ['raw_0', 'raw_20'])
+    """
+    from .io.collect import open_collect as opened
+
+    return opened(path, need_irradiance=need_irradiance, chunks=chunks, calibrate=calibrate_sweep)

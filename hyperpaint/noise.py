@@ -1,0 +1,544 @@
+r"""How noisy a camera is (photon transfer), and how sure a mean over pixels.
+
+A count of signal S above the dark varies by
+
+    var(C) = S / k + sigma_r^2 + 1/12    [count2]
+
+with k electrons a count, sigma_r the read noise and 1/12 for whole counts. Variances against signals, of
+repeated frames or of a flight's homogeneous blocks, lie on a line whose slope and height are the camera's.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+
+from . import schema
+from .errors import PaintWarning, Problems, SchemaError
+from .schema import ALONG_TRACK, BAND, CROSS_TRACK, STEP
+from .slabs import QUANTISATION
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+__all__ = ["estimate_noise", "mean_uncertainty"]
+
+Array = npt.NDArray[Any]
+Float = npt.NDArray[np.float64]
+
+BLOCK_LINES = 8
+"""Lines of a block, within which a column is asked to see one surface."""
+MOST_SAMPLES = 3_000_000
+"""Samples that are read of a flight; more would tell no more."""
+SATURATION_MARGIN = 16.0
+_CLEAR = 12.0  # times the spread of a dark count; the mean of a block is then known to 3 %
+_EVEN = 0.15  # change of brightness that is texture; beyond is an edge or a glint
+_FEWEST = 200
+_BINS = 24
+_PARTS = 16
+_KEPT = 0.999
+_BLOCK_SIGMAS = 4.0
+_WORST_UNCERTAINTY = 0.1
+_MISFIT = 0.1
+
+
+@dataclass(frozen=True)
+class _Points:
+    """Variances, and what slope and height of the photon transfer are multiplied by in each.
+
+    Attributes
+    ----------
+    variance, by_signal, by_floor : (block, band)
+        Mean square, and its regressors: the expected value is by_signal / k + by_floor x floor; NaN left out.
+    freedom : (1 or block, 1)
+        Degrees of freedom of a variance.
+    """
+
+    variance: Float
+    by_signal: Float
+    by_floor: Float
+    freedom: Float
+
+
+def estimate_noise(dataset: xr.Dataset, *, repeated: bool = False) -> xr.Dataset:
+    r"""Electrons per count and read noise, from variances against signals (photon transfer).
+
+    Eager, but reads no more than some three million samples, in blocks of whole lines over the flight.
+
+    Parameters
+    ----------
+    dataset
+        One of
+
+        * frames of a lab sweep: ``counts``, ``counts_variance`` and ``dark_counts`` (step, band,
+          cross_track), ``frame_count``;
+        * a flight line: ``counts`` (along_track, band, cross_track), ``dark_counts`` (band, cross_track),
+          and, if there, ``saturation_count`` and ``radiance_gain``, whose NaN mark bad elements.
+    repeated
+        The lines are frames of one scene that stands still under constant light; by default they are those of
+        a flight, whose scene and light change.
+
+    Returns
+    -------
+    Dataset
+        ``electrons_per_count`` [electron count-1] and ``read_noise`` [count], scalar float32, for
+        ``line.assign(...)``; with standard uncertainties ``electrons_per_count_u`` and ``read_noise_u``, and
+        the binned ``transfer_variance`` over ``transfer_signal`` [count2, count] to look at. Attribute
+        ``noise_source`` says what was used.
+
+    Raises
+    ------
+    SchemaError
+        Variables are missing or have other dims or units; or signals do not reach far enough apart for a
+        slope: the message tells their range.
+
+    Warns
+    -----
+    PaintWarning
+        Variances do not lie on a line: the scene is not homogeneous, or the light flickers.
+
+    Notes
+    -----
+    A surface's texture is no noise, but is larger: 2 % of 2000 counts are 40, shot noise is 10. Within eight
+    lines of one column the deviation of a band from the mean is therefore compared with that of its
+    neighbour bands, relative to their signals,
+
+    .. math:: e_b = r_b - \frac{\bar S_b}{2}
+              \left(\frac{r_{b-1}}{\bar S_{b-1}} + \frac{r_{b+1}}{\bar S_{b+1}}\right),
+
+    which takes out all brightness changes that are smooth over three bands, those of the light with them. Its
+    variance is still linear in :math:`1/k` and :math:`\sigma_r^2`. Left out are bands too dark for their
+    signal to be known, blocks whose brightness changes by more than 15 % (an edge, a glint) or whose bands
+    vary more than noise does, and the highest one in a thousand of all values, with the bias that this makes
+    corrected. Uncertainties are those of the jackknife over groups of blocks.
+
+    References
+    ----------
+    .. [1] J. R. Janesick, "Photon Transfer", SPIE Press, 2007.
+
+    Examples
+    --------
+    >>> from hyperpaint.simulation import simulate_line
+    >>> line = simulate_line(lines=64, bands=60, columns=32, electrons_per_count=20.0)
+    >>> found = estimate_noise(line)
+    >>> abs(float(found.electrons_per_count) - 20.0) < 4 * float(found.electrons_per_count_u)
+    True
+    """
+    if "counts_variance" in dataset.variables:
+        points, floor, source = _sweep_points(dataset)
+    else:
+        dataset = schema.rename_to_roles(dataset)
+        points, floor, source = _line_points(dataset, repeated)
+    return _labelled(_fit(points), points, floor, source)
+
+
+# --- gathering variances
+
+
+def _sweep_points(dataset: xr.Dataset) -> tuple[_Points, float, str]:
+    names = ["counts", "counts_variance", "dark_counts", "frame_count"]
+    names += ["saturation_count"] if "saturation_count" in dataset.variables else []
+    found = schema.require(dataset, names, "photon transfer of a sweep", schema.SWEEP_VARIABLES)
+    dims = (STEP, BAND, CROSS_TRACK)
+    counts = found["counts"].transpose(*dims)
+    signal = (counts - found["dark_counts"]).transpose(*dims).values.astype(np.float64)
+    variance = found["counts_variance"].transpose(*dims).values.astype(np.float64)
+    frames = found["frame_count"].values.astype(np.float64)
+    if (frames < 2).any():
+        msg = "'frame_count' must be 2 or more: one frame has no variance"
+        raise SchemaError(msg)
+    if "saturation_count" in found:
+        # clipping lowers the variance before the mean reaches the end
+        room = SATURATION_MARGIN + 5.0 * np.sqrt(np.maximum(variance, 0.0))
+        variance[counts.values + room >= np.asarray(found["saturation_count"], np.float64)] = np.nan
+    bands = signal.shape[1]
+    freedom = np.repeat(np.broadcast_to(frames - 1.0, len(signal)), signal.shape[2])[:, None]
+    flat = [np.moveaxis(cube, 1, 2).reshape(-1, bands) for cube in (variance, signal)]
+    points = _Points(flat[0], flat[1], np.ones_like(flat[1]), freedom)
+    return points, QUANTISATION, f"{len(signal)} steps of {frames.min():g} frames or more"
+
+
+def _line_points(dataset: xr.Dataset, repeated: bool) -> tuple[_Points, float, str]:
+    names = ["counts", "dark_counts"]
+    names += [n for n in ("saturation_count", "radiance_gain", "time") if n in dataset.variables]
+    found = schema.require(dataset, names, "photon transfer of a line")
+    counts, dark = found["counts"], found["dark_counts"]
+    if "dark_time" in dark.dims:
+        dark = dark.mean("dark_time")
+    starts = _block_starts(counts.shape)
+    lines = (starts[:, None] + np.arange(BLOCK_LINES)).ravel()
+    blocks = counts.isel({ALONG_TRACK: lines}).values
+    valid = np.ones(blocks.shape[:1], bool)
+    if "time" in found:
+        valid = ~np.isnat(found["time"].isel({ALONG_TRACK: lines}).values)
+    cube = blocks.astype(np.float32) - dark.values.astype(np.float32)
+    if "saturation_count" in found:
+        limit = np.asarray(found["saturation_count"], np.float64) - SATURATION_MARGIN
+        cube[blocks >= limit] = np.nan
+    if "radiance_gain" in found:
+        cube[:, ~np.isfinite(found["radiance_gain"].values)] = np.nan
+    cube[~valid] = np.nan
+    whole = np.issubdtype(counts.dtype, np.integer)
+    shaped = cube.reshape(len(starts), BLOCK_LINES, *cube.shape[1:])
+    points = _repeated_points(shaped) if repeated else _block_points(shaped)
+    what = "repeated frames" if repeated else "blocks of a flight, texture taken out over bands"
+    return points, QUANTISATION if whole else 0.0, f"{len(starts)} x {BLOCK_LINES} lines: {what}"
+
+
+def _block_starts(shape: tuple[int, ...]) -> npt.NDArray[np.int64]:
+    """Return first lines of blocks that are spread over the line."""
+    lines, bands, columns = shape
+    problems = Problems("noise cannot be estimated", SchemaError)
+    if lines < BLOCK_LINES:
+        problems.add(f"{lines} lines, expected {BLOCK_LINES} or more")
+    if bands < 3:
+        problems.add(f"{bands} bands, expected 3 or more, next to each other")
+    problems.raise_if_any()
+    there = lines // BLOCK_LINES
+    wanted = min(there, max(4, MOST_SAMPLES // (BLOCK_LINES * bands * columns)))
+    return np.unique(np.linspace(0, there - 1, wanted).astype(np.int64)) * BLOCK_LINES
+
+
+def _repeated_points(cube: Array) -> _Points:
+    """Return variances (block x column, band) of frames (block, frame, band, column) of one scene."""
+    variance = cube.var(axis=1, ddof=1, dtype=np.float64)
+    mean = cube.mean(axis=1, dtype=np.float64)
+    flat = [np.moveaxis(a, 1, 2).reshape(-1, cube.shape[2]) for a in (variance, mean)]
+    return _Points(flat[0], flat[1], np.ones_like(flat[1]), np.full((1, 1), cube.shape[1] - 1.0))
+
+
+def _block_points(cube: Array) -> _Points:
+    """Return variances (block x column, band) of bands against their neighbours.
+
+    ``cube`` is (block, line, band, column). Where noise makes the signal itself uncertain, nothing can be
+    compared relative to it.
+    """
+    mean = cube.mean(axis=1)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", RuntimeWarning)  # columns without a value
+        total = np.nansum(np.where(np.isfinite(mean)[:, None], cube, np.nan), axis=2)
+        brightness = total / total.mean(axis=1, keepdims=True)
+        even = np.abs(brightness - 1.0).max(axis=1) < _EVEN
+    mean[~(even[:, None] & (mean > 0))] = np.nan
+    mean[mean < _CLEAR * _dark_noise(cube, mean)] = np.nan
+    relative = (cube - mean[:, None]) / mean[:, None]
+    middle = mean[:, 1:-1]
+    contrast = relative[:, :, 1:-1] - 0.5 * (relative[:, :, :-2] + relative[:, :, 2:])
+    freedom = cube.shape[1] - 1.0
+    variance = middle**2 * (contrast**2).sum(axis=1) / np.float32(freedom)
+    ratio = [(middle / other).astype(np.float64) for other in (mean[:, :-2], mean[:, 2:])]
+    near = np.ones(middle.shape, bool)
+    for r in ratio:
+        # a weak neighbour would bring in more noise of its own than there is in the band
+        near &= (r > 0.5) & (r < 2.0)
+    by_signal = middle * (1.0 + 0.25 * (ratio[0] + ratio[1]))
+    by_floor = 1.0 + 0.25 * (ratio[0] ** 2 + ratio[1] ** 2)
+    variance = np.where(near, variance, np.nan)
+    flat = [np.moveaxis(a, 1, 2).reshape(-1, middle.shape[1]) for a in (variance, by_signal, by_floor)]
+    values, signals, floors = (array.astype(np.float64) for array in flat)
+    return _Points(values, signals, floors, np.full((1, 1), freedom))
+
+
+def _dark_noise(cube: Array, mean: Array) -> float:
+    """Return the spread of a count in the darkest tenth of what was seen [count]."""
+    known = np.isfinite(mean)
+    if not known.any():
+        return 0.0
+    darkest = known & (mean <= np.quantile(mean[known], 0.1))
+    return float(np.sqrt(np.median(cube.var(axis=1, ddof=1)[darkest])))
+
+
+# --- fitting the line
+
+
+@dataclass(frozen=True)
+class _Transfer:
+    """Slope and height of the line, with their covariance, and what it was fitted to."""
+
+    slope: float
+    height: float
+    covariance: Float
+    used: npt.NDArray[np.bool_]
+    low: float
+    high: float
+
+
+def _fit(points: _Points) -> _Transfer:
+    """Return the line through variances that are those of noise alone."""
+    from scipy.stats import chi2
+
+    known = np.isfinite(points.variance) & np.isfinite(points.by_signal)
+    if known.sum() < _FEWEST:
+        msg = f"noise cannot be estimated: {known.sum()} variances, expected {_FEWEST} or more"
+        raise SchemaError(msg)
+    freedom = np.broadcast_to(points.freedom, known.shape)
+    slope, height = _first_guess(points, known, freedom)
+    edge = chi2.ppf(_KEPT, points.freedom) / points.freedom
+    # the mean of what lies below the edge is a little below the mean of all
+    loss = chi2.cdf(edge * points.freedom, points.freedom + 2.0) / _KEPT
+    # neighbours in band share two thirds of their contrast
+    spread = np.sqrt(2.0 * 1.94 / (points.freedom[:, 0] * np.maximum(known.sum(axis=1), 1)))
+    used = known
+    for _ in range(8):
+        model = np.maximum(slope * points.by_signal + height * points.by_floor, 1e-6)
+        ratio = np.where(known, points.variance / model, np.nan)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", RuntimeWarning)  # blocks without a value
+            typical = np.nanmean(np.minimum(ratio, 2.0 * edge), axis=1)
+        even = typical < 1.0 + _BLOCK_SIGMAS * spread
+        used = known & even[:, None] & (ratio < edge)
+        if used.sum() < _FEWEST:
+            msg = "noise cannot be estimated: no block is homogeneous; give repeated frames, or a lab sweep"
+            raise SchemaError(msg)
+        before = slope
+        slope, height, covariance = _solve(points, used, model * loss, points.variance / loss)
+        if abs(slope - before) < 1e-4 * abs(slope):
+            break
+    low, high = (float(v) for v in np.percentile(points.by_signal[used] / points.by_floor[used], [1, 99]))
+    made = _Transfer(slope, height, covariance, used, low, high)
+    _refuse_unless_sure(made)
+    return made
+
+
+def _first_guess(points: _Points, known: npt.NDArray[np.bool_], freedom: Float) -> tuple[float, float]:
+    """Return slope and height of the lower envelope of binned medians."""
+    from scipy.stats import chi2
+
+    signal = points.by_signal[known] / points.by_floor[known]
+    variance = (
+        points.variance[known] / points.by_floor[known] * (freedom[known] / chi2.median(freedom[known]))
+    )
+    edges = np.unique(np.quantile(signal, np.linspace(0, 1, _BINS + 1)))
+    place = np.clip(np.searchsorted(edges, signal, side="right") - 1, 0, max(len(edges) - 2, 0))
+    bins = [place == i for i in range(max(len(edges) - 1, 1))]
+    x = np.array([np.median(signal[b]) for b in bins if b.any()])
+    y = np.array([np.median(variance[b]) for b in bins if b.any()])
+    if x.size < 2 or np.ptp(x) <= 0:
+        return float(max(y.mean() / max(x.mean(), 1e-6), 1e-6)), 0.0
+    weight = 1.0 / np.maximum(y, 1e-6)
+    slope, height = np.polyfit(x, y, 1, w=weight)
+    if slope <= 0 or height < 0:
+        return float(np.median(y / np.maximum(x, 1.0))), 0.0
+    return float(slope), float(height)
+
+
+def _solve(
+    points: _Points, used: npt.NDArray[np.bool_], model: Float, variance: Float
+) -> tuple[float, float, Float]:
+    """Return slope and height by weighted least squares, and their covariance by the jackknife."""
+    weight = np.where(used, 1.0 / model**2, 0.0)
+    value = np.where(used, variance, 0.0)
+    a, b = (np.where(used, v, 0.0) for v in (points.by_signal, points.by_floor))
+    part = np.arange(len(used)) * _PARTS // len(used)
+
+    def sums(product: Float) -> Float:
+        total = np.bincount(part, (weight * product).sum(axis=1), minlength=_PARTS)
+        return total.astype(np.float64)
+
+    normal = np.array([[sums(a * a), sums(a * b)], [sums(a * b), sums(b * b)]])
+    right = np.array([sums(a * value), sums(b * value)])
+    # signals of hundreds beside a constant of 1
+    scale = np.sqrt(np.maximum(normal.sum(axis=-1).diagonal(), 1e-300))
+
+    def solution(left_out: int | None) -> Float:
+        kept = np.arange(_PARTS) != (-1 if left_out is None else left_out)
+        matrix, vector = normal[..., kept].sum(axis=-1), right[..., kept].sum(axis=-1)
+        found, *_ = np.linalg.lstsq(matrix / np.outer(scale, scale), vector / scale, rcond=None)
+        return np.asarray(found / scale)
+
+    whole = solution(None)
+    others = np.stack([solution(i) for i in range(_PARTS)])
+    departure = others - others.mean(axis=0)
+    covariance = (_PARTS - 1) / _PARTS * departure.T @ departure
+    return float(whole[0]), float(whole[1]), covariance
+
+
+def _refuse_unless_sure(made: _Transfer) -> None:
+    relative = np.sqrt(made.covariance[0, 0]) / max(made.slope, 1e-300)
+    if made.slope > 0 and relative < _WORST_UNCERTAINTY:
+        return
+    msg = (
+        f"electrons per count cannot be told: signals of {made.low:.0f} to {made.high:.0f} counts give a "
+        f"slope of {made.slope:.3g} +- {np.sqrt(made.covariance[0, 0]):.2g} counts of variance a count; "
+        "take a line with dark and bright surfaces, or repeated frames of several levels"
+    )
+    raise SchemaError(msg)
+
+
+def _labelled(found: _Transfer, points: _Points, quantisation: float, source: str) -> xr.Dataset:
+    """Return the estimate with its uncertainties and the curve it rests on."""
+    import xarray as xr
+
+    signal, variance, expected = _curve(found, points)
+    misfit = float(np.max(np.abs(variance / expected - 1.0)))
+    chance = np.sqrt(4.0 / (float(points.freedom.mean()) * found.used.sum() / variance.size))
+    if misfit > _MISFIT + 4.0 * chance:
+        text = (
+            f"variances depart from the line by up to {misfit:.0%}: the scene is not homogeneous within "
+            "blocks, or the light flickers; look at 'transfer_variance'"
+        )
+        warnings.warn(text, PaintWarning, stacklevel=3)
+    excess = found.height - quantisation
+    noise = float(np.sqrt(max(excess, 0.0)))
+    # at zero noise its square alone has an uncertainty
+    noise_u = float(np.sqrt(found.covariance[1, 1])) / (2.0 * noise) if noise > 0 else np.nan
+    limit = float(found.covariance[1, 1]) ** 0.25
+    values = {
+        "electrons_per_count": 1.0 / found.slope,
+        "read_noise": noise,
+        "electrons_per_count_u": float(np.sqrt(found.covariance[0, 0])) / found.slope**2,
+        "read_noise_u": float(np.nanmin([noise_u, limit])),
+    }
+    made = xr.Dataset()
+    for name, value in values.items():
+        array = xr.DataArray(np.float32(value))
+        base = name.removesuffix("_u")
+        made[name] = schema.label(array, base)
+        if name != base:
+            made[name].attrs["long_name"] = f"Standard uncertainty of {base}"
+    made["transfer_variance"] = (
+        "transfer_signal",
+        variance,
+        {"units": "count2", "long_name": "Variance of a count"},
+    )
+    attrs = {"units": "count", "long_name": "Counts above the dark"}
+    made = made.assign_coords(transfer_signal=("transfer_signal", signal, attrs))
+    made.attrs["noise_source"] = f"photon transfer, {source}; {int(found.used.sum())} variances"
+    return made
+
+
+def _curve(found: _Transfer, points: _Points) -> tuple[Float, Float, Float]:
+    """Return mean signals, variances and variances of the line, in bins of as many points each."""
+    a, b, v = (array[found.used] for array in (points.by_signal, points.by_floor, points.variance))
+    order = np.argsort(a / b, kind="stable")
+    bins = np.array_split(order, min(_BINS, max(1, order.size // 50)))
+    x = np.array([(a[i] / b[i]).mean() for i in bins])
+    y = np.array([(v[i] / b[i]).mean() for i in bins])
+    return x, y, np.maximum(found.slope * x + found.height, 1e-9)
+
+
+# --- means
+
+
+def mean_uncertainty(region: xr.Dataset, dims: Sequence[str] | str | None = None) -> xr.Dataset:
+    r"""Mean reflectance over pixels, and how sure it is.
+
+    Eager: reads the region.
+
+    Parameters
+    ----------
+    region
+        ``reflectance``, ``reflectance_u_random`` and ``reflectance_u_systematic``, as
+        ``.paint.reflectance(uncertainty=True)`` adds them, cut to the pixels of interest; NaN where one is
+        not.
+    dims
+        What is averaged; by default along_track and cross_track. They must be next to each other in space, in
+        order: the distance of pixels counts.
+
+    Returns
+    -------
+    Dataset
+        On the other dims (mostly band): ``mean`` [1], ``n`` pixels, ``n_eff`` of them independent,
+        ``u_random`` and ``u_systematic`` [1], float64 and int64.
+
+    Raises
+    ------
+    SchemaError
+        A variable or a dim is missing.
+
+    Notes
+    -----
+    .. math:: u_r = \sqrt{\overline{u_{r,i}^2} / n_{eff}}, \qquad u_s = \overline{u_{s,i}}, \qquad
+              n_{eff} = n^2 \Big/ \sum_{ij} c_{ij}
+
+    with :math:`c_{ij}` the autocorrelation of the pixels at their distance, summed from the centre outwards
+    until it is not told from zero. A common error is common to the mean as well: only the random part
+    shrinks. What is here is how sure the mean of *these* pixels is, not how far another part of the surface
+    may differ.
+
+    Examples
+    --------
+    >>> import xarray as xr
+    >>> rng = np.random.default_rng(0)
+    >>> pixels = ("along_track", "cross_track")
+    >>> region = xr.Dataset({
+    ...     "reflectance": (pixels, rng.normal(0.3, 0.01, (20, 30))),
+    ...     "reflectance_u_random": (pixels, np.full((20, 30), 0.01)),
+    ...     "reflectance_u_systematic": (pixels, np.full((20, 30), 0.006))})
+    >>> found = mean_uncertainty(region)
+    >>> print(int(found.n), f"{float(found.u_random):.4f} {float(found.u_systematic):.4f}")
+    600 0.0004 0.0060
+    """
+    import xarray as xr
+
+    over = [dims] if isinstance(dims, str) else list(dims or (ALONG_TRACK, CROSS_TRACK))
+    names = ("reflectance", "reflectance_u_random", "reflectance_u_systematic")
+    problems = Problems("a mean with its uncertainty cannot be computed", SchemaError)
+    problems_of = [name for name in names if name not in region.variables]
+    for name in problems_of:
+        problems.add(f"{name!r} is missing; make it with .paint.reflectance(uncertainty=True)")
+    for dim in over:
+        if dim not in region.dims:
+            problems.add(f"{dim!r} is no dim of the region, which has {', '.join(map(str, region.dims))}")
+    problems.raise_if_any()
+    rest = [dim for dim in region["reflectance"].dims if dim not in over]
+    cubes = [region[name].transpose(*rest, *over).values.astype(np.float64) for name in names]
+    shape = cubes[0].shape[: len(rest)]
+    value, random, systematic = (cube.reshape(-1, *cube.shape[len(rest) :]) for cube in cubes)
+    pixels = tuple(range(1, value.ndim))
+    there = np.isfinite(value)
+    n = there.sum(axis=pixels)
+    divisor = np.where(n > 0, n, np.nan)
+    mean, square, common = (
+        np.where(there, cube, 0.0).sum(axis=pixels) / divisor for cube in (value, random**2, systematic)
+    )
+    effective = np.array([_effective_number(plane) for plane in value])
+    made = {
+        "mean": (mean, "Mean reflectance"),
+        "n": (n, "Pixels"),
+        "n_eff": (effective, "Independent pixels"),
+        "u_random": (np.sqrt(square / np.where(n > 0, effective, np.nan)), "Random uncertainty of the mean"),
+        "u_systematic": (common, "Systematic uncertainty of the mean"),
+    }
+    coords = {name: c for name, c in region["reflectance"].coords.items() if set(c.dims) <= set(rest)}
+    return xr.Dataset(
+        {k: (rest, v.reshape(shape), {"units": "1", "long_name": text}) for k, (v, text) in made.items()},
+        coords,
+    )
+
+
+def _effective_number(plane: Float) -> float:
+    """Return how many independent values are as good as these, which lie on a grid; NaN are left out."""
+    there = np.isfinite(plane)
+    n = int(there.sum())
+    if n < 3:
+        return float(n)
+    departure = np.where(there, plane - plane[there].mean(), 0.0)
+    if not departure.any():
+        return float(n)
+    size, axes = [2 * length for length in plane.shape], range(plane.ndim)
+
+    def correlate(values: Float) -> Float:
+        power = np.abs(np.fft.rfftn(values, size, axes)) ** 2
+        return np.asarray(np.fft.irfftn(power, size, axes))
+
+    pairs, products = np.rint(correlate(there.astype(np.float64))), correlate(departure)
+    places = [np.minimum(np.arange(length), length - np.arange(length)) for length in size]
+    ring = np.zeros(size, np.int64)
+    for axis, place in enumerate(places):
+        ring = np.maximum(ring, place.reshape([-1 if a == axis else 1 for a in range(plane.ndim)]))
+    count = np.bincount(ring.ravel(), pairs.ravel())
+    total = np.bincount(ring.ravel(), products.ravel()) / (products.flat[0] / n)
+    # a mean that was subtracted leaves -1/n in every pair
+    correlation = (total + count / n) / np.maximum(count, 1.0)
+    # every pair is counted from either end
+    told = (correlation > 2.0 / np.sqrt(np.maximum(count / 2.0, 1.0))) & (count > 0)
+    told[0] = True
+    reach = int(np.argmin(told)) if not told.all() else told.size
+    excess = float((correlation[1:reach] * count[1:reach]).sum()) / n
+    return float(np.clip(n / (1.0 + excess), 1.0, n))

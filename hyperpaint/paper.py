@@ -1,0 +1,406 @@
+"""The six equations of the paper this package starts from, corrected and as printed.
+
+Mulhollan et al. (2020), section 3 [1]_, calibrate a pushbroom camera with a monochromator and a power meter.
+As printed, three of their equations lose the scale: the ratio of exposures is inverted and the area on the
+ground stands where the area of the pupil belongs (eq. 4), pi is counted twice (eq. 5), and the reflectance is
+a product where it should be a quotient (eq. 6). Here each equation is one function with a ``variant``,
+"corrected" (the default) or "as_printed", for those who want to check, and for tests that show what fails.
+All else in the package uses the corrected chain.
+
+Arguments are plain numbers or arrays in the units stated, or Quantities of `hyperpaint.units.registry`; where
+any is a Quantity the result is one. Units are carried through either way, and pi is a solid angle [sr].
+
+Where an equation's dimensions do not agree, pint raises its ``DimensionalityError``.
+
+References
+----------
+.. [1] Z. Mulhollan, A. Rangnekar, T. Bauch, M. J. Hoffman, A. Vodacek, "Calibrated Vehicle Paint
+   Signatures for Simulating Hyperspectral Imagery", CVPR Workshops (2020).
+
+Examples
+--------
+The worked example: a surface of reflectance 0.4, through both chains.
+
+>>> setup = Setup()
+>>> truth = lambertian_radiance(1.30, 0.40)
+>>> counts = setup.counts(truth)
+>>> print(f"{counts:.2f} {setup.line_amplitude:.2f} {setup.line_area:.2f}")
+1966.09 2846.05 8654.12
+>>> L = radiance(counts, 0.0, radiance_per_count(setup))
+>>> print(f"{L:.6f} {reflectance(L, 1.30):.6f}")
+0.165521 0.400000
+>>> as_printed = radiance_per_count(setup, variant="as_printed")
+>>> print(f"{radiance(counts, 0.0, as_printed, variant='as_printed') / truth:.4f}")
+0.0678
+>>> reflectance(L, 1.30, variant="as_printed")
+Traceback (most recent call last):
+pint.errors.DimensionalityError: Cannot convert from 'watt ** 2 / ...' (...) to 'dimensionless' ...
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Literal, TypeAlias
+
+import numpy as np
+
+from .units import registry
+
+__all__ = [
+    "Setup",
+    "electrons",
+    "lambertian_radiance",
+    "radiance",
+    "radiance_per_count",
+    "reflectance",
+    "spectral_responsivity",
+]
+
+Amount: TypeAlias = Any
+"""A number or array in the unit stated, or a Quantity."""
+
+Variant = Literal["corrected", "as_printed"]
+
+_RADIANCE = "W m-2 sr-1 nm-1"
+_IRRADIANCE = "W m-2 nm-1"
+_GAUSSIAN_AREA = float(np.sqrt(np.pi / (4.0 * np.log(2.0))))  # of a Gaussian of height and full width one
+_PLANCK, _LIGHT = 6.62607015e-34, 2.99792458e8  # J s, m s-1
+
+
+def _is_quantity(value: Amount) -> bool:
+    return isinstance(value, registry().Quantity)
+
+
+def _amount(value: Amount, unit: str) -> Any:
+    """Return a Quantity in ``unit``: of a Quantity, converted; of a number, as it is."""
+    return value.to(unit) if _is_quantity(value) else registry().Quantity(value, unit)
+
+
+def _result(made: Any, unit: str, *given: Amount) -> Any:
+    """Return ``made`` in ``unit``: a Quantity where one was given, else a number."""
+    made = made.to(unit)
+    return made if any(map(_is_quantity, given)) else made.magnitude
+
+
+def _check(variant: str) -> bool:
+    """Tell whether the corrected variant is wanted."""
+    if variant not in ("corrected", "as_printed"):
+        msg = f"variant={variant!r}, expected 'corrected' or 'as_printed'"
+        raise ValueError(msg)
+    return variant == "corrected"
+
+
+def lambertian_radiance(
+    irradiance: Amount, reflectance: Amount, incidence: Amount = 0.0, *, variant: Variant = "corrected"
+) -> Any:
+    """Return the radiance of a Lambertian surface, eq. 1.
+
+    Parameters
+    ----------
+    irradiance
+        E. Corrected: on the surface itself, as a level cosine-corrected receiver measures it. As printed: of
+        a plane that faces the light [W m-2 nm-1].
+    reflectance
+        rho [1]
+    incidence
+        theta, angle between the light and the surface's normal [rad]; enters as printed only.
+    variant
+        Corrected, ``L = rho E / (pi sr)``; as printed, ``L = E rho cos(theta) / pi``, which takes the cosine
+        a second time where E is what a level receiver measures.
+
+    Returns
+    -------
+    L [W m-2 sr-1 nm-1].
+
+    Raises
+    ------
+    pint.DimensionalityError
+        An argument is a Quantity of another dimension.
+    ValueError
+        There is no such variant.
+
+    Examples
+    --------
+    >>> round(lambertian_radiance(1.30, 0.40), 6)
+    0.165521
+    """
+    exitance = _amount(irradiance, _IRRADIANCE) * _amount(reflectance, "1")
+    if not _check(variant):
+        exitance = exitance * np.cos(_amount(incidence, "rad").magnitude)
+    return _result(exitance / _amount(np.pi, "sr"), _RADIANCE, irradiance, reflectance, incidence)
+
+
+def electrons(
+    flux: Amount,
+    exposure: Amount,
+    wavelength: Amount,
+    efficiency: Amount,
+    *,
+    variant: Variant = "corrected",
+) -> Any:
+    """Return the electrons that monochromatic light frees, eq. 2: ``S = phi t lambda / (h c) eta``.
+
+    Parameters
+    ----------
+    flux
+        phi [W]
+    exposure
+        t [s]
+    wavelength
+        lambda [nm]
+    efficiency
+        eta, electrons freed per photon [1].
+    variant
+        The same in both: this one is right.
+
+    Returns
+    -------
+    S [electron].
+
+    Raises
+    ------
+    pint.DimensionalityError
+        An argument is a Quantity of another dimension.
+    ValueError
+        There is no such variant.
+
+    Examples
+    --------
+    >>> round(electrons(3e-12, 0.05, 550.0, 0.5))
+    207657
+    """
+    _check(variant)
+    photons = (
+        _amount(flux, "W")
+        * _amount(exposure, "s")
+        * _amount(wavelength, "nm")
+        / (_amount(_PLANCK, "J s") * _amount(_LIGHT, "m s-1"))
+    )
+    made = photons * _amount(efficiency, "1") * _amount(1.0, "electron")
+    return _result(made, "electron", flux, exposure, wavelength, efficiency)
+
+
+def spectral_responsivity(
+    counts: Amount, dark: Amount, flux: Amount, exposure: Amount, *, variant: Variant = "corrected"
+) -> Any:
+    """Return the responsivity of the camera, eq. 3.
+
+    Parameters
+    ----------
+    counts, dark
+        With and without light, at the same exposure [count].
+    flux
+        phi [W]
+    exposure
+        t [s]; does not enter as printed.
+    variant
+        Corrected, ``R = (DC - D) / (phi t)``; as printed, ``R = (DC - D) / phi``, which grows with exposure.
+
+    Returns
+    -------
+    R [count J-1]; as printed [count W-1].
+
+    Raises
+    ------
+    pint.DimensionalityError
+        An argument is a Quantity of another dimension.
+    ValueError
+        There is no such variant.
+
+    Examples
+    --------
+    >>> print(f"{spectral_responsivity(2946.05, 100.0, 3e-12, 0.05):.4g}")
+    1.897e+16
+    """
+    given = counts, dark, flux, exposure
+    per_watt = (_amount(counts, "count") - _amount(dark, "count")) / _amount(flux, "W")
+    if _check(variant):
+        return _result(per_watt / _amount(exposure, "s"), "count J-1", *given)
+    return _result(per_watt, "count W-1", *given)
+
+
+@dataclass(frozen=True)
+class Setup:
+    """One step of the monochromator, and the flight: all that eq. 4 needs. The defaults are a worked example.
+
+    Attributes
+    ----------
+    flux
+        phi_ref, power that enters slit width x one pixel [W].
+    reference_exposure, flight_exposure
+        t_ref and t_obs [s].
+    etendue
+        Of a pixel: slit width x pixel pitch x pi / (4 N^2) [m2 sr].
+    ground_sample
+        x_obs, side of a pixel on the ground [m]; enters as printed only.
+    ifov
+        theta_IFOV, angle of a pixel [rad], 8 mm seen from 50 feet; enters as printed only.
+    reference_bandwidth, flight_bandwidth
+        B_ref and B_obs: full widths at half maximum of monochromator and camera [nm].
+    band_spacing
+        From one band to the next [nm].
+    peak_responsivity
+        Counts per energy at the centre of a band [count J-1]: the truth, which makes the counts below.
+
+    Examples
+    --------
+    >>> round(Setup().line_area, 2)
+    8654.12
+    """
+
+    flux: Amount = 3.0e-12
+    reference_exposure: Amount = 50e-3
+    flight_exposure: Amount = 5e-3
+    etendue: Amount = 1.8598e-11
+    ground_sample: Amount = 8e-3
+    ifov: Amount = 8e-3 / 15.24
+    reference_bandwidth: Amount = 2.0
+    flight_bandwidth: Amount = 6.0
+    band_spacing: Amount = 600.0 / 271.0
+    peak_responsivity: Amount = 2.0e16
+
+    def _given(self) -> tuple[Amount, ...]:
+        return tuple(vars(self).values())
+
+    @property
+    def _lab_counts(self) -> Any:
+        """Counts of a band that would see all of the line."""
+        energy = _amount(self.flux, "W") * _amount(self.reference_exposure, "s")
+        return energy * _amount(self.peak_responsivity, "count J-1")
+
+    @property
+    def line_amplitude(self) -> Any:
+        """A_ref, height of the Gaussian fitted to the monochromator's line, above the dark [count]."""
+        camera = _amount(self.flight_bandwidth, "nm")
+        seen = (camera**2 + _amount(self.reference_bandwidth, "nm") ** 2) ** 0.5
+        return _result(self._lab_counts * camera / seen, "count", *self._given())
+
+    @property
+    def line_area(self) -> Any:
+        """SUM_ref, sum of the line over the bands, above the dark, whatever the widths' ratio [count]."""
+        width = _GAUSSIAN_AREA * _amount(self.flight_bandwidth, "nm")
+        return _result(self._lab_counts * width / _amount(self.band_spacing, "nm"), "count", *self._given())
+
+    def counts(self, radiance: Amount) -> Any:
+        """Return the counts above the dark that a radiance [W m-2 sr-1 nm-1] gives in flight."""
+        width = _GAUSSIAN_AREA * _amount(self.flight_bandwidth, "nm")
+        seen = _amount(radiance, _RADIANCE) * _amount(self.etendue, "m2 sr") * width
+        energy = seen * _amount(self.flight_exposure, "s")
+        made = energy * _amount(self.peak_responsivity, "count J-1")
+        return _result(made, "count", radiance, *self._given())
+
+
+def radiance_per_count(setup: Setup, *, variant: Variant = "corrected") -> Any:
+    """Return what a count of the flight is worth, eq. 4.
+
+    Parameters
+    ----------
+    setup
+        Lab and flight.
+    variant
+        Corrected, with the area of the line, ``phi_ref t_ref / (t_obs etendue spacing SUM_ref)``: independent
+        of the widths and shapes of both lines. As printed, ``phi_ref t_obs / t_ref / (x_obs^2 theta^2
+        B_ref / B_obs R_norm)``, called irradiance per count, with R_norm the fitted amplitude in counts: a
+        longer exposure makes a count worth more, and a higher flight makes it worth less.
+
+    Returns
+    -------
+    [W m-2 sr-1 nm-1 count-1]; as printed [W m-2 count-1].
+
+    Raises
+    ------
+    pint.DimensionalityError
+        An argument is a Quantity of another dimension.
+    ValueError
+        There is no such variant.
+
+    Examples
+    --------
+    >>> print(f"{radiance_per_count(Setup()):.4e}")
+    8.4188e-05
+    >>> print(f"{radiance_per_count(Setup(), variant='as_printed'):.4e}")
+    1.7931e-05
+    """
+    flux = _amount(setup.flux, "W")
+    lab, flight = _amount(setup.reference_exposure, "s"), _amount(setup.flight_exposure, "s")
+    given = setup._given()
+    if _check(variant):
+        per_line = _amount(setup.band_spacing, "nm") * _amount(setup.line_area, "count")
+        made = flux * (lab / flight) / (_amount(setup.etendue, "m2 sr") * per_line)
+        return _result(made, f"{_RADIANCE} count-1", *given)
+    footprint = _amount(setup.ground_sample, "m") ** 2 * _amount(setup.ifov, "rad") ** 2
+    widths = _amount(setup.reference_bandwidth, "nm") / _amount(setup.flight_bandwidth, "nm")
+    made = flux * (flight / lab) / (footprint * widths * _amount(setup.line_amplitude, "count"))
+    return _result(made, "W m-2 count-1", *given)
+
+
+def radiance(counts: Amount, dark: Amount, per_count: Amount, *, variant: Variant = "corrected") -> Any:
+    """Return the radiance at the sensor, eq. 5.
+
+    Parameters
+    ----------
+    counts, dark
+        Of the flight, at the same exposure [count].
+    per_count
+        From `radiance_per_count` with the same ``variant`` [W m-2 sr-1 nm-1 count-1]; as printed
+        [W m-2 count-1].
+    variant
+        Corrected, ``L = (DC - D) x per_count``; as printed, the same divided by pi, although the etendue has
+        made a radiance of it already.
+
+    Returns
+    -------
+    L [W m-2 sr-1 nm-1]; as printed [W m-2 sr-1], integrated over the band.
+
+    Raises
+    ------
+    pint.DimensionalityError
+        An argument is a Quantity of another dimension.
+    ValueError
+        There is no such variant.
+
+    Examples
+    --------
+    >>> round(radiance(2066.09, 100.0, 8.4188e-05), 5)
+    0.16552
+    """
+    given = counts, dark, per_count
+    signal = _amount(counts, "count") - _amount(dark, "count")
+    if _check(variant):
+        return _result(signal * _amount(per_count, f"{_RADIANCE} count-1"), _RADIANCE, *given)
+    made = signal * _amount(per_count, "W m-2 count-1") / _amount(np.pi, "sr")
+    return _result(made, "W m-2 sr-1", *given)
+
+
+def reflectance(radiance: Amount, irradiance: Amount, *, variant: Variant = "corrected") -> Any:
+    """Return the reflectance factor of a level surface, eq. 6.
+
+    Parameters
+    ----------
+    radiance
+        L [W m-2 sr-1 nm-1]
+    irradiance
+        E, downwelling, as a level receiver measures it [W m-2 nm-1].
+    variant
+        Corrected, ``rho = pi L / E``; as printed, ``rho = L E / pi``, which is no reflectance.
+
+    Returns
+    -------
+    rho [1].
+
+    Raises
+    ------
+    pint.DimensionalityError
+        An argument is a Quantity of another dimension; as printed always.
+    ValueError
+        There is no such variant.
+
+    Examples
+    --------
+    >>> round(reflectance(0.165521, 1.30), 5)
+    0.4
+    """
+    L, E = _amount(radiance, _RADIANCE), _amount(irradiance, _IRRADIANCE)
+    half_space = _amount(np.pi, "sr")
+    made = half_space * L / E if _check(variant) else L * E / half_space
+    return _result(made, "1", radiance, irradiance)

@@ -1,0 +1,306 @@
+"""Pictures of a calibration."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+
+from . import schema
+from .errors import MissingExtraError, Problems, SchemaError
+from .schema import BAND, CROSS_TRACK, STEP
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+__all__ = ["calibration_report"]
+
+Array = npt.NDArray[Any]
+Values = dict[str, Any]
+
+# of Okabe and Ito's palette, which colour-blind readers can tell apart
+_BLUE, _VERMILION, _BLACK = "#0072B2", "#D55E00", "#000000"
+_FAINT, _UNTRUSTED, _NOTHING = "0.75", "#F0E6D2", "0.88"
+
+_LINES_SHOWN = 5
+_PARTS = ("random", "systematic")
+_COLUMNS_SHOWN = 200  # curves of one panel at the most
+
+_DIMS: dict[str, tuple[str, ...]] = {
+    "wavelength": (BAND,),
+    "fwhm": (BAND,),
+    "good": (BAND,),
+    "wavelength_shift": (BAND, CROSS_TRACK),
+    "responsivity": (BAND, CROSS_TRACK),
+    "radiance_gain_u_random": (BAND, CROSS_TRACK),
+    "radiance_gain_u_systematic": (BAND, CROSS_TRACK),
+    "step_wavelength": (STEP,),
+    "line_centre": (STEP, CROSS_TRACK),
+    "line_own_fwhm": (STEP, CROSS_TRACK),
+    "line_trusted": (STEP, CROSS_TRACK),
+}
+
+
+def calibration_report(
+    calibration: xr.Dataset,
+    sweep: xr.Dataset | None = None,
+    path: str | Path | None = None,
+    *,
+    column: int | None = None,
+) -> Any:
+    """Draw what a lab sweep came to, to be judged at a glance.
+
+    Fits of some lines, residuals of the wavelength map, smile, width of the bands, responsivity, and how sure
+    the gain is. Bands without a gain are shaded.
+
+    Parameters
+    ----------
+    calibration
+        Of `hyperpaint.calibrate`.
+    sweep
+        That it was made from, for the counts of the lines: five steps are read. Without it their fits are
+        drawn alone.
+    path
+        Where to write a picture (PNG, PDF, ...); nowhere by default.
+    column
+        Whose lines are shown and whose curve stands out; by default the centre of those that were lit.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+
+    Raises
+    ------
+    MissingExtraError
+        matplotlib is not installed.
+    SchemaError
+        The calibration does not come from a sweep, the sweep is not whole or another's, or there is no such
+        column.
+
+    Examples
+    --------
+    >>> from hyperpaint.calibration import calibrate
+    >>> from hyperpaint.simulation import simulate_sweep
+    >>> sweep = simulate_sweep(steps=31, bands=136, columns=4)
+    >>> figure = calibration_report(calibrate(sweep), sweep)
+    """
+    try:
+        from matplotlib.figure import Figure
+    except ImportError as error:
+        needed = MissingExtraError.of("matplotlib", "viz", "a calibration report")
+        raise needed from error
+
+    values = _values(calibration, sweep, column)
+    figure = Figure(figsize=(14, 8.4), layout="constrained")
+    figure.suptitle(_title(calibration, values), fontsize="medium")
+    grid = figure.add_gridspec(2, 3)
+    fits = grid[0, 0].subgridspec(2, 1, height_ratios=(3, 1), hspace=0.05)
+    lines = figure.add_subplot(fits[0])
+    _draw_lines(lines, figure.add_subplot(fits[1], sharex=lines), calibration, sweep, values)
+    _draw_residuals(figure.add_subplot(grid[0, 1]), values)
+    _draw_smile(figure.add_subplot(grid[0, 2]), values)
+    _draw_widths(figure.add_subplot(grid[1, 0]), values)
+    _draw_responsivity(figure.add_subplot(grid[1, 1]), values)
+    _draw_uncertainty(figure.add_subplot(grid[1, 2]), values)
+    if path is not None:
+        figure.savefig(path, dpi=110)
+    return figure
+
+
+def _values(calibration: xr.Dataset, sweep: xr.Dataset | None, column: int | None) -> Values:
+    """Return what is drawn, as arrays in the units of the table, and the column that stands out."""
+    found = schema.require(calibration, list(_DIMS), "a calibration report")
+    sizes = {dim: calibration.sizes[dim] for dim in (STEP, BAND, CROSS_TRACK)}
+    problems = Problems("the calibration report cannot be drawn", SchemaError)
+    if sweep is not None and any(sweep.sizes.get(dim) != size for dim, size in sizes.items()):
+        there = {dim: sweep.sizes.get(dim) for dim in sizes}
+        problems.add(f"the sweep has sizes {there}, its calibration {sizes}; expected those of one camera")
+    if column is not None and not 0 <= column < sizes[CROSS_TRACK]:
+        problems.add(f"column={column}, expected 0 to {sizes[CROSS_TRACK] - 1}")
+    problems.raise_if_any()
+    values: Values = {}
+    for name, dims in _DIMS.items():
+        missing = {dim: sizes[dim] for dim in dims if dim not in found[name].dims}
+        values[name] = found[name].expand_dims(missing).transpose(*dims).to_numpy()
+    if column is None:
+        lit = np.flatnonzero(values["line_trusted"].any(axis=0))
+        column = int(lit[lit.size // 2]) if lit.size else sizes[CROSS_TRACK] // 2
+    return values | {"column": column}
+
+
+def _title(calibration: xr.Dataset, values: Values) -> str:
+    trusted, good, fwhm = values["line_trusted"], values["good"], values["fwhm"]
+    told = [
+        str(calibration.attrs.get("sweep", "lab sweep")),
+        f"{int(trusted.any(axis=1).sum())} of {len(trusted)} steps used",
+        f"{int(good.sum())} of {good.size} bands have a gain",
+        f"line shape {calibration.attrs['srf_shape']}, FWHM {np.nanmedian(fwhm):.2f} nm",
+        f"smile {np.ptp(values['wavelength_shift']):.2f} nm",
+    ]
+    return "   ·   ".join(told)
+
+
+# --- the lines ---------------------------------------------------------------------------------------------
+
+
+def _draw_lines(
+    axes: Any, below: Any, calibration: xr.Dataset, sweep: xr.Dataset | None, values: Values
+) -> None:
+    """Draw counts and fit of a few steps, and what is left of them."""
+    from matplotlib import colormaps
+
+    from .calibration.fitted_lines import fitted_lines
+
+    usable = np.flatnonzero(values["line_trusted"][:, values["column"]])
+    # not the outermost, some of whose light falls beside the array
+    parts = np.linspace(0, max(usable.size - 1, 0), _LINES_SHOWN + 2)[1:-1].round().astype(int)
+    steps = sorted(set(usable[parts].tolist())) if usable.size else []
+    drawn = fitted_lines(calibration, sweep, steps, values["column"])
+    colours = colormaps["viridis"](np.linspace(0.0, 0.9, max(len(drawn), 1)))
+    for line, colour in zip(drawn, colours, strict=False):
+        axes.plot(line.curve_distance, line.curve, color=colour, lw=1.2, label=f"{line.wavelength:g} nm")
+        axes.plot(line.distance, line.counts, "o", color=colour, ms=4)
+        below.plot(line.distance, 100 * line.residual, "o-", color=colour, ms=2.5, lw=0.6)
+    axes.set(title=f"lines and their fits, column {values['column']}", ylabel="counts above dark")
+    axes.tick_params(labelbottom=False)
+    axes.set_ylim(bottom=min(0.0, axes.get_ylim()[0]))
+    if drawn:
+        axes.legend(fontsize="small", frameon=False)
+    below.axhline(0, color="0.6", lw=0.8, zorder=0)
+    below.set(xlabel="distance from the line [nm]", ylabel="counts - fit\n[% of height]")
+    largest = max((float(np.abs(100 * line.residual).max(initial=0.0)) for line in drawn), default=0.0)
+    below.set_ylim(*(np.array([-1.15, 1.15]) * max(largest, 0.1)))
+
+
+def _edges(centres: Array) -> Array:
+    """Return the edges of cells about centres."""
+    if centres.size < 2:
+        return np.asarray([centres[0] - 0.5, centres[0] + 0.5])
+    inner = 0.5 * (centres[1:] + centres[:-1])
+    return np.concatenate([[2 * centres[0] - inner[0]], inner, [2 * centres[-1] - inner[-1]]])
+
+
+def _draw_map(axes: Any, wavelength: Array, values: Array, label: str, **style: Any) -> Any:
+    """Draw values over wavelength and columns; what is not known stays grey."""
+    columns = np.arange(values.shape[1] + 1) - 0.5
+    picture = axes.pcolormesh(
+        _edges(wavelength), columns, np.ma.masked_invalid(values.T), rasterized=True, **style
+    )
+    axes.set_facecolor(_NOTHING)
+    axes.figure.colorbar(picture, ax=axes, label=label, pad=0.02)
+    axes.set(xlabel="wavelength [nm]", ylabel="cross_track")
+    return picture
+
+
+def _draw_residuals(axes: Any, values: Values) -> None:
+    """Draw where the wavelength map puts the lines, against the monochromator, line by line."""
+    residual = values["line_centre"] - values["step_wavelength"][:, None]
+    residual = np.where(values["line_trusted"], residual, np.nan)
+    known = residual[np.isfinite(residual)]
+    limit = max(float(np.percentile(np.abs(known), 98)), 1e-6) if known.size else 1.0
+    spread = f"r.m.s. {np.sqrt(np.mean(known**2)):.2g} nm" if known.size else "no line is used"
+    _draw_map(
+        axes, values["step_wavelength"], residual, "map - monochromator [nm]",
+        cmap="PuOr", vmin=-limit, vmax=limit,
+    )  # fmt: skip
+    axes.set_title(f"wavelength residual, {spread}")
+
+
+# --- the elements ------------------------------------------------------------------------------------------
+
+
+def _draw_smile(axes: Any, values: Values) -> None:
+    """Draw the wavelength shift of every element."""
+    shift = values["wavelength_shift"]
+    _draw_map(axes, values["wavelength"], shift, "wavelength shift [nm]", cmap="viridis")
+    if min(shift.shape) > 1 and np.ptp(shift) > 0:
+        levels = np.linspace(shift.min(), shift.max(), 6)[1:-1]
+        curves = axes.contour(
+            values["wavelength"],
+            np.arange(shift.shape[1]),
+            shift.T,
+            levels=levels,
+            colors="white",
+            linewidths=0.8,
+        )
+        axes.clabel(curves, fmt="%.2g", fontsize="small")
+    axes.set_title("smile")
+
+
+def _shade_untrusted(axes: Any, values: Values) -> None:
+    """Shade the wavelengths whose bands have no gain."""
+    edges = _edges(values["wavelength"])
+    lost = np.concatenate([[False], ~values["good"], [False]])
+    begins, ends = np.flatnonzero(lost[1:] & ~lost[:-1]), np.flatnonzero(~lost[1:] & lost[:-1])
+    for number, (begin, end) in enumerate(zip(begins.tolist(), ends.tolist(), strict=True)):
+        label = None if number else "no gain"
+        axes.axvspan(edges[begin], edges[end], color=_UNTRUSTED, lw=0, zorder=0, label=label)
+    axes.set_xlim(edges.min(), edges.max())
+    axes.set_xlabel("wavelength [nm]")
+
+
+def _draw_widths(axes: Any, values: Values) -> None:
+    """Draw the width of every line and the curve through them."""
+    trusted, at = values["line_trusted"], values["step_wavelength"]
+    widths = np.where(trusted, values["line_own_fwhm"], np.nan)
+    used = trusted.any(axis=1)
+    low, middle, high = (
+        np.nanpercentile(widths[used], (5, 50, 95), axis=1) if used.any() else np.empty((3, 0))
+    )
+    axes.errorbar(
+        at[used], middle, (middle - low, high - middle), fmt="o", ms=3, lw=0.8, color=_BLUE,
+        label="lines: median, 5 to 95 % of the columns",
+    )  # fmt: skip
+    axes.plot(values["wavelength"], values["fwhm"], color=_VERMILION, lw=1.8, zorder=3, label="calibration")
+    if used.sum() > 4:  # lines cut off at the edges of the array would set the scale for all others
+        inner = slice(2, -2)
+        margin = 0.4 * float(high[inner].max() - low[inner].min()) + 1e-3
+        axes.set_ylim(low[inner].min() - margin, high[inner].max() + margin)
+    _shade_untrusted(axes, values)
+    axes.set(title="width of the bands, monochromator taken out", ylabel="FWHM [nm]")
+    axes.legend(fontsize="small", frameon=False)
+
+
+def _draw_responsivity(axes: Any, values: Values) -> None:
+    """Draw the responsivity of all columns, one of them in bold."""
+    from matplotlib.collections import LineCollection
+
+    wavelength, responsivity = values["wavelength"], values["responsivity"]
+    step = -(-responsivity.shape[1] // _COLUMNS_SHOWN)
+    curves = [np.column_stack([wavelength, curve]) for curve in responsivity[:, ::step].T]
+    every = "all columns" if step == 1 else f"every {step}th column"
+    axes.add_collection(LineCollection(curves, colors=_FAINT, linewidths=0.5, label=every))
+    axes.plot(
+        wavelength, responsivity[:, values["column"]], color=_BLUE, lw=1.8,
+        label=f"column {values['column']}",
+    )  # fmt: skip
+    axes.autoscale_view()
+    _shade_untrusted(axes, values)
+    axes.set(title="responsivity", ylabel="counts per joule in a pixel [count J$^{-1}$]")
+    axes.set_ylim(bottom=0)
+    axes.legend(fontsize="small", frameon=False)
+
+
+def _draw_uncertainty(axes: Any, values: Values) -> None:
+    """Draw how sure the gain is: what averages out and what does not."""
+    wavelength = values["wavelength"]
+    random, common = (_over_columns(100 * values[f"radiance_gain_u_{part}"]) for part in _PARTS)
+    axes.semilogy(wavelength, np.hypot(random, common), color=_BLACK, lw=2.5, label="both")
+    axes.semilogy(wavelength, common, "--", color=_VERMILION, lw=1.5, label="systematic: power meter, optics")
+    axes.semilogy(wavelength, random, color=_BLUE, lw=1.2, label="random: noise of the lines")
+    _shade_untrusted(axes, values)
+    axes.yaxis.set_major_formatter("{x:g}")
+    low, high = axes.get_ylim()
+    axes.set_ylim(low, 2.0 * high)
+    axes.set(title="standard uncertainty of the gain", ylabel="relative to the gain [%]")
+    axes.legend(fontsize="small", frameon=False)
+
+
+def _over_columns(values: Array) -> Array:
+    """Return the median of the columns, NaN where none is known."""
+    known = np.isfinite(values).any(axis=1)
+    middle = np.full(len(values), np.nan)
+    middle[known] = np.nanmedian(values[known], axis=1)
+    return middle

@@ -1,0 +1,240 @@
+"""Absolute anchors, dark, flat field, linearity and stray light on their own."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import xarray as xr
+
+import hyperpaint as hp
+from hyperpaint.calibration import (
+    anchor_to_radiance,
+    calibration_from_coefficients,
+    correct_stray_light,
+    dark_at,
+    dark_model,
+    etendue_from_optics,
+    etendue_from_pupil,
+    flat_field,
+    linearity,
+    panel_radiance,
+)
+from hyperpaint.calibration.detector import linearised
+from hyperpaint.calibration.responsivity import interpolate_nodes, monotone_slopes
+from hyperpaint.errors import PaintWarning, SchemaError, UnitsError
+from hyperpaint.simulation import simulate_sweep
+
+ELEMENT = ("band", "cross_track")
+
+
+def test_etendue_from_both_sides() -> None:
+    image = etendue_from_optics(2.5, 7.4e-6, 20e-6)
+    assert image == pytest.approx(1.860e-11, rel=2e-4)
+    assert etendue_from_pupil(12e-3 / 2.5, 7.4e-6 / 12e-3, 20e-6 / 12e-3) == pytest.approx(image, rel=1e-12)
+    with pytest.raises(SchemaError, match="in metres"):
+        etendue_from_optics(2.5, 7.4, 20.0)
+
+
+@pytest.fixture(scope="module")
+def sweep() -> xr.Dataset:
+    return simulate_sweep(bands=136, columns=6, nonuniformity=0.02, smile_nm=1.5, noise=False, quantise=False)
+
+
+def frames_of(sweep: xr.Dataset, radiance: xr.DataArray | float, exposure: float = 5e-3) -> xr.Dataset:
+    dark = xr.full_like(sweep.true_radiance_gain, 100.0).astype("f8")
+    counts = (dark + radiance * exposure / sweep.true_radiance_gain).fillna(100.0)
+    return xr.Dataset(
+        {
+            "counts": counts.assign_attrs(units="count"),
+            "dark_counts": dark.assign_attrs(units="count"),
+            "exposure_time": xr.DataArray(exposure, attrs={"units": "s"}),
+        }
+    )
+
+
+def spectrum(values: list[float], nm: list[float], units: str = "W m-2 sr-1 nm-1") -> xr.DataArray:
+    return xr.DataArray(
+        values,
+        dims="wavelength",
+        coords={"wavelength": ("wavelength", nm, {"units": "nm"})},
+        attrs={"units": units},
+    )
+
+
+def test_a_sphere_gives_every_element_its_gain(sweep: xr.Dataset) -> None:
+    made = hp.calibrate(sweep)
+    flat = spectrum([5.0, 5.0], [300.0, 1200.0], "uW cm-2 sr-1 nm-1")  # 0.05 in SI
+    anchored = anchor_to_radiance(made, frames_of(sweep, 0.05), flat)
+    known = np.isfinite(sweep.true_radiance_gain.values)
+    np.testing.assert_allclose(
+        anchored.radiance_gain.values[known], sweep.true_radiance_gain.values[known], rtol=1e-5
+    )
+    # a sloping spectrum is averaged over each column's own responses, smile and all
+    slope = spectrum([0.02, 0.08], [300.0, 1200.0])
+    nm = sweep.true_wavelength + sweep.true_wavelength_shift
+    level = 0.02 + 0.06 * (nm - 300.0) / 900.0
+    error = (
+        anchor_to_radiance(made, frames_of(sweep, level), slope).radiance_gain / sweep.true_radiance_gain - 1
+    )
+    assert float(np.abs(error).max()) < 4e-4
+
+
+def test_one_factor_leaves_the_shape_of_the_sweep(sweep: xr.Dataset) -> None:
+    shape = hp.calibrate(sweep.drop_vars(["capture_fraction", "etendue"]), absolute=False)
+    anchored = anchor_to_radiance(
+        shape, frames_of(sweep, 0.05), spectrum([0.05, 0.05], [300.0, 1200.0]), scale="common"
+    )
+    ratio = anchored.radiance_gain / shape.radiance_gain
+    assert float(ratio.std() / ratio.mean()) < 1e-6
+    assert float(np.abs((anchored.radiance_gain / sweep.true_radiance_gain).median() - 1)) < 5e-3
+    assert anchored.absolute_scale == "known"
+
+
+def test_an_anchor_extrapolates_nothing_and_drops_what_is_saturated(sweep: xr.Dataset) -> None:
+    made = hp.calibrate(sweep)
+    part = anchor_to_radiance(made, frames_of(sweep, 0.05), spectrum([0.05, 0.05], [500.0, 800.0]))
+    beyond = (made.wavelength < 490) | (made.wavelength > 810)
+    assert np.isnan(part.radiance_gain.values[beyond.values]).all()
+    assert not part.good.values[beyond.values].any()
+    frames = frames_of(sweep, 0.05)
+    frames["counts"][40, 3] = 1e5
+    with pytest.warns(PaintWarning, match="1 elements are saturated"):
+        made = anchor_to_radiance(
+            made, frames.assign(saturation_count=4095.0), spectrum([0.05, 0.05], [300.0, 1200.0])
+        )
+    assert np.isnan(made.radiance_gain.values[40, 3])
+    with pytest.raises(SchemaError, match="no element is covered"):
+        anchor_to_radiance(made, frames_of(sweep, 0.05), spectrum([1.0, 1.0], [1200.0, 1300.0]))
+    with pytest.raises(SchemaError, match="'exposure_time' is missing"):
+        anchor_to_radiance(made, frames.drop_vars("exposure_time"), spectrum([1.0, 1.0], [300.0, 1200.0]))
+    with pytest.raises(UnitsError):
+        anchor_to_radiance(made, frames, spectrum([1.0, 1.0], [300.0, 1200.0], "W m-2 nm-1"))
+
+
+def test_a_panel_is_a_sphere_with_pi() -> None:
+    lit = xr.DataArray([1.3], dims="irradiance_wavelength", attrs={"units": "W m-2 nm-1"})
+    made = panel_radiance(lit, 0.40)
+    assert float(made[0]) == pytest.approx(0.165521, rel=1e-5)
+    assert made.units == "W m-2 sr-1 nm-1"
+    with pytest.raises(UnitsError):
+        panel_radiance(lit.assign_attrs(units="W m-2 sr-1 nm-1"), 0.4)
+
+
+def test_coefficients_of_a_vendor() -> None:
+    gain = xr.DataArray(
+        [[1e-6, 0.0], [2e-6, np.nan]], dims=ELEMENT, attrs={"units": "W m-2 sr-1 nm-1 s count-1"}
+    )
+    nm = {"units": "nm"}
+    axis = xr.DataArray([500.0, 502.0], dims="band", attrs=nm)
+    width = xr.DataArray([6.0, 6.0], dims="band", attrs=nm)
+    made = calibration_from_coefficients(gain, axis, width, srf_shape="slit")
+    np.testing.assert_allclose(made.radiance_gain, [[1e-6, np.nan], [2e-6, np.nan]], rtol=1e-6)
+    assert made.radiance_gain.dtype == np.float32
+    from hyperpaint.io.calibration_store import open_calibration
+
+    assert open_calibration(made).srf_shape == "slit"
+    with pytest.raises(SchemaError, match="give exposure_time"):
+        calibration_from_coefficients(gain.assign_attrs(units="W m-2 sr-1 nm-1 count-1"), axis, width)
+    with pytest.raises(UnitsError):
+        calibration_from_coefficients(gain.assign_attrs(units="count"), axis, width)
+
+
+def dark(seconds: float, bias: float = 100.0, rate: float = 50.0) -> xr.Dataset:
+    counts = np.full((2, 3), bias + rate * seconds)
+    return xr.Dataset(
+        {
+            "dark_counts": (ELEMENT, counts, {"units": "count"}),
+            "dark_exposure_time": ((), seconds * 1e3, {"units": "ms"}),
+        }
+    )
+
+
+def test_dark_is_bias_plus_rate_times_exposure() -> None:
+    model = dark_model([dark(0.01), dark(0.02), dark(0.05)])
+    np.testing.assert_allclose(model.dark_bias, 100.0, rtol=1e-6)
+    np.testing.assert_allclose(model.dark_rate, 50.0, rtol=1e-5)
+    np.testing.assert_allclose(dark_at(model, 1.0), 150.0, rtol=1e-6)
+    assert abs(model.dark_drift_count) < 1e-9
+    drifting = dark_model([dark(0.01), dark(0.05), dark(0.01, bias=103.0), dark(0.05, bias=103.0)])
+    assert drifting.dark_drift_count == pytest.approx(3.0, abs=0.01)
+    with pytest.raises(SchemaError, match="a rate needs two exposures"):
+        dark_model([dark(0.01), dark(0.01)])
+    with pytest.raises(SchemaError, match="shapes"):
+        dark_model([dark(0.01), dark(0.02).isel(band=[0])])
+
+
+def test_flat_fields_of_sphere_and_scene() -> None:
+    rng = np.random.default_rng(0)
+    response = 1 + 0.05 * rng.standard_normal((4, 30))
+    ground = rng.uniform(0.5, 1.5, (400, 1, 1)) * [[[800.0]], [[900.0]]][0]
+    scene = xr.DataArray(ground * response + 100, dims=("along_track", *ELEMENT))
+    offset = xr.full_like(scene.isel(along_track=0), 100.0)
+    made = flat_field(scene, offset)
+    level = (made * response).values
+    np.testing.assert_allclose(level / level.mean(axis=1, keepdims=True), 1.0, atol=1e-6)
+    lazy = flat_field(scene.chunk(along_track=50), offset)
+    np.testing.assert_allclose(lazy, made)
+    assert lazy.chunks is not None
+    with pytest.raises(SchemaError, match="flat-field frames"):
+        flat_field(scene.rename(band="b"))
+
+
+def test_linearity_is_the_identity_by_default_and_closes() -> None:
+    counts = np.arange(5.0)
+    assert linearised(())(counts) is counts
+    light = np.linspace(0.05, 1.0, 20)
+    measured = 4000 * light - 0.03 * 4000 * light**2
+    apply = linearised(linearity(light, measured))
+    straight = apply(measured) / light
+    assert np.ptp(straight) / straight.mean() < 1e-3
+    sweep = simulate_sweep(columns=3, noise=False, quantise=False, nonuniformity=0, nonlinearity=0.03)
+    full = float(sweep.saturation_count)
+    signal = np.linspace(0.02, 1.0, 30)
+    inverse = linearity(signal, full * signal * (1 - 0.03 * signal))
+    errors = [
+        np.nanmax(np.abs(made.radiance_gain / sweep.true_radiance_gain - 1)[10:-10])
+        for made in (hp.calibrate(sweep), hp.calibrate(sweep, linearity=inverse))
+    ]
+    assert errors[0] > 5e-3
+    assert errors[1] < 1e-3
+    with pytest.raises(SchemaError, match="linearity of degree 3"):
+        linearity([1.0], [1.0])
+
+
+def test_stray_light_correction() -> None:
+    rng = np.random.default_rng(1)
+    true = xr.DataArray(
+        rng.uniform(1, 2, (6, 5, 4)), dims=("along_track", *ELEMENT), attrs={"units": "count"}
+    )
+    none = xr.DataArray(np.zeros((5, 5)), dims=("band", "source_band"))
+    assert correct_stray_light(true, none) is true
+    some = none + 0.01 * rng.uniform(size=(5, 5))
+    seen = true + xr.dot(some, true.rename(band="source_band"), dim="source_band").transpose(*true.dims)
+    np.testing.assert_allclose(correct_stray_light(seen, some), true, rtol=1e-12)
+    lazy = correct_stray_light(seen.astype("f4").chunk(along_track=2, band=2), some)
+    assert lazy.chunks is not None
+    assert lazy.dtype == lazy.compute().dtype == np.float32
+    np.testing.assert_allclose(lazy, true, rtol=1e-5)
+    with pytest.raises(SchemaError, match="square"):
+        correct_stray_light(true.isel(band=[0]), some)
+    with pytest.raises(SchemaError, match="inverted"):
+        correct_stray_light(true, none - np.eye(5))
+
+
+def test_interpolation_is_exact_for_smooth_and_calm_at_steps() -> None:
+    x = np.linspace(400, 1000, 61)
+    at = np.linspace(405, 995, 500)[:, None]
+    smooth = np.exp(-0.5 * ((x - 603.0) / 90.0) ** 2)[:, None]
+    made, _ = interpolate_nodes(x, smooth, np.ones_like(smooth, bool), at)
+    assert np.abs(made - np.exp(-0.5 * ((at - 603.0) / 90.0) ** 2)).max() < 1e-4
+    edge = np.where(x > 650, 1.0, 0.1)[:, None]
+    made, _ = interpolate_nodes(x, edge, np.ones_like(edge, bool), at)
+    assert made.min() >= 0.1 - 1e-12
+    assert made.max() <= 1.0 + 1e-12
+    slopes = monotone_slopes(x, edge)
+    assert (slopes >= 0).all()
+    beyond, known = interpolate_nodes(
+        x, smooth, np.ones_like(smooth, bool), np.array([[399.9], [1000.1], [400.0]])
+    )
+    np.testing.assert_array_equal(known.ravel(), [False, False, True])
+    assert np.isnan(beyond[:2]).all()

@@ -1,0 +1,125 @@
+"""Sweeps that must not become a calibration: one clear error that lists everything, or a warning."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+import xarray as xr
+
+import hyperpaint as hp
+from hyperpaint.errors import PaintWarning, SchemaError
+from hyperpaint.simulation import simulate_sweep
+
+
+@pytest.fixture(scope="module")
+def sweep() -> xr.Dataset:
+    return simulate_sweep(steps=31, bands=136, columns=6, nonuniformity=0)
+
+
+def changed(sweep: xr.Dataset, **values: object) -> xr.Dataset:
+    made = sweep.copy()
+    for name, value in values.items():
+        made[name] = value if isinstance(value, xr.DataArray) else (sweep[name].dims, value)
+        made[name].attrs = {**sweep[name].attrs, **made[name].attrs}
+    return made
+
+
+def problem_of(sweep: xr.Dataset) -> str:
+    with pytest.raises(SchemaError, match="this lab sweep cannot be calibrated") as caught:
+        hp.calibrate(sweep)
+    return str(caught.value)
+
+
+def flux_of(sweep: xr.Dataset, step: int, value: float) -> xr.Dataset:
+    flux = sweep.flux.values.copy()
+    flux[step] = value
+    return changed(sweep, flux=flux)
+
+
+@pytest.mark.parametrize(
+    ("change", "expected"),
+    [
+        (lambda s: flux_of(s, 3, 0.0), "'flux' is 0 at 1 of 31 steps (460 nm)"),
+        (lambda s: flux_of(s, 3, np.nan), "'flux' is nan at 1 of 31 steps (460 nm)"),
+        (lambda s: flux_of(s, 3, -1.0), "'flux' is -1 at 1 of 31 steps"),
+        (lambda s: s.drop_vars("flux"), "'flux' is missing"),
+        (lambda s: s.drop_vars("capture_fraction"), "'capture_fraction' is missing"),
+        (lambda s: changed(s, capture_fraction=1.5), "expected above 0 and at most 1"),
+        (lambda s: changed(s, flux=s.flux * 1e6), "uW said to be W?"),
+        (lambda s: changed(s, flux=s.flux * 1e-4), "expected below 1"),
+        (lambda s: changed(s.drop_vars("dark_exposure_time"), exposure_time=s.exposure_time * 1e3),
+         "ms said to be s?"),
+        (lambda s: s.isel(step=[1, 0, *range(2, 31)]), "steps are out of order: 400 after 420 nm (step 1)"),
+        (lambda s: s.isel(step=[0, 1, 1, *range(2, 31)]), "420 after 420 nm"),
+        (lambda s: changed(s, counts=s.counts.values[[*range(15), *range(20, 31), *range(15, 20)]]),
+         "lines do not move along the array"),
+        (lambda s: changed(s, counts=s.counts * 0 + s.dark_counts), "no line above the noise at 31"),
+        (lambda s: s.isel(step=slice(0, 3)), "3 steps, expected at least 4"),
+        (lambda s: changed(s, dark_exposure_time=s.exposure_time / 2), "dark at another exposure"),
+        (lambda s: s.assign_attrs(monochromator_shape="box"), "monochromator_shape 'box', expected one of"),
+        (lambda s: changed(s, saturation_count=s.saturation_count * 0 + 300), "can be trusted"),
+    ],
+)  # fmt: skip
+def test_one_problem_at_a_time(
+    sweep: xr.Dataset, change: Callable[[xr.Dataset], xr.Dataset], expected: str
+) -> None:
+    assert expected in problem_of(change(sweep))
+
+
+def test_all_problems_at_once(sweep: xr.Dataset) -> None:
+    bad = flux_of(sweep, 3, 0.0).isel(step=[1, 0, *range(2, 31)]).drop_vars("etendue")
+    bad["exposure_time"].attrs["units"] = "m"
+    bad = bad.rename(cross_track="x").assign_attrs(monochromator_shape="box")
+    message = problem_of(bad)
+    for part in ("'counts' has dims (step, band, x)", "'etendue' is missing", "'exposure_time' has units 'm'",
+                 "'flux' is 0", "out of order", "monochromator_shape"):  # fmt: skip
+        assert part in message
+    assert message.count("\n") >= 7
+
+
+def test_a_few_saturated_lines_are_left_out(sweep: xr.Dataset) -> None:
+    counts = sweep.counts.values.copy()
+    counts[10] = np.minimum(counts[10] * 30, 4095)
+    variance = sweep.counts_variance.values.copy()
+    variance[10] = 0.0
+    with pytest.warns(PaintWarning, match=r"saturated lines are left out: 600 nm \(6 of 6 lit columns\)"):
+        made = hp.calibrate(changed(sweep, counts=counts, counts_variance=variance))
+    assert not made.line_trusted.values[10].any()
+    error = made.radiance_gain / sweep.true_radiance_gain - 1
+    assert float(np.abs(error[10:-10]).max()) < 0.02
+
+
+def test_a_lost_step_is_left_out(sweep: xr.Dataset) -> None:
+    counts = sweep.counts.values.copy()
+    counts[12] = sweep.dark_counts.values[12] if sweep.dark_counts.ndim == 3 else sweep.dark_counts.values
+    with pytest.warns(PaintWarning, match="no line above the noise at 640 nm"):
+        made = hp.calibrate(changed(sweep, counts=counts))
+    assert made.steps_left_out_nm == [640.0]
+
+
+def test_a_wide_gap_between_steps_is_not_bridged(sweep: xr.Dataset) -> None:
+    made = hp.calibrate(sweep.isel(step=[*range(10), *range(16, 31)]))
+    inside = (made.wavelength > 585) & (made.wavelength < 715)
+    assert not made.good.values[inside.values].any()
+    assert made.good.values[(made.wavelength < 575).values][3:].all()
+
+
+def test_without_a_scale_the_shape_is_left(sweep: xr.Dataset) -> None:
+    made = hp.calibrate(sweep.drop_vars(["capture_fraction", "etendue"]), absolute=False)
+    assert made.absolute_scale == "unknown"
+    ratio = (made.radiance_gain / sweep.true_radiance_gain).values[10:-10]
+    assert np.nanstd(ratio) / np.nanmean(ratio) < 4e-3
+
+
+def test_elements_that_are_not_finite_are_bad(sweep: xr.Dataset) -> None:
+    counts = sweep.counts.values.copy()
+    counts[:, 60, 2] = np.nan
+    made = hp.calibrate(changed(sweep, counts=counts), bad_elements=xr.zeros_like(sweep.true_bad))
+    others = np.ones(made.radiance_gain.shape, bool)
+    others[60, 2] = False
+    error = np.where(others, made.radiance_gain / sweep.true_radiance_gain - 1, 0)[10:-10]
+    assert np.abs(error).max() < 0.02
+    with pytest.raises(SchemaError, match="bad_elements has sizes"):
+        hp.calibrate(sweep, bad_elements=xr.DataArray(np.zeros((2, 2), bool), dims=("band", "cross_track")))

@@ -1,0 +1,249 @@
+"""What a calibration must show: against brute-force sweeps of a camera whose truth is known."""
+
+from __future__ import annotations
+
+import functools
+from typing import Any
+
+import numpy as np
+import pytest
+import xarray as xr
+
+import hyperpaint as hp
+from hyperpaint.calibration import flat_field, quantum_efficiency, relative_responsivity
+from hyperpaint.errors import PaintWarning
+from hyperpaint.simulation import simulate_sweep
+
+CLEAN = {"noise": False, "quantise": False}
+FWHM = 6.0
+
+
+@functools.lru_cache(maxsize=4)
+def _sweep(effects: tuple[tuple[str, Any], ...]) -> xr.Dataset:
+    return simulate_sweep(**dict(effects))
+
+
+def sweep_of(**effects: Any) -> xr.Dataset:
+    given = {"columns": 5, "nonuniformity": 0, "smile_nm": 1.5, **effects}
+    return _sweep(tuple(sorted(given.items())))
+
+
+def inside(sweep: xr.Dataset, width: float) -> np.ndarray:
+    """Bands at least 1.5 FWHM from both ends of array and sweep."""
+    nm = sweep.true_wavelength.values
+    margin = 1.5 * np.hypot(FWHM, width)
+    low, high = max(nm[0], sweep.step_wavelength.values[0]), min(nm[-1], sweep.step_wavelength.values[-1])
+    return (nm >= low + margin) & (nm <= high - margin)
+
+
+def errors(made: xr.Dataset, sweep: xr.Dataset, width: float) -> dict[str, float]:
+    """Largest errors: gain and FWHM relative, wavelengths in nm."""
+    band = inside(sweep, width)
+    gain = (made.radiance_gain / sweep.true_radiance_gain - 1).values[band]
+    assert np.isfinite(gain).all()
+    return {
+        "gain": float(np.abs(gain).max()),
+        "gain_rms": float(np.sqrt((gain**2).mean())),
+        "wavelength": float(np.abs(made.wavelength - sweep.true_wavelength).values[band].max()),
+        "smile": float(np.abs(made.wavelength_shift - sweep.true_wavelength_shift).values[band].max()),
+        "fwhm": float(np.abs(made.fwhm / sweep.true_fwhm - 1).values[band].max()),
+    }
+
+
+@pytest.mark.parametrize("light", ["gaussian", "triangle"])
+@pytest.mark.parametrize("shape", ["gaussian", "slit"])
+@pytest.mark.parametrize("width", [0.5, 2.0, 4.0, 6.0, 12.0])
+def test_gain_whatever_the_monochromator(width: float, shape: str, light: str) -> None:
+    sweep = sweep_of(monochromator_fwhm_nm=width, srf_shape=shape, monochromator_shape=light, **CLEAN)
+    if width > 0.7 * FWHM:
+        with pytest.warns(PaintWarning, match="ill-conditioned"):
+            made = hp.calibrate(sweep)
+    else:
+        made = hp.calibrate(sweep)
+    found = errors(made, sweep, width)
+    assert made.srf_shape == shape
+    assert found["gain"] < 1e-3
+    assert found["smile"] < 0.05
+    assert found["wavelength"] < 0.02
+    if width <= 0.7 * FWHM:
+        assert found["fwhm"] < 0.02
+    assert made.radiance_gain.dtype == np.float32
+    assert made.wavelength.dtype == made.fwhm.dtype == made.wavelength_shift.dtype == np.float64
+
+
+@pytest.mark.parametrize("shape", ["gaussian", "slit"])
+@pytest.mark.parametrize("width", [0.5, 4.0])
+def test_gain_with_noise(width: float, shape: str) -> None:
+    sweep = sweep_of(monochromator_fwhm_nm=width, srf_shape=shape, columns=40)
+    made = hp.calibrate(sweep)
+    found = errors(made, sweep, width)
+    assert made.srf_shape == shape
+    assert found["gain"] < 5e-3
+    assert found["gain_rms"] < 1e-3
+    assert found["wavelength"] < 0.02
+    assert found["smile"] < 0.05
+    assert found["fwhm"] < 0.02
+    z = ((made.radiance_gain / sweep.true_radiance_gain - 1) / made.radiance_gain_u_random).values
+    assert 0.85 < np.nanstd(z) < 1.15
+    assert float(made.electrons_per_count) == pytest.approx(float(sweep.true_electrons_per_count), rel=0.02)
+
+
+def test_a_coarse_camera_keeps_its_area() -> None:
+    # bands 4.4 nm apart sum to 0.3 % more or less than the light, depending on where the line falls
+    sweep = sweep_of(bands=136, monochromator_fwhm_nm=0.5, **CLEAN)
+    assert errors(hp.calibrate(sweep), sweep, 0.5)["gain"] < 1e-3
+
+
+def test_lines_at_the_edges_are_completed_and_nothing_is_extrapolated() -> None:
+    sweep = sweep_of(**CLEAN)
+    made = hp.calibrate(sweep)
+    truth = sweep.true_wavelength + sweep.true_wavelength_shift
+    beyond = (truth < 400.0 - 0.02) | (truth > 1000.0 + 0.02)
+    assert np.isnan(made.radiance_gain.values[beyond.transpose("band", "cross_track").values]).all()
+    assert int(made.good.sum()) >= 269
+    error = (made.radiance_gain / sweep.true_radiance_gain - 1).values
+    assert np.nanmax(np.abs(error)) < 2e-3
+    short = sweep.isel(step=slice(5, 50))
+    part = hp.calibrate(short)
+    outside = (part.wavelength < 449.5) | (part.wavelength > 890.5)
+    assert not part.good.values[outside.values].any()
+    assert np.isnan(part.radiance_gain.values[(truth < 449.9).values]).all()
+    known = np.isfinite(part.radiance_gain_u_random.values)
+    np.testing.assert_array_equal(known, np.isfinite(part.radiance_gain.values))
+
+
+def test_gain_does_not_depend_on_what_cancels() -> None:
+    """Flux and counts scaled together, and exposure and counts, leave the gain (physics 2.4, 2 and 4)."""
+    sweep = sweep_of(bands=136, **CLEAN)
+    dark = sweep.dark_counts
+    whole = hp.calibrate(sweep).radiance_gain
+    for name in ("flux", "exposure_time"):
+        scaled = sweep.copy()
+        scaled["counts"] = ((sweep.counts - dark) * 0.5 + dark).assign_attrs(sweep.counts.attrs)
+        scaled[name] = (sweep[name] * 0.5).assign_attrs(sweep[name].attrs)
+        if name == "exposure_time" and "dark_exposure_time" in sweep:
+            scaled["dark_exposure_time"] = (sweep.dark_exposure_time * 0.5).assign_attrs(units="s")
+        np.testing.assert_allclose(hp.calibrate(scaled).radiance_gain, whole, rtol=2e-5)
+
+
+def test_units_are_converted() -> None:
+    sweep = sweep_of(bands=136, **CLEAN)
+    other = sweep.copy()
+    other["flux"] = (sweep.flux * 1e6).assign_attrs(units="uW")
+    other["exposure_time"] = (sweep.exposure_time * 1e3).assign_attrs(units="ms")
+    np.testing.assert_allclose(
+        hp.calibrate(other).radiance_gain, hp.calibrate(sweep).radiance_gain, rtol=1e-5
+    )
+
+
+def test_an_array_read_from_the_red_end() -> None:
+    sweep = sweep_of(**CLEAN)
+    turned = hp.calibrate(sweep.isel(band=slice(None, None, -1)))
+    straight = hp.calibrate(sweep)
+    for name in ("radiance_gain", "wavelength", "wavelength_shift", "fwhm", "good"):
+        np.testing.assert_allclose(
+            turned[name].values[::-1],
+            straight[name].values,
+            rtol=1e-4,
+            atol=1e-3 if name != "radiance_gain" else 0,
+        )
+
+
+def test_lazy_sweeps_give_the_same_bits() -> None:
+    sweep = sweep_of(bands=136)
+    eager = hp.calibrate(sweep)
+    for chunks in ({"step": 1}, {"step": 7, "band": 50, "cross_track": 3}):
+        xr.testing.assert_identical(hp.calibrate(sweep.chunk(chunks)), eager)
+
+
+def test_a_beam_is_no_response() -> None:
+    sweep = sweep_of(bands=136, columns=24, beam_fwhm_columns=10.0, beam_wander_columns=2.0)
+    made = hp.calibrate(sweep)
+    lit = np.isfinite(made.radiance_gain.values[68])
+    assert lit[6:19].all()
+    assert not lit.all()
+    error = (made.radiance_gain / sweep.true_radiance_gain - 1).values[20:-20]
+    assert np.nanstd(error) < 4e-3
+    assert float(np.nanmedian(made.beam_fwhm)) == pytest.approx(10.0, rel=0.03)
+    assert float(np.ptp(made.beam_centre.values[5:-5])) == pytest.approx(4.0, abs=0.3)
+    with pytest.warns(PaintWarning, match="taken as equal in all lit columns"):
+        hp.calibrate(sweep_of(bands=136, columns=24, beam_fwhm_columns=16.0, beam_recorded=False))
+
+
+def test_a_flat_field_brings_what_lines_cannot_see() -> None:
+    sweep = sweep_of(columns=40, nonuniformity=0.01)
+    band = inside(sweep, 2.0)
+    flat = flat_field(0.05 / sweep.true_radiance_gain)
+    spread = [
+        np.nanstd((made.radiance_gain / sweep.true_radiance_gain - 1).values[band])
+        for made in (hp.calibrate(sweep), hp.calibrate(sweep, flat_field=flat))
+    ]
+    assert spread[0] > 5e-3
+    assert spread[1] < 2e-3
+
+
+def test_bad_elements_are_found_and_spoil_nothing_else() -> None:
+    sweep = sweep_of(columns=24, bad_elements=20)
+    made = hp.calibrate(sweep)
+    gain = made.radiance_gain.values
+    bad = sweep.true_bad.values
+    assert np.isnan(gain[bad]).all()
+    band = inside(sweep, 2.0)
+    assert np.isfinite(gain[band][~bad[band]]).all()
+    error = (made.radiance_gain / sweep.true_radiance_gain - 1).values[band]
+    assert np.nanmax(np.abs(error)) < 8e-3
+    said = xr.zeros_like(sweep.true_bad)
+    said[100, 3] = True
+    assert np.isnan(hp.calibrate(sweep, bad_elements=said).radiance_gain.values[100, 3])
+
+
+def test_views_and_provenance() -> None:
+    sweep = sweep_of(bands=136)
+    made = hp.calibrate(sweep)
+    efficiency = quantum_efficiency(made)
+    assert 0.1 < float(efficiency.max()) < 0.2  # half of the light falls between 136 bands
+    assert float(relative_responsivity(made).max()) == pytest.approx(1.0, abs=0.02)
+    assert made.absolute_scale == "known"
+    assert made.noise_source == "variance of the frames"
+    assert made.radiance_gain_u_systematic.dims == ("band",)
+    assert float(made.radiance_gain_u_systematic[60]) == pytest.approx(0.04, rel=0.01)
+    assert float(made.wavelength_u) < 0.01
+    residual = made.line_centre - made.step_wavelength
+    assert float(np.abs(residual.where(made.line_trusted)[2:-2]).max()) < 0.02
+    for name, array in made.variables.items():
+        assert array.attrs.get("long_name"), name
+
+
+def test_out_of_band_light_is_reported() -> None:
+    sweep = sweep_of(bands=136, columns=12, stray_light=2e-3, second_order=5e-3)
+    made = hp.calibrate(sweep)
+    assert float(np.nanmedian(made.second_order)) == pytest.approx(5e-3, rel=0.05)
+    shares = made.stray_light.sum("band").values
+    assert 1.2e-3 < np.median(shares[70:]) < 2.2e-3
+    assert (np.diagonal(made.stray_light.values) == 0).all()
+
+
+def test_progress_is_told() -> None:
+    told: list[tuple[int, int]] = []
+    hp.calibrate(sweep_of(bands=136), progress=lambda done, total: told.append((done, total)))
+    assert told[0] == (1, 244)
+    assert told[-1] == (244, 244)
+
+
+def test_dark_at_any_exposure_once_bias_and_rate_are_known() -> None:
+    sweep = sweep_of(bands=136, dark_exposure_ms=20.0)
+    with pytest.raises(hp.SchemaError, match="dark at another exposure: steps at 50 ms, dark at 20 ms"):
+        hp.calibrate(sweep)
+    both = _sweep((("bands", 136), ("columns", 5), ("dark_exposure_ms", (20.0, 80.0)), ("nonuniformity", 0)))
+    made = hp.calibrate(both)
+    assert float(np.abs(made.dark_bias - both.true_dark_bias).max()) < 0.3
+    assert errors(made, both, 2.0)["gain"] < 1e-2
+
+
+def test_other_line_shapes_can_be_asked_for() -> None:
+    sweep = sweep_of(bands=136, **CLEAN)
+    assert hp.calibrate(sweep, srf_shape="slit").srf_shape == "slit"
+    with pytest.raises(hp.SchemaError, match="expected a Dataset"):
+        hp.calibrate("sweep.zarr")  # type: ignore[arg-type]
+    with pytest.raises(hp.SchemaError, match="srf_shape 'box'"):
+        hp.calibrate(sweep, srf_shape="box")

@@ -1,0 +1,125 @@
+"""From a sweep on disk to a calibration on disk, on the command line and inside a collect."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import xarray as xr
+from click.testing import CliRunner
+
+import hyperpaint as hp
+from hyperpaint.cli import main
+from hyperpaint.errors import CollectError, FormatError
+from hyperpaint.io.calibration_store import open_calibration
+from hyperpaint.io.collect import open_collect as open_without_physics
+from hyperpaint.io.sweep_store import open_sweep
+from hyperpaint.simulation import simulate_collect, simulate_sweep
+
+
+@pytest.fixture(scope="module")
+def lab(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("lab")
+    sweep = simulate_sweep(steps=31, bands=136, columns=6, nonuniformity=0)
+    sweep.drop_vars([name for name in sweep.variables if str(name).startswith("true_")]).chunk(
+        step=1
+    ).to_zarr(folder / "sweep.zarr", zarr_format=3, consolidated=False)
+    return folder
+
+
+def test_what_is_written_is_read(lab: Path, tmp_path: Path) -> None:
+    made = hp.calibrate(open_sweep(lab / "sweep.zarr"))
+    hp.to_store(made, tmp_path / "cal.zarr")
+    back = open_calibration(tmp_path / "cal.zarr")
+    for name in made.variables:
+        np.testing.assert_array_equal(back[name].values, made[name].values, err_msg=str(name))
+        assert back[name].dtype == made[name].dtype, name
+        assert (name in back.coords) == (name in made.coords), name
+    assert back.srf_shape == made.srf_shape
+    assert back.wavelength_residual_nm == made.wavelength_residual_nm
+
+
+def test_command_line(lab: Path, tmp_path: Path) -> None:
+    out = tmp_path / "cal.zarr"
+    done = CliRunner().invoke(main, ["calibrate", str(lab / "sweep.zarr"), "--out", str(out)])
+    assert done.exit_code == 0, done.output
+    assert "of 136 bands have a gain" in done.output
+    assert "line shape gaussian, FWHM 6." in done.output
+    assert hp.verify(out).ok
+    again = CliRunner().invoke(main, ["calibrate", str(lab / "sweep.zarr"), "--out", str(out)])
+    assert again.exit_code == 0, again.output
+    other = ["calibrate", str(lab / "sweep.zarr"), "--out", str(out), "--flux-uncertainty", "0.02"]
+    refused = CliRunner().invoke(main, other)
+    assert refused.exit_code == 2
+    assert "--overwrite" in refused.output
+    assert CliRunner().invoke(main, [*other, "--overwrite"]).exit_code == 0
+    assert open_calibration(out).flux_uncertainty == 0.02
+
+
+def test_command_line_says_what_is_wrong(lab: Path, tmp_path: Path) -> None:
+    nothing = CliRunner().invoke(main, ["calibrate", str(tmp_path), "--out", str(tmp_path / "cal.zarr")])
+    assert nothing.exit_code == 2
+    assert "not a readable Zarr store" in nothing.output
+    itself = CliRunner().invoke(
+        main, ["calibrate", str(lab / "sweep.zarr"), "--out", str(lab / "sweep.zarr")]
+    )
+    assert itself.exit_code == 2
+    assert "is the sweep itself" in itself.output
+    bad = xr.open_zarr(lab / "sweep.zarr", consolidated=False).drop_vars("flux")
+    bad.to_zarr(tmp_path / "bad.zarr", zarr_format=3, consolidated=False)
+    done = CliRunner().invoke(
+        main, ["calibrate", str(tmp_path / "bad.zarr"), "--out", str(tmp_path / "cal.zarr")]
+    )
+    assert done.exit_code == 2
+    assert "'flux' is missing" in done.output
+    assert "Traceback" not in done.output
+    assert not (tmp_path / "cal.zarr").exists()
+
+
+def test_other_stores_are_no_sweeps(tmp_path: Path) -> None:
+    with pytest.raises(FormatError, match="no such sweep"):
+        open_sweep(tmp_path / "nothing.zarr")
+    xr.Dataset({"a": ("x", [1.0])}).to_zarr(tmp_path / "a.zarr", zarr_format=3, consolidated=False)
+    with pytest.raises(FormatError, match=r"no lab sweep: expected 'counts' .* found a"):
+        open_sweep(tmp_path / "a.zarr")
+
+
+@pytest.fixture(scope="module")
+def collect(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A collect flown with the camera of a sweep, which calibrates it."""
+    folder = tmp_path_factory.mktemp("collect")
+    same = {"bands": 136, "columns": 6, "nonuniformity": 0}
+    path = simulate_collect(folder / "c", lines=40, **same)
+    sweep = simulate_sweep(**same)
+    sweep.drop_vars([name for name in sweep.variables if str(name).startswith("true_")]).to_zarr(
+        folder / "c" / "lab.zarr", zarr_format=3, consolidated=False
+    )
+    text = path.read_text()
+    assert 'path = "calibration.zarr"' in text
+    path.write_text(text.replace('path = "calibration.zarr"', 'sweep = "lab.zarr"'))
+    return path
+
+
+def test_a_collect_is_calibrated_on_the_way(collect: Path) -> None:
+    tree = hp.open_collect(collect)
+    made = tree["calibration"].to_dataset()
+    assert made.sweep == "lab.zarr"
+    truth = open_calibration(collect.parent / "calibration.zarr")
+    error = (made.radiance_gain / truth.radiance_gain - 1).values[10:-10]
+    assert np.nanmax(np.abs(error)) < 1e-2
+    line = tree["flightlines/raw_0"].to_dataset()
+    assert not [name for name in line.variables if str(name).startswith(("line_", "beam_", "stray"))]
+    assert line.radiance_gain_u_systematic.dims == ("band",)
+    reflectance = line.paint.reflectance().reflectance.values
+    assert np.isfinite(reflectance[:, 20:-20]).mean() > 0.9
+    with pytest.raises(CollectError, match="needs calibrate="):
+        open_without_physics(collect)
+
+
+def test_a_collect_has_one_calibration(collect: Path, tmp_path: Path) -> None:
+    text = collect.read_text().replace('sweep = "lab.zarr"', 'sweep = "lab.zarr"\npath = "calibration.zarr"')
+    both = collect.with_name("both.toml")
+    both.write_text(text)
+    with pytest.raises(CollectError, match="both path and sweep"):
+        hp.open_collect(both)
