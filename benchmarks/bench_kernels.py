@@ -14,11 +14,11 @@ from .common import (
     FRAME_PERIOD,
     SMILE,
     counts_block,
+    error_terms_of_plan,
     flight_line,
     instrument,
     plan_of,
     sky,
-    spread_of_plan,
     wavelengths,
 )
 
@@ -35,17 +35,17 @@ class Calibrate:
         self.quality = np.empty((lines, COLUMNS), np.uint16)
         self.no_quality = np.empty((0, 0), np.uint16)
         self.plans = [plan_of(flight_line(lines, smile=smile, counts=self.counts)) for smile in (False, True)]
-        self.spread = spread_of_plan()
+        self.terms = error_terms_of_plan()
         self.u_random, self.u_systematic = (np.empty(self.counts.shape, np.float32) for _ in range(2))
         self.time_plain(lines)
         self.time_uncertainty(lines)
         self.time_smile_quality_rounding(lines)
 
-    def _run(self, smile, quality, cleared_bits=0, spread=None):
+    def _run(self, smile, quality, cleared_bits=0, terms=None):
         from hyperpaint.slabs import calibrate_lines
 
-        plan = dataclasses.replace(self.plans[smile], cleared_bits=cleared_bits, spread=spread)
-        cubes = () if spread is None else (self.u_random, self.u_systematic)
+        plan = dataclasses.replace(self.plans[smile], cleared_bits=cleared_bits, error_terms=terms)
+        cubes = () if terms is None else (self.u_random, self.u_systematic)
         calibrate_lines(plan, self.counts, 0, self.out, quality, *cubes)
 
     def time_floor(self, lines):
@@ -61,11 +61,11 @@ class Calibrate:
         self._run(smile=True, quality=self.no_quality)
 
     def time_uncertainty(self, lines):
-        self._run(smile=False, quality=self.no_quality, spread=self.spread)
+        self._run(smile=False, quality=self.no_quality, terms=self.terms)
 
     def time_uncertainty_without_wavelength(self, lines):
-        spread = dataclasses.replace(self.spread, slope=np.empty((0, 4), np.float32))
-        self._run(smile=False, quality=self.no_quality, spread=spread)
+        terms = dataclasses.replace(self.terms, slope=np.empty((0, 4), np.float32))
+        self._run(smile=False, quality=self.no_quality, terms=terms)
 
     def time_three_casts(self, lines):
         # what writing three cubes costs, whatever is in them

@@ -216,9 +216,9 @@ def plan_of(line: Any) -> Any:
     )
 
 
-def spread_of_plan() -> Any:
+def error_terms_of_plan() -> Any:
     """Return what uncertainties follow from, every component being known."""
-    from hyperpaint.propagation import spread_of
+    from hyperpaint.uncertainty.propagation import error_terms
 
     gain = instrument()["gain"]
     known = {
@@ -230,7 +230,7 @@ def spread_of_plan() -> Any:
         "wavelength_u": 0.1,
         "dark_counts_u_systematic": 0.2,
     }
-    return spread_of(known, {"wavelength": wavelengths()}, None, "uint16", ~np.isfinite(gain))
+    return error_terms(known, {"wavelength": wavelengths()}, None, "uint16", ~np.isfinite(gain))
 
 
 def chunk_files(store: Path, name: str = "counts") -> list[Path]:

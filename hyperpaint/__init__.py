@@ -25,17 +25,14 @@ from .errors import (
 from .schema import Quality
 
 if TYPE_CHECKING:
-    from .alignment import align_to_irradiance
-    from .alignment_applied import apply_alignment
+    from .alignment import align_to_irradiance, apply_alignment, oxygen_residual
     from .calibration import calibrate
     from .illumination import Tilt, match_irradiance
     from .io.asd import open_asd
     from .io.flightline import open_flightline
     from .io.irradiance import open_irradiance
-    from .io.store import encoding, to_store, verify
+    from .io.store import encoding, open_store, to_store, verify
     from .laboratory import open_collect
-    from .noise import estimate_noise, mean_uncertainty
-    from .oxygen import oxygen_residual
     from .pipeline import process
     from .plot import quicklook, rgb
     from .plot_calibration import calibration_report
@@ -43,6 +40,7 @@ if TYPE_CHECKING:
     from .simulation import simulate_collect
     from .smoothing import smooth
     from .sun import solar_position
+    from .uncertainty import estimate_noise, mean_uncertainty
 
 __version__ = "0.1.0"
 
@@ -50,18 +48,19 @@ _HOME = {
     "Panel": "radiometry",
     "Tilt": "illumination",
     "align_to_irradiance": "alignment",
-    "apply_alignment": "alignment_applied",
+    "apply_alignment": "alignment",
     "calibrate": "calibration",
     "calibration_report": "plot_calibration",
     "encoding": "io.store",
-    "estimate_noise": "noise",
+    "estimate_noise": "uncertainty",
     "match_irradiance": "illumination",
-    "mean_uncertainty": "noise",
+    "mean_uncertainty": "uncertainty",
     "open_asd": "io.asd",
     "open_collect": "laboratory",
     "open_flightline": "io.flightline",
     "open_irradiance": "io.irradiance",
-    "oxygen_residual": "oxygen",
+    "open_store": "io.store",
+    "oxygen_residual": "alignment",
     "process": "pipeline",
     "quicklook": "plot",
     "radiance": "radiometry",
@@ -101,6 +100,7 @@ __all__ = [
     "open_collect",
     "open_flightline",
     "open_irradiance",
+    "open_store",
     "oxygen_residual",
     "process",
     "quicklook",

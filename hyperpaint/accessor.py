@@ -11,8 +11,8 @@ import xarray as xr
 if TYPE_CHECKING:
     import numpy.typing as npt
 
-    from .alignment import Window
-    from .column_means import Progress
+    from .alignment.column_means import Progress
+    from .alignment.windows import Window
     from .illumination import Tilt
     from .io.store import StoreReport
     from .radiometry import Panel
@@ -111,16 +111,16 @@ class PaintAccessor:
         )
 
     def apply_alignment(
-        self, found: xr.Dataset, *, degree: int = 2, fwhm: bool = True, dims: Dims | None = None
+        self, alignment: xr.Dataset, *, degree: int = 2, fwhm: bool = True, dims: Dims | None = None
     ) -> xr.Dataset:
         """Return the line with the wavelengths found in flight; see `hyperpaint.apply_alignment`."""
-        from .alignment_applied import apply_alignment
+        from .alignment import apply_alignment
 
-        return apply_alignment(self._by_role(dims), found, degree=degree, fwhm=fwhm)
+        return apply_alignment(self._by_role(dims), alignment, degree=degree, fwhm=fwhm)
 
     def oxygen_residual(self, *, progress: Progress | None = None, dims: Dims | None = None) -> xr.DataArray:
         """Return what is left of the oxygen band, by column (eager); see `hyperpaint.oxygen_residual`."""
-        from .oxygen import oxygen_residual
+        from .alignment import oxygen_residual
 
         return oxygen_residual(self._by_role(dims), progress=progress)
 

@@ -21,7 +21,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from .errors import SchemaError, StoreError
+from .errors import Problems, SchemaError, StoreError
 from .schema import ALONG_TRACK, BAND, CHUNK_LINES, CROSS_TRACK, IRRADIANCE_TIME
 
 if TYPE_CHECKING:
@@ -422,7 +422,8 @@ def check_memory(dataset: xr.Dataset, subject: str) -> int | None:
     Parameters
     ----------
     dataset
-        Cubes along the flight that are dask arrays count; what is in memory does not.
+        What is made of dask arrays counts; what is in memory does not. Cubes along the flight are computed
+        together, line by line; of the others, each alone.
     subject
         Names it in the error.
 
@@ -438,6 +439,8 @@ def check_memory(dataset: xr.Dataset, subject: str) -> int | None:
     """
     cubes = [v for v in dataset.variables.values() if v.chunks and ALONG_TRACK in v.dims and v.ndim > 1]
     available = available_memory()
+    if available is not None:
+        _check_blocks(dataset, available, subject)
     if not cubes or available is None or not all(v.size for v in cubes):
         return None
     length = cubes[0].sizes[ALONG_TRACK]
@@ -463,6 +466,22 @@ def check_memory(dataset: xr.Dataset, subject: str) -> int | None:
             break
         threads -= 1
     return threads
+
+
+def _check_blocks(dataset: xr.Dataset, available: int, subject: str) -> None:
+    """Refuse a dataset of which one block that is not of whole lines takes more than is available."""
+    problems = Problems(f"{subject} does not fit into {size_text(available)} of memory", StoreError)
+    for name, variable in dataset.variables.items():
+        if not variable.chunks or (ALONG_TRACK in variable.dims and variable.ndim > 1):
+            continue
+        block = math.prod(map(max, variable.chunks)) * variable.dtype.itemsize if variable.size else 0
+        if block + thread_space() > available:
+            sizes = tuple(map(max, variable.chunks))
+            problems.add(
+                f"{name!r} needs {size_text(block + thread_space())} for one dask chunk of {sizes}; take "
+                "smaller chunks, end other programs, or raise the memory limit"
+            )
+    problems.raise_if_any()
 
 
 # --- sizes ------------------------------------------------------------------------------------------------

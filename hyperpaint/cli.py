@@ -288,6 +288,10 @@ A collect.toml can also name the sweep itself:
     help="The same of the etendue.",
 )  # fmt: skip
 @click.option(
+    "--wavelength-uncertainty", type=click.FloatRange(0.0, 10.0), metavar="NM", default=0.1,
+    show_default=True, help="Standard uncertainty of the monochromator's dial.",
+)  # fmt: skip
+@click.option(
     "--report", metavar="PICTURE", type=click.Path(dir_okay=False, path_type=Path),
     help="Also draw lines, residuals, smile and gain (png, pdf ...).",
 )  # fmt: skip
@@ -296,7 +300,9 @@ A collect.toml can also name the sweep itself:
 )
 @click.option("--overwrite", is_flag=True, help="Replace a calibration made from something else.")
 @click.option("--quiet", is_flag=True, help="No progress bar.")
-def calibrate(sweep: Path, out: Path, relative: bool, quiet: bool, **options: Any) -> None:
+def calibrate(
+    sweep: Path, out: Path, report: Path | None, relative: bool, quiet: bool, **options: Any
+) -> None:
     """Turn a monochromator sweep into the calibration of a camera.
 
     Fits every line over bands, and makes of them the wavelength of every element, the width and shape of the
@@ -309,7 +315,7 @@ def calibrate(sweep: Path, out: Path, relative: bool, quiet: bool, **options: An
     from .laboratory import write_calibration
 
     with _bar("calibrating", _is_watched(quiet)) as shown:
-        made = write_calibration(sweep, out, absolute=not relative, progress=shown, **options)
+        made = write_calibration(sweep, out, absolute=not relative, report=report, progress=shown, **options)
     good = made.wavelength[made.good]
     click.echo(f"{out}: {int(made.good.sum())} of {made.sizes['band']} bands have a gain", nl=False)
     click.echo(f", {float(good.min()):.1f} to {float(good.max()):.1f} nm")
@@ -318,6 +324,8 @@ def calibrate(sweep: Path, out: Path, relative: bool, quiet: bool, **options: An
         f"smile {float(made.wavelength_shift.max() - made.wavelength_shift.min()):.2f} nm, "
         f"wavelengths to {float(made.wavelength_u):.2g} nm"
     )
+    if report is not None:
+        click.echo(f"look at it in {report}")
 
 
 # --- process, info, verify ---------------------------------------------------------------------------------

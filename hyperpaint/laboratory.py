@@ -60,6 +60,7 @@ def write_calibration(
     out: str | os.PathLike[str],
     *,
     overwrite: bool = False,
+    report: str | os.PathLike[str] | None = None,
     progress: Callable[[int, int], None] | None = None,
     **options: Any,
 ) -> xr.Dataset:
@@ -73,6 +74,8 @@ def write_calibration(
         Folder of the calibration's store.
     overwrite
         Replace another calibration; one of the same content is left alone.
+    report
+        Picture to draw of it, see `hyperpaint.calibration_report`; none by default.
     progress, **options
         As `calibrate_sweep`.
 
@@ -83,7 +86,9 @@ def write_calibration(
     Raises
     ------
     FormatError, SchemaError
-        As `calibrate_sweep`.
+        As `calibrate_sweep`; or the picture cannot be written.
+    MissingExtraError
+        A picture is wanted, and matplotlib is not installed.
     StoreError
         The store cannot be written, or holds something else.
     """
@@ -92,8 +97,17 @@ def write_calibration(
     if Path(out).resolve() == Path(sweep).resolve():
         msg = f"{out} is the sweep itself; choose another path for the calibration"
         raise SchemaError(msg)
+    if report is not None:
+        from .plot_calibration import check_picture
+
+        check_picture(Path(report))
     made = calibrate_sweep(sweep, progress=progress, **options)
     to_store(made, Path(out), overwrite=overwrite)
+    if report is not None:
+        from .io.sweep_store import open_sweep
+        from .plot_calibration import calibration_report
+
+        calibration_report(made, open_sweep(sweep), Path(report))
     return made
 
 

@@ -5,6 +5,8 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import json
+import os
+import re
 import sys
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
@@ -12,6 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from .errors import CollectError, MissingExtraError, PaintError, Problems, SchemaError, StoreError
+from .io.store.listing import INPUTS
 from .schema import ALONG_TRACK, CHUNK_LINES, CROSS_TRACK, FORMAT_VERSION, VARIABLES
 
 if TYPE_CHECKING:
@@ -19,6 +22,7 @@ if TYPE_CHECKING:
     from distributed import Client
 
     from .budget import Demand
+    from .io.store.location import Location
 
 __all__ = ["Outcome", "process", "run"]
 
@@ -34,8 +38,8 @@ WORKERS_WAIT = 60
 OVERVIEW_SHAPE = (1000, 640)
 """Most lines and columns of the stored picture."""
 
-INPUTS = "inputs_digest"
-"""Attribute that names the inputs and parameters a group was made from."""
+_URL = re.compile(r"[A-Za-z][A-Za-z0-9+.-]+:/|.*::")
+"""A URL of fsspec, also one that has been made a `Path`; no drive's letter."""
 
 Product = Literal["radiance", "reflectance"]
 Kept = Literal["none", "stored"]
@@ -85,7 +89,7 @@ def process(
     collect
         A ``collect.toml``; see `open_collect`.
     out
-        The store, a folder.
+        The store, a folder. To write to a URL, give `open_collect` and `to_store` the single groups.
     to
         ``"radiance"`` needs no irradiance, and stores ``radiance``, unrounded, in place of ``reflectance``.
     reflectance
@@ -113,10 +117,10 @@ def process(
     SchemaError
         ``to`` or ``reflectance`` is none of the words above, or ``memory_limit`` is no size.
     StoreError
-        The store holds something else, is being written, or cannot be written; or memory or disk would not
-        suffice, of which the needed figure is told before anything is written; or workers, or the scheduler,
-        were lost, or a block failed again and again: the message names it, and the same call finishes the
-        run.
+        ``out`` is a URL; the store holds something else, is being written, or cannot be written; or memory
+        or disk would not suffice, of which the needed figure is told before anything is written; or workers,
+        or the scheduler, were lost, or a block failed again and again: the message names it, and the same
+        call finishes the run.
     MissingExtraError
         ``scheduler`` is given, and distributed is not installed.
 
@@ -161,8 +165,8 @@ def run(
     from .io.store.computing import errors_of_the_cluster
     from .io.store.writer import check_room
 
-    out = Path(out)
     _check_words(to, reflectance)
+    out = _folder(out)
     limit = None if memory_limit is None else parse_size(memory_limit)
     parameters = {"to": to, "reflectance": reflectance}
     with contextlib.ExitStack() as stack:
@@ -202,6 +206,17 @@ def _check_words(to: str, reflectance: str) -> None:
         if value not in allowed:
             problems.add(f"{name}={value!r}, expected {' or '.join(map(repr, allowed))}")
     problems.raise_if_any()
+
+
+def _folder(out: str | Path) -> Path:
+    """Return the store's folder; refuse what is none."""
+    if _URL.match(os.fspath(out)):
+        msg = (
+            f"process writes to a folder, not to {os.fspath(out)!r}; process to a folder and copy it, or "
+            "write the groups of open_collect with to_store, which takes URLs (README, 'Object stores')"
+        )
+        raise StoreError(msg)
+    return Path(out)
 
 
 # --- what is to be written ---------------------------------------------------------------------------------
@@ -265,25 +280,42 @@ def _kept(groups: Mapping[str, xr.Dataset], out: Path, *, overwrite: bool) -> li
     StoreError
         Groups of other inputs stand where ours would, or beside them; all are listed.
     """
-    from .io.store import is_complete, list_groups, open_store
+    from .io.store import is_complete, open_store
+    from .io.store.listing import groups_above
+    from .io.store.location import Location
+    from .io.store.occupied import problems_above
 
     if not out.exists():
         return []
+    location = Location.of(out)
     problems = Problems(f"cannot write {out}", StoreError)
+    above = dict.fromkeys(each for name in groups for each in groups_above(name))
+    for text in problems_above(above, location, overwrite=overwrite):
+        problems.add(text)
+    problems.raise_if_any()
     kept = []
-    found = list_groups(out) if not out.is_dir() or any(out.iterdir()) else []
-    for name in found:
+    for name in location.groups():
         same = is_complete(out, name) and open_store(out, name).attrs.get(INPUTS)
         if name not in groups:
             if name.startswith("flightlines/"):
                 problems.add(f"it holds /{name}, which is not of this collect; choose another path")
         elif same == _token(groups[name]):
-            kept.append(name)
+            # a chunk that is missing is made again by `to_store`, with all others of its group
+            if _has_all_chunks(location, name):
+                kept.append(name)
         elif not overwrite:
             state = "with other inputs or parameters" if same else "never finished, or not by process"
             problems.add(f"/{name} is there already, {state}; pass overwrite=True to replace it")
     problems.raise_if_any()
     return kept
+
+
+def _has_all_chunks(location: Location, group: str) -> bool:
+    from .io.store.listing import has_all_chunks
+    from .io.store.record import read_record
+
+    record = read_record(location, group)
+    return record is not None and has_all_chunks(location, group, record)
 
 
 def _product(dataset: xr.Dataset, name: str, to: Product, kept: Kept) -> xr.Dataset:

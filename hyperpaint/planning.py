@@ -14,10 +14,10 @@ import numpy.typing as npt
 
 from .errors import PaintWarning, Problems, SchemaError, TimeError
 from .illumination import Smile, Tilt, matched_series, smile_cells
-from .propagation import spread_of
 from .schema import Quality
 from .slabs import QUANTISATION, Plan
 from .synchrony import LineLight, line_light
+from .uncertainty.propagation import error_terms
 
 __all__ = ["make_plan"]
 
@@ -111,7 +111,7 @@ def make_plan(
         column_flags=np.where(bad_share > BAD_BAND_SHARE, Quality.BAD_DETECTOR, 0).astype(np.uint16),
         cleared_bits=0 if keep_bits is None else 23 - keep_bits,
         starts=starts,
-        spread=None if uncertain is None else spread_of(uncertain, cube, light, dtype, bad),
+        error_terms=None if uncertain is None else error_terms(uncertain, cube, light, dtype, bad),
     )
 
 

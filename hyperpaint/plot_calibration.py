@@ -15,7 +15,7 @@ from .schema import BAND, CROSS_TRACK, STEP
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["calibration_report"]
+__all__ = ["calibration_report", "check_picture"]
 
 Array = npt.NDArray[Any]
 Values = dict[str, Any]
@@ -77,7 +77,7 @@ def calibration_report(
         matplotlib is not installed.
     SchemaError
         The calibration does not come from a sweep, the sweep is not whole or another's, or there is no such
-        column.
+        column, or matplotlib writes no such picture.
 
     Examples
     --------
@@ -86,14 +86,12 @@ def calibration_report(
     >>> sweep = simulate_sweep(steps=31, bands=136, columns=4)
     >>> figure = calibration_report(calibrate(sweep), sweep)
     """
-    try:
-        from matplotlib.figure import Figure
-    except ImportError as error:
-        needed = MissingExtraError.of("matplotlib", "viz", "a calibration report")
-        raise needed from error
+    check_picture(path)
+    from matplotlib.figure import Figure
 
     values = _values(calibration, sweep, column)
-    figure = Figure(figsize=(14, 8.4), layout="constrained")
+    figure = Figure(figsize=(15, 8.8), layout="constrained")
+    figure.set_layout_engine("constrained", w_pad=0.08, h_pad=0.08)
     figure.suptitle(_title(calibration, values), fontsize="medium")
     grid = figure.add_gridspec(2, 3)
     fits = grid[0, 0].subgridspec(2, 1, height_ratios=(3, 1), hspace=0.05)
@@ -107,6 +105,45 @@ def calibration_report(
     if path is not None:
         figure.savefig(path, dpi=110)
     return figure
+
+
+def check_picture(path: str | Path | None) -> None:
+    """Make sure, before a long computation, that a picture can be written there in the end.
+
+    Parameters
+    ----------
+    path
+        Of the picture; None for none.
+
+    Raises
+    ------
+    MissingExtraError
+        matplotlib is not installed.
+    SchemaError
+        matplotlib writes no such picture, or the folder is not there.
+
+    Examples
+    --------
+    >>> check_picture("calibration.xls")  # doctest: +ELLIPSIS
+    Traceback (most recent call last):
+    hyperpaint.errors.SchemaError: calibration.xls: no picture that matplotlib writes; expected ...
+    """
+    try:
+        from matplotlib.backend_bases import FigureCanvasBase
+    except ImportError as error:
+        needed = MissingExtraError.of("matplotlib", "viz", "a calibration report")
+        raise needed from error
+
+    if path is None:
+        return
+    path = Path(path)
+    kinds = sorted(FigureCanvasBase.get_supported_filetypes())
+    if path.suffix.lower().lstrip(".") not in kinds:
+        msg = f"{path}: no picture that matplotlib writes; expected a name that ends in .{', .'.join(kinds)}"
+        raise SchemaError(msg)
+    if not path.absolute().parent.is_dir():
+        msg = f"{path}: there is no folder {path.absolute().parent} for the picture"
+        raise SchemaError(msg)
 
 
 def _values(calibration: xr.Dataset, sweep: xr.Dataset | None, column: int | None) -> Values:
@@ -151,7 +188,7 @@ def _draw_lines(
     """Draw counts and fit of a few steps, and what is left of them."""
     from matplotlib import colormaps
 
-    from .calibration.fitted_lines import fitted_lines
+    from .calibration.line_samples import fitted_lines
 
     usable = np.flatnonzero(values["line_trusted"][:, values["column"]])
     # not the outermost, some of whose light falls beside the array
@@ -167,7 +204,7 @@ def _draw_lines(
     axes.tick_params(labelbottom=False)
     axes.set_ylim(bottom=min(0.0, axes.get_ylim()[0]))
     if drawn:
-        axes.legend(fontsize="small", frameon=False)
+        _legend(axes)
     below.axhline(0, color="0.6", lw=0.8, zorder=0)
     below.set(xlabel="distance from the line [nm]", ylabel="counts - fit\n[% of height]")
     largest = max((float(np.abs(100 * line.residual).max(initial=0.0)) for line in drawn), default=0.0)
@@ -229,6 +266,11 @@ def _draw_smile(axes: Any, values: Values) -> None:
     axes.set_title("smile")
 
 
+def _legend(axes: Any) -> None:
+    """Name the curves, on white: what is shaded may lie below."""
+    axes.legend(fontsize="small", framealpha=0.9, edgecolor="none")
+
+
 def _shade_untrusted(axes: Any, values: Values) -> None:
     """Shade the wavelengths whose bands have no gain."""
     edges = _edges(values["wavelength"])
@@ -260,7 +302,7 @@ def _draw_widths(axes: Any, values: Values) -> None:
         axes.set_ylim(low[inner].min() - margin, high[inner].max() + margin)
     _shade_untrusted(axes, values)
     axes.set(title="width of the bands, monochromator taken out", ylabel="FWHM [nm]")
-    axes.legend(fontsize="small", frameon=False)
+    _legend(axes)
 
 
 def _draw_responsivity(axes: Any, values: Values) -> None:
@@ -280,7 +322,7 @@ def _draw_responsivity(axes: Any, values: Values) -> None:
     _shade_untrusted(axes, values)
     axes.set(title="responsivity", ylabel="counts per joule in a pixel [count J$^{-1}$]")
     axes.set_ylim(bottom=0)
-    axes.legend(fontsize="small", frameon=False)
+    _legend(axes)
 
 
 def _draw_uncertainty(axes: Any, values: Values) -> None:
@@ -295,7 +337,7 @@ def _draw_uncertainty(axes: Any, values: Values) -> None:
     low, high = axes.get_ylim()
     axes.set_ylim(low, 2.0 * high)
     axes.set(title="standard uncertainty of the gain", ylabel="relative to the gain [%]")
-    axes.legend(fontsize="small", frameon=False)
+    _legend(axes)
 
 
 def _over_columns(values: Array) -> Array:

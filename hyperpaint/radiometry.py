@@ -17,8 +17,8 @@ from . import schema, slabs
 from .errors import Problems, SchemaError
 from .illumination import Tilt
 from .planning import make_plan
-from .propagation import UNCERTAINTIES, uncertainty_inputs, with_uncertainty
 from .schema import ALONG_TRACK, BAND, CROSS_TRACK, IRRADIANCE_TIME, IRRADIANCE_WAVELENGTH, Quality
+from .uncertainty.propagation import UNCERTAINTIES, uncertainty_inputs, with_uncertainty
 from .units import convert
 
 if TYPE_CHECKING:
@@ -155,8 +155,9 @@ def radiance(dataset: xr.Dataset) -> xr.Dataset:
     Raises
     ------
     SchemaError, UnitsError
-        Variables are missing, or have other dims or units; every problem is listed. When computed: values
-        that cannot be, such as a dark at another exposure.
+        Variables are missing, or have other dims or units; every problem is listed. The gain holds for
+        linearised counts, or has no absolute scale (attributes ``linearity`` and ``absolute_scale`` of the
+        calibration). When computed: values that cannot be, such as a dark at another exposure.
 
     Notes
     -----
@@ -181,6 +182,7 @@ def radiance(dataset: xr.Dataset) -> xr.Dataset:
         _refuse_without(dataset, ("counts", "radiance"), "radiance")
         return dataset.assign(schema.require(dataset, ["radiance"], "radiance"))
     cube, values = _cube_inputs(dataset, "radiance")
+    _refuse_calibration(dataset, needs_scale=True)
     (made,), quality, _ = slabs.calibrated(cube, make_plan, cube=values, light=None)
     return _with(dataset, "radiance", made, quality)
 
@@ -234,7 +236,8 @@ def reflectance(
     ------
     SchemaError, UnitsError, TimeError
         Variables are missing, or have other dims or units, or irradiance times do not increase; every
-        problem is listed. When computed: values that cannot be.
+        problem is listed. The gain holds for linearised counts, or has no absolute scale and there is no
+        ``panel``. When computed: values that cannot be.
 
     Notes
     -----
@@ -290,6 +293,8 @@ def reflectance(
     if keep_bits is not None and not 1 <= keep_bits <= 23:
         msg = f"keep_bits={keep_bits}, expected 1 to 23 mantissa bits of float32"
         raise SchemaError(msg)
+    if "counts" in dataset.variables:
+        _refuse_calibration(dataset, needs_scale=panel is None)
     cube, values = _cube_inputs(dataset, "reflectance")
     light = _light_inputs(dataset, attitude)
     known = None if panel is None else _panel_inputs(dataset, panel)
@@ -321,6 +326,23 @@ def _refuse_without(dataset: xr.Dataset, names: tuple[str, ...], purpose: str) -
             f"or {' or '.join(repr(name) for name in names[1:])}"
         )
         raise SchemaError(msg)
+
+
+def _refuse_calibration(dataset: xr.Dataset, *, needs_scale: bool) -> None:
+    """Refuse gains that do not hold for counts as they are, or that have no absolute scale."""
+    problems = Problems("the calibration of this line cannot be applied to its counts", SchemaError)
+    told = dataset.attrs.get("linearity", "identity")
+    if not isinstance(told, str) and np.size(told):
+        problems.add(
+            f"its gain holds for linearised counts (attribute linearity {np.ravel(told).tolist()}), which "
+            "these are not: calibrate without linearity=, or linearise the counts and drop the attribute"
+        )
+    if needs_scale and dataset.attrs.get("absolute_scale") == "unknown":
+        problems.add(
+            "its gain has no absolute scale (attribute absolute_scale 'unknown'): give it one by "
+            "hyperpaint.calibration.anchor_to_radiance; reflectance can do with panel="
+        )
+    problems.raise_if_any()
 
 
 def _attitude(tilt: Any) -> Tilt | None:
@@ -408,7 +430,8 @@ def _panel_inputs(dataset: xr.Dataset, panel: Panel) -> dict[str, Any]:
             problems.add(f"{dim}={getattr(panel, dim)} holds none of the {dataset.sizes[dim]} of this line")
     problems.raise_if_any()
     region = dataset.isel({ALONG_TRACK: panel.along_track, CROSS_TRACK: panel.cross_track})
-    seen = reflectance(region)["reflectance"]
+    # whatever scale the gain has, the panel takes it out
+    seen = reflectance(region.assign_attrs(absolute_scale="of the panel"))["reflectance"]
     wavelength = slabs.small(dataset["wavelength"])
     if dataset["wavelength"].chunks is not None:
         wavelength = wavelength.map_blocks(panel.at, dtype=np.float64)

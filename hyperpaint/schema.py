@@ -39,6 +39,7 @@ __all__ = [
     "Variable",
     "describe",
     "dtype_of",
+    "find",
     "label",
     "quality_attrs",
     "rename_to_roles",
@@ -175,7 +176,7 @@ _TABLE = (
         "electrons_per_count", (), "electron count-1", "float32", "Electrons per count",
         alternatives=(_ELEMENT,),
     ),
-    Variable("read_noise", (), "count", "float32", "Spread of a dark count (1 sigma)", alternatives=(_ELEMENT,)),
+    Variable("read_noise", (), "count", "float32", "Spread of a dark count before rounding (1 sigma)", alternatives=(_ELEMENT,)),
     # --- light
     Variable(
         "irradiance", (IRRADIANCE_TIME, IRRADIANCE_WAVELENGTH), _IRRADIANCE, "float32",
@@ -255,7 +256,7 @@ _TABLE = (
     Variable("flat_field", _ELEMENT, "1", "float32", "Factor on dark-subtracted counts that levels the columns"),
     Variable(
         "radiance_gain_u_random", _ELEMENT, "1", "float32",
-        "Relative standard uncertainty of radiance_gain, independent from element to element",
+        "Relative standard uncertainty of radiance_gain by noise and by what elements differ in",
         alternatives=((BAND,), ()),
     ),
     Variable(
@@ -283,7 +284,7 @@ _TABLE = (
     Variable("line_area", _LINE_FIT, "count", "float64", "Sum over bands of a line"),
     Variable(
         "line_covariance", (*_LINE_FIT, "parameter", "other_parameter"), "", "float64",
-        "Covariance of the parameters of a line",
+        "Covariance of centre [band], own width [band], area [count] and offset [count] of a line",
     ),
     Variable("line_trusted", _LINE_FIT, "", "bool", "Whether a line went into the calibration"),
     Variable("beam_centre", (STEP,), "1", "float64", "Column at the centre of the beam"),
@@ -307,6 +308,7 @@ _SWEEP_TABLE = (
         "dark_exposure_time", (), "s", "float64", "Exposure time of the dark reference", alternatives=((STEP,),)
     ),
     Variable("frame_count", (), "1", "int64", "Frames averaged in a step", alternatives=((STEP,),)),
+    Variable("dark_frame_count", (), "1", "int64", "Frames averaged in a dark reference", alternatives=((STEP,),)),
     Variable("step_wavelength", (STEP,), "nm", "float64", "Wavelength of the monochromator", coordinate=True),
     Variable(
         "flux", (STEP,), "W", "float64", "Radiant flux of the whole beam, equal in all lit columns",
@@ -393,13 +395,25 @@ def require(
     SchemaError
         Variables are missing, or have other dims or units than the table allows; all are listed.
     """
+    found, wrong = find(dataset, names, table)
     problems = Problems(f"cannot compute {purpose}", SchemaError)
+    for problem in wrong:
+        problems.add(problem)
+    problems.raise_if_any()
+    return found
+
+
+def find(
+    dataset: xr.Dataset, names: Iterable[str], table: Mapping[str, Variable] = VARIABLES
+) -> tuple[dict[str, xr.DataArray], list[str]]:
+    """Return what `require` returns of the variables that are as they should be, and the others' problems."""
+    problems: list[str] = []
     found: dict[str, xr.DataArray] = {}
     for name in names:
         spec = table[name]
         if name not in dataset.variables:
             shape = ", ".join(spec.dims) or "a scalar"
-            problems.add(
+            problems.append(
                 f"{name!r} is missing: {spec.meaning.lower()} ({shape}) [{spec.units or spec.dtype}]"
             )
             continue
@@ -408,13 +422,12 @@ def require(
         if wrong is None and spec.units:
             wrong = _unit_problem(array, spec)
         if wrong:
-            problems.add(wrong)
+            problems.append(wrong)
             continue
         order = next(dims for dims in (spec.dims, *spec.alternatives) if set(dims) == set(array.dims))
         array = array.transpose(*order)
         found[name] = convert(array, spec.units) if spec.units else array
-    problems.raise_if_any()
-    return found
+    return found, problems
 
 
 def _dim_problem(array: xr.DataArray, spec: Variable) -> str | None:

@@ -25,7 +25,6 @@ if TYPE_CHECKING:
 __all__ = [
     "QUANTISATION",
     "Plan",
-    "Spread",
     "age_of_irradiance",
     "calibrate_lines",
     "calibrated",
@@ -46,8 +45,8 @@ MAX_CHUNK_BYTES = 24_000_000
 
 
 @dataclass(frozen=True)
-class Spread:
-    """What the uncertainty of every sample follows from.
+class ErrorTerms:
+    """Terms of the error budget, as the uncertainty of every sample is computed from them.
 
     Attributes
     ----------
@@ -126,7 +125,7 @@ class Plan:
     column_flags: Array
     cleared_bits: int
     starts: Array
-    spread: Spread | None = None
+    error_terms: ErrorTerms | None = None
 
     def light(self, start: int, stop: int) -> Array:
         """Return what the kernel multiplies or divides lines by, (line, band, cell, 1 or 4), float32."""
@@ -165,7 +164,7 @@ def line_chunked(cube: xr.DataArray) -> xr.DataArray:
 
 _NO_ROWS = np.empty((0, 0), np.float32)
 _NO_CUBE = np.empty((0, 0, 0), np.float32)
-_NO_SPREAD = Spread(_NO_ROWS, _NO_ROWS, _NO_ROWS, _NO_ROWS, _NO_ROWS)
+_NO_ERROR_TERMS = ErrorTerms(_NO_ROWS, _NO_ROWS, _NO_ROWS, _NO_ROWS, _NO_ROWS)
 
 
 def calibrate_lines(
@@ -190,12 +189,12 @@ def calibrate_lines(
     quality : (line, column) or (0, 0), uint16
         Written unless empty.
     u_random, u_systematic : (line, band, column) or (0, 0, 0), float32
-        Written unless empty; they need the plan's ``spread``.
+        Written unless empty; they need the plan's ``error_terms``.
     """
     from .kernels.radiometry import calibrate_slab
 
     here = slice(start, start + len(counts))
-    spread = plan.spread or _NO_SPREAD
+    terms = plan.error_terms or _NO_ERROR_TERMS
     calibrate_slab(
         counts,
         plan.dark,
@@ -217,11 +216,11 @@ def calibrate_lines(
         out,
         out.view(np.uint32),
         quality,
-        spread.per_electron,
-        spread.noise_floor,
-        spread.relative,
-        spread.offset,
-        spread.slope,
+        terms.per_electron,
+        terms.noise_floor,
+        terms.relative,
+        terms.offset,
+        terms.slope,
         u_random,
         u_systematic,
         u_random.view(np.uint32),
@@ -232,11 +231,11 @@ def calibrate_lines(
 def run_slab(counts: Array, plan: Plan, block_id: tuple[int, ...]) -> tuple[Array, ...]:
     """Return the calibrated slab (line, band, column), float32, and its quality (line, column), uint16.
 
-    With a plan that knows their `Spread`, the random and the systematic uncertainty follow, as the first.
+    With a plan that knows their `ErrorTerms`, the random and the systematic uncertainty follow, as the first.
     """
     out = np.empty(counts.shape, np.float32)
     quality = np.empty((counts.shape[0], counts.shape[2]), np.uint16)
-    cubes = () if plan.spread is None else (np.empty_like(out), np.empty_like(out))
+    cubes = () if plan.error_terms is None else (np.empty_like(out), np.empty_like(out))
     calibrate_lines(plan, np.ascontiguousarray(counts), int(plan.starts[block_id[0]]), out, quality, *cubes)
     return out, quality, *cubes
 
@@ -276,7 +275,7 @@ def calibrated(
     source : (along_track, band, cross_track)
         Counts or radiance in chunks of whole lines; see `line_chunked`.
     cubes
-        1, or 3 where the plan holds a `Spread`: the cube, its random and its systematic uncertainty.
+        1, or 3 where the plan holds a `ErrorTerms`: the cube, its random and its systematic uncertainty.
     planner, **inputs
         Makes the plan, from the cube's shape, dtype and slabs and these.
     """

@@ -130,3 +130,14 @@ def chunkings(draw: st.DrawFn, size: int) -> tuple[int, ...]:
     cuts = draw(st.sets(st.integers(1, max(size - 1, 1)), max_size=min(size - 1, 4))) if size > 1 else set()
     edges = [0, *sorted(cuts), size]
     return tuple(b - a for a, b in pairwise(edges))
+
+
+def with_noise(line: xr.Dataset, k: float = 20.0, **known: Any) -> xr.Dataset:
+    """Return a line whose noise is known, and what else is given by name."""
+    made = line.copy()
+    made["electrons_per_count"] = ((), np.float32(k), {"units": "electron count-1"})
+    units = {"wavelength_u": "nm", "dark_counts_u_systematic": "count", "dark_counts_u_random": "count"}
+    for name, value in known.items():
+        dims = {0: (), 1: ("band",), 2: ("band", "cross_track")}[np.ndim(value)]
+        made[name] = (dims, value, {"units": units.get(name, "1")})
+    return made

@@ -13,7 +13,7 @@ import xarray as xr
 from strategies import flight
 
 import hyperpaint as hp
-from hyperpaint import alignment, alignment_applied, bands, oxygen, plot, radiometry, smoothing, units
+from hyperpaint import alignment, bands, plot, radiometry, smoothing, units
 from hyperpaint.accessor import PaintAccessor
 from hyperpaint.errors import StoreError
 from hyperpaint.io import store
@@ -25,8 +25,8 @@ FUNCTIONS: dict[str, Callable[..., Any]] = {
     "at": bands.at,
     "to_nominal": bands.to_nominal,
     "align_to_irradiance": alignment.align_to_irradiance,
-    "apply_alignment": alignment_applied.apply_alignment,
-    "oxygen_residual": oxygen.oxygen_residual,
+    "apply_alignment": alignment.apply_alignment,
+    "oxygen_residual": alignment.oxygen_residual,
     "rgb": plot.rgb,
     "quicklook": plot.quicklook,
     "quantify": units.quantify,

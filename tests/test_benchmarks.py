@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
-MODULES = ("bench_graph", "bench_import", "bench_io", "bench_kernels", "bench_pipeline")
+MODULES = ("calibration", "graph", "import", "io", "kernels", "pipeline")
 
 
 def _benchmarks() -> Iterator[Any]:
@@ -22,7 +22,7 @@ def _benchmarks() -> Iterator[Any]:
         return
     sys.path.insert(0, str(ROOT))
     try:
-        for name in MODULES:
+        for name in (f"bench_{subject}" for subject in MODULES):
             module = importlib.import_module(f"benchmarks.{name}")
             for label, kind in inspect.getmembers(module, inspect.isclass):
                 if kind.__module__ == module.__name__:

@@ -43,6 +43,8 @@ QUICK = (
     ("chunk_is_a_link_out", "open-store"),
     ("link_to_the_whole_disk_among_chunks", "verify"),
     ("listed_names_lead_out", "verify"),
+    ("groups_600_deep", "verify"),
+    ("groups_beyond_the_longest_path", "info"),
 )
 
 

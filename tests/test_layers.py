@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import ast
+import graphlib
 import importlib
 import inspect
-import pkgutil
 import subprocess
 import sys
 from pathlib import Path
@@ -15,43 +15,49 @@ import pytest
 import hyperpaint
 
 ROOT = Path(hyperpaint.__file__).parent
-FOUNDATION = {"errors", "units", "schema"}
+FOUNDATION = {"errors", "units", "schema", "budget"}
 SHARED = FOUNDATION | {"responses", "sun"}
-SUBJECTS = {
-    "illumination", "synchrony", "slabs", "planning", "radiometry", "smoothing", "bands", "calibration",
-    "noise", "quality", "georeference", "regions", "signatures", "validation", "mixing", "paper", "budget",
-    "alignment", "alignment_applied", "alignment_fit", "column_means", "oxygen",
-    "propagation",
-}  # fmt: skip
-TASKS = {"slabs"}  # the layer of tasks that subject modules share
-TOP = {
-    "plot",
-    "plot_calibration",
-    "report",
-    "accessor",
-    "demonstration",
-    "info",
-    "pipeline",
-    "cli",
-    "__main__",
-    "__init__",
-    "laboratory",
-}
-ALLOWED = {
+LOWER: dict[str, set[str]] = {
     "errors": set(),
     "units": {"errors"},
     "schema": {"errors", "units"},
+    "budget": {"errors", "units", "schema"},
     "responses": FOUNDATION,
     "sun": FOUNDATION,
-    "budget": FOUNDATION,
-    "illumination": SHARED,
-    "synchrony": SHARED,
-    "slabs": SHARED | {"illumination", "synchrony"},
-    "propagation": SHARED | TASKS,
-    "planning": SHARED | TASKS | {"illumination", "synchrony", "propagation"},
-    "radiometry": SHARED | TASKS | {"illumination", "synchrony", "planning", "propagation"},
-    "alignment": SHARED | TASKS | {"synchrony", "radiometry", "alignment_fit", "column_means"},
-    "oxygen": SHARED | TASKS | {"radiometry", "column_means"},
+}
+#: What a subject imports beside what all share: exactly this, so that nothing is allowed that is not used.
+SUBJECTS: dict[str, set[str]] = {
+    "illumination": set(),
+    "synchrony": set(),
+    "slabs": {"illumination", "synchrony"},  # the layer of tasks that subjects share
+    "uncertainty": {"slabs"},
+    "planning": {"slabs", "illumination", "synchrony", "uncertainty"},
+    "radiometry": {"slabs", "illumination", "synchrony", "planning", "uncertainty"},
+    "smoothing": {"slabs"},
+    "bands": {"slabs"},
+    "calibration": set(),
+    "alignment": {"slabs", "synchrony", "radiometry"},
+    "paper": set(),
+}
+#: Whose loops a subject runs, again exactly.
+KERNELS: dict[str, set[str]] = {
+    "slabs": {"kernels.radiometry"},
+    "smoothing": {"kernels.smoothing"},
+    "bands": {"kernels.resampling"},
+    "calibration": {"kernels.line_fits"},
+}
+#: Above the subjects: what is here imports of its like only what has a lower rank.
+RANKS = {
+    "plot": 1,
+    "plot_calibration": 1,
+    "laboratory": 2,
+    "accessor": 3,
+    "pipeline": 4,
+    "info": 5,
+    "demonstration": 5,
+    "__init__": 5,
+    "cli": 6,
+    "__main__": 7,
 }
 
 
@@ -106,40 +112,47 @@ def test_the_parser_sees_imports() -> None:
     assert "kernels.smoothing" in IMPORTS["smoothing"][0]
 
 
+def layer_of(name: str) -> str:
+    """Return the module, or the package it belongs to."""
+    return name.split(".")[0]
+
+
 @pytest.mark.parametrize("name", sorted(MODULES))
 def test_imports_go_one_way(name: str) -> None:
-    found = {target for target in IMPORTS[name][0] if target != name}
-    layer = name.split(".")[0]
-    if layer in TOP:
-        # the command line is above everything, accessors above subjects
-        above = {"accessor": {"pipeline", "cli", "demonstration"}, "plot": {"pipeline", "cli", "accessor"}}
-        above["plot_calibration"] = above["plot"]
-        above["pipeline"] = {"cli", "demonstration"}
-        assert not found & above.get(layer, set())
-        return
-    if layer == "kernels":
-        assert all(target.startswith("kernels") for target in found)
+    layer = layer_of(name)
+    found = {layer_of(target) for target in IMPORTS[name][0]} - {layer}
+    if layer in RANKS:
+        assert all(RANKS[target] < RANKS[layer] for target in found & set(RANKS))
+        assert "kernels" not in found
+    elif layer == "kernels":
+        assert not found
         assert IMPORTS[name][1] <= {"__future__", "typing", "collections", "math", "numpy", "numba"}
     elif layer == "simulation":
-        allowed = {"errors", "units", "schema", "kernels.transport"}
-        assert all(target in allowed or target.startswith("simulation") for target in found)
-    elif layer == "calibration":
-        # a subject in several rooms, which may see one another and no other subject
-        kernels = {"kernels.lines"}
-        assert all(target in SHARED | kernels or target.startswith("calibration") for target in found)
+        assert found <= {"errors", "units", "schema"}
     elif layer == "io":
         # readers hold no physics
-        assert all(target in FOUNDATION | {"budget"} or target.startswith("io") for target in found)
+        assert found <= FOUNDATION
+    elif layer in SUBJECTS:
+        assert found <= SHARED | SUBJECTS[layer] | {"kernels"}
     else:
-        allowed = ALLOWED.get(name, SHARED | TASKS)
-        kernels = {target for target in found if target.startswith("kernels.")}
-        assert found - kernels <= allowed
-        assert not kernels or name in SUBJECTS
+        assert found <= LOWER[layer]
+
+
+@pytest.mark.parametrize("subject", SUBJECTS)
+def test_a_subject_is_allowed_what_it_uses(subject: str) -> None:
+    targets = set().union(*(IMPORTS[name][0] for name in MODULES if layer_of(name) == subject))
+    kernels = {target for target in targets if layer_of(target) == "kernels"}
+    assert {layer_of(target) for target in targets - kernels} - SHARED - {subject} == SUBJECTS[subject]
+    assert kernels == KERNELS.get(subject, set())
+
+
+def test_subjects_do_not_import_in_a_ring() -> None:
+    tuple(graphlib.TopologicalSorter(SUBJECTS).static_order())
 
 
 def test_every_module_has_a_layer() -> None:
-    known = SHARED | SUBJECTS | TOP | {"kernels", "simulation", "io"}
-    assert {name.split(".")[0] for name in MODULES} <= known
+    known = {*LOWER, *SUBJECTS, *RANKS, "kernels", "simulation", "io"}
+    assert {layer_of(name) for name in MODULES} == known
 
 
 def test_backends_import_xarray_alone_at_their_top() -> None:
@@ -187,14 +200,15 @@ def test_lazy_names_are_public_and_live_where_they_say() -> None:
 
 
 def test_no_module_shares_its_name_with_a_public_function() -> None:
-    stems = {name.rsplit(".", 1)[-1] for name in MODULES} | {
-        module.name for module in pkgutil.iter_modules([str(ROOT)])
-    }
-    public = set(hyperpaint.__all__)
-    for name in SHARED | SUBJECTS | {"plot"}:
-        if name in MODULES:
-            public |= set(getattr(importlib.import_module(f"hyperpaint.{name}"), "__all__", ()))
-    assert not stems & public
+    # one would hide the other: `from .staging import staging` in a package replaces its module
+    shared = {}
+    stems = {name.removesuffix(".__init__").rpartition(".")[2] for name in MODULES}
+    for name in MODULES:
+        if name != "__main__":
+            home = "hyperpaint" if name == "__init__" else f"hyperpaint.{name.removesuffix('.__init__')}"
+            public = getattr(importlib.import_module(home), "__all__", ())
+            shared[name] = stems & set(public)
+    assert not {name: both for name, both in shared.items() if both}
 
 
 def test_every_public_function_says_what_it_raises_and_returns() -> None:

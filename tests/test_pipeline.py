@@ -274,3 +274,49 @@ def test_vendor_radiance_becomes_reflectance(collect: Path, store: Path, tmp_pat
     assert made["radiance"].dtype == np.float32
     np.testing.assert_allclose(made["radiance"].values, radiance, rtol=1e-5)
     np.testing.assert_allclose(made["reflectance"].values, expected, rtol=2.0**-11)
+
+
+def test_a_group_that_a_user_wrote_back_is_not_kept(source: Path, store: Path, tmp_path: Path) -> None:
+    out = shutil.copytree(store, tmp_path / "lot.zarr")
+    line = hp.io.store.open_store(out, "flightlines/raw_0").load()
+    line["reflectance"] = line["reflectance"] * np.float32(2)
+    hp.to_store(line, out, "flightlines/raw_0", overwrite=True)
+    with pytest.raises(hp.StoreError, match=r"raw_0 is there already, .*not by process"):
+        run(source / "collect.toml", out)
+    assert run(source / "collect.toml", out, overwrite=True).written == ("flightlines/raw_0",)
+    for made, expected in zip(lines_of(out), lines_of(store), strict=True):
+        np.testing.assert_array_equal(made["reflectance"].values, expected["reflectance"].values)
+
+
+def test_a_group_that_lacks_a_chunk_is_made_again(source: Path, store: Path, tmp_path: Path) -> None:
+    out = shutil.copytree(store, tmp_path / "lot.zarr")
+    group = groups_of(out)[-2]
+    assert group.startswith("flightlines/")
+    (out / group / "reflectance/c/1/0/0").unlink()
+    assert run(source / "collect.toml", out).written == (group,)
+    assert hp.verify(out).ok
+
+
+def test_a_damaged_root_is_rebuilt_when_asked_for(source: Path, store: Path, tmp_path: Path) -> None:
+    out = shutil.copytree(store, tmp_path / "lot.zarr")
+    (out / "zarr.json").write_text("{")
+    with pytest.raises(hp.StoreError, match="missing or damaged; pass overwrite=True"):
+        run(source / "collect.toml", out)
+    assert run(source / "collect.toml", out, overwrite=True).written == ()
+    assert hp.verify(out).ok
+
+
+def test_a_run_killed_at_its_first_metadata_is_run_again(source: Path, tmp_path: Path) -> None:
+    out = tmp_path / "lot.zarr"
+    out.mkdir()
+    (out / ".zarr.json.4711").write_text("{")
+    assert len(run(source / "collect.toml", out, reflectance="none").written) == 4
+    assert not (out / ".zarr.json.4711").exists()
+
+
+@pytest.mark.parametrize("out", ["memory://lot.zarr", "s3://bucket/lot.zarr", Path("gs://bucket/lot.zarr")])
+def test_a_url_is_refused(out: Any, source: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(hp.StoreError, match=r"to_store, which takes URLs \(README, 'Object stores'\)"):
+        hp.process(source / "collect.toml", out)
+    assert list(tmp_path.iterdir()) == []

@@ -241,6 +241,44 @@ def groups_are_links_around(folder: Path) -> Path:
     return store
 
 
+def _nested(folder: Path, name: str, depth: int) -> Path:
+    """Write a store with groups in groups, by steps: the whole path may be longer than the system takes."""
+    store = _store(folder)
+    here = os.open(store, os.O_RDONLY)
+    for _ in range(depth):
+        os.mkdir(name, dir_fd=here)
+        below = os.open(name, os.O_RDONLY, dir_fd=here)
+        os.close(here)
+        here = below
+        with open(os.open("zarr.json", os.O_WRONLY | os.O_CREAT, dir_fd=here), "w") as file:
+            file.write('{"zarr_format": 3, "node_type": "group", "attributes": {}}')
+    os.close(here)
+    return store
+
+
+@bomb("verify", "info")
+def groups_600_deep(folder: Path) -> Path:
+    return _nested(folder, "d", 600)
+
+
+@bomb("verify", "info")
+def groups_beyond_the_longest_path(folder: Path) -> Path:
+    return _nested(folder, "d" * 200, 30)
+
+
+@bomb("verify")
+def folders_600_deep_in_an_array(folder: Path) -> Path:
+    store = _store(folder)
+    here = os.open(store / _NAME, os.O_RDONLY)
+    for _ in range(600):
+        os.mkdir("c0", dir_fd=here)
+        below = os.open("c0", os.O_RDONLY, dir_fd=here)
+        os.close(here)
+        here = below
+    os.close(here)
+    return store
+
+
 # --- codecs and data types ---------------------------------------------------------------------------------
 
 
@@ -590,6 +628,58 @@ def link_to_the_whole_disk_among_chunks(folder: Path) -> Path:
     store = _store(folder)
     (store / _NAME / "c/more").symlink_to("/")
     return store
+
+
+# --- what a writer finds beside a store --------------------------------------------------------------------
+
+
+def _beside(folder: Path, name: str) -> Path:
+    """Return a path in the staging folder of a whole store."""
+    path = _store(folder).parent / ".partial-lot.zarr" / name
+    path.parent.mkdir()
+    return path
+
+
+@bomb("writer")
+def staged_group_leads_out(folder: Path) -> Path:
+    (_beside(folder, "replaced-..%2Fescaped") / "c").mkdir(parents=True)
+    return folder / "lot.zarr"
+
+
+@bomb("writer")
+def staged_group_is_a_link_out(folder: Path) -> Path:
+    _beside(folder, "replaced-more").symlink_to(folder.parent / "bait")
+    return folder / "lot.zarr"
+
+
+@bomb("writer")
+def staging_folder_is_a_link_out(folder: Path) -> Path:
+    (_store(folder).parent / ".partial-lot.zarr").symlink_to(folder.parent / "bait")
+    return folder / "lot.zarr"
+
+
+@bomb("writer")
+def lock_is_a_pipe(folder: Path) -> Path:
+    os.mkfifo(_beside(folder, "lock"))
+    return folder / "lot.zarr"
+
+
+@bomb("writer")
+def lock_is_a_link_out(folder: Path) -> Path:
+    _beside(folder, "lock").symlink_to(folder.parent / "bait")
+    return folder / "lot.zarr"
+
+
+@bomb("writer")
+def lock_of_4000_lists(folder: Path) -> Path:
+    _beside(folder, "lock").write_text("[" * 4000)
+    return folder / "lot.zarr"
+
+
+@bomb("writer")
+def lock_of_10_mb(folder: Path) -> Path:
+    _beside(folder, "lock").write_bytes(b" " * (10 * _MEGA))
+    return folder / "lot.zarr"
 
 
 # --- consolidated metadata ---------------------------------------------------------------------------------

@@ -114,6 +114,14 @@ def _verify(path: Path) -> None:
         raise StoreError(str(report))
 
 
+def _writer(path: Path) -> None:
+    import xarray as xr
+
+    from hyperpaint.io.store import to_store
+
+    to_store(xr.Dataset({"a": ("x", [1.0])}), path, "more", overwrite=True)
+
+
 def _calibration(path: Path) -> None:
     from hyperpaint.io.calibration_store import open_calibration
 
@@ -137,6 +145,8 @@ DOORS: Mapping[str, Door] = {
     "info": Door(_info, (FormatError, StoreError, CollectError)),
     "open-store": Door(_open_store, (StoreError,)),
     "verify": Door(_verify, (StoreError,)),
+    # writes beside what is there
+    "writer": Door(_writer, (StoreError,)),
     "calibration": Door(_calibration, (FormatError,)),
     # a calibration that somebody else's program wrote
     "foreign": Door(_foreign, (FormatError,)),
@@ -241,7 +251,8 @@ def run_bomb(
         bait.mkdir()
         path = make(folder)
         told = _in_child(doors[door], path, bait.resolve())
-        ran = any(Path(scratch).rglob(_CANARY))
+        # where bombs put it: some are too deep to be searched
+        ran = any(any(Path(scratch).glob(f"{above}{_CANARY}")) for above in ("", "*/", "*/*/"))
     made.count += 1
     made.notes["refused"] += told["refused"]
     made.seconds = max(made.seconds or 0.0, told["seconds"])

@@ -117,6 +117,19 @@ def _verify(store: Path) -> str:
         return f"verify raised {type(error).__name__}: {error!s:.150}"
 
 
+def _opened(store: Path, whole: Mapping[str, xr.Dataset]) -> str:
+    """Return what `open_store` hands out: ``refused``, ``same`` values, ``missed``, or a foreign error."""
+    from hyperpaint.io.store import open_store
+
+    try:
+        loaded = {name: open_store(store, name).load() for name in whole}
+    except PaintError:
+        return "refused"
+    except Exception as error:
+        return f"open_store raised {type(error).__name__}: {error!s:.150}"
+    return "same" if all(loaded[name].identical(whole[name]) for name in whole) else "missed"
+
+
 def _plain(store: Path, whole: Mapping[str, xr.Dataset]) -> str:
     """Return what a plain reader notices: ``error``, ``same`` values, or ``missed``."""
     try:
@@ -127,9 +140,10 @@ def _plain(store: Path, whole: Mapping[str, xr.Dataset]) -> str:
 
 
 def run_part(folder: Path, kind: str, numbers: range) -> list[Outcome]:
-    """Try faults ``numbers`` of a kind, each on a whole store; return what verify and a plain reader saw."""
+    """Try faults ``numbers`` of a kind, each on a whole store; return what verify and two readers saw."""
     older = _files(folder / "older.zarr")
     verified, plain = Outcome(f"store, verify: {kind}"), Outcome(f"store, xr.open_zarr: {kind}")
+    ours = Outcome(f"store, open_store: {kind}")
     with tempfile.TemporaryDirectory() as scratch, warnings.catch_warnings():
         warnings.simplefilter("ignore")
         store = Path(scratch) / "store.zarr"
@@ -145,6 +159,11 @@ def run_part(folder: Path, kind: str, numbers: range) -> list[Outcome]:
             verified.count += 1
             if (said := _verify(store)) != "found":
                 verified.wrong.append(f"{kind} {number} in {fault}: {said}")
+            ours.count += 1
+            if (said := _opened(store, whole)) not in ("refused", "same"):
+                ours.wrong.append(f"{kind} {number} in {fault}: {said}")
+            elif said == "same":  # what was damaged is not of what is read, as the list in the root
+                ours.notes["read as written"] += 1
             said = _plain(store, whole) if kind in _PLAIN else ""
             if said and fault.in_chunks:
                 plain.count += 1
@@ -157,7 +176,7 @@ def run_part(folder: Path, kind: str, numbers: range) -> list[Outcome]:
         if not hp.verify(store).ok:  # the next fault would be found for the sake of this one
             msg = f"{kind} {numbers}: the store was not whole again"
             raise RuntimeError(msg)
-    return [verified, plain] if plain.count else [verified]
+    return [verified, ours, plain] if plain.count else [verified, ours]
 
 
 def _run(part: tuple[Path, str, range]) -> list[Outcome]:

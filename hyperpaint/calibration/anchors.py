@@ -13,6 +13,8 @@ from hyperpaint.responses import Responses, log_slope
 from hyperpaint.schema import ALONG_TRACK, BAND, CROSS_TRACK, VARIABLES, label, require
 from hyperpaint.units import convert, same_dimension
 
+from .detector import coefficients_of, linearised
+
 if TYPE_CHECKING:
     import xarray as xr
 
@@ -25,9 +27,11 @@ __all__ = [
 ]
 
 Float = npt.NDArray[np.float64]
+Bool = npt.NDArray[np.bool_]
 _ELEMENT = (BAND, CROSS_TRACK)
 _NODE_SPACING = 0.25  # nm; over so little the mean of a spectrum over a band is straight
 _LEAST_COVER = 0.999
+_SAME_EXPOSURE = 0.01  # relative
 
 
 def etendue_from_optics(f_number: float, pixel_pitch: float, slit_width: float) -> float:
@@ -140,7 +144,9 @@ def anchor_to_radiance(
         gain is needed only for ``scale="common"``.
     frames
         ``counts`` ([along_track,] band, cross_track), ``dark_counts`` (band, cross_track) at the same
-        exposure and ``exposure_time`` of a sphere or panel that fills the field.
+        exposure and ``exposure_time`` of a sphere or panel that fills the field. A dark whose
+        ``dark_exposure_time`` is another needs ``dark_rate`` in the calibration. A ``linearity`` that the
+        calibration tells is applied to these counts as well.
     radiance
         Its spectral radiance with units, on one dim with a coordinate of that name or ``wavelength`` [nm].
     scale
@@ -172,6 +178,8 @@ def anchor_to_radiance(
     spectrum = convert(radiance, VARIABLES["radiance"].units, "radiance")
     level = _band_means(calibration, found, spectrum)
     signal, exposure = _signal(frames, calibration)
+    signal = linearised(coefficients_of(calibration.attrs))(signal)
+    signal[:, _unlit(calibration, signal.shape[1])] = np.nan
     with np.errstate(divide="ignore", invalid="ignore"):
         gain = np.where(signal > 0, level * exposure / signal, np.nan)
     if scale == "common":
@@ -181,17 +189,31 @@ def anchor_to_radiance(
     if not np.isfinite(gain).any():
         msg = "no element is covered by the source's spectrum and lit by it; check wavelengths and dark"
         raise SchemaError(msg)
-    return _with_gain(calibration, gain, f"radiance of a known source, {scale} scale", uncertainty)
+    anchor = f"radiance of a known source, {scale} scale"
+    return _with_gain(calibration, gain, anchor, uncertainty, same_shape=scale == "common")
 
 
-def _with_gain(calibration: xr.Dataset, gain: Float, anchor: str, uncertainty: float) -> xr.Dataset:
+def _unlit(calibration: xr.Dataset, columns: int) -> Bool:
+    """Return the columns (cross_track,) whose wavelengths no line of the sweep has told."""
+    first, last = calibration.attrs.get("lit_columns", (0, columns - 1))
+    column = np.arange(columns)
+    return np.asarray((column < first) | (column > last))
+
+
+def _with_gain(
+    calibration: xr.Dataset, gain: Float, anchor: str, uncertainty: float, *, same_shape: bool = False
+) -> xr.Dataset:
+    """Return the calibration with another gain, and all that belongs to its scale."""
     import xarray as xr
 
     good = np.isfinite(gain).mean(axis=1) > 0.5
     systematic = np.where(good, np.float32(uncertainty), np.float32(np.nan)).astype(np.float32)
-    made = calibration.drop_vars(
-        [name for name in ("radiance_gain_u_random", "radiance_gain_u_systematic") if name in calibration]
-    )
+    stale = ["radiance_gain_u_systematic", "quantum_efficiency", "responsivity"]
+    stale += [] if same_shape else ["radiance_gain_u_random"]
+    made = calibration.drop_vars(stale, errors="ignore")
+    if {"responsivity", "radiance_gain"} <= set(calibration.variables):
+        ratio = calibration["radiance_gain"].transpose(*_ELEMENT).astype(np.float64) / gain
+        made["responsivity"] = label(calibration["responsivity"] * ratio, "responsivity")
     return made.assign(
         radiance_gain=label(xr.DataArray(gain.astype(np.float32), dims=_ELEMENT), "radiance_gain"),
         radiance_gain_u_systematic=label(xr.DataArray(systematic, dims=BAND), "radiance_gain_u_systematic"),
@@ -231,7 +253,7 @@ def _signal(frames: xr.Dataset, calibration: xr.Dataset) -> tuple[Float, float]:
         full = full.any(others) if others else full
     mean = counts.astype(np.float64).mean(others) if others else counts.astype(np.float64)
     level = (mean - dark.mean(ALONG_TRACK) if ALONG_TRACK in dark.dims else mean - dark).transpose(*_ELEMENT)
-    signal = np.asarray(level.to_numpy(), np.float64)
+    signal = np.asarray(level.to_numpy(), np.float64) - _dark_of_exposure(frames, calibration, exposure[0])
     if full is not None and (saturated := np.asarray(full.transpose(*_ELEMENT).to_numpy())).any():
         warnings.warn(
             f"{int(saturated.sum())} elements are saturated in the anchor's frames",
@@ -240,6 +262,24 @@ def _signal(frames: xr.Dataset, calibration: xr.Dataset) -> tuple[Float, float]:
         )
         signal = np.where(saturated, np.nan, signal)
     return signal, float(exposure[0])
+
+
+def _dark_of_exposure(frames: xr.Dataset, calibration: xr.Dataset, exposure: float) -> Float | float:
+    """Return what the dark of the frames lacks for their exposure [count]; 0 where it is of that exposure."""
+    if "dark_exposure_time" not in frames.variables:
+        return 0.0
+    taken = require(frames, ["dark_exposure_time"], "an anchor")["dark_exposure_time"].to_numpy()
+    if not (np.abs(taken - exposure) > _SAME_EXPOSURE * exposure).any():
+        return 0.0
+    if "dark_rate" not in calibration.variables:
+        msg = (
+            f"dark at another exposure: frames at {exposure * 1e3:g} ms, dark at "
+            f"{', '.join(f'{t * 1e3:g}' for t in np.unique(taken))} ms, and the calibration has no "
+            "dark_rate; take a dark at the exposure of the frames"
+        )
+        raise SchemaError(msg)
+    rate = require(calibration, ["dark_rate"], "an anchor")["dark_rate"].to_numpy().astype(np.float64)
+    return np.asarray(rate * (exposure - float(np.mean(taken))))
 
 
 def _band_means(calibration: xr.Dataset, found: dict[str, Any], spectrum: xr.DataArray) -> Float:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import warnings
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -13,12 +14,16 @@ import numpy.typing as npt
 from hyperpaint.errors import PaintWarning, SchemaError
 from hyperpaint.schema import BAND, CROSS_TRACK
 
+from .beam import beam_problem
 from .detector import deviant_darks, factors_of, linearised
+from .edge_lines import complete_edge_lines
+from .elements import Differences, deviant_elements, element_differences
 from .lab_sweep import LabSweep, check_sweep, listed
-from .line_fits import SHAPES
-from .line_pull import line_pull
+from .line_fits import SHAPES, Fits
+from .placement import at_steps, band_widths, placed_lines
 from .result import Budget, Result, line_level
-from .steps import Lines, Read, deviant_elements, fit_as_seen, fit_through, read_lines
+from .slope_pull import line_pull
+from .steps import FROM_SCATTER, Lines, Read, fit_as_seen, fit_through, read_lines
 from .wavelength_map import WavelengthMap, fit_wavelength_map
 
 if TYPE_CHECKING:
@@ -30,7 +35,9 @@ Float = npt.NDArray[np.float64]
 Bool = npt.NDArray[np.bool_]
 
 _FEWEST = 4
-_UNEVEN = 0.8  # share of the brightest columns' light below which a beam is not even
+_UNEVEN = 0.75  # of the flux's uncertainty: a fall over the columns that is let pass
+_LEAST_UNEVEN = 0.01
+_UNDERSAMPLED = 1.2  # full widths in bands, below which place and width of a line cannot be told
 
 
 def calibrate(
@@ -41,6 +48,7 @@ def calibrate(
     flux_uncertainty: float = 0.04,
     capture_uncertainty: float = 0.0,
     etendue_uncertainty: float = 0.0,
+    wavelength_uncertainty: float = 0.1,
     linearity: Sequence[float] = (),
     flat_field: xr.DataArray | None = None,
     bad_elements: xr.DataArray | None = None,
@@ -57,8 +65,9 @@ def calibrate(
         band, cross_track) [count], ``step_wavelength`` (step), ``monochromator_fwhm`` [nm],
         ``exposure_time`` [s], ``flux`` [W] of the whole beam, ``capture_fraction`` [1] and ``etendue`` [m2
         sr]. ``flux`` per step is taken as equal in all lit columns, so that column differences are response;
-        per step and column it is what each column gets. Optional: ``counts_variance``, ``frame_count``,
-        ``dark_exposure_time``, ``saturation_count``, ``electrons_per_count``, ``read_noise``. Attribute
+        per step and column it is what each column gets, and nothing need be told of unlit ones. Optional:
+        ``counts_variance``, ``frame_count``, ``dark_frame_count``, ``dark_exposure_time``,
+        ``saturation_count``, ``electrons_per_count``, ``read_noise``. Attribute
         ``monochromator_shape``: "gaussian" or "triangle". Lazy variables are read one step at a time.
     absolute
         False where capture fraction or etendue are not known: the gain then has the right shape and no
@@ -67,10 +76,14 @@ def calibrate(
         "gaussian" or "slit"; None for the one that the lines fit better.
     flux_uncertainty, capture_uncertainty, etendue_uncertainty
         Relative standard uncertainties; 3 to 5 % is typical of power meters without a certificate.
+    wavelength_uncertainty
+        Standard uncertainty of the monochromator's dial [nm], which all lines share.
     linearity
-        Coefficients of `hyperpaint.calibration.linearity`; () for none.
+        Coefficients of `hyperpaint.calibration.linearity`; () for none. The gain then holds for counts that
+        are linearised likewise, which `radiance` does not do: it refuses, and so does `reflectance`.
     flat_field
-        Of `hyperpaint.calibration.flat_field`: the gains of a band then have its column differences.
+        Of `hyperpaint.calibration.flat_field`: the gains of a band then have its column differences. Without
+        it the gains are those of smooth lines, and what elements differ in is in their random uncertainty.
     bad_elements
         (band, cross_track) bool: elements to leave out, besides those that the sweep betrays.
     smile_degree
@@ -95,7 +108,8 @@ def calibrate(
     -----
     PaintWarning
         Steps were left out; the monochromator's line is too wide to tell the camera's from; the beam's own
-        profile is taken for response.
+        profile is taken for response; columns are not lit; lines look clipped; the dark is off; the noise is
+        not told.
 
     Notes
     -----
@@ -130,6 +144,7 @@ def calibrate(
     read = read_lines(lab, bad, linearised(linearity), flat, tick)
     _need_lines(lab, read)
     seen, fits = fit_as_seen(lab, read, tick)
+    _need_trusted(read, seen, fits)
     rough = _map(seen, lab, lab.wavelength, smile_degree)
     shapes = {name: code for name, code in SHAPES.items() if srf_shape in (None, name)}
     by_shape = {name: fit_through(lab, read, rough, code, fits, tick) for name, code in shapes.items()}
@@ -143,11 +158,54 @@ def calibrate(
             if window is not None:
                 window.leave_out(bad)
         lines = fit_through(lab, read, rough, SHAPES[shape], fits, lambda: None)
-    _say_what_is_left_out(lab, read, lines)
+    read, lines, differences = _with_differences(lab, read, lines, rough, SHAPES[shape], fits)
+    _say_what_is_left_out(lab, read)
     surface, slope, pull = _map_through(lines, lab, read, rough, shape, smile_degree)
-    budget = Budget(flux_uncertainty, capture_uncertainty, etendue_uncertainty)
-    result = Result(lab, read, lines, surface, slope, pull, shape, misfit, bad, budget, tuple(linearity))
+    placed = placed_lines(lab, lines, surface, pull)
+    if not lab.by_column and flat is None:
+        areas = np.where(placed, lines.area, np.nan)
+        _warn_of_beam(lab, areas, max(_UNEVEN * flux_uncertainty, _LEAST_UNEVEN))
+    fwhm = band_widths(lab, lines, surface, placed)
+    light, own = lab.wavelength + pull, at_steps(lab, surface, fwhm)
+    complete_edge_lines(lab, read, lines, surface, light, own, shape)
+    budget = Budget(flux_uncertainty, capture_uncertainty, etendue_uncertainty, wavelength_uncertainty)
+    result = Result(
+        lab, read, lines, surface, slope, pull, shape, misfit, bad, budget, tuple(linearity), placed, fwhm,
+        differences.relative,
+    )  # fmt: skip
     return result.dataset(flat)
+
+
+def _with_differences(
+    lab: LabSweep, read: Read, lines: Lines, surface: WavelengthMap, shape: int, fits: list[Fits | None]
+) -> tuple[Read, Lines, Differences]:
+    """Return how much elements differ, and fits whose noise is that of the lines where nothing told it."""
+    known = read.noise_source != FROM_SCATTER
+    differences = element_differences(lab, read, lines, surface, shape, known_noise=known)
+    if known:
+        return read, lines, differences
+    if lab.variance is None:
+        warnings.warn(
+            "neither counts_variance nor electrons_per_count is given: the noise of the lines is estimated "
+            "from their distances to the fits, and uncertainties of single elements are rough",
+            PaintWarning,
+            stacklevel=3,
+        )
+    noise = replace(read.noise, slope=differences.slope * float(np.median(lab.frames)))
+    read = replace(read, noise=noise)
+    return read, fit_through(lab, read, surface, shape, fits, lambda: None), differences
+
+
+def _warn_of_beam(lab: LabSweep, areas: Float, tolerance: float) -> None:
+    problem = beam_problem(lab.wavelength, areas, tolerance)
+    if problem is not None:
+        warnings.warn(
+            f"flux is told per step only and so taken as equal in all lit columns, yet {problem}: the beam's "
+            "own profile would pass for response. Give flux or capture_fraction per step and cross_track, or "
+            "a flat_field",
+            PaintWarning,
+            stacklevel=3,
+        )
 
 
 def _counter(progress: Callable[[int, int], None] | None, total: int) -> Callable[[], None]:
@@ -186,16 +244,33 @@ def _need_lines(lab: LabSweep, read: Read) -> None:
         raise SchemaError(msg)
 
 
+def _need_trusted(read: Read, lines: Lines, fits: Sequence[Fits | None]) -> None:
+    """Refuse a sweep of too few lines that can be trusted, and say why they cannot."""
+    trusted = int(lines.trusted.any(axis=1).sum())
+    if trusted >= _FEWEST:
+        return
+    pairs = [(w, f) for w, f in zip(read.windows, fits, strict=True) if w is not None and f is not None]
+    total = sum(window.columns.size for window, _ in pairs)
+    full = sum(int(window.saturated.sum()) for window, _ in pairs)
+    width = float(np.nanmedian(np.concatenate([fit.width for _, fit in pairs])))
+    lost = sum(int((~fit.converged & ~window.saturated).sum()) for window, fit in pairs)
+    reasons = [f"{full} of {total} lines are saturated: shorten the exposure"] if full else []
+    if width < _UNDERSAMPLED or lost > 0.5 * total:
+        reasons.append(
+            f"{lost} of {total} fits fail, of lines {width:.2g} bands wide: bands that lie further apart "
+            "than a line is wide cannot tell its place; widen the monochromator's line"
+        )
+    reasons = reasons or ["the others lie at the edge of the array: give more steps"]
+    msg = (
+        f"this lab sweep cannot be calibrated:\n  {trusted} steps have lines that can be trusted, expected "
+        f"{_FEWEST} or more; {'; '.join(reasons)}"
+    )
+    raise SchemaError(msg)
+
+
 def _map(lines: Lines, lab: LabSweep, wavelength: Float, degree: int | None) -> WavelengthMap:
     """Return the wavelength map through the trusted lines at the wavelengths (step,) of their light."""
     step, column = np.nonzero(lines.trusted)
-    if len(np.unique(step)) < _FEWEST:
-        full = ", most are saturated or at the edge of the array"
-        msg = (
-            f"this lab sweep cannot be calibrated:\n  {len(np.unique(step))} steps have lines that can be "
-            f"trusted, expected {_FEWEST} or more{full}; shorten the exposure, or give more steps"
-        )
-        raise SchemaError(msg)
     return fit_wavelength_map(
         lines.centre[step, column], column.astype(np.float64), wavelength[step], lab.shape[1:],
         column_degree=degree, uncertainty=lines.centre_u[step, column],
@@ -213,7 +288,7 @@ def _misfits(by_shape: Mapping[str, Lines]) -> dict[str, float]:
     }
 
 
-def _say_what_is_left_out(lab: LabSweep, read: Read, lines: Lines) -> None:
+def _say_what_is_left_out(lab: LabSweep, read: Read) -> None:
     wavelength = lab.wavelength
     without = [float(w) for w, window in zip(wavelength, read.windows, strict=True) if window is None]
     if without:
@@ -227,19 +302,6 @@ def _say_what_is_left_out(lab: LabSweep, read: Read, lines: Lines) -> None:
     ]
     if full:
         warnings.warn(f"saturated lines are left out: {listed(full)}", PaintWarning, stacklevel=3)
-    lit = lines.trusted.any(axis=0)
-    if lab.by_column or not lit.any():
-        return
-    beams = [window.beam[lit] for window in read.windows if window is not None]
-    lowest = float(np.nanmedian([np.nanpercentile(beam, 2) for beam in beams]))
-    if lowest < _UNEVEN:
-        warnings.warn(
-            "flux is told per step only and so taken as equal in all lit columns, yet counts fall to "
-            f"{lowest:.0%} of the brightest columns': the beam's own profile would pass for response. Give "
-            "flux or capture_fraction per step and cross_track, or a flat_field",
-            PaintWarning,
-            stacklevel=3,
-        )
 
 
 def _map_through(

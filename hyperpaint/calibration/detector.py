@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -17,11 +17,14 @@ if TYPE_CHECKING:
 
 __all__ = [
     "DarkModel",
+    "coefficients_of",
     "dark_at",
     "dark_model",
     "deviant_darks",
+    "factors_of",
     "fit_dark_model",
     "flat_field",
+    "linearised",
     "linearity",
 ]
 
@@ -29,6 +32,12 @@ Float = npt.NDArray[np.float64]
 _ELEMENT = (BAND, CROSS_TRACK)
 _SAME_EXPOSURE = 1e-3
 """Relative difference of exposures below which they count as one: what drivers round to."""
+
+_BEYOND = 2.0
+"""Times the shortest and the longest exposure of the darks that their model is carried to."""
+
+_DARK_U = 1.0
+"""Uncertainty [count] of a dark that follows from a model, beyond which it is none."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,12 +52,15 @@ class DarkModel:
         Different exposures that it was made from [s].
     residual
         Root mean square distance of the darks from the model [count].
+    taken : (dark,)
+        Exposure of every dark [s].
     """
 
     bias: Float
     rate: Float
     exposures: tuple[float, ...]
     residual: float
+    taken: Float
 
     @property
     def known_rate(self) -> bool:
@@ -56,8 +68,25 @@ class DarkModel:
         return len(self.exposures) > 1
 
     def reaches(self, exposure: float) -> bool:
-        """Tell whether the dark at an exposure [s] is known."""
-        return self.known_rate or abs(exposure - self.exposures[0]) <= _SAME_EXPOSURE * exposure
+        """Tell whether the dark at an exposure [s] is known: near those of the darks, and to a count."""
+        if not self.known_rate:
+            return abs(exposure - self.exposures[0]) <= _SAME_EXPOSURE * exposure
+        near = self.exposures[0] / _BEYOND <= exposure <= self.exposures[-1] * _BEYOND
+        return near and self.spread * np.sqrt(self.leverage(exposure)) <= _DARK_U
+
+    @property
+    def spread(self) -> float:
+        """Standard deviation of one dark about the model [count]; 0 where there are too few to tell."""
+        free = len(self.taken) - (2 if self.known_rate else 1)
+        return self.residual * float(np.sqrt(len(self.taken) / free)) if free > 0 else 0.0
+
+    def leverage(self, exposure: float) -> float:
+        """Return the variance of the dark at an exposure [s] in units of that of one dark."""
+        count = len(self.taken)
+        if not self.known_rate:
+            return 1.0 / count
+        offset = self.taken - self.taken.mean()
+        return float(1.0 / count + (exposure - self.taken.mean()) ** 2 / (offset**2).sum())
 
     def at(self, exposure: float) -> Float:
         """Return the dark counts at an exposure [s]; with a single dark, those of that dark."""
@@ -73,12 +102,12 @@ def fit_dark_model(dark: Float, exposure: Float) -> DarkModel:
     mean = dark.mean(axis=0)
     if len(different) == 1:
         rms = float(np.sqrt(np.nanmean((dark - mean) ** 2)))
-        return DarkModel(mean, np.full_like(mean, np.nan), tuple(different), rms)
+        return DarkModel(mean, np.full_like(mean, np.nan), tuple(different), rms, exposure)
     offset = exposure - exposure.mean()
     rate = np.tensordot(offset, dark, axes=1) / (offset**2).sum()
     bias = mean - rate * exposure.mean()
     residual = dark - bias - exposure[:, None, None] * rate
-    return DarkModel(bias, rate, tuple(different), float(np.sqrt(np.nanmean(residual**2))))
+    return DarkModel(bias, rate, tuple(different), float(np.sqrt(np.nanmean(residual**2))), exposure)
 
 
 def dark_model(darks: xr.Dataset | Sequence[xr.Dataset]) -> xr.Dataset:
@@ -265,6 +294,12 @@ def linearity(signal: npt.ArrayLike, measured: npt.ArrayLike, degree: int = 3) -
     return tuple(
         float(a / scale ** (power - 1)) for power, a in zip(range(2, degree + 1), solved[1:], strict=True)
     )
+
+
+def coefficients_of(attrs: Mapping[Any, Any]) -> tuple[float, ...]:
+    """Return the `linearity` that the attributes of a calibration tell."""
+    told = attrs.get("linearity", ())
+    return () if isinstance(told, str) else tuple(float(value) for value in np.atleast_1d(told))
 
 
 def linearised(coefficients: Sequence[float]) -> Callable[[Any], Any]:

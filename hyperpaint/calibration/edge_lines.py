@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from hyperpaint.kernels.lines import AREA, profiles
+from hyperpaint.kernels.line_fits import AREA, profiles
 
 from .lab_sweep import LabSweep
 from .line_fits import SHAPES, Window
@@ -21,6 +21,7 @@ __all__ = ["complete_edge_lines"]
 Float = npt.NDArray[np.float64]
 
 _LEAST_SEEN = 0.3  # of a line's area
+_DEVIANT = 0.15  # of a line's height: a sample this far from the completed line says that it is another
 _OWN_WIDTH_U = 0.005  # relative uncertainty of the width at the edge, where no line has told it
 
 
@@ -86,7 +87,11 @@ def _complete(
     by_width -= (profile(0.0, 1.0 + 1e-3) * known - unit).sum(axis=1) * fitted / 1e-3
     noise = np.where(known, read.noise.variance(values, frames), 0.0).sum(axis=1) + (1.0 - seen) ** 2 / norm
     total = noise + (by_place * surface.residual / spacing) ** 2 + (by_width * _OWN_WIDTH_U) ** 2
-    done = cut & (seen >= _LEAST_SEEN) & (fitted > 0) & np.isfinite(total)
+    apart = np.abs(np.where(known, values - fitted[:, None] * unit, 0.0))
+    height = np.abs(fitted) * profile(0.0, 1.0).max(axis=1)
+    # one free parameter: what is not noise is a dead element, or a line elsewhere
+    far = apart > np.maximum(8.0 * np.sqrt(variance), _DEVIANT * height[:, None])
+    done = cut & (seen >= _LEAST_SEEN) & (fitted > 0) & np.isfinite(total) & ~far.any(axis=1)
     at = (step, window.columns[done])
     lines.area[at] = area[done]
     lines.area_u[at] = np.sqrt(total[done]) / area[done]

@@ -9,14 +9,14 @@ import numpy as np
 import numpy.typing as npt
 
 from hyperpaint.errors import Problems, SchemaError
-from hyperpaint.schema import CROSS_TRACK, MONOCHROMATOR_SHAPES, STEP, SWEEP_VARIABLES, require
+from hyperpaint.schema import CROSS_TRACK, MONOCHROMATOR_SHAPES, STEP, SWEEP_VARIABLES, find
 
 from .detector import DarkModel, fit_dark_model
 
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["LabSweep", "check_sweep", "listed"]
+__all__ = ["SATURATION_MARGIN", "LabSweep", "check_sweep", "listed"]
 
 Float = npt.NDArray[np.float64]
 
@@ -30,6 +30,7 @@ _OPTIONAL = (
     "counts_variance",
     "dark_exposure_time",
     "frame_count",
+    "dark_frame_count",
     "saturation_count",
     "electrons_per_count",
     "read_noise",
@@ -56,9 +57,11 @@ class LabSweep:
         [s]
     frames : (step,)
         Frames averaged.
+    dark_frames
+        Frames averaged in a dark; None where that is not known.
     power : (step, cross_track)
         Radiant flux that enters slit width x one column, all bands together [W]; ones where only the shape of
-        the responsivity can be had.
+        the responsivity can be had, NaN in columns of which none is told.
     etendue : (cross_track,)
         [m2 sr]
     saturation
@@ -79,6 +82,7 @@ class LabSweep:
     triangular: bool
     exposure: Float
     frames: Float
+    dark_frames: float | None
     power: Float
     etendue: Float
     saturation: Float | None
@@ -142,13 +146,16 @@ def check_sweep(sweep: xr.Dataset, *, absolute: bool = True) -> LabSweep:
     _check_order(values, problems)
     for name, high in (
         ("flux", np.inf), ("exposure_time", np.inf), ("etendue", np.inf), ("capture_fraction", 1.0),
-        ("monochromator_fwhm", np.inf), ("frame_count", np.inf), ("saturation_count", np.inf),
-        ("electrons_per_count", np.inf),
+        ("monochromator_fwhm", np.inf), ("frame_count", np.inf), ("dark_frame_count", np.inf),
+        ("saturation_count", np.inf), ("electrons_per_count", np.inf),
     ):  # fmt: skip
         if name in values:
             _check_positive(
                 name, found[name].dims, values[name], high, values.get("step_wavelength"), problems
             )
+    if "read_noise" in values and not (np.isfinite(values["read_noise"]) & (values["read_noise"] >= 0)).all():
+        worst = float(values["read_noise"].min())
+        problems.add(f"'read_noise' is {worst:g} in places, expected finite and at least zero")
     shape = sweep.attrs.get("monochromator_shape", "gaussian")
     if shape not in MONOCHROMATOR_SHAPES:
         problems.add(
@@ -156,7 +163,9 @@ def check_sweep(sweep: xr.Dataset, *, absolute: bool = True) -> LabSweep:
         )
     dark = _dark(found, values, problems)
     problems.raise_if_any()
-    assert dark is not None
+    if dark is None:
+        msg = "this lab sweep cannot be calibrated:\n  no dark follows from 'dark_counts'"
+        raise SchemaError(msg)
     return _assembled(found, values, dark, (steps, columns), shape == "triangle")
 
 
@@ -166,12 +175,9 @@ def _variables(sweep: xr.Dataset, absolute: bool, problems: Problems) -> dict[st
         wanted = [*_REQUIRED, *_ABSOLUTE, *(name for name in _OPTIONAL if name in sweep.variables)]
     elif "flux" not in wanted:
         wanted.insert(5, "flux")
-    found: dict[str, xr.DataArray] = {}
-    for name in wanted:
-        try:
-            found |= require(sweep, [name], "it", SWEEP_VARIABLES)
-        except SchemaError as error:
-            problems.add(str(error).split("\n  ", 1)[-1])
+    found, wrong = find(sweep, wanted, SWEEP_VARIABLES)
+    for problem in wrong:
+        problems.add(problem)
     kinds = {name: array for name, array in found.items() if array.dtype.kind not in "iuf"}
     for name, array in kinds.items():
         problems.add(f"{name!r} has dtype {array.dtype}, expected {SWEEP_VARIABLES[name].dtype}")
@@ -201,6 +207,10 @@ def _check_positive(
     name: str, dims: tuple[Any, ...], values: Float, high: float, wavelength: Float | None, problems: Problems
 ) -> None:
     wrong = ~(np.isfinite(values) & (values > 0) & (values <= high))
+    if dims == (STEP, CROSS_TRACK):
+        # columns that the beam does not reach have no flux; whether one is lit, its counts tell
+        dark = wrong & ((values == 0) | np.isnan(values))
+        wrong &= ~dark | wrong.all(axis=1, keepdims=True)
     if not wrong.any():
         return
     expected = "positive and finite" if high == np.inf else f"above 0 and at most {high:g}"
@@ -244,8 +254,8 @@ def _dark(found: dict[str, xr.DataArray], values: dict[str, Float], problems: Pr
     if apart:
         problems.add(
             f"dark at another exposure: steps at {listed([e * 1e3 for e in apart], 'ms')}, dark at "
-            f"{listed([e * 1e3 for e in np.unique(at)], 'ms')}; take a dark at the exposure of the steps, or "
-            "darks at two exposures, from which bias and rate follow"
+            f"{listed([e * 1e3 for e in model.exposures], 'ms')}; take a dark at the exposure of the steps, "
+            "or darks at two exposures about it, from which bias and rate follow to a count"
         )
         return None
     return model
@@ -265,6 +275,7 @@ def _assembled(
 
     def per_line(name: str) -> Float:
         value = values.get(name, np.ones(()))
+        value = np.where(value > 0, value, np.nan)
         return np.broadcast_to(value[:, None] if value.ndim == 1 else value, (steps, columns))
 
     def scalar(name: str) -> float | None:
@@ -282,6 +293,7 @@ def _assembled(
         triangular=triangular,
         exposure=per_step("exposure_time", np.nan),
         frames=per_step("frame_count", 1.0),
+        dark_frames=scalar("dark_frame_count"),
         power=np.asarray(per_line("flux") * per_line("capture_fraction")),
         etendue=np.broadcast_to(values.get("etendue", np.float64(1.0)), (columns,)).astype(np.float64),
         saturation=values.get("saturation_count"),

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from hyperpaint.kernels.lines import (
+from hyperpaint.kernels.line_fits import (
     AREA,
     CENTRE,
     GAUSSIAN,
@@ -40,19 +40,21 @@ REACH = 2.2
 """Half the window of a line in full widths at half maximum; beyond lie 2e-7 of a Gaussian's area."""
 
 _DEVIANT = 0.15  # of a line's height: an element this far from the fit is not noise
+_FEWEST_BESIDE = 12  # bands beyond a window from which its background is told
 _GAUSS = np.sqrt(np.pi / (4.0 * np.log(2.0)))  # area of a Gaussian of unit height and full width
 
 
 @dataclass(frozen=True)
 class NoiseModel:
-    """Variance of one frame: constant + slope x signal [count2]."""
+    """Variance of one frame, constant + slope x signal, and of the dark that is taken off [count2]."""
 
     constant: float
     slope: float
+    dark: float = 0.0
 
     def variance(self, signal: Float, frames: float) -> Float:
-        """Return the variance of the mean of some frames."""
-        return np.asarray((self.constant + self.slope * np.maximum(signal, 0.0)) / frames)
+        """Return the variance of the mean of some frames less the dark."""
+        return np.asarray((self.constant + self.slope * np.maximum(signal, 0.0)) / frames + self.dark)
 
 
 @dataclass(frozen=True)
@@ -237,13 +239,17 @@ def _background(outside: Float) -> tuple[Float, Float]:
     A dark that has drifted lifts all bands alike; left in, it would add to the area band by band.
     """
     known = np.isfinite(outside)
-    if known.sum(axis=0).min(initial=0) < 12:
-        return np.zeros(outside.shape[1]), np.zeros(outside.shape[1])
-    middle = np.nanmedian(outside, axis=0)
-    spread = 1.4826 * np.nanmedian(np.abs(outside - middle), axis=0)
-    kept = known & (np.abs(outside - middle) <= 4.0 * spread)
+    mean, variance = np.zeros(outside.shape[1]), np.zeros(outside.shape[1])
+    told = np.flatnonzero(known.sum(axis=0) >= _FEWEST_BESIDE)
+    if not told.size:
+        return mean, variance
+    beside, known = outside[:, told], known[:, told]
+    middle = np.nanmedian(beside, axis=0)
+    spread = 1.4826 * np.nanmedian(np.abs(beside - middle), axis=0)
+    kept = known & (np.abs(beside - middle) <= 4.0 * spread)
     count = np.maximum(kept.sum(axis=0), 1)
-    return np.where(kept, outside, 0.0).sum(axis=0) / count, 1.0 / count
+    mean[told], variance[told] = np.where(kept, beside, 0.0).sum(axis=0) / count, 1.0 / count
+    return mean, variance
 
 
 def _brightest(light: Float) -> float:

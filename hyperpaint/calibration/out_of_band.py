@@ -13,12 +13,18 @@ import numpy as np
 import numpy.typing as npt
 
 from hyperpaint.errors import SchemaError
-from hyperpaint.schema import BAND, VARIABLES, label
+from hyperpaint.schema import BAND
 
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["correct_stray_light", "second_order_share", "stray_light_matrix"]
+__all__ = [
+    "common_offset",
+    "correct_stray_light",
+    "second_order_share",
+    "stray_light_matrix",
+    "wing_in_window",
+]
 
 Float = npt.NDArray[np.float64]
 
@@ -47,6 +53,39 @@ def second_order_share(rows: Float, step_wavelength: Float, wavelength: Float, w
         if inside and ring.sum() >= 4 and (rows[step][near] != 0).all():
             share[step] = (rows[step][near] - np.median(rows[step][ring])).sum()
     return share
+
+
+def common_offset(level: Float, area: Float) -> float:
+    """Return the counts off the lines that do not follow their light: those of a dark that is off [count].
+
+    Parameters
+    ----------
+    level, area : (step,)
+        Counts of a band off the line, and area of the line; medians of the lit columns [count].
+    """
+    known = np.isfinite(level) & np.isfinite(area) & (area > 0)
+    if known.sum() < 4 or np.ptp(area[known]) < 0.2 * area[known].max():
+        return float("nan")
+    terms = np.column_stack([np.ones(int(known.sum())), area[known]])
+    return float(np.linalg.lstsq(terms, level[known], rcond=None)[0][0])
+
+
+def wing_in_window(rows: Float, centre: Float) -> float:
+    """Return the share of a line's area that is light scattered into its window, beyond the background [1].
+
+    Parameters
+    ----------
+    rows, centre
+        As in `stray_light_matrix`.
+    """
+    shares = []
+    for row, middle in zip(rows, centre, strict=True):
+        outside = row != 0
+        window = int((~outside).sum())
+        near = outside & (np.abs(np.arange(row.size) - middle) <= window)
+        if near.sum() >= 4 and window < row.size / 2:
+            shares.append((row[near].mean() - np.median(row[outside])) * window)
+    return max(float(np.median(shares)), 0.0) if shares else 0.0
 
 
 def stray_light_matrix(
@@ -90,7 +129,7 @@ def _line_spread(distance: Float, share: Float, bands: int) -> Any:
             centres.append(float(distance[inside].mean()))
             levels.append(float(np.median(share[inside])))
     if not centres:
-        return np.zeros_like
+        return lambda at: np.zeros(np.shape(at))
     nearest = float(np.abs(distance).min())
 
     def wing(at: npt.NDArray[Any]) -> Float:
@@ -165,10 +204,3 @@ def correct_stray_light(cube: xr.DataArray, stray_light: xr.DataArray) -> xr.Dat
     made.attrs = {**cube.attrs, "stray_light": "corrected with the matrix of the lab sweep"}
     made.name = cube.name
     return made
-
-
-def labelled_matrix(matrix: Float) -> xr.DataArray:
-    """Return a matrix as ``stray_light``."""
-    import xarray as xr
-
-    return label(xr.DataArray(matrix, dims=VARIABLES["stray_light"].dims), "stray_light")

@@ -13,14 +13,14 @@ import numpy.typing as npt
 from hyperpaint.errors import PaintWarning, SchemaError
 from hyperpaint.schema import VARIABLES, dtype_of, label
 
-from .edge_lines import complete_edge_lines
 from .lab_sweep import LabSweep
 from .line_fits import fit_beam
-from .out_of_band import second_order_share, stray_light_matrix
+from .out_of_band import common_offset, second_order_share, stray_light_matrix, wing_in_window
+from .placement import at_steps, line_wavelengths
 from .responsivity import element_gain, second_order_factor, shape_variance
-from .steps import Lines, Read
+from .steps import FROM_FRAMES, Lines, Read
 from .views import PLANCK_TIMES_LIGHT
-from .wavelength_map import WavelengthMap, fit_width
+from .wavelength_map import WavelengthMap
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -31,22 +31,23 @@ Float = npt.NDArray[np.float64]
 Bool = npt.NDArray[np.bool_]
 
 _ILL_CONDITIONED = 0.7  # width of the monochromator over that of the camera
-_MISPLACED = 0.5  # nm from the wavelength map, beyond which a line's wavelength is not what is said
-_TOLERANCE = 0.01  # nm by which an element may lie beyond the outer step
+_TOLERANCE = (0.01, 0.05)  # nm by which an element may lie beyond the outer step: at least, and at most
+_DARK_OFF = 1.0  # count
 _ELECTRONS = (0.05, 2000.0)  # a count, of any camera
 
 
 @dataclass(frozen=True)
 class Budget:
-    """Relative standard uncertainties that the sweep itself cannot tell."""
+    """Standard uncertainties that the sweep itself cannot tell: relative, and of the dial [nm]."""
 
     flux: float
     capture: float
     etendue: float
+    wavelength: float
 
     @property
     def total(self) -> float:
-        """Root sum of squares."""
+        """Root sum of squares of the relative ones."""
         return float(np.sqrt(self.flux**2 + self.capture**2 + self.etendue**2))
 
 
@@ -63,7 +64,8 @@ def line_level(lines: Lines, lab: LabSweep, surface: WavelengthMap, used: Bool |
 def _nodes(lines: Lines, lab: LabSweep, surface: WavelengthMap) -> Float:
     column = np.broadcast_to(np.arange(lines.centre.shape[1]), lines.centre.shape)
     spacing = surface.spacing(np.nan_to_num(lines.centre), column)
-    return np.asarray(lines.area * spacing / (lab.exposure[:, None] * lab.power))
+    with np.errstate(over="ignore"):  # of fits that are not trusted
+        return np.asarray(lines.area * spacing / (lab.exposure[:, None] * lab.power))
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,6 +85,12 @@ class Result:
     bad : (band, cross_track)
     budget, linearity
         As given.
+    placed : (step, cross_track)
+        Good fits where the map says they should be.
+    fwhm : (band,)
+        Width of every band [nm].
+    differences
+        Relative standard deviation of the elements about the lines.
     """
 
     lab: LabSweep
@@ -96,6 +104,9 @@ class Result:
     bad: Bool
     budget: Budget
     linearity: tuple[float, ...]
+    placed: Bool
+    fwhm: Float
+    differences: float
 
     @cached_property
     def wavelength(self) -> Float:
@@ -120,9 +131,7 @@ class Result:
     @cached_property
     def line_wavelength(self) -> Float:
         """Where the map puts the centres of the lines (step, cross_track) [nm], less the slope's pull."""
-        there = self.surface.at(np.nan_to_num(self.lines.centre), self.columns)
-        pulled = there - self.pull[:, None]
-        return np.asarray(np.where(np.isfinite(self.lines.centre), pulled, np.nan))
+        return line_wavelengths(self.lines, self.surface, self.pull)
 
     @cached_property
     def line_spacing(self) -> Float:
@@ -130,40 +139,14 @@ class Result:
         return self.surface.spacing(np.nan_to_num(self.lines.centre), self.columns)
 
     @cached_property
-    def trusted(self) -> Bool:
-        """Lines that are used: good fits, where the map says they should be."""
-        apart = np.abs(self.line_wavelength - self.lab.wavelength[:, None])
-        with np.errstate(invalid="ignore"):
-            return np.asarray(self.lines.trusted & (apart < max(_MISPLACED, 6.0 * self.surface.residual)))
-
-    @cached_property
     def used(self) -> Bool:
-        """Lines whose area is used: the trusted, and those at the edges completed from them."""
-        lab = self.lab
-        light = lab.wavelength + self.pull
-        lines = self.lines
-        complete_edge_lines(lab, self.read, lines, self.surface, light, self.fwhm_at_steps, self.shape)
-        return np.asarray(self.trusted | lines.completed)
+        """Lines whose area is used: those in place, and those at the edges completed from them."""
+        return np.asarray(self.placed | self.lines.completed)
 
     @cached_property
     def fwhm_at_steps(self) -> Float:
         """Width of the camera's line at every step (step,) [nm]."""
-        order = np.argsort(self.centre_wavelength)
-        return np.interp(self.lab.wavelength, self.centre_wavelength[order], self.fwhm[order])
-
-    @cached_property
-    def fwhm(self) -> Float:
-        """Width of every band (band,) [nm]."""
-        used = np.flatnonzero(self.trusted.any(axis=1))
-        widths = np.where(self.trusted, self.lines.own_width * self.line_spacing, np.nan)[used]
-        spread = np.where(self.trusted, self.lines.own_width_u * self.line_spacing, np.nan)[used]
-        lines = self.trusted[used].sum(axis=1)
-        return fit_width(
-            self.lab.wavelength[used],
-            np.nanmedian(widths, axis=1),
-            np.nanmedian(spread, axis=1) / np.sqrt(lines),
-            self.centre_wavelength,
-        )
+        return at_steps(self.lab, self.surface, self.fwhm)
 
     @cached_property
     def gain(self) -> tuple[Float, Bool]:
@@ -185,7 +168,8 @@ class Result:
 
     @property
     def _tolerance(self) -> float:
-        return max(_TOLERANCE, 3.0 * self.surface.residual)
+        low, high = _TOLERANCE
+        return min(max(low, 3.0 * self.surface.residual), high)
 
     def dataset(self, flat: Float | None) -> xr.Dataset:
         """Return the calibration."""
@@ -199,6 +183,8 @@ class Result:
             self._check_plausible(gain)
         self._warn_of_width()
         gain = _levelled(gain, flat)
+        gain[:, self._unlit] = np.nan
+        self._warn_of_unlit()
         responsivity = 1.0 / (gain * self.lab.etendue * self.spacing)
         gain[self.bad] = np.nan
         lit = np.isfinite(gain).any(axis=0)
@@ -206,7 +192,7 @@ class Result:
         values: dict[str, Any] = {
             "radiance_gain": gain,
             "responsivity": responsivity,
-            "wavelength_u": self.surface.residual,
+            "wavelength_u": np.hypot(self.surface.residual, self.budget.wavelength),
             **self._uncertainties(gain, good),
             **self._dark(),
             **self._line_variables(),
@@ -236,7 +222,8 @@ class Result:
                     self.wavelength[:, column], self.lab.wavelength[used], self.lines.area_u[used, column]
                 )
         slope = np.interp(self.centre_wavelength, self.lab.wavelength, self.line_slope)
-        total = np.hypot(self.budget.total, slope * self.surface.residual)
+        total = np.sqrt(self.budget.total**2 + (slope * self.surface.residual) ** 2 + self.wing**2)
+        random = np.hypot(random, self.differences)
         return {
             "radiance_gain_u_random": np.where(np.isfinite(gain), random, np.nan),
             "radiance_gain_u_systematic": np.where(good, total, np.nan),
@@ -251,12 +238,13 @@ class Result:
         if lab.saturation is not None:
             made["saturation_count"] = lab.saturation
         noise = self.read.noise
-        electrons = lab.electrons_per_count or (1.0 / noise.slope if noise.slope > 0 else None)
+        electrons, read_noise = lab.electrons_per_count, lab.read_noise
+        if self.read.noise_source == FROM_FRAMES:
+            electrons = electrons or 1.0 / noise.slope
+            if read_noise is None:
+                read_noise = float(np.sqrt(max(noise.constant - 1.0 / 12.0, 0.0)))
         if electrons is not None:
             made["electrons_per_count"] = electrons
-        read_noise = lab.read_noise
-        if read_noise is None and noise.slope > 0:
-            read_noise = float(np.sqrt(max(noise.constant - 1.0 / 12.0, 0.0)))
         if read_noise is not None:
             made["read_noise"] = read_noise
         return made
@@ -269,10 +257,10 @@ class Result:
                 beam[step] = fit_beam(window.beam)
         centre = np.full(steps, np.nan)
         width = np.full(steps, np.nan)
-        used = self.trusted.any(axis=1)
-        centre[used] = np.nanmedian(np.where(self.trusted, lines.centre, np.nan)[used], axis=1)
+        used = self.placed.any(axis=1)
+        centre[used] = np.nanmedian(np.where(self.placed, lines.centre, np.nan)[used], axis=1)
         width[used] = np.nanmedian(
-            np.where(self.trusted, lines.width * self.line_spacing, np.nan)[used], axis=1
+            np.where(self.placed, lines.width * self.line_spacing, np.nan)[used], axis=1
         )
         rows, at = self.read.rows[used], self.lab.wavelength[used]
         second = np.full(steps, np.nan)
@@ -301,7 +289,7 @@ class Result:
         counts = photon / (gain * self.lab.etendue * self.spacing)
         best = float(np.nanmax(np.nanmedian(counts[np.isfinite(counts).any(axis=1)], axis=1)))
         known = self.lab.electrons_per_count
-        if known is None and self.read.noise_source == "variance of the frames":
+        if known is None and self.read.noise_source == FROM_FRAMES:
             known = 1.0 / self.read.noise.slope
         low, high = (known, known) if known is not None else _ELECTRONS
         at = "" if known is None else f" at {known:.3g} electrons a count"
@@ -322,6 +310,55 @@ class Result:
         )
         raise SchemaError(msg)
 
+    @cached_property
+    def _unlit(self) -> Bool:
+        """Columns (cross_track,) beyond the outer lit ones, where the map is held as it is there."""
+        first, last = self.surface.lit
+        column = np.arange(self.lab.shape[2])
+        return np.asarray((column < first) | (column > last))
+
+    def _warn_of_unlit(self) -> None:
+        if self._unlit.any():
+            first, last = self.surface.lit
+            warnings.warn(
+                f"{int(self._unlit.sum())} of {self._unlit.size} columns are not lit, but {first} to {last}: "
+                "they get no gain, and the wavelengths of the nearest lit column",
+                PaintWarning,
+                stacklevel=4,
+            )
+
+    @cached_property
+    def wing(self) -> float:
+        """Share of the lines' areas that is light scattered into their windows [1]."""
+        used = self.placed.any(axis=1)
+        centre = np.nanmedian(np.where(self.placed, self.lines.centre, np.nan)[used], axis=1)
+        return wing_in_window(self.read.rows[used], centre)
+
+    def _dark_check(self) -> dict[str, float]:
+        """Return what a wrong dark would do to the light off the lines, and how wrong it looks, and warn."""
+        steps = len(self.lab.wavelength)
+        level, area, bands = np.full(steps, np.nan), np.full(steps, np.nan), np.zeros(steps)
+        for step, window in enumerate(self.read.windows):
+            if window is not None and self.placed[step].any() and (window.background_variance > 0).any():
+                level[step] = np.median(window.background[window.background_variance > 0])
+                area[step] = np.median(self.lines.area[step, self.placed[step]])
+                bands[step] = np.count_nonzero(self.read.rows[step])
+        known = np.isfinite(level)
+        if not known.any():
+            return {}
+        of_one = float(np.median(bands[known] / area[known]))
+        offset = common_offset(level, area)
+        if abs(offset) > _DARK_OFF:
+            warnings.warn(
+                f"the bands off the lines hold {offset:+.2g} counts whatever the light of the line: the dark "
+                "is off by as much. Areas are freed of it, but out_of_band and stray_light are not, in which "
+                f"one count makes {of_one:.2%}; take the dark beside the sweep",
+                PaintWarning,
+                stacklevel=4,
+            )
+        found = {"out_of_band_of_one_count": of_one}
+        return found | ({"dark_offset_count": offset} if np.isfinite(offset) else {})
+
     def _warn_of_width(self) -> None:
         own = self.fwhm_at_steps
         wide = self.lab.width > _ILL_CONDITIONED * own
@@ -334,6 +371,13 @@ class Result:
                 PaintWarning,
                 stacklevel=4,
             )
+
+    def _electrons_source(self) -> str:
+        if self.lab.electrons_per_count is not None:
+            return "as stated"
+        if self.read.noise_source == FROM_FRAMES:
+            return "photon transfer of the sweep, good to some per cent; see hyperpaint.estimate_noise"
+        return "none"
 
     def _attrs(self, good: Bool) -> dict[str, Any]:
         lab = self.lab
@@ -355,9 +399,15 @@ class Result:
             "monochromator_shape": "triangle" if lab.triangular else "gaussian",
             "column_light": "told per column" if lab.by_column else "taken as equal in all lit columns",
             "wavelength_residual_nm": self.surface.residual,
+            "wavelength_uncertainty_nm": self.budget.wavelength,
+            "element_differences": self.differences,
+            "stray_light_in_lines": self.wing,
+            "lit_columns": list(self.surface.lit),
+            **self._dark_check(),
             "smile_degree": self.surface.coefficients.shape[1] - 1,
             "linearity": list(self.linearity) or "identity",
             "noise_source": self.read.noise_source,
+            "electrons_per_count_source": self._electrons_source(),
             "stray_light_applied": "no",
             **{f"line_misfit_{name}": value for name, value in self.misfit.items()},
         }

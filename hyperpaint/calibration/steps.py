@@ -2,27 +2,31 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable
 from dataclasses import dataclass, fields
 
 import numpy as np
 import numpy.typing as npt
 
-from hyperpaint.errors import SchemaError
-from hyperpaint.kernels.lines import CENTRE, GAUSSIAN, WIDTH, profiles
+from hyperpaint.errors import PaintWarning, SchemaError
+from hyperpaint.kernels.line_fits import CENTRE, GAUSSIAN, WIDTH
 
 from .lab_sweep import SATURATION_MARGIN, LabSweep, listed
 from .line_fits import Fits, Light, NoiseModel, Window, find_line, fit_window
 from .wavelength_map import WavelengthMap
 
-__all__ = ["Lines", "Read", "deviant_elements", "fit_as_seen", "fit_through", "read_lines"]
+__all__ = ["FROM_FRAMES", "FROM_SCATTER", "Lines", "Read", "fit_as_seen", "fit_through", "read_lines"]
 
 Float = npt.NDArray[np.float64]
 Bool = npt.NDArray[np.bool_]
 Tick = Callable[[], None]
 
-_BRIGHT = 0.12  # of a line's height, from which a dead element would show
-_DEVIANT = 0.5  # of the light of its line, by which such an element is off
+FROM_FRAMES, FROM_SCATTER = "variance of the frames", "scatter of the bands off the lines"
+"""Where a noise model comes from; a third source is what the sweep states."""
+
+_CLIPPED = 3  # bands of a column that reach the highest count of the sweep: a line does so in one, or two
+_SAME_COUNT = 0.25
 _INSIDE = 0.5  # full widths between a line's centre and the edge of the array, at least
 _QUANTISATION = 1.0 / 12.0  # variance of rounding [count2]
 _SIGNAL_EDGES = np.concatenate([[-np.inf], np.geomspace(2.0, 65536.0, 40), [np.inf]])
@@ -110,15 +114,22 @@ def read_lines(
     Raises
     ------
     SchemaError
-        The lines do not move along the array as the wavelengths do.
+        The lines do not move along the array as the wavelengths do, or light falls where none is told.
+
+    Warns
+    -----
+    PaintWarning
+        Lines look clipped, and ``saturation_count`` is missing.
     """
     steps, bands, _ = lab.shape
     windows: list[Window | None] = []
     rows = np.zeros((steps, bands))
     tally = np.zeros((3, len(_SIGNAL_EDGES) - 1))
     scatter = []
+    highest = np.full(bad.shape, -np.inf)
     for step in range(steps):
         raw = lab.frame(step)
+        highest = np.fmax(highest, raw)
         net = linearised(raw - lab.dark.at(float(lab.exposure[step])))
         variance = lab.frame_variance(step)
         if variance is not None:
@@ -135,6 +146,9 @@ def read_lines(
         windows.append(window)
         tick()
     _check_monotone(lab, windows)
+    _check_told(lab, windows)
+    if lab.saturation is None:
+        _warn_of_clipping(np.where(bad, -np.inf, highest))
     noise, source = _noise_model(lab, tally, scatter)
     return Read(windows, rows, noise, source)
 
@@ -149,6 +163,8 @@ def _count_in(tally: Float, net: Float, variance: Float, bad: Bool) -> None:
 
 def _noise_model(lab: LabSweep, tally: Float, scatter: list[float]) -> tuple[NoiseModel, str]:
     """Return the photon-transfer line of the sweep, else what is stated, else the scatter off the lines."""
+    dark = lab.dark.spread**2 * lab.dark.leverage(float(np.median(lab.exposure)))
+    alone = lab.dark.leverage(float(np.median(lab.exposure))) / (lab.dark_frames or np.median(lab.frames))
     used = tally[0] > 50
     if used.sum() >= 3 and tally[2][used].any():
         count, signal, variance = (
@@ -160,13 +176,44 @@ def _noise_model(lab: LabSweep, tally: Float, scatter: list[float]) -> tuple[Noi
         terms = np.column_stack([np.ones_like(signal), signal]) * weight[:, None]
         constant, slope = np.linalg.lstsq(terms, variance * weight, rcond=None)[0]
         if slope > 0:
-            return NoiseModel(max(float(constant), 0.0), float(slope)), "variance of the frames"
+            constant = max(float(constant), 0.0)
+            return NoiseModel(constant, float(slope), dark or constant * float(alone)), FROM_FRAMES
     if lab.electrons_per_count is not None:
-        read_noise = lab.read_noise or 0.0
-        return NoiseModel(read_noise**2 + _QUANTISATION, 1.0 / lab.electrons_per_count), "as stated"
-    return NoiseModel(
-        float(np.median(scatter)) if scatter else 0.0, 0.0
-    ), "scatter of the bands off the lines"
+        constant = (lab.read_noise or 0.0) ** 2 + _QUANTISATION
+        return NoiseModel(
+            constant, 1.0 / lab.electrons_per_count, dark or constant * float(alone)
+        ), "as stated"
+    # the dark's own noise is in that scatter already
+    return NoiseModel(float(np.median(scatter)) if scatter else 0.0, 0.0), FROM_SCATTER
+
+
+def _check_told(lab: LabSweep, windows: list[Window | None]) -> None:
+    """Refuse lit columns of which flux or capture fraction is zero or NaN."""
+    untold = [
+        f"{lab.wavelength[step]:g} nm ({missing} of {window.columns.size} lit columns)"
+        for step, window in enumerate(windows)
+        if window is not None and (missing := int((~np.isfinite(lab.power[step, window.columns])).sum()))
+    ]
+    if untold:
+        msg = (
+            f"this lab sweep cannot be calibrated:\n  flux x capture_fraction is zero or nan in columns that "
+            f"counts show to be lit: {listed(untold)}; measure it there"
+        )
+        raise SchemaError(msg)
+
+
+def _warn_of_clipping(highest: Float) -> None:
+    """Warn where the highest counts of the elements (band, cross_track) repeat one value along a column."""
+    top = float(highest.max())
+    same = highest >= top - _SAME_COUNT
+    if (same.sum(axis=0) >= _CLIPPED).any():
+        warnings.warn(
+            f"saturation_count is not given, and the highest counts repeat one value, {top:g}, in "
+            f"{int(same.sum())} elements: lines that the converter has clipped would pass; give "
+            "saturation_count",
+            PaintWarning,
+            stacklevel=4,
+        )
 
 
 def _check_monotone(lab: LabSweep, windows: list[Window | None]) -> None:
@@ -215,46 +262,3 @@ def fit_through(
             lines.store(step, window, fits, lab.shape[1])
         tick()
     return lines
-
-
-def deviant_elements(lab: LabSweep, read: Read, lines: Lines, surface: WavelengthMap, shape: int) -> Bool:
-    """Return the elements (band, cross_track) whose light is not that of the line they stand in.
-
-    Place and width of a line are those that all others tell, which one dead element cannot disturb; its
-    height is the median over its bands.
-    """
-    _, bands, columns = lab.shape
-    suspect, seen = np.zeros((bands, columns), np.int64), np.zeros((bands, columns), np.int64)
-    for step, window in enumerate(read.windows):
-        own = lines.own_width[step] * surface.spacing(np.nan_to_num(lines.centre[step]), np.arange(columns))
-        if window is None or not lines.trusted[step].any():
-            continue
-        width = float(np.median(own[lines.trusted[step]]))
-        centre = surface.band_of(float(lab.wavelength[step]), window.columns)
-        spacing = surface.spacing(centre, window.columns)
-        unit = np.empty(window.values.shape)
-        profiles(
-            window.places - centre[:, None],
-            width / spacing,
-            lab.width[step] / spacing,
-            shape,
-            lab.triangular,
-            unit,
-        )
-        bright = np.isfinite(window.values) & (unit > _BRIGHT * unit.max(axis=1, keepdims=True))
-        bright &= (~window.saturated & (bright.sum(axis=1) >= 3))[:, None]
-        rows = bright.any(axis=1)
-        if not rows.any():
-            continue
-        ratio = np.full(unit.shape, np.nan)
-        np.divide(window.values, unit, out=ratio, where=bright)
-        height = np.zeros((len(unit), 1))
-        height[rows, 0] = np.nanmedian(ratio[rows], axis=1)
-        noise = 8.0 * np.sqrt(read.noise.variance(height * unit, float(lab.frames[step])))
-        apart = np.abs(np.where(bright, window.values, 0.0) - height * unit)
-        far = bright & (apart > np.maximum(noise, _DEVIANT * np.abs(height) * unit))
-        place = window.places.astype(np.int64)
-        column = np.broadcast_to(window.columns[:, None], place.shape)
-        for mask, counter in ((far, suspect), (bright, seen)):
-            np.add.at(counter, (place[mask], column[mask]), 1)
-    return np.asarray((suspect > 0) & (2 * suspect > seen))

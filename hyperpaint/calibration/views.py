@@ -72,7 +72,7 @@ def quantum_efficiency(
     Raises
     ------
     SchemaError
-        Something is missing.
+        Something is missing, or the responsivity has no absolute scale.
 
     Examples
     --------
@@ -84,6 +84,12 @@ def quantum_efficiency(
     0.3612
     """
     names = ["responsivity", "wavelength"]
+    if calibration.attrs.get("absolute_scale") == "unknown":
+        msg = (
+            "a quantum efficiency needs an absolute scale, which this calibration has not (absolute_scale = "
+            "'unknown'); give it one by hyperpaint.calibration.anchor_to_radiance"
+        )
+        raise SchemaError(msg)
     if electrons_per_count is None:
         if "electrons_per_count" not in calibration.variables:
             msg = "a quantum efficiency needs electrons_per_count [electron count-1]: give it, or estimate it"

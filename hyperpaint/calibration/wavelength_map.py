@@ -117,17 +117,17 @@ def fit_wavelength_map(
         floor = max(float(np.median(uncertainty)), 1e-9)
         weight = 1.0 / (uncertainty**2 + floor**2)
         weight /= weight.mean()
-    best: WavelengthMap | None = None
-    criterion = np.inf
-    for trial in degrees:
-        made = _robust(band, column, wavelength, sizes, (degree, min(trial, max(across - 1, 0))), weight)
+
+    def criterion(made: WavelengthMap) -> float:
         # Bayesian information, with rounding of stored counts as a floor
-        terms = made.coefficients.size
-        found = band.size * 2.0 * np.log(made.residual + 1e-6) + terms * np.log(band.size)
-        if found < criterion:
-            best, criterion = made, found
-    assert best is not None
-    return best
+        fit = band.size * 2.0 * np.log(made.residual + 1e-6)
+        return float(fit + made.coefficients.size * np.log(band.size))
+
+    trials = [
+        _robust(band, column, wavelength, sizes, (degree, min(trial, max(across - 1, 0))), weight)
+        for trial in degrees
+    ]
+    return min(trials, key=criterion)
 
 
 def _robust(

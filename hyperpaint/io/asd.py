@@ -218,7 +218,8 @@ def find_files(paths: Paths) -> list[Path]:
 
 
 def _files_of_folder(folder: Path) -> list[Path]:
-    files = sorted(p for p in folder.iterdir() if p.is_file() and not p.name.startswith("."))
+    # what only looks like a file is kept: to read it is an error that names it, and no spectrum goes missing
+    files = sorted(p for p in folder.iterdir() if not p.is_dir() and not p.name.startswith("."))
     binaries = [p for p in files if p.suffix.lower() == ".asd" or p.suffix[1:].isdigit()]
     return binaries or [p for p in files if p.suffix.lower() in _TEXT_SUFFIXES]
 
@@ -264,9 +265,12 @@ def _read_file(path: Path) -> AsdFile | AsdText:
         return read_asd(path)
     if kind == "text":
         return read_asd_text(path)
-    reason = (
-        "neither a binary .asd file nor a text export of ASD spectra" if path.is_file() else "no such file"
-    )
+    if path.is_file():
+        reason = "neither a binary .asd file nor a text export of ASD spectra"
+    elif os.path.lexists(path):
+        reason = "a pipe, a device or a link that leads nowhere; expected a file"
+    else:
+        reason = "no such file"
     msg = f"{path.name}: {reason}"
     raise FormatError(msg)
 

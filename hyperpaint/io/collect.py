@@ -15,8 +15,8 @@ from .collect_toml import Camera, Collect, FlightlineEntry, IrradianceEntry, par
 from .findings import Findings, Unavailable
 from .flightline import assemble
 from .line_parts import FlightlineInputs
-from .line_times import Timing
 from .navigation import Navigation, read_imu_gps
+from .timing import Timing
 
 if TYPE_CHECKING:
     import xarray as xr

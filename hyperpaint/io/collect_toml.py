@@ -16,8 +16,8 @@ from hyperpaint.errors import CollectError, FormatError, Problems, TimeError
 
 from .collect_schema import LISTS, SCHEMA
 from .file_patterns import is_pattern, matching_files
-from .line_times import utc_of
 from .reading import read_limited
+from .timing import utc_of
 
 __all__ = [
     "Camera",

@@ -15,7 +15,7 @@ from hyperpaint.errors import FormatError, PaintError, PaintWarning, SchemaError
 from hyperpaint.schema import ALONG_TRACK, BAND, CROSS_TRACK, CUBE, dtype_of, label, rename_to_roles, require
 
 from .headwall import DarkFrames, cube_number, exposure_seconds, find_settings, read_settings, sum_dark
-from .line_times import Timing, line_times, utc_of
+from .timing import Timing, line_times, utc_of
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -28,6 +28,8 @@ _DARK_OF_CALIBRATION = "calibration"
 #: Lines from which the spread of a dark cube is a measure of read noise.
 _NOISE_LINES = 16
 _ELEMENT = (BAND, CROSS_TRACK)
+_ROUNDING = 1.0 / 12.0
+"""Variance of whole counts [count2], which `read_noise` does not hold."""
 
 
 @dataclass(frozen=True)
@@ -41,7 +43,9 @@ class Dark:
     exposures
         Seconds of each reference, None where unknown.
     read_noise
-        Spread over the lines (band, cross_track), or None where there are too few.
+        Spread over the lines (band, cross_track) less that of rounding, or None where there are too few.
+    uncertainty
+        Of the mean, from that spread (band, cross_track), or None.
     source
         Says where they come from.
     """
@@ -50,6 +54,7 @@ class Dark:
     exposures: tuple[float | None, ...]
     read_noise: xr.DataArray | None
     source: str
+    uncertainty: xr.DataArray | None = None
 
     def variables(self, *, needs_noise: bool) -> dict[str, xr.DataArray]:
         """Return the variables that a flight line keeps."""
@@ -64,6 +69,8 @@ class Dark:
             made["dark_exposure_time"] = label(array, "dark_exposure_time")
         if needs_noise and self.read_noise is not None:
             made["read_noise"] = self.read_noise
+        if self.uncertainty is not None:
+            made["dark_counts_u_random"] = self.uncertainty
         return made
 
 
@@ -236,11 +243,11 @@ def _combine(references: list[_Reference]) -> Dark:
     import xarray as xr
 
     noisy = [ref.frames for ref in references if ref.frames.lines >= _NOISE_LINES]
-    noise = None
+    noise = variance = None
     if noisy:
         weights = np.array([frames.lines - 1 for frames in noisy], np.float64)
         variance = sum(w * frames.variance for w, frames in zip(weights, noisy, strict=True)) / weights.sum()
-        noise = label(xr.DataArray(np.sqrt(variance).astype(np.float32), dims=_ELEMENT), "read_noise")
+        noise = _labelled(np.sqrt(np.maximum(variance - _ROUNDING, 0.0)), "read_noise")
     source = ", ".join(f"{ref.name} ({ref.frames.lines} lines)" for ref in references)
     times = [ref.time for ref in references if ref.time is not None]
     if len(references) > 1 and len(times) == len(references) == len(set(times)):
@@ -249,7 +256,9 @@ def _combine(references: list[_Reference]) -> Dark:
         counts = label(xr.DataArray(stack, dims=("dark_time", *_ELEMENT)), "dark_counts")
         stamps = np.array([ref.time for ref in references], "datetime64[ns]")
         counts = counts.assign_coords(dark_time=label(xr.DataArray(stamps, dims="dark_time"), "dark_time"))
-        return Dark(counts, tuple(ref.exposure for ref in references), noise, source)
+        fewest = min(ref.frames.lines for ref in references)
+        spread = None if variance is None else _labelled(np.sqrt(variance / fewest), "dark_counts_u_random")
+        return Dark(counts, tuple(ref.exposure for ref in references), noise, source, spread)
     exposures = {ref.exposure for ref in references}
     if len(exposures) > 1:
         shown = ", ".join(
@@ -263,5 +272,11 @@ def _combine(references: list[_Reference]) -> Dark:
     mean = (total / np.float64(lines)).astype(np.float32)
     if len(references) > 1:
         source += "; averaged, their times being unknown"
-    array = xr.DataArray(mean, dims=_ELEMENT)
-    return Dark(label(array, "dark_counts"), (references[0].exposure,), noise, source)
+    spread = None if variance is None else _labelled(np.sqrt(variance / lines), "dark_counts_u_random")
+    return Dark(_labelled(mean, "dark_counts"), (references[0].exposure,), noise, source, spread)
+
+
+def _labelled(values: NDArray[Any], name: str) -> xr.DataArray:
+    import xarray as xr
+
+    return label(xr.DataArray(values.astype(np.float32), dims=_ELEMENT), name)

@@ -2,6 +2,9 @@
 
 The file is read in slabs, when values are asked for and no sooner. Sensor geometry is shown as
 ``(along_track, band, cross_track)`` whatever the interleave, map geometry as ``(y, x, band)``.
+
+A data file may be a link to another folder, as raw cubes on a large disk often are: whoever laid it beside
+the header chose that file. No path that is written inside a header is followed.
 """
 
 from __future__ import annotations

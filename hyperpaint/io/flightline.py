@@ -26,8 +26,8 @@ from .line_parts import (
     open_file,
     path_of,
 )
-from .line_times import LineTimes, Timing, line_times
 from .navigation import Navigation
+from .timing import LineTimes, Timing, line_times
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -261,6 +261,7 @@ def assemble(inputs: FlightlineInputs, findings: Findings) -> xr.Dataset:
         "irradiance_srf_shape": "gaussian"
         if irradiance is None
         else irradiance.attrs["irradiance_srf_shape"],
+        **_scale_attrs(calibration if is_counts else None),
         "time_source": times.source,
         "stamp": timing.stamp,
         "dropped_frames": times.dropped,
@@ -324,6 +325,12 @@ def _calibration_parts(calibration: xr.Dataset | None, is_counts: bool) -> dict[
     if not is_counts:
         kept = [name for name in kept if name == "srf"]
     return {name: calibration[name].reset_coords(drop=True) for name in kept}
+
+
+def _scale_attrs(calibration: xr.Dataset | None) -> dict[str, Any]:
+    """Return what the calibration says of the counts and the scale that its gain holds for."""
+    names = ("linearity", "absolute_scale")
+    return {} if calibration is None else {k: calibration.attrs[k] for k in names if k in calibration.attrs}
 
 
 # --- coordinates -------------------------------------------------------------------------------------------

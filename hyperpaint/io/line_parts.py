@@ -26,7 +26,7 @@ from hyperpaint.units import conversion_factor, convert
 
 from .findings import Unavailable
 from .headwall import exposure_seconds, find_settings, read_settings
-from .line_times import LineTimes, Timing
+from .timing import LineTimes, Timing
 
 if TYPE_CHECKING:
     import xarray as xr

@@ -56,6 +56,7 @@ def _small_variables(sweep: Sweep) -> dict[str, xr.Variable]:
         "dark_exposure_time": _scalar_or_step(settings.dark_exposure_time),
         "monochromator_fwhm": _scalar_or_step(settings.monochromator_fwhm),
         "frame_count": settings.frames,
+        "dark_frame_count": settings.camera.dark_frames,
         "etendue": camera.etendue,
         "saturation_count": camera.detector(0.0).saturation_count,
     }

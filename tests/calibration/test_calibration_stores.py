@@ -50,11 +50,14 @@ def test_command_line(lab: Path, tmp_path: Path) -> None:
     again = CliRunner().invoke(main, ["calibrate", str(lab / "sweep.zarr"), "--out", str(out)])
     assert again.exit_code == 0, again.output
     other = ["calibrate", str(lab / "sweep.zarr"), "--out", str(out), "--flux-uncertainty", "0.02"]
+    other += ["--wavelength-uncertainty", "0.2"]
     refused = CliRunner().invoke(main, other)
     assert refused.exit_code == 2
     assert "--overwrite" in refused.output
     assert CliRunner().invoke(main, [*other, "--overwrite"]).exit_code == 0
-    assert open_calibration(out).flux_uncertainty == 0.02
+    made = open_calibration(out)
+    assert made.flux_uncertainty == 0.02
+    assert float(made.wavelength_u) == pytest.approx(0.2, rel=0.01)
 
 
 def test_command_line_says_what_is_wrong(lab: Path, tmp_path: Path) -> None:

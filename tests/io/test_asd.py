@@ -1,6 +1,7 @@
 import contextlib
 import csv
 import datetime as dt
+import os
 import re
 import struct
 from pathlib import Path
@@ -251,6 +252,18 @@ def test_nothing_to_open(paths, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     with pytest.raises(FormatError, match="spectra cannot be opened"):
         find_files(paths)
+
+
+def test_what_only_looks_like_a_file_is_named(write_asd, tmp_path):
+    write_asd("a.asd", COUNTS)
+    os.mkfifo(tmp_path / "pipe.asd")
+    (tmp_path / "gone.asd").symlink_to("nowhere")
+    with pytest.raises(FormatError) as raised:
+        open_asd(tmp_path, utc_offset_h=0)
+    for name in ("pipe.asd", "gone.asd"):
+        assert name in str(raised.value)
+    assert "a link that leads nowhere" in str(raised.value)
+    assert "a.asd" not in str(raised.value)
 
 
 def test_a_folder_without_spectra(tmp_path):

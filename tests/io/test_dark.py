@@ -10,7 +10,7 @@ import xarray as xr
 
 from hyperpaint.errors import FormatError, SchemaError
 from hyperpaint.io.dark import DARK_NONE, open_dark
-from hyperpaint.io.line_times import Timing
+from hyperpaint.io.timing import Timing
 
 BANDS, COLUMNS = 3, 4
 CUBE = ("along_track", "band", "cross_track")
@@ -45,10 +45,15 @@ def test_one_cube_is_the_mean_of_its_lines_and_their_spread() -> None:
     np.testing.assert_allclose(dark.counts, counts.mean(axis=0, dtype="f8"), rtol=1e-6)
     assert dark.read_noise is not None
     assert dark.read_noise.dtype == np.float32
-    np.testing.assert_allclose(dark.read_noise, counts.std(axis=0, ddof=1, dtype="f8"), rtol=1e-6)
+    variance = counts.var(axis=0, ddof=1, dtype="f8")
+    np.testing.assert_allclose(dark.read_noise, np.sqrt(variance - 1 / 12), rtol=1e-6)
+    assert dark.uncertainty is not None
+    np.testing.assert_allclose(dark.uncertainty, np.sqrt(variance / 20), rtol=1e-6)
     made = dark.variables(needs_noise=True)
     assert float(made["dark_exposure_time"]) == 0.005
-    assert set(dark.variables(needs_noise=False)) == {"dark_counts", "dark_exposure_time"}
+    assert set(dark.variables(needs_noise=False)) == {
+        *("dark_counts", "dark_exposure_time", "dark_counts_u_random")
+    }
 
 
 def test_few_lines_measure_no_noise() -> None:

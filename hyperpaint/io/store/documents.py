@@ -77,12 +77,15 @@ class ChunkForm:
         Bytes of a sample; 0 for text, whose samples have no fixed length.
     codecs
         Names of the codecs from bytes to bytes, in the order in which they encode.
+    is_plain
+        Whether what they encode are numbers, little-endian and in C order, as `to_store` stores them.
     """
 
     shape: tuple[int, ...]
     chunk: tuple[int, ...]
     item_bytes: int
     codecs: tuple[str, ...]
+    is_plain: bool = True
 
     @property
     def is_text(self) -> bool:
@@ -222,7 +225,7 @@ def array_form(document: Mapping[str, Any], where: str) -> ChunkForm:
     codecs = _codecs(document.get("codecs"), text=item_bytes == 0, problems=problems)
     _check_others(document, problems)
     if shape is not None and chunk is not None:
-        form = ChunkForm(shape, chunk, item_bytes or 0, codecs)
+        form = ChunkForm(shape, chunk, item_bytes or 0, codecs, _is_plain_numbers(document))
         if item_bytes is not None:
             _check_sizes(form, problems)
         problems.raise_if_any()
@@ -302,6 +305,15 @@ def _codecs(entries: Any, *, text: bool, problems: Problems) -> tuple[str, ...]:
     if wrong := [name for name, configuration in named if not _is_plain(configuration)]:
         problems.add(f"configuration of codec {', '.join(wrong)}; expected numbers, names and short lists")
     return after
+
+
+def _is_plain_numbers(document: Mapping[str, Any]) -> bool:
+    """Tell whether chunks hold numbers in little-endian C order under their compressor."""
+    kind, _ = _named(document.get("data_type"))
+    entries = document.get("codecs")
+    name, configuration = _named(entries[0]) if isinstance(entries, list) and entries else ("", {})
+    known = kind in (*_ITEM_BYTES, *_TIME_TYPES)
+    return known and name == "bytes" and configuration.get("endian", "little") == "little"
 
 
 def _is_plain(configuration: Mapping[str, Any]) -> bool:

@@ -1,4 +1,4 @@
-"""Encoded chunks: whether one decodes to what its array declares, told before it is decoded.
+"""Encoded chunks: decoded once it is known that one decodes to what its array declares.
 
 The decompressors believe the frame: they allocate what it says it holds, and some read where it points to. A
 frame of 32 kB can say 1 GiB, one of 3 MB hold 6 GB (`documents` bounds what an array may declare).
@@ -7,16 +7,18 @@ frame of 32 kB can say 1 GiB, one of 3 MB hold 6 GB (`documents` bounds what an 
 from __future__ import annotations
 
 import zlib
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from hyperpaint.errors import StoreError
 
 from .documents import COMPRESSORS, MOST_TEXT_BYTES
 
 if TYPE_CHECKING:
+    import numpy as np
+
     from .documents import ChunkForm
 
-__all__ = ["check_frame"]
+__all__ = ["check_frame", "decode_chunk"]
 
 _CRC_BYTES = 4
 _BLOSC_HEADER = 16
@@ -25,12 +27,68 @@ _ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
 _PIECE = 2**20
 
 
+def decode_chunk(form: ChunkForm, encoded: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
+    """Return an encoded chunk without its compressor and checksums.
+
+    Parameters
+    ----------
+    form
+        Of the array.
+    encoded
+        The chunk as it is stored, uint8.
+
+    Returns
+    -------
+    numpy.ndarray of uint8
+        Its samples, or its texts each after its length (walked through).
+
+    Raises
+    ------
+    StoreError
+        It does not decode to what the array declares, or a checksum in it is wrong.
+    """
+    check_frame(form, encoded.data)
+    data = encoded
+    for codec in reversed(form.codecs):
+        data = _without_checksum(data) if codec == "crc32c" else _decompressed(codec, data)
+    if form.is_text:
+        _check_texts(data.tobytes(), form.items)
+    elif data.size != form.decoded_bytes:
+        msg = f"it decodes to {data.size} bytes, the array declares {form.decoded_bytes}"
+        raise StoreError(msg)
+    return data
+
+
+def _without_checksum(data: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
+    """Return what is before a crc32c, which must be that of it."""
+    import google_crc32c
+
+    body, stored = data[:-_CRC_BYTES], int.from_bytes(data[-_CRC_BYTES:].tobytes(), "little")
+    found = int(google_crc32c.value(body))
+    if data.size < _CRC_BYTES or found != stored:
+        msg = f"its crc32c is {found:08x}, stored is {stored:08x}"
+        raise StoreError(msg)
+    return body
+
+
+def _decompressed(codec: str, data: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
+    import numcodecs
+    import numpy as np
+
+    decoders = {"blosc": numcodecs.Blosc, "zstd": numcodecs.Zstd, "gzip": numcodecs.GZip}
+    try:
+        return np.frombuffer(decoders[codec]().decode(data), np.uint8)
+    except Exception as error:  # each library has its own
+        msg = f"it cannot be decoded ({type(error).__name__}: {error})"
+        raise StoreError(msg) from None
+
+
 def check_frame(form: ChunkForm, encoded: bytes | memoryview) -> None:
-    """Check that an encoded chunk decodes to the size that its array declares.
+    """Check that an encoded chunk decodes to the size that its array declares, before it is decoded.
 
     The header of a blosc frame says it (and must fit the frame's own length), as does that of a zstd frame,
     which must be the only one; a gzip stream is inflated piece by piece, no further than is allowed. Texts
-    are decoded within `documents.MOST_TEXT_BYTES` and walked through.
+    must stay within `documents.MOST_TEXT_BYTES`.
 
     Parameters
     ----------
@@ -52,14 +110,13 @@ def check_frame(form: ChunkForm, encoded: bytes | memoryview) -> None:
     inside = form.codecs if at is None else form.codecs[:at]
     outside = () if at is None else form.codecs[at + 1 :]
     plain = form.decoded_bytes + _CRC_BYTES * len(inside)
-    # whether a checksum is right is for its codec to say; here it is only not part of the frame
+    # whether a checksum is right shows when the chunk is decoded; here it is only not part of the frame
     data = data[: max(0, len(data) - _CRC_BYTES * len(outside))]
     held = len(data) if at is None else _held(form.codecs[at], data, plain)
     if form.is_text:
         if held > MOST_TEXT_BYTES:
             msg = f"it holds {held} bytes of text, expected at most {MOST_TEXT_BYTES}"
             raise StoreError(msg)
-        _check_texts(_text_bytes(data, form.codecs[at] if at is not None else "", len(inside)), form.items)
     elif held != plain:
         msg = f"it holds {held} bytes, the array declares {plain}"
         raise StoreError(msg)
@@ -145,19 +202,6 @@ def _gzip(data: memoryview, limit: int) -> int:
         msg = "its gzip stream does not end where the chunk ends"
         raise StoreError(msg)
     return held
-
-
-def _text_bytes(data: memoryview, compressor: str, checksums: int) -> bytes:
-    """Return a chunk of text without its compressor, whose frame has been found small enough."""
-    import numcodecs
-
-    decoders = {"blosc": numcodecs.Blosc, "zstd": numcodecs.Zstd, "gzip": numcodecs.GZip}
-    try:
-        plain = bytes(decoders[compressor]().decode(bytes(data))) if compressor else bytes(data)
-    except Exception as error:  # each library has its own
-        msg = f"it cannot be decoded ({type(error).__name__}: {error})"
-        raise StoreError(msg) from None
-    return plain[: len(plain) - _CRC_BYTES * checksums]
 
 
 def _check_texts(plain: bytes, items: int) -> None:

@@ -11,25 +11,34 @@ import warnings
 from collections.abc import Iterable, Iterator, Mapping
 from typing import Any
 
+from hyperpaint.errors import IncompleteStoreError
 from hyperpaint.schema import FORMAT_VERSION
 
 from .location import METADATA, Location, sync_folder
-from .record import COMPLETE, GroupRecord, metadata_checksum, read_record
+from .record import ATTRIBUTES, COMPLETE, GroupRecord, metadata_checksum, read_record, sealed_attributes
 
 __all__ = [
+    "INPUTS",
     "VOLATILE_ATTRS",
     "finish_root",
     "groups_above",
+    "has_all_chunks",
+    "is_damaged",
     "is_listed",
     "make_groups_above",
+    "rebuild_groups",
     "stamped",
     "unlist",
     "version_of_program",
     "without_known_warnings",
 ]
 
-VOLATILE_ATTRS = ("created", "history", "hyperpaint_version", COMPLETE)
+VOLATILE_ATTRS = ("created", "history", "hyperpaint_version", ATTRIBUTES, COMPLETE)
 """Attributes that say when, not what: they do not make another content."""
+
+INPUTS = "inputs_digest"
+"""Attribute of what `process` writes: names the inputs and parameters. In what a user made of that it would
+say so no longer, and is left out."""
 
 
 def groups_above(group: str) -> list[str]:
@@ -79,12 +88,54 @@ def make_groups_above(group: str, location: Location) -> None:
             _write_group(above, stamped({}, "created"), location)
 
 
+def has_all_chunks(location: Location, group: str, record: GroupRecord) -> bool:
+    """Tell whether every chunk of a finished group has its file; none is read."""
+    import itertools
+
+    for name, array in record.arrays.items():
+        present = location.files(f"{group}/{name}" if group else name)
+        places = itertools.product(*map(range, array.grid))
+        if not all("/".join(("c", *map(str, place))) in present for place in places):
+            return False
+    return True
+
+
+def is_damaged(group: str, location: Location) -> bool:
+    """Tell whether there is metadata of a group that cannot be read.
+
+    Raises
+    ------
+    StoreError
+        A link or a pipe is in its place.
+    """
+    try:
+        location.metadata(group)
+    except IncompleteStoreError:
+        return True
+    return False
+
+
+def rebuild_groups(groups: Iterable[str], location: Location) -> None:
+    """Write the metadata of groups anew, without arrays of their own; what is in them stays.
+
+    Parameters
+    ----------
+    groups
+        Those that are damaged, or missing above others.
+    location
+        The store.
+    """
+    for group in groups:
+        _write_group(group, stamped({}, "rebuilt"), location)
+
+
 def _write_group(group: str, attributes: Mapping[str, Any], location: Location) -> None:
     """Write the metadata of a group without arrays: there whole or not at all, even after a power cut."""
     if location.local is not None:
         (location.local / group).mkdir(parents=True, exist_ok=True)
     plain = json.loads(json.dumps(attributes, default=lambda value: value.tolist()))
-    location.write_json({"attributes": plain, "zarr_format": 3, "node_type": "group"}, group, METADATA)
+    node = {"attributes": sealed_attributes(plain), "zarr_format": 3, "node_type": "group"}
+    location.write_json(node, group, METADATA)
     if location.local is not None:
         sync_folder((location.local / group).absolute().parent)
 

@@ -5,17 +5,27 @@ from __future__ import annotations
 import json
 import os
 import stat
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from hyperpaint.errors import IncompleteStoreError, StoreError
+from hyperpaint.errors import IncompleteStoreError, MissingExtraError, StoreError
 
 from .documents import MOST_JSON_BYTES, parse_document
 
 __all__ = ["METADATA", "Location", "clean_group", "plain_file", "replace_file", "sync_folder"]
 
 METADATA = "zarr.json"
+
+MOST_DEPTH = 16
+"""Groups within groups; `process` nests two."""
+
+MOST_NODES = 50_000
+"""Groups and arrays of a store, and folders of a group: some 1,600 flight lines."""
+
+_MOST_FOLDERS_DEEP = 40
+"""Folders within an array's folder: one for each of its dims, which are 32 at the most."""
 
 
 def clean_group(group: str | None) -> str:
@@ -54,11 +64,28 @@ class Location:
 
     @classmethod
     def of(cls, path: str | os.PathLike[str]) -> Location:
-        """Return the place named by a path or a URL."""
+        """Return the place named by a path or a URL.
+
+        Raises
+        ------
+        MissingExtraError
+            The package for this kind of URL is not installed; its name is given.
+        StoreError
+            The URL is of no known kind, or what it leads to cannot be opened.
+        """
         from fsspec.core import url_to_fs  # type: ignore[import-untyped]
 
         text = os.fspath(path)
-        fs, root = url_to_fs(text)
+        try:
+            fs, root = url_to_fs(text)
+        except ImportError as error:
+            msg = f"{text:.200} cannot be opened: {error}; install that package with python -m pip install"
+            raise MissingExtraError(msg) from error
+        except Exception as error:  # each file system of fsspec has its own
+            msg = (
+                f"{text:.200} cannot be opened: {error!s:.200}; expected a folder, or a URL that fsspec knows"
+            )
+            raise StoreError(msg) from error
         if "file" in (fs.protocol if isinstance(fs.protocol, tuple) else (fs.protocol,)):
             folder = Path(root)
             return cls(str(folder), str(folder), fs, folder)
@@ -98,6 +125,9 @@ class Location:
             return bytes(self.fs.cat_file(key))
         except (FileNotFoundError, IsADirectoryError, NotADirectoryError):
             return None
+        except OSError as error:
+            msg = f"{key:.200} cannot be read: {error.strerror or error}"
+            raise StoreError(msg) from error
 
     def read_json(self, group: str, *parts: str) -> dict[str, Any] | None:
         """Return a JSON object; None where there is no such file.
@@ -128,12 +158,24 @@ class Location:
             replace_file(self.local.joinpath(*parts), content)
 
     def groups(self) -> list[str]:
-        """Return every group that holds arrays, sorted; unreadable nodes are passed over."""
+        """Return every group that holds arrays, sorted; unreadable nodes are passed over.
+
+        Raises
+        ------
+        StoreError
+            See `nodes`.
+        """
         arrays = (path for path, kind in self.nodes().items() if kind == "array")
         return sorted({path.rpartition("/")[0] for path in arrays})
 
     def nodes(self) -> dict[str, str]:
-        """Return every node below the root: ``group``, ``array``, or ``unreadable``."""
+        """Return every node below the root: ``group``, ``array``, or ``unreadable``.
+
+        Raises
+        ------
+        StoreError
+            There are more than `MOST_NODES`, or groups more than `MOST_DEPTH` deep; or see `folders`.
+        """
         found: dict[str, str] = {}
         pending = [""]
         while pending:
@@ -142,6 +184,11 @@ class Location:
                 path = f"{group}/{child}" if group else child
                 if (kind := self._node_type(path)) in ("group", "array", "unreadable"):
                     found[path] = str(kind)
+                    if len(found) > MOST_NODES:
+                        msg = (
+                            f"{self.url} holds more than {MOST_NODES} groups and arrays, which no store does"
+                        )
+                        raise StoreError(msg)
                 if kind == "group":
                     pending.append(path)
         return found
@@ -160,17 +207,50 @@ class Location:
         Raises
         ------
         StoreError
-            One of them is a link, which would lead out of the store, or around in it without end.
+            One of them is a link, which would lead out of the store, or around in it without end; there are
+            more than `MOST_NODES`; the group is more than `MOST_DEPTH` deep; or it cannot be listed.
         """
+        if group.count("/") >= MOST_DEPTH:
+            msg = (
+                f"{self.url}: groups more than {MOST_DEPTH} deep ({group:.80}...), which no store of ours has"
+            )
+            raise StoreError(msg)
+        names: list[str] = []
         try:
-            entries = self.fs.ls(self.key(group), detail=True)
+            for name, is_folder, is_link in self._entries(group):
+                if is_folder and is_link:
+                    place = self.key(group, name)
+                    msg = f"{place}: a link to another folder; a store holds plain files and folders"
+                    raise StoreError(msg)
+                if is_folder:
+                    names.append(name)
+                if len(names) > MOST_NODES:
+                    msg = f"{self.key(group)} holds more than {MOST_NODES} folders, which no group does"
+                    raise StoreError(msg)
         except (FileNotFoundError, NotADirectoryError):
             return []
-        if links := [e["name"] for e in entries if e.get("islink") and os.path.isdir(e["name"])]:
-            msg = f"{', '.join(links)}: a link to another folder; a store holds plain files and folders"
-            raise StoreError(msg)
-        folders = (entry["name"] for entry in entries if entry["type"] == "directory")
-        return [name.rstrip("/").rsplit("/", 1)[-1] for name in folders]
+        except OSError as error:
+            msg = f"{self.key(group):.200} cannot be listed: {error.strerror or error}"
+            raise StoreError(msg) from error
+        return sorted(names)
+
+    def _entries(self, group: str) -> Iterator[tuple[str, bool, bool]]:
+        """Yield the name of each entry of a group's folder, whether it is a folder, and whether a link."""
+        if self.local is not None:
+            with os.scandir(self.key(group)) as entries:
+                yield from ((e.name, e.is_dir(), e.is_symlink()) for e in entries)
+            return
+        for entry in self.fs.ls(self.key(group), detail=True):
+            yield entry["name"].rstrip("/").rsplit("/", 1)[-1], entry["type"] == "directory", False
+
+    def strays(self, group: str) -> list[str]:
+        """Return what lies in a group's folder and is no node of the store; hidden files do not count."""
+        visible = [(n, f) for n, f, _ in self._entries(group) if n != METADATA and not n.startswith(".")]
+        return sorted(
+            name
+            for name, is_folder in visible
+            if not is_folder or self._node_type(f"{group}/{name}".lstrip("/")) is None
+        )
 
     def _node_type(self, path: str) -> str | None:
         try:
@@ -180,15 +260,36 @@ class Location:
         return None if document is None else str(document.get("node_type"))
 
     def files(self, group: str) -> set[str]:
-        """Return the paths of all files below a group, relative to it; links are files."""
+        """Return the paths of all files below a group, relative to it; links are files.
+
+        Raises
+        ------
+        StoreError
+            A folder cannot be listed, or is deeper than any array's.
+        """
         if self.local is None:
             prefix = self.key(group).rstrip("/") + "/"
             return {file.removeprefix(prefix) for file in self.fs.find(self.key(group))}
         found: set[str] = set()
-        for folder, folders, names in os.walk(self.local / group):
-            links = [name for name in folders if os.path.islink(os.path.join(folder, name))]
-            inside = Path(folder).relative_to(self.local / group)
-            found.update((inside / name).as_posix() for name in (*names, *links))
+        pending = [""]
+        while pending:
+            folder = pending.pop()
+            if folder.count("/") > _MOST_FOLDERS_DEEP:
+                msg = f"{self.key(group)}: folders more than {_MOST_FOLDERS_DEEP} deep, which no array has"
+                raise StoreError(msg)
+            try:
+                with os.scandir(self.key(group, folder)) as entries:
+                    for entry in entries:
+                        path = f"{folder}/{entry.name}".lstrip("/")
+                        if entry.is_dir(follow_symlinks=False):
+                            pending.append(path)
+                        else:
+                            found.add(path)
+            except FileNotFoundError:
+                continue
+            except OSError as error:
+                msg = f"{self.key(group, folder):.200} cannot be listed: {error.strerror or error}"
+                raise StoreError(msg) from error
         return found
 
 

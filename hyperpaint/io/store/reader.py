@@ -13,7 +13,7 @@ from hyperpaint.errors import IncompleteStoreError, StoreError
 
 from .documents import check_node
 from .location import Location, clean_group
-from .record import GroupRecord, metadata_checksum, read_record
+from .record import GroupRecord, attributes_checksum, metadata_checksum, read_record, read_seal
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -54,9 +54,9 @@ def is_complete(path: str | os.PathLike[str], group: str | None = None) -> bool:
 def open_store(path: str | os.PathLike[str], group: str | None = None, **kwargs: Any) -> xr.Dataset:
     """Open a finished group lazily, like `xarray.open_zarr`.
 
-    The group must be sealed and its metadata those recorded; each chunk, when it is read, must be there and
-    decode to the size that is declared, whoever wrote it. That all chunks hold what was written is told by
-    `hyperpaint.verify`.
+    The group must be sealed and its metadata those recorded; each chunk must be there and hold what was
+    recorded for it, which shows when it is read. A group that is replaced while it is open is not read any
+    further: open it again. All chunks at once are checked by `hyperpaint.verify`.
 
     Parameters
     ----------
@@ -75,14 +75,23 @@ def open_store(path: str | os.PathLike[str], group: str | None = None, **kwargs:
     Raises
     ------
     IncompleteStoreError
-        The group was never finished, or its metadata are damaged.
+        The group was never finished, or its metadata are damaged; on reading values, a chunk is missing or is
+        not what was written, or the group was replaced since.
     StoreError
         There is no such store or group (those that exist are listed); or it holds what is not read: codecs,
         data types, sizes or links that no store of ours has.
     """
     location, name = Location.of(path), clean_group(group)
-    record = _complete_record(location, name)
-    return _opened(location, name, record.seal, whole=True, **kwargs)
+    before = read_seal(location, name)
+    try:
+        record = _complete_record(location, name)
+        return _opened(location, name, record.seal, record, **kwargs)
+    except IncompleteStoreError as error:
+        if before is None or read_seal(location, name) == before:
+            raise
+        # what was read is partly of one version, partly of the other
+        msg = f"group {'/' + name!r} of {location.url} was replaced while it was opened; open it again"
+        raise IncompleteStoreError(msg) from error
 
 
 def open_unverified(path: str | os.PathLike[str], group: str | None = None, **kwargs: Any) -> xr.Dataset:
@@ -101,7 +110,7 @@ def open_unverified(path: str | os.PathLike[str], group: str | None = None, **kw
         msg = f"there is no group {'/' + name!r} of Zarr 3 in {location.url}{hint}"
         raise StoreError(msg)
     check_node(node, location.key(name))
-    return _opened(location, name, str(metadata_checksum(node)), whole=False, **kwargs)
+    return _opened(location, name, str(metadata_checksum(node)), None, **kwargs)
 
 
 def load_unverified(path: str | os.PathLike[str], group: str | None = None) -> xr.Dataset:
@@ -119,12 +128,14 @@ def load_unverified(path: str | os.PathLike[str], group: str | None = None) -> x
     return opened.load()
 
 
-def _opened(location: Location, group: str, content: str, *, whole: bool, **kwargs: Any) -> xr.Dataset:
+def _opened(
+    location: Location, group: str, content: str, record: GroupRecord | None, **kwargs: Any
+) -> xr.Dataset:
     import xarray as xr
 
-    from .guard import guarded
+    from .guard import guarded, stored_codecs
 
-    store = guarded(location, whole=whole, content=content)
+    store = guarded(location, group=group, record=record, content=content)
     # the root's consolidated metadata may be older than a group whose writer was killed just before the end
     options = {"consolidated": False, **kwargs}
     try:
@@ -134,6 +145,8 @@ def _opened(location: Location, group: str, content: str, *, whole: bool, **kwar
     except Exception as error:  # zarr, numpy and xarray's decoding each have their own
         msg = f"{location.group_url(group)} cannot be opened: {type(error).__name__}: {error!s:.300}"
         raise StoreError(msg) from error
+    for name, variable in opened.variables.items():
+        variable.encoding["compressors"] = stored_codecs(store, f"{group}/{name}".lstrip("/"))
     opened.encoding["source"] = location.url
     return opened
 
@@ -149,6 +162,9 @@ def _complete_record(location: Location, group: str) -> GroupRecord:
     record = read_record(location, group)
     if record is None:
         msg = f"{where} has no completion record: it was never finished, or not by hyperpaint; write it again"
+        raise IncompleteStoreError(msg)
+    if attributes_checksum(node) != record.attributes:
+        msg = f"{where} has attributes other than recorded; write the group again"
         raise IncompleteStoreError(msg)
     for name, array in record.arrays.items():
         document = location.metadata(group, name)

@@ -18,7 +18,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
-from hyperpaint.errors import IncompleteStoreError
+from hyperpaint.errors import IncompleteStoreError, StoreError
 from hyperpaint.schema import FORMAT_VERSION
 
 from .location import Location
@@ -27,14 +27,18 @@ if TYPE_CHECKING:
     import numpy as np
 
 __all__ = [
+    "ATTRIBUTES",
     "CHUNKS",
     "COMPLETE",
     "ArrayRecord",
     "GroupRecord",
     "attributes_checksum",
     "checksum",
+    "has_sealed_attributes",
     "metadata_checksum",
     "read_record",
+    "read_seal",
+    "sealed_attributes",
 ]
 
 CHUNKS = "hyperpaint-chunks.json"
@@ -42,6 +46,9 @@ CHUNKS = "hyperpaint-chunks.json"
 
 COMPLETE = "hyperpaint_complete"
 """Attribute of a finished group."""
+
+ATTRIBUTES = "hyperpaint_attributes"
+"""Attribute of a group without arrays, which has no completion record: the checksum of the others."""
 
 _MOST_DIMS = 32
 _SEAL = re.compile(r"token=([0-9A-Za-z_-]{1,64}) chunks=([0-9a-f]{8}) attributes=([0-9a-f]{8})")
@@ -125,6 +132,16 @@ class GroupRecord:
         return f"token={self.token} chunks={self.digest:08x} attributes={self.attributes:08x}"
 
 
+def read_seal(location: Location, group: str) -> str | None:
+    """Return the seal of a group as it is now; None where there is none, or it cannot be read."""
+    try:
+        node = location.metadata(group) or {}
+    except StoreError:
+        return None
+    seal = (node.get("attributes") or {}).get(COMPLETE)
+    return None if seal is None else str(seal)
+
+
 def read_record(location: Location, group: str) -> GroupRecord | None:
     """Return the completion record of a group; None where it was never finished.
 
@@ -173,6 +190,23 @@ def attributes_checksum(node: Mapping[str, Any]) -> int:
     """Return the crc32c of the attributes in a group's ``zarr.json``, without the seal."""
     attributes = node.get("attributes") or {}
     return metadata_checksum({key: value for key, value in attributes.items() if key != COMPLETE})
+
+
+def sealed_attributes(attributes: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the attributes of a group without arrays with their checksum among them."""
+    kept = {key: value for key, value in attributes.items() if key not in (ATTRIBUTES, COMPLETE)}
+    return {**kept, ATTRIBUTES: f"crc32c={metadata_checksum(kept):08x}"}
+
+
+def has_sealed_attributes(node: Mapping[str, Any]) -> bool:
+    """Tell whether a group without arrays has the attributes that it was written with.
+
+    A group that is sealed with its arrays, or was not made by hyperpaint, is none of this function's.
+    """
+    attributes = node.get("attributes") or {}
+    if COMPLETE in attributes or "hyperpaint_format" not in attributes:
+        return True
+    return bool(sealed_attributes(attributes)[ATTRIBUTES] == attributes.get(ATTRIBUTES))
 
 
 def checksum(values: np.ndarray[Any, Any]) -> int:

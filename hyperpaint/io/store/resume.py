@@ -16,9 +16,10 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from hyperpaint.errors import PaintError
+from hyperpaint.errors import PaintError, StoreError
 
 from .durability import start_flush
+from .location import plain_file
 from .record import checksum
 
 if TYPE_CHECKING:
@@ -64,12 +65,12 @@ def adopt(leftover: Path, target: Target, known: dict[tuple[int, ...], int]) -> 
     import numpy as np
 
     folder, array = target.folder, target.array
-    if folder is None or not leftover.is_dir():
+    if folder is None or leftover.is_symlink() or not leftover.is_dir():
         return
 
     def moved(position: tuple[int, ...]) -> int | None:
         key = array.metadata.encode_chunk_key(position)
-        value = _recorded(leftover / key, key)
+        value = _recorded(leftover, key)
         if value is None:
             return None
         path = folder / key
@@ -113,11 +114,17 @@ def _record_of(path: Path) -> Path:
     return path.with_name(f".{path.name}.done")
 
 
-def _recorded(path: Path, key: str) -> int | None:
+def _recorded(folder: Path, key: str) -> int | None:
+    """Return the recorded checksum of a chunk; None without one, or where anything is a link or a pipe."""
+    record = _record_of(folder / key)
     try:
-        with open(_record_of(path), "rb") as file:
+        if plain_file(str(folder), key) is None:
+            return None
+        if plain_file(str(folder), record.relative_to(folder).as_posix()) is None:
+            return None
+        with open(record, "rb") as file:
             match = _RECORD.fullmatch(file.read(300).decode("ascii", "replace"))
-    except OSError:
+    except (OSError, StoreError):
         return None
     return int(match[2], 16) if match is not None and match[1] == key else None
 

@@ -11,7 +11,7 @@ from .location import Location
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["reads_from"]
+__all__ = ["is_named_by_content", "reads_from"]
 
 #: Where arrays that wrap others keep them: xarray's adapters, its zarr wrapper, ours.
 _INNER = ("array", "_array", "variable", "_data")
@@ -24,6 +24,16 @@ def reads_from(dataset: xr.Dataset, location: Location, group: str) -> list[str]
         for name, variable in dataset.variables.items()
         if any(_lies_in(array, location, group) for array in _zarr_arrays(variable))
     ]
+
+
+def is_named_by_content(variable: xr.Variable) -> bool:
+    """Tell whether dask's name for a variable changes with what is stored in the Zarr arrays it reads.
+
+    Names follow the URL, and the time of the root folder at best: a source that is rewritten keeps them. Only
+    those of our finished groups follow the content.
+    """
+    stores = (array.store_path.store for array in _zarr_arrays(variable))
+    return all(getattr(store, "record", None) is not None for store in stores)
 
 
 def _zarr_arrays(variable: xr.Variable) -> Iterator[Any]:

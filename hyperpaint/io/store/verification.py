@@ -19,6 +19,7 @@ from .record import (
     GroupRecord,
     attributes_checksum,
     checksum,
+    has_sealed_attributes,
     metadata_checksum,
     read_record,
 )
@@ -152,6 +153,8 @@ def _root_problems(location: Location, groups: list[str]) -> Iterator[str]:
     yield from (
         f"/{name}: its metadata cannot be read" for name, kind in nodes.items() if kind == "unreadable"
     )
+    for group in ("", *(name for name, kind in nodes.items() if kind == "group")):
+        yield from _folder_problems(location, group)
     gone = [name for name in listed if name not in nodes]
     for name in gone[:_MOST_LISTED]:
         yield f"/{name[:200]}: listed in the root's metadata but not there"
@@ -172,6 +175,21 @@ def _root_problems(location: Location, groups: list[str]) -> Iterator[str]:
     for group in groups:
         if group and group not in listed:
             yield f"/{group}: not listed in the root's consolidated metadata; run the writer again"
+
+
+def _folder_problems(location: Location, group: str) -> Iterator[str]:
+    """Yield what is in a group's folder and not of the store, and whether its attributes are others."""
+    try:
+        node, strays = location.metadata(group), location.strays(group)
+    except StoreError as error:
+        yield str(error)
+        return
+    for name in strays[:_MOST_LISTED]:
+        yield f"/{group}/{name}".replace("//", "/") + ": neither a group nor an array of the store"
+    if len(strays) > _MOST_LISTED:
+        yield f"/{group}: {len(strays) - _MOST_LISTED} more that are neither groups nor arrays"
+    if node is not None and not has_sealed_attributes(node):
+        yield f"/{group}: attributes are not those that were written; run the writer again"
 
 
 def _same_node(listed: dict[str, Any], actual: dict[str, Any]) -> bool:
@@ -219,9 +237,13 @@ def _array_problems(location: Location, group: str, name: str, record: ArrayReco
     if form is None or form.grid != record.grid:
         yield f"/{where}: has {form and form.grid} chunks, recorded are {record.grid}"
         return
+    try:
+        present = location.files(where)
+    except StoreError as error:
+        yield str(error)
+        return
     positions = list(np.ndindex(record.grid))
     keys = [array.metadata.encode_chunk_key(position) for position in positions]
-    present = location.files(where)
     for stray in sorted(present - {*keys, METADATA, CHUNKS}):
         yield f"/{where}/{stray}: not a chunk of this array"
 

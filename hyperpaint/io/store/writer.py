@@ -3,30 +3,34 @@
 from __future__ import annotations
 
 import contextlib
+import os
 import uuid
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from hyperpaint.budget import check_memory, limited_threads
-from hyperpaint.errors import IncompleteStoreError, Problems, StoreError
+from hyperpaint.errors import Problems, StoreError
 from hyperpaint.schema import FORMAT_VERSION
 
 from . import blocks, computing, layout
 from .durability import flush_group
 from .listing import (
+    INPUTS,
     VOLATILE_ATTRS,
     finish_root,
     groups_above,
     is_listed,
     make_groups_above,
+    rebuild_groups,
     stamped,
     unlist,
     version_of_program,
     without_known_warnings,
 )
 from .location import METADATA, Location, clean_group
+from .occupied import damaged_groups, occupant, problems_above
 from .record import (
     CHUNKS,
     COMPLETE,
@@ -35,18 +39,17 @@ from .record import (
     attributes_checksum,
     checksum,
     metadata_checksum,
-    read_record,
 )
 from .resume import adopt, is_mendable
 from .room import check_disk, disk_needed, errors_of_the_system
-from .sources import reads_from
-from .staging import Staging, clear_up, discard, staging
+from .sources import is_named_by_content, reads_from
+from .stage import Staging, clear_up, discard, staging
 
 if TYPE_CHECKING:
     import numpy as np
     import xarray as xr
 
-__all__ = ["to_store"]
+__all__ = ["check_room", "to_store"]
 
 PathT = TypeVar("PathT", str, Path)
 
@@ -67,11 +70,12 @@ def to_store(
     as float32, times to the nanosecond.
 
     A group is built beside the store, in ``.partial-<store>``, and put in its place when it is whole and its
-    completion record is written; other groups are never touched. A run that is killed, or ends on a full
-    disk, leaves the store as it was. The next run with the same content takes up its finished blocks, once
-    they have been read and found whole, and computes only the others. Every file and folder is flushed to the
-    disk before the record is written, and before the group gets its place: after a power cut a group that has
-    a record is whole, as far as the disk keeps what it has confirmed.
+    completion record is written; it changes places with the one it replaces in one step where the system has
+    such a step (Linux, most local disks), else by two renames. Other groups are never touched. A run that is
+    killed, or ends on a full disk, leaves the store as it was. The next run with the same content takes up
+    its finished blocks, once they have been read and found whole, and computes only the others. Every file
+    and folder is flushed to the disk before the record is written, and before the group gets its place: after
+    a power cut a group that has a record is whole, as far as the disk keeps what it has confirmed.
 
     Whether disk and memory will do is looked at before anything is written; no value is read for it.
 
@@ -89,14 +93,16 @@ def to_store(
     group
         Group inside the store, such as ``"flightlines/raw_0"``; by default its root.
     overwrite
-        Replace groups that exist. Without it, a finished group of the same content is left alone, any other
-        is refused.
+        Replace groups that exist. Without it, a finished group of the same content is left alone (made again
+        where a chunk of it is missing), any other is refused. Damaged metadata of the groups above are
+        written anew too; whole groups stay.
     progress
         Show a progress bar.
     source_token
         Names the content: equal tokens, equal content. By default derived from the arrays: dask's names for
-        lazy ones, the values for others. Give one where the names do not follow the data, such as a digest
-        of the files read and of the parameters.
+        lazy ones, the values for others. What reads files lazily without dask, or a Zarr store other than by
+        `open_store`, has no name that follows its content: it is always written anew. Give a token there, or
+        where names do not follow the data, such as a digest of the files read and of the parameters.
 
     Returns
     -------
@@ -123,18 +129,33 @@ def to_store(
     jobs, attrs = _plan(data, clean_group(group), source_token)
     with errors_of_the_system(location, {job.group: job.dataset for job in jobs}):
         _refuse_own_source(jobs, location)
-        pending = _pending(jobs, location, overwrite=overwrite)
-        if not pending and is_listed([job.group for job in jobs], attrs, location):
+        above = _groups_without_arrays(jobs, attrs)
+        pending = _pending(jobs, above, location, overwrite=overwrite)
+        damaged = damaged_groups(above, location)
+        if not pending and not damaged and is_listed([job.group for job in jobs], attrs, location):
             if location.local is not None:
-                clear_up(location.local.absolute())
+                clear_up(_folder(location.local))
             return path
         threads = _check_room(pending, location)
-        with _opened(location, jobs) as stage, limited_threads(threads):
+        with _opened(location, pending) as stage, limited_threads(threads):
             # what another writer finished while we waited counts
-            for job in _pending(jobs, location, overwrite=overwrite):
+            pending = _pending(jobs, above, location, overwrite=overwrite)
+            rebuild_groups(damaged_groups(above, location), location)
+            for job in pending:
                 _write_group(job, location, stage, progress=progress)
             finish_root(attrs, location)
     return path
+
+
+def _groups_without_arrays(jobs: list[_Job], attrs: Iterable[str]) -> list[str]:
+    """Return the groups that a call makes around those it writes."""
+    above = (each for job in jobs for each in groups_above(job.group))
+    return list(dict.fromkeys((*above, *(each for group in attrs for each in (*groups_above(group), group)))))
+
+
+def _folder(local: Path) -> Path:
+    """Return the folder itself, where a link leads to it: what is renamed must lie on one disk."""
+    return Path(os.path.realpath(local))
 
 
 @dataclass(frozen=True)
@@ -163,15 +184,25 @@ def _plan(
     if isinstance(data, xr.Dataset):
         nodes = {group: data}
     else:
-        nodes = {_inside(group, data, node): node.to_dataset(inherit=False) for node in data.subtree}
+        nodes = {_inside(group, data, part): part.to_dataset(inherit=False) for part in data.subtree}
     jobs, attrs = [], {}
-    for name, dataset in nodes.items():
+    for name, node in nodes.items():
+        dataset = _without_foreign_inputs(node, source_token)
         prepared = layout.prepare(dataset, name)
         if is_tree and not dataset.variables:
             attrs[name] = dict(prepared.attrs)
         else:
             jobs.append(_Job(name, prepared, _token(dataset, source_token)))
     return jobs, attrs
+
+
+def _without_foreign_inputs(dataset: xr.Dataset, source_token: str | None) -> xr.Dataset:
+    """Drop what names the inputs of another group: it came along from what the dataset was made of."""
+    if INPUTS not in dataset.attrs or (source_token is not None and dataset.attrs[INPUTS] == source_token):
+        return dataset
+    kept = dataset.copy(deep=False)
+    del kept.attrs[INPUTS]
+    return kept
 
 
 def _inside(group: str, tree: xr.DataTree, node: xr.DataTree) -> str:
@@ -197,9 +228,12 @@ def _token(dataset: xr.Dataset, source_token: str | None) -> str:
 
 def _content(variable: xr.Variable) -> Any:
     """Return what stands for a variable's values."""
-    if layout.is_at_hand(variable):
+    if layout.is_at_hand(variable) and is_named_by_content(variable):
         return variable.data
-    # a lazy file-backed array does not say what its file holds, and would be read whole to find out
+    if variable.size == 1:
+        return variable.values
+    # a lazy array does not say what its file holds, and would be read whole to find out; what dask calls it
+    # stays the same when a Zarr store is rewritten
     return uuid.uuid4().hex
 
 
@@ -215,53 +249,28 @@ def _refuse_own_source(jobs: list[_Job], location: Location) -> None:
     problems.raise_if_any()
 
 
-def _pending(jobs: list[_Job], location: Location, *, overwrite: bool) -> list[_Job]:
+def _pending(jobs: list[_Job], above: list[str], location: Location, *, overwrite: bool) -> list[_Job]:
     """Return the jobs that are not done yet; refuse those that would touch what must stay."""
     problems = Problems(f"cannot write {location.url}", StoreError)
+    for text in problems_above(above, location, overwrite=overwrite):
+        problems.add(text)
     pending = []
     for job in jobs:
-        found = _found(job, location)
+        found = occupant(job.group, job.token, location)
         if found == "same":
             continue
-        if found == "foreign":
-            problems.add("it exists and is not a Zarr v3 store; choose another path")
-        elif found == "parent":
+        if found == "parent":
             problems.add(
-                f"group {'/' + job.group!r} holds other groups, which would be lost; choose another group"
+                f"group {'/' + job.group!r} holds other groups, or folders that are none of its "
+                "arrays, which would be lost; choose another group, or remove them first"
             )
         elif found == "array":
             problems.add(f"{'/' + job.group!r} or a group above it is an array; choose another group")
-        elif found and not overwrite:
+        elif found not in ("", "lacks chunks") and not overwrite:
             problems.add(f"group {'/' + job.group!r} exists, {found}; pass overwrite=True to replace it")
         pending.append(job)
     problems.raise_if_any()
     return pending
-
-
-def _found(job: _Job, location: Location) -> str:
-    """Return what is in a group's place: nothing (""), the same content, or what else."""
-    if not location.has(""):
-        return ""
-    root = location.read_json("", METADATA)
-    if root is None and location.fs.ls(location.root):
-        return "foreign"
-    for above in groups_above(job.group):
-        if (location.metadata(above) or {}).get("node_type") == "array":
-            return "array"
-    try:
-        metadata = location.metadata(job.group)
-        record = read_record(location, job.group)
-    except IncompleteStoreError:  # damaged: to be replaced
-        metadata, record = {}, None
-    if metadata is None:
-        return ""
-    if metadata.get("node_type") == "array":
-        return "array"
-    if record is not None and record.token == job.token:
-        return "same"
-    if location.subgroups(job.group):
-        return "parent"
-    return "was never finished or is damaged" if record is None else "with other content"
 
 
 @contextlib.contextmanager
@@ -270,7 +279,7 @@ def _opened(location: Location, jobs: list[_Job]) -> Iterator[Staging | None]:
         yield None
         return
     location.local.parent.mkdir(parents=True, exist_ok=True)
-    with staging(location.local.absolute(), [(job.group, job.content) for job in jobs]) as stage:
+    with staging(_folder(location.local), [(job.group, job.content) for job in jobs]) as stage:
         yield stage
 
 
@@ -298,7 +307,7 @@ def check_room(groups: Mapping[str, xr.Dataset], path: str | Path, tokens: Mappi
 def _check_disk(jobs: list[_Job], location: Location) -> None:
     if location.local is None or not jobs:
         return
-    stage = Staging(location.local.absolute())
+    stage = Staging(_folder(location.local))
     begun = [folder for job in jobs for folder in stage.leftovers(job.group, job.content)]
     check_disk(location.local, sum(disk_needed(job.dataset) for job in jobs), begun)
 

@@ -21,7 +21,7 @@ import zarr
 
 from hyperpaint.errors import IncompleteStoreError, StoreError
 from hyperpaint.io.store import is_complete, list_groups, open_store, to_store, verify
-from hyperpaint.io.store.staging import staging
+from hyperpaint.io.store.stage import staging
 
 CUBE = ("along_track", "band", "cross_track")
 GROUP = "flightlines/raw_0"
@@ -290,7 +290,7 @@ def _seal_damaged(store: Path) -> None:
         (_group_gone, False),
         (_array_added, False),
         (_metadata_changed, False),
-        (_attributes_changed, True),
+        (_attributes_changed, False),
         (_json_damaged, False),
         (_record_damaged, False),
         (_record_not_json, False),

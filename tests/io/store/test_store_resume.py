@@ -111,7 +111,7 @@ def content(path: Path) -> dict[str, Any]:
 def _timeless(document: Any) -> Any:
     if not isinstance(document, dict):
         return document
-    volatile = ("created", "history", "hyperpaint_complete")
+    volatile = ("created", "history", "hyperpaint_attributes", "hyperpaint_complete")
     return {key: _timeless(value) for key, value in document.items() if key not in volatile}
 
 

@@ -207,6 +207,57 @@ def test_source_token_names_the_content(tmp_path: Path) -> None:
             to_store(unnamed(), path, source_token=token)
 
 
+@pytest.mark.parametrize("url", ["memory://{}.zarr", "{}/source.zarr"])
+@pytest.mark.parametrize("guarded", [True, False])
+def test_a_source_that_was_rewritten_is_other_content(url: str, guarded: bool, tmp_path: Path) -> None:
+    from hyperpaint.io.store import open_unverified
+
+    url = url.format(tmp_path if url.startswith("{") else os.urandom(4).hex())
+
+    def rewrite(seed: int) -> None:
+        flightline(seed=seed)[["counts"]].drop_vars("time").to_zarr(url, mode="w", consolidated=False)
+
+    def source() -> xr.Dataset:
+        return open_unverified(url) if guarded else xr.open_zarr(url, consolidated=False)
+
+    rewrite(0)
+    to_store(source(), tmp_path / "lot.zarr", GROUP)
+    rewrite(1)
+    with pytest.raises(StoreError, match="other content"):
+        to_store(source(), tmp_path / "lot.zarr", GROUP)
+    to_store(source() * 1, tmp_path / "lot.zarr", GROUP, overwrite=True)
+    stored = open_store(tmp_path / "lot.zarr", GROUP)["counts"]
+    np.testing.assert_array_equal(stored, flightline(seed=1)["counts"])
+
+
+def test_an_interrupted_copy_of_a_source_that_is_rewritten_is_not_mixed(tmp_path: Path) -> None:
+    url, path = f"memory://{os.urandom(4).hex()}.zarr", tmp_path / "lot.zarr"
+
+    def source(number: int, *, failing: bool) -> xr.Dataset:
+        counts = np.full((128, 2, 3), number, "uint16")
+        made = xr.Dataset({"counts": (CUBE, counts)}).chunk(along_track=32)
+        made.to_zarr(url, mode="w", consolidated=False)
+        if failing:
+            zarr.open_array(f"{url}/counts").store_path.store.fs.rm(f"{url}/counts/c/3/0/0")
+            broken = b"x"
+            zarr.open_array(f"{url}/counts").store_path.store.fs.pipe_file(f"{url}/counts/c/3/0/0", broken)
+        return xr.open_zarr(url, consolidated=False)
+
+    with dask.config.set(scheduler="synchronous"):
+        with pytest.raises(Exception, match=r"."):
+            to_store(source(1, failing=True), path, GROUP)
+        to_store(source(2, failing=False), path, GROUP)
+    assert (open_store(path, GROUP).counts == 2).all()
+
+
+def test_a_copy_of_our_own_group_is_known_again(tmp_path: Path) -> None:
+    to_store(flightline(), tmp_path / "a.zarr", GROUP)
+    to_store(open_store(tmp_path / "a.zarr", GROUP), tmp_path / "b.zarr")
+    before = files(tmp_path)
+    to_store(open_store(tmp_path / "a.zarr", GROUP), tmp_path / "b.zarr")
+    assert files(tmp_path) == before
+
+
 def test_refuses_to_overwrite_what_it_reads(tmp_path: Path) -> None:
     path = tmp_path / "lot.zarr"
     to_store(flightline(), path, GROUP)

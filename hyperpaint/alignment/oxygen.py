@@ -7,11 +7,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from . import schema
+from hyperpaint import schema
+from hyperpaint.errors import SchemaError
+from hyperpaint.radiometry import reflectance
+from hyperpaint.schema import ALONG_TRACK, BAND, CROSS_TRACK
+
 from .column_means import Progress, mean_over_lines
-from .errors import SchemaError
-from .radiometry import reflectance
-from .schema import ALONG_TRACK, BAND, CROSS_TRACK
 
 if TYPE_CHECKING:
     import xarray as xr

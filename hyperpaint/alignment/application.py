@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from . import schema
-from .errors import Problems, SchemaError
-from .schema import BAND, CROSS_TRACK
+from hyperpaint import schema
+from hyperpaint.errors import Problems, SchemaError
+from hyperpaint.schema import BAND, CROSS_TRACK
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -20,15 +20,31 @@ __all__ = ["apply_alignment"]
 Float = npt.NDArray[np.float64]
 
 
-def apply_alignment(line: xr.Dataset, found: xr.Dataset, *, degree: int = 2, fwhm: bool = True) -> xr.Dataset:
+_NEEDED = (
+    "flag",
+    "shift_correction",
+    "wavelength_shift_u",
+    "fwhm_factor",
+    "fwhm_u",
+    "column",
+    "window_centre",
+)
+"""What is used of an alignment."""
+_WINDOW = "window"
+
+
+def apply_alignment(
+    line: xr.Dataset, alignment: xr.Dataset, *, degree: int = 2, fwhm: bool = True
+) -> xr.Dataset:
     """Return the line with the wavelengths and widths that `hyperpaint.align_to_irradiance` found.
 
     Parameters
     ----------
     line
         The flight line that was looked at.
-    found
-        What was found, whole or in groups of columns; columns that are flagged are not used.
+    alignment
+        What `hyperpaint.align_to_irradiance` returned, whole or in groups of columns; those that are flagged
+        are not used.
     degree
         Of the polynomial over columns that smooths the shift.
     fwhm
@@ -47,12 +63,23 @@ def apply_alignment(line: xr.Dataset, found: xr.Dataset, *, degree: int = 2, fwh
     Raises
     ------
     SchemaError
-        Too few columns can tell, or ``found`` belongs to another line.
+        ``line`` or ``alignment`` lacks variables or dims, the alignment belongs to another line, or too few
+        columns can tell. All problems of a kind are listed.
 
     Notes
     -----
     Columns weigh with the inverse of their variance, and less the farther they lie from the curve (Huber's
     weights, at 1.5 times the scatter), so that a column with a bad element does not bend its neighbours.
+
+    Examples
+    --------
+    >>> from hyperpaint.alignment import align_to_irradiance
+    >>> from hyperpaint.simulation import simulate_line
+    >>> line = simulate_line(lines=16, bands=272, columns=3, smile_nm=0.0)
+    >>> moved = line.assign_coords(wavelength=line.wavelength - 0.4)
+    >>> mended = apply_alignment(moved, align_to_irradiance(moved), degree=1)
+    >>> bool((abs(mended.wavelength_shift - 0.4) < 0.1).all())
+    True
     """
     dataset = schema.rename_to_roles(line)
     known = schema.require(
@@ -60,19 +87,13 @@ def apply_alignment(line: xr.Dataset, found: xr.Dataset, *, degree: int = 2, fwh
         ["wavelength", "fwhm", *(n for n in ("wavelength_shift",) if n in dataset.variables)],
         "the alignment",
     )
+    if CROSS_TRACK not in dataset.dims:
+        msg = f"the line has no dim {CROSS_TRACK!r}, only {', '.join(map(str, dataset.dims))}"
+        raise SchemaError(msg)
     columns = dataset.sizes[CROSS_TRACK]
-    each = found if "window" in found.dims else found.expand_dims("window")
-    problems = Problems("the alignment cannot be applied", SchemaError)
-    if each.sizes[BAND] != dataset.sizes[BAND] or not -0.5 < float(each["column"].max()) <= columns - 1:
-        problems.add("it was found on a line with other bands or columns")
+    each = _by_window(alignment)
     reliable = each["flag"].values == 0
-    for centre, number in zip(np.ravel(each["window_centre"]), reliable.sum(axis=1), strict=True):
-        if number < degree + 1:
-            problems.add(
-                f"{number} of {reliable.shape[1]} columns can tell at {centre:.0f} nm, expected at least "
-                f"{degree + 1} for a polynomial of degree {degree}; see 'flag', or average groups of columns"
-            )
-    problems.raise_if_any()
+    _check(each, reliable, (dataset.sizes[BAND], columns), degree)
     corrections, factors = zip(
         *(
             _smoothed(each.isel(window=w, **{CROSS_TRACK: reliable[w]}), columns, degree)
@@ -81,6 +102,44 @@ def apply_alignment(line: xr.Dataset, found: xr.Dataset, *, degree: int = 2, fwh
         strict=True,
     )
     return _replaced(dataset, known, each, np.stack(corrections), np.array(factors) if fwhm else None)
+
+
+def _by_window(alignment: xr.Dataset) -> xr.Dataset:
+    """Return an alignment with a dim of windows first, or raise where it is none."""
+    problems = Problems("this is no alignment; expected what align_to_irradiance returns", SchemaError)
+    for name in _NEEDED:
+        if name not in alignment.variables:
+            problems.add(f"{name!r} is missing")
+    for dim in (BAND, CROSS_TRACK):
+        if dim not in alignment.dims:
+            problems.add(f"dim {dim!r} is missing")
+    if _WINDOW not in alignment.attrs:
+        problems.add(f"attribute {_WINDOW!r} is missing")
+    problems.raise_if_any()
+    each = alignment if _WINDOW in alignment.dims else alignment.expand_dims(_WINDOW)
+    for name in _NEEDED[:5]:
+        if set(each[name].dims) != {_WINDOW, CROSS_TRACK}:
+            dims = ", ".join(map(str, alignment[name].dims)) or "no dim"
+            problems.add(f"{name!r} is on {dims}, expected {CROSS_TRACK}")
+    problems.raise_if_any()
+    return each.transpose(_WINDOW, ...)
+
+
+def _check(each: xr.Dataset, reliable: npt.NDArray[np.bool_], shape: tuple[int, int], degree: int) -> None:
+    """Refuse what belongs to another line, and a curve through too few columns."""
+    problems = Problems("the alignment cannot be applied", SchemaError)
+    bands, columns = shape
+    if each.sizes[BAND] != bands or not -0.5 < float(each["column"].max()) <= columns - 1:
+        problems.add("it was found on a line with other bands or columns")
+    if degree < 0:
+        problems.add(f"degree={degree}, expected 0 or more")
+    for centre, number in zip(np.ravel(each["window_centre"]), reliable.sum(axis=1), strict=True):
+        if number < degree + 1:
+            problems.add(
+                f"{number} of {reliable.shape[1]} columns can tell at {centre:.0f} nm, expected at least "
+                f"{degree + 1} for a polynomial of degree {degree}; see 'flag', or average groups of columns"
+            )
+    problems.raise_if_any()
 
 
 def _smoothed(found: xr.Dataset, columns: int, degree: int) -> tuple[Float, float]:
@@ -126,7 +185,7 @@ def _replaced(
         wavelength_shift=schema.label(shift.transpose(*order_of_dims), "wavelength_shift")
     )
     told = (
-        f"wavelength_shift corrected in flight against the irradiance record at {found.attrs['window']}, "
+        f"wavelength_shift corrected in flight against the irradiance record at {found.attrs[_WINDOW]}, "
         f"mean {correction.mean():+.3f} nm"
     )
     if factor is not None:

@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from hyperpaint.kernels.lines import CENTRE, fit_lines, profiles
+from hyperpaint.kernels.line_fits import CENTRE, fit_lines, profiles
 
 from .lab_sweep import LabSweep
 from .line_fits import SHAPES, NoiseModel

@@ -8,38 +8,33 @@ reflectance is.
 
 from __future__ import annotations
 
-import itertools
-from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
 
-from . import schema
-from .alignment_fit import FLAGS, Estimate, Fit, combined, estimate, fit_columns, irradiance_table
+from hyperpaint import schema
+from hyperpaint.errors import Problems, SchemaError
+from hyperpaint.radiometry import radiance
+from hyperpaint.schema import ALONG_TRACK, BAND, CROSS_TRACK
+
 from .column_means import Progress, mean_over_lines
-from .errors import Problems, SchemaError
-from .radiometry import radiance
-from .responses import Responses, log_slope
-from .schema import ALONG_TRACK, BAND, CROSS_TRACK, IRRADIANCE_TIME, IRRADIANCE_WAVELENGTH
-from .synchrony import line_light
+from .declared import Declared
+from .lamp import mean_light, table_of_bands
+from .least_squares import Fit, fewest_bands, fit_columns
+from .windows import FLAGS, Estimate, Window, bands_of, checked_windows, combined, default_windows, estimate
 
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["Window", "align_to_irradiance"]
+__all__ = ["align_to_irradiance"]
 
 Float = npt.NDArray[np.float64]
 Array = npt.NDArray[Any]
-Window = tuple[float, float]
 
-WINDOWS = ((740.0, 800.0), (890.0, 985.0))
-"""Where to look [nm]: the oxygen A band and the water around 940 nm, without vegetation's red edge."""
 FEWEST_PIXELS = 8
 """Pixels below which a column tells nothing."""
-_RECORD_MARGIN = 15.0
-"""How far beyond a window the irradiance record must reach to be used unasked [nm]."""
 #: Units and meaning of what the check reports; wavelength_shift and fwhm are those of the table.
 _REPORTED = {
     "wavelength_shift_u": ("nm", "Standard uncertainty of the wavelength shift"),
@@ -69,8 +64,9 @@ def align_to_irradiance(
     max_uncertainty: float = 0.1,
     progress: Progress | None = None,
 ) -> xr.Dataset:
-    r"""Find the wavelength shift and line width of every column from the daylight's own lines.
+    r"""In-flight spectral calibration: smile and FWHM of every column from the daylight's own lines.
 
+    Found are the wavelength shift and the width at which the ratio of radiance to irradiance is smoothest.
     Eager: reads the line once, a slab at a time, and changes nothing; see `hyperpaint.apply_alignment`.
 
     Parameters
@@ -129,6 +125,16 @@ def align_to_irradiance(
     nor of noise in the irradiance record, which all columns share. The mean over windows weighs with the
     inverse of their covariances.
 
+    The literature ([1]_, [2]_) matches spectra to a modelled atmosphere; here the irradiance record stands in
+    its place.
+
+    References
+    ----------
+    .. [1] B.-C. Gao, M. J. Montes and C. O. Davis, "Refinement of wavelength calibrations of hyperspectral
+       imaging data using a spectrum-matching technique", Remote Sens. Environ. 90, 424-433, 2004.
+    .. [2] L. Guanter, R. Richter and J. Moreno, "Spectral calibration of hyperspectral imagery using
+       atmospheric absorption features", Appl. Opt. 45, 2360-2370, 2006.
+
     Examples
     --------
     >>> from hyperpaint.simulation import simulate_line
@@ -140,61 +146,28 @@ def align_to_irradiance(
     """
     dataset = schema.rename_to_roles(line)
     _check_options(degree, group, max_shift, max_uncertainty)
-    known = _known(dataset)
-    windows = _default_windows(known, degree) if window is None else _windows(window)
-    chosen = _bands_of(windows, known, degree)
-    light, level = _mean_light(known, windows, lines)
+    declared = Declared.by(dataset)
+    windows = default_windows(declared, degree) if window is None else checked_windows(window)
+    chosen = bands_of(windows, declared, degree)
+    light, level = mean_light(declared, windows, lines)
     used = np.flatnonzero(np.logical_or.reduce(chosen))
     part = dataset.isel({BAND: used})
     if lines is not None:
         part = part.isel({ALONG_TRACK: lines})
+    part = part.assign_attrs(absolute_scale="not needed")  # lines lie where they lie on any scale
     mean, pixels = mean_over_lines(radiance(part)["radiance"], level, progress)
-    spectrum = np.full((known["wavelength"].size, mean.shape[1]), np.nan)
+    spectrum = np.full((declared.wavelength.size, mean.shape[1]), np.nan)
     spectrum[used] = mean
-    spectrum, pixels, shift, column = _grouped(spectrum, pixels, _declared_shift(known, mean.shape[1]), group)
-    fits = [_fit_window(inside, known, light, spectrum, shift, degree, max_shift) for inside in chosen]
-    windows_apart = [estimate(fit, inside, known, shift) for fit, inside in zip(fits, chosen, strict=True)]
-    made = windows_apart if separate else [combined(windows_apart)]
-    found = _labelled(made, pixels, column, max_uncertainty)
-    return _with_spectra(found, fits, chosen, known, separate).assign_attrs(
+    spectrum, pixels, shift, column = _grouped(spectrum, pixels, declared.shift(mean.shape[1]), group)
+    fits = [_fit_window(inside, declared, light, spectrum, shift, degree, max_shift) for inside in chosen]
+    apart = [estimate(fit, inside, declared, shift) for fit, inside in zip(fits, chosen, strict=True)]
+    found = _labelled(apart if separate else [combined(apart)], pixels, column, max_uncertainty)
+    return _with_spectra(found, fits, chosen, declared, separate).assign_attrs(
         window="; ".join(f"{low:g}-{high:g} nm" for low, high in windows),
         degree=degree,
         lines=len(level),
-        srf_shape=known["srf_shape"],
+        srf_shape=declared.imager.shape,
     )
-
-
-def _default_windows(known: Mapping[str, Any], degree: int) -> list[Window]:
-    """Return those of `WINDOWS` that camera and record have; all of them where they have none."""
-    channels, wavelength = known[IRRADIANCE_WAVELENGTH], known["wavelength"]
-    good = np.asarray(known.get("good", np.ones(wavelength.size)), bool)
-    there = [
-        (low, high)
-        for low, high in WINDOWS
-        if (good & (wavelength >= low) & (wavelength <= high)).sum() >= degree + 6
-        and channels.min() <= low - _RECORD_MARGIN
-        and channels.max() >= high + _RECORD_MARGIN
-    ]
-    return there or [*WINDOWS[:1]]
-
-
-def _windows(window: Any) -> list[Window]:
-    """Return the windows, in the order given, or raise."""
-    given = np.asarray(window, np.float64)
-    problems = Problems(f"window={window!r} cannot be used", SchemaError)
-    if given.ndim not in (1, 2) or given.shape[-1] != 2 or not given.size:
-        problems.add("expected a lowest and a highest wavelength [nm], or several such pairs")
-        problems.raise_if_any()
-    pairs = [(float(low), float(high)) for low, high in np.atleast_2d(given)]
-    for low, high in pairs:
-        if not (np.isfinite([low, high]).all() and low < high):
-            problems.add(f"({low:g}, {high:g}): the lowest wavelength must be below the highest [nm]")
-    in_order = sorted(pairs)
-    for (_, high), (low, _) in itertools.pairwise(in_order):
-        if low < high:
-            problems.add(f"windows overlap from {low:g} to {high:g} nm")
-    problems.raise_if_any()
-    return pairs
 
 
 def _check_options(degree: int, group: int, max_shift: float, max_uncertainty: float) -> None:
@@ -208,77 +181,6 @@ def _check_options(degree: int, group: int, max_shift: float, max_uncertainty: f
     if not max_uncertainty > 0.0:
         problems.add(f"max_uncertainty={max_uncertainty:g}, expected a length above 0 nm")
     problems.raise_if_any()
-
-
-def _known(dataset: xr.Dataset) -> dict[str, Any]:
-    """Return the small variables of the line by name, as arrays in the units of the table."""
-    needed = ["time", "wavelength", "fwhm", "irradiance", "irradiance_fwhm"]
-    needed += [IRRADIANCE_TIME, IRRADIANCE_WAVELENGTH]
-    optional = ["wavelength_shift", "good", "band_spacing", "radiance_gain", "irradiance_max_gap"]
-    optional += ["srf", "srf_offset"]
-    found = schema.require(
-        dataset, [*needed, *(name for name in optional if name in dataset.variables)], "the alignment"
-    )
-    values: dict[str, Any] = {name: np.asarray(array.values) for name, array in found.items()}
-    values["srf_shape"] = str(dataset.attrs.get("srf_shape", "gaussian"))
-    values["irradiance_srf_shape"] = str(dataset.attrs.get("irradiance_srf_shape", "gaussian"))
-    return values
-
-
-def _bands_of(windows: list[Window], known: Mapping[str, Any], degree: int) -> list[Array]:
-    """Return which good bands lie in each window, (band,) bool."""
-    wavelength = known["wavelength"]
-    good = np.asarray(known.get("good", np.ones(wavelength.size)), bool)
-    chosen = [good & (wavelength >= low) & (wavelength <= high) for low, high in windows]
-    problems = Problems("the alignment cannot be found", SchemaError)
-    for (low, high), inside in zip(windows, chosen, strict=True):
-        if inside.sum() < degree + 6:
-            problems.add(
-                f"{low:g} to {high:g} nm holds {inside.sum()} good bands, expected at least {degree + 6} for "
-                f"a polynomial of degree {degree}, shift and width; widen the window or lower degree="
-            )
-    problems.raise_if_any()
-    return chosen
-
-
-def _mean_light(known: Mapping[str, Any], windows: list[Window], lines: slice | None) -> tuple[Float, Float]:
-    """Return the record's mean spectrum in units of its level (channel,), and the level of every line."""
-    spectra = np.asarray(known["irradiance"], np.float64)
-    channels = known[IRRADIANCE_WAVELENGTH]
-    inside = (channels >= min(w[0] for w in windows)) & (channels <= max(w[1] for w in windows))
-    # a channel that is missing nearly always costs its bands; a spectrum that lacks others is left out
-    inside &= np.isnan(spectra).mean(axis=0) <= 0.1
-    if not inside.any():
-        msg = (
-            f"the irradiance record ({channels.min():g} to {channels.max():g} nm) holds nothing in the "
-            "window; there is no lamp to align to"
-        )
-        raise SchemaError(msg)
-    level = spectra[:, inside].mean(axis=1)
-    level = np.where(level > 0.0, level, np.nan)
-    times = known["time"] if lines is None else known["time"][lines]
-    gap = known.get("irradiance_max_gap")
-    lit = line_light(times, known[IRRADIANCE_TIME], level, None if gap is None else float(gap))
-    before, after, weight = lit.before, lit.after, lit.weight
-    level_of_line = level[before] + weight * (level[after] - level[before])
-    seen = np.flatnonzero(np.isfinite(level_of_line))
-    if seen.size == 0:
-        msg = "no line of the flight has irradiance at its time; are the clocks right?"
-        raise SchemaError(msg)
-    share = np.zeros(len(spectra))
-    np.add.at(share, before[seen], (1.0 - weight[seen]) / level_of_line[seen])
-    np.add.at(share, after[seen], weight[seen] / level_of_line[seen])
-    used = share > 0.0
-    return (share[used] / seen.size) @ spectra[used], level_of_line
-
-
-def _declared_shift(known: Mapping[str, Any], columns: int) -> Float:
-    """Return the declared shift of every element (band, column) [nm]."""
-    given = np.asarray(known.get("wavelength_shift", 0.0), np.float64)
-    if not (np.isfinite(given).all() and np.abs(given).max() <= 20.0):
-        msg = "'wavelength_shift' must be finite and at most 20 nm; check its units"
-        raise SchemaError(msg)
-    return np.broadcast_to(given, (known["wavelength"].size, columns))
 
 
 def _grouped(
@@ -310,30 +212,9 @@ def _any_column(spectrum: Float) -> Array:
     return np.asarray(np.isfinite(spectrum).any(axis=1, keepdims=True))
 
 
-def _imager(known: Mapping[str, Any]) -> Responses:
-    """Return the declared responses of all bands."""
-    wavelength, fwhm = known["wavelength"], known["fwhm"]
-    slope = None
-    if "radiance_gain" in known:
-        gain = np.asarray(known["radiance_gain"], np.float64)
-        usable = np.isfinite(gain) & (gain > 0)
-        total = np.where(usable, 1.0 / np.where(usable, gain, 1.0), 0.0).sum(axis=1)
-        with np.errstate(invalid="ignore"):
-            slope = log_slope(wavelength, total / usable.sum(axis=1), 2.0 * fwhm)
-    return Responses(
-        wavelength,
-        fwhm,
-        known["srf_shape"],
-        spacing=known.get("band_spacing"),
-        slope=slope,
-        offset=known.get("srf_offset"),
-        table=known.get("srf"),
-    )
-
-
 def _fit_window(
     inside: Array,
-    known: Mapping[str, Any],
+    declared: Declared,
     light: Float,
     spectrum: Float,
     shift: Float,
@@ -341,29 +222,8 @@ def _fit_window(
     max_shift: float,
 ) -> Fit:
     """Return what the bands of one window tell of every column."""
-    imager = _imager(known)
-    names = ("wavelength", "fwhm", "spacing", "slope", "table")
-    parts: dict[str, Any] = {
-        name: np.asarray(values)[inside] for name in names if (values := getattr(imager, name)) is not None
-    }
-    bands = replace(imager, **parts)
-    channels = known[IRRADIANCE_WAVELENGTH]
-    width = np.broadcast_to(np.asarray(known["irradiance_fwhm"], np.float64), channels.shape)
-    # a spectrometer reaches far beyond the window: channels that no response can touch cost memory
-    reach = max_shift + np.abs(shift[inside]).max() + 2.0 * bands.reach().max() + 4.0 * width.max()
-    near = np.flatnonzero(np.abs(channels - bands.wavelength.mean()) <= np.ptp(bands.wavelength) / 2 + reach)
-    near = near[np.argsort(channels[near], kind="stable")]
-    spectrometer = Responses(channels[near], width[near], known["irradiance_srf_shape"])
     limits = (float(shift[inside].min()) - max_shift, float(shift[inside].max()) + max_shift)
-    table = irradiance_table(spectrometer, bands, light[near], limits)
-    covered = np.isfinite(table.log).all(axis=(0, 1))
-    if covered.sum() < degree + 6:
-        msg = (
-            f"the irradiance record ({channels.min():g} to {channels.max():g} nm, {width.max():g} nm wide) "
-            f"covers {covered.sum()} of the {covered.size} bands from {bands.wavelength.min():.1f} to "
-            f"{bands.wavelength.max():.1f} nm, expected at least {degree + 6}; there is no lamp to align to"
-        )
-        raise SchemaError(msg)
+    table = table_of_bands(declared.light, light, declared.bands(inside), limits, fewest_bands(degree))
     return fit_columns(table, spectrum[inside], shift[inside], degree, max_shift)
 
 
@@ -409,16 +269,16 @@ def _labelled(
 
 
 def _with_spectra(
-    found: xr.Dataset, fits: list[Fit], chosen: list[Array], known: Mapping[str, Any], separate: bool
+    found: xr.Dataset, fits: list[Fit], chosen: list[Array], declared: Declared, separate: bool
 ) -> xr.Dataset:
     """Return the report with the departures band by band, and all attributes."""
     made = found if separate else found.isel(window=0)
     for name in ("departure", "departure_declared"):
-        values = np.full((known["wavelength"].size, found.sizes[CROSS_TRACK]), np.nan)
+        values = np.full((declared.wavelength.size, found.sizes[CROSS_TRACK]), np.nan)
         for fit, inside in zip(fits, chosen, strict=True):
             values[inside] = getattr(fit, name)
         made[name] = ((BAND, CROSS_TRACK), values)
-    made = made.assign_coords(wavelength=(BAND, known["wavelength"], schema.VARIABLES["wavelength"].attrs))
+    made = made.assign_coords(wavelength=(BAND, declared.wavelength, schema.VARIABLES["wavelength"].attrs))
     for name in map(str, made.data_vars):
         if name in schema.VARIABLES:
             made[name].attrs = schema.VARIABLES[name].attrs

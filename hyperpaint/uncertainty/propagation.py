@@ -12,14 +12,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from . import schema, slabs
-from .errors import Problems, SchemaError
-from .slabs import QUANTISATION, Spread
+from hyperpaint import schema, slabs
+from hyperpaint.errors import Problems, SchemaError
+from hyperpaint.slabs import QUANTISATION, ErrorTerms
 
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["UNCERTAINTIES", "spread_of", "uncertainty_inputs", "with_uncertainty"]
+__all__ = ["NONE_KNOWN", "UNCERTAINTIES", "error_terms", "uncertainty_inputs", "with_uncertainty"]
 
 Array = npt.NDArray[Any]
 Float = npt.NDArray[np.float64]
@@ -33,6 +33,8 @@ _SYSTEMATIC = (
     "dark_counts_u_systematic",
 )
 UNCERTAINTIES = ("reflectance_u_random", "reflectance_u_systematic")
+NONE_KNOWN = "none known"
+"""Attribute ``components`` of an uncertainty that nothing known enters: it is zero for want of knowledge."""
 _ABSOLUTE = (
     "electrons_per_count",
     "read_noise",
@@ -96,20 +98,20 @@ def with_uncertainty(result: xr.Dataset, cubes: tuple[Any, ...], uncertain: dict
             "err_corr_1_form": name.rpartition("_")[2],
             "err_corr_1_units": [],
             "err_corr_1_params": [],
-            "components": ", ".join(entered[name]) or "none known",
+            "components": ", ".join(entered[name]) or NONE_KNOWN,
         }
         result[name] = schema.label(xr.DataArray(cube, dims=schema.CUBE), name, **attrs)
     result["reflectance"].attrs["unc_comps"] = list(UNCERTAINTIES)
     return result
 
 
-def spread_of(
+def error_terms(
     uncertain: Mapping[str, Any],
     cube: Mapping[str, Any],
     light: Mapping[str, Any] | None,
     dtype: str,
     bad: Array,
-) -> Spread:
+) -> ErrorTerms:
     """Return what the uncertainty of every sample follows from; what is not known is zero.
 
     Parameters
@@ -147,7 +149,7 @@ def spread_of(
     if wavelength_u.any() or offset.any():
         steps = _band_steps(np.asarray(cube["wavelength"], np.float64))
         slope = (wavelength_u[:, None] * steps).astype(np.float32)
-    return Spread(
+    return ErrorTerms(
         per_electron=_float32(1.0 / of("electrons_per_count")),
         noise_floor=_float32(floor),
         relative=_float32(np.sqrt(sum(squares[1:], squares[0]))),

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hyperpaint.kernels.lines import (
+from hyperpaint.kernels.line_fits import (
     AREA,
     CENTRE,
     GAUSSIAN,

@@ -8,11 +8,10 @@ import dask
 import numpy as np
 import pytest
 import xarray as xr
-from strategies import SHIFT, START, flight, stored
+from strategies import SHIFT, START, flight, stored, with_noise
 
 import hyperpaint as hp
 from hyperpaint.errors import SchemaError
-from hyperpaint.noise import mean_uncertainty
 from hyperpaint.radiometry import Panel, radiance, reflectance
 from hyperpaint.simulation import simulate_line
 
@@ -23,17 +22,6 @@ SYSTEMATIC = {
     "dark_counts_u_systematic": 0.5,
     "wavelength_u": 0.3,
 }
-
-
-def with_noise(line: xr.Dataset, k: float = 20.0, **known: Any) -> xr.Dataset:
-    """Return a line whose noise is known, and what else is given by name."""
-    made = line.copy()
-    made["electrons_per_count"] = ((), np.float32(k), {"units": "electron count-1"})
-    units = {"wavelength_u": "nm", "dark_counts_u_systematic": "count", "dark_counts_u_random": "count"}
-    for name, value in known.items():
-        dims = {0: (), 1: ("band",), 2: ("band", "cross_track")}[np.ndim(value)]
-        made[name] = (dims, value, {"units": units.get(name, "1")})
-    return made
 
 
 # ---------------------------------------------------------------------------------------------- coverage
@@ -366,61 +354,3 @@ def test_values_that_cannot_be(name: str, value: float, word: str) -> None:
         lazily.reflectance.compute()
     assert name in str(caught.value)
     reflectance(line).reflectance.compute()  # not asked for, not looked at
-
-
-# ------------------------------------------------------------------------------------------- means
-
-
-def region(rng: np.random.Generator, field: np.ndarray, u: float) -> xr.Dataset:
-    dims = ("along_track", "cross_track")
-    return xr.Dataset(
-        {
-            "reflectance": (dims, field),
-            U[0]: (dims, np.full(field.shape, u)),
-            U[1]: (dims, np.full(field.shape, 0.02)),
-        }
-    )
-
-
-def test_only_the_random_part_of_a_mean_shrinks() -> None:
-    rng = np.random.default_rng(0)
-    found = [
-        mean_uncertainty(region(rng, rng.normal(0.3, 0.01, (n, n)), 0.01)).compute() for n in (5, 20, 60)
-    ]
-    for made, n in zip(found, (25, 400, 3600), strict=True):
-        assert int(made.n) == n
-        assert 0.7 * n < float(made.n_eff) <= n
-        np.testing.assert_allclose(float(made.u_systematic), 0.02)
-        np.testing.assert_allclose(float(made.u_random), 0.01 / np.sqrt(float(made.n_eff)))
-
-
-def test_correlated_pixels_count_for_fewer() -> None:
-    rng = np.random.default_rng(1)
-    means, claimed = [], []
-    for _ in range(200):
-        white = rng.normal(size=(46, 46))
-        # five by five pixels share their error
-        field = np.lib.stride_tricks.sliding_window_view(white, (5, 5)).mean(axis=(2, 3)) * 0.05
-        made = mean_uncertainty(region(rng, 0.3 + field, 0.01))
-        means.append(float(made["mean"]))
-        claimed.append(float(made.u_random))
-    truth = np.std(means)
-    assert truth > 3 * 0.01 / 42  # far more than independent pixels would have
-    assert 0.7 < np.median(claimed) / truth < 1.4
-
-
-def test_a_mean_over_bands_keeps_them_and_skips_what_is_missing() -> None:
-    line = with_noise(flight(dtype=np.uint16).line, **SYSTEMATIC)
-    line["counts"].values[3, 5, 2] = 4090
-    made = reflectance(line, uncertainty=True)
-    found = mean_uncertainty(made)
-    assert found["mean"].dims == ("band",)
-    assert "wavelength" in found.coords
-    np.testing.assert_array_equal(found.n, np.where(np.arange(12) == 5, 143, 144))
-    np.testing.assert_allclose(
-        found["mean"], made.reflectance.mean(["along_track", "cross_track"]), rtol=1e-5
-    )
-    with pytest.raises(SchemaError, match="no dim of the region"):
-        mean_uncertainty(made, "pixel")
-    with pytest.raises(SchemaError, match="uncertainty=True"):
-        mean_uncertainty(made.drop_vars(U[0]))

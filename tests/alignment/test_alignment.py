@@ -308,6 +308,9 @@ def test_what_cannot_be_is_refused() -> None:
         hp.align_to_irradiance(line, window=[(740, 800), (790, 850)])
     with pytest.raises(SchemaError, match="pairs"):
         hp.align_to_irradiance(line, window=(740, 800, 900))  # type: ignore[arg-type]
+    for window in (("a", "b"), ((740, 800), (890,)), {}, "red"):
+        with pytest.raises(SchemaError, match="cannot be used"):
+            hp.align_to_irradiance(line, window=window)  # type: ignore[arg-type]
     with pytest.raises(SchemaError, match=r"(?s)degree=99.*group=0.*max_shift=-1.*max_uncertainty=0"):
         hp.align_to_irradiance(line, degree=99, group=0, max_shift=-1.0, max_uncertainty=0.0)
     with pytest.raises(SchemaError, match=r"(?s)'time' is missing.*'irradiance' is missing"):
@@ -337,9 +340,22 @@ def test_applying_what_does_not_belong_is_refused() -> None:
     found = hp.align_to_irradiance(line, window=OXYGEN)
     with pytest.raises(SchemaError, match="other bands or columns"):
         hp.apply_alignment(line.isel(cross_track=slice(3)), found)
+    with pytest.raises(SchemaError, match="no dim 'cross_track'"):
+        hp.apply_alignment(line[["wavelength", "fwhm"]], found)
     found["flag"][:4] = 2
     with pytest.raises(SchemaError, match="1 of 5 columns can tell"):
         hp.apply_alignment(line, found)
+
+
+def test_applying_what_is_no_alignment_is_refused() -> None:
+    line = line_of(grey(5))
+    with pytest.raises(SchemaError, match=r"(?s)'flag' is missing.*'window_centre' is missing.*dim 'band'"):
+        hp.apply_alignment(line, xr.Dataset())
+    found = hp.align_to_irradiance(line, window=OXYGEN)
+    with pytest.raises(SchemaError, match="attribute 'window' is missing"):
+        hp.apply_alignment(line, found.drop_attrs())
+    with pytest.raises(SchemaError, match="'fwhm_u' is on no dim, expected cross_track"):
+        hp.apply_alignment(line, found.assign(fwhm_u=found.fwhm_u[0]))
 
 
 def test_tabulated_line_shapes_are_widened() -> None:
@@ -352,15 +368,3 @@ def test_tabulated_line_shapes_are_widened() -> None:
     found = hp.align_to_irradiance(line, window=OXYGEN)
     np.testing.assert_allclose(found.wavelength_shift, 0.3, atol=0.005)
     np.testing.assert_allclose(found.fwhm, 6.6, atol=0.02)
-
-
-def test_oxygen_residual_has_a_sign() -> None:
-    line = line_of(surface_reflectance(["panel_20", "asphalt"], GRID))
-    assert abs(hp.oxygen_residual(line)).max() < 2e-3
-    longer = hp.oxygen_residual(line.assign_coords(wavelength=line.wavelength + 0.2))
-    wider = hp.oxygen_residual(line.assign_coords(fwhm=line.fwhm + 0.2))
-    assert (longer < -0.008).all()
-    assert (wider > 0.003).all()
-    assert longer.attrs["units"] == "1"
-    with pytest.raises(SchemaError, match="too few bands for the oxygen residual"):
-        hp.oxygen_residual(line.isel(band=slice(0, 20)))

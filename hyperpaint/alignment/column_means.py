@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
-from .schema import ALONG_TRACK
-from .slabs import line_chunked
+from hyperpaint.schema import ALONG_TRACK
+from hyperpaint.slabs import line_chunked
 
 if TYPE_CHECKING:
     import xarray as xr

@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
-from hyperpaint.kernels.lines import profiles
+from hyperpaint.kernels.line_fits import profiles
 from hyperpaint.schema import BAND, CROSS_TRACK, STEP, require
 
-from .detector import deviant_darks, linearised
+from .detector import coefficients_of, deviant_darks, linearised
 from .lab_sweep import LabSweep, check_sweep
 from .line_fits import SHAPES, find_line
 
@@ -128,9 +128,9 @@ class _Shape:
         self._peak = float(self._of(np.zeros(1))[0])
 
     def _of(self, place: Float) -> Float:
-        out = np.empty((1, place.size))
+        out: Float = np.empty((1, place.size), np.float64)
         profiles(place[None], self._own, self._source, self._shape, self._triangular, out)
-        return out[0]
+        return np.asarray(out[0])
 
     def at(self, place: Float) -> Float:
         """Return it at distances from the centre [band]."""
@@ -140,9 +140,8 @@ class _Shape:
 def _samples(lab: LabSweep, calibration: xr.Dataset, step: int, column: int) -> tuple[Float, Float]:
     """Return the bands about a line of one column, and their counts above dark and background."""
     raw = lab.frame(step)
-    told = calibration.attrs.get("linearity", "identity")
     dark = lab.dark.at(float(lab.exposure[step]))
-    net = linearised(() if isinstance(told, str) else told)(raw - dark)
+    net = linearised(coefficients_of(calibration.attrs))(raw - dark)
     if "flat_field" in calibration.variables:
         net = net * calibration["flat_field"].transpose(BAND, CROSS_TRACK).to_numpy()
     window = find_line(net, raw, deviant_darks(dark, lab.saturation), lab.saturation)

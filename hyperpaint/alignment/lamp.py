@@ -1,0 +1,220 @@
+"""The daylight as a lamp: the irradiance record's mean, as bands would see it at many shifts and widths."""
+
+from __future__ import annotations
+
+import functools
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from hyperpaint.errors import SchemaError
+from hyperpaint.responses import GAUSSIAN_SIGMA, Matching, Responses, matching_operator
+from hyperpaint.synchrony import line_light
+
+from .declared import Declared, Light
+
+__all__ = ["FACTORS", "IrradianceTable", "mean_light", "table_of_bands"]
+
+Float = npt.NDArray[np.float64]
+Array = npt.NDArray[Any]
+
+SHIFT_STEP = 0.5
+"""Distance of the shifts at which irradiance is matched [nm]; splines between are good to 1e-3 nm."""
+FACTORS = np.linspace(0.6, 1.6, 9)
+"""Widths over the declared ones at which irradiance is matched."""
+
+
+@dataclass(frozen=True)
+class IrradianceTable:
+    """Irradiance as bands would see it at a grid of shifts and widths.
+
+    Attributes
+    ----------
+    wavelength : (band,)
+        Declared centres [nm].
+    shifts : (shift,), factors : (factor,)
+        The grid: wavelength minus `wavelength` [nm], width over the declared one [1].
+    log : (shift, factor, band)
+        Logarithm of irradiance; NaN where the record does not cover a band.
+    noise_gain : (factor,)
+        Largest noise gain of the operators at a width [1].
+    variance : (factor, band)
+        Mean square distance from its centre at which a band responds [nm2].
+    """
+
+    wavelength: Float
+    shifts: Float
+    factors: Float
+    log: Float
+    noise_gain: Float
+    variance: Float
+
+    @cached_property
+    def splines(self) -> list[Any]:
+        """One spline a band that is covered; None for the others."""
+        from scipy.interpolate import RectBivariateSpline
+
+        return [
+            RectBivariateSpline(self.shifts, self.factors, values) if np.isfinite(values).all() else None
+            for values in np.moveaxis(self.log, -1, 0)
+        ]
+
+    def at(self, shift: Float, factor: Float, *, dx: int = 0, dy: int = 0) -> Float:
+        """Return the logarithm, or a derivative of it, (band, column), at (band, column) and (column,)."""
+        made = np.full(shift.shape, np.nan)
+        for band, spline in enumerate(self.splines):
+            if spline is not None:
+                made[band] = spline.ev(shift[band], factor, dx=dx, dy=dy)
+        return made
+
+    def variance_at(self, factor: Float) -> Float:
+        """Return the variance of the responses (band, column) at widths (column,) [nm2]."""
+        place = np.interp(factor, self.factors, np.arange(self.factors.size))
+        low = np.minimum(place.astype(np.int64), self.factors.size - 2)
+        return np.asarray(
+            self.variance[low].T + (place - low) * (self.variance[low + 1] - self.variance[low]).T
+        )
+
+    def noise_gain_at(self, factor: Float) -> Float:
+        """Return the noise gain at widths (column,) [1]."""
+        return np.asarray(np.interp(factor, self.factors, self.noise_gain))
+
+
+def mean_light(
+    declared: Declared, windows: list[tuple[float, float]], lines: slice | None
+) -> tuple[Float, Float]:
+    """Return the record's mean spectrum in units of its level (channel,), and the level of every line."""
+    light = declared.light
+    level = _level(light, min(low for low, _ in windows), max(high for _, high in windows))
+    times = declared.time if lines is None else declared.time[lines]
+    lit = line_light(times, light.time, level, light.max_gap)
+    before, after, weight = lit.before, lit.after, lit.weight
+    level_of_line = level[before] + weight * (level[after] - level[before])
+    seen = np.flatnonzero(np.isfinite(level_of_line))
+    if seen.size == 0:
+        msg = "no line of the flight has irradiance at its time; are the clocks right?"
+        raise SchemaError(msg)
+    share = np.zeros(len(light.spectra))
+    np.add.at(share, before[seen], (1.0 - weight[seen]) / level_of_line[seen])
+    np.add.at(share, after[seen], weight[seen] / level_of_line[seen])
+    used = share > 0.0
+    return (share[used] / seen.size) @ light.spectra[used], level_of_line
+
+
+def _level(light: Light, low: float, high: float) -> Float:
+    """Return the mean irradiance of every sample between two wavelengths; NaN where it is not positive."""
+    inside = (light.wavelength >= low) & (light.wavelength <= high)
+    # a channel that is missing nearly always costs its bands; a spectrum that lacks others is left out
+    inside &= np.isnan(light.spectra).mean(axis=0) <= 0.1
+    if not inside.any():
+        msg = (
+            f"the irradiance record ({light.wavelength.min():g} to {light.wavelength.max():g} nm) holds "
+            "nothing in the window; there is no lamp to align to"
+        )
+        raise SchemaError(msg)
+    level = light.spectra[:, inside].mean(axis=1)
+    return np.where(level > 0.0, level, np.nan)
+
+
+def table_of_bands(
+    light: Light, spectrum: Float, bands: Responses, limits: tuple[float, float], fewest: int
+) -> IrradianceTable:
+    """Return the light as some bands would see it, or raise where the record covers too few of them.
+
+    Parameters
+    ----------
+    light
+        The record.
+    spectrum : (channel,)
+        Its mean.
+    bands
+        As declared.
+    limits
+        Lowest and highest shift [nm].
+    fewest
+        Number of bands that must be covered.
+    """
+    channels = light.wavelength
+    width = np.broadcast_to(light.fwhm, channels.shape)
+    # a spectrometer reaches far beyond the window: channels that no response can touch cost memory
+    reach = np.abs(limits).max() + 2.0 * bands.reach().max() + 4.0 * width.max()
+    near = np.flatnonzero(np.abs(channels - bands.wavelength.mean()) <= np.ptp(bands.wavelength) / 2 + reach)
+    near = near[np.argsort(channels[near], kind="stable")]
+    spectrometer = Responses(channels[near], width[near], light.srf_shape)
+    table = irradiance_table(spectrometer, bands, spectrum[near], limits)
+    covered = np.isfinite(table.log).all(axis=(0, 1))
+    if covered.sum() < fewest:
+        msg = (
+            f"the irradiance record ({channels.min():g} to {channels.max():g} nm, {width.max():g} nm wide) "
+            f"covers {covered.sum()} of the {covered.size} bands from {bands.wavelength.min():.1f} to "
+            f"{bands.wavelength.max():.1f} nm, expected at least {fewest}; there is no lamp to align to"
+        )
+        raise SchemaError(msg)
+    return table
+
+
+def irradiance_table(
+    spectrometer: Responses, imager: Responses, spectrum: Float, limits: tuple[float, float]
+) -> IrradianceTable:
+    """Return a spectrum (channel,) as an imager's bands would see it at many shifts and widths.
+
+    Parameters
+    ----------
+    spectrometer, imager
+        Responses of the channels, in order, and of the bands as declared.
+    spectrum : (channel,)
+        Irradiance, any unit.
+    limits
+        Lowest and highest shift [nm].
+    """
+    shifts, operators = _operators(spectrometer, imager, limits)
+    log = np.empty((shifts.size, FACTORS.size, imager.wavelength.size))
+    missing = ~np.isfinite(spectrum)
+    for index, matching in enumerate(operators):
+        seen = np.einsum("nbc,c->nb", matching.weights, np.where(missing, 0.0, spectrum))
+        touched = (np.abs(matching.weights[..., missing]) > 1e-6).any(axis=-1)
+        with np.errstate(invalid="ignore", divide="ignore"):
+            log[:, index] = np.where((seen > 0.0) & ~touched, np.log(seen), np.nan)
+    gain = np.array([np.nan_to_num(matching.noise_gain).max() for matching in operators])
+    variance = np.stack([_variance(_widened(imager, float(factor))) for factor in FACTORS])
+    return IrradianceTable(
+        wavelength=imager.wavelength,
+        shifts=shifts,
+        factors=FACTORS,
+        log=log,
+        noise_gain=gain,
+        variance=variance,
+    )
+
+
+@functools.lru_cache(maxsize=4)
+def _operators(
+    spectrometer: Responses, imager: Responses, limits: tuple[float, float]
+) -> tuple[Float, list[Matching]]:
+    """Return the shifts, and the operators at every width; once for all flight lines of a camera."""
+    first, last = np.floor(limits[0] / SHIFT_STEP) - 1, np.ceil(limits[1] / SHIFT_STEP) + 1
+    shifts = np.arange(first, last + 1) * SHIFT_STEP
+    widened = [_widened(imager, float(factor)) for factor in FACTORS]
+    return shifts, [matching_operator(spectrometer, bands, shifts) for bands in widened]
+
+
+def _widened(imager: Responses, factor: float) -> Responses:
+    """Return responses of another width; what a slit's pixels are wide does not change."""
+    if imager.shape == "tabulated":
+        return replace(imager, offset=np.asarray(imager.offset) * factor)
+    return replace(imager, fwhm=imager.fwhm * factor)
+
+
+def _variance(bands: Responses) -> Float:
+    """Return the variance of every band's line shape [nm2]."""
+    if bands.shape == "slit":
+        return np.asarray((bands.fwhm**2 + np.asarray(bands.spacing) ** 2) / 12.0)
+    if bands.shape == "tabulated":
+        offset, table = np.asarray(bands.offset), np.asarray(bands.table)
+        weight = table * np.gradient(offset)
+        weight = weight / weight.sum(axis=1, keepdims=True)
+        return np.asarray(weight @ offset**2 - (weight @ offset) ** 2)
+    return np.asarray((GAUSSIAN_SIGMA * bands.fwhm) ** 2)

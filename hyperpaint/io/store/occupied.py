@@ -1,0 +1,112 @@
+"""What is in the place that a group is to take, and around it: nothing that stands is lost unasked."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+from hyperpaint.errors import IncompleteStoreError
+
+from .listing import groups_above, has_all_chunks, is_damaged
+from .location import METADATA, Location
+from .record import CHUNKS, COMPLETE, read_record
+from .stage import is_temporary
+
+__all__ = ["damaged_groups", "occupant", "problems_above"]
+
+
+def problems_above(groups: Iterable[str], location: Location, *, overwrite: bool) -> list[str]:
+    """Return why groups cannot be written below others, one line each; empty where they can.
+
+    Parameters
+    ----------
+    groups
+        The groups above.
+    location
+        The store.
+    overwrite
+        Damaged metadata may be written anew.
+    """
+    if _is_foreign(location):
+        return ["it exists and is not a Zarr v3 store; choose another path"]
+    return [
+        f"the metadata of group {'/' + group!r} are missing or damaged; pass overwrite=True to write them "
+        "anew, the groups in it stay"
+        for group in ([] if overwrite else damaged_groups(groups, location))
+    ]
+
+
+def damaged_groups(groups: Iterable[str], location: Location) -> list[str]:
+    """Return the groups whose metadata cannot be read; the root also where they are missing in a store."""
+    return [
+        group
+        for group in groups
+        if is_damaged(group, location)
+        or (not group and location.metadata("") is None and _entries(location, ""))
+    ]
+
+
+def occupant(group: str, token: str, location: Location) -> str:
+    """Return what is in a group's place.
+
+    Parameters
+    ----------
+    group
+        Its path.
+    token
+        Names the content that is to be written.
+    location
+        The store.
+
+    Returns
+    -------
+    str
+        Nothing (""), the "same" content, which perhaps "lacks chunks", a "parent" of what is not part of it,
+        an "array", or in words that go into a sentence what else.
+    """
+    if any(_is_array(location, each) for each in (*groups_above(group), group) if each):
+        return "array"
+    try:
+        metadata = location.metadata(group)
+        record = read_record(location, group)
+    except IncompleteStoreError:  # damaged: to be replaced
+        metadata, record = {}, None
+    if metadata is None and not _entries(location, group):
+        return ""
+    if record is not None and record.token == token:
+        return "same" if has_all_chunks(location, group, record) else "lacks chunks"
+    below = (f"{group}/{child}" if group else child for child in location.folders(group))
+    if not all(_is_array(location, path) for path in below):
+        return "parent"
+    return "was never finished or is damaged" if record is None else "with other content"
+
+
+def _is_foreign(location: Location) -> bool:
+    """Tell whether something else than a store is in its place."""
+    if not location.has("") or location.has("", METADATA):
+        return False
+    if location.local is not None and not location.local.is_dir():
+        return True
+    # without the root's metadata it is still one where a group of it is
+    return bool(_entries(location, "")) and not any(_is_sealed(each, location) for each in location.groups())
+
+
+def _is_sealed(group: str, location: Location) -> bool:
+    return COMPLETE in ((location.metadata(group) or {}).get("attributes") or {})
+
+
+def _entries(location: Location, group: str) -> list[str]:
+    """Return the names in a group's folder, without what a killed writer left half-written."""
+    try:
+        found = location.fs.ls(location.key(group), detail=False)
+    except (FileNotFoundError, NotADirectoryError):
+        return []
+    names = (str(entry).rstrip("/").rpartition("/")[2] for entry in found)
+    return [name for name in names if not is_temporary(name)]
+
+
+def _is_array(location: Location, path: str) -> bool:
+    """Tell whether a folder is an array's: from its metadata or, where they are damaged, its record."""
+    metadata = None if is_damaged(path, location) else location.metadata(path)
+    if metadata is not None:
+        return metadata.get("node_type") == "array"
+    return location.has(path, CHUNKS)

@@ -1,0 +1,289 @@
+"""Where a local store is staged: one folder beside it, with the lock of the one writer.
+
+``.partial-<store>/`` holds
+
+* ``lock``: who writes, see `lock`;
+* ``build-<group>-<content>-<attempt>``: a group under construction, a small Zarr store of its own;
+* ``replaced-<group>``: the old group, for the moment between two renames;
+* ``discarded-<number>``: what is being removed.
+
+A finished group and the one it replaces change places in one step, where the system can exchange two names
+(Linux, most local disks): at no instant is there no group. Elsewhere it takes two renames; what a writer
+killed in between leaves is put right by the next one.
+
+Whatever a killed writer left there is put right by the next one, before it does anything else. It takes up
+what was built of the same group with the same content, and removes the rest. Nothing there is trusted: links
+and names that lead elsewhere are refused.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import re
+import shutil
+import uuid
+from collections.abc import Collection, Iterator
+from pathlib import Path
+from urllib.parse import quote, unquote
+
+from hyperpaint.errors import StoreError
+
+from .listing import groups_above, make_groups_above
+from .location import METADATA, Location, clean_group, sync_folder
+from .lock import locked
+from .record import CHUNKS
+from .swap import exchange
+
+__all__ = ["Staging", "clear_up", "discard", "is_temporary", "staging"]
+
+_ROOT = "%root"
+#: Half-written metadata, ours and zarr's.
+_TEMPORARY = re.compile(r"\.zarr\.json\.[0-9a-f]{1,32}|zarr\.[0-9a-f]{32}\.partial")
+
+
+def is_temporary(name: str) -> bool:
+    """Tell whether a file is one that a killed writer left half-written in a group's folder.
+
+    Examples
+    --------
+    >>> is_temporary(".zarr.json.4711"), is_temporary("notes.partial")
+    (True, False)
+    """
+    return _TEMPORARY.fullmatch(name) is not None
+
+
+class Staging:
+    """The folder beside a store in which its groups are built.
+
+    Parameters
+    ----------
+    store
+        Folder of the store.
+    """
+
+    def __init__(self, store: Path) -> None:
+        self.store = store
+        self.folder = store.parent / f".partial-{store.name}"
+
+    def build(self, group: str, content: str) -> Path:
+        """Return a new folder name for a group; no other attempt, ended or not, writes there."""
+        return self.folder / f"{_build_prefix(group, content)}{uuid.uuid4().hex[:12]}"
+
+    def leftovers(self, group: str, content: str) -> list[Path]:
+        """Return what earlier attempts built of a group with the same content."""
+        prefix = _build_prefix(group, content)
+        return [found for found in self._entries() if found.name.startswith(prefix)]
+
+    def close(self, build: Path, group: str, content: str) -> Path:
+        """Give what has been built another name, and return that.
+
+        A cluster repeats a task whose worker dies, even one that is no longer waited for. From here on such a
+        task finds no folder to write to.
+        """
+        closed = self.build(group, content)
+        os.rename(build, closed)
+        return closed
+
+    def publish(self, build: Path, group: str) -> None:
+        """Put a finished group in its place, in one step where the system can; else the old one goes first.
+
+        The old group stands again where that fails.
+        """
+        target = self._place(group)
+        target.parent.mkdir(parents=True, exist_ok=True)
+        if not target.exists():
+            os.rename(build, target)
+            old = None
+        else:
+            old = self._exchanged(build, target) or self._replaced(build, target, group)
+        sync_folder(target.parent)
+        sync_folder(self.store.parent)
+        if old is not None:
+            discard(old)
+
+    def _exchanged(self, build: Path, target: Path) -> Path | None:
+        """Let a finished group and the old one change places; return where that is, None if it cannot."""
+        # a writer killed right after leaves the old group under a name that is cleared up
+        place = _to_discard(self.folder)
+        os.rename(build, place)
+        done = False
+        try:
+            done = exchange(place, target)
+        finally:
+            if not done:
+                os.rename(place, build)
+        return place if done else None
+
+    def _replaced(self, build: Path, target: Path, group: str) -> Path:
+        """Rename the old group, then the finished one; return where the old one is."""
+        old = self.folder / f"replaced-{_quoted(group)}"
+        try:
+            os.rename(target, old)
+            os.rename(build, target)
+        except BaseException:
+            if old.exists() and not target.exists():
+                os.rename(old, target)
+            raise
+        return old
+
+    def recover(self, wanted: Collection[tuple[str, str]] = ()) -> None:
+        """Undo a replacement that was cut short, and remove half-built groups but for those wanted.
+
+        Raises
+        ------
+        StoreError
+            There is what no writer leaves: links, or names that lead out of the store.
+        """
+        prefixes = tuple(_build_prefix(group, content) for group, content in wanted)
+        entries = self._entries()
+        replaced = {found: self._group_of(found) for found in entries if found.name.startswith("replaced-")}
+        for found in entries:
+            if found in replaced:
+                self._put_back(found, replaced[found])
+            elif found.name.startswith("discarded-") or (
+                found.name.startswith("build-") and not found.name.startswith(prefixes)
+            ):
+                discard(found)
+        above = {name for group, _ in wanted for name in groups_above(group)}
+        for leftover in _temporaries(self.store, above):
+            with contextlib.suppress(FileNotFoundError):
+                os.unlink(leftover)
+
+    def _put_back(self, old: Path, group: str) -> None:
+        target = self._place(group)
+        if target.exists():
+            discard(old)
+            return
+        target.parent.mkdir(parents=True, exist_ok=True)
+        os.rename(old, target)
+        make_groups_above(group, Location.of(self.store))
+
+    def _group_of(self, found: Path) -> str:
+        name = found.name.removeprefix("replaced-")
+        group = "" if name == _ROOT else unquote(name)
+        with contextlib.suppress(StoreError):
+            if clean_group(group) == group and _quoted(group) == name:
+                return group
+        msg = f"{found} names no group of a store, and no writer left it there; look at it, then remove it"
+        raise StoreError(msg)
+
+    def _entries(self) -> list[Path]:
+        """Return what is in the folder, sorted; the folder and all in it must be no links."""
+        try:
+            entries = [] if self.folder.is_symlink() else sorted(self.folder.iterdir())
+        except (FileNotFoundError, NotADirectoryError):
+            return []
+        for found in (self.folder, *entries):
+            if found.is_symlink():
+                msg = f"{found} is a link, which no writer left there; look at it, then remove it"
+                raise StoreError(msg)
+        return entries
+
+    def _place(self, group: str) -> Path:
+        """Return where a group belongs; no link leads there."""
+        place = self.store
+        for part in group.split("/") if group else ():
+            place = place / part
+            if place.is_symlink():
+                msg = f"{place} is a link; a store holds plain files and folders"
+                raise StoreError(msg)
+        return place
+
+
+def _temporaries(store: Path, above: Collection[str]) -> Iterator[str]:
+    """Yield half-written metadata in the folders of groups; no link is followed.
+
+    Parameters
+    ----------
+    store
+        Its root counts as a group.
+    above
+        Groups whose metadata may not be there yet.
+    """
+    pending = [os.fspath(store), *(os.fspath(store / name) for name in above if name)]
+    seen: set[str] = set()
+    while pending:
+        folder = pending.pop()
+        if folder in seen or (folder != os.fspath(store) and os.path.islink(folder)):
+            continue
+        seen.add(folder)
+        try:
+            with os.scandir(folder) as found:
+                entries = list(found)
+        except OSError:
+            continue
+        for entry in entries:
+            if entry.is_dir(follow_symlinks=False):
+                inside = os.path.lexists(os.path.join(entry.path, METADATA))
+                # of a recorded array nothing is half-written
+                if inside and not os.path.lexists(os.path.join(entry.path, CHUNKS)):
+                    pending.append(entry.path)
+            elif is_temporary(entry.name) and entry.is_file(follow_symlinks=False):
+                yield entry.path
+
+
+def discard(build: Path) -> None:
+    """Remove what has been built, or replaced.
+
+    dask does not wait for the tasks that still run when another fails: once the folder has another name, they
+    cannot write any more. And what is half removed has no name that stands for something whole.
+    """
+    discarded = build
+    if not build.name.startswith("discarded-"):
+        discarded = _to_discard(build.parent)
+        with contextlib.suppress(OSError):
+            os.rename(build, discarded)
+    for path in (discarded, build):
+        shutil.rmtree(path, ignore_errors=True)
+        with contextlib.suppress(OSError):  # a file in a group's place
+            path.unlink(missing_ok=True)
+
+
+def _to_discard(folder: Path) -> Path:
+    return folder / f"discarded-{uuid.uuid4().hex[:12]}"
+
+
+def _quoted(group: str) -> str:
+    return quote(group, safe="") or _ROOT
+
+
+def _build_prefix(group: str, content: str) -> str:
+    return f"build-{_quoted(group)}-{content}-"
+
+
+@contextlib.contextmanager
+def staging(store: Path, wanted: Collection[tuple[str, str]] = ()) -> Iterator[Staging]:
+    """Open the staging folder of a store, as its only writer.
+
+    Parameters
+    ----------
+    store
+        Folder of the store.
+    wanted
+        Groups and contents about to be written: what earlier attempts built of them is kept.
+
+    Raises
+    ------
+    StoreError
+        Another process is writing the store, or its staging folder holds what no writer leaves there.
+    """
+    made = Staging(store)
+    if made.folder.is_symlink():
+        msg = f"{made.folder} is a link, which no writer left there; look at it, then remove it"
+        raise StoreError(msg)
+    with locked(made.folder / "lock", store):
+        made.recover(wanted)
+        yield made
+
+
+def clear_up(store: Path) -> None:
+    """Remove what a writer that died at its very end left beside a store.
+
+    Nothing is done where another writer is at work, or where there is something to take up.
+    """
+    folder = Staging(store).folder
+    with contextlib.suppress(StoreError, OSError):
+        if not any(found.name.startswith("build-") for found in folder.iterdir()):
+            with staging(store):
+                pass

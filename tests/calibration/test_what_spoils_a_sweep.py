@@ -1,0 +1,340 @@
+"""What a physics review found to pass unseen: each of these once gave a wrong gain, or a wrong certainty."""
+
+from __future__ import annotations
+
+import functools
+import warnings
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+import xarray as xr
+
+import hyperpaint as hp
+from hyperpaint.calibration import anchor_to_radiance, quantum_efficiency
+from hyperpaint.calibration.detector import fit_dark_model
+from hyperpaint.errors import PaintWarning, SchemaError
+from hyperpaint.simulation import simulate_line, simulate_sweep
+
+CLEAN = {"noise": False, "quantise": False}
+
+
+@functools.lru_cache(maxsize=4)
+def _sweep(effects: tuple[tuple[str, Any], ...]) -> xr.Dataset:
+    return simulate_sweep(**dict(effects))
+
+
+def sweep_of(**effects: Any) -> xr.Dataset:
+    given = {"columns": 12, "nonuniformity": 0, "seed": 1, **effects}
+    return _sweep(tuple(sorted(given.items())))
+
+
+def with_values(sweep: xr.Dataset, name: str, values: Any) -> xr.Dataset:
+    return sweep.assign({name: (sweep[name].dims, np.asarray(values), sweep[name].attrs)})
+
+
+def error_of(made: xr.Dataset, sweep: xr.Dataset) -> np.ndarray:
+    return (made.radiance_gain / sweep.true_radiance_gain - 1).values
+
+
+def spread_of_z(made: xr.Dataset, sweep: xr.Dataset) -> float:
+    return float(np.nanstd(error_of(made, sweep) / made.radiance_gain_u_random.values))
+
+
+# --- dark
+
+
+@pytest.mark.parametrize("drift", [2.0, -2.0])
+def test_a_dark_that_is_off_moves_no_gain_and_is_told(drift: float) -> None:
+    sweep = sweep_of(**CLEAN)
+    off = with_values(sweep, "dark_counts", sweep.dark_counts.values + drift)
+    with pytest.warns(PaintWarning, match="the dark is off by as much"):
+        made = hp.calibrate(off)
+    assert np.nanmax(np.abs(error_of(made, sweep))) < 1e-3
+    assert made.dark_offset_count == pytest.approx(-drift, abs=0.05)
+    # a count in every band outside of the line, over the line's area
+    seen = abs(float(made.out_of_band.median()))
+    assert made.out_of_band_of_one_count == pytest.approx(seen / 2, rel=0.2)
+
+
+def test_stray_light_is_not_taken_for_a_dark_that_is_off() -> None:
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        made = hp.calibrate(sweep_of(stray_light=0.02, **CLEAN))
+    assert abs(made.dark_offset_count) < 0.2
+
+
+def test_noise_of_the_dark_is_in_the_uncertainty() -> None:
+    sweep = sweep_of(columns=20, dark_frames=1)
+    made = hp.calibrate(sweep)
+    assert 0.85 < spread_of_z(made, sweep) < 1.15
+    assert float(made.radiance_gain_u_random.median()) > 1.4 * float(
+        hp.calibrate(sweep_of(columns=20)).radiance_gain_u_random.median()
+    )
+
+
+@pytest.mark.parametrize("exposures", [(10.0, 10.02), (10.0, 11.0)])
+def test_a_dark_rate_is_not_carried_far(exposures: tuple[float, float]) -> None:
+    sweep = sweep_of(bands=136, dark_exposure_ms=exposures, step_exposure_ms=50.0)
+    with pytest.raises(SchemaError, match="dark at another exposure: steps at 50 ms"):
+        hp.calibrate(sweep)
+
+
+def test_a_dark_model_reaches_as_far_as_it_is_known() -> None:
+    rng = np.random.default_rng(0)
+    exposure = np.repeat([0.0499, 0.0501], 4)
+    dark = 100.0 + 2.0 * rng.standard_normal((8, 40, 50))
+    model = fit_dark_model(dark, exposure)
+    assert model.spread == pytest.approx(2.0, rel=0.05)
+    assert model.leverage(0.05) == pytest.approx(1 / 8)
+    assert model.reaches(0.05)
+    assert not model.reaches(0.055)  # to 70 counts
+
+
+# --- elements
+
+
+@pytest.mark.parametrize("seed", [1, 3])
+def test_dead_elements_at_the_edge_spoil_no_neighbour(seed: int) -> None:
+    sweep = sweep_of(columns=20, bad_elements=200, seed=seed)
+    made = hp.calibrate(sweep)
+    assert np.nanmax(np.abs(error_of(made, sweep))) < 0.02
+    dead = sweep.true_bad.transpose("band", "cross_track").values
+    assert not np.isfinite(made.radiance_gain.values[dead]).any()
+
+
+@pytest.mark.parametrize("band", [0, 1, 2, 269, 270, 271])
+def test_one_dead_element_at_either_end(band: int) -> None:
+    sweep = sweep_of(columns=6)
+    counts = sweep.counts.values.copy()
+    counts[:, band, 3] = sweep.dark_counts.values[band, 3]
+    made = hp.calibrate(with_values(sweep, "counts", counts))
+    assert np.nanmax(np.abs(error_of(made, sweep)[:, 3])) < 0.02
+
+
+@pytest.mark.parametrize("nonuniformity", [0.0, 0.005, 0.02])
+def test_elements_that_differ_are_uncertain_by_as_much(nonuniformity: float) -> None:
+    sweep = sweep_of(columns=20, nonuniformity=nonuniformity)
+    made = hp.calibrate(sweep)
+    assert made.element_differences == pytest.approx(nonuniformity, rel=0.1, abs=3e-4)
+    assert 0.8 < spread_of_z(made, sweep) < 1.15
+
+
+@pytest.mark.parametrize("nonuniformity", [0.0, 0.01])
+def test_noise_that_nobody_tells_is_found(nonuniformity: float) -> None:
+    sweep = sweep_of(columns=20, nonuniformity=nonuniformity)
+    with pytest.warns(PaintWarning, match="neither counts_variance nor electrons_per_count"):
+        made = hp.calibrate(sweep.drop_vars("counts_variance"))
+    assert 0.75 < spread_of_z(made, sweep) < 1.25
+    assert "electrons_per_count" not in made
+    assert made.electrons_per_count_source == "none"
+
+
+# --- beam
+
+
+def test_a_beam_that_is_not_told_is_seen() -> None:
+    wandering = {"columns": 24, "beam_fwhm_columns": 60.0, "beam_wander_columns": 6.0}
+    with pytest.warns(PaintWarning, match="the beam's own profile would pass for response"):
+        hp.calibrate(sweep_of(beam_recorded=False, **wandering))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        hp.calibrate(sweep_of(**wandering))
+        # neither elements that differ nor dead ones are a beam
+        hp.calibrate(sweep_of(columns=24, nonuniformity=0.02))
+        hp.calibrate(sweep_of(columns=24, bad_elements=60))
+
+
+def test_what_passes_as_an_even_beam_depends_on_the_flux() -> None:
+    sweep = sweep_of(columns=24, beam_fwhm_columns=120.0, beam_recorded=False)  # 2.7 % at the ends
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        hp.calibrate(sweep)
+    with pytest.warns(PaintWarning, match="lines fall by 2"):
+        hp.calibrate(sweep, flux_uncertainty=0.02)
+
+
+def test_columns_without_light() -> None:
+    sweep = sweep_of(columns=24, beam_fwhm_columns=8.0, smile_nm=1.5)
+    flux = sweep.flux.values.copy()
+    flux[flux < 0.01 * flux.max(axis=1, keepdims=True)] = 0.0
+    with pytest.warns(PaintWarning, match="11 of 24 columns are not lit"):
+        made = hp.calibrate(with_values(sweep, "flux", flux))
+    first, last = made.lit_columns
+    assert (first, last) == (6, 18)
+    assert np.isnan(made.radiance_gain.values[:, :first]).all()
+    flat = xr.ones_like(sweep.true_radiance_gain).assign_attrs(units="1")
+    with pytest.warns(PaintWarning, match="not lit"):
+        levelled = hp.calibrate(sweep, flat_field=flat)
+    assert np.isnan(levelled.radiance_gain.values[:, last + 1 :]).all()
+    anchored = anchor_to_radiance(made, frames_of(sweep), even_radiance())
+    assert np.isnan(anchored.radiance_gain.values[:, :first]).all()
+    assert np.isfinite(anchored.radiance_gain.values[100, first : last + 1]).all()
+    flux[3, 12] = 0.0
+    with pytest.raises(SchemaError, match=r"430 nm \(1 of 13 lit columns\)"):
+        hp.calibrate(with_values(sweep, "flux", flux))
+    flux[3] = 0.0
+    with pytest.raises(SchemaError, match=r"'flux' is 0 at 1 of 61 steps"):
+        hp.calibrate(with_values(sweep, "flux", flux))
+
+
+# --- the door
+
+
+def test_clipped_lines_without_a_saturation_count() -> None:
+    sweep = sweep_of(beam_power_w=6e-6)
+    with pytest.warns(PaintWarning, match="the highest counts repeat one value, 4095"):
+        hp.calibrate(sweep.drop_vars("saturation_count"))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        hp.calibrate(sweep_of().drop_vars("saturation_count"))
+        hp.calibrate(sweep_of(**CLEAN).drop_vars("saturation_count"))
+
+
+@pytest.mark.parametrize("value", [np.nan, -3.0, np.inf])
+def test_a_read_noise_that_is_none(value: float) -> None:
+    noise = {"electrons_per_count": ((), 20.0, {"units": "electron count-1"}),
+             "read_noise": ((), value, {"units": "count"})}  # fmt: skip
+    with pytest.raises(SchemaError, match="'read_noise' is"):
+        hp.calibrate(sweep_of().drop_vars("counts_variance").assign(noise))
+
+
+@pytest.mark.parametrize("shape", ["gaussian", "slit"])
+def test_bands_too_far_apart_are_named_as_such(shape: str) -> None:
+    sweep = sweep_of(bands=40, monochromator_fwhm_nm=0.5, srf_shape=shape, **CLEAN)
+    with pytest.raises(SchemaError, match="bands that lie further apart than a line is wide"):
+        hp.calibrate(sweep)
+
+
+# --- stray light, wavelengths
+
+
+def test_second_order_without_stray_light() -> None:
+    made = hp.calibrate(sweep_of(second_order=0.05, **CLEAN))
+    assert float(np.nanmedian(made.second_order)) == pytest.approx(0.05, rel=0.1)
+    assert made.stray_light.dtype == np.float64
+
+
+def test_stray_light_within_the_lines_is_uncertainty() -> None:
+    sweep = sweep_of(stray_light=0.05, **CLEAN)
+    made = hp.calibrate(sweep, flux_uncertainty=0.0)
+    bias = abs(np.nanmedian(error_of(made, sweep)[20:-20]))
+    assert bias > 5e-3
+    assert bias < 2 * float(made.radiance_gain_u_systematic.median())
+    assert hp.calibrate(sweep_of(**CLEAN)).stray_light_in_lines < 1e-4
+
+
+def test_the_dial_is_in_the_uncertainty_of_wavelengths() -> None:
+    sweep = sweep_of(bands=136)
+    assert float(hp.calibrate(sweep).wavelength_u) == pytest.approx(0.1, rel=0.01)
+    made = hp.calibrate(sweep, wavelength_uncertainty=0.3)
+    assert float(made.wavelength_u) == pytest.approx(np.hypot(0.3, made.wavelength_residual_nm))
+    assert made.wavelength_uncertainty_nm == 0.3
+
+
+def test_nothing_far_beyond_the_last_step() -> None:
+    sweep = sweep_of(monochromator_jitter_nm=0.3, first_step_nm=450.0, steps=56)
+    made = hp.calibrate(sweep)
+    assert made.wavelength_residual_nm > 0.1
+    there = (made.wavelength + made.wavelength_shift).transpose("band", "cross_track").values
+    assert np.isnan(made.radiance_gain.values[there < 450.0 - 0.051]).all()
+
+
+# --- after the calibration
+
+
+def even_radiance() -> xr.DataArray:
+    nm = xr.DataArray([300.0, 1200.0], dims="wavelength", attrs={"units": "nm"})
+    return xr.DataArray(
+        [0.05, 0.05], dims="wavelength", coords={"wavelength": nm}, attrs={"units": "W m-2 sr-1 nm-1"}
+    )
+
+
+def frames_of(sweep: xr.Dataset, dark_ms: float = 5.0, rate: float = 0.0) -> xr.Dataset:
+    dark = xr.full_like(sweep.true_radiance_gain, 100.0).astype("f8")
+    counts = (dark + 0.05 * 5e-3 / sweep.true_radiance_gain).fillna(100.0) + rate * 5e-3
+    seconds = {"units": "s"}
+    return xr.Dataset(
+        {
+            "counts": counts.assign_attrs(units="count"),
+            "dark_counts": (dark + rate * dark_ms * 1e-3).assign_attrs(units="count"),
+            "exposure_time": xr.DataArray(5e-3, attrs=seconds),
+            "dark_exposure_time": xr.DataArray(dark_ms * 1e-3, attrs=seconds),
+        }
+    )
+
+
+@pytest.fixture(scope="module")
+def relative() -> tuple[xr.Dataset, xr.Dataset]:
+    sweep = sweep_of(bands=136, columns=6, **CLEAN)
+    return sweep, hp.calibrate(sweep.drop_vars(["capture_fraction", "etendue"]), absolute=False)
+
+
+@pytest.mark.parametrize("scale", ["element", "common"])
+def test_an_anchor_takes_all_with_it(relative: tuple[xr.Dataset, xr.Dataset], scale: str) -> None:
+    sweep, shape = relative
+    made = anchor_to_radiance(shape, frames_of(sweep), even_radiance(), scale=scale)
+    ratio = (made.responsivity * made.radiance_gain / (shape.responsivity * shape.radiance_gain)).values
+    np.testing.assert_allclose(ratio[np.isfinite(ratio)], 1.0, rtol=1e-5)
+    assert ("radiance_gain_u_random" in made) == (scale == "common")
+    # the etendue that belongs to this responsivity is not known, its scale is
+    assert np.isfinite(made.radiance_gain.values[60]).all()
+
+
+def test_an_anchor_wants_a_dark_of_its_exposure(relative: tuple[xr.Dataset, xr.Dataset]) -> None:
+    sweep, shape = relative
+    with pytest.raises(SchemaError, match="dark at another exposure: frames at 5 ms, dark at 50 ms"):
+        anchor_to_radiance(shape, frames_of(sweep, dark_ms=50.0, rate=400.0), even_radiance())
+    rate = xr.full_like(shape.radiance_gain, 400.0).assign_attrs(units="count s-1")
+    made = anchor_to_radiance(
+        shape.assign(dark_rate=rate), frames_of(sweep, dark_ms=50.0, rate=400.0), even_radiance()
+    )
+    assert np.nanmax(np.abs(error_of(made, sweep))) < 1e-4
+
+
+def test_no_scale_no_quantum_efficiency_and_no_radiance(relative: tuple[xr.Dataset, xr.Dataset]) -> None:
+    with pytest.raises(SchemaError, match="needs an absolute scale"):
+        quantum_efficiency(relative[1], 20.0)
+    line = simulate_line(lines=8, bands=20, columns=6).assign_attrs(absolute_scale="unknown")
+    for product in (line.paint.radiance, line.paint.reflectance):
+        with pytest.raises(SchemaError, match="no absolute scale"):
+            product()
+    panel = hp.Panel(slice(0, 4), slice(0, 3), 0.4)
+    scaled = line.paint.reflectance(panel=panel).reflectance.values
+    usual = line.assign_attrs(absolute_scale="known").paint.reflectance(panel=panel).reflectance.values
+    np.testing.assert_array_equal(scaled, usual)
+
+
+@pytest.mark.parametrize("product", ["radiance", "reflectance"])
+def test_a_gain_for_linear_counts_is_not_applied_to_others(product: str) -> None:
+    line = simulate_line(lines=8, bands=20, columns=6).assign_attrs(linearity=[1e-6])
+    with pytest.raises(SchemaError, match="holds for linearised counts"):
+        getattr(line.paint, product)()
+    getattr(line.assign_attrs(linearity="identity").paint, product)()
+
+
+def test_an_anchor_of_a_linearised_calibration_is_linearised() -> None:
+    sweep = sweep_of(bands=136, columns=6, **CLEAN)
+    made = hp.calibrate(sweep, linearity=(0.0, 1e-9)).assign_attrs(linearity=[1e-4])
+    frames = frames_of(sweep)
+    bent = frames.counts - frames.dark_counts
+    curved = (-1 + np.sqrt(1 + 4e-4 * bent)) / 2e-4  # c + 1e-4 c^2 = bent
+    frames["counts"] = (curved + frames.dark_counts).assign_attrs(units="count")
+    anchored = anchor_to_radiance(made, frames, even_radiance())
+    assert np.nanmax(np.abs(error_of(anchored, sweep))) < 1e-5
+    assert anchored.linearity == [1e-4]
+
+
+def check_travel(change: Callable[[xr.Dataset], xr.Dataset]) -> None:
+    """The line keeps what its calibration says of counts and scale."""
+    from hyperpaint.io.flightline import _scale_attrs
+
+    made = change(xr.Dataset())
+    assert _scale_attrs(made) == made.attrs
+
+
+def test_lines_keep_what_the_calibration_says() -> None:
+    check_travel(lambda d: d.assign_attrs(linearity=[1e-6], absolute_scale="unknown"))
+    check_travel(lambda d: d.assign_attrs(absolute_scale="known"))
+    check_travel(lambda d: d)
