@@ -13,14 +13,19 @@ from __future__ import annotations
 
 import errno
 import os
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
+
+from hyperpaint.budget import thread_space
 
 from .location import sync_folder
 
-__all__ = ["flush_group", "start_flush"]
+__all__ = ["at_once", "flush_group", "start_flush"]
+
+_Item = TypeVar("_Item")
+_Result = TypeVar("_Result")
 
 _AT_ONCE = 8
 """Files flushed at a time: disks take several orders at once."""
@@ -59,9 +64,20 @@ def flush_group(folder: Path, expected: Iterable[Path]) -> None:
     for path in expected:
         if os.fspath(path) not in files:
             raise FileNotFoundError(errno.ENOENT, "a finished chunk has been removed", os.fspath(path))
-    with ThreadPoolExecutor(_AT_ONCE) as pool:
-        list(pool.map(_flush, sorted(files)))
-        list(pool.map(sync_folder, folders))
+    at_once(_flush, sorted(files), _AT_ONCE)
+    at_once(sync_folder, folders, _AT_ONCE)
+
+
+def at_once(function: Callable[[_Item], _Result], items: Sequence[_Item], most: int) -> list[_Result]:
+    """Return what a function that waits for the disk makes of every item, some at a time.
+
+    One after the other where the address space is limited: a thread would reserve some 70 MiB of it, which
+    the plan of a run has given to its computing threads.
+    """
+    if thread_space():
+        return [function(item) for item in items]
+    with ThreadPoolExecutor(most) as pool:
+        return list(pool.map(function, items))
 
 
 def _flush(path: str | Path) -> None:

@@ -12,13 +12,12 @@ import os
 import re
 import uuid
 from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from hyperpaint.errors import PaintError, StoreError
 
-from .durability import start_flush
+from .durability import at_once, start_flush
 from .location import plain_file
 from .record import checksum
 
@@ -93,9 +92,8 @@ def adopt(leftover: Path, target: Target, known: dict[tuple[int, ...], int]) -> 
 
     grid = (-(-size // step) for size, step in zip(array.shape, target.chunk, strict=True))
     positions = [position for position in np.ndindex(*grid) if position not in known]
-    with ThreadPoolExecutor(os.cpu_count()) as pool:
-        found = zip(positions, pool.map(moved, positions), strict=True)
-        known.update((position, value) for position, value in found if value is not None)
+    found = zip(positions, at_once(moved, positions, os.cpu_count() or 1), strict=True)
+    known.update((position, value) for position, value in found if value is not None)
 
 
 def is_mendable(error: BaseException) -> bool:
