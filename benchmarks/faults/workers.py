@@ -103,7 +103,7 @@ class Work:
         self.chunks = _chunks(folder / f"{name}.zarr")
         self.seconds = 0.0
 
-    def time_on_cluster(self, folder: Path) -> None:
+    def measure(self, folder: Path) -> None:
         """Note how long an undisturbed run takes; the first one also compiles and imports."""
         for attempt in range(2):
             begun = time.monotonic()
@@ -215,7 +215,7 @@ def campaign(scale: float = 1.0, *, first: int = 0) -> Iterator[Outcome]:
     with tempfile.TemporaryDirectory() as scratch, Cluster() as cluster:
         works = [make(Path(scratch)) for make in (storing, processing)]
         for work in works:
-            work.time_on_cluster(Path(scratch))
+            work.measure(Path(scratch))
         for number in range(first, first + max(1, round(RUNS * scale))):
             made = Outcome("workers killed")
             with tempfile.TemporaryDirectory() as folder:
