@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib
 import inspect
 import itertools
+import re
 import sys
 from collections.abc import Iterator
 from pathlib import Path
@@ -80,3 +81,14 @@ def test_the_bare_job_makes_what_the_store_holds(monkeypatch: pytest.MonkeyPatch
         assert np.isfinite(made.values).mean() > 0.98
     finally:
         case.teardown(64)
+
+
+@pytest.mark.skipif(not (ROOT / "benchmarks").is_dir(), reason="installed without its benchmarks")
+def test_asv_takes_nothing_else_for_a_benchmark() -> None:
+    """asv walks the campaigns as well, and would build any class with a method of such a name."""
+    reserved = re.compile(r"\s*def (time|timeraw|mem|peakmem|track)_\w*\(")
+    files = sorted((ROOT / "benchmarks").rglob("*.py"))
+    others = [path for path in files if not path.name.startswith("bench_")]
+    found = [path.name for path in others if any(map(reserved.match, path.read_text().splitlines()))]
+    assert others
+    assert not found
