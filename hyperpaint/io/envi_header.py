@@ -422,12 +422,20 @@ def _spectral_axis(
     else:
         factor = _nanometres_per_unit(unit, wavelength, reader.findings)
         if wavelength is not None:
-            wavelength = wavelength * factor
+            wavelength = _in_nanometres(wavelength, factor, "wavelength", reader)
             if (wavelength <= 0).any():
                 reader.findings.problem("'wavelength' holds values that are not above 0")
     if fwhm is not None and (fwhm < 0).any():
         reader.findings.problem("'fwhm' holds values below 0")
-    return wavelength, None if fwhm is None else fwhm * factor
+    return wavelength, None if fwhm is None else _in_nanometres(fwhm, factor, "fwhm", reader)
+
+
+def _in_nanometres(values: FloatArray, factor: float, name: str, reader: _Reader) -> FloatArray:
+    with np.errstate(over="ignore"):
+        made: FloatArray = values * factor
+    if not np.isfinite(made).all():
+        reader.findings.problem(f"{name!r} holds values up to {values.max():.3g}: no wavelength is so long")
+    return made
 
 
 def _nanometres_per_unit(unit: str, wavelength: FloatArray | None, findings: Findings) -> float:

@@ -12,6 +12,7 @@ import pytest
 from hyperpaint.errors import CollectError, FormatError, PaintWarning
 from hyperpaint.io.asd import open_asd
 from hyperpaint.io.collect_toml import read_collect
+from hyperpaint.io.envi_header import parse_header
 from hyperpaint.io.irradiance import open_irradiance
 
 
@@ -60,3 +61,13 @@ def test_asd_product_beyond_float64(write_asd: Callable[..., Path]) -> None:
     with pytest.warns(PaintWarning, match="not finite"):
         opened = open_asd(path, "irradiance", utc_offset_h=0.0)
     np.testing.assert_array_equal(np.flatnonzero(np.isnan(opened.irradiance.values[0])), [4])
+
+
+@pytest.mark.parametrize(
+    "lists", ["wavelength = {1e305, 2e305}", "wavelength = {0.4, 0.5}\nfwhm = {1, 1e306}"]
+)
+def test_wavelengths_beyond_float64(lists: str) -> None:
+    # RuntimeWarning: overflow encountered in multiply
+    head = "ENVI\nsamples = 1\nlines = 1\nbands = 2\ndata type = 12\ninterleave = bil\nbyte order = 0\n"
+    with pytest.raises(FormatError, match="no wavelength is so long"):
+        parse_header(f"{head}wavelength units = Meters\n{lists}\n", "cube.hdr")
