@@ -80,7 +80,7 @@ def test_there_are_sixty_and_each_has_its_name(bombs: Any) -> None:
 
 @pytest.mark.parametrize("door", ["open-store", "verify", "calibration", "irradiance", "info", "foreign"])
 def test_the_store_they_are_made_from_is_let_in(door: str, bombs: Any, tmp_path: Path) -> None:
-    store = importlib.import_module("benchmarks.faults.bomb_stores").whole_store(tmp_path)
+    store = importlib.import_module("benchmarks.faults.bomb_making").whole_store(tmp_path)
     bombs.DOORS[door].read(store)
 
 

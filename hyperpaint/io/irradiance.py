@@ -15,7 +15,6 @@ import xarray as xr
 
 from hyperpaint.errors import (
     FormatError,
-    IncompleteStoreError,
     Problems,
     SchemaError,
     TimeError,
@@ -37,7 +36,7 @@ from .asd import (
 )
 from .daylight import check_magnitude
 from .irradiance_csv import read_irradiance_csv
-from .reading import load_netcdf
+from .irradiance_store import is_store, stored_series
 from .stamps import TO_MIDDLE
 
 __all__ = ["open_irradiance"]
@@ -50,8 +49,6 @@ _ASD_FWHM_SOURCE = f"assumed: {ASD_FWHM_NM:g} nm, the resolution of ASD instrume
 _GAP_INTERVALS = 2.5
 #: Pairs of samples with one stamp that a message names.
 _MOST_SHOWN = 20
-_STORE_SUFFIXES = (".zarr", ".nc", ".nc4", ".h5")
-_STORE_FILES = ("zarr.json", ".zgroup", ".zattrs")
 
 
 @dataclass(frozen=True, eq=False)
@@ -167,8 +164,8 @@ def open_irradiance(
     _check_arguments(quantity, clock_offset_s, stamp, fwhm_nm, max_gap_s, averaging_s, clock_uncertainty_s)
     if isinstance(paths, xr.Dataset | xr.DataArray):
         series = _from_xarray(paths, utc_offset_h, units)
-    elif isinstance(paths, str | os.PathLike) and _is_store(Path(paths)):
-        series = _from_xarray(_open_store(Path(paths)), utc_offset_h, units, Path(paths).name)
+    elif isinstance(paths, str | os.PathLike) and is_store(Path(paths)):
+        series = _from_xarray(stored_series(Path(paths)), utc_offset_h, units, Path(paths).name)
     else:
         series = _from_files(find_files(paths), quantity, utc_offset_h, units, calibration)
     window = series.averaging_s if averaging_s is None else np.full(len(series.stamps), averaging_s)
@@ -314,36 +311,6 @@ def _from_spectra(
         origin=f"{sources[0]}{several}",
         **extra,
     )
-
-
-def _is_store(path: Path) -> bool:
-    return path.suffix.lower() in _STORE_SUFFIXES or any((path / name).exists() for name in _STORE_FILES)
-
-
-def _open_store(path: Path) -> xr.Dataset:
-    """Return the dataset that holds the series: the root, or of a collect's store its group irradiance."""
-    from .store import load_unverified, open_store
-    from .store.location import Location
-
-    group, ours = None, False
-    try:
-        if not path.is_dir():
-            return load_netcdf(path)
-        location = Location.of(path)
-        inner, node = location.metadata("irradiance") or {}, location.metadata("") or {}
-        if inner.get("node_type") == "group":
-            group, node = "irradiance", inner
-        ours = "hyperpaint_format" in (node.get("attributes") or {})
-        # ours is refused where it was never finished
-        return open_store(path, group, chunks=None).load() if ours else load_unverified(path, group)
-    except IncompleteStoreError as error:
-        if ours:
-            raise
-        msg = f"{path}: cannot be opened as a Zarr store ({error})"
-        raise FormatError(msg) from error
-    except Exception as error:  # zarr, h5py and xarray leak classes of their own on damaged stores
-        msg = f"{path}: cannot be opened as a Zarr or netCDF store ({type(error).__name__}: {error})"
-        raise FormatError(msg) from error
 
 
 def _from_xarray(
