@@ -82,9 +82,9 @@ def seal(store: Path, *, grids: bool = True) -> Path:
         digests[path.parent.name] = records.metadata_checksum(kept)
     root = json.loads((store / "zarr.json").read_bytes())
     token = root["attributes"]["hyperpaint_complete"].partition(" ")[0]
-    seal = f"{token} chunks={records.metadata_checksum(digests):08x} "
-    seal += f"attributes={records.attributes_checksum(root):08x}"
-    root["attributes"]["hyperpaint_complete"] = seal
+    text = f"{token} chunks={records.metadata_checksum(digests):08x} "
+    text += f"attributes={records.attributes_checksum(root):08x}"
+    root["attributes"]["hyperpaint_complete"] = text
     (store / "zarr.json").write_text(json.dumps(root))
     return store
 
@@ -115,7 +115,7 @@ def altered(folder: Path, name: str = NAME, **entries: Any) -> Path:
     return seal(store)
 
 
-def codecs(*last: dict[str, Any], first: str = "bytes") -> list[dict[str, Any]]:
+def codec_chain(*last: dict[str, Any], first: str = "bytes") -> list[dict[str, Any]]:
     little = {"configuration": {"endian": "little"}} if first == "bytes" else {}
     return [{"name": first, **little}, *last]
 
@@ -132,7 +132,7 @@ GZIP = {"name": "gzip", "configuration": {"level": 5}}
 def framed(folder: Path, frame: bytes, *codecs: dict[str, Any], name: str = NAME, **entries: Any) -> Path:
     """Write a sealed store in which a chunk is ``frame``, its array declaring ``codecs``."""
     first = "vlen-utf8" if name == "note" else "bytes"
-    store = altered(folder, name, codecs=codecs(*codecs, first=first), **entries)
+    store = altered(folder, name, codecs=codec_chain(*codecs, first=first), **entries)
     chunk = next(path for path in (store / name / "c", store / name / "c/0/0") if path.is_file())
     chunk.write_bytes(frame)
     return store

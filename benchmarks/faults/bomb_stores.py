@@ -22,7 +22,7 @@ from .bomb_making import (
     ZSTD,
     altered,
     bomb,
-    codecs,
+    codec_chain,
     framed,
     grid_of,
     seal,
@@ -211,22 +211,22 @@ def zarr_2_with_text_and_pickle_filters(folder: Path) -> Path:
 
 @bomb(*READ)
 def codec_of_a_module(folder: Path) -> Path:
-    return altered(folder, codecs=codecs({"name": "os.system"}))
+    return altered(folder, codecs=codec_chain({"name": "os.system"}))
 
 
 @bomb(*READ)
 def codec_vlen_bytes(folder: Path) -> Path:
-    return altered(folder, data_type="variable_length_bytes", codecs=codecs(first="vlen-bytes"))
+    return altered(folder, data_type="variable_length_bytes", codecs=codec_chain(first="vlen-bytes"))
 
 
 @bomb(*READ)
 def codec_bz2(folder: Path) -> Path:
-    return altered(folder, codecs=codecs({"name": "numcodecs.bz2", "configuration": {"level": 9}}))
+    return altered(folder, codecs=codec_chain({"name": "numcodecs.bz2", "configuration": {"level": 9}}))
 
 
 @bomb(*READ)
 def codecs_a_thousand(folder: Path) -> Path:
-    return altered(folder, codecs=codecs(*[ZSTD] * 1000))
+    return altered(folder, codecs=codec_chain(*[ZSTD] * 1000))
 
 
 @bomb(*READ)
@@ -236,9 +236,9 @@ def codecs_stacked_compressors(folder: Path) -> Path:
 
 @bomb(*READ)
 def codec_shards_in_shards(folder: Path) -> Path:
-    inner: list[dict[str, Any]] = codecs()
+    inner: list[dict[str, Any]] = codec_chain()
     for _ in range(20):
-        index = codecs({"name": "crc32c"})
+        index = codec_chain({"name": "crc32c"})
         within = {"chunk_shape": [1, 1], "codecs": inner, "index_codecs": index}
         inner = [{"name": "sharding_indexed", "configuration": within}]
     return altered(folder, codecs=inner)
