@@ -89,7 +89,7 @@ def envi_negative_header_offset(folder: Path) -> Path:
 
 @bomb("envi")
 def envi_brace_list_with_one_value_a_line(folder: Path) -> Path:
-    return _header(folder, "wavelength = {\n" + "1,\n" * 2_000_000 + "1}\n")
+    return _header(folder, "wavelength = {\n" + "1,\n" * 1_390_000 + "1}\n")
 
 
 @bomb("envi", "info")
@@ -98,8 +98,8 @@ def envi_a_million_band_names(folder: Path) -> Path:
 
 
 @bomb("envi")
-def envi_15_mb_of_wavelengths(folder: Path) -> Path:
-    return _header(folder, "wavelength = {" + "450.0," * 2_500_000 + "1}\n")
+def envi_4_mb_of_wavelengths(folder: Path) -> Path:
+    return _header(folder, "wavelength = {" + "450.0," * 690_000 + "1}\n")
 
 
 @bomb("envi")

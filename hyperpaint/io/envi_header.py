@@ -23,7 +23,7 @@ __all__ = ["EnviHeader", "MapInfo", "parse_header", "read_header"]
 
 FloatArray = npt.NDArray[np.float64]
 
-MAX_HEADER_BYTES = 16 * 2**20
+MAX_HEADER_BYTES = 4 * 2**20
 
 _DTYPES = {
     "1": "u1", "2": "i2", "3": "i4", "4": "f4", "5": "f8", "6": "c8", "9": "c16",
@@ -173,7 +173,7 @@ def read_header(path: str | os.PathLike[str]) -> EnviHeader:
     Raises
     ------
     FormatError
-        The file is not an ENVI header, is over 16 MB, or contradicts itself; all problems are listed.
+        The file is not an ENVI header, is over 4 MB, or contradicts itself; all problems are listed.
     OSError
         The file cannot be read.
     """

@@ -344,7 +344,7 @@ def test_oversized_header_is_refused(tmp_path: Path) -> None:
     with open(path, "wb") as file:
         file.write(b"ENVI\n")
         file.truncate(2**30)
-    with pytest.raises(FormatError, match="over 16 MB"):
+    with pytest.raises(FormatError, match="over 4 MB"):
         read_header(path)
 
 
