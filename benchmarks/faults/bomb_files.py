@@ -93,8 +93,8 @@ def envi_brace_list_with_one_value_a_line(folder: Path) -> Path:
 
 
 @bomb("envi", "info")
-def envi_a_million_band_names(folder: Path) -> Path:
-    return _header(folder, "band names = {" + "Band 1234567," * _MEGA + "x}\n")
+def envi_300000_band_names(folder: Path) -> Path:
+    return _header(folder, "band names = {" + "Band 1234567," * 300_000 + "x}\n")
 
 
 @bomb("envi")
@@ -103,8 +103,8 @@ def envi_4_mb_of_wavelengths(folder: Path) -> Path:
 
 
 @bomb("envi")
-def envi_a_million_keys(folder: Path) -> Path:
-    return _header(folder, "".join(f"key{number} = 1\n" for number in range(_MEGA)))
+def envi_280000_keys(folder: Path) -> Path:
+    return _header(folder, "".join(f"key{number} = 1\n" for number in range(280_000)))
 
 
 @bomb("envi")
