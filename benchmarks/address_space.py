@@ -46,9 +46,11 @@ def write_collect(folder: Path, cube_bytes: int, *, bands: int = 272, columns: i
     import hyperpaint as hp
 
     lines = -(-cube_bytes // (bands * columns * 2))
-    flight = hp.simulate_collect(folder / "long", lines=lines, bands=4, columns=4, seed=3, truth=False).parent
+    flight = hp.simulate_collect(
+        folder / "long", scene="plan", lines=lines, bands=4, columns=4, seed=3, truth=False
+    ).parent
     block = hp.simulate_collect(
-        folder / "block", lines=BLOCK_LINES, bands=bands, columns=columns, seed=3, truth=False
+        folder / "block", scene="plan", lines=BLOCK_LINES, bands=bands, columns=columns, seed=3, truth=False
     ).parent
     for part in ("dark", "calibration.zarr"):
         shutil.rmtree(flight / part)

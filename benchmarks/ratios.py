@@ -4,6 +4,7 @@
     python benchmarks/ratios.py kernel io   only these
     python benchmarks/ratios.py distributed two workers of dask.distributed against two threads
     python benchmarks/ratios.py memory      peak memory; writes 13 GB under TMPDIR and removes them
+    python benchmarks/ratios.py flight      a rendered flight line of 640 x 1000 x 272, some minutes
 
 Absolute times are those of this machine at this moment; the ratios are what can be compared. Repeats are
 interleaved, the least of each counts.
@@ -193,6 +194,29 @@ def _write(store: Path, names: list[str], chunk: int) -> None:
     hp.to_store(line.paint.reflectance(keep_bits=12)[names], scratch() / "out.zarr")
 
 
+def render() -> Iterator[Row]:
+    from benchmarks.bench_render import Block, Render
+
+    names = ("time_trace", "time_relight", "time_relight_with_smile", "time_shares", "time_floor")
+    traced, relit, bent, shares, floor = timed(Block(), (64,), names, 3).values()
+    yield Row("relight 32 x 640 x 272, one thread / trace it with 64 samples", relit, traced, "ms", 0.02)
+    yield Row("  with a smile of 1.5 nm", bent, traced, "ms", 0.05)
+    yield Row("  shares of light alone", shares, traced, "ms", 0.02)
+    yield Row("  against writing a cube of that size", relit, floor, "ms", 30)
+    names = ("time_scene_to_radiance", "time_relight_other_paints")
+    whole, again = timed(Render(), (64,), names, 3).values()
+    yield Row("scene to radiance, 64 x 64 x 272, 64 samples, 2 threads / 1.5 s", whole, 1500.0, "ms", 1)
+    yield Row("  other paints on the traced scene / scene to radiance", again, whole, "ms", 0.1)
+
+
+def flight() -> Iterator[Row]:
+    """A whole flight line in a process of its own: time and peak memory."""
+    with tempfile.TemporaryDirectory(prefix="hyperpaint-flight-") as name:
+        done = _child("_fly", Path(name), "1000")
+    yield Row("rendered flight line, 640 x 1000 x 272, 64 samples / 100 s", done["seconds"], 100.0, "s", 1)
+    yield Row("  peak memory / 1.5 GiB", done["peak"], 1.5 * 1024**3 / 1e6, "MB", 1)
+
+
 class counted_reads:  # noqa: N801 (a context manager)
     """Gather the keys that are read from local Zarr stores and contain a text."""
 
@@ -296,11 +320,21 @@ def _process(folder: Path, lines: str) -> None:
     shutil.rmtree(folder / "out.zarr")
 
 
+def _fly(folder: Path, lines: str) -> None:
+    import hyperpaint as hp
+    from benchmarks.bench_pipeline import threads
+    from benchmarks.bench_render import SUN, platform, scene
+
+    traced = hp.trace(scene(), platform(int(lines), 640), [SUN], samples=64)
+    with threads():
+        hp.to_store(traced.paint.relight(truth=False)[["radiance"]], folder / "out.zarr")
+
+
 GROUPS: dict[str, Callable[[], Iterator[Row]]] = {
-    group.__name__: group for group in (imports, kernel, irradiance, graph, io, look, store)
+    group.__name__: group for group in (imports, kernel, irradiance, graph, io, look, store, render)
 }
-EXTRA = {"distributed": distributed, "memory": memory}
-CHILDREN = {child.__name__: child for child in (_imports, _prepare, _process)}
+EXTRA = {"distributed": distributed, "memory": memory, "flight": flight}
+CHILDREN = {child.__name__: child for child in (_imports, _prepare, _process, _fly)}
 
 
 def main(arguments: list[str]) -> int:
@@ -313,7 +347,7 @@ def main(arguments: list[str]) -> int:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument(
-        "groups", nargs="*", choices=[*GROUPS, *EXTRA, []], help="default: all but the last two"
+        "groups", nargs="*", choices=[*GROUPS, *EXTRA, []], help="default: all but the last three"
     )
     chosen = parser.parse_args(arguments).groups or list(GROUPS)
     print(f"load {os.getloadavg()[0]:.1f} on {os.cpu_count()} cores\n{HEADER}")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -12,6 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from .errors import MissingExtraError, StoreError
+from .paint_closure import PaintAgreement, aligned, compare_paints, signature_problems, signature_table
 from .pipeline import run
 from .schema import ALONG_TRACK, BAND, CHUNK_LINES, CROSS_TRACK
 from .simulation.collect import CAMERA_SOFTWARE, MARKER, PARTS
@@ -29,6 +30,7 @@ _OURS = frozenset({*PARTS, STORE, PICTURE, f".partial-{STORE}"})
 BANDS_NM = (420.0, 980.0)
 """Outside, the camera is too blind for a noisy count to say much."""
 OXYGEN_NM = (750.0, 780.0)
+"""Around the oxygen A band, where a wrong wavelength shows first."""
 
 MAX_BIAS = 0.002
 """Of any material's mean over its pixels and bands."""
@@ -93,11 +95,14 @@ class Comparison:
         Of all pixels together.
     flagged
         Share of pixels left out because of a quality flag.
+    paints
+        One agreement for every paint of a rendered scene.
     """
 
     materials: tuple[Agreement, ...]
     overall: Agreement
     flagged: float
+    paints: tuple[PaintAgreement, ...] = ()
 
     @property
     def problems(self) -> tuple[str, ...]:
@@ -111,6 +116,7 @@ class Comparison:
             found.append(f"all pixels: RMSE {self.overall.rmse:.4f}, tolerance {MAX_RMSE}")
         if not self.overall.oxygen < MAX_OXYGEN:
             found.append(f"all pixels: oxygen window {self.overall.oxygen:.2%}, tolerance {MAX_OXYGEN:.1%}")
+        found += signature_problems(self.paints)
         return tuple(found)
 
     @property
@@ -120,15 +126,7 @@ class Comparison:
 
     def __str__(self) -> str:
         head = ("material", "pixels", "true", "recovered", "bias", "RMSE mean", "RMSE", "O2 window")
-        rows = [head, *(_row(one) for one in (*self.materials, self.overall))]
-        widths = [max(len(row[column]) for row in rows) for column in range(len(head))]
-        lines = [
-            "  ".join(
-                cell.rjust(width) if column else cell.ljust(width)
-                for column, (cell, width) in enumerate(zip(row, widths, strict=True))
-            )
-            for row in rows
-        ]
+        lines = aligned([head, *(_row(one) for one in (*self.materials, self.overall))])
         rule = "-" * len(lines[0])
         return "\n".join([lines[0], rule, *lines[1:-1], rule, lines[-1]])
 
@@ -150,7 +148,8 @@ def compare(store: Path, truth: Path) -> Comparison:
     """Compare the reflectance in a store with the truth of a simulated collect.
 
     Over bands that are good and between 420 and 980 nm, and pixels without a quality flag; truth stays on
-    each column's own wavelengths, as reflectance does.
+    each column's own wavelengths, as reflectance does. Of a rendered scene, signatures of paints are compared
+    too, with what a field spectrometer saw (see `compare_paints`).
 
     Parameters
     ----------
@@ -158,6 +157,18 @@ def compare(store: Path, truth: Path) -> Comparison:
         Made by `process`; read with plain `xarray.open_zarr`.
     truth
         The ``truth.zarr`` of that collect.
+
+    Returns
+    -------
+    Comparison
+        ``str`` of it is a table.
+
+    Raises
+    ------
+    StoreError
+        The store holds no flight line.
+    FormatError
+        Files of the field spectrometer beside the truth of a rendered scene cannot be read.
     """
     import xarray as xr
 
@@ -176,7 +187,8 @@ def compare(store: Path, truth: Path) -> Comparison:
     if sums is None:
         msg = f"{store} holds no flight line to compare"
         raise StoreError(msg)
-    return sums.comparison(names)
+    paints = compare_paints(store, truth, BANDS_NM) if "car_id" in known else ()
+    return replace(sums.comparison(names), paints=paints)
 
 
 def _slabs(line: xr.Dataset, truth: xr.Dataset) -> Iterator[tuple[xr.Dataset, xr.Dataset]]:
@@ -263,9 +275,10 @@ def refuse_foreign(folder: Path, *, overwrite: bool) -> None:
         return
     toml = folder / "collect.toml"
     simulated = toml.is_file() and toml.read_bytes().startswith(MARKER.encode())
-    headers = [*folder.glob("flight/*.hdr"), *folder.glob("dark/*.hdr")]
+    patterns = ("flight/*.hdr", "dark/*.hdr", "svc/*.sig", "asd_reflectance/*.asd")
+    told = [path for pattern in patterns for path in folder.glob(pattern)]
     others = sorted(entry.name for entry in folder.iterdir() if entry.name not in _OURS)
-    if any(CAMERA_SOFTWARE.encode() not in header.read_bytes() for header in headers) or (
+    if any(CAMERA_SOFTWARE.encode() not in path.read_bytes() for path in told) or (
         toml.exists() and not simulated
     ):
         msg = f"{folder} holds a collect that was not simulated, which stays as it is; name another folder"
@@ -284,6 +297,8 @@ def run_demonstration(
     bands: int,
     columns: int,
     seed: int,
+    scene: str = "rendered",
+    samples: int | None = None,
     overwrite: bool = False,
     progress: bool = False,
     simulated: Callable[[int, int], None] | None = None,
@@ -298,8 +313,10 @@ def run_demonstration(
     ----------
     folder
         Made where it does not exist; an earlier demonstration in it is replaced.
-    lines, bands, columns, seed
+    lines, bands, columns, seed, scene
         As for `simulate_collect`.
+    samples
+        Rays a pixel of a rendered scene; by default the simulator's.
     overwrite
         Write into a folder that holds other files, which stay.
     progress
@@ -309,14 +326,22 @@ def run_demonstration(
     say
         Called with every line of text.
 
+    Returns
+    -------
+    Comparison
+        Recovered against true reflectance; ``ok`` tells whether all is within tolerance.
+
     Raises
     ------
     StoreError
-        The folder holds something that must stay.
+        The folder holds something that must stay, or cannot be written.
+    SchemaError
+        A size or the scene is out of range; all problems are listed.
     """
     from .simulation import simulate_collect
 
     refuse_foreign(folder, overwrite=overwrite)
+    effects = EFFECTS if samples is None else {**EFFECTS, "samples": samples}
     begin = time.perf_counter()
     collect = simulate_collect(
         folder,
@@ -324,9 +349,10 @@ def run_demonstration(
         bands=bands,
         columns=columns,
         seed=seed,
+        scene=scene,
         overwrite=True,
         progress=simulated,
-        **EFFECTS,
+        **effects,
     )
     middle = time.perf_counter()
     say(f"simulated {lines} lines x {bands} bands x {columns} columns in {middle - begin:.1f} s: {collect}")
@@ -337,6 +363,9 @@ def run_demonstration(
     say(str(found))
     say("")
     say(_LEGEND.format(*BANDS_NM, *OXYGEN_NM, 100 * found.flagged))
+    if found.paints:
+        say("")
+        say(signature_table(found.paints))
     _say_verdict(found, say)
     _draw(outcome.path, folder / PICTURE, say)
     return found

@@ -5,26 +5,23 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import json
-import os
-import re
 import sys
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from .errors import CollectError, MissingExtraError, PaintError, Problems, SchemaError, StoreError
+from .errors import CollectError, PaintError, Problems, SchemaError, StoreError
 from .io.store.listing import INPUTS
-from .schema import ALONG_TRACK, CHUNK_LINES, CROSS_TRACK, FORMAT_VERSION, VARIABLES
+from .running import Outcome, bars_on_stderr, computing_on, kept_groups, local_folder
+from .schema import ALONG_TRACK, CHUNK_LINES, FORMAT_VERSION
 
 if TYPE_CHECKING:
     import xarray as xr
     from distributed import Client
 
     from .budget import Demand
-    from .io.store.location import Location
 
-__all__ = ["Outcome", "process", "run"]
+__all__ = ["process", "run"]
 
 KEPT_BITS = 12
 """Mantissa bits of the stored reflectance: a relative error of at most 2**-13, 1.2e-4."""
@@ -32,36 +29,8 @@ KEPT_BITS = 12
 CLUSTER_LINES = 256
 """Lines in one task on a cluster, where a task costs more than on threads."""
 
-WORKERS_WAIT = 60
-"""How long a cluster without workers is waited for [s]."""
-
-OVERVIEW_SHAPE = (1000, 640)
-"""Most lines and columns of the stored picture."""
-
-_URL = re.compile(r"[A-Za-z][A-Za-z0-9+.-]+:/|.*::")
-"""A URL of fsspec, also one that has been made a `Path`; no drive's letter."""
-
 Product = Literal["radiance", "reflectance"]
 Kept = Literal["none", "stored"]
-
-
-@dataclass(frozen=True)
-class Outcome:
-    """What `run` did.
-
-    Attributes
-    ----------
-    path
-        The store.
-    written
-        Groups that were written.
-    kept
-        Groups that were there already, made from the same inputs and parameters.
-    """
-
-    path: Path
-    written: tuple[str, ...]
-    kept: tuple[str, ...]
 
 
 def process(
@@ -166,15 +135,17 @@ def run(
     from .io.store.writer import check_room
 
     _check_words(to, reflectance)
-    out = _folder(out)
+    out = local_folder(out, "process")
     limit = None if memory_limit is None else parse_size(memory_limit)
     parameters = {"to": to, "reflectance": reflectance}
     with contextlib.ExitStack() as stack:
-        client = stack.enter_context(_cluster(scheduler))
+        client = stack.enter_context(computing_on(scheduler))
         stack.enter_context(errors_of_the_cluster(f"cannot process {collect}"))
         lines_a_task = CHUNK_LINES if client is None else CLUSTER_LINES
         tree, groups = _opened(collect, lines_a_task, parameters)
-        kept = _kept(groups, out, overwrite=overwrite)
+        kept = kept_groups(
+            groups, out, overwrite=overwrite, command="process", only=("flightlines/", "this collect")
+        )
         pending = [name for name in groups if name not in kept]
         demand = _demand({name: groups[name] for name in pending}, lines_a_task, client, limit)
         stack.enter_context(limited_threads(demand.threads if client is None else None))
@@ -188,7 +159,7 @@ def run(
             if progress and name in lines:
                 which = f"flight line {lines.index(name) + 1} of {len(lines)}"
                 sys.stderr.write(f"{name}: {which}, {dataset.sizes[ALONG_TRACK]} scan lines\n")
-            with _bars_on_stderr() if progress else contextlib.nullcontext():
+            with bars_on_stderr() if progress else contextlib.nullcontext():
                 to_store(
                     dataset, out, name, overwrite=overwrite, progress=progress, source_token=_token(dataset)
                 )
@@ -206,17 +177,6 @@ def _check_words(to: str, reflectance: str) -> None:
         if value not in allowed:
             problems.add(f"{name}={value!r}, expected {' or '.join(map(repr, allowed))}")
     problems.raise_if_any()
-
-
-def _folder(out: str | Path) -> Path:
-    """Return the store's folder; refuse what is none."""
-    if _URL.match(os.fspath(out)):
-        msg = (
-            f"process writes to a folder, not to {os.fspath(out)!r}; process to a folder and copy it, or "
-            "write the groups of open_collect with to_store, which takes URLs (README, 'Object stores')"
-        )
-        raise StoreError(msg)
-    return Path(out)
 
 
 # --- what is to be written ---------------------------------------------------------------------------------
@@ -272,52 +232,6 @@ def _token(dataset: xr.Dataset) -> str:
     return str(dataset.attrs[INPUTS])
 
 
-def _kept(groups: Mapping[str, xr.Dataset], out: Path, *, overwrite: bool) -> list[str]:
-    """Return the groups that are there already; refuse a store that holds anything else.
-
-    Raises
-    ------
-    StoreError
-        Groups of other inputs stand where ours would, or beside them; all are listed.
-    """
-    from .io.store import is_complete, open_store
-    from .io.store.listing import groups_above
-    from .io.store.location import Location
-    from .io.store.occupied import problems_above
-
-    if not out.exists():
-        return []
-    location = Location.of(out)
-    problems = Problems(f"cannot write {out}", StoreError)
-    above = dict.fromkeys(each for name in groups for each in groups_above(name))
-    for text in problems_above(above, location, overwrite=overwrite):
-        problems.add(text)
-    problems.raise_if_any()
-    kept = []
-    for name in location.groups():
-        same = is_complete(out, name) and open_store(out, name).attrs.get(INPUTS)
-        if name not in groups:
-            if name.startswith("flightlines/"):
-                problems.add(f"it holds /{name}, which is not of this collect; choose another path")
-        elif same == _token(groups[name]):
-            # a chunk that is missing is made again by `to_store`, with all others of its group
-            if _has_all_chunks(location, name):
-                kept.append(name)
-        elif not overwrite:
-            state = "with other inputs or parameters" if same else "never finished, or not by process"
-            problems.add(f"/{name} is there already, {state}; pass overwrite=True to replace it")
-    problems.raise_if_any()
-    return kept
-
-
-def _has_all_chunks(location: Location, group: str) -> bool:
-    from .io.store.listing import has_all_chunks
-    from .io.store.record import read_record
-
-    record = read_record(location, group)
-    return record is not None and has_all_chunks(location, group, record)
-
-
 def _product(dataset: xr.Dataset, name: str, to: Product, kept: Kept) -> xr.Dataset:
     """Return a flight line with all that is stored of it; other groups as they are."""
     if not name.startswith("flightlines/"):
@@ -326,37 +240,14 @@ def _product(dataset: xr.Dataset, name: str, to: Product, kept: Kept) -> xr.Data
     if to == "radiance":
         made = dataset.paint.radiance()
         return made.drop_vars("radiance") if kept == "none" and "counts" in made else made
+    from .plot import overview
+
     made = dataset.paint.reflectance(keep_bits=KEPT_BITS)
     made["reflectance"].attrs["keep_bits"] = KEPT_BITS
-    picture = _overview(made)
+    picture = overview(made)
     if picture is not None:
         made = made.assign(overview=picture)
     return made.drop_vars("reflectance") if kept == "none" else made
-
-
-def _overview(dataset: xr.Dataset) -> xr.DataArray | None:
-    """Return a small true-colour picture, (overview_y, overview_x, rgb) uint8, or None without colours.
-
-    Lazy, from the same slabs that are written: no cube is read twice.
-    """
-    import numpy as np
-
-    from .plot import rgb
-
-    steps = {
-        dim: -(-dataset.sizes[dim] // most)
-        for dim, most in zip((ALONG_TRACK, CROSS_TRACK), OVERVIEW_SHAPE, strict=True)
-    }
-    few = dataset[["reflectance"]].isel({dim: slice(None, None, step) for dim, step in steps.items()})
-    try:
-        picture = rgb(few)
-    except SchemaError:  # fewer than three visible bands
-        return None
-    row = VARIABLES["overview"]
-    made = (picture * np.float32(255.0) + np.float32(0.5)).astype(np.uint8).reset_coords(drop=True)
-    made = made.drop_vars(list(made.coords)).rename(dict(zip(made.dims, row.dims, strict=True)))
-    made.attrs = {**row.attrs, "line_step": steps[ALONG_TRACK], "column_step": steps[CROSS_TRACK]}
-    return made.rename("overview")
 
 
 def _rehearse(groups: Mapping[str, xr.Dataset], collect: str | Path, client: Client | None) -> None:
@@ -406,49 +297,3 @@ def _demand(groups: Mapping[str, xr.Dataset], lines: int, client: Client | None,
     return budget.fit(
         loads, lines=lines, threads=threads, fixed=budget.WORKER, limit=limit, least_threads=threads
     )
-
-
-@contextlib.contextmanager
-def _cluster(address: str | None) -> Iterator[Client | None]:
-    """Make a cluster the place where dask computes; the caller's own, or threads, without an address."""
-    from .io.store.computing import client_in_force
-
-    if address is None:
-        client = client_in_force()
-        if client is not None:
-            _wait_for_workers(client)
-        yield client
-        return
-    try:
-        from distributed import Client
-    except ImportError as error:
-        needed = MissingExtraError.of("distributed", "distributed", "processing on a cluster")
-        raise needed from error
-    try:
-        client = Client(address, timeout="10s", set_as_default=True)
-    except (OSError, ValueError, TimeoutError) as error:
-        msg = f"no dask scheduler answers at {address!r} ({error}); expected something like tcp://host:8786"
-        raise CollectError(msg) from error
-    with client:
-        _wait_for_workers(client)
-        yield client
-
-
-def _wait_for_workers(client: Client) -> None:
-    """Wait for the first worker, whose memory decides how the run is done; refuse a cluster without any."""
-    try:
-        client.wait_for_workers(1, timeout=WORKERS_WAIT)
-    except TimeoutError as error:
-        msg = (
-            f"no worker has come to the scheduler at {client.scheduler_info()['address']} within "
-            f"{WORKERS_WAIT} s; start some (dask worker ADDRESS), or wait longer yourself: "
-            "client.wait_for_workers(1)"
-        )
-        raise StoreError(msg) from error
-
-
-@contextlib.contextmanager
-def _bars_on_stderr() -> Iterator[None]:
-    """Send progress bars to stderr, so that stdout holds results only."""
-    with contextlib.redirect_stdout(sys.stderr):
-        yield

@@ -7,13 +7,26 @@ through arithmetic.
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Iterable, Mapping
-from dataclasses import dataclass
-from enum import IntFlag
+from collections.abc import Iterable, Mapping
 from typing import TYPE_CHECKING, Any
 
+from .dimensions import (
+    ALONG_TRACK,
+    BAND,
+    CROSS_TRACK,
+    CUBE,
+    DIM_ALIASES,
+    IRRADIANCE_TIME,
+    IRRADIANCE_WAVELENGTH,
+    SLOT,
+    STEP,
+    SUN,
+    rename_to_roles,
+)
 from .errors import Problems, SchemaError
-from .units import convert, same_dimension
+from .quality_bits import Quality
+from .units import convert
+from .variables import Variable
 
 if TYPE_CHECKING:
     import numpy as np
@@ -29,9 +42,12 @@ __all__ = [
     "FORMAT_VERSION",
     "IRRADIANCE_TIME",
     "IRRADIANCE_WAVELENGTH",
+    "LIBRARY_VARIABLES",
     "MONOCHROMATOR_SHAPES",
+    "SLOT",
     "SRF_SHAPES",
     "STEP",
+    "SUN",
     "SWEEP_VARIABLES",
     "TIME_UNITS",
     "VARIABLES",
@@ -52,84 +68,7 @@ FORMAT_VERSION = 1
 CHUNK_LINES = 32
 """Lines in one storage chunk, and in one task on threads (see the design decisions in the README)."""
 
-ALONG_TRACK, BAND, CROSS_TRACK = "along_track", "band", "cross_track"
-CUBE = (ALONG_TRACK, BAND, CROSS_TRACK)
-"""Dims of a cube in sensor geometry, in the instrument's own order: band-interleaved by line."""
-
-IRRADIANCE_TIME, IRRADIANCE_WAVELENGTH = "irradiance_time", "irradiance_wavelength"
-STEP = "step"
-"""Dim of a lab sweep: one wavelength of the monochromator after the other."""
-
 TIME_UNITS = "nanoseconds since 1970-01-01"
-
-#: What the neighbours call our dims, in lower case.
-DIM_ALIASES: Mapping[str, tuple[str, ...]] = {
-    ALONG_TRACK: ("line", "lines", "downtrack", "y", "frame"),
-    BAND: ("bands", "wavelength", "wavelengths", "channel"),
-    CROSS_TRACK: ("sample", "samples", "crosstrack", "x", "column"),
-}
-
-
-@dataclass(frozen=True)
-class Variable:
-    """One row of the table.
-
-    Attributes
-    ----------
-    name
-        Name in datasets and stores.
-    dims
-        Dims in storage order; `alternatives` lists the other shapes that are allowed.
-    units
-        CF spelling, as written to disk; empty for flags, names and time stamps.
-    dtype
-        numpy dtype name, before and after compute.
-    meaning
-        One line; becomes ``long_name``.
-    alternatives
-        Other dims that are allowed.
-    standard_name
-        Of the CF conventions, where there is one.
-    coordinate
-        Whether it is a coordinate rather than a data variable.
-    """
-
-    name: str
-    dims: tuple[str, ...]
-    units: str
-    dtype: str
-    meaning: str
-    alternatives: tuple[tuple[str, ...], ...] = ()
-    standard_name: str = ""
-    coordinate: bool = False
-
-    @property
-    def attrs(self) -> dict[str, Any]:
-        """Attributes written with the variable."""
-        made: dict[str, Any] = {"long_name": self.meaning}
-        if self.units:
-            made["units"] = self.units
-        if self.standard_name:
-            made["standard_name"] = self.standard_name
-        return made
-
-
-class Quality(IntFlag):
-    """Bits of ``quality``; a bit set early is still set in every later product."""
-
-    SATURATED = 1
-    BELOW_DARK = 2
-    BAD_DETECTOR = 4
-    IRRADIANCE_GAP = 8
-    ILLUMINATION_UNSTABLE = 16
-    LOW_SUN = 32
-    GLINT = 64
-    SHADOW = 128
-    ADJACENCY = 256
-    MIXED_EDGE = 512
-    OFF_SWATH = 1024
-    NO_DATA = 2048
-    TIMING_SENSITIVE = 4096
 
 
 _ELEMENT = (BAND, CROSS_TRACK)
@@ -139,6 +78,9 @@ _RADIANCE = "W m-2 sr-1 nm-1"
 _IRRADIANCE = "W m-2 nm-1"
 _LINE_FIT = (STEP, CROSS_TRACK)
 _SWEEP = (STEP, BAND, CROSS_TRACK)
+_PIXEL = (ALONG_TRACK, CROSS_TRACK)
+_PATH = (ALONG_TRACK, SLOT, CROSS_TRACK)
+_SUN_PIXEL = (ALONG_TRACK, SUN, CROSS_TRACK)
 
 # fmt: off
 _TABLE = (
@@ -154,7 +96,7 @@ _TABLE = (
     ),
     Variable("reflectance_u_random", CUBE, "1", "float32", "Random uncertainty of reflectance"),
     Variable("reflectance_u_systematic", CUBE, "1", "float32", "Systematic uncertainty of reflectance"),
-    Variable("quality", (ALONG_TRACK, CROSS_TRACK), "", "uint16", "Quality flags"),
+    Variable("quality", _PIXEL, "", "uint16", "Quality flags"),
     Variable("overview", ("overview_y", "overview_x", "rgb"), "", "uint8", "Small true-colour picture (sRGB)"),
     # --- calibration of every detector element
     Variable(
@@ -291,6 +233,36 @@ _TABLE = (
     Variable("beam_fwhm", (STEP,), "1", "float64", "Full width at half maximum of the beam in columns"),
     Variable("out_of_band", (STEP,), "1", "float64", "Share of a line's counts that lies outside of the line"),
     Variable("second_order", (STEP,), "1", "float64", "Counts at twice the wavelength over those of the line"),
+    # --- a traced scene: weights of paths of light, before any spectrum
+    Variable("transport_weight", _PATH, "1", "float32", "Weight of a path of light: radiance is the sum of weight x irradiance / pi x its reflectances"),
+    Variable("transport_path", _PATH, "", "int64", "Source and reflectances of a path of light, as a code; -1 where there is none"),
+    Variable("distance", _PIXEL, "m", "float32", "Distance from the camera to what is seen"),
+    Variable("material", _PIXEL, "", "int32", "Material that most of a pixel shows; -1 for the sky"),
+    Variable("instance", _PIXEL, "", "int32", "Thing that most of a pixel shows; -1 for the sky"),
+    Variable("surface_class", _PIXEL, "", "int16", "Semantic class that most of a pixel shows; -1 for the sky"),
+    Variable("paint_id", _PIXEL, "", "int16", "Spectrum of the paint that most of a pixel shows; -1 where it is none"),
+    Variable("car_id", _PIXEL, "", "int32", "Instance number of the car that most of a pixel shows; -1 where it is none"),
+    Variable("purity", _PIXEL, "1", "float32", "Share of a pixel that its material and instance fill"),
+    Variable("sun_visibility", _SUN_PIXEL, "1", "float32", "Share of a pixel that sees the sun"),
+    Variable("sun_incidence", _SUN_PIXEL, "1", "float32", "Cosine of the angle between surface normal and sun, 0 where turned away"),
+    Variable("east", _PIXEL, "m", "float64", "Position of what is seen, to the east"),
+    Variable("north", _PIXEL, "m", "float64", "Position of what is seen, to the north"),
+    Variable("up", _PIXEL, "m", "float64", "Position of what is seen, upwards"),
+    Variable("sun_zenith", (SUN,), "degree", "float64", "Angle between the sun and the vertical", coordinate=True),
+    Variable("sun_azimuth", (SUN,), "degree", "float64", "Direction of the sun, clockwise from north", coordinate=True),
+    # --- what is known of the light of a rendered pixel
+    Variable("sun_share", _PIXEL, "1", "float32", "Share of the light that came from the sun"),
+    Variable("sky_share", _PIXEL, "1", "float32", "Share of the light that came from the sky"),
+    Variable("glint_share", _PIXEL, "1", "float32", "Share of the light that is the mirror image of the sun in the surface seen"),
+    Variable("mirrored_sky_share", _PIXEL, "1", "float32", "Share of the light that is the mirror image of the sky in the surface seen"),
+    Variable("indirect_share", _PIXEL, "1", "float32", "Share of the light that met other surfaces before the one seen"),
+    Variable("shadow", _PIXEL, "1", "float32", "Share of a pixel that does not see the sun"),
+    # --- what flags are set from
+    Variable("glint_fraction", _PIXEL, "1", "float32", "Mirror image of the sun, as reflectance under the sun alone"),
+    Variable("blocked_direct", _PIXEL, "1", "float32", "Part of the direct light that is missing; negative where a surface leans towards the sun"),
+    Variable("adjacency", _PIXEL, "1", "float32", "Largest reflectance, in any channel, that coloured neighbours add"),
+    Variable("adjacency_segment", _PIXEL, "", "int32", "Segment of the scene model that adds most of adjacency; -1 for none"),
+    Variable("mirrored_sky", _PIXEL, "1", "float32", "Mirror image of the sky beyond that of the rest of the body"),
     # --- line shapes measured sample by sample (srf_shape = "tabulated")
     Variable("srf_offset", ("srf_offset",), "nm", "float64", "Distance from the centre of a band", coordinate=True),
     Variable("srf", (BAND, "srf_offset"), "1", "float64", "Line shape of a band, any scale"),
@@ -335,6 +307,44 @@ _SWEEP_TABLE = (
 
 SWEEP_VARIABLES: Mapping[str, Variable] = {variable.name: variable for variable in _SWEEP_TABLE}
 """The table of a lab sweep, whose counts are means on other dims than those of a flight line."""
+
+PAINT, MEMBER, QUANTILE, FLAG = "paint", "member", "quantile", "flag"
+"""Dims of a paint library."""
+
+_SPECTRUM = (PAINT, BAND)
+
+# fmt: off
+_LIBRARY_TABLE = (
+    Variable("paint", (PAINT,), "", "str", "Name of the paint, which is that of its region", coordinate=True),
+    Variable("reflectance", _SPECTRUM, "1", "float32", "Hemispherical-conical reflectance factor, centre of the pixels used"),
+    Variable("reflectance_sd", _SPECTRUM, "1", "float32", "Standard deviation of reflectance over the pixels used"),
+    Variable("reflectance_quantiles", (PAINT, QUANTILE, BAND), "1", "float32", "Quantiles of reflectance over the pixels used"),
+    Variable("reflectance_u_random", _SPECTRUM, "1", "float32", "Random standard uncertainty of the mean reflectance"),
+    Variable("reflectance_u_systematic", _SPECTRUM, "1", "float32", "Systematic standard uncertainty of the mean reflectance"),
+    Variable("member_reflectance", (PAINT, MEMBER, BAND), "1", "float32", "Reflectance of single pixels, NaN beyond the last"),
+    Variable("member_along_track", (PAINT, MEMBER), "1", "int64", "Line of a member, -1 beyond the last"),
+    Variable("member_cross_track", (PAINT, MEMBER), "1", "int64", "Column of a member, -1 beyond the last"),
+    Variable("n", (PAINT,), "1", "int64", "Pixels used"),
+    Variable("n_eff", (PAINT,), "1", "float64", "Independent pixels among those used"),
+    Variable("n_excluded", (PAINT,), "1", "int64", "Pixels of the region that were left out"),
+    Variable("quality", (PAINT,), "", "uint16", "Quality flags of the pixels used"),
+    Variable("quality_share", (PAINT, FLAG), "1", "float32", "Share of the region's pixels that have a flag, used or not"),
+    Variable("sun_zenith", (PAINT,), "degree", "float64", "Zenith angle of the sun"),
+    Variable("sun_azimuth", (PAINT,), "degree", "float64", "Azimuth of the sun, clockwise from north"),
+    Variable("irradiance_age", (PAINT,), "s", "float32", "Longest time from a line to the nearest irradiance sample"),
+    Variable("time", (PAINT,), "", "datetime64[ns]", "Mean UTC of the pixels used", standard_name="time", coordinate=True),
+    Variable("flightline", (PAINT,), "", "str", "Flight line of the region", coordinate=True),
+    Variable("region", (PAINT,), "", "str", "The region as a Feature of GeoJSON", coordinate=True),
+    Variable(QUANTILE, (QUANTILE,), "1", "float64", "Share of the pixels used that are below", coordinate=True),
+    Variable(FLAG, (FLAG,), "", "str", "Name of a quality flag", coordinate=True),
+    VARIABLES["wavelength"],
+    VARIABLES["fwhm"],
+    VARIABLES["good"],
+)
+# fmt: on
+
+LIBRARY_VARIABLES: Mapping[str, Variable] = {variable.name: variable for variable in _LIBRARY_TABLE}
+"""The table of a paint library, whose spectra are on other dims than those of a flight line."""
 
 MONOCHROMATOR_SHAPES = ("gaussian", "triangle")
 """Line shapes of a monochromator, named by the attribute ``monochromator_shape`` of a sweep."""
@@ -388,7 +398,7 @@ def require(
     purpose
         Opens the message: what cannot be computed without them.
     table
-        `VARIABLES`, or `SWEEP_VARIABLES` for a lab sweep.
+        `VARIABLES`, `SWEEP_VARIABLES` for a lab sweep, or `LIBRARY_VARIABLES` for a paint library.
 
     Raises
     ------
@@ -418,75 +428,14 @@ def find(
             )
             continue
         array = dataset[name]
-        wrong = _dim_problem(array, spec)
-        if wrong is None and spec.units:
-            wrong = _unit_problem(array, spec)
+        wrong = spec.dim_problem(array) or spec.unit_problem(array)
         if wrong:
             problems.append(wrong)
             continue
-        order = next(dims for dims in (spec.dims, *spec.alternatives) if set(dims) == set(array.dims))
+        order = next(dims for dims in spec.allowed_dims if set(dims) == set(array.dims))
         array = array.transpose(*order)
         found[name] = convert(array, spec.units) if spec.units else array
     return found, problems
-
-
-def _dim_problem(array: xr.DataArray, spec: Variable) -> str | None:
-    allowed = (spec.dims, *spec.alternatives)
-    if any(set(dims) == set(array.dims) and len(dims) == array.ndim for dims in allowed):
-        return None
-    expected = " or ".join(f"({', '.join(dims)})" for dims in allowed)
-    return (
-        f"{spec.name!r} has dims ({', '.join(map(str, array.dims))}), expected {expected}; "
-        "rename them, or name them with dims={...}"
-    )
-
-
-def _unit_problem(array: xr.DataArray, spec: Variable) -> str | None:
-    units = array.attrs.get("units")
-    if units is None:
-        return f"{spec.name!r} has no units; set {spec.name}.attrs['units'], for example to {spec.units!r}"
-    if not same_dimension(str(units), spec.units):
-        return f"{spec.name!r} has units {str(units)!r}, expected something like {spec.units!r}"
-    return None
-
-
-def rename_to_roles(dataset: xr.Dataset, dims: Mapping[str, Hashable] | None = None) -> xr.Dataset:
-    """Return ``dataset`` with its dims named by role: ``along_track``, ``band``, ``cross_track``.
-
-    Parameters
-    ----------
-    dataset
-        Any dataset with a cube.
-    dims
-        Role to dim name, for names that `DIM_ALIASES` does not know.
-
-    Raises
-    ------
-    SchemaError
-        ``dims`` names a role or a dim that does not exist.
-    """
-    names: dict[Hashable, Hashable] = {}
-    for role, name in (dims or {}).items():
-        if role not in CUBE or name not in dataset.dims:
-            msg = (
-                f"dims={{{role!r}: {name!r}}}: expected roles {list(CUBE)} "
-                f"and dims of the dataset {list(map(str, dataset.dims))}"
-            )
-            raise SchemaError(msg)
-        names[name] = role
-    for role, aliases in DIM_ALIASES.items():
-        if role in dataset.dims or role in names.values():
-            continue
-        known = (role, *aliases)
-        alias = next((d for d in dataset.dims if str(d).lower() in known and d not in names), None)
-        if alias is not None:
-            names[alias] = role
-    # a dim `wavelength` with a coordinate of that name becomes the coordinate wavelength(band)
-    indexed = [name for name, role in names.items() if role == BAND and name in dataset.coords]
-    if indexed:
-        dataset = dataset.reset_index(indexed)
-    names = {old: new for old, new in names.items() if old != new}
-    return dataset.rename_dims(names) if names else dataset
 
 
 def dtype_of(name: str) -> np.dtype[Any]:

@@ -13,10 +13,23 @@ import xarray as xr
 from strategies import flight
 
 import hyperpaint as hp
-from hyperpaint import alignment, bands, plot, radiometry, smoothing, units
+from hyperpaint import (
+    alignment,
+    bands,
+    flags,
+    plot,
+    plot_flags,
+    plot_spectra,
+    radiometry,
+    scene_model,
+    signatures,
+    smoothing,
+    units,
+)
 from hyperpaint.accessor import PaintAccessor
 from hyperpaint.errors import StoreError
 from hyperpaint.io import store
+from hyperpaint.simulation.rendering import relighting
 
 FUNCTIONS: dict[str, Callable[..., Any]] = {
     "radiance": radiometry.radiance,
@@ -27,8 +40,15 @@ FUNCTIONS: dict[str, Callable[..., Any]] = {
     "align_to_irradiance": alignment.align_to_irradiance,
     "apply_alignment": alignment.apply_alignment,
     "oxygen_residual": alignment.oxygen_residual,
+    "relight": relighting.relight,
+    "survey": scene_model.survey,
+    "flag": flags.flag,
+    "signatures": signatures.extract_signatures,
     "rgb": plot.rgb,
     "quicklook": plot.quicklook,
+    "spectrum": plot_spectra.spectrum,
+    "triptych": plot_spectra.triptych,
+    "flag_overlay": plot_flags.flag_overlay,
     "quantify": units.quantify,
     "verify": store.verify,
 }

@@ -54,7 +54,7 @@ def load(lines: int = 6400) -> Load:
 @pytest.fixture(scope="module")
 def collect(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("collect")
-    return hp.simulate_collect(folder, lines=72, bands=20, columns=12, seed=3, truth=False)
+    return hp.simulate_collect(folder, scene="plan", lines=72, bands=20, columns=12, seed=3, truth=False)
 
 
 # --- memory ------------------------------------------------------------------------------------------------
@@ -444,4 +444,4 @@ def test_measured_peaks_stay_below_the_model(large: Path, tmp_path: Path, thread
 def large(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A collect of the camera's whole size."""
     folder = tmp_path_factory.mktemp("large")
-    return hp.simulate_collect(folder, lines=320, bands=272, columns=640, seed=3, truth=False)
+    return hp.simulate_collect(folder, scene="plan", lines=320, bands=272, columns=640, seed=3, truth=False)

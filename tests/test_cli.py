@@ -24,7 +24,7 @@ Hyperpaint = Callable[..., Result]
 def source(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Folder of a small simulated collect."""
     folder = tmp_path_factory.mktemp("collect")
-    hp.simulate_collect(folder, lines=40, bands=20, columns=8, seed=1)
+    hp.simulate_collect(folder, scene="plan", lines=40, bands=20, columns=8, seed=1)
     return folder
 
 
@@ -310,7 +310,7 @@ def test_info_of_real_files(hyperpaint: Hyperpaint, shared_data: Path) -> None:
 
 
 def test_simulate_passes_its_switches_on(hyperpaint: Hyperpaint, tmp_path: Path) -> None:
-    shape = ("--lines", 12, "--bands", 5, "--columns", 6)
+    shape = ("--scene", "plan", "--lines", 12, "--bands", 5, "--columns", 6)
     effects = ("--shape", "slit", "--no-smile", "--no-noise", "--dropped", 2, "--clock-offset", 3.5)
     done = hyperpaint("simulate", tmp_path / "sim", *shape, *effects)
     assert done.exit_code == 0, done.stderr

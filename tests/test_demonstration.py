@@ -32,7 +32,10 @@ def demo(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
 def test_demo_leaves_what_it_says(demo: tuple[Path, str]) -> None:
     folder, shown = demo
     left = {entry.name for entry in folder.iterdir()} - {"quicklook.png"}
-    assert left == {"asd", "calibration.zarr", "collect.toml", "dark", "flight", "lot.zarr", "truth.zarr"}
+    assert left == {
+        "asd", "asd_reflectance", "calibration.zarr", "collect.toml", "dark", "flight", "lot.zarr", "svc",
+        "truth.zarr",
+    }  # fmt: skip
     assert hp.verify(folder / "lot.zarr").ok
     assert "within tolerance" in shown
     assert "Now try:" in shown
@@ -100,7 +103,7 @@ def test_a_wrong_chain_is_outside_tolerance(
     assert any("oxygen" in problem for problem in found.problems)
     monkeypatch.setattr(demonstration, "compare", lambda *_: found)
     done = CliRunner().invoke(
-        main, ["demo", "--out", str(tmp_path / "again"), "--lines", "8", "--bands", "8"]
+        main, ["demo", "--out", str(tmp_path / "again"), "--scene", "plan", "--lines", "8", "--bands", "8"]
     )
     assert done.exit_code == 1
     assert "OUTSIDE TOLERANCE" in done.stdout
@@ -110,7 +113,7 @@ def test_demo_replaces_only_demos(demo: tuple[Path, str], tmp_path: Path) -> Non
     folder, _ = demo
     refuse_foreign(folder, overwrite=False)
     refuse_foreign(tmp_path / "new", overwrite=False)
-    hp.simulate_collect(tmp_path / "only_simulated", lines=8, bands=4, columns=4)
+    hp.simulate_collect(tmp_path / "only_simulated", scene="plan", lines=8, bands=4, columns=4)
     with pytest.raises(hp.StoreError, match="is not empty"):
         refuse_foreign(tmp_path / "only_simulated", overwrite=False)
     shutil.rmtree(tmp_path / "only_simulated")
@@ -122,8 +125,9 @@ def test_demo_replaces_only_demos(demo: tuple[Path, str], tmp_path: Path) -> Non
     assert [entry.name for entry in tmp_path.iterdir()] == ["thesis.tex"]
 
 
-def test_real_raw_data_are_never_replaced(tmp_path: Path) -> None:
-    (tmp_path / "flight").mkdir()
-    (tmp_path / "flight" / "raw_0.hdr").write_text("ENVI\nsamples = 640\n")
+@pytest.mark.parametrize("name", ["flight/raw_0.hdr", "svc/red.sig", "asd_reflectance/red.asd"])
+def test_real_raw_data_are_never_replaced(tmp_path: Path, name: str) -> None:
+    (tmp_path / name).parent.mkdir()
+    (tmp_path / name).write_text("ENVI\nsamples = 640\n")
     with pytest.raises(hp.StoreError, match="not simulated"):
         refuse_foreign(tmp_path, overwrite=True)

@@ -20,6 +20,7 @@ def store(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFacto
     folder = tmp_path_factory.mktemp(request.param)
     collect = hp.simulate_collect(
         folder,
+        scene="plan",
         lines=LINES,
         bands=BANDS,
         columns=COLUMNS,

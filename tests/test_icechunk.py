@@ -30,7 +30,7 @@ PRODUCT = "products/raw_0"
 def plain(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A processed collect in a folder."""
     folder = tmp_path_factory.mktemp("collect")
-    collect = hp.simulate_collect(folder / "sim", lines=96, bands=12, columns=16, seed=4)
+    collect = hp.simulate_collect(folder / "sim", scene="plan", lines=96, bands=12, columns=16, seed=4)
     return hp.process(collect, folder / "lot.zarr")
 
 

@@ -58,7 +58,7 @@ def test_a_store_of_another_program(tmp_path: Path, line: xr.Dataset) -> None:
 
 
 def test_the_simulators_stores(tmp_path: Path) -> None:
-    collect = hp.simulate_collect(tmp_path / "sim", lines=8, bands=4, columns=4)
+    collect = hp.simulate_collect(tmp_path / "sim", scene="plan", lines=8, bands=4, columns=4)
     for name in ("calibration.zarr", "truth.zarr"):
         assert "no completion record (not written" in describe_path(collect.parent / name)
     assert "5 ms (collect.toml)" in describe_path(collect)

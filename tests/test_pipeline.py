@@ -20,7 +20,7 @@ from hyperpaint.pipeline import run
 def source(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Folder of a small simulated collect: two cubes, dropped frames."""
     folder = tmp_path_factory.mktemp("collect")
-    hp.simulate_collect(folder, lines=72, bands=20, columns=12, cubes=2, dropped=3, seed=3)
+    hp.simulate_collect(folder, scene="plan", lines=72, bands=20, columns=12, cubes=2, dropped=3, seed=3)
     return folder
 
 

@@ -149,7 +149,7 @@ def _asd_file(folder: Path, changes: dict[int, bytes], tail: bytes = b"", cut: i
     """Write an ASD file that would be right but for ``changes``: offset to bytes."""
     from hyperpaint.simulation import simulate_collect
 
-    simulate_collect(folder / "made", lines=4, bands=4, columns=4)
+    simulate_collect(folder / "made", scene="plan", lines=4, bands=4, columns=4)
     data = bytearray(sorted((folder / "made/asd").glob("*.asd"))[0].read_bytes())
     for place, new in changes.items():
         data[place : place + len(new)] = new

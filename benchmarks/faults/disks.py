@@ -504,7 +504,7 @@ def undisturbed(folder: Path) -> tuple[dict[str, bytes], int]:
 def processed(folder: Path) -> tuple[Path, dict[str, bytes]]:
     """Return a small collect's folder, and the chunks of an undisturbed run."""
     hp.simulate_collect(
-        folder / "collect", lines=_SHAPE[0] * _SLABS, bands=12, columns=16, seed=3, truth=False
+        folder / "collect", scene="plan", lines=_SHAPE[0] * _SLABS, bands=12, columns=16, seed=3, truth=False
     )
     hp.process(folder / "collect" / "collect.toml", folder / "whole.zarr")
     return folder / "collect", chunks(folder / "whole.zarr")

@@ -168,7 +168,7 @@ def prepare(folder: Path) -> None:
     """Write the simulated seeds: a small collect, and the variants of its files that other programs write."""
     from hyperpaint.simulation import simulate_collect
 
-    simulate_collect(folder, lines=24, bands=4, columns=6, overwrite=True)
+    simulate_collect(folder, scene="plan", lines=24, bands=4, columns=6, overwrite=True)
     times = [f"12:00:{step // 10:02d}.{step % 10}" for step in range(30)]
     micro = [f"12:00:{step // 10:02d} {step % 10}00000" for step in range(30)]
     spectra = "".join(f",{1.0 + band / 100:.3f}" for band in range(60))

@@ -242,6 +242,7 @@ def _simulate(folder: Path, rng: random.Random, *, cloudy: bool, known_clock: fl
     cloud = (rng.uniform(0.05, 0.8), ramp, rng.uniform(-ramp, 8.0)) if cloudy else None
     simulate_collect(
         folder,
+        scene="plan",
         lines=_LINES,
         bands=_BANDS,
         columns=_COLUMNS,

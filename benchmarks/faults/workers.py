@@ -28,7 +28,7 @@ __all__ = ["RUNS", "Cluster", "Work", "campaign", "kills_in", "processing", "run
 RUNS = 30
 GROUP = "flightlines/raw_0"
 _LINES, _DELAY = 768, 0.12
-_COLLECT = {"lines": 2560, "bands": 24, "columns": 40, "cubes": 2, "seed": 5}
+_COLLECT = {"scene": "plan", "lines": 2560, "bands": 24, "columns": 40, "cubes": 2, "seed": 5}
 _WAIT = 60.0
 _SETTINGS = {
     # workers are forked by a server that has imported everything: they are back within a moment

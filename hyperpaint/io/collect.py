@@ -64,7 +64,7 @@ def open_collect(
     --------
     >>> import tempfile
     >>> from hyperpaint.simulation import simulate_collect
-    >>> path = simulate_collect(tempfile.mkdtemp(), lines=40, bands=4, columns=6, cubes=2)
+    >>> path = simulate_collect(tempfile.mkdtemp(), scene="plan", lines=40, bands=4, columns=6, cubes=2)
     >>> tree = open_collect(path)
     >>> sorted(tree.children), sorted(tree["flightlines"].children)
     (['calibration', 'flightlines', 'irradiance'], ['raw_0', 'raw_20'])

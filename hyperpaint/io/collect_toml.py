@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-import difflib
 import os
 import re
-import stat
-import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -15,9 +12,8 @@ from typing import Any
 from hyperpaint.errors import CollectError, FormatError, Problems, TimeError
 
 from .collect_schema import LISTS, SCHEMA
-from .file_patterns import is_pattern, matching_files
-from .reading import read_limited
 from .timing import utc_of
+from .toml_tables import TableReader, load_tables, shown
 
 __all__ = [
     "Camera",
@@ -29,10 +25,7 @@ __all__ = [
     "read_collect",
 ]
 
-_MAX_BYTES = 1 << 20
 _ID = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,99}")
-#: A key of so many parts: tomllib's time for it grows with the square of their number.
-_LONG_KEY = re.compile(rb"""(?:\.[ \t]*(?:[A-Za-z0-9_-]+|"[^"\n]{0,99}"|'[^'\n]{0,99}')[ \t]*){64}""")
 #: Names that mean something to Zarr.
 _RESERVED = {"zarr.json", "c"}
 
@@ -118,35 +111,20 @@ class Collect:
 
 
 def _load(path: Path) -> dict[str, Any]:
-    """Return the tables of the file, or raise CollectError with the place of the mistake."""
     try:
-        raw = read_limited(path, _MAX_BYTES, "a collect.toml")
+        return load_tables(path, "a collect.toml")
     except FormatError as error:
         raise CollectError(str(error)) from error
-    if _LONG_KEY.search(raw):
-        msg = f"{path}: a key of more than 64 parts, expected those of a collect.toml"
-        raise CollectError(msg)
-    try:
-        return tomllib.loads(raw.decode("utf-8"))
-    except (ValueError, RecursionError) as error:  # TOMLDecodeError and UnicodeDecodeError are ValueErrors
-        msg = f"{path}: not TOML: {error!s:.300}"
-        raise CollectError(msg) from error
 
 
-class _Reader:
-    """Takes checked values out of the tables, noting every problem."""
+class _Reader(TableReader):
+    """Reads a collect's tables, of which one may be a word."""
 
     def __init__(self, path: Path, raw: Mapping[str, Any], problems: Problems) -> None:
-        self.folder = path.parent
-        self.problems = problems
         #: Tables, and ids of flight lines without times, whose problems have been noted.
         self.reported: set[str] = set()
-        self.given = set(raw)
-        self.tables = {name: self._section(name, raw) for name in SCHEMA}
         self.dark = self._dark_word(raw)
-        for key in raw:
-            if key not in SCHEMA:
-                problems.add(f"unknown table or key {key!r}{_suggest(key, SCHEMA)}")
+        super().__init__(path, raw, SCHEMA, LISTS, problems)
 
     def _dark_word(self, raw: Mapping[str, Any]) -> str | None:
         word = raw.get("dark")
@@ -154,94 +132,13 @@ class _Reader:
             word = word.get("cubes")
         return word if word in ("none", "calibration") else None
 
-    def _section(self, name: str, raw: Mapping[str, Any]) -> list[dict[str, Any]]:
-        """Return the tables of this name with what is valid in them."""
-        value = raw.get(name)
-        if value is None or (name == "dark" and value in ("none", "calibration")):
-            return []
-        several = name in LISTS
-        tables = value if isinstance(value, list) else [value]
-        if isinstance(value, list) != several or not all(isinstance(table, dict) for table in tables):
-            shape = f"[[{name}]]" if several else f"[{name}]"
-            extra = ', or dark = "none"' if name == "dark" else ""
-            self.problems.add(f"{name!r} is {_shown(value)}, expected {shape}{extra}")
-            return []
-        return [self._checked(self._place(name, number), name, table) for number, table in enumerate(tables)]
-
-    def _place(self, name: str, number: int) -> str:
-        return f"[[{name}]] {number + 1}" if name in LISTS else f"[{name}]"
-
-    def _checked(self, place: str, name: str, table: Mapping[str, Any]) -> dict[str, Any]:
-        made: dict[str, Any] = {}
-        for key, value in table.items():
-            check = SCHEMA[name].get(key)
-            if check is None:
-                self.problems.add(f"{place} unknown key {key!r}{_suggest(key, SCHEMA[name])}")
-                continue
-            expected = check(value)
-            if expected is None:
-                made[key] = value
-            else:
-                self.problems.add(f"{place} {key} = {_shown(value)}, expected {expected}")
-        # keys that were there but wrong are not missing
-        made["?"] = set(table)
-        return made
-
-    def one(self, name: str) -> dict[str, Any]:
-        """Return the single table of this name, empty where absent."""
-        return next(iter(self.tables[name]), {"?": set()})
-
-    def path(self, place: str, key: str, value: str | None) -> Path | None:
-        """Return a path that exists, taken from the folder of the file."""
-        if value is None:
-            return None
-        path = self.folder / value
-        if "\0" in value or not os.path.lexists(path):
-            self.problems.add(f"{place} {key} = {value!r}: no such file ({path})")
-            return None
-        if _is_special(path):
-            self.problems.add(f"{place} {key} = {value!r}: a pipe or device, expected a file or folder")
-            return None
-        return path
-
-    def files(self, place: str, key: str, value: str | list[str]) -> tuple[Path, ...]:
-        """Return the files of paths and globs, each glob sorted; one that matches nothing is a problem."""
-        found: list[Path] = []
-        for text in value if isinstance(value, list) else [value]:
-            if "\0" not in text and is_pattern(text) and not os.path.lexists(self.folder / text):
-                try:
-                    matches = matching_files(self.folder, text)
-                except ValueError as error:
-                    self.problems.add(f"{place} {key} = {_shown(text)}: {error}")
-                    continue
-                found += [match for match in matches if not _is_special(match)]
-                if not matches:
-                    self.problems.add(f"{place} {key} = {text!r}: matches no file in {self.folder}")
-            elif (path := self.path(place, key, text)) is not None:
-                found.append(path)
-        return tuple(dict.fromkeys(found))
-
-
-def _is_special(path: Path) -> bool:
-    """Tell whether a path names what must not be opened: a pipe would wait, a device never end."""
-    try:
-        mode = path.stat().st_mode
-    except OSError:
-        return False
-    return not (stat.S_ISREG(mode) or stat.S_ISDIR(mode))
-
-
-def _suggest(key: str, known: Mapping[str, Any]) -> str:
-    close = difflib.get_close_matches(key[:100], known, n=1)
-    return f"; did you mean {close[0]!r}?" if close else f"; known are {', '.join(known)}"
-
-
-def _shown(value: Any) -> str:
-    try:
-        text = repr(value)
-    except ValueError:  # Python refuses to print whole numbers of over 4300 digits, which hexadecimals can be
-        text = "a number of thousands of digits"
-    return text if len(text) <= 60 else f"{text[:57]}..."
+    def section(self, name: str, value: Any, extra: str = "") -> list[dict[str, Any]]:
+        """Return the tables of this name with what is valid in them; for the dark there may be a word."""
+        if name == "dark":
+            if value in ("none", "calibration"):
+                return []
+            extra = ', or dark = "none"'
+        return super().section(name, value, extra)
 
 
 # --- tables into dataclasses -------------------------------------------------------------------------------
@@ -314,7 +211,7 @@ def _flightline(
     name = table.get("id", Path(table["cube"]).name.split(".")[0])
     if not _ID.fullmatch(name) or name in _RESERVED:
         expected = "letters, digits, '.', '_' and '-': it names a group of the store"
-        reader.problems.add(f"{place} id = {_shown(name)}, expected {expected}")
+        reader.problems.add(f"{place} id = {shown(name)}, expected {expected}")
     before = len(reader.problems)
     paths = {key: reader.path(place, key, table.get(key)) for key in ("frame_index", "nav", "gps_time")}
     start = table.get("start_time")

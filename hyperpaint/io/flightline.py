@@ -146,7 +146,7 @@ def open_flightline(
     --------
     >>> import tempfile
     >>> from hyperpaint.simulation import simulate_collect
-    >>> folder = simulate_collect(tempfile.mkdtemp(), lines=40, bands=4, columns=6).parent
+    >>> folder = simulate_collect(tempfile.mkdtemp(), scene="plan", lines=40, bands=4, columns=6).parent
     >>> line = open_flightline(
     ...     folder / "flight/raw_0.hdr",
     ...     frame_index=folder / "flight/frameIndex_0.txt",

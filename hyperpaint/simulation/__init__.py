@@ -1,9 +1,11 @@
 """A simulator of whole collects with known truth, which shares no code with the processing chain.
 
-Plain numpy in float64 from the sky to the converter, and its own writers of the instruments' files: a chain
-that recovers the truth from them has shown something. `atmosphere` makes the light, `paints` the surfaces,
-`scenes` the car park, `sensor` and `camera` the camera, `instruments` the files, `collect` the whole;
-`sweep` shines a monochromator into the same camera.
+Its own physics in float64 from the sky to the converter, and its own writers of the instruments' files: a
+chain that recovers the truth from them has shown something. `atmosphere` and `skies` make the light, `paints`
+the surfaces, `sensor` and `camera` the camera, `flight` what they do line by line: over a flat picture of a
+car park (`plan_flight`, `scenes`) or over one of triangles (`rendered_flight`, `rendering`). `instruments`,
+`svc_files` and `references` write the files, `stores` the truth, `collect` the whole; `sweep` shines a
+monochromator into the same camera.
 """
 
 from __future__ import annotations

@@ -62,6 +62,9 @@ class Sky:
         Ozone column [atm cm].
     water
         Precipitable water relative to a usual summer day.
+    airmass
+        Relative optical air mass of the direct path; None for that of a plane-parallel atmosphere,
+        1 / cos(sun_zenith), which is 5 % too long at 82 degrees and 11 % at 85.
 
     Examples
     --------
@@ -75,11 +78,12 @@ class Sky:
     aerosol: float = 0.10
     ozone: float = 0.31
     water: float = 1.0
+    airmass: float | None = None
 
     def irradiance(self, wavelength: Floats) -> tuple[Floats, Floats]:
         """Return direct and diffuse irradiance of a level surface [W m-2 nm-1]."""
         cosine = np.cos(np.radians(self.sun_zenith))
-        mass = 1.0 / cosine
+        mass = 1.0 / cosine if self.airmass is None else self.airmass
         microns = wavelength / 1000.0
         rayleigh = np.exp(-0.008735 * microns**-4.08 * mass)
         aerosol = np.exp(-self.aerosol * (wavelength / 500.0) ** -1.3 * mass)

@@ -22,6 +22,8 @@ from .instruments import (
     write_navigation,
     write_settings,
 )
+from .plan_flight import PlanFlight
+from .references import ASD_FOLDER, SVC_FOLDER, write_references
 from .settings import SimulationSettings
 from .sweep import Sweep
 from .sweep_settings import SweepSettings
@@ -31,14 +33,17 @@ if TYPE_CHECKING:
 
 __all__ = ["CAMERA_SOFTWARE", "MARKER", "PARTS", "simulate_collect", "simulate_line"]
 
-PARTS = ("flight", "dark", "asd", "lab", "calibration.zarr", "truth.zarr", "collect.toml")
+PARTS = (
+    "flight", "dark", "asd", SVC_FOLDER, ASD_FOLDER, "lab", "calibration.zarr", "truth.zarr", "collect.toml",
+)  # fmt: skip
 """Files and folders of a simulated collect."""
 
 MARKER = "# simulated by hyperpaint"
 """Opens the ``collect.toml`` of a simulated collect."""
 
 CAMERA_SOFTWARE = "hyperpaint simulation"
-"""Stands in the headers of simulated cubes for the version of the camera's software."""
+"""Stands in the headers of simulated cubes for the version of the camera's software, and in the comments of a
+field spectrometer's simulated files."""
 
 _BOOT = 1_234_567_891_000  # ns on the instrument's clock at the first line: it knows no date
 _NAVIGATION_PERIOD, _NAVIGATION_MARGIN = 10**7, 2 * 10**9  # ns: 100 Hz, two seconds around the flight
@@ -54,6 +59,7 @@ def simulate_collect(
     bands: int = 272,
     columns: int = 320,
     seed: int = 0,
+    scene: str = "rendered",
     truth: bool = True,
     sweep: Mapping[str, Any] | None = None,
     overwrite: bool = False,
@@ -64,7 +70,8 @@ def simulate_collect(
     """Simulate a flight over a car park and write it as the instruments would have.
 
     Written are a Headwall folder (``flight``: cubes, frame index, navigation, settings), a dark cube
-    (``dark``), an irradiance series (``asd``), ``calibration.zarr``, ``truth.zarr`` and, last of all,
+    (``dark``), an irradiance series (``asd``), reflectance of the cars' paints as two field spectrometers
+    saw it (``svc``, ``asd_reflectance``), ``calibration.zarr``, ``truth.zarr`` and, last of all,
     ``collect.toml``.
 
     Parameters
@@ -75,8 +82,12 @@ def simulate_collect(
         Shape of the cube.
     seed
         The same seed gives the same bytes of every instrument file.
+    scene
+        "rendered": a car park of triangles whose light is traced, with shadows, glint and mixed pixels.
+        "plan": a flat picture in which a pixel sees one level surface, made in no time.
     truth
-        Write ``truth.zarr``: radiance and reflectance of every sample, class and masks of every pixel.
+        Write ``truth.zarr``: radiance and reflectance of every sample, class and masks of every pixel; of a
+        rendered scene also place, shadow, purity and which car.
     sweep
         Also take the camera into the lab: ``lab/sweep.zarr`` is a monochromator sweep with these effects
         (fields of `hyperpaint.simulation.SweepSettings`, ``{}`` for the defaults), ``lab/sweep_truth.zarr``
@@ -105,12 +116,12 @@ def simulate_collect(
     --------
     >>> import tempfile
     >>> with tempfile.TemporaryDirectory() as folder:
-    ...     path = simulate_collect(folder, lines=8, bands=4, columns=6)
-    ...     print(path.name, sorted(entry.name for entry in path.parent.iterdir()))
-    collect.toml ['asd', 'calibration.zarr', 'collect.toml', 'dark', 'flight', 'truth.zarr']
+    ...     path = simulate_collect(folder, lines=8, bands=4, columns=6, scene="plan")
+    ...     print(*sorted(entry.name for entry in path.parent.iterdir()))
+    asd asd_reflectance calibration.zarr collect.toml dark flight svc truth.zarr
     """
     settings = SimulationSettings.of(
-        {"lines": lines, "bands": bands, "columns": columns, "seed": seed, **effects}
+        {"lines": lines, "bands": bands, "columns": columns, "seed": seed, "scene": scene, **effects}
     )
     if not settings.quantise:
         msg = "quantise=False: files hold whole counts; use simulate_line for float32 counts in memory"
@@ -119,10 +130,11 @@ def simulate_collect(
         msg = f"block_lines={block_lines}, expected a whole number above 0"
         raise SchemaError(msg)
     lab = None if sweep is None else Sweep(SweepSettings.of(sweep, settings))
+    flight = _flight_of(settings)
     root = _prepare(Path(folder), overwrite)
-    flight = Flight(settings)
     _write_dark(flight, root / "dark")
     _write_sky(flight.sky_samples(), settings, root / "asd")
+    write_references(flight, root)
     from .stores import write_calibration
 
     write_calibration(flight, root / "calibration.zarr")
@@ -133,6 +145,14 @@ def simulate_collect(
     # a reader that finds this file finds all the others whole
     path.write_text(_collect_text(settings, lab is not None), encoding="utf-8")
     return path
+
+
+def _flight_of(settings: SimulationSettings) -> Flight:
+    if settings.scene == "plan":
+        return PlanFlight(settings)
+    from .rendered_flight import RenderedFlight  # brings the tracer along
+
+    return RenderedFlight(settings)
 
 
 def _write_lab(sweep: Sweep, folder: Path, truth: bool) -> None:
@@ -158,7 +178,7 @@ def _prepare(root: Path, overwrite: bool) -> Path:
                 shutil.rmtree(target)
             else:
                 target.unlink(missing_ok=True)
-    for part in PARTS[:3]:
+    for part in ("flight", "dark", "asd"):
         (root / part).mkdir(parents=True)
     return root
 
@@ -297,7 +317,15 @@ utc_offset_h = {float(settings.utc_offset_h)!r}
 clock_offset_s = {float(settings.clock_offset_s)!r}
 {clock}stamp = "{settings.irradiance_stamp}"
 fwhm_nm = {float(settings.irradiance_fwhm_nm)!r}
-{flightlines}"""
+{flightlines}
+[[references]]
+instrument = "svc"
+files = "{SVC_FOLDER}/*.sig"
+
+[[references]]
+instrument = "asd"
+files = "{ASD_FOLDER}/*.asd"
+"""
 
 
 def simulate_line(
@@ -314,7 +342,7 @@ def simulate_line(
     Parameters
     ----------
     lines, bands, columns, seed
-        As for `simulate_collect`.
+        As for `simulate_collect`; the scene is the plan unless ``scene="rendered"`` asks for triangles.
     matched
         Add ``matched_irradiance``: what every element would have seen of each irradiance sample, exactly.
     **effects
@@ -343,6 +371,6 @@ def simulate_line(
     settings = SimulationSettings.of(
         {"lines": lines, "bands": bands, "columns": columns, "seed": seed, **effects}
     )
-    flight = Flight(settings)
+    flight = _flight_of(settings)
     block: Lines = flight.lines(0, settings.lines)
     return line_dataset(flight, block, matched=matched)

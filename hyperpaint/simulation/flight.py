@@ -1,39 +1,65 @@
-"""One simulated flight: what the scene, the light and the camera do, line by line.
+"""One simulated flight: what the light and the camera do, line by line, whatever is flown over.
 
-The light is a mix of two spectra and a pixel sees one of some twenty materials, so that every radiance
-integral of a flight is in one table, INT rho_m E_k R_b,x (k direct or diffuse), made once.
+`plan_flight` flies over a flat picture, `rendered_flight` over triangles; both say what radiance every
+element sees, and this module turns it into counts and truth. The light is a mix of two spectra, direct and
+diffuse, each with its own factor in time.
 """
 
 from __future__ import annotations
 
+import abc
 import os
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
+from types import MappingProxyType
 
 import numpy as np
 from numpy.typing import NDArray
 
-from .atmosphere import Light, Sky, spectral_grid
+from .atmosphere import Light, spectral_grid
 from .camera import Camera
 from .instruments import ASD_AVERAGES, ASD_INTEGRATION_MS, ASD_WAVELENGTH
-from .paints import CAR_PAINTS, MATERIALS, reflectance
-from .scenes import CarPark
+from .paints import reflectance
+from .scenes import SWATH
 from .sensor import convolve_gaussian, expected_counts
 from .settings import SimulationSettings
+from .skies import sky_irradiance
 
-__all__ = ["Flight", "Lines", "SkySamples"]
+__all__ = ["METRES_PER_DEGREE", "ORIGIN", "PIXEL_ANGLE", "Flight", "Layer", "Lines", "SkySamples"]
 
 Floats = NDArray[np.float64]
+Cube = NDArray[np.float32]
 
-# keys of the random streams: [seed, stream, line], so that nothing depends on how lines are grouped
-_TEXTURE, _GLINT, _NOISE, _DARK_FRAMES, _SKY = 10, 11, 12, 16, 17
+PIXEL_ANGLE = 7.4e-6 / 12e-3
+"""Pixel pitch over focal length [rad]."""
 
-_CAR = np.array([name in CAR_PAINTS for name in MATERIALS])
-_TEXTURED = np.array([not name.startswith("panel") for name in MATERIALS])
-_PIXEL_ANGLE = 7.4e-6 / 12e-3  # rad: pixel pitch over focal length
-_ORIGIN = (43.0845, -77.6749, 160.0)  # latitude, longitude [degree], ground [m]
-_METRES_PER_DEGREE = 111_120.0
+# keys of the random streams: [seed, stream, line], so that nothing depends on how lines are grouped; those of
+# what is flown over stand in the modules of those flights
+_NOISE, _DARK_FRAMES, _SKY = 12, 16, 17
+
+ORIGIN = (43.0845, -77.6749, 160.0)
+"""Latitude and longitude [degree] of the first line, and height of the ground [m]."""
+
+METRES_PER_DEGREE = 111_120.0
+"""Of latitude."""
+
+
+@dataclass(frozen=True)
+class Layer:
+    """What a layer of truth is.
+
+    Attributes
+    ----------
+    dtype
+        Of its values, shape (along_track, cross_track).
+    attrs
+        Attributes: ``long_name``, ``units`` and the like.
+    """
+
+    dtype: str
+    attrs: Mapping[str, object]
 
 
 @dataclass(frozen=True)
@@ -50,6 +76,8 @@ class Lines:
         Before conversion, shape (along_track, band, cross_track), float32 [count].
     radiance, reflectance
         Response-weighted means, shape as counts, float32 [W m-2 sr-1 nm-1], [1].
+    layers
+        What else is known of every pixel, by the names of `Flight.layers`.
     """
 
     surface: NDArray[np.int16]
@@ -57,6 +85,7 @@ class Lines:
     counts: NDArray[np.float32]
     radiance: NDArray[np.float32]
     reflectance: NDArray[np.float32]
+    layers: Mapping[str, NDArray[np.generic]] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -81,14 +110,27 @@ class SkySamples:
     irradiance: Floats
 
 
-class Flight:
-    """A flight over the car park.
+class Flight(abc.ABC):
+    """A flight over a car park.
 
     Parameters
     ----------
     settings
         Size and effects.
+
+    Attributes
+    ----------
+    surfaces
+        Names of the classes of surfaces, in the order of their numbers.
+    paints
+        Names of the paints of the cars.
+    layers
+        What else is known of every pixel.
     """
+
+    surfaces: tuple[str, ...]
+    paints: tuple[str, ...]
+    layers: Mapping[str, Layer] = MappingProxyType({})
 
     def __init__(self, settings: SimulationSettings) -> None:
         self.settings = settings
@@ -97,37 +139,30 @@ class Flight:
         self.wavelength = self.imager.wavelength
         self.detector = self.camera.detector(settings.exposure_time)
         self.bad = self.camera.bad
-        self.park = CarPark(settings.columns, settings.seed)
         self.light = Light(settings.drift_per_minute, settings.cloud)
-        self._tabulate()
-
-    def _rng(self, stream: int, *key: int) -> np.random.Generator:
-        return np.random.default_rng([self.settings.seed, stream, *key])
-
-    def _tabulate(self) -> None:
-        reach, width = self.imager.reach, 4.0 * self.settings.irradiance_fwhm_nm
+        reach, width = self.imager.reach, 4.0 * settings.irradiance_fwhm_nm
         self.grid = spectral_grid(
             min(self.wavelength[0] - reach, ASD_WAVELENGTH[0] - width) - 1.0,
             max(self.wavelength[-1] + reach, ASD_WAVELENGTH[-1] + width) + 1.0,
         )
-        self.sky = np.stack(Sky(self.settings.sun_zenith).irradiance(self.grid))
-        rho = reflectance(list(MATERIALS), self.grid)
-        spectra = np.concatenate(
-            [(light * rho) for light in self.sky] + [self.sky, np.ones((1, len(self.grid)))]
-        )
-        integrals = self.imager.integrals(spectra, self.grid)
-        count = len(rho)
-        #: INT rho_m E_k R, shape (light, band, material x cross_track), ready to be looked up
-        self._reflected = np.stack(
-            [
-                integrals[part].transpose(1, 0, 2).reshape(self.settings.bands, -1)
-                for part in (slice(0, count), slice(count, 2 * count))
-            ]
-        )
-        self._incident = integrals[2 * count : 2 * count + 2]
+        self.sky = sky_irradiance(settings.sky, settings.sun[0], self.grid)
+        incident = self.imager.integrals(np.concatenate([self.sky, np.ones((1, len(self.grid)))]), self.grid)
+        #: INT E_k R of the direct and the diffuse light, shape (2, band, cross_track)
+        self._incident = incident[:2]
         #: INT R of every element, shape (band, cross_track) [count nm J-1]
-        self.response_area = integrals[-1]
-        self._per_radiance = 1.0 / (np.pi * self.response_area)
+        self.response_area = incident[2]
+
+    def paint_reflectance(self, names: Sequence[str], wavelength: Floats) -> Floats:
+        """Return the reflectance of paints, shape (name, wavelength)."""
+        return reflectance(names, wavelength)
+
+    def _rng(self, stream: int, *key: int) -> np.random.Generator:
+        return np.random.default_rng([self.settings.seed, stream, *key])
+
+    @property
+    def ground_sample(self) -> float:
+        """Side of a pixel on the ground [m]."""
+        return SWATH / self.settings.columns
 
     @property
     def etendue(self) -> float:
@@ -164,6 +199,7 @@ class Flight:
         """
         return np.asarray(np.einsum("kt,kbx->tbx", factors, self._incident) / self.response_area)
 
+    @abc.abstractmethod
     def lines(self, start: int, stop: int, into: Lines | None = None) -> Lines:
         """Return lines ``start`` to ``stop``; the same whatever lines are asked for together.
 
@@ -174,59 +210,44 @@ class Flight:
         into
             Lines no longer needed, whose memory is used again; fresh memory costs more than the arithmetic.
         """
-        settings, number = self.settings, stop - start
+
+    def _cubes(self, number: int, into: Lines | None) -> tuple[Cube, Cube, Cube]:
+        """Return memory for counts, radiance and reflectance of a number of lines."""
         if into is None or len(into.counts) < number:
-            shape = (number, settings.bands, settings.columns)
-            cubes = [np.empty(shape, dtype=np.float32) for _ in range(3)]
-        else:
-            cubes = [cube[:number] for cube in (into.counts, into.radiance, into.reflectance)]
-        surface = self.park.surface(start, stop)
-        mirrored = np.stack([self._mirrored(start + row, surface[row]) for row in range(number)])
-        made = Lines(surface, mirrored > 0, *cubes)
-        factors = self.light.factors(self.line_times[start:stop] / 1e9)
+            shape = (number, self.settings.bands, self.settings.columns)
+            return np.empty(shape, np.float32), np.empty(shape, np.float32), np.empty(shape, np.float32)
+        return into.counts[:number], into.radiance[:number], into.reflectance[:number]
 
-        def expose(row: int) -> None:
-            self._expose(made, row, start + row, factors[:, row], mirrored[row])
+    def _record(self, made: Lines, row: int, line: int, factors: Floats, seen: Floats) -> None:
+        """Fill one line's counts, radiance and reflectance.
 
-        # numpy lets go of the interpreter; each line has its own random numbers
-        with ThreadPoolExecutor(max_workers=os.cpu_count()) as pool:
-            list(pool.map(expose, range(number)))
-        return made
-
-    def _expose(self, made: Lines, row: int, line: int, factors: Floats, mirrored: Floats) -> None:
-        """Fill one line's counts, radiance and reflectance."""
+        Parameters
+        ----------
+        made, row
+            Where.
+        line
+            Its number in the flight, which chooses the noise.
+        factors
+            Of direct and diffuse light, shape (2,).
+        seen
+            pi INT L R of every element, shape (band, cross_track); overwritten.
+        """
         settings = self.settings
-        direct, diffuse = factors
-        index = made.surface[row].astype(np.intp) * settings.columns + np.arange(settings.columns)
-        # INT L R x pi of every element
-        seen = self._reflected[0].take(index, axis=1, mode="clip")
-        seen *= direct
-        term = self._reflected[1].take(index, axis=1, mode="clip")
-        term *= diffuse
-        seen += term
-        if settings.texture:
-            seen *= self._texture(line, made.surface[row])
-        if mirrored.any():
-            seen += mirrored * direct * self._incident[0]
-        np.multiply(self._incident[0], direct, out=term)
-        term += diffuse * self._incident[1]
-        np.divide(seen, term, out=made.reflectance[row], casting="same_kind")
-        np.multiply(seen, self._per_radiance, out=made.radiance[row], casting="same_kind")
+        incident = self._incident[0] * factors[0]
+        incident += factors[1] * self._incident[1]
+        np.divide(seen, incident, out=made.reflectance[row], casting="same_kind")
+        np.divide(seen, np.pi * self.response_area, out=made.radiance[row], casting="same_kind")
         seen *= 1.0 / np.pi
         signal = expected_counts(seen, settings.exposure_time, self.etendue)
         signal[self.bad] = 0.0
         rng = self._rng(_NOISE, line) if settings.noise else None
         made.counts[row] = self.detector.read(signal, rng)
 
-    def _texture(self, line: int, surface: NDArray[np.int16]) -> Floats:
-        normal = np.clip(self._rng(_TEXTURE, line).standard_normal(surface.shape), -3.0, 3.0)
-        return np.where(_TEXTURED[surface], 1.0 + self.settings.texture * normal, 1.0)
-
-    def _mirrored(self, line: int, surface: NDArray[np.int16]) -> Floats:
-        """Return the reflectance factor of the clear coat's mirror image of the sun, zero for most pixels."""
-        rng = self._rng(_GLINT, line)
-        chance, strength = rng.random(surface.shape), rng.uniform(2.0, 12.0, surface.shape)
-        return np.where((chance < self.settings.glint) & _CAR[surface], strength, 0.0)
+    @staticmethod
+    def _for_lines(number: int, expose: Callable[[int], None]) -> None:
+        """Work on lines in threads: numpy lets go of the interpreter, each line draws its own numbers."""
+        with ThreadPoolExecutor(max_workers=os.cpu_count()) as pool:
+            list(pool.map(expose, range(number)))
 
     def dark_frames(self) -> NDArray[np.uint16]:
         """Return the dark cube, shape (along_track, band, cross_track)."""
@@ -263,16 +284,14 @@ class Flight:
         return SkySamples(stamp, middle, factors, irradiance)
 
     def pose(self, seconds: Floats) -> dict[str, Floats]:
-        """Return position and attitude at times from the first line [s]; the scene is not moved by them."""
-        latitude, longitude, ground = _ORIGIN
-        along = seconds * self.park.ground_sample / (self.settings.frame_period_ms / 1e3)
+        """Return position and attitude at times from the first line [s]; a plan scene is not moved by it."""
+        latitude, longitude, ground = ORIGIN
+        along = seconds * self.ground_sample / (self.settings.frame_period_ms / 1e3)
         return {
             "roll": 0.4 * np.sin(2 * np.pi * seconds / 3.1 + 0.3),
             "pitch": 0.3 * np.sin(2 * np.pi * seconds / 4.7 + 1.1),
             "heading": 0.2 * np.sin(2 * np.pi * seconds / 7.9) + 0.5,
-            "latitude": latitude + along / _METRES_PER_DEGREE,
+            "latitude": latitude + along / METRES_PER_DEGREE,
             "longitude": np.full_like(seconds, longitude),
-            "altitude": ground
-            + self.park.ground_sample / _PIXEL_ANGLE
-            + 0.1 * np.sin(2 * np.pi * seconds / 11.0),
+            "altitude": ground + self.ground_sample / PIXEL_ANGLE + 0.1 * np.sin(2 * np.pi * seconds / 11.0),
         }

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
 from typing import Self
@@ -19,6 +20,7 @@ __all__ = [
     "ASD_WAVELENGTH",
     "BilWriter",
     "write_asd",
+    "write_asd_reflectance",
     "write_frame_index",
     "write_navigation",
     "write_settings",
@@ -168,22 +170,76 @@ def write_asd(path: Path, irradiance: Floats, *, stamp: int, utc_offset: int, re
     """
     lamp, lamp_counts = _lamp(), _lamp_counts()
     counts = irradiance * lamp_counts / lamp * (ASD_INTEGRATION_MS / _CALIBRATION_MS)
-    channels = len(ASD_WAVELENGTH)
+    clock = _AsdClock(stamp, utc_offset, reference_stamp)
     blocks = (
-        (1, b"bse_sim.ref", np.full(channels, 0.99)),
+        (1, b"bse_sim.ref", np.full(len(ASD_WAVELENGTH), 0.99)),
         (2, b"lamp_sim.ill", lamp),
         (3, b"fo_sim.raw", lamp_counts),
     )
+    _write_asd(path, _IRRADIANCE, counts, np.ones(len(ASD_WAVELENGTH)), clock, blocks)
+
+
+def write_asd_reflectance(
+    path: Path, radiance: Floats, white: Floats, *, stamp: int, utc_offset: int, reference_stamp: int
+) -> None:
+    """Write one reflectance spectrum as an ASD binary, version 7: counts, and counts of a white panel.
+
+    Parameters
+    ----------
+    path
+        The file.
+    radiance, white
+        Of the surface and of the panel, on `ASD_WAVELENGTH`, shape (726,) [W m-2 sr-1 nm-1].
+    stamp, utc_offset, reference_stamp
+        As for `write_asd`; the panel was seen at ``reference_stamp``.
+    """
+    per_radiance = np.pi * _lamp_counts() / _lamp() * (ASD_INTEGRATION_MS / _CALIBRATION_MS)
+    clock = _AsdClock(stamp, utc_offset, reference_stamp)
+    _write_asd(path, _REFLECTANCE, radiance * per_radiance, white * per_radiance, clock)
+
+
+@dataclass(frozen=True)
+class _AsdKind:
+    """What a file says of the operator's choice: data type, fore optic, highest ordinate, comment."""
+
+    number: int
+    fore_optic: int
+    highest: float
+    comment: bytes
+
+
+_IRRADIANCE = _AsdKind(4, 180, 65535.0, b"hyperpaint simulation, remote cosine receptor")
+_REFLECTANCE = _AsdKind(1, 8, 1.25, b"hyperpaint simulation, white panel")
+
+
+@dataclass(frozen=True)
+class _AsdClock:
+    """Times of a file [s]: since 1970 in the computer's idea of UTC, and the computer's zone."""
+
+    stamp: int
+    utc_offset: int
+    reference_stamp: int
+
+
+def _write_asd(
+    path: Path,
+    kind: _AsdKind,
+    counts: Floats,
+    reference: Floats,
+    clock: _AsdClock,
+    blocks: Sequence[tuple[int, bytes, Floats]] = (),
+) -> None:
+    zone = clock.utc_offset
     parts = [
-        _asd_header(counts, stamp, utc_offset, reference_stamp),
+        _asd_header(kind, len(counts), clock),
         counts.astype("<f8").tobytes(),
-        struct.pack("<Hdd", 0xFFFF, _ole(reference_stamp + utc_offset), _ole(stamp + utc_offset)),
+        struct.pack("<Hdd", 0xFFFF, _ole(clock.reference_stamp + zone), _ole(clock.stamp + zone)),
         struct.pack("<H", 0),
-        np.ones(channels, dtype="<f8").tobytes(),
+        reference.astype("<f8").tobytes(),
         _EMPTY_CLASSIFIER,
         struct.pack("<hhHH", 0, 0, 0, 0),  # dependent variables: none
         struct.pack("<B", len(blocks)),
-        *(struct.pack("<b20sihh", kind, name, _CALIBRATION_MS, 0, 0) for kind, name, _ in blocks),
+        *(struct.pack("<b20sihh", number, name, _CALIBRATION_MS, 0, 0) for number, name, _ in blocks),
         *(values.astype("<f8").tobytes() for _, _, values in blocks),
     ]
     path.write_bytes(b"".join(parts))
@@ -193,23 +249,23 @@ def write_asd(path: Path, irradiance: Floats, *, stamp: int, utc_offset: int, re
 _EMPTY_CLASSIFIER = struct.pack("<BB20HHH", 0, 0, *[0] * 20, 0, 0)
 
 
-def _asd_header(counts: Floats, stamp: int, utc_offset: int, reference_stamp: int) -> bytes:
+def _asd_header(kind: _AsdKind, channels: int, clock: _AsdClock) -> bytes:
     header = bytearray(484)
     fields: Sequence[tuple[int, str, tuple[object, ...]]] = (
         (0, "3s", (b"as7",)),
-        (3, "157s", (b"hyperpaint simulation, remote cosine receptor",)),
-        (160, "9h", _c_time(stamp + utc_offset)),
+        (3, "157s", (kind.comment,)),
+        (160, "9h", _c_time(clock.stamp + clock.utc_offset)),
         (178, "BBBB", (0x57, 0x70, 0, 1)),  # program 5.7, file 7.0, itime, dark subtracted
-        (182, "i", (reference_stamp,)),
-        (186, "B", (4,)),  # irradiance
-        (187, "i", (reference_stamp,)),
+        (182, "i", (clock.reference_stamp,)),
+        (186, "B", (kind.number,)),
+        (187, "i", (clock.reference_stamp,)),
         (191, "ff", (ASD_WAVELENGTH[0], 1.0)),
         (199, "B", (2,)),  # float64
-        (204, "H", (len(counts),)),
+        (204, "H", (channels,)),
         (390, "I", (ASD_INTEGRATION_MS,)),
-        (394, "h", (180,)),  # cosine receptor
+        (394, "h", (kind.fore_optic,)),  # 180: cosine receptor
         (398, "HH", (1, 18875)),
-        (402, "4f", (0.0, 65535.0, ASD_WAVELENGTH[0], ASD_WAVELENGTH[-1])),
+        (402, "4f", (0.0, kind.highest, ASD_WAVELENGTH[0], ASD_WAVELENGTH[-1])),
         (418, "H", (16,)),
         (425, "3H", (ASD_AVERAGES, ASD_AVERAGES, ASD_AVERAGES)),
         (431, "B", (2,)),  # LSVNIR

@@ -14,9 +14,19 @@ from hyperpaint.errors import Problems, SchemaError
 
 from .sensor import SHAPES
 
-__all__ = ["SimulationSettings"]
+__all__ = ["NEAR_SUNSET", "SCENES", "SKIES", "STAMPS", "SimulationSettings"]
 
 STAMPS = ("start", "mid", "end")
+"""What a time stamp may mark of an exposure."""
+
+SCENES = ("plan", "rendered")
+"""What can be flown over: a flat picture of a car park, or a car park of triangles whose light is traced."""
+
+SKIES = ("clear", "near_sunset", "overcast")
+"""Kinds of light."""
+
+NEAR_SUNSET = (80.0, 292.0)
+"""Zenith angle and azimuth of the sun near sunset [degree]."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -29,6 +39,20 @@ class SimulationSettings:
         Shape of the cube, dropped frames included. The scene is 16 m wide, whatever the number of columns.
     seed
         Chooses the scene, the detector's pattern, the noise. The light's spectral lines never change.
+    scene
+        "plan": a flat picture in which a pixel sees one level Lambert surface, made in no time. "rendered": a
+        car park of triangles, whose light is traced along the camera's own wobbling line of sight, with
+        shadows, glint, light between neighbours and mixed pixels.
+    samples
+        Rays a pixel of a rendered scene; what was rendered is the truth, however few they are.
+    sky
+        "clear": the sun at ``sun_zenith`` and ``sun_azimuth``. "near_sunset": a clear sky with the sun 80
+        degrees from the zenith, in the west, whatever the clock says. "overcast": no sun, and the same sky in
+        all directions.
+    coat
+        Clear coats and flakes of a rendered scene's paints; False leaves Lambert paints of the same spectra.
+    neighbours
+        Trees, a wall and lamps around a rendered car park; False leaves cars on an open place.
     cubes
         Number of cubes the flight is cut into; they share one navigation file.
     start_time
@@ -73,11 +97,12 @@ class SimulationSettings:
     bad_elements
         Number of elements that see no light; their gain is NaN.
     texture
-        Spread of a surface's brightness from pixel to pixel, 1 sigma [1].
+        Spread of a surface's brightness from pixel to pixel, 1 sigma [1]; of the plan scene.
     glint
-        Fraction of the car pixels that mirror the sun and saturate.
-    sun_zenith
-        [degree]
+        Fraction of the car pixels that mirror the sun and saturate; of the plan scene, since in a rendered
+        one clear coats mirror the sun where they face it.
+    sun_zenith, sun_azimuth
+        Where the sun stands in a clear sky, the azimuth clockwise from north [degree].
     drift_per_minute
         Relative change of the direct light in a minute; the diffuse light changes half as much the other way.
     cloud
@@ -124,6 +149,11 @@ class SimulationSettings:
     bands: int = 272
     columns: int = 320
     seed: int = 0
+    scene: str = "plan"
+    samples: int = 16
+    sky: str = "clear"
+    coat: bool = True
+    neighbours: bool = True
     cubes: int = 1
     start_time: str = "2021-07-20T17:10:00"
     exposure_time_ms: float = 5.0
@@ -152,6 +182,7 @@ class SimulationSettings:
     texture: float = 0.02
     glint: float = 0.001
     sun_zenith: float = 25.0
+    sun_azimuth: float = 178.0
     drift_per_minute: float = 0.001
     cloud: tuple[float, float, float] | None = None
     dropped: int | Sequence[int] = 0
@@ -195,6 +226,11 @@ class SimulationSettings:
         return self.lines, self.bands, self.columns
 
     @property
+    def sun(self) -> tuple[float, float]:
+        """Zenith angle and azimuth of the sun, clockwise from north [degree]."""
+        return NEAR_SUNSET if self.sky == "near_sunset" else (self.sun_zenith, self.sun_azimuth)
+
+    @property
     def exposure_time(self) -> float:
         """Exposure [s]."""
         return self.exposure_time_ms / 1000.0
@@ -215,11 +251,17 @@ class SimulationSettings:
         return np.linspace(0, self.lines, self.cubes + 1).astype(np.int64)
 
     def _check_choices(self, problems: Problems) -> None:
-        choices = {"srf_shape": SHAPES, "stamp": STAMPS, "irradiance_stamp": STAMPS}
+        choices = {
+            "scene": SCENES,
+            "sky": SKIES,
+            "srf_shape": SHAPES,
+            "stamp": STAMPS,
+            "irradiance_stamp": STAMPS,
+        }
         for name, allowed in choices.items():
             if getattr(self, name) not in allowed:
                 problems.add(f"{name}={getattr(self, name)!r}, expected one of {', '.join(allowed)}")
-        for name in ("noise", "dark_noise", "quantise"):
+        for name in ("coat", "neighbours", "noise", "dark_noise", "quantise"):
             if not isinstance(getattr(self, name), bool):
                 problems.add(f"{name}={getattr(self, name)!r}, expected True or False")
         if not _is_start_time(self.start_time):
@@ -317,6 +359,7 @@ _WHOLE = {
     "bands": (2, 10_000),
     "columns": (1, 100_000),
     "seed": (0, 2**63 - 1),
+    "samples": (1, 1 << 14),  # what the tracer takes
     "cubes": (1, 10_000),
     "bit_depth": (1, 16),
     "dark_frames": (1, 100_000),
@@ -347,6 +390,7 @@ _RANGES: tuple[_Rule, ...] = (
     (("dispersion_bow_nm",), lambda value: abs(value) <= 20, "a number from -20 to 20"),
     (("smile_nm",), lambda value: abs(value) <= 20, "a number from -20 to 20"),
     (("sun_zenith",), lambda value: 0 <= value <= 85, "a number from 0 to 85"),
+    (("sun_azimuth",), lambda value: 0 <= value <= 360, "a number from 0 to 360"),
     (("drift_per_minute",), lambda value: abs(value) <= 1, "a number from -1 to 1"),
     (
         ("first_wavelength", "last_wavelength"),

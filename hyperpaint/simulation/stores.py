@@ -16,24 +16,26 @@ from hyperpaint.schema import CHUNK_LINES, CUBE, FORMAT_VERSION, TIME_UNITS, VAR
 
 from .flight import Flight, Lines
 from .instruments import ASD_WAVELENGTH
-from .paints import MATERIALS
 
 __all__ = ["TruthStore", "consolidate", "line_dataset", "write_calibration"]
 
 ALONG_TRACK, BAND, CROSS_TRACK = CUBE
 _PLANE = (ALONG_TRACK, CROSS_TRACK)
 
-_SURFACE_ATTRS: dict[str, Any] = {
-    "long_name": "Class of the surface",
-    "flag_values": list(range(len(MATERIALS))),
-    "flag_meanings": " ".join(MATERIALS),
-}
 _MASKS = {
     "saturated": "True where the converter was full in any band",
     "glint": "True where the pixel mirrors the sun",
 }
 
 _NO_DATA_ATTRS = {"long_name": "True where the frame was never recorded"}
+
+
+def _surface_attrs(flight: Flight) -> dict[str, Any]:
+    return {
+        "long_name": "Class of the surface",
+        "flag_values": list(range(len(flight.surfaces))),
+        "flag_meanings": " ".join(flight.surfaces),
+    }
 
 
 def _variable(name: str, values: Any, dims: tuple[str, ...] | None = None) -> xr.Variable:
@@ -134,11 +136,13 @@ class TruthStore:
                 name: _create(group, name, cube, CUBE, "float32", VARIABLES[name].attrs)
                 for name in ("reflectance", "radiance")
             },
-            "surface": _create(group, "surface", plane, _PLANE, "int16", _SURFACE_ATTRS),
+            "surface": _create(group, "surface", plane, _PLANE, "int16", _surface_attrs(flight)),
             "no_data": _create(group, "no_data", (settings.lines,), (ALONG_TRACK,), "bool", _NO_DATA_ATTRS),
         }
         for name, text in _MASKS.items():
             self._arrays[name] = _create(group, name, plane, _PLANE, "bool", {"long_name": text})
+        for name, layer in flight.layers.items():
+            self._arrays[name] = _create(group, name, plane, _PLANE, layer.dtype, dict(layer.attrs))
         consolidate(path)
 
     def write(self, start: int, lines: Lines, recorded: NDArray[np.bool_]) -> None:
@@ -150,6 +154,8 @@ class TruthStore:
         self._arrays["glint"][here] = lines.glint
         self._arrays["saturated"][here] = _saturated(lines, self._full)
         self._arrays["no_data"][here] = ~recorded
+        for name, values in lines.layers.items():
+            self._arrays[name][here] = values
 
 
 def _saturated(lines: Lines, full: int) -> NDArray[np.bool_]:
@@ -171,7 +177,7 @@ def _create(
         chunks=(min(CHUNK_LINES, shape[0]), *shape[1:]),
         dtype=dtype,
         compressors=[BloscCodec(typesize=itemsize, cname="lz4", clevel=5, shuffle="bitshuffle")],
-        fill_value=np.nan if dtype == "float32" else np.dtype(dtype).type(0),
+        fill_value=np.nan if dtype.startswith("float") else np.dtype(dtype).type(0),
         dimension_names=dims,
         attributes=attrs,
         config={"write_empty_chunks": True},
@@ -200,8 +206,12 @@ def line_dataset(flight: Flight, block: Lines, *, matched: bool) -> xr.Dataset:
             "irradiance_max_gap": _variable("irradiance_max_gap", 2.5 * settings.irradiance_interval_s),
             "true_radiance": xr.Variable(CUBE, block.radiance, VARIABLES["radiance"].attrs),
             "true_reflectance": xr.Variable(CUBE, block.reflectance, VARIABLES["reflectance"].attrs),
-            "surface": xr.Variable(_PLANE, block.surface, _SURFACE_ATTRS),
+            "surface": xr.Variable(_PLANE, block.surface, _surface_attrs(flight)),
             "true_saturated": xr.Variable(_PLANE, _saturated(block, detector.saturation_count)),
+            **{
+                f"true_{name}": xr.Variable(_PLANE, block.layers[name], dict(layer.attrs))
+                for name, layer in flight.layers.items()
+            },
         },
         coords={
             **_band_coords(flight),

@@ -25,7 +25,15 @@ LINES = 60
 def simulated(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("collect")
     return simulate_collect(
-        folder, lines=LINES, bands=6, columns=5, cubes=2, dropped=[7, 8, 40], dark_frames=20, noise=False
+        folder,
+        scene="plan",
+        lines=LINES,
+        bands=6,
+        columns=5,
+        cubes=2,
+        dropped=[7, 8, 40],
+        dark_frames=20,
+        noise=False,
     ).parent
 
 
@@ -79,7 +87,7 @@ def test_what_the_file_says(folder: Path) -> None:
         "quantity": "irradiance", "utc_offset_h": -5.0, "clock_offset_s": 37.25,
         "stamp": "end", "fwhm_nm": 3.0,
     }  # fmt: skip
-    assert [file.name for file in collect.references[0].files] == [f"sky0000{i}.asd" for i in range(3)]
+    assert [file.name for file in collect.references[-1].files] == [f"sky0000{i}.asd" for i in range(3)]
 
 
 @pytest.mark.parametrize("said", ['dark = "none"\n', "[dark]\ncubes = 'none'\n"])
@@ -195,8 +203,8 @@ def test_every_problem_of_the_file_is_listed(folder: Path) -> None:
         "unknown table or key 'colect'; did you mean 'collect'?",
         "[[flightlines]] 3 id = '../escape'",
         "[[flightlines]] 3 no line times: found frame_period_ms",
-        "[[references]] 1 instrument missing",
-        "[[references]] 1 files = 3, expected a text or a list of texts",
+        "[[references]] 3 instrument missing",
+        "[[references]] 3 files = 3, expected a text or a list of texts",
     ):
         assert part in text, part
 

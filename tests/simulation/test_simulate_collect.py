@@ -16,11 +16,11 @@ import xarray as xr
 from hyperpaint.errors import SchemaError, StoreError
 from hyperpaint.simulation import SimulationSettings, simulate_collect, simulate_line
 from hyperpaint.simulation.atmosphere import Sky
-from hyperpaint.simulation.flight import Flight
 from hyperpaint.simulation.paints import MATERIALS
+from hyperpaint.simulation.plan_flight import PlanFlight
 from hyperpaint.simulation.sensor import convolve_gaussian
 
-SMALL: dict[str, Any] = {"lines": 70, "bands": 12, "columns": 10, "seed": 7}
+SMALL: dict[str, Any] = {"scene": "plan", "lines": 70, "bands": 12, "columns": 10, "seed": 7}
 SECOND = np.timedelta64(1, "s")
 
 
@@ -157,7 +157,7 @@ def test_spectrometer_files_hold_irradiance_and_local_time(collect: Path) -> Non
     assert files[0]["splice"] == (1075.0, -1.0)
     assert set(files[0]["blocks"]) == {1, 2, 3}
     length = files[0]["integration"] * files[0]["averages"][2] / 1000
-    flight = Flight(SimulationSettings(**SMALL))
+    flight = PlanFlight(SimulationSettings(**SMALL))
     clear = convolve_gaussian(
         np.stack(Sky().irradiance(flight.grid)), flight.grid, np.arange(350.0, 1076), 3.0
     )
@@ -283,7 +283,7 @@ def test_radiance_is_the_weighted_irradiance_over_pi() -> None:
     matched = np.broadcast_to(line["matched_irradiance"].values[0], line["true_radiance"].shape)
     ratio = (line["true_radiance"].values * np.pi / matched).transpose(0, 2, 1)[panel]
     np.testing.assert_allclose(ratio, 0.5, rtol=3e-7)
-    flight = Flight(SimulationSettings(lines=60, bands=30, columns=32, texture=0.0))
+    flight = PlanFlight(SimulationSettings(lines=60, bands=30, columns=32, texture=0.0))
     grid, imager = flight.grid, flight.imager
     green = MATERIALS["green"](grid)
     by_hand = imager.integrals((green * flight.sky.sum(axis=0))[None], grid)[0]
@@ -406,7 +406,7 @@ def test_gap_in_the_irradiance_record() -> None:
 
 @pytest.mark.parametrize("stamp", ["start", "mid", "end"])
 def test_frame_stamp_marks_what_was_asked(tmp_path: Path, stamp: str) -> None:
-    path = simulate_collect(tmp_path, lines=4, bands=2, columns=2, stamp=stamp, truth=False)
+    path = simulate_collect(tmp_path, scene="plan", lines=4, bands=2, columns=2, stamp=stamp, truth=False)
     first = int(table(path.parent / "flight" / "frameIndex_0.txt")[0]["Timestamp"])
     assert first - 1_234_567_891 == {"start": -2500, "mid": 0, "end": 2500}[stamp]
 
@@ -472,7 +472,7 @@ def test_files_hold_whole_counts_only(tmp_path: Path) -> None:
 
 
 def test_memory_is_used_again_without_a_trace() -> None:
-    flight = Flight(SimulationSettings(**SMALL))
+    flight = PlanFlight(SimulationSettings(**SMALL))
     fresh = [flight.lines(a, b).counts.copy() for a, b in itertools.pairwise((0, 32, 64, 70))]
     memory = flight.lines(0, 32)
     for kept, (first, last) in zip(fresh, itertools.pairwise((0, 32, 64, 70)), strict=True):

@@ -384,7 +384,9 @@ def test_store_is_replaced_only_on_request(tmp_path: Path) -> None:
 
 
 def test_collect_with_its_sweep(tmp_path: Path) -> None:
-    size: dict[str, Any] = {"lines": 8, "bands": 16, "columns": 6, "seed": 3, "srf_shape": "slit"}
+    size: dict[str, Any] = {
+        "scene": "plan", "lines": 8, "bands": 16, "columns": 6, "seed": 3, "srf_shape": "slit",
+    }  # fmt: skip
     toml = simulate_collect(tmp_path / "with", **size, sweep={"steps": 5, "frames": 9, "noise": False})
     assert tomllib.loads(toml.read_text())["calibration"] == {"sweep": "lab/sweep.zarr"}
     lab = xr.open_zarr(toml.parent / "lab" / "sweep.zarr")
@@ -407,6 +409,8 @@ def test_command_line_writes_a_sweep(tmp_path: Path) -> None:
     arguments = [
         "simulate",
         str(tmp_path / "sim"),
+        "--scene",
+        "plan",
         "--lines",
         "4",
         "--bands",
@@ -449,5 +453,5 @@ def test_a_sweep_cannot_change_the_camera_of_a_flight(tmp_path: Path) -> None:
     with pytest.raises(SchemaError, match="unknown settings smile_nm"):
         SweepSettings.of({"smile_nm": 1.0}, SimulationSettings())
     with pytest.raises(SchemaError, match="seed"):
-        simulate_collect(tmp_path / "sim", lines=4, bands=4, columns=4, sweep={"seed": 1})
+        simulate_collect(tmp_path / "sim", scene="plan", lines=4, bands=4, columns=4, sweep={"seed": 1})
     assert not (tmp_path / "sim").exists()

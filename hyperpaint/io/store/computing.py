@@ -11,7 +11,6 @@ import asyncio
 import concurrent.futures
 import contextlib
 import sys
-import time
 import traceback
 from collections.abc import Generator, Iterable, Iterator, Mapping
 from dataclasses import dataclass
@@ -19,6 +18,8 @@ from typing import TYPE_CHECKING, Any, NoReturn
 
 from hyperpaint.errors import PaintError, StoreError
 from hyperpaint.schema import ALONG_TRACK
+
+from .progress import BlockBar, bar_over_blocks
 
 if TYPE_CHECKING:
     import dask.array as da
@@ -35,7 +36,6 @@ RETRIES = 3
 _AGAIN = "run again: the chunks that are finished will be taken up"
 _SAME_FILES = "; every worker must see the same files, under the same paths"
 _CANCELLED = (asyncio.CancelledError, concurrent.futures.CancelledError)
-_BAR = 40
 
 Key = tuple[Any, ...]
 Found = Generator[tuple[Key, Any], None, None]
@@ -182,9 +182,7 @@ def _on_threads(
     keys = list(blocks)
     with contextlib.ExitStack() as stack:
         if progress:
-            from dask.diagnostics import ProgressBar
-
-            stack.enter_context(ProgressBar())
+            stack.enter_context(bar_over_blocks(keys))
         try:
             results = get(graph, keys)
         except Exception as error:
@@ -234,17 +232,12 @@ def _on_cluster(client: Client, graph: dict[Key, Any], blocks: Mapping[Key, _Blo
 
 
 def _with_bar(found: Found, total: int) -> Found:
-    """Draw dask's bar while blocks come in; distributed's own vanishes in notebooks and at its end."""
-    from dask.utils import format_time
-
-    begun = time.perf_counter()
+    """Draw a bar while blocks come in; distributed's own vanishes in notebooks and at its end."""
+    bar = BlockBar(total)
     with contextlib.closing(found), contextlib.ExitStack() as stack:
         stack.callback(sys.stdout.write, "\n")  # an error is told below the bar
-        for done, each in enumerate(found, start=1):
-            elapsed = format_time(time.perf_counter() - begun)
-            bar = "#" * (_BAR * done // total)
-            sys.stdout.write(f"\r[{bar:<{_BAR}}] | {100 * done // total}% Completed | {elapsed}")
-            sys.stdout.flush()
+        for each in found:
+            bar.advance()
             yield each
 
 

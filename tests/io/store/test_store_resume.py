@@ -421,7 +421,7 @@ def test_process_is_resumed_by_another_process(tmp_path: Path, monkeypatch: pyte
     from hyperpaint.io.store import blocks
 
     collect, path = tmp_path / "raw/collect.toml", tmp_path / "lot.zarr"
-    hp.simulate_collect(collect.parent, lines=320, bands=20, columns=12, cubes=1, seed=3)
+    hp.simulate_collect(collect.parent, scene="plan", lines=320, bands=20, columns=12, cubes=1, seed=3)
     hp.process(collect, tmp_path / "whole.zarr")
     command = [sys.executable, "-c", FULL_DISK, str(collect), str(path)]
     assert subprocess.run(command, timeout=120, check=False).returncode == 3

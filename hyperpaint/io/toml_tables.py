@@ -1,0 +1,184 @@
+"""TOML files as checked tables: every problem noted, nothing opened that a table names."""
+
+from __future__ import annotations
+
+import difflib
+import os
+import re
+import stat
+import tomllib
+from collections.abc import Collection, Iterable, Mapping
+from pathlib import Path
+from typing import Any
+
+from hyperpaint.errors import FormatError, Problems
+
+from .file_patterns import is_pattern, matching_files
+from .reading import read_limited
+from .toml_checks import Check
+
+__all__ = ["TableReader", "load_tables", "shown", "suggestion"]
+
+_MAX_BYTES = 1 << 20
+#: A key of so many parts: tomllib's time for it grows with the square of their number.
+_LONG_KEY = re.compile(rb"""(?:\.[ \t]*(?:[A-Za-z0-9_-]+|"[^"\n]{0,99}"|'[^'\n]{0,99}')[ \t]*){64}""")
+
+
+def load_tables(path: Path, kind: str) -> dict[str, Any]:
+    """Return the tables of a file.
+
+    Parameters
+    ----------
+    path
+        The file.
+    kind
+        Names the kind of file in messages.
+
+    Raises
+    ------
+    FormatError
+        It cannot be read, is larger than such files are, or is not TOML (with the place of the mistake).
+    """
+    raw = read_limited(path, _MAX_BYTES, kind)
+    if _LONG_KEY.search(raw):
+        msg = f"{path}: a key of more than 64 parts, expected those of {kind}"
+        raise FormatError(msg)
+    try:
+        return tomllib.loads(raw.decode("utf-8"))
+    except (ValueError, RecursionError) as error:  # TOMLDecodeError and UnicodeDecodeError are ValueErrors
+        msg = f"{path}: not TOML: {error!s:.300}"
+        raise FormatError(msg) from error
+
+
+def suggestion(key: str, known: Iterable[str]) -> str:
+    """Return what to add to a message on a key that is not known: the nearest, or all of them."""
+    known = list(known)
+    close = difflib.get_close_matches(key[:100], known, n=1)
+    return f"; did you mean {close[0]!r}?" if close else f"; known are {', '.join(known)}"
+
+
+def shown(value: Any) -> str:
+    """Return a value for a message, shortened."""
+    try:
+        text = repr(value)
+    except ValueError:  # Python refuses to print whole numbers of over 4300 digits, which hexadecimals can be
+        text = "a number of thousands of digits"
+    return text if len(text) <= 60 else f"{text[:57]}..."
+
+
+class TableReader:
+    """Takes checked values out of the tables of a file, noting every problem.
+
+    Parameters
+    ----------
+    path
+        The file; paths in it are relative to its folder.
+    raw
+        Its tables.
+    schema
+        Check of every key of every table.
+    lists
+        Tables that may be there several times.
+    problems
+        Takes what is wrong.
+
+    Attributes
+    ----------
+    tables
+        What is valid of every table of the schema. In each, ``"?"`` is the set of keys that were given:
+        keys that were there but wrong are not missing.
+    given
+        Names of the tables that were given.
+    """
+
+    def __init__(
+        self,
+        path: Path,
+        raw: Mapping[str, Any],
+        schema: Mapping[str, Mapping[str, Check]],
+        lists: Collection[str],
+        problems: Problems,
+    ) -> None:
+        self.folder = path.parent
+        self.problems = problems
+        self.schema = schema
+        self.lists = lists
+        self.given = set(raw)
+        self.tables = {name: self.section(name, raw.get(name)) for name in schema}
+        for key in raw:
+            if key not in schema:
+                problems.add(f"unknown table or key {key!r}{suggestion(key, schema)}")
+
+    def section(self, name: str, value: Any, extra: str = "") -> list[dict[str, Any]]:
+        """Return the tables of this name with what is valid in them; ``extra`` else may stand there."""
+        if value is None:
+            return []
+        several = name in self.lists
+        tables = value if isinstance(value, list) else [value]
+        if isinstance(value, list) != several or not all(isinstance(table, dict) for table in tables):
+            shape = f"[[{name}]]" if several else f"[{name}]"
+            self.problems.add(f"{name!r} is {shown(value)}, expected {shape}{extra}")
+            return []
+        return [self._checked(self.place(name, number), name, table) for number, table in enumerate(tables)]
+
+    def place(self, name: str, number: int) -> str:
+        """Return what a table is called in messages."""
+        return f"[[{name}]] {number + 1}" if name in self.lists else f"[{name}]"
+
+    def _checked(self, place: str, name: str, table: Mapping[str, Any]) -> dict[str, Any]:
+        made: dict[str, Any] = {}
+        for key, value in table.items():
+            check = self.schema[name].get(key)
+            if check is None:
+                self.problems.add(f"{place} unknown key {key!r}{suggestion(key, self.schema[name])}")
+                continue
+            expected = check(value)
+            if expected is None:
+                made[key] = value
+            else:
+                self.problems.add(f"{place} {key} = {shown(value)}, expected {expected}")
+        made["?"] = set(table)
+        return made
+
+    def one(self, name: str) -> dict[str, Any]:
+        """Return the single table of this name, empty where absent."""
+        return next(iter(self.tables[name]), {"?": set()})
+
+    def path(self, place: str, key: str, value: str | None) -> Path | None:
+        """Return a path that exists, taken from the folder of the file."""
+        if value is None:
+            return None
+        path = self.folder / value
+        if "\0" in value or not os.path.lexists(path):
+            self.problems.add(f"{place} {key} = {value!r}: no such file ({path})")
+            return None
+        if _is_special(path):
+            self.problems.add(f"{place} {key} = {value!r}: a pipe or device, expected a file or folder")
+            return None
+        return path
+
+    def files(self, place: str, key: str, value: str | list[str]) -> tuple[Path, ...]:
+        """Return the files of paths and globs, each glob sorted; one that matches nothing is a problem."""
+        found: list[Path] = []
+        for text in value if isinstance(value, list) else [value]:
+            if "\0" not in text and is_pattern(text) and not os.path.lexists(self.folder / text):
+                try:
+                    matches = matching_files(self.folder, text)
+                except ValueError as error:
+                    self.problems.add(f"{place} {key} = {shown(text)}: {error}")
+                    continue
+                found += [match for match in matches if not _is_special(match)]
+                if not matches:
+                    self.problems.add(f"{place} {key} = {text!r}: matches no file in {self.folder}")
+            elif (path := self.path(place, key, text)) is not None:
+                found.append(path)
+        return tuple(dict.fromkeys(found))
+
+
+def _is_special(path: Path) -> bool:
+    """Tell whether a path names what must not be opened: a pipe would wait, a device never end."""
+    try:
+        mode = path.stat().st_mode
+    except OSError:
+        return False
+    return not (stat.S_ISREG(mode) or stat.S_ISDIR(mode))

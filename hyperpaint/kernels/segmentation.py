@@ -1,0 +1,266 @@
+"""Segments of a picture of spectra: steps between neighbours, joined from the gentlest on."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from ._jit import kernel
+
+__all__ = [
+    "absorb",
+    "boundary_distance",
+    "is_large",
+    "join_segments",
+    "nearest_sources",
+    "number_segments",
+    "step_sizes",
+]
+
+Array = npt.NDArray[Any]
+
+
+@kernel
+def step_sizes(channels: Array, floor: Any, across: Array, along: Array) -> None:
+    """Write the relative step from every pixel to the next one across and along the track.
+
+    Parameters
+    ----------
+    channels : (line, column, channel), float32
+        Reflectances [1]; a pixel without data is NaN in the first channel.
+    floor
+        What is added to the mean of two reflectances before their difference is divided by it [1].
+    across, along : (line, column), float32
+        Root mean square over channels, written; infinite where there is no next pixel or no data.
+    """
+    lines, columns, count = channels.shape
+    for line in range(lines):
+        for x in range(columns):
+            for way in range(2):
+                other_line, other_x = (line, x + 1) if way == 0 else (line + 1, x)
+                size = np.inf
+                if other_line < lines and other_x < columns:
+                    total = 0.0
+                    known = 0
+                    for k in range(count):
+                        one, other = (
+                            np.float64(channels[line, x, k]),
+                            np.float64(channels[other_line, other_x, k]),
+                        )
+                        if one == one and other == other:
+                            step = (one - other) / (0.5 * (max(one, 0.0) + max(other, 0.0)) + floor)
+                            total += step * step
+                            known += 1
+                    if 2 * known > count:
+                        size = np.sqrt(total / known)
+                if way == 0:
+                    across[line, x] = size
+                else:
+                    along[line, x] = size
+
+
+@kernel
+def root_of(parent: Array, pixel: Any) -> Any:
+    """Return the root of a pixel's tree, halving the path to it."""
+    while parent[pixel] != pixel:
+        parent[pixel] = parent[parent[pixel]]
+        pixel = parent[pixel]
+    return pixel
+
+
+@kernel
+def join_segments(order: Array, steps: Array, columns: Any, scale: Any, parent: Array, size: Array) -> None:
+    """Join pixels over the steps between them, gentlest first (Felzenszwalb & Huttenlocher 2004).
+
+    Two segments are joined where the step between them is no larger than the largest step that holds either
+    of them together, plus ``scale`` over its size.
+
+    Parameters
+    ----------
+    order : (step,)
+        Places in ``steps``, sorted: 2 x pixel for the step across, 2 x pixel + 1 for that along.
+    steps : (2 x pixel,)
+        Size of the steps, of all pixels.
+    columns
+        Pixels of a line.
+    scale
+        See above.
+    parent, size : (pixel,), int32
+        Written: the tree of every pixel, and at its root the pixels of the segment.
+    """
+    within = np.zeros(parent.size, np.float32)
+    for place in order:
+        step = steps[place]
+        one = place // 2
+        other = one + 1 if place % 2 == 0 else one + columns
+        one, other = root_of(parent, one), root_of(parent, other)
+        if one == other:
+            continue
+        if step <= within[one] + scale / size[one] and step <= within[other] + scale / size[other]:
+            low, high = min(one, other), max(one, other)
+            parent[high] = low
+            size[low] += size[high]
+            within[low] = step
+
+
+@kernel
+def count_cores(parent: Array, columns: Any, core: Array) -> None:
+    """Write, at the root of every segment, how many of its pixels have only their like on all four sides."""
+    lines = parent.size // columns
+    for pixel in range(parent.size):
+        root_of(parent, pixel)
+    core[:] = 0
+    for line in range(1, lines - 1):
+        for x in range(1, columns - 1):
+            pixel = line * columns + x
+            root = root_of(parent, pixel)
+            inside = root_of(parent, pixel - 1) == root and root_of(parent, pixel + 1) == root
+            inside = inside and root_of(parent, pixel - columns) == root
+            if inside and root_of(parent, pixel + columns) == root:
+                core[root] += 1
+
+
+@kernel
+def absorb(order: Array, columns: Any, least: Any, least_core: Any, parent: Array, size: Array) -> None:
+    """Join small and thin segments to the neighbour that the gentlest step leads to.
+
+    Those have fewer than ``least`` pixels, or fewer than ``least_core`` with only their like around them.
+    """
+    core = np.zeros(parent.size, np.int32)
+    count_cores(parent, columns, core)
+    large = np.zeros(parent.size, np.bool_)
+    for pixel in range(parent.size):
+        large[pixel] = parent[pixel] == pixel and size[pixel] >= least and core[pixel] >= least_core
+    for place in order:
+        one = place // 2
+        other = one + 1 if place % 2 == 0 else one + columns
+        one, other = root_of(parent, one), root_of(parent, other)
+        if one == other or (large[one] and large[other]):
+            continue
+        low, high = min(one, other), max(one, other)
+        parent[high] = low
+        size[low] += size[high]
+        large[low] = large[low] or large[high]
+
+
+@kernel
+def number_segments(parent: Array, known: Array, number: Array) -> Any:
+    """Write the segment of every pixel, numbered in the order of their first pixels; return how many.
+
+    Pixels that are not ``known`` get -1.
+    """
+    count = 0
+    names = np.full(parent.size, -1, np.int32)
+    for pixel in range(parent.size):
+        root = root_of(parent, pixel)
+        if not known[pixel]:
+            number[pixel] = -1
+            continue
+        if names[root] < 0:
+            names[root] = count
+            count += 1
+        number[pixel] = names[root]
+    return count
+
+
+@kernel
+def is_large(parent: Array, size: Array, columns: Any, least: Any, least_core: Any, large: Array) -> None:
+    """Write whether the segment of every pixel is large enough to stand for itself, see `absorb`."""
+    core = np.zeros(parent.size, np.int32)
+    count_cores(parent, columns, core)
+    for pixel in range(parent.size):
+        root = root_of(parent, pixel)
+        large[pixel] = size[root] >= least and core[root] >= least_core
+
+
+@kernel
+def boundary_distance(body: Array, sure: Array, most: Any, distance: Array) -> None:
+    """Write how many pixels (of eight neighbours) every pixel is from one of another body or of none.
+
+    Parameters
+    ----------
+    body : (line, column), int32
+        What pixels show; -1 for nothing known.
+    sure : (line, column), bool
+        False where a pixel only goes with its neighbours: 0 where another body is within 2 pixels.
+    most
+        Where counting ends, at most 255.
+    distance : (line, column), uint8
+        Written: 0 in a mixed pixel, 1 beside another body, and so on.
+    """
+    lines, columns = body.shape
+    for line in range(lines):
+        for x in range(columns):
+            found = most
+            around = 1 if sure[line, x] else 2
+            for dy in range(-around, around + 1):
+                for dx in range(-around, around + 1):
+                    y, z = line + dy, x + dx
+                    if 0 <= y < lines and 0 <= z < columns and body[y, z] != body[line, x]:
+                        found = 1 if sure[line, x] else 0
+            distance[line, x] = 0 if body[line, x] < 0 else found
+    for sweep in range(2):
+        for i in range(lines):
+            line = i if sweep == 0 else lines - 1 - i
+            for j in range(columns):
+                x = j if sweep == 0 else columns - 1 - j
+                ahead = -1 if sweep == 0 else 1
+                best = np.int64(distance[line, x])
+                for dy, dx in ((ahead, -1), (ahead, 0), (ahead, 1), (0, ahead)):
+                    y, z = line + dy, x + dx
+                    if 0 <= y < lines and 0 <= z < columns:
+                        best = min(best, np.int64(distance[y, z]) + 1)
+                distance[line, x] = best
+
+
+@kernel
+def offer(label: Any, squared: Any, labels: Array, distances: Array) -> None:
+    """Put a source into a short list of the nearest, in which every one stands once."""
+    count = labels.size
+    for place in range(count):
+        if labels[place] == label:
+            if squared >= distances[place]:
+                return
+            for later in range(place, count - 1):
+                labels[later], distances[later] = labels[later + 1], distances[later + 1]
+            labels[count - 1], distances[count - 1] = -1, np.inf
+            break
+    for place in range(count):
+        if squared < distances[place]:
+            for later in range(count - 1, place, -1):
+                labels[later], distances[later] = labels[later - 1], distances[later - 1]
+            labels[place], distances[place] = label, squared
+            return
+
+
+@kernel
+def nearest_sources(labels: Array, distances: Array, reach: Any) -> None:
+    """Spread labels from the cells that have one to all cells within reach, keeping the nearest ones.
+
+    Parameters
+    ----------
+    labels : (line, column, place), int32
+        The label of a cell at the first place, -1 where it has none; the nearest labels, written.
+    distances : (line, column, place), float64
+        0 where there is a label, else infinite; distances in cells, written.
+    reach
+        Labels go no further [cell].
+    """
+    lines, columns, places = labels.shape
+    for _ in range(2):
+        for sweep in range(2):
+            ahead = -1 if sweep == 0 else 1
+            for i in range(lines):
+                line = i if sweep == 0 else lines - 1 - i
+                for j in range(columns):
+                    x = j if sweep == 0 else columns - 1 - j
+                    for dy, dx in ((ahead, -1), (ahead, 0), (ahead, 1), (0, ahead)):
+                        y, z = line + dy, x + dx
+                        if 0 <= y < lines and 0 <= z < columns:
+                            step = np.sqrt(float(dy * dy + dx * dx))
+                            for place in range(places):
+                                far = distances[y, z, place] + step
+                                if labels[y, z, place] >= 0 and far <= reach:
+                                    offer(labels[y, z, place], far, labels[line, x], distances[line, x])

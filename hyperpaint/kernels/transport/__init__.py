@@ -1,0 +1,1 @@
+"""Light transport: geometry, surfaces, and the recorder of paths."""

@@ -1,0 +1,185 @@
+"""What a trace of some lines is given, and what it writes."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from .hierarchy import Geometry
+from .surfaces import Surfaces
+
+__all__ = ["Block", "Rays", "Settings", "Sources", "check"]
+
+Array = npt.NDArray[Any]
+
+_MOST_SUNS = 6
+
+
+class Rays(NamedTuple):
+    """Where the camera looks from, and to, for the lines of a block.
+
+    Attributes
+    ----------
+    origin : (line, 2, 3) float64
+        Position at the begin and end of the exposure [m].
+    rotation : (line, 2, 3, 3) float64
+        From the camera's axes (forward, right, down) to the scene's, at begin and end.
+    column_edges : (column + 1,) float64
+        Tangents across the track where columns meet.
+    along_edges : (2,) float64
+        Tangents along the track between which a line sees.
+    """
+
+    origin: Array
+    rotation: Array
+    column_edges: Array
+    along_edges: Array
+
+
+class Sources(NamedTuple):
+    """What shines, beside the uniform sky.
+
+    Attributes
+    ----------
+    suns : (sun, 3) float64
+        Unit vectors towards the suns.
+    sun_radius : (sun,) float64
+        Angular radius [rad]; 0 for a point.
+    overcast : bool
+        Record the overcast sky beside the uniform one.
+    """
+
+    suns: Array
+    sun_radius: Array
+    overcast: bool
+
+
+class Block(NamedTuple):
+    """What is recorded; allocated by the caller. NaN (labels: -1) where every sample sees the sky.
+
+    Attributes
+    ----------
+    weight : (line, slot, column) float32
+        Weights w [1]; 0 in empty slots.
+    code : (line, slot, column) int64
+        Codes, ascending; -1 in empty slots, which come last.
+    material, instance : (line, column) int32
+        Labels of the pair that most samples meet first; of equals the smaller numbers.
+    purity : (line, column) float32
+        Share of the samples that meet that pair [1].
+    distance : (line, column) float32
+        Mean distance of the first hits [m].
+    position : (line, 3, column) float64
+        Mean position of the first hits [m].
+    sun_visibility : (line, sun, column) float32
+        Share of the first hits that face a sun and see it [1].
+    incidence : (line, sun, column) float32
+        Mean over the first hits of the cosine between normal and sun, 0 where turned away [1].
+    """
+
+    weight: Array
+    code: Array
+    material: Array
+    instance: Array
+    purity: Array
+    distance: Array
+    position: Array
+    sun_visibility: Array
+    incidence: Array
+
+    @classmethod
+    def empty(cls, lines: int, slots: int, columns: int, suns: int) -> Block:
+        """Return memory for a block.
+
+        Examples
+        --------
+        >>> Block.empty(2, 48, 640, 1).weight.shape
+        (2, 48, 640)
+        """
+        return cls(*(np.empty(shape, kind) for shape, kind in _layout(lines, slots, columns, suns)))
+
+
+class Settings(NamedTuple):
+    """Plain numbers of a trace: see `hyperpaint.kernels.transport.paths.trace_lines`."""
+
+    first_line: int
+    samples: int
+    depth: int
+    digit_bits: int
+    seed: int
+
+
+def _layout(lines: int, slots: int, columns: int, suns: int) -> list[tuple[tuple[int, ...], type]]:
+    """Return shape and type of the parts of a block."""
+    flat, slotted, sunned = (lines, columns), (lines, slots, columns), (lines, suns, columns)
+    return [
+        (slotted, np.float32),
+        (slotted, np.int64),
+        (flat, np.int32),
+        (flat, np.int32),
+        (flat, np.float32),
+        (flat, np.float32),
+        ((lines, 3, columns), np.float64),
+        (sunned, np.float32),
+        (sunned, np.float32),
+    ]
+
+
+def check(
+    geometry: Geometry, surfaces: Surfaces, sources: Sources, rays: Rays, settings: Settings, block: Block
+) -> None:
+    """Refuse what compiled loops would run wild on.
+
+    Raises
+    ------
+    ValueError
+        Saying all that does not fit.
+    """
+    wrong = []
+    first_line, samples, depth, digit_bits, seed = settings
+    if 5 + depth * digit_bits > 63:
+        wrong.append(
+            f"{depth} factors of {digit_bits} bits do not fit a code: 5 + {depth} x {digit_bits} > 63"
+        )
+    if min(samples, depth, digit_bits) < 1 or min(seed, first_line) < 0:
+        wrong.append("samples, depth and digit_bits must be positive, seed and first_line not negative")
+    if seed >= 2**63 or max(first_line + len(rays.origin), samples) > 2**32:
+        wrong.append("seed must fit 63 bits, the numbers of lines and samples 32")
+    suns = len(sources.suns)
+    if suns > _MOST_SUNS or np.shape(sources.sun_radius) != (suns,) or np.shape(sources.suns) != (suns, 3):
+        wrong.append(f"suns {np.shape(sources.suns)} with radii {np.shape(sources.sun_radius)}; at most 6")
+    elif not np.allclose(np.linalg.norm(sources.suns, axis=1), 1.0, atol=1e-6):
+        wrong.append("directions to suns must be unit vectors")
+    if len({part.shape for part in surfaces}) > 1:
+        wrong.append("surfaces have parts of unequal length")
+    index, alpha, internal, share, flake_alpha = surfaces[:5]
+    shares = np.concatenate([alpha, internal, share, flake_alpha])
+    if not (np.isfinite(index).all() and ((shares >= 0) & (shares <= 1)).all() and (internal < 1).all()):
+        wrong.append("refractive indices must be finite, roughness and shares from 0 to 1, internal below 1")
+    factors = int(max(surfaces.base_factor.max(initial=-1), surfaces.flake_factor.max(initial=-1))) + 1
+    if factors >= 1 << digit_bits:
+        wrong.append(f"{factors} factors need more than {digit_bits} bits")
+    if surfaces.base_factor.min(initial=0) < 0:
+        wrong.append("every surface needs a base factor")
+    if geometry.face_instance.min(initial=0) < 0:
+        wrong.append("instances must not be negative: -1 is the sky")
+    material = geometry.face_material
+    if material.size and not (material.min() >= 0 and material.max() < len(surfaces.base_factor)):
+        wrong.append(
+            f"faces name materials {material.min()} to {material.max()} of {surfaces.base_factor.size}"
+        )
+    lines, columns = len(rays.origin), len(rays.column_edges) - 1
+    if rays.origin.shape != (lines, 2, 3) or rays.rotation.shape != (lines, 2, 3, 3):
+        wrong.append(f"origins {rays.origin.shape} and rotations {rays.rotation.shape} do not fit")
+    if not all(np.isfinite(part).all() for part in rays):
+        wrong.append("positions, rotations and edges of the camera must be finite")
+    layout = _layout(lines, block.weight.shape[1], columns, suns)
+    for name, part, (shape, kind) in zip(block._fields, block, layout, strict=True):
+        if part.shape != shape or part.dtype != kind or not part.flags.c_contiguous:
+            wrong.append(
+                f"block.{name} must be contiguous {shape} {kind.__name__}, not {part.shape} {part.dtype}"
+            )
+    if wrong:
+        raise ValueError("; ".join(wrong))

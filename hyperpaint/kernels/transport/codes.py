@@ -1,0 +1,160 @@
+"""Codes of paths: made, added up by pixel, and written.
+
+A code is a non-negative int64. Bits 0 to 2 name the source: `SKY`, `OVERCAST`, and from `FIRST_SUN` on the
+suns. Bit 3, `ADD_MIRROR`: the light left the first surface through its coat's lobe. Bit 4, `ADD_INDIRECT`:
+the path met more than one surface. From `FIRST_DIGIT` on: numbers of the factors plus 1, largest in the
+lowest bits, 0 for none.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from hyperpaint.kernels._jit import borrowing_kernel
+
+__all__ = [
+    "ADD_INDIRECT", "ADD_MIRROR", "FIRST_DIGIT", "FIRST_SUN", "OVERCAST", "SKY",
+    "add_path", "with_factor", "write_paths",
+]  # fmt: skip
+
+Array = npt.NDArray[Any]
+
+SKY, OVERCAST, FIRST_SUN = 0, 1, 2
+ADD_MIRROR, ADD_INDIRECT = 8, 16
+FIRST_DIGIT = 5
+
+_MULTIPLIER = np.uint64(0x9E3779B1)
+
+
+@borrowing_kernel
+def with_factor(code: Any, factor: Any, digit_bits: int) -> Any:
+    """Return a code with one factor more, its digits still in descending order."""
+    digit = np.int64(factor) + 1
+    full = (np.int64(1) << digit_bits) - 1
+    place = FIRST_DIGIT
+    while (code >> place) & full > digit:
+        place += digit_bits
+    low = code & ((np.int64(1) << place) - 1)
+    return low | (digit << place) | ((code >> place) << (place + digit_bits))
+
+
+@borrowing_kernel
+def add_path(codes: Array, sums: Array, used: Array, count: Array, code: int, weight: float) -> None:
+    """Add a weight to its code in an open-addressing table whose length is a power of two."""
+    if not weight > 0.0:
+        return
+    mask = codes.size - 1
+    folded = np.uint64((code ^ (code >> 29)) & 0xFFFFFFFF) * _MULTIPLIER
+    at = np.int64(folded >> np.uint64(16)) & mask
+    while codes[at] != code:
+        if codes[at] < 0:
+            codes[at] = code
+            sums[at] = 0.0
+            used[count[0]] = at
+            count[0] += 1
+            break
+        at = (at + 1) & mask
+    sums[at] += weight
+
+
+@borrowing_kernel
+def _precedes(codes: Array, sums: Array, a: int, b: int, by_weight: bool) -> Any:
+    """Return whether place a comes before b: heavier first, or smaller code first."""
+    if by_weight and sums[a] != sums[b]:
+        return sums[a] > sums[b]
+    return codes[a] < codes[b]
+
+
+@borrowing_kernel
+def _sort(codes: Array, sums: Array, places: Array, count: int, by_weight: bool) -> None:
+    """Sort places of the table (Shell's sort: short lists, no memory)."""
+    gap = 1
+    while gap < count // 3:
+        gap = 3 * gap + 1
+    while gap > 0:
+        for i in range(gap, count):
+            place = places[i]
+            j = i
+            while j >= gap and _precedes(codes, sums, place, places[j - gap], by_weight):
+                places[j] = places[j - gap]
+                j -= gap
+            places[j] = place
+        gap //= 3
+
+
+@borrowing_kernel
+def _thin(codes: Array, sums: Array, places: Array, count: int, slots: int, draw: float) -> int:
+    """Keep ``slots`` of the codes, unbiased, their total unchanged; return how many are kept.
+
+    The heaviest stay as they are. Of the others, systematic sampling takes each with a probability
+    proportional to its weight, and gives all that are taken the same weight.
+    """
+    _sort(codes, sums, places, count, True)
+    rest = 0.0
+    for i in range(count - 1, -1, -1):
+        rest += sums[places[i]]
+    exact = 0
+    # a code heavier than an even share of the rest is always taken: as it is
+    while exact < slots and sums[places[exact]] * (slots - exact) > rest:
+        rest -= sums[places[exact]]
+        exact += 1
+    if exact == slots:
+        exact = slots - 1
+    rest = 0.0
+    for i in range(exact, count):
+        rest += sums[places[i]]
+    step = rest / (slots - exact)
+    kept, passed = exact, 0.0
+    for i in range(exact, count):
+        passed += sums[places[i]]
+        if kept < slots and passed > (kept - exact + draw) * step:
+            places[kept], places[i] = places[i], places[kept]
+            kept += 1
+    for i in range(exact, kept):
+        sums[places[i]] = step
+    return kept
+
+
+@borrowing_kernel
+def write_paths(
+    codes: Array,
+    sums: Array,
+    used: Array,
+    count: Array,
+    scale: float,
+    draw: float,
+    weight: Array,
+    code: Array,
+    line: int,
+    column: int,
+) -> None:
+    """Write the table of a pixel, by ascending code.
+
+    Parameters
+    ----------
+    codes, sums, used, count
+        The table: codes and weights by place, places in use, their number.
+    scale
+        What weights are multiplied by.
+    draw
+        A random number inside (0, 1), for pixels with more codes than slots: see `_thin`.
+    weight, code : (line, slot, column), float32 and int64
+        Written.
+    line, column
+        The pixel.
+    """
+    slots = weight.shape[1]
+    number = count[0]
+    if number > slots:
+        number = _thin(codes, sums, used, number, slots, draw)
+    _sort(codes, sums, used, number, False)
+    for slot in range(slots):
+        if slot < number:
+            code[line, slot, column] = codes[used[slot]]
+            weight[line, slot, column] = sums[used[slot]] * scale
+        else:
+            code[line, slot, column] = -1
+            weight[line, slot, column] = 0.0

@@ -1,0 +1,223 @@
+"""Recorded paths times products of spectra: radiance."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from hyperpaint.kernels._jit import borrowing_kernel
+
+__all__ = ["index_paths", "mix", "mix_shifted"]
+
+Array = npt.NDArray[Any]
+
+_TILE = 16  # columns whose spectra are made side by side, before they are written band by band
+_MULTIPLIER = np.uint64(0x9E3779B1)
+
+
+def index_paths(code: npt.NDArray[np.int64]) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int32]]:
+    """Return the distinct codes of a block, and which of them each code is.
+
+    Parameters
+    ----------
+    code
+        Codes of any shape, int64; negative where there is none.
+
+    Returns
+    -------
+    distinct, index
+        Distinct codes in ascending order, and the place of every code among them, int32, same shape; -1
+        where there is none.
+
+    Examples
+    --------
+    >>> distinct, index = index_paths(np.array([[34, 2, -1], [2, 2, -1]]))
+    >>> distinct.tolist(), index.tolist()
+    ([2, 34], [[1, 0, -1], [0, 0, -1]])
+    """
+    flat = np.ascontiguousarray(code, np.int64).ravel()
+    index = np.empty(flat.size, np.int32)
+    size = 1024
+    while True:
+        table, places = np.full(size, -1), np.empty(size, np.int32)
+        found = np.empty(size // 2, np.int64)
+        number = _number(flat, table, places, found, index)
+        if number >= 0:
+            break
+        size *= 4
+    found = found[:number]
+    order = np.argsort(found)
+    rank = np.full(number + 1, -1, np.int32)  # the last serves -1
+    rank[order] = np.arange(number, dtype=np.int32)
+    return found[order], rank[index].reshape(np.shape(code))
+
+
+@borrowing_kernel
+def _number(flat: Array, table: Array, places: Array, found: Array, index: Array) -> int:
+    """Write numbers of codes in the order they come; return how many, -1 where the table is too small."""
+    mask = table.size - 1
+    number = 0
+    for i in range(flat.size):
+        code = flat[i]
+        if code < 0:
+            index[i] = -1
+            continue
+        folded = np.uint64((code ^ (code >> 29)) & 0xFFFFFFFF) * _MULTIPLIER
+        at = np.int64(folded >> np.uint64(16)) & mask
+        while table[at] != code:
+            if table[at] < 0:
+                if number == found.size:
+                    return -1
+                table[at] = code
+                places[at] = number
+                found[number] = code
+                number += 1
+                break
+            at = (at + 1) & mask
+        index[i] = places[at]
+    return number
+
+
+def mix(
+    weight: npt.NDArray[np.float32],
+    index: npt.NDArray[np.int32],
+    table: npt.NDArray[Any],
+    out: npt.NDArray[np.float32],
+) -> None:
+    """Write the sum over slots of weight times spectrum.
+
+    Parameters
+    ----------
+    weight, index
+        Weights and rows of the table, shape (line, slot, column), float32 and int32; -1 for an empty slot.
+    table
+        Spectra, shape (path, band), float32 or float64; sums are float32.
+    out
+        Written: shape (line, band, column), float32.
+
+    Raises
+    ------
+    ValueError
+        For shapes that do not fit, and rows outside the table.
+    """
+    spectra = np.ascontiguousarray(table, np.float32)
+    _check(weight, index, spectra.shape, out)
+    weights, rows = np.ascontiguousarray(weight, np.float32), np.ascontiguousarray(index, np.int32)
+    _mix(weights, rows, spectra[None], np.empty((_TILE, out.shape[1]), np.float32), out)
+
+
+def mix_shifted(
+    weight: npt.NDArray[np.float32],
+    index: npt.NDArray[np.int32],
+    table: npt.NDArray[Any],
+    node: npt.NDArray[Any],
+    node_weight: npt.NDArray[Any],
+    out: npt.NDArray[np.float32],
+) -> None:
+    """Write the sum over slots of weight times spectrum, the spectra those of each column.
+
+    Parameters
+    ----------
+    weight, index, out
+        As for `mix`.
+    table
+        Spectra for some shifts of the wavelengths, shape (node, path, band).
+    node
+        First of the nodes between which a column lies, shape (column,), integers.
+    node_weight
+        Weights of the nodes from there on, shape (column, 4 or fewer).
+
+    Raises
+    ------
+    ValueError
+        For shapes that do not fit, and rows or nodes outside the table.
+    """
+    spectra = np.ascontiguousarray(table, np.float32)
+    _check(weight, index, spectra.shape[1:], out)
+    first = np.ascontiguousarray(node, np.int64)
+    share = np.ascontiguousarray(node_weight, np.float32)
+    columns = out.shape[2]
+    if first.shape != (columns,) or share.ndim != 2 or len(share) != columns:
+        message = f"nodes {first.shape} and weights {share.shape} for {columns} columns"
+        raise ValueError(message)
+    if columns and not (first.min() >= 0 and first.max() + share.shape[1] <= len(spectra)):
+        message = f"columns need nodes up to {first.max() + share.shape[1] - 1}, the table has {len(spectra)}"
+        raise ValueError(message)
+    weights, rows = np.ascontiguousarray(weight, np.float32), np.ascontiguousarray(index, np.int32)
+    sums = np.empty((_TILE, out.shape[1]), np.float32)
+    _mix_shifted(weights, rows, spectra, first, share, sums, out)
+
+
+def _check(weight: Array, index: Array, shape: tuple[int, ...], out: Array) -> None:
+    """Refuse what the loops would read or write outside of."""
+    lines, _, columns = weight.shape
+    if index.shape != weight.shape or out.shape != (lines, shape[1], columns):
+        message = f"weights {weight.shape}, index {index.shape}, table {shape} and out {out.shape} do not fit"
+        raise ValueError(message)
+    if out.dtype != np.float32 or not out.flags.c_contiguous:
+        message = f"out must be contiguous float32, not {out.dtype}"
+        raise ValueError(message)
+    if index.size and int(index.max()) >= shape[0]:
+        message = f"index {index.max()} is outside a table of {shape[0]} spectra"
+        raise ValueError(message)
+
+
+@borrowing_kernel
+def _clear(sums: Array) -> None:
+    """Set all to zero."""
+    for column in range(sums.shape[0]):
+        for band in range(sums.shape[1]):
+            sums[column, band] = 0
+
+
+@borrowing_kernel
+def _add_row(sums: Array, at: int, table: Array, node: int, row: int, weight: Any) -> None:
+    """Add weight times a spectrum to one row of ``sums``."""
+    for band in range(table.shape[2]):
+        sums[at, band] += weight * table[node, row, band]
+
+
+@borrowing_kernel
+def _write_tile(sums: Array, first: int, last: int, line: int, out: Array) -> None:
+    """Write spectra of columns ``first`` to ``last`` band by band."""
+    for band in range(out.shape[1]):
+        for column in range(first, last):
+            out[line, band, column] = sums[column - first, band]
+
+
+@borrowing_kernel
+def _mix(weight: Array, index: Array, table: Array, sums: Array, out: Array) -> None:
+    """See `mix`."""
+    columns = out.shape[2]
+    for line in range(out.shape[0]):
+        for first in range(0, columns, _TILE):
+            last = min(first + _TILE, columns)
+            _clear(sums)
+            for column in range(first, last):
+                for slot in range(weight.shape[1]):
+                    row = index[line, slot, column]
+                    if row >= 0:
+                        _add_row(sums, column - first, table, 0, row, weight[line, slot, column])
+            _write_tile(sums, first, last, line, out)
+
+
+@borrowing_kernel
+def _mix_shifted(
+    weight: Array, index: Array, table: Array, node: Array, node_weight: Array, sums: Array, out: Array
+) -> None:
+    """See `mix_shifted`."""
+    columns = out.shape[2]
+    for line in range(out.shape[0]):
+        for first in range(0, columns, _TILE):
+            last = min(first + _TILE, columns)
+            _clear(sums)
+            for column in range(first, last):
+                for slot in range(weight.shape[1]):
+                    row = index[line, slot, column]
+                    if row >= 0:
+                        for k in range(node_weight.shape[1]):
+                            share = weight[line, slot, column] * node_weight[column, k]
+                            _add_row(sums, column - first, table, node[column] + k, row, share)
+            _write_tile(sums, first, last, line, out)

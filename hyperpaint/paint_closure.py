@@ -1,0 +1,226 @@
+"""Signatures of paints from a processed collect, against the truth of the rendered scene below it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+import numpy.typing as npt
+
+from .schema import ALONG_TRACK, BAND, CHUNK_LINES, CROSS_TRACK
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+__all__ = [
+    "MAX_ERROR",
+    "PaintAgreement",
+    "aligned",
+    "compare_paints",
+    "signature_problems",
+    "signature_table",
+]
+
+Floats = npt.NDArray[np.float64]
+
+MAX_ERROR = 0.01
+"""Of a signature of many pixels against its truth: RMS over bands, relative."""
+
+_MANY = 200  # pixels; below, sensor noise is all there is to see
+_ROOF = 0.7  # m; roofs, bonnets and boots are above
+_PURE, _LIT = 0.999, 0.001
+
+_LEGEND = f"""\
+Signatures: means over pure, sunlit, unflagged pixels without glint, of what is over {_ROOF} m high on a car.
+error: RMS over bands against the truth of the same pixels, relative. field: mean of what the ASD saw near
+normal; that the scene shows more or less is no error, but slopes, mirrored sky and light from neighbours."""
+
+
+@dataclass(frozen=True)
+class PaintAgreement:
+    """The signature of one paint: a mean over pure, sunlit, unflagged pixels of roofs, bonnets and boots.
+
+    Pixels in which the clear coat mirrors the sun are left out.
+
+    Attributes
+    ----------
+    paint
+        Its name.
+    cars
+        Cars that it was seen on.
+    pixels
+        Pixels that were averaged.
+    recovered
+        Mean over bands [1].
+    error
+        Recovered against true signature of the same pixels: root mean square over bands, relative.
+    field
+        Mean over bands of what a field spectrometer saw near normal [1].
+    """
+
+    paint: str
+    cars: int
+    pixels: int
+    recovered: float
+    error: float
+    field: float
+
+
+def compare_paints(store: Path, truth: Path, bands: tuple[float, float]) -> tuple[PaintAgreement, ...]:
+    """Compare the signatures of the paints of a rendered collect with their truth.
+
+    Parameters
+    ----------
+    store
+        Made by `process`.
+    truth
+        The ``truth.zarr`` of that collect, beside which lie the spectrometer's files, ``asd_reflectance``.
+    bands
+        First and last wavelength that count [nm].
+
+    Returns
+    -------
+    tuple of PaintAgreement
+        Paints that were seen, by name.
+
+    Raises
+    ------
+    FormatError
+        The spectrometer's files are missing or cannot be read.
+    """
+    import xarray as xr
+
+    from .io.store import list_groups
+
+    known = xr.open_zarr(truth)
+    attrs = known["paint_id"].attrs
+    names = dict(zip(attrs["flag_values"], str(attrs["flag_meanings"]).split(), strict=True))
+    sums: dict[int, _Signature] = {}
+    wavelength: Floats = np.zeros(0)
+    for group in (name for name in list_groups(store) if name.startswith("flightlines/")):
+        line = xr.open_zarr(store, group=group)
+        wavelength = line["wavelength"].values
+        used = line["good"].values & (wavelength >= bands[0]) & (wavelength <= bands[1])
+        for recovered, true, number, car in _paint_pixels(line, known, used):
+            for paint in np.unique(number):
+                here = number == paint
+                sums.setdefault(int(paint), _Signature()).add(recovered[here], true[here], car[here])
+    if not sums:
+        return ()
+    field = _field_spectra(truth.parent / "asd_reflectance", wavelength[used])
+    made = [one.agreement(names[paint], field[names[paint]]) for paint, one in sums.items()]
+    return tuple(sorted(made, key=lambda one: one.paint))
+
+
+Pixels = tuple[Floats, Floats, npt.NDArray[np.int64], npt.NDArray[np.int64]]
+
+
+def _paint_pixels(line: xr.Dataset, truth: xr.Dataset, used: npt.NDArray[np.bool_]) -> Iterator[Pixels]:
+    """Yield recovered and true reflectance (pixel, band), paint and car of the pixels that count."""
+    frames = line["frame"].values
+    labels = ["reflectance", "paint_id", "car_id", "purity", "shadow", "up", "glint"]
+    for start in range(0, frames.size, CHUNK_LINES):
+        lines = slice(start, start + CHUNK_LINES)
+        true = truth[labels].isel({ALONG_TRACK: frames[lines]}).compute()
+        seen = line[["reflectance", "quality"]].isel({ALONG_TRACK: lines}).compute()
+        chosen = (true["paint_id"].values >= 0) & (true["purity"].values > _PURE)
+        chosen &= (true["shadow"].values < _LIT) & (true["up"].values > _ROOF) & (seen["quality"].values == 0)
+        chosen &= ~true["glint"].values
+        recovered, exact = (
+            each["reflectance"].transpose(ALONG_TRACK, CROSS_TRACK, BAND).values[chosen][:, used]
+            for each in (seen, true)
+        )
+        finite = np.isfinite(recovered).all(axis=1)
+        yield (
+            recovered[finite].astype(np.float64),
+            exact[finite].astype(np.float64),
+            true["paint_id"].values[chosen][finite].astype(np.int64),
+            true["car_id"].values[chosen][finite].astype(np.int64),
+        )
+
+
+class _Signature:
+    """Running sums of one paint."""
+
+    def __init__(self) -> None:
+        self.pixels, self.cars = 0, set[int]()
+        self.recovered: Floats | float = 0.0
+        self.true: Floats | float = 0.0
+
+    def add(self, recovered: Floats, true: Floats, car: npt.NDArray[np.int64]) -> None:
+        self.pixels += len(car)
+        self.cars.update(np.unique(car).tolist())
+        self.recovered = self.recovered + recovered.sum(axis=0)
+        self.true = self.true + true.sum(axis=0)
+
+    def agreement(self, name: str, field: Floats) -> PaintAgreement:
+        recovered, true = np.asarray(self.recovered) / self.pixels, np.asarray(self.true) / self.pixels
+        error = float(np.sqrt(np.mean((recovered / true - 1.0) ** 2)))
+        return PaintAgreement(
+            paint=name,
+            cars=len(self.cars),
+            pixels=self.pixels,
+            recovered=float(recovered.mean()),
+            error=error,
+            field=float(field.mean()),
+        )
+
+
+def _field_spectra(folder: Path, wavelength: Floats) -> dict[str, Floats]:
+    """Return what the field spectrometer saw of every paint, at the bands of the camera."""
+    from .io.asd import open_asd
+
+    seen = open_asd(folder)
+    at = seen["wavelength"].values
+    return {
+        Path(str(name)).stem: np.interp(wavelength, at, spectrum)
+        for name, spectrum in zip(seen["source"].values, seen["reflectance"].values, strict=True)
+    }
+
+
+def signature_problems(paints: Sequence[PaintAgreement]) -> list[str]:
+    """Return what is outside the tolerance, one line each; signatures of few pixels are not judged."""
+    return [
+        f"signature of {one.paint}: error {one.error:.2%}, tolerance {MAX_ERROR:.0%}"
+        for one in paints
+        if one.pixels >= _MANY and not one.error < MAX_ERROR
+    ]
+
+
+def signature_table(paints: Sequence[PaintAgreement]) -> str:
+    """Return the signatures as a table with its legend."""
+    head = ("signature", "cars", "pixels", "field", "recovered", "error")
+    rows = [
+        (
+            one.paint,
+            f"{one.cars}",
+            f"{one.pixels}",
+            f"{one.field:.4f}",
+            f"{one.recovered:.4f}",
+            f"{one.error:.2%}",
+        )
+        for one in paints
+    ]
+    lines = aligned([head, *rows])
+    return "\n".join([lines[0], "-" * len(lines[0]), *lines[1:], "", _LEGEND])
+
+
+def aligned(rows: Sequence[Sequence[str]]) -> list[str]:
+    """Return the rows of a table as text: the first column to the left, the others to the right.
+
+    Examples
+    --------
+    >>> aligned([("paint", "pixels"), ("red", "9")])
+    ['paint  pixels', 'red         9']
+    """
+    widths = [max(len(row[column]) for row in rows) for column in range(len(rows[0]))]
+    return [
+        "  ".join(
+            cell.rjust(width) if column else cell.ljust(width)
+            for column, (cell, width) in enumerate(zip(row, widths, strict=True))
+        )
+        for row in rows
+    ]

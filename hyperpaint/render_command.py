@@ -1,0 +1,88 @@
+"""The command ``hyperpaint render``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import click
+
+from .console import is_watched, listed
+
+__all__ = ["render"]
+
+
+def _print_example(ctx: click.Context, _: click.Parameter, wanted: bool) -> None:
+    if wanted and not ctx.resilient_parsing:
+        from .scene_rendering.example import EXAMPLE
+
+        click.echo(EXAMPLE, nl=False)
+        ctx.exit()
+
+
+@click.command(
+    short_help="Render a synthetic scene under one or more atmospheres.",
+    epilog="""\b
+Examples:
+  hyperpaint render --example > scene.toml                       a car park to begin with
+  hyperpaint render scene.toml --out scene.zarr
+  hyperpaint render scene.toml --out quick.zarr --samples 8      a first look
+  hyperpaint render scene.toml --out scene.zarr --atmosphere noon --picture noon.png
+
+\b
+Then, in Python:
+  import xarray as xr, hyperpaint
+  line = xr.open_zarr("scene.zarr", group="renders/noon")
+  line.paint.reflectance()                                as a flight would recover it
+  line.true_reflectance, line.surface_class, line.car_id  and what is true
+  traced = xr.open_zarr("scene.zarr", group="transport")
+  traced.paint.relight(paints={"car_003": "red"}, atmosphere="cloudy")    no tracing again""",
+)
+@click.argument("scene", metavar="SCENE.toml", type=click.Path(exists=True, dir_okay=False, path_type=Path))
+@click.option(
+    "--out", required=True, metavar="SCENE.zarr", type=click.Path(path_type=Path), help="The store."
+)
+@click.option(
+    "--samples", type=int, metavar="N", help="Rays of a pixel.  [default: what the file says, or 64]"
+)
+@click.option(
+    "--to", type=click.Choice(["radiance", "counts"]),
+    help="What the camera gives.  [default: what the file says, or radiance]",
+)  # fmt: skip
+@click.option(
+    "--atmosphere", "atmospheres", multiple=True, metavar="NAME",
+    help="Render under this one of the file only; may be given several times.",
+)  # fmt: skip
+@click.option(
+    "--picture", metavar="PICTURE", type=click.Path(dir_okay=False, path_type=Path),
+    help="Also draw the renders side by side (png, pdf ...).",
+)  # fmt: skip
+@click.option("--scheduler", metavar="ADDRESS", help="Compute on this dask.distributed cluster.")
+@click.option("--overwrite", is_flag=True, help="Replace groups made from other inputs or parameters.")
+@click.option("--quiet", is_flag=True, help="No progress bar.")
+@click.option(
+    "--example", is_flag=True, is_eager=True, expose_value=False, callback=_print_example,
+    help="Print a commented SCENE.toml and exit.",
+)  # fmt: skip
+def render(scene: Path, out: Path, picture: Path | None, quiet: bool, **options: Any) -> None:
+    """Render a synthetic scene: cubes of hundreds of bands, with what is true of every pixel.
+
+    Light is traced once, without spectra, into the group transport; each atmosphere then becomes a group
+    renders/NAME, a flight line with labels for training: surface_class, paint_id, car_id, instance, purity,
+    shadow, shares of sun, sky, glint and indirect light. Everything is checked before anything is written; an
+    interrupted run is resumed by running it again, a store that is already complete is left as it is.
+    """
+    from .scene_rendering.rendering import run
+
+    done = run(scene, out, progress=is_watched(quiet), **options)
+    if not done.written:
+        click.echo(f"{out} is already complete: same inputs, same parameters; nothing was done")
+    else:
+        click.echo(f"{out}: wrote {listed(done.written)}")
+        if done.kept:
+            click.echo(f"{out}: {listed(done.kept)} there already, from the same inputs")
+    if picture is not None:
+        from .scene_rendering.pictures import draw_renders
+
+        draw_renders(out, (*done.written, *done.kept), picture)
+        click.echo(f"look at it in {picture}")

@@ -1,0 +1,259 @@
+"""What is stored of a render: a flight line, and what is true of every pixel."""
+
+from __future__ import annotations
+
+import zlib
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hyperpaint.pipeline import KEPT_BITS
+from hyperpaint.schema import CUBE, IRRADIANCE_TIME, IRRADIANCE_WAVELENGTH, VARIABLES
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+    from hyperpaint.simulation.camera import Camera
+    from hyperpaint.simulation.rendering.bands import BandSet
+    from hyperpaint.simulation.rendering.four_curves import Atmosphere
+    from hyperpaint.simulation.rendering.platforms import Platform
+    from hyperpaint.simulation.sensor import Detector
+
+__all__ = ["Render", "counts_of", "irradiance_series", "pose_of"]
+
+Floats = NDArray[np.float64]
+Single = NDArray[np.float32]
+
+_INTERVAL = 2  # s from one sample of the spectrometer to the next
+_MARGIN = 6  # s of the record before and after the flight
+_DARK_FRAMES = 64  # that a dark reference is the mean of
+# keys of the random streams, apart from those of other simulators
+_NOISE, _DARK = 20, 21
+
+
+@dataclass(frozen=True)
+class Render:
+    """Light, camera and paints, which make a flight line of a traced scene.
+
+    Attributes
+    ----------
+    atmosphere
+        The light.
+    camera
+        What sees it.
+    platform
+        Whose flight it is.
+    spectra
+        Spectra of the user's, wavelength [nm] and reflectance, by name.
+    paints
+        What is repainted: name of a spectrum, material or instance, to that of a spectrum.
+    """
+
+    atmosphere: Atmosphere
+    camera: Camera
+    platform: Platform
+    spectra: Mapping[str, tuple[Floats, Floats]]
+    paints: Mapping[str, str]
+
+    def of(
+        self, traced: xr.Dataset, *, product: str, true_reflectance: bool, seed: int, noise: bool
+    ) -> xr.Dataset:
+        """Return the flight line of a traced scene, lazily.
+
+        Parameters
+        ----------
+        traced
+            From `hyperpaint.trace`, or as it is stored.
+        product
+            "radiance" or "counts".
+        true_reflectance
+            Whether the reflectance without noise stays.
+        seed
+            Of the camera's noise.
+        noise
+            Whether it has any.
+
+        Returns
+        -------
+        xarray.Dataset
+            A flight line; see `hyperpaint.scene_rendering.render_scene`.
+
+        Raises
+        ------
+        SchemaError
+            As `hyperpaint.relight`.
+        """
+        from hyperpaint.plot import overview
+        from hyperpaint.simulation.rendering.relighting import relight
+
+        relit = relight(
+            traced,
+            self._bands(product),
+            paints=dict(self.paints),
+            atmosphere=self.atmosphere,
+            spectra=dict(self.spectra),
+        )
+        picture = overview(relit)
+        made = relit.rename(reflectance="true_reflectance")
+        made["true_reflectance"] = _rounded(made["true_reflectance"])
+        if not true_reflectance:
+            made = made.drop_vars("true_reflectance")
+        if product == "counts":
+            counts = counts_of(
+                made["radiance"],
+                self.camera,
+                self.platform.exposure_time,
+                seed,
+                self.atmosphere.name,
+                noise=noise,
+            )
+            made = made.drop_vars("radiance").merge(counts)
+        made = irradiance_series(made, self.platform).assign_coords(pose_of(self.platform))
+        if picture is not None:
+            made = made.assign(overview=picture)
+        return made
+
+    def _bands(self, product: str) -> BandSet:
+        """Return the bands: as the detector weighs them for counts, line shapes alone for radiance.
+
+        What reads radiance back knows of no responsivity, and matches the irradiance without one too.
+        """
+        from hyperpaint.simulation.rendering.bands import BandSet
+
+        bands = BandSet.of_imager(self.camera.imager)
+        return bands if product == "counts" else replace(bands, responsivity=None)
+
+
+def _rounded(cube: xr.DataArray) -> xr.DataArray:
+    """Return a float32 cube with the mantissa bits that a stored reflectance has, to nearest-even."""
+    import xarray as xr
+
+    made: xr.DataArray = xr.apply_ufunc(
+        _round_bits, cube, dask="parallelized", output_dtypes=[np.float32], keep_attrs=True
+    )
+    made.attrs |= {"long_name": "Reflectance factor without noise", "keep_bits": KEPT_BITS}
+    return made
+
+
+def _round_bits(values: Single) -> Single:
+    dropped = 23 - KEPT_BITS
+    bits = values.view(np.uint32)
+    half = np.uint32((1 << (dropped - 1)) - 1)
+    made = (bits + half + ((bits >> np.uint32(dropped)) & np.uint32(1))) >> np.uint32(dropped)
+    return (made << np.uint32(dropped)).view(np.float32)
+
+
+def irradiance_series(relit: xr.Dataset, platform: Platform) -> xr.Dataset:
+    """Return a render with the irradiance that a spectrometer logs all through the flight, every 2 s.
+
+    Parameters
+    ----------
+    relit
+        From `relight` in steady light: it has the spectrum.
+    platform
+        Whose flight the record covers, with some seconds to spare.
+    """
+    first, last = (moment.astype("datetime64[s]") for moment in platform.utc[[0, -1]])
+    count = int((last - first).astype(np.int64) + 2 * _MARGIN) // _INTERVAL + 2
+    seconds = _INTERVAL * np.arange(count) - _MARGIN
+    time = (first + seconds.astype("timedelta64[s]")).astype("datetime64[ns]")
+    spectrum = np.asarray(relit["irradiance"][0].values)
+    wavelength = relit[IRRADIANCE_WAVELENGTH].variable
+    made = relit.drop_vars(("irradiance", IRRADIANCE_TIME, IRRADIANCE_WAVELENGTH))
+    series = np.broadcast_to(spectrum, (count, len(spectrum)))
+    return made.assign(
+        irradiance=_variable("irradiance", series),
+        irradiance_max_gap=_variable("irradiance_max_gap", 2.5 * _INTERVAL),
+    ).assign_coords({IRRADIANCE_TIME: _variable(IRRADIANCE_TIME, time), IRRADIANCE_WAVELENGTH: wavelength})
+
+
+def pose_of(platform: Platform) -> dict[str, xr.Variable]:
+    """Return the pose of the camera at mid exposure of every line, as a flight line has it."""
+    roll, pitch, heading = platform.attitude.T
+    pose = {"altitude": platform.position[:, 2], "roll": roll, "pitch": pitch, "heading": heading}
+    return {name: _variable(name, values) for name, values in pose.items()}
+
+
+def counts_of(
+    radiance: xr.DataArray, camera: Camera, exposure_time: float, seed: int, name: str, *, noise: bool = True
+) -> xr.Dataset:
+    """Return the counts of a camera that sees this radiance, with everything that calibrates them.
+
+    Lazy. Noise is drawn line by line from a generator keyed by the seed, the name and the line's number, so
+    that no count depends on how lines are grouped, or where they are computed.
+
+    Parameters
+    ----------
+    radiance
+        Means over the camera's responses (along_track, band, cross_track) [W m-2 sr-1 nm-1].
+    camera
+        The camera.
+    exposure_time
+        [s]
+    seed
+        Of the noise.
+    name
+        Of the render: those of one scene in another light have other noise.
+    noise
+        Shot and read noise; without it counts are rounded all the same.
+
+    Returns
+    -------
+    xarray.Dataset
+        ``counts``, ``dark_counts``, ``radiance_gain``, ``exposure_time``, ``saturation_count``,
+        ``electrons_per_count`` and ``read_noise``.
+    """
+    import dask.array as da
+    import xarray as xr
+
+    detector = camera.detector(exposure_time)
+    # a mean radiance of one gives t A INT R counts; elements that see no light give none
+    scale = np.where(camera.bad, 0.0, exposure_time * camera.etendue * camera.response_area)
+    key = (seed, _NOISE, zlib.crc32(name.encode()))
+    cube = radiance.transpose(*CUBE).data
+    lines = da.arange(cube.shape[0], chunks=(cube.chunks[0],), dtype=np.int64)[:, None, None]
+    counts = da.map_blocks(
+        _expose, cube, lines, scale=scale, detector=detector, key=key if noise else None, dtype=np.uint16,
+        meta=np.empty((0, 0, 0), dtype=np.uint16),
+    )  # fmt: skip
+    made = {
+        "counts": xr.Variable(CUBE, counts, VARIABLES["counts"].attrs),
+        "dark_counts": _variable("dark_counts", _dark(detector, key) if noise else detector.dark),
+        "radiance_gain": _variable("radiance_gain", camera.radiance_gain()),
+        "exposure_time": _variable("exposure_time", exposure_time),
+        "saturation_count": _variable("saturation_count", detector.saturation_count),
+        "electrons_per_count": _variable("electrons_per_count", camera.electrons_per_count),
+        "read_noise": _variable("read_noise", camera.read_noise),
+    }
+    return xr.Dataset(made)
+
+
+def _expose(
+    cube: Single, lines: NDArray[np.int64], *, scale: Floats, detector: Detector, key: tuple[int, ...] | None
+) -> NDArray[np.uint16]:
+    """Return the counts of a block of lines, one line after the other: no float64 cube is made."""
+    made = np.empty(cube.shape, dtype=np.uint16)
+    for seen, number, counts in zip(cube, lines.ravel(), made, strict=True):
+        rng = None if key is None else np.random.default_rng([*key, int(number)])
+        counts[...] = detector.convert(detector.read(seen * scale, rng)[None])[0]
+    return made
+
+
+def _dark(detector: Detector, key: tuple[int, ...]) -> Floats:
+    """Return the mean of some dark frames: the dark, with what noise and rounding leave of themselves."""
+    rng = np.random.default_rng([key[0], _DARK])
+    spread = np.sqrt((detector.read_noise**2 + 1.0 / 12.0) / _DARK_FRAMES)
+    return np.asarray(detector.dark + spread * rng.standard_normal(detector.dark.shape))
+
+
+def _variable(name: str, values: Any) -> xr.Variable:
+    """Return values under the dims, dtype and attributes of the table of variables."""
+    import xarray as xr
+
+    row = VARIABLES[name]
+    values = np.asarray(values).astype(row.dtype)
+    dims = next(dims for dims in (row.dims, *row.alternatives) if len(dims) == values.ndim)
+    return xr.Variable(dims, values, row.attrs)

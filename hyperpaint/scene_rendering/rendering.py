@@ -1,0 +1,310 @@
+"""From a ``scene.toml`` to one finished store: rays once, then a render in every light."""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import hashlib
+import json
+import shutil
+import sys
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from hyperpaint.budget import size_text
+from hyperpaint.errors import Problems, SchemaError, StoreError
+from hyperpaint.io.store.listing import INPUTS
+from hyperpaint.running import Outcome, bars_on_stderr, computing_on, kept_groups, local_folder
+from hyperpaint.schema import CHUNK_LINES, FORMAT_VERSION
+from hyperpaint.simulation.rendering.scene_record import MOST_SAMPLES
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+    from .scene_files import SceneFile
+    from .scene_parts import Parts
+
+__all__ = ["TRANSPORT", "render_scene", "run"]
+
+TRANSPORT = "transport"
+"""Group of the traced scene."""
+
+RENDERS = "renders/"
+"""Groups of the renders begin so."""
+
+# bytes on disk, compressed: a pixel of the traced scene has hundreds, a sample of a render two
+_LEAST_TRACED, _LEAST_SAMPLE = 30, 1
+
+CLUSTER_LINES = 64
+"""Lines in one task on a cluster; tracing a line takes some tenths of a second."""
+
+
+def render_scene(
+    path: str | Path,
+    out: str | Path,
+    *,
+    samples: int | None = None,
+    to: str | None = None,
+    atmospheres: Sequence[str] = (),
+    scheduler: str | None = None,
+    overwrite: bool = False,
+    progress: bool = False,
+) -> Path:
+    """Render a scene into one Zarr store: cubes of hundreds of bands, with everything true of each pixel.
+
+    The scene is traced once, without spectra, into the group ``transport``. From what is stored there, each
+    atmosphere becomes a group ``renders/<name>``, which is a flight line: ``radiance`` or ``counts`` with all
+    that calibrates them, the irradiance of a spectrometer beside the scene, and so ``.paint.reflectance()``.
+    Beside them stand what is true of every pixel: material, instance, class, paint and car, with their names
+    in ``flag_meanings`` or in the attributes; purity, shadow, the shares of sun, sky, glint and indirect
+    light; and the reflectance without noise.
+
+    Everything is built and checked before anything is written. An interrupted run is resumed by the same
+    call; a store that is finished is left alone. Another atmosphere, paint or camera in the file costs no
+    tracing, unless the light comes from a sun that has not been traced.
+
+    Parameters
+    ----------
+    path
+        A ``scene.toml``; see `hyperpaint.scene_rendering`.
+    out
+        The store, a folder.
+    samples
+        Rays of a pixel, in place of those of the file.
+    to
+        ``"radiance"`` or ``"counts"``, in place of what the file says.
+    atmospheres
+        Names of those of the file that are to be rendered; all by default.
+    scheduler
+        Address of a dask.distributed scheduler, whose workers see the same files. By default the client
+        that is active, else threads.
+    overwrite
+        Replace groups that were made from other inputs or parameters.
+    progress
+        Show on stderr what is being done, and how far it is.
+
+    Returns
+    -------
+    Path of the store.
+
+    Raises
+    ------
+    FormatError
+        The file, or one that it names, cannot be used; all problems are listed.
+    SchemaError
+        An argument is out of range, a name unknown, or spectra do not cover the bands or leave 0 to 1.
+    StoreError
+        The store holds something else, is being written, or cannot be written, or memory or disk would not
+        suffice, of which the needed figure is told before anything is written.
+    MissingExtraError
+        A package is not installed that ``scheduler`` or a mesh needs.
+
+    Examples
+    --------
+    >>> path = render_scene("scene.toml", "scene.zarr")                          # doctest: +SKIP
+    >>> xr.open_zarr(path, group="renders/noon").paint.reflectance()            # doctest: +SKIP
+    """
+    return run(
+        path,
+        out,
+        samples=samples,
+        to=to,
+        atmospheres=atmospheres,
+        scheduler=scheduler,
+        overwrite=overwrite,
+        progress=progress,
+    ).path
+
+
+def run(
+    path: str | Path,
+    out: str | Path,
+    *,
+    samples: int | None = None,
+    to: str | None = None,
+    atmospheres: Sequence[str] = (),
+    scheduler: str | None = None,
+    overwrite: bool = False,
+    progress: bool = False,
+) -> Outcome:
+    """Do what `render_scene` does, and tell what was written; the arguments are those of `render_scene`."""
+    import xarray as xr
+
+    from hyperpaint.io.store import to_store
+    from hyperpaint.io.store.computing import errors_of_the_cluster
+    from hyperpaint.io.store.writer import check_room
+
+    from .scene_files import read_scene_file
+    from .scene_parts import build_parts, chosen_atmospheres
+
+    out = local_folder(out, "render")
+    file = _changed(read_scene_file(path), samples, to)
+    _check_disk_roughly(file, out)
+    parts = build_parts(file)
+    chosen = [each.name for each in chosen_atmospheres(parts, atmospheres)]
+    with contextlib.ExitStack() as stack:
+        client = stack.enter_context(computing_on(scheduler))
+        stack.enter_context(errors_of_the_cluster(f"cannot render {path}"))
+        lines = CHUNK_LINES if client is None else CLUSTER_LINES
+        traced = _traced(file, parts, lines)
+        planned = {TRANSPORT: traced, **_renders(traced, file, parts, chosen)}
+        kept = kept_groups(planned, out, overwrite=overwrite, command="render")
+        _refuse_orphans(out, planned, kept)
+        pending = [name for name in planned if name not in kept]
+        tokens = {name: str(planned[name].attrs[INPUTS]) for name in pending}
+        check_room({name: planned[name] for name in pending}, out, tokens)
+        for name in pending:
+            made = traced if name == TRANSPORT else _of_stored(out, name, file, parts)
+            if progress:
+                sys.stderr.write(_announcement(name, file))
+            with bars_on_stderr() if progress else contextlib.nullcontext():
+                to_store(made, out, name, overwrite=overwrite, progress=progress, source_token=tokens[name])
+        text = file.path.read_text(encoding="utf-8")
+        root = xr.DataTree(xr.Dataset(attrs={"name": file.name, "scene_file": text}))
+        to_store(root, out, overwrite=True)
+    return Outcome(out, tuple(pending), tuple(kept))
+
+
+def _changed(file: SceneFile, samples: int | None, to: str | None) -> SceneFile:
+    """Return the file with what the call says in its place."""
+    problems = Problems("cannot render", SchemaError)
+    if samples is not None and not (
+        isinstance(samples, int) and not isinstance(samples, bool) and 1 <= samples <= MOST_SAMPLES
+    ):
+        problems.add(f"samples={samples!r}, expected a whole number from 1 to {MOST_SAMPLES}")
+    if to not in (None, "radiance", "counts"):
+        problems.add(f"to={to!r}, expected 'radiance' or 'counts'")
+    problems.raise_if_any()
+    if samples is not None:
+        file = dataclasses.replace(file, sampling=dataclasses.replace(file.sampling, samples=samples))
+    return file if to is None else dataclasses.replace(file, product=to)
+
+
+def _check_disk_roughly(file: SceneFile, out: Path) -> None:
+    """Refuse what no disk here holds, before anything as large is built; `check_room` looks closer later."""
+    folder = next(parent for parent in out.absolute().parents if parent.exists())
+    pixels = file.platform["lines"] * file.platform["columns"]
+    least = pixels * (_LEAST_TRACED + _LEAST_SAMPLE * file.camera.get("bands", 272))
+    free = shutil.disk_usage(folder).free
+    if least > free:
+        msg = (
+            f"{file.path} needs {size_text(least)} of disk at the very least, but {size_text(free)} are free "
+            f"in {folder}; take fewer lines, columns or bands, or another disk"
+        )
+        raise StoreError(msg)
+
+
+def _announcement(name: str, file: SceneFile) -> str:
+    size = f"{file.platform['lines']} lines of {file.platform['columns']} columns"
+    if name == TRANSPORT:
+        return f"tracing {size}, {file.sampling.samples} rays a pixel\n"
+    return f"{name.removeprefix(RENDERS)}: {file.product} of {size}\n"
+
+
+# --- what is to be written ---------------------------------------------------------------------------------
+
+
+def _traced(file: SceneFile, parts: Parts, lines: int) -> xr.Dataset:
+    """Return the scene, to be traced in blocks of so many lines."""
+    from hyperpaint.simulation.rendering.tracing import trace
+
+    from .products import pose_of
+
+    sampling = file.sampling
+    traced = trace(
+        parts.scene,
+        parts.platform,
+        parts.suns,
+        samples=sampling.samples,
+        depth=sampling.depth,
+        seed=sampling.seed,
+        slots=sampling.slots,
+        overcast=parts.overcast,
+        sun_radius=sampling.sun_radius_deg,
+        chunk_lines=lines,
+    )
+    inputs = {
+        "format": FORMAT_VERSION,
+        "scene": {**file.scene, "name": file.name},
+        "meshes": [[_content(mesh.path), mesh.name, dict(mesh.options)] for mesh in file.meshes],
+        "platform": dict(file.platform),
+        "sampling": dataclasses.asdict(sampling),
+        "suns": parts.suns,
+        "overcast": parts.overcast,
+    }
+    return traced.assign_coords(pose_of(parts.platform)).assign_attrs({INPUTS: _digest(inputs)})
+
+
+def _renders(
+    traced: xr.Dataset, file: SceneFile, parts: Parts, names: Sequence[str]
+) -> dict[str, xr.Dataset]:
+    """Return the renders of a traced scene by group."""
+    from .products import Render
+
+    made = {}
+    for atmosphere in parts.atmospheres:
+        if atmosphere.name in names:
+            inputs = {
+                "transport": traced.attrs[INPUTS],
+                "atmosphere": _light(atmosphere),
+                "camera": dict(file.camera),
+                "exposure_time": parts.platform.exposure_time,
+                "spectra": {name: _content(path) for name, path in file.spectra.items()},
+                "paints": dict(file.paints),
+                "product": [file.product, file.true_reflectance, file.sampling.seed],
+            }
+            render = Render(atmosphere, parts.camera, parts.platform, parts.spectra, file.paints)
+            made[RENDERS + atmosphere.name] = render.of(
+                traced,
+                product=file.product,
+                true_reflectance=file.true_reflectance,
+                seed=file.sampling.seed,
+                noise=parts.noise,
+            ).assign_attrs({INPUTS: _digest(inputs)})
+    return made
+
+
+def _of_stored(out: Path, group: str, file: SceneFile, parts: Parts) -> xr.Dataset:
+    """Return a render of the scene as it is stored."""
+    from hyperpaint.io.store import open_store
+
+    stored = open_store(out, TRANSPORT)
+    return _renders(stored, file, parts, [group.removeprefix(RENDERS)])[group]
+
+
+def _refuse_orphans(out: Path, planned: Mapping[str, Any], kept: Sequence[str]) -> None:
+    """Refuse to trace anew under renders that would stay, of what was traced before."""
+    from hyperpaint.io.store import list_groups
+
+    if TRANSPORT in kept or not out.exists():
+        return
+    left = [name for name in list_groups(out) if name.startswith(RENDERS) and name not in planned]
+    if left:
+        msg = (
+            f"{out} holds /{', /'.join(left)}, of a scene traced with other parameters; render them too, or "
+            "choose another path"
+        )
+        raise StoreError(msg)
+
+
+def _light(atmosphere: Any) -> str:
+    """Return a digest of everything that an atmosphere is."""
+    import numpy as np
+
+    found = hashlib.sha256()
+    for field in dataclasses.fields(atmosphere):
+        value = getattr(atmosphere, field.name)
+        found.update(f"{field.name} ".encode())
+        found.update(value.tobytes() if isinstance(value, np.ndarray) else repr(value).encode())
+    return found.hexdigest()
+
+
+def _content(path: Path) -> str:
+    with open(path, "rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def _digest(inputs: Mapping[str, Any]) -> str:
+    text = json.dumps(inputs, sort_keys=True, default=str)
+    return hashlib.sha256(text.encode()).hexdigest()[:32]

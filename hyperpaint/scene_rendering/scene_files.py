@@ -1,0 +1,305 @@
+"""What a ``scene.toml`` says: read, checked, and its files found, before anything is built."""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from hyperpaint.errors import FormatError, Problems
+from hyperpaint.io.toml_checks import text
+from hyperpaint.io.toml_tables import TableReader, load_tables, shown
+
+from .tables import LISTS, NAMED, SCHEMA
+
+__all__ = ["AtmosphereEntry", "MeshEntry", "Sampling", "SceneFile", "read_scene_file"]
+
+_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,99}")
+_RESERVED = {"zarr.json", "c"}
+#: Where the light of an atmosphere comes from: one of these keys.
+_SOURCES = ("preset", "table", "irradiance")
+_MOST_TRIANGLES = 5_000_000  # of a car park: some 2000 cars and their trees
+_MOST_VALUES = 10**11  # of a cube; a day's flying has a hundredth
+
+
+@dataclass(frozen=True)
+class MeshEntry:
+    """One ``[[meshes]]``: a file, and how it is put into the scene."""
+
+    path: Path
+    name: str
+    options: Mapping[str, Any] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class AtmosphereEntry:
+    """One ``[[atmospheres]]``: its name, where its light comes from, and what is changed of it."""
+
+    name: str
+    preset: str | None = None
+    table: Path | None = None
+    irradiance: tuple[Path, ...] = ()
+    options: Mapping[str, Any] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Sampling:
+    """``[sampling]``: rays of a pixel, scatterings of a ray, paths kept of a pixel, the seed of it all."""
+
+    samples: int = 64
+    depth: int = 4
+    slots: int | None = None
+    seed: int = 0
+    sun_radius_deg: float = 0.0
+
+
+@dataclass(frozen=True)
+class SceneFile:
+    """What a ``scene.toml`` says, its paths absolute and found.
+
+    Attributes
+    ----------
+    path
+        The file.
+    name
+        Of the scene.
+    scene
+        ``[scene]``: its ``kind`` and what that kind takes.
+    meshes
+        Files with triangles.
+    platform, camera
+        Arguments of `hyperpaint.simulation.rendering.platforms.pushbroom`, and fields of
+        `hyperpaint.simulation.SimulationSettings`.
+    atmospheres
+        At least one.
+    sampling
+        How rays are drawn.
+    spectra
+        Name to the file of a spectrum.
+    paints
+        What is repainted: name of a spectrum, material or instance, to that of a spectrum.
+    product
+        "radiance" or "counts".
+    true_reflectance
+        Whether the reflectance without noise is stored as well.
+    """
+
+    path: Path
+    name: str
+    scene: Mapping[str, Any]
+    meshes: tuple[MeshEntry, ...]
+    platform: Mapping[str, Any]
+    camera: Mapping[str, Any]
+    atmospheres: tuple[AtmosphereEntry, ...]
+    sampling: Sampling
+    spectra: Mapping[str, Path]
+    paints: Mapping[str, str]
+    product: str = "radiance"
+    true_reflectance: bool = True
+
+
+def read_scene_file(path: str | os.PathLike[str]) -> SceneFile:
+    """Read and check a ``scene.toml``; what it names is looked for, not opened.
+
+    Parameters
+    ----------
+    path
+        The file; paths in it are relative to its folder.
+
+    Returns
+    -------
+    SceneFile
+
+    Raises
+    ------
+    FormatError
+        Not TOML (with the line), unknown keys, wrong types or values, what is missing or not found; all
+        problems are listed.
+    """
+    path = Path(path)
+    raw = load_tables(path, "a scene.toml")
+    problems = Problems(f"{path} cannot be rendered", FormatError)
+    named = {name: dict.fromkeys(raw[name], text) for name in NAMED if isinstance(raw.get(name), dict)}
+    reader = TableReader(path, raw, {**SCHEMA, **named}, LISTS, problems)
+    meshes = _meshes(reader)
+    made = SceneFile(
+        path=path,
+        name=reader.one("scene").get("name", path.stem),
+        scene=_scene(reader),
+        meshes=meshes,
+        platform=_platform(reader),
+        camera=_camera(reader),
+        atmospheres=_atmospheres(reader),
+        sampling=Sampling(**_given(reader.one("sampling"))),
+        spectra=_spectra(reader),
+        paints=_given(reader.one("paints")),
+        **_given(reader.one("output")),
+    )
+    _check_size(made, problems)
+    problems.raise_if_any()
+    return made
+
+
+def _given(table: Mapping[str, Any]) -> dict[str, Any]:
+    return {key: value for key, value in table.items() if key != "?"}
+
+
+#: Keys of [scene] that one kind of scene alone takes.
+_OF_KIND = {
+    "plane": {"size_m", "spectrum"},
+    "car_park": set(SCHEMA["scene"]) - {"name", "kind", "size_m", "spectrum"},
+    "empty": set(),
+}
+
+
+def _scene(reader: TableReader) -> dict[str, Any]:
+    table = reader.one("scene")
+    kind = table.get("kind", "car_park")
+    if "scene" not in reader.given and "meshes" not in reader.given:
+        reader.problems.add("no [scene] and no [[meshes]]: there is nothing to be seen")
+    elif kind == "empty" and not reader.tables["meshes"]:
+        reader.problems.add('[scene] kind = "empty" without [[meshes]]: there is nothing to be seen')
+    allowed = _OF_KIND[kind] | {"name", "kind", "seed"}
+    for key in sorted(table["?"] & set(SCHEMA["scene"]) - allowed):
+        where = ", ".join(each for each, keys in _OF_KIND.items() if key in keys)
+        reader.problems.add(f"[scene] {key} is for kind {where}, found kind = {kind!r}")
+    if "scene" not in reader.given:
+        kind = "empty"
+    return {**{key: value for key, value in _given(table).items() if key != "name"}, "kind": kind}
+
+
+def _meshes(reader: TableReader) -> tuple[MeshEntry, ...]:
+    made, names = [], []
+    for number, table in enumerate(reader.tables["meshes"]):
+        place = reader.place("meshes", number)
+        if "path" not in table["?"]:
+            reader.problems.add(f"{place} path is missing: the file with its triangles")
+        if not table["?"] & {"spectrum", "materials"}:
+            reader.problems.add(
+                f"{place} spectrum is missing: what it is made of (or materials, part by part)"
+            )
+        found = reader.path(place, "path", table.get("path"))
+        name = table.get("name", f"mesh_{number + 1}")
+        if name in names:
+            reader.problems.add(f"{place} name = {name!r} is given to another mesh; each needs its own")
+        names.append(name)
+        if found is not None:
+            options = {key: value for key, value in _given(table).items() if key not in ("path", "name")}
+            made.append(MeshEntry(found, name, options))
+    return tuple(made)
+
+
+#: Keys of [platform] with a unit, to arguments of `pushbroom` and what they are multiplied by.
+_PLATFORM = {
+    "altitude_m": ("altitude", 1.0),
+    "ground_sample_m": ("ground_sample", 1.0),
+    "ifov_mrad": ("ifov", 1e-3),
+    "speed_m_s": ("speed", 1.0),
+    "line_spacing_m": ("line_spacing", 1.0),
+    "heading_deg": ("heading", 1.0),
+    "exposure_time_ms": ("exposure_time", 1e-3),
+    "frame_period_ms": ("frame_period", 1e-3),
+    "sway_m": ("sway", 1.0),
+}
+
+
+def _platform(reader: TableReader) -> dict[str, Any]:
+    table = reader.one("platform")
+    for key in ("lines", "columns"):
+        if key not in table["?"]:
+            reader.problems.add(f"[platform] {key} is missing: the size of the cube")
+    made: dict[str, Any] = {}
+    for key, value in _given(table).items():
+        if key in _PLATFORM:
+            name, factor = _PLATFORM[key]
+            made[name] = float(f"{value * factor:.12g}")
+        elif key in ("centre_m", "start_m"):
+            made[key.removesuffix("_m")] = tuple(map(float, value))
+        elif key == "wobble_deg":
+            made["wobble"] = tuple(map(float, value)) if isinstance(value, list) else float(value)
+        else:
+            made[key] = value
+    if "start_time" in made:
+        # TOML's own times become text that numpy reads; a zone is not taken
+        made["start_time"] = str(made["start_time"]).replace(" ", "T")
+    return made
+
+
+def _camera(reader: TableReader) -> dict[str, Any]:
+    same = {"first_wavelength_nm": "first_wavelength", "last_wavelength_nm": "last_wavelength"}
+    return {same.get(key, key): value for key, value in _given(reader.one("camera")).items()}
+
+
+def _atmospheres(reader: TableReader) -> tuple[AtmosphereEntry, ...]:
+    if not reader.tables["atmospheres"] and "atmospheres" not in reader.given:
+        return (AtmosphereEntry("noon", "noon"),)
+    made = []
+    for number, table in enumerate(reader.tables["atmospheres"]):
+        entry = _atmosphere(reader, reader.place("atmospheres", number), table)
+        if entry is not None:
+            made.append(entry)
+    names = [entry.name.lower() for entry in made]
+    for name in sorted({name for name in names if names.count(name) > 1}):
+        reader.problems.add(
+            f"[[atmospheres]] name {name!r} is given to {names.count(name)}; each needs its own"
+        )
+    return tuple(made)
+
+
+def _atmosphere(reader: TableReader, place: str, table: Mapping[str, Any]) -> AtmosphereEntry | None:
+    sources = [key for key in _SOURCES if key in table["?"]]
+    if len(sources) > 1:
+        reader.problems.add(f"{place} has {' and '.join(sources)}; keep the one that is to be used")
+    name = table.get("name", table.get("preset"))
+    if name is None:
+        if "name" not in table["?"]:
+            reader.problems.add(f"{place} name is missing: it names a group of the store")
+        return None
+    if not _NAME.fullmatch(name) or name in _RESERVED:
+        expected = "letters, digits, '.', '_' and '-': it names a group of the store"
+        reader.problems.add(f"{place} name = {shown(name)}, expected {expected}")
+    if sources and sources[0] != "preset" and "sun_zenith_deg" not in table["?"]:
+        reader.problems.add(f"{place} sun_zenith_deg is missing: {sources[0]} does not say where the sun is")
+    for key, source in (("direct_fraction", "irradiance"), ("time", "irradiance")):
+        if key in table["?"] and sources != [source]:
+            reader.problems.add(f"{place} {key} needs {source}, the files of a spectrometer")
+    files = reader.files(place, "irradiance", table["irradiance"]) if "irradiance" in table else ()
+    skipped = {"?", "name", *_SOURCES}
+    options = {key: value for key, value in table.items() if key not in skipped}
+    preset = table.get("preset", None if sources else name)
+    return AtmosphereEntry(name, preset, reader.path(place, "table", table.get("table")), files, options)
+
+
+def _spectra(reader: TableReader) -> dict[str, Path]:
+    found = {
+        name: reader.path("[spectra]", name, value) for name, value in _given(reader.one("spectra")).items()
+    }
+    return {name: path for name, path in found.items() if path is not None}
+
+
+def _check_size(made: SceneFile, problems: Problems) -> None:
+    if made.scene["kind"] == "car_park":
+        triangles = _triangles(made.scene)
+        if triangles > _MOST_TRIANGLES:
+            problems.add(
+                f"[scene] would have some {triangles:.1e} triangles, expected at most {_MOST_TRIANGLES:.0e}; "
+                "make it shorter or narrower, or give its trees fewer leaves"
+            )
+    lines, columns = (made.platform.get(key, 1) for key in ("lines", "columns"))
+    bands = made.camera.get("bands", 272)
+    if lines * columns * bands > _MOST_VALUES:
+        problems.add(
+            f"{lines} lines x {columns} columns x {bands} bands are {lines * columns * bands:.1e} samples, "
+            f"expected at most {_MOST_VALUES:.0e}; cut the flight into several"
+        )
+
+
+def _triangles(scene: Mapping[str, Any]) -> float:
+    """Return about how many triangles a car park has: 1300 a car, two a leaf."""
+    length, width = scene.get("length_m", 50.0), scene.get("width_m", 32.0)
+    bays = length / 2.5 * scene.get("rows", width / 8.0)
+    trees = length / 7.5 + bays / 10.0 if "trees" in scene.get("neighbours", ["trees"]) else 0.0
+    return float(1300.0 * bays * scene.get("occupancy", 0.85) + 2.0 * trees * scene.get("leaves", 1500))

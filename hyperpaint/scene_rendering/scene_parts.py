@@ -1,0 +1,301 @@
+"""What a ``scene.toml`` describes, built: scene, flight, light, camera."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hyperpaint.errors import FormatError, PaintError, Problems, SchemaError
+from hyperpaint.io.spectrum_csv import read_spectrum_csv
+
+from .tables import MATERIAL
+
+if TYPE_CHECKING:
+    from hyperpaint.simulation.camera import Camera
+    from hyperpaint.simulation.rendering.four_curves import Atmosphere
+    from hyperpaint.simulation.rendering.materials import Material
+    from hyperpaint.simulation.rendering.platforms import Platform
+    from hyperpaint.simulation.rendering.scene import Scene
+
+    from .scene_files import AtmosphereEntry, MeshEntry, SceneFile
+
+__all__ = ["Parts", "build_parts", "chosen_atmospheres"]
+
+Spectrum = tuple[NDArray[np.float64], NDArray[np.float64]]
+
+
+@dataclass(frozen=True)
+class Parts:
+    """Everything that a render is made of.
+
+    Attributes
+    ----------
+    scene
+        What is seen.
+    platform
+        Where from.
+    camera
+        By what.
+    noise
+        Whether the camera has any.
+    atmospheres
+        In which light; all of them are traced.
+    spectra
+        Spectra of the file, wavelength [nm] and reflectance.
+    """
+
+    scene: Scene
+    platform: Platform
+    camera: Camera
+    noise: bool
+    atmospheres: tuple[Atmosphere, ...]
+    spectra: Mapping[str, Spectrum]
+
+    @property
+    def suns(self) -> list[tuple[float, float]]:
+        """Zenith and azimuth of every sun, each once [degree]."""
+        return list(dict.fromkeys((each.sun_zenith, each.sun_azimuth) for each in self.atmospheres))
+
+    @property
+    def overcast(self) -> bool:
+        """Whether any sky is brighter overhead."""
+        return any(each.overcast_share > 0.0 for each in self.atmospheres)
+
+
+def build_parts(file: SceneFile) -> Parts:
+    """Return what a scene file describes.
+
+    Raises
+    ------
+    FormatError
+        Something in the file, or in a file that it names, cannot be used; all problems are listed.
+    MissingExtraError
+        A mesh needs a package that is not installed.
+    """
+    problems = Problems(f"{file.path} cannot be rendered", FormatError)
+    made: dict[str, Any] = {}
+    for name, build in (
+        ("scene", _scene),
+        ("camera", _camera),
+        ("atmospheres", _atmospheres),
+        ("spectra", _spectra),
+    ):
+        try:
+            made[name] = build(file)
+        except ImportError:
+            raise
+        except (PaintError, OSError) as error:
+            problems.add(str(error))
+    try:
+        made["platform"] = _platform(file, made.get("scene"))
+    except PaintError as error:
+        problems.add(str(error))
+    problems.raise_if_any()
+    noise = file.camera.get("noise", True)
+    return Parts(**made, noise=noise)
+
+
+def chosen_atmospheres(parts: Parts, names: Sequence[str]) -> tuple[Atmosphere, ...]:
+    """Return the atmospheres of these names, all where there are none.
+
+    Raises
+    ------
+    SchemaError
+        The scene file has none of that name.
+    """
+    known = {each.name: each for each in parts.atmospheres}
+    unknown = [name for name in names if name not in known]
+    if unknown:
+        found = ", ".join(map(repr, unknown))
+        msg = f"there is no atmosphere {found} in the scene file; it has {', '.join(known)}"
+        raise SchemaError(msg)
+    return tuple(known[name] for name in dict.fromkeys(names)) if names else parts.atmospheres
+
+
+# --- what is seen ------------------------------------------------------------------------------------------
+
+#: Keys of a car park with a unit, to arguments of `car_park`.
+_IN_METRES = ("length_m", "width_m", "line_width_m", "margin_m")
+
+
+def _scene(file: SceneFile) -> Scene:
+    from hyperpaint.simulation.rendering.scene import Scene
+
+    makers = {"car_park": _car_park, "plane": _plane}
+    kind = file.scene["kind"]
+    parts = [makers[kind](file)] if kind in makers else []
+    parts += [_mesh(entry) for entry in file.meshes]
+    return replace(parts[0], name=file.name) if len(parts) == 1 else Scene.join(parts, file.name)
+
+
+def _car_park(file: SceneFile) -> Scene:
+    from hyperpaint.simulation.rendering.car_parks import car_park
+    from hyperpaint.simulation.rendering.materials import Coat
+
+    options = {key: value for key, value in file.scene.items() if key != "kind"}
+    for key in _IN_METRES:
+        if key in options:
+            options[key.removesuffix("_m")] = float(options.pop(key))
+    coat = {key: options.pop(f"coat_{key}") for key in ("index", "roughness") if f"coat_{key}" in options}
+    if not options.pop("coat", True):
+        options["coat"] = None
+    elif coat:
+        options["coat"] = Coat(**coat)
+    return car_park(**options)
+
+
+def _plane(file: SceneFile) -> Scene:
+    from hyperpaint.simulation.rendering.materials import Material
+    from hyperpaint.simulation.rendering.scene import plane
+
+    size = file.scene.get("size_m", 1000.0)
+    spectrum = file.scene.get("spectrum", "asphalt")
+    sides = (float(size), float(size)) if isinstance(size, int | float) else (float(size[0]), float(size[1]))
+    return plane(sides, Material("ground", spectrum, "asphalt" if spectrum == "asphalt" else "other"))
+
+
+def _mesh(entry: MeshEntry) -> Scene:
+    from hyperpaint.simulation.rendering.mesh_files import read_mesh
+    from hyperpaint.simulation.rendering.scene import Instance
+
+    options = dict(entry.options)
+    kind = options.get("kind", "other")
+    own = {key: options[key] for key in MATERIAL if key in options}
+    default = _material(entry.name, own, kind) if "spectrum" in own else None
+    parts = {
+        part: _material(
+            f"{part} of {entry.name}", {"spectrum": said} if isinstance(said, str) else said, kind
+        )
+        for part, said in options.get("materials", {}).items()
+    }
+    painted = [
+        each.spectrum for each in (default, *parts.values()) if each is not None and each.kind == "paint"
+    ]
+    thing = Instance(entry.name, kind, painted[0] if kind == "car" and painted else "")
+    mesh = read_mesh(
+        entry.path,
+        parts,
+        default=default,
+        instance=thing,
+        unit=float(options.get("unit_m", 1.0)),
+        up=options.get("up"),
+    )
+    return mesh.moved(options.get("offset_m", (0.0, 0.0, 0.0)), float(options.get("heading_deg", 0.0)))
+
+
+def _material(name: str, said: Mapping[str, Any], kind: str) -> Material:
+    """Return a material; what lies on a car is paint unless it is said to be something else."""
+    from hyperpaint.simulation.rendering.materials import Coat, Flakes, Material
+
+    surface = said.get("class", "paint" if kind == "car" else "other")
+    coat = {key: float(said[f"coat_{key}"]) for key in ("index", "roughness") if f"coat_{key}" in said}
+    share = float(said.get("flakes", 0.0))
+    over = Coat(**coat) if coat or share or surface == "paint" else None
+    return Material(
+        f"paint of {name}" if surface == "paint" else name,
+        said["spectrum"],
+        surface,
+        over,
+        Flakes(share) if share else None,
+    )
+
+
+# --- where from, and by what -------------------------------------------------------------------------------
+
+
+def _platform(file: SceneFile, scene: Scene | None) -> Platform:
+    from hyperpaint.simulation.rendering.platforms import pushbroom
+
+    options = dict(file.platform)
+    if "centre" not in options and "start" not in options and scene is not None:
+        options["centre"] = _middle(file, scene)
+    return pushbroom(**options)
+
+
+def _middle(file: SceneFile, scene: Scene) -> tuple[float, float]:
+    """Return what is flown over unless the file says it: a car park, or whatever there is."""
+    if file.scene["kind"] == "car_park":
+        # the park lies from y = 0 northwards, in the middle of ground that goes on around it
+        return 0.0, float(file.scene.get("length_m", 50.0)) / 2
+    east, north = scene.bounds[:, :2].mean(axis=0)
+    return float(east), float(north)
+
+
+def _camera(file: SceneFile) -> Camera:
+    from hyperpaint.simulation.camera import Camera
+    from hyperpaint.simulation.settings import SimulationSettings
+
+    options = {key: value for key, value in file.camera.items() if key != "noise"}
+    size = {"columns": file.platform["columns"], "lines": max(2, file.platform["lines"])}
+    times = {
+        f"{key}_ms": file.platform[key] * 1e3
+        for key in ("exposure_time", "frame_period")
+        if key in file.platform
+    }
+    return Camera.of(SimulationSettings.of({**options, **size, **times}))
+
+
+# --- in which light ----------------------------------------------------------------------------------------
+
+
+def _atmospheres(file: SceneFile) -> tuple[Atmosphere, ...]:
+    problems = Problems("the atmospheres cannot be used", SchemaError)
+    made = []
+    for entry in file.atmospheres:
+        try:
+            made.append(_atmosphere(entry))
+        except (PaintError, OSError) as error:
+            problems.add(f"{entry.name}: {error}")
+    problems.raise_if_any()
+    return tuple(made)
+
+
+def _atmosphere(entry: AtmosphereEntry) -> Atmosphere:
+    from hyperpaint.simulation.rendering.four_curves import Atmosphere, preset_atmosphere
+
+    options = dict(entry.options)
+    oktas, time = options.pop("oktas", None), options.pop("time", None)
+    sun: dict[str, Any] = {
+        key: float(options.pop(f"{key}_deg"))
+        for key in ("sun_zenith", "sun_azimuth")
+        if f"{key}_deg" in options
+    }
+    sky = {key: options.pop(key) for key in ("overcast_share", "direct_fraction") if key in options}
+    clear = {key: options.pop(key) for key in ("aerosol", "water") if key in options}
+    if clear and (entry.table is not None or entry.irradiance):
+        msg = f"{' and '.join(clear)} can be given with a preset only; the light is as the file has it"
+        raise SchemaError(msg)
+    if entry.table is not None:
+        made = Atmosphere.from_table(entry.table, **sun, **sky)
+    elif entry.irradiance:
+        from hyperpaint.io.irradiance import open_irradiance
+
+        moment = None if time is None else np.datetime64(str(time).replace(" ", "T"), "ns")
+        made = Atmosphere.from_irradiance(open_irradiance(entry.irradiance), time=moment, **sun, **sky)
+    else:
+        made = preset_atmosphere(entry.preset or entry.name)
+        if sun or clear or oktas is not None:
+            oktas = 8.0 if oktas is None and made.overcast_share > 0.0 else oktas
+            sun = {"sun_zenith": made.sun_zenith, "sun_azimuth": made.sun_azimuth} | sun
+            made = Atmosphere.clear(**sun, **clear)
+        if sky:
+            made = replace(made, **sky)
+    if oktas:
+        made = made.clouded(float(oktas))
+    return replace(made, name=entry.name)
+
+
+def _spectra(file: SceneFile) -> dict[str, Spectrum]:
+    problems = Problems("spectra cannot be read", FormatError)
+    made = {}
+    for name, path in file.spectra.items():
+        try:
+            made[name] = read_spectrum_csv(path)
+        except FormatError as error:
+            problems.add(str(error))
+    problems.raise_if_any()
+    return made

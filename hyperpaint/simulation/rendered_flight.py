@@ -1,0 +1,213 @@
+"""A flight over a car park of triangles, whose light is traced along the camera's own wobbling view.
+
+Paths of light are recorded without a spectrum, and every kind of path has its integrals INT E_k PROD rho R
+with the camera's own responses in one table. The code of a path says its source, so that direct and diffuse
+light keep their own course in time. The air between ground and camera adds and takes nothing.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hyperpaint.errors import SchemaError
+from hyperpaint.kernels.transport.paths import Block
+
+from .flight import METRES_PER_DEGREE, ORIGIN, PIXEL_ANGLE, Flight, Layer, Lines
+from .rendering.bands import BandSet
+from .rendering.car_parks import car_park
+from .rendering.painting import factor_spectra
+from .rendering.path_codes import FIRST_SUN, SKY, is_direct, is_indirect, is_mirrored
+from .rendering.platforms import Platform
+from .rendering.rotations import matrices, quaternions
+from .rendering.scene import Scene
+from .rendering.scene_record import SceneRecord, TraceSettings
+from .rendering.spectra import spectrum_of
+from .rendering.spectral_products import ProductTable
+from .rendering.tracing import PreparedScene, prepare_scene, trace_block
+from .rendering.truth_layers import LabelTables
+from .scenes import SWATH
+from .settings import SimulationSettings
+
+__all__ = ["GLINT", "RenderedFlight"]
+
+Floats = NDArray[np.float64]
+
+GLINT = 0.02
+"""Reflectance that the sun's mirror image in a clear coat adds to a pixel which counts as glint."""
+
+_LONGEST = 2000.0  # m of car park that are built
+_BEFORE = 3.0  # m of car park before and behind what is seen
+_PERIOD = 30.0  # m after which its grey panels come again; a flight soon sees its first
+_MARGIN = 30.0  # m of ground around it
+_STEEPEST = np.tan(np.radians(0.5))  # of roll and pitch, which stay below
+_LINES_AT_ONCE = 4  # of a thread
+
+
+class RenderedFlight(Flight):
+    """A flight over a car park of triangles.
+
+    Parameters
+    ----------
+    settings
+        Size and effects.
+
+    Raises
+    ------
+    SchemaError
+        The flight is longer than the car parks that are built.
+
+    Examples
+    --------
+    >>> flight = RenderedFlight(SimulationSettings(lines=8, bands=4, columns=32, samples=2))
+    >>> made = flight.lines(0, 8)
+    >>> made.counts.shape, made.layers["purity"].shape
+    ((8, 4, 32), (8, 32))
+    """
+
+    def __init__(self, settings: SimulationSettings) -> None:
+        super().__init__(settings)
+        scene = self._car_park()
+        record = SceneRecord.of(scene)
+        trace = TraceSettings((settings.sun,), samples=settings.samples, seed=settings.seed)
+        self._scene: PreparedScene = prepare_scene(scene, trace)
+        spectra = [material.spectrum for material in record.materials]
+        self.surfaces = tuple(dict.fromkeys(spectra))
+        self.paints = tuple(sorted({each.spectrum for each in record.materials if each.kind == "paint"}))
+        self.layers = _layers(self._scene.labels)
+        self._surface = np.array([self.surfaces.index(name) for name in spectra], np.int16)
+        self._cosine = float(np.cos(np.radians(settings.sun[0])))
+        self._products = ProductTable.of_imager(
+            self.imager,
+            self._scene.codes,
+            self.grid,
+            {SKY: self.sky[1], FIRST_SUN: self.sky[0] / self._cosine},
+            factor_spectra(record, BandSet.of_imager(self.imager)),
+        )
+
+    def paint_reflectance(self, names: Sequence[str], wavelength: Floats) -> Floats:
+        """Return the reflectance of paints without their mirror reflection, shape (name, wavelength)."""
+        return np.stack([spectrum_of(name)(wavelength) for name in names])
+
+    def _car_park(self) -> Scene:
+        """Return a car park that begins before the first line's view and ends behind the last one's."""
+        settings = self.settings
+        ahead = _STEEPEST * self.ground_sample / PIXEL_ANGLE
+        before = _BEFORE + ahead
+        start = np.ceil((before + ahead) / _PERIOD) * _PERIOD - ahead
+        length = start + settings.lines * self.ground_sample + before
+        if length > _LONGEST:
+            msg = (
+                f"{settings.lines} lines of {self.ground_sample:g} m need {length:.0f} m of car park, and at "
+                f"most {_LONGEST:g} m are rendered; take fewer lines, more columns, or scene='plan'"
+            )
+            raise SchemaError(msg)
+        park = car_park(
+            length=float(length),
+            width=SWATH,
+            seed=settings.seed,
+            neighbours=("trees", "walls", "lamps") if settings.neighbours else (),
+            coat="own" if settings.coat else None,
+            flakes=False,  # a metallic paint has no one reflectance that a field spectrometer could confirm
+            margin=float(_MARGIN + 2 * before),
+            name="simulated car park",
+        )
+        return park.moved((0.0, -float(start), 0.0))
+
+    @cached_property
+    def platform(self) -> Platform:
+        """Where the camera was at begin and end of every exposure, as `pose` has it."""
+        settings = self.settings
+        moment = self.line_times[:, None] / 1e9 + settings.exposure_time * np.array([-0.5, 0.5])
+        pose = self.pose(moment)
+        north = (pose["latitude"] - ORIGIN[0]) * METRES_PER_DEGREE
+        origin = np.stack([np.zeros_like(north), north, pose["altitude"] - ORIGIN[2]], axis=-1)
+        rotation = matrices(quaternions(pose["roll"], pose["pitch"], pose["heading"]))
+        edges = np.asarray(np.arange(settings.columns + 1) - 0.5 * settings.columns, np.float64) * PIXEL_ANGLE
+        along = np.array([-0.5, 0.5]) * PIXEL_ANGLE
+        return Platform(origin, rotation, edges, along, self.line_times, settings.exposure_time)
+
+    def lines(self, start: int, stop: int, into: Lines | None = None) -> Lines:
+        """Return lines ``start`` to ``stop``; the same whatever lines are asked for together."""
+        number = stop - start
+        block = self._trace(start, stop)
+        factors = self.light.factors(self.line_times[start:stop] / 1e9)
+        made = Lines(
+            self._surface[block.material],
+            self._glint(block, factors),
+            *self._cubes(number, into),
+            _label(block, self._scene.labels),
+        )
+        # on its way to counts, INT L R stands where the radiance will be
+        self._shine(block, factors, made.radiance)
+        per_element = np.pi * self.imager.element_factor
+
+        def expose(row: int) -> None:
+            self._record(made, row, start + row, factors[:, row], made.radiance[row] * per_element)
+
+        self._for_lines(number, expose)
+        return made
+
+    def _trace(self, start: int, stop: int) -> Block:
+        """Return the paths of lines; threads share them, since the tracer lets go of the interpreter."""
+        platform = self.platform
+
+        def trace(begin: int) -> Block:
+            return trace_block(self._scene, platform, begin, min(begin + _LINES_AT_ONCE, stop))
+
+        with ThreadPoolExecutor(max_workers=os.cpu_count()) as pool:
+            blocks = list(pool.map(trace, range(start, stop, _LINES_AT_ONCE)))
+        return Block(*map(np.concatenate, zip(*blocks, strict=True)))
+
+    def _glint(self, block: Block, factors: Floats) -> NDArray[np.bool_]:
+        """Tell where the mirror image of the sun adds `GLINT` to the reflectance, shape (line, column)."""
+        mirrored = is_direct(block.code) & is_mirrored(block.code) & ~is_indirect(block.code)
+        weight = np.where(mirrored, block.weight, 0.0).sum(axis=1)
+        level = self._incident.mean(axis=(1, 2)) @ factors
+        normal = self._incident[0].mean() / self._cosine * factors[0]
+        return np.asarray(weight * (normal / level)[:, None] > GLINT)
+
+    def _shine(self, block: Block, factors: Floats, out: NDArray[np.float32]) -> None:
+        """Write INT L R of every element but for its own factor, shape (line, band, column)."""
+        direct, diffuse = factors[:, :, None, None]
+        weight = (block.weight * np.where(is_direct(block.code), direct, diffuse)).astype(np.float32)
+        self._products.mix(weight, block.code, out)
+
+
+def _layers(labels: LabelTables) -> dict[str, Layer]:
+    """Return what is known of every pixel."""
+    meters = {
+        "east": f"Mean distance east of longitude {ORIGIN[1]} degrees",
+        "north": f"Mean distance north of latitude {ORIGIN[0]} degrees",
+        "up": f"Mean height above the ground, which is {ORIGIN[2]:g} m high",
+    }
+    described: dict[str, tuple[str, dict[str, Any]]] = {
+        "surface_class": ("int16", {"long_name": "Kind of the surface", **labels.attrs("surface_class")}),
+        "paint_id": ("int16", {"long_name": "Paint of the car; -1 off paint", **labels.attrs("paint_id")}),
+        "car_id": ("int32", {"long_name": "Number of the car; -1 where there is none"}),
+        "purity": ("float32", {"long_name": "Share of the pixel that shows this surface", "units": "1"}),
+        "shadow": ("float32", {"long_name": "Share of the pixel that does not see the sun", "units": "1"}),
+        **{name: ("float64", {"long_name": text, "units": "m"}) for name, text in meters.items()},
+    }
+    return {name: Layer(dtype, _plain(attrs)) for name, (dtype, attrs) in described.items()}
+
+
+def _plain(attrs: Mapping[str, Any]) -> dict[str, Any]:
+    """Return attributes that can be written as JSON."""
+    return {name: value.tolist() if isinstance(value, np.ndarray) else value for name, value in attrs.items()}
+
+
+def _label(block: Block, labels: LabelTables) -> dict[str, NDArray[Any]]:
+    """Return the layers of lines, by the names of `_layers`."""
+    return {
+        **labels.layers(block.material, block.instance),
+        "purity": block.purity,
+        "shadow": 1.0 - block.sun_visibility[:, 0],
+        **{name: block.position[:, axis] for axis, name in enumerate(("east", "north", "up"))},
+    }

@@ -1,0 +1,235 @@
+"""The bands of a camera that looks at a rendered scene."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hyperpaint.errors import Problems, SchemaError
+from hyperpaint.simulation.sensor import SHAPES, Imager, line_shape
+from hyperpaint.simulation.settings import SimulationSettings
+
+__all__ = ["BandSet"]
+
+Floats = NDArray[np.float64]
+
+_GAUSSIAN_REACH = 2.5  # full widths; beyond them lies 1e-8 of a Gaussian's area
+#: Distance of the shifts at which products are made: at the most [nm], and in parts of the narrowest band.
+#: Between them products are cubic; a slit's image has corners.
+_NODE_STEP = {"gaussian": (0.25, 24.0), "slit": (0.1, 60.0)}
+
+
+@dataclass(frozen=True, eq=False)
+class BandSet:
+    """Responses of bands, as they differ from column to column.
+
+    Attributes
+    ----------
+    wavelength
+        Centres at the centre column, shape (band,), increasing [nm].
+    fwhm
+        Full width at half maximum, shape (band,), or one for all [nm].
+    shape
+        "gaussian", or "slit": a box ``fwhm`` wide convolved with a box one band wide.
+    wavelength_shift
+        Smile, shape (cross_track,) [nm]; None for a camera without.
+    responsivity
+        Function of wavelength [nm] that multiplies the line shapes; None for a constant.
+
+    Raises
+    ------
+    SchemaError
+        What no camera can have; all problems are listed.
+
+    Examples
+    --------
+    >>> bands = BandSet.nano_hyperspec()
+    >>> len(bands.wavelength), float(bands.wavelength[0]), float(bands.fwhm[0])
+    (272, 399.356, 6.0)
+    """
+
+    wavelength: Floats
+    fwhm: Floats
+    shape: str = "gaussian"
+    wavelength_shift: Floats | None = None
+    responsivity: Callable[[Floats], Floats] | None = None
+
+    def __post_init__(self) -> None:
+        problems = Problems("these bands cannot be rendered", SchemaError)
+        wavelength = _floats(self.wavelength, "wavelength", problems)
+        if wavelength.ndim != 1 or not wavelength.size:
+            problems.add(f"wavelength has shape {wavelength.shape}, expected (band,)")
+        elif not (np.all(np.diff(wavelength) > 0) and wavelength[0] > 0):
+            problems.add("wavelength must be positive and increase from band to band [nm]; sort the bands")
+        fwhm = _floats(self.fwhm, "fwhm", problems)
+        if fwhm.shape not in ((), (1,), wavelength.shape):
+            problems.add(f"fwhm has shape {fwhm.shape}, expected one value or {wavelength.shape}")
+        elif not np.all(fwhm > 0):
+            problems.add("fwhm must be positive [nm]")
+        if self.shape not in SHAPES:
+            problems.add(f"shape is {self.shape!r}, expected one of {', '.join(SHAPES)}")
+        shift = None
+        if self.wavelength_shift is not None:
+            shift = _floats(self.wavelength_shift, "wavelength_shift", problems)
+            if shift.ndim != 1 or not shift.size:
+                problems.add(f"wavelength_shift has shape {shift.shape}, expected (cross_track,)")
+        problems.raise_if_any()
+        object.__setattr__(self, "wavelength", wavelength)
+        object.__setattr__(self, "fwhm", np.broadcast_to(fwhm, wavelength.shape).copy())
+        object.__setattr__(self, "wavelength_shift", shift)
+
+    @classmethod
+    def nano_hyperspec(cls) -> BandSet:
+        """Return the 272 bands of a Headwall Nano-Hyperspec as the simulator has it, without smile."""
+        camera = SimulationSettings()
+        wavelength = np.linspace(camera.first_wavelength, camera.last_wavelength, camera.bands)
+        return cls(wavelength, np.full(camera.bands, camera.fwhm_nm), camera.srf_shape)
+
+    @classmethod
+    def of_imager(cls, imager: Imager) -> BandSet:
+        """Return the bands of a simulated imager, with its smile and the slope of its responsivity."""
+        shift = np.asarray(imager.wavelength_shift, np.float64)
+        return cls(
+            np.asarray(imager.wavelength),
+            np.array(imager.band_fwhm),
+            imager.shape,
+            shift if shift.any() else None,
+            imager.responsivity,
+        )
+
+    @classmethod
+    def of(cls, bands: Any = None) -> BandSet:
+        """Return anything with ``wavelength`` and ``fwhm`` as bands; None is the Nano-Hyperspec.
+
+        A Dataset says the shape in its attribute ``srf_shape``, anything else in ``shape``.
+
+        Raises
+        ------
+        SchemaError
+            ``wavelength`` or ``fwhm`` are missing, or no camera can have them.
+        """
+        if bands is None:
+            return cls.nano_hyperspec()
+        if isinstance(bands, cls):
+            return bands
+        if isinstance(bands, Imager):
+            return cls.of_imager(bands)
+        problems = Problems("these bands cannot be rendered", SchemaError)
+        for name in ("wavelength", "fwhm"):
+            if getattr(bands, name, None) is None:
+                problems.add(f"{name!r} is missing; give a BandSet, or a Dataset with wavelength and fwhm")
+        problems.raise_if_any()
+        attrs = getattr(bands, "attrs", {})
+        shape = attrs.get("srf_shape", "gaussian") if attrs else getattr(bands, "shape", "gaussian")
+        shift = getattr(bands, "wavelength_shift", None)
+        return cls(
+            np.asarray(bands.wavelength),
+            np.asarray(bands.fwhm),
+            shape if isinstance(shape, str) else "gaussian",
+            None if shift is None or not np.any(shift) else np.asarray(shift),
+            getattr(bands, "responsivity", None) if not attrs else None,
+        )
+
+    @cached_property
+    def spacing(self) -> Floats:
+        """Distance between neighbouring bands, shape (band,) [nm]."""
+        return np.gradient(self.wavelength) if self.wavelength.size > 1 else self.fwhm
+
+    @cached_property
+    def reach(self) -> float:
+        """Distance from a band's own centre beyond which it does not respond [nm]."""
+        if self.shape == "gaussian":
+            return _GAUSSIAN_REACH * float(self.fwhm.max())
+        return float((self.fwhm + self.spacing).max()) / 2 + 0.1
+
+    @property
+    def _node_step(self) -> float:
+        """Distance of the nodes [nm]: sharper bands change faster from shift to shift."""
+        widest, parts = _NODE_STEP[self.shape]
+        narrowest = float(self.fwhm.min())
+        if self.shape == "slit":
+            narrowest = min(narrowest, float(self.spacing.min()) * 3.0)
+        return min(widest, narrowest / parts)
+
+    @cached_property
+    def nodes(self) -> Floats:
+        """Shifts at which products are made, shape (node,) [nm]: one without smile, at least four with it."""
+        if self.wavelength_shift is None:
+            return np.zeros(1)
+        low, high = float(self.wavelength_shift.min()), float(self.wavelength_shift.max())
+        step = self._node_step
+        cells = max(1, int(np.ceil((high - low) / step)))
+        return np.asarray(low + step * np.arange(-1, cells + 2), np.float64)
+
+    def between_nodes(self) -> tuple[NDArray[np.int64], Floats]:
+        """Return where columns lie among the nodes: first of four nodes, and the weights of the four.
+
+        Returns
+        -------
+        first : (cross_track,)
+        weight : (cross_track, 4)
+            Of Lagrange's cubic; each row sums to 1.
+
+        Raises
+        ------
+        SchemaError
+            The bands have no smile, and so one node.
+        """
+        if self.wavelength_shift is None:
+            msg = "bands without smile have one node; take the products as they are"
+            raise SchemaError(msg)
+        place = (self.wavelength_shift - self.nodes[0]) / self._node_step
+        first = np.clip(np.floor(place).astype(np.int64) - 1, 0, self.nodes.size - 4)
+        return first, cubic_weights(place - first - 1)
+
+    def line_shapes(self, offset: Floats, step: float) -> Floats:
+        """Return line shape x responsivity [nm-1] at distances from the bands' own centres.
+
+        Parameters
+        ----------
+        offset : (band, point)
+            [nm], on an even grid of ``step`` nm.
+        """
+        made = [
+            line_shape(row, float(fwhm), float(spacing), self.shape, step)
+            for row, fwhm, spacing in zip(offset, self.fwhm, self.spacing, strict=True)
+        ]
+        return np.stack(made)
+
+    def lowest(self) -> float:
+        """Return the lowest wavelength at which any element responds [nm]."""
+        return float(self.wavelength[0] + self.nodes.min() - self.reach)
+
+    def highest(self) -> float:
+        """Return the highest wavelength at which any element responds [nm]."""
+        return float(self.wavelength[-1] + self.nodes.max() + self.reach)
+
+
+def cubic_weights(place: Floats) -> Floats:
+    """Return the weights of the points at -1, 0, 1 and 2 at a place between 0 and 1, a last axis of 4."""
+    t = np.asarray(place, np.float64)
+    return np.stack(
+        [
+            -t * (t - 1) * (t - 2) / 6,
+            (t + 1) * (t - 1) * (t - 2) / 2,
+            -(t + 1) * t * (t - 2) / 2,
+            (t + 1) * t * (t - 1) / 6,
+        ],
+        axis=-1,
+    )
+
+
+def _floats(values: Any, name: str, problems: Problems) -> Floats:
+    try:
+        made = np.array(values, np.float64)
+    except (TypeError, ValueError):
+        problems.add(f"{name} is {type(values).__name__}, expected numbers [nm]")
+        return np.zeros(0)
+    if not np.isfinite(made).all():
+        problems.add(f"{name} holds values that are not finite")
+    return made

@@ -1,0 +1,296 @@
+"""A parametric car park: rows of bays with cars, aisles with grey panels, and what stands around them.
+
+The park lies between x = -width/2 (west) and +width/2 (east), and from y = 0 northwards, so that a flight
+line along x = 0 sees all of it. Across it lie grass with trees, a kerb, and then rows of bays and aisles in
+turns: two rows share an aisle, and stand back to back with the next two. In the east it ends at a wall. What
+chance decides is drawn from a generator keyed by (seed, bay, row), so that a longer park of the same seed
+holds the cars of the shorter one, under the same names.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+
+from hyperpaint.errors import Problems, SchemaError
+from hyperpaint.simulation.paints import PANELS
+
+from .car_bodies import CAR_TYPES, car_body
+from .materials import Coat, Material
+from .pavements import BAY, Layout, paved, strips_across, worn
+from .pigments import FOURTEEN, paint_spec, parse_name
+from .primitives import cuboid, put_together
+from .scene import Instance, Scene
+from .surroundings import brick_wall, hedge, lamp_post, leafy_tree
+
+__all__ = ["NEIGHBOURS", "car_park"]
+
+NEIGHBOURS = ("trees", "walls", "hedges", "lamps")
+"""What may stand around the cars."""
+
+_PANEL_SIZE, _PANEL_PERIOD, _PANEL_START = 0.90, 30.0, 1.4  # grey panels lie along the aisle [m]
+_TREE_PITCH, _LAMP_PITCH = 7.5, 25.0  # along the edges [m]
+_CHANCE_OF_TYPE = {"sedan": 0.27, "hatchback": 0.28, "estate": 0.15, "suv": 0.18, "van": 0.06, "pickup": 0.06}
+_CARS, _PAINTS, _TREES = 1, 2, 3  # what a random number is for
+
+
+def car_park(
+    *,
+    length: float = 50.0,
+    width: float = 32.0,
+    rows: int | None = None,
+    occupancy: float = 0.85,
+    paints: Sequence[str] | None = None,
+    types: Sequence[str] | None = None,
+    seed: int = 0,
+    neighbours: Sequence[str] = ("trees", "walls", "lamps"),
+    panels: bool = True,
+    islands: bool = True,
+    coat: Coat | Literal["own"] | None = "own",
+    flakes: bool = True,
+    line_width: float = 0.12,
+    leaves: int = 2000,
+    margin: float = 30.0,
+    name: str = "car park",
+) -> Scene:
+    """Return a car park.
+
+    Parameters
+    ----------
+    length, width
+        Of the park along y and x [m]; 16 m hold two rows and an aisle, 32 m four rows and two aisles.
+    rows
+        Number of rows of bays; as many as fit unless given.
+    occupancy
+        Share of the bays that are taken.
+    paints
+        Names of spectra, each used once before any is used again; the catalogue `pigments.FOURTEEN` unless
+        given.
+    types
+        Which `CAR_TYPES` there are; all unless given.
+    seed
+        Chooses everything that chance decides.
+    neighbours
+        Which of `NEIGHBOURS` there are.
+    panels
+        Whether grey panels lie in the first aisle, one row of them every 30 m.
+    islands
+        Whether kerbed islands with grass take the place of every tenth bay or so.
+    coat
+        Clear coat of all paints; "own" for what the catalogue says of each (``Coat()`` of paints it does not
+        know), None for Lambert paints.
+    flakes
+        Whether paints have the metal flakes that the catalogue says; without a coat there are none.
+    line_width
+        Of the lines between bays [m].
+    leaves
+        Of every tree.
+    margin
+        How far the ground goes on around the park [m].
+    name
+        Of the scene.
+
+    Returns
+    -------
+    Scene
+        Instances "ground", "car_000", "panel_20_000", "tree_west_000", "wall" ... ; `Scene.face_part` says
+        which part of a car a triangle is.
+
+    Raises
+    ------
+    SchemaError
+        The rows do not fit into the width, a number is out of range, or a name is unknown; all problems are
+        listed.
+
+    Examples
+    --------
+    >>> park = car_park(length=10.0, width=16.0, neighbours=())
+    >>> sorted({one.kind for one in park.instances})
+    ['car', 'ground', 'panel']
+    """
+    chosen = _Choices(
+        FOURTEEN if paints is None else tuple(paints),
+        tuple(CAR_TYPES) if types is None else tuple(types),
+        seed,
+        occupancy,
+        coat,
+        flakes,
+    )
+    _check(chosen, length, neighbours, line_width=line_width, leaves=leaves, margin=margin)
+    layout = strips_across(length, width, rows, margin=margin, line_width=line_width, islands=islands)
+    ground = put_together([paved(layout), *worn(layout, seed)])
+    things = [ground.scene(_SURROUNDINGS, Instance("ground", "ground"))]
+    if panels:
+        things += _panels(layout)
+    things += _cars(layout, chosen)
+    if "trees" in neighbours:
+        things += _trees(layout, seed, leaves)
+    if "walls" in neighbours or "hedges" in neighbours:
+        things += _enclosure(layout, seed, neighbours)
+    if "lamps" in neighbours:
+        things += _lamps(layout)
+    return Scene.join(things, name)
+
+
+@dataclass(frozen=True)
+class _Choices:
+    """What cars are drawn from."""
+
+    paints: tuple[str, ...]
+    types: tuple[str, ...]
+    seed: int
+    occupancy: float
+    coat: Coat | Literal["own"] | None
+    flakes: bool
+
+    def material(self, name: str, paint: str) -> Material:
+        """Return the surface of a car that has a paint."""
+        known = paint in FOURTEEN or parse_name(paint) is not None
+        made = paint_spec(paint).material(name) if known else Material(name, paint, "paint", Coat())
+        coat = made.coat if self.coat == "own" else self.coat
+        return replace(made, coat=coat, flakes=made.flakes if self.flakes and coat else None)
+
+    def paint(self, number: int) -> str:
+        """Return the paint of a car: as many successive cars as there are paints have all of them."""
+        deck, card = divmod(number, len(self.paints))
+        order = np.random.default_rng([self.seed, _PAINTS, deck]).permutation(len(self.paints))
+        return self.paints[int(order[card])]
+
+    def kind(self, rng: np.random.Generator) -> str:
+        """Return the kind of a car."""
+        chances = np.array([_CHANCE_OF_TYPE[kind] for kind in self.types])
+        return self.types[int(rng.choice(len(chances), p=chances / chances.sum()))]
+
+
+def _check(
+    chosen: _Choices,
+    length: float,
+    neighbours: Sequence[str],
+    *,
+    line_width: float,
+    leaves: int,
+    margin: float,
+) -> None:
+    problems = Problems("the car park cannot be laid out", SchemaError)
+    if not 0.0 <= chosen.occupancy <= 1.0:
+        problems.add(f"occupancy is {chosen.occupancy}, expected 0 to 1")
+    if not 0.0 < length <= 10_000.0:
+        problems.add(f"length is {length} m, expected more than 0 and at most 10000 m")
+    if not 0.02 <= line_width <= 1.0:
+        problems.add(f"line_width is {line_width} m, expected 0.02 to 1 m")
+    if not 0.0 <= margin <= 10_000.0:
+        problems.add(f"margin is {margin} m, expected 0 to 10000 m")
+    if not 0 <= leaves <= 100_000:
+        problems.add(f"leaves is {leaves}, expected 0 to 100000")
+    if chosen.seed < 0:
+        problems.add(f"seed is {chosen.seed}, expected 0 or more")
+    for what, names, known in (
+        ("neighbours", neighbours, NEIGHBOURS),
+        ("types", chosen.types, tuple(CAR_TYPES)),
+    ):
+        unknown = [one for one in names if one not in known]
+        if unknown:
+            problems.add(
+                f"{what} has {', '.join(map(repr, unknown))}, expected names from {', '.join(known)}"
+            )
+    if not chosen.paints or not chosen.types:
+        problems.add("paints or types are empty, expected at least one name of each")
+    problems.raise_if_any()
+
+
+_GLOSS = Coat(1.5, 0.02)
+_SURROUNDINGS = {
+    name: Material(name, spectrum, kind, coat)
+    for name, spectrum, kind, coat in (
+        ("asphalt", "asphalt", "asphalt", None),
+        ("patch", "patch", "asphalt", None),
+        ("line", "painted_line", "line", None),
+        ("concrete", "concrete", "concrete", None),
+        ("grass", "grass", "grass", None),
+        ("glass", "glass", "glass", _GLOSS),
+        ("trim", "trim", "trim", None),
+        ("tyre", "tyre", "tyre", None),
+        ("rim", "aluminium", "trim", None),
+        ("lamp", "lamp_clear", "lamp", _GLOSS),
+        ("tail_lamp", "lamp_red", "lamp", _GLOSS),
+        ("plate", "painted_line", "trim", None),
+        ("leaf", "leaf", "leaf", None),
+        ("bark", "bark", "other", None),
+        ("brick", "brick", "wall", None),
+        ("steel", "steel", "other", None),
+    )
+}
+"""What all that is no car paint is made of, by the words that meshes use."""
+
+
+def _cars(layout: Layout, chosen: _Choices) -> Iterator[Scene]:
+    dealt = 0  # paints go by cars, not by places, so that none is lost to an empty bay
+    for bay in range(layout.bays):
+        for row, (begin, end) in enumerate(layout.rows):
+            rng = np.random.default_rng([chosen.seed, _CARS, bay, row])
+            if rng.random() >= chosen.occupancy or layout.is_island(bay, row):
+                continue
+            place = bay * len(layout.rows) + row
+            paint, car = chosen.paint(dealt), f"car_{place:03d}"
+            dealt += 1
+            body = car_body(chosen.kind(rng), rng)
+            own = chosen.material(f"paint of {car}", paint)
+            spare = max(end - begin - float(np.ptp(body.vertices[:, 1])) - 0.1, 0.0)
+            east = 0.5 * (begin + end) + spare * rng.uniform(-0.4, 0.4)
+            north = (bay + 0.5) * BAY[1] + float(np.clip(rng.normal(0.0, 0.09), -0.2, 0.2))
+            # most drive in nose first: away from the aisle
+            heading = (90.0 if rng.random() < (0.7 if row % 2 else 0.3) else 270.0) + rng.normal(0.0, 1.2)
+            thing = body.scene({**_SURROUNDINGS, "paint": own}, Instance(car, "car", paint))
+            yield thing.moved((east, north, 0.0), heading)
+
+
+def _panels(layout: Layout) -> Iterator[Scene]:
+    begin, end = layout.aisles[0]
+    pitch = (end - begin) / len(PANELS)
+    lines = np.arange(_PANEL_START + _PANEL_SIZE / 2, layout.length, _PANEL_PERIOD)
+    for line, north in enumerate(lines):
+        for place, level in enumerate(PANELS):
+            name = f"panel_{round(100 * level):02d}"
+            plate = cuboid((_PANEL_SIZE, _PANEL_SIZE, 0.03), "panel", "")
+            at = (begin + (place + 0.5) * pitch, float(north), -0.01)
+            panel = {"panel": Material(name, name, "panel")}
+            yield plate.shifted(at).scene(panel, Instance(f"{name}_{line:03d}", "panel"))
+
+
+def _trees(layout: Layout, seed: int, leaves: int) -> Iterator[Scene]:
+    places = {
+        f"tree_west_{number:03d}": (layout.west_trees, float(y))
+        for number, y in enumerate(np.arange(2.5, layout.length, _TREE_PITCH))
+    }
+    for bay, (begin, end) in layout.islands():
+        places[f"tree_{bay:03d}_{begin:+.0f}"] = (0.5 * (begin + end), (bay + 0.5) * BAY[1])
+    for name, (east, north) in places.items():
+        rng = np.random.default_rng([seed, _TREES, round(1000 * north), round(1000 * (east + layout.width))])
+        crown = rng.uniform(1.4, 2.1)
+        tree = leafy_tree(rng, height=crown * rng.uniform(2.4, 3.0), crown=crown, leaves=leaves)
+        at = (east + rng.uniform(-0.2, 0.2), north + rng.uniform(-0.5, 0.5), 0.0)
+        yield tree.shifted(at).scene(_SURROUNDINGS, Instance(name, "tree"))
+
+
+def _enclosure(layout: Layout, seed: int, neighbours: Sequence[str]) -> Iterator[Scene]:
+    """Yield the wall in the east, and the hedge behind the trees in the west."""
+    if "walls" in neighbours:
+        wall = brick_wall(layout.length).shifted((layout.wall, 0.0, 0.0))
+        yield wall.scene(_SURROUNDINGS, Instance("wall", "wall"))
+    if "hedges" in neighbours:
+        rng = np.random.default_rng([seed, _TREES])
+        side = layout.wall - 0.8 if "walls" not in neighbours else layout.west_trees - 1.2
+        yield (
+            hedge(rng, layout.length)
+            .shifted((side, 0.0, 0.0))
+            .scene(_SURROUNDINGS, Instance("hedge", "tree"))
+        )
+
+
+def _lamps(layout: Layout) -> Iterator[Scene]:
+    for number, north in enumerate(np.arange(8.75, layout.length, _LAMP_PITCH)):
+        post = lamp_post().shifted((layout.lamps, float(north), 0.0))
+        yield post.scene(_SURROUNDINGS, Instance(f"lamp_{number:03d}", "other"))

@@ -1,0 +1,497 @@
+"""The light on a scene, and the air before the camera, as four spectra.
+
+They are those of DIRSIG5's FourCurveAtmosphere: sunlight and skylight at the ground, extinction and path
+radiance per metre. Wherever they come from (the simulator's own sky, SPECTRL2, a spectrometer, MODTRAN or
+libRadtran in a table), a renderer needs nothing else.
+"""
+
+from __future__ import annotations
+
+import functools
+import json
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+
+from hyperpaint.errors import Problems, SchemaError
+from hyperpaint.simulation.atmosphere import spectral_grid
+from hyperpaint.units import convert
+
+from .clear_skies import built_in_sky, check_wavelengths, spectrl2_sky
+from .haze import HAZE, Haze
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+__all__ = ["PRESETS", "Atmosphere", "preset_atmosphere"]
+
+Floats = npt.NDArray[np.float64]
+
+_CURVES = {
+    "sun": ("W m-2 nm-1", "Direct solar irradiance at the ground, normal to the beam"),
+    "sky": ("W m-2 nm-1", "Diffuse sky irradiance of a level surface"),
+    "extinction": ("m-1", "Extinction coefficient of the air near the ground"),
+    "path_radiance": ("W m-2 sr-1 nm-1 m-1", "Radiance that a metre of path adds"),
+}
+_NUMBERS = {
+    "sun_zenith": ("degree", "Angle between the sun and the vertical"),
+    "sun_azimuth": ("degree", "Direction of the sun, clockwise from north"),
+    "overcast_share": ("1", "Share of skylight whose radiance goes with the cosine of the zenith angle"),
+}
+_RANGE = (340.0, 1100.0)  # nm, of the built-in sky
+_LOWEST_SUN = 89.0  # degree; below, neither air mass nor four curves mean much
+
+
+@dataclass(frozen=True, eq=False)
+class Atmosphere:
+    """The light at the ground and the air before the camera.
+
+    Attributes
+    ----------
+    wavelength
+        Increasing, fine enough for the narrowest band that will look at it, shape (wavelength,) [nm].
+    sun
+        Direct irradiance at the ground on a surface normal to the beam, shape (wavelength,) [W m-2 nm-1].
+    sky
+        Diffuse irradiance of a level surface, shape (wavelength,) [W m-2 nm-1].
+    extinction
+        Of the air near the ground, shape (wavelength,) [m-1].
+    path_radiance
+        What a metre of air adds, shape (wavelength,) [W m-2 sr-1 nm-1 m-1].
+    sun_zenith, sun_azimuth
+        Where the sun stands: from the vertical, and clockwise from north [degree].
+    overcast_share
+        Share of the diffuse irradiance whose radiance goes with the cosine of the zenith angle, the rest
+        being uniform: 0 a uniform sky, 4/7 a CIE overcast one (see `clouds`), up to 1.
+    name
+        What to call it.
+    haze
+        What the third and fourth curve were made from; None where they were given.
+
+    Raises
+    ------
+    SchemaError
+        Shapes differ, wavelengths do not increase, values are not finite or negative, the sun is not above
+        the horizon; all are listed.
+
+    Examples
+    --------
+    >>> noon = Atmosphere.clear(25.0)
+    >>> round(float(np.interp(550.0, noon.wavelength, noon.irradiance)), 1)
+    1.4
+    """
+
+    wavelength: Floats
+    sun: Floats
+    sky: Floats
+    extinction: Floats
+    path_radiance: Floats
+    sun_zenith: float
+    sun_azimuth: float
+    overcast_share: float = 0.0
+    name: str = ""
+    haze: Haze | None = None
+
+    def __post_init__(self) -> None:
+        for name in ("wavelength", *_CURVES):
+            array = np.array(getattr(self, name), dtype=np.float64)
+            array.setflags(write=False)  # presets are shared
+            object.__setattr__(self, name, array)
+        problems = Problems(f"atmosphere {self.name!r} cannot be used", SchemaError)
+        self._check_curves(problems)
+        if not 0.0 <= self.sun_zenith <= _LOWEST_SUN:
+            problems.add(f"sun_zenith is {self.sun_zenith!r}, expected 0 to {_LOWEST_SUN:g} degrees")
+        if not np.isfinite(self.sun_azimuth):
+            problems.add(f"sun_azimuth is {self.sun_azimuth!r}, expected degrees clockwise from north")
+        if not 0.0 <= self.overcast_share <= 1.0:
+            problems.add(f"overcast_share is {self.overcast_share!r}, expected 0 (uniform) to 1")
+        problems.raise_if_any()
+
+    def _check_curves(self, problems: Problems) -> None:
+        grid = self.wavelength
+        try:
+            check_wavelengths(grid)
+        except SchemaError as error:
+            problems.add(str(error))
+        for name, (units, _) in _CURVES.items():
+            curve = getattr(self, name)
+            if curve.shape != grid.shape:
+                problems.add(f"{name} has shape {curve.shape}, expected that of wavelength, {grid.shape}")
+            elif not np.isfinite(curve).all():
+                problems.add(f"{name} has {int((~np.isfinite(curve)).sum())} values that are not finite")
+            elif (curve < 0.0).any():
+                problems.add(f"{name} falls to {curve.min():.4g}, expected nothing below 0 {units}")
+
+    @property
+    def sun_cosine(self) -> float:
+        """Cosine of the sun's zenith angle."""
+        return float(np.cos(np.radians(self.sun_zenith)))
+
+    @property
+    def irradiance(self) -> Floats:
+        """Total irradiance of a level surface, shape (wavelength,) [W m-2 nm-1]."""
+        return np.asarray(self.sun * self.sun_cosine + self.sky)
+
+    @classmethod
+    def clear(
+        cls,
+        sun_zenith: float = 25.0,
+        sun_azimuth: float = 180.0,
+        *,
+        aerosol: float = 0.10,
+        ozone: float = 0.31,
+        water: float = 1.0,
+        haze: Haze | None = HAZE,
+        wavelength: npt.ArrayLike | None = None,
+        name: str = "clear",
+    ) -> Atmosphere:
+        """Return the clear sky of the simulator, which has every line of oxygen; it needs no extra.
+
+        Parameters
+        ----------
+        sun_zenith, sun_azimuth
+            Where the sun stands [degree].
+        aerosol
+            Aerosol optical depth of the whole atmosphere at 500 nm.
+        ozone
+            Ozone column [atm cm].
+        water
+            Precipitable water relative to a usual summer day.
+        haze
+            The air before the camera; None for none.
+        wavelength
+            Grid, shape (wavelength,) [nm]; by default 340 to 1100 nm in steps of 0.05 nm. The sky has no
+            absorption bands beyond 1000 nm.
+        name
+            What to call it.
+
+        Raises
+        ------
+        SchemaError
+            The sun is not above the horizon, or the grid is no grid.
+        """
+        grid = spectral_grid(*_RANGE) if wavelength is None else np.asarray(wavelength, dtype=np.float64)
+        sun, sky = built_in_sky(grid, sun_zenith, aerosol=aerosol, ozone=ozone, water=water)
+        return cls._hazy(grid, sun, sky, sun_zenith, sun_azimuth, haze=haze, name=name)
+
+    @classmethod
+    def _hazy(
+        cls,
+        wavelength: Floats,
+        sun: Floats,
+        sky: Floats,
+        sun_zenith: float,
+        sun_azimuth: float,
+        *,
+        haze: Haze | None,
+        overcast_share: float = 0.0,
+        name: str = "",
+    ) -> Atmosphere:
+        """Return an atmosphere whose third and fourth curve follow from the first two."""
+        extinction = path = np.zeros_like(wavelength)
+        if haze is not None:
+            extinction = haze.extinction(wavelength)
+            path = haze.path_radiance(wavelength, sun, sky, sun_zenith)
+        return cls(
+            wavelength, sun, sky, extinction, path, sun_zenith, sun_azimuth, overcast_share, name, haze
+        )
+
+    @classmethod
+    def spectrl2(
+        cls,
+        sun_zenith: float = 25.0,
+        sun_azimuth: float = 180.0,
+        *,
+        aerosol: float = 0.10,
+        ozone: float = 0.31,
+        precipitable_water: float = 1.5,
+        ground: float = 0.15,
+        pressure: float = 101325.0,
+        dayofyear: int = 172,
+        haze: Haze | None = HAZE,
+        wavelength: npt.ArrayLike | None = None,
+        name: str = "spectrl2",
+    ) -> Atmosphere:
+        """Return the clear sky of SPECTRL2 (Bird & Riordan 1986), by pvlib.
+
+        Its steps are 5 nm around the oxygen A band and 10 to 20 nm elsewhere, with straight lines between
+        them here: the bands of oxygen and water are there, but shallower and wider than in nature.
+
+        Parameters
+        ----------
+        sun_zenith, sun_azimuth
+            Where the sun stands [degree]; distrust zenith angles beyond 85.
+        aerosol
+            Aerosol optical depth at 500 nm.
+        ozone
+            Ozone column [atm cm].
+        precipitable_water
+            Water column [cm].
+        ground
+            Reflectance of the surroundings, which brightens the sky.
+        pressure
+            At the ground [Pa].
+        dayofyear
+            For the distance of the sun.
+        haze
+            The air before the camera; None for none.
+        wavelength
+            Grid, shape (wavelength,), within 300 to 4000 [nm]; by default 340 to 1100 nm in steps of 0.5 nm.
+        name
+            What to call it.
+
+        Raises
+        ------
+        MissingExtraError
+            pvlib is not installed.
+        SchemaError
+            The sun is not above the horizon, or the grid leaves SPECTRL2's.
+        """
+        grid = spectral_grid(*_RANGE, 0.5) if wavelength is None else np.asarray(wavelength, dtype=np.float64)
+        sun, sky = spectrl2_sky(
+            grid,
+            sun_zenith,
+            aerosol=aerosol,
+            ozone=ozone,
+            precipitable_water=precipitable_water,
+            ground=ground,
+            pressure=pressure,
+            dayofyear=dayofyear,
+        )
+        return cls._hazy(grid, sun, sky, sun_zenith, sun_azimuth, haze=haze, name=name)
+
+    @classmethod
+    def from_irradiance(
+        cls,
+        series: xr.Dataset,
+        *,
+        sun_zenith: float,
+        sun_azimuth: float = 180.0,
+        time: Any = None,
+        direct_fraction: npt.ArrayLike | None = None,
+        overcast_share: float = 0.0,
+        haze: Haze | None = HAZE,
+        name: str = "measured",
+    ) -> Atmosphere:
+        """Return the atmosphere of a measured irradiance series at one time.
+
+        Parameters
+        ----------
+        series
+            Has ``irradiance`` (irradiance_time, irradiance_wavelength), total on a level surface.
+        sun_zenith, sun_azimuth
+            Where the sun stood [degree].
+        time
+            When, UTC; between two samples the irradiance is interpolated. None where there is one sample.
+        direct_fraction
+            Direct over total irradiance, one number or shape (wavelength,): 0 under an overcast sky. By
+            default that of the built-in clear sky with this sun.
+        overcast_share
+            See the class.
+        haze
+            The air before the camera; None for none.
+        name
+            What to call it.
+
+        Raises
+        ------
+        SchemaError
+            ``irradiance`` is missing, has other dims or units, or is not finite or negative; the time is
+            outside the series, or missing with more than one sample; ``direct_fraction`` is not from 0 to 1.
+
+        Warns
+        -----
+        PaintWarning
+            Noise around zero, down to -1 % of the largest value, is set to 0.
+        """
+        from .measured_light import read_irradiance
+
+        grid, total = read_irradiance(series, time)
+        if direct_fraction is None:
+            sun, sky = built_in_sky(grid, sun_zenith)
+            level = sun * np.cos(np.radians(sun_zenith))
+            direct_fraction = level / (level + sky)
+        fraction = np.asarray(direct_fraction, dtype=np.float64)
+        if fraction.shape not in ((), grid.shape) or not ((fraction >= 0.0) & (fraction <= 1.0)).all():
+            msg = f"direct_fraction {fraction.shape} must be one number or {grid.shape}, from 0 to 1"
+            raise SchemaError(msg)
+        sun = total * fraction / np.cos(np.radians(sun_zenith))
+        sky = total * (1.0 - fraction)
+        return cls._hazy(
+            grid, sun, sky, sun_zenith, sun_azimuth, haze=haze, overcast_share=overcast_share, name=name
+        )
+
+    @classmethod
+    def from_table(
+        cls,
+        table: str | Path | Mapping[str, npt.ArrayLike],
+        *,
+        sun_zenith: float,
+        sun_azimuth: float = 180.0,
+        overcast_share: float = 0.0,
+        haze: Haze | None = None,
+        name: str | None = None,
+    ) -> Atmosphere:
+        """Return the atmosphere of a table, as MODTRAN or libRadtran may have filled it.
+
+        Parameters
+        ----------
+        table
+            A text file of comma-separated columns, lines beginning with ``#`` being comments, or a mapping of
+            columns. Headings are a name and its units: ``wavelength [nm]``, ``sun [W m-2 nm-1]`` (normal to
+            the beam), ``sky [W m-2 nm-1]`` (on a level surface), and, both or neither,
+            ``extinction [m-1]`` and ``path_radiance [W m-2 sr-1 nm-1 m-1]``, or others of the same dimension.
+        sun_zenith, sun_azimuth
+            Where the sun stands [degree].
+        overcast_share
+            See the class.
+        haze
+            Where the table says nothing of it, the air before the camera; None for none.
+        name
+            What to call it; by default the file's name.
+
+        Raises
+        ------
+        FormatError
+            The table is not as described; all problems are listed.
+        SchemaError
+            The sun is not above the horizon.
+        OSError
+            The file cannot be read.
+        """
+        from .measured_light import read_table
+
+        curves = read_table(table)
+        if name is None:
+            name = "table" if isinstance(table, Mapping) else Path(table).stem
+        sun, sky = curves["sun"], curves["sky"]
+        made = cls._hazy(
+            curves["wavelength"],
+            sun,
+            sky,
+            sun_zenith,
+            sun_azimuth,
+            haze=None if "extinction" in curves else haze,
+            overcast_share=overcast_share,
+            name=name,
+        )
+        if "extinction" not in curves:
+            return made
+        return replace(made, extinction=curves["extinction"], path_radiance=curves["path_radiance"])
+
+    def clouded(self, oktas: float, *, colour: float = 0.24) -> Atmosphere:
+        """Return this clear atmosphere with clouds over it; what they do to light is said in `clouds`.
+
+        Parameters
+        ----------
+        oktas
+            Cloud amount, 0 to 8.
+        colour
+            Strength of the blue tint, 0 to 1.
+
+        Raises
+        ------
+        SchemaError
+            ``oktas`` or ``colour`` is outside its range.
+
+        Examples
+        --------
+        >>> overcast = Atmosphere.clear(40.0).clouded(8)
+        >>> bool((overcast.sun == 0.0).all()), round(overcast.overcast_share, 3)
+        (True, 0.571)
+        """
+        from .clouds import add_clouds
+
+        return add_clouds(self, oktas, colour=colour)
+
+    def to_dataset(self) -> xr.Dataset:
+        """Return the curves as labelled variables on ``wavelength``, with CF units."""
+        import xarray as xr
+
+        def attrs(row: tuple[str, str]) -> dict[str, str]:
+            return {"units": row[0], "long_name": row[1]}
+
+        variables = {
+            **{name: ("wavelength", getattr(self, name), attrs(row)) for name, row in _CURVES.items()},
+            **{name: ((), np.float64(getattr(self, name)), attrs(row)) for name, row in _NUMBERS.items()},
+        }
+        grid = ("wavelength", self.wavelength, {"units": "nm", "long_name": "Wavelength"})
+        haze = "" if self.haze is None else json.dumps(asdict(self.haze))
+        return xr.Dataset(variables, {"wavelength": grid}, {"name": self.name, "haze": haze})
+
+    @classmethod
+    def from_dataset(cls, dataset: xr.Dataset) -> Atmosphere:
+        """Return the atmosphere that `to_dataset` wrote.
+
+        Raises
+        ------
+        SchemaError
+            Variables are missing, or their values cannot be used; all are listed.
+        UnitsError
+            A variable has no units or those of something else.
+        """
+        problems = Problems("an atmosphere cannot be read", SchemaError)
+        for name in ("wavelength", *_CURVES, *_NUMBERS):
+            if name not in dataset.variables:
+                problems.add(f"{name!r} is missing")
+        problems.raise_if_any()
+        sun, sky, extinction, path = (
+            convert(dataset[name], units).values for name, (units, _) in _CURVES.items()
+        )
+        zenith, azimuth, share = (
+            float(convert(dataset[name], units)) for name, (units, _) in _NUMBERS.items()
+        )
+        grid = convert(dataset["wavelength"].reset_coords(drop=True), "nm").values
+        try:
+            text = dataset.attrs.get("haze", "")
+            haze = Haze(**json.loads(text)) if text else None
+        except (ValueError, TypeError) as error:
+            msg = f"attribute 'haze' is {text!r}, expected the JSON text that to_dataset writes"
+            raise SchemaError(msg) from error
+        name = str(dataset.attrs.get("name", ""))
+        return cls(grid, sun, sky, extinction, path, zenith, azimuth, share, name, haze)
+
+
+PRESETS = ("noon", "near_sunset", "cloudy")
+"""The three atmospheres of the paper."""
+
+
+@functools.cache
+def preset_atmosphere(name: str) -> Atmosphere:
+    """Return one of the paper's three atmospheres.
+
+    "noon" is clear with the sun 25 degrees from the vertical in the south; "near_sunset" is clear with it at
+    82 degrees in the west; "cloudy" is noon under 8 oktas: nothing but an overcast sky.
+
+    Parameters
+    ----------
+    name
+        One of `PRESETS`.
+
+    Returns
+    -------
+    Atmosphere
+        The same object at every call.
+
+    Raises
+    ------
+    SchemaError
+        There is no such preset.
+
+    Examples
+    --------
+    >>> preset_atmosphere("near_sunset").sun_zenith
+    82.0
+    """
+    if name == "noon":
+        return Atmosphere.clear(25.0, 180.0, name=name)
+    if name == "near_sunset":
+        return Atmosphere.clear(82.0, 265.0, name=name)
+    if name == "cloudy":
+        return replace(Atmosphere.clear(25.0, 180.0).clouded(8.0), name=name)
+    msg = f"there is no atmosphere {name!r}; expected one of {', '.join(PRESETS)}"
+    raise SchemaError(msg)

@@ -1,0 +1,416 @@
+"""Surfaces: a diffuse base, with or without a clear coat over it, with or without metal flakes in it.
+
+A clear coat hides the base it lies on. Light enters it through the interface (transmittance ``Ti`` of its
+direction), is scattered by the base of albedo ``b``, and leaves (``To``) or is thrown back at the base by
+total reflection, of which the share is ``Fi``; summing the returns (Saunderson 1942), the light that does
+not leave by mirror reflection is reflected as
+
+    f_d = To Ti b / (pi n^2 (1 - b Fi)) = To Ti rho' / (pi n^2 (1 - Fi)),  rho' = b (1 - Fi) / (1 - b Fi)
+
+with ``n^2`` from the widening of the cone of light that leaves. All that depends on wavelength is in the
+*effective factor* ``rho'``, which is at most 1: what the tracer records is the rest. A measured reflectance
+factor without the mirror reflection is ``R = pi f_d`` in the instrument's geometry, so that ``rho'`` is
+proportional to ``R``; the base itself is ``b = q / (1 + q Fi)`` with ``q = R n^2 / (To Ti)``.
+"""
+
+from __future__ import annotations
+
+import warnings
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from hyperpaint.errors import PaintWarning, Problems, SchemaError
+
+__all__ = [
+    "KINDS",
+    "Coat",
+    "Flakes",
+    "Material",
+    "base_albedo",
+    "coated_reflectance",
+    "effective_factor",
+    "fresnel_reflectance",
+    "hemispherical_reflectance",
+    "internal_reflectance",
+    "measured_factor",
+]
+
+Floats = npt.NDArray[np.float64]
+Geometry = Literal["0/0", "0/45", "d/0"]
+
+KINDS = (
+    "asphalt", "paint", "glass", "tyre", "trim", "lamp", "line", "concrete", "grass", "leaf", "wall", "panel",
+    "other",
+)  # fmt: skip
+"""Semantic classes; the place in this tuple is the number in ``surface_class``."""
+
+
+@dataclass(frozen=True)
+class Coat:
+    """A clear coat of one refractive index at all wavelengths.
+
+    Attributes
+    ----------
+    index
+        Refractive index, above 1 and up to 3.
+    roughness
+        GGX alpha of its surface, 0 (a mirror) to 1.
+
+    Raises
+    ------
+    SchemaError
+        An attribute is outside its range; all are listed.
+    """
+
+    index: float = 1.5
+    roughness: float = 0.05
+
+    def __post_init__(self) -> None:
+        problems = Problems("a clear coat cannot be made", SchemaError)
+        if not 1.001 <= self.index <= 3.0:
+            problems.add(f"index is {self.index!r}, expected a refractive index from 1.001 to 3")
+        if not 0.0 <= self.roughness <= 1.0:
+            problems.add(f"roughness is {self.roughness!r}, expected a GGX alpha from 0 to 1")
+        problems.raise_if_any()
+
+
+@dataclass(frozen=True)
+class Flakes:
+    """Metal flakes under the coat, a broad lobe around the mirror direction.
+
+    Attributes
+    ----------
+    share
+        Part of the light entering the paint that meets flakes rather than pigment, 0 to 1.
+    roughness
+        GGX alpha of the lobe, above 0 and up to 1.
+    spectrum
+        Name of their reflectance spectrum.
+
+    Raises
+    ------
+    SchemaError
+        An attribute is outside its range; all are listed.
+    """
+
+    share: float
+    roughness: float = 0.35
+    spectrum: str = "aluminium"
+
+    def __post_init__(self) -> None:
+        problems = Problems("metal flakes cannot be made", SchemaError)
+        if not 0.0 <= self.share <= 1.0:
+            problems.add(f"share is {self.share!r}, expected 0 to 1")
+        if not 0.0 < self.roughness <= 1.0:
+            problems.add(f"roughness is {self.roughness!r}, expected a GGX alpha above 0 and up to 1")
+        if not self.spectrum:
+            problems.add("spectrum is empty, expected a name such as 'aluminium'")
+        problems.raise_if_any()
+
+
+@dataclass(frozen=True)
+class Material:
+    """One surface.
+
+    Attributes
+    ----------
+    name
+        Its own name: "asphalt", "paint of car_007".
+    spectrum
+        Name of its reflectance spectrum: near normal, without the specular component.
+    kind
+        Semantic class, one of `KINDS`.
+    coat
+        Clear coat; None for a Lambert surface.
+    flakes
+        Metal flakes; only under a coat. The spectrum is then that of the pigment between them.
+
+    Raises
+    ------
+    SchemaError
+        A name is empty, the class unknown, or flakes have no coat over them; all are listed.
+    """
+
+    name: str
+    spectrum: str
+    kind: str = "other"
+    coat: Coat | None = None
+    flakes: Flakes | None = None
+
+    def __post_init__(self) -> None:
+        problems = Problems(f"material {self.name!r} cannot be made", SchemaError)
+        if not self.name:
+            problems.add("its name is empty")
+        if not self.spectrum:
+            problems.add("spectrum is empty, expected the name of a reflectance spectrum")
+        if self.kind not in KINDS:
+            problems.add(f"kind is {self.kind!r}, expected one of {', '.join(KINDS)}")
+        if self.flakes is not None and self.coat is None:
+            problems.add("it has flakes but no coat; give it coat=Coat()")
+        problems.raise_if_any()
+
+
+def fresnel_reflectance(cosine: npt.ArrayLike, index: float = 1.5) -> Floats:
+    """Return the reflectance of an interface for unpolarised light coming from the air.
+
+    Parameters
+    ----------
+    cosine
+        Cosine of the angle of incidence, any shape.
+    index
+        Refractive index behind the interface.
+
+    Examples
+    --------
+    >>> fresnel_reflectance([1.0, 0.0])
+    array([0.04, 1.  ])
+    """
+    cosine = np.asarray(cosine, dtype=np.float64)
+    inside = np.sqrt(1.0 - (1.0 - cosine**2) / index**2)
+    across = (cosine - index * inside) / (cosine + index * inside)
+    along = (index * cosine - inside) / (index * cosine + inside)
+    return np.asarray(0.5 * (across**2 + along**2))
+
+
+def hemispherical_reflectance(index: float = 1.5) -> float:
+    """Return the reflectance of an interface for diffuse light coming from the air.
+
+    The integral of Fresnel's reflectance over a uniform hemisphere in closed form (Walsh 1926; Duntley 1942;
+    Judd, J. Res. NBS 29, 329, 1942).
+
+    Parameters
+    ----------
+    index
+        Refractive index behind the interface, above 1.
+
+    Examples
+    --------
+    >>> round(hemispherical_reflectance(1.5), 4)
+    0.0918
+    """
+    n, square = index, index**2
+    quartic = square**2 - 1.0
+    return float(
+        0.5
+        + (n - 1.0) * (3.0 * n + 1.0) / (6.0 * (n + 1.0) ** 2)
+        + square * (square - 1.0) ** 2 / (square + 1.0) ** 3 * np.log((n - 1.0) / (n + 1.0))
+        - 2.0 * n**3 * (square + 2.0 * n - 1.0) / ((square + 1.0) * quartic)
+        + 8.0 * square**2 * (square**2 + 1.0) / ((square + 1.0) * quartic**2) * np.log(n)
+    )
+
+
+def internal_reflectance(index: float = 1.5) -> float:
+    """Return ``Fi``: the reflectance of an interface for diffuse light coming from inside the coat.
+
+    Reciprocity ties it to the diffuse light from outside: n^2 (1 - Fi) = 1 - F_diffuse. Most of it is total
+    reflection.
+
+    Parameters
+    ----------
+    index
+        Refractive index of the coat, above 1.
+
+    Examples
+    --------
+    >>> round(internal_reflectance(1.5), 3)
+    0.596
+    """
+    return 1.0 - (1.0 - hemispherical_reflectance(index)) / index**2
+
+
+def _through_interface(index: float, geometry: Geometry) -> float:
+    """Return ``To Ti / n^2``: the part of the light that crosses the interface twice [1]."""
+    normal = float(fresnel_reflectance(1.0, index))
+    others = {
+        "0/0": normal,
+        "0/45": float(fresnel_reflectance(np.sqrt(0.5), index)),
+        "d/0": hemispherical_reflectance(index),
+    }
+    if geometry not in others:
+        msg = f"geometry is {geometry!r}, expected one of {', '.join(others)}"
+        raise SchemaError(msg)
+    return (1.0 - normal) * (1.0 - others[geometry]) / index**2
+
+
+def measured_factor(
+    reflectance: npt.ArrayLike,
+    index: float | None = 1.5,
+    *,
+    geometry: Geometry = "0/0",
+    specular_included: bool = False,
+) -> Floats:
+    """Return the effective factor ``rho'`` of a surface whose reflectance was measured.
+
+    Parameters
+    ----------
+    reflectance
+        Measured reflectance factor, any shape [1].
+    index
+        Refractive index of the coat; None for a Lambert surface, whose factor is its reflectance.
+    geometry
+        Of the measurement: "0/0" near normal illumination and view; "0/45" (or 45/0); "d/0" an integrating
+        sphere (d/8 or 8/d). For equal paint the sphere reads 5.4 % less than "0/0" for an index of 1.5.
+    specular_included
+        The measurement contains the mirror reflection, which is then taken off: near normal
+        ((n-1)/(n+1))^2, in each geometry that can contain it ("0/45" cannot).
+
+    Returns
+    -------
+    numpy.ndarray
+        float64, shape of ``reflectance``, 0 to 1.
+
+    Raises
+    ------
+    SchemaError
+        The reflectance is not finite or above 2 (per cent?), or the geometry is unknown or does not hold the
+        mirror reflection.
+
+    Warns
+    -----
+    PaintWarning
+        Values that no surface can have (below 0, or of a base brighter than white) are clamped.
+
+    Examples
+    --------
+    >>> measured_factor([0.5], None)
+    array([0.5])
+    >>> measured_factor([0.5]).round(4)
+    array([0.4927])
+    """
+    measured = _checked(reflectance)
+    if specular_included:
+        if geometry == "0/45":
+            msg = "a 0/45 measurement does not contain the mirror reflection; leave specular_included out"
+            raise SchemaError(msg)
+        measured = measured - (0.0 if index is None else float(fresnel_reflectance(1.0, index)))
+    crossed, back = 1.0, 0.0
+    if index is not None:
+        crossed, back = _through_interface(index, geometry), internal_reflectance(index)
+    factor = measured * ((1.0 - back) / crossed)
+    wrong = (factor < 0.0) | (factor > 1.0 + 1e-12)
+    if wrong.any():
+        msg = (
+            f"{int(wrong.sum())} of {factor.size} reflectances, from {measured.min():.4g} to "
+            f"{measured.max():.4g}, were clamped to what surfaces can have: 0 to {crossed / (1.0 - back):.4g}"
+        )
+        warnings.warn(msg, PaintWarning, stacklevel=2)
+    return np.clip(factor, 0.0, 1.0)
+
+
+def _checked(reflectance: npt.ArrayLike) -> Floats:
+    measured = np.asarray(reflectance, dtype=np.float64)
+    problems = Problems("a measured reflectance cannot be used", SchemaError)
+    missing = int((~np.isfinite(measured)).sum())
+    if missing:
+        problems.add(f"{missing} of {measured.size} values are not finite; cut or fill them first")
+    elif measured.size and measured.max() > 2.0:
+        problems.add(f"it reaches {measured.max():.4g}, expected a fraction; divide per cent by 100")
+    problems.raise_if_any()
+    return measured
+
+
+def effective_factor(albedo: npt.ArrayLike, index: float | None = 1.5) -> Floats:
+    """Return ``rho' = b (1 - Fi) / (1 - b Fi)`` of a base of albedo ``b`` under a coat.
+
+    Parameters
+    ----------
+    albedo
+        Of the base, 0 to 1, any shape.
+    index
+        Refractive index of the coat; None for no coat.
+
+    Examples
+    --------
+    >>> effective_factor([0.0, 0.5, 1.0]).round(3)
+    array([0.   , 0.288, 1.   ])
+    """
+    base = np.asarray(albedo, dtype=np.float64)
+    if index is None:
+        return base
+    back = internal_reflectance(index)
+    return np.asarray(base * (1.0 - back) / (1.0 - base * back))
+
+
+def base_albedo(
+    reflectance: npt.ArrayLike,
+    index: float = 1.5,
+    *,
+    geometry: Geometry = "0/0",
+    specular_included: bool = False,
+) -> Floats:
+    """Return the albedo of the base that explains a measured reflectance through a clear coat.
+
+    ``b = q / (1 + q Fi)`` with ``q = R n^2 / (To Ti)``; near normal, To = Ti = 1 - F0. Parameters, errors and
+    the warning where ``b`` would have to exceed 1 are those of `measured_factor`.
+
+    Parameters
+    ----------
+    reflectance
+        Measured reflectance factor, any shape [1].
+    index
+        Refractive index of the coat.
+    geometry, specular_included
+        As for `measured_factor`.
+
+    Returns
+    -------
+    numpy.ndarray
+        float64, shape of ``reflectance``, 0 to 1.
+
+    Raises
+    ------
+    SchemaError
+        As for `measured_factor`.
+
+    Examples
+    --------
+    >>> base_albedo([0.05, 0.5]).round(4)
+    array([0.1138, 0.7064])
+    """
+    factor = measured_factor(reflectance, index, geometry=geometry, specular_included=specular_included)
+    back = internal_reflectance(index)
+    return np.asarray(factor / (1.0 - back + factor * back))
+
+
+def coated_reflectance(
+    albedo: npt.ArrayLike,
+    index: float = 1.5,
+    *,
+    geometry: Geometry = "0/0",
+    specular_included: bool = False,
+) -> Floats:
+    """Return what an instrument reads of a base of albedo ``b`` under a clear coat; undoes `base_albedo`.
+
+    Parameters
+    ----------
+    albedo
+        Of the base, 0 to 1, any shape.
+    index
+        Refractive index of the coat.
+    geometry, specular_included
+        As for `measured_factor`.
+
+    Returns
+    -------
+    numpy.ndarray
+        float64 reflectance factor, shape of ``albedo`` [1].
+
+    Raises
+    ------
+    SchemaError
+        The geometry is unknown.
+
+    Examples
+    --------
+    >>> coated_reflectance([0.5]).round(4)
+    array([0.2918])
+    >>> coated_reflectance([0.5], geometry="d/0", specular_included=True).round(4)
+    array([0.3161])
+    """
+    base = np.asarray(albedo, dtype=np.float64)
+    mirror = float(fresnel_reflectance(1.0, index)) if specular_included else 0.0
+    crossed = _through_interface(index, geometry)
+    return np.asarray(crossed * base / (1.0 - base * internal_reflectance(index)) + mirror)

@@ -1,0 +1,228 @@
+"""Light that somebody measured or computed: an irradiance series at one time, and tables of spectra."""
+
+from __future__ import annotations
+
+import re
+import warnings
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+
+from hyperpaint.errors import FormatError, PaintWarning, Problems, SchemaError, UnitsError
+from hyperpaint.schema import require
+from hyperpaint.units import conversion_factor
+
+from .clear_skies import check_wavelengths
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+__all__ = ["read_irradiance", "read_table"]
+
+Floats = npt.NDArray[np.float64]
+
+_MOST_BYTES = 16 * 2**20
+_MOST_PROBLEMS = 10
+_NOISE = 0.01  # of the largest irradiance
+_HEADING = re.compile(r"([A-Za-z_]{1,40}) ?[\[(]([^\[\]()]{1,80})[\])]")
+_UNITS = {
+    "wavelength": "nm",
+    "sun": "W m-2 nm-1",
+    "sky": "W m-2 nm-1",
+    "extinction": "m-1",
+    "path_radiance": "W m-2 sr-1 nm-1 m-1",
+}
+_NEEDED = ("wavelength", "sun", "sky")
+
+
+def read_irradiance(series: xr.Dataset, time: Any = None) -> tuple[Floats, Floats]:
+    """Return the wavelengths [nm] and the irradiance [W m-2 nm-1] of a series at one time.
+
+    Parameters
+    ----------
+    series
+        Has ``irradiance`` (irradiance_time, irradiance_wavelength).
+    time
+        When, UTC; None where there is one sample.
+
+    Raises
+    ------
+    SchemaError
+        The series is not as the schema wants it, or the time is not within it.
+
+    Warns
+    -----
+    PaintWarning
+        Noise around zero, down to -1 % of the largest value, is set to 0.
+    """
+    names = ["irradiance", "irradiance_wavelength"]
+    found = require(series, names, "the atmosphere of an irradiance series")
+    values = np.asarray(found["irradiance"].values, dtype=np.float64)
+    grid = np.asarray(found["irradiance_wavelength"].values, dtype=np.float64)
+    check_wavelengths(grid)
+    if time is None:
+        if len(values) != 1:
+            msg = f"the irradiance series has {len(values)} samples; say which with time=..., in UTC"
+            raise SchemaError(msg)
+        return grid, _without_noise(values[0])
+    times = require(series, ["irradiance_time"], "the irradiance at one time")["irradiance_time"].values
+    stamps = times.astype("datetime64[ns]").astype(np.int64)
+    when = _nanoseconds(time)
+    if not len(stamps) or not stamps[0] <= when <= stamps[-1]:
+        span = f"from {times[0]} to {times[-1]}" if len(stamps) else "empty"
+        msg = f"time {np.datetime64(time, 'ns')} is outside the irradiance series, which is {span}"
+        raise SchemaError(msg)
+    after = min(max(int(np.searchsorted(stamps, when)), 1), len(stamps) - 1) if len(stamps) > 1 else 0
+    before = max(after - 1, 0)
+    weight = 0.0 if after == before else (when - stamps[before]) / (stamps[after] - stamps[before])
+    return grid, _without_noise(values[before] + weight * (values[after] - values[before]))
+
+
+def _without_noise(irradiance: Floats) -> Floats:
+    """Return an irradiance whose noise around zero does not go below; what does otherwise is left."""
+    low, high = irradiance.min(), irradiance.max()
+    if -_NOISE * high <= low < 0.0:
+        count = int((irradiance < 0.0).sum())
+        msg = f"{count} of {irradiance.size} irradiances below zero, down to {low:.3g}, were set to 0"
+        warnings.warn(msg, PaintWarning, stacklevel=4)
+        return np.maximum(irradiance, 0.0)
+    return irradiance
+
+
+def _nanoseconds(time: Any) -> np.int64:
+    try:
+        moment = np.datetime64(time, "ns")
+    except (ValueError, TypeError):
+        moment = np.datetime64("NaT", "ns")
+    if np.isnat(moment):
+        msg = f"time is {time!r}, expected UTC such as '2020-06-21T17:00:15'"
+        raise SchemaError(msg)
+    return moment.astype(np.int64)
+
+
+def read_table(table: str | Path | Mapping[str, npt.ArrayLike]) -> dict[str, Floats]:
+    """Return the curves of a table by name, in the units of `Atmosphere`.
+
+    Parameters
+    ----------
+    table
+        Path of a text file, or columns by heading; see `Atmosphere.from_table`.
+
+    Raises
+    ------
+    FormatError
+        The table is not as described there; all problems are listed.
+    OSError
+        The file cannot be read.
+    """
+    if isinstance(table, Mapping):
+        subject, headings, columns = "table", list(table), list(table.values())
+        problems = Problems("the table of an atmosphere cannot be used", FormatError)
+        rows = _stack_columns(headings, columns, problems)
+    else:
+        subject = Path(table).name
+        problems = Problems(f"{subject}: not the table of an atmosphere", FormatError)
+        headings, rows = _read_rows(Path(table), problems)
+    problems.raise_if_any()
+    factors = _read_headings(headings, problems)
+    problems.raise_if_any()
+    curves = {name: rows[:, column] * factor for name, (column, factor) in factors.items()}
+    _check_values(curves, problems)
+    problems.raise_if_any()
+    return curves
+
+
+def _stack_columns(headings: Sequence[Any], columns: Sequence[Any], problems: Problems) -> Floats:
+    made = []
+    for heading, column in zip(headings, columns, strict=True):
+        try:
+            made.append(np.asarray(column, dtype=np.float64))
+        except (ValueError, TypeError):
+            problems.add(f"column {heading!r} does not hold numbers")
+    shapes = {array.shape for array in made}
+    if not problems and (len(shapes) != 1 or len(next(iter(shapes))) != 1):
+        problems.add(f"columns have shapes {sorted(shapes)}, expected one dim and the same length")
+    return np.stack(made, axis=1) if not len(problems) else np.empty((0, 0))
+
+
+def _read_rows(path: Path, problems: Problems) -> tuple[list[str], Floats]:
+    """Return the headings and the numbers of a text file, shape (row, column)."""
+    with path.open("rb") as file:
+        content = file.read(_MOST_BYTES + 1)
+    if len(content) > _MOST_BYTES:
+        problems.add(f"it is larger than {_MOST_BYTES // 2**20} MiB; a spectrum needs no more")
+        problems.raise_if_any()
+    try:
+        text = content.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        problems.add(f"it is not UTF-8 text (byte {error.start})")
+        problems.raise_if_any()
+    lines = [
+        (number, line)
+        for number, line in enumerate(text.splitlines(), start=1)
+        if line.strip() and not line.lstrip().startswith("#")
+    ]
+    if not lines:
+        problems.add(
+            "it is empty; expected headings such as 'wavelength [nm], sun [W m-2 nm-1], sky [W m-2 nm-1]'"
+        )
+        problems.raise_if_any()
+    headings = [heading.strip() for heading in lines[0][1].split(",")]
+    rows = []
+    for number, line in lines[1:]:
+        cells = line.split(",")
+        try:
+            if len(cells) != len(headings) or "_" in line:  # Python reads 1_0 as 10
+                raise ValueError
+            rows.append([float(cell) for cell in cells])
+        except ValueError:
+            problems.add(f"line {number}: {line[:60]!r}, expected {len(headings)} numbers")
+            if len(problems) == _MOST_PROBLEMS:
+                break
+    return headings, np.array(rows, dtype=np.float64).reshape(len(rows), len(headings))
+
+
+def _read_headings(headings: Sequence[Any], problems: Problems) -> dict[str, tuple[int, float]]:
+    """Return the column of every curve and the factor to our units."""
+    found: dict[str, tuple[int, float]] = {}
+    for column, heading in enumerate(headings):
+        match = _HEADING.fullmatch(str(heading).strip())
+        if match is None:
+            problems.add(
+                f"heading {str(heading)[:60]!r}, expected a name and units such as 'sun [W m-2 nm-1]'"
+            )
+            continue
+        name, units = match[1].lower(), match[2].strip()
+        if name not in _UNITS:
+            problems.add(f"column {name!r} is unknown, expected some of {', '.join(_UNITS)}")
+        elif name in found:
+            problems.add(f"column {name!r} is there twice")
+        else:
+            try:
+                found[name] = (column, conversion_factor(units, _UNITS[name]))
+            except UnitsError as error:
+                problems.add(f"column {name!r}: {error}")
+    missing = [name for name in _NEEDED if name not in found]
+    if missing and not len(problems):
+        problems.add(f"without column {' and '.join(missing)}; expected {', '.join(_NEEDED)}")
+    if ("extinction" in found) != ("path_radiance" in found):
+        problems.add("extinction and path_radiance come together: give both or neither")
+    return found
+
+
+def _check_values(curves: Mapping[str, Floats], problems: Problems) -> None:
+    grid = curves["wavelength"]
+    if len(grid) < 2:
+        problems.add(f"{len(grid)} rows, expected at least 2")
+        return
+    for name, curve in curves.items():
+        wrong = int((~np.isfinite(curve)).sum())
+        if wrong:
+            problems.add(f"column {name!r} has {wrong} values that are not finite")
+        elif (curve < 0.0).any():
+            problems.add(f"column {name!r} falls to {curve.min():.4g}, expected nothing below 0")
+    if np.isfinite(grid).all() and not (grid[0] > 0.0 and (np.diff(grid) > 0.0).all()):
+        problems.add("wavelength must be positive and increasing; sort the rows, drop duplicates")

@@ -1,0 +1,245 @@
+"""Scenes from mesh files: Wavefront OBJ, binary glTF (GLB) and PLY.
+
+OBJ files are read here; GLB and PLY files through trimesh (``pip install 'hyperpaint[mesh]'``), after their
+declared sizes have been held against the file. Nothing outside the file itself is opened, be it named inside.
+"""
+
+from __future__ import annotations
+
+import importlib
+import io
+import warnings
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hyperpaint.errors import FormatError, MissingExtraError, SchemaError
+
+from .glb_files import strip_glb
+from .materials import Material
+from .obj_files import RawTriangles, parse_obj
+from .ply_files import check_ply
+from .primitives import Mesh, smoothed
+from .scene import Instance, Scene, has_area, warn_of_dropped
+
+__all__ = ["read_mesh"]
+
+Floats = NDArray[np.float64]
+
+_MOST_BYTES, _MOST_TRIANGLES = 2**30, 50_000_000
+#: Turns the axis that points up into z, and keeps the axes right-handed.
+_UPRIGHT = {
+    "x": np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]]),
+    "y": np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]]),
+    "z": np.eye(3),
+}
+
+
+def read_mesh(
+    path: str | Path,
+    materials: Mapping[str, Material] | None = None,
+    *,
+    default: Material | None = None,
+    instance: Instance | str = "",
+    unit: float = 1.0,
+    up: str | None = None,
+    crease: float | None = 40.0,
+) -> Scene:
+    """Return a mesh file as a scene of one thing.
+
+    Parameters
+    ----------
+    path
+        A file that ends in .obj, .glb or .ply.
+    materials
+        What parts of the mesh are made of: by the name of the material in the file, else by the name of the
+        mesh, object or group.
+    default
+        What all other parts are made of.
+    instance
+        What it is; the name of the file unless given.
+    unit
+        Metres that the file calls 1: 0.001 for millimetres.
+    up
+        Axis of the file that points up: "x", "y" or "z"; unless given y in GLB files, as glTF has it, else z.
+    crease
+        Normals are made smooth but where faces meet at more than this angle [degree]; None for flat faces.
+        Those in the file are not read.
+
+    Returns
+    -------
+    Scene
+        In metres, z up. Triangles without area are dropped with a `PaintWarning`; a mesh may be open.
+
+    Raises
+    ------
+    FormatError
+        The file is empty, cut, damaged, too large (1 GiB, 50 million triangles), of another format, without
+        triangles, or has coordinates that are not finite.
+    SchemaError
+        Parts of the mesh have no material, or ``unit`` or ``up`` is not what it must be.
+    MissingExtraError
+        trimesh is not installed, for GLB and PLY.
+    """
+    file = Path(path)
+    readers: dict[str, Callable[[bytes, str], RawTriangles]] = {
+        ".obj": parse_obj, ".glb": _read_glb, ".ply": _read_ply,
+    }  # fmt: skip
+    suffix = file.suffix.lower()
+    if suffix not in readers:
+        msg = f"{file.name}: the ending {suffix!r} is not known, expected one of {', '.join(readers)}"
+        raise FormatError(msg)
+    upright = _UPRIGHT.get(("y" if suffix == ".glb" else "z") if up is None else up)
+    if upright is None or not (np.isfinite(unit) and unit > 0):
+        msg = f"up={up!r} and unit={unit!r}, expected one of x, y, z and a number of metres above 0"
+        raise SchemaError(msg)
+    raw = readers[suffix](_contents(file), file.name)
+    _check(raw, file.name)
+    vertices = unit * raw.vertices @ upright.T
+    kept = has_area(vertices, raw.faces)
+    warn_of_dropped(file.stem, kept)
+    thing = Instance(instance or file.stem) if isinstance(instance, str) else instance
+    chosen, surface = _assigned(raw, materials or {}, default, file.name)
+    faces, surface = raw.faces[kept], surface[kept]
+    normals = np.zeros((0, 3))
+    if crease is not None:
+        vertices, faces = _welded(vertices, faces)
+        mesh = smoothed(
+            Mesh(vertices, faces, surface, tuple(one.name for one in chosen), 0 * surface), crease
+        )
+        vertices, faces, normals, surface = mesh.vertices, mesh.faces, mesh.normals, mesh.surface
+    return Scene.from_arrays(
+        vertices, faces, chosen, face_material=surface, normals=normals, instance=thing, name=file.stem
+    )
+
+
+def _contents(file: Path) -> bytes:
+    try:
+        size = file.stat().st_size
+        if size > _MOST_BYTES:
+            msg = f"{file.name}: {size} bytes, expected at most {_MOST_BYTES}; simplify the mesh"
+            raise FormatError(msg)
+        data = file.read_bytes()
+    except OSError as error:
+        msg = f"{file}: cannot be read ({error.strerror})"
+        raise FormatError(msg) from error
+    if not data.strip():
+        msg = f"{file.name}: the file is empty, expected a mesh"
+        raise FormatError(msg)
+    return data
+
+
+def _check(raw: RawTriangles, where: str) -> None:
+    if not len(raw.faces):
+        msg = f"{where}: there are no triangles in it, expected a mesh with faces"
+        raise FormatError(msg)
+    if raw.faces.min() < 0 or raw.faces.max() >= len(raw.vertices):
+        msg = f"{where}: faces name vertices beyond the {len(raw.vertices)} there are; the file is damaged"
+        raise FormatError(msg)
+    bad = np.flatnonzero(~np.isfinite(raw.vertices).all(axis=1))
+    if len(bad):
+        msg = (
+            f"{where}: {len(bad)} of {len(raw.vertices)} vertices are not finite, the first is number "
+            f"{bad[0]} counted from 0; mend the mesh"
+        )
+        raise FormatError(msg)
+
+
+def _assigned(
+    raw: RawTriangles, materials: Mapping[str, Material], default: Material | None, where: str
+) -> tuple[tuple[Material, ...], NDArray[np.int64]]:
+    """Return the materials, and the number of that of every triangle."""
+    chosen: dict[Material, int] = {}
+    numbers = np.zeros(len(raw.groups), np.int64)
+    missing = []
+    for group in np.unique(raw.face_group):
+        named = [name for name in raw.groups[group] if name in materials]
+        material = materials[named[0]] if named else default
+        if material is None:
+            missing.append(next((repr(name) for name in raw.groups[group] if name), "a part without a name"))
+            continue
+        numbers[group] = chosen.setdefault(material, len(chosen))
+    if missing:
+        msg = f"{where}: no material for {', '.join(missing[:20])}; name them in materials=, or give default="
+        raise SchemaError(msg)
+    return tuple(chosen), numbers[raw.face_group]
+
+
+def _welded(vertices: Floats, faces: NDArray[np.int64]) -> tuple[Floats, NDArray[np.int64]]:
+    """Return the mesh with vertices at one place made one, so that normals can be smooth across seams."""
+    order = np.lexsort(vertices.T)
+    placed = vertices[order]
+    new = np.concatenate([[True], (placed[1:] != placed[:-1]).any(axis=1)])
+    number = np.empty(len(vertices), np.int64)
+    number[order] = np.cumsum(new) - 1
+    return placed[new], number[faces]
+
+
+def _trimesh(where: str) -> Any:
+    try:
+        return importlib.import_module("trimesh")
+    except ImportError as error:
+        purpose = f"reading {where}"
+        raise MissingExtraError.of("trimesh", "mesh", purpose) from error  # noqa: EM101
+
+
+def _read_glb(data: bytes, where: str) -> RawTriangles:
+    trimesh = _trimesh(where)
+    stripped = strip_glb(data, where)
+    if stripped.triangles > _MOST_TRIANGLES:
+        msg = (
+            f"{where}: {stripped.triangles} triangles, expected at most {_MOST_TRIANGLES}; simplify the mesh"
+        )
+        raise FormatError(msg)
+    if not stripped.triangles:
+        return RawTriangles(np.zeros((0, 3)), np.zeros((0, 3), np.int64), np.zeros(0, np.int64), ())
+    scene = _loaded(trimesh.load_scene, stripped.data, "glb", where)
+    vertices, faces, face_group = [], [], []
+    groups: list[tuple[str, str]] = []
+    first = 0
+    for node in sorted(scene.graph.nodes_geometry):
+        transform, name = scene.graph[node]
+        mesh = scene.geometry[name]
+        points = np.asarray(mesh.vertices, np.float64) @ transform[:3, :3].T + transform[:3, 3]
+        material = getattr(getattr(mesh.visual, "material", None), "name", None)
+        vertices.append(points)
+        faces.append(_faces(mesh) + first)
+        face_group.append(np.full(len(faces[-1]), len(groups)))
+        groups.append((_named(stripped.materials, material), _named(stripped.meshes, name.partition("_")[0])))
+        first += len(points)
+    return RawTriangles(
+        np.concatenate(vertices), np.concatenate(faces), np.concatenate(face_group), tuple(groups)
+    )
+
+
+def _read_ply(data: bytes, where: str) -> RawTriangles:
+    trimesh = _trimesh(where)
+    check_ply(data, where)
+    mesh = _loaded(trimesh.load_mesh, data, "ply", where, skip_materials=True)
+    faces = _faces(mesh)
+    vertices = np.asarray(mesh.vertices, np.float64).reshape(-1, 3)
+    return RawTriangles(vertices, faces, np.zeros(len(faces), np.int64), (("", ""),))
+
+
+def _loaded(load: Callable[..., Any], data: bytes, kind: str, where: str, **options: Any) -> Any:
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # of what numpy thinks of trimesh's parsers
+            return load(io.BytesIO(data), file_type=kind, process=False, **options)
+    except Exception as error:  # a parser of others may fail in any way
+        msg = f"{where}: trimesh cannot read it ({type(error).__name__}: {error}); the file is damaged or odd"
+        raise FormatError(msg) from error
+
+
+def _faces(mesh: Any) -> NDArray[np.int64]:
+    return np.asarray(getattr(mesh, "faces", np.zeros((0, 3))), np.int64).reshape(-1, 3)
+
+
+def _named(names: tuple[str, ...], number: str | None) -> str:
+    """Return the name that a number in words stands for; empty where it stands for none."""
+    if number is None or not number.isdecimal() or int(number) >= len(names):
+        return ""
+    return names[int(number)]

@@ -1,0 +1,135 @@
+"""The code of a path: which source its light came from, and which spectra it was multiplied by.
+
+One int64 says it all, so that a stored table of weights needs no key:
+
+* bits 0 to 2: the source: 0 the uniform sky, 1 the overcast sky, 2 and up the suns;
+* bit 3: the light left the first surface through its coat, as a mirror image;
+* bit 4: the path met more than one surface;
+* from bit 5 on ``depth`` digits of ``digit_bits`` bits, the lowest first: the number of a factor plus 1, or 0
+  for none, in descending order, so that equal products have equal codes.
+
+A negative code is an empty slot.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from hyperpaint.errors import SchemaError
+
+__all__ = [
+    "FIRST_SUN",
+    "INDIRECT",
+    "MIRROR",
+    "MOST_SUNS",
+    "OVERCAST_SKY",
+    "SKY",
+    "PathCodes",
+    "is_direct",
+    "is_indirect",
+    "is_mirrored",
+    "source_of",
+]
+
+Codes = npt.NDArray[np.int64]
+Mask = npt.NDArray[np.bool_]
+
+SKY, OVERCAST_SKY, FIRST_SUN = 0, 1, 2
+"""Numbers of the sources."""
+
+MOST_SUNS = 6
+"""Suns that one trace holds."""
+
+MIRROR, INDIRECT = 1 << 3, 1 << 4
+"""Bits of the flags."""
+
+_SOURCE_MASK = 7
+_FIRST_DIGIT = 5
+_USABLE_BITS = 63
+
+
+def source_of(codes: Codes) -> Codes:
+    """Return the number of the source of every code."""
+    return codes & _SOURCE_MASK
+
+
+def is_direct(codes: Codes) -> Mask:
+    """Tell which paths begin at a sun; what begins at the sky is diffuse."""
+    return np.asarray((codes & _SOURCE_MASK) >= FIRST_SUN)
+
+
+def is_mirrored(codes: Codes) -> Mask:
+    """Tell which paths left the first surface through its coat."""
+    return np.asarray((codes & MIRROR) != 0)
+
+
+def is_indirect(codes: Codes) -> Mask:
+    """Tell which paths met more than one surface."""
+    return np.asarray((codes & INDIRECT) != 0)
+
+
+@dataclass(frozen=True)
+class PathCodes:
+    """Where the digits stand in the codes of one trace.
+
+    Attributes
+    ----------
+    depth
+        Most factors of a path.
+    digit_bits
+        Bits of a digit.
+
+    Examples
+    --------
+    >>> codes = PathCodes.of(factors=14, depth=4)
+    >>> codes.digit_bits
+    4
+    >>> code = codes.code(source=2, factors=(3, 11), mirror=True, indirect=True)
+    >>> codes.factors(np.array([code]))
+    array([[11,  3, -1, -1]])
+    """
+
+    depth: int
+    digit_bits: int
+
+    @classmethod
+    def of(cls, factors: int, depth: int) -> PathCodes:
+        """Return the codes for a number of factors and of scatterings.
+
+        Raises
+        ------
+        SchemaError
+            The digits do not fit into 63 bits.
+        """
+        if depth < 1:
+            msg = f"depth={depth}, expected at least 1 scattering"
+            raise SchemaError(msg)
+        bits = max(factors, 1).bit_length()
+        if _FIRST_DIGIT + depth * bits > _USABLE_BITS:
+            most = (_USABLE_BITS - _FIRST_DIGIT) // bits
+            msg = (
+                f"{factors} spectra and depth={depth} do not fit into the code of a path; "
+                "there is a spectrum for each material, two where it has flakes; "
+                f"with so many depth is at most {most}"
+            )
+            raise SchemaError(msg)
+        return cls(depth, bits)
+
+    def code(
+        self, source: int, factors: Sequence[int] = (), *, mirror: bool = False, indirect: bool = False
+    ) -> int:
+        """Return the code of a path."""
+        made = source | (MIRROR if mirror else 0) | (INDIRECT if indirect else 0)
+        for place, factor in enumerate(sorted(factors, reverse=True)):
+            made |= (factor + 1) << (_FIRST_DIGIT + place * self.digit_bits)
+        return made
+
+    def factors(self, codes: Codes) -> Codes:
+        """Return the factors of every code, shape (code, depth); -1 where there is none."""
+        shifts = _FIRST_DIGIT + self.digit_bits * np.arange(self.depth)
+        digits = (np.asarray(codes, np.int64)[:, None] >> shifts) & ((1 << self.digit_bits) - 1)
+        return np.asarray(digits - 1)

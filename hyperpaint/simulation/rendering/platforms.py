@@ -1,0 +1,378 @@
+"""Where the camera is and how it is turned at the begin and at the end of every exposure: flights."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from hyperpaint.errors import Problems, SchemaError
+
+from .platform_geometry import MOST_COLUMNS, MOST_LINES, START, STEEPEST, Platform, finite_floats
+from .rotations import interpolate, matrices, quaternions, turns
+
+__all__ = ["Platform", "platform_from_poses", "pushbroom"]
+
+Floats = NDArray[np.float64]
+
+IFOV = 7.4e-6 / 12e-3
+"""Angle of a pixel: 7.4 um pixels behind a lens of 12 mm [rad]."""
+
+_WOBBLE = 16  # key of the random stream
+_WOBBLE_RATES = np.geomspace(0.15, 6.0, 9)  # Hz
+
+
+# --- a straight flight -------------------------------------------------------------------------------------
+
+
+def pushbroom(
+    lines: int,
+    columns: int,
+    *,
+    altitude: float = 15.0,
+    ground_sample: float | None = None,
+    ifov: float | None = None,
+    speed: float | None = None,
+    line_spacing: float | None = None,
+    centre: tuple[float, float] = (0.0, 0.0),
+    start: tuple[float, float] | None = None,
+    heading: float = 0.0,
+    exposure_time: float = 5e-3,
+    frame_period: float = 7e-3,
+    wobble: float | Sequence[float] = 0.0,
+    sway: float = 0.0,
+    seed: int = 0,
+    start_time: np.datetime64 | str = START,
+) -> Platform:
+    """Return a straight, level flight of a camera that looks down.
+
+    Parameters
+    ----------
+    lines, columns
+        Size of the cube.
+    altitude
+        Height above z = 0 [m].
+    ground_sample
+        Across-track size of a pixel on z = 0 [m]; or give ``ifov``. By default that of a 12 mm lens in front
+        of 7.4 um pixels.
+    ifov
+        Angle of a pixel, pixel pitch / focal length [rad]; columns have equal steps of the tangent.
+    speed
+        [m s-1]; or give ``line_spacing`` [m]. By default a line is as long as a pixel is wide.
+    centre
+        East and north of the middle of the flight [m].
+    start
+        East and north of the camera at the first line [m], in place of ``centre``.
+    heading
+        Of the flight, clockwise from north [degree].
+    exposure_time, frame_period
+        Exposure, and time from line to line [s].
+    wobble
+        Spread (1 sigma) of roll, pitch and heading [degree], or one for all three: sums of nine
+        oscillations from 0.15 to 6 Hz whose amplitudes fall with the root of the frequency.
+    sway
+        The same of east, north and up [m].
+    seed
+        Of the wobble and sway.
+    start_time
+        UTC at mid exposure of the first line.
+
+    Returns
+    -------
+    Platform
+
+    Raises
+    ------
+    SchemaError
+        A value is out of its range, or two of them exclude one another; all are listed.
+
+    Examples
+    --------
+    >>> flight = pushbroom(100, 64, altitude=15.0, ground_sample=0.1)
+    >>> flight.position[0].round(3), flight.column_edges[[0, -1]].round(4)
+    (array([ 0.  , -4.95, 15.  ]), array([-0.2133,  0.2133]))
+    """
+    start_time = _moment(start_time)
+    given = {
+        "lines": lines, "columns": columns, "altitude": altitude, "ground_sample": ground_sample,
+        "ifov": ifov, "speed": speed, "line_spacing": line_spacing, "centre": centre, "start": start,
+        "heading": heading, "exposure_time": exposure_time, "frame_period": frame_period, "wobble": wobble,
+        "sway": sway, "seed": seed,
+    }  # fmt: skip
+    _check_pushbroom(given)
+    angle = _pixel_angle(given)
+    if speed is None:
+        speed = (angle * altitude if line_spacing is None else line_spacing) / frame_period
+    time = np.rint(np.arange(lines) * (frame_period * 1e9)).astype(np.int64)
+    ahead = np.array([np.sin(np.radians(heading)), np.cos(np.radians(heading)), 0.0])
+    if start is None:
+        first = np.array([*centre, 0.0]) - ahead * (speed * time[-1] * 0.5e-9)
+    else:
+        first = np.array([*start, 0.0])
+    moment = time[:, None] * 1e-9 + exposure_time * np.array([-0.5, 0.5])
+    spread = np.broadcast_to(np.asarray(wobble, dtype=np.float64), (3,))
+    turned = spread[:, None, None] * _oscillations(moment, 3, seed, 0)
+    swayed = sway * _oscillations(moment, 3, seed, 1)
+    origin = (
+        first
+        + np.array([0.0, 0.0, altitude])
+        + ahead * (speed * moment)[..., None]
+        + swayed.transpose(1, 2, 0)
+    )
+    rotation = matrices(quaternions(turned[0], turned[1], turned[2] + heading))
+    edges = np.asarray((np.arange(columns + 1) - 0.5 * columns) * angle)
+    return Platform(origin, rotation, edges, np.array([-0.5, 0.5]) * angle, time, exposure_time, start_time)
+
+
+def _oscillations(moment: Floats, number: int, seed: int, stream: int) -> Floats:
+    """Return smooth functions of time [s] of unit variance, shape (number, ...)."""
+    rng = np.random.default_rng([seed, _WOBBLE, stream])
+    rates = _WOBBLE_RATES * rng.uniform(0.9, 1.1, (number, len(_WOBBLE_RATES)))
+    phases = rng.uniform(0.0, 2.0 * np.pi, rates.shape)
+    weights = _WOBBLE_RATES**-0.5
+    weights *= np.sqrt(2.0 / (weights**2).sum())
+    made = np.zeros((number, *moment.shape))
+    for one, (rate, phase) in zip(made, zip(rates, phases, strict=True), strict=True):
+        for weight, r, p in zip(weights, rate, phase, strict=True):
+            one += weight * np.sin(2.0 * np.pi * r * moment + p)
+    return made
+
+
+def _check_pushbroom(given: dict[str, Any]) -> None:
+    problems = Problems("the flight cannot be flown", SchemaError)
+    for name, most in (("lines", MOST_LINES), ("columns", MOST_COLUMNS)):
+        if not (_is_whole(given[name]) and 1 <= given[name] <= most):
+            problems.add(f"{name}={given[name]!r:.60}, expected a whole number from 1 to {most}")
+    if not (_is_whole(given["seed"]) and given["seed"] >= 0):
+        problems.add(f"seed={given['seed']!r:.60}, expected a whole number from 0 on")
+    for name, (lowest, highest) in _RANGES.items():
+        value = given[name]
+        if value is not None and not (_is_number(value) and lowest <= value <= highest):
+            problems.add(f"{name}={value!r:.60}, expected a number from {lowest:g} to {highest:g}")
+    for name in ("centre", "start"):
+        value = given[name]
+        if value is not None and not (_is_tuple(value, 2) and max(map(abs, value)) <= 1e6):
+            problems.add(f"{name}={value!r:.60}, expected east and north within 1e6 m")
+    several = given["wobble"] if _is_tuple(given["wobble"], 3) else (given["wobble"],)
+    if not all(_is_number(each) and 0 <= each <= 20 for each in several):
+        problems.add(f"wobble={given['wobble']!r:.60}, expected one number or three from 0 to 20 degrees")
+    for one, other in (("ground_sample", "ifov"), ("speed", "line_spacing")):
+        if given[one] is not None and given[other] is not None:
+            problems.add(f"both {one} and {other} are given; keep one")
+    problems.raise_if_any()
+    if given["exposure_time"] > given["frame_period"]:
+        problems.add(f"exposure_time={given['exposure_time']} exceeds frame_period={given['frame_period']}")
+    angle = _pixel_angle(given)
+    if angle * given["columns"] / 2 > STEEPEST:
+        aside = np.degrees(np.arctan(angle * given["columns"] / 2))
+        problems.add(
+            f"{given['columns']} columns look {aside:.1f} degrees aside, expected at most 85; "
+            "fewer columns, smaller pixels or a higher flight"
+        )
+    problems.raise_if_any()
+
+
+def _pixel_angle(given: dict[str, Any]) -> float:
+    if given["ground_sample"] is not None:
+        return float(given["ground_sample"] / given["altitude"])
+    return IFOV if given["ifov"] is None else float(given["ifov"])
+
+
+_RANGES = {
+    "altitude": (0.1, 1e5),
+    "ground_sample": (1e-5, 1e4),
+    "ifov": (1e-7, 1.0),
+    "speed": (1e-4, 1e4),
+    "line_spacing": (1e-5, 1e4),
+    "heading": (-360.0, 360.0),
+    "exposure_time": (0.0, 3600.0),
+    "frame_period": (1e-6, 3600.0),
+    "sway": (0.0, 100.0),
+}
+
+
+def _is_whole(value: object) -> bool:
+    return isinstance(value, int | np.integer) and not isinstance(value, bool)
+
+
+def _is_number(value: Any) -> bool:
+    if isinstance(value, bool) or not isinstance(value, int | float | np.integer | np.floating):
+        return False
+    return -1e300 < float(value) < 1e300 if not isinstance(value, int) else abs(value) < 10**300
+
+
+def _is_tuple(value: Any, length: int) -> bool:
+    return isinstance(value, Sequence) and len(value) == length and all(map(_is_number, value))
+
+
+def _moment(value: np.datetime64 | str) -> np.datetime64:
+    try:
+        # "now" would be another flight at every call
+        spelled = "NaT" if isinstance(value, str) and not value[:1].isdigit() else value
+        found = np.asarray(spelled, dtype="datetime64[ns]").reshape(())
+    except (ValueError, TypeError):
+        found = np.asarray("NaT", dtype="datetime64[ns]")
+    if not np.datetime64("1980-01-01") <= found < np.datetime64("2100-01-01"):
+        msg = f"start_time={value!r:.60}, expected a UTC time such as '2021-07-20T17:10:00'"
+        raise SchemaError(msg)
+    return np.datetime64(found.item(), "ns")
+
+
+# --- a flight as it was recorded ---------------------------------------------------------------------------
+
+
+def platform_from_poses(
+    time: ArrayLike,
+    east: ArrayLike,
+    north: ArrayLike,
+    up: ArrayLike,
+    roll: ArrayLike,
+    pitch: ArrayLike,
+    heading: ArrayLike,
+    *,
+    columns: int,
+    ifov: float = IFOV,
+    line_time: ArrayLike | None = None,
+    exposure_time: float = 5e-3,
+    boresight: Sequence[float] = (0.0, 0.0, 0.0),
+    lever_arm: Sequence[float] = (0.0, 0.0, 0.0),
+) -> Platform:
+    """Return the platform of a navigation record.
+
+    Between poses, positions are interpolated linearly and attitudes on the great arc between them (slerp:
+    Shoemake, "Animating rotation with quaternion curves", 1985), so that a heading may pass north. Up to half
+    an exposure before the first pose and after the last, the outer pair of poses is continued.
+
+    Parameters
+    ----------
+    time
+        Of the poses, increasing, shape (pose,): datetime64 (UTC), or seconds.
+    east, north, up
+        Of the navigation unit in the scene's frame, shape (pose,) [m].
+    roll, pitch, heading
+        Shape (pose,) [degree].
+    columns
+        Of the camera.
+    ifov
+        Angle of a pixel, pixel pitch / focal length [rad].
+    line_time
+        Mid exposure of every line, on the clock of ``time``, shape (line,); by default a line a pose.
+    exposure_time
+        [s]
+    boresight
+        Roll, pitch and heading of the camera in the frame of the navigation unit [degree].
+    lever_arm
+        Camera in that frame: forward, right, down [m].
+
+    Returns
+    -------
+    Platform
+
+    Raises
+    ------
+    SchemaError
+        Lengths differ, numbers are not finite, times do not increase, lines lie outside of the record, or the
+        platform turns more than 90 degrees from one pose to the next; all are listed.
+
+    Examples
+    --------
+    >>> flight = platform_from_poses([0, 1], [0, 0], [0, 4], [15, 15], [0, 0], [0, 0], [358, 2], columns=2,
+    ...                              line_time=[0.75])
+    >>> flight.position.round(3), flight.attitude.round(3) + 0.0
+    (array([[ 0.,  3., 15.]]), array([[0., 0., 1.]]))
+    """
+    problems = Problems("the poses cannot be used", SchemaError)
+    base, seconds, at = _clock(time, line_time, problems)
+    poses = {
+        name: finite_floats(values, name, problems)
+        for name, values in (
+            ("east", east), ("north", north), ("up", up), ("roll", roll), ("pitch", pitch),
+            ("heading", heading), ("boresight", boresight), ("lever_arm", lever_arm),
+        )
+    }  # fmt: skip
+    _check_poses(poses, seconds, problems)
+    if not (_is_whole(columns) and 1 <= columns <= MOST_COLUMNS):
+        problems.add(f"columns={columns!r:.60}, expected a whole number from 1 to {MOST_COLUMNS}")
+    for name, value in (("ifov", ifov), ("exposure_time", exposure_time)):
+        least, most = _RANGES[name]
+        if not (_is_number(value) and least <= value <= most):
+            problems.add(f"{name}={value!r:.60}, expected a number from {least:g} to {most:g}")
+    problems.raise_if_any()
+    _check_lines(seconds, at, exposure_time, line_time is None, problems)
+    problems.raise_if_any()
+    moment = at[:, None] + exposure_time * np.array([-0.5, 0.5])
+    before = np.clip(np.searchsorted(seconds, moment, side="right") - 1, 0, len(seconds) - 2)
+    part = (moment - seconds[before]) / (seconds[before + 1] - seconds[before])
+    turned = quaternions(poses["roll"], poses["pitch"], poses["heading"])
+    body = matrices(interpolate(turned[before], turned[before + 1], part))
+    place = np.stack([poses[name] for name in ("east", "north", "up")], axis=-1)
+    origin = place[before] + part[..., None] * (place[before + 1] - place[before]) + body @ poses["lever_arm"]
+    rotation = body @ turns(quaternions(*poses["boresight"]))
+    edges = np.asarray((np.arange(columns + 1) - 0.5 * columns) * ifov, dtype=np.float64)
+    along = np.asarray([-0.5 * ifov, 0.5 * ifov])
+    ticks = np.rint((at - at[0]) * 1e9).astype(np.int64)
+    start = START if base is None else base + np.timedelta64(round(at[0] * 1e9), "ns")
+    return Platform(origin, rotation, edges, along, ticks, exposure_time, start)
+
+
+def _clock(
+    time: ArrayLike, line_time: ArrayLike | None, problems: Problems
+) -> tuple[np.datetime64 | None, Floats, Floats]:
+    """Return the moment that counts as zero (None: unknown), and both times as seconds."""
+    poses = np.asarray(time)
+    lines = poses if line_time is None else np.asarray(line_time)
+    if poses.ndim != 1 or lines.ndim != 1 or len(poses) < 2 or not len(lines):
+        problems.add(
+            f"{poses.size} pose times and {lines.size} line times, expected two poses and one line at least"
+        )
+        problems.raise_if_any()
+    if (poses.dtype.kind == "M") != (lines.dtype.kind == "M"):
+        problems.add(
+            f"time is {poses.dtype}, line_time {lines.dtype}; expected both datetime64 or both seconds"
+        )
+        problems.raise_if_any()
+    base = None
+    if poses.dtype.kind == "M":
+        if np.isnat(poses).any() or np.isnat(lines).any():
+            problems.add("time or line_time holds NaT; expected a time for each")
+            problems.raise_if_any()
+        base = poses[0].astype("datetime64[ns]")
+        poses, lines = (
+            (each.astype("datetime64[ns]") - base) / np.timedelta64(1, "s") for each in (poses, lines)
+        )
+    return base, finite_floats(poses, "time", problems), finite_floats(lines, "line_time", problems)
+
+
+def _check_poses(poses: dict[str, Floats], seconds: Floats, problems: Problems) -> None:
+    if not (np.diff(seconds) > 0).all():
+        problems.add("time does not increase from pose to pose")
+    elif seconds[-1] - seconds[0] > 1e8:
+        problems.add("time spans more than three years; expected seconds")
+    for name, values in poses.items():
+        expected = (3,) if name in ("boresight", "lever_arm") else seconds.shape
+        if values.shape != expected:
+            problems.add(f"{name} has shape {values.shape}, expected {expected}")
+        elif values.size and not np.abs(values).max() <= 1e6:
+            problems.add(
+                f"{name} holds values beyond 1e6; expected a local frame in metres, angles in degrees"
+            )
+    problems.raise_if_any()
+    turned = quaternions(poses["roll"], poses["pitch"], poses["heading"])
+    apart = np.abs((turned[1:] * turned[:-1]).sum(axis=-1))
+    if (apart < np.cos(np.radians(45.0))).any():
+        where = int(np.argmin(apart))
+        problems.add(f"the platform turns by over 90 degrees between poses {where} and {where + 1}")
+
+
+def _check_lines(seconds: Floats, at: Floats, exposure_time: float, own: bool, problems: Problems) -> None:
+    slack = exposure_time / 2 if own else 1e-9
+    early, late = at.min() - exposure_time / 2, at.max() + exposure_time / 2
+    if early < seconds[0] - slack - 1e-9 or late > seconds[-1] + slack + 1e-9:
+        problems.add(
+            f"lines are exposed from {early:.6f} to {late:.6f} s, "
+            f"the poses span {seconds[0]:.6f} to {seconds[-1]:.6f} s"
+        )
+    if len(at) > MOST_LINES:
+        problems.add(f"{len(at)} lines, expected at most {MOST_LINES}")

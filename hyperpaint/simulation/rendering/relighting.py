@@ -1,0 +1,327 @@
+"""From traced weights to radiance, for any paints, atmosphere and camera, without tracing again."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any, cast
+
+import numpy as np
+import numpy.typing as npt
+
+from hyperpaint.errors import Problems, SchemaError
+from hyperpaint.schema import (
+    ALONG_TRACK,
+    BAND,
+    CHUNK_LINES,
+    CROSS_TRACK,
+    CUBE,
+    FORMAT_VERSION,
+    SLOT,
+    SUN,
+    VARIABLES,
+    dtype_of,
+    label,
+    require,
+)
+
+from .band_responses import BandResponses
+from .bands import BandSet
+from .four_curves import Atmosphere, preset_atmosphere
+from .lighting import Lighting, make_lighting, source_spectra, traced_sun
+from .painting import FactorSpectra, factor_spectra
+from .scene_record import SceneRecord, TraceSettings
+from .sky_record import irradiance_record
+from .truth_layers import SHARES, LabelTables
+
+if TYPE_CHECKING:
+    import dask.array as da
+    import xarray as xr
+
+__all__ = ["relight"]
+
+Array = npt.NDArray[Any]
+Floats = npt.NDArray[np.float64]
+
+_PATHS = ("transport_weight", "transport_path", "distance")
+_KEPT = (
+    "material", "instance", "surface_class", "car_id", "purity", "distance", "east", "north", "up",
+)  # fmt: skip
+"""Layers of the traced dataset that no light changes."""
+
+_COVERED = 1.5  # full widths around the bands' centres that an atmosphere must cover
+
+
+def relight(
+    traced: xr.Dataset,
+    bands: Any = None,
+    *,
+    paints: Mapping[str, Any] | None = None,
+    atmosphere: Atmosphere | str = "noon",
+    spectra: Mapping[str, Any] | xr.Dataset | None = None,
+    variation: npt.ArrayLike | None = None,
+    truth: bool = True,
+    clip: bool = False,
+) -> xr.Dataset:
+    r"""Return the radiance of a traced scene under an atmosphere, as a camera's bands see it.
+
+    Parameters
+    ----------
+    traced
+        From `hyperpaint.trace`, or the store it was written to.
+    bands
+        A `BandSet`, an imager of the simulator, or a Dataset with ``wavelength`` and ``fwhm`` (attribute
+        ``srf_shape``); by default the 272 bands of a Nano-Hyperspec.
+    paints
+        New spectra by name of an instance ("car_007": its paint), of a material, or of a spectrum that
+        materials of the scene have; the first counts most. A value is the name of a spectrum, ``(wavelength
+        [nm], reflectance)``, a DataArray with a coordinate ``wavelength``, or a function of wavelength [nm].
+        Reflectances are near normal, without the specular component.
+    atmosphere
+        The light; or the name of a preset one: "noon", "near_sunset", "cloudy".
+    spectra
+        Further spectra by name, as values of ``paints`` or as a paint library; they go before the built-in
+        ones of the same name.
+    variation
+        Factors of direct and of diffuse light in every line, shape (2, along_track), such as a cloud's that
+        passes while the camera flies.
+    truth
+        Add ``reflectance`` and the layers that say where light came from.
+    clip
+        Limit reflectances to 0 to 1 where they would be an error.
+
+    Returns
+    -------
+    Dataset
+        Lazy; a flight line on which ``.paint.reflectance()`` runs. ``radiance`` (along_track, band,
+        cross_track) at the sensor; the layers ``material``, ``instance``, ``surface_class``, ``paint_id``,
+        ``car_id``, ``purity``, ``distance``, ``east``, ``north``, ``up``; ``irradiance`` as a spectrometer of
+        3 nm beside the scene records it. With ``truth``: ``reflectance``, of the surfaces themselves, before
+        the air between; ``sun_share``, ``sky_share``, ``glint_share``, ``mirrored_sky_share``,
+        ``indirect_share`` of the mean radiance over all bands, before the air between; ``shadow``.
+
+    Raises
+    ------
+    SchemaError
+        The dataset is no traced one; the atmosphere's sun (to 0.01 degrees) or its overcast sky was not
+        traced, or it does not cover the bands; names are unknown, spectra leave 0 to 1 or do not cover the
+        bands; ``variation`` has another shape. All problems of a kind are listed.
+
+    Notes
+    -----
+    Of a band of response R,
+
+    .. math:: L = e^{-k d} \sum_p w_p \frac{\int R E_{s(p)} \prod_f \rho'_f\, d\lambda}{\pi \int R\, d\lambda}
+              + L_p d, \qquad \rho = \frac{\pi L_{d=0}}{\int R E\, d\lambda / \int R\, d\lambda}
+
+    The integrals are exact to 1e-5 whatever lines the light has; they are made once for every code. k and
+    L_p are means over the band.
+
+    Examples
+    --------
+    >>> from hyperpaint.simulation.rendering.platforms import pushbroom
+    >>> from hyperpaint.simulation.rendering.scene import plane
+    >>> from hyperpaint.simulation.rendering.tracing import trace
+    >>> traced = trace(plane(100.0), pushbroom(64, 8), ["noon"], samples=4)
+    >>> made = relight(traced, atmosphere="noon")
+    >>> made.radiance.dims, made.radiance.dtype, made.radiance.attrs["units"]
+    (('along_track', 'band', 'cross_track'), dtype('float32'), 'W m-2 sr-1 nm-1')
+    """
+    record, settings = SceneRecord.from_attrs(traced.attrs)
+    found = require(traced, _PATHS, "radiance from traced paths")
+    sky = _atmosphere(atmosphere)
+    camera = BandSet.of(bands)
+    lines, columns = found["distance"].sizes[ALONG_TRACK], found["distance"].sizes[CROSS_TRACK]
+    _check(camera, sky, columns)
+    factors = _variation(variation, lines)
+    painted = factor_spectra(record, camera, paints, spectra, clip=clip)
+    sun = traced_sun(sky, settings)
+    cosine = float(np.cos(np.radians(settings.suns[sun][0])))
+    light = _lighting(camera, record, settings, sky, painted, cosine)
+    paths = [_whole_lines(found[name]) for name in _PATHS]
+    cubes = _lazy_cubes(paths, light, factors, camera, truth=truth)
+    made = _dataset(cubes, traced, camera, _tables(record, painted))
+    if truth and "sun_visibility" in traced.variables:
+        visible = traced["sun_visibility"].isel({SUN: sun}, drop=True)
+        made["shadow"] = label((1.0 - visible).astype(np.float32), "shadow")
+    series = irradiance_record(traced, sky, cosine, camera, factors)
+    attrs = {
+        "hyperpaint_format": FORMAT_VERSION,
+        "name": str(traced.attrs.get("name", record.name)),
+        "atmosphere": sky.name,
+        "materials": traced.attrs["materials"],
+        "instances": traced.attrs["instances"],
+        "srf_shape": camera.shape,
+        **series.attrs,
+    }
+    return made.assign_coords(series.coords).assign(series.data_vars).assign_attrs(attrs)
+
+
+def _atmosphere(atmosphere: Any) -> Atmosphere:
+    made = preset_atmosphere(atmosphere) if isinstance(atmosphere, str) else atmosphere
+    if not isinstance(made, Atmosphere):
+        msg = f"atmosphere is {type(made).__name__}, expected an Atmosphere or the name of a preset one"
+        raise SchemaError(msg)
+    return made
+
+
+def _check(bands: BandSet, atmosphere: Atmosphere, columns: int) -> None:
+    problems = Problems("the traced scene cannot be relit", SchemaError)
+    low = bands.wavelength[0] + bands.nodes.min() - _COVERED * bands.fwhm[0]
+    high = bands.wavelength[-1] + bands.nodes.max() + _COVERED * bands.fwhm[-1]
+    first, last = atmosphere.wavelength[[0, -1]]
+    if first > low or last < high:
+        problems.add(
+            f"atmosphere {atmosphere.name!r} covers {first:.1f} to {last:.1f} nm, the bands and their sides "
+            f"{low:.1f} to {high:.1f} nm"
+        )
+    if bands.wavelength_shift is not None and bands.wavelength_shift.size != columns:
+        problems.add(
+            f"wavelength_shift has {bands.wavelength_shift.size} columns, the traced scene {columns}"
+        )
+    problems.raise_if_any()
+
+
+def _variation(variation: npt.ArrayLike | None, lines: int) -> Floats | None:
+    """Return factors (line, 2), None for ones."""
+    if variation is None:
+        return None
+    factors = np.asarray(variation, np.float64)
+    if factors.shape != (2, lines):
+        msg = f"variation has shape {factors.shape}, expected (2, along_track) = (2, {lines})"
+        raise SchemaError(msg)
+    if not np.isfinite(factors).all() or (factors < 0).any():
+        msg = "variation holds factors that are negative or not finite"
+        raise SchemaError(msg)
+    return np.ascontiguousarray(factors.T)
+
+
+def _lighting(
+    bands: BandSet,
+    record: SceneRecord,
+    settings: TraceSettings,
+    sky: Atmosphere,
+    painted: FactorSpectra,
+    sun_cosine: float,
+) -> Any:
+    """Return the `Lighting` that all tasks share, lazily: one node of the graph."""
+    import dask
+
+    return dask.delayed(make_lighting, pure=True)(
+        bands,
+        record.codes(settings),
+        {name: getattr(sky, name) for name in ("wavelength", "extinction", "path_radiance")},
+        source_spectra(sky, settings),
+        painted(BandResponses(bands).grid),
+        sun_cosine,
+    )
+
+
+def _whole_lines(array: xr.DataArray) -> da.Array:
+    """Return a traced variable as a dask array in chunks of whole lines."""
+    if array.chunks is None:
+        array = array.chunk({ALONG_TRACK: CHUNK_LINES})
+    split = [dim for dim in (SLOT, CROSS_TRACK) if len(array.variable.chunksizes.get(dim, (0,))) > 1]
+    return cast("da.Array", array.chunk(dict.fromkeys(split, -1)).data if split else array.data)
+
+
+def _lazy_cubes(
+    paths: list[da.Array], light: Any, variation: Floats | None, bands: BandSet, *, truth: bool
+) -> dict[str, da.Array]:
+    """Return radiance, reflectance and shares; each costs what it needs and no more."""
+    import dask.array as da
+
+    weight, code, distance = paths
+    varied: tuple[Any, Any] = (None, None)
+    if variation is not None:
+        varied = da.from_array(variation, chunks=(weight.chunks[0], -1)), "lv"
+    traced = (weight, "lsx", code, "lsx", *varied)
+    size = {"b": bands.wavelength.size}
+    cube = {"dtype": np.float32, "meta": np.empty((0, 0, 0), np.float32)}
+    if not truth:
+        alone = (light, None, *traced, distance, "lx")
+        return {"radiance": da.blockwise(_radiance_task, "lbx", *alone, new_axes=size, **cube)}
+    surface = da.blockwise(_surface_task, "lbx", light, None, *traced, new_axes=size, **cube)
+    behind_air = (light, None, surface, "lbx", distance, "lx")
+    shares = da.blockwise(_shares_task, "lcx", light, None, *traced, new_axes={"c": len(SHARES)}, **cube)
+    return {
+        "radiance": da.blockwise(_sensor_task, "lbx", *behind_air, **cube),
+        "reflectance": da.blockwise(_reflectance_task, "lbx", light, None, surface, "lbx", *varied, **cube),
+        **{name: shares[:, place] for place, name in enumerate(SHARES)},
+    }
+
+
+def _only(nested: Any) -> Any:
+    """Return the one block of dims that have only one, which dask hands over in lists."""
+    while isinstance(nested, list):
+        (nested,) = nested
+    return nested
+
+
+def _surface_task(light: Lighting, weight: Any, code: Any, variation: Any) -> Array:
+    return light.surface_radiance(_only(weight), _only(code), _only(variation))
+
+
+def _radiance_task(light: Lighting, weight: Any, code: Any, variation: Any, distance: Array) -> Array:
+    surface = _surface_task(light, weight, code, variation)
+    return light.at_sensor(surface, distance, in_place=True)
+
+
+def _sensor_task(light: Lighting, surface: Array, distance: Array) -> Array:
+    return light.at_sensor(surface, distance)
+
+
+def _reflectance_task(light: Lighting, surface: Array, variation: Any) -> Array:
+    return light.reflectance(surface, _only(variation))
+
+
+def _shares_task(light: Lighting, weight: Any, code: Any, variation: Any) -> Array:
+    return light.shares(_only(weight), _only(code), _only(variation))
+
+
+def _tables(record: SceneRecord, painted: FactorSpectra) -> LabelTables:
+    names = [""] * len(record.materials)
+    for factor, name in zip(record.factors, painted.names, strict=True):
+        if not factor.flakes:
+            names[factor.material] = name
+    return LabelTables.of(record, names)
+
+
+def _dataset(
+    cubes: dict[str, da.Array], traced: xr.Dataset, bands: BandSet, tables: LabelTables
+) -> xr.Dataset:
+    import xarray as xr
+
+    made = {
+        name: (CUBE if array.ndim == 3 else (ALONG_TRACK, CROSS_TRACK), array, VARIABLES[name].attrs)
+        for name, array in cubes.items()
+    }
+    coords: dict[str, Any] = {
+        "wavelength": (BAND, bands.wavelength),
+        "fwhm": (BAND, bands.fwhm),
+        "good": (BAND, np.ones(bands.wavelength.size, bool)),
+    }
+    if bands.wavelength_shift is not None:
+        coords["wavelength_shift"] = (CROSS_TRACK, bands.wavelength_shift)
+    line = xr.Dataset(made, {n: (*value, VARIABLES[n].attrs) for n, value in coords.items()})
+    if "time" in traced.variables:
+        line = line.assign_coords(time=traced["time"].variable)
+    for name in _KEPT:
+        if name in traced.variables:
+            line[name] = traced[name].variable
+    if "material" in traced.variables:
+        line["paint_id"] = label(
+            _paint_layer(traced["material"], tables), "paint_id", **tables.attrs("paint_id")
+        )
+    return line
+
+
+def _paint_layer(material: xr.DataArray, tables: LabelTables) -> xr.DataArray:
+    """Return the number of the paint of every pixel, after repainting."""
+    plain = material.reset_coords(drop=True)
+    if plain.chunks is None:
+        return plain.copy(data=tables.paint_id[plain.values])
+    return plain.copy(data=plain.data.map_blocks(_look_up, tables.paint_id, dtype=dtype_of("paint_id")))
+
+
+def _look_up(numbers: Array, table: Array) -> Array:
+    return table[numbers]

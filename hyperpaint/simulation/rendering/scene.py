@@ -1,0 +1,500 @@
+"""A scene: triangles, what they are made of, and which thing they belong to."""
+
+from __future__ import annotations
+
+import warnings
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from hyperpaint.errors import PaintWarning, Problems, SchemaError
+
+from .materials import Material
+
+__all__ = [
+    "INSTANCE_KINDS",
+    "PARTS",
+    "Factor",
+    "Instance",
+    "Scene",
+    "box",
+    "has_area",
+    "plane",
+    "warn_of_dropped",
+]
+
+Floats = NDArray[np.float64]
+
+INSTANCE_KINDS = ("ground", "car", "tree", "wall", "panel", "other")
+"""What a thing in a scene can be."""
+
+PARTS = (
+    "", "roof", "bonnet", "boot", "door", "wing", "bumper", "pillar", "windscreen", "rear_window",
+    "side_window", "bed", "seam", "wheel", "lamp", "mirror", "plate", "underbody",
+)  # fmt: skip
+"""Parts of a car; the place in this tuple is the number in `Scene.face_part`, and 0 is no part."""
+
+_SMALLEST_SHAPE = 1e-12  # a triangle whose area is less than this times its longest edge squared is a line
+
+
+@dataclass(frozen=True)
+class Instance:
+    """One thing in a scene.
+
+    Attributes
+    ----------
+    name
+        "ground", "car_007", "tree_02".
+    kind
+        One of `INSTANCE_KINDS`.
+    paint
+        Name of a car's paint spectrum; empty for what has no paint.
+    """
+
+    name: str
+    kind: str = "other"
+    paint: str = ""
+
+
+@dataclass(frozen=True)
+class Factor:
+    """One spectrum that a path of light can be multiplied by.
+
+    Attributes
+    ----------
+    material
+        Number of the material.
+    flakes
+        False for the base of the material, True for its metal flakes.
+    """
+
+    material: int
+    flakes: bool = False
+
+
+@dataclass(frozen=True, eq=False)
+class Scene:
+    """Triangles in a local frame: x east, y north, z up [m].
+
+    A scene that exists can be traced: making one checks everything, and drops triangles without area.
+
+    Attributes
+    ----------
+    name
+        Of the scene.
+    vertices
+        Shape (vertex, 3) [m].
+    faces
+        Vertices of every triangle, shape (face, 3), int64.
+    normals
+        Normals at the vertices for smooth shading, shape (vertex, 3); zero where a face is flat. Given empty,
+        all are zero.
+    face_material, face_instance
+        Number of the material and of the instance of every triangle, shape (face,), int32.
+    materials, instances
+        What the numbers mean.
+    face_part
+        Which part of a car every triangle is, a number into `PARTS`, shape (face,), int8. Given empty, all
+        are 0.
+
+    Raises
+    ------
+    SchemaError
+        Shapes do not fit, a vertex or normal is not finite, an index or number is out of range, a name is
+        empty or used twice, or the kind of an instance is unknown; all problems are listed.
+
+    Warns
+    -----
+    PaintWarning
+        Triangles without area were dropped.
+
+    Examples
+    --------
+    >>> grey = Material("grey", "panel_20", "panel")
+    >>> scene = plane(2.0, grey)
+    >>> len(scene.faces), scene.bounds.tolist()
+    (2, [[-1.0, -1.0, 0.0], [1.0, 1.0, 0.0]])
+    """
+
+    name: str
+    vertices: Floats
+    faces: NDArray[np.int64]
+    normals: Floats
+    face_material: NDArray[np.int32]
+    face_instance: NDArray[np.int32]
+    materials: tuple[Material, ...]
+    instances: tuple[Instance, ...]
+    face_part: NDArray[np.int8] = field(default_factory=lambda: np.zeros(0, np.int8))
+
+    def __post_init__(self) -> None:
+        problems = Problems(f"scene {self.name!r} cannot be used", SchemaError)
+        vertices = _array(problems, "vertices", self.vertices, np.float64, (None, 3))
+        faces = _array(problems, "faces", self.faces, np.int64, (None, 3))
+        problems.raise_if_any()  # without these two, the rest has no meaning
+        count = len(faces)
+        normals = _array(problems, "normals", self.normals, np.float64, (len(vertices), 3))
+        material = _array(problems, "face_material", self.face_material, np.int32, (count,))
+        instance = _array(problems, "face_instance", self.face_instance, np.int32, (count,))
+        part = _array(problems, "face_part", self.face_part, np.int8, (count,))
+        for name, values in (("vertices", vertices), ("normals", normals)):
+            _check_finite(problems, name, values)
+        _check_range(problems, "faces", faces, len(vertices), "vertices")
+        _check_range(problems, "face_material", material, len(self.materials), "materials")
+        _check_range(problems, "face_instance", instance, len(self.instances), "instances")
+        _check_range(problems, "face_part", part, len(PARTS), "PARTS")
+        _check_names(problems, "material", [material.name for material in self.materials])
+        _check_instances(problems, self.instances)
+        problems.raise_if_any()
+        kept = has_area(vertices, faces)
+        warn_of_dropped(self.name, kept)
+        checked: dict[str, Any] = {
+            "vertices": vertices,
+            "faces": faces[kept],
+            "normals": normals,
+            "face_material": material[kept].astype(np.int32),
+            "face_instance": instance[kept].astype(np.int32),
+            "face_part": part[kept].astype(np.int8),
+            "materials": tuple(self.materials),
+            "instances": tuple(self.instances),
+        }
+        for name, value in checked.items():
+            object.__setattr__(self, name, value)
+
+    @classmethod
+    def from_arrays(
+        cls,
+        vertices: ArrayLike,
+        faces: ArrayLike,
+        material: Material | Sequence[Material],
+        *,
+        face_material: ArrayLike | None = None,
+        normals: ArrayLike | None = None,
+        instance: Instance | str = "thing",
+        name: str = "",
+    ) -> Scene:
+        """Return a scene of one thing.
+
+        Parameters
+        ----------
+        vertices, faces, normals
+            As `Scene` has them; flat faces without ``normals``.
+        material
+            What all of it is made of, or the materials that ``face_material`` counts.
+        face_material
+            Number of the material of every triangle, shape (face,); needed with more than one material.
+        instance
+            What it is; a mere name makes an "other".
+        name
+            Of the scene; the name of the thing where it is empty.
+
+        Raises
+        ------
+        SchemaError
+            As for `Scene`, or ``face_material`` is missing.
+
+        Examples
+        --------
+        >>> corners = [[0, 0, 0], [1, 0, 0], [0, 1, 0]]
+        >>> Scene.from_arrays(corners, [[0, 1, 2]], Material("grey", "panel_20", "panel")).area.round(3)
+        array([0.5])
+        """
+        thing = Instance(instance) if isinstance(instance, str) else instance
+        materials = (material,) if isinstance(material, Material) else tuple(material)
+        count = len(np.atleast_1d(np.asarray(faces)))
+        if face_material is None:
+            if len(materials) != 1:
+                msg = (
+                    f"scene of {thing.name!r} has {len(materials)} materials and no face_material, "
+                    "expected the number of the material of every triangle; give face_material="
+                )
+                raise SchemaError(msg)
+            face_material = np.zeros(count, np.int32)
+        return cls(
+            name or thing.name,
+            np.asarray(vertices),
+            np.asarray(faces),
+            np.zeros((0, 3)) if normals is None else np.asarray(normals),
+            np.asarray(face_material),
+            np.zeros(count, np.int32),
+            materials,
+            (thing,),
+        )
+
+    @classmethod
+    def join(cls, scenes: Sequence[Scene], name: str = "scene") -> Scene:
+        """Return one scene with everything of several; equal materials become one.
+
+        Parameters
+        ----------
+        scenes
+            Their instances must have different names: see `prefixed`.
+        name
+            Of the new scene.
+
+        Raises
+        ------
+        SchemaError
+            Two different materials, or two instances, have the same name.
+
+        Examples
+        --------
+        >>> grey = Material("grey", "panel_20", "panel")
+        >>> low, high = plane(2.0, grey, instance="low"), plane(1.0, grey, instance="high")
+        >>> both = Scene.join([low, high.moved((0, 0, 1))], "steps")
+        >>> len(both.faces), len(both.materials), [one.name for one in both.instances]
+        (4, 1, ['low', 'high'])
+        """
+        materials: dict[Material, int] = {}
+        instances: list[Instance] = []
+        faces, face_material, face_instance = [], [], []
+        first = 0
+        for scene in scenes:
+            numbers = [materials.setdefault(material, len(materials)) for material in scene.materials]
+            faces.append(scene.faces + first)
+            face_material.append(np.asarray(numbers, np.int32)[scene.face_material])
+            face_instance.append(scene.face_instance + np.int32(len(instances)))
+            instances.extend(scene.instances)
+            first += len(scene.vertices)
+        return cls(
+            name,
+            np.concatenate([np.zeros((0, 3)), *(scene.vertices for scene in scenes)]),
+            np.concatenate([np.zeros((0, 3), np.int64), *faces]),
+            np.concatenate([np.zeros((0, 3)), *(scene.normals for scene in scenes)]),
+            np.concatenate([np.zeros(0, np.int32), *face_material]),
+            np.concatenate([np.zeros(0, np.int32), *face_instance]),
+            tuple(materials),
+            tuple(instances),
+            np.concatenate([np.zeros(0, np.int8), *(scene.face_part for scene in scenes)]),
+        )
+
+    @property
+    def bounds(self) -> Floats:
+        """Lowest and highest corner of its triangles, shape (2, 3) [m]; NaN where there are none."""
+        if not len(self.faces):
+            return np.full((2, 3), np.nan)
+        used = self.vertices[self.faces.reshape(-1)]
+        return np.stack([used.min(axis=0), used.max(axis=0)])
+
+    @property
+    def area(self) -> Floats:
+        """Area of every triangle, shape (face,) [m2]."""
+        return np.asarray(0.5 * np.linalg.norm(_crossed(self.vertices, self.faces), axis=1))
+
+    @property
+    def factors(self) -> tuple[Factor, ...]:
+        """Every spectrum of the scene in the order of path codes: a base for each material, then the flakes.
+
+        Examples
+        --------
+        >>> from hyperpaint.simulation.rendering.materials import Coat, Flakes
+        >>> paint = Material("paint", "silver", "paint", Coat(), Flakes(0.3))
+        >>> plane(1.0, paint).factors
+        (Factor(material=0, flakes=False), Factor(material=0, flakes=True))
+        """
+        bases = [Factor(number) for number in range(len(self.materials))]
+        flakes = [Factor(i, True) for i, material in enumerate(self.materials) if material.flakes is not None]
+        return (*bases, *flakes)
+
+    def moved(self, offset: Sequence[float] = (0.0, 0.0, 0.0), heading: float = 0.0) -> Scene:
+        """Return the scene turned about the vertical through its origin, then shifted.
+
+        Parameters
+        ----------
+        offset
+            East, north and up [m].
+        heading
+            Where its y axis points then, clockwise from north [degree].
+
+        Examples
+        --------
+        >>> arrow = Scene.from_arrays([[0, 0, 0], [0, 2, 0], [-1, 0, 0]], [[0, 1, 2]], Material("m", "grey"))
+        >>> arrow.moved((0, 0, 5), heading=90).vertices[1].round(6).tolist()
+        [2.0, 0.0, 5.0]
+        """
+        angle = np.radians(heading)
+        turn = np.array(
+            [[np.cos(angle), np.sin(angle), 0.0], [-np.sin(angle), np.cos(angle), 0.0], [0.0, 0.0, 1.0]]
+        )
+        return replace(
+            self,
+            vertices=self.vertices @ turn.T + np.asarray(offset, np.float64),
+            normals=self.normals @ turn.T,
+        )
+
+    def prefixed(self, prefix: str) -> Scene:
+        """Return the scene with ``prefix`` before the names of its instances, to join it with its like."""
+        return replace(self, instances=tuple(replace(one, name=prefix + one.name) for one in self.instances))
+
+
+def plane(
+    size: float | tuple[float, float] = 20.0,
+    material: Material | None = None,
+    *,
+    centre: Sequence[float] = (0.0, 0.0, 0.0),
+    instance: Instance | str = "ground",
+) -> Scene:
+    """Return a level rectangle that looks up, of two triangles.
+
+    Parameters
+    ----------
+    size
+        Along east and north [m].
+    material
+        Asphalt unless given.
+    centre
+        East, north and up [m].
+    instance
+        What it is.
+
+    Returns
+    -------
+    Scene
+        Of one instance.
+
+    Raises
+    ------
+    SchemaError
+        The size or centre is not finite, or the name of the instance is empty.
+
+    Examples
+    --------
+    >>> plane((4.0, 2.0)).area.sum()
+    np.float64(8.0)
+    """
+    east, north = (size, size) if isinstance(size, int | float) else size
+    corners = np.array([[-0.5, -0.5, 0.0], [0.5, -0.5, 0.0], [0.5, 0.5, 0.0], [-0.5, 0.5, 0.0]])
+    vertices = corners * (east, north, 1.0) + np.asarray(centre, np.float64)
+    thing = (
+        Instance(instance, "ground" if instance == "ground" else "other")
+        if isinstance(instance, str)
+        else instance
+    )
+    made_of = material or Material("asphalt", "asphalt", "asphalt")
+    return Scene.from_arrays(vertices, [[0, 1, 2], [0, 2, 3]], made_of, instance=thing)
+
+
+def box(
+    size: Sequence[float],
+    material: Material,
+    *,
+    centre: Sequence[float] = (0.0, 0.0, 0.0),
+    instance: Instance | str = "box",
+) -> Scene:
+    """Return a closed box with faces that look outwards, of twelve triangles.
+
+    Parameters
+    ----------
+    size
+        Along east, north and up [m].
+    material
+        What it is made of.
+    centre
+        Of its foot: east, north and up [m].
+    instance
+        What it is.
+
+    Returns
+    -------
+    Scene
+        Of one instance.
+
+    Raises
+    ------
+    SchemaError
+        As for `plane`.
+
+    Examples
+    --------
+    >>> box((1.0, 2.0, 3.0), Material("brick", "brick", "wall")).area.sum()
+    np.float64(22.0)
+    """
+    corners = np.array([[x, y, z] for z in (0.0, 1.0) for y in (-0.5, 0.5) for x in (-0.5, 0.5)])
+    quads = [[0, 2, 3, 1], [4, 5, 7, 6], [0, 1, 5, 4], [1, 3, 7, 5], [3, 2, 6, 7], [2, 0, 4, 6]]
+    faces = [[quad[i] for i in corner] for quad in quads for corner in ((0, 1, 2), (0, 2, 3))]
+    vertices = corners * np.asarray(size, np.float64) + np.asarray(centre, np.float64)
+    return Scene.from_arrays(vertices, faces, material, instance=instance)
+
+
+def _array(
+    problems: Problems, name: str, values: object, dtype: type, shape: tuple[int | None, ...]
+) -> NDArray[Any]:
+    """Return ``values`` as an array of ``dtype``; an empty one becomes zeros where the length is known."""
+    found = np.asarray(values)
+    if found.size == 0 and shape[0] is not None:
+        return np.zeros([length or 0 for length in shape], dtype)
+    wanted = " x ".join("any" if length is None else str(length) for length in shape)
+    if found.ndim != len(shape) or any(
+        w is not None and w != f for w, f in zip(shape, found.shape, strict=True)
+    ):
+        problems.add(f"{name} have the shape {found.shape}, expected {wanted}")
+    elif found.dtype.kind not in ("iu" if np.issubdtype(dtype, np.integer) else "iuf"):
+        problems.add(f"{name} are {found.dtype}, expected numbers as {np.dtype(dtype)} holds them")
+    else:
+        # whole numbers stay wide until their range has been looked at
+        return found.astype(np.int64 if np.issubdtype(dtype, np.integer) else np.float64)
+    return np.zeros([length or 0 for length in shape], dtype)
+
+
+def _check_finite(problems: Problems, name: str, values: NDArray[Any]) -> None:
+    bad = np.flatnonzero(~np.isfinite(values).all(axis=1))
+    if len(bad):
+        where = ", ".join(str(index) for index in bad[:5])
+        more = ", ..." if len(bad) > 5 else ""
+        problems.add(
+            f"{name} {where}{more} ({len(bad)} of {len(values)}) are not finite; mend or remove them"
+        )
+
+
+def _check_range(problems: Problems, name: str, numbers: NDArray[Any], count: int, of: str) -> None:
+    if numbers.size and (numbers.min() < 0 or numbers.max() >= count):
+        problems.add(
+            f"{name} hold numbers from {numbers.min()} to {numbers.max()}, but there are {count} {of}, "
+            f"counted from 0"
+        )
+
+
+def _check_instances(problems: Problems, instances: Sequence[Instance]) -> None:
+    _check_names(problems, "instance", [instance.name for instance in instances])
+    for instance in instances:
+        if instance.kind not in INSTANCE_KINDS:
+            expected = _one_of(INSTANCE_KINDS)
+            problems.add(f"instance {instance.name!r} is of the kind {instance.kind!r}, expected {expected}")
+
+
+def _check_names(problems: Problems, what: str, names: Sequence[str]) -> None:
+    if "" in names:
+        problems.add(f"{what} {names.index('')} has an empty name")
+    if len(set(names)) < len(names):
+        twice = sorted(name for name, count in Counter(names).items() if count > 1)
+        problems.add(f"{what} names used for more than one: {', '.join(twice[:5])}; names must differ")
+
+
+def _one_of(names: Sequence[str]) -> str:
+    return "one of " + ", ".join(names)
+
+
+def _crossed(vertices: Floats, faces: NDArray[np.int64]) -> Floats:
+    a, b, c = (vertices[faces[:, corner]] for corner in range(3))
+    return np.asarray(np.cross(b - a, c - a))
+
+
+def has_area(vertices: Floats, faces: NDArray[np.int64]) -> NDArray[np.bool_]:
+    """Return which triangles have an area, shape (face,): are not so thin that they have no direction."""
+    edges = vertices[faces] - vertices[np.roll(faces, 1, axis=1)]
+    longest = (edges**2).sum(axis=2).max(axis=1)
+    return np.asarray(np.linalg.norm(_crossed(vertices, faces), axis=1) > _SMALLEST_SHAPE * longest)
+
+
+def warn_of_dropped(name: str, kept: NDArray[np.bool_]) -> None:
+    """Warn where triangles of a scene without area are dropped."""
+    if not kept.all():
+        dropped = int((~kept).sum())
+        warnings.warn(
+            f"scene {name!r}: {dropped} of {len(kept)} triangles have no area and were dropped",
+            PaintWarning,
+            stacklevel=4,
+        )

@@ -1,0 +1,264 @@
+"""What a traced dataset keeps of its scene and of how it was traced: text in its attributes."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hyperpaint.errors import Problems, SchemaError
+
+from .materials import KINDS, Coat, Flakes, Material
+from .path_codes import MOST_SUNS, PathCodes
+from .scene import Factor, Instance, Scene
+
+__all__ = ["MOST_SAMPLES", "SceneRecord", "TraceSettings", "sun_vectors"]
+
+Floats = NDArray[np.float64]
+
+MOST_SAMPLES = 1 << 14
+"""Paths of a pixel that are taken."""
+
+_MOST_SLOTS = 4096
+
+
+@dataclass(frozen=True)
+class TraceSettings:
+    """How a scene is traced.
+
+    Attributes
+    ----------
+    suns
+        Zenith and azimuth, clockwise from north, of every sun [degree].
+    samples
+        Paths of a pixel.
+    depth
+        Most scatterings of a path.
+    seed
+        Of the random numbers.
+    slots
+        Different paths that a pixel can hold; None for as many as nearly all pixels of a car park have.
+    overcast
+        Also record the sky of radiance proportional to the cosine of the zenith angle.
+    sun_radius
+        Angular radius of the suns [degree]; 0 for points.
+
+    Raises
+    ------
+    SchemaError
+        Something is out of range; all problems are listed.
+    """
+
+    suns: tuple[tuple[float, float], ...]
+    samples: int = 64
+    depth: int = 4
+    seed: int = 0
+    slots: int | None = None
+    overcast: bool = False
+    sun_radius: float = 0.0
+
+    def __post_init__(self) -> None:
+        problems = Problems("the scene cannot be traced", SchemaError)
+        if not 1 <= len(self.suns) <= MOST_SUNS:
+            problems.add(f"{len(self.suns)} suns, expected 1 to {MOST_SUNS}")
+        for number, sun in enumerate(self.suns):
+            if len(sun) != 2 or not all(np.isfinite(sun)):
+                problems.add(f"sun {number} is {sun!r}, expected (zenith, azimuth) in degrees")
+            elif not 0.0 <= sun[0] < 90.0:
+                problems.add(f"sun {number} has zenith {sun[0]:g}, expected 0 to below 90 degrees")
+        for name, low, high in (
+            ("samples", 1, MOST_SAMPLES),
+            ("depth", 1, 32),
+            ("seed", 0, 2**63 - 1),
+            ("slots", 1, _MOST_SLOTS),
+        ):
+            value = getattr(self, name)
+            if name == "slots" and value is None:
+                continue
+            if isinstance(value, bool) or not isinstance(value, int | np.integer):
+                problems.add(f"{name}={value!r}, expected a whole number")
+            elif not low <= value <= high:
+                problems.add(f"{name}={value}, expected {low} to {high}")
+        if not (np.isfinite(self.sun_radius) and 0.0 <= self.sun_radius < 45.0):
+            problems.add(f"sun_radius={self.sun_radius!r}, expected degrees from 0 to below 45")
+        problems.raise_if_any()
+
+    @property
+    def slot_count(self) -> int:
+        """Slots of a pixel.
+
+        In car parks 24 for each source, times the square root of samples / 64, hold all paths of nine pixels
+        in ten; what the rest lose adds 0.1 to 0.3 % (r.m.s.) to an image's noise.
+        """
+        if self.slots is not None:
+            return self.slots
+        sources = len(self.suns) + 1 + self.overcast
+        return min(_MOST_SLOTS, max(16, 8 * math.ceil(3 * sources * math.sqrt(self.samples / 64))))
+
+    @classmethod
+    def of(cls, suns: Any, **settings: Any) -> TraceSettings:
+        """Return the settings for suns given in any sequence.
+
+        Raises
+        ------
+        SchemaError
+            The suns are no pairs of numbers, or something is out of range.
+        """
+        try:
+            directions = tuple(tuple(float(angle) for angle in sun) for sun in suns)
+        except (TypeError, ValueError):
+            msg = f"suns={suns!r}, expected a list of (zenith, azimuth) in degrees"
+            raise SchemaError(msg) from None
+        return cls(directions, **settings)  # type: ignore[arg-type]
+
+
+def sun_vectors(suns: Any) -> Floats:
+    """Return unit vectors (sun, 3) towards suns given by zenith and azimuth [degree]: east, north, up.
+
+    Examples
+    --------
+    >>> sun_vectors([(90.0, 90.0), (0.0, 0.0)]).round(12)
+    array([[1., 0., 0.],
+           [0., 0., 1.]])
+    """
+    zenith, azimuth = np.radians(np.asarray(suns, np.float64).reshape(-1, 2)).T
+    return np.stack(
+        [np.sin(zenith) * np.sin(azimuth), np.sin(zenith) * np.cos(azimuth), np.cos(zenith)], axis=1
+    )
+
+
+@dataclass(frozen=True)
+class SceneRecord:
+    """A scene without its geometry.
+
+    Attributes
+    ----------
+    name
+        Of the scene.
+    materials, instances
+        What the numbers of the label layers mean.
+    members
+        Materials of every instance.
+    factors
+        What the digits of path codes mean.
+    """
+
+    name: str
+    materials: tuple[Material, ...]
+    instances: tuple[Instance, ...]
+    members: tuple[tuple[int, ...], ...]
+    factors: tuple[Factor, ...]
+
+    @classmethod
+    def of(cls, scene: Scene) -> SceneRecord:
+        """Return what is kept of a scene."""
+        count = len(scene.materials)
+        pairs = np.unique(scene.face_instance.astype(np.int64) * count + scene.face_material)
+        members: list[list[int]] = [[] for _ in scene.instances]
+        for pair in pairs.tolist():
+            members[pair // count].append(pair % count)
+        return cls(scene.name, scene.materials, scene.instances, tuple(map(tuple, members)), scene.factors)
+
+    def to_attrs(self, settings: TraceSettings) -> dict[str, Any]:
+        """Return attributes of a traced dataset, of text and numbers only."""
+        instances = [
+            {**asdict(instance), "materials": list(members)}
+            for instance, members in zip(self.instances, self.members, strict=True)
+        ]
+        return {
+            "scene": self.name,
+            "materials": json.dumps([asdict(material) for material in self.materials]),
+            "instances": json.dumps(instances),
+            "factors": json.dumps([asdict(factor) for factor in self.factors]),
+            "suns": json.dumps(settings.suns),
+            "samples": int(settings.samples),
+            "depth": int(settings.depth),
+            "seed": int(settings.seed),
+            "overcast": int(settings.overcast),
+            "sun_radius": float(settings.sun_radius),
+        }
+
+    @classmethod
+    def from_attrs(cls, attrs: Mapping[Any, Any]) -> tuple[SceneRecord, TraceSettings]:
+        """Return what `to_attrs` was given.
+
+        Raises
+        ------
+        SchemaError
+            Attributes are missing or damaged; all are listed.
+        """
+        problems = Problems("this is no traced dataset (see hyperpaint.trace)", SchemaError)
+        texts = {
+            name: _parsed(attrs, name, problems) for name in ("materials", "instances", "factors", "suns")
+        }
+        for name in ("samples", "depth", "seed", "overcast"):
+            if not isinstance(attrs.get(name), int | np.integer):
+                problems.add(f"attribute {name!r} is {attrs.get(name)!r}, expected a whole number")
+        problems.raise_if_any()
+        try:
+            materials = tuple(map(_material, texts["materials"]))
+            members = tuple(tuple(map(int, each.pop("materials"))) for each in texts["instances"])
+            instances = tuple(Instance(**each) for each in texts["instances"])
+            factors = tuple(Factor(**each) for each in texts["factors"])
+            record = cls(str(attrs.get("scene", "")), materials, instances, members, factors)
+            record._check_numbers()
+            settings = TraceSettings.of(
+                texts["suns"],
+                samples=int(attrs["samples"]),
+                depth=int(attrs["depth"]),
+                seed=int(attrs["seed"]),
+                overcast=bool(attrs["overcast"]),
+                sun_radius=float(attrs.get("sun_radius", 0.0)),
+            )
+        except (TypeError, KeyError, IndexError, AttributeError, ValueError) as error:
+            msg = f"this is no traced dataset (see hyperpaint.trace): its attributes are damaged ({error})"
+            raise SchemaError(msg) from error
+        return record, settings
+
+    def _check_numbers(self) -> None:
+        for number in (*(factor.material for factor in self.factors), *(n for m in self.members for n in m)):
+            self.materials[number]
+
+    def codes(self, settings: TraceSettings) -> PathCodes:
+        """Return how the codes of the trace are read."""
+        return PathCodes.of(len(self.factors), settings.depth)
+
+    @property
+    def kinds(self) -> NDArray[np.int16]:
+        """Number of the semantic class of every material."""
+        return np.array([KINDS.index(material.kind) for material in self.materials], np.int16)
+
+    @property
+    def is_car(self) -> NDArray[np.bool_]:
+        """True for every instance that is a car."""
+        return np.array([instance.kind == "car" for instance in self.instances], bool)
+
+
+def _parsed(attrs: Mapping[Any, Any], name: str, problems: Problems) -> list[Any]:
+    try:
+        found = json.loads(attrs[name])
+    except KeyError:
+        problems.add(f"attribute {name!r} is missing")
+    except (TypeError, ValueError, RecursionError):
+        problems.add(f"attribute {name!r} is no JSON text")
+    else:
+        if isinstance(found, list) and found:
+            return found
+        problems.add(f"attribute {name!r} holds no list")
+    return []
+
+
+def _material(fields: dict[str, Any]) -> Material:
+    coat, flakes = fields.get("coat"), fields.get("flakes")
+    return Material(
+        **{
+            **fields,
+            "coat": None if coat is None else Coat(**coat),
+            "flakes": None if flakes is None else Flakes(**flakes),
+        }
+    )

@@ -1,0 +1,423 @@
+"""From a scene to the weights of its paths of light, lazily, block of lines by block of lines.
+
+Nothing here knows a spectrum: `relighting` brings them in. A pixel's random numbers follow from the seed and
+its place in the flight line alone, so that blocks, threads and machines change no bit.
+"""
+
+from __future__ import annotations
+
+import pickle
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hyperpaint.errors import SchemaError
+from hyperpaint.schema import (
+    ALONG_TRACK,
+    CHUNK_LINES,
+    CROSS_TRACK,
+    FORMAT_VERSION,
+    SLOT,
+    SUN,
+    VARIABLES,
+    dtype_of,
+    label,
+)
+
+from .four_curves import Atmosphere, preset_atmosphere
+from .path_codes import PathCodes
+from .scene_record import SceneRecord, TraceSettings, sun_vectors
+from .truth_layers import LabelTables
+
+if TYPE_CHECKING:
+    import dask.array as da
+    import xarray as xr
+
+    from hyperpaint.kernels.transport.hierarchy import Geometry
+    from hyperpaint.kernels.transport.paths import Block, Sources
+    from hyperpaint.kernels.transport.surfaces import Surfaces
+
+    from .platforms import Platform
+    from .scene import Scene
+
+__all__ = ["PreparedScene", "prepare_scene", "trace", "trace_block"]
+
+Array = NDArray[Any]
+Sun = tuple[float, float] | Atmosphere | str
+
+
+class PreparedScene(NamedTuple):
+    """A scene as the kernel takes it; made once, shared by all tasks.
+
+    Attributes
+    ----------
+    geometry, surfaces, sources
+        Arrays of the kernel.
+    codes
+        How paths are numbered.
+    settings
+        How the scene is traced.
+    labels
+        What follows from the number of a material or an instance.
+    """
+
+    geometry: Geometry
+    surfaces: Surfaces
+    sources: Sources
+    codes: PathCodes
+    settings: TraceSettings
+    labels: LabelTables
+
+
+def prepare_scene(scene: Scene, settings: TraceSettings) -> PreparedScene:
+    """Sort a scene's triangles for rays, and gather what is known of its surfaces.
+
+    Parameters
+    ----------
+    scene
+        What is seen.
+    settings
+        How it is traced.
+
+    Raises
+    ------
+    SchemaError
+        There are too many spectra for the depth.
+    """
+    from hyperpaint.kernels.transport.hierarchy import build_geometry
+    from hyperpaint.kernels.transport.paths import Sources
+
+    record = SceneRecord.of(scene)
+    geometry = build_geometry(
+        scene.vertices, scene.faces, scene.normals, scene.face_material, scene.face_instance
+    )
+    radius = np.full(len(settings.suns), np.radians(settings.sun_radius))
+    sources = Sources(sun_vectors(settings.suns), radius, settings.overcast)
+    labels = LabelTables.of(record)
+    return PreparedScene(geometry, _surfaces(record), sources, record.codes(settings), settings, labels)
+
+
+def _surfaces(record: SceneRecord) -> Surfaces:
+    from hyperpaint.kernels.transport.surfaces import Surfaces, internal_reflectance
+
+    coats = [material.coat for material in record.materials]
+    flakes = [material.flakes for material in record.materials]
+    index = np.array([0.0 if coat is None else coat.index for coat in coats])
+    base_factor = np.full(len(coats), -1, np.int32)
+    flake_factor = np.full(len(coats), -1, np.int32)
+    for number, factor in enumerate(record.factors):
+        (flake_factor if factor.flakes else base_factor)[factor.material] = number
+    internal = np.zeros(len(coats))
+    internal[index > 0] = internal_reflectance(index[index > 0])
+    return Surfaces(
+        index,
+        np.array([1.0 if coat is None else coat.roughness for coat in coats]),
+        internal,
+        np.array([0.0 if flake is None else flake.share for flake in flakes]),
+        np.array([1.0 if flake is None else flake.roughness for flake in flakes]),
+        base_factor,
+        flake_factor,
+    )
+
+
+def trace_block(prepared: PreparedScene, platform: Platform, start: int, stop: int) -> Block:
+    """Trace the lines from ``start`` to before ``stop``, now.
+
+    Parameters
+    ----------
+    prepared
+        From `prepare_scene`.
+    platform
+        The whole flight line.
+    start, stop
+        Lines.
+
+    Returns
+    -------
+    Block
+        Arrays of these lines; see `hyperpaint.kernels.transport.paths.Block`.
+    """
+    here = slice(start, stop)
+    edges = platform.column_edges, platform.along_edges
+    return _trace_rays(prepared, platform.origin[here], platform.rotation[here], edges, start)
+
+
+def _trace_rays(
+    prepared: PreparedScene, origin: Array, rotation: Array, edges: tuple[Array, Array], first_line: int
+) -> Block:
+    from hyperpaint.kernels.transport.paths import Rays, trace_lines
+
+    settings = prepared.settings
+    block = _empty_block(len(origin), edges[0].size - 1, settings)
+    trace_lines(
+        prepared.geometry,
+        prepared.surfaces,
+        prepared.sources,
+        Rays(origin, rotation, *edges),
+        first_line,
+        settings.samples,
+        settings.depth,
+        prepared.codes.digit_bits,
+        settings.seed,
+        block,
+    )
+    return block
+
+
+def _empty_block(lines: int, columns: int, settings: TraceSettings) -> Block:
+    from hyperpaint.kernels.transport.paths import Block
+
+    paths, pixels = (lines, settings.slot_count, columns), (lines, columns)
+    suns = (lines, len(settings.suns), columns)
+    return Block(
+        weight=np.empty(paths, np.float32),
+        code=np.empty(paths, np.int64),
+        material=np.empty(pixels, np.int32),
+        instance=np.empty(pixels, np.int32),
+        purity=np.empty(pixels, np.float32),
+        distance=np.empty(pixels, np.float32),
+        position=np.empty((lines, 3, columns), np.float64),
+        sun_visibility=np.empty(suns, np.float32),
+        incidence=np.empty(suns, np.float32),
+    )
+
+
+def trace(
+    scene: Scene,
+    platform: Platform,
+    suns: Sequence[Sun] | Sun = ("noon",),
+    *,
+    samples: int = 64,
+    depth: int = 4,
+    seed: int = 0,
+    slots: int | None = None,
+    overcast: bool = False,
+    sun_radius: float = 0.0,
+    chunk_lines: int = CHUNK_LINES,
+) -> xr.Dataset:
+    r"""Trace the paths of light through a scene, without their spectra.
+
+    What comes out serves any paints, atmosphere and camera response (`hyperpaint.relight`), without tracing
+    again: only geometry, sun directions and coats are fixed. Store it with `hyperpaint.to_store`.
+
+    Parameters
+    ----------
+    scene
+        What is seen.
+    platform
+        Where the camera flies and looks.
+    suns
+        Directions from which direct light may come, at most 6: (zenith, azimuth clockwise from north)
+        [degree], an `Atmosphere`, or the name of a preset one ("noon", "near_sunset", "cloudy"). Equal ones
+        are traced once.
+    samples
+        Paths of a pixel, spread over its footprint and the exposure.
+    depth
+        Most scatterings of a path.
+    seed
+        The same seed gives the same bits, whatever the chunks and the scheduler.
+    slots
+        Different paths that a pixel holds; by default 24 for each sun and sky at 64 samples, and more with
+        their square root. Where there are more, the heaviest are kept as they are and the others are
+        represented by some of them, drawn without bias: too few slots are seen as noise.
+    overcast
+        Also record a sky of radiance proportional to the cosine of the zenith angle, for atmospheres with
+        an ``overcast_share``; such an atmosphere among ``suns`` asks for it too.
+    sun_radius
+        Angular radius of the suns [degree], 0.267 for the sun; 0 for a point, whose shadows are sharp.
+    chunk_lines
+        Lines of a dask chunk, which is one task.
+
+    Returns
+    -------
+    Dataset
+        Lazy. ``transport_weight`` and ``transport_path`` (along_track, slot, cross_track); labels
+        ``material``, ``instance``, ``surface_class``, ``paint_id`` and ``car_id``, ``purity``, ``distance``
+        and the position ``east``, ``north``, ``up`` (along_track, cross_track) [m]; ``sun_visibility`` and
+        ``sun_incidence`` (along_track, sun, cross_track). Attributes say what numbers mean.
+
+    Raises
+    ------
+    SchemaError
+        Settings are out of range, or there are too many spectra for ``depth``; all are listed.
+
+    Notes
+    -----
+    The radiance of a pixel is
+
+    .. math:: L(\lambda) = \sum_p w_p \frac{E_{s(p)}(\lambda)}{\pi} \prod_{f \in p} \rho'_f(\lambda)
+
+    with weights :math:`w_p` that do not depend on wavelength, as coats have one refractive index.
+
+    Examples
+    --------
+    >>> from hyperpaint.simulation.rendering.platforms import pushbroom
+    >>> from hyperpaint.simulation.rendering.scene import plane
+    >>> traced = trace(plane(100.0), pushbroom(64, 8), [(30.0, 180.0)], samples=4)
+    >>> dict(traced.sizes)
+    {'along_track': 64, 'slot': 16, 'cross_track': 8, 'sun': 1}
+    """
+    directions, overcast_light = _directions(suns)
+    settings = TraceSettings.of(
+        directions,
+        samples=samples,
+        depth=depth,
+        seed=seed,
+        slots=slots,
+        overcast=bool(overcast) or overcast_light,
+        sun_radius=sun_radius,
+    )
+    if isinstance(chunk_lines, bool) or not isinstance(chunk_lines, int) or chunk_lines < 1:
+        msg = f"chunk_lines={chunk_lines!r}, expected a whole number above 0"
+        raise SchemaError(msg)
+    record = SceneRecord.of(scene)
+    record.codes(settings)  # whether they fit is said now, not in a task
+    arrays = _lazy_arrays(scene, platform, settings, chunk_lines)
+    return _labelled(arrays, record, platform, settings)
+
+
+def _directions(suns: Any) -> tuple[Any, bool]:
+    """Return the different directions of suns, and whether an atmosphere among them is overcast."""
+    if isinstance(suns, str | Atmosphere):
+        suns = [suns]
+    if not isinstance(suns, list | tuple):
+        return suns, False
+    lights = [preset_atmosphere(sun) if isinstance(sun, str) else sun for sun in suns]
+    named = [light for light in lights if isinstance(light, Atmosphere)]
+    made = [
+        (light.sun_zenith, light.sun_azimuth) if isinstance(light, Atmosphere) else light for light in lights
+    ]
+    different = [sun for place, sun in enumerate(made) if sun not in made[:place]]
+    return different, any(light.overcast_share > 0 for light in named)
+
+
+#: Variable to its dims, one letter each: line, slot, sun (u), column (x).
+_LAYOUT = {
+    "transport_weight": "lsx",
+    "transport_path": "lsx",
+    "material": "lx",
+    "instance": "lx",
+    "surface_class": "lx",
+    "paint_id": "lx",
+    "car_id": "lx",
+    "purity": "lx",
+    "distance": "lx",
+    "east": "lx",
+    "north": "lx",
+    "up": "lx",
+    "sun_visibility": "lux",
+    "sun_incidence": "lux",
+}
+_DIMS = {"l": ALONG_TRACK, "s": SLOT, "u": SUN, "x": CROSS_TRACK}
+
+
+def _lazy_arrays(
+    scene: Scene, platform: Platform, settings: TraceSettings, chunk_lines: int
+) -> dict[str, da.Array]:
+    """Return every variable as a dask array; one task a block makes all."""
+    import dask
+    import dask.array as da
+
+    # the scene is one node of the graph, prepared once; every task holds the poses of its lines only
+    name = f"scene-{dask.base.tokenize(scene)}"
+    packed = dask.delayed(_packed(scene), name=name, traverse=False)
+    prepared = dask.delayed(_prepare_packed, pure=True)(packed, settings)
+    blocks = da.blockwise(
+        _trace_task,
+        "l",
+        da.from_array(_poses(platform), chunks=chunk_lines),
+        "l",
+        prepared,
+        None,
+        edges=(platform.column_edges, platform.along_edges),
+        dtype=object,
+        meta=np.empty(0, object),
+    )
+    sizes = {"s": settings.slot_count, "u": len(settings.suns), "x": platform.columns}
+    return {
+        name: da.blockwise(
+            _part_of,
+            dims,
+            blocks,
+            "l",
+            part=name,
+            new_axes={dim: sizes[dim] for dim in dims[1:]},
+            dtype=dtype_of(name),
+            meta=np.empty((0,) * len(dims), dtype_of(name)),
+        )
+        for name, dims in _LAYOUT.items()
+    }
+
+
+def _packed(scene: Scene) -> bytes:
+    """Return a scene for the graph, at a third of its size: dask warns where a graph is sent above 10 MB."""
+    from numcodecs.blosc import SHUFFLE, Blosc
+
+    return bytes(Blosc("lz4", 5, SHUFFLE, typesize=8).encode(pickle.dumps(scene, protocol=5)))
+
+
+def _prepare_packed(packed: bytes, settings: TraceSettings) -> PreparedScene:
+    from numcodecs.blosc import Blosc
+
+    return prepare_scene(pickle.loads(Blosc().decode(packed)), settings)
+
+
+def _poses(platform: Platform) -> Array:
+    """Return number, origin and rotation of every line in one structured array, shape (line,)."""
+    made = np.empty(platform.lines, [("line", "i8"), ("origin", "f8", (2, 3)), ("rotation", "f8", (2, 3, 3))])
+    made["line"] = np.arange(platform.lines)
+    made["origin"], made["rotation"] = platform.origin, platform.rotation
+    return made
+
+
+def _trace_task(poses: Array, prepared: PreparedScene, edges: tuple[Array, Array]) -> dict[str, Array]:
+    """Return all variables of a block of lines."""
+    block = _trace_rays(prepared, poses["origin"], poses["rotation"], edges, int(poses["line"][0]))
+    east, north, up = (np.ascontiguousarray(block.position[:, axis]) for axis in range(3))
+    return {
+        "transport_weight": block.weight,
+        "transport_path": block.code,
+        "material": block.material,
+        "instance": block.instance,
+        "purity": block.purity,
+        "distance": block.distance,
+        "east": east,
+        "north": north,
+        "up": up,
+        "sun_visibility": block.sun_visibility,
+        "sun_incidence": block.incidence,
+        **prepared.labels.layers(block.material, block.instance),
+    }
+
+
+def _part_of(block: dict[str, Array], part: str) -> Array:
+    return block[part]
+
+
+def _labelled(
+    arrays: dict[str, da.Array], record: SceneRecord, platform: Platform, settings: TraceSettings
+) -> xr.Dataset:
+    import xarray as xr
+
+    labels = LabelTables.of(record)
+    utc = platform.utc.astype("datetime64[ns]")
+    coords = {
+        "time": (ALONG_TRACK, utc),
+        "sun_zenith": (SUN, np.array([zenith for zenith, _ in settings.suns], np.float64)),
+        "sun_azimuth": (SUN, np.array([azimuth for _, azimuth in settings.suns], np.float64)),
+    }
+    made = xr.Dataset(
+        {name: ([_DIMS[dim] for dim in _LAYOUT[name]], array) for name, array in arrays.items()},
+        {name: (dims, values, VARIABLES[name].attrs) for name, (dims, values) in coords.items()},
+        {
+            "hyperpaint_format": FORMAT_VERSION,
+            "name": record.name,
+            **record.to_attrs(settings),
+            "time_coverage_start": str(utc.min()),
+            "time_coverage_end": str(utc.max()),
+        },
+    )
+    named = {name: label(made[name], name, **labels.attrs(name)) for name in arrays}
+    return made.assign(named)

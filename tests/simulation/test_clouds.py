@@ -1,0 +1,99 @@
+"""Clouds: amount, colour, where the light comes from, and what a path adds under them."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.testing import assert_allclose
+
+from hyperpaint.errors import SchemaError
+from hyperpaint.simulation.rendering.clouds import CIE_OVERCAST_SHARE, cloud_factor, cloud_transmittance
+from hyperpaint.simulation.rendering.four_curves import Atmosphere
+
+GRID = np.arange(380.0, 1020.0, 2.0)
+CLEAR = Atmosphere.clear(40.0, wavelength=GRID)
+
+
+def test_amount_of_kasten_and_czeplak() -> None:
+    # 1 - 0.75 (N/8)^3.4 by hand
+    for oktas, left in ((0, 1.0), (4, 0.92895), (6, 0.71800), (8, 0.25)):
+        assert cloud_factor(oktas) == pytest.approx(left, abs=1e-4)
+
+
+def test_colour_of_an_overcast_sky() -> None:
+    # the prototype's figures; the ratio at 490 nm is the cloud factor itself
+    found = cloud_transmittance(np.array([400.0, 490.0, 700.0, 1000.0]), 8)
+    assert_allclose(found, [0.306, 0.250, 0.216, 0.208], atol=5e-4)
+    # the printed coefficients, a(CF) = 0.76 + 0.24 CF and b(CF) = 0.24 (1 - CF)
+    factor = cloud_factor(6)
+    expected = factor * (0.76 + 0.24 * factor + 0.24 * (1.0 - factor) * (GRID / 490.0) ** -4)
+    assert_allclose(cloud_transmittance(GRID, 6), expected, rtol=1e-12)
+
+
+def test_grey_clouds_have_no_colour() -> None:
+    assert_allclose(cloud_transmittance(GRID, 8, colour=0.0), 0.25, rtol=1e-14)
+
+
+@given(st.floats(0.0, 8.0), st.floats(0.0, 85.0))
+@settings(max_examples=30, deadline=None)
+def test_light_is_split_and_never_negative(oktas: float, zenith: float) -> None:
+    clear = Atmosphere.clear(zenith, wavelength=GRID)
+    cloudy = clear.clouded(oktas)
+    assert_allclose(cloudy.sun, clear.sun * (1.0 - oktas / 8.0), rtol=1e-12, atol=1e-18)
+    assert_allclose(cloudy.irradiance, clear.irradiance * cloud_transmittance(GRID, oktas), rtol=1e-12)
+    assert (cloudy.sky >= 0.0).all()
+    assert (cloudy.path_radiance >= 0.0).all()
+
+
+def test_no_clouds_change_nothing() -> None:
+    same = CLEAR.clouded(0)
+    for name in ("sun", "sky", "extinction", "path_radiance"):
+        assert_allclose(getattr(same, name), getattr(CLEAR, name), rtol=1e-12)
+    assert same.overcast_share == 0.0
+
+
+def test_eight_oktas_leave_no_sun_and_a_cie_sky() -> None:
+    overcast = CLEAR.clouded(8)
+    assert (overcast.sun == 0.0).all()
+    assert overcast.overcast_share == CIE_OVERCAST_SHARE
+    assert overcast.name == "clear, 8 oktas"
+    blue, red = np.searchsorted(GRID, [450.0, 700.0])
+    assert (
+        overcast.irradiance[blue] / overcast.irradiance[red] > CLEAR.irradiance[blue] / CLEAR.irradiance[red]
+    )
+
+
+def test_the_two_parts_are_the_cie_overcast_sky() -> None:
+    cosine = (np.arange(100_000) + 0.5) / 100_000
+    cie = (1.0 + 2.0 * cosine) / 3.0  # zenith radiance 1
+    level = 2.0 * np.pi * np.mean(cie * cosine)
+    assert level == pytest.approx(7.0 * np.pi / 9.0, rel=1e-8)
+    share = CIE_OVERCAST_SHARE
+    parts = (1.0 - share) * level / np.pi + share * 1.5 * cosine * level / np.pi
+    assert_allclose(parts, cie, rtol=1e-8)
+
+
+def test_a_path_adds_in_proportion_where_the_haze_is_not_known() -> None:
+    given_curves = Atmosphere(
+        GRID, CLEAR.sun, CLEAR.sky, CLEAR.extinction, CLEAR.path_radiance, 40.0, 180.0, name="table"
+    )
+    overcast = given_curves.clouded(8)
+    light = overcast.sky * 2.0 / (CLEAR.sun + 2.0 * CLEAR.sky)
+    assert_allclose(overcast.path_radiance, CLEAR.path_radiance * light, rtol=1e-12)
+    dark = Atmosphere(GRID, 0 * GRID, 0 * GRID, 0 * GRID, 0 * GRID, 40.0, 180.0).clouded(8)
+    assert (dark.path_radiance == 0.0).all()
+
+
+@pytest.mark.parametrize("oktas", [-1, 8.5, np.nan])
+def test_there_are_no_such_oktas(oktas: float) -> None:
+    with pytest.raises(SchemaError, match="oktas"):
+        CLEAR.clouded(oktas)
+    with pytest.raises(SchemaError, match="oktas"):
+        cloud_factor(oktas)
+
+
+def test_all_problems_at_once() -> None:
+    with pytest.raises(SchemaError, match=r"(?s)oktas.*colour"):
+        CLEAR.clouded(9, colour=-1.0)

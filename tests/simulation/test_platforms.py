@@ -1,0 +1,194 @@
+"""Platforms: where rays start and where they look, against geometry done by hand and by scipy."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation, Slerp
+
+from hyperpaint.errors import SchemaError
+from hyperpaint.simulation.rendering.platforms import Platform, platform_from_poses, pushbroom
+
+NED_TO_ENU = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
+ANGLE = st.floats(-80.0, 80.0)
+
+
+def ground_of(platform: Platform, along: float, across: float, moment: int = 0) -> np.ndarray:
+    """Return where the ray (along, across, 1) of every line meets z = 0."""
+    direction = platform.rotation[:, moment] @ np.array([along, across, 1.0])
+    origin = platform.origin[:, moment]
+    return origin - direction * (origin[:, 2:] / direction[:, 2:])
+
+
+def test_a_level_flight_north_looks_down_with_columns_to_the_east() -> None:
+    flight = pushbroom(5, 4, altitude=10.0, ground_sample=0.1, exposure_time=0.0)
+    assert flight.origin.dtype == flight.rotation.dtype == np.float64
+    assert flight.time.dtype == np.int64
+    assert flight.time.tolist() == [0, 7_000_000, 14_000_000, 21_000_000, 28_000_000]
+    np.testing.assert_allclose(flight.position[:, 1], [-0.2, -0.1, 0.0, 0.1, 0.2], atol=1e-12)
+    left, right = (ground_of(flight, 0.0, edge) for edge in flight.column_edges[[0, -1]])
+    np.testing.assert_allclose(left[:, 0], -0.2, atol=1e-12)
+    np.testing.assert_allclose(right[:, 0], 0.2, atol=1e-12)
+    near, far = (ground_of(flight, edge, 0.0) for edge in flight.along_edges)
+    np.testing.assert_allclose((far - near)[:, 1], 0.1, atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("heading", "ahead", "right"), [(0, (0, 1), (1, 0)), (90, (1, 0), (0, -1)), (225, (-1, -1), (-1, 1))]
+)
+def test_headings_turn_clockwise(heading: float, ahead: tuple[int, int], right: tuple[int, int]) -> None:
+    flight = pushbroom(3, 2, altitude=10.0, heading=heading, start=(3.0, 4.0), line_spacing=1.0)
+    unit = np.array(ahead) / np.hypot(*ahead)
+    np.testing.assert_allclose(flight.position[0, :2], [3.0, 4.0], atol=1e-12)
+    np.testing.assert_allclose(np.diff(flight.position[:, :2], axis=0), [unit, unit], atol=1e-12)
+    aside = ground_of(flight, 0.0, 0.1)[1, :2] - flight.position[1, :2]
+    exposed = flight.position[1, :2] - flight.origin[1, 0, :2]
+    np.testing.assert_allclose(aside + exposed, np.array(right) / np.hypot(*right), atol=1e-9)
+
+
+def test_roll_is_right_wing_down_and_pitch_nose_up() -> None:
+    # right wing down: the camera's down axis swings to the left of the flight, so nadir lands in the west
+    rolled = platform_from_poses([0, 1], [0, 0], [0, 0], [10, 10], [5, 5], [0, 0], [0, 0], columns=2)
+    np.testing.assert_allclose(ground_of(rolled, 0, 0)[0], [-10 * math.tan(math.radians(5)), 0, 0], atol=1e-9)
+    pitched = platform_from_poses([0, 1], [0, 0], [0, 0], [10, 10], [0, 0], [5, 5], [0, 0], columns=2)
+    np.testing.assert_allclose(ground_of(pitched, 0, 0)[0], [0, 10 * math.tan(math.radians(5)), 0], atol=1e-9)
+
+
+@settings(max_examples=30, deadline=None)
+@given(ANGLE, ANGLE, st.floats(0.0, 359.9))
+def test_rotations_are_those_of_scipy_and_angles_come_back(roll: float, pitch: float, heading: float) -> None:
+    flight = platform_from_poses(
+        [0, 1], [0, 0], [0, 0], [9, 9], [roll] * 2, [pitch] * 2, [heading] * 2, columns=1
+    )
+    expected = NED_TO_ENU @ Rotation.from_euler("ZYX", [heading, pitch, roll], degrees=True).as_matrix()
+    np.testing.assert_allclose(flight.rotation[0, 1], expected, atol=1e-12)
+    found = flight.attitude[0]
+    np.testing.assert_allclose(found[:2], [roll, pitch], atol=1e-6)
+    assert abs((found[2] - heading + 180.0) % 360.0 - 180.0) < 1e-6
+
+
+def test_poses_between_samples_are_on_the_great_arc() -> None:
+    time = np.array([0.0, 0.4, 1.0])
+    angles = np.array([[3.0, -2.0, 350.0], [-8.0, 4.0, 10.0], [1.0, 1.0, 40.0]])
+    at = np.array([0.1, 0.35, 0.77])
+    flight = platform_from_poses(
+        time, [0, 1, 2], [0, 3, 5], [20, 21, 20], *angles.T, columns=3, line_time=at, exposure_time=0.02
+    )
+    slerp = Slerp(time, Rotation.from_euler("ZYX", angles[:, ::-1], degrees=True))
+    for moment, shift in enumerate((-0.01, 0.01)):
+        expected = NED_TO_ENU @ slerp(at + shift).as_matrix()
+        np.testing.assert_allclose(flight.rotation[:, moment], expected, atol=1e-9)
+        np.testing.assert_allclose(flight.origin[:, moment, 0], np.interp(at + shift, time, [0, 1, 2]))
+    assert flight.time.tolist() == [0, 250_000_000, 670_000_000]
+
+
+def test_boresight_and_lever_arm_are_in_the_frame_of_the_unit() -> None:
+    poses = ([0, 1], [0, 0], [0, 0], [10, 10], [2, 2], [3, 3], [90, 90])
+    flight = platform_from_poses(*poses, columns=2, boresight=(1.0, -2.0, 5.0), lever_arm=(0.5, 0.2, 0.1))
+    unit = Rotation.from_euler("ZYX", [90, 3, 2], degrees=True)
+    camera = unit * Rotation.from_euler("ZYX", [5, -2, 1], degrees=True)
+    np.testing.assert_allclose(flight.rotation[0, 0], NED_TO_ENU @ camera.as_matrix(), atol=1e-12)
+    np.testing.assert_allclose(flight.origin[0, 0], NED_TO_ENU @ unit.apply([0.5, 0.2, 0.1]) + [0, 0, 10])
+
+
+def test_the_exposure_smears_by_speed_times_time() -> None:
+    flight = pushbroom(4, 2, altitude=15.0, speed=4.0, exposure_time=5e-3)
+    np.testing.assert_allclose((flight.origin[:, 1] - flight.origin[:, 0])[:, 1], 0.02, atol=1e-12)
+
+
+def test_wobble_has_the_spread_it_is_given_and_follows_the_seed() -> None:
+    one = pushbroom(20_000, 1, wobble=(0.5, 0.3, 1.0), heading=180.0, sway=0.2, seed=4)
+    np.testing.assert_allclose(one.attitude.std(axis=0), [0.5, 0.3, 1.0], rtol=0.15)
+    assert one.position[:, 2].std() == pytest.approx(0.2, rel=0.2)
+    again = pushbroom(20_000, 1, wobble=(0.5, 0.3, 1.0), heading=180.0, sway=0.2, seed=4)
+    other = pushbroom(20_000, 1, wobble=(0.5, 0.3, 1.0), heading=180.0, sway=0.2, seed=5)
+    np.testing.assert_array_equal(one.rotation, again.rotation)
+    assert not np.allclose(one.rotation, other.rotation)
+
+
+def test_lines_selected_are_the_same_lines() -> None:
+    flight = pushbroom(10, 3, wobble=1.0)
+    part = flight.select(4, 7)
+    np.testing.assert_array_equal(part.rotation, flight.rotation[4:7])
+    np.testing.assert_array_equal(part.utc, flight.utc[4:7])
+    assert part.utc.dtype == "datetime64[ns]"
+    assert (part.lines, part.columns) == (3, 3)
+
+
+def test_record_times_are_utc() -> None:
+    time = np.array(["2021-07-20T17:00:00", "2021-07-20T17:00:10"], dtype="datetime64[ns]")
+    lines = np.array(["2021-07-20T17:00:02.5", "2021-07-20T17:00:03"], dtype="datetime64[ns]")
+    flight = platform_from_poses(time, *[[0, 0]] * 2, [9, 9], *[[0, 0]] * 3, columns=1, line_time=lines)
+    np.testing.assert_array_equal(flight.utc, lines)
+
+
+@pytest.mark.parametrize(
+    ("wrong", "text"),
+    [
+        ({"lines": 0}, "lines=0"),
+        ({"lines": 10**12}, "lines=1000000000000, expected a whole number from 1 to 1000000"),
+        ({"columns": True}, "columns=True"),
+        ({"altitude": math.nan}, "altitude=nan"),
+        ({"altitude": 10**400}, "altitude=1000"),
+        ({"altitude": "high"}, "altitude='high'"),
+        ({"ifov": 0.001, "ground_sample": 0.1}, "both ground_sample and ifov"),
+        ({"speed": 1.0, "line_spacing": 0.1}, "both speed and line_spacing"),
+        ({"wobble": (1.0, 2.0)}, "wobble="),
+        ({"centre": (0.0, math.inf)}, "centre="),
+        ({"exposure_time": 8e-3}, "exceeds frame_period"),
+        ({"columns": 20_000, "ifov": 0.01}, "degrees aside"),
+        ({"start_time": "now"}, "start_time='now'"),
+        ({"start_time": "yesterday"}, "start_time='yesterday'"),
+    ],
+)
+def test_flights_that_cannot_be_flown_are_refused(wrong: dict[str, Any], text: str) -> None:
+    with pytest.raises(SchemaError) as caught:
+        pushbroom(**{"lines": 4, "columns": 4, **wrong})
+    assert text in str(caught.value)
+
+
+def test_all_problems_of_a_flight_are_told_at_once() -> None:
+    with pytest.raises(SchemaError, match=r"(?s)lines=0.*seed=-1.*altitude=0.*wobble=-1"):
+        pushbroom(0, 4, altitude=0, wobble=-1, seed=-1)
+
+
+@pytest.mark.parametrize(
+    ("wrong", "text"),
+    [
+        ({"time": [0, 0]}, "time does not increase"),
+        ({"time": [0]}, "two poses"),
+        ({"roll": [math.nan, 0]}, "roll holds 1 values that are not finite"),
+        ({"north": [0, 0, 0]}, r"north has shape \(3,\), expected \(2,\)"),
+        ({"heading": [0, 170]}, "over 90 degrees between poses 0 and 1"),
+        ({"line_time": [2.0]}, "the poses span 0.000000 to 1.000000"),
+        ({"line_time": np.array(["2021-01-01"], "datetime64[ns]")}, "both datetime64 or both seconds"),
+        ({"columns": 0}, "columns=0"),
+        ({"up": [0, 1e9]}, "up holds values beyond 1e6"),
+        ({"east": ["a", "b"]}, "east is not an array of numbers"),
+    ],
+)
+def test_records_that_cannot_be_used_are_refused(wrong: dict[str, Any], text: str) -> None:
+    poses: dict[str, Any] = {name: [0, 0] for name in ("east", "north", "roll", "pitch", "heading")}
+    poses |= {"time": [0, 1], "up": [9, 9], "columns": 2, "line_time": [0.5]}
+    with pytest.raises(SchemaError, match=text):
+        platform_from_poses(**(poses | wrong))
+
+
+def test_platforms_of_wrong_arrays_are_refused() -> None:
+    good = pushbroom(3, 2)
+    given = {
+        name: getattr(good, name) for name in ("origin", "rotation", "column_edges", "along_edges", "time")
+    }
+    with pytest.raises(SchemaError, match=r"origin has shape \(3, 3\)"):
+        Platform(**(given | {"origin": np.zeros((3, 3))}))
+    with pytest.raises(SchemaError, match="no rotations"):
+        Platform(**(given | {"rotation": -good.rotation}))
+    with pytest.raises(SchemaError, match="column_edges do not increase"):
+        Platform(**(given | {"column_edges": good.column_edges[::-1]}))
+    with pytest.raises(SchemaError, match="time is float64"):
+        Platform(**(given | {"time": good.time.astype(float)}))

@@ -1,0 +1,510 @@
+"""Relighting: against theory, against a sum by hand, against tracing again, and through the whole chain."""
+
+from __future__ import annotations
+
+import dataclasses
+import logging
+from pathlib import Path
+from typing import Any
+
+import dask
+import numpy as np
+import pytest
+import xarray as xr
+from traced_scenes import (
+    FEW_BANDS,
+    LOW_SUN,
+    SUN,
+    flat_light,
+    flight,
+    line_light,
+    radiance_by_hand,
+    two_cars,
+)
+
+import hyperpaint as hp
+from hyperpaint.errors import SchemaError
+from hyperpaint.kernels.transport import paths
+from hyperpaint.schema import VARIABLES
+from hyperpaint.simulation.rendering.bands import BandSet
+from hyperpaint.simulation.rendering.four_curves import Atmosphere
+from hyperpaint.simulation.rendering.materials import (
+    Coat,
+    Flakes,
+    Material,
+    base_albedo,
+    coated_reflectance,
+)
+from hyperpaint.simulation.rendering.painting import factor_spectra
+from hyperpaint.simulation.rendering.pigments import paint_spec
+from hyperpaint.simulation.rendering.platforms import pushbroom
+from hyperpaint.simulation.rendering.scene import plane
+from hyperpaint.simulation.rendering.scene_record import SceneRecord
+from hyperpaint.simulation.rendering.spectra import spectrum_of
+from hyperpaint.simulation.rendering.truth_layers import SHARES
+from hyperpaint.simulation.sensor import smile
+
+SAMPLES = {"samples": 8, "seed": 3, "overcast": True}
+MANY_BANDS = BandSet(np.linspace(399.356, 1001.42, 68), np.array(6.0))
+
+
+def tracing(scene: Any = None, **more: Any) -> xr.Dataset:
+    return hp.trace(scene or two_cars(), flight(), [SUN, LOW_SUN], **{**SAMPLES, **more})
+
+
+@pytest.fixture(scope="module")
+def traced() -> xr.Dataset:
+    return tracing().compute()
+
+
+def panel(spectrum: str = "panel_20", coat: Coat | None = None) -> Any:
+    return plane(500.0, Material("panel", spectrum, "panel", coat))
+
+
+# --- theory
+
+
+@pytest.mark.parametrize("sun", [SUN, LOW_SUN])
+def test_a_lambert_plane(sun: tuple[float, float]) -> None:
+    """L = rho (E_sun cos + E_sky) / pi in every pixel and every one of 272 bands."""
+    made = hp.trace(panel(), flight(8, 12, wobble=2.0), [SUN, LOW_SUN], samples=16).paint.relight(
+        atmosphere=flat_light(1.2, 0.3, sun)
+    )
+    light = 1.2 * np.cos(np.radians(sun[0])) + 0.3
+    assert made.radiance.shape == (8, 272, 12)
+    np.testing.assert_allclose(made.radiance, 0.2 * light / np.pi, rtol=1e-6)
+    np.testing.assert_allclose(made.reflectance, 0.2, rtol=1e-6)
+    np.testing.assert_allclose(made.sun_share, 1.2 * np.cos(np.radians(sun[0])) / light, rtol=1e-6)
+    for layer in ("glint_share", "mirrored_sky_share", "indirect_share", "shadow"):
+        assert not made[layer].values.any(), layer
+
+
+def test_a_lambert_plane_under_lines() -> None:
+    """The same where light and paint have spectra: reflectance is their irradiance-weighted mean."""
+    light = line_light()
+    made = hp.trace(panel("red"), flight(2, 3), [SUN], samples=4).paint.relight(atmosphere=light).compute()
+    grid = light.wavelength
+    expected = []
+    for centre in made.wavelength.values:
+        response = np.exp(-4 * np.log(2) * ((grid - centre) / 6.0) ** 2)
+        lit = response * light.irradiance
+        expected.append((lit * spectrum_of("red")(grid)).sum() / lit.sum())
+    np.testing.assert_allclose(
+        made.reflectance, np.broadcast_to(np.array(expected)[:, None], (2, 272, 3)), rtol=1e-4
+    )
+
+
+def test_an_overcast_plane() -> None:
+    """Both skies give a level surface the same light; the overcast one is met by chance."""
+    trace = hp.trace(panel(), flight(16, 16), [SUN], samples=64, overcast=True)
+    made = trace.paint.relight(FEW_BANDS, atmosphere=flat_light(0.0, 1.0, overcast_share=0.6))
+    assert float(made.radiance.mean()) == pytest.approx(0.2 / np.pi, rel=2e-3)
+    np.testing.assert_allclose(made.sky_share, 1.0, rtol=1e-6)
+
+
+@pytest.mark.parametrize("level", [0.05, 0.5])
+def test_a_coated_plane_reads_as_an_integrating_sphere_reads_it(level: float) -> None:
+    """Under a uniform sky, seen from above: diffuse light in, near normal out, the mirror image with it."""
+    trace = hp.trace(panel("panel_50", Coat()), flight(12, 12), [SUN], samples=256)
+    nm = np.array([380.0, 1050.0])
+    made = trace.paint.relight(
+        FEW_BANDS, atmosphere=flat_light(0.0, 1.0), paints={"panel_50": (nm, [level, level])}
+    )
+    sphere = coated_reflectance(base_albedo(level), geometry="d/0", specular_included=True)
+    assert float(made.reflectance.mean()) == pytest.approx(float(sphere), rel=5e-3)
+
+
+def test_air_takes_and_adds(traced: xr.Dataset) -> None:
+    clear = line_light()
+    air = {"extinction": np.full_like(clear.sun, 2e-3), "path_radiance": 1e-5 * clear.sun}
+    hazy = dataclasses.replace(clear, **air)
+    thick = dataclasses.replace(clear, extinction=np.full_like(clear.sun, 0.05))
+    surface = traced.paint.relight(FEW_BANDS, atmosphere=clear).compute()
+    distance = traced.distance.values[:, None]
+    for light, extinction in ((hazy, 2e-3), (thick, 0.05)):
+        made = traced.paint.relight(FEW_BANDS, atmosphere=light).compute()
+        added = made.radiance.values - surface.radiance.values * np.exp(-extinction * distance)
+        per_metre = added / distance
+        np.testing.assert_allclose(
+            per_metre, per_metre[:1, :, :1] * np.ones_like(per_metre), rtol=2e-3, atol=2e-8
+        )
+        # what is said of the surfaces is said of the surfaces
+        for name in ("reflectance", *SHARES):
+            np.testing.assert_array_equal(made[name], surface[name])
+    sun = np.interp(550.0, clear.wavelength, clear.sun)
+    made = traced.paint.relight(FEW_BANDS, atmosphere=hazy).radiance.values[0, 1, 0]
+    left = surface.radiance.values[0, 1, 0] * np.exp(-2e-3 * distance[0, 0, 0])
+    assert made - left == pytest.approx(1e-5 * sun * distance[0, 0, 0], rel=0.02)
+
+
+# --- oracles
+
+
+@pytest.mark.parametrize("share", [0.0, 0.6])
+@pytest.mark.parametrize("bent", [False, True])
+def test_a_sum_by_hand(traced: xr.Dataset, share: float, bent: bool) -> None:
+    light = line_light(LOW_SUN)
+    light = dataclasses.replace(light, overcast_share=share)
+    # the second sun has number 3; by hand only source 2 is known
+    only = hp.trace(two_cars(), flight(), [LOW_SUN], **SAMPLES).compute()
+    shift = smile(16, 1.2) if bent else None
+    bands = BandSet(FEW_BANDS.wavelength, FEW_BANDS.fwhm, "gaussian", shift)
+    made = only.paint.relight(bands, atmosphere=light).radiance.values
+    for line, column in ((0, 0), (9, 5), (12, 11), (14, 15)):
+        by_hand = radiance_by_hand(only, line, column, light, bands)
+        np.testing.assert_allclose(made[line, :, column], by_hand, rtol=1e-4)
+
+
+def test_a_sun_more_changes_nothing(traced: xr.Dataset) -> None:
+    alone = hp.trace(two_cars(), flight(), [LOW_SUN], **SAMPLES).paint.relight(
+        FEW_BANDS, atmosphere=line_light(LOW_SUN)
+    )
+    among = traced.paint.relight(FEW_BANDS, atmosphere=line_light(LOW_SUN))
+    xr.testing.assert_allclose(alone.radiance, among.radiance, rtol=1e-6)
+    xr.testing.assert_allclose(alone.shadow, among.shadow)
+
+
+def test_other_paints_are_another_scene(traced: xr.Dataset) -> None:
+    """Relit with swapped paints, the scene is the one that was painted so before it was traced."""
+    swapped = tracing(two_cars("green")).paint.relight(MANY_BANDS, atmosphere=line_light()).compute()
+    for paints in (
+        {"car_0": "green"},
+        {"paint of car_0": "green"},
+        {"red": "green"},
+        {"red": "yellow", "paint of car_0": "grey", "car_0": spectrum_of("green")},
+    ):
+        made = traced.paint.relight(MANY_BANDS, atmosphere=line_light(), paints=paints).compute()
+        for name in ("radiance", "reflectance", *SHARES, "material", "car_id"):
+            np.testing.assert_array_equal(made[name], swapped[name], err_msg=f"{name} {paints}")
+    named = traced.paint.relight(atmosphere=line_light(), paints={"car_0": "green"})["paint_id"]
+    meanings = named.attrs["flag_meanings"].split()
+    on_car_0 = (traced.car_id == traced.car_id.max() - 1).values
+    assert {meanings[number] for number in np.unique(named.values[named.values >= 0])} == {"green", "blue"}
+    assert meanings[int(named.values[on_car_0][0])] in {"green", "blue"}
+
+
+@pytest.mark.parametrize("new", ["silver", "brown", "white"])
+def test_a_repainted_metallic_car_has_the_flakes_of_its_new_paint(new: str) -> None:
+    """Sun alone, seen once: no chance is in it. The lobes are those of a plane painted so from the start."""
+    spec, light = paint_spec(new), flat_light(sky=0.0)
+    old = Material("lacquer", "blue", "paint", Coat(), Flakes(0.2))
+    images = []
+    for material, paints in ((old, {"lacquer": new}), (spec.material("lacquer"), {})):
+        traced = hp.trace(plane(400.0, material), flight(4, 3), [SUN], samples=4, depth=1)
+        images.append(traced.paint.relight(MANY_BANDS, atmosphere=light, paints=paints).radiance)
+    xr.testing.assert_allclose(*images, rtol=1e-5)
+
+
+def test_a_measured_spectrum_leaves_no_flakes() -> None:
+    material = Material("lacquer", "blue", "paint", Coat(), Flakes(0.2))
+    record = SceneRecord.of(plane(4.0, material))
+    made = factor_spectra(record, FEW_BANDS, {"lacquer": spectrum_of("red")})
+    assert made.scales == (1.25, 0.0)
+
+
+def test_spectra_may_be_given_in_any_form(traced: xr.Dataset) -> None:
+    nm = np.arange(380.0, 1050.0, 0.5)
+    red = spectrum_of("green")(nm)
+    microns = {"wavelength": ("wavelength", nm / 1e3, {"units": "um"})}
+    labelled = xr.DataArray(100 * red, microns, "wavelength", attrs={"units": "percent"})
+    library = xr.Dataset(
+        {"reflectance": (("paint", "band"), red[None])},
+        {"paint": ["mine"], "wavelength": ("band", nm)},
+    )
+    # of a field spectrometer, with a gap where water absorbs
+    long, gap = np.append(nm, [1400.0, 1900.0, 2500.0]), np.append(red, [0.5, np.nan, 0.4])
+    expected = traced.paint.relight(FEW_BANDS, atmosphere=line_light(), paints={"car_0": "green"}).radiance
+    for paints, spectra in (
+        ({"car_0": (nm, red)}, None),
+        ({"car_0": (long, gap)}, None),
+        ({"car_0": labelled}, None),
+        ({"car_0": "mine"}, {"mine": (nm, red)}),
+        ({"car_0": "mine"}, library),
+        ({}, {"red": (nm, red)}),
+    ):
+        made = traced.paint.relight(
+            FEW_BANDS, atmosphere=line_light(), paints=paints, spectra=spectra
+        ).radiance
+        xr.testing.assert_allclose(made, expected, rtol=1e-5)
+
+
+def test_columns_with_a_smile_see_what_shifted_bands_see(traced: xr.Dataset) -> None:
+    shift = smile(16, 1.0)
+    bent = BandSet(MANY_BANDS.wavelength, MANY_BANDS.fwhm, "gaussian", shift)
+    made = traced.paint.relight(bent, atmosphere=line_light()).compute()
+    np.testing.assert_array_equal(made.wavelength_shift, shift)
+    for column in (0, 3, 8, 15):
+        straight = BandSet(MANY_BANDS.wavelength + shift[column], MANY_BANDS.fwhm)
+        other = traced.paint.relight(straight, atmosphere=line_light())
+        for name in ("radiance", "reflectance"):
+            np.testing.assert_allclose(made[name][..., column], other[name][..., column], rtol=1e-4)
+
+
+def test_light_that_varies(traced: xr.Dataset) -> None:
+    """Direct and diffuse light go their own ways; reflectance only follows where both do the same."""
+    rng = np.random.default_rng(2)
+    variation = rng.uniform(0.2, 1.2, (2, 24))
+    light = line_light()
+    sun, sky = (dataclasses.replace(light, **{name: 0 * light.sun}) for name in ("sky", "sun"))
+    parts = [traced.paint.relight(FEW_BANDS, atmosphere=each).radiance.values for each in (sun, sky)]
+    expected = sum(part * factor[:, None, None] for part, factor in zip(parts, variation, strict=True))
+    made = traced.paint.relight(FEW_BANDS, atmosphere=light, variation=variation).compute()
+    np.testing.assert_allclose(made.radiance, expected, rtol=2e-6)
+    same = traced.paint.relight(FEW_BANDS, atmosphere=light, variation=np.stack([variation[0]] * 2)).compute()
+    steady = traced.paint.relight(FEW_BANDS, atmosphere=light).compute()
+    np.testing.assert_allclose(same.reflectance, steady.reflectance, rtol=2e-6)
+    np.testing.assert_allclose(same.sun_share, steady.sun_share, rtol=1e-5)
+
+
+# --- layers
+
+
+def test_shares_of_light(traced: xr.Dataset) -> None:
+    made = traced.paint.relight(MANY_BANDS, atmosphere=line_light()).compute()
+    np.testing.assert_allclose(made.sun_share + made.sky_share, 1.0, rtol=1e-6)
+    others = made.glint_share + made.mirrored_sky_share + made.indirect_share
+    assert ((others >= 0) & (others <= 1 + 1e-6)).all()
+    assert (made.glint_share <= made.sun_share + 1e-6).all()
+    assert (made.mirrored_sky_share <= made.sky_share + 1e-6).all()
+    painted = (made.paint_id >= 0) & (made.purity == 1)
+    on_top = painted & (made.up > 1.19)
+    assert made.mirrored_sky_share.values[on_top].mean() > 0.01  # a coat mirrors the sky
+    matt = (made.purity == 1) & (made.surface_class == 0)
+    assert not made.mirrored_sky_share.values[matt.values].any()
+    dark = (made.shadow == 1) & matt
+    assert dark.any()
+    # what the sun does not see directly, it lights by way of something else
+    np.testing.assert_allclose(
+        made.sun_share.values[dark.values], (made.sun_share * (made.indirect_share > 0)).values[dark.values]
+    )
+    assert (
+        made.reflectance.values[:, 2][dark.values].mean()
+        < 0.5 * made.reflectance.values[:, 2][matt.values].max()
+    )
+    for name in SHARES:
+        assert made[name].attrs["units"] == "1"
+
+
+def test_shadow_is_that_of_the_sun_that_shines(traced: xr.Dataset) -> None:
+    for number, sun in enumerate((SUN, LOW_SUN)):
+        made = traced.paint.relight(FEW_BANDS, atmosphere=flat_light(direction=sun))
+        np.testing.assert_allclose(made.shadow, 1 - traced.sun_visibility[:, number], rtol=1e-6)
+
+
+def test_variables_are_those_of_the_table_before_and_after(traced: xr.Dataset, no_compute: Any) -> None:
+    variation = np.ones((2, 24))
+    with no_compute():
+        lazy = traced.chunk({"along_track": 7}).paint.relight(atmosphere=line_light())
+        varied = traced.chunk({"along_track": 7}).paint.relight(atmosphere=line_light(), variation=variation)
+    assert lazy.radiance.chunksizes == {"along_track": (7, 7, 7, 3), "band": (272,), "cross_track": (16,)}
+    whole = lazy.compute()
+    for made in (lazy, whole, varied):
+        for name, array in made.variables.items():
+            row = VARIABLES[str(name)]
+            assert array.dims in (row.dims, *row.alternatives), name
+            assert array.dtype == row.dtype, name
+            assert array.attrs.get("units", "") == row.units, name
+    for name in ("radiance", "reflectance", "shadow", *SHARES):
+        assert lazy[name].chunks is not None, name
+    assert set(lazy.data_vars) - set(
+        traced.paint.relight(atmosphere=line_light(), truth=False).data_vars
+    ) == {
+        "reflectance",
+        "shadow",
+        *SHARES,
+    }
+
+
+# --- laziness, chunks, stores
+
+
+@pytest.fixture(scope="module")
+def client() -> Any:
+    """Two workers in other processes."""
+    distributed = pytest.importorskip("distributed")
+    with (
+        distributed.LocalCluster(
+            n_workers=2, threads_per_worker=1, dashboard_address=":0", silence_logs=logging.CRITICAL
+        ) as cluster,
+        distributed.Client(cluster, set_as_default=False) as made,
+    ):
+        yield made
+
+
+@pytest.mark.parametrize("scheduler", ["synchronous", "threads", "cluster"])
+@pytest.mark.parametrize("chunk_lines", [1, 7, 24])
+def test_the_same_bits_whatever_the_chunks(client: Any, chunk_lines: int, scheduler: str) -> None:
+    bands = BandSet(FEW_BANDS.wavelength, FEW_BANDS.fwhm, "gaussian", smile(16, 0.6))
+    light = Atmosphere.clear(*SUN)
+    variation = np.random.default_rng(0).uniform(0.5, 1.0, (2, 24))
+    with dask.config.set(scheduler="synchronous"):
+        whole = tracing().paint.relight(bands, atmosphere=light, variation=variation).compute()
+    where: Any = client.as_current() if scheduler == "cluster" else dask.config.set(scheduler=scheduler)
+    with where:
+        made = tracing(chunk_lines=chunk_lines).paint.relight(bands, atmosphere=light, variation=variation)
+        xr.testing.assert_identical(made.compute(), whole)
+
+
+def test_chunks_that_split_lines_are_put_together(traced: xr.Dataset) -> None:
+    split = traced.chunk({"along_track": 5, "cross_track": 3, "slot": 7})
+    made = split.paint.relight(FEW_BANDS, atmosphere=line_light()).compute()
+    xr.testing.assert_identical(made, traced.paint.relight(FEW_BANDS, atmosphere=line_light()).compute())
+
+
+def test_a_stored_scene_is_relit_without_tracing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, no_compute: Any
+) -> None:
+    path = tmp_path / "traced.zarr"
+    hp.to_store(tracing(), path)
+    expected = {
+        name: tracing()
+        .paint.relight(FEW_BANDS, atmosphere=light, paints=paints, variation=np.ones((2, 24)))
+        .compute()
+        for name, light, paints in (
+            ("line", line_light(), {}),
+            ("low", line_light(LOW_SUN), {"car_1": "yellow"}),
+            ("cloudy", line_light().clouded(8), {}),
+        )
+    }
+
+    def refuse(*_: Any) -> None:
+        msg = "the scene was traced again"
+        raise AssertionError(msg)
+
+    monkeypatch.setattr(paths, "trace_lines", refuse)
+    for opened in (xr.open_zarr(path), hp.open_store(path)):
+        for name, light, paints in (
+            ("line", line_light(), {}),
+            ("low", line_light(LOW_SUN), {"car_1": "yellow"}),
+            ("cloudy", line_light().clouded(8), {}),
+        ):
+            with no_compute():
+                made = opened.paint.relight(
+                    FEW_BANDS, atmosphere=light, paints=paints, variation=np.ones((2, 24))
+                )
+            xr.testing.assert_equal(made.compute(), expected[name])
+    with pytest.raises(AssertionError, match="traced again"):
+        tracing().compute()
+    relit = tmp_path / "relit.zarr"
+    hp.to_store(hp.open_store(path).paint.relight(FEW_BANDS, atmosphere=line_light()), relit)
+    assert hp.verify(relit).ok
+    assert hp.open_store(relit).radiance.dtype == np.float32
+
+
+def test_radiance_alone_costs_no_truth(traced: xr.Dataset, monkeypatch: pytest.MonkeyPatch) -> None:
+    from hyperpaint.simulation.rendering.lighting import Lighting
+
+    def refuse(*_: Any) -> None:
+        msg = "truth was computed"
+        raise AssertionError(msg)
+
+    monkeypatch.setattr(Lighting, "shares", refuse)
+    monkeypatch.setattr(Lighting, "reflectance", refuse)
+    traced.paint.relight(FEW_BANDS, atmosphere=line_light())["radiance"].compute()
+
+
+# --- the chain
+
+
+@pytest.mark.parametrize("varies", [False, True])
+def test_a_relit_scene_is_a_flight_line(varies: bool) -> None:
+    """Radiance and the record of the spectrometer give back the reflectance of the surfaces."""
+    lines = 24
+    platform = pushbroom(lines, 6, altitude=12.0, frame_period=0.5)
+    seconds = np.arange(lines) / lines
+    variation = np.stack([1.0 - 0.3 * seconds, 1.0 + 0.2 * seconds]) if varies else None
+    trace = hp.trace(two_cars(), platform, [SUN], samples=4)
+    made = trace.paint.relight(atmosphere=line_light(), variation=variation)
+    found = made.drop_vars("reflectance").paint.reflectance().compute()
+    np.testing.assert_allclose(found.reflectance, made.reflectance, rtol=1e-3)
+    assert not found.quality.values.any()
+
+
+# --- what cannot be
+
+
+def test_a_sun_that_was_not_traced(traced: xr.Dataset) -> None:
+    with pytest.raises(SchemaError, match=r"\(40.02, 150\) degrees; traced were \(40, 150\), \(75, 260\)"):
+        traced.paint.relight(atmosphere=flat_light(direction=(40.02, 150.0)))
+    traced.paint.relight(atmosphere=flat_light(direction=(40.009, 150.0)))
+    traced.paint.relight(atmosphere=flat_light(0.0, direction=(10.0, 0.0)))  # no sun, no direction
+    with pytest.raises(SchemaError, match="overcast=True"):
+        hp.trace(two_cars(), flight(), [SUN]).paint.relight(atmosphere=flat_light(overcast_share=0.5))
+
+
+def test_paints_that_cannot_be_are_all_named(traced: xr.Dataset) -> None:
+    nm = np.array([380.0, 1050.0])
+    with pytest.raises(SchemaError) as caught:
+        traced.paint.relight(
+            paints={
+                "car_9": "red",
+                "car_0": (nm, np.array([0.5, 1.2])),
+                "car_1": (np.array([450.0, 1050.0]), np.array([0.5, 0.5])),
+                "brick": "no such spectrum",
+                "asphalt": (nm, np.array([-0.1, np.nan])),
+            },
+            atmosphere=line_light(),
+        )
+    message = str(caught.value)
+    for found in (
+        "paints['car_9'] names no instance",
+        "'car_0' goes from 0.5 to 1.2",
+        "'car_1' covers 450.0 to 1050.0 nm",
+        "there is no spectrum 'no such spectrum'",
+        "'asphalt' holds values that are not finite",
+    ):
+        assert found in message
+    assert message.count("\n") == 5
+
+
+def test_reflectances_may_be_clipped(traced: xr.Dataset) -> None:
+    nm = np.array([380.0, 1050.0])
+    high, limited = (nm, np.array([1.3, -0.2])), (nm, np.array([1.3, -0.2]))
+    with pytest.raises(SchemaError, match="clip=True"):
+        traced.paint.relight(FEW_BANDS, paints={"asphalt": high}, atmosphere=line_light())
+    made = traced.paint.relight(FEW_BANDS, paints={"asphalt": high}, atmosphere=line_light(), clip=True)
+    by_hand = lambda grid: np.interp(grid, *limited).clip(0.0, 1.0)  # noqa: E731
+    other = traced.paint.relight(FEW_BANDS, paints={"asphalt": by_hand}, atmosphere=line_light())
+    xr.testing.assert_allclose(made.radiance, other.radiance, rtol=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "found"),
+    [
+        ({"variation": np.ones((24, 2))}, "expected \\(2, along_track\\) = \\(2, 24\\)"),
+        ({"variation": -np.ones((2, 24))}, "negative"),
+        ({"bands": BandSet(np.array([500.0]), np.array(6.0), "gaussian", np.zeros(3) + 0.1)}, "3 columns"),
+        (
+            {"bands": BandSet(np.array([500.0, 1200.0]), np.array(6.0))},
+            "atmosphere 'flat' covers 300.0 to 1100.0",
+        ),
+        ({"atmosphere": "midnight"}, "midnight"),
+        ({"atmosphere": 3}, "expected an Atmosphere"),
+        ({"spectra": [1, 2]}, "no mapping"),
+        ({"paints": {"car_0": "red", "nothing": "red"}}, "'nothing'"),
+    ],
+)
+def test_arguments_that_cannot_be(traced: xr.Dataset, arguments: dict[str, Any], found: str) -> None:
+    with pytest.raises(SchemaError, match=found):
+        hp.relight(traced, **{"atmosphere": flat_light(), **arguments})
+
+
+def test_an_untraced_dataset() -> None:
+    with pytest.raises(SchemaError, match="no traced dataset"):
+        xr.Dataset().paint.relight()
+    made = tracing()
+    with pytest.raises(SchemaError, match="'transport_path' is missing"):
+        made.drop_vars("transport_path").paint.relight()
+
+
+def test_an_instance_of_many_materials_has_no_one_paint() -> None:
+    stripes = [Material(f"stripe {n}", "panel_20", "panel") for n in range(2)]
+    scene = plane(4.0, stripes[0], instance="chart")
+    other = plane(4.0, stripes[1], centre=(4.0, 0, 0), instance="other")
+    joined = type(scene).join([scene, other])
+    both = dataclasses.replace(joined, face_instance=np.zeros_like(joined.face_instance))
+    with pytest.raises(SchemaError, match="2 materials to paint; name one of them: 'stripe 0', 'stripe 1'"):
+        hp.trace(both, flight(1, 1), [SUN]).paint.relight(paints={"chart": "red"}, atmosphere=flat_light())
+    shared = dataclasses.replace(joined, face_material=np.zeros_like(joined.face_material))
+    with pytest.raises(SchemaError, match="'other' would change too"):
+        hp.trace(shared, flight(1, 1), [SUN]).paint.relight(paints={"chart": "red"}, atmosphere=flat_light())

@@ -1,0 +1,340 @@
+"""Mesh files: known boxes in three formats, names and axes; and files that are damaged or lie."""
+
+from __future__ import annotations
+
+import json
+import struct
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from hyperpaint.errors import FormatError, MissingExtraError, PaintError, PaintWarning, SchemaError
+from hyperpaint.simulation.rendering.glb_files import strip_glb
+from hyperpaint.simulation.rendering.materials import Material
+from hyperpaint.simulation.rendering.mesh_files import read_mesh
+from hyperpaint.simulation.rendering.obj_files import parse_obj
+from hyperpaint.simulation.rendering.ply_files import check_ply
+
+GREY = Material("grey", "panel_20", "panel")
+RED = Material("red paint", "red", "paint")
+CORNERS = np.array([[x, y, z] for z in (0, 1) for y in (0, 1) for x in (0, 1)], float) * (1, 2, 3)
+QUADS = [[0, 2, 3, 1], [4, 5, 7, 6], [0, 1, 5, 4], [1, 3, 7, 5], [3, 2, 6, 7], [2, 0, 4, 6]]
+FACES = np.array([[quad[i] for i in corner] for quad in QUADS for corner in ((0, 1, 2), (0, 2, 3))])
+
+OBJ = "\n".join(
+    [
+        "# a box", "mtllib ../../../../etc/passwd", "o lower",
+        *(f"v {x} {y} {z}" for x, y, z in CORNERS), "vt 0 0", "vn 0 0 1", "usemtl red",
+        *("f " + " ".join(f"{corner + 1}/1/1" for corner in quad) for quad in QUADS[:5]), "usemtl bl\u00fc",
+        "f " + " ".join(str(corner - 8) for corner in QUADS[5]), "",
+    ]
+)  # fmt: skip
+
+
+def glb(changes: dict[str, Any] | None = None, *, drop: int = 0) -> bytes:
+    """Return a GLB file with two boxes, made by hand; ``drop`` bytes missing at its end."""
+    indices, points = FACES.astype("<u2").tobytes(), CORNERS.astype("<f4").tobytes()
+    body = indices + points
+    header: dict[str, Any] = {
+        "asset": {"version": "2.0"},
+        "scene": 0,
+        "scenes": [{"nodes": [0, 1]}],
+        "nodes": [
+            {"mesh": 0, "name": "first"},
+            {"translation": [10, 0, 0], "children": [2]},
+            {"mesh": 1, "scale": [2, 2, 2]},
+        ],
+        "meshes": [
+            {"name": "box", "primitives": [{"attributes": {"POSITION": 1}, "indices": 0, "material": 1}]},
+            {"name": "other_box", "primitives": [{"attributes": {"POSITION": 1}, "indices": 0}]},
+        ],
+        "materials": [
+            {"name": "unused"},
+            {"name": "body", "pbrMetallicRoughness": {"baseColorTexture": {"index": 9}}},
+        ],
+        "images": [{"uri": "../../secret.png"}],
+        "accessors": [
+            {"bufferView": 0, "componentType": 5123, "count": 36, "type": "SCALAR"},
+            {"bufferView": 1, "componentType": 5126, "count": 8, "type": "VEC3"},
+        ],
+        "bufferViews": [
+            {"buffer": 0, "byteLength": len(indices)},
+            {"buffer": 0, "byteOffset": len(indices), "byteLength": len(points)},
+        ],
+        "buffers": [{"byteLength": len(body)}],
+    }
+    text = json.dumps(header | (changes or {})).encode()
+    text += b" " * (-len(text) % 4)
+    chunks = (
+        struct.pack("<II", len(text), 0x4E4F534A) + text + struct.pack("<II", len(body), 0x004E4942) + body
+    )
+    whole = struct.pack("<4sII", b"glTF", 2, 12 + len(chunks)) + chunks
+    return whole[: len(whole) - drop]
+
+
+def ply(*, binary: bool = True, vertices: int = 8) -> bytes:
+    """Return a box as a PLY file."""
+    form = "binary_little_endian" if binary else "ascii"
+    head = f"ply\nformat {form} 1.0\nelement vertex {vertices}\n"
+    head += "".join(f"property float {axis}\n" for axis in "xyz")
+    head += f"element face {len(FACES)}\nproperty list uchar int vertex_indices\nend_header\n"
+    if binary:
+        rows = b"".join(b"\x03" + row.tobytes() for row in FACES.astype("<i4"))
+        return head.encode() + CORNERS.astype("<f4").tobytes() + rows
+    lines = [" ".join(map(str, row)) for row in CORNERS] + ["3 " + " ".join(map(str, row)) for row in FACES]
+    return (head + "\n".join(lines) + "\n").encode()
+
+
+def written(folder: Path, name: str, data: bytes | str) -> Path:
+    path = folder / name
+    path.write_bytes(data.encode() if isinstance(data, str) else data)
+    return path
+
+
+def volume(scene: Any) -> float:
+    a, b, c = (scene.vertices[scene.faces[:, corner]] for corner in range(3))
+    return float((np.cross(a, b) * c).sum() / 6)
+
+
+@pytest.fixture
+def trimesh() -> Any:
+    return pytest.importorskip("trimesh", reason="trimesh (extra 'mesh') reads GLB and PLY")
+
+
+def test_an_obj_box_by_material_and_by_object(tmp_path: Path) -> None:
+    path = written(tmp_path, "box.obj", OBJ)
+    scene = read_mesh(path, {"red": RED, "lower": GREY})
+    assert scene.name == "box"
+    assert scene.instances[0].name == "box"
+    assert len(scene.faces) == 12
+    assert volume(scene) == pytest.approx(6.0)  # faces look outwards, and the relative numbers were right
+    assert [material.name for material in scene.materials] == ["red paint", "grey"]
+    assert np.bincount(scene.face_material).tolist() == [10, 2]
+    # a box has creases everywhere
+    corners = scene.vertices[scene.faces]
+    flat = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    flat /= np.linalg.norm(flat, axis=1, keepdims=True)
+    np.testing.assert_allclose(scene.normals[scene.faces], np.repeat(flat[:, None], 3, axis=1), atol=1e-12)
+
+
+def test_units_and_axes(tmp_path: Path) -> None:
+    path = written(tmp_path, "box.obj", OBJ)
+    sizes = {up: np.ptp(read_mesh(path, default=GREY, up=up, unit=0.1).bounds, axis=0) for up in "xyz"}
+    np.testing.assert_allclose(sizes["z"], [0.1, 0.2, 0.3])
+    np.testing.assert_allclose(sizes["y"], [0.1, 0.3, 0.2])
+    np.testing.assert_allclose(sizes["x"], [0.2, 0.3, 0.1])
+    assert all(volume(read_mesh(path, default=GREY, up=up)) == pytest.approx(6.0) for up in "xyz")
+    with pytest.raises(SchemaError, match="up='w'"):
+        read_mesh(path, default=GREY, up="w")
+    with pytest.raises(SchemaError, match="unit=0"):
+        read_mesh(path, default=GREY, unit=0)
+
+
+def test_parts_without_a_material_are_listed(tmp_path: Path) -> None:
+    path = written(tmp_path, "box.obj", OBJ)
+    with pytest.raises(SchemaError, match="no material for 'red', 'bl\u00fc'; name them in materials="):
+        read_mesh(path)
+
+
+def test_a_glb_box_with_its_nodes_and_names(tmp_path: Path, trimesh: Any) -> None:
+    path = written(tmp_path, "two.glb", glb())
+    scene = read_mesh(path, {"body": RED, "other_box": GREY})
+    assert sorted(np.bincount(scene.face_material).tolist()) == [12, 12]
+    red = scene.vertices[scene.faces[scene.face_material == scene.materials.index(RED)]].reshape(-1, 3)
+    grey = scene.vertices[scene.faces[scene.face_material == scene.materials.index(GREY)]].reshape(-1, 3)
+    # y up: (x, y, z) becomes (x, -z, y)
+    np.testing.assert_allclose([red.min(axis=0), red.max(axis=0)], [[0, -3, 0], [1, 0, 2]], atol=1e-6)
+    np.testing.assert_allclose([grey.min(axis=0), grey.max(axis=0)], [[10, -6, 0], [12, 0, 4]], atol=1e-6)
+    assert volume(scene) == pytest.approx(6.0 * 9, rel=1e-6)
+
+
+@pytest.mark.parametrize("binary", [True, False])
+def test_a_ply_box(tmp_path: Path, trimesh: Any, binary: bool) -> None:
+    scene = read_mesh(written(tmp_path, "box.ply", ply(binary=binary)), default=GREY)
+    assert len(scene.faces) == 12
+    assert volume(scene) == pytest.approx(6.0)
+
+
+def test_an_open_mesh_is_fine_and_triangles_without_area_are_dropped(tmp_path: Path) -> None:
+    text = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 2 0 0\nf 1 2 3\nf 1 2 4\nf 1 1 2\n"
+    for crease in (40.0, None):
+        with pytest.warns(PaintWarning, match="2 of 3 triangles have no area"):
+            scene = read_mesh(written(tmp_path, "open.obj", text), default=GREY, crease=crease)
+        assert len(scene.faces) == 1
+
+
+def test_flat_unless_smooth(tmp_path: Path) -> None:
+    scene = read_mesh(written(tmp_path, "box.obj", OBJ), default=GREY, crease=None)
+    assert not scene.normals.any()
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("", "the file is empty"),
+        ("  \n \n", "the file is empty"),
+        ("v 0 0 0\nv 1 0 0\nv 0 1 0\n", "there are no triangles"),
+        ("v 0 0\nf 1 2 3\n", "line 1 is 'v 0 0', expected 'v' and three numbers"),
+        ("v 0 zero 0\n", "line 1"),
+        ("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 4\n", "names vertex 4, but there are 3"),
+        ("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 -4\n", "names vertex -1"),
+        ("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 0 1 2\n", "line 4"),
+        ("v 0 0 0\nf 1 1\n", "line 2"),
+        ("v 0 0 0\nf 1 1 " + "9" * 5000 + "\n", "line 2"),
+        ("v 0 0 nan\nv 1 0 0\nv 0 1 0\nf 1 2 3\n", "1 of 3 vertices are not finite, the first is number 0"),
+        ("v 0 0 1e999\nv 1 0 0\nv 0 1 0\nf 1 2 3\n", "not finite"),
+        ("\x00\x01\x02", "there are no triangles"),
+    ],
+)
+def test_a_broken_obj_is_named(tmp_path: Path, text: str, words: str) -> None:
+    with pytest.raises(FormatError, match=words):
+        read_mesh(written(tmp_path, "broken.obj", text), default=GREY)
+
+
+INDICES = {"bufferView": 0, "componentType": 5123, "count": 36, "type": "SCALAR"}
+POINTS = {"bufferView": 1, "componentType": 5126, "count": 8, "type": "VEC3"}
+DRACO = "KHR_draco_mesh_compression"
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"accessors": [INDICES | {"count": 10**15}, POINTS]}, "count is 10+, expected .* to 36"),
+        ({"accessors": [INDICES, POINTS | {"count": 9}]}, "count is 9, expected a whole number from 0 to 8"),
+        ({"accessors": [INDICES, POINTS | {"bufferView": None}]}, "bufferView is None"),
+        ({"accessors": [INDICES | {"sparse": {}}, POINTS]}, "accessor 0"),
+        ({"accessors": [INDICES, POINTS | {"componentType": 5122}]}, "quantised positions"),
+        ({"bufferViews": [{"buffer": 0, "byteLength": 10**12}] * 2}, "byteLength is 1000000000000"),
+        ({"bufferViews": [{"buffer": 0, "byteLength": -1}] * 2}, "byteLength is -1"),
+        ({"buffers": [{"byteLength": 168, "uri": "../../../etc/passwd"}]}, "refers to another file"),
+        ({"buffers": [{}, {}]}, "more than one buffer"),
+        ({"nodes": [{"children": [1]}, {"children": [0]}]}, "circle"),
+        ({"nodes": [{"mesh": 0, "children": [0]}]}, "circle"),
+        ({"nodes": [{"children": [1]}, {"mesh": 0}, {"children": [1]}]}, "has a parent already"),
+        ({"nodes": [{"mesh": 7}]}, "mesh is 7"),
+        ({"nodes": [{"mesh": 0, "matrix": [1.0]}]}, "a matrix of 1 numbers"),
+        ({"nodes": [{"children": [n + 1]} for n in range(600)] + [{"mesh": 0}]}, "more than 256 below"),
+        ({"nodes": []}, "there are no triangles"),
+        ({"meshes": [{"primitives": [{"attributes": {"POSITION": 1}, "mode": 1}]}] * 2}, "of mode 1"),
+        ({"meshes": [{"primitives": [{}]}] * 2}, "without attributes"),
+        ({"meshes": 3}, "meshes is not a list"),
+        ({"extensionsRequired": [DRACO]}, DRACO),
+        ({"materials": []}, "material is 1"),
+    ],
+)  # fmt: skip
+def test_a_glb_that_lies_is_refused(
+    tmp_path: Path, trimesh: Any, changes: dict[str, Any], words: str
+) -> None:
+    with pytest.raises(FormatError, match=words):
+        read_mesh(written(tmp_path, "lies.glb", glb(changes)), default=GREY)
+
+
+def test_numbers_beyond_the_vertices_of_a_glb_are_refused(tmp_path: Path, trimesh: Any) -> None:
+    data = bytearray(glb())
+    at = data.index(FACES.astype("<u2").tobytes())
+    data[at : at + 2] = b"\xff\x00"
+    with pytest.raises(FormatError):
+        read_mesh(written(tmp_path, "beyond.glb", bytes(data)), default=GREY)
+
+
+@pytest.mark.parametrize("drop", [1, 40, 150, 300, 900])
+def test_a_cut_glb_is_refused(tmp_path: Path, trimesh: Any, drop: int) -> None:
+    with pytest.raises(FormatError, match="cut"):
+        read_mesh(written(tmp_path, "cut.glb", glb(drop=drop)), default=GREY)
+
+
+def test_what_is_stripped_holds_no_names_of_files() -> None:
+    stripped = strip_glb(glb(), "two.glb")
+    assert b"secret" not in stripped.data
+    assert b"uri" not in stripped.data
+    assert stripped.materials == ("unused", "body")
+    assert stripped.meshes == ("box", "other_box")
+    assert stripped.triangles == 24
+
+
+@pytest.mark.parametrize(
+    ("data", "words"),
+    [
+        (ply(vertices=10**15), "declares 12000000000000"),
+        (ply(binary=False, vertices=10**15), "declares 6000000000000"),
+        (ply()[:120], "end_header"),
+        (ply()[:-30], "cut or damaged|unexpected length"),
+        (ply().replace(b"vertex 8", b"vertex -8"), "element vertex -8"),
+        (ply().replace(b"float x", b"floof x"), "property floof x"),
+        (ply().replace(b"uchar int", b"uint64 int"), "cut or damaged|trimesh cannot"),
+        (b"plus", "begins with b'plus'"),
+        (b"obj\n", "expected b'ply'"),
+    ],
+)
+def test_a_ply_that_lies_is_refused(tmp_path: Path, trimesh: Any, data: bytes, words: str) -> None:
+    with pytest.raises(FormatError, match=words):
+        read_mesh(written(tmp_path, "lies.ply", data), default=GREY)
+
+
+def test_a_ply_with_numbers_that_are_none_is_refused(tmp_path: Path, trimesh: Any) -> None:
+    data = ply().replace(CORNERS.astype("<f4")[3].tobytes(), np.full(3, np.nan, "<f4").tobytes())
+    with pytest.raises(FormatError, match="not finite"):
+        read_mesh(written(tmp_path, "nan.ply", data), default=GREY)
+    beyond = ply().replace(FACES[0].astype("<i4").tobytes(), np.array([0, 2, 99], "<i4").tobytes())
+    with pytest.raises(FormatError):
+        read_mesh(written(tmp_path, "beyond.ply", beyond), default=GREY)
+
+
+@given(st.integers(0, 3), st.binary(max_size=12), st.data())
+@settings(max_examples=80, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+def test_damage_raises_only_errors_in_words(
+    tmp_path: Path, trimesh: Any, which: int, junk: bytes, data: Any
+) -> None:
+    name, whole = [
+        ("a.glb", glb()), ("b.ply", ply()), ("c.ply", ply(binary=False)), ("d.obj", OBJ.encode()),
+    ][which]  # fmt: skip
+    at = data.draw(st.integers(0, len(whole)))
+    skip = data.draw(st.integers(0, 40))
+    path = written(tmp_path, name, whole[:at] + junk + whole[at + skip :])
+    try:
+        scene = read_mesh(path, default=GREY)
+    except PaintError:
+        return
+    except PaintWarning:  # warnings are errors here: triangles without area
+        return
+    assert np.isfinite(scene.vertices).all()
+
+
+@pytest.mark.parametrize("parse", [parse_obj, check_ply, strip_glb])
+@given(data=st.binary(max_size=200))
+@settings(max_examples=60, deadline=None)
+def test_parsers_are_total(parse: Any, data: bytes) -> None:
+    try:
+        parse(data, "x")
+    except FormatError:
+        return
+
+
+def test_unknown_and_missing_files_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(
+        FormatError, match=r"the ending '.stl' is not known, expected one of .obj, .glb, .ply"
+    ):
+        read_mesh(tmp_path / "x.stl")
+    with pytest.raises(FormatError, match="cannot be read"):
+        read_mesh(tmp_path / "x.obj")
+
+
+def test_a_file_too_large_is_not_read(tmp_path: Path) -> None:
+    path = tmp_path / "large.obj"
+    with path.open("wb") as file:
+        file.truncate(2**30 + 1)  # sparse
+    with pytest.raises(FormatError, match="expected at most 1073741824"):
+        read_mesh(path)
+
+
+@pytest.mark.parametrize(("name", "data"), [("a.glb", glb()), ("b.ply", ply())])
+def test_the_extra_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str, data: bytes) -> None:
+    monkeypatch.setitem(sys.modules, "trimesh", None)
+    with pytest.raises(MissingExtraError, match=r"needs trimesh; install it with: .*hyperpaint\[mesh\]"):
+        read_mesh(written(tmp_path, name, data), default=GREY)
+    assert len(read_mesh(written(tmp_path, "c.obj", OBJ), default=GREY).faces) == 12

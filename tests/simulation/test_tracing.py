@@ -1,0 +1,265 @@
+"""Tracing as labelled, lazy arrays: the same bits whatever the chunks, nothing done until it is asked for."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import logging
+import pickle
+import time as clock
+from pathlib import Path
+from typing import Any
+
+import dask
+import numpy as np
+import pytest
+import xarray as xr
+from traced_scenes import LOW_SUN, SUN, flight, two_cars
+
+import hyperpaint as hp
+from hyperpaint.errors import SchemaError
+from hyperpaint.schema import VARIABLES
+from hyperpaint.simulation.rendering import tracing
+from hyperpaint.simulation.rendering.car_parks import car_park
+from hyperpaint.simulation.rendering.four_curves import preset_atmosphere
+from hyperpaint.simulation.rendering.materials import KINDS, Material
+from hyperpaint.simulation.rendering.platforms import pushbroom
+from hyperpaint.simulation.rendering.scene import Scene, plane
+from hyperpaint.simulation.rendering.scene_record import SceneRecord, TraceSettings, sun_vectors
+
+SETTINGS: dict[str, Any] = {"samples": 8, "seed": 3, "overcast": True, "sun_radius": 0.27}
+DIMS = {"along_track": 24, "slot": 40, "cross_track": 16, "sun": 2}
+
+
+def traced(chunk_lines: int = 32, **more: Any) -> xr.Dataset:
+    return hp.trace(two_cars(), flight(), [SUN, LOW_SUN], chunk_lines=chunk_lines, **{**SETTINGS, **more})
+
+
+@pytest.fixture(scope="module")
+def whole() -> xr.Dataset:
+    with dask.config.set(scheduler="synchronous"):
+        return traced().compute()
+
+
+def test_slots_grow_with_sources_and_samples() -> None:
+    one = TraceSettings.of([SUN]).slot_count
+    assert one == TraceSettings.of([SUN], samples=256).slot_count / 2 == 48
+    assert TraceSettings.of([SUN, LOW_SUN], overcast=True).slot_count == 2 * one
+    assert TraceSettings.of([SUN], samples=1).slot_count == 16
+    assert TraceSettings.of([SUN], slots=5).slot_count == 5
+
+
+def test_variables_are_those_of_the_table_before_and_after(whole: xr.Dataset, no_compute: Any) -> None:
+    with no_compute():
+        lazy = traced(7)
+    assert dict(lazy.sizes) == DIMS
+    assert set(lazy.data_vars) == set(tracing._LAYOUT)
+    for made in (lazy, whole):
+        for name, array in made.variables.items():
+            row = VARIABLES[str(name)]
+            assert array.dims == row.dims, name
+            assert array.dtype == row.dtype, name
+            assert array.attrs.get("units", "") == row.units, name
+    for name in lazy.data_vars:
+        assert lazy[name].chunks is not None, name
+        assert lazy[name].chunksizes["along_track"] == (7, 7, 7, 3)
+        assert lazy[name].shape == whole[name].shape
+    assert set(whole.coords) == {"time", "sun_zenith", "sun_azimuth"}
+
+
+@pytest.mark.parametrize("scheduler", ["synchronous", "threads", "cluster"])
+@pytest.mark.parametrize("chunk_lines", [1, 7, 24])
+def test_the_same_bits_whatever_the_chunks(
+    whole: xr.Dataset, client: Any, chunk_lines: int, scheduler: str
+) -> None:
+    where: Any = client.as_current() if scheduler == "cluster" else dask.config.set(scheduler=scheduler)
+    with where:
+        xr.testing.assert_identical(traced(chunk_lines).compute(), whole)
+
+
+@pytest.fixture(scope="module")
+def client() -> Any:
+    """Two workers in other processes."""
+    distributed = pytest.importorskip("distributed")
+    with (
+        distributed.LocalCluster(
+            n_workers=2, threads_per_worker=1, dashboard_address=":0", silence_logs=logging.CRITICAL
+        ) as cluster,
+        distributed.Client(cluster, set_as_default=False) as made,
+    ):
+        yield made
+
+
+def test_another_seed_another_draw(whole: xr.Dataset) -> None:
+    assert (traced(seed=4).transport_weight.values != whole.transport_weight.values).any()
+
+
+def test_a_block_is_what_the_dataset_holds(whole: xr.Dataset) -> None:
+    settings = TraceSettings.of([SUN, LOW_SUN], **SETTINGS)
+    prepared = tracing.prepare_scene(two_cars(), settings)
+    block = tracing.trace_block(prepared, flight(), 5, 9)
+    np.testing.assert_array_equal(block.weight, whole.transport_weight.values[5:9])
+    np.testing.assert_array_equal(block.code, whole.transport_path.values[5:9])
+    np.testing.assert_array_equal(block.position[:, 2], whole.up.values[5:9])
+
+
+@pytest.mark.parametrize("scheduler", ["synchronous", "threads"])
+def test_the_scene_is_prepared_once(monkeypatch: pytest.MonkeyPatch, scheduler: str) -> None:
+    calls = []
+    prepare = tracing.prepare_scene
+
+    def counted(*args: Any) -> Any:
+        calls.append(args)
+        return prepare(*args)
+
+    monkeypatch.setattr(tracing, "prepare_scene", counted)
+    with dask.config.set(scheduler=scheduler):
+        traced(2, samples=1).compute()
+    assert len(calls) == 1
+
+
+def test_each_block_is_traced_once_for_all_variables(monkeypatch: pytest.MonkeyPatch) -> None:
+    first_lines = []
+    task = tracing._trace_rays
+
+    def counted(*args: Any) -> Any:
+        first_lines.append(args[-1])
+        return task(*args)
+
+    monkeypatch.setattr(tracing, "_trace_rays", counted)
+    with dask.config.set(scheduler="synchronous"):
+        traced(8, samples=1).compute()
+        assert sorted(first_lines) == [0, 8, 16]
+        traced(8, samples=1).isel(along_track=slice(9, 12)).compute()
+    assert first_lines[3:] == [8]
+
+
+def test_graph_of_a_long_line_is_quick(no_compute: Any, record_property: Any) -> None:
+    scene, platform = two_cars(), pushbroom(100_000, 640)
+    begin = clock.perf_counter()
+    with no_compute():
+        made = hp.trace(scene, platform, [SUN])
+    record_property("seconds", clock.perf_counter() - begin)
+    assert clock.perf_counter() - begin < 5.0  # a third of a second on an idle machine
+    assert made.transport_weight.data.npartitions == 3125
+    # the scene is in the graph once, and a task knows no lines but its own
+    values = dict(made.transport_weight.data.__dask_graph__())
+    assert sum("prepare" in str(key) for key in values) == 1
+
+
+def test_a_car_park_is_sent_without_a_warning() -> None:
+    """Of a graph of 10 MB dask says that it is large."""
+    made = hp.trace(car_park(), flight(), [SUN]).transport_weight.data
+    assert len(pickle.dumps(dict(made.__dask_graph__()))) < 8e6
+    assert made.name == hp.trace(car_park(), flight(), [SUN]).transport_weight.data.name
+
+
+def test_labels_say_what_is_seen(whole: xr.Dataset) -> None:
+    scene = two_cars()
+    record, settings = SceneRecord.from_attrs(whole.attrs)
+    assert record == SceneRecord.of(scene)
+    assert settings == TraceSettings.of([SUN, LOW_SUN], **SETTINGS)
+    names = [instance["name"] for instance in json.loads(whole.attrs["instances"])]
+    assert names == [instance.name for instance in scene.instances]
+    cars = {names[number] for number in np.unique(whole.car_id) if number >= 0}
+    assert cars == {"car_0", "car_1"}
+    np.testing.assert_array_equal(whole.car_id >= 0, whole.paint_id >= 0)
+    meanings = whole["paint_id"].attrs["flag_meanings"].split()
+    on = {name: whole.car_id.values == names.index(name) for name in cars}
+    assert meanings[int(whole["paint_id"].values[on["car_0"]][0])] == "red"
+    assert meanings[int(whole["paint_id"].values[on["car_1"]][0])] == "blue"
+    assert whole.surface_class.attrs["flag_meanings"].split() == list(KINDS)
+    on_ground = whole.instance.values == names.index("ground")
+    assert (whole.surface_class.values[on_ground] == KINDS.index("asphalt")).all()
+    np.testing.assert_allclose(whole.up.values[on_ground & (whole.purity.values == 1)], 0.0, atol=1e-9)
+    assert ((whole.purity > 0) & (whole.purity <= 1)).all()
+
+
+def test_the_sky_has_no_labels() -> None:
+    made = hp.trace(plane(1.0), pushbroom(3, 9, altitude=10.0, ground_sample=1.0), [SUN], samples=2).compute()
+    beside = made.instance.values[:, 0]
+    assert (beside == -1).all()
+    for name in ("material", "surface_class", "paint_id", "car_id"):
+        assert (made[name].values[:, 0] == -1).all(), name
+    assert set(np.unique(made.transport_path.values[:, :, 0])) == {-1, 0}  # the sky itself, and empty slots
+
+
+def test_suns_may_be_atmospheres_or_their_names() -> None:
+    noon = preset_atmosphere("noon")
+    made = hp.trace(plane(), flight(1, 1), ["noon", noon, "near_sunset", SUN])
+    sunset = preset_atmosphere("near_sunset")
+    assert made.sun_zenith.values.tolist() == [noon.sun_zenith, sunset.sun_zenith, SUN[0]]
+    assert made.attrs["overcast"] == 0
+    assert hp.trace(plane(), flight(1, 1), "cloudy").attrs["overcast"] == 1
+    np.testing.assert_allclose(sun_vectors([(90.0, 0.0)]), [[0.0, 1.0, 0.0]], atol=1e-15)
+
+
+@pytest.mark.parametrize(
+    ("wrong", "found"),
+    [
+        ({"suns": []}, "0 suns, expected 1 to 6"),
+        ({"suns": [(zenith, 0.0) for zenith in range(7)]}, "7 suns"),
+        ({"suns": [(95.0, 0.0)]}, "zenith 95"),
+        ({"suns": [(np.nan, 0.0)]}, "expected \\(zenith, azimuth\\)"),
+        ({"suns": 3}, "expected a list"),
+        ({"suns": [("a", 1)]}, "expected a list"),
+        ({"suns": ["midnight"]}, "midnight"),
+        ({"samples": 0}, "samples=0"),
+        ({"samples": 2.5}, "whole number"),
+        ({"seed": -1}, "seed=-1"),
+        ({"slots": 0}, "slots=0"),
+        ({"depth": 32}, "do not fit"),
+        ({"sun_radius": -1.0}, "sun_radius"),
+        ({"chunk_lines": 0}, "chunk_lines=0"),
+    ],
+)
+def test_settings_out_of_range(wrong: dict[str, Any], found: str) -> None:
+    suns = wrong.pop("suns", [SUN])
+    with pytest.raises(SchemaError, match=found):
+        hp.trace(two_cars(), flight(1, 1), suns, **wrong)
+
+
+def test_all_problems_at_once() -> None:
+    with pytest.raises(SchemaError) as caught:
+        hp.trace(plane(), flight(1, 1), [(95.0, 0.0)], samples=0, slots=0)
+    assert str(caught.value).count("\n") == 3
+
+
+def test_too_many_spectra_for_the_depth() -> None:
+    many = [Material(f"m{number}", "asphalt", "asphalt") for number in range(300)]
+    scene = Scene.join([plane(1.0, material, instance=f"i{n}") for n, material in enumerate(many)])
+    with pytest.raises(SchemaError, match="300 spectra and depth=7 do not fit"):
+        hp.trace(scene, flight(1, 1), [SUN], depth=7)
+
+
+def test_a_store_holds_a_traced_scene(tmp_path: Path, whole: xr.Dataset, no_compute: Any) -> None:
+    path = tmp_path / "traced.zarr"
+    hp.to_store(traced(7), path)
+    assert hp.verify(path).ok
+    for opened in (xr.open_zarr(path), hp.open_store(path)):
+        assert opened.transport_path.dtype == np.int64
+        with contextlib.suppress(AttributeError):
+            assert opened.transport_weight.chunksizes["along_track"] == (24,)
+        xr.testing.assert_equal(opened.compute(), whole)
+        record, _ = SceneRecord.from_attrs(opened.attrs)
+        assert record == SceneRecord.of(two_cars())
+    # the same content, by name: nothing is traced again
+    with no_compute():
+        hp.to_store(traced(7), path)
+
+
+def test_damaged_attributes_are_said_to_be_so(whole: xr.Dataset) -> None:
+    for name, value, found in (
+        ("materials", None, "'materials' is missing"),
+        ("factors", "[", "no JSON"),
+        ("factors", '[{"material": 99, "flakes": false}]', "damaged"),
+        ("instances", "[1]", "damaged"),
+        ("suns", "[]", "no list"),
+        ("depth", "4", "expected a whole number"),
+        ("materials", '[{"name": 1}]', "damaged"),
+    ):
+        attrs = {**whole.attrs, name: value}
+        if value is None:
+            del attrs[name]
+        with pytest.raises(SchemaError, match=found):
+            SceneRecord.from_attrs(attrs)

@@ -1,0 +1,62 @@
+"""Corrections that are offered, against light computed by hand."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+import xarray as xr
+
+import hyperpaint as hp
+from hyperpaint.errors import SchemaError
+from hyperpaint.sun import diffuse_fraction
+
+NM = np.linspace(400.0, 1000.0, 40)
+SKY = diffuse_fraction(NM, 35.0)
+
+
+def line(values: Any) -> xr.Dataset:
+    cube = np.broadcast_to(np.asarray(values, np.float32)[None, :, None], (4, NM.size, 3))
+    made = xr.Dataset(
+        {"reflectance": (("along_track", "band", "cross_track"), cube.copy(), {"units": "1"})},
+        {"wavelength": ("band", NM, {"units": "nm"})},
+    )
+    return made.chunk(along_track=2)
+
+
+def test_black_paint_without_its_blue_sky_is_black() -> None:
+    seen = line(0.03 + 0.04 * SKY)
+    assert float(seen.reflectance.max() / seen.reflectance.min()) > 1.3
+    made = hp.remove_mirrored_sky(seen, sun_zenith=35.0)
+    assert made.reflectance.chunks is not None
+    np.testing.assert_allclose(made.reflectance.values, 0.03, atol=1e-6)
+    assert made.reflectance.dtype == np.float32
+    assert "0.04" in made.reflectance.attrs["mirrored_sky_removed"]
+    assert "mirrored_sky_removed" not in seen.reflectance.attrs
+
+
+def test_a_tilted_panel_under_half_a_sky() -> None:
+    light = 1.2 * (1 - SKY) + 0.6 * SKY + 0.4 * 0.2
+    made = hp.correct_light(line(0.3 * light), direct=1.2, sky_view_factor=0.6, sun_zenith=35.0)
+    np.testing.assert_allclose(made.reflectance.values, 0.3, rtol=1e-5)
+    assert made.reflectance.dims == ("along_track", "band", "cross_track")
+
+
+def test_the_light_of_every_pixel() -> None:
+    direct = xr.DataArray(np.linspace(0.9, 1.1, 12).reshape(4, 3), dims=("along_track", "cross_track"))
+    light = direct * (1 - xr.DataArray(SKY, dims="band")) + xr.DataArray(SKY, dims="band")
+    seen = line(np.ones(NM.size))
+    seen["reflectance"] = (seen.reflectance * 0.5 * light).astype(np.float32).assign_attrs(units="1")
+    made = hp.correct_light(seen, direct=direct, sun_zenith=35.0)
+    np.testing.assert_allclose(made.reflectance.values, 0.5, rtol=1e-5)
+
+
+def test_nothing_is_corrected_twice_or_out_of_range() -> None:
+    once = hp.remove_mirrored_sky(line(np.ones(NM.size)), sun_zenith=35.0)
+    with pytest.raises(SchemaError, match="it was before"):
+        hp.remove_mirrored_sky(once, sun_zenith=35.0)
+    with pytest.raises(SchemaError, match=r"(?s)strength=2.*sky_view_factor=-1"):
+        hp.remove_mirrored_sky(line(np.ones(NM.size)), strength=2.0, sky_view_factor=-1.0, sun_zenith=35.0)
+    with pytest.raises(SchemaError, match="'wavelength' is missing"):
+        hp.correct_light(line(np.ones(NM.size)).drop_vars("wavelength"), sun_zenith=35.0)

@@ -1,0 +1,389 @@
+"""From a ``scene.toml`` to a store: what is in it, that it is whole, and what is refused."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import dask
+import numpy as np
+import pytest
+import xarray as xr
+from click.testing import CliRunner, Result
+
+import hyperpaint as hp
+from hyperpaint.cli import main
+from hyperpaint.errors import FormatError, SchemaError, StoreError
+from hyperpaint.io.store import list_groups
+from hyperpaint.scene_rendering import products
+from hyperpaint.simulation.camera import Camera
+from hyperpaint.simulation.settings import SimulationSettings
+
+Hyperpaint = Callable[..., Result]
+
+SCENE = """\
+[scene]
+name = "tiny park"
+kind = "car_park"
+length_m = 10
+width_m = 16
+margin_m = 5
+leaves = 50
+seed = 2
+[platform]
+lines = 40
+columns = 24
+ground_sample_m = 0.4
+wobble_deg = 0.2
+[camera]
+bands = 12
+fwhm_nm = 30
+smile_nm = 1.5
+bad_elements = 2
+[sampling]
+samples = 4
+[[atmospheres]]
+preset = "noon"
+[[atmospheres]]
+preset = "cloudy"
+[output]
+product = "counts"
+"""
+
+
+@pytest.fixture
+def hyperpaint() -> Hyperpaint:
+    """Return what runs the command line in this process."""
+
+    def call(*arguments: object) -> Result:
+        return CliRunner().invoke(main, [str(argument) for argument in arguments])
+
+    return call
+
+
+def scene_file(folder: Path, text: str = SCENE) -> Path:
+    path = folder / "scene.toml"
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+@pytest.fixture(scope="module")
+def store(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A rendered store."""
+    folder = tmp_path_factory.mktemp("render")
+    return hp.render_scene(scene_file(folder), folder / "scene.zarr")
+
+
+def opened(store: Path, group: str) -> xr.Dataset:
+    return xr.open_zarr(store, group=group).load()
+
+
+def assert_same(one: xr.Dataset, other: xr.Dataset) -> None:
+    xr.testing.assert_identical(one.drop_attrs(), other.drop_attrs())
+
+
+# --- what is in it -----------------------------------------------------------------------------------------
+
+
+def test_the_store_is_whole_and_says_what_it_is(store: Path) -> None:
+    assert hp.verify(store).ok
+    groups = ["renders/cloudy", "renders/noon", "transport"]
+    assert list_groups(store) == groups
+    root = xr.open_zarr(store)
+    assert root.attrs["name"] == "tiny park"
+    assert root.attrs["scene_file"] == SCENE
+
+
+def test_a_render_is_a_flight_line(store: Path) -> None:
+    line = xr.open_zarr(store, group="renders/noon")
+    assert line.counts.dtype == np.uint16
+    assert dict(line.sizes) | {"along_track": 40, "band": 12, "cross_track": 24} == dict(line.sizes)
+    found = line.paint.reflectance().compute()
+    seen = found.reflectance.notnull()
+    assert (seen.sum() > 0.97 * seen.size).item()
+    # two elements see no light
+    assert int((~seen).all("along_track").sum()) == 2
+    error = (found.reflectance - line.true_reflectance).where(found.quality == 0).compute()
+    # what is left is noise, the haze of 15 m of air, and rounding
+    assert abs(float(error.median())) < 1e-3
+    assert float(np.abs(error).quantile(0.9)) < 0.02
+    for name in ("roll", "pitch", "heading", "altitude", "time"):
+        assert name in line.coords, name
+    steps = np.diff(line.irradiance_time) / np.timedelta64(1, "s")
+    assert (steps == 2.0).all()
+    assert line.irradiance_time[0] < line.time[0]
+    assert line.time[-1] < line.irradiance_time[-1]
+
+
+def test_labels_say_what_their_numbers_mean(store: Path) -> None:
+    line = opened(store, "renders/noon")
+    kinds = line.surface_class.attrs["flag_meanings"].split()
+    assert len(kinds) == len(line.surface_class.attrs["flag_values"])
+    shown = {kinds[number] for number in np.unique(line.surface_class)}
+    assert {"asphalt", "paint", "glass"} <= shown
+    instances = json.loads(line.attrs["instances"])
+    cars = np.unique(line.car_id)
+    assert (cars[0], len(cars) > 3) == (-1, True)
+    assert {instances[number]["kind"] for number in cars[1:]} == {"car"}
+    on_paint = line.surface_class.values == kinds.index("paint")
+    paints = line.paint_id.attrs["flag_meanings"].split()
+    for number in cars[1:]:
+        here = on_paint & (line.car_id.values == number)
+        names = {paints[paint] for paint in np.unique(line.paint_id.values[here])}
+        assert names <= {instances[number]["paint"]}, names
+    assert ((line.purity > 0) & (line.purity <= 1)).all()
+    total = line.sun_share + line.sky_share
+    np.testing.assert_allclose(total.values[np.isfinite(total.values)], 1.0, atol=1e-5)
+
+
+def test_renders_come_from_the_stored_rays(store: Path) -> None:
+    traced = xr.open_zarr(store, group="transport")
+    camera = Camera.of(SimulationSettings(
+        lines=40, columns=24, bands=12, fwhm_nm=30.0, smile_nm=1.5, bad_elements=2,
+    ))  # fmt: skip
+    relit = traced.paint.relight(camera.imager, atmosphere="cloudy").compute()
+    line = opened(store, "renders/cloudy")
+    np.testing.assert_allclose(line.true_reflectance, relit.reflectance, rtol=2.0**-13)
+    assert line.true_reflectance.dtype == np.float32
+    assert (line.true_reflectance.values.view(np.uint32) & 0x7FF == 0).all()
+    expected = np.asarray(relit.radiance) * line.exposure_time.item() / line.radiance_gain.values
+    noise = line.counts.values - line.dark_counts.values - expected
+    good = np.isfinite(noise) & (line.counts.values < 4095)
+    spread = np.sqrt(np.maximum(expected, 0) / 20.0 + 0.25 + 1 / 12)
+    assert np.std((noise / spread)[good]) == pytest.approx(1.0, abs=0.05)
+
+
+def test_radiance_has_no_noise_and_no_counts(tmp_path: Path) -> None:
+    path = hp.render_scene(scene_file(tmp_path), tmp_path / "out.zarr", to="radiance", atmospheres=["noon"])
+    line = xr.open_zarr(path, group="renders/noon")
+    assert "counts" not in line
+    assert line.radiance.attrs["units"] == "W m-2 sr-1 nm-1"
+    found = line.paint.reflectance().reflectance
+    np.testing.assert_allclose(found, line.true_reflectance, rtol=0.02, atol=2e-3)
+
+
+def test_paints_and_spectra_of_the_file_are_used(tmp_path: Path) -> None:
+    (tmp_path / "mine.csv").write_text("300,0.25\n1200,0.25\n")
+    text = """[scene]
+kind = "plane"
+[platform]
+lines = 3
+columns = 2
+[camera]
+bands = 5
+[spectra]
+mine = "mine.csv"
+[paints]
+ground = "mine"
+[sampling]
+samples = 2
+"""
+    path = hp.render_scene(scene_file(tmp_path, text), tmp_path / "out.zarr")
+    np.testing.assert_allclose(opened(path, "renders/noon").true_reflectance, 0.25, rtol=2e-4)
+
+
+def test_without_noise_counts_are_rounded_light(tmp_path: Path) -> None:
+    text = SCENE.replace("bad_elements = 2", "noise = false").replace("lines = 40", "lines = 4")
+    path = hp.render_scene(scene_file(tmp_path, text), tmp_path / "out.zarr", atmospheres=["noon"])
+    found = xr.open_zarr(path, group="renders/noon").paint.reflectance()
+    error = (found.reflectance - found.true_reflectance).where(found.quality == 0)
+    assert float(np.abs(error).max()) < 0.02
+
+
+# --- the same whatever computes it -------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("chunk", [7, 40])
+def test_counts_do_not_depend_on_chunks(chunk: int) -> None:
+    camera = Camera.of(SimulationSettings(lines=40, columns=3, bands=4, fwhm_nm=30.0))
+    rng = np.random.default_rng(0)
+    values = rng.uniform(0.0, 0.2, (40, 4, 3)).astype(np.float32)
+
+    def counts(lines: int) -> xr.Dataset:
+        cube = xr.DataArray(values, dims=("along_track", "band", "cross_track")).chunk(along_track=lines)
+        return products.counts_of(cube, camera, 5e-3, 7, "noon")
+
+    made, reference = counts(chunk), counts(1)
+    assert made.counts.dtype == made.counts.compute().dtype == np.uint16
+    with dask.config.set(scheduler="synchronous"):
+        expected = reference.compute()
+    xr.testing.assert_identical(made.compute(), expected)
+    other = products.counts_of(reference.counts.astype("f4"), camera, 5e-3, 8, "noon")
+    assert not np.array_equal(other.dark_counts, reference.dark_counts)
+
+
+def test_renders_do_not_depend_on_the_scheduler(store: Path, tmp_path: Path) -> None:
+    distributed = pytest.importorskip("distributed")
+    with dask.config.set(scheduler="synchronous"):
+        alone = hp.render_scene(scene_file(tmp_path), tmp_path / "alone.zarr", atmospheres=["noon"])
+    with (
+        distributed.LocalCluster(
+            n_workers=1, threads_per_worker=2, processes=False, dashboard_address=None
+        ) as cluster,
+    ):
+        spread = hp.render_scene(
+            tmp_path / "scene.toml", tmp_path / "spread.zarr", scheduler=cluster.scheduler_address,
+            atmospheres=["noon"],
+        )  # fmt: skip
+    for group in ("transport", "renders/noon"):
+        reference = opened(store, group)
+        assert_same(opened(alone, group), reference)
+        assert_same(opened(spread, group), reference)
+
+
+# --- again, otherwise, interrupted -------------------------------------------------------------------------
+
+
+def test_a_finished_store_is_left_alone(hyperpaint: Hyperpaint, tmp_path: Path) -> None:
+    file, out = scene_file(tmp_path), tmp_path / "out.zarr"
+    first = hyperpaint("render", file, "--out", out, "--atmosphere", "noon", "--samples", 2)
+    assert first.exit_code == 0, first.output
+    assert first.stdout == f"{out}: wrote /transport, /renders/noon\n"
+    before = {path: path.stat().st_mtime_ns for path in (out / "transport").rglob("*")}
+    again = hyperpaint("render", file, "--out", out, "--atmosphere", "noon", "--samples", 2)
+    assert again.stdout == f"{out} is already complete: same inputs, same parameters; nothing was done\n"
+    # another light of the same file costs no tracing
+    more = hyperpaint("render", file, "--out", out, "--samples", 2)
+    assert "wrote /renders/cloudy" in more.stdout
+    assert "/renders/noon, /transport there already" in more.stdout
+    assert {path: path.stat().st_mtime_ns for path in (out / "transport").rglob("*")} == before
+    other = hyperpaint("render", file, "--out", out, "--samples", 3)
+    assert other.exit_code == 2
+    assert "/transport is there already, with other inputs or parameters; pass --overwrite" in other.stderr
+    orphan = hyperpaint("render", file, "--out", out, "--samples", 3, "--atmosphere", "noon", "--overwrite")
+    assert orphan.exit_code == 2
+    assert "holds /renders/cloudy, of a scene traced with other parameters" in orphan.stderr
+    assert hyperpaint("render", file, "--out", out, "--samples", 3, "--overwrite").exit_code == 0
+    assert hp.verify(out).ok
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["out.zarr", "scene.toml"]
+
+
+_KILLED = """
+import os, sys
+import dask, hyperpaint
+from hyperpaint.simulation.rendering import tracing
+
+original, traced = tracing._trace_rays, []
+
+def trace_or_die(*arguments):
+    traced.append(arguments)
+    if len(traced) == 4:
+        os._exit(9)
+    return original(*arguments)
+
+tracing._trace_rays = trace_or_die
+with dask.config.set(scheduler="synchronous"):
+    hyperpaint.render_scene(*sys.argv[1:], atmospheres=["noon"])
+"""
+
+
+def test_a_killed_run_is_resumed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    from hyperpaint.simulation.rendering import tracing
+
+    text = SCENE.replace("lines = 40", "lines = 160").replace("samples = 4", "samples = 1")
+    file, out = scene_file(tmp_path, text.replace("columns = 24", "columns = 4")), tmp_path / "out.zarr"
+    done = subprocess.run([sys.executable, "-c", _KILLED, str(file), str(out)], timeout=120, check=False)
+    assert done.returncode == 9
+    assert not out.exists()
+    traced: list[int] = []
+    original = tracing._trace_rays
+
+    def note(prepared: Any, origin: Any, rotation: Any, edges: Any, first_line: int) -> Any:
+        traced.append(first_line)
+        return original(prepared, origin, rotation, edges, first_line)
+
+    monkeypatch.setattr(tracing, "_trace_rays", note)
+    with dask.config.set(scheduler="synchronous"):
+        hp.render_scene(file, out, atmospheres=["noon"])
+        # blocks that were stored are not traced again
+        assert 2 <= len(traced) < 5
+        whole = hp.render_scene(file, tmp_path / "whole.zarr", atmospheres=["noon"])
+    for group in ("transport", "renders/noon"):
+        assert_same(opened(out, group), opened(whole, group))
+    assert sorted(each.name for each in tmp_path.iterdir()) == ["out.zarr", "scene.toml", "whole.zarr"]
+
+
+# --- what is refused ---------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("spectrum", "problem"),
+    [
+        ("300,0.2\n1200,1.3\n", "goes from 0.2 to 1.3, expected 0 to 1"),
+        ("500,0.2\n600,0.3\n", "covers 500.0 to 600.0 nm"),
+        ("300,0.2\n1200,nan\n", "not finite"),
+    ],
+)
+def test_spectra_that_no_paint_has_are_refused(tmp_path: Path, spectrum: str, problem: str) -> None:
+    (tmp_path / "mine.csv").write_text(spectrum)
+    file = scene_file(tmp_path, SCENE + '[spectra]\nmine = "mine.csv"\n[paints]\nasphalt = "mine"\n')
+    with pytest.raises((SchemaError, FormatError), match=problem):
+        hp.render_scene(file, tmp_path / "out.zarr")
+    assert not (tmp_path / "out.zarr").exists()
+
+
+@pytest.mark.parametrize(
+    ("options", "problem"),
+    [
+        ({"samples": 0}, "samples=0"),
+        ({"samples": 10**12}, "samples=1000000000000"),
+        ({"to": "reflectance"}, "to='reflectance'"),
+        ({"atmospheres": ["dusk"]}, "no atmosphere 'dusk' in the scene file; it has noon, cloudy"),
+    ],
+)
+def test_calls_that_make_no_sense_are_refused(tmp_path: Path, options: dict[str, Any], problem: str) -> None:
+    with pytest.raises(SchemaError, match=problem):
+        hp.render_scene(scene_file(tmp_path), tmp_path / "out.zarr", **options)
+    assert not (tmp_path / "out.zarr").exists()
+
+
+def test_scenes_larger_than_the_disk_are_refused_before_anything_is_built(tmp_path: Path) -> None:
+    text = SCENE.replace("lines = 40", "lines = 1_000_000").replace("columns = 24", "columns = 20_000")
+    file = scene_file(tmp_path, text.replace("bands = 12", "bands = 4"))
+    with pytest.raises(StoreError, match=r"needs 633\.30 GiB of disk at the very least"):
+        hp.render_scene(file, tmp_path / "out.zarr")
+    assert not (tmp_path / "out.zarr").exists()
+
+
+def test_urls_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(StoreError, match="render writes to a folder"):
+        hp.render_scene(scene_file(tmp_path), "s3://bucket/out.zarr")
+
+
+def test_problems_are_one_message_and_status_2(hyperpaint: Hyperpaint, tmp_path: Path) -> None:
+    file = scene_file(tmp_path, SCENE.replace("samples = 4", "samples = 0").replace("[camera]", "[kamera]"))
+    result = hyperpaint("render", file, "--out", tmp_path / "out.zarr")
+    assert result.exit_code == 2
+    assert result.stdout == ""
+    assert result.stderr.startswith("error: ")
+    assert "unknown table or key 'kamera'; did you mean 'camera'?" in result.stderr
+    assert "samples = 0" in result.stderr
+    assert hyperpaint("render", tmp_path / "none.toml", "--out", tmp_path / "out.zarr").exit_code == 2
+
+
+# --- the command -------------------------------------------------------------------------------------------
+
+
+def test_the_example_is_printed_and_help_teaches(hyperpaint: Hyperpaint) -> None:
+    from hyperpaint.scene_rendering.example import EXAMPLE
+
+    assert hyperpaint("render", "--example").stdout == EXAMPLE
+    shown = hyperpaint("render", "--help").stdout
+    assert "hyperpaint render --example > scene.toml" in shown
+    assert "\n  render " in hyperpaint("--help").stdout
+
+
+def test_pictures_are_drawn(hyperpaint: Hyperpaint, store: Path, tmp_path: Path) -> None:
+    pytest.importorskip("matplotlib")
+    picture = tmp_path / "renders.png"
+    result = hyperpaint("render", store.parent / "scene.toml", "--out", store, "--picture", picture)
+    assert result.exit_code == 0, result.output
+    assert picture.read_bytes().startswith(b"\x89PNG")
+    refused = hyperpaint(
+        "render", store.parent / "scene.toml", "--out", store, "--picture", tmp_path / "a.xyz"
+    )
+    assert refused.exit_code == 2
