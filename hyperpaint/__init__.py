@@ -27,17 +27,30 @@ from .schema import Quality
 if TYPE_CHECKING:
     from .alignment import align_to_irradiance, apply_alignment, oxygen_residual
     from .calibration import calibrate
+    from .corrections import correct_light, remove_mirrored_sky
+    from .flags import flag
     from .illumination import Tilt, match_irradiance
     from .io.asd import open_asd
     from .io.flightline import open_flightline
     from .io.irradiance import open_irradiance
     from .io.store import encoding, open_store, to_store, verify
     from .laboratory import open_collect
+    from .picking import pick_regions
     from .pipeline import process
     from .plot import quicklook, rgb
     from .plot_calibration import calibration_report
+    from .plot_flags import flag_overlay
+    from .plot_library import library_overview
+    from .plot_spectra import spectrum, triptych
     from .radiometry import Panel, radiance, reflectance
+    from .regions import Region, Regions, read_regions, write_regions
+    from .report import write_report
+    from .scene_model import SceneModel, survey
+    from .scene_rendering import render_scene
+    from .signatures import extract_signatures
     from .simulation import simulate_collect
+    from .simulation.rendering.relighting import relight
+    from .simulation.rendering.tracing import trace
     from .smoothing import smooth
     from .sun import solar_position
     from .uncertainty import estimate_noise, mean_uncertainty
@@ -46,13 +59,21 @@ __version__ = "0.1.0"
 
 _HOME = {
     "Panel": "radiometry",
+    "Region": "regions",
+    "Regions": "regions",
+    "SceneModel": "scene_model",
     "Tilt": "illumination",
     "align_to_irradiance": "alignment",
     "apply_alignment": "alignment",
     "calibrate": "calibration",
     "calibration_report": "plot_calibration",
+    "correct_light": "corrections",
     "encoding": "io.store",
     "estimate_noise": "uncertainty",
+    "extract_signatures": "signatures",
+    "flag_overlay": "plot_flags",
+    "library_overview": "plot_library",
+    "flag": "flags",
     "match_irradiance": "illumination",
     "mean_uncertainty": "uncertainty",
     "open_asd": "io.asd",
@@ -61,16 +82,27 @@ _HOME = {
     "open_irradiance": "io.irradiance",
     "open_store": "io.store",
     "oxygen_residual": "alignment",
+    "pick_regions": "picking",
     "process": "pipeline",
     "quicklook": "plot",
     "radiance": "radiometry",
+    "read_regions": "regions",
     "reflectance": "radiometry",
+    "relight": "simulation.rendering.relighting",
+    "remove_mirrored_sky": "corrections",
+    "render_scene": "scene_rendering",
     "rgb": "plot",
     "simulate_collect": "simulation",
     "smooth": "smoothing",
     "solar_position": "sun",
+    "spectrum": "plot_spectra",
+    "survey": "scene_model",
     "to_store": "io.store",
+    "trace": "simulation.rendering.tracing",
+    "triptych": "plot_spectra",
     "verify": "io.store",
+    "write_regions": "regions",
+    "write_report": "report",
 }
 
 __all__ = [
@@ -82,6 +114,9 @@ __all__ = [
     "PaintWarning",
     "Panel",
     "Quality",
+    "Region",
+    "Regions",
+    "SceneModel",
     "SchemaError",
     "StoreError",
     "Tilt",
@@ -92,8 +127,13 @@ __all__ = [
     "apply_alignment",
     "calibrate",
     "calibration_report",
+    "correct_light",
     "encoding",
     "estimate_noise",
+    "extract_signatures",
+    "flag",
+    "flag_overlay",
+    "library_overview",
     "match_irradiance",
     "mean_uncertainty",
     "open_asd",
@@ -102,16 +142,27 @@ __all__ = [
     "open_irradiance",
     "open_store",
     "oxygen_residual",
+    "pick_regions",
     "process",
     "quicklook",
     "radiance",
+    "read_regions",
     "reflectance",
+    "relight",
+    "remove_mirrored_sky",
+    "render_scene",
     "rgb",
     "simulate_collect",
     "smooth",
     "solar_position",
+    "spectrum",
+    "survey",
     "to_store",
+    "trace",
+    "triptych",
     "verify",
+    "write_regions",
+    "write_report",
 ]
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Mapping, Sequence
+from collections.abc import Hashable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -16,6 +16,10 @@ if TYPE_CHECKING:
     from .illumination import Tilt
     from .io.store import StoreReport
     from .radiometry import Panel
+    from .scene_model import SceneModel
+    from .schema import Quality
+    from .signatures.sources import Smoothing
+    from .simulation.rendering.four_curves import Atmosphere
 
 __all__ = ["PaintAccessor"]
 
@@ -32,6 +36,16 @@ class PaintAccessor:
 
     def __init__(self, dataset: xr.Dataset) -> None:
         self._dataset = dataset
+
+    def __repr__(self) -> str:
+        from .summaries import summary_text
+
+        return summary_text(self._dataset)
+
+    def _repr_html_(self) -> str:
+        from .summaries import summary_html
+
+        return summary_html(self._dataset)
 
     def _by_role(self, dims: Dims | None = None) -> xr.Dataset:
         from .schema import rename_to_roles
@@ -124,6 +138,110 @@ class PaintAccessor:
 
         return oxygen_residual(self._by_role(dims), progress=progress)
 
+    def relight(
+        self,
+        bands: Any = None,
+        *,
+        paints: Mapping[str, Any] | None = None,
+        atmosphere: Atmosphere | str = "noon",
+        spectra: Mapping[str, Any] | xr.Dataset | None = None,
+        variation: npt.ArrayLike | None = None,
+        truth: bool = True,
+        clip: bool = False,
+        dims: Dims | None = None,
+    ) -> xr.Dataset:
+        """Return the radiance of a traced scene under an atmosphere; see `hyperpaint.relight`."""
+        from .simulation.rendering.relighting import relight
+
+        return relight(
+            self._by_role(dims),
+            bands,
+            paints=paints,
+            atmosphere=atmosphere,
+            spectra=spectra,
+            variation=variation,
+            truth=truth,
+            clip=clip,
+        )
+
+    def survey(
+        self,
+        *,
+        diffuse: Any = "model",
+        sun_zenith: float | None = None,
+        sun_azimuth: float | None = None,
+        heading: float | None = None,
+        reach: int = 120,
+        progress: Progress | bool | None = None,
+        dims: Dims | None = None,
+    ) -> SceneModel:
+        """Return what is known of the scene as a whole (eager); see `hyperpaint.survey`."""
+        from .scene_model import survey
+
+        return survey(
+            self._by_role(dims),
+            diffuse=diffuse,
+            sun_zenith=sun_zenith,
+            sun_azimuth=sun_azimuth,
+            heading=heading,
+            reach=reach,
+            progress=progress,
+        )
+
+    def flag(
+        self,
+        model: SceneModel | xr.Dataset | None = None,
+        *,
+        glint: float = 0.02,
+        shadow: float = 0.2,
+        adjacency: float = 0.01,
+        edge: int = 1,
+        progress: Progress | bool | None = None,
+        dims: Dims | None = None,
+        **options: Any,
+    ) -> xr.Dataset:
+        """Flag glint, shadow, adjacency and mixed edges; see `hyperpaint.flag`."""
+        from .flags import flag
+
+        return flag(
+            self._by_role(dims),
+            model,
+            glint=glint,
+            shadow=shadow,
+            adjacency=adjacency,
+            edge=edge,
+            progress=progress,
+            **options,
+        )
+
+    def signatures(
+        self,
+        regions: Any,
+        *,
+        exclude: Quality | int | None = None,
+        members: int = 256,
+        centre: str = "trimmed_mean",
+        smooth: Smoothing = None,
+        min_pixels: int = 5,
+        seed: int = 0,
+        progress: Progress | None = None,
+        dims: Dims | None = None,
+    ) -> xr.Dataset:
+        """Return a paint library, one paint a region (eager); see `hyperpaint.extract_signatures`."""
+        from .signatures import extract_signatures
+
+        return extract_signatures(
+            self._by_role(dims),
+            regions,
+            exclude=exclude,
+            members=members,
+            centre=centre,
+            smooth=smooth,
+            min_pixels=min_pixels,
+            seed=seed,
+            progress=progress,
+        )
+
     def rgb(self, *, stretch: tuple[float, float] = (2.0, 98.0), dims: Dims | None = None) -> xr.DataArray:
         """Return a true-colour picture; see `hyperpaint.plot.rgb`."""
         from .plot import rgb
@@ -137,6 +255,58 @@ class PaintAccessor:
         from .plot import quicklook
 
         return quicklook(self._by_role(dims), path, lines=lines)
+
+    def spectrum(
+        self,
+        regions: Any = None,
+        *,
+        pixels: Sequence[int] | Sequence[Sequence[int]] | None = None,
+        paints: str | Iterable[str] | None = None,
+        spread: str = "quantiles",
+        exclude: Quality | int | None = None,
+        axes: Any = None,
+        dims: Dims | None = None,
+    ) -> Any:
+        """Draw spectra of regions, pixels or paints (eager); see `hyperpaint.spectrum`."""
+        from .plot_spectra import spectrum
+
+        return spectrum(
+            self._by_role(dims),
+            regions,
+            pixels=pixels,
+            paints=paints,
+            spread=spread,
+            exclude=exclude,
+            axes=axes,
+        )
+
+    def triptych(
+        self,
+        region: Any,
+        path: str | Path | None = None,
+        *,
+        exclude: Quality | int | None = None,
+        dims: Dims | None = None,
+    ) -> Any:
+        """Draw a region as counts, radiance and reflectance (eager); see `hyperpaint.triptych`."""
+        from .plot_spectra import triptych
+
+        return triptych(self._by_role(dims), region, path, exclude=exclude)
+
+    def flag_overlay(
+        self,
+        flags: Quality | str | Iterable[str] | None = None,
+        *,
+        layer: str | None = None,
+        lines: int = 1000,
+        opacity: float = 0.75,
+        axes: Any = None,
+        dims: Dims | None = None,
+    ) -> Any:
+        """Draw flags or a layer over the true-colour picture (eager); see `hyperpaint.flag_overlay`."""
+        from .plot_flags import flag_overlay
+
+        return flag_overlay(self._by_role(dims), flags, layer=layer, lines=lines, opacity=opacity, axes=axes)
 
     def verify(self) -> StoreReport:
         """Read every chunk of the store that the dataset was opened from (eager); see `hyperpaint.verify`.

@@ -7,64 +7,24 @@ Exit status: 0 done, 1 the data fail a check, 2 the call or an input is wrong.
 
 from __future__ import annotations
 
-import contextlib
-import sys
-import warnings
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import click
 
 from . import __version__
-from .errors import PaintError, PaintWarning
+from .console import FAILED_CHECK, Program, is_watched, listed, progress_bar
+from .render_command import render
+from .report_command import make_report
 
 __all__ = ["main"]
-
-FAILED_CHECK, WRONG_INPUT = 1, 2
 
 _FOLDER = click.Path(file_okay=False, path_type=Path)
 _INPUT = click.Path(exists=True, path_type=Path)
 
 
-class _Program(click.Group):
-    """A group of commands whose errors are one readable message, and whose warnings are one line each."""
-
-    def invoke(self, ctx: click.Context) -> Any:
-        """Run the command that the context names."""
-        with _short_warnings():
-            try:
-                return super().invoke(ctx)
-            except (PaintError, OSError) as error:
-                # what Python calls an argument is an option here
-                text = "\n".join([str(error), *getattr(error, "__notes__", ())])
-                text = text.replace("pass overwrite=True", "pass --overwrite")
-                text = text.replace("with overwrite=True", "with --overwrite")
-                click.echo(f"error: {text}", err=True)
-                ctx.exit(WRONG_INPUT)
-
-
-@contextlib.contextmanager
-def _short_warnings() -> Iterator[None]:
-    """Print each of hyperpaint's own warnings once, without Python's file and line."""
-    seen: set[str] = set()
-    with warnings.catch_warnings():
-        otherwise = warnings.showwarning
-
-        def show(message: Warning | str, category: type[Warning], *where: Any, **more: Any) -> None:
-            if not issubclass(category, PaintWarning):
-                otherwise(message, category, *where, **more)
-            elif str(message) not in seen:
-                seen.add(str(message))
-                click.echo(f"warning: {message}", err=True)
-
-        warnings.showwarning = show
-        warnings.simplefilter("always", PaintWarning)
-        yield
-
-
 @click.group(
-    cls=_Program,
+    cls=Program,
     context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100},
     epilog="""\b
 Examples:
@@ -74,6 +34,10 @@ Examples:
   hyperpaint calibrate sweep.zarr --out cal.zarr      a lab sweep to a calibration
   hyperpaint process collect.toml --out lot.zarr      raw counts to calibrated reflectance
   hyperpaint verify lot.zarr                          is every chunk of it there and right?
+  hyperpaint signatures lot.zarr --regions cars.geojson --out paints.zarr
+  hyperpaint report lot.zarr --out report.html        all of it on one page
+  hyperpaint render --example > scene.toml            a synthetic scene to begin with
+  hyperpaint render scene.toml --out scene.zarr       its cubes, with what is true of every pixel
 
 \b
 Then, in Python:
@@ -109,6 +73,11 @@ Example:
     type=click.IntRange(min=0),
     help="Random seed; same seed, same files.",
 )
+@click.option(
+    "--scene", type=click.Choice(["rendered", "plan"]), default="rendered", show_default=True,
+    help="A car park of triangles whose light is traced, or a flat picture.",
+)  # fmt: skip
+@click.option("--samples", type=int, metavar="N", help="Rays a pixel of a rendered scene.  [default: 16]")
 @click.option("--overwrite", is_flag=True, help="Write into a folder that holds other files.")
 @click.option("--quiet", is_flag=True, help="No progress bars.")
 @click.pass_context
@@ -116,15 +85,16 @@ def demo(ctx: click.Context, /, folder: Path, overwrite: bool, quiet: bool, **sh
     """Simulate a collect, process it as if it were real, and compare with the truth.
 
     Writes raw files in the instruments' own formats, collect.toml, a store, truth.zarr and a picture into the
-    folder, and prints recovered against true reflectance of every paint. Exit status 1 outside tolerance.
+    folder. Prints recovered against true reflectance of every material and, of a rendered scene, the
+    signature of every paint. Exit status 1 outside tolerance.
     """
     import time
 
     from .demonstration import PICTURE, STORE, run_demonstration
 
     begin = time.perf_counter()
-    shown = _is_watched(quiet)
-    with _bar("simulating", shown) as simulated:
+    shown = is_watched(quiet)
+    with progress_bar("simulating", shown) as simulated:
         found = run_demonstration(
             folder, **shape, overwrite=overwrite, progress=shown, simulated=simulated, say=click.echo
         )
@@ -147,6 +117,7 @@ def demo(ctx: click.Context, /, folder: Path, overwrite: bool, quiet: bool, **sh
     epilog="""\b
 Examples:
   hyperpaint simulate sim --lines 2000
+  hyperpaint simulate sim --sky near_sunset --samples 64
   hyperpaint simulate sim --shape slit --smile 1.5 --cloud 0.6 4 2 --dropped 12
   hyperpaint simulate sim --no-noise --no-smile --seed 7 --overwrite""",
 )
@@ -155,6 +126,18 @@ Examples:
 @click.option("--bands", default=272, show_default=True, type=int, help="Spectral bands.")
 @click.option("--columns", default=320, show_default=True, type=int, help="Columns.")
 @click.option("--seed", default=0, show_default=True, type=int, help="Random seed; same seed, same files.")
+@click.option(
+    "--scene", type=click.Choice(["rendered", "plan"]), default="rendered", show_default=True,
+    help="A car park of triangles whose light is traced, or a flat picture.",
+)  # fmt: skip
+@click.option("--samples", type=int, metavar="N", help="Rays a pixel of a rendered scene.  [default: 16]")
+@click.option(
+    "--sky", type=click.Choice(["clear", "near_sunset", "overcast"]), help="Kind of light.  [default: clear]"
+)
+@click.option("--coat/--no-coat", default=None, help="Clear coats of a rendered scene, or Lambert paints.")
+@click.option(
+    "--neighbours/--no-neighbours", default=None, help="Trees, a wall and lamps around a rendered scene."
+)
 @click.option("--cubes", type=int, help="Cubes the flight is cut into.")
 @click.option(
     "--shape", "srf_shape", type=click.Choice(["gaussian", "slit"]), help="Line shape of the camera."
@@ -172,7 +155,9 @@ Examples:
 @click.option("--stamp", type=click.Choice(["start", "mid", "end"]), help="What a frame's stamp marks.")
 @click.option("--dropped", type=int, metavar="N", help="Frames that were never recorded.")
 @click.option("--bad-elements", type=int, metavar="N", help="Detector elements that see no light.")
-@click.option("--glint", type=float, metavar="SHARE", help="Share of car pixels that mirror the sun.")
+@click.option(
+    "--glint", type=float, metavar="SHARE", help="Share of a plan's car pixels that mirror the sun."
+)
 @click.option(
     "--drift", "drift_per_minute", type=float, metavar="SHARE", help="Change of sunlight in a minute."
 )
@@ -206,7 +191,7 @@ Examples:
 def simulate(folder: Path, truth: bool, sweep: bool, overwrite: bool, quiet: bool, **settings: Any) -> None:
     """Write a simulated collect with known truth, in the instruments' own formats.
 
-    DIR receives a Headwall folder (flight), a dark cube, ASD files, calibration.zarr, truth.zarr and
+    DIR receives a Headwall folder (flight), a dark cube, ASD and SVC files, calibration.zarr, truth.zarr and
     collect.toml. What is not given has the simulator's default; every effect can be switched off.
     """
     from .demonstration import refuse_foreign
@@ -215,7 +200,7 @@ def simulate(folder: Path, truth: bool, sweep: bool, overwrite: bool, quiet: boo
     given = {name: value for name, value in settings.items() if value is not None}
     if overwrite:
         refuse_foreign(folder, overwrite=True)
-    with _bar("simulating", _is_watched(quiet)) as simulated:
+    with progress_bar("simulating", is_watched(quiet)) as simulated:
         path = simulate_collect(
             folder,
             truth=truth,
@@ -225,31 +210,6 @@ def simulate(folder: Path, truth: bool, sweep: bool, overwrite: bool, quiet: boo
             **given,
         )
     click.echo(f"{path}\nprocess it with: hyperpaint process {path} --out lot.zarr")
-
-
-def _is_watched(quiet: bool) -> bool:
-    """Tell whether progress is wanted: a log file is no place for a bar."""
-    return not quiet and sys.stderr.isatty()
-
-
-@contextlib.contextmanager
-def _bar(label: str, shown: bool) -> Iterator[Any]:
-    """Yield what a function calls with (done, to do), to draw a bar on stderr; None where not shown."""
-    if not shown:
-        yield None
-        return
-    bars: list[Any] = []
-    with contextlib.ExitStack() as stack:
-
-        def update(done: int, total: int) -> None:
-            if not bars:
-                bar = click.progressbar(length=total, label=label, file=sys.stderr)
-                bars.append(stack.enter_context(bar))
-            bars[0].update(done - bars[0].pos)
-            if done >= total:
-                stack.close()
-
-        yield update
 
 
 # --- calibrate ---------------------------------------------------------------------------------------------
@@ -314,7 +274,7 @@ def calibrate(
     """
     from .laboratory import write_calibration
 
-    with _bar("calibrating", _is_watched(quiet)) as shown:
+    with progress_bar("calibrating", is_watched(quiet)) as shown:
         made = write_calibration(sweep, out, absolute=not relative, report=report, progress=shown, **options)
     good = made.wavelength[made.good]
     click.echo(f"{out}: {int(made.good.sum())} of {made.sizes['band']} bands have a gain", nl=False)
@@ -369,17 +329,71 @@ def process(collect: Path, out: Path, quiet: bool, **options: Any) -> None:
     """
     from .pipeline import run
 
-    done = run(collect, out, progress=_is_watched(quiet), **options)
+    done = run(collect, out, progress=is_watched(quiet), **options)
     if not done.written:
         click.echo(f"{out} is already complete: same inputs, same parameters; nothing was done")
         return
-    click.echo(f"{out}: wrote {_listed(done.written)}")
+    click.echo(f"{out}: wrote {listed(done.written)}")
     if done.kept:
-        click.echo(f"{out}: {_listed(done.kept)} there already, from the same inputs")
+        click.echo(f"{out}: {listed(done.kept)} there already, from the same inputs")
 
 
-def _listed(groups: tuple[str, ...]) -> str:
-    return ", ".join(f"/{group}" for group in groups)
+# --- signatures --------------------------------------------------------------------------------------------
+
+
+@main.command(
+    short_help="Turn regions of a store into paint signatures.",
+    epilog="""\b
+Examples:
+  hyperpaint signatures lot.zarr --regions cars.geojson --out paints.zarr
+  hyperpaint signatures lot.zarr --regions cars.geojson --out paints.zarr --keep shadow
+  hyperpaint signatures lot.zarr --regions cars.geojson --out paints.zarr --smooth box --window 5""",
+)
+@click.argument("store", metavar="STORE.zarr", type=_INPUT)
+@click.option("--regions", required=True, metavar="R.geojson", type=_INPUT, help="The regions.")
+@click.option(
+    "--out", required=True, metavar="LIB.zarr", type=click.Path(path_type=Path), help="The paint library."
+)
+@click.option(
+    "--keep", multiple=True, metavar="FLAG",
+    help="Use pixels with this flag, which are left out otherwise, such as shadow.",
+)  # fmt: skip
+@click.option(
+    "--centre", type=click.Choice(["trimmed_mean", "geometric_median", "median"]), default="trimmed_mean",
+    show_default=True, help="What stands for a region's pixels.",
+)  # fmt: skip
+@click.option(
+    "--smooth", type=click.Choice(["savitzky-golay", "box"]), help="Smooth spectra.  [default: not at all]"
+)
+@click.option(
+    "--window", type=int, default=11, show_default=True, help="Bands that are smoothed over, an odd number."
+)
+@click.option(
+    "--members", type=click.IntRange(min=0), default=256, show_default=True,
+    help="Pixels of a region that are kept as they are.",
+)  # fmt: skip
+@click.option(
+    "--min-pixels", type=click.IntRange(min=1), default=5, show_default=True,
+    help="Pixels that a region must have left.",
+)  # fmt: skip
+@click.option("--overwrite", is_flag=True, help="Replace a library made from something else.")
+@click.option("--quiet", is_flag=True, help="No progress bar.")
+def signatures(
+    store: Path, regions: Path, out: Path, smooth: str | None, window: int, quiet: bool, **options: Any
+) -> None:
+    """Turn regions of a processed store into a library of paint signatures.
+
+    Regions are polygons in GeoJSON, x the column and y the line of the cube, each with a property name (and
+    flightline, where the store has several). A paint has centre, spread, quantiles, single pixels,
+    uncertainty, flags and all that its region says; saturated pixels, and those in glint, shadow or a
+    neighbour's light, are left out.
+    """
+    from .signature_files import table_of, write_signatures
+
+    smoothing = None if smooth is None else {"method": smooth, "window": window}
+    with progress_bar("extracting", is_watched(quiet)) as shown:
+        made = write_signatures(store, regions, out, smooth=smoothing, progress=shown, **options)
+    click.echo(f"{out}: {made.sizes['paint']} paints, {made.sizes['band']} bands\n{table_of(made)}")
 
 
 @main.command(
@@ -418,3 +432,7 @@ def verify(ctx: click.Context, /, store: Path) -> None:
     click.echo(str(report))
     if not report.ok:
         ctx.exit(FAILED_CHECK)
+
+
+main.add_command(render)
+main.add_command(make_report)

@@ -2,17 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from .errors import FormatError, IncompleteStoreError, StoreError
-from .schema import ALONG_TRACK, BAND, IRRADIANCE_TIME, IRRADIANCE_WAVELENGTH
-
-if TYPE_CHECKING:
-    import xarray as xr
+from .facts import (
+    Facts,
+    counted,
+    facts_of_bands,
+    facts_of_irradiance,
+    facts_of_line,
+    form_of,
+    range_of,
+    size_of,
+    times_of,
+)
+from .schema import ALONG_TRACK
 
 __all__ = ["describe_path"]
 
@@ -51,9 +59,6 @@ def describe_path(path: str | Path) -> str:
     indent = "\n" + " " * (width + 4)
     rows = (f"  {name.ljust(width)}  {text.replace(chr(10), indent)}" for name, text in facts.items() if text)
     return "\n".join([str(path), *rows])
-
-
-Facts = Iterator[tuple[str, str]]
 
 
 def _file(path: Path) -> Facts:
@@ -102,10 +107,10 @@ def _envi(path: Path) -> Facts:
     name, cube = next(iter(opened.data_vars.items()))
     yield (
         "is",
-        f"ENVI cube, {header.interleave}, {header.dtype.newbyteorder('=')}, {_bytes(data.stat().st_size)}",
+        f"ENVI cube, {header.interleave}, {header.dtype.newbyteorder('=')}, {size_of(data.stat().st_size)}",
     )
-    yield str(name), _form(cube)
-    yield from _spectral(opened)
+    yield str(name), form_of(cube)
+    yield from facts_of_bands(opened)
     exposure = exposure_seconds(header.comments, header_path.name)
     yield "exposure", "" if exposure is None else f"{exposure * 1e3:g} ms (header comments)"
     yield "notes", "\n".join(header.notes)
@@ -120,7 +125,7 @@ def _asd(path: Path) -> Facts:
         "holds",
         f"{file.data_type} (stored as raw counts){'' if file.reference is None else ', white reference'}",
     )
-    yield "wavelength", _range(file.wavelength, "nm")
+    yield "wavelength", range_of(file.wavelength, "nm")
     zone = "zone unknown" if file.utc_offset_h is None else f"UTC{file.utc_offset_h:+g} h"
     yield "saved", f"{file.local_time} by the logging PC ({zone})"
     yield "exposure", f"{file.integration_ms:g} ms, {file.sample_averages} averaged"
@@ -143,7 +148,7 @@ def _asd_text(path: Path) -> Facts:
         "holds",
         f"{text.likely_quantity} (a guess from the plot range)" if text.likely_quantity else "unknown units",
     )
-    yield "wavelength", _range(text.wavelength, "nm")
+    yield "wavelength", range_of(text.wavelength, "nm")
     yield "saved", "" if text.local_time is None else f"{text.local_time} by the logging PC (zone unknown)"
     yield "exposure", "" if text.integration_ms is None else f"{text.integration_ms:g} ms"
 
@@ -154,7 +159,7 @@ def _irradiance_csv(path: Path) -> Facts:
     found: Any = read_irradiance_csv(path)
     shape = np.shape(found.values)
     yield "is", f"csv series of irradiance: {shape[0]} samples x {shape[-1]} wavelengths"
-    yield "wavelength", _range(found.wavelength, "nm")
+    yield "wavelength", range_of(found.wavelength, "nm")
 
 
 def _frame_index(path: Path) -> Facts:
@@ -173,9 +178,9 @@ def _navigation(path: Path) -> Facts:
     record = read_imu_gps(path)
     yield "is", f"navigation record: {record.rows.size} rows"
     if record.utc is not None:
-        yield "times", _times(record.utc.astype("datetime64[ns]"))
+        yield "times", times_of(record.utc.astype("datetime64[ns]"))
     for name in ("latitude", "longitude", "altitude"):
-        yield name, _range(record.values[name], "m" if name == "altitude" else "degree", digits=6)
+        yield name, range_of(record.values[name], "m" if name == "altitude" else "degree", digits=6)
 
 
 def _settings(path: Path) -> Facts:
@@ -197,47 +202,24 @@ def _collect(path: Path) -> Facts:
     collect = read_collect(path, need_irradiance=False)
     lit = collect.irradiance is not None
     tree = open_collect(path, need_irradiance=lit)
-    several = _count(len(collect.flightlines), "flight line")
+    several = counted(len(collect.flightlines), "flight line")
     yield "is", f"collect {collect.name!r}, {several}; every file opens"
     total = 0
     for entry in collect.flightlines:
         line = tree[f"flightlines/{entry.id}"].to_dataset()
         total += line["counts" if "counts" in line else "radiance"].nbytes
-        yield entry.id, _joined(_line(line))
+        yield entry.id, _joined(facts_of_line(line))
     if lit:
-        yield "irradiance", _joined(_irradiance(tree["irradiance"].to_dataset()))
+        yield "irradiance", _joined(facts_of_irradiance(tree["irradiance"].to_dataset()))
     for reference in collect.references:
-        yield "references", f"{reference.instrument}: {_count(len(reference.files), 'file')}"
+        yield "references", f"{reference.instrument}: {counted(len(reference.files), 'file')}"
     product = "reflectance" if lit else "radiance only, since there is no irradiance"
     options = "" if lit else " --to radiance"
     yield (
         "process",
-        f"would store {several} ({_bytes(total)} of cubes), quality and {product}:\n"
+        f"would store {several} ({size_of(total)} of cubes), quality and {product}:\n"
         f"hyperpaint process {path} --out STORE.zarr{options}",
     )
-
-
-def _line(line: xr.Dataset) -> Facts:
-    """Yield what stands for a flight line, opened or stored."""
-    for name in ("counts", "radiance", "reflectance"):
-        if name in line:
-            yield name, _form(line[name])
-    yield from _spectral(line)
-    if "time" in line.coords:
-        yield "times", _times(line["time"].values)
-    if "exposure_time" in line.variables:
-        source = line.attrs.get("exposure_source", "")
-        text = _range(np.unique(line["exposure_time"].values) * 1e3, "ms")
-        yield "exposure", f"{text} ({source})" if source else text
-    yield "dark", str(line.attrs.get("dark_source", ""))
-    if "irradiance" in line:
-        yield "irradiance", f"{_count(line.sizes[IRRADIANCE_TIME], 'sample')} around the line"
-
-
-def _irradiance(dataset: xr.Dataset) -> Facts:
-    yield "irradiance", _form(dataset["irradiance"])
-    yield "wavelength", _range(dataset[IRRADIANCE_WAVELENGTH].values, "nm")
-    yield "times", _times(dataset[IRRADIANCE_TIME].values)
 
 
 def _folder(path: Path) -> Facts:
@@ -261,7 +243,7 @@ def _store(path: Path) -> Facts:
         yield "is", "one group of Zarr arrays"
         yield from _group(path, "")
         return
-    yield "is", f"Zarr store, {_count(len(groups), 'group')} with arrays"
+    yield "is", f"Zarr store, {counted(len(groups), 'group')} with arrays"
     for name in groups:
         yield f"/{name}", _joined(_group(path, name))
 
@@ -281,68 +263,15 @@ def _group(path: Path, name: str) -> Facts:
         unsealed = "no completion record (not written by hyperpaint's store writer)"
         yield "state", unsealed if foreign else f"NOT COMPLETE: {error}"
     if ALONG_TRACK in group.dims:
-        yield from _line(group)
+        yield from facts_of_line(group)
         shown = ("counts", "radiance", "reflectance", "irradiance", "exposure_time")
         yield "also holds", ", ".join(sorted(str(key) for key in group.data_vars if key not in shown))
     elif "irradiance" in group:
-        yield from _irradiance(group)
+        yield from facts_of_irradiance(group)
     else:
-        yield from ((str(key), _form(array)) for key, array in sorted(group.data_vars.items(), key=str))
-        yield from _spectral(group)
+        yield from ((str(key), form_of(array)) for key, array in sorted(group.data_vars.items(), key=str))
+        yield from facts_of_bands(group)
 
 
 def _joined(facts: Facts) -> str:
     return "\n".join(f"{name}: {text}" for name, text in facts if text)
-
-
-# --- words -------------------------------------------------------------------------------------------------
-
-
-def _form(array: xr.DataArray) -> str:
-    """Return the dims, dtype and units of an array."""
-    shape = " x ".join(f"{size} {dim}" for dim, size in array.sizes.items()) or "scalar"
-    units = array.attrs.get("units")
-    return f"{shape}, {array.dtype}" + (f" [{units}]" if units else "")
-
-
-def _spectral(dataset: xr.Dataset) -> Facts:
-    if "wavelength" not in dataset.coords:
-        yield "wavelength", "unknown" if BAND in dataset.dims else ""
-        return
-    text = _range(dataset["wavelength"].values, "nm")
-    if "fwhm" in dataset.coords:
-        text += f", fwhm {_range(dataset['fwhm'].values, 'nm')}"
-    if "good" in dataset.coords and not dataset["good"].values.all():
-        text += f", {_count(int((~dataset['good'].values).sum()), 'bad band')}"
-    yield "wavelength", text
-
-
-def _count(number: int, thing: str) -> str:
-    return f"{number} {thing}" if number == 1 else f"{number} {thing}s"
-
-
-def _range(values: Any, units: str, digits: int = 3) -> str:
-    known = np.asarray(values, np.float64)
-    known = known[np.isfinite(known)]
-    if not known.size:
-        return "unknown"
-    low, high = (f"{value:.{digits}f}".rstrip("0").rstrip(".") for value in (known.min(), known.max()))
-    return f"{low} {units}" if low == high else f"{low} to {high} {units}"
-
-
-def _times(times: Any) -> str:
-    known = times[~np.isnat(times)]
-    if not known.size:
-        return "times unknown"
-    first, last = (np.datetime_as_string(time, unit="ms") for time in (known.min(), known.max()))
-    lost = f", {times.size - known.size} without a time" if known.size < times.size else ""
-    return f"{first} to {last} UTC{lost}"
-
-
-def _bytes(count: int) -> str:
-    size = float(count)
-    for unit in ("bytes", "kB", "MB"):
-        if size < 1000:
-            return f"{size:.0f} {unit}" if unit == "bytes" else f"{size:.1f} {unit}"
-        size /= 1000
-    return f"{size:.1f} GB"

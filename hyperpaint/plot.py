@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -9,16 +10,30 @@ import numpy as np
 import numpy.typing as npt
 
 from . import schema
-from .errors import MissingExtraError, SchemaError
+from .errors import SchemaError
+from .figures import label_for, new_figure, save_figure
 from .radiometry import reflectance
 from .responses import band_spacing
 
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["colour_matching", "quicklook", "rgb"]
+__all__ = [
+    "OVERVIEW_SHAPE",
+    "colour_matching",
+    "draw_irradiance",
+    "draw_reflectance",
+    "known_quantiles",
+    "overview",
+    "quicklook",
+    "rgb",
+    "srgb",
+]
 
 Array = npt.NDArray[Any]
+
+OVERVIEW_SHAPE = (1000, 640)
+"""Most lines and columns of the stored picture."""
 
 # XYZ of an equal-energy white, adapted to D65 (Bradford), to linear sRGB (IEC 61966-2-1)
 _BRADFORD_E_TO_D65 = np.array(
@@ -125,6 +140,49 @@ def rgb(dataset: xr.Dataset, *, stretch: tuple[float, float] = (2.0, 98.0)) -> x
     return made
 
 
+def srgb(spectra: npt.ArrayLike, wavelength: npt.ArrayLike) -> Array:
+    """Return the colours of reflectance spectra in daylight.
+
+    Parameters
+    ----------
+    spectra : (..., band)
+        Reflectance [1]; where it is NaN the neighbours stand in.
+    wavelength : (band,)
+        Increasing [nm].
+
+    Returns
+    -------
+    (..., 3), float32
+        sRGB from 0 to 1, white being a reflectance of 1; NaN where no visible band has a value.
+
+    Raises
+    ------
+    SchemaError
+        There are fewer than three bands between 380 and 780 nm.
+
+    Examples
+    --------
+    >>> nm = np.arange(400.0, 700.0, 5.0)
+    >>> srgb(np.where(nm > 600.0, 0.8, 0.05), nm).argmax()
+    np.int64(0)
+    """
+    nm = np.asarray(wavelength, np.float64)
+    visible = np.flatnonzero((nm > 380) & (nm < 780))
+    if visible.size < 3:
+        msg = f"a colour needs three bands between 380 and 780 nm, found {visible.size}"
+        raise SchemaError(msg)
+    nm = nm[visible]
+    values = np.asarray(spectra, np.float64)[..., visible]
+    flat = values.reshape(-1, visible.size)
+    filled = np.full_like(flat, np.nan)
+    for own, spectrum in zip(filled, flat, strict=True):
+        known = np.isfinite(spectrum)
+        if known.any():
+            own[:] = np.interp(nm, nm[known], spectrum[known])
+    linear = filled @ _srgb_weights(nm, None)[..., 0].T.astype(np.float64)
+    return _encode_srgb(linear.clip(0.0, 1.0)).reshape(*values.shape[:-1], 3)
+
+
 def _encode_srgb(linear: Array) -> Array:
     """Return linear values 0 to 1 as the sRGB standard encodes them."""
     curved = 1.055 * np.maximum(linear, 0.0031308) ** (1 / 2.4) - 0.055
@@ -170,6 +228,37 @@ def _levels(linear: xr.DataArray, lines: Any, stretch: tuple[float, float]) -> t
     return found.isel(level=0), found.isel(level=1)
 
 
+def overview(dataset: xr.Dataset) -> xr.DataArray | None:
+    """Return a small true-colour picture of a flight line, as it is stored beside it.
+
+    Lazy, from the same slabs that are written: no cube is read twice.
+
+    Parameters
+    ----------
+    dataset
+        Has ``reflectance`` (along_track, band, cross_track) and ``wavelength``.
+
+    Returns
+    -------
+    DataArray or None
+        (overview_y, overview_x, rgb) uint8, of at most `OVERVIEW_SHAPE`; None without three visible bands.
+    """
+    along, across = schema.ALONG_TRACK, schema.CROSS_TRACK
+    steps = {
+        dim: -(-dataset.sizes[dim] // most) for dim, most in zip((along, across), OVERVIEW_SHAPE, strict=True)
+    }
+    few = dataset[["reflectance"]].isel({dim: slice(None, None, step) for dim, step in steps.items()})
+    try:
+        picture = rgb(few)
+    except SchemaError:  # fewer than three visible bands
+        return None
+    row = schema.VARIABLES["overview"]
+    made = (picture * np.float32(255.0) + np.float32(0.5)).astype(np.uint8).reset_coords(drop=True)
+    made = made.drop_vars(list(made.coords)).rename(dict(zip(made.dims, row.dims, strict=True)))
+    made.attrs = {**row.attrs, "line_step": steps[along], "column_step": steps[across]}
+    return made.rename("overview")
+
+
 def quicklook(dataset: xr.Dataset, path: str | Path | None = None, *, lines: int = 1000) -> Any:
     """Draw a flight line: true colour, quality, irradiance over time.
 
@@ -192,31 +281,28 @@ def quicklook(dataset: xr.Dataset, path: str | Path | None = None, *, lines: int
     ------
     MissingExtraError
         matplotlib is not installed.
+    SchemaError
+        There is no reflectance, or nothing that it follows from; or matplotlib writes no such picture.
     """
-    try:
-        from matplotlib.figure import Figure
-    except ImportError as error:
-        needed = MissingExtraError.of("matplotlib", "viz", "a quicklook")
-        raise needed from error
-
+    figure = new_figure("a quicklook", figsize=(11, 7), layout="constrained")
     dataset = schema.rename_to_roles(dataset)
     if "reflectance" not in dataset.variables or "quality" not in dataset.variables:
         dataset = reflectance(dataset)
     step = max(1, dataset.sizes[schema.ALONG_TRACK] // lines)
     dataset = dataset.isel({schema.ALONG_TRACK: slice(None, None, step)})
     picture, quality = rgb(dataset).values, dataset["quality"].values
-    figure = Figure(figsize=(11, 7), layout="constrained")
     grid = figure.add_gridspec(2, 3, height_ratios=(3, 1.3))
     shown, flags, light = figure.add_subplot(grid[0, :2]), figure.add_subplot(grid[0, 2]), None
     shown.imshow(picture.swapaxes(0, 1), aspect="auto", interpolation="nearest")
-    shown.set(title=f"{dataset.attrs.get('name', 'flight line')}: true colour", ylabel="cross_track")
+    shown.set(
+        title=f"{label_for(dataset.attrs.get('name', 'flight line'))}: true colour", ylabel="cross_track"
+    )
     shown.set_xlabel("along_track" + (f" (every {step})" if step > 1 else ""))
     _draw_flags(flags, quality)
     light = figure.add_subplot(grid[1, :2])
-    _draw_irradiance(light, dataset)
-    _draw_spectra(figure.add_subplot(grid[1, 2]), dataset)
-    if path is not None:
-        figure.savefig(path, dpi=110)
+    draw_irradiance(light, dataset)
+    draw_reflectance(figure.add_subplot(grid[1, 2]), dataset)
+    save_figure(figure, path)
     return figure
 
 
@@ -235,8 +321,8 @@ def _draw_flags(axes: Any, quality: Array) -> None:
     axes.set_xlim(0, 1.3 * axes.get_xlim()[1])
 
 
-def _draw_irradiance(axes: Any, dataset: xr.Dataset) -> None:
-    """Draw irradiance over time at three wavelengths, and when the line was flown."""
+def draw_irradiance(axes: Any, dataset: xr.Dataset) -> None:
+    """Draw irradiance over time at three wavelengths, and when the line was flown; nothing where unknown."""
     if "irradiance" not in dataset.variables:
         axes.set_axis_off()
         return
@@ -249,20 +335,23 @@ def _draw_irradiance(axes: Any, dataset: xr.Dataset) -> None:
             axes.plot(
                 seconds, series.values[:, np.abs(samples - nm).argmin()], color=colour, label=f"{nm:.0f} nm"
             )
-    flown = (dataset["time"].values - start) / np.timedelta64(1, "s")
-    axes.axvspan(np.nanmin(flown), np.nanmax(flown), color="0.9", zorder=0, label="line")
+    times = dataset["time"].values if "time" in dataset.coords else np.empty(0, "datetime64[ns]")
+    flown = (times[~np.isnat(times)] - start) / np.timedelta64(1, "s")
+    if flown.size:
+        axes.axvspan(flown.min(), flown.max(), color="0.9", zorder=0, label="line")
     axes.set(title="downwelling irradiance", xlabel=f"seconds after {str(start)[:19]} UTC")
     axes.set_ylabel("W m$^{-2}$ nm$^{-1}$")
-    axes.set_ylim(bottom=0)
+    axes.set_ylim(0, 1.05 * axes.get_ylim()[1])
     axes.legend(fontsize="small", loc="lower right", ncols=2)
 
 
-def _draw_spectra(axes: Any, dataset: xr.Dataset) -> None:
+def draw_reflectance(axes: Any, dataset: xr.Dataset) -> None:
     """Draw how reflectance is spread over the lines shown, band by band."""
     some = dataset["reflectance"].isel(
         {schema.ALONG_TRACK: slice(None, None, max(1, dataset.sizes[schema.ALONG_TRACK] // 50))}
     )
-    parts = np.nanpercentile(some.values, (5, 25, 50, 75, 95), axis=(0, 2))
+    values = some.transpose(..., schema.BAND).values.reshape(-1, some.sizes[schema.BAND])
+    parts = known_quantiles(values, (0.05, 0.25, 0.5, 0.75, 0.95))
     wavelength = dataset["wavelength"].values
     axes.fill_between(wavelength, parts[0], parts[4], color="0.92", label="5 to 95 %")
     axes.fill_between(wavelength, parts[1], parts[3], color="0.8", label="middle half")
@@ -270,3 +359,17 @@ def _draw_spectra(axes: Any, dataset: xr.Dataset) -> None:
     axes.set(title="reflectance of all pixels", xlabel="wavelength [nm]")
     axes.set_ylim(bottom=0)
     axes.legend(fontsize="small")
+
+
+def known_quantiles(values: Array, levels: Sequence[float]) -> Array:
+    """Return quantiles of samples (sample, band) over those that are known, (level, band); NaN without any.
+
+    Examples
+    --------
+    >>> known_quantiles(np.array([[1.0, np.nan], [3.0, np.nan]]), [0.5])
+    array([[ 2., nan]])
+    """
+    parts = np.full((len(levels), values.shape[1]), np.nan)
+    seen = np.isfinite(values).any(axis=0)
+    parts[:, seen] = np.nanquantile(values[:, seen], levels, axis=0)
+    return parts

@@ -16,7 +16,7 @@ from .propagation import NONE_KNOWN, UNCERTAINTIES
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["mean_uncertainty"]
+__all__ = ["effective_number", "mean_uncertainty"]
 
 Float = npt.NDArray[np.float64]
 
@@ -98,7 +98,7 @@ def mean_uncertainty(region: xr.Dataset, dims: Sequence[str] | str | None = None
     )
     if _nothing_known(region[names[2]], systematic):
         common = np.full_like(common, np.nan)
-    effective = np.array([_effective_number(plane) for plane in value])
+    effective = np.array([effective_number(plane) for plane in value])
     made = {
         "mean": (mean, "Mean reflectance"),
         "n": (n, "Pixels"),
@@ -125,7 +125,7 @@ def _nothing_known(array: xr.DataArray, values: Float) -> bool:
     return array.attrs.get("components") == NONE_KNOWN or not np.nan_to_num(values).any()
 
 
-def _effective_number(plane: Float) -> float:
+def effective_number(plane: Float) -> float:
     """Return how many independent values are as good as these, which lie on a grid; NaN are left out."""
     there = np.isfinite(plane)
     n = int(there.sum())

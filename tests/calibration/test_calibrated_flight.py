@@ -15,7 +15,7 @@ from hyperpaint.simulation import simulate_collect, simulate_sweep
 @pytest.mark.parametrize("shape", ["gaussian", "slit"])
 def test_oxygen_window_from_a_calibrated_sweep(tmp_path: Path, shape: str) -> None:
     camera = {"columns": 16, "srf_shape": shape, "smile_nm": 0.5, "nonuniformity": 0, "seed": 3}
-    path = simulate_collect(tmp_path / "c", lines=64, **camera)
+    path = simulate_collect(tmp_path / "c", scene="plan", lines=64, **camera)
     sweep = simulate_sweep(monochromator_fwhm_nm=3.0, **camera)
     told = [name for name in sweep.variables if str(name).startswith("true_")]
     sweep.drop_vars(told).to_zarr(tmp_path / "c" / "lab.zarr", zarr_format=3, consolidated=False)

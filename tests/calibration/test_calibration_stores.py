@@ -93,7 +93,7 @@ def collect(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A collect flown with the camera of a sweep, which calibrates it."""
     folder = tmp_path_factory.mktemp("collect")
     same = {"bands": 136, "columns": 6, "nonuniformity": 0}
-    path = simulate_collect(folder / "c", lines=40, **same)
+    path = simulate_collect(folder / "c", scene="plan", lines=40, **same)
     sweep = simulate_sweep(**same)
     sweep.drop_vars([name for name in sweep.variables if str(name).startswith("true_")]).to_zarr(
         folder / "c" / "lab.zarr", zarr_format=3, consolidated=False

@@ -1,0 +1,133 @@
+"""What all pictures share: figures without a screen, texts that are only texts, and PNG."""
+
+from __future__ import annotations
+
+import base64
+import struct
+import zlib
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from .errors import MissingExtraError, SchemaError
+
+__all__ = ["axes_or_new", "data_uri", "encode_png", "label_for", "new_figure", "png_of", "save_figure"]
+
+_LONGEST_LABEL = 60
+
+
+def new_figure(purpose: str, **options: Any) -> Any:
+    """Return a matplotlib figure that no screen and no global state knows of.
+
+    Parameters
+    ----------
+    purpose
+        Opens the message where matplotlib is missing, such as "a quicklook".
+    **options
+        Of `matplotlib.figure.Figure`.
+
+    Raises
+    ------
+    MissingExtraError
+        matplotlib is not installed.
+    """
+    try:
+        from matplotlib.figure import Figure
+    except ImportError as error:
+        needed = MissingExtraError.of("matplotlib", "viz", purpose)
+        raise needed from error
+    return Figure(**options)
+
+
+def axes_or_new(axes: Any, purpose: str, **options: Any) -> Any:
+    """Return the axes given, or those of a new figure of pyplot, which a notebook shows by itself.
+
+    Raises
+    ------
+    MissingExtraError
+        matplotlib is not installed.
+    """
+    if axes is not None:
+        return axes
+    try:
+        from matplotlib import pyplot
+    except ImportError as error:
+        needed = MissingExtraError.of("matplotlib", "viz", purpose)
+        raise needed from error
+    return pyplot.subplots(layout="constrained", **options)[1]
+
+
+def label_for(text: object) -> str:
+    r"""Return a text as matplotlib draws it letter by letter: no formula, nothing hidden, no control sign.
+
+    Examples
+    --------
+    >>> print(label_for("$5 paint"))
+    \$5 paint
+    """
+    made = "".join(sign if sign.isprintable() else "\ufffd" for sign in str(text))
+    if len(made) > _LONGEST_LABEL:
+        made = made[: _LONGEST_LABEL - 3] + "..."
+    made = made.replace("$", r"\$")
+    return f" {made}" if made.startswith("_") else made  # a legend leaves out what begins with one
+
+
+def save_figure(figure: Any, path: str | Path | None, dpi: int = 110) -> None:
+    """Write a figure to a file, where one is named.
+
+    Raises
+    ------
+    SchemaError
+        matplotlib writes no such picture.
+    """
+    if path is None:
+        return
+    try:
+        figure.savefig(path, dpi=dpi)
+    except ValueError as error:
+        msg = f"{path}: {error}"
+        raise SchemaError(msg) from error
+
+
+def png_of(figure: Any, dpi: int = 110) -> bytes:
+    """Return a figure as PNG."""
+    import io
+    import warnings
+
+    held = io.BytesIO()
+    with warnings.catch_warnings():
+        # names may be written in any script; what the font lacks becomes a box
+        warnings.filterwarnings("ignore", message="Glyph .* missing from")
+        figure.savefig(held, format="png", dpi=dpi)
+    return held.getvalue()
+
+
+def encode_png(picture: npt.NDArray[np.uint8]) -> bytes:
+    r"""Return a picture (line, column, 3) as PNG, without any package.
+
+    Examples
+    --------
+    >>> encode_png(np.zeros((2, 3, 3), np.uint8))[:8]
+    b'\x89PNG\r\n\x1a\n'
+    """
+    lines, columns, _ = picture.shape
+    # each line opens with its filter: 0, none
+    rows = np.zeros((lines, 1 + 3 * columns), np.uint8)
+    rows[:, 1:] = picture.reshape(lines, -1)
+    parts = (
+        (b"IHDR", struct.pack(">IIBBBBB", columns, lines, 8, 2, 0, 0, 0)),
+        (b"IDAT", zlib.compress(rows.tobytes(), 6)),
+        (b"IEND", b""),
+    )
+    chunks = (
+        struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
+        for kind, data in parts
+    )
+    return b"\x89PNG\r\n\x1a\n" + b"".join(chunks)
+
+
+def data_uri(png: bytes) -> str:
+    """Return a PNG as a URL that holds the picture itself."""
+    return "data:image/png;base64," + base64.b64encode(png).decode("ascii")

@@ -1,0 +1,255 @@
+"""Glint, shadow, coloured light from neighbours and mixed pixels: layers first, and bits by thresholds.
+
+Pointwise, given a scene model: a pixel's light is divided into what its body sends in full light, changed
+amounts of sun and sky, mirror images of both, and the light of coloured neighbours.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+
+from . import schema
+from .errors import Problems, SchemaError
+from .scene_model import SceneModel, survey
+from .scene_model.channels import Progress, to_channels
+from .schema import ALONG_TRACK, CROSS_TRACK, Quality
+from .slabs import line_chunked
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+__all__ = ["LAYERS", "flag"]
+
+Array = npt.NDArray[Any]
+
+LAYERS = ("glint_fraction", "blocked_direct", "adjacency", "adjacency_segment", "mirrored_sky")
+"""Layers that bits are set from, and those that explain them."""
+
+NOISE, FLOOR = 0.01, 0.001
+"""Standard deviation of a channel: relative, and in reflectance [1]."""
+_EXPECTED = (1.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+_SPREAD = (0.2, 0.3, 0.05, 0.02, 0.1, 0.05, 0.1, 0.05)
+"""What amounts are without evidence, and how far from it they come to lie: weak beside a channel's noise."""
+_PENUMBRA = 3
+"""Pixels from a cast shadow up to which missing light is part of it; what is missing elsewhere is tilt."""
+
+
+def flag(
+    line: xr.Dataset,
+    model: SceneModel | xr.Dataset | None = None,
+    *,
+    glint: float = 0.02,
+    shadow: float = 0.2,
+    adjacency: float = 0.01,
+    edge: int = 1,
+    progress: Progress | bool | None = None,
+    **options: Any,
+) -> xr.Dataset:
+    r"""Set the bits of glint, shadow, adjacency and mixed edges, and add the layers they are set from.
+
+    Lazy and pointwise given ``model``: one task a slab of lines. Without a model, `hyperpaint.survey` is run
+    first, which reads the line once.
+
+    Parameters
+    ----------
+    line
+        A flight line with ``reflectance`` (along_track, band, cross_track) [1] and ``wavelength``.
+    model
+        From `hyperpaint.survey` of the same line, or the Dataset it was stored as.
+    glint
+        ``glint_fraction`` above which a pixel is in glint [1].
+    shadow
+        ``blocked_direct`` from which it is in shadow [1], in and beside segments that the model found to be a
+        cast shadow; elsewhere missing light is tilt.
+    adjacency
+        ``adjacency`` above which it is lit by a coloured neighbour [1].
+    edge
+        Pixels from a boundary up to which it is a mixed one, 0 for those in between only.
+    progress
+        See `hyperpaint.survey`; used where there is no model.
+    **options
+        Those of `hyperpaint.survey`, where there is no model.
+
+    Returns
+    -------
+    Dataset
+        The same with ``quality``, in which bits set before stay set, and (along_track, cross_track), float32
+        [1]: ``glint_fraction`` g, in units of reflectance under the sun alone; ``blocked_direct`` 1 - c, the
+        part of the direct light that is missing, negative where a surface leans towards the sun;
+        ``adjacency``, the largest reflectance in any channel that coloured neighbours add, and
+        ``adjacency_segment``, int32, the segment of the model that adds most of it, -1 for none;
+        ``mirrored_sky`` s, beyond that of the rest of the body. NaN where nothing is known.
+
+    Raises
+    ------
+    SchemaError, UnitsError
+        Variables are missing, thresholds cannot be, or the model is of another line; all are listed.
+
+    Notes
+    -----
+    With :math:`\rho` the body's reflectance in full light, :math:`\rho_n` those of the two nearest coloured
+    neighbours and :math:`f_{dir} + f_{dif} = 1` the parts of the irradiance,
+
+    .. math:: \rho_{obs} = \rho (c f_{dir} + V f_{dif}) + g f_{dir} + s f_{dif}
+              + \textstyle\sum_n (b_n \rho \rho_n + c_n \rho_n)
+
+    is solved for amounts that are not negative, by least squares with a weak tie of c and V to 1 and of the
+    others to 0, after [1]_. The tie decides where light cannot: g and c on a grey body, whose mirrored sun
+    has the colour of its own light. Of neighbours only the sum is known well; a grey one adds nothing that
+    could be told from a tilt.
+
+    References
+    ----------
+    .. [1] P. Koirala, P. Pant, M. Hauta-Kasari, J. Parkkinen, "Highlight detection and removal from spectral
+       image", J. Opt. Soc. Am. A 28, 2284-2291 (2011). doi:10.1364/JOSAA.28.002284
+
+    Examples
+    --------
+    A grey plane, one pixel of it with 0.1 of the mirrored sun.
+
+    >>> import numpy as np, xarray as xr
+    >>> from hyperpaint.sun import diffuse_fraction
+    >>> nm = np.linspace(400.0, 1000.0, 48)
+    >>> seen = np.full((8, 48, 8), 0.3, np.float32)
+    >>> seen[4, :, 4] += 0.1 * (1 - diffuse_fraction(nm, 30.0))
+    >>> line = xr.Dataset({"reflectance": (("along_track", "band", "cross_track"), seen, {"units": "1"})},
+    ...                   {"wavelength": ("band", nm, {"units": "nm"})})
+    >>> flagged = flag(line, sun_zenith=30.0)
+    >>> int((flagged.quality.values & 64).astype(bool).sum())
+    1
+    """
+    line = schema.rename_to_roles(line)
+    cube = schema.require(line, ["reflectance", "wavelength"], "flags")["reflectance"]
+    _check(glint=glint, shadow=shadow, adjacency=adjacency, edge=edge)
+    if model is None:
+        model = survey(line, progress=progress, **options)
+    elif options:
+        msg = f"{', '.join(options)}: options of the survey, which is not run where a model is given"
+        raise SchemaError(msg)
+    known = model if isinstance(model, SceneModel) else SceneModel.from_dataset(model)
+    _check_model(known, cube, line["wavelength"])
+    limits = {"glint": glint, "shadow": shadow, "adjacency": adjacency, "edge": float(edge)}
+    return _lazily(line, cube, known, limits)
+
+
+def _check(**limits: float) -> None:
+    problems = Problems("these thresholds cannot be", SchemaError)
+    for name, value in limits.items():
+        if isinstance(value, bool) or not np.isfinite(value) or value < 0:
+            problems.add(f"{name}={value!r}, expected a number from 0 on")
+    problems.raise_if_any()
+
+
+def _check_model(model: SceneModel, cube: xr.DataArray, wavelength: xr.DataArray) -> None:
+    problems = Problems("the scene model is not of this line", SchemaError)
+    lines, bands, columns = cube.shape
+    if model.segment.shape != (lines, columns):
+        problems.add(f"it has {model.segment.shape} pixels, the line ({lines}, {columns})")
+    # of a lazy coordinate only the size is looked at
+    known = model.wavelength if wavelength.chunks is not None else wavelength.values
+    if model.wavelength.shape != (bands,) or not np.array_equal(model.wavelength, known):
+        problems.add(f"it has other bands than the {bands} of the line; survey the line as it is flagged")
+    problems.raise_if_any()
+
+
+def _lazily(line: xr.Dataset, cube: xr.DataArray, model: SceneModel, limits: dict[str, float]) -> xr.Dataset:
+    import dask
+    import dask.array as da
+    import xarray as xr
+
+    data = line_chunked(cube).data
+    starts = tuple(int(start) for start in np.cumsum((0, *data.chunks[0][:-1])))
+    shared = dask.delayed(model, traverse=False, pure=False)
+    blocks = da.map_blocks(
+        _flag_block, data, shared, starts=starts, limits=limits, dtype=object, name=None,
+        meta=np.empty((0, 0, 0), object),
+    )  # fmt: skip
+    pixel = (ALONG_TRACK, CROSS_TRACK)
+    made = {}
+    for name in (*LAYERS, "quality"):
+        dtype = schema.dtype_of(name)
+        array = da.blockwise(
+            _layer_of, "lx", blocks, "lbx", name=None, layer=name, concatenate=False, dtype=dtype,
+            meta=np.empty((0, 0), dtype),
+        )  # fmt: skip
+        made[name] = schema.label(xr.DataArray(array, dims=pixel), name)
+    for name, limit in (
+        ("glint_fraction", "glint"),
+        ("blocked_direct", "shadow"),
+        ("adjacency", "adjacency"),
+    ):
+        made[name].attrs["threshold"] = limits[limit]
+    bits = made["quality"]
+    if "quality" in line.variables:
+        before = schema.require(line, ["quality"], "flags")["quality"].variable
+        bits = bits.copy(data=(bits.variable | before.transpose(*pixel)).data)
+    made["quality"] = schema.label(bits, "quality", flags_from=_origin(model))
+    return line.assign(made)
+
+
+def _origin(model: SceneModel) -> str:
+    return f"diffuse fraction: {model.attrs.get('diffuse_fraction_from', 'unknown')}"
+
+
+def _layer_of(blocks: Any, layer: str) -> Array:
+    while isinstance(blocks, list):
+        (blocks,) = blocks
+    found: Array = blocks[layer]
+    return found
+
+
+def _most(model: SceneModel) -> npt.NDArray[np.float64]:
+    """Return the largest amounts: no surface gets more of the beam than one that faces the sun."""
+    most = np.full(len(_EXPECTED), np.inf)
+    zenith = float(model.attrs.get("sun_zenith", np.nan))
+    if np.isfinite(zenith):
+        most[0] = 1.02 / max(np.cos(np.radians(zenith)), 0.2)
+    return most
+
+
+def _flag_block(
+    block: Array,
+    model: SceneModel,
+    starts: tuple[int, ...],
+    limits: dict[str, float],
+    block_id: tuple[int, ...] = (0,),
+) -> dict[str, Array]:
+    """Return layers and bits of some lines."""
+    from .kernels.unmixing import PARTS, unmix_lines
+
+    start = starts[block_id[0]]
+    stop = start + len(block)
+    seen = to_channels(block, model.channel)
+    shape = seen.shape[:2]
+    neighbours = model.neighbours(start, stop)
+    amount = np.empty((*shape, PARTS), np.float32)
+    added, misfit = np.empty((*shape, 2), np.float32), np.empty(shape, np.float32)
+    unmix_lines(
+        seen, model.bodies(start, stop), model.reference, neighbours, 1.0 - model.diffuse_fraction,
+        model.diffuse_fraction, NOISE, FLOOR, np.array(_EXPECTED), np.array(_SPREAD),
+        _most(model), amount, added, misfit,
+    )  # fmt: skip
+    most = np.argmax(added, axis=2)[..., None]
+    total = added.sum(axis=2)
+    made = {
+        "glint_fraction": amount[..., 2],
+        "blocked_direct": 1.0 - amount[..., 0],
+        "adjacency": total,
+        "adjacency_segment": np.where(total > 0, np.take_along_axis(neighbours, most, 2)[..., 0], -1),
+        "mirrored_sky": amount[..., 3],
+    }
+    bits = np.zeros(shape, np.uint16)
+    bits[made["glint_fraction"] > limits["glint"]] |= np.uint16(Quality.GLINT)
+    missing = made["blocked_direct"]
+    cast = model.shade_distance[start:stop] <= _PENUMBRA
+    bits[(missing >= limits["shadow"]) & cast] |= np.uint16(Quality.SHADOW)
+    bits[total > limits["adjacency"]] |= np.uint16(Quality.ADJACENCY)
+    bits[model.edge_distance[start:stop] <= limits["edge"]] |= np.uint16(Quality.MIXED_EDGE)
+    bits[model.segment[start:stop] < 0] = 0
+    return {
+        **{name: np.ascontiguousarray(layer, schema.dtype_of(name)) for name, layer in made.items()},
+        "quality": bits,
+    }

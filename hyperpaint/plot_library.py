@@ -1,0 +1,121 @@
+"""A paint library at a glance: every paint's colour, spectrum and spread."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+
+from . import schema
+from .errors import SchemaError
+from .figures import label_for, new_figure, save_figure
+from .plot import srgb
+from .plot_spectra import draw_band
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+__all__ = ["MOST_PAINTS", "library_overview", "paint_colours"]
+
+MOST_PAINTS = 48
+"""Paints of one figure at the most."""
+
+_PANEL = (2.9, 2.1)  # [inch]
+_CURVE = "#222222"
+
+
+def library_overview(
+    paints: xr.Dataset, path: str | Path | None = None, *, columns: int = 4, spread: str = "quantiles"
+) -> Any:
+    """Draw every paint of a library: a swatch of its colour, its spectrum and how far its pixels are spread.
+
+    Parameters
+    ----------
+    paints
+        A paint library, as of `hyperpaint.extract_signatures`.
+    path
+        Where to write a picture (PNG, PDF, ...); nowhere by default.
+    columns
+        Paints side by side.
+    spread
+        See `hyperpaint.spectrum`.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+        Of at most 48 paints; its title says how many more there are. All axes have the same scale.
+
+    Raises
+    ------
+    MissingExtraError
+        matplotlib is not installed.
+    SchemaError
+        It is no paint library, or matplotlib writes no such picture.
+    """
+    found = schema.require(paints, ["reflectance", "wavelength"], "an overview", schema.LIBRARY_VARIABLES)
+    count = paints.sizes[schema.PAINT]
+    if not count:
+        msg = "an overview needs paints, the library has none"
+        raise SchemaError(msg)
+    shown = min(count, MOST_PAINTS)
+    columns = max(1, min(columns, shown))
+    rows = -(-shown // columns)
+    size = (_PANEL[0] * columns, _PANEL[1] * rows + 0.4)
+    figure = new_figure("a picture of a paint library", figsize=size, layout="constrained")
+    grid = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False)
+    wavelength = found["wavelength"].values
+    good = (
+        paints["good"].values.astype(bool) if "good" in paints.variables else np.ones(wavelength.size, bool)
+    )
+    colours = paint_colours(paints)
+    for number, axes in enumerate(grid.ravel()):
+        if number < shown:
+            _draw_paint(axes, paints.isel({schema.PAINT: number}), wavelength, good, spread, colours[number])
+        else:
+            axes.set_axis_off()
+    # the last axes of a column carry its wavelengths, also where the row below is not full
+    for number in range(max(0, shown - columns), shown):
+        axes = grid.ravel()[number]
+        axes.tick_params(labelbottom=True)
+        axes.set_xlabel("wavelength [nm]", fontsize="small")
+    grid[0, 0].set_ylim(bottom=min(0.0, grid[0, 0].get_ylim()[0]))
+    if count > shown:
+        figure.suptitle(f"the first {shown} of {count} paints")
+    save_figure(figure, path)
+    return figure
+
+
+def paint_colours(paints: xr.Dataset) -> npt.NDArray[np.float32]:
+    """Return the colour of every paint in daylight, (paint, 3), sRGB from 0 to 1; NaN where it has none.
+
+    Bands that are not ``good`` are left out.
+    """
+    found = schema.require(paints, ["reflectance", "wavelength"], "colours", schema.LIBRARY_VARIABLES)
+    values = found["reflectance"].values
+    if "good" in paints.variables:
+        values = np.where(paints["good"].values.astype(bool), values, np.nan)
+    try:
+        return np.asarray(srgb(values, found["wavelength"].values), np.float32)
+    except SchemaError:  # fewer than three visible bands
+        return np.full((len(values), 3), np.nan, np.float32)
+
+
+def _draw_paint(
+    axes: Any, paint: xr.Dataset, wavelength: Any, good: Any, spread: str, colour: npt.NDArray[np.float32]
+) -> None:
+    from matplotlib.patches import Rectangle
+
+    draw_band(axes, paint, wavelength, good, spread, _CURVE)
+    axes.plot(wavelength, np.where(good, paint["reflectance"].values, np.nan), color=_CURVE, lw=1.3)
+    count = f"  n = {int(paint['n'])}" if "n" in paint else ""
+    title = label_for(paint[schema.PAINT].item()) + count
+    axes.set_title(title, fontsize="small", loc="left", pad=11 if np.isfinite(colour).all() else None)
+    if np.isfinite(colour).all():
+        swatch = Rectangle(
+            (0.0, 1.0), 1.0, 0.05, transform=axes.transAxes, clip_on=False, facecolor=colour.tolist(),
+            edgecolor="0.5", lw=0.5,
+        )  # fmt: skip
+        axes.add_patch(swatch)
+    axes.tick_params(labelsize="small")

@@ -1,0 +1,217 @@
+"""Pieces of the scene that could be regions: of one surface, away from its edges, in one light."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from hyperpaint.scene_model import SceneModel
+from hyperpaint.scene_model.model import SHADED
+from hyperpaint.schema import Quality
+
+__all__ = ["Limits", "Measures", "Piece", "measured", "pieces"]
+
+Array = npt.NDArray[Any]
+Float = npt.NDArray[np.float64]
+Mask = npt.NDArray[np.bool_]
+
+_WRONG = Quality.SATURATED | Quality.IRRADIANCE_GAP | Quality.NO_DATA | Quality.OFF_SWATH
+_LEAST_CHANGE = 0.005
+"""Reflectance by which pixels may differ in any case [1]."""
+_AROUND = 5
+"""Side of the square that brightness and adjacency are averaged over [pixel]."""
+
+
+@dataclass(frozen=True)
+class Limits:
+    """What pixels of a region keep to; see `propose_regions`."""
+
+    erode: int
+    glint: float
+    shadow: float
+    adjacency: float
+    brightness: float
+    angle: float
+    min_pixels: int
+
+
+class Piece(NamedTuple):
+    """A connected part of a body, away from other bodies.
+
+    Attributes
+    ----------
+    body
+        Segment of the scene model.
+    first
+        Line and column of the first pixel of ``inside``.
+    inside : (line, column)
+        Its pixels.
+    """
+
+    body: int
+    first: tuple[int, int]
+    inside: Mask
+
+    @property
+    def window(self) -> tuple[slice, slice]:
+        """The part of the picture that it lies in."""
+        (y, x), (lines, columns) = self.first, self.inside.shape
+        return slice(y, y + lines), slice(x, x + columns)
+
+
+class Measures(NamedTuple):
+    """What is measured of a piece.
+
+    Attributes
+    ----------
+    usable : (line, column)
+        Pixels that a region can have: the largest connected set of them.
+    spectrum : (channel,)
+        Median of these [1].
+    pixels
+        How many there are.
+    angle
+        Median spectral angle to the median [degree].
+    spread, slope
+        Of brightness: half of what lies between the 5th and 95th percentiles, and the median change from
+        pixel to pixel, relative.
+    glint, shadow, adjacency
+        Means over the usable pixels [1].
+    lost : mapping
+        Share of the piece that is left out, by the reason.
+    """
+
+    usable: Mask
+    spectrum: Float
+    pixels: int
+    angle: float
+    spread: float
+    slope: float
+    glint: float
+    shadow: float
+    adjacency: float
+    lost: Mapping[str, float]
+
+
+def pieces(model: SceneModel, erode: int, least: int) -> Iterator[Piece]:
+    """Yield the connected parts of bodies that have at least some pixels, in the order of bodies and lines."""
+    from scipy.ndimage import find_objects, label
+
+    body = np.append(model.body, np.int32(-1))[model.segment]
+    shaded = np.append(model.state == SHADED, False)[model.segment]
+    inside = (model.edge_distance > erode) & ~shaded & (body >= 0)
+    named = np.where(inside, body + 1, 0)
+    large = np.bincount(named.ravel(), minlength=model.segments + 1) >= least
+    for number, place in enumerate(find_objects(named, max_label=model.segments)):
+        if place is None or not large[number + 1]:
+            continue
+        parts, count = label(named[place] == number + 1)
+        for part, where in zip(range(1, count + 1), find_objects(parts), strict=True):
+            mask = parts[where] == part
+            if mask.sum() >= least:
+                first = tuple(int(a.start + b.start) for a, b in zip(place, where, strict=True))
+                yield Piece(number, (first[0], first[1]), mask)
+
+
+def measured(piece: Piece, channels: Array, layers: Mapping[str, Array], limits: Limits) -> Measures:
+    """Return what is measured of a piece, and which of its pixels a region can have.
+
+    Parameters
+    ----------
+    piece
+        Where.
+    channels : (line, column, channel)
+        Reflectance of the whole picture in the model's channels [1].
+    layers
+        ``glint_fraction``, ``blocked_direct``, ``adjacency`` and ``quality`` (line, column).
+    limits
+        What pixels keep to.
+    """
+    here = {name: layer[piece.window] for name, layer in layers.items()}
+    seen = channels[piece.window].astype(np.float64)
+    inside = piece.inside & np.isfinite(seen).all(axis=2)
+    left_out: dict[str, Mask] = {
+        "without data": ~inside,
+        "wrong": (here["quality"] & np.uint16(_WRONG)) != 0,
+        "glint": ~(here["glint_fraction"] <= limits.glint),
+        "shadow": ~(here["blocked_direct"] < limits.shadow),
+        "adjacency": ~(_smoothed(here["adjacency"], inside) <= limits.adjacency),
+    }
+    brightness, most = _brightness(seen, inside & ~left_out["shadow"])
+    # of dark paint, a tilt changes next to nothing
+    allowed = max(limits.brightness, _LEAST_CHANGE / max(most, 1e-6))
+    left_out["another tilt"] = ~(np.abs(brightness - 1.0) <= allowed)
+    usable = piece.inside.copy()
+    lost = {}
+    for reason, mask in left_out.items():
+        lost[reason] = float((usable & mask).sum() / piece.inside.sum())
+        usable &= ~mask
+    usable = _largest(usable)
+    return _measures(usable, seen, brightness, here, {name: share for name, share in lost.items() if share})
+
+
+def _measures(
+    usable: Mask, seen: Float, brightness: Float, here: Mapping[str, Array], lost: Mapping[str, float]
+) -> Measures:
+    count = int(usable.sum())
+    if not count:
+        nothing = np.full(seen.shape[2], np.nan)
+        return Measures(usable, nothing, 0, *(6 * [float("nan")]), lost)
+    values = seen[usable]
+    middle = np.median(values, axis=0)
+    length = np.linalg.norm(values, axis=1) * np.linalg.norm(middle)
+    angles = np.degrees(np.arccos(np.clip(values @ middle / np.maximum(length, 1e-12), -1.0, 1.0)))
+    low, high = np.quantile(brightness[usable], [0.05, 0.95])
+    steps = [
+        np.abs(np.diff(brightness, axis=axis))[_both(usable, axis)] for axis in (0, 1)
+    ]
+    joined = np.concatenate(steps)
+    return Measures(
+        usable,
+        middle,
+        count,
+        float(np.median(angles)),
+        0.5 * float(high - low),
+        float(np.median(joined)) if joined.size else 0.0,
+        *(float(here[name][usable].mean()) for name in ("glint_fraction", "blocked_direct", "adjacency")),
+        lost,
+    )
+
+
+def _both(mask: Mask, axis: int) -> Mask:
+    return np.asarray(mask[1:] & mask[:-1] if axis == 0 else mask[:, 1:] & mask[:, :-1])
+
+
+def _smoothed(values: Array, known: Mask) -> Float:
+    """Return means over a square of what is known (line, column); NaN where nothing is."""
+    from scipy.ndimage import uniform_filter
+
+    known = known & np.isfinite(values)
+    total = uniform_filter(np.where(known, values, 0.0).astype(np.float64), _AROUND, mode="constant")
+    count = uniform_filter(known.astype(np.float64), _AROUND, mode="constant")
+    with np.errstate(invalid="ignore", divide="ignore"):
+        return np.where(known, total / count, np.nan)
+
+
+def _brightness(seen: Float, known: Mask) -> tuple[Float, float]:
+    """Return how bright pixels are, relative to the median (line, column), and its largest reflectance."""
+    if not known.any():
+        return np.full(known.shape, np.nan), np.nan
+    middle = np.median(seen[known], axis=0)
+    made = _smoothed(seen @ (middle / max(float(middle @ middle), 1e-12)), known)
+    return made / float(np.median(made[known])), float(middle.max())
+
+
+def _largest(mask: Mask) -> Mask:
+    """Return the largest connected part of a mask without what is narrower than three pixels."""
+    from scipy.ndimage import binary_opening, label
+
+    opened = binary_opening(mask, np.ones((3, 3), bool))
+    parts, count = label(opened)
+    if not count:
+        return np.zeros_like(mask)
+    return np.asarray(parts == 1 + int(np.argmax(np.bincount(parts.ravel())[1:])))

@@ -1,0 +1,178 @@
+"""`propose_regions`: from a flight line to regions of paint, ranked, each with its reasons."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+
+from hyperpaint import schema
+from hyperpaint.errors import Problems, SchemaError
+from hyperpaint.flags import flag
+from hyperpaint.regions import Region, Regions
+from hyperpaint.scene_model import SceneModel, survey
+from hyperpaint.scene_model.channels import Progress, to_channels
+from hyperpaint.scene_model.light import sun_zenith_of
+from hyperpaint.slabs import line_chunked
+
+from .candidates import Limits, Measures, Piece, measured, pieces
+from .cars import Judged, group_by_car, settle
+from .judging import Verdict, judge
+from .pixel_outlines import outline
+from .surroundings import Surfaces
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+__all__ = ["Proposals", "propose_regions"]
+
+Array = npt.NDArray[Any]
+
+_LAYERS = ("glint_fraction", "blocked_direct", "adjacency", "quality")
+
+
+@dataclass(frozen=True)
+class Proposals(Regions):
+    """Proposed regions, best first, and what was refused.
+
+    Attributes
+    ----------
+    refused
+        What looks like a part of a car, or like paint, and is not proposed; the property ``refused`` says why.
+        Not among the regions themselves, and not written with them.
+    """
+
+    refused: Regions = field(default_factory=lambda: Regions(()))
+
+    def table(self) -> str:
+        """Return a line of text for every region, and for everything that was refused."""
+        rows = [
+            f"{one.name}  score {one.properties['score']:.2f}  {'; '.join(one.properties['reasons'])}"
+            for one in self.regions
+        ]
+        rows += [f"{one.name}  {'; '.join(one.properties['refused'])}" for one in self.refused]
+        return "\n".join(rows)
+
+
+def propose_regions(
+    line: xr.Dataset,
+    model: SceneModel | xr.Dataset | None = None,
+    *,
+    most: int | None = None,
+    min_pixels: int = 40,
+    erode: int = 3,
+    glint: float = 0.02,
+    shadow: float = 0.2,
+    adjacency: float = 0.02,
+    brightness: float = 0.03,
+    angle: float = 5.0,
+    flightline: str = "",
+    name: str = "paint",
+    progress: Progress | bool | None = None,
+    **options: Any,
+) -> Proposals:
+    line = schema.rename_to_roles(line)
+    limits = Limits(erode, glint, shadow, adjacency, brightness, angle, min_pixels)
+    _check(limits, most)
+    if model is None:
+        model = survey(line, progress=progress, **options)
+    known = model if isinstance(model, SceneModel) else SceneModel.from_dataset(model)
+    zenith = _zenith(line, options.get("sun_zenith"))
+    channels, layers = _read(line, known)
+    surfaces = Surfaces.of(known)
+    judged = []
+    for piece in pieces(known, erode, max(min_pixels // 4, 1)):
+        if surfaces.ground[piece.body]:
+            continue
+        found = measured(piece, channels, layers, limits)
+        judged.append((piece, found, judge(piece, found, known, surfaces, limits)))
+    for car in group_by_car(judged, known, surfaces):
+        settle(car, zenith)
+    return _ranked(judged, most, flightline, name)
+
+
+def _check(limits: Limits, most: int | None) -> None:
+    problems = Problems("regions cannot be proposed", SchemaError)
+    for name in ("erode", "glint", "shadow", "adjacency", "brightness", "angle"):
+        value = getattr(limits, name)
+        if isinstance(value, bool) or not np.isfinite(value) or value < 0:
+            problems.add(f"{name}={value!r}, expected a number from 0 on")
+    if limits.min_pixels < 1:
+        problems.add(f"min_pixels={limits.min_pixels!r}, expected 1 or more")
+    if most is not None and most < 1:
+        problems.add(f"most={most!r}, expected 1 or more, or None for all")
+    problems.raise_if_any()
+
+
+def _zenith(line: xr.Dataset, given: float | None) -> float | None:
+    """Return the zenith angle of the sun [degree], None where nothing tells it."""
+    try:
+        return sun_zenith_of(line, given)
+    except SchemaError:
+        if given is not None:
+            raise
+        return None
+
+
+def _read(line: xr.Dataset, model: SceneModel) -> tuple[Array, dict[str, Array]]:
+    """Return the line in channels (line, column, channel), and the layers that tell light apart.
+
+    Both come of one pass over the line.
+    """
+    import dask
+
+    flagged = flag(line, model)
+    before = line.get("quality")
+    cube = line_chunked(schema.require(line, ["reflectance"], "regions")["reflectance"])
+    numbers = dask.delayed(model.channel)
+    blocks = [dask.delayed(to_channels, pure=True)(one, numbers) for one in np.ravel(cube.data.to_delayed())]
+    planes = [flagged[name].data for name in _LAYERS[:3]]
+    found = dask.compute(*blocks, *planes)
+    channels = np.concatenate(found[: len(blocks)])
+    layers = dict(zip(_LAYERS, found[len(blocks) :], strict=False))
+    layers["quality"] = np.zeros(channels.shape[:2], np.uint16) if before is None else before.values
+    return channels, layers
+
+
+def _ranked(
+    judged: list[Judged], most: int | None, flightline: str, name: str
+) -> Proposals:
+    good = [one for one in judged if not one[2].objections and not one[2].scenery]
+    bad = [one for one in judged if one[2].objections and not one[2].scenery]
+    good.sort(key=lambda one: (-one[2].score, one[0].first, one[0].body))
+    kept = good[:most]
+    digits = len(str(max(len(kept), len(bad), 10)))
+    accepted = [
+        _region(*one, f"{name}_{rank:0{digits}}", flightline, {"rank": rank, "score": round(one[2].score, 4)})
+        for rank, one in enumerate(kept, start=1)
+    ]
+    refused = [
+        _region(*one, f"refused_{rank:0{digits}}", flightline, {"refused": one[2].objections})
+        for rank, one in enumerate(bad, start=1)
+    ]
+    return Proposals(tuple(accepted), refused=Regions(tuple(refused)))
+
+
+def _region(
+    piece: Piece, found: Measures, verdict: Verdict, name: str, flightline: str, more: Mapping[str, Any]
+) -> Region:
+    ring, holes = outline(found.usable if found.pixels else piece.inside, piece.first)
+    measures = {
+        "spectral_angle": found.angle,
+        "brightness_spread": found.spread,
+        "brightness_slope": found.slope,
+        "glint": found.glint,
+        "blocked_direct": found.shadow,
+        "adjacency": found.adjacency,
+    }
+    properties = {
+        **more,
+        "kind": verdict.kind or "unknown",
+        "pixels": found.pixels,
+        **{key: round(value, 5) for key, value in measures.items() if np.isfinite(value)},
+        "reasons": verdict.reasons,
+    }
+    return Region(name, ring, holes, flightline, properties)

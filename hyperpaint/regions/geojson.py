@@ -1,0 +1,313 @@
+"""Regions in GeoJSON (RFC 7946): a FeatureCollection of polygons, one Feature a line.
+
+Beside what the format has, the collection says what its numbers are: ``"coordinates": "sensor"`` or
+``"map"``, and ``"crs"`` as GeoJSON had it before 2016. Without either they are of the sensor.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import stat
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from hyperpaint.errors import FormatError, PaintError, Problems, SchemaError, StoreError
+
+from .outlines import COORDINATES, Region, Regions
+
+__all__ = ["read_regions", "regions_from", "write_regions"]
+
+MOST_BYTES = 16 * 2**20
+"""Bytes of a file of regions: a thousand regions of a hundred corners have 4 MB."""
+
+MOST_REGIONS = 10_000
+
+#: Lists and mappings in it, and separators: each costs memory many times its own size.
+_MOST_CONTAINERS = 500_000
+_MOST_SEPARATORS = 1_500_000
+_MOST_TOLD = 20
+
+
+def read_regions(path: str | os.PathLike[str]) -> Regions:
+    """Return the regions of a GeoJSON file.
+
+    Parameters
+    ----------
+    path
+        The file. Features are polygons with a property ``name``, and ``flightline`` where the collect has
+        several; every other property is kept, other members of features are not.
+
+    Returns
+    -------
+    Regions
+
+    Raises
+    ------
+    FormatError
+        The file is not GeoJSON, or holds what is no region; all features that are not are told.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> path = Path(tempfile.mkdtemp()) / "regions.geojson"
+    >>> path = write_regions(Regions((Region("hood", [(0, 0), (9, 0), (9, 5)]),)), path)
+    >>> read_regions(path).names
+    ('hood',)
+    """
+    place = Path(path)
+    raw = _read(place)
+    if raw.count(b"[") + raw.count(b"{") > _MOST_CONTAINERS or raw.count(b",") > _MOST_SEPARATORS:
+        msg = f"{place}: more values than {MOST_REGIONS} regions have, expected GeoJSON of some regions"
+        raise FormatError(msg)
+    try:
+        text = raw.decode("utf-8-sig")
+        document = json.loads(text, object_pairs_hook=_object, parse_constant=_no_constant)
+    except (ValueError, RecursionError) as error:
+        told = "nested too deep" if isinstance(error, RecursionError) else str(error)
+        msg = f"{place}: no GeoJSON ({told:.200}); expected a FeatureCollection of polygons in UTF-8"
+        raise FormatError(msg) from error
+    return _collection(document, str(place))
+
+
+def write_regions(
+    regions: Regions | Iterable[Region], path: str | os.PathLike[str], *, overwrite: bool = False
+) -> Path:
+    """Write regions as GeoJSON.
+
+    Equal regions give equal bytes, and what `read_regions` reads is what was written.
+
+    Parameters
+    ----------
+    regions
+        What to write.
+    path
+        The file.
+    overwrite
+        Replace a file that holds something else.
+
+    Returns
+    -------
+    Path of the file.
+
+    Raises
+    ------
+    StoreError
+        The file holds something else, or cannot be written. It is as it was.
+    """
+    place = Path(path)
+    document = regions_from(regions).__geo_interface__
+    features = document.pop("features")
+    head = [f"{_json(key)}: {_json(value)}," for key, value in document.items()]
+    lines = ",\n".join(_json(feature) for feature in features)
+    content = "\n".join(["{", *head, '"features": [', *([lines] if lines else []), "]", "}", ""]).encode()
+    temporary = place.with_name(f".{place.name}.{os.getpid()}")
+    try:
+        if place.exists() and not overwrite and place.read_bytes() != content:
+            msg = f"{place} exists and holds something else; pass overwrite=True to replace it"
+            raise StoreError(msg)
+        temporary.write_bytes(content)
+        os.replace(temporary, place)
+    except OSError as error:
+        with contextlib.suppress(OSError):
+            temporary.unlink()
+        if isinstance(error, StoreError):
+            raise
+        msg = f"{place} cannot be written: {error.strerror or error}"
+        raise StoreError(msg) from error
+    return place
+
+
+def regions_from(source: Any) -> Regions:
+    """Return regions, however they are given.
+
+    Parameters
+    ----------
+    source
+        `Regions`, several `Region`, a path of a GeoJSON file, its content as a mapping, or what has a
+        ``__geo_interface__``, as of geopandas.
+
+    Returns
+    -------
+    Regions
+
+    Raises
+    ------
+    FormatError
+        A file or mapping is not GeoJSON of regions.
+    SchemaError
+        It is nothing that regions can be made of, or names occur twice.
+    """
+    if isinstance(source, Regions):
+        return source
+    if isinstance(source, str | os.PathLike):
+        return read_regions(source)
+    if isinstance(source, Region):
+        return Regions((source,))
+    if isinstance(source, Mapping) or hasattr(source, "__geo_interface__"):
+        document = source if isinstance(source, Mapping) else source.__geo_interface__
+        return _collection(document, "these regions")
+    if isinstance(source, Iterable):
+        found = tuple(source)
+        if all(isinstance(each, Region) for each in found):
+            return Regions(found)
+    msg = (
+        f"regions are {type(source).__name__}, expected hyperpaint.Regions, the path of a GeoJSON file, "
+        "or its content"
+    )
+    raise SchemaError(msg)
+
+
+def _read(place: Path) -> bytes:
+    expected = f"expected GeoJSON of at most {MOST_BYTES} bytes; check the path"
+    try:
+        found = place.stat()
+        if stat.S_ISREG(found.st_mode) and found.st_size <= MOST_BYTES:
+            with open(place, "rb") as file:
+                return file.read(MOST_BYTES)
+    except (OSError, ValueError) as error:
+        msg = f"{place}: cannot be read ({getattr(error, 'strerror', None) or error}); check the path"
+        raise FormatError(msg) from error
+    size = f"{found.st_size} bytes" if stat.S_ISREG(found.st_mode) else "a folder, pipe or device"
+    msg = f"{place}: {size}, {expected}"
+    raise FormatError(msg)
+
+
+def _json(value: Any) -> str:
+    return json.dumps(value, ensure_ascii=False, allow_nan=False)
+
+
+def _object(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    made = dict(pairs)
+    if len(made) < len(pairs):
+        msg = "a member occurs twice in the same object"
+        raise ValueError(msg)
+    return made
+
+
+def _no_constant(text: str) -> None:
+    msg = f"{text} is no number of JSON"
+    raise ValueError(msg)
+
+
+# --- what a document says ----------------------------------------------------------------------------------
+
+
+def _collection(document: Any, subject: str) -> Regions:
+    problems = Problems(f"{subject}: no regions can be made of it", FormatError)
+    features = _features(document, problems)
+    crs = _crs(document, problems) if isinstance(document, Mapping) else None
+    given = document.get("coordinates") if isinstance(document, Mapping) else None
+    coordinates = ("sensor" if crs is None else "map") if given is None else given
+    if coordinates not in COORDINATES:
+        problems.add(f"coordinates {str(coordinates)[:80]!r}, expected one of {', '.join(COORDINATES)}")
+    problems.raise_if_any()
+    found, wrong = [], 0
+    for number, feature in enumerate(features):
+        try:
+            found.append(_region(feature))
+        except PaintError as error:
+            wrong += 1
+            if wrong <= _MOST_TOLD:
+                problems.add(f"feature {number}: {error}")
+    if wrong > _MOST_TOLD:
+        problems.add(f"and {wrong - _MOST_TOLD} features more")
+    problems.raise_if_any()
+    try:
+        return Regions(tuple(found), coordinates, crs)
+    except SchemaError as error:
+        msg = f"{subject}: {error}"
+        raise FormatError(msg) from error
+
+
+def _features(document: Any, problems: Problems) -> list[Any]:
+    """Return the features of a collection, or the one that stands for itself."""
+    kind = document.get("type") if isinstance(document, Mapping) else None
+    if kind == "Feature":
+        return [document]
+    features = document.get("features") if kind == "FeatureCollection" else None
+    if not isinstance(features, list | tuple):
+        told = f"type {kind!r:.80}" if isinstance(document, Mapping) else type(document).__name__
+        problems.add(f"{told}, expected a FeatureCollection with a list of features")
+        return []
+    if len(features) > MOST_REGIONS:
+        problems.add(f"{len(features)} features, expected at most {MOST_REGIONS}; split the file")
+        return []
+    return list(features)
+
+
+def _crs(document: Mapping[str, Any], problems: Problems) -> str | None:
+    found = document.get("crs")
+    if isinstance(found, Mapping):
+        inner = found.get("properties")
+        found = inner.get("name") if isinstance(inner, Mapping) else None
+    elif found is None:
+        return None
+    if isinstance(found, str) and 0 < len(found) <= 10_000 and found.isprintable():
+        return found
+    problems.add("the crs has no name; expected text such as 'EPSG:32618', or an object with properties.name")
+    return None
+
+
+def _region(feature: Any) -> Region:
+    """Return a feature as a region.
+
+    Raises
+    ------
+    SchemaError
+        It is none.
+    """
+    if not isinstance(feature, Mapping) or feature.get("type") != "Feature":
+        msg = f"{type(feature).__name__}, expected a Feature"
+        raise SchemaError(msg)
+    properties = feature.get("properties")
+    properties = dict(properties) if isinstance(properties, Mapping) else {}
+    name, flightline = properties.pop("name", None), properties.pop("flightline", None)
+    if name is None:
+        msg = "it has no property 'name', which names the paint"
+        raise SchemaError(msg)
+    polygon, *holes = _rings(feature.get("geometry"), name)
+    return Region(name, polygon, tuple(holes), "" if flightline is None else flightline, properties)
+
+
+def _rings(geometry: Any, name: Any) -> list[Any]:
+    kind = geometry.get("type") if isinstance(geometry, Mapping) else None
+    rings = geometry.get("coordinates") if isinstance(geometry, Mapping) else None
+    subject = f"region {str(name)[:80]!r} has a geometry of type {str(kind)[:40]!r}"
+    # many programs write every polygon as one of several
+    if kind == "MultiPolygon" and isinstance(rings, list | tuple):
+        if len(rings) != 1:
+            msg = f"{subject} with {len(rings)} polygons; expected one, give each a name of its own"
+            raise SchemaError(msg)
+        kind, rings = "Polygon", rings[0]
+    if kind != "Polygon":
+        msg = f"{subject}, expected a Polygon"
+        raise SchemaError(msg)
+    if not isinstance(rings, list | tuple) or not rings:
+        msg = f"{subject} without a list of rings"
+        raise SchemaError(msg)
+    return [_positions(ring, subject) for ring in rings]
+
+
+def _positions(ring: Any, subject: str) -> Any:
+    made = []
+    for position in ring if isinstance(ring, list | tuple) else (None,):
+        if (
+            not isinstance(position, list | tuple)
+            or len(position) < 2
+            or not all(map(_is_number, position[:2]))
+        ):
+            msg = f"{subject} with a corner {position!r:.60}, expected [x, y]"
+            raise SchemaError(msg)
+        # heights are of no use here
+        made.append((float(position[0]), float(position[1])))
+    return np.array(made, np.float64).reshape(-1, 2)
+
+
+def _is_number(value: Any) -> bool:
+    # whole numbers of JSON have no end, those of float64 do
+    return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) < 1e300

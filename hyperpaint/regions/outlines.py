@@ -1,0 +1,230 @@
+"""Regions as data: named polygons with whatever is known of what they outline."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, overload
+
+import numpy as np
+import numpy.typing as npt
+
+from hyperpaint.errors import Problems, SchemaError
+
+__all__ = ["COORDINATES", "Region", "Regions"]
+
+COORDINATES = ("sensor", "map")
+"""What x and y of regions are: column and line of the cube, or a place on the ground."""
+
+MOST_VERTICES = 10_000
+"""Corners of one ring."""
+
+LARGEST = 1e9
+"""Coordinate that no pixel and no place has."""
+
+_LONGEST_NAME = 200
+
+
+@dataclass(frozen=True, eq=False)
+class Region:
+    """A named polygon.
+
+    Attributes
+    ----------
+    name
+        Names the region, and the paint that is found in it.
+    polygon : (vertex, 2), float64
+        x (cross_track) and y (along_track) of its corners, whole numbers at pixel centres; or x and y on the
+        map. The last corner is joined to the first.
+    holes
+        Rings cut out of it, as ``polygon``.
+    flightline
+        The flight line that the coordinates are of; empty where there is one only.
+    properties
+        Anything else that is known of it: make, model, year, colour, finish, reference ... in terms of JSON.
+
+    Raises
+    ------
+    SchemaError
+        A name, ring or property that cannot be used; all are listed.
+
+    Examples
+    --------
+    >>> hood = Region("hood", [(10, 4), (20, 4), (20, 9), (10, 9)], properties={"colour": "red"})
+    >>> hood.polygon.shape, hood.properties["colour"]
+    ((4, 2), 'red')
+    """
+
+    name: str
+    polygon: npt.NDArray[np.float64]
+    holes: tuple[npt.NDArray[np.float64], ...] = ()
+    flightline: str = ""
+    properties: Mapping[str, Any] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        problems = Problems(f"region {str(self.name)[:80]!r} cannot be used", SchemaError)
+        for label in ("name", "flightline"):
+            value = getattr(self, label)
+            if wrong := _name_problem(value, may_be_empty=label == "flightline"):
+                problems.add(f"{label} {str(value)[:80]!r} {wrong}")
+        rings = [_ring(ring, index, problems) for index, ring in enumerate((self.polygon, *self.holes))]
+        properties = _plain(self.properties, problems)
+        problems.raise_if_any()
+        object.__setattr__(self, "polygon", rings[0])
+        object.__setattr__(self, "holes", tuple(rings[1:]))
+        object.__setattr__(self, "properties", properties)
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Region) and self.feature() == other.feature()
+
+    def __hash__(self) -> int:
+        return hash((self.name, self.flightline, self.polygon.tobytes()))
+
+    def feature(self) -> dict[str, Any]:
+        """Return the region as a Feature of GeoJSON."""
+        named = {"name": self.name, **({"flightline": self.flightline} if self.flightline else {})}
+        rings = [
+            [[_number(x), _number(y)] for x, y in (*ring, ring[0])] for ring in (self.polygon, *self.holes)
+        ]
+        return {
+            "type": "Feature",
+            "properties": {**named, **self.properties},
+            "geometry": {"type": "Polygon", "coordinates": rings},
+        }
+
+
+@dataclass(frozen=True)
+class Regions(Sequence[Region]):
+    """An immutable sequence of regions, and what their coordinates are.
+
+    Attributes
+    ----------
+    regions
+        The regions; no two have the same name.
+    coordinates
+        "sensor": x is cross_track and y along_track; or "map".
+    crs
+        Coordinate reference system of a map, such as ``"EPSG:32618"``; None where it is not told.
+
+    Raises
+    ------
+    SchemaError
+        Names that occur twice, unknown coordinates, or a reference system of a sensor; all are listed.
+    """
+
+    regions: tuple[Region, ...]
+    coordinates: str = "sensor"
+    crs: str | None = None
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "regions", tuple(self.regions))
+        problems = Problems("these regions cannot be used together", SchemaError)
+        seen: set[str] = set()
+        for name in (region.name for region in self.regions):
+            if name in seen:
+                problems.add(f"the name {name!r} occurs twice; it names the paint, give each its own")
+            seen.add(name)
+        if self.coordinates not in COORDINATES:
+            problems.add(f"coordinates {self.coordinates!r}, expected one of {', '.join(COORDINATES)}")
+        elif self.crs is not None and self.coordinates == "sensor":
+            problems.add(f"a crs ({self.crs[:80]!r}) is of map coordinates, these are of the sensor")
+        problems.raise_if_any()
+
+    def __len__(self) -> int:
+        return len(self.regions)
+
+    def __iter__(self) -> Iterator[Region]:
+        return iter(self.regions)
+
+    @overload
+    def __getitem__(self, index: int) -> Region: ...
+    @overload
+    def __getitem__(self, index: slice) -> Regions: ...
+    def __getitem__(self, index: int | slice) -> Region | Regions:
+        if isinstance(index, slice):
+            return Regions(self.regions[index], self.coordinates, self.crs)
+        return self.regions[index]
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Name of every region, in order."""
+        return tuple(region.name for region in self.regions)
+
+    @property
+    def flightlines(self) -> tuple[str, ...]:
+        """Flight lines that the regions name, each once, in order."""
+        return tuple(dict.fromkeys(region.flightline for region in self.regions if region.flightline))
+
+    @property
+    def __geo_interface__(self) -> dict[str, Any]:
+        """The regions as a FeatureCollection of GeoJSON, as shapely and geopandas take it."""
+        made: dict[str, Any] = {"type": "FeatureCollection", "coordinates": self.coordinates}
+        if self.crs is not None:
+            made["crs"] = {"type": "name", "properties": {"name": self.crs}}
+        return {**made, "features": [region.feature() for region in self.regions]}
+
+    @property
+    def digest(self) -> str:
+        """Digest of all that the regions say: equal digests, equal regions."""
+        text = json.dumps(self.__geo_interface__, sort_keys=True)
+        return hashlib.sha256(text.encode()).hexdigest()[:32]
+
+
+def _number(value: float) -> int | float:
+    """Return a coordinate as it is written: whole numbers without a point."""
+    whole = int(value)
+    return whole if whole == value else float(value)
+
+
+def _name_problem(value: object, *, may_be_empty: bool) -> str | None:
+    if not isinstance(value, str):
+        return f"is {type(value).__name__}, expected text"
+    if not value and not may_be_empty:
+        return "is empty, expected text"
+    if len(value) > _LONGEST_NAME:
+        return f"has {len(value)} characters, expected at most {_LONGEST_NAME}"
+    if not value.isprintable() or value.strip() != value:
+        return "has blanks at an end, or characters that cannot be printed"
+    return None
+
+
+def _ring(ring: Any, index: int, problems: Problems) -> npt.NDArray[np.float64]:
+    called = "polygon" if index == 0 else f"hole {index}"
+    try:
+        made = np.array(ring, np.float64)
+    except (TypeError, ValueError):
+        made = np.empty((0,))
+    if made.ndim != 2 or made.shape[1] != 2:
+        problems.add(f"the {called} has shape {made.shape}, expected (vertex, 2): x and y of its corners")
+        return made
+    if len(made) > 1 and (made[0] == made[-1]).all():
+        made = made[:-1]
+    if not 3 <= len(made) <= MOST_VERTICES:
+        problems.add(f"the {called} has {len(made)} corners, expected 3 to {MOST_VERTICES}")
+    if not (np.abs(made) <= LARGEST).all():
+        problems.add(f"the {called} has corners that are not numbers from {-LARGEST:g} to {LARGEST:g}")
+    made = made + 0.0  # no negative zero
+    made.flags.writeable = False
+    return made
+
+
+def _plain(properties: Any, problems: Problems) -> dict[str, Any]:
+    """Return properties as JSON holds them, copied."""
+    if not isinstance(properties, Mapping):
+        problems.add(f"properties are {type(properties).__name__}, expected a mapping")
+        return {}
+    if reserved := {"name", "flightline"} & set(properties):
+        problems.add(f"properties hold {', '.join(sorted(reserved))}, which the region has itself")
+    if odd := [key for key in properties if not isinstance(key, str)]:
+        problems.add(f"properties have names that are not text: {odd[:3]!r:.80}")
+        return {}
+    try:
+        text = json.dumps(dict(properties), allow_nan=False, ensure_ascii=False)
+        text.encode()
+    except (TypeError, ValueError, RecursionError) as error:
+        problems.add(f"properties are not text, finite numbers, lists or mappings of them ({error!s:.80})")
+        return {}
+    made: dict[str, Any] = json.loads(text)
+    return made

@@ -1,0 +1,228 @@
+"""Which pixels of a flight line lie in a region."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+
+from hyperpaint import schema
+from hyperpaint.errors import Problems, SchemaError
+from hyperpaint.schema import ALONG_TRACK, CROSS_TRACK
+
+from .geojson import regions_from
+from .outlines import Region, Regions
+from .polygons import contains
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+__all__ = ["Pixels", "pixels", "pixels_of", "region_mask"]
+
+Index = npt.NDArray[np.int64]
+Float = npt.NDArray[np.float64]
+Pixels = tuple[Index, Index]
+"""Positions along and across the track, line by line."""
+
+_BLOCK_PIXELS = 2**20
+"""Pixels whose place is looked at together."""
+
+_GROUND = (("east", "north"), ("easting", "northing"), ("longitude", "latitude"), ("lon", "lat"), ("x", "y"))
+_GEOGRAPHIC = ("longitude", "lon")
+_DEGREES = "EPSG:4326"
+
+
+def pixels(
+    region: Region, line: xr.Dataset, *, coordinates: str = "sensor", crs: str | None = None
+) -> Pixels:
+    """Return the pixels of a flight line that lie in a region.
+
+    Parameters
+    ----------
+    region
+        A polygon.
+    line
+        A flight line; for a map with the place of every pixel on the ground, as ``longitude`` and
+        ``latitude``, ``east`` and ``north`` (along_track, cross_track), or ``x`` and ``y`` of a map.
+    coordinates, crs
+        What the region's coordinates are, see `Regions`.
+
+    Returns
+    -------
+    along_track, cross_track : (pixel,), int64
+        Positions, line by line. A pixel belongs to the region where its centre lies in the polygon or on its
+        edge.
+
+    Raises
+    ------
+    SchemaError
+        The line has no along_track and cross_track; or, for a map, no place of its pixels in that reference
+        system.
+
+    Examples
+    --------
+    >>> import xarray as xr
+    >>> line = xr.Dataset({"quality": (("along_track", "cross_track"), np.zeros((9, 9), "u2"))})
+    >>> along, across = pixels(Region("corner", [(0, 0), (1.5, 0), (0, 1.5)]), line)
+    >>> along.tolist(), across.tolist()
+    ([0, 0, 1], [0, 1, 0])
+    """
+    return pixels_of(Regions((region,), coordinates, crs), line)[0]
+
+
+def region_mask(regions: Any, line: xr.Dataset) -> xr.DataArray:
+    """Return which region every pixel of a flight line lies in.
+
+    Parameters
+    ----------
+    regions
+        See `regions_from`.
+    line
+        See `pixels`.
+
+    Returns
+    -------
+    (along_track, cross_track), int16
+        Position of the region among ``regions``, the later one where several overlap; -1 elsewhere. The
+        attributes ``flag_values`` and ``flag_meanings`` name them.
+
+    Raises
+    ------
+    FormatError, SchemaError
+        As `regions_from` and `pixels`.
+    """
+    import xarray as xr
+
+    found = regions_from(regions)
+    line = schema.rename_to_roles(line)
+    places = pixels_of(found, line)
+    made = np.full((line.sizes[ALONG_TRACK], line.sizes[CROSS_TRACK]), -1, np.int16)
+    for number, place in enumerate(places):
+        made[place] = number
+    attrs = {
+        "long_name": "Region that a pixel lies in",
+        "flag_values": np.arange(-1, len(found), dtype=np.int16),
+        "flag_meanings": " ".join(["none", *(name.replace(" ", "_") for name in found.names)]),
+    }
+    return xr.DataArray(made, dims=(ALONG_TRACK, CROSS_TRACK), name="region", attrs=attrs)
+
+
+def pixels_of(regions: Regions, line: xr.Dataset) -> list[Pixels]:
+    """Return the pixels of every region; see `pixels`.
+
+    Of a sensor nothing is read, of a map the places of the pixels, once, a block of lines at a time.
+    """
+    line = schema.rename_to_roles(line)
+    problems = Problems("pixels of regions cannot be found in this line", SchemaError)
+    for dim in (ALONG_TRACK, CROSS_TRACK):
+        if dim not in line.dims:
+            problems.add(f"it has no dim {dim!r}, only {', '.join(map(str, line.dims))}; name it with dims=")
+    problems.raise_if_any()
+    shape = line.sizes[ALONG_TRACK], line.sizes[CROSS_TRACK]
+    if regions.coordinates == "sensor":
+        return [_on_sensor(region, shape) for region in regions]
+    return _on_map(regions, line, shape)
+
+
+def _on_sensor(region: Region, shape: tuple[int, int]) -> Pixels:
+    low, high = region.polygon.min(axis=0), region.polygon.max(axis=0)
+    first = [max(0, int(np.ceil(edge))) for edge in low]
+    last = [min(size - 1, int(np.floor(edge))) for edge, size in zip(high, reversed(shape), strict=True)]
+    if first[0] > last[0] or first[1] > last[1]:
+        return _joined([])
+    across = np.arange(first[0], last[0] + 1)
+    parts = []
+    for start, stop in _blocks(first[1], last[1] + 1, across.size):
+        y, x = np.meshgrid(np.arange(start, stop), across, indexing="ij")
+        inside = contains(region.polygon, region.holes, x.ravel().astype(float), y.ravel().astype(float))
+        parts.append((y.ravel()[inside], x.ravel()[inside]))
+    return _joined(parts)
+
+
+def _on_map(regions: Regions, line: xr.Dataset, shape: tuple[int, int]) -> list[Pixels]:
+    x, y = _ground(line, regions.crs)
+    parts: list[list[Pixels]] = [[] for _ in regions]
+    for start, stop in _blocks(0, shape[0], shape[1]):
+        rows = {ALONG_TRACK: slice(start, stop)}
+        there_x, there_y = (
+            _values(part.isel(rows, missing_dims="ignore"), stop - start, shape[1]) for part in (x, y)
+        )
+        for region, found in zip(regions, parts, strict=True):
+            inside = np.flatnonzero(contains(region.polygon, region.holes, there_x, there_y))
+            if inside.size:
+                along, across = np.divmod(inside, shape[1])
+                found.append((along + start, across))
+    return [_joined(found) for found in parts]
+
+
+def _values(part: xr.DataArray, lines: int, columns: int) -> Float:
+    """Return a coordinate of a block of lines, line by line (pixel,)."""
+    values = part.transpose(ALONG_TRACK, CROSS_TRACK, missing_dims="ignore").values.astype(np.float64)
+    if part.dims == (ALONG_TRACK,):
+        values = values[:, None]
+    return np.broadcast_to(values, (lines, columns)).ravel()
+
+
+def _blocks(start: int, stop: int, width: int) -> Iterator[tuple[int, int]]:
+    step = max(1, _BLOCK_PIXELS // max(width, 1))
+    for first in range(start, stop, step):
+        yield first, min(first + step, stop)
+
+
+def _joined(parts: Sequence[Pixels]) -> Pixels:
+    none = np.empty(0, np.int64)
+    along = np.concatenate([none, *(part[0] for part in parts)]).astype(np.int64)
+    across = np.concatenate([none, *(part[1] for part in parts)]).astype(np.int64)
+    return along, across
+
+
+# --- places on the ground ----------------------------------------------------------------------------------
+
+
+def _ground(line: xr.Dataset, crs: str | None) -> tuple[xr.DataArray, xr.DataArray]:
+    """Return x and y of every pixel on the ground, in the regions' reference system."""
+    there = {pair: _crs_of(line, pair) for pair in _GROUND if _is_place(line, pair)}
+    if not there:
+        msg = (
+            "regions of a map need the place of every pixel: variables east and north, or longitude and "
+            "latitude (along_track, cross_track), or x and y of a map; draw the regions in sensor "
+            "coordinates, or locate the line first"
+        )
+        raise SchemaError(msg)
+    wanted = None if crs is None else _normal(crs)
+    fitting = [pair for pair, found in there.items() if wanted is None or found in (None, wanted)]
+    # what says that it fits goes before what says nothing
+    fitting.sort(key=lambda pair: there[pair] is None)
+    if not fitting or (wanted is None and len(fitting) > 1):
+        held = ", ".join(f"{x} and {y} ({found or 'unknown'})" for (x, y), found in there.items())
+        told = "do not tell their crs" if crs is None else f"are in {crs!r:.80}"
+        msg = f"the regions {told}, the line has {held}; write the regions in one of these, and name it"
+        raise SchemaError(msg)
+    x, y = fitting[0]
+    return line[x].reset_coords(drop=True), line[y].reset_coords(drop=True)
+
+
+def _is_place(line: xr.Dataset, pair: tuple[str, str]) -> bool:
+    if not set(pair) <= set(line.variables):
+        return False
+    dims = [set(line[name].dims) for name in pair]
+    # latitude and longitude of the camera are on along_track alone
+    return set.union(*dims) == {ALONG_TRACK, CROSS_TRACK}
+
+
+def _crs_of(line: xr.Dataset, pair: tuple[str, str]) -> str | None:
+    told = line[pair[0]].attrs.get("crs", line.attrs.get("crs"))
+    if pair[0] in _GEOGRAPHIC:
+        return _DEGREES
+    return _normal(told) if isinstance(told, str) else None
+
+
+def _normal(crs: str) -> str:
+    """Return the one spelling of a reference system's name; in GeoJSON longitude always comes first."""
+    text = crs.strip()
+    if text.lower().startswith("urn:ogc:def:crs:"):
+        parts = text.split(":")
+        text = f"{parts[4]}:{parts[-1]}"
+    return _DEGREES if text.upper() in ("OGC:CRS84", _DEGREES, "WGS84") else text.upper()

@@ -1,0 +1,278 @@
+"""A store on one page: pictures, flags, light, signatures and provenance of every flight line.
+
+The page is one file that opens anywhere: pictures are inside it, nothing outside is named, no script runs.
+Whatever a store says of itself is escaped.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from .errors import PaintError, Problems, SchemaError, StoreError
+from .figures import new_figure
+from .markup import Markup, element, joined, table_of_facts
+from .report_page import page
+from .report_sections import calibration_section, library_section, line_section, regions_of
+from .schema import ALONG_TRACK, CROSS_TRACK, PAINT
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+    from .regions import Region
+
+__all__ = ["Written", "write_report"]
+
+MOST_LINES = 64
+"""Flight lines of one page at the most: each takes some megabytes."""
+
+Progress = Callable[[int, int], None]
+
+
+@dataclass(frozen=True)
+class Written:
+    """What a report came to.
+
+    Attributes
+    ----------
+    path
+        The page.
+    flightlines
+        Groups that it shows.
+    problems
+        What of the store could not be read, as the page says it too.
+    """
+
+    path: Path
+    flightlines: tuple[str, ...]
+    problems: tuple[str, ...]
+
+
+def write_report(
+    store: str | os.PathLike[str],
+    out: str | os.PathLike[str],
+    *,
+    flightlines: Sequence[str] | None = None,
+    signatures: str | os.PathLike[str] | None = None,
+    lines: int = 1000,
+    overwrite: bool = False,
+    progress: Progress | None = None,
+) -> Written:
+    """Write what a store holds as one HTML page that needs nothing else.
+
+    For every flight line: true colour, flags on it and their shares, irradiance over time, how reflectance is
+    spread, provenance; then paint signatures and the calibration, where there are any. What cannot be read is
+    named on the page, and does not keep the rest from it.
+
+    Parameters
+    ----------
+    store
+        A finished store, as `hyperpaint.process` or `hyperpaint.render_scene` writes it.
+    out
+        The page, a file.
+    flightlines
+        Names of those that are shown, such as ``["raw_0"]``; by default all, of more than 64 the first.
+    signatures
+        A paint library beside the store, as ``hyperpaint signatures`` writes it; what the store itself holds
+        is shown anyway.
+    lines
+        Lines of a picture at the most; of a longer flight line every n-th is read. Flags are read whole, two
+        bytes a pixel.
+    overwrite
+        Replace a file that is there.
+    progress
+        Called with steps done and to do.
+
+    Returns
+    -------
+    Written
+        Path of the page, the flight lines on it, and the problems that were met.
+
+    Raises
+    ------
+    MissingExtraError
+        matplotlib is not installed.
+    SchemaError
+        ``lines`` is not positive, or there are no such flight lines.
+    StoreError
+        There is no store, or nothing in it to show; or the page is there already, or cannot be written.
+
+    Examples
+    --------
+    >>> write_report("lot.zarr", "report.html").problems     # doctest: +SKIP
+    ()
+    """
+    from .io.store import list_groups
+
+    new_figure("a report")  # before anything is read
+    place = _checked_place(store, Path(out), overwrite)
+    if lines < 1:
+        msg = f"lines={lines}, expected 1 or more"
+        raise SchemaError(msg)
+    opened, problems = _opened(store, list_groups(store))
+    shown = _chosen({name: line for name, line in opened.items() if _is_line(line)}, flightlines, store)
+    libraries = {name: made for name, made in opened.items() if _is_library(made)}
+    if signatures is not None:
+        libraries[Path(signatures).name] = _library(signatures)
+    if not shown and not libraries:
+        told = "; ".join(problems) or f"its groups are {', '.join(opened) or 'none'}"
+        msg = f"{store} has nothing to show, neither a flight line nor signatures: {told}"
+        raise StoreError(msg)
+    outlines = _outlines(shown, libraries)
+    parts: list[tuple[str, Iterator[Markup]]] = [
+        *((name, line_section(line, lines, outlines[name])) for name, line in shown.items()),
+        *((name, library_section(made)) for name, made in libraries.items()),
+    ]
+    if "calibration" in opened:
+        parts.append(("calibration", calibration_section(opened["calibration"])))
+    sections = []
+    for number, (name, draw) in enumerate(parts):
+        if progress is not None:
+            progress(number, len(parts))
+        sections.append((name, _drawn(name, draw, problems)))
+    _write(place, page(Path(store).resolve().name, _head(store, opened, problems), sections))
+    if progress is not None:
+        progress(len(parts), len(parts))
+    return Written(place, tuple(shown), tuple(problems))
+
+
+# --- what there is to show ---------------------------------------------------------------------------------
+
+
+def _checked_place(store: str | os.PathLike[str], place: Path, overwrite: bool) -> Path:
+    """Return where the page goes.
+
+    Raises
+    ------
+    StoreError
+        It may not go there; all reasons are listed.
+    """
+    problems = Problems(f"the report cannot be written to {place}", StoreError)
+    inside, around = place.resolve(), Path(store).resolve()
+    if inside == around or around in inside.parents:
+        problems.add("that is in the store itself; choose another path")
+    elif place.is_dir():
+        problems.add("that is a folder; name a file in it, such as report.html")
+    elif place.exists() and not overwrite:
+        problems.add("it exists already; pass overwrite=True to replace it")
+    if not place.absolute().parent.is_dir():
+        problems.add(f"there is no folder {place.absolute().parent}")
+    problems.raise_if_any()
+    return place
+
+
+def _opened(store: str | os.PathLike[str], groups: Sequence[str]) -> tuple[dict[str, xr.Dataset], list[str]]:
+    """Return the groups that can be read, and why others cannot."""
+    from .io.store import open_store
+
+    opened, problems = {}, []
+    for group in groups:
+        try:
+            opened[group] = open_store(store, group)
+        except StoreError as error:
+            problems.append(f"/{group}: {error}")
+    return opened, problems
+
+
+def _is_line(made: xr.Dataset) -> bool:
+    cubes = {"counts", "radiance", "reflectance", "quality"} & set(made.variables)
+    return {ALONG_TRACK, CROSS_TRACK} <= set(made.dims) and bool(cubes)
+
+
+def _is_library(made: xr.Dataset) -> bool:
+    return "reflectance" in made.variables and PAINT in made["reflectance"].dims
+
+
+def _chosen(
+    lines: dict[str, xr.Dataset], wanted: Sequence[str] | None, store: str | os.PathLike[str]
+) -> dict[str, xr.Dataset]:
+    if wanted is None:
+        return dict(list(lines.items())[:MOST_LINES])
+    found = {
+        name: next((key for key in lines if name in (key, key.rpartition("/")[2])), None) for name in wanted
+    }
+    if unknown := [name for name, key in found.items() if key is None]:
+        held = ", ".join(lines) or "none"
+        msg = f"{store} has no flight line {', '.join(map(repr, unknown))}; there is {held}"
+        raise SchemaError(msg)
+    return {key: lines[key] for key in found.values() if key is not None}
+
+
+def _library(path: str | os.PathLike[str]) -> xr.Dataset:
+    from .io.store import open_store
+
+    made = open_store(path)
+    if not _is_library(made):
+        msg = (
+            f"{path} is no paint library; expected reflectance (paint, band), as hyperpaint signatures writes"
+        )
+        raise SchemaError(msg)
+    return made
+
+
+def _outlines(lines: dict[str, xr.Dataset], libraries: dict[str, xr.Dataset]) -> dict[str, list[Region]]:
+    """Return the regions of the libraries on every flight line."""
+    found = [pair for made in libraries.values() for pair in regions_of(made)]
+    return {
+        group: [region for name, region in found if name in ("", group, group.rpartition("/")[2])]
+        for group in lines
+    }
+
+
+# --- the page ----------------------------------------------------------------------------------------------
+
+
+def _drawn(name: str, draw: Iterator[Markup], problems: list[str]) -> Markup:
+    """Return a section as far as it can be drawn: a damaged chunk shows when it is read."""
+    parts: list[Markup] = []
+    try:
+        parts.extend(draw)
+    except PaintError as error:
+        problems.append(f"/{name}: {error}")
+        parts.append(element("p", f"This could not be read any further: {error}", class_="problem"))
+    return joined(parts)
+
+
+def _head(store: str | os.PathLike[str], opened: dict[str, xr.Dataset], problems: list[str]) -> Markup:
+    """Return what stands above all sections: what the store is, and what is wrong with it."""
+    import datetime
+
+    from .io.store.listing import version_of_program
+
+    now = datetime.datetime.now(datetime.UTC).isoformat(sep=" ", timespec="seconds")
+    collects = [str(made.attrs["collect"]) for made in opened.values() if "collect" in made.attrs]
+    facts = {
+        "store": Path(store).resolve().name,
+        "collect": ", ".join(dict.fromkeys(collects)),
+        "groups": ", ".join(f"/{name}" for name in opened),
+        "reported": f"{now.removesuffix('+00:00')} UTC by hyperpaint {version_of_program()}",
+    }
+    parts = [table_of_facts(facts)]
+    if problems:
+        listed = joined(element("li", problem) for problem in problems)
+        parts.append(
+            element(
+                "div",
+                element("strong", "Not everything could be read"),
+                element("ul", listed),
+                class_="problem",
+            )
+        )
+    return joined(parts)
+
+
+def _write(place: Path, content: Markup) -> None:
+    """Write the page beside its place, then move it there: no half page ever stands under its name."""
+    temporary = place.with_name(f".{place.name}.{os.getpid()}")
+    try:
+        temporary.write_text(content, encoding="utf-8", errors="replace")
+        os.replace(temporary, place)
+    except OSError as error:
+        with contextlib.suppress(OSError):
+            temporary.unlink()
+        msg = f"{place} cannot be written: {error.strerror or error}"
+        raise StoreError(msg) from error

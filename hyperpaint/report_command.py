@@ -1,0 +1,65 @@
+"""The command ``hyperpaint report``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import click
+
+from .console import FAILED_CHECK, is_watched, progress_bar
+
+__all__ = ["make_report"]
+
+
+@click.command(
+    "report",
+    short_help="Show what a store holds on one page.",
+    epilog="""\b
+Examples:
+  hyperpaint report lot.zarr --out report.html
+  hyperpaint report lot.zarr --out report.html --signatures paints.zarr
+  hyperpaint report lot.zarr --out raw_0.html --line raw_0 --overwrite""",
+)
+@click.argument("store", metavar="STORE.zarr", type=click.Path(exists=True, path_type=Path))
+@click.option(
+    "--out", required=True, metavar="REPORT.html", type=click.Path(path_type=Path), help="The page."
+)
+@click.option(
+    "--line", "flightlines", multiple=True, metavar="ID",
+    help="Show this flight line only; may be given several times.",
+)  # fmt: skip
+@click.option(
+    "--signatures", metavar="LIB.zarr", type=click.Path(exists=True, path_type=Path),
+    help="Show the paints of this library too.",
+)  # fmt: skip
+@click.option(
+    "--lines", type=click.IntRange(min=1), default=1000, show_default=True,
+    help="Lines of a picture at the most; of a longer flight line every n-th is read.",
+)  # fmt: skip
+@click.option("--overwrite", is_flag=True, help="Replace a page that is there.")
+@click.option("--quiet", is_flag=True, help="No progress bar.")
+@click.pass_context
+def make_report(
+    ctx: click.Context, /, store: Path, out: Path, flightlines: tuple[str, ...], quiet: bool, **options: Any
+) -> None:
+    """Show what a store holds on one page of HTML that needs nothing else.
+
+    Of every flight line: true colour, flags, irradiance over time, how reflectance is spread, provenance;
+    then paint signatures and the calibration, where there are any. What cannot be read is named on the page
+    and here, with exit status 1.
+    """
+    from .report import write_report
+
+    with progress_bar("drawing", is_watched(quiet)) as shown:
+        done = write_report(store, out, flightlines=flightlines or None, progress=shown, **options)
+    click.echo(f"{done.path}: {_listed(done.flightlines)}, {done.path.stat().st_size / 1e6:.1f} MB")
+    for problem in done.problems:
+        click.echo(f"cannot be read: {problem}", err=True)
+    if done.problems:
+        ctx.exit(FAILED_CHECK)
+
+
+def _listed(groups: tuple[str, ...]) -> str:
+    names = ", ".join(group.rpartition("/")[2] for group in groups)
+    return f"{len(groups)} flight line{'' if len(groups) == 1 else 's'}" + (f" ({names})" if names else "")

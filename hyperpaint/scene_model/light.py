@@ -1,0 +1,139 @@
+"""How the light divides into that of the sun and that of the sky, and where that is known from."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+
+from hyperpaint.errors import MissingExtraError, SchemaError
+from hyperpaint.sun import diffuse_fraction, solar_position
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+__all__ = ["SOURCES", "diffuse_from_clear_sky", "measured_fraction", "shadow_side_of", "sun_zenith_of"]
+
+Float = npt.NDArray[np.float64]
+
+SOURCES = ("model", "pvlib", "shadow")
+"""Where the diffuse fraction may come from, beside a measured spectrum."""
+
+
+def sun_zenith_of(line: xr.Dataset, sun_zenith: float | None) -> float:
+    """Return the zenith angle of the sun [degree], given or from time and place of the line.
+
+    Raises
+    ------
+    SchemaError
+        Neither is known.
+    """
+    if sun_zenith is not None:
+        if not 0.0 <= sun_zenith <= 90.0:
+            msg = f"sun_zenith={sun_zenith!r}, expected 0 to 90 degrees"
+            raise SchemaError(msg)
+        return float(sun_zenith)
+    if not {"time", "latitude", "longitude"} <= set(line.variables):
+        msg = (
+            "the sun's place is not known: the line has no time, latitude and longitude; give sun_zenith= "
+            "[degree], or diffuse= with a measured spectrum"
+        )
+        raise SchemaError(msg)
+    zenith, _ = solar_position(*(line[name].values for name in ("time", "latitude", "longitude")))
+    if not np.isfinite(zenith).any():
+        msg = "time, latitude or longitude is missing on every line; give sun_zenith= [degree]"
+        raise SchemaError(msg)
+    return float(np.mean(zenith[np.isfinite(zenith)]))
+
+
+def shadow_side_of(line: xr.Dataset, sun_azimuth: float | None, heading: float | None) -> Float | None:
+    """Return the direction (along, across) in the image in which shadows fall, None where it is not known.
+
+    The right-hand column is to the right of the flight.
+    """
+    if heading is None and "heading" in line.variables:
+        heading = _mean_angle(line["heading"].values)
+    if sun_azimuth is None and {"time", "latitude", "longitude"} <= set(line.variables):
+        _, azimuth = solar_position(*(line[name].values for name in ("time", "latitude", "longitude")))
+        sun_azimuth = _mean_angle(azimuth)
+    if heading is None or sun_azimuth is None:
+        return None
+    away = np.radians(sun_azimuth + 180.0 - heading)
+    return np.array([np.cos(away), np.sin(away)])
+
+
+def _mean_angle(degrees: Any) -> float | None:
+    """Return the mean direction [degree]; None where none is known."""
+    known = np.radians(np.asarray(degrees, np.float64)[np.isfinite(degrees)])
+    if not known.size:
+        return None
+    return float(np.degrees(np.arctan2(np.sin(known).mean(), np.cos(known).mean())))
+
+
+def diffuse_from_clear_sky(source: str, wavelength: Float, zenith: float) -> Float:
+    """Return the diffuse fraction (band,) of a clear sky, by the core's model or by pvlib's.
+
+    Raises
+    ------
+    MissingExtraError
+        pvlib is not installed.
+    """
+    if source != "pvlib":
+        return diffuse_fraction(wavelength, zenith)
+    try:
+        from pvlib.spectrum import spectrl2
+    except ImportError as error:
+        needed = MissingExtraError.of("pvlib", "sim", "the direct/diffuse split of SPECTRL2")
+        raise needed from error
+    from hyperpaint.sun import air_mass
+
+    made: Any = spectrl2(
+        apparent_zenith=zenith,
+        aoi=zenith,
+        surface_tilt=0,
+        ground_albedo=0.2,
+        surface_pressure=101_325.0,
+        relative_airmass=float(air_mass(zenith)),
+        precipitable_water=1.5,
+        ozone=0.31,
+        aerosol_turbidity_500nm=0.1,
+        dayofyear=172,
+    )
+    direct = made["dni_extra"] * 0 + made["poa_global"] - made["poa_sky_diffuse"] - made["poa_ground_diffuse"]
+    whole = np.ravel(made["poa_global"])
+    share = 1.0 - np.ravel(direct) / whole
+    return np.interp(wavelength, np.ravel(made["wavelength"]), share)
+
+
+def measured_fraction(given: Any, wavelength: Float) -> Float:
+    """Return a measured diffuse fraction at the bands' wavelengths.
+
+    Parameters
+    ----------
+    given : (band,) or DataArray with a coordinate ``wavelength``
+        Reading in the shade of a small disc over that in full light [1].
+    wavelength : (band,)
+        [nm]
+
+    Raises
+    ------
+    SchemaError
+        It does not fit the bands, or leaves 0 to 1.
+    """
+    if hasattr(given, "coords") and "wavelength" in given.coords:
+        nm = np.asarray(given["wavelength"].values, np.float64)
+        order = np.argsort(nm, kind="stable")
+        values = np.interp(wavelength, nm[order], np.asarray(given.values, np.float64)[order], np.nan, np.nan)
+    else:
+        values = np.asarray(given, np.float64)
+    if values.shape != wavelength.shape:
+        msg = (
+            f"diffuse= has shape {values.shape}, expected one value for each of the {wavelength.size} bands, "
+            "or a DataArray with a coordinate 'wavelength' [nm]"
+        )
+        raise SchemaError(msg)
+    if not ((values >= 0) & (values <= 1)).all():
+        msg = "diffuse= leaves 0 to 1, or does not cover the bands"
+        raise SchemaError(msg)
+    return values

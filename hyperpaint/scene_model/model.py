@@ -1,0 +1,164 @@
+"""What is known of a scene after one look at all of it: small enough to be kept beside the line."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+
+from hyperpaint.errors import Problems, SchemaError
+from hyperpaint.schema import ALONG_TRACK, BAND, CROSS_TRACK, FORMAT_VERSION
+
+from .cells import two_nearest
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+__all__ = ["GLINTED", "LIT", "SHADED", "SceneModel"]
+
+Array = npt.NDArray[Any]
+Float = npt.NDArray[np.float64]
+
+LIT, SHADED, GLINTED = 0, 1, 2
+"""States of a segment: as it is; another body's cast shadow; another body under the sun's mirror image."""
+
+_LAYOUT: dict[str, tuple[tuple[str, ...], str, str, str]] = {
+    "channel": ((BAND,), "int64", "", "Channel that a band is averaged into; -1 for none"),
+    "wavelength": ((BAND,), "float64", "nm", "Centre wavelength at the centre column"),
+    "channel_wavelength": (("channel",), "float64", "nm", "Mean wavelength of a channel's bands"),
+    "diffuse_fraction": (("channel",), "float64", "1", "Diffuse part of the irradiance on level ground"),
+    "segment": ((ALONG_TRACK, CROSS_TRACK), "int32", "", "Number of the segment; -1 without data"),
+    "edge_distance": ((ALONG_TRACK, CROSS_TRACK), "uint8", "1", "Pixels to another body, 0 in mixed ones"),
+    "shade_distance": (
+        (ALONG_TRACK, CROSS_TRACK), "uint8", "1", "Pixels to a cast shadow, 0 in it; 255 where there is none",
+    ),
+    "neighbour": (
+        ("cell_along", "cell_cross", "rank"), "int32", "", "Coloured segments nearest to a cell; -1 for none",
+    ),
+    "size": (("segment_number",), "int64", "1", "Pixels of a segment"),
+    "state": (("segment_number",), "int8", "", "0 lit, 1 in a shadow of its body, 2 in glint of its body"),
+    "body": (("segment_number",), "int32", "", "Segment that shows the same surface in full light"),
+    "spectrum": (("segment_number", "channel"), "float64", "1", "Median reflectance of a segment"),
+    "reference": (("segment_number", "channel"), "float64", "1", "Reflectance of the body in full light"),
+}  # fmt: skip
+"""Field to its dims, dtype, units and meaning."""
+
+
+@dataclass(frozen=True, eq=False)
+class SceneModel:
+    """Segments of a flight line, what they look like in full light, and what stands beside them.
+
+    Made by `hyperpaint.survey`; `to_dataset` makes something that can be stored. Spectra are those of
+    *channels*, means over some neighbouring bands.
+
+    Attributes
+    ----------
+    wavelength : (band,)
+        Of the line the model was made of [nm].
+    channel : (band,)
+        Channel of every band; -1 for bands that are not used.
+    channel_wavelength : (channel,)
+        [nm]
+    diffuse_fraction : (channel,)
+        Diffuse part of the irradiance on level ground [1].
+    segment : (along_track, cross_track)
+        Number of every pixel's segment; -1 where there are no data.
+    edge_distance : (along_track, cross_track), uint8
+        Pixels to the next pixel of another body; 0 in pixels that belong to nothing of some size.
+    shade_distance : (along_track, cross_track), uint8
+        Pixels to the next cast shadow, 0 in one; 255 far from any.
+    neighbour : (cell_along, cell_cross, rank)
+        Coloured segments that are nearest to a cell of 4 x 4 pixels, nearest first; -1 for none.
+    size, state, body : (segment_number,)
+        Pixels of a segment; `LIT`, `SHADED` or `GLINTED`; and the segment, mostly itself, that shows the
+        same surface in full light.
+    spectrum, reference : (segment_number, channel)
+        Median of a segment's pixels, and that of its body without what glint and shadow change [1].
+    attrs
+        How it was made.
+    """
+
+    wavelength: Float
+    channel: npt.NDArray[np.int64]
+    channel_wavelength: Float
+    diffuse_fraction: Float
+    segment: npt.NDArray[np.int32]
+    edge_distance: npt.NDArray[np.uint8]
+    shade_distance: npt.NDArray[np.uint8]
+    neighbour: npt.NDArray[np.int32]
+    size: npt.NDArray[np.int64]
+    state: npt.NDArray[np.int8]
+    body: npt.NDArray[np.int32]
+    spectrum: Float
+    reference: Float
+    attrs: dict[str, Any] = field(default_factory=dict)
+
+    @property
+    def segments(self) -> int:
+        """Number of segments."""
+        return int(self.size.size)
+
+    def bodies(self, start: int, stop: int) -> npt.NDArray[np.int32]:
+        """Return the body of the pixels of some lines, (line, column); -1 without data."""
+        segment = self.segment[start:stop]
+        return np.append(self.body, np.int32(-1))[segment]
+
+    def neighbours(self, start: int, stop: int) -> npt.NDArray[np.int32]:
+        """Return the two nearest coloured bodies, other than its own, of the pixels of some lines.
+
+        Returns
+        -------
+        (line, column, 2), int32
+            Numbers of segments, -1 for none.
+        """
+        return two_nearest(self.neighbour, self.body, self.segment[start:stop], start)
+
+    def to_dataset(self) -> xr.Dataset:
+        """Return the model as a Dataset that `hyperpaint.to_store` takes."""
+        import xarray as xr
+
+        made = {}
+        for name, (dims, _, units, meaning) in _LAYOUT.items():
+            attrs = {"long_name": meaning, **({"units": units} if units else {})}
+            made["band_channel" if name == "channel" else name] = (dims, getattr(self, name), attrs)
+        return xr.Dataset(made, attrs={"hyperpaint_format": FORMAT_VERSION, **self.attrs})
+
+    @classmethod
+    def from_dataset(cls, dataset: xr.Dataset) -> SceneModel:
+        """Return the model that a Dataset holds.
+
+        Raises
+        ------
+        SchemaError
+            Variables are missing or have other dims, or numbers point at segments that are not there; all
+            are listed.
+        """
+        problems = Problems("this is no scene model", SchemaError)
+        found: dict[str, Any] = {}
+        for name, (dims, dtype, _, meaning) in _LAYOUT.items():
+            stored = "band_channel" if name == "channel" else name
+            if stored not in dataset.variables:
+                problems.add(f"{stored!r} is missing: {meaning.lower()} ({', '.join(dims)})")
+            elif set(dataset[stored].dims) != set(dims):
+                problems.add(f"{stored!r} has dims {dataset[stored].dims}, expected {dims}")
+            else:
+                found[name] = np.ascontiguousarray(dataset[stored].transpose(*dims).values, dtype)
+        problems.raise_if_any()
+        count = found["size"].size
+        for name in ("segment", "neighbour", "body"):
+            numbers = found[name]
+            if numbers.size and (numbers.min() < -1 or numbers.max() >= count):
+                problems.add(f"{name!r} points at segments beyond the {count} there are")
+        problems.raise_if_any()
+        attrs = {name: value for name, value in dataset.attrs.items() if name != "hyperpaint_format"}
+        return cls(**found, attrs=attrs)
+
+    def __repr__(self) -> str:
+        lines, columns = self.segment.shape
+        shaded, glinted = ((self.state == state).sum() for state in (SHADED, GLINTED))
+        return (
+            f"SceneModel({lines} lines x {columns} columns, {self.segments} segments, of which {shaded} in "
+            f"shadow and {glinted} in glint, {self.channel_wavelength.size} channels)"
+        )

@@ -1,0 +1,161 @@
+"""A picture in channels, divided into segments of one surface in one light."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+__all__ = ["Segments", "Touching", "beyond", "border_steps", "divide", "sample_pixels", "touching"]
+
+Array = npt.NDArray[Any]
+Int = npt.NDArray[np.int64]
+
+STEP_FLOOR = 0.01
+"""Reflectance below which steps between pixels count for less [1]."""
+GRANULARITY = 1.0
+"""Scale of Felzenszwalb & Huttenlocher: a segment of n pixels is joined over steps 1/n above its own."""
+LEAST_PIXELS = 12
+"""Pixels of the smallest segment; what is smaller goes with its neighbour."""
+LEAST_CORE = 3
+"""Pixels with only their like around them that it has: what is thinner is a boundary."""
+SAMPLE = 2048
+"""Pixels of a segment that are looked at, at most."""
+
+
+_LEAST_BORDER = 3
+_BRIDGE = 3000
+
+
+class Segments(NamedTuple):
+    """Segments of a line.
+
+    Attributes
+    ----------
+    number : (line, column), int32
+        Of every pixel; -1 without data.
+    sure : (line, column), bool
+        False where a pixel only goes with its neighbours.
+    size : (segment,), int64
+        Pixels.
+    """
+
+    number: npt.NDArray[np.int32]
+    sure: npt.NDArray[np.bool_]
+    size: Int
+
+
+class Touching(NamedTuple):
+    """Pairs of segments that touch, sorted, both ways round.
+
+    Attributes
+    ----------
+    one, other : (pair,)
+        Segments.
+    length : (pair,)
+        Sides of pixels that lie between them.
+    sides : (pair, 4)
+        How many of these sides are steps from one to the other along, against, to the right and to the left.
+    """
+
+    one: Int
+    other: Int
+    length: Int
+    sides: Int
+
+
+def divide(channels: npt.NDArray[np.float32]) -> Segments:
+    """Return the segments of a line (line, column, channel).
+
+    The steps between neighbouring pixels are taken from the gentlest on, and join what they lie between
+    unless they stand out from the steps inside (Felzenszwalb & Huttenlocher, Int. J. Comput. Vis. 59, 2004).
+    Nothing depends on how the line came into memory.
+    """
+    from hyperpaint.kernels.segmentation import absorb, is_large, join_segments, number_segments, step_sizes
+
+    lines, columns, _ = channels.shape
+    across, along = np.empty((2, lines, columns), np.float32)
+    step_sizes(channels, STEP_FLOOR, across, along)
+    steps = np.stack([across.ravel(), along.ravel()], axis=1).ravel()
+    del across, along
+    order = np.argsort(steps, kind="stable")
+    order = order[: np.searchsorted(steps[order], np.inf)]
+    parent = np.arange(lines * columns, dtype=np.int32)
+    size = np.ones(parent.size, np.int32)
+    join_segments(order, steps, columns, GRANULARITY, parent, size)
+    known = np.isfinite(channels).mean(axis=2).ravel() > 0.5
+    sure = np.empty(parent.size, np.bool_)
+    is_large(parent, size, columns, LEAST_PIXELS, LEAST_CORE, sure)
+    absorb(order, columns, LEAST_PIXELS, LEAST_CORE, parent, size)
+    number = np.empty(parent.size, np.int32)
+    count = number_segments(parent, known, number)
+    shape = lines, columns
+    sizes = np.bincount(number[number >= 0], minlength=count).astype(np.int64)
+    return Segments(number.reshape(shape), sure.reshape(shape), sizes)
+
+
+def sample_pixels(number: npt.NDArray[np.int32], chosen: npt.NDArray[np.bool_], count: int) -> list[Int]:
+    """Return places of at most `SAMPLE` chosen pixels of every segment, evenly spread in line order.
+
+    Segments without a chosen pixel give the first ones they have.
+    """
+    flat, wanted = number.ravel(), chosen.ravel()
+    # chosen pixels first; a stable sort keeps the order of lines
+    key = np.where(flat < 0, 2 * count, 2 * flat.astype(np.int64) + ~wanted)
+    order = np.argsort(key, kind="stable")
+    starts = np.searchsorted(key[order], np.arange(2 * count + 1))
+    found = []
+    for segment in range(count):
+        first, middle, last = starts[2 * segment], starts[2 * segment + 1], starts[2 * segment + 2]
+        here = order[first:middle] if middle > first else order[first:last]
+        found.append(here[:: max(1, -(-here.size // SAMPLE))])
+    return found
+
+
+def touching(number: npt.NDArray[np.int32], count: int) -> Touching:
+    """Return which segments touch, how far, and on which side."""
+    codes, ways = [], []
+    for axis, (a, b) in enumerate(((number[:-1], number[1:]), (number[:, :-1], number[:, 1:]))):
+        differ = (a != b) & (a >= 0) & (b >= 0)
+        one, other = a[differ].astype(np.int64), b[differ].astype(np.int64)
+        codes += [one * count + other, other * count + one]
+        ways += [np.full(one.size, 2 * axis), np.full(one.size, 2 * axis + 1)]
+    found, place = np.unique(np.concatenate(codes), return_inverse=True)
+    sides = np.bincount(4 * place + np.concatenate(ways), minlength=4 * found.size).reshape(-1, 4)
+    return Touching(found // max(count, 1), found % max(count, 1), sides.sum(axis=1), sides)
+
+
+def beyond(pairs: Touching, size: Int) -> tuple[Int, Int]:
+    """Return pairs of segments that touch, or have a small one between them that touches both.
+
+    Large segments are no bridge: everything in a car park touches the asphalt.
+    """
+    import scipy.sparse
+
+    count = size.size
+    near = pairs.length >= _LEAST_BORDER
+    one, other = pairs.one[near], pairs.other[near]
+    touch = scipy.sparse.csr_array((np.ones(one.size), (one, other)), shape=(count, count))
+    small = scipy.sparse.diags_array((size < _BRIDGE).astype(np.float64))
+    both = (touch + touch @ small @ touch).tocoo()
+    row, column = (axis.astype(np.int64) for axis in both.coords)
+    apart = row != column
+    order = np.lexsort((column[apart], row[apart]))
+    return row[apart][order], column[apart][order]
+
+
+def border_steps(channels: npt.NDArray[np.float32], number: npt.NDArray[np.int32], pairs: Touching) -> Array:
+    """Return the mean difference of brightness of the pixels on both sides of a border (pair,) [1]."""
+    level = channels.mean(axis=2)
+    count = int(number.max()) + 1
+    codes = pairs.one * count + pairs.other
+    total = np.zeros(codes.size)
+    for a, b in ((np.s_[:-1], np.s_[1:]), (np.s_[:, :-1], np.s_[:, 1:])):
+        one, other = number[a].astype(np.int64), number[b].astype(np.int64)
+        differ = (one != other) & (one >= 0) & (other >= 0)
+        step = np.abs(level[a] - level[b])[differ].astype(np.float64)
+        one, other = one[differ], other[differ]
+        for code in (one * count + other, other * count + one):
+            total += np.bincount(np.searchsorted(codes, code), np.nan_to_num(step), codes.size)
+    return total / pairs.length

@@ -1,0 +1,174 @@
+"""One look at a whole line: segments, what they are in full light, their neighbours, and the light itself."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+
+from hyperpaint import schema
+from hyperpaint.errors import SchemaError
+
+from .channels import Progress, channel_numbers, read_channels, watched
+from .light import SOURCES, diffuse_from_clear_sky, measured_fraction, shadow_side_of, sun_zenith_of
+from .model import SHADED, SceneModel
+from .neighbours import nearest_coloured, two_nearest
+from .references import Light, clean_references, match_segments, median_spectra
+from .segments import border_steps, divide, sample_pixels, touching
+from .shadows import fraction_in_shadow
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+__all__ = ["survey"]
+
+Float = npt.NDArray[np.float64]
+
+_EDGE = 2
+"""Pixels from a boundary from which on spectra count."""
+
+
+def survey(
+    line: xr.Dataset,
+    *,
+    diffuse: Any = "model",
+    sun_zenith: float | None = None,
+    sun_azimuth: float | None = None,
+    heading: float | None = None,
+    reach: int = 120,
+    progress: Progress | bool | None = None,
+) -> SceneModel:
+    r"""Look at a whole line once, and return what flags need to know of it.
+
+    Eager. The line is read once, some blocks at a time, and kept as means over 24 channels (96 bytes a pixel)
+    while the survey runs. The result is the same to the last bit for any chunks and scheduler.
+
+    Parameters
+    ----------
+    line
+        A flight line with ``reflectance`` (along_track, band, cross_track) [1] and ``wavelength``. Time,
+        latitude, longitude and heading, where it has them, tell where the sun stands in the image.
+    diffuse
+        Where the diffuse part of the irradiance is known from: "model", the clear sky of `hyperpaint.sun`;
+        "pvlib", SPECTRL2 (extra ``sim``); "shadow", a cast shadow on the ground in the image itself, as far
+        as one is found; or a measured spectrum (band,) or with a coordinate ``wavelength``, such as a reading
+        in the shade of a small disc over that in full light.
+    sun_zenith
+        [degree]; from time and place unless given.
+    sun_azimuth, heading
+        Clockwise from north [degree]; from the line unless given. Without them, the side to which shadows
+        fall is taken from those that are beyond doubt.
+    reach
+        How far from a coloured thing its light is looked for [pixel].
+    progress
+        True for a bar on stderr, or what is called with (lines done, lines to do).
+
+    Returns
+    -------
+    SceneModel
+
+    Raises
+    ------
+    SchemaError, UnitsError
+        Variables are missing or have other dims or units; the sun's place is not known; ``diffuse`` is none
+        of these, or no shadow was found.
+    MissingExtraError
+        pvlib is not installed.
+
+    Notes
+    -----
+    1. Segments: neighbouring pixels are joined from the gentlest step on [1]_; what is small or thin goes
+       with its neighbour, and is a mixed pixel where it lies between two bodies.
+    2. Segments that are others' surface in shadow, :math:`\rho (c f_{dir} + V f_{dif})` with small c, or fade
+       into another under the sun's mirror image, :math:`\rho (c f_{dir} + V f_{dif}) + g f_{dir}`, are given
+       its spectrum. Dark glass and black paint can look like shadowed asphalt in every band; a shadow is not
+       in the light on the side of the sun, and gets the less light of other things the more sky it sees.
+    3. A body's reference is the mean of those pixels to which glint and coloured neighbours add least.
+    4. The nearest coloured segments of every 4 x 4 pixels.
+
+    A body that lies in shadow or in glint as a whole, and touches no part of itself that does not, is taken
+    as it is seen.
+
+    References
+    ----------
+    .. [1] P. F. Felzenszwalb, D. P. Huttenlocher, "Efficient graph-based image segmentation", Int. J. Comput.
+       Vis. 59, 167-181 (2004). doi:10.1023/B:VISI.0000022288.19776.77
+
+    Examples
+    --------
+    >>> import numpy as np, xarray as xr
+    >>> nm = np.linspace(400.0, 1000.0, 48)
+    >>> seen = np.full((16, 48, 16), 0.1, np.float32)
+    >>> seen[:, :, 8:] = 0.5
+    >>> line = xr.Dataset({"reflectance": (("along_track", "band", "cross_track"), seen, {"units": "1"})},
+    ...                   {"wavelength": ("band", nm, {"units": "nm"})})
+    >>> survey(line, sun_zenith=30.0).segments
+    2
+    """
+    from hyperpaint.kernels.segmentation import boundary_distance
+
+    line = schema.rename_to_roles(line)
+    found = schema.require(line, ["reflectance", "wavelength"], "a scene model")
+    cube = found["reflectance"]
+    wavelength = found["wavelength"].values.astype(np.float64)
+    good = line["good"].values.astype(bool) if "good" in line.variables else np.ones(wavelength.size, bool)
+    fraction, source, zenith = _fraction(diffuse, line, wavelength, sun_zenith)
+    channel = channel_numbers(wavelength, good)
+    channels = read_channels(cube, channel, watched(progress, "survey"))
+    centre, split = (_mean_of(values, channel) for values in (wavelength, fraction))
+    light = Light(1.0 - split, split)
+    segments = divide(channels)
+    count = segments.size.size
+    distance = np.empty(segments.number.shape, np.uint8)
+    boundary_distance(segments.number, segments.sure, 255, distance)
+    places = sample_pixels(segments.number, distance >= _EDGE, count)
+    spectrum = median_spectra(channels, places)
+    side = shadow_side_of(line, sun_azimuth, heading)
+    pairs = touching(segments.number, count)
+    steps = border_steps(channels, segments.number, pairs)
+    matches = match_segments(spectrum, segments.size, pairs, light, side, steps)
+    if isinstance(diffuse, str) and diffuse == "shadow":
+        split = fraction_in_shadow(channels, places, spectrum, segments.size, matches)
+        light = Light(1.0 - split, split)
+        matches = match_segments(spectrum, segments.size, pairs, light, side, steps)
+    neighbour = nearest_coloured(segments.number, segments.size, spectrum, matches, light, reach)
+    beside = two_nearest(neighbour, matches.body, segments.number, 0)
+    reference = clean_references(channels, places, spectrum, matches, light, beside.reshape(-1, 2))
+    body = np.append(matches.body, np.int32(-1))[segments.number]
+    boundary_distance(body, segments.sure, 255, distance)
+    shade = np.append(matches.state == SHADED, False)[segments.number].astype(np.int32)
+    nearby = np.empty_like(distance)
+    boundary_distance(shade, np.ones(shade.shape, bool), 255, nearby)
+    nearby[shade > 0] = 0
+    return SceneModel(
+        wavelength, channel, centre, split, segments.number, distance, nearby, neighbour, segments.size,
+        matches.state, matches.body, spectrum, reference,
+        {"diffuse_fraction_from": source, "reach": reach, "sun_zenith": zenith},
+    )  # fmt: skip
+
+
+def _fraction(
+    diffuse: Any, line: xr.Dataset, wavelength: Float, sun_zenith: float | None
+) -> tuple[Float, str, float]:
+    """Return the diffuse fraction (band,) to start from, where it is from, and the sun's zenith angle."""
+    if not isinstance(diffuse, str):
+        known = sun_zenith is not None or {"time", "latitude", "longitude"} <= set(line.variables)
+        zenith = sun_zenith_of(line, sun_zenith) if known else float("nan")
+        return measured_fraction(diffuse, wavelength), "a measured spectrum", zenith
+    if diffuse not in SOURCES:
+        msg = f"diffuse={diffuse!r}, expected {', '.join(map(repr, SOURCES))} or a measured spectrum"
+        raise SchemaError(msg)
+    zenith = sun_zenith_of(line, sun_zenith)
+    text = {
+        "model": f"clear sky of hyperpaint.sun, sun at {zenith:.1f} degrees from the zenith",
+        "pvlib": f"SPECTRL2 of pvlib, sun at {zenith:.1f} degrees from the zenith",
+        "shadow": "cast shadow in the image",
+    }
+    return diffuse_from_clear_sky(diffuse, wavelength, zenith), text[diffuse], zenith
+
+
+def _mean_of(values: Float, channel: npt.NDArray[np.int64]) -> Float:
+    used = channel >= 0
+    weight = np.bincount(channel[used])
+    return np.asarray(np.bincount(channel[used], values[used]) / weight)

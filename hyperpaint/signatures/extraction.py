@@ -1,0 +1,311 @@
+"""`extract_signatures`: from regions of flight lines to a library of paints."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from hyperpaint.errors import Problems, SchemaError
+from hyperpaint.regions import Regions, pixels_of, regions_from
+from hyperpaint.regions.placement import Pixels
+from hyperpaint.schema import Quality
+
+from .draft import Draft
+from .gathering import Progress, gather
+from .library import paint_library
+from .reduction import CENTRES
+from .sources import Smoothing, Source, lines_of, source_of
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+__all__ = ["EXCLUDED", "extract_signatures"]
+
+EXCLUDED = (
+    Quality.SATURATED
+    | Quality.IRRADIANCE_GAP
+    | Quality.NO_DATA
+    | Quality.GLINT
+    | Quality.SHADOW
+    | Quality.ADJACENCY
+    | Quality.MIXED_EDGE
+)
+"""Flags of pixels whose reflectance is not that of the surface."""
+
+GATHERED_BYTES = 256 * 2**20
+"""Samples of pixels that are held at once; a region of more is done some bands at a time."""
+
+
+def extract_signatures(
+    line: xr.Dataset | xr.DataTree | Mapping[str, xr.Dataset],
+    regions: Any,
+    *,
+    exclude: Quality | int | None = None,
+    members: int = 256,
+    centre: str = "trimmed_mean",
+    smooth: Smoothing = None,
+    min_pixels: int = 5,
+    seed: int = 0,
+    progress: Progress | None = None,
+) -> xr.Dataset:
+    r"""Make a paint library: one signature a region, with spread, uncertainty and provenance.
+
+    Eager: gathers the pixels of the regions, then reduces them. Only the blocks of lines that regions touch
+    are read. At most 256 MiB of samples are gathered at once, whatever the regions' size; a region of more is
+    read several times, some bands at a time.
+
+    Parameters
+    ----------
+    line
+        A flight line with ``reflectance``, or with what `hyperpaint.reflectance` needs to compute it; several
+        by name, or a DataTree of them.
+    regions
+        `Regions`, the path of a GeoJSON file or its content, see `hyperpaint.regions_from`.
+    exclude
+        Pixels with one of these flags are left out; 0 leaves out none. By default those of pixels whose
+        reflectance is not that of the surface: saturated, irradiance_gap, no_data, glint, shadow, adjacency
+        and mixed_edge.
+    members
+        How many pixels of a region are kept as they are, at most.
+    centre
+        "trimmed_mean": per band, without what is farther from the centre than three spreads, until nothing
+        more is; "geometric_median" of whole spectra; or "median" per band.
+    smooth
+        Method of `hyperpaint.smooth`, or its arguments by name; applied to the spectrum of every pixel.
+    min_pixels
+        Pixels that a region must have left.
+    seed
+        Another seed keeps other members.
+    progress
+        Called with work done and to do.
+
+    Returns
+    -------
+    Dataset
+        ``reflectance``, ``reflectance_sd``, ``reflectance_u_random``, ``reflectance_u_systematic`` (paint,
+        band), ``reflectance_quantiles`` (paint, quantile, band), ``member_reflectance`` (paint, member,
+        band), all float32 [1], NaN where not known; ``n``, ``n_eff`` and ``n_excluded`` (paint) pixels;
+        ``quality`` (paint), the flags of the pixels that were used; ``quality_share`` (paint, flag), how many
+        of all have each flag [1]; ``sun_zenith``, ``sun_azimuth`` [degree] and ``irradiance_age`` [s]
+        (paint). Coordinates: ``paint``, ``wavelength``, ``fwhm``, ``good``, ``time``, ``flightline``,
+        ``region`` (as GeoJSON), and every property of the regions. Attributes say how it was made.
+
+    Raises
+    ------
+    FormatError
+        The regions cannot be read.
+    SchemaError, UnitsError
+        Options, lines or regions that cannot be used: a region without pixels, or with too few left;
+        flight lines of different bands. All of a kind are listed.
+
+    Notes
+    -----
+    Spectra are brought to the nominal wavelengths first. A sample that is missing in a pixel is missing in
+    that band only. The standard uncertainties are those of the mean of these pixels:
+
+    .. math:: u_r = \sqrt{\overline{u_{r,i}^2} / n_{eff}}, \qquad u_s = \overline{u_{s,i}}, \qquad
+              n_{eff} = n^2 \Big/ \sum_{ij} \overline{c_{ij}}
+
+    with :math:`c_{ij}` the autocorrelation of reflectance at the distance of two pixels, averaged over bands.
+    Smoothing makes the random one smaller than is told here. How far another part of the paint may differ,
+    ``reflectance_sd`` and the quantiles say. All bits are the same for any chunking, in any order of the
+    regions.
+
+    Examples
+    --------
+    >>> from hyperpaint.simulation import simulate_line
+    >>> from hyperpaint.regions import Region, Regions
+    >>> line = simulate_line(lines=32, bands=40, columns=24, smile_nm=0.0)
+    >>> grass = Region("grass", [(0, 0), (0, 31), (0.4, 31), (0.4, 0)], properties={"colour": "green"})
+    >>> paints = extract_signatures(line, Regions((grass,)))
+    >>> paints["paint"].item(), paints["colour"].item(), paints["n"].item()
+    ('grass', 'green', 32)
+    """
+    options = _Options(EXCLUDED if exclude is None else exclude, members, centre, min_pixels, seed)
+    found = regions_from(regions)
+    options.check(found)
+    lines = lines_of(line, found)
+    sources = {name: source_of(dataset, smooth) for name, (dataset, _) in lines.items()}
+    _check_bands(sources)
+    names = {position: name for name, (_, positions) in lines.items() for position in positions}
+    places = _places(found, lines, sources)
+    rounds = [
+        _Round(name, batch, bands)
+        for name, (_, positions) in lines.items()
+        for batch, bands in _rounds(sources[name], positions, places)
+    ]
+    if centre == "geometric_median":
+        _refuse_divided(rounds, sources, places, found)
+    drafts = [Draft(sources[names[position]], place) for position, place in enumerate(places)]
+    for number, each in enumerate(rounds):
+        told = None if progress is None else _part_of(progress, number, len(rounds))
+        _reduce(each, sources[each.line], drafts, options, told)
+    _refuse_small(found, drafts, min_pixels)
+    return paint_library(found, drafts, [names[k] for k in range(len(found))], sources, options.notes)
+
+
+@dataclass(frozen=True)
+class _Options:
+    """How signatures are made; see `extract_signatures`."""
+
+    exclude: int
+    members: int
+    centre: str
+    min_pixels: int
+    seed: int
+
+    def check(self, regions: Regions) -> None:
+        problems = Problems("signatures cannot be extracted", SchemaError)
+        if not len(regions):
+            problems.add("there is no region; draw some, or have some proposed")
+        if not isinstance(self.exclude, int) or not 0 <= self.exclude < 2 * max(Quality):
+            told = f"exclude={self.exclude!r:.40}"
+            problems.add(f"{told}, expected flags such as Quality.GLINT | Quality.SHADOW, or 0")
+        if self.members < 0:
+            problems.add(f"members={self.members}, expected 0 or more")
+        if self.centre not in CENTRES:
+            problems.add(f"centre={self.centre!r:.40}, expected one of {', '.join(CENTRES)}")
+        if self.min_pixels < 1:
+            problems.add(f"min_pixels={self.min_pixels}, expected 1 or more")
+        problems.raise_if_any()
+
+    @property
+    def notes(self) -> dict[str, Any]:
+        """Attributes of the library that say the same."""
+        excluded = [str(flag.name).lower() for flag in Quality if flag & self.exclude]
+        return {**asdict(self), "exclude": " ".join(excluded) or "none"}
+
+
+@dataclass(frozen=True)
+class _Round:
+    """Some bands of some regions of one line, which are gathered together."""
+
+    line: str
+    batch: list[int]
+    bands: slice
+
+
+def _reduce(
+    part: _Round, source: Source, drafts: Sequence[Draft], options: _Options, told: Progress | None
+) -> None:
+    """Gather the pixels of some regions, and reduce them."""
+    batch = [drafts[position] for position in part.batch]
+    along, across = (
+        np.concatenate([getattr(draft, axis) for draft in batch]) for axis in ("along", "across")
+    )
+    read = None if told is None else _first_half(told)
+    spectra, values = gather(source.cubes, source.planes, along, across, part.bands, source.small, read)
+    quality = values.get("quality", np.zeros(along.size, np.uint16))
+    of_lines = {key: values[key] for key in source.small}
+    start = 0
+    for draft in batch:
+        own = slice(start, start + draft.along.size)
+        start = own.stop
+        if part.bands.start == 0:
+            present = values["present"][own]
+            draft.choose(present, quality[own], of_lines, options.exclude, options.members, options.seed)
+        if draft.n >= options.min_pixels:
+            draft.take_bands({name: cube[own] for name, cube in spectra.items()}, part.bands, options.centre)
+        if told is not None:
+            told(along.size + start, 2 * along.size)
+
+
+# --- what can be said before anything is read --------------------------------------------------------------
+
+
+def _check_bands(sources: Mapping[str, Source]) -> None:
+    (first, reference), *others = sources.items()
+    problems = Problems("signatures of these flight lines cannot be in one library", SchemaError)
+    for name, source in others:
+        same = source.wavelength.shape == reference.wavelength.shape and np.allclose(
+            source.wavelength, reference.wavelength, rtol=0.0, atol=1e-3
+        )
+        if not same:
+            problems.add(f"bands of {name!r} are not those of {first!r}; extract them one by one")
+    problems.raise_if_any()
+
+
+def _places(regions: Regions, lines: Mapping[str, Any], sources: Mapping[str, Source]) -> list[Pixels]:
+    problems = Problems("there are regions without pixels", SchemaError)
+    places: list[Any] = [None] * len(regions)
+    for name, (_, positions) in lines.items():
+        part = Regions(tuple(regions[k] for k in positions), regions.coordinates, regions.crs)
+        line = sources[name].line
+        for position, place in zip(positions, pixels_of(part, line), strict=True):
+            places[position] = place
+            if not place[0].size:
+                size = f"{line.sizes['along_track']} lines of {line.sizes['cross_track']} columns"
+                problems.add(f"region {regions[position].name!r} holds no pixel of the line ({size})")
+    problems.raise_if_any()
+    return places
+
+
+def _rounds(
+    source: Source, positions: Sequence[int], places: Sequence[Pixels]
+) -> Iterator[tuple[list[int], slice]]:
+    """Yield which regions are gathered together, and which bands of them."""
+    bands = source.wavelength.size
+    pixel = 4 * len(source.cubes) * bands
+    batch: list[int] = []
+    held = 0
+    for position in positions:
+        needed = places[position][0].size * pixel
+        if batch and held + needed > GATHERED_BYTES:
+            yield batch, slice(0, bands)
+            batch, held = [], 0
+        if needed > GATHERED_BYTES:
+            step = max(1, GATHERED_BYTES // (needed // bands))
+            for start in range(0, bands, step):
+                yield [position], slice(start, min(start + step, bands))
+        else:
+            batch.append(position)
+            held += needed
+    if batch:
+        yield batch, slice(0, bands)
+
+
+def _refuse_divided(
+    rounds: Sequence[_Round], sources: Mapping[str, Source], places: Sequence[Pixels], regions: Regions
+) -> None:
+    problems = Problems("the geometric median needs whole spectra of all pixels at once", SchemaError)
+    for part in rounds:
+        if part.bands.start == 0 and part.bands.stop < sources[part.line].wavelength.size:
+            name, count = regions[part.batch[0]].name, places[part.batch[0]][0].size
+            problems.add(
+                f"region {name!r} has {count} pixels, more than {GATHERED_BYTES >> 20} MiB; "
+                'cut it smaller, or take centre="trimmed_mean"'
+            )
+    problems.raise_if_any()
+
+
+def _part_of(progress: Progress, number: int, total: int) -> Progress:
+    """Return a progress that tells how far one of several rounds is, in thousandths."""
+
+    def told(done: int, steps: int) -> None:
+        progress(1000 * number + 1000 * done // steps, 1000 * total)
+
+    return told
+
+
+def _first_half(told: Progress) -> Progress:
+    """Return a progress for reading, after which comes reducing."""
+    return lambda done, blocks: told(done, 2 * blocks)
+
+
+def _refuse_small(regions: Regions, drafts: Sequence[Draft], min_pixels: int) -> None:
+    problems = Problems("there are regions with too few pixels left", SchemaError)
+    for region, draft in zip(regions, drafts, strict=True):
+        if draft.n < min_pixels:
+            flags = ", ".join(
+                f"{share:.0%} {str(flag.name).lower()}"
+                for flag, share in zip(Quality, draft.share, strict=True)
+                if share > 0
+            )
+            problems.add(
+                f"region {region.name!r}: {draft.n} of {draft.along.size} pixels are left, expected "
+                f"{min_pixels} ({flags or 'no flags'}); draw it elsewhere, exclude less, or lower min_pixels"
+            )
+    problems.raise_if_any()

@@ -1,0 +1,49 @@
+"""Flags on a ray-traced car park, whose renderer knows nothing of them: what is reached so far."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import xarray as xr
+
+import hyperpaint as hp
+from hyperpaint.schema import Quality
+from hyperpaint.simulation.rendering.car_parks import car_park
+from hyperpaint.simulation.rendering.four_curves import Atmosphere
+from hyperpaint.simulation.rendering.materials import KINDS
+from hyperpaint.simulation.rendering.platforms import pushbroom
+from hyperpaint.sun import diffuse_fraction
+
+ZENITH, AZIMUTH = 34.07, 94.19
+
+
+@pytest.fixture(scope="module")
+def scene() -> xr.Dataset:
+    """Return solid paints on seed 103, not used while tuning."""
+    sky = Atmosphere.clear(ZENITH, AZIMUTH)
+    park = car_park(length=11.7, width=16.0, seed=103, neighbours=("walls",), margin=10.0, flakes=False)
+    flight = pushbroom(176, 192, altitude=15.0, ground_sample=0.035, line_spacing=0.035, start=(-4.0, 2.0))
+    traced = hp.trace(park, flight, [sky], samples=96, seed=103, sun_radius=0.267)
+    return hp.relight(traced, atmosphere=sky).compute()
+
+
+def test_shadows_on_the_ground_and_glint_on_coloured_paint(scene: xr.Dataset) -> None:
+    flagged = hp.flag(scene, sun_zenith=ZENITH, sun_azimuth=AZIMUTH, heading=0.0).compute()
+    bits = flagged.quality.values
+    counted = (bits & int(Quality.MIXED_EDGE)) == 0
+    kind = np.array(KINDS)[scene.surface_class.values]
+    ground = counted & np.isin(kind, ["asphalt", "concrete", "line", "grass", "panel"])
+    found, true = (bits & int(Quality.SHADOW)) > 0, scene.shadow.values >= 0.2
+    assert (found & true & ground).sum() >= 0.98 * (found & ground).sum()
+    assert (found & true & ground).sum() >= 0.7 * (true & ground).sum() > 100
+    level = scene.reflectance.values
+    colour = np.ptp(level[:, 20:], axis=1) / level.mean(axis=1)
+    paint = counted & (kind == "paint") & (colour > 0.5)
+    share = scene.glint_share.values * scene.radiance.mean("band").values
+    direct = 1.0 - diffuse_fraction(scene.wavelength.values, ZENITH)
+    irradiance = np.pi * scene.radiance.values / level
+    white = np.nanmedian(irradiance, axis=(0, 2)) / np.pi
+    glint = share / (direct * white).mean()
+    found, true = (bits & int(Quality.GLINT)) > 0, glint > 0.02
+    assert (found & true & paint).sum() >= 0.9 * (found & paint).sum()
+    assert (found & true & paint).sum() >= 0.6 * (true & paint).sum() > 50

@@ -1,0 +1,159 @@
+"""What a survey finds, and that it is the same whatever the chunks."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import xarray as xr
+
+import hyperpaint as hp
+from hyperpaint.errors import SchemaError
+from hyperpaint.scene_model.channels import channel_numbers
+from hyperpaint.scene_model.light import measured_fraction, shadow_side_of
+from hyperpaint.scene_model.model import LIT, SHADED, SceneModel
+from hyperpaint.scene_model.segments import divide, touching
+from hyperpaint.sun import diffuse_fraction
+
+sys.path.insert(0, str(Path(__file__).parent))
+from analytic_scenes import as_line, box_shadow, smooth_edge, wavelengths
+
+NM = wavelengths()
+RED = smooth_edge(NM, 600.0, 0.04, 0.6)
+ASPHALT = smooth_edge(NM, 600.0, 0.07, 0.12, 150.0)
+
+
+@pytest.fixture(scope="module")
+def shadow_line() -> xr.Dataset:
+    cube, _, _ = box_shadow(NM, ASPHALT, RED)
+    return as_line(cube, NM, snr=100.0)
+
+
+@pytest.fixture(scope="module")
+def model(shadow_line: xr.Dataset) -> SceneModel:
+    return hp.survey(shadow_line, sun_zenith=40.0)
+
+
+def test_a_shadow_is_matched_to_the_ground_around_it(model: SceneModel) -> None:
+    shaded = np.flatnonzero(model.state == SHADED)
+    assert shaded.size >= 1
+    lit = model.body[shaded]
+    assert (model.state[lit] == LIT).all()
+    expected = np.bincount(model.channel, ASPHALT) / np.bincount(model.channel)
+    np.testing.assert_allclose(model.reference[lit[0]], expected, rtol=0.01)
+    assert (model.shade_distance[model.segment == shaded[0]] == 0).all()
+
+
+def test_the_light_of_the_sky_is_measured_in_the_shadow(shadow_line: xr.Dataset) -> None:
+    found = hp.survey(shadow_line, sun_zenith=40.0, diffuse="shadow").diffuse_fraction
+    true = np.bincount(hp.survey(shadow_line, sun_zenith=40.0).channel, diffuse_fraction(NM, 40.0))
+    # the box hides some of the sky, which is not known
+    ratio = found / (true / np.bincount(channel_numbers(NM, np.ones(NM.size, bool))))
+    assert ratio.min() > 0.7
+    assert ratio.max() < 1.01
+    assert np.ptp(ratio) < 0.02
+
+
+def test_without_a_shadow_the_split_cannot_be_measured() -> None:
+    plane = as_line(np.broadcast_to(ASPHALT, (32, 32, NM.size)).copy(), NM)
+    with pytest.raises(SchemaError, match="found no cast shadow"):
+        hp.survey(plane, sun_zenith=30.0, diffuse="shadow")
+
+
+@pytest.mark.parametrize("lines", [1, 7, 32, 50, 160])
+def test_the_same_bits_for_any_chunks(shadow_line: xr.Dataset, model: SceneModel, lines: int) -> None:
+    other = hp.survey(shadow_line.chunk(along_track=lines, band=20), sun_zenith=40.0)
+    xr.testing.assert_identical(other.to_dataset(), model.to_dataset())
+
+
+def test_a_model_can_be_stored(model: SceneModel, tmp_path: Any, shadow_line: xr.Dataset) -> None:
+    hp.to_store(model.to_dataset(), tmp_path / "model.zarr", group="scene")
+    stored = xr.open_zarr(tmp_path / "model.zarr", group="scene")
+    again = SceneModel.from_dataset(stored)
+    np.testing.assert_array_equal(again.reference, model.reference)
+    flagged = [hp.flag(shadow_line, one).quality.values for one in (model, stored)]
+    np.testing.assert_array_equal(*flagged)
+
+
+def test_what_is_no_model_is_refused_with_all_that_is_wrong(model: SceneModel) -> None:
+    broken = model.to_dataset().drop_vars(["segment", "body"])
+    with pytest.raises(SchemaError, match=r"(?s)segment.*body"):
+        SceneModel.from_dataset(broken)
+    points = model.to_dataset()
+    points["body"] = points["body"] + 1000
+    with pytest.raises(SchemaError, match="beyond"):
+        SceneModel.from_dataset(points)
+
+
+def test_progress_is_told(shadow_line: xr.Dataset, capsys: pytest.CaptureFixture[str]) -> None:
+    told: list[tuple[int, int]] = []
+    hp.survey(shadow_line, sun_zenith=40.0, progress=lambda done, total: told.append((done, total)))
+    assert told[-1] == (160, 160)
+    hp.survey(shadow_line, sun_zenith=40.0, progress=True)
+    assert "160/160 lines" in capsys.readouterr().err
+
+
+def test_a_survey_without_the_sun_says_what_is_missing(shadow_line: xr.Dataset) -> None:
+    with pytest.raises(SchemaError, match="sun_zenith="):
+        hp.survey(shadow_line)
+    with pytest.raises(SchemaError, match="'model', 'pvlib', 'shadow'"):
+        hp.survey(shadow_line, diffuse="guess", sun_zenith=30.0)
+
+
+def test_missing_pixels_belong_to_nothing(shadow_line: xr.Dataset) -> None:
+    holes = shadow_line.reflectance.where(shadow_line.reflectance.along_track != 5).astype(np.float32)
+    holes.attrs = shadow_line.reflectance.attrs
+    found = hp.survey(shadow_line.assign(reflectance=holes), sun_zenith=40.0)
+    assert (found.segment[5] == -1).all()
+    assert (np.delete(found.segment, 5, axis=0) >= 0).all()
+
+
+def test_segments_split_where_materials_meet() -> None:
+    cube = np.full((24, 30, 4), 0.1, np.float32)
+    cube[:, 12:] = 0.3
+    cube[3, 3] = 0.9  # a single pixel goes with its neighbours
+    segments = divide(cube)
+    assert segments.size.tolist() == [24 * 12, 24 * 18]
+    assert not segments.sure[3, 3]
+    pairs = touching(segments.number, 2)
+    assert pairs.one.tolist() == [0, 1]
+    assert pairs.length.tolist() == [24, 24]
+    assert pairs.sides.tolist() == [[0, 0, 24, 0], [0, 0, 0, 24]]
+
+
+def test_channels_are_even_runs_of_good_bands() -> None:
+    good = np.ones(272, bool)
+    good[100:110] = False
+    numbers = channel_numbers(np.linspace(400.0, 1000.0, 272), good)
+    assert (numbers[100:110] == -1).all()
+    counts = np.bincount(numbers[good])
+    assert counts.size == 24
+    assert set(counts) <= {10, 11}
+
+
+def test_a_measured_split_must_fit() -> None:
+    with pytest.raises(SchemaError, match="one value for each of the 96 bands"):
+        measured_fraction(np.ones(3), NM)
+    with pytest.raises(SchemaError, match="leaves 0 to 1"):
+        measured_fraction(np.full(NM.size, 1.5), NM)
+    given = xr.DataArray([0.4, 0.1], {"wavelength": ("w", [400.0, 1000.0])}, "w")
+    np.testing.assert_allclose(measured_fraction(given, NM), np.linspace(0.4, 0.1, NM.size))
+
+
+def test_the_side_of_shadows_from_sun_and_heading() -> None:
+    nothing = xr.Dataset()
+    # flying north, sun in the south: shadows ahead; sun in the east: to the left
+    np.testing.assert_allclose(shadow_side_of(nothing, 180.0, 0.0), [1.0, 0.0], atol=1e-12)
+    np.testing.assert_allclose(shadow_side_of(nothing, 90.0, 0.0), [0.0, -1.0], atol=1e-12)
+    assert shadow_side_of(nothing, None, 0.0) is None
+
+
+def test_pvlib_gives_a_split_near_that_of_the_core() -> None:
+    pytest.importorskip("pvlib")
+    from hyperpaint.scene_model.light import diffuse_from_clear_sky
+
+    ours, theirs = (diffuse_from_clear_sky(source, NM, 30.0) for source in ("model", "pvlib"))
+    np.testing.assert_allclose(ours, theirs, rtol=0.15, atol=0.01)
