@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import functools
+import math
 
 import numpy as np
 
@@ -53,7 +54,9 @@ def lighting(smile=0.0):
     bands = BandSet(bands.wavelength, bands.fwhm, bands.shape, shifts(BLOCK[1], smile) if smile else None)
     record = SceneRecord.of(scene())
     settings = prepared(64).settings
-    made = _lighting(bands, record, settings, preset_atmosphere("noon"), factor_spectra(record, bands))
+    sky = preset_atmosphere("noon")
+    cosine = math.cos(math.radians(sky.sun_zenith))
+    made = _lighting(bands, record, settings, sky, factor_spectra(record, bands), cosine)
     return dask.compute(made, scheduler="synchronous")[0]
 
 

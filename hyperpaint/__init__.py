@@ -42,6 +42,7 @@ if TYPE_CHECKING:
     from .plot_flags import flag_overlay
     from .plot_library import library_overview
     from .plot_spectra import spectrum, triptych
+    from .proposals import Proposals, propose_regions
     from .radiometry import Panel, radiance, reflectance
     from .regions import Region, Regions, read_regions, write_regions
     from .report import write_report
@@ -84,6 +85,8 @@ _HOME = {
     "oxygen_residual": "alignment",
     "pick_regions": "picking",
     "process": "pipeline",
+    "Proposals": "proposals",
+    "propose_regions": "proposals",
     "quicklook": "plot",
     "radiance": "radiometry",
     "read_regions": "regions",
@@ -113,6 +116,7 @@ __all__ = [
     "PaintError",
     "PaintWarning",
     "Panel",
+    "Proposals",
     "Quality",
     "Region",
     "Regions",
@@ -144,6 +148,7 @@ __all__ = [
     "oxygen_residual",
     "pick_regions",
     "process",
+    "propose_regions",
     "quicklook",
     "radiance",
     "read_regions",

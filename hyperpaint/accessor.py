@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from .alignment.windows import Window
     from .illumination import Tilt
     from .io.store import StoreReport
+    from .proposals import Proposals
     from .radiometry import Panel
     from .scene_model import SceneModel
     from .schema import Quality
@@ -213,6 +214,14 @@ class PaintAccessor:
             progress=progress,
             **options,
         )
+
+    def propose_regions(
+        self, model: SceneModel | xr.Dataset | None = None, *, dims: Dims | None = None, **options: Any
+    ) -> Proposals:
+        """Return regions of car paint, ranked, with reasons (eager); see `hyperpaint.propose_regions`."""
+        from .proposals import propose_regions
+
+        return propose_regions(self._by_role(dims), model, **options)
 
     def signatures(
         self,

@@ -346,11 +346,14 @@ def process(collect: Path, out: Path, quiet: bool, **options: Any) -> None:
     epilog="""\b
 Examples:
   hyperpaint signatures lot.zarr --regions cars.geojson --out paints.zarr
+  hyperpaint signatures lot.zarr --out paints.zarr                     roofs of cars, proposed by rule
   hyperpaint signatures lot.zarr --regions cars.geojson --out paints.zarr --keep shadow
   hyperpaint signatures lot.zarr --regions cars.geojson --out paints.zarr --smooth box --window 5""",
 )
 @click.argument("store", metavar="STORE.zarr", type=_INPUT)
-@click.option("--regions", required=True, metavar="R.geojson", type=_INPUT, help="The regions.")
+@click.option(
+    "--regions", metavar="R.geojson", type=_INPUT, help="The regions.  [default: some are proposed by rule]"
+)
 @click.option(
     "--out", required=True, metavar="LIB.zarr", type=click.Path(path_type=Path), help="The paint library."
 )
@@ -379,7 +382,7 @@ Examples:
 @click.option("--overwrite", is_flag=True, help="Replace a library made from something else.")
 @click.option("--quiet", is_flag=True, help="No progress bar.")
 def signatures(
-    store: Path, regions: Path, out: Path, smooth: str | None, window: int, quiet: bool, **options: Any
+    store: Path, regions: Path | None, out: Path, smooth: str | None, window: int, quiet: bool, **options: Any
 ) -> None:
     """Turn regions of a processed store into a library of paint signatures.
 

@@ -13,7 +13,11 @@ from .schema import Quality
 if TYPE_CHECKING:
     import xarray as xr
 
+    from .regions import Regions
+
 __all__ = ["table_of", "write_signatures"]
+
+_MOST_TOLD = 10
 
 
 def write_signatures(
@@ -36,7 +40,7 @@ def write_signatures(
     store
         A store with groups ``flightlines/<id>``, as `hyperpaint.process` writes it.
     regions
-        See `hyperpaint.regions_from`.
+        See `hyperpaint.regions_from`; None has `hyperpaint.propose_regions` propose some on every line.
     out
         Folder of the library's store.
     keep
@@ -67,8 +71,13 @@ def write_signatures(
         msg = f"{out} is in the store itself; choose another path for the library"
         raise SchemaError(msg)
     options.setdefault("exclude", _excluded(keep))
-    found = regions_from(regions)
-    made = extract_signatures(_lines(store, found.flightlines), found, progress=progress, **options)
+    if regions is None:
+        lines = _lines(store, ())
+        found = _proposed(lines)
+    else:
+        found = regions_from(regions)
+        lines = _lines(store, found.flightlines)
+    made = extract_signatures(lines, found, progress=progress, **options)
     made.attrs["store"] = around.name
     to_store(made, Path(out), overwrite=overwrite)
     return made
@@ -92,6 +101,31 @@ def _lines(store: str | os.PathLike[str], wanted: tuple[str, ...]) -> dict[str, 
             line = reflectance(line, uncertainty=known)
         lines[name] = line
     return lines
+
+
+def _proposed(lines: dict[str, xr.Dataset]) -> Regions:
+    """Return the regions that are proposed on flight lines.
+
+    Raises
+    ------
+    SchemaError
+        There is none; what was refused is told.
+    """
+    from .proposals import propose_regions
+    from .regions import Regions
+
+    # with several lines, names of paints begin with that of their line
+    made = {
+        name: propose_regions(line, flightline=name, name="paint" if len(lines) == 1 else f"{name}_paint")
+        for name, line in lines.items()
+    }
+    found = Regions(tuple(region for proposals in made.values() for region in proposals))
+    if not len(found):
+        refused = [text for proposals in made.values() for text in proposals.table().splitlines()]
+        shown = "".join(f"\n  {text}" for text in refused[:_MOST_TOLD])
+        msg = f"no region can be proposed, {len(refused)} were refused; draw some, and name them{shown}"
+        raise SchemaError(msg)
+    return found
 
 
 def _excluded(keep: Sequence[str]) -> Quality:

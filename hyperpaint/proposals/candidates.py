@@ -98,7 +98,7 @@ class Measures(NamedTuple):
 
 
 def pieces(model: SceneModel, erode: int, least: int) -> Iterator[Piece]:
-    """Yield the connected parts of bodies that have at least some pixels, in the order of bodies and lines."""
+    """Yield the connected parts of bodies that have some pixels, in the order of bodies and lines."""
     from scipy.ndimage import find_objects, label
 
     body = np.append(model.body, np.int32(-1))[model.segment]
@@ -160,15 +160,14 @@ def _measures(
     count = int(usable.sum())
     if not count:
         nothing = np.full(seen.shape[2], np.nan)
-        return Measures(usable, nothing, 0, *(6 * [float("nan")]), lost)
+        nan = float("nan")
+        return Measures(usable, nothing, 0, nan, nan, nan, nan, nan, nan, lost)
     values = seen[usable]
     middle = np.median(values, axis=0)
     length = np.linalg.norm(values, axis=1) * np.linalg.norm(middle)
     angles = np.degrees(np.arccos(np.clip(values @ middle / np.maximum(length, 1e-12), -1.0, 1.0)))
     low, high = np.quantile(brightness[usable], [0.05, 0.95])
-    steps = [
-        np.abs(np.diff(brightness, axis=axis))[_both(usable, axis)] for axis in (0, 1)
-    ]
+    steps = [np.abs(np.diff(brightness, axis=axis))[_both(usable, axis)] for axis in (0, 1)]
     joined = np.concatenate(steps)
     return Measures(
         usable,
@@ -177,7 +176,9 @@ def _measures(
         float(np.median(angles)),
         0.5 * float(high - low),
         float(np.median(joined)) if joined.size else 0.0,
-        *(float(here[name][usable].mean()) for name in ("glint_fraction", "blocked_direct", "adjacency")),
+        float(here["glint_fraction"][usable].mean()),
+        float(here["blocked_direct"][usable].mean()),
+        float(here["adjacency"][usable].mean()),
         lost,
     )
 

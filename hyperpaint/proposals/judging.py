@@ -55,9 +55,7 @@ class Verdict:
     scenery: bool = False
 
 
-def judge(
-    piece: Piece, found: Measures, model: SceneModel, surfaces: Surfaces, limits: Limits
-) -> Verdict:
+def judge(piece: Piece, found: Measures, model: SceneModel, surfaces: Surfaces, limits: Limits) -> Verdict:
     """Return what is thought of a piece."""
     verdict = Verdict()
     if surfaces.level[piece.body] < DARK:
@@ -110,7 +108,9 @@ def _judge_dark(verdict: Verdict, piece: Piece, model: SceneModel, surfaces: Sur
     standing = float((things & (level < own / _BRIGHTER)).mean())
     if brighter > _BRIGHT_RING:
         verdict.scenery = True
-        verdict.objections.append(f"as dark as glass, and {brighter:.0%} of what is around it is not: a window")
+        verdict.objections.append(
+            f"as dark as glass, and {brighter:.0%} of what is around it is not: a window"
+        )
     elif surfaces.blueness[body] < _MIRRORS:
         verdict.objections.append("dark, and mirrors no sky as a clear coat does: ground, rubber or trim")
     elif standing < _STANDING_RING:
@@ -118,8 +118,8 @@ def _judge_dark(verdict: Verdict, piece: Piece, model: SceneModel, surfaces: Sur
     else:
         verdict.kind = "dark paint"
         verdict.reasons.append(
-            f"dark paint: windows, darker still, are {standing:.0%} of what is around it, and brighter things "
-            f"{brighter:.0%}"
+            f"dark paint: windows, darker still, are {standing:.0%} of what is around it, "
+            f"and brighter things {brighter:.0%}"
         )
 
 
@@ -156,7 +156,7 @@ def _judge_pixels(verdict: Verdict, found: Measures, limits: Limits) -> None:
 
 
 def score_of(found: Measures) -> float:
-    """Return area x homogeneity / (1 + adjacency + glint + tilt), each over what halves the score (0 to 1)."""
+    """Return area x homogeneity / (1 + adjacency + glint + tilt), each over what halves the score."""
     area = min(1.0, found.pixels / _ENOUGH)
     homogeneity = 1.0 / (1.0 + (found.angle / _HALF_ANGLE) ** 2)
     against = found.adjacency / _HALF_ADJACENCY + found.glint / _HALF_GLINT + found.spread / _HALF_SPREAD

@@ -41,8 +41,8 @@ class Proposals(Regions):
     Attributes
     ----------
     refused
-        What looks like a part of a car, or like paint, and is not proposed; the property ``refused`` says why.
-        Not among the regions themselves, and not written with them.
+        What looks like a part of a car, or like paint, and is not proposed; the property ``refused`` says
+        why. Not among the regions themselves, and not written with them.
     """
 
     refused: Regions = field(default_factory=lambda: Regions(()))
@@ -74,6 +74,90 @@ def propose_regions(
     progress: Progress | bool | None = None,
     **options: Any,
 ) -> Proposals:
+    r"""Propose regions of car paint, best first, each with its reasons; and say what is refused, and why.
+
+    Eager: reads the line once, and once more for the scene model where none is given. The same bits for any
+    chunking. Nothing is known of the cars; the rules are these.
+
+    * Pieces are connected parts of a body of the scene model, away from its edges, not in cast shadow,
+      neither like the ground (what looks like the largest body) nor like leaves (steep red edge, then flat).
+    * A piece is a part of a car where a window ends it: a segment as dark as glass that does not border lit
+      ground, as shadows on it do. Windows at both ends make it a roof, and so does being longer than wide and
+      than all else of the same paint, across a window of the same car. A roof's middle is level to 1.5
+      degrees; any other part may lean by 12 and is refused where that could change reflectance by over 0.03
+      and 6 %.
+    * Paint as dark as glass has darker windows beside it, mirrors the sky, and little around it is brighter.
+    * Of a piece those pixels are left that have no glint, shadow or coloured neighbour's light, and whose
+      brightness is within 3 % of its median (one tilt); of these the largest connected set.
+    * A car gives one region.
+
+    Parameters
+    ----------
+    line
+        A flight line with ``reflectance`` (along_track, band, cross_track) [1] and ``wavelength``.
+    model
+        From `hyperpaint.survey` of the same line; made with ``options`` where it is not given.
+    most
+        How many regions at most; all unless given.
+    min_pixels
+        Pixels of a region, at least.
+    erode
+        Pixels from the edge of a body that are left out.
+    glint, shadow, adjacency
+        Largest ``glint_fraction``, ``blocked_direct`` and, as a mean over 5 x 5 pixels, ``adjacency`` of a
+        pixel, see `hyperpaint.flag` [1].
+    brightness
+        Largest relative difference of a pixel, as a mean over 5 x 5, from the median of its piece; of dark
+        paint as much as changes reflectance by 0.005 [1].
+    angle
+        Largest median spectral angle to the median [degree].
+    flightline
+        Name of the flight line that is put into the regions.
+    name
+        Names of the regions begin with it.
+    progress
+        See `hyperpaint.survey`; used where there is no model.
+    **options
+        Those of `hyperpaint.survey`; ``sun_zenith`` serves beside a model, too.
+
+    Returns
+    -------
+    Proposals
+        `Regions` with properties ``rank``, ``score``, ``kind`` ("roof", "panel", "dark paint"), ``pixels``,
+        ``spectral_angle`` [degree], ``brightness_spread``, ``brightness_slope``, ``glint``,
+        ``blocked_direct``, ``adjacency`` [1] and ``reasons``; its attribute ``refused`` holds other parts of
+        cars and what may be paint, whose property ``refused`` says why.
+
+    Raises
+    ------
+    SchemaError, UnitsError
+        Variables are missing, limits cannot be, or the model is of another line.
+
+    Notes
+    -----
+    With n pixels, the spectral angle :math:`\alpha`, adjacency a, glint g and spread of brightness t,
+
+    .. math:: score = \min(1, n/200) \; \frac{1}{1 + (\alpha/2°)^2} \;
+              \frac{1}{1 + a/0.01 + g/0.02 + t/0.03}.
+
+    The clear coat's mirror image of the sky is still in the spectra; see
+    `hyperpaint.corrections.remove_mirrored_sky`.
+
+    Examples
+    --------
+    >>> import numpy as np, xarray as xr
+    >>> from hyperpaint.sun import diffuse_fraction
+    >>> nm = np.linspace(400.0, 1000.0, 24)
+    >>> sky = 0.04 * diffuse_fraction(nm, 30.0)[:, None]
+    >>> seen = np.full((60, 24, 100), 0.1)  # ground
+    >>> seen[15:45, :, 5:95] = np.where(nm > 600.0, 0.6, 0.04)[:, None] + sky  # a red car
+    >>> seen[19:41, :, 25:40] = seen[19:41, :, 70:80] = 0.012 + sky  # two windows
+    >>> cube = ("along_track", "band", "cross_track"), seen.astype("float32"), {"units": "1"}
+    >>> line = xr.Dataset({"reflectance": cube}, {"wavelength": ("band", nm, {"units": "nm"})})
+    >>> found = propose_regions(line, sun_zenith=30.0)
+    >>> [(region.name, region.properties["kind"]) for region in found]
+    [('paint_01', 'roof')]
+    """
     line = schema.rename_to_roles(line)
     limits = Limits(erode, glint, shadow, adjacency, brightness, angle, min_pixels)
     _check(limits, most)
@@ -90,7 +174,7 @@ def propose_regions(
         found = measured(piece, channels, layers, limits)
         judged.append((piece, found, judge(piece, found, known, surfaces, limits)))
     for car in group_by_car(judged, known, surfaces):
-        settle(car, zenith)
+        settle(car, zenith, (int(channels.shape[0]), int(channels.shape[1])))
     return _ranked(judged, most, flightline, name)
 
 
@@ -137,9 +221,7 @@ def _read(line: xr.Dataset, model: SceneModel) -> tuple[Array, dict[str, Array]]
     return channels, layers
 
 
-def _ranked(
-    judged: list[Judged], most: int | None, flightline: str, name: str
-) -> Proposals:
+def _ranked(judged: list[Judged], most: int | None, flightline: str, name: str) -> Proposals:
     good = [one for one in judged if not one[2].objections and not one[2].scenery]
     bad = [one for one in judged if one[2].objections and not one[2].scenery]
     good.sort(key=lambda one: (-one[2].score, one[0].first, one[0].body))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -12,7 +12,7 @@ from hyperpaint.scene_model import SceneModel
 from hyperpaint.scene_model.model import SHADED
 from hyperpaint.scene_model.segments import touching
 
-__all__ = ["Flanks", "Surfaces", "flanks_of", "is_between", "ring_around"]
+__all__ = ["Flanks", "Surfaces", "extent", "flanks_of", "is_between", "ring_around"]
 
 Float = npt.NDArray[np.float64]
 Int = npt.NDArray[np.int64]
@@ -20,7 +20,7 @@ Mask = npt.NDArray[np.bool_]
 
 DARK = 0.05
 """Mean reflectance below which a surface is a window, or a dark paint [1]."""
-_SHADE, _SURE = 0.0095, 0.0125
+_DARKEST, _SURE = 0.002, 0.0125
 _BLUENESS = (0.65, 2.5)
 """Of windows, which mirror the sky, and send a little of what is behind them."""
 _BLUE, _RED, _EDGE_OF_RED, _INFRARED = (430.0, 490.0), (660.0, 690.0), (735.0, 765.0), (790.0, 900.0)
@@ -29,7 +29,7 @@ _EDGE = 3  # pixels that pieces keep away from edges
 _NEAR, _NEAR_SHARE, _SIDE_SHARE = 6, 0.12, 0.2
 _LEAST_WINDOW = 2
 _AS_CLEAR = 0.05
-_BORDER, _ROUNDS = 0.2, 2
+_BORDER, _WITHIN = 0.15, 0.6
 ENDED, ENDED_WHOLLY = 0.45, 0.8
 """Share of a piece's width that ends at windows, at one end and at the other, at least."""
 _SAME_GROUND, _LEVELS = np.cos(np.radians(3.0)), 0.2
@@ -67,7 +67,8 @@ class Surfaces:
     level, blueness : (segment,)
         Mean reflectance [1]; ratio of blue to near infrared.
     dark, window, ground, vegetation, shade : (segment,)
-        Whether it is dark as glass, such and not beside the ground, like the largest body, green as leaves, in another body's shadow.
+        Whether it is dark as glass, such and not beside the ground, like the largest body, green as leaves,
+        in another body's shadow.
     """
 
     level: Float
@@ -84,7 +85,8 @@ class Surfaces:
         spectrum = np.nan_to_num(model.spectrum)
         level = spectrum.mean(axis=1)
         blue, red, edge, infrared = (
-            _mean_over(spectrum, model.channel_wavelength, span) for span in (_BLUE, _RED, _EDGE_OF_RED, _INFRARED)
+            _mean_over(spectrum, model.channel_wavelength, span)
+            for span in (_BLUE, _RED, _EDGE_OF_RED, _INFRARED)
         )
         blueness = blue / np.maximum(infrared, 1e-4)
         reference = np.nan_to_num(model.reference)
@@ -92,12 +94,15 @@ class Surfaces:
         direction = reference / np.maximum(length, 1e-9)
         ground = _like_the_largest(model, direction, length[:, 0])
         shade = model.state == SHADED
-        dark = (level > _SHADE) & (level < DARK) & ~(shade & ground & (level < _SURE))
-        dark &= (blueness > _BLUENESS[0]) & (blueness < _BLUENESS[1])
-        window = dark & ~_outside(model, ground, level)
+        beside, within = _borders(model, ground, level)
+        dark = (level > _DARKEST) & (level < DARK)
+        glassy = (blueness > _BLUENESS[0]) & (blueness < _BLUENESS[1]) & ~(shade & ground & (level < _SURE))
+        window = dark & (beside <= _BORDER) & (glassy | (within >= _WITHIN))
+        dark &= glassy
         # leaves rise within 50 nm, and no further; pigments take their time
         leaves = (edge > 3.0 * red) & (infrared < 1.4 * edge)
         return cls(level, blueness, dark, window, ground, leaves, shade)
+
 
 def _like_the_largest(model: SceneModel, direction: Float, length: Float) -> Mask:
     """Return which segments are the largest body, or look like it, whatever their light (segment,)."""
@@ -105,19 +110,23 @@ def _like_the_largest(model: SceneModel, direction: Float, length: Float) -> Mas
         return np.zeros(0, bool)
     largest = int(np.argmax(np.bincount(model.body, weights=model.size, minlength=model.segments)))
     level = length / max(float(length[largest]), 1e-9)
-    like = (direction @ direction[largest] > _SAME_GROUND) & (np.abs(np.log(np.maximum(level, 1e-9))) < _LEVELS)
+    like = (direction @ direction[largest] > _SAME_GROUND) & (
+        np.abs(np.log(np.maximum(level, 1e-9))) < _LEVELS
+    )
     return np.asarray(like | (model.body == largest))
 
 
-def _outside(model: SceneModel, ground: Mask, level: Float) -> Mask:
-    """Return what borders the ground, or shadow that does (segment,): windows lie within their car."""
+def _borders(model: SceneModel, ground: Mask, level: Float) -> tuple[Float, Float]:
+    """Return the shares of segments' borders with lit ground, as of shadows on it, and with bright things."""
     pairs = touching(model.segment, model.segments)
-    border = np.maximum(np.bincount(pairs.one, weights=pairs.length, minlength=model.segments), 1.0)
-    outside = ground.copy()
-    for _ in range(_ROUNDS):
-        beside = np.bincount(pairs.one, weights=pairs.length * outside[pairs.other], minlength=model.segments)
-        outside |= (level < DARK) & (beside / border > _BORDER)
-    return outside
+    whole = np.maximum(np.bincount(pairs.one, weights=pairs.length, minlength=model.segments), 1.0)
+    lit = ground & (model.state != SHADED)
+    bright = (level >= DARK) & ~ground
+    beside, within = (
+        np.bincount(pairs.one, weights=pairs.length * which[pairs.other], minlength=model.segments) / whole
+        for which in (lit, bright)
+    )
+    return beside, within
 
 
 def _mean_over(spectrum: Float, wavelength: Float, span: tuple[float, float]) -> Float:
@@ -146,14 +155,22 @@ def flanks_of(lines: Int, columns: Int, segment: npt.NDArray[np.int32], window: 
     ]
     # the axis of the clearest window; the other end decides among those that are as clear
     clearest = max(max(one) for one in shares) - _AS_CLEAR
-    best = max(range(_AXES), key=lambda number: (max(shares[number]) >= clearest, min(shares[number]), -number))
+    best = max(
+        range(_AXES), key=lambda number: (max(shares[number]) >= clearest, min(shares[number]), -number)
+    )
     aside = np.pi * (best / _AXES + 0.5)
     sides = _shares(lines, columns, aside, seen, _NEAR, _SIDE_SHARE)
     first, last = shares[best]
-    angle = np.pi * best / _AXES
+    axis = 180.0 * best / _AXES
+    size = extent(lines, columns, axis)
+    return Flanks(axis, (max(first, last), min(first, last)), max(sides), *size)
+
+
+def extent(lines: Int, columns: Int, axis: float) -> tuple[float, float]:
+    """Return the length of a piece along an axis [degree], median over its width, and its width [pixel]."""
+    angle = np.radians(axis)
     lengths = _ends(lines, columns, np.array([np.sin(angle), np.cos(angle)])).length
-    size = float(np.median(lengths)), float(lengths.size)
-    return Flanks(180.0 * best / _AXES, (max(first, last), min(first, last)), max(sides), *size)
+    return float(np.median(lengths)), float(lengths.size)
 
 
 def is_between(ends: tuple[float, float]) -> bool:
@@ -164,7 +181,7 @@ def is_between(ends: tuple[float, float]) -> bool:
 def _shares(
     lines: Int, columns: Int, angle: float, seen: Mask, near: int, share: float
 ) -> tuple[float, float]:
-    """Return the share of a piece's width that ends at windows, before its first pixels and after its last."""
+    """Return the share of a piece's width that ends at windows, at its first pixels and at its last."""
     step = np.array([np.sin(angle), np.cos(angle)])
     ends = _ends(lines, columns, step)
     reach = _EDGE + max(near, round(share * float(np.median(ends.length))))

@@ -76,7 +76,7 @@ def test_a_grey_panel_beside_a_red_wall_is_reddened_as_the_view_factor_says() ->
     wall = box((0.1, 4.0, 1.0), Material("wall", "brick", "wall"), centre=(0.35, 0.0, 0.0), instance="wall")
     scene = Scene.join([plane(0.03, GREY, instance="panel"), wall], "adjacency")
     sky = light(1.0, 0.25, 50.0, 270.0)
-    line = seen(scene, looking(lines=4, columns=4), sky, samples=20_000, depth=3)
+    line = seen(scene, looking(lines=5, columns=4), sky, samples=16_000, depth=3)
     share = view_factor(0.30, 1.0, 2.0)
     assert share == pytest.approx(0.3529, abs=1e-4)
     level, upright = np.cos(np.radians(50.0)), np.sin(np.radians(50.0))

@@ -1,0 +1,192 @@
+"""Regions proposed by rule, on cars drawn by hand and on one whose light is traced."""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+import numpy as np
+import pytest
+import xarray as xr
+from click.testing import CliRunner
+
+import hyperpaint as hp
+from hyperpaint.cli import main
+from hyperpaint.corrections import remove_mirrored_sky
+from hyperpaint.errors import SchemaError
+from hyperpaint.proposals.pixel_outlines import outline
+from hyperpaint.regions import pixels_of
+from hyperpaint.simulation.rendering.bands import BandSet
+from hyperpaint.simulation.rendering.car_parks import car_park
+from hyperpaint.simulation.rendering.four_curves import Atmosphere
+from hyperpaint.simulation.rendering.platforms import pushbroom
+from hyperpaint.simulation.rendering.spectra import spectrum_of
+from hyperpaint.sun import diffuse_fraction
+
+ZENITH = 30.0
+NM = np.linspace(405.0, 995.0, 48)
+RED = np.where(NM > 600.0, 0.6, 0.04)
+
+
+def drawn(bonnet: bool = True, rear: bool = True, noise: float = 0.005) -> xr.Dataset:
+    """Return asphalt with one red car: bonnet, windscreen, roof, rear window and boot."""
+    split = diffuse_fraction(NM, ZENITH)
+    seen = np.empty((70, NM.size, 130))
+    seen[:] = (0.09 + 0.03 * (NM - 400.0) / 600.0)[:, None]
+    red = (RED + 0.04 * split)[:, None]
+    glass = (0.012 + 0.04 * split)[:, None]
+    seen[20:50, :, 20:112] = red
+    seen[24:46, :, 45:60] = glass
+    if rear:
+        seen[24:46, :, 88:98] = glass
+    if bonnet:
+        seen[20:50, :, 20:45] *= 0.85  # leans away from the sun
+    seen *= 1.0 + noise * np.random.default_rng(5).normal(size=seen.shape)
+    cube = ("along_track", "band", "cross_track"), seen.astype(np.float32), {"units": "1"}
+    return xr.Dataset({"reflectance": cube}, {"wavelength": ("band", NM, {"units": "nm"})})
+
+
+def propose(line: xr.Dataset, **options: Any) -> Any:
+    return hp.propose_regions(line, sun_zenith=ZENITH, **options)
+
+
+# --- outlines of pixels ------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_outline__holds_the_pixels_and_no_other(seed: int) -> None:
+    """Rationale: a polygon along the sides of pixels, with holes and corners that touch.
+
+    Expected: the pixels in it are those of the mask, for random connected masks.
+    """
+    from scipy.ndimage import label
+
+    parts, _ = label(np.random.default_rng(seed).random((18, 23)) > 0.42)
+    mask = parts == 1 + np.argmax(np.bincount(parts.ravel())[1:])
+    ring, holes = outline(mask, (3, 5))
+    line = xr.Dataset({"quality": (("along_track", "cross_track"), np.zeros((30, 40), "u2"))})
+    along, across = pixels_of(hp.Regions((hp.Region("it", ring, holes),)), line)[0]
+    made = np.zeros((30, 40), bool)
+    made[along, across] = True
+    expected = np.zeros((30, 40), bool)
+    expected[3:21, 5:28] = mask
+    assert np.array_equal(made, expected)
+
+
+# --- a car drawn by hand -----------------------------------------------------------------------------------
+
+
+def test_proposals__are_the_roof_with_reasons() -> None:
+    """Rationale: of bonnet, roof and boot only the roof is level for sure.
+
+    Expected: one region between both windows, three pixels from their edges, with the paint's spectrum.
+    """
+    line = drawn()
+    found = propose(line)
+    assert len(found) == 1
+    (region,) = found
+    along, across = pixels_of(found, line)[0]
+    assert across.min() >= 60 + 2
+    assert across.max() <= 88 - 3
+    assert region.properties["kind"] == "roof"
+    assert region.properties["rank"] == 1
+    assert 0 < region.properties["score"] <= 1
+    assert any("windows end it on both sides" in text for text in region.properties["reasons"])
+    seen = remove_mirrored_sky(line, sun_zenith=ZENITH)["reflectance"].values[along, :, across]
+    assert np.abs(np.median(seen, axis=0) - RED).max() < 0.01
+    assert "score" in found.table()
+
+
+def test_refusals__say_why() -> None:
+    """Rationale: a bonnet ends at one window and may lean.
+
+    Expected: it is among the refused, with the lean or the better part of the car as a reason.
+    """
+    found = propose(drawn())
+    told = [" ".join(region.properties["refused"]) for region in found.refused]
+    assert told
+    assert all(told)
+    assert any("lean" in text or "same car" in text for text in told)
+
+
+def test_proposals__need_a_window() -> None:
+    """Rationale: a red sheet on the ground is no car.
+
+    Expected: nothing is proposed, and it is refused for want of a window.
+    """
+    line = drawn(bonnet=False)
+    line["reflectance"][20:50, :, 20:112] = line["reflectance"].values[30:31, :, 70:71]
+    found = propose(line)
+    assert len(found) == 0
+    assert any("no window" in " ".join(region.properties["refused"]) for region in found.refused)
+
+
+def test_proposals__do_not_depend_on_chunks() -> None:
+    """Rationale: a survey, then pointwise layers, then rules on whole arrays.
+
+    Expected: equal digests for five chunkings.
+    """
+    line = drawn()
+    chunkings: list[Any] = [
+        {}, {"along_track": 32}, {"along_track": 7}, {"along_track": 70, "band": 5}, {"cross_track": 11},
+    ]  # fmt: skip
+    digests = {propose(line.chunk(chunks) if chunks else line).digest for chunks in chunkings}
+    assert len(digests) == 1
+    assert line.paint.propose_regions(sun_zenith=ZENITH).digest in digests
+
+
+def test_proposals__go_into_a_file_and_back(tmp_path: Any) -> None:
+    """Rationale: people edit proposals. Expected: GeoJSON as any regions, what is refused stays out of it."""
+    found = propose(drawn(), flightline="raw_0")
+    path = hp.write_regions(found, tmp_path / "cars.geojson")
+    again = hp.read_regions(path)
+    assert again.names == found.names
+    assert len(json.loads(path.read_text())["features"]) == len(found)
+    assert again[0].flightline == "raw_0"
+
+
+def test_signatures__of_proposals() -> None:
+    """Expected: one paint, whose flags and pixels are those of the region."""
+    line = drawn()
+    found = propose(line)
+    paints = hp.extract_signatures(line, found)
+    assert int(paints["n"][0]) == found[0].properties["pixels"]
+
+
+@pytest.mark.parametrize("wrong", [{"erode": -1}, {"min_pixels": 0}, {"most": 0}, {"glint": float("nan")}])
+def test_limits_that_cannot_be__are_refused(wrong: dict[str, Any]) -> None:
+    with pytest.raises(SchemaError, match="regions cannot be proposed"):
+        propose(drawn(), **wrong)
+
+
+def test_command__needs_no_regions() -> None:
+    """Expected: the option is there, and is not required."""
+    told = CliRunner().invoke(main, ["signatures", "--help"]).output
+    assert "proposed by rule" in told
+
+
+# --- cars whose light is traced ----------------------------------------------------------------------------
+
+
+def test_proposals_on_traced_cars__are_right_or_refused() -> None:
+    """Rationale: coats, cast shadows, glint and neighbours from geometry, which no rule here knows.
+
+    Expected: something is proposed, and every signature is its paint within max(0.03, 6 %), and within 0.01
+    in shape.
+    """
+    sky = Atmosphere.clear(34.0, 105.0)
+    park = car_park(length=14.0, width=32.0, seed=3, neighbours=(), margin=10.0, flakes=False, islands=False)
+    flight = pushbroom(150, 200, altitude=15.0, ground_sample=0.06, line_spacing=0.06, start=(-0.1, 2.0))
+    traced = hp.trace(park, flight, [sky], samples=48, seed=3, sun_radius=0.267)
+    line = hp.relight(traced, BandSet(NM, np.full(NM.size, 6.0)), atmosphere=sky).compute()
+    found = hp.propose_regions(line, sun_zenith=34.0, sun_azimuth=105.0, heading=0.0, erode=2)
+    assert len(found) >= 1
+    corrected = remove_mirrored_sky(line, sun_zenith=34.0)["reflectance"].values
+    names = line["paint_id"].attrs["flag_meanings"].split()
+    for along, across in pixels_of(found, line):
+        shown = line["paint_id"].values[along, across]
+        assert (shown >= 0).all()
+        own = spectrum_of(names[shown[0]])(NM)
+        made = np.median(corrected[along, :, across], axis=0)
+        assert (np.abs(made - own) < np.maximum(0.03, 0.06 * own)).all()
+        assert np.sqrt(np.mean((made * (made @ own) / (made @ made) - own) ** 2)) < 0.01
