@@ -5,10 +5,10 @@
     python benchmarks/proposed_cars.py --flakes            with metallic paints, whose flakes add a lobe
 
 Scenes: car parks of 256 x 320 pixels of 3.5 to 5 cm and 60 bands from 15 m, under suns 20 to 50 degrees
-from the zenith, of paints under clear coats that mirror sun and sky; a signal-to-noise ratio of 100. Counted are
-cars that lie in the picture as a whole. A signature, less the mirrored sky, is right where it is its paint's
-spectrum (mirror reflection excluded) within 0.01 rms after one scale factor, and within max(0.03, 6 %) as it is.
-The rules know nothing of the scene but the sun's place.
+from the zenith, of paints under clear coats that mirror sun and sky; a signal-to-noise ratio of 100.
+Counted are cars that lie in the picture as a whole. A signature, less the mirrored sky, is right where it
+is its paint's spectrum (mirror reflection excluded) within 0.01 rms after one scale factor, and within
+max(0.03, 6 %) as it is. The rules know nothing of the scene but the sun's place.
 """
 
 from __future__ import annotations

@@ -216,12 +216,42 @@ class PaintAccessor:
         )
 
     def propose_regions(
-        self, model: SceneModel | xr.Dataset | None = None, *, dims: Dims | None = None, **options: Any
+        self,
+        model: SceneModel | xr.Dataset | None = None,
+        *,
+        most: int | None = None,
+        min_pixels: int = 40,
+        erode: int = 3,
+        glint: float = 0.02,
+        shadow: float = 0.2,
+        adjacency: float = 0.02,
+        brightness: float = 0.03,
+        angle: float = 5.0,
+        flightline: str = "",
+        name: str = "paint",
+        progress: Progress | bool | None = None,
+        dims: Dims | None = None,
+        **options: Any,
     ) -> Proposals:
         """Return regions of car paint, ranked, with reasons (eager); see `hyperpaint.propose_regions`."""
         from .proposals import propose_regions
 
-        return propose_regions(self._by_role(dims), model, **options)
+        return propose_regions(
+            self._by_role(dims),
+            model,
+            most=most,
+            min_pixels=min_pixels,
+            erode=erode,
+            glint=glint,
+            shadow=shadow,
+            adjacency=adjacency,
+            brightness=brightness,
+            angle=angle,
+            flightline=flightline,
+            name=name,
+            progress=progress,
+            **options,
+        )
 
     def signatures(
         self,
@@ -231,6 +261,8 @@ class PaintAccessor:
         members: int = 256,
         centre: str = "trimmed_mean",
         smooth: Smoothing = None,
+        specular_sky: bool = False,
+        sun_zenith: float | None = None,
         min_pixels: int = 5,
         seed: int = 0,
         progress: Progress | None = None,
@@ -246,6 +278,8 @@ class PaintAccessor:
             members=members,
             centre=centre,
             smooth=smooth,
+            specular_sky=specular_sky,
+            sun_zenith=sun_zenith,
             min_pixels=min_pixels,
             seed=seed,
             progress=progress,

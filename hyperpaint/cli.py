@@ -371,6 +371,7 @@ Examples:
 @click.option(
     "--window", type=int, default=11, show_default=True, help="Bands that are smoothed over, an odd number."
 )
+@click.option("--specular-sky", is_flag=True, help="Subtract the sky that a clear coat mirrors.")
 @click.option(
     "--members", type=click.IntRange(min=0), default=256, show_default=True,
     help="Pixels of a region that are kept as they are.",
@@ -388,8 +389,8 @@ def signatures(
 
     Regions are polygons in GeoJSON, x the column and y the line of the cube, each with a property name (and
     flightline, where the store has several). A paint has centre, spread, quantiles, single pixels,
-    uncertainty, flags and all that its region says; saturated pixels, and those in glint, shadow or a
-    neighbour's light, are left out.
+    uncertainty, flags and all that its region says. Left out are saturated pixels, and those that the store
+    flags as glint, shadow or a neighbour's light; process does not look for these, .paint.flag() does.
     """
     from .signature_files import table_of, write_signatures
 

@@ -12,15 +12,22 @@ import numpy as np
 from . import schema
 from .errors import Problems, SchemaError
 from .scene_model.light import SOURCES, diffuse_from_clear_sky, measured_fraction, sun_zenith_of
-from .schema import BAND
+from .schema import BAND, PAINT
 
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["correct_light", "remove_mirrored_sky"]
+__all__ = ["CORRECTIONS", "correct_light", "remove_mirrored_sky"]
+
+CORRECTIONS = ("mirrored_sky_removed", "light_corrected", "tilt")
+"""Attributes of reflectance that say what was corrected."""
 
 NORMAL_REFLECTANCE = 0.04
 """Of a clear coat of index 1.5, ((n - 1) / (n + 1))^2 [1]."""
+
+_LEVELS = ("reflectance", "reflectance_quantiles", "member_reflectance")
+_WIDTHS = ("reflectance_sd", "reflectance_u_random", "reflectance_u_systematic")
+"""Of a flight line or of a paint library: what moves with a level, and what only scales."""
 
 
 def remove_mirrored_sky(
@@ -38,7 +45,7 @@ def remove_mirrored_sky(
     Parameters
     ----------
     line
-        Holds ``reflectance`` [1], on ``band`` and any other dims, and ``wavelength``.
+        Holds ``reflectance`` [1], on ``band`` and any other dims, and ``wavelength``; a paint library too.
     strength
         Reflectance of the coat at normal incidence, :math:`F_0` [1].
     sky_view_factor
@@ -49,13 +56,14 @@ def remove_mirrored_sky(
     Returns
     -------
     Dataset
-        The same with ``reflectance`` lowered; its attribute ``mirrored_sky_removed`` says by what.
+        The same with ``reflectance`` lowered, and a library's quantiles and members; the attribute
+        ``mirrored_sky_removed`` of reflectance says by what.
 
     Raises
     ------
     SchemaError
-        ``reflectance`` or ``wavelength`` is missing, numbers leave 0 to 1, the sky was removed before, or the
-        split is not known; all are listed.
+        ``reflectance`` or ``wavelength`` is missing, numbers leave 0 to 1, the sky was removed or the light
+        corrected before, or the split is not known; all are listed.
 
     Notes
     -----
@@ -72,12 +80,13 @@ def remove_mirrored_sky(
     array([0.031, 0.03 ], dtype=float32)
     """
     line = schema.rename_to_roles(line)
-    _check(line, "mirrored_sky_removed", strength=strength, sky_view_factor=sky_view_factor)
-    fraction = _fraction_of(line, diffuse, sun_zenith)
+    # what a tilted surface mirrors is subtracted before all is divided by its light
+    done = ("mirrored_sky_removed", "light_corrected")
+    _check(line, done, strength=strength, sky_view_factor=sky_view_factor)
+    fraction, source = _fraction_of(line, diffuse, sun_zenith)
     taken = (strength * sky_view_factor * fraction).astype(np.float32)
-    text = f"F0 {strength:g} x sky view {sky_view_factor:g} x diffuse fraction ({_source(diffuse)})"
-    seen = line["reflectance"]
-    made = seen - _on_bands(taken, seen)
+    text = f"F0 {strength:g} x sky view {sky_view_factor:g} x diffuse fraction ({source})"
+    made = {name: line[name] - _on_bands(taken) for name in _LEVELS if name in line.variables}
     return _with(line, made, "mirrored_sky_removed", text)
 
 
@@ -98,7 +107,7 @@ def correct_light(
     Parameters
     ----------
     line
-        Holds ``reflectance`` [1], on ``band`` and any other dims, and ``wavelength``.
+        Holds ``reflectance`` [1], on ``band`` and any other dims, and ``wavelength``; a paint library too.
     direct
         Direct light relative to level ground, c = cos(incidence) / cos(zenith) [1]: a number, or a DataArray
         on dims of the line.
@@ -112,7 +121,8 @@ def correct_light(
     Returns
     -------
     Dataset
-        The same with ``reflectance`` divided; its attribute ``light_corrected`` says by what.
+        The same with ``reflectance`` and its uncertainties divided, and a library's spread, quantiles and
+        members; NaN where there is no light. The attribute ``light_corrected`` of reflectance says by what.
 
     Raises
     ------
@@ -138,21 +148,21 @@ def correct_light(
         for name, value in (("direct", direct), ("sky_view_factor", sky_view_factor))
         if np.ndim(value) == 0 and not hasattr(value, "dims")
     }
-    _check(line, "light_corrected", most=10.0, neighbour_reflectance=neighbour_reflectance, **plain)
-    fraction = _fraction_of(line, diffuse, sun_zenith)
-    seen = line["reflectance"]
-    sky = _on_bands(fraction, seen)
+    _check(line, ("light_corrected",), most=10.0, neighbour_reflectance=neighbour_reflectance, **plain)
+    fraction, source = _fraction_of(line, diffuse, sun_zenith)
+    sky = _on_bands(fraction)
     light = direct * (1.0 - sky) + sky_view_factor * sky + (1.0 - sky_view_factor) * neighbour_reflectance
-    made = (seen / light).transpose(*seen.dims)
+    light = light.where(light > 0)
+    made = {name: line[name] / light for name in (*_LEVELS, *_WIDTHS) if name in line.variables}
     told = {
         name: f"{value:g}" if name in plain else "given"
         for name, value in (("direct", direct), ("sky view", sky_view_factor))
     }
     parts = ", ".join(f"{name} {value}" for name, value in told.items())
-    return _with(line, made, "light_corrected", f"{parts}, diffuse fraction ({_source(diffuse)})")
+    return _with(line, made, "light_corrected", f"{parts}, diffuse fraction ({source})")
 
 
-def _check(line: xr.Dataset, done: str, *, most: float = 1.0, **numbers: float) -> None:
+def _check(line: xr.Dataset, done: tuple[str, ...], *, most: float = 1.0, **numbers: float) -> None:
     problems = Problems("reflectance cannot be corrected", SchemaError)
     for name in ("reflectance", "wavelength"):
         if name not in line.variables:
@@ -160,34 +170,42 @@ def _check(line: xr.Dataset, done: str, *, most: float = 1.0, **numbers: float) 
     for name, value in numbers.items():
         if not 0.0 <= value <= most:
             problems.add(f"{name}={value!r}, expected 0 to {most:g}")
-    if "reflectance" in line.variables and done in line["reflectance"].attrs:
-        problems.add(f"it was before: {done} is {line['reflectance'].attrs[done]!r}")
+    before = line["reflectance"].attrs if "reflectance" in line.variables else {}
+    for name in done:
+        if name in before:
+            problems.add(f"it was before: {name} is {before[name]!r}")
     problems.raise_if_any()
 
 
-def _fraction_of(line: xr.Dataset, diffuse: Any, sun_zenith: float | None) -> Any:
-    """Return the diffuse fraction of the bands (band,), float64."""
+def _fraction_of(line: xr.Dataset, diffuse: Any, sun_zenith: float | None) -> tuple[Any, str]:
+    """Return the diffuse fraction of the bands (band,), float64, and where it is from."""
     wavelength = line["wavelength"].values.astype(np.float64)
     if not isinstance(diffuse, str):
-        return measured_fraction(diffuse, wavelength)
+        return measured_fraction(diffuse, wavelength), "measured"
     if diffuse not in SOURCES or diffuse == "shadow":
         msg = f"diffuse={diffuse!r}, expected 'model', 'pvlib' or a measured spectrum"
         raise SchemaError(msg)
-    return diffuse_from_clear_sky(diffuse, wavelength, sun_zenith_of(line, sun_zenith))
+    zenith = sun_zenith_of(line, sun_zenith)
+    fraction = diffuse_from_clear_sky(diffuse, wavelength, zenith)
+    return fraction, f"{diffuse}, sun zenith {zenith:.4g} degree"
 
 
-def _source(diffuse: Any) -> str:
-    return diffuse if isinstance(diffuse, str) else "measured"
-
-
-def _on_bands(values: Any, like: xr.DataArray) -> xr.DataArray:
+def _on_bands(values: Any) -> xr.DataArray:
     import xarray as xr
 
-    return xr.DataArray(values.astype(np.float32), dims=BAND).transpose(*(d for d in like.dims if d == BAND))
+    return xr.DataArray(values.astype(np.float32), dims=BAND)
 
 
-def _with(line: xr.Dataset, made: xr.DataArray, name: str, text: str) -> xr.Dataset:
-    attrs = {**line["reflectance"].attrs, name: text}
-    return line.assign(
-        reflectance=made.astype(np.float32).transpose(*line["reflectance"].dims).assign_attrs(attrs)
-    )
+def _with(line: xr.Dataset, made: dict[str, xr.DataArray], name: str, text: str) -> xr.Dataset:
+    """Return the line with what was corrected, and say so."""
+    done = {
+        key: array.astype(np.float32).transpose(*line[key].dims).assign_attrs(line[key].attrs)
+        for key, array in made.items()
+    }
+    done["reflectance"] = done["reflectance"].assign_attrs({name: text})
+    corrected = line.assign(done)
+    if PAINT in line["reflectance"].dims:
+        before = line.attrs.get("corrections", "none")
+        told = f"{name}: {text}"
+        corrected = corrected.assign_attrs(corrections=told if before == "none" else f"{before}; {told}")
+    return corrected

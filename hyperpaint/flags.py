@@ -99,7 +99,14 @@ def flag(
     is solved for amounts that are not negative, by least squares with a weak tie of c and V to 1 and of the
     others to 0, after [1]_. The tie decides where light cannot: g and c on a grey body, whose mirrored sun
     has the colour of its own light. Of neighbours only the sum is known well; a grey one adds nothing that
-    could be told from a tilt.
+    could be told from a tilt. 200 sweeps of coordinate descent from c = V = 1 and nothing else are made: on
+    grey bodies an early-stopped, hence regularised, solution.
+
+    Known limits: on dark paint at low sun glint up to 0.03, and on grey paint more, is taken for light. Smile
+    above 1 nm should be taken out first (``.paint.to_nominal()``). Above a noise of 1 % a band, adjacency on
+    bright paint is overestimated. On ray-traced car parks (solid paints, seeds never tuned on, outside mixed
+    pixels) glint is found with precision 0.89 and recall 0.73, shadow with 0.87 and 0.85, which is below the
+    0.95 aimed at; on analytic scenes all are above 0.95.
 
     References
     ----------
@@ -150,7 +157,7 @@ def _check_model(model: SceneModel, cube: xr.DataArray, wavelength: xr.DataArray
         problems.add(f"it has {model.segment.shape} pixels, the line ({lines}, {columns})")
     # of a lazy coordinate only the size is looked at
     known = model.wavelength if wavelength.chunks is not None else wavelength.values
-    if model.wavelength.shape != (bands,) or not np.array_equal(model.wavelength, known):
+    if model.wavelength.shape != (bands,) or not np.array_equal(model.wavelength, known, equal_nan=True):
         problems.add(f"it has other bands than the {bands} of the line; survey the line as it is flagged")
     problems.raise_if_any()
 
@@ -226,19 +233,19 @@ def _flag_block(
     shape = seen.shape[:2]
     neighbours = model.neighbours(start, stop)
     amount = np.empty((*shape, PARTS), np.float32)
-    added, misfit = np.empty((*shape, 2), np.float32), np.empty(shape, np.float32)
+    added = np.empty((*shape, 2), np.float32)
+    together, misfit = np.empty((2, *shape), np.float32)
     unmix_lines(
         seen, model.bodies(start, stop), model.reference, neighbours, 1.0 - model.diffuse_fraction,
         model.diffuse_fraction, NOISE, FLOOR, np.array(_EXPECTED), np.array(_SPREAD),
-        _most(model), amount, added, misfit,
+        _most(model), amount, added, together, misfit,
     )  # fmt: skip
     most = np.argmax(added, axis=2)[..., None]
-    total = added.sum(axis=2)
     made = {
         "glint_fraction": amount[..., 2],
         "blocked_direct": 1.0 - amount[..., 0],
-        "adjacency": total,
-        "adjacency_segment": np.where(total > 0, np.take_along_axis(neighbours, most, 2)[..., 0], -1),
+        "adjacency": together,
+        "adjacency_segment": np.where(together > 0, np.take_along_axis(neighbours, most, 2)[..., 0], -1),
         "mirrored_sky": amount[..., 3],
     }
     bits = np.zeros(shape, np.uint16)
@@ -246,7 +253,7 @@ def _flag_block(
     missing = made["blocked_direct"]
     cast = model.shade_distance[start:stop] <= _PENUMBRA
     bits[(missing >= limits["shadow"]) & cast] |= np.uint16(Quality.SHADOW)
-    bits[total > limits["adjacency"]] |= np.uint16(Quality.ADJACENCY)
+    bits[together > limits["adjacency"]] |= np.uint16(Quality.ADJACENCY)
     bits[model.edge_distance[start:stop] <= limits["edge"]] |= np.uint16(Quality.MIXED_EDGE)
     bits[model.segment[start:stop] < 0] = 0
     return {

@@ -23,6 +23,7 @@ __all__ = [
     "colour_matching",
     "draw_irradiance",
     "draw_reflectance",
+    "flags_of",
     "known_quantiles",
     "overview",
     "quicklook",
@@ -107,6 +108,9 @@ def rgb(dataset: xr.Dataset, *, stretch: tuple[float, float] = (2.0, 98.0)) -> x
     if "reflectance" not in dataset.variables:
         dataset = reflectance(dataset)
     cube = dataset["reflectance"]
+    if not cube.size:
+        msg = f"a true-colour picture needs pixels, reflectance has the shape {cube.shape}"
+        raise SchemaError(msg)
     wavelength = schema.require(dataset, ["wavelength"], "a true-colour picture")["wavelength"].values
     visible = np.flatnonzero((wavelength > 380) & (wavelength < 780))
     if visible.size < 3:
@@ -290,7 +294,7 @@ def quicklook(dataset: xr.Dataset, path: str | Path | None = None, *, lines: int
         dataset = reflectance(dataset)
     step = max(1, dataset.sizes[schema.ALONG_TRACK] // lines)
     dataset = dataset.isel({schema.ALONG_TRACK: slice(None, None, step)})
-    picture, quality = rgb(dataset).values, dataset["quality"].values
+    picture, quality = rgb(dataset).values, flags_of(dataset)
     grid = figure.add_gridspec(2, 3, height_ratios=(3, 1.3))
     shown, flags, light = figure.add_subplot(grid[0, :2]), figure.add_subplot(grid[0, 2]), None
     shown.imshow(picture.swapaxes(0, 1), aspect="auto", interpolation="nearest")
@@ -304,6 +308,21 @@ def quicklook(dataset: xr.Dataset, path: str | Path | None = None, *, lines: int
     draw_reflectance(figure.add_subplot(grid[1, 2]), dataset)
     save_figure(figure, path)
     return figure
+
+
+def flags_of(dataset: xr.Dataset) -> Array:
+    """Return the flags of all pixels (along_track, cross_track), as integers.
+
+    Raises
+    ------
+    SchemaError
+        ``quality`` is missing, on other dims, or no integers.
+    """
+    quality = schema.require(dataset, ["quality"], "a picture of flags")["quality"]
+    if quality.dtype.kind not in "iu":
+        msg = f"quality is {quality.dtype}, expected uint16: one bit a flag"
+        raise SchemaError(msg)
+    return np.asarray(quality.values)
 
 
 def _draw_flags(axes: Any, quality: Array) -> None:
@@ -326,7 +345,12 @@ def draw_irradiance(axes: Any, dataset: xr.Dataset) -> None:
     if "irradiance" not in dataset.variables:
         axes.set_axis_off()
         return
-    series = dataset["irradiance"].compute()
+    series = schema.require(dataset, ["irradiance"], "a picture of irradiance")["irradiance"]
+    moments = series.coords.get(schema.IRRADIANCE_TIME)
+    if moments is None or not moments.size or moments.dtype.kind != "M":
+        msg = "a picture of irradiance needs its times: the coordinate irradiance_time, one moment at least"
+        raise SchemaError(msg)
+    series = series.compute()
     start = series[schema.IRRADIANCE_TIME].values[0]
     seconds = (series[schema.IRRADIANCE_TIME].values - start) / np.timedelta64(1, "s")
     samples = series[schema.IRRADIANCE_WAVELENGTH].values

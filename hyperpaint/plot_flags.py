@@ -11,7 +11,7 @@ import numpy.typing as npt
 from . import schema
 from .errors import SchemaError
 from .figures import axes_or_new, label_for
-from .plot import rgb
+from .plot import flags_of, rgb
 from .radiometry import reflectance
 from .regions import Region
 from .schema import ALONG_TRACK, CROSS_TRACK, Quality
@@ -189,7 +189,7 @@ def _draw_flags(
     from matplotlib.colors import to_rgb
     from matplotlib.patches import Patch
 
-    quality = schema.require(dataset, ["quality"], "a picture of flags")["quality"].values
+    quality = flags_of(dataset)
     shares = flag_shares(quality)
     shown = wanted or tuple(shares)
     bits = _blocks(quality, step, np.bitwise_or)

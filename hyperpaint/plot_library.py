@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from . import schema
-from .errors import SchemaError
+from .errors import Problems, SchemaError
 from .figures import label_for, new_figure, save_figure
 from .plot import srgb
 from .plot_spectra import draw_band
@@ -17,13 +17,15 @@ from .plot_spectra import draw_band
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["MOST_PAINTS", "library_overview", "paint_colours"]
+__all__ = ["MOST_PAINTS", "find_usable", "library_overview", "paint_colours"]
 
 MOST_PAINTS = 48
 """Paints of one figure at the most."""
 
 _PANEL = (2.9, 2.1)  # [inch]
 _CURVE = "#222222"
+_KINDS = {"float32": "fiu", "float64": "fiu", "int64": "iu", "uint16": "iu", "bool": "b"}
+"""Kinds of dtypes that serve for one of the table."""
 
 
 def library_overview(
@@ -52,8 +54,14 @@ def library_overview(
     MissingExtraError
         matplotlib is not installed.
     SchemaError
-        It is no paint library, or matplotlib writes no such picture.
+        It is no paint library, what it holds has other dims, units or dtypes than a library's, or matplotlib
+        writes no such picture.
     """
+    paints, wrong = find_usable(paints)
+    problems = Problems("a paint library cannot be drawn", SchemaError)
+    for problem in wrong:
+        problems.add(problem)
+    problems.raise_if_any()
     found = schema.require(paints, ["reflectance", "wavelength"], "an overview", schema.LIBRARY_VARIABLES)
     count = paints.sizes[schema.PAINT]
     if not count:
@@ -85,6 +93,25 @@ def library_overview(
         figure.suptitle(f"the first {shown} of {count} paints")
     save_figure(figure, path)
     return figure
+
+
+def find_usable(paints: xr.Dataset) -> tuple[xr.Dataset, list[str]]:
+    """Return a library without what is not as the table says, and what is wrong with that.
+
+    Reads dims, dtypes and attributes only, never values.
+    """
+    table = schema.LIBRARY_VARIABLES
+    names = [name for name in table if name in paints.variables]
+    kinds = {name: _KINDS.get(table[name].dtype, paints[name].dtype.kind) for name in names}
+    # only numbers can be brought to other units
+    alike = [name for name in names if paints[name].dtype.kind in kinds[name]]
+    problems = [
+        f"{name!r} is {paints[name].dtype}, expected {table[name].dtype}"
+        for name in names
+        if name not in alike
+    ]
+    found, wrong = schema.find(paints, alike, table)
+    return paints.drop_vars([name for name in names if name not in found]), [*problems, *wrong]
 
 
 def paint_colours(paints: xr.Dataset) -> npt.NDArray[np.float32]:

@@ -281,6 +281,7 @@ def triptych(
     along, across = along[::step], across[::step]
     spectra, values = gather(cubes, planes, along, across, slice(None), {})
     used = (values["quality"] & int(EXCLUDED if exclude is None else exclude)) == 0
+    used &= np.isfinite(spectra["reflectance"]).any(axis=1)
     if not used.any():
         name = found[0].name
         msg = f"region {name!r}: none of {along.size} pixels is left; draw it elsewhere, or exclude less"

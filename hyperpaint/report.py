@@ -17,7 +17,7 @@ from .errors import PaintError, Problems, SchemaError, StoreError
 from .figures import new_figure
 from .markup import Markup, element, joined, table_of_facts
 from .report_page import page
-from .report_sections import calibration_section, library_section, line_section, regions_of
+from .report_sections import Part, calibration_section, library_section, line_section, regions_of
 from .schema import ALONG_TRACK, CROSS_TRACK, PAINT
 
 if TYPE_CHECKING:
@@ -122,8 +122,8 @@ def write_report(
         told = "; ".join(problems) or f"its groups are {', '.join(opened) or 'none'}"
         msg = f"{store} has nothing to show, neither a flight line nor signatures: {told}"
         raise StoreError(msg)
-    outlines = _outlines(shown, libraries)
-    parts: list[tuple[str, Iterator[Markup]]] = [
+    outlines = _outlines(shown, libraries, problems)
+    parts: list[tuple[str, Iterator[Part]]] = [
         *((name, line_section(line, lines, outlines[name])) for name, line in shown.items()),
         *((name, library_section(made)) for name, made in libraries.items()),
     ]
@@ -214,9 +214,16 @@ def _library(path: str | os.PathLike[str]) -> xr.Dataset:
     return made
 
 
-def _outlines(lines: dict[str, xr.Dataset], libraries: dict[str, xr.Dataset]) -> dict[str, list[Region]]:
+def _outlines(
+    lines: dict[str, xr.Dataset], libraries: dict[str, xr.Dataset], problems: list[str]
+) -> dict[str, list[Region]]:
     """Return the regions of the libraries on every flight line."""
-    found = [pair for made in libraries.values() for pair in regions_of(made)]
+    found: list[tuple[str, Region]] = []
+    for library, made in libraries.items():
+        try:
+            found.extend(regions_of(made))
+        except Exception as error:  # see _drawn
+            problems.append(f"/{library}, regions: {_told(error)}")
     return {
         group: [region for name, region in found if name in ("", group, group.rpartition("/")[2])]
         for group in lines
@@ -226,15 +233,22 @@ def _outlines(lines: dict[str, xr.Dataset], libraries: dict[str, xr.Dataset]) ->
 # --- the page ----------------------------------------------------------------------------------------------
 
 
-def _drawn(name: str, draw: Iterator[Markup], problems: list[str]) -> Markup:
-    """Return a section as far as it can be drawn: a damaged chunk shows when it is read."""
-    parts: list[Markup] = []
-    try:
-        parts.extend(draw)
-    except PaintError as error:
-        problems.append(f"/{name}: {error}")
-        parts.append(element("p", f"This could not be read any further: {error}", class_="problem"))
-    return joined(parts)
+def _drawn(name: str, parts: Iterator[Part], problems: list[str]) -> Markup:
+    """Return a section without what cannot be drawn of it, which is named instead."""
+    made: list[Markup] = []
+    for what, draw in parts:
+        try:
+            made.append(draw())
+        # a damaged chunk shows when it is read; and what a store of another hand holds, when it is drawn
+        except Exception as error:
+            problems.append(f"/{name}, {what}: {_told(error)}")
+            made.append(element("p", f"This could not be shown: {what}: {_told(error)}", class_="problem"))
+    return joined(made)
+
+
+def _told(error: Exception) -> str:
+    kind = "" if isinstance(error, PaintError) else f"{type(error).__name__}: "
+    return f"{kind}{error!s:.1000}"
 
 
 def _head(store: str | os.PathLike[str], opened: dict[str, xr.Dataset], problems: list[str]) -> Markup:

@@ -1,10 +1,15 @@
-"""The sections of a report: a flight line, a paint library, a calibration."""
+"""The sections of a report: a flight line, a paint library, a calibration.
+
+A section yields its parts undrawn, each with its name, so that one that fails does not keep the others from
+the page.
+"""
 
 from __future__ import annotations
 
 import contextlib
 import json
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -15,10 +20,10 @@ from .errors import PaintError, SchemaError
 from .facts import facts_of_bands, facts_of_line
 from .figures import data_uri, encode_png, new_figure, png_of
 from .markup import Markup, element, joined, table_of_facts, void
-from .plot import draw_irradiance, draw_reflectance
+from .plot import draw_irradiance, draw_reflectance, flags_of
 from .plot_calibration import calibration_report
 from .plot_flags import background, draw_outlines, flag_overlay, flag_shares
-from .plot_library import library_overview, paint_colours
+from .plot_library import find_usable, library_overview, paint_colours
 from .radiometry import reflectance
 from .regions import Region, regions_from
 from .schema import ALONG_TRACK, CROSS_TRACK, PAINT, Quality
@@ -26,7 +31,7 @@ from .schema import ALONG_TRACK, CROSS_TRACK, PAINT, Quality
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["calibration_section", "library_section", "line_section", "regions_of"]
+__all__ = ["Part", "calibration_section", "library_section", "line_section", "regions_of"]
 
 MOST_ROWS = 500
 """Paints of a table at the most."""
@@ -37,8 +42,12 @@ LAYERS = ("glint_fraction", "blocked_direct", "adjacency")
 _DPI = 100
 
 
-def line_section(line: xr.Dataset, lines: int, regions: Sequence[Region] = ()) -> Iterator[Markup]:
-    """Yield the parts of a flight line's section.
+Part = tuple[str, Callable[[], Markup]]
+"""What a part shows, and what draws it."""
+
+
+def line_section(line: xr.Dataset, lines: int, regions: Sequence[Region] = ()) -> Iterator[Part]:
+    """Yield the parts of a flight line's section; each is to be drawn before the next is asked for.
 
     Parameters
     ----------
@@ -49,52 +58,74 @@ def line_section(line: xr.Dataset, lines: int, regions: Sequence[Region] = ()) -
     regions
         Outlined on the picture, in sensor coordinates.
     """
-    yield table_of_facts(list(facts_of_line(line)))
+    yield "facts", lambda: table_of_facts(list(facts_of_line(line)))
     yield from _pictures(line, lines, regions)
     if "irradiance" in line.variables:
-        yield element("h3", "Irradiance over time")
-        figure = new_figure("a report", figsize=(10, 3.2), layout="constrained")
-        draw_irradiance(figure.add_subplot(), line)
-        yield _figure(figure, "Downwelling irradiance around the line, and when the line was flown.")
+        yield "irradiance", partial(_irradiance, line)
     if "reflectance" in line.variables or "irradiance" in line.variables:
-        yield element("h3", "Reflectance")
-        figure = new_figure("a report", figsize=(10, 3.6), layout="constrained")
-        few = max(1, line.sizes[ALONG_TRACK] // 50)
-        some = line.isel({ALONG_TRACK: slice(None, None, few)})
-        draw_reflectance(figure.add_subplot(), some if "reflectance" in some else reflectance(some))
-        every = "all lines" if few == 1 else f"one line in {few}"
-        yield _figure(figure, f"How reflectance is spread over the pixels of {every}, band by band.")
-    yield _provenance(line.attrs)
+        yield "reflectance", partial(_reflectance, line)
+    yield "provenance", lambda: _provenance(line.attrs)
 
 
-def _pictures(line: xr.Dataset, lines: int, regions: Sequence[Region]) -> Iterator[Markup]:
+def _pictures(line: xr.Dataset, lines: int, regions: Sequence[Region]) -> Iterator[Part]:
     """Yield true colour, flags on it, and their shares."""
-    step = max(1, -(-line.sizes[ALONG_TRACK] // lines))
-    yield element("h3", "True colour")
+    drawn: list[bool] = []
+    yield "true colour", partial(_true_colour, line, lines, drawn)
+    # without a picture there is nothing to draw flags on; why is told already
+    if "quality" in line.variables:
+        heading = element("h3", "Flags and regions" if regions else "Flags")
+        if drawn:
+            yield "flags", lambda: joined([heading, _flags(line, lines, regions)])
+        yield "shares of flags", lambda: joined(["" if drawn else heading, _table_of_flags(flags_of(line))])
+    for layer in (name for name in LAYERS if drawn and name in line.variables):
+        yield layer, partial(_layer, line, lines, layer)
+
+
+def _true_colour(line: xr.Dataset, lines: int, drawn: list[bool]) -> Markup:
+    """Return the picture, and note in ``drawn`` that there is one."""
+    if not line.sizes[ALONG_TRACK] or not line.sizes[CROSS_TRACK]:
+        msg = f"the line has no pixels: {line.sizes[ALONG_TRACK]} lines of {line.sizes[CROSS_TRACK]} columns"
+        raise SchemaError(msg)
+    heading = element("h3", "True colour")
     try:
-        picture = background(line, step)
+        picture = background(line, max(1, -(-line.sizes[ALONG_TRACK] // lines)))
     except SchemaError as error:  # no reflectance, no visible bands
-        yield element("p", f"There is no picture: {error}", class_="note")
-        picture = None
-    if picture is not None:
-        bytes_ = np.ascontiguousarray((picture.clip(0.0, 1.0) * 255.0 + 0.5).astype(np.uint8).swapaxes(0, 1))
-        image = void("img", class_="pixels", src=data_uri(encode_png(bytes_)), alt="true colour")
-        size = f"{line.sizes[ALONG_TRACK]} lines to the right, {line.sizes[CROSS_TRACK]} columns down"
-        yield element("figure", image, element("figcaption", f"{size}."))
-    if "quality" not in line.variables:
-        return
-    yield element("h3", "Flags and regions" if regions else "Flags")
-    if picture is not None:
-        figure = new_figure("a report", figsize=(10, 3.8), layout="constrained")
-        axes = flag_overlay(line, lines=lines, axes=figure.add_subplot())
-        draw_outlines(axes, regions)
-        yield _figure(figure, "Pixels with a flag; where several are set, the rarest is shown.")
-    quality = schema.require(line, ["quality"], "a report")["quality"].values
-    yield _table_of_flags(quality)
-    for layer in (name for name in LAYERS if picture is not None and name in line.variables):
-        figure = new_figure("a report", figsize=(10, 3.4), layout="constrained")
-        flag_overlay(line, layer=layer, lines=lines, axes=figure.add_subplot())
-        yield _figure(figure, f"{schema.VARIABLES[layer].meaning}.")
+        return joined([heading, element("p", f"There is no picture: {error}", class_="note")])
+    bytes_ = np.ascontiguousarray((picture.clip(0.0, 1.0) * 255.0 + 0.5).astype(np.uint8).swapaxes(0, 1))
+    image = void("img", class_="pixels", src=data_uri(encode_png(bytes_)), alt="true colour")
+    size = f"{line.sizes[ALONG_TRACK]} lines to the right, {line.sizes[CROSS_TRACK]} columns down"
+    drawn.append(True)
+    return joined([heading, element("figure", image, element("figcaption", f"{size}."))])
+
+
+def _flags(line: xr.Dataset, lines: int, regions: Sequence[Region]) -> Markup:
+    figure = new_figure("a report", figsize=(10, 3.8), layout="constrained")
+    axes = flag_overlay(line, lines=lines, axes=figure.add_subplot())
+    draw_outlines(axes, regions)
+    return _figure(figure, "Pixels with a flag; where several are set, the rarest is shown.")
+
+
+def _layer(line: xr.Dataset, lines: int, layer: str) -> Markup:
+    figure = new_figure("a report", figsize=(10, 3.4), layout="constrained")
+    flag_overlay(line, layer=layer, lines=lines, axes=figure.add_subplot())
+    return _figure(figure, f"{schema.VARIABLES[layer].meaning}.")
+
+
+def _irradiance(line: xr.Dataset) -> Markup:
+    figure = new_figure("a report", figsize=(10, 3.2), layout="constrained")
+    draw_irradiance(figure.add_subplot(), line)
+    caption = "Downwelling irradiance around the line, and when the line was flown."
+    return joined([element("h3", "Irradiance over time"), _figure(figure, caption)])
+
+
+def _reflectance(line: xr.Dataset) -> Markup:
+    figure = new_figure("a report", figsize=(10, 3.6), layout="constrained")
+    few = max(1, line.sizes[ALONG_TRACK] // 50)
+    some = line.isel({ALONG_TRACK: slice(None, None, few)})
+    draw_reflectance(figure.add_subplot(), some if "reflectance" in some else reflectance(some))
+    every = "all lines" if few == 1 else f"one line in {few}"
+    caption = f"How reflectance is spread over the pixels of {every}, band by band."
+    return joined([element("h3", "Reflectance"), _figure(figure, caption)])
 
 
 def _table_of_flags(quality: npt.NDArray[Any]) -> Markup:
@@ -117,15 +148,20 @@ def _table_of_flags(quality: npt.NDArray[Any]) -> Markup:
     return joined([element("table", head, joined(rows)), note])
 
 
-def library_section(library: xr.Dataset) -> Iterator[Markup]:
-    """Yield the parts of a paint library's section."""
-    yield table_of_facts([("paints", library.sizes[PAINT]), *facts_of_bands(library)])
-    yield _figure(
-        library_overview(library),
-        "Colour in daylight, centre, middle half and 5 to 95 % of the pixels of every paint.",
-    )
-    yield _table_of_paints(library)
-    yield _provenance(library.attrs)
+def library_section(library: xr.Dataset) -> Iterator[Part]:
+    """Yield the parts of a paint library's section; what is not a library's is named and left out."""
+    usable, wrong = find_usable(library)
+    yield "facts", lambda: table_of_facts([("paints", usable.sizes[PAINT]), *facts_of_bands(usable)])
+    for problem in wrong:
+        yield "variables", partial(_refuse, problem)
+    caption = "Colour in daylight, centre, middle half and 5 to 95 % of the pixels of every paint."
+    yield "spectra", lambda: _figure(library_overview(usable), caption)
+    yield "paints", lambda: _table_of_paints(usable)
+    yield "provenance", lambda: _provenance(library.attrs)
+
+
+def _refuse(problem: str) -> Markup:
+    raise SchemaError(problem)
 
 
 def _table_of_paints(library: xr.Dataset) -> Markup:
@@ -185,13 +221,14 @@ def _swatch(colour: npt.NDArray[np.float32]) -> Markup:
     return element("span", class_="swatch", style=f"background:rgb({red},{green},{blue})")
 
 
-def calibration_section(calibration: xr.Dataset) -> Iterator[Markup]:
+def calibration_section(calibration: xr.Dataset) -> Iterator[Part]:
     """Yield the parts of the calibration's section; pictures where it comes from a lab sweep."""
-    yield table_of_facts(list(facts_of_bands(calibration)))
+    yield "facts", lambda: table_of_facts(list(facts_of_bands(calibration)))
     # a calibration that was given as files has no lines of a sweep to show
     if "line_centre" in calibration.variables:
-        yield _figure(calibration_report(calibration), "Lines of the lab sweep and what they came to.")
-    yield _provenance(calibration.attrs)
+        caption = "Lines of the lab sweep and what they came to."
+        yield "lab sweep", lambda: _figure(calibration_report(calibration), caption)
+    yield "provenance", lambda: _provenance(calibration.attrs)
 
 
 def _figure(figure: Any, caption: str) -> Markup:

@@ -44,7 +44,7 @@ def write_signatures(
     out
         Folder of the library's store.
     keep
-        Names of flags whose pixels are used, though they are left out otherwise.
+        Names of flags whose pixels are used, though they are left out otherwise; not with ``exclude``.
     overwrite
         Replace another library; one of the same content is left alone.
     progress, **options
@@ -57,7 +57,8 @@ def write_signatures(
     Raises
     ------
     FormatError, SchemaError, UnitsError
-        As `hyperpaint.extract_signatures`; or ``keep`` names an unknown flag.
+        As `hyperpaint.extract_signatures`; or ``keep`` names an unknown flag, or comes
+        with ``exclude``.
     StoreError
         The store has no finished flight line of the regions; or the library cannot be written, or its store
         holds something else.
@@ -70,7 +71,11 @@ def write_signatures(
     if inside == around or around in inside.parents:
         msg = f"{out} is in the store itself; choose another path for the library"
         raise SchemaError(msg)
-    options.setdefault("exclude", _excluded(keep))
+    if keep:
+        if options.get("exclude") is not None:
+            msg = "keep= and exclude= say the same in two ways; pass one of them"
+            raise SchemaError(msg)
+        options["exclude"] = _excluded(keep)
     if regions is None:
         lines = _lines(store, ())
         found = _proposed(lines)

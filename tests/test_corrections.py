@@ -60,3 +60,59 @@ def test_nothing_is_corrected_twice_or_out_of_range() -> None:
         hp.remove_mirrored_sky(line(np.ones(NM.size)), strength=2.0, sky_view_factor=-1.0, sun_zenith=35.0)
     with pytest.raises(SchemaError, match="'wavelength' is missing"):
         hp.correct_light(line(np.ones(NM.size)).drop_vars("wavelength"), sun_zenith=35.0)
+
+
+def test_uncertainties_are_divided_by_the_same_light() -> None:
+    seen = line(np.full(NM.size, 0.3))
+    u = {
+        name: (seen.reflectance * np.float32(part)).assign_attrs(units="1", components=name)
+        for name, part in (("reflectance_u_random", 0.02), ("reflectance_u_systematic", 0.05))
+    }
+    made = hp.correct_light(seen.assign(u), direct=0.6, sun_zenith=35.0)
+    light = (0.6 * (1 - SKY) + SKY)[None, :, None]
+    for name, array in u.items():
+        assert made[name].chunks is not None
+        assert made[name].dtype == np.float32
+        assert made[name].attrs == array.attrs
+        np.testing.assert_allclose(made[name].values, array.values / light, rtol=1e-5)
+
+
+def test_where_there_is_no_light_nothing_is_known() -> None:
+    # warnings are errors here
+    direct = xr.DataArray(np.array([1.0, 0.0, -2.0, np.nan]), dims="along_track")
+    made = hp.correct_light(line(np.full(NM.size, 0.3)), direct=direct, sky_view_factor=0.0, sun_zenith=35.0,
+                            neighbour_reflectance=0.0).reflectance.values  # fmt: skip
+    assert np.isfinite(made[0]).all()
+    assert np.isnan(made[1:]).all()
+
+
+def test_the_sky_is_removed_before_the_light_is_corrected() -> None:
+    seen = line(np.full(NM.size, 0.3))
+    lit = hp.correct_light(seen, direct=0.9, sun_zenith=35.0)
+    with pytest.raises(SchemaError, match=r"it was before: light_corrected is 'direct 0\.9"):
+        hp.remove_mirrored_sky(lit, sun_zenith=35.0)
+    both = hp.correct_light(hp.remove_mirrored_sky(seen, sun_zenith=35.0), direct=0.9, sun_zenith=35.0)
+    assert {"mirrored_sky_removed", "light_corrected"} <= set(both.reflectance.attrs)
+    assert "sun zenith 35 degree" in both.reflectance.attrs["mirrored_sky_removed"]
+
+
+def test_a_library_corrected_is_that_of_a_line_corrected() -> None:
+    rng = np.random.default_rng(0)
+    seen = line(np.full(NM.size, 0.3))
+    noise = 0.02 * rng.standard_normal(seen.reflectance.shape)
+    seen["reflectance"] = (seen.reflectance + noise).astype(np.float32).assign_attrs(units="1")
+    region = hp.Region("hood", [(0, 0), (2, 0), (2, 3), (0, 3)])
+    for correct in (
+        lambda given: hp.remove_mirrored_sky(given, sun_zenith=35.0),
+        lambda given: hp.correct_light(given, direct=0.7, sun_zenith=35.0),
+    ):
+        early = hp.extract_signatures(correct(seen), region)
+        late = correct(hp.extract_signatures(seen, region))
+        for name in ("reflectance", "reflectance_sd", "reflectance_quantiles", "member_reflectance"):
+            assert late[name].dims == early[name].dims
+            assert late[name].dtype == np.float32
+            np.testing.assert_allclose(late[name], early[name], rtol=2e-5, atol=1e-7, err_msg=name)
+        assert late.attrs["corrections"] == early.attrs["corrections"] != "none"
+        for library in (early, late):
+            with pytest.raises(SchemaError, match="it was before"):
+                correct(library)

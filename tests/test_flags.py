@@ -83,6 +83,34 @@ def test_a_red_wall_reddens_a_grey_plane(plane: float) -> None:
     assert wall == hp.survey(as_line(cube, NM, snr=100.0, seed=102), sun_zenith=35.0).segment[48, 4]
 
 
+def test_two_neighbours_add_the_peak_of_their_sum() -> None:
+    red, blue = (np.exp(-(((NM - centre) / 60.0) ** 2)) for centre in (850.0, 450.0))
+    cube = np.full((48, 64, NM.size), 0.3)
+    cube[:, :12], cube[:, -12:] = 0.05 + 0.6 * red, 0.05 + 0.6 * blue
+    model = hp.survey(as_line(cube, NM), sun_zenith=35.0)
+    extra = 0.02 * red + 0.02 * blue
+    cube[20:28, 20:44] += extra
+    flagged = hp.flag(as_line(cube, NM), model).compute()
+    inside = np.s_[21:27, 24:40]
+    # the tail of neither adds to the peak of the other
+    np.testing.assert_allclose(flagged.adjacency.values[inside], extra.max(), atol=0.003)
+    assert set(np.unique(flagged.adjacency_segment.values[inside])) <= {
+        int(model.segment[24, 4]),
+        int(model.segment[24, -4]),
+    }
+
+
+@pytest.mark.parametrize("dead", [[94, 95], [0, 1, *range(40, 60)], range(48)], ids=["2", "22", "half"])
+def test_the_shadow_of_a_box_though_bands_are_dead(dead: Any) -> None:
+    cube, blocked, _ = box_shadow(NM, ASPHALT, RED)
+    cube[..., list(dead)] = np.nan
+    line = hp.flag(as_line(cube, NM, snr=100.0, seed=100), sun_zenith=40.0).compute()
+    found = has(line, Quality.SHADOW)
+    precision, recall = precision_and_recall(found, blocked >= 0.2, np.ones_like(found))
+    assert precision >= 0.99
+    assert recall >= 0.98
+
+
 def test_a_plain_plane_has_no_flags() -> None:
     plane = as_line(np.broadcast_to(ASPHALT, (64, 64, NM.size)).copy(), NM, snr=100.0, seed=105)
     assert not hp.flag(plane, sun_zenith=30.0).quality.values.any()

@@ -42,7 +42,7 @@ SUBJECTS: dict[str, set[str]] = {
     "alignment": {"slabs", "synchrony", "radiometry"},
     "paper": set(),
     "regions": set(),
-    "signatures": {"bands", "radiometry", "regions", "slabs", "smoothing", "uncertainty"},
+    "signatures": {"bands", "corrections", "radiometry", "regions", "slabs", "smoothing", "uncertainty"},
     "scene_model": {"slabs"},
     "flags": {"scene_model", "slabs"},
     "corrections": {"scene_model"},

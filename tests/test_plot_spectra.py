@@ -160,6 +160,14 @@ def test_a_triptych_is_of_one_region_with_pixels_left(line: xr.Dataset) -> None:
         triptych(line.drop_vars("counts"), LEFT)
 
 
+def test_a_triptych_counts_pixels_that_have_a_value(line: xr.Dataset) -> None:
+    # of a column without a gain there are counts, and no reflectance
+    gain = line.radiance_gain.copy(data=np.where(np.arange(6) == 1, np.nan, line.radiance_gain.values))
+    holed = line.assign(radiance_gain=gain)
+    figure = triptych(holed, LEFT, exclude=0)
+    assert figure.get_suptitle() == "left: 40 of 60 pixels"
+
+
 # --- the library -------------------------------------------------------------------------------------------
 
 

@@ -109,6 +109,17 @@ def test_refusals__say_why() -> None:
     assert any("lean" in text or "same car" in text for text in told)
 
 
+def test_refusals__name_what_looks_like_scenery_last() -> None:
+    """Rationale: a dark car may be taken for a window, and must not vanish without a word.
+
+    Expected: windows are among the refused, after the parts of cars.
+    """
+    told = [" ".join(region.properties["refused"]) for region in propose(drawn()).refused]
+    scenery = ["as dark as" in text for text in told]
+    assert any(scenery)
+    assert scenery == sorted(scenery)
+
+
 def test_proposals__need_a_window() -> None:
     """Rationale: a red sheet on the ground is no car.
 

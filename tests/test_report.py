@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import re
+from collections.abc import Callable
 from html.parser import HTMLParser
 from pathlib import Path
 from typing import Any
@@ -242,7 +243,8 @@ def test_damage_is_named_and_the_rest_is_shown(lot: Path, tmp_path: Path) -> Non
     assert run.exit_code == 1, run.output
     assert "cannot be read: /flightlines/raw_0" in run.stderr
     shown = words(tmp_path / "r.html")
-    assert "could not be read any further" in shown
+    assert "This could not be shown: true colour" in shown
+    assert "Irradiance over time" in shown
     assert "red hood" in shown
 
 
@@ -259,3 +261,93 @@ def test_the_command(lot: Path, tmp_path: Path) -> None:
     assert "pass --overwrite" in again.stderr
     assert call(lot, "--out", tmp_path / "r.html", "--line", "raw_0", "--overwrite").exit_code == 0
     assert call(tmp_path / "nothing.zarr", "--out", tmp_path / "x.html").exit_code == 2
+
+
+def spoil_n(library: xr.Dataset) -> xr.Dataset:
+    return library.assign(n=("paint", ["many", "few"], {"units": "1"}))
+
+
+def spoil_quality(library: xr.Dataset) -> xr.Dataset:
+    return library.assign(quality=("paint", [np.nan, 1.0]))
+
+
+def spoil_n_eff(library: xr.Dataset) -> xr.Dataset:
+    return library.assign(n_eff=(("paint", "band"), np.ones((2, library.sizes["band"])), {"units": "1"}))
+
+
+def spoil_quantile(library: xr.Dataset) -> xr.Dataset:
+    text = [f"q{level}" for level in library["quantile"].values]
+    return library.assign_coords(quantile=("quantile", text, {"units": "1"}))
+
+
+def spoil_units(library: xr.Dataset) -> xr.Dataset:
+    return library.assign(sun_zenith=("paint", ["high", "low"], {"units": "radian"}))
+
+
+def spoil_regions(library: xr.Dataset) -> xr.Dataset:
+    text = np.full((2, library.sizes["band"]), "{}")
+    return library.drop_vars("region").assign(region=(("band", "paint"), text.T))
+
+
+def spoil_flags(line: xr.Dataset) -> xr.Dataset:
+    return line.assign(quality=line["quality"].astype(np.float32))
+
+
+def spoil_lines(line: xr.Dataset) -> xr.Dataset:
+    return line.isel(along_track=slice(0, 0))
+
+
+def spoil_times(line: xr.Dataset) -> xr.Dataset:
+    return line.isel(irradiance_time=slice(0, 0))
+
+
+def spoil_clock(line: xr.Dataset) -> xr.Dataset:
+    return line.drop_vars("irradiance_time")
+
+
+def spoil_layer(line: xr.Dataset) -> xr.Dataset:
+    text = np.full((line.sizes["along_track"], line.sizes["cross_track"]), "bright")
+    return line.assign(glint_fraction=(("along_track", "cross_track"), text))
+
+
+@pytest.mark.parametrize(
+    ("group", "spoil", "named"),
+    [
+        ("signatures", spoil_n, "'n' is"),
+        ("signatures", spoil_quality, "'quality' is float"),
+        ("signatures", spoil_n_eff, "'n_eff'"),
+        ("signatures", spoil_quantile, "'quantile' is"),
+        ("signatures", spoil_units, "'sun_zenith' is"),
+        ("signatures", spoil_regions, "regions"),
+        ("flightlines/raw_0", spoil_flags, "quality is float32"),
+        ("flightlines/raw_0", spoil_lines, "no pixels"),
+        ("flightlines/raw_0", spoil_times, "irradiance_time"),
+        ("flightlines/raw_0", spoil_clock, "irradiance_time"),
+        ("flightlines/raw_0", spoil_layer, "glint_fraction"),
+    ],
+)
+def test_odd_contents_are_named_and_the_rest_is_shown(
+    lot: Path, tmp_path: Path, group: str, spoil: Callable[[xr.Dataset], xr.Dataset], named: str
+) -> None:
+    """Rationale: `to_store` takes any dataset, also one that no step of ours has made.
+
+    Expected: the page is there, names what is wrong, and shows what comes after it; exit status 1.
+    """
+    odd = tmp_path / "odd.zarr"
+    held = {name: hp.open_store(lot, name).load() for name in ("flightlines/raw_0", "signatures")}
+    held[group] = spoil(held[group])
+    for name, made in held.items():
+        for variable in made.variables.values():
+            variable.encoding.clear()
+        hp.to_store(made, odd, name)
+    run = CliRunner().invoke(main, ["report", str(odd), "--out", str(tmp_path / "r.html"), "--quiet"])
+    assert run.exit_code == 1, run.output
+    told = [line for line in run.stderr.splitlines() if line.startswith(f"cannot be read: /{group}, ")]
+    assert any(named in line for line in told), run.stderr
+    page = parsed(tmp_path / "r.html")
+    shown = " ".join(page.words)
+    assert named in shown
+    assert shown.count("Provenance") == 2
+    assert "red hood" in shown
+    # of the paints, at least the spectra; of the line, whatever has nothing to do with what is wrong
+    assert len(page.pictures) >= (1 if spoil is spoil_lines else 3)

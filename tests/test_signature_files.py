@@ -105,7 +105,7 @@ def test_bad_calls_are_one_message(store: Path, drawn: Path, tmp_path: Path) -> 
         (store, "--regions", drawn, "--out", out, "--min-pixels", "5000"): "'hood': 99 of 99 pixels are left",
         (drawn.parent, "--regions", drawn, "--out", out): "not a Zarr v3 store",
         (store, "--regions", tmp_path / "none", "--out", out): "does not exist",
-        (store, "--out", out): "--regions",
+        (store, "--out", out): "no region can be proposed",
     }.items():
         done = run(*words)
         assert done.exit_code == 2, (words, done.output)
@@ -129,3 +129,20 @@ def test_flags_that_are_kept(store: Path, drawn: Path, tmp_path: Path) -> None:
     write_signatures(store, drawn, tmp_path / "m.zarr", progress=lambda *each: told.append(each))
     assert told[-1][0] == told[-1][1]
     np.testing.assert_array_equal(made.n + made.n_excluded, [99, made.n[1] + made.n_excluded[1]])
+
+
+def test_flags_are_kept_or_excluded(store: Path, drawn: Path, tmp_path: Path) -> None:
+    with pytest.raises(SchemaError, match="keep= and exclude="):
+        write_signatures(store, drawn, tmp_path / "l.zarr", keep=["glint"], exclude=hp.Quality.SHADOW)
+    assert not (tmp_path / "l.zarr").exists()
+    made = write_signatures(store, drawn, tmp_path / "l.zarr", keep=["glint"], exclude=None)
+    assert "glint" not in made.attrs["exclude"]
+    made = write_signatures(store, drawn, tmp_path / "m.zarr", exclude=hp.Quality.SHADOW)
+    assert made.attrs["exclude"] == "shadow"
+
+
+def test_command_without_the_mirrored_sky(store: Path, drawn: Path, tmp_path: Path) -> None:
+    out = tmp_path / "l.zarr"
+    done = run(store, "--regions", drawn, "--out", out, "--specular-sky")
+    assert done.exit_code == 0, done.output
+    assert xr.open_zarr(out).attrs["corrections"].startswith("mirrored_sky_removed: F0 0.04")

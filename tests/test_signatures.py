@@ -358,9 +358,10 @@ def test_what_is_told_of_light_and_time() -> None:
 # --- how sure it is ----------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(("reach", "expected"), [(1, 1.0), (2, 4.0), (3, 9.0)])
+@pytest.mark.parametrize(("reach", "expected"), [(1, independence.SMEAR), (2, 4.0), (3, 9.0)])
 def test_independent_pixels_of_noise_that_is_smeared(reach: int, expected: float) -> None:
-    # a box of r x r pixels over white noise: the autocorrelations of all distances sum to r**2
+    # a box of r x r pixels over white noise: the autocorrelations of all distances sum to r**2;
+    # pixels of a camera that moves share some light in any case
     along, across = np.divmod(np.arange(80 * 80), 80)
     ratios = []
     for seed in range(6):
@@ -396,15 +397,56 @@ def test_few_pixels_share_light_with_their_neighbours() -> None:
     assert 1.0 <= effective_pixels(np.full((100, 2), 0.3), along, across) <= 100.0
 
 
+def test_more_pixels_are_never_worth_less() -> None:
+    # noise without any correlation: from 32 pixels on it is told from values, and a camera still smears
+    worth = []
+    for count in (31, 32, 33):
+        along, across = np.divmod(np.arange(count), 6)
+        values = [np.random.default_rng(seed).standard_normal((count, 8)) for seed in range(20)]
+        found = [effective_pixels(each, along, across) for each in values]
+        assert max(found) <= count / 1.3
+        worth.append(np.max(found))
+    assert worth == sorted(worth)
+    assert worth[2] == 33 / 1.3
+
+
+def test_uncertainty_is_that_of_the_pixels_with_a_value() -> None:
+    line = made(bands=6).drop_vars("quality")
+    value = np.full((40, 6, 16), 0.3, "f4") + np.random.default_rng(2).normal(0, 0.01, (40, 6, 16)).astype(
+        "f4"
+    )
+    u = np.where(np.arange(16) < 4, 0.04, 0.01).astype("f4") * np.ones((40, 6, 1), "f4")
+    value[:, 1, :4] = np.nan
+    value[:, 2, :] = np.nan
+    value[:, 3, 1:], value[1:, 3, 0] = np.nan, np.nan
+    told = {"units": "1", "components": "known"}
+    line = line.assign(
+        reflectance=(CUBE, value, {"units": "1"}),
+        reflectance_u_random=(CUBE, u, told),
+        reflectance_u_systematic=(CUBE, u, told),
+    )
+    row = extract_signatures(line, Region("all", [(0, 0), (15, 0), (15, 39), (0, 39)])).isel(paint=0)
+    n, n_eff = 640, float(row.n_eff)
+    assert row.n == n
+    whole = np.mean(u[:, 0].astype(float) ** 2)
+    expected = [np.sqrt(whole / n_eff), 0.01 / np.sqrt(n_eff * 480 / n), np.nan, 0.04]
+    np.testing.assert_allclose(row.reflectance_u_random[:4], expected, rtol=1e-5)
+    np.testing.assert_allclose(
+        row.reflectance_u_systematic[:4], [u[:, 0].mean(), 0.01, np.nan, 0.04], rtol=1e-5
+    )
+
+
 def test_uncertainty_of_a_rectangle_is_that_of_the_mean() -> None:
     line = raw().paint.reflectance(uncertainty=True)
     rectangle = Region("a", [(2, 3), (12, 3), (12, 30), (2, 30)])
     row = extract_signatures(line, rectangle, exclude=0).isel(paint=0)
     part = line.isel(along_track=slice(3, 31), cross_track=slice(2, 13))
     expected = hp.mean_uncertainty(part)
-    np.testing.assert_allclose(row.reflectance_u_systematic, expected.u_systematic, rtol=1e-5)
-    alone = expected.u_random * np.sqrt(expected.n_eff)
-    np.testing.assert_allclose(row.reflectance_u_random, alone / np.sqrt(row.n_eff), rtol=1e-5)
+    # smile leaves columns without a value in the outermost bands
+    inner = slice(1, -1)
+    np.testing.assert_allclose(row.reflectance_u_systematic[inner], expected.u_systematic[inner], rtol=1e-5)
+    alone = (expected.u_random * np.sqrt(expected.n_eff))[inner]
+    np.testing.assert_allclose(row.reflectance_u_random[inner], alone / np.sqrt(row.n_eff), rtol=1e-5)
     assert row.reflectance_u_systematic.attrs["components"] == "radiance_gain_u_systematic"
     assert "electrons_per_count" in row.reflectance_u_random.attrs["components"]
 
@@ -416,7 +458,8 @@ def test_uncertainties_that_are_not_known_are_not_zero() -> None:
     line = raw().drop_vars("radiance_gain_u_systematic")
     library = extract_signatures(line, RAW)
     assert np.isnan(library.reflectance_u_systematic).all()
-    assert (library.reflectance_u_random > 0).all()
+    assert (library.reflectance_u_random[:, 1:-1] > 0).all()
+    np.testing.assert_array_equal(np.isnan(library.reflectance_u_random), np.isnan(library.reflectance))
 
 
 # --- flags, smoothing and refusals -------------------------------------------------------------------------
@@ -476,6 +519,65 @@ def test_one_bad_band_touches_its_window_only(method: str) -> None:
     with pytest.raises(SchemaError, match="smoothed already"):
         extract_signatures(line.paint.smooth("box", 3), TWO, smooth="box")
     assert extract_signatures(line.paint.smooth("box", 3), TWO).attrs["smoothing"] == "box, 3 bands"
+
+
+# --- corrections -------------------------------------------------------------------------------------------
+
+SMILE = ("wavelength_shift", ("cross_track", np.linspace(-1.0, 1.0, 16), {"units": "nm"}))
+
+
+@pytest.mark.parametrize("smile", [False, True])
+def test_what_was_corrected_is_said(smile: bool) -> None:
+    line = made().assign_coords(dict([SMILE] if smile else []))
+    tilted = line.reflectance.assign_attrs(tilt="tilted by 3 degree")
+    removed = hp.remove_mirrored_sky(line.assign(reflectance=tilted), sun_zenith=40.0)
+    library = extract_signatures({"a": removed, "b": line}, on_lines("a", "b"), smooth="box")
+    text = removed.reflectance.attrs["mirrored_sky_removed"]
+    assert library.attrs["corrections"] == f"mirrored_sky_removed: {text}; tilt: tilted by 3 degree; none"
+    assert library.reflectance.attrs["mirrored_sky_removed"] == f"{text}; none"
+    assert library.reflectance.attrs["tilt"] == "tilted by 3 degree; none"
+    with pytest.raises(SchemaError, match="it was before"):
+        hp.remove_mirrored_sky(library, sun_zenith=40.0)
+    lit = hp.correct_light(line, direct=0.9, sun_zenith=40.0)
+    assert extract_signatures(lit, TWO).attrs["corrections"].startswith("light_corrected: direct 0.9")
+    assert extract_signatures(line, TWO).attrs["corrections"] == "none"
+    assert "tilt" not in line.reflectance.attrs
+
+
+@pytest.mark.parametrize("chunks", CHUNKINGS[1:])
+def test_the_same_bits_without_the_mirrored_sky(chunks: Any) -> None:
+    line = raw()
+    lazy = line.assign(counts=line.counts.chunk(chunks), time=line.time.chunk(along_track=7))
+    expected = line.paint.signatures(RAW, specular_sky=True, smooth="box")
+    assert_same_bits(lazy.paint.signatures(RAW, specular_sky=True, smooth="box"), expected)
+    assert expected.attrs["corrections"].startswith("mirrored_sky_removed: F0 0.04")
+
+
+def test_the_mirrored_sky_is_subtracted() -> None:
+    line = raw()
+    seen, less = (line.paint.signatures(RAW, specular_sky=sky) for sky in (False, True))
+    stamps = (line[name].values for name in ("time", "latitude", "longitude"))
+    zenith = float(hp.solar_position(*stamps)[0].mean())
+    taken = 0.04 * hp.sun.diffuse_fraction(line.wavelength.values, zenith)
+    assert taken.max() > 0.01
+    for name in ("reflectance", "reflectance_quantiles", "member_reflectance"):
+        lower = (seen[name] - less[name]).transpose(..., "band").mean("paint").values[..., 1:-1]
+        np.testing.assert_allclose(lower, np.broadcast_to(taken[1:-1], lower.shape), atol=1e-6)
+    np.testing.assert_allclose(less.reflectance_sd, seen.reflectance_sd, rtol=1e-3)
+    low = line.paint.signatures(RAW, specular_sky=True, sun_zenith=80.0)
+    assert (low.reflectance[:, 2] < less.reflectance[:, 2]).all()
+    assert "sun zenith 80 degree" in low.attrs["corrections"]
+
+
+def test_a_mirrored_sky_that_cannot_be_subtracted() -> None:
+    line = made()
+    with pytest.raises(SchemaError, match="give sun_zenith="):
+        extract_signatures(line, TWO, specular_sky=True)
+    with pytest.raises(SchemaError, match="specular_sky=True as well"):
+        extract_signatures(line, TWO, sun_zenith=30.0)
+    removed = hp.remove_mirrored_sky(line.assign_coords(dict([SMILE])), sun_zenith=40.0)
+    with pytest.raises(SchemaError, match="it was before"):
+        extract_signatures(removed, TWO, specular_sky=True, sun_zenith=40.0)
 
 
 def test_every_wrong_option_is_told() -> None:

@@ -86,8 +86,11 @@ def solve(
 ) -> Any:
     """Write the amounts of the parts, 0 to ``most``; return the rms misfit in standard deviations.
 
-    The minimum of sum(((seen - parts amount) / sigma)^2) + sum(((amount - expected) / spread)^2), found by
-    going from part to part; sigma = noise x seen + floor. NaN where less than half is known.
+    Towards the minimum of sum(((seen - parts amount) / sigma)^2) + sum(((amount - expected) / spread)^2),
+    with sigma = noise x seen + floor, by at most 200 sweeps from part to part, from ``expected`` on (for
+    flags c = 1, g = 0). Where parts are nearly of one colour, as on grey bodies, the minimum is some
+    thousands of sweeps away: what is written is an early-stopped, hence regularised, solution. Thresholds of
+    flags are tuned to this number of sweeps. NaN where less than half is known.
     """
     count = seen.size
     gram = np.zeros((PARTS, PARTS))
@@ -153,6 +156,7 @@ def unmix_lines(
     most: Array,
     amount: Array,
     added: Array,
+    together: Array,
     misfit: Array,
 ) -> None:
     """Unmix every pixel of a block of lines.
@@ -179,6 +183,9 @@ def unmix_lines(
         Written.
     added : (line, column, 2), float32
         Largest reflectance over the channels that each neighbour adds, written.
+    together : (line, column), float32
+        Largest reflectance over the channels that both add, written; less than the sum of ``added`` where
+        they are of different colours.
     misfit : (line, column), float32
         Root mean square of what remains, in standard deviations, written.
     """
@@ -192,6 +199,7 @@ def unmix_lines(
             if number < 0:
                 amount[line, x] = np.nan
                 added[line, x] = np.nan
+                together[line, x] = np.nan
                 misfit[line, x] = np.nan
                 continue
             first, second = neighbours[line, x, 0], neighbours[line, x, 1]
@@ -203,10 +211,16 @@ def unmix_lines(
             misfit[line, x] = solve(seen[line, x], parts, used, noise, floor, expected, spread, most, found)
             for part in range(PARTS):
                 amount[line, x, part] = found[part]
-            for place in range(2):
-                peak = 0.0
-                for k in range(channels):
-                    light = found[4 + 2 * place] * parts[4 + 2 * place, k]
-                    light += found[5 + 2 * place] * parts[5 + 2 * place, k]
-                    peak = max(peak, light)
-                added[line, x, place] = peak if found[0] == found[0] else np.nan
+            if found[0] != found[0]:
+                added[line, x] = np.nan
+                together[line, x] = np.nan
+                continue
+            most_first, most_second, most_both = 0.0, 0.0, 0.0
+            for k in range(channels):
+                of_first = found[4] * parts[4, k] + found[5] * parts[5, k]
+                of_second = found[6] * parts[6, k] + found[7] * parts[7, k]
+                most_first = max(most_first, of_first)
+                most_second = max(most_second, of_second)
+                most_both = max(most_both, of_first + of_second)
+            added[line, x, 0], added[line, x, 1] = most_first, most_second
+            together[line, x] = most_both

@@ -44,7 +44,7 @@ class Verdict:
     flanks
         What lies around it, of what is not dark.
     scenery
-        Whether it is ground, grass or a window, which nobody would take for paint.
+        Whether it looks like leaves, a shadow or a window: refused, and told after all others.
     """
 
     kind: str = ""
@@ -70,6 +70,7 @@ def judge(piece: Piece, found: Measures, model: SceneModel, surfaces: Surfaces, 
 def _judge_bright(verdict: Verdict, piece: Piece, model: SceneModel, surfaces: Surfaces) -> None:
     if surfaces.vegetation[piece.body]:
         verdict.scenery = True
+        verdict.objections.append("its red edge is that of leaves")
         return
     lines, columns = np.nonzero(piece.inside)
     flanks = flanks_of(lines + piece.first[0], columns + piece.first[1], model.segment, surfaces.window)
@@ -100,7 +101,8 @@ def _judge_dark(verdict: Verdict, piece: Piece, model: SceneModel, surfaces: Sur
     beside = beside[beside >= 0]
     beside = beside[model.body[beside] != body]
     if not surfaces.dark[body] or not beside.size:
-        verdict.scenery = True  # a shadow, or as dark as one
+        verdict.scenery = True
+        verdict.objections.append("as dark as a shadow, and mirrors no sky as windows and clear coats do")
         return
     level, own = surfaces.level[beside], surfaces.level[body]
     things = ~surfaces.ground[beside] & ~surfaces.shade[beside]

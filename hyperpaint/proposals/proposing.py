@@ -41,8 +41,11 @@ class Proposals(Regions):
     Attributes
     ----------
     refused
-        What looks like a part of a car, or like paint, and is not proposed; the property ``refused`` says
-        why. Not among the regions themselves, and not written with them.
+        Every piece that was looked at and has an objection, those that look like windows, shadows or leaves
+        last; the property ``refused`` says why. Never looked at are bodies like the ground, what lies in cast
+        shadow, and what has fewer than a quarter of ``min_pixels`` pixels away from edges: a car whose paint
+        is like the ground is in neither list, and so is what ``most`` cuts off. Not among the regions
+        themselves, and not written with them.
     """
 
     refused: Regions = field(default_factory=lambda: Regions(()))
@@ -125,8 +128,8 @@ def propose_regions(
     Proposals
         `Regions` with properties ``rank``, ``score``, ``kind`` ("roof", "panel", "dark paint"), ``pixels``,
         ``spectral_angle`` [degree], ``brightness_spread``, ``brightness_slope``, ``glint``,
-        ``blocked_direct``, ``adjacency`` [1] and ``reasons``; its attribute ``refused`` holds other parts of
-        cars and what may be paint, whose property ``refused`` says why.
+        ``blocked_direct``, ``adjacency`` [1] and ``reasons``; its attribute ``refused`` holds the other
+        pieces, whose property ``refused`` says why; see `Proposals` for what is in neither.
 
     Raises
     ------
@@ -139,6 +142,10 @@ def propose_regions(
 
     .. math:: score = \min(1, n/200) \; \frac{1}{1 + (\alpha/2°)^2} \;
               \frac{1}{1 + a/0.01 + g/0.02 + t/0.03}.
+
+    A proposal can be wrong. On traced car parks (``benchmarks/proposed_cars.py``), held-out seeds 112 to 118:
+    of 39 whole cars 32 signatures were right, 2 wrong, 5 cars refused. Seeds 100 to 111, with trees and a
+    wall: of 38 cars 26 right, 2 wrong, 10 refused. Cars of metallic paint get no region.
 
     The clear coat's mirror image of the sky is still in the spectra; see
     `hyperpaint.corrections.remove_mirrored_sky`.
@@ -222,8 +229,8 @@ def _read(line: xr.Dataset, model: SceneModel) -> tuple[Array, dict[str, Array]]
 
 
 def _ranked(judged: list[Judged], most: int | None, flightline: str, name: str) -> Proposals:
-    good = [one for one in judged if not one[2].objections and not one[2].scenery]
-    bad = [one for one in judged if one[2].objections and not one[2].scenery]
+    good = [one for one in judged if not one[2].objections]
+    bad = sorted((one for one in judged if one[2].objections), key=lambda one: one[2].scenery)
     good.sort(key=lambda one: (-one[2].score, one[0].first, one[0].body))
     kept = good[:most]
     digits = len(str(max(len(kept), len(bad), 10)))

@@ -111,7 +111,8 @@ class Regions(Sequence[Region]):
     Raises
     ------
     SchemaError
-        Names that occur twice, unknown coordinates, or a reference system of a sensor; all are listed.
+        Names that occur twice, unknown coordinates, or a reference system that is no text or of a sensor; all
+        are listed.
     """
 
     regions: tuple[Region, ...]
@@ -128,8 +129,11 @@ class Regions(Sequence[Region]):
             seen.add(name)
         if self.coordinates not in COORDINATES:
             problems.add(f"coordinates {self.coordinates!r}, expected one of {', '.join(COORDINATES)}")
-        elif self.crs is not None and self.coordinates == "sensor":
-            problems.add(f"a crs ({self.crs[:80]!r}) is of map coordinates, these are of the sensor")
+        crs: object = self.crs
+        if crs is not None and not isinstance(crs, str):
+            problems.add(f"a crs that is {type(crs).__name__}, expected text such as 'EPSG:32618'")
+        elif crs is not None and self.coordinates == "sensor":
+            problems.add(f"a crs ({crs[:80]!r}) is of map coordinates, these are of the sensor")
         problems.raise_if_any()
 
     def __len__(self) -> int:

@@ -59,7 +59,7 @@ def pixels(
     ------
     SchemaError
         The line has no along_track and cross_track; or, for a map, no place of its pixels in that reference
-        system.
+        system; or the polygon has too many long edges.
 
     Examples
     --------
@@ -136,7 +136,7 @@ def _on_sensor(region: Region, shape: tuple[int, int]) -> Pixels:
     parts = []
     for start, stop in _blocks(first[1], last[1] + 1, across.size):
         y, x = np.meshgrid(np.arange(start, stop), across, indexing="ij")
-        inside = contains(region.polygon, region.holes, x.ravel().astype(float), y.ravel().astype(float))
+        inside = _inside(region, x.ravel().astype(float), y.ravel().astype(float))
         parts.append((y.ravel()[inside], x.ravel()[inside]))
     return _joined(parts)
 
@@ -150,11 +150,19 @@ def _on_map(regions: Regions, line: xr.Dataset, shape: tuple[int, int]) -> list[
             _values(part.isel(rows, missing_dims="ignore"), stop - start, shape[1]) for part in (x, y)
         )
         for region, found in zip(regions, parts, strict=True):
-            inside = np.flatnonzero(contains(region.polygon, region.holes, there_x, there_y))
+            inside = np.flatnonzero(_inside(region, there_x, there_y))
             if inside.size:
                 along, across = np.divmod(inside, shape[1])
                 found.append((along + start, across))
     return [_joined(found) for found in parts]
+
+
+def _inside(region: Region, x: Float, y: Float) -> npt.NDArray[np.bool_]:
+    try:
+        return contains(region.polygon, region.holes, x, y)
+    except SchemaError as error:
+        msg = f"the pixels of region {region.name!r} cannot be found: {error}"
+        raise SchemaError(msg) from error
 
 
 def _values(part: xr.DataArray, lines: int, columns: int) -> Float:

@@ -18,14 +18,22 @@ from fractions import Fraction
 import numpy as np
 import numpy.typing as npt
 
+from hyperpaint.errors import SchemaError
+
 __all__ = ["contains"]
 
 Float = npt.NDArray[np.float64]
+Index = npt.NDArray[np.intp]
 Mask = npt.NDArray[np.bool_]
 
 _EPSILON = 2.0**-53
 _ROUNDING = (3.0 + 16.0 * _EPSILON) * _EPSILON
 _TINIEST = float(np.finfo(np.float64).tiny)
+
+_MOST_EDGES = 100
+"""Edges that pass a point on its left or right, on average: some of an outline, thousands of a zigzag."""
+_FREE = 10_000_000
+"""Comparisons of an edge with a point that any polygon may take."""
 
 
 def contains(polygon: Float, holes: Sequence[Float], x: Float, y: Float) -> Mask:
@@ -39,6 +47,11 @@ def contains(polygon: Float, holes: Sequence[Float], x: Float, y: Float) -> Mask
         Rings cut out of it, as ``polygon``; a hole's edge belongs to the polygon.
     x, y : (point,)
         The points; NaN are in no polygon.
+
+    Raises
+    ------
+    SchemaError
+        Too many long edges: it would take minutes.
 
     Notes
     -----
@@ -55,24 +68,46 @@ def contains(polygon: Float, holes: Sequence[Float], x: Float, y: Float) -> Mask
     near = np.flatnonzero(boxed)
     # an edge then meets one run of points only
     near = near[np.argsort(y[near], kind="stable")]
-    within, edge = _ring(polygon, x[near], y[near])
-    inside = within | edge
-    for hole in holes:
-        within, edge = _ring(hole, x[near], y[near])
-        inside &= ~within | edge
+    near_x, near_y = x[near], y[near]
+    rings = [polygon, *holes]
+    runs = [_runs(ring, near_y) for ring in rings]
+    _check_effort(sum(int((last - first).clip(0).sum()) for first, last in runs), near.size)
+    inside = np.ones(near.size, bool)
+    for number, (ring, (first, last)) in enumerate(zip(rings, runs, strict=True)):
+        # only points beside a ring can be in it
+        part = slice(int(first.min()), int(last.max())) if number else slice(0, near.size)
+        if part.start >= part.stop:
+            continue
+        within, edge = _ring(ring, near_x[part], near_y[part], first - part.start, last - part.start)
+        inside[part] &= ~within | edge if number else within | edge
     made: Mask = np.zeros(x.size, bool)
     made[near] = inside
     return made
 
 
-def _ring(ring: Float, x: Float, y: Float) -> tuple[Mask, Mask]:
+def _check_effort(comparisons: int, points: int) -> None:
+    if comparisons > _FREE + _MOST_EDGES * points:
+        msg = (
+            f"{comparisons / points:.0f} of its edges pass every one of {points} pixels, expected at most "
+            f"{_MOST_EDGES}; split it, or give it fewer corners"
+        )
+        raise SchemaError(msg)
+
+
+def _runs(ring: Float, y: Float) -> tuple[Index, Index]:
+    """Return the first point beside every edge, and that after the last one (edge,); y ascends."""
+    closed = np.concatenate([ring, ring[:1]])[:, 1]
+    first = np.searchsorted(y, np.minimum(closed[:-1], closed[1:]), "left")
+    last = np.searchsorted(y, np.maximum(closed[:-1], closed[1:]), "right")
+    return first, last
+
+
+def _ring(ring: Float, x: Float, y: Float, first: Index, last: Index) -> tuple[Mask, Mask]:
     """Return which points a ring winds around an odd number of times, and which lie on it; y ascends."""
     within = np.zeros(x.size, bool)
     edge = np.zeros(x.size, bool)
     closed = np.concatenate([ring, ring[:1]])
     low, high = np.minimum(closed[:-1], closed[1:]), np.maximum(closed[:-1], closed[1:])
-    first = np.searchsorted(y, low[:, 1], "left")
-    last = np.searchsorted(y, high[:, 1], "right")
     for k in np.flatnonzero(first < last):
         run = slice(first[k], last[k])
         start, stop = closed[k], closed[k + 1]

@@ -16,7 +16,15 @@ from hyperpaint.slabs import line_chunked
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["CHANNELS", "Progress", "channel_numbers", "read_channels", "to_channels", "watched"]
+__all__ = [
+    "CHANNELS",
+    "Progress",
+    "channel_numbers",
+    "read_channels",
+    "to_channels",
+    "watched",
+    "without_unknown",
+]
 
 Array = npt.NDArray[Any]
 Progress = Callable[[int, int], None]
@@ -77,6 +85,23 @@ def read_channels(
         if progress is not None:
             progress(here[-1][1], lines)
     return out
+
+
+def without_unknown(
+    channels: npt.NDArray[np.float32], channel: npt.NDArray[np.int64]
+) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.int64]]:
+    """Return a line in channels, and the channel of every band, without channels that most pixels lack.
+
+    One channel that is dead for the whole line would otherwise leave no segment of which all is known. Where
+    no channel would remain, all do.
+    """
+    data = int(np.isfinite(channels).any(axis=2).sum())
+    known = np.array([np.isfinite(channels[..., k]).sum() for k in range(channels.shape[2])])
+    kept = 2 * known >= data
+    if kept.all() or not kept.any():
+        return channels, channel
+    numbers = np.append(np.where(kept, np.cumsum(kept) - 1, -1), -1)  # the last one is that of -1
+    return np.ascontiguousarray(channels[..., kept]), numbers[channel]
 
 
 def watched(progress: Progress | bool | None, label: str) -> Progress | None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
@@ -11,7 +12,7 @@ import numpy.typing as npt
 from hyperpaint.errors import Problems, SchemaError
 from hyperpaint.schema import ALONG_TRACK, BAND, CROSS_TRACK, FORMAT_VERSION
 
-from .cells import two_nearest
+from .cells import CELL, two_nearest
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -44,6 +45,40 @@ _LAYOUT: dict[str, tuple[tuple[str, ...], str, str, str]] = {
     "reference": (("segment_number", "channel"), "float64", "1", "Reflectance of the body in full light"),
 }  # fmt: skip
 """Field to its dims, dtype, units and meaning."""
+
+
+def _fits(values: Array, dtype: np.dtype[Any]) -> bool:
+    """Tell whether values are numbers that a dtype holds, before what it does not is wrapped around."""
+    if values.dtype.kind not in "iufb":
+        return False
+    if dtype.kind == "f" or not values.size:
+        return True
+    limits = np.iinfo(dtype)
+    # not finite, or out of range: both comparisons are False for NaN
+    return bool(values.min() >= limits.min and values.max() <= limits.max)
+
+
+def _check_numbers(found: dict[str, Any], sizes: Mapping[Any, int], problems: Problems) -> None:
+    """Note what of the fields found would be looked for beyond the others' ends."""
+    count, channels = sizes.get("segment_number", 0), sizes.get("channel", 0)
+    for name in ("segment", "neighbour", "body"):
+        numbers = found.get(name, np.empty(0))
+        if numbers.size and (numbers.min() < -1 or numbers.max() >= count):
+            problems.add(f"{name!r} points at segments beyond the {count} there are")
+    if "channel" in found:
+        used = np.unique(found["channel"])
+        if not channels or not np.array_equal(used[used != -1], np.arange(channels)):
+            problems.add(
+                f"'band_channel' does not name each of the {channels} channels, and nothing else but -1 for "
+                "bands that are not used"
+            )
+    if {"neighbour", "segment"} <= found.keys():
+        cells = tuple(-(-length // CELL) for length in found["segment"].shape)
+        if found["neighbour"].shape[:2] != cells:
+            problems.add(f"'neighbour' has {found['neighbour'].shape[:2]} cells, expected {cells}")
+    fraction = found.get("diffuse_fraction", np.empty(0))
+    if not ((fraction >= 0) & (fraction <= 1)).all():
+        problems.add("'diffuse_fraction' is not finite, or leaves 0 to 1")
 
 
 @dataclass(frozen=True, eq=False)
@@ -132,8 +167,8 @@ class SceneModel:
         Raises
         ------
         SchemaError
-            Variables are missing or have other dims, or numbers point at segments that are not there; all
-            are listed.
+            Variables are missing or have other dims, types or sizes, or numbers point at segments or channels
+            that are not there, or the diffuse fraction leaves 0 to 1; all are listed.
         """
         problems = Problems("this is no scene model", SchemaError)
         found: dict[str, Any] = {}
@@ -144,13 +179,12 @@ class SceneModel:
             elif set(dataset[stored].dims) != set(dims):
                 problems.add(f"{stored!r} has dims {dataset[stored].dims}, expected {dims}")
             else:
-                found[name] = np.ascontiguousarray(dataset[stored].transpose(*dims).values, dtype)
-        problems.raise_if_any()
-        count = found["size"].size
-        for name in ("segment", "neighbour", "body"):
-            numbers = found[name]
-            if numbers.size and (numbers.min() < -1 or numbers.max() >= count):
-                problems.add(f"{name!r} points at segments beyond the {count} there are")
+                values = dataset[stored].transpose(*dims).values
+                if _fits(values, np.dtype(dtype)):
+                    found[name] = np.ascontiguousarray(values, dtype)
+                else:
+                    problems.add(f"{stored!r} holds {values.dtype} values that are no {dtype}")
+        _check_numbers(found, dataset.sizes, problems)
         problems.raise_if_any()
         attrs = {name: value for name, value in dataset.attrs.items() if name != "hyperpaint_format"}
         return cls(**found, attrs=attrs)

@@ -22,11 +22,21 @@ _LEAST_PIXELS = 40
 
 
 def coloured(spectrum: Float, light: Light) -> npt.NDArray[np.float64]:
-    """Return how coloured spectra are (segment,): what neither light nor grey explains, rms [1]."""
+    """Return how coloured spectra are (segment,): what neither light nor grey explains, rms [1].
+
+    Of the channels that are known; 0 where those are too few to tell.
+    """
     basis = np.stack([np.ones_like(light.direct), light.diffuse], axis=1)
-    known = np.nan_to_num(spectrum)
-    amounts, *_ = np.linalg.lstsq(basis, known.T, rcond=None)
-    return np.asarray(np.sqrt(np.mean((known - (basis @ amounts).T) ** 2, axis=1)))
+    known = np.isfinite(spectrum)
+    made = np.zeros(len(spectrum))
+    for pattern in np.unique(known, axis=0):
+        if pattern.sum() <= basis.shape[1]:
+            continue
+        same = (known == pattern).all(axis=1)
+        seen = spectrum[same][:, pattern]
+        amounts, *_ = np.linalg.lstsq(basis[pattern], seen.T, rcond=None)
+        made[same] = np.sqrt(np.mean((seen - (basis[pattern] @ amounts).T) ** 2, axis=1))
+    return made
 
 
 def nearest_coloured(

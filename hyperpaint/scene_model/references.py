@@ -89,13 +89,14 @@ def _unmix(
 
     count = len(seen)
     amount = np.empty((1, count, PARTS), np.float32)
-    added, misfit = np.empty((1, count, 2), np.float32), np.empty((1, count), np.float32)
+    added = np.empty((1, count, 2), np.float32)
+    together, misfit = np.empty((2, 1, count), np.float32)
     expected, spread = np.ascontiguousarray(priors, np.float64)
     alone = np.full((count, 2), -1, np.int32) if neighbours is None else np.ascontiguousarray(neighbours)
     unmix_lines(
         np.ascontiguousarray(seen, np.float32)[None], body.astype(np.int32)[None], bodies, alone[None],
         light.direct, light.diffuse, noise, _FLOOR, expected, spread, np.full(PARTS, np.inf),
-        amount, added, misfit,
+        amount, added, together, misfit,
     )  # fmt: skip
     return amount[0].astype(np.float64), misfit[0].astype(np.float64), added[0].astype(np.float64)
 
@@ -261,7 +262,8 @@ def _lit_borders(
     Other parts of the same car are of its colour, if not of its brightness.
     """
     sides = np.zeros((candidates.segment.size, 4), np.int64)
-    shape = spectrum / spectrum.mean(axis=1, keepdims=True)
+    level = spectrum.mean(axis=1, keepdims=True)
+    shape = spectrum / np.where(level == 0, np.nan, level)
     starts = np.searchsorted(pairs.one, [candidates.segment, candidates.segment + 1])
     for place, (first, last) in enumerate(starts.T):
         other = pairs.other[first:last]

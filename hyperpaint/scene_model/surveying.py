@@ -8,9 +8,10 @@ import numpy as np
 import numpy.typing as npt
 
 from hyperpaint import schema
-from hyperpaint.errors import SchemaError
+from hyperpaint.errors import Problems, SchemaError
+from hyperpaint.schema import BAND
 
-from .channels import Progress, channel_numbers, read_channels, watched
+from .channels import Progress, channel_numbers, read_channels, watched, without_unknown
 from .light import SOURCES, diffuse_from_clear_sky, measured_fraction, shadow_side_of, sun_zenith_of
 from .model import SHADED, SceneModel
 from .neighbours import nearest_coloured, two_nearest
@@ -71,8 +72,9 @@ def survey(
     Raises
     ------
     SchemaError, UnitsError
-        Variables are missing or have other dims or units; the sun's place is not known; ``diffuse`` is none
-        of these, or no shadow was found.
+        Variables are missing or have other dims or units; the line has no pixel or no good band; the
+        wavelength of a good band is missing; the sun's place is not known; ``diffuse`` is none of these, or
+        no shadow was found.
     MissingExtraError
         pvlib is not installed.
 
@@ -87,8 +89,8 @@ def survey(
     3. A body's reference is the mean of those pixels to which glint and coloured neighbours add least.
     4. The nearest coloured segments of every 4 x 4 pixels.
 
-    A body that lies in shadow or in glint as a whole, and touches no part of itself that does not, is taken
-    as it is seen.
+    Channels that most pixels lack, such as those of dead bands, are left out. A body that lies in shadow or
+    in glint as a whole, and touches no part of itself that does not, is taken as it is seen.
 
     References
     ----------
@@ -112,10 +114,10 @@ def survey(
     found = schema.require(line, ["reflectance", "wavelength"], "a scene model")
     cube = found["reflectance"]
     wavelength = found["wavelength"].values.astype(np.float64)
-    good = line["good"].values.astype(bool) if "good" in line.variables else np.ones(wavelength.size, bool)
+    good = _good_bands(line, cube, wavelength)
     fraction, source, zenith = _fraction(diffuse, line, wavelength, sun_zenith)
     channel = channel_numbers(wavelength, good)
-    channels = read_channels(cube, channel, watched(progress, "survey"))
+    channels, channel = without_unknown(read_channels(cube, channel, watched(progress, "survey")), channel)
     centre, split = (_mean_of(values, channel) for values in (wavelength, fraction))
     light = Light(1.0 - split, split)
     segments = divide(channels)
@@ -148,6 +150,29 @@ def survey(
     )  # fmt: skip
 
 
+def _good_bands(line: xr.Dataset, cube: xr.DataArray, wavelength: Float) -> npt.NDArray[np.bool_]:
+    """Return which bands are good (band,), of a line that can be looked at."""
+    problems = Problems("this line cannot be surveyed", SchemaError)
+    if not cube.size:
+        problems.add(f"reflectance has shape {cube.shape}, expected at least one line, band and column")
+    good = np.ones(wavelength.size, bool)
+    if "good" in line.variables:
+        if line["good"].dims != (BAND,):
+            problems.add(f"'good' has dims {line['good'].dims}, expected ({BAND!r},)")
+        else:
+            good = line["good"].values.astype(bool)
+    if not good.any():
+        problems.add(f"none of the {good.size} bands is good; mend 'good', or drop it to use all of them")
+    without = np.flatnonzero(good & ~np.isfinite(wavelength))
+    if without.size:
+        problems.add(
+            f"wavelength is missing in {without.size} good bands, the first of them {without[0]}; "
+            "give it, or set 'good' to False there"
+        )
+    problems.raise_if_any()
+    return good
+
+
 def _fraction(
     diffuse: Any, line: xr.Dataset, wavelength: Float, sun_zenith: float | None
 ) -> tuple[Float, str, float]:
@@ -159,7 +184,13 @@ def _fraction(
     if diffuse not in SOURCES:
         msg = f"diffuse={diffuse!r}, expected {', '.join(map(repr, SOURCES))} or a measured spectrum"
         raise SchemaError(msg)
-    zenith = sun_zenith_of(line, sun_zenith)
+    try:
+        zenith = sun_zenith_of(line, sun_zenith)
+    except SchemaError as error:
+        if diffuse != "shadow":
+            raise
+        msg = f"diffuse='shadow' finds shadows by the light of a clear sky, to start from: {error}"
+        raise SchemaError(msg) from error
     text = {
         "model": f"clear sky of hyperpaint.sun, sun at {zenith:.1f} degrees from the zenith",
         "pvlib": f"SPECTRL2 of pvlib, sun at {zenith:.1f} degrees from the zenith",

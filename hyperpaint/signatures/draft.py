@@ -69,6 +69,7 @@ class Draft:
         self.spectra["reflectance_quantiles"] = np.full((len(QUANTILES), bands), np.nan)
         self._source = source
         self._used = np.zeros(self.along.size, bool)
+        self._values = np.zeros(bands, np.intp)
         self._chosen = np.zeros(0, np.intp)
         good = np.flatnonzero(source.good)
         spread = np.linspace(0, good.size - 1, min(good.size, _CORRELATED_BANDS)).astype(np.intp)
@@ -129,35 +130,39 @@ class Draft:
         """
         values = cubes["reflectance"][self._used]
         found = summarise(values, centre)
+        there = np.isfinite(values)
+        self._values[bands] = there.sum(axis=0)
         self.spectra["reflectance"][bands] = found.centre
         self.spectra["reflectance_sd"][bands] = found.sd
         self.spectra["reflectance_quantiles"][:, bands] = found.quantiles
         self.spectra["member_reflectance"][:, bands] = values[self._chosen]
-        there = (self._correlated >= bands.start) & (self._correlated < bands.stop)
-        self._columns.append(values[:, self._correlated[there] - bands.start])
+        own = (self._correlated >= bands.start) & (self._correlated < bands.stop)
+        self._columns.append(values[:, self._correlated[own] - bands.start])
         for name in UNCERTAINTIES:
             if name in cubes and self._source.components[name] != NONE_KNOWN:
                 # the mean square of what is random, until the number of independent pixels is known
                 power = 2.0 if name == "reflectance_u_random" else 1.0
-                self.spectra[name][bands] = _mean(cubes[name][self._used], power)
+                self.spectra[name][bands] = _mean(cubes[name][self._used], there, power)
 
     def finish(self) -> float:
-        """Turn sums into uncertainties of the mean; return the number of independent pixels."""
+        """Turn means into uncertainties of the mean; return the number of independent pixels."""
         n_eff = self.n_eff
+        # a band has as many fewer independent pixels as it has fewer values
+        of_band = np.maximum(1.0, n_eff * self._values / max(self.n, 1))
         square = self.spectra["reflectance_u_random"]
-        self.spectra["reflectance_u_random"] = np.sqrt(square / n_eff)
+        self.spectra["reflectance_u_random"] = np.sqrt(square / of_band)
         self._columns = []
         return n_eff
 
 
-def _mean(values: Array, power: float) -> Array:
-    """Return the mean over pixels of a power of what is there (band,)."""
+def _mean(values: Array, there: Array, power: float) -> Array:
+    """Return the mean of a power over pixels that have a reflectance (band,); NaN where none has."""
     made = np.full(values.shape[1], np.nan)
     # one band after the other: the order of the sum is then that of the pixels, however many bands there are
     for band, column in enumerate(values.T):
-        there = column[np.isfinite(column)].astype(np.float64)
-        if there.size:
-            made[band] = (there**power).mean()
+        known = column[there[:, band] & np.isfinite(column)].astype(np.float64)
+        if known.size:
+            made[band] = (known**power).mean()
     return made
 
 

@@ -47,6 +47,8 @@ def extract_signatures(
     members: int = 256,
     centre: str = "trimmed_mean",
     smooth: Smoothing = None,
+    specular_sky: bool = False,
+    sun_zenith: float | None = None,
     min_pixels: int = 5,
     seed: int = 0,
     progress: Progress | None = None,
@@ -75,6 +77,10 @@ def extract_signatures(
         more is; "geometric_median" of whole spectra; or "median" per band.
     smooth
         Method of `hyperpaint.smooth`, or its arguments by name; applied to the spectrum of every pixel.
+    specular_sky
+        Subtract the sky that a clear coat mirrors, see `hyperpaint.remove_mirrored_sky`.
+    sun_zenith
+        For that [degree]; by default from time and position of each line.
     min_pixels
         Pixels that a region must have left.
     seed
@@ -99,17 +105,21 @@ def extract_signatures(
         The regions cannot be read.
     SchemaError, UnitsError
         Options, lines or regions that cannot be used: a region without pixels, or with too few left;
-        flight lines of different bands. All of a kind are listed.
+        flight lines of different bands; a sky that was removed before, or a sun whose place is not known. All
+        of a kind are listed.
 
     Notes
     -----
     Spectra are brought to the nominal wavelengths first. A sample that is missing in a pixel is missing in
     that band only. The standard uncertainties are those of the mean of these pixels:
 
-    .. math:: u_r = \sqrt{\overline{u_{r,i}^2} / n_{eff}}, \qquad u_s = \overline{u_{s,i}}, \qquad
+    .. math:: u_r = \sqrt{\frac{\overline{u_{r,i}^2}}{\max(1, n_{eff} n_b / n)}}, \qquad
+              u_s = \overline{u_{s,i}}, \qquad
               n_{eff} = n^2 \Big/ \sum_{ij} \overline{c_{ij}}
 
-    with :math:`c_{ij}` the autocorrelation of reflectance at the distance of two pixels, averaged over bands.
+    over the :math:`n_b` pixels that have a value in a band, NaN where none has, with :math:`c_{ij}` the
+    autocorrelation of reflectance at the distance of two pixels, averaged over bands; :math:`n_{eff}` is
+    :math:`n / 1.3` at most, since the camera moves on while a line is exposed.
     Smoothing makes the random one smaller than is told here. How far another part of the paint may differ,
     ``reflectance_sd`` and the quantiles say. All bits are the same for any chunking, in any order of the
     regions.
@@ -127,8 +137,13 @@ def extract_signatures(
     options = _Options(EXCLUDED if exclude is None else exclude, members, centre, min_pixels, seed)
     found = regions_from(regions)
     options.check(found)
+    if sun_zenith is not None and not specular_sky:
+        msg = f"sun_zenith={sun_zenith!r} is for the mirrored sky only; pass specular_sky=True as well"
+        raise SchemaError(msg)
     lines = lines_of(line, found)
-    sources = {name: source_of(dataset, smooth) for name, (dataset, _) in lines.items()}
+    sources = {
+        name: source_of(dataset, smooth, specular_sky, sun_zenith) for name, (dataset, _) in lines.items()
+    }
     _check_bands(sources)
     names = {position: name for name, (_, positions) in lines.items() for position in positions}
     places = _places(found, lines, sources)

@@ -14,7 +14,7 @@ __all__ = ["SMEAR", "effective_pixels"]
 Array = npt.NDArray[Any]
 
 SMEAR = 1.3
-"""Pixels that are worth one where it cannot be told from the values: 1 + 2 c.
+"""Pixels that are worth one at least, whatever their values say: 1 + 2 c.
 
 While a line is exposed the camera moves on by some 0.7 of a pixel. A pixel then sees a trapezium along the
 track, and of the variance of a white scene neighbours share c = (0.7 / 6) / (0.3 + 2 * 0.7 / 3) = 0.15.
@@ -44,12 +44,13 @@ def effective_pixels(values: Array, along: Array, across: Array) -> float:
     with :math:`c_{ij}` the autocorrelation of a band's values at the distance of two pixels, summed from the
     centre outwards until it is not told from zero (as `hyperpaint.mean_uncertainty`), averaged over bands:
     the harmonic mean of their numbers. Values are cut at three robust spreads from the median first, since
-    single outliers hide what their neighbours have in common. Of fewer than 32 pixels it is n / 1.3, see
-    `SMEAR`.
+    single outliers hide what their neighbours have in common. It is n / 1.3 at most, see `SMEAR`, and just
+    that of fewer than 32 pixels, of which it cannot be told.
     """
     count = len(values)
+    most = max(1.0, count / SMEAR)
     if count < FEWEST:
-        return max(1.0, count / SMEAR)
+        return most
     rows, columns = along - along.min(), across - across.min()
     width = int(columns.max()) + 1
     part = rows < max(1, _MOST_CELLS // width)
@@ -64,4 +65,4 @@ def effective_pixels(values: Array, along: Array, across: Array) -> float:
             plane = np.full((int(rows.max()) + 1, width), np.nan)
             plane[rows[there], columns[there]] = np.clip(column, middle - reach, middle + reach)
             shares.append(there.sum() / effective_number(plane))
-    return float(np.clip(count / np.mean(shares), 1.0, count)) if shares else max(1.0, count / SMEAR)
+    return float(np.clip(count / np.mean(shares), 1.0, most)) if shares else most

@@ -85,7 +85,7 @@ def paint_library(
         for name, column in _properties(regions).items()
     }
     made = made.assign_coords(properties)
-    made["reflectance"].attrs["centre"] = notes["centre"]
+    made["reflectance"].attrs |= {"centre": notes["centre"], **_corrections(sources)}
     made.attrs = {
         "title": "Paint signatures",
         "source": _sources(sources),
@@ -94,7 +94,7 @@ def paint_library(
         "coordinates_of_regions": regions.coordinates,
         "spectral_axis": "nominal wavelengths",
         "smoothing": "; ".join(dict.fromkeys(source.smoothing for source in sources.values())),
-        "corrections": "none",
+        "corrections": "; ".join(dict.fromkeys(_corrected(source) for source in sources.values())),
         **notes,
     }
     return made
@@ -119,6 +119,19 @@ def _told(name: str, sources: Mapping[str, Source]) -> dict[str, Any]:
         return {}
     entered = [source.components.get(name, NONE_KNOWN) for source in sources.values()]
     return {"components": "; ".join(dict.fromkeys(entered))}
+
+
+def _corrections(sources: Mapping[str, Source]) -> dict[str, str]:
+    """Return attributes that say what was corrected, so that nothing is corrected again."""
+    names = dict.fromkeys(name for source in sources.values() for name in source.corrections)
+    return {
+        name: "; ".join(dict.fromkeys(source.corrections.get(name, "none") for source in sources.values()))
+        for name in names
+    }
+
+
+def _corrected(source: Source) -> str:
+    return "; ".join(f"{name}: {text}" for name, text in source.corrections.items()) or "none"
 
 
 def _sources(sources: Mapping[str, Source]) -> str:

@@ -11,6 +11,7 @@ import numpy.typing as npt
 
 from hyperpaint import schema
 from hyperpaint.bands import to_nominal
+from hyperpaint.corrections import CORRECTIONS, remove_mirrored_sky
 from hyperpaint.errors import Problems, SchemaError
 from hyperpaint.radiometry import reflectance
 from hyperpaint.regions import Regions
@@ -48,6 +49,8 @@ class Source:
     good : (band,), bool
     smoothing
         How spectra are smoothed; "none".
+    corrections
+        What was corrected, by name, see `CORRECTIONS`.
     components
         What enters the uncertainties, by name.
     """
@@ -60,16 +63,20 @@ class Source:
     fwhm: Float
     good: npt.NDArray[np.bool_]
     smoothing: str
+    corrections: dict[str, str]
     components: dict[str, str]
 
 
-def source_of(line: xr.Dataset, smoothing: Smoothing) -> Source:
+def source_of(
+    line: xr.Dataset, smoothing: Smoothing, specular_sky: bool = False, sun_zenith: float | None = None
+) -> Source:
     """Return what signatures need of a flight line; nothing of a cube is computed.
 
     Raises
     ------
     SchemaError, UnitsError
-        There is no reflectance, and none can be computed; or it is smoothed already.
+        There is no reflectance, and none can be computed; it is smoothed already, or the mirrored sky
+        removed; or it is not known where the sun is.
     """
     line = schema.rename_to_roles(line)
     if "reflectance" not in line.variables:
@@ -78,8 +85,16 @@ def source_of(line: xr.Dataset, smoothing: Smoothing) -> Source:
     optional = [name for name in ("quality", "fwhm", "good", *_SMALL) if name in line.variables]
     found = schema.require(line, [*names, "wavelength", *optional], "paint signatures")
     line = line.assign({name: found[name] for name in names})
-    nominal = to_nominal(line)
     before = found["reflectance"].attrs.get("smoothing")
+    # nominal wavelengths come with new attributes; what was corrected stays so
+    corrected = {
+        key: found["reflectance"].attrs[key] for key in CORRECTIONS if key in found["reflectance"].attrs
+    }
+    nominal = to_nominal(line)
+    nominal = nominal.assign(reflectance=nominal["reflectance"].assign_attrs(corrected))
+    if specular_sky:
+        where = nominal.assign({name: found[name] for name in ("wavelength", *_SMALL) if name in found})
+        nominal = remove_mirrored_sky(where, sun_zenith=sun_zenith)
     if smoothing is not None:
         if before is not None:
             msg = f"the reflectance is smoothed already ({before}); leave out smooth="
@@ -98,6 +113,7 @@ def source_of(line: xr.Dataset, smoothing: Smoothing) -> Source:
         fwhm=found["fwhm"].values.astype(np.float64) if "fwhm" in found else np.full(size, np.nan),
         good=found["good"].values.astype(bool) if "good" in found else np.ones(size, bool),
         smoothing=str(cube.attrs.get("smoothing", before or "none")),
+        corrections={key: str(cube.attrs[key]) for key in CORRECTIONS if key in cube.attrs},
         components={name: str(line[name].attrs.get("components", NONE_KNOWN)) for name in names[1:]},
     )
 

@@ -22,10 +22,11 @@ def test_unmixing_is_the_bounded_least_squares_of_scipy() -> None:
     most = np.full(PARTS, np.inf)
     most[0] = 0.8
     amount = np.empty((2, 6, PARTS), np.float32)
-    added, misfit = np.empty((2, 6, 2), np.float32), np.empty((2, 6), np.float32)
+    added = np.empty((2, 6, 2), np.float32)
+    together, misfit = np.empty((2, 2, 6), np.float32)
     unmix_lines(
         seen, body, bodies, near, 1 - diffuse, diffuse, 0.02, 0.005, expected, spread, most, amount,
-        added, misfit,
+        added, together, misfit,
     )  # fmt: skip
     for place in np.ndindex(2, 6):
         rho, neighbours = bodies[body[place]], near[place]
@@ -40,6 +41,9 @@ def test_unmixing_is_the_bounded_least_squares_of_scipy() -> None:
         true = lsq_linear(rows, right, (0, most[:used]), tol=1e-12).x
         np.testing.assert_allclose(amount[place][:used], true, atol=2e-4)
         assert (amount[place][used:] == 0).all()
+        light = (parts * true).T[4:].reshape(-1, 2, channels).sum(axis=1)
+        np.testing.assert_allclose(added[place][: len(light)], light.max(axis=1), atol=5e-4)
+        np.testing.assert_allclose(together[place], light.sum(axis=0).max(), atol=5e-4)
         rest = (seen[place] - parts @ true) / sigma
         np.testing.assert_allclose(misfit[place], np.sqrt(np.mean(rest**2)), rtol=1e-3)
 

@@ -12,9 +12,11 @@ import xarray as xr
 
 import hyperpaint as hp
 from hyperpaint.errors import SchemaError
-from hyperpaint.scene_model.channels import channel_numbers
+from hyperpaint.scene_model.channels import channel_numbers, without_unknown
 from hyperpaint.scene_model.light import measured_fraction, shadow_side_of
 from hyperpaint.scene_model.model import LIT, SHADED, SceneModel
+from hyperpaint.scene_model.neighbours import coloured
+from hyperpaint.scene_model.references import Light
 from hyperpaint.scene_model.segments import divide, touching
 from hyperpaint.sun import diffuse_fraction
 
@@ -86,6 +88,72 @@ def test_what_is_no_model_is_refused_with_all_that_is_wrong(model: SceneModel) -
     points["body"] = points["body"] + 1000
     with pytest.raises(SchemaError, match="beyond"):
         SceneModel.from_dataset(points)
+
+
+def test_a_damaged_model_is_refused_before_anything_is_looked_up(model: SceneModel) -> None:
+    stored = model.to_dataset()
+    damaged = stored.isel(cell_along=slice(3))
+    damaged["band_channel"] = damaged.band_channel + 10
+    damaged["diffuse_fraction"] = damaged.diffuse_fraction * np.nan
+    damaged["segment"] = damaged.segment.astype(np.float64) * np.nan
+    with pytest.raises(SchemaError, match=r"(?s)'segment' holds float64.*'band_channel'.*'diffuse_fraction'"):
+        SceneModel.from_dataset(damaged)
+    damaged["segment"] = stored.segment.astype(np.int64) + 2**32
+    with pytest.raises(SchemaError, match="'segment' holds int64 values that are no int32"):
+        SceneModel.from_dataset(damaged)
+    damaged["segment"] = stored.segment
+    with pytest.raises(SchemaError, match=r"\(3, 40\) cells, expected \(40, 40\)"):
+        SceneModel.from_dataset(damaged)
+    for numbers in (model.channel - 1, np.minimum(model.channel, 20), np.full(NM.size, -1)):
+        with pytest.raises(SchemaError, match="'band_channel' does not name each of the 24 channels"):
+            SceneModel.from_dataset(stored.assign(band_channel=("band", numbers)))
+
+
+def test_channels_that_most_pixels_lack_are_left_out() -> None:
+    channels = np.ones((4, 5, 3), np.float32)
+    channels[..., 1] = np.nan
+    channels[0, 0] = np.nan
+    left, numbers = without_unknown(channels, np.array([0, 0, 1, -1, 2]))
+    assert left.shape == (4, 5, 2)
+    assert numbers.tolist() == [0, 0, -1, -1, 1]
+    channels[:] = np.nan
+    assert without_unknown(channels, np.arange(3))[0].shape == (4, 5, 3)
+
+
+def test_a_grey_with_a_missing_channel_is_grey() -> None:
+    diffuse = diffuse_fraction(NM, 40.0)
+    spectrum = np.stack([np.full(NM.size, 0.4), RED])
+    whole = coloured(spectrum, Light(1.0 - diffuse, diffuse))
+    spectrum[:, 30] = np.nan
+    holed = coloured(spectrum, Light(1.0 - diffuse, diffuse))
+    assert holed[0] < 1e-12
+    np.testing.assert_allclose(holed[1], whole[1], rtol=0.02)
+
+
+def test_a_line_that_cannot_be_surveyed_says_why(shadow_line: xr.Dataset) -> None:
+    dead = shadow_line.isel(along_track=slice(0)).assign(good=("band", np.zeros(NM.size, bool)))
+    with pytest.raises(SchemaError, match=r"(?s)at least one line.*none of the 96 bands is good"):
+        hp.survey(dead, sun_zenith=40.0)
+    with pytest.raises(SchemaError, match="at least one line, band and column"):
+        hp.survey(shadow_line.isel(cross_track=slice(0)), sun_zenith=40.0)
+    nm = np.where(np.arange(NM.size) == 7, np.nan, NM)
+    unknown = shadow_line.assign_coords(wavelength=("band", nm, {"units": "nm"}))
+    with pytest.raises(SchemaError, match=r"wavelength is missing in 1 good bands, the first of them 7"):
+        hp.survey(unknown, sun_zenith=40.0)
+    good = np.isfinite(nm)
+    flagged = hp.flag(unknown.assign(good=("band", good)), sun_zenith=40.0).compute()
+    assert (flagged.quality.values & 128).any()
+    with pytest.raises(SchemaError, match=r"'shadow' finds shadows by the light of a clear sky.*sun_zenith="):
+        hp.survey(shadow_line, diffuse="shadow")
+
+
+@pytest.mark.parametrize("value", [0.0, np.nan])
+def test_scenes_of_nothing_have_no_flags(value: float) -> None:
+    cube = np.full((32, 40, NM.size), value)
+    flagged = hp.flag(as_line(cube, NM), sun_zenith=40.0).compute()
+    assert not flagged.quality.values.any()
+    cube[:, 20:] = 0.5
+    assert hp.survey(as_line(cube, NM), sun_zenith=40.0).segments == (2 if value == 0 else 1)
 
 
 def test_progress_is_told(shadow_line: xr.Dataset, capsys: pytest.CaptureFixture[str]) -> None:
