@@ -23,7 +23,6 @@ from traced_scenes import (
 )
 
 import hyperpaint as hp
-from hyperpaint.errors import SchemaError
 from hyperpaint.kernels.transport import paths
 from hyperpaint.schema import VARIABLES
 from hyperpaint.simulation.rendering.bands import BandSet
@@ -418,93 +417,3 @@ def test_a_relit_scene_is_a_flight_line(varies: bool) -> None:
     found = made.drop_vars("reflectance").paint.reflectance().compute()
     np.testing.assert_allclose(found.reflectance, made.reflectance, rtol=1e-3)
     assert not found.quality.values.any()
-
-
-# --- what cannot be
-
-
-def test_a_sun_that_was_not_traced(traced: xr.Dataset) -> None:
-    with pytest.raises(SchemaError, match=r"\(40.02, 150\) degrees; traced were \(40, 150\), \(75, 260\)"):
-        traced.paint.relight(atmosphere=flat_light(direction=(40.02, 150.0)))
-    traced.paint.relight(atmosphere=flat_light(direction=(40.009, 150.0)))
-    traced.paint.relight(atmosphere=flat_light(0.0, direction=(10.0, 0.0)))  # no sun, no direction
-    with pytest.raises(SchemaError, match="overcast=True"):
-        hp.trace(two_cars(), flight(), [SUN]).paint.relight(atmosphere=flat_light(overcast_share=0.5))
-
-
-def test_paints_that_cannot_be_are_all_named(traced: xr.Dataset) -> None:
-    nm = np.array([380.0, 1050.0])
-    with pytest.raises(SchemaError) as caught:
-        traced.paint.relight(
-            paints={
-                "car_9": "red",
-                "car_0": (nm, np.array([0.5, 1.2])),
-                "car_1": (np.array([450.0, 1050.0]), np.array([0.5, 0.5])),
-                "brick": "no such spectrum",
-                "asphalt": (nm, np.array([-0.1, np.nan])),
-            },
-            atmosphere=line_light(),
-        )
-    message = str(caught.value)
-    for found in (
-        "paints['car_9'] names no instance",
-        "'car_0' goes from 0.5 to 1.2",
-        "'car_1' covers 450.0 to 1050.0 nm",
-        "there is no spectrum 'no such spectrum'",
-        "'asphalt' holds values that are not finite",
-    ):
-        assert found in message
-    assert message.count("\n") == 5
-
-
-def test_reflectances_may_be_clipped(traced: xr.Dataset) -> None:
-    nm = np.array([380.0, 1050.0])
-    high, limited = (nm, np.array([1.3, -0.2])), (nm, np.array([1.3, -0.2]))
-    with pytest.raises(SchemaError, match="clip=True"):
-        traced.paint.relight(FEW_BANDS, paints={"asphalt": high}, atmosphere=line_light())
-    made = traced.paint.relight(FEW_BANDS, paints={"asphalt": high}, atmosphere=line_light(), clip=True)
-    by_hand = lambda grid: np.interp(grid, *limited).clip(0.0, 1.0)  # noqa: E731
-    other = traced.paint.relight(FEW_BANDS, paints={"asphalt": by_hand}, atmosphere=line_light())
-    xr.testing.assert_allclose(made.radiance, other.radiance, rtol=1e-5)
-
-
-@pytest.mark.parametrize(
-    ("arguments", "found"),
-    [
-        ({"variation": np.ones((24, 2))}, "expected \\(2, along_track\\) = \\(2, 24\\)"),
-        ({"variation": -np.ones((2, 24))}, "negative"),
-        ({"bands": BandSet(np.array([500.0]), np.array(6.0), "gaussian", np.zeros(3) + 0.1)}, "3 columns"),
-        (
-            {"bands": BandSet(np.array([500.0, 1200.0]), np.array(6.0))},
-            "atmosphere 'flat' covers 300.0 to 1100.0",
-        ),
-        ({"atmosphere": "midnight"}, "midnight"),
-        ({"atmosphere": 3}, "expected an Atmosphere"),
-        ({"spectra": [1, 2]}, "no mapping"),
-        ({"paints": {"car_0": "red", "nothing": "red"}}, "'nothing'"),
-    ],
-)
-def test_arguments_that_cannot_be(traced: xr.Dataset, arguments: dict[str, Any], found: str) -> None:
-    with pytest.raises(SchemaError, match=found):
-        hp.relight(traced, **{"atmosphere": flat_light(), **arguments})
-
-
-def test_an_untraced_dataset() -> None:
-    with pytest.raises(SchemaError, match="no traced dataset"):
-        xr.Dataset().paint.relight()
-    made = tracing()
-    with pytest.raises(SchemaError, match="'transport_path' is missing"):
-        made.drop_vars("transport_path").paint.relight()
-
-
-def test_an_instance_of_many_materials_has_no_one_paint() -> None:
-    stripes = [Material(f"stripe {n}", "panel_20", "panel") for n in range(2)]
-    scene = plane(4.0, stripes[0], instance="chart")
-    other = plane(4.0, stripes[1], centre=(4.0, 0, 0), instance="other")
-    joined = type(scene).join([scene, other])
-    both = dataclasses.replace(joined, face_instance=np.zeros_like(joined.face_instance))
-    with pytest.raises(SchemaError, match="2 materials to paint; name one of them: 'stripe 0', 'stripe 1'"):
-        hp.trace(both, flight(1, 1), [SUN]).paint.relight(paints={"chart": "red"}, atmosphere=flat_light())
-    shared = dataclasses.replace(joined, face_material=np.zeros_like(joined.face_material))
-    with pytest.raises(SchemaError, match="'other' would change too"):
-        hp.trace(shared, flight(1, 1), [SUN]).paint.relight(paints={"chart": "red"}, atmosphere=flat_light())
