@@ -1,6 +1,6 @@
 """Regions proposed on cars whose light is traced: how many signatures are right, wrong or refused.
 
-    python benchmarks/proposed_cars.py                     ten scenes of seeds 100 to 109, ten minutes
+    python benchmarks/proposed_cars.py                     ten scenes of seeds 200 to 209, ten minutes
     python benchmarks/proposed_cars.py --seeds 0 1 2       others
     python benchmarks/proposed_cars.py --flakes            with metallic paints, whose flakes add a lobe
 
@@ -8,7 +8,8 @@ Scenes: car parks of 256 x 320 pixels of 3.5 to 5 cm and 60 bands from 15 m, und
 from the zenith, of paints under clear coats that mirror sun and sky; a signal-to-noise ratio of 100.
 Counted are cars that lie in the picture as a whole. A signature, less the mirrored sky, is right where it
 is its paint's spectrum (mirror reflection excluded) within 0.01 rms after one scale factor, and within
-max(0.03, 6 %) as it is. The rules know nothing of the scene but the sun's place.
+max(0.03, 6 %) as it is. The rules know nothing of the scene but the sun's place; they were tuned on seeds
+below 200.
 """
 
 from __future__ import annotations
@@ -124,7 +125,7 @@ def look(seed: int, flakes: bool, samples: int) -> tuple[int, int, int, int]:
 def main(arguments: list[str] | None = None) -> int:
     """Print the table; return 1 where fewer than nine in ten cars are right, or any is wrong."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
-    parser.add_argument("--seeds", type=int, nargs="+", default=list(range(100, 110)))
+    parser.add_argument("--seeds", type=int, nargs="+", default=list(range(200, 210)))
     parser.add_argument("--flakes", action="store_true", help="metallic paints too")
     parser.add_argument("--samples", type=int, default=128, help="rays a pixel")
     asked = parser.parse_args(arguments)

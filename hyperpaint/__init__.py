@@ -27,21 +27,43 @@ from .schema import Quality
 if TYPE_CHECKING:
     from .alignment import align_to_irradiance, apply_alignment, oxygen_residual
     from .calibration import calibrate
+    from .conventions import Convention
     from .corrections import correct_light, remove_mirrored_sky
     from .flags import flag
+    from .georeference import (
+        PinholeCamera,
+        canonical_navigation,
+        footprint,
+        interpolate_pose,
+        locate,
+        spacing,
+    )
     from .illumination import Tilt, match_irradiance
     from .io.asd import open_asd
+    from .io.dirsig import write_dirsig
+    from .io.envi_writing import write_envi
     from .io.flightline import open_flightline
+    from .io.geotiff import write_geotiff
     from .io.irradiance import open_irradiance
+    from .io.library import open_library, write_library
+    from .io.line_table import write_line_table
+    from .io.navigation_opening import open_navigation
+    from .io.panel_certificate import read_certificate
     from .io.store import encoding, open_store, to_store, verify
+    from .io.svc import open_svc
     from .laboratory import open_collect
+    from .mixing import mix_paints, sample_paints, shade_paints
+    from .orthorectification import MapGrid, map_report, orthorectify
+    from .paint_search import search_library
     from .picking import pick_regions
     from .pipeline import process
     from .plot import quicklook, rgb
+    from .plot_adjacency import adjacency_figure
     from .plot_calibration import calibration_report
     from .plot_flags import flag_overlay
     from .plot_library import library_overview
     from .plot_spectra import spectrum, triptych
+    from .plot_validation import validation_figure
     from .proposals import Proposals, propose_regions
     from .radiometry import Panel, radiance, reflectance
     from .regions import Region, Regions, read_regions, write_regions
@@ -53,35 +75,51 @@ if TYPE_CHECKING:
     from .simulation.rendering.relighting import relight
     from .simulation.rendering.tracing import trace
     from .smoothing import smooth
+    from .starter_paints import starter_library
     from .sun import solar_position
     from .uncertainty import estimate_noise, mean_uncertainty
+    from .validation import Validation, validate
 
 __version__ = "0.1.0"
 
 _HOME = {
+    "Convention": "conventions",
     "Panel": "radiometry",
+    "PinholeCamera": "georeference",
     "Region": "regions",
     "Regions": "regions",
     "SceneModel": "scene_model",
     "Tilt": "illumination",
+    "adjacency_figure": "plot_adjacency",
     "align_to_irradiance": "alignment",
     "apply_alignment": "alignment",
     "calibrate": "calibration",
     "calibration_report": "plot_calibration",
+    "canonical_navigation": "georeference",
     "correct_light": "corrections",
     "encoding": "io.store",
     "estimate_noise": "uncertainty",
     "extract_signatures": "signatures",
     "flag_overlay": "plot_flags",
+    "footprint": "georeference",
+    "interpolate_pose": "georeference",
     "library_overview": "plot_library",
     "flag": "flags",
+    "locate": "georeference",
     "match_irradiance": "illumination",
     "mean_uncertainty": "uncertainty",
+    "mix_paints": "mixing",
+    "map_report": "orthorectification",
+    "MapGrid": "orthorectification",
     "open_asd": "io.asd",
     "open_collect": "laboratory",
     "open_flightline": "io.flightline",
     "open_irradiance": "io.irradiance",
+    "open_library": "io.library",
+    "open_navigation": "io.navigation_opening",
     "open_store": "io.store",
+    "open_svc": "io.svc",
+    "orthorectify": "orthorectification",
     "oxygen_residual": "alignment",
     "pick_regions": "picking",
     "process": "pipeline",
@@ -89,33 +127,50 @@ _HOME = {
     "propose_regions": "proposals",
     "quicklook": "plot",
     "radiance": "radiometry",
+    "read_certificate": "io.panel_certificate",
     "read_regions": "regions",
     "reflectance": "radiometry",
     "relight": "simulation.rendering.relighting",
     "remove_mirrored_sky": "corrections",
     "render_scene": "scene_rendering",
     "rgb": "plot",
+    "sample_paints": "mixing",
+    "search_library": "paint_search",
+    "shade_paints": "mixing",
     "simulate_collect": "simulation",
     "smooth": "smoothing",
     "solar_position": "sun",
+    "spacing": "georeference",
     "spectrum": "plot_spectra",
+    "starter_library": "starter_paints",
     "survey": "scene_model",
     "to_store": "io.store",
     "trace": "simulation.rendering.tracing",
     "triptych": "plot_spectra",
+    "validate": "validation",
+    "Validation": "validation",
+    "validation_figure": "plot_validation",
     "verify": "io.store",
+    "write_dirsig": "io.dirsig",
+    "write_envi": "io.envi_writing",
+    "write_geotiff": "io.geotiff",
+    "write_library": "io.library",
+    "write_line_table": "io.line_table",
     "write_regions": "regions",
     "write_report": "report",
 }
 
 __all__ = [
     "CollectError",
+    "Convention",
     "FormatError",
     "IncompleteStoreError",
+    "MapGrid",
     "MissingExtraError",
     "PaintError",
     "PaintWarning",
     "Panel",
+    "PinholeCamera",
     "Proposals",
     "Quality",
     "Region",
@@ -126,46 +181,71 @@ __all__ = [
     "Tilt",
     "TimeError",
     "UnitsError",
+    "Validation",
     "__version__",
+    "adjacency_figure",
     "align_to_irradiance",
     "apply_alignment",
     "calibrate",
     "calibration_report",
+    "canonical_navigation",
     "correct_light",
     "encoding",
     "estimate_noise",
     "extract_signatures",
     "flag",
     "flag_overlay",
+    "footprint",
+    "interpolate_pose",
     "library_overview",
+    "locate",
+    "map_report",
     "match_irradiance",
     "mean_uncertainty",
+    "mix_paints",
     "open_asd",
     "open_collect",
     "open_flightline",
     "open_irradiance",
+    "open_library",
+    "open_navigation",
     "open_store",
+    "open_svc",
+    "orthorectify",
     "oxygen_residual",
     "pick_regions",
     "process",
     "propose_regions",
     "quicklook",
     "radiance",
+    "read_certificate",
     "read_regions",
     "reflectance",
     "relight",
     "remove_mirrored_sky",
     "render_scene",
     "rgb",
+    "sample_paints",
+    "search_library",
+    "shade_paints",
     "simulate_collect",
     "smooth",
     "solar_position",
+    "spacing",
     "spectrum",
+    "starter_library",
     "survey",
     "to_store",
     "trace",
     "triptych",
+    "validate",
+    "validation_figure",
     "verify",
+    "write_dirsig",
+    "write_envi",
+    "write_geotiff",
+    "write_library",
+    "write_line_table",
     "write_regions",
     "write_report",
 ]

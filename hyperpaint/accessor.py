@@ -13,6 +13,9 @@ if TYPE_CHECKING:
 
     from .alignment.column_means import Progress
     from .alignment.windows import Window
+    from .conventions import Convention
+    from .georeference import PinholeCamera
+    from .georeference.poses import Interpolation
     from .illumination import Tilt
     from .io.store import StoreReport
     from .proposals import Proposals
@@ -215,6 +218,48 @@ class PaintAccessor:
             **options,
         )
 
+    def remove_mirrored_sky(
+        self,
+        *,
+        strength: float = 0.04,
+        sky_view_factor: float = 1.0,
+        diffuse: Any = "model",
+        sun_zenith: float | None = None,
+        dims: Dims | None = None,
+    ) -> xr.Dataset:
+        """Subtract the sky that a clear coat mirrors; see `hyperpaint.remove_mirrored_sky`."""
+        from .corrections import remove_mirrored_sky
+
+        return remove_mirrored_sky(
+            self._by_role(dims),
+            strength=strength,
+            sky_view_factor=sky_view_factor,
+            diffuse=diffuse,
+            sun_zenith=sun_zenith,
+        )
+
+    def correct_light(
+        self,
+        *,
+        direct: Any = 1.0,
+        sky_view_factor: Any = 1.0,
+        neighbour_reflectance: float = 0.2,
+        diffuse: Any = "model",
+        sun_zenith: float | None = None,
+        dims: Dims | None = None,
+    ) -> xr.Dataset:
+        """Divide by the light of a tilted surface, or one with less sky; see `hyperpaint.correct_light`."""
+        from .corrections import correct_light
+
+        return correct_light(
+            self._by_role(dims),
+            direct=direct,
+            sky_view_factor=sky_view_factor,
+            neighbour_reflectance=neighbour_reflectance,
+            diffuse=diffuse,
+            sun_zenith=sun_zenith,
+        )
+
     def propose_regions(
         self,
         model: SceneModel | xr.Dataset | None = None,
@@ -350,6 +395,40 @@ class PaintAccessor:
         from .plot_flags import flag_overlay
 
         return flag_overlay(self._by_role(dims), flags, layer=layer, lines=lines, opacity=opacity, axes=axes)
+
+    def locate(
+        self,
+        *,
+        navigation: xr.Dataset | None = None,
+        boresight: Sequence[float] = (0.0, 0.0, 0.0),
+        lever_arm: Sequence[float] = (0.0, 0.0, 0.0),
+        ground: float | None = None,
+        dem: xr.DataArray | None = None,
+        crs: Any = None,
+        camera: PinholeCamera | xr.Dataset | None = None,
+        clock_offset_s: float = 0.0,
+        convention: Convention | None = None,
+        max_gap_s: float | None = None,
+        interpolation: Interpolation = "linear",
+        dims: Dims | None = None,
+    ) -> xr.Dataset:
+        """Add the place on the ground that every pixel shows; see `hyperpaint.locate`."""
+        from .georeference import locate
+
+        return locate(
+            self._by_role(dims),
+            navigation=navigation,
+            boresight=boresight,
+            lever_arm=lever_arm,
+            ground=ground,
+            dem=dem,
+            crs=crs,
+            camera=camera,
+            clock_offset_s=clock_offset_s,
+            convention=convention,
+            max_gap_s=max_gap_s,
+            interpolation=interpolation,
+        )
 
     def verify(self) -> StoreReport:
         """Read every chunk of the store that the dataset was opened from (eager); see `hyperpaint.verify`.

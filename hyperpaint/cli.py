@@ -14,8 +14,11 @@ import click
 
 from . import __version__
 from .console import FAILED_CHECK, Program, is_watched, listed, progress_bar
+from .export_command import export
+from .paints_command import list_paints
 from .render_command import render
 from .report_command import make_report
+from .validate_command import validate
 
 __all__ = ["main"]
 
@@ -35,6 +38,9 @@ Examples:
   hyperpaint process collect.toml --out lot.zarr      raw counts to calibrated reflectance
   hyperpaint verify lot.zarr                          is every chunk of it there and right?
   hyperpaint signatures lot.zarr --regions cars.geojson --out paints.zarr
+  hyperpaint validate paints.zarr --reference 'svc/*.sig'
+  hyperpaint export paints.zarr --format dirsig --out dirsig
+  hyperpaint paints --colour red                      red ones of the synthetic starter library
   hyperpaint report lot.zarr --out report.html        all of it on one page
   hyperpaint render --example > scene.toml            a synthetic scene to begin with
   hyperpaint render scene.toml --out scene.zarr       its cubes, with what is true of every pixel
@@ -119,6 +125,7 @@ Examples:
   hyperpaint simulate sim --lines 2000
   hyperpaint simulate sim --sky near_sunset --samples 64
   hyperpaint simulate sim --shape slit --smile 1.5 --cloud 0.6 4 2 --dropped 12
+  hyperpaint simulate sim --scene checkerboard --swath 5 --wobble rough
   hyperpaint simulate sim --no-noise --no-smile --seed 7 --overwrite""",
 )
 @click.argument("folder", metavar="DIR", type=_FOLDER)
@@ -127,9 +134,28 @@ Examples:
 @click.option("--columns", default=320, show_default=True, type=int, help="Columns.")
 @click.option("--seed", default=0, show_default=True, type=int, help="Random seed; same seed, same files.")
 @click.option(
-    "--scene", type=click.Choice(["rendered", "plan"]), default="rendered", show_default=True,
-    help="A car park of triangles whose light is traced, or a flat picture.",
+    "--scene", type=click.Choice(["rendered", "plan", "checkerboard"]), default="rendered", show_default=True,
+    help="A car park of triangles whose light is traced, a flat picture, or squares of known corners.",
 )  # fmt: skip
+@click.option(
+    "--wobble", type=click.Choice(["none", "slow", "calm", "rough"]),
+    help="How the platform moves about its course.  [default: slow]",
+)  # fmt: skip
+@click.option(
+    "--swath", type=float, metavar="M", help="Width of a checkerboard's flight line.  [default: 16]"
+)
+@click.option("--course", type=float, metavar="DEGREE", help="Course over a checkerboard, from true north.")
+@click.option(
+    "--boresight", type=float, nargs=3, default=None, metavar="ROLL PITCH HEADING",
+    help="Angles of the camera in the platform [degree].",
+)  # fmt: skip
+@click.option(
+    "--lever-arm", type=float, nargs=3, default=None, metavar="FORWARD RIGHT DOWN",
+    help="Camera from the point that positions are of [m].",
+)  # fmt: skip
+@click.option(
+    "--navigation-rate", type=int, metavar="HZ", help="Rows of navigation a second.  [default: 100]"
+)
 @click.option("--samples", type=int, metavar="N", help="Rays a pixel of a rendered scene.  [default: 16]")
 @click.option(
     "--sky", type=click.Choice(["clear", "near_sunset", "overcast"]), help="Kind of light.  [default: clear]"
@@ -348,6 +374,7 @@ Examples:
   hyperpaint signatures lot.zarr --regions cars.geojson --out paints.zarr
   hyperpaint signatures lot.zarr --out paints.zarr                     roofs of cars, proposed by rule
   hyperpaint signatures lot.zarr --regions cars.geojson --out paints.zarr --keep shadow
+  hyperpaint signatures lot.zarr --regions cars.geojson --out paints.zarr --no-flags
   hyperpaint signatures lot.zarr --regions cars.geojson --out paints.zarr --smooth box --window 5""",
 )
 @click.argument("store", metavar="STORE.zarr", type=_INPUT)
@@ -373,6 +400,28 @@ Examples:
 )
 @click.option("--specular-sky", is_flag=True, help="Subtract the sky that a clear coat mirrors.")
 @click.option(
+    "--flags/--no-flags", default=True, show_default=True,
+    help="Look for glint, shadow and light of neighbours first, on lines where nobody has.",
+)  # fmt: skip
+@click.option(
+    "--sun-zenith", type=click.FloatRange(0.0, 90.0), metavar="DEGREE",
+    help="Zenith angle of the sun.  [default: from time and position of the line]",
+)  # fmt: skip
+@click.option(
+    "--diffuse", type=click.Choice(["model", "pvlib", "shadow"]),
+    help="Where the part of the sky in the light is known from.  [default: model]",
+)  # fmt: skip
+@click.option(
+    "--glint", type=click.FloatRange(0.0), metavar="SHARE", help="Limit of mirrored sun.  [default: 0.02]"
+)
+@click.option(
+    "--shadow", type=click.FloatRange(0.0), metavar="SHARE", help="Limit of missing beam.  [default: 0.2]"
+)
+@click.option(
+    "--adjacency", type=click.FloatRange(0.0), metavar="SHARE",
+    help="Limit of a coloured neighbour's light.  [default: 0.01]",
+)  # fmt: skip
+@click.option(
     "--members", type=click.IntRange(min=0), default=256, show_default=True,
     help="Pixels of a region that are kept as they are.",
 )  # fmt: skip
@@ -383,20 +432,36 @@ Examples:
 @click.option("--overwrite", is_flag=True, help="Replace a library made from something else.")
 @click.option("--quiet", is_flag=True, help="No progress bar.")
 def signatures(
-    store: Path, regions: Path | None, out: Path, smooth: str | None, window: int, quiet: bool, **options: Any
+    store: Path,
+    regions: Path | None,
+    out: Path,
+    smooth: str | None,
+    window: int,
+    flags: bool,
+    quiet: bool,
+    **options: Any,
 ) -> None:
     """Turn regions of a processed store into a library of paint signatures.
 
     Regions are polygons in GeoJSON, x the column and y the line of the cube, each with a property name (and
     flightline, where the store has several). A paint has centre, spread, quantiles, single pixels,
-    uncertainty, flags and all that its region says. Left out are saturated pixels, and those that the store
-    flags as glint, shadow or a neighbour's light; process does not look for these, .paint.flag() does.
+    uncertainty, flags and all that its region says. Left out are saturated pixels, and those in glint, in
+    shadow or in a neighbour's light. Lines of which the store does not say where these are, as process leaves
+    them, are looked at as a whole first; --no-flags does without.
     """
     from .signature_files import table_of, write_signatures
 
     smoothing = None if smooth is None else {"method": smooth, "window": window}
-    with progress_bar("extracting", is_watched(quiet)) as shown:
-        made = write_signatures(store, regions, out, smooth=smoothing, progress=shown, **options)
+    limits = {name: options.pop(name) for name in ("diffuse", "glint", "shadow", "adjacency")}
+    given = {name: value for name, value in limits.items() if value is not None}
+    if given and not flags:
+        named = ", ".join(f"--{name}" for name in given)
+        msg = f"--no-flags looks for nothing; leave out {named}"
+        raise click.UsageError(msg)
+    with progress_bar("flags and signatures" if flags else "extracting", is_watched(quiet)) as shown:
+        made = write_signatures(
+            store, regions, out, smooth=smoothing, flags=given or flags, progress=shown, **options
+        )
     click.echo(f"{out}: {made.sizes['paint']} paints, {made.sizes['band']} bands\n{table_of(made)}")
 
 
@@ -438,5 +503,8 @@ def verify(ctx: click.Context, /, store: Path) -> None:
         ctx.exit(FAILED_CHECK)
 
 
+main.add_command(export)
+main.add_command(list_paints)
 main.add_command(render)
 main.add_command(make_report)
+main.add_command(validate)

@@ -31,6 +31,9 @@ class Program(click.Group):
                 text = "\n".join([str(error), *getattr(error, "__notes__", ())])
                 text = text.replace("pass overwrite=True", "pass --overwrite")
                 text = text.replace("with overwrite=True", "with --overwrite")
+                text = text.replace("give sun_zenith=", "give --sun-zenith")
+                text = text.replace("pairs={paint: reference}", "--pairs")
+                text = text.replace("flags=False does without", "--no-flags does without")
                 click.echo(f"error: {text}", err=True)
                 ctx.exit(WRONG_INPUT)
 

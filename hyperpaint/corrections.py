@@ -25,6 +25,14 @@ CORRECTIONS = ("mirrored_sky_removed", "light_corrected", "tilt")
 NORMAL_REFLECTANCE = 0.04
 """Of a clear coat of index 1.5, ((n - 1) / (n + 1))^2 [1]."""
 
+_MENDED = {
+    "mirrored_sky_removed": "start from reflectance that is as it was seen",
+    "light_corrected": "start from reflectance that is as it was seen, and remove the mirrored sky first",
+    "tilt": "compute reflectance without tilt=, remove the mirrored sky first where it is to be removed, "
+    "then call correct_light(direct=cos(incidence) / cos(sun zenith), sky_view_factor=(1 + cos(tilt)) / 2)",
+}
+"""How to go on where a correction was made before."""
+
 _LEVELS = ("reflectance", "reflectance_quantiles", "member_reflectance")
 _WIDTHS = ("reflectance_sd", "reflectance_u_random", "reflectance_u_systematic")
 """Of a flight line or of a paint library: what moves with a level, and what only scales."""
@@ -57,19 +65,22 @@ def remove_mirrored_sky(
     -------
     Dataset
         The same with ``reflectance`` lowered, and a library's quantiles and members; the attribute
-        ``mirrored_sky_removed`` of reflectance says by what.
+        ``mirrored_sky_removed`` of reflectance says by what, and ``mirror_reflection`` is "excluded".
 
     Raises
     ------
     SchemaError
-        ``reflectance`` or ``wavelength`` is missing, numbers leave 0 to 1, the sky was removed or the light
-        corrected before, or the split is not known; all are listed.
+        ``reflectance`` or ``wavelength`` is missing, numbers leave 0 to 1, the sky was removed before or all
+        divided by a tilted surface's light (`correct_light`, or ``tilt=`` of `hyperpaint.reflectance`), or
+        the split is not known; all are listed.
 
     Notes
     -----
     .. math:: \rho = \rho_{obs} - F_0 V f_{dif}
 
-    of a sky as bright everywhere. The blue sky near the zenith is darker than its mean when the sun is low.
+    Of a tilted panel, the sky is removed first, and the light corrected then: what is mirrored does not
+    become more with the light that falls on the paint. The sky is taken to be as bright everywhere; near the
+    zenith it is darker than its mean when the sun is low.
 
     Examples
     --------
@@ -81,8 +92,7 @@ def remove_mirrored_sky(
     """
     line = schema.rename_to_roles(line)
     # what a tilted surface mirrors is subtracted before all is divided by its light
-    done = ("mirrored_sky_removed", "light_corrected")
-    _check(line, done, strength=strength, sky_view_factor=sky_view_factor)
+    _check(line, CORRECTIONS, strength=strength, sky_view_factor=sky_view_factor)
     fraction, source = _fraction_of(line, diffuse, sun_zenith)
     taken = (strength * sky_view_factor * fraction).astype(np.float32)
     text = f"F0 {strength:g} x sky view {sky_view_factor:g} x diffuse fraction ({source})"
@@ -127,8 +137,8 @@ def correct_light(
     Raises
     ------
     SchemaError
-        ``reflectance`` or ``wavelength`` is missing, numbers cannot be, the light was corrected before, or
-        the split is not known; all are listed.
+        ``reflectance`` or ``wavelength`` is missing, numbers cannot be, the light was corrected before (here,
+        or by ``tilt=`` of `hyperpaint.reflectance`), or the split is not known; all are listed.
 
     Notes
     -----
@@ -148,7 +158,7 @@ def correct_light(
         for name, value in (("direct", direct), ("sky_view_factor", sky_view_factor))
         if np.ndim(value) == 0 and not hasattr(value, "dims")
     }
-    _check(line, ("light_corrected",), most=10.0, neighbour_reflectance=neighbour_reflectance, **plain)
+    _check(line, ("light_corrected", "tilt"), most=10.0, neighbour_reflectance=neighbour_reflectance, **plain)
     fraction, source = _fraction_of(line, diffuse, sun_zenith)
     sky = _on_bands(fraction)
     light = direct * (1.0 - sky) + sky_view_factor * sky + (1.0 - sky_view_factor) * neighbour_reflectance
@@ -173,7 +183,7 @@ def _check(line: xr.Dataset, done: tuple[str, ...], *, most: float = 1.0, **numb
     before = line["reflectance"].attrs if "reflectance" in line.variables else {}
     for name in done:
         if name in before:
-            problems.add(f"it was before: {name} is {before[name]!r}")
+            problems.add(f"it was before: {name} is {before[name]!r}; {_MENDED[name]}")
     problems.raise_if_any()
 
 
@@ -202,7 +212,8 @@ def _with(line: xr.Dataset, made: dict[str, xr.DataArray], name: str, text: str)
         key: array.astype(np.float32).transpose(*line[key].dims).assign_attrs(line[key].attrs)
         for key, array in made.items()
     }
-    done["reflectance"] = done["reflectance"].assign_attrs({name: text})
+    said = {"mirror_reflection": "excluded"} if name == "mirrored_sky_removed" else {}
+    done["reflectance"] = done["reflectance"].assign_attrs({name: text, **said})
     corrected = line.assign(done)
     if PAINT in line["reflectance"].dims:
         before = line.attrs.get("corrections", "none")

@@ -59,8 +59,15 @@ def axes_or_new(axes: Any, purpose: str, **options: Any) -> Any:
     return pyplot.subplots(layout="constrained", **options)[1]
 
 
-def label_for(text: object) -> str:
+def label_for(text: object, longest: int = _LONGEST_LABEL) -> str:
     r"""Return a text as matplotlib draws it letter by letter: no formula, nothing hidden, no control sign.
+
+    Parameters
+    ----------
+    text
+        What to draw.
+    longest
+        Letters at the most.
 
     Examples
     --------
@@ -68,8 +75,8 @@ def label_for(text: object) -> str:
     \$5 paint
     """
     made = "".join(sign if sign.isprintable() else "\ufffd" for sign in str(text))
-    if len(made) > _LONGEST_LABEL:
-        made = made[: _LONGEST_LABEL - 3] + "..."
+    if len(made) > longest:
+        made = made[: longest - 3] + "..."
     made = made.replace("$", r"\$")
     return f" {made}" if made.startswith("_") else made  # a legend leaves out what begins with one
 

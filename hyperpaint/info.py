@@ -25,9 +25,14 @@ from .schema import ALONG_TRACK
 __all__ = ["describe_path"]
 
 _EXPECTED = (
-    "expected an ENVI header or cube, an ASD file, a text or csv export of spectra, a frame index, "
-    "imu_gps.txt, settings.txt, a collect.toml, or a Zarr store or a group in it"
+    "expected an ENVI header or cube, an ASD file, an SVC .sig file, a text or csv export of spectra, "
+    "a spectral library, a DIRSIG .ems or .mat file, a frame index, imu_gps.txt, "
+    "SBET, .lcf or csv navigation, settings.txt, "
+    "a collect.toml, or a Zarr store or a group in it"
 )
+_TABLES = (".txt", ".csv", ".tsv", ".asc")
+_MOST_NAMED = 5
+_HEAD = 4096
 
 
 def describe_path(path: str | Path) -> str:
@@ -66,8 +71,12 @@ def _file(path: Path) -> Facts:
 
     if path.suffix.lower() == ".toml":
         return _collect(path)
+    if _is_pose_table(path):
+        return _poses(path)
     if path.suffix.lower() == ".hdr":
         return _envi(path)
+    if path.suffix.lower() == ".sig":
+        return _svc(path)
     kind: str = sniff(path)
     readers: Mapping[str, Callable[[Path], Facts]] = {
         "binary": _asd,
@@ -86,6 +95,10 @@ def _file(path: Path) -> Facts:
     beside = (path.with_name(path.name + ".hdr"), path.with_suffix(".hdr"))
     if any(header.is_file() for header in beside):
         return _envi(path)
+    if path.suffix.lower() in (*_TABLES, ".ems"):
+        return _spectra_if_any(path)
+    if path.suffix.lower() == ".mat":
+        return _materials(path)
     msg = f"{path}: not a kind of file known here; {_EXPECTED}"
     raise FormatError(msg)
 
@@ -95,13 +108,17 @@ def _file(path: Path) -> Facts:
 
 def _envi(path: Path) -> Facts:
     from .io.envi import find_pair, open_envi
-    from .io.envi_header import read_header
+    from .io.envi_header import MAX_LIBRARY_HEADER_BYTES, read_header
+    from .io.eph_att import is_eph_att
     from .io.headwall import exposure_seconds
 
     header_path, data = find_pair(path)
-    header = read_header(header_path)
+    header = read_header(header_path, MAX_LIBRARY_HEADER_BYTES)
     if header.is_spectral_library:
-        yield "is", f"ENVI spectral library: {header.lines} spectra of {header.samples} values"
+        yield from _library(header_path)
+        return
+    if is_eph_att(header):
+        yield from _poses(path)
         return
     opened = open_envi(path)
     name, cube = next(iter(opened.data_vars.items()))
@@ -139,6 +156,29 @@ def _asd(path: Path) -> Facts:
     yield "saturated", ", ".join(sorted(file.saturated))
 
 
+def _svc(path: Path) -> Facts:
+    from .io.svc_fields import error_bits, overlap_of, pair, position_of
+    from .io.svc_layout import read_svc
+
+    file = read_svc(path)
+    overlap = overlap_of(file.header)
+    yield "is", f"SVC spectrum, {file.header.get('instrument', 'instrument unknown')}"
+    reference = "white reference and target" if file.has_reference else "target without white reference"
+    yield "holds", f"{reference}, in {' and '.join(dict.fromkeys(file.units))}"
+    yield "wavelength", f"{range_of(file.wavelength, 'nm')}, {counted(len(file.wavelength), 'channel')}"
+    yield "overlap", overlap.text
+    factors = file.header.get("factors", "").partition("[")[0].strip()
+    yield "matching", f"{overlap.matching or 'unknown'} (factors {factors or 'unknown'})"
+    yield "saved", f"{pair(file.header, 'time')[1]} by the local clock, as written"
+    clock = pair(file.header, "gpstime")[1]
+    yield "GPS time", f"{clock} UTC" if clock else ""
+    place = position_of(file.header, 1)
+    if place is None or not np.isnan(place[0]):
+        yield "position", "cannot be read" if place is None else "{:.6f}, {:.6f}".format(*place)
+    yield "errors", "reference {}, target {} (bits of the instrument)".format(*error_bits(file.header))
+    yield "comment", file.header.get("comm", "")
+
+
 def _asd_text(path: Path) -> Facts:
     from .io.asd_text import read_asd_text
 
@@ -162,6 +202,48 @@ def _irradiance_csv(path: Path) -> Facts:
     yield "wavelength", range_of(found.wavelength, "nm")
 
 
+def _spectra_if_any(path: Path) -> Facts:
+    """Tell what a table holds; one that cannot be read may be something else altogether."""
+    try:
+        yield from _library(path)
+    except FormatError as error:
+        msg = f"{path}: not a kind of file known here; {_EXPECTED}. Taken for spectra: {error}"
+        raise FormatError(msg) from error
+
+
+def _library(path: Path) -> Facts:
+    from .io.library import open_library
+
+    library = open_library(path)
+    form = library.attrs.get("format", library.attrs.get("layout", "paint library"))
+    yield "is", f"{form}: {counted(library.sizes['paint'], 'spectrum').replace('spectrums', 'spectra')}"
+    yield "paints", _named(library)
+    yield from ((str(name), form_of(array)) for name, array in library.data_vars.items())
+    yield from facts_of_bands(library)
+    about = [
+        str(name) for name, array in library.coords.items() if array.dims == ("paint",) and name != "paint"
+    ]
+    yield "also says", ", ".join(about)
+    yield "notes", str(library.attrs.get("notes", "")).replace("; ", "\n")
+
+
+def _named(library: Any) -> str:
+    names = [str(name) for name in library["paint"].values[:_MOST_NAMED]]
+    more = library.sizes["paint"] - len(names)
+    # a name may hold a comma
+    return "; ".join(names) + (f"; and {more} more" if more > 0 else "")
+
+
+def _materials(path: Path) -> Facts:
+    from .io.dirsig import read_materials
+
+    found = read_materials(path)
+    yield "is", f"DIRSIG material list: {counted(len(found), 'material')}"
+    names = "; ".join(f"{one.id} ({one.name})" for one in found[:_MOST_NAMED])
+    more = len(found) - _MOST_NAMED
+    yield "materials", names + (f"; and {more} more" if more > 0 else "")
+
+
 def _frame_index(path: Path) -> Facts:
     from .io.headwall import read_frame_index
 
@@ -181,6 +263,46 @@ def _navigation(path: Path) -> Facts:
         yield "times", times_of(record.utc.astype("datetime64[ns]"))
     for name in ("latitude", "longitude", "altitude"):
         yield name, range_of(record.values[name], "m" if name == "altitude" else "degree", digits=6)
+
+
+def _is_pose_table(path: Path) -> bool:
+    from .io.navigation_csv import is_navigation_csv
+
+    if path.suffix.lower() in (".sbet", ".lcf"):
+        return True
+    try:
+        with open(path, "rb") as file:
+            head = file.read(_HEAD)
+    except OSError:  # the reader of its kind says so
+        return False
+    if path.suffix.lower() == ".out":
+        return b"\0" in head
+    return path.suffix.lower() in _TABLES and b"\0" not in head and is_navigation_csv(head)
+
+
+def _poses(path: Path) -> Facts:
+    from .io.navigation_opening import navigation_format, read_record
+
+    kind = navigation_format(path)
+    if kind == "imu_gps":
+        yield from _navigation(path)
+        return
+    record = read_record(path, kind)
+    meant = record.convention
+    yield "is", f"navigation record ({record.format}): {counted(record.stamp.size, 'row')}"
+    if record.counts_from == "week":
+        week = "a GPS week: give week= or date=" if record.week is None else f"GPS week {record.week}"
+        yield "times", f"{range_of(record.stamp / 1e9, 's')} of {week}"
+    else:
+        clock = " (clock of GPS)" if record.time_scale == "gps" else ""
+        yield "times", times_of(record.stamp.astype("datetime64[ns]")) + clock
+    for name, values in record.values.items():
+        place = {"latitude": "degree", "longitude": "degree", "altitude": "m"}
+        yield name, range_of(values, place.get(name, meant.angle_unit), digits=6)
+    signs = f"roll + {meant.roll_positive}, pitch + {meant.pitch_positive}, heading {meant.heading_positive}"
+    references = f"{meant.heading_reference} north, height above the {meant.height_reference}"
+    yield "means", f"{signs} from {references}".replace("_", " ")
+    yield "assumed", ", ".join(record.assumed)
 
 
 def _settings(path: Path) -> Facts:
@@ -225,10 +347,13 @@ def _collect(path: Path) -> Facts:
 def _folder(path: Path) -> Facts:
     if (path / "zarr.json").is_file():
         return _store(path)
+    if any(path.glob("*.spectrum.txt")):
+        return _library(path)
     known = sorted(
         entry.name
         for entry in path.iterdir()
-        if entry.suffix.lower() in (".toml", ".hdr", ".asd", ".zarr") and not entry.name.startswith(".")
+        if entry.suffix.lower() in (".toml", ".hdr", ".asd", ".sig", ".zarr")
+        and not entry.name.startswith(".")
     )
     seen = f"; in it are {', '.join(known[:8])}{' ...' if len(known) > 8 else ''}" if known else ""
     msg = f"{path} is a folder, not a Zarr store{seen}; {_EXPECTED}"
@@ -269,6 +394,7 @@ def _group(path: Path, name: str) -> Facts:
     elif "irradiance" in group:
         yield from facts_of_irradiance(group)
     else:
+        yield "paints", _named(group) if "paint" in group.coords and group["paint"].ndim == 1 else ""
         yield from ((str(key), form_of(array)) for key, array in sorted(group.data_vars.items(), key=str))
         yield from facts_of_bands(group)
 

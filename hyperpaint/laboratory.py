@@ -130,8 +130,8 @@ def open_collect(
     Returns
     -------
     xarray.DataTree
-        ``/flightlines/<id>`` (see `open_flightline`), ``/irradiance`` and ``/calibration``; the root holds
-        attributes and no variables.
+        ``/flightlines/<id>`` (see `open_flightline`), ``/irradiance``, ``/calibration`` and
+        ``/references/<instrument>``; the root holds attributes and no variables.
 
     Raises
     ------
@@ -150,7 +150,7 @@ def open_collect(
     >>> path = simulate_collect(tempfile.mkdtemp(), scene="plan", lines=40, bands=4, columns=6, cubes=2)
     >>> tree = open_collect(path)
     >>> sorted(tree.children), sorted(tree["flightlines"].children)
-    (['calibration', 'flightlines', 'irradiance'], ['raw_0', 'raw_20'])
+    (['calibration', 'flightlines', 'irradiance', 'references'], ['raw_0', 'raw_20'])
     """
     from .io.collect import open_collect as opened
 

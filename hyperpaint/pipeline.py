@@ -48,7 +48,8 @@ def process(
 
     Each flight line becomes a group ``flightlines/<id>``: counts, everything that calibrates them,
     ``quality``, ``irradiance_age``, ``reflectance`` with 12 mantissa bits kept and a small true-colour
-    ``overview``. The whole irradiance record and the calibration are archived beside them.
+    ``overview``. The whole irradiance record, the calibration and the spectra of field spectrometers are
+    archived beside them.
 
     Everything is opened, and one slab of every line computed, before anything is written. A rerun writes only
     the groups that are missing, and nothing where all are there.
@@ -201,7 +202,8 @@ def _groups(tree: xr.DataTree, collect: Path, parameters: Mapping[str, Any]) -> 
     entries = read_collect(collect, need_irradiance=parameters["to"] == "reflectance").flightlines
     cubes = {f"flightlines/{entry.id}": find_pair(entry.cube)[1] for entry in entries}
     groups = {}
-    for name in (*cubes, "irradiance", "calibration"):
+    references = (f"references/{name}" for name in tree.children.get("references", {}))
+    for name in (*cubes, "irradiance", "calibration", *references):
         if f"/{name}" not in tree.groups:
             continue
         dataset = tree[name].to_dataset()
@@ -224,7 +226,9 @@ def _digest(dataset: xr.Dataset, cube: Path | None, parameters: Mapping[str, Any
     for name, variable in sorted(dataset.variables.items(), key=lambda item: str(item[0])):
         found.update(f"{name} {variable.dims} {variable.shape} {variable.dtype} {variable.attrs}".encode())
         if not dask.is_dask_collection(variable):
-            found.update(np.ascontiguousarray(variable.values).tobytes())
+            values = np.ascontiguousarray(variable.values)
+            # of texts numpy holds places in memory
+            found.update(repr(values.tolist()).encode() if values.dtype == object else values.tobytes())
     return found.hexdigest()[:32]
 
 

@@ -454,15 +454,15 @@ def _with(dataset: xr.Dataset, name: str, made: Any, quality: Any) -> xr.Dataset
     import xarray as xr
 
     flags = xr.DataArray(quality, dims=(ALONG_TRACK, CROSS_TRACK))
+    told: dict[str, Any] = {}
     if "quality" in dataset.variables:
         before = schema.require(dataset, ["quality"], name)["quality"].variable
         # what others found, such as glint or shadow, stays; what is found here from counts is found anew
         anew = int(_OWN_BITS[name]) if "counts" in dataset.variables else 0
         flags = flags | (before & np.uint16(0xFFFF ^ anew))
-    made = xr.DataArray(made, dims=(ALONG_TRACK, BAND, CROSS_TRACK))
-    return dataset.assign(
-        {name: schema.label(made, name), "quality": schema.label(flags.astype(np.uint16), "quality")}
-    )
+        told = {name: text for name, text in before.attrs.items() if name == "flags_from"}
+    bits = schema.label(flags.astype(np.uint16), "quality", **told)
+    return dataset.assign({name: schema.label(xr.DataArray(made, dims=schema.CUBE), name), "quality": bits})
 
 
 def worked_example() -> xr.Dataset:

@@ -6,7 +6,6 @@ Whatever a store says of itself is escaped.
 
 from __future__ import annotations
 
-import contextlib
 import os
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
@@ -15,10 +14,13 @@ from typing import TYPE_CHECKING
 
 from .errors import PaintError, Problems, SchemaError, StoreError
 from .figures import new_figure
+from .flagging import flag_line, is_flagged
 from .markup import Markup, element, joined, table_of_facts
+from .radiometry import reflectance
 from .report_page import page
-from .report_sections import Part, calibration_section, library_section, line_section, regions_of
+from .report_sections import LAYERS, Part, calibration_section, library_section, line_section, regions_of
 from .schema import ALONG_TRACK, CROSS_TRACK, PAINT
+from .signatures.gathering import part_of
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -29,6 +31,8 @@ __all__ = ["Written", "write_report"]
 
 MOST_LINES = 64
 """Flight lines of one page at the most: each takes some megabytes."""
+
+_SOUGHT = "Glint, shadow and light of neighbours"
 
 Progress = Callable[[int, int], None]
 
@@ -59,6 +63,8 @@ def write_report(
     flightlines: Sequence[str] | None = None,
     signatures: str | os.PathLike[str] | None = None,
     lines: int = 1000,
+    flags: bool = True,
+    sun_zenith: float | None = None,
     overwrite: bool = False,
     progress: Progress | None = None,
 ) -> Written:
@@ -82,6 +88,11 @@ def write_report(
     lines
         Lines of a picture at the most; of a longer flight line every n-th is read. Flags are read whole, two
         bytes a pixel.
+    flags
+        Look for glint, shadow and light of neighbours on lines where nobody has, see `hyperpaint.flag`, and
+        show what is found; of a line where that cannot be done, the page says why. Nothing is stored.
+    sun_zenith
+        For that [degree]; by default from time and position of each line.
     overwrite
         Replace a file that is there.
     progress
@@ -123,8 +134,12 @@ def write_report(
         msg = f"{store} has nothing to show, neither a flight line nor signatures: {told}"
         raise StoreError(msg)
     outlines = _outlines(shown, libraries, problems)
+    steps = len(shown) + len(libraries) + ("calibration" in opened)
     parts: list[tuple[str, Iterator[Part]]] = [
-        *((name, line_section(line, lines, outlines[name])) for name, line in shown.items()),
+        *(
+            (name, _flagged_section(line, lines, outlines[name], flags, sun_zenith, told))
+            for (name, line), told in zip(shown.items(), _shares(progress, steps), strict=False)
+        ),
         *((name, library_section(made)) for name, made in libraries.items()),
     ]
     if "calibration" in opened:
@@ -132,12 +147,46 @@ def write_report(
     sections = []
     for number, (name, draw) in enumerate(parts):
         if progress is not None:
-            progress(number, len(parts))
+            progress(1000 * number, 1000 * steps)
         sections.append((name, _drawn(name, draw, problems)))
     _write(place, page(Path(store).resolve().name, _head(store, opened, problems), sections))
     if progress is not None:
-        progress(len(parts), len(parts))
+        progress(1000 * steps, 1000 * steps)
     return Written(place, tuple(shown), tuple(problems))
+
+
+def _shares(progress: Progress | None, steps: int) -> list[Progress | None]:
+    """Return what each of several sections tells its progress to."""
+    return [None if progress is None else part_of(progress, number, steps) for number in range(steps)]
+
+
+def _flagged_section(
+    line: xr.Dataset,
+    lines: int,
+    regions: Sequence[Region],
+    flags: bool,
+    sun_zenith: float | None,
+    progress: Progress | None,
+) -> Iterator[Part]:
+    """Yield the parts of a flight line's section, flags looked for first where nobody has."""
+    note = ""
+    if flags and {"reflectance", "irradiance"} & set(line.variables):
+        try:
+            if not is_flagged(line):
+                line = _with_flags(line, sun_zenith, progress)
+                note = f"{_SOUGHT} were looked for here; the store has no such flags."
+        # a line that cannot be looked at is shown all the same; damage shows again where it is drawn
+        except Exception as error:
+            note = f"{_SOUGHT} could not be looked for: {_told(error)}"
+    yield from line_section(line, lines, regions, note)
+
+
+def _with_flags(line: xr.Dataset, sun_zenith: float | None, progress: Progress | None) -> xr.Dataset:
+    """Return a line with flags and layers in memory, found in one pass after a survey."""
+    seen = line if "reflectance" in line.variables else reflectance(line)
+    surveyed = None if progress is None else part_of(progress, 0, 2)
+    flagged = flag_line(seen, sun_zenith=sun_zenith, progress=surveyed).line
+    return line.assign(flagged[["quality", *LAYERS]].reset_coords(drop=True).compute().data_vars)
 
 
 # --- what there is to show ---------------------------------------------------------------------------------
@@ -280,13 +329,7 @@ def _head(store: str | os.PathLike[str], opened: dict[str, xr.Dataset], problems
 
 
 def _write(place: Path, content: Markup) -> None:
-    """Write the page beside its place, then move it there: no half page ever stands under its name."""
-    temporary = place.with_name(f".{place.name}.{os.getpid()}")
-    try:
-        temporary.write_text(content, encoding="utf-8", errors="replace")
-        os.replace(temporary, place)
-    except OSError as error:
-        with contextlib.suppress(OSError):
-            temporary.unlink()
-        msg = f"{place} cannot be written: {error.strerror or error}"
-        raise StoreError(msg) from error
+    """Write the page; no half page ever stands under its name."""
+    from .io.publishing import publish_file
+
+    publish_file(place, content.encode("utf-8", "replace"), overwrite=True)

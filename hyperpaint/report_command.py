@@ -37,6 +37,14 @@ Examples:
     "--lines", type=click.IntRange(min=1), default=1000, show_default=True,
     help="Lines of a picture at the most; of a longer flight line every n-th is read.",
 )  # fmt: skip
+@click.option(
+    "--flags/--no-flags", default=True, show_default=True,
+    help="Look for glint, shadow and light of neighbours, on lines where nobody has.",
+)  # fmt: skip
+@click.option(
+    "--sun-zenith", type=click.FloatRange(0.0, 90.0), metavar="DEGREE",
+    help="Zenith angle of the sun, for that.  [default: from time and position of the line]",
+)  # fmt: skip
 @click.option("--overwrite", is_flag=True, help="Replace a page that is there.")
 @click.option("--quiet", is_flag=True, help="No progress bar.")
 @click.pass_context

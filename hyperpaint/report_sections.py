@@ -46,7 +46,9 @@ Part = tuple[str, Callable[[], Markup]]
 """What a part shows, and what draws it."""
 
 
-def line_section(line: xr.Dataset, lines: int, regions: Sequence[Region] = ()) -> Iterator[Part]:
+def line_section(
+    line: xr.Dataset, lines: int, regions: Sequence[Region] = (), note: str = ""
+) -> Iterator[Part]:
     """Yield the parts of a flight line's section; each is to be drawn before the next is asked for.
 
     Parameters
@@ -57,9 +59,13 @@ def line_section(line: xr.Dataset, lines: int, regions: Sequence[Region] = ()) -
         Lines of a picture at the most.
     regions
         Outlined on the picture, in sensor coordinates.
+    note
+        What is said of the flags.
     """
     yield "facts", lambda: table_of_facts(list(facts_of_line(line)))
     yield from _pictures(line, lines, regions)
+    if note:
+        yield "where flags are from", lambda: element("p", note, class_="note")
     if "irradiance" in line.variables:
         yield "irradiance", partial(_irradiance, line)
     if "reflectance" in line.variables or "irradiance" in line.variables:

@@ -80,6 +80,7 @@ _LINE_FIT = (STEP, CROSS_TRACK)
 _SWEEP = (STEP, BAND, CROSS_TRACK)
 _PIXEL = (ALONG_TRACK, CROSS_TRACK)
 _PATH = (ALONG_TRACK, SLOT, CROSS_TRACK)
+_CELL = ("y", "x")
 _SUN_PIXEL = (ALONG_TRACK, SUN, CROSS_TRACK)
 
 # fmt: off
@@ -184,6 +185,19 @@ _TABLE = (
     Variable("roll", _LINE, "degree", "float64", "Roll", coordinate=True),
     Variable("pitch", _LINE, "degree", "float64", "Pitch", coordinate=True),
     Variable("heading", _LINE, "degree", "float64", "Heading", coordinate=True),
+    # --- from where a pixel is seen
+    Variable("look_across", (CROSS_TRACK,), "degree", "float64", "Angle of a column's line of sight from the axis of the camera, positive to the right"),
+    Variable("look_along", (CROSS_TRACK,), "degree", "float64", "Angle of a column's line of sight from the plane of the slit, positive forward"),
+    Variable("ground_height", _PIXEL, "m", "float64", "Height of what is seen above the ellipsoid", coordinate=True),
+    Variable("look_angle", (CROSS_TRACK,), "degree", "float64", "Angle of a column's line of sight from the axis of the camera, positive to the right"),
+    Variable(
+        "view_zenith", _PIXEL, "degree", "float64", "Angle between the vertical and the direction to the camera",
+        standard_name="sensor_zenith_angle", coordinate=True,
+    ),
+    Variable(
+        "view_azimuth", _PIXEL, "degree", "float64", "Direction to the camera from what is seen, clockwise from north",
+        standard_name="sensor_azimuth_angle", coordinate=True,
+    ),
     # --- what a lab calibration adds
     Variable("dark_bias", _ELEMENT, "count", "float32", "Dark counts at no exposure"),
     Variable("dark_rate", _ELEMENT, "count s-1", "float32", "Dark counts per exposure time"),
@@ -263,6 +277,11 @@ _TABLE = (
     Variable("adjacency", _PIXEL, "1", "float32", "Largest reflectance, in any channel, that coloured neighbours add"),
     Variable("adjacency_segment", _PIXEL, "", "int32", "Segment of the scene model that adds most of adjacency; -1 for none"),
     Variable("mirrored_sky", _PIXEL, "1", "float32", "Mirror image of the sky beyond that of the rest of the body"),
+    # --- where a cell of a map lies in its flight line
+    Variable("glt_line", _CELL, "1", "float64", "Line that shows a cell, with the part of the way to the next"),
+    Variable("glt_sample", _CELL, "1", "float64", "Column that shows a cell, with the part of the way to the next"),
+    Variable("hits", _CELL, "1", "uint16", "How often a flight line shows a cell"),
+    Variable("gap", _CELL, "", "bool", "Whether nothing shows a cell between the ends of the lines"),
     # --- line shapes measured sample by sample (srf_shape = "tabulated")
     Variable("srf_offset", ("srf_offset",), "nm", "float64", "Distance from the centre of a band", coordinate=True),
     Variable("srf", (BAND, "srf_offset"), "1", "float64", "Line shape of a band, any scale"),
@@ -329,8 +348,20 @@ _LIBRARY_TABLE = (
     Variable("n_excluded", (PAINT,), "1", "int64", "Pixels of the region that were left out"),
     Variable("quality", (PAINT,), "", "uint16", "Quality flags of the pixels used"),
     Variable("quality_share", (PAINT, FLAG), "1", "float32", "Share of the region's pixels that have a flag, used or not"),
-    Variable("sun_zenith", (PAINT,), "degree", "float64", "Zenith angle of the sun"),
-    Variable("sun_azimuth", (PAINT,), "degree", "float64", "Azimuth of the sun, clockwise from north"),
+    Variable("sun_zenith", (PAINT,), "degree", "float64", "Zenith angle of the sun", standard_name="solar_zenith_angle"),
+    Variable(
+        "sun_azimuth", (PAINT,), "degree", "float64", "Azimuth of the sun, clockwise from north",
+        standard_name="solar_azimuth_angle",
+    ),
+    Variable(
+        "view_zenith", (PAINT,), "degree", "float64", "Angle between the vertical and the mean direction to the camera",
+        standard_name="sensor_zenith_angle",
+    ),
+    Variable(
+        "view_azimuth", (PAINT,), "degree", "float64", "Mean direction to the camera, clockwise from north",
+        standard_name="sensor_azimuth_angle",
+    ),
+    Variable("relative_azimuth", (PAINT,), "degree", "float64", "Angle between the azimuths of sun and camera, 0 where the sun is behind the camera"),
     Variable("irradiance_age", (PAINT,), "s", "float32", "Longest time from a line to the nearest irradiance sample"),
     Variable("time", (PAINT,), "", "datetime64[ns]", "Mean UTC of the pixels used", standard_name="time", coordinate=True),
     Variable("flightline", (PAINT,), "", "str", "Flight line of the region", coordinate=True),

@@ -16,7 +16,9 @@ import hyperpaint as hp
 from hyperpaint import (
     alignment,
     bands,
+    corrections,
     flags,
+    georeference,
     plot,
     plot_flags,
     plot_spectra,
@@ -44,8 +46,11 @@ FUNCTIONS: dict[str, Callable[..., Any]] = {
     "relight": relighting.relight,
     "survey": scene_model.survey,
     "flag": flags.flag,
+    "remove_mirrored_sky": corrections.remove_mirrored_sky,
+    "correct_light": corrections.correct_light,
     "propose_regions": proposals.propose_regions,
     "signatures": signatures.extract_signatures,
+    "locate": georeference.locate,
     "rgb": plot.rgb,
     "quicklook": plot.quicklook,
     "spectrum": plot_spectra.spectrum,
@@ -98,6 +103,14 @@ def test_functions_and_accessor_agree() -> None:
     line = flight().line
     xr.testing.assert_identical(line.paint.reflectance(), hp.reflectance(line))
     xr.testing.assert_identical(line.paint.radiance(), hp.radiance(line))
+
+
+def test_corrections_in_one_line() -> None:
+    line = flight(lines=8, columns=4).line.paint.reflectance()
+    bare = line.paint.remove_mirrored_sky(sun_zenith=30.0)
+    xr.testing.assert_identical(bare, hp.remove_mirrored_sky(line, sun_zenith=30.0))
+    options = {"direct": 0.9, "sky_view_factor": 0.8, "sun_zenith": 30.0}
+    xr.testing.assert_identical(bare.paint.correct_light(**options), hp.correct_light(bare, **options))
 
 
 def test_verify_finds_the_store_of_a_dataset(tmp_path: Path) -> None:

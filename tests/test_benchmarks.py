@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
-MODULES = ("calibration", "graph", "import", "io", "kernels", "pipeline", "render")
+MODULES = ("calibration", "dirsig", "graph", "import", "io", "kernels", "library", "pipeline", "render")
 
 
 def _benchmarks() -> Iterator[Any]:

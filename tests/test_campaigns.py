@@ -19,8 +19,10 @@ from hyperpaint.errors import IncompleteStoreError
 ROOT = Path(__file__).resolve().parents[1]
 pytestmark = pytest.mark.skipif(not (ROOT / "benchmarks").is_dir(), reason="installed without its benchmarks")
 PARSERS = (
-    *("envi", "asd", "asd-text", "asd-open", "irradiance-csv", "irradiance-open"),
-    *("frame-index", "imu-gps", "settings", "gps-time", "collect-toml"),
+    *("envi", "asd", "asd-text", "asd-open", "svc", "irradiance-csv", "irradiance-open"),
+    *("frame-index", "imu-gps", "sbet", "lcf", "eph-att", "nav-csv", "settings", "gps-time", "collect-toml"),
+    *("dirsig-ems", "dirsig-txt", "dirsig-mat"),
+    *("library-envi", "library-metadata", "library-csv", "library-text"),
 )
 
 

@@ -104,7 +104,10 @@ def test_process_then_again(hyperpaint: Hyperpaint, collect: Path, tmp_path: Pat
     out = tmp_path / "lot.zarr"
     first = hyperpaint("process", collect, "--out", out)
     assert first.exit_code == 0, first.stderr
-    assert first.stdout == f"{out}: wrote /flightlines/raw_0, /irradiance, /calibration\n"
+    assert (
+        first.stdout
+        == f"{out}: wrote /flightlines/raw_0, /irradiance, /calibration, /references/svc, /references/asd\n"
+    )
     before = {path: path.stat().st_mtime_ns for path in tmp_path.rglob("*")}
     again = hyperpaint("process", collect, "--out", out)
     assert again.exit_code == 0
@@ -274,8 +277,8 @@ def test_info_and_verify_of_a_store(hyperpaint: Hyperpaint, collect: Path, tmp_p
     out = tmp_path / "lot.zarr"
     hp.process(collect, out, reflectance="none")
     found = hyperpaint("info", out).stdout
-    assert "3 groups" in found
-    assert found.count("state: complete") == 3
+    assert "5 groups" in found
+    assert found.count("state: complete") == 5
     assert "NOT COMPLETE" not in found
     one = hyperpaint("info", out / "flightlines" / "raw_0").stdout
     assert re.search(r"counts +40 along_track x 20 band x 8 cross_track, uint16 \[count\]", one)
@@ -295,9 +298,10 @@ def test_info_and_verify_of_a_store(hyperpaint: Hyperpaint, collect: Path, tmp_p
 @pytest.mark.real_data
 def test_info_of_real_files(hyperpaint: Hyperpaint, shared_data: Path) -> None:
     told = {
+        "svc_sig/BNL13001_000_moc.sig": r"SVC spectrum.*HR-1024i.*982 channels.*removed @ 970, 1901 nm",
         "asd_binary/soil.asd": r"binary version 8.*white reference.*350 to 2500 nm",
         "asd_ascii/asd-e-irrad-sky.csv": "text export.*irradiance",
-        "envi_sli/library_berlin.hdr": "75 spectra of 177 values",
+        "envi_sli/library_berlin.hdr": r"spectral library: 75 spectra.*75 paint x 177 band",
         "envi_cube/darkReference": r"1 along_track x 978 band x 1600 cross_track, uint16",
     }
     for name, pattern in told.items():

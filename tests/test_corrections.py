@@ -10,7 +10,8 @@ import xarray as xr
 
 import hyperpaint as hp
 from hyperpaint.errors import SchemaError
-from hyperpaint.sun import diffuse_fraction
+from hyperpaint.simulation import simulate_line
+from hyperpaint.sun import diffuse_fraction, solar_position
 
 NM = np.linspace(400.0, 1000.0, 40)
 SKY = diffuse_fraction(NM, 35.0)
@@ -94,6 +95,34 @@ def test_the_sky_is_removed_before_the_light_is_corrected() -> None:
     both = hp.correct_light(hp.remove_mirrored_sky(seen, sun_zenith=35.0), direct=0.9, sun_zenith=35.0)
     assert {"mirrored_sky_removed", "light_corrected"} <= set(both.reflectance.attrs)
     assert "sun zenith 35 degree" in both.reflectance.attrs["mirrored_sky_removed"]
+
+
+def test_a_tilted_panel_is_corrected_in_one_order_only() -> None:
+    seen = simulate_line(lines=4, bands=12, columns=6, smile_nm=0.0, noise=False)
+    tilted = hp.reflectance(seen, tilt=(10.0, 180.0))
+    for correct in (hp.remove_mirrored_sky, hp.correct_light):
+        with pytest.raises(SchemaError, match=r"tilt is .*10.*without tilt=.*correct_light\(direct="):
+            correct(tilted)
+    # what the message says to do gives what tilt= gives, but for the sky that is subtracted before
+    zenith, azimuth = solar_position(seen.time.values[0], seen.latitude.values[0], seen.longitude.values[0])
+    incidence = hp.Tilt(10.0, 180.0)
+    cosine = np.cos(np.radians(zenith)) * np.cos(np.radians(10.0)) + np.sin(np.radians(zenith)) * np.sin(
+        np.radians(10.0)
+    ) * np.cos(np.radians(azimuth - 180.0))
+    options = {
+        "direct": float(cosine / np.cos(np.radians(zenith))),
+        "sky_view_factor": float((1 + np.cos(np.radians(10.0))) / 2),
+        "sun_zenith": float(zenith),
+        "neighbour_reflectance": incidence.ground_reflectance,
+    }
+    plain = hp.reflectance(seen)
+    np.testing.assert_allclose(
+        hp.correct_light(plain, **options).reflectance, tilted.reflectance, rtol=2e-3, atol=1e-4
+    )
+    sky = 0.04 * diffuse_fraction(seen.wavelength.values, float(zenith))[None, :, None]
+    light = plain.reflectance.values / hp.correct_light(plain, **options).reflectance.values
+    bare = hp.correct_light(hp.remove_mirrored_sky(plain, sun_zenith=float(zenith)), **options)
+    np.testing.assert_allclose(bare.reflectance, (plain.reflectance - sky) / light, rtol=1e-4, atol=1e-5)
 
 
 def test_a_library_corrected_is_that_of_a_line_corrected() -> None:

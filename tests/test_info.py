@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import xarray as xr
+from library_examples import make_library
 
 import hyperpaint as hp
 from hyperpaint.info import describe_path
@@ -69,3 +70,16 @@ def test_what_is_not_there(tmp_path: Path) -> None:
         describe_path(tmp_path / "none")
     with pytest.raises(hp.StoreError, match="not a Zarr store"):
         describe_path(tmp_path)
+
+
+@pytest.mark.parametrize("name", ["paints.sli", "paints.csv", "paints.zarr", "paints"])
+def test_a_paint_library(tmp_path: Path, name: str) -> None:
+    library = make_library().isel(band=[0, 1, 4])
+    path = hp.write_library(library, tmp_path / name, format=None if "." in name else "ecostress")
+    text = describe_path(path)
+    assert "Grün; Grün" in text
+    assert "reflectance" in text
+    assert "400 to 800 nm" in text
+    if path.suffix != ".zarr":
+        assert "5 spectra" in text
+        assert "make" in text

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import json
+import logging
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 import pytest
 import xarray as xr
 from click.testing import CliRunner
@@ -14,6 +16,7 @@ import hyperpaint as hp
 from hyperpaint.cli import main
 from hyperpaint.corrections import remove_mirrored_sky
 from hyperpaint.errors import SchemaError
+from hyperpaint.proposals.footprints import hull_of
 from hyperpaint.proposals.pixel_outlines import outline
 from hyperpaint.regions import pixels_of
 from hyperpaint.simulation.rendering.bands import BandSet
@@ -46,6 +49,36 @@ def drawn(bonnet: bool = True, rear: bool = True, noise: float = 0.005) -> xr.Da
     return xr.Dataset({"reflectance": cube}, {"wavelength": ("band", NM, {"units": "nm"})})
 
 
+def parked(
+    length: int = 100,
+    width: int = 40,
+    windows: tuple[tuple[int, int], ...] = ((28, 42), (68, 84)),
+    paint: npt.NDArray[np.float64] = RED,
+    gain: float = 0.0,
+) -> xr.Dataset:
+    """Return asphalt with a car from above: windows across it and along its sides, a crowned roof.
+
+    Along the roof, 5 pixels to either side of the windows' span, its light falls by ``gain`` a pixel.
+    """
+    split = diffuse_fraction(NM, ZENITH)
+    seen = np.empty((width + 40, NM.size, length + 60))
+    seen[:] = (0.09 + 0.03 * (NM - 400.0) / 600.0)[:, None]
+    body = np.s_[20 : 20 + width, :, 30 : 30 + length]
+    seen[body] = paint[:, None]
+    along = np.arange(length) - 55.0
+    seen[body] *= 1.0 + gain * along
+    dark = np.zeros((width, length), bool)
+    for first, last in windows:
+        dark[6 : width - 6, first:last] = True
+    # side windows, of which a door is the outer side
+    dark[3:6, 32:80] = dark[width - 6 : width - 3, 32:80] = True
+    seen[body] = np.where(dark[:, None], 0.012, seen[body])
+    seen[body] += 0.04 * split[:, None]
+    seen *= 1.0 + 0.004 * np.random.default_rng(3).normal(size=seen.shape)
+    cube = ("along_track", "band", "cross_track"), seen.astype(np.float32), {"units": "1"}
+    return xr.Dataset({"reflectance": cube}, {"wavelength": ("band", NM, {"units": "nm"})})
+
+
 def propose(line: xr.Dataset, **options: Any) -> Any:
     return hp.propose_regions(line, sun_zenith=ZENITH, **options)
 
@@ -71,6 +104,20 @@ def test_outline__holds_the_pixels_and_no_other(seed: int) -> None:
     expected = np.zeros((30, 40), bool)
     expected[3:21, 5:28] = mask
     assert np.array_equal(made, expected)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_footprint__is_the_convex_hull(seed: int) -> None:
+    """Rationale: what lies between the parts of a car. Expected: that of the half-planes, pixel by pixel."""
+    from scipy.spatial import ConvexHull
+
+    mask = np.zeros((30, 40), bool)
+    mask[3:27, 5:35] = np.random.default_rng(seed).random((24, 30)) < 0.01 + 0.2 * (seed % 3)
+    y, x = np.indices(mask.shape)
+    expected = np.ones(mask.shape, bool)
+    for down, right, offset in ConvexHull(np.argwhere(mask)).equations:
+        expected &= down * y + right * x + offset <= 1e-9
+    assert np.array_equal(hull_of(mask), expected)
 
 
 # --- a car drawn by hand -----------------------------------------------------------------------------------
@@ -130,6 +177,79 @@ def test_proposals__need_a_window() -> None:
     found = propose(line)
     assert len(found) == 0
     assert any("no window" in " ".join(region.properties["refused"]) for region in found.refused)
+
+
+@pytest.mark.parametrize("windows", [((28, 42), (68, 84)), ((28, 42),)], ids=["both", "windscreen only"])
+def test_roof__is_found_by_its_windows(windows: tuple[tuple[int, int], ...]) -> None:
+    """Rationale: of vans and hatchbacks the rear window is hardly seen from above; windows run along a roof.
+
+    Expected: one region, behind the windscreen, and it is called a roof.
+    """
+    line = parked(windows=windows)
+    found = propose(line)
+    assert [region.properties["kind"] for region in found] == ["roof"]
+    _, across = pixels_of(found, line)[0]
+    assert across.min() >= 30 + 42
+
+
+def test_roof__is_taken_where_it_is_level() -> None:
+    """Rationale: a crowned roof leans towards its ends, under this sun by 1 % of its light in two pixels.
+
+    Expected: the signature is that of its middle, although all of the roof is free of glint and shadow.
+    """
+    line = parked(gain=0.005)
+    found = propose(line)
+    assert len(found) == 1
+    along, across = pixels_of(found, line)[0]
+    assert abs(float(np.median(across)) - (30 + 55)) < 2.5
+    seen = remove_mirrored_sky(line, sun_zenith=ZENITH)["reflectance"].values[along, :, across]
+    assert np.abs(np.median(seen, axis=0) - RED).max() < 0.01
+
+
+def test_roof_beside_a_sunroof__is_taken_at_the_sunroof() -> None:
+    """Rationale: a sunroof is the front half of a roof; what is left of it leans backwards.
+
+    Expected: pixels of the half that is nearer to the sunroof.
+    """
+    line = parked(windows=((28, 55), (80, 90)), gain=0.004)
+    (region,) = propose(line)
+    _, across = pixels_of(hp.Regions((region,)), line)[0]
+    assert region.properties["kind"] == "roof"
+    assert float(np.median(across)) < 30 + 67
+
+
+def test_lobes_of_flakes__are_refused() -> None:
+    """Rationale: metal flakes mirror the sun over a lobe that is wider than a roof.
+
+    Expected: brightness that changes by 40 % along a roof is no lean; no region, and a reason.
+    """
+    found = propose(parked(gain=0.02))
+    assert len(found) == 0
+    assert any("flakes" in " ".join(region.properties["refused"]) for region in found.refused)
+
+
+def test_cars_of_one_colour_side_by_side__give_a_region_each() -> None:
+    """Rationale: lots are full of white cars. Expected: two regions, one on each car."""
+    one = parked()
+    line = xr.concat([one, one.copy(deep=True)], "along_track", coords="minimal", compat="override")
+    found = propose(line)
+    assert len(found) == 2
+    assert sorted(int(np.median(along)) // 80 for along, _ in pixels_of(found, line)) == [0, 1]
+
+
+@pytest.mark.slow
+def test_proposals__are_the_same_on_a_cluster() -> None:
+    """Rationale: layers come off workers in any order. Expected: the digest of a run without them."""
+    distributed = pytest.importorskip("distributed")
+    line = drawn()
+    options = {"n_workers": 2, "threads_per_worker": 1, "processes": False, "dashboard_address": ":0"}
+    with (
+        distributed.LocalCluster(silence_logs=logging.CRITICAL, **options) as local,
+        distributed.Client(local),
+    ):
+        made = propose(line.chunk({"along_track": 13}))
+    assert made.digest == propose(line).digest
+    assert made.refused.digest == propose(line).refused.digest
 
 
 def test_proposals__do_not_depend_on_chunks() -> None:

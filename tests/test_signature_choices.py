@@ -83,13 +83,16 @@ SMILE = ("wavelength_shift", ("cross_track", np.linspace(-1.0, 1.0, 16), {"units
 @pytest.mark.parametrize("smile", [False, True])
 def test_what_was_corrected_is_said(smile: bool) -> None:
     line = made().assign_coords(dict([SMILE] if smile else []))
-    tilted = line.reflectance.assign_attrs(tilt="tilted by 3 degree")
-    removed = hp.remove_mirrored_sky(line.assign(reflectance=tilted), sun_zenith=40.0)
-    library = extract_signatures({"a": removed, "b": line}, on_lines("a", "b"), smooth="box")
+    tilted = line.assign(reflectance=line.reflectance.assign_attrs(tilt="tilted by 3 degree"))
+    removed = hp.remove_mirrored_sky(line, sun_zenith=40.0)
+    lines = {"a": removed, "b": tilted, "c": line}
+    library = extract_signatures(lines, on_lines("a", "b", "c"), smooth="box")
     text = removed.reflectance.attrs["mirrored_sky_removed"]
     assert library.attrs["corrections"] == f"mirrored_sky_removed: {text}; tilt: tilted by 3 degree; none"
     assert library.reflectance.attrs["mirrored_sky_removed"] == f"{text}; none"
-    assert library.reflectance.attrs["tilt"] == "tilted by 3 degree; none"
+    assert library.reflectance.attrs["tilt"] == "none; tilted by 3 degree"
+    with pytest.raises(SchemaError, match="tilt is 'tilted by 3 degree'; compute reflectance without tilt="):
+        extract_signatures(tilted, TWO, specular_sky=True, sun_zenith=40.0)
     with pytest.raises(SchemaError, match="it was before"):
         hp.remove_mirrored_sky(library, sun_zenith=40.0)
     lit = hp.correct_light(line, direct=0.9, sun_zenith=40.0)

@@ -39,7 +39,7 @@ def run(*words: object) -> Result:
 
 def test_command_makes_the_library_of_the_function(store: Path, drawn: Path, tmp_path: Path) -> None:
     out = tmp_path / "paints.zarr"
-    done = run(store, "--regions", drawn, "--out", out, "--members", 7)
+    done = run(store, "--regions", drawn, "--out", out, "--members", 7, "--no-flags")
     assert done.exit_code == 0, done.output
     assert done.stdout.splitlines()[0] == f"{out}: 2 paints, 24 bands"
     assert done.stdout.splitlines()[1].startswith("  hood  ")
@@ -102,7 +102,16 @@ def test_bad_calls_are_one_message(store: Path, drawn: Path, tmp_path: Path) -> 
         ): "no flag 'glitter'; flags are saturated",
         (store, "--regions", drawn, "--out", store / "signatures"): "in the store itself",
         (store, "--regions", drawn, "--out", out, "--smooth", "box", "--window", "4"): "window 4",
-        (store, "--regions", drawn, "--out", out, "--min-pixels", "5000"): "'hood': 99 of 99 pixels are left",
+        (
+            store,
+            "--regions",
+            drawn,
+            "--out",
+            out,
+            "--min-pixels",
+            "5000",
+            "--no-flags",
+        ): "'hood': 99 of 99 pixels are left",
         (drawn.parent, "--regions", drawn, "--out", out): "not a Zarr v3 store",
         (store, "--regions", tmp_path / "none", "--out", out): "does not exist",
         (store, "--out", out): "no region can be proposed",

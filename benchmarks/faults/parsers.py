@@ -88,6 +88,13 @@ def _asd_text(path: Path) -> None:
     read_asd_text(path)
 
 
+def _svc(path: Path) -> None:
+    from hyperpaint.io.svc import open_svc
+
+    open_svc(path)
+    open_svc(path, overlap="trim", dayfirst=False, utc_offset_h=0.0)
+
+
 def _irradiance_csv(path: Path) -> None:
     from hyperpaint.io.irradiance_csv import read_irradiance_csv
 
@@ -112,6 +119,30 @@ def _navigation(path: Path) -> None:
     read_imu_gps(path)
 
 
+def _sbet(path: Path) -> None:
+    from hyperpaint.io.navigation_opening import open_navigation
+
+    open_navigation(path, format="sbet", week=2158)
+
+
+def _lcf(path: Path) -> None:
+    from hyperpaint.io.navigation_opening import open_navigation
+
+    open_navigation(path, format="lcf", week=2149, leap_seconds=18)
+
+
+def _eph_att(path: Path) -> None:
+    from hyperpaint.io.navigation_opening import open_navigation
+
+    open_navigation(path, format="eph_att", week=1941, leap_seconds=18)
+
+
+def _navigation_csv(path: Path) -> None:
+    from hyperpaint.io.navigation_opening import open_navigation
+
+    open_navigation(path, format="csv", leap_seconds=18)
+
+
 def _settings(path: Path) -> None:
     from hyperpaint.io.headwall import exposure_seconds, read_settings
 
@@ -130,6 +161,33 @@ def _collect(path: Path) -> None:
     read_collect(path)
 
 
+def _emissivity(path: Path) -> None:
+    from hyperpaint.io.dirsig import open_emissivity
+
+    open_emissivity(path)
+
+
+def _two_columns(path: Path) -> None:
+    from hyperpaint.io.dirsig import read_reflectance_text
+
+    read_reflectance_text(path)
+
+
+def _materials(path: Path) -> None:
+    from hyperpaint.io.dirsig import read_materials
+
+    read_materials(path)
+
+
+def _library(path: Path) -> None:
+    from hyperpaint.io.library import open_library
+
+    data = path.with_suffix("") if path.suffix == ".json" else path
+    # a spectrum of the USGS has its wavelengths in another file
+    usgs = path.name.startswith("splib")
+    open_library(data, wavelength=[350.0 + band for band in range(2151)] if usgs else None)
+
+
 _BINARY = ("asd_binary/*.asd",)
 _TEXT = ("asd_ascii/*", "asd_binary/*.txt")
 
@@ -143,6 +201,7 @@ PARSERS: Mapping[str, Parser] = {
     "asd": Parser(_asd_layout, (FormatError,), ("asd/sky00000.asd",), _BINARY),
     "asd-text": Parser(_asd_text, (FormatError,), ("sky.txt",), _TEXT),
     "asd-open": Parser(_asd, (FormatError, TimeError), ("asd/sky00000.asd", "sky.txt"), (*_BINARY, *_TEXT)),
+    "svc": Parser(_svc, (FormatError,), ("svc/red.sig",), ("svc_sig/*.sig",)),
     "irradiance-csv": Parser(_irradiance_csv, (FormatError,), ("sky.csv", "zone.csv")),
     "irradiance-open": Parser(
         _irradiance, (FormatError, TimeError, UnitsError), ("sky.csv", "zone.csv", "asd/sky00001.asd")
@@ -155,9 +214,24 @@ PARSERS: Mapping[str, Parser] = {
     "imu-gps": Parser(
         _navigation, (FormatError,), ("flight/imu_gps.txt", "imu_gps_month.txt", "imu_gps_time.txt")
     ),
+    "sbet": Parser(_sbet, (FormatError, TimeError), ("flight.sbet",), ("nav/2-points.sbet",)),
+    "lcf": Parser(_lcf, (FormatError, TimeError), ("flight.lcf",)),
+    "eph-att": Parser(_eph_att, (FormatError, TimeError), ("ang20170323t202244_eph_att.hdr",)),
+    "nav-csv": Parser(_navigation_csv, (FormatError, TimeError), ("flight.csv", "flight_gps.csv")),
     "settings": Parser(_settings, (FormatError,), ("flight/settings.txt", "settings_comments.txt")),
     "gps-time": Parser(_gps_time, (FormatError, TimeError), ("gps_time.txt",)),
     "collect-toml": Parser(_collect, (CollectError,), ("collect.toml",)),
+    "dirsig-ems": Parser(_emissivity, (FormatError,), ("paint.ems",), ("dirsig/emissivity/*.ems",)),
+    "dirsig-txt": Parser(_two_columns, (FormatError,), ("paint.txt",)),
+    "dirsig-mat": Parser(_materials, (FormatError,), ("paints.mat",), ("dirsig/*.mat",)),
+    "library-envi": Parser(_library, (FormatError,), ("library/paints.hdr",), ("envi_sli/*.hdr",)),
+    "library-metadata": Parser(
+        _library, (FormatError,), ("library/paints.sli.json", "library/paints.csv.json")
+    ),
+    "library-csv": Parser(_library, (FormatError,), ("library/paints.csv",)),
+    "library-text": Parser(
+        _library, (FormatError,), ("library/text/red.spectrum.txt", "table.csv"), ("spectra_ascii/*",)
+    ),
 }
 
 
@@ -169,11 +243,13 @@ def prepare(folder: Path) -> None:
     from hyperpaint.simulation import simulate_collect
 
     simulate_collect(folder, scene="plan", lines=24, bands=4, columns=6, overwrite=True)
+    _write_libraries(folder / "library")
     times = [f"12:00:{step // 10:02d}.{step % 10}" for step in range(30)]
     micro = [f"12:00:{step // 10:02d} {step % 10}00000" for step in range(30)]
     spectra = "".join(f",{1.0 + band / 100:.3f}" for band in range(60))
     head = "".join(f",{400 + 10 * band}" for band in range(60))
     nav = "0.1\t0.2\t90.5\t43.1\t-77.6\t150.0"
+    columns = "".join(f"{0.4 + band / 100:.7f}\t{0.9 - band / 100:.6f}\n" for band in range(60))
     written = {
         "sky.csv": "# units: W m-2 nm-1\n# fwhm_nm: 3\n"
         + f"time{head}\n"
@@ -190,11 +266,82 @@ def prepare(folder: Path) -> None:
         "imu_gps_time.txt": "Roll\tPitch\tYaw\tLat\tLon\tAlt\tTime\r\n"
         + "".join(f"{nav}\t{time}\r\n" for time in micro),
         "settings_comments.txt": "Exposure (ms) = 5.0\r\nExposure = 5.0 ms\r\n[camera]\r\nfps=140\r\n",
+        "paint.ems": "2\n" + "1.0\n" * 91 + 2 * ("CURVE_BEGIN\n" + columns),
+        "paint.txt": columns,
+        "table.csv": "# lab\nwavelength (nm);red (%);blue (%)\n"
+        + "".join(f"{400 + band};{band},5;{60 - band},25\n" for band in range(60)),
+        "paints.mat": "MATERIAL_MAP {\n    LUT {\n        0:red\n    }\n}\n\nMATERIAL_ENTRY {\n    ID = red\n"
+        "    NAME = red, matt\n\n    SURFACE_PROPERTIES {\n        EMISSIVITY_PROP_NAME = ClassicEmissivity\n"
+        "        EMISSIVITY_PROP {\n            FILENAME          = emissivity/red.ems\n"
+        "            SPECULAR_FRACTION = 0.1\n        }\n    }\n}\n",
         "gps_time.txt": "PC\tPOS\r\n"
         + "".join(f"{pc}\t2021/07/20 {time}\r\n" for pc, time in zip(micro, times, strict=True)),
     }
     for name, text in written.items():
         (folder / name).write_bytes(text.encode())
+    _write_navigation(folder)
+
+
+def _write_navigation(folder: Path) -> None:
+    """Write a short flight in every format of navigation but Headwall's."""
+    import numpy as np
+
+    rows = np.arange(30.0)
+    seconds = 300_000.0 + rows / 100.0
+    flat = np.zeros_like(rows)
+    angles = [0.01 * np.sin(rows), 0.02 * np.cos(rows), 3.0 + rows / 1000.0]
+    place = [0.75 + rows * 1e-8, -1.35 + flat, 150.0 + flat]
+    sbet = np.stack([seconds, *place, *[flat] * 3, *angles, *[flat] * 7], axis=1)
+    sbet.astype("<f8").tofile(folder / "flight.sbet")
+    degrees = [43.1 + rows * 1e-6, -77.6 + flat, 150.0 + flat]
+    lcf = np.stack([1.3e9 + rows / 100.0, *angles, degrees[1], degrees[0], degrees[2], flat, flat], axis=1)
+    np.savetxt(folder / "flight.lcf", lcf, "%.9f", "\t")
+    eph = folder / "ang20170323t202244_eph_att"
+    np.stack([418977.0 + rows / 10.0, *degrees, *angles], axis=1).astype("<f8").tofile(eph)
+    eph.with_name(eph.name + ".hdr").write_text(
+        "ENVI\nsamples = 1\nlines = 30\nbands = 7\nheader offset = 0\ndata type = 5\ninterleave = bip\n"
+        "byte order = 0\nmap info = {  }\n"
+        "band names = { gpstime , lat , lon , alt , pitch , roll , heading }\n"
+    )
+    names = "latitude [degree],longitude [degree],altitude [m],roll [rad],pitch [rad],heading [rad]"
+    values = [",".join(f"{value:.9f}" for value in row) for row in np.stack([*degrees, *angles], axis=1)]
+    (folder / "flight.csv").write_text(
+        f"# column_order: left_to_right\n# roll_positive: right_wing_up\ntime,{names}\n"
+        + "".join(f"2024-06-01T12:00:{i // 10:02d}.{i % 10}Z,{row}\n" for i, row in enumerate(values))
+    )
+    (folder / "flight_gps.csv").write_text(
+        f"# gps_week: 2158\n# leap_seconds: 18\ngps_time [s];{names.replace(',', ';')}\n"
+        + "".join(f"{300_000 + i / 10:.2f};{row.replace(',', ';')}\n" for i, row in enumerate(values))
+    )
+
+
+def _write_libraries(folder: Path) -> None:
+    """Write a small paint library in every format whose files are read."""
+    import numpy as np
+    import xarray as xr
+
+    from hyperpaint.io.library import write_library
+
+    members = np.linspace(0.01, 0.99, 3 * 4 * 20, dtype=np.float32).reshape(3, 4, 20)
+    members[1, 2:] = np.nan
+    paints = xr.Dataset(
+        {
+            "reflectance": (("paint", "band"), np.ascontiguousarray(members[:, 0]), {"units": "1"}),
+            "member_reflectance": (("paint", "member", "band"), members, {"units": "1"}),
+            "n": ("paint", np.arange(3), {"units": "1"}),
+        },
+        coords={
+            "paint": ["red", "blue, matt", "Gr\u00fcn"],
+            "make": ("paint", ["a", "b", ""]),
+            "time": ("paint", np.array(["2024-05-21T11:33:07", "NaT", "2024-05-21"], "datetime64[ns]")),
+            "wavelength": ("band", np.linspace(400.0, 1000.0, 20), {"units": "nm"}),
+        },
+        attrs={"title": "paints"},
+    )
+    folder.mkdir()
+    write_library(paints, folder / "paints.sli")
+    write_library(paints, folder / "paints.csv")
+    write_library(paints, folder / "text", format="ecostress")
 
 
 def _place(parser: Parser, folder: Path, own: Path) -> list[tuple[Path, bytes]]:
@@ -206,7 +353,8 @@ def _place(parser: Parser, folder: Path, own: Path) -> list[tuple[Path, bytes]]:
             shutil.copytree(file.parent, room)
         else:
             room.mkdir()
-            beside = file.parent.glob(f"{file.stem}*") if file.suffix == ".hdr" else [file]
+            stem = file.name.partition(".")[0]
+            beside = file.parent.glob(f"{stem}*") if file.suffix in (".hdr", ".json") else [file]
             for neighbour in beside:
                 (room / neighbour.name).write_bytes(neighbour.read_bytes())
         placed.append((room / file.name, file.read_bytes()))

@@ -9,6 +9,6 @@ from __future__ import annotations
 
 from .application import apply_alignment
 from .estimation import align_to_irradiance
-from .oxygen import oxygen_residual
+from .oxygen import oxygen_depth, oxygen_residual
 
-__all__ = ["align_to_irradiance", "apply_alignment", "oxygen_residual"]
+__all__ = ["align_to_irradiance", "apply_alignment", "oxygen_depth", "oxygen_residual"]

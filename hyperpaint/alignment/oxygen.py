@@ -17,7 +17,7 @@ from .column_means import Progress, mean_over_lines
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["oxygen_residual"]
+__all__ = ["oxygen_depth", "oxygen_residual"]
 
 Float = npt.NDArray[np.float64]
 Array = npt.NDArray[Any]
@@ -84,8 +84,7 @@ def oxygen_residual(dataset: xr.Dataset, *, progress: Progress | None = None) ->
     own = found["wavelength"].values[:, None] + np.broadcast_to(
         shift, (cube.sizes[BAND], cube.sizes[CROSS_TRACK])
     )
-    shoulders = np.logical_or.reduce([(own >= low) & (own <= high) for low, high in SHOULDERS])
-    weight = np.clip(1.0 - np.abs(own - CENTRE) / REACH, 0.0, None)
+    shoulders, weight = _parts(own)
     if not (weight.any(axis=0) & (shoulders.sum(axis=0) >= _FEWEST_BANDS)).all():
         msg = (
             "too few bands for the oxygen residual: it needs one in 755-765 nm and "
@@ -94,17 +93,33 @@ def oxygen_residual(dataset: xr.Dataset, *, progress: Progress | None = None) ->
         raise SchemaError(msg)
     used = np.flatnonzero((shoulders | (weight > 0)).any(axis=1))
     mean, _ = mean_over_lines(cube[:, used], np.ones(cube.sizes[ALONG_TRACK]), progress)
-    depth = np.array(
-        [_depth(own[used, x], mean[:, x], shoulders[used, x], weight[used, x]) for x in range(mean.shape[1])]
-    )
+    depth = np.array([oxygen_depth(own[used, x], mean[:, x]) for x in range(mean.shape[1])])
     made = xr.DataArray(depth, dims=CROSS_TRACK, name="oxygen_residual")
     return made.assign_attrs(
         units="1", long_name="Depth of the oxygen A band left in reflectance; negative where overcorrected"
     )
 
 
-def _depth(wavelength: Float, spectrum: Float, shoulders: Array, weight: Float) -> float:
-    """Return the depth in one column; NaN where its bands are bad."""
+def _parts(wavelength: Float) -> tuple[npt.NDArray[np.bool_], Float]:
+    """Return which bands are on the shoulders, and how much each weighs in the band itself."""
+    shoulders = np.logical_or.reduce([(wavelength >= low) & (wavelength <= high) for low, high in SHOULDERS])
+    return shoulders, np.clip(1.0 - np.abs(wavelength - CENTRE) / REACH, 0.0, None)
+
+
+def oxygen_depth(wavelength: Float, spectrum: Float) -> float:
+    """Return the depth of the oxygen A band left in one spectrum, see `oxygen_residual`.
+
+    Parameters
+    ----------
+    wavelength, spectrum : (band,), float64
+        [nm], and reflectance [1]; NaN where it is missing.
+
+    Returns
+    -------
+    float
+        Depth [1]; NaN where there are too few bands in it or on its shoulders.
+    """
+    shoulders, weight = _parts(wavelength)
     there = np.isfinite(spectrum)
     beside, below = shoulders & there, (weight > 0.0) & there
     if beside.sum() < _FEWEST_BANDS or not below.any():

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import datetime as dt
-import glob
 import os
 import warnings
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Literal, TypeVar
+from typing import Any, Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -19,19 +18,18 @@ from hyperpaint.errors import FormatError, PaintWarning, Problems, SchemaError, 
 from hyperpaint.schema import VARIABLES, label
 
 from .asd_blocks import AsdCalibration, AsdGps
-from .asd_calibration import CALIBRATION_KEYS, derive_quantity
+from .asd_calibration import CALIBRATION_KEYS, derive_quantity, panel_of
 from .asd_layout import AsdFile, is_asd, read_asd
 from .asd_text import AsdText, is_asd_text, read_asd_text
 from .irradiance_csv import is_irradiance_csv
+from .spectrum_files import Paths, check_utc_offset, find_paths, for_all, listed, name_spectra, same_grids
 
 __all__ = [
     "AsdCalibration",
     "AsdFile",
     "AsdGps",
     "Spectrum",
-    "check_utc_offset",
     "find_files",
-    "listed",
     "mask_undefined",
     "open_asd",
     "read_asd",
@@ -41,10 +39,7 @@ __all__ = [
 ]
 
 Kind = Literal["binary", "text", "csv", "unknown"]
-Paths = str | os.PathLike[str] | Sequence[str | os.PathLike[str]]
 _FloatArray = npt.NDArray[np.float64]
-_T = TypeVar("_T")
-_R = TypeVar("_R")
 
 QUANTITIES = ("counts", "radiance", "reflectance", "irradiance")
 _QUANTITY_OF_DATA_TYPE = {"raw": "counts", **{name: name for name in QUANTITIES[1:]}}
@@ -68,6 +63,10 @@ class Spectrum:
         As in `AsdFile`.
     saturated
         (wavelength), where the file flags the detector as saturated.
+    path
+        Where the file is.
+    panel
+        White panel whose reflectance made that of the spectrum absolute; empty where it is relative.
     """
 
     source: str
@@ -79,12 +78,15 @@ class Spectrum:
     dark_utc: dt.datetime | None = None
     gps: AsdGps | None = None
     saturated: npt.NDArray[np.bool_] | None = None
+    path: Path | None = None
+    panel: str = ""
 
 
 def open_asd(
     paths: Paths,
     quantity: str | None = None,
     *,
+    absolute: bool = False,
     utc_offset_h: float | None = None,
     calibration: Mapping[str, str | os.PathLike[str]] | None = None,
 ) -> xr.Dataset:
@@ -98,19 +100,24 @@ def open_asd(
         ``counts``, ``reflectance`` (spectrum / white reference), ``radiance`` or ``irradiance``. By default
         what the operator looked at, which binary files say; a text export does not, and is guessed from the
         range of the operator's plot with a warning.
+    absolute
+        Multiply reflectance, which is relative to the white panel, by the panel's own (the block ABS).
     utc_offset_h
         Local time of the logging PC minus UTC [h]. By default each file's own, which files with a white
         reference hold.
     calibration
-        Files of the instrument's calibration, by ``lamp`` (``.ill``), ``fore_optic`` (``.raw``) and ``panel``
-        (``.ref``), for radiance and irradiance from files without calibration blocks.
+        Files of the instrument's calibration, for files without calibration blocks: by ``lamp`` (``.ill``),
+        ``fore_optic`` (``.raw``) and ``panel`` (``.ref``) for radiance and irradiance, by ``absolute``
+        (``.ref``) for absolute reflectance.
 
     Returns
     -------
     xarray.Dataset
         One variable, named by its quantity, on (spectrum, wavelength), float64, ordered by time; coordinates
-        ``wavelength`` [nm], ``time`` (UTC, NaT for exports without a stamp), ``source``, and ``latitude``,
-        ``longitude``, ``altitude`` where a file has a GPS fix. Stamps are whole seconds, as in the files.
+        ``spectrum`` (names of the files without ``.asd``, or of the columns of an export), ``wavelength``
+        [nm], ``time`` (UTC, NaT for exports without a stamp), ``source``, ``latitude``, ``longitude`` and
+        ``altitude`` (NaN without a GPS fix). Stamps are whole seconds, as in the files. Attributes of
+        reflectance: ``reflectance_scale``, relative (to the white panel) or absolute, and the ``panel``.
 
     Raises
     ------
@@ -120,7 +127,8 @@ def open_asd(
     TimeError
         The UTC offset of a file is unknown.
     SchemaError
-        ``quantity`` or ``calibration`` is not one of those above.
+        ``quantity`` or ``calibration`` is not one of those above, or what is asked to be ``absolute`` is no
+        reflectance.
 
     Warns
     -----
@@ -147,15 +155,16 @@ def open_asd(
     array([[0.0669, 0.0671]])
     """
     files = find_files(paths)
-    spectra, quantity = read_spectra(files, quantity, calibration=calibration)
+    spectra, quantity = read_spectra(files, quantity, absolute=absolute, calibration=calibration)
     stamped = [s for s in spectra if s.local_time is not None]
     offsets = dict(zip(map(id, stamped), utc_offsets(stamped, utc_offset_h), strict=True))
     times = np.array([_utc(s, offsets.get(id(s))) for s in spectra], "datetime64[ns]")
     order = np.argsort(times, kind="stable")  # NaT last
     spectra = [spectra[i] for i in order]
     values = xr.DataArray(np.stack([s.values for s in spectra]), dims=("spectrum", "wavelength"))
+    extra = _scale_of(spectra) if quantity == "reflectance" else {}
     return xr.Dataset(
-        {quantity: label(values, quantity)},
+        {quantity: label(values, quantity, **extra)},
         coords=_coords(spectra, times[order]),
         attrs={"instrument": "ASD"},
     )
@@ -167,8 +176,20 @@ def _utc(spectrum: Spectrum, offset_h: float | None) -> np.datetime64:
     return np.datetime64(spectrum.local_time, "ns") - np.timedelta64(round(offset_h * 3600e9), "ns")
 
 
+def _scale_of(spectra: Sequence[Spectrum]) -> dict[str, str]:
+    """Return what reflectance is relative to, as attributes."""
+    panels = sorted({spectrum.panel for spectrum in spectra} - {""})
+    return (
+        {"reflectance_scale": "absolute", "panel": listed(panels)}
+        if panels
+        else {"reflectance_scale": "relative"}
+    )
+
+
 def _coords(spectra: Sequence[Spectrum], times: npt.NDArray[np.datetime64]) -> dict[str, Any]:
+    names = name_spectra([(s.path or Path(s.source), _name_of(s)) for s in spectra])
     coords: dict[str, Any] = {
+        "spectrum": ("spectrum", np.array(names, object), {"long_name": "Name of the spectrum"}),
         "wavelength": (
             "wavelength",
             spectra[0].wavelength,
@@ -177,12 +198,19 @@ def _coords(spectra: Sequence[Spectrum], times: npt.NDArray[np.datetime64]) -> d
         "time": ("spectrum", times, {"long_name": "UTC at which the spectrum was saved"}),
         "source": ("spectrum", np.array([s.source for s in spectra], object), {"long_name": "File"}),
     }
-    if any(s.gps for s in spectra):
-        for name in ("latitude", "longitude", "altitude"):
-            found = [np.nan if s.gps is None else getattr(s.gps, name) for s in spectra]
-            attrs = {**VARIABLES[name].attrs, "long_name": f"{name.capitalize()} of the spectrometer"}
-            coords[name] = ("spectrum", np.array(found, np.float64), attrs)
+    for name in ("latitude", "longitude", "altitude"):
+        found = [np.nan if s.gps is None else getattr(s.gps, name) for s in spectra]
+        attrs = {**VARIABLES[name].attrs, "long_name": f"{name.capitalize()} of the spectrometer"}
+        coords[name] = ("spectrum", np.array(found, np.float64), attrs)
     return coords
+
+
+def _name_of(spectrum: Spectrum) -> str:
+    """Return the name of a file without its ending, or of a column of one."""
+    name = spectrum.source.rpartition(":")[2]
+    while name.lower().endswith((".asd", *_TEXT_SUFFIXES)):  # ViewSpec adds its ending: paint.asd.txt
+        name = name[:-4]
+    return name
 
 
 def find_files(paths: Paths) -> list[Path]:
@@ -195,31 +223,10 @@ def find_files(paths: Paths) -> list[Path]:
     FormatError
         Nothing is there.
     """
-    if isinstance(paths, str | os.PathLike):
-        paths = [paths]
-    problems = Problems("spectra cannot be opened", FormatError)
-    files: list[Path] = []
-    for entry in paths:
-        text = os.fspath(entry)
-        path = Path(text)
-        if path.is_dir():
-            found = _files_of_folder(path)
-        elif path.exists() or not glob.has_magic(text):
-            found = [path]
-        else:
-            found = [Path(match) for match in sorted(glob.glob(text, recursive=True))]
-        if not found:
-            problems.add(f"{text}: no spectra found; expected .asd files, text exports or a csv")
-        files += found
-    if not files and not problems:
-        problems.add("an empty list of files; name at least one")
-    problems.raise_if_any()
-    return files
+    return find_paths(paths, _files_of_folder, ".asd files, text exports or a csv")
 
 
-def _files_of_folder(folder: Path) -> list[Path]:
-    # what only looks like a file is kept: to read it is an error that names it, and no spectrum goes missing
-    files = sorted(p for p in folder.iterdir() if not p.is_dir() and not p.name.startswith("."))
+def _files_of_folder(files: list[Path]) -> list[Path]:
     binaries = [p for p in files if p.suffix.lower() == ".asd" or p.suffix[1:].isdigit()]
     return binaries or [p for p in files if p.suffix.lower() in _TEXT_SUFFIXES]
 
@@ -228,6 +235,7 @@ def read_spectra(
     files: Sequence[Path],
     quantity: str | None,
     *,
+    absolute: bool = False,
     calibration: Mapping[str, str | os.PathLike[str]] | None = None,
 ) -> tuple[list[Spectrum], str]:
     """Read binary files and text exports into spectra of one quantity on one set of wavelengths.
@@ -250,10 +258,17 @@ def read_spectra(
         msg = f"quantity={quantity!r}: expected one of {', '.join(QUANTITIES)}"
         raise SchemaError(msg)
     external = _external_calibration(calibration or {})
-    contents = _for_all(files, _read_file)
+    contents = for_all(files, _read_file)
     wanted = quantity or _common_quantity(contents)
-    derived = _for_all(contents, lambda content: _spectra_of(content, wanted, external))
-    spectra = [spectrum for of_file in derived for spectrum in of_file]
+    if absolute and wanted != "reflectance":
+        msg = f"absolute=True is of reflectance, the spectra are {wanted}; leave it out, or name the quantity"
+        raise SchemaError(msg)
+    derived = for_all(contents, lambda content: _spectra_of(content, wanted, external, absolute))
+    spectra = [
+        replace(spectrum, path=path)
+        for path, of_file in zip(files, derived, strict=True)
+        for spectrum in of_file
+    ]
     _require_one_grid(spectra)
     _warn_of_dark(contents, wanted)
     return mask_undefined(spectra, wanted), wanted
@@ -291,23 +306,6 @@ def sniff(path: Path) -> Kind:
     return "csv" if is_irradiance_csv(head) else "unknown"
 
 
-def _for_all(items: Iterable[_T], function: Callable[[_T], _R]) -> list[_R]:
-    """Return ``function`` of each item, or raise one error that names every file it failed for."""
-    made: list[_R] = []
-    failed: dict[str, list[str]] = {}
-    for item in items:
-        try:
-            made.append(function(item))
-        except FormatError as error:
-            name, _, reason = str(error).partition(": ")
-            failed.setdefault(reason, []).append(name)
-    problems = Problems("spectra cannot be used", FormatError)
-    for reason, names in failed.items():
-        problems.add(f"{', '.join(names)}: {reason}")
-    problems.raise_if_any()
-    return made
-
-
 def _common_quantity(contents: Sequence[AsdFile | AsdText]) -> str:
     """Return the quantity that all files say they are, or seem to be."""
     found: dict[str | None, list[str]] = {}
@@ -332,9 +330,11 @@ def _common_quantity(contents: Sequence[AsdFile | AsdText]) -> str:
     return quantity
 
 
-def _spectra_of(content: AsdFile | AsdText, quantity: str, external: Mapping[str, AsdFile]) -> list[Spectrum]:
+def _spectra_of(
+    content: AsdFile | AsdText, quantity: str, external: Mapping[str, AsdFile], absolute: bool
+) -> list[Spectrum]:
     if isinstance(content, AsdFile):
-        wavelength, values, saturated = derive_quantity(content, quantity, external)
+        wavelength, values, saturated = derive_quantity(content, quantity, external, absolute=absolute)
         return [
             Spectrum(
                 source=content.name,
@@ -346,8 +346,14 @@ def _spectra_of(content: AsdFile | AsdText, quantity: str, external: Mapping[str
                 dark_utc=content.dark_utc,
                 gps=content.gps,
                 saturated=saturated,
+                panel=panel_of(content, external) if absolute else "",
             )
         ]
+    if absolute:
+        msg = (
+            f"{content.name}: a text export, to which no panel's reflectance can be put; give the binary file"
+        )
+        raise FormatError(msg)
     averaging_s = None
     if content.integration_ms is not None:
         averaging_s = content.integration_ms * 1e-3 * max(content.sample_averages or 1, 1)
@@ -369,19 +375,12 @@ def _external_calibration(calibration: Mapping[str, str | os.PathLike[str]]) -> 
     if unknown:
         msg = f"calibration keys {unknown}: expected some of {', '.join(CALIBRATION_KEYS)}"
         raise SchemaError(msg)
-    read = _for_all(calibration.values(), read_asd)
+    read = for_all(calibration.values(), read_asd)
     return {CALIBRATION_KEYS[key]: file for key, file in zip(calibration, read, strict=True)}
 
 
 def _require_one_grid(spectra: Sequence[Spectrum]) -> None:
-    groups: list[tuple[_FloatArray, list[str]]] = []
-    for spectrum in spectra:
-        for wavelength, names in groups:
-            if np.array_equal(wavelength, spectrum.wavelength):
-                names.append(spectrum.source)
-                break
-        else:
-            groups.append((spectrum.wavelength, [spectrum.source]))
+    groups = same_grids((spectrum.source, spectrum.wavelength) for spectrum in spectra)
     if len(groups) > 1:
         problems = Problems("spectra differ in their wavelengths; open them apart", FormatError)
         for wavelength, names in groups:
@@ -467,25 +466,16 @@ def utc_offsets(
     return [spectrum.utc_offset_h for spectrum in spectra if spectrum.utc_offset_h is not None]
 
 
-def check_utc_offset(hours: float) -> None:
-    """Raise TimeError where ``hours`` is the offset of no zone."""
-    if not -14.0 <= hours <= 14.0:
-        msg = f"utc_offset_h={hours}: expected local time minus UTC in hours, within -14 to 14"
-        raise TimeError(msg)
-
-
 def _offset_hint(spectrum: Spectrum) -> str:
-    """Return what the dark current suggests: it is stamped in UTC, and taken shortly before the spectrum."""
+    """Return what the GPS suggests, or the dark current: stamped in UTC, shortly before the spectrum."""
+    if spectrum.gps is not None and spectrum.local_time is not None:
+        fix = dt.datetime.combine(spectrum.local_time.date(), spectrum.gps.utc)
+        hours = round((spectrum.local_time - fix) / dt.timedelta(hours=1))
+        return f", perhaps {(hours + 11) % 24 - 11:+d} by the GPS"
     if spectrum.dark_utc is None or spectrum.local_time is None:
         return ""
     hours = (spectrum.local_time - spectrum.dark_utc) // dt.timedelta(hours=1)
     return f", perhaps {hours:+d} by the stamp of the dark current" if -12 <= hours <= 14 else ""
-
-
-def listed(names: Sequence[str], most: int = 20) -> str:
-    """Return the names as text, the first ones of a long list."""
-    rest = f" and {len(names) - most} more" if len(names) > most else ""
-    return ", ".join(names[:most]) + rest
 
 
 def _warn(message: str) -> None:

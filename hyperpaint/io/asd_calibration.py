@@ -11,23 +11,23 @@ from hyperpaint.errors import FormatError
 
 from .asd_layout import AsdFile
 
-__all__ = ["CALIBRATION_KEYS", "derive_quantity"]
+__all__ = ["CALIBRATION_KEYS", "derive_quantity", "panel_of"]
 
 _FloatArray = npt.NDArray[np.float64]
 
-CALIBRATION_KEYS = {"lamp": "LMP", "fore_optic": "FO", "panel": "BSE"}
+CALIBRATION_KEYS = {"lamp": "LMP", "fore_optic": "FO", "panel": "BSE", "absolute": "ABS"}
 """What users call the files of an instrument's calibration, and the kind of block each replaces."""
 
 _NEEDED_BLOCKS = {"irradiance": ("LMP", "FO"), "radiance": ("LMP", "FO", "BSE")}
 
 
 def derive_quantity(
-    file: AsdFile, quantity: str, external: Mapping[str, AsdFile]
+    file: AsdFile, quantity: str, external: Mapping[str, AsdFile], *, absolute: bool = False
 ) -> tuple[_FloatArray, _FloatArray, npt.NDArray[np.bool_]]:
     """Return the wavelengths, the values in ``quantity``, and where the detector was saturated.
 
     See the notes of `open_asd` for the formulas; ``external`` holds calibration files by kind, which win
-    over the blocks in the file.
+    over the blocks in the file. ``absolute`` multiplies reflectance by that of the white panel.
 
     Raises
     ------
@@ -43,6 +43,9 @@ def derive_quantity(
             )
             raise FormatError(msg)
         values = _ratio(file.spectrum, file.reference)
+        if absolute:
+            with np.errstate(all="ignore"):
+                values = values * _needed_blocks(file, ("ABS",), "absolute reflectance", external)["ABS"][0]
     elif quantity in _NEEDED_BLOCKS:
         with np.errstate(all="ignore"):  # damaged values; what is not finite is reported later
             values = file.spectrum * _responsivity(file, quantity, external)
@@ -51,23 +54,38 @@ def derive_quantity(
     return wavelength, values, _saturated(file)
 
 
-def _responsivity(file: AsdFile, quantity: str, external: Mapping[str, AsdFile]) -> _FloatArray:
-    """Return irradiance or radiance per count (wavelength)."""
+def panel_of(file: AsdFile, external: Mapping[str, AsdFile]) -> str:
+    """Return the name of the panel whose reflectance makes that of the file absolute; empty without one."""
+    if "ABS" in external:
+        return external["ABS"].name
+    return file.calibrations["ABS"].name if "ABS" in file.calibrations else ""
+
+
+def _needed_blocks(
+    file: AsdFile, kinds: tuple[str, ...], purpose: str, external: Mapping[str, AsdFile]
+) -> dict[str, tuple[_FloatArray, float]]:
+    """Return values and integration time [ms] of the calibration blocks of some kinds."""
     blocks = {kind: (block.values, block.integration_ms) for kind, block in file.calibrations.items()}
     for kind, other in external.items():
-        if not np.array_equal(other.wavelength, file.wavelength):
+        if kind in kinds and not np.array_equal(other.wavelength, file.wavelength):
             msg = f"{file.name}: its wavelengths are not those of the calibration file {other.name}"
             raise FormatError(msg)
         blocks[kind] = (other.spectrum, other.integration_ms)
-    missing = [kind for kind in _NEEDED_BLOCKS[quantity] if kind not in blocks]
+    missing = [kind for kind in kinds if kind not in blocks]
     if missing:
         keys = [key for key, kind in CALIBRATION_KEYS.items() if kind in missing]
         msg = (
-            f"{file.name}: no calibration block {' and '.join(missing)} in the file, so no {quantity}; pass "
+            f"{file.name}: no calibration block {' and '.join(missing)} in the file, so no {purpose}; pass "
             f"calibration={{{', '.join(f'{key!r}: path' for key in keys)}}} with the instrument's files "
             "(.ill, .raw, .ref), or export the spectra as text with the vendor's software"
         )
         raise FormatError(msg)
+    return blocks
+
+
+def _responsivity(file: AsdFile, quantity: str, external: Mapping[str, AsdFile]) -> _FloatArray:
+    """Return irradiance or radiance per count (wavelength)."""
+    blocks = _needed_blocks(file, _NEEDED_BLOCKS[quantity], quantity, external)
     lamp_counts, lamp_ms = blocks["FO"]
     if file.integration_ms <= 0 or lamp_ms <= 0:
         msg = (

@@ -32,6 +32,7 @@ _OPTIONAL = (
     "saturation_count",
     "electrons_per_count",
     "read_noise",
+    "look_angle",
 )
 #: What a lab calibration adds, of which nothing but units and dims is asked.
 _OF_A_SWEEP = (
@@ -237,6 +238,9 @@ def _check_values(name: str, values: np.ndarray[Any, Any], problems: Problems) -
     elif name == "wavelength_shift":
         if not (np.isfinite(values).all() and (np.abs(values) < 100.0).all()):
             problems.add("'wavelength_shift' is not finite and below 100 nm everywhere")
+    elif name == "look_angle":
+        if not (np.isfinite(values).all() and (np.abs(values) < 90.0).all()):
+            problems.add("'look_angle' is not finite and below 90 degrees everywhere")
     elif name.startswith("radiance_gain_u_") or name in ("wavelength_u", "irradiance_u_systematic"):
         if (values < 0).any():
             problems.add(f"{name!r} is negative in places, expected a standard uncertainty")

@@ -11,11 +11,20 @@ from typing import TYPE_CHECKING, Any
 from hyperpaint.errors import CollectError, Problems
 
 from .calibration_store import open_calibration
-from .collect_toml import Camera, Collect, FlightlineEntry, IrradianceEntry, parse_collect, read_collect
+from .collect_toml import (
+    Camera,
+    Collect,
+    FlightlineEntry,
+    IrradianceEntry,
+    ReferenceEntry,
+    parse_collect,
+    read_collect,
+)
 from .findings import Findings, Unavailable
 from .flightline import assemble
 from .line_parts import FlightlineInputs
 from .navigation import Navigation, read_imu_gps
+from .reference_files import open_spectra
 from .timing import Timing
 
 if TYPE_CHECKING:
@@ -47,8 +56,8 @@ def open_collect(
     Returns
     -------
     xarray.DataTree
-        ``/flightlines/<id>`` (see `open_flightline`), ``/irradiance`` and ``/calibration``; the root holds
-        attributes and no variables.
+        ``/flightlines/<id>`` (see `open_flightline`), ``/irradiance``, ``/calibration`` and
+        ``/references/<instrument>``; the root holds attributes and no variables.
 
     Raises
     ------
@@ -67,7 +76,7 @@ def open_collect(
     >>> path = simulate_collect(tempfile.mkdtemp(), scene="plan", lines=40, bands=4, columns=6, cubes=2)
     >>> tree = open_collect(path)
     >>> sorted(tree.children), sorted(tree["flightlines"].children)
-    (['calibration', 'flightlines', 'irradiance'], ['raw_0', 'raw_20'])
+    (['calibration', 'flightlines', 'irradiance', 'references'], ['raw_0', 'raw_20'])
     """
     import xarray as xr
 
@@ -96,6 +105,7 @@ def open_collect(
         inputs = replace(inputs, calibration=calibration, irradiance=irradiance, chunks=chunks)
         lines[entry.id] = assemble(inputs, own)
         findings.errors += own.errors
+    references = dict(_references(collect.references, findings))
     # what several lines share is reported once
     for text in dict.fromkeys(str(error) for error in findings.errors):
         problems.add(text)
@@ -106,6 +116,7 @@ def open_collect(
         groups["/irradiance"] = irradiance
     if isinstance(calibration, xr.Dataset):
         groups["/calibration"] = calibration
+    groups |= {f"/references/{name}": dataset for name, dataset in references.items()}
     return xr.DataTree.from_dict(groups)
 
 
@@ -123,6 +134,23 @@ def _open_irradiance(entry: IrradianceEntry | None) -> xr.Dataset | None:
 
     files: Any = list(entry.files) if len(entry.files) > 1 else entry.files[0]
     return open_irradiance(files, **entry.options)
+
+
+def _references(entries: tuple[ReferenceEntry, ...], findings: Findings) -> Iterator[tuple[str, xr.Dataset]]:
+    """Open the files of each field spectrometer: one instrument has one set of wavelengths."""
+    for entry in entries:
+        if not entry.files:  # which has been reported
+            continue
+        with findings.step():
+            opened = open_spectra(entry.files)
+            if len(opened) > 1:
+                msg = (
+                    f"[[references]] {entry.instrument!r}: files of {len(opened)} kinds of instruments; give "
+                    "each its own [[references]]"
+                )
+                raise CollectError(msg)
+            told = {} if entry.group == entry.instrument else {"instrument_name": entry.instrument}
+            yield entry.group, opened[0].assign_attrs(told)
 
 
 def _navigation(collect: Collect, findings: Findings) -> Iterator[tuple[Path, Navigation]]:
@@ -174,4 +202,5 @@ def _inputs(
         name=entry.id,
         keep_whole_lines=entry.keep_whole_lines,
         attrs=attrs,
+        convention=collect.navigation,
     )

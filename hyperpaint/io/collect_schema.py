@@ -35,6 +35,18 @@ SCHEMA: Mapping[str, Mapping[str, Check]] = {
         "fwhm_nm": positive,
         "radiance_units": text,
     },
+    "navigation": {
+        "roll_positive": one_of("right_wing_down", "right_wing_up"),
+        "pitch_positive": one_of("nose_up", "nose_down"),
+        "heading_positive": one_of("clockwise", "counterclockwise"),
+        "heading_reference": one_of("true", "grid", "magnetic"),
+        "euler_order": one_of("ZYX", "ZXY", "XYZ"),
+        "height_reference": one_of("ellipsoid", "geoid"),
+        "column_order": one_of("left_to_right", "right_to_left"),
+        "declination": number,
+        "geoid_undulation": number,
+        "grid_crs": text,
+    },
     "calibration": {"path": text, "sweep": text},
     "dark": {"cubes": texts},
     "irradiance": {

@@ -77,6 +77,17 @@ class ReferenceEntry:
     instrument: str
     files: tuple[Path, ...]
 
+    @property
+    def group(self) -> str:
+        """Name of the group that they go to: the instrument's, blanks as underscores.
+
+        Examples
+        --------
+        >>> ReferenceEntry("SVC HR-1024i", ()).group
+        'SVC_HR-1024i'
+        """
+        return "_".join(self.instrument.split())
+
 
 @dataclass(frozen=True)
 class Collect:
@@ -90,6 +101,8 @@ class Collect:
         Of the collect.
     camera, calibration, irradiance, flightlines, references
         Its tables; ``irradiance`` and ``calibration`` None where not needed and not given.
+    navigation
+        What it declares of `hyperpaint.Convention`, by the names of its fields.
     sweep
         Lab sweep to calibrate in place of a ``calibration``.
     dark
@@ -105,6 +118,7 @@ class Collect:
     flightlines: tuple[FlightlineEntry, ...]
     references: tuple[ReferenceEntry, ...] = ()
     sweep: Path | None = None
+    navigation: Mapping[str, Any] = field(default_factory=dict)
 
 
 # --- tables into checked values ----------------------------------------------------------------------------
@@ -277,8 +291,17 @@ def _references(reader: _Reader) -> tuple[ReferenceEntry, ...]:
         absent = [key for key in ("instrument", "files") if key not in table["?"]]
         if absent:
             reader.problems.add(f"{place} {' and '.join(absent)} missing")
-        if "instrument" in table and "files" in table:
-            made.append(ReferenceEntry(table["instrument"], reader.files(place, "files", table["files"])))
+        if "instrument" not in table or "files" not in table:
+            continue
+        name = table["instrument"]
+        group = ReferenceEntry(name, ()).group
+        if not _ID.fullmatch(group) or group in _RESERVED:
+            expected = "letters, digits, blanks, '.', '_' and '-': it names a group of the store"
+            reader.problems.add(f"{place} instrument = {shown(name)}, expected {expected}")
+        elif group.lower() in (entry.group.lower() for entry in made):
+            reader.problems.add(f"{place} instrument {name!r} is there already; list all its files in one")
+        else:
+            made.append(ReferenceEntry(name, reader.files(place, "files", table["files"])))
     return tuple(made)
 
 
@@ -322,6 +345,7 @@ def parse_collect(path: Path, problems: Problems, *, need_irradiance: bool) -> t
         flightlines=_flightlines(reader, camera),
         references=_references(reader),
         sweep=sweep,
+        navigation={key: value for key, value in reader.one("navigation").items() if key != "?"},
     )
     return collect, reader.reported
 

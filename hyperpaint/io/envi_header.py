@@ -24,6 +24,8 @@ __all__ = ["EnviHeader", "MapInfo", "parse_header", "read_header"]
 FloatArray = npt.NDArray[np.float64]
 
 MAX_HEADER_BYTES = 4 * 2**20
+MAX_LIBRARY_HEADER_BYTES = 16 * 2**20
+"""Of a spectral library, whose header names every spectrum: some 400,000 of them."""
 
 _DTYPES = {
     "1": "u1", "2": "i2", "3": "i4", "4": "f4", "5": "f8", "6": "c8", "9": "c16",
@@ -162,27 +164,29 @@ class EnviHeader:
         return "spectral library" in self.file_type
 
 
-def read_header(path: str | os.PathLike[str]) -> EnviHeader:
+def read_header(path: str | os.PathLike[str], limit: int = MAX_HEADER_BYTES) -> EnviHeader:
     """Read an ENVI header file.
 
     Parameters
     ----------
     path
         The ``.hdr`` file.
+    limit
+        Most bytes that it may have.
 
     Raises
     ------
     FormatError
-        The file is not an ENVI header, is over 4 MB, or contradicts itself; all problems are listed.
+        The file is not an ENVI header, is over the limit, or contradicts itself; all problems are listed.
     OSError
         The file cannot be read.
     """
     with open(path, "rb") as file:
         # read() sets aside all it is allowed to read
-        raw = file.read(min(os.fstat(file.fileno()).st_size, MAX_HEADER_BYTES) + 1)
+        raw = file.read(min(os.fstat(file.fileno()).st_size, limit) + 1)
     name = f"ENVI header {os.fspath(path)!r}"
-    if len(raw) > MAX_HEADER_BYTES:
-        msg = f"{name} cannot be read: it is over {MAX_HEADER_BYTES >> 20} MB; is it the data file?"
+    if len(raw) > limit:
+        msg = f"{name} cannot be read: it is over {limit >> 20} MB; is it the data file?"
         raise FormatError(msg)
     try:
         text = raw.decode("utf-8-sig")

@@ -5,11 +5,13 @@ from __future__ import annotations
 import os
 import warnings
 from collections.abc import Mapping, Sequence
+from dataclasses import fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
+from hyperpaint.conventions import Convention
 from hyperpaint.errors import PaintWarning, SchemaError
 from hyperpaint.schema import ALONG_TRACK, BAND, CROSS_TRACK, label
 
@@ -26,7 +28,7 @@ from .line_parts import (
     open_file,
     path_of,
 )
-from .navigation import Navigation
+from .navigation import ASSUMED, Navigation
 from .timing import LineTimes, Timing, line_times
 
 if TYPE_CHECKING:
@@ -59,6 +61,7 @@ def open_flightline(
     time_scale: Literal["utc", "gps"] = "utc",
     gps_leap_seconds: int | None = None,
     nav_max_gap_s: float | None = None,
+    convention: Mapping[str, Any] | None = None,
     bit_depth: int = 12,
     saturation_count: float | None = None,
     radiance_units: str | None = None,
@@ -105,6 +108,10 @@ def open_flightline(
         given.
     nav_max_gap_s
         Longest interval of the navigation that is interpolated [s]; default 2.5 x the median, at least 0.1 s.
+    convention
+        What the angles and heights of ``nav`` mean and where the columns look, as far as it is known: fields
+        of `hyperpaint.Convention`, such as ``{"column_order": "left_to_right"}``. The others are as the
+        format is taken to mean them; the line's attribute ``navigation_assumed`` lists those.
     bit_depth, saturation_count
         The converter is full at ``saturation_count``: as given, else as in the calibration, else
         ``2**bit_depth - 1``.
@@ -190,6 +197,7 @@ def open_flightline(
         chunks=chunks,
         name=name,
         keep_whole_lines=keep_whole_lines,
+        convention=convention or {},
     )
     shown = name or (source.name if isinstance(source, Path) else "from a Dataset")
     findings = Findings(f"flight line {shown!r} cannot be opened")
@@ -237,6 +245,9 @@ def assemble(inputs: FlightlineInputs, findings: Findings) -> xr.Dataset:
     irradiance: xr.Dataset | None = None
     with findings.step():
         irradiance = _irradiance(inputs, times)
+    meaning: dict[str, Any] = {}
+    with findings.step():
+        meaning = _navigation_attrs(inputs.convention, timing) if timing.nav is not None else {}
     saturation: xr.DataArray | None = None
     with findings.step():
         saturation = find_saturation(inputs, calibration)
@@ -264,6 +275,7 @@ def assemble(inputs: FlightlineInputs, findings: Findings) -> xr.Dataset:
         **_scale_attrs(calibration if is_counts else None),
         "time_source": times.source,
         "stamp": timing.stamp,
+        **meaning,
         "dropped_frames": times.dropped,
         **{key: opened.attrs[key] for key in ("envi_comments", "envi_notes") if key in opened.attrs},
         **inputs.attrs,
@@ -303,7 +315,7 @@ def _shape(sizes: Mapping[Any, int]) -> str:
 
 
 def _calibration_parts(calibration: xr.Dataset | None, is_counts: bool) -> dict[str, xr.DataArray]:
-    """Return what a line keeps of its calibration; of a radiance cube's, the line shape only."""
+    """Return what a line keeps of its calibration; of a radiance cube's, line shape and look angles."""
     if calibration is None:
         return {}
     left = {
@@ -323,7 +335,7 @@ def _calibration_parts(calibration: xr.Dataset | None, is_counts: bool) -> dict[
         if name not in left and set(array.dims) <= own
     ]
     if not is_counts:
-        kept = [name for name in kept if name == "srf"]
+        kept = [name for name in kept if name in ("srf", "look_angle")]
     return {name: calibration[name].reset_coords(drop=True) for name in kept}
 
 
@@ -331,6 +343,24 @@ def _scale_attrs(calibration: xr.Dataset | None) -> dict[str, Any]:
     """Return what the calibration says of the counts and the scale that its gain holds for."""
     names = ("linearity", "absolute_scale")
     return {} if calibration is None else {k: calibration.attrs[k] for k in names if k in calibration.attrs}
+
+
+def _navigation_attrs(declared: Mapping[str, Any], timing: Timing) -> dict[str, Any]:
+    """Return what the poses of a line mean, and what of that nobody has declared.
+
+    Raises
+    ------
+    SchemaError
+        A declaration that does not exist.
+    """
+    known = {each.name for each in fields(Convention)} - {"angle_unit", "stamp_reference"}
+    if not set(declared) <= known:
+        wrong, right = (", ".join(sorted(names)) for names in (set(declared) - known, known))
+        msg = f"convention has {wrong}, expected some of {right}; angles are in degree, and stamp= is apart"
+        raise SchemaError(msg)
+    meant = Convention(**{"stamp_reference": timing.stamp, **declared})
+    assumed = [name for name in ASSUMED if name not in declared]
+    return {**meant.to_attrs(), **({"navigation_assumed": ", ".join(assumed)} if assumed else {})}
 
 
 # --- coordinates -------------------------------------------------------------------------------------------

@@ -24,11 +24,8 @@ from hyperpaint.schema import IRRADIANCE_TIME, IRRADIANCE_WAVELENGTH, VARIABLES,
 from hyperpaint.units import conversion_factor, convert
 
 from .asd import (
-    Paths,
     Spectrum,
-    check_utc_offset,
     find_files,
-    listed,
     mask_undefined,
     read_spectra,
     sniff,
@@ -37,6 +34,7 @@ from .asd import (
 from .daylight import check_magnitude
 from .irradiance_csv import read_irradiance_csv
 from .irradiance_store import is_store, stored_series
+from .spectrum_files import Paths, check_utc_offset, listed
 from .stamps import TO_MIDDLE
 
 __all__ = ["open_irradiance"]

@@ -62,6 +62,7 @@ class FlightlineInputs:
     chunks: Any = "auto"
     name: str | None = None
     keep_whole_lines: bool = False
+    convention: Mapping[str, Any] = field(default_factory=dict)
     attrs: Mapping[str, Any] = field(default_factory=dict)
 
 

@@ -32,7 +32,7 @@ from .headwall import (
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-__all__ = ["Navigation", "read_gps_time", "read_imu_gps"]
+__all__ = ["ASSUMED", "LIMITS", "Navigation", "limited_numbers", "read_gps_time", "read_imu_gps"]
 
 _MONTHS = ("jan", "feb", "mar", "apr", "may", "jun", "jul", "aug", "sep", "oct", "nov", "dec")
 _DATE_TIME = re.compile(
@@ -48,6 +48,13 @@ _COLUMNS = {
     "pitch": ("pitch", 360.0),
     "yaw": ("heading", 360.0),
 }
+LIMITS = dict(_COLUMNS.values())
+"""The largest magnitude of each that is a position or an angle at all [degree, m]."""
+ASSUMED = (
+    *("roll_positive", "pitch_positive", "heading_positive", "heading_reference"),
+    *("angle_unit", "euler_order", "height_reference"),
+)
+"""Fields of the convention of ``imu_gps.txt`` on which no statement of its maker is public."""
 _ATTITUDE = ("roll", "pitch", "heading")
 _CLOCK_COLUMNS = ("timestamp", "systemtime", "gps_utc")
 _UTC_COLUMN = "gps_utc_date&time"
@@ -116,6 +123,17 @@ class Navigation:
         check_increasing(stamp, self.rows, f"{self.name}: column 'time'")
         utc = clock.at(stamp).astype(np.int64)
         return replace(self, utc=utc)._where(utc != NAT)
+
+    def dated_at(self, midnight: int) -> Navigation:
+        """Return the record with UTC of the recording computer's time of day.
+
+        Parameters
+        ----------
+        midnight
+            0 h of the first row's day on that clock [ns since 1970-01-01].
+        """
+        stamp = self.stamps.get("time of day")
+        return self if stamp is None else replace(self, utc=midnight + stamp * 1000)
 
     def _where(self, keep: NDArray[np.bool_]) -> Navigation:
         return Navigation(
@@ -201,7 +219,9 @@ def read_imu_gps(path: str | Path, correction: ClockCorrection | None = None) ->
     """
     table = read_table(path, "navigation record", needs=list(_COLUMNS))
     problems = Problems(f"{path} cannot be used as navigation", FormatError)
-    values = {name: _numbers(table, column, limit, problems) for column, (name, limit) in _COLUMNS.items()}
+    values = {
+        name: limited_numbers(table, column, limit, problems) for column, (name, limit) in _COLUMNS.items()
+    }
     problems.raise_if_any()
     unaligned = np.cumsum(values["roll"] != 0.0) == 0
     nowhere = (values["latitude"] == 0.0) & (values["longitude"] == 0.0)
@@ -230,7 +250,8 @@ def read_imu_gps(path: str | Path, correction: ClockCorrection | None = None) ->
     )._where(keep)
 
 
-def _numbers(table: Table, column: str, limit: float, problems: Problems) -> NDArray[np.float64]:
+def limited_numbers(table: Table, column: str, limit: float, problems: Problems) -> NDArray[np.float64]:
+    """Return a column of numbers, NaN allowed; what is beyond a limit or no number is noted."""
     cells = table.columns[column]
     try:
         made = np.array(list(map(float, cells)))

@@ -13,7 +13,7 @@ from hyperpaint.errors import FormatError
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["load_netcdf", "read_limited", "read_limited_text"]
+__all__ = ["decoded_text", "load_netcdf", "read_limited", "read_limited_text"]
 
 LONGEST_LINE = 2**20
 """Bytes of a line of text: spectra side by side have some 12 a cell."""
@@ -75,6 +75,20 @@ def read_limited_text(path: Path, limit: int, expected: str) -> bytes:
             msg = f"{path}: a line of {longest} bytes, expected {expected}, lines of at most {LONGEST_LINE}"
             raise FormatError(msg)
     return data
+
+
+def decoded_text(data: bytes) -> str:
+    """Return the bytes of a file as text: UTF-8, with or without a mark, else latin-1, which any bytes are.
+
+    Examples
+    --------
+    >>> decoded_text("µm".encode("utf-8-sig")), decoded_text("µm".encode("latin-1"))
+    ('µm', 'µm')
+    """
+    try:
+        return data.decode("utf-8-sig")
+    except UnicodeDecodeError:
+        return data.decode("latin-1")
 
 
 def load_netcdf(path: Path, group: str | None = None) -> xr.Dataset:

@@ -18,15 +18,19 @@ _MOST_SHOWN = 5
 _WAVELENGTHS = (100.0, 100_000.0)  # nm
 
 
-def read_spectrum_csv(path: str | Path) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+def read_spectrum_csv(
+    path: str | Path, headings: int = 1
+) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
     """Read a spectrum: lines of wavelength [nm] and value, separated by a comma, semicolon, tab or blanks.
 
-    Lines that are empty or begin with ``#`` are passed over, and so is a first line of headings.
+    Lines that are empty or begin with ``#`` are passed over, and so are headings before the first numbers.
 
     Parameters
     ----------
     path
         The file.
+    headings
+        Lines at the top that may be headings.
 
     Returns
     -------
@@ -50,7 +54,7 @@ def read_spectrum_csv(path: str | Path) -> tuple[npt.NDArray[np.float64], npt.ND
         row = _numbers(content)
         if row is not None:
             rows.append(row)
-        elif rows or number > 1:
+        elif rows or number > headings:
             problems.add(f"line {number}: {content[:60]!r}, expected a wavelength [nm] and a value")
             if len(problems) == _MOST_SHOWN:
                 problems.raise_if_any()

@@ -62,6 +62,11 @@ class Piece(NamedTuple):
         (y, x), (lines, columns) = self.first, self.inside.shape
         return slice(y, y + lines), slice(x, x + columns)
 
+    @property
+    def middle(self) -> Float:
+        """Line and column of its centre, (2,)."""
+        return np.asarray(np.argwhere(self.inside).mean(axis=0) + np.array(self.first, np.float64))
+
 
 class Measures(NamedTuple):
     """What is measured of a piece.
@@ -79,6 +84,8 @@ class Measures(NamedTuple):
     spread, slope
         Of brightness: half of what lies between the 5th and 95th percentiles, and the median change from
         pixel to pixel, relative.
+    change
+        Half of what lies between the 10th and 90th percentiles of brightness over all that is lit, relative.
     glint, shadow, adjacency
         Means over the usable pixels [1].
     lost : mapping
@@ -91,6 +98,7 @@ class Measures(NamedTuple):
     angle: float
     spread: float
     slope: float
+    change: float
     glint: float
     shadow: float
     adjacency: float
@@ -117,7 +125,13 @@ def pieces(model: SceneModel, erode: int, least: int) -> Iterator[Piece]:
                 yield Piece(number, (first[0], first[1]), mask)
 
 
-def measured(piece: Piece, channels: Array, layers: Mapping[str, Array], limits: Limits) -> Measures:
+def measured(
+    piece: Piece,
+    channels: Array,
+    layers: Mapping[str, Array],
+    limits: Limits,
+    brightness: Float | None = None,
+) -> Measures:
     """Return what is measured of a piece, and which of its pixels a region can have.
 
     Parameters
@@ -130,6 +144,8 @@ def measured(piece: Piece, channels: Array, layers: Mapping[str, Array], limits:
         ``glint_fraction``, ``blocked_direct``, ``adjacency`` and ``quality`` (line, column).
     limits
         What pixels keep to.
+    brightness : (line, column)
+        Of the piece's window, relative to what is level [1]; to its median unless given.
     """
     here = {name: layer[piece.window] for name, layer in layers.items()}
     seen = channels[piece.window].astype(np.float64)
@@ -141,7 +157,9 @@ def measured(piece: Piece, channels: Array, layers: Mapping[str, Array], limits:
         "shadow": ~(here["blocked_direct"] < limits.shadow),
         "adjacency": ~(_smoothed(here["adjacency"], inside) <= limits.adjacency),
     }
-    brightness, most = _brightness(seen, inside & ~left_out["shadow"])
+    lit = inside & ~left_out["shadow"]
+    own, most = _brightness(seen, lit)
+    brightness = own if brightness is None else _smoothed(brightness, lit)
     # of dark paint, a tilt changes next to nothing
     allowed = max(limits.brightness, _LEAST_CHANGE / max(most, 1e-6))
     left_out["another tilt"] = ~(np.abs(brightness - 1.0) <= allowed)
@@ -151,7 +169,11 @@ def measured(piece: Piece, channels: Array, layers: Mapping[str, Array], limits:
         lost[reason] = float((usable & mask).sum() / piece.inside.sum())
         usable &= ~mask
     usable = _largest(usable)
-    return _measures(usable, seen, brightness, here, {name: share for name, share in lost.items() if share})
+    found = _measures(usable, seen, brightness, here, {name: share for name, share in lost.items() if share})
+    if not lit.any():
+        return found
+    low, high = np.quantile(brightness[lit], [0.1, 0.9])
+    return found._replace(change=0.5 * float(high - low))
 
 
 def _measures(
@@ -161,7 +183,7 @@ def _measures(
     if not count:
         nothing = np.full(seen.shape[2], np.nan)
         nan = float("nan")
-        return Measures(usable, nothing, 0, nan, nan, nan, nan, nan, nan, lost)
+        return Measures(usable, nothing, 0, nan, nan, nan, nan, nan, nan, nan, lost)
     values = seen[usable]
     middle = np.median(values, axis=0)
     length = np.linalg.norm(values, axis=1) * np.linalg.norm(middle)
@@ -176,6 +198,7 @@ def _measures(
         float(np.median(angles)),
         0.5 * float(high - low),
         float(np.median(joined)) if joined.size else 0.0,
+        float("nan"),
         float(here["glint_fraction"][usable].mean()),
         float(here["blocked_direct"][usable].mean()),
         float(here["adjacency"][usable].mean()),

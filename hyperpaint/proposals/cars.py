@@ -1,139 +1,235 @@
-"""Which pieces are of the same car, and which of them is the level one."""
+"""Cars: which pieces of paint are of the same one, which part is its roof, and what that roof is like."""
 
 from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from hyperpaint.scene_model import SceneModel
 
-from .candidates import Measures, Piece
-from .judging import Verdict, judge_lean
-from .surroundings import Surfaces, extent
+from .candidates import Limits, Measures, Piece, measured
+from .footprints import Footprint, Scene, footprint_of
+from .judging import Verdict, judge_change, judge_lean, judge_pixels
+from .levelling import level_light
+from .roofs import NoRoof, Roof, find_roof
 
-__all__ = ["Judged", "group_by_car", "settle"]
+__all__ = ["Car", "Judged", "better_part", "find_cars", "judge_car"]
 
+Array = npt.NDArray[Any]
+Mask = npt.NDArray[np.bool_]
 Judged = tuple[Piece, Measures, Verdict]
 
-_SAME_PAINT = np.cos(np.radians(5.0))
-_FARTHEST = 300.0
-_GROUND = 3
-_LEAST_WINDOW = 6
-_ELONGATED, _STRIP, _LONGER = 1.1, 4.0, 1.3
+_MOSTLY, _OVERLAP = 0.5, 0.3
+"""Share of a piece, or of the smaller footprint, from which on it lies on a car that is known."""
+_WIDER = (1.0, 2.0)
+"""Where too few pixels of a roof are of one brightness, it may differ by so many times more."""
+_MOST_MISFIT = 0.06
+"""Of what is seen in the middle of a roof, from the plane around it, relative [1]."""
+_CUT = 0.8
+"""Share of a roof that is looked at where the car is cut off by the picture's edge."""
 
 
-def group_by_car(judged: list[Judged], model: SceneModel, surfaces: Surfaces) -> list[list[Judged]]:
-    """Return pieces that could be paint, those of one car together.
+@dataclass(eq=False)
+class Car:
+    """Pieces of paint that are of one car.
 
-    Two are of one car where their spectra are the same but for brightness, and on the straight way from one
-    to the other there is a window and no ground.
+    Attributes
+    ----------
+    pieces
+        Those of its paint.
+    footprint, roof
+        The car around its roof; None where it is not seen.
+    reason
+        Why there is no roof.
+    is_car
+        Whether windows show that it is one.
+    size
+        Pixels of its largest footprint.
     """
-    parts = [one for one in judged if one[2].kind and not one[2].scenery]
-    group = list(range(len(parts)))
-    for later in range(len(parts)):
-        for earlier in range(later):
-            if _linked(parts[earlier], parts[later], model, surfaces):
-                old, new = group[later], group[earlier]
-                group = [new if one == old else one for one in group]
-    return [
-        [part for part, of in zip(parts, group, strict=True) if of == name] for name in dict.fromkeys(group)
-    ]
+
+    pieces: list[Piece]
+    footprint: Footprint | None = None
+    roof: Roof | None = None
+    reason: str = "its colour goes on beyond any car: nothing says that it belongs to one"
+    is_car: bool = False
+    size: int = 0
+
+    def add(self, piece: Piece, found: Footprint, roof: Roof | NoRoof) -> None:
+        """Add a piece, and what is seen around it: of several footprints with a roof the largest counts."""
+        self.pieces.append(piece)
+        self.size = max(self.size, int(found.whole.sum()))
+        if isinstance(roof, NoRoof):
+            self.is_car |= roof.is_car
+            self.reason = roof.reason
+        elif self.footprint is None or found.whole.sum() > self.footprint.whole.sum():
+            self.footprint, self.roof, self.is_car = found, roof, True
 
 
-def _linked(one: Judged, other: Judged, model: SceneModel, surfaces: Surfaces) -> bool:
-    if (one[2].kind == "dark paint") != (other[2].kind == "dark paint"):
-        return False
-    spectra = [np.nan_to_num(model.reference[each[0].body]) for each in (one, other)]
-    length = float(np.linalg.norm(spectra[0]) * np.linalg.norm(spectra[1]))
-    if float(spectra[0] @ spectra[1]) < _SAME_PAINT * length:
-        return False
-    start, stop = (_middle(each[0]) for each in (one, other))
-    far = float(np.hypot(*(stop - start)))
-    if far > _FARTHEST:
-        return False
-    steps = np.linspace(0.0, 1.0, max(2, int(np.ceil(far)) + 1))[:, None]
-    y, x = np.rint(start + steps * (stop - start)).astype(np.int64).T
-    way = model.segment[y, x]
-    way = way[way >= 0]
-    off = (surfaces.ground | surfaces.shade)[way] & ~surfaces.dark[way]
-    runs = np.convolve(off, np.ones(_GROUND), "valid")
-    return bool(runs.max(initial=0.0) < _GROUND and surfaces.dark[way].sum() >= _LEAST_WINDOW)
+def find_cars(pieces: Iterable[Piece], scene: Scene) -> list[Car]:
+    """Return the cars that pieces of paint are of, the largest piece's first."""
+    cars: list[Car] = []
+    owner = np.full(scene.level.shape, -1, np.int32)
+    painted = owner.copy()
+    for piece in sorted(pieces, key=lambda one: (-int(one.inside.sum()), one.first, one.body)):
+        known = painted[piece.window][piece.inside]
+        if (known >= 0).mean() > _MOSTLY:
+            car = cars[int(np.bincount(known[known >= 0]).argmax())]
+            if car.roof is not None and car.roof.complete:
+                car.pieces.append(piece)
+                continue
+        found, roof = _look_around(piece, scene)
+        if found is None:
+            cars.append(Car([piece]))
+            continue
+        number = _same(found, owner, cars)
+        if number == len(cars):
+            cars.append(Car([]))
+        cars[number].add(piece, found, roof)
+        for plane, mask in ((owner, found.whole), (painted, found.whole & found.paint)):
+            view = plane[found.window]
+            view[mask & (view < 0)] = number
+    return cars
 
 
-def _middle(piece: Piece) -> npt.NDArray[np.float64]:
-    return np.asarray(np.argwhere(piece.inside).mean(axis=0) + np.array(piece.first, np.float64))
+def _look_around(piece: Piece, scene: Scene) -> tuple[Footprint | None, Roof | NoRoof]:
+    """Return the car around a piece, and its roof; what only windows join, too, where that shows a roof."""
+    colour = np.median(scene.without_sky(piece.window)[piece.inside], axis=0)
+    seen: list[tuple[Footprint, Roof | NoRoof]] = []
+    for across_windows in (False, True):
+        found = footprint_of(piece.inside, piece.first, colour, scene, across_windows)
+        if found is None:
+            break
+        seen.append((found, find_roof(found, scene.level[found.window])))
+        if isinstance(seen[-1][1], Roof):
+            return seen[-1]
+    return seen[0] if seen else (None, NoRoof("its colour goes on beyond any car", False))
 
 
-def settle(group: list[Judged], zenith: float | None, shape: tuple[int, int]) -> None:
-    """Find the roof of a car among its pieces, and object to the others.
-
-    The level piece is the one with windows at both ends; without one, that with a window at one end which is
-    longer than wide. Of dark paint it is the brightest, since windows are darker.
-    """
-    _name_the_roof(group, shape)
-    for one in group:
-        judge_lean(one[2], one[1], zenith)
-    usable = [one for one in group if not one[2].objections]
-    if not usable:
-        return
-    if usable[0][2].kind == "dark paint":
-        best = max(usable, key=lambda one: float(np.nan_to_num(one[1].spectrum).mean()))
-    else:
-        best = max(usable, key=lambda one: (one[2].kind == "roof", one[2].score))
-    for one in usable:
-        if one is not best:
-            one[2].objections.append(f"another part of the same car is better: {_place(best)}")
+def _same(found: Footprint, owner: npt.NDArray[np.int32], cars: list[Car]) -> int:
+    """Return the number of the car that a footprint lies on, that of a new one if none."""
+    there = owner[found.window][found.whole]
+    there = there[there >= 0]
+    if not there.size:
+        return len(cars)
+    shared = np.bincount(there)
+    number = int(shared.argmax())
+    least = min(int(found.whole.sum()), cars[number].size)
+    return number if shared[number] > _OVERLAP * least else len(cars)
 
 
-def _name_the_roof(group: list[Judged], shape: tuple[int, int]) -> None:
-    """Call one piece the roof, and all others panels: a bonnet may lie between a window and a shadow."""
-    # what lies in shadow as a whole is a window, seen as shadow of the paint beside it
-    lit = [one for one in group if one[1].lost.get("shadow", 0.0) < 0.5]
-    roofs = [one for one in lit if one[2].kind == "roof" or _is_long(one, lit, *shape)]
-    if not roofs:
-        return
-    largest = max(int(one[0].inside.sum()) for one in roofs)
-    best = max(roofs, key=lambda one: _surely_roof(one, largest))
-    for one in group:
-        if one[2].kind == "roof" and one is not best:
-            one[2].kind = "panel"
-    flanks = best[2].flanks
-    if best[2].kind == "panel" and flanks is not None:
-        best[2].kind = "roof"
-        text = f"a roof: {flanks.length:.0f} pixels long and {flanks.width:.0f} wide, longer than any bonnet"
-        best[2].reasons.append(text)
+def judge_car(
+    car: Car,
+    model: SceneModel,
+    channels: Array,
+    layers: Mapping[str, Array],
+    limits: Limits,
+    zenith: float | None,
+) -> list[Judged]:
+    """Return the verdicts on a car's roof and of the other pieces of its paint; at most one is proposed."""
+    judged = []
+    best: Judged | None = None
+    if car.roof is not None and car.footprint is not None:
+        one = _judge_roof(car.footprint, car.roof, model, channels, layers, limits, zenith)
+        if one is not None:
+            judged.append(one)
+            best = None if one[2].objections else one
+    panels = [_judge_panel(piece, car, channels, layers, limits, zenith) for piece in car.pieces]
+    if best is None and judged and judged[0][1].pixels:
+        # what makes the level part wrong lies on the others, too
+        for one in panels:
+            one[2].objections.append("the roof of the same car is refused")
+    elif best is None:
+        good = [one for one in panels if not one[2].objections]
+        best = max(good, key=lambda one: one[2].score, default=None)
+    for one in panels:
+        if best is not None and one is not best and not one[2].objections:
+            one[2].objections.append(better_part(best))
+    return judged + panels
 
 
-def _surely_roof(one: Judged, largest: int) -> float:
-    flanks = one[2].flanks
-    return (
-        0.0 if flanks is None else 0.5 * (flanks.sides + flanks.ends[1]) + 2.0 * one[0].inside.sum() / largest
-    )
+def _judge_roof(
+    found: Footprint,
+    roof: Roof,
+    model: SceneModel,
+    channels: Array,
+    layers: Mapping[str, Array],
+    limits: Limits,
+    zenith: float | None,
+) -> Judged | None:
+    """Return what is thought of a roof; None where nothing of it is away from edges."""
+    piece = _piece_of(found, roof, model, limits.erode)
+    if piece is None:
+        return None
+    y, x = piece.first[0] - found.first[0], piece.first[1] - found.first[1]
+    lines, columns = piece.inside.shape
+    brightness = found.brightness[y : y + lines, x : x + columns]
+    lit = piece.inside & (layers["blocked_direct"][piece.window] < limits.shadow)
+    middle = (roof.middle[0] - y, roof.middle[1] - x)
+    level = level_light(brightness, piece.inside, lit, middle, roof.unsure, found.axis)
+    verdict = Verdict("roof", reasons=[roof.reason])
+    if level is None:
+        verdict.objections.append("too little of the roof is lit to tell how bright it is where it is level")
+        return piece, measured(piece, channels, layers, limits), verdict
+    relative = brightness / level.middle
+    for times in _WIDER:
+        allowed = replace(limits, glint=np.inf, adjacency=np.inf, brightness=times * limits.brightness)
+        measures = measured(piece, channels, layers, allowed, relative)
+        if measures.pixels >= limits.min_pixels:
+            break
+    off = abs(float(np.median(relative[measures.usable])) - 1.0) if measures.pixels else 0.0
+    judge_pixels(verdict, measures, limits)
+    judge_lean(verdict, measures, zenith, "roof", level.misfit + level.unsure + off)
+    judge_change(verdict, level.change, zenith, _CUT if found.cut else 1.0)
+    if level.misfit > _MOST_MISFIT:
+        verdict.objections.append(
+            f"brightness in its middle is {level.misfit:.0%} off the plane around it: glint, or another tilt"
+        )
+    return piece, measures, verdict
 
 
-def _is_cut(piece: Piece, lines: int, columns: int) -> bool:
-    """Tell whether a piece goes on beyond the picture."""
-    (y, x), (height, width) = piece.first, piece.inside.shape
-    return y == 0 or x == 0 or y + height >= lines or x + width >= columns
+def _piece_of(found: Footprint, roof: Roof, model: SceneModel, erode: int) -> Piece | None:
+    """Return the pixels of a roof that are away from what has another colour."""
+    from scipy.ndimage import distance_transform_edt
+
+    inside = roof.inside & (distance_transform_edt(np.pad(found.paint, 1))[1:-1, 1:-1] > erode)
+    lines, columns = np.flatnonzero(inside.any(axis=1)), np.flatnonzero(inside.any(axis=0))
+    if not lines.size:
+        return None
+    first = (int(lines[0]) + found.first[0], int(columns[0]) + found.first[1])
+    mask = inside[lines[0] : lines[-1] + 1, columns[0] : columns[-1] + 1]
+    piece = Piece(0, first, mask)
+    segment = model.segment[piece.window][mask]
+    body = model.body[segment[segment >= 0]]
+    return piece._replace(body=int(np.bincount(body).argmax())) if body.size else None
 
 
-def _is_long(one: Judged, group: list[Judged], lines: int, columns: int) -> bool:
-    """Tell whether a piece is longer than wide, as no bonnet is, and longer than all others of its car."""
-    flanks = one[2].flanks
-    if (
-        flanks is None
-        or _is_cut(one[0], lines, columns)
-        or not _ELONGATED <= flanks.length / flanks.width <= _STRIP
-    ):
-        return False
-    others = []
-    for each in group:
-        if each is not one:
-            y, x = np.nonzero(each[0].inside)
-            others.append(extent(y.astype(np.int64), x.astype(np.int64), flanks.axis)[0])
-    return flanks.length >= _LONGER * max(others, default=0.0)
+def _judge_panel(
+    piece: Piece,
+    car: Car,
+    channels: Array,
+    layers: Mapping[str, Array],
+    limits: Limits,
+    zenith: float | None,
+) -> Judged:
+    measures = measured(piece, channels, layers, limits)
+    verdict = Verdict()
+    if not car.is_car:
+        verdict.objections.append(car.reason)
+        return piece, measures, verdict
+    verdict.kind = "panel"
+    verdict.reasons.append("part of a car: windows cross it, and run along it")
+    judge_pixels(verdict, measures, limits)
+    judge_lean(verdict, measures, zenith, "panel")
+    if measures.pixels:
+        judge_change(verdict, measures.change, zenith)
+    return piece, measures, verdict
 
 
-def _place(one: Judged) -> str:
-    y, x = _middle(one[0])
-    return f"that at line {y:.0f}, column {x:.0f}"
+def better_part(best: Judged) -> str:
+    """Return the objection to all other parts of a car."""
+    y, x = best[0].middle
+    return f"another part of the same car is better: that at line {y:.0f}, column {x:.0f}"

@@ -10,23 +10,33 @@ import numpy.typing as npt
 from hyperpaint.scene_model import SceneModel
 
 from .candidates import Limits, Measures, Piece
-from .surroundings import DARK, ENDED, Flanks, Surfaces, flanks_of, is_between, ring_around
+from .surroundings import DARK, Surfaces, ring_around
 
-__all__ = ["Verdict", "judge", "judge_lean"]
+__all__ = ["Verdict", "judge_change", "judge_dark", "judge_lean", "judge_pixels"]
 
 Float = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
 
-_LEANS = {"roof": 1.5, "panel": 12.0, "dark paint": 12.0}
+_LEANS = {"roof": 1.5, "panel": 14.0, "dark paint": 12.0}
 """Degrees by which the middle of a roof, or any panel, may lean."""
 _TOLERANCE, _RELATIVE = 0.03, 0.06
+"""By how much a signature may be off: in reflectance, or relative where that is more [1]."""
+_GLOSS_CHANGE, _CROWN = 0.05, 7.0
+"""Relative change of brightness over a part of a car: of the sun's mirror image, and of a lean [degree]."""
 _ENOUGH = 200
 """Pixels from which on more do not make a region better."""
 _RING = 8
-_BRIGHT_RING, _STANDING_RING = 0.35, 0.05
+"""How far around dark paint is looked [pixel]."""
+_BRIGHT_RING, _STANDING_RING = 0.25, (0.05, 0.5)
+"""Share of what is around it that is brighter, at most; and darker but no shadow, as windows are."""
 _BRIGHTER = 1.1
+"""Brightness relative to its own from which on something is brighter."""
+_DARK_ANGLE = 1.0
+"""Median spectral angle to the median of paint as dark as glass, at most [degree]."""
 _MIRRORS = 1.1
+"""Blue relative to near infrared, of dark paint under a clear coat that mirrors the sky, at least."""
 _HALF_ANGLE, _HALF_ADJACENCY, _HALF_GLINT, _HALF_SPREAD = 2.0, 0.01, 0.02, 0.03
+"""What halves a score: spectral angle [degree]; the others [1]."""
 
 
 @dataclass
@@ -41,8 +51,6 @@ class Verdict:
         0 to 1, from what is measured.
     reasons, objections
         What speaks for it, and what against; without objections it is proposed.
-    flanks
-        What lies around it, of what is not dark.
     scenery
         Whether it looks like leaves, a shadow or a window: refused, and told after all others.
     """
@@ -51,41 +59,26 @@ class Verdict:
     score: float = 0.0
     reasons: list[str] = field(default_factory=list)
     objections: list[str] = field(default_factory=list)
-    flanks: Flanks | None = None
     scenery: bool = False
 
 
-def judge(piece: Piece, found: Measures, model: SceneModel, surfaces: Surfaces, limits: Limits) -> Verdict:
-    """Return what is thought of a piece."""
+def judge_dark(
+    piece: Piece, found: Measures, model: SceneModel, surfaces: Surfaces, limits: Limits, zenith: float | None
+) -> Verdict:
+    """Return what is thought of a piece that is as dark as glass, or like leaves."""
     verdict = Verdict()
-    if surfaces.level[piece.body] < DARK:
-        _judge_dark(verdict, piece, model, surfaces)
-    else:
-        _judge_bright(verdict, piece, model, surfaces)
-    if verdict.kind:
-        _judge_pixels(verdict, found, limits)
-    return verdict
-
-
-def _judge_bright(verdict: Verdict, piece: Piece, model: SceneModel, surfaces: Surfaces) -> None:
-    if surfaces.vegetation[piece.body]:
+    if surfaces.vegetation[piece.body] and surfaces.level[piece.body] >= DARK:
         verdict.scenery = True
         verdict.objections.append("its red edge is that of leaves")
-        return
-    lines, columns = np.nonzero(piece.inside)
-    flanks = flanks_of(lines + piece.first[0], columns + piece.first[1], model.segment, surfaces.window)
-    more, less = flanks.ends
-    along = f"along {flanks.axis:.0f} degrees"
-    verdict.flanks = flanks
-    if is_between(flanks.ends):
-        verdict.kind = "roof"
-        share = f"over {more:.0%} and {less:.0%} of its width"
-        verdict.reasons.append(f"a roof: windows end it on both sides, {along}, {share}")
-    elif more >= ENDED:
-        verdict.kind = "panel"
-        verdict.reasons.append(f"part of a car: a window ends it over {more:.0%} of its width, {along}")
-    else:
-        verdict.objections.append("no window ends it on any side: nothing says that it belongs to a car")
+        return verdict
+    _judge_dark(verdict, piece, model, surfaces)
+    if verdict.kind:
+        judge_pixels(verdict, found, limits)
+        judge_lean(verdict, found, zenith, "dark paint")
+        if found.angle > _DARK_ANGLE:
+            text = f"spectra differ by {found.angle:.1f} degrees: windows, as dark, may be among them"
+            verdict.objections.append(text)
+    return verdict
 
 
 def _judge_dark(verdict: Verdict, piece: Piece, model: SceneModel, surfaces: Surfaces) -> None:
@@ -115,7 +108,12 @@ def _judge_dark(verdict: Verdict, piece: Piece, model: SceneModel, surfaces: Sur
         )
     elif surfaces.blueness[body] < _MIRRORS:
         verdict.objections.append("dark, and mirrors no sky as a clear coat does: ground, rubber or trim")
-    elif standing < _STANDING_RING:
+    elif standing > _STANDING_RING[1]:
+        verdict.scenery = True
+        verdict.objections.append(
+            f"dark, and {standing:.0%} of what is around it is darker: the edge of a shadow"
+        )
+    elif standing < _STANDING_RING[0]:
         verdict.objections.append("dark, and no window is beside it: nothing says that it belongs to a car")
     else:
         verdict.kind = "dark paint"
@@ -125,23 +123,65 @@ def _judge_dark(verdict: Verdict, piece: Piece, model: SceneModel, surfaces: Sur
         )
 
 
-def judge_lean(verdict: Verdict, found: Measures, zenith: float | None) -> None:
-    """Object where a lean that nothing shows could make the signature wrong."""
+def judge_lean(
+    verdict: Verdict, found: Measures, zenith: float | None, part: str, unsure: float = 0.0
+) -> None:
+    """Object where a lean that nothing shows could make the signature wrong.
+
+    Parameters
+    ----------
+    verdict
+        Gets the objection, or the reason.
+    found
+        What is measured.
+    zenith
+        Of the sun [degree]; None where it is not known.
+    part
+        What it is a part of; says how far it may lean.
+    unsure
+        What its brightness may be off beside, relative [1].
+    """
     if not found.pixels:
         return
     most = float(found.spectrum.max())
     allowed = max(_TOLERANCE, _RELATIVE * most)
-    lean = _LEANS[verdict.kind]
+    lean = _LEANS[part]
     if zenith is None:
-        if verdict.kind == "panel":
+        if part == "panel":
             verdict.objections.append("not known to be a roof, and the sun's place is not known: it may lean")
         return
-    error = most * float(np.tan(np.radians(zenith)) * np.radians(lean))
+    error = most * float(np.hypot(np.tan(np.radians(zenith)) * np.radians(lean), unsure))
     text = f"it may lean by {lean:g} degrees, which under this sun changes its reflectance by {error:.3f}"
     (verdict.objections if error > allowed else verdict.reasons).append(f"{text}, {allowed:.3f} is allowed")
 
 
-def _judge_pixels(verdict: Verdict, found: Measures, limits: Limits) -> None:
+def judge_change(verdict: Verdict, change: float, zenith: float | None, part: float = 1.0) -> None:
+    """Object where brightness changes more over a part of a car than its lean can change it.
+
+    Metal flakes mirror the sun over a wide lobe: where it lies on a part of the roof, it lies on all of it.
+
+    Parameters
+    ----------
+    verdict
+        Gets the objection.
+    change
+        Half of what lies between the 10th and the 90th percentile of brightness, relative [1].
+    zenith
+        Of the sun [degree]; of 45 degrees where it is not known.
+    part
+        How much of what is allowed, where less than the whole is seen [1].
+    """
+    slope = float(np.tan(np.radians(45.0 if zenith is None else zenith)))
+    allowed = part * (_GLOSS_CHANGE + float(np.radians(_CROWN)) * slope)
+    if change > allowed:
+        verdict.objections.append(
+            f"brightness changes by {change:.0%} from its middle, more than the {allowed:.0%} of a crowned "
+            "part under gloss: metal flakes or wide glint may lie on all of it"
+        )
+
+
+def judge_pixels(verdict: Verdict, found: Measures, limits: Limits) -> None:
+    """Tell what is measured; object to too few pixels, and to what is not of one colour; give the score."""
     lost = ", ".join(f"{share:.0%} {reason}" for reason, share in found.lost.items() if share >= 0.01)
     told = f" ({lost} left out)" if lost else ""
     if found.pixels < limits.min_pixels:

@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from hyperpaint.schema import ALONG_TRACK, CHUNK_LINES
+from hyperpaint import schema
+from hyperpaint.schema import ALONG_TRACK, BAND, CHUNK_LINES, CROSS_TRACK
 from hyperpaint.slabs import line_chunked
 
 if TYPE_CHECKING:
@@ -19,9 +20,12 @@ if TYPE_CHECKING:
 __all__ = [
     "CHANNELS",
     "Progress",
+    "channel_noise",
     "channel_numbers",
     "read_channels",
+    "shift_of_channels",
     "to_channels",
+    "to_nominal_channels",
     "watched",
     "without_unknown",
 ]
@@ -33,6 +37,8 @@ CHANNELS = 24
 """Channels of a cube that has more bands."""
 _TOGETHER = 8  # blocks read at a time: enough for the threads of a laptop, little enough for its memory
 _BAR = 40
+_PAIRS = 100_000
+_DARK = 0.01
 
 
 def channel_numbers(wavelength: Array, good: Array) -> npt.NDArray[np.int64]:
@@ -102,6 +108,74 @@ def without_unknown(
         return channels, channel
     numbers = np.append(np.where(kept, np.cumsum(kept) - 1, -1), -1)  # the last one is that of -1
     return np.ascontiguousarray(channels[..., kept]), numbers[channel]
+
+
+def shift_of_channels(
+    line: xr.Dataset, channel: npt.NDArray[np.int64], columns: int
+) -> npt.NDArray[np.float64]:
+    """Return by how much a channel's true wavelength differs from the nominal one (channel, column) [nm].
+
+    0 where the line has no ``wavelength_shift``, or it is not known.
+    """
+    bands = (channel == np.arange(channel.max() + 1)[:, None]).astype(np.float64)
+    bands /= bands.sum(axis=1, keepdims=True)
+    if "wavelength_shift" not in line.variables:
+        return np.zeros((len(bands), columns))
+    found = schema.require(line, ["wavelength_shift"], "smile")["wavelength_shift"].variable
+    if found.ndim > 1:
+        found = found.transpose(BAND, CROSS_TRACK)
+    shift = np.nan_to_num(np.asarray(found.values, np.float64))
+    return np.ascontiguousarray(bands @ np.broadcast_to(shift, (channel.size, columns)))
+
+
+def to_nominal_channels(
+    channels: npt.NDArray[np.float32],
+    centre: npt.NDArray[np.float64],
+    shift: npt.NDArray[np.float64],
+) -> None:
+    """Take the smile out of channels (line, column, channel), in place: what they change by over the shift.
+
+    The slope is that between the channels on both sides, which are much wider than any smile.
+    """
+    if len(centre) < 2 or not shift.any():
+        return
+    for block in np.split(channels, range(CHUNK_LINES, len(channels), CHUNK_LINES)):
+        slope = np.gradient(block.astype(np.float64), centre, axis=2)
+        block -= np.nan_to_num(slope * shift.T).astype(np.float32)
+
+
+def channel_noise(
+    channels: npt.NDArray[np.float32], number: npt.NDArray[np.int32], inside: npt.NDArray[np.bool_]
+) -> npt.NDArray[np.float64]:
+    """Return the noise of channels (channel,), relative to what is seen [1].
+
+    From second differences over the channels of what neighbouring pixels of one segment differ by: the
+    light and the surface change little from pixel to pixel, and smoothly over the channels. 0 where nothing
+    is known of it.
+
+    Parameters
+    ----------
+    channels : (line, column, channel)
+        Reflectance [1].
+    number, inside : (line, column)
+        Segment of every pixel, and whether it lies inside.
+    """
+    count = channels.shape[2]
+    same = (number[:, 1:] == number[:, :-1]) & (number[:, 1:] >= 0) & inside[:, 1:] & inside[:, :-1]
+    line, x = np.nonzero(same)
+    step = max(1, line.size // _PAIRS)
+    line, x = line[::step], x[::step]
+    if count < 3 or not line.size:
+        return np.zeros(count)
+    one, other = (channels[line, x + right].astype(np.float64) for right in (0, 1))
+    apart, level = one - other, (one + other)[:, 1:-1] / 2
+    bent = (apart[:, 1:-1] - (apart[:, 2:] + apart[:, :-2]) / 2) / np.maximum(level, _DARK)
+    noise = np.zeros(count - 2)
+    for k, values in enumerate(bent.T):
+        known = np.abs(values[np.isfinite(values)])
+        # three variances of a channel: one and two halves, squared, of two pixels
+        noise[k] = 1.4826 * np.median(known) / np.sqrt(3.0) if known.size else 0.0
+    return np.pad(noise, 1, mode="edge")
 
 
 def watched(progress: Progress | bool | None, label: str) -> Progress | None:

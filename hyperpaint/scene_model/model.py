@@ -30,8 +30,10 @@ _LAYOUT: dict[str, tuple[tuple[str, ...], str, str, str]] = {
     "wavelength": ((BAND,), "float64", "nm", "Centre wavelength at the centre column"),
     "channel_wavelength": (("channel",), "float64", "nm", "Mean wavelength of a channel's bands"),
     "diffuse_fraction": (("channel",), "float64", "1", "Diffuse part of the irradiance on level ground"),
+    "shift": (("channel", CROSS_TRACK), "float64", "nm", "True less nominal wavelength of a channel"),
+    "noise": (("channel",), "float64", "1", "Standard deviation of a channel, relative to what is seen"),
     "segment": ((ALONG_TRACK, CROSS_TRACK), "int32", "", "Number of the segment; -1 without data"),
-    "edge_distance": ((ALONG_TRACK, CROSS_TRACK), "uint8", "1", "Pixels to another body, 0 in mixed ones"),
+    "edge_distance": ((ALONG_TRACK, CROSS_TRACK), "uint8", "1", "Pixels to another surface, 0 in mixed ones"),
     "shade_distance": (
         (ALONG_TRACK, CROSS_TRACK), "uint8", "1", "Pixels to a cast shadow, 0 in it; 255 where there is none",
     ),
@@ -41,6 +43,8 @@ _LAYOUT: dict[str, tuple[tuple[str, ...], str, str, str]] = {
     "size": (("segment_number",), "int64", "1", "Pixels of a segment"),
     "state": (("segment_number",), "int8", "", "0 lit, 1 in a shadow of its body, 2 in glint of its body"),
     "body": (("segment_number",), "int32", "", "Segment that shows the same surface in full light"),
+    "paint": (("segment_number",), "int32", "", "First of the bodies that show the same paint"),
+    "tilt": (("segment_number",), "float64", "1", "Spread of the amount of direct light within the body"),
     "spectrum": (("segment_number", "channel"), "float64", "1", "Median reflectance of a segment"),
     "reference": (("segment_number", "channel"), "float64", "1", "Reflectance of the body in full light"),
 }  # fmt: skip
@@ -61,7 +65,7 @@ def _fits(values: Array, dtype: np.dtype[Any]) -> bool:
 def _check_numbers(found: dict[str, Any], sizes: Mapping[Any, int], problems: Problems) -> None:
     """Note what of the fields found would be looked for beyond the others' ends."""
     count, channels = sizes.get("segment_number", 0), sizes.get("channel", 0)
-    for name in ("segment", "neighbour", "body"):
+    for name in ("segment", "neighbour", "body", "paint"):
         numbers = found.get(name, np.empty(0))
         if numbers.size and (numbers.min() < -1 or numbers.max() >= count):
             problems.add(f"{name!r} points at segments beyond the {count} there are")
@@ -76,6 +80,12 @@ def _check_numbers(found: dict[str, Any], sizes: Mapping[Any, int], problems: Pr
         cells = tuple(-(-length // CELL) for length in found["segment"].shape)
         if found["neighbour"].shape[:2] != cells:
             problems.add(f"'neighbour' has {found['neighbour'].shape[:2]} cells, expected {cells}")
+    if not np.isfinite(found.get("shift", np.empty(0))).all():
+        problems.add("'shift' is not finite")
+    for name, least in (("noise", 0.0), ("tilt", 1e-6)):
+        spread = found.get(name, np.empty(0))
+        if not (np.isfinite(spread) & (spread >= least)).all():
+            problems.add(f"{name!r} is not finite, or below {least:g}")
     fraction = found.get("diffuse_fraction", np.empty(0))
     if not ((fraction >= 0) & (fraction <= 1)).all():
         problems.add("'diffuse_fraction' is not finite, or leaves 0 to 1")
@@ -98,10 +108,14 @@ class SceneModel:
         [nm]
     diffuse_fraction : (channel,)
         Diffuse part of the irradiance on level ground [1].
+    shift : (channel, cross_track)
+        By how much a channel's true wavelength differs from the nominal one: smile [nm].
+    noise : (channel,)
+        Standard deviation of a channel, relative to what is seen [1].
     segment : (along_track, cross_track)
         Number of every pixel's segment; -1 where there are no data.
     edge_distance : (along_track, cross_track), uint8
-        Pixels to the next pixel of another body; 0 in pixels that belong to nothing of some size.
+        Pixels to the next pixel of another surface; 0 in pixels that belong to nothing of some size.
     shade_distance : (along_track, cross_track), uint8
         Pixels to the next cast shadow, 0 in one; 255 far from any.
     neighbour : (cell_along, cell_cross, rank)
@@ -109,6 +123,10 @@ class SceneModel:
     size, state, body : (segment_number,)
         Pixels of a segment; `LIT`, `SHADED` or `GLINTED`; and the segment, mostly itself, that shows the
         same surface in full light.
+    paint : (segment_number,)
+        First of the bodies that show the same paint; a body lights no other of its paint.
+    tilt : (segment_number,)
+        Spread of the amount of direct light within the body [1].
     spectrum, reference : (segment_number, channel)
         Median of a segment's pixels, and that of its body without what glint and shadow change [1].
     attrs
@@ -119,6 +137,8 @@ class SceneModel:
     channel: npt.NDArray[np.int64]
     channel_wavelength: Float
     diffuse_fraction: Float
+    shift: Float
+    noise: Float
     segment: npt.NDArray[np.int32]
     edge_distance: npt.NDArray[np.uint8]
     shade_distance: npt.NDArray[np.uint8]
@@ -126,6 +146,8 @@ class SceneModel:
     size: npt.NDArray[np.int64]
     state: npt.NDArray[np.int8]
     body: npt.NDArray[np.int32]
+    paint: npt.NDArray[np.int32]
+    tilt: Float
     spectrum: Float
     reference: Float
     attrs: dict[str, Any] = field(default_factory=dict)
@@ -141,14 +163,14 @@ class SceneModel:
         return np.append(self.body, np.int32(-1))[segment]
 
     def neighbours(self, start: int, stop: int) -> npt.NDArray[np.int32]:
-        """Return the two nearest coloured bodies, other than its own, of the pixels of some lines.
+        """Return the two nearest coloured bodies, of other paint than its own, of the pixels of some lines.
 
         Returns
         -------
         (line, column, 2), int32
             Numbers of segments, -1 for none.
         """
-        return two_nearest(self.neighbour, self.body, self.segment[start:stop], start)
+        return two_nearest(self.neighbour, self.body, self.paint, self.segment[start:stop], start)
 
     def to_dataset(self) -> xr.Dataset:
         """Return the model as a Dataset that `hyperpaint.to_store` takes."""

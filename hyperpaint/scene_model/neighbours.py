@@ -7,18 +7,20 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from .cells import CELL, two_nearest
+from .cells import CELL
 from .model import LIT
 from .references import Light, Matches
 
-__all__ = ["coloured", "nearest_coloured", "two_nearest"]
+__all__ = ["coloured", "nearest_coloured"]
 
 Float = npt.NDArray[np.float64]
 
 RANKS = 4
 """Neighbours of a cell that are kept; one or two of them may be its own body."""
 _COLOUR = 0.04
+"""How coloured a segment is whose light is looked for, see `coloured` [1]."""
 _LEAST_PIXELS = 40
+"""Pixels that it has, at least."""
 
 
 def coloured(spectrum: Float, light: Light) -> npt.NDArray[np.float64]:

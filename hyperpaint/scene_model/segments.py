@@ -7,7 +7,18 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-__all__ = ["Segments", "Touching", "beyond", "border_steps", "divide", "sample_pixels", "touching"]
+__all__ = [
+    "Segments",
+    "Touching",
+    "beyond",
+    "border_steps",
+    "distance_to",
+    "distinct_pairs",
+    "divide",
+    "edge_distance",
+    "sample_pixels",
+    "touching",
+]
 
 Array = npt.NDArray[Any]
 Int = npt.NDArray[np.int64]
@@ -22,10 +33,10 @@ LEAST_CORE = 3
 """Pixels with only their like around them that it has: what is thinner is a boundary."""
 SAMPLE = 2048
 """Pixels of a segment that are looked at, at most."""
-
-
 _LEAST_BORDER = 3
+"""Sides of pixels from which on segments touch by more than a corner."""
 _BRIDGE = 3000
+"""Pixels of a segment that lies between two others, at most."""
 
 
 class Segments(NamedTuple):
@@ -145,6 +156,12 @@ def beyond(pairs: Touching, size: Int) -> tuple[Int, Int]:
     return row[apart][order], column[apart][order]
 
 
+def distinct_pairs(one: Int, other: Int, count: int) -> tuple[Int, Int]:
+    """Return pairs of numbers below ``count``, each once, sorted."""
+    codes = np.unique(one * count + other)
+    return codes // max(count, 1), codes % max(count, 1)
+
+
 def border_steps(channels: npt.NDArray[np.float32], number: npt.NDArray[np.int32], pairs: Touching) -> Array:
     """Return the mean difference of brightness of the pixels on both sides of a border (pair,) [1]."""
     level = channels.mean(axis=2)
@@ -159,3 +176,32 @@ def border_steps(channels: npt.NDArray[np.float32], number: npt.NDArray[np.int32
         for code in (one * count + other, other * count + one):
             total += np.bincount(np.searchsorted(codes, code), np.nan_to_num(step), codes.size)
     return total / pairs.length
+
+
+def edge_distance(
+    segments: Segments, body: npt.NDArray[np.int32], surface: npt.NDArray[np.int32]
+) -> npt.NDArray[np.uint8]:
+    """Return how many pixels every pixel is from another surface (line, column); 0 in mixed pixels.
+
+    Bodies (segment,) of one surface (segment,) differ by light and tilt, so that no material is mixed where
+    they meet; what is small or thin between them is in doubt all the same.
+    """
+    from hyperpaint.kernels.segmentation import boundary_distance
+
+    made = np.empty(segments.number.shape, np.uint8)
+    between = np.empty_like(made)
+    for labels, distance in ((surface, made), (body, between)):
+        shown = np.append(labels, np.int32(-1))[segments.number].astype(np.int32)
+        boundary_distance(shown, segments.sure, 255, distance)
+    made[between == 0] = 0
+    return made
+
+
+def distance_to(chosen: npt.NDArray[np.bool_]) -> npt.NDArray[np.uint8]:
+    """Return how many pixels every pixel is from a chosen one (line, column), 0 in one; at most 255."""
+    from hyperpaint.kernels.segmentation import boundary_distance
+
+    made = np.empty(chosen.shape, np.uint8)
+    boundary_distance(chosen.astype(np.int32), np.ones(chosen.shape, bool), 255, made)
+    made[chosen] = 0
+    return made

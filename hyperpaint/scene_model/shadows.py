@@ -1,56 +1,299 @@
-"""The light of the sky, measured in the image itself: in a cast shadow on uniform ground."""
+"""Cast shadows: which segments are another's surface, lit by the sky and by things around only."""
 
 from __future__ import annotations
+
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from hyperpaint.errors import SchemaError
+from .light_mixtures import Mixtures, in_parts, mixtures_of, senders_of, solve, without_sun
+from .model import LIT, SHADED
+from .references import Light, Matches
+from .segments import Touching, beyond, distinct_pairs
 
-from .model import SHADED
-from .references import Matches
+__all__ = ["match_shade", "shaded_pixels"]
 
-__all__ = ["fraction_in_shadow"]
-
+Array = npt.NDArray[Any]
 Float = npt.NDArray[np.float64]
 Int = npt.NDArray[np.int64]
+Mask = npt.NDArray[np.bool_]
 
-_LEAST_PIXELS = 60
-_OPEN = (0.6, 0.9)
+_STEPS = np.array([[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]])
+"""Directions (along, across) of the sides of `Touching`."""
+_DARKER = 0.5
+"""Brightness of a shadow, relative to its body, at most."""
+_LARGEST = 40
+"""Segments that may be the body of any."""
+_BODY_SHARE = 0.2
+"""Size of the lit part of a body, relative to its shadow, at least."""
+_ALIKE, _AS_BRIGHT = 0.08, 0.35
+"""Largest difference of spectra of mean 1, and of brightness, relative, of segments that look the same."""
+_LEAST_CONTACT = 4
+"""Sides of pixels over which a shadow touches its lit body, at least."""
+_OPEN_SKY, _LEAST_SKY = 0.75, 0.45
+"""Amount of the sky's light below which what hides it may send light; that of a clear shadow, at least."""
+_TIGHT, _LOOSE = 0.035, 0.045
+"""Misfits, relative to what is seen, of shadows beyond doubt and of those that the surroundings speak for."""
+_GROUND_SHARE = 0.1
+"""Share of all shadows that lie on a body that is ground, at least."""
+_SIDEWAYS = 0.35
+"""Mean direction of a border's sides against that of shadows, beyond which it faces the sun."""
+_ROUNDS = 12
+"""Turns in which shadows go on to what touches them, at most."""
+_LINES = 128
+"""Lines that are looked at together, for memory."""
+_DIMMER, _MISSING, _PATCHY = 0.9, 0.8, 0.2
+"""Brightness of pixels that are looked at, direct light of those in shadow, and their misfit, at most."""
 
 
-def fraction_in_shadow(
-    channels: npt.NDArray[np.float32],
-    places: list[Int],
+class Scene(NamedTuple):
+    """What is known of segments before shadows are.
+
+    Attributes
+    ----------
+    spectrum : (segment, channel)
+        Reflectance [1].
+    size : (segment,)
+        Pixels.
+    pairs
+        Which segments touch.
+    border : (segment,)
+        Sides of pixels around a segment, those at the edge of the picture among them.
+    """
+
+    spectrum: Float
+    size: Int
+    pairs: Touching
+    border: Float
+
+
+def match_shade(
+    number: npt.NDArray[np.int32],
     spectrum: Float,
     size: Int,
-    matches: Matches,
-) -> Float:
-    r"""Return the diffuse fraction (channel,) from a shadow on the largest body that has one of some size.
+    pairs: Touching,
+    light: Light,
+    side: Array | None,
+) -> tuple[Matches, Mask]:
+    r"""Find the segments that lie in a cast shadow, and those that are ground (segment,).
 
-    :math:`f_{dif} = \rho_{shadow} / \rho_{sun}`, of the pixels of the shadow that see most of the sky: the
-    60th to 90th percentile of brightness in the bluest quarter. What things around hide of the sky, and light
-    that comes off them, is not known, and remains in it.
+    A segment can be in the shadow of a body where
+    :math:`\rho_B (c f_{dir} + V f_{dif} + b \rho_n)`, the light of the sky and of one neighbour, fits it with
+    little c. Dark glass and black paint fit as well, so that the surroundings decide:
 
-    Raises
-    ------
-    SchemaError
-        There is no such shadow.
+    1. Beyond doubt is what sees much of the sky, and touches its lit body on the far side of the sun, or all
+       around.
+    2. The ground is what most of these lie on. On it, shadows may be darker and more coloured.
+    3. From there they go on to segments that touch them, and are no part of what stands in the sun.
+
+    Parameters
+    ----------
+    number : (line, column)
+        Segment of every pixel, -1 without data.
+    spectrum : (segment, channel)
+        Reflectance [1].
+    size : (segment,)
+        Pixels.
+    pairs
+        Which segments touch.
+    light
+        Parts of the irradiance.
+    side : (2,)
+        Direction (along, across) in which shadows fall; found from the clearest of them if None.
     """
-    shaded = np.flatnonzero((matches.state == SHADED) & (size >= _LEAST_PIXELS))
-    if not shaded.size:
-        msg = (
-            "diffuse='shadow' found no cast shadow of 60 pixels beside its ground in full sun; "
-            "use diffuse='model', or give a measured spectrum"
+    count = len(spectrum)
+    state, body = np.full(count, LIT, np.int8), np.arange(count, dtype=np.int32)
+    border = np.bincount(pairs.one, pairs.length, count).astype(np.float64)
+    for edge in (number[0], number[-1], number[:, 0], number[:, -1]):
+        border += np.bincount(edge[edge >= 0], minlength=count)
+    scene = Scene(spectrum, size, pairs, border)
+    ground = np.arange(count) == (np.argmax(size) if count else -1)
+    found = _candidates(scene, senders_of(number, np.nan_to_num(spectrum), size), light)
+    if not found.segment.size:
+        return Matches(state, body), ground
+    sides = _lit_sides(found, scene)
+    if side is None:
+        side = _side_of_shadows(found, sides, scene)
+        if side is None:
+            return Matches(state, body), ground
+    length, way = sides.sum(axis=1), sides @ (_STEPS @ side)
+    _assign(found, _beyond_doubt(found, length, way, border), state, body)
+    ground = _ground(scene, state, body)
+    on_ground = ground[found.body]
+    touches = (length >= 0.04 * border[found.segment]) & (way >= 0.1 * length)
+    touches &= length >= _LEAST_CONTACT
+    loose = (found.misfit < _LOOSE) & without_sun(found)
+    sided = (length >= 0.15 * border[found.segment]) & (way >= 0.25 * length)
+    loose |= sided & (found.misfit < _LOOSE) & (found.direct < 0.05 + 0.25 * (_OPEN_SKY - found.sky))
+    beside = (length >= _LEAST_CONTACT) & (way >= -0.2 * length) & _clear(found)
+    best = _best_on_ground(found, on_ground, count) & ~ground[found.segment]
+    _assign(found, on_ground & best & ((touches & loose) | beside), state, body)
+    _grow(found, ground, best, length, way, scene, state, body)
+    return Matches(state, body), ground
+
+
+def _candidates(scene: Scene, senders: Int, light: Light) -> Mixtures:
+    """Return the segments that could be in shadow, with the bodies that they touch, and the largest."""
+    spectrum, size, pairs = scene.spectrum, scene.size, scene.pairs
+    count = size.size
+    known = np.asarray(np.isfinite(spectrum).all(axis=1))
+    level = np.where(known, np.nan_to_num(spectrum).mean(axis=1), 0.0)
+    largest = np.argsort(-size, kind="stable")[:_LARGEST]
+    near, bridged = beyond(pairs, size)
+    one = np.concatenate([near, np.repeat(np.arange(count), largest.size)])
+    other = np.concatenate([bridged, np.tile(largest, count)])
+    fits = known[one] & known[other] & (one != other) & (level[one] < _DARKER * level[other])
+    fits &= (size[other] >= _BODY_SHARE * size[one]) & (level[one] > 0)
+    return mixtures_of(*distinct_pairs(one[fits], other[fits], count), spectrum, senders, light)
+
+
+def _lit_sides(found: Mixtures, scene: Scene) -> Float:
+    """Return the sides (n, 4) on which candidates touch what looks like their body."""
+    pairs, spectrum = scene.pairs, scene.spectrum
+    first, last = np.searchsorted(pairs.one, [found.segment, found.segment + 1])
+    times = last - first
+    row = np.repeat(np.arange(times.size), times)
+    place = np.arange(row.size) - np.repeat(np.cumsum(times) - times, times) + np.repeat(first, times)
+    alike = _alike(spectrum, pairs.other[place], found.body[row])
+    made = np.zeros((times.size, 4))
+    for way in range(4):
+        made[:, way] = np.bincount(row[alike], pairs.sides[place[alike], way], times.size)
+    return made
+
+
+def _alike(spectrum: Float, one: Int, other: Int) -> Mask:
+    """Tell which segments are of about the same colour and brightness, pair by pair."""
+    level = spectrum.mean(axis=1)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        shape = spectrum / level[:, None]
+        close = np.abs(level[one] / level[other] - 1.0) < _AS_BRIGHT
+    return np.asarray(close & (np.abs(shape[one] - shape[other]).max(axis=1) < _ALIKE))
+
+
+def _side_of_shadows(found: Mixtures, sides: Float, scene: Scene) -> Float | None:
+    """Return the direction (along, across) in which shadows fall, None without any."""
+    sure = _clear(found) & (found.sky > _LEAST_SKY) & (scene.size[found.segment] >= 30)
+    total = (sides[sure] @ _STEPS * scene.size[found.segment[sure], None]).sum(axis=0)
+    length = float(np.hypot(*total))
+    return np.asarray(total / length) if length > 0 else None
+
+
+def _clear(found: Mixtures, most_sent: float = 0.5) -> Mask:
+    """Tell which see much of the sky and, unlike glass and black paint, hardly anything else."""
+    little = found.direct < 0.015 + 0.12 * np.clip(_OPEN_SKY - found.sky, 0.0, 1.0)
+    little &= found.sent < most_sent * (1.0 - found.sky)
+    return np.asarray(little & (found.misfit < _TIGHT))
+
+
+def _beyond_doubt(found: Mixtures, length: Float, way: Float, border: Float) -> Mask:
+    """Tell which are clear, and touch their lit body away from the sun, or all around."""
+    around = border[found.segment]
+    touches = (length >= _LEAST_CONTACT) & (length > 0.1 * around)
+    away = way >= 0.2 * length
+    island = (length > 0.6 * around) & (way >= -_SIDEWAYS * length)
+    return np.asarray(_clear(found) & (found.sky > _LEAST_SKY) & touches & (away | island))
+
+
+def _ground(scene: Scene, state: Array, body: Array) -> Mask:
+    """Return which segments are ground (segment,): the largest, and what most shadows lie on."""
+    count = scene.size.size
+    area = np.bincount(body, np.where(state == SHADED, scene.size, 0), count)
+    made = np.zeros(count, bool)
+    for one in np.flatnonzero((area > _GROUND_SHARE * area.sum()) | (scene.size == scene.size.max())):
+        made |= _alike(scene.spectrum, np.arange(count), np.full(count, one))
+    return made
+
+
+def _best_on_ground(found: Mixtures, on_ground: Mask, count: int) -> Mask:
+    """Tell which fit their segments about as well as any of the ground does."""
+    least = np.full(count, np.inf)
+    np.minimum.at(least, found.segment[on_ground], found.misfit[on_ground])
+    return np.asarray(found.misfit < 1.5 * least[found.segment] + 0.004)
+
+
+def _grow(
+    found: Mixtures,
+    ground: Mask,
+    best: Mask,
+    length: Float,
+    way: Float,
+    scene: Scene,
+    state: Array,
+    body: Array,
+) -> None:
+    """Let shadows go on to what touches them."""
+    around, on_ground = scene.border[found.segment], ground[found.body]
+    sunny = (way < -_SIDEWAYS * length) & (length > 0.1 * around)
+    fits = best & ~sunny & without_sun(found)
+    on = fits & on_ground & (found.misfit < _LOOSE) & (found.sky < _OPEN_SKY)
+    other = fits & ~on_ground & (found.misfit < np.where(found.sky > _LEAST_SKY, 0.18, 0.08))
+    dim = other & (found.sky > _LEAST_SKY)
+    # bay lines and kerbs; dark glass against them has less of the sky
+    markings = other & (found.sky > 0.22) & (found.direct < 0.04)
+    clear = _clear(found, most_sent=1.0)
+    for _ in range(_ROUNDS):
+        dark = state == SHADED
+        shaded, below = (
+            _touched(which, scene)[found.segment] / around for which in (dark, dark & ground[body])
         )
-        raise SchemaError(msg)
-    ground = matches.body[shaded]
-    best = ground[np.argmax(size[ground])]
-    flat = channels.reshape(-1, channels.shape[2])
-    here = np.concatenate([places[segment] for segment in shaded[ground == best]])
-    values = flat[here].astype(np.float64)
-    values = values[np.isfinite(values).all(axis=1)]
-    blue = values[:, : max(1, values.shape[1] // 4)].mean(axis=1)
-    low, high = np.quantile(blue, _OPEN)
-    open_ = values[(blue >= low) & (blue <= high)]
-    return np.asarray(np.clip(open_.mean(axis=0) / spectrum[best], 0.0, 1.0))
+        enough = on & (shaded > np.where(clear, 0.04, 0.4))
+        enough |= (dim & (shaded > 0.4)) | (markings & (below > 0.3))
+        enough |= best & ~sunny & (found.direct < 0.25) & (shaded > 0.7)
+        if not _assign(found, enough, state, body):
+            break
+
+
+def _touched(which: Mask, scene: Scene) -> Float:
+    """Return how many sides of every segment lie at some others (segment,)."""
+    weight = scene.pairs.length * which[scene.pairs.other]
+    return np.bincount(scene.pairs.one, weight, scene.size.size).astype(np.float64)
+
+
+def _assign(found: Mixtures, chosen: Mask, state: Array, body: Array) -> bool:
+    """Give segments the body, itself lit, that fits best; tell whether any got one."""
+    any_ = False
+    for place in np.flatnonzero(chosen)[np.argsort(found.misfit[chosen], kind="stable")]:
+        segment, parent = found.segment[place], body[found.body[place]]
+        if state[segment] == LIT and state[parent] == LIT and parent != segment:
+            state[segment] = SHADED
+            body[body == segment] = parent
+            any_ = True
+    return any_
+
+
+def shaded_pixels(
+    channels: npt.NDArray[np.float32],
+    number: npt.NDArray[np.int32],
+    level: Mask,
+    reference: Float,
+    light: Light,
+) -> Mask:
+    """Return the pixels (line, column) of level ground that lack direct light: shadows of thin things.
+
+    What leans away from the sun lacks it as well, so that nothing but the ground can be asked.
+
+    Parameters
+    ----------
+    channels : (line, column, channel)
+        Reflectance [1].
+    number : (line, column)
+        Segment of every pixel, -1 without data.
+    level : (segment,)
+        True for ground in the sun.
+    reference : (segment, channel)
+        Reflectance of bodies in full light [1].
+    light
+        Parts of the irradiance.
+    """
+    made = np.zeros(number.shape, bool)
+    bright = reference.mean(axis=1)
+    asked = np.append(level, False)[number]
+    for part in in_parts(len(number), _LINES):
+        seen, segment = channels[part], number[part]
+        here = asked[part] & (seen.mean(axis=2) < _DIMMER * np.append(bright, 0.0)[segment])
+        body = reference[segment[here]]
+        amount, misfit = solve(seen[here].astype(np.float64), body, None, light)
+        missing = (amount[:, 0] < _MISSING) & (amount[:, 1] > amount[:, 0] + 0.05) & (misfit < _PATCHY)
+        made[part][here] = missing
+    return made

@@ -11,13 +11,31 @@ from hyperpaint import schema
 from hyperpaint.errors import Problems, SchemaError
 from hyperpaint.schema import BAND
 
-from .channels import Progress, channel_numbers, read_channels, watched, without_unknown
-from .light import SOURCES, diffuse_from_clear_sky, measured_fraction, shadow_side_of, sun_zenith_of
-from .model import SHADED, SceneModel
-from .neighbours import nearest_coloured, two_nearest
-from .references import Light, clean_references, match_segments, median_spectra
-from .segments import border_steps, divide, sample_pixels, touching
-from .shadows import fraction_in_shadow
+from .bodies import clean_references, same_paints
+from .cells import two_nearest
+from .channels import (
+    Progress,
+    channel_noise,
+    channel_numbers,
+    read_channels,
+    shift_of_channels,
+    to_nominal_channels,
+    watched,
+    without_unknown,
+)
+from .light import (
+    SOURCES,
+    diffuse_from_clear_sky,
+    fraction_in_shadow,
+    measured_fraction,
+    shadow_side_of,
+    sun_zenith_of,
+)
+from .model import LIT, SHADED, SceneModel
+from .neighbours import nearest_coloured
+from .references import Light, match_segments, median_spectra
+from .segments import border_steps, distance_to, divide, edge_distance, sample_pixels, touching
+from .shadows import match_shade, shaded_pixels
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -81,12 +99,16 @@ def survey(
     Notes
     -----
     1. Segments: neighbouring pixels are joined from the gentlest step on [1]_; what is small or thin goes
-       with its neighbour, and is a mixed pixel where it lies between two bodies.
-    2. Segments that are others' surface in shadow, :math:`\rho (c f_{dir} + V f_{dif})` with small c, or fade
-       into another under the sun's mirror image, :math:`\rho (c f_{dir} + V f_{dif}) + g f_{dir}`, are given
-       its spectrum. Dark glass and black paint can look like shadowed asphalt in every band; a shadow is not
-       in the light on the side of the sun, and gets the less light of other things the more sky it sees.
-    3. A body's reference is the mean of those pixels to which glint and coloured neighbours add least.
+       with its neighbour, and is a mixed pixel where it lies between two bodies. Where parts of one car meet
+       that differ by tilt, pixels are not mixed.
+    2. Segments that are others' surface in shadow, :math:`\rho (c f_{dir} + V f_{dif} + b \rho_n)` with small
+       c and the light b of one coloured neighbour, or fade into another under the sun's mirror image,
+       :math:`\rho (c f_{dir} + V f_{dif}) + g f_{dir}`, are given its spectrum. Dark glass and black paint
+       can look like shadowed asphalt in every band: a shadow touches its lit body, though not on the side of
+       the sun, or goes on from one that does. On the ground, single pixels are shadow where direct light is
+       missing and that of the sky is not.
+    3. A body's reference is the mean of those pixels to which glint and coloured neighbours add least, less
+       what other parts of the same paint, where they are coloured, show to be glint all over it.
     4. The nearest coloured segments of every 4 x 4 pixels.
 
     Channels that most pixels lack, such as those of dead bands, are left out. A body that lies in shadow or
@@ -119,6 +141,8 @@ def survey(
     channel = channel_numbers(wavelength, good)
     channels, channel = without_unknown(read_channels(cube, channel, watched(progress, "survey")), channel)
     centre, split = (_mean_of(values, channel) for values in (wavelength, fraction))
+    shift = shift_of_channels(line, channel, channels.shape[1])
+    to_nominal_channels(channels, centre, shift)
     light = Light(1.0 - split, split)
     segments = divide(channels)
     count = segments.size.size
@@ -129,23 +153,25 @@ def survey(
     side = shadow_side_of(line, sun_azimuth, heading)
     pairs = touching(segments.number, count)
     steps = border_steps(channels, segments.number, pairs)
-    matches = match_segments(spectrum, segments.size, pairs, light, side, steps)
+    shade, ground = match_shade(segments.number, spectrum, segments.size, pairs, light, side)
+    matches = match_segments(spectrum, segments.size, pairs, light, shade, steps, zenith)
     if isinstance(diffuse, str) and diffuse == "shadow":
         split = fraction_in_shadow(channels, places, spectrum, segments.size, matches)
         light = Light(1.0 - split, split)
-        matches = match_segments(spectrum, segments.size, pairs, light, side, steps)
+        shade, ground = match_shade(segments.number, spectrum, segments.size, pairs, light, side)
+        matches = match_segments(spectrum, segments.size, pairs, light, shade, steps, zenith)
     neighbour = nearest_coloured(segments.number, segments.size, spectrum, matches, light, reach)
-    beside = two_nearest(neighbour, matches.body, segments.number, 0)
-    reference = clean_references(channels, places, spectrum, matches, light, beside.reshape(-1, 2))
-    body = np.append(matches.body, np.int32(-1))[segments.number]
-    boundary_distance(body, segments.sure, 255, distance)
-    shade = np.append(matches.state == SHADED, False)[segments.number].astype(np.int32)
-    nearby = np.empty_like(distance)
-    boundary_distance(shade, np.ones(shade.shape, bool), 255, nearby)
-    nearby[shade > 0] = 0
+    paints = same_paints(spectrum, segments.size, pairs, matches, light)
+    beside = two_nearest(neighbour, matches.body, paints.first, segments.number, 0).reshape(-1, 2)
+    reference, tilt = clean_references(channels, places, spectrum, matches, paints, light, beside, zenith)
+    noise = channel_noise(channels, segments.number, distance >= _EDGE)
+    level = ground & (matches.state == LIT)
+    distance = edge_distance(segments, matches.body, paints.first)
+    nearby = distance_to(np.append(matches.state == SHADED, False)[segments.number])
+    nearby[shaded_pixels(channels, segments.number, level, reference, light)] = 0
     return SceneModel(
-        wavelength, channel, centre, split, segments.number, distance, nearby, neighbour, segments.size,
-        matches.state, matches.body, spectrum, reference,
+        wavelength, channel, centre, split, shift, noise, segments.number, distance, nearby, neighbour,
+        segments.size, matches.state, matches.body, paints.first, tilt, spectrum, reference,
         {"diffuse_fraction_from": source, "reach": reach, "sun_zenith": zenith},
     )  # fmt: skip
 
@@ -200,6 +226,7 @@ def _fraction(
 
 
 def _mean_of(values: Float, channel: npt.NDArray[np.int64]) -> Float:
+    """Return the means of values (band,) over the bands of every channel (channel,)."""
     used = channel >= 0
     weight = np.bincount(channel[used])
     return np.asarray(np.bincount(channel[used], values[used]) / weight)

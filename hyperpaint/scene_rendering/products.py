@@ -112,6 +112,7 @@ class Render:
             )
             made = made.drop_vars("radiance").merge(counts)
         made = irradiance_series(made, self.platform).assign_coords(pose_of(self.platform))
+        made = made.assign(look_angle=_look_angle(self.platform))
         if picture is not None:
             made = made.assign(overview=picture)
         return made
@@ -175,6 +176,12 @@ def pose_of(platform: Platform) -> dict[str, xr.Variable]:
     roll, pitch, heading = platform.attitude.T
     pose = {"altitude": platform.position[:, 2], "roll": roll, "pitch": pitch, "heading": heading}
     return {name: _variable(name, values) for name, values in pose.items()}
+
+
+def _look_angle(platform: Platform) -> xr.Variable:
+    """Return the angles that the middles of the columns look at, from the camera's axis to the right."""
+    edges = platform.column_edges
+    return _variable("look_angle", np.degrees(np.arctan(0.5 * (edges[1:] + edges[:-1]))))
 
 
 def counts_of(

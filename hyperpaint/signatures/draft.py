@@ -16,6 +16,7 @@ from hyperpaint.uncertainty.propagation import NONE_KNOWN, UNCERTAINTIES
 from .independence import effective_pixels
 from .reduction import QUANTILES, chosen_members, summarise
 from .sources import Source
+from .viewing import mean_view, relative_azimuth
 
 __all__ = ["Draft"]
 
@@ -51,7 +52,8 @@ class Draft:
     member_place
         Positions of the members along and across the track.
     at
-        ``time``, ``sun_zenith``, ``sun_azimuth``, ``irradiance_age``.
+        ``time``, ``sun_zenith``, ``sun_azimuth``, ``irradiance_age``, ``view_zenith``, ``view_azimuth``,
+        ``relative_azimuth``.
     """
 
     def __init__(self, source: Source, place: Pixels) -> None:
@@ -85,7 +87,7 @@ class Draft:
     def choose(
         self,
         present: Array,
-        quality: Array,
+        planes: Mapping[str, Array],
         lines: Mapping[str, Array],
         exclude: int,
         most: int,
@@ -95,8 +97,11 @@ class Draft:
 
         Parameters
         ----------
-        present, quality : (pixel,)
-            Whether a pixel of the region has a value, without which it is left out; and its flags.
+        present : (pixel,)
+            Whether a pixel of the region has a value, without which it is left out.
+        planes
+            Variables of pixels (pixel,): ``quality``, its flags, none where it is not there; and what its
+            direction of view is made of.
         lines
             Variables of the line (along_track,).
         exclude
@@ -104,6 +109,7 @@ class Draft:
         most, seed
             See `chosen_members`.
         """
+        quality = planes.get("quality", np.zeros(self.along.size, np.uint16))
         self._used = (quality & np.uint16(exclude) == 0) & present
         self.n = int(self._used.sum())
         self.excluded = self.along.size - self.n
@@ -114,7 +120,15 @@ class Draft:
         self.member_place = along[self._chosen], across[self._chosen]
         bands = self._source.cubes["reflectance"].sizes[BAND]
         self.spectra["member_reflectance"] = np.full((self._chosen.size, bands), np.nan)
-        self.at = _geometry({name: values[along] for name, values in lines.items()})
+        of_lines = {name: values[along] for name, values in lines.items()}
+        self.at = _geometry(of_lines)
+        of_pixels = {name: values[self._used] for name, values in planes.items()}
+        zenith, azimuth = mean_view(self._source.viewing, of_pixels, of_lines, across)
+        self.at |= {
+            "view_zenith": zenith,
+            "view_azimuth": azimuth,
+            "relative_azimuth": relative_azimuth(azimuth, self.at["sun_azimuth"]),
+        }
 
     def take_bands(self, cubes: Mapping[str, Array], bands: slice, centre: str) -> None:
         """Reduce some bands of the region's pixels.

@@ -14,7 +14,7 @@ from hyperpaint.regions.placement import Pixels
 from hyperpaint.schema import Quality
 
 from .draft import Draft
-from .gathering import Progress, gather
+from .gathering import Progress, gather, part_of
 from .library import paint_library
 from .reduction import CENTRES
 from .sources import Smoothing, Source, lines_of, source_of
@@ -95,9 +95,11 @@ def extract_signatures(
         band), ``reflectance_quantiles`` (paint, quantile, band), ``member_reflectance`` (paint, member,
         band), all float32 [1], NaN where not known; ``n``, ``n_eff`` and ``n_excluded`` (paint) pixels;
         ``quality`` (paint), the flags of the pixels that were used; ``quality_share`` (paint, flag), how many
-        of all have each flag [1]; ``sun_zenith``, ``sun_azimuth`` [degree] and ``irradiance_age`` [s]
-        (paint). Coordinates: ``paint``, ``wavelength``, ``fwhm``, ``good``, ``time``, ``flightline``,
-        ``region`` (as GeoJSON), and every property of the regions. Attributes say how it was made.
+        of all have each flag [1]; ``sun_zenith``, ``sun_azimuth``, ``view_zenith``, ``view_azimuth``,
+        ``relative_azimuth`` [degree] and ``irradiance_age`` [s] (paint). Coordinates: ``paint``,
+        ``wavelength``, ``fwhm``, ``good``, ``time``, ``flightline``, ``region`` (as GeoJSON), and every
+        property of the regions. Attributes say how it was made; ``mirror_reflection`` of reflectance whether
+        it holds the sky that a coat mirrors ("included" or "excluded").
 
     Raises
     ------
@@ -111,7 +113,9 @@ def extract_signatures(
     Notes
     -----
     Spectra are brought to the nominal wavelengths first. A sample that is missing in a pixel is missing in
-    that band only. The standard uncertainties are those of the mean of these pixels:
+    that band only. The direction of view is that of the line's ``view_zenith`` and ``view_azimuth``, else of
+    ``look_angle``, ``roll``, ``pitch`` and ``heading``; without any it is NaN, and the attribute
+    ``view_geometry`` says what is missing. The standard uncertainties are those of the mean of these pixels:
 
     .. math:: u_r = \sqrt{\frac{\overline{u_{r,i}^2}}{\max(1, n_{eff} n_b / n)}}, \qquad
               u_s = \overline{u_{s,i}}, \qquad
@@ -156,7 +160,7 @@ def extract_signatures(
         _refuse_divided(rounds, sources, places, found)
     drafts = [Draft(sources[names[position]], place) for position, place in enumerate(places)]
     for number, each in enumerate(rounds):
-        told = None if progress is None else _part_of(progress, number, len(rounds))
+        told = None if progress is None else part_of(progress, number, len(rounds))
         _reduce(each, sources[each.line], drafts, options, told)
     _refuse_small(found, drafts, min_pixels)
     return paint_library(found, drafts, [names[k] for k in range(len(found))], sources, options.notes)
@@ -213,7 +217,6 @@ def _reduce(
     )
     read = None if told is None else _first_half(told)
     spectra, values = gather(source.cubes, source.planes, along, across, part.bands, source.small, read)
-    quality = values.get("quality", np.zeros(along.size, np.uint16))
     of_lines = {key: values[key] for key in source.small}
     start = 0
     for draft in batch:
@@ -221,7 +224,8 @@ def _reduce(
         start = own.stop
         if part.bands.start == 0:
             present = values["present"][own]
-            draft.choose(present, quality[own], of_lines, options.exclude, options.members, options.seed)
+            planes = {name: values[name][own] for name in source.planes}
+            draft.choose(present, planes, of_lines, options.exclude, options.members, options.seed)
         if draft.n >= options.min_pixels:
             draft.take_bands({name: cube[own] for name, cube in spectra.items()}, part.bands, options.centre)
         if told is not None:
@@ -294,15 +298,6 @@ def _refuse_divided(
                 'cut it smaller, or take centre="trimmed_mean"'
             )
     problems.raise_if_any()
-
-
-def _part_of(progress: Progress, number: int, total: int) -> Progress:
-    """Return a progress that tells how far one of several rounds is, in thousandths."""
-
-    def told(done: int, steps: int) -> None:
-        progress(1000 * number + 1000 * done // steps, 1000 * total)
-
-    return told
 
 
 def _first_half(told: Progress) -> Progress:

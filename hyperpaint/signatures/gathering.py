@@ -19,7 +19,7 @@ from hyperpaint.slabs import line_chunked
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["Progress", "gather"]
+__all__ = ["Progress", "gather", "part_of"]
 
 Array = npt.NDArray[Any]
 Progress = Callable[[int, int], None]
@@ -137,3 +137,18 @@ def _on_cluster(client: Any, tasks: list[Any], progress: Progress) -> list[Any]:
     for done, _ in enumerate(as_completed(futures), start=1):
         progress(done, len(futures))
     return list(client.gather(futures))
+
+
+def part_of(progress: Progress, number: int, total: int) -> Progress:
+    """Return a progress that tells how far one of several parts is, in thousandths of each.
+
+    Examples
+    --------
+    >>> part_of(print, 1, 4)(5, 10)
+    1500 4000
+    """
+
+    def told(done: int, steps: int) -> None:
+        progress(1000 * number + 1000 * done // max(steps, 1), 1000 * total)
+
+    return told

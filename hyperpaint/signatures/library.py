@@ -24,6 +24,17 @@ __all__ = ["paint_library"]
 
 Array = npt.NDArray[Any]
 
+_GEOMETRY = (
+    "sun_zenith",
+    "sun_azimuth",
+    "view_zenith",
+    "view_azimuth",
+    "relative_azimuth",
+    "irradiance_age",
+    "time",
+)
+"""What is known of how and when a paint was seen."""
+
 _MOST_PROPERTIES = 64
 """Properties that become coordinates; all are in the coordinate ``region`` as well."""
 
@@ -62,7 +73,7 @@ def paint_library(
     values["member_reflectance"] = [_padded(d.spectra["member_reflectance"], most, np.nan) for d in drafts]
     for axis, name in enumerate(("member_along_track", "member_cross_track")):
         values[name] = [_padded(draft.member_place[axis], most, -1) for draft in drafts]
-    for name in ("sun_zenith", "sun_azimuth", "irradiance_age", "time"):
+    for name in _GEOMETRY:
         values[name] = [draft.at[name] for draft in drafts]
     values |= {
         "paint": list(regions.names),
@@ -85,7 +96,11 @@ def paint_library(
         for name, column in _properties(regions).items()
     }
     made = made.assign_coords(properties)
-    made["reflectance"].attrs |= {"centre": notes["centre"], **_corrections(sources)}
+    made["reflectance"].attrs |= {
+        "centre": notes["centre"],
+        "mirror_reflection": _mirror_reflection(sources),
+        **_corrections(sources),
+    }
     made.attrs = {
         "title": "Paint signatures",
         "source": _sources(sources),
@@ -93,6 +108,7 @@ def paint_library(
         "regions": regions.digest,
         "coordinates_of_regions": regions.coordinates,
         "spectral_axis": "nominal wavelengths",
+        "view_geometry": "; ".join(dict.fromkeys(source.viewing.told for source in sources.values())),
         "smoothing": "; ".join(dict.fromkeys(source.smoothing for source in sources.values())),
         "corrections": "; ".join(dict.fromkeys(_corrected(source) for source in sources.values())),
         **notes,
@@ -128,6 +144,12 @@ def _corrections(sources: Mapping[str, Source]) -> dict[str, str]:
         name: "; ".join(dict.fromkeys(source.corrections.get(name, "none") for source in sources.values()))
         for name in names
     }
+
+
+def _mirror_reflection(sources: Mapping[str, Source]) -> str:
+    """Return whether spectra hold what a coat mirrors; one line that does decides."""
+    removed = all("mirrored_sky_removed" in source.corrections for source in sources.values())
+    return "excluded" if removed else "included"
 
 
 def _corrected(source: Source) -> str:

@@ -19,6 +19,8 @@ from hyperpaint.schema import BAND
 from hyperpaint.smoothing import smooth
 from hyperpaint.uncertainty.propagation import NONE_KNOWN, UNCERTAINTIES
 
+from .viewing import Viewing, viewing_of
+
 if TYPE_CHECKING:
     import xarray as xr
 
@@ -44,6 +46,8 @@ class Source:
         ``reflectance`` at nominal wavelengths, and its uncertainties where they are known, lazy.
     planes, small
         Variables of pixels and of lines.
+    viewing
+        From where its pixels are seen.
     wavelength, fwhm : (band,), float64
         [nm]; NaN where the width is not known.
     good : (band,), bool
@@ -59,6 +63,7 @@ class Source:
     cubes: dict[str, xr.DataArray]
     planes: dict[str, xr.DataArray]
     small: dict[str, xr.DataArray]
+    viewing: Viewing
     wavelength: Float
     fwhm: Float
     good: npt.NDArray[np.bool_]
@@ -102,13 +107,15 @@ def source_of(
         options = {"method": smoothing} if isinstance(smoothing, str) else dict(smoothing)
         nominal = smooth(nominal, **options)
     cube = nominal["reflectance"]
+    viewing = viewing_of(line)
     size = cube.sizes[BAND]
     wavelength = found["wavelength"].values.astype(np.float64)
     return Source(
         line=line,
         cubes={"reflectance": cube, **{name: found[name] for name in names[1:]}},
-        planes={"quality": found["quality"]} if "quality" in found else {},
-        small={name: found[name] for name in _SMALL if name in found},
+        planes={**({"quality": found["quality"]} if "quality" in found else {}), **viewing.planes},
+        small={**{name: found[name] for name in _SMALL if name in found}, **viewing.lines},
+        viewing=viewing,
         wavelength=wavelength,
         fwhm=found["fwhm"].values.astype(np.float64) if "fwhm" in found else np.full(size, np.nan),
         good=found["good"].values.astype(bool) if "good" in found else np.ones(size, bool),

@@ -14,12 +14,14 @@ from numpy.typing import NDArray
 from hyperpaint.errors import SchemaError, StoreError
 from hyperpaint.schema import CHUNK_LINES
 
+from .checkerboard_flight import CheckerboardFlight
 from .flight import Flight, Lines, SkySamples
 from .instruments import (
     BilWriter,
     write_asd,
     write_frame_index,
     write_navigation,
+    write_sbet,
     write_settings,
 )
 from .plan_flight import PlanFlight
@@ -46,7 +48,7 @@ CAMERA_SOFTWARE = "hyperpaint simulation"
 field spectrometer's simulated files."""
 
 _BOOT = 1_234_567_891_000  # ns on the instrument's clock at the first line: it knows no date
-_NAVIGATION_PERIOD, _NAVIGATION_MARGIN = 10**7, 2 * 10**9  # ns: 100 Hz, two seconds around the flight
+_NAVIGATION_MARGIN = 2 * 10**9  # ns around the flight
 _DARK_LEAD = 60 * 10**9  # ns from the first dark frame to the first line
 
 Progress = Callable[[int, int], None]
@@ -84,10 +86,12 @@ def simulate_collect(
         The same seed gives the same bytes of every instrument file.
     scene
         "rendered": a car park of triangles whose light is traced, with shadows, glint and mixed pixels.
-        "plan": a flat picture in which a pixel sees one level surface, made in no time.
+        "plan": a flat picture in which a pixel sees one level surface, made in no time. "checkerboard": level
+        squares whose corners are known on the map.
     truth
-        Write ``truth.zarr``: radiance and reflectance of every sample, class and masks of every pixel; of a
-        rendered scene also place, shadow, purity and which car.
+        Write ``truth.zarr``: radiance and reflectance of every sample, class and masks of every pixel; but
+        for a plan also the place that it shows, and where the camera was mounted; of a rendered scene also
+        shadow, purity and which car.
     sweep
         Also take the camera into the lab: ``lab/sweep.zarr`` is a monochromator sweep with these effects
         (fields of `hyperpaint.simulation.SweepSettings`, ``{}`` for the defaults), ``lab/sweep_truth.zarr``
@@ -99,7 +103,7 @@ def simulate_collect(
     block_lines
         Lines worked on together; bounds the memory, changes no value.
     **effects
-        Fields of `hyperpaint.simulation.SimulationSettings`: ``noise``, ``smile_nm``, ``srf_shape`` ...
+        Fields of `hyperpaint.simulation.SimulationSettings`: ``noise``, ``smile_nm``, ``wobble`` ...
 
     Returns
     -------
@@ -150,6 +154,8 @@ def simulate_collect(
 def _flight_of(settings: SimulationSettings) -> Flight:
     if settings.scene == "plan":
         return PlanFlight(settings)
+    if settings.scene == "checkerboard":
+        return CheckerboardFlight(settings)
     from .rendered_flight import RenderedFlight  # brings the tracer along
 
     return RenderedFlight(settings)
@@ -190,7 +196,8 @@ def _instrument_stamps(since_start: NDArray[np.int64]) -> NDArray[np.int64]:
 
 def _frame_stamps(middles: NDArray[np.int64], settings: SimulationSettings) -> NDArray[np.int64]:
     half = round(settings.exposure_time_ms * 1e6 / 2)
-    return _instrument_stamps(middles + {"start": -half, "mid": 0, "end": half}[settings.stamp])
+    slow = round(settings.frame_clock_offset_s * 1e9)
+    return _instrument_stamps(middles + {"start": -half, "mid": 0, "end": half}[settings.stamp] - slow)
 
 
 def _comments(flight: Flight) -> dict[str, object]:
@@ -270,11 +277,13 @@ def _write_flight(
     since = np.arange(
         -_NAVIGATION_MARGIN,
         int(flight.line_times[-1]) + _NAVIGATION_MARGIN,
-        _NAVIGATION_PERIOD,
+        10**9 // settings.navigation_rate,
         dtype=np.int64,
     )
     utc = (flight.start + since).astype("datetime64[ns]")
-    write_navigation(folder / "imu_gps.txt", flight.pose(since / 1e9), _instrument_stamps(since), utc)
+    pose = flight.pose(since / 1e9)
+    write_navigation(folder / "imu_gps.txt", pose, _instrument_stamps(since), utc)
+    write_sbet(folder / "trajectory.sbet", pose, utc)
 
 
 def _collect_text(settings: SimulationSettings, with_sweep: bool) -> str:
@@ -297,6 +306,15 @@ nav = "flight/imu_gps.txt"
 
 [collect]
 name = "simulated car park"
+
+[navigation]
+roll_positive = "right_wing_down"
+pitch_positive = "nose_up"
+heading_positive = "clockwise"
+heading_reference = "true"
+euler_order = "ZYX"
+height_reference = "ellipsoid"
+column_order = "left_to_right"
 
 [camera]
 bit_depth = {settings.bit_depth}

@@ -20,14 +20,15 @@ from numpy.typing import NDArray
 
 from .atmosphere import Light, spectral_grid
 from .camera import Camera
+from .ellipsoid import LocalFrame, TransverseMercator
 from .instruments import ASD_AVERAGES, ASD_INTEGRATION_MS, ASD_WAVELENGTH
 from .paints import reflectance
-from .scenes import SWATH
 from .sensor import convolve_gaussian, expected_counts
 from .settings import SimulationSettings
 from .skies import sky_irradiance
+from .trajectories import Trajectory
 
-__all__ = ["METRES_PER_DEGREE", "ORIGIN", "PIXEL_ANGLE", "Flight", "Layer", "Lines", "SkySamples"]
+__all__ = ["ORIGIN", "PIXEL_ANGLE", "Flight", "Layer", "Lines", "SkySamples"]
 
 Floats = NDArray[np.float64]
 Cube = NDArray[np.float32]
@@ -40,10 +41,7 @@ PIXEL_ANGLE = 7.4e-6 / 12e-3
 _NOISE, _DARK_FRAMES, _SKY = 12, 16, 17
 
 ORIGIN = (43.0845, -77.6749, 160.0)
-"""Latitude and longitude [degree] of the first line, and height of the ground [m]."""
-
-METRES_PER_DEGREE = 111_120.0
-"""Of latitude."""
+"""Latitude and longitude [degree] of the ground under the first line, and its height [m]."""
 
 
 @dataclass(frozen=True)
@@ -162,7 +160,13 @@ class Flight(abc.ABC):
     @property
     def ground_sample(self) -> float:
         """Side of a pixel on the ground [m]."""
-        return SWATH / self.settings.columns
+        return self.settings.swath / self.settings.columns
+
+    @property
+    def look_angle(self) -> Floats:
+        """Angle of every column's line of sight, positive to the right, shape (column,) [degree]."""
+        column = np.arange(self.settings.columns) - 0.5 * (self.settings.columns - 1)
+        return np.asarray(np.degrees(np.arctan(column * PIXEL_ANGLE)))
 
     @property
     def etendue(self) -> float:
@@ -283,15 +287,22 @@ class Flight(abc.ABC):
                 irradiance[index] *= 1.0 + settings.irradiance_noise * noise
         return SkySamples(stamp, middle, factors, irradiance)
 
+    @cached_property
+    def frame(self) -> LocalFrame:
+        """The scene's axes: x east, y north, z up of `ORIGIN`."""
+        return LocalFrame(*ORIGIN)
+
+    @cached_property
+    def plane(self) -> TransverseMercator:
+        """The map that places are told on."""
+        return TransverseMercator.of(*ORIGIN[:2])
+
+    @cached_property
+    def trajectory(self) -> Trajectory:
+        """How the platform flies; a plan scene is not moved by it."""
+        speed = self.ground_sample / (self.settings.frame_period_ms / 1e3)
+        return Trajectory.of(self.settings, self.frame, speed, self.ground_sample / PIXEL_ANGLE)
+
     def pose(self, seconds: Floats) -> dict[str, Floats]:
-        """Return position and attitude at times from the first line [s]; a plan scene is not moved by it."""
-        latitude, longitude, ground = ORIGIN
-        along = seconds * self.ground_sample / (self.settings.frame_period_ms / 1e3)
-        return {
-            "roll": 0.4 * np.sin(2 * np.pi * seconds / 3.1 + 0.3),
-            "pitch": 0.3 * np.sin(2 * np.pi * seconds / 4.7 + 1.1),
-            "heading": 0.2 * np.sin(2 * np.pi * seconds / 7.9) + 0.5,
-            "latitude": latitude + along / METRES_PER_DEGREE,
-            "longitude": np.full_like(seconds, longitude),
-            "altitude": ground + self.ground_sample / PIXEL_ANGLE + 0.1 * np.sin(2 * np.pi * seconds / 11.0),
-        }
+        """Return position and attitude of the navigation system at times from the first line [s]."""
+        return self.trajectory.pose(seconds)

@@ -23,6 +23,7 @@ __all__ = [
     "write_asd_reflectance",
     "write_frame_index",
     "write_navigation",
+    "write_sbet",
     "write_settings",
 ]
 
@@ -35,6 +36,16 @@ ASD_INTEGRATION_MS, ASD_AVERAGES = 34, 20
 """Integration time [ms] of one scan of the simulated spectrometer, and scans in a spectrum."""
 
 _CALIBRATION_MS = 136
+_GPS_EPOCH = np.datetime64("1980-01-06T00:00:00", "ns")
+#: Days from which GPS time is one second further ahead of UTC (IERS Bulletin C)
+_LEAPS = np.array(
+    [
+        *("1981-07-01", "1982-07-01", "1983-07-01", "1985-07-01", "1988-01-01", "1990-01-01", "1991-01-01"),
+        *("1992-07-01", "1993-07-01", "1994-07-01", "1996-01-01", "1997-07-01", "1999-01-01", "2006-01-01"),
+        *("2009-01-01", "2012-07-01", "2015-07-01", "2017-01-01"),
+    ],
+    "datetime64[ns]",
+)
 _OLE_EPOCH = np.datetime64("1899-12-30T00:00:00", "s")
 
 
@@ -134,6 +145,28 @@ def write_navigation(
         )
     ]
     path.write_text(header + "".join(rows), encoding="ascii")
+
+
+def write_sbet(path: Path, pose: Mapping[str, Floats], utc: NDArray[np.datetime64]) -> None:
+    """Write an SBET file: 17 float64 a row, angles in radians, seconds of the GPS week; no velocities.
+
+    Parameters
+    ----------
+    path
+        The file.
+    pose
+        As for `write_navigation`; heights above the ellipsoid.
+    utc
+        UTC of the rows, shape (row,).
+    """
+    leap = np.searchsorted(_LEAPS, utc, side="right") * 10**9
+    week = ((utc - _GPS_EPOCH).astype(np.int64) + leap) % (7 * 86_400 * 10**9)
+    made = np.zeros((len(utc), 17), "<f8")
+    made[:, 0] = week / 1e9
+    for column, name in ((1, "latitude"), (2, "longitude"), (7, "roll"), (8, "pitch"), (9, "heading")):
+        made[:, column] = np.radians(pose[name])
+    made[:, 3] = pose["altitude"]
+    made.tofile(path)
 
 
 def _lamp() -> Floats:

@@ -19,13 +19,13 @@ from numpy.typing import NDArray
 from hyperpaint.errors import SchemaError
 from hyperpaint.kernels.transport.paths import Block
 
-from .flight import METRES_PER_DEGREE, ORIGIN, PIXEL_ANGLE, Flight, Layer, Lines
+from .ellipsoid import TransverseMercator
+from .flight import PIXEL_ANGLE, Flight, Layer, Lines
 from .rendering.bands import BandSet
 from .rendering.car_parks import car_park
 from .rendering.painting import factor_spectra
 from .rendering.path_codes import FIRST_SUN, SKY, is_direct, is_indirect, is_mirrored
 from .rendering.platforms import Platform
-from .rendering.rotations import matrices, quaternions
 from .rendering.scene import Scene
 from .rendering.scene_record import SceneRecord, TraceSettings
 from .rendering.spectra import spectrum_of
@@ -46,7 +46,7 @@ _LONGEST = 2000.0  # m of car park that are built
 _BEFORE = 3.0  # m of car park before and behind what is seen
 _PERIOD = 30.0  # m after which its grey panels come again; a flight soon sees its first
 _MARGIN = 30.0  # m of ground around it
-_STEEPEST = np.tan(np.radians(0.5))  # of roll and pitch, which stay below
+_STEEPEST = 0.5  # degrees that the camera leans from the vertical, at least
 _LINES_AT_ONCE = 4  # of a thread
 
 
@@ -80,7 +80,7 @@ class RenderedFlight(Flight):
         spectra = [material.spectrum for material in record.materials]
         self.surfaces = tuple(dict.fromkeys(spectra))
         self.paints = tuple(sorted({each.spectrum for each in record.materials if each.kind == "paint"}))
-        self.layers = _layers(self._scene.labels)
+        self.layers = _layers(self._scene.labels, self.plane)
         self._surface = np.array([self.surfaces.index(name) for name in spectra], np.int16)
         self._cosine = float(np.cos(np.radians(settings.sun[0])))
         self._products = ProductTable.of_imager(
@@ -98,8 +98,7 @@ class RenderedFlight(Flight):
     def _car_park(self) -> Scene:
         """Return a car park that begins before the first line's view and ends behind the last one's."""
         settings = self.settings
-        ahead = _STEEPEST * self.ground_sample / PIXEL_ANGLE
-        before = _BEFORE + ahead
+        ahead, before = self._seen_ahead()
         start = np.ceil((before + ahead) / _PERIOD) * _PERIOD - ahead
         length = start + settings.lines * self.ground_sample + before
         if length > _LONGEST:
@@ -120,18 +119,24 @@ class RenderedFlight(Flight):
         )
         return park.moved((0.0, -float(start), 0.0))
 
+    def _seen_ahead(self) -> tuple[float, float]:
+        """Return how far ahead the camera may look, and how much is built before what it sees [m]."""
+        path = self.trajectory
+        lean = float(np.tan(np.radians(max(_STEEPEST, path.steepest))))
+        ahead = lean * self.ground_sample / PIXEL_ANGLE
+        turned = float(np.sin(np.radians(path.most_yaw))) * SWATH / 2
+        return ahead, ahead + max(_BEFORE, turned + 1.0) + max(map(abs, path.lever_arm))
+
     @cached_property
     def platform(self) -> Platform:
-        """Where the camera was at begin and end of every exposure, as `pose` has it."""
+        """Where the camera was at begin and end of every exposure."""
         settings = self.settings
         moment = self.line_times[:, None] / 1e9 + settings.exposure_time * np.array([-0.5, 0.5])
-        pose = self.pose(moment)
-        north = (pose["latitude"] - ORIGIN[0]) * METRES_PER_DEGREE
-        origin = np.stack([np.zeros_like(north), north, pose["altitude"] - ORIGIN[2]], axis=-1)
-        rotation = matrices(quaternions(pose["roll"], pose["pitch"], pose["heading"]))
         edges = np.asarray(np.arange(settings.columns + 1) - 0.5 * settings.columns, np.float64) * PIXEL_ANGLE
         along = np.array([-0.5, 0.5]) * PIXEL_ANGLE
-        return Platform(origin, rotation, edges, along, self.line_times, settings.exposure_time)
+        return Platform(
+            *self.trajectory.camera(moment), edges, along, self.line_times, settings.exposure_time
+        )
 
     def lines(self, start: int, stop: int, into: Lines | None = None) -> Lines:
         """Return lines ``start`` to ``stop``; the same whatever lines are asked for together."""
@@ -142,7 +147,7 @@ class RenderedFlight(Flight):
             self._surface[block.material],
             self._glint(block, factors),
             *self._cubes(number, into),
-            _label(block, self._scene.labels),
+            self._label(block),
         )
         # on its way to counts, INT L R stands where the radiance will be
         self._shine(block, factors, made.radiance)
@@ -165,6 +170,20 @@ class RenderedFlight(Flight):
             blocks = list(pool.map(trace, range(start, stop, _LINES_AT_ONCE)))
         return Block(*map(np.concatenate, zip(*blocks, strict=True)))
 
+    def _label(self, block: Block) -> dict[str, NDArray[Any]]:
+        """Return the layers of lines."""
+        latitude, longitude, height = self.frame.geodetic(np.moveaxis(block.position, 1, -1))
+        east, north = self.plane.project(latitude, longitude)
+        return {
+            **self._scene.labels.layers(block.material, block.instance),
+            "purity": block.purity,
+            "shadow": 1.0 - block.sun_visibility[:, 0],
+            "east": east,
+            "north": north,
+            "height": height,
+            "up": block.position[:, 2],
+        }
+
     def _glint(self, block: Block, factors: Floats) -> NDArray[np.bool_]:
         """Tell where the mirror image of the sun adds `GLINT` to the reflectance, shape (line, column)."""
         mirrored = is_direct(block.code) & is_mirrored(block.code) & ~is_indirect(block.code)
@@ -180,12 +199,13 @@ class RenderedFlight(Flight):
         self._products.mix(weight, block.code, out)
 
 
-def _layers(labels: LabelTables) -> dict[str, Layer]:
+def _layers(labels: LabelTables, plane: TransverseMercator) -> dict[str, Layer]:
     """Return what is known of every pixel."""
     meters = {
-        "east": f"Mean distance east of longitude {ORIGIN[1]} degrees",
-        "north": f"Mean distance north of latitude {ORIGIN[0]} degrees",
-        "up": f"Mean height above the ground, which is {ORIGIN[2]:g} m high",
+        "east": f"East: mean place seen, {plane.crs}",
+        "north": f"North: mean place seen, {plane.crs}",
+        "height": "Mean height above the ellipsoid of what is seen",
+        "up": "Mean height above the ground, a plane that touches it under the first line",
     }
     described: dict[str, tuple[str, dict[str, Any]]] = {
         "surface_class": ("int16", {"long_name": "Kind of the surface", **labels.attrs("surface_class")}),
@@ -201,13 +221,3 @@ def _layers(labels: LabelTables) -> dict[str, Layer]:
 def _plain(attrs: Mapping[str, Any]) -> dict[str, Any]:
     """Return attributes that can be written as JSON."""
     return {name: value.tolist() if isinstance(value, np.ndarray) else value for name, value in attrs.items()}
-
-
-def _label(block: Block, labels: LabelTables) -> dict[str, NDArray[Any]]:
-    """Return the layers of lines, by the names of `_layers`."""
-    return {
-        **labels.layers(block.material, block.instance),
-        "purity": block.purity,
-        "shadow": 1.0 - block.sun_visibility[:, 0],
-        **{name: block.position[:, axis] for axis, name in enumerate(("east", "north", "up"))},
-    }

@@ -12,15 +12,18 @@ import numpy as np
 
 from hyperpaint.errors import Problems, SchemaError
 
+from .scenes import SWATH
 from .sensor import SHAPES
+from .trajectories import WOBBLES
 
 __all__ = ["NEAR_SUNSET", "SCENES", "SKIES", "STAMPS", "SimulationSettings"]
 
 STAMPS = ("start", "mid", "end")
 """What a time stamp may mark of an exposure."""
 
-SCENES = ("plan", "rendered")
-"""What can be flown over: a flat picture of a car park, or a car park of triangles whose light is traced."""
+SCENES = ("plan", "rendered", "checkerboard")
+"""What can be flown over: a flat picture of a car park, a car park of triangles whose light is traced, or
+level squares of known corners."""
 
 SKIES = ("clear", "near_sunset", "overcast")
 """Kinds of light."""
@@ -36,13 +39,29 @@ class SimulationSettings:
     Attributes
     ----------
     lines, bands, columns
-        Shape of the cube, dropped frames included. The scene is 16 m wide, whatever the number of columns.
+        Shape of the cube, dropped frames included. The scene is ``swath`` wide, however many columns see it.
     seed
         Chooses the scene, the detector's pattern, the noise. The light's spectral lines never change.
     scene
         "plan": a flat picture in which a pixel sees one level Lambert surface, made in no time. "rendered": a
         car park of triangles, whose light is traced along the camera's own wobbling line of sight, with
-        shadows, glint, light between neighbours and mixed pixels.
+        shadows, glint, light between neighbours and mixed pixels. "checkerboard": level Lambert squares seen
+        along that line of sight, for questions of place.
+    swath
+        Width of what is flown over, from as high as its columns look [m]; other than 16 for a checkerboard.
+    square, board_turn
+        Side of a checkerboard's squares [m], and how it is turned on its map, clockwise from north [degree].
+    course
+        Direction of flight, clockwise from true north [degree]; other than 0 for a checkerboard.
+    wobble
+        How the platform moves about its course: "none", "slow" (three sines), "calm" (roll and pitch 0.15,
+        heading 1.1 degrees, 1 sigma) or "rough" (0.42, 3.1 degrees). A plan is not moved by it.
+    boresight
+        Roll, pitch and heading of the camera in the body [degree].
+    lever_arm
+        Camera from the point that the navigation is of: forward, right, down [m].
+    navigation_rate
+        Rows of the navigation files in a second, a divisor of 1e9.
     samples
         Rays a pixel of a rendered scene; what was rendered is the truth, however few they are.
     sky
@@ -122,6 +141,8 @@ class SimulationSettings:
         What a spectrometer's stamp marks: "start", "mid" or "end" of its 0.68 s average.
     irradiance_gap
         Samples between these two times [s after the first line] are missing; None for none.
+    frame_clock_offset_s
+        Seconds the clock that stamps the camera's frames is behind that of the navigation.
     clock_offset_s
         Seconds the spectrometer's clock is slow: UTC = stamp - utc_offset_h + clock_offset_s.
     clock_uncertainty_s
@@ -150,6 +171,14 @@ class SimulationSettings:
     columns: int = 320
     seed: int = 0
     scene: str = "plan"
+    swath: float = SWATH
+    square: float = 0.16
+    board_turn: float = 27.0
+    course: float = 0.0
+    wobble: str = "slow"
+    boresight: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    lever_arm: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    navigation_rate: int = 100
     samples: int = 16
     sky: str = "clear"
     coat: bool = True
@@ -192,6 +221,7 @@ class SimulationSettings:
     irradiance_noise: float = 0.0
     irradiance_stamp: str = "end"
     irradiance_gap: tuple[float, float] | None = None
+    frame_clock_offset_s: float = 0.0
     clock_offset_s: float = 37.25
     clock_uncertainty_s: float | None = None
     utc_offset_h: float = -5.0
@@ -254,6 +284,7 @@ class SimulationSettings:
         choices = {
             "scene": SCENES,
             "sky": SKIES,
+            "wobble": WOBBLES,
             "srf_shape": SHAPES,
             "stamp": STAMPS,
             "irradiance_stamp": STAMPS,
@@ -286,10 +317,12 @@ class SimulationSettings:
                     problems.add(f"{name}={value!r}, expected {meaning}")
         for name, length in (("cloud", 3), ("irradiance_gap", 2)):
             value = getattr(self, name)
-            if value is not None and not (
-                isinstance(value, tuple | list) and len(value) == length and all(map(_is_number, value))
-            ):
+            if value is not None and not _are_numbers(value, length):
                 problems.add(f"{name}={value!r}, expected {length} numbers, or None")
+        for name, most in (("boresight", 10), ("lever_arm", 2)):
+            value = getattr(self, name)
+            if not _are_numbers(value, 3) or max(map(abs, value)) > most:
+                problems.add(f"{name}={value!r}, expected 3 numbers from -{most} to {most}")
         known = self.clock_uncertainty_s
         if known is not None and not (_is_number(known) and known >= 0):
             problems.add(f"clock_uncertainty_s={known!r}, expected a number from 0 on, or None")
@@ -308,6 +341,14 @@ class SimulationSettings:
             problems.add(
                 f"drift_per_minute={self.drift_per_minute} leaves no light after {minutes:.1f} minutes"
             )
+        if 10**9 % self.navigation_rate:
+            problems.add(f"navigation_rate={self.navigation_rate}, expected a divisor of 1e9, such as 100")
+        if self.scene != "checkerboard":
+            for name, value in (("swath", SWATH), ("course", 0.0)):
+                if getattr(self, name) != value:
+                    problems.add(
+                        f"{name}={getattr(self, name)}, expected {value:g} of any scene but a checkerboard"
+                    )
         if self.first_wavelength >= self.last_wavelength:
             problems.add(f"first_wavelength={self.first_wavelength} is not below last_wavelength")
         if self.lines < 2 * self.cubes:
@@ -340,6 +381,10 @@ def _is_number(value: object) -> bool:
     return isinstance(value, kinds) and not isinstance(value, bool) and bool(np.isfinite(value))
 
 
+def _are_numbers(value: object, length: int) -> bool:
+    return isinstance(value, tuple | list) and len(value) == length and all(map(_is_number, value))
+
+
 def _is_start_time(value: object) -> bool:
     # the spectrometer's files count seconds in 32 bits
     if not isinstance(value, str) or not _ISO_TIME.fullmatch(value):
@@ -365,6 +410,7 @@ _WHOLE = {
     "dark_frames": (1, 100_000),
     "bad_elements": (0, 2**40),
     "irradiance_interval_s": (1, 3600),
+    "navigation_rate": (1, 1000),
 }
 
 _Rule = tuple[tuple[str, ...], Callable[[float], bool], str]
@@ -384,6 +430,9 @@ _RANGES: tuple[_Rule, ...] = (
         lambda value: 0 <= value <= 0.2,
         "a number from 0 to 0.2",
     ),
+    (("swath", "square"), lambda value: 0.01 <= value <= 1000, "a number from 0.01 to 1000"),
+    (("course", "board_turn"), lambda value: abs(value) <= 360, "a number from -360 to 360"),
+    (("frame_clock_offset_s",), lambda value: abs(value) <= 1, "a number from -1 to 1"),
     (("irradiance_margin_s",), lambda value: 0 <= value <= 3600, "a number from 0 to 3600"),
     (("glint",), lambda value: 0 <= value <= 1, "a number from 0 to 1"),
     (("fwhm_slope",), lambda value: abs(value) <= 0.5, "a number from -0.5 to 0.5"),

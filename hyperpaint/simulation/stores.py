@@ -14,6 +14,7 @@ from zarr.codecs import BloscCodec
 
 from hyperpaint.schema import CHUNK_LINES, CUBE, FORMAT_VERSION, TIME_UNITS, VARIABLES
 
+from .checkerboard_flight import CheckerboardFlight
 from .flight import Flight, Lines
 from .instruments import ASD_WAVELENGTH
 
@@ -62,6 +63,7 @@ def _calibration(flight: Flight) -> dict[str, xr.Variable]:
         "radiance_gain": _variable("radiance_gain", flight.radiance_gain),
         "electrons_per_count": _variable("electrons_per_count", flight.settings.electrons_per_count),
         "read_noise": _variable("read_noise", flight.settings.read_noise),
+        "look_angle": _variable("look_angle", flight.look_angle),
     }
 
 
@@ -99,6 +101,30 @@ def _time(flight: Flight, recorded: NDArray[np.bool_] | None = None) -> xr.Varia
     return _variable("time", stamps)
 
 
+def _mounting(flight: Flight) -> dict[str, Any]:
+    """Return how the camera was mounted, and the map that places are told on."""
+    settings, path = flight.settings, flight.trajectory
+    return {
+        "crs": flight.plane.crs,
+        "ground": flight.frame.height,
+        "boresight": list(path.boresight),
+        "lever_arm": list(path.lever_arm),
+        "frame_clock_offset_s": float(settings.frame_clock_offset_s),
+    }
+
+
+def _corners(flight: Flight) -> dict[str, xr.Variable]:
+    """Return the corners of a checkerboard, where that is flown over."""
+    if not isinstance(flight, CheckerboardFlight):
+        return {}
+    return {
+        f"corner_{name}": xr.Variable(
+            "corner", values, {"long_name": f"{name.capitalize()} of a corner of four squares", "units": "m"}
+        )
+        for name, values in flight.corners.items()
+    }
+
+
 class TruthStore:
     """``truth.zarr``, filled line block by line block.
 
@@ -125,8 +151,10 @@ class TruthStore:
                 "name": "truth of a simulated collect",
                 "srf_shape": settings.srf_shape,
                 "irradiance_srf_shape": "gaussian",
+                **_mounting(flight),
             },
         )
+        head = head.assign(_corners(flight))
         time_encoding = {"dtype": "int64", "units": TIME_UNITS, "calendar": "proleptic_gregorian"}
         head.to_zarr(path, mode="w", zarr_format=3, consolidated=False, encoding={"time": time_encoding})
         group = zarr.open_group(path, mode="r+")

@@ -4,6 +4,7 @@ import datetime as dt
 import os
 import re
 import struct
+import warnings
 from pathlib import Path
 
 import numpy as np
@@ -93,6 +94,46 @@ def test_real_details(shared_data):
     assert (handheld.instrument, handheld.splices, handheld.reference) == ("HandHeld", (1075.0, -1.0), None)
     with pytest.raises(FormatError, match=r"handheld_raw\.asd: no white reference"):
         open_asd(folder / "handheld_raw.asd", "reflectance", utc_offset_h=12)
+
+
+@pytest.mark.real_data
+def test_real_absolute_reflectance(shared_data):
+    path = shared_data / "asd_binary" / "v7sample00005.asd"
+    relative = open_asd(path)["reflectance"]
+    absolute = open_asd(path, absolute=True)["reflectance"]
+    assert at(relative, 550) == pytest.approx(0.847199224, abs=1e-9)
+    panel = read_asd(path).calibrations["ABS"].values
+    np.testing.assert_array_equal(absolute.values, relative.values * panel)
+    assert at(absolute, 350) == pytest.approx(at(relative, 350) * 0.98625571, rel=1e-8)
+    assert relative.attrs["reflectance_scale"] == "relative"
+    assert (absolute.attrs["reflectance_scale"], absolute.attrs["panel"]) == ("absolute", "abs64665_54.ref")
+    with pytest.raises(FormatError, match=r"v7sample00003\.asd: no calibration block ABS .*'absolute': path"):
+        open_asd(shared_data / "asd_binary" / "v7sample00003.asd", absolute=True)
+
+
+@pytest.mark.real_data
+def test_every_real_file_opens_as_what_it_is(shared_data):
+    files = sorted((shared_data / "asd_binary").glob("*.asd"))
+    assert len(files) == 12
+    for path in files:
+        file = read_asd(path)
+        held = {"reflectance": "reflectance", "radiance": "radiance", "raw": "counts"}[file.data_type]
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", PaintWarning)  # saturated samples; what contradicts the zone
+            opened = open_asd(path, utc_offset_h=0 if file.utc_offset_h is None else None)
+        assert list(opened) == [held]
+        assert opened["spectrum"].values.tolist() == [path.stem]
+        for name in ("time", "latitude", "longitude", "altitude"):
+            assert opened[name].dims == ("spectrum",)
+        assert np.isnan(opened["latitude"].item()) == (not path.name.startswith("ww"))
+        if file.reference is not None:
+            expected = file.spectrum / file.reference
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore", PaintWarning)
+                values = open_asd(path, "reflectance")["reflectance"].values[0]
+            used = np.isfinite(values)
+            assert used.mean() > 0.3
+            np.testing.assert_array_equal(values[used], expected[used])
 
 
 @pytest.mark.real_data
@@ -197,6 +238,48 @@ def test_missing_blocks_are_named_and_files_stand_in(write_asd):
     other_grid = {**files, "lamp": write_asd("y.ill", LAMP[:-1])}
     with pytest.raises(FormatError, match=r"not those of the calibration file y\.ill"):
         open_asd(path, utc_offset_h=0, calibration=other_grid)
+
+
+def test_absolute_reflectance(write_asd):
+    paths = [
+        write_asd(f"{n}.asd", COUNTS, data_type=1, reference=COUNTS, blocks={0: (0, PANEL)}) for n in "ab"
+    ]
+    opened = open_asd(paths, absolute=True, utc_offset_h=0)["reflectance"]
+    np.testing.assert_array_equal(opened.values, [PANEL, PANEL])
+    assert opened.attrs["panel"] == "block.ref"
+    files = {"absolute": write_asd("x.ref", PANEL / 2)}
+    opened = open_asd(paths, absolute=True, utc_offset_h=0, calibration=files)["reflectance"]
+    np.testing.assert_array_equal(opened.values[0], PANEL / 2)
+    assert opened.attrs["panel"] == "x.ref"
+    other_grid = {"absolute": write_asd("y.ref", PANEL[:-1])}
+    with pytest.raises(FormatError, match=r"a\.asd, b\.asd: its wavelengths are not those .* y\.ref"):
+        open_asd(paths, absolute=True, utc_offset_h=0, calibration=other_grid)
+    with pytest.raises(SchemaError, match="absolute=True is of reflectance, the spectra are counts"):
+        open_asd(paths, "counts", absolute=True)
+
+
+def test_spectra_have_names(write_asd, tmp_path):
+    paths = [write_asd(f"{day}/red.asd", COUNTS) for day in ("mon", "tue")]
+    paths.append(write_asd("mon/blue.000", COUNTS))
+    opened = open_asd(paths, utc_offset_h=0)
+    assert opened["spectrum"].values.tolist() == ["mon/red", "tue/red", "blue.000"]
+    assert opened.sel(spectrum="tue/red")["source"].item() == "red.asd"
+    text = tmp_path / "two.asd.txt"
+    text.write_text("Wavelength;red.asd;blue.asd\n550; 0.1; 0.2\n551; 0.1; 0.2\n")
+    assert open_asd(text, "reflectance")["spectrum"].values.tolist() == ["red", "blue"]
+    text.write_text("Wavelength;red.asd\n550; 0.1\n551; 0.1\n")
+    opened = open_asd(text, "reflectance")
+    assert opened["spectrum"].values.tolist() == ["two"]
+    assert np.isnan(opened["latitude"].item())
+    with pytest.raises(FormatError, match="text export, to which no panel's reflectance"):
+        open_asd(text, "reflectance", absolute=True)
+
+
+def test_an_unknown_zone_is_guessed_from_the_gps_for_the_message(write_asd):
+    gps = struct.pack("<5dhbbbbbh5sbb", 0, 0, 4815.0, -1142.0, 12.0, 1, 0, 7, 31, 22, 0, 0, b"", 0, 0)
+    path = write_asd("a.asd", COUNTS, gps=gps, local=dt.datetime(2024, 5, 21, 0, 33, 7))
+    with pytest.raises(TimeError, match=r"perhaps \+2 by the GPS\. Files: a\.asd"):
+        open_asd(path)
 
 
 def test_saturation_and_zero_division_become_nan_and_are_said(write_asd):

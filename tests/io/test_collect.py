@@ -66,7 +66,7 @@ def test_what_the_file_says(folder: Path) -> None:
         folder,
         (r"^stamp = .*\n\n\[cal", 'stamp = "mid"\nclock_offset_s = 1.5\ntime_scale = "gps"\n\n[cal'),
         (r'(id = "raw_0")', r"\1\nexposure_time_ms = 4"),
-        end='\n[[references]]\ninstrument = "svc"\nfiles = ["asd/sky00000.asd", "asd/sky0000[12].asd"]\n',
+        end='\n[[references]]\ninstrument = "asd_sky"\nfiles = ["asd/sky00000.asd", "asd/sky0000[12].asd"]\n',
     )
     collect = read_collect(path)
     assert collect.name == "simulated car park"

@@ -11,7 +11,7 @@ HERE = Path(__file__).resolve().parent
 
 
 def test_kernels_run_without_compilation() -> None:
-    subjects = ("radiometry", "uncertainty", "smoothing", "resampling")
+    subjects = ("radiometry", "uncertainty", "smoothing", "resampling", "rays")
     names = [HERE / f"test_kernels_{subject}.py" for subject in subjects]
     command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", *map(str, names)]
     found = subprocess.run(

@@ -12,16 +12,22 @@ import xarray as xr
 
 import hyperpaint as hp
 from hyperpaint.errors import SchemaError
-from hyperpaint.scene_model.channels import channel_numbers, without_unknown
+from hyperpaint.scene_model.channels import (
+    channel_noise,
+    channel_numbers,
+    to_nominal_channels,
+    without_unknown,
+)
 from hyperpaint.scene_model.light import measured_fraction, shadow_side_of
 from hyperpaint.scene_model.model import LIT, SHADED, SceneModel
 from hyperpaint.scene_model.neighbours import coloured
 from hyperpaint.scene_model.references import Light
 from hyperpaint.scene_model.segments import divide, touching
+from hyperpaint.schema import Quality
 from hyperpaint.sun import diffuse_fraction
 
 sys.path.insert(0, str(Path(__file__).parent))
-from analytic_scenes import as_line, box_shadow, smooth_edge, wavelengths
+from analytic_scenes import as_line, bonnet, box_shadow, smooth_edge, wavelengths
 
 NM = wavelengths()
 RED = smooth_edge(NM, 600.0, 0.04, 0.6)
@@ -225,3 +231,65 @@ def test_pvlib_gives_a_split_near_that_of_the_core() -> None:
 
     ours, theirs = (diffuse_from_clear_sky(source, NM, 30.0) for source in ("model", "pvlib"))
     np.testing.assert_allclose(ours, theirs, rtol=0.15, atol=0.01)
+
+
+@pytest.mark.parametrize("snr", [40.0, 100.0])
+def test_the_noise_of_channels_is_measured(snr: float) -> None:
+    cube, _, _ = box_shadow(NM, ASPHALT, RED)
+    found = hp.survey(as_line(cube, NM, snr=snr), sun_zenith=40.0).noise
+    # a channel is the mean of four bands
+    np.testing.assert_allclose(found, 1.0 / snr / 2.0, rtol=0.1)
+    assert (hp.survey(as_line(cube, NM), sun_zenith=40.0).noise < 2e-4).all()
+    assert (
+        channel_noise(np.ones((4, 4, 2), np.float32), np.zeros((4, 4), np.int32), cube[:4, :4, 0] > 0) == 0
+    ).all()
+
+
+def test_smile_is_taken_out_of_channels() -> None:
+    centre = np.linspace(412.0, 988.0, 24)
+    shift = np.stack([np.zeros(24), np.full(24, 3.0), np.linspace(-2.0, 2.0, 24)], axis=1)
+    seen = smooth_edge(centre[:, None] + shift, 600.0, 0.04, 0.6, 60.0).T[None].repeat(40, axis=0)
+    channels = seen.astype(np.float32)
+    channels[3, 2, 5] = np.nan
+    to_nominal_channels(channels, centre, shift)
+    true = smooth_edge(centre, 600.0, 0.04, 0.6, 60.0)
+    assert np.nanmax(np.abs(channels - true)) < 0.0025 < 0.05 * np.abs(seen - true).max() * 10
+    assert np.isnan(channels[3, 2, 5])
+    assert np.isnan(channels).sum() == 1
+    np.testing.assert_array_equal(channels[:, 0], seen[:, 0].astype(np.float32))
+
+
+def test_a_smile_changes_no_flags() -> None:
+    cube, _ = bonnet(NM, RED)
+    smile = 3.0 * np.linspace(-1.0, 1.0, cube.shape[1]) ** 2
+    bent = np.stack(
+        [[np.interp(NM + nm, NM, here) for nm, here in zip(smile, row, strict=True)] for row in cube]
+    )
+    straight = hp.flag(as_line(cube, NM, snr=200.0), sun_zenith=30.0)
+    line = as_line(bent, NM, snr=200.0)
+    given = line.assign_coords(wavelength_shift=("cross_track", smile, {"units": "nm"}))
+    flagged = hp.flag(given, sun_zenith=30.0)
+    assert (flagged.quality.values != straight.quality.values).mean() < 0.01
+    inside = np.s_[:, 30:66]
+    apart = (flagged.glint_fraction - straight.glint_fraction).values[inside]
+    assert np.abs(apart[straight.glint_fraction.values[inside] < 0.5]).mean() < 0.001
+
+
+def test_parts_of_one_car_show_one_paint() -> None:
+    direct = 1.0 - diffuse_fraction(NM, 30.0)
+    cube = np.broadcast_to(ASPHALT, (80, 96, NM.size)).copy()
+    cube[10:40, 20:70] = RED  # the roof
+    cube[40:46, 20:70] = 0.02
+    cube[46:70, 20:70] = 0.9 * RED + 0.03 * direct  # the bonnet, in glint all over
+    line = as_line(cube, NM, snr=200.0)
+    model = hp.survey(line, sun_zenith=30.0)
+    roof, bonnet_ = model.body[model.segment[20, 40]], model.body[model.segment[60, 40]]
+    assert roof != bonnet_
+    assert model.paint[roof] == model.paint[bonnet_] != model.paint[model.segment[5, 5]]
+    clean = np.bincount(model.channel, RED) / np.bincount(model.channel)
+    ratio = model.reference[bonnet_] / clean
+    np.testing.assert_allclose(ratio / ratio[-1], 1.0, atol=0.05)
+    flagged = hp.flag(line, model).compute()
+    np.testing.assert_allclose(flagged.glint_fraction.values[50:66, 30:60], 0.03, atol=0.006)
+    assert (flagged.quality.values[50:66, 30:60] & int(Quality.GLINT) > 0).mean() > 0.99
+    assert not (flagged.quality.values[12:38, 24:66] & int(Quality.ADJACENCY)).any()

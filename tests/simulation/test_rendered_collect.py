@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pyproj
 import pytest
 import xarray as xr
 from click.testing import CliRunner
@@ -72,6 +73,7 @@ def test_layers_of_truth(truth: xr.Dataset) -> None:
     expected = {
         "surface": np.int16, "surface_class": np.int16, "paint_id": np.int16, "car_id": np.int32,
         "purity": np.float32, "shadow": np.float32, "east": np.float64, "north": np.float64, "up": np.float64,
+        "height": np.float64,
         "glint": np.bool_, "saturated": np.bool_,
     }  # fmt: skip
     for name, dtype in expected.items():
@@ -80,7 +82,7 @@ def test_layers_of_truth(truth: xr.Dataset) -> None:
     for name in ("purity", "shadow"):
         assert truth[name].attrs["units"] == "1"
         assert 0.0 <= float(truth[name].min()) < float(truth[name].max()) <= 1.0
-    for name in ("east", "north", "up"):
+    for name in ("east", "north", "height", "up"):
         assert truth[name].attrs["units"] == "m"
         assert np.isfinite(truth[name].values).all()
     painted, cars = truth["paint_id"].values >= 0, truth["car_id"].values >= 0
@@ -116,7 +118,10 @@ def test_pixels_lie_where_the_navigation_file_says(collect: Path, truth: xr.Data
         line.split("\t") for line in (collect / "flight" / "frameIndex_0.txt").read_text().splitlines()[1:]
     ]
     frame, stamp = np.array(frames, dtype=np.int64).T
-    roll, pitch, yaw, lat, _, alt = (np.interp(stamp - 2500, log[:, 6], log[:, k]) for k in range(6))
+    roll, pitch, yaw, lat, lon, alt = (np.interp(stamp - 2500, log[:, 6], log[:, k]) for k in range(6))
+    local = "+proj=aeqd +lat_0=43.0845 +lon_0=-77.6749 +ellps=WGS84"
+    from_map = pyproj.Transformer.from_crs(truth.attrs["crs"], local, always_xy=True)
+    camera = pyproj.Transformer.from_crs("EPSG:4326", local, always_xy=True).transform(lon, lat)
     angle = 7.4e-6 / 12e-3
     tangent = (np.arange(40) - 19.5) * angle
     errors = []
@@ -130,10 +135,10 @@ def test_pixels_lie_where_the_navigation_file_says(collect: Path, truth: xr.Data
         )  # north east down
         one = truth.isel(along_track=line)
         reach = (alt[n] - 160.0 - one["up"].values) / looks[2]
-        north = (lat[n] - 43.0845) * 111_120.0 + reach * looks[0]
-        east = reach * looks[1]
+        east, north = camera[0][n] + reach * looks[1], camera[1][n] + reach * looks[0]
+        seen = np.stack(from_map.transform(one["east"].values, one["north"].values))
         flat = np.abs(one["up"].values - np.median(one["up"].values)) < 0.01
-        errors.append(np.stack([one["east"].values - east, one["north"].values - north])[:, flat])
+        errors.append((seen - np.stack([east, north]))[:, flat])
     error = np.concatenate(errors, axis=1)
     pixel = 16.0 / 40
     assert error.shape[1] > 200

@@ -1,0 +1,136 @@
+"""Colours in CIE Lab and how different they look, and words for colours of cars."""
+
+from __future__ import annotations
+
+import difflib
+import re
+
+import numpy as np
+import numpy.typing as npt
+
+from .errors import SchemaError
+
+__all__ = ["COLOURS", "ciede2000", "lab_of", "nearest_colour", "parse_colour", "srgb_hex"]
+
+Floats = npt.NDArray[np.float64]
+
+COLOURS = {
+    "white": "#eeeeec", "ivory": "#ece2c6", "beige": "#cdbb98", "silver": "#b4b7b9", "grey": "#7c7f82",
+    "anthracite": "#3c4044", "black": "#141416", "yellow": "#f2c61f", "gold": "#b8963f", "orange": "#e8742a",
+    "red": "#a3222a", "dark red": "#5c1a20", "pink": "#e69aa6", "violet": "#74459a", "brown": "#6f4b32",
+    "light blue": "#86b7dc", "blue": "#27509e", "dark blue": "#18264d", "turquoise": "#25959a",
+    "light green": "#9bc98f", "green": "#2f7d43", "dark green": "#1d4030",
+}  # fmt: skip
+"""sRGB of typical paints by the words for their colours."""
+
+_HEX = re.compile(r"#?([0-9a-f]{6})")
+_TO_XYZ = np.array(
+    [[0.4124564, 0.3575761, 0.1804375], [0.2126729, 0.7151522, 0.0721750], [0.0193339, 0.1191920, 0.9503041]]
+)
+"""Of linear sRGB (IEC 61966-2-1)."""
+
+
+def parse_colour(colour: str) -> Floats:
+    """Return sRGB (rgb,) from 0 to 1 of a colour's name or hexadecimal digits.
+
+    Raises
+    ------
+    SchemaError
+        It is neither.
+
+    Examples
+    --------
+    >>> parse_colour("#ff8000").round(2), parse_colour("gray").round(2)
+    (array([1. , 0.5, 0. ]), array([0.49, 0.5 , 0.51]))
+    """
+    word = " ".join(colour.lower().replace("_", " ").replace("-", " ").split()).replace("gray", "grey")
+    match = _HEX.fullmatch(COLOURS.get(word, colour.strip().lower()))
+    if match is None:
+        close = difflib.get_close_matches(word, COLOURS, 1)
+        hint = f"did you mean {close[0]!r}?" if close else f"known are {', '.join(COLOURS)}"
+        msg = f"colour {colour!r:.60} is no name known here and no sRGB such as '#a3222a'; {hint}"
+        raise SchemaError(msg)
+    return np.frombuffer(bytes.fromhex(match[1]), np.uint8) / 255.0
+
+
+def srgb_hex(colour: npt.ArrayLike) -> str:
+    """Return sRGB (rgb,) from 0 to 1 as hexadecimal digits; nothing for what is no colour.
+
+    Examples
+    --------
+    >>> srgb_hex([1.0, 0.5, 0.0])
+    '#ff8000'
+    """
+    values = np.asarray(colour, np.float64)
+    if not np.isfinite(values).all():
+        return ""
+    return "#" + np.rint(values.clip(0.0, 1.0) * 255.0).astype(np.uint8).tobytes().hex()
+
+
+def nearest_colour(colour: npt.ArrayLike) -> str:
+    """Return the word for sRGB (rgb,) from 0 to 1; nothing for what is no colour.
+
+    Examples
+    --------
+    >>> nearest_colour([0.7, 0.1, 0.1])
+    'red'
+    """
+    values = np.asarray(colour, np.float64)
+    if not np.isfinite(values).all():
+        return ""
+    known = lab_of(np.stack([parse_colour(digits) for digits in COLOURS.values()]))
+    return list(COLOURS)[int(ciede2000(lab_of(values), known).argmin())]
+
+
+def lab_of(srgb: npt.ArrayLike) -> Floats:
+    """Return CIE 1976 L*, a*, b* of sRGB (..., rgb) from 0 to 1, relative to its white (D65).
+
+    Examples
+    --------
+    >>> (lab_of([[1.0, 1.0, 1.0], [0.5, 0.5, 0.5]]).round(1) + 0.0).tolist()
+    [[100.0, 0.0, 0.0], [53.4, 0.0, 0.0]]
+    """
+    encoded = np.asarray(srgb, np.float64)
+    linear = np.where(encoded <= 0.04045, encoded / 12.92, ((encoded + 0.055) / 1.055) ** 2.4)
+    relative = linear @ (_TO_XYZ / _TO_XYZ.sum(axis=1, keepdims=True)).T
+    edge = 6.0 / 29.0
+    x, y, z = np.moveaxis(
+        np.where(relative > edge**3, np.cbrt(relative), relative / (3.0 * edge**2) + 4.0 / 29.0), -1, 0
+    )
+    return np.stack([116.0 * y - 16.0, 500.0 * (x - y), 200.0 * (y - z)], axis=-1)
+
+
+def ciede2000(lab: npt.ArrayLike, other: npt.ArrayLike) -> Floats:
+    """Return the CIEDE2000 difference of colours in CIE Lab (..., 3); about 1 can just be seen.
+
+    CIE 142-2001, as in Sharma, Wu & Dalal, Color Res. Appl. 30, 21 (2005).
+
+    Examples
+    --------
+    >>> ciede2000([[50.0, 2.6772, -79.7751]], [50.0, 0.0, -82.7485]).round(4)
+    array([2.0425])
+    """
+    (light, a, b), (light2, a2, b2) = (
+        np.moveaxis(np.asarray(one, np.float64), -1, 0) for one in (lab, other)
+    )
+    mean_chroma = (np.hypot(a, b) + np.hypot(a2, b2)) / 2.0
+    stretch = 1.0 + 0.5 * (1.0 - np.sqrt(mean_chroma**7 / (mean_chroma**7 + 25.0**7)))
+    chroma, chroma2 = np.hypot(stretch * a, b), np.hypot(stretch * a2, b2)
+    hue, hue2 = (np.degrees(np.arctan2(y, stretch * x)) % 360.0 for x, y in ((a, b), (a2, b2)))
+    grey = chroma * chroma2 == 0.0
+    turn = np.where(grey, 0.0, (hue2 - hue + 180.0) % 360.0 - 180.0)
+    # halfway along the shorter way round; a grey has no hue of its own
+    mean_hue = np.where(grey, hue + hue2, (hue + turn / 2.0) % 360.0)
+    mean_light, mean_chroma = (light + light2) / 2.0, (chroma + chroma2) / 2.0
+    of_hue = 1.0 + sum(
+        height * np.cos(np.radians(times * mean_hue + shift))
+        for height, times, shift in ((-0.17, 1, -30.0), (0.24, 2, 0.0), (0.32, 3, 6.0), (-0.20, 4, -63.0))
+    )
+    squared = (mean_light - 50.0) ** 2
+    d_light = (light2 - light) / (1.0 + 0.015 * squared / np.sqrt(20.0 + squared))
+    d_chroma = (chroma2 - chroma) / (1.0 + 0.045 * mean_chroma)
+    d_hue = 2.0 * np.sqrt(chroma * chroma2) * np.sin(np.radians(turn / 2.0))
+    d_hue = d_hue / (1.0 + 0.015 * mean_chroma * of_hue)
+    blue = 30.0 * np.exp(-(((mean_hue - 275.0) / 25.0) ** 2))
+    turned = -2.0 * np.sqrt(mean_chroma**7 / (mean_chroma**7 + 25.0**7)) * np.sin(np.radians(2.0 * blue))
+    return np.asarray(np.sqrt(d_light**2 + d_chroma**2 + d_hue**2 + turned * d_chroma * d_hue))

@@ -1,0 +1,102 @@
+"""The command ``hyperpaint export``: a paint library in the formats of others."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import click
+
+from .console import is_watched, progress_bar
+
+__all__ = ["export"]
+
+_LIBRARIES = ("envi", "csv", "ecostress", "zarr")
+
+
+@click.command(
+    short_help="Write a paint library for simulators and other programs.",
+    epilog="""\b
+Examples:
+  hyperpaint export paints.zarr --format dirsig --out dirsig
+  hyperpaint export paints.zarr --format dirsig --out dirsig --range 400 1000 --gaps interpolate
+  hyperpaint export paints.zarr --format dirsig --out dirsig --scene-materials scene.mat
+  hyperpaint export paints.zarr --format envi --out paints.sli
+  hyperpaint export paints.zarr --format ecostress --out spectra""",
+)
+@click.argument("library", metavar="LIB", type=click.Path(exists=True, path_type=Path))
+@click.option(
+    "--format", "form", required=True, type=click.Choice(["dirsig", *_LIBRARIES]),
+    help="DIRSIG materials, an ENVI .sli, CSV with JSON, one text file a paint, or a Zarr store.",
+)  # fmt: skip
+@click.option(
+    "--out", required=True, metavar="OUT", type=click.Path(path_type=Path),
+    help="Where to write: a file for envi (.sli) and csv, a new or empty folder for the others.",
+)  # fmt: skip
+@click.option(
+    "--curves", type=click.Choice(["members", "quantiles", "centre"]),
+    help="DIRSIG: what becomes the curves of a paint.  [default: members where there are any]",
+)  # fmt: skip
+@click.option(
+    "--range", "wavelength_range", type=float, nargs=2, metavar="LOW HIGH", default=None,
+    help="DIRSIG: wavelengths in nm.  [default: what was measured]",
+)  # fmt: skip
+@click.option("--extrapolate", is_flag=True, help="DIRSIG: hold curves constant beyond what was measured.")
+@click.option(
+    "--gaps", type=click.Choice(["refuse", "interpolate"]),
+    help="DIRSIG: what to do about bands without values.  [default: refuse]",
+)  # fmt: skip
+@click.option(
+    "--specular", metavar="SHARE",
+    help="DIRSIG: share of reflectance to mirror, or 'library'; only for body reflectance.  [default: 0]",
+)  # fmt: skip
+@click.option(
+    "--surface", type=click.Choice(["ClassicEmissivity", "SimpleReflectance"]),
+    help="DIRSIG: what materials use.  [default: ClassicEmissivity]",
+)  # fmt: skip
+@click.option(
+    "--scene-materials", type=click.Path(exists=True, dir_okay=False, path_type=Path), metavar="SCENE.mat",
+    help="DIRSIG: use no ID of this material list again.",
+)  # fmt: skip
+@click.option("--overwrite", is_flag=True, help="Replace an earlier export.")
+@click.option("--quiet", is_flag=True, help="No progress bar.")
+def export(library: Path, form: str, out: Path, overwrite: bool, quiet: bool, **options: Any) -> None:
+    """Write a paint library for simulators and other programs.
+
+    LIB is a library's Zarr store, as `signatures` writes it, or any file of spectra that hyperpaint reads.
+    For DIRSIG every paint becomes emissivity with many curves, so that a texture can draw from them, and a
+    MATERIAL_ENTRY; README.txt beside them says how to add them to a scene.
+    """
+    from .io.library import open_library, write_library
+
+    given = {name: value for name, value in options.items() if value not in (None, False)}
+    if given and form != "dirsig":
+        names = ", ".join(f"--{name.replace('_', '-').replace('wavelength-', '')}" for name in given)
+        msg = f"{names} only with --format dirsig"
+        raise click.UsageError(msg)
+    paints = open_library(library)
+    with progress_bar("writing", is_watched(quiet)) as shown:
+        if form == "dirsig":
+            from .io.dirsig import write_dirsig
+
+            made = write_dirsig(paints, out, overwrite=overwrite, progress=shown, **_options(given))
+            click.echo(f"{out}: {made.sizes['paint']} paints, {int(made['curves'].sum())} curves")
+            click.echo(
+                f"mirrored light {made.attrs['mirror_reflection']}, {made.attrs['mirror_reflection_source']}"
+            )
+            click.echo(f"how to add them: {out / 'README.txt'}")
+            return
+        path = write_library(paints, out, format=form, overwrite=overwrite, progress=shown)
+    click.echo(f"{path}: {paints.sizes['paint']} paints, {paints.sizes['band']} bands")
+
+
+def _options(given: dict[str, Any]) -> dict[str, Any]:
+    """Return options with the specular share as a number, where it is one."""
+    share = given.get("specular")
+    if share is None or share == "library":
+        return given
+    try:
+        return {**given, "specular": float(share)}
+    except ValueError:
+        msg = f"--specular {share!r}, expected a number or 'library'"
+        raise click.UsageError(msg) from None

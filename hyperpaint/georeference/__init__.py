@@ -1,0 +1,19 @@
+"""From position and attitude of a camera to the place on the ground that every pixel shows."""
+
+from .cameras import PinholeCamera
+from .coverage import footprint, spacing
+from .geodesy import grid_heading, meridian_convergence, utm_zone
+from .locating import locate
+from .poses import canonical_navigation, interpolate_pose
+
+__all__ = [
+    "PinholeCamera",
+    "canonical_navigation",
+    "footprint",
+    "grid_heading",
+    "interpolate_pose",
+    "locate",
+    "meridian_convergence",
+    "spacing",
+    "utm_zone",
+]

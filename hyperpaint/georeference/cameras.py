@@ -1,0 +1,174 @@
+"""Where the columns of a line camera look."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from hyperpaint.errors import Problems, SchemaError
+from hyperpaint.schema import CROSS_TRACK
+from hyperpaint.units import convert
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+    from hyperpaint.conventions import Convention
+
+__all__ = ["PinholeCamera", "directions", "look_angles"]
+
+Float = npt.NDArray[np.float64]
+
+_STEEPEST = 89.0
+"""Look angle up to which a camera that looks down is believed [degree]."""
+
+
+@dataclass(frozen=True)
+class PinholeCamera:
+    """A line camera whose columns are evenly spaced behind one projection centre.
+
+    Columns are then even in the tangent of the angle, not in the angle.
+
+    Attributes
+    ----------
+    columns
+        Number of columns; the axis runs through the middle of them.
+    pixel_pitch, focal_length
+        Distance of columns on the detector, and of the detector from the projection centre [m].
+    field_of_view
+        Angle between the outermost columns [degree], instead of the two lengths.
+    edges
+        What ``field_of_view`` is between: ``"centres"`` of the outermost columns, or their ``"outer"`` edges.
+        The two differ by half a column at either edge of the swath; makers mean either, so none is assumed.
+
+    Raises
+    ------
+    SchemaError
+        Neither or both of the two descriptions, or numbers that cannot be; all are listed.
+
+    Examples
+    --------
+    >>> PinholeCamera(3, pixel_pitch=7.4e-6, focal_length=7.4e-6).look_across("left_to_right")
+    array([-45.,   0.,  45.])
+    >>> PinholeCamera(3, field_of_view=90.0, edges="centres").look_across("right_to_left")
+    array([ 45.,   0., -45.])
+    """
+
+    columns: int
+    pixel_pitch: float | None = None
+    focal_length: float | None = None
+    field_of_view: float | None = None
+    edges: Literal["centres", "outer"] | None = None
+
+    def __post_init__(self) -> None:
+        problems = Problems("this camera cannot be", SchemaError)
+        if not (isinstance(self.columns, int | np.integer) and self.columns > 0):
+            problems.add(f"columns {self.columns!r:.60}, expected a whole number above 0")
+        lengths = (self.pixel_pitch, self.focal_length)
+        if (self.field_of_view is None) == (None in lengths) or (
+            self.field_of_view is not None and lengths != (None, None)
+        ):
+            problems.add("expected either pixel_pitch and focal_length, or field_of_view with edges")
+        for name in ("pixel_pitch", "focal_length"):
+            length = getattr(self, name)
+            if length is not None and not 0.0 < length < np.inf:
+                problems.add(f"{name} {length!r:.60}, expected a length above 0 [m]")
+        if self.field_of_view is not None:
+            if not 0.0 < self.field_of_view < 2 * _STEEPEST:
+                problems.add(f"field_of_view {self.field_of_view!r:.60}, expected 0 to 178 [degree]")
+            if self.edges not in ("centres", "outer"):
+                problems.add(
+                    f"edges {self.edges!r:.60}, expected 'centres' or 'outer': what field_of_view is between"
+                )
+            elif self.edges == "centres" and self.columns == 1:
+                problems.add("one column has no angle between centres; give edges='outer'")
+        problems.raise_if_any()
+
+    @property
+    def spacing(self) -> float:
+        """Distance of neighbouring columns at unit distance, a tangent [1]."""
+        if self.pixel_pitch is not None and self.focal_length is not None:
+            return self.pixel_pitch / self.focal_length
+        intervals = self.columns - 1 if self.edges == "centres" else self.columns
+        return float(2.0 * np.tan(np.radians(self.field_of_view or 0.0) / 2.0) / intervals)
+
+    def look_across(self, column_order: Literal["left_to_right", "right_to_left"]) -> Float:
+        """Return the angles of the columns from the axis, positive to the right (cross_track,) [degree]."""
+        sign = -1.0 if column_order == "right_to_left" else 1.0
+        offset = np.arange(self.columns) - (self.columns - 1) / 2
+        return np.asarray(np.degrees(np.arctan(sign * offset * self.spacing)) + 0.0)
+
+
+def look_angles(
+    line: xr.Dataset, camera: PinholeCamera | xr.Dataset | None, convention: Convention
+) -> tuple[Any, Any]:
+    """Return where the columns look, across and along the track (cross_track,) [degree]; lazy where they are.
+
+    Parameters
+    ----------
+    line
+        Has ``cross_track``; and, without a camera, ``look_across`` and perhaps ``look_along``, or
+        ``look_angle``.
+    camera
+        A pinhole, whose ``column_order`` the convention must declare; or a table of the angles of every
+        column: ``look_across`` [degree], positive to the right, and, for a slit that is seen bent or turned,
+        ``look_along``, positive forward.
+    convention
+        Declares ``column_order``. A table needs none, having its signs.
+
+    Raises
+    ------
+    SchemaError
+        No camera, one of other columns, or an order of columns that is not declared.
+    UnitsError
+        The angles of a table have no units.
+    """
+    if isinstance(camera, PinholeCamera):
+        if convention.column_order is None:
+            msg = (
+                "whether column 0 looks left or right is not declared; give "
+                "convention=Convention(column_order='left_to_right') or 'right_to_left'"
+            )
+            raise SchemaError(msg)
+        across = camera.look_across(convention.column_order)
+        along = np.zeros_like(across)
+    else:
+        across, along = _table(line if camera is None else camera)
+    problems = Problems("the directions of the columns cannot be used", SchemaError)
+    for name, angles in (("look_across", across), ("look_along", along)):
+        if angles.shape != (line.sizes[CROSS_TRACK],):
+            problems.add(f"{name} has shape {angles.shape}, the line {line.sizes[CROSS_TRACK]} columns")
+    problems.raise_if_any()
+    return across, along
+
+
+def directions(across: Float, along: Float) -> Float:
+    """Return unit vectors in the camera's frame (cross_track, 3): forward, right, along the optical axis.
+
+    Raises
+    ------
+    SchemaError
+        Angles that are not finite, or do not look down at all.
+    """
+    if not (np.abs(across) < _STEEPEST).all() or not (np.abs(along) < _STEEPEST).all():
+        msg = f"the angles of the columns are not finite and below {_STEEPEST:g} degrees everywhere"
+        raise SchemaError(msg)
+    u = np.stack([np.tan(np.radians(along)), np.tan(np.radians(across)), np.ones(across.size)], axis=1)
+    return np.asarray(u / np.linalg.norm(u, axis=1, keepdims=True))
+
+
+def _table(source: xr.Dataset) -> tuple[Any, Any]:
+    """Return ``look_across`` and ``look_along`` (cross_track,) [degree] of a dataset."""
+    name = next((name for name in ("look_across", "look_angle") if name in source.variables), None)
+    if name is None:
+        msg = (
+            "where the columns look is not known: neither look_across nor look_angle (cross_track) [degree]; "
+            "give camera=hp.PinholeCamera(columns, pixel_pitch, focal_length), or a table of the angles"
+        )
+        raise SchemaError(msg)
+    across = convert(source[name], "degree").data.astype(np.float64)
+    if "look_along" not in source.variables:
+        return across, np.zeros(across.shape)
+    return across, convert(source["look_along"], "degree").data.astype(np.float64)

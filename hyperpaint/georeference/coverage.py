@@ -1,0 +1,170 @@
+"""What a located flight line covers, and how far apart its pixels are on the ground."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+
+from hyperpaint.errors import MissingExtraError, SchemaError
+from hyperpaint.schema import require
+
+from .geodesy import between_maps, crs_of
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+__all__ = ["footprint", "spacing"]
+
+Float = npt.NDArray[np.float64]
+
+_LONGITUDE_LATITUDE = "OGC:CRS84"
+_PERCENTILES = (5.0, 95.0)
+
+
+def footprint(located: xr.Dataset, *, crs: Any = None) -> dict[str, Any]:
+    """Return the outline of what a located line covers, as a Feature of GeoJSON (eager).
+
+    Parameters
+    ----------
+    located
+        What `hyperpaint.locate` has returned.
+    crs
+        Reference system of the outline; by default longitude and latitude, as GeoJSON wants it.
+
+    Returns
+    -------
+    dict
+        Feature with a Polygon, or a MultiPolygon where lines without a pose part it, through the centres of
+        the outermost pixels. Properties: ``area`` [m2], of the map the line is located on; ``lines`` that are
+        placed; ``crs``.
+
+    Raises
+    ------
+    SchemaError
+        The line is not located, or has no two lines in a row that are.
+    MissingExtraError
+        shapely or pyproj is not installed (extra ``geo``).
+
+    Notes
+    -----
+    The union of the quadrilaterals between the ends of neighbouring lines: what a wobble folds back over
+    itself is counted once. Bends of less than half the spacing of the pixels are left out.
+    """
+    try:
+        import shapely
+    except ImportError as error:
+        needed = MissingExtraError.of("shapely", "geo", "an outline of what a line covers")
+        raise needed from error
+
+    east, north, source = _places(located)
+    ends = _ends(east, north)
+    known = np.all(np.isfinite(ends), axis=(1, 2))
+    follows = np.flatnonzero(known[1:] & known[:-1])
+    if not follows.size:
+        msg = (
+            "no two neighbouring lines are placed on the ground; look at poses and at the quality's off_swath"
+        )
+        raise SchemaError(msg)
+    corners = np.concatenate([ends[follows], ends[follows + 1]], axis=1)
+    quads = shapely.convex_hull(shapely.multipoints(corners))
+    across, along = _steps(east, north)
+    bend = 0.5 * float(np.nanmedian(np.concatenate([across.ravel(), along.ravel()])))
+    whole = shapely.simplify(shapely.union_all(quads), bend)
+    wanted = _LONGITUDE_LATITUDE if crs is None else crs_of(crs)
+    outline = shapely.transform(whole, lambda xy: between_maps(xy, source, wanted))
+    return {
+        "type": "Feature",
+        "geometry": _geometry(outline),
+        "properties": {"area": float(whole.area), "lines": int(known.sum()), "crs": wanted},
+    }
+
+
+def spacing(located: xr.Dataset) -> dict[str, float]:
+    """Return how far apart the pixels of a located line are on the ground (eager).
+
+    Parameters
+    ----------
+    located
+        What `hyperpaint.locate` has returned.
+
+    Returns
+    -------
+    dict
+        ``across`` and ``along``: median distance of neighbouring columns and lines [m]; with ``_p05`` and
+        ``_p95`` their 5th and 95th percentiles. ``gsd``: the larger of the medians, what a map is made with.
+        ``reversed``: share of the steps from line to line that go back against the flight [1]. ``off_swath``:
+        share of the pixels without a place [1].
+
+    Raises
+    ------
+    SchemaError
+        The line is not located, or no two neighbouring pixels are.
+    """
+    east, north, _ = _places(located)
+    across, along = _steps(east, north)
+    made: dict[str, float] = {}
+    for name, steps in (("across", across), ("along", along)):
+        found = steps[np.isfinite(steps)]
+        # one column, or one line, has no neighbour
+        made[name] = float(np.median(found)) if found.size else np.nan
+        for percent in _PERCENTILES:
+            value = float(np.percentile(found, percent)) if found.size else np.nan
+            made[f"{name}_p{percent:02.0f}"] = value
+    if np.isnan([made["across"], made["along"]]).all():
+        msg = "no two neighbouring pixels are placed on the ground; look at poses and the quality's off_swath"
+        raise SchemaError(msg)
+    made["gsd"] = float(np.nanmax([made["across"], made["along"]]))
+    made["reversed"] = _reversed(east, north)
+    made["off_swath"] = float(np.isnan(east).mean())
+    return made
+
+
+def _places(located: xr.Dataset) -> tuple[Float, Float, str]:
+    """Return east and north of every pixel [m], and their map."""
+    import dask
+
+    found = require(located, ["east", "north"], "what a line covers")
+    crs = found["east"].attrs.get("crs")
+    if not isinstance(crs, str):
+        msg = "'east' does not declare its map; locate the line with hyperpaint.locate"
+        raise SchemaError(msg)
+    east, north = dask.compute(found["east"].data, found["north"].data)
+    return np.asarray(east), np.asarray(north), crs
+
+
+def _ends(east: Float, north: Float) -> Float:
+    """Return the outermost pixels of every line that have a place (line, 2, 2); NaN where none has."""
+    known = np.isfinite(east)
+    first = known.argmax(axis=1)
+    last = known.shape[1] - 1 - known[:, ::-1].argmax(axis=1)
+    rows = np.arange(len(east))
+    return np.stack([np.stack([east[rows, at], north[rows, at]], axis=-1) for at in (first, last)], axis=1)
+
+
+def _steps(east: Float, north: Float) -> tuple[Float, Float]:
+    """Return distances to the next column and to the next line [m]."""
+    across = np.hypot(np.diff(east, axis=1), np.diff(north, axis=1))
+    along = np.hypot(np.diff(east, axis=0), np.diff(north, axis=0))
+    return across, along
+
+
+def _reversed(east: Float, north: Float) -> float:
+    """Return the share of steps from line to line, at the middle column, that go against the flight."""
+    middle = east.shape[1] // 2
+    steps = np.stack([np.diff(east[:, middle]), np.diff(north[:, middle])], axis=-1)
+    steps = steps[np.isfinite(steps).all(axis=1)]
+    if not steps.size:
+        return np.nan
+    return float((steps @ steps.mean(axis=0) < 0.0).mean())
+
+
+def _geometry(outline: Any) -> dict[str, Any]:
+    """Return an outline as the geometry of GeoJSON, in lists."""
+    import json
+
+    import shapely
+
+    made: dict[str, Any] = json.loads(shapely.to_geojson(outline))
+    return made

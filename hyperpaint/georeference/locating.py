@@ -1,0 +1,372 @@
+"""The place on the ground that every pixel of a flight line shows."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+
+from hyperpaint.conventions import Convention
+from hyperpaint.errors import Problems, SchemaError
+from hyperpaint.schema import ALONG_TRACK, BAND, CHUNK_LINES, CROSS_TRACK, Quality, label, require
+from hyperpaint.slabs import MAX_CHUNK_BYTES
+
+from .cameras import PinholeCamera, look_angles
+from .geodesy import crs_of, grid_mapping_attrs, is_in_metres, utm_zone
+from .poses import (
+    NAVIGATION_TIME,
+    POSE,
+    Interpolation,
+    canonical_values,
+    check_interpolation,
+    convention_of,
+    pose_columns,
+    poses_at,
+    with_convention,
+)
+from .swaths import Mounting, places_of, swath_of
+from .terrain import TerrainGrid, grid_of, terrain_of
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+__all__ = ["locate"]
+
+Float = npt.NDArray[np.float64]
+
+_PLACES = ("east", "north", "ground_height", "view_zenith", "view_azimuth")
+"""Coordinates added, in the order in which the kernels write them."""
+
+
+def locate(
+    line: xr.Dataset,
+    *,
+    navigation: xr.Dataset | None = None,
+    boresight: Sequence[float] = (0.0, 0.0, 0.0),
+    lever_arm: Sequence[float] = (0.0, 0.0, 0.0),
+    ground: float | None = None,
+    dem: xr.DataArray | None = None,
+    crs: Any = None,
+    camera: PinholeCamera | xr.Dataset | None = None,
+    clock_offset_s: float = 0.0,
+    convention: Convention | None = None,
+    max_gap_s: float | None = None,
+    interpolation: Interpolation = "linear",
+) -> xr.Dataset:
+    """Add the place on the ground that every pixel shows, and the direction it is seen from.
+
+    Parameters
+    ----------
+    line
+        Flight line (along_track, cross_track) with ``time`` at mid exposure; and, without ``navigation``, its
+        own ``latitude longitude altitude roll pitch heading`` (along_track).
+    navigation
+        Record to take the poses from, with the same variables on ``navigation_time`` [UTC]; see
+        `hyperpaint.interpolate_pose`.
+    boresight
+        Roll, pitch and heading of the camera in the body [degree], a rotation as that of the body itself:
+        first heading, then pitch, then roll.
+    lever_arm
+        From the point that positions are of to the camera's projection centre, forward, right, down [m].
+    ground
+        Height of level ground above the ellipsoid [m]; either this or ``dem``.
+    dem
+        Heights (y, x) [m] with coordinates of cell centres and a crs, as rioxarray opens them. Its attribute
+        ``height_reference`` declares what they are above: ``"ellipsoid"``, or ``"geoid"`` with
+        ``geoid_undulation`` [m].
+    crs
+        Map of ``east`` and ``north``, projected and in metres; by default the UTM zone of the line's centre.
+    camera
+        `hyperpaint.PinholeCamera`, or the angles of the columns as a dataset: ``look_across`` (positive to
+        the right) and ``look_along`` (positive forward) (cross_track) [degree]; by default those of the line,
+        else its ``look_angle``.
+    clock_offset_s
+        Added to ``time`` to have the time of the navigation's clock [s].
+    convention
+        What the angles and heights mean, and the order of the columns; by default what the attributes of
+        ``navigation``, or of the line, declare. ``column_order`` is needed for a pinhole alone, and is also
+        taken from the attributes of the line.
+    max_gap_s, interpolation
+        See `hyperpaint.interpolate_pose`.
+
+    Returns
+    -------
+    xarray.Dataset
+        The line with lazy coordinates ``east``, ``north``, ``ground_height`` [m], ``view_zenith`` and
+        ``view_azimuth`` [degree] (along_track, cross_track), float64; ``spatial_ref``; and the poses used
+        (along_track), in canonical form, as its attributes declare from then on. Where a line has no pose or
+        a ray meets no known ground (it looks to the horizon or above it, past the DEM or into a hole of it)
+        all five are NaN, and ``quality`` has the bit ``off_swath``.
+
+    Raises
+    ------
+    SchemaError
+        Neither or both of ``ground`` and ``dem``; variables, a declaration of what they mean, or the camera
+        are missing; the map is not in metres; all of a kind are listed.
+    TimeError
+        The record runs backwards.
+    UnitsError
+        Units are missing, unreadable or of another dimension.
+    MissingExtraError
+        pyproj is not installed (extra ``geo``).
+
+    See Also
+    --------
+    hyperpaint.orthorectify, hyperpaint.footprint, hyperpaint.spacing
+
+    Notes
+    -----
+    A pixel's direction is ``R_nb R_bc u``: the camera's direction u turned into the body by the boresight
+    and into north, east, down by ``R_nb = Rz(heading) Ry(pitch) Rx(roll)``. Each line is computed in the
+    local frame of its own position, in which its attitude is given, so that neither the map's convergence nor
+    its scale has to be corrected for. The way from there to the map is taken as a polynomial of second degree
+    around the camera, see `hyperpaint.georeference.geodesy.polynomials`.
+
+    Lines in memory have poses at once; of lazy ones nothing is read, unless ``crs`` is to be found out, which
+    needs the positions.
+
+    Examples
+    --------
+    Over level ground, 100 m below, a camera that flies north sees 45 degrees to its right 100 m to the east:
+
+    >>> import xarray as xr
+    >>> pose = dict(latitude=34.0, longitude=-81.0, altitude=150.0, roll=0.0, pitch=0.0, heading=0.0)
+    >>> line = xr.Dataset({name: ("along_track", [value]) for name, value in pose.items()})
+    >>> line = line.assign_coords(cross_track=[0, 1, 2])
+    >>> camera = PinholeCamera(3, field_of_view=90.0, edges="centres")
+    >>> convention = Convention(column_order="left_to_right")
+    >>> made = locate(line, ground=50.0, camera=camera, convention=convention)
+    >>> made.east.attrs["crs"], made.east.diff("cross_track").values.round(1).tolist()
+    ('EPSG:32617', [[100.0, 100.0]])
+    >>> made.view_azimuth.values.round().tolist()
+    [[90.0, 0.0, 270.0]]
+    """
+    _check(line, boresight, lever_arm, ground, dem, clock_offset_s)
+    check_interpolation(interpolation, max_gap_s)
+    meaning = _meaning(line, navigation, convention)
+    across, along = look_angles(line, camera, meaning)
+    columns = _pose_inputs(line, navigation, meaning, clock_offset_s)
+    grid = None if dem is None else grid_of(dem)
+    if crs is None and _is_lazy(*columns.values()):
+        import dask
+
+        (columns,) = dask.compute(columns)
+    options = {"clock_offset_s": clock_offset_s, "max_gap_s": max_gap_s, "interpolation": interpolation}
+    poses = _call(_poses, convention=meaning, crs=crs, **columns, **options)
+    crs = _map_of(poses, crs)
+    mounting = Mounting(_triple(boresight), _triple(lever_arm))
+    surface = float(ground) if ground is not None else _surface(dem, grid)
+    chunks = _line_chunks(line)
+    starts = np.concatenate([[0], np.cumsum(chunks)])
+    places = _lazy_places(poses, across, along, mounting, surface, crs, starts)
+    made = _with_poses(line, poses, chunks)
+    made = _with_places(made, places, crs)
+    told = {
+        "boresight": list(mounting.boresight),
+        "lever_arm": list(mounting.lever_arm),
+        "ground": "dem" if ground is None else float(ground),
+        "clock_offset_s": float(clock_offset_s),
+        "pose_interpolation": interpolation if "recorded" in columns else "none",
+    }
+    made.attrs = with_convention({**line.attrs, **told}, meaning.of_canonical)
+    return made
+
+
+# --- what is asked for -------------------------------------------------------------------------------------
+
+
+def _check(
+    line: xr.Dataset,
+    boresight: Sequence[float],
+    lever_arm: Sequence[float],
+    ground: float | None,
+    dem: xr.DataArray | None,
+    clock_offset_s: float,
+) -> None:
+    """Refuse what cannot be, before anything is looked at."""
+    problems = Problems("this line cannot be located", SchemaError)
+    for dim in (ALONG_TRACK, CROSS_TRACK):
+        if dim not in line.dims:
+            problems.add(f"it has no dim {dim!r}, only {', '.join(map(str, line.dims))}; name it with dims=")
+    for name, three in (("boresight", boresight), ("lever_arm", lever_arm)):
+        try:
+            fine = np.shape(three) == (3,) and bool(np.isfinite(np.asarray(three, np.float64)).all())
+        except (TypeError, ValueError):
+            fine = False
+        if not fine:
+            problems.add(f"{name} {three!r:.80}, expected three finite numbers")
+    if (ground is None) == (dem is None):
+        problems.add("give the height of the ground above the ellipsoid (ground=, in m), or dem=, not both")
+    for name, number in (("ground", ground), ("clock_offset_s", clock_offset_s)):
+        if number is not None and not np.isfinite(number):
+            problems.add(f"{name} {number!r}, expected a finite number")
+    problems.raise_if_any()
+
+
+def _meaning(line: xr.Dataset, navigation: xr.Dataset | None, convention: Convention | None) -> Convention:
+    """Return what the angles mean, with the order of columns that the line declares where it does not."""
+    source, subject = (line, "this line") if navigation is None else (navigation, "this navigation record")
+    found = convention_of(source, convention, subject)
+    own = Convention.from_attrs(line.attrs)
+    if found.column_order is None and own is not None:
+        found = found.replace(column_order=own.column_order)
+    return found
+
+
+def _triple(three: Sequence[float]) -> tuple[float, float, float]:
+    first, second, third = (float(number) for number in three)
+    return first, second, third
+
+
+def _map_of(poses: Any, crs: Any) -> str:
+    """Return the map asked for, or the UTM zone of the middle of the lines that have a pose."""
+    if crs is None:
+        known = np.flatnonzero(np.isfinite(poses[0]))
+        if not known.size:
+            msg = "no line has a pose, and so no UTM zone; check the navigation and its times, or give crs="
+            raise SchemaError(msg)
+        latitude, longitude = poses[:2, known[known.size // 2]]
+        crs = utm_zone(float(latitude), float(longitude))
+    made = crs_of(crs)
+    if not is_in_metres(made):
+        msg = f"crs {crs!r:.80} is not a map in metres; give a projected one, such as 'EPSG:32617'"
+        raise SchemaError(msg)
+    return made
+
+
+# --- poses -------------------------------------------------------------------------------------------------
+
+
+def _pose_inputs(
+    line: xr.Dataset, navigation: xr.Dataset | None, convention: Convention, clock_offset_s: float
+) -> dict[str, Any]:
+    """Return the columns of poses; and, where they are to be interpolated, their times and those wanted."""
+    source = line if navigation is None else navigation
+    dim = ALONG_TRACK if navigation is None else NAVIGATION_TIME
+    columns = pose_columns(source, convention, dim)
+    made = {name: column.data for name, column in columns.items()}
+    if navigation is None and clock_offset_s == 0.0:
+        return made
+    wanted = require(line, ["time"], "poses")["time"].data
+    if navigation is None:
+        return {**made, "recorded": wanted, "wanted": wanted}
+    if NAVIGATION_TIME not in navigation.variables:
+        msg = f"this navigation record has no {NAVIGATION_TIME!r}, UTC as datetime64[ns]"
+        raise SchemaError(msg)
+    return {**made, "recorded": navigation[NAVIGATION_TIME].data, "wanted": wanted}
+
+
+def _poses(
+    *,
+    convention: Convention,
+    crs: Any,
+    clock_offset_s: float,
+    max_gap_s: float | None,
+    interpolation: Interpolation,
+    recorded: Any = None,
+    wanted: Any = None,
+    **columns: Any,
+) -> Float:
+    """Return canonical poses of all lines (6, line), float64; all NaN or none."""
+    values = canonical_values(*(columns[name] for name in POSE), convention=convention, crs=crs)
+    if recorded is None:
+        values[:, ~np.isfinite(values).all(axis=0)] = np.nan
+        return values
+    return poses_at(
+        np.asarray(recorded),
+        values,
+        np.asarray(wanted),
+        clock_offset_s=clock_offset_s,
+        max_gap_s=max_gap_s,
+        interpolation=interpolation,
+    )
+
+
+def _with_poses(line: xr.Dataset, poses: Any, chunks: tuple[int, ...]) -> xr.Dataset:
+    """Return the line with the poses used, in chunks of its cube where they are lazy."""
+    import xarray as xr
+
+    if not isinstance(poses, np.ndarray):
+        import dask.array as da
+
+        shape = (len(POSE), line.sizes[ALONG_TRACK])
+        poses = da.from_delayed(poses, shape, np.float64).rechunk((1, chunks))
+    made = {name: label(xr.DataArray(poses[row], dims=(ALONG_TRACK,)), name) for row, name in enumerate(POSE)}
+    return line.drop_vars(POSE, errors="ignore").assign_coords(made)
+
+
+# --- places ------------------------------------------------------------------------------------------------
+
+
+def _surface(dem: xr.DataArray | None, grid: TerrainGrid | None) -> Any:
+    if dem is None or grid is None:
+        raise TypeError
+    return _call(terrain_of, heights=dem.squeeze(drop=True).transpose("y", "x").data, grid=grid)
+
+
+def _lazy_places(
+    poses: Any, across: Any, along: Any, mounting: Mounting, surface: Any, crs: str, starts: Any
+) -> Any:
+    """Return what is known of every pixel (part, line, column), one task a slab."""
+    import dask
+    import dask.array as da
+
+    parts = {"poses": poses, "across": across, "along": along, "ground": surface}
+    swath = _call(swath_of, **parts, mounting=mounting, crs=crs, starts=starts)
+    chunks = ((len(_PLACES),), tuple(int(n) for n in np.diff(starts)), (len(across),))
+    return da.map_blocks(
+        places_of,
+        dask.delayed(swath, pure=True),
+        chunks=chunks,
+        dtype=np.float64,
+        meta=np.empty((0, 0, 0)),
+        name=None,
+    )
+
+
+def _with_places(line: xr.Dataset, places: Any, crs: str) -> xr.Dataset:
+    """Return the line with its places, and the flag where there are none."""
+    import xarray as xr
+
+    dims = (ALONG_TRACK, CROSS_TRACK)
+    told: dict[str, dict[str, str]] = {name: {"grid_mapping": "spatial_ref"} for name in _PLACES}
+    for name, standard in (("east", "projection_x_coordinate"), ("north", "projection_y_coordinate")):
+        told[name] |= {"crs": crs, "standard_name": standard}
+    made = {n: label(xr.DataArray(places[k], dims=dims), n, **told[n]) for k, n in enumerate(_PLACES)}
+    off = (np.isnan(places[0]) * np.uint16(Quality.OFF_SWATH)).astype(np.uint16)
+    quality = xr.Variable(dims, off)
+    if "quality" in line.variables:
+        quality = line["quality"].variable.transpose(*dims).astype(np.uint16) | quality
+    reference = xr.DataArray(np.int64(0), attrs=grid_mapping_attrs(crs))
+    line = line.drop_vars([*_PLACES, "spatial_ref"], errors="ignore")
+    line = line.assign(quality=label(xr.DataArray(quality), "quality"))
+    return line.assign_coords({**made, "spatial_ref": reference})
+
+
+def _line_chunks(line: xr.Dataset) -> tuple[int, ...]:
+    """Return lines of every slab: as what the line holds is chunked, else as radiometry will chunk it."""
+    pixels = [v for v in line.variables.values() if {ALONG_TRACK, CROSS_TRACK} <= set(v.dims)]
+    for array in sorted(pixels, key=lambda v: -v.ndim):
+        if array.chunks is not None:
+            return tuple(array.chunksizes[ALONG_TRACK])
+    samples = line.sizes[CROSS_TRACK] * line.sizes.get(BAND, 1)
+    slab = min(CHUNK_LINES, max(1, MAX_CHUNK_BYTES // max(4 * samples, 1)))
+    full, rest = divmod(line.sizes[ALONG_TRACK], slab)
+    return (slab,) * full + ((rest,) if rest or not full else ())
+
+
+def _is_lazy(*values: Any) -> bool:
+    import dask
+
+    return any(dask.is_dask_collection(value) for value in values)
+
+
+def _call(function: Any, **inputs: Any) -> Any:
+    """Return a small result: at once of what is in memory, else as a node of the graph."""
+    import dask
+
+    if _is_lazy(*inputs.values()):
+        return dask.delayed(function, pure=True)(**inputs)
+    return function(**inputs)

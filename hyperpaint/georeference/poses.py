@@ -1,0 +1,392 @@
+"""Where the camera was and how it was turned, in canonical form, at the middle of every exposure."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from hyperpaint.conventions import Convention
+from hyperpaint.errors import Problems, SchemaError, TimeError
+from hyperpaint.schema import ALONG_TRACK, label
+from hyperpaint.units import conversion_factor, convert
+
+from .geodesy import meridian_convergence
+from .rotations import angles_of, quaternions, slerp
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+__all__ = [
+    "ANGLES",
+    "NAVIGATION_TIME",
+    "POSE",
+    "Interpolation",
+    "canonical_navigation",
+    "canonical_values",
+    "check_interpolation",
+    "convention_of",
+    "interpolate_pose",
+    "pose_columns",
+    "poses_at",
+    "with_convention",
+]
+
+Float = npt.NDArray[np.float64]
+Interpolation = Literal["linear", "cubic"]
+
+NAVIGATION_TIME = "navigation_time"
+POSE = ("latitude", "longitude", "altitude", "roll", "pitch", "heading")
+"""Variables of a pose, in the order in which arrays (6, row) hold them."""
+ANGLES = ("roll", "pitch", "heading")
+
+_NS_PER_S = 1e9
+_NAT = np.iinfo(np.int64).min
+_GAP_STEPS, _SHORTEST_GAP = 2.5, 0.1
+"""Intervals, and seconds, that a gap is longer than."""
+
+
+# --- canonical form ----------------------------------------------------------------------------------------
+
+
+def canonical_navigation(
+    navigation: xr.Dataset, *, convention: Convention | None = None, crs: Any = None
+) -> xr.Dataset:
+    """Return a navigation record in canonical form (see `hyperpaint.conventions`).
+
+    Parameters
+    ----------
+    navigation
+        ``latitude``, ``longitude`` [degree], ``altitude`` [m], ``roll``, ``pitch``, ``heading``
+        (navigation_time), as their file has them; also of a flight line (along_track).
+    convention
+        What they mean; by default what the attributes declare.
+    crs
+        Map whose north ``"grid"`` headings count from, where the convention names none.
+
+    Returns
+    -------
+    xarray.Dataset
+        The record with these six in canonical form, float64, and attributes that say so. Other variables are
+        kept.
+
+    Raises
+    ------
+    SchemaError
+        Variables are missing, the meaning of their numbers is not declared, or units contradict it; all are
+        listed. No declination, geoid undulation or grid for what needs it.
+    UnitsError
+        Units that cannot be read, or are of another dimension.
+
+    Examples
+    --------
+    >>> import xarray as xr
+    >>> record = xr.Dataset({name: ("navigation_time", [1.0]) for name in POSE})
+    >>> mirrored = Convention(roll_positive="right_wing_up")
+    >>> canonical_navigation(record, convention=mirrored)["roll"].values
+    array([-1.])
+    """
+    convention = convention_of(navigation, convention, "this navigation record")
+    columns = pose_columns(navigation, convention)
+    values = canonical_values(*(columns[n].values for n in POSE), convention=convention, crs=crs)
+    dims = columns["roll"].dims
+    made = navigation.assign({n: _labelled(v, n, dims) for n, v in zip(POSE, values, strict=True)})
+    made.attrs = with_convention(navigation.attrs, convention.of_canonical)
+    return made
+
+
+def with_convention(attrs: Mapping[Any, Any], convention: Convention) -> dict[Any, Any]:
+    """Return attributes that declare this convention and no other."""
+    kept = {name: value for name, value in attrs.items() if not str(name).startswith("convention_")}
+    return {**kept, **convention.to_attrs()}
+
+
+def _labelled(values: Any, name: str, dims: tuple[Any, ...]) -> xr.DataArray:
+    import xarray as xr
+
+    return label(xr.DataArray(values, dims=dims), name)
+
+
+def convention_of(dataset: xr.Dataset, convention: Convention | None, subject: str) -> Convention:
+    """Return the convention given, else that of the attributes.
+
+    Raises
+    ------
+    SchemaError
+        There is neither.
+    """
+    found = convention or Convention.from_attrs(dataset.attrs)
+    if found is None:
+        msg = (
+            f"{subject} does not declare what its angles and heights mean, and makers differ; give "
+            "convention=Convention(...), whose defaults are roll positive with the right wing down, pitch "
+            "with the nose up, heading clockwise from true north [degree] and heights above the ellipsoid"
+        )
+        raise SchemaError(msg)
+    return found
+
+
+def pose_columns(
+    dataset: xr.Dataset, convention: Convention, dim: str | None = None
+) -> dict[str, xr.DataArray]:
+    """Return the six variables of a pose, positions in degree and metre, angles in the convention's unit.
+
+    Raises
+    ------
+    SchemaError
+        Variables are missing, or units contradict the convention; all are listed.
+    UnitsError
+        Units that cannot be read, or are of another dimension.
+    """
+    problems = Problems("the camera's poses cannot be had", SchemaError)
+    found: dict[str, xr.DataArray] = {}
+    for name in POSE:
+        if name not in dataset.variables:
+            problems.add(f"{name!r} is missing")
+            continue
+        column = dataset[name].reset_coords(drop=True)
+        if column.ndim != 1 or (dim or column.dims[0]) != column.dims[0]:
+            held = ", ".join(map(str, column.dims))
+            problems.add(f"{name!r} has dims ({held}), expected ({dim or NAVIGATION_TIME})")
+            continue
+        units = column.attrs.get("units")
+        if name not in ANGLES:
+            column = column if units is None else convert(column, "m" if name == "altitude" else "degree")
+        elif units is not None and conversion_factor(str(units), convention.angle_unit) != 1.0:
+            problems.add(
+                f"{name!r} has units {units!r}, while the convention declares angle_unit "
+                f"{convention.angle_unit!r}; correct the one that is wrong"
+            )
+        found[name] = column
+    problems.raise_if_any()
+    return found
+
+
+def canonical_values(
+    latitude: npt.ArrayLike,
+    longitude: npt.ArrayLike,
+    altitude: npt.ArrayLike,
+    roll: npt.ArrayLike,
+    pitch: npt.ArrayLike,
+    heading: npt.ArrayLike,
+    *,
+    convention: Convention,
+    crs: Any = None,
+) -> Float:
+    """Return canonical poses (6, row), float64, of columns that a convention gives the meaning of."""
+    latitude, longitude = np.asarray(latitude, np.float64), np.asarray(longitude, np.float64)
+    convergence = None
+    if convention.heading_reference == "grid" and (convention.grid_crs or crs) is not None:
+        convergence = meridian_convergence(latitude, longitude, convention.grid_crs or crs)
+    angles = convention.canonical(roll, pitch, heading, convergence=convergence)
+    return np.stack([latitude, longitude, convention.ellipsoidal(altitude), *angles])
+
+
+# --- at given times ----------------------------------------------------------------------------------------
+
+
+def interpolate_pose(
+    navigation: xr.Dataset,
+    time: xr.DataArray,
+    *,
+    convention: Convention | None = None,
+    clock_offset_s: float = 0.0,
+    max_gap_s: float | None = None,
+    interpolation: Interpolation = "linear",
+    crs: Any = None,
+) -> xr.Dataset:
+    """Return canonical poses at times, on the shortest arc between the rows of a navigation record.
+
+    Parameters
+    ----------
+    navigation
+        See `canonical_navigation`; ``navigation_time`` [UTC] must not run backwards.
+    time
+        UTC at mid exposure (along_track), datetime64; NaT allowed.
+    convention, crs
+        See `canonical_navigation`.
+    clock_offset_s
+        Added to ``time`` to have the time of the navigation's clock [s].
+    max_gap_s
+        Longest interval between rows that is interpolated [s]; by default 2.5 times the median one, at least
+        0.1 s.
+    interpolation
+        ``"linear"``: positions linear, attitude by slerp. ``"cubic"``: cubic splines of both between gaps,
+        which gain where rows are further apart than some 20 ms.
+
+    Returns
+    -------
+    xarray.Dataset
+        `POSE` (along_track), float64; NaN in gaps, outside the record and at NaT. Nothing is extrapolated. A
+        row with a NaN position counts as missing for positions, one with a NaN angle for the attitude.
+
+    Raises
+    ------
+    SchemaError, UnitsError
+        As `canonical_navigation`; an interpolation that does not exist; a gap that is not above 0.
+    TimeError
+        Times of the record run backwards.
+    """
+    import xarray as xr
+
+    convention = convention_of(navigation, convention, "this navigation record")
+    columns = pose_columns(navigation, convention)
+    values = canonical_values(*(columns[n].values for n in POSE), convention=convention, crs=crs)
+    poses = poses_at(
+        navigation[NAVIGATION_TIME].values,
+        values,
+        time.values,
+        clock_offset_s=clock_offset_s,
+        max_gap_s=max_gap_s,
+        interpolation=interpolation,
+    )
+    made = xr.Dataset({n: _labelled(v, n, (ALONG_TRACK,)) for n, v in zip(POSE, poses, strict=True)})
+    return made.assign_attrs(convention.of_canonical.to_attrs())
+
+
+def poses_at(
+    recorded: npt.NDArray[np.datetime64],
+    values: Float,
+    time: npt.NDArray[np.datetime64],
+    *,
+    clock_offset_s: float = 0.0,
+    max_gap_s: float | None = None,
+    interpolation: Interpolation = "linear",
+) -> Float:
+    """Return poses (6, line) at times, of canonical ones (6, row); see `interpolate_pose`."""
+    check_interpolation(interpolation, max_gap_s)
+    knots = _nanoseconds(recorded)
+    wanted = _nanoseconds(time)
+    offset = np.int64(round(clock_offset_s * _NS_PER_S))
+    wanted = np.where(wanted == _NAT, _NAT, wanted + offset)
+    keep = _increasing(knots)
+    knots, values = knots[keep], values[:, keep]
+    steps = np.diff(knots) / _NS_PER_S
+    gap = max_gap_s or max(_GAP_STEPS * float(np.median(steps)) if steps.size else 0.0, _SHORTEST_GAP)
+    made = np.full((len(POSE), wanted.size), np.nan)
+    for part, between in ((slice(0, 3), _positions_between), (slice(3, 6), _attitudes_between)):
+        known = np.isfinite(values[part]).all(axis=0)
+        if known.any():
+            made[part] = between(knots[known], values[part][:, known], wanted, gap, interpolation)
+    # half a pose places nothing
+    made[:, np.isnan(made).any(axis=0)] = np.nan
+    return made
+
+
+def check_interpolation(interpolation: str, max_gap_s: float | None) -> None:
+    """Refuse an interpolation that does not exist, and a gap that is not above 0, as SchemaError."""
+    problems = Problems("poses cannot be interpolated like that", SchemaError)
+    if interpolation not in ("linear", "cubic"):
+        problems.add(f"interpolation {interpolation!r:.60}, expected 'linear' or 'cubic'")
+    if max_gap_s is not None and not max_gap_s > 0.0:
+        problems.add(f"max_gap_s {max_gap_s!r:.60}, expected a time above 0 [s]")
+    problems.raise_if_any()
+
+
+def _nanoseconds(time: npt.NDArray[Any]) -> npt.NDArray[np.int64]:
+    if time.dtype.kind != "M":
+        msg = f"times have dtype {time.dtype}, expected datetime64[ns] (UTC)"
+        raise TimeError(msg)
+    return time.astype("datetime64[ns]").astype(np.int64)
+
+
+def _increasing(knots: npt.NDArray[np.int64]) -> npt.NDArray[np.bool_]:
+    """Tell which rows have a time that was not there before.
+
+    Raises
+    ------
+    TimeError
+        Times run backwards.
+    """
+    dated = np.flatnonzero(knots != _NAT)
+    steps = np.diff(knots[dated])
+    if np.any(steps < 0):
+        rows = dated[1:][steps < 0]
+        shown = ", ".join(map(str, rows[:5].tolist())) + (", ..." if rows.size > 5 else "")
+        msg = (
+            f"{NAVIGATION_TIME} runs backwards at {rows.size} of {knots.size} rows ({shown}); "
+            "sort the record by time, or take these rows out"
+        )
+        raise TimeError(msg)
+    keep = np.zeros(knots.size, bool)
+    keep[dated[np.concatenate([[True], steps > 0])[: dated.size]]] = True
+    return keep
+
+
+def _bracket(
+    knots: npt.NDArray[np.int64], wanted: npt.NDArray[np.int64], gap: float
+) -> tuple[npt.NDArray[np.int64], Float, npt.NDArray[np.bool_]]:
+    """Return the row before each time, the weight of the row after, and whether it may be interpolated."""
+    before = np.clip(np.searchsorted(knots, wanted, side="right") - 1, 0, max(knots.size - 2, 0))
+    after = np.minimum(before + 1, knots.size - 1)
+    inside = (wanted >= knots[0]) & (wanted <= knots[-1])
+    step = knots[after] - knots[before]
+    since = np.where(inside, wanted - knots[before], 0)
+    weight = since / np.maximum(step, 1)
+    # on a row there is nothing to interpolate, however far the next one is
+    return before, weight, inside & ((step / _NS_PER_S <= gap) | (since == 0) | (since == step))
+
+
+def _positions_between(
+    knots: npt.NDArray[np.int64], values: Float, wanted: npt.NDArray[np.int64], gap: float, interpolation: str
+) -> Float:
+    values = values.copy()
+    values[1] = np.unwrap(values[1], period=360.0)
+    before, weight, known = _bracket(knots, wanted, gap)
+    if interpolation == "cubic" and knots.size > 1:
+        from scipy.interpolate import CubicSpline
+
+        def spline(rows: slice, s: Float, t: Float) -> Float:
+            return np.asarray(CubicSpline(s, values[:, rows], axis=1)(t))
+
+        made = _by_stretch(knots, wanted, known, gap, spline)
+    else:
+        after = np.minimum(before + 1, knots.size - 1)
+        made = values[:, before] + weight * (values[:, after] - values[:, before])
+    made[1] = np.where(np.abs(made[1]) > 180.0, (made[1] + 180.0) % 360.0 - 180.0, made[1])
+    return np.where(known, made, np.nan)
+
+
+def _attitudes_between(
+    knots: npt.NDArray[np.int64], values: Float, wanted: npt.NDArray[np.int64], gap: float, interpolation: str
+) -> Float:
+    rotation = quaternions(*values)
+    before, weight, known = _bracket(knots, wanted, gap)
+    if interpolation == "cubic" and knots.size > 1:
+        from scipy.spatial.transform import Rotation, RotationSpline
+
+        def spline(rows: slice, s: Float, t: Float) -> Float:
+            turned = RotationSpline(s, Rotation.from_quat(rotation[rows], scalar_first=True))(t)
+            return np.asarray(turned.as_quat(scalar_first=True)).T
+
+        between = _by_stretch(knots, wanted, known, gap, spline, size=4).T
+    else:
+        after = np.minimum(before + 1, knots.size - 1)
+        between = slerp(rotation[before], rotation[after], weight)
+    return np.where(known, np.stack(angles_of(between)), np.nan)
+
+
+def _by_stretch(
+    knots: npt.NDArray[np.int64],
+    wanted: npt.NDArray[np.int64],
+    known: npt.NDArray[np.bool_],
+    gap: float,
+    spline: Any,
+    size: int = 3,
+) -> Float:
+    """Return splines (size, line) that end at every gap; a stretch of one row is that row."""
+    ends = [0, *(np.flatnonzero(np.diff(knots) / _NS_PER_S > gap) + 1).tolist(), knots.size]
+    made = np.full((size, wanted.size), np.nan)
+    for start, stop in itertools.pairwise(ends):
+        here = known & (wanted >= knots[start]) & (wanted <= knots[stop - 1])
+        if not here.any():
+            continue
+        first = max(start - 1, 0) if stop - start == 1 else start
+        last = min(start + 2, knots.size) if stop - start == 1 and first == start else stop
+        rows = slice(first, last)
+        s = (knots[rows] - knots[start]) / _NS_PER_S
+        made[:, here] = spline(rows, s, (wanted[here] - knots[start]) / _NS_PER_S)
+    return made

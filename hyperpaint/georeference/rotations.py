@@ -1,0 +1,70 @@
+"""Rotations of a body (forward, right, down) in the frame north, east, down, as unit quaternions.
+
+Quaternions are (scalar, x, y, z); q and -q are the same rotation.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+__all__ = ["angles_of", "matrices", "quaternions", "slerp"]
+
+Float = npt.NDArray[np.float64]
+
+_NEARLY_EQUAL = 1e-8
+"""Half angle between rotations below which the arc is its chord [rad]."""
+
+
+def quaternions(roll: npt.ArrayLike, pitch: npt.ArrayLike, heading: npt.ArrayLike) -> Float:
+    """Return Rz(heading) Ry(pitch) Rx(roll) of angles [degree] (..., 4)."""
+    halves = [np.radians(np.asarray(angle, np.float64)) / 2 for angle in (roll, pitch, heading)]
+    (cr, cp, ch), (sr, sp, sh) = ([f(half) for half in halves] for f in (np.cos, np.sin))
+    return np.stack(
+        [
+            ch * cp * cr + sh * sp * sr,
+            ch * cp * sr - sh * sp * cr,
+            ch * sp * cr + sh * cp * sr,
+            sh * cp * cr - ch * sp * sr,
+        ],
+        axis=-1,
+    )
+
+
+def matrices(rotation: Float) -> Float:
+    """Return quaternions as matrices (..., 3, 3), which turn body into north, east, down."""
+    w, x, y, z = np.moveaxis(rotation, -1, 0)
+    rows = [
+        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+    ]
+    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
+
+
+def angles_of(rotation: Float) -> tuple[Float, Float, Float]:
+    """Return roll (-180 to 180), pitch (-90 to 90) and heading (0 to 360) [degree] of quaternions."""
+    w, x, y, z = np.moveaxis(rotation, -1, 0)
+    roll = np.arctan2(2 * (w * x + y * z), 1 - 2 * (x * x + y * y))
+    pitch = np.arcsin(np.clip(2 * (w * y - x * z), -1.0, 1.0))
+    heading = np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
+    return np.degrees(roll), np.degrees(pitch), np.mod(np.degrees(heading), 360.0)
+
+
+def slerp(first: Float, second: Float, weight: Float) -> Float:
+    """Return rotations on the shorter arc from ``first`` (weight 0) to ``second`` (weight 1) (..., 4).
+
+    Notes
+    -----
+    Shoemake (1985), "Animating rotation with quaternion curves".
+    """
+    dot = (first * second).sum(axis=-1)
+    second = np.where((dot < 0)[..., None], -second, second)
+    # by the chord: the arc cosine of what is nearly 1 has lost half of its digits
+    angle = 2.0 * np.arcsin(np.clip(np.linalg.norm(second - first, axis=-1) / 2.0, 0.0, 1.0))
+    near = angle < _NEARLY_EQUAL
+    sine = np.where(near, 1.0, np.sin(angle))
+    left = np.where(near, 1.0 - weight, np.sin((1.0 - weight) * angle) / sine)
+    right = np.where(near, weight, np.sin(weight * angle) / sine)
+    made = left[..., None] * first + right[..., None] * second
+    return np.asarray(made / np.linalg.norm(made, axis=-1, keepdims=True))

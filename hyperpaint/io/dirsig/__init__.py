@@ -1,0 +1,20 @@
+"""Materials of the simulator DIRSIG: written from a paint library, and read back strictly."""
+
+from __future__ import annotations
+
+from .dirsig_writing import write_dirsig
+from .emissivity_files import Curve, Emissivity, open_emissivity, read_emissivity, read_reflectance_text
+from .material_list import Material, Section, materials_text, read_materials
+
+__all__ = [
+    "Curve",
+    "Emissivity",
+    "Material",
+    "Section",
+    "materials_text",
+    "open_emissivity",
+    "read_emissivity",
+    "read_materials",
+    "read_reflectance_text",
+    "write_dirsig",
+]

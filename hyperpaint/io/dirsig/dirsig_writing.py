@@ -1,0 +1,381 @@
+"""A paint library as materials of the simulator DIRSIG."""
+
+from __future__ import annotations
+
+import os
+import warnings
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+
+from hyperpaint.errors import PaintWarning, Problems, SchemaError
+from hyperpaint.schema import LIBRARY_VARIABLES, PAINT, require
+
+from .coat import Coat, coat_of
+from .emissivity_text import CURVE_BEGIN, ColumnText, emissivity_head
+from .folders import EMISSIVITY, REFLECTANCE, export_folder, write_marker
+from .instructions import THERMAL, glist_text, material_section, readme_text
+from .material_list import materials_text, read_materials
+from .paint_curves import (
+    CURVES,
+    GAPS,
+    LONGEST,
+    SHORTEST,
+    Axis,
+    Choices,
+    PaintCurves,
+    PaintProblemError,
+    blocks_of,
+    curves_of,
+)
+from .plain_names import material_ids, material_names
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+__all__ = ["write_dirsig"]
+
+Array = npt.NDArray[Any]
+
+SURFACES = ("ClassicEmissivity", "SimpleReflectance")
+_MOST_TOLD = 20
+_AT_ONCE = 64
+"""Curves whose text is made at a time."""
+
+_RGB = (640.0, 550.0, 460.0)
+
+
+def write_dirsig(
+    library: xr.Dataset,
+    folder: str | os.PathLike[str],
+    *,
+    curves: str | None = None,
+    wavelength_range: tuple[float, float] | None = None,
+    extrapolate: bool = False,
+    gaps: str = "refuse",
+    specular: float | str = 0.0,
+    surface: str = "ClassicEmissivity",
+    rad_solver: str = "Classic",
+    thermal: Mapping[str, float] | None = None,
+    double_sided: bool = False,
+    scene_materials: str | os.PathLike[str] | None = None,
+    overwrite: bool = False,
+    progress: Callable[[int, int], None] | None = None,
+) -> xr.Dataset:
+    r"""Write the paints of a library as materials of the simulator DIRSIG.
+
+    Every paint becomes an ``.ems`` file with many curves, so that a texture can draw from the population, a
+    two-column ``.txt`` of its centre and a MATERIAL_ENTRY; with them go a fragment of a geometry list and a
+    README that says step by step how to add them. The folder appears when all is written, or not at all.
+    Paints are read and written some at a time.
+
+    Parameters
+    ----------
+    library
+        A paint library: ``reflectance`` (paint, band) [1], ``wavelength`` (band) [nm], in any order.
+    folder
+        New or empty.
+    curves
+        ``members`` for the single pixels, ``quantiles``, or ``centre`` for one curve a paint. By default
+        members where the library has them, else the centre.
+    wavelength_range
+        Low and high end [nm]; the bands next to it outside are written too, so that all of it is covered. By
+        default all that was measured.
+    extrapolate
+        Hold curves constant where ``wavelength_range`` goes beyond what was measured; the README says where.
+    gaps
+        What to do about bands without values, or not ``good``, between others: ``refuse``, or ``interpolate``
+        by a straight line; the README says how many. At both ends they are left away.
+    specular
+        Fraction of reflectance that DIRSIG shall mirror [1], or ``library`` to take it from the library's
+        ``specular_reflectance`` (paint, band). Only for reflectance without mirrored light.
+    surface
+        What the materials use: ``ClassicEmissivity`` (the ``.ems``) or ``SimpleReflectance`` (the ``.txt``).
+    rad_solver
+        Name of DIRSIG's radiometry solver.
+    thermal
+        Parameters of the temperature solver Therm, all of ``specific_heat``, ``mass_density``,
+        ``thermal_conductivity``, ``solar_absorption``, ``thermal_emissivity``, ``exposed_area`` and
+        ``thickness``, in DIRSIG's units. By default no temperature is computed.
+    double_sided
+        Whether the back of a facet shows the paint too.
+    scene_materials
+        A scene's own material list, whose IDs and names are not used again.
+    overwrite
+        Replace an earlier export; never anything else.
+    progress
+        Called with the number of paints done and of all.
+
+    Returns
+    -------
+    Dataset
+        What was written (paint): ``material_id``, ``emissivity_file``, ``curves``, samples ``clipped`` and
+        ``interpolated``, members ``left_out``, the range and ``extrapolated``. Its attributes say what became
+        of mirrored light: ``mirror_reflection``, ``specular_term``.
+
+    Raises
+    ------
+    SchemaError
+        It is no paint library, or has no curves of the kind; an option is not one of those above; a specular
+        term would count the clear coat twice; paints have no values, holes, or do not reach as far as asked;
+        all are listed.
+    UnitsError
+        Units cannot be read.
+    FormatError
+        ``scene_materials`` is no material list.
+    StoreError
+        The folder holds something, is being written by another, or cannot be written.
+
+    Notes
+    -----
+    Of an opaque paint
+
+    .. math:: \epsilon = 1 - \rho / (1 - s)
+
+    with the specular fraction s, so that the diffuse part :math:`(1 - s)(1 - \epsilon)` is the body
+    reflectance :math:`\rho` [1]_; s is 0 unless asked for. That DIRSIG shares reflectance in this way is
+    taken from the name of SPECULAR_FRACTION. Emissivity has six decimals, samples outside 0 to 1 are clipped
+    and counted, with a warning.
+
+    IDs and file names are ASCII letters, digits and underscores; names are ASCII: umlauts become two letters,
+    other accents are dropped, brackets and the like become underscores, doubles get a number.
+    ``paints.json`` keeps the names as they were.
+
+    References
+    ----------
+    .. [1] DIRSIG manual, "Surface Properties", https://dirsig.cis.rit.edu/docs/new/surface_props.html
+
+    Examples
+    --------
+    >>> import tempfile, numpy as np, xarray as xr
+    >>> seen = xr.DataArray(np.float32([[0.04, 0.05, 0.6]]), dims=("paint", "band"), attrs={"units": "1"})
+    >>> nm = ("band", [450.0, 550.0, 650.0], {"units": "nm"})
+    >>> paints = xr.Dataset({"reflectance": seen}, {"paint": ["Türkis, matt"], "wavelength": nm})
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     made = write_dirsig(paints, folder)
+    ...     print(made.emissivity_file.item(), *sorted(path.name for path in Path(folder).iterdir()))
+    emissivity/Tuerkis_matt.ems README.txt emissivity materials.mat paints.glist paints.json reflectance
+    """
+    kind = _checked(library, curves, wavelength_range, gaps, surface, rad_solver, thermal, specular)
+    coat = coat_of(library, specular)
+    axis = Axis(library)
+    choices = Choices(kind, wavelength_range, extrapolate, gaps)
+    records = _names(library, scene_materials)
+    with export_folder(folder, overwrite=overwrite) as build:
+        _write_spectra(library, build, axis, choices, coat, records, progress)
+        entries = (
+            material_section(
+                record, surface=surface, rad_solver=rad_solver, thermal=thermal, double_sided=double_sided
+            )
+            for record in records
+        )
+        attrs = {**coat.attrs, "surface": surface, "curves_of": kind, **_source(library)}
+        written = {
+            "materials.mat": materials_text(entries),
+            "paints.glist": glist_text(records),
+            "README.txt": readme_text(records, attrs),
+        }
+        for name, text in written.items():
+            # what is no letter in any encoding may stand in a name all the same
+            (build / name).write_bytes(text.encode("utf-8", "backslashreplace"))
+        write_marker(build, {**attrs, "paints": records})
+    _warn(records)
+    return _summary(records, {**attrs, "folder": os.fspath(folder)})
+
+
+def _checked(
+    library: xr.Dataset,
+    curves: str | None,
+    wavelength_range: Any,
+    gaps: str,
+    surface: str,
+    rad_solver: str,
+    thermal: Mapping[str, float] | None,
+    specular: float | str,
+) -> str:
+    """Return the kind of curves; refuse a call that makes no sense."""
+    problems = Problems("no DIRSIG materials can be written", SchemaError)
+    kind = curves or ("members" if CURVES["members"] in library.variables else "centre")
+    # dims and units are judged without reading values: an empty library has them, too
+    empty = library.isel({PAINT: slice(0)}) if PAINT in library.dims else library
+    names = {"reflectance", "wavelength", CURVES.get(kind, "reflectance")} & {*map(str, library.variables)}
+    require(empty, sorted(names | {"reflectance", "wavelength"}), "DIRSIG materials", LIBRARY_VARIABLES)
+    if kind not in CURVES:
+        problems.add(f"curves={curves!r}, expected {', '.join(CURVES)}")
+    elif CURVES[kind] not in library.variables:
+        problems.add(f"curves={kind!r} needs {CURVES[kind]}, which the library has not; pass curves='centre'")
+    elif library[CURVES[kind]].dtype.kind not in "fiu" or library["reflectance"].dtype.kind not in "fiu":
+        problems.add(f"{CURVES[kind]} is {library[CURVES[kind]].dtype}, expected numbers")
+    if not library.sizes[PAINT]:
+        problems.add("the library has no paints")
+    if wavelength_range is not None and not _is_range(wavelength_range):
+        problems.add(
+            f"wavelength_range={wavelength_range!r}, expected two wavelengths such as (400, 1000) [nm]"
+        )
+    if gaps not in GAPS:
+        problems.add(f"gaps={gaps!r}, expected {' or '.join(GAPS)}")
+    if surface not in SURFACES:
+        problems.add(f"surface={surface!r}, expected {' or '.join(SURFACES)}")
+    elif surface == "SimpleReflectance" and specular != 0.0:
+        problems.add("SimpleReflectance has no specular term; leave specular away, or use ClassicEmissivity")
+    if not (rad_solver.isascii() and rad_solver.isalnum()):
+        problems.add(f"rad_solver={rad_solver!r}, expected a name such as 'Classic'")
+    if thermal is not None and (set(thermal) != set(THERMAL) or not all(map(_is_number, thermal.values()))):
+        problems.add(f"thermal={dict(thermal)!r}, expected numbers for all of {', '.join(THERMAL)}")
+    problems.raise_if_any()
+    return kind
+
+
+def _is_range(given: Any) -> bool:
+    try:
+        low, high = given
+    except (TypeError, ValueError):
+        return False
+    return _is_number(low) and _is_number(high) and SHORTEST <= low < high <= LONGEST
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, int | float | np.number) and bool(np.isfinite(value))
+
+
+def _names(library: xr.Dataset, scene: str | os.PathLike[str] | None) -> list[dict[str, Any]]:
+    """Return the beginning of every paint's record: what it is called, where its files are, what is known."""
+    taken = () if scene is None else read_materials(scene)
+    names = [str(name) for name in library[PAINT].values] if PAINT in library.variables else []
+    names = names or [f"paint {number}" for number in range(1, library.sizes[PAINT] + 1)]
+    tokens = material_ids(names, [material.id for material in taken])
+    plain = material_names(names, [material.name for material in taken])
+    about = [name for name, known in library.coords.items() if known.dims == (PAINT,) and name != PAINT]
+    texts = {str(name): [str(value) for value in library[name].values] for name in about}
+    return [
+        {
+            "paint": names[number],
+            "id": tokens[number],
+            "name": plain[number],
+            "emissivity_file": f"{EMISSIVITY}/{tokens[number]}.ems",
+            "reflectance_file": f"{REFLECTANCE}/{tokens[number]}.txt",
+            "about": {name: column[number] for name, column in texts.items() if column[number]},
+        }
+        for number in range(len(names))
+    ]
+
+
+def _write_spectra(
+    library: xr.Dataset,
+    build: Path,
+    axis: Axis,
+    choices: Choices,
+    coat: Coat,
+    records: list[dict[str, Any]],
+    progress: Callable[[int, int], None] | None,
+) -> None:
+    """Write the files of all paints, and complete their records; after a problem only look for others."""
+    problems = Problems("paints cannot be written for DIRSIG", SchemaError)
+    formats: dict[bytes, tuple[ColumnText, ColumnText]] = {}
+    more = 0
+    for paints, values in blocks_of(library, choices):
+        for number, record in enumerate(records[paints]):
+            centre, curves = values["centre"][number], values["curves"][number]
+            try:
+                made = curves_of(axis, centre, curves, choices)
+            except PaintProblemError as error:
+                if len(problems) < _MOST_TOLD:
+                    problems.add(f"{record['paint']!r}: {error}")
+                else:
+                    more += 1
+                continue
+            mirror = values["specular_reflectance"][number] if "specular_reflectance" in values else None
+            fraction = coat.fraction(np.where(axis.good, centre[axis.order], np.nan),
+                                     None if mirror is None else mirror[axis.order])  # fmt: skip
+            if not len(problems):
+                key = made.wavelength.tobytes()
+                if key not in formats:
+                    formats.clear()  # paints in turn are alike; what they need is not kept for ever
+                    formats[key] = ColumnText(made.wavelength, CURVE_BEGIN), ColumnText(made.wavelength)
+                record |= _write_paint(made, fraction, build, record, *formats[key])
+        if progress is not None:
+            progress(paints.stop, len(records))
+    if more:
+        problems.add(f"and {more} more paints")
+    problems.raise_if_any()
+
+
+def _write_paint(
+    made: PaintCurves,
+    fraction: float,
+    build: Path,
+    record: Mapping[str, Any],
+    curve_text: ColumnText,
+    plain_text: ColumnText,
+) -> dict[str, Any]:
+    """Write the files of one paint; return the rest of its record."""
+    clipped = 0
+    with open(build / record["emissivity_file"], "wb") as file:
+        file.write(emissivity_head(len(made.curves)))
+        for start in range(0, len(made.curves), _AT_ONCE):
+            total = made.curves[start : start + _AT_ONCE] / (1.0 - fraction)
+            clipped += int(((total < 0.0) | (total > 1.0)).sum())
+            file.write(curve_text.text(1.0 - np.clip(total, 0.0, 1.0)))
+    centre = np.clip(made.centre, 0.0, 1.0)
+    (build / record["reflectance_file"]).write_bytes(plain_text.text(centre[np.newaxis]))
+    beyond = [name for name, is_so in (("below", made.below), ("above", made.above)) if is_so]
+    return {
+        "wavelength": [float(made.wavelength[0]), float(made.wavelength[-1])],
+        "measured": list(made.measured),
+        "bands": len(made.wavelength),
+        "curves": len(made.curves),
+        "clipped": clipped,
+        "interpolated": made.interpolated,
+        "left_out": made.left_out,
+        "extrapolated": " and ".join(beyond),
+        "specular_fraction": fraction,
+        "editor_color": _colour(made.wavelength, centre),
+    }
+
+
+def _colour(wavelength: Array, reflectance: Array) -> list[float]:
+    """Return red, green and blue for DIRSIG's editor: reflectance there, brightened; white where unknown."""
+    if wavelength[0] > _RGB[2] or wavelength[-1] < _RGB[0]:
+        return [1.0, 1.0, 1.0]
+    return [round(float(value), 3) for value in np.sqrt(np.interp(_RGB, wavelength, reflectance))]
+
+
+def _source(library: xr.Dataset) -> dict[str, str]:
+    """Return what the library says of itself."""
+    kept = {name: library.attrs[name] for name in ("title", "source", "provenance", "references", "license")
+            if name in library.attrs}  # fmt: skip
+    return {f"library_{name}": str(value) for name, value in kept.items()}
+
+
+def _warn(records: list[dict[str, Any]]) -> None:
+    """Tell what was done to the spectra that their reader would not expect."""
+    told = []
+    for key, what in (("clipped", "samples outside 0 to 1 were clipped"),
+                      ("left_out", "members that lack an end of the range were left out")):  # fmt: skip
+        number, paints = sum(record[key] for record in records), sum(bool(record[key]) for record in records)
+        if number:
+            told.append(f"{number} {what} (in {paints} of {len(records)} paints)")
+    if told:
+        warnings.warn(f"DIRSIG materials: {'; '.join(told)}; see README.txt", PaintWarning, stacklevel=3)
+
+
+def _summary(records: list[dict[str, Any]], attrs: Mapping[str, str]) -> xr.Dataset:
+    import xarray as xr
+
+    def column(key: str, dtype: Any) -> tuple[str, Array]:
+        return PAINT, np.array([record[key] for record in records], dtype)
+
+    counts = ("curves", "clipped", "interpolated", "left_out", "bands")
+    values: dict[str, Any] = {key: column(key, np.int64) for key in counts}
+    values |= {key: column(key, object) for key in ("emissivity_file", "reflectance_file", "extrapolated")}
+    values["specular_fraction"] = column("specular_fraction", np.float64)
+    values["range"] = (
+        (PAINT, "end"),
+        np.array([record["wavelength"] for record in records]),
+        {"units": "nm"},
+    )
+    coords = {PAINT: column("paint", object), "material_id": column("id", object)}
+    return xr.Dataset(values, {**coords, "end": ["low", "high"]}, {"title": "DIRSIG materials", **attrs})

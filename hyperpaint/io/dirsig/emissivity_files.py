@@ -1,0 +1,297 @@
+r"""DIRSIG's spectral emissivity (``.ems``) and two-column reflectance files.
+
+An ``.ems`` file is text: the number of curves, 91 weights for view angles of 0 to 90 degrees, then the
+curves. In a new file each begins with the line ``CURVE_BEGIN``, and its rows are wavelength [um], ascending,
+and emissivity. In an old one it begins with its number, from 0, and has the 396 rows of wavenumbers 39850,
+39750, ... 350 [cm-1] and emissivity.
+
+Several curves are the variability within a material: DIRSIG's texture picks one for every place.
+
+References
+----------
+.. [1] DIRSIG manual, "Emissivity Files", https://dirsig.cis.rit.edu/docs/new/ems.html
+"""
+
+from __future__ import annotations
+
+import os
+import re
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+import numpy.typing as npt
+
+from hyperpaint.errors import FormatError, Problems
+from hyperpaint.io.reading import read_limited_text
+from hyperpaint.schema import BAND, LIBRARY_VARIABLES, MEMBER, PAINT
+
+from .emissivity_text import CURVE_BEGIN
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+__all__ = ["Curve", "Emissivity", "open_emissivity", "read_emissivity", "read_reflectance_text"]
+
+Array = npt.NDArray[np.float64]
+
+MOST_BYTES = 128 * 2**20
+"""Of an ``.ems`` file: a thousand curves of 2000 wavelengths have some 36 MB."""
+
+MOST_CURVES = 100_000
+_WEIGHTS = 91
+_WAVENUMBERS = np.arange(39850.0, 349.0, -100.0)
+_LONGEST = 100.0  # [um]
+_MOST_TOLD = 8
+
+# quantifiers that give nothing back: a long line is read once
+_NUMBER = rb"[+-]?+(?:[0-9]{1,40}+(?:\.[0-9]{0,40}+)?+|\.[0-9]{1,40}+)(?:[eE][+-]?+[0-9]{1,4}+)?+"
+_ROW = rb"[ \t]*+" + _NUMBER + rb"[ \t]++" + _NUMBER + rb"[ \t]*+"
+_ONE_NUMBER = re.compile(rb"[ \t]*+" + _NUMBER + rb"[ \t]*+")
+_COUNT = re.compile(rb"[ \t]*+([0-9]{1,9}+)[ \t]*+")
+_ONE_ROW = re.compile(_ROW)
+_ROWS = re.compile(rb"(?:" + _ROW + rb"\n)++(?:[ \t]*+\n)*+")
+_NEW_MARK = re.compile(rb"^[ \t]*+CURVE_BEGIN[ \t]*+\n", re.MULTILINE)
+_OLD_MARK = re.compile(rb"^[ \t]*+([0-9]{1,9}+)[ \t]*+\n", re.MULTILINE)
+
+
+@dataclass(frozen=True, eq=False)
+class Curve:
+    """One spectrum.
+
+    Attributes
+    ----------
+    wavelength
+        Ascending (wavelength,) [um].
+    emissivity
+        (wavelength,) [1].
+    """
+
+    wavelength: Array
+    emissivity: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Emissivity:
+    """What an ``.ems`` file holds.
+
+    Attributes
+    ----------
+    weights
+        Factor on emissivity at 0, 1, ... 90 degrees from the normal (91,) [1].
+    curves
+        At least one.
+    layout
+        ``new`` or ``old``.
+    """
+
+    weights: Array
+    curves: tuple[Curve, ...]
+    layout: str
+
+
+def read_emissivity(path: str | os.PathLike[str]) -> Emissivity:
+    """Read a spectral emissivity file, old or new.
+
+    Raises
+    ------
+    FormatError
+        The file cannot be read, or is not what `hyperpaint.io.dirsig.emissivity_files` says: another number
+        of curves than it tells, wavelengths that do not ascend or are no micrometres, emissivity outside 0 to
+        1, anything else in between; all are listed.
+    """
+    place = Path(path)
+    data = read_limited_text(place, MOST_BYTES, "a DIRSIG emissivity file")
+    return _parse(data, str(place))
+
+
+def _parse(data: bytes, name: str) -> Emissivity:
+    problems = Problems(f"{name} is no DIRSIG emissivity file", FormatError)
+    text = data.replace(b"\r\n", b"\n") if b"\r" in data else data
+    if not text.endswith(b"\n"):
+        text += b"\n"
+    lines = text.split(b"\n", _WEIGHTS + 1)
+    count = _count(lines[0], problems)
+    if len(lines) < _WEIGHTS + 2:
+        problems.add(f"{len(lines) - 1} lines, expected the number of curves, {_WEIGHTS} weights and curves")
+        problems.raise_if_any()
+    weights = _weights(lines[1:-1], problems)
+    problems.raise_if_any()
+    layout, curves = _curves(lines[-1], count, problems)
+    problems.raise_if_any()
+    return Emissivity(weights, tuple(curves), layout)
+
+
+def _count(line: bytes, problems: Problems) -> int:
+    found = _COUNT.fullmatch(line)
+    count = int(found[1]) if found else 0
+    if not 1 <= count <= MOST_CURVES:
+        problems.add(f"line 1: {_shown(line)}, expected a number of curves, 1 to {MOST_CURVES}")
+    return count
+
+
+def _weights(lines: list[bytes], problems: Problems) -> Array:
+    wrong = [number for number, line in enumerate(lines, 2) if not _ONE_NUMBER.fullmatch(line)]
+    for number in wrong[:_MOST_TOLD]:
+        problems.add(
+            f"line {number}: {_shown(lines[number - 2])}, expected the weight of {number - 2} degrees"
+        )
+    if wrong:
+        return np.ones(_WEIGHTS)
+    weights = np.array([float(line) for line in lines])
+    if not (np.isfinite(weights).all() and weights.min() >= 0.0):
+        problems.add("a weight of a view angle is negative or beyond numbers, expected 0 or more")
+    return weights
+
+
+def _curves(body: bytes, count: int, problems: Problems) -> tuple[str, list[Curve]]:
+    """Return the layout and the curves of what follows the weights."""
+    blank = len(body) - len(body.lstrip(b" \t\n"))
+    start = body.rfind(b"\n", 0, blank) + 1
+    new = _NEW_MARK.match(body, start) is not None
+    if not new and not _OLD_MARK.match(body, start):
+        line = _WEIGHTS + 2 + body.count(b"\n", 0, start)
+        first = body[start : body.find(b"\n", start)]
+        problems.add(f"line {line}: {_shown(first)}, expected {CURVE_BEGIN} or the number 0 of a curve")
+        return "", []
+    layout, mark = ("new", _NEW_MARK) if new else ("old", _OLD_MARK)
+    marks = list(mark.finditer(body, start))
+    if len(marks) != count:
+        problems.add(f"{len(marks)} curves, expected the {count} of line 1; is the file cut off?")
+        return layout, []
+    curves = []
+    ends = [mark.start() for mark in marks[1:]] + [len(body)]
+    line = _WEIGHTS + 3 + body.count(b"\n", 0, start)
+    for number, (found, end) in enumerate(zip(marks, ends, strict=True)):
+        if not new and int(found[1]) != number:
+            problems.add(f"line {line - 1}: curve {int(found[1])}, expected {number}")
+        rows = body[found.end() : end]
+        if (table := _table(rows, line, problems)) is not None:
+            curve, wrong = _new_curve(table) if new else _old_curve(table)
+            if wrong:
+                problems.add(f"curve {number}, from line {line}: {wrong}")
+            curves.append(curve)
+        if len(problems) >= _MOST_TOLD:
+            break
+        line += rows.count(b"\n") + 1
+    return layout, curves
+
+
+def _table(rows: bytes, line: int, problems: Problems) -> Array | None:
+    """Return rows of two numbers (row, 2), None where they are anything else."""
+    if _ROWS.fullmatch(rows):
+        return np.array(rows.split(), np.float64).reshape(-1, 2)
+    if not rows.strip():
+        problems.add(f"line {line}: a curve without rows, expected wavelength and emissivity")
+        return None
+    lines = rows.rstrip(b" \t\n").split(b"\n")
+    wrong = next((number for number, row in enumerate(lines) if not _ONE_ROW.fullmatch(row)), 0)
+    problems.add(f"line {line + wrong}: {_shown(lines[wrong])}, expected two numbers")
+    return None
+
+
+def _new_curve(table: Array) -> tuple[Curve, str]:
+    wavelength, emissivity = table.T.copy()
+    return Curve(wavelength, emissivity), _wavelength_problem(wavelength) or _value_problem(
+        emissivity, "emissivity"
+    )
+
+
+def _old_curve(table: Array) -> tuple[Curve, str]:
+    wavenumber, emissivity = table.T.copy()
+    wrong = _value_problem(emissivity, "emissivity")
+    if not np.array_equal(wavenumber, _WAVENUMBERS):
+        wrong = (
+            f"{len(wavenumber)} rows, expected the {len(_WAVENUMBERS)} wavenumbers "
+            "39850, 39750, ... 350 cm-1 of the old layout"
+        )
+        return Curve(wavenumber, emissivity), wrong
+    return Curve(1e4 / wavenumber, emissivity), wrong
+
+
+def _wavelength_problem(wavelength: Array) -> str:
+    if not np.isfinite(wavelength).all() or wavelength[0] <= 0.0 or (np.diff(wavelength) <= 0.0).any():
+        return "wavelengths do not ascend from above 0; sort the rows, one a wavelength"
+    if wavelength[-1] > _LONGEST:
+        return f"wavelengths up to {wavelength[-1]:g}, expected micrometres; are these nanometres?"
+    return ""
+
+
+def _value_problem(values: Array, name: str) -> str:
+    if np.isfinite(values).all() and values.min() >= 0.0 and values.max() <= 1.0:
+        return ""
+    return f"{name} from {values.min():g} to {values.max():g}, expected 0 to 1; is it percent?"
+
+
+def _shown(line: bytes) -> str:
+    return repr(line[:60].decode("ascii", "replace"))
+
+
+def read_reflectance_text(path: str | os.PathLike[str]) -> tuple[Array, Array]:
+    """Read the two columns that DIRSIG's SimpleReflectance takes.
+
+    Returns
+    -------
+    Wavelength (wavelength,) [um], ascending, and reflectance (wavelength,) [1].
+
+    Raises
+    ------
+    FormatError
+        The file cannot be read, or has anything else than two columns of numbers, wavelengths that do not
+        ascend or are no micrometres, or reflectance outside 0 to 1.
+    """
+    place = Path(path)
+    data = read_limited_text(place, MOST_BYTES, "two columns of text").replace(b"\r\n", b"\n")
+    problems = Problems(f"{place} is no reflectance for DIRSIG", FormatError)
+    table = _table(data if data.endswith(b"\n") else data + b"\n", 1, problems)
+    problems.raise_if_any()
+    wavelength, reflectance = (np.empty((2, 0)) if table is None else table.T).copy()
+    if wrong := _wavelength_problem(wavelength) or _value_problem(reflectance, "reflectance"):
+        problems.add(wrong)
+    problems.raise_if_any()
+    return wavelength, reflectance
+
+
+def open_emissivity(path: str | os.PathLike[str]) -> xr.Dataset:
+    """Open an ``.ems`` file as a paint library of one opaque paint, whose curves are its members.
+
+    Returns
+    -------
+    Dataset
+        ``member_reflectance`` (paint, member, band) = 1 - emissivity and ``reflectance`` (paint, band), their
+        mean, float32 [1]; ``wavelength`` (band) [nm]. Weights of view angles are left out.
+
+    Raises
+    ------
+    FormatError
+        As `read_emissivity`; or its curves are on different wavelengths.
+    """
+    import xarray as xr
+
+    place = Path(path)
+    found = read_emissivity(place)
+    wavelength = found.curves[0].wavelength
+    if not all(np.array_equal(curve.wavelength, wavelength) for curve in found.curves):
+        msg = f"{place}: curves on different wavelengths, expected the same for all; read_emissivity has each"
+        raise FormatError(msg)
+    members = 1.0 - np.array([curve.emissivity for curve in found.curves])
+    values = {
+        "reflectance": members.mean(axis=0, dtype=np.float64)[np.newaxis].astype(np.float32),
+        "member_reflectance": members[np.newaxis].astype(np.float32),
+    }
+    dims = {"reflectance": (PAINT, BAND), "member_reflectance": (PAINT, MEMBER, BAND)}
+    meanings = {
+        "reflectance": "Reflectance, mean of the curves",
+        "member_reflectance": "Reflectance of a curve",
+    }
+    # nm at the grid that is written, so that a file's text survives
+    shown = np.round(wavelength * 1e3, 10)
+    return xr.Dataset(
+        {name: (dims[name], values[name], {"units": "1", "long_name": meanings[name]}) for name in values},
+        {
+            PAINT: np.array([place.stem], object),
+            "wavelength": (BAND, shown, LIBRARY_VARIABLES["wavelength"].attrs),
+        },
+        {"source": place.name, "layout": f"DIRSIG emissivity, {found.layout}"},
+    )

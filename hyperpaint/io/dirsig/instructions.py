@@ -1,0 +1,200 @@
+"""What goes with the spectra: the materials, a fragment of a geometry list, and how to use them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+from xml.sax.saxutils import escape, quoteattr
+
+from .coat import INCLUDED
+from .material_list import Section
+
+__all__ = ["THERMAL", "glist_text", "material_section", "readme_text"]
+
+THERMAL = {
+    "specific_heat": "SPECIFIC_HEAT",
+    "mass_density": "MASS_DENSITY",
+    "thermal_conductivity": "THERMAL_CONDUCTIVITY",
+    "solar_absorption": "SOLAR_ABSORPTION",
+    "thermal_emissivity": "THERMAL_EMISSIVITY",
+    "exposed_area": "EXPOSED_AREA",
+    "thickness": "THICKNESS",
+}
+"""Parameters of DIRSIG's temperature solver Therm."""
+
+
+_CURVES = {
+    "members": "one curve for every pixel, from which DIRSIG's texture can draw",
+    "quantiles": "one curve for every quantile of the pixels",
+    "centre": "one curve, the centre of the pixels",
+}
+
+
+def material_section(
+    record: Mapping[str, Any],
+    *,
+    surface: str,
+    rad_solver: str,
+    thermal: Mapping[str, float] | None,
+    double_sided: bool,
+) -> Section:
+    """Return the entry of one paint in a material list.
+
+    Parameters
+    ----------
+    record
+        A paint's line of ``paints.json``.
+    surface
+        ``ClassicEmissivity`` or ``SimpleReflectance``.
+    rad_solver
+        Name of the radiometry solver.
+    thermal
+        Values of `THERMAL`; None for a material whose temperature is not computed.
+    double_sided
+        Whether the back of a facet shows the paint too.
+    """
+    colour = ", ".join(f"{value:.3g}" for value in record["editor_color"])
+    sampled = (("ENABLE_SAMPLED_DIFFUSE", "FALSE"),) if rad_solver == "Classic" else ()
+    values = tuple((THERMAL[key], f"{float(value):.6g}") for key, value in (thermal or {}).items())
+    if surface == "ClassicEmissivity":
+        fraction = f"{record['specular_fraction']:g}"
+        files = (("FILENAME", record["emissivity_file"]), ("SPECULAR_FRACTION", fraction))
+        properties: tuple[Any, ...] = (
+            ("EMISSIVITY_PROP_NAME", surface),
+            Section("EMISSIVITY_PROP", files),
+        )
+    else:
+        properties = (
+            ("REFLECTANCE_PROP_NAME", surface),
+            Section("REFLECTANCE_PROP", (("TXT_FILENAME", record["reflectance_file"]),)),
+        )
+    return Section(
+        "MATERIAL_ENTRY",
+        (
+            ("ID", record["id"]),
+            ("NAME", record["name"]),
+            ("EDITOR_COLOR", colour),
+            ("DOUBLE_SIDED", "TRUE" if double_sided else "FALSE"),
+            ("RAD_SOLVER_NAME", rad_solver),
+            Section("RAD_SOLVER", sampled),
+            ("TEMP_SOLVER_NAME", "Therm" if thermal else "Null"),
+            Section("TEMP_SOLVER", values),
+            Section("SURFACE_PROPERTIES", properties),
+        ),
+    )
+
+
+def glist_text(records: Sequence[Mapping[str, Any]]) -> str:
+    """Return a geometry list with one object for every paint, side by side.
+
+    ``car.obj`` and ``body`` are placeholders: the geometry, and the name of its painted part.
+    """
+    rows = [
+        '<geometrylist enabled="true">',
+        "  <!-- Replace car.obj by your geometry, and body by the material of its painted parts. -->",
+    ]
+    for number, record in enumerate(records):
+        rows += [
+            f"  <!-- {escape(record['name']).replace('--', '- -')} -->",
+            "  <object>",
+            "    <basegeometry>",
+            "      <obj>",
+            "        <filename>car.obj</filename>",
+            f"        <assign id={quoteattr(record['id'])}>body</assign>",
+            "      </obj>",
+            "    </basegeometry>",
+            "    <staticinstance>",
+            f"      <translation><point><x>{4 * number}</x><y>0</y><z>0</z></point></translation>",
+            "    </staticinstance>",
+            "  </object>",
+        ]
+    return "\n".join([*rows, "</geometrylist>", ""])
+
+
+def readme_text(records: Sequence[Mapping[str, Any]], attrs: Mapping[str, str]) -> str:
+    """Return how to add the paints to a scene, and what was done to their spectra."""
+    first = records[0]
+    return f"""Paints for DIRSIG
+=================
+
+{len(records)} paints, written by hyperpaint.
+
+Files
+-----
+materials.mat          a MATERIAL_ENTRY for every paint
+emissivity/<ID>.ems    emissivity = 1 - reflectance of an opaque paint (see "Clear coat");
+                       {_CURVES[attrs["curves_of"]]}
+reflectance/<ID>.txt   the centre of the paint: micrometre, reflectance (for SimpleReflectance)
+paints.glist           a geometry list with one object a paint, to cut from
+paints.json            names, ranges and counts of every paint
+
+Adding a paint, step by step
+----------------------------
+1. Copy emissivity/{first["id"]}.ems to where the scene's emissivity files are. FILENAME in the
+   material is relative to the folder in which DIRSIG looks for the scene's material properties.
+2. Append its MATERIAL_ENTRY of materials.mat to the scene's own .mat file. Its ID
+   ({first["id"]}) must not be there yet; write_dirsig(..., scene_materials="scene.mat") sees to that.
+3. Give it to geometry, in the .glist of the car:
+     <obj><filename>car.obj</filename><assign id="{first["id"]}">body</assign></obj>
+   where body is the name of the material in the .obj file. For a car park of many paints, add the
+   ID to the variants of the vehicles' glists; weights of a <basegeometry weight="2"> choose among
+   them. In a bundle, the .mat stands beside the .glist, and <localmaterials> names it.
+4. Name the .mat in the scene file: <matfilename>.
+5. Check that the sensor's bands are inside the range below: DIRSIG needs all of them.
+6. Run, and compare the reflectance of the painted parts with reflectance/{first["id"]}.txt.
+
+Several curves
+--------------
+An .ems file with many curves is the variability within a paint. DIRSIG picks among them with a
+texture map of the material (see "Classic Emissivity" and texture in its manual). materials.mat
+names no map: which picture fits is up to the scene.
+
+Clear coat
+----------
+Mirrored light in the reflectance: {attrs["mirror_reflection"]} ({attrs["mirror_reflection_source"]}).
+Specular term: {attrs["specular_term"]}.
+{_coat_advice(attrs)}
+
+What was done to the spectra
+----------------------------
+Values outside 0 to 1 were clipped to it, bands without values filled in by a straight line, and ends
+held constant, only where the table says so.
+
+{_table(records)}
+"""
+
+
+def _coat_advice(attrs: Mapping[str, str]) -> str:
+    if attrs["mirror_reflection"] == INCLUDED:
+        return (
+            "The curves hold what the clear coat mirrored when they were measured. SPECULAR_FRACTION is 0:\n"
+            "do not raise it, and add no glossy property: the coat would count twice."
+        )
+    if attrs["specular_term"].startswith("none"):
+        return (
+            "The curves are the body below the coat. For a glossy paint write them again with specular=0.1\n"
+            "or so, or specular='library': SPECULAR_FRACTION raised by hand takes its share from the body."
+        )
+    return (
+        "The diffuse part, (1 - SPECULAR_FRACTION) x (1 - emissivity), is the body of the paint; the rest\n"
+        "is the coat, of the body's colour, as ClassicEmissivity has one fraction for all wavelengths.\n"
+        "This takes SPECULAR_FRACTION for the specular share of reflectance: check one paint first."
+    )
+
+
+def _table(records: Sequence[Mapping[str, Any]]) -> str:
+    width = max(2, *(len(record["id"]) for record in records))
+    head = f"{'ID':<{width}}  {'range [nm]':>17}  curves  clipped  filled in  left out  extrapolated"
+    rows = [
+        f"{record['id']:<{width}}  {record['wavelength'][0]:8.2f} {record['wavelength'][1]:8.2f}  "
+        f"{record['curves']:6d}  {record['clipped']:7d}  {record['interpolated']:9d}  "
+        f"{record['left_out']:8d}  {record['extrapolated'] or 'no'}"
+        for record in records
+    ]
+    names = [
+        f"{record['id']}: {record['paint']!r} is called {record['name']!r}"
+        for record in records
+        if record["paint"] != record["name"]
+    ]
+    told = ["", "Names in plain ASCII, all different:", *names] if names else []
+    return "\n".join([head, *rows, *told])

@@ -1,0 +1,253 @@
+"""DIRSIG's material list (``.mat``): sections in curly brackets, and ``KEY = value``.
+
+The opening bracket stands on the line of the section's name, the closing one on its own [1]_.
+
+References
+----------
+.. [1] DIRSIG manual, "Material Database", https://dirsig.cis.rit.edu/docs/new/mat.html
+"""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from hyperpaint.errors import FormatError, Problems
+from hyperpaint.io.reading import decoded_text, read_limited_text
+
+__all__ = ["Material", "Section", "materials_text", "read_materials"]
+
+MOST_BYTES = 16 * 2**20
+MOST_LINES = 400_000
+_DEEPEST = 16
+_MOST_TOLD = 8
+_OPENED = re.compile(r"([A-Za-z_][A-Za-z0-9_]*+)[ \t]*+\{")
+_VARIABLE = re.compile(r"([A-Za-z_][A-Za-z0-9_.]*+)[ \t]*+=[ \t]*+(.*+)")
+_LOOK_UP = re.compile(r"([^ \t:{}=]++)[ \t]*+:[ \t]*+([^ \t:{}=]++)")
+_TOKEN = re.compile(r"[^\s{}=]++")
+_ENTRY = "MATERIAL_ENTRY"
+
+
+@dataclass(frozen=True)
+class Section:
+    """A section of the tag format.
+
+    Attributes
+    ----------
+    name
+        Before the bracket.
+    items
+        What is in it, in its order: pairs of a key and a value, and sections.
+    """
+
+    name: str
+    items: tuple[tuple[str, str] | Section, ...] = ()
+
+    def get(self, key: str) -> str | None:
+        """Return the value of a key, None where it is not there."""
+        return next((item[1] for item in self.items if isinstance(item, tuple) and item[0] == key), None)
+
+    def section(self, name: str) -> Section | None:
+        """Return the section of a name, None where there is none."""
+        return next((item for item in self.sections() if item.name == name), None)
+
+    def sections(self) -> Iterator[Section]:
+        """Yield the sections in this one."""
+        return (item for item in self.items if isinstance(item, Section))
+
+
+@dataclass(frozen=True)
+class Material:
+    """An entry of a material list.
+
+    Attributes
+    ----------
+    id
+        Token by which geometry names it.
+    name
+        For people.
+    entry
+        All that the file says of it.
+    """
+
+    id: str
+    name: str
+    entry: Section
+
+    @property
+    def emissivity_file(self) -> str | None:
+        """Path in the file of an emissivity, as written; never followed here."""
+        return self._of("EMISSIVITY_PROP", "FILENAME")
+
+    @property
+    def reflectance_file(self) -> str | None:
+        """Path in the file of a two-column reflectance, as written."""
+        return self._of("REFLECTANCE_PROP", "TXT_FILENAME")
+
+    @property
+    def specular_fraction(self) -> float | None:
+        """Share of reflectance that is specular, None where it is not told."""
+        text = self._of("EMISSIVITY_PROP", "SPECULAR_FRACTION")
+        return None if text is None else float(text)
+
+    def _of(self, part: str, key: str) -> str | None:
+        surface = self.entry.section("SURFACE_PROPERTIES")
+        found = surface.section(part) if surface else None
+        return found.get(key) if found else None
+
+
+def read_materials(path: str | os.PathLike[str]) -> tuple[Material, ...]:
+    """Read a material list.
+
+    Raises
+    ------
+    FormatError
+        The file cannot be read; brackets or lines are not of the tag format; keys or sections are there
+        twice; a material has no ID or name, or the ID of another; a solver or property is named that has no
+        section; SPECULAR_FRACTION is not 0 to 1. All are listed.
+    """
+    place = Path(path)
+    data = read_limited_text(place, MOST_BYTES, "a DIRSIG material list")
+    if data.count(b"\n") > MOST_LINES:
+        msg = f"{place}: over {MOST_LINES} lines, expected a DIRSIG material list"
+        raise FormatError(msg)
+    problems = Problems(f"{place} is no DIRSIG material list", FormatError)
+    top = _parse(decoded_text(data), problems)
+    problems.raise_if_any()
+    entries = [item for item in top if item.name == _ENTRY]
+    materials = [_material(entry, number, problems) for number, entry in enumerate(entries, start=1)]
+    _check_ids(materials, problems)
+    if not top:
+        problems.add(f"no section, expected some {_ENTRY} {{ ... }}")
+    problems.raise_if_any()
+    return tuple(materials)
+
+
+def _parse(text: str, problems: Problems) -> list[Section]:
+    """Return the sections of a text; what is wrong is noted."""
+    # innermost last; the list of an open section grows until its bracket closes
+    opened: list[tuple[str, int, list[Any]]] = [("", 0, [])]
+    for number, raw in enumerate(text.split("\n"), start=1):
+        line = raw.strip(" \t\r")
+        if not line:
+            continue
+        name, _, items = opened[-1]
+        if line == "}" and len(opened) > 1:
+            opened.pop()
+            opened[-1][2].append(Section(name, tuple(items)))
+        elif (found := _OPENED.fullmatch(line)) and len(opened) <= _DEEPEST:
+            opened.append((found[1], number, []))
+        elif name and (pair := _VARIABLE.fullmatch(line) or (name == "LUT" and _LOOK_UP.fullmatch(line))):
+            items.append((pair[1], pair[2]))
+        else:
+            problems.add(f"line {number}: {line[:60]!r}, {_expected(line, len(opened))}")
+            if len(problems) >= _MOST_TOLD:
+                return []
+    for name, number, _ in opened[1:][:_MOST_TOLD]:
+        problems.add(f"line {number}: section {name} is not closed, expected a line '}}' for it")
+    return opened[0][2]
+
+
+def _expected(line: str, depth: int) -> str:
+    if line == "}":
+        return "expected no bracket: none is open"
+    if depth > _DEEPEST:
+        return f"expected sections at most {_DEEPEST} deep"
+    return "expected 'NAME {', '}'" + (" or 'KEY = value'" if depth > 1 else "")
+
+
+def _material(entry: Section, number: int, problems: Problems) -> Material:
+    # DIRSIG 3 wrote MATERIAL_ID and MATERIAL_NAME
+    token, name = (entry.get(key) or entry.get(f"MATERIAL_{key}") or "" for key in ("ID", "NAME"))
+    who = f"material {number} ({token[:40]!r})"
+    if len(problems) < _MOST_TOLD:
+        if not _TOKEN.fullmatch(token):
+            problems.add(f"{who}: expected an ID without blanks")
+        if not name:
+            problems.add(f"{who}: no NAME")
+        for text in _section_problems(entry):
+            problems.add(f"{who}: {text}")
+        found = Material(token, name, entry)._of("EMISSIVITY_PROP", "SPECULAR_FRACTION")
+        if found is not None and not _is_fraction(found):
+            problems.add(f"{who}: SPECULAR_FRACTION = {found[:40]!r}, expected 0 to 1")
+    return Material(token, name, entry)
+
+
+def _section_problems(section: Section) -> Iterator[str]:
+    """Yield what is wrong in a section: what is there twice, and names without what they name."""
+    keys = [item[0] if isinstance(item, tuple) else item.name for item in section.items]
+    seen: set[str] = set()
+    for key in keys:
+        if key in seen:
+            yield f"{key} is there twice in {section.name}"
+        seen.add(key)
+    inside = {item.name for item in section.sections()}
+    for key in sorted(seen - inside):
+        part = key.removesuffix("_NAME")
+        if part != key and part.endswith(("_SOLVER", "_PROP")) and part not in inside:
+            yield f"{key} without a section {part}"
+    for item in section.sections():
+        yield from _section_problems(item)
+
+
+def _is_fraction(text: str) -> bool:
+    try:
+        return 0.0 <= float(text) <= 1.0
+    except ValueError:
+        return False
+
+
+def _check_ids(materials: Sequence[Material], problems: Problems) -> None:
+    seen: set[str] = set()
+    for material in materials:
+        if material.id in seen and len(problems) < _MOST_TOLD:
+            problems.add(f"ID {material.id[:40]!r} is there twice, expected another for every material")
+        seen.add(material.id)
+
+
+def materials_text(entries: Iterable[Section]) -> str:
+    """Return sections as the text of a material list, laid out as DIRSIG's own files are.
+
+    Examples
+    --------
+    >>> print(materials_text([Section("MATERIAL_ENTRY", (("ID", "7"), ("NAME", "red paint")))]), end="")
+    MATERIAL_ENTRY {
+        ID   = 7
+        NAME = red paint
+    }
+    """
+    return "\n".join("\n".join(_lines(entry, "")) + "\n" for entry in entries)
+
+
+def _lines(section: Section, indent: str) -> Iterator[str]:
+    yield f"{indent}{section.name} {{"
+    inner = indent + "    "
+    items = section.items
+    run: list[tuple[str, str]] = []
+    for number, item in enumerate(items):
+        following = items[number + 1] if number + 1 < len(items) else None
+        if isinstance(item, Section):
+            yield from _aligned(run, inner)
+            run = []
+            if f"{item.name}_NAME" not in {each[0] for each in items[:number] if isinstance(each, tuple)}:
+                yield ""
+            yield from _lines(item, inner)
+        elif isinstance(following, Section) and item[0] == f"{following.name}_NAME":
+            # the name of a solver or property stands with its section
+            yield from _aligned(run, inner)
+            run = [item]
+            yield ""
+        else:
+            run.append(item)
+    yield from _aligned(run, inner)
+    yield f"{indent}}}"
+
+
+def _aligned(pairs: Sequence[tuple[str, str]], indent: str) -> Iterator[str]:
+    width = max((len(key) for key, _ in pairs), default=0)
+    for key, value in pairs:
+        yield f"{indent}{key:<{width}} = {value}"

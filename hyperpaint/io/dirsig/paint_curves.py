@@ -1,0 +1,285 @@
+"""From a paint library's reflectance to what DIRSIG takes: ascending, without holes, from 0 to 1."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+
+from hyperpaint.errors import PaintWarning, SchemaError
+from hyperpaint.schema import BAND, LIBRARY_VARIABLES, PAINT, Variable, require
+
+from .emissivity_text import WAVELENGTH_DECIMALS
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+__all__ = [
+    "CURVES",
+    "GAPS",
+    "LONGEST",
+    "SHORTEST",
+    "Axis",
+    "Choices",
+    "PaintCurves",
+    "PaintProblemError",
+    "blocks_of",
+    "curves_of",
+]
+
+Array = npt.NDArray[Any]
+
+CURVES = {"members": "member_reflectance", "quantiles": "reflectance_quantiles", "centre": "reflectance"}
+"""Which variable of a library holds the curves of a paint."""
+
+GAPS = ("refuse", "interpolate")
+
+SHORTEST, LONGEST = 1.0, 1e5
+"""Wavelengths that can be written [nm]."""
+
+_BLOCK_BYTES = 8 * 2**20
+"""Of curves held at a time."""
+
+
+class PaintProblemError(Exception):
+    """One paint cannot be written; the message says why, and how to mend it."""
+
+
+@dataclass(frozen=True)
+class Choices:
+    """What the caller chose of the curves.
+
+    Attributes
+    ----------
+    curves
+        A key of `CURVES`.
+    wavelength_range
+        Low and high end [nm]; None for all that was measured.
+    extrapolate
+        Whether curves are held constant beyond what was measured.
+    gaps
+        What is done about bands without values between others: one of `GAPS`.
+    """
+
+    curves: str
+    wavelength_range: tuple[float, float] | None
+    extrapolate: bool
+    gaps: str
+
+
+@dataclass(frozen=True, eq=False)
+class PaintCurves:
+    """A paint as it is written.
+
+    Attributes
+    ----------
+    wavelength
+        Ascending (wavelength,) [nm].
+    centre
+        Reflectance (wavelength,) [1].
+    curves
+        Reflectance of the population (curve, wavelength) [1].
+    measured
+        First and last wavelength that were measured [nm].
+    below, above
+        Whether a sample was added below or above that.
+    interpolated
+        Samples of curves that were filled in between others.
+    left_out
+        Members that are not among the curves, for what they lack at the ends.
+    """
+
+    wavelength: Array
+    centre: Array
+    curves: Array
+    measured: tuple[float, float]
+    below: bool
+    above: bool
+    interpolated: int
+    left_out: int
+
+
+class Axis:
+    """The bands of a library, in ascending order.
+
+    Raises
+    ------
+    SchemaError
+        A wavelength is not known or not above 0, or two are the same.
+    """
+
+    def __init__(self, library: xr.Dataset) -> None:
+        known = [name for name in ("wavelength", "good") if name in library.variables]
+        found = require(library, known, "DIRSIG materials", LIBRARY_VARIABLES)
+        wavelength = np.asarray(found["wavelength"].values, np.float64)
+        known_all = np.isfinite(wavelength).all() and wavelength.size
+        if not (known_all and wavelength.min() >= SHORTEST and wavelength.max() <= LONGEST):
+            msg = (
+                f"a wavelength is unknown or far off, expected {SHORTEST:g} to {LONGEST:g} nm; drop the band"
+            )
+            raise SchemaError(msg)
+        self.order = np.argsort(wavelength, kind="stable")
+        self.wavelength = wavelength[self.order]
+        steps = np.diff(wavelength)
+        if not ((steps > 0).all() or (steps < 0).all()):
+            msg = (
+                "wavelengths fall at the joins of detectors: bands are sorted, so that curves of overlapping "
+                "detectors alternate; keep one detector a wavelength, as open_svc(overlap='trim') does"
+            )
+            warnings.warn(msg, PaintWarning, stacklevel=3)
+        written = np.round(self.wavelength / 1000.0, WAVELENGTH_DECIMALS)
+        if same := np.flatnonzero(np.diff(written) <= 0.0).tolist():
+            shown = ", ".join(f"{self.wavelength[band]:.4f}" for band in same[:8])
+            msg = f"two bands at {shown} nm, expected one; keep one detector there"
+            raise SchemaError(msg)
+        good = found["good"].values.astype(bool) if "good" in found else np.ones(len(written), bool)
+        self.good = good[self.order]
+
+
+def blocks_of(library: xr.Dataset, choices: Choices) -> Iterator[tuple[slice, dict[str, Array]]]:
+    """Yield a library's values block by block of paints, so that memory does not grow with it.
+
+    Yields
+    ------
+    Paints of the block; ``centre`` (paint, band) and ``curves`` (paint, curve, band) [1], in the library's
+    own order of bands.
+    """
+    name = CURVES[choices.curves]
+    names = list(dict.fromkeys(["reflectance", name, *_specular(library)]))
+    count = library.sizes[PAINT]
+    size = 4 * library[name].size // max(count, 1)
+    step = max(1, _BLOCK_BYTES // max(size, 1))
+    # a chunk is decoded as a whole: once is enough
+    chunk = _chunk_of(library[name])
+    step = chunk * max(1, step // chunk) if chunk * size <= 8 * _BLOCK_BYTES else step
+    for start in range(0, count, step):
+        paints = slice(start, min(start + step, count))
+        part = library[names].isel({PAINT: paints}).load()
+        found = require(part, names, "DIRSIG materials", {**LIBRARY_VARIABLES, **_extra(part)})
+        made = {key: array.values for key, array in found.items()}
+        curves = made[name] if made[name].ndim == 3 else made[name][:, np.newaxis]
+        yield paints, {**made, "centre": made["reflectance"], "curves": curves}
+
+
+def _specular(library: xr.Dataset) -> list[str]:
+    return ["specular_reflectance"] if "specular_reflectance" in library.variables else []
+
+
+def _extra(library: xr.Dataset) -> dict[str, Any]:
+    """Return a row for what the table of libraries may not know."""
+    if "specular_reflectance" in LIBRARY_VARIABLES or not _specular(library):
+        return {}
+    dims = (PAINT, BAND)
+    return {
+        "specular_reflectance": Variable("specular_reflectance", dims, "1", "float32", "Mirror reflectance")
+    }
+
+
+def _chunk_of(array: xr.DataArray) -> int:
+    """Return how many paints are stored together."""
+    if array.chunks is not None:
+        return int(array.chunks[array.dims.index(PAINT)][0])
+    stored = array.encoding.get("preferred_chunks", {})
+    return max(1, int(stored.get(PAINT, 1)))
+
+
+def curves_of(axis: Axis, centre: Array, curves: Array, choices: Choices) -> PaintCurves:
+    """Return one paint as it is written.
+
+    Parameters
+    ----------
+    axis
+        The bands.
+    centre, curves
+        Reflectance (band,) and (curve, band) in the library's order; a curve of nothing but NaN is none.
+    choices
+        What the caller chose.
+
+    Raises
+    ------
+    PaintProblemError
+        It has no values, holes that nobody asked to fill, or does not reach as far as was asked.
+    """
+    centre = np.where(axis.good, centre[axis.order].astype(np.float64), np.nan)
+    curves = np.where(axis.good, curves[:, axis.order].astype(np.float64), np.nan)
+    curves = curves[np.isfinite(curves).any(axis=1)]
+    usable = np.flatnonzero(np.isfinite(centre))
+    if usable.size < 2:
+        msg = "fewer than two bands have a value, expected a spectrum; leave the paint out"
+        raise PaintProblemError(msg)
+    if not len(curves):  # a paint of which no member was kept
+        curves = centre[np.newaxis]
+    measured = (float(axis.wavelength[usable[0]]), float(axis.wavelength[usable[-1]]))
+    below, above = _beyond(measured, choices)
+    chosen = _inside(axis.wavelength, usable, choices.wavelength_range)
+    wavelength = axis.wavelength[chosen]
+    if np.median(centre[usable]) > 1.0:
+        msg = f"reflectance of {np.median(centre[usable]):g} in the middle, expected 0 to 1; is it percent?"
+        raise PaintProblemError(msg)
+    curves, filled, left_out = _without_holes(wavelength, curves[:, chosen], choices)
+    centre = np.interp(wavelength, axis.wavelength[usable], centre[usable])
+    low, high = choices.wavelength_range or measured
+    before, after = int(below), int(above)
+    return PaintCurves(
+        np.concatenate([[low][:before], wavelength, [high][:after]]),
+        np.pad(centre, (before, after), "edge"),
+        np.pad(curves, ((0, 0), (before, after)), "edge"),
+        measured, below, above, filled, left_out,
+    )  # fmt: skip
+
+
+def _beyond(measured: tuple[float, float], choices: Choices) -> tuple[bool, bool]:
+    if choices.wavelength_range is None:
+        return False, False
+    low, high = choices.wavelength_range
+    below, above = low < measured[0], high > measured[1]
+    if low >= measured[1] or high <= measured[0]:
+        msg = f"measured {measured[0]:g} to {measured[1]:g} nm, nothing of {low:g} to {high:g} nm"
+        raise PaintProblemError(msg)
+    if (below or above) and not choices.extrapolate:
+        msg = (
+            f"measured {measured[0]:g} to {measured[1]:g} nm, {low:g} to {high:g} nm are asked for; ask for "
+            "less, or pass extrapolate=True to hold the ends constant"
+        )
+        raise PaintProblemError(msg)
+    return below, above
+
+
+def _inside(wavelength: Array, usable: Array, wanted: tuple[float, float] | None) -> slice:
+    """Return the bands of a range, with the next ones outside, so that all of it is covered."""
+    first, last = int(usable[0]), int(usable[-1])
+    if wanted is not None:
+        low = int(np.searchsorted(wavelength, wanted[0], "right")) - 1
+        high = int(np.searchsorted(wavelength, wanted[1], "left"))
+        first, last = max(first, low), min(last, high)
+    return slice(first, last + 1)
+
+
+def _without_holes(wavelength: Array, curves: Array, choices: Choices) -> tuple[Array, int, int]:
+    """Return curves without NaN, the number of samples filled in, and of curves left out."""
+    missing = ~np.isfinite(curves)
+    if not missing.any():
+        return curves, 0, 0
+    if choices.gaps == "refuse":
+        bands = np.flatnonzero(missing.any(axis=0))
+        shown = ", ".join(f"{wavelength[band]:.1f}" for band in bands[:6]) + (
+            ", ..." if bands.size > 6 else ""
+        )
+        msg = (
+            f"{int(missing.any(axis=1).sum())} of {len(curves)} curves have no value at {shown} nm, inside "
+            "the range; pass gaps='interpolate' to fill them in, or a wavelength_range without them"
+        )
+        raise PaintProblemError(msg)
+    whole = ~(missing[:, 0] | missing[:, -1])
+    if not whole.any():
+        msg = "no curve reaches both ends of the range; choose a shorter wavelength_range, or curves='centre'"
+        raise PaintProblemError(msg)
+    made, missing = curves[whole], missing[whole]
+    for row, holes in zip(made, missing, strict=True):
+        if holes.any():
+            row[holes] = np.interp(wavelength[holes], wavelength[~holes], row[~holes])
+    return made, int(missing.sum()), int((~whole).sum())

@@ -1,0 +1,292 @@
+"""ENVI spectral libraries: a header, and a file in which every line is a spectrum.
+
+The two records that begin a library of the USGS are its wavelengths and bandwidths, and its records "error
+bars to preceding" belong to the spectrum before them; neither is a spectrum. Libraries of our own say
+``hyperpaint library = 1`` in their header; there a name leads back to the paint and to what the record is of
+it (``red | member 3``), see `records`.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import re
+import warnings
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+
+from hyperpaint.errors import FormatError, PaintWarning, Problems
+from hyperpaint.io.envi import find_pair
+from hyperpaint.io.envi_grammar import bare
+from hyperpaint.io.envi_header import MAX_LIBRARY_HEADER_BYTES, EnviHeader, read_header
+
+from .envi_names import MARK, keys_of
+from .metadata import metadata_path, read_metadata
+from .records import placements, with_metadata
+from .spectra import OWN_AXES, FloatArray, Spectra, check_wavelengths, library_of, reflectances, text_column
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+__all__ = ["read_envi_library"]
+
+_BLOCK_BYTES = 16 * 2**20
+_MOST_CLASSES_BYTES = 16 * 2**20
+_TITLE_SCALE = re.compile(r"(?<![A-Za-z])[*x\u00d7]\s*(10{1,6}|1e[+]?[1-9])\b", re.IGNORECASE)
+_TITLE_PERCENT = re.compile(r"percent|%", re.IGNORECASE)
+_OTHER_QUANTITY = re.compile(r"radiance|transmi|emissiv|absorb", re.IGNORECASE)
+_WAVELENGTHS = re.compile(r"wave", re.IGNORECASE)
+_BANDWIDTHS = re.compile(r"resolution|bandpass|fwhm", re.IGNORECASE)
+_ERROR_BARS = re.compile(r"\s*error ?bars? to (?:preceding|previous)", re.IGNORECASE)
+
+Array = npt.NDArray[Any]
+
+
+def read_envi_library(
+    path: Path,
+    *,
+    scale: float | None = None,
+    wavelength: FloatArray | None = None,
+    fwhm: FloatArray | None = None,
+) -> xr.Dataset:
+    """Read an ENVI spectral library.
+
+    Parameters
+    ----------
+    path
+        The header or the data file.
+    scale
+        Stored value of a reflectance of one; by default the header's ``reflectance scale factor``, else what
+        its ``z plot titles`` say.
+    wavelength, fwhm
+        To be used in place of those of the header [nm].
+
+    Raises
+    ------
+    FormatError
+        The header is damaged, or does not fit the data file; or it is no library of reflectance, or one
+        without wavelengths.
+
+    Warns
+    -----
+    PaintWarning
+        Names are missing, or something was inferred that may make values wrong.
+    """
+    header_path, data_path = find_pair(path)
+    header = read_header(header_path, MAX_LIBRARY_HEADER_BYTES)
+    _refuse_contradictions(header, header_path, data_path)
+    if MARK in header.fields:
+        if scale is not None or wavelength is not None or fwhm is not None:
+            raise FormatError(OWN_AXES.format(data_path.name))
+        return _own(header, data_path)
+    return library_of(_foreign(header, data_path, scale, wavelength, fwhm))
+
+
+def _refuse_contradictions(header: EnviHeader, path: Path, data: Path) -> None:
+    problems = Problems(f"{path.name} cannot be used", FormatError)
+    if not header.is_spectral_library:
+        problems.add(
+            f"file type is {header.fields.get('file type', 'not given')!r}, expected a spectral library"
+        )
+    if header.bands != 1:
+        problems.add(f"bands is {header.bands}, expected 1: spectra are lines, their wavelengths samples")
+    if header.dtype.kind == "c":
+        problems.add("values are complex, expected reflectance")
+    if any(values is not None for values in (header.data_gain_values, header.data_offset_values)):
+        problems.add("'data gain values' or 'data offset values' are given, which libraries do not have")
+    found, expected = data.stat().st_size, header.header_offset + header.lines * header.line_bytes
+    if found != expected:
+        problems.add(
+            f"{data.name} has {found} bytes, expected {expected} ({header.lines} spectra of {header.samples} "
+            f"values of {header.dtype.itemsize} bytes after {header.header_offset}); copy it again"
+        )
+    problems.raise_if_any()
+
+
+def _records(header: EnviHeader, path: Path) -> Iterator[tuple[int, Array]]:
+    """Yield the records of the data file, some at a time, each lot with the number of its first."""
+    step = max(1, _BLOCK_BYTES // header.line_bytes)
+    with open(path, "rb") as file:
+        file.seek(header.header_offset)
+        for first in range(0, header.lines, step):
+            count = min(step, header.lines - first)
+            stored = np.fromfile(file, header.dtype, count * header.samples)
+            if stored.size != count * header.samples:
+                msg = f"{path.name} became shorter while it was read"
+                raise FormatError(msg)
+            yield first, stored.reshape(count, header.samples)
+
+
+# --- libraries of other programs ---------------------------------------------------------------------------
+
+
+def _foreign(
+    header: EnviHeader,
+    path: Path,
+    scale: float | None,
+    wavelength: FloatArray | None,
+    fwhm: FloatArray | None,
+) -> Spectra:
+    source = path.name
+    notes = list(header.notes)
+    warned = list(header.warnings)
+    names = _names(header, warned)
+    stored = np.concatenate([block for _, block in _records(header, path)])
+    nm = header.wavelength if wavelength is None else wavelength
+    width = header.fwhm if fwhm is None else fwhm
+    skipped = _axis_records(names, stored, nm)
+    if skipped:
+        notes.append(f"the first {skipped} records are the wavelengths and bandwidths of the others")
+        factor = 1e3 if np.nanmax(stored[0]) < 100 else 1.0
+        nm = stored[0].astype(np.float64) * factor if nm is None else nm
+        if width is None and skipped == 2:
+            width = stored[1].astype(np.float64) * factor
+    if nm is None:
+        msg = (
+            f"{source}: its header gives no wavelengths (wavelength units "
+            f"{bare(header.fields.get('wavelength units', 'not given'))!r}); pass wavelength= [nm]"
+        )
+        raise FormatError(msg)
+    check_wavelengths(nm, source)
+    if warned:
+        warnings.warn(f"{source}: {'; '.join(warned)}", PaintWarning, stacklevel=6)
+    values = reflectances(
+        stored[skipped:], source, said=_scale(header, source), given=scale, ignore=header.data_ignore_value
+    )
+    kept, errors = _with_error_bars(names[skipped:], values)
+    if errors:
+        notes.append(f"{len(names) - skipped - len(kept)} records are error bars of the spectrum before them")
+    numbers = kept + skipped
+    return Spectra(
+        source=source,
+        form="ENVI spectral library",
+        names=[names[at] for at in numbers],
+        wavelength=nm,
+        reflectance=values[kept],
+        fwhm=width,
+        good=header.good,
+        others=errors,
+        columns={"record": numbers, **_classes(path, [names[at] for at in numbers])},
+        notes=notes,
+    )
+
+
+def _names(header: EnviHeader, warned: list[str]) -> list[str]:
+    text = bare(header.fields.get("spectra names", ""))
+    numbered = [f"spectrum {number}" for number in range(1, header.lines + 1)]
+    if not text:
+        warned.append("no spectra names: spectra are numbered")
+        return numbered
+    # a list of millions of commas never becomes one of objects
+    found = text.rstrip(", \t\n").count(",") + 1
+    names = [name.strip() for name in text.split(",", header.lines)[: header.lines]]
+    if found > header.lines or len(names) < header.lines:
+        warned.append(
+            f"{found} spectra names for {header.lines} spectra (a name with a comma counts as two): "
+            "spectra are numbered"
+        )
+        return numbered
+    return [name or number for name, number in zip(names, numbered, strict=True)]
+
+
+def _axis_records(names: Sequence[str], stored: Array, nm: FloatArray | None) -> int:
+    """Return how many of the first records are wavelengths and bandwidths, as in libraries of the USGS."""
+    if len(names) < 3 or not _WAVELENGTHS.match(names[0]):
+        return 0
+    axis = stored[0].astype(np.float64)
+    if not (np.isfinite(axis).all() and (axis > 0).all()):
+        return 0
+    if nm is not None and not any(np.allclose(axis * factor, nm, rtol=1e-3) for factor in (1.0, 1e3)):
+        return 0
+    return 2 if _BANDWIDTHS.match(names[1]) else 1
+
+
+def _with_error_bars(
+    names: Sequence[str], values: npt.NDArray[np.float32]
+) -> tuple[npt.NDArray[np.int64], dict[str, npt.NDArray[np.float32]]]:
+    """Return the indices of the spectra, and the errors that records after them hold."""
+    bars = np.array([_ERROR_BARS.match(name) is not None for name in names], np.bool_)
+    if bars.size:
+        bars[0] = False
+    bars[1:] &= ~bars[:-1]
+    kept = np.flatnonzero(~bars)
+    if not bars.any():
+        return kept, {}
+    errors = np.full_like(values, np.nan)
+    errors[np.flatnonzero(bars) - 1] = values[bars]
+    errors[errors < 0] = np.nan  # interpolation has left some below zero
+    return kept, {"reflectance_u_random": errors[kept]}
+
+
+def _scale(header: EnviHeader, source: str) -> float | None:
+    """Return the stored value of a reflectance of one, as the header has it."""
+    factor = header.reflectance_scale_factor
+    titles = bare(header.fields.get("z plot titles", ""))
+    # the first names the wavelengths, and may itself hold commas
+    title = titles.rpartition(",")[2]
+    if (found := _OTHER_QUANTITY.search(title)) and "reflect" not in title.lower():
+        msg = f"{source}: its z plot title is {title.strip()[:60]!r} ({found[0]}), expected reflectance"
+        raise FormatError(msg)
+    said = None
+    if match := _TITLE_SCALE.search(title):
+        said = float(match[1])
+    elif _TITLE_PERCENT.search(title):
+        said = 100.0
+    if factor is not None and said is not None and factor != said:
+        msg = (
+            f"{source}: 'reflectance scale factor' is {factor:g}, but 'z plot titles' say "
+            f"{title.strip()[:60]!r}; pass scale="
+        )
+        raise FormatError(msg)
+    return said if factor is None else factor
+
+
+def _classes(path: Path, names: Sequence[str]) -> dict[str, Array]:
+    """Return the columns of a table of classes beside the library; none where there is no such table.
+
+    EnMAP-Box keeps one: its first column, "spectra names", repeats the names.
+    """
+    table = path.with_suffix(".csv")
+    try:
+        if not table.is_file() or table.stat().st_size > _MOST_CLASSES_BYTES:
+            return {}
+        text = table.read_bytes().decode("utf-8-sig", "replace")
+        rows = [row for row in csv.reader(io.StringIO(text, newline="")) if row]
+    except (OSError, csv.Error):
+        return {}
+    if not rows or rows[0][0].strip().lower() != "spectra names" or len(rows) != len(names) + 1:
+        return {}
+    if [row[0].strip() for row in rows[1:]] != list(names) or any(len(row) != len(rows[0]) for row in rows):
+        return {}
+    return {
+        key: text_column([row[at] for row in rows[1:]])
+        for at, key in enumerate(rows[0])
+        if at and key.isidentifier() and key not in ("record", "paint", "band", "wavelength", "fwhm", "good")
+    }
+
+
+# --- our own -----------------------------------------------------------------------------------------------
+
+
+def _own(header: EnviHeader, path: Path) -> xr.Dataset:
+    source = path.name
+    if header.wavelength is None or header.dtype != np.dtype("<f4"):
+        msg = f"{source}: its header is not as hyperpaint writes it; write the library anew"
+        raise FormatError(msg)
+    names, keys = keys_of(bare(header.fields.get("spectra names", "")), header.lines, source)
+    placed = placements(keys, len(names), header.samples, source)
+    sidecar = metadata_path(path)
+    told = read_metadata(sidecar, {"paint": len(names), "band": header.samples}) if sidecar.exists() else None
+    if told is None:
+        text = f"{source}: {sidecar.name} is missing: names are those of the header, and all else is lost"
+        warnings.warn(text, PaintWarning, stacklevel=6)
+    for first, rows in _records(header, path):
+        for placement in placed.values():
+            placement.put(first, rows)
+    data = {name: placement.values for name, placement in placed.items()}
+    axes = {"wavelength": header.wavelength, "fwhm": header.fwhm, "good": header.good}
+    return with_metadata(data, axes, names, told, source)

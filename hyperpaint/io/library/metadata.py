@@ -1,0 +1,341 @@
+"""What a paint library holds beside its spectra, as JSON: names, numbers, times, attributes.
+
+The file lies beside the spectra, ``<data file>.json``: strict JSON, one variable a line, so that people and
+version control can read it.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+
+from hyperpaint.errors import FormatError, Problems, SchemaError
+from hyperpaint.io.reading import read_limited
+from hyperpaint.schema import BAND, PAINT, quality_attrs
+
+from .spectra import text_column
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+__all__ = ["Metadata", "metadata_path", "metadata_text", "read_metadata", "typed_values"]
+
+VERSION = 1
+MOST_BYTES = 16 * 2**20
+_MOST_DIMS = 4
+_DTYPES = (
+    "bool", "int8", "int16", "int32", "int64", "uint8", "uint16", "uint32", "uint64", "float32", "float64",
+    "str", "datetime64[ns]",
+)  # fmt: skip
+
+_TIME = re.compile(r"[0-9]{4}-[0-9]{2}-[0-9]{2}T[0-9]{2}:[0-9]{2}:[0-9]{2}\.[0-9]{9}")
+
+Array = npt.NDArray[Any]
+
+
+class Metadata:
+    """Metadata of a library, read and checked.
+
+    Attributes
+    ----------
+    attrs
+        Of the dataset.
+    sizes
+        Of the dims that its spectra have beside paint and band.
+    spectra
+        Dims and attributes of the variables that hold spectra.
+    variables
+        The others, with the coordinates among them.
+    coordinates
+        Their names.
+    """
+
+    def __init__(self) -> None:
+        self.attrs: dict[str, Any] = {}
+        self.sizes: dict[str, int] = {}
+        self.spectra: dict[str, tuple[tuple[str, ...], dict[str, Any]]] = {}
+        self.variables: dict[str, tuple[tuple[str, ...], Array, dict[str, Any]]] = {}
+        self.coordinates: set[str] = set()
+
+
+def metadata_path(data: Path) -> Path:
+    """Return where the metadata of a data file lie."""
+    return data.with_name(data.name + ".json")
+
+
+# --- writing -----------------------------------------------------------------------------------------------
+
+
+def metadata_text(library: xr.Dataset, spectra: Iterable[str]) -> str:
+    """Return everything of a library but the values of its spectra.
+
+    Raises
+    ------
+    SchemaError
+        Attributes or values are nothing that JSON can hold; all are listed. Or they are too many.
+    """
+    names = list(spectra)
+    problems = Problems("the library's metadata cannot be written", SchemaError)
+    inner = {dim for name in names for dim in library[name].dims} - {PAINT, BAND}
+    parts = {
+        "hyperpaint_library": VERSION,
+        "attrs": _attrs(library.attrs, "the library", problems),
+        "sizes": {str(dim): library.sizes[dim] for dim in sorted(inner, key=str)},
+        "spectra": {
+            name: {
+                "dims": [str(dim) for dim in library[name].dims],
+                "attrs": _attrs(library[name].attrs, name, problems),
+            }
+            for name in names
+        },
+    }
+    variables = {
+        str(name): _described(str(name), variable, name in library.coords, problems)
+        for name, variable in library.variables.items()
+        if name not in names
+    }
+    problems.raise_if_any()
+    lines = [f"  {json.dumps(key)}: {_dumped(value)}" for key, value in parts.items()]
+    rows = ",\n".join(f"    {_dumped(name)}: {_dumped(value)}" for name, value in variables.items())
+    text = "{\n" + ",\n".join([*lines, '  "variables": {\n' + rows + "\n  }"]) + "\n}\n"
+    if len(text.encode()) > MOST_BYTES:
+        msg = (
+            f"the library's metadata take {len(text.encode())} bytes, at most {MOST_BYTES} can be written; "
+            "drop variables, write fewer paints, or write Zarr"
+        )
+        raise SchemaError(msg)
+    return text
+
+
+def _dumped(value: Any) -> str:
+    return json.dumps(value, ensure_ascii=False, allow_nan=False)
+
+
+def _attrs(attrs: Mapping[Any, Any], owner: str, problems: Problems) -> dict[str, Any]:
+    made = {}
+    for key, value in attrs.items():
+        plain = value.tolist() if isinstance(value, np.ndarray | np.generic) else value
+        try:
+            _dumped(plain)
+        except (TypeError, ValueError, RecursionError):
+            problems.add(
+                f"attribute {key!r} of {owner} is {str(value)[:60]!r}, expected text or finite numbers"
+            )
+        made[str(key)] = plain
+    return made
+
+
+def _described(name: str, variable: xr.Variable, coordinate: bool, problems: Problems) -> dict[str, Any]:
+    values = np.asarray(variable.values)
+    kind = "str" if values.dtype.kind in "OUT" else str(values.dtype)
+    plain: Any = None
+    if kind not in _DTYPES:
+        problems.add(f"{name!r} is {values.dtype}, expected numbers, booleans, text or datetime64[ns]")
+    elif kind == "str":
+        plain = values.tolist()
+        odd = next((value for value in values.ravel().tolist() if not isinstance(value, str)), None)
+        if odd is not None:
+            problems.add(f"{name!r} holds {type(odd).__name__} among its texts, expected text alone")
+    elif kind == "datetime64[ns]":
+        plain = np.where(np.isnat(values), "", np.datetime_as_string(values)).tolist()
+    else:
+        plain = _without_nan(values.tolist())
+        if values.dtype.kind == "f" and np.isinf(values).any():
+            problems.add(f"{name!r} holds infinities, expected finite numbers or NaN")
+    return {
+        "dims": [str(dim) for dim in variable.dims],
+        "dtype": kind,
+        "coordinate": coordinate,
+        "attrs": _attrs(variable.attrs, name, problems),
+        "values": plain,
+    }
+
+
+def _without_nan(values: Any) -> Any:
+    """Return nested lists with null for NaN, which JSON does not know."""
+    if isinstance(values, list):
+        return [_without_nan(value) for value in values]
+    return None if isinstance(values, float) and math.isnan(values) else values
+
+
+# --- reading -----------------------------------------------------------------------------------------------
+
+
+def read_metadata(path: Path, sizes: Mapping[str, int]) -> Metadata:
+    """Read the metadata of a library.
+
+    Parameters
+    ----------
+    path
+        The file.
+    sizes
+        Of the dims, as its spectra have them.
+
+    Raises
+    ------
+    FormatError
+        The file is none that `metadata_text` makes, or of another library; all problems are listed.
+    """
+    raw = read_limited(path, MOST_BYTES, "metadata of a paint library")
+    try:
+        document = json.loads(raw.decode("utf-8"), parse_constant=_refuse_constant)
+    except (ValueError, RecursionError) as error:
+        msg = (
+            f"{path.name}: cannot be read as JSON ({error!s:.100}); copy it again, or write the library anew"
+        )
+        raise FormatError(msg) from error
+    problems = Problems(f"{path.name} does not go with its library", FormatError)
+    made = Metadata()
+    if not isinstance(document, dict) or document.get("hyperpaint_library") != VERSION:
+        problems.add(f'expected an object with "hyperpaint_library": {VERSION}')
+    else:
+        _read_document(document, made, dict(sizes), problems)
+    problems.raise_if_any()
+    return made
+
+
+def _refuse_constant(text: str) -> None:
+    msg = f"{text} is no JSON"
+    raise ValueError(msg)
+
+
+def _read_document(
+    document: dict[str, Any], made: Metadata, sizes: dict[str, int], problems: Problems
+) -> None:
+    parts = {name: document.get(name) for name in ("attrs", "sizes", "spectra", "variables")}
+    wrong = [name for name, part in parts.items() if not isinstance(part, dict)]
+    if wrong:
+        problems.add(f"{', '.join(wrong)}: expected an object")
+        return
+    made.attrs = _plain_attrs(document["attrs"], "attrs", problems)
+    for dim, size in document["sizes"].items():
+        if type(size) is not int or not 0 <= size <= 2**31 or dim in (PAINT, BAND):
+            problems.add(f"size of {dim[:60]!r} is {str(size)[:30]}, expected a whole number")
+        else:
+            made.sizes[dim] = size
+    for name, told in document["spectra"].items():
+        dims = _dims_of(told, problems, name)
+        if dims is not None:
+            made.spectra[name] = (dims, _plain_attrs(told.get("attrs"), name, problems))
+    known = {**made.sizes, **sizes}
+    for name, told in document["variables"].items():
+        found = _variable(name, told, known, problems)
+        if found is not None:
+            made.variables[name] = found
+            if told.get("coordinate") is True:
+                made.coordinates.add(name)
+
+
+def _plain_attrs(attrs: Any, owner: str, problems: Problems) -> dict[str, Any]:
+    if isinstance(attrs, dict):
+        return dict(attrs)
+    problems.add(f"attributes of {owner[:60]!r}: expected an object")
+    return {}
+
+
+def _variable(
+    name: str, told: Any, sizes: dict[str, int], problems: Problems
+) -> tuple[tuple[str, ...], Array, dict[str, Any]] | None:
+    dims = _dims_of(told, problems, name)
+    if dims is None:
+        return None
+    kind, attrs = told.get("dtype"), told.get("attrs")
+    if kind not in _DTYPES or not isinstance(attrs, dict):
+        problems.add(f"{name[:60]!r}: expected a known dtype, and attributes")
+        return None
+    flat: list[Any] = []
+    try:
+        shape = _flatten(told.get("values"), len(dims), flat)
+        # dims that no spectrum has get their size from the first variable that has them
+        expected = tuple(sizes.setdefault(dim, size) for dim, size in zip(dims, shape, strict=True))
+        if shape != expected:
+            msg = f"shape {shape}, expected {expected}"
+            raise ValueError(msg)
+        values = typed_values(flat, kind).reshape(shape)
+    except (ValueError, TypeError, OverflowError) as error:
+        problems.add(f"{name[:60]!r} ({kind}): {error!s:.100}")
+        return None
+    if name == "quality":
+        attrs = {**attrs, "flag_masks": quality_attrs()["flag_masks"]}
+    return dims, values, dict(attrs)
+
+
+def _dims_of(told: Any, problems: Problems, name: str) -> tuple[str, ...] | None:
+    dims = told.get("dims") if isinstance(told, dict) else None
+    texts = isinstance(dims, list) and all(isinstance(dim, str) for dim in dims)
+    if isinstance(dims, list) and texts and len(set(dims)) == len(dims) <= _MOST_DIMS:
+        return tuple(dims)
+    problems.add(f"{name[:60]!r}: expected an object with dims, each once, attributes and values")
+    return None
+
+
+def _flatten(values: Any, depth: int, into: list[Any]) -> tuple[int, ...]:
+    """Gather the values of nested lists; return their shape."""
+    if depth == 0:
+        into.append(values)
+        return ()
+    if not isinstance(values, list):
+        msg = "expected lists as deep as its dims"
+        raise ValueError(msg)
+    shapes = {_flatten(value, depth - 1, into) for value in values}
+    if len(shapes) > 1:
+        msg = "its lists have different lengths"
+        raise ValueError(msg)
+    return (len(values), *(shapes.pop() if shapes else (0,) * (depth - 1)))
+
+
+def typed_values(flat: list[Any], kind: str) -> Array:
+    """Return values that JSON held as those of a dtype.
+
+    Raises
+    ------
+    ValueError
+        One is of another kind, or out of range.
+    """
+    if kind == "str":
+        _each(flat, str)
+        return text_column(flat)
+    if kind == "datetime64[ns]":
+        _each(flat, str)
+        return _times(flat)
+    if kind == "bool":
+        _each(flat, bool)
+        return np.array(flat, np.bool_)
+    if kind.startswith("float"):
+        _each([value for value in flat if value is not None], (int, float))
+        made = np.array([np.nan if value is None else float(value) for value in flat], np.float64)
+        with np.errstate(over="ignore"):
+            values: Array = made.astype(kind)
+        if np.isinf(values).any():
+            msg = "a number is too large"
+            raise ValueError(msg)
+        return values
+    _each(flat, int)
+    limits = np.iinfo(kind)
+    if any(not limits.min <= value <= limits.max for value in flat):
+        msg = "a number is out of range"
+        raise ValueError(msg)
+    return np.array(flat, kind)
+
+
+def _each(values: list[Any], kind: type | tuple[type, ...]) -> None:
+    boolean = kind is bool
+    if not all(isinstance(value, kind) and isinstance(value, bool) == boolean for value in values):
+        msg = f"expected {getattr(kind, '__name__', 'number')} values alone"
+        raise ValueError(msg)
+
+
+def _times(flat: list[str]) -> Array:
+    """Return times as `metadata_text` writes them; years beyond datetime64[ns] would wrap around."""
+    for text in filter(None, flat):
+        if _TIME.fullmatch(text) is None or not 1700 <= int(text[:4]) <= 2261:
+            msg = f"{text[:40]!r} is no time such as 2024-05-21T11:33:07.000000000 from 1700 to 2261"
+            raise ValueError(msg)
+    return np.array([np.datetime64(text or "NaT", "ns") for text in flat], "datetime64[ns]")

@@ -1,0 +1,295 @@
+"""`open_library`: spectral libraries of any format, as paint libraries."""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from hyperpaint.errors import FormatError, Problems, StoreError
+from hyperpaint.io.file_patterns import is_pattern, matching_files
+
+from .csv_library import is_csv_library, read_csv_library
+from .ecostress import is_ecostress, read_ecostress
+from .envi_library import read_envi_library
+from .joining import joined
+from .plain_table import read_plain_table
+from .spectra import OWN_AXES, FloatArray, library_of
+from .usgs import is_usgs, is_usgs_axis, read_usgs, read_usgs_axis
+from .zarr_library import read_zarr_library
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+__all__ = ["open_library"]
+
+Path_ = str | os.PathLike[str]
+
+_HEAD_BYTES = 64 * 1024
+_MOST_SHOWN = 20
+_ENVI_SUFFIXES = (".hdr", ".sli")
+_TEXT_SUFFIXES = (".txt", ".csv", ".tsv", ".asc")
+_ANCILLARY = ".ancillary.txt"
+_URL = re.compile(r"[A-Za-z][A-Za-z0-9+.-]+://")
+_DIGITS = re.compile(r"(\d+)")
+
+
+@dataclass(frozen=True, eq=False)
+class _Options:
+    """What the caller says that files do not."""
+
+    wavelength: FloatArray | None
+    fwhm: FloatArray | None
+    scale: float | None
+
+    def refuse_for(self, path: Path_) -> None:
+        """Refuse them where the library says all of it.
+
+        Raises
+        ------
+        FormatError
+            One is given.
+        """
+        if self.wavelength is not None or self.fwhm is not None or self.scale is not None:
+            raise FormatError(OWN_AXES.format(os.fspath(path)))
+
+
+def open_library(
+    path: Path_ | Sequence[Path_],
+    *,
+    wavelength: Path_ | Any | None = None,
+    fwhm: Path_ | Any | None = None,
+    scale: float | None = None,
+) -> xr.Dataset:
+    r"""Open a spectral library as a paint library.
+
+    Parameters
+    ----------
+    path
+        A file, a folder, a pattern (``"svc/*.txt"``), or a list of files:
+
+        * an ENVI spectral library (``.sli`` or its ``.hdr``), also those of the USGS, whose first records are
+          wavelengths and bandwidths;
+        * emissivity of DIRSIG (``.ems``), one opaque paint a file, its curves the members;
+        * text of the ECOSTRESS library (version 1), the ASTER library (version 2) or the USGS library, or a
+          table with wavelengths in its first column: several files make one library where their wavelengths
+          are equal;
+        * what `hyperpaint.write_library` wrote, CSV and Zarr among it; a path inside a store names a group.
+    wavelength, fwhm
+        Of the bands [nm], or a file of the USGS library that holds them. They replace those of the file.
+        USGS text without them looks for its own beside it and in the two folders above.
+    scale
+        Stored value of a reflectance of one (100 for percent). By default what the file says: its scale
+        factor, units or headings. Values that are no fractions, of a file that says nothing, are refused.
+
+    Returns
+    -------
+    xarray.Dataset
+        `reflectance` (paint, band) float32 [1], NaN where the file has none; coordinates `paint`,
+        `wavelength` [nm] in the order of the file, which may fall; `fwhm` [nm], `good`, and what the file
+        says of each spectrum, where it does. Names are those of the file, equal ones included. Error bars of
+        the USGS are `reflectance_u_random`. Attributes `source`, `format` and `notes` say where it comes from
+        and what was inferred. A library of ours comes back as it was written; a Zarr store lazily.
+
+    Raises
+    ------
+    FormatError
+        A file is damaged, of no known kind, no reflectance, without wavelengths or of unknown scale; or
+        several files have different wavelengths. All problems are listed.
+    StoreError
+        A Zarr store was never finished, or is none.
+
+    Warns
+    -----
+    PaintWarning
+        Names or metadata are missing, or something was inferred that may make values wrong.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> scratch = tempfile.TemporaryDirectory()
+    >>> file = Path(scratch.name) / "red.csv"
+    >>> _ = file.write_text("wavelength (nm),reflectance (%)\n450,10\n650,50\n")
+    >>> library = open_library(file)
+    >>> library["paint"].item(), library["reflectance"].values.tolist()
+    ('red', [[0.10000000149011612, 0.5]])
+    >>> scratch.cleanup()
+    """
+    if scale is not None and not (np.isfinite(scale) and scale > 0):
+        msg = f"scale is {scale}, expected the stored value of a reflectance of one, such as 100"
+        raise FormatError(msg)
+    options = _Options(_axis(wavelength, "wavelength"), _axis(fwhm, "fwhm"), scale)
+    if isinstance(path, str | os.PathLike) and _is_store(path):
+        options.refuse_for(path)
+        return read_zarr_library(path)
+    files = _files(path)
+    if len(files) == 1:
+        return _opened(files[0], options)
+    problems = Problems("the library cannot be opened", FormatError)
+    opened = []
+    for file in files:
+        try:
+            opened.append((file, _opened(file, options)))
+        except (FormatError, StoreError) as error:
+            problems.add(str(error))
+            if len(problems) == _MOST_SHOWN:
+                break
+    problems.raise_if_any()
+    return joined(opened)
+
+
+def _is_store(path: Path_) -> bool:
+    text = os.fspath(path)
+    return (
+        _URL.match(text) is not None
+        or text.endswith(".zarr")
+        or os.path.isfile(os.path.join(text, "zarr.json"))
+    )
+
+
+def _axis(given: Path_ | Any | None, name: str) -> FloatArray | None:
+    """Return wavelengths or bandwidths that the caller gives, as numbers or in a file."""
+    if given is None:
+        return None
+    if isinstance(given, str | os.PathLike):
+        return read_usgs_axis(Path(given))[0]
+    try:
+        values = np.asarray(given, np.float64)
+    except (TypeError, ValueError):
+        values = np.empty(0)
+    if values.ndim != 1 or not values.size or not np.isfinite(values).all():
+        msg = f"{name}= is {str(given)[:60]!r}, expected one finite number a band [nm], or a file"
+        raise FormatError(msg)
+    return values
+
+
+# --- which files -------------------------------------------------------------------------------------------
+
+
+def _files(paths: Path_ | Sequence[Path_]) -> list[Path]:
+    """Return the files of a path, a folder, a pattern, or a list of these."""
+    entries = [paths] if isinstance(paths, str | os.PathLike) else list(paths)
+    problems = Problems("the library cannot be opened", FormatError)
+    files: list[Path] = []
+    for entry in entries:
+        path = Path(entry)
+        if path.is_dir():
+            found = _of_folder(path)
+            if not found:
+                problems.add(f"{path}: a folder without text files of spectra; name the library's file in it")
+        elif os.path.lexists(path) or not is_pattern(str(path)):
+            found = [path]
+        else:
+            found = _of_pattern(path, problems)
+        files += found
+    if not files and not problems:
+        problems.add("an empty list of files; name at least one")
+    problems.raise_if_any()
+    return files
+
+
+def _of_folder(folder: Path) -> list[Path]:
+    return _spectra_among([path for path in folder.iterdir() if path.suffix.lower() in _TEXT_SUFFIXES])
+
+
+def _of_pattern(pattern: Path, problems: Problems) -> list[Path]:
+    parts = pattern.parts
+    first = next(at for at, part in enumerate(parts) if is_pattern(part))
+    try:
+        found = matching_files(Path(*parts[:first]), "/".join(parts[first:]))
+    except ValueError as error:
+        problems.add(f"{pattern}: {error}")
+        return []
+    files = _spectra_among([path for path in found if path.suffix.lower() != ".json" and not path.is_dir()])
+    if not files:
+        problems.add(f"{pattern}: no spectra found")
+    return files
+
+
+def _spectra_among(paths: Sequence[Path]) -> list[Path]:
+    """Return the files that are to hold spectra, in the order of their names; numbers count as such.
+
+    Left out is what goes with spectra: ancillary texts of ECOSTRESS, wavelengths and bandwidths of the USGS,
+    tables of classes.
+    """
+    kept = [
+        path
+        for path in paths
+        if not path.name.startswith(".")
+        and not path.name.endswith(_ANCILLARY)
+        and not _goes_with_spectra(_head(path))
+    ]
+    # a library of ENVI is two files
+    headers = {path.with_suffix("") for path in kept if path.suffix.lower() == ".hdr"}
+    kept = [
+        path
+        for path in kept
+        if path.suffix.lower() in (".hdr", *_TEXT_SUFFIXES)
+        or (path.with_suffix("") not in headers and path not in headers)
+    ]
+    return sorted(kept, key=lambda path: ([*_natural(path.stem.lower())], path.name))
+
+
+def _goes_with_spectra(head: str) -> bool:
+    """Tell of wavelengths of USGS spectra, and of a table of classes of ENVI spectra."""
+    return is_usgs_axis(head) or head[:20].lower().startswith(("spectra names,", '"spectra names"'))
+
+
+def _natural(text: str) -> list[tuple[int, str]]:
+    parts = _DIGITS.split(text)
+    return [(int(part[:18]), "") if at % 2 else (-1, part) for at, part in enumerate(parts)]
+
+
+def _head(path: Path) -> str:
+    """Return the beginning of a file as text; nothing of what is none."""
+    try:
+        if not path.is_file():
+            return ""
+        with open(path, "rb") as file:
+            return file.read(_HEAD_BYTES).decode("latin-1").removeprefix("\xef\xbb\xbf")
+    except OSError:
+        return ""
+
+
+# --- one file ----------------------------------------------------------------------------------------------
+
+
+def _opened(path: Path, options: _Options) -> xr.Dataset:
+    """Open one file, by what it holds."""
+    if not path.is_file():
+        kind = "no plain file" if os.path.lexists(path) else "no such file"
+        msg = f"{path}: {kind}; expected a spectral library"
+        raise FormatError(msg)
+    try:
+        return _by_content(path, options)
+    except OSError as error:
+        if isinstance(error, StoreError):
+            raise
+        msg = f"{path}: cannot be read ({error.strerror or error})"
+        raise FormatError(msg) from error
+
+
+def _by_content(path: Path, options: _Options) -> xr.Dataset:
+    nm, scale = options.wavelength, options.scale
+    if path.suffix.lower() == ".ems":
+        from hyperpaint.io.dirsig import open_emissivity
+
+        return open_emissivity(path)
+    if path.suffix.lower() in _ENVI_SUFFIXES:
+        return read_envi_library(path, scale=scale, wavelength=nm, fwhm=options.fwhm)
+    head = _head(path)
+    if is_csv_library(head):
+        options.refuse_for(path)
+        return read_csv_library(path)
+    if path.suffix.lower() not in _TEXT_SUFFIXES and path.with_suffix(".hdr").is_file():
+        return read_envi_library(path, scale=scale, wavelength=nm, fwhm=options.fwhm)
+    if is_usgs(head):
+        return library_of(read_usgs(path, scale=scale, wavelength=nm, fwhm=options.fwhm))
+    read = read_ecostress if is_ecostress(head) else read_plain_table
+    found = read(path, scale=scale, wavelength=nm)
+    return library_of(found if options.fwhm is None else replace(found, fwhm=options.fwhm))

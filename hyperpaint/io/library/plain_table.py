@@ -1,0 +1,177 @@
+"""Spectra side by side in a plain text table: wavelengths in the first column, a spectrum in each other."""
+
+from __future__ import annotations
+
+import csv
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from hyperpaint.errors import FormatError, Problems
+
+from .spectra import FloatArray, Spectra, reflectances
+from .text_spectra import in_nanometres, lines_of, number, wavelength_factor
+
+__all__ = ["read_plain_table"]
+
+_MOST_PREAMBLE = 500
+_MOST_SHOWN = 5
+_PERCENT = re.compile(r"percent|%", re.IGNORECASE)
+_GENERIC = re.compile(r"|r|rho|y|values?|.*(?:reflect|average|mean).*", re.IGNORECASE)
+_SPREAD = re.compile(r"standard.dev|std|\bsd\b|sigma", re.IGNORECASE)
+_OTHER_QUANTITY = re.compile(r"radiance|transmi|emissiv|absorb|\bcounts?\b|\bDN\b", re.IGNORECASE)
+
+
+@dataclass(frozen=True)
+class _Dialect:
+    """How a line is cut into numbers; an empty separator stands for blanks."""
+
+    separator: str
+    comma: bool
+
+    def cells(self, line: str) -> list[str]:
+        return line.split(self.separator) if self.separator else line.split()
+
+    def row(self, line: str) -> list[float] | None:
+        """Return the numbers of a line, None where it is anything else; the first may not be empty."""
+        cells = self.cells(line.strip(" "))
+        if len(cells) < 2 or not cells[0].strip():
+            return None
+        made = [number(cell.replace(",", ".") if self.comma else cell) for cell in cells]
+        return None if None in made else [value for value in made if value is not None]
+
+
+_DIALECTS = (
+    _Dialect("\t", False), _Dialect(";", False), _Dialect(",", False), _Dialect("", False),
+    _Dialect("\t", True), _Dialect(";", True), _Dialect("", True),
+)  # fmt: skip
+
+
+def read_plain_table(
+    path: Path, *, scale: float | None = None, wavelength: FloatArray | None = None
+) -> Spectra:
+    """Read spectra from a table of two or more columns.
+
+    Cells are separated by commas, semicolons, tabs or blanks; decimal commas are understood where no comma
+    separates. Lines above the numbers are headings, the last of them names the columns; lines that begin with
+    ``#`` are comments. Where there is one spectrum and its heading says no more than "reflectance", it has
+    the name of the file. The third of three columns is a standard deviation where its heading says so.
+
+    Parameters
+    ----------
+    path
+        The file.
+    scale
+        Value of a reflectance of one; by default 100 where the headings say percent, else 1.
+    wavelength
+        To be used in place of the first column [nm].
+
+    Raises
+    ------
+    FormatError
+        There is no table of numbers, or its first column holds no wavelengths, or the values are no
+        reflectance.
+    """
+    source = path.name
+    lines = lines_of(path, "a table of wavelengths and reflectance")
+    first, dialect, columns = _beginning(lines, source)
+    table = _numbers(lines, first, dialect, columns, source)
+    if columns > 2 and np.isnan(table[:, -1]).all():  # every line ends with a separator
+        table, columns = table[:, :-1], columns - 1
+    _check_order(table[:, 0], source)
+    preamble = lines[:first]
+    names, spread = _names(preamble, dialect, columns, path.stem)
+    said = " ".join(preamble)
+    heading = preamble[-1] if preamble else ""
+    if (found := _OTHER_QUANTITY.search(heading)) and not re.search("reflect", said, re.IGNORECASE):
+        msg = f"{source}: its heading says {found[0]!r}, expected reflectance"
+        raise FormatError(msg)
+    factor, note = wavelength_factor(said, table[:, 0], source)
+    values = reflectances(
+        table[:, 1:].T, source, said=100.0 if _PERCENT.search(heading) else None, given=scale
+    )
+    return Spectra(
+        source=source,
+        form="table of text",
+        names=names,
+        wavelength=in_nanometres(table[:, 0], factor) if wavelength is None else wavelength,
+        reflectance=values[:1] if spread else values,
+        others={"reflectance_sd": values[1:]} if spread else {},
+        notes=[note] if note else [],
+    )
+
+
+def _beginning(lines: Sequence[str], source: str) -> tuple[int, _Dialect, int]:
+    """Return the index of the first line of numbers, how it is cut, and its columns."""
+    shown = [at for at, line in enumerate(lines) if line.strip() and not line.lstrip().startswith("#")]
+    for position, at in enumerate(shown[:_MOST_PREAMBLE]):
+        rows = [(dialect, row) for dialect in _DIALECTS if (row := dialect.row(lines[at])) is not None]
+        if rows and position + 1 < len(shown):
+            following = lines[shown[position + 1]]
+            fitting = [d for d, row in rows if len(d.row(following) or ()) == len(row)]
+            # where the next line fits none, it is reported: no line of numbers is taken for a heading
+            dialect = fitting[0] if fitting else rows[0][0]
+            return at, dialect, next(len(row) for d, row in rows if d == dialect)
+    msg = f"{source}: no table of numbers found, expected a wavelength and one or more values a line"
+    raise FormatError(msg)
+
+
+def _numbers(lines: Sequence[str], first: int, dialect: _Dialect, columns: int, source: str) -> FloatArray:
+    problems = Problems(f"{source} cannot be read", FormatError)
+    rows = []
+    for at, line in enumerate(lines[first:], first + 1):
+        if not line.strip() or line.lstrip().startswith("#"):
+            continue
+        row = dialect.row(line)
+        if row is None or len(row) != columns:
+            problems.add(f"line {at}: {line.strip()[:60]!r}, expected {columns} numbers")
+            if len(problems) == _MOST_SHOWN:
+                break
+        else:
+            rows.append(np.array(row, np.float64))
+    problems.raise_if_any()
+    table: FloatArray = np.array(rows, np.float64)
+    return table
+
+
+def _check_order(wavelength: FloatArray, source: str) -> None:
+    """Refuse a first column that wanders: it may step back where detectors join, not more."""
+    steps = np.diff(wavelength)
+    back = min(int((steps < 0).sum()), int((steps > 0).sum()))
+    if np.isnan(wavelength).any() or back > max(4, steps.size // 20) or not steps.any():
+        msg = f"{source}: the first column rises and falls, expected wavelengths; spectra belong in columns"
+        raise FormatError(msg)
+
+
+def _names(preamble: Sequence[str], dialect: _Dialect, columns: int, stem: str) -> tuple[list[str], bool]:
+    """Return the names of the spectra, and whether the third column is the spread of the second."""
+    headings = _headings(preamble, dialect, columns)
+    spread = columns == 3 and bool(headings) and _SPREAD.search(headings[2]) is not None
+    count = 1 if spread else columns - 1
+    names = [heading.strip() for heading in headings[1 : count + 1]]
+    if count == 1:
+        return [stem if not names or _GENERIC.fullmatch(names[0]) else names[0]], spread
+    return [name or f"column {at}" for at, name in enumerate(names, 2)] or [
+        f"column {at}" for at in range(2, columns + 1)
+    ], spread
+
+
+def _headings(preamble: Sequence[str], dialect: _Dialect, columns: int) -> list[str]:
+    """Return the cells of the last heading; none where they are not as many as the columns."""
+    last = next((line for line in reversed(preamble) if line.strip()), "")
+    text = last.strip().lstrip("#")
+    # comments are written for people, whose lists have commas, whatever separates the numbers
+    separators = [dialect.separator, ","] if last.lstrip().startswith("#") else [dialect.separator]
+    for separator in separators:
+        try:
+            cells = next(csv.reader([text], delimiter=separator)) if separator else text.split()
+        except csv.Error:
+            continue
+        if len(cells) == columns + 1 and not cells[-1].strip():
+            cells.pop()
+        if len(cells) == columns or (len(cells) > columns and last.lstrip().startswith("#") and separator):
+            return cells[:columns]
+    return []

@@ -1,0 +1,346 @@
+"""The spectra of a paint library as rows of a file, and the way back.
+
+Every spectrum is one record: first the reflectance of all paints, then what else is known of each at every
+band, then their members. A record is told by its variable, its paint, and its place within the paint.
+"""
+
+from __future__ import annotations
+
+import unicodedata
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+
+from hyperpaint import schema
+from hyperpaint.errors import FormatError, Problems, SchemaError
+from hyperpaint.schema import BAND, LIBRARY_VARIABLES, MEMBER, PAINT
+
+from .spectra import SingleArray, text_column
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+    from .metadata import Metadata
+
+__all__ = [
+    "CENTRE",
+    "Block",
+    "Key",
+    "Placement",
+    "blocks_of",
+    "checked_library",
+    "names_of",
+    "placements",
+    "spectral_variables",
+    "with_metadata",
+]
+
+CENTRE = "reflectance"
+_BLOCK_BYTES = 16 * 2**20
+_FEW_CELLS, _MANY_CELLS = 2**22, 2**29
+_CONTROL = ("Cc", "Cs", "Zl", "Zp")
+_MOST_SHOWN = 5
+
+Positions = npt.NDArray[np.int64]
+Key = tuple[str, int, int]
+"""Variable, paint, and place within the paint, both counted from 0; the place is -1 where there is one."""
+
+
+@dataclass(frozen=True, eq=False)
+class Block:
+    """Some records of one variable.
+
+    Attributes
+    ----------
+    variable
+        Its name.
+    paint
+        (record), index of the paint.
+    inner
+        (record), place within the paint; -1 where it has but one.
+    values
+        (record, band) float32, contiguous.
+    """
+
+    variable: str
+    paint: Positions
+    inner: Positions
+    values: SingleArray
+
+
+# --- from a library ----------------------------------------------------------------------------------------
+
+
+def checked_library(library: xr.Dataset) -> xr.Dataset:
+    """Return a library in the units of the table; its values are not looked at.
+
+    Raises
+    ------
+    SchemaError
+        It is no paint library: variables are missing, or have other dims or units; all are listed.
+    """
+    required = dict.fromkeys((PAINT, CENTRE, "wavelength"))
+    required |= {name: None for name in LIBRARY_VARIABLES if name in library.variables}
+    known = [name for name in required if not _is_plain_number(library, name)]
+    found, wrong = schema.find(library, known, LIBRARY_VARIABLES)
+    problems = Problems("the library cannot be written", SchemaError)
+    for problem in wrong:
+        problems.add(problem)
+    for name in found:
+        wanted = np.dtype("object" if (kind := LIBRARY_VARIABLES[name].dtype) == "str" else kind).kind
+        numeric = {"f": "fiu", "i": "iu", "u": "iu", "O": "OUT"}.get(wanted, wanted)
+        if found[name].dtype.kind not in numeric:
+            problems.add(f"{name!r} is {found[name].dtype}, expected {kind}")
+    if CENTRE in found and not found[CENTRE].size:
+        problems.add(f"reflectance is {dict(found[CENTRE].sizes)}, expected a paint and a band at least")
+    for other, array in library.variables.items():
+        if {PAINT, BAND} < set(array.dims) and array.dtype.kind == "f" and array.ndim > 3:
+            problems.add(f"{other!r} has dims {array.dims}, expected one beside paint and band at most")
+    for name in ("wavelength", "fwhm", "good"):
+        if name in found and found[name].dims != (BAND,):
+            problems.add(f"{name!r} has dims {found[name].dims}, expected one value a band")
+    problems.raise_if_any()
+    wavelength = np.asarray(found["wavelength"].values, np.float64)
+    if not (np.isfinite(wavelength).all() and (wavelength > 0).all()):
+        msg = "wavelengths of the library are not all finite and above 0; drop those bands with .isel"
+        raise SchemaError(msg)
+    return library.assign_coords({n: v for n, v in found.items() if n in library.coords}).assign(
+        {n: v for n, v in found.items() if n not in library.coords}
+    )
+
+
+def _is_plain_number(library: xr.Dataset, name: str) -> bool:
+    """Tell of a count or a share without units, which a spectrum may not lack."""
+    units = LIBRARY_VARIABLES[name].units
+    plain = name in library.variables and BAND not in library[name].dims
+    return plain and units == "1" and "units" not in library[name].attrs
+
+
+def names_of(library: xr.Dataset) -> list[str]:
+    """Return the names of the paints.
+
+    Raises
+    ------
+    SchemaError
+        They are no texts, or hold characters that end lines; all are listed.
+    """
+    problems = Problems("the library cannot be written", SchemaError)
+    names: list[Any] = library[PAINT].values.tolist()
+    for at, name in enumerate(names):
+        if not isinstance(name, str):
+            problems.add(f"paint {at} is named {name!r}, expected text")
+        elif any(unicodedata.category(character) in _CONTROL for character in name):
+            problems.add(f"paint {at} is named {name[:60]!r}, expected no line breaks or control characters")
+        if len(problems) == _MOST_SHOWN:
+            break
+    problems.raise_if_any()
+    return names
+
+
+def spectral_variables(library: xr.Dataset) -> list[str]:
+    """Return the names of what has a value at every band of a paint: the centre first, members last."""
+    found = [
+        str(name)
+        for name, variable in library.variables.items()
+        if {PAINT, BAND} <= set(variable.dims) and variable.dtype.kind == "f" and variable.ndim <= 3
+    ]
+    return sorted(found, key=lambda name: (name != CENTRE, MEMBER in library[name].dims))
+
+
+def blocks_of(library: xr.Dataset, names: Iterable[str]) -> Iterator[Block]:
+    """Yield the records of variables, some 16 MiB at a time; padding beyond the last member is left out.
+
+    Lazy arrays are computed one chunk of paints at a time.
+    """
+    for name in names:
+        array = library[name]
+        inner = [dim for dim in array.dims if dim not in (PAINT, BAND)]
+        array = array.transpose(PAINT, *inner, BAND)
+        for start, stop in _pieces(array):
+            values: SingleArray = np.asarray(array[start:stop].values, np.float32)
+            if not inner:
+                places = np.arange(start, stop)
+                yield Block(name, places, np.full(stop - start, -1), np.ascontiguousarray(values))
+                continue
+            kept = np.ones(values.shape[:2], np.bool_)
+            if inner == [MEMBER]:
+                known: npt.NDArray[np.bool_] = np.any(~np.isnan(values), axis=2)
+                # up to the last member that has a value
+                kept[:] = np.logical_or.accumulate(known[:, ::-1], axis=1)[:, ::-1]
+            paint, place = np.nonzero(kept)
+            yield Block(name, paint + start, place, values[kept])
+
+
+def _pieces(array: xr.DataArray) -> Iterator[tuple[int, int]]:
+    """Yield ranges of paints: dask's own chunks, else as many as fit a block."""
+    if array.chunks is not None:
+        sizes: Sequence[int] = array.chunks[0]
+    else:
+        row = max(1, array.nbytes // array.shape[0])
+        step = max(1, _BLOCK_BYTES // row)
+        sizes = [step] * (array.shape[0] // step) + [array.shape[0] % step]
+    start = 0
+    for size in sizes:
+        if size:
+            yield start, start + size
+        start += size
+
+
+# --- and back ----------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class Placement:
+    """Where the records of one variable belong.
+
+    Attributes
+    ----------
+    records
+        (record), their numbers in the file, ascending.
+    paint, inner
+        (record), as in `Block`.
+    values
+        Filled by `put`; NaN elsewhere.
+    """
+
+    records: Positions
+    paint: Positions
+    inner: Positions
+    values: SingleArray
+
+    def put(self, first: int, rows: SingleArray) -> None:
+        """Place those of consecutive records, of which ``first`` is the first, that belong here."""
+        low, high = np.searchsorted(self.records, (first, first + len(rows)))
+        taken = rows[self.records[low:high] - first]
+        if self.values.ndim == 2:
+            self.values[self.paint[low:high]] = taken
+        else:
+            self.values[self.paint[low:high], self.inner[low:high]] = taken
+
+
+def placements(keys: Sequence[Key], paints: int, bands: int, source: str) -> dict[str, Placement]:
+    """Return where every record belongs, by variable.
+
+    Raises
+    ------
+    FormatError
+        Records are given twice, or some are missing; or so few paints have so many members that the
+        library would be mostly padding.
+    """
+    made: dict[str, Placement] = {}
+    for variable in dict.fromkeys(key[0] for key in keys):
+        records = np.array([at for at, key in enumerate(keys) if key[0] == variable], np.int64)
+        paint = np.array([keys[at][1] for at in records], np.int64)
+        inner = np.array([keys[at][2] for at in records], np.int64)
+        if np.unique(np.stack([paint, inner]), axis=1).shape[1] != len(records):
+            msg = f"{source}: a record of {variable!r} is there twice; write the library anew"
+            raise FormatError(msg)
+        if len(set((inner < 0).tolist())) > 1 or (inner[0] < 0 and len(records) != paints):
+            msg = f"{source}: {len(records)} records of {variable!r} for {paints} paints; write it anew"
+            raise FormatError(msg)
+        places = () if inner[0] < 0 else (int(inner.max()) + 1,)
+        cells = paints * bands * (places or (1,))[0]
+        if cells > _most_cells(len(records) * bands):
+            msg = f"{source}: {len(records)} records of {variable!r} would need {cells} cells; is it damaged?"
+            raise FormatError(msg)
+        values = np.full((paints, *places, bands), np.nan, np.float32)
+        made[variable] = Placement(records, paint, inner, values)
+    return made
+
+
+def _most_cells(stored: int) -> int:
+    """Return the cells that padding may blow stored ones up to: 64 times, of large files less."""
+    return max(_FEW_CELLS, min(64 * stored, _MANY_CELLS + 8 * stored))
+
+
+def with_metadata(
+    data: Mapping[str, SingleArray],
+    axes: Mapping[str, Any],
+    names: Sequence[str],
+    told: Metadata | None,
+    source: str,
+) -> xr.Dataset:
+    """Return spectra and their metadata as the library that was written.
+
+    Parameters
+    ----------
+    data
+        Values of the variables, (paint, band) or (paint, place, band).
+    axes
+        Wavelengths and what else the file of spectra itself says of the bands.
+    names
+        Of the paints, as the file of spectra spells them; the metadata's own win.
+    told
+        The metadata; None where they are lost.
+    source
+        Names the file in messages.
+
+    Raises
+    ------
+    FormatError
+        The two do not go together.
+    """
+    import xarray as xr
+
+    rows = LIBRARY_VARIABLES
+    problems = Problems(f"{source} and its metadata do not go together", FormatError)
+    made = xr.Dataset()
+    for name, values in data.items():
+        dims, attrs = _dims_and_attrs(name, values.ndim, told)
+        if len(dims) != values.ndim or dims[0] != PAINT or dims[-1] != BAND:
+            problems.add(f"{name!r} has dims {dims} in the metadata, found {values.ndim}")
+            continue
+        if values.ndim == 3 and told is not None:
+            values = _widened(values, told.sizes.get(dims[1]))
+        if any(made.sizes.get(dim, size) != size for dim, size in zip(dims, values.shape, strict=True)):
+            problems.add(f"{name!r} is {values.shape}, expected {dict(made.sizes)}")
+            continue
+        made[name] = (dims, values, attrs)
+    if told is not None:
+        for missing in told.spectra.keys() - data.keys():
+            problems.add(f"{missing[:60]!r} has no record in the file")
+    problems.raise_if_any()
+    found = {name: (BAND, values, rows[name].attrs) for name, values in axes.items() if values is not None}
+    coords: dict[str, Any] = {PAINT: (PAINT, text_column(names), rows[PAINT].attrs), **found}
+    if told is None:
+        return made.assign_coords(coords).assign_attrs(title="Spectral library", source=source)
+    return _told(made, coords, told, problems)
+
+
+def _told(made: xr.Dataset, coords: dict[str, Any], told: Metadata, problems: Problems) -> xr.Dataset:
+    clash = told.variables.keys() & made.variables.keys()
+    for name in sorted(clash):
+        problems.add(f"{name[:60]!r} is both among the spectra and in the metadata")
+    for name, (dims, values, _) in told.variables.items():
+        if name in coords and name != PAINT and not np.array_equal(values, coords[name][1]):
+            problems.add(f"{name!r} differs; they are of two libraries")
+        if any(made.sizes.get(dim, size) != size for dim, size in zip(dims, values.shape, strict=True)):
+            problems.add(f"{name[:60]!r} is {values.shape} on {dims}, expected {dict(made.sizes)}")
+        if name in made.dims and dims != (name,):
+            problems.add(f"{name!r} names a dim, expected it on that dim alone")
+    problems.raise_if_any()
+    variables = {name: (dims, values, attrs) for name, (dims, values, attrs) in told.variables.items()}
+    missing = {name: coord for name, coord in coords.items() if name not in variables}
+    made = made.assign(variables).assign_coords(missing)
+    return made.set_coords(sorted(told.coordinates & set(map(str, made.variables)))).assign_attrs(told.attrs)
+
+
+def _dims_and_attrs(name: str, ndim: int, told: Metadata | None) -> tuple[tuple[str, ...], dict[str, Any]]:
+    if told is not None and name in told.spectra:
+        return told.spectra[name]
+    row = LIBRARY_VARIABLES.get(name)
+    if row is not None and len(row.dims) == ndim:
+        return row.dims, dict(row.attrs)
+    return (PAINT, BAND) if ndim == 2 else (PAINT, f"place_of_{name}", BAND), {}
+
+
+def _widened(values: SingleArray, size: int | None) -> SingleArray:
+    """Return members with the padding that they had; what would be out of proportion is left away."""
+    if size is None or not values.shape[1] <= size <= 8 * max(values.shape[1], 8):
+        return values
+    made = np.full((values.shape[0], size, values.shape[2]), np.nan, np.float32)
+    made[:, : values.shape[1]] = values
+    return made

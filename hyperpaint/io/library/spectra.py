@@ -1,0 +1,204 @@
+"""What a file of spectra holds, and the paint library that it becomes."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+
+from hyperpaint.errors import FormatError
+from hyperpaint.schema import BAND, LIBRARY_VARIABLES, PAINT, quality_attrs
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+__all__ = [
+    "OWN_AXES",
+    "FloatArray",
+    "SingleArray",
+    "Spectra",
+    "check_wavelengths",
+    "library_of",
+    "reflectances",
+    "text_column",
+    "with_numbers_as_data",
+]
+
+FloatArray = npt.NDArray[np.float64]
+SingleArray = npt.NDArray[np.float32]
+
+SHORTEST, LONGEST = 100.0, 1e6
+"""Wavelengths that a spectral library may hold [nm]: far ultraviolet to far infrared."""
+
+OWN_AXES = "{} is a library of hyperpaint, which says its own; wavelength=, fwhm= and scale= are for others"
+"""Message where the caller would have something of our own libraries replaced."""
+
+_LARGEST_FRACTION = 1.5
+"""Median of values above which they cannot be reflectance as a fraction."""
+
+_FILLED = -1e20
+"""Below it is no reflectance: deleted points of USGS spectra are -1.23e34, and where spectra were convolved
+to another spectrometer, some share of that."""
+
+
+@dataclass(frozen=True, eq=False)
+class Spectra:
+    """Spectra on one grid, as one file holds them.
+
+    Attributes
+    ----------
+    source
+        File name.
+    form
+        Name of the format.
+    names
+        Of the spectra, as the file spells them.
+    wavelength
+        (band) [nm], in the order of the file.
+    reflectance
+        (paint, band) float32, as a fraction; NaN where there is no value.
+    fwhm, good
+        (band); None where the file does not say.
+    others
+        Further variables on (paint, band): rows of `LIBRARY_VARIABLES` by name.
+    columns
+        What the file says of each spectrum in words.
+    notes
+        What was inferred or looked odd.
+    """
+
+    source: str
+    form: str
+    names: Sequence[str]
+    wavelength: FloatArray
+    reflectance: SingleArray
+    fwhm: FloatArray | None = None
+    good: npt.NDArray[np.bool_] | None = None
+    others: Mapping[str, SingleArray] = field(default_factory=dict)
+    columns: Mapping[str, Sequence[Any] | npt.NDArray[Any]] = field(default_factory=dict)
+    notes: Sequence[str] = ()
+
+
+def library_of(found: Spectra) -> xr.Dataset:
+    """Return spectra as a paint library.
+
+    Raises
+    ------
+    FormatError
+        Wavelengths are none: not finite, or outside 100 nm to 1 mm; or not as many as bands.
+    """
+    import xarray as xr
+
+    check_wavelengths(found.wavelength, found.source)
+    bands = found.reflectance.shape[1]
+    for name, axis in (("wavelength", found.wavelength), ("fwhm", found.fwhm)):
+        if axis is not None and axis.shape != (bands,):
+            msg = f"{found.source}: {axis.size} values of {name} for {bands} bands; pass the one that fits"
+            raise FormatError(msg)
+    rows = LIBRARY_VARIABLES
+    data = {"reflectance": found.reflectance, **found.others}
+    variables = {name: ((PAINT, BAND), values, dict(rows[name].attrs)) for name, values in data.items()}
+    variables["reflectance"][2]["long_name"] = "Reflectance, as the library gives it"
+    axes = {"wavelength": found.wavelength, "fwhm": found.fwhm, "good": found.good}
+    coords: dict[str, Any] = {PAINT: (PAINT, text_column(found.names), rows[PAINT].attrs)}
+    for name, values in axes.items():
+        if values is not None:
+            coords[name] = (BAND, values, rows[name].attrs)
+    for name, column in found.columns.items():
+        told = rows[name].attrs if name in rows else {"long_name": name.replace("_", " ").capitalize()}
+        coords[name] = (PAINT, np.asarray(column), {**told, **(quality_attrs() if name == "quality" else {})})
+    attrs: dict[str, Any] = {"title": "Spectral library", "source": found.source, "format": found.form}
+    if found.notes:
+        attrs["notes"] = "; ".join(found.notes)
+    return with_numbers_as_data(xr.Dataset(variables, coords=coords, attrs=attrs))
+
+
+def with_numbers_as_data(library: xr.Dataset) -> xr.Dataset:
+    """Return a library whose counts, flags and angles are data, not coordinates, as the table has them."""
+    rows = LIBRARY_VARIABLES
+    return library.reset_coords([str(n) for n in library.coords if n in rows and not rows[str(n)].coordinate])
+
+
+def text_column(texts: Sequence[str]) -> npt.NDArray[np.object_]:
+    """Return texts of any length, as stores hold them."""
+    made = np.empty(len(texts), object)
+    made[:] = list(texts)
+    return made
+
+
+def check_wavelengths(wavelength: FloatArray, source: str) -> None:
+    """Refuse wavelengths that are none [nm].
+
+    Raises
+    ------
+    FormatError
+        There are none; they are not finite, or outside 100 nm to 1 mm.
+    """
+    if wavelength.size and np.isfinite(wavelength).all():
+        low, high = float(wavelength.min()), float(wavelength.max())
+        if low >= SHORTEST and high <= LONGEST:
+            return
+        found = f"wavelengths from {low:g} to {high:g} nm"
+    else:
+        found = f"{wavelength.size} wavelengths, not all of them finite"
+    msg = (
+        f"{source}: {found}, expected {SHORTEST:g} nm to {LONGEST:g} nm; "
+        "check their units, or pass wavelength= [nm]"
+    )
+    raise FormatError(msg)
+
+
+def reflectances(
+    stored: npt.NDArray[Any], source: str, *, said: float | None, given: float | None, ignore: Any = None
+) -> SingleArray:
+    """Return stored values as reflectance.
+
+    Parameters
+    ----------
+    stored
+        Values of the file.
+    source
+        Names the file in messages.
+    said, given
+        Stored value of a reflectance of one, as the file says it and as the caller does, who wins.
+    ignore
+        Stored value that stands for none; those of the USGS always do.
+
+    Returns
+    -------
+    numpy.ndarray
+        float32; a fraction.
+
+    Raises
+    ------
+    FormatError
+        Neither says the scale, and the values are no fractions; or they do not fit float32.
+    """
+    with np.errstate(all="ignore"):  # signalling NaNs of a damaged file
+        values = stored.astype(np.float64)
+        lost = values < _FILLED
+    if ignore is not None:
+        # compared with what is stored: a float32 file holds the float32 next to what its header says
+        with np.errstate(over="ignore"):
+            lost |= stored == (stored.dtype.type(ignore) if stored.dtype.kind == "f" else ignore)
+    values[lost] = np.nan
+    scale = given if given is not None else said
+    known = np.abs(values[np.isfinite(values)])
+    if scale is None and known.size and float(np.median(known)) > _LARGEST_FRACTION:
+        msg = (
+            f"{source}: values up to {known.max():g}, half of them above {np.median(known):g}, and no scale; "
+            "expected reflectance as a fraction: pass scale=100 where it is in percent, scale=10000 where it "
+            "is in hundredths of a percent"
+        )
+        raise FormatError(msg)
+    if scale not in (None, 1.0):
+        values /= scale
+    with np.errstate(over="ignore"):
+        made = values.astype(np.float32)
+    if not np.isfinite(made[np.isfinite(values)]).all() or np.isinf(values).any():
+        msg = f"{source}: values up to {known.max() if known.size else np.inf:g}, expected finite reflectance"
+        raise FormatError(msg)
+    return made

@@ -1,0 +1,167 @@
+"""Spectra of the USGS spectral library (splib06, splib07) as text.
+
+A title, then one value a line. Wavelengths and bandwidths are in files of their own, one for each
+spectrometer, that lie beside the spectra or in a folder above them.
+"""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import numpy as np
+
+from hyperpaint.errors import FormatError
+
+from .spectra import FloatArray, Spectra, reflectances, text_column
+from .text_spectra import in_nanometres, lines_of, numbers_of_lines, wavelength_factor
+
+__all__ = ["is_usgs", "is_usgs_axis", "read_usgs", "read_usgs_axis"]
+
+_TITLE = re.compile(r"\s*(\S{1,40})\s+Record\s*=\s*(\d{1,9})\s*:\s*(.*?)\s*$", re.IGNORECASE)
+_SPECTRUM = re.compile(r"(.*?)\s+(\S+)\s+([A-Z]{4})$")
+_AXIS = re.compile(
+    r"\s*\S{1,40}\s+Record\s*=\s*\d{1,9}\s*:\s*(?:wave|bandpass|resolution|fwhm)", re.IGNORECASE
+)
+_SPECTROMETERS = ("BECK", "NIC4", "AVIRIS", "ASD")
+_MOST_CANDIDATES = 64
+_LEVELS = 3  # chapters lie in folders of their own
+
+
+def is_usgs(head: str) -> bool:
+    """Tell from its first line whether a text is a file of the library."""
+    return _TITLE.match(head.partition("\n")[0]) is not None
+
+
+def is_usgs_axis(head: str) -> bool:
+    """Tell from its first line whether a file holds wavelengths or bandwidths."""
+    return _AXIS.match(head.partition("\n")[0]) is not None
+
+
+def read_usgs(
+    path: Path,
+    *,
+    scale: float | None = None,
+    wavelength: FloatArray | None = None,
+    fwhm: FloatArray | None = None,
+) -> Spectra:
+    """Read a spectrum of the USGS library.
+
+    Parameters
+    ----------
+    path
+        The file.
+    scale
+        Value of a reflectance of one, 1 by default.
+    wavelength, fwhm
+        Of the bands [nm]; by default those of files beside the spectrum, or in the two folders above it.
+
+    Raises
+    ------
+    FormatError
+        The numbers are not as they should be; it is no reflectance; or its wavelengths cannot be found.
+    """
+    source = path.name
+    title, values = _column(path)
+    record = _TITLE.match(title)
+    told = record[3] if record else title.strip()
+    parts = _SPECTRUM.fullmatch(told)
+    name, spectrometer, measurement = parts.groups() if parts else (told, "", "")
+    if is_usgs_axis(title):
+        msg = f"{source}: {told[:60]!r} are no spectrum; pass the file as wavelength= or fwhm="
+        raise FormatError(msg)
+    if measurement == "TRAN":
+        msg = f"{source}: {told[:60]!r} is a transmittance, expected reflectance"
+        raise FormatError(msg)
+    notes: list[str] = []
+    nm = _axis(path, "wave", values.size, spectrometer, notes) if wavelength is None else wavelength
+    if nm is None:
+        msg = (
+            f"{source}: no file of {values.size} wavelengths beside it or in the folders above; pass "
+            "wavelength=, the library's file '..._Wavelengths_...txt' of its spectrometer"
+            f"{' ' + spectrometer if spectrometer else ''}"
+        )
+        raise FormatError(msg)
+    width = _axis(path, "bandpass", values.size, spectrometer, notes) if fwhm is None else fwhm
+    columns = {"spectrometer": spectrometer, "measurement": measurement}
+    if record:
+        columns |= {"library": record[1], "record": record[2]}
+    return Spectra(
+        source=source,
+        form="USGS spectral library text",
+        names=[name],
+        wavelength=nm,
+        fwhm=width,
+        reflectance=reflectances(values[None, :], source, said=None, given=scale),
+        columns={key: text_column([value]) for key, value in columns.items()},
+        notes=notes,
+    )
+
+
+def _column(path: Path) -> tuple[str, FloatArray]:
+    """Return the title of a file and its values."""
+    lines = lines_of(path, "a file of the USGS spectral library")
+    values = numbers_of_lines(lines, 1, 1, path.name)[:, 0]
+    if values.size < 2:
+        msg = f"{path.name}: {values.size} values, expected a title and one value a line"
+        raise FormatError(msg)
+    return lines[0], values
+
+
+def read_usgs_axis(path: Path) -> tuple[FloatArray, str]:
+    """Return the wavelengths or bandwidths that a file of the library holds [nm], and a note on their units.
+
+    Raises
+    ------
+    FormatError
+        The file is damaged, or holds something else.
+    """
+    title, values = _column(path)
+    factor, note = wavelength_factor(title.replace("_", " "), values, path.name)
+    if not np.isfinite(values).all():
+        msg = f"{path.name}: not all of its {values.size} values are finite"
+        raise FormatError(msg)
+    return in_nanometres(values, factor), note
+
+
+def _axis(path: Path, kind: str, count: int, spectrometer: str, notes: list[str]) -> FloatArray | None:
+    """Return the wavelengths or bandwidths found near a spectrum; None where none has as many values."""
+    found = {}
+    for file in _candidates(path, kind):
+        try:
+            values, note = read_usgs_axis(file)
+        except FormatError:
+            continue
+        if values.size == count:
+            found[file] = (values, note)
+    code = next((code for code in _SPECTROMETERS if spectrometer.upper().startswith(code)), None)
+    if len(found) > 1 and code:
+        found = {file: axis for file, axis in found.items() if code in file.name.upper()} or found
+    if len({values.tobytes() for values, _ in found.values()}) > 1:
+        listed = ", ".join(sorted(file.name for file in found))
+        option = "wavelength=" if kind == "wave" else "fwhm="
+        msg = f"{path.name}: {listed} have {count} values each; pass {option}, the one that belongs to it"
+        raise FormatError(msg)
+    for file, (values, note) in found.items():
+        notes.append(f"{'wavelengths' if kind == 'wave' else 'fwhm'} of {file.name}{note and ': ' + note}")
+        return values
+    return None
+
+
+def _candidates(path: Path, kind: str) -> list[Path]:
+    """Return the files that may hold an axis, of the nearest folder that has any."""
+    words = ("wavelength",) if kind == "wave" else ("bandpass", "fwhm", "resolution")
+    folder = path.absolute().parent
+    for above in [folder, *folder.parents][:_LEVELS]:
+        try:
+            names = sorted(entry.name for entry in above.iterdir())
+        except OSError:
+            continue
+        fitting = [
+            name for name in names if name.lower().endswith(".txt") and any(w in name.lower() for w in words)
+        ]
+        if kind != "wave":  # spectra convolved to another spectrometer say so in their names
+            fitting = [name for name in fitting if "wavelength" not in name.lower()]
+        if fitting:
+            return [above / name for name in fitting[:_MOST_CANDIDATES] if (above / name) != path.absolute()]
+    return []

@@ -1,0 +1,123 @@
+"""`write_library`: a paint library in the formats of other programs."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from hyperpaint.errors import FormatError
+
+from .csv_library import write_csv_library
+from .ecostress_writing import write_ecostress_library
+from .envi_writing import write_envi_library
+from .records import checked_library
+from .zarr_library import write_zarr_library
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+__all__ = ["FORMATS", "write_library"]
+
+Progress = Callable[[int, int], None]
+
+_WRITERS: dict[str, Callable[..., Any]] = {
+    "envi": write_envi_library,
+    "ecostress": write_ecostress_library,
+    "csv": write_csv_library,
+    "zarr": write_zarr_library,
+}
+FORMATS = tuple(_WRITERS)
+"""Names of the formats."""
+
+_OF_SUFFIX = {".sli": "envi", ".hdr": "envi", ".csv": "csv", ".zarr": "zarr"}
+
+
+def write_library(
+    library: xr.Dataset,
+    path: str | os.PathLike[str],
+    *,
+    format: str | None = None,
+    overwrite: bool = False,
+    progress: Progress | None = None,
+) -> Path:
+    """Write a paint library.
+
+    * ``envi``: ``x.sli`` (float32), its header ``x.hdr`` and metadata ``x.sli.json``; holds everything.
+    * ``csv``: ``x.csv``, a row a spectrum, and metadata ``x.csv.json``; everything.
+    * ``zarr``: a store, see `hyperpaint.to_store`; everything.
+    * ``ecostress``: a folder with ``<paint>.spectrum.txt`` for every paint; centres at good bands, and what
+      is one value a paint.
+
+    `hyperpaint.open_library` opens each of them; what is written from that is the same again. Nothing appears
+    under its name before it is whole. Lazy libraries are computed some paints at a time.
+
+    Parameters
+    ----------
+    library
+        A paint library, as of `hyperpaint.extract_signatures` or `hyperpaint.open_library`: `reflectance`
+        (paint, band), `wavelength` (band), and whatever else is known of the paints.
+    path
+        The file, or the folder of ``ecostress`` and ``zarr``. ``.sli`` is added where it is missing, ``.csv``
+        to a name without a suffix.
+    format
+        One of the above; by default that of the suffix: ``.sli``, ``.csv`` or ``.zarr``.
+    overwrite
+        Replace a library that is there. A folder that holds anything else is never replaced.
+    progress
+        Called with paints done and to do.
+
+    Returns
+    -------
+    pathlib.Path
+        What to open: the ``.sli`` or ``.csv`` file, or the folder.
+
+    Raises
+    ------
+    FormatError
+        The format is unknown, or cannot be told from the suffix.
+    SchemaError
+        It is no paint library; or names, values or attributes are such that the format cannot hold them; all
+        problems are listed.
+    StoreError
+        Something is there already, is being written, or cannot be written; what was there stays.
+    UnitsError
+        Units cannot be read.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> import numpy as np, xarray as xr
+    >>> paints = xr.Dataset(
+    ...     {"reflectance": (("paint", "band"), np.float32([[0.1, 0.5], [0.2, 0.3]]), {"units": "1"})},
+    ...     coords={"paint": ["red, matt", "blue"], "wavelength": ("band", [450.0, 650.0], {"units": "nm"})},
+    ... )
+    >>> scratch = tempfile.TemporaryDirectory()
+    >>> path = write_library(paints, Path(scratch.name) / "paints.sli")
+    >>> sorted(file.name for file in path.parent.iterdir())
+    ['paints.hdr', 'paints.sli', 'paints.sli.json']
+    >>> from hyperpaint.io.library import open_library
+    >>> open_library(path)["paint"].values.tolist()
+    ['red, matt', 'blue']
+    >>> scratch.cleanup()
+    """
+    path = Path(path)
+    chosen = _OF_SUFFIX.get(path.suffix.lower()) if format is None else format
+    if chosen not in _WRITERS:
+        found = f"format {format!r}" if format is not None else f"no format of the suffix {path.suffix!r}"
+        msg = f"{found}; expected format= one of {', '.join(FORMATS)}, or a suffix .sli, .csv or .zarr"
+        raise FormatError(msg)
+    path = _named(path, chosen)
+    _WRITERS[chosen](checked_library(library), path, overwrite=overwrite, progress=progress)
+    return path
+
+
+def _named(path: Path, format: str) -> Path:
+    """Return the file that is written: under a name that is known again."""
+    if format == "envi":
+        own = path.suffix.lower() in (".sli", ".hdr")
+        return path.with_suffix(".sli") if own else path.with_name(f"{path.name}.sli")
+    if format == "csv" and not path.suffix and not path.is_dir():
+        return path.with_suffix(".csv")
+    return path

@@ -1,0 +1,165 @@
+"""Where the pixels of a map lie: an affine grid in a reference system, as ``spatial_ref`` tells it."""
+
+from __future__ import annotations
+
+import math
+import re
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from hyperpaint.errors import MissingExtraError, Problems, SchemaError
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+__all__ = ["SPATIAL_REF", "Grid", "envi_map_info", "grid_of"]
+
+SPATIAL_REF = "spatial_ref"
+_TOLERANCE = 1e-6
+"""Part of a pixel by which steps may differ over the whole grid."""
+
+
+@dataclass(frozen=True)
+class Grid:
+    """An affine grid: x = a + b column + c row, y = d + e column + f row, at the outer corners of pixels.
+
+    Attributes
+    ----------
+    transform
+        a, b, c, d, e, f: GDAL's order [map units].
+    wkt
+        The reference system; None where it is not known.
+    """
+
+    transform: tuple[float, float, float, float, float, float]
+    wkt: str | None
+
+    @property
+    def mirrored(self) -> bool:
+        """Whether the grid is not seen from above as it lies: rows count towards what is up of columns."""
+        _, b, c, _, e, f = self.transform
+        return b * f - c * e > 0.0
+
+    def flipped(self, rows: int) -> Grid:
+        """Return the grid whose first row is the last of this."""
+        a, b, c, d, e, f = self.transform
+        return replace(self, transform=(a + rows * c, b, -c, d + rows * f, e, -f))
+
+
+def grid_of(dataset: xr.Dataset) -> Grid | None:
+    """Return the grid of a map; None where nothing tells it.
+
+    ``GeoTransform`` of ``spatial_ref`` counts, else ``x`` and ``y`` at pixel centres.
+
+    Raises
+    ------
+    SchemaError
+        ``GeoTransform`` is not six finite numbers, or ``x`` and ``y`` are not evenly spaced.
+    """
+    attrs = dataset[SPATIAL_REF].attrs if SPATIAL_REF in dataset.variables else {}
+    wkt = attrs.get("crs_wkt") or attrs.get("spatial_ref")
+    text = attrs.get("GeoTransform")
+    if text is not None:
+        return Grid(_numbers(text), None if wkt is None else str(wkt))
+    axes = [dataset.variables.get(name) for name in ("x", "y")]
+    if any(axis is None or axis.ndim != 1 or axis.size < 2 for axis in axes):
+        return None
+    problems = Problems("the place of this map is not known", SchemaError)
+    (x, width), (y, height) = (_even(name, dataset[name].values, problems) for name in ("x", "y"))
+    problems.raise_if_any()
+    return Grid((x, width, 0.0, y, 0.0, height), None if wkt is None else str(wkt))
+
+
+def _numbers(text: Any) -> tuple[float, float, float, float, float, float]:
+    try:
+        items = text.replace(",", " ").split() if isinstance(text, str) else text
+        a, b, c, d, e, f = (float(item) for item in items)
+    except (TypeError, ValueError):
+        a = b = c = d = e = f = math.nan
+    if not all(map(math.isfinite, (a, b, c, d, e, f))) or b * f - c * e == 0.0:
+        msg = (
+            f"GeoTransform of {SPATIAL_REF} is {text!r:.80}, expected six numbers in GDAL's order: x of the "
+            "outer corner, its steps a column and a row, then y"
+        )
+        raise SchemaError(msg)
+    return a, b, c, d, e, f
+
+
+def _even(name: str, values: Any, problems: Problems) -> tuple[float, float]:
+    """Return the outer edge of the first pixel, and the step."""
+    centres = np.asarray(values, np.float64)
+    step = (centres[-1] - centres[0]) / (centres.size - 1)
+    even = centres[0] + step * np.arange(centres.size)
+    if not np.isfinite(step) or step == 0.0 or np.abs(centres - even).max() > _TOLERANCE * abs(step) + 1e-9:
+        problems.add(f"{name!r} is not evenly spaced; give {SPATIAL_REF} a GeoTransform")
+        return 0.0, 1.0
+    return float(centres[0] - step / 2.0), float(step)
+
+
+# --- in ENVI's words ---------------------------------------------------------------------------------------
+
+
+def envi_map_info(grid: Grid) -> dict[str, str]:
+    """Return the header entries that say where a grid lies, without braces.
+
+    ENVI writes an angle: a column steps along (cos r, sin r), a row along (sin r, -cos r), r = ``rotation``
+    as GDAL reads it.
+
+    Raises
+    ------
+    SchemaError
+        The grid is sheared, mirrored, or turned with pixels that are not square.
+    MissingExtraError
+        There is a reference system, and pyproj is not installed.
+    """
+    a, b, c, d, e, f = grid.transform
+    width, height = math.hypot(b, e), math.hypot(c, f)
+    problems = Problems("ENVI cannot say where this grid lies", SchemaError)
+    turned = e != 0.0 or c != 0.0
+    if grid.mirrored:
+        problems.add("it is mirrored: turn its rows round")
+    if abs(b * c + e * f) > 1e-9 * width * height:
+        problems.add("its rows and columns do not cross at right angles")
+    if turned and abs(width - height) > 1e-9 * width:
+        problems.add(f"it is turned, and its pixels are not square: {width:g} x {height:g}")
+    problems.raise_if_any()
+    projection, zone, units, entries = _reference_system(grid.wkt)
+    place = [projection, "1", "1", *map(repr, (a, d, width, height)), *zone, f"units={units}"]
+    if turned or b < 0.0:
+        angle = math.degrees(math.atan2(e, b))
+        # GDAL takes 180 itself for rows that count upwards, and the number next to it for a half turn
+        place.append(f"rotation={math.nextafter(180.0, 360.0) if abs(angle) == 180.0 else angle!r}")
+    return {"map info": ", ".join(place), **entries}
+
+
+def _reference_system(wkt: str | None) -> tuple[str, list[str], str, dict[str, str]]:
+    """Return projection, what follows the pixel size, map units, and the reference system as text."""
+    if wkt is None:
+        return "Arbitrary", [], "Meters", {}
+    try:
+        import pyproj
+    except ImportError as error:
+        needed = MissingExtraError.of("pyproj", "geo", "a map with its reference system")
+        raise needed from error
+    try:
+        crs = pyproj.CRS.from_user_input(wkt).to_2d()
+    except pyproj.exceptions.CRSError as error:
+        msg = f"{SPATIAL_REF} holds a reference system that PROJ does not know: {wkt[:60]!r}"
+        raise SchemaError(msg) from error
+    text = {"coordinate system string": crs.to_wkt("WKT1_ESRI")}
+    geodetic = crs.geodetic_crs
+    datum = geodetic.name if geodetic is not None else "WGS 84"
+    datum = {"WGS 84": "WGS-84"}.get(datum, datum)
+    if crs.is_geographic:
+        return "Geographic Lat/Lon", [_plain(datum)], "Degrees", text
+    unit = "Meters" if crs.axis_info[0].unit_conversion_factor == 1.0 else _plain(crs.axis_info[0].unit_name)
+    if crs.utm_zone is not None:
+        zone, south = crs.utm_zone[:-1], crs.utm_zone.endswith("S")
+        return "UTM", [zone, "South" if south else "North", _plain(datum)], unit, text
+    return _plain(crs.name), [_plain(datum)], unit, text
+
+
+def _plain(text: str) -> str:
+    return re.sub(r"[,{}=\s]+", " ", text).strip() or "unknown"

@@ -1,0 +1,142 @@
+"""What readers of field spectrometers share: which files are meant, one error for all, names of spectra."""
+
+from __future__ import annotations
+
+import glob
+import os
+from collections import Counter
+from collections.abc import Callable, Iterable, Sequence
+from pathlib import Path
+from typing import TypeVar
+
+import numpy as np
+import numpy.typing as npt
+
+from hyperpaint.errors import FormatError, Problems, TimeError
+
+__all__ = ["Paths", "check_utc_offset", "find_paths", "for_all", "listed", "name_spectra", "same_grids"]
+
+Paths = str | os.PathLike[str] | Sequence[str | os.PathLike[str]]
+_T = TypeVar("_T")
+_R = TypeVar("_R")
+
+
+def find_paths(paths: Paths, of_folder: Callable[[list[Path]], list[Path]], expected: str) -> list[Path]:
+    """Return the files that ``paths`` names: a file, a glob, a folder, or a list of these.
+
+    Parameters
+    ----------
+    paths
+        As the user gave them.
+    of_folder
+        Picks the spectra among the files of a folder.
+    expected
+        What is looked for, for messages.
+
+    Raises
+    ------
+    FormatError
+        Nothing is there.
+    """
+    if isinstance(paths, str | os.PathLike):
+        paths = [paths]
+    problems = Problems("spectra cannot be opened", FormatError)
+    files: list[Path] = []
+    for entry in paths:
+        text = os.fspath(entry)
+        path = Path(text)
+        if path.is_dir():
+            # what only looks like a file is kept: to read it is an error that names it, and none goes missing
+            inside = sorted(p for p in path.iterdir() if not p.is_dir() and not p.name.startswith("."))
+            found = of_folder(inside)
+        elif path.exists() or not glob.has_magic(text):
+            found = [path]
+        else:
+            found = [Path(match) for match in sorted(glob.glob(text, recursive=True))]
+        if not found:
+            problems.add(f"{text}: no spectra found; expected {expected}")
+        files += found
+    if not files and not problems:
+        problems.add("an empty list of files; name at least one")
+    problems.raise_if_any()
+    return files
+
+
+def for_all(items: Iterable[_T], function: Callable[[_T], _R]) -> list[_R]:
+    """Return ``function`` of each item, in their order.
+
+    Raises
+    ------
+    FormatError
+        It raised that for some: one error names all of them, each reason once.
+    """
+    made: list[_R] = []
+    failed: dict[str, list[str]] = {}
+    for item in items:
+        try:
+            made.append(function(item))
+        except FormatError as error:
+            name, _, reason = str(error).partition(": ")
+            failed.setdefault(reason, []).append(name)
+    problems = Problems("spectra cannot be used", FormatError)
+    for reason, names in failed.items():
+        problems.add(f"{', '.join(names)}: {reason}")
+    problems.raise_if_any()
+    return made
+
+
+def same_grids(
+    grids: Iterable[tuple[str, npt.NDArray[np.float64]]],
+) -> list[tuple[npt.NDArray[np.float64], list[str]]]:
+    """Return each set of wavelengths with the names of the spectra on it."""
+    groups: dict[bytes, tuple[npt.NDArray[np.float64], list[str]]] = {}
+    for name, wavelength in grids:
+        groups.setdefault(wavelength.tobytes(), (wavelength, []))[1].append(name)
+    return list(groups.values())
+
+
+def name_spectra(sources: Sequence[tuple[Path, str]]) -> list[str]:
+    """Return a name for each spectrum that no other one has.
+
+    Parameters
+    ----------
+    sources
+        File of each spectrum and its name. Where names repeat, their folder is put before them; where that
+        does not help, a number behind.
+
+    Examples
+    --------
+    >>> name_spectra([(Path("a/red.sig"), "red"), (Path("b/red.sig"), "red"), (Path("b/blue.sig"), "blue")])
+    ['a/red', 'b/red', 'blue']
+    """
+    count = Counter(name for _, name in sources)
+    made: list[str] = []
+    taken: Counter[str] = Counter()
+    for path, name in sources:
+        folder = path.parent.name if count[name] > 1 else ""
+        wanted = unique = f"{folder}/{name}" if folder else name
+        while taken[unique]:
+            taken[wanted] += 1
+            unique = f"{wanted} ({taken[wanted]})"
+        taken[unique] += 1
+        made.append(unique)
+    return made
+
+
+def check_utc_offset(hours: float) -> None:
+    """Refuse local time minus UTC [h] that is the offset of no zone.
+
+    Raises
+    ------
+    TimeError
+        It is outside -14 to 14.
+    """
+    if not -14.0 <= hours <= 14.0:
+        msg = f"utc_offset_h={hours}: expected local time minus UTC in hours, within -14 to 14"
+        raise TimeError(msg)
+
+
+def listed(names: Sequence[str], most: int = 20) -> str:
+    """Return the names as text, the first ones of a long list."""
+    rest = f" and {len(names) - most} more" if len(names) > most else ""
+    return ", ".join(names[:most]) + rest

@@ -1,0 +1,319 @@
+"""Spectra of SVC field spectrometers as labelled arrays."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+import numpy.typing as npt
+import xarray as xr
+
+from hyperpaint.errors import FormatError, Problems, SchemaError
+from hyperpaint.schema import label
+
+from .spectrum_files import Paths, check_utc_offset, find_paths, for_all, same_grids
+from .svc_coords import (
+    SCANS,
+    SvcMeasurement,
+    coords_of_channels,
+    coords_of_files,
+    coords_of_places,
+    coords_of_times,
+    defined,
+    warn_of,
+)
+from .svc_fields import detectors_of, items, overlap_of
+from .svc_layout import SvcFile, read_svc
+
+__all__ = ["SVC_JOINS", "open_svc"]
+
+_FloatArray = npt.NDArray[np.float64]
+Scan = Literal["reference", "target"]
+Overlap = Literal["keep", "trim"]
+
+SVC_JOINS = (990.0, 1900.0)
+"""Where the vendor's software ends a detector unless told otherwise [nm]."""
+
+QUANTITIES = ("counts", "radiance", "reflectance", "irradiance")
+_SCALE = {"radiance": 1e-6, "irradiance": 1e-6, "counts": 1.0}  # files count in 1e-10 W cm-2 [sr-1] nm-1
+
+
+def open_svc(
+    paths: Paths,
+    quantity: str | None = None,
+    *,
+    scan: Scan = "target",
+    overlap: Overlap = "keep",
+    joins: tuple[float, float] | None = None,
+    dayfirst: bool | None = None,
+    utc_offset_h: float | None = None,
+) -> xr.Dataset:
+    r"""Open spectra of an SVC (Spectra Vista) field spectrometer, as ``.sig`` files hold them.
+
+    Parameters
+    ----------
+    paths
+        A file, a glob, a folder, or a list of these.
+    quantity
+        ``reflectance`` (target / white reference), ``radiance``, ``counts`` or ``irradiance``. By default
+        reflectance from two scans in radiance, else what the scan is in.
+    scan
+        Which scan radiance, counts or irradiance are of: of the ``target`` or of the white ``reference``.
+    overlap
+        ``keep`` returns every channel of the file, in its order: where detectors overlap, wavelengths fall
+        back and occur twice. ``trim`` takes one detector at each join, so that wavelengths increase.
+    joins
+        Where ``trim`` hands over from VNIR to SWIR 1 and from SWIR 1 to SWIR 2 [nm]: a channel at the join
+        is the lower detector's, the next one the higher's. By default 990 and 1900, as in the vendor's
+        software, or the end of the overlap that is next to these. It chooses among channels and changes no
+        value; the attribute ``overlap_trimmed_at_nm`` tells where.
+    dayfirst
+        How to read dates with slashes that make sense both ways. By default as the other files of the same
+        instrument read where these leave no doubt; else their time is NaT, with a warning.
+    utc_offset_h
+        Local time minus UTC [h], for files without GPS time. Where there is GPS time, UTC is that.
+
+    Returns
+    -------
+    xarray.Dataset
+        One variable, named by its quantity, on (spectrum, wavelength), float64, in the order of the files,
+        and ``spectrum``, the names of the files without ``.sig``. Coordinates of each spectrum: ``time``
+        and, for reflectance, ``reference_time`` (UTC, NaT where it cannot be known); ``latitude`` and
+        ``longitude`` (NaN without a fix); ``overlap_matched``, whether the software changed values to make
+        detectors meet, and ``overlap``, what became of the channels there; the file's ``factors`` as text
+        and as ``factor_reference`` and ``factor_target``; ``error_reference`` and ``error_target``, the bits
+        that the instrument set; ``column_difference``, how far the file's own rounded reflectance is from
+        the one returned; ``instrument``, ``source``, and ``header``, all of the file's header as JSON.
+        Coordinate of each channel, where the files tell: ``detector``.
+
+    Raises
+    ------
+    FormatError
+        Files are missing or damaged, lack what the quantity needs, or differ in wavelengths; all are named.
+    SchemaError
+        An argument is not one of those above.
+    TimeError
+        ``utc_offset_h`` is the offset of no zone.
+
+    Warns
+    -----
+    PaintWarning
+        Undefined samples, which become NaN; a rounded reflectance in the file that contradicts its scans;
+        times or positions that cannot be known or read; a ``utc_offset_h`` that contradicts the GPS.
+
+    Notes
+    -----
+    Reflectance is the ratio of the two scans, which has more digits than the file's fourth column, and is
+    relative to the white panel. Radiance is scaled by 1e-6 W m-2 sr-1 nm-1 (the vendor's 1e-10 W cm-2 sr-1
+    nm-1), which the files do not say. The ``factors`` are VNIR over SWIR 1 in their overlap, of the reference
+    and of the target; they are applied only where ``overlap_matched``: the first detector is then divided by
+    a ramp from 1 in the blue to them, and faded into the second over the range that ``factors`` name.
+
+    Examples
+    --------
+    >>> import pathlib, tempfile
+    >>> path = pathlib.Path(tempfile.mkdtemp(), "red.sig")
+    >>> times = "time= 27.05.2025 09:39:32, 27.05.2025 09:42:59\n"
+    >>> text = f"/*** Spectra Vista SIG Data ***/\nunits= Radiance, Radiance\n{times}data= \n"
+    >>> _ = path.write_text(text + "550,1  8000,00  401,00  5,01\n551,5  8000,00  800,00  10,00\n")
+    >>> opened = open_svc(path, utc_offset_h=2)
+    >>> opened["reflectance"].values
+    array([[0.050125, 0.1     ]])
+    >>> opened["spectrum"].values.tolist(), opened["time"].values
+    (['red'], array(['2025-05-27T07:42:59.000000000'], dtype='datetime64[ns]'))
+    """
+    _check_arguments(quantity, scan, overlap, joins, utc_offset_h)
+    files = find_paths(
+        paths, lambda inside: [path for path in inside if path.suffix.lower() == ".sig"], ".sig files"
+    )
+    contents = for_all(files, read_svc)
+    side = SCANS.index(scan)
+    wanted = quantity or _common_quantity(contents, side)
+
+    def measure(both: tuple[SvcFile, Path]) -> SvcMeasurement:
+        return _measurement(*both, wanted, side, joins, trim=overlap == "trim")
+
+    measured = for_all(zip(contents, files, strict=True), measure)
+    _require_one_grid(measured)
+    values = np.stack([defined(one.values) for one in measured])
+    warn_of(
+        "samples that are undefined (not finite) become NaN",
+        [one.file.name for one, row in zip(measured, values, strict=True) if np.isnan(row).any()],
+    )
+    coords = {
+        **coords_of_channels(measured),
+        **coords_of_times(contents, 1 if wanted == "reflectance" else side, wanted, dayfirst, utc_offset_h),
+        **coords_of_places(contents, side),
+        **coords_of_files(measured, wanted),
+    }
+    attrs: dict[str, Any] = {"instrument": "SVC"}
+    if wanted != "reflectance":
+        attrs["scan"] = scan
+    trimmed_at = [one.trimmed_at for one in measured if one.trimmed_at]
+    if trimmed_at:
+        attrs["overlap_trimmed_at_nm"] = list(trimmed_at[0])
+    data = xr.DataArray(values, dims=("spectrum", "wavelength"))
+    extra = {"reflectance_scale": "relative"} if wanted == "reflectance" else {}
+    return xr.Dataset({wanted: label(data, wanted, **extra)}, coords=coords, attrs=attrs)
+
+
+def _check_arguments(
+    quantity: str | None,
+    scan: str,
+    overlap: str,
+    joins: tuple[float, float] | None,
+    utc_offset_h: float | None,
+) -> None:
+    problems = Problems("SVC files cannot be opened as asked", SchemaError)
+    if quantity is not None and quantity not in QUANTITIES:
+        problems.add(f"quantity={quantity!r}: expected one of {', '.join(QUANTITIES)}")
+    if scan not in SCANS:
+        problems.add(f"scan={scan!r}: expected 'target' or 'reference'")
+    if scan == "reference" and quantity == "reflectance":
+        problems.add("scan='reference': reflectance is of both scans; leave scan out, or ask for radiance")
+    if overlap not in ("keep", "trim"):
+        problems.add(f"overlap={overlap!r}: expected 'keep' or 'trim'")
+    if joins is not None and not (np.size(joins) == 2 and 0.0 < joins[0] < joins[1] < math.inf):
+        problems.add(f"joins={joins!r}: expected two increasing wavelengths in nm")
+    problems.raise_if_any()
+    if utc_offset_h is not None:
+        check_utc_offset(utc_offset_h)
+
+
+def _common_quantity(contents: Sequence[SvcFile], side: int) -> str:
+    """Return what the files hold: of targets, reflectance, where both scans are in radiance."""
+    found: dict[str, list[str]] = {}
+    for file in contents:
+        reflects = side == 1 and file.units == ("radiance", "radiance") and file.has_reference
+        found.setdefault("reflectance" if reflects else file.units[side], []).append(file.name)
+    if len(found) > 1:
+        problems = Problems("the files differ in what they hold; pass quantity=", FormatError)
+        for key, names in found.items():
+            problems.add(f"{key}: {', '.join(names)}")
+        problems.raise_if_any()
+    return next(iter(found))
+
+
+def _measurement(
+    file: SvcFile,
+    path: Path,
+    quantity: str,
+    side: int,
+    joins: tuple[float, float] | None,
+    *,
+    trim: bool,
+) -> SvcMeasurement:
+    overlap = overlap_of(file.header)
+    detector = detectors_of(file, overlap.joins)
+    if quantity == "reflectance":
+        values = _reflectance(file)
+    elif file.units[side] != quantity:
+        msg = (
+            f"{file.name}: its {SCANS[side]} is in {file.units[side]}, not in {quantity}; pass "
+            f"quantity={file.units[side]!r}, or save the file in {quantity} with the vendor's software"
+        )
+        raise FormatError(msg)
+    elif side == 0 and not file.has_reference:
+        msg = f"{file.name}: no white reference was taken; pass scan='target'"
+        raise FormatError(msg)
+    else:
+        values = (file.reference, file.target)[side] * _SCALE[quantity]
+    at = _handovers(file, joins) if trim else ()
+    used = _trimmed(file, at)
+    if not used.any():
+        msg = f"{file.name}: its detectors do not follow one another in wavelength; the file is damaged"
+        raise FormatError(msg)
+    return SvcMeasurement(
+        file=file,
+        path=path,
+        overlap=overlap,
+        wavelength=file.wavelength[used],
+        values=values[used],
+        detector=None if detector is None else detector[used],
+        trimmed_at=at,
+    )
+
+
+def _reflectance(file: SvcFile) -> _FloatArray:
+    """Return target over reference, NaN where the reference is zero."""
+    reason = ""
+    times = items(file.header.get("integration", ""))
+    if not file.has_reference:
+        reason = "no white reference was taken, so no reflectance; pass quantity='radiance'"
+    elif file.units[0] != file.units[1]:
+        reason = (
+            f"its reference is in {file.units[0]} and its target in {file.units[1]}, so no reflectance; "
+            f"pass quantity={file.units[1]!r}"
+        )
+    elif file.units[1] == "counts" and times[: len(times) // 2] != times[len(times) // 2 :]:
+        reason = (
+            "reference and target are counts, whose integration times differ or are not told, so no "
+            "reflectance; save the file in radiance with the vendor's software, or pass quantity='counts'"
+        )
+    if reason:
+        msg = f"{file.name}: {reason}"
+        raise FormatError(msg)
+    made = np.full(len(file.target), np.nan)
+    with np.errstate(all="ignore"):  # damaged values; what is not finite is reported later
+        np.divide(file.target, file.reference, out=made, where=file.reference != 0.0)
+    return made
+
+
+def _handovers(file: SvcFile, joins: tuple[float, float] | None) -> tuple[float, ...]:
+    """Return where one detector is to follow the other, for each step back of the wavelengths [nm]."""
+    made = []
+    for start, join in zip(file.starts[1:], joins or SVC_JOINS, strict=False):
+        first, last = float(file.wavelength[start]), float(file.wavelength[start - 1])
+        # the vendor's software lets the next detector begin at its very first channel, a step above the join
+        low = first - float(np.ptp(file.wavelength[start : start + 2]))
+        high = last + float(np.ptp(file.wavelength[max(start - 2, 0) : start]))
+        if joins is not None and not low <= join <= high:
+            msg = (
+                f"{file.name}: the join at {join:g} nm is not where detectors overlap, {first:g} to "
+                f"{last:g} nm; pass joins= within the overlaps"
+            )
+            raise FormatError(msg)
+        made.append(min(max(join, low), high))
+    return tuple(made)
+
+
+def _trimmed(file: SvcFile, handovers: Sequence[float]) -> npt.NDArray[np.bool_]:
+    """Return which channels are left where one detector is taken at each join."""
+    used = np.ones(len(file.wavelength), bool)
+    for start, join in zip(file.starts[1:], handovers, strict=False):
+        used[:start] &= file.wavelength[:start] <= join
+        used[start:] &= file.wavelength[start:] > join
+    return used
+
+
+def _require_one_grid(measured: Sequence[SvcMeasurement]) -> None:
+    groups = same_grids((one.file.name, one.wavelength) for one in measured)
+    if len(groups) == 1:
+        return
+    problems = Problems(
+        f"the files differ in their wavelengths; open them apart{_joins_that_help(measured)}", FormatError
+    )
+    for wavelength, names in groups:
+        kept = ", overlap kept" if np.any(np.diff(wavelength) <= 0.0) else ""
+        problems.add(
+            f"{len(wavelength)} from {wavelength[0]:g} to {wavelength[-1]:g} nm{kept}: {', '.join(names)}"
+        )
+    problems.raise_if_any()
+
+
+def _joins_that_help(measured: Sequence[SvcMeasurement]) -> str:
+    """Return the advice to trim where that makes one set of wavelengths of all files."""
+    for joins in sorted({one.overlap.joins for one in measured if one.overlap.joins is not None}):
+        try:
+            grids = [
+                (one.file.name, one.file.wavelength[_trimmed(one.file, _handovers(one.file, joins))])
+                for one in measured
+            ]
+        except FormatError:
+            continue
+        if len(same_grids(grids)) == 1:
+            return f", or pass overlap='trim', joins=({joins[0]:g}, {joins[1]:g}), which makes them one"
+    return ""

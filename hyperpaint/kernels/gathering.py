@@ -1,0 +1,123 @@
+"""Spectra of a slab of lines, brought to the cells of a map.
+
+A slab has its bands before its columns, a map its bands last. Lines are turned one at a time, into memory
+that stays in the processor's cache; every cell is then one copy of a whole spectrum.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy.typing as npt
+
+from ._jit import kernel
+
+__all__ = ["gather_bilinear", "gather_nearest"]
+
+Array = npt.NDArray[Any]
+
+_COLUMNS = 16
+"""Columns that are turned together: a line of the cache in single precision."""
+
+
+@kernel
+def _turn(source: Array, start: int, stop: int, out: Array) -> None:
+    """Write columns of a line (band, column) as (column, band)."""
+    for block in range(start, stop, _COLUMNS):
+        end = min(block + _COLUMNS, stop)
+        for band in range(source.shape[0]):
+            for column in range(block, end):
+                out[column, band] = source[band, column]
+
+
+@kernel
+def gather_nearest(
+    slab: Array, lines: Array, columns: Array, cells: Array, turned: Array, out: Array
+) -> None:
+    """Copy the spectra of pixels to cells.
+
+    Parameters
+    ----------
+    slab : (line, band, column)
+        Any numbers.
+    lines, columns : (pixel,), int64
+        Pixels in the slab, line by line.
+    cells : (pixel,), int64
+        Where each goes.
+    turned : (column, band), like out
+        Memory to work in.
+    out : (cell, band)
+        Written.
+    """
+    k = 0
+    while k < lines.size:
+        stop, low, high = k, columns[k], columns[k]
+        while stop < lines.size and lines[stop] == lines[k]:
+            low, high = min(low, columns[stop]), max(high, columns[stop])
+            stop += 1
+        _turn(slab[lines[k]], low, high + 1, turned)
+        for pixel in range(k, stop):
+            column, cell = columns[pixel], cells[pixel]
+            for band in range(turned.shape[1]):
+                out[cell, band] = turned[column, band]
+        k = stop
+
+
+@kernel
+def gather_bilinear(
+    slab: Array,
+    after: Array,
+    lines: Array,
+    columns: Array,
+    along: Array,
+    across: Array,
+    cells: Array,
+    turned: Array,
+    turned_next: Array,
+    out: Array,
+) -> None:
+    """Write spectra between the four pixels around each place.
+
+    Parameters
+    ----------
+    slab : (line, band, column)
+        Any numbers.
+    after : (band, column)
+        The line that follows the slab.
+    lines, columns : (place,), int64
+        Pixel before each place, line by line.
+    along, across : (place,), like out
+        Way to the next line and column, 0 to 1; of what is 0 away the next is not looked at.
+    cells : (place,), int64
+        Where each goes.
+    turned, turned_next : (column, band), like out
+        Memory to work in.
+    out : (cell, band), float32 or float64
+        Written; NaN where one of the pixels looked at is.
+    """
+    last = slab.shape[2] - 1
+    k = 0
+    while k < lines.size:
+        line = lines[k]
+        stop, low, high = k, columns[k], columns[k]
+        while stop < lines.size and lines[stop] == line:
+            low, high = min(low, columns[stop]), max(high, columns[stop])
+            stop += 1
+        high = min(high + 1, last)
+        _turn(slab[line], low, high + 1, turned)
+        if line + 1 < slab.shape[0]:
+            _turn(slab[line + 1], low, high + 1, turned_next)
+        else:
+            _turn(after, low, high + 1, turned_next)
+        for place in range(k, stop):
+            a, b = along[place], across[place]
+            left = columns[place]
+            right = left if b == 0 else left + 1
+            near = turned
+            far = near if a == 0 else turned_next
+            cell = cells[place]
+            for band in range(out.shape[1]):
+                first = near[left, band] + b * (near[right, band] - near[left, band])
+                second = far[left, band] + b * (far[right, band] - far[left, band])
+                out[cell, band] = first + a * (second - first)
+        k = stop

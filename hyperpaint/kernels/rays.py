@@ -1,0 +1,365 @@
+"""Rays of a line camera to the ground, be it level or a raster of heights.
+
+Every line has a frame of its own: metres to the east (e), north (n) and up (u) of where its navigation puts
+it. What lies around, coordinates of a map, of a raster, and the height above the ellipsoid, are polynomials
+of second degree in (e, n, u), whose ten coefficients stand in the order of ``1 e n u ee nn uu en eu nu``. On
+a straight ray each is then a parabola in the distance s from the camera.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from ._jit import borrowing_kernel, kernel
+
+__all__ = ["BLOCK", "PLACES", "level_places", "raster_places"]
+
+Array = npt.NDArray[Any]
+
+PLACES = 5
+"""What is known of a pixel: x and y on the map, height [m], zenith and azimuth of the camera [degree]."""
+
+_UPRIGHT = 1e-9
+"""Horizontal part of a direction below which it has no azimuth; 0 is given then."""
+_SURFACE = 1e-9
+"""Distance from the surface at which a ray has arrived [m]."""
+_MARGIN = 1e-3
+"""How far above the highest and below the lowest point of a raster a ray is followed [m]."""
+_NUDGE = 1e-7
+"""Part of a cell by which a ray is put across the border of the next."""
+_STEEP = 1e-30
+"""Cells per metre below which a ray stays in its cell."""
+BLOCK = 16
+"""Cells of a raster along either axis whose highest point is known."""
+
+
+@borrowing_kernel
+def _at(c: Array, e: float, n: float, u: float) -> float:
+    """Return a polynomial at a place."""
+    value: float = (
+        c[0]
+        + e * (c[1] + c[4] * e + c[7] * n + c[8] * u)
+        + n * (c[2] + c[5] * n + c[9] * u)
+        + u * (c[3] + c[6] * u)
+    )
+    return value
+
+
+@borrowing_kernel
+def _gradient(c: Array, e: float, n: float, u: float) -> tuple[float, float, float]:
+    """Return the derivatives of a polynomial at a place."""
+    return (
+        c[1] + 2.0 * c[4] * e + c[7] * n + c[8] * u,
+        c[2] + 2.0 * c[5] * n + c[7] * e + c[9] * u,
+        c[3] + 2.0 * c[6] * u + c[8] * e + c[9] * n,
+    )
+
+
+@borrowing_kernel
+def _along(
+    c: Array, e: float, n: float, u: float, de: float, dn: float, du: float
+) -> tuple[float, float, float]:
+    """Return a polynomial as the parabola that it is along a ray from (e, n, u)."""
+    ge, gn, gu = _gradient(c, e, n, u)
+    bent = c[4] * de * de + c[5] * dn * dn + c[6] * du * du + c[7] * de * dn + c[8] * de * du + c[9] * dn * du
+    return _at(c, e, n, u), ge * de + gn * dn + gu * du, bent
+
+
+@borrowing_kernel
+def _first_zero(a: float, b: float, c: float) -> float:
+    """Return the first s > 0 where a + b s + c s s, falling from a > 0, is 0; NaN where it never is."""
+    if not (a > 0.0 and b < 0.0):
+        return math.nan
+    inside = b * b - 4.0 * a * c
+    if not inside >= 0.0:
+        return math.nan
+    return 2.0 * a / (-b + math.sqrt(inside))
+
+
+@borrowing_kernel
+def _describe(
+    x: Array, y: Array, height: Array, turn: float,
+    e: float, n: float, u: float, de: float, dn: float, du: float,
+    out: Array, line: int, column: int,
+) -> None:  # fmt: skip
+    """Write what is known of a pixel that is seen at (e, n, u) in the direction (de, dn, du)."""
+    out[0, line, column] = _at(x, e, n, u)
+    out[1, line, column] = _at(y, e, n, u)
+    out[2, line, column] = _at(height, e, n, u)
+    # the vertical of the place that is seen, not that of the camera
+    ve, vn, vu = _gradient(height, e, n, u)
+    upwards = -(ve * de + vn * dn + vu * du)
+    # by the sine: the arc cosine loses half of its digits near the zenith
+    ce, cn, cu = vn * du - vu * dn, vu * de - ve * du, ve * dn - vn * de
+    out[3, line, column] = math.degrees(math.atan2(math.sqrt(ce * ce + cn * cn + cu * cu), upwards))
+    length = ve * ve + vn * vn + vu * vu
+    along = upwards / length
+    level_e, level_n = -de - along * ve, -dn - along * vn
+    if math.hypot(level_e, level_n) < _UPRIGHT:
+        out[4, line, column] = 0.0
+        return
+    # meridians meet: north of the place is turned against that of the camera
+    azimuth = math.degrees(math.atan2(level_e, level_n) + turn * e)
+    out[4, line, column] = azimuth % 360.0
+
+
+@kernel
+def level_places(
+    origin: Array,
+    rotation: Array,
+    look: Array,
+    x: Array,
+    y: Array,
+    height: Array,
+    turn: Array,
+    ground: float,
+    out: Array,
+) -> None:
+    """Follow the rays of lines to the surface that is everywhere ``ground`` above the ellipsoid.
+
+    Parameters
+    ----------
+    origin : (line, 3), float64
+        Projection centre in the line's frame [m].
+    rotation : (line, 3, 3), float64
+        Turns directions of the camera into the line's frame.
+    look : (column, 3), float64
+        Directions of the columns in the camera's frame, of unit length.
+    x, y, height : (line, 10), float64
+        Coordinates of the map and height above the ellipsoid [m], as polynomials of the line's frame.
+    turn : (line,), float64
+        How north turns with the way to the east [rad m-1].
+    ground
+        Height of the ground [m].
+    out : (`PLACES`, line, column), float64
+        Written; NaN where a ray meets no ground.
+    """
+    for line in range(origin.shape[0]):
+        e, n, u = origin[line, 0], origin[line, 1], origin[line, 2]
+        m = rotation[line]
+        for column in range(look.shape[0]):
+            a, b, c = look[column, 0], look[column, 1], look[column, 2]
+            de = m[0, 0] * a + m[0, 1] * b + m[0, 2] * c
+            dn = m[1, 0] * a + m[1, 1] * b + m[1, 2] * c
+            du = m[2, 0] * a + m[2, 1] * b + m[2, 2] * c
+            h0, h1, h2 = _along(height[line], e, n, u, de, dn, du)
+            s = _first_zero(h0 - ground, h1, h2)
+            if not s > 0.0:
+                for part in range(PLACES):
+                    out[part, line, column] = np.nan
+                continue
+            _describe(
+                x[line], y[line], height[line], turn[line],
+                e + s * de, n + s * dn, u + s * du, de, dn, du, out, line, column,
+            )  # fmt: skip
+
+
+@borrowing_kernel
+def _bend(parabola: tuple[float, float, float], s: float) -> float:
+    """Return a parabola at s."""
+    return parabola[0] + s * (parabola[1] + s * parabola[2])
+
+
+@borrowing_kernel
+def _above(
+    heights: Array,
+    i: int,
+    j: int,
+    row: tuple[float, float, float],
+    col: tuple[float, float, float],
+    h: tuple[float, float, float],
+    s: float,
+) -> float:
+    """Return how far a ray is above the bilinear patch of cell (i, j) [m]; NaN over a hole."""
+    v, w = _bend(row, s) - i, _bend(col, s) - j
+    near = heights[i, j] + w * (heights[i, j + 1] - heights[i, j])
+    far = heights[i + 1, j] + w * (heights[i + 1, j + 1] - heights[i + 1, j])
+    surface: float = near + v * (far - near)
+    return _bend(h, s) - surface
+
+
+@borrowing_kernel
+def _arrival(
+    heights: Array,
+    i: int,
+    j: int,
+    row: tuple[float, float, float],
+    col: tuple[float, float, float],
+    h: tuple[float, float, float],
+    s: float,
+    f: float,
+    end: float,
+    f_end: float,
+) -> float:
+    """Return where a ray that is above a patch at s and not above it at ``end`` meets it (Illinois)."""
+    side = 0
+    for _ in range(60):
+        if f_end == f:
+            break
+        at = (s * f_end - end * f) / (f_end - f)
+        found = _above(heights, i, j, row, col, h, at)
+        if abs(found) < _SURFACE:
+            return at
+        if found > 0.0:
+            s, f = at, found
+            if side == 1:
+                f_end *= 0.5
+            side = 1
+        else:
+            end, f_end = at, found
+            if side == -1:
+                f *= 0.5
+            side = -1
+    return 0.5 * (s + end)
+
+
+@borrowing_kernel
+def _to_border(place: float, speed: float, low: float, high: float) -> float:
+    """Return how far a ray goes until it leaves the interval from ``low`` to ``high``."""
+    if speed > _STEEP:
+        return (high - place) / speed
+    if speed < -_STEEP:
+        return (low - place) / speed
+    return math.inf
+
+
+@borrowing_kernel
+def _to_raster(place: float, speed: float, last: float) -> float:
+    """Return how far a ray goes until it is between 0 and ``last``: 0 inside, infinite where it never is."""
+    if 0.0 <= place <= last:
+        return 0.0
+    way = -place if place < 0.0 else last - place
+    if way * speed <= 0.0 or abs(speed) < _STEEP:
+        return math.inf
+    return way / speed
+
+
+@borrowing_kernel
+def _first_hit(
+    heights: Array,
+    tops: Array,
+    lowest: float,
+    highest: float,
+    row: tuple[float, float, float],
+    col: tuple[float, float, float],
+    h: tuple[float, float, float],
+) -> float:
+    """Return where a ray first meets a raster, cell by cell; NaN where that is not known."""
+    last_row, last_col = heights.shape[0] - 1, heights.shape[1] - 1
+    end = _first_zero(h[0] - (lowest - _MARGIN), h[1], h[2])
+    if not end > 0.0:
+        return math.nan
+    s = 0.0
+    if h[0] > highest + _MARGIN:
+        s = _first_zero(h[0] - (highest + _MARGIN), h[1], h[2])
+    unknown = True  # whether the ray is above the surface here
+    for _ in range(8 * (last_row + last_col + 8)):
+        if not s < end:
+            return math.nan
+        y, x = _bend(row, s), _bend(col, s)
+        vy, vx = row[1] + 2.0 * s * row[2], col[1] + 2.0 * s * col[2]
+        nudge = _NUDGE / max(abs(vy), abs(vx), _STEEP)
+        entry = max(_to_raster(y, vy, last_row), _to_raster(x, vx, last_col))
+        if entry > 0.0:
+            s += entry + nudge
+            unknown = True
+            continue
+        i, j = min(int(y), last_row - 1), min(int(x), last_col - 1)
+        # a block whose highest point the ray is still above where it leaves it
+        bi, bj = i // BLOCK, j // BLOCK
+        leave = s + nudge + min(
+            _to_border(y, vy, bi * BLOCK, min((bi + 1) * BLOCK, last_row)),
+            _to_border(x, vx, bj * BLOCK, min((bj + 1) * BLOCK, last_col)),
+        )  # fmt: skip
+        if leave < end and _bend(h, leave) > tops[bi, bj]:
+            unknown = tops[bi, bj] == -math.inf
+            s = leave
+            continue
+        leave = s + nudge + min(_to_border(y, vy, i, i + 1), _to_border(x, vx, j, j + 1))
+        leave = min(leave, end)
+        f = _above(heights, i, j, row, col, h, s)
+        f_leave = _above(heights, i, j, row, col, h, leave)
+        if math.isnan(f) or math.isnan(f_leave):
+            unknown = True
+            s = leave
+            continue
+        if f <= 0.0:
+            return math.nan if unknown and f < -_SURFACE else s
+        unknown = False
+        if f_leave <= 0.0:
+            return _arrival(heights, i, j, row, col, h, s, f, leave, f_leave)
+        # over a patch the distance is a parabola, which may dip below 0 in between
+        middle = _above(heights, i, j, row, col, h, 0.5 * (s + leave))
+        bent, slope = 2.0 * (f + f_leave - 2.0 * middle), 4.0 * middle - 3.0 * f - f_leave
+        if bent > 0.0 and 0.0 < -slope < 2.0 * bent:
+            dip = s - slope / (2.0 * bent) * (leave - s)
+            f_dip = _above(heights, i, j, row, col, h, dip)
+            if f_dip <= 0.0:
+                return _arrival(heights, i, j, row, col, h, s, f, dip, f_dip)
+        s = leave
+    return math.nan
+
+
+@kernel
+def raster_places(
+    origin: Array,
+    rotation: Array,
+    look: Array,
+    x: Array,
+    y: Array,
+    height: Array,
+    turn: Array,
+    row: Array,
+    col: Array,
+    heights: Array,
+    tops: Array,
+    lowest: float,
+    highest: float,
+    out: Array,
+) -> None:
+    """Follow the rays of lines to the first point of a bilinear surface through a raster of heights.
+
+    Parameters
+    ----------
+    origin, rotation, look, x, y, height, turn, out
+        See `level_places`.
+    row, col : (line, 10), float64
+        Place in the raster, 0 at the centre of its first cells, as polynomials of the line's frame.
+    heights : (row, col), float64
+        Above the ellipsoid [m]; NaN in holes.
+    tops : (ceil((row - 1) / `BLOCK`), ceil((col - 1) / `BLOCK`)), float64
+        Highest point of every block; minus infinity where all of it is a hole.
+    lowest, highest
+        Of all heights [m].
+
+    Notes
+    -----
+    What is hidden from the camera is not seen: the first hit counts. A ray that leaves a hole, or comes in
+    over the edge, below the surface has met the ground where it is not known, and gets NaN.
+    """
+    for line in range(origin.shape[0]):
+        e, n, u = origin[line, 0], origin[line, 1], origin[line, 2]
+        m = rotation[line]
+        for column in range(look.shape[0]):
+            a, b, c = look[column, 0], look[column, 1], look[column, 2]
+            de = m[0, 0] * a + m[0, 1] * b + m[0, 2] * c
+            dn = m[1, 0] * a + m[1, 1] * b + m[1, 2] * c
+            du = m[2, 0] * a + m[2, 1] * b + m[2, 2] * c
+            s = _first_hit(
+                heights, tops, lowest, highest,
+                _along(row[line], e, n, u, de, dn, du),
+                _along(col[line], e, n, u, de, dn, du),
+                _along(height[line], e, n, u, de, dn, du),
+            )  # fmt: skip
+            if not s > 0.0:
+                for part in range(PLACES):
+                    out[part, line, column] = np.nan
+                continue
+            _describe(
+                x[line], y[line], height[line], turn[line],
+                e + s * de, n + s * dn, u + s * du, de, dn, du, out, line, column,
+            )  # fmt: skip

@@ -1,0 +1,289 @@
+"""Mixtures of paints, and shades of one."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from hyperpaint import schema
+from hyperpaint.errors import Problems, SchemaError
+from hyperpaint.schema import BAND, MEMBER, PAINT
+
+from .coated import coating_of
+from .synthetic import SPECULAR, synthetic_library
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+__all__ = ["METHODS", "mix_paints", "shade_paints"]
+
+Floats = npt.NDArray[np.float64]
+Method = Literal["kubelka-munk", "linear"]
+
+METHODS = ("kubelka-munk", "linear")
+"""How paints are mixed: as pigments in a pot, or as areas side by side."""
+
+
+def mix_paints(
+    library: xr.Dataset,
+    recipes: Mapping[str, Mapping[str, float]],
+    *,
+    method: Method = "kubelka-munk",
+    scattering: Mapping[str, float] | None = None,
+    k1: float = 0.04,
+    k2: float = 0.60,
+    mirrored: Any = None,
+) -> xr.Dataset:
+    r"""Mix paints of a library into new ones.
+
+    Parameters
+    ----------
+    library
+        A paint library: ``reflectance`` (paint, band) [1], of opaque paints.
+    recipes
+        Of every new paint, by its name: parts of each of its parents, by their names. Only their ratio
+        counts.
+    method
+        "kubelka-munk" mixes pigments in a pot: absorption and scattering add up. "linear" mixes areas side by
+        side, as a pixel does: reflectances add up.
+    scattering
+        Scattering of a part of a paint relative to that of a part of another [1], by name; 1 where it is not
+        said. White (rutile) scatters several times more than coloured pigments do.
+    k1, k2
+        Reflectance of the coat for light from outside, and for diffuse light from inside [1]; the defaults
+        are those of an index of 1.5. Not used by "linear".
+    mirrored
+        Part of the library's reflectance that was mirrored by the coat [1], a number or one a band. By
+        default 0 where the library says that it is excluded (attribute ``mirror_reflection``), else k1.
+        Outdoors it is about k1 times the diffuse fraction of the light.
+
+    Returns
+    -------
+    Dataset
+        A paint library with ``reflectance`` (paint, band), float32 [1], 0 to 1; mirrored light is in it as it
+        is in the library. ``member_reflectance`` (paint, member, band), where all parents have some: the
+        first of each parent are mixed, then the second; with ``reflectance_sd`` and
+        ``reflectance_quantiles``. Coordinates ``provenance`` ("synthetic"),
+        ``parents``, ``weights`` (JSON, normalised to 1) and ``method`` (paint).
+
+    Raises
+    ------
+    SchemaError
+        It is no paint library; recipes name paints that are not there, or there more than once, or parts that
+        cannot be; an option is none; or paints are darker than the mirrored light that they are to hold. All
+        are listed.
+    UnitsError
+        Units cannot be read.
+
+    Warns
+    -----
+    PaintWarning
+        Some reflectances no such layer can have; they are replaced by the nearest.
+
+    Notes
+    -----
+    With the shares c, scattering s and K/S of each parent q,
+
+    .. math:: q_{mix} = \sum_i c_i s_i q_i \Big/ \sum_i c_i s_i
+
+    (Duncan, Proc. Phys. Soc. 52, 390, 1940; with equal s the single-constant theory), where q follows from
+    reflectance through Saunderson's correction, see `hyperpaint.mixing.kubelka_munk`. Absorption rules: a
+    part of black in nine of white is far darker than a tenth. What a coat mirrors, where the library has it
+    apart as ``specular_reflectance``, is averaged. A band that is NaN in one parent is NaN. Eager.
+
+    Examples
+    --------
+    >>> from hyperpaint import starter_library
+    >>> paints = starter_library(members=0)
+    >>> white, black = "Synthetic Polar White", "Synthetic Carbon Black"
+    >>> grey = {"grey": {white: 9, black: 1}}
+    >>> for method in ("kubelka-munk", "linear"):
+    ...     mixed = mix_paints(paints, grey, method=method)
+    ...     print(method, mixed.reflectance.mean().item().__round__(2))
+    kubelka-munk 0.1
+    linear 0.64
+    >>> mixed.weights.item()
+    '[0.9, 0.1]'
+    """
+    shares = _checked(library, recipes, method, scattering)
+    parents = list(dict.fromkeys(name for recipe in shares.values() for name in recipe))
+    values = _spectra(library, parents)
+    weights = np.array([[recipe.get(name, 0.0) for name in parents] for recipe in shares.values()])
+    made = {SPECULAR: _averaged(weights, values[SPECULAR])} if SPECULAR in values else {}
+    told: dict[str, Any] = {}
+    if method == "linear":
+        mix = {name: _averaged(weights, array) for name, array in values.items() if name != SPECULAR}
+    else:
+        coating = coating_of(library, k1, k2, mirrored)
+        scatter = np.array([(scattering or {}).get(name, 1.0) for name in parents])
+        relative = weights * scatter / (weights @ scatter)[:, np.newaxis]
+        mix = {
+            name: coating.reflectance(_averaged(relative, coating.ratio(array, parents)))
+            for name, array in values.items()
+            if name != SPECULAR
+        }
+        told = {"k1": k1, "k2": k2, "scattering": "equal" if scattering is None else _listed(scattering)}
+    return synthetic_library(library, list(shares), made | mix, list(shares.values()), method, **told)
+
+
+def shade_paints(
+    library: xr.Dataset,
+    depths: Sequence[float],
+    *,
+    k1: float = 0.04,
+    k2: float = 0.60,
+    mirrored: Any = None,
+) -> xr.Dataset:
+    r"""Make every paint of a library lighter and deeper: a ladder of depths of shade.
+
+    Parameters
+    ----------
+    library
+        A paint library: ``reflectance`` (paint, band) [1], of opaque paints.
+    depths
+        Of shade, relative to the paint as it is [1]: pigment per scatterer. 0.1 is a tint, a part of the
+        paint in nine of a white that absorbs nothing; 2 has twice the pigment. To darken with black, mix it
+        in: `hyperpaint.mix_paints`.
+    k1, k2, mirrored
+        See `hyperpaint.mix_paints`.
+
+    Returns
+    -------
+    Dataset
+        A paint library as of `hyperpaint.mix_paints`, every paint at every depth, named
+        ``"<paint> x <depth>"``; the coordinate ``depth`` (paint) [1] says which.
+
+    Raises
+    ------
+    SchemaError
+        It is no paint library, a depth is not above 0, an option is none, or paints are darker than the
+        mirrored light that they are to hold. All of a kind are listed.
+    UnitsError
+        Units cannot be read.
+
+    Warns
+    -----
+    PaintWarning
+        Some reflectances no such layer can have; they are replaced by the nearest.
+
+    Notes
+    -----
+    K/S is multiplied by the depth, see `hyperpaint.mixing.kubelka_munk`. Eager.
+
+    Examples
+    --------
+    >>> from hyperpaint import starter_library
+    >>> red = starter_library(members=0).isel(paint=[5])
+    >>> ladder = shade_paints(red, [0.1, 1.0])
+    >>> ladder["paint"].values.tolist(), ladder.reflectance[:, :60].mean("band").values.round(2)
+    (['Synthetic Signal Red x 0.1', 'Synthetic Signal Red x 1'], array([0.15, 0.02], dtype=float32))
+    """
+    factors = np.asarray(depths, np.float64)
+    if factors.ndim != 1 or not factors.size or not ((factors > 0.0) & np.isfinite(factors)).all():
+        msg = f"depths={depths!r:.60}, expected numbers above 0, such as [0.1, 0.5, 2]"
+        raise SchemaError(msg)
+    _require(library)
+    names = [str(name) for name in library[PAINT].values]
+    coating = coating_of(library, k1, k2, mirrored)
+    values = _spectra(library, None)
+    count = len(names)
+    made: dict[str, Floats] = {}
+    for name, array in values.items():
+        if name == SPECULAR:
+            made[name] = np.repeat(array, factors.size, axis=0)
+            continue
+        scale = np.tile(factors, count).reshape(-1, *[1] * (array.ndim - 1))
+        made[name] = coating.reflectance(np.repeat(coating.ratio(array, names), factors.size, axis=0) * scale)
+    shades = [f"{name} x {depth:g}" for name in names for depth in factors.tolist()]
+    parents = [{name: 1.0} for name in names for _ in factors]
+    shaded = synthetic_library(library, shades, made, parents, "kubelka-munk shade", k1=k1, k2=k2)
+    told = {"long_name": "Pigment relative to that of the parent", "units": "1"}
+    return shaded.assign_coords(depth=(PAINT, np.tile(factors, count), told))
+
+
+def _listed(numbers: Mapping[str, float]) -> str:
+    """Return numbers by name for an attribute."""
+    return ", ".join(f"{name} {number:g}" for name, number in numbers.items())
+
+
+def _averaged(weights: Floats, values: Floats) -> Floats:
+    """Return weighted sums (new, ..., band) of (paint, ..., band); what a recipe does not take is no NaN."""
+    made = np.zeros((len(weights), *values.shape[1:]))
+    for row, shares in zip(made, weights, strict=True):
+        for number in np.flatnonzero(shares):
+            row += shares[number] * values[number]
+    return made
+
+
+def _require(library: xr.Dataset) -> None:
+    """Refuse what is no paint library."""
+    names = [PAINT, "reflectance", "wavelength"]
+    schema.require(library, names, "new paints", schema.LIBRARY_VARIABLES)
+
+
+def _spectra(library: xr.Dataset, parents: list[str] | None) -> dict[str, Floats]:
+    """Return what can be mixed of paints, by variable, float64 [1]; of all paints without names."""
+    if parents is not None:
+        known = [str(name) for name in library[PAINT].values]
+        library = library.isel({PAINT: [known.index(name) for name in parents]})
+    some = [name for name in ("member_reflectance",) if name in library.variables]
+    found = schema.require(library, ["reflectance", *some], "new paints", schema.LIBRARY_VARIABLES)
+    made = {name: np.asarray(array.values, np.float64) for name, array in found.items()}
+    if SPECULAR in library.variables:
+        made[SPECULAR] = np.asarray(library[SPECULAR].transpose(PAINT, BAND).values, np.float64)
+    if some:
+        known_members = np.isfinite(made["member_reflectance"]).any(axis=2)
+        # padding is at the end: as many as the paint with the fewest has
+        fewest = int(known_members.sum(axis=1).min(initial=library.sizes[MEMBER]))
+        made["member_reflectance"] = made["member_reflectance"][:, :fewest]
+        if not fewest:
+            del made["member_reflectance"]
+    return made
+
+
+def _checked(
+    library: xr.Dataset,
+    recipes: Mapping[str, Mapping[str, float]],
+    method: str,
+    scattering: Mapping[str, float] | None,
+) -> dict[str, dict[str, float]]:
+    """Return shares by name of the new paint and of its parents, each recipe's sum 1."""
+    _require(library)
+    problems = Problems("paints cannot be mixed", SchemaError)
+    known = [str(name) for name in library[PAINT].values]
+    if method not in METHODS:
+        problems.add(f"method={method!r}, expected one of {', '.join(METHODS)}")
+    if not recipes:
+        problems.add('there is no recipe; expected some, such as {"grey": {"white": 9, "black": 1}}')
+    shares = {}
+    for name, recipe in recipes.items():
+        wrong = [text for parent in recipe if (text := _name_problem(str(parent), known))]
+        parts = np.array([*recipe.values()], np.float64)
+        if not (parts.size and np.isfinite(parts).all() and (parts >= 0.0).all() and parts.sum() > 0.0):
+            wrong.append(f"parts are {list(recipe.values())}, expected 0 or more, not all 0")
+        for text in wrong:
+            problems.add(f"{name!r}: {text}")
+        if not wrong:
+            shares[str(name)] = dict(zip(recipe, (parts / parts.sum()).tolist(), strict=True))
+    for name, number in (scattering or {}).items():
+        if text := _name_problem(name, known):
+            problems.add(f"scattering: {text}")
+        if not 0.0 < number < np.inf:
+            problems.add(f"scattering of {name!r} is {number!r}, expected a number above 0")
+    problems.raise_if_any()
+    return shares
+
+
+def _name_problem(name: str, known: list[str]) -> str:
+    """Return why a name does not say one paint; nothing where it does."""
+    count = known.count(name)
+    if count == 1:
+        return ""
+    if count:
+        return f"{count} paints are named {name!r}; give them different names, or leave some out with isel"
+    close = difflib.get_close_matches(name, known, 1)
+    return f"there is no paint {name!r}" + (f"; did you mean {close[0]!r}?" if close else "")

@@ -1,0 +1,186 @@
+"""Variants of paints, drawn from the spread that their pixels were measured to have."""
+
+from __future__ import annotations
+
+import warnings
+import zlib
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from hyperpaint import schema
+from hyperpaint.errors import PaintWarning, Problems, SchemaError
+from hyperpaint.schema import BAND, MEMBER, PAINT
+
+from .synthetic import SPECULAR, synthetic_library
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+__all__ = ["draw_variants", "sample_paints"]
+
+Floats = npt.NDArray[np.float64]
+Form = Literal["members", "paints"]
+
+_MARGIN = 0.005
+"""How far beyond 0 and 1 noise may be [1]: there the scale of the logit is still that of reflectance."""
+
+_METHOD = "smoothed bootstrap of principal components of logit reflectance"
+
+
+def sample_paints(
+    library: xr.Dataset, count: int, *, seed: int = 0, form: Form = "members", bandwidth: float | None = None
+) -> xr.Dataset:
+    r"""Draw variants of every paint of a library from its population.
+
+    Parameters
+    ----------
+    library
+        A paint library with ``member_reflectance`` (paint, member, band) [1], such as single pixels.
+    count
+        Variants of each paint.
+    seed
+        Another seed draws others. A paint's variants do not depend on the other paints.
+    form
+        "members": one new paint for each, the variants its members, as textures want it. "paints": every
+        variant is a paint of its own.
+    bandwidth
+        How far variants are from single members, in standard deviations of the population [1]: 0 repeats
+        members, and above 1 they are nearly normally distributed. By default Silverman's rule.
+
+    Returns
+    -------
+    Dataset
+        A paint library: ``reflectance`` (paint, band), of "members" their mean, float32 [1], 0 to 1;
+        ``member_reflectance``, ``reflectance_sd`` and ``reflectance_quantiles`` of "members". Coordinates
+        that the library has of its paints, such as make and colour, and ``provenance`` ("synthetic"),
+        ``parents``, ``weights`` and ``method``. Names end in "(synthetic)", or "(synthetic 1)" and so on.
+
+    Raises
+    ------
+    SchemaError
+        It has no members, or too few that are whole; or an option cannot be; all are listed.
+    UnitsError
+        Units cannot be read.
+
+    Warns
+    -----
+    PaintWarning
+        Members were left out for what they lack, or lie outside 0 to 1 beyond what is noise.
+
+    Notes
+    -----
+    Members are brought to an unbounded scale, :math:`z = \ln(R + m) / (1 + m - R)` with m = 0.005, and their
+    principal components found. A variant is a member chosen at random, moved along all components at random,
+    and drawn towards the mean, so that mean and covariance stay those of the members (Silverman, Density
+    Estimation, 1986, section 6.4.1):
+
+    .. math:: z = \bar z + \frac{(z_I - \bar z) + h \epsilon}{\sqrt{1 + h^2}},
+              \qquad \epsilon \sim N(0, \Sigma), \qquad h = \left(\frac{4}{n (d + 2)}\right)^{1 / (d + 4)}
+
+    d is the number of components that matter, :math:`(\sum \lambda)^2 / \sum \lambda^2`. Tails and groups of
+    the population stay, blurred, which a normal distribution would lose. Bands that half of the members lack
+    are NaN.
+
+    Examples
+    --------
+    >>> from hyperpaint import starter_library
+    >>> paints = starter_library(members=50)
+    >>> drawn = sample_paints(paints.isel(paint=[0]), 200)
+    >>> drawn["paint"].item(), dict(drawn.member_reflectance.sizes)
+    ('Synthetic Polar White (synthetic)', {'paint': 1, 'member': 200, 'band': 272})
+    """
+    members = _members(library, count, form, bandwidth)
+    names = [str(name) for name in library[PAINT].values]
+    problems = Problems("variants cannot be drawn", SchemaError)
+    drawn = np.full((len(names), count, library.sizes[BAND]), np.nan, np.float32)
+    left_out = outside = 0
+    for number, (name, spectra) in enumerate(zip(names, members, strict=True)):
+        bands, whole = _whole(np.asarray(spectra, np.float64))
+        if len(whole) < 2:
+            problems.add(f"{name!r} has {len(whole)} whole members, expected at least 2; leave the paint out")
+            continue
+        left_out += int(np.isfinite(spectra).any(axis=1).sum()) - len(whole)
+        outside += int(((whole <= -_MARGIN) | (whole >= 1.0 + _MARGIN)).sum())
+        rng = np.random.default_rng([seed, zlib.crc32(name.encode())])
+        drawn[number][:, bands] = draw_variants(whole, count, rng, bandwidth)
+    problems.raise_if_any()
+    if left_out or outside:
+        msg = f"{left_out} members lack bands and were left out; {outside} values outside 0 to 1 were clipped"
+        warnings.warn(msg, PaintWarning, stacklevel=2)
+    return _library(library, drawn, form, seed)
+
+
+def draw_variants(
+    members: Floats, count: int, rng: np.random.Generator, bandwidth: float | None = None
+) -> Floats:
+    """Return variants (count, band) of spectra (member, band) of at least two members [1], 0 to 1.
+
+    See `sample_paints`.
+    """
+    inside = np.clip(members, -0.8 * _MARGIN, 1.0 + 0.8 * _MARGIN)
+    logit = np.log((inside + _MARGIN) / (1.0 + _MARGIN - inside))
+    mean = logit.mean(axis=0)
+    size = len(logit)
+    _, spread, components = np.linalg.svd(logit - mean, full_matrices=False)
+    variance = spread**2
+    if bandwidth is None:
+        matter = variance.sum() ** 2 / max(float((variance**2).sum()), np.finfo(float).tiny)
+        bandwidth = (4.0 / (size * (matter + 2.0))) ** (1.0 / (matter + 4.0))
+    moved = rng.standard_normal((count, len(spread))) * (spread / np.sqrt(size)) @ components
+    chosen = logit[rng.integers(size, size=count)] - mean
+    # of the members, the covariance is divided by one less than their number
+    scale = np.sqrt(size / (size - 1.0) / (1.0 + bandwidth**2))
+    varied = mean + scale * (chosen + bandwidth * moved)
+    share = 0.5 * (1.0 + np.tanh(0.5 * varied))  # the logistic function, without overflow
+    return np.asarray(np.clip(share * (1.0 + 2.0 * _MARGIN) - _MARGIN, 0.0, 1.0))
+
+
+def _members(library: xr.Dataset, count: int, form: str, bandwidth: float | None) -> npt.NDArray[np.float32]:
+    """Return the population (paint, member, band), if all options can be."""
+    names = [PAINT, "reflectance", "member_reflectance", "wavelength"]
+    found, wrong = schema.find(library, names, schema.LIBRARY_VARIABLES)
+    problems = Problems("variants cannot be drawn", SchemaError)
+    for problem in wrong:
+        problems.add(problem)
+    if count < 1:
+        problems.add(f"count={count!r}, expected 1 or more")
+    if form not in ("members", "paints"):
+        problems.add(f"form={form!r}, expected members or paints")
+    if bandwidth is not None and not 0.0 <= bandwidth < np.inf:
+        problems.add(f"bandwidth={bandwidth!r}, expected 0 or more, or None")
+    problems.raise_if_any()
+    return np.asarray(found["member_reflectance"].values)
+
+
+def _whole(spectra: Floats) -> tuple[npt.NDArray[np.bool_], Floats]:
+    """Return the bands that most members have, and the members that have all of these."""
+    known = np.isfinite(spectra)
+    known = known[known.any(axis=1)]
+    spectra = spectra[np.isfinite(spectra).any(axis=1)]
+    bands = known.mean(axis=0) > 0.5 if len(known) else np.zeros(spectra.shape[1], np.bool_)
+    return bands, spectra[known[:, bands].all(axis=1)][:, bands]
+
+
+def _library(library: xr.Dataset, drawn: npt.NDArray[np.float32], form: str, seed: int) -> xr.Dataset:
+    """Return what was drawn, with what is known of the paints."""
+    count = drawn.shape[1]
+    repeats = 1 if form == "members" else count
+    which = np.repeat(np.arange(library.sizes[PAINT]), repeats)
+    parents = [str(library[PAINT].values[number]) for number in which]
+    if form == "members":
+        names = [f"{name} (synthetic)" for name in parents]
+        values = {"reflectance": drawn.mean(axis=1, dtype=np.float64), "member_reflectance": drawn}
+    else:
+        names = [f"{name} (synthetic {at % count + 1})" for at, name in enumerate(parents)]
+        values = {"reflectance": drawn.reshape(-1, drawn.shape[2])}
+    if SPECULAR in library.variables:
+        values[SPECULAR] = library[SPECULAR].transpose(PAINT, BAND).values[which]
+    made = synthetic_library(library, names, values, [{name: 1.0} for name in parents], _METHOD, seed=seed)
+    about = {
+        name: (PAINT, array.values[which], array.attrs)
+        for name, array in library.coords.items()
+        if array.dims == (PAINT,) and name not in made.coords
+    }
+    return made.assign_coords(about).drop_vars(MEMBER, errors="ignore")

@@ -1,0 +1,244 @@
+"""Finding paints of a library: by name, by colour, by the shape of their spectra."""
+
+from __future__ import annotations
+
+import fnmatch
+import unicodedata
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+
+from . import schema
+from .colour_difference import ciede2000, lab_of, parse_colour
+from .errors import Problems, SchemaError
+from .plot_library import paint_colours
+from .schema import BAND, LIBRARY_VARIABLES, PAINT
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+__all__ = ["search_library"]
+
+Floats = npt.NDArray[np.float64]
+
+_FEWEST_BANDS = 5
+_UMLAUTS = str.maketrans({"ä": "ae", "ö": "oe", "ü": "ue", "æ": "ae", "œ": "oe", "ø": "oe", "å": "aa"})
+
+
+def search_library(
+    library: xr.Dataset,
+    *,
+    name: str | None = None,
+    colour: str | None = None,
+    like: Any = None,
+    maximum_colour_difference: float | None = None,
+    maximum_angle: float | None = None,
+    limit: int | None = None,
+) -> xr.Dataset:
+    r"""Find paints of a library, the best first.
+
+    Parameters
+    ----------
+    library
+        A paint library: ``reflectance`` (paint, band) [1], ``wavelength`` (band) [nm].
+    name
+        Part of a paint's name, or a pattern with ``*``, ``?`` or ``[...]`` that is all of it. Upper and lower
+        case are alike; "grun" and "gruen" find "Grün".
+    colour
+        A word such as "dark red", or sRGB as "#701a20". Paints come in the order of how different they look
+        from it in daylight.
+    like
+        A spectrum: the name of a paint of the library; a library with one paint; what a spectrometer's reader
+        returns, with one spectrum; a DataArray with a coordinate ``wavelength`` [nm]; or plain numbers, one a
+        band. Paints come in the order of their spectral angle to it.
+    maximum_colour_difference
+        Leave out what differs more [1], as CIEDE2000; 1 can just be seen, 10 is another shade. Needs
+        ``colour``.
+    maximum_angle
+        Leave out what is at a larger spectral angle [rad]. Needs ``like``.
+    limit
+        Paints at the most.
+
+    Returns
+    -------
+    Dataset
+        The paints that meet every condition, maybe none, otherwise as they were; by ``like`` ascending, else
+        by ``colour``, else in the order of the library. Coordinates ``colour_difference`` [1] and
+        ``spectral_angle`` [rad] (paint) say how far off they are.
+
+    Raises
+    ------
+    SchemaError
+        It is no paint library, an option cannot be, ``like`` is no one spectrum or has under five bands in
+        common with the library, or the library sees too little of the visible to have colours. All of a kind
+        are listed.
+    UnitsError
+        Units cannot be read.
+
+    Notes
+    -----
+    The spectral angle is
+
+    .. math:: \theta = \arccos \frac{\sum_b x_b y_b}{\sqrt{\sum_b x_b^2 \sum_b y_b^2}}
+
+    over the good bands in which both have a value (Kruse et al., Remote Sens. Environ. 44, 145, 1993); it
+    does not see by how much one is brighter. ``like`` is interpolated to the wavelengths of the library, as
+    far as it reaches. Colours outside of sRGB are compared as what a screen would show.
+
+    Examples
+    --------
+    >>> from hyperpaint import starter_library
+    >>> paints = starter_library(members=0)
+    >>> search_library(paints, colour="red", limit=2)["paint"].values.tolist()
+    ['Synthetic Signal Red', 'Synthetic Lunar Red']
+    >>> search_library(paints, name="*white")["paint"].values.tolist()
+    ['Synthetic Polar White', 'Synthetic Solar White', 'Synthetic Lunar White']
+    """
+    _check(name, colour, like, maximum_colour_difference, maximum_angle, limit)
+    names = [PAINT, "reflectance", "wavelength"]
+    found = schema.require(library, names, "a search", LIBRARY_VARIABLES)
+    kept = np.ones(library.sizes[PAINT], np.bool_)
+    if name is not None:
+        kept &= [_is_named(str(each), name) for each in found[PAINT].values]
+    order = np.arange(kept.size)
+    made: dict[str, Any] = {}
+    if colour is not None:
+        found_off = _colour_differences(library, colour)
+        kept &= found_off <= (np.inf if maximum_colour_difference is None else maximum_colour_difference)
+        order = np.argsort(found_off, kind="stable")
+        told = {"long_name": f"CIEDE2000 difference from {colour}", "units": "1"}
+        made["colour_difference"] = (PAINT, found_off, told)
+    if like is not None:
+        angle = _angles(library, found["reflectance"], found["wavelength"], like)
+        kept &= angle <= (np.inf if maximum_angle is None else maximum_angle)
+        order = np.argsort(angle, kind="stable")
+        told = {"long_name": "Spectral angle to the spectrum searched for", "units": "rad"}
+        made["spectral_angle"] = (PAINT, angle, told)
+    order = order[kept[order]][:limit]
+    return library.assign_coords(made).isel({PAINT: order})
+
+
+def _check(
+    name: str | None,
+    colour: str | None,
+    like: Any,
+    maximum_colour_difference: float | None,
+    maximum_angle: float | None,
+    limit: int | None,
+) -> None:
+    problems = Problems("the library cannot be searched", SchemaError)
+    limits = (
+        ("maximum_colour_difference", maximum_colour_difference, "colour", colour),
+        ("maximum_angle", maximum_angle, "like", like),
+    )
+    for key, value, needed, given in limits:
+        if value is not None and given is None:
+            problems.add(f"{key}= needs {needed}=")
+        if value is not None and not value >= 0.0:
+            problems.add(f"{key}={value!r}, expected 0 or more")
+    if limit is not None and limit < 1:
+        problems.add(f"limit={limit!r}, expected 1 or more")
+    if name is not None and not name.strip():
+        problems.add("name= is empty, expected part of a name")
+    problems.raise_if_any()
+
+
+# --- names -------------------------------------------------------------------------------------------------
+
+
+def _is_named(name: str, wanted: str) -> bool:
+    pattern = any(sign in wanted for sign in "*?[")
+    for own, asked in zip(_spellings(name), _spellings(wanted.strip()), strict=True):
+        if fnmatch.fnmatchcase(own, asked) if pattern else asked in own:
+            return True
+    # "gruen" for what is written with an umlaut
+    plain, spelled = _spellings(name)[1], _spellings(wanted.strip())[0]
+    return fnmatch.fnmatchcase(plain, spelled) if pattern else spelled in plain
+
+
+def _spellings(text: str) -> tuple[str, str]:
+    """Return a text without accents, and with two letters for an umlaut, in lower case."""
+    folded = unicodedata.normalize("NFC", text).casefold()
+    return _bare(folded), _bare(folded.translate(_UMLAUTS))
+
+
+def _bare(text: str) -> str:
+    apart = unicodedata.normalize("NFKD", text)
+    return "".join(sign for sign in apart if not unicodedata.combining(sign))
+
+
+# --- colours -----------------------------------------------------------------------------------------------
+
+
+def _colour_differences(library: xr.Dataset, colour: str) -> Floats:
+    """Return CIEDE2000 of every paint (paint,) [1]; infinite for a paint without colour."""
+    wanted = lab_of(parse_colour(colour))
+    wavelength = np.asarray(library["wavelength"].values, np.float64)
+    colours = paint_colours(library.isel({BAND: np.argsort(wavelength, kind="stable")}))
+    if len(colours) and not np.isfinite(colours).any():
+        msg = "no paint of the library has a colour: it needs three good bands between 380 and 780 nm"
+        raise SchemaError(msg)
+    different = ciede2000(lab_of(colours), wanted)
+    return np.where(np.isfinite(different), different, np.inf)
+
+
+# --- spectra -----------------------------------------------------------------------------------------------
+
+
+def _angles(library: xr.Dataset, reflectance: xr.DataArray, wavelength: xr.DataArray, like: Any) -> Floats:
+    """Return the spectral angle of every paint to a spectrum (paint,) [rad]; infinite where there is none."""
+    nm = np.asarray(wavelength.values, np.float64)
+    spectrum = _one_spectrum(library, like, nm)
+    if "good" in library.variables:
+        spectrum = np.where(library["good"].values.astype(bool), spectrum, np.nan)
+    if np.isfinite(spectrum).sum() < _FEWEST_BANDS:
+        msg = (
+            f"like= has a value in {int(np.isfinite(spectrum).sum())} good bands of the library "
+            f"({nm.min():g} to {nm.max():g} nm), expected at least {_FEWEST_BANDS}"
+        )
+        raise SchemaError(msg)
+    paints = np.asarray(reflectance.values, np.float64)
+    both = np.isfinite(paints) & np.isfinite(spectrum)
+    x, y = np.where(both, paints, 0.0), np.where(both, spectrum, 0.0)
+    lengths = np.sqrt((x**2).sum(axis=1) * (y**2).sum(axis=1))
+    usable = (both.sum(axis=1) >= _FEWEST_BANDS) & (lengths > 0.0)
+    # the chord is exact where the cosine is too close to 1
+    unit_x = x / np.sqrt((x**2).sum(axis=1, keepdims=True)).clip(np.finfo(float).tiny)
+    unit_y = y / np.sqrt((y**2).sum(axis=1, keepdims=True)).clip(np.finfo(float).tiny)
+    apart, together = (np.sqrt(((unit_x + sign * unit_y) ** 2).sum(axis=1)) for sign in (-1.0, 1.0))
+    return np.where(usable, 2.0 * np.arctan2(apart, together), np.inf)
+
+
+def _one_spectrum(library: xr.Dataset, like: Any, nm: Floats) -> Floats:
+    """Return a spectrum at the wavelengths of the library (band,); NaN beyond its ends."""
+    import xarray as xr
+
+    if isinstance(like, str):
+        names = [str(name) for name in library[PAINT].values]
+        if names.count(like) != 1:
+            msg = f"like={like!r:.60} names {names.count(like)} paints of the library, expected 1"
+            raise SchemaError(msg)
+        like = library.isel({PAINT: names.index(like)})
+    if isinstance(like, xr.Dataset):
+        if "reflectance" not in like.variables:
+            msg = f"like= holds {', '.join(map(str, like.data_vars)) or 'nothing'}, expected reflectance"
+            raise SchemaError(msg)
+        like = like["reflectance"]
+    if not isinstance(like, xr.DataArray):
+        values = np.asarray(like, np.float64)
+        if values.shape != nm.shape:
+            msg = f"like= has shape {values.shape}, expected ({nm.size},), or a DataArray with wavelengths"
+            raise SchemaError(msg)
+        return values
+    spectrum = like.squeeze()
+    if spectrum.ndim != 1 or "wavelength" not in spectrum.coords:
+        msg = f"like= has dims {like.dims} of sizes {like.shape}, expected one spectrum with its wavelength"
+        raise SchemaError(msg)
+    own = np.asarray(spectrum["wavelength"].values, np.float64)
+    values = np.asarray(spectrum.values, np.float64)
+    known = np.isfinite(own) & np.isfinite(values)
+    order = np.argsort(own[known], kind="stable")
+    if not order.size:
+        return np.full(nm.size, np.nan)
+    return np.interp(nm, own[known][order], values[known][order], left=np.nan, right=np.nan)

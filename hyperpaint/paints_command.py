@@ -1,0 +1,172 @@
+"""The command ``hyperpaint paints``: list, search and save paints."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from .console import is_watched, progress_bar
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+__all__ = ["list_paints"]
+
+_ABOUT = ("finish", "colour", "srgb", "make", "model", "year")
+
+
+@click.command(
+    "paints",
+    short_help="List, search and save paints; the starter library, or your own.",
+    epilog="""\b
+Examples:
+  hyperpaint paints                                        what is in the starter library?
+  hyperpaint paints --out starter.zarr                     save it, with 24 variants of each paint
+  hyperpaint paints --colour "dark red" --limit 5          what looks most like it in daylight
+  hyperpaint paints --colour '#27509e' --picture blue.png  the same of sRGB, with spectra
+  hyperpaint paints paints.zarr --name '*volvo*'           paints of a library of yours
+  hyperpaint paints paints.zarr --like svc/roof.sig --maximum-angle 0.1
+  hyperpaint paints --colour grey --limit 8 --out grey.sli for ENVI; .csv and .zarr go as well
+
+\b
+Then, to put them into a simulator:
+  hyperpaint export starter.zarr --format dirsig --out dirsig
+
+\b
+The starter library is synthetic: forty car paints computed from a few parameters each, by Kubelka and Munk's
+theory. None of them was measured, and names are make-believe. Its reflectance is that of the body; what clear
+coat and flakes mirror is specular_reflectance.""",
+)
+@click.argument("library", metavar="[LIB]", required=False, type=click.Path(exists=True, path_type=Path))
+@click.option(
+    "--name", metavar="TEXT", help="Part of the name, or a pattern with * and ?; case is no matter."
+)
+@click.option(
+    "--colour", "--color", "colour", metavar="COLOUR",
+    help="A word such as red or 'dark blue', or sRGB as '#27509e'; the most similar comes first.",
+)  # fmt: skip
+@click.option(
+    "--like", metavar="PAINT",
+    help="A paint of the library by its name, or a file with one spectrum (.sig, .asd, .csv ...); the "
+    "smallest spectral angle comes first.",
+)  # fmt: skip
+@click.option(
+    "--maximum-difference", "maximum_colour_difference", type=click.FloatRange(min=0.0), metavar="CIEDE2000",
+    help="Leave out what looks more different from --colour; 1 can just be seen, 10 is another shade.",
+)  # fmt: skip
+@click.option(
+    "--maximum-angle", type=click.FloatRange(min=0.0), metavar="RAD",
+    help="Leave out what has a larger spectral angle to --like.",
+)  # fmt: skip
+@click.option("--limit", type=click.IntRange(min=1), metavar="N", help="Paints at the most.")
+@click.option(
+    "--members", type=click.IntRange(min=0, max=10_000), metavar="N",
+    help="Variants of each paint of the starter library.  [default: 24]",
+)  # fmt: skip
+@click.option(
+    "--out", metavar="OUT", type=click.Path(path_type=Path),
+    help="Also save the paints found; .zarr, .sli or .csv.",
+)  # fmt: skip
+@click.option(
+    "--picture", metavar="PICTURE", type=click.Path(dir_okay=False, path_type=Path),
+    help="Also draw their spectra and colours (png, pdf ...).",
+)  # fmt: skip
+@click.option("--overwrite", is_flag=True, help="Replace a library that is there.")
+@click.option("--quiet", is_flag=True, help="No progress bar.")
+def list_paints(
+    library: Path | None,
+    like: str | None,
+    members: int | None,
+    out: Path | None,
+    picture: Path | None,
+    overwrite: bool,
+    quiet: bool,
+    **options: Any,
+) -> None:
+    """List, search and save the paints of a library.
+
+    LIB is a library's Zarr store, as `signatures` writes it, or any file of spectra that hyperpaint reads;
+    without it, the starter library. Several conditions must all be met.
+    """
+    from .paint_search import search_library
+
+    if options["maximum_angle"] is not None and like is None:
+        msg = "--maximum-angle needs --like"
+        raise click.UsageError(msg)
+    if options["maximum_colour_difference"] is not None and options["colour"] is None:
+        msg = "--maximum-difference needs --colour"
+        raise click.UsageError(msg)
+    paints = _opened(library, members)
+    found = search_library(paints, like=_spectrum(like, paints), **options)
+    count = found.sizes["paint"]
+    click.echo(f"{count} of {paints.sizes['paint']} paints, {paints.sizes['band']} bands")
+    if not count:
+        click.echo("none was found; ask for less")
+        return
+    click.echo(_table(found))
+    if out is not None:
+        from .io.library import write_library
+
+        with progress_bar("writing", is_watched(quiet)) as shown:
+            path = write_library(found, out, overwrite=overwrite, progress=shown)
+        click.echo(f"saved in {path}")
+    if picture is not None:
+        from .plot_library import library_overview
+
+        library_overview(found, picture)
+        click.echo(f"look at them in {picture}")
+
+
+def _opened(library: Path | None, members: int | None) -> xr.Dataset:
+    if library is None:
+        from .starter_paints import starter_library
+
+        return starter_library() if members is None else starter_library(members=members)
+    if members is not None:
+        msg = "--members is for the starter library; leave it out"
+        raise click.UsageError(msg)
+    from .io.library import open_library
+
+    return open_library(library)
+
+
+def _spectrum(like: str | None, paints: xr.Dataset) -> Any:
+    """Return the spectrum of a file; a name of the library stays one."""
+    if like is None or like in [str(name) for name in paints["paint"].values]:
+        return like
+    path = Path(like)
+    if not path.exists():
+        msg = f"--like {like!r} is no paint of the library and no file"
+        raise click.UsageError(msg)
+    if path.suffix.lower() == ".sig":
+        from .io.svc import open_svc
+
+        return open_svc(path)
+    from .io.asd import sniff
+
+    if path.is_file() and sniff(path) == "binary":
+        from .io.asd import open_asd
+
+        return open_asd(path)
+    from .io.library import open_library
+
+    return open_library(path)
+
+
+def _table(found: xr.Dataset) -> str:
+    """Return a line of text for every paint, with how far off it is."""
+    columns = [[str(name) for name in found["paint"].values]]
+    known = [name for name in _ABOUT if name in found.variables and found[name].dims == ("paint",)]
+    columns += [[str(value) for value in found[name].values] for name in known]
+    if "colour_difference" in found.coords:
+        columns.append([f"looks {value:.1f} off" for value in found["colour_difference"].values])
+    if "spectral_angle" in found.coords:
+        columns.append([f"angle {value:.4f} rad" for value in found["spectral_angle"].values])
+    widths = [max(map(len, column)) for column in columns]
+    rows = zip(*columns, strict=True)
+    return "\n".join(
+        "  " + "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip()
+        for row in rows
+    )

@@ -1,0 +1,276 @@
+"""The whole of a car around a piece of its paint: what has its colour, and what that encloses."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from hyperpaint.scene_model import SceneModel
+
+from .surroundings import largest_body
+
+__all__ = ["Footprint", "Scene", "footprint_of", "hull_of"]
+
+Array = npt.NDArray[Any]
+Float = npt.NDArray[np.float64]
+Mask = npt.NDArray[np.bool_]
+
+_MIRRORED = 0.04
+"""Reflectance of a clear coat of index 1.5, ((n - 1) / (n + 1))^2 [1]."""
+_SAME_COLOUR = np.cos(np.radians(7.0))
+_DARKEST, _BRIGHTEST = 0.4, 1.7
+"""Brightness of a car's paint relative to the piece it is found from."""
+_LIKE_GROUND = 0.4
+"""Difference of the logarithm of reflectance up to which something may be ground."""
+_GAP = 2
+"""Pixels over which paint is joined."""
+_THIN, _THINNEST = 0.25, 2.5
+"""Half width of what is left out, relative to that of the part that is looked at, and at least [pixel]."""
+_WIDEST, _APART, _MOST_GROUND = 2.0, 4.5, 0.1
+"""Width of a car relative to its widest part, gaps relative to half of that, its share of ground; at most."""
+_AROUND, _FARTHEST = 2.5, 300
+"""How far is looked at first, relative to the piece; and at most [pixel]."""
+_GROWTH, _ROUNDS = 1.5, 6
+_TURN = 2.0
+"""Steps in which rectangles are turned [degree]."""
+_ROUNDING = 1e-6
+
+
+class Scene(NamedTuple):
+    """What is seen, for the whole picture.
+
+    Attributes
+    ----------
+    channels : (line, column, channel)
+        Reflectance [1].
+    sky : (channel,)
+        What a level clear coat mirrors of the sky [1].
+    level : (line, column)
+        Mean reflectance [1].
+    ground : (channel,)
+        Reflectance of the largest body [1].
+    """
+
+    channels: Array
+    sky: Array
+    level: Array
+    ground: Float
+
+    @classmethod
+    def of(cls, channels: Array, model: SceneModel) -> Scene:
+        """Return that of a line's channels (line, column, channel) and its model."""
+        sky = (_MIRRORED * model.diffuse_fraction).astype(np.float32)
+        ground = np.nan_to_num(model.reference[largest_body(model)])
+        return cls(channels, sky, channels.mean(axis=2), ground)
+
+    def without_sky(self, window: tuple[slice, slice]) -> Float:
+        """Return the reflectance of a part of the picture, less the mirrored sky [1]."""
+        return np.asarray(self.channels[window] - self.sky, np.float64)
+
+
+class Footprint(NamedTuple):
+    """A car as it is seen from above.
+
+    Attributes
+    ----------
+    first
+        Line and column of the first pixel of the masks.
+    paint, whole : (line, column)
+        Pixels of its colour; these and what they enclose, without what is thin.
+    brightness : (line, column)
+        Relative to the piece it was found from.
+    axis : (2,)
+        Unit vector (line, column) along its longer side.
+    middle : (2,)
+        Line and column of its centre in the masks.
+    length, width
+        [pixel]
+    cut
+        Whether it goes on beyond the picture.
+    """
+
+    first: tuple[int, int]
+    paint: Mask
+    whole: Mask
+    brightness: Float
+    axis: Float
+    middle: Float
+    length: float
+    width: float
+    cut: bool
+
+    @property
+    def window(self) -> tuple[slice, slice]:
+        """The part of the picture that the masks are of."""
+        (y, x), (lines, columns) = self.first, self.whole.shape
+        return slice(y, y + lines), slice(x, x + columns)
+
+
+def footprint_of(
+    inside: Mask, first: tuple[int, int], colour: Float, scene: Scene, across_windows: bool = False
+) -> Footprint | None:
+    """Return the car that a piece of paint is of; None where its colour goes on without an end.
+
+    Parameters
+    ----------
+    inside : (line, column)
+        The piece.
+    first
+        Line and column of its first pixel.
+    colour : (channel,)
+        Its reflectance, less the mirrored sky [1].
+    scene
+        What is seen.
+    across_windows
+        Whether parts belong together that nothing but what is dark lies between, too.
+    """
+    shape = np.array(scene.level.shape)
+    pad = min(int(_AROUND * max(inside.shape)), _FARTHEST)
+    for _ in range(_ROUNDS):
+        low = np.maximum(np.array(first) - pad, 0)
+        high = np.minimum(np.array(first) + inside.shape + pad, shape)
+        window = np.s_[low[0] : high[0], low[1] : high[1]]
+        like = _like(colour, scene, window)
+        seed = np.zeros(like.paint.shape, bool)
+        y, x = np.array(first) - low
+        seed[y : y + inside.shape[0], x : x + inside.shape[1]] = inside
+        whole = _whole(like, seed, across_windows)
+        if whole is None:
+            return None
+        # at the edges of the window, in the order of low and high
+        sides = np.array([[whole[0].any(), whole[:, 0].any()], [whole[-1].any(), whole[:, -1].any()]])
+        picture = np.array([low == 0, high == shape])
+        if not (sides & ~picture).any():
+            place = (int(low[0]), int(low[1]))
+            return Footprint(
+                place, like.paint | seed, whole, like.brightness, *_rectangle(whole), bool(sides.any())
+            )
+        pad = int(_GROWTH * pad) + 8
+    return None
+
+
+class _Like(NamedTuple):
+    """Which pixels have a colour, look like the ground, are dark beside that colour; how bright they are."""
+
+    paint: Mask
+    ground: Mask
+    dark: Mask
+    brightness: Float
+
+
+def _like(colour: Float, scene: Scene, window: tuple[slice, slice]) -> _Like:
+    seen = scene.without_sky(window)
+    length = np.maximum(np.linalg.norm(seen, axis=2), 1e-9)
+    own, ground = float(np.linalg.norm(colour)), float(np.linalg.norm(scene.ground))
+    brightness = (seen @ colour) / own**2
+    like = brightness * own / length
+    paint = (like > _SAME_COLOUR) & (brightness > _DARKEST) & (brightness < _BRIGHTEST)
+    as_ground = (seen @ scene.ground) / (length * ground)
+    near = np.abs(np.log(length / ground)) < _LIKE_GROUND
+    paint &= (like > as_ground) | ~near
+    return _Like(
+        paint, ~paint & near & (as_ground > _SAME_COLOUR), ~paint & (length < _DARKEST * own), brightness
+    )
+
+
+def _whole(like: _Like, seed: Mask, across_windows: bool) -> Mask | None:
+    """Return what lies between the thick parts of a connected colour, those of a seed's car.
+
+    Bay lines and mirrors are thin. Where there is ground in between, only what the colour encloses around the
+    seed.
+    """
+    from scipy.ndimage import binary_closing, binary_fill_holes, distance_transform_edt, label
+
+    square = np.ones((3, 3), bool)
+    padded = np.pad(like.paint | seed, _GAP)
+    closed = binary_closing(padded, square, iterations=_GAP)[_GAP:-_GAP, _GAP:-_GAP]
+    joined = closed | like.dark if across_windows else closed
+    parts, _ = label(joined, square)
+    own = np.unique(parts[seed])
+    filled = binary_fill_holes(closed & np.isin(parts, own[own > 0]))
+    depth = distance_transform_edt(filled)
+    # the depth where the seed is: a wall that the car touches may be wider
+    thick = max(_THINNEST, _THIN * float(depth[seed].max()))
+    cores, count = label(depth > thick, square)
+    sizes = np.bincount(cores[seed & (cores > 0)], minlength=count + 1)
+    if not sizes.any():
+        return None
+    return _gathered(cores, int(np.argmax(sizes)), thick, depth, filled, like)
+
+
+def _gathered(
+    cores: npt.NDArray[np.int32], first: int, thick: float, depth: Float, filled: Mask, like: _Like
+) -> Mask:
+    """Return what lies between a part and those around it, as far as it may be one car."""
+    from scipy.ndimage import distance_transform_edt
+
+    whole = cores == first
+    around = hull_of(_grown(whole, thick, filled))
+    sizes = np.bincount(cores.ravel())
+    left = {int(one) for one in np.flatnonzero(sizes > thick * thick) if one not in (0, first)}
+    while left:
+        away = distance_transform_edt(~whole)
+        gaps = {one: float(away[cores == one].min()) for one in left}
+        nearest = min(left, key=lambda one: (gaps[one], one))
+        left.remove(nearest)
+        wider = whole | (cores == nearest)
+        if gaps[nearest] > _APART * float(depth[wider].max()):
+            break
+        made = hull_of(_grown(wider, thick, filled))
+        narrow = _rectangle(made)[3] < _WIDEST * 2.0 * float(depth[wider].max())
+        if narrow and (made & like.ground).sum() < _MOST_GROUND * made.sum():
+            whole, around = wider, made
+    return around
+
+
+def _grown(core: Mask, thick: float, filled: Mask) -> Mask:
+    from scipy.ndimage import distance_transform_edt
+
+    return np.asarray((distance_transform_edt(~core) <= thick) & filled)
+
+
+def hull_of(mask: Mask) -> Mask:
+    """Return the convex hull of a mask (line, column)."""
+    from scipy.spatial import ConvexHull
+
+    points = _border(mask)
+    if np.linalg.matrix_rank(points - points[0]) < 2:
+        return mask
+    down, right, offset = ConvexHull(points).equations.T
+    lines, columns = mask.shape
+    # where every line meets the sides: sides to its right end it, those to its left begin it
+    reach = -(np.arange(lines)[:, None] * down + offset)
+    steep = np.where(np.abs(right) > _ROUNDING, right, np.nan)
+    last = np.where(right > _ROUNDING, reach / steep, np.inf).min(axis=1)
+    first = np.where(right < -_ROUNDING, reach / steep, -np.inf).max(axis=1)
+    level = np.where(np.abs(right) > _ROUNDING, 0.0, reach).min(axis=1) >= -_ROUNDING
+    x = np.arange(columns)
+    inside = (x >= first[:, None] - _ROUNDING) & (x <= last[:, None] + _ROUNDING)
+    return np.asarray(inside & level[:, None])
+
+
+def _border(mask: Mask) -> Float:
+    """Return the first and the last pixel of every line of a mask (point, 2)."""
+    rows = np.flatnonzero(mask.any(axis=1))
+    ends = [np.flatnonzero(mask[row])[[0, -1]] for row in rows]
+    return np.array([(row, x) for row, pair in zip(rows, ends, strict=True) for x in pair], np.float64)
+
+
+def _rectangle(mask: Mask) -> tuple[Float, Float, float, float]:
+    """Return axis, centre, length and width of the smallest rectangle around a mask."""
+    points = _border(mask)
+    best: tuple[float, ...] = (np.inf,)
+    for angle in np.arange(0.0, 90.0, _TURN):
+        along = np.array([np.sin(np.radians(angle)), np.cos(np.radians(angle))])
+        u, v = points @ along, points @ np.array([along[1], -along[0]])
+        area = (np.ptp(u) + 1.0) * (np.ptp(v) + 1.0)
+        if area < best[0] - 1e-6:
+            best = (area, angle, u.min(), u.max(), v.min(), v.max())
+    _, angle, low, high, left, right = best
+    along = np.array([np.sin(np.radians(angle)), np.cos(np.radians(angle))])
+    aside = np.array([along[1], -along[0]])
+    middle = 0.5 * (low + high) * along + 0.5 * (left + right) * aside
+    long, wide = high - low + 1.0, right - left + 1.0
+    return (along, middle, long, wide) if long >= wide else (aside, middle, wide, long)

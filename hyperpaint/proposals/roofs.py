@@ -1,0 +1,280 @@
+"""Which part of a car is its roof: what lies between windows, or is too long for any bonnet."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from .footprints import Footprint
+
+__all__ = ["NoRoof", "Roof", "find_roof"]
+
+Float = npt.NDArray[np.float64]
+Mask = npt.NDArray[np.bool_]
+
+_MIDDLE, _SIDE = 0.4, 0.3
+"""Half widths of the car within which windows cross it, and from which on they run along it."""
+_DARK, _AS_PAINT = 0.07, 0.5
+"""Mean reflectance of a window, at most [1]; and relative to the paint, where this is bright."""
+_CROSSED = 0.4
+"""Share of a track across the car that is dark where a window crosses it."""
+_LEAST_WINDOW, _LEAST_RUN, _STRIP = 2, 5, 0.05
+"""Tracks of a window and of a roof, at least; length of a strip between windows, in car lengths, at most."""
+_LONGEST_BONNET, _LONGEST_WINDSCREEN, _SUNROOF, _TAIL = 0.38, 0.2, 0.24, 0.1
+"""Shares of a car's length: longer is a roof, may be a sunroof, is one; least beyond it, or it is a bed."""
+_UNSURE, _UNSURE_BESIDE = 0.015, 0.03
+"""How far a roof is level from where it is thought to be: in its middle, beside a sunroof [car length]."""
+_LEAST_ROOF_OF_CUT = 0.5
+"""Length of a roof relative to its car's width; what is shorter may be half of one."""
+_SIDED, _LONG_SIDED, _SURELY, _CENTRAL = 0.3, 0.5, 0.6, (0.33, 0.75)
+_VAN, _VAN_SIDED = 0.55, 0.15
+_CAR, _CUT_CAR = (1.7, 3.3), 1.2
+"""Length of a car relative to its width."""
+_WITHIN, _ROOF_WIDTH = 0.75, 0.6
+"""Part of a roof's width that is used; width of a roof relative to its car's, where no window shows it."""
+_LEAST_SEEN = 0.2
+"""Share of a roof's tracks in which its side window is seen, at least."""
+
+
+class Roof(NamedTuple):
+    """The roof of a car.
+
+    Attributes
+    ----------
+    inside : (line, column)
+        Its pixels, in the footprint's window.
+    middle
+        Where it is level: line and column in that window.
+    unsure
+        How far along the car that may be off [pixel].
+    reason
+        Why it is thought to be one.
+    worth
+        How sure that is, to choose among several.
+    complete
+        Whether it lies between windows, and these between paint.
+    """
+
+    inside: Mask
+    middle: tuple[float, float]
+    unsure: float
+    reason: str
+    worth: float
+    complete: bool
+
+
+class NoRoof(NamedTuple):
+    """Why no roof is found, and whether it is a car all the same."""
+
+    reason: str
+    is_car: bool
+
+
+class _Run(NamedTuple):
+    """A stretch of a car along its axis [pixel], of windows or of paint."""
+
+    first: int
+    last: int
+    window: bool
+
+    @property
+    def length(self) -> int:
+        return self.last - self.first
+
+
+class _Frame(NamedTuple):
+    """Places along a car [pixel] from its end, and across it from its axis in half widths (line, column)."""
+
+    along: Float
+    across: Float
+    length: float
+    width: float
+
+
+def find_roof(car: Footprint, level: Float) -> Roof | NoRoof:
+    """Return the roof of a car, or why none is found.
+
+    Parameters
+    ----------
+    car
+        Where.
+    level : (line, column)
+        Mean reflectance in its window [1].
+    """
+    glass = _glass(car, level)
+    found = _roof_along(car, glass, _frame(car, car.axis, car.length, car.width))
+    if isinstance(found, NoRoof) and car.cut:
+        # of a car that is cut off, the longer side may be its width
+        aside = np.array([car.axis[1], -car.axis[0]])
+        other = _roof_along(car, glass, _frame(car, aside, car.width, car.length))
+        return found if isinstance(other, NoRoof) else other
+    return found
+
+
+def _glass(car: Footprint, level: Float) -> Mask:
+    """Return which pixels of a car are dark as windows."""
+    own = float(np.median(level[car.paint & car.whole]))
+    limit = min(max(_DARK, _AS_PAINT * own), own)
+    return np.asarray(~car.paint & car.whole & (level < limit))
+
+
+def _frame(car: Footprint, axis: Float, length: float, width: float) -> _Frame:
+    """Return where pixels are along and across a car."""
+    y, x = np.indices(car.whole.shape, np.float64)
+    y, x = y - car.middle[0], x - car.middle[1]
+    across = (y * axis[1] - x * axis[0]) / (0.5 * width)
+    return _Frame(y * axis[0] + x * axis[1] + 0.5 * length, across, length, width)
+
+
+def _roof_along(car: Footprint, glass: Mask, frame: _Frame) -> Roof | NoRoof:
+    """Return the best roof among the stretches between windows along a frame."""
+    crossed = _share_of_tracks(glass, car.whole & (np.abs(frame.across) < _MIDDLE), frame) > _CROSSED
+    runs = _runs(crossed, _STRIP * frame.length)
+    if not any(run.window for run in runs):
+        return NoRoof("no window crosses it: nothing says that it belongs to a car", False)
+    beside = _windows_beside(car, glass, frame)
+    best: Roof | None = None
+    for number, run in enumerate(runs):
+        if run.window or run.length < _LEAST_RUN:
+            continue
+        found = _judge_run(car, runs, number, float(beside[run.first : run.last].mean()), frame)
+        if found is None or (best is not None and best.worth >= found[1]):
+            continue
+        made = _roof(car, glass, frame, run, _level_place(car, runs, number, frame))
+        if made is not None:
+            inside, middle, unsure = made
+            best = Roof(inside, middle, unsure, *found, 1 < number < len(runs) - 2)
+    if best is not None:
+        return best
+    slender = _CAR[0] < frame.length / frame.width < _CAR[1]
+    is_car = not car.cut and slender and float(beside.mean()) > _VAN_SIDED
+    return NoRoof("no roof is seen: nothing lies between windows, or is longer than a bonnet", is_car)
+
+
+def _judge_run(
+    car: Footprint, runs: list[_Run], number: int, sided: float, frame: _Frame
+) -> tuple[str, float] | None:
+    """Return why a stretch is the roof, and how surely it is; None where it may be another part."""
+    run = runs[number]
+    share = run.length / frame.length
+    ends = int(number > 0) + int(number + 1 < len(runs))
+    told = f"side windows along {sided:.0%} of it"
+    if car.cut:
+        if ends == 2 and sided > _LONG_SIDED and run.length > _LEAST_ROOF_OF_CUT * frame.width:
+            return f"a roof: windows end it on both sides, {told}", share + sided
+        return None
+    slender = frame.length / frame.width
+    if not (_CAR[0] < slender < _CAR[1] or (ends == 2 and sided > _SURELY and slender > _CUT_CAR)):
+        return None
+    told = f"{share:.0%} of the car's length, {told}"
+    middle = 0.5 * (run.first + run.last) / frame.length
+    if ends == 2 and (sided > _SIDED or _CENTRAL[0] < middle < _CENTRAL[1]):
+        return f"a roof: windows end it on both sides, {told}", share + sided
+    if ends == 1 and sided > _SURELY:
+        return f"a roof: a window ends it, {told}", share + sided
+    if ends == 1 and share > _LONGEST_BONNET and sided > (_LONG_SIDED if share < _VAN else _VAN_SIDED):
+        return f"a roof: a window ends it, and it is longer than any bonnet, {told}", share + sided
+    return None
+
+
+def _level_place(car: Footprint, runs: list[_Run], number: int, frame: _Frame) -> tuple[float, float]:
+    """Return where along the car a roof is level, and how far that may be off [pixel].
+
+    A window beside it that is longer than a windscreen has a sunroof in it, and the roof is level beside it,
+    but a bed, behind which next to nothing is left.
+    """
+    run, unit = runs[number], frame.length
+    middle = 0.5 * (run.first + run.last)
+    for step in (-1, 1):
+        if car.cut or not 0 <= number + step < len(runs) or run.length > _LONGEST_BONNET * unit:
+            continue
+        window = runs[number + step].length
+        edge = float(run.first if step < 0 else run.last)
+        beyond = sum(one.length for one in (runs[: number - 1] if step < 0 else runs[number + 2 :]))
+        if beyond < _TAIL * unit:
+            continue
+        if window > _SUNROOF * unit:
+            return edge, _UNSURE_BESIDE * unit
+        if window > _LONGEST_WINDSCREEN * unit:
+            return middle, abs(middle - edge)
+    return middle, _UNSURE * unit
+
+
+def _roof(
+    car: Footprint, glass: Mask, frame: _Frame, run: _Run, level: tuple[float, float]
+) -> tuple[Mask, tuple[float, float], float] | None:
+    """Return the pixels of a roof, and where it is level."""
+    here = car.whole & (frame.along >= run.first) & (frame.along < run.last)
+    left, right = (_edge(glass & here, sign, frame, run) for sign in (-1, 1))
+    if car.cut and not (np.isfinite(left) and np.isfinite(right)):
+        return None
+    if np.isnan(left) and np.isnan(right):
+        left = right = _ROOF_WIDTH
+    left, right = (
+        2 * _ROOF_WIDTH - other if np.isnan(one) else one for one, other in ((left, right), (right, left))
+    )
+    centre, half = 0.5 * (right - left), 0.5 * (right + left)
+    inside = here & (np.abs(frame.across - centre) < _WITHIN * half)
+    if not inside.any():
+        return None
+    away = np.hypot(frame.along - level[0], (frame.across - centre) * 0.5 * frame.width)
+    y, x = np.unravel_index(int(np.argmin(away)), away.shape)
+    return inside, (float(y), float(x)), level[1]
+
+
+def _edge(glass: Mask, sign: int, frame: _Frame, run: _Run) -> float:
+    """Return where side windows begin on one side of the axis, median over the tracks; NaN without them."""
+    beside = glass & (sign * frame.across > _SIDE)
+    nearest = np.full(run.length, np.inf)
+    track = (np.floor(frame.along[beside]).astype(np.int64) - run.first).clip(0, run.length - 1)
+    np.minimum.at(nearest, track, sign * frame.across[beside])
+    found = nearest[np.isfinite(nearest)]
+    return float(np.median(found)) if found.size >= _LEAST_SEEN * nearest.size else np.nan
+
+
+def _share_of_tracks(which: Mask, of: Mask, frame: _Frame) -> Float:
+    """Return the share of tracks across a car that is of some kind (track,)."""
+    count = round(frame.length)
+    track = np.floor(frame.along[of]).astype(np.int64).clip(0, count - 1)
+    whole = np.bincount(track, minlength=count)
+    return np.asarray(np.bincount(track, which[of], count) / np.maximum(whole, 1))
+
+
+def _windows_beside(car: Footprint, glass: Mask, frame: _Frame) -> Mask:
+    """Return along which tracks there are side windows (track,), on the side where there are more.
+
+    Outside of a window there is a door; outside of what lies in the car's shadow there is nothing lit.
+    """
+    count = round(frame.length)
+    track = np.floor(frame.along).astype(np.int64).clip(0, count - 1)
+    made = []
+    for sign in (-1, 1):
+        aside = sign * frame.across
+        lit = car.whole & ~glass & (aside > _MIDDLE)
+        outermost = np.zeros(count)
+        np.maximum.at(outermost, track[lit], aside[lit])
+        of = glass & (aside > _MIDDLE) & (aside < outermost[track])
+        made.append(np.bincount(track[of], minlength=count) >= _LEAST_WINDOW)
+    return max(made, key=lambda one: int(one.sum()))
+
+
+def _runs(crossed: Mask, strip: float) -> list[_Run]:
+    """Return the stretches of paint and of windows, from end to end.
+
+    What is shorter than a strip [pixel] between windows, as before a sunroof, goes with them.
+    """
+    ends = np.flatnonzero(np.diff(crossed.astype(np.int8), prepend=2, append=2))
+    stretches = [
+        _Run(a, b, bool(crossed[a])) for a, b in zip(ends[:-1].tolist(), ends[1:].tolist(), strict=True)
+    ]
+    made: list[_Run] = []
+    for number, run in enumerate(stretches):
+        inner = 0 < number < len(stretches) - 1
+        least = strip if inner and not run.window else _LEAST_WINDOW
+        if made and (run.length < least or made[-1].window == run.window):
+            made[-1] = _Run(made[-1].first, run.last, made[-1].window)
+        else:
+            made.append(run)
+    return made

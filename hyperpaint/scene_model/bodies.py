@@ -1,0 +1,208 @@
+"""What bodies look like in full light, without what glint and neighbours add to some of their pixels."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from .neighbours import coloured
+from .references import AS_GLINT, GLINT_TOLERANCE, Light, Matches, unmix_spectra
+from .segments import Touching, beyond, distinct_pairs
+
+__all__ = ["TILT", "Paints", "clean_references", "same_paints"]
+
+Float = npt.NDArray[np.float64]
+Int = npt.NDArray[np.int64]
+
+TILT = 0.1
+"""Spread of the amount of direct light within a body: how far its parts lean."""
+_GLINT_TILT = 0.03
+"""The same where all that differs by more is known to be glint."""
+_BRIGHT = 0.1
+"""Reflectance from which tilt looks like glint above the usual threshold."""
+_GREY = 0.08
+"""Colour, relative to brightness, below which a mirrored sun cannot be told from more of the sun's light."""
+_COLOURED = 0.1
+"""Colour from which paints are told apart by it."""
+_FEW, _LEAST = 50, 5
+"""Pixels of a body that is looked at, and of those that its reference is the mean of, at least."""
+_DIFFERS = 0.003
+"""By how much half of the pixels differ in what is added to them, where it is no noise [1]."""
+_CLEAN, _CLEAN_GREY = (0.01, 0.1), (0.05, 0.35)
+"""Percentiles of what is added to pixels, between which a body is seen as it is."""
+_BEYOND_TILT = 1.3
+"""Brightness of glint, relative to what faces the sun, at least."""
+_MOSTLY = 1.08
+"""Brightness of half of a body, relative to its darkest parts, from which most of it is in glint."""
+_DARKEST, _USUAL, _BRIGHTEST = (0.02, 0.1), 0.15, 0.98
+"""Quantiles of a grey body's brightness: without glint, as it mostly is without, and in it."""
+_EVEN, _PLATEAU = 3.5, 0.02
+"""Brightness of half of a body, relative to its darkest parts, as beside a shadow; and how far its quantiles
+of `_CLEAN_GREY` are apart where most of it is without glint [1]."""
+_SKY = 0.8
+"""Light of the sky on a body's darkest parts, relative to its median, at least."""
+_SHARE = 0.1
+"""Size of another part of the same paint that shows it without glint, relative to the body, at least."""
+_OFFSET, _LIFT = 0.1, 0.05
+"""What is added before pixels are unmixed, so that amounts below 0 show: to every channel, and of each
+neighbour's reflectance [1]."""
+_BESIDE = 2 * [(0.0, 0.1), (0.0, 0.05)]
+_AS_PIXEL = np.transpose([(1.0, 0.2), (1.0, 0.3), (_OFFSET, 0.1), (_OFFSET, 0.02), *_BESIDE])
+"""What amounts are expected in a pixel, and how far from it they may come to lie (2, part)."""
+
+
+class Paints(NamedTuple):
+    """Bodies of one paint.
+
+    Attributes
+    ----------
+    first : (segment,)
+        First of the bodies that show the same paint as a segment's.
+    one, other : (pair,)
+        Bodies near one another that do, both ways round.
+    """
+
+    first: npt.NDArray[np.int32]
+    one: Int
+    other: Int
+
+
+def _relative_colour(spectrum: Float, light: Light) -> Float:
+    """Return how coloured spectra are, relative to their brightness (segment,) [1]."""
+    level = np.nan_to_num(spectrum).mean(axis=1)
+    return np.asarray(coloured(spectrum, light) / np.maximum(level, 1e-6))
+
+
+def same_paints(spectrum: Float, size: Int, pairs: Touching, matches: Matches, light: Light) -> Paints:
+    r"""Find the bodies that are parts of one car: of the same colour, but for tilt and glint.
+
+    Of bodies that touch, or have something small between them, one is the other's paint where
+    :math:`\rho (c f_{dir} + V f_{dif}) + g f_{dir}` fits it to 2 %. Grey ones are not told apart, nor joined.
+    """
+    import scipy.sparse
+
+    near = beyond(pairs, size)
+    one, other = matches.body[near[0]].astype(np.int64), matches.body[near[1]].astype(np.int64)
+    paint = np.isfinite(spectrum).all(axis=1) & (_relative_colour(spectrum, light) > _COLOURED)
+    open_ = (one != other) & paint[one] & paint[other]
+    one, other = distinct_pairs(one[open_], other[open_], size.size)
+    known = np.nan_to_num(spectrum)
+    _, misfit, _ = unmix_spectra(known[one], other, known, light, GLINT_TOLERANCE, AS_GLINT)
+    one, other = one[misfit < 1.0], other[misfit < 1.0]
+    shape = size.size, size.size
+    joined = scipy.sparse.csr_array((np.ones(one.size), (one, other)), shape=shape)
+    _, label = scipy.sparse.csgraph.connected_components(joined, directed=False)
+    _, first = np.unique(label, return_index=True)
+    both = np.concatenate([one, other]), np.concatenate([other, one])
+    return Paints(first[label][matches.body].astype(np.int32), *distinct_pairs(*both, size.size))
+
+
+def clean_references(
+    channels: npt.NDArray[np.float32],
+    places: list[Int],
+    spectrum: Float,
+    matches: Matches,
+    paints: Paints,
+    light: Light,
+    neighbours: npt.NDArray[np.int32],
+    zenith: float,
+) -> tuple[Float, Float]:
+    """Return the spectra of bodies (segment, channel) without glint, and how far their parts lean (segment,).
+
+    Where what glint and neighbours add differs from pixel to pixel by over 0.003, those with the least of it
+    are averaged. On grey bodies its amount is not seen; where brightness differs by more than tilt towards
+    the sun can do, the darkest pixels that see as much of the sky are taken, and the rest is glint. Bodies
+    that are glinted all over show their paint where another part of the car does.
+
+    Parameters
+    ----------
+    channels : (line, column, channel)
+        Reflectance [1].
+    places
+        Pixels of every segment.
+    spectrum, matches, paints, light
+        Of the segments, and the irradiance.
+    neighbours : (line x column, 2)
+        Coloured segments beside every pixel.
+    zenith
+        Of the sun [degree]; NaN where not known.
+    """
+    known = np.nan_to_num(spectrum)
+    reference, tilt = known.copy(), np.full(len(spectrum), TILT)
+    colour = _relative_colour(spectrum, light)
+    most = _BEYOND_TILT / max(np.cos(np.radians(np.nan_to_num(zenith, nan=60.0))), 0.2)
+    flat = channels.reshape(-1, channels.shape[2])
+    for segment, here in enumerate(places):
+        if matches.body[segment] != segment or not np.isfinite(spectrum[segment]).all():
+            continue
+        here = here[np.isfinite(flat[here]).all(axis=1)]
+        if here.size < _FEW:
+            continue
+        values = flat[here].astype(np.float64)
+        grey = colour[segment] < _GREY
+        darkest = _darkest(values, light, most) if grey else None
+        if darkest is not None:
+            reference[segment] = darkest
+            middle = np.median(values.mean(axis=1)) / darkest.mean()
+            if darkest.mean() > _BRIGHT and middle > _MOSTLY:
+                tilt[segment] = _GLINT_TILT
+            continue
+        extra, direct = _additions(values, segment, known, light, neighbours[here])
+        low, high = np.quantile(extra, [0.1, 0.5])
+        if high - low > _DIFFERS:
+            first, last = np.quantile(extra, _CLEAN_GREY if grey else _CLEAN)
+            chosen = (extra >= first) & (extra <= last) & (direct > 0.7)
+            if chosen.sum() >= _LEAST:
+                # as the body usually leans, which without glint need not be as those pixels do
+                usual = 1.0 if grey else np.median(direct) / np.median(direct[chosen])
+                reference[segment] = values[chosen].mean(axis=0) * usual
+    reference -= _common_glint(reference, places, paints, light)[:, None] * light.direct
+    return np.ascontiguousarray(reference[matches.body]), tilt[matches.body]
+
+
+def _darkest(values: Float, light: Light, most: float) -> Float | None:
+    """Return the mean of a grey body's darkest pixels, None where they are not what is without glint.
+
+    The brightest are brighter by ``most`` at least; half of the body is not much brighter, as it would be
+    beside a shadow; and as much of the sky is seen as elsewhere.
+    """
+    level = values @ light.direct / (light.direct @ light.direct)
+    first, last, usual, middle, high = np.quantile(level, [*_DARKEST, _USUAL, 0.5, _BRIGHTEST])
+    if first <= 0.0 or high <= most * usual or middle >= _EVEN * first:
+        return None
+    low, wide = np.quantile(level, _CLEAN_GREY)
+    if wide - low < _PLATEAU:  # mostly without glint: the darkest lean away
+        first, last = low, wide
+    found = values[(level >= first) & (level <= last)].mean(axis=0)
+    split = np.stack([light.direct, light.diffuse], axis=1)
+    both = np.stack([found, np.median(values, axis=0)], axis=1)
+    (_, (here, there)), *_ = np.linalg.lstsq(split, both, rcond=None)
+    return np.asarray(found) if here > _SKY * there else None
+
+
+def _additions(
+    values: Float, segment: int, known: Float, light: Light, neighbours: npt.NDArray[np.int32]
+) -> tuple[Float, Float]:
+    """Return what glint and neighbours add to pixels, up to a constant, and their amounts of direct light.
+
+    An amount of each is added to all before, so that less than in the mean shows as well.
+    """
+    first = neighbours[:, 0]
+    mirrored = np.where(first[:, None] >= 0, known[first], 0.0)
+    lifted = values + _OFFSET + _LIFT * mirrored
+    body = np.full(len(values), segment)
+    amount, _, added = unmix_spectra(lifted, body, known, light, 0.01, _AS_PIXEL, neighbours)
+    return amount[:, 2] + added.sum(axis=1) - _LIFT * mirrored.max(axis=1), amount[:, 0]
+
+
+def _common_glint(reference: Float, places: list[Int], paints: Paints, light: Light) -> Float:
+    """Return the glint that all of a body lies in (segment,), as other parts of the same paint show it."""
+    size = np.array([here.size for here in places])
+    large = size[paints.other] >= _SHARE * size[paints.one]
+    one, other = paints.one[large], paints.other[large]
+    amount, misfit, _ = unmix_spectra(reference[one], other, reference, light, GLINT_TOLERANCE, AS_GLINT)
+    found = np.zeros(len(reference))
+    np.maximum.at(found, one[misfit < 1.0], amount[misfit < 1.0, 2])
+    return found

@@ -1,0 +1,132 @@
+"""The command ``hyperpaint validate``."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import Any
+
+import click
+
+from .console import FAILED_CHECK
+
+__all__ = ["validate"]
+
+
+_PART = re.compile(r"(?P<name>[^=]+)=(?P<first>[0-9]+(\.[0-9]*)?)-(?P<last>[0-9]+(\.[0-9]*)?)", re.ASCII)
+
+
+def _limits(_ctx: click.Context, _param: click.Parameter, values: tuple[str, ...]) -> dict[str, float] | None:
+    """Return tolerances by name of a statistic: each is a number, or NAME=NUMBER."""
+    made = {}
+    for value in values:
+        name, _, number = value.rpartition("=")
+        try:
+            made[name or "rmse"] = float(number)
+        except ValueError as error:
+            msg = f"{value!r}, expected a number of RMSE, or a statistic such as bias=0.01"
+            raise click.BadParameter(msg) from error
+    return made or None
+
+
+def _parts(
+    _ctx: click.Context, _param: click.Parameter, values: tuple[str, ...]
+) -> dict[str, tuple[float, float]] | None:
+    """Return parts of the spectrum: each is NAME=FIRST-LAST [nm]."""
+    made = {}
+    for value in values:
+        found = _PART.fullmatch(value)
+        if found is None:
+            msg = f"{value!r}, expected a name and wavelengths, such as red=620-700"
+            raise click.BadParameter(msg)
+        made[found["name"]] = float(found["first"]), float(found["last"])
+    return made or None
+
+
+@click.command(
+    "validate",
+    short_help="Compare a paint library with field spectrometers.",
+    epilog="""\b
+Examples:
+  hyperpaint validate paints.zarr --reference 'svc/*.sig'
+  hyperpaint validate paints.zarr --reference 'svc/*.sig' --panel spectralon.csv --plot agreement.png
+  hyperpaint validate paints.zarr --reference 'asd/*.asd' --pairs pairs.csv --out agreement.csv
+  hyperpaint validate paints.zarr --tolerance 0.02 --tolerance spectral_angle=0.06
+  hyperpaint validate paints.zarr --reference other.zarr --part red=620-700
+
+\b
+A paint's reference is the one its region names (property reference), else the one of its own name, with or
+without folder and suffix; --pairs says otherwise. Nothing is paired by likeness.""",
+)
+@click.argument("library", metavar="LIBRARY", type=click.Path(exists=True, path_type=Path))
+@click.option(
+    "--reference", "references", multiple=True, metavar="FILES",
+    help="File, glob or folder of .sig or .asd files, a paint library, or a store; may be repeated. "
+    " [default: the references of the store that the library was made from]",
+)  # fmt: skip
+@click.option(
+    "--pairs", metavar="PAIRS.csv", type=click.Path(exists=True, dir_okay=False, path_type=Path),
+    help="Lines of paint and reference.",
+)  # fmt: skip
+@click.option(
+    "--tolerance", multiple=True, metavar="LIMIT", callback=_limits,
+    help="Largest RMSE of reflectance, or NAME=LIMIT of bias, mae, spectral_angle [rad], scale or "
+    "scale_free_error; may be given several times.  [default: 0.02]",
+)  # fmt: skip
+@click.option(
+    "--panel", metavar="CERTIFICATE.csv", type=click.Path(exists=True, dir_okay=False, path_type=Path),
+    help="Reflectance of the white panel that the references are relative to.",
+)  # fmt: skip
+@click.option(
+    "--part", "parts", multiple=True, metavar="NAME=FIRST-LAST", callback=_parts,
+    help="Part of the spectrum [nm]; may be given several times.  [default: VIS=400-700, NIR=700-1000, all]",
+)  # fmt: skip
+@click.option(
+    "--reference-fwhm", type=click.FloatRange(min=0.0, min_open=True), metavar="NM",
+    help="Width of the references' channels.  [default: what files say, or is usual for the instrument]",
+)  # fmt: skip
+@click.option(
+    "--out", metavar="TABLE", type=click.Path(dir_okay=False, path_type=Path),
+    help="Also write the statistics (csv or json).",
+)  # fmt: skip
+@click.option(
+    "--plot", "picture", metavar="PICTURE", type=click.Path(dir_okay=False, path_type=Path),
+    help="Also draw spectra and differences (png, pdf ...).",
+)  # fmt: skip
+@click.option("--overwrite", is_flag=True, help="Replace a table that is there.")
+@click.pass_context
+def validate(
+    ctx: click.Context,
+    /,
+    library: Path,
+    references: tuple[str, ...],
+    out: Path | None,
+    picture: Path | None,
+    overwrite: bool,
+    **options: Any,
+) -> None:
+    """Compare a paint library with what field spectrometers say of the same paints.
+
+    Both are brought to common bands with the responses of their channels. Prints, for every paint and part of
+    the spectrum, bias, RMSE, MAE, spectral angle, scale and scale-free error, with uncertainties where they
+    are known; and what was not paired. Exit status 1 outside tolerance.
+    """
+    from .validation_files import check_table, validate_files, write_table
+
+    if out is not None:
+        check_table(out, overwrite=overwrite)
+    given = {name: value for name, value in options.items() if value is not None}
+    found = validate_files(library, references, **given)
+    click.echo(found.table())
+    if out is not None:
+        write_table(found, out, overwrite=overwrite)
+        click.echo(f"all digits are in {out}")
+    if picture is not None:
+        from .plot_validation import validation_figure
+
+        validation_figure(found, picture)
+        click.echo(f"look at it in {picture}")
+    for problem in found.problems:
+        click.echo(f"outside tolerance: {problem}", err=True)
+    if not found.passed:
+        ctx.exit(FAILED_CHECK)

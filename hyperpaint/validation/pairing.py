@@ -1,0 +1,122 @@
+"""Which reference a signature is compared with: by name, never by likeness."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from hyperpaint.errors import Problems, SchemaError
+
+from .spectra import Measured
+
+__all__ = ["Pair", "Pairing", "paired"]
+
+_MOST_NAMED = 12
+
+
+@dataclass(frozen=True)
+class Pair:
+    """A signature, and its reference spectra of one instrument.
+
+    Attributes
+    ----------
+    signature
+    references
+        Repeated readings, of which the mean is compared.
+    """
+
+    signature: Measured
+    references: tuple[Measured, ...]
+
+
+@dataclass(frozen=True)
+class Pairing:
+    """What is compared with what.
+
+    Attributes
+    ----------
+    pairs
+    signatures, references
+        Names of those that have no counterpart, with the reason where there is one.
+    """
+
+    pairs: tuple[Pair, ...]
+    signatures: tuple[str, ...]
+    references: tuple[str, ...]
+
+
+def paired(signatures: Sequence[Measured], references: Sequence[Measured], pairs: Any = None) -> Pairing:
+    """Return which references belong to which signatures.
+
+    Parameters
+    ----------
+    signatures, references
+        Spectra with their names.
+    pairs
+        Names of references by names of paints, one or several each. By default a signature's own property
+        ``reference`` names them, and where it has none, its name.
+
+    Raises
+    ------
+    SchemaError
+        ``pairs`` names what is not there; or nothing can be paired.
+    """
+    wanted = _said(signatures, references, pairs) if pairs is not None else None
+    made: list[Pair] = []
+    alone: list[str] = []
+    used: set[int] = set()
+    for signature in signatures:
+        names = _names_for(signature) if wanted is None else wanted.get(signature.name, ())
+        own = [k for k, each in enumerate(references) if any(name in each.aliases for name in names)]
+        if not own:
+            missing = wanted is None and signature.wanted
+            alone.append(signature.name + (f" (wants {signature.wanted!r})" if missing else ""))
+            continue
+        used.update(own)
+        instruments = dict.fromkeys(references[k].instrument for k in own)
+        for instrument in instruments:
+            group = tuple(references[k] for k in own if references[k].instrument == instrument)
+            made.append(Pair(signature, group))
+    left = tuple(f"{each.name} ({each.instrument})" for k, each in enumerate(references) if k not in used)
+    if not made:
+        msg = (
+            f"no paint has a reference of its name; paints are {_listed([s.name for s in signatures])}, "
+            f"references {_listed(left)}; name them with pairs={{paint: reference}}, or give regions a "
+            "property reference"
+        )
+        raise SchemaError(msg)
+    return Pairing(tuple(made), tuple(alone), left)
+
+
+def _names_for(signature: Measured) -> tuple[str, ...]:
+    return (signature.wanted or signature.name,)
+
+
+def _said(
+    signatures: Sequence[Measured], references: Sequence[Measured], pairs: Any
+) -> dict[str, tuple[str, ...]]:
+    """Return the pairs that the caller named."""
+    if not isinstance(pairs, Mapping):
+        msg = f"pairs is {type(pairs).__name__}, expected names of references by names of paints"
+        raise SchemaError(msg)
+    problems = Problems("pairs= cannot be followed", SchemaError)
+    paints = {each.name for each in signatures}
+    known = frozenset[str]().union(*(each.aliases for each in references))
+    made: dict[str, tuple[str, ...]] = {}
+    for paint, names in pairs.items():
+        several = (names,) if isinstance(names, str) else tuple(names)
+        if paint not in paints:
+            problems.add(f"there is no paint {paint!r}; there is {_listed(sorted(paints))}")
+        for name in several:
+            if name not in known:
+                held = _listed([each.name for each in references])
+                problems.add(f"there is no reference {name!r} for {paint!r}; there is {held}")
+        made[str(paint)] = several
+    problems.raise_if_any()
+    return made
+
+
+def _listed(names: Sequence[str]) -> str:
+    shown = ", ".join(map(repr, names[:_MOST_NAMED]))
+    return (shown or "none") + (f" and {len(names) - _MOST_NAMED} more" if len(names) > _MOST_NAMED else "")

@@ -1,0 +1,247 @@
+"""What a validation comes to: numbers, spectra, and a table to read."""
+
+from __future__ import annotations
+
+import html
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+__all__ = ["MEANINGS", "Validation"]
+
+MEANINGS: Mapping[str, str] = {
+    "bias": "Mean of signature minus reference",
+    "rmse": "Root mean square of signature minus reference",
+    "mae": "Mean of the absolute difference of signature and reference",
+    "spectral_angle": "Angle between signature and reference",
+    "scale": "Factor that brings the reference nearest to the signature",
+    "scale_free_error": "Root mean square difference after the signature is divided by scale",
+    "coverage": "Part of a band's response that both sides see, the least of the bands used",
+    "bands": "Bands that were compared",
+    "bands_left_out": "Bands of the part that one side does not see whole, or has no value in",
+    "passes": "Whether all that the tolerance names is within it; true where there are no bands",
+    "oxygen_residual": "Depth of the oxygen A band left in the signature; negative where overcorrected",
+    "reference_oxygen_residual": "Depth of the oxygen A band left in the reference",
+    "paint": "Name of the paint",
+    "reference": "Names of the references",
+    "instrument": "Instrument of the references",
+    "overlap": "What was done where the reference's detectors overlap",
+    "overlap_matched": "Whether the reference's values were changed to make detectors meet",
+    "mirror_reflection": "Whether the reference includes the mirror image of sky and surroundings",
+    "first_wavelength": "Wavelength that a part begins at",
+    "last_wavelength": "Wavelength that a part ends before",
+    "signature": "Reflectance of the signature on common bands",
+    "difference": "Signature minus reference",
+    "signature_sd": "Standard deviation of what the signature is a mean of",
+    "reference_sd": "Standard deviation of what the reference is a mean of",
+    "signature_u": "Standard uncertainty of the signature",
+    "reference_u": "Standard uncertainty of the reference",
+}
+
+_HEAD = (
+    "paint",
+    "reference",
+    "part",
+    "bands",
+    "bias",
+    "RMSE",
+    "MAE",
+    "angle",
+    "scale",
+    "scale-free",
+    "oxygen",
+    "",
+)
+_LEGEND = (
+    "differences of reflectance, signature minus reference; uncertainty of the last digits in brackets",
+    "angle in degrees; scale-free: RMSE after division by scale; oxygen: residual of signature / reference.",
+)
+_MOST_NAMES = 6
+_LONGEST_NAME = 40
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Validation:
+    """Agreement of paint signatures with references, as `hyperpaint.validate` finds it.
+
+    Attributes
+    ----------
+    statistics
+        Dataset on (pair, part): ``bias``, ``rmse``, ``mae``, ``scale``, ``scale_free_error`` [1] and
+        ``spectral_angle`` [rad], each with its standard uncertainty ``<name>_u`` (NaN where nothing is known
+        of it); ``bands``, ``bands_left_out``, ``coverage`` and ``passes``; on (pair,) ``oxygen_residual``,
+        that of the reference, and who was compared: ``paint``, ``reference``, ``instrument``, ``overlap``,
+        ``overlap_matched``.
+    spectra
+        Of every pair a Dataset (band): ``signature``, ``reference``, ``difference``, their uncertainties
+        where they are known, and the ``coverage`` of every band, used or not.
+    notes
+        Of every pair what a reader should know.
+    unpaired_signatures, unpaired_references
+        Names of what had no counterpart.
+    tolerance
+        Limits by name of a statistic.
+    """
+
+    statistics: xr.Dataset
+    spectra: tuple[xr.Dataset, ...]
+    notes: tuple[tuple[str, ...], ...]
+    unpaired_signatures: tuple[str, ...]
+    unpaired_references: tuple[str, ...]
+    tolerance: Mapping[str, float]
+
+    @property
+    def passed(self) -> bool:
+        """Whether every part of every pair is within the tolerance."""
+        return bool(self.statistics["passes"].all())
+
+    @property
+    def problems(self) -> tuple[str, ...]:
+        """What is outside of the tolerance, one text a pair."""
+        found = []
+        paints, parts = self._texts("paint"), [str(name) for name in self.statistics["part"].values]
+        for row, within in enumerate(self.statistics["passes"].values):
+            bad = [parts[column] for column in np.flatnonzero(~within)]
+            if bad:
+                found.append(f"{paints[row]} against {self._texts('reference')[row]}: {', '.join(bad)}")
+        return tuple(found)
+
+    @property
+    def verdict(self) -> str:
+        """One line: how many pairs are within the tolerance."""
+        limits = ", ".join(f"{name} {limit:g}" for name, limit in self.tolerance.items())
+        count = self.statistics.sizes["pair"]
+        good = int(self.statistics["passes"].all("part").sum())
+        return f"{good} of {count} pair{'' if count == 1 else 's'} within tolerance ({limits})"
+
+    def table(self) -> str:
+        """Return all statistics as a text, with what there is to know of each pair."""
+        lines = _aligned([_HEAD, *self._rows()])
+        parts = [lines[0], "-" * len(lines[0]), *lines[1:], "", *_LEGEND, *self._remarks(), self.verdict]
+        return "\n".join(_printable(line) for line in parts)
+
+    def __repr__(self) -> str:
+        return f"<Validation>\n{self.table()}"
+
+    def _repr_html_(self) -> str:
+        cell = "padding:1px 10px 1px 0;text-align:right"
+        rows = "".join(
+            "<tr>" + "".join(f'<{tag} style="{cell}">{html.escape(text)}</{tag}>' for text in row) + "</tr>"
+            for tag, row in [("th", _HEAD), *(("td", row) for row in self._rows())]
+        )
+        remarks = "".join(f"<li>{html.escape(text)}</li>" for text in (*self._remarks(), *_LEGEND))
+        return (
+            f'<div style="font:13px/1.45 system-ui,sans-serif"><strong>{html.escape(self.verdict)}</strong>'
+            f'<table style="border-collapse:collapse">{rows}</table><ul>{remarks}</ul></div>'
+        )
+
+    def _texts(self, name: str) -> list[str]:
+        return [str(text) for text in self.statistics[name].values]
+
+    def _rows(self) -> list[tuple[str, ...]]:
+        """Return a row of cells for every part of every pair that has bands."""
+        found = self.statistics
+        made: list[tuple[str, ...]] = []
+        last = -1
+        for row in range(found.sizes["pair"]):
+            paint, reference = self._texts("paint")[row], self._texts("reference")[row]
+            for column in range(found.sizes["part"]):
+                one = found.isel(pair=row, part=column)
+                count, left = int(one["bands"]), int(one["bands_left_out"])
+                if not count:
+                    continue
+                angle = (np.degrees(float(one[name])) for name in ("spectral_angle", "spectral_angle_u"))
+                cells = [
+                    _with_uncertainty(float(one[n]), float(one[f"{n}_u"])) for n in ("bias", "rmse", "mae")
+                ]
+                cells.append(_with_uncertainty(*angle))
+                cells += [
+                    _with_uncertainty(float(one[n]), float(one[f"{n}_u"]))
+                    for n in ("scale", "scale_free_error")
+                ]
+                part = str(one["part"].values)
+                oxygen = self._oxygen(row) if row != last else ""
+                last = row
+                verdict = "" if bool(one["passes"]) else "FAILS"
+                names = _short(paint), f"{_short(reference)} ({_short(self._texts('instrument')[row])})"
+                made.append((*names, part, f"{count}/{count + left}", *cells, oxygen, verdict))
+        return made
+
+    def _oxygen(self, row: int) -> str:
+        depths = (
+            float(self.statistics[name][row]) for name in ("oxygen_residual", "reference_oxygen_residual")
+        )
+        return " / ".join(_plain(depth, 3) for depth in depths)
+
+    def _remarks(self) -> list[str]:
+        """Return what there is to know, each with the paints that it is true of."""
+        rows: dict[str, list[int]] = {}
+        for row, texts in enumerate(self.notes):
+            for text in (f"overlap of detectors: {self._texts('overlap')[row]}", *texts):
+                rows.setdefault(text, []).append(row)
+        made = [f"{self._whom(which)}: {text}" for text, which in rows.items()]
+        for text, names in (
+            ("without a reference", self.unpaired_signatures),
+            ("references without a paint", self.unpaired_references),
+        ):
+            if names:
+                made.append(f"{text}: {', '.join(names)}")
+        return made
+
+    def _whom(self, rows: Sequence[int]) -> str:
+        """Return which pairs are meant: all, all of an instrument, or paints by name."""
+        instruments = self._texts("instrument")
+        own = {instruments[row] for row in rows}
+        if len(rows) == len(instruments):
+            return "all"
+        if len(own) == 1 and len(rows) == sum(name in own for name in instruments):
+            return own.pop()
+        paints = [_short(self._texts("paint")[row]) for row in rows]
+        rest = len(paints) - _MOST_NAMES
+        return ", ".join(paints[:_MOST_NAMES]) + (f" and {rest} more" if rest > 0 else "")
+
+
+def _with_uncertainty(value: float, u: float) -> str:
+    """Return a number with the digits that its uncertainty leaves.
+
+    Examples
+    --------
+    >>> _with_uncertainty(0.01234, 0.0021), _with_uncertainty(-0.5, float("nan"))
+    ('0.0123(21)', '-0.5000')
+    """
+    if not (np.isfinite(value) and np.isfinite(u) and u > 0.0):
+        return _plain(value, 4)
+    digits = min(max(1 - int(np.floor(np.log10(u))), 0), 5)
+    return f"{_plain(value, digits)}({round(u * 10**digits)})"
+
+
+def _plain(value: float, digits: int) -> str:
+    """Return a number without the sign of a zero; a dash where there is none."""
+    text = f"{value:.{digits}f}"
+    return "-" if not np.isfinite(value) else text.lstrip("-") if float(text) == 0.0 else text
+
+
+def _short(name: str) -> str:
+    return name if len(name) <= _LONGEST_NAME else name[: _LONGEST_NAME - 3] + "..."
+
+
+def _printable(text: str) -> str:
+    """Return a text that a terminal takes for nothing but text."""
+    return "".join(sign if sign.isprintable() else "\ufffd" for sign in text)
+
+
+def _aligned(rows: Sequence[Sequence[str]]) -> list[str]:
+    """Return cells as lines: names to the left, numbers to the right."""
+    widths = [max(len(row[column]) for row in rows) for column in range(len(rows[0]))]
+    return [
+        "  ".join(
+            cell.ljust(width) if column < 3 else cell.rjust(width)
+            for column, (cell, width) in enumerate(zip(row, widths, strict=True))
+        ).rstrip()
+        for row in rows
+    ]

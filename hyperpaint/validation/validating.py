@@ -1,0 +1,258 @@
+"""Signatures of paints against references, band by band and part by part of the spectrum."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+
+from hyperpaint.alignment import oxygen_depth
+from hyperpaint.errors import PaintWarning, Problems, SchemaError
+
+from .agreement import STATISTICS, statistics_of, uncertainty_of
+from .comparing import Compared, compare
+from .pairing import paired
+from .result import MEANINGS, Validation
+from .spectra import references_from, scaled_by_panel, signatures_from
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+__all__ = ["PARTS", "validate"]
+
+Float = npt.NDArray[np.float64]
+
+PARTS: Mapping[str, tuple[float, float]] = {
+    "VIS": (400.0, 700.0),
+    "NIR": (700.0, 1000.0),
+    "all": (0.0, np.inf),
+}
+"""Parts of the spectrum [nm]: the first wavelength belongs to it, the last does not."""
+
+TOLERANCE = 0.02
+"""RMSE that references and signatures of one place are expected to agree to [1]."""
+
+
+def validate(
+    signatures: xr.Dataset,
+    references: Any,
+    pairs: Mapping[str, str | Sequence[str]] | None = None,
+    *,
+    tolerance: float | Mapping[str, float] = TOLERANCE,
+    panel: xr.DataArray | xr.Dataset | None = None,
+    parts: Mapping[str, tuple[float, float]] = PARTS,
+    reference_fwhm: float | None = None,
+    seed: int = 0,
+) -> Validation:
+    r"""Compare paint signatures with what was measured of the same paints otherwise.
+
+    Eager.
+
+    Parameters
+    ----------
+    signatures
+        A paint library, as of `hyperpaint.extract_signatures`.
+    references
+        Datasets of reflectance, one or several: spectra of a field spectrometer (spectrum, wavelength), as of
+        `hyperpaint.open_asd` and ``open_svc``, or a paint library (paint, band).
+    pairs
+        Names of references by names of paints, one or several each. By default the region property
+        ``reference`` names the reference of a paint, and where a paint has none, its own name does. Names of
+        files count with and without folder and suffix. Nothing is paired by likeness.
+    tolerance
+        Largest RMSE [1]; or limits by name of a statistic: ``bias``, ``rmse``, ``mae``, ``spectral_angle``
+        [rad], ``scale`` (its distance from 1), ``scale_free_error``. All are to be met in every part that has
+        bands. Uncertainty does not widen them.
+    panel
+        Certified reflectance of the white panel on ``wavelength`` [1], which multiplies references that are
+        relative to it.
+    parts
+        Parts of the spectrum by name: first wavelength, and the one it ends before [nm].
+    reference_fwhm
+        Width of the references' channels [nm]. By default what the data say (``fwhm``), else what is usual
+        for the instrument, else twice the distance of channels; the result says which.
+    seed
+        Of the draws of the uncertainties.
+
+    Returns
+    -------
+    Validation
+        Statistics of every pair and part with uncertainties, spectra on common bands, what was not paired,
+        and whether all is within tolerance.
+
+    Raises
+    ------
+    SchemaError, UnitsError
+        What is given is no library, no reflectance or no certificate; a reference is absolute and a panel is
+        given; a pair has no band in common; ``pairs`` names what is not there, or nothing can be paired. All
+        of a kind are listed.
+
+    Warns
+    -----
+    PaintWarning
+        One of a pair includes the mirror image of the sky, the other does not.
+
+    Notes
+    -----
+    The finer spectrum is brought onto the bands of the coarser one, mostly the signature's: weights on its
+    channels reproduce the response of each band, the channels' own width considered
+    (`hyperpaint.responses.matching_operator`; Gaussian line shapes). A band that they see less than 99.9 % of
+    is left out and counted, so that nothing is renormalised over what is missing; so is one that is too sharp
+    for them, whose noise they would multiply by more than 3. Where detectors overlap, and wavelengths fall,
+    each serves to the middle of the overlap, 987 nm of an SVC; ``open_svc(..., overlap="trim", joins=)``
+    chooses otherwise. Reflectance is weighted by the response alone: that light varies within a band matters
+    where paint does, too, and hardly then.
+
+    Statistics are plain means over bands, see `statistics_of`. Their uncertainty is that of propagated draws
+    (JCGM 101): random errors independent from channel to channel, systematic ones common to all. Of one
+    reference its standard deviation is taken for systematic; of n readings :math:`r_k` of one paint and one
+    instrument the mean is compared, and its errors are drawn as
+
+    .. math:: \delta r = \sum_k g_k (r_k - \bar r) / \sqrt{n (n - 1)}, \qquad g_k \sim N(0, 1),
+
+    whose covariance over bands is that of the mean. What is not known does not enter, and the result says so.
+
+    Examples
+    --------
+    >>> import xarray as xr
+    >>> nm = np.linspace(400.0, 700.0, 301)
+    >>> field = xr.Dataset(
+    ...     {"reflectance": (("spectrum", "wavelength"), [0.2 + 0.001 * (nm - 400.0)], {"units": "1"})},
+    ...     {"wavelength": ("wavelength", nm, {"units": "nm"}), "spectrum": ["hood"]},
+    ... )
+    >>> at = np.linspace(430.0, 670.0, 25)
+    >>> paints = xr.Dataset(
+    ...     {"reflectance": (("paint", "band"), [0.21 + 0.001 * (at - 400.0)], {"units": "1"})},
+    ...     {"paint": ["hood"], "wavelength": ("band", at, {"units": "nm"})},
+    ... )
+    >>> found = validate(paints, field, reference_fwhm=3.0)
+    >>> found.passed, round(float(found.statistics.bias.sel(part="VIS").item()), 4)
+    (True, 0.01)
+    """
+    limits = _limits(tolerance)
+    _check_parts(parts)
+    measured = references_from(references, reference_fwhm)
+    if panel is not None:
+        measured = scaled_by_panel(measured, panel)
+    pairing = paired(signatures_from(signatures), measured, pairs)
+    compared = [compare(pair, seed) for pair in pairing.pairs]
+    problems = Problems("there are pairs without a band in common", SchemaError)
+    for each in compared:
+        if not each.used.any():
+            problems.add(
+                f"{each.pair.signature.name!r}: no band of one is seen whole by the other ({each.ranges})"
+            )
+    problems.raise_if_any()
+    for text in dict.fromkeys(text for each in compared for text in each.warnings()):
+        warnings.warn(text, PaintWarning, stacklevel=2)
+    return Validation(
+        statistics=_statistics(compared, parts, limits),
+        spectra=tuple(each.dataset() for each in compared),
+        notes=tuple(each.notes() for each in compared),
+        unpaired_signatures=pairing.signatures,
+        unpaired_references=pairing.references,
+        tolerance=limits,
+    )
+
+
+def _limits(tolerance: Any) -> dict[str, float]:
+    given = dict(tolerance) if isinstance(tolerance, Mapping) else {"rmse": tolerance}
+    problems = Problems("tolerance= cannot be used", SchemaError)
+    for name, limit in given.items():
+        if name not in STATISTICS:
+            problems.add(f"there is no statistic {name!r}; there is {', '.join(STATISTICS)}")
+        if isinstance(limit, bool) or not isinstance(limit, int | float) or not limit >= 0.0:
+            problems.add(f"{name}: {limit!r}, expected a number that is not negative")
+    if not given:
+        problems.add("no limit; name one, such as 0.02 of RMSE")
+    problems.raise_if_any()
+    return {name: float(limit) for name, limit in given.items()}
+
+
+def _check_parts(parts: Any) -> None:
+    problems = Problems("parts= cannot be used", SchemaError)
+    if not isinstance(parts, Mapping) or not parts:
+        problems.add(f"{parts!r:.60}, expected names with first and last wavelength [nm]")
+    else:
+        for name, edges in parts.items():
+            if len(tuple(edges)) != 2 or not edges[0] < edges[1]:
+                problems.add(f"{name!r}: {edges!r:.60}, expected first and last wavelength [nm]")
+    problems.raise_if_any()
+
+
+def _statistics(
+    compared: Sequence[Compared], parts: Mapping[str, tuple[float, float]], limits: Mapping[str, float]
+) -> xr.Dataset:
+    """Return the statistics of all pairs (pair, part)."""
+    import xarray as xr
+
+    shape = len(compared), len(parts)
+    found = {name: np.full(shape, np.nan) for name in STATISTICS}
+    found |= {f"{name}_u": np.full(shape, np.nan) for name in STATISTICS}
+    found |= {"coverage": np.full(shape, np.nan)}
+    bands, left_out = np.zeros(shape, np.int64), np.zeros(shape, np.int64)
+    for row, each in enumerate(compared):
+        for column, edges in enumerate(parts.values()):
+            inside = each.part(edges)
+            here = inside & each.used
+            bands[row, column], left_out[row, column] = here.sum(), (inside & ~here).sum()
+            if not here.any():
+                continue
+            sides = each.signature[here], each.reference[here]
+            found["coverage"][row, column] = each.coverage[here].min()
+            for name, value in statistics_of(*sides).items():
+                found[name][row, column] = value
+            if each.errors is not None:
+                drawn = uncertainty_of(*sides, *(errors[:, here] for errors in each.errors))
+                for name, value in drawn.items():
+                    found[f"{name}_u"][row, column] = value
+    dims = ("pair", "part")
+    made: dict[str, Any] = {name: (dims, values, _attrs(name)) for name, values in found.items()}
+    made["bands"] = (dims, bands, _attrs("bands"))
+    made["bands_left_out"] = (dims, left_out, _attrs("bands_left_out"))
+    made["passes"] = (dims, _passes(found, bands, limits), {"long_name": MEANINGS["passes"]})
+    for name, side in (("oxygen_residual", "signature"), ("reference_oxygen_residual", "reference")):
+        depth = [oxygen_depth(each.bands.wavelength, getattr(each, side)) for each in compared]
+        made[name] = ("pair", np.array(depth, np.float64), _attrs(name))
+    texts = {
+        "paint": [each.pair.signature.name for each in compared],
+        "reference": [each.names for each in compared],
+        "instrument": [each.instrument for each in compared],
+        "overlap": [each.overlap for each in compared],
+        "mirror_reflection": [each.mirror for each in compared],
+    }
+    matched = np.array([each.matched for each in compared], bool)
+    coords: dict[str, Any] = {
+        name: ("pair", np.array(column, object), {"long_name": MEANINGS[name]})
+        for name, column in texts.items()
+    }
+    coords["overlap_matched"] = ("pair", matched, {"long_name": MEANINGS["overlap_matched"]})
+    coords["part"] = np.array(list(parts), object)
+    for name, end in (("first_wavelength", 0), ("last_wavelength", 1)):
+        coords[name] = ("part", np.array([edges[end] for edges in parts.values()], np.float64), _attrs(name))
+    return xr.Dataset(made, coords, {"title": "Agreement of paint signatures with references"})
+
+
+def _attrs(name: str) -> dict[str, str]:
+    units = {
+        "spectral_angle": "rad",
+        "spectral_angle_u": "rad",
+        "first_wavelength": "nm",
+        "last_wavelength": "nm",
+    }
+    meaning = MEANINGS[name] if name in MEANINGS else f"Standard uncertainty of {name.removesuffix('_u')}"
+    return {"units": units.get(name, "1"), "long_name": meaning}
+
+
+def _passes(
+    found: Mapping[str, Float], bands: npt.NDArray[np.int64], limits: Mapping[str, float]
+) -> npt.NDArray[np.bool_]:
+    """Tell which parts are within all limits; a part without bands is not judged, and does not fail."""
+    within = np.ones(bands.shape, bool)
+    for name, limit in limits.items():
+        away = found[name] - 1.0 if name == "scale" else found[name]
+        within &= np.abs(away) <= limit
+    return np.asarray(within | (bands == 0))

@@ -1,0 +1,359 @@
+"""Materials for DIRSIG, judged by a parser that shares nothing with the package."""
+
+from __future__ import annotations
+
+import json
+import warnings
+import xml.etree.ElementTree as ET
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import xarray as xr
+from dirsig_exports import BANDS, NM, files, library, strict_ems
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import hyperpaint as hp
+from hyperpaint.errors import PaintWarning, SchemaError
+from hyperpaint.io.dirsig import open_emissivity, read_emissivity, read_materials, read_reflectance_text
+
+
+def test_every_member_is_a_curve(tmp_path: Path) -> None:
+    paints = library()
+    done: list[tuple[int, int]] = []
+    made = hp.write_dirsig(paints, tmp_path / "out", progress=lambda *step: done.append(step))
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["out"]
+    for number in range(3):
+        weights, micrometres, emissivity = strict_ems(tmp_path / "out" / f"emissivity/paint_{number}.ems")
+        assert weights == [1.0] * 91
+        assert emissivity.shape == (5, BANDS)
+        np.testing.assert_allclose(micrometres, NM / 1000, atol=5.1e-8)
+        members = paints.member_reflectance.values[number].astype(float)
+        np.testing.assert_allclose(emissivity, 1 - members, atol=5.1e-7)
+        wavelength, centre = read_reflectance_text(tmp_path / "out" / f"reflectance/paint_{number}.txt")
+        np.testing.assert_array_equal(wavelength, micrometres)
+        np.testing.assert_allclose(centre, paints.reflectance.values[number], atol=5.1e-7)
+    assert made.curves.values.tolist() == [5, 5, 5]
+    assert made.curves.dtype == np.int64
+    assert made.attrs["specular_term"].startswith("none")
+    assert done[-1] == (3, 3)
+
+
+def test_materials_glist_and_readme(tmp_path: Path) -> None:
+    paints = library().assign_coords(paint=["Türkis, matt", "rot/blau", "rot/blau"])
+    made = hp.write_dirsig(paints, tmp_path / "out", thermal=THERM, double_sided=True)
+    materials = read_materials(tmp_path / "out/materials.mat")
+    names = ["Tuerkis, matt", "rot/blau", "rot/blau (2)"]
+    tokens = ["Tuerkis_matt", "rot_blau", "rot_blau_2"]
+    assert [material.name for material in materials] == names
+    assert [material.id for material in materials] == tokens == made.material_id.values.tolist()
+    for material in materials:
+        assert material.emissivity_file is not None
+        assert (tmp_path / "out" / material.emissivity_file).is_file()
+        assert material.specular_fraction == 0.0
+        assert material.entry.get("DOUBLE_SIDED") == "TRUE"
+        colour = [float(part) for part in (material.entry.get("EDITOR_COLOR") or "").split(",")]
+        assert len(colour) == 3
+        assert all(0 <= part <= 1 for part in colour)
+    assert materials[0].entry.section("TEMP_SOLVER").get("MASS_DENSITY") == "2.7"  # type: ignore[union-attr]
+    root = ET.fromstring((tmp_path / "out/paints.glist").read_text())
+    assert [each.attrib["id"] for each in root.iter("assign")] == tokens
+    readme = (tmp_path / "out/README.txt").read_text()
+    assert "'Türkis, matt' is called 'Tuerkis, matt'" in readme
+    assert "would count twice" in readme
+    record = json.loads((tmp_path / "out/paints.json").read_text())["paints"][0]
+    assert (record["paint"], record["about"]) == ("Türkis, matt", {"make": "Lada"})
+
+
+THERM = {
+    "specific_heat": 0.2, "mass_density": 2.7, "thermal_conductivity": 0, "solar_absorption": 0.5,
+    "thermal_emissivity": 0.9, "exposed_area": 0.5, "thickness": 0.1,
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    "name", ["\udc80", "a\x00b", "\u202e\u00a0", "]]>--><x>&", "x" * 5000, "..", "%s{0}"]
+)
+def test_any_name_is_written(name: str, tmp_path: Path) -> None:
+    made = hp.write_dirsig(library(paints=1).assign_coords(paint=[name]), tmp_path / "out")
+    token = made.material_id.item()
+    assert (tmp_path / "out/emissivity" / f"{token}.ems").is_file()
+    assert read_materials(tmp_path / "out/materials.mat")[0].id == token
+    ET.fromstring((tmp_path / "out/paints.glist").read_text())
+    assert json.loads((tmp_path / "out/paints.json").read_text())["paints"][0]["paint"] == name
+
+
+def test_write_read_write_is_byte_stable(tmp_path: Path) -> None:
+    hp.write_dirsig(library(), tmp_path / "one")
+    parts = [open_emissivity(tmp_path / f"one/emissivity/paint_{number}.ems") for number in range(3)]
+    hp.write_dirsig(xr.concat(parts, "paint"), tmp_path / "two")
+    first, second = files(tmp_path / "one"), files(tmp_path / "two")
+    for name in first:
+        if name.endswith(".ems"):
+            assert first[name] == second[name]
+    third = library()
+    hp.write_dirsig(third, tmp_path / "three")
+    assert files(tmp_path / "three") == first
+
+
+@settings(max_examples=25, deadline=None)
+@given(
+    st.lists(st.floats(0.0, 1.0, width=32), min_size=4, max_size=4),
+    st.lists(st.floats(200, 2500), min_size=4, max_size=4, unique_by=lambda nm: round(nm, 3)),
+)
+def test_any_spectrum_survives(values: list[float], nm: list[float]) -> None:
+    import tempfile
+
+    paint = xr.Dataset(
+        {"reflectance": (("paint", "band"), np.array([values], np.float32), {"units": "1"})},
+        {"paint": ["x"], "wavelength": ("band", nm, {"units": "nm"})},
+    )
+    with tempfile.TemporaryDirectory() as folder, warnings.catch_warnings():
+        warnings.simplefilter("ignore", PaintWarning)
+        hp.write_dirsig(paint, Path(folder) / "one")
+        path = Path(folder) / "one/emissivity/x.ems"
+        _, micrometres, emissivity = strict_ems(path)
+        again = open_emissivity(path)
+        hp.write_dirsig(again, Path(folder) / "two")
+        assert (Path(folder) / "two/emissivity/x.ems").read_bytes() == path.read_bytes()
+    order = np.argsort(nm)
+    np.testing.assert_allclose(micrometres, np.array(nm)[order] / 1000, atol=5.1e-8)
+    np.testing.assert_allclose(
+        emissivity[0], 1 - paint.reflectance.values[0][order].astype(float), atol=5.1e-7
+    )
+
+
+@st.composite
+def odd_libraries(draw: st.DrawFn) -> xr.Dataset:
+    paints, members, bands = draw(st.integers(1, 3)), draw(st.integers(0, 4)), draw(st.integers(1, 12))
+    rng = np.random.default_rng(draw(st.integers(0, 10_000)))
+    low, high = draw(
+        st.sampled_from([(0.0, 1.0), (0.0, 0.01), (-0.1, 1.1), (0.0, 1.0), (0.0, 0.5), (5.0, 90.0)])
+    )
+    values = rng.uniform(low, high, (paints, members + 1, bands)).astype(np.float32)
+    values[rng.random(values.shape) < draw(st.sampled_from([0.0, 0.0, 0.02, 0.1]))] = np.nan
+    values[rng.random(values.shape[:2]) < draw(st.sampled_from([0.0, 0.3]))] = np.nan
+    values[rng.random(values.shape) < draw(st.sampled_from([0.0, 0.0, 0.02]))] = np.inf
+    nm = rng.uniform(300, 2500, bands)
+    nm = nm if draw(st.booleans()) else np.sort(nm)
+    made = xr.Dataset(
+        {
+            "reflectance": (("paint", "band"), values[:, 0], {"units": "1"}),
+            "member_reflectance": (("paint", "member", "band"), values[:, 1:], {"units": "1"}),
+        },
+        {"paint": draw(st.lists(st.text(max_size=5), min_size=paints, max_size=paints))},
+    )
+    made = made.assign_coords(wavelength=("band", nm, {"units": "nm"}))
+    if draw(st.booleans()):
+        made["reflectance"].attrs["mirror_reflection"] = draw(st.sampled_from(["included", "excluded"]))
+    return made.assign_coords(good=("band", rng.random(bands) < draw(st.sampled_from([0.8, 1.1, 1.1]))))
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    odd_libraries(),
+    st.fixed_dictionaries(
+        {
+            "gaps": st.sampled_from(["refuse", "interpolate", "interpolate"]),
+            "extrapolate": st.sampled_from([False, True, True]),
+        },
+        optional={
+            "curves": st.sampled_from(["members", "centre"]),
+            "specular": st.sampled_from([0.0, 0.04, 0.5]),
+            "wavelength_range": st.sampled_from([(400.0, 1000.0), (100.0, 3000.0), (700.0, 700.001)]),
+        },
+    ),
+)
+def test_any_library_is_written_strictly_or_refused(paints: xr.Dataset, options: dict[str, Any]) -> None:
+    import tempfile
+
+    with tempfile.TemporaryDirectory() as folder, warnings.catch_warnings():
+        warnings.simplefilter("ignore", PaintWarning)
+        out = Path(folder) / "out"
+        try:
+            made = hp.write_dirsig(paints, out, **options)
+        except SchemaError:
+            assert not list(Path(folder).iterdir())
+            return
+        materials = read_materials(out / "materials.mat")
+        assert len(materials) == paints.sizes["paint"] == made.sizes["paint"]
+        for material, count in zip(materials, made.curves.values, strict=True):
+            path = out / (material.emissivity_file or "")
+            _, micrometres, emissivity = strict_ems(path)
+            assert emissivity.shape[0] == count
+            assert len(read_emissivity(path).curves) == count
+            if not options["extrapolate"]:
+                measured = paints.wavelength.values[paints.good.values] / 1000
+                assert measured.min() - 1e-6 <= micrometres[0] < micrometres[-1] <= measured.max() + 1e-6
+            wanted = options.get("wavelength_range")
+            if wanted is not None:
+                assert micrometres[0] <= wanted[0] / 1000 + 1e-6
+                assert micrometres[-1] >= wanted[1] / 1000 - 1e-6
+
+
+# --- what is handed in -------------------------------------------------------------------------------------
+
+
+def test_other_units_and_order_give_the_same_bytes(tmp_path: Path) -> None:
+    paints = library()
+    hp.write_dirsig(paints, tmp_path / "plain")
+    backwards = paints.isel(band=slice(None, None, -1))
+    hp.write_dirsig(backwards, tmp_path / "backwards")
+    micro = paints.assign_coords(wavelength=("band", NM / 1000, {"units": "um"}))
+    hp.write_dirsig(micro, tmp_path / "micro")
+    percent = paints.copy(deep=True)
+    for name in ("reflectance", "member_reflectance"):
+        percent[name] = (percent[name].astype(np.float64) * 100).assign_attrs(units="percent")
+    hp.write_dirsig(percent, tmp_path / "percent")
+    turned = paints.transpose("band", "member", "quantile", "paint").chunk({"paint": 1})
+    hp.write_dirsig(turned, tmp_path / "turned")
+    plain = files(tmp_path / "plain")
+    for name in ("backwards", "micro", "percent", "turned"):
+        assert files(tmp_path / name) == plain, name
+
+
+def test_centre_and_quantiles(tmp_path: Path) -> None:
+    paints = library()
+    hp.write_dirsig(paints, tmp_path / "q", curves="quantiles")
+    hp.write_dirsig(paints.drop_vars("member_reflectance"), tmp_path / "c")
+    quantiles = strict_ems(tmp_path / "q/emissivity/paint_1.ems")[2]
+    np.testing.assert_allclose(quantiles, 1 - paints.reflectance_quantiles.values[1].astype(float), atol=6e-7)
+    centre = strict_ems(tmp_path / "c/emissivity/paint_1.ems")[2]
+    np.testing.assert_allclose(centre, 1 - paints.reflectance.values[1:2].astype(float), atol=6e-7)
+    with pytest.raises(SchemaError, match="needs member_reflectance"):
+        hp.write_dirsig(paints.drop_vars("member_reflectance"), tmp_path / "m", curves="members")
+
+
+def test_padding_is_no_member(tmp_path: Path) -> None:
+    paints = library()
+    paints["member_reflectance"][0, 3:] = np.nan
+    paints["member_reflectance"][1] = np.nan  # of which none was kept: the centre stands for them
+    made = hp.write_dirsig(paints, tmp_path / "out")
+    assert made.curves.values.tolist() == [3, 1, 5]
+    only = strict_ems(tmp_path / "out/emissivity/paint_1.ems")[2]
+    np.testing.assert_allclose(only[0], 1 - paints.reflectance.values[1].astype(float), atol=6e-7)
+
+
+def test_values_outside_are_clipped_and_counted(tmp_path: Path) -> None:
+    paints = library()
+    paints["member_reflectance"][0, 0, 2:4] = -0.01
+    paints["member_reflectance"][2, 1, 5] = 1.2
+    with pytest.warns(PaintWarning, match=r"3 samples outside 0 to 1 were clipped \(in 2 of 3 paints\)"):
+        made = hp.write_dirsig(paints, tmp_path / "out")
+    assert made.clipped.values.tolist() == [2, 0, 1]
+    assert strict_ems(tmp_path / "out/emissivity/paint_0.ems")[2][0, 2:4].tolist() == [1.0, 1.0]
+
+
+def test_unmeasured_ends_are_left_away_and_holes_refused(tmp_path: Path) -> None:
+    paints = library()
+    for name in ("reflectance", "member_reflectance"):
+        paints[name][..., 0] = np.nan
+    paints = paints.assign_coords(good=("band", np.arange(BANDS) != BANDS - 1))
+    hp.write_dirsig(paints, tmp_path / "ends")
+    micrometres = strict_ems(tmp_path / "ends/emissivity/paint_0.ems")[1]
+    np.testing.assert_allclose(micrometres, NM[1:-1] / 1000, atol=6e-8)
+    paints = paints.assign_coords(good=("band", ~np.isin(np.arange(BANDS), [3, 4])))
+    with pytest.raises(SchemaError, match=r"no value at 625\.1, 700\.4 nm, inside the range") as caught:
+        hp.write_dirsig(paints, tmp_path / "holes")
+    assert str(caught.value).count("'paint ") == 3  # all paints are told
+    assert not (tmp_path / "holes").exists()
+    made = hp.write_dirsig(paints, tmp_path / "holes", gaps="interpolate")
+    assert made.interpolated.values.tolist() == [10, 10, 10]
+    emissivity = strict_ems(tmp_path / "holes/emissivity/paint_2.ems")[2]
+    rho = paints.member_reflectance.values[2].astype(float)
+    np.testing.assert_allclose(1 - emissivity[:, 2], rho[:, 2] + (rho[:, 5] - rho[:, 2]) / 3, atol=1e-6)
+    assert "10" in (tmp_path / "holes/README.txt").read_text().split("extrapolated")[1]
+
+
+def test_members_that_lack_an_end_are_left_out(tmp_path: Path) -> None:
+    paints = library()
+    paints["member_reflectance"][0, 1, 0] = np.nan
+    with pytest.raises(SchemaError, match=r"1 of 5 curves have no value at 399\.4 nm"):
+        hp.write_dirsig(paints, tmp_path / "out")
+    with pytest.warns(PaintWarning, match="1 members that lack an end"):
+        made = hp.write_dirsig(paints, tmp_path / "out", gaps="interpolate")
+    assert (made.curves.values.tolist(), made.left_out.values.tolist()) == ([4, 5, 5], [1, 0, 0])
+
+
+def test_nothing_is_extrapolated_unasked(tmp_path: Path) -> None:
+    paints = library()
+    with pytest.raises(SchemaError, match=r"measured 399.356 to 1001.42 nm, 380 to 1100 nm are asked for"):
+        hp.write_dirsig(paints, tmp_path / "out", wavelength_range=(380, 1100))
+    made = hp.write_dirsig(paints, tmp_path / "out", wavelength_range=(380, 1100), extrapolate=True)
+    _, micrometres, emissivity = strict_ems(tmp_path / "out/emissivity/paint_0.ems")
+    assert (micrometres[0], micrometres[-1], len(micrometres)) == (0.38, 1.1, BANDS + 2)
+    np.testing.assert_array_equal(emissivity[:, [0, -1]], emissivity[:, [1, -2]])
+    assert made.extrapolated.values.tolist() == ["below and above"] * 3
+    assert "below and above" in (tmp_path / "out/README.txt").read_text()
+    assert made.range.values.tolist() == [[380.0, 1100.0]] * 3
+    with pytest.raises(SchemaError, match="nothing of 1200 to 1300 nm"):
+        hp.write_dirsig(paints, tmp_path / "far", wavelength_range=(1200, 1300), extrapolate=True)
+
+
+def test_a_range_is_covered_and_no_more(tmp_path: Path) -> None:
+    hp.write_dirsig(library(), tmp_path / "out", wavelength_range=(500.0, 625.0))
+    micrometres = strict_ems(tmp_path / "out/emissivity/paint_0.ems")[1]
+    np.testing.assert_allclose(micrometres, NM[1:4] / 1000, atol=6e-8)
+
+
+def test_detectors_that_overlap(tmp_path: Path) -> None:
+    nm = NM.copy()
+    nm[5:] -= 160.0
+    paints = library().assign_coords(wavelength=("band", nm, {"units": "nm"}))
+    with pytest.warns(PaintWarning, match="fall at the joins of detectors"):
+        hp.write_dirsig(paints, tmp_path / "out")
+    micrometres = strict_ems(tmp_path / "out/emissivity/paint_0.ems")[1]
+    np.testing.assert_allclose(micrometres, np.sort(nm) / 1000, atol=6e-8)
+    nm[5] = nm[2]
+    paints = library().assign_coords(wavelength=("band", nm, {"units": "nm"}))
+    with pytest.warns(PaintWarning), pytest.raises(SchemaError, match=r"two bands at 549\.8720 nm"):
+        hp.write_dirsig(paints, tmp_path / "same")
+
+
+# --- the clear coat ----------------------------------------------------------------------------------------
+
+
+def test_a_coat_does_not_count_twice(tmp_path: Path) -> None:
+    with pytest.raises(SchemaError, match="would count twice"):
+        hp.write_dirsig(library(mirror_reflection="included"), tmp_path / "out", specular=0.1)
+    with pytest.raises(SchemaError, match="would count twice"):
+        hp.write_dirsig(library(), tmp_path / "out", specular=0.1)
+    made = hp.write_dirsig(library(mirror_reflection="included"), tmp_path / "out")
+    assert made.attrs["mirror_reflection"] == "included"
+    assert made.attrs["mirror_reflection_source"] == "told by the library"
+
+
+@pytest.mark.parametrize("attrs", [{"mirror_reflection": "excluded"}, {"mirrored_sky_removed": "F0 0.04"}])
+def test_the_diffuse_part_is_the_body(attrs: dict[str, str], tmp_path: Path) -> None:
+    paints = library(**attrs)
+    paints["member_reflectance"] *= 0.8
+    paints["member_reflectance"].attrs["units"] = "1"
+    made = hp.write_dirsig(paints, tmp_path / "out", specular=0.15)
+    assert made.specular_fraction.values.tolist() == [0.15] * 3
+    emissivity = strict_ems(tmp_path / "out/emissivity/paint_1.ems")[2]
+    body = (1 - 0.15) * (1 - emissivity)
+    np.testing.assert_allclose(body, paints.member_reflectance.values[1].astype(float), atol=6e-7)
+    assert read_materials(tmp_path / "out/materials.mat")[1].specular_fraction == 0.15
+    assert "SPECULAR_FRACTION of 0.15" in (tmp_path / "out/README.txt").read_text()
+    hp.write_dirsig(paints, tmp_path / "plain")
+    assert "body below the coat" in (tmp_path / "plain/README.txt").read_text()
+
+
+def test_a_library_with_its_coat_apart(tmp_path: Path) -> None:
+    paints = library()
+    paints["specular_reflectance"] = xr.full_like(paints.reflectance, 0.04).assign_attrs(units="1")
+    made = hp.write_dirsig(paints, tmp_path / "out", specular="library", gaps="interpolate")
+    body = paints.reflectance.values.astype(float).mean(axis=1)
+    np.testing.assert_allclose(made.specular_fraction, 0.04 / (0.04 + body), atol=6e-5)
+    emissivity = strict_ems(tmp_path / "out/emissivity/paint_0.ems")[2]
+    fraction = made.specular_fraction.values[0]
+    members = paints.member_reflectance.values[0].astype(float)
+    np.testing.assert_allclose((1 - emissivity) * (1 - fraction), members, atol=1e-6)
+
+
+@pytest.mark.parametrize("specular", [1.0, -0.1, float("nan"), "much", "library"])
+def test_other_specular_terms_are_refused(specular: Any, tmp_path: Path) -> None:
+    with pytest.raises(SchemaError, match="specular="):
+        hp.write_dirsig(library(mirror_reflection="excluded"), tmp_path / "out", specular=specular)

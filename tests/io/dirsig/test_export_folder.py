@@ -1,0 +1,174 @@
+"""A call of `write_dirsig` that makes no sense, and the folder that it fills: whole, or not at all."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from dirsig_exports import BANDS, NM, files, library
+
+import hyperpaint as hp
+from hyperpaint.errors import FormatError, SchemaError, StoreError
+from hyperpaint.io.dirsig import read_emissivity, read_materials
+
+
+def test_all_wrong_options_are_told_at_once(tmp_path: Path) -> None:
+    with pytest.raises(SchemaError) as caught:
+        hp.write_dirsig(
+            library(), tmp_path / "out", curves="all", wavelength_range=(900, 400), gaps="ignore",
+            surface="Ward", rad_solver="a b", thermal={"thickness": 1.0},
+        )  # fmt: skip
+    for name in ("curves=", "wavelength_range=", "gaps=", "surface=", "rad_solver=", "thermal="):
+        assert name in str(caught.value)
+    with pytest.raises(SchemaError, match="no paints"):
+        hp.write_dirsig(library().isel(paint=slice(0)), tmp_path / "out")
+    with pytest.raises(SchemaError, match="no specular term"):
+        hp.write_dirsig(library(mirror_reflection="excluded"), tmp_path / "out", surface="SimpleReflectance",
+                        specular=0.1)  # fmt: skip
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (lambda lib: lib.drop_vars("reflectance"), "reflectance"),
+        (lambda lib: lib.drop_vars("wavelength"), "wavelength"),
+        (lambda lib: lib.assign(reflectance=lib.reflectance.assign_attrs(units="W m-2")), "units"),
+        (lambda lib: lib.rename(paint="spectrum"), "dims"),
+        (lambda lib: lib.assign(reflectance=lib.reflectance.astype(object)), "expected numbers"),
+        (
+            lambda lib: lib.assign(reflectance=(lib.reflectance * np.nan).assign_attrs(units="1")),
+            "fewer than two",
+        ),
+        (lambda lib: lib.assign(reflectance=lib.reflectance.drop_attrs()), "units"),
+        (
+            lambda lib: lib.assign(reflectance=(lib.reflectance * 100).assign_attrs(units="1")),
+            "is it percent",
+        ),
+        (
+            lambda lib: lib.assign(reflectance=lib.reflectance.where(lib.band < 1).assign_attrs(units="1")),
+            "two",
+        ),
+        (
+            lambda lib: lib.assign_coords(wavelength=("band", NM * np.nan, {"units": "nm"})),
+            "expected 1 to 100000 nm",
+        ),
+        (
+            lambda lib: lib.assign_coords(wavelength=("band", NM, {"units": "um"})),
+            "expected 1 to 100000 nm",
+        ),
+    ],
+)
+def test_what_is_no_library_is_refused(change: Any, said: str, tmp_path: Path) -> None:
+    with pytest.raises(SchemaError, match=said):
+        hp.write_dirsig(change(library()), tmp_path / "out")
+    assert not list(tmp_path.iterdir())
+
+
+def test_simple_reflectance(tmp_path: Path) -> None:
+    hp.write_dirsig(library(), tmp_path / "out", surface="SimpleReflectance", rad_solver="Simple")
+    material = read_materials(tmp_path / "out/materials.mat")[0]
+    assert material.reflectance_file == "reflectance/paint_0.txt"
+    assert material.emissivity_file is None
+    assert material.entry.get("RAD_SOLVER_NAME") == "Simple"
+
+
+def test_ids_of_the_scene_are_not_used_again(tmp_path: Path) -> None:
+    hp.write_dirsig(library(), tmp_path / "one")
+    made = hp.write_dirsig(library(), tmp_path / "two", scene_materials=tmp_path / "one/materials.mat")
+    assert made.material_id.values.tolist() == ["paint_0_2", "paint_1_2", "paint_2_2"]
+    (tmp_path / "bad.mat").write_text("nonsense")
+    with pytest.raises(FormatError, match=r"bad\.mat"):
+        hp.write_dirsig(library(), tmp_path / "three", scene_materials=tmp_path / "bad.mat")
+
+
+def test_nothing_is_overwritten_unasked(tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    hp.write_dirsig(library(), out)
+    before = files(out)
+    with pytest.raises(StoreError, match="exists; pass overwrite=True"):
+        hp.write_dirsig(library(seed=1), out)
+    assert files(out) == before
+    hp.write_dirsig(library(paints=2, seed=1), out, overwrite=True)
+    assert not (out / "emissivity/paint_2.ems").exists()
+    assert [path.name for path in tmp_path.iterdir()] == ["out"]
+
+
+def test_a_folder_of_others_is_never_replaced(tmp_path: Path) -> None:
+    (tmp_path / "scene").mkdir()
+    (tmp_path / "scene/scene.mat").write_text("precious")
+    with pytest.raises(StoreError, match="holds other files"):
+        hp.write_dirsig(library(), tmp_path / "scene", overwrite=True)
+    (tmp_path / "file").write_text("precious")
+    with pytest.raises(StoreError, match="expected a folder"):
+        hp.write_dirsig(library(), tmp_path / "file", overwrite=True)
+    (tmp_path / "link").symlink_to(tmp_path / "scene")
+    with pytest.raises(StoreError, match="expected a folder"):
+        hp.write_dirsig(library(), tmp_path / "link", overwrite=True)
+    with pytest.raises(StoreError, match="is a URL"):
+        hp.write_dirsig(library(), "s3://bucket/out")
+    assert files(tmp_path / "scene") == {"scene.mat": b"precious"}
+    (tmp_path / "empty").mkdir()
+    hp.write_dirsig(library(), tmp_path / "empty")
+
+
+def test_what_fails_leaves_nothing_behind(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    out = tmp_path / "out"
+    hp.write_dirsig(library(), out)
+    before = files(out)
+
+    def stop(done: int, _: int) -> None:
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        hp.write_dirsig(library(seed=1), out, overwrite=True, progress=stop)
+    assert files(out) == before
+    assert [path.name for path in tmp_path.iterdir()] == ["out"]
+
+    def full(*_: Any) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("hyperpaint.io.publishing.flush_group", full)
+    with pytest.raises(StoreError, match="cannot be written: No space left"):
+        hp.write_dirsig(library(seed=1), out, overwrite=True)
+    assert files(out) == before
+    assert [path.name for path in tmp_path.iterdir()] == ["out"]
+
+
+def test_what_a_killed_writer_leaves_is_cleared_up(tmp_path: Path) -> None:
+    code = (
+        "import os, sys, numpy as np, xarray as xr, hyperpaint as hp\n"
+        "rho = ('paint', 'band'), np.ones((1, 3), 'f4') / 2, {'units': '1'}\n"
+        "nm = ('band', [400., 500., 600.], {'units': 'nm'})\n"
+        "lib = xr.Dataset({'reflectance': rho}, {'wavelength': nm})\n"
+        "hp.write_dirsig(lib, sys.argv[1], progress=lambda *_: os._exit(9))\n"
+    )
+    done = subprocess.run([sys.executable, "-c", code, str(tmp_path / "out")], timeout=60, check=False)
+    assert done.returncode == 9
+    assert [path.name for path in tmp_path.iterdir()] == [".partial-out"]
+    hp.write_dirsig(library(), tmp_path / "out")
+    assert [path.name for path in tmp_path.iterdir()] == ["out"]
+
+
+def test_a_large_library_is_written_block_by_block(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("hyperpaint.io.dirsig.paint_curves._BLOCK_BYTES", 4 * 5 * BANDS)
+    hp.write_dirsig(library(paints=7), tmp_path / "one")
+    steps: list[tuple[int, int]] = []
+    hp.write_dirsig(library(paints=7).chunk({"paint": 3}), tmp_path / "two",
+                    progress=lambda *step: steps.append(step))  # fmt: skip
+    assert steps == [(3, 7), (6, 7), (7, 7)]
+    assert files(tmp_path / "one") == files(tmp_path / "two")
+
+
+def test_a_finished_export_reads_back(tmp_path: Path) -> None:
+    paints = library()
+    hp.write_dirsig(paints, tmp_path / "out")
+    for number in range(3):
+        found = read_emissivity(tmp_path / f"out/emissivity/paint_{number}.ems")
+        assert found.layout == "new"
+        members = np.array([curve.emissivity for curve in found.curves])
+        np.testing.assert_allclose(members, 1 - paints.member_reflectance.values[number], atol=6e-7)

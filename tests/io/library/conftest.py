@@ -1,0 +1,12 @@
+"""The library that tests of this folder write."""
+
+from __future__ import annotations
+
+import pytest
+import xarray as xr
+from library_examples import make_library
+
+
+@pytest.fixture
+def library() -> xr.Dataset:
+    return make_library()

@@ -1,0 +1,198 @@
+"""What is written appears whole or not at all, and nothing is replaced unasked."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import xarray as xr
+
+import hyperpaint as hp
+from hyperpaint.errors import FormatError, StoreError
+from hyperpaint.io import publishing
+from hyperpaint.io.library import envi_writing
+
+NAMES = {"envi": "paints.sli", "csv": "paints.csv", "zarr": "paints.zarr", "ecostress": "paints"}
+
+
+@pytest.fixture
+def library(library: xr.Dataset) -> xr.Dataset:
+    return library.isel(band=[0, 1, 3, 4])
+
+
+def state(folder: Path) -> dict[str, bytes]:
+    return {str(p.relative_to(folder)): p.read_bytes() for p in sorted(folder.rglob("*")) if p.is_file()}
+
+
+@pytest.mark.parametrize("format", NAMES)
+def test_nothing_is_replaced_unasked(library: xr.Dataset, tmp_path: Path, format: str) -> None:
+    path = tmp_path / NAMES[format]
+    assert hp.write_library(library, path, format=format) == path
+    before = state(tmp_path)
+    other = library.isel(paint=[0, 1])
+    with pytest.raises(StoreError, match=r"exist.*overwrite=True"):
+        hp.write_library(other, path, format=format)
+    assert state(tmp_path) == before
+    hp.write_library(other, path, format=format, overwrite=True)
+    assert hp.open_library(path).sizes["paint"] == 2
+    assert not [p for p in tmp_path.iterdir() if p.name.startswith(".")]
+
+
+@pytest.mark.parametrize(
+    ("format", "name", "written"),
+    [
+        ("csv", "paints", "paints.csv"),
+        ("csv", "paints.txt", "paints.txt"),
+        ("envi", "paints", "paints.sli"),
+        ("envi", "paints.hdr", "paints.sli"),
+        ("envi", "paints.v2", "paints.v2.sli"),
+    ],
+)
+def test_a_file_gets_the_suffix_that_it_is_known_by(
+    library: xr.Dataset, tmp_path: Path, format: str, name: str, written: str
+) -> None:
+    path = hp.write_library(library, tmp_path / name, format=format)
+    assert path == tmp_path / written
+    assert hp.open_library(path).sizes["paint"] == 5
+
+
+def test_a_folder_that_is_empty_is_filled(library: xr.Dataset, tmp_path: Path) -> None:
+    (tmp_path / "paints").mkdir()
+    hp.write_library(library, tmp_path / "paints", format="ecostress")
+    assert hp.open_library(tmp_path / "paints").sizes["paint"] == 5
+
+
+@pytest.mark.parametrize("format", ["envi", "csv", "ecostress"])
+@pytest.mark.parametrize("overwrite", [False, True])
+def test_a_failure_leaves_what_was_there(
+    library: xr.Dataset, tmp_path: Path, format: str, overwrite: bool
+) -> None:
+    path = tmp_path / NAMES[format]
+    if overwrite:
+        hp.write_library(library.isel(paint=[0]), path, format=format)
+    before = state(tmp_path)
+
+    def stop(done: int, total: int) -> None:
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        hp.write_library(library, path, format=format, overwrite=overwrite, progress=stop)
+    assert state(tmp_path) == before
+    assert not list(tmp_path.glob(".partial*"))
+
+
+class Power(BaseException):
+    """The lights go out: nothing is cleared up."""
+
+
+@pytest.mark.parametrize("step", range(3))
+@pytest.mark.parametrize("overwrite", [False, True])
+def test_a_kill_between_two_renames__leaves_nothing_that_opens_as_another(
+    library: xr.Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, step: int, overwrite: bool
+) -> None:
+    """Rationale: a library of ENVI is three files; without its header it is none."""
+    path = tmp_path / "paints.sli"
+    old, new = library.isel(paint=[0, 1]), library
+    if overwrite:
+        hp.write_library(old, path)
+    replace, left = os.replace, [step]
+
+    def failing(source: Any, target: Any) -> None:
+        if not left[0]:
+            raise Power
+        left[0] -= 1
+        replace(source, target)
+
+    with monkeypatch.context() as patched:
+        patched.setattr(publishing.os, "replace", failing)
+        with pytest.raises(Power):
+            hp.write_library(new, path, overwrite=overwrite)
+    with pytest.raises(FormatError, match=r"no header beside it|no such file"):
+        hp.open_library(path)
+    hp.write_library(new, path, overwrite=True)
+    assert hp.open_library(path).sizes["paint"] == 5
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["paints.hdr", "paints.sli", "paints.sli.json"]
+
+
+def test_leftovers_of_a_killed_writer__are_cleared(library: xr.Dataset, tmp_path: Path) -> None:
+    stage = tmp_path / ".partial-paints.hdr"
+    build = stage / "build-%root-product-0123456789ab"
+    build.mkdir(parents=True)
+    (build / "paints.sli").write_bytes(b"half")
+    hp.write_library(library, tmp_path / "paints.sli")
+    assert not stage.exists()
+
+
+def test_one_writer_at_a_time(library: xr.Dataset, tmp_path: Path) -> None:
+    path = tmp_path / "paints.csv"
+
+    def second(done: int, total: int) -> None:
+        if done == total:  # it is there by now
+            return
+        with pytest.raises(StoreError, match="is being written"):
+            hp.write_library(library, path)
+
+    hp.write_library(library, path, progress=second)
+    assert hp.open_library(path).sizes["paint"] == 5
+
+
+def test_a_folder_with_anything_else__is_never_replaced(library: xr.Dataset, tmp_path: Path) -> None:
+    folder = hp.write_library(library, tmp_path / "paints", format="ecostress")
+    (folder / "thesis.doc").write_text("ten years of work")
+    with pytest.raises(StoreError, match=r"holds thesis.doc, which no library has"):
+        hp.write_library(library, folder, format="ecostress", overwrite=True)
+    assert (folder / "thesis.doc").read_text() == "ten years of work"
+    with pytest.raises(StoreError, match=r"is a folder|holds"):
+        hp.write_library(library, folder, format="csv", overwrite=True)
+
+
+def test_a_header_too_large_to_be_read__is_refused(
+    library: xr.Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(envi_writing, "MAX_LIBRARY_HEADER_BYTES", 500)
+    with pytest.raises(ValueError, match="shorten names, write fewer members"):
+        hp.write_library(library, tmp_path / "paints.sli")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_members_are_written_some_paints_at_a_time(tmp_path: Path) -> None:
+    """Rationale: 40,000 lazy members of 100 bands are 16 MB; no more than two lots are in memory at once."""
+    import dask.array as da
+
+    seen: list[int] = []
+
+    def block(block_info: Any = None) -> np.ndarray:
+        seen.append(block_info[None]["array-location"][0][0])
+        return np.full((20, 100, 100), 0.5, np.float32)
+
+    lazy = da.map_blocks(
+        block, chunks=((20,) * 20, (100,), (100,)), dtype=np.float32, meta=np.empty((0, 0, 0), "f4")
+    )
+    library = xr.Dataset(
+        {
+            "reflectance": (("paint", "band"), np.full((400, 100), 0.5, np.float32), {"units": "1"}),
+            "member_reflectance": (("paint", "member", "band"), lazy, {"units": "1"}),
+        },
+        coords={
+            "paint": [f"paint {at}" for at in range(400)],
+            "wavelength": ("band", np.linspace(400, 1000, 100), {"units": "nm"}),
+        },
+    )
+    done: list[tuple[int, int]] = []
+    path = hp.write_library(
+        library, tmp_path / "many.sli", progress=lambda *call: done.append((len(seen), call[0]))
+    )
+    assert seen == list(range(0, 400, 20))
+    # what is computed is written before the next is
+    assert [computed for computed, _ in done[1:-1]] == list(range(1, 21))
+    assert path.stat().st_size == 4 * 100 * (400 + 40_000)
+
+
+@pytest.fixture(autouse=True)
+def _no_leftovers(tmp_path: Path) -> Iterator[None]:
+    yield
+    assert not list(tmp_path.glob(".partial*"))

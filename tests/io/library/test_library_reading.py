@@ -1,0 +1,357 @@
+"""Files as programs write them, and what is wrong with others, said in a sentence."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import hyperpaint as hp
+from hyperpaint.errors import FormatError, PaintWarning, StoreError
+
+HEADER = """ENVI
+samples = {samples}
+lines = {lines}
+bands = 1
+data type = 4
+interleave = bsq
+byte order = 0
+file type = ENVI Spectral Library
+"""
+NAMES = "spectra names = {red, blue}\n"
+NM = "wavelength units = Nanometers\nwavelength = {450, 550, 650}\n"
+
+
+def write_sli(folder: Path, rows: object, more: str) -> Path:
+    values = np.asarray(rows, "<f4")
+    values.tofile(folder / "x.sli")
+    lines, samples = values.shape
+    (folder / "x.hdr").write_text(HEADER.format(samples=samples, lines=lines) + more, encoding="utf-8")
+    return folder / "x.sli"
+
+
+def write_text(folder: Path, text: str, name: str = "red.txt", encoding: str = "utf-8") -> Path:
+    path = folder / name
+    path.write_bytes(text.encode(encoding))
+    return path
+
+
+ROWS = [[0.1, 0.2, 0.3], [0.4, 0.5, 0.6]]
+
+
+# --- ENVI ---
+
+
+@pytest.mark.parametrize(
+    ("more", "scale"),
+    [
+        ("reflectance scale factor = 10000\n", 1e4),
+        ("z plot titles = {wavelength, reflectance [*10000]}\n", 1e4),
+        ("z plot titles = {wavelength, reflectance (x 100)}\n", 100.0),
+        ("z plot titles = {Wavelength, Reflectance (percent)}\n", 100.0),
+        ("z plot titles = {Wavelength, Reflectance}\n", 1.0),
+        ("z plot titles = {Wavelength, Reflectance (max 10)}\n", 1.0),
+        ("", 1.0),
+    ],
+)
+def test_sli__scale_of_the_header_or_the_plot_title(tmp_path: Path, more: str, scale: float) -> None:
+    library = hp.open_library(write_sli(tmp_path, np.array(ROWS) * scale, NAMES + NM + more))
+    np.testing.assert_allclose(library["reflectance"].values, ROWS, rtol=1e-6)
+    assert library["paint"].values.tolist() == ["red", "blue"]
+
+
+def test_sli__without_a_scale_is_refused_and_can_be_told(tmp_path: Path) -> None:
+    path = write_sli(tmp_path, np.array(ROWS) * 100, NAMES + NM)
+    with pytest.raises(FormatError, match=r"values up to 60.* and no scale.*pass scale=100"):
+        hp.open_library(path)
+    np.testing.assert_allclose(hp.open_library(path, scale=100)["reflectance"].values, ROWS, rtol=1e-6)
+    with pytest.raises(FormatError, match="scale is -1"):
+        hp.open_library(path, scale=-1)
+
+
+def test_sli__two_scales_that_differ_are_refused(tmp_path: Path) -> None:
+    more = "reflectance scale factor = 1\nz plot titles = {wavelength, reflectance [*10000]}\n"
+    path = write_sli(tmp_path, np.array(ROWS) * 1e4, NAMES + NM + more)
+    with pytest.raises(FormatError, match=r"scale factor' is 1, but 'z plot titles' say .*pass scale="):
+        hp.open_library(path)
+
+
+def test_sli__fill_is_compared_with_what_is_stored(tmp_path: Path) -> None:
+    rows = np.array(ROWS) * 1e4
+    rows[0, 1] = -9999.0
+    more = "reflectance scale factor = 10000\ndata ignore value = -9999\n"
+    values = hp.open_library(write_sli(tmp_path, rows, NAMES + NM + more))["reflectance"].values
+    assert np.isnan(values[0, 1])
+    assert np.isfinite(values).sum() == 5
+
+
+@pytest.mark.parametrize("unit", ["Micrometers", "um", "Unknown"])
+def test_sli__micrometres(tmp_path: Path, unit: str) -> None:
+    more = f"wavelength units = {unit}\nwavelength = {{0.65, 0.55, 0.45}}\n"
+    library = hp.open_library(write_sli(tmp_path, ROWS, NAMES + more))
+    np.testing.assert_allclose(library["wavelength"].values, [650.0, 550.0, 450.0])
+    assert ("micrometres" in library.attrs.get("notes", "")) == (unit == "Unknown")
+
+
+def test_sli__without_wavelengths_takes_those_given(tmp_path: Path) -> None:
+    path = write_sli(tmp_path, ROWS, NAMES + "wavelength units = Wavenumber\nwavelength = {1, 2, 3}\n")
+    with pytest.raises(FormatError, match=r"gives no wavelengths .*'Wavenumber'.*pass wavelength="):
+        hp.open_library(path)
+    given = hp.open_library(path, wavelength=[450, 550, 650], fwhm=np.full(3, 5.0))
+    assert given["wavelength"].values.tolist() == [450.0, 550.0, 650.0]
+    assert given["fwhm"].values.tolist() == [5.0] * 3
+    with pytest.raises(FormatError, match="2 values of wavelength for 3 bands"):
+        hp.open_library(path, wavelength=[450, 550])
+    with pytest.raises(FormatError, match="expected one finite number a band"):
+        hp.open_library(path, wavelength=[[450, np.nan]])
+
+
+def test_sli__wavelengths_and_bandwidths_as_records_alone(tmp_path: Path) -> None:
+    """Rationale: a library of the USGS whose header lost its lists still has them in its first records."""
+    rows = [[0.45, 0.55, 0.65], [0.01, 0.011, 0.012], *ROWS, [0.001, -0.1, 0.003]]
+    names = "Wavelengths in microns 3ch, Resolution in microns 3ch, red, blue, error bars to preceding"
+    library = hp.open_library(write_sli(tmp_path, rows, f"spectra names = {{{names}}}\n"))
+    np.testing.assert_allclose(library["wavelength"].values, [450, 550, 650], rtol=1e-6)
+    np.testing.assert_allclose(library["fwhm"].values, [10, 11, 12], rtol=1e-6)
+    assert library["paint"].values.tolist() == ["red", "blue"]
+    np.testing.assert_allclose(
+        library["reflectance_u_random"].values, [[np.nan] * 3, [0.001, np.nan, 0.003]], rtol=1e-6
+    )
+
+
+@pytest.mark.parametrize("names", ["", "spectra names = {red, matt, blue}\n", "spectra names = {red}\n"])
+def test_sli__names_that_cannot_be_trusted_are_numbers(tmp_path: Path, names: str) -> None:
+    with pytest.warns(PaintWarning, match="spectra are numbered"):
+        library = hp.open_library(write_sli(tmp_path, ROWS, names + NM))
+    assert library["paint"].values.tolist() == ["spectrum 1", "spectrum 2"]
+
+
+def test_sli__bad_bands_are_not_good(tmp_path: Path) -> None:
+    library = hp.open_library(write_sli(tmp_path, ROWS, NAMES + NM + "bbl = {1, 0, 1}\n"))
+    assert library["good"].values.tolist() == [True, False, True]
+
+
+def test_sli__what_does_not_fit_is_listed(tmp_path: Path) -> None:
+    path = write_sli(tmp_path, ROWS, NAMES + NM)
+    header = path.with_suffix(".hdr")
+    header.write_text(header.read_text().replace("bands = 1", "bands = 2"))
+    path.write_bytes(path.read_bytes()[:-1])
+    with pytest.raises(FormatError) as caught:
+        hp.open_library(header)
+    assert "bands is 2, expected 1" in str(caught.value)
+    assert "23 bytes, expected 48" in str(caught.value)
+    header.write_text(header.read_text().replace("Spectral Library", "Standard"))
+    with pytest.raises(FormatError, match=r"expected a spectral library|wavelength"):
+        hp.open_library(header)
+
+
+def test_sli__of_another_quantity_is_refused(tmp_path: Path) -> None:
+    path = write_sli(tmp_path, ROWS, NAMES + NM + "z plot titles = {Wavelength, Emissivity}\n")
+    with pytest.raises(FormatError, match=r"'Emissivity'.*expected reflectance"):
+        hp.open_library(path)
+
+
+# --- tables ---
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "nm,red,blue\n450,0.1,0.4\n550,0.2,0.5\n650,0.3,0.6\n",
+        "wavelength [nm]\tred\tblue\n450\t0.1\t0.4\n550\t0.2\t0.5\n650\t0.3\t0.6\n",
+        "a title\n\nnm;red;blue\r\n450;0,1;0,4\r\n550;0,2;0,5\r\n650;0,3;0,6\r\n\r\n",
+        "# nm red blue\n450   0.1 0.4\n# detector 2\n550 2e-1  0.5\n650 0.3 0.6",
+        "wavelength (um),red (%),blue (%)\n0.45,10,40\n0.55,20,50\n0.65,30,60\n",
+        "wavelength (µm);red (percent);blue (percent)\n0,45;10;40\n0,55;20;50\n0,65;30;60\n",
+        'nm,"red","blue",\n450,0.1,0.4,\n550,0.2,0.5,\n650,0.3,0.6,\n',
+    ],
+)
+@pytest.mark.parametrize("encoding", ["utf-8-sig", "latin-1"])
+def test_tables__separators_units_and_headings(tmp_path: Path, text: str, encoding: str) -> None:
+    library = hp.open_library(write_text(tmp_path, text, "both.csv", encoding))
+    np.testing.assert_allclose(library["wavelength"].values, [450.0, 550.0, 650.0])
+    np.testing.assert_allclose(library["reflectance"].values, ROWS, rtol=1e-6)
+    names = [name.split(" (")[0] for name in library["paint"].values]
+    assert names == ["red", "blue"]
+
+
+def test_tables__one_spectrum_is_named_by_its_file_or_heading(tmp_path: Path) -> None:
+    rows = "450,0.1\n550,0.2\n"
+    assert hp.open_library(write_text(tmp_path, rows, "Grün 3.txt"))["paint"].item() == "Grün 3"
+    assert hp.open_library(write_text(tmp_path, "nm,reflectance\n" + rows))["paint"].item() == "red"
+    assert hp.open_library(write_text(tmp_path, "nm,VW LA3G\n" + rows))["paint"].item() == "VW LA3G"
+
+
+def test_tables__empty_cells_are_nan_and_wavelengths_may_fall(tmp_path: Path) -> None:
+    library = hp.open_library(write_text(tmp_path, "nm,a,b\n650,0.3,\n550,,0.5\n450,nan,0.4\n"))
+    assert library["wavelength"].values.tolist() == [650.0, 550.0, 450.0]
+    np.testing.assert_array_equal(
+        library["reflectance"].values, np.float32([[0.3, np.nan, np.nan], [np.nan, 0.5, 0.4]])
+    )
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("", "no table of numbers found"),
+        ("hello\nworld\n", "no table of numbers found"),
+        ("450\n550\n650\n", "no table of numbers found"),
+        ("450,0.1,0.2\n550,0.2\n650,0.3\n", "line 2: '550,0.2', expected 3 numbers"),
+        ("450,0.1\n550,0.2\nend of file\n650,0.3\n", "line 3: 'end of file', expected 2 numbers"),
+        ("450,0.1\n550,0.2\n650,0.3,0.4\n", "line 3: '650,0.3,0.4', expected 2 numbers"),
+        ("450,0.1\n550,inf\n650,0.3\n", "line 2: '550,inf'"),
+        ("450,0.1\n550,0.2\n650,0.3\n660,1_0\n670,1e400\n", "(?s)line 4: '660,1_0'.*line 5: '670,1e400'"),
+        ("450,10\n550,20\n650,30\n", "no scale.*scale=100"),
+        ("nm,radiance\n450,0.1\n550,0.2\n", "its heading says 'radiance', expected reflectance"),
+        ("cm-1,reflectance\n4500,0.1\n5500,0.2\n", "x in 'cm-1', expected wavelengths in nm or um"),
+        ("1,0.1\n2e9,0.2\n", "wavelengths from 1 to 2e.09 nm, expected 100 nm to"),
+        ("".join(f"{500 + (-1) ** at * at},0.1\n" for at in range(60)), "the first column rises and falls"),
+    ],
+)
+def test_tables__what_is_none_is_refused(tmp_path: Path, text: str, said: str) -> None:
+    with pytest.raises(FormatError, match=said):
+        hp.open_library(write_text(tmp_path, text))
+
+
+def test_text__utf_16_says_so(tmp_path: Path) -> None:
+    with pytest.raises(FormatError, match="UTF-16 text must be saved as UTF-8"):
+        hp.open_library(write_text(tmp_path, "450,0.1\n550,0.2\n", encoding="utf-16"))
+
+
+# --- ECOSTRESS, ASTER, USGS ---
+
+ECOSTRESS = """Name: red
+Type: manmade
+X Units: Wavelength (micrometer)
+Y Units: Reflectance (percentage)
+First X Value: 0.65
+Last X Value: 0.45
+Number of X Values: 3
+Additional Information: none
+
+0.65 30
+0.55 20
+0.45 10
+"""
+
+
+def test_ecostress__spellings_of_units(tmp_path: Path) -> None:
+    library = hp.open_library(write_text(tmp_path, ECOSTRESS))
+    np.testing.assert_allclose(library["reflectance"].values, [[0.3, 0.2, 0.1]], rtol=1e-6)
+    np.testing.assert_allclose(library["wavelength"].values, [650, 550, 450])
+    fraction = ECOSTRESS.replace("percentage", "fraction").replace(" 30", " .3").replace(" 20", " .2")
+    library = hp.open_library(write_text(tmp_path, fraction.replace(" 10\n", " .1\n")))
+    np.testing.assert_allclose(library["reflectance"].values, [[0.3, 0.2, 0.1]], rtol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ("Number of X Values: 3", "Number of X Values: 4", "3 values, its header says 4"),
+        ("Reflectance (percentage)", "Transmittance (percent)", "expected reflectance"),
+        ("(micrometer)", "(cm-1, wavenumber)", "expected wavelengths in nm or um"),
+        ("X Units", "Units of x", "'X Units' is missing"),
+        ("0.55 20", "0.55 20 7", "line 11: '0.55 20 7', expected 2 numbers"),
+        ("0.55 20", "nan 20", "a wavelength is not a number"),
+        (": none", ": hyperpaint metadata {", "damaged metadata"),
+        (": none", ': hyperpaint metadata {"paint": "x"}', "expected a new plain name"),
+        (": none", ': hyperpaint metadata {"n": "x"}', "metadata 'n': expected int values alone"),
+    ],
+)
+def test_ecostress__what_is_wrong_is_said(tmp_path: Path, old: str, new: str, said: str) -> None:
+    with pytest.raises(FormatError, match=said):
+        hp.open_library(write_text(tmp_path, ECOSTRESS.replace(old, new)))
+
+
+def usgs(title: str, values: list[float]) -> str:
+    return f" {title}\n" + "".join(f" {value:.7e}\n" for value in values)
+
+
+def test_usgs__takes_the_wavelengths_of_its_spectrometer(tmp_path: Path) -> None:
+    """Expected: those of the nearest folder, a chapter's own or above; of several, the spectrometer's."""
+    chapter = tmp_path / "ChapterA"
+    chapter.mkdir()
+    write_text(
+        tmp_path,
+        usgs("splib07a Record=1: Wavelengths ASD (microns)", [0.45, 0.55, 0.65]),
+        "w_Wavelengths_ASD.txt",
+    )
+    write_text(
+        tmp_path,
+        usgs("splib07a Record=2: Wavelengths BECK (microns)", [0.4, 0.5, 0.6]),
+        "w_Wavelengths_BECK.txt",
+    )
+    write_text(
+        tmp_path, usgs("splib07a Record=3: Bandpass (FWHM) ASD (microns)", [0.01] * 3), "w_Bandpass_ASD.txt"
+    )
+    values = [0.1, -1.23e34, 0.3]
+    asd = write_text(chapter, usgs("splib07a Record=9: Red paint GDS1 ASDFRa AREF", values), "a.txt")
+    library = hp.open_library(asd)
+    assert library["wavelength"].values.tolist() == [450.0, 550.0, 650.0]
+    assert library["fwhm"].values.tolist() == [10.0] * 3
+    assert library["paint"].item() == "Red paint GDS1"
+    np.testing.assert_array_equal(library["reflectance"].values, np.float32([[0.1, np.nan, 0.3]]))
+    other = write_text(chapter, usgs("splib07a Record=9: Red paint XYZa AREF", values), "b.txt")
+    with pytest.raises(
+        FormatError, match=r"w_Wavelengths_ASD.txt, w_Wavelengths_BECK.txt have 3 values each"
+    ):
+        hp.open_library(other)
+    with pytest.raises(FormatError, match="is a transmittance"):
+        hp.open_library(write_text(chapter, usgs("splib07a Record=9: Glass NIC4a TRAN", values), "c.txt"))
+
+
+# --- which files ---
+
+
+def test_what_the_caller_says__is_never_passed_over(tmp_path: Path) -> None:
+    library = hp.open_library(write_text(tmp_path, "450,0.1\n550,0.2\n"), fwhm=[5.0, 6.0])
+    assert library["fwhm"].values.tolist() == [5.0, 6.0]
+    for name in ("own.sli", "own.csv", "own.zarr"):
+        own = hp.write_library(library, tmp_path / name)
+        with pytest.raises(FormatError, match=r"own\.\w+ is a library of hyperpaint, which says its own"):
+            hp.open_library(own, scale=100)
+
+
+def test_patterns__take_a_library_of_two_files_once(tmp_path: Path) -> None:
+    path = write_sli(tmp_path, ROWS, NAMES + NM)
+    (tmp_path / "x.csv").write_text("spectra names,kind\nred,car\nblue,van\n")
+    table = write_text(tmp_path, "nm,grey\n450,0.1\n550,0.2\n650,0.3\n", "x-grey.csv")
+    library = hp.open_library(str(tmp_path / "x*"))
+    assert library["paint"].values.tolist() == ["red", "blue", "grey"]
+    assert library["kind"].values.tolist() == ["car", "van", ""]
+    assert library["file"].values.tolist() == [path.with_suffix(".hdr").name] * 2 + [table.name]
+
+
+def test_several__one_bad_file_is_an_error_that_names_it(tmp_path: Path) -> None:
+    write_text(tmp_path, "450,0.1\n550,0.2\n", "a.txt")
+    write_text(tmp_path, "nothing\n", "b.txt")
+    with pytest.raises(FormatError, match=r"b.txt: no table of numbers found"):
+        hp.open_library(tmp_path)
+
+
+def test_several__are_in_the_order_of_their_numbers_with_all_that_they_say(tmp_path: Path) -> None:
+    for number in (2, 10, 1):
+        write_text(tmp_path, ECOSTRESS.replace("red", f"red {number}"), f"red{number}.txt")
+    table = "nm,reflectance\n650,0.3\n550,0.2\n450,0.1\n"
+    library = hp.open_library([tmp_path, write_text(tmp_path / "..", table, f"{tmp_path.name}.csv")])
+    assert library["paint"].values.tolist() == ["red 1", "red 2", "red 10", tmp_path.name]
+    assert library["type"].values.tolist() == ["manmade"] * 3 + [""]
+    assert library["reflectance"].shape == (4, 3)
+
+
+@pytest.mark.parametrize("path", ["absent.sli", "absent.txt", "*.nothing", "folder", []])
+def test_nothing_there__is_said(tmp_path: Path, path: str | list[str]) -> None:
+    (tmp_path / "folder").mkdir()
+    with pytest.raises(FormatError, match=r"no such file|no spectra found|without text files|empty list"):
+        hp.open_library(str(tmp_path / path) if isinstance(path, str) else path)
+
+
+def test_zarr__that_is_no_library_is_refused(tmp_path: Path) -> None:
+    import xarray as xr
+
+    hp.to_store(xr.Dataset({"x": ("y", [1.0])}), tmp_path / "x.zarr")
+    with pytest.raises(FormatError, match="holds no paint library: 'paint' is missing"):
+        hp.open_library(tmp_path / "x.zarr")
+    with pytest.raises(StoreError):
+        hp.open_library(tmp_path / "absent.zarr")

@@ -1,0 +1,283 @@
+"""What is written comes back: bit for bit, and byte for byte when it is written again."""
+
+from __future__ import annotations
+
+import csv
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import painted_lines
+import pytest
+import xarray as xr
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from library_examples import NAMES, make_library
+
+import hyperpaint as hp
+from hyperpaint.errors import FormatError, PaintWarning, SchemaError
+
+SPY_ON_NUMPY_2_5 = pytest.mark.filterwarnings("ignore:Setting the shape on a NumPy array:DeprecationWarning")
+
+
+def files_of(folder: Path) -> dict[str, bytes]:
+    return {path.name: path.read_bytes() for path in folder.iterdir()}
+
+
+def trip(library: xr.Dataset, folder: Path, name: str, **options: Any) -> xr.Dataset:
+    """Write, read and write again; the two are the same byte for byte."""
+    first = hp.write_library(library, folder / "one" / name, **options)
+    found = hp.open_library(first)
+    second = hp.write_library(found, folder / "two" / name, **options)
+    one, two = (p if p.is_dir() else p.parent for p in (first, second))
+    assert files_of(one) == files_of(two)
+    return found
+
+
+@pytest.mark.parametrize("name", ["paints.sli", "paints.csv"])
+def test_sli_and_csv__give_the_library_back(library: xr.Dataset, tmp_path: Path, name: str) -> None:
+    """Expected: every value, dtype, attribute and name, members with their padding, and NaN as it was."""
+    found = trip(library, tmp_path, name)
+    xr.testing.assert_identical(found, library)
+    for variable in library.variables:
+        assert found[variable].dtype == library[variable].dtype, variable
+
+
+def test_zarr__gives_the_library_back(library: xr.Dataset, tmp_path: Path) -> None:
+    found = hp.open_library(hp.write_library(library, tmp_path / "paints.zarr"))
+    assert found["member_reflectance"].chunks is not None
+    for name, variable in library.variables.items():
+        np.testing.assert_array_equal(found[name].values, variable.values, err_msg=str(name))
+    assert hp.verify(tmp_path / "paints.zarr").ok
+
+
+def test_ecostress__gives_centres_and_numbers_back(library: xr.Dataset, tmp_path: Path) -> None:
+    """Expected: float32 to the bit through nine digits of percent; duplicates in their order."""
+    kept = library.isel(band=[0, 1, 3, 4, 5, 6])
+    found = trip(kept, tmp_path, "paints", format="ecostress")
+    order = [3, 1, 2, 0, 4]  # files are in the order of their names
+    assert found["paint"].values.tolist() == [NAMES[at] for at in order]
+    np.testing.assert_array_equal(found["reflectance"].values, kept["reflectance"].values[order])
+    np.testing.assert_allclose(found["wavelength"].values, kept["wavelength"].values, rtol=1e-10)
+    assert set(found["measurement"].values) == {
+        "Hemispherical-conical reflectance factor, mirror reflection excluded"
+    }
+    assert set(found["wavelength_range"].values) == {"VSWIR"}
+    for name in ("n", "n_eff", "quality", "time", "make", "year"):
+        np.testing.assert_array_equal(found[name].values, library[name].values[order])
+        assert found[name].dtype == library[name].dtype
+
+
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")  # SPy leaves files open
+def test_ecostress__is_read_by_spy(library: xr.Dataset, tmp_path: Path) -> None:
+    spy = pytest.importorskip("spectral.database.ecostress", reason="SPy is an oracle: hyperpaint[oracles]")
+    folder = hp.write_library(
+        library.isel(band=[0, 1, 2, 4], paint=[1]), tmp_path / "paints", format="ecostress"
+    )
+    theirs = spy.read_ecostress_file(str(folder / "Gruen.spectrum.txt"))
+    assert theirs.sample["name"] == "Grün"
+    np.testing.assert_allclose(np.array(theirs.y), library["reflectance"].values[1, [0, 1, 2, 4]] * 100.0)
+
+
+@SPY_ON_NUMPY_2_5
+def test_sli__is_read_by_spy(library: xr.Dataset, tmp_path: Path) -> None:
+    """Expected: SPy finds the centres first, under their names, and members named after their paint."""
+    envi = pytest.importorskip("spectral.io.envi", reason="SPy is an oracle: hyperpaint[oracles]")
+    path = hp.write_library(library, tmp_path / "paints.sli")
+    theirs = envi.open(str(path.with_suffix(".hdr")), str(path))
+    assert list(theirs.names[:5]) == ["red; matt", "Grün", "Grün (2)", 'a/b "x" / c (d)', "unnamed"]
+    np.testing.assert_array_equal(theirs.spectra[:5], library["reflectance"].values)
+    at = list(theirs.names).index("Grün (2) | member 3")
+    np.testing.assert_array_equal(theirs.spectra[at], library["member_reflectance"].values[2, 2])
+    np.testing.assert_array_equal(theirs.bands.centers, library["wavelength"].values)
+
+
+def test_csv__is_a_table_for_everyone(library: xr.Dataset, tmp_path: Path) -> None:
+    path = hp.write_library(library, tmp_path / "paints.csv")
+    with open(path, encoding="utf-8", newline="") as file:
+        head, *rows = csv.reader(file)
+    assert head[:3] == ["paint", "variable", "place"]
+    assert [float(cell) for cell in head[3:]] == library["wavelength"].values.tolist()
+    assert [row[0] for row in rows[:5]] == NAMES
+    assert [np.float32(cell) for cell in rows[1][3:]] == library["reflectance"].values[1].tolist()
+    members = [row for row in rows if row[1] == "member_reflectance"]
+    assert [(row[0], row[2]) for row in members if row[0] == "Grün"] == [
+        *[("Grün", str(place)) for place in (1, 2)],  # padding is left out
+        *[("Grün", str(place)) for place in (1, 2, 3, 4)],
+    ]
+    metadata = json.loads((tmp_path / "paints.csv.json").read_text(encoding="utf-8"))
+    assert metadata["variables"]["make"]["values"] == library["make"].values.tolist()
+
+
+@pytest.mark.parametrize("name", ["paints.sli", "paints.csv"])
+def test_without_metadata__spectra_and_members_still_lead_back(
+    library: xr.Dataset, tmp_path: Path, name: str
+) -> None:
+    path = hp.write_library(library, tmp_path / name)
+    path.with_name(path.name + ".json").unlink()
+    with pytest.warns(PaintWarning, match=r"paints\.\w+\.json is missing"):
+        found = hp.open_library(path)
+    for variable in ("reflectance", "member_reflectance", "reflectance_quantiles", "reflectance_sd"):
+        np.testing.assert_array_equal(found[variable].values, library[variable].values)
+        assert found[variable].dims == library[variable].dims
+    assert found["paint"].values[0] == ("red; matt" if name.endswith("sli") else "red, matt")
+    assert "make" not in found.coords
+
+
+@pytest.mark.parametrize("name", ["paints.sli", "paints.csv"])
+def test_metadata_of_another_library__are_refused(library: xr.Dataset, tmp_path: Path, name: str) -> None:
+    path = hp.write_library(library, tmp_path / name)
+    shifted = library.assign_coords(wavelength=library["wavelength"] + 1.0)
+    other = hp.write_library(shifted, tmp_path / "other" / name)
+    path.with_name(path.name + ".json").write_bytes(other.with_name(path.name + ".json").read_bytes())
+    with pytest.raises(FormatError, match=r"'wavelength' differs; they are of two libraries"):
+        hp.open_library(path)
+    fewer = hp.write_library(library.isel(paint=[0, 1]), tmp_path / "fewer" / name)
+    path.with_name(path.name + ".json").write_bytes(fewer.with_name(path.name + ".json").read_bytes())
+    with pytest.raises(FormatError, match=r"shape \(2,\), expected \(5,\)"):
+        hp.open_library(path)
+
+
+@pytest.mark.parametrize("name", ["paints.sli", "paints.csv", "paints.zarr"])
+def test_lazy_libraries__are_written_as_loaded_ones(tmp_path: Path, name: str) -> None:
+    library = make_library()
+    lazy = library.chunk({"paint": 2, "member": 3, "band": 4})
+    eager = hp.write_library(library, tmp_path / "eager" / name)
+    done = hp.write_library(lazy, tmp_path / "lazy" / name)
+    if not done.is_dir():
+        assert files_of(done.parent) == files_of(eager.parent)
+    xr.testing.assert_identical(
+        hp.open_library(done).load().drop_attrs(), hp.open_library(eager).load().drop_attrs()
+    )
+
+
+def test_progress__ends_with_all_paints(library: xr.Dataset, tmp_path: Path) -> None:
+    for name in ("paints.sli", "paints.csv", "paints.zarr"):
+        calls: list[tuple[int, int]] = []
+        hp.write_library(
+            library, tmp_path / name, progress=lambda done, total, to=calls: to.append((done, total))
+        )
+        done = [call[0] for call in calls]
+        assert done == sorted(done)
+        assert calls[-1][0] == calls[-1][1] > 0
+
+
+def test_units__are_brought_to_those_of_the_table(library: xr.Dataset, tmp_path: Path) -> None:
+    """Rationale: percent and micrometres are said by units and converted; no units are an error."""
+    percent = library[["reflectance"]]
+    percent["reflectance"] = (percent["reflectance"] * 100).assign_attrs(units="percent")
+    percent["wavelength"] = (percent["wavelength"] / 1e3).assign_attrs(units="um")
+    found = hp.open_library(hp.write_library(percent, tmp_path / "paints.sli"))
+    np.testing.assert_allclose(found["reflectance"].values, library["reflectance"].values, rtol=1e-6)
+    np.testing.assert_allclose(found["wavelength"].values, library["wavelength"].values)
+    del percent["reflectance"].attrs["units"]
+    with pytest.raises(SchemaError, match="'reflectance' has no units"):
+        hp.write_library(percent, tmp_path / "more.sli")
+
+
+def test_descending_wavelengths__stay_as_they_are(library: xr.Dataset, tmp_path: Path) -> None:
+    falling = library.isel(band=slice(None, None, -1))
+    for name in ("paints.sli", "paints.csv"):
+        xr.testing.assert_identical(hp.open_library(hp.write_library(falling, tmp_path / name)), falling)
+
+
+def test_what_cannot_be_written__is_said_all_at_once(library: xr.Dataset, tmp_path: Path) -> None:
+    bad = library.drop_vars("wavelength")
+    bad["n"] = bad["n"].assign_attrs(units="m")
+    with pytest.raises(SchemaError) as caught:
+        hp.write_library(bad, tmp_path / "paints.sli")
+    assert "'wavelength' is missing" in str(caught.value)
+    assert "'n' has units 'm'" in str(caught.value)
+    broken = library.assign_coords(paint=["a\nb", "c", "d\x00", "e", "f"])
+    for format in ("envi", "csv", "ecostress"):
+        with pytest.raises(SchemaError, match=r"paint 0 is named 'a\\nb'"):
+            hp.write_library(broken.isel(band=[0, 1]), tmp_path / "paints", format=format)
+    gaps = r"paint 'red, matt' has no value at 1 of 7 bands"
+    with pytest.raises(SchemaError, match=gaps):
+        hp.write_library(library, tmp_path / "paints", format="ecostress")
+    with pytest.raises(SchemaError, match="begin or end with blanks"):
+        hp.write_library(
+            library.isel(band=[0, 1]).assign_coords(paint=[" a", "b", "c", "d", "e"]),
+            tmp_path / "paints",
+            format="ecostress",
+        )
+    with pytest.raises(FormatError, match=r"no format of the suffix '\.xlsx'; expected format= one of envi"):
+        hp.write_library(library, tmp_path / "paints.xlsx")
+    with pytest.raises(SchemaError, match="attribute 'when' of the library"):
+        hp.write_library(library.assign_attrs(when=object()), tmp_path / "paints.csv")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_bands_that_are_not_good__are_left_out_of_ecostress(library: xr.Dataset, tmp_path: Path) -> None:
+    good = np.array([True, True, False, True, True, False, True])
+    folder = hp.write_library(
+        library.assign_coords(good=("band", good)), tmp_path / "paints", format="ecostress"
+    )
+    np.testing.assert_allclose(
+        hp.open_library(folder)["wavelength"].values, library["wavelength"].values[good]
+    )
+
+
+@settings(max_examples=25, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(
+    names=st.lists(
+        st.text(st.characters(exclude_categories=("Cs", "Cc", "Zl", "Zp")), max_size=12),
+        min_size=1,
+        max_size=4,
+    ),
+    data=st.data(),
+)
+def test_any_names_and_values__come_back(
+    tmp_path_factory: Any, names: list[str], data: st.DataObject
+) -> None:
+    """Property: names of any characters, equal ones included, and every float32 but infinities."""
+    value = st.floats(width=32, allow_infinity=False)
+    values = data.draw(
+        st.lists(st.lists(value, min_size=3, max_size=3), min_size=len(names), max_size=len(names))
+    )
+    members = data.draw(
+        st.lists(st.lists(value, min_size=6, max_size=6), min_size=len(names), max_size=len(names))
+    )
+    library = xr.Dataset(
+        {
+            "reflectance": (("paint", "band"), np.array(values, np.float32), {"units": "1"}),
+            "member_reflectance": (
+                ("paint", "member", "band"),
+                np.array(members, np.float32).reshape(-1, 2, 3),
+                {"units": "1"},
+            ),
+        },
+        coords={
+            "paint": np.array(names, object),
+            "wavelength": ("band", [400.0, 500.5, 1 / 3 + 600], {"units": "nm"}),
+        },
+    )
+    for name in ("paints.sli", "paints.csv"):
+        folder = tmp_path_factory.mktemp("any")
+        xr.testing.assert_identical(trip(library, folder, name), library)
+
+
+@pytest.mark.parametrize("name", ["paints.sli", "paints.csv"])
+def test_signatures_of_a_flight__come_back_whole(tmp_path: Path, name: str) -> None:
+    """Rationale: what `extract_signatures` makes holds regions, flags, times and uncertainties as well."""
+    paints = hp.extract_signatures(painted_lines.made(), painted_lines.TWO, members=5)
+    found = trip(paints, tmp_path, name)
+    assert set(found.variables) == set(paints.variables)
+    assert set(found.coords) == set(paints.coords)
+    for variable in paints.variables:
+        np.testing.assert_array_equal(found[variable].values, paints[variable].values, err_msg=str(variable))
+        assert found[variable].dtype == paints[variable].dtype, variable
+        assert dict(found[variable].attrs).keys() == dict(paints[variable].attrs).keys()
+    assert found.attrs == paints.attrs
+
+
+@pytest.mark.real_data
+def test_what_is_read_from_others__can_be_written(shared_data: Path, tmp_path: Path) -> None:
+    """Rationale: 2,457 names with runs of blanks, wavelengths that fall, missing values, error bars."""
+    usgs = hp.open_library(shared_data / "envi_sli" / "s07_AV95_envi.sli")
+    for name in ("usgs.sli", "usgs.csv"):
+        xr.testing.assert_identical(trip(usgs, tmp_path, name), usgs)
+    text = hp.open_library(sorted((shared_data / "spectra_ascii").glob("PVC_*.txt")))
+    found = trip(text, tmp_path, "pvc", format="ecostress")
+    np.testing.assert_array_equal(found["reflectance"].values, text["reflectance"].values)

@@ -1,0 +1,414 @@
+"""ENVI and GeoTIFF exports: bit for bit, in the right place, whole or not at all."""
+
+from __future__ import annotations
+
+import errno
+from pathlib import Path
+from typing import Any
+
+import dask.array as da
+import numpy as np
+import pytest
+import xarray as xr
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import hyperpaint as hp
+from hyperpaint import schema
+from hyperpaint.errors import SchemaError, StoreError
+from hyperpaint.io.envi import open_envi
+from hyperpaint.io.envi_header import read_header
+from hyperpaint.io.map_grids import Grid, envi_map_info, grid_of
+from hyperpaint.io.product_choice import nearest_bands
+
+NM = np.array([450.25, 550.0, 640.125, 700.0, 850.0])
+UTM17 = "EPSG:32617"
+
+
+def values(lines: int = 40, bands: int = 5, samples: int = 30, *, seed: int = 0) -> np.ndarray:
+    made = np.random.default_rng(seed).random((lines, bands, samples), dtype=np.float32)
+    made[3:6, :, 4:9] = np.nan
+    return made
+
+
+def line_of(cube: np.ndarray, name: str = "reflectance", chunks: Any = (16, -1, -1)) -> xr.Dataset:
+    attrs = schema.VARIABLES[name].attrs
+    line = xr.Dataset(
+        {name: (schema.CUBE, cube if chunks is None else da.from_array(cube, chunks=chunks), attrs)}
+    )
+    width = np.full(cube.shape[1], 6.5)
+    good = np.arange(cube.shape[1]) != 1
+    return line.assign_coords(
+        wavelength=("band", NM[: cube.shape[1]], {"units": "nm"}), fwhm=("band", width, {"units": "nm"}),
+        good=("band", good),
+    )  # fmt: skip
+
+
+def turned(degrees: float, gsd: float = 0.25, *, mirrored: bool = False) -> tuple[float, ...]:
+    """Return a GeoTransform whose columns step at an angle from east, counterclockwise."""
+    angle, side = np.radians(degrees), 1.0 if mirrored else -1.0
+    step = gsd * np.cos(angle), gsd * np.sin(angle)
+    return (
+        300_000.25,
+        float(step[0]),
+        float(-side * step[1]),
+        4_700_000.5,
+        float(step[1]),
+        float(side * step[0]),
+    )
+
+
+def map_of(
+    cube: np.ndarray, transform: tuple[float, ...], crs: str | None = UTM17, chunks: Any = (16, 12, -1)
+) -> xr.Dataset:
+    """Return a map (y, x, band) with its grid mapping."""
+    line = line_of(np.ascontiguousarray(cube), chunks=None)
+    array = np.ascontiguousarray(np.moveaxis(cube, 1, -1))
+    attrs: dict[str, Any] = {"GeoTransform": " ".join(map(repr, transform))}
+    if crs is not None:
+        attrs["crs_wkt"] = pytest.importorskip("pyproj").CRS(crs).to_wkt()
+    data = da.from_array(array, chunks=chunks) if chunks else array
+    reflectance = (("y", "x", "band"), data, schema.VARIABLES["reflectance"].attrs)
+    made = xr.Dataset({"reflectance": reflectance}, line.coords)
+    return made.assign_coords(spatial_ref=((), 0, attrs))
+
+
+def place(transform: tuple[float, ...], column: float, row: float) -> tuple[float, float]:
+    a, b, c, d, e, f = transform
+    return a + b * column + c * row, d + e * column + f * row
+
+
+# --- ENVI: values ------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("interleave", ["bil", "bip", "bsq"])
+@pytest.mark.parametrize("chunks", [None, (16, -1, -1), (7, 2, 11)])
+def test_a_line_comes_back_bit_for_bit(tmp_path: Path, interleave: Any, chunks: Any) -> None:
+    cube = values()
+    header = hp.write_envi(line_of(cube, chunks=chunks), tmp_path / "line", interleave=interleave)
+    assert header == tmp_path / "line.hdr"
+    opened = open_envi(header)
+    assert opened["reflectance"].dims == schema.CUBE
+    assert opened["reflectance"].dtype == np.float32
+    np.testing.assert_array_equal(opened["reflectance"].values.view("u4"), cube.view("u4"))
+    np.testing.assert_array_equal(opened.wavelength, NM)
+    np.testing.assert_array_equal(opened.fwhm, np.full(5, 6.5))
+    np.testing.assert_array_equal(opened.good, [True, False, True, True, True])
+    found = read_header(header)
+    assert found.interleave == interleave
+    assert found.fields["default bands"] == "{3, 2, 1}"
+
+
+def test_counts_and_radiance_keep_what_they_are(tmp_path: Path) -> None:
+    counts = np.arange(24 * 5 * 6, dtype=np.uint16).reshape(24, 5, 6)
+    opened = open_envi(hp.write_envi(line_of(counts, "counts"), tmp_path / "raw_0"))
+    assert opened["counts"].dtype == np.uint16
+    np.testing.assert_array_equal(opened["counts"], counts)
+    opened = open_envi(hp.write_envi(line_of(values(), "radiance"), tmp_path / "radiance.dat"))
+    np.testing.assert_array_equal(opened["radiance"], values())
+    assert opened["radiance"].attrs["units"] == schema.VARIABLES["radiance"].units
+
+
+def test_reflectance_as_integers(tmp_path: Path) -> None:
+    cube = values(4, 5, 3)
+    cube[0, 0] = [-0.1, 7.0, 0.00005]
+    header = hp.write_envi(line_of(cube), tmp_path / "line", dtype="uint16")
+    assert read_header(header).dtype == np.uint16
+    stored = np.fromfile(tmp_path / "line.img", "<u2").reshape(4, 5, 3)
+    expected = np.where(np.isnan(cube), 65535, np.clip(np.round(cube * np.float32(1e4)), 0, 65534))
+    np.testing.assert_array_equal(stored, expected.astype(np.uint16))
+    np.testing.assert_allclose(open_envi(header)["reflectance"][1:].values, cube[1:], rtol=0, atol=5.1e-5)
+    with pytest.raises(SchemaError, match="only reflectance"):
+        hp.write_envi(line_of(values(), "radiance"), tmp_path / "other", dtype="uint16")
+
+
+def test_a_plane_is_one_band(tmp_path: Path) -> None:
+    line = line_of(values(8))
+    line["quality"] = (("along_track", "cross_track"), np.arange(240, dtype=np.uint16).reshape(8, 30))
+    header = hp.write_envi(line, tmp_path / "flags", variable="quality")
+    found = read_header(header)
+    assert (found.bands, found.band_names, found.wavelength) == (1, ("quality",), None)
+    np.testing.assert_array_equal(np.fromfile(tmp_path / "flags.img", "<u2"), np.arange(240))
+
+
+@settings(max_examples=25, deadline=None)
+@given(
+    shape=st.tuples(st.integers(1, 9), st.integers(1, 5), st.integers(1, 9)),
+    chunks=st.tuples(st.integers(1, 9), st.integers(1, 5), st.integers(1, 9)),
+    interleave=st.sampled_from(["bil", "bip", "bsq"]),
+    order=st.permutations(schema.CUBE),
+)
+def test_any_shape_and_chunks_come_back(
+    tmp_path_factory: pytest.TempPathFactory, shape: Any, chunks: Any, interleave: Any, order: list[str]
+) -> None:
+    cube = np.random.default_rng(1).random(shape, dtype=np.float32)
+    line = line_of(cube, chunks=chunks).transpose(*order)
+    header = hp.write_envi(line, tmp_path_factory.mktemp("envi") / "line", interleave=interleave)
+    np.testing.assert_array_equal(open_envi(header)["reflectance"], cube)
+
+
+def test_progress_counts_every_sample_once(tmp_path: Path) -> None:
+    seen: list[tuple[int, int]] = []
+    hp.write_envi(line_of(values()), tmp_path / "line", progress=lambda *at: seen.append(at))
+    assert seen[-1] == (6000, 6000)
+    assert [done for done, _ in seen] == sorted(done for done, _ in seen)
+
+
+def test_blocks_are_written_as_they_are_computed(tmp_path: Path) -> None:
+    events: list[str] = []
+
+    def compute(block: np.ndarray) -> np.ndarray:
+        events.append("computed")
+        return block
+
+    zeros = da.zeros((64, 5, 30), chunks=(1, -1, -1), dtype=np.float32)
+    cube = zeros.map_blocks(compute, meta=np.zeros((0, 0, 0), "f4"))
+    line = xr.Dataset({"reflectance": (schema.CUBE, cube, {"units": "1"})})
+    hp.write_envi(line, tmp_path / "line", progress=lambda *_: events.append("written"))
+    assert events.count("computed") == events.count("written") == 64
+    # no more blocks are waiting than there are threads
+    waiting = np.cumsum([1 if event == "computed" else -1 for event in events])
+    assert waiting.max() <= 32
+
+
+def test_a_full_disk_is_told_before_anything_is_computed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, no_compute: Any
+) -> None:
+    def full(*_: Any) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr("os.posix_fallocate", full, raising=False)
+    with no_compute(), pytest.raises(StoreError, match="No space left"):
+        hp.write_envi(line_of(values()), tmp_path / "line")
+    assert not list(tmp_path.iterdir())
+
+
+# --- ENVI: place -------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("degrees", [0.0, 30.0, 90.0, 143.0, 180.0, -170.0, -37.5])
+@pytest.mark.parametrize("mirrored", [False, True])
+def test_gdal_finds_an_envi_map_in_its_place(tmp_path: Path, degrees: float, mirrored: bool) -> None:
+    rasterio = pytest.importorskip("rasterio")
+    cube, transform = values(), turned(degrees, mirrored=mirrored)
+    header = hp.write_envi(map_of(cube, transform), tmp_path / "map")
+    opened = open_envi(header)["reflectance"]
+    assert opened.dims == ("y", "x", "band")
+    expected = np.moveaxis(cube, 1, -1)[:: -1 if mirrored else 1]
+    np.testing.assert_array_equal(opened, expected)
+    with rasterio.open(tmp_path / "map.img") as raster:
+        assert raster.crs.to_epsg() == 32617
+        np.testing.assert_array_equal(raster.read(), np.moveaxis(expected, -1, 0))
+        found = raster.transform.to_gdal()
+    for column, row in ((0.5, 0.5), (29.5, 0.5), (0.5, 39.5), (12.5, 33.5)):
+        seen = place(found, column, 40 - row if mirrored else row)
+        np.testing.assert_allclose(seen, place(transform, column, row), rtol=0, atol=1e-6)
+
+
+def test_geographic_and_other_systems(tmp_path: Path) -> None:
+    rasterio = pytest.importorskip("rasterio")
+    for crs, transform in (
+        ("EPSG:4326", (-77.6, 1e-6, 0.0, 43.1, 0.0, -2e-6)),
+        ("EPSG:32733", (5e5, 0.5, 0.0, 6.2e6, 0.0, -0.5)),
+        ("EPSG:3035", (4e6, 0.5, 0.0, 3e6, 0.0, -0.5)),
+    ):
+        name = crs.replace(":", "_")
+        hp.write_envi(map_of(values(), transform, crs), tmp_path / name)
+        with rasterio.open(tmp_path / f"{name}.img") as raster:
+            # ESRI's text of a geographic system has its axes the other way round
+            assert raster.crs.is_geographic if crs == "EPSG:4326" else raster.crs.to_epsg() == int(crs[5:])
+            np.testing.assert_allclose(raster.transform.to_gdal(), transform, rtol=1e-14)
+
+
+def test_spectral_reads_the_export(tmp_path: Path) -> None:
+    spectral = pytest.importorskip("spectral")
+    cube = values()
+    header = hp.write_envi(map_of(cube, turned(30.0)), tmp_path / "map", interleave="bsq")
+    image = spectral.open_image(str(header))
+    np.testing.assert_array_equal(image.read_subregion((0, 40), (0, 30)), np.moveaxis(cube, 1, -1))
+    np.testing.assert_allclose(image.bands.centers, NM)
+    np.testing.assert_allclose(image.bands.bandwidths, 6.5)
+
+
+def test_north_up_maps_are_placed_by_their_coordinates(tmp_path: Path) -> None:
+    pytest.importorskip("pyproj")
+    made = map_of(values(), turned(0.0)).assign_coords(
+        x=300_000.125 + 0.25 * np.arange(30), y=4e6 - 0.5 * np.arange(40)
+    )
+    del made["spatial_ref"].attrs["GeoTransform"]
+    grid = grid_of(made)
+    assert grid is not None
+    assert grid.transform == (300_000.0, 0.25, 0.0, 4e6 + 0.25, 0.0, -0.5)
+    opened = open_envi(hp.write_envi(made, tmp_path / "map"))
+    np.testing.assert_array_equal(opened.x, made.x)
+    np.testing.assert_array_equal(opened.y, made.y)
+    uneven = made.assign_coords(x=np.arange(30.0) ** 2)
+    with pytest.raises(SchemaError, match="'x' is not evenly spaced"):
+        hp.write_envi(uneven, tmp_path / "other")
+
+
+@pytest.mark.parametrize(
+    ("transform", "match"),
+    [
+        ((0.0, 1.0, 0.5, 0.0, 0.0, -1.0), "right angles"),
+        ((0.0, 1.0, 2.0, 0.0, 1.0, -2.0), "not square"),
+        ((0.0, 1.0, 0.0, 0.0, 0.0, 1.0), "mirrored"),
+    ],
+)
+def test_grids_that_envi_cannot_tell(transform: Any, match: str) -> None:
+    with pytest.raises(SchemaError, match=match):
+        envi_map_info(Grid(transform, None))
+
+
+@pytest.mark.parametrize("text", ["1 2 3", "a b c d e f", "0 1 0 0 0 nan", "0 1 1 0 1 1", 5])
+def test_a_geotransform_that_is_none_is_refused(tmp_path: Path, text: Any) -> None:
+    made = map_of(values(), turned(0.0), None)
+    made["spatial_ref"].attrs["GeoTransform"] = text
+    with pytest.raises(SchemaError, match="GeoTransform"):
+        hp.write_envi(made, tmp_path / "map")
+
+
+# --- whole or not at all -----------------------------------------------------------------------------------
+
+
+def _failing(message: str = "power cut") -> xr.Dataset:
+    def fail(block: np.ndarray) -> np.ndarray:
+        raise OSError(message)
+
+    cube = da.zeros((8, 2, 3), chunks=(4, -1, -1), dtype=np.float32).map_blocks(
+        fail, dtype=np.float32, meta=np.zeros(0, "f4")
+    )
+    return xr.Dataset({"reflectance": (schema.CUBE, cube, {"units": "1"})})
+
+
+def test_an_interrupted_export_leaves_what_was_there(tmp_path: Path) -> None:
+    hp.write_envi(line_of(values()), tmp_path / "line")
+    before = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
+    with pytest.raises(StoreError, match="power cut"):
+        hp.write_envi(_failing(), tmp_path / "line", overwrite=True)
+    assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == before
+    with pytest.raises(StoreError, match="power cut"):
+        hp.write_envi(_failing(), tmp_path / "other")
+    assert sorted(before) == sorted(path.name for path in tmp_path.iterdir())
+
+
+def test_files_are_replaced_on_request_alone(tmp_path: Path) -> None:
+    pytest.importorskip("rasterio")
+    made = map_of(values(), turned(30.0))
+    for write, name in ((hp.write_envi, "map.hdr"), (hp.write_geotiff, "map.tif")):
+        write(made, tmp_path / name)
+        with pytest.raises(StoreError, match="overwrite=True"):
+            write(made, tmp_path / name)
+        write(made, tmp_path / name, overwrite=True)
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["map.hdr", "map.img", "map.tif"]
+
+
+@pytest.mark.parametrize("write", [hp.write_envi, hp.write_geotiff])
+def test_what_cannot_be_written_is_told(tmp_path: Path, write: Any) -> None:
+    pytest.importorskip("rasterio")
+    made = map_of(values(), turned(0.0), None)
+    for dataset, arguments, match in (
+        (made.drop_vars("reflectance"), {}, "no one of reflectance"),
+        (made, {"variable": "radiance"}, "no 'radiance'"),
+        (made, {"variable": "wavelength"}, "'wavelength' is"),
+        (made.isel(y=slice(0)), {}, "no dim of size 0"),
+        (made.astype(np.complex64), {}, "complex64"),
+    ):
+        with pytest.raises(SchemaError, match=match):
+            write(dataset, tmp_path / "map", **arguments)
+    assert not list(tmp_path.iterdir())
+
+
+# --- GeoTIFF -----------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("cog", [True, False])
+@pytest.mark.parametrize("transform", [turned(0.0), turned(37.0), turned(-120.0, mirrored=True)])
+def test_geotiff_holds_every_band_in_its_place(
+    tmp_path: Path, cog: bool, transform: tuple[float, ...]
+) -> None:
+    rasterio = pytest.importorskip("rasterio")
+    cube = values(300, 5, 280)
+    path = hp.write_geotiff(map_of(cube, transform, chunks=(128, 100, 3)), tmp_path / "map.tif", cog=cog)
+    with rasterio.open(path) as raster:
+        assert raster.dtypes == ("float32",) * 5
+        assert np.isnan(raster.nodata)
+        np.testing.assert_array_equal(
+            raster.read().view("u4"), np.ascontiguousarray(np.moveaxis(cube, 1, 0)).view("u4")
+        )
+        np.testing.assert_allclose(raster.transform.to_gdal(), transform, rtol=1e-14)
+        assert raster.crs.to_epsg() == 32617
+        assert raster.descriptions[0] == "450.25 nm"
+        assert raster.tags(3)["wavelength"] == "640.125"
+        assert raster.block_shapes[0] == (256, 256)
+        assert bool(raster.overviews(1)) == cog
+        layout = raster.tags(ns="IMAGE_STRUCTURE").get("LAYOUT")
+        assert (layout == "COG") == cog
+
+
+def test_a_picture_is_true_colour(tmp_path: Path) -> None:
+    rasterio = pytest.importorskip("rasterio")
+    cube = np.full((64, 5, 60), 0.05, np.float32)
+    cube[:, 2, :20] = 0.6  # red
+    cube[:, 1, 20:40] = 0.6  # green
+    cube[:, 0, 40:] = 0.6  # blue
+    cube[0, 0, 0] = np.nan
+    path = hp.write_geotiff(map_of(cube, turned(20.0)), tmp_path / "map.tif", bands="rgb")
+    with rasterio.open(path) as raster:
+        shown = raster.read()
+        assert raster.dtypes == ("uint8",) * 3
+        assert [one.name for one in raster.colorinterp] == ["red", "green", "blue"]
+        assert raster.nodata == 0
+        assert raster.descriptions == ("640.125 nm", "550 nm", "450.25 nm")
+    assert shown[:, 5, 5].tolist() == [255, 1, 1]
+    assert shown[:, 5, 25].tolist() == [1, 255, 1]
+    assert shown[:, 5, 45].tolist() == [1, 1, 255]
+    assert shown[:, 0, 0].tolist() == [0, 0, 0]
+    assert shown[:, 1:].min() == 1
+
+
+def test_chosen_bands_and_planes(tmp_path: Path) -> None:
+    rasterio = pytest.importorskip("rasterio")
+    cube = values()
+    made = map_of(cube, turned(10.0))
+    seen: list[tuple[int, int]] = []
+    hp.write_geotiff(made, tmp_path / "two.tif", bands=[4, -5], progress=lambda *at: seen.append(at))
+    assert seen[-1] == (2400, 2400)
+    with rasterio.open(tmp_path / "two.tif") as raster:
+        np.testing.assert_array_equal(raster.read(), np.moveaxis(cube, 1, 0)[[4, 0]])
+        assert raster.descriptions == ("850 nm", "450.25 nm")
+    made["quality"] = (("y", "x"), np.arange(1200, dtype=np.uint16).reshape(40, 30))
+    hp.write_geotiff(made, tmp_path / "flags.tif", variable="quality", cog=False)
+    with rasterio.open(tmp_path / "flags.tif") as raster:
+        np.testing.assert_array_equal(raster.read(1), made["quality"])
+        assert raster.descriptions == ("quality",)
+        assert raster.nodata is None
+
+
+@pytest.mark.parametrize(
+    ("arguments", "match"),
+    [
+        ({"bands": [7]}, "expected one or more of 0 to 4"),
+        ({"bands": []}, "expected one or more"),
+        ({"bands": "cir"}, "bands 'cir'"),
+        ({"bands": "rgb", "stretch": (98.0, 2.0)}, "stretch"),
+    ],
+)
+def test_bands_that_are_not_there(tmp_path: Path, arguments: dict[str, Any], match: str) -> None:
+    pytest.importorskip("rasterio")
+    with pytest.raises(SchemaError, match=match):
+        hp.write_geotiff(map_of(values(), turned(0.0)), tmp_path / "map.tif", **arguments)
+
+
+def test_a_geotiff_needs_a_place(tmp_path: Path) -> None:
+    pytest.importorskip("rasterio")
+    with pytest.raises(SchemaError, match="orthorectify"):
+        hp.write_geotiff(line_of(values()), tmp_path / "map.tif")
+    with pytest.raises(SchemaError, match="place of this map is not known"):
+        hp.write_geotiff(map_of(values(), turned(0.0)).drop_vars("spatial_ref"), tmp_path / "map.tif")
+
+
+def test_no_picture_without_visible_bands() -> None:
+    assert nearest_bands([900.0, 1000.0], (640.0, 550.0, 460.0)) is None
+    assert nearest_bands([], (640.0,)) is None
+    assert nearest_bands([640.0, np.nan], (640.0,)) is None

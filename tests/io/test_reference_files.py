@@ -1,0 +1,120 @@
+"""Certificates of panels, lists of pairs, and files of references."""
+
+from __future__ import annotations
+
+import contextlib
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+import hyperpaint as hp
+from hyperpaint.errors import FormatError
+from hyperpaint.io.reference_files import open_references
+from hyperpaint.io.reference_pairs import read_pairs
+
+
+@pytest.mark.real_data
+def test_real_certificates(shared_data: Path) -> None:
+    panel = hp.read_certificate(shared_data / "spectra_ascii" / "R90.txt")
+    assert panel.dtype == np.float64
+    assert panel.attrs["units"] == "1"
+    assert panel["wavelength"].attrs["units"] == "nm"
+    assert float(panel.sel(wavelength=250.0)) == 0.942517
+    zenith = hp.read_certificate(shared_data / "lab_calibration" / "zenith_lite_95R_certificate.csv")
+    assert float(zenith.sel(wavelength=250.0)) == 0.911211
+    assert float(zenith.sel(wavelength=312.0)) == 0.967611
+
+
+@pytest.mark.parametrize(
+    ("content", "told"),
+    [
+        (b"400,98.1\n500,98.5\n", "divide percent by 100"),
+        (b"400,0.9\n", "expected two at least"),
+        (b"0.4,0.9\n0.5,0.9\n", "expected nanometres"),
+        (b"500,0.9\n400,0.9\n", "do not increase"),
+        (b"heading\n" * 41 + b"400,0.9\n500,0.9\n", "line 41"),
+        (b"400,0.9\noops\n500,0.9\n", "line 2"),
+        (b"400,nan\n500,0.9\n", "not finite"),
+        (b"\0" * 50, "line 1: "),
+        (b"", "0 lines"),
+    ],
+)
+def test_no_certificate(tmp_path: Path, content: bytes, told: str) -> None:
+    path = tmp_path / "panel.csv"
+    path.write_bytes(content)
+    if content.startswith(b"\0"):
+        told = "0 lines of numbers"
+    with pytest.raises(FormatError, match=told):
+        hp.read_certificate(path)
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "expected"),
+    [
+        ("p.csv", "paint,reference\na,b\na,c\nd,e\na,b\n", {"a": ("b", "c"), "d": ("e",)}),
+        ("p.csv", '\ufeff"a, b",x\n# note\n\nümlaut , y \n', {"a, b": ("x",), "ümlaut": ("y",)}),
+        ("p.json", '{"a": "b", "c": ["d", "e"]}', {"a": ("b",), "c": ("d", "e")}),
+    ],
+)
+def test_pairs(tmp_path: Path, name: str, content: str, expected: dict[str, tuple[str, ...]]) -> None:
+    path = tmp_path / name
+    path.write_text(content, encoding="utf-8")
+    assert read_pairs(path) == expected
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "told"),
+    [
+        ("p.csv", b"a\nb,c,d\n", r"line 1: 'a'.*\n.*line 2: 'b,c,d'"),
+        ("p.csv", b"", "names no pair"),
+        ("p.csv", b"\xff\xfe", "save it as UTF-8"),
+        ("p.csv", b'a,"b\n', "after line"),
+        ("p.json", b"[" * 100_000, "no JSON"),
+        ("p.json", b"[1]", "expected an object"),
+        ("p.json", b'{"a": 3, "b": []}', "'a': 3.*\n.*'b'"),
+    ],
+)
+def test_no_pairs(tmp_path: Path, name: str, content: bytes, told: str) -> None:
+    path = tmp_path / name
+    path.write_bytes(content)
+    with pytest.raises(FormatError, match=told):
+        read_pairs(path)
+
+
+HEADS = st.sampled_from([b"", b'{"a":', b"a,b\n"])
+
+
+@settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(st.binary(max_size=80), st.sampled_from(["a.csv", "a.json"]), HEADS)
+def test_any_bytes_are_read_or_refused(tmp_path: Path, data: bytes, name: str, head: bytes) -> None:
+    path = tmp_path / name
+    path.write_bytes(head + data)
+    for reader in (read_pairs, hp.read_certificate):
+        with contextlib.suppress(FormatError):
+            reader(path)
+
+
+def test_all_bad_files_are_named(tmp_path: Path) -> None:
+    (tmp_path / "a.sig").write_text("nothing")
+    (tmp_path / "b.asd").write_bytes(b"asd" + b"\0" * 20)
+    (tmp_path / "c.txt").write_text("poem")
+    with pytest.raises(FormatError, match="references cannot be opened") as caught:
+        open_references([tmp_path / name for name in ("a.sig", "b.asd", "c.txt")])
+    for name in ("a.sig", "b.asd", "c.txt"):
+        assert name in str(caught.value)
+    with pytest.raises(FormatError, match="no spectra found"):
+        open_references([tmp_path / "none*"])
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(FormatError, match="no spectra found"):
+        open_references([tmp_path / "empty"])
+
+
+def test_a_store_without_references(tmp_path: Path) -> None:
+    import xarray as xr
+
+    hp.to_store(xr.Dataset({"a": ("x", [1.0])}), tmp_path / "s.zarr", "flightlines/raw_0")
+    with pytest.raises(FormatError, match="expected a paint library, or groups references"):
+        open_references([tmp_path / "s.zarr"])

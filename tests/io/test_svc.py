@@ -1,0 +1,471 @@
+"""Dialects of ``.sig`` files, what is refused, and the way back from the simulator's own writer."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import warnings
+from pathlib import Path
+
+import numpy as np
+import pytest
+import xarray as xr
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from svc_texts import GRID, MATCHED, PANEL, SURFACE, german, svc_text
+
+import hyperpaint as hp
+from hyperpaint.errors import FormatError, PaintWarning, SchemaError, TimeError
+from hyperpaint.info import describe_path
+from hyperpaint.io.svc import SVC_JOINS, open_svc
+from hyperpaint.io.svc_fields import position_of
+from hyperpaint.io.svc_layout import is_svc, read_svc
+from hyperpaint.simulation.svc_files import svc_wavelengths, write_svc
+from hyperpaint.units import conversion_factor
+
+VENDORS = conversion_factor("1e-10 W cm-2 sr-1 nm-1", "W m-2 sr-1 nm-1")
+
+
+@pytest.fixture
+def write(tmp_path: Path):
+    def write_text(name: str = "paint.sig", **fields) -> Path:
+        path = tmp_path / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(svc_text(**fields), "utf-8", newline="")
+        return path
+
+    return write_text
+
+
+# --- what a file becomes
+
+
+def test_a_reflectance(write) -> None:
+    found = open_svc(write())
+    assert list(found.data_vars) == ["reflectance"]
+    assert found["reflectance"].dims == ("spectrum", "wavelength")
+    np.testing.assert_array_equal(found["reflectance"].values[0], SURFACE / PANEL)
+    np.testing.assert_array_equal(found["wavelength"].values, GRID)
+    assert found["wavelength"].attrs["units"] == "nm"
+    assert found.attrs == {"instrument": "SVC"}
+    assert found["time"].values[0] == np.datetime64("2025-05-27T07:42:50.357", "ns")
+    assert found["reference_time"].values[0] == np.datetime64("2025-05-27T07:39:23.357", "ns")
+    assert found["latitude"].attrs["units"] == "degree"
+    assert hp.open_svc is open_svc
+
+
+@pytest.mark.parametrize(("scan", "scanned"), [("target", SURFACE), ("reference", PANEL)])
+def test_radiance_counts_and_irradiance_of_either_scan(write, scan, scanned) -> None:
+    found = open_svc(write(), None if scan == "reference" else "radiance", scan=scan)["radiance"]
+    np.testing.assert_allclose(found.values[0], scanned * VENDORS, rtol=1e-14)
+    assert found.attrs["units"] == "W m-2 sr-1 nm-1"
+    path = write("counts.sig", units="Counts, Counts")
+    found = open_svc(path, scan=scan)["counts"]
+    np.testing.assert_array_equal(found.values[0], scanned)
+    assert found.attrs["units"] == "count"
+    found = open_svc(write("sky.sig", units="Irradiance, Irradiance"), scan=scan)
+    np.testing.assert_allclose(found["irradiance"].values[0], scanned * 1e-6, rtol=1e-14)
+    assert found["irradiance"].attrs["units"] == "W m-2 nm-1"
+    assert found.attrs["scan"] == scan
+    clock = {"target": "07:42:50.357", "reference": "07:39:23.357"}[scan]
+    assert found["time"].values[0] == np.datetime64(f"2025-05-27T{clock}", "ns")
+    assert "reference_time" not in found.coords
+
+
+def test_what_is_said_of_the_file_is_kept(write) -> None:
+    found = open_svc(write(comm="left door, = fender", weather='{"wind": "=3"}'))
+    header = json.loads(found["header"].item())
+    assert header["comm"] == "left door, = fender"
+    assert header["weather"] == '{"wind": "=3"}'
+    assert header["scan coadds"] == "28, 170, 205, 10, 61, 205"
+    assert (found["error_reference"].item(), found["error_target"].item()) == (7, 3)
+    assert found["factors"].item() == header["factors"]
+
+
+@pytest.mark.parametrize(
+    ("factors", "overlap", "matched", "numbers"),
+    [
+        ("0.795, 0.848, 1.000 [Overlap: Remove @ 970,1901, " + MATCHED
+         + "]0.8, 0.844, 1.0 [Overlap: Preserve, Matching Type: None]",
+         "removed @ 970, 1901 nm", True, (0.795, 0.848)),
+        ("0.8, 0.9, 1.0 [Overlap: Preserve, Matching Type: None]0.7, 0.8, 1.0 [Overlap: Preserve, "
+         + MATCHED + "]", "preserved", True, (0.8, 0.9)),
+        ("1,171, 1,012, 1,000 [Overlap: Remove @ 990,1900, Matching Type: None]", "removed @ 990, 1900 nm",
+         False, (1.171, 1.012)),
+        ("1.000, 1.000, 0.000", "unknown", False, (1.0, 1.0)),
+        ("nonsense", "unknown", False, (np.nan, np.nan)),
+        (None, "unknown", False, (np.nan, np.nan)),
+    ],
+)  # fmt: skip
+def test_factors(write, factors, overlap, matched, numbers) -> None:
+    found = open_svc(write(factors=factors))
+    assert (found["overlap"].item(), found["overlap_matched"].item()) == (overlap, matched)
+    np.testing.assert_array_equal((found["factor_reference"].item(), found["factor_target"].item()), numbers)
+
+
+def test_the_detectors_are_told_apart(write) -> None:
+    names = open_svc(write())["detector"].values
+    assert [str(name) for name in dict.fromkeys(names)] == ["VNIR", "SWIR1", "SWIR2"]
+    assert GRID[names == "SWIR1"].min() == 965.0
+    # of a file without overlap by its joins; of one that says nothing, not at all
+    flat = np.arange(400.0, 2500.0, 10.0)
+    removed = {"wavelength": flat, "panel": flat, "surface": flat / 2}
+    path = write(
+        "b.sig", **removed, factors="1.0, 1.0, 1.0 [Overlap: Remove @ 990,1900, Matching Type: None]"
+    )
+    names = open_svc(path)["detector"].values
+    assert flat[names == "VNIR"].max() == 990.0
+    assert flat[names == "SWIR2"].min() == 1910.0
+    assert "detector" not in open_svc(write("c.sig", **removed, factors=None)).coords
+
+
+@pytest.mark.parametrize("joins", [None, (970.0, 1895.0), (1000.0, 1905.0)])
+def test_trimming_takes_one_detector_at_each_join(write, joins) -> None:
+    found = open_svc(write(), overlap="trim", joins=joins)
+    first, second = joins or SVC_JOINS
+    number = np.cumsum(np.diff(GRID, prepend=0.0) <= 0.0)
+    kept = [GRID[(number == 0) & (first >= GRID)], GRID[(number == 1) & (first < GRID) & (second >= GRID)]]
+    expected = np.concatenate([*kept, GRID[(number == 2) & (second < GRID)]])
+    np.testing.assert_array_equal(found["wavelength"].values, expected)
+    assert np.all(np.diff(expected) > 0.0)
+    assert found.attrs["overlap_trimmed_at_nm"] == [first, second]
+    assert found["overlap"].item() == f"trimmed @ {first:g}, {second:g} nm"
+
+
+def test_the_default_join_moves_into_a_short_overlap(write) -> None:
+    grid = np.concatenate([np.arange(400.0, 1041.0, 10.0), np.arange(1030.0, 1900.0, 10.0)])
+    path = write(wavelength=grid, panel=grid, surface=grid / 2)
+    found = open_svc(path, overlap="trim")
+    assert np.all(np.diff(found["wavelength"].values) == 10.0)
+    assert found.attrs["overlap_trimmed_at_nm"] == [1020.0]
+    with pytest.raises(FormatError, match=r"join at 990 nm is not where detectors overlap, 1030 to 1040 nm"):
+        open_svc(path, overlap="trim", joins=SVC_JOINS)
+
+
+# --- dialects
+
+
+def test_a_german_file_is_its_english_twin(write, tmp_path) -> None:
+    english = write("a.sig", time="5/27/2025 9:39:32 AM, 5/27/2025 9:42:59 PM")
+    (tmp_path / "de").mkdir()
+    (tmp_path / "de" / "a.sig").write_text(german(english.read_text()), newline="")
+    ours, twin = open_svc(english), open_svc(tmp_path / "de" / "a.sig")
+    same = ["header", "factors"]
+    xr.testing.assert_identical(ours.drop_vars(same), twin.drop_vars(same))
+    assert "," in (tmp_path / "de" / "a.sig").read_text().partition("data=")[2]
+
+
+@pytest.mark.parametrize(
+    "fields",
+    [
+        {"end": "\n"},
+        {"end": "\r"},
+        {"data": "data="},
+        {"data": "DATA =  \t"},
+        {"separator": "\t"},
+        {"separator": " "},
+        {"first": "\ufeff/*** Spectra Vista SIG Data ***/"},
+        {"first": "/*** Spectra Vista HR-1024 ***/"},
+        {"units": "radiance,Radiance"},
+        {"comm": "Auto vor der T\u00fcr\nzweite Zeile"},
+        {"external_data_set1": "0,0,0,0,0,0,0,0,0,0,0,0,0,0,0,0"},
+    ],
+)
+def test_ways_to_write_the_same(write, fields) -> None:
+    np.testing.assert_array_equal(open_svc(write(**fields))["reflectance"].values[0], SURFACE / PANEL)
+
+
+def test_a_file_that_was_resampled(write) -> None:
+    grid = np.arange(350.0, 2501.0)
+    path = write(wavelength=grid, panel=grid, surface=grid / 4, instrument="HI: 1152050 (HR-1024i)")
+    found = open_svc(path, overlap="trim")
+    assert found["reflectance"].sel(wavelength=550.0).item() == 0.25
+    assert "overlap_trimmed_at_nm" not in found.attrs
+    assert "detector" not in found.coords
+
+
+def test_old_firmware_and_bytes_of_windows(write, tmp_path) -> None:
+    path = write(longitude="11121.2335,W, 11121.2324,W", latitude="5330.5955,N, 5330.5964,S", comm="T\u00fcr")
+    path.write_bytes(path.read_text("utf-8").encode("latin-1") + b"\r\n\r\n")
+    found = open_svc(path)
+    assert found["longitude"].item() == pytest.approx(-(111 + 21.2324 / 60))
+    assert found["latitude"].item() == pytest.approx(-(53 + 30.5964 / 60))
+    assert json.loads(found["header"].item())["comm"] == "T\u00fcr"
+
+
+@pytest.mark.parametrize("blank", ["1.00", "0.00"])
+def test_a_file_without_white_reference(write, blank) -> None:
+    path = write(panel=np.full(len(GRID), float(blank)), percent=np.zeros(len(GRID)))
+    assert list(open_svc(path)) == ["radiance"]
+    with pytest.raises(FormatError, match=r"no white reference was taken.*quantity='radiance'"):
+        open_svc(path, "reflectance")
+    with pytest.raises(FormatError, match="no white reference was taken"):
+        open_svc(path, "radiance", scan="reference")
+
+
+@pytest.mark.parametrize("word", ["NaN", "n. def.", "Infinity", "\u221e", "1.#INF", "-1.#IND", "0.00"])
+def test_a_reference_of_zero_is_nan_and_said(tmp_path, word) -> None:
+    panel = np.where(GRID == 500.0, 0.0, PANEL)
+    text = svc_text(panel=panel, percent=np.where(panel == 0, 12345.0, 100 * SURFACE / PANEL))
+    path = tmp_path / "a.sig"
+    path.write_text(text.replace("12345.00", word), "utf-8")
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", PaintWarning)
+        found = open_svc(path)["reflectance"]
+    np.testing.assert_array_equal(np.isnan(found.values[0]), GRID == 500.0)
+    with pytest.warns(PaintWarning, match=r"undefined \(not finite\) become NaN. Files: a\.sig"):
+        open_svc(path)
+
+
+def test_a_column_that_contradicts_the_scans_is_flagged(write) -> None:
+    percent = 100 * SURFACE / PANEL
+    percent[10:13] += 0.02
+    path = write(percent=percent)
+    with pytest.warns(PaintWarning, match=r"contradicts its two scans.*paint\.sig \(3 channels\)"):
+        found = open_svc(path)
+    np.testing.assert_array_equal(found["reflectance"].values[0], SURFACE / PANEL)
+    assert found["column_difference"].item() == pytest.approx(2e-4, abs=5.1e-5)
+
+
+def test_reflectance_of_counts_needs_equal_integration(write) -> None:
+    path = write(units="Counts, Counts")
+    with pytest.raises(FormatError, match="counts, whose integration times differ"):
+        open_svc(path, "reflectance")
+    path = write(units="Counts, Counts", integration="70,0, 9,0, 7,0, 70,0, 9,0, 7,0")
+    np.testing.assert_array_equal(open_svc(path, "reflectance")["reflectance"].values[0], SURFACE / PANEL)
+
+
+def test_scans_in_two_units(write) -> None:
+    path = write(units="Radiance, Counts")
+    assert list(open_svc(path)) == ["counts"]
+    with pytest.raises(FormatError, match=r"its reference is in radiance and its target in counts"):
+        open_svc(path, "reflectance")
+    with pytest.raises(
+        FormatError, match=r"its target is in counts, not in radiance; pass quantity='counts'"
+    ):
+        open_svc(path, "radiance")
+
+
+# --- several files
+
+
+def test_folders_globs_and_lists(write, tmp_path) -> None:
+    paths = [write(f"{day}/{name}.sig") for day in ("mon", "tue") for name in ("red", "blue")]
+    (tmp_path / "mon" / "notes.txt").write_text("no spectrum")
+    assert open_svc(tmp_path / "mon")["spectrum"].values.tolist() == ["blue", "red"]
+    assert open_svc(str(tmp_path / "*" / "red.sig"))["spectrum"].values.tolist() == ["mon/red", "tue/red"]
+    found = open_svc([*paths, paths[0]])
+    assert found["spectrum"].values.tolist() == ["mon/red", "mon/blue", "tue/red", "tue/blue", "mon/red (2)"]
+    assert found.sel(spectrum="tue/blue")["source"].item() == "blue.sig"
+    for nothing in ([], "none*.sig", tmp_path):
+        with pytest.raises(FormatError, match="spectra cannot be opened"):
+            open_svc(nothing)
+
+
+def test_all_bad_files_are_named_at_once(write, tmp_path) -> None:
+    good = write("good.sig").read_bytes()
+    (tmp_path / "cut.sig").write_bytes(good[:-9])
+    (tmp_path / "head.sig").write_bytes(good.partition(b"data=")[0])
+    (tmp_path / "note.sig").write_text("nothing to see")
+    (tmp_path / "ger.sig").write_text("///GER SIGNATUR FILE///\n")
+    os.mkfifo(tmp_path / "pipe.sig")
+    with pytest.raises(FormatError) as raised:
+        open_svc([tmp_path, tmp_path / "gone.sig"])
+    for name in (
+        "cut.sig",
+        "head.sig",
+        "note.sig",
+        "ger.sig",
+        "pipe.sig",
+        "gone.sig",
+        "SVC's software converts",
+    ):
+        assert name in str(raised.value)
+    assert "good.sig" not in str(raised.value)
+
+
+def test_files_that_differ(write) -> None:
+    flat = np.arange(400.0, 990.0, 10.0)
+    paths = [write("a.sig"), write("b.sig", wavelength=flat, panel=flat, surface=flat / 2)]
+    with pytest.raises(FormatError, match=r"(?s)open them apart:\n.*overlap kept: a\.sig.*to 980 nm: b\.sig"):
+        open_svc(paths)
+    paths = [write("a.sig"), write("c.sig", units="Counts, Counts")]
+    with pytest.raises(FormatError, match=r"(?s)pass quantity=.*reflectance: a\.sig.*counts: c\.sig"):
+        open_svc(paths)
+
+
+def test_what_cannot_be_asked(write) -> None:
+    with pytest.raises(SchemaError) as raised:
+        open_svc(write(), "dn", scan="both", overlap="remove", joins=(1900, 990))
+    for name in ("quantity='dn'", "scan='both'", "overlap='remove'", "joins=(1900, 990)"):
+        assert name in str(raised.value)
+    with pytest.raises(SchemaError, match="joins=990"):
+        open_svc(write(), overlap="trim", joins=990.0)
+    with pytest.raises(SchemaError, match="reflectance is of both scans"):
+        open_svc(write(), "reflectance", scan="reference")
+    with pytest.raises(TimeError, match="in hours"):
+        open_svc(write(), utc_offset_h=3600)
+
+
+# --- what is refused in a file
+
+
+@pytest.mark.parametrize(
+    ("fields", "problem"),
+    [
+        ({"units": None}, "no line 'units='"),
+        ({"units": "Furlongs, Counts"}, "'Furlongs, Counts', expected units= Radiance"),
+        ({"data": "date="}, "no line 'data='"),
+        ({"data": "comm= other\r\ndata="}, "'comm' stands twice"),
+        ({"wavelength": GRID[:1], "panel": PANEL[:1], "surface": SURFACE[:1]}, "1 rows, expected a spectrum"),
+        ({"wavelength": -GRID}, "positive numbers of nanometres"),
+        ({"wavelength": np.where(GRID == 500.0, 5.0, GRID)}, "step back 3 times, expected at most 2"),
+        ({"separator": "; "}, "expected four numbers"),
+        ({"instrument": "HI: 1152050 (HR-1024i)"}, "rows, expected the 1024 channels of an HR-1024"),
+    ],
+)
+def test_damage(write, fields, problem) -> None:
+    if "wavelength" in fields and len(fields["wavelength"]) == len(GRID):
+        fields = {**fields, "percent": 100 * SURFACE / PANEL}
+    with pytest.raises(FormatError, match=problem) as raised:
+        open_svc(write(comm="one", **fields) if "comm" not in fields else write(**fields))
+    assert "paint.sig" in str(raised.value)
+
+
+def test_detectors_in_no_order(write) -> None:
+    grid = np.array([3000.0, 3010.0, 965.0, 970.0])
+    path = write(wavelength=grid, panel=grid, surface=grid / 2)
+    assert open_svc(path).sizes["wavelength"] == 4
+    with pytest.raises(FormatError, match="do not follow one another"):
+        open_svc(path, overlap="trim")
+
+
+def test_declared_or_not_a_huge_table_is_refused_early(tmp_path) -> None:
+    path = tmp_path / "big.sig"
+    path.write_text(svc_text().partition("data=")[0] + "data=\n" + "1 1 1 1\n" * 70_000)
+    with pytest.raises(FormatError, match="70001 rows, expected at most"):
+        open_svc(path)
+    path.write_text(svc_text().replace("data=", "x\n" * 500_000 + "data="))
+    with pytest.raises(FormatError, match="no line 'data=' among the first 1000"):
+        open_svc(path)
+    path.write_text(svc_text(factors="1.0, " * 200_000, comm="[" * 10**6, error="9" * 10**6))
+    assert np.isfinite(open_svc(path)["factor_target"].item())
+    path.write_bytes(b"/*** Spectra Vista SIG Data ***/\n" + bytes(5 * 2**20))
+    with pytest.raises(FormatError, match="expected an SVC spectrometer's file of at most"):
+        open_svc(path)
+
+
+@pytest.mark.parametrize("head", [b"", b"as7\0", b"/***", b"Spectra Vista", b"\xff\xfe/***"])
+def test_what_is_no_sig_file(head) -> None:
+    assert not is_svc(head)
+
+
+def test_metadata_that_cannot_be_read_is_missing_and_said(write) -> None:
+    path = write(latitude="here, there", gpstime="noon, 256199", error="a, b", integration="x")
+    with pytest.warns(PaintWarning) as found:
+        opened = open_svc(path, utc_offset_h=2)
+    said = " ".join(str(warning.message) for warning in found)
+    assert "positions that cannot be read are NaN" in said
+    assert "GPS times that cannot be read are left out" in said
+    assert np.isnan(opened["latitude"].item())
+    assert opened["error_target"].item() == -1
+    assert opened["time"].values[0] == np.datetime64("2025-05-27T07:42:59", "ns")
+    assert "cannot be read" in describe_path(path)
+
+
+# --- properties
+
+
+@settings(max_examples=40, deadline=2000, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(
+    values=st.lists(st.tuples(st.integers(1, 10**9), st.integers(-(10**6), 10**9)), min_size=2, max_size=30),
+    comma=st.booleans(),
+)
+def test_any_scans_come_back(tmp_path, values, comma) -> None:
+    panel, surface = (np.array(column) / 100.0 for column in zip(*values, strict=True))
+    grid = 400.0 + np.arange(len(values)) / 10.0
+    text = svc_text(grid, panel, surface, time="5/27/2025 9:39:32 AM, 5/27/2025 9:42:59 AM")
+    path = tmp_path / "any.sig"
+    path.write_text(german(text) if comma else text)
+    file = read_svc(path)
+    np.testing.assert_array_equal(file.reference, panel)
+    np.testing.assert_array_equal(file.target, surface)
+    np.testing.assert_array_equal(file.wavelength, np.round(grid, 1))
+    assert not file.target.flags.writeable
+    if file.has_reference:  # and no warning, since warnings are errors
+        np.testing.assert_array_equal(open_svc(path)["reflectance"].values[0], surface / panel)
+
+
+@settings(
+    max_examples=300,
+    deadline=2000,
+    suppress_health_check=[HealthCheck.function_scoped_fixture],
+    derandomize=True,
+)
+@given(data=st.data())
+def test_mutated_files_raise_nothing_but_format_errors(tmp_path, data) -> None:
+    dates = {"time": "5/27/2025 9:39:32 AM, 5/27/2025 9:42:59 AM"}
+    text = svc_text(GRID[::12], PANEL[::12], SURFACE[::12], **dates)
+    mutant = bytearray((german(text) if data.draw(st.booleans()) else text).encode())
+    for _ in range(data.draw(st.integers(1, 6))):
+        place = data.draw(st.integers(0, len(mutant)))
+        length = data.draw(st.integers(0, 12))
+        mutant[place : place + length] = data.draw(
+            st.one_of(
+                st.binary(max_size=6),
+                st.sampled_from([b",", b"=", b"\n", b"[", b"1e400", b"nan", b"9" * 400, b"-", b"data=\n"]),
+            )
+        )
+    path = Path(tmp_path, "mutant.sig")
+    path.write_bytes(mutant)
+    with warnings.catch_warnings(), contextlib.suppress(FormatError):
+        warnings.simplefilter("ignore", PaintWarning)
+        for options in ({}, {"overlap": "trim"}):
+            found = open_svc(path, **options)
+            (values,) = found.data_vars.values()
+            assert values.shape == (1, found["wavelength"].size)
+            assert not np.isinf(values.values).any()
+        describe_path(path)
+
+
+@given(latitude=st.floats(-90, 90), longitude=st.floats(-180, 180), comma=st.booleans(), blanks=st.booleans())
+def test_any_position_comes_back(latitude, longitude, comma, blanks) -> None:
+    def text(angle, width, letters):
+        minutes = round(abs(angle) * 60e4)
+        degrees, rest = divmod(minutes, 600_000)
+        made = f"{degrees:0{width}d}{rest // 10_000:02d}.{rest % 10_000:04d}{letters[angle < 0]}"
+        return (made.replace(".", ",") if comma else made).ljust(16 if blanks else 0)
+
+    header = {"latitude": f", {text(latitude, 2, 'NS')}", "longitude": f", {text(longitude, 3, 'EW')}"}
+    found = position_of(header, 1)
+    assert np.isnan(position_of(header, 0)).all()
+    if np.isnan(found[0]):  # exactly on the equator and Greenwich, which is what files without a fix may hold
+        assert abs(latitude) + abs(longitude) < 1e-5
+    else:
+        assert found == pytest.approx((latitude, longitude), abs=1e-6)
+
+
+# --- the simulator's own writer
+
+
+@pytest.mark.parametrize(("position", "zone"), [((43.0848, -77.6749), -5), ((-35.3, 149.1), 11)])
+def test_what_the_simulator_writes_comes_back(tmp_path, position, zone) -> None:
+    grid = svc_wavelengths()
+    white = 0.08 * np.exp(-(((grid - 550.0) / 700.0) ** 2))
+    share = 0.2 + 0.1 * np.sin(grid / 100.0)
+    stamp = int(np.datetime64("2024-05-21T15:33:07", "s").astype(int))
+    write_svc(
+        tmp_path / "red.sig", white, white * share, stamps=(stamp, stamp + 15), utc_offset=zone * 3600,
+        position=position, sun=(40.0, 120.0),
+    )  # fmt: skip
+    found = open_svc(tmp_path)
+    np.testing.assert_array_equal(found["wavelength"].values, grid)
+    np.testing.assert_allclose(found["reflectance"].values[0], share, atol=1.5e-2 * 1e-6 / white.min())
+    np.testing.assert_allclose(open_svc(tmp_path, "radiance")["radiance"].values[0], white * share, atol=6e-9)
+    assert found["time"].values[0] == np.datetime64(stamp + 15, "s")
+    assert found["reference_time"].values[0] == np.datetime64(stamp, "s")
+    assert (found["latitude"].item(), found["longitude"].item()) == pytest.approx(position, abs=1e-6)
+    assert (found["overlap"].item(), found["overlap_matched"].item()) == ("preserved", False)
+    trimmed = open_svc(tmp_path, overlap="trim")
+    assert np.all(np.diff(trimmed["wavelength"].values) > 0.0)

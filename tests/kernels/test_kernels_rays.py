@@ -1,0 +1,145 @@
+"""Rays on a flat earth, where a frame is its map: by hand, and against a march in small steps."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from hyperpaint.kernels.rays import BLOCK, PLACES, level_places, raster_places
+
+DOWN = np.diag([1.0, 1.0, -1.0])[None]  # camera x is east, y north, z down
+
+
+def axis(direction: int, scale: float = 1.0, first: float = 0.0) -> np.ndarray:
+    made = np.zeros((1, 10))
+    made[0, 0], made[0, 1 + direction] = first, scale
+    return made
+
+
+def placed(
+    look: np.ndarray, origin: tuple[float, float, float], heights: np.ndarray | None = None
+) -> np.ndarray:
+    """Return the places of one line at ``origin``, over level 0 or a raster with its first cell at (0, 0)."""
+    look = np.asarray(look, float)
+    look = look / np.linalg.norm(look, axis=1, keepdims=True)
+    out = np.full((PLACES, 1, len(look)), 7.0)
+    common = (np.array([origin]), DOWN, look, axis(0), axis(1), axis(2), np.zeros(1))
+    if heights is None:
+        level_places(*common, 0.0, out)
+        return out[:, 0]
+    filled = np.where(np.isnan(heights), -np.inf, heights)
+    blocks = [range(0, size - 1, BLOCK) for size in heights.shape]
+    tops = np.array(
+        [[filled[r : r + BLOCK + 1, c : c + BLOCK + 1].max() for c in blocks[1]] for r in blocks[0]]
+    )
+    raster_places(*common, axis(1), axis(0), heights, tops, np.nanmin(heights), np.nanmax(heights), out)
+    return out[:, 0]
+
+
+def test_by_hand() -> None:
+    x, y, height, zenith, azimuth = placed([(0, 0, 1), (1, 0, 1), (0, -0.5, 1)], (5.0, 7.0, 10.0))
+    np.testing.assert_allclose(x, [5, 15, 5], atol=1e-12)
+    np.testing.assert_allclose(y, [7, 7, 2], atol=1e-12)
+    np.testing.assert_allclose(height, 0, atol=1e-12)
+    np.testing.assert_allclose(zenith, [0, 45, np.degrees(np.arctan(0.5))], atol=1e-12)
+    # the camera is seen to the west of what lies east of it, to the north of what lies south
+    np.testing.assert_allclose(azimuth, [0, 270, 0], atol=1e-12)
+
+
+def test_horizon_and_below_ground() -> None:
+    up = placed([(1, 0, 1e-6), (1, 0, 0), (1, 0, -1e-6), (0, 0, -1)], (0, 0, 10.0))
+    assert np.isfinite(up).all(axis=0).tolist() == [True, False, False, False]
+    assert np.isnan(up[:, 1:]).all()
+    assert np.isnan(placed([(0, 0, 1)], (0, 0, -1.0))).all()
+    assert np.isnan(placed([(np.nan, 0, 1)], (0, 0, 1.0))).all()
+
+
+def test_the_curved_earth() -> None:
+    # height above a sphere of radius R rises with the square of the way
+    radius, altitude = 6.4e6, 1000.0
+    height = axis(2, 1.0, altitude)
+    height[0, [4, 5]] = 0.5 / radius
+    out = np.empty((PLACES, 1, 2))
+    look = np.array([[1.0, 0, 1], [1.0, 0, np.tan(np.radians(0.9))]])
+    look /= np.linalg.norm(look, axis=1, keepdims=True)
+    level_places(np.zeros((1, 3)), DOWN, look, axis(0), axis(1), height, np.zeros(1), 0.0, out)
+    # the horizon of 1000 m is 1.013 degrees below the horizontal
+    assert np.isnan(out[:, 0, 1]).all()
+    assert out[0, 0, 0] - 1000.0 == pytest.approx(1000.0**2 / (2 * radius), rel=1e-2)
+    assert out[3, 0, 0] - 45.0 == pytest.approx(np.degrees(1000.0 / radius), rel=1e-2)
+
+
+def test_north_turns_with_the_way_east() -> None:
+    out = np.empty((PLACES, 1, 1))
+    look = np.array([[1.0, 0, 1]]) / np.sqrt(2)
+    level_places(np.array([[0, 0, 100.0]]), DOWN, look, axis(0), axis(1), axis(2), np.array([1e-6]), 0.0, out)
+    assert out[4, 0, 0] == pytest.approx(270.0 + np.degrees(1e-4), abs=1e-9)
+
+
+def bilinear(heights: np.ndarray, x: float, y: float) -> float:
+    j, i = min(int(x), heights.shape[1] - 2), min(int(y), heights.shape[0] - 2)
+    v, w = y - i, x - j
+    return float(
+        (1 - v) * ((1 - w) * heights[i, j] + w * heights[i, j + 1])
+        + v * ((1 - w) * heights[i + 1, j] + w * heights[i + 1, j + 1])
+    )
+
+
+def march(look: np.ndarray, origin: np.ndarray, heights: np.ndarray, step: float = 2e-3) -> float:
+    """Return the height of the first hit, in steps so small that none is missed by more than they are."""
+    direction = look * [1, 1, -1] / np.linalg.norm(look)
+    place = origin.copy()
+    while place[2] > -1.0:
+        place = place + step * direction
+        if not (0 <= place[0] <= heights.shape[1] - 1 and 0 <= place[1] <= heights.shape[0] - 1):
+            return np.nan
+        if place[2] <= bilinear(heights, place[0], place[1]):
+            return float(place[2])
+    return np.nan
+
+
+def test_rasters_against_a_march() -> None:
+    rng = np.random.default_rng(5)
+    heights = rng.uniform(0, 2, (40, 53))
+    look = np.column_stack([rng.uniform(-2, 2, (60, 2)), np.ones(60)])
+    origin = np.array([26.0, 20.0, 6.0])
+    found = placed(look, (26.0, 20.0, 6.0), heights)
+    wanted = np.array([march(one, origin, heights) for one in look])
+    np.testing.assert_array_equal(np.isnan(found[2]), np.isnan(wanted))
+    # a ray that only just misses a crest in one and meets it in the other is not to be expected of 60
+    np.testing.assert_allclose(found[2], wanted, atol=4e-3)
+    inside = np.isfinite(wanted)
+    assert inside.sum() > 40
+    at = [bilinear(heights, x, y) for x, y in found[:2, inside].T]
+    np.testing.assert_allclose(found[2, inside], at, atol=1e-8)
+
+
+def test_rays_along_the_lines_of_the_raster() -> None:
+    heights = np.zeros((33, 49))
+    heights[:, 40] = 3.0
+    heights[20, :] = 1.0
+    x, y, height, *_ = placed([(1, 0, 0.1), (0, 1, 1), (0, 0, 1), (-1, 0, 1)], (16.0, 16.0, 4.0), heights)
+    # up the ramp of the wall from 39 to 40, to the crest of row 20, straight down on a corner, along a row
+    assert height[0] == pytest.approx(4 - 0.1 * (x[0] - 16.0))
+    assert 39 < x[0] < 40
+    assert (x[1], y[1]) == pytest.approx((16.0, 19.5))
+    assert (x[2], y[2], height[2]) == pytest.approx((16, 16, 0))
+    assert (x[3], y[3], height[3]) == pytest.approx((12, 16, 0))
+
+
+def test_holes() -> None:
+    heights = np.zeros((33, 49))
+    heights[:, 20:24] = np.nan
+    heights[:, 30:] = 2.0
+    look = np.column_stack([np.linspace(0.05, 2.95, 30), np.zeros(30), np.ones(30)])
+    x, _, height, *_ = placed(look, (16.0, 16.0, 8.0), heights)
+    end = 16.0 + 8.0 * look[:, 0]
+    lost = (end > 19.0) & (end < 24.0)
+    np.testing.assert_array_equal(np.isnan(x), lost)
+    assert np.nanmax(height) == pytest.approx(2.0)
+    # entering from outside below the surface says nothing of what is seen
+    assert np.isnan(placed([(1, 0, 0.1)], (-5.0, 16.0, 1.0), np.full((33, 49), 1.0))).all()
+    assert placed([(1, 0, 0.5)], (-5.0, 16.0, 5.0), np.full((33, 49), 1.0))[0, 0] == pytest.approx(3.0)
+    assert np.isnan(
+        placed([(0, 0, 1)], (5.0, 5.0, 9.0), np.where(np.indices((33, 49))[0] < 20, np.nan, 1.0))
+    ).all()

@@ -1,0 +1,53 @@
+"""A paint library with everything that a library may hold, and hard names."""
+
+from __future__ import annotations
+
+import numpy as np
+import xarray as xr
+
+from hyperpaint.schema import LIBRARY_VARIABLES, quality_attrs
+
+NAMES = ["red, matt", "Grün", "Grün", 'a/b "x" | c {d}', ""]
+
+
+def make_library(members: int = 4, bands: int = 7, seed: int = 1) -> xr.Dataset:
+    """Return five paints with members, quantiles, times, flags; wavelengths fall once; some are NaN."""
+    rng = np.random.default_rng(seed)
+    paints = len(NAMES)
+
+    def spectra(*shape: int) -> np.ndarray:
+        return rng.random((*shape, bands), np.float32)
+
+    wavelength = np.linspace(400.0, 1000.0, bands)
+    wavelength[3] -= 150.5  # where two detectors overlap
+    values = {
+        "reflectance": spectra(paints),
+        "reflectance_sd": spectra(paints),
+        "reflectance_quantiles": spectra(paints, 2),
+        "member_reflectance": spectra(paints, members),
+        "member_along_track": rng.integers(0, 999, (paints, members)),
+        "n": np.arange(paints),
+        "n_eff": np.array([1.5, np.nan, 2.25, 3.0, 1e-7]),
+        "quality": np.arange(paints, dtype=np.uint16),
+        "paint": np.array(NAMES, object),
+        "time": np.array(["2024-05-21T11:33:07.123456789", "NaT", *["2024-01-01"] * 3], "datetime64[ns]"),
+        "quantile": np.array([0.05, 0.95]),
+        "wavelength": wavelength,
+        "fwhm": np.full(bands, 5.5),
+        "good": np.ones(bands, bool),
+    }
+    made = xr.Dataset()
+    for name, array in values.items():
+        row = LIBRARY_VARIABLES[name]
+        attrs = quality_attrs() if name == "quality" else row.attrs
+        made[name] = xr.DataArray(array, dims=row.dims, attrs=attrs)
+    made = made.set_coords([name for name in values if LIBRARY_VARIABLES[name].coordinate])
+    made = made.assign_coords(
+        make=("paint", np.array(["VW", "", "Škoda", "a\nb", "ß"], object)), year=("paint", [2001, 2, 3, 4, 5])
+    )
+    made["member_reflectance"][1, 2:] = np.nan
+    made["member_reflectance"][3] = np.nan
+    made["reflectance"][0, 2] = np.nan
+    made["reflectance"].attrs["mirror_reflection"] = "excluded"
+    made.attrs = {"title": "Paint signatures", "flightlines": ["raw_0", "raw_1"], "n": 3, "share": 0.1}
+    return made

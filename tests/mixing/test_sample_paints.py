@@ -1,0 +1,137 @@
+"""Variants keep what their population is: mean, covariance, tails, bounds."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+import xarray as xr
+
+import hyperpaint as hp
+from hyperpaint.errors import PaintWarning, SchemaError
+from hyperpaint.mixing.sampling import draw_variants
+
+
+def population(count: int = 60, seed: int = 3) -> np.ndarray:
+    """Return pixels of a red paint: brightness, hue and noise vary, and a third is in half shade."""
+    rng = np.random.default_rng(seed)
+    nm = np.linspace(400.0, 1000.0, 40)
+    edge = 605.0 + 3.0 * rng.standard_normal((count, 1))
+    spectra = 0.03 + 0.5 / (1.0 + np.exp(-(nm - edge) / 8.0))
+    spectra *= np.where(np.arange(count) % 3 == 0, 0.5, 1.0)[:, None] * np.exp(
+        0.05 * rng.standard_normal((count, 1))
+    )
+    return np.asarray(spectra + 0.002 * rng.standard_normal(spectra.shape))
+
+
+def library_of(*members: np.ndarray) -> xr.Dataset:
+    """Return a library of populations."""
+    stack = np.float32(np.stack(members))
+    return xr.Dataset(
+        {
+            "reflectance": (("paint", "band"), np.nan_to_num(stack).mean(axis=1), {"units": "1"}),
+            "member_reflectance": (("paint", "member", "band"), stack, {"units": "1"}),
+        },
+        {
+            "paint": np.array([f"paint {k}" for k in range(len(members))], object),
+            "make": ("paint", np.array(["VW"] * len(members), object)),
+            "wavelength": ("band", np.linspace(400.0, 1000.0, stack.shape[2]), {"units": "nm"}),
+        },
+    )
+
+
+def test_mean_and_covariance_are_kept() -> None:
+    own = population()
+    drawn = draw_variants(own, 40_000, np.random.default_rng(0))
+    mean, spread = own.mean(axis=0), own.std(axis=0, ddof=1)
+    # standard error of the mean of 40 000: 0.005 spreads; the curved scale moves it by a little more
+    assert np.abs((drawn.mean(axis=0) - mean) / spread).max() < 0.04
+    covariance, other = np.cov(own.T), np.cov(drawn.T)
+    assert np.linalg.norm(other - covariance) < 0.06 * np.linalg.norm(covariance)
+    assert np.abs(drawn.std(axis=0, ddof=1) / spread - 1.0).max() < 0.06
+
+
+def test_groups_of_the_population_stay() -> None:
+    level = draw_variants(population(), 4000, np.random.default_rng(0))[:, -1]
+    # half shade at 0.27, light at 0.53: little between, which a normal distribution would fill
+    between = ((level > 0.35) & (level < 0.42)).mean()
+    assert (level < 0.38).mean() == pytest.approx(1 / 3, abs=0.05)
+    normal = draw_variants(population(), 4000, np.random.default_rng(0), bandwidth=20.0)[:, -1]
+    assert between < 0.5 * ((normal > 0.35) & (normal < 0.42)).mean()
+
+
+def test_no_bandwidth_repeats_members() -> None:
+    own = population(30)
+    drawn = draw_variants(own, 50, np.random.default_rng(0), bandwidth=0.0)
+    mean = own.mean(axis=0)
+    apart = [np.abs((own - mean) - (one - mean) / np.sqrt(30 / 29)).mean(axis=1).min() for one in drawn]
+    assert max(apart) < 2e-3
+
+
+@pytest.mark.parametrize("level", [0.0005, 0.9995])
+def test_variants_stay_between_nothing_and_all(level: float) -> None:
+    rng = np.random.default_rng(0)
+    own = level + 0.001 * rng.standard_normal((50, 20))
+    drawn = draw_variants(own, 2000, rng, bandwidth=3.0)
+    assert ((drawn >= 0.0) & (drawn <= 1.0)).all()
+    assert drawn.mean() == pytest.approx(level, abs=3e-4)
+    assert drawn.std() == pytest.approx(own.std(), rel=0.4)
+
+
+def test_a_paint_has_its_own_variants_whatever_is_beside_it() -> None:
+    both = library_of(population(), population(seed=5))
+    drawn, alone = hp.sample_paints(both, 12), hp.sample_paints(both.isel(paint=[1]), 12)
+    np.testing.assert_array_equal(drawn.member_reflectance[1], alone.member_reflectance[0])
+    np.testing.assert_array_equal(hp.sample_paints(both, 12).member_reflectance, drawn.member_reflectance)
+    other = hp.sample_paints(both, 12, seed=1)
+    assert not np.array_equal(other.member_reflectance, drawn.member_reflectance)
+
+
+def test_members_and_paints_are_the_same_draws() -> None:
+    library = library_of(population(), population(seed=5))
+    library["reflectance"].attrs["mirror_reflection"] = "included"
+    drawn, paints = (hp.sample_paints(library, 7, form=form) for form in ("members", "paints"))
+    assert dict(drawn.member_reflectance.sizes) == {"paint": 2, "member": 7, "band": 40}
+    np.testing.assert_array_equal(drawn.member_reflectance.values.reshape(14, 40), paints.reflectance)
+    np.testing.assert_allclose(drawn.reflectance, drawn.member_reflectance.mean("member"), rtol=1e-5)
+    assert drawn.reflectance.dtype == drawn.member_reflectance.dtype == np.float32
+    assert paints["paint"].values[8] == "paint 1 (synthetic 2)"
+    assert paints.parents.values[8] == '["paint 1"]'
+    assert set(paints.provenance.values) == {"synthetic"}
+    assert paints.make.values.tolist() == ["VW"] * 14
+    assert paints.reflectance.attrs["mirror_reflection"] == "included"
+
+
+def test_missing_bands_and_members() -> None:
+    own = population()
+    own[:40, 5] = np.nan  # most lack this band
+    own[50, 20] = np.nan  # one lacks another
+    own[55:] = np.nan  # padding
+    with pytest.warns(PaintWarning, match="1 members lack bands"):
+        drawn = hp.sample_paints(library_of(own), 9)
+    assert np.isnan(drawn.member_reflectance.values[0]).any(axis=0).nonzero()[0].tolist() == [5]
+
+
+def test_reflectance_that_cannot_be_is_clipped_with_a_warning() -> None:
+    own = population()
+    own[3, 4] = 1.2
+    with pytest.warns(PaintWarning, match="1 values outside 0 to 1"):
+        drawn = hp.sample_paints(library_of(own), 9)
+    assert float(drawn.member_reflectance.max()) <= 1.0
+
+
+@pytest.mark.parametrize(
+    ("options", "text"),
+    [({"count": 0}, "count=0"), ({"form": "x"}, "form='x'"), ({"bandwidth": -1.0}, "bandwidth=-1.0")],
+)
+def test_options_that_cannot_be(options: dict[str, Any], text: str) -> None:
+    with pytest.raises(SchemaError, match=text):
+        hp.sample_paints(library_of(population()), **{"count": 3, **options})
+
+
+def test_a_library_without_a_population_is_refused() -> None:
+    with pytest.raises(SchemaError, match="member_reflectance"):
+        hp.sample_paints(hp.starter_library(members=0), 3)
+    with pytest.raises(SchemaError, match=r"(?s)'paint 0' has 1 whole members.*'paint 1' has 0"):
+        hp.sample_paints(library_of(population()[:1], np.full((1, 40), np.nan)), 3)

@@ -1,0 +1,99 @@
+"""The command ``hyperpaint export``."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+import xarray as xr
+from click.testing import CliRunner, Result
+
+import hyperpaint as hp
+from hyperpaint.cli import main
+from hyperpaint.io.dirsig import open_emissivity, read_materials
+from hyperpaint.io.library import open_library
+
+Export = Callable[..., Result]
+
+
+@pytest.fixture
+def export() -> Export:
+    def run(*arguments: object) -> Result:
+        return CliRunner().invoke(main, ["export", *map(str, arguments)], catch_exceptions=False)
+
+    return run
+
+
+@pytest.fixture
+def store(tmp_path: Path) -> Path:
+    """Return the path of a stored library of two paints with three members each."""
+    members = np.random.default_rng(0).uniform(0.1, 0.8, (2, 3, 6)).astype(np.float32)
+    library = xr.Dataset(
+        {
+            "reflectance": (("paint", "band"), members.mean(axis=1), {"units": "1"}),
+            "member_reflectance": (("paint", "member", "band"), members, {"units": "1"}),
+        },
+        {
+            "paint": np.array(["Türkis, matt", "rot/blau"], object),
+            "wavelength": ("band", np.linspace(400.0, 1000.0, 6), {"units": "nm"}),
+        },
+    )
+    hp.to_store(library, tmp_path / "paints.zarr")
+    return tmp_path / "paints.zarr"
+
+
+def test_dirsig(export: Export, store: Path, tmp_path: Path) -> None:
+    out = tmp_path / "dirsig"
+    done = export(store, "--format", "dirsig", "--out", out)
+    assert done.exit_code == 0, done.output
+    assert "2 paints, 6 curves" in done.output
+    assert "README.txt" in done.output
+    assert [material.id for material in read_materials(out / "materials.mat")] == ["Tuerkis_matt", "rot_blau"]
+    again = open_emissivity(out / "emissivity/rot_blau.ems").member_reflectance[0]
+    np.testing.assert_allclose(again, open_library(store).member_reflectance[1], atol=1e-6)
+    refused = export(store, "--format", "dirsig", "--out", out)
+    assert refused.exit_code == 2
+    assert "pass --overwrite" in refused.output
+    assert export(store, "--format", "dirsig", "--out", out, "--overwrite").exit_code == 0
+
+
+def test_options_of_dirsig(export: Export, store: Path, tmp_path: Path) -> None:
+    out, more = tmp_path / "one", tmp_path / "two"
+    done = export(store, "--format", "dirsig", "--out", out, "--range", 300, 900, "--extrapolate", "--curves",
+                  "centre", "--surface", "SimpleReflectance")  # fmt: skip
+    assert done.exit_code == 0, done.output
+    assert open_emissivity(out / "emissivity/rot_blau.ems").wavelength.values.tolist()[0] == 300.0
+    done = export(store, "--format", "dirsig", "--out", more, "--scene-materials", out / "materials.mat")
+    assert [material.id for material in read_materials(more / "materials.mat")] == [
+        "Tuerkis_matt_2",
+        "rot_blau_2",
+    ]
+    done = export(store, "--format", "dirsig", "--out", tmp_path / "three", "--specular", "0.1")
+    assert (done.exit_code, "would count twice" in done.output) == (2, True)
+    done = export(store, "--format", "dirsig", "--out", tmp_path / "three", "--specular", "much")
+    assert (done.exit_code, "expected a number or 'library'" in done.output) == (2, True)
+
+
+@pytest.mark.parametrize(
+    ("form", "name"), [("envi", "p.sli"), ("csv", "p.csv"), ("ecostress", "p"), ("zarr", "p.zarr")]
+)
+def test_libraries(form: str, name: str, export: Export, store: Path, tmp_path: Path) -> None:
+    done = export(store, "--format", form, "--out", tmp_path / name)
+    assert done.exit_code == 0, done.output
+    assert "2 paints, 6 bands" in done.output
+    opened = open_library(tmp_path / name)
+    assert sorted(opened["paint"].values.tolist()) == ["Türkis, matt", "rot/blau"]
+    again = export(store, "--format", form, "--out", tmp_path / name, "--gaps", "refuse")
+    assert again.exit_code == 2
+    assert "--gaps only with --format dirsig" in again.output
+
+
+def test_what_is_no_library(export: Export, tmp_path: Path) -> None:
+    (tmp_path / "x.txt").write_text("nothing")
+    done = export(tmp_path / "x.txt", "--format", "dirsig", "--out", tmp_path / "out")
+    assert done.exit_code == 2
+    assert done.output.startswith("error: ")
+    assert export(tmp_path / "x.txt", "--format", "obj", "--out", tmp_path / "out").exit_code == 2
+    assert not (tmp_path / "out").exists()

@@ -1,0 +1,403 @@
+"""Signatures against references: common bands, pairs, parts, tolerance, and what is said of them."""
+
+from __future__ import annotations
+
+import html.parser
+import warnings
+from typing import Any
+
+import numpy as np
+import pytest
+import xarray as xr
+from agreeing_spectra import NM, agreeing, field, library, seen, smooth, value_of
+
+import hyperpaint as hp
+from hyperpaint.errors import PaintWarning, SchemaError, UnitsError
+from hyperpaint.simulation import simulate_line
+from hyperpaint.validation.detectors import join_detectors
+
+# --- common bands ------------------------------------------------------------------------------------------
+
+
+def test_two_instruments_that_see_one_paint_agree() -> None:
+    found = hp.validate(*agreeing())
+    assert found.passed
+    assert value_of(found, "rmse") < 1e-5
+    # sampled at the centres of the bands, or seen twice as wide, it would not
+    sampled = np.interp(NM, np.arange(380.0, 1021.0), agreeing()[1]["reflectance"].values[0])
+    assert np.abs(sampled - seen(NM, 6.0)).max() > 2e-4
+    assert found.statistics["bands"].sel(part="all").item() == NM.size
+    assert found.statistics["bands"].sel(part="VIS").item() == ((NM >= 400) & (NM < 700)).sum()
+    assert found.statistics["coverage"].min() > 0.999
+
+
+def test_statistics_are_those_of_plain_numpy() -> None:
+    signatures, references = agreeing()
+    signatures["reflectance"] = signatures["reflectance"] * 1.1 + np.float32(0.01)
+    signatures["reflectance"].attrs["units"] = "1"
+    found = hp.validate(signatures, references, parts={"red": (600.0, 700.0)}, tolerance=0.001)
+    here = (NM >= 600) & (NM < 700)
+    s, r = signatures["reflectance"].values[0, here].astype(float), seen(NM, 6.0)[here]
+    d = s - r
+    expected = {
+        "bias": d.mean(), "rmse": np.sqrt((d**2).mean()), "mae": np.abs(d).mean(),
+        "spectral_angle": np.arccos((s @ r) / np.linalg.norm(s) / np.linalg.norm(r)),
+        "scale": (s @ r) / (r @ r),
+    }  # fmt: skip
+    for name, wanted in expected.items():
+        assert value_of(found, name, "red") == pytest.approx(wanted, rel=1e-3), name
+    assert not found.passed
+    assert found.problems == ("hood against hood: red",)
+
+
+def test_identical_libraries_agree_wholly() -> None:
+    paints = library([smooth(NM), 0.5 * smooth(NM)], ("hood", "roof"))
+    found = hp.validate(paints, paints, tolerance=0.0)
+    assert found.passed
+    assert (found.statistics[["bias", "rmse", "mae", "spectral_angle"]].to_array() == 0).all()
+    assert found.statistics["paint"].values.tolist() == ["hood", "roof"]
+
+
+def test_a_factor_moves_scale_alone() -> None:
+    signatures, references = agreeing()
+    brighter = signatures.assign(reflectance=(signatures["reflectance"] * 1.25).assign_attrs(units="1"))
+    one, other = hp.validate(signatures, references), hp.validate(brighter, references)
+    assert value_of(other, "scale") == pytest.approx(1.25 * value_of(one, "scale"), rel=1e-6)
+    assert value_of(other, "scale_free_error") == pytest.approx(value_of(one, "scale_free_error"), abs=2e-8)
+
+
+def test_a_coarser_reference_is_not_sharpened() -> None:
+    at = np.arange(430.0, 960.0, 15.0)
+    coarse = library(seen(at, 20.0), nm=at, fwhm=20.0)
+    found = hp.validate(agreeing()[0], coarse)
+    assert found.spectra[0].sizes["band"] == at.size
+    assert value_of(found, "rmse") < 5e-5
+    assert any("brought onto the reference's bands" in note for note in found.notes[0])
+
+
+def test_bands_that_are_not_seen_whole_are_left_out_and_counted() -> None:
+    nm = np.arange(500.0, 901.0)
+    found = hp.validate(agreeing()[0], field(seen(nm, 3.0), nm=nm))
+    spectra = found.spectra[0]
+    used = spectra["used"].values
+    assert NM[used].min() > 505
+    assert NM[used].max() < 895
+    count = found.statistics.isel(pair=0).sel(part="all")
+    assert int(count["bands"]) == used.sum()
+    assert int(count["bands_left_out"]) == (~used).sum()
+    edge = spectra["coverage"].values[(NM > 498) & (NM < 502)]
+    # of a Gaussian of 6 nm by hand: from its end on
+    from math import erf
+
+    centre = NM[(NM > 498) & (NM < 502)]
+    by_hand = [0.5 * (1 + erf((c - 500.0) / (6.0 / 2.3548) / np.sqrt(2))) for c in centre]
+    np.testing.assert_allclose(edge, by_hand, atol=0.03)
+    assert np.isnan(spectra["reference"].values[~used]).all()
+
+
+def test_missing_samples_cost_their_bands_only() -> None:
+    signatures, references = agreeing()
+    references["reflectance"][0, 200:215] = np.nan  # 580 to 594 nm
+    signatures["reflectance"][0, 3] = np.nan
+    signatures = signatures.assign_coords(good=("band", np.arange(NM.size) != 50))
+    found = hp.validate(signatures, references)
+    left = NM[~found.spectra[0]["used"].values]
+    assert set(left) >= {NM[3], NM[50], *NM[(NM > 580) & (NM < 594)]}
+    assert left.size < 10
+    assert value_of(found, "rmse") < 1e-5
+    # a single one is bridged: its neighbours see the same
+    one = agreeing()[1]
+    one["reflectance"][0, 200] = np.nan
+    assert hp.validate(agreeing()[0], one).spectra[0]["used"].all()
+
+
+def test_detectors_that_overlap_serve_to_the_middle() -> None:
+    vnir, swir = np.arange(380.0, 1000.5, 1.5), np.arange(940.0, 1200.0, 3.7)
+    nm = np.concatenate([vnir, swir])
+    values = np.concatenate([seen(vnir, 3.5), seen(swir, 9.5) + 0.3])  # a step that must not leak
+    found = hp.validate(agreeing()[0], field(values, nm=nm, fwhm=None, instrument="SVC"))
+    used = found.spectra[0]["used"].values
+    difference = np.abs(found.spectra[0]["difference"].values)
+    join = 0.5 * (vnir[-1] + 940.0)
+    assert difference[used & (join - 15.0 > NM)].max() < 1e-4
+    assert any("detectors joined at 969.8 nm" in note for note in found.notes[0])
+    assert not used[join + 12.0 < NM].any()  # channels of 9.5 nm cannot tell what 6 nm see
+    assert any("sharper than the other side can tell" in note for note in found.notes[0])
+
+
+@pytest.mark.parametrize(
+    "wavelength", [[], [1.0, np.nan], [5.0, 1.0] * 20, [1.0, 2.0, 9.0, 3.0, 2.5, 2.6, 2.7]]
+)
+def test_wavelengths_in_no_order(wavelength: list[float]) -> None:
+    with pytest.raises(SchemaError):
+        join_detectors(np.array(wavelength))
+
+
+def test_a_file_may_descend() -> None:
+    signatures, references = agreeing()
+    turned = references.isel(wavelength=slice(None, None, -1))
+    backwards = signatures.isel(band=slice(None, None, -1))
+    one, other = hp.validate(signatures, references), hp.validate(backwards, turned)
+    assert value_of(one, "rmse") == pytest.approx(value_of(other, "rmse"), abs=1e-12)
+
+
+def test_units_are_converted_and_wanted() -> None:
+    signatures, references = agreeing()
+    percent = references.assign(reflectance=(100 * references["reflectance"]).assign_attrs(units="percent"))
+    percent = percent.assign_coords(
+        wavelength=("wavelength", percent.wavelength.values / 1e3, {"units": "um"})
+    )
+    assert value_of(hp.validate(signatures, percent, reference_fwhm=3.0), "rmse") < 1e-5
+    bare = references.assign(reflectance=references["reflectance"].assign_attrs(units="sr-1"))
+    with pytest.raises(SchemaError, match=r"reference 1:.*'sr-1'"):
+        hp.validate(signatures, bare)
+    del references["reflectance"].attrs["units"]
+    with pytest.raises(SchemaError, match="has no units"):
+        hp.validate(signatures, references)
+
+
+# --- wavelengths that are wrong ----------------------------------------------------------------------------
+
+
+def test_a_shift_of_wavelength_shows_in_the_oxygen_residual() -> None:
+    line = simulate_line(lines=8, columns=3, smile_nm=0.0, noise=False)
+    region = hp.Regions((hp.Region("hood", [(0, 0), (2, 0), (2, 7), (0, 7)]),))
+    nm = np.arange(380.0, 1021.0)
+    flat = field(np.full(nm.size, 0.3))
+    depths = []
+    for shift in (0.0, 0.5):
+        moved = line.assign_coords(wavelength=line.wavelength + shift)
+        paints = hp.extract_signatures(moved, region)
+        found = hp.validate(paints, flat, tolerance=1.0)
+        depths.append(found.statistics["oxygen_residual"].item())
+        assert found.statistics["reference_oxygen_residual"].item() == pytest.approx(0.0, abs=1e-9)
+        assert depths[-1] == pytest.approx(float(hp.oxygen_residual(moved).mean()), abs=2e-3)
+    assert abs(depths[0]) < 2e-3
+    assert depths[1] < -0.02
+
+
+# --- uncertainty -------------------------------------------------------------------------------------------
+
+
+def test_uncertainties_of_the_library_are_propagated() -> None:
+    nm = np.arange(380.0, 1021.0)
+    values = seen(NM, 6.0)
+    paints = library(
+        values, reflectance_u_random=np.full(NM.size, 0.003), reflectance_u_systematic=0.04 * values
+    )
+    found = hp.validate(paints, field(seen(nm, 3.0)))
+    expected = np.hypot(0.003 / np.sqrt(NM.size), 0.04 * values.mean())
+    assert value_of(found, "bias_u") == pytest.approx(expected, rel=0.08)
+    assert value_of(found, "scale_u") == pytest.approx(0.04, rel=0.08)
+    assert value_of(found, "spectral_angle_u") < 0.02  # what is common to all bands has no shape
+    np.testing.assert_allclose(found.spectra[0]["signature_u"], np.hypot(0.003, 0.04 * values), rtol=0.15)
+    assert any("without that of the reference" in note for note in found.notes[0])
+
+
+def test_repeated_readings_tell_their_own_uncertainty() -> None:
+    nm = np.arange(380.0, 1021.0)
+    levels = np.array([0.97, 1.0, 1.04, 1.01])
+    signatures, _ = agreeing()
+    references = field(np.outer(levels, seen(nm, 3.0)), [f"hood_{n}" for n in range(4)])
+    found = hp.validate(signatures, references, {"hood": [f"hood_{n}" for n in range(4)]})
+    assert found.statistics.sizes["pair"] == 1
+    assert value_of(found, "scale") == pytest.approx(1 / levels.mean(), rel=1e-3)
+    assert value_of(found, "scale_u") == pytest.approx(levels.std(ddof=1) / 2, rel=0.1)
+    np.testing.assert_allclose(
+        found.spectra[0]["reference_sd"], levels.std(ddof=1) * seen(NM, 6.0), rtol=1e-3
+    )
+
+
+def test_nothing_known_is_said_so() -> None:
+    found = hp.validate(*agreeing())
+    assert np.isnan(found.statistics["rmse_u"]).all()
+    assert any("signature and the reference, which is not known" in note for note in found.notes[0])
+    assert "signature_u" not in found.spectra[0]
+
+
+def test_a_standard_deviation_stands_for_an_unknown_uncertainty() -> None:
+    signatures, references = agreeing()
+    sd = ("spectrum", "wavelength"), 0.1 * references["reflectance"].values, {"units": "1"}
+    counted = references.assign(reflectance_sd=sd, n=("spectrum", [25]))
+    assert value_of(
+        hp.validate(signatures, references.assign(reflectance_sd=sd)), "scale_u"
+    ) == pytest.approx(0.1, rel=0.15)
+    assert value_of(hp.validate(signatures, counted), "scale_u") == pytest.approx(0.02, rel=0.1)
+
+
+def test_order_of_paints_changes_nothing() -> None:
+    values = np.stack([seen(NM, 6.0), 0.5 * seen(NM, 6.0)])
+    paints = library(values, ("hood", "roof"), reflectance_u_random=np.full(values.shape, 0.01))
+    references = field(np.stack([smooth(np.arange(380.0, 1021.0))] * 2), ("hood", "roof"))
+    one = hp.validate(paints, references).statistics.set_index(pair="paint")
+    other = hp.validate(paints.isel(paint=[1, 0]), references).statistics.set_index(pair="paint")
+    assert one["rmse_u"].equals(other["rmse_u"].sel(pair=one["pair"]))
+
+
+# --- pairs -------------------------------------------------------------------------------------------------
+
+
+def test_pairs_by_property_else_by_name_never_by_likeness() -> None:
+    names = ("hood", "roof", "door", "bonnet")
+    paints = library([smooth(NM)] * 4, names).assign_coords(
+        reference=("paint", np.array(["red_01", "", "nowhere", ""], object))
+    )
+    nm = np.arange(380.0, 1021.0)
+    references = field([smooth(nm)] * 4, ["svc/red_01.sig", "roof.asd.txt", "hood", "other"])
+    found = hp.validate(paints, references)
+    pairs = list(zip(found.statistics["paint"].values, found.statistics.reference.values, strict=True))
+    assert pairs == [("hood", "svc/red_01.sig"), ("roof", "roof.asd.txt")]
+    assert found.unpaired_signatures == ("door (wants 'nowhere')", "bonnet")
+    assert found.unpaired_references == ("hood (ASD)", "other (ASD)")
+    for text in ("without a reference: door", "references without a paint: hood"):
+        assert text in found.table()
+
+
+def test_pairs_that_are_said() -> None:
+    paints = library([smooth(NM)] * 2, ("hood", "roof"))
+    references = field([smooth(np.arange(380.0, 1021.0))] * 2, ["a", "b"])
+    found = hp.validate(paints, references, {"roof": "a"})
+    assert found.statistics["paint"].values.tolist() == ["roof"]
+    assert found.unpaired_signatures == ("hood",)
+    with pytest.raises(SchemaError, match=r"no paint 'door'.*\n.*no reference 'c'") as caught:
+        hp.validate(paints, references, {"door": "a", "hood": ["a", "c"]})
+    assert "there is 'a', 'b'" in str(caught.value)
+    with pytest.raises(SchemaError, match="no paint has a reference of its name"):
+        hp.validate(paints, references)
+    with pytest.raises(SchemaError, match="pairs is list"):
+        hp.validate(paints, references, [("hood", "a")])  # type: ignore[arg-type]
+
+
+def test_instruments_are_compared_apart() -> None:
+    signatures, references = agreeing()
+    nm = np.arange(390.0, 1011.0, 1.5)
+    other = field(1.1 * seen(nm, 3.5), nm=nm, fwhm=3.5, instrument="SVC")
+    found = hp.validate(signatures, [references, other])
+    assert found.statistics.instrument.values.tolist() == ["ASD", "SVC"]
+    np.testing.assert_allclose(found.statistics["scale"].sel(part="all"), [1.0, 1 / 1.1], rtol=1e-4)
+
+
+# --- what is refused, and what is told ---------------------------------------------------------------------
+
+
+def test_a_panel_scales_what_is_relative() -> None:
+    signatures, references = agreeing()
+    ends = ("wavelength", [300.0, 2500.0], {"units": "nm"})
+    panel = xr.DataArray([0.9, 0.9], {"wavelength": ends}, "wavelength", attrs={"units": "1"})
+    found = hp.validate(signatures, references, panel=panel)
+    assert value_of(found, "scale") == pytest.approx(1 / 0.9, rel=1e-4)
+    assert any("scaled by the panel" in note for note in found.notes[0])
+    with pytest.raises(SchemaError, match="'hood' is absolute already"):
+        hp.validate(signatures, signatures, panel=panel)
+    absolute = references.assign(
+        reflectance=references["reflectance"].assign_attrs(reflectance_scale="absolute")
+    )
+    with pytest.raises(SchemaError, match="absolute already"):
+        hp.validate(signatures, absolute, panel=panel)
+    with pytest.raises(SchemaError, match="is it in percent"):
+        hp.validate(signatures, references, panel=panel * 100)
+    narrow = panel.assign_coords(wavelength=("wavelength", [500.0, 600.0], {"units": "nm"}))
+    left = hp.validate(signatures, references, panel=narrow).spectra[0]
+    assert not left["used"].values[(NM < 500) | (NM > 600)].any()
+
+
+def test_matched_detectors_are_told() -> None:
+    signatures, references = agreeing()
+    told = references.assign_coords(
+        overlap=("spectrum", np.array(["removed @ 970, 1901 nm"], object)),
+        overlap_matched=("spectrum", [True]),
+    )
+    found = hp.validate(signatures, told)
+    assert found.statistics.overlap_matched.item()
+    assert found.statistics.overlap.item() == "removed @ 970, 1901 nm"
+    assert "the reference was overlap-matched" in found.table()
+    unknown = hp.validate(signatures, references)
+    assert unknown.statistics.overlap.item() == "unknown"
+    assert "overlap-matched" not in unknown.table()
+
+
+def test_mirrored_sky_on_one_side_only_warns() -> None:
+    signatures, references = agreeing()
+    body = signatures.assign(reflectance=signatures["reflectance"].assign_attrs(mirror_reflection="excluded"))
+    whole = references.assign_attrs(mirror_reflection="included")
+    with pytest.warns(PaintWarning, match="hood: the mirror image of the sky is excluded in the signature"):
+        hp.validate(body, whole)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        hp.validate(body, references)
+        hp.validate(body, references.assign_attrs(mirror_reflection="excluded"))
+
+
+@pytest.mark.parametrize(
+    ("change", "told"),
+    [
+        ({"tolerance": {"colour": 1.0}}, "no statistic 'colour'"),
+        ({"tolerance": -1.0}, "expected a number that is not negative"),
+        ({"tolerance": {}}, "no limit"),
+        ({"parts": {}}, "expected names with"),
+        ({"parts": {"x": (700.0, 400.0)}}, "first and last wavelength"),
+        ({"references": []}, "there is none"),
+        ({"references": "svc/*.sig"}, "expected a Dataset"),
+        ({"references": xr.Dataset({"radiance": ("x", [1.0])})}, "holds radiance, expected reflectance"),
+        ({"signatures": xr.Dataset()}, "'reflectance' is missing"),
+        ({"signatures": 3}, "expected a paint library"),
+    ],
+)  # fmt: skip
+def test_wrong_calls(change: dict[str, Any], told: str) -> None:
+    signatures, references = agreeing()
+    call = {"signatures": signatures, "references": references, **change}
+    with pytest.raises(SchemaError, match=told):
+        hp.validate(call.pop("signatures"), call.pop("references"), **call)
+
+
+def test_no_band_in_common() -> None:
+    nm = np.arange(1100.0, 1300.0)
+    with pytest.raises(SchemaError, match=r"'hood': no band of one is seen whole .*1100 to 1299 nm"):
+        hp.validate(agreeing()[0], field(smooth(nm), nm=nm))
+
+
+def test_parts_without_bands_are_not_judged() -> None:
+    signatures, references = agreeing()
+    found = hp.validate(signatures.isel(band=slice(0, 20)), references)
+    assert found.statistics["bands"].sel(part="NIR").item() == 0
+    assert np.isnan(value_of(found, "rmse", "NIR"))
+    assert found.passed
+    assert " NIR " not in found.table()
+
+
+def test_tolerance_of_several_statistics() -> None:
+    signatures, references = agreeing()
+    brighter = signatures.assign(reflectance=(signatures["reflectance"] * 1.1).assign_attrs(units="1"))
+    assert hp.validate(brighter, references, tolerance={"spectral_angle": 1e-3, "scale": 0.11}).passed
+    assert not hp.validate(brighter, references, tolerance={"spectral_angle": 1e-3, "scale": 0.09}).passed
+
+
+def test_texts_are_only_texts() -> None:
+    name = "<b>\x1b[31m$x$\n" + "long " * 20
+    paints = library(smooth(NM), (name,))
+    found = hp.validate(paints, paints.assign_attrs(instrument="<i>"))
+    assert "\x1b" not in found.table()
+    assert max(map(len, found.table().splitlines()[:4])) < 250
+    assert repr(found).startswith("<Validation>")
+    page = found._repr_html_()
+    assert "<b>" not in page
+    assert "<i>" not in page
+    html.parser.HTMLParser().feed(page)
+
+
+def test_dtypes_and_units() -> None:
+    table = hp.validate(*agreeing()).statistics
+    for name in ("bias", "rmse", "mae", "scale", "scale_free_error", "coverage", "oxygen_residual"):
+        assert table[name].dtype == np.float64
+        assert table[name].attrs["units"] == "1"
+    assert table["spectral_angle"].attrs["units"] == "rad"
+    assert table["bands"].dtype == np.int64
+    assert table["passes"].dtype == bool
+    assert all(array.attrs["long_name"] for array in table.data_vars.values())
+
+
+def test_units_error_of_signatures() -> None:
+    signatures, references = agreeing()
+    signatures["reflectance"].attrs["units"] = "furlong"
+    with pytest.raises((SchemaError, UnitsError), match="furlong"):
+        hp.validate(signatures, references)
