@@ -4,13 +4,13 @@
     python benchmarks/orthorectified_lines.py --lines 500        a first look
     python benchmarks/orthorectified_lines.py --memory           peak memory against the length of the line
 
-The job of everyone is the same: where on the line does every cell of a map with north up lie. What is resampled
-to judge it is the line's own east and north, so that the distance of what a cell got from where the cell lies is
-the error, in pixels. Others are given the places of the pixels for nothing; rays are timed on their own.
+The job of everyone is the same: where on the line does every cell of a map with north up lie. What is
+resampled to judge it is the line's own east and north, so that the distance of what a cell got from where the
+cell lies is the error, in pixels. Others are given the places of the pixels for nothing; rays are timed on their own.
 
-``scipy`` is a k-d tree over all pixels, asked for the nearest within 2 pixels of every cell; ``pyresample`` is the
-same as others use it; ``gdal`` is GDAL's warp by geolocation arrays, through rasterio, given the corners of the
-pixels, which it takes places for. Packages that are not installed are left out.
+``scipy`` is a k-d tree over all pixels, asked for the nearest within 2 pixels of every cell, on two threads;
+``pyresample`` is the same as others use it, on one; ``gdal`` is GDAL's warp by geolocation arrays, through
+rasterio, given the corners of the pixels, which it takes places for. Packages that are not installed are left out.
 """
 
 from __future__ import annotations
@@ -66,8 +66,10 @@ def posed_line(lines: int, columns: int, *, rough: bool = False, heading: float 
     coords: dict[str, Any] = {name: ("along_track", values, units[name]) for name, values in pose.items()}
     coords["time"] = ("along_track", start + (seconds * 1e9).astype("timedelta64[ns]"))
     coords["cross_track"] = np.arange(columns)
-    return xr.Dataset(coords=coords).drop_vars("cross_track").assign(
-        quality=(("along_track", "cross_track"), np.zeros((lines, columns), np.uint16))
+    return (
+        xr.Dataset(coords=coords)
+        .drop_vars("cross_track")
+        .assign(quality=(("along_track", "cross_track"), np.zeros((lines, columns), np.uint16)))
     )
 
 
@@ -126,10 +128,10 @@ def by_pyresample(longitude: Any, latitude: Any, area: Any) -> Any:
 
 def by_gdal(east: Any, north: Any, transform: Any, shape: tuple[int, int], offset: Any) -> Any:
     """Warp the line's own places through GDAL's geolocation arrays; return what cells got (2, row, col)."""
-    from rasterio.crs import CRS as RasterioCRS
+    from rasterio.crs import CRS as RASTERIO_CRS
     from rasterio.warp import Resampling, reproject
 
-    crs = RasterioCRS.from_string(CRS)
+    crs = RASTERIO_CRS.from_string(CRS)
     values = np.stack([east - offset[0], north - offset[1]])
     out = np.full((2, *shape), np.nan)
     reproject(
@@ -169,16 +171,15 @@ def compare(lines: int, columns: int, rough: bool, rounds: int) -> dict[str, flo
     def index() -> Any:
         nonlocal made
         made = hp.orthorectify(known, GSD, grid="north", variables=[])
-        return dask.compute(made["glt_line"].data, made["glt_sample"].data)
+        return dask.compute(made["nearest_line"].data, made["nearest_sample"].data)
 
     seconds = {"rays": rays}
     seconds["hyperpaint"], (line, sample) = best(index, rounds)
     numbers = [float(number) for number in made["spatial_ref"].attrs["GeoTransform"].split()]
     where = np.meshgrid(made["x"].values, made["y"].values)
-    inside = np.isfinite(line)
+    inside = line >= 0
     found = {"hyperpaint": np.full(line.shape, -1)}
-    nearest = [np.floor(part[inside] + 0.5).astype(int) for part in (line, sample)]
-    found["hyperpaint"][inside] = nearest[0] * columns + nearest[1]
+    found["hyperpaint"][inside] = line[inside] * columns + sample[inside]
     seconds["scipy"], tree = best(lambda: by_tree(east, north, tuple(where)), 1)
     found["scipy"] = tree.reshape(line.shape)
     off = {name: _distance(east, north, part, where) for name, part in found.items()}
@@ -188,7 +189,9 @@ def compare(lines: int, columns: int, rough: bool, rounds: int) -> dict[str, flo
     kind = "rough" if rough else "calm"
     print(f"\n{lines} lines x {columns} columns, {kind}, map of {line.shape[0]} x {line.shape[1]} cells, "
           f"{inside.mean():.0%} covered; rays {1e3 * rays:.0f} ms")  # fmt: skip
-    print(f"{'':12} {'s':>8} {'ratio':>7} {'rms px':>8} {'/ exact':>8} {'max px':>7} {'empty in':>9} {'filled out':>10}")
+    print(
+        f"{'':12} {'s':>8} {'ratio':>7} {'rms px':>8} {'/ exact':>8} {'max px':>7} {'empty in':>9} {'filled out':>10}"
+    )
     for name, error in off.items():
         both = inside & np.isfinite(error)
         rms = float(np.sqrt((error[both] ** 2).mean()))
@@ -210,7 +213,12 @@ def _others(seconds: Any, off: Any, places: Any, numbers: list[float], where: An
         from pyresample import geometry
 
         longitude, latitude = Transformer.from_crs(CRS, "EPSG:4326", always_xy=True).transform(east, north)
-        extent = (numbers[0], numbers[3] + shape[0] * numbers[5], numbers[0] + shape[1] * numbers[1], numbers[3])
+        extent = (
+            numbers[0],
+            numbers[3] + shape[0] * numbers[5],
+            numbers[0] + shape[1] * numbers[1],
+            numbers[3],
+        )
         area = geometry.AreaDefinition("map", "map", "map", CRS, shape[1], shape[0], extent)
         seconds["pyresample"], found = best(lambda: by_pyresample(longitude, latitude, area), 1)
         off["pyresample"] = _distance(east, north, found.reshape(shape), where)
@@ -236,17 +244,21 @@ def _distance(east: Any, north: Any, found: Any, where: Any) -> Any:
 
 def whole_job(lines: int, columns: int, bands: int, grid: str, rounds: int) -> float:
     """Print and return how long poses to map take, counts being in memory [s]."""
+    import dask.array as da
+
+    import hyperpaint as hp
+
     line = with_counts(posed_line(lines, columns), bands)
 
-    def run() -> Any:
-        import hyperpaint as hp
-
+    def run() -> None:
         made = hp.orthorectify(located_line(line), grid=grid, variables=["counts", "quality", "time"])
         return made["counts"].data.compute()
 
     seconds, made = best(run, rounds)
     size = made.nbytes / 1e9
-    print(f"rays, inverse map, nearest: {lines} x {columns} x {bands} to {grid} {made.shape}, {size:.1f} GB: {seconds:.2f} s")
+    print(
+        f"rays, inverse map, nearest: {lines} x {columns} x {bands} to {grid} {made.shape}, {size:.1f} GB: {seconds:.2f} s"
+    )
     return seconds
 
 

@@ -33,8 +33,10 @@ HEADER = (
 )
 
 
-def make_line(seed: int, flakes: bool, samples: int) -> tuple[Any, Any]:
-    """Return a flight line with reflectance from noisy radiance, and the atmosphere."""
+def render(
+    seed: int, flakes: bool, samples: int, neighbours: tuple[str, ...] = ("walls", "trees")
+) -> tuple[Any, Any]:
+    """Return a flight line without noise, its truth beside it, and the atmosphere."""
     import hyperpaint as hp
     from hyperpaint.simulation.rendering.bands import BandSet
     from hyperpaint.simulation.rendering.car_parks import car_park
@@ -45,8 +47,8 @@ def make_line(seed: int, flakes: bool, samples: int) -> tuple[Any, Any]:
     sky = Atmosphere.clear(float(rng.uniform(20, 50)), float(rng.uniform(90, 270)))
     gsd = float(rng.uniform(0.035, 0.05))
     park = car_park(
-        length=LINES * gsd + 6, width=32.0, seed=seed, neighbours=("walls", "trees"), margin=10.0,
-        flakes=flakes, islands=False,
+        length=LINES * gsd + 6, width=32.0, seed=seed, neighbours=neighbours, margin=10.0, flakes=flakes,
+        islands=False,
     )  # fmt: skip
     flight = pushbroom(
         LINES, COLUMNS, ground_sample=gsd, line_spacing=gsd, start=(-0.1, 3.0), wobble=0.1, seed=seed
@@ -54,11 +56,18 @@ def make_line(seed: int, flakes: bool, samples: int) -> tuple[Any, Any]:
     traced = hp.trace(park, flight, [sky], samples=samples, seed=seed, sun_radius=0.267)
     bands = BandSet(np.linspace(405.0, 995.0, BANDS), np.full(BANDS, 6.0))
     line = hp.relight(traced.compute(), bands, atmosphere=sky).compute()
+    line.attrs["gsd"] = gsd
+    return line, sky
+
+
+def seen_with_noise(line: Any, seed: int) -> Any:
+    """Return a render as it is seen: reflectance from noisy radiance."""
+    import hyperpaint as hp
+
     radiance = line["radiance"]
     noise = 1.0 + np.random.default_rng([seed, 7]).normal(size=radiance.shape) / SNR
-    line["radiance"] = radiance.copy(data=(radiance.values * noise).astype(np.float32))
-    line.attrs["gsd"] = gsd
-    return hp.reflectance(line.drop_vars("reflectance")).compute(), sky
+    noisy = radiance.copy(data=(radiance.values * noise).astype(np.float32))
+    return hp.reflectance(line.assign(radiance=noisy).drop_vars("reflectance")).compute()
 
 
 def whole_cars(line: Any) -> list[int]:
@@ -81,7 +90,8 @@ def look(seed: int, flakes: bool, samples: int) -> tuple[int, int, int, int]:
     from hyperpaint.regions import pixels_of
     from hyperpaint.simulation.rendering.spectra import spectrum_of
 
-    line, sky = make_line(seed, flakes, samples)
+    line, sky = render(seed, flakes, samples)
+    line = seen_with_noise(line, seed)
     sun = {"sun_zenith": sky.sun_zenith}
     found = hp.propose_regions(line, **sun, sun_azimuth=sky.sun_azimuth, heading=0.0)
     corrected = hp.remove_mirrored_sky(line, **sun)["reflectance"].values

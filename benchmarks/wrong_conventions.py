@@ -46,7 +46,9 @@ def wrong_ones(seed: int) -> tuple[int, int, int]:
         others = [one for one in found.wrong if one != field]
         named, undecided = named + (verdict == "wrong"), undecided + (verdict == "undecided")
         false += len(others)
-        print(f"{name:38} {verdict:10} {finding.likely if finding else '':32} {', '.join(others)}", flush=True)
+        print(
+            f"{name:38} {verdict:10} {finding.likely if finding else '':32} {', '.join(others)}", flush=True
+        )
     return named, undecided, false
 
 
@@ -59,13 +61,17 @@ def right_ones(count: int, first: int = 100) -> int:
         flight = flown(seed)
         found = check(flight, right(flight))
         false += bool(found.wrong)
-        told = [f"{one.field} {one.likely} ({one.evidence})" for one in found.findings if one.verdict == "wrong"]
+        told = [
+            f"{one.field} {one.likely} ({one.evidence})" for one in found.findings if one.verdict == "wrong"
+        ]
         print(f"{seed} {flight.wobble:5} {'; '.join(told) or 'nothing named'}", flush=True)
     return false
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--right", type=int, default=20)
     chosen = parser.parse_args()

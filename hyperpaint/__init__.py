@@ -40,6 +40,7 @@ if TYPE_CHECKING:
     )
     from .illumination import Tilt, match_irradiance
     from .io.asd import open_asd
+    from .io.control_points import read_control_points
     from .io.dirsig import write_dirsig
     from .io.envi_writing import write_envi
     from .io.flightline import open_flightline
@@ -53,6 +54,7 @@ if TYPE_CHECKING:
     from .io.svc import open_svc
     from .laboratory import open_collect
     from .mixing import mix_paints, sample_paints, shade_paints
+    from .navigation_checks import check_conventions, estimate_clock_offset, solve_boresight
     from .orthorectification import MapGrid, map_report, orthorectify
     from .paint_search import search_library
     from .picking import pick_regions
@@ -97,7 +99,9 @@ _HOME = {
     "calibration_report": "plot_calibration",
     "canonical_navigation": "georeference",
     "correct_light": "corrections",
+    "check_conventions": "navigation_checks",
     "encoding": "io.store",
+    "estimate_clock_offset": "navigation_checks",
     "estimate_noise": "uncertainty",
     "extract_signatures": "signatures",
     "flag_overlay": "plot_flags",
@@ -128,6 +132,7 @@ _HOME = {
     "quicklook": "plot",
     "radiance": "radiometry",
     "read_certificate": "io.panel_certificate",
+    "read_control_points": "io.control_points",
     "read_regions": "regions",
     "reflectance": "radiometry",
     "relight": "simulation.rendering.relighting",
@@ -140,6 +145,7 @@ _HOME = {
     "simulate_collect": "simulation",
     "smooth": "smoothing",
     "solar_position": "sun",
+    "solve_boresight": "navigation_checks",
     "spacing": "georeference",
     "spectrum": "plot_spectra",
     "starter_library": "starter_paints",
@@ -189,8 +195,10 @@ __all__ = [
     "calibrate",
     "calibration_report",
     "canonical_navigation",
+    "check_conventions",
     "correct_light",
     "encoding",
+    "estimate_clock_offset",
     "estimate_noise",
     "extract_signatures",
     "flag",
@@ -219,6 +227,7 @@ __all__ = [
     "quicklook",
     "radiance",
     "read_certificate",
+    "read_control_points",
     "read_regions",
     "reflectance",
     "relight",
@@ -231,6 +240,7 @@ __all__ = [
     "simulate_collect",
     "smooth",
     "solar_position",
+    "solve_boresight",
     "spacing",
     "spectrum",
     "starter_library",

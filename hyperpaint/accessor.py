@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Hashable, Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import xarray as xr
 
@@ -428,6 +428,38 @@ class PaintAccessor:
             convention=convention,
             max_gap_s=max_gap_s,
             interpolation=interpolation,
+        )
+
+    def orthorectify(
+        self,
+        gsd: float | None = None,
+        *,
+        grid: Literal["flight", "north"] = "flight",
+        variables: Iterable[str] | None = None,
+        method: Literal["nearest", "bilinear"] = "nearest",
+        multi_hit: Literal["nadir", "first", "last"] = "nadir",
+        max_stretch: float = 20.0,
+        tile: int = 256,
+        bounds: Sequence[float] | None = None,
+        progress: Progress | None = None,
+        dims: Dims | None = None,
+        **location: Any,
+    ) -> xr.Dataset:
+        """Return the line as a map, located first where it is not; see `hyperpaint.orthorectify`."""
+        from .orthorectification import orthorectify
+
+        return orthorectify(
+            self._by_role(dims),
+            gsd,
+            grid=grid,
+            variables=variables,
+            method=method,
+            multi_hit=multi_hit,
+            max_stretch=max_stretch,
+            tile=tile,
+            bounds=bounds,
+            progress=progress,
+            **location,
         )
 
     def verify(self) -> StoreReport:

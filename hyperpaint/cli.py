@@ -15,6 +15,7 @@ import click
 from . import __version__
 from .console import FAILED_CHECK, Program, is_watched, listed, progress_bar
 from .export_command import export
+from .orthorectify_command import make_map
 from .paints_command import list_paints
 from .render_command import render
 from .report_command import make_report
@@ -37,6 +38,7 @@ Examples:
   hyperpaint calibrate sweep.zarr --out cal.zarr      a lab sweep to a calibration
   hyperpaint process collect.toml --out lot.zarr      raw counts to calibrated reflectance
   hyperpaint verify lot.zarr                          is every chunk of it there and right?
+  hyperpaint orthorectify lot.zarr --ground 152.4 --out map.tif   a map (see its --help for the camera)
   hyperpaint signatures lot.zarr --regions cars.geojson --out paints.zarr
   hyperpaint validate paints.zarr --reference 'svc/*.sig'
   hyperpaint export paints.zarr --format dirsig --out dirsig
@@ -505,6 +507,7 @@ def verify(ctx: click.Context, /, store: Path) -> None:
 
 main.add_command(export)
 main.add_command(list_paints)
+main.add_command(make_map)
 main.add_command(render)
 main.add_command(make_report)
 main.add_command(validate)

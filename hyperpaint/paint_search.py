@@ -14,6 +14,7 @@ from .colour_difference import ciede2000, lab_of, parse_colour
 from .errors import Problems, SchemaError
 from .plot_library import paint_colours
 from .schema import BAND, LIBRARY_VARIABLES, PAINT
+from .units import convert
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -23,6 +24,8 @@ __all__ = ["search_library"]
 Floats = npt.NDArray[np.float64]
 
 _FEWEST_BANDS = 5
+_WIDEST_STEP = 4.0
+"""Between two samples that are interpolated, in steps of those beside them."""
 _UMLAUTS = str.maketrans({"ä": "ae", "ö": "oe", "ü": "ue", "æ": "ae", "œ": "oe", "ø": "oe", "å": "aa"})
 
 
@@ -50,8 +53,8 @@ def search_library(
         from it in daylight.
     like
         A spectrum: the name of a paint of the library; a library with one paint; what a spectrometer's reader
-        returns, with one spectrum; a DataArray with a coordinate ``wavelength`` [nm]; or plain numbers, one a
-        band. Paints come in the order of their spectral angle to it.
+        returns, with one spectrum; a DataArray with a coordinate ``wavelength``, in nm where it has no units;
+        or plain numbers, one a band. Paints come in the order of their spectral angle to it.
     maximum_colour_difference
         Leave out what differs more [1], as CIEDE2000; 1 can just be seen, 10 is another shade. Needs
         ``colour``.
@@ -84,7 +87,8 @@ def search_library(
 
     over the good bands in which both have a value (Kruse et al., Remote Sens. Environ. 44, 145, 1993); it
     does not see by how much one is brighter. ``like`` is interpolated to the wavelengths of the library, as
-    far as it reaches. Colours outside of sRGB are compared as what a screen would show.
+    far as it reaches, and not across holes of more than four of its steps. Colours outside of sRGB are
+    compared as what a screen would show.
 
     Examples
     --------
@@ -235,10 +239,27 @@ def _one_spectrum(library: xr.Dataset, like: Any, nm: Floats) -> Floats:
     if spectrum.ndim != 1 or "wavelength" not in spectrum.coords:
         msg = f"like= has dims {like.dims} of sizes {like.shape}, expected one spectrum with its wavelength"
         raise SchemaError(msg)
-    own = np.asarray(spectrum["wavelength"].values, np.float64)
-    values = np.asarray(spectrum.values, np.float64)
+    axis = spectrum["wavelength"]
+    # what has no units is in nanometres, as the table has it
+    axis = convert(axis, "nm") if "units" in axis.attrs else axis
+    return _interpolated(nm, np.asarray(axis.values, np.float64), np.asarray(spectrum.values, np.float64))
+
+
+def _interpolated(nm: Floats, own: Floats, values: Floats) -> Floats:
+    """Return values at other wavelengths; NaN beyond their ends, and where they have a hole."""
+    order = np.argsort(own, kind="stable")
+    own, values = own[order], values[order]
+    usual = np.diff(own[np.isfinite(own)])
     known = np.isfinite(own) & np.isfinite(values)
-    order = np.argsort(own[known], kind="stable")
-    if not order.size:
+    at, values = own[known], values[known]
+    if at.size < 2:
         return np.full(nm.size, np.nan)
-    return np.interp(nm, own[known][order], values[known][order], left=np.nan, right=np.nan)
+    made = np.interp(nm, at, values, left=np.nan, right=np.nan)
+    steps = np.diff(at)
+    # detectors differ in their steps: a hole is wide beside its neighbours, on both sides
+    padded = np.pad(steps, 1, constant_values=np.inf)
+    beside = np.minimum(padded[:-2], padded[2:])
+    beside = np.maximum(np.where(np.isfinite(beside), beside, 0.0), np.median(usual))
+    step = np.clip(np.searchsorted(at, nm, side="left") - 1, 0, steps.size - 1)
+    inside_hole = (steps > _WIDEST_STEP * beside)[step] & (nm > at[step]) & (nm < at[step + 1])
+    return np.where(inside_hole, np.nan, made)

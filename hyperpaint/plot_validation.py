@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from .errors import SchemaError
+from .errors import Problems, SchemaError
 from .figures import label_for, new_figure, save_figure
 
 if TYPE_CHECKING:
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
     from .validation import Validation
 
-__all__ = ["MOST_PAIRS", "validation_figure"]
+__all__ = ["MOST_PAIRS", "check_picture", "validation_figure"]
 
 MOST_PAIRS = 24
 """Pairs of one figure at the most."""
@@ -23,6 +23,27 @@ MOST_PAIRS = 24
 _PANEL = (4.3, 3.3)  # [inch]
 _SIGNATURE, _REFERENCE, _DIFFERENCE = "#0072B2", "#D55E00", "#222222"
 _LEAST_SPAN = 0.005  # of the axis of differences
+
+
+def check_picture(path: Path) -> None:
+    """Refuse a place for a picture before anything is drawn.
+
+    Raises
+    ------
+    MissingExtraError
+        matplotlib is not installed.
+    SchemaError
+        A picture may not go there; all reasons are listed.
+    """
+    known = new_figure("a picture of a validation").canvas.get_supported_filetypes()
+    problems = Problems(f"the picture cannot be written to {path}", SchemaError)
+    if path.suffix.lower().removeprefix(".") not in known:
+        problems.add(f"expected a name that ends in one of {', '.join(f'.{each}' for each in sorted(known))}")
+    if path.is_dir():
+        problems.add("that is a folder; name a file in it, such as agreement.png")
+    if not path.absolute().parent.is_dir():
+        problems.add(f"there is no folder {path.absolute().parent}")
+    problems.raise_if_any()
 
 
 def validation_figure(

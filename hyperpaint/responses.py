@@ -28,6 +28,12 @@ GAUSSIAN_SIGMA = 1.0 / (2.0 * np.sqrt(2.0 * np.log(2.0)))
 _REACH = 2.2
 """Half support of a Gaussian line shape in FWHM; beyond it lie 2e-7 of its area."""
 
+_FINEST = 40.0
+"""Steps of the grid of responses per width of the narrowest channel."""
+
+_MOST_STEPS, _MOST_SAMPLES = 200_000, 100_000_000
+"""Of the grid of one band, alone and times the channels near it: widths some thousand times apart."""
+
 RIDGE = 1e-4
 """Ridge of the least squares, in units of the mean squared norm of a spectrometer response."""
 
@@ -235,6 +241,11 @@ def matching_operator(
     ridge
         Strength of the regularisation.
 
+    Raises
+    ------
+    SchemaError
+        Widths are so far apart that responses would need more samples than there is memory for.
+
     Notes
     -----
     With :math:`s_j` the responses of the channels and :math:`r` that of a band, all of unit area, the weights
@@ -258,7 +269,7 @@ def _remembered_operator(
     shifts = np.array(nodes)
     order = np.argsort(spectrometer.wavelength, kind="stable")
     centres, reach = spectrometer.wavelength[order], spectrometer.reach()[order]
-    step = min(spectrometer.fwhm.min(), imager.fwhm.min()) / 40.0
+    step = min(spectrometer.fwhm.min(), imager.fwhm.min()) / _FINEST
     shape = (shifts.size, imager.wavelength.size)
     weights = np.zeros((*shape, centres.size))
     misfit, noise_gain, coverage = np.full(shape, np.nan), np.full(shape, np.nan), np.zeros(shape)
@@ -267,6 +278,7 @@ def _remembered_operator(
     half = imager.reach() + np.ptp(shifts) / 2
     for band, centre in enumerate(imager.wavelength + (shifts.min() + shifts.max()) / 2):
         near = np.flatnonzero(np.abs(centres - centre) <= half[band] + 0.5 * reach)
+        _check_size((2.0 * half[band] + 4.0 * reach.max()) / step, near.size, spectrometer, imager)
         grid = np.arange(-half[band] - 2 * reach.max(), half[band] + 2 * reach.max() + step, step) + centre
         responses = np.stack([bands.on(grid, band) for bands in moved])
         inside = (grid >= centres[0]) & (grid <= centres[-1])
@@ -288,6 +300,16 @@ def _remembered_operator(
     for array in (weights, misfit, noise_gain, coverage):
         array.flags.writeable = False
     return Matching(weights, misfit, noise_gain, coverage)
+
+
+def _check_size(steps: float, channels: int, *responses: Responses) -> None:
+    if steps > _MOST_STEPS or steps * channels > _MOST_SAMPLES:
+        widths = np.concatenate([each.fwhm for each in responses])
+        msg = (
+            f"'fwhm' reaches from {widths.min():g} to {widths.max():g} nm: responses so far apart cannot be "
+            "matched; is a width wrong, or in another unit?"
+        )
+        raise SchemaError(msg)
 
 
 def _has_hole(centres: Float, centre: float, half: float, widest: float) -> bool:

@@ -280,6 +280,8 @@ _TABLE = (
     # --- where a cell of a map lies in its flight line
     Variable("glt_line", _CELL, "1", "float64", "Line that shows a cell, with the part of the way to the next"),
     Variable("glt_sample", _CELL, "1", "float64", "Column that shows a cell, with the part of the way to the next"),
+    Variable("nearest_line", _CELL, "1", "int32", "Line of the pixel nearest to a cell"),
+    Variable("nearest_sample", _CELL, "1", "int32", "Column of the pixel nearest to a cell"),
     Variable("hits", _CELL, "1", "uint16", "How often a flight line shows a cell"),
     Variable("gap", _CELL, "", "bool", "Whether nothing shows a cell between the ends of the lines"),
     # --- line shapes measured sample by sample (srf_shape = "tabulated")

@@ -93,6 +93,11 @@ without folder and suffix; --pairs says otherwise. Nothing is paired by likeness
     "--plot", "picture", metavar="PICTURE", type=click.Path(dir_okay=False, path_type=Path),
     help="Also draw spectra and differences (png, pdf ...).",
 )  # fmt: skip
+@click.option(
+    "--require-all",
+    is_flag=True,
+    help="Fail where any paint has no reference, not only one whose region names it.",
+)
 @click.option("--overwrite", is_flag=True, help="Replace a table that is there.")
 @click.pass_context
 def validate(
@@ -109,12 +114,17 @@ def validate(
 
     Both are brought to common bands with the responses of their channels. Prints, for every paint and part of
     the spectrum, bias, RMSE, MAE, spectral angle, scale and scale-free error, with uncertainties where they
-    are known; and what was not paired. Exit status 1 outside tolerance.
+    are known; and what was not paired. Exit status 1 outside tolerance, or where a reference is missing that
+    a region names, or a part has too few bands to judge.
     """
     from .validation_files import check_table, validate_files, write_table
 
     if out is not None:
         check_table(out, overwrite=overwrite)
+    if picture is not None:
+        from .plot_validation import check_picture
+
+        check_picture(picture)
     given = {name: value for name, value in options.items() if value is not None}
     found = validate_files(library, references, **given)
     click.echo(found.table())
@@ -127,6 +137,6 @@ def validate(
         validation_figure(found, picture)
         click.echo(f"look at it in {picture}")
     for problem in found.problems:
-        click.echo(f"outside tolerance: {problem}", err=True)
+        click.echo(f"not passed: {problem}", err=True)
     if not found.passed:
         ctx.exit(FAILED_CHECK)

@@ -169,6 +169,7 @@ def _as_json(found: Validation) -> str:
         "pairs": pairs,
         "unpaired_signatures": list(found.unpaired_signatures),
         "unpaired_references": list(found.unpaired_references),
+        "missing": list(found.missing),
     }
     return json.dumps(document, indent=2, ensure_ascii=False, allow_nan=False) + "\n"
 

@@ -55,7 +55,9 @@ def fly(
     attitude[:, 2] += heading
     along = np.radians(heading)
     way = SPEED * (time - time[-1] / 2)
-    position = np.stack([EAST + way * np.sin(along), NORTH + way * np.cos(along), np.full(lines, HEIGHT)], axis=-1)
+    position = np.stack(
+        [EAST + way * np.sin(along), NORTH + way * np.cos(along), np.full(lines, HEIGHT)], axis=-1
+    )
     roll, pitch, yaw = attitude.T
     turn = Rotation.from_euler("ZYX", np.stack([yaw, pitch, roll], axis=-1), degrees=True).as_matrix()
     across = (np.arange(columns) - (columns - 1) / 2) * GSD / HEIGHT
@@ -82,7 +84,7 @@ def located(flown: Flown, *, chunk: int | None = 32, **variables: Any) -> xr.Dat
     """Return a located line: places of its pixels, line times, and more variables."""
     dims = ("along_track", "cross_track")
     start = np.datetime64("2021-07-20T17:10:00", "ns")
-    lines, columns = flown.east.shape
+    lines = len(flown.east)
     attrs = {"units": "m", "crs": MAP}
     coords = {
         "east": (dims, flown.east, attrs),

@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib
 import inspect
 import itertools
+import json
 import re
 import sys
 from collections.abc import Iterator
@@ -15,7 +16,18 @@ import numpy as np
 import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
-MODULES = ("calibration", "dirsig", "graph", "import", "io", "kernels", "library", "pipeline", "render")
+MODULES = (
+    "calibration",
+    "dirsig",
+    "graph",
+    "import",
+    "io",
+    "kernels",
+    "library",
+    "orthorectification",
+    "pipeline",
+    "render",
+)
 
 
 def _benchmarks() -> Iterator[Any]:
@@ -92,3 +104,57 @@ def test_asv_takes_nothing_else_for_a_benchmark() -> None:
     found = [path.name for path in others if any(map(reserved.match, path.read_text().splitlines()))]
     assert others
     assert not found
+
+
+def _flagged_scenes(monkeypatch: pytest.MonkeyPatch) -> Any:
+    monkeypatch.syspath_prepend(str(ROOT))
+    return importlib.import_module("benchmarks.flagged_scenes")
+
+
+@pytest.mark.skipif(not (ROOT / "benchmarks").is_dir(), reason="installed without its benchmarks")
+def test_flags_are_counted_by_surface_and_apart_from_mixed_pixels(monkeypatch: pytest.MonkeyPatch) -> None:
+    scenes = _flagged_scenes(monkeypatch)
+    glint, shadow, adjacency, mixed = 64, 128, 256, 512
+    bits = np.array([[glint, 0, glint | mixed, glint], [shadow, shadow, adjacency, mixed]], np.uint16)
+    true = {
+        "glint": np.array([[0.03, 0.03, 0.03, 0.01], [0.0, 0.0, 0.0, 0.0]]),
+        "shadow": np.array([[0.0, 0.0, 0.0, 0.0], [0.2, 0.1, 0.0, 1.0]]),
+        "indirect": np.zeros((2, 4)),
+        "mixed": np.array([[False, False, True, True], [False, False, False, False]]),
+    }
+    surface = np.array([[0, 0, 0, 3], [4, 4, 0, 4]])
+    counts = scenes.count(bits, true, surface)
+    assert counts["glint, outside mixed pixels, coloured paint"] == (1, 1, 2)
+    assert counts["glint, outside mixed pixels, glass"] == (0, 1, 0)
+    assert counts["glint, with mixed pixels, all"] == (2, 3, 3)
+    assert counts["shadow, outside mixed pixels, ground"] == (1, 2, 1)
+    assert counts["shadow, with mixed pixels, all"] == (1, 2, 2)
+    assert counts["adjacency on clean paint"] == (1, 1, 3)
+    assert counts["mixed pixels"] == (1, 2, 2)
+    twice = scenes.total([counts, counts])
+    assert twice["pixels"] == (4, 4, 16)
+    rows = scenes.rows_of(twice)
+    assert "glint with mixed pixels all 0.667 0.667 6 6" in {" ".join(row.split()) for row in rows}
+    assert "33.33% of 6 pixels" in rows[-2]
+    assert scenes.precision_and_recall(0, 0, 4)[1] == 0.0
+
+
+@pytest.mark.skipif(not (ROOT / "benchmarks").is_dir(), reason="installed without its benchmarks")
+def test_flagged_scenes_runs_at_its_smallest_size(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A corner of a scene, with few rays: its truth is in the units of the thresholds."""
+    scenes = _flagged_scenes(monkeypatch)
+    cars = importlib.import_module("benchmarks.proposed_cars")
+    for name, value in {"LINES": 64, "COLUMNS": 96, "BANDS": 30}.items():
+        monkeypatch.setattr(cars, name, value)
+    line, sky = cars.render(1, False, 4, ("walls",))
+    true = scenes.true_layers(line, sky)
+    assert 0.05 < (true["shadow"] >= scenes.SHADOW).mean() < 0.9
+    assert 0.0 <= true["indirect"].min() <= np.median(true["indirect"]) < 0.1
+    assert true["glint"][np.isin(scenes.surfaces_of(line), [4])].max() < 0.02 < true["glint"].max()
+    assert scenes.main(["--seeds", "1", "--samples", "4", "--json", str(tmp_path / "made.json")]) in (0, 1)
+    assert "mixed_edge" in capsys.readouterr().out
+    made = json.loads((tmp_path / "made.json").read_text())
+    assert made["all"]["pixels"][2] == 64 * 96
+    assert made["all"] == made["scenes"]["1"]

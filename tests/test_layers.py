@@ -16,13 +16,14 @@ import hyperpaint
 
 ROOT = Path(hyperpaint.__file__).parent
 FOUNDATION = {"errors", "units", "schema", "budget"}
-SHARED = FOUNDATION | {"conventions", "responses", "sun"}
+SHARED = FOUNDATION | {"conventions", "mirrored_light", "responses", "sun"}
 LOWER: dict[str, set[str]] = {
     "errors": set(),
     "units": {"errors"},
     "dimensions": {"errors"},
     "quality_bits": set(),
     "conventions": {"errors"},
+    "mirrored_light": {"errors"},
     "variables": {"units"},
     "schema": {"errors", "units", "dimensions", "quality_bits", "variables"},
     "budget": {"errors", "units", "schema"},
@@ -44,13 +45,15 @@ SUBJECTS: dict[str, set[str]] = {
     "paper": set(),
     "validation": {"alignment"},
     "mixing": set(),
-    "regions": set(),
+    "regions": {"georeference"},
     "signatures": {"bands", "corrections", "radiometry", "regions", "slabs", "smoothing", "uncertainty"},
     "scene_model": {"slabs"},
     "flags": {"scene_model", "slabs"},
     "corrections": {"scene_model"},
     "proposals": {"flags", "regions", "scene_model", "slabs"},
     "georeference": {"slabs"},
+    "orthorectification": {"bands", "georeference", "radiometry"},
+    "navigation_checks": {"georeference", "synchrony"},
 }
 #: Whose loops a subject runs, again exactly.
 KERNELS: dict[str, set[str]] = {
@@ -61,6 +64,7 @@ KERNELS: dict[str, set[str]] = {
     "scene_model": {"kernels.segmentation", "kernels.unmixing"},
     "flags": {"kernels.unmixing"},
     "georeference": {"kernels.rays"},
+    "orthorectification": {"kernels.gathering", "kernels.inverse_map"},
 }
 #: Above the subjects: what is here imports of its like only what has a lower rank.
 RANKS = {
@@ -100,6 +104,8 @@ RANKS = {
     "report_command": 7,
     "validate_command": 7,
     "export_command": 7,
+    "maps": 4,
+    "orthorectify_command": 7,
     "paints_command": 7,
     "cli": 8,
     "__main__": 9,
@@ -179,7 +185,7 @@ def test_imports_go_one_way(name: str) -> None:
         assert all(target.startswith("kernels.transport.") for target in kernels)
     elif layer == "io":
         # readers hold no physics
-        assert found <= FOUNDATION | {"conventions"}
+        assert found <= FOUNDATION | {"conventions", "mirrored_light"}
     elif layer in SUBJECTS:
         assert found <= SHARED | SUBJECTS[layer] | {"kernels"}
     else:

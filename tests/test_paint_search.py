@@ -11,7 +11,8 @@ import xarray as xr
 from library_examples import make_library
 
 import hyperpaint as hp
-from hyperpaint.errors import SchemaError
+from hyperpaint.errors import SchemaError, UnitsError
+from hyperpaint.paint_search import _one_spectrum
 from hyperpaint.plot_library import paint_colours
 from hyperpaint.validation.agreement import statistics_of
 
@@ -175,3 +176,29 @@ def test_a_library_beyond_the_visible_has_no_colours() -> None:
     with pytest.raises(SchemaError, match="has a colour"):
         hp.search_library(infrared, colour="red")
     assert hp.search_library(infrared, like=RED, limit=1)["paint"].item() == RED
+
+
+def test_holes_of_a_spectrum_are_not_bridged(paints: xr.Dataset) -> None:
+    """Rationale: a straight line over 300 nm of a red paint is another paint."""
+    whole = paints.isel(paint=5).reflectance
+    for hole in (
+        whole.where(np.abs(whole.wavelength - 650.0) > 150.0),
+        whole[[*range(40), *range(200, 272)]],
+    ):
+        alike = hp.search_library(paints, like=hole, limit=1)
+        assert names(alike) == [RED]
+        assert float(alike.spectral_angle[0]) == pytest.approx(0.0, abs=1e-7)
+    # but a lost sample is what interpolation is for, and so are coarser detectors
+    sparse = whole.where(np.arange(272) % 9 != 4)[[*range(150), *range(150, 272, 6)]]
+    assert np.isfinite(_one_spectrum(paints, sparse, paints.wavelength.values)).mean() > 0.95
+
+
+def test_wavelengths_of_a_spectrum_have_units(paints: xr.Dataset) -> None:
+    nm = paints.wavelength.values
+    like = paints.reflectance[5].assign_coords(wavelength=("band", nm / 1000.0, {"units": "um"}))
+    found = hp.search_library(paints, like=like, limit=1)
+    assert names(found) == [RED]
+    assert float(found.spectral_angle[0]) == pytest.approx(0.0, abs=1e-5)
+    like.wavelength.attrs["units"] = "K"
+    with pytest.raises(UnitsError):
+        hp.search_library(paints, like=like)

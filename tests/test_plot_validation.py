@@ -11,7 +11,7 @@ from agreeing_spectra import NM, agreeing, field, library, seen
 
 import hyperpaint as hp
 from hyperpaint.errors import SchemaError
-from hyperpaint.plot_validation import MOST_PAIRS
+from hyperpaint.plot_validation import MOST_PAIRS, check_picture
 
 mpl.use("Agg")
 
@@ -66,3 +66,14 @@ def test_wrong_sizes() -> None:
     for wrong in ({"columns": 0}, {"limit": 0.0}, {"limit": float("nan")}):
         with pytest.raises(SchemaError, match="expected positive numbers"):
             hp.validation_figure(found, **wrong)
+
+
+def test_a_place_for_a_picture_is_refused_before_any_work(tmp_path: Path) -> None:
+    check_picture(tmp_path / "a.PNG")
+    for name, told in {
+        "a.nope": "ends in one of .*.pdf",
+        "a": "ends in one of",
+        "none/a.png": "no folder",
+    }.items():
+        with pytest.raises(SchemaError, match=told):
+            check_picture(tmp_path / name)

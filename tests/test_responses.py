@@ -140,3 +140,12 @@ def test_log_slope_is_found_and_leaves_bad_bands_out() -> None:
     responsivity[[3, 20, 21]] = [np.nan, 0.0, -1.0]
     np.testing.assert_allclose(log_slope(nm, responsivity, np.full(50, 9.0)), -0.012, rtol=1e-9)
     np.testing.assert_array_equal(log_slope(nm, np.full(50, np.nan), np.full(50, 9.0)), 0.0)
+
+
+@pytest.mark.parametrize(("narrow", "wide"), [(1e-7, 3.0), (1e-3, 3.0), (3.0, 1e6)])
+def test_widths_that_no_grid_holds_are_refused(narrow: float, wide: float) -> None:
+    widths = np.full(50, wide)
+    widths[25] = narrow
+    channels = Responses(np.linspace(400.0, 500.0, 50), widths)
+    with pytest.raises(SchemaError, match="responses so far apart cannot be matched"):
+        matching_operator(channels, Responses(np.array([450.0]), np.array([6.0])))

@@ -6,6 +6,8 @@ The simulator has its own geodesy, rotations and navigation; nothing of the way 
 from __future__ import annotations
 
 import importlib
+import sys
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -17,15 +19,19 @@ import hyperpaint as hp
 from hyperpaint.pipeline import process
 from hyperpaint.simulation import simulate_collect
 
-ROOT = Path(hp.__file__).parents[1]
+ROOT = Path(__file__).resolve().parents[1]
 pytestmark = pytest.mark.skipif(
     not (ROOT / "benchmarks").is_dir(), reason="installed without its benchmarks, which fit the corners"
 )
 
 
 @pytest.fixture(scope="module")
-def straightened() -> Any:
-    return importlib.import_module("benchmarks.straightened")
+def straightened() -> Iterator[Any]:
+    sys.path.insert(0, str(ROOT))
+    try:
+        yield importlib.import_module("benchmarks.straightened")
+    finally:
+        sys.path.remove(str(ROOT))
 
 
 @pytest.fixture(scope="module", params=["calm", "rough"])
@@ -45,6 +51,26 @@ def short(straightened: Any, tmp_path_factory: pytest.TempPathFactory) -> tuple[
         folder, "rough", lines=300, columns=320, frame_clock_offset_s=0.01, course=250.0, navigation_rate=200
     )
     return line, truth, folder / "rough"
+
+
+@pytest.mark.parametrize("shift", [(0.0, 0.0), (0.31, -0.17)])
+def test_finder_of_corners(straightened: Any, shift: tuple[float, float]) -> None:
+    """Expected: of a board drawn 10 x 10 times finer than its pixels, with noise, what it was shifted by."""
+    from benchmarks.saddle_points import misplacement
+
+    size, fine, gsd, turn = 200, 10, 0.008, np.radians(27.0)
+    x, y = (np.arange(size * fine) + 0.5) / fine * gsd, (np.arange(size * fine)[:, None] + 0.5) / fine * gsd
+    x, y = x - shift[0] * gsd - 0.8, -(y - shift[1] * gsd) + 0.8
+    u, v = x * np.sin(turn) + y * np.cos(turn), x * np.cos(turn) - y * np.sin(turn)
+    bright = (np.floor(u / 0.16) + np.floor(v / 0.16)) % 2
+    picture = bright.reshape(size, fine, size, fine).mean(axis=(1, 3))
+    picture += np.random.default_rng(0).normal(0.0, 0.01, picture.shape)
+    i, j = (n.ravel() * 0.16 for n in np.meshgrid(np.arange(-5, 6), np.arange(-5, 6)))
+    corners = i * np.sin(turn) + j * np.cos(turn), i * np.cos(turn) - j * np.sin(turn)
+    miss = misplacement(picture, (-0.8, gsd, 0.0, 0.8, 0.0, -gsd), *corners, 27.0, 0.16)
+    assert len(miss) > 60
+    np.testing.assert_allclose(miss.mean(axis=0), shift, atol=0.004)
+    assert miss.std(axis=0).max() < 0.02
 
 
 def test_pixels_are_where_they_are(flight: tuple[xr.Dataset, xr.Dataset], straightened: Any) -> None:

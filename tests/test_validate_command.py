@@ -112,7 +112,7 @@ def test_a_wrong_gain_fails(lot: Path, tmp_path: Path) -> None:
     words = ("validate", tmp_path / "bright.zarr", "--reference", lot / "raw/svc/*.sig")
     done = run(*words)
     assert done.exit_code == 1
-    assert "outside tolerance: " in done.stderr
+    assert "not passed: " in done.stderr
     assert run(*words, "--tolerance", "spectral_angle=0.03", "--tolerance", "scale=0.12").exit_code == 0
 
 
@@ -240,3 +240,30 @@ def test_messages_name_options_and_say_things_once(stored: Path, references: Pat
     assert done.exit_code == 2
     assert done.stderr.count("references cannot be opened") == 1
     assert "none.sig: cannot be read" in done.stderr
+
+
+def test_a_wrong_picture_is_refused_before_the_work(
+    stored: Path, references: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def work(*_: object, **__: object) -> None:
+        pytest.fail("the work was done first")
+
+    monkeypatch.setattr("hyperpaint.validation_files.validate_files", work)
+    done = run("validate", stored, "--reference", references, "--plot", tmp_path / "p.nope")
+    assert done.exit_code == 2
+    assert "expected a name that ends in one of" in done.stderr
+
+
+def test_what_is_not_judged_or_missing_is_exit_1(stored: Path, references: Path, tmp_path: Path) -> None:
+    words = ("validate", stored, "--reference", references)
+    assert run(*words, "--require-all").exit_code == 0
+    empty = run(*words, "--part", "SWIR=1500-1700")
+    assert empty.exit_code == 1
+    assert "not passed: hood against hood: SWIR (0 of 0 bands, too few to judge)" in empty.stderr
+    hp.to_store(library([seen(NM, 6.0)] * 2, ("hood", "roof")), tmp_path / "two.zarr")
+    more = ("validate", tmp_path / "two.zarr", "--reference", references)
+    assert run(*more).exit_code == 0
+    missing = run(*more, "--require-all")
+    assert missing.exit_code == 1
+    assert "not passed: roof: its reference is not there" in missing.stderr
+    assert "1 of 2 paints compared" in missing.stdout

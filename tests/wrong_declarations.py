@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 import xarray as xr
 from scipy.spatial.transform import Rotation
+from wobbly_flights import Flight
 
 from hyperpaint.conventions import Convention
-from wobbly_flights import Flight
 
 DECLARED = Convention(column_order="left_to_right", stamp_reference="mid")
 Made = tuple[xr.Dataset, xr.Dataset, Convention]
@@ -21,9 +21,15 @@ def _times(factor: float, *names: str) -> Callable[[xr.Dataset], xr.Dataset]:
     return lambda nav: nav.assign({name: nav[name] * factor for name in names})
 
 
+def _more(by: float, name: str) -> Callable[[xr.Dataset], xr.Dataset]:
+    return lambda nav: nav.assign({name: nav[name] + by})
+
+
 def _ordered(order: str) -> Callable[[xr.Dataset], xr.Dataset]:
     def made(nav: xr.Dataset) -> xr.Dataset:
-        turned = Rotation.from_euler("ZYX", np.stack([nav[n].values for n in ("heading", "pitch", "roll")], -1), degrees=True)
+        turned = Rotation.from_euler(
+            "ZYX", np.stack([nav[n].values for n in ("heading", "pitch", "roll")], -1), degrees=True
+        )
         angles = dict(zip(order, turned.as_euler(order, degrees=True).T, strict=True))
         return nav.assign(
             {n: ("navigation_time", angles[a]) for n, a in (("roll", "X"), ("pitch", "Y"), ("heading", "Z"))}
@@ -40,12 +46,12 @@ def _swapped(nav: xr.Dataset) -> xr.Dataset:
 RECORDS: dict[str, tuple[str, Callable[[xr.Dataset], xr.Dataset]]] = {
     "roll positive with the right wing up": ("roll_positive", _times(-1, "roll")),
     "pitch positive with the nose down": ("pitch_positive", _times(-1, "pitch")),
-    "heading counterclockwise": ("heading_positive", lambda n: n.assign(heading=(-n.heading) % 360)),
+    "heading counterclockwise": ("heading_positive", _times(-1, "heading")),
     "radians taken for degrees": ("angle_unit", _times(np.pi / 180, "roll", "pitch", "heading")),
     "rotations in the order XYZ": ("euler_order", _ordered("XYZ")),
     "rotations in the order ZXY": ("euler_order", _ordered("ZXY")),
-    "magnetic north, declination -11": ("heading_reference", lambda n: n.assign(heading=(n.heading + 11) % 360)),
-    "heights above a geoid at -32 m": ("height_reference", lambda n: n.assign(altitude=n.altitude + 32)),
+    "magnetic north, declination -11": ("heading_reference", _more(11.0, "heading")),
+    "heights above a geoid at -32 m": ("height_reference", _more(32.0, "altitude")),
     "latitude and longitude swapped": ("positions", _swapped),
 }  # fmt: skip
 

@@ -25,20 +25,21 @@ the last."""
 _EDGE = 1e-9
 """Part of a patch by which its lower edges reach out and its upper ones fall short, so that a centre on the
 edge of two belongs to one of them whatever is lost to rounding."""
+_OUTER = 1e-6
+"""By how much the outer edges of a line reach out: map coordinates far from their origin have lost that."""
 
 
 @kernel
 def _inside_patch(
     px: float, py: float, ax: float, ay: float, bx: float, by: float, cx: float, cy: float,
-    end_u: float, end_v: float,
+    start_u: float, start_v: float, end_u: float, end_v: float,
 ) -> tuple[bool, float, float]:  # fmt: skip
-    """Return whether p = u a + v b + u v c with u and v from 0 to 1, and these.
+    """Return whether p = u a + v b + u v c with u and v within limits, and these, from 0 to 1.
 
-    Of v remains a quadratic, whose roots are taken in the form that loses no digits; a step of Newton's
-    method takes out what rounding has left.
+    Without u there remains a quadratic in v, whose roots are taken in the form that loses no digits.
     """
-    k2 = bx * cy - by * cx
-    k1 = ax * by - ay * bx - px * cy + py * cx
+    k2 = by * cx - bx * cy
+    k1 = ax * by - ay * bx + px * cy - py * cx
     k0 = ay * px - ax * py
     inside = k1 * k1 - 4.0 * k2 * k0
     if not inside >= 0.0:
@@ -50,22 +51,34 @@ def _inside_patch(
             v = k0 / q
         elif root == 1 and k2 != 0.0:
             v = q / k2
-        if not (-0.01 < v < 1.01):
+        if not start_v <= v < end_v:
             continue
         jx, jy = ax + v * cx, ay + v * cy
-        if jx * jx + jy * jy == 0.0:
+        if jx == 0.0 and jy == 0.0:
             continue
         u = (px - v * bx) / jx if abs(jx) > abs(jy) else (py - v * by) / jy
-        kx, ky = bx + u * cx, by + u * cy
-        determinant = jx * ky - jy * kx
-        if determinant != 0.0:
-            fx = px - u * jx - v * bx
-            fy = py - u * jy - v * by
-            u += (fx * ky - fy * kx) / determinant
-            v += (jx * fy - jy * fx) / determinant
-        if -_EDGE <= u < end_u and -_EDGE <= v < end_v:
+        if start_u <= u < end_u:
             return True, min(max(u, 0.0), 1.0), min(max(v, 0.0), 1.0)
     return False, 0.0, 0.0
+
+
+@kernel
+def _nearest_corner(
+    px: float, py: float, ax: float, ay: float, bx: float, by: float, fx: float, fy: float
+) -> tuple[int, int]:
+    """Return which corner is nearest to p, in lines and columns from the first: that at 0, a, b or b + f."""
+    line, column = 0, 0
+    least = px * px + py * py
+    away = (px - ax) ** 2 + (py - ay) ** 2
+    if away < least:
+        least, column = away, 1
+    qx, qy = px - bx, py - by
+    away = qx * qx + qy * qy
+    if away < least:
+        least, line, column = away, 1, 0
+    if (qx - fx) ** 2 + (qy - fy) ** 2 < least:
+        line, column = 1, 1
+    return line, column
 
 
 @kernel
@@ -87,13 +100,16 @@ def _to_cells(east: Array, north: Array, frame: Array, x: Array, y: Array) -> tu
 def invert_lines(
     east: Array,
     north: Array,
+    east_before: Array,
+    north_before: Array,
     first: int,
     last: int,
     frame: Array,
+    corner: tuple[int, int],
     longest: float,
     rule: int,
-    line: Array,
-    sample: Array,
+    place: Array,
+    nearest: Array,
     rank: Array,
     hits: Array,
 ) -> None:
@@ -103,17 +119,23 @@ def invert_lines(
     ----------
     east, north : (line, column), float64
         Where the pixels of lines that follow one another lie on the map [m]; NaN where that is not known.
+    east_before, north_before : (column,), float64
+        The same of the line before; NaN where there is none.
     first, last
         Number of the first of these lines, and of the last line of the flight.
     frame : (6,), float64
-        East and north of the centre of the tile's first cell [m]; then what turns metres from there into
+        East and north of the centre of the map's first cell [m]; then what turns metres from there into
         columns of cells, and into rows of cells, each by its part per metre east and north.
+    corner
+        Row and column of the tile's first cell on the map.
     longest
         Edge from which a patch is a gap, and covers nothing [cell].
     rule
         `NADIR`, `FIRST` or `LAST`.
-    line, sample : (row, col), float64
-        Place in the flight line, written where a patch covers a cell that has none yet or a worse one.
+    place : (2, row, col), float64
+        Line and column of every cell, written where a patch covers one that has none yet or a worse one.
+    nearest : (2, row, col), int32
+        Line and column of the one of the patch's four pixels that lies nearest to the cell.
     rank : (row, col), float64
         What cells are compared by, the least wins; infinite where nothing has covered them.
     hits : (row, col), uint16
@@ -123,76 +145,83 @@ def invert_lines(
     -----
     Lines may go back over themselves: every patch is visited, whichever way round it lies.
     """
-    rows, cols = line.shape
+    first_row, first_col = corner
+    last_row, last_col = first_row + hits.shape[0] - 1.0, first_col + hits.shape[1] - 1.0
     columns = east.shape[1]
-    middle = 0.5 * (columns - 1)
     x0, y0, x1, y1 = np.empty(columns), np.empty(columns), np.empty(columns), np.empty(columns)
-    low0, high0 = _to_cells(east[0], north[0], frame, x0, y0)
-    for i in range(1, east.shape[0]):
+    box = np.empty((5, columns))
+    low0, high0 = _to_cells(east_before, north_before, frame, x0, y0)
+    for i in range(east.shape[0]):
         low1, high1 = _to_cells(east[i], north[i], frame, x1, y1)
-        end_v = 1.0 + _EDGE if first + i == last else 1.0 - _EDGE
-        if max(high0, high1) >= -_EDGE and min(low0, low1) <= rows - 1 + _EDGE:
+        start_v = -_OUTER if first + i == 1 else -_EDGE
+        end_v = 1.0 + _OUTER if first + i == last else 1.0 - _EDGE
+        if low0 <= high0 and low1 <= high1 and max(high0, high1) >= first_row and min(low0, low1) <= last_row:
+            for j in range(columns):
+                box[0, j], box[1, j] = min(x0[j], x1[j]) - _OUTER, max(x0[j], x1[j]) + _OUTER
+                box[2, j], box[3, j] = min(y0[j], y1[j]) - _OUTER, max(y0[j], y1[j]) + _OUTER
+                box[4, j] = x0[j] + y0[j] + x1[j] + y1[j]
             for j in range(columns - 1):
-                left = min(min(x0[j], x0[j + 1]), min(x1[j], x1[j + 1]))
-                right = max(max(x0[j], x0[j + 1]), max(x1[j], x1[j + 1]))
-                upper = min(min(y0[j], y0[j + 1]), min(y1[j], y1[j + 1]))
-                lower = max(max(y0[j], y0[j + 1]), max(y1[j], y1[j + 1]))
-                if right < -_EDGE or lower < -_EDGE or left > cols - 1 + _EDGE or upper > rows - 1 + _EDGE:
+                if not abs(box[4, j] + box[4, j + 1]) < math.inf:  # a corner is not known
+                    continue
+                left, right = min(box[0, j], box[0, j + 1]), max(box[1, j], box[1, j + 1])
+                upper, lower = min(box[2, j], box[2, j + 1]), max(box[3, j], box[3, j + 1])
+                top, beside = math.ceil(max(upper, first_row)), math.ceil(max(left, first_col))
+                if top > min(lower, last_row) or beside > min(right, last_col):  # no centre in between
                     continue
                 ax, ay = x0[j + 1] - x0[j], y0[j + 1] - y0[j]
                 bx, by = x1[j] - x0[j], y1[j] - y0[j]
-                cx, cy = x1[j + 1] - x1[j] - ax, y1[j + 1] - y1[j] - ay
-                far_x, far_y = x1[j + 1] - x0[j + 1], y1[j + 1] - y0[j + 1]
-                edge = max(
-                    max(ax * ax + ay * ay, bx * bx + by * by),
-                    max((ax + cx) ** 2 + (ay + cy) ** 2, far_x * far_x + far_y * far_y),
-                )
-                # a corner that is not known makes the sum NaN, whatever a comparison makes of it
-                if not ax + ay + bx + by + cx + cy <= math.inf or not edge <= longest * longest:
+                fx, fy = x1[j + 1] - x1[j], y1[j + 1] - y1[j]
+                gx, gy = x1[j + 1] - x0[j + 1], y1[j + 1] - y0[j + 1]
+                near = max(ax * ax + ay * ay, bx * bx + by * by)
+                edge = max(near, max(fx * fx + fy * fy, gx * gx + gy * gy))
+                if edge > longest * longest:
                     continue
-                end_u = 1.0 + _EDGE if j == columns - 2 else 1.0 - _EDGE
-                for row in range(
-                    max(0, math.ceil(upper - _EDGE)), min(rows - 1, math.floor(lower + _EDGE)) + 1
-                ):
-                    for col in range(
-                        max(0, math.ceil(left - _EDGE)), min(cols - 1, math.floor(right + _EDGE)) + 1
-                    ):
+                start_u = -_OUTER if j == 0 else -_EDGE
+                end_u = 1.0 + _OUTER if j == columns - 2 else 1.0 - _EDGE
+                for row in range(top, math.floor(min(lower, last_row)) + 1):
+                    for col in range(beside, math.floor(min(right, last_col)) + 1):
+                        px, py = col - x0[j], row - y0[j]
                         found, u, v = _inside_patch(
-                            col - x0[j], row - y0[j], ax, ay, bx, by, cx, cy, end_u, end_v
+                            px, py, ax, ay, bx, by, fx - ax, fy - ay, start_u, start_v, end_u, end_v
                         )
                         if not found:
                             continue
-                        if hits[row, col] < 65535:
-                            hits[row, col] += 1
-                        here_line, here_sample = first + i - 1 + v, j + u
-                        worth = abs(here_sample - middle)
+                        r, c = row - first_row, col - first_col
+                        if hits[r, c] < 65535:
+                            hits[r, c] += 1
+                        line, sample = first + i - 1 + v, j + u
+                        worth = abs(sample - 0.5 * (columns - 1))
                         if rule == FIRST:
-                            worth = here_line
+                            worth = line
                         elif rule == LAST:
-                            worth = -here_line
-                        if worth < rank[row, col]:
-                            rank[row, col] = worth
-                            line[row, col] = here_line
-                            sample[row, col] = here_sample
+                            worth = -line
+                        if worth < rank[r, c]:
+                            rank[r, c] = worth
+                            place[0, r, c] = line
+                            place[1, r, c] = sample
+                            down, aside = _nearest_corner(px, py, ax, ay, bx, by, fx, fy)
+                            nearest[0, r, c] = first + i - 1 + down
+                            nearest[1, r, c] = j + aside
         x0, x1 = x1, x0
         y0, y1 = y1, y0
         low0, high0 = low1, high1
 
 
 @kernel
-def fill_between(ends: Array, frame: Array, inside: Array) -> None:
+def fill_between(ends: Array, frame: Array, corner: tuple[int, int], inside: Array) -> None:
     """Mark the cells that lie between the ends of lines that follow one another.
 
     Parameters
     ----------
     ends : (pair, 4, 2), float64
         East and north of the corners of the area between two lines, in the order around it [m].
-    frame
+    frame, corner
         See `invert_lines`.
     inside : (row, col), bool
         Set where the centre of a cell lies in one of the areas.
     """
-    rows, cols = inside.shape
+    first_row, first_col = corner
+    last_row, last_col = first_row + inside.shape[0] - 1.0, first_col + inside.shape[1] - 1.0
     x, y, crossing = np.empty(4), np.empty(4), np.empty(4)
     for pair in range(ends.shape[0]):
         low, high = math.inf, -math.inf
@@ -201,9 +230,9 @@ def fill_between(ends: Array, frame: Array, inside: Array) -> None:
             x[k] = frame[2] * e + frame[3] * n
             y[k] = frame[4] * e + frame[5] * n
             low, high = min(low, y[k]), max(high, y[k])
-        if not (high >= 0.0 and low <= rows - 1):
+        if not (high >= first_row and low <= last_row):
             continue
-        for row in range(max(0, math.ceil(low)), min(rows - 1, math.floor(high)) + 1):
+        for row in range(math.ceil(max(low, first_row)), math.floor(min(high, last_row)) + 1):
             count = 0
             for k in range(4):
                 k1 = (k + 1) % 4
@@ -216,9 +245,9 @@ def fill_between(ends: Array, frame: Array, inside: Array) -> None:
                     crossing[place] = at
                     count += 1
             for k in range(0, count - 1, 2):
-                if crossing[k] > cols - 1 or crossing[k + 1] < 0.0:
+                if crossing[k] > last_col or crossing[k + 1] < first_col:
                     continue
                 for col in range(
-                    max(0, math.ceil(crossing[k])), min(cols - 1, math.floor(crossing[k + 1])) + 1
+                    math.ceil(max(crossing[k], first_col)), math.floor(min(crossing[k + 1], last_col)) + 1
                 ):
-                    inside[row, col] = True
+                    inside[row - first_row, col - first_col] = True

@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hyperpaint.errors import PaintWarning, Problems, SchemaError
+from hyperpaint.mirrored_light import EXCLUDED, mirror_reflection
 from hyperpaint.schema import BAND
 
 from .kubelka_munk import Interface, absorption_to_scattering, thick_layer_reflectance
@@ -65,8 +66,9 @@ class Coating:
         high = ~low & (layer > 1.0)
         self._refuse_dark(values < self.mirrored, np.isfinite(values), names)
         if low.any() or high.any():
+            known = int(np.isfinite(values).sum())
             msg = (
-                f"{int(low.sum())} of {values.size} reflectances are darker than any layer of paint under an "
+                f"{int(low.sum())} of {known} reflectances are darker than any layer of paint under an "
                 f"interface with k1 = {self.interface.k1:g}, {int(high.sum())} brighter; they were replaced "
                 f"by what is nearest, of R_inf = {BLACKEST:g} and 1"
             )
@@ -115,13 +117,13 @@ def coating_of(library: xr.Dataset, k1: float, k2: float, mirrored: Any) -> Coat
     """
     interface = Interface(k1, k2)
     problems = Problems("the light that the coat mirrors is not known", SchemaError)
-    attrs = library["reflectance"].attrs
-    said = attrs.get("mirror_reflection")
-    if said not in (None, "included", "excluded"):
-        problems.add(f"reflectance.attrs['mirror_reflection'] is {said!r}, expected 'included' or 'excluded'")
-    apart = "specular_reflectance" in library.variables or "mirrored_sky_removed" in attrs
+    told = None
+    try:
+        told = mirror_reflection(library)
+    except SchemaError as error:
+        problems.add(str(error))
     if mirrored is None:
-        mirrored = 0.0 if said == "excluded" or (said is None and apart) else k1
+        mirrored = 0.0 if told == EXCLUDED else k1
     values = np.asarray(mirrored, np.float64)
     if values.shape not in ((), (library.sizes[BAND],)):
         problems.add(f"mirrored= has shape {values.shape}, expected a number or one a band")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import warnings
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -10,11 +11,11 @@ import numpy as np
 import numpy.typing as npt
 
 from hyperpaint import schema
-from hyperpaint.errors import Problems, SchemaError
-from hyperpaint.schema import BAND, MEMBER, PAINT
+from hyperpaint.errors import PaintWarning, Problems, SchemaError
+from hyperpaint.schema import PAINT
 
 from .coated import coating_of
-from .synthetic import SPECULAR, synthetic_library
+from .synthetic import MEMBERS, SPECULAR, specular_of, synthetic_library
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -66,7 +67,8 @@ def mix_paints(
     Dataset
         A paint library with ``reflectance`` (paint, band), float32 [1], 0 to 1; mirrored light is in it as it
         is in the library. ``member_reflectance`` (paint, member, band), where all parents have some: the
-        first of each parent are mixed, then the second; with ``reflectance_sd`` and
+        first of each parent are mixed, then the second, as far as the parent with the fewest has some; NaN
+        beyond; with ``reflectance_sd`` and
         ``reflectance_quantiles``. Coordinates ``provenance`` ("synthetic"),
         ``parents``, ``weights`` (JSON, normalised to 1) and ``method`` (paint).
 
@@ -82,7 +84,8 @@ def mix_paints(
     Warns
     -----
     PaintWarning
-        Some reflectances no such layer can have; they are replaced by the nearest.
+        Some reflectances no such layer can have, or of areas are outside 0 to 1; they are replaced by the
+        nearest. Parents of a paint have different numbers of members.
 
     Notes
     -----
@@ -116,7 +119,8 @@ def mix_paints(
     made = {SPECULAR: _averaged(weights, values[SPECULAR])} if SPECULAR in values else {}
     told: dict[str, Any] = {}
     if method == "linear":
-        mix = {name: _averaged(weights, array) for name, array in values.items() if name != SPECULAR}
+        areas = {name: _averaged(weights, array) for name, array in values.items() if name != SPECULAR}
+        mix = {name: _clipped(array) for name, array in areas.items()}
     else:
         coating = coating_of(library, k1, k2, mirrored)
         scatter = np.array([(scattering or {}).get(name, 1.0) for name in parents])
@@ -127,7 +131,10 @@ def mix_paints(
             if name != SPECULAR
         }
         told = {"k1": k1, "k2": k2, "scattering": "equal" if scattering is None else _listed(scattering)}
-    return synthetic_library(library, list(shares), made | mix, list(shares.values()), method, **told)
+    if MEMBERS in values:
+        _tell_of_partners(weights > 0.0, values[MEMBERS])
+    values = _trimmed(made | mix)
+    return synthetic_library(library, list(shares), values, list(shares.values()), method, **told)
 
 
 def shade_paints(
@@ -200,7 +207,7 @@ def shade_paints(
         made[name] = coating.reflectance(np.repeat(coating.ratio(array, names), factors.size, axis=0) * scale)
     shades = [f"{name} x {depth:g}" for name in names for depth in factors.tolist()]
     parents = [{name: 1.0} for name in names for _ in factors]
-    shaded = synthetic_library(library, shades, made, parents, "kubelka-munk shade", k1=k1, k2=k2)
+    shaded = synthetic_library(library, shades, _trimmed(made), parents, "kubelka-munk shade", k1=k1, k2=k2)
     told = {"long_name": "Pigment relative to that of the parent", "units": "1"}
     return shaded.assign_coords(depth=(PAINT, np.tile(factors, count), told))
 
@@ -230,19 +237,58 @@ def _spectra(library: xr.Dataset, parents: list[str] | None) -> dict[str, Floats
     if parents is not None:
         known = [str(name) for name in library[PAINT].values]
         library = library.isel({PAINT: [known.index(name) for name in parents]})
-    some = [name for name in ("member_reflectance",) if name in library.variables]
+    some = [name for name in (MEMBERS,) if name in library.variables]
     found = schema.require(library, ["reflectance", *some], "new paints", schema.LIBRARY_VARIABLES)
     made = {name: np.asarray(array.values, np.float64) for name, array in found.items()}
     if SPECULAR in library.variables:
-        made[SPECULAR] = np.asarray(library[SPECULAR].transpose(PAINT, BAND).values, np.float64)
+        made[SPECULAR] = np.asarray(specular_of(library), np.float64)
     if some:
-        known_members = np.isfinite(made["member_reflectance"]).any(axis=2)
-        # padding is at the end: as many as the paint with the fewest has
-        fewest = int(known_members.sum(axis=1).min(initial=library.sizes[MEMBER]))
-        made["member_reflectance"] = made["member_reflectance"][:, :fewest]
-        if not fewest:
-            del made["member_reflectance"]
+        # members are mixed by their turn: what is none comes after them all
+        absent = ~np.isfinite(made[MEMBERS]).any(axis=2)
+        order = np.argsort(absent, axis=1, kind="stable")[:, :, np.newaxis]
+        made[MEMBERS] = np.take_along_axis(made[MEMBERS], order, axis=1)
     return made
+
+
+def _trimmed(values: dict[str, Floats]) -> dict[str, Floats]:
+    """Return spectra without what no paint has of members."""
+    if MEMBERS not in values:
+        return values
+    most = int(np.isfinite(values[MEMBERS]).any(axis=2).sum(axis=1).max(initial=0))
+    others = {name: array for name, array in values.items() if name != MEMBERS}
+    return {**others, MEMBERS: values[MEMBERS][:, :most]} if most else others
+
+
+def _tell_of_partners(taken: npt.NDArray[np.bool_], members: Floats) -> None:
+    """Warn of members that the other parents of a paint have none for.
+
+    Parameters
+    ----------
+    taken
+        Whether a paint has a parent (new, parent).
+    members
+        Of the parents (parent, member, band).
+    """
+    counts = np.isfinite(members).any(axis=2).sum(axis=1)
+    alone = np.array([int((counts[own] - counts[own].min()).sum()) for own in taken])
+    if alone.any():
+        msg = (
+            f"{alone.sum()} members of the parents of {int((alone > 0).sum())} of {len(alone)} paints have "
+            "no partner and were left out; for more, draw as many of each parent first, with sample_paints"
+        )
+        warnings.warn(msg, PaintWarning, stacklevel=3)
+
+
+def _clipped(reflectance: Floats) -> Floats:
+    """Return reflectance from 0 to 1; warn where it was none."""
+    outside = int(((reflectance < 0.0) | (reflectance > 1.0)).sum())
+    if outside:
+        known = int(np.isfinite(reflectance).sum())
+        msg = (
+            f"{outside} of {known} reflectances are outside 0 to 1 and were clipped, as noise is; check scale"
+        )
+        warnings.warn(msg, PaintWarning, stacklevel=4)
+    return np.clip(reflectance, 0.0, 1.0)
 
 
 def _checked(

@@ -13,7 +13,7 @@ from hyperpaint import schema
 from hyperpaint.errors import PaintWarning, Problems, SchemaError
 from hyperpaint.schema import BAND, MEMBER, PAINT
 
-from .synthetic import SPECULAR, synthetic_library
+from .synthetic import SPECULAR, specular_of, synthetic_library
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -24,7 +24,11 @@ Floats = npt.NDArray[np.float64]
 Form = Literal["members", "paints"]
 
 _MARGIN = 0.005
-"""How far beyond 0 and 1 noise may be [1]: there the scale of the logit is still that of reflectance."""
+"""How far beyond 0 and 1 the logit begins at least [1]."""
+
+_NOISE = 6.0
+"""Spreads of a population that its median keeps from where the logit begins, which is nearly linear then:
+with 4, noise as large as the reflectance grows by 16 %; with 8, what shade takes is no longer a factor."""
 
 _METHOD = "smoothed bootstrap of principal components of logit reflectance"
 
@@ -67,21 +71,25 @@ def sample_paints(
     Warns
     -----
     PaintWarning
-        Members were left out for what they lack, or lie outside 0 to 1 beyond what is noise.
+        Members were left out for what they lack, or lie outside 0 to 1 by more than 0.005.
 
     Notes
     -----
-    Members are brought to an unbounded scale, :math:`z = \ln(R + m) / (1 + m - R)` with m = 0.005, and their
-    principal components found. A variant is a member chosen at random, moved along all components at random,
-    and drawn towards the mean, so that mean and covariance stay those of the members (Silverman, Density
-    Estimation, 1986, section 6.4.1):
+    Members are brought to an unbounded scale, :math:`z = \ln((R + m) / (1 + m' - R))`, and their principal
+    components found. The margins m and m' of a band are 0.005, or more where the population is noise about 0
+    or 1: the median is six spreads (1.4826 times the median absolute deviation) away from either end. A
+    variant is a member chosen at random, moved along all components at random, and drawn towards the mean, so
+    that mean and covariance stay nearly those of the members (Silverman, Density Estimation, 1986, section
+    6.4.1):
 
     .. math:: z = \bar z + \frac{(z_I - \bar z) + h \epsilon}{\sqrt{1 + h^2}},
               \qquad \epsilon \sim N(0, \Sigma), \qquad h = \left(\frac{4}{n (d + 2)}\right)^{1 / (d + 4)}
 
     d is the number of components that matter, :math:`(\sum \lambda)^2 / \sum \lambda^2`. Tails and groups of
-    the population stay, blurred, which a normal distribution would lose. Bands that half of the members lack
-    are NaN.
+    the population stay, blurred, which a normal distribution would lose. No variant is more than h standard
+    deviations beyond the members of a band, nor outside 0 to 1: what is below becomes 0, which lifts the mean
+    of a black paint's variants. The standard deviation of noise as large as the reflectance grows by up to a
+    tenth. Bands that half of the members lack are NaN.
 
     Examples
     --------
@@ -107,7 +115,10 @@ def sample_paints(
         drawn[number][:, bands] = draw_variants(whole, count, rng, bandwidth)
     problems.raise_if_any()
     if left_out or outside:
-        msg = f"{left_out} members lack bands and were left out; {outside} values outside 0 to 1 were clipped"
+        msg = (
+            f"{left_out} members lack bands and were left out; {outside} values outside 0 to 1 by more than "
+            f"{_MARGIN:g}, where variants end"
+        )
         warnings.warn(msg, PaintWarning, stacklevel=2)
     return _library(library, drawn, form, seed)
 
@@ -119,8 +130,9 @@ def draw_variants(
 
     See `sample_paints`.
     """
-    inside = np.clip(members, -0.8 * _MARGIN, 1.0 + 0.8 * _MARGIN)
-    logit = np.log((inside + _MARGIN) / (1.0 + _MARGIN - inside))
+    below, above = _margins(members)
+    inside = np.clip(members, -0.8 * below, 1.0 + 0.8 * above)
+    logit = np.log((inside + below) / (1.0 + above - inside))
     mean = logit.mean(axis=0)
     size = len(logit)
     _, spread, components = np.linalg.svd(logit - mean, full_matrices=False)
@@ -134,7 +146,23 @@ def draw_variants(
     scale = np.sqrt(size / (size - 1.0) / (1.0 + bandwidth**2))
     varied = mean + scale * (chosen + bandwidth * moved)
     share = 0.5 * (1.0 + np.tanh(0.5 * varied))  # the logistic function, without overflow
-    return np.asarray(np.clip(share * (1.0 + 2.0 * _MARGIN) - _MARGIN, 0.0, 1.0))
+    made = share * (1.0 + below + above) - below
+    # the tails of a logit near its ends are longer than those of what is measured
+    centre, beyond = inside.mean(axis=0), bandwidth * inside.std(axis=0)
+    wider = np.sqrt(size / (size - 1.0))
+    low = centre + wider * (inside.min(axis=0) - centre) - beyond
+    high = centre + wider * (inside.max(axis=0) - centre) + beyond
+    return np.asarray(np.clip(np.clip(made, low, high), 0.0, 1.0))
+
+
+def _margins(members: Floats) -> tuple[Floats, Floats]:
+    """Return how far below 0, and above 1, the logit of a band begins (band,) [1]."""
+    middle = np.median(members, axis=0)
+    # of a normal distribution, its standard deviation, which single members do not change
+    spread = 1.4826 * np.median(np.abs(members - middle), axis=0)
+    return np.maximum(_MARGIN, _NOISE * spread - middle), np.maximum(
+        _MARGIN, _NOISE * spread - (1.0 - middle)
+    )
 
 
 def _members(library: xr.Dataset, count: int, form: str, bandwidth: float | None) -> npt.NDArray[np.float32]:
@@ -176,7 +204,7 @@ def _library(library: xr.Dataset, drawn: npt.NDArray[np.float32], form: str, see
         names = [f"{name} (synthetic {at % count + 1})" for at, name in enumerate(parents)]
         values = {"reflectance": drawn.reshape(-1, drawn.shape[2])}
     if SPECULAR in library.variables:
-        values[SPECULAR] = library[SPECULAR].transpose(PAINT, BAND).values[which]
+        values[SPECULAR] = specular_of(library)[which]
     made = synthetic_library(library, names, values, [{name: 1.0} for name in parents], _METHOD, seed=seed)
     about = {
         name: (PAINT, array.values[which], array.attrs)

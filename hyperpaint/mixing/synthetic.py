@@ -10,11 +10,15 @@ import numpy as np
 import numpy.typing as npt
 
 from hyperpaint.schema import BAND, LIBRARY_VARIABLES, MEMBER, PAINT, QUANTILE
+from hyperpaint.units import convert
 
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["SPECULAR", "synthetic_library", "text_column"]
+__all__ = ["MEMBERS", "SPECULAR", "specular_of", "synthetic_library", "text_column"]
+
+MEMBERS = "member_reflectance"
+"""Single pixels of a paint, or variants (paint, member, band)."""
 
 SPECULAR = "specular_reflectance"
 """What a coat mirrors (paint, band), which not every library has."""
@@ -24,14 +28,14 @@ _DIMS = {
     "reflectance_sd": (PAINT, BAND),
     "reflectance_quantiles": (PAINT, QUANTILE, BAND),
     SPECULAR: (PAINT, BAND),
-    "member_reflectance": (PAINT, MEMBER, BAND),
+    MEMBERS: (PAINT, MEMBER, BAND),
 }
 _MEANINGS = {
     "reflectance": "Reflectance of a synthetic paint",
     "reflectance_sd": "Standard deviation of reflectance over the members",
     "reflectance_quantiles": "Quantiles of reflectance over the members",
     SPECULAR: "Reflectance of the clear coat and of flakes, near the mirror direction",
-    "member_reflectance": "Reflectance of synthetic variants of a paint",
+    MEMBERS: "Reflectance of synthetic variants of a paint",
 }
 QUANTILES = (0.05, 0.25, 0.5, 0.75, 0.95)
 """Those of signatures."""
@@ -45,6 +49,17 @@ def text_column(texts: Sequence[str]) -> npt.NDArray[np.object_]:
     made = np.empty(len(texts), object)
     made[:] = list(texts)
     return made
+
+
+def specular_of(library: xr.Dataset) -> npt.NDArray[Any]:
+    """Return what the coats of a library mirror (paint, band) [1].
+
+    Raises
+    ------
+    UnitsError
+        Its units are missing or cannot be read.
+    """
+    return np.asarray(convert(library[SPECULAR], "1").transpose(PAINT, BAND).values)
 
 
 def synthetic_library(
@@ -75,8 +90,8 @@ def synthetic_library(
     import xarray as xr
 
     made = xr.Dataset()
-    if "member_reflectance" in values and values["member_reflectance"].shape[1] > 1:
-        values = {**values, **_spread(values["member_reflectance"])}
+    if MEMBERS in values and values[MEMBERS].shape[1] > 1:
+        values = {**values, **_spread(values[MEMBERS])}
         made = made.assign_coords(
             {QUANTILE: (QUANTILE, np.array(QUANTILES), LIBRARY_VARIABLES[QUANTILE].attrs)}
         )
@@ -110,12 +125,28 @@ def synthetic_library(
 
 
 def _spread(members: npt.NDArray[Any]) -> dict[str, npt.NDArray[Any]]:
-    """Return how far members (paint, member, band) are apart."""
+    """Return how far members (paint, member, band) are apart; NaN of fewer than two, or one."""
     # one paint after the other: a copy of all members would double the memory
+    made = [_spread_of_paint(one[np.isfinite(one).any(axis=1)]) for one in members]
     return {
-        "reflectance_sd": np.stack([np.std(one, axis=0, ddof=1, dtype=np.float64) for one in members]),
-        "reflectance_quantiles": np.stack([np.quantile(one, QUANTILES, axis=0) for one in members]),
+        "reflectance_sd": np.stack([sd for sd, _ in made]),
+        "reflectance_quantiles": np.stack([quantiles for _, quantiles in made]),
     }
+
+
+def _spread_of_paint(members: npt.NDArray[Any]) -> tuple[npt.NDArray[Any], npt.NDArray[Any]]:
+    """Return standard deviation (band,) and quantiles (quantile, band) of members, band by band."""
+    known = np.isfinite(members).sum(axis=0)
+    sd = np.full(known.size, np.nan)
+    quantiles = np.full((len(QUANTILES), known.size), np.nan)
+    # the variants of numpy that pass over NaN are slower by far
+    whole = bool(known.size) and bool((known == len(members)).all())
+    sd_of, quantile_of = (np.std, np.quantile) if whole else (np.nanstd, np.nanquantile)
+    if (two := known > 1).any():
+        sd[two] = sd_of(members[:, two], axis=0, ddof=1, dtype=np.float64)
+    if (one := known > 0).any():
+        quantiles[:, one] = quantile_of(members[:, one], QUANTILES, axis=0)
+    return sd, quantiles
 
 
 def _json(value: Any) -> str:

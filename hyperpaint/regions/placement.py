@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -142,7 +143,9 @@ def _on_sensor(region: Region, shape: tuple[int, int]) -> Pixels:
 
 
 def _on_map(regions: Regions, line: xr.Dataset, shape: tuple[int, int]) -> list[Pixels]:
-    x, y = _ground(line, regions.crs)
+    x, y, source = _ground(line, regions.crs)
+    if source is not None and regions.crs is not None:
+        regions = _moved(regions, source)
     parts: list[list[Pixels]] = [[] for _ in regions]
     for start, stop in _blocks(0, shape[0], shape[1]):
         rows = {ALONG_TRACK: slice(start, stop)}
@@ -189,8 +192,28 @@ def _joined(parts: Sequence[Pixels]) -> Pixels:
 # --- places on the ground ----------------------------------------------------------------------------------
 
 
-def _ground(line: xr.Dataset, crs: str | None) -> tuple[xr.DataArray, xr.DataArray]:
-    """Return x and y of every pixel on the ground, in the regions' reference system."""
+def _moved(regions: Regions, crs: str) -> Regions:
+    """Return regions in another reference system; corners are moved, and edges are straight there."""
+    from hyperpaint.georeference.geodesy import between_maps, crs_of
+
+    # in GeoJSON longitude comes first, whatever the system's own order
+    source, target = crs_of(_normal(str(regions.crs))), crs_of(crs)
+
+    def moved(ring: Any) -> Float:
+        return between_maps(np.asarray(ring, np.float64), source, target)
+
+    members = (
+        replace(region, polygon=moved(region.polygon), holes=tuple(moved(hole) for hole in region.holes))
+        for region in regions
+    )
+    return Regions(tuple(members), regions.coordinates, crs)
+
+
+def _ground(line: xr.Dataset, crs: str | None) -> tuple[xr.DataArray, xr.DataArray, str | None]:
+    """Return x and y of every pixel on the ground, and the reference system that regions have to be moved to.
+
+    That is None where the line has places in the regions' own.
+    """
     there = {pair: _crs_of(line, pair) for pair in _GROUND if _is_place(line, pair)}
     if not there:
         msg = (
@@ -203,13 +226,17 @@ def _ground(line: xr.Dataset, crs: str | None) -> tuple[xr.DataArray, xr.DataArr
     fitting = [pair for pair, found in there.items() if wanted is None or found in (None, wanted)]
     # what says that it fits goes before what says nothing
     fitting.sort(key=lambda pair: there[pair] is None)
+    others = [pair for pair, found in there.items() if found is not None]
+    if not fitting and others:
+        x, y = others[0]
+        return line[x].reset_coords(drop=True), line[y].reset_coords(drop=True), there[others[0]]
     if not fitting or (wanted is None and len(fitting) > 1):
         held = ", ".join(f"{x} and {y} ({found or 'unknown'})" for (x, y), found in there.items())
         told = "do not tell their crs" if crs is None else f"are in {crs!r:.80}"
         msg = f"the regions {told}, the line has {held}; write the regions in one of these, and name it"
         raise SchemaError(msg)
     x, y = fitting[0]
-    return line[x].reset_coords(drop=True), line[y].reset_coords(drop=True)
+    return line[x].reset_coords(drop=True), line[y].reset_coords(drop=True), None
 
 
 def _is_place(line: xr.Dataset, pair: tuple[str, str]) -> bool:

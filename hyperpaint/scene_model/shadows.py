@@ -47,6 +47,55 @@ _DIMMER, _MISSING, _PATCHY = 0.9, 0.8, 0.2
 """Brightness of pixels that are looked at, direct light of those in shadow, and their misfit, at most."""
 
 
+class _Contact(NamedTuple):
+    """How a segment touches its lit body, at least: a share of its border, and which side that is on.
+
+    ``way`` is the mean direction of the sides in touch, 1 where all are away from the sun, -1 towards it.
+    """
+
+    border: float
+    way: float
+
+
+class _Direct(NamedTuple):
+    """Direct light, at most: what grey things send passes for it, the more of it the more sky they hide."""
+
+    open: float
+    hidden: float
+
+
+# What the rules of `match_shade` ask for, in the order of use: less where more speaks for a shadow already.
+# Set on rendered car parks, to what keeps glass and black paint out.
+_TELLING = 30
+"""Pixels of a clear shadow that tells to which side they fall, at least."""
+_CLEAR_DIRECT = _Direct(0.015, 0.12)
+"""Of clear shadows."""
+_SENT, _SENT_BESIDE = 0.5, 1.0
+"""Light of a neighbour in a clear shadow, relative to the hidden sky, at most: alone; beside another."""
+_SURE = _Contact(0.1, 0.2)
+"""Contact of shadows beyond doubt."""
+_ISLAND = 0.6
+"""Share of the border in touch with the lit body, from which on a shadow lies in it, on whatever side."""
+_ON_GROUND = _Contact(0.04, 0.1)
+"""Contact of shadows on the ground."""
+_SIDED, _SIDED_DIRECT = _Contact(0.15, 0.25), _Direct(0.05, 0.25)
+"""Those whose contact is plain, for which they may have more direct light."""
+_BESIDE = -0.2
+"""Side of clear shadows on the ground, whatever their share of contact."""
+_WORSE, _WORSE_BY = 1.5, 0.004
+"""Misfit as a shadow on the ground, times and more than that of the best on it, at most."""
+_DIM_MISFIT, _DARK_MISFIT = 0.18, 0.08
+"""Misfits of shadows on other bodies, in contact with shadows: with much of the sky's light; with little."""
+_MARKING_SKY, _MARKING_DIRECT = 0.22, 0.04
+"""Light of shadows on bay lines and kerbs: the sky's, at least; direct, at most."""
+_NEXT_CLEAR, _NEXT, _NEXT_MARKING = 0.04, 0.4, 0.3
+"""Share of the border in contact with shadows, at least: of clear ones, of others, and of markings."""
+_ENCLOSED, _ENCLOSED_DIRECT = 0.7, 0.25
+"""Share of it from which on a segment lies in shadow with more direct light; that, at most."""
+_SKY_OVER_SUN = 0.05
+"""Amount by which the sky's light exceeds direct light in single pixels in shadow, at least."""
+
+
 class Scene(NamedTuple):
     """What is known of segments before shadows are.
 
@@ -121,12 +170,13 @@ def match_shade(
     _assign(found, _beyond_doubt(found, length, way, border), state, body)
     ground = _ground(scene, state, body)
     on_ground = ground[found.body]
-    touches = (length >= 0.04 * border[found.segment]) & (way >= 0.1 * length)
+    around = border[found.segment]
+    touches = (length >= _ON_GROUND.border * around) & (way >= _ON_GROUND.way * length)
     touches &= length >= _LEAST_CONTACT
     loose = (found.misfit < _LOOSE) & without_sun(found)
-    sided = (length >= 0.15 * border[found.segment]) & (way >= 0.25 * length)
-    loose |= sided & (found.misfit < _LOOSE) & (found.direct < 0.05 + 0.25 * (_OPEN_SKY - found.sky))
-    beside = (length >= _LEAST_CONTACT) & (way >= -0.2 * length) & _clear(found)
+    sided = (length >= _SIDED.border * around) & (way >= _SIDED.way * length) & (found.misfit < _LOOSE)
+    loose |= sided & (found.direct < _SIDED_DIRECT.open + _SIDED_DIRECT.hidden * (_OPEN_SKY - found.sky))
+    beside = (length >= _LEAST_CONTACT) & (way >= _BESIDE * length) & _clear(found)
     best = _best_on_ground(found, on_ground, count) & ~ground[found.segment]
     _assign(found, on_ground & best & ((touches & loose) | beside), state, body)
     _grow(found, ground, best, length, way, scene, state, body)
@@ -173,15 +223,16 @@ def _alike(spectrum: Float, one: Int, other: Int) -> Mask:
 
 def _side_of_shadows(found: Mixtures, sides: Float, scene: Scene) -> Float | None:
     """Return the direction (along, across) in which shadows fall, None without any."""
-    sure = _clear(found) & (found.sky > _LEAST_SKY) & (scene.size[found.segment] >= 30)
+    sure = _clear(found) & (found.sky > _LEAST_SKY) & (scene.size[found.segment] >= _TELLING)
     total = (sides[sure] @ _STEPS * scene.size[found.segment[sure], None]).sum(axis=0)
     length = float(np.hypot(*total))
     return np.asarray(total / length) if length > 0 else None
 
 
-def _clear(found: Mixtures, most_sent: float = 0.5) -> Mask:
+def _clear(found: Mixtures, most_sent: float = _SENT) -> Mask:
     """Tell which see much of the sky and, unlike glass and black paint, hardly anything else."""
-    little = found.direct < 0.015 + 0.12 * np.clip(_OPEN_SKY - found.sky, 0.0, 1.0)
+    hidden = np.clip(_OPEN_SKY - found.sky, 0.0, 1.0)
+    little = found.direct < _CLEAR_DIRECT.open + _CLEAR_DIRECT.hidden * hidden
     little &= found.sent < most_sent * (1.0 - found.sky)
     return np.asarray(little & (found.misfit < _TIGHT))
 
@@ -189,9 +240,9 @@ def _clear(found: Mixtures, most_sent: float = 0.5) -> Mask:
 def _beyond_doubt(found: Mixtures, length: Float, way: Float, border: Float) -> Mask:
     """Tell which are clear, and touch their lit body away from the sun, or all around."""
     around = border[found.segment]
-    touches = (length >= _LEAST_CONTACT) & (length > 0.1 * around)
-    away = way >= 0.2 * length
-    island = (length > 0.6 * around) & (way >= -_SIDEWAYS * length)
+    touches = (length >= _LEAST_CONTACT) & (length > _SURE.border * around)
+    away = way >= _SURE.way * length
+    island = (length > _ISLAND * around) & (way >= -_SIDEWAYS * length)
     return np.asarray(_clear(found) & (found.sky > _LEAST_SKY) & touches & (away | island))
 
 
@@ -209,7 +260,7 @@ def _best_on_ground(found: Mixtures, on_ground: Mask, count: int) -> Mask:
     """Tell which fit their segments about as well as any of the ground does."""
     least = np.full(count, np.inf)
     np.minimum.at(least, found.segment[on_ground], found.misfit[on_ground])
-    return np.asarray(found.misfit < 1.5 * least[found.segment] + 0.004)
+    return np.asarray(found.misfit < _WORSE * least[found.segment] + _WORSE_BY)
 
 
 def _grow(
@@ -224,22 +275,23 @@ def _grow(
 ) -> None:
     """Let shadows go on to what touches them."""
     around, on_ground = scene.border[found.segment], ground[found.body]
-    sunny = (way < -_SIDEWAYS * length) & (length > 0.1 * around)
+    sunny = (way < -_SIDEWAYS * length) & (length > _SURE.border * around)
     fits = best & ~sunny & without_sun(found)
     on = fits & on_ground & (found.misfit < _LOOSE) & (found.sky < _OPEN_SKY)
-    other = fits & ~on_ground & (found.misfit < np.where(found.sky > _LEAST_SKY, 0.18, 0.08))
-    dim = other & (found.sky > _LEAST_SKY)
-    # bay lines and kerbs; dark glass against them has less of the sky
-    markings = other & (found.sky > 0.22) & (found.direct < 0.04)
-    clear = _clear(found, most_sent=1.0)
+    bright = found.sky > _LEAST_SKY
+    other = fits & ~on_ground & (found.misfit < np.where(bright, _DIM_MISFIT, _DARK_MISFIT))
+    dim = other & bright
+    # dark glass against bay lines and kerbs has less of the sky
+    markings = other & (found.sky > _MARKING_SKY) & (found.direct < _MARKING_DIRECT)
+    clear = _clear(found, most_sent=_SENT_BESIDE)
     for _ in range(_ROUNDS):
         dark = state == SHADED
         shaded, below = (
             _touched(which, scene)[found.segment] / around for which in (dark, dark & ground[body])
         )
-        enough = on & (shaded > np.where(clear, 0.04, 0.4))
-        enough |= (dim & (shaded > 0.4)) | (markings & (below > 0.3))
-        enough |= best & ~sunny & (found.direct < 0.25) & (shaded > 0.7)
+        enough = on & (shaded > np.where(clear, _NEXT_CLEAR, _NEXT))
+        enough |= (dim & (shaded > _NEXT)) | (markings & (below > _NEXT_MARKING))
+        enough |= best & ~sunny & (found.direct < _ENCLOSED_DIRECT) & (shaded > _ENCLOSED)
         if not _assign(found, enough, state, body):
             break
 
@@ -294,6 +346,7 @@ def shaded_pixels(
         here = asked[part] & (seen.mean(axis=2) < _DIMMER * np.append(bright, 0.0)[segment])
         body = reference[segment[here]]
         amount, misfit = solve(seen[here].astype(np.float64), body, None, light)
-        missing = (amount[:, 0] < _MISSING) & (amount[:, 1] > amount[:, 0] + 0.05) & (misfit < _PATCHY)
+        bluer = amount[:, 1] > amount[:, 0] + _SKY_OVER_SUN
+        missing = (amount[:, 0] < _MISSING) & bluer & (misfit < _PATCHY)
         made[part][here] = missing
     return made

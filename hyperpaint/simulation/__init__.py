@@ -2,10 +2,11 @@
 
 Its own physics in float64 from the sky to the converter, and its own writers of the instruments' files: a
 chain that recovers the truth from them has shown something. `atmosphere` and `skies` make the light, `paints`
-the surfaces, `sensor` and `camera` the camera, `flight` what they do line by line: over a flat picture of a
-car park (`plan_flight`, `scenes`) or over one of triangles (`rendered_flight`, `rendering`). `instruments`,
-`svc_files` and `references` write the files, `stores` the truth, `collect` the whole; `sweep` shines a
-monochromator into the same camera.
+the surfaces, `sensor` and `camera` the camera, `trajectories` how it wobbles over the earth of `ellipsoid`,
+`flight` what they do line by line: over a flat picture of a car park (`plan_flight`, `scenes`), over one of
+triangles (`rendered_flight`, `rendering`) or over squares of known corners (`checkerboard_flight`).
+`instruments`, `svc_files` and `references` write the files, `stores` the truth, `collect` the whole; `sweep`
+shines a monochromator into the same camera.
 """
 
 from __future__ import annotations

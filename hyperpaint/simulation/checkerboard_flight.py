@@ -130,14 +130,14 @@ class CheckerboardFlight(Flight):
         super().__init__(settings)
         east, north = map(float, self.plane.project(self.frame.latitude, self.frame.longitude))
         self.board = Checkerboard((east, north), settings.square, settings.board_turn)
-        place = f"Of the place that the middle of the pixel shows at mid exposure, {self.plane.crs}"
+        place = f"of what the middle of the pixel shows at mid exposure, on {self.plane.crs}"
         self.layers = MappingProxyType(
             {
                 "bright_share": Layer(
                     "float32", {"long_name": "Share of the pixel on bright squares", "units": "1"}
                 ),
-                "east": Layer("float64", {"long_name": f"East: {place}", "units": "m"}),
-                "north": Layer("float64", {"long_name": f"North: {place}", "units": "m"}),
+                "east": Layer("float64", {"long_name": f"East {place}", "units": "m"}),
+                "north": Layer("float64", {"long_name": f"North {place}", "units": "m"}),
                 "height": Layer(
                     "float64", {"long_name": "Height above the ellipsoid of that place", "units": "m"}
                 ),

@@ -29,6 +29,7 @@ from .references import ASD_FOLDER, SVC_FOLDER, write_references
 from .settings import SimulationSettings
 from .sweep import Sweep
 from .sweep_settings import SweepSettings
+from .trajectories import CONVENTION
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -299,6 +300,7 @@ nav = "flight/imu_gps.txt"
 """
         for name in names
     )
+    navigation = "\n".join(f'{key} = "{value}"' for key, value in CONVENTION.items())
     known = settings.clock_uncertainty_s
     calibration = 'sweep = "lab/sweep.zarr"' if with_sweep else 'path = "calibration.zarr"'
     clock = "" if known is None else f"clock_uncertainty_s = {float(known)!r}\n"
@@ -306,15 +308,6 @@ nav = "flight/imu_gps.txt"
 
 [collect]
 name = "simulated car park"
-
-[navigation]
-roll_positive = "right_wing_down"
-pitch_positive = "nose_up"
-heading_positive = "clockwise"
-heading_reference = "true"
-euler_order = "ZYX"
-height_reference = "ellipsoid"
-column_order = "left_to_right"
 
 [camera]
 bit_depth = {settings.bit_depth}
@@ -327,6 +320,9 @@ stamp = "{settings.stamp}"
 
 [dark]
 cubes = ["dark/raw_0.hdr"]
+
+[navigation]
+{navigation}
 
 [irradiance]
 files = "asd/*.asd"

@@ -202,8 +202,8 @@ class RenderedFlight(Flight):
 def _layers(labels: LabelTables, plane: TransverseMercator) -> dict[str, Layer]:
     """Return what is known of every pixel."""
     meters = {
-        "east": f"East: mean place seen, {plane.crs}",
-        "north": f"North: mean place seen, {plane.crs}",
+        "east": f"East of the mean place seen, on {plane.crs}",
+        "north": f"North of the mean place seen, on {plane.crs}",
         "height": "Mean height above the ellipsoid of what is seen",
         "up": "Mean height above the ground, a plane that touches it under the first line",
     }

@@ -17,6 +17,7 @@ from hyperpaint.schema import CHUNK_LINES, CUBE, FORMAT_VERSION, TIME_UNITS, VAR
 from .checkerboard_flight import CheckerboardFlight
 from .flight import Flight, Lines
 from .instruments import ASD_WAVELENGTH
+from .trajectories import CONVENTION
 
 __all__ = ["TruthStore", "consolidate", "line_dataset", "write_calibration"]
 
@@ -255,6 +256,7 @@ def line_dataset(flight: Flight, block: Lines, *, matched: bool) -> xr.Dataset:
         },
         attrs={
             "name": "simulated line",
+            **{f"convention_{key}": value for key, value in CONVENTION.items()},
             "srf_shape": settings.srf_shape,
             "irradiance_srf_shape": "gaussian",
         },

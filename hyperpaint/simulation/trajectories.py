@@ -20,12 +20,23 @@ from .rendering.rotations import quaternions, turns
 if TYPE_CHECKING:
     from .settings import SimulationSettings
 
-__all__ = ["WOBBLES", "Motion", "Trajectory"]
+__all__ = ["CONVENTION", "WOBBLES", "Motion", "Trajectory"]
 
 Floats = NDArray[np.float64]
 
 WOBBLES = ("none", "slow", "calm", "rough")
 """How a platform may move about its course."""
+
+CONVENTION = {
+    "roll_positive": "right_wing_down",
+    "pitch_positive": "nose_up",
+    "heading_positive": "clockwise",
+    "heading_reference": "true",
+    "euler_order": "ZYX",
+    "height_reference": "ellipsoid",
+    "column_order": "left_to_right",
+}
+"""What angles, heights and columns of a simulated flight mean."""
 
 _STREAM = 20  # key of the random stream
 _SINES = 12

@@ -12,6 +12,8 @@ Float = npt.NDArray[np.float64]
 STATISTICS = ("bias", "rmse", "mae", "spectral_angle", "scale", "scale_free_error")
 """Names of the statistics: those of a validation's table, and of tolerances."""
 
+_LEAST_SHAPE = 3  # bands: of one, angle and scale-free error are always 0
+
 
 def statistics_of(signature: Float, reference: Float) -> dict[str, Float]:
     r"""Return the statistics of agreement over the last axis.
@@ -24,8 +26,8 @@ def statistics_of(signature: Float, reference: Float) -> dict[str, Float]:
     Returns
     -------
     dict of (...,), float64
-        By the names in `STATISTICS`, [1], of the angle [rad]; NaN without bands, and the last three where a
-        spectrum is zero.
+        By the names in `STATISTICS`, [1], of the angle [rad]; NaN without bands, the last three where a
+        spectrum is zero, and angle and scale-free error of fewer than three bands, which have no shape.
 
     Notes
     -----
@@ -61,14 +63,15 @@ def statistics_of(signature: Float, reference: Float) -> dict[str, Float]:
         angle = 2.0 * np.arctan2(_length(one - two), _length(one + two))
         scale = (signature * reference).sum(axis=-1, keepdims=True) / other**2
         left = signature / np.where(scale > 0.0, scale, np.nan) - reference
-    there = (length * other)[..., 0] > 0.0
+    shaped = shape[-1] >= _LEAST_SHAPE
+    there = shaped & ((length * other)[..., 0] > 0.0)
     return {
         "bias": difference.mean(axis=-1),
         "rmse": np.sqrt((difference**2).mean(axis=-1)),
         "mae": np.abs(difference).mean(axis=-1),
         "spectral_angle": np.where(there, angle, np.nan),
         "scale": scale[..., 0],
-        "scale_free_error": np.sqrt((left**2).mean(axis=-1)),
+        "scale_free_error": np.where(shaped, np.sqrt((left**2).mean(axis=-1)), np.nan),
     }
 
 

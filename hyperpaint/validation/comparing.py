@@ -120,14 +120,44 @@ class Compared:
         if self.bands is not self.pair.signature:
             made.append("the signature was brought onto the reference's bands")
         made += self._left_out()
+        made += self._scales()
+        return tuple(dict.fromkeys([*made, *self._uncertainty()]))
+
+    def _scales(self) -> list[str]:
+        """Return that one side is relative to a panel, the other is not."""
+        own = self.pair.signature.absolute
+        sides = "reference", "signature"
+        if all(each.absolute == own for each in self.pair.references):
+            return []
+        relative, absolute = sides if own else sides[::-1]
+        advice = "; pass panel=" if own else ""
+        return [
+            f"the {relative} is relative to a white panel, the {absolute} is absolute: the panel's own "
+            f"reflectance is in the difference{advice}"
+        ]
+
+    def _uncertainty(self) -> list[str]:
+        """Return what is not known of the uncertainties."""
+        own, others = self.pair.signature, self.pair.references
         known = {
-            "signature": self.pair.signature.has_uncertainty,
-            "reference": len(self.pair.references) > 1 or self.pair.references[0].has_uncertainty,
+            "signature": own.has_uncertainty,
+            "reference": len(others) > 1 or others[0].has_uncertainty,
         }
         unknown = [side for side, has in known.items() if not has]
+        made = []
         if unknown:
             made.append(f"uncertainty without that of the {' and the '.join(unknown)}, which is not known")
-        return tuple(dict.fromkeys(made))
+        for side, spectra in (("signature", (own,)), ("reference", others)):
+            made += [f"uncertainty of the {side}: {text}" for each in spectra for text in each.gaps()]
+        return made
+
+    @property
+    def scatter(self) -> float:
+        """How far repeated readings are apart: standard deviation, RMS over the bands compared [1]."""
+        spreads = self._spreads()
+        if len(self.pair.references) < 2 or not self.used.any():
+            return 0.0
+        return float(np.sqrt((spreads["reference_sd"][self.used] ** 2).mean()))
 
     def _left_out(self) -> list[str]:
         """Return how many bands are left out, and why."""
@@ -211,7 +241,20 @@ def _errors_of_mean(
     if count == 1:
         return onto[0](references[0].errors(rng, DRAWS))
     away = seen - seen.mean(axis=0)
-    return np.asarray(rng.standard_normal((DRAWS, count)) @ away / np.sqrt(count * (count - 1.0)))
+    made = np.asarray(rng.standard_normal((DRAWS, count)) @ away / np.sqrt(count * (count - 1.0)))
+    # what repetition does not show: readings of one instrument share what is wrong with it
+    common = [
+        use(each.u_systematic)
+        for use, each in zip(onto, references, strict=True)
+        if each.u_systematic is not None
+    ]
+    if common:
+        made += np.mean(common, axis=0) * rng.standard_normal((DRAWS, 1))
+    # a few readings may agree by chance
+    for use, each in zip(onto, references, strict=True):
+        if each.u_random is not None:
+            made += use(each.u_random * rng.standard_normal((DRAWS, each.u_random.size))) / count
+    return made
 
 
 def _common(told: Sequence[str]) -> str:

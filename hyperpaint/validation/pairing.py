@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -39,11 +40,14 @@ class Pairing:
     pairs
     signatures, references
         Names of those that have no counterpart, with the reason where there is one.
+    missing
+        Those of ``signatures`` that ask for a reference by name, which is not there.
     """
 
     pairs: tuple[Pair, ...]
     signatures: tuple[str, ...]
     references: tuple[str, ...]
+    missing: tuple[str, ...]
 
 
 def paired(signatures: Sequence[Measured], references: Sequence[Measured], pairs: Any = None) -> Pairing:
@@ -60,24 +64,34 @@ def paired(signatures: Sequence[Measured], references: Sequence[Measured], pairs
     Raises
     ------
     SchemaError
-        ``pairs`` names what is not there; or nothing can be paired.
+        ``pairs`` names what is not there; a name is that of several paints, or of references of several
+        folders or datasets; or nothing can be paired. All of a kind are listed.
     """
     wanted = _said(signatures, references, pairs) if pairs is not None else None
+    problems = Problems("paints and references cannot be paired by name", SchemaError)
+    counts = Counter(each.name for each in signatures)
     made: list[Pair] = []
     alone: list[str] = []
+    missed: list[str] = []
     used: set[int] = set()
     for signature in signatures:
         names = _names_for(signature) if wanted is None else wanted.get(signature.name, ())
-        own = [k for k, each in enumerate(references) if any(name in each.aliases for name in names)]
+        own = sorted({k for name in names for k in _called(name, references, problems)})
         if not own:
-            missing = wanted is None and signature.wanted
-            alone.append(signature.name + (f" (wants {signature.wanted!r})" if missing else ""))
+            asks = wanted is None and bool(signature.wanted)
+            alone.append(signature.name + (f" (wants {signature.wanted!r})" if asks else ""))
+            missed += alone[-1:] if asks else []
             continue
+        if counts[signature.name] > 1 and (wanted is not None or not signature.wanted):
+            problems.add(
+                f"there are {counts[signature.name]} paints {signature.name!r}; give each a name of its own"
+            )
         used.update(own)
         instruments = dict.fromkeys(references[k].instrument for k in own)
         for instrument in instruments:
             group = tuple(references[k] for k in own if references[k].instrument == instrument)
             made.append(Pair(signature, group))
+    problems.raise_if_any()
     left = tuple(f"{each.name} ({each.instrument})" for k, each in enumerate(references) if k not in used)
     if not made:
         msg = (
@@ -86,7 +100,36 @@ def paired(signatures: Sequence[Measured], references: Sequence[Measured], pairs
             "property reference"
         )
         raise SchemaError(msg)
-    return Pairing(tuple(made), tuple(alone), left)
+    return Pairing(tuple(made), tuple(alone), left, tuple(missed))
+
+
+def _called(name: str, references: Sequence[Measured], problems: Problems) -> list[int]:
+    """Return which references a name means: of each instrument those that own it, else a longer one.
+
+    Files of one name in different folders are not repeated readings of one paint: that is noted.
+    """
+    found: dict[str, list[int]] = {}
+    for rank in range(3):
+        hits: dict[str, list[int]] = {}
+        for k, each in enumerate(references):
+            if name in each.names.ranks[rank] and each.instrument not in found:
+                hits.setdefault(each.instrument, []).append(k)
+        found |= hits
+    for instrument, own in found.items():
+        places = {references[k].names.place for k in own}
+        if len(places) > 1:
+            several = len({dataset for dataset, _ in places}) > 1
+            held = _listed([_whereabouts(references[k]) if several else references[k].name for k in own])
+            text = (
+                f"{name!r} may be any of {held} of {instrument}; name one, or all that are repeated "
+                "readings, with pairs={paint: reference}, or leave files out"
+            )
+            problems.add(text)
+    return [k for own in found.values() for k in own]
+
+
+def _whereabouts(reference: Measured) -> str:
+    return f"{reference.name} (dataset {reference.names.place[0]})"
 
 
 def _names_for(signature: Measured) -> tuple[str, ...]:
@@ -102,7 +145,7 @@ def _said(
         raise SchemaError(msg)
     problems = Problems("pairs= cannot be followed", SchemaError)
     paints = {each.name for each in signatures}
-    known = frozenset[str]().union(*(each.aliases for each in references))
+    known = frozenset[str]().union(*(each.names.every for each in references))
     made: dict[str, tuple[str, ...]] = {}
     for paint, names in pairs.items():
         several = (names,) if isinstance(names, str) else tuple(names)

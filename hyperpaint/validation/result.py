@@ -24,7 +24,8 @@ MEANINGS: Mapping[str, str] = {
     "coverage": "Part of a band's response that both sides see, the least of the bands used",
     "bands": "Bands that were compared",
     "bands_left_out": "Bands of the part that one side does not see whole, or has no value in",
-    "passes": "Whether all that the tolerance names is within it; true where there are no bands",
+    "passes": "Whether all that the tolerance names is within it, and the part judged where it has to be",
+    "judged": "Whether enough bands were compared for a part to be judged",
     "oxygen_residual": "Depth of the oxygen A band left in the signature; negative where overcorrected",
     "reference_oxygen_residual": "Depth of the oxygen A band left in the reference",
     "paint": "Name of the paint",
@@ -74,9 +75,9 @@ class Validation:
     statistics
         Dataset on (pair, part): ``bias``, ``rmse``, ``mae``, ``scale``, ``scale_free_error`` [1] and
         ``spectral_angle`` [rad], each with its standard uncertainty ``<name>_u`` (NaN where nothing is known
-        of it); ``bands``, ``bands_left_out``, ``coverage`` and ``passes``; on (pair,) ``oxygen_residual``,
-        that of the reference, and who was compared: ``paint``, ``reference``, ``instrument``, ``overlap``,
-        ``overlap_matched``.
+        of it); ``bands``, ``bands_left_out``, ``coverage``, ``judged`` and ``passes``; on (pair,)
+        ``oxygen_residual``, that of the reference, and who was compared: ``paint``, ``reference``,
+        ``instrument``, ``overlap``, ``overlap_matched``.
     spectra
         Of every pair a Dataset (band): ``signature``, ``reference``, ``difference``, their uncertainties
         where they are known, and the ``coverage`` of every band, used or not.
@@ -84,6 +85,8 @@ class Validation:
         Of every pair what a reader should know.
     unpaired_signatures, unpaired_references
         Names of what had no counterpart.
+    missing
+        Those of the signatures that had to have one.
     tolerance
         Limits by name of a statistic.
     """
@@ -93,31 +96,44 @@ class Validation:
     notes: tuple[tuple[str, ...], ...]
     unpaired_signatures: tuple[str, ...]
     unpaired_references: tuple[str, ...]
+    missing: tuple[str, ...]
     tolerance: Mapping[str, float]
 
     @property
     def passed(self) -> bool:
-        """Whether every part of every pair is within the tolerance."""
-        return bool(self.statistics["passes"].all())
+        """Whether every pair is judged and within the tolerance, and no reference is missing."""
+        return bool(self.statistics["passes"].all()) and not self.missing
 
     @property
     def problems(self) -> tuple[str, ...]:
-        """What is outside of the tolerance, one text a pair."""
+        """What is outside of the tolerance or cannot be judged, one text a pair or paint."""
         found = []
-        paints, parts = self._texts("paint"), [str(name) for name in self.statistics["part"].values]
+        paints = self._texts("paint")
         for row, within in enumerate(self.statistics["passes"].values):
-            bad = [parts[column] for column in np.flatnonzero(~within)]
+            bad = [self._failure(row, int(column)) for column in np.flatnonzero(~within)]
             if bad:
                 found.append(f"{paints[row]} against {self._texts('reference')[row]}: {', '.join(bad)}")
-        return tuple(found)
+        return (*found, *(f"{name}: its reference is not there" for name in self.missing))
+
+    def _failure(self, row: int, column: int) -> str:
+        """Return the name of a part that does not pass, with the reason where that is a lack of bands."""
+        one = self.statistics.isel(pair=row, part=column)
+        count, left = int(one["bands"]), int(one["bands_left_out"])
+        reason = "" if one["judged"] else f" ({count} of {count + left} bands, too few to judge)"
+        return f"{one['part'].item()}{reason}"
 
     @property
     def verdict(self) -> str:
-        """One line: how many pairs are within the tolerance."""
+        """One line: how many pairs are within the tolerance, and how many paints have one."""
         limits = ", ".join(f"{name} {limit:g}" for name, limit in self.tolerance.items())
         count = self.statistics.sizes["pair"]
         good = int(self.statistics["passes"].all("part").sum())
-        return f"{good} of {count} pair{'' if count == 1 else 's'} within tolerance ({limits})"
+        paints = len(set(self._texts("paint")))
+        whole = paints + len(self.unpaired_signatures)
+        return (
+            f"{good} of {count} pair{'' if count == 1 else 's'} within tolerance ({limits}), "
+            f"{paints} of {whole} paint{'' if whole == 1 else 's'} compared"
+        )
 
     def table(self) -> str:
         """Return all statistics as a text, with what there is to know of each pair."""
@@ -167,7 +183,7 @@ class Validation:
                 part = str(one["part"].values)
                 oxygen = self._oxygen(row) if row != last else ""
                 last = row
-                verdict = "" if bool(one["passes"]) else "FAILS"
+                verdict = "FAILS" if not one["passes"] else "" if one["judged"] else "not judged"
                 names = _short(paint), f"{_short(reference)} ({_short(self._texts('instrument')[row])})"
                 made.append((*names, part, f"{count}/{count + left}", *cells, oxygen, verdict))
         return made

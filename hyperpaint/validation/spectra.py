@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from pathlib import PurePath
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -12,22 +11,25 @@ import numpy.typing as npt
 
 from hyperpaint import schema
 from hyperpaint.errors import Problems, SchemaError, UnitsError
+from hyperpaint.mirrored_light import mirror_reflection
 from hyperpaint.schema import BAND, LIBRARY_VARIABLES, PAINT
 from hyperpaint.units import convert
 
 from .detectors import channel_widths, join_detectors
+from .names import Names, names_of_paint, names_of_spectrum
 
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["Measured", "references_from", "scaled_by_panel", "signatures_from"]
+__all__ = ["Measured", "references_from", "signatures_from"]
 
 Float = npt.NDArray[np.float64]
 
 UNKNOWN = "unknown"
 _MIRRORS = ("included", "excluded")
-_SUFFIXES = (".asd", ".sig", ".txt", ".tsv", ".csv")
 _SPREADS = ("reflectance_u_random", "reflectance_u_systematic", "reflectance_sd")
+_NARROWEST, _WIDEST = 0.05, 100.0
+"""Of widths of channels, [nm] and in distances of channels; what is beyond is a mistake of the data."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,13 +38,14 @@ class Measured:
 
     Attributes
     ----------
-    name
-        As results tell it.
-    aliases
-        All names that it can be paired by.
+    names
+        What it can be paired by, and where it is from.
     wanted
         Name of the reference that a signature asks for; empty where it does not.
     instrument
+        Its make.
+    serial
+        What else its data say of the instrument, mostly a serial number; may be empty.
     wavelength, fwhm, values : (channel,), float64
         Increasing wavelengths [nm], widths of channels [nm], reflectance [1], NaN where there is none.
     u_random, u_systematic : (channel,) or None
@@ -50,7 +53,7 @@ class Measured:
     sd : (channel,) or None
         Standard deviation of what the spectrum is a mean of [1].
     count
-        Of how many readings or pixels it is; 1 where that is not known.
+        Of how many readings or independent pixels it is; 1 where that is not known.
     overlap
         What was done with channels where detectors overlap, as the reader says it: preserved, removed or
         unknown.
@@ -64,10 +67,10 @@ class Measured:
         What else a reader of results should know.
     """
 
-    name: str
-    aliases: frozenset[str]
+    names: Names
     wanted: str
     instrument: str
+    serial: str
     wavelength: Float
     fwhm: Float
     values: Float
@@ -82,25 +85,48 @@ class Measured:
     notes: tuple[str, ...]
 
     @property
+    def name(self) -> str:
+        """Name as results tell it."""
+        return self.names.shown
+
+    @property
     def has_uncertainty(self) -> bool:
         """Whether anything is known of how uncertain it is."""
         return any(each is not None for each in (self.u_random, self.u_systematic, self.sd))
+
+    def gaps(self) -> list[str]:
+        """Return what is not known of the uncertainty, for a reader of the result."""
+        if self.u_random is None and self.u_systematic is None:
+            return []
+        made, there = [], np.isfinite(self.values)
+        for name, spread, other in (
+            ("random", self.u_random, "systematic"),
+            ("systematic", self.u_systematic, "random"),
+        ):
+            if spread is None:
+                made.append(f"{other} part only, the {name} one is not known")
+            elif not np.isfinite(spread[there]).all():
+                known = int(np.isfinite(spread[there]).sum())
+                made.append(
+                    f"{name} part known in {known} of {int(there.sum())} channels; elsewhere none is told"
+                )
+        return made
 
     def errors(self, rng: np.random.Generator, draws: int) -> Float:
         """Return what may be wrong with the values (draw, channel), at random.
 
         Random errors are independent, systematic ones common to all channels. Where neither is known, the
         standard deviation of the mean is taken for systematic: readings of a surface differ in level more
-        than in shape.
+        than in shape. NaN where one of them is known of other channels, but not there.
         """
         made = np.zeros((draws, self.values.size))
         if self.u_random is not None:
-            made += np.nan_to_num(self.u_random) * rng.standard_normal(made.shape)
+            made += self.u_random * rng.standard_normal(made.shape)
         common = self.u_systematic
         if common is None and self.u_random is None and self.sd is not None:
             common = self.sd / np.sqrt(self.count)
         if common is not None:
-            made += np.nan_to_num(common) * rng.standard_normal((draws, 1))
+            made += common * rng.standard_normal((draws, 1))
         return made
 
 
@@ -117,7 +143,7 @@ def signatures_from(signatures: xr.Dataset) -> list[Measured]:
     if not hasattr(signatures, "data_vars"):
         msg = f"signatures are {type(signatures).__name__}, expected a paint library (xarray.Dataset)"
         raise SchemaError(msg)
-    return list(_of_library(signatures, "signatures", None, "band"))
+    return list(_of_library(signatures, 0, None, "band"))
 
 
 def references_from(references: Any, fwhm: float | None) -> list[Measured]:
@@ -145,16 +171,29 @@ def references_from(references: Any, fwhm: float | None) -> list[Measured]:
     made: list[Measured] = []
     for number, dataset in enumerate(datasets, 1):
         try:
-            made += _of_dataset(dataset, f"reference {number}", fwhm)
+            made += _of_dataset(dataset, number, fwhm)
         except (SchemaError, UnitsError) as error:
             problems.add(f"reference {number}: {error}")
     if not made and not problems:
         problems.add("there is none; open some with open_svc, open_asd or open_library")
     problems.raise_if_any()
-    return made
+    return _told_apart(made)
 
 
-def _of_dataset(dataset: Any, label: str, fwhm: float | None) -> Iterator[Measured]:
+def _told_apart(spectra: Sequence[Measured]) -> list[Measured]:
+    """Return spectra whose instruments of one make are named by serial number, where there are several."""
+    serials: dict[str, set[str]] = {}
+    for each in spectra:
+        serials.setdefault(each.instrument, set()).add(each.serial)
+    return [
+        replace(each, instrument=f"{each.instrument} {each.serial}")
+        if each.serial and len(serials[each.instrument]) > 1
+        else each
+        for each in spectra
+    ]
+
+
+def _of_dataset(dataset: Any, number: int, fwhm: float | None) -> Iterator[Measured]:
     if not hasattr(dataset, "data_vars"):
         msg = f"{type(dataset).__name__}, expected a Dataset"
         raise SchemaError(msg)
@@ -164,9 +203,9 @@ def _of_dataset(dataset: Any, label: str, fwhm: float | None) -> Iterator[Measur
         raise SchemaError(msg)
     dims = set(dataset["reflectance"].dims)
     if BAND in dims:
-        return _of_library(dataset, label, fwhm, "library")
+        return _of_library(dataset, number, fwhm, "library")
     if "wavelength" in dims and dims <= {"spectrum", "wavelength"}:
-        return _of_spectrometer(dataset, fwhm)
+        return _of_spectrometer(dataset, number, fwhm)
     msg = (
         f"'reflectance' has dims ({', '.join(map(str, dataset['reflectance'].dims))}), expected "
         "(spectrum, wavelength) of a spectrometer or (paint, band) of a library"
@@ -177,13 +216,16 @@ def _of_dataset(dataset: Any, label: str, fwhm: float | None) -> Iterator[Measur
 # --- paint libraries ---------------------------------------------------------------------------------------
 
 
-def _of_library(dataset: xr.Dataset, label: str, fwhm: float | None, otherwise: str) -> Iterator[Measured]:
+def _of_library(
+    dataset: xr.Dataset, dataset_number: int, fwhm: float | None, otherwise: str
+) -> Iterator[Measured]:
     if PAINT not in dataset.dims and BAND in dataset.dims:
         # one paint of a library, as isel gives it
         if PAINT not in dataset.coords:
+            label = f"reference {dataset_number}" if dataset_number else "signatures"
             dataset = dataset.assign_coords({PAINT: label})
         dataset = dataset.expand_dims(PAINT)
-    optional = [name for name in (*_SPREADS, "fwhm", "n") if name in dataset.variables]
+    optional = [name for name in (*_SPREADS, "fwhm", "n", "n_eff") if name in dataset.variables]
     purpose = "a validation"
     required = schema.require(dataset, [PAINT, "reflectance", "wavelength"], purpose, LIBRARY_VARIABLES)
     found = {**required, **schema.find(dataset, optional, LIBRARY_VARIABLES)[0]}
@@ -199,28 +241,27 @@ def _of_library(dataset: xr.Dataset, label: str, fwhm: float | None, otherwise: 
         yield channels.spectrum(
             values[number],
             own,
-            float(found["n"].values[number]) if "n" in found else None,
-            name=str(name),
-            aliases=frozenset({str(name)}),
+            _count_of(found, number),
+            names=names_of_paint(str(name), dataset_number),
             wanted=_text_of(dataset, "reference", number, PAINT),
             instrument=str(attrs.get("instrument", "")) or otherwise,
+            serial="",
             **_overlap_of(attrs.get("overlap"), attrs.get("overlap_matched", False)),
-            mirror=_mirror_of(attrs),
+            mirror=mirror_reflection(dataset) or UNKNOWN,
             absolute=attrs.get("reflectance_scale", "absolute") == "absolute",
         )
 
 
-def _mirror_of(attrs: Mapping[str, Any]) -> str:
-    told = _one_of(_MIRRORS, attrs.get("mirror_reflection"))
-    if told == UNKNOWN and attrs.get("mirrored_sky_removed", "none") != "none":
-        return "excluded"
-    return told
+def _count_of(found: Mapping[str, Any], number: int) -> float | None:
+    """Return how many independent pixels a paint is of: neighbours share what is wrong with them."""
+    told = (float(found[name].values[number]) for name in ("n_eff", "n") if name in found)
+    return next((count for count in told if np.isfinite(count)), None)
 
 
 # --- spectrometers -----------------------------------------------------------------------------------------
 
 
-def _of_spectrometer(dataset: xr.Dataset, fwhm: float | None) -> Iterator[Measured]:
+def _of_spectrometer(dataset: xr.Dataset, dataset_number: int, fwhm: float | None) -> Iterator[Measured]:
     if "spectrum" not in dataset["reflectance"].dims:
         dataset = dataset.expand_dims("spectrum")
     if "wavelength" not in dataset.coords:
@@ -243,7 +284,6 @@ def _of_spectrometer(dataset: xr.Dataset, fwhm: float | None) -> Iterator[Measur
     )
     for number, spectrum in enumerate(values):
         texts = [_text_of(dataset, key, number, "spectrum") for key in ("spectrum", "source", "name")]
-        aliases = frozenset(alias for text in texts for alias in _aliases(text))
         told = {
             key: _text_of(dataset, key, number, "spectrum") or attrs.get(key)
             for key in ("overlap", "mirror_reflection", "instrument")
@@ -253,10 +293,11 @@ def _of_spectrometer(dataset: xr.Dataset, fwhm: float | None) -> Iterator[Measur
             spectrum,
             {name: array[number] for name, array in spreads.items()},
             None if count is None else float(count),
-            name=next((text for text in texts if text), f"spectrum {number}"),
-            aliases=aliases,
+            names=names_of_spectrum(texts[0], texts[1], texts[2], number, dataset_number),
             wanted="",
             instrument=str(attrs.get("instrument") or told["instrument"] or "spectrometer"),
+            serial=_text_of(dataset, "instrument", number, "spectrum"),
+            notes=(*channels.notes, *_errors_told(dataset, number)),
             **_overlap_of(told["overlap"], _flag_of(dataset, "overlap_matched", number)),
             mirror=_one_of(_MIRRORS, told["mirror_reflection"]),
             absolute=attrs.get("reflectance_scale", "relative") == "absolute",
@@ -270,25 +311,6 @@ def _detectors_of(dataset: xr.Dataset) -> npt.NDArray[np.intp] | None:
     names = [str(name) for name in dataset["detector"].values]
     numbers = {name: number for number, name in enumerate(dict.fromkeys(names))}
     return np.array([numbers[name] for name in names], np.intp)
-
-
-def _aliases(text: str) -> Iterator[str]:
-    """Yield the names that a file, or a column of one, may be called by.
-
-    Examples
-    --------
-    >>> sorted(set(_aliases("svc/red.asd.txt")))
-    ['red', 'red.asd', 'red.asd.txt', 'svc/red.asd.txt']
-    """
-    if not text:
-        return
-    yield text
-    for part in (text, text.rpartition(":")[2]):
-        name = PurePath(part).name
-        yield name
-        while name.lower().endswith(_SUFFIXES):
-            name = name[: name.rindex(".")]
-            yield name
 
 
 def _text_of(dataset: xr.Dataset, key: str, number: int, dim: str) -> str:
@@ -307,6 +329,19 @@ def _flag_of(dataset: xr.Dataset, key: str, number: int) -> bool:
         return bool(dataset.attrs.get(key, False))
     held = dataset[key]
     return bool(held.values[number] if held.dims == ("spectrum",) else held.values.any())
+
+
+def _errors_told(dataset: xr.Dataset, number: int) -> list[str]:
+    """Return what the instrument said was wrong with the scans."""
+    made = []
+    for scan in ("target", "reference"):
+        key = f"error_{scan}"
+        if key in dataset.variables and dataset[key].dims in (("spectrum",), ()):
+            bits = int(np.ravel(dataset[key].values)[number if dataset[key].dims else 0])
+            if bits > 0:
+                panel = " of the white panel" if scan == "reference" else ""
+                made.append(f"the instrument set error bits {bits} in the {scan} scan{panel}")
+    return made
 
 
 def _overlap_of(text: Any, matched: Any) -> dict[str, Any]:
@@ -342,12 +377,14 @@ class _Channels:
             [f"detectors joined at {', '.join(f'{nm:.4g}' for nm in axis.joins)} nm"] if axis.joins else []
         )
         if said is not None:
+            _check_widths(np.array([said]), at)
             return cls(
                 axis.order, at, np.full(at.size, said), (*notes, f"widths of channels {said:g} nm, as said")
             )
         if held is not None:
             own = convert(held, "nm").values.astype(np.float64)[axis.order]
             if np.isfinite(own).all() and (own > 0).all():
+                _check_widths(own, at)
                 return cls(axis.order, at, own, tuple(notes))
         own_detector = axis.detector if detector is None else detector[axis.order]
         fwhm, source = channel_widths(at, own_detector, instrument)
@@ -366,9 +403,20 @@ class _Channels:
             u_systematic=u_systematic,
             sd=sd,
             count=max(count, 1.0) if count is not None and np.isfinite(count) else 1.0,
-            notes=self.notes,
-            **about,
+            **{"notes": self.notes, **about},
         )
+
+
+def _check_widths(fwhm: Float, wavelength: Float) -> None:
+    """Refuse widths of channels that no instrument has: one alone sets the step of all responses."""
+    spacing = float(np.median(np.diff(wavelength))) if wavelength.size > 1 else np.inf
+    if not ((fwhm >= _NARROWEST) & (fwhm <= _WIDEST * spacing)).all():
+        msg = (
+            f"'fwhm' reaches from {np.min(fwhm):g} to {np.max(fwhm):g} nm, expected {_NARROWEST:g} to "
+            f"{_WIDEST * spacing:g} nm, {_WIDEST:g} distances of channels; correct it, or pass "
+            "reference_fwhm="
+        )
+        raise SchemaError(msg)
 
 
 def _known(spread: Any, order: npt.NDArray[np.intp]) -> Float | None:
@@ -376,60 +424,3 @@ def _known(spread: Any, order: npt.NDArray[np.intp]) -> Float | None:
         return None
     own = np.asarray(spread, np.float64)[order]
     return own if np.isfinite(own).any() else None
-
-
-# --- the panel ---------------------------------------------------------------------------------------------
-
-
-def scaled_by_panel(spectra: list[Measured], panel: Any) -> list[Measured]:
-    """Return references multiplied by the reflectance of the panel that they are relative to.
-
-    Parameters
-    ----------
-    spectra
-        References relative to the panel.
-    panel
-        Reflectance of the panel on ``wavelength``: a DataArray, or a Dataset with ``reflectance``. Linear
-        between its wavelengths; outside of them it is not known, and neither is the reference.
-
-    Raises
-    ------
-    SchemaError, UnitsError
-        A reference is absolute already, or the panel is no certificate; all problems are listed.
-    """
-    array = panel["reflectance"] if hasattr(panel, "data_vars") and "reflectance" in panel else panel
-    if not hasattr(array, "dims") or tuple(array.dims) != ("wavelength",) or "wavelength" not in array.coords:
-        msg = "panel= must be a DataArray of reflectance on wavelength; see read_certificate"
-        raise SchemaError(msg)
-    problems = Problems("references cannot be scaled by the panel", SchemaError)
-    wavelength = convert(array["wavelength"], "nm").values.astype(np.float64)
-    values = convert(array, "1", "panel").values.astype(np.float64)
-    order = np.argsort(wavelength)
-    wavelength, values = wavelength[order], values[order]
-    if not (np.isfinite(wavelength).all() and np.isfinite(values).all() and (np.diff(wavelength) > 0).all()):
-        problems.add("panel= has wavelengths twice, or values that are not finite")
-    elif not ((values > 0.0) & (values <= 1.2)).all():
-        found = f"{values.min():g} to {values.max():g}"
-        problems.add(f"panel= reaches from {found}, expected more than 0, at most 1.2; is it in percent?")
-    for each in spectra:
-        if each.absolute:
-            problems.add(f"reference {each.name!r} is absolute already, or of a library; leave out panel=")
-    problems.raise_if_any()
-    return [_scaled(each, wavelength, values) for each in spectra]
-
-
-def _scaled(spectrum: Measured, wavelength: Float, values: Float) -> Measured:
-    factor = np.interp(spectrum.wavelength, wavelength, values, np.nan, np.nan)
-
-    def times(spread: Float | None) -> Float | None:
-        return None if spread is None else spread * factor
-
-    return replace(
-        spectrum,
-        values=spectrum.values * factor,
-        u_random=times(spectrum.u_random),
-        u_systematic=times(spectrum.u_systematic),
-        sd=times(spectrum.sd),
-        absolute=True,
-        notes=(*spectrum.notes, "scaled by the panel's certificate"),
-    )

@@ -15,8 +15,9 @@ from hyperpaint.errors import PaintWarning, Problems, SchemaError
 from .agreement import STATISTICS, statistics_of, uncertainty_of
 from .comparing import Compared, compare
 from .pairing import paired
+from .panel_scaling import scaled_by_panel
 from .result import MEANINGS, Validation
-from .spectra import references_from, scaled_by_panel, signatures_from
+from .spectra import references_from, signatures_from
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -24,6 +25,7 @@ if TYPE_CHECKING:
 __all__ = ["PARTS", "validate"]
 
 Float = npt.NDArray[np.float64]
+Flags = npt.NDArray[np.bool_]
 
 PARTS: Mapping[str, tuple[float, float]] = {
     "VIS": (400.0, 700.0),
@@ -35,6 +37,9 @@ PARTS: Mapping[str, tuple[float, float]] = {
 TOLERANCE = 0.02
 """RMSE that references and signatures of one place are expected to agree to [1]."""
 
+_LEAST_BANDS, _LEAST_SHARE = 3, 0.5
+"""Bands of a part, and share of all its bands, that are compared where it is judged."""
+
 
 def validate(
     signatures: xr.Dataset,
@@ -43,8 +48,9 @@ def validate(
     *,
     tolerance: float | Mapping[str, float] = TOLERANCE,
     panel: xr.DataArray | xr.Dataset | None = None,
-    parts: Mapping[str, tuple[float, float]] = PARTS,
+    parts: Mapping[str, tuple[float, float]] | None = None,
     reference_fwhm: float | None = None,
+    require_all: bool = False,
     seed: int = 0,
 ) -> Validation:
     r"""Compare paint signatures with what was measured of the same paints otherwise.
@@ -61,19 +67,24 @@ def validate(
     pairs
         Names of references by names of paints, one or several each. By default the region property
         ``reference`` names the reference of a paint, and where a paint has none, its own name does. Names of
-        files count with and without folder and suffix. Nothing is paired by likeness.
+        files count with and without folder and suffix; a full name before a short one. Nothing is paired by
+        likeness. Several readings of one instrument are averaged where they are of one folder and dataset, or
+        ``pairs`` names them all.
     tolerance
         Largest RMSE [1]; or limits by name of a statistic: ``bias``, ``rmse``, ``mae``, ``spectral_angle``
         [rad], ``scale`` (its distance from 1), ``scale_free_error``. All are to be met in every part that has
-        bands. Uncertainty does not widen them.
+        bands. Uncertainty does not widen them. Less than 3 bands, or half of a part's, pass nothing: where a
+        part that ``parts`` names, or every part of a pair, has no more, the pair fails.
     panel
         Certified reflectance of the white panel on ``wavelength`` [1], which multiplies references that are
         relative to it.
     parts
-        Parts of the spectrum by name: first wavelength, and the one it ends before [nm].
+        Parts of the spectrum by name: first wavelength, and the one it ends before [nm]. By default `PARTS`.
     reference_fwhm
         Width of the references' channels [nm]. By default what the data say (``fwhm``), else what is usual
         for the instrument, else twice the distance of channels; the result says which.
+    require_all
+        Whether every paint must have a reference; by default only those whose region names one.
     seed
         Of the draws of the uncertainties.
 
@@ -87,13 +98,15 @@ def validate(
     ------
     SchemaError, UnitsError
         What is given is no library, no reflectance or no certificate; a reference is absolute and a panel is
-        given; a pair has no band in common; ``pairs`` names what is not there, or nothing can be paired. All
-        of a kind are listed.
+        given; widths of channels are none; a pair has no band in common; ``pairs`` names what is not there,
+        a name is that of several paints, or of references of several folders or datasets; or nothing can be
+        paired. All of a kind are listed.
 
     Warns
     -----
     PaintWarning
-        One of a pair includes the mirror image of the sky, the other does not.
+        One of a pair includes the mirror image of the sky, the other does not; repeated readings are further
+        apart than the tolerance.
 
     Notes
     -----
@@ -113,7 +126,10 @@ def validate(
 
     .. math:: \delta r = \sum_k g_k (r_k - \bar r) / \sqrt{n (n - 1)}, \qquad g_k \sim N(0, 1),
 
-    whose covariance over bands is that of the mean. What is not known does not enter, and the result says so.
+    whose covariance over bands is that of the mean; to which the readings' own systematic uncertainty, common
+    to all, and their random one over :math:`\sqrt n` are added, so that few readings that agree by chance do
+    not seem sure. A component that is not known does not enter, and the result says so; one that is known in
+    other bands leaves uncertainties NaN.
 
     Examples
     --------
@@ -133,6 +149,8 @@ def validate(
     (True, 0.01)
     """
     limits = _limits(tolerance)
+    named = parts is not None
+    parts = PARTS if parts is None else parts
     _check_parts(parts)
     measured = references_from(references, reference_fwhm)
     if panel is not None:
@@ -146,16 +164,35 @@ def validate(
                 f"{each.pair.signature.name!r}: no band of one is seen whole by the other ({each.ranges})"
             )
     problems.raise_if_any()
-    for text in dict.fromkeys(text for each in compared for text in each.warnings()):
+    scatters = [_scatter(each, limits) for each in compared]
+    mirrors = [text for each in compared for text in each.warnings()]
+    told = [
+        f"{each.pair.signature.name}: {text}"
+        for each, found in zip(compared, scatters, strict=True)
+        for text in found
+    ]
+    for text in dict.fromkeys((*mirrors, *told)):
         warnings.warn(text, PaintWarning, stacklevel=2)
     return Validation(
-        statistics=_statistics(compared, parts, limits),
+        statistics=_statistics(compared, parts, limits, named=named),
         spectra=tuple(each.dataset() for each in compared),
-        notes=tuple(each.notes() for each in compared),
+        notes=tuple((*each.notes(), *found) for each, found in zip(compared, scatters, strict=True)),
         unpaired_signatures=pairing.signatures,
         unpaired_references=pairing.references,
+        missing=pairing.signatures if require_all else pairing.missing,
         tolerance=limits,
     )
+
+
+def _scatter(compared: Compared, limits: Mapping[str, float]) -> list[str]:
+    """Return that repeated readings are further apart than what is to be told by their mean."""
+    limit = min((limits[name] for name in ("rmse", "mae") if name in limits), default=np.inf)
+    if compared.scatter <= limit:
+        return []
+    return [
+        f"readings of the reference scatter by {compared.scatter:.2g}, more than the tolerance of {limit:g}; "
+        "are they of one paint?"
+    ]
 
 
 def _limits(tolerance: Any) -> dict[str, float]:
@@ -184,7 +221,11 @@ def _check_parts(parts: Any) -> None:
 
 
 def _statistics(
-    compared: Sequence[Compared], parts: Mapping[str, tuple[float, float]], limits: Mapping[str, float]
+    compared: Sequence[Compared],
+    parts: Mapping[str, tuple[float, float]],
+    limits: Mapping[str, float],
+    *,
+    named: bool,
 ) -> xr.Dataset:
     """Return the statistics of all pairs (pair, part)."""
     import xarray as xr
@@ -213,7 +254,9 @@ def _statistics(
     made: dict[str, Any] = {name: (dims, values, _attrs(name)) for name, values in found.items()}
     made["bands"] = (dims, bands, _attrs("bands"))
     made["bands_left_out"] = (dims, left_out, _attrs("bands_left_out"))
-    made["passes"] = (dims, _passes(found, bands, limits), {"long_name": MEANINGS["passes"]})
+    judged = (bands >= _LEAST_BANDS) & (bands >= _LEAST_SHARE * (bands + left_out))
+    for name, told in (("judged", judged), ("passes", _passes(found, judged, limits, named=named))):
+        made[name] = (dims, told, {"long_name": MEANINGS[name]})
     for name, side in (("oxygen_residual", "signature"), ("reference_oxygen_residual", "reference")):
         depth = [oxygen_depth(each.bands.wavelength, getattr(each, side)) for each in compared]
         made[name] = ("pair", np.array(depth, np.float64), _attrs(name))
@@ -247,12 +290,17 @@ def _attrs(name: str) -> dict[str, str]:
     return {"units": units.get(name, "1"), "long_name": meaning}
 
 
-def _passes(
-    found: Mapping[str, Float], bands: npt.NDArray[np.int64], limits: Mapping[str, float]
-) -> npt.NDArray[np.bool_]:
-    """Tell which parts are within all limits; a part without bands is not judged, and does not fail."""
-    within = np.ones(bands.shape, bool)
+def _passes(found: Mapping[str, Float], judged: Flags, limits: Mapping[str, float], *, named: bool) -> Flags:
+    """Tell which parts pass.
+
+    One that is not judged still fails where it is outside of a limit; and where the user asked for it, or
+    nothing of the pair is judged.
+    """
+    within, outside = np.ones(judged.shape, bool), np.zeros(judged.shape, bool)
     for name, limit in limits.items():
-        away = found[name] - 1.0 if name == "scale" else found[name]
-        within &= np.abs(away) <= limit
-    return np.asarray(within | (bands == 0))
+        away = np.abs(found[name] - 1.0 if name == "scale" else found[name])
+        # of NaN, neither is true
+        within &= away <= limit
+        outside |= away > limit
+    enough = judged | ~np.logical_or(named, ~judged.any(axis=1, keepdims=True))
+    return np.asarray(~outside & enough & (within | ~judged))

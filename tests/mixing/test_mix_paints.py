@@ -208,3 +208,64 @@ def test_a_tint_is_a_mixture_with_what_absorbs_nothing() -> None:
 def test_depths_that_cannot_be(paints: xr.Dataset, depths: Any) -> None:
     with pytest.raises(SchemaError, match="numbers above 0"):
         hp.shade_paints(paints, depths)
+
+
+# --- members, and units ---
+
+
+def with_members(counts: dict[str, list[int]], members: int = 4) -> xr.Dataset:
+    """Return paints of two bands that have the members said, all of the reflectance of their paint."""
+    library = library_of({name: [0.2 + 0.1 * k, 0.5] for k, name in enumerate(counts)})
+    stack = np.full((len(counts), members, 2), np.nan, np.float32)
+    for number, held in enumerate(counts.values()):
+        stack[number, held] = library.reflectance.values[number] * (1.0 + 0.01 * np.float32(held)[:, None])
+    library["member_reflectance"] = (("paint", "member", "band"), stack, {"units": "1"})
+    return library
+
+
+def test_every_paint_keeps_its_own_members() -> None:
+    library = with_members({"all": [0, 1, 2, 3], "two": [0, 2], "none": [], "late": [2, 3]})
+    shades = hp.shade_paints(library, [1.0])
+    held = np.isfinite(shades.member_reflectance.values).all(axis=2)
+    assert held.sum(axis=1).tolist() == [4, 2, 0, 2]
+    # padding comes last
+    assert (np.diff(held.astype(int), axis=1) <= 0).all()
+    own = library.member_reflectance.values
+    np.testing.assert_allclose(shades.member_reflectance[0], own[0], rtol=1e-6)
+    np.testing.assert_allclose(shades.member_reflectance[3, :2], own[3, 2:], rtol=1e-6)
+    np.testing.assert_allclose(shades.reflectance_sd[1], own[1, [0, 2]].std(axis=0, ddof=1), rtol=1e-3)
+    np.testing.assert_allclose(shades.reflectance_quantiles[3, 2], own[3, 2:].mean(axis=0), rtol=1e-5)
+    assert np.isnan(shades.reflectance_sd.values[2]).all()
+    assert np.isnan(shades.reflectance_quantiles.values[2]).all()
+
+
+@pytest.mark.parametrize("method", ["kubelka-munk", "linear"])
+def test_members_without_a_partner_are_left_out_with_a_warning(method: Any) -> None:
+    library = with_members({"all": [0, 1, 2, 3], "two": [0, 2], "late": [2, 3], "none": []})
+    recipes = {"a": {"all": 1.0}, "b": {"two": 1.0, "late": 3.0}, "c": {"all": 1.0, "two": 0.0}}
+    mixed = hp.mix_paints(library, recipes, method=method)
+    assert np.isfinite(mixed.member_reflectance.values).all(axis=2).sum(axis=1).tolist() == [4, 2, 4]
+    assert np.isfinite(mixed.reflectance_sd).all()
+    with pytest.warns(PaintWarning, match="2 members of the parents of 1 of 2 paints have no partner"):
+        mixed = hp.mix_paints(library, {"a": {"all": 1.0}, "d": {"all": 1.0, "two": 1.0}}, method=method)
+    assert np.isfinite(mixed.member_reflectance.values).all(axis=2).sum(axis=1).tolist() == [4, 2]
+    with pytest.warns(PaintWarning, match="no partner"):
+        alone = hp.mix_paints(library, {"e": {"all": 1.0, "none": 1.0}}, method=method)
+    assert "member_reflectance" not in alone
+
+
+def test_areas_that_cannot_be_are_clipped_with_a_warning() -> None:
+    library = library_of({"a": [1.2, 0.5, np.nan], "b": [-0.02, 0.5, 0.5]})
+    with pytest.warns(PaintWarning, match="2 of 5 reflectances are outside 0 to 1"):
+        mixed = hp.mix_paints(library, {"x": {"a": 1.0}, "y": {"b": 1.0}}, method="linear")
+    np.testing.assert_array_equal(mixed.reflectance, np.float32([[1.0, 0.5, np.nan], [0.0, 0.5, 0.5]]))
+
+
+def test_a_coat_in_percent_is_converted(paints: xr.Dataset) -> None:
+    percent = paints.assign(
+        specular_reflectance=(100.0 * paints.specular_reflectance).assign_attrs(units="%")
+    )
+    mixed = hp.mix_paints(percent, {"same": {RED: 1.0}})
+    shades = hp.shade_paints(percent.isel(paint=[5]), [1.0])
+    for made in (mixed, shades):
+        np.testing.assert_allclose(made.specular_reflectance[0], paints.specular_reflectance[5], rtol=1e-5)

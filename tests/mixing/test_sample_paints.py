@@ -135,3 +135,26 @@ def test_a_library_without_a_population_is_refused() -> None:
         hp.sample_paints(hp.starter_library(members=0), 3)
     with pytest.raises(SchemaError, match=r"(?s)'paint 0' has 1 whole members.*'paint 1' has 0"):
         hp.sample_paints(library_of(population()[:1], np.full((1, 40), np.nan)), 3)
+
+
+@pytest.mark.parametrize(("level", "noise"), [(0.015, 0.01), (0.02, 0.006), (0.985, 0.01)])
+def test_noise_near_black_and_white_is_kept(level: float, noise: float) -> None:
+    """Rationale: on a logit scale with a margin below the noise, tails grew three times too long."""
+    rng = np.random.default_rng(0)
+    own = level + noise * rng.standard_normal((300, 40))
+    drawn = draw_variants(own, 4000, rng)
+    # nothing is below 0, of variants: that much is told of the population, too
+    held = np.clip(own, 0.0, 1.0)
+    assert drawn.mean() == pytest.approx(held.mean(), abs=0.03 * noise)
+    np.testing.assert_allclose(drawn.std(axis=0), held.std(axis=0), rtol=0.1)
+    beyond = own.std(axis=0)  # Silverman's rule never gives more than one of these
+    assert (drawn <= own.max(axis=0) + beyond).all()
+    assert (drawn >= own.min(axis=0) - beyond).all()
+
+
+def test_a_coat_in_percent_is_converted() -> None:
+    library = library_of(population())
+    library["specular_reflectance"] = xr.full_like(library.reflectance, 4.0).assign_attrs(units="percent")
+    drawn = hp.sample_paints(library, 3)
+    np.testing.assert_allclose(drawn.specular_reflectance, 0.04, rtol=1e-6)
+    assert drawn.specular_reflectance.attrs["units"] == "1"

@@ -19,7 +19,7 @@ ZENITH, AZIMUTH = 34.07, 94.19
 
 @pytest.fixture(scope="module")
 def scene() -> xr.Dataset:
-    """Return solid paints on seed 103, not used while tuning."""
+    """Return solid paints on seed 103: no threshold was tuned on it, though faults seen on it were mended."""
     sky = Atmosphere.clear(ZENITH, AZIMUTH)
     park = car_park(length=11.7, width=16.0, seed=103, neighbours=("walls",), margin=10.0, flakes=False)
     flight = pushbroom(176, 192, altitude=15.0, ground_sample=0.035, line_spacing=0.035, start=(-4.0, 2.0))
@@ -34,8 +34,8 @@ def test_shadows_on_the_ground_and_glint_on_coloured_paint(scene: xr.Dataset) ->
     kind = np.array(KINDS)[scene.surface_class.values]
     ground = counted & np.isin(kind, ["asphalt", "concrete", "line", "grass", "panel"])
     found, true = (bits & int(Quality.SHADOW)) > 0, scene.shadow.values >= 0.2
-    assert (found & true & ground).sum() >= 0.98 * (found & ground).sum()
-    assert (found & true & ground).sum() >= 0.7 * (true & ground).sum() > 100
+    assert (found & true & ground).sum() >= 0.99 * (found & ground).sum()
+    assert (found & true & ground).sum() >= 0.8 * (true & ground).sum() > 400
     level = scene.reflectance.values
     colour = np.ptp(level[:, 20:], axis=1) / level.mean(axis=1)
     paint = counted & (kind == "paint") & (colour > 0.5)
@@ -45,5 +45,5 @@ def test_shadows_on_the_ground_and_glint_on_coloured_paint(scene: xr.Dataset) ->
     white = np.nanmedian(irradiance, axis=(0, 2)) / np.pi
     glint = share / (direct * white).mean()
     found, true = (bits & int(Quality.GLINT)) > 0, glint > 0.02
-    assert (found & true & paint).sum() >= 0.9 * (found & paint).sum()
-    assert (found & true & paint).sum() >= 0.6 * (true & paint).sum() > 50
+    assert (found & true & paint).sum() >= 0.95 * (found & paint).sum()
+    assert (found & true & paint).sum() >= 0.9 * (true & paint).sum() > 900

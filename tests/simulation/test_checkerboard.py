@@ -7,9 +7,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 import xarray as xr
+from click.testing import CliRunner
 
 import hyperpaint as hp
-from hyperpaint.simulation import SimulationSettings, simulate_collect
+from hyperpaint.cli import main
+from hyperpaint.simulation import SimulationSettings, simulate_collect, simulate_line
 from hyperpaint.simulation.checkerboard_flight import Checkerboard, CheckerboardFlight
 from hyperpaint.simulation.flight import PIXEL_ANGLE
 
@@ -99,3 +101,25 @@ def test_files_hold_what_was_flown(tmp_path: Path) -> None:
     np.testing.assert_allclose((stamp - clock) / 1e6 + seconds[0], frame * 0.007 + 0.0025 - 0.004, atol=2e-6)
     share, radiance = truth["bright_share"].values, truth["radiance"].isel(band=1).values
     assert radiance[share == 1].mean() == pytest.approx(10 * radiance[share == 0].mean(), rel=1e-3)
+
+
+def test_line_in_memory_can_be_located() -> None:
+    line = simulate_line(**{**SMALL, "boresight": (0, 0, 0), "lever_arm": (0, 0, 0)})
+    placed = line.paint.locate(ground=160.0)
+    # the poses are exact, and so are places
+    assert (
+        float(np.hypot(placed["east"] - line["true_east"], placed["north"] - line["true_north"]).max()) < 1e-5
+    )
+
+
+def test_from_a_terminal(tmp_path: Path) -> None:
+    options = "--scene checkerboard --swath 0.5 --lines 8 --columns 40 --bands 4 --wobble calm --course 90"
+    mounting = "--boresight 0.4 -0.6 0.8 --lever-arm 0.05 -0.02 0.12 --navigation-rate 50 --quiet"
+    done = CliRunner().invoke(main, ["simulate", str(tmp_path / "sim"), *options.split(), *mounting.split()])
+    assert done.exit_code == 0, done.output
+    truth = xr.open_zarr(tmp_path / "sim" / "truth.zarr")
+    assert truth.attrs["lever_arm"] == [0.05, -0.02, 0.12]
+    assert np.ptp(truth["north"].values) > np.ptp(truth["east"].values)  # eight lines, flown east
+    done = CliRunner().invoke(main, ["simulate", str(tmp_path / "two"), "--scene", "plan", "--swath", "3"])
+    assert done.exit_code == 2
+    assert "swath=3.0, expected 16 of any scene but a checkerboard" in done.output

@@ -9,16 +9,12 @@ import numpy as np
 import numpy.typing as npt
 
 from hyperpaint.errors import Problems, SchemaError
+from hyperpaint.mirrored_light import EXCLUDED, INCLUDED, mirror_reflection
 
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["EXCLUDED", "INCLUDED", "Coat", "coat_of"]
-
-INCLUDED, EXCLUDED = "included", "excluded"
-"""Whether reflectance holds what a clear coat mirrors."""
-
-_ATTRIBUTE = "mirror_reflection"
+__all__ = ["Coat", "coat_of"]
 
 
 @dataclass(frozen=True)
@@ -83,13 +79,13 @@ def coat_of(library: xr.Dataset, specular: float | str) -> Coat:
     """
     problems = Problems("no specular term can be written", SchemaError)
     apart = "specular_reflectance" in library.variables
-    attrs = library["reflectance"].attrs
-    said = attrs.get(_ATTRIBUTE)
-    if said is not None and said not in (INCLUDED, EXCLUDED):
-        problems.add(f"reflectance.attrs[{_ATTRIBUTE!r}] is {said!r}, expected {INCLUDED!r} or {EXCLUDED!r}")
-    # what is kept apart, or was subtracted, is not in there any more
-    implied = EXCLUDED if apart or "mirrored_sky_removed" in attrs else INCLUDED
-    mirror = str(said or implied)
+    told = None
+    try:
+        told = mirror_reflection(library)
+    except SchemaError as error:
+        problems.add(str(error))
+    # of measured reflectance the safe guess: a coat that is counted twice is not seen by anyone
+    mirror = told or INCLUDED
     number = specular if not isinstance(specular, str) else None
     if number is not None and not 0.0 <= number < 1.0:
         problems.add(f"specular={specular!r}, expected 0 to below 1, or 'library'")
@@ -101,7 +97,7 @@ def coat_of(library: xr.Dataset, specular: float | str) -> Coat:
         problems.add(
             f"specular={specular!r}, but the reflectance holds the mirrored light already: the clear coat "
             "would count twice; leave it away, or pass body reflectance (remove_mirrored_sky, or signatures "
-            f"--specular-sky), with reflectance.attrs[{_ATTRIBUTE!r}] = {EXCLUDED!r}"
+            f"--specular-sky), with reflectance.attrs['mirror_reflection'] = {EXCLUDED!r}"
         )
     problems.raise_if_any()
-    return Coat(mirror, said is not None or implied == EXCLUDED, number if number is not None else specular)
+    return Coat(mirror, told is not None, number if number is not None else specular)

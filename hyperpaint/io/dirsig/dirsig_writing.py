@@ -112,9 +112,10 @@ def write_dirsig(
     Returns
     -------
     Dataset
-        What was written (paint): ``material_id``, ``emissivity_file``, ``curves``, samples ``clipped`` and
-        ``interpolated``, members ``left_out``, the range and ``extrapolated``. Its attributes say what became
-        of mirrored light: ``mirror_reflection``, ``specular_term``.
+        What was written (paint): ``material_id``, ``emissivity_file``, ``curves``, their samples ``clipped``
+        and ``interpolated``, those of the ``.txt`` ``centre_clipped`` and ``centre_interpolated``, members
+        ``left_out``, the range and ``extrapolated``. Its attributes say what became of mirrored light:
+        ``mirror_reflection``, ``specular_term``.
 
     Raises
     ------
@@ -319,6 +320,7 @@ def _write_paint(
             total = made.curves[start : start + _AT_ONCE] / (1.0 - fraction)
             clipped += int(((total < 0.0) | (total > 1.0)).sum())
             file.write(curve_text.text(1.0 - np.clip(total, 0.0, 1.0)))
+    outside = int(((made.centre < 0.0) | (made.centre > 1.0)).sum())
     centre = np.clip(made.centre, 0.0, 1.0)
     (build / record["reflectance_file"]).write_bytes(plain_text.text(centre[np.newaxis]))
     beyond = [name for name, is_so in (("below", made.below), ("above", made.above)) if is_so]
@@ -328,7 +330,9 @@ def _write_paint(
         "bands": len(made.wavelength),
         "curves": len(made.curves),
         "clipped": clipped,
+        "centre_clipped": outside,
         "interpolated": made.interpolated,
+        "centre_interpolated": made.centre_interpolated,
         "left_out": made.left_out,
         "extrapolated": " and ".join(beyond),
         "specular_fraction": fraction,
@@ -354,6 +358,7 @@ def _warn(records: list[dict[str, Any]]) -> None:
     """Tell what was done to the spectra that their reader would not expect."""
     told = []
     for key, what in (("clipped", "samples outside 0 to 1 were clipped"),
+                      ("centre_clipped", "samples of centres outside 0 to 1 were clipped"),
                       ("left_out", "members that lack an end of the range were left out")):  # fmt: skip
         number, paints = sum(record[key] for record in records), sum(bool(record[key]) for record in records)
         if number:
@@ -368,7 +373,9 @@ def _summary(records: list[dict[str, Any]], attrs: Mapping[str, str]) -> xr.Data
     def column(key: str, dtype: Any) -> tuple[str, Array]:
         return PAINT, np.array([record[key] for record in records], dtype)
 
-    counts = ("curves", "clipped", "interpolated", "left_out", "bands")
+    counts = (
+        "curves", "clipped", "centre_clipped", "interpolated", "centre_interpolated", "left_out", "bands"
+    )  # fmt: skip
     values: dict[str, Any] = {key: column(key, np.int64) for key in counts}
     values |= {key: column(key, object) for key in ("emissivity_file", "reflectance_file", "extrapolated")}
     values["specular_fraction"] = column("specular_fraction", np.float64)

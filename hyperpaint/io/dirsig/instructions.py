@@ -6,7 +6,8 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 from xml.sax.saxutils import escape, quoteattr
 
-from .coat import INCLUDED
+from hyperpaint.mirrored_light import INCLUDED
+
 from .material_list import Section
 
 __all__ = ["THERMAL", "glist_text", "material_section", "readme_text"]
@@ -158,7 +159,7 @@ Specular term: {attrs["specular_term"]}.
 What was done to the spectra
 ----------------------------
 Values outside 0 to 1 were clipped to it, bands without values filled in by a straight line, and ends
-held constant, only where the table says so.
+held constant, only where the table says so: of the curves + of the centre (reflectance/<ID>.txt).
 
 {_table(records)}
 """
@@ -182,12 +183,16 @@ def _coat_advice(attrs: Mapping[str, str]) -> str:
     )
 
 
+def _both(record: Mapping[str, Any], key: str) -> str:
+    return f"{record[key]} + {record[f'centre_{key}']}".rjust(11)
+
+
 def _table(records: Sequence[Mapping[str, Any]]) -> str:
     width = max(2, *(len(record["id"]) for record in records))
-    head = f"{'ID':<{width}}  {'range [nm]':>17}  curves  clipped  filled in  left out  extrapolated"
+    head = f"{'ID':<{width}}  {'range [nm]':>17}  curves      clipped    filled in  left out  extrapolated"
     rows = [
         f"{record['id']:<{width}}  {record['wavelength'][0]:8.2f} {record['wavelength'][1]:8.2f}  "
-        f"{record['curves']:6d}  {record['clipped']:7d}  {record['interpolated']:9d}  "
+        f"{record['curves']:6d}  {_both(record, 'clipped')}  {_both(record, 'interpolated')}  "
         f"{record['left_out']:8d}  {record['extrapolated'] or 'no'}"
         for record in records
     ]

@@ -87,8 +87,8 @@ class PaintCurves:
         First and last wavelength that were measured [nm].
     below, above
         Whether a sample was added below or above that.
-    interpolated
-        Samples of curves that were filled in between others.
+    interpolated, centre_interpolated
+        Samples of the curves, and of the centre, that were filled in between others.
     left_out
         Members that are not among the curves, for what they lack at the ends.
     """
@@ -100,6 +100,7 @@ class PaintCurves:
     below: bool
     above: bool
     interpolated: int
+    centre_interpolated: int
     left_out: int
 
 
@@ -221,6 +222,9 @@ def curves_of(axis: Axis, centre: Array, curves: Array, choices: Choices) -> Pai
         msg = f"reflectance of {np.median(centre[usable]):g} in the middle, expected 0 to 1; is it percent?"
         raise PaintProblemError(msg)
     curves, filled, left_out = _without_holes(wavelength, curves[:, chosen], choices)
+    holes = ~np.isfinite(centre[chosen])
+    if holes.any() and choices.gaps == "refuse":
+        raise PaintProblemError(_holes("the centre has", wavelength[holes]))
     centre = np.interp(wavelength, axis.wavelength[usable], centre[usable])
     low, high = choices.wavelength_range or measured
     before, after = int(below), int(above)
@@ -228,7 +232,7 @@ def curves_of(axis: Axis, centre: Array, curves: Array, choices: Choices) -> Pai
         np.concatenate([[low][:before], wavelength, [high][:after]]),
         np.pad(centre, (before, after), "edge"),
         np.pad(curves, ((0, 0), (before, after)), "edge"),
-        measured, below, above, filled, left_out,
+        measured, below, above, filled, int(holes.sum()), left_out,
     )  # fmt: skip
 
 
@@ -259,21 +263,23 @@ def _inside(wavelength: Array, usable: Array, wanted: tuple[float, float] | None
     return slice(first, last + 1)
 
 
+def _holes(which: str, at: Array) -> str:
+    """Return the message about bands [nm] without values inside the range."""
+    shown = ", ".join(f"{nm:.1f}" for nm in at[:6]) + (", ..." if at.size > 6 else "")
+    return (
+        f"{which} no value at {shown} nm, inside the range; pass gaps='interpolate' to fill them in, or a "
+        "wavelength_range without them"
+    )
+
+
 def _without_holes(wavelength: Array, curves: Array, choices: Choices) -> tuple[Array, int, int]:
     """Return curves without NaN, the number of samples filled in, and of curves left out."""
     missing = ~np.isfinite(curves)
     if not missing.any():
         return curves, 0, 0
     if choices.gaps == "refuse":
-        bands = np.flatnonzero(missing.any(axis=0))
-        shown = ", ".join(f"{wavelength[band]:.1f}" for band in bands[:6]) + (
-            ", ..." if bands.size > 6 else ""
-        )
-        msg = (
-            f"{int(missing.any(axis=1).sum())} of {len(curves)} curves have no value at {shown} nm, inside "
-            "the range; pass gaps='interpolate' to fill them in, or a wavelength_range without them"
-        )
-        raise PaintProblemError(msg)
+        which = f"{int(missing.any(axis=1).sum())} of {len(curves)} curves have"
+        raise PaintProblemError(_holes(which, wavelength[missing.any(axis=0)]))
     whole = ~(missing[:, 0] | missing[:, -1])
     if not whole.any():
         msg = "no curve reaches both ends of the range; choose a shorter wavelength_range, or curves='centre'"

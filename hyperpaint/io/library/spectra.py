@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
@@ -9,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from hyperpaint.errors import FormatError
+from hyperpaint.errors import FormatError, PaintWarning
 from hyperpaint.schema import BAND, LIBRARY_VARIABLES, PAINT, quality_attrs
 
 if TYPE_CHECKING:
@@ -30,14 +31,21 @@ __all__ = [
 FloatArray = npt.NDArray[np.float64]
 SingleArray = npt.NDArray[np.float32]
 
-SHORTEST, LONGEST = 100.0, 1e6
-"""Wavelengths that a spectral library may hold [nm]: far ultraviolet to far infrared."""
+SHORTEST, LONGEST = 100.0, 3e5
+"""Wavelengths that a spectral library may hold [nm]: far ultraviolet to far infrared (those of the USGS end
+at 216 um). Visible nanometres that are taken for micrometres are beyond."""
 
 OWN_AXES = "{} is a library of hyperpaint, which says its own; wavelength=, fwhm= and scale= are for others"
 """Message where the caller would have something of our own libraries replaced."""
 
-_LARGEST_FRACTION = 1.5
-"""Median of values above which they cannot be reflectance as a fraction."""
+_LARGEST_FRACTION = 1.1
+"""Median of values above which they are hardly reflectance as a fraction: a white panel's is 1."""
+
+_MARKS = (-999.0, -9999.0, -99999.0, -32768.0)
+"""Stored values that stand for none wherever they are met."""
+
+_LEAST = -0.5
+"""No noise is below it [1], but marks of missing values at any scale."""
 
 _FILLED = -1e20
 """Below it is no reflectance: deleted points of USGS spectra are -1.23e34, and where spectra were convolved
@@ -88,7 +96,7 @@ def library_of(found: Spectra) -> xr.Dataset:
     Raises
     ------
     FormatError
-        Wavelengths are none: not finite, or outside 100 nm to 1 mm; or not as many as bands.
+        Wavelengths are none: not finite, or outside 100 nm to 300 um; or not as many as bands.
     """
     import xarray as xr
 
@@ -135,13 +143,15 @@ def check_wavelengths(wavelength: FloatArray, source: str) -> None:
     Raises
     ------
     FormatError
-        There are none; they are not finite, or outside 100 nm to 1 mm.
+        There are none; they are not finite, or outside 100 nm to 300 um.
     """
     if wavelength.size and np.isfinite(wavelength).all():
         low, high = float(wavelength.min()), float(wavelength.max())
         if low >= SHORTEST and high <= LONGEST:
             return
         found = f"wavelengths from {low:g} to {high:g} nm"
+        if low >= SHORTEST * 1e3 and high <= LONGEST * 1e3:
+            found += " (are they nanometres, said to be micrometres?)"
     else:
         found = f"{wavelength.size} wavelengths, not all of them finite"
     msg = (
@@ -176,6 +186,11 @@ def reflectances(
     ------
     FormatError
         Neither says the scale, and the values are no fractions; or they do not fit float32.
+
+    Warns
+    -----
+    PaintWarning
+        Values far below 0 were taken for missing; or single spectra are hardly fractions.
     """
     with np.errstate(all="ignore"):  # signalling NaNs of a damaged file
         values = stored.astype(np.float64)
@@ -186,19 +201,52 @@ def reflectances(
             lost |= stored == (stored.dtype.type(ignore) if stored.dtype.kind == "f" else ignore)
     values[lost] = np.nan
     scale = given if given is not None else said
-    known = np.abs(values[np.isfinite(values)])
-    if scale is None and known.size and float(np.median(known)) > _LARGEST_FRACTION:
-        msg = (
-            f"{source}: values up to {known.max():g}, half of them above {np.median(known):g}, and no scale; "
-            "expected reflectance as a fraction: pass scale=100 where it is in percent, scale=10000 where it "
-            "is in hundredths of a percent"
-        )
-        raise FormatError(msg)
+    _drop_marks(values, scale, source)
+    if scale is None:
+        _judge_fractions(values, source)
     if scale not in (None, 1.0):
         values /= scale
     with np.errstate(over="ignore"):
         made = values.astype(np.float32)
     if not np.isfinite(made[np.isfinite(values)]).all() or np.isinf(values).any():
-        msg = f"{source}: values up to {known.max() if known.size else np.inf:g}, expected finite reflectance"
+        largest = np.abs(values[~np.isnan(values)]).max()
+        msg = f"{source}: values up to {largest:g}, expected finite reflectance"
         raise FormatError(msg)
     return made
+
+
+def _drop_marks(values: FloatArray, scale: float | None, source: str) -> None:
+    """Replace by NaN what only stands for missing values, with a warning."""
+    with np.errstate(over="ignore"):
+        marks = np.isin(values, _MARKS) | (np.isfinite(values) & (values < _LEAST * (scale or 1.0)))
+    if marks.any():
+        count, one = int(marks.sum()), float(values[marks][0])
+        msg = f"{source}: {count} value{'s'[: count - 1]} far below 0, such as {one:g}, taken for missing"
+        warnings.warn(msg, PaintWarning, stacklevel=7)
+        values[marks] = np.nan
+
+
+def _judge_fractions(values: FloatArray, source: str) -> None:
+    """Refuse values that are no fractions, where nothing says their scale; warn of single spectra."""
+    finite = np.isfinite(values)
+    known = np.abs(values[finite])
+    advice = (
+        "expected reflectance as a fraction: pass scale=100 where it is in percent, scale=10000 where it is "
+        "in hundredths of a percent, scale=1 where it is right"
+    )
+    if known.size and float(np.median(known)) > _LARGEST_FRACTION:
+        msg = (
+            f"{source}: values up to {known.max():g}, half of them above {np.median(known):g}, and no scale; "
+            f"{advice}"
+        )
+        raise FormatError(msg)
+    bright = [
+        bool(there.any()) and float(np.median(one[there])) > _LARGEST_FRACTION
+        for one, there in zip(values, finite, strict=True)
+    ]
+    if any(bright):
+        msg = (
+            f"{source}: {sum(bright)} of {len(values)} spectra have half of their values above "
+            f"{_LARGEST_FRACTION:g}, up to {known.max():g}, and no scale; {advice}"
+        )
+        warnings.warn(msg, PaintWarning, stacklevel=7)

@@ -277,6 +277,32 @@ def test_members_that_lack_an_end_are_left_out(tmp_path: Path) -> None:
     assert (made.curves.values.tolist(), made.left_out.values.tolist()) == ([4, 5, 5], [1, 0, 0])
 
 
+def test_holes_of_the_centre_are_no_less_refused(tmp_path: Path) -> None:
+    """Rationale: the .txt of a paint whose members are whole was filled in without a word."""
+    paints = library()
+    paints["reflectance"][1, 3:5] = np.nan
+    with pytest.raises(SchemaError, match=r"'paint 1': the centre has no value at 625\.1, 700\.4 nm"):
+        hp.write_dirsig(paints, tmp_path / "out")
+    hp.write_dirsig(paints, tmp_path / "before", wavelength_range=(400.0, 540.0))
+    made = hp.write_dirsig(paints, tmp_path / "out", gaps="interpolate")
+    assert made.centre_interpolated.values.tolist() == [0, 2, 0]
+    assert made.interpolated.values.tolist() == [0, 0, 0]
+    _, centre = read_reflectance_text(tmp_path / "out/reflectance/paint_1.txt")
+    own = paints.reflectance.values[1].astype(float)
+    np.testing.assert_allclose(centre[3:5], own[2] + (own[5] - own[2]) * np.array([1, 2]) / 3, atol=6e-7)
+    row = (tmp_path / "out/README.txt").read_text().split("paint_1 ")[1].splitlines()[0]
+    assert "0 + 2" in row
+
+
+def test_clipping_of_the_centre_is_counted(tmp_path: Path) -> None:
+    paints = library()
+    paints["reflectance"][0, 2:4] = -0.01
+    with pytest.warns(PaintWarning, match=r"2 samples of centres outside 0 to 1 were clipped \(in 1 of 3"):
+        made = hp.write_dirsig(paints, tmp_path / "out")
+    assert made.centre_clipped.values.tolist() == [2, 0, 0]
+    assert made.clipped.values.tolist() == [0, 0, 0]
+
+
 def test_nothing_is_extrapolated_unasked(tmp_path: Path) -> None:
     paints = library()
     with pytest.raises(SchemaError, match=r"measured 399.356 to 1001.42 nm, 380 to 1100 nm are asked for"):
@@ -351,6 +377,14 @@ def test_a_library_with_its_coat_apart(tmp_path: Path) -> None:
     fraction = made.specular_fraction.values[0]
     members = paints.member_reflectance.values[0].astype(float)
     np.testing.assert_allclose((1 - emissivity) * (1 - fraction), members, atol=1e-6)
+
+
+@pytest.mark.parametrize("removed", ["none", "F0 0.04; none"])
+def test_a_sky_that_was_not_removed_is_in_there(removed: str, tmp_path: Path) -> None:
+    paints = library(mirrored_sky_removed=removed)
+    with pytest.raises(SchemaError, match="would count twice"):
+        hp.write_dirsig(paints, tmp_path / "out", specular=0.04)
+    assert hp.write_dirsig(paints, tmp_path / "out").attrs["mirror_reflection"] == "included"
 
 
 @pytest.mark.parametrize("specular", [1.0, -0.1, float("nan"), "much", "library"])

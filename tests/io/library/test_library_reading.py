@@ -355,3 +355,64 @@ def test_zarr__that_is_no_library_is_refused(tmp_path: Path) -> None:
         hp.open_library(tmp_path / "x.zarr")
     with pytest.raises(StoreError):
         hp.open_library(tmp_path / "absent.zarr")
+
+
+# --- values that cannot be ---
+
+
+def ecostress(x: list[float], y: list[float], units: str, x_units: str = "Wavelength (micrometers)") -> str:
+    rows = "".join(f"{a:g}\t{b:g}\n" for a, b in zip(x, y, strict=True))
+    return (
+        f"Name: paint\nType: manmade\nX Units: {x_units}\nY Units: {units}\nFirst X Value: {x[0]:g}\n"
+        f"Last X Value: {x[-1]:g}\nNumber of X Values: {len(x)}\nAdditional Information: none\n\n{rows}"
+    )
+
+
+def test_nanometres_that_are_called_micrometres_are_refused(tmp_path: Path) -> None:
+    path = write_text(tmp_path, ecostress([400.0, 500.0, 590.0], [10.0] * 3, "Reflectance (percent)"))
+    with pytest.raises(FormatError, match=r"from 400000 to 590000 nm.*said to be micrometres"):
+        hp.open_library(path)
+    assert hp.open_library(path, wavelength=[400, 500, 590])["wavelength"].values.tolist() == [400, 500, 590]
+    far = write_text(tmp_path, ecostress([1.2, 20.0, 216.0], [10.0] * 3, "Reflectance (percent)"), "far.txt")
+    assert hp.open_library(far)["wavelength"].values.max() == 216_000.0
+
+
+def test_a_dark_paint_in_percent_is_no_bright_one(tmp_path: Path) -> None:
+    path = write_text(tmp_path, ecostress([0.4, 0.5, 0.6], [1.2, 1.1, 1.3], "Reflectance"))
+    with pytest.raises(FormatError, match=r"no scale.*scale=1 "):
+        hp.open_library(path)
+    assert hp.open_library(path, scale=1)["reflectance"].values.max() == pytest.approx(1.3)
+    assert hp.open_library(path, scale=100)["reflectance"].values.max() == pytest.approx(0.013)
+
+
+def test_a_bright_paint_among_dark_ones_tells_of_percent(tmp_path: Path) -> None:
+    text = "wavelength (nm),black,soot,white\n450,0.8,0.7,80\n550,0.9,0.6,81\n650,0.8,0.6,82\n"
+    with pytest.warns(PaintWarning, match=r"1 of 3 spectra .* above 1.1.*scale=100"):
+        hp.open_library(write_text(tmp_path, text, "few.csv"))
+
+
+@pytest.mark.parametrize(
+    ("units", "y", "expected"),
+    [
+        ("Reflectance (percent)", [-999.0, 50.0, 60.0], [np.nan, 0.5, 0.6]),
+        ("Reflectance (percent)", [-9999.0, 50.0, -0.5], [np.nan, 0.5, -0.005]),
+        ("Reflectance", [-999.0, 0.5, -999.0], [np.nan, 0.5, np.nan]),
+        ("Reflectance (fraction)", [-32768.0, 0.5, 0.6], [np.nan, 0.5, 0.6]),
+    ],
+)
+def test_marks_of_missing_values_are_missing(
+    tmp_path: Path, units: str, y: list[float], expected: list[float]
+) -> None:
+    path = write_text(tmp_path, ecostress([0.4, 0.5, 0.6], y, units))
+    with pytest.warns(PaintWarning, match=r"value.* far below 0, such as -\d+.*taken for missing"):
+        library = hp.open_library(path)
+    np.testing.assert_allclose(library["reflectance"].values[0], expected, rtol=1e-6)
+
+
+def test_marks_of_missing_values_are_missing_at_a_scale_that_hides_them(tmp_path: Path) -> None:
+    rows = np.array(ROWS) * 1e4
+    rows[0, 1], rows[1, 0] = -9999.0, -999.0
+    path = write_sli(tmp_path, rows, NAMES + NM + "reflectance scale factor = 10000\n")
+    with pytest.warns(PaintWarning, match="2 values far below 0"):
+        values = hp.open_library(path)["reflectance"].values
+    assert np.isnan(values).tolist() == [[False, True, False], [True, False, False]]

@@ -1,0 +1,112 @@
+"""Maps of the flight lines of a store, and their files."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from .conventions import Convention
+from .errors import MissingExtraError, SchemaError
+from .georeference import PinholeCamera
+from .orthorectification import orthorectify
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+__all__ = ["map_of_store", "write_map"]
+
+
+def map_of_store(
+    store: Path,
+    line: str | None,
+    *,
+    ground: float | None = None,
+    dem: Path | None = None,
+    dem_heights: str | None = None,
+    geoid: float | None = None,
+    field_of_view: float | None = None,
+    focal_length_mm: float | None = None,
+    pixel_pitch_um: float | None = None,
+    column_order: Any = None,
+    boresight: tuple[float, float, float] | None = None,
+    lever_arm: tuple[float, float, float] | None = None,
+    clock_offset: float | None = None,
+    crs: str | None = None,
+    **options: Any,
+) -> xr.Dataset:
+    """Return the map of a flight line of a store, lazily; options as of `hyperpaint.locate`.
+
+    Raises
+    ------
+    SchemaError
+        The store has no such line, or several and none is named; a line that is located needs no options.
+    MissingExtraError
+        A DEM needs rioxarray (extra ``geo``).
+    """
+    found = _line_of(store, line)
+    location: dict[str, Any] = {"ground": ground, "boresight": boresight, "lever_arm": lever_arm, "crs": crs}
+    location["clock_offset_s"] = clock_offset
+    location["dem"] = None if dem is None else _heights(dem, dem_heights, geoid)
+    if (field_of_view, focal_length_mm, pixel_pitch_um) != (None, None, None):
+        location["camera"] = PinholeCamera(
+            found.sizes["cross_track"],
+            pixel_pitch=None if pixel_pitch_um is None else 1e-6 * pixel_pitch_um,
+            focal_length=None if focal_length_mm is None else 1e-3 * focal_length_mm,
+            field_of_view=field_of_view,
+            edges=None if field_of_view is None else "outer",
+        )
+    if column_order is not None:
+        told = Convention.from_attrs(found.attrs) or Convention()
+        location["convention"] = told.replace(column_order=column_order)
+    given = {name: value for name, value in location.items() if value is not None}
+    return orthorectify(found, **options, **given)
+
+
+def write_map(made: xr.Dataset, path: Path, *, overwrite: bool = False, progress: bool = False) -> None:
+    """Write a map as GeoTIFF, or all of it as a Zarr store, by the end of its name.
+
+    Raises
+    ------
+    StoreError
+        There is something already.
+    MissingExtraError
+        A GeoTIFF needs rasterio (extra ``geo``).
+    """
+    if path.suffix.lower() in (".tif", ".tiff"):
+        from .io.geotiff import write_geotiff
+
+        write_geotiff(made, path, overwrite=overwrite)
+        return
+    from .io.store import to_store
+
+    to_store(made, path, overwrite=overwrite, progress=progress)
+
+
+def _line_of(store: Path, line: str | None) -> xr.Dataset:
+    from .io.store import open_store
+
+    tree = open_store(store)
+    lines = tree["flightlines"].children if "flightlines" in tree.children else {}
+    if not lines:
+        whole: xr.Dataset = tree.to_dataset()
+        return whole
+    name = line if line is not None or len(lines) > 1 else next(iter(lines))
+    if name not in lines:
+        held = ", ".join(map(repr, lines))
+        asked = "give --line" if line is None else f"there is no {line!r}"
+        msg = f"{store} holds the flight lines {held}; {asked}"
+        raise SchemaError(msg)
+    found: xr.Dataset = lines[name].to_dataset()
+    return found
+
+
+def _heights(path: Path, reference: str | None, undulation: float | None) -> xr.DataArray:
+    try:
+        import rioxarray
+    except ImportError as error:
+        needed = MissingExtraError.of("rioxarray", "geo", "opening a DEM")
+        raise needed from error
+    dem: Any = rioxarray.open_rasterio(path, masked=True)
+    told = {"height_reference": reference, "geoid_undulation": undulation}
+    made: xr.DataArray = dem.assign_attrs({name: value for name, value in told.items() if value is not None})
+    return made

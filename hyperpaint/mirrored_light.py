@@ -1,0 +1,63 @@
+"""Whether reflectance holds the light that a clear coat mirrors, as those who hand it on say it."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from .errors import SchemaError
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+__all__ = ["EXCLUDED", "INCLUDED", "mirror_reflection"]
+
+INCLUDED, EXCLUDED = "included", "excluded"
+"""What the attribute ``mirror_reflection`` may say."""
+
+_SAID = "mirror_reflection"
+_REMOVED = "mirrored_sky_removed"
+_APART = "specular_reflectance"
+
+
+def mirror_reflection(library: xr.Dataset) -> str | None:
+    """Return whether a library's reflectance holds mirrored light: "included", "excluded", or None.
+
+    The attribute ``mirror_reflection`` of ``reflectance``, or else of the library, decides. Where neither
+    says it, light that is kept apart as ``specular_reflectance``, or was subtracted as
+    ``mirrored_sky_removed`` says, is excluded. What was not subtracted ("none"), of one of several sources
+    even ("F0 0.04; none"), is included.
+
+    Parameters
+    ----------
+    library
+        With ``reflectance``.
+
+    Raises
+    ------
+    SchemaError
+        The attribute is neither of both words.
+
+    Examples
+    --------
+    >>> import numpy as np, xarray as xr
+    >>> paints = xr.Dataset({"reflectance": (("paint", "band"), np.float32([[0.3, 0.4]]))})
+    >>> print(mirror_reflection(paints))
+    None
+    >>> paints.reflectance.attrs["mirrored_sky_removed"] = "F0 0.04 x sky view 1"
+    >>> mirror_reflection(paints)
+    'excluded'
+    """
+    attrs = {**library.attrs, **library["reflectance"].attrs}
+    said = attrs.get(_SAID)
+    if said is not None:
+        if not isinstance(said, str) or said not in (INCLUDED, EXCLUDED):
+            msg = f"attribute {_SAID!r} of reflectance is {said!r:.60}, expected {INCLUDED!r} or {EXCLUDED!r}"
+            raise SchemaError(msg)
+        return said
+    if _APART in library.variables:
+        return EXCLUDED
+    if _REMOVED not in attrs:
+        return None
+    # a library of several flight lines names what was subtracted from each of them
+    sources = [text.strip() for text in str(attrs[_REMOVED]).split(";")]
+    return INCLUDED if any(text in ("", "none") for text in sources) else EXCLUDED

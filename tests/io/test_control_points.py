@@ -1,0 +1,68 @@
+"""Tables of control points: read, or refused as FormatError and nothing else."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from hyperpaint.errors import FormatError
+from hyperpaint.io.control_points import read_control_points
+
+TABLE = """# crs: EPSG:32617
+Name;Flightline;Line;Sample;Easting [m];Northing [m];Height_m
+A;raw_0;10.5;3;500000.25;3700000.5;-20
+B;raw_1;11;4;500001;3700001;-19.5
+"""
+
+
+def test_a_table(tmp_path: Path) -> None:
+    path = tmp_path / "points.csv"
+    path.write_text(TABLE)
+    points = read_control_points(path)
+    assert points.attrs == {"source": "points.csv", "crs": "EPSG:32617"}
+    assert points.along_track_pixel.values.tolist() == [10.5, 11.0]
+    assert points.east.values.tolist() == [500000.25, 500001.0]
+    assert points.height.attrs["units"] == "m"
+    assert points.flightline.values.tolist() == ["raw_0", "raw_1"]
+    assert {points[name].dtype for name in points.data_vars} == {np.dtype(np.float64)}
+
+
+@pytest.mark.parametrize(
+    ("text", "told"),
+    [
+        ("", "0 points"),
+        ("line,sample,east,north,height\n", "0 points"),
+        ("line,sample,east,north\n1,2,3,4\n", "'height'"),
+        ("line,row,sample,east,north,height\n1,1,2,3,4,5\n", "2 columns for 'along_track'"),
+        ("line,sample,east,north,height\n1,2,3,4\n", "line 2: 4 cells"),
+        ("line,sample,east,north,height\n1,2,3,nan,5\n", "line 2: north 'nan'"),
+        ("line,sample,east,north,height\n1,2,x,4,inf\n", "line 2: east 'x'"),
+    ],
+)
+def test_what_is_wrong_is_named(tmp_path: Path, text: str, told: str) -> None:
+    path = tmp_path / "points.csv"
+    path.write_text(text)
+    with pytest.raises(FormatError, match=told):
+        read_control_points(path)
+
+
+def test_no_file(tmp_path: Path) -> None:
+    with pytest.raises(FormatError, match="cannot be read"):
+        read_control_points(tmp_path / "none.csv")
+
+
+@settings(max_examples=80, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(where=st.integers(0, len(TABLE)), what=st.binary(max_size=12))
+def test_damaged_files_are_refused_or_read(tmp_path: Path, where: int, what: bytes) -> None:
+    data = TABLE.encode()
+    path = tmp_path / "points.csv"
+    path.write_bytes(data[:where] + what + data[where + len(what) // 2 :])
+    try:
+        points = read_control_points(path)
+    except FormatError:
+        return
+    assert all(np.isfinite(points[name]).all() for name in points.data_vars)

@@ -1,0 +1,66 @@
+"""What the uncertainties of a comparison are made of, and what is said where some are not known."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from agreeing_spectra import NM, field, library, seen, value_of
+
+import hyperpaint as hp
+
+FIELD_NM = np.arange(380.0, 1021.0)
+LEVEL = seen(FIELD_NM, 3.0)
+PAINT = seen(NM, 6.0)
+
+
+def readings(count: int, **spreads: float) -> hp.Validation:
+    """Compare a paint with readings that are nearly the same, of known uncertainty."""
+    values = LEVEL + 1e-5 * np.arange(count)[:, None]
+    made = field(values, ["hood"] * count)
+    for name, value in spreads.items():
+        made[f"reflectance_{name}"] = ("spectrum", "wavelength"), np.full(values.shape, value), {"units": "1"}
+    return hp.validate(library(PAINT), made)
+
+
+def test_repeating_does_not_lessen_what_is_systematic() -> None:
+    for count in (1, 2, 5):
+        assert value_of(readings(count, u_systematic=0.03), "bias_u") == pytest.approx(0.03, rel=0.1)
+
+
+def test_readings_that_agree_by_chance_keep_their_noise() -> None:
+    one, four = (readings(count, u_random=0.01).spectra[0]["reference_u"].median() for count in (1, 4))
+    assert float(four) == pytest.approx(0.5 * float(one), rel=0.1)
+    assert float(four) > 0.001
+
+
+def test_what_is_known_of_some_bands_only() -> None:
+    u = np.full(NM.size, np.nan)
+    u[:60] = 0.005  # VIS, hardly any of NIR
+    found = hp.validate(library(PAINT, reflectance_u_random=u), field(LEVEL))
+    assert 700.0 < NM[59] < 710.0
+    assert value_of(found, "bias_u", "VIS") > 0.0
+    assert np.isnan(value_of(found, "bias_u", "NIR"))
+    assert np.isnan(value_of(found, "bias_u", "all"))
+    assert np.isnan(found.spectra[0]["signature_u"].values[60:]).all()
+    told = "uncertainty of the signature: random part known in 60 of 117 channels"
+    assert any(told in note for note in found.notes[0])
+
+
+@pytest.mark.parametrize("known", ["random", "systematic"])
+def test_one_part_is_said_to_be_one_part(known: str) -> None:
+    other = {"random": "systematic", "systematic": "random"}[known]
+    only = hp.validate(library(PAINT, **{f"reflectance_u_{known}": np.full(NM.size, 0.005)}), field(LEVEL))
+    told = f"uncertainty of the signature: {known} part only, the {other} one is not known"
+    assert told in only.notes[0]
+    spreads = {f"reflectance_u_{name}": np.full(NM.size, 0.005) for name in (known, other)}
+    both = hp.validate(library(PAINT, **spreads), field(LEVEL))
+    assert not any("part only" in note for note in both.notes[0])
+
+
+def test_pixels_that_are_not_independent_do_not_count() -> None:
+    paints = library(PAINT, reflectance_sd=np.full(NM.size, 0.03)).assign(
+        n=("paint", [10_000], {"units": "1"}), n_eff=("paint", [25.0], {"units": "1"})
+    )
+    assert value_of(hp.validate(paints, field(LEVEL)), "bias_u") == pytest.approx(0.03 / 5, rel=0.1)
+    silent = paints.assign(n_eff=("paint", [np.nan], {"units": "1"}))
+    assert value_of(hp.validate(silent, field(LEVEL)), "bias_u") == pytest.approx(0.03 / 100, rel=0.1)

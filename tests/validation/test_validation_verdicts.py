@@ -1,0 +1,91 @@
+"""What must not pass: what was not compared, and what has no reference."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from agreeing_spectra import NM, agreeing, field, library, seen, smooth, value_of
+
+import hyperpaint as hp
+from hyperpaint.errors import SchemaError
+
+
+def test_a_part_that_is_asked_for_needs_bands() -> None:
+    signatures, references = agreeing()
+    found = hp.validate(signatures, references, parts={"red": (600.0, 700.0), "SWIR": (1500.0, 1700.0)})
+    assert found.statistics["passes"].values.tolist() == [[True, False]]
+    assert found.statistics["judged"].values.tolist() == [[True, False]]
+    assert not found.passed
+    assert found.problems == ("hood against hood: SWIR (0 of 0 bands, too few to judge)",)
+    assert "0 of 1 pair within tolerance" in found.verdict
+
+
+def test_a_single_band_passes_nothing() -> None:
+    values = np.full(NM.size, np.nan)
+    values[60] = 0.9
+    limits = {"spectral_angle": 0.01, "scale_free_error": 0.01}
+    found = hp.validate(library(values), agreeing()[1], tolerance=limits)
+    assert found.statistics["bands"].sel(part="all").item() == 1
+    assert not found.passed
+    for name in limits:
+        assert np.isnan(value_of(found, name))
+        assert np.isnan(value_of(found, f"{name}_u"))
+    assert not found.statistics["passes"].any()
+
+
+def test_few_of_many_bands_pass_nothing_yet_can_fail() -> None:
+    signatures, _ = agreeing()
+    nm = np.arange(380.0, 541.0)  # most of VIS is not seen, NIR not at all
+    few = field(seen(nm, 3.0), nm=nm)
+    found = hp.validate(signatures, few)
+    assert found.statistics["judged"].values.tolist() == [[False, False, False]]
+    assert not found.passed
+    # a part that names what is seen is judged
+    assert hp.validate(signatures, few, parts={"blue": (400.0, 530.0)}).passed
+    # all of the spectrum is not judged, but VIS is, which suffices
+    nm = np.arange(380.0, 690.0)
+    most = hp.validate(signatures, field(seen(nm, 3.0), nm=nm))
+    assert most.statistics["judged"].values.tolist() == [[True, False, False]]
+    assert most.passed
+    assert "not judged" in most.table()
+    # what is outside fails, judged or not
+    nm = np.arange(380.0, 800.0)
+    step = np.where(nm > 720, 0.2, 0.0)
+    outside = hp.validate(signatures, field(seen(nm, 3.0) + step, nm=nm))
+    assert outside.statistics["judged"].sel(part="NIR").item() is False
+    assert outside.statistics["passes"].sel(part="NIR").item() is False
+    assert outside.statistics["passes"].sel(part="VIS").item() is True
+
+
+def test_a_reference_that_is_asked_for_must_be_there() -> None:
+    paints = library([smooth(NM)] * 2, ("red", "blue")).assign_coords(
+        reference=("paint", np.array(["", "blu.sig"], object))
+    )
+    references = library([smooth(NM)] * 2, ("red", "blue"))
+    found = hp.validate(paints, references)
+    assert found.missing == ("blue (wants 'blu.sig')",)
+    assert found.statistics["passes"].all()
+    assert not found.passed
+    assert found.problems == ("blue (wants 'blu.sig'): its reference is not there",)
+    assert found.verdict.endswith("1 of 2 paints compared")
+
+
+def test_all_paints_can_be_required() -> None:
+    paints = library([smooth(NM)] * 2, ("red", "blue"))
+    references = paints.isel(paint=[0])
+    assert hp.validate(paints, references).passed
+    found = hp.validate(paints, references, require_all=True)
+    assert found.missing == ("blue",)
+    assert not found.passed
+
+
+@pytest.mark.parametrize("wrong", [1e-7, 1e-3, 1e4])
+def test_widths_of_channels_have_bounds(wrong: float) -> None:
+    signatures, references = agreeing()
+    widths = np.full(references.sizes["wavelength"], 3.0)
+    widths[150] = wrong
+    bad = references.assign_coords(fwhm=("wavelength", widths, {"units": "nm"}))
+    with pytest.raises(SchemaError, match=r"reference 1: 'fwhm' reaches from .* expected 0.05 to 100 nm"):
+        hp.validate(signatures, bad)
+    with pytest.raises(SchemaError, match="'fwhm' reaches from"):
+        hp.validate(signatures, references, reference_fwhm=wrong)
