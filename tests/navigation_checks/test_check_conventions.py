@@ -113,5 +113,7 @@ def test_shifts_of_rows_are_measured_to_a_tenth_of_a_pixel() -> None:
     picture = 100 + 3 * np.sin(at[..., None] * waves + phases).sum(-1)
     seen = row_motion(picture)
     assert seen is not None
-    np.testing.assert_allclose(np.nanmedian(seen.shift, axis=1), shifts, atol=0.1)
+    away = np.nanmedian(seen.shift, axis=1) - shifts
+    assert np.sqrt(np.mean(away**2)) < 0.06
+    assert np.abs(away).max() < 0.2
     assert np.isfinite(seen.shift).mean() > 0.95

@@ -1,0 +1,315 @@
+"""Does a navigation record mean what is declared of it? The track and the picture are asked."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+
+from hyperpaint.conventions import Convention
+from hyperpaint.errors import SchemaError
+from hyperpaint.georeference import PinholeCamera
+from hyperpaint.schema import ALONG_TRACK
+from hyperpaint.units import conversion_factor
+
+from .findings import ConventionCheck, Finding, Verdict
+from .hypotheses import Hypothesis, Scored, fields_of, score
+from .pose_motion import course_of, local_metres, units_of
+from .refinement import Refined, costs_of, fit_clock, fit_height
+from .setting import Setting, setting_of
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+__all__ = ["check_conventions"]
+
+Float = npt.NDArray[np.float64]
+
+Mask = npt.NDArray[np.bool_]
+
+_FEWEST = 500
+"""Parts of rows that must be comparable."""
+ODDS = 10.0
+"""Logarithm of the likelihood ratio beyond which a meaning is ruled out: 22,000 to 1."""
+_HEIGHT_FACTOR = 1.4
+"""Ratio of heights above ground from which one is called wrong; what leans on the ground biases the fit."""
+_CLOCK_SIGMAS = 3.0
+_CLOCK_SEARCH, _CLOCK_STEP = 1.0, 0.02
+"""How far, and how finely, another clock is looked for where another meaning seems better [s]."""
+_TO_MIDDLE = {"start": 0.5, "mid": 0.0, "end": -0.5}
+
+
+def check_conventions(
+    line: xr.Dataset,
+    navigation: xr.Dataset | None = None,
+    *,
+    convention: Convention | None = None,
+    camera: PinholeCamera | xr.Dataset | None = None,
+    ground: float | None = None,
+    boresight: Sequence[float] = (0.0, 0.0, 0.0),
+    lever_arm: Sequence[float] = (0.0, 0.0, 0.0),
+    image: xr.DataArray | None = None,
+    lines: slice | None = None,
+    crs: Any = None,
+) -> ConventionCheck:
+    """Test what a navigation record is declared to mean against the track and the picture (eager).
+
+    A platform that rolls shifts the rows of a picture sideways, and one that pitches makes them more or less
+    alike; what positions and angles mean decides which shifts are to be expected. All combinations of signs,
+    units, orders of rotation and of columns, and of latitude and longitude, are compared by how well they
+    explain the picture. Nothing is changed: what looks wrong is named, and what cannot be told is said to be
+    so.
+
+    Parameters
+    ----------
+    line
+        Flight line with ``time`` at mid exposure and a cube; its own poses where there is no ``navigation``.
+    navigation
+        See `hyperpaint.open_navigation`.
+    convention
+        What is declared; by default what the attributes say.
+    camera, boresight, lever_arm
+        See `hyperpaint.locate`; a boresight that is not known matters little here.
+    ground
+        Height of the ground above the ellipsoid, to some tenths of the height above it [m]; by default
+        that of a located line.
+    image
+        Picture (along_track, cross_track) to be used instead of a mean of bands.
+    lines
+        Lines to look at; by default 4000 in the middle. They should hold the wobbliest part.
+    crs
+        Map whose north ``"grid"`` headings count from, where the convention names none.
+
+    Returns
+    -------
+    ConventionCheck
+        ``findings``, ``wrong`` and ``undecided`` (names), ``suggested`` and ``table()``.
+
+    Raises
+    ------
+    SchemaError
+        No convention, camera, ground, pose or picture; or no two lines whose motion is known of both.
+
+    Notes
+    -----
+    What it cannot tell, on one line: which north headings count from, since a heading that is off by a
+    constant looks like wind, or like structures that lean on the ground; ``"ZYX"`` from ``"ZXY"``, which
+    differ by the product of roll and pitch; a wrong stamp from a clock that is off by as much. Where the
+    platform does not wobble nothing can be told of signs.
+
+    The shift between rows is `hyperpaint.navigation_checks.picture_motion`, what is to be expected
+    `hyperpaint.navigation_checks.pose_motion`.
+    """
+    setting = setting_of(
+        line,
+        navigation,
+        convention=convention,
+        camera=camera,
+        ground=ground,
+        boresight=boresight,
+        lever_arm=lever_arm,
+        image=image,
+        lines=lines,
+        crs=crs,
+    )
+    findings = _findings(setting)
+    labelled = units_of(line, navigation)
+    if labelled is not None and conversion_factor(labelled, setting.declared.angle_unit) != 1.0:
+        told = f"the variables are labelled {labelled!r}"
+        wrong = Finding("angle_unit", setting.declared.angle_unit, "wrong", labelled, told)
+        findings = [wrong if one.field == "angle_unit" else one for one in findings]
+    first, stop, _ = setting.lines.indices(line.sizes[ALONG_TRACK])
+    return ConventionCheck(tuple(findings), _suggested(setting.declared, findings), (first, stop))
+
+
+def _findings(setting: Setting) -> list[Finding]:
+    """Return one finding for everything that is declared."""
+    declared = Hypothesis(setting.declared)
+    given = _height(declared, setting)
+    if given <= 0.0:
+        # any height does for signs: one at which pixels are square, as flights are planned
+        setting = _at_height(setting, declared, _square(declared, setting))
+    scored, used = _scores(setting)
+    if not scored or scored[0].over_rest < ODDS:
+        told = "the picture does not follow the attitude: no wobble, little to see, or clocks far apart"
+        silent = {**fields_of(declared), "height_reference": setting.declared.height_reference}
+        silent |= {"stamp_reference": str(setting.declared.stamp_reference)}
+        return [Finding(n, str(v), "undecided", "", told) for n, v in silent.items()] + [
+            _north(declared, setting)
+        ]
+    best = _best(scored, declared)
+    found = _fitted_height(setting, best, used)
+    if given > 0.0 and _is_off(found, given):
+        setting = _at_height(setting, best, found.value)
+        scored, used = _scores(setting)
+        best = _best(scored, declared)
+    findings = _senses(setting, scored, declared, used)
+    findings += [_north(best, setting), _heights(setting.declared.height_reference, given, found)]
+    return [*findings, _stamps(setting, best, used)]
+
+
+# --- which meaning -----------------------------------------------------------------------------------------
+
+
+def _scores(setting: Setting) -> tuple[list[Scored], Mask]:
+    """Return all meanings by how well they fit, and what of the picture was compared."""
+    plain = Hypothesis(setting.declared.replace(angle_unit="degree", column_order="left_to_right"))
+    used = setting.comparable(setting.view.motion(plain.poses(setting.recorded)))
+    if used.sum() < _FEWEST:
+        msg = (
+            f"{int(used.sum())} parts of rows show a motion and have poses, expected {_FEWEST}; look at the "
+            "times of line and record, and at what the line shows"
+        )
+        raise SchemaError(msg)
+    scored = score(
+        setting.seen,
+        setting.recorded,
+        setting.view,
+        Hypothesis(setting.declared),
+        columns_matter=setting.columns_matter,
+        used=used,
+        interval=setting.interval,
+    )
+    return scored, used
+
+
+def _best(scored: list[Scored], declared: Hypothesis) -> Hypothesis:
+    """Return the meaning that fits best; of those that fit as well, that nearest to the one declared."""
+    own = fields_of(declared)
+    near = [one.hypothesis for one in scored if one.odds > -ODDS]
+    return min(near, key=lambda h: sum(own[n] != v for n, v in fields_of(h).items()))
+
+
+def _senses(setting: Setting, scored: list[Scored], declared: Hypothesis, used: Mask) -> list[Finding]:
+    """Return findings on what meanings differ in."""
+    near = [fields_of(one.hypothesis) for one in scored if one.odds > -ODDS]
+    late = "" if fields_of(declared) in near else _late(setting, declared, scored[0].hypothesis, used)
+    findings = []
+    for name, own in fields_of(declared).items():
+        fits = [v for v in dict.fromkeys(told[name] for told in near) if v is not None]
+        others = [one.odds for one in scored if fields_of(one.hypothesis)[name] != own]
+        mine = [one.odds for one in scored if fields_of(one.hypothesis)[name] == own]
+        likely = " or ".join(v for v in fits if v != own)
+        verdict: Verdict = "right"
+        if own in (None, "None"):
+            verdict, told = "undecided", "not declared"
+        elif late:
+            verdict, told = "undecided", late
+        elif own not in fits:
+            verdict, told = "wrong", f"log odds {min(-max(mine, default=-9999.0), 9999.0):.0f} against it"
+        elif len(fits) > 1:
+            verdict, told = "undecided", f"{' and '.join(fits)} fit alike"
+        elif not others:
+            verdict, told = "undecided", "not tested"
+        else:
+            told = f"log odds {min(-max(others), 9999.0):.0f} for it"
+        findings.append(Finding(name, str(own), verdict, "" if verdict == "right" else likely, told))
+    return findings
+
+
+def _late(setting: Setting, declared: Hypothesis, best: Hypothesis, used: Mask) -> str:
+    """Return why a clock that is off is as good an explanation as another meaning; empty where it is not."""
+    offsets = np.arange(-_CLOCK_SEARCH, _CLOCK_SEARCH + _CLOCK_STEP / 2, _CLOCK_STEP)
+
+    def curve(hypothesis: Hypothesis) -> Float:
+        def poses(offset: float) -> Float:
+            return hypothesis.poses(setting.recorded, offset)
+
+        return costs_of(setting.seen, poses, hypothesis.view(setting.view), used, offsets)
+
+    own, other = curve(declared), curve(best)
+    if np.isnan(own).all() or np.nanmin(own) > np.nanmin(other):
+        return ""
+    offset = float(offsets[np.nanargmin(own)])
+    if abs(offset) <= _CLOCK_STEP:
+        return ""
+    return f"clocks {offset:+.2f} s apart explain the picture as well; see hyperpaint.estimate_clock_offset"
+
+
+# --- what changes little by little -------------------------------------------------------------------------
+
+
+def _height(hypothesis: Hypothesis, setting: Setting) -> float:
+    """Return the median height above the ground [m]; NaN where no line has a pose."""
+    heights = hypothesis.poses(setting.recorded)[2]
+    known = heights[np.isfinite(heights)]
+    return float(np.median(known)) - setting.view.ground if known.size else float("nan")
+
+
+def _at_height(setting: Setting, hypothesis: Hypothesis, height: float) -> Setting:
+    ground = setting.view.ground + _height(hypothesis, setting) - height
+    return replace(setting, view=replace(setting.view, ground=ground))
+
+
+def _square(hypothesis: Hypothesis, setting: Setting) -> float:
+    """Return the height at which lines are as far apart as columns [m]."""
+    north, east = local_metres(*hypothesis.poses(setting.recorded)[:2])
+    way = float(np.nanmedian(np.hypot(np.diff(north), np.diff(east))))
+    return max(way / float(np.abs(setting.view.step).mean()), 1.0)
+
+
+def _fitted_height(setting: Setting, hypothesis: Hypothesis, used: Mask) -> Refined:
+    poses, view = hypothesis.poses(setting.recorded), hypothesis.view(setting.view)
+    return fit_height(setting.seen, poses, view, used, setting.interval, _height(hypothesis, setting))
+
+
+def _is_off(found: Refined, given: float) -> bool:
+    ratio = max(found.value / given, given / found.value)
+    return found.odds > ODDS and np.isfinite(found.sd) and ratio > _HEIGHT_FACTOR
+
+
+def _heights(declared: str, given: float, found: Refined) -> Finding:
+    other = "geoid" if declared == "ellipsoid" else "ellipsoid"
+    seen = f"{found.value:.0f} +- {found.sd:.0f} m above ground by the picture, {given:.0f} m by the record"
+    name = "height_reference"
+    if not given > 0.0:
+        return Finding(name, declared, "wrong", other, f"the camera would be {-given:.0f} m below the ground")
+    if _is_off(found, given):
+        return Finding(name, declared, "wrong", other, f"{seen}; or ground= is not that of the ellipsoid")
+    if found.sd * 4.0 < given:
+        return Finding(name, declared, "right", "", seen)
+    return Finding(name, declared, "undecided", "", seen)
+
+
+def _stamps(setting: Setting, best: Hypothesis, used: Mask) -> Finding:
+    """Return what the clock says of the part of the exposure that stamps mark."""
+    found = fit_clock(
+        setting.seen, lambda offset: best.poses(setting.recorded, offset), best.view(setting.view), used
+    )
+    declared, half = setting.declared.stamp_reference, setting.exposure / 2
+    told = f"clock {1e3 * found.value:+.1f} +- {1e3 * found.sd:.1f} ms"
+    name = "stamp_reference"
+    if declared is None:
+        return Finding(name, "None", "undecided", "", f"{told}; not declared")
+    if not abs(found.value) > _CLOCK_SIGMAS * found.sd:
+        sharp = np.isfinite(half) and _CLOCK_SIGMAS * found.sd < half
+        return Finding(name, declared, "right" if sharp else "undecided", "", told)
+    shifts = {other: 2.0 * half * (to - _TO_MIDDLE[declared]) for other, to in _TO_MIDDLE.items()}
+    away = {other: abs(found.value - shift) for other, shift in shifts.items() if np.isfinite(shift)}
+    likely = min(away, key=lambda other: away[other]) if away else declared
+    if likely == declared or away[likely] > max(3.0 * found.sd, half / 2):
+        return Finding("clock", "0 s", "wrong", f"{found.value:+.4f} s", f"{told}; add it as clock_offset_s")
+    return Finding(name, declared, "wrong", likely, f"{told}; a clock that is off by as much looks the same")
+
+
+def _north(hypothesis: Hypothesis, setting: Setting) -> Finding:
+    """Return the angle between heading and course, from which alone no north can be told."""
+    poses = hypothesis.poses(setting.recorded)
+    known = np.isfinite(poses[5])
+    turned = np.exp(1j * np.radians(poses[5][known] - course_of(poses)))
+    crab = float(np.degrees(np.angle(turned.mean()))) if known.any() else float("nan")
+    told = f"heading {crab:+.1f} degrees from the course: wind, boresight and declination look alike"
+    return Finding("heading_reference", setting.declared.heading_reference, "undecided", "", told)
+
+
+def _suggested(declared: Convention, findings: list[Finding]) -> Convention:
+    """Return the convention with what is wrong replaced, where one alternative is left."""
+    changes = {
+        one.field: one.likely
+        for one in findings
+        if one.verdict == "wrong" and hasattr(declared, one.field) and " or " not in one.likely
+    }
+    return declared.replace(**changes)

@@ -1,0 +1,402 @@
+"""How a camera is mounted, and how late its clock is, from points whose place is known."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+
+from hyperpaint.errors import Problems, SchemaError
+from hyperpaint.georeference import PinholeCamera
+
+from .sightings import Sightings, sightings_of
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+    from hyperpaint.conventions import Convention
+
+__all__ = ["BoresightSolution", "solve_boresight"]
+
+Float = npt.NDArray[np.float64]
+
+PARAMETERS = ("roll", "pitch", "heading", "height", "clock")
+_UNITS = {"roll": "degree", "pitch": "degree", "heading": "degree", "height": "m", "clock": "s"}
+_STEPS = {"roll": 1e-3, "pitch": 1e-3, "heading": 1e-3, "height": 1e-3, "clock": 5e-4}
+"""Over which misses are differenced."""
+_LOOSEST = 30.0
+"""Factor by which what is solved with a parameter may widen its uncertainty."""
+_WIDEST = {"roll": 5.0, "pitch": 5.0, "heading": 5.0, "height": 50.0, "clock": 1.0}
+"""Uncertainty, of picking to one pixel, beyond which nothing is known: what anyone can see without points."""
+_OUTLYING = 4.5
+"""Standard deviations of picking beyond which a point is left out: 1 in 25,000 of good ones."""
+_MOST_TURNS = 10
+_FIELDS = ("along_track_pixel", "cross_track_pixel", "east", "north", "height")
+
+
+@dataclass(frozen=True)
+class BoresightSolution:
+    """How a camera sits in its platform.
+
+    Attributes
+    ----------
+    boresight
+        Roll, pitch, heading of the camera in the body [degree], as `hyperpaint.locate` takes them.
+    height_offset_m
+        To be added to the altitude of the record; to the same end `hyperpaint.locate` is given a ``ground``
+        lower by as much [m].
+    clock_offset_s
+        To be added to the time of lines, as `hyperpaint.locate` takes it [s].
+    covariance : (parameter, other_parameter)
+        Of what was solved, in the units of these.
+    points
+        ``miss`` [pixel] and ``outlier`` of every point (point).
+    picking_sd
+        Standard deviation of a picked line or column, by what is left of the points [pixel].
+    condition
+        Ratio of the largest to the smallest singular value, columns scaled to unit length.
+    """
+
+    boresight: tuple[float, float, float]
+    height_offset_m: float
+    clock_offset_s: float
+    covariance: xr.DataArray
+    points: xr.Dataset
+    picking_sd: float
+    condition: float
+
+    @property
+    def solved(self) -> tuple[str, ...]:
+        """Names of what was solved."""
+        return tuple(str(name) for name in self.covariance["parameter"].values)
+
+    @property
+    def sd(self) -> dict[str, float]:
+        """Standard uncertainty of what was solved, in its own unit."""
+        variance = np.diag(self.covariance.values)
+        return {name: float(np.sqrt(v)) for name, v in zip(self.solved, variance, strict=True)}
+
+    def value(self, name: str) -> float:
+        """Return one parameter: roll, pitch, heading [degree], height [m] or clock [s]."""
+        values = (*self.boresight, self.height_offset_m, self.clock_offset_s)
+        return values[PARAMETERS.index(name)]
+
+    def table(self) -> str:
+        """Return the solution as text."""
+        sd = self.sd
+        within = {n: f"+- {sd[n]:.5f}" if n in sd else "as given" for n in PARAMETERS}
+        rows = [f"{n:8} {self.value(n):+12.5f} {within[n]:12} {_UNITS[n]}" for n in PARAMETERS]
+        bad = self.points["point"].values[self.points["outlier"].values].tolist()
+        kept = int((~self.points["outlier"]).sum())
+        rows += [
+            f"{kept} points, {self.picking_sd:.2f} pixel left, condition {self.condition:.1f}",
+            f"left out: {', '.join(map(str, bad))}" if bad else "no point left out",
+        ]
+        return "\n".join(rows)
+
+
+def solve_boresight(
+    lines: xr.Dataset | Mapping[str, xr.Dataset],
+    control_points: xr.Dataset,
+    *,
+    navigation: xr.Dataset | Mapping[str, xr.Dataset] | None = None,
+    solve: Sequence[str] = PARAMETERS,
+    boresight: Sequence[float] = (0.0, 0.0, 0.0),
+    lever_arm: Sequence[float] = (0.0, 0.0, 0.0),
+    clock_offset_s: float = 0.0,
+    camera: PinholeCamera | xr.Dataset | None = None,
+    convention: Convention | None = None,
+    crs: Any = None,
+) -> BoresightSolution:
+    r"""Solve for the mounting of a camera, and its clock, from ground control points (eager).
+
+    Parameters
+    ----------
+    lines
+        A flight line, or several by their names.
+    control_points
+        ``along_track_pixel``, ``cross_track_pixel`` where a point is seen, fractions of a pixel from the
+        centre of the first; ``east``, ``north`` and ``height`` above the ellipsoid [m] where it is (point);
+        with several lines ``flightline``. See `hyperpaint.read_control_points`.
+    navigation
+        See `hyperpaint.locate`; one of all lines, or one of each by its name.
+    solve
+        Which of ``"roll"``, ``"pitch"``, ``"heading"``, ``"height"`` (added to the record's altitude) and
+        ``"clock"`` (added to the lines' time); the others stay as given.
+    boresight, lever_arm, clock_offset_s
+        Where to begin; ``lever_arm`` is not solved for.
+    camera, convention
+        See `hyperpaint.locate`.
+    crs
+        Map of ``east`` and ``north``; by default the attribute ``crs`` of the points.
+
+    Returns
+    -------
+    BoresightSolution
+        Values, covariance, and what every point is left with; points that do not fit are named and left out.
+
+    Raises
+    ------
+    SchemaError
+        What is solved cannot be told from these points, which names what of it and the reason; points outside
+        of lines, of lines that are not given, or without a pose; variables or a map are missing.
+    MissingExtraError
+        pyproj is not installed (extra ``geo``).
+
+    Notes
+    -----
+    Least squares of what is left in the camera's frame: the point's direction,
+    :math:`(R_{nb} R_{bc})^T (x - p)`, against that of the column at the moment at which it was seen, in
+    units of pixels of picking, line and column alike. Points are first weighted by soft-L1, then those beyond
+    4.5 standard deviations are left out and the rest is solved again. The covariance is
+    :math:`s^2 (J^T J)^{-1}`, with :math:`s` from the residuals.
+
+    Pitch and clock both move points along the track: on a line that does not turn they are one. Lines of
+    opposite courses part them, as does the platform's own wobble.
+    """
+    names = _checked(solve, control_points)
+    start = np.array([*boresight, 0.0, clock_offset_s], np.float64)
+    forward, right, down = (float(length) for length in lever_arm)
+    sights = _sights(
+        lines, control_points, navigation, (forward, right, down), camera, convention, crs, start
+    )
+    free = [PARAMETERS.index(name) for name in names]
+    problem = _Problem(sights, start, free, control_points.sizes["point"])
+    everything = np.ones(control_points.sizes["point"], bool)
+    _refuse_unidentifiable(problem.slopes(start[free], everything), names, everything)
+    solution, kept = problem.robust()
+    slopes = problem.slopes(solution, kept)
+    condition = _refuse_unidentifiable(slopes, names, kept)
+    misses = problem.misses(solution)
+    freedom = 2 * int(kept.sum()) - len(free)
+    variance = float((misses[kept] ** 2).sum()) / freedom
+    whole = problem.whole(solution)
+    return BoresightSolution(
+        (float(whole[0]), float(whole[1]), float(whole[2])),
+        float(whole[3]),
+        float(whole[4]),
+        _labelled(np.asarray(variance * np.linalg.inv(slopes.T @ slopes), np.float64), names),
+        _points(control_points, misses, kept),
+        float(np.sqrt(variance)),
+        condition,
+    )
+
+
+def _checked(solve: Sequence[str], points: xr.Dataset) -> list[str]:
+    problems = Problems("a boresight cannot be solved for", SchemaError)
+    names = [name for name in PARAMETERS if name in solve]
+    if isinstance(solve, str) or not names or set(solve) - set(PARAMETERS):
+        problems.add(f"solve {solve!r:.80}, expected some of {', '.join(PARAMETERS)}")
+    missing = [name for name in _FIELDS if name not in points.variables or points[name].dims != ("point",)]
+    if missing:
+        problems.add(
+            f"control points have no {', '.join(missing)} (point); see hyperpaint.read_control_points"
+        )
+    problems.raise_if_any()
+    if not all(np.isfinite(points[name].values).all() for name in _FIELDS):
+        problems.add("control points have numbers that are not finite; leave these points out")
+    if 2 * points.sizes["point"] <= len(names):
+        problems.add(
+            f"{points.sizes['point']} points, expected more than {len(names) / 2:g} for {', '.join(names)}"
+        )
+    problems.raise_if_any()
+    return names
+
+
+def _sights(
+    lines: xr.Dataset | Mapping[str, xr.Dataset],
+    points: xr.Dataset,
+    navigation: xr.Dataset | Mapping[str, xr.Dataset] | None,
+    lever_arm: tuple[float, float, float],
+    camera: Any,
+    convention: Convention | None,
+    crs: Any,
+    start: Float,
+) -> list[Sightings]:
+    """Return the points, line by line."""
+    import xarray as xr
+
+    crs = points.attrs.get("crs") if crs is None else crs
+    if crs is None:
+        msg = "which map east and north are of is not known; give crs="
+        raise SchemaError(msg)
+    count = points.sizes["point"]
+    if not isinstance(lines, xr.Dataset):
+        if "flightline" not in points.variables:
+            msg = "control points do not say which line they are of: flightline (point)"
+            raise SchemaError(msg)
+        of = points["flightline"].values.astype(str)
+        unknown = sorted(set(of) - set(lines))
+        if unknown:
+            msg = f"control points are of {', '.join(unknown)}; lines given are {', '.join(map(str, lines))}"
+            raise SchemaError(msg)
+        parts = [(name, line, np.flatnonzero(of == name)) for name, line in lines.items()]
+    else:
+        parts = [("", lines, np.arange(count))]
+    made = []
+    for name, line, index in parts:
+        if index.size:
+            many = navigation is not None and not isinstance(navigation, xr.Dataset)
+            record: Any = navigation.get(name) if many and navigation is not None else navigation
+            chosen = {field: points[field].values[index].astype(np.float64) for field in _FIELDS}
+            made.append(
+                sightings_of(
+                    line,
+                    chosen,
+                    index,
+                    navigation=record,
+                    convention=convention,
+                    camera=camera,
+                    lever_arm=lever_arm,
+                    crs=crs,
+                    clock=float(start[4]),
+                )
+            )
+    return made
+
+
+@dataclass
+class _Problem:
+    """Misses of all points as a function of what is solved for."""
+
+    sights: list[Sightings]
+    start: Float
+    free: list[int]
+    count: int
+
+    def whole(self, free: Float) -> Float:
+        """Return all five parameters."""
+        made = self.start.copy()
+        made[self.free] = free
+        return made
+
+    def misses(self, free: Float) -> Float:
+        """Return misses of all points (point, 2) [pixel of picking]."""
+        whole, made = self.whole(free), np.zeros((self.count, 2))
+        for k, sight in enumerate(self.sights):
+            found = sight.misses(whole[:3], float(whole[3]), float(whole[4]))
+            made[sight.index] = np.einsum("nij,nj->ni", self._white[k], found)
+        return made
+
+    def whiten(self, free: Float) -> None:
+        """Take the motion of points in the picture from here on as it is with these parameters."""
+        whole = self.whole(free)
+        self._white = [s.whitening(whole[:3], float(whole[3]), float(whole[4])) for s in self.sights]
+
+    def slopes(self, free: Float, kept: npt.NDArray[np.bool_]) -> Float:
+        """Return derivatives of the misses of points that are kept (2 point, parameter)."""
+        if not hasattr(self, "_white"):
+            self.whiten(free)
+        made = []
+        for k, parameter in enumerate(self.free):
+            step = np.zeros(free.size)
+            step[k] = _STEPS[PARAMETERS[parameter]]
+            made.append((self.misses(free + step) - self.misses(free - step))[kept].ravel() / (2.0 * step[k]))
+        return np.stack(made, axis=1)
+
+    def fit(self, free: Float, kept: npt.NDArray[np.bool_], scale: float | None = None) -> Float:
+        """Return the parameters that fit best; with a scale [pixel] by soft-L1."""
+        from scipy.optimize import least_squares
+
+        units = np.array([_STEPS[PARAMETERS[p]] for p in self.free])
+        found = least_squares(
+            lambda u: np.nan_to_num(self.misses(u * units)[kept].ravel(), nan=1e3),
+            free / units,
+            jac=lambda u: np.nan_to_num(self.slopes(u * units, kept)) * units,
+            loss="linear" if scale is None else "soft_l1",
+            f_scale=scale or 1.0,
+        )
+        return np.asarray(found.x * units)
+
+    def robust(self) -> tuple[Float, npt.NDArray[np.bool_]]:
+        """Return the parameters, and which points they fit."""
+        kept = np.ones(self.count, bool)
+        free = self.fit(self.start[self.free], kept)
+        self.whiten(free)
+        for _ in range(3):
+            scale = max(1.4826 * float(np.median(np.abs(self.misses(free)))), 1e-6)
+            free = self.fit(free, kept, 1.5 * scale)
+        freedom = np.sqrt(2 * self.count / max(2 * self.count - len(self.free), 1))
+        for _ in range(_MOST_TURNS):
+            away = np.linalg.norm(self.misses(free), axis=1)
+            # the median of the distance of a point is 1.177 standard deviations of line or column
+            scale = freedom * max(float(np.median(away[kept])) / 1.1774, 1e-6)
+            good = away < _OUTLYING * scale
+            if 2 * good.sum() <= len(self.free):
+                break
+            free = self.fit(free, good)
+            if (good == kept).all():
+                break
+            kept = good
+        return free, kept
+
+
+def _refuse_unidentifiable(slopes: Float, names: list[str], kept: npt.NDArray[np.bool_]) -> float:
+    """Return the condition number.
+
+    Raises
+    ------
+    SchemaError
+        Parameters do not move points, or move them as others do; they are named.
+    """
+    length = np.linalg.norm(slopes, axis=0)
+    problems = Problems(
+        f"{int(kept.sum())} control points do not tell all of {', '.join(names)}", SchemaError
+    )
+    for name, size in zip(names, length, strict=True):
+        if not size * _WIDEST[name] > 1.0:
+            problems.add(
+                f"{name}: {_WIDEST[name]:g} {_UNITS[name]} would move points by less than a pixel; leave it "
+                "out of solve=, or add points across the swath"
+            )
+    problems.raise_if_any()
+    _, singular, turned = np.linalg.svd(slopes / length, full_matrices=False)
+    condition = float(singular[0] / singular[-1]) if singular[-1] > 0 else np.inf
+    widened = np.sqrt(((turned.T / np.maximum(singular, 1e-12)) ** 2).sum(axis=1))
+    loose = [k for k in range(len(names)) if widened[k] > _LOOSEST]
+    if 2 * kept.sum() <= len(names) or loose:
+        for k in loose:
+            partners = [n for j, n in enumerate(names) if j != k and abs(turned[-1, j]) > 0.3]
+            problems.add(
+                f"{names[k]}: its uncertainty is {min(widened[k], 1e9):.3g} times that of {names[k]} alone, "
+                f"since {' and '.join(partners) or 'others'} would move the points alike"
+            )
+        problems.add(
+            f"condition number {min(condition, 1e12):.3g}; add lines of other courses, heights or with more "
+            "wobble, points across the swath, or leave a parameter out of solve="
+        )
+    problems.raise_if_any()
+    return condition
+
+
+def _labelled(covariance: Float, names: list[str]) -> xr.DataArray:
+    import xarray as xr
+
+    units = ", ".join(_UNITS[name] for name in names)
+    return xr.DataArray(
+        covariance,
+        dims=("parameter", "other_parameter"),
+        coords={"parameter": names, "other_parameter": names},
+        attrs={"long_name": "Covariance of the camera's mounting", "parameter_units": units},
+    )
+
+
+def _points(points: xr.Dataset, misses: Float, kept: npt.NDArray[np.bool_]) -> xr.Dataset:
+    import xarray as xr
+
+    told = [str(n) for n in points["name"].values] if "name" in points.variables else [""] * kept.size
+    names = [name or str(k) for k, name in enumerate(told)]
+    return xr.Dataset(
+        {
+            "miss": (
+                "point",
+                np.linalg.norm(misses, axis=1),
+                {"units": "1", "long_name": "Distance [pixel]"},
+            ),
+            "outlier": ("point", ~kept, {"long_name": "Left out"}),
+        },
+        coords={"point": names},
+    )

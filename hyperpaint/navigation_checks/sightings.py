@@ -1,0 +1,213 @@
+"""Surveyed points as a camera sees them: where in its frame they are, and where it says they are."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+
+from hyperpaint.errors import SchemaError
+from hyperpaint.georeference.cameras import look_angles
+from hyperpaint.georeference.geodesy import between_maps, crs_of
+from hyperpaint.georeference.poses import (
+    NAVIGATION_TIME,
+    canonical_values,
+    convention_of,
+    pose_columns,
+    poses_at,
+)
+from hyperpaint.georeference.rotations import matrices, quaternions
+from hyperpaint.schema import require
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+    from hyperpaint.conventions import Convention
+
+__all__ = ["Sightings", "sightings_of"]
+
+Float = npt.NDArray[np.float64]
+
+_AXIS, _ECCENTRICITY2 = 6378137.0, 6.69437999014e-3  # WGS 84
+_AROUND = 3.0
+"""Seconds of a record around every point that are kept, for the clock to be moved in."""
+_FLOOR = 0.05
+"""Part of a pixel that even a platform at rest cannot be told within."""
+
+
+@dataclass(frozen=True)
+class Sightings:
+    """The points of one line.
+
+    Attributes
+    ----------
+    times, poses : (row,), (6, row)
+        Canonical record around the points.
+    seen : (point,)
+        Mid exposure of the line, a fraction of which the point is at.
+    line_time : (point,)
+        Time from line to line there [s].
+    ground : (point, 3)
+        Geocentric coordinates [m].
+    forward, right : (point,)
+        Tangents of the column.
+    step : (point, 2)
+        Change of these from a column to the next.
+    lever_arm
+        Forward, right, down [m].
+    index : (point,)
+        Which of all points they are.
+    """
+
+    times: npt.NDArray[np.datetime64]
+    poses: Float
+    seen: npt.NDArray[np.datetime64]
+    line_time: Float
+    ground: Float
+    forward: Float
+    right: Float
+    step: Float
+    lever_arm: tuple[float, float, float]
+    index: npt.NDArray[np.int64]
+    _kept: dict[tuple[float, float], Float] = field(default_factory=dict, repr=False)
+
+    def misses(self, boresight: Float, height: float, clock: float, lines: float = 0.0) -> Float:
+        """Return by how much points are not where they were seen (point, 2): forward, right [tangent].
+
+        Parameters
+        ----------
+        boresight
+            Roll, pitch, heading of the camera in the body [degree].
+        height
+            Added to the altitude of the record [m].
+        clock
+            Added to the time of the line to have that of the record [s].
+        lines
+            Lines by which the points are said to be seen later than they were.
+        """
+        poses = self._poses(clock, lines)
+        body = matrices(quaternions(*poses[3:]))
+        centre, axes = _place(poses[0], poses[1], poses[2] + height)
+        # axes: north, east, down as rows, geocentric
+        way = np.einsum("nij,nj->ni", axes, self.ground - centre)
+        way = np.einsum("nji,nj->ni", body, way) - np.array(self.lever_arm)
+        way = way @ matrices(quaternions(*boresight))
+        return np.asarray(way[:, :2] / way[:, 2:] - np.stack([self.forward, self.right], axis=-1))
+
+    def whitening(self, boresight: Float, height: float, clock: float) -> Float:
+        """Return what turns misses into pixels of picking (point, 2, 2).
+
+        A pixel in the line and one in the column move a point by two directions in the camera's frame; what
+        is picked with the same care in both is then of unit covariance.
+        """
+        later, earlier = (self.misses(boresight, height, clock, by) for by in (0.5, -0.5))
+        moved = later - earlier
+        floor = _FLOOR**2 * (self.step**2).sum(axis=-1)[:, None, None] * np.eye(2)
+        both = moved[:, :, None] * moved[:, None] + self.step[:, :, None] * self.step[:, None] + floor
+        return np.asarray(np.linalg.inv(np.linalg.cholesky(both)))
+
+    def _poses(self, clock: float, lines: float) -> Float:
+        if (clock, lines) not in self._kept:
+            if len(self._kept) > 16:
+                self._kept.clear()
+            wanted = self.seen + np.round(lines * self.line_time * 1e9).astype("timedelta64[ns]")
+            self._kept[clock, lines] = poses_at(self.times, self.poses, wanted, clock_offset_s=clock)
+        return self._kept[clock, lines]
+
+
+def _place(latitude: Float, longitude: Float, height: Float) -> tuple[Float, Float]:
+    """Return geocentric coordinates (n, 3) and the directions north, east, down there (n, 3, 3)."""
+    phi, lam = np.radians(latitude), np.radians(longitude)
+    sp, cp, sl, cl = np.sin(phi), np.cos(phi), np.sin(lam), np.cos(lam)
+    radius = _AXIS / np.sqrt(1.0 - _ECCENTRICITY2 * sp**2)
+    place = np.stack(
+        [
+            (radius + height) * cp * cl,
+            (radius + height) * cp * sl,
+            (radius * (1.0 - _ECCENTRICITY2) + height) * sp,
+        ],
+        axis=-1,
+    )
+    zero = np.zeros_like(sp)
+    axes = [[-sp * cl, -sp * sl, cp], [-sl, cl, zero], [-cp * cl, -cp * sl, -sp]]
+    return place, np.stack([np.stack(row, axis=-1) for row in axes], axis=-2)
+
+
+def sightings_of(
+    line: xr.Dataset,
+    points: Mapping[str, Any],
+    index: npt.NDArray[np.int64],
+    *,
+    navigation: xr.Dataset | None,
+    convention: Convention | None,
+    camera: Any,
+    lever_arm: tuple[float, float, float],
+    crs: Any,
+    clock: float,
+) -> Sightings:
+    """Return what a line knows of points: columns ``along_track_pixel`` ... ``height`` (point,).
+
+    Raises
+    ------
+    SchemaError
+        Points are outside the line, or where it has no time or pose; no convention, camera or pose.
+    """
+    source, subject = (line, "this line") if navigation is None else (navigation, "this navigation record")
+    meant = convention_of(source, convention, subject)
+    own = line.attrs.get("convention_column_order")
+    if meant.column_order is None and own is not None:
+        meant = meant.replace(column_order=own)
+    columns = pose_columns(source, meant)
+    values = canonical_values(*(column.values for column in columns.values()), convention=meant, crs=crs)
+    time = require(line, ["time"], "control points")["time"].values.astype("datetime64[ns]")
+    recorded = time if navigation is None else navigation[NAVIGATION_TIME].values.astype("datetime64[ns]")
+    at, column = (np.asarray(points[f"{name}_pixel"], np.float64) for name in ("along_track", "cross_track"))
+    across, along = (np.tan(np.radians(np.asarray(a))) for a in look_angles(line, camera, meant))
+    outside = ~((at >= -0.5) & (at <= time.size - 0.5) & (column >= -0.5) & (column <= across.size - 0.5))
+    if outside.any() or time.size < 2:
+        msg = (
+            f"points {index[outside].tolist()} are outside a line of {time.size} lines, {across.size} columns"
+        )
+        raise SchemaError(msg)
+    before = np.clip(np.floor(at).astype(np.int64), 0, time.size - 2)
+    steps = (time[before + 1] - time[before]).astype(np.int64)
+    seen = time[before] + np.round((at - before) * steps).astype("timedelta64[ns]")
+    moment, rows = seen + np.timedelta64(round(clock * 1e9), "ns"), np.zeros(recorded.size, bool)
+    around = np.timedelta64(round(_AROUND * 1e9), "ns")
+    for one in moment[~np.isnat(moment)]:
+        rows |= np.abs(recorded - one) <= around
+    places = between_maps(np.stack([points["east"], points["north"]], -1), crs_of(crs), "OGC:CRS84")
+    index_of = np.arange(across.size)
+    step = np.stack([np.gradient(along), np.gradient(across)], axis=-1)
+    ground, _ = _place(places[:, 1], places[:, 0], np.asarray(points["height"], np.float64))
+    made = Sightings(
+        recorded[rows],
+        values[:, rows],
+        seen,
+        steps / 1e9,
+        ground,
+        _beyond(column, index_of, along),
+        _beyond(column, index_of, across),
+        step[np.clip(np.round(column).astype(np.int64), 0, across.size - 1)],
+        lever_arm,
+        index,
+    )
+    missing = ~np.isfinite(made.misses(np.zeros(3), 0.0, clock)).all(axis=1) if rows.any() else outside | True
+    if missing.any():
+        msg = (
+            f"points {index[missing].tolist()} are on lines without time or pose; look at gaps of the record"
+        )
+        raise SchemaError(msg)
+    return made
+
+
+def _beyond(at: Float, index: npt.NDArray[np.int64], values: Float) -> Float:
+    """Return values at fractions of an index, half a step beyond its ends too."""
+    inside = np.interp(at, index, values)
+    low, high = np.minimum(at, 0.0), np.maximum(at - index[-1], 0.0)
+    if values.size < 2:
+        return np.asarray(inside)
+    return np.asarray(inside + low * (values[1] - values[0]) + high * (values[-1] - values[-2]))
