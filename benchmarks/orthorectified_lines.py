@@ -295,12 +295,12 @@ def stream(lines: int, columns: int, bands: int) -> None:
     da.store(made.data, Sink(), lock=False, num_workers=THREADS)
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3
     took = time.perf_counter() - start
-    print(f"{lines:>7} lines: map of {made.nbytes / 1e9:6.2f} GB, peak {peak:6.0f} MB ({before:.0f} MB before), "
+    print(f"{lines:>7} lines: map of {made.nbytes / 1e9:6.2f} GB, peak {peak:6.0f} MB ({before:.0f} before), "
           f"graph {built:.1f} s, all {took:.1f} s", flush=True)  # fmt: skip
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Print the tables; return 1 where the index is not ten times faster than a k-d tree, or the job is slow."""
+    """Print the tables; return 1 where the index is not ten times a k-d tree's, or the job is slow."""
     import dask
 
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)

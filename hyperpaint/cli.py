@@ -219,8 +219,9 @@ Examples:
 def simulate(folder: Path, truth: bool, sweep: bool, overwrite: bool, quiet: bool, **settings: Any) -> None:
     """Write a simulated collect with known truth, in the instruments' own formats.
 
-    DIR receives a Headwall folder (flight), a dark cube, ASD and SVC files, calibration.zarr, truth.zarr and
-    collect.toml. What is not given has the simulator's default; every effect can be switched off.
+    DIR receives a Headwall folder (flight), a dark cube, ASD and SVC files, calibration.zarr, truth.zarr,
+    regions.geojson (clean pixels of every paint that has enough, for signatures --regions) and collect.toml.
+    What is not given has the simulator's default; every effect can be switched off.
     """
     from .demonstration import refuse_foreign
     from .simulation import simulate_collect

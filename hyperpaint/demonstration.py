@@ -275,13 +275,13 @@ def refuse_foreign(folder: Path, *, overwrite: bool) -> None:
         return
     toml = folder / "collect.toml"
     simulated = toml.is_file() and toml.read_bytes().startswith(MARKER.encode())
-    patterns = ("flight/*.hdr", "dark/*.hdr", "svc/*.sig", "asd_reflectance/*.asd")
+    patterns = ("flight/*.hdr", "dark/*.hdr", "svc/*.sig", "asd_reflectance/*.asd", "regions.geojson")
     told = [path for pattern in patterns for path in folder.glob(pattern)]
     others = sorted(entry.name for entry in folder.iterdir() if entry.name not in _OURS)
     if any(CAMERA_SOFTWARE.encode() not in path.read_bytes() for path in told) or (
         toml.exists() and not simulated
     ):
-        msg = f"{folder} holds a collect that was not simulated, which stays as it is; name another folder"
+        msg = f"{folder} holds files of a collect that were not simulated, which stay; name another folder"
         raise StoreError(msg)
     if overwrite or (simulated and (folder / STORE).is_dir() and not others):
         return
@@ -306,8 +306,8 @@ def run_demonstration(
 ) -> Comparison:
     """Simulate a collect, process it as if it were real, and compare with its truth.
 
-    Leaves the raw files, ``collect.toml``, ``truth.zarr``, the store ``lot.zarr`` and, where matplotlib is
-    installed, ``quicklook.png`` in the folder.
+    Leaves the raw files, ``collect.toml``, ``truth.zarr``, ``regions.geojson``, the store ``lot.zarr`` and,
+    where matplotlib is installed, ``quicklook.png`` in the folder.
 
     Parameters
     ----------

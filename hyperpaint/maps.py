@@ -83,20 +83,17 @@ def write_map(made: xr.Dataset, path: Path, *, overwrite: bool = False, progress
 
 
 def _line_of(store: Path, line: str | None) -> xr.Dataset:
-    from .io.store import open_store
+    from .io.store import list_groups, open_store
 
-    tree = open_store(store)
-    lines = tree["flightlines"].children if "flightlines" in tree.children else {}
-    if not lines:
-        whole: xr.Dataset = tree.to_dataset()
-        return whole
-    name = line if line is not None or len(lines) > 1 else next(iter(lines))
-    if name not in lines:
+    prefix = "flightlines/"
+    lines = [group.removeprefix(prefix) for group in list_groups(store) if group.startswith(prefix)]
+    name = lines[0] if line is None and len(lines) == 1 else line
+    if lines and name not in lines:
         held = ", ".join(map(repr, lines))
         asked = "give --line" if line is None else f"there is no {line!r}"
         msg = f"{store} holds the flight lines {held}; {asked}"
         raise SchemaError(msg)
-    found: xr.Dataset = lines[name].to_dataset()
+    found: xr.Dataset = open_store(store, f"{prefix}{name}") if lines else open_store(store)
     return found
 
 

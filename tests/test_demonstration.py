@@ -33,8 +33,8 @@ def test_demo_leaves_what_it_says(demo: tuple[Path, str]) -> None:
     folder, shown = demo
     left = {entry.name for entry in folder.iterdir()} - {"quicklook.png"}
     assert left == {
-        "asd", "asd_reflectance", "calibration.zarr", "collect.toml", "dark", "flight", "lot.zarr", "svc",
-        "truth.zarr",
+        "asd", "asd_reflectance", "calibration.zarr", "collect.toml", "dark", "flight", "lot.zarr",
+        "regions.geojson", "svc", "truth.zarr",
     }  # fmt: skip
     assert hp.verify(folder / "lot.zarr").ok
     assert "within tolerance" in shown
@@ -125,7 +125,9 @@ def test_demo_replaces_only_demos(demo: tuple[Path, str], tmp_path: Path) -> Non
     assert [entry.name for entry in tmp_path.iterdir()] == ["thesis.tex"]
 
 
-@pytest.mark.parametrize("name", ["flight/raw_0.hdr", "svc/red.sig", "asd_reflectance/red.asd"])
+@pytest.mark.parametrize(
+    "name", ["flight/raw_0.hdr", "svc/red.sig", "asd_reflectance/red.asd", "regions.geojson"]
+)
 def test_real_raw_data_are_never_replaced(tmp_path: Path, name: str) -> None:
     (tmp_path / name).parent.mkdir()
     (tmp_path / name).write_text("ENVI\nsamples = 640\n")

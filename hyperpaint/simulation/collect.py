@@ -24,6 +24,7 @@ from .instruments import (
     write_sbet,
     write_settings,
 )
+from .painted_regions import REGIONS, PaintedRectangles
 from .plan_flight import PlanFlight
 from .references import ASD_FOLDER, SVC_FOLDER, write_references
 from .settings import SimulationSettings
@@ -37,7 +38,8 @@ if TYPE_CHECKING:
 __all__ = ["CAMERA_SOFTWARE", "MARKER", "PARTS", "simulate_collect", "simulate_line"]
 
 PARTS = (
-    "flight", "dark", "asd", SVC_FOLDER, ASD_FOLDER, "lab", "calibration.zarr", "truth.zarr", "collect.toml",
+    "flight", "dark", "asd", SVC_FOLDER, ASD_FOLDER, "lab", "calibration.zarr", "truth.zarr", REGIONS,
+    "collect.toml",
 )  # fmt: skip
 """Files and folders of a simulated collect."""
 
@@ -45,8 +47,8 @@ MARKER = "# simulated by hyperpaint"
 """Opens the ``collect.toml`` of a simulated collect."""
 
 CAMERA_SOFTWARE = "hyperpaint simulation"
-"""Stands in the headers of simulated cubes for the version of the camera's software, and in the comments of a
-field spectrometer's simulated files."""
+"""Stands in the headers of simulated cubes for the version of the camera's software, in the comments of a field
+spectrometer's simulated files, and in the regions as what made them."""
 
 _BOOT = 1_234_567_891_000  # ns on the instrument's clock at the first line: it knows no date
 _NAVIGATION_MARGIN = 2 * 10**9  # ns around the flight
@@ -74,7 +76,8 @@ def simulate_collect(
 
     Written are a Headwall folder (``flight``: cubes, frame index, navigation, settings), a dark cube
     (``dark``), an irradiance series (``asd``), reflectance of the cars' paints as two field spectrometers
-    saw it (``svc``, ``asd_reflectance``), ``calibration.zarr``, ``truth.zarr`` and, last of all,
+    saw it (``svc``, ``asd_reflectance``), ``calibration.zarr``, ``truth.zarr``, ``regions.geojson`` with a
+    rectangle of clean pixels of every paint that has a level patch of six by six, and, last of all,
     ``collect.toml``.
 
     Parameters
@@ -123,7 +126,7 @@ def simulate_collect(
     >>> with tempfile.TemporaryDirectory() as folder:
     ...     path = simulate_collect(folder, lines=8, bands=4, columns=6, scene="plan")
     ...     print(*sorted(entry.name for entry in path.parent.iterdir()))
-    asd asd_reflectance calibration.zarr collect.toml dark flight svc truth.zarr
+    asd asd_reflectance calibration.zarr collect.toml dark flight regions.geojson svc truth.zarr
     """
     settings = SimulationSettings.of(
         {"lines": lines, "bands": bands, "columns": columns, "seed": seed, "scene": scene, **effects}
@@ -252,6 +255,7 @@ def _write_flight(
 
     settings, folder = flight.settings, root / "flight"
     truth = TruthStore(flight, root / "truth.zarr") if with_truth else None
+    painted = PaintedRectangles(flight)
     recorded = np.ones(settings.lines, dtype=bool)
     recorded[settings.dropped_frames] = False
     starts = settings.cube_starts.tolist()
@@ -259,6 +263,7 @@ def _write_flight(
     for first, last in itertools.pairwise(starts):
         frames = first + np.flatnonzero(recorded[first:last])
         name = f"{frames[0]}"
+        painted.begin(f"raw_{name}")
         with BilWriter(
             folder / f"raw_{name}", flight.wavelength, settings.columns, _comments(flight)
         ) as cube:
@@ -270,10 +275,12 @@ def _write_flight(
                 cube.append(flight.detector.convert(counts))
                 if truth is not None:
                     truth.write(begin, block, kept)
+                painted.add(block, kept)
                 if progress is not None:
                     progress(end, settings.lines)
         stamps = _frame_stamps(flight.line_times[frames], settings)
         write_frame_index(folder / f"frameIndex_{name}.txt", frames, stamps)
+    painted.write(root / REGIONS, CAMERA_SOFTWARE)
     _write_settings_file(folder, settings)
     since = np.arange(
         -_NAVIGATION_MARGIN,

@@ -154,6 +154,26 @@ class Flight(abc.ABC):
         """Return the reflectance of paints, shape (name, wavelength)."""
         return reflectance(names, wavelength)
 
+    def paint_properties(self, _paint: str) -> Mapping[str, str]:
+        """Return what else is known of a paint: ``colour``, ``finish``."""
+        return {}
+
+    def clean_paint(self, lines: Lines) -> NDArray[np.int32]:
+        """Tell which pixels show the paint of a car and nothing else, in the sun and without its mirror image.
+
+        Returns
+        -------
+        Shape (along_track, cross_track): the place of the paint in ``paints``, plus the number of paints times
+        that of the car where cars have numbers; -1 for all other pixels.
+        """
+        return np.where(lines.glint, -1, self._paint_of_surface[lines.surface]).astype(np.int32)
+
+    @cached_property
+    def _paint_of_surface(self) -> NDArray[np.int32]:
+        """Place in ``paints`` of every class of surfaces, -1 for what is no paint."""
+        paints = {name: number for number, name in enumerate(self.paints)}
+        return np.array([paints.get(name, -1) for name in self.surfaces], np.int32)
+
     def _rng(self, stream: int, *key: int) -> np.random.Generator:
         return np.random.default_rng([self.settings.seed, stream, *key])
 

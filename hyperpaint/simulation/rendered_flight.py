@@ -25,6 +25,7 @@ from .rendering.bands import BandSet
 from .rendering.car_parks import car_park
 from .rendering.painting import factor_spectra
 from .rendering.path_codes import FIRST_SUN, SKY, is_direct, is_indirect, is_mirrored
+from .rendering.pigments import paint_spec
 from .rendering.platforms import Platform
 from .rendering.scene import Scene
 from .rendering.scene_record import SceneRecord, TraceSettings
@@ -94,6 +95,20 @@ class RenderedFlight(Flight):
     def paint_reflectance(self, names: Sequence[str], wavelength: Floats) -> Floats:
         """Return the reflectance of paints without their mirror reflection, shape (name, wavelength)."""
         return np.stack([spectrum_of(name)(wavelength) for name in names])
+
+    def paint_properties(self, paint: str) -> Mapping[str, str]:
+        """Return the colour of a paint, and its finish."""
+        # no paint of the scene has flakes, whatever the catalogue says
+        return {"colour": paint_spec(paint).colour, "finish": "solid"}
+
+    def clean_paint(self, lines: Lines) -> NDArray[np.int32]:
+        """Tell which pixels show the paint of one car and nothing else, wholly in the sun and without glint."""
+        layers = lines.layers
+        clean = (layers["paint_id"] >= 0) & (layers["car_id"] >= 0)
+        clean &= (layers["purity"] == 1.0) & (layers["shadow"] == 0.0)
+        label = super().clean_paint(lines)
+        clean &= label >= 0
+        return np.where(clean, label + len(self.paints) * layers["car_id"], -1).astype(np.int32)
 
     def _car_park(self) -> Scene:
         """Return a car park that begins before the first line's view and ends behind the last one's."""

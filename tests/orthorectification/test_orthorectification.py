@@ -270,7 +270,8 @@ def test_what_comes_along() -> None:
     line = line.assign(roll=("along_track", flown.attitude[:, 0]), look=("cross_track", np.arange(20.0)))
     made = hp.orthorectify(line)
     assert set(made.data_vars) == {
-        "radiance", "quality", "line_time", "glt_line", "glt_sample", "nearest_line", "nearest_sample", "hits", "gap",
+        "radiance", "quality", "line_time", "hits", "gap",
+        "glt_line", "glt_sample", "nearest_line", "nearest_sample",
     }  # fmt: skip
     assert made.radiance.attrs["units"] == "W m-2 sr-1 nm-1"
     assert made.radiance.attrs["grid_mapping"] == "spatial_ref"
