@@ -39,7 +39,8 @@ def map_of_store(
     Raises
     ------
     SchemaError
-        The store has no such line, or several and none is named; a line that is located needs no options.
+        The store has no such line, or several and none is named; a line that is located needs no options; a
+        DEM does not say what its heights are above.
     MissingExtraError
         A DEM needs rioxarray (extra ``geo``).
     """
@@ -106,4 +107,10 @@ def _heights(path: Path, reference: str | None, undulation: float | None) -> xr.
     dem: Any = rioxarray.open_rasterio(path, masked=True)
     told = {"height_reference": reference, "geoid_undulation": undulation}
     made: xr.DataArray = dem.assign_attrs({name: value for name, value in told.items() if value is not None})
+    if "height_reference" not in made.attrs:
+        msg = (
+            f"{path} does not say what its heights are above, and most DEMs are above the geoid; give "
+            "--dem-heights ellipsoid, or --dem-heights geoid with --geoid, the height of the geoid there [m]"
+        )
+        raise SchemaError(msg)
     return made

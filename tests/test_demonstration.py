@@ -129,7 +129,7 @@ def test_demo_replaces_only_demos(demo: tuple[Path, str], tmp_path: Path) -> Non
     "name", ["flight/raw_0.hdr", "svc/red.sig", "asd_reflectance/red.asd", "regions.geojson"]
 )
 def test_real_raw_data_are_never_replaced(tmp_path: Path, name: str) -> None:
-    (tmp_path / name).parent.mkdir()
+    (tmp_path / name).parent.mkdir(exist_ok=True)
     (tmp_path / name).write_text("ENVI\nsamples = 640\n")
     with pytest.raises(hp.StoreError, match="not simulated"):
         refuse_foreign(tmp_path, overwrite=True)

@@ -50,3 +50,65 @@ def test_what_is_wrong_is_said(store: Path) -> None:
     done = CliRunner().invoke(main, ["orthorectify", str(store), "--line", "raw_9", "--out", "map.zarr"])
     assert done.exit_code == 2
     assert "there is no 'raw_9'" in done.output
+
+
+MOUNTED = (0.34, -0.95, -0.13)
+CAMERA = ("--focal-length-mm", "12", "--pixel-pitch-um", "7.4", "--column-order", "left_to_right")
+BORESIGHT = ("--boresight", *map(str, MOUNTED))
+
+
+@pytest.fixture(scope="module")
+def board(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return the folder of a simulated collect over a level checkerboard, with its DEM, after processing."""
+    pytest.importorskip("pyproj")
+    rasterio = pytest.importorskip("rasterio")
+    folder = tmp_path_factory.mktemp("board")
+    collect = hp.simulate_collect(
+        folder / "collect", lines=32, bands=4, columns=24, scene="checkerboard", boresight=MOUNTED
+    )
+    done = CliRunner().invoke(main, ["process", str(collect), "--out", str(folder / "lot.zarr"), "--quiet"])
+    assert done.exit_code == 0, done.output
+    truth = xr.open_zarr(folder / "collect" / "truth.zarr")
+    corner = float(truth.east.min()) - 5.0, float(truth.north.max()) + 5.0
+    size = int(max(np.ptp(truth.east.values), np.ptp(truth.north.values)) + 10.0) + 2
+    profile = {"driver": "GTiff", "width": size, "height": size, "count": 1, "dtype": "float32"}
+    where = rasterio.transform.from_origin(*corner, 1.0, 1.0)
+    with rasterio.open(
+        folder / "dem.tif", "w", crs=truth.attrs["crs"], transform=where, nodata=-9999.0, **profile
+    ) as dem:
+        heights = np.full((size, size), truth.attrs["ground"], np.float32)
+        heights[0, 0] = -9999.0
+        dem.write(heights, 1)
+    return folder
+
+
+def shift(board: Path, *options: str) -> float:
+    """Return how far the pixel of a cell truly lies from it, at the most [cell]."""
+    out = board / "map.zarr"
+    call = ["orthorectify", str(board / "lot.zarr"), *options, "--out", str(out), "--quiet", "--overwrite"]
+    done = CliRunner().invoke(main, call)
+    assert done.exit_code == 0, done.output
+    with xr.open_zarr(out) as made, xr.open_zarr(board / "collect" / "truth.zarr") as truth:
+        line, sample = made.nearest_line.values, made.nearest_sample.values
+        shown = line >= 0
+        assert shown.mean() > 0.3
+        assert np.isfinite(made.reflectance.values[shown]).any()
+        pixel = line[shown], sample[shown]
+        off = (made[name].values[shown] - truth[name].values[pixel] for name in ("east", "north"))
+        return float(np.median(np.hypot(*off)) / made.attrs["gsd"])
+
+
+def test_a_camera_a_dem_and_a_boresight_put_pixels_in_their_place(board: Path) -> None:
+    dem = ("--dem", str(board / "dem.tif"), "--dem-heights", "ellipsoid")
+    level = ("--ground", str(xr.open_zarr(board / "collect" / "truth.zarr").attrs["ground"]))
+    for ground in (dem, level):
+        assert shift(board, *ground, *CAMERA, *BORESIGHT) < 1.0
+    assert shift(board, *level, *CAMERA) > 5.0
+
+
+def test_a_dem_whose_heights_are_above_nothing(board: Path) -> None:
+    call = ["orthorectify", str(board / "lot.zarr"), "--dem", str(board / "dem.tif"), *CAMERA]
+    done = CliRunner().invoke(main, [*call, "--out", str(board / "none.zarr"), "--quiet"])
+    assert done.exit_code == 2
+    assert "--dem-heights" in done.output
+    assert not (board / "none.zarr").exists()

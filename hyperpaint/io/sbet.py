@@ -60,9 +60,10 @@ def read_sbet(path: str | Path) -> PoseRecord:
     path = Path(path)
     records = _records(path)
     values = {name: records[name].astype(np.float64) for name in ("altitude", "roll", "pitch")}
-    values["latitude"] = np.degrees(records["latitude"])
-    values["longitude"] = np.degrees(records["longitude"])
-    with np.errstate(invalid="ignore"):
+    # numbers of a damaged file may overflow: what they become is refused below
+    with np.errstate(invalid="ignore", over="ignore"):
+        values["latitude"] = np.degrees(records["latitude"])
+        values["longitude"] = np.degrees(records["longitude"])
         values["heading"] = records["platform_heading"] - records["wander_angle"]
     problems = Problems(f"{path} cannot be used as an SBET file of little-endian float64", FormatError)
     check_seconds(path.name, records["time"], 2.0 * WEEK_S, problems, "record")

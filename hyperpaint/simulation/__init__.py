@@ -5,8 +5,8 @@ chain that recovers the truth from them has shown something. `atmosphere` and `s
 the surfaces, `sensor` and `camera` the camera, `trajectories` how it wobbles over the earth of `ellipsoid`,
 `flight` what they do line by line: over a flat picture of a car park (`plan_flight`, `scenes`), over one of
 triangles (`rendered_flight`, `rendering`) or over squares of known corners (`checkerboard_flight`).
-`instruments`, `svc_files` and `references` write the files, `stores` the truth, `collect` the whole; `sweep`
-shines a monochromator into the same camera.
+`instruments`, `svc_files` and `references` write the files, `stores` the truth, `painted_regions` where the
+paints are, `collect` the whole; `sweep` shines a monochromator into the same camera.
 """
 
 from __future__ import annotations

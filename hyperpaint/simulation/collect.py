@@ -47,8 +47,8 @@ MARKER = "# simulated by hyperpaint"
 """Opens the ``collect.toml`` of a simulated collect."""
 
 CAMERA_SOFTWARE = "hyperpaint simulation"
-"""Stands in the headers of simulated cubes for the version of the camera's software, in the comments of a field
-spectrometer's simulated files, and in the regions as what made them."""
+"""Stands in the headers of simulated cubes for the version of the camera's software, in the comments of a
+field spectrometer's simulated files, and in the regions for what made them."""
 
 _BOOT = 1_234_567_891_000  # ns on the instrument's clock at the first line: it knows no date
 _NAVIGATION_MARGIN = 2 * 10**9  # ns around the flight

@@ -159,12 +159,12 @@ class Flight(abc.ABC):
         return {}
 
     def clean_paint(self, lines: Lines) -> NDArray[np.int32]:
-        """Tell which pixels show the paint of a car and nothing else, in the sun and without its mirror image.
+        """Tell which pixels show the paint of a car and nothing else, in the sun without its mirror image.
 
         Returns
         -------
-        Shape (along_track, cross_track): the place of the paint in ``paints``, plus the number of paints times
-        that of the car where cars have numbers; -1 for all other pixels.
+        Shape (along_track, cross_track): the place of the paint in ``paints``, plus the number of paints
+        times that of the car where cars have numbers; -1 for all other pixels.
         """
         return np.where(lines.glint, -1, self._paint_of_surface[lines.surface]).astype(np.int32)
 

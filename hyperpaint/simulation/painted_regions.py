@@ -49,7 +49,7 @@ class PaintedRectangles:
     >>> found.begin("raw_0")
     >>> found.add(flight.lines(0, 64), np.ones(64, bool))
     >>> [feature["properties"]["name"] for feature in found.features()]
-    ['dark_red', 'ir_black', 'light_blue', 'white']
+    ['ir_black', 'red', 'green', 'yellow']
     """
 
     def __init__(self, flight: Flight) -> None:

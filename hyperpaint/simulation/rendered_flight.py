@@ -102,13 +102,11 @@ class RenderedFlight(Flight):
         return {"colour": paint_spec(paint).colour, "finish": "solid"}
 
     def clean_paint(self, lines: Lines) -> NDArray[np.int32]:
-        """Tell which pixels show the paint of one car and nothing else, wholly in the sun and without glint."""
-        layers = lines.layers
-        clean = (layers["paint_id"] >= 0) & (layers["car_id"] >= 0)
-        clean &= (layers["purity"] == 1.0) & (layers["shadow"] == 0.0)
-        label = super().clean_paint(lines)
-        clean &= label >= 0
-        return np.where(clean, label + len(self.paints) * layers["car_id"], -1).astype(np.int32)
+        """Tell which pixels show the paint of one car and nothing else, in full sun and without glint."""
+        paint, car = super().clean_paint(lines), np.asarray(lines.layers["car_id"], np.int32)
+        clean = (paint >= 0) & (car >= 0)
+        clean &= (lines.layers["purity"] == 1.0) & (lines.layers["shadow"] == 0.0)
+        return np.where(clean, paint + len(self.paints) * car, -1).astype(np.int32)
 
     def _car_park(self) -> Scene:
         """Return a car park that begins before the first line's view and ends behind the last one's."""

@@ -131,6 +131,7 @@ def test_times_beyond_the_table_of_leap_seconds_are_told(tmp_path: Path) -> None
     ("columns", "match"),
     [
         ({"latitude": 2.0}, "latitude is 114"),
+        ({"longitude": 1e308}, "longitude is inf"),  # in degrees beyond float64, and still no warning
         ({"roll": [0.0, np.inf]}, "roll is inf in record 2"),
         ({"altitude": 1e6}, r"altitude is 1e\+06 in records 1, 2"),
     ],

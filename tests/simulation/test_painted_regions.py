@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 from pathlib import Path
 from typing import Any
@@ -30,8 +31,9 @@ def run(*words: object) -> Result:
 def rendered(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A rendered collect of two cubes, in the middle of which frames were dropped."""
     folder = tmp_path_factory.mktemp("rendered")
-    size = {"lines": 200, "bands": 6, "columns": 240, "samples": 6, "seed": 3}
-    return simulate_collect(folder, **size, cubes=2, dropped=DROPPED).parent
+    return simulate_collect(
+        folder, lines=200, bands=6, columns=240, samples=6, seed=3, cubes=2, dropped=DROPPED
+    ).parent
 
 
 def boxes(folder: Path) -> dict[str, tuple[str, tuple[slice, slice]]]:
@@ -55,7 +57,7 @@ def truth_of(folder: Path, dropped: list[int]) -> dict[str, xr.Dataset]:
     bounds = [*sorted(starts), known.sizes["along_track"]]
     return {
         f"raw_{first}": known.isel(along_track=frames[(frames >= first) & (frames < last)])
-        for first, last in zip(bounds[:-1], bounds[1:], strict=True)
+        for first, last in itertools.pairwise(bounds)
     }
 
 
