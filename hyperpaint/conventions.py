@@ -166,7 +166,7 @@ class Convention:
         Returns
         -------
         roll, pitch, heading
-            Of the broadcast shape, float64; NaN where any of the three is.
+            Of the broadcast shape, float64; NaN where any of the three is, or is infinite.
 
         Raises
         ------
@@ -182,15 +182,12 @@ class Convention:
         )
         given = zip(signs, (roll, pitch, heading), strict=True)
         x, y, z = np.broadcast_arrays(*(sign * scale * np.asarray(a, np.float64) for sign, a in given))
+        x, y, z = _known(x, y, z)
         if self.euler_order != "ZYX":
             x, y, z = _reordered(x, y, z, self.euler_order)
-        z = z + self._north(convergence)
-        unknown = np.isnan(x) | np.isnan(y) | np.isnan(z)
-        return (
-            np.where(unknown, np.nan, _wrapped(x)),
-            np.where(unknown, np.nan, y),
-            np.where(unknown, np.nan, np.mod(z, 360.0)),
-        )
+        x, y, z = _known(x, y, z + self._north(convergence))
+        # twice, as a hair less than 0 comes to 360 itself
+        return _wrapped(x), y, np.mod(np.mod(z, 360.0), 360.0)
 
     def ellipsoidal(self, height: npt.ArrayLike) -> Float:
         """Return heights above the ellipsoid [m].
@@ -258,6 +255,12 @@ class Convention:
 
 def _is_number(value: Any) -> bool:
     return isinstance(value, int | float | np.integer | np.floating) and not isinstance(value, bool)
+
+
+def _known(x: Float, y: Float, z: Float) -> tuple[Float, Float, Float]:
+    """Return angles that are NaN, all three of them, where any is no finite number."""
+    unknown = ~(np.isfinite(x) & np.isfinite(y) & np.isfinite(z))
+    return np.where(unknown, np.nan, x), np.where(unknown, np.nan, y), np.where(unknown, np.nan, z)
 
 
 def _wrapped(angle: Float) -> Float:

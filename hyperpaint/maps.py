@@ -39,8 +39,9 @@ def map_of_store(
     Raises
     ------
     SchemaError
-        The store has no such line, or several and none is named; a line that is located needs no options; a
-        DEM does not say what its heights are above.
+        The store has no such line, or several and none is named; a line that is located needs no options; the
+        order of the columns is given and the line declares no other convention; a DEM does not say what its
+        heights are above.
     MissingExtraError
         A DEM needs rioxarray (extra ``geo``).
     """
@@ -57,7 +58,15 @@ def map_of_store(
             edges=None if field_of_view is None else "outer",
         )
     if column_order is not None:
-        told = Convention.from_attrs(found.attrs) or Convention()
+        told = Convention.from_attrs(found.attrs)
+        if told is None:
+            msg = (
+                f"{store} does not declare what the angles and heights of its line mean, and makers differ: "
+                "--column-order does not tell it; declare roll_positive, pitch_positive, heading_positive, "
+                "heading_reference, euler_order and height_reference in the table [navigation] of "
+                "collect.toml and process the collect again"
+            )
+            raise SchemaError(msg)
         location["convention"] = told.replace(column_order=column_order)
     given = {name: value for name, value in location.items() if value is not None}
     return orthorectify(found, **options, **given)
@@ -88,6 +97,9 @@ def _line_of(store: Path, line: str | None) -> xr.Dataset:
 
     prefix = "flightlines/"
     lines = [group.removeprefix(prefix) for group in list_groups(store) if group.startswith(prefix)]
+    if not lines and line is not None:
+        msg = f"{store} holds no named flight lines, and there is no {line!r}; leave out --line"
+        raise SchemaError(msg)
     name = lines[0] if line is None and len(lines) == 1 else line
     if lines and name not in lines:
         held = ", ".join(map(repr, lines))

@@ -29,7 +29,7 @@ Examples:
 \b
 Heights are above the ellipsoid, as GPS gives them, and not above the sea: a car park may well lie
 at -30 m. Where the map is shifted or torn, look first at --boresight, --ground, --clock-offset and
---column-order.""",
+--column-order. What the signs of angles mean is declared in the table [navigation] of collect.toml.""",
 )
 @click.argument("store", metavar="STORE.zarr", type=click.Path(exists=True, path_type=Path))
 @click.option("--line", metavar="ID", help="Flight line of the store.  [default: the only one]")

@@ -381,7 +381,9 @@ def test_the_command_line_takes_a_limit(collect: Path, tmp_path: Path) -> None:
     done = CliRunner().invoke(main, [*out, "10 MiB"])
     assert done.exit_code == 2
     assert "raise the memory limit" in done.stderr
-    assert CliRunner().invoke(main, [*out, "2 GiB"]).exit_code == 0
+    # a process of its own: the limit counts what is resident already, and a run of all tests holds a lot
+    fresh = subprocess.run([sys.executable, "-m", "hyperpaint", *out, "2 GiB"], check=False, timeout=120)
+    assert fresh.returncode == 0
 
 
 def test_a_cluster_is_asked_for_the_memory_of_its_workers() -> None:

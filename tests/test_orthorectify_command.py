@@ -52,6 +52,8 @@ def test_what_is_wrong_is_said(store: Path) -> None:
     assert "there is no 'raw_9'" in done.output
 
 
+# rioxarray multiplies transforms the old way
+_OLD_TRANSFORMS = pytest.mark.filterwarnings("ignore:Use `@` matmul:PendingDeprecationWarning")
 MOUNTED = (0.34, -0.95, -0.13)
 CAMERA = ("--focal-length-mm", "12", "--pixel-pitch-um", "7.4", "--column-order", "left_to_right")
 BORESIGHT = ("--boresight", *map(str, MOUNTED))
@@ -72,7 +74,7 @@ def board(tmp_path_factory: pytest.TempPathFactory) -> Path:
     corner = float(truth.east.min()) - 5.0, float(truth.north.max()) + 5.0
     size = int(max(np.ptp(truth.east.values), np.ptp(truth.north.values)) + 10.0) + 2
     profile = {"driver": "GTiff", "width": size, "height": size, "count": 1, "dtype": "float32"}
-    where = rasterio.transform.from_origin(*corner, 1.0, 1.0)
+    where = rasterio.Affine(1.0, 0.0, corner[0], 0.0, -1.0, corner[1])
     with rasterio.open(
         folder / "dem.tif", "w", crs=truth.attrs["crs"], transform=where, nodata=-9999.0, **profile
     ) as dem:
@@ -83,7 +85,7 @@ def board(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def shift(board: Path, *options: str) -> float:
-    """Return how far the pixel of a cell truly lies from it, at the most [cell]."""
+    """Return how far the pixel of a cell truly lies from it, as the median [cell]."""
     out = board / "map.zarr"
     call = ["orthorectify", str(board / "lot.zarr"), *options, "--out", str(out), "--quiet", "--overwrite"]
     done = CliRunner().invoke(main, call)
@@ -98,6 +100,7 @@ def shift(board: Path, *options: str) -> float:
         return float(np.median(np.hypot(*off)) / made.attrs["gsd"])
 
 
+@_OLD_TRANSFORMS
 def test_a_camera_a_dem_and_a_boresight_put_pixels_in_their_place(board: Path) -> None:
     dem = ("--dem", str(board / "dem.tif"), "--dem-heights", "ellipsoid")
     level = ("--ground", str(xr.open_zarr(board / "collect" / "truth.zarr").attrs["ground"]))
@@ -106,9 +109,31 @@ def test_a_camera_a_dem_and_a_boresight_put_pixels_in_their_place(board: Path) -
     assert shift(board, *level, *CAMERA) > 5.0
 
 
+@_OLD_TRANSFORMS
 def test_a_dem_whose_heights_are_above_nothing(board: Path) -> None:
     call = ["orthorectify", str(board / "lot.zarr"), "--dem", str(board / "dem.tif"), *CAMERA]
     done = CliRunner().invoke(main, [*call, "--out", str(board / "none.zarr"), "--quiet"])
     assert done.exit_code == 2
     assert "--dem-heights" in done.output
     assert not (board / "none.zarr").exists()
+
+
+def test_a_line_that_declares_no_signs_is_not_guessed_at(board: Path, tmp_path: Path) -> None:
+    line = hp.open_store(board / "lot.zarr", "flightlines/raw_0")
+    line.attrs = {name: value for name, value in line.attrs.items() if not name.startswith("convention_")}
+    hp.to_store(xr.DataTree.from_dict({"/flightlines/raw_0": line}), tmp_path / "bare.zarr")
+    call = ["orthorectify", str(tmp_path / "bare.zarr"), "--ground", "0", *CAMERA, "--quiet"]
+    done = CliRunner().invoke(main, [*call, "--out", str(tmp_path / "map.zarr")])
+    assert done.exit_code == 2, done.output
+    assert "roll_positive" in done.output
+    assert "[navigation]" in done.output
+    assert not (tmp_path / "map.zarr").exists()
+
+
+def test_a_store_of_one_nameless_line_has_no_line_of_a_name(store: Path, tmp_path: Path) -> None:
+    hp.to_store(hp.open_store(store, "flightlines/raw_0"), tmp_path / "one.zarr")
+    call = ["orthorectify", str(tmp_path / "one.zarr"), "--out", str(tmp_path / "map.zarr"), "--quiet"]
+    done = CliRunner().invoke(main, [*call, "--line", "nope"])
+    assert done.exit_code == 2
+    assert "there is no 'nope'" in done.output
+    assert CliRunner().invoke(main, call).exit_code == 0

@@ -230,7 +230,12 @@ PARSERS: Mapping[str, Parser] = {
     ),
     "library-csv": Parser(_library, (FormatError,), ("library/paints.csv",)),
     "library-text": Parser(
-        _library, (FormatError,), ("library/text/red.spectrum.txt", "table.csv"), ("spectra_ascii/*",)
+        _library,
+        (FormatError,),
+        ("library/text/red.spectrum.txt", "table.csv"),
+        tuple(
+            f"spectra_ascii/{name}" for name in ("*.spectrum.txt", "PVC_*.txt", "R90.txt", "splib07a_*.txt")
+        ),
     ),
 }
 

@@ -21,6 +21,7 @@ __all__ = [
     "grid_mapping_attrs",
     "is_in_metres",
     "meridian_convergence",
+    "near_turns",
     "polynomials",
     "turn_of_north",
     "utm_zone",
@@ -198,7 +199,8 @@ def grid_heading(
         pyproj is not installed.
     """
     turned = np.asarray(heading, np.float64) - meridian_convergence(latitude, longitude, crs)
-    return np.asarray(np.mod(turned, 360.0))
+    # twice, as a hair less than 0 comes to 360 itself
+    return np.asarray(np.mod(np.mod(turned, 360.0), 360.0))
 
 
 def grid_mapping_attrs(crs: str) -> dict[str, Any]:
@@ -223,9 +225,26 @@ def _between(source: str, target: str) -> pyproj.Transformer:
 
 
 def is_in_metres(crs: str) -> bool:
-    """Tell whether a reference system is a map whose coordinates are in metres."""
+    """Tell whether a reference system is a map whose coordinates are in metres to the east and north.
+
+    Those to the west and south (EPSG:2053) would turn every map over.
+    """
     known = _crs(crs)
+    ways = {axis.direction.lower() for axis in known.axis_info}
+    # both axes of a map of the north pole may point south
+    if "west" in ways or {"south", "east"} <= ways:
+        return False
     return known.is_projected and all(axis.unit_conversion_factor == 1.0 for axis in known.axis_info)
+
+
+def near_turns(x: Float, middle: float, crs: str) -> Float:
+    """Return by how much x is to be moved to be the one nearest to a place that means the same.
+
+    Whole turns of longitude [degree], where the reference system is geographic; 0 on a map.
+    """
+    if not _crs(crs).is_geographic:
+        return np.zeros_like(x)
+    return np.asarray(360.0 * np.round((middle - x) / 360.0))
 
 
 # --- frames of lines ---------------------------------------------------------------------------------------

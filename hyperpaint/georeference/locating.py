@@ -231,7 +231,10 @@ def _map_of(poses: Any, crs: Any) -> str:
         crs = utm_zone(float(latitude), float(longitude))
     made = crs_of(crs)
     if not is_in_metres(made):
-        msg = f"crs {crs!r:.80} is not a map in metres; give a projected one, such as 'EPSG:32617'"
+        msg = (
+            f"crs {crs!r:.80} is not a map in metres to the east and north; give a projected one, such as "
+            "'EPSG:32617'"
+        )
         raise SchemaError(msg)
     return made
 

@@ -48,7 +48,8 @@ def angles_of(rotation: Float) -> tuple[Float, Float, Float]:
     roll = np.arctan2(2 * (w * x + y * z), 1 - 2 * (x * x + y * y))
     pitch = np.arcsin(np.clip(2 * (w * y - x * z), -1.0, 1.0))
     heading = np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
-    return np.degrees(roll), np.degrees(pitch), np.mod(np.degrees(heading), 360.0)
+    # twice, as a hair less than 0 comes to 360 itself
+    return np.degrees(roll), np.degrees(pitch), np.mod(np.mod(np.degrees(heading), 360.0), 360.0)
 
 
 def slerp(first: Float, second: Float, weight: Float) -> Float:

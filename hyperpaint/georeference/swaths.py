@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from .cameras import directions
-from .geodesy import polynomials, turn_of_north
+from .geodesy import near_turns, polynomials, turn_of_north
 from .rotations import matrices, quaternions
 from .terrain import Terrain
 
@@ -105,6 +105,8 @@ def place_lines(swath: Swath, poses: Float) -> Float:
     col, row = x.copy(), y.copy()
     if grid.crs != swath.crs:
         col, row, _ = polynomials(latitude, longitude, altitude, reach, grid.crs)
+    # rasters count longitude from -180 or 0, or reach across 180
+    col[:, 0] += near_turns(col[:, 0], grid.x[0] + grid.x[1] * (terrain.heights.shape[1] - 1) / 2, grid.crs)
     for place, (first, step) in ((col, grid.x), (row, grid.y)):
         place[:, 0] -= first
         place /= step

@@ -78,8 +78,8 @@ def grid_of(dem: xr.DataArray) -> TerrainGrid:
     Raises
     ------
     SchemaError
-        Other dims than (y, x), fewer than two cells, coordinates that are missing or uneven, no crs, or
-        ``height_reference`` that is not declared; all are listed.
+        Other dims than (y, x), fewer than two cells, coordinates that are missing or uneven, a grid that is
+        turned, no crs, or ``height_reference`` that is not declared; all are listed.
     MissingExtraError
         pyproj is not installed.
     """
@@ -95,6 +95,12 @@ def grid_of(dem: xr.DataArray) -> TerrainGrid:
                 problems.add(found)
             else:
                 axes[name] = found
+    if _is_turned(dem, axes):
+        problems.add(
+            "it lies turned on its map, as the GeoTransform of spatial_ref says, so that x and y are no map "
+            "coordinates; bring it to a grid with north up (rioxarray's reproject, or "
+            "hyperpaint.orthorectify onto such a grid)"
+        )
     crs = _crs_text(dem)
     if crs is None:
         problems.add("no crs; open it with rioxarray, or declare it: dem.assign_attrs(crs='EPSG:32617')")
@@ -157,13 +163,30 @@ def _axis(dem: xr.DataArray, name: str) -> tuple[float, float] | str:
     return float(values[0]), float(step)
 
 
+def _is_turned(dem: xr.DataArray, axes: Mapping[str, tuple[float, float]]) -> bool:
+    """Tell whether a raster, by its GeoTransform, has rows that do not run east or west.
+
+    That of a part of a raster may be stale, so that nothing but directions are taken from it.
+    """
+    try:
+        numbers = [float(part) for part in str(_mapping_attrs(dem).get("GeoTransform", "")).split()]
+    except ValueError:
+        return False
+    if len(numbers) != 6:
+        return False
+    _, right, right_by_row, _, up_by_column, _ = numbers
+    # of a flight to the south: distances from a corner grow to the west
+    return bool(right_by_row or up_by_column) or (right < 0.0 < axes.get("x", (0.0, 0.0))[1])
+
+
+def _mapping_attrs(dem: xr.DataArray) -> Mapping[Any, Any]:
+    mapping = dem.attrs.get("grid_mapping", dem.encoding.get("grid_mapping", "spatial_ref"))
+    return dem.coords[mapping].attrs if mapping in dem.coords else {}
+
+
 def _crs_text(dem: xr.DataArray) -> str | None:
     """Return the crs that a raster declares, as rioxarray or by hand."""
-    mapping = dem.attrs.get("grid_mapping", dem.encoding.get("grid_mapping", "spatial_ref"))
-    sources: list[Mapping[Any, Any]] = [dem.attrs]
-    if mapping in dem.coords:
-        sources.append(dem.coords[mapping].attrs)
-    for attrs in sources:
+    for attrs in (dem.attrs, _mapping_attrs(dem)):
         for name in ("crs", "crs_wkt", "spatial_ref"):
             if attrs.get(name):
                 return str(attrs[name])

@@ -20,7 +20,7 @@ from hyperpaint.errors import SchemaError
 from hyperpaint.schema import ALONG_TRACK, BAND, CROSS_TRACK
 
 from .map_grids import Grid, envi_map_info, grid_of
-from .product_choice import RGB_WAVELENGTHS, nearest_bands, product_of
+from .product_choice import RGB_WAVELENGTHS, nearest_bands, product_of, stored_float
 from .publishing import published_files
 
 if TYPE_CHECKING:
@@ -66,7 +66,8 @@ def write_envi(
         By default ``"bil"`` for flight lines and ``"bip"`` for maps: the order in which the blocks come.
     dtype
         ``"float32"``; or ``"uint16"``, for reflectance times 10,000 (0 to 6.5534, others end there), unknown
-        samples 65535. By default floats are float32, and integers stay what they are.
+        samples 65535. By default floats are float32 (places such as ``east`` and ``glt_line`` float64), and
+        integers stay what they are.
     overwrite
         Replace files that exist.
     progress
@@ -142,7 +143,7 @@ def _cube(dataset: xr.Dataset, variable: str | None, dtype: str | None) -> xr.Da
         scaled = (cube * np.float32(_SCALE)).round().clip(0, _IGNORE - 1).fillna(_IGNORE)
         return scaled.astype(np.uint16).assign_attrs(cube.attrs)
     if cube.dtype.kind == "f" or dtype == "float32":
-        return cube.astype(np.float32, copy=False)
+        return cube.astype(np.float32 if dtype == "float32" else stored_float(cube), copy=False)
     if cube.dtype == bool:
         return cube.astype(np.uint8)
     if cube.dtype.name not in _CODES:

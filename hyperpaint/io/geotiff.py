@@ -18,7 +18,7 @@ from hyperpaint.errors import MissingExtraError, SchemaError, StoreError
 from hyperpaint.schema import BAND
 
 from .map_grids import Grid, grid_of
-from .product_choice import RGB_WAVELENGTHS, nearest_bands, product_of
+from .product_choice import RGB_WAVELENGTHS, nearest_bands, product_of, stored_float
 from .publishing import published_files
 
 if TYPE_CHECKING:
@@ -84,7 +84,8 @@ def write_geotiff(
 
     Notes
     -----
-    Floats are float32, unknown samples NaN; integers stay what they are. Bands are described by their
+    Floats are float32 (places such as ``east`` and ``glt_line`` float64), unknown samples NaN; integers stay
+    what they are. Bands are described by their
     wavelength, which is a tag of the band too.
 
     Examples
@@ -166,7 +167,7 @@ def _chosen(map: xr.Dataset, array: xr.DataArray, bands: Any) -> list[int]:
 
 def _plain(array: xr.DataArray) -> xr.DataArray:
     if array.dtype.kind == "f":
-        return array.astype(np.float32, copy=False)
+        return array.astype(stored_float(array), copy=False)
     if array.dtype == bool:
         return array.astype(np.uint8)
     if array.dtype.name in ("uint8", "uint16", "int16", "uint32", "int32"):

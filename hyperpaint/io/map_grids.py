@@ -16,9 +16,15 @@ if TYPE_CHECKING:
 
 __all__ = ["SPATIAL_REF", "Grid", "envi_map_info", "grid_of"]
 
+Transform = tuple[float, float, float, float, float, float]
+
 SPATIAL_REF = "spatial_ref"
+ALONG_FLIGHT = "grid along the flight"
+"""What `hyperpaint.orthorectify` calls the reference system of ``x`` and ``y`` that are distances."""
 _TOLERANCE = 1e-6
 """Part of a pixel by which steps may differ over the whole grid."""
+_ROUNDING = 1e-9
+"""Of map coordinates [map units]."""
 
 
 @dataclass(frozen=True)
@@ -33,7 +39,7 @@ class Grid:
         The reference system; None where it is not known.
     """
 
-    transform: tuple[float, float, float, float, float, float]
+    transform: Transform
     wkt: str | None
 
     @property
@@ -51,28 +57,85 @@ class Grid:
 def grid_of(dataset: xr.Dataset) -> Grid | None:
     """Return the grid of a map; None where nothing tells it.
 
-    ``GeoTransform`` of ``spatial_ref`` counts, else ``x`` and ``y`` at pixel centres.
+    ``x`` and ``y`` at pixel centres tell it, since they follow every selection of cells, and ``GeoTransform``
+    of ``spatial_ref`` does not: it counts where they are not there, and for what they do not tell (the step
+    of a single row or column, and how a grid along the flight lies, in which they are distances from the
+    corner of its first cell).
 
     Raises
     ------
     SchemaError
-        ``GeoTransform`` is not six finite numbers, or ``x`` and ``y`` are not evenly spaced.
+        ``GeoTransform`` is not six finite numbers; ``x`` and ``y`` are not evenly spaced; or the grid is
+        turned and they are not distances along it.
     """
     attrs = dataset[SPATIAL_REF].attrs if SPATIAL_REF in dataset.variables else {}
-    wkt = attrs.get("crs_wkt") or attrs.get("spatial_ref")
+    told = attrs.get("crs_wkt") or attrs.get("spatial_ref")
+    wkt = None if told is None else str(told)
     text = attrs.get("GeoTransform")
-    if text is not None:
-        return Grid(_numbers(text), None if wkt is None else str(wkt))
+    transform = None if text is None else _numbers(text)
     axes = [dataset.variables.get(name) for name in ("x", "y")]
-    if any(axis is None or axis.ndim != 1 or axis.size < 2 for axis in axes):
-        return None
+    if any(axis is None or axis.dims != (name,) for name, axis in zip("xy", axes, strict=True)):
+        return None if transform is None else Grid(transform, wkt)
+    if transform is None:
+        if any(dataset.sizes[name] < 2 for name in ("x", "y")):
+            return None
+        transform = _north_up(dataset, (math.nan, math.nan))
+        return Grid(transform, wkt)
+    _, b, c, _, e, f = transform
+    along = dataset["x"].attrs.get("crs") == ALONG_FLIGHT
+    if along or c != 0.0 or e != 0.0:
+        found = _along(dataset, transform)
+        if not along and not _same(found, transform, dataset):
+            msg = (
+                f"GeoTransform of {SPATIAL_REF} is turned, and 'x' and 'y' are not the distances of all its "
+                "cells from its corner, so that nothing tells which cells these are; drop 'x' and 'y' where "
+                "it is the whole grid"
+            )
+            raise SchemaError(msg)
+    else:
+        found = _north_up(dataset, (b, f))
+    # numbers that agree keep their bits
+    return Grid(transform if _same(found, transform, dataset) else found, wkt)
+
+
+def _north_up(dataset: xr.Dataset, steps: tuple[float, float]) -> Transform:
+    """Return the grid of map coordinates; a single row or column has the step given."""
+    (x, width), (y, height) = _windows(dataset, steps)
+    return x, width, 0.0, y, 0.0, height
+
+
+def _along(dataset: xr.Dataset, transform: Transform) -> Transform:
+    """Return the part of a grid whose cells lie at distances from its corner."""
+    a, b, c, d, e, f = transform
+    sizes = math.hypot(b, e), math.hypot(c, f)
+    (x, width), (y, height) = _windows(dataset, sizes)
+    col, row, cols, rows = x / sizes[0], y / sizes[1], width / sizes[0], height / sizes[1]
+    return a + col * b + row * c, cols * b, rows * c, d + col * e + row * f, cols * e, rows * f
+
+
+def _windows(dataset: xr.Dataset, steps: tuple[float, float]) -> list[tuple[float, float]]:
+    """Return the outer edge of the first pixel, and the step, of x and of y."""
     problems = Problems("the place of this map is not known", SchemaError)
-    (x, width), (y, height) = (_even(name, dataset[name].values, problems) for name in ("x", "y"))
+    axes = zip("xy", steps, strict=True)
+    found = [_even(name, dataset[name].values, step, problems) for name, step in axes]
     problems.raise_if_any()
-    return Grid((x, width, 0.0, y, 0.0, height), None if wkt is None else str(wkt))
+    return found
 
 
-def _numbers(text: Any) -> tuple[float, float, float, float, float, float]:
+def _same(found: Transform, told: Transform, dataset: xr.Dataset) -> bool:
+    """Return whether two grids agree over all of a map, but for rounding."""
+    (a, b, c), (d, e, f) = (
+        [one - other for one, other in zip(found[k : k + 3], told[k : k + 3], strict=True)] for k in (0, 3)
+    )
+    tolerance = _TOLERANCE * max(map(abs, (*told[1:3], *told[4:]))) + _ROUNDING
+    corners = [(col, row) for col in (0, dataset.sizes["x"]) for row in (0, dataset.sizes["y"])]
+    return all(
+        abs(a + b * col + c * row) <= tolerance and abs(d + e * col + f * row) <= tolerance
+        for col, row in corners
+    )
+
+
+def _numbers(text: Any) -> Transform:
     try:
         items = text.replace(",", " ").split() if isinstance(text, str) else text
         a, b, c, d, e, f = (float(item) for item in items)
@@ -87,13 +150,14 @@ def _numbers(text: Any) -> tuple[float, float, float, float, float, float]:
     return a, b, c, d, e, f
 
 
-def _even(name: str, values: Any, problems: Problems) -> tuple[float, float]:
-    """Return the outer edge of the first pixel, and the step."""
+def _even(name: str, values: Any, single: float, problems: Problems) -> tuple[float, float]:
+    """Return the outer edge of the first pixel, and the step, which is that given of a single one."""
     centres = np.asarray(values, np.float64)
-    step = (centres[-1] - centres[0]) / (centres.size - 1)
+    step = (centres[-1] - centres[0]) / (centres.size - 1) if centres.size > 1 else np.float64(single)
     even = centres[0] + step * np.arange(centres.size)
-    if not np.isfinite(step) or step == 0.0 or np.abs(centres - even).max() > _TOLERANCE * abs(step) + 1e-9:
-        problems.add(f"{name!r} is not evenly spaced; give {SPATIAL_REF} a GeoTransform")
+    fits = np.abs(centres - even).max() <= _TOLERANCE * abs(step) + _ROUNDING
+    if step == 0.0 or not fits:
+        problems.add(f"{name!r} is not evenly spaced; choose cells at even steps")
         return 0.0, 1.0
     return float(centres[0] - step / 2.0), float(step)
 

@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from hyperpaint.errors import SchemaError
-from hyperpaint.schema import ALONG_TRACK, BAND, CROSS_TRACK
+from hyperpaint.schema import ALONG_TRACK, BAND, CROSS_TRACK, VARIABLES
 
 if TYPE_CHECKING:
     import xarray as xr
     from numpy.typing import ArrayLike
 
-__all__ = ["RGB_WAVELENGTHS", "nearest_bands", "product_of"]
+__all__ = ["RGB_WAVELENGTHS", "nearest_bands", "product_of", "stored_float"]
 
 RGB_WAVELENGTHS = (640.0, 550.0, 460.0)
 """Of the bands that are shown as red, green and blue [nm]."""
@@ -44,6 +44,16 @@ def product_of(dataset: xr.Dataset, variable: str | None) -> xr.DataArray:
         )
         raise SchemaError(msg)
     return array.reset_coords(drop=True)
+
+
+def stored_float(array: xr.DataArray) -> type[np.floating[Any]]:
+    """Return the type that a variable of floats is written in.
+
+    That is float32, but for what needs more: map coordinates in float32 are off by decimetres.
+    """
+    known = VARIABLES.get(str(array.name))
+    exact = known is not None and known.dtype == "float64" and array.dtype.itemsize >= 8
+    return np.float64 if exact else np.float32
 
 
 def nearest_bands(wavelength: ArrayLike, wanted: tuple[float, ...]) -> list[int] | None:

@@ -72,7 +72,8 @@ def check_conventions(
     convention
         What is declared; by default what the attributes say.
     camera, boresight, lever_arm
-        See `hyperpaint.locate`; a boresight that is not known matters little here.
+        See `hyperpaint.locate`; a boresight may be left out where it is about a degree or less: one of
+        several degrees, not given, leaves everything undecided.
     ground
         Height of the ground above the ellipsoid, to some tenths of the height above it [m]; by default
         that of a located line.
@@ -134,7 +135,10 @@ def _findings(setting: Setting) -> list[Finding]:
         setting = _at_height(setting, declared, _square(declared, setting))
     scored, used = _scores(setting)
     if not scored or scored[0].over_rest < ODDS:
-        told = "the picture does not follow the attitude: no wobble, little to see, or clocks far apart"
+        told = (
+            "the picture does not follow the attitude: no wobble, little to see, clocks far apart, or a "
+            "boresight of some degrees that was not given"
+        )
         silent = {**fields_of(declared), "height_reference": setting.declared.height_reference}
         silent |= {"stamp_reference": str(setting.declared.stamp_reference)}
         return [Finding(n, str(v), "undecided", "", told) for n, v in silent.items()] + [

@@ -34,6 +34,19 @@ _WIDEST = {"roll": 5.0, "pitch": 5.0, "heading": 5.0, "height": 50.0, "clock": 1
 _OUTLYING = 4.5
 """Standard deviations of picking beyond which a point is left out: 1 in 25,000 of good ones."""
 _MOST_TURNS = 10
+_CLOCKS = np.arange(-10, 11) * 0.1
+"""Where the clock is looked for around where it begins [s]: a wobble of a second or so has a minimum each."""
+_CANDIDATES = 3
+_HOPEFUL = 3.0
+"""Of these, and what they leave at most, as a multiple of the least."""
+_FAR = 5.0
+"""Misses beyond which count less in that search [pixel]."""
+_CLEARLY = 1.3
+"""Factor by which what another clock leaves must exceed what the best one does."""
+_SAME_CLOCK = 0.05
+"""Clocks nearer than this are one [s]."""
+_ASTRAY = 2.0
+"""Fields of view, beyond what most points miss by, from which a point is a blunder, not an error."""
 _FIELDS = ("along_track_pixel", "cross_track_pixel", "east", "north", "height")
 
 
@@ -110,6 +123,7 @@ def solve_boresight(
     camera: PinholeCamera | xr.Dataset | None = None,
     convention: Convention | None = None,
     crs: Any = None,
+    largest_picking_sd: float = 3.0,
 ) -> BoresightSolution:
     r"""Solve for the mounting of a camera, and its clock, from ground control points (eager).
 
@@ -132,6 +146,9 @@ def solve_boresight(
         See `hyperpaint.locate`.
     crs
         Map of ``east`` and ``north``; by default the attribute ``crs`` of the points.
+    largest_picking_sd
+        What may be left of the points that are kept, more of which is no error of picking and is refused
+        [pixel]; to be raised where positions, say, are known no better.
 
     Returns
     -------
@@ -141,8 +158,9 @@ def solve_boresight(
     Raises
     ------
     SchemaError
-        What is solved cannot be told from these points, which names what of it and the reason; points outside
-        of lines, of lines that are not given, or without a pose; variables or a map are missing.
+        What is solved cannot be told from these points, which names what of it and the reason; clocks apart
+        fit alike, or none fits; points outside of lines, of lines that are not given, or without a pose;
+        variables or a map are missing.
     MissingExtraError
         pyproj is not installed (extra ``geo``).
 
@@ -153,6 +171,9 @@ def solve_boresight(
     units of pixels of picking, line and column alike. Points are first weighted by soft-L1, then those beyond
     4.5 standard deviations are left out and the rest is solved again. The covariance is
     :math:`s^2 (J^T J)^{-1}`, with :math:`s` from the residuals.
+
+    The sum of squares has a minimum with every swing of the platform: the clock is looked for within 1 s of
+    where it begins. Points that miss by more than twice the field of view are left out from the start.
 
     Pitch and clock both move points along the track: on a line that does not turn they are one. Lines of
     opposite courses part them, as does the platform's own wobble.
@@ -165,14 +186,21 @@ def solve_boresight(
     )
     free = [PARAMETERS.index(name) for name in names]
     problem = _Problem(sights, start, free, control_points.sizes["point"])
-    everything = np.ones(control_points.sizes["point"], bool)
-    _refuse_unidentifiable(problem.slopes(start[free], everything), names, everything)
-    solution, kept = problem.robust()
+    sane = problem.not_astray()
+    _refuse_unidentifiable(problem.slopes(start[free], sane), names, sane)
+    solution, kept = problem.best(sane)
     slopes = problem.slopes(solution, kept)
     condition = _refuse_unidentifiable(slopes, names, kept)
     misses = problem.misses(solution)
     freedom = 2 * int(kept.sum()) - len(free)
     variance = float((misses[kept] ** 2).sum()) / freedom
+    if variance > largest_picking_sd**2:
+        msg = (
+            f"nothing fits these control points: {np.sqrt(variance):.1f} pixel are left, expected "
+            f"{largest_picking_sd:g} at most (largest_picking_sd=); is the clock, clock_offset_s=, known "
+            f"within 1 s, are convention=, camera= and crs= those of the flight, points those of the lines?"
+        )
+        raise SchemaError(msg)
     whole = problem.whole(solution)
     return BoresightSolution(
         (float(whole[0]), float(whole[1]), float(whole[2])),
@@ -297,8 +325,10 @@ class _Problem:
             made.append((self.misses(free + step) - self.misses(free - step))[kept].ravel() / (2.0 * step[k]))
         return np.stack(made, axis=1)
 
-    def fit(self, free: Float, kept: npt.NDArray[np.bool_], scale: float | None = None) -> Float:
-        """Return the parameters that fit best; with a scale [pixel] by soft-L1."""
+    def fit(
+        self, free: Float, kept: npt.NDArray[np.bool_], scale: float | None = None, roughly: bool = False
+    ) -> Float:
+        """Return the parameters that fit best, or nearly; with a scale [pixel] by soft-L1."""
         from scipy.optimize import least_squares
 
         units = np.array([_STEPS[PARAMETERS[p]] for p in self.free])
@@ -308,30 +338,96 @@ class _Problem:
             jac=lambda u: np.nan_to_num(self.slopes(u * units, kept)) * units,
             loss="linear" if scale is None else "soft_l1",
             f_scale=scale or 1.0,
+            x_scale=1e3 if roughly else 1.0,  # a first step of a degree: smaller ones would end the search
+            ftol=1e-3 if roughly else 1e-8,
+            max_nfev=12 if roughly else None,
         )
         return np.asarray(found.x * units)
 
-    def robust(self) -> tuple[Float, npt.NDArray[np.bool_]]:
-        """Return the parameters, and which points they fit."""
-        kept = np.ones(self.count, bool)
-        free = self.fit(self.start[self.free], kept)
+    def not_astray(self) -> npt.NDArray[np.bool_]:
+        """Tell which points miss by no more than a mounting or a clock could account for."""
+        at, sane = self.start, np.ones(self.count, bool)
+        found = [s.misses(at[:3], float(at[3]), float(at[4])) for s in self.sights]
+        middle = np.median(np.concatenate(found), axis=0)
+        for sight, miss in zip(self.sights, found, strict=True):
+            far = np.linalg.norm(miss - middle, axis=1) > _ASTRAY * max(sight.field_of_view, 0.5)
+            sane[sight.index] = ~(far | sight.behind(at[:3], float(at[3]), float(at[4])))
+        return sane if 2 * sane.sum() > self.count else np.ones(self.count, bool)
+
+    def best(self, sane: npt.NDArray[np.bool_]) -> tuple[Float, npt.NDArray[np.bool_]]:
+        """Return the parameters, and which points they fit, of the clock that fits best.
+
+        Raises
+        ------
+        SchemaError
+            Another clock fits nearly as well.
+        """
+        if PARAMETERS.index("clock") not in self.free:
+            return self.robust(self.start[self.free], sane)[:2]
+        # the clock is last of what is free
+        white, ranked = self._white, []
+        for at in self.clocks(sane):
+            self._white = white
+            ranked.append(self.robust(at, sane))
+        ranked.sort(key=lambda one: one[2])
+        free, kept, scale = ranked[0]
+        rivals = [
+            one
+            for one in ranked[1:]
+            if abs(one[0][-1] - free[-1]) > _SAME_CLOCK and not one[2] > _CLEARLY * scale
+        ]
+        if rivals:
+            msg = (
+                f"clocks {free[-1]:+.3f} and {rivals[0][0][-1]:+.3f} s fit these control points alike, "
+                f"leaving {scale:.2f} and {rivals[0][2]:.2f} pixel; add points, or leave 'clock' out of "
+                "solve="
+            )
+            raise SchemaError(msg)
+        self.whiten(free)
+        return free, kept
+
+    def clocks(self, sane: npt.NDArray[np.bool_]) -> list[Float]:
+        """Return where to begin: the best of clocks around, the others fit to each."""
+        held = _Problem(self.sights, self.start.copy(), self.free[:-1], self.count)
+        held._white = self._white  # misses of all clocks are then in one unit
+        begun, left = [], []
+        for clock in self.start[4] + _CLOCKS:
+            held.start[4] = clock
+            free = self.start[held.free]
+            there = sane & np.isfinite(held.misses(free)).all(axis=1)  # the record may end before the others
+            if free.size and there.any():
+                # far away soft-L1 is slow, and the other clock beside it is no place to begin
+                free = held.fit(held.fit(free, there, roughly=True), there, _FAR, roughly=True)
+            begun.append(np.append(free, clock))
+            away = np.linalg.norm(held.misses(free)[sane], axis=1)
+            left.append(np.median(np.where(np.isfinite(away), away, np.inf)))
+        around = np.pad(left, 1, constant_values=np.inf)
+        lowest = [k for k, one in enumerate(left) if one <= min(around[k], around[k + 2])]
+        hopeful = sorted((k for k in lowest if left[k] <= _HOPEFUL * min(left)), key=lambda k: left[k])
+        return [begun[k] for k in hopeful[:_CANDIDATES]]
+
+    def robust(self, free: Float, sane: npt.NDArray[np.bool_]) -> tuple[Float, npt.NDArray[np.bool_], float]:
+        """Return the parameters, which points they fit, and what these are left with [pixel]."""
+        kept, count = sane, int(sane.sum())
+        free = self.fit(free, kept)
         self.whiten(free)
         for _ in range(3):
-            scale = max(1.4826 * float(np.median(np.abs(self.misses(free)))), 1e-6)
+            scale = max(1.4826 * float(np.nanmedian(np.abs(self.misses(free)[sane]))), 1e-6)
             free = self.fit(free, kept, 1.5 * scale)
-        freedom = np.sqrt(2 * self.count / max(2 * self.count - len(self.free), 1))
+        freedom = np.sqrt(2 * count / max(2 * count - len(self.free), 1))
         for _ in range(_MOST_TURNS):
             away = np.linalg.norm(self.misses(free), axis=1)
             # the median of the distance of a point is 1.177 standard deviations of line or column
-            scale = freedom * max(float(np.median(away[kept])) / 1.1774, 1e-6)
-            good = away < _OUTLYING * scale
+            scale = freedom * max(float(np.nanmedian(away[kept])) / 1.1774, 1e-6)
+            good = (away < _OUTLYING * scale) & sane
             if 2 * good.sum() <= len(self.free):
                 break
             free = self.fit(free, good)
             if (good == kept).all():
                 break
             kept = good
-        return free, kept
+        left = np.linalg.norm(self.misses(free), axis=1)[sane]
+        return free, kept, float(np.median(np.where(np.isfinite(left), left, np.inf)))
 
 
 def _refuse_unidentifiable(slopes: Float, names: list[str], kept: npt.NDArray[np.bool_]) -> float:

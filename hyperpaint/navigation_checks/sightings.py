@@ -60,6 +60,8 @@ class Sightings:
         Forward, right, down [m].
     index : (point,)
         Which of all points they are.
+    field_of_view
+        Way between the outermost columns [tangent].
     """
 
     times: npt.NDArray[np.datetime64]
@@ -72,6 +74,7 @@ class Sightings:
     step: Float
     lever_arm: tuple[float, float, float]
     index: npt.NDArray[np.int64]
+    field_of_view: float
     _kept: dict[tuple[float, float], Float] = field(default_factory=dict, repr=False)
 
     def misses(self, boresight: Float, height: float, clock: float, lines: float = 0.0) -> Float:
@@ -88,14 +91,12 @@ class Sightings:
         lines
             Lines by which the points are said to be seen later than they were.
         """
-        poses = self._poses(clock, lines)
-        body = matrices(quaternions(*poses[3:]))
-        centre, axes = _place(poses[0], poses[1], poses[2] + height)
-        # axes: north, east, down as rows, geocentric
-        way = np.einsum("nij,nj->ni", axes, self.ground - centre)
-        way = np.einsum("nji,nj->ni", body, way) - np.array(self.lever_arm)
-        way = way @ matrices(quaternions(*boresight))
+        way = self._ways(boresight, height, clock, lines)
         return np.asarray(way[:, :2] / way[:, 2:] - np.stack([self.forward, self.right], axis=-1))
+
+    def behind(self, boresight: Float, height: float, clock: float) -> npt.NDArray[np.bool_]:
+        """Tell which points are behind the camera (point,), where a miss means nothing."""
+        return np.asarray(self._ways(boresight, height, clock, 0.0)[:, 2] <= 0.0)
 
     def whitening(self, boresight: Float, height: float, clock: float) -> Float:
         """Return what turns misses into pixels of picking (point, 2, 2).
@@ -108,6 +109,16 @@ class Sightings:
         floor = _FLOOR**2 * (self.step**2).sum(axis=-1)[:, None, None] * np.eye(2)
         both = moved[:, :, None] * moved[:, None] + self.step[:, :, None] * self.step[:, None] + floor
         return np.asarray(np.linalg.inv(np.linalg.cholesky(both)))
+
+    def _ways(self, boresight: Float, height: float, clock: float, lines: float) -> Float:
+        """Return the ways from the camera to the points in its frame (point, 3) [m]."""
+        poses = self._poses(clock, lines)
+        body = matrices(quaternions(*poses[3:]))
+        centre, axes = _place(poses[0], poses[1], poses[2] + height)
+        # axes: north, east, down as rows, geocentric
+        way = np.einsum("nij,nj->ni", axes, self.ground - centre)
+        way = np.einsum("nji,nj->ni", body, way) - np.array(self.lever_arm)
+        return np.asarray(way @ matrices(quaternions(*boresight)))
 
     def _poses(self, clock: float, lines: float) -> Float:
         if (clock, lines) not in self._kept:
@@ -194,6 +205,7 @@ def sightings_of(
         step[np.clip(np.round(column).astype(np.int64), 0, across.size - 1)],
         lever_arm,
         index,
+        float(np.hypot(np.ptp(along), np.ptp(across))),
     )
     missing = ~np.isfinite(made.misses(np.zeros(3), 0.0, clock)).all(axis=1) if rows.any() else outside | True
     if missing.any():

@@ -38,8 +38,8 @@ def prepared(line: xr.Dataset, variables: Iterable[str] | None) -> tuple[xr.Data
     Raises
     ------
     SchemaError
-        Variables that it does not have, or of dims that have no place on a map; all are listed. Or there is
-        no reflectance, and none can be computed.
+        Variables that it does not have, of dims that have no place on a map, or of types other than numbers,
+        flags and times; all are listed. Or there is no reflectance, and none can be computed.
     UnitsError
         As `hyperpaint.reflectance`.
     """
@@ -60,7 +60,11 @@ def prepared(line: xr.Dataset, variables: Iterable[str] | None) -> tuple[xr.Data
         elif not _is_mapped(line[name].dims):
             dims = ", ".join(map(str, line[name].dims)) or "a scalar"
             problems.add(f"{name!r} ({dims}) has no place on a map, expected along_track or cross_track")
+        elif _native(line[name].dtype) is None or (BAND in line[name].dims and line[name].dtype.kind == "M"):
+            expected = "numbers" if BAND in line[name].dims else "numbers, flags or times"
+            problems.add(f"{name!r} is {line[name].dtype}, expected {expected}")
     problems.raise_if_any()
+    line = _as_native(line, names)
     spectra = [name for name in names if name in _PRODUCTS]
     if spectra and "wavelength_shift" in line.variables:
         line = line.assign({name: to_nominal(line)[name] for name in spectra})
@@ -69,6 +73,25 @@ def prepared(line: xr.Dataset, variables: Iterable[str] | None) -> tuple[xr.Data
 
 def _is_mapped(dims: Sequence[Any]) -> bool:
     return set(dims) in ({*CUBE}, {*_PIXEL}, {ALONG_TRACK}, {CROSS_TRACK})
+
+
+def _native(dtype: np.dtype[Any]) -> np.dtype[Any] | None:
+    """Return the type that kernels take in place of one: in the machine's byte order, no half floats."""
+    if dtype.kind == "f":
+        return np.dtype(np.float64 if dtype.itemsize > 4 else np.float32)
+    return dtype.newbyteorder("=") if dtype.kind in "biuM" else None
+
+
+def _as_native(line: xr.Dataset, names: Sequence[str]) -> xr.Dataset:
+    """Return a line whose variables have types that kernels take; what has keeps its memory."""
+    wanted = {name: _native(line[name].dtype) for name in names}
+    # numpy takes types of either byte order for equal
+    other = [
+        name for name, dtype in wanted.items() if dtype is not None and dtype.str != line[name].dtype.str
+    ]
+    made = {name: line[name].astype(wanted[name]) for name in other}
+    coords = {name: made.pop(name) for name in other if name in line.coords}
+    return line.assign(made).assign_coords(coords)
 
 
 def empty_value(name: str, dtype: np.dtype[Any]) -> Any:

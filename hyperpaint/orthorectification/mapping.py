@@ -27,7 +27,8 @@ __all__ = ["orthorectify"]
 
 _GRIDS = ("flight", "north")
 _METHODS = ("nearest", "bilinear")
-_MOST_TILES = 1_000_000
+_MOST_TILES = 100_000
+"""A graph of more takes minutes and gigabytes before anything is computed."""
 
 
 def orthorectify(
@@ -147,11 +148,8 @@ def orthorectify(
     lines = _line_chunks(line, names)
     east, north, crs = _places(line, lines)
     survey, made_grid = _planned(east, north, gsd, grid, bounds, progress)
+    _check_tiles(made_grid, tile)
     windows = tile_windows(made_grid.shape, tile)
-    if len(windows) * len(windows[0]) > _MOST_TILES:
-        rows, cols = made_grid.shape
-        msg = f"a map of {rows} x {cols} cells of {made_grid.gsd:g} m; give a larger gsd, or bounds"
-        raise SchemaError(msg)
     stretch = max_stretch * max(1.0, survey.gsd / made_grid.gsd)
     last = line.sizes[ALONG_TRACK] - 1
     plan = Plan(made_grid, RULES.index(multi_hit), stretch, last, areas_between(survey))
@@ -253,6 +251,17 @@ def _planned(
         survey = replace(survey, boxes=survey.boxes - np.array([x, x, y, y]))
     box = survey.box if bounds is None else box_of(axes, bounds)
     return survey, covering(axes, size, box, whole=bounds is not None)
+
+
+def _check_tiles(grid: MapGrid, tile: int) -> None:
+    rows, cols = grid.shape
+    count = -(-rows // tile) * -(-cols // tile)
+    if count > _MOST_TILES:
+        msg = (
+            f"a map of {rows} x {cols} cells of {grid.gsd:g} m is {count} tiles of {tile} x {tile}, expected "
+            f"{_MOST_TILES} at most; give a larger gsd, bounds, or a larger tile"
+        )
+        raise SchemaError(msg)
 
 
 def _dataset(

@@ -233,3 +233,31 @@ def test_rasters_as_rioxarray_opens_them(tmp_path: Any, no_compute: Any) -> None
     wanted = hp.locate(line, dem=raster, crs=UTM, camera=CAMERA)
     np.testing.assert_allclose(made.east, wanted.east, rtol=0, atol=1e-8)
     opened.close()
+
+
+@pytest.mark.parametrize(("longitude", "middle"), [(-81.0, 279.0), (-179.9999, 180.0), (179.9999, -180.0)])
+def test_longitudes_of_a_dem_may_count_from_elsewhere(longitude: float, middle: float) -> None:
+    """From 0 to 360, or across 180."""
+    line = flown(4, COLUMNS)
+    line = line.assign(longitude=line.longitude * 0.0 + longitude, latitude=line.latitude * 0.0 + 10.0)
+    steps = np.arange(-300, 301) * 1e-5
+    raster = xr.DataArray(
+        np.zeros((601, 601)),
+        {"y": 10.0 + steps, "x": middle + steps},
+        ("y", "x"),
+        attrs={"crs": "EPSG:4326", "height_reference": "ellipsoid"},
+    )
+    told = {"crs": "EPSG:32601" if abs(longitude) > 170 else "EPSG:32617", "camera": CAMERA}
+    made, level = hp.locate(line, dem=raster, **told), hp.locate(line, ground=0.0, **told)
+    np.testing.assert_allclose(made.east, level.east, atol=1e-4)
+    assert np.isfinite(made.east).all()
+
+
+@pytest.mark.parametrize("transform", ["0 0.5 0.3 0 0.3 -0.5", "0 0 1 0 1 0", "0 -1 0 0 0 1"])
+def test_a_grid_along_a_flight_is_no_dem(transform: str) -> None:
+    raster = dem(np.zeros((40, 40)))
+    turned = raster.assign_coords(spatial_ref=((), 0, {"GeoTransform": transform}))
+    with pytest.raises(SchemaError, match="turned on its map"):
+        hp.locate(flown(4, COLUMNS), dem=turned, camera=CAMERA)
+    straight = raster.assign_coords(spatial_ref=((), 0, {"GeoTransform": "0 0.25 0 0 0 -0.25"}))
+    assert hp.locate(flown(4, COLUMNS), dem=straight.isel(y=slice(None, None, 2)), camera=CAMERA).east.size

@@ -73,7 +73,7 @@ def map_of(
     return made.assign_coords(spatial_ref=((), 0, attrs))
 
 
-def place(transform: tuple[float, ...], column: float, row: float) -> tuple[float, float]:
+def place(transform: tuple[float, ...], column: Any, row: Any) -> tuple[Any, Any]:
     a, b, c, d, e, f = transform
     return a + b * column + c * row, d + e * column + f * row
 
@@ -245,6 +245,85 @@ def test_north_up_maps_are_placed_by_their_coordinates(tmp_path: Path) -> None:
     uneven = made.assign_coords(x=np.arange(30.0) ** 2)
     with pytest.raises(SchemaError, match="'x' is not evenly spaced"):
         hp.write_envi(uneven, tmp_path / "other")
+
+
+SELECTIONS: dict[str, dict[str, slice]] = {
+    "whole": {},
+    "window": {"y": slice(9, 31), "x": slice(4, 23)},
+    "every second": {"y": slice(1, None, 2), "x": slice(None, None, 2)},
+    "upside down": {"y": slice(None, None, -1)},
+    "turned round": {"y": slice(None, None, -1), "x": slice(None, None, -1)},
+    "one row": {"y": slice(12, 13)},
+}
+
+
+@pytest.mark.parametrize("selection", SELECTIONS)
+@pytest.mark.parametrize("kind", ["flight", "north"])
+@pytest.mark.parametrize("heading", [0.0, 37.0, 180.0, 270.0])
+def test_a_part_of_a_map_stays_in_its_place(
+    tmp_path: Path, heading: float, kind: Any, selection: str
+) -> None:
+    rasterio = pytest.importorskip("rasterio")
+    angle = np.radians(heading)
+    along, across = np.meshgrid(0.1 * np.arange(40), 0.1 * np.arange(30), indexing="ij")
+    east = 500_000.0 + along * np.sin(angle) + across * np.cos(angle)
+    north = 4e6 + along * np.cos(angle) - across * np.sin(angle)
+    dims, attrs = ("along_track", "cross_track"), {"units": "m", "crs": UTM17}
+    values = np.stack([east - 500_000.0, north - 4e6], axis=1).astype(np.float32)
+    line = xr.Dataset({"values": (schema.CUBE, values, {"units": "1"})})
+    line = line.assign_coords(east=(dims, east, attrs), north=(dims, north, attrs))
+    made = hp.orthorectify(line, grid=kind, variables="values", method="bilinear")
+    part = made.isel(SELECTIONS[selection])  # type: ignore[arg-type]
+    files = [hp.write_geotiff(part, tmp_path / "map.tif")]
+    if selection not in ("upside down", "every second"):
+        files.append(hp.write_envi(part, tmp_path / "map").with_suffix(".img"))
+    for path in files:
+        with rasterio.open(path) as raster:
+            found = raster.read()
+            rows, cols = np.nonzero(np.isfinite(found[0]))
+            assert rows.size
+            x, y = place(raster.transform.to_gdal(), cols + 0.5, rows + 0.5)
+        np.testing.assert_allclose(found[0, rows, cols], x - 500_000.0, rtol=0, atol=1e-4)
+        np.testing.assert_allclose(found[1, rows, cols], y - 4e6, rtol=0, atol=1e-4)
+
+
+def test_a_whole_map_keeps_the_numbers_of_its_geotransform() -> None:
+    made = map_of(values(), turned(0.0), None)
+    x, y = 300_000.25 + 0.25 * (np.arange(30) + 0.5), 4_700_000.5 - 0.25 * (np.arange(40) + 0.5)
+    grid = grid_of(made.assign_coords(x=x + 1e-10, y=y))
+    assert grid is not None
+    assert grid.transform == turned(0.0)
+
+
+def test_coordinates_that_no_grid_has_are_refused() -> None:
+    distances = {"x": 0.25 * (np.arange(30) + 0.5), "y": 0.25 * (np.arange(40) + 0.5)}
+    made = map_of(values(), turned(37.0), None).assign_coords(distances)
+    assert grid_of(made) is not None
+    with pytest.raises(SchemaError, match="drop 'x' and 'y'"):
+        grid_of(made.isel(x=slice(3, None)))
+    made["x"].attrs["crs"] = "grid along the flight"
+    with pytest.raises(SchemaError, match="'x' is not evenly spaced"):
+        grid_of(made.isel(x=[0, 1, 5]))
+    unknown = made.assign_coords(x=("x", np.where(np.arange(30) == 7, np.nan, made.x), made.x.attrs))
+    with pytest.raises(SchemaError, match="'x' is not evenly spaced"):
+        grid_of(unknown)
+
+
+def test_places_are_written_to_the_last_bit(tmp_path: Path) -> None:
+    rasterio = pytest.importorskip("rasterio")
+    made = map_of(values(), turned(37.0), None)
+    exact = np.random.default_rng(2).uniform(4e6, 4.1e6, (40, 30))
+    made = made.assign(dict.fromkeys(("north", "glt_line", "wetness"), (("y", "x"), exact)))
+    for name, dtype in (("north", "float64"), ("glt_line", "float64"), ("wetness", "float32")):
+        for path in (
+            hp.write_geotiff(made, tmp_path / f"{name}.tif", variable=name),
+            hp.write_envi(made, tmp_path / name, variable=name).with_suffix(".img"),
+        ):
+            with rasterio.open(path) as raster:
+                assert raster.dtypes == (dtype,)
+                np.testing.assert_array_equal(raster.read(1), exact.astype(dtype))
+    header = hp.write_envi(made, tmp_path / "short", variable="north", dtype="float32")
+    assert read_header(header).dtype == np.float32
 
 
 @pytest.mark.parametrize(

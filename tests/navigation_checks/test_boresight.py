@@ -172,3 +172,31 @@ def test_what_cannot_be_is_refused() -> None:
     nowhere = points.assign(height=points.height.where(points.height > 1e9))
     with pytest.raises(SchemaError, match="not finite"):
         solved(flown, nowhere)
+
+
+@pytest.mark.parametrize("late", [-1.0, -0.3, 0.7])
+def test_a_clock_that_begins_with_another_swing_is_found(late: float) -> None:
+    """Every swing of the platform has a minimum of its own, which leaves 6 pixel and a pitch off by 2."""
+    flown = flights(4)
+    found = solved(flown, picked(true_points(flown, 0), 1), clock_offset_s=CLOCK + late)
+    assert (np.abs(errors(found)) < LIMITS).all()
+    assert found.picking_sd < 0.5
+
+
+def test_what_fits_nothing_is_refused() -> None:
+    flown = flights(2)
+    told: dict[str, Any] = {"solve": ("roll", "pitch", "heading"), "clock_offset_s": CLOCK + 0.3}
+    points = picked(true_points(flown, 0), 1)
+    with pytest.raises(SchemaError, match=r"pixel are left, expected 3 at most.*clock"):
+        solved(flown, points, **told)
+    assert solved(flown, points, largest_picking_sd=1000.0, **told).picking_sd > 3.0
+
+
+@pytest.mark.parametrize(("field", "by"), [("east", 1e5), ("height", 5000.0)])
+def test_a_blunder_is_named_and_does_not_hide_the_others(field: str, by: float) -> None:
+    flown = flights(4)
+    points = picked(true_points(flown, 0), 2)
+    points[field][0] += by
+    found = solved(flown, points)
+    assert np.flatnonzero(found.points.outlier).tolist() == [0]
+    assert (np.abs(errors(found)) < LIMITS).all()

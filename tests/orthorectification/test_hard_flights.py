@@ -26,7 +26,12 @@ def steady(**pose: Any) -> xr.Dataset:
 
 def mapped(line: xr.Dataset, **options: Any) -> tuple[xr.Dataset, xr.Dataset]:
     """Return the located line, and its map, both computed, with what must be true of every one."""
-    given = {"ground": 0.0, "camera": CAMERA, "crs": UTM, "convention": LEFT_TO_RIGHT} | options
+    given: dict[str, Any] = {
+        "ground": 0.0,
+        "camera": CAMERA,
+        "crs": UTM,
+        "convention": LEFT_TO_RIGHT,
+    } | options
     if "dem" in given:
         del given["ground"]
     located = hp.locate(line, **given)
@@ -70,9 +75,7 @@ def test_a_gap_of_the_navigation() -> None:
     assert not ((made.number.values > 39.5) & (made.number.values < 79.5))[~inside].any()
     # without a record's first and last lines there is nothing to extrapolate
     ends, _ = mapped(bare, navigation=record.isel(navigation_time=slice(10, 100)))
-    np.testing.assert_array_equal(
-        np.flatnonzero(np.isnan(ends.east[:, 0])), np.r_[0:10, 100:LINES]
-    )
+    np.testing.assert_array_equal(np.flatnonzero(np.isnan(ends.east[:, 0])), np.r_[0:10, 100:LINES])
 
 
 @pytest.mark.parametrize("name", ["latitude", "altitude", "roll", "pitch", "heading"])
@@ -102,7 +105,9 @@ def test_attitudes_that_are_the_same_turn() -> None:
     turned = record.copy(deep=True)
     for name, change in (("roll", 180.0), ("heading", 180.0)):
         turned[name] = record[name] + np.where(odd, change, 0.0)
-    turned["pitch"] = xr.where(odd, 180.0 - record["pitch"], record["pitch"]).assign_attrs(record["pitch"].attrs)
+    turned["pitch"] = xr.where(odd, 180.0 - record["pitch"], record["pitch"]).assign_attrs(
+        record["pitch"].attrs
+    )
     wound = record.assign(
         {name: record[name] + 360.0 * ((np.arange(LINES) % 3) - 1) for name in ("roll", "pitch", "heading")}
     )
@@ -138,14 +143,13 @@ def test_headings_that_wrap(course: float) -> None:
 
 def test_rays_above_the_horizon() -> None:
     roll = np.where((np.arange(LINES) >= 50) & (np.arange(LINES) < 70), 100.0, 0.0)
-    roll[20], roll[21], roll[22] = 89.9, 90.0, 89.0
+    roll[20] = 95.0
     located, made = mapped(steady(roll=roll))
     lost = np.isnan(located.east.values)
     assert lost[50:70].all()
-    assert lost[21].any()
-    assert not lost[[0, 19, 49, 70]].any()
-    # what lies kilometres away makes a map no larger than its neighbours are far
-    assert made.sizes["x"] * made.attrs["gsd"] < 1e6
+    assert lost[20].all()
+    assert not lost[[0, 19, 21, 49, 70]].any()
+    assert made.sizes["x"] < 2 * COLUMNS
 
 
 def test_a_real_raster_with_holes() -> None:
@@ -174,9 +178,7 @@ def test_a_real_raster_with_holes() -> None:
     assert np.isfinite(near).all()
     assert np.isfinite(corner).all()
     assert made.gap.values.any()
-    np.testing.assert_allclose(
-        np.where(lost, np.nan, flat.east), located.east, rtol=0, atol=1e-6
-    )
+    np.testing.assert_allclose(np.where(lost, np.nan, flat.east), located.east, rtol=0, atol=1e-6)
     # with the holes as a number, and in a leading band, as files have them
     marked = dem.fillna(-9999.0).expand_dims(band=[1]).assign_attrs(dem.attrs, _FillValue=-9999.0)
     again, same = mapped(line, dem=marked)
@@ -197,7 +199,7 @@ def test_no_hole_inside_the_hull_that_is_not_a_gap(wobble: float, grid: Any) -> 
     heading = 31.0 + 7.0 * wobble * np.sin(np.arange(LINES) / 11.0)
     line = steady(wobble=wobble, heading=heading, seed=3)
     located = hp.locate(line, ground=0.0, camera=CAMERA, crs=UTM).compute()
-    for lost in ([], range(90, 100)):
+    for lost in (range(0), range(50, 60)):
         placed = located.copy(deep=True)
         placed.east[list(lost)] = np.nan
         made = hp.orthorectify(placed, grid=grid, variables=["east"]).compute()

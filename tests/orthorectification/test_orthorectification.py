@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tracemalloc
 from typing import Any
 
 import dask
@@ -302,6 +303,43 @@ def test_what_cannot_be_mapped_is_named_at_once() -> None:
         hp.orthorectify(line, 1e-7, variables=[])
     with pytest.raises(SchemaError, match="'hits' and 'gap' missing"):
         hp.map_report(line)
+
+
+def test_too_many_tiles_are_counted_before_they_are_made() -> None:
+    line = located(fly(20, 10))
+    tracemalloc.start()
+    with pytest.raises(SchemaError, match=r"is \d+ tiles of 1 x 1, expected 100000 at most"):
+        hp.orthorectify(line, GSD / 40.0, tile=1, variables=[])
+    assert tracemalloc.get_traced_memory()[1] < 20e6
+    tracemalloc.stop()
+
+
+@pytest.mark.parametrize("lazy", [False, True])
+@pytest.mark.parametrize("method", ["nearest", "bilinear"])
+@pytest.mark.parametrize("dtype", [">f4", ">f8", "f2", ">u2", ">i4"])
+def test_foreign_types_become_native_ones(dtype: str, method: Any, lazy: bool) -> None:
+    flown = fly(20, 12, "none")
+    cube = np.random.default_rng(3).integers(0, 99, (20, 3, 12))
+    native = "f4" if dtype == "f2" else dtype[1:]
+    line = located(flown, chunk=None)
+    maps = []
+    for kind in (dtype, native):
+        given = line.assign(there=(CUBE, cube.astype(kind))).assign_coords(
+            mark=(CUBE[::2], cube[:, 0].astype(kind))
+        )
+        given = given.chunk(along_track=7) if lazy else given
+        maps.append(hp.orthorectify(given, variables=["there", "mark"], method=method))
+    for name in ("there", "mark"):
+        assert maps[0][name].dtype.str == maps[1][name].dtype.str
+        assert maps[0][name].compute().dtype.isnative
+        np.testing.assert_array_equal(maps[0][name], maps[1][name])
+
+
+def test_types_that_are_no_numbers_are_refused() -> None:
+    line = located(fly(20, 10))
+    odd = {f"odd_{kind}": (CUBE[::2], np.zeros((20, 10), kind)) for kind in ("c8", "U3", "m8[ns]")}
+    with pytest.raises(SchemaError, match=r"(?s)'odd_c8' is complex64.*'odd_U3' is <U3.*'odd_m8\[ns\]' is"):
+        hp.orthorectify(line.assign(odd), variables=list(odd))
 
 
 def test_progress_is_told() -> None:
