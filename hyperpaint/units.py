@@ -114,9 +114,10 @@ def _quantity(text: object) -> Any:
     if not isinstance(text, str):
         msg = f"units must be text in CF spelling such as 'W m-2 sr-1 nm-1', found {text!r}"
         raise UnitsError(msg)
-    # pint evaluates powers, so that 9**9**9 would never return
+    # pint evaluates powers, so that 9**9**9 or s1000000000000 would never return
     text = _plain_powers(text[:201])
-    if len(text) > 200 or len(_POWER.findall(text)) != len(_SAFE_POWER.findall(text)):
+    huge = any(len(power.lstrip("-")) > 2 for _, power in _CF_POWER.findall(text))
+    if len(text) > 200 or huge or len(_POWER.findall(text)) != len(_SAFE_POWER.findall(text)):
         msg = f"units {text[:60]!r} cannot be read; expected CF spelling such as 'W m-2 sr-1 nm-1'"
         raise UnitsError(msg)
     return _parse(text.strip() or "1")
