@@ -71,7 +71,7 @@ def test_ecostress__gives_centres_and_numbers_back(library: xr.Dataset, tmp_path
 
 @pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")  # SPy leaves files open
 def test_ecostress__is_read_by_spy(library: xr.Dataset, tmp_path: Path) -> None:
-    spy = pytest.importorskip("spectral.database.ecostress", reason="could not import 'spectral', an oracle of hyperpaint[oracles]")
+    spy = pytest.importorskip("spectral.database.ecostress")
     folder = hp.write_library(
         library.isel(band=[0, 1, 2, 4], paint=[1]), tmp_path / "paints", format="ecostress"
     )
@@ -83,7 +83,7 @@ def test_ecostress__is_read_by_spy(library: xr.Dataset, tmp_path: Path) -> None:
 @SPY_ON_NUMPY_2_5
 def test_sli__is_read_by_spy(library: xr.Dataset, tmp_path: Path) -> None:
     """Expected: SPy finds the centres first, under their names, and members named after their paint."""
-    envi = pytest.importorskip("spectral.io.envi", reason="could not import 'spectral', an oracle of hyperpaint[oracles]")
+    envi = pytest.importorskip("spectral.io.envi")
     path = hp.write_library(library, tmp_path / "paints.sli")
     theirs = envi.open(str(path.with_suffix(".hdr")), str(path))
     assert list(theirs.names[:5]) == ["red; matt", "Grün", "Grün (2)", 'a/b "x" / c (d)', "unnamed"]

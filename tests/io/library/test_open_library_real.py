@@ -35,7 +35,7 @@ SPY_ON_NUMPY_2_5 = pytest.mark.filterwarnings("ignore:Setting the shape on a Num
 
 
 def spy_library(path: Path) -> Any:
-    envi = pytest.importorskip("spectral.io.envi", reason="could not import 'spectral', an oracle of hyperpaint[oracles]")
+    envi = pytest.importorskip("spectral.io.envi")
     return envi.open(str(path.with_suffix(".hdr")), str(path))
 
 
@@ -142,7 +142,7 @@ def test_aster__values_that_wrap_are_whole(text: Path) -> None:
 @pytest.mark.parametrize("name", [METAL, CEMENT, SOIL])
 def test_ecostress_and_aster__are_as_spy_reads_them(text: Path, name: str) -> None:
     module, function = ("ecostress", "read_ecostress_file") if name == SOIL else ("aster", "read_aster_file")
-    spy = pytest.importorskip(f"spectral.database.{module}", reason="could not import 'spectral', an oracle of hyperpaint[oracles]")
+    spy = pytest.importorskip(f"spectral.database.{module}")
     theirs = getattr(spy, function)(str(text / name))
     ours = hp.open_library(text / name).sortby("wavelength")
     np.testing.assert_allclose(ours["wavelength"].values, np.array(theirs.x) * 1e3)
@@ -161,7 +161,7 @@ def test_usgs_text__finds_its_wavelengths_or_is_told_them(text: Path, given: boo
 
 
 def test_usgs_text__is_as_spy_reads_it(text: Path) -> None:
-    usgs = pytest.importorskip("spectral.database.usgs", reason="could not import 'spectral', an oracle of hyperpaint[oracles]")
+    usgs = pytest.importorskip("spectral.database.usgs")
     theirs = usgs.SampleData.read_from_file(str(text / USGS))
     axis = usgs.SpectrometerData.read_from_file(str(text / WAVELENGTHS))
     ours = hp.open_library(text / USGS)
