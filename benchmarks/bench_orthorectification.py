@@ -17,7 +17,7 @@ def threads():
 class Map:
     """From poses to a map of counts in memory, kernels compiled before."""
 
-    params = ([100, 2000], ["flight", "north"])
+    params = ([100, 500], ["flight", "north"])
     param_names = ("lines", "grid")
     number = 1
     timeout = 300
