@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import ast
-import graphlib
 import importlib
 import inspect
 import subprocess
@@ -15,101 +14,29 @@ import pytest
 import hyperpaint
 
 ROOT = Path(hyperpaint.__file__).parent
-FOUNDATION = {"errors", "units", "schema", "budget"}
-SHARED = FOUNDATION | {"conventions", "mirrored_light", "responses", "sun"}
-LOWER: dict[str, set[str]] = {
-    "errors": set(),
-    "units": {"errors"},
-    "dimensions": {"errors"},
-    "quality_bits": set(),
-    "conventions": {"errors"},
-    "mirrored_light": {"errors"},
-    "variables": {"units"},
-    "schema": {"errors", "units", "dimensions", "quality_bits", "variables"},
-    "budget": {"errors", "units", "schema"},
-    "responses": FOUNDATION,
-    "sun": FOUNDATION,
-}
-#: What a subject imports beside what all share: exactly this, so that nothing is allowed that is not used.
-SUBJECTS: dict[str, set[str]] = {
-    "illumination": set(),
-    "synchrony": set(),
-    "slabs": {"illumination", "synchrony"},  # the layer of tasks that subjects share
-    "uncertainty": {"slabs"},
-    "planning": {"slabs", "illumination", "synchrony", "uncertainty"},
-    "radiometry": {"slabs", "illumination", "synchrony", "planning", "uncertainty"},
-    "smoothing": {"slabs"},
-    "bands": {"slabs"},
-    "calibration": set(),
-    "alignment": {"slabs", "synchrony", "radiometry"},
-    "paper": set(),
-    "validation": {"alignment"},
-    "mixing": set(),
-    "regions": {"georeference"},
-    "signatures": {"bands", "corrections", "radiometry", "regions", "slabs", "smoothing", "uncertainty"},
-    "scene_model": {"slabs"},
-    "flags": {"scene_model", "slabs"},
-    "corrections": {"scene_model"},
-    "proposals": {"flags", "regions", "scene_model", "slabs"},
-    "georeference": {"slabs"},
-    "orthorectification": {"bands", "georeference", "radiometry"},
-    "navigation_checks": {"georeference", "synchrony"},
-}
-#: Whose loops a subject runs, again exactly.
-KERNELS: dict[str, set[str]] = {
-    "slabs": {"kernels.radiometry"},
-    "smoothing": {"kernels.smoothing"},
-    "bands": {"kernels.resampling"},
-    "calibration": {"kernels.line_fits"},
-    "scene_model": {"kernels.segmentation", "kernels.unmixing"},
-    "flags": {"kernels.unmixing"},
-    "georeference": {"kernels.rays"},
-    "orthorectification": {"kernels.gathering", "kernels.inverse_map"},
-}
-#: Above the subjects: what is here imports of its like only what has a lower rank.
-RANKS = {
-    "figures": 0,
-    "colour_difference": 0,
-    "facts": 0,
-    "markup": 0,
-    "summaries": 1,
-    "report_page": 1,
-    "plot": 1,
-    "plot_calibration": 1,
-    "plot_flags": 2,
-    "plot_spectra": 2,
-    "plot_adjacency": 3,
-    "plot_library": 3,
-    "plot_validation": 3,
-    "picking_view": 2,
-    "picking": 3,
-    "report_sections": 4,
-    "report": 5,
-    "laboratory": 3,
-    "accessor": 4,
-    "paint_search": 4,
-    "starter_paints": 4,
-    "running": 4,
-    "console": 4,
-    "flagging": 3,
-    "signature_files": 4,
-    "validation_files": 4,
-    "pipeline": 5,
-    "paint_closure": 5,
-    "scene_rendering": 6,
-    "info": 6,
-    "demonstration": 6,
-    "__init__": 7,
-    "render_command": 7,
-    "report_command": 7,
-    "validate_command": 7,
-    "export_command": 7,
-    "maps": 4,
-    "orthorectify_command": 7,
-    "paints_command": 7,
-    "cli": 8,
-    "__main__": 9,
-}
+#: One row a room, from the ground up: a room imports rooms below it. `simulation` and `io` import `base` alone.
+ROOMS = (
+    "base",
+    "kernels",
+    "simulation",
+    "io",
+    "light",
+    "radiometry",
+    "calibration",
+    "alignment",
+    "surroundings",
+    "geometry",
+    "regions",
+    "paints",
+    "validation",
+    "pictures",
+    "report",
+    "workflows",
+    "accessor",
+    "cli",
+)
+ALONE = {"base": set(), "kernels": set(), "simulation": {"base"}, "io": {"base"}, "paper": {"base"}}
+"""Rooms that import exactly these: a closed loop through shared code proves nothing, and readers hold no physics."""
 
 
 def modules() -> dict[str, Path]:
@@ -158,55 +85,28 @@ IMPORTS = {name: imports(name, path) for name, path in MODULES.items()}
 
 
 def test_the_parser_sees_imports() -> None:
-    assert {"slabs", "schema", "errors", "illumination"} <= IMPORTS["radiometry"][0]
     assert "numba" in IMPORTS["kernels._jit"][1]
-    assert "kernels.smoothing" in IMPORTS["smoothing"][0]
 
 
-def layer_of(name: str) -> str:
-    """Return the module, or the package it belongs to."""
+def room_of(name: str) -> str:
+    """Return the room a module is in, or the module at the top of the package."""
     return name.split(".")[0]
 
 
 @pytest.mark.parametrize("name", sorted(MODULES))
-def test_imports_go_one_way(name: str) -> None:
-    layer = layer_of(name)
-    found = {layer_of(target) for target in IMPORTS[name][0]} - {layer}
-    if layer in RANKS:
-        assert all(RANKS[target] < RANKS[layer] for target in found & set(RANKS))
-        assert "kernels" not in found
-    elif layer == "kernels":
-        assert not found
-        assert IMPORTS[name][1] <= {"__future__", "typing", "collections", "math", "numpy", "numba"}
-    elif layer == "simulation":
-        # a closed loop through shared code would prove nothing; tracing light is shared by nothing
-        assert found <= {"errors", "units", "schema", "kernels"}
-        kernels = {target for target in IMPORTS[name][0] if layer_of(target) == "kernels"}
-        assert all(target.startswith("kernels.transport.") for target in kernels)
-    elif layer == "io":
-        # readers hold no physics
-        assert found <= FOUNDATION | {"conventions", "mirrored_light"}
-    elif layer in SUBJECTS:
-        assert found <= SHARED | SUBJECTS[layer] | {"kernels"}
-    else:
-        assert found <= LOWER[layer]
+def test_imports_point_down(name: str) -> None:
+    room = room_of(name)
+    targets = {room_of(target) for target in IMPORTS[name][0]} - {room}
+    if room in ALONE:
+        assert targets <= ALONE[room]
+    elif room in ROOMS:
+        assert targets <= set(ROOMS[: ROOMS.index(room)])
 
 
-@pytest.mark.parametrize("subject", SUBJECTS)
-def test_a_subject_is_allowed_what_it_uses(subject: str) -> None:
-    targets = set().union(*(IMPORTS[name][0] for name in MODULES if layer_of(name) == subject))
-    kernels = {target for target in targets if layer_of(target) == "kernels"}
-    assert {layer_of(target) for target in targets - kernels} - SHARED - {subject} == SUBJECTS[subject]
-    assert kernels == KERNELS.get(subject, set())
-
-
-def test_subjects_do_not_import_in_a_ring() -> None:
-    tuple(graphlib.TopologicalSorter(SUBJECTS).static_order())
-
-
-def test_every_module_has_a_layer() -> None:
-    known = {*LOWER, *SUBJECTS, *RANKS, "kernels", "simulation", "io"}
-    assert {layer_of(name) for name in MODULES} == known
+def test_kernels_are_loops_over_arrays() -> None:
+    for name in MODULES:
+        if room_of(name) == "kernels":
+            assert IMPORTS[name][1] <= {"__future__", "typing", "collections", "math", "numpy", "numba"}
 
 
 def test_backends_import_xarray_alone_at_their_top() -> None:
