@@ -131,7 +131,7 @@ def flight_line(
     """Return a flight line Dataset whose lazy counts repeat `counts_block`."""
     import xarray as xr
 
-    from hyperpaint.schema import CUBE, VARIABLES
+    from hyperpaint.base.schema import CUBE, VARIABLES
 
     parts = instrument(bands, columns)
     start = np.datetime64("2021-07-20T17:10:00", "ns")
@@ -170,7 +170,7 @@ def _repeated(lines: int, bands: int, columns: int) -> Any:
     import dask
     import dask.array as da
 
-    from hyperpaint.schema import CHUNK_LINES
+    from hyperpaint.base.schema import CHUNK_LINES
 
     block = counts_block(min(lines, BLOCK_LINES), bands, columns)
     starts = range(0, lines, CHUNK_LINES)

@@ -10,7 +10,7 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 from . import accessor as _accessor  # noqa: F401  (registers .paint)
-from .errors import (
+from .base.errors import (
     CollectError,
     FormatError,
     IncompleteStoreError,
@@ -22,12 +22,12 @@ from .errors import (
     TimeError,
     UnitsError,
 )
-from .schema import Quality
+from .base.schema import Quality
 
 if TYPE_CHECKING:
     from .alignment import align_to_irradiance, apply_alignment, oxygen_residual
+    from .base.attitude_conventions import Convention
     from .calibration import calibrate
-    from .conventions import Convention
     from .corrections import correct_light, remove_mirrored_sky
     from .flags import flag
     from .georeference import (
@@ -85,7 +85,7 @@ if TYPE_CHECKING:
 __version__ = "0.1.0"
 
 _HOME = {
-    "Convention": "conventions",
+    "Convention": "base.attitude_conventions",
     "Panel": "radiometry",
     "PinholeCamera": "georeference",
     "Region": "regions",

@@ -13,7 +13,8 @@ if TYPE_CHECKING:
 
     from .alignment.column_means import Progress
     from .alignment.windows import Window
-    from .conventions import Convention
+    from .base.attitude_conventions import Convention
+    from .base.schema import Quality
     from .georeference import PinholeCamera
     from .georeference.poses import Interpolation
     from .illumination import Tilt
@@ -21,7 +22,6 @@ if TYPE_CHECKING:
     from .proposals import Proposals
     from .radiometry import Panel
     from .scene_model import SceneModel
-    from .schema import Quality
     from .signatures.sources import Smoothing
     from .simulation.rendering.four_curves import Atmosphere
 
@@ -52,7 +52,7 @@ class PaintAccessor:
         return summary_html(self._dataset)
 
     def _by_role(self, dims: Dims | None = None) -> xr.Dataset:
-        from .schema import rename_to_roles
+        from .base.schema import rename_to_roles
 
         return rename_to_roles(self._dataset, dims)
 
@@ -470,7 +470,7 @@ class PaintAccessor:
         StoreError
             The dataset does not say where it was opened from, or no Zarr store is there.
         """
-        from .errors import StoreError
+        from .base.errors import StoreError
         from .io.store import verify
 
         source = self._dataset.encoding.get("source")
@@ -488,6 +488,6 @@ class PaintAccessor:
         Coordinates stay plain, so that they can still be selected on. Quantities are for looking and for
         arithmetic in a session; stores, graphs and hyperpaint's own functions take the plain dataset.
         """
-        from .units import quantify
+        from .base.units import quantify
 
         return quantify(self._dataset)

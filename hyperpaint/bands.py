@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from . import schema
-from .errors import SchemaError
+from .base import schema
+from .base.errors import SchemaError
 from .responses import band_spacing
 from .slabs import line_chunked
 

@@ -21,8 +21,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from .errors import Problems, SchemaError, StoreError
-from .schema import ALONG_TRACK, BAND, CHUNK_LINES, CROSS_TRACK, IRRADIANCE_TIME
+from .base.errors import Problems, SchemaError, StoreError
+from .base.schema import ALONG_TRACK, BAND, CHUNK_LINES, CROSS_TRACK, IRRADIANCE_TIME
 
 if TYPE_CHECKING:
     import xarray as xr

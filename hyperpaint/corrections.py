@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from . import schema
-from .errors import Problems, SchemaError
+from .base import schema
+from .base.errors import Problems, SchemaError
+from .base.schema import BAND, PAINT
 from .scene_model.light import SOURCES, diffuse_from_clear_sky, measured_fraction, sun_zenith_of
-from .schema import BAND, PAINT
 
 if TYPE_CHECKING:
     import xarray as xr

@@ -11,10 +11,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from .errors import MissingExtraError, StoreError
+from .base.errors import MissingExtraError, StoreError
+from .base.schema import ALONG_TRACK, BAND, CHUNK_LINES, CROSS_TRACK
 from .paint_closure import PaintAgreement, aligned, compare_paints, signature_problems, signature_table
 from .pipeline import run
-from .schema import ALONG_TRACK, BAND, CHUNK_LINES, CROSS_TRACK
 from .simulation.collect import CAMERA_SOFTWARE, MARKER, PARTS
 
 if TYPE_CHECKING:

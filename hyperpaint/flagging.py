@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from .bands import to_nominal
+from .base.schema import Quality
 from .flags import LAYERS, flag
 from .scene_model import SceneModel, survey
-from .schema import Quality
 
 if TYPE_CHECKING:
     import xarray as xr

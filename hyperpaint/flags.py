@@ -11,11 +11,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from . import schema
-from .errors import Problems, SchemaError
+from .base import schema
+from .base.errors import Problems, SchemaError
+from .base.schema import ALONG_TRACK, CROSS_TRACK, Quality
 from .scene_model import SceneModel, survey
 from .scene_model.channels import Progress, to_channels, to_nominal_channels
-from .schema import ALONG_TRACK, CROSS_TRACK, Quality
 from .slabs import line_chunked
 
 if TYPE_CHECKING:

@@ -14,11 +14,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from . import schema
-from .errors import PaintWarning, Problems, SchemaError
+from .base import schema
+from .base.errors import PaintWarning, Problems, SchemaError
+from .base.units import convert
 from .responses import Matching, Responses, log_slope, matching_operator
 from .sun import diffuse_fraction, solar_position
-from .units import convert
 
 if TYPE_CHECKING:
     import xarray as xr

@@ -8,7 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from .errors import FormatError, IncompleteStoreError, StoreError
+from .base.errors import FormatError, IncompleteStoreError, StoreError
+from .base.schema import ALONG_TRACK
 from .facts import (
     Facts,
     counted,
@@ -20,7 +21,6 @@ from .facts import (
     size_of,
     times_of,
 )
-from .schema import ALONG_TRACK
 
 __all__ = ["describe_path"]
 

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from .errors import SchemaError
+from .base.errors import SchemaError
 
 if TYPE_CHECKING:
     import xarray as xr

@@ -5,8 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from .conventions import Convention
-from .errors import MissingExtraError, SchemaError
+from .base.attitude_conventions import Convention
+from .base.errors import MissingExtraError, SchemaError
 from .georeference import PinholeCamera
 from .orthorectification import orthorectify
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
-from .schema import ALONG_TRACK, BAND, CHUNK_LINES, CROSS_TRACK
+from .base.schema import ALONG_TRACK, BAND, CHUNK_LINES, CROSS_TRACK
 
 if TYPE_CHECKING:
     import xarray as xr

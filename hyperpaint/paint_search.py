@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from . import schema
+from .base import schema
+from .base.errors import Problems, SchemaError
+from .base.schema import BAND, LIBRARY_VARIABLES, PAINT
+from .base.units import convert
 from .colour_difference import ciede2000, lab_of, parse_colour
-from .errors import Problems, SchemaError
 from .plot_library import paint_colours
-from .schema import BAND, LIBRARY_VARIABLES, PAINT
-from .units import convert
 
 if TYPE_CHECKING:
     import xarray as xr

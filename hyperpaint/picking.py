@@ -11,11 +11,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from . import schema
-from .errors import MissingExtraError, PaintError, SchemaError
+from .base import schema
+from .base.errors import MissingExtraError, PaintError, SchemaError
+from .base.schema import ALONG_TRACK, CROSS_TRACK
 from .plot_flags import background
 from .regions import Region, Regions, regions_from, write_regions
-from .schema import ALONG_TRACK, CROSS_TRACK
 from .signatures import extract_signatures
 
 if TYPE_CHECKING:

@@ -10,10 +10,10 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from .errors import CollectError, PaintError, Problems, SchemaError, StoreError
+from .base.errors import CollectError, PaintError, Problems, SchemaError, StoreError
+from .base.schema import ALONG_TRACK, CHUNK_LINES, FORMAT_VERSION
 from .io.store.listing import INPUTS
 from .running import Outcome, bars_on_stderr, computing_on, kept_groups, local_folder
-from .schema import ALONG_TRACK, CHUNK_LINES, FORMAT_VERSION
 
 if TYPE_CHECKING:
     import xarray as xr

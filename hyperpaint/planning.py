@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from .errors import PaintWarning, Problems, SchemaError, TimeError
+from .base.errors import PaintWarning, Problems, SchemaError, TimeError
+from .base.schema import Quality
 from .illumination import Smile, Tilt, matched_series, smile_cells
-from .schema import Quality
 from .slabs import QUANTISATION, Plan
 from .synchrony import LineLight, line_light
 from .uncertainty.propagation import error_terms

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from . import schema
-from .errors import SchemaError
+from .base import schema
+from .base.errors import SchemaError
 from .figures import label_for, new_figure, save_figure
 from .radiometry import reflectance
 from .responses import band_spacing

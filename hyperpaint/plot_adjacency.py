@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from . import schema
-from .errors import Problems, SchemaError
+from .base import schema
+from .base.errors import Problems, SchemaError
+from .base.schema import ALONG_TRACK, BAND, CROSS_TRACK
 from .figures import label_for, new_figure, save_figure
 from .plot_flags import background
 from .regions import Region, pixels_of, regions_from
-from .schema import ALONG_TRACK, BAND, CROSS_TRACK
 from .signatures.gathering import gather
 
 if TYPE_CHECKING:

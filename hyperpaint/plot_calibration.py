@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from . import schema
-from .errors import MissingExtraError, Problems, SchemaError
-from .schema import BAND, CROSS_TRACK, STEP
+from .base import schema
+from .base.errors import MissingExtraError, Problems, SchemaError
+from .base.schema import BAND, CROSS_TRACK, STEP
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -126,7 +126,7 @@ def check_picture(path: str | Path | None) -> None:
     --------
     >>> check_picture("calibration.xls")  # doctest: +ELLIPSIS
     Traceback (most recent call last):
-    hyperpaint.errors.SchemaError: calibration.xls: no picture that matplotlib writes; expected ...
+    hyperpaint.base.errors.SchemaError: calibration.xls: no picture that matplotlib writes; expected ...
     """
     try:
         from matplotlib.backend_bases import FigureCanvasBase

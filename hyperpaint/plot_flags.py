@@ -8,13 +8,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from . import schema
-from .errors import SchemaError
+from .base import schema
+from .base.errors import SchemaError
+from .base.schema import ALONG_TRACK, CROSS_TRACK, Quality
 from .figures import axes_or_new, label_for
 from .plot import flags_of, rgb
 from .radiometry import reflectance
 from .regions import Region
-from .schema import ALONG_TRACK, CROSS_TRACK, Quality
 
 if TYPE_CHECKING:
     import xarray as xr

@@ -9,13 +9,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from . import schema
-from .errors import Problems, SchemaError
+from .base import schema
+from .base.errors import Problems, SchemaError
+from .base.schema import ALONG_TRACK, BAND, CROSS_TRACK, Quality
 from .figures import axes_or_new, label_for, new_figure, save_figure
 from .plot import known_quantiles
 from .radiometry import radiance, reflectance
 from .regions import pixels_of, regions_from
-from .schema import ALONG_TRACK, BAND, CROSS_TRACK, Quality
 from .signatures import EXCLUDED, extract_signatures
 from .signatures.gathering import gather
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from .errors import Problems, SchemaError
+from .base.errors import Problems, SchemaError
 from .figures import label_for, new_figure, save_figure
 
 if TYPE_CHECKING:

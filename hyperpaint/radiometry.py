@@ -13,13 +13,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from . import schema, slabs
-from .errors import Problems, SchemaError
+from . import slabs
+from .base import schema
+from .base.errors import Problems, SchemaError
+from .base.schema import ALONG_TRACK, BAND, CROSS_TRACK, IRRADIANCE_TIME, IRRADIANCE_WAVELENGTH, Quality
+from .base.units import convert
 from .illumination import Tilt
 from .planning import make_plan
-from .schema import ALONG_TRACK, BAND, CROSS_TRACK, IRRADIANCE_TIME, IRRADIANCE_WAVELENGTH, Quality
 from .uncertainty.propagation import UNCERTAINTIES, uncertainty_inputs, with_uncertainty
-from .units import convert
 
 if TYPE_CHECKING:
     import xarray as xr

@@ -12,14 +12,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from .errors import PaintError, Problems, SchemaError, StoreError
+from .base.errors import PaintError, Problems, SchemaError, StoreError
+from .base.schema import ALONG_TRACK, CROSS_TRACK, PAINT
 from .figures import new_figure
 from .flagging import flag_line, is_flagged
 from .markup import Markup, element, joined, table_of_facts
 from .radiometry import reflectance
 from .report_page import page
 from .report_sections import LAYERS, Part, calibration_section, library_section, line_section, regions_of
-from .schema import ALONG_TRACK, CROSS_TRACK, PAINT
 from .signatures.gathering import part_of
 
 if TYPE_CHECKING:

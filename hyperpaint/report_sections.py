@@ -15,8 +15,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from . import schema
-from .errors import PaintError, SchemaError
+from .base import schema
+from .base.errors import PaintError, SchemaError
+from .base.schema import ALONG_TRACK, CROSS_TRACK, PAINT, Quality
 from .facts import facts_of_bands, facts_of_line
 from .figures import data_uri, encode_png, new_figure, png_of
 from .markup import Markup, element, joined, table_of_facts, void
@@ -26,7 +27,6 @@ from .plot_flags import background, draw_outlines, flag_overlay, flag_shares
 from .plot_library import find_usable, library_overview, paint_colours
 from .radiometry import reflectance
 from .regions import Region, regions_from
-from .schema import ALONG_TRACK, CROSS_TRACK, PAINT, Quality
 
 if TYPE_CHECKING:
     import xarray as xr

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from .errors import CollectError, MissingExtraError, Problems, StoreError
+from .base.errors import CollectError, MissingExtraError, Problems, StoreError
 from .io.store.listing import INPUTS
 
 if TYPE_CHECKING:

@@ -7,9 +7,9 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from .errors import PaintError, SchemaError, StoreError
+from .base.errors import PaintError, SchemaError, StoreError
+from .base.schema import Quality
 from .flagging import Flagged, flag_line, is_flagged
-from .schema import Quality
 from .signatures.gathering import part_of
 
 if TYPE_CHECKING:

@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
+from .base.schema import CHUNK_LINES, CUBE, Quality
 from .illumination import Smile
-from .schema import CHUNK_LINES, CUBE, Quality
 from .synchrony import LineLight
 
 if TYPE_CHECKING:

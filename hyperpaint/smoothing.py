@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from . import schema
-from .errors import Problems, SchemaError
+from .base import schema
+from .base.errors import Problems, SchemaError
 from .slabs import line_chunked
 
 if TYPE_CHECKING:

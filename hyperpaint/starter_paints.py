@@ -7,12 +7,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
+from .base.errors import Problems, SchemaError
+from .base.schema import BAND, LIBRARY_VARIABLES, PAINT
 from .colour_difference import srgb_hex
-from .errors import Problems, SchemaError
 from .mixing.kubelka_munk import Interface, absorption_to_scattering, thick_layer_reflectance
 from .mixing.synthetic import SPECULAR, synthetic_library, text_column
 from .plot_library import paint_colours
-from .schema import BAND, LIBRARY_VARIABLES, PAINT
 
 if TYPE_CHECKING:
     import xarray as xr

@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from .errors import Problems, SchemaError, TimeError
-from .schema import Quality
+from .base.errors import Problems, SchemaError, TimeError
+from .base.schema import Quality
 from .sun import solar_position
 
 __all__ = ["LineLight", "check_irradiance_times", "line_light", "timing_sensitivity"]

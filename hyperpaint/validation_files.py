@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from .errors import Problems, SchemaError, StoreError
+from .base.errors import Problems, SchemaError, StoreError
 
 if TYPE_CHECKING:
     import xarray as xr

@@ -13,7 +13,7 @@ import pyproj
 import xarray as xr
 from scipy.spatial.transform import Rotation
 
-from hyperpaint.conventions import Convention
+from hyperpaint.base.attitude_conventions import Convention
 
 START = np.datetime64("2026-06-21T17:00:00", "ns")
 PERIOD = np.timedelta64(7_000_000, "ns")

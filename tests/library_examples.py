@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import xarray as xr
 
-from hyperpaint.schema import LIBRARY_VARIABLES, quality_attrs
+from hyperpaint.base.schema import LIBRARY_VARIABLES, quality_attrs
 
 NAMES = ["red, matt", "Grün", "Grün", 'a/b "x" | c {d}', ""]
 

@@ -8,7 +8,7 @@ import numpy as np
 import xarray as xr
 
 from hyperpaint import Quality, Region, Regions
-from hyperpaint.schema import CUBE
+from hyperpaint.base.schema import CUBE
 from hyperpaint.simulation import simulate_line
 
 TWO = Regions(

@@ -14,7 +14,7 @@ import numpy as np
 import xarray as xr
 from hypothesis import strategies as st
 
-from hyperpaint import schema
+from hyperpaint.base import schema
 from hyperpaint.radiometry import reflectance
 
 START = np.datetime64("2020-06-21T17:00:00", "ns")

@@ -28,10 +28,10 @@ from hyperpaint import (
     scene_model,
     signatures,
     smoothing,
-    units,
 )
 from hyperpaint.accessor import PaintAccessor
-from hyperpaint.errors import StoreError
+from hyperpaint.base import units
+from hyperpaint.base.errors import StoreError
 from hyperpaint.io import store
 from hyperpaint.simulation.rendering import relighting
 

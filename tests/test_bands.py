@@ -10,7 +10,7 @@ import xarray as xr
 from strategies import flight
 
 from hyperpaint.bands import at, to_nominal
-from hyperpaint.errors import SchemaError
+from hyperpaint.base.errors import SchemaError
 from hyperpaint.radiometry import reflectance
 
 SHIFT = np.array([-1.3, 0.0, 0.4, 2.2])

@@ -22,6 +22,7 @@ from strategies import flight
 
 import hyperpaint as hp
 from hyperpaint import budget, pipeline
+from hyperpaint.base.errors import SchemaError, StoreError
 from hyperpaint.budget import (
     HELPER_SPACE,
     THREAD_SPACE,
@@ -37,7 +38,6 @@ from hyperpaint.budget import (
     thread_space,
 )
 from hyperpaint.cli import main
-from hyperpaint.errors import SchemaError, StoreError
 from hyperpaint.io.store import room
 from hyperpaint.io.store.room import check_disk, disk_needed
 
@@ -209,7 +209,7 @@ used = int(open("/proc/self/statm").read().split()[0]) * resource.getpagesize()
 resource.setrlimit(resource.RLIMIT_AS, (used + 300 * 2**20,) * 2)
 try:
     hyperpaint.process(sys.argv[1], sys.argv[2])
-except hyperpaint.errors.StoreError as error:
+except hyperpaint.base.errors.StoreError as error:
     print(error)
 """
 

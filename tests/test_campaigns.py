@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from hyperpaint.errors import IncompleteStoreError
+from hyperpaint.base.errors import IncompleteStoreError
 
 ROOT = Path(__file__).resolve().parents[1]
 pytestmark = pytest.mark.skipif(not (ROOT / "benchmarks").is_dir(), reason="installed without its benchmarks")

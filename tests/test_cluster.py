@@ -26,10 +26,10 @@ import pytest
 import xarray as xr
 
 import hyperpaint as hp
-from hyperpaint.errors import FormatError, StoreError
+from hyperpaint.base.errors import FormatError, StoreError
+from hyperpaint.base.schema import CUBE
 from hyperpaint.io.store import computing, layout
 from hyperpaint.io.store.resume import is_mendable
-from hyperpaint.schema import CUBE
 
 distributed = pytest.importorskip("distributed")
 

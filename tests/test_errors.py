@@ -7,7 +7,7 @@ import pickle
 import pytest
 
 import hyperpaint
-from hyperpaint import errors
+from hyperpaint.base import errors
 
 
 def test_every_error_has_the_base_and_a_builtin() -> None:

@@ -14,9 +14,9 @@ from click.testing import CliRunner, Result
 
 import hyperpaint as hp
 from hyperpaint import flagging, scene_model, signature_files
+from hyperpaint.base.quality_bits import Quality
 from hyperpaint.cli import main
 from hyperpaint.flagging import flag_line, is_flagged
-from hyperpaint.quality_bits import Quality
 from hyperpaint.signature_files import write_signatures
 from hyperpaint.sun import diffuse_fraction, solar_position
 

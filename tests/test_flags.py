@@ -13,9 +13,9 @@ import pytest
 import xarray as xr
 
 import hyperpaint as hp
-from hyperpaint.errors import SchemaError
+from hyperpaint.base.errors import SchemaError
+from hyperpaint.base.schema import Quality
 from hyperpaint.flags import LAYERS
-from hyperpaint.schema import Quality
 
 sys.path.insert(0, str(Path(__file__).parent / "scene_model"))
 from analytic_scenes import (

@@ -10,7 +10,7 @@ import xarray as xr
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hyperpaint.errors import PaintWarning, SchemaError, UnitsError
+from hyperpaint.base.errors import PaintWarning, SchemaError, UnitsError
 from hyperpaint.illumination import Tilt, match_irradiance, smile_cells
 from hyperpaint.sun import solar_position
 

@@ -14,7 +14,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from strategies import SHIFT, START, assert_same, chunkings, flight, stored, values
 
-from hyperpaint.errors import SchemaError
+from hyperpaint.base.errors import SchemaError
 from hyperpaint.radiometry import Panel, radiance, reflectance
 
 

@@ -7,9 +7,9 @@ import pytest
 import xarray as xr
 
 import hyperpaint as hp
-from hyperpaint.errors import SchemaError
+from hyperpaint.base.errors import SchemaError
+from hyperpaint.base.mirrored_light import EXCLUDED, INCLUDED, mirror_reflection
 from hyperpaint.io.dirsig.coat import coat_of
-from hyperpaint.mirrored_light import EXCLUDED, INCLUDED, mirror_reflection
 from hyperpaint.mixing.coated import coating_of
 from hyperpaint.validation.spectra import signatures_from
 

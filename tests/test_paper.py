@@ -11,8 +11,8 @@ import pint
 import pytest
 
 from hyperpaint import paper, radiometry
+from hyperpaint.base.units import conversion_factor, registry
 from hyperpaint.paper import Setup, Variant
-from hyperpaint.units import conversion_factor, registry
 
 RADIANCE, IRRADIANCE = 0.40 * 1.30 / np.pi, 1.30
 EXAMPLE = Setup()

@@ -15,7 +15,7 @@ from strategies import flight
 
 import hyperpaint as hp
 from hyperpaint import picking
-from hyperpaint.errors import MissingExtraError, SchemaError
+from hyperpaint.base.errors import MissingExtraError, SchemaError
 from hyperpaint.picking import RegionPicker, corners_at, pick_regions
 
 BEGIN = hp.Regions((hp.Region("roof", [(1, 2), (4, 2), (4, 9)], properties={"colour": "red"}),))

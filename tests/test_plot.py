@@ -10,7 +10,7 @@ import pytest
 import xarray as xr
 from strategies import flight
 
-from hyperpaint.errors import MissingExtraError, SchemaError
+from hyperpaint.base.errors import MissingExtraError, SchemaError
 from hyperpaint.plot import colour_matching, quicklook, rgb
 
 NM = np.arange(385.0, 780.0, 5.0)

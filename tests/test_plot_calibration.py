@@ -12,9 +12,9 @@ import xarray as xr
 from click.testing import CliRunner
 
 from hyperpaint import calibrate
+from hyperpaint.base.errors import MissingExtraError, PaintWarning, SchemaError
 from hyperpaint.calibration.line_samples import fitted_lines
 from hyperpaint.cli import main
-from hyperpaint.errors import MissingExtraError, PaintWarning, SchemaError
 from hyperpaint.plot_calibration import calibration_report, check_picture
 from hyperpaint.simulation import simulate_sweep
 

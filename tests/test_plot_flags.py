@@ -7,9 +7,9 @@ import pytest
 import xarray as xr
 from strategies import flight
 
-from hyperpaint.errors import SchemaError
+from hyperpaint.base.errors import SchemaError
+from hyperpaint.base.schema import Quality
 from hyperpaint.regions import Region
-from hyperpaint.schema import Quality
 
 pytest.importorskip("matplotlib")
 

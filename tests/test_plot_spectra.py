@@ -11,9 +11,9 @@ import xarray as xr
 from strategies import flight
 
 import hyperpaint as hp
-from hyperpaint.errors import MissingExtraError, SchemaError
+from hyperpaint.base.errors import MissingExtraError, SchemaError
+from hyperpaint.base.schema import Quality
 from hyperpaint.plot import srgb
-from hyperpaint.schema import Quality
 
 pytest.importorskip("matplotlib")
 

@@ -10,7 +10,7 @@ import pytest
 from agreeing_spectra import NM, agreeing, field, library, seen
 
 import hyperpaint as hp
-from hyperpaint.errors import SchemaError
+from hyperpaint.base.errors import SchemaError
 from hyperpaint.plot_validation import MOST_PAIRS, check_picture
 
 mpl.use("Agg")

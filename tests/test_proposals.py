@@ -13,9 +13,9 @@ import xarray as xr
 from click.testing import CliRunner
 
 import hyperpaint as hp
+from hyperpaint.base.errors import SchemaError
 from hyperpaint.cli import main
 from hyperpaint.corrections import remove_mirrored_sky
-from hyperpaint.errors import SchemaError
 from hyperpaint.proposals.footprints import hull_of
 from hyperpaint.proposals.pixel_outlines import outline
 from hyperpaint.regions import pixels_of

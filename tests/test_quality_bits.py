@@ -9,8 +9,8 @@ import pytest
 import xarray as xr
 from strategies import START, flight, values
 
+from hyperpaint.base.schema import Quality
 from hyperpaint.radiometry import radiance, reflectance
-from hyperpaint.schema import Quality
 
 
 def test_from_radiance_keeps_every_flag_that_was_set() -> None:

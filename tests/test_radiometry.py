@@ -12,9 +12,9 @@ from hypothesis import strategies as st
 from strategies import SHIFT, START, assert_same, flight, labelled, values
 
 import hyperpaint as hp
-from hyperpaint.errors import PaintWarning, SchemaError, UnitsError
+from hyperpaint.base.errors import PaintWarning, SchemaError, UnitsError
+from hyperpaint.base.schema import Quality
 from hyperpaint.radiometry import Panel, radiance, reflectance, subtract_dark, worked_example
-from hyperpaint.schema import Quality
 
 # ------------------------------------------------------------------------------------------ the equations
 

@@ -8,9 +8,9 @@ import pytest
 import xarray as xr
 from strategies import START, assert_same, flight, values
 
-from hyperpaint.errors import SchemaError, TimeError
+from hyperpaint.base.errors import SchemaError, TimeError
+from hyperpaint.base.schema import Quality
 from hyperpaint.radiometry import reflectance
-from hyperpaint.schema import Quality
 
 
 @pytest.mark.parametrize("line_unit", ["s", "ms", "us", "ns"])

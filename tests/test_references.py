@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from hyperpaint import schema
+from hyperpaint.base import schema
 from hyperpaint.radiometry import subtract_dark
 
 pytest.importorskip(

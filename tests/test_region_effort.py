@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from hyperpaint.errors import SchemaError
+from hyperpaint.base.errors import SchemaError
 from hyperpaint.regions import Region, Regions, pixels
 
 

@@ -10,15 +10,8 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from hyperpaint.errors import FormatError, SchemaError, StoreError
-from hyperpaint.regions import (
-    Region,
-    Regions,
-    geojson,
-    read_regions,
-    regions_from,
-    write_regions,
-)
+from hyperpaint.base.errors import FormatError, SchemaError, StoreError
+from hyperpaint.regions import Region, Regions, geojson, read_regions, regions_from, write_regions
 
 SQUARE = [(1, 1), (5, 1), (5, 5), (1, 5)]
 FILES = settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])

@@ -12,15 +12,8 @@ import xarray as xr
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hyperpaint.errors import SchemaError
-from hyperpaint.regions import (
-    Region,
-    Regions,
-    pixels,
-    pixels_of,
-    placement,
-    region_mask,
-)
+from hyperpaint.base.errors import SchemaError
+from hyperpaint.regions import Region, Regions, pixels, pixels_of, placement, region_mask
 from hyperpaint.regions.polygons import contains
 
 SQUARE = [(1, 1), (5, 1), (5, 5), (1, 5)]

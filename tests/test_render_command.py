@@ -16,8 +16,8 @@ import xarray as xr
 from click.testing import CliRunner, Result
 
 import hyperpaint as hp
+from hyperpaint.base.errors import FormatError, SchemaError, StoreError
 from hyperpaint.cli import main
-from hyperpaint.errors import FormatError, SchemaError, StoreError
 from hyperpaint.io.store import list_groups
 from hyperpaint.scene_rendering import products
 from hyperpaint.simulation.camera import Camera

@@ -16,10 +16,10 @@ from click.testing import CliRunner
 from strategies import flight
 
 import hyperpaint as hp
+from hyperpaint.base.errors import SchemaError, StoreError
+from hyperpaint.base.schema import Quality
 from hyperpaint.cli import main
-from hyperpaint.errors import SchemaError, StoreError
 from hyperpaint.markup import element, text
-from hyperpaint.schema import Quality
 
 pytest.importorskip("matplotlib")
 

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hyperpaint.errors import SchemaError
+from hyperpaint.base.errors import SchemaError
 from hyperpaint.responses import Responses, band_spacing, log_slope, matching_operator
 
 SIGMA = 1 / (2 * np.sqrt(2 * np.log(2)))

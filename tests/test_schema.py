@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from hyperpaint import schema
-from hyperpaint.errors import SchemaError
-from hyperpaint.schema import VARIABLES, Quality, label, rename_to_roles, require
-from hyperpaint.units import canonical
+from hyperpaint.base import schema
+from hyperpaint.base.errors import SchemaError
+from hyperpaint.base.schema import VARIABLES, Quality, label, rename_to_roles, require
+from hyperpaint.base.units import canonical
 
 
 def test_every_row_is_whole() -> None:

@@ -13,8 +13,8 @@ from painted_lines import CHUNKINGS, RAW, SPECTRA, TWO, assert_same_bits, made, 
 
 import hyperpaint as hp
 from hyperpaint import Quality, Region, Regions, SchemaError, extract_signatures
+from hyperpaint.base.schema import CUBE, LIBRARY_VARIABLES, VARIABLES
 from hyperpaint.regions import pixels, regions_from
-from hyperpaint.schema import CUBE, LIBRARY_VARIABLES, VARIABLES
 
 # --- flags, smoothing and refusals -------------------------------------------------------------------------
 

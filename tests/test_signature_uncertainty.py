@@ -9,8 +9,8 @@ from painted_lines import RAW, TWO, made, raw
 
 import hyperpaint as hp
 from hyperpaint import Region, Regions, extract_signatures
+from hyperpaint.base.schema import CUBE
 from hyperpaint.regions import pixels
-from hyperpaint.schema import CUBE
 from hyperpaint.signatures import independence
 from hyperpaint.signatures.independence import effective_pixels
 from hyperpaint.simulation import simulate_line

@@ -11,8 +11,8 @@ import pytest
 from painted_lines import CHUNKINGS, RAW, SPECTRA, TWO, assert_same_bits, made, raw
 
 from hyperpaint import Quality, Region, Regions, SchemaError, extract_signatures
+from hyperpaint.base.schema import CUBE
 from hyperpaint.regions import pixels
-from hyperpaint.schema import CUBE
 from hyperpaint.signatures import extraction, independence
 from hyperpaint.signatures.reduction import chosen_members, geometric_median, summarise
 

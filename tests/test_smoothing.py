@@ -10,7 +10,7 @@ import pytest
 import xarray as xr
 from strategies import flight
 
-from hyperpaint.errors import SchemaError
+from hyperpaint.base.errors import SchemaError
 from hyperpaint.radiometry import reflectance
 from hyperpaint.smoothing import METHODS, smooth
 

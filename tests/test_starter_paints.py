@@ -11,8 +11,8 @@ import pytest
 import xarray as xr
 
 import hyperpaint as hp
+from hyperpaint.base.errors import SchemaError
 from hyperpaint.colour_difference import srgb_hex
-from hyperpaint.errors import SchemaError
 from hyperpaint.io.dirsig import open_emissivity
 from hyperpaint.plot_library import library_overview, paint_colours
 from hyperpaint.simulation.rendering.pigments import FOURTEEN

@@ -16,8 +16,8 @@ import xarray as xr
 from strategies import flight
 
 import hyperpaint as hp
+from hyperpaint.base.schema import Quality
 from hyperpaint.figures import encode_png, label_for
-from hyperpaint.schema import Quality
 from hyperpaint.summaries import stored_overview, summary_html, summary_text
 
 

@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hyperpaint.errors import SchemaError, TimeError
-from hyperpaint.schema import Quality
+from hyperpaint.base.errors import SchemaError, TimeError
+from hyperpaint.base.schema import Quality
 from hyperpaint.synchrony import line_light, timing_sensitivity
 
 START = np.datetime64("2020-06-21T17:00", "ns")

@@ -12,9 +12,9 @@ import xarray as xr
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hyperpaint import schema
-from hyperpaint.errors import MissingExtraError, UnitsError
-from hyperpaint.units import canonical, conversion_factor, convert, quantify, registry, same_dimension
+from hyperpaint.base import schema
+from hyperpaint.base.errors import MissingExtraError, UnitsError
+from hyperpaint.base.units import canonical, conversion_factor, convert, quantify, registry, same_dimension
 
 RADIANCE = "W m-2 sr-1 nm-1"
 
@@ -121,8 +121,8 @@ HOSTILE = [
 def test_hostile_text_is_refused_at_once() -> None:
     # in a process of its own, which can be ended
     code = (
-        "import sys\nfrom hyperpaint.units import conversion_factor, same_dimension\n"
-        "from hyperpaint.errors import UnitsError\n"
+        "import sys\nfrom hyperpaint.base.units import conversion_factor, same_dimension\n"
+        "from hyperpaint.base.errors import UnitsError\n"
         f"for text in {HOSTILE!r}:\n"
         "    try:\n        conversion_factor(text, 'm'); sys.exit(f'accepted {text!r}')\n"
         "    except UnitsError as error:\n        assert len(str(error)) < 700, text\n"

@@ -11,7 +11,7 @@ import xarray as xr
 from scipy.spatial.transform import Rotation
 from wobbly_flights import Flight
 
-from hyperpaint.conventions import Convention
+from hyperpaint.base.attitude_conventions import Convention
 
 DECLARED = Convention(column_order="left_to_right", stamp_reference="mid")
 Made = tuple[xr.Dataset, xr.Dataset, Convention]

@@ -21,7 +21,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from hyperpaint.errors import CollectError, FormatError, PaintError, PaintWarning, StoreError, TimeError
+from hyperpaint.base.errors import CollectError, FormatError, PaintError, PaintWarning, StoreError, TimeError
 
 from .outcome import MOST_BYTES, MOST_SECONDS, Outcome, in_parallel
 
@@ -281,7 +281,7 @@ def warm_up() -> None:
         "fsspec.core",
     ):
         importlib.import_module(module)
-    from hyperpaint.units import conversion_factor
+    from hyperpaint.base.units import conversion_factor
 
     conversion_factor("W m-2 nm-1", "W m-2 um-1")
 

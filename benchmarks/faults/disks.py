@@ -26,7 +26,7 @@ import numpy as np
 import xarray as xr
 
 import hyperpaint as hp
-from hyperpaint.errors import PaintError
+from hyperpaint.base.errors import PaintError
 from hyperpaint.io.store import is_complete, open_store
 
 from .outcome import Outcome

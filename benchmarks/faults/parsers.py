@@ -14,14 +14,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from hyperpaint.errors import (
-    CollectError,
-    FormatError,
-    PaintError,
-    PaintWarning,
-    TimeError,
-    UnitsError,
-)
+from hyperpaint.base.errors import CollectError, FormatError, PaintError, PaintWarning, TimeError, UnitsError
 
 from .mutation import mutated
 from .outcome import MOST_BYTES, MOST_SECONDS, Outcome, in_parallel

@@ -19,7 +19,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import hyperpaint as hp
-from hyperpaint.errors import PaintError
+from hyperpaint.base.errors import PaintError
 
 from . import disks
 from .outcome import Outcome

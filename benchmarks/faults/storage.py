@@ -14,7 +14,7 @@ from pathlib import Path
 import xarray as xr
 
 import hyperpaint as hp
-from hyperpaint.errors import PaintError
+from hyperpaint.base.errors import PaintError
 
 from .outcome import Outcome, in_parallel
 

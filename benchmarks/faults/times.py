@@ -15,8 +15,8 @@ from typing import Any
 import numpy as np
 
 import hyperpaint as hp
-from hyperpaint.errors import PaintError
-from hyperpaint.schema import Quality
+from hyperpaint.base.errors import PaintError
+from hyperpaint.base.schema import Quality
 
 from .outcome import Outcome, in_parallel
 

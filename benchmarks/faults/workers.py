@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any
 
 import hyperpaint as hp
-from hyperpaint.errors import PaintError
+from hyperpaint.base.errors import PaintError
 from hyperpaint.io.store import is_complete, list_groups
 from hyperpaint.simulation import simulate_collect, simulate_line
 

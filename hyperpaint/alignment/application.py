@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from hyperpaint import schema
-from hyperpaint.errors import Problems, SchemaError
-from hyperpaint.schema import BAND, CROSS_TRACK
+from hyperpaint.base import schema
+from hyperpaint.base.errors import Problems, SchemaError
+from hyperpaint.base.schema import BAND, CROSS_TRACK
 
 if TYPE_CHECKING:
     import xarray as xr

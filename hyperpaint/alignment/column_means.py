@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
-from hyperpaint.schema import ALONG_TRACK
+from hyperpaint.base.schema import ALONG_TRACK
 from hyperpaint.slabs import line_chunked
 
 if TYPE_CHECKING:

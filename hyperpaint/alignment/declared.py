@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from hyperpaint import schema
-from hyperpaint.errors import SchemaError
+from hyperpaint.base import schema
+from hyperpaint.base.errors import SchemaError
+from hyperpaint.base.schema import IRRADIANCE_TIME, IRRADIANCE_WAVELENGTH
 from hyperpaint.responses import Responses, log_slope
-from hyperpaint.schema import IRRADIANCE_TIME, IRRADIANCE_WAVELENGTH
 
 if TYPE_CHECKING:
     import xarray as xr

@@ -14,10 +14,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from hyperpaint import schema
-from hyperpaint.errors import Problems, SchemaError
+from hyperpaint.base import schema
+from hyperpaint.base.errors import Problems, SchemaError
+from hyperpaint.base.schema import ALONG_TRACK, BAND, CROSS_TRACK
 from hyperpaint.radiometry import radiance
-from hyperpaint.schema import ALONG_TRACK, BAND, CROSS_TRACK
 
 from .column_means import Progress, mean_over_lines
 from .declared import Declared

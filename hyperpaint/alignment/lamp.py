@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from hyperpaint.errors import SchemaError
+from hyperpaint.base.errors import SchemaError
 from hyperpaint.responses import GAUSSIAN_SIGMA, Matching, Responses, matching_operator
 from hyperpaint.synchrony import line_light
 

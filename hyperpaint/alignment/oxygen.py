@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from hyperpaint import schema
-from hyperpaint.errors import SchemaError
+from hyperpaint.base import schema
+from hyperpaint.base.errors import SchemaError
+from hyperpaint.base.schema import ALONG_TRACK, BAND, CROSS_TRACK
 from hyperpaint.radiometry import reflectance
-from hyperpaint.schema import ALONG_TRACK, BAND, CROSS_TRACK
 
 from .column_means import Progress, mean_over_lines
 

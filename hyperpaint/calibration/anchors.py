@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from hyperpaint.errors import PaintWarning, Problems, SchemaError
+from hyperpaint.base.errors import PaintWarning, Problems, SchemaError
+from hyperpaint.base.schema import ALONG_TRACK, BAND, CROSS_TRACK, VARIABLES, label, require
+from hyperpaint.base.units import convert, same_dimension
 from hyperpaint.responses import Responses, log_slope
-from hyperpaint.schema import ALONG_TRACK, BAND, CROSS_TRACK, VARIABLES, label, require
-from hyperpaint.units import convert, same_dimension
 
 from .detector import coefficients_of, linearised
 

@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from hyperpaint.errors import PaintWarning, SchemaError
-from hyperpaint.schema import BAND, CROSS_TRACK
+from hyperpaint.base.errors import PaintWarning, SchemaError
+from hyperpaint.base.schema import BAND, CROSS_TRACK
 
 from .beam import beam_problem
 from .detector import deviant_darks, factors_of, linearised
@@ -61,7 +61,7 @@ def calibrate(
     ----------
     sweep
         Means of the frames of every step, dark not subtracted; the rows of
-        `hyperpaint.schema.SWEEP_VARIABLES`. ``counts`` (step, band, cross_track), ``dark_counts`` ([step,]
+        `hyperpaint.base.schema.SWEEP_VARIABLES`. ``counts`` (step, band, cross_track), ``dark_counts`` ([step,]
         band, cross_track) [count], ``step_wavelength`` (step), ``monochromator_fwhm`` [nm],
         ``exposure_time`` [s], ``flux`` [W] of the whole beam, ``capture_fraction`` [1] and ``etendue`` [m2
         sr]. ``flux`` per step is taken as equal in all lit columns, so that column differences are response;

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from hyperpaint.errors import Problems, SchemaError
-from hyperpaint.schema import BAND, CROSS_TRACK, label
+from hyperpaint.base.errors import Problems, SchemaError
+from hyperpaint.base.schema import BAND, CROSS_TRACK, label
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -145,7 +145,7 @@ def dark_model(darks: xr.Dataset | Sequence[xr.Dataset]) -> xr.Dataset:
     """
     import xarray as xr
 
-    from hyperpaint.schema import require
+    from hyperpaint.base.schema import require
 
     given = [darks] if isinstance(darks, xr.Dataset) else list(darks)
     problems = Problems("no dark model can be made", SchemaError)

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
+from hyperpaint.base.schema import BAND, CROSS_TRACK, STEP, require
 from hyperpaint.kernels.line_fits import profiles
-from hyperpaint.schema import BAND, CROSS_TRACK, STEP, require
 
 from .detector import coefficients_of, deviant_darks, linearised
 from .lab_sweep import LabSweep, check_sweep

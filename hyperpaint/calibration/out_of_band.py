@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from hyperpaint.errors import SchemaError
-from hyperpaint.schema import BAND
+from hyperpaint.base.errors import SchemaError
+from hyperpaint.base.schema import BAND
 
 if TYPE_CHECKING:
     import xarray as xr

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from hyperpaint.errors import PaintWarning, SchemaError
-from hyperpaint.schema import VARIABLES, dtype_of, label
+from hyperpaint.base.errors import PaintWarning, SchemaError
+from hyperpaint.base.schema import VARIABLES, dtype_of, label
 
 from .lab_sweep import LabSweep
 from .line_fits import fit_beam

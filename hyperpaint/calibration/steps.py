@@ -9,7 +9,7 @@ from dataclasses import dataclass, fields
 import numpy as np
 import numpy.typing as npt
 
-from hyperpaint.errors import PaintWarning, SchemaError
+from hyperpaint.base.errors import PaintWarning, SchemaError
 from hyperpaint.kernels.line_fits import CENTRE, GAUSSIAN, WIDTH
 
 from .lab_sweep import SATURATION_MARGIN, LabSweep, listed

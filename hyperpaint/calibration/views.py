@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from hyperpaint.errors import SchemaError
-from hyperpaint.schema import BAND, CROSS_TRACK, label, require
+from hyperpaint.base.errors import SchemaError
+from hyperpaint.base.schema import BAND, CROSS_TRACK, label, require
 
 if TYPE_CHECKING:
     import xarray as xr

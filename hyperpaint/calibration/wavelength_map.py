@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 from numpy.polynomial import chebyshev
 
-from hyperpaint.errors import SchemaError
+from hyperpaint.base.errors import SchemaError
 
 __all__ = ["WavelengthMap", "fit_wavelength_map", "fit_width"]
 

@@ -8,14 +8,14 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 import numpy.typing as npt
 
-from hyperpaint.errors import Problems, SchemaError
-from hyperpaint.schema import CROSS_TRACK
-from hyperpaint.units import convert
+from hyperpaint.base.errors import Problems, SchemaError
+from hyperpaint.base.schema import CROSS_TRACK
+from hyperpaint.base.units import convert
 
 if TYPE_CHECKING:
     import xarray as xr
 
-    from hyperpaint.conventions import Convention
+    from hyperpaint.base.attitude_conventions import Convention
 
 __all__ = ["PinholeCamera", "directions", "look_angles"]
 

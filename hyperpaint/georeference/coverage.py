@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from hyperpaint.errors import MissingExtraError, SchemaError
-from hyperpaint.schema import require
+from hyperpaint.base.errors import MissingExtraError, SchemaError
+from hyperpaint.base.schema import require
 
 from .geodesy import between_maps, crs_of
 

@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from hyperpaint.conventions import Convention
-from hyperpaint.errors import Problems, SchemaError
-from hyperpaint.schema import ALONG_TRACK, BAND, CHUNK_LINES, CROSS_TRACK, Quality, label, require
+from hyperpaint.base.attitude_conventions import Convention
+from hyperpaint.base.errors import Problems, SchemaError
+from hyperpaint.base.schema import ALONG_TRACK, BAND, CHUNK_LINES, CROSS_TRACK, Quality, label, require
 from hyperpaint.slabs import MAX_CHUNK_BYTES
 
 from .cameras import PinholeCamera, look_angles

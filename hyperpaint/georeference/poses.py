@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 import numpy.typing as npt
 
-from hyperpaint.conventions import Convention
-from hyperpaint.errors import Problems, SchemaError, TimeError
-from hyperpaint.schema import ALONG_TRACK, label
-from hyperpaint.units import conversion_factor, convert
+from hyperpaint.base.attitude_conventions import Convention
+from hyperpaint.base.errors import Problems, SchemaError, TimeError
+from hyperpaint.base.schema import ALONG_TRACK, label
+from hyperpaint.base.units import conversion_factor, convert
 
 from .geodesy import meridian_convergence
 from .rotations import angles_of, quaternions, slerp
@@ -55,7 +55,7 @@ _GAP_STEPS, _SHORTEST_GAP = 2.5, 0.1
 def canonical_navigation(
     navigation: xr.Dataset, *, convention: Convention | None = None, crs: Any = None
 ) -> xr.Dataset:
-    """Return a navigation record in canonical form (see `hyperpaint.conventions`).
+    """Return a navigation record in canonical form (see `hyperpaint.base.attitude_conventions`).
 
     Parameters
     ----------

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from hyperpaint.conventions import Convention
-from hyperpaint.errors import Problems, SchemaError
+from hyperpaint.base.attitude_conventions import Convention
+from hyperpaint.base.errors import Problems, SchemaError
 from hyperpaint.kernels.rays import BLOCK
 
 from .geodesy import crs_of

@@ -14,8 +14,8 @@ import numpy as np
 import numpy.typing as npt
 import xarray as xr
 
-from hyperpaint.errors import FormatError, PaintWarning, Problems, SchemaError, TimeError
-from hyperpaint.schema import VARIABLES, label
+from hyperpaint.base.errors import FormatError, PaintWarning, Problems, SchemaError, TimeError
+from hyperpaint.base.schema import VARIABLES, label
 
 from .asd_blocks import AsdCalibration, AsdGps
 from .asd_calibration import CALIBRATION_KEYS, derive_quantity, panel_of

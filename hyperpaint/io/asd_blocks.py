@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from hyperpaint.errors import FormatError
+from hyperpaint.base.errors import FormatError
 
 __all__ = [
     "AsdCalibration",

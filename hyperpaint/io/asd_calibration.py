@@ -7,7 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 import numpy.typing as npt
 
-from hyperpaint.errors import FormatError
+from hyperpaint.base.errors import FormatError
 
 from .asd_layout import AsdFile
 

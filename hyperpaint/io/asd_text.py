@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from hyperpaint.errors import FormatError
+from hyperpaint.base.errors import FormatError
 
 from .asd_blocks import nominal_integration_ms
 from .reading import read_limited_text

@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from hyperpaint.errors import FormatError, PaintWarning, Problems, SchemaError, UnitsError
-from hyperpaint.schema import BAND, CROSS_TRACK, SRF_SHAPES, VARIABLES, dtype_of, label
-from hyperpaint.units import convert
+from hyperpaint.base.errors import FormatError, PaintWarning, Problems, SchemaError, UnitsError
+from hyperpaint.base.schema import BAND, CROSS_TRACK, SRF_SHAPES, VARIABLES, dtype_of, label
+from hyperpaint.base.units import convert
 
 from .reading import load_netcdf
 
@@ -78,7 +78,7 @@ def open_calibration(source: str | os.PathLike[str] | xr.Dataset, *, group: str 
     Returns
     -------
     xarray.Dataset
-        In memory, in the units, dims and dtypes of `hyperpaint.schema`; attribute ``srf_shape``. Elements
+        In memory, in the units, dims and dtypes of `hyperpaint.base.schema`; attribute ``srf_shape``. Elements
         with a NaN gain are bad. Other variables on ``band`` and ``cross_track`` are kept.
 
     Raises

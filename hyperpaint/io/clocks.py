@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from hyperpaint.errors import PaintWarning, TimeError
+from hyperpaint.base.errors import PaintWarning, TimeError
 
 from .headwall import check_increasing, name_rows
 

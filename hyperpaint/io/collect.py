@@ -8,7 +8,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from hyperpaint.errors import CollectError, Problems
+from hyperpaint.base.errors import CollectError, Problems
+from hyperpaint.base.independent_steps import Findings, Unavailable
 
 from .calibration_store import open_calibration
 from .collect_toml import (
@@ -20,7 +21,6 @@ from .collect_toml import (
     parse_collect,
     read_collect,
 )
-from .findings import Findings, Unavailable
 from .flightline import assemble
 from .line_parts import FlightlineInputs
 from .navigation import Navigation, read_imu_gps

@@ -4,19 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from .toml_checks import (
-    Check,
-    flag,
-    not_negative,
-    number,
-    one_of,
-    positive,
-    table,
-    text,
-    texts,
-    time,
-    whole,
-)
+from .toml_checks import Check, flag, not_negative, number, one_of, positive, table, text, texts, time, whole
 
 __all__ = ["LISTS", "SCHEMA"]
 

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from hyperpaint.errors import CollectError, FormatError, Problems, TimeError
+from hyperpaint.base.errors import CollectError, FormatError, Problems, TimeError
 
 from .collect_schema import LISTS, SCHEMA
 from .timing import utc_of

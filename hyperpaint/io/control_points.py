@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hyperpaint.errors import FormatError, Problems
+from hyperpaint.base.errors import FormatError, Problems
 
 from .reading import read_limited_text
 

@@ -11,8 +11,17 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from hyperpaint.errors import FormatError, PaintError, PaintWarning, SchemaError, TimeError
-from hyperpaint.schema import ALONG_TRACK, BAND, CROSS_TRACK, CUBE, dtype_of, label, rename_to_roles, require
+from hyperpaint.base.errors import FormatError, PaintError, PaintWarning, SchemaError, TimeError
+from hyperpaint.base.schema import (
+    ALONG_TRACK,
+    BAND,
+    CROSS_TRACK,
+    CUBE,
+    dtype_of,
+    label,
+    rename_to_roles,
+    require,
+)
 
 from .headwall import DarkFrames, cube_number, exposure_seconds, find_settings, read_settings, sum_dark
 from .timing import Timing, line_times, utc_of

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from hyperpaint.errors import UnitsError
+from hyperpaint.base.errors import UnitsError
 
 __all__ = ["check_magnitude"]
 

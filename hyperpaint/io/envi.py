@@ -20,8 +20,8 @@ import numpy as np
 import xarray as xr
 from xarray.core import indexing
 
-from hyperpaint import schema, units
-from hyperpaint.errors import FormatError, PaintWarning, Problems, UnitsError
+from hyperpaint.base import schema, units
+from hyperpaint.base.errors import FormatError, PaintWarning, Problems, UnitsError
 
 from .envi_array import EnviArray, Scaling
 from .envi_header import EnviHeader, MapInfo, read_header

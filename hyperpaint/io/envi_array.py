@@ -19,7 +19,7 @@ import numpy.typing as npt
 from xarray.backends import BackendArray
 from xarray.core import indexing
 
-from hyperpaint.errors import FormatError
+from hyperpaint.base.errors import FormatError
 
 __all__ = ["EnviArray", "Scaling"]
 

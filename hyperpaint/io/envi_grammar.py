@@ -11,7 +11,7 @@ import io
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 
-from hyperpaint.errors import Problems
+from hyperpaint.base.errors import Problems
 
 __all__ = ["Findings", "Scanned", "bare", "scan", "shown"]
 

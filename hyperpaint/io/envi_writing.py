@@ -16,8 +16,8 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from hyperpaint.errors import SchemaError
-from hyperpaint.schema import ALONG_TRACK, BAND, CROSS_TRACK
+from hyperpaint.base.errors import SchemaError
+from hyperpaint.base.schema import ALONG_TRACK, BAND, CROSS_TRACK
 
 from .map_grids import Grid, envi_map_info, grid_of
 from .product_choice import RGB_WAVELENGTHS, nearest_bands, product_of, stored_float

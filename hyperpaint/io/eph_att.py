@@ -10,8 +10,8 @@ from pathlib import Path
 
 import numpy as np
 
-from hyperpaint.conventions import Convention
-from hyperpaint.errors import FormatError, Problems
+from hyperpaint.base.attitude_conventions import Convention
+from hyperpaint.base.errors import FormatError, Problems
 
 from .envi import find_pair
 from .envi_header import EnviHeader, read_header

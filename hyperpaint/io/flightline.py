@@ -11,13 +11,13 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from hyperpaint.conventions import Convention
-from hyperpaint.errors import PaintWarning, SchemaError
-from hyperpaint.schema import ALONG_TRACK, BAND, CROSS_TRACK, label
+from hyperpaint.base.attitude_conventions import Convention
+from hyperpaint.base.errors import PaintWarning, SchemaError
+from hyperpaint.base.independent_steps import Findings, Unavailable
+from hyperpaint.base.schema import ALONG_TRACK, BAND, CROSS_TRACK, label
 
 from .calibration_store import open_calibration
 from .dark import Dark, open_dark
-from .findings import Findings, Unavailable
 from .irradiance_cut import cut_irradiance
 from .line_parts import (
     FlightlineInputs,
@@ -131,7 +131,7 @@ def open_flightline(
     -------
     xarray.Dataset
         ``counts`` (along_track, band, cross_track) uint16 or ``radiance`` float32, lazy, with the variables
-        and coordinates of `hyperpaint.schema`; ``time`` is UTC at mid exposure.
+        and coordinates of `hyperpaint.base.schema`; ``time`` is UTC at mid exposure.
 
     Raises
     ------

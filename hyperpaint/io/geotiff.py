@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from hyperpaint.errors import MissingExtraError, SchemaError, StoreError
-from hyperpaint.schema import BAND
+from hyperpaint.base.errors import MissingExtraError, SchemaError, StoreError
+from hyperpaint.base.schema import BAND
 
 from .map_grids import Grid, grid_of
 from .product_choice import RGB_WAVELENGTHS, nearest_bands, product_of, stored_float

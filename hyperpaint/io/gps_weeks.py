@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from hyperpaint.errors import Problems, TimeError
+from hyperpaint.base.errors import Problems, TimeError
 
 from .clocks import NS_PER_S, ClockCorrection
 

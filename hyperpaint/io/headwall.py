@@ -15,9 +15,9 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from hyperpaint.errors import FormatError, Problems, TimeError, UnitsError
-from hyperpaint.schema import CHUNK_LINES, CUBE
-from hyperpaint.units import conversion_factor
+from hyperpaint.base.errors import FormatError, Problems, TimeError, UnitsError
+from hyperpaint.base.schema import CHUNK_LINES, CUBE
+from hyperpaint.base.units import conversion_factor
 
 from .reading import read_limited_text
 

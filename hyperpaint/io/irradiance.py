@@ -13,24 +13,11 @@ import numpy as np
 import numpy.typing as npt
 import xarray as xr
 
-from hyperpaint.errors import (
-    FormatError,
-    Problems,
-    SchemaError,
-    TimeError,
-    UnitsError,
-)
-from hyperpaint.schema import IRRADIANCE_TIME, IRRADIANCE_WAVELENGTH, VARIABLES, label
-from hyperpaint.units import conversion_factor, convert
+from hyperpaint.base.errors import FormatError, Problems, SchemaError, TimeError, UnitsError
+from hyperpaint.base.schema import IRRADIANCE_TIME, IRRADIANCE_WAVELENGTH, VARIABLES, label
+from hyperpaint.base.units import conversion_factor, convert
 
-from .asd import (
-    Spectrum,
-    find_files,
-    mask_undefined,
-    read_spectra,
-    sniff,
-    utc_offsets,
-)
+from .asd import Spectrum, find_files, mask_undefined, read_spectra, sniff, utc_offsets
 from .daylight import check_magnitude
 from .irradiance_csv import read_irradiance_csv
 from .irradiance_store import is_store, stored_series

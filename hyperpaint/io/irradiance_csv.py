@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from hyperpaint.errors import FormatError
+from hyperpaint.base.errors import FormatError
 
 from .reading import read_limited_text
 

@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from hyperpaint.errors import TimeError
-from hyperpaint.schema import IRRADIANCE_TIME, label, require
+from hyperpaint.base.errors import TimeError
+from hyperpaint.base.schema import IRRADIANCE_TIME, label, require
 
 if TYPE_CHECKING:
     import xarray as xr

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import xarray as xr
 
-from hyperpaint.errors import FormatError, IncompleteStoreError
+from hyperpaint.base.errors import FormatError, IncompleteStoreError
 
 from .reading import load_netcdf
 

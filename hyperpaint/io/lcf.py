@@ -12,8 +12,8 @@ from pathlib import Path
 
 import numpy as np
 
-from hyperpaint.conventions import Convention
-from hyperpaint.errors import FormatError, Problems
+from hyperpaint.base.attitude_conventions import Convention
+from hyperpaint.base.errors import FormatError, Problems
 
 from .gps_weeks import GPS_EPOCH, WEEK_S, nanoseconds, unwrap_weeks
 from .headwall import Table, name_rows, read_text

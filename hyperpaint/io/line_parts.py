@@ -11,8 +11,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from hyperpaint.errors import FormatError, PaintWarning, SchemaError
-from hyperpaint.schema import (
+from hyperpaint.base.errors import FormatError, PaintWarning, SchemaError
+from hyperpaint.base.independent_steps import Unavailable
+from hyperpaint.base.schema import (
     ALONG_TRACK,
     BAND,
     CHUNK_LINES,
@@ -22,9 +23,8 @@ from hyperpaint.schema import (
     label,
     rename_to_roles,
 )
-from hyperpaint.units import conversion_factor, convert
+from hyperpaint.base.units import conversion_factor, convert
 
-from .findings import Unavailable
 from .headwall import exposure_seconds, find_settings, read_settings
 from .timing import LineTimes, Timing
 

@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from hyperpaint.conventions import Convention
-from hyperpaint.errors import SchemaError
-from hyperpaint.schema import ALONG_TRACK
+from hyperpaint.base.attitude_conventions import Convention
+from hyperpaint.base.errors import SchemaError
+from hyperpaint.base.schema import ALONG_TRACK
 
 from .publishing import published_files
 

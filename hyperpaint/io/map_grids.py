@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from hyperpaint.errors import MissingExtraError, Problems, SchemaError
+from hyperpaint.base.errors import MissingExtraError, Problems, SchemaError
 
 if TYPE_CHECKING:
     import xarray as xr

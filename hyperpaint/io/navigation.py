@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hyperpaint.errors import FormatError, PaintWarning, Problems, TimeError
+from hyperpaint.base.errors import FormatError, PaintWarning, Problems, TimeError
 
 from .clocks import NAT, NS_PER_S, Clock, ClockCorrection, bracket, overlap, tie_clock
 from .headwall import (

@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from hyperpaint.conventions import Convention
-from hyperpaint.errors import FormatError, Problems, SchemaError, UnitsError
-from hyperpaint.units import conversion_factor
+from hyperpaint.base.attitude_conventions import Convention
+from hyperpaint.base.errors import FormatError, Problems, SchemaError, UnitsError
+from hyperpaint.base.units import conversion_factor
 
 from .gps_weeks import GPS_EPOCH, WEEK_S, nanoseconds, unwrap_weeks
 from .headwall import Table, name_rows, read_text
@@ -79,7 +79,7 @@ def read_navigation_csv(path: str | Path) -> PoseRecord:
     ``time`` or ``utc``, ISO 8601 stamps (in a column ``time`` with a zone); ``gps_time [s]`` from 1980-01-06,
     ``time_of_week [s]`` or ``unix_time [s]``. Cells are parted by commas, semicolons or tabs; an empty one is
     unknown, and a row without a time is left out. Other columns are ignored. Comments ``# key: value`` before
-    the header declare fields of the `hyperpaint.conventions.Convention`, ``gps_week``, ``leap_seconds`` and
+    the header declare fields of the `hyperpaint.base.attitude_conventions.Convention`, ``gps_week``, ``leap_seconds`` and
     ``time_scale``.
 
     Parameters

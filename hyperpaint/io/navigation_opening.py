@@ -11,10 +11,10 @@ from typing import TYPE_CHECKING, Any, Literal, get_args
 
 import numpy as np
 
-from hyperpaint.conventions import Convention
-from hyperpaint.errors import FormatError, SchemaError, TimeError
+from hyperpaint.base.attitude_conventions import Convention
+from hyperpaint.base.errors import FormatError, SchemaError, TimeError
+from hyperpaint.base.independent_steps import Findings
 
-from .findings import Findings
 from .gps_weeks import TimeSource, utc_of_record
 from .pose_records import POSE, PoseRecord
 
@@ -295,7 +295,7 @@ def _convention(record: PoseRecord, given: Convention | Mapping[str, Any] | None
     else:
         unknown = set(given) - set(record.convention.__dataclass_fields__)
         if unknown:
-            msg = f"convention has no {', '.join(map(repr, sorted(unknown)))}; see hyperpaint.conventions"
+            msg = f"convention has no {', '.join(map(repr, sorted(unknown)))}; see hyperpaint.base.attitude_conventions"
             raise SchemaError(msg)
         meant = record.convention.replace(**given)
     if "angle_unit" not in record.assumed and meant.angle_unit != record.convention.angle_unit:

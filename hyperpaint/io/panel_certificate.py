@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hyperpaint.errors import FormatError
-from hyperpaint.schema import VARIABLES
+from hyperpaint.base.errors import FormatError
+from hyperpaint.base.schema import VARIABLES
 
 from .spectrum_csv import read_spectrum_csv
 

@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from hyperpaint.conventions import Convention
-from hyperpaint.errors import Problems, TimeError
+from hyperpaint.base.attitude_conventions import Convention
+from hyperpaint.base.errors import Problems, TimeError
 
 from .navigation import LIMITS
 

@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from hyperpaint.errors import SchemaError
-from hyperpaint.schema import ALONG_TRACK, BAND, CROSS_TRACK, VARIABLES
+from hyperpaint.base.errors import SchemaError
+from hyperpaint.base.schema import ALONG_TRACK, BAND, CROSS_TRACK, VARIABLES
 
 if TYPE_CHECKING:
     import xarray as xr

@@ -11,7 +11,7 @@ import os
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
-from hyperpaint.errors import StoreError
+from hyperpaint.base.errors import StoreError
 
 from .store.durability import flush_group
 from .store.location import sync_folder

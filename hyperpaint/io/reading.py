@@ -8,7 +8,7 @@ import stat
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from hyperpaint.errors import FormatError
+from hyperpaint.base.errors import FormatError
 
 if TYPE_CHECKING:
     import xarray as xr

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from hyperpaint.errors import FormatError, PaintError, Problems
+from hyperpaint.base.errors import FormatError, PaintError, Problems
 
 from .spectrum_files import find_paths
 

@@ -13,8 +13,8 @@ from pathlib import Path
 
 import numpy as np
 
-from hyperpaint.conventions import Convention
-from hyperpaint.errors import FormatError, Problems
+from hyperpaint.base.attitude_conventions import Convention
+from hyperpaint.base.errors import FormatError, Problems
 
 from .gps_weeks import WEEK_S, nanoseconds, unwrap_weeks
 from .pose_records import PoseRecord, check_poses, check_seconds, check_time_order

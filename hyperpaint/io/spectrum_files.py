@@ -12,7 +12,7 @@ from typing import TypeVar
 import numpy as np
 import numpy.typing as npt
 
-from hyperpaint.errors import FormatError, Problems, TimeError
+from hyperpaint.base.errors import FormatError, Problems, TimeError
 
 __all__ = ["Paths", "check_utc_offset", "find_paths", "for_all", "listed", "name_spectra", "same_grids"]
 

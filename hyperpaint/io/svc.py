@@ -11,8 +11,8 @@ import numpy as np
 import numpy.typing as npt
 import xarray as xr
 
-from hyperpaint.errors import FormatError, Problems, SchemaError
-from hyperpaint.schema import label
+from hyperpaint.base.errors import FormatError, Problems, SchemaError
+from hyperpaint.base.schema import label
 
 from .spectrum_files import Paths, check_utc_offset, find_paths, for_all, same_grids
 from .svc_coords import (

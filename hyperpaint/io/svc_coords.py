@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from hyperpaint.errors import PaintWarning
-from hyperpaint.schema import VARIABLES
+from hyperpaint.base.errors import PaintWarning
+from hyperpaint.base.schema import VARIABLES
 
 from .spectrum_files import listed, name_spectra
 from .svc_fields import DETECTORS, SvcOverlap, error_bits, pair, position_of

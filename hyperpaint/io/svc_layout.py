@@ -19,7 +19,7 @@ from types import MappingProxyType
 import numpy as np
 import numpy.typing as npt
 
-from hyperpaint.errors import FormatError
+from hyperpaint.base.errors import FormatError
 
 from .reading import decoded_text, read_limited_text
 

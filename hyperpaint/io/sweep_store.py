@@ -6,8 +6,8 @@ import os
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from hyperpaint.errors import FormatError
-from hyperpaint.schema import STEP, SWEEP_VARIABLES
+from hyperpaint.base.errors import FormatError
+from hyperpaint.base.schema import STEP, SWEEP_VARIABLES
 
 from .reading import load_netcdf
 
@@ -23,7 +23,7 @@ def open_sweep(path: str | os.PathLike[str], *, group: str | None = None) -> xr.
     Parameters
     ----------
     path
-        A Zarr store or netCDF file with the rows of `hyperpaint.schema.SWEEP_VARIABLES`.
+        A Zarr store or netCDF file with the rows of `hyperpaint.base.schema.SWEEP_VARIABLES`.
     group
         Group of the store that holds them; by default the root.
 

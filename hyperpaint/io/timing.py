@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from hyperpaint.errors import PaintWarning, Problems, TimeError
+from hyperpaint.base.errors import PaintWarning, Problems, TimeError
 
 from .clocks import Clock, ClockCorrection
 from .headwall import FrameIndex, cube_number, match_frames, read_frame_index

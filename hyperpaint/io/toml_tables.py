@@ -11,7 +11,7 @@ from collections.abc import Collection, Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
-from hyperpaint.errors import FormatError, Problems
+from hyperpaint.base.errors import FormatError, Problems
 
 from .file_patterns import is_pattern, matching_files
 from .reading import read_limited

@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from hyperpaint.errors import PaintWarning, Problems, SchemaError
-from hyperpaint.mirrored_light import EXCLUDED, mirror_reflection
-from hyperpaint.schema import BAND
+from hyperpaint.base.errors import PaintWarning, Problems, SchemaError
+from hyperpaint.base.mirrored_light import EXCLUDED, mirror_reflection
+from hyperpaint.base.schema import BAND
 
 from .kubelka_munk import Interface, absorption_to_scattering, thick_layer_reflectance
 

@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 import numpy.typing as npt
 
-from hyperpaint import schema
-from hyperpaint.errors import PaintWarning, Problems, SchemaError
-from hyperpaint.schema import PAINT
+from hyperpaint.base import schema
+from hyperpaint.base.errors import PaintWarning, Problems, SchemaError
+from hyperpaint.base.schema import PAINT
 
 from .coated import coating_of
 from .synthetic import MEMBERS, SPECULAR, specular_of, synthetic_library

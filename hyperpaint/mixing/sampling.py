@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 import numpy.typing as npt
 
-from hyperpaint import schema
-from hyperpaint.errors import PaintWarning, Problems, SchemaError
-from hyperpaint.schema import BAND, MEMBER, PAINT
+from hyperpaint.base import schema
+from hyperpaint.base.errors import PaintWarning, Problems, SchemaError
+from hyperpaint.base.schema import BAND, MEMBER, PAINT
 
 from .synthetic import SPECULAR, specular_of, synthetic_library
 

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from hyperpaint.schema import BAND, LIBRARY_VARIABLES, MEMBER, PAINT, QUANTILE
-from hyperpaint.units import convert
+from hyperpaint.base.schema import BAND, LIBRARY_VARIABLES, MEMBER, PAINT, QUANTILE
+from hyperpaint.base.units import convert
 
 if TYPE_CHECKING:
     import xarray as xr

@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING, NoReturn
 import numpy as np
 import numpy.typing as npt
 
-from hyperpaint.errors import TimeError
-from hyperpaint.schema import ALONG_TRACK, IRRADIANCE_TIME, IRRADIANCE_WAVELENGTH, require
+from hyperpaint.base.errors import TimeError
+from hyperpaint.base.schema import ALONG_TRACK, IRRADIANCE_TIME, IRRADIANCE_WAVELENGTH, require
 from hyperpaint.synchrony import check_irradiance_times
 
 from .pictures import picture_of

@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from hyperpaint.conventions import Convention
-from hyperpaint.errors import SchemaError
+from hyperpaint.base.attitude_conventions import Convention
+from hyperpaint.base.errors import SchemaError
+from hyperpaint.base.schema import ALONG_TRACK
+from hyperpaint.base.units import conversion_factor
 from hyperpaint.georeference import PinholeCamera
-from hyperpaint.schema import ALONG_TRACK
-from hyperpaint.units import conversion_factor
 
 from .findings import ConventionCheck, Finding, Verdict
 from .hypotheses import Hypothesis, Scored, fields_of, score

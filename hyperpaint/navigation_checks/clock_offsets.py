@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, NoReturn
 import numpy as np
 import numpy.typing as npt
 
-from hyperpaint.errors import SchemaError, TimeError
+from hyperpaint.base.errors import SchemaError, TimeError
 from hyperpaint.georeference import PinholeCamera
 
 from .brightness import light_offset
@@ -20,7 +20,7 @@ from .setting import setting_of
 if TYPE_CHECKING:
     import xarray as xr
 
-    from hyperpaint.conventions import Convention
+    from hyperpaint.base.attitude_conventions import Convention
 
 __all__ = ["ClockOffset", "estimate_clock_offset"]
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
-from hyperpaint.conventions import Convention
+from hyperpaint.base.attitude_conventions import Convention
 
 __all__ = ["ConventionCheck", "Finding", "Verdict"]
 

@@ -10,7 +10,7 @@ from typing import Any, Literal
 import numpy as np
 import numpy.typing as npt
 
-from hyperpaint.conventions import Convention
+from hyperpaint.base.attitude_conventions import Convention
 
 from .likelihood import CLIP, Residuals, inflation, residuals, robust_scale
 from .picture_motion import RowMotion

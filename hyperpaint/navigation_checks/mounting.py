@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from hyperpaint.errors import Problems, SchemaError
+from hyperpaint.base.errors import Problems, SchemaError
 from hyperpaint.georeference import PinholeCamera
 
 from .sightings import Sightings, sightings_of
@@ -17,7 +17,7 @@ from .sightings import Sightings, sightings_of
 if TYPE_CHECKING:
     import xarray as xr
 
-    from hyperpaint.conventions import Convention
+    from hyperpaint.base.attitude_conventions import Convention
 
 __all__ = ["BoresightSolution", "solve_boresight"]
 

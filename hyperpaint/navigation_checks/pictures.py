@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from hyperpaint.errors import SchemaError
-from hyperpaint.schema import ALONG_TRACK, BAND, CROSS_TRACK
+from hyperpaint.base.errors import SchemaError
+from hyperpaint.base.schema import ALONG_TRACK, BAND, CROSS_TRACK
 
 if TYPE_CHECKING:
     import xarray as xr

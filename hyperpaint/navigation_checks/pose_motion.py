@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from hyperpaint.conventions import Convention
-from hyperpaint.errors import SchemaError
+from hyperpaint.base.attitude_conventions import Convention
+from hyperpaint.base.errors import SchemaError
+from hyperpaint.base.schema import ALONG_TRACK, require
 from hyperpaint.georeference.cameras import look_angles
 from hyperpaint.georeference.poses import ANGLES, NAVIGATION_TIME, POSE, canonical_values, poses_at
 from hyperpaint.georeference.rotations import matrices, quaternions
-from hyperpaint.schema import ALONG_TRACK, require
 
 if TYPE_CHECKING:
     import xarray as xr

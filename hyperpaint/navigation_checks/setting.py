@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from hyperpaint.conventions import Convention
-from hyperpaint.errors import SchemaError
+from hyperpaint.base.attitude_conventions import Convention
+from hyperpaint.base.errors import SchemaError
+from hyperpaint.base.schema import ALONG_TRACK
 from hyperpaint.georeference.poses import convention_of
-from hyperpaint.schema import ALONG_TRACK
 
 from .picture_motion import RowMotion, row_motion
 from .pictures import picture_of

@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from hyperpaint.errors import SchemaError
+from hyperpaint.base.errors import SchemaError
+from hyperpaint.base.schema import require
 from hyperpaint.georeference.cameras import look_angles
 from hyperpaint.georeference.geodesy import between_maps, crs_of
 from hyperpaint.georeference.poses import (
@@ -20,12 +21,11 @@ from hyperpaint.georeference.poses import (
     poses_at,
 )
 from hyperpaint.georeference.rotations import matrices, quaternions
-from hyperpaint.schema import require
 
 if TYPE_CHECKING:
     import xarray as xr
 
-    from hyperpaint.conventions import Convention
+    from hyperpaint.base.attitude_conventions import Convention
 
 __all__ = ["Sightings", "sightings_of"]
 

@@ -10,9 +10,9 @@ import numpy as np
 import numpy.typing as npt
 
 from hyperpaint.bands import to_nominal
-from hyperpaint.errors import Problems, SchemaError
+from hyperpaint.base.errors import Problems, SchemaError
+from hyperpaint.base.schema import ALONG_TRACK, BAND, CROSS_TRACK, CUBE, Quality, label
 from hyperpaint.radiometry import reflectance
-from hyperpaint.schema import ALONG_TRACK, BAND, CROSS_TRACK, CUBE, Quality, label
 
 if TYPE_CHECKING:
     import dask.array as da

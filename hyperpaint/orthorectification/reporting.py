@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hyperpaint.errors import SchemaError
+from hyperpaint.base.errors import SchemaError
 
 if TYPE_CHECKING:
     import xarray as xr

@@ -9,9 +9,9 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from hyperpaint.base.schema import Quality
 from hyperpaint.scene_model import SceneModel
 from hyperpaint.scene_model.model import SHADED
-from hyperpaint.schema import Quality
 
 __all__ = ["Limits", "Measures", "Piece", "measured", "pieces"]
 

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from hyperpaint import schema
-from hyperpaint.errors import Problems, SchemaError
+from hyperpaint.base import schema
+from hyperpaint.base.errors import Problems, SchemaError
 from hyperpaint.flags import flag
 from hyperpaint.regions import Region, Regions
 from hyperpaint.scene_model import SceneModel, survey

@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from hyperpaint.errors import FormatError, PaintError, Problems, SchemaError, StoreError
+from hyperpaint.base.errors import FormatError, PaintError, Problems, SchemaError, StoreError
 
 from .outlines import COORDINATES, Region, Regions
 

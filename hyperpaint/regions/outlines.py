@@ -11,7 +11,7 @@ from typing import Any, overload
 import numpy as np
 import numpy.typing as npt
 
-from hyperpaint.errors import Problems, SchemaError
+from hyperpaint.base.errors import Problems, SchemaError
 
 __all__ = ["COORDINATES", "Region", "Regions"]
 

@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from hyperpaint import schema
-from hyperpaint.errors import Problems, SchemaError
-from hyperpaint.schema import ALONG_TRACK, CROSS_TRACK
+from hyperpaint.base import schema
+from hyperpaint.base.errors import Problems, SchemaError
+from hyperpaint.base.schema import ALONG_TRACK, CROSS_TRACK
 
 from .geojson import regions_from
 from .outlines import Region, Regions

@@ -18,7 +18,7 @@ from fractions import Fraction
 import numpy as np
 import numpy.typing as npt
 
-from hyperpaint.errors import SchemaError
+from hyperpaint.base.errors import SchemaError
 
 __all__ = ["contains"]
 

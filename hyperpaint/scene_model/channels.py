@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from hyperpaint import schema
-from hyperpaint.schema import ALONG_TRACK, BAND, CHUNK_LINES, CROSS_TRACK
+from hyperpaint.base import schema
+from hyperpaint.base.schema import ALONG_TRACK, BAND, CHUNK_LINES, CROSS_TRACK
 from hyperpaint.slabs import line_chunked
 
 if TYPE_CHECKING:

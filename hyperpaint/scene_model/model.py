@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from hyperpaint.errors import Problems, SchemaError
-from hyperpaint.schema import ALONG_TRACK, BAND, CROSS_TRACK, FORMAT_VERSION
+from hyperpaint.base.errors import Problems, SchemaError
+from hyperpaint.base.schema import ALONG_TRACK, BAND, CROSS_TRACK, FORMAT_VERSION
 
 from .cells import CELL, two_nearest
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from hyperpaint.errors import MissingExtraError, StoreError
+from hyperpaint.base.errors import MissingExtraError, StoreError
 
 __all__ = ["draw_renders"]
 

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from hyperpaint.errors import FormatError, Problems
+from hyperpaint.base.errors import FormatError, Problems
 from hyperpaint.io.toml_checks import text
 from hyperpaint.io.toml_tables import TableReader, load_tables, shown
 

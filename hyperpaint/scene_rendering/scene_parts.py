@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hyperpaint.errors import FormatError, PaintError, Problems, SchemaError
+from hyperpaint.base.errors import FormatError, PaintError, Problems, SchemaError
 from hyperpaint.io.spectrum_csv import read_spectrum_csv
 
 from .tables import MATERIAL

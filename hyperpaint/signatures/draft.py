@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from hyperpaint.base.schema import BAND, Quality
 from hyperpaint.regions.placement import Pixels
-from hyperpaint.schema import BAND, Quality
 from hyperpaint.sun import solar_position
 from hyperpaint.uncertainty.propagation import NONE_KNOWN, UNCERTAINTIES
 

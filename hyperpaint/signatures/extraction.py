@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from hyperpaint.errors import Problems, SchemaError
+from hyperpaint.base.errors import Problems, SchemaError
+from hyperpaint.base.schema import Quality
 from hyperpaint.regions import Regions, pixels_of, regions_from
 from hyperpaint.regions.placement import Pixels
-from hyperpaint.schema import Quality
 
 from .draft import Draft
 from .gathering import Progress, gather, part_of

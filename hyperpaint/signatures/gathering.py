@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from hyperpaint.schema import ALONG_TRACK, BAND, CROSS_TRACK
+from hyperpaint.base.schema import ALONG_TRACK, BAND, CROSS_TRACK
 from hyperpaint.slabs import line_chunked
 
 if TYPE_CHECKING:

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
+from hyperpaint.base.schema import BAND, LIBRARY_VARIABLES, Quality, quality_attrs
 from hyperpaint.regions import Regions
-from hyperpaint.schema import BAND, LIBRARY_VARIABLES, Quality, quality_attrs
 from hyperpaint.uncertainty.propagation import NONE_KNOWN, UNCERTAINTIES
 
 from .draft import Draft

@@ -9,13 +9,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from hyperpaint import schema
 from hyperpaint.bands import to_nominal
+from hyperpaint.base import schema
+from hyperpaint.base.errors import Problems, SchemaError
+from hyperpaint.base.schema import BAND
 from hyperpaint.corrections import CORRECTIONS, remove_mirrored_sky
-from hyperpaint.errors import Problems, SchemaError
 from hyperpaint.radiometry import reflectance
 from hyperpaint.regions import Regions
-from hyperpaint.schema import BAND
 from hyperpaint.smoothing import smooth
 from hyperpaint.uncertainty.propagation import NONE_KNOWN, UNCERTAINTIES
 

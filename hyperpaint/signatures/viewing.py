@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from hyperpaint import schema
+from hyperpaint.base import schema
 
 if TYPE_CHECKING:
     import xarray as xr

@@ -11,19 +11,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hyperpaint.errors import SchemaError, StoreError
-from hyperpaint.schema import CHUNK_LINES
+from hyperpaint.base.errors import SchemaError, StoreError
+from hyperpaint.base.schema import CHUNK_LINES
 
 from .checkerboard_flight import CheckerboardFlight
 from .flight import Flight, Lines, SkySamples
-from .instruments import (
-    BilWriter,
-    write_asd,
-    write_frame_index,
-    write_navigation,
-    write_sbet,
-    write_settings,
-)
+from .instruments import BilWriter, write_asd, write_frame_index, write_navigation, write_sbet, write_settings
 from .painted_regions import REGIONS, PaintedRectangles
 from .plan_flight import PlanFlight
 from .references import ASD_FOLDER, SVC_FOLDER, write_references

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from hyperpaint.errors import Problems, SchemaError
+from hyperpaint.base.errors import Problems, SchemaError
 
 from .scenes import SWATH
 from .sensor import SHAPES
@@ -161,7 +161,7 @@ class SimulationSettings:
     (64, 272, 320)
     >>> SimulationSettings(exposure_time_ms=-5.0, srf_shape="box")
     Traceback (most recent call last):
-    hyperpaint.errors.SchemaError: the collect cannot be simulated:
+    hyperpaint.base.errors.SchemaError: the collect cannot be simulated:
       srf_shape='box', expected one of gaussian, slit
       exposure_time_ms=-5.0, expected a number above 0
     """

@@ -12,7 +12,7 @@ import zarr
 from numpy.typing import NDArray
 from zarr.codecs import BloscCodec
 
-from hyperpaint.schema import CHUNK_LINES, CUBE, FORMAT_VERSION, TIME_UNITS, VARIABLES
+from hyperpaint.base.schema import CHUNK_LINES, CUBE, FORMAT_VERSION, TIME_UNITS, VARIABLES
 
 from .checkerboard_flight import CheckerboardFlight
 from .flight import Flight, Lines

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hyperpaint.errors import Problems, SchemaError
-from hyperpaint.schema import MONOCHROMATOR_SHAPES
+from hyperpaint.base.errors import Problems, SchemaError
+from hyperpaint.base.schema import MONOCHROMATOR_SHAPES
 
 from .camera import CAMERA_FIELDS
 from .settings import SimulationSettings
@@ -81,7 +81,7 @@ class SweepSettings:
     array([ 400.,  700., 1000.])
     >>> SweepSettings(monochromator_shape="box", frames=0)
     Traceback (most recent call last):
-    hyperpaint.errors.SchemaError: the sweep cannot be simulated:
+    hyperpaint.base.errors.SchemaError: the sweep cannot be simulated:
       monochromator_shape='box', expected one of gaussian, triangle
       frames=0, expected a whole number from 1 to 100000
     """

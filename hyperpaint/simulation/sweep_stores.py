@@ -12,8 +12,16 @@ import xarray as xr
 import zarr
 from zarr.codecs import BloscCodec
 
-from hyperpaint.errors import StoreError
-from hyperpaint.schema import BAND, CROSS_TRACK, FORMAT_VERSION, STEP, SWEEP_VARIABLES, VARIABLES, Variable
+from hyperpaint.base.errors import StoreError
+from hyperpaint.base.schema import (
+    BAND,
+    CROSS_TRACK,
+    FORMAT_VERSION,
+    STEP,
+    SWEEP_VARIABLES,
+    VARIABLES,
+    Variable,
+)
 
 from .stores import consolidate
 from .sweep import Sweep

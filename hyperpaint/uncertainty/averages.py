@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
-from hyperpaint.errors import Problems, SchemaError
-from hyperpaint.schema import ALONG_TRACK, CROSS_TRACK
+from hyperpaint.base.errors import Problems, SchemaError
+from hyperpaint.base.schema import ALONG_TRACK, CROSS_TRACK
 
 from .propagation import NONE_KNOWN, UNCERTAINTIES
 

@@ -17,9 +17,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from hyperpaint import schema
-from hyperpaint.errors import PaintWarning, Problems, SchemaError
-from hyperpaint.schema import ALONG_TRACK, BAND, CROSS_TRACK, STEP
+from hyperpaint.base import schema
+from hyperpaint.base.errors import PaintWarning, Problems, SchemaError
+from hyperpaint.base.schema import ALONG_TRACK, BAND, CROSS_TRACK, STEP
 from hyperpaint.slabs import QUANTISATION
 
 if TYPE_CHECKING:

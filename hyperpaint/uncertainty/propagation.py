@@ -12,8 +12,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from hyperpaint import schema, slabs
-from hyperpaint.errors import Problems, SchemaError
+from hyperpaint import slabs
+from hyperpaint.base import schema
+from hyperpaint.base.errors import Problems, SchemaError
 from hyperpaint.slabs import QUANTISATION, ErrorTerms
 
 if TYPE_CHECKING:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
-from hyperpaint.schema import BAND
+from hyperpaint.base.schema import BAND
 
 from .common_bands import Operator, bands_of, operator_onto
 from .pairing import Pair

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from hyperpaint.errors import SchemaError
+from hyperpaint.base.errors import SchemaError
 
 __all__ = ["Axis", "channel_widths", "join_detectors"]
 

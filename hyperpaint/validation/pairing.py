@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from hyperpaint.errors import Problems, SchemaError
+from hyperpaint.base.errors import Problems, SchemaError
 
 from .spectra import Measured
 

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from hyperpaint.errors import Problems, SchemaError
-from hyperpaint.units import convert
+from hyperpaint.base.errors import Problems, SchemaError
+from hyperpaint.base.units import convert
 
 from .spectra import Measured
 

@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from hyperpaint import schema
-from hyperpaint.errors import Problems, SchemaError, UnitsError
-from hyperpaint.mirrored_light import mirror_reflection
-from hyperpaint.schema import BAND, LIBRARY_VARIABLES, PAINT
-from hyperpaint.units import convert
+from hyperpaint.base import schema
+from hyperpaint.base.errors import Problems, SchemaError, UnitsError
+from hyperpaint.base.mirrored_light import mirror_reflection
+from hyperpaint.base.schema import BAND, LIBRARY_VARIABLES, PAINT
+from hyperpaint.base.units import convert
 
 from .detectors import channel_widths, join_detectors
 from .names import Names, names_of_paint, names_of_spectrum

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hyperpaint.alignment import oxygen_depth
-from hyperpaint.errors import PaintWarning, Problems, SchemaError
+from hyperpaint.base.errors import PaintWarning, Problems, SchemaError
 
 from .agreement import STATISTICS, statistics_of, uncertainty_of
 from .comparing import Compared, compare

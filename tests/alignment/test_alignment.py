@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from strategies import START, labelled
 
 import hyperpaint as hp
-from hyperpaint.errors import SchemaError
+from hyperpaint.base.errors import SchemaError
 from hyperpaint.simulation import simulate_line
 from hyperpaint.simulation.atmosphere import Sky
 from hyperpaint.simulation.paints import MATERIALS

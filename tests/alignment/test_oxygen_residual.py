@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 import hyperpaint as hp
-from hyperpaint.errors import SchemaError
+from hyperpaint.base.errors import SchemaError
 from hyperpaint.simulation import simulate_line
 
 

@@ -7,6 +7,7 @@ import pytest
 import xarray as xr
 
 import hyperpaint as hp
+from hyperpaint.base.errors import PaintWarning, SchemaError, UnitsError
 from hyperpaint.calibration import (
     anchor_to_radiance,
     calibration_from_coefficients,
@@ -21,7 +22,6 @@ from hyperpaint.calibration import (
 )
 from hyperpaint.calibration.detector import linearised
 from hyperpaint.calibration.responsivity import interpolate_nodes, monotone_slopes
-from hyperpaint.errors import PaintWarning, SchemaError, UnitsError
 from hyperpaint.simulation import simulate_sweep
 
 ELEMENT = ("band", "cross_track")

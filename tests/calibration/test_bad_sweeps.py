@@ -9,7 +9,7 @@ import pytest
 import xarray as xr
 
 import hyperpaint as hp
-from hyperpaint.errors import PaintWarning, SchemaError
+from hyperpaint.base.errors import PaintWarning, SchemaError
 from hyperpaint.simulation import simulate_sweep
 
 

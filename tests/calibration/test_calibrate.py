@@ -10,8 +10,8 @@ import pytest
 import xarray as xr
 
 import hyperpaint as hp
+from hyperpaint.base.errors import PaintWarning
 from hyperpaint.calibration import flat_field, quantum_efficiency, relative_responsivity
-from hyperpaint.errors import PaintWarning
 from hyperpaint.simulation import simulate_sweep
 
 CLEAN = {"noise": False, "quantise": False}

@@ -10,8 +10,8 @@ import xarray as xr
 from click.testing import CliRunner
 
 import hyperpaint as hp
+from hyperpaint.base.errors import CollectError, FormatError
 from hyperpaint.cli import main
-from hyperpaint.errors import CollectError, FormatError
 from hyperpaint.io.calibration_store import open_calibration
 from hyperpaint.io.collect import open_collect as open_without_physics
 from hyperpaint.io.sweep_store import open_sweep

@@ -12,9 +12,9 @@ import pytest
 import xarray as xr
 
 import hyperpaint as hp
+from hyperpaint.base.errors import PaintWarning, SchemaError
 from hyperpaint.calibration import anchor_to_radiance, quantum_efficiency
 from hyperpaint.calibration.detector import fit_dark_model
-from hyperpaint.errors import PaintWarning, SchemaError
 from hyperpaint.simulation import simulate_line, simulate_sweep
 
 CLEAN = {"noise": False, "quantise": False}

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from hyperpaint.conventions import Convention
+from hyperpaint.base.attitude_conventions import Convention
 from hyperpaint.georeference import grid_heading
 from hyperpaint.georeference.geodesy import crs_of, is_in_metres
 from hyperpaint.georeference.rotations import angles_of, quaternions

@@ -16,10 +16,10 @@ from geocentric_rays import LEFT_TO_RIGHT, PERIOD, UTM, exact_places, flown, lev
 from scipy.spatial.transform import Rotation
 
 import hyperpaint as hp
-from hyperpaint.conventions import Convention
-from hyperpaint.errors import MissingExtraError, SchemaError, TimeError
+from hyperpaint.base.attitude_conventions import Convention
+from hyperpaint.base.errors import MissingExtraError, SchemaError, TimeError
+from hyperpaint.base.schema import VARIABLES, Quality
 from hyperpaint.georeference import grid_heading, utm_zone
-from hyperpaint.schema import VARIABLES, Quality
 
 PLACES = ("east", "north", "ground_height", "view_zenith", "view_azimuth")
 CAMERA = hp.PinholeCamera(5, field_of_view=40.0, edges="centres")

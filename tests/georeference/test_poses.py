@@ -16,8 +16,8 @@ from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation, RotationSpline, Slerp
 
 import hyperpaint as hp
-from hyperpaint.conventions import Convention
-from hyperpaint.errors import SchemaError, TimeError
+from hyperpaint.base.attitude_conventions import Convention
+from hyperpaint.base.errors import SchemaError, TimeError
 from hyperpaint.georeference.rotations import angles_of, matrices, quaternions, slerp
 
 POSE = ("latitude", "longitude", "altitude", "roll", "pitch", "heading")

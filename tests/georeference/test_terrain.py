@@ -12,8 +12,8 @@ from geocentric_rays import UTM, exact_places, flown
 from scipy.ndimage import map_coordinates
 
 import hyperpaint as hp
-from hyperpaint.errors import SchemaError
-from hyperpaint.schema import Quality
+from hyperpaint.base.errors import SchemaError
+from hyperpaint.base.schema import Quality
 
 COLUMNS = 21
 CAMERA = hp.PinholeCamera(COLUMNS, field_of_view=60.0, edges="centres")

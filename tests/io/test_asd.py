@@ -12,7 +12,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from hyperpaint.errors import FormatError, PaintWarning, SchemaError, TimeError
+from hyperpaint.base.errors import FormatError, PaintWarning, SchemaError, TimeError
 from hyperpaint.io.asd import find_files, open_asd, read_asd
 from hyperpaint.io.asd_blocks import Cursor
 from hyperpaint.io.asd_text import read_asd_text

@@ -5,7 +5,7 @@ import random
 import numpy as np
 import pytest
 
-from hyperpaint.errors import FormatError, PaintWarning
+from hyperpaint.base.errors import FormatError, PaintWarning
 from hyperpaint.io.asd import open_asd
 from hyperpaint.io.asd_text import is_asd_text, read_asd_text
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from hyperpaint.errors import CollectError, FormatError, PaintWarning
+from hyperpaint.base.errors import CollectError, FormatError, PaintWarning
 from hyperpaint.io.asd import open_asd
 from hyperpaint.io.collect_toml import read_collect
 from hyperpaint.io.envi_header import parse_header

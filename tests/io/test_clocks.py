@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from hyperpaint.errors import PaintWarning, TimeError
+from hyperpaint.base.errors import PaintWarning, TimeError
 from hyperpaint.io.clocks import LEAP_SECONDS, LEAP_SECONDS_EXPIRY, Clock, ClockCorrection, gps_to_utc
 
 

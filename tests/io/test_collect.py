@@ -13,7 +13,7 @@ import xarray as xr
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from hyperpaint.errors import CollectError
+from hyperpaint.base.errors import CollectError
 from hyperpaint.io.collect import open_collect, read_collect
 from hyperpaint.io.envi_array import EnviArray
 from hyperpaint.simulation.collect import simulate_collect

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 import hyperpaint as hp
-from hyperpaint.errors import CollectError
+from hyperpaint.base.errors import CollectError
 from hyperpaint.pipeline import run
 
 

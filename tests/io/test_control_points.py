@@ -9,7 +9,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from hyperpaint.errors import FormatError
+from hyperpaint.base.errors import FormatError
 from hyperpaint.io.control_points import read_control_points
 
 TABLE = """# crs: EPSG:32617

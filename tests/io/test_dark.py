@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from hyperpaint.errors import FormatError, SchemaError
+from hyperpaint.base.errors import FormatError, SchemaError
 from hyperpaint.io.dark import DARK_NONE, open_dark
 from hyperpaint.io.timing import Timing
 

@@ -22,8 +22,8 @@ from envi_cubes import CODES, FROM_LBS, toy, write_cube
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hyperpaint import schema
-from hyperpaint.errors import FormatError, PaintWarning
+from hyperpaint.base import schema
+from hyperpaint.base.errors import FormatError, PaintWarning
 from hyperpaint.io.backends import EnviBackendEntrypoint
 from hyperpaint.io.envi import open_envi
 from hyperpaint.io.envi_array import EnviArray

@@ -14,7 +14,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hyperpaint.errors import FormatError
+from hyperpaint.base.errors import FormatError
 from hyperpaint.io.envi_header import parse_header, read_header
 
 BASE = {

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from envi_cubes import FROM_LBS, toy, write_cube
 
-from hyperpaint import schema
-from hyperpaint.errors import FormatError, PaintWarning
+from hyperpaint.base import schema
+from hyperpaint.base.errors import FormatError, PaintWarning
 from hyperpaint.io.backends import EnviBackendEntrypoint
 from hyperpaint.io.envi import find_pair, open_envi
 

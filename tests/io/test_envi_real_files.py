@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from hyperpaint import schema
-from hyperpaint.errors import PaintWarning
+from hyperpaint.base import schema
+from hyperpaint.base.errors import PaintWarning
 from hyperpaint.io.envi import open_envi
 
 

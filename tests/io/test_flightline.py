@@ -10,14 +10,8 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from hyperpaint import schema
-from hyperpaint.errors import (
-    CollectError,
-    FormatError,
-    PaintWarning,
-    SchemaError,
-    TimeError,
-)
+from hyperpaint.base import schema
+from hyperpaint.base.errors import CollectError, FormatError, PaintWarning, SchemaError, TimeError
 from hyperpaint.io.calibration_store import open_calibration
 from hyperpaint.io.envi_array import EnviArray
 from hyperpaint.io.flightline import open_flightline

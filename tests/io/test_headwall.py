@@ -10,7 +10,7 @@ import xarray as xr
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hyperpaint.errors import FormatError, TimeError
+from hyperpaint.base.errors import FormatError, TimeError
 from hyperpaint.io.envi import open_envi
 from hyperpaint.io.headwall import (
     FrameIndex,

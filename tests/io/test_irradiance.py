@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from hyperpaint.errors import (
+from hyperpaint.base.errors import (
     FormatError,
     IncompleteStoreError,
     PaintWarning,

@@ -12,9 +12,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import hyperpaint as hp
-from hyperpaint import schema
-from hyperpaint.conventions import Convention
-from hyperpaint.errors import SchemaError, StoreError
+from hyperpaint.base import schema
+from hyperpaint.base.attitude_conventions import Convention
+from hyperpaint.base.errors import SchemaError, StoreError
 
 POSE = ("latitude", "longitude", "altitude", "roll", "pitch", "heading")
 START = np.datetime64("2024-06-01T12:00:00.000000001", "ns")

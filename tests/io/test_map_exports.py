@@ -14,8 +14,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import hyperpaint as hp
-from hyperpaint import schema
-from hyperpaint.errors import SchemaError, StoreError
+from hyperpaint.base import schema
+from hyperpaint.base.errors import SchemaError, StoreError
 from hyperpaint.io.envi import open_envi
 from hyperpaint.io.envi_header import read_header
 from hyperpaint.io.map_grids import Grid, envi_map_info, grid_of

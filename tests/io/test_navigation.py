@@ -12,7 +12,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hyperpaint.errors import FormatError, PaintWarning, TimeError
+from hyperpaint.base.errors import FormatError, PaintWarning, TimeError
 from hyperpaint.io.navigation import read_gps_time, read_imu_gps
 from hyperpaint.io.timing import Timing, line_times, utc_of
 

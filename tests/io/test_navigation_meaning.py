@@ -9,8 +9,8 @@ import pytest
 import xarray as xr
 
 import hyperpaint as hp
-from hyperpaint.conventions import Convention
-from hyperpaint.errors import CollectError, SchemaError
+from hyperpaint.base.attitude_conventions import Convention
+from hyperpaint.base.errors import CollectError, SchemaError
 from hyperpaint.io.collect import open_collect
 from hyperpaint.simulation import simulate_collect
 

@@ -12,8 +12,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import hyperpaint as hp
-from hyperpaint.conventions import Convention
-from hyperpaint.errors import FormatError, PaintWarning, SchemaError, TimeError
+from hyperpaint.base.attitude_conventions import Convention
+from hyperpaint.base.errors import FormatError, PaintWarning, SchemaError, TimeError
 from hyperpaint.info import describe_path
 
 POSE = ("latitude", "longitude", "altitude", "roll", "pitch", "heading")

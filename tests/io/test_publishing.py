@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from hyperpaint.errors import StoreError
+from hyperpaint.base.errors import StoreError
 from hyperpaint.io.publishing import publish_file, published_files, published_folder
 
 

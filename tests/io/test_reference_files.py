@@ -11,7 +11,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 import hyperpaint as hp
-from hyperpaint.errors import FormatError
+from hyperpaint.base.errors import FormatError
 from hyperpaint.io.reference_files import open_references
 from hyperpaint.io.reference_pairs import read_pairs
 

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hyperpaint.errors import FormatError
+from hyperpaint.base.errors import FormatError
 from hyperpaint.io.spectrum_files import find_paths, for_all, name_spectra, same_grids
 
 NAMES = st.sampled_from(["red", "red (2)", "blue", "a/red", ""])

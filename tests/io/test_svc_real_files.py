@@ -11,11 +11,11 @@ import pytest
 import xarray as xr
 from svc_texts import german
 
-from hyperpaint.errors import FormatError, PaintWarning
+from hyperpaint.base.errors import FormatError, PaintWarning
+from hyperpaint.base.units import conversion_factor
 from hyperpaint.info import describe_path
 from hyperpaint.io.svc import open_svc
 from hyperpaint.io.svc_layout import read_svc
-from hyperpaint.units import conversion_factor
 
 pytestmark = pytest.mark.real_data
 

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from svc_texts import svc_text
 
-from hyperpaint.errors import PaintWarning
+from hyperpaint.base.errors import PaintWarning
 from hyperpaint.io.svc import open_svc
 from hyperpaint.io.svc_times import orders_of, read_gps_time, read_stamp, utc_of
 

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from library_examples import make_library
 
 import hyperpaint as hp
-from hyperpaint.errors import PaintWarning, SchemaError
+from hyperpaint.base.errors import PaintWarning, SchemaError
 from hyperpaint.mixing.kubelka_munk import Interface, absorption_to_scattering, thick_layer_reflectance
 
 WHITE, BLACK, RED = "Synthetic Polar White", "Synthetic Carbon Black", "Synthetic Signal Red"
@@ -87,7 +87,7 @@ def test_pigments_darken_more_than_areas(paints: xr.Dataset) -> None:
     st.lists(st.floats(0.0, 1.0), min_size=3, max_size=3),
     st.floats(0.01, 1.0),
 )
-@pytest.mark.filterwarnings("ignore:.*darker than any layer:hyperpaint.errors.PaintWarning")
+@pytest.mark.filterwarnings("ignore:.*darker than any layer:hyperpaint.base.errors.PaintWarning")
 def test_mixtures_lie_between_their_parents(first: list[float], second: list[float], share: float) -> None:
     library = library_of({"a": first, "b": second})
     made = hp.mix_paints(library, {"c": {"a": share, "b": 1.0}}).reflectance.values[0]

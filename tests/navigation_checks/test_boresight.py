@@ -11,7 +11,7 @@ from wobbly_flights import Flight
 from wrong_declarations import DECLARED
 
 import hyperpaint as hp
-from hyperpaint.errors import SchemaError
+from hyperpaint.base.errors import SchemaError
 from hyperpaint.navigation_checks import BoresightSolution, solve_boresight
 
 pyproj = pytest.importorskip("pyproj")

@@ -8,7 +8,7 @@ from wobbly_flights import Flight
 from wrong_declarations import DECLARED, cases, flown, right
 
 import hyperpaint as hp
-from hyperpaint.errors import SchemaError
+from hyperpaint.base.errors import SchemaError
 from hyperpaint.navigation_checks import ConventionCheck, check_conventions
 from hyperpaint.navigation_checks.picture_motion import row_motion
 

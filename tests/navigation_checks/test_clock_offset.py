@@ -9,7 +9,7 @@ from wobbly_flights import START, Flight
 from wrong_declarations import DECLARED
 
 import hyperpaint as hp
-from hyperpaint.errors import SchemaError, TimeError
+from hyperpaint.base.errors import SchemaError, TimeError
 from hyperpaint.navigation_checks import ClockOffset, estimate_clock_offset
 
 pytest.importorskip("pyproj")

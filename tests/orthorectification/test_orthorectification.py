@@ -13,7 +13,7 @@ from flown_lines import GSD, MAP, Flown, fly, hills, located, nearest_by_distanc
 from strategies import flight
 
 import hyperpaint as hp
-from hyperpaint.errors import SchemaError
+from hyperpaint.base.errors import SchemaError
 
 CUBE = ("along_track", "band", "cross_track")
 OFF = int(hp.Quality.OFF_SWATH)

@@ -11,7 +11,8 @@ import pytest
 import xarray as xr
 
 import hyperpaint as hp
-from hyperpaint.errors import SchemaError
+from hyperpaint.base.errors import SchemaError
+from hyperpaint.base.schema import Quality
 from hyperpaint.scene_model.channels import (
     channel_noise,
     channel_numbers,
@@ -23,7 +24,6 @@ from hyperpaint.scene_model.model import LIT, SHADED, SceneModel
 from hyperpaint.scene_model.neighbours import coloured
 from hyperpaint.scene_model.references import Light
 from hyperpaint.scene_model.segments import divide, touching
-from hyperpaint.schema import Quality
 from hyperpaint.sun import diffuse_fraction
 
 sys.path.insert(0, str(Path(__file__).parent))

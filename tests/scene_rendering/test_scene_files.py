@@ -12,7 +12,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from hyperpaint.errors import FormatError, SchemaError
+from hyperpaint.base.errors import FormatError, SchemaError
 from hyperpaint.io.spectrum_csv import read_spectrum_csv
 from hyperpaint.scene_rendering.example import EXAMPLE
 from hyperpaint.scene_rendering.scene_files import SceneFile, read_scene_file

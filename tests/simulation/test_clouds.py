@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
-from hyperpaint.errors import SchemaError
+from hyperpaint.base.errors import SchemaError
 from hyperpaint.simulation.rendering.clouds import CIE_OVERCAST_SHARE, cloud_factor, cloud_transmittance
 from hyperpaint.simulation.rendering.four_curves import Atmosphere
 

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 from scipy.integrate import quad
 
-from hyperpaint.errors import MissingExtraError, SchemaError, UnitsError
+from hyperpaint.base.errors import MissingExtraError, SchemaError, UnitsError
 from hyperpaint.simulation.atmosphere import Sky, spectral_grid
 from hyperpaint.simulation.rendering.clear_skies import relative_air_mass
 from hyperpaint.simulation.rendering.four_curves import PRESETS, Atmosphere, preset_atmosphere

@@ -11,7 +11,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
-from hyperpaint.errors import FormatError, PaintWarning, SchemaError
+from hyperpaint.base.errors import FormatError, PaintWarning, SchemaError
 from hyperpaint.simulation.rendering.clear_skies import built_in_sky
 from hyperpaint.simulation.rendering.four_curves import Atmosphere
 from hyperpaint.simulation.rendering.haze import Haze

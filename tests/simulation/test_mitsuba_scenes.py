@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from hyperpaint.errors import MissingExtraError, PaintWarning, SchemaError
+from hyperpaint.base.errors import MissingExtraError, PaintWarning, SchemaError
 from hyperpaint.simulation.rendering.four_curves import Atmosphere
 from hyperpaint.simulation.rendering.materials import Coat, Flakes, Material, base_albedo
 from hyperpaint.simulation.rendering.mitsuba_scenes import FrameCamera, to_mitsuba

@@ -23,17 +23,11 @@ from traced_scenes import (
 )
 
 import hyperpaint as hp
+from hyperpaint.base.schema import VARIABLES
 from hyperpaint.kernels.transport import paths
-from hyperpaint.schema import VARIABLES
 from hyperpaint.simulation.rendering.bands import BandSet
 from hyperpaint.simulation.rendering.four_curves import Atmosphere
-from hyperpaint.simulation.rendering.materials import (
-    Coat,
-    Flakes,
-    Material,
-    base_albedo,
-    coated_reflectance,
-)
+from hyperpaint.simulation.rendering.materials import Coat, Flakes, Material, base_albedo, coated_reflectance
 from hyperpaint.simulation.rendering.painting import factor_spectra
 from hyperpaint.simulation.rendering.pigments import paint_spec
 from hyperpaint.simulation.rendering.platforms import pushbroom

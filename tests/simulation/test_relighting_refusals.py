@@ -19,11 +19,9 @@ from traced_scenes import (
 )
 
 import hyperpaint as hp
-from hyperpaint.errors import SchemaError
+from hyperpaint.base.errors import SchemaError
 from hyperpaint.simulation.rendering.bands import BandSet
-from hyperpaint.simulation.rendering.materials import (
-    Material,
-)
+from hyperpaint.simulation.rendering.materials import Material
 from hyperpaint.simulation.rendering.scene import plane
 
 SAMPLES = {"samples": 8, "seed": 3, "overcast": True}

@@ -9,7 +9,7 @@ import pytest
 import xarray as xr
 
 import hyperpaint as hp
-from hyperpaint.errors import PaintWarning, SchemaError
+from hyperpaint.base.errors import PaintWarning, SchemaError
 from hyperpaint.simulation.rendering.bands import BandSet
 from hyperpaint.simulation.rendering.four_curves import Atmosphere
 from hyperpaint.simulation.rendering.materials import Coat, Material, fresnel_reflectance, measured_factor

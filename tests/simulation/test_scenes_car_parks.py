@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hyperpaint.errors import SchemaError
+from hyperpaint.base.errors import SchemaError
 from hyperpaint.simulation.rendering.car_bodies import CAR_TYPES, car_body
 from hyperpaint.simulation.rendering.car_parks import NEIGHBOURS, car_park
 from hyperpaint.simulation.rendering.materials import Coat

@@ -13,7 +13,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from hyperpaint.errors import FormatError, MissingExtraError, PaintError, PaintWarning, SchemaError
+from hyperpaint.base.errors import FormatError, MissingExtraError, PaintError, PaintWarning, SchemaError
 from hyperpaint.simulation.rendering.glb_files import strip_glb
 from hyperpaint.simulation.rendering.materials import Material
 from hyperpaint.simulation.rendering.mesh_files import read_mesh

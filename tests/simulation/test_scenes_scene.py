@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hyperpaint.errors import PaintWarning, SchemaError
+from hyperpaint.base.errors import PaintWarning, SchemaError
 from hyperpaint.simulation.rendering.materials import Coat, Flakes, Material
 from hyperpaint.simulation.rendering.primitives import cuboid, polygon, put_together, smoothed, tube
 from hyperpaint.simulation.rendering.scene import PARTS, Factor, Instance, Scene, box, plane

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from hyperpaint.errors import SchemaError, StoreError
+from hyperpaint.base.errors import SchemaError, StoreError
 from hyperpaint.simulation import SimulationSettings, simulate_collect, simulate_line
 from hyperpaint.simulation.atmosphere import Sky
 from hyperpaint.simulation.paints import MATERIALS

@@ -12,8 +12,8 @@ import xarray as xr
 from click.testing import CliRunner
 
 from hyperpaint import cli
-from hyperpaint.errors import SchemaError, StoreError
-from hyperpaint.schema import SWEEP_VARIABLES
+from hyperpaint.base.errors import SchemaError, StoreError
+from hyperpaint.base.schema import SWEEP_VARIABLES
 from hyperpaint.simulation import (
     SimulationSettings,
     SweepSettings,

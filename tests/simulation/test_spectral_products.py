@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from traced_scenes import seen_by
 
-from hyperpaint.errors import SchemaError
+from hyperpaint.base.errors import SchemaError
 from hyperpaint.simulation.camera import Camera
 from hyperpaint.simulation.paints import CAR_PAINTS, reflectance
 from hyperpaint.simulation.rendering import spectral_products

@@ -17,8 +17,8 @@ import xarray as xr
 from traced_scenes import LOW_SUN, SUN, flight, two_cars
 
 import hyperpaint as hp
-from hyperpaint.errors import SchemaError
-from hyperpaint.schema import VARIABLES
+from hyperpaint.base.errors import SchemaError
+from hyperpaint.base.schema import VARIABLES
 from hyperpaint.simulation.rendering import tracing
 from hyperpaint.simulation.rendering.car_parks import car_park
 from hyperpaint.simulation.rendering.four_curves import preset_atmosphere

@@ -7,7 +7,7 @@ import pyproj
 import pytest
 from scipy.spatial.transform import Rotation
 
-from hyperpaint.errors import SchemaError
+from hyperpaint.base.errors import SchemaError
 from hyperpaint.simulation import SimulationSettings
 from hyperpaint.simulation.ellipsoid import LocalFrame
 from hyperpaint.simulation.flight import ORIGIN

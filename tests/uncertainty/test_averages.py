@@ -7,7 +7,7 @@ import pytest
 import xarray as xr
 from strategies import flight, with_noise
 
-from hyperpaint.errors import SchemaError
+from hyperpaint.base.errors import SchemaError
 from hyperpaint.radiometry import reflectance
 from hyperpaint.uncertainty import mean_uncertainty
 

@@ -11,7 +11,7 @@ import pytest
 import xarray as xr
 
 import hyperpaint as hp
-from hyperpaint.errors import PaintWarning, SchemaError
+from hyperpaint.base.errors import PaintWarning, SchemaError
 from hyperpaint.simulation import simulate_line
 from hyperpaint.uncertainty.photon_transfer import MOST_SAMPLES, estimate_noise
 

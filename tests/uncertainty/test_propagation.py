@@ -11,7 +11,7 @@ import xarray as xr
 from strategies import SHIFT, START, flight, stored, with_noise
 
 import hyperpaint as hp
-from hyperpaint.errors import SchemaError
+from hyperpaint.base.errors import SchemaError
 from hyperpaint.radiometry import Panel, radiance, reflectance
 from hyperpaint.simulation import simulate_line
 

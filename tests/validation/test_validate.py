@@ -12,7 +12,7 @@ import xarray as xr
 from agreeing_spectra import NM, agreeing, field, library, seen, smooth, value_of
 
 import hyperpaint as hp
-from hyperpaint.errors import PaintWarning, SchemaError, UnitsError
+from hyperpaint.base.errors import PaintWarning, SchemaError, UnitsError
 from hyperpaint.simulation import simulate_line
 from hyperpaint.validation.detectors import join_detectors
 

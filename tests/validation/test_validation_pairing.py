@@ -10,7 +10,7 @@ import xarray as xr
 from agreeing_spectra import NM, agreeing, field, library, seen
 
 import hyperpaint as hp
-from hyperpaint.errors import PaintWarning, SchemaError
+from hyperpaint.base.errors import PaintWarning, SchemaError
 
 FIELD_NM = np.arange(380.0, 1021.0)
 LEVEL = seen(FIELD_NM, 3.0)

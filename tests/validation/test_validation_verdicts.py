@@ -7,7 +7,7 @@ import pytest
 from agreeing_spectra import NM, agreeing, field, library, seen, smooth, value_of
 
 import hyperpaint as hp
-from hyperpaint.errors import SchemaError
+from hyperpaint.base.errors import SchemaError
 
 
 def test_a_part_that_is_asked_for_needs_bands() -> None:

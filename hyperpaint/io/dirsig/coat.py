@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from hyperpaint.errors import Problems, SchemaError
-from hyperpaint.mirrored_light import EXCLUDED, INCLUDED, mirror_reflection
+from hyperpaint.base.errors import Problems, SchemaError
+from hyperpaint.base.mirrored_light import EXCLUDED, INCLUDED, mirror_reflection
 
 if TYPE_CHECKING:
     import xarray as xr

@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from hyperpaint.errors import PaintWarning, Problems, SchemaError
-from hyperpaint.schema import LIBRARY_VARIABLES, PAINT, require
+from hyperpaint.base.errors import PaintWarning, Problems, SchemaError
+from hyperpaint.base.schema import LIBRARY_VARIABLES, PAINT, require
 
 from .coat import Coat, coat_of
 from .emissivity_text import CURVE_BEGIN, ColumnText, emissivity_head

@@ -23,9 +23,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
-from hyperpaint.errors import FormatError, Problems
+from hyperpaint.base.errors import FormatError, Problems
+from hyperpaint.base.schema import BAND, LIBRARY_VARIABLES, MEMBER, PAINT
 from hyperpaint.io.reading import read_limited_text
-from hyperpaint.schema import BAND, LIBRARY_VARIABLES, MEMBER, PAINT
 
 from .emissivity_text import CURVE_BEGIN
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from hyperpaint.errors import SchemaError
+from hyperpaint.base.errors import SchemaError
 
 __all__ = ["CURVE_BEGIN", "DECIMALS", "WAVELENGTH_DECIMALS", "ColumnText", "emissivity_head"]
 

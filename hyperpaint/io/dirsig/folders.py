@@ -10,7 +10,7 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-from hyperpaint.errors import FormatError, StoreError
+from hyperpaint.base.errors import FormatError, StoreError
 from hyperpaint.io.publishing import published_folder
 from hyperpaint.io.reading import read_limited
 

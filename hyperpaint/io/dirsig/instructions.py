@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 from xml.sax.saxutils import escape, quoteattr
 
-from hyperpaint.mirrored_light import INCLUDED
+from hyperpaint.base.mirrored_light import INCLUDED
 
 from .material_list import Section
 

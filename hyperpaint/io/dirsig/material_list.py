@@ -16,7 +16,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from hyperpaint.errors import FormatError, Problems
+from hyperpaint.base.errors import FormatError, Problems
 from hyperpaint.io.reading import decoded_text, read_limited_text
 
 __all__ = ["Material", "Section", "materials_text", "read_materials"]

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from hyperpaint.errors import PaintWarning, SchemaError
-from hyperpaint.schema import BAND, LIBRARY_VARIABLES, PAINT, Variable, require
+from hyperpaint.base.errors import PaintWarning, SchemaError
+from hyperpaint.base.schema import BAND, LIBRARY_VARIABLES, PAINT, Variable, require
 
 from .emissivity_text import WAVELENGTH_DECIMALS
 

@@ -15,9 +15,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from hyperpaint.errors import FormatError, PaintWarning, Problems
+from hyperpaint.base.errors import FormatError, PaintWarning, Problems
+from hyperpaint.base.schema import BAND, PAINT
 from hyperpaint.io.publishing import published_files
-from hyperpaint.schema import BAND, PAINT
 
 from .metadata import metadata_path, metadata_text, read_metadata
 from .records import CENTRE, Key, blocks_of, names_of, placements, spectral_variables, with_metadata

@@ -13,8 +13,8 @@ from typing import Any
 
 import numpy as np
 
-from hyperpaint.errors import FormatError, Problems
-from hyperpaint.schema import LIBRARY_VARIABLES, PAINT
+from hyperpaint.base.errors import FormatError, Problems
+from hyperpaint.base.schema import LIBRARY_VARIABLES, PAINT
 
 from .metadata import typed_values
 from .spectra import FloatArray, Spectra, reflectances, text_column

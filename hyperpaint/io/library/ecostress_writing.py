@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from hyperpaint.errors import Problems, SchemaError
+from hyperpaint.base.errors import Problems, SchemaError
+from hyperpaint.base.schema import PAINT
 from hyperpaint.io.publishing import published_folder
-from hyperpaint.schema import PAINT
 
 from .ecostress import METADATA
 from .records import CENTRE, names_of

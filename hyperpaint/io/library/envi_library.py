@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from hyperpaint.errors import FormatError, PaintWarning, Problems
+from hyperpaint.base.errors import FormatError, PaintWarning, Problems
 from hyperpaint.io.envi import find_pair
 from hyperpaint.io.envi_grammar import bare
 from hyperpaint.io.envi_header import MAX_LIBRARY_HEADER_BYTES, EnviHeader, read_header

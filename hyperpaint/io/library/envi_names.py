@@ -9,7 +9,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator, Sequence
 
-from hyperpaint.errors import FormatError
+from hyperpaint.base.errors import FormatError
 
 from .records import CENTRE, Key
 

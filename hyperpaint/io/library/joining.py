@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from hyperpaint.errors import FormatError, Problems
-from hyperpaint.schema import BAND, PAINT
+from hyperpaint.base.errors import FormatError, Problems
+from hyperpaint.base.schema import BAND, PAINT
 
 from .spectra import text_column, with_numbers_as_data
 

@@ -16,9 +16,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from hyperpaint.errors import FormatError, Problems, SchemaError
+from hyperpaint.base.errors import FormatError, Problems, SchemaError
+from hyperpaint.base.schema import BAND, PAINT, quality_attrs
 from hyperpaint.io.reading import read_limited
-from hyperpaint.schema import BAND, PAINT, quality_attrs
 
 from .spectra import text_column
 

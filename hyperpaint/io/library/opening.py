@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from hyperpaint.errors import FormatError, Problems, StoreError
+from hyperpaint.base.errors import FormatError, Problems, StoreError
 from hyperpaint.io.file_patterns import is_pattern, matching_files
 
 from .csv_library import is_csv_library, read_csv_library

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from hyperpaint.errors import FormatError, Problems
+from hyperpaint.base.errors import FormatError, Problems
 
 from .spectra import FloatArray, Spectra, reflectances
 from .text_spectra import in_nanometres, lines_of, number, wavelength_factor

@@ -14,9 +14,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from hyperpaint import schema
-from hyperpaint.errors import FormatError, Problems, SchemaError
-from hyperpaint.schema import BAND, LIBRARY_VARIABLES, MEMBER, PAINT
+from hyperpaint.base import schema
+from hyperpaint.base.errors import FormatError, Problems, SchemaError
+from hyperpaint.base.schema import BAND, LIBRARY_VARIABLES, MEMBER, PAINT
 
 from .spectra import SingleArray, text_column
 

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from hyperpaint.errors import FormatError, PaintWarning
-from hyperpaint.schema import BAND, LIBRARY_VARIABLES, PAINT, quality_attrs
+from hyperpaint.base.errors import FormatError, PaintWarning
+from hyperpaint.base.schema import BAND, LIBRARY_VARIABLES, PAINT, quality_attrs
 
 if TYPE_CHECKING:
     import xarray as xr

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from hyperpaint.errors import FormatError
+from hyperpaint.base.errors import FormatError
 
 from .spectra import FloatArray, Spectra, reflectances, text_column
 from .text_spectra import in_nanometres, lines_of, numbers_of_lines, wavelength_factor

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from hyperpaint.errors import FormatError
+from hyperpaint.base.errors import FormatError
 
 from .csv_library import write_csv_library
 from .ecostress_writing import write_ecostress_library

@@ -7,9 +7,9 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from hyperpaint.errors import FormatError
+from hyperpaint.base.errors import FormatError
+from hyperpaint.base.schema import LIBRARY_VARIABLES, PAINT
 from hyperpaint.io.store import list_groups, open_store, to_store
-from hyperpaint.schema import LIBRARY_VARIABLES, PAINT
 
 if TYPE_CHECKING:
     import xarray as xr

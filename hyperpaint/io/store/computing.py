@@ -16,8 +16,8 @@ from collections.abc import Generator, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, NoReturn
 
-from hyperpaint.errors import PaintError, StoreError
-from hyperpaint.schema import ALONG_TRACK
+from hyperpaint.base.errors import PaintError, StoreError
+from hyperpaint.base.schema import ALONG_TRACK
 
 from .progress import BlockBar, bar_over_blocks
 

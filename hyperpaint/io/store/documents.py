@@ -17,7 +17,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, TypeGuard
 
-from hyperpaint.errors import IncompleteStoreError, Problems, StoreError
+from hyperpaint.base.errors import IncompleteStoreError, Problems, StoreError
 
 __all__ = ["MOST_JSON_BYTES", "ChunkForm", "array_form", "check_node", "parse_document"]
 
@@ -211,7 +211,7 @@ def array_form(document: Mapping[str, Any], where: str) -> ChunkForm:
     >>> array_form({"shape": [64], "data_type": "uint16", "fill_value": 0, "codecs": codecs,
     ...             "chunk_grid": {"name": "regular", "configuration": {"chunk_shape": [32]}}}, "counts")
     Traceback (most recent call last):
-    hyperpaint.errors.StoreError: counts will not be read:
+    hyperpaint.base.errors.StoreError: counts will not be read:
       codec 'numcodecs.pickle'; expected bytes, vlen-utf8, transpose, blosc, zstd, gzip or crc32c
     """
     problems = Problems(f"{where} will not be read", StoreError)

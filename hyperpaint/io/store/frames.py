@@ -9,7 +9,7 @@ from __future__ import annotations
 import zlib
 from typing import TYPE_CHECKING, Any
 
-from hyperpaint.errors import StoreError
+from hyperpaint.base.errors import StoreError
 
 from .documents import COMPRESSORS, MOST_TEXT_BYTES
 

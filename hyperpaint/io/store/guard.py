@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Any
 from zarr.core.buffer import default_buffer_prototype
 from zarr.storage import FsspecStore, LocalStore
 
-from hyperpaint.errors import IncompleteStoreError, StoreError
+from hyperpaint.base.errors import IncompleteStoreError, StoreError
 
 from .blocks import region
 from .documents import MOST_JSON_BYTES, ChunkForm, check_node, parse_document

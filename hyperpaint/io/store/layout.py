@@ -15,8 +15,8 @@ import math
 from collections.abc import Hashable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
-from hyperpaint.errors import Problems, StoreError
-from hyperpaint.schema import ALONG_TRACK, CHUNK_LINES, TIME_UNITS
+from hyperpaint.base.errors import Problems, StoreError
+from hyperpaint.base.schema import ALONG_TRACK, CHUNK_LINES, TIME_UNITS
 
 if TYPE_CHECKING:
     import numpy as np

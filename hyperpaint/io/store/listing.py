@@ -11,8 +11,8 @@ import warnings
 from collections.abc import Iterable, Iterator, Mapping
 from typing import Any
 
-from hyperpaint.errors import IncompleteStoreError
-from hyperpaint.schema import FORMAT_VERSION
+from hyperpaint.base.errors import IncompleteStoreError
+from hyperpaint.base.schema import FORMAT_VERSION
 
 from .location import METADATA, Location, sync_folder
 from .record import ATTRIBUTES, COMPLETE, GroupRecord, metadata_checksum, read_record, sealed_attributes

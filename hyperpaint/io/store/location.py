@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from hyperpaint.errors import IncompleteStoreError, MissingExtraError, StoreError
+from hyperpaint.base.errors import IncompleteStoreError, MissingExtraError, StoreError
 
 from .documents import MOST_JSON_BYTES, parse_document
 

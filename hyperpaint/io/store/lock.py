@@ -13,7 +13,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, BinaryIO
 
-from hyperpaint.errors import StoreError
+from hyperpaint.base.errors import StoreError
 
 __all__ = ["locked"]
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-from hyperpaint.errors import IncompleteStoreError
+from hyperpaint.base.errors import IncompleteStoreError
 
 from .listing import groups_above, has_all_chunks, is_damaged
 from .location import METADATA, Location

@@ -9,7 +9,7 @@ from __future__ import annotations
 import os
 from typing import TYPE_CHECKING, Any
 
-from hyperpaint.errors import IncompleteStoreError, StoreError
+from hyperpaint.base.errors import IncompleteStoreError, StoreError
 
 from .documents import check_node
 from .location import Location, clean_group

@@ -18,8 +18,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
-from hyperpaint.errors import IncompleteStoreError, StoreError
-from hyperpaint.schema import FORMAT_VERSION
+from hyperpaint.base.errors import IncompleteStoreError, StoreError
+from hyperpaint.base.schema import FORMAT_VERSION
 
 from .location import Location
 

@@ -15,7 +15,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from hyperpaint.errors import PaintError, StoreError
+from hyperpaint.base.errors import PaintError, StoreError
 
 from .durability import at_once, start_flush
 from .location import plain_file

@@ -11,8 +11,8 @@ from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from hyperpaint.base.errors import PaintError, StoreError
 from hyperpaint.budget import MARGIN, size_text
-from hyperpaint.errors import PaintError, StoreError
 
 from .layout import storage_chunks
 from .location import Location

@@ -27,7 +27,7 @@ from collections.abc import Collection, Iterator
 from pathlib import Path
 from urllib.parse import quote, unquote
 
-from hyperpaint.errors import StoreError
+from hyperpaint.base.errors import StoreError
 
 from .listing import groups_above, make_groups_above
 from .location import METADATA, Location, clean_group, sync_folder

@@ -8,7 +8,7 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Any
 
-from hyperpaint.errors import StoreError
+from hyperpaint.base.errors import StoreError
 
 from .blocks import region
 from .documents import check_node

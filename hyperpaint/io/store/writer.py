@@ -10,9 +10,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
+from hyperpaint.base.errors import Problems, StoreError
+from hyperpaint.base.schema import FORMAT_VERSION
 from hyperpaint.budget import check_memory, limited_threads
-from hyperpaint.errors import Problems, StoreError
-from hyperpaint.schema import FORMAT_VERSION
 
 from . import blocks, computing, layout
 from .durability import flush_group

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hyperpaint.errors import Problems, SchemaError
+from hyperpaint.base.errors import Problems, SchemaError
 from hyperpaint.simulation.sensor import SHAPES, Imager, line_shape
 from hyperpaint.simulation.settings import SimulationSettings
 

@@ -15,7 +15,7 @@ from typing import Literal
 
 import numpy as np
 
-from hyperpaint.errors import Problems, SchemaError
+from hyperpaint.base.errors import Problems, SchemaError
 from hyperpaint.simulation.paints import PANELS
 
 from .car_bodies import CAR_TYPES, car_body

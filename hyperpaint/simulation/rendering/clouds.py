@@ -23,7 +23,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from hyperpaint.errors import Problems, SchemaError
+from hyperpaint.base.errors import Problems, SchemaError
 
 if TYPE_CHECKING:
     from .four_curves import Atmosphere

@@ -17,9 +17,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from hyperpaint.errors import Problems, SchemaError
+from hyperpaint.base.errors import Problems, SchemaError
+from hyperpaint.base.units import convert
 from hyperpaint.simulation.atmosphere import spectral_grid
-from hyperpaint.units import convert
 
 from .clear_skies import built_in_sky, check_wavelengths, spectrl2_sky
 from .haze import HAZE, Haze

@@ -11,7 +11,7 @@ import struct
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
-from hyperpaint.errors import FormatError
+from hyperpaint.base.errors import FormatError
 
 __all__ = ["Stripped", "strip_glb"]
 

@@ -19,7 +19,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from hyperpaint.errors import Problems, SchemaError
+from hyperpaint.base.errors import Problems, SchemaError
 
 __all__ = ["HAZE", "Haze"]
 

@@ -22,7 +22,7 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
-from hyperpaint.errors import PaintWarning, Problems, SchemaError
+from hyperpaint.base.errors import PaintWarning, Problems, SchemaError
 
 __all__ = [
     "KINDS",

@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from hyperpaint.errors import FormatError, PaintWarning, Problems, SchemaError, UnitsError
-from hyperpaint.schema import require
-from hyperpaint.units import conversion_factor
+from hyperpaint.base.errors import FormatError, PaintWarning, Problems, SchemaError, UnitsError
+from hyperpaint.base.schema import require
+from hyperpaint.base.units import conversion_factor
 
 from .clear_skies import check_wavelengths
 

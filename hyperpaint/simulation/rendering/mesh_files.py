@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hyperpaint.errors import FormatError, MissingExtraError, SchemaError
+from hyperpaint.base.errors import FormatError, MissingExtraError, SchemaError
 
 from .glb_files import strip_glb
 from .materials import Material

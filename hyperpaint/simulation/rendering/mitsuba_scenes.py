@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from hyperpaint.errors import MissingExtraError, PaintWarning, Problems, SchemaError
+from hyperpaint.base.errors import MissingExtraError, PaintWarning, Problems, SchemaError
 
 from .bands import BandSet
 from .materials import internal_reflectance

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from hyperpaint.errors import FormatError
+from hyperpaint.base.errors import FormatError
 
 __all__ = ["RawTriangles", "parse_obj"]
 

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hyperpaint.errors import PaintError, Problems, SchemaError
-from hyperpaint.units import convert
+from hyperpaint.base.errors import PaintError, Problems, SchemaError
+from hyperpaint.base.units import convert
 
 from .bands import BandSet
 from .materials import Flakes, measured_factor

@@ -19,7 +19,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from hyperpaint.errors import SchemaError
+from hyperpaint.base.errors import SchemaError
 
 __all__ = [
     "FIRST_SUN",

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hyperpaint.errors import Problems, SchemaError
+from hyperpaint.base.errors import Problems, SchemaError
 
 from .primitives import Mesh, cuboid, polygon, put_together, uniform
 

@@ -17,7 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from hyperpaint.errors import SchemaError
+from hyperpaint.base.errors import SchemaError
 from hyperpaint.simulation.paints import Bump, Edge, Feature, Paint
 
 from .materials import Coat, Flakes, Material, coated_reflectance

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from hyperpaint.errors import Problems, SchemaError
+from hyperpaint.base.errors import Problems, SchemaError
 
 from .platform_geometry import MOST_COLUMNS, MOST_LINES, START, STEEPEST, Platform, finite_floats
 from .rotations import interpolate, matrices, quaternions, turns

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from hyperpaint.errors import FormatError
+from hyperpaint.base.errors import FormatError
 
 __all__ = ["check_ply"]
 

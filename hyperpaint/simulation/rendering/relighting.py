@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any, cast
 import numpy as np
 import numpy.typing as npt
 
-from hyperpaint.errors import Problems, SchemaError
-from hyperpaint.schema import (
+from hyperpaint.base.errors import Problems, SchemaError
+from hyperpaint.base.schema import (
     ALONG_TRACK,
     BAND,
     CHUNK_LINES,

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from hyperpaint.errors import PaintWarning, Problems, SchemaError
+from hyperpaint.base.errors import PaintWarning, Problems, SchemaError
 
 from .materials import Material
 

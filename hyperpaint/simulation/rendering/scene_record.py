@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hyperpaint.errors import Problems, SchemaError
+from hyperpaint.base.errors import Problems, SchemaError
 
 from .materials import KINDS, Coat, Flakes, Material
 from .path_codes import MOST_SUNS, PathCodes

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hyperpaint.errors import SchemaError
-from hyperpaint.schema import IRRADIANCE_TIME, IRRADIANCE_WAVELENGTH, VARIABLES, dtype_of
+from hyperpaint.base.errors import SchemaError
+from hyperpaint.base.schema import IRRADIANCE_TIME, IRRADIANCE_WAVELENGTH, VARIABLES, dtype_of
 from hyperpaint.simulation.sensor import convolve_gaussian
 
 from .band_responses import cell_means

@@ -13,7 +13,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from hyperpaint.errors import SchemaError
+from hyperpaint.base.errors import SchemaError
 from hyperpaint.simulation.paints import CAR_PAINTS, MATERIALS, Bump, Edge, Paint, Plain
 
 from .pigments import aluminium, parse_name, pigments_of, seen_through_coat
@@ -85,7 +85,7 @@ def spectrum_of(name: str) -> Spectrum:
     True
     >>> spectrum_of("panel_21")
     Traceback (most recent call last):
-    hyperpaint.errors.SchemaError: there is no spectrum 'panel_21'; did you mean 'panel_20'?
+    hyperpaint.base.errors.SchemaError: there is no spectrum 'panel_21'; did you mean 'panel_20'?
     """
     generated = parse_name(name)
     if generated is not None:

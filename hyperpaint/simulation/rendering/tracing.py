@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from hyperpaint.errors import SchemaError
-from hyperpaint.schema import (
+from hyperpaint.base.errors import SchemaError
+from hyperpaint.base.schema import (
     ALONG_TRACK,
     CHUNK_LINES,
     CROSS_TRACK,

@@ -16,7 +16,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import hyperpaint as hp
-from hyperpaint.errors import PaintWarning, SchemaError
+from hyperpaint.base.errors import PaintWarning, SchemaError
 from hyperpaint.io.dirsig import open_emissivity, read_emissivity, read_materials, read_reflectance_text
 
 

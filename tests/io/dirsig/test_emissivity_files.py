@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hyperpaint.errors import FormatError, SchemaError
+from hyperpaint.base.errors import FormatError, SchemaError
 from hyperpaint.io.dirsig import open_emissivity, read_emissivity, read_reflectance_text
 from hyperpaint.io.dirsig.emissivity_text import ColumnText, emissivity_head
 

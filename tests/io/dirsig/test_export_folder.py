@@ -12,7 +12,7 @@ import pytest
 from dirsig_exports import BANDS, NM, files, library
 
 import hyperpaint as hp
-from hyperpaint.errors import FormatError, SchemaError, StoreError
+from hyperpaint.base.errors import FormatError, SchemaError, StoreError
 from hyperpaint.io.dirsig import read_emissivity, read_materials
 
 

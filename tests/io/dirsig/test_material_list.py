@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hyperpaint.errors import FormatError
+from hyperpaint.base.errors import FormatError
 from hyperpaint.io.dirsig import Section, materials_text, read_materials
 from hyperpaint.io.dirsig.plain_names import material_ids, material_names, plain_name
 

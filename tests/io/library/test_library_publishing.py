@@ -12,7 +12,7 @@ import pytest
 import xarray as xr
 
 import hyperpaint as hp
-from hyperpaint.errors import FormatError, StoreError
+from hyperpaint.base.errors import FormatError, StoreError
 from hyperpaint.io import publishing
 from hyperpaint.io.library import envi_writing
 

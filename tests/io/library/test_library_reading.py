@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import hyperpaint as hp
-from hyperpaint.errors import FormatError, PaintWarning, StoreError
+from hyperpaint.base.errors import FormatError, PaintWarning, StoreError
 
 HEADER = """ENVI
 samples = {samples}

@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 from library_examples import NAMES, make_library
 
 import hyperpaint as hp
-from hyperpaint.errors import FormatError, PaintWarning, SchemaError
+from hyperpaint.base.errors import FormatError, PaintWarning, SchemaError
 
 SPY_ON_NUMPY_2_5 = pytest.mark.filterwarnings("ignore:Setting the shape on a NumPy array:DeprecationWarning")
 

@@ -10,7 +10,7 @@ import pytest
 import xarray as xr
 
 import hyperpaint as hp
-from hyperpaint.errors import FormatError
+from hyperpaint.base.errors import FormatError
 
 pytestmark = pytest.mark.real_data
 

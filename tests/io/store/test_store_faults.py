@@ -19,7 +19,7 @@ import pytest
 import xarray as xr
 import zarr
 
-from hyperpaint.errors import IncompleteStoreError, StoreError
+from hyperpaint.base.errors import IncompleteStoreError, StoreError
 from hyperpaint.io.store import is_complete, list_groups, open_store, to_store, verify
 from hyperpaint.io.store.stage import staging
 

@@ -12,7 +12,7 @@ import zarr
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hyperpaint.errors import StoreError
+from hyperpaint.base.errors import StoreError
 from hyperpaint.io.store import layout
 
 

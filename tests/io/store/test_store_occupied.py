@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from hyperpaint.errors import StoreError
+from hyperpaint.base.errors import StoreError
 from hyperpaint.io.store import open_store, to_store, verify
 
 GROUP = "flightlines/raw_0"

@@ -20,7 +20,7 @@ import pytest
 import xarray as xr
 import zarr
 
-from hyperpaint.errors import IncompleteStoreError, MissingExtraError, PaintError, StoreError
+from hyperpaint.base.errors import IncompleteStoreError, MissingExtraError, PaintError, StoreError
 from hyperpaint.io.store import is_complete, list_groups, open_store, open_unverified, to_store, verify
 
 CUBE = ("along_track", "band", "cross_track")

@@ -21,7 +21,7 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from hyperpaint.errors import SchemaError, StoreError
+from hyperpaint.base.errors import SchemaError, StoreError
 from hyperpaint.io.store import open_store, to_store, verify
 
 CUBE = ("along_track", "band", "cross_track")

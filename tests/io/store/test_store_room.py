@@ -17,7 +17,7 @@ import pytest
 import xarray as xr
 
 from hyperpaint import budget
-from hyperpaint.errors import StoreError
+from hyperpaint.base.errors import StoreError
 from hyperpaint.io.store import durability, is_complete, resume, room, to_store, verify, writer
 from hyperpaint.io.store.room import check_disk, disk_needed
 

@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from hyperpaint.errors import StoreError
+from hyperpaint.base.errors import StoreError
 from hyperpaint.io.store import is_complete, open_store, stage, to_store, verify
 from hyperpaint.io.store import lock as locks
 from hyperpaint.io.store.stage import Staging, staging

@@ -15,7 +15,7 @@ import zarr
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hyperpaint.errors import IncompleteStoreError, StoreError
+from hyperpaint.base.errors import IncompleteStoreError, StoreError
 from hyperpaint.io import store as hp
 from hyperpaint.io.store import guard
 from hyperpaint.io.store.documents import MOST_CHUNKS, ChunkForm, array_form, parse_document

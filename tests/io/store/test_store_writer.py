@@ -17,7 +17,7 @@ import pytest
 import xarray as xr
 import zarr
 
-from hyperpaint.errors import StoreError
+from hyperpaint.base.errors import StoreError
 from hyperpaint.io.store import is_complete, list_groups, open_store, to_store, verify
 from hyperpaint.io.store.sources import reads_from
 

@@ -155,7 +155,7 @@ def conversion_factor(found: str, wanted: str) -> float:
     0.01
     >>> conversion_factor("W m-2 sr-1 nm-1", "W m-2 nm-1")
     Traceback (most recent call last):
-    hyperpaint.errors.UnitsError: units 'W m-2 sr-1 nm-1' are not convertible to 'W m-2 nm-1'; ...
+    hyperpaint.base.errors.UnitsError: units 'W m-2 sr-1 nm-1' are not convertible to 'W m-2 nm-1'; ...
     """
     if found == wanted:
         return 1.0

@@ -1,6 +1,6 @@
 """Problems of independent inputs, gathered so that one message lists them all.
 
-`hyperpaint.errors.Problems` lists the faults of one input as texts; `Findings` catches the errors that
+`hyperpaint.base.errors.Problems` lists the faults of one input as texts; `Findings` catches the errors that
 several inputs raise, keeps a lone one as it is, and lists more than one through `Problems`.
 """
 
@@ -10,7 +10,7 @@ import contextlib
 from collections.abc import Iterator
 from enum import Enum
 
-from hyperpaint.errors import CollectError, PaintError, Problems
+from .errors import CollectError, PaintError, Problems
 
 __all__ = ["Findings", "Unavailable"]
 

@@ -82,7 +82,7 @@ class Problems:
     1
     >>> problems.raise_if_any()
     Traceback (most recent call last):
-    hyperpaint.errors.SchemaError: array 'radiance' cannot be used as it is:
+    hyperpaint.base.errors.SchemaError: array 'radiance' cannot be used as it is:
       units 'W m-2', expected something like 'W m-2 sr-1 nm-1'
     """
 
