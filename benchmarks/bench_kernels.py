@@ -138,7 +138,7 @@ class MatchIrradiance:
         self._match(np.arange(-0.5, SMILE + 0.75, 0.5))
 
     def _match(self, nodes):
-        from hyperpaint.illumination import matched_series
+        from hyperpaint.light.illumination import matched_series
 
         matched_series(self.series, self.samples, 3.0, "gaussian", self.imager, nodes)
 

@@ -38,7 +38,6 @@ if TYPE_CHECKING:
         locate,
         spacing,
     )
-    from .illumination import Tilt, match_irradiance
     from .io.asd import open_asd
     from .io.control_points import read_control_points
     from .io.dirsig import write_dirsig
@@ -53,6 +52,8 @@ if TYPE_CHECKING:
     from .io.store import encoding, open_store, to_store, verify
     from .io.svc import open_svc
     from .laboratory import open_collect
+    from .light.illumination import Tilt, match_irradiance
+    from .light.sun import solar_position
     from .mixing import mix_paints, sample_paints, shade_paints
     from .navigation_checks import check_conventions, estimate_clock_offset, solve_boresight
     from .orthorectification import MapGrid, map_report, orthorectify
@@ -78,7 +79,6 @@ if TYPE_CHECKING:
     from .simulation.rendering.tracing import trace
     from .smoothing import smooth
     from .starter_paints import starter_library
-    from .sun import solar_position
     from .uncertainty import estimate_noise, mean_uncertainty
     from .validation import Validation, validate
 
@@ -91,7 +91,7 @@ _HOME = {
     "Region": "regions",
     "Regions": "regions",
     "SceneModel": "scene_model",
-    "Tilt": "illumination",
+    "Tilt": "light.illumination",
     "adjacency_figure": "plot_adjacency",
     "align_to_irradiance": "alignment",
     "apply_alignment": "alignment",
@@ -110,7 +110,7 @@ _HOME = {
     "library_overview": "plot_library",
     "flag": "flags",
     "locate": "georeference",
-    "match_irradiance": "illumination",
+    "match_irradiance": "light.illumination",
     "mean_uncertainty": "uncertainty",
     "mix_paints": "mixing",
     "map_report": "orthorectification",
@@ -144,7 +144,7 @@ _HOME = {
     "shade_paints": "mixing",
     "simulate_collect": "simulation",
     "smooth": "smoothing",
-    "solar_position": "sun",
+    "solar_position": "light.sun",
     "solve_boresight": "navigation_checks",
     "spacing": "georeference",
     "spectrum": "plot_spectra",

@@ -17,8 +17,8 @@ if TYPE_CHECKING:
     from .base.schema import Quality
     from .georeference import PinholeCamera
     from .georeference.poses import Interpolation
-    from .illumination import Tilt
     from .io.store import StoreReport
+    from .light.illumination import Tilt
     from .proposals import Proposals
     from .radiometry import Panel
     from .scene_model import SceneModel

@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 from .base import schema
 from .base.errors import SchemaError
-from .responses import band_spacing
+from .light.responses import band_spacing
 from .slabs import line_chunked
 
 if TYPE_CHECKING:

@@ -138,7 +138,7 @@ def flag(
     A grey plane, one pixel of it with 0.1 of the mirrored sun.
 
     >>> import numpy as np, xarray as xr
-    >>> from hyperpaint.sun import diffuse_fraction
+    >>> from hyperpaint.light.sun import diffuse_fraction
     >>> nm = np.linspace(400.0, 1000.0, 48)
     >>> seen = np.full((8, 48, 8), 0.3, np.float32)
     >>> seen[4, :, 4] += 0.1 * (1 - diffuse_fraction(nm, 30.0))

@@ -14,9 +14,9 @@ import numpy.typing as npt
 
 from .base.errors import PaintWarning, Problems, SchemaError, TimeError
 from .base.schema import Quality
-from .illumination import Smile, Tilt, matched_series, smile_cells
+from .light.illumination import Smile, Tilt, matched_series, smile_cells
+from .light.synchrony import LineLight, line_light
 from .slabs import QUANTISATION, Plan
-from .synchrony import LineLight, line_light
 from .uncertainty.propagation import error_terms
 
 __all__ = ["make_plan"]

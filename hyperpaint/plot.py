@@ -12,8 +12,8 @@ import numpy.typing as npt
 from .base import schema
 from .base.errors import SchemaError
 from .figures import label_for, new_figure, save_figure
+from .light.responses import band_spacing
 from .radiometry import reflectance
-from .responses import band_spacing
 
 if TYPE_CHECKING:
     import xarray as xr

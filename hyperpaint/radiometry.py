@@ -18,7 +18,7 @@ from .base import schema
 from .base.errors import Problems, SchemaError
 from .base.schema import ALONG_TRACK, BAND, CROSS_TRACK, IRRADIANCE_TIME, IRRADIANCE_WAVELENGTH, Quality
 from .base.units import convert
-from .illumination import Tilt
+from .light.illumination import Tilt
 from .planning import make_plan
 from .uncertainty.propagation import UNCERTAINTIES, uncertainty_inputs, with_uncertainty
 
@@ -375,7 +375,7 @@ def _cube_inputs(dataset: xr.Dataset, purpose: str) -> tuple[xr.DataArray, dict[
 
 def _light_inputs(dataset: xr.Dataset, tilt: Any) -> dict[str, Any]:
     """Return the irradiance and its companions, checked as far as their labels allow."""
-    from .synchrony import check_irradiance_times
+    from .light.synchrony import check_irradiance_times
 
     names = [*_LIGHT, IRRADIANCE_TIME, IRRADIANCE_WAVELENGTH]
     companions = ("irradiance_max_gap", "irradiance_clock_uncertainty")

@@ -15,8 +15,8 @@ import numpy as np
 import numpy.typing as npt
 
 from .base.schema import CHUNK_LINES, CUBE, Quality
-from .illumination import Smile
-from .synchrony import LineLight
+from .light.illumination import Smile
+from .light.synchrony import LineLight
 
 if TYPE_CHECKING:
     import dask.array as da

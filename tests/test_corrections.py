@@ -10,8 +10,8 @@ import xarray as xr
 
 import hyperpaint as hp
 from hyperpaint.base.errors import SchemaError
+from hyperpaint.light.sun import diffuse_fraction, solar_position
 from hyperpaint.simulation import simulate_line
-from hyperpaint.sun import diffuse_fraction, solar_position
 
 NM = np.linspace(400.0, 1000.0, 40)
 SKY = diffuse_fraction(NM, 35.0)

@@ -17,8 +17,8 @@ from hyperpaint import flagging, scene_model, signature_files
 from hyperpaint.base.quality_bits import Quality
 from hyperpaint.cli import main
 from hyperpaint.flagging import flag_line, is_flagged
+from hyperpaint.light.sun import diffuse_fraction, solar_position
 from hyperpaint.signature_files import write_signatures
-from hyperpaint.sun import diffuse_fraction, solar_position
 
 LINES, BANDS, COLUMNS = 48, 24, 40
 NM = np.linspace(420.0, 980.0, BANDS)
@@ -116,7 +116,7 @@ def test_the_command_flags_first(lot: Path, tmp_path: Path, surveys: list[dict[s
     assert int(flagged.n_excluded[0]) >= round(560 * glint) > 20
     assert int(unflagged.n_excluded[0]) == 0
     assert float(unflagged.quality_share.sum()) == 0
-    assert "clear sky of hyperpaint.sun" in flagged.attrs["flags"]
+    assert "clear sky of hyperpaint.light.sun" in flagged.attrs["flags"]
     assert unflagged.attrs["flags"] == "not looked for"
     # the same as by hand
     line = hp.open_store(lot, "flightlines/raw_0").paint.flag()

@@ -11,8 +11,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hyperpaint.base.errors import PaintWarning, SchemaError, UnitsError
-from hyperpaint.illumination import Tilt, match_irradiance, smile_cells
-from hyperpaint.sun import solar_position
+from hyperpaint.light.illumination import Tilt, match_irradiance, smile_cells
+from hyperpaint.light.sun import solar_position
 
 START = np.datetime64("2020-06-21T17:00", "ns")
 SAMPLES = np.arange(480.0, 621.0)

@@ -16,6 +16,7 @@ import hyperpaint as hp
 from hyperpaint.base.errors import SchemaError
 from hyperpaint.cli import main
 from hyperpaint.corrections import remove_mirrored_sky
+from hyperpaint.light.sun import diffuse_fraction
 from hyperpaint.proposals.footprints import hull_of
 from hyperpaint.proposals.pixel_outlines import outline
 from hyperpaint.regions import pixels_of
@@ -24,7 +25,6 @@ from hyperpaint.simulation.rendering.car_parks import car_park
 from hyperpaint.simulation.rendering.four_curves import Atmosphere
 from hyperpaint.simulation.rendering.platforms import pushbroom
 from hyperpaint.simulation.rendering.spectra import spectrum_of
-from hyperpaint.sun import diffuse_fraction
 
 ZENITH = 30.0
 NM = np.linspace(405.0, 995.0, 48)

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hyperpaint.base.errors import SchemaError
-from hyperpaint.responses import Responses, band_spacing, log_slope, matching_operator
+from hyperpaint.light.responses import Responses, band_spacing, log_slope, matching_operator
 
 SIGMA = 1 / (2 * np.sqrt(2 * np.log(2)))
 SAMPLES = np.arange(480.0, 621.0)

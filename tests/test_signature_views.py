@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 import hyperpaint as hp
 from hyperpaint import Region, extract_signatures
 from hyperpaint.base.schema import LIBRARY_VARIABLES, VARIABLES
-from hyperpaint.sun import solar_position
+from hyperpaint.light.sun import solar_position
 
 ANGLES = ("view_zenith", "view_azimuth", "relative_azimuth")
 

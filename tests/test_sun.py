@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hyperpaint.sun import air_mass, diffuse_fraction, solar_position
+from hyperpaint.light.sun import air_mass, diffuse_fraction, solar_position
 
 PLACES = [(43.08, -77.67), (-33.9, 151.2), (0.0, 0.0), (69.6, 18.9), (64.1, -21.9), (-54.8, -68.3)]
 

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from hyperpaint.base.errors import SchemaError, TimeError
 from hyperpaint.base.schema import Quality
-from hyperpaint.synchrony import line_light, timing_sensitivity
+from hyperpaint.light.synchrony import line_light, timing_sensitivity
 
 START = np.datetime64("2020-06-21T17:00", "ns")
 

@@ -11,7 +11,7 @@ import numpy.typing as npt
 from hyperpaint.base import schema
 from hyperpaint.base.errors import SchemaError
 from hyperpaint.base.schema import IRRADIANCE_TIME, IRRADIANCE_WAVELENGTH
-from hyperpaint.responses import Responses, log_slope
+from hyperpaint.light.responses import Responses, log_slope
 
 if TYPE_CHECKING:
     import xarray as xr

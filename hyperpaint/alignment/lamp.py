@@ -11,8 +11,8 @@ import numpy as np
 import numpy.typing as npt
 
 from hyperpaint.base.errors import SchemaError
-from hyperpaint.responses import GAUSSIAN_SIGMA, Matching, Responses, matching_operator
-from hyperpaint.synchrony import line_light
+from hyperpaint.light.responses import GAUSSIAN_SIGMA, Matching, Responses, matching_operator
+from hyperpaint.light.synchrony import line_light
 
 from .declared import Declared, Light
 

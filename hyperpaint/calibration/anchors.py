@@ -11,7 +11,7 @@ import numpy.typing as npt
 from hyperpaint.base.errors import PaintWarning, Problems, SchemaError
 from hyperpaint.base.schema import ALONG_TRACK, BAND, CROSS_TRACK, VARIABLES, label, require
 from hyperpaint.base.units import convert, same_dimension
-from hyperpaint.responses import Responses, log_slope
+from hyperpaint.light.responses import Responses, log_slope
 
 from .detector import coefficients_of, linearised
 

@@ -100,7 +100,7 @@ def open_irradiance(
         averaged), else 0.
     clock_uncertainty_s
         How far the clocks of camera and spectrometer may still disagree [s]. Without it they count as not
-        checked; see `hyperpaint.synchrony`.
+        checked; see `hyperpaint.light.synchrony`.
 
     Returns
     -------

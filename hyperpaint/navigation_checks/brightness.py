@@ -16,7 +16,7 @@ import numpy.typing as npt
 
 from hyperpaint.base.errors import TimeError
 from hyperpaint.base.schema import ALONG_TRACK, IRRADIANCE_TIME, IRRADIANCE_WAVELENGTH, require
-from hyperpaint.synchrony import check_irradiance_times
+from hyperpaint.light.synchrony import check_irradiance_times
 
 from .pictures import picture_of
 

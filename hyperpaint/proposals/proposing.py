@@ -166,7 +166,7 @@ def propose_regions(
     Examples
     --------
     >>> import numpy as np, xarray as xr
-    >>> from hyperpaint.sun import diffuse_fraction
+    >>> from hyperpaint.light.sun import diffuse_fraction
     >>> nm = np.linspace(400.0, 1000.0, 24)
     >>> sky = 0.04 * diffuse_fraction(nm, 30.0)[:, None]
     >>> seen = np.full((60, 24, 100), 0.1)  # ground

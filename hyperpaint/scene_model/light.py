@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hyperpaint.base.errors import MissingExtraError, SchemaError
-from hyperpaint.sun import diffuse_fraction, solar_position
+from hyperpaint.light.sun import diffuse_fraction, solar_position
 
 from .model import SHADED
 
@@ -106,7 +106,7 @@ def diffuse_from_clear_sky(source: str, wavelength: Float, zenith: float) -> Flo
     except ImportError as error:
         needed = MissingExtraError.of("pvlib", "sim", "the direct/diffuse split of SPECTRL2")
         raise needed from error
-    from hyperpaint.sun import air_mass
+    from hyperpaint.light.sun import air_mass
 
     made: Any = spectrl2(
         apparent_zenith=zenith,

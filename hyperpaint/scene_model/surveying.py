@@ -69,7 +69,7 @@ def survey(
         A flight line with ``reflectance`` (along_track, band, cross_track) [1] and ``wavelength``. Time,
         latitude, longitude and heading, where it has them, tell where the sun stands in the image.
     diffuse
-        Where the diffuse part of the irradiance is known from: "model", the clear sky of `hyperpaint.sun`;
+        Where the diffuse part of the irradiance is known from: "model", the clear sky of `hyperpaint.light.sun`;
         "pvlib", SPECTRL2 (extra ``sim``); "shadow", a cast shadow on the ground in the image itself, as far
         as one is found; or a measured spectrum (band,) or with a coordinate ``wavelength``, such as a reading
         in the shade of a small disc over that in full light.
@@ -218,7 +218,7 @@ def _fraction(
         msg = f"diffuse='shadow' finds shadows by the light of a clear sky, to start from: {error}"
         raise SchemaError(msg) from error
     text = {
-        "model": f"clear sky of hyperpaint.sun, sun at {zenith:.1f} degrees from the zenith",
+        "model": f"clear sky of hyperpaint.light.sun, sun at {zenith:.1f} degrees from the zenith",
         "pvlib": f"SPECTRL2 of pvlib, sun at {zenith:.1f} degrees from the zenith",
         "shadow": "cast shadow in the image",
     }

@@ -9,8 +9,8 @@ import numpy as np
 import numpy.typing as npt
 
 from hyperpaint.base.schema import BAND, Quality
+from hyperpaint.light.sun import solar_position
 from hyperpaint.regions.placement import Pixels
-from hyperpaint.sun import solar_position
 from hyperpaint.uncertainty.propagation import NONE_KNOWN, UNCERTAINTIES
 
 from .independence import effective_pixels

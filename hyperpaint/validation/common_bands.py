@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from hyperpaint.responses import Responses, matching_operator
+from hyperpaint.light.responses import Responses, matching_operator
 
 from .spectra import Measured
 
@@ -35,7 +35,7 @@ class Operator:
     coverage : (band,)
         Part of a band's response that the channels see [1]; 0 where channels are missing in its midst.
     misfit, noise_gain : (band,)
-        As of `hyperpaint.responses.Matching`.
+        As of `hyperpaint.light.responses.Matching`.
     """
 
     weights: Float | None

@@ -112,7 +112,7 @@ def validate(
     -----
     The finer spectrum is brought onto the bands of the coarser one, mostly the signature's: weights on its
     channels reproduce the response of each band, the channels' own width considered
-    (`hyperpaint.responses.matching_operator`; Gaussian line shapes). A band that they see less than 99.9 % of
+    (`hyperpaint.light.responses.matching_operator`; Gaussian line shapes). A band that they see less than 99.9 % of
     is left out and counted, so that nothing is renormalised over what is missing; so is one that is too sharp
     for them, whose noise they would multiply by more than 3. Where detectors overlap, and wavelengths fall,
     each serves to the middle of the overlap, 987 nm of an SVC; ``open_svc(..., overlap="trim", joins=)``

@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 import xarray as xr
 
-from hyperpaint.sun import diffuse_fraction
+from hyperpaint.light.sun import diffuse_fraction
 
 __all__ = ["as_line", "bonnet", "box_shadow", "smooth_edge", "wall_beside_plane", "wavelengths"]
 

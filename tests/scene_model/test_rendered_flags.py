@@ -8,11 +8,11 @@ import xarray as xr
 
 import hyperpaint as hp
 from hyperpaint.base.schema import Quality
+from hyperpaint.light.sun import diffuse_fraction
 from hyperpaint.simulation.rendering.car_parks import car_park
 from hyperpaint.simulation.rendering.four_curves import Atmosphere
 from hyperpaint.simulation.rendering.materials import KINDS
 from hyperpaint.simulation.rendering.platforms import pushbroom
-from hyperpaint.sun import diffuse_fraction
 
 ZENITH, AZIMUTH = 34.07, 94.19
 

@@ -13,6 +13,7 @@ import xarray as xr
 import hyperpaint as hp
 from hyperpaint.base.errors import SchemaError
 from hyperpaint.base.schema import Quality
+from hyperpaint.light.sun import diffuse_fraction
 from hyperpaint.scene_model.channels import (
     channel_noise,
     channel_numbers,
@@ -24,7 +25,6 @@ from hyperpaint.scene_model.model import LIT, SHADED, SceneModel
 from hyperpaint.scene_model.neighbours import coloured
 from hyperpaint.scene_model.references import Light
 from hyperpaint.scene_model.segments import divide, touching
-from hyperpaint.sun import diffuse_fraction
 
 sys.path.insert(0, str(Path(__file__).parent))
 from analytic_scenes import as_line, bonnet, box_shadow, smooth_edge, wavelengths

@@ -14,9 +14,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from .base import schema
-from .base.errors import PaintWarning, Problems, SchemaError
-from .base.units import convert
+from hyperpaint.base import schema
+from hyperpaint.base.errors import PaintWarning, Problems, SchemaError
+from hyperpaint.base.units import convert
+
 from .responses import Matching, Responses, log_slope, matching_operator
 from .sun import diffuse_fraction, solar_position
 
@@ -48,7 +49,7 @@ class Tilt:
     ground_reflectance
         Reflectance of what fills the rest of its view [1].
     diffuse_fraction : (band,)
-        Diffuse part of the global irradiance [1]; the clear-sky model of `hyperpaint.sun` by default.
+        Diffuse part of the global irradiance [1]; the clear-sky model of `hyperpaint.light.sun` by default.
 
     Raises
     ------
@@ -234,7 +235,7 @@ def match_irradiance(
 
     Notes
     -----
-    The operator is that of `hyperpaint.responses.matching_operator`. Its rows sum to 1, so that a constant
+    The operator is that of `hyperpaint.light.responses.matching_operator`. Its rows sum to 1, so that a constant
     irradiance passes unchanged.
 
     Examples

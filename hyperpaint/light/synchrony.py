@@ -13,8 +13,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from .base.errors import Problems, SchemaError, TimeError
-from .base.schema import Quality
+from hyperpaint.base.errors import Problems, SchemaError, TimeError
+from hyperpaint.base.schema import Quality
+
 from .sun import solar_position
 
 __all__ = ["LineLight", "check_irradiance_times", "line_light", "timing_sensitivity"]

@@ -15,8 +15,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from .base.errors import Problems, SchemaError
-from .base.schema import SRF_SHAPES
+from hyperpaint.base.errors import Problems, SchemaError
+from hyperpaint.base.schema import SRF_SHAPES
 
 __all__ = ["Matching", "Responses", "band_spacing", "log_slope", "matching_operator"]
 
