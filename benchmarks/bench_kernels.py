@@ -42,7 +42,7 @@ class Calibrate:
         self.time_smile_quality_rounding(lines)
 
     def _run(self, smile, quality, cleared_bits=0, terms=None):
-        from hyperpaint.slabs import calibrate_lines
+        from hyperpaint.radiometry.slabs import calibrate_lines
 
         plan = dataclasses.replace(self.plans[smile], cleared_bits=cleared_bits, error_terms=terms)
         cubes = () if terms is None else (self.u_random, self.u_systematic)

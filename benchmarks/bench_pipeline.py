@@ -73,7 +73,7 @@ class ToStore:
         import google_crc32c
         from numcodecs.blosc import BITSHUFFLE, Blosc
 
-        from hyperpaint.slabs import calibrate_lines
+        from hyperpaint.radiometry.slabs import calibrate_lines
 
         coder, encoder = Blosc(), Blosc("lz4", 5, BITSHUFFLE, typesize=4)
         counts, out = np.empty(_SLAB, np.uint16), np.empty(_SLAB, np.float32)

@@ -201,8 +201,8 @@ def counts_store(lines: int, *, smile: bool = False) -> Path:
 
 
 def plan_of(line: Any) -> Any:
-    """Return what the tasks of a flight line share (see `hyperpaint.slabs.Plan`), its values being loaded."""
-    from hyperpaint.planning import make_plan
+    """Return what the tasks of a flight line share (see `hyperpaint.radiometry.slabs.Plan`), its values being loaded."""
+    from hyperpaint.radiometry.planning import make_plan
 
     light = ("irradiance", "irradiance_fwhm", "irradiance_time", "irradiance_wavelength")
     cube = ("dark_counts", "radiance_gain", "exposure_time", "saturation_count", "read_noise", "time")
@@ -218,7 +218,7 @@ def plan_of(line: Any) -> Any:
 
 def error_terms_of_plan() -> Any:
     """Return what uncertainties follow from, every component being known."""
-    from hyperpaint.uncertainty.propagation import error_terms
+    from hyperpaint.radiometry.uncertainty.propagation import error_terms
 
     gain = instrument()["gain"]
     known = {

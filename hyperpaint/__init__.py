@@ -68,7 +68,9 @@ if TYPE_CHECKING:
     from .plot_spectra import spectrum, triptych
     from .plot_validation import validation_figure
     from .proposals import Proposals, propose_regions
-    from .radiometry import Panel, radiance, reflectance
+    from .radiometry.counts_to_reflectance import Panel, radiance, reflectance
+    from .radiometry.smoothing import smooth
+    from .radiometry.uncertainty import estimate_noise, mean_uncertainty
     from .regions import Region, Regions, read_regions, write_regions
     from .report import write_report
     from .scene_model import SceneModel, survey
@@ -77,16 +79,14 @@ if TYPE_CHECKING:
     from .simulation import simulate_collect
     from .simulation.rendering.relighting import relight
     from .simulation.rendering.tracing import trace
-    from .smoothing import smooth
     from .starter_paints import starter_library
-    from .uncertainty import estimate_noise, mean_uncertainty
     from .validation import Validation, validate
 
 __version__ = "0.1.0"
 
 _HOME = {
     "Convention": "base.attitude_conventions",
-    "Panel": "radiometry",
+    "Panel": "radiometry.counts_to_reflectance",
     "PinholeCamera": "georeference",
     "Region": "regions",
     "Regions": "regions",
@@ -102,7 +102,7 @@ _HOME = {
     "check_conventions": "navigation_checks",
     "encoding": "io.store",
     "estimate_clock_offset": "navigation_checks",
-    "estimate_noise": "uncertainty",
+    "estimate_noise": "radiometry.uncertainty",
     "extract_signatures": "signatures",
     "flag_overlay": "plot_flags",
     "footprint": "georeference",
@@ -111,7 +111,7 @@ _HOME = {
     "flag": "flags",
     "locate": "georeference",
     "match_irradiance": "light.illumination",
-    "mean_uncertainty": "uncertainty",
+    "mean_uncertainty": "radiometry.uncertainty",
     "mix_paints": "mixing",
     "map_report": "orthorectification",
     "MapGrid": "orthorectification",
@@ -130,11 +130,11 @@ _HOME = {
     "Proposals": "proposals",
     "propose_regions": "proposals",
     "quicklook": "plot",
-    "radiance": "radiometry",
+    "radiance": "radiometry.counts_to_reflectance",
     "read_certificate": "io.panel_certificate",
     "read_control_points": "io.control_points",
     "read_regions": "regions",
-    "reflectance": "radiometry",
+    "reflectance": "radiometry.counts_to_reflectance",
     "relight": "simulation.rendering.relighting",
     "remove_mirrored_sky": "corrections",
     "render_scene": "scene_rendering",
@@ -143,7 +143,7 @@ _HOME = {
     "search_library": "paint_search",
     "shade_paints": "mixing",
     "simulate_collect": "simulation",
-    "smooth": "smoothing",
+    "smooth": "radiometry.smoothing",
     "solar_position": "light.sun",
     "solve_boresight": "navigation_checks",
     "spacing": "georeference",

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from .io.store import StoreReport
     from .light.illumination import Tilt
     from .proposals import Proposals
-    from .radiometry import Panel
+    from .radiometry.counts_to_reflectance import Panel
     from .scene_model import SceneModel
     from .signatures.sources import Smoothing
     from .simulation.rendering.four_curves import Atmosphere
@@ -58,7 +58,7 @@ class PaintAccessor:
 
     def radiance(self, *, dims: Dims | None = None) -> xr.Dataset:
         """Add ``radiance`` and ``quality``; see `hyperpaint.radiance`."""
-        from .radiometry import radiance
+        from .radiometry.counts_to_reflectance import radiance
 
         return radiance(self._by_role(dims))
 
@@ -73,7 +73,7 @@ class PaintAccessor:
         dims: Dims | None = None,
     ) -> xr.Dataset:
         """Add ``reflectance``, ``quality`` and ``irradiance_age``; see `hyperpaint.reflectance`."""
-        from .radiometry import reflectance
+        from .radiometry.counts_to_reflectance import reflectance
 
         line = self._by_role(dims)
         return reflectance(
@@ -84,19 +84,19 @@ class PaintAccessor:
         self, method: str = "savitzky-golay", window: int = 11, *, order: int = 2, dims: Dims | None = None
     ) -> xr.Dataset:
         """Replace ``reflectance`` by its smoothed self; see `hyperpaint.smooth`."""
-        from .smoothing import smooth
+        from .radiometry.smoothing import smooth
 
         return smooth(self._by_role(dims), method, window, order=order)
 
     def at(self, wavelength: npt.ArrayLike, *, dims: Dims | None = None) -> xr.Dataset:
-        """Return the bands nearest to wavelengths [nm]; see `hyperpaint.bands.at`."""
-        from .bands import at
+        """Return the bands nearest to wavelengths [nm]; see `hyperpaint.radiometry.bands.at`."""
+        from .radiometry.bands import at
 
         return at(self._by_role(dims), wavelength)
 
     def to_nominal(self, *, dims: Dims | None = None) -> xr.Dataset:
-        """Return spectra with the smile taken out; see `hyperpaint.bands.to_nominal`."""
-        from .bands import to_nominal
+        """Return spectra with the smile taken out; see `hyperpaint.radiometry.bands.to_nominal`."""
+        from .radiometry.bands import to_nominal
 
         return to_nominal(self._by_role(dims))
 

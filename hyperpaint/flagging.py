@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from .bands import to_nominal
 from .base.schema import Quality
 from .flags import LAYERS, flag
+from .radiometry.bands import to_nominal
 from .scene_model import SceneModel, survey
 
 if TYPE_CHECKING:

@@ -14,9 +14,9 @@ import numpy.typing as npt
 from .base import schema
 from .base.errors import Problems, SchemaError
 from .base.schema import ALONG_TRACK, CROSS_TRACK, Quality
+from .radiometry.slabs import line_chunked
 from .scene_model import SceneModel, survey
 from .scene_model.channels import Progress, to_channels, to_nominal_channels
-from .slabs import line_chunked
 
 if TYPE_CHECKING:
     import xarray as xr

@@ -13,7 +13,7 @@ from .base import schema
 from .base.errors import SchemaError
 from .figures import label_for, new_figure, save_figure
 from .light.responses import band_spacing
-from .radiometry import reflectance
+from .radiometry.counts_to_reflectance import reflectance
 
 if TYPE_CHECKING:
     import xarray as xr

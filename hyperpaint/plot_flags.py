@@ -13,7 +13,7 @@ from .base.errors import SchemaError
 from .base.schema import ALONG_TRACK, CROSS_TRACK, Quality
 from .figures import axes_or_new, label_for
 from .plot import flags_of, rgb
-from .radiometry import reflectance
+from .radiometry.counts_to_reflectance import reflectance
 from .regions import Region
 
 if TYPE_CHECKING:

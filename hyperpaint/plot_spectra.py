@@ -14,7 +14,7 @@ from .base.errors import Problems, SchemaError
 from .base.schema import ALONG_TRACK, BAND, CROSS_TRACK, Quality
 from .figures import axes_or_new, label_for, new_figure, save_figure
 from .plot import known_quantiles
-from .radiometry import radiance, reflectance
+from .radiometry.counts_to_reflectance import radiance, reflectance
 from .regions import pixels_of, regions_from
 from .signatures import EXCLUDED, extract_signatures
 from .signatures.gathering import gather

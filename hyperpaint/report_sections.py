@@ -25,7 +25,7 @@ from .plot import draw_irradiance, draw_reflectance, flags_of
 from .plot_calibration import calibration_report
 from .plot_flags import background, draw_outlines, flag_overlay, flag_shares
 from .plot_library import find_usable, library_overview, paint_colours
-from .radiometry import reflectance
+from .radiometry.counts_to_reflectance import reflectance
 from .regions import Region, regions_from
 
 if TYPE_CHECKING:

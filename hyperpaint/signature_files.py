@@ -117,7 +117,7 @@ def _lines(
 ) -> tuple[dict[str, xr.Dataset], frozenset[str]]:
     """Return the flight lines that are wanted, all if none is named, and which have flags."""
     from .io.store import list_groups, open_store
-    from .radiometry import reflectance
+    from .radiometry.counts_to_reflectance import reflectance
 
     groups = [group for group in list_groups(store) if group.startswith("flightlines/")]
     names = [group.removeprefix("flightlines/") for group in groups]

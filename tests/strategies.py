@@ -15,7 +15,7 @@ import xarray as xr
 from hypothesis import strategies as st
 
 from hyperpaint.base import schema
-from hyperpaint.radiometry import reflectance
+from hyperpaint.radiometry.counts_to_reflectance import reflectance
 
 START = np.datetime64("2020-06-21T17:00:00", "ns")
 LINE_PERIOD = np.timedelta64(7_000_000, "ns")

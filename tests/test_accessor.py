@@ -15,7 +15,6 @@ from strategies import flight
 import hyperpaint as hp
 from hyperpaint import (
     alignment,
-    bands,
     corrections,
     flags,
     georeference,
@@ -24,15 +23,15 @@ from hyperpaint import (
     plot_flags,
     plot_spectra,
     proposals,
-    radiometry,
     scene_model,
     signatures,
-    smoothing,
 )
 from hyperpaint.accessor import PaintAccessor
 from hyperpaint.base import units
 from hyperpaint.base.errors import StoreError
 from hyperpaint.io import store
+from hyperpaint.radiometry import bands, smoothing
+from hyperpaint.radiometry import counts_to_reflectance as radiometry
 from hyperpaint.simulation.rendering import relighting
 
 FUNCTIONS: dict[str, Callable[..., Any]] = {

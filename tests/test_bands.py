@@ -9,9 +9,9 @@ import pytest
 import xarray as xr
 from strategies import flight
 
-from hyperpaint.bands import at, to_nominal
 from hyperpaint.base.errors import SchemaError
-from hyperpaint.radiometry import reflectance
+from hyperpaint.radiometry.bands import at, to_nominal
+from hyperpaint.radiometry.counts_to_reflectance import reflectance
 
 SHIFT = np.array([-1.3, 0.0, 0.4, 2.2])
 

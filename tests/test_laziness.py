@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from strategies import SHIFT, START, assert_same, chunkings, flight, stored, values
 
 from hyperpaint.base.errors import SchemaError
-from hyperpaint.radiometry import Panel, radiance, reflectance
+from hyperpaint.radiometry.counts_to_reflectance import Panel, radiance, reflectance
 
 
 @pytest.fixture(scope="module")

@@ -13,7 +13,7 @@ import pytest
 import xarray as xr
 from strategies import START, labelled
 
-from hyperpaint.radiometry import reflectance
+from hyperpaint.radiometry.counts_to_reflectance import reflectance
 
 GRID = np.arange(690.0, 840.0, 0.001)
 RHO = 0.4

@@ -10,9 +10,10 @@ import numpy as np
 import pint
 import pytest
 
-from hyperpaint import paper, radiometry
+from hyperpaint import paper
 from hyperpaint.base.units import conversion_factor, registry
 from hyperpaint.paper import Setup, Variant
+from hyperpaint.radiometry import counts_to_reflectance as radiometry
 
 RADIANCE, IRRADIANCE = 0.40 * 1.30 / np.pi, 1.30
 EXAMPLE = Setup()

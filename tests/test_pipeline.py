@@ -215,7 +215,7 @@ def test_values_that_cannot_be_are_found_before_writing(
         msg = "the gain cannot be"
         raise hp.SchemaError(msg)
 
-    monkeypatch.setattr("hyperpaint.radiometry.make_plan", refuse)
+    monkeypatch.setattr("hyperpaint.radiometry.counts_to_reflectance.make_plan", refuse)
     with pytest.raises(hp.CollectError, match="the gain cannot be") as caught:
         hp.process(collect, tmp_path / "lot.zarr")
     assert str(caught.value).count("the gain cannot be") == 2  # one for each line

@@ -10,7 +10,7 @@ import xarray as xr
 from strategies import START, flight, values
 
 from hyperpaint.base.schema import Quality
-from hyperpaint.radiometry import radiance, reflectance
+from hyperpaint.radiometry.counts_to_reflectance import radiance, reflectance
 
 
 def test_from_radiance_keeps_every_flag_that_was_set() -> None:

@@ -14,7 +14,13 @@ from strategies import SHIFT, START, assert_same, flight, labelled, values
 import hyperpaint as hp
 from hyperpaint.base.errors import PaintWarning, SchemaError, UnitsError
 from hyperpaint.base.schema import Quality
-from hyperpaint.radiometry import Panel, radiance, reflectance, subtract_dark, worked_example
+from hyperpaint.radiometry.counts_to_reflectance import (
+    Panel,
+    radiance,
+    reflectance,
+    subtract_dark,
+    worked_example,
+)
 
 # ------------------------------------------------------------------------------------------ the equations
 

@@ -10,7 +10,7 @@ from strategies import START, assert_same, flight, values
 
 from hyperpaint.base.errors import SchemaError, TimeError
 from hyperpaint.base.schema import Quality
-from hyperpaint.radiometry import reflectance
+from hyperpaint.radiometry.counts_to_reflectance import reflectance
 
 
 @pytest.mark.parametrize("line_unit", ["s", "ms", "us", "ns"])

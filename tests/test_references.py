@@ -9,7 +9,7 @@ import pytest
 import xarray as xr
 
 from hyperpaint.base import schema
-from hyperpaint.radiometry import subtract_dark
+from hyperpaint.radiometry.counts_to_reflectance import subtract_dark
 
 pytest.importorskip(
     "h5netcdf", reason="the Specim sample is netCDF: python -m pip install 'hyperpaint[test]'"

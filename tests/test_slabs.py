@@ -9,8 +9,8 @@ import numpy as np
 import xarray as xr
 from strategies import flight
 
-from hyperpaint import slabs
-from hyperpaint.planning import make_plan
+from hyperpaint.radiometry import slabs
+from hyperpaint.radiometry.planning import make_plan
 
 
 def plan_of(line: xr.Dataset) -> slabs.Plan:

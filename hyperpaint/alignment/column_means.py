@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hyperpaint.base.schema import ALONG_TRACK
-from hyperpaint.slabs import line_chunked
+from hyperpaint.radiometry.slabs import line_chunked
 
 if TYPE_CHECKING:
     import xarray as xr

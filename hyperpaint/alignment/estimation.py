@@ -17,7 +17,7 @@ import numpy.typing as npt
 from hyperpaint.base import schema
 from hyperpaint.base.errors import Problems, SchemaError
 from hyperpaint.base.schema import ALONG_TRACK, BAND, CROSS_TRACK
-from hyperpaint.radiometry import radiance
+from hyperpaint.radiometry.counts_to_reflectance import radiance
 
 from .column_means import Progress, mean_over_lines
 from .declared import Declared

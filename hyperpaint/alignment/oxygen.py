@@ -10,7 +10,7 @@ import numpy.typing as npt
 from hyperpaint.base import schema
 from hyperpaint.base.errors import SchemaError
 from hyperpaint.base.schema import ALONG_TRACK, BAND, CROSS_TRACK
-from hyperpaint.radiometry import reflectance
+from hyperpaint.radiometry.counts_to_reflectance import reflectance
 
 from .column_means import Progress, mean_over_lines
 

@@ -11,7 +11,7 @@ import numpy.typing as npt
 from hyperpaint.base.attitude_conventions import Convention
 from hyperpaint.base.errors import Problems, SchemaError
 from hyperpaint.base.schema import ALONG_TRACK, BAND, CHUNK_LINES, CROSS_TRACK, Quality, label, require
-from hyperpaint.slabs import MAX_CHUNK_BYTES
+from hyperpaint.radiometry.slabs import MAX_CHUNK_BYTES
 
 from .cameras import PinholeCamera, look_angles
 from .geodesy import crs_of, grid_mapping_attrs, is_in_metres, utm_zone

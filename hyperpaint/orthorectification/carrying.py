@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from hyperpaint.bands import to_nominal
 from hyperpaint.base.errors import Problems, SchemaError
 from hyperpaint.base.schema import ALONG_TRACK, BAND, CROSS_TRACK, CUBE, Quality, label
-from hyperpaint.radiometry import reflectance
+from hyperpaint.radiometry.bands import to_nominal
+from hyperpaint.radiometry.counts_to_reflectance import reflectance
 
 if TYPE_CHECKING:
     import dask.array as da

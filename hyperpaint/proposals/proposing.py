@@ -12,11 +12,11 @@ import numpy.typing as npt
 from hyperpaint.base import schema
 from hyperpaint.base.errors import Problems, SchemaError
 from hyperpaint.flags import flag
+from hyperpaint.radiometry.slabs import line_chunked
 from hyperpaint.regions import Region, Regions
 from hyperpaint.scene_model import SceneModel, survey
 from hyperpaint.scene_model.channels import Progress, to_channels
 from hyperpaint.scene_model.light import sun_zenith_of
-from hyperpaint.slabs import line_chunked
 
 from .candidates import Limits, Measures, Piece, measured, pieces
 from .cars import Judged, find_cars, judge_car

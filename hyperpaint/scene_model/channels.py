@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from hyperpaint.base import schema
 from hyperpaint.base.schema import ALONG_TRACK, BAND, CHUNK_LINES, CROSS_TRACK
-from hyperpaint.slabs import line_chunked
+from hyperpaint.radiometry.slabs import line_chunked
 
 if TYPE_CHECKING:
     import xarray as xr

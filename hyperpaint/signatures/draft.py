@@ -10,8 +10,8 @@ import numpy.typing as npt
 
 from hyperpaint.base.schema import BAND, Quality
 from hyperpaint.light.sun import solar_position
+from hyperpaint.radiometry.uncertainty.propagation import NONE_KNOWN, UNCERTAINTIES
 from hyperpaint.regions.placement import Pixels
-from hyperpaint.uncertainty.propagation import NONE_KNOWN, UNCERTAINTIES
 
 from .independence import effective_pixels
 from .reduction import QUANTILES, chosen_members, summarise

@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hyperpaint.base.schema import ALONG_TRACK, BAND, CROSS_TRACK
-from hyperpaint.slabs import line_chunked
+from hyperpaint.radiometry.slabs import line_chunked
 
 if TYPE_CHECKING:
     import xarray as xr

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from hyperpaint.uncertainty.averages import effective_number
+from hyperpaint.radiometry.uncertainty.averages import effective_number
 
 __all__ = ["SMEAR", "effective_pixels"]
 

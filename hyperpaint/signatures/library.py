@@ -10,8 +10,8 @@ import numpy as np
 import numpy.typing as npt
 
 from hyperpaint.base.schema import BAND, LIBRARY_VARIABLES, Quality, quality_attrs
+from hyperpaint.radiometry.uncertainty.propagation import NONE_KNOWN, UNCERTAINTIES
 from hyperpaint.regions import Regions
-from hyperpaint.uncertainty.propagation import NONE_KNOWN, UNCERTAINTIES
 
 from .draft import Draft
 from .reduction import QUANTILES

@@ -9,15 +9,15 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from hyperpaint.bands import to_nominal
 from hyperpaint.base import schema
 from hyperpaint.base.errors import Problems, SchemaError
 from hyperpaint.base.schema import BAND
 from hyperpaint.corrections import CORRECTIONS, remove_mirrored_sky
-from hyperpaint.radiometry import reflectance
+from hyperpaint.radiometry.bands import to_nominal
+from hyperpaint.radiometry.counts_to_reflectance import reflectance
+from hyperpaint.radiometry.smoothing import smooth
+from hyperpaint.radiometry.uncertainty.propagation import NONE_KNOWN, UNCERTAINTIES
 from hyperpaint.regions import Regions
-from hyperpaint.smoothing import smooth
-from hyperpaint.uncertainty.propagation import NONE_KNOWN, UNCERTAINTIES
 
 from .viewing import Viewing, viewing_of
 

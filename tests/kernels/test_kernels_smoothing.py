@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from hyperpaint.kernels.smoothing import filter_slab
-from hyperpaint.smoothing import _window_weights
+from hyperpaint.radiometry.smoothing import _window_weights
 
 
 def filtered(values: np.ndarray, method: str, window: int, order: int = 2) -> np.ndarray:

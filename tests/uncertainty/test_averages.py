@@ -8,8 +8,8 @@ import xarray as xr
 from strategies import flight, with_noise
 
 from hyperpaint.base.errors import SchemaError
-from hyperpaint.radiometry import reflectance
-from hyperpaint.uncertainty import mean_uncertainty
+from hyperpaint.radiometry.counts_to_reflectance import reflectance
+from hyperpaint.radiometry.uncertainty import mean_uncertainty
 
 U = ("reflectance_u_random", "reflectance_u_systematic")
 

@@ -12,8 +12,8 @@ import xarray as xr
 
 import hyperpaint as hp
 from hyperpaint.base.errors import PaintWarning, SchemaError
+from hyperpaint.radiometry.uncertainty.photon_transfer import MOST_SAMPLES, estimate_noise
 from hyperpaint.simulation import simulate_line
-from hyperpaint.uncertainty.photon_transfer import MOST_SAMPLES, estimate_noise
 
 
 def z_of(found: xr.Dataset, name: str, truth: float) -> float:

@@ -14,9 +14,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from .base.schema import CHUNK_LINES, CUBE, Quality
-from .light.illumination import Smile
-from .light.synchrony import LineLight
+from hyperpaint.base.schema import CHUNK_LINES, CUBE, Quality
+from hyperpaint.light.illumination import Smile
+from hyperpaint.light.synchrony import LineLight
 
 if TYPE_CHECKING:
     import dask.array as da
@@ -191,7 +191,7 @@ def calibrate_lines(
     u_random, u_systematic : (line, band, column) or (0, 0, 0), float32
         Written unless empty; they need the plan's ``error_terms``.
     """
-    from .kernels.radiometry import calibrate_slab
+    from hyperpaint.kernels.radiometry import calibrate_slab
 
     here = slice(start, start + len(counts))
     terms = plan.error_terms or _NO_ERROR_TERMS

@@ -7,9 +7,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from .base import schema
-from .base.errors import SchemaError
-from .light.responses import band_spacing
+from hyperpaint.base import schema
+from hyperpaint.base.errors import SchemaError
+from hyperpaint.light.responses import band_spacing
+
 from .slabs import line_chunked
 
 if TYPE_CHECKING:
@@ -116,7 +117,7 @@ def _without_bands(dataset: xr.Dataset) -> list[str]:
 
 
 def _resample(values: Array, *, first: Array, weights: Array) -> Array:
-    from .kernels.resampling import resample_slab
+    from hyperpaint.kernels.resampling import resample_slab
 
     out = np.empty(values.shape, np.float32)
     resample_slab(np.ascontiguousarray(values, np.float32), first, weights, out)

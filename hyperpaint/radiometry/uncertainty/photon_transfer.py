@@ -20,7 +20,7 @@ import numpy.typing as npt
 from hyperpaint.base import schema
 from hyperpaint.base.errors import PaintWarning, Problems, SchemaError
 from hyperpaint.base.schema import ALONG_TRACK, BAND, CROSS_TRACK, STEP
-from hyperpaint.slabs import QUANTISATION
+from hyperpaint.radiometry.slabs import QUANTISATION
 
 if TYPE_CHECKING:
     import xarray as xr

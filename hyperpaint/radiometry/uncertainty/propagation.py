@@ -12,10 +12,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from hyperpaint import slabs
 from hyperpaint.base import schema
 from hyperpaint.base.errors import Problems, SchemaError
-from hyperpaint.slabs import QUANTISATION, ErrorTerms
+from hyperpaint.radiometry import slabs
+from hyperpaint.radiometry.slabs import QUANTISATION, ErrorTerms
 
 if TYPE_CHECKING:
     import xarray as xr

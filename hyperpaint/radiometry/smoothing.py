@@ -11,8 +11,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from .base import schema
-from .base.errors import Problems, SchemaError
+from hyperpaint.base import schema
+from hyperpaint.base.errors import Problems, SchemaError
+
 from .slabs import line_chunked
 
 if TYPE_CHECKING:
@@ -129,7 +130,7 @@ def _filter(
     box: bool,
     cube: bool,
 ) -> Array:
-    from .kernels.smoothing import filter_slab
+    from hyperpaint.kernels.smoothing import filter_slab
 
     shaped = values.astype(np.float32, copy=False)
     # spectra without a cross-track dim are lines one column wide, whatever their other dims

@@ -13,12 +13,20 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from hyperpaint.base import schema
+from hyperpaint.base.errors import Problems, SchemaError
+from hyperpaint.base.schema import (
+    ALONG_TRACK,
+    BAND,
+    CROSS_TRACK,
+    IRRADIANCE_TIME,
+    IRRADIANCE_WAVELENGTH,
+    Quality,
+)
+from hyperpaint.base.units import convert
+from hyperpaint.light.illumination import Tilt
+
 from . import slabs
-from .base import schema
-from .base.errors import Problems, SchemaError
-from .base.schema import ALONG_TRACK, BAND, CROSS_TRACK, IRRADIANCE_TIME, IRRADIANCE_WAVELENGTH, Quality
-from .base.units import convert
-from .light.illumination import Tilt
 from .planning import make_plan
 from .uncertainty.propagation import UNCERTAINTIES, uncertainty_inputs, with_uncertainty
 
@@ -173,7 +181,7 @@ def radiance(dataset: xr.Dataset) -> xr.Dataset:
     --------
     The worked example: 1966.09 counts above the dark in 5 ms.
 
-    >>> import hyperpaint.radiometry as radiometry
+    >>> import hyperpaint.radiometry.counts_to_reflectance as radiometry
     >>> line = radiometry.worked_example()
     >>> print(f"{float(radiometry.radiance(line).radiance[0, 0, 0]):.6f}")
     0.165521
@@ -272,7 +280,7 @@ def reflectance(
 
     Examples
     --------
-    >>> import hyperpaint.radiometry as radiometry
+    >>> import hyperpaint.radiometry.counts_to_reflectance as radiometry
     >>> line = radiometry.worked_example()
     >>> print(f"{float(radiometry.reflectance(line).reflectance[0, 0, 0]):.6f}")
     0.400000
@@ -375,7 +383,7 @@ def _cube_inputs(dataset: xr.Dataset, purpose: str) -> tuple[xr.DataArray, dict[
 
 def _light_inputs(dataset: xr.Dataset, tilt: Any) -> dict[str, Any]:
     """Return the irradiance and its companions, checked as far as their labels allow."""
-    from .light.synchrony import check_irradiance_times
+    from hyperpaint.light.synchrony import check_irradiance_times
 
     names = [*_LIGHT, IRRADIANCE_TIME, IRRADIANCE_WAVELENGTH]
     companions = ("irradiance_max_gap", "irradiance_clock_uncertainty")

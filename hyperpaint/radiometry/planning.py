@@ -12,10 +12,11 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from .base.errors import PaintWarning, Problems, SchemaError, TimeError
-from .base.schema import Quality
-from .light.illumination import Smile, Tilt, matched_series, smile_cells
-from .light.synchrony import LineLight, line_light
+from hyperpaint.base.errors import PaintWarning, Problems, SchemaError, TimeError
+from hyperpaint.base.schema import Quality
+from hyperpaint.light.illumination import Smile, Tilt, matched_series, smile_cells
+from hyperpaint.light.synchrony import LineLight, line_light
+
 from .slabs import QUANTISATION, Plan
 from .uncertainty.propagation import error_terms
 
@@ -61,7 +62,7 @@ def make_plan(
     light
         Values of `irradiance` and its companions; None for radiance.
     tilt, panel, keep_bits
-        See `hyperpaint.radiometry.reflectance`.
+        See `hyperpaint.radiometry.counts_to_reflectance.reflectance`.
     uncertain
         Values of `electrons_per_count`, `read_noise` and of the uncertainties that are known, by name; None
         where uncertainties were not asked for.
