@@ -28,8 +28,6 @@ if TYPE_CHECKING:
     from .alignment import align_to_irradiance, apply_alignment, oxygen_residual
     from .base.attitude_conventions import Convention
     from .calibration import calibrate
-    from .corrections import correct_light, remove_mirrored_sky
-    from .flags import flag
     from .georeference import (
         PinholeCamera,
         canonical_navigation,
@@ -73,13 +71,15 @@ if TYPE_CHECKING:
     from .radiometry.uncertainty import estimate_noise, mean_uncertainty
     from .regions import Region, Regions, read_regions, write_regions
     from .report import write_report
-    from .scene_model import SceneModel, survey
     from .scene_rendering import render_scene
     from .signatures import extract_signatures
     from .simulation import simulate_collect
     from .simulation.rendering.relighting import relight
     from .simulation.rendering.tracing import trace
     from .starter_paints import starter_library
+    from .surroundings import SceneModel, survey
+    from .surroundings.corrections import correct_light, remove_mirrored_sky
+    from .surroundings.flags import flag
     from .validation import Validation, validate
 
 __version__ = "0.1.0"
@@ -90,7 +90,7 @@ _HOME = {
     "PinholeCamera": "georeference",
     "Region": "regions",
     "Regions": "regions",
-    "SceneModel": "scene_model",
+    "SceneModel": "surroundings",
     "Tilt": "light.illumination",
     "adjacency_figure": "plot_adjacency",
     "align_to_irradiance": "alignment",
@@ -98,7 +98,7 @@ _HOME = {
     "calibrate": "calibration",
     "calibration_report": "plot_calibration",
     "canonical_navigation": "georeference",
-    "correct_light": "corrections",
+    "correct_light": "surroundings.corrections",
     "check_conventions": "navigation_checks",
     "encoding": "io.store",
     "estimate_clock_offset": "navigation_checks",
@@ -108,7 +108,7 @@ _HOME = {
     "footprint": "georeference",
     "interpolate_pose": "georeference",
     "library_overview": "plot_library",
-    "flag": "flags",
+    "flag": "surroundings.flags",
     "locate": "georeference",
     "match_irradiance": "light.illumination",
     "mean_uncertainty": "radiometry.uncertainty",
@@ -136,7 +136,7 @@ _HOME = {
     "read_regions": "regions",
     "reflectance": "radiometry.counts_to_reflectance",
     "relight": "simulation.rendering.relighting",
-    "remove_mirrored_sky": "corrections",
+    "remove_mirrored_sky": "surroundings.corrections",
     "render_scene": "scene_rendering",
     "rgb": "plot",
     "sample_paints": "mixing",
@@ -149,7 +149,7 @@ _HOME = {
     "spacing": "georeference",
     "spectrum": "plot_spectra",
     "starter_library": "starter_paints",
-    "survey": "scene_model",
+    "survey": "surroundings",
     "to_store": "io.store",
     "trace": "simulation.rendering.tracing",
     "triptych": "plot_spectra",

@@ -21,9 +21,9 @@ if TYPE_CHECKING:
     from .light.illumination import Tilt
     from .proposals import Proposals
     from .radiometry.counts_to_reflectance import Panel
-    from .scene_model import SceneModel
     from .signatures.sources import Smoothing
     from .simulation.rendering.four_curves import Atmosphere
+    from .surroundings import SceneModel
 
 __all__ = ["PaintAccessor"]
 
@@ -180,7 +180,7 @@ class PaintAccessor:
         dims: Dims | None = None,
     ) -> SceneModel:
         """Return what is known of the scene as a whole (eager); see `hyperpaint.survey`."""
-        from .scene_model import survey
+        from .surroundings import survey
 
         return survey(
             self._by_role(dims),
@@ -205,7 +205,7 @@ class PaintAccessor:
         **options: Any,
     ) -> xr.Dataset:
         """Flag glint, shadow, adjacency and mixed edges; see `hyperpaint.flag`."""
-        from .flags import flag
+        from .surroundings.flags import flag
 
         return flag(
             self._by_role(dims),
@@ -228,7 +228,7 @@ class PaintAccessor:
         dims: Dims | None = None,
     ) -> xr.Dataset:
         """Subtract the sky that a clear coat mirrors; see `hyperpaint.remove_mirrored_sky`."""
-        from .corrections import remove_mirrored_sky
+        from .surroundings.corrections import remove_mirrored_sky
 
         return remove_mirrored_sky(
             self._by_role(dims),
@@ -249,7 +249,7 @@ class PaintAccessor:
         dims: Dims | None = None,
     ) -> xr.Dataset:
         """Divide by the light of a tilted surface, or one with less sky; see `hyperpaint.correct_light`."""
-        from .corrections import correct_light
+        from .surroundings.corrections import correct_light
 
         return correct_light(
             self._by_role(dims),

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 from .base.errors import PaintError, SchemaError, StoreError
 from .base.schema import Quality
-from .flagging import Flagged, flag_line, is_flagged
 from .signatures.gathering import part_of
+from .surroundings.flagging import Flagged, flag_line, is_flagged
 
 if TYPE_CHECKING:
     import xarray as xr

@@ -15,17 +15,15 @@ from strategies import flight
 import hyperpaint as hp
 from hyperpaint import (
     alignment,
-    corrections,
-    flags,
     georeference,
     orthorectification,
     plot,
     plot_flags,
     plot_spectra,
     proposals,
-    scene_model,
     signatures,
 )
+from hyperpaint import surroundings as scene_model
 from hyperpaint.accessor import PaintAccessor
 from hyperpaint.base import units
 from hyperpaint.base.errors import StoreError
@@ -33,6 +31,7 @@ from hyperpaint.io import store
 from hyperpaint.radiometry import bands, smoothing
 from hyperpaint.radiometry import counts_to_reflectance as radiometry
 from hyperpaint.simulation.rendering import relighting
+from hyperpaint.surroundings import corrections, flags
 
 FUNCTIONS: dict[str, Callable[..., Any]] = {
     "radiance": radiometry.radiance,

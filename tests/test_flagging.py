@@ -13,12 +13,14 @@ import xarray as xr
 from click.testing import CliRunner, Result
 
 import hyperpaint as hp
-from hyperpaint import flagging, scene_model, signature_files
+from hyperpaint import signature_files
+from hyperpaint import surroundings as scene_model
 from hyperpaint.base.quality_bits import Quality
 from hyperpaint.cli import main
-from hyperpaint.flagging import flag_line, is_flagged
 from hyperpaint.light.sun import diffuse_fraction, solar_position
 from hyperpaint.signature_files import write_signatures
+from hyperpaint.surroundings import flagging
+from hyperpaint.surroundings.flagging import flag_line, is_flagged
 
 LINES, BANDS, COLUMNS = 48, 24, 40
 NM = np.linspace(420.0, 980.0, BANDS)
@@ -76,8 +78,8 @@ def surveys(monkeypatch: pytest.MonkeyPatch) -> list[dict[str, Any]]:
         made.append(options)
         return real(line, **options)
 
-    import hyperpaint.flags as flags
     import hyperpaint.proposals.proposing as proposing
+    import hyperpaint.surroundings.flags as flags
 
     for module in (flagging, flags, proposing):
         monkeypatch.setattr(module, "survey", watched)

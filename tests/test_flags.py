@@ -15,7 +15,7 @@ import xarray as xr
 import hyperpaint as hp
 from hyperpaint.base.errors import SchemaError
 from hyperpaint.base.schema import Quality
-from hyperpaint.flags import LAYERS
+from hyperpaint.surroundings.flags import LAYERS
 
 sys.path.insert(0, str(Path(__file__).parent / "scene_model"))
 from analytic_scenes import (

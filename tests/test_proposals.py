@@ -15,7 +15,6 @@ from click.testing import CliRunner
 import hyperpaint as hp
 from hyperpaint.base.errors import SchemaError
 from hyperpaint.cli import main
-from hyperpaint.corrections import remove_mirrored_sky
 from hyperpaint.light.sun import diffuse_fraction
 from hyperpaint.proposals.footprints import hull_of
 from hyperpaint.proposals.pixel_outlines import outline
@@ -25,6 +24,7 @@ from hyperpaint.simulation.rendering.car_parks import car_park
 from hyperpaint.simulation.rendering.four_curves import Atmosphere
 from hyperpaint.simulation.rendering.platforms import pushbroom
 from hyperpaint.simulation.rendering.spectra import spectrum_of
+from hyperpaint.surroundings.corrections import remove_mirrored_sky
 
 ZENITH = 30.0
 NM = np.linspace(405.0, 995.0, 48)

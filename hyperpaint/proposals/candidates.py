@@ -10,8 +10,8 @@ import numpy as np
 import numpy.typing as npt
 
 from hyperpaint.base.schema import Quality
-from hyperpaint.scene_model import SceneModel
-from hyperpaint.scene_model.model import SHADED
+from hyperpaint.surroundings import SceneModel
+from hyperpaint.surroundings.model import SHADED
 
 __all__ = ["Limits", "Measures", "Piece", "measured", "pieces"]
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from hyperpaint.scene_model import SceneModel
+from hyperpaint.surroundings import SceneModel
 
 from .candidates import Limits, Measures, Piece, measured
 from .footprints import Footprint, Scene, footprint_of

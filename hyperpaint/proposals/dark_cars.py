@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from hyperpaint.scene_model import SceneModel
+from hyperpaint.surroundings import SceneModel
 
 from .cars import Judged, better_part
 from .surroundings import Surfaces

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from hyperpaint.scene_model import SceneModel
+from hyperpaint.surroundings import SceneModel
 
 from .surroundings import largest_body
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 import numpy.typing as npt
 
-from hyperpaint.scene_model import SceneModel
+from hyperpaint.surroundings import SceneModel
 
 from .candidates import Limits, Measures, Piece
 from .surroundings import DARK, Surfaces, ring_around

@@ -11,12 +11,12 @@ import numpy.typing as npt
 
 from hyperpaint.base import schema
 from hyperpaint.base.errors import Problems, SchemaError
-from hyperpaint.flags import flag
 from hyperpaint.radiometry.slabs import line_chunked
 from hyperpaint.regions import Region, Regions
-from hyperpaint.scene_model import SceneModel, survey
-from hyperpaint.scene_model.channels import Progress, to_channels
-from hyperpaint.scene_model.light import sun_zenith_of
+from hyperpaint.surroundings import SceneModel, survey
+from hyperpaint.surroundings.channels import Progress, to_channels
+from hyperpaint.surroundings.flags import flag
+from hyperpaint.surroundings.light import sun_zenith_of
 
 from .candidates import Limits, Measures, Piece, measured, pieces
 from .cars import Judged, find_cars, judge_car
@@ -161,7 +161,7 @@ def propose_regions(
     tinted paint, whose lobe is so wide that a roof's light hardly changes, are taken for the body.
 
     The clear coat's mirror image of the sky is still in the spectra; see
-    `hyperpaint.corrections.remove_mirrored_sky`.
+    `hyperpaint.surroundings.corrections.remove_mirrored_sky`.
 
     Examples
     --------

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from hyperpaint.scene_model import SceneModel
-from hyperpaint.scene_model.model import SHADED
+from hyperpaint.surroundings import SceneModel
+from hyperpaint.surroundings.model import SHADED
 
 __all__ = ["DARK", "Surfaces", "largest_body", "ring_around"]
 

@@ -12,12 +12,12 @@ import numpy.typing as npt
 from hyperpaint.base import schema
 from hyperpaint.base.errors import Problems, SchemaError
 from hyperpaint.base.schema import BAND
-from hyperpaint.corrections import CORRECTIONS, remove_mirrored_sky
 from hyperpaint.radiometry.bands import to_nominal
 from hyperpaint.radiometry.counts_to_reflectance import reflectance
 from hyperpaint.radiometry.smoothing import smooth
 from hyperpaint.radiometry.uncertainty.propagation import NONE_KNOWN, UNCERTAINTIES
 from hyperpaint.regions import Regions
+from hyperpaint.surroundings.corrections import CORRECTIONS, remove_mirrored_sky
 
 from .viewing import Viewing, viewing_of
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import hyperpaint as hp
-from hyperpaint.flags import LAYERS
+from hyperpaint.surroundings.flags import LAYERS
 
 sys.path.insert(0, str(Path(__file__).parent))
 from analytic_scenes import as_line, bonnet, smooth_edge, wavelengths

@@ -10,11 +10,11 @@ import pytest
 import scipy.optimize
 
 from hyperpaint.light.sun import diffuse_fraction
-from hyperpaint.scene_model.light_mixtures import senders_of, solve
-from hyperpaint.scene_model.model import LIT, SHADED
-from hyperpaint.scene_model.references import Light
-from hyperpaint.scene_model.segments import Segments, distance_to, edge_distance, touching
-from hyperpaint.scene_model.shadows import match_shade, shaded_pixels
+from hyperpaint.surroundings.light_mixtures import senders_of, solve
+from hyperpaint.surroundings.model import LIT, SHADED
+from hyperpaint.surroundings.references import Light
+from hyperpaint.surroundings.segments import Segments, distance_to, edge_distance, touching
+from hyperpaint.surroundings.shadows import match_shade, shaded_pixels
 
 sys.path.insert(0, str(Path(__file__).parent))
 from analytic_scenes import smooth_edge

@@ -14,17 +14,17 @@ import hyperpaint as hp
 from hyperpaint.base.errors import SchemaError
 from hyperpaint.base.schema import Quality
 from hyperpaint.light.sun import diffuse_fraction
-from hyperpaint.scene_model.channels import (
+from hyperpaint.surroundings.channels import (
     channel_noise,
     channel_numbers,
     to_nominal_channels,
     without_unknown,
 )
-from hyperpaint.scene_model.light import measured_fraction, shadow_side_of
-from hyperpaint.scene_model.model import LIT, SHADED, SceneModel
-from hyperpaint.scene_model.neighbours import coloured
-from hyperpaint.scene_model.references import Light
-from hyperpaint.scene_model.segments import divide, touching
+from hyperpaint.surroundings.light import measured_fraction, shadow_side_of
+from hyperpaint.surroundings.model import LIT, SHADED, SceneModel
+from hyperpaint.surroundings.neighbours import coloured
+from hyperpaint.surroundings.references import Light
+from hyperpaint.surroundings.segments import divide, touching
 
 sys.path.insert(0, str(Path(__file__).parent))
 from analytic_scenes import as_line, bonnet, box_shadow, smooth_edge, wavelengths
@@ -227,7 +227,7 @@ def test_the_side_of_shadows_from_sun_and_heading() -> None:
 
 def test_pvlib_gives_a_split_near_that_of_the_core() -> None:
     pytest.importorskip("pvlib")
-    from hyperpaint.scene_model.light import diffuse_from_clear_sky
+    from hyperpaint.surroundings.light import diffuse_from_clear_sky
 
     ours, theirs = (diffuse_from_clear_sky(source, NM, 30.0) for source in ("model", "pvlib"))
     np.testing.assert_allclose(ours, theirs, rtol=0.15, atol=0.01)

@@ -8,10 +8,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from .base.schema import Quality
+from hyperpaint.base.schema import Quality
+from hyperpaint.radiometry.bands import to_nominal
+
+from . import SceneModel, survey
 from .flags import LAYERS, flag
-from .radiometry.bands import to_nominal
-from .scene_model import SceneModel, survey
 
 if TYPE_CHECKING:
     import xarray as xr

@@ -11,12 +11,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from .base import schema
-from .base.errors import Problems, SchemaError
-from .base.schema import ALONG_TRACK, CROSS_TRACK, Quality
-from .radiometry.slabs import line_chunked
-from .scene_model import SceneModel, survey
-from .scene_model.channels import Progress, to_channels, to_nominal_channels
+from hyperpaint.base import schema
+from hyperpaint.base.errors import Problems, SchemaError
+from hyperpaint.base.schema import ALONG_TRACK, CROSS_TRACK, Quality
+from hyperpaint.radiometry.slabs import line_chunked
+
+from . import SceneModel, survey
+from .channels import Progress, to_channels, to_nominal_channels
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -251,7 +252,7 @@ def _flag_block(
     block_id: tuple[int, ...] = (0,),
 ) -> dict[str, Array]:
     """Return layers and bits of some lines."""
-    from .kernels.unmixing import PARTS, unmix_lines
+    from hyperpaint.kernels.unmixing import PARTS, unmix_lines
 
     start = starts[block_id[0]]
     stop = start + len(block)

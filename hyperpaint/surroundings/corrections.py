@@ -9,10 +9,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from .base import schema
-from .base.errors import Problems, SchemaError
-from .base.schema import BAND, PAINT
-from .scene_model.light import SOURCES, diffuse_from_clear_sky, measured_fraction, sun_zenith_of
+from hyperpaint.base import schema
+from hyperpaint.base.errors import Problems, SchemaError
+from hyperpaint.base.schema import BAND, PAINT
+
+from .light import SOURCES, diffuse_from_clear_sky, measured_fraction, sun_zenith_of
 
 if TYPE_CHECKING:
     import xarray as xr

@@ -153,7 +153,7 @@ def match_segments(
     light
         Parts of the irradiance.
     shade
-        What is known to be in shadow, from `hyperpaint.scene_model.shadows.match_shade`.
+        What is known to be in shadow, from `hyperpaint.surroundings.shadows.match_shade`.
     step : (pair,)
         Mean difference of neighbouring pixels on the two sides of a border [1].
     zenith
