@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from .alignment import align_to_irradiance, apply_alignment, oxygen_residual
     from .base.attitude_conventions import Convention
     from .calibration import calibrate
-    from .georeference import (
+    from .geometry.georeference import (
         PinholeCamera,
         canonical_navigation,
         footprint,
@@ -36,6 +36,8 @@ if TYPE_CHECKING:
         locate,
         spacing,
     )
+    from .geometry.navigation_checks import check_conventions, estimate_clock_offset, solve_boresight
+    from .geometry.orthorectification import MapGrid, map_report, orthorectify
     from .io.asd import open_asd
     from .io.control_points import read_control_points
     from .io.dirsig import write_dirsig
@@ -53,8 +55,6 @@ if TYPE_CHECKING:
     from .light.illumination import Tilt, match_irradiance
     from .light.sun import solar_position
     from .mixing import mix_paints, sample_paints, shade_paints
-    from .navigation_checks import check_conventions, estimate_clock_offset, solve_boresight
-    from .orthorectification import MapGrid, map_report, orthorectify
     from .paint_search import search_library
     from .picking import pick_regions
     from .pipeline import process
@@ -87,7 +87,7 @@ __version__ = "0.1.0"
 _HOME = {
     "Convention": "base.attitude_conventions",
     "Panel": "radiometry.counts_to_reflectance",
-    "PinholeCamera": "georeference",
+    "PinholeCamera": "geometry.georeference",
     "Region": "regions",
     "Regions": "regions",
     "SceneModel": "surroundings",
@@ -97,24 +97,24 @@ _HOME = {
     "apply_alignment": "alignment",
     "calibrate": "calibration",
     "calibration_report": "plot_calibration",
-    "canonical_navigation": "georeference",
+    "canonical_navigation": "geometry.georeference",
     "correct_light": "surroundings.corrections",
-    "check_conventions": "navigation_checks",
+    "check_conventions": "geometry.navigation_checks",
     "encoding": "io.store",
-    "estimate_clock_offset": "navigation_checks",
+    "estimate_clock_offset": "geometry.navigation_checks",
     "estimate_noise": "radiometry.uncertainty",
     "extract_signatures": "signatures",
     "flag_overlay": "plot_flags",
-    "footprint": "georeference",
-    "interpolate_pose": "georeference",
+    "footprint": "geometry.georeference",
+    "interpolate_pose": "geometry.georeference",
     "library_overview": "plot_library",
     "flag": "surroundings.flags",
-    "locate": "georeference",
+    "locate": "geometry.georeference",
     "match_irradiance": "light.illumination",
     "mean_uncertainty": "radiometry.uncertainty",
     "mix_paints": "mixing",
-    "map_report": "orthorectification",
-    "MapGrid": "orthorectification",
+    "map_report": "geometry.orthorectification",
+    "MapGrid": "geometry.orthorectification",
     "open_asd": "io.asd",
     "open_collect": "laboratory",
     "open_flightline": "io.flightline",
@@ -123,7 +123,7 @@ _HOME = {
     "open_navigation": "io.navigation_opening",
     "open_store": "io.store",
     "open_svc": "io.svc",
-    "orthorectify": "orthorectification",
+    "orthorectify": "geometry.orthorectification",
     "oxygen_residual": "alignment",
     "pick_regions": "picking",
     "process": "pipeline",
@@ -145,8 +145,8 @@ _HOME = {
     "simulate_collect": "simulation",
     "smooth": "radiometry.smoothing",
     "solar_position": "light.sun",
-    "solve_boresight": "navigation_checks",
-    "spacing": "georeference",
+    "solve_boresight": "geometry.navigation_checks",
+    "spacing": "geometry.georeference",
     "spectrum": "plot_spectra",
     "starter_library": "starter_paints",
     "survey": "surroundings",

@@ -15,8 +15,8 @@ if TYPE_CHECKING:
     from .alignment.windows import Window
     from .base.attitude_conventions import Convention
     from .base.schema import Quality
-    from .georeference import PinholeCamera
-    from .georeference.poses import Interpolation
+    from .geometry.georeference import PinholeCamera
+    from .geometry.georeference.poses import Interpolation
     from .io.store import StoreReport
     from .light.illumination import Tilt
     from .proposals import Proposals
@@ -413,7 +413,7 @@ class PaintAccessor:
         dims: Dims | None = None,
     ) -> xr.Dataset:
         """Add the place on the ground that every pixel shows; see `hyperpaint.locate`."""
-        from .georeference import locate
+        from .geometry.georeference import locate
 
         return locate(
             self._by_role(dims),
@@ -446,7 +446,7 @@ class PaintAccessor:
         **location: Any,
     ) -> xr.Dataset:
         """Return the line as a map, located first where it is not; see `hyperpaint.orthorectify`."""
-        from .orthorectification import orthorectify
+        from .geometry.orthorectification import orthorectify
 
         return orthorectify(
             self._by_role(dims),

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 from .base.attitude_conventions import Convention
 from .base.errors import MissingExtraError, SchemaError
-from .georeference import PinholeCamera
-from .orthorectification import orthorectify
+from .geometry.georeference import PinholeCamera
+from .geometry.orthorectification import orthorectify
 
 if TYPE_CHECKING:
     import xarray as xr

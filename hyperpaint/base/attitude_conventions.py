@@ -161,7 +161,7 @@ class Convention:
             Angles as this convention means them.
         convergence
             Grid north, east of true north [degree]; needed for headings from grid north alone. See
-            `hyperpaint.georeference.meridian_convergence`.
+            `hyperpaint.geometry.georeference.meridian_convergence`.
 
         Returns
         -------

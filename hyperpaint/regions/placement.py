@@ -194,7 +194,7 @@ def _joined(parts: Sequence[Pixels]) -> Pixels:
 
 def _moved(regions: Regions, crs: str) -> Regions:
     """Return regions in another reference system; corners are moved, and edges are straight there."""
-    from hyperpaint.georeference.geodesy import between_maps, crs_of
+    from hyperpaint.geometry.georeference.geodesy import between_maps, crs_of
 
     # in GeoJSON longitude comes first, whatever the system's own order
     source, target = crs_of(_normal(str(regions.crs))), crs_of(crs)

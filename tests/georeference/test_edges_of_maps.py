@@ -5,9 +5,9 @@ from __future__ import annotations
 import pytest
 
 from hyperpaint.base.attitude_conventions import Convention
-from hyperpaint.georeference import grid_heading
-from hyperpaint.georeference.geodesy import crs_of, is_in_metres
-from hyperpaint.georeference.rotations import angles_of, quaternions
+from hyperpaint.geometry.georeference import grid_heading
+from hyperpaint.geometry.georeference.geodesy import crs_of, is_in_metres
+from hyperpaint.geometry.georeference.rotations import angles_of, quaternions
 
 pytest.importorskip("pyproj")
 

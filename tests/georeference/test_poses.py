@@ -18,7 +18,7 @@ from scipy.spatial.transform import Rotation, RotationSpline, Slerp
 import hyperpaint as hp
 from hyperpaint.base.attitude_conventions import Convention
 from hyperpaint.base.errors import SchemaError, TimeError
-from hyperpaint.georeference.rotations import angles_of, matrices, quaternions, slerp
+from hyperpaint.geometry.georeference.rotations import angles_of, matrices, quaternions, slerp
 
 POSE = ("latitude", "longitude", "altitude", "roll", "pitch", "heading")
 CANONICAL = Convention()

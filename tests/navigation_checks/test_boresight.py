@@ -12,7 +12,7 @@ from wrong_declarations import DECLARED
 
 import hyperpaint as hp
 from hyperpaint.base.errors import SchemaError
-from hyperpaint.navigation_checks import BoresightSolution, solve_boresight
+from hyperpaint.geometry.navigation_checks import BoresightSolution, solve_boresight
 
 pyproj = pytest.importorskip("pyproj")
 

@@ -9,8 +9,8 @@ from wrong_declarations import DECLARED, cases, flown, right
 
 import hyperpaint as hp
 from hyperpaint.base.errors import SchemaError
-from hyperpaint.navigation_checks import ConventionCheck, check_conventions
-from hyperpaint.navigation_checks.picture_motion import row_motion
+from hyperpaint.geometry.navigation_checks import ConventionCheck, check_conventions
+from hyperpaint.geometry.navigation_checks.picture_motion import row_motion
 
 pytest.importorskip("pyproj")
 

@@ -10,7 +10,7 @@ from wrong_declarations import DECLARED
 
 import hyperpaint as hp
 from hyperpaint.base.errors import SchemaError, TimeError
-from hyperpaint.navigation_checks import ClockOffset, estimate_clock_offset
+from hyperpaint.geometry.navigation_checks import ClockOffset, estimate_clock_offset
 
 pytest.importorskip("pyproj")
 

@@ -45,7 +45,7 @@ class Swath:
     Attributes
     ----------
     poses : (6, line), float64
-        Canonical; see `hyperpaint.georeference.poses.POSE`.
+        Canonical; see `hyperpaint.geometry.georeference.poses.POSE`.
     look : (column, 3), float64
         Directions of the columns in the camera's frame.
     mounting

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hyperpaint.base.errors import SchemaError, TimeError
-from hyperpaint.georeference import PinholeCamera
+from hyperpaint.geometry.georeference import PinholeCamera
 
 from .brightness import light_offset
 from .hypotheses import Hypothesis

@@ -11,16 +11,16 @@ import numpy.typing as npt
 
 from hyperpaint.base.errors import SchemaError
 from hyperpaint.base.schema import require
-from hyperpaint.georeference.cameras import look_angles
-from hyperpaint.georeference.geodesy import between_maps, crs_of
-from hyperpaint.georeference.poses import (
+from hyperpaint.geometry.georeference.cameras import look_angles
+from hyperpaint.geometry.georeference.geodesy import between_maps, crs_of
+from hyperpaint.geometry.georeference.poses import (
     NAVIGATION_TIME,
     canonical_values,
     convention_of,
     pose_columns,
     poses_at,
 )
-from hyperpaint.georeference.rotations import matrices, quaternions
+from hyperpaint.geometry.georeference.rotations import matrices, quaternions
 
 if TYPE_CHECKING:
     import xarray as xr

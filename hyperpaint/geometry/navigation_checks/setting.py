@@ -12,7 +12,7 @@ import numpy.typing as npt
 from hyperpaint.base.attitude_conventions import Convention
 from hyperpaint.base.errors import SchemaError
 from hyperpaint.base.schema import ALONG_TRACK
-from hyperpaint.georeference.poses import convention_of
+from hyperpaint.geometry.georeference.poses import convention_of
 
 from .picture_motion import RowMotion, row_motion
 from .pictures import picture_of

@@ -13,7 +13,7 @@ from hyperpaint.base.attitude_conventions import Convention
 from hyperpaint.base.errors import SchemaError
 from hyperpaint.base.schema import ALONG_TRACK
 from hyperpaint.base.units import conversion_factor
-from hyperpaint.georeference import PinholeCamera
+from hyperpaint.geometry.georeference import PinholeCamera
 
 from .findings import ConventionCheck, Finding, Verdict
 from .hypotheses import Hypothesis, Scored, fields_of, score
@@ -101,8 +101,8 @@ def check_conventions(
     differ by the product of roll and pitch; a wrong stamp from a clock that is off by as much. Where the
     platform does not wobble nothing can be told of signs.
 
-    The shift between rows is `hyperpaint.navigation_checks.picture_motion`, what is to be expected
-    `hyperpaint.navigation_checks.pose_motion`.
+    The shift between rows is `hyperpaint.geometry.navigation_checks.picture_motion`, what is to be expected
+    `hyperpaint.geometry.navigation_checks.pose_motion`.
     """
     setting = setting_of(
         line,

@@ -122,7 +122,7 @@ def locate(
     and into north, east, down by ``R_nb = Rz(heading) Ry(pitch) Rx(roll)``. Each line is computed in the
     local frame of its own position, in which its attitude is given, so that neither the map's convergence nor
     its scale has to be corrected for. The way from there to the map is taken as a polynomial of second degree
-    around the camera, see `hyperpaint.georeference.geodesy.polynomials`.
+    around the camera, see `hyperpaint.geometry.georeference.geodesy.polynomials`.
 
     Lines in memory have poses at once; of lazy ones nothing is read, unless ``crs`` is to be found out, which
     needs the positions.

@@ -11,9 +11,9 @@ import numpy.typing as npt
 from hyperpaint.base.attitude_conventions import Convention
 from hyperpaint.base.errors import SchemaError
 from hyperpaint.base.schema import ALONG_TRACK, require
-from hyperpaint.georeference.cameras import look_angles
-from hyperpaint.georeference.poses import ANGLES, NAVIGATION_TIME, POSE, canonical_values, poses_at
-from hyperpaint.georeference.rotations import matrices, quaternions
+from hyperpaint.geometry.georeference.cameras import look_angles
+from hyperpaint.geometry.georeference.poses import ANGLES, NAVIGATION_TIME, POSE, canonical_values, poses_at
+from hyperpaint.geometry.georeference.rotations import matrices, quaternions
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -189,9 +189,9 @@ def view_of(
     Raises
     ------
     SchemaError
-        The camera is not known; see `hyperpaint.georeference.cameras.look_angles`.
+        The camera is not known; see `hyperpaint.geometry.georeference.cameras.look_angles`.
     """
-    from hyperpaint.georeference import PinholeCamera
+    from hyperpaint.geometry.georeference import PinholeCamera
 
     across, along = look_angles(line, camera, Convention(column_order="left_to_right"))
     right, forward = np.tan(np.radians(np.asarray(across))), np.tan(np.radians(np.asarray(along)))

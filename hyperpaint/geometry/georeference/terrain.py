@@ -33,7 +33,7 @@ class TerrainGrid:
     Attributes
     ----------
     crs
-        Reference system, as `hyperpaint.georeference.geodesy.crs_of` returns it.
+        Reference system, as `hyperpaint.geometry.georeference.geodesy.crs_of` returns it.
     x, y
         Coordinate of the centre of the first cell, and step from cell to cell.
     heights

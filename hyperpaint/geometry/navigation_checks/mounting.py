@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hyperpaint.base.errors import Problems, SchemaError
-from hyperpaint.georeference import PinholeCamera
+from hyperpaint.geometry.georeference import PinholeCamera
 
 from .sightings import Sightings, sightings_of
 

@@ -10,8 +10,8 @@ import numpy as np
 
 from hyperpaint.base.errors import Problems, SchemaError
 from hyperpaint.base.schema import ALONG_TRACK, BAND, CHUNK_LINES, CROSS_TRACK, dtype_of, label, require
-from hyperpaint.georeference import locate
-from hyperpaint.georeference.geodesy import crs_of, grid_mapping_attrs
+from hyperpaint.geometry.georeference import locate
+from hyperpaint.geometry.georeference.geodesy import crs_of, grid_mapping_attrs
 
 from .carrying import in_slabs, mapped, prepared
 from .grids import MapGrid, box_of, covering, north_axes

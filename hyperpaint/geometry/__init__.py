@@ -1,0 +1,5 @@
+"""From GPS and attitude to the place of every pixel, and to maps.
+
+A flight line with navigation comes in, coordinates and map cubes go out; conventions and mounting angles are
+checked here. For regions and workflows.
+"""
