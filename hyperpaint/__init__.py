@@ -65,11 +65,11 @@ if TYPE_CHECKING:
     from .plot_library import library_overview
     from .plot_spectra import spectrum, triptych
     from .plot_validation import validation_figure
-    from .proposals import Proposals, propose_regions
     from .radiometry.counts_to_reflectance import Panel, radiance, reflectance
     from .radiometry.smoothing import smooth
     from .radiometry.uncertainty import estimate_noise, mean_uncertainty
     from .regions import Region, Regions, read_regions, write_regions
+    from .regions.proposals import Proposals, propose_regions
     from .report import write_report
     from .scene_rendering import render_scene
     from .signatures import extract_signatures
@@ -127,8 +127,8 @@ _HOME = {
     "oxygen_residual": "alignment",
     "pick_regions": "picking",
     "process": "pipeline",
-    "Proposals": "proposals",
-    "propose_regions": "proposals",
+    "Proposals": "regions.proposals",
+    "propose_regions": "regions.proposals",
     "quicklook": "plot",
     "radiance": "radiometry.counts_to_reflectance",
     "read_certificate": "io.panel_certificate",

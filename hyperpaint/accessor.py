@@ -19,8 +19,8 @@ if TYPE_CHECKING:
     from .geometry.georeference.poses import Interpolation
     from .io.store import StoreReport
     from .light.illumination import Tilt
-    from .proposals import Proposals
     from .radiometry.counts_to_reflectance import Panel
+    from .regions.proposals import Proposals
     from .signatures.sources import Smoothing
     from .simulation.rendering.four_curves import Atmosphere
     from .surroundings import SceneModel
@@ -279,7 +279,7 @@ class PaintAccessor:
         **options: Any,
     ) -> Proposals:
         """Return regions of car paint, ranked, with reasons (eager); see `hyperpaint.propose_regions`."""
-        from .proposals import propose_regions
+        from .regions.proposals import propose_regions
 
         return propose_regions(
             self._by_role(dims),

@@ -176,8 +176,8 @@ def _proposed(
     SchemaError
         There is none; what was refused is told.
     """
-    from .proposals import propose_regions
     from .regions import Regions
+    from .regions.proposals import propose_regions
 
     # with several lines, names of paints begin with that of their line
     made = {}

@@ -13,7 +13,7 @@ import xarray as xr
 from strategies import flight
 
 import hyperpaint as hp
-from hyperpaint import alignment, plot, plot_flags, plot_spectra, proposals, signatures
+from hyperpaint import alignment, plot, plot_flags, plot_spectra, signatures
 from hyperpaint import surroundings as scene_model
 from hyperpaint.accessor import PaintAccessor
 from hyperpaint.base import units
@@ -22,6 +22,7 @@ from hyperpaint.geometry import georeference, orthorectification
 from hyperpaint.io import store
 from hyperpaint.radiometry import bands, smoothing
 from hyperpaint.radiometry import counts_to_reflectance as radiometry
+from hyperpaint.regions import proposals
 from hyperpaint.simulation.rendering import relighting
 from hyperpaint.surroundings import corrections, flags
 

@@ -78,7 +78,7 @@ def surveys(monkeypatch: pytest.MonkeyPatch) -> list[dict[str, Any]]:
         made.append(options)
         return real(line, **options)
 
-    import hyperpaint.proposals.proposing as proposing
+    import hyperpaint.regions.proposals.proposing as proposing
     import hyperpaint.surroundings.flags as flags
 
     for module in (flagging, flags, proposing):
@@ -164,7 +164,7 @@ def test_flags_of_the_store_stay(tmp_path: Path, surveys: list[dict[str, Any]]) 
 def test_regions_are_proposed_with_the_same_survey(
     lot: Path, tmp_path: Path, surveys: list[dict[str, Any]], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    import hyperpaint.proposals as proposals
+    import hyperpaint.regions.proposals as proposals
 
     given: list[Any] = []
 

@@ -16,9 +16,9 @@ import hyperpaint as hp
 from hyperpaint.base.errors import SchemaError
 from hyperpaint.cli import main
 from hyperpaint.light.sun import diffuse_fraction
-from hyperpaint.proposals.footprints import hull_of
-from hyperpaint.proposals.pixel_outlines import outline
 from hyperpaint.regions import pixels_of
+from hyperpaint.regions.proposals.footprints import hull_of
+from hyperpaint.regions.proposals.pixel_outlines import outline
 from hyperpaint.simulation.rendering.bands import BandSet
 from hyperpaint.simulation.rendering.car_parks import car_park
 from hyperpaint.simulation.rendering.four_curves import Atmosphere
