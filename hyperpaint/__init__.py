@@ -54,8 +54,10 @@ if TYPE_CHECKING:
     from .laboratory import open_collect
     from .light.illumination import Tilt, match_irradiance
     from .light.sun import solar_position
-    from .mixing import mix_paints, sample_paints, shade_paints
-    from .paint_search import search_library
+    from .paints.mixing import mix_paints, sample_paints, shade_paints
+    from .paints.paint_search import search_library
+    from .paints.signatures import extract_signatures
+    from .paints.starter_paints import starter_library
     from .picking import pick_regions
     from .pipeline import process
     from .plot import quicklook, rgb
@@ -72,11 +74,9 @@ if TYPE_CHECKING:
     from .regions.proposals import Proposals, propose_regions
     from .report import write_report
     from .scene_rendering import render_scene
-    from .signatures import extract_signatures
     from .simulation import simulate_collect
     from .simulation.rendering.relighting import relight
     from .simulation.rendering.tracing import trace
-    from .starter_paints import starter_library
     from .surroundings import SceneModel, survey
     from .surroundings.corrections import correct_light, remove_mirrored_sky
     from .surroundings.flags import flag
@@ -103,7 +103,7 @@ _HOME = {
     "encoding": "io.store",
     "estimate_clock_offset": "geometry.navigation_checks",
     "estimate_noise": "radiometry.uncertainty",
-    "extract_signatures": "signatures",
+    "extract_signatures": "paints.signatures",
     "flag_overlay": "plot_flags",
     "footprint": "geometry.georeference",
     "interpolate_pose": "geometry.georeference",
@@ -112,7 +112,7 @@ _HOME = {
     "locate": "geometry.georeference",
     "match_irradiance": "light.illumination",
     "mean_uncertainty": "radiometry.uncertainty",
-    "mix_paints": "mixing",
+    "mix_paints": "paints.mixing",
     "map_report": "geometry.orthorectification",
     "MapGrid": "geometry.orthorectification",
     "open_asd": "io.asd",
@@ -139,16 +139,16 @@ _HOME = {
     "remove_mirrored_sky": "surroundings.corrections",
     "render_scene": "scene_rendering",
     "rgb": "plot",
-    "sample_paints": "mixing",
-    "search_library": "paint_search",
-    "shade_paints": "mixing",
+    "sample_paints": "paints.mixing",
+    "search_library": "paints.paint_search",
+    "shade_paints": "paints.mixing",
     "simulate_collect": "simulation",
     "smooth": "radiometry.smoothing",
     "solar_position": "light.sun",
     "solve_boresight": "geometry.navigation_checks",
     "spacing": "geometry.georeference",
     "spectrum": "plot_spectra",
-    "starter_library": "starter_paints",
+    "starter_library": "paints.starter_paints",
     "survey": "surroundings",
     "to_store": "io.store",
     "trace": "simulation.rendering.tracing",

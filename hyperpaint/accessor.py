@@ -19,9 +19,9 @@ if TYPE_CHECKING:
     from .geometry.georeference.poses import Interpolation
     from .io.store import StoreReport
     from .light.illumination import Tilt
+    from .paints.signatures.sources import Smoothing
     from .radiometry.counts_to_reflectance import Panel
     from .regions.proposals import Proposals
-    from .signatures.sources import Smoothing
     from .simulation.rendering.four_curves import Atmosphere
     from .surroundings import SceneModel
 
@@ -314,7 +314,7 @@ class PaintAccessor:
         dims: Dims | None = None,
     ) -> xr.Dataset:
         """Return a paint library, one paint a region (eager); see `hyperpaint.extract_signatures`."""
-        from .signatures import extract_signatures
+        from .paints.signatures import extract_signatures
 
         return extract_signatures(
             self._by_role(dims),

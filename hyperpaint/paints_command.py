@@ -90,7 +90,7 @@ def list_paints(
     LIB is a library's Zarr store, as `signatures` writes it, or any file of spectra that hyperpaint reads;
     without it, the starter library. Several conditions must all be met.
     """
-    from .paint_search import search_library
+    from .paints.paint_search import search_library
 
     if options["maximum_angle"] is not None and like is None:
         msg = "--maximum-angle needs --like"
@@ -121,7 +121,7 @@ def list_paints(
 
 def _opened(library: Path | None, members: int | None) -> xr.Dataset:
     if library is None:
-        from .starter_paints import starter_library
+        from .paints.starter_paints import starter_library
 
         return starter_library() if members is None else starter_library(members=members)
     if members is not None:

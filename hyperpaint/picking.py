@@ -14,9 +14,9 @@ import numpy.typing as npt
 from .base import schema
 from .base.errors import MissingExtraError, PaintError, SchemaError
 from .base.schema import ALONG_TRACK, CROSS_TRACK
+from .paints.signatures import extract_signatures
 from .plot_flags import background
 from .regions import Region, Regions, regions_from, write_regions
-from .signatures import extract_signatures
 
 if TYPE_CHECKING:
     import xarray as xr

@@ -13,9 +13,9 @@ from .base import schema
 from .base.errors import Problems, SchemaError
 from .base.schema import ALONG_TRACK, BAND, CROSS_TRACK
 from .figures import label_for, new_figure, save_figure
+from .paints.signatures.gathering import gather
 from .plot_flags import background
 from .regions import Region, pixels_of, regions_from
-from .signatures.gathering import gather
 
 if TYPE_CHECKING:
     import xarray as xr

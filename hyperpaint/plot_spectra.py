@@ -13,11 +13,11 @@ from .base import schema
 from .base.errors import Problems, SchemaError
 from .base.schema import ALONG_TRACK, BAND, CROSS_TRACK, Quality
 from .figures import axes_or_new, label_for, new_figure, save_figure
+from .paints.signatures import EXCLUDED, extract_signatures
+from .paints.signatures.gathering import gather
 from .plot import known_quantiles
 from .radiometry.counts_to_reflectance import radiance, reflectance
 from .regions import pixels_of, regions_from
-from .signatures import EXCLUDED, extract_signatures
-from .signatures.gathering import gather
 
 if TYPE_CHECKING:
     import xarray as xr

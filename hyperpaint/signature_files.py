@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from .base.errors import PaintError, SchemaError, StoreError
 from .base.schema import Quality
-from .signatures.gathering import part_of
+from .paints.signatures.gathering import part_of
 from .surroundings.flagging import Flagged, flag_line, is_flagged
 
 if TYPE_CHECKING:
@@ -79,8 +79,8 @@ def write_signatures(
         holds something else.
     """
     from .io.store import to_store
+    from .paints.signatures import extract_signatures
     from .regions import regions_from
-    from .signatures import extract_signatures
 
     inside, around = Path(out).resolve(), Path(store).resolve()
     if inside == around or around in inside.parents:
@@ -199,7 +199,7 @@ def _proposed(
 
 
 def _excluded(keep: Sequence[str]) -> Quality:
-    from .signatures import EXCLUDED
+    from .paints.signatures import EXCLUDED
 
     known = {str(flag.name).lower(): flag for flag in Quality}
     if unknown := [name for name in keep if name.lower() not in known]:

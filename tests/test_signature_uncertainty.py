@@ -10,9 +10,9 @@ from painted_lines import RAW, TWO, made, raw
 import hyperpaint as hp
 from hyperpaint import Region, Regions, extract_signatures
 from hyperpaint.base.schema import CUBE
+from hyperpaint.paints.signatures import independence
+from hyperpaint.paints.signatures.independence import effective_pixels
 from hyperpaint.regions import pixels
-from hyperpaint.signatures import independence
-from hyperpaint.signatures.independence import effective_pixels
 from hyperpaint.simulation import simulate_line
 from hyperpaint.simulation.paints import MATERIALS
 

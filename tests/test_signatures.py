@@ -12,9 +12,9 @@ from painted_lines import CHUNKINGS, RAW, SPECTRA, TWO, assert_same_bits, made, 
 
 from hyperpaint import Quality, Region, Regions, SchemaError, extract_signatures
 from hyperpaint.base.schema import CUBE
+from hyperpaint.paints.signatures import extraction, independence
+from hyperpaint.paints.signatures.reduction import chosen_members, geometric_median, summarise
 from hyperpaint.regions import pixels
-from hyperpaint.signatures import extraction, independence
-from hyperpaint.signatures.reduction import chosen_members, geometric_median, summarise
 
 # --- against plain numpy -----------------------------------------------------------------------------------
 

@@ -12,8 +12,8 @@ import xarray as xr
 
 import hyperpaint as hp
 from hyperpaint.base.errors import SchemaError
-from hyperpaint.colour_difference import srgb_hex
 from hyperpaint.io.dirsig import open_emissivity
+from hyperpaint.paints.colour_difference import srgb_hex
 from hyperpaint.plot_library import library_overview, paint_colours
 from hyperpaint.simulation.rendering.pigments import FOURTEEN
 from hyperpaint.simulation.rendering.spectra import spectrum_of

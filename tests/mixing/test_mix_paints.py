@@ -15,7 +15,7 @@ from library_examples import make_library
 
 import hyperpaint as hp
 from hyperpaint.base.errors import PaintWarning, SchemaError
-from hyperpaint.mixing.kubelka_munk import Interface, absorption_to_scattering, thick_layer_reflectance
+from hyperpaint.paints.mixing.kubelka_munk import Interface, absorption_to_scattering, thick_layer_reflectance
 
 WHITE, BLACK, RED = "Synthetic Polar White", "Synthetic Carbon Black", "Synthetic Signal Red"
 

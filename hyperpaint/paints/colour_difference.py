@@ -8,7 +8,7 @@ import re
 import numpy as np
 import numpy.typing as npt
 
-from .base.errors import SchemaError
+from hyperpaint.base.errors import SchemaError
 
 __all__ = ["COLOURS", "ciede2000", "lab_of", "nearest_colour", "parse_colour", "srgb_hex"]
 

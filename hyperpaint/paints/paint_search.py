@@ -9,12 +9,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from .base import schema
-from .base.errors import Problems, SchemaError
-from .base.schema import BAND, LIBRARY_VARIABLES, PAINT
-from .base.units import convert
+from hyperpaint.base import schema
+from hyperpaint.base.errors import Problems, SchemaError
+from hyperpaint.base.schema import BAND, LIBRARY_VARIABLES, PAINT
+from hyperpaint.base.units import convert
+from hyperpaint.plot_library import paint_colours
+
 from .colour_difference import ciede2000, lab_of, parse_colour
-from .plot_library import paint_colours
 
 if TYPE_CHECKING:
     import xarray as xr

@@ -7,17 +7,18 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from .base.errors import Problems, SchemaError
-from .base.schema import BAND, LIBRARY_VARIABLES, PAINT
+from hyperpaint.base.errors import Problems, SchemaError
+from hyperpaint.base.schema import BAND, LIBRARY_VARIABLES, PAINT
+from hyperpaint.plot_library import paint_colours
+
 from .colour_difference import srgb_hex
 from .mixing.kubelka_munk import Interface, absorption_to_scattering, thick_layer_reflectance
 from .mixing.synthetic import SPECULAR, synthetic_library, text_column
-from .plot_library import paint_colours
 
 if TYPE_CHECKING:
     import xarray as xr
 
-    from .simulation.rendering.pigments import PaintSpec
+    from hyperpaint.simulation.rendering.pigments import PaintSpec
 
 __all__ = ["MOST_MEMBERS", "starter_library"]
 
@@ -112,7 +113,7 @@ def _check(members: int, nm: Floats) -> None:
 
 
 def _specs() -> list[PaintSpec]:
-    from .simulation.rendering.pigments import FOURTEEN, generate_paint, paint_spec
+    from hyperpaint.simulation.rendering.pigments import FOURTEEN, generate_paint, paint_spec
 
     generated = [generate_paint(family, number) for family, number in GENERATED]
     return [*map(paint_spec, FOURTEEN), *generated]
@@ -125,8 +126,8 @@ def _body(spec: PaintSpec, nm: Floats) -> Floats:
 
 def _specular(spec: PaintSpec, nm: Floats) -> Floats:
     """Return what coat and flakes reflect about the mirror direction (band,) [1]."""
-    from .simulation.rendering.materials import fresnel_reflectance
-    from .simulation.rendering.spectra import spectrum_of
+    from hyperpaint.simulation.rendering.materials import fresnel_reflectance
+    from hyperpaint.simulation.rendering.spectra import spectrum_of
 
     coat = float(fresnel_reflectance(1.0, spec.coat.index))
     if spec.flakes is None:
