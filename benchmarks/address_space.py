@@ -33,7 +33,7 @@ BLOCK_LINES = 64
 IMPORTS = (
     *("dask.array", "numba", "numcodecs.blosc", "pandas", "pint", "scipy.interpolate", "xarray", "zarr"),
     *("hyperpaint.accessor", "hyperpaint.io.collect", "hyperpaint.io.store", "hyperpaint.kernels.radiometry"),
-    *("hyperpaint.pipeline", "hyperpaint.plot", "hyperpaint.radiometry.counts_to_reflectance"),
+    *("hyperpaint.pipeline", "hyperpaint.pictures.plot", "hyperpaint.radiometry.counts_to_reflectance"),
 )
 
 

@@ -58,15 +58,15 @@ if TYPE_CHECKING:
     from .paints.paint_search import search_library
     from .paints.signatures import extract_signatures
     from .paints.starter_paints import starter_library
-    from .picking import pick_regions
+    from .pictures.picking import pick_regions
+    from .pictures.plot import quicklook, rgb
+    from .pictures.plot_adjacency import adjacency_figure
+    from .pictures.plot_calibration import calibration_report
+    from .pictures.plot_flags import flag_overlay
+    from .pictures.plot_library import library_overview
+    from .pictures.plot_spectra import spectrum, triptych
+    from .pictures.plot_validation import validation_figure
     from .pipeline import process
-    from .plot import quicklook, rgb
-    from .plot_adjacency import adjacency_figure
-    from .plot_calibration import calibration_report
-    from .plot_flags import flag_overlay
-    from .plot_library import library_overview
-    from .plot_spectra import spectrum, triptych
-    from .plot_validation import validation_figure
     from .radiometry.counts_to_reflectance import Panel, radiance, reflectance
     from .radiometry.smoothing import smooth
     from .radiometry.uncertainty import estimate_noise, mean_uncertainty
@@ -92,11 +92,11 @@ _HOME = {
     "Regions": "regions",
     "SceneModel": "surroundings",
     "Tilt": "light.illumination",
-    "adjacency_figure": "plot_adjacency",
+    "adjacency_figure": "pictures.plot_adjacency",
     "align_to_irradiance": "alignment",
     "apply_alignment": "alignment",
     "calibrate": "calibration",
-    "calibration_report": "plot_calibration",
+    "calibration_report": "pictures.plot_calibration",
     "canonical_navigation": "geometry.georeference",
     "correct_light": "surroundings.corrections",
     "check_conventions": "geometry.navigation_checks",
@@ -104,10 +104,10 @@ _HOME = {
     "estimate_clock_offset": "geometry.navigation_checks",
     "estimate_noise": "radiometry.uncertainty",
     "extract_signatures": "paints.signatures",
-    "flag_overlay": "plot_flags",
+    "flag_overlay": "pictures.plot_flags",
     "footprint": "geometry.georeference",
     "interpolate_pose": "geometry.georeference",
-    "library_overview": "plot_library",
+    "library_overview": "pictures.plot_library",
     "flag": "surroundings.flags",
     "locate": "geometry.georeference",
     "match_irradiance": "light.illumination",
@@ -125,11 +125,11 @@ _HOME = {
     "open_svc": "io.svc",
     "orthorectify": "geometry.orthorectification",
     "oxygen_residual": "alignment",
-    "pick_regions": "picking",
+    "pick_regions": "pictures.picking",
     "process": "pipeline",
     "Proposals": "regions.proposals",
     "propose_regions": "regions.proposals",
-    "quicklook": "plot",
+    "quicklook": "pictures.plot",
     "radiance": "radiometry.counts_to_reflectance",
     "read_certificate": "io.panel_certificate",
     "read_control_points": "io.control_points",
@@ -138,7 +138,7 @@ _HOME = {
     "relight": "simulation.rendering.relighting",
     "remove_mirrored_sky": "surroundings.corrections",
     "render_scene": "scene_rendering",
-    "rgb": "plot",
+    "rgb": "pictures.plot",
     "sample_paints": "paints.mixing",
     "search_library": "paints.paint_search",
     "shade_paints": "paints.mixing",
@@ -147,15 +147,15 @@ _HOME = {
     "solar_position": "light.sun",
     "solve_boresight": "geometry.navigation_checks",
     "spacing": "geometry.georeference",
-    "spectrum": "plot_spectra",
+    "spectrum": "pictures.plot_spectra",
     "starter_library": "paints.starter_paints",
     "survey": "surroundings",
     "to_store": "io.store",
     "trace": "simulation.rendering.tracing",
-    "triptych": "plot_spectra",
+    "triptych": "pictures.plot_spectra",
     "validate": "validation",
     "Validation": "validation",
-    "validation_figure": "plot_validation",
+    "validation_figure": "pictures.plot_validation",
     "verify": "io.store",
     "write_dirsig": "io.dirsig",
     "write_envi": "io.envi_writing",

@@ -331,16 +331,16 @@ class PaintAccessor:
         )
 
     def rgb(self, *, stretch: tuple[float, float] = (2.0, 98.0), dims: Dims | None = None) -> xr.DataArray:
-        """Return a true-colour picture; see `hyperpaint.plot.rgb`."""
-        from .plot import rgb
+        """Return a true-colour picture; see `hyperpaint.pictures.plot.rgb`."""
+        from .pictures.plot import rgb
 
         return rgb(self._by_role(dims), stretch=stretch)
 
     def quicklook(
         self, path: str | Path | None = None, *, lines: int = 1000, dims: Dims | None = None
     ) -> Any:
-        """Draw colour, quality, irradiance and spectra (eager); see `hyperpaint.plot.quicklook`."""
-        from .plot import quicklook
+        """Draw colour, quality, irradiance and spectra (eager); see `hyperpaint.pictures.plot.quicklook`."""
+        from .pictures.plot import quicklook
 
         return quicklook(self._by_role(dims), path, lines=lines)
 
@@ -356,7 +356,7 @@ class PaintAccessor:
         dims: Dims | None = None,
     ) -> Any:
         """Draw spectra of regions, pixels or paints (eager); see `hyperpaint.spectrum`."""
-        from .plot_spectra import spectrum
+        from .pictures.plot_spectra import spectrum
 
         return spectrum(
             self._by_role(dims),
@@ -377,7 +377,7 @@ class PaintAccessor:
         dims: Dims | None = None,
     ) -> Any:
         """Draw a region as counts, radiance and reflectance (eager); see `hyperpaint.triptych`."""
-        from .plot_spectra import triptych
+        from .pictures.plot_spectra import triptych
 
         return triptych(self._by_role(dims), region, path, exclude=exclude)
 
@@ -392,7 +392,7 @@ class PaintAccessor:
         dims: Dims | None = None,
     ) -> Any:
         """Draw flags or a layer over the true-colour picture (eager); see `hyperpaint.flag_overlay`."""
-        from .plot_flags import flag_overlay
+        from .pictures.plot_flags import flag_overlay
 
         return flag_overlay(self._by_role(dims), flags, layer=layer, lines=lines, opacity=opacity, axes=axes)
 

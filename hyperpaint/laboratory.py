@@ -98,14 +98,14 @@ def write_calibration(
         msg = f"{out} is the sweep itself; choose another path for the calibration"
         raise SchemaError(msg)
     if report is not None:
-        from .plot_calibration import check_picture
+        from .pictures.plot_calibration import check_picture
 
         check_picture(Path(report))
     made = calibrate_sweep(sweep, progress=progress, **options)
     to_store(made, Path(out), overwrite=overwrite)
     if report is not None:
         from .io.sweep_store import open_sweep
-        from .plot_calibration import calibration_report
+        from .pictures.plot_calibration import calibration_report
 
         calibration_report(made, open_sweep(sweep), Path(report))
     return made

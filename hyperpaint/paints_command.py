@@ -113,7 +113,7 @@ def list_paints(
             path = write_library(found, out, overwrite=overwrite, progress=shown)
         click.echo(f"saved in {path}")
     if picture is not None:
-        from .plot_library import library_overview
+        from .pictures.plot_library import library_overview
 
         library_overview(found, picture)
         click.echo(f"look at them in {picture}")

@@ -244,7 +244,7 @@ def _product(dataset: xr.Dataset, name: str, to: Product, kept: Kept) -> xr.Data
     if to == "radiance":
         made = dataset.paint.radiance()
         return made.drop_vars("radiance") if kept == "none" and "counts" in made else made
-    from .plot import overview
+    from .pictures.plot import overview
 
     made = dataset.paint.reflectance(keep_bits=KEPT_BITS)
     made["reflectance"].attrs["keep_bits"] = KEPT_BITS

@@ -14,9 +14,9 @@ from typing import TYPE_CHECKING
 
 from .base.errors import PaintError, Problems, SchemaError, StoreError
 from .base.schema import ALONG_TRACK, CROSS_TRACK, PAINT
-from .figures import new_figure
 from .markup import Markup, element, joined, table_of_facts
 from .paints.signatures.gathering import part_of
+from .pictures.figures import new_figure
 from .radiometry.counts_to_reflectance import reflectance
 from .report_page import page
 from .report_sections import LAYERS, Part, calibration_section, library_section, line_section, regions_of

@@ -19,12 +19,12 @@ from .base import schema
 from .base.errors import PaintError, SchemaError
 from .base.schema import ALONG_TRACK, CROSS_TRACK, PAINT, Quality
 from .facts import facts_of_bands, facts_of_line
-from .figures import data_uri, encode_png, new_figure, png_of
 from .markup import Markup, element, joined, table_of_facts, void
-from .plot import draw_irradiance, draw_reflectance, flags_of
-from .plot_calibration import calibration_report
-from .plot_flags import background, draw_outlines, flag_overlay, flag_shares
-from .plot_library import find_usable, library_overview, paint_colours
+from .pictures.figures import data_uri, encode_png, new_figure, png_of
+from .pictures.plot import draw_irradiance, draw_reflectance, flags_of
+from .pictures.plot_calibration import calibration_report
+from .pictures.plot_flags import background, draw_outlines, flag_overlay, flag_shares
+from .pictures.plot_library import find_usable, library_overview, paint_colours
 from .radiometry.counts_to_reflectance import reflectance
 from .regions import Region, regions_from
 

@@ -11,8 +11,8 @@ import numpy.typing as npt
 from .base import schema
 from .base.schema import ALONG_TRACK, Quality
 from .facts import Facts, counted, facts_of_bands, facts_of_line, form_of, size_of
-from .figures import data_uri, encode_png
 from .markup import Markup, element, joined, table_of_facts, void
+from .pictures.figures import data_uri, encode_png
 
 if TYPE_CHECKING:
     import xarray as xr

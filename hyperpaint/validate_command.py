@@ -122,7 +122,7 @@ def validate(
     if out is not None:
         check_table(out, overwrite=overwrite)
     if picture is not None:
-        from .plot_validation import check_picture
+        from .pictures.plot_validation import check_picture
 
         check_picture(picture)
     given = {name: value for name, value in options.items() if value is not None}
@@ -132,7 +132,7 @@ def validate(
         write_table(found, out, overwrite=overwrite)
         click.echo(f"all digits are in {out}")
     if picture is not None:
-        from .plot_validation import validation_figure
+        from .pictures.plot_validation import validation_figure
 
         validation_figure(found, picture)
         click.echo(f"look at it in {picture}")

@@ -13,7 +13,7 @@ import xarray as xr
 from strategies import flight
 
 import hyperpaint as hp
-from hyperpaint import alignment, plot, plot_flags, plot_spectra
+from hyperpaint import alignment
 from hyperpaint import surroundings as scene_model
 from hyperpaint.accessor import PaintAccessor
 from hyperpaint.base import units
@@ -21,6 +21,7 @@ from hyperpaint.base.errors import StoreError
 from hyperpaint.geometry import georeference, orthorectification
 from hyperpaint.io import store
 from hyperpaint.paints import signatures
+from hyperpaint.pictures import plot, plot_flags, plot_spectra
 from hyperpaint.radiometry import bands, smoothing
 from hyperpaint.radiometry import counts_to_reflectance as radiometry
 from hyperpaint.regions import proposals

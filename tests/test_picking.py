@@ -14,9 +14,9 @@ from hypothesis import strategies as st
 from strategies import flight
 
 import hyperpaint as hp
-from hyperpaint import picking
 from hyperpaint.base.errors import MissingExtraError, SchemaError
-from hyperpaint.picking import RegionPicker, corners_at, pick_regions
+from hyperpaint.pictures import picking
+from hyperpaint.pictures.picking import RegionPicker, corners_at, pick_regions
 
 BEGIN = hp.Regions((hp.Region("roof", [(1, 2), (4, 2), (4, 9)], properties={"colour": "red"}),))
 
@@ -31,9 +31,9 @@ class NoView:
 @pytest.fixture
 def picker(monkeypatch: pytest.MonkeyPatch) -> RegionPicker:
     """A picker of a line of 24 x 6 pixels without its widget."""
-    view = ModuleType("hyperpaint.picking_view")
+    view = ModuleType("hyperpaint.pictures.picking_view")
     view.PickerView = NoView  # type: ignore[attr-defined]
-    monkeypatch.setitem(sys.modules, "hyperpaint.picking_view", view)
+    monkeypatch.setitem(sys.modules, "hyperpaint.pictures.picking_view", view)
     monkeypatch.setattr(picking, "_need_extra", lambda: None)
     return pick_regions(flight().line, BEGIN, flightline="raw_0")
 

@@ -11,7 +11,7 @@ import xarray as xr
 from strategies import flight
 
 from hyperpaint.base.errors import MissingExtraError, SchemaError
-from hyperpaint.plot import colour_matching, quicklook, rgb
+from hyperpaint.pictures.plot import colour_matching, quicklook, rgb
 
 NM = np.arange(385.0, 780.0, 5.0)
 WHITE = (0.0, 100.0)

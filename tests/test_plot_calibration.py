@@ -15,7 +15,7 @@ from hyperpaint import calibrate
 from hyperpaint.base.errors import MissingExtraError, PaintWarning, SchemaError
 from hyperpaint.calibration.line_samples import fitted_lines
 from hyperpaint.cli import main
-from hyperpaint.plot_calibration import calibration_report, check_picture
+from hyperpaint.pictures.plot_calibration import calibration_report, check_picture
 from hyperpaint.simulation import simulate_sweep
 
 COLUMNS, STEPS = 6, 31

@@ -13,14 +13,14 @@ from strategies import flight
 import hyperpaint as hp
 from hyperpaint.base.errors import MissingExtraError, SchemaError
 from hyperpaint.base.schema import Quality
-from hyperpaint.plot import srgb
+from hyperpaint.pictures.plot import srgb
 
 pytest.importorskip("matplotlib")
 
 from matplotlib.figure import Figure
 
-from hyperpaint.plot_library import MOST_PAINTS, library_overview, paint_colours
-from hyperpaint.plot_spectra import spectrum, triptych
+from hyperpaint.pictures.plot_library import MOST_PAINTS, library_overview, paint_colours
+from hyperpaint.pictures.plot_spectra import spectrum, triptych
 
 LEFT = hp.Region("left", [(0, 0), (2, 0), (2, 19), (0, 19)])
 RIGHT = hp.Region("_right $x", [(3, 0), (5, 0), (5, 19), (3, 19)])

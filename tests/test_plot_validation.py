@@ -11,7 +11,7 @@ from agreeing_spectra import NM, agreeing, field, library, seen
 
 import hyperpaint as hp
 from hyperpaint.base.errors import SchemaError
-from hyperpaint.plot_validation import MOST_PAIRS, check_picture
+from hyperpaint.pictures.plot_validation import MOST_PAIRS, check_picture
 
 mpl.use("Agg")
 

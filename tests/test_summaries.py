@@ -17,7 +17,7 @@ from strategies import flight
 
 import hyperpaint as hp
 from hyperpaint.base.schema import Quality
-from hyperpaint.figures import encode_png, label_for
+from hyperpaint.pictures.figures import encode_png, label_for
 from hyperpaint.summaries import stored_overview, summary_html, summary_text
 
 

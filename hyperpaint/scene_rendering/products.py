@@ -86,7 +86,7 @@ class Render:
         SchemaError
             As `hyperpaint.relight`.
         """
-        from hyperpaint.plot import overview
+        from hyperpaint.pictures.plot import overview
         from hyperpaint.simulation.rendering.relighting import relight
 
         relit = relight(

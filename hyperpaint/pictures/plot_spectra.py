@@ -9,15 +9,16 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from .base import schema
-from .base.errors import Problems, SchemaError
-from .base.schema import ALONG_TRACK, BAND, CROSS_TRACK, Quality
+from hyperpaint.base import schema
+from hyperpaint.base.errors import Problems, SchemaError
+from hyperpaint.base.schema import ALONG_TRACK, BAND, CROSS_TRACK, Quality
+from hyperpaint.paints.signatures import EXCLUDED, extract_signatures
+from hyperpaint.paints.signatures.gathering import gather
+from hyperpaint.radiometry.counts_to_reflectance import radiance, reflectance
+from hyperpaint.regions import pixels_of, regions_from
+
 from .figures import axes_or_new, label_for, new_figure, save_figure
-from .paints.signatures import EXCLUDED, extract_signatures
-from .paints.signatures.gathering import gather
 from .plot import known_quantiles
-from .radiometry.counts_to_reflectance import radiance, reflectance
-from .regions import pixels_of, regions_from
 
 if TYPE_CHECKING:
     import xarray as xr

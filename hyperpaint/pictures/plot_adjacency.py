@@ -9,13 +9,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from .base import schema
-from .base.errors import Problems, SchemaError
-from .base.schema import ALONG_TRACK, BAND, CROSS_TRACK
+from hyperpaint.base import schema
+from hyperpaint.base.errors import Problems, SchemaError
+from hyperpaint.base.schema import ALONG_TRACK, BAND, CROSS_TRACK
+from hyperpaint.paints.signatures.gathering import gather
+from hyperpaint.regions import Region, pixels_of, regions_from
+
 from .figures import label_for, new_figure, save_figure
-from .paints.signatures.gathering import gather
 from .plot_flags import background
-from .regions import Region, pixels_of, regions_from
 
 if TYPE_CHECKING:
     import xarray as xr

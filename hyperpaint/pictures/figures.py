@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from .base.errors import MissingExtraError, SchemaError
+from hyperpaint.base.errors import MissingExtraError, SchemaError
 
 __all__ = ["axes_or_new", "data_uri", "encode_png", "label_for", "new_figure", "png_of", "save_figure"]
 

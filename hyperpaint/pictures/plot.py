@@ -9,11 +9,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from .base import schema
-from .base.errors import SchemaError
+from hyperpaint.base import schema
+from hyperpaint.base.errors import SchemaError
+from hyperpaint.light.responses import band_spacing
+from hyperpaint.radiometry.counts_to_reflectance import reflectance
+
 from .figures import label_for, new_figure, save_figure
-from .light.responses import band_spacing
-from .radiometry.counts_to_reflectance import reflectance
 
 if TYPE_CHECKING:
     import xarray as xr

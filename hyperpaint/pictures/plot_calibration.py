@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from .base import schema
-from .base.errors import MissingExtraError, Problems, SchemaError
-from .base.schema import BAND, CROSS_TRACK, STEP
+from hyperpaint.base import schema
+from hyperpaint.base.errors import MissingExtraError, Problems, SchemaError
+from hyperpaint.base.schema import BAND, CROSS_TRACK, STEP
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -188,7 +188,7 @@ def _draw_lines(
     """Draw counts and fit of a few steps, and what is left of them."""
     from matplotlib import colormaps
 
-    from .calibration.line_samples import fitted_lines
+    from hyperpaint.calibration.line_samples import fitted_lines
 
     usable = np.flatnonzero(values["line_trusted"][:, values["column"]])
     # not the outermost, some of whose light falls beside the array

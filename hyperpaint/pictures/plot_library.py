@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from .base import schema
-from .base.errors import Problems, SchemaError
+from hyperpaint.base import schema
+from hyperpaint.base.errors import Problems, SchemaError
+
 from .figures import label_for, new_figure, save_figure
 from .plot import srgb
 from .plot_spectra import draw_band

@@ -11,12 +11,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from .base import schema
-from .base.errors import MissingExtraError, PaintError, SchemaError
-from .base.schema import ALONG_TRACK, CROSS_TRACK
-from .paints.signatures import extract_signatures
+from hyperpaint.base import schema
+from hyperpaint.base.errors import MissingExtraError, PaintError, SchemaError
+from hyperpaint.base.schema import ALONG_TRACK, CROSS_TRACK
+from hyperpaint.paints.signatures import extract_signatures
+from hyperpaint.regions import Region, Regions, regions_from, write_regions
+
 from .plot_flags import background
-from .regions import Region, Regions, regions_from, write_regions
 
 if TYPE_CHECKING:
     import xarray as xr

@@ -8,13 +8,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from .base import schema
-from .base.errors import SchemaError
-from .base.schema import ALONG_TRACK, CROSS_TRACK, Quality
+from hyperpaint.base import schema
+from hyperpaint.base.errors import SchemaError
+from hyperpaint.base.schema import ALONG_TRACK, CROSS_TRACK, Quality
+from hyperpaint.radiometry.counts_to_reflectance import reflectance
+from hyperpaint.regions import Region
+
 from .figures import axes_or_new, label_for
 from .plot import flags_of, rgb
-from .radiometry.counts_to_reflectance import reflectance
-from .regions import Region
 
 if TYPE_CHECKING:
     import xarray as xr

@@ -1,4 +1,4 @@
-"""What `hyperpaint.picking` shows: a picture to draw on, and the spectra of what is drawn."""
+"""What `hyperpaint.pictures.picking` shows: a picture to draw on, and the spectra of what is drawn."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Any, Protocol
 import numpy as np
 import numpy.typing as npt
 
-from .regions import Region, Regions
+from hyperpaint.regions import Region, Regions
 
 __all__ = ["COLOURS", "Drawn", "PickerView"]
 
@@ -24,7 +24,7 @@ _PICTURE_HEIGHT, _SPECTRA_HEIGHT = 460, 300
 
 
 class Drawn(Protocol):
-    """What is told what the mouse did, and asked for what came of it; see `hyperpaint.picking`."""
+    """What is told what the mouse did, and asked for what came of it; see `hyperpaint.pictures.picking`."""
 
     @property
     def regions(self) -> Regions: ...  # noqa: D102

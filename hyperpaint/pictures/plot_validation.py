@@ -7,13 +7,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from .base.errors import Problems, SchemaError
+from hyperpaint.base.errors import Problems, SchemaError
+
 from .figures import label_for, new_figure, save_figure
 
 if TYPE_CHECKING:
     import xarray as xr
 
-    from .validation import Validation
+    from hyperpaint.validation import Validation
 
 __all__ = ["MOST_PAIRS", "check_picture", "validation_figure"]
 
