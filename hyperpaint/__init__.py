@@ -72,7 +72,7 @@ if TYPE_CHECKING:
     from .radiometry.uncertainty import estimate_noise, mean_uncertainty
     from .regions import Region, Regions, read_regions, write_regions
     from .regions.proposals import Proposals, propose_regions
-    from .report import write_report
+    from .report.store_report import write_report
     from .scene_rendering import render_scene
     from .simulation import simulate_collect
     from .simulation.rendering.relighting import relight
@@ -163,7 +163,7 @@ _HOME = {
     "write_library": "io.library",
     "write_line_table": "io.line_table",
     "write_regions": "regions",
-    "write_report": "report",
+    "write_report": "report.store_report",
 }
 
 __all__ = [

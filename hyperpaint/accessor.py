@@ -42,12 +42,12 @@ class PaintAccessor:
         self._dataset = dataset
 
     def __repr__(self) -> str:
-        from .summaries import summary_text
+        from .report.summaries import summary_text
 
         return summary_text(self._dataset)
 
     def _repr_html_(self) -> str:
-        from .summaries import summary_html
+        from .report.summaries import summary_html
 
         return summary_html(self._dataset)
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from .base.errors import FormatError, IncompleteStoreError, StoreError
 from .base.schema import ALONG_TRACK
-from .facts import (
+from .report.facts import (
     Facts,
     counted,
     facts_of_bands,

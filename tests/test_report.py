@@ -19,7 +19,7 @@ import hyperpaint as hp
 from hyperpaint.base.errors import SchemaError, StoreError
 from hyperpaint.base.schema import Quality
 from hyperpaint.cli import main
-from hyperpaint.markup import element, text
+from hyperpaint.report.markup import element, text
 
 pytest.importorskip("matplotlib")
 

@@ -18,7 +18,7 @@ from strategies import flight
 import hyperpaint as hp
 from hyperpaint.base.schema import Quality
 from hyperpaint.pictures.figures import encode_png, label_for
-from hyperpaint.summaries import stored_overview, summary_html, summary_text
+from hyperpaint.report.summaries import stored_overview, summary_html, summary_text
 
 
 def with_overview(line: xr.Dataset) -> xr.Dataset:

@@ -8,11 +8,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from .base import schema
-from .base.schema import ALONG_TRACK, Quality
+from hyperpaint.base import schema
+from hyperpaint.base.schema import ALONG_TRACK, Quality
+from hyperpaint.pictures.figures import data_uri, encode_png
+
 from .facts import Facts, counted, facts_of_bands, facts_of_line, form_of, size_of
 from .markup import Markup, element, joined, table_of_facts, void
-from .pictures.figures import data_uri, encode_png
 
 if TYPE_CHECKING:
     import xarray as xr

@@ -12,20 +12,21 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from .base.errors import PaintError, Problems, SchemaError, StoreError
-from .base.schema import ALONG_TRACK, CROSS_TRACK, PAINT
+from hyperpaint.base.errors import PaintError, Problems, SchemaError, StoreError
+from hyperpaint.base.schema import ALONG_TRACK, CROSS_TRACK, PAINT
+from hyperpaint.paints.signatures.gathering import part_of
+from hyperpaint.pictures.figures import new_figure
+from hyperpaint.radiometry.counts_to_reflectance import reflectance
+from hyperpaint.surroundings.flagging import flag_line, is_flagged
+
 from .markup import Markup, element, joined, table_of_facts
-from .paints.signatures.gathering import part_of
-from .pictures.figures import new_figure
-from .radiometry.counts_to_reflectance import reflectance
 from .report_page import page
 from .report_sections import LAYERS, Part, calibration_section, library_section, line_section, regions_of
-from .surroundings.flagging import flag_line, is_flagged
 
 if TYPE_CHECKING:
     import xarray as xr
 
-    from .regions import Region
+    from hyperpaint.regions import Region
 
 __all__ = ["Written", "write_report"]
 
@@ -117,7 +118,7 @@ def write_report(
     >>> write_report("lot.zarr", "report.html").problems     # doctest: +SKIP
     ()
     """
-    from .io.store import list_groups
+    from hyperpaint.io.store import list_groups
 
     new_figure("a report")  # before anything is read
     place = _checked_place(store, Path(out), overwrite)
@@ -216,7 +217,7 @@ def _checked_place(store: str | os.PathLike[str], place: Path, overwrite: bool) 
 
 def _opened(store: str | os.PathLike[str], groups: Sequence[str]) -> tuple[dict[str, xr.Dataset], list[str]]:
     """Return the groups that can be read, and why others cannot."""
-    from .io.store import open_store
+    from hyperpaint.io.store import open_store
 
     opened, problems = {}, []
     for group in groups:
@@ -252,7 +253,7 @@ def _chosen(
 
 
 def _library(path: str | os.PathLike[str]) -> xr.Dataset:
-    from .io.store import open_store
+    from hyperpaint.io.store import open_store
 
     made = open_store(path)
     if not _is_library(made):
@@ -304,7 +305,7 @@ def _head(store: str | os.PathLike[str], opened: dict[str, xr.Dataset], problems
     """Return what stands above all sections: what the store is, and what is wrong with it."""
     import datetime
 
-    from .io.store.listing import version_of_program
+    from hyperpaint.io.store.listing import version_of_program
 
     now = datetime.datetime.now(datetime.UTC).isoformat(sep=" ", timespec="seconds")
     collects = [str(made.attrs["collect"]) for made in opened.values() if "collect" in made.attrs]
@@ -330,6 +331,6 @@ def _head(store: str | os.PathLike[str], opened: dict[str, xr.Dataset], problems
 
 def _write(place: Path, content: Markup) -> None:
     """Write the page; no half page ever stands under its name."""
-    from .io.publishing import publish_file
+    from hyperpaint.io.publishing import publish_file
 
     publish_file(place, content.encode("utf-8", "replace"), overwrite=True)

@@ -15,18 +15,19 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from .base import schema
-from .base.errors import PaintError, SchemaError
-from .base.schema import ALONG_TRACK, CROSS_TRACK, PAINT, Quality
+from hyperpaint.base import schema
+from hyperpaint.base.errors import PaintError, SchemaError
+from hyperpaint.base.schema import ALONG_TRACK, CROSS_TRACK, PAINT, Quality
+from hyperpaint.pictures.figures import data_uri, encode_png, new_figure, png_of
+from hyperpaint.pictures.plot import draw_irradiance, draw_reflectance, flags_of
+from hyperpaint.pictures.plot_calibration import calibration_report
+from hyperpaint.pictures.plot_flags import background, draw_outlines, flag_overlay, flag_shares
+from hyperpaint.pictures.plot_library import find_usable, library_overview, paint_colours
+from hyperpaint.radiometry.counts_to_reflectance import reflectance
+from hyperpaint.regions import Region, regions_from
+
 from .facts import facts_of_bands, facts_of_line
 from .markup import Markup, element, joined, table_of_facts, void
-from .pictures.figures import data_uri, encode_png, new_figure, png_of
-from .pictures.plot import draw_irradiance, draw_reflectance, flags_of
-from .pictures.plot_calibration import calibration_report
-from .pictures.plot_flags import background, draw_outlines, flag_overlay, flag_shares
-from .pictures.plot_library import find_usable, library_overview, paint_colours
-from .radiometry.counts_to_reflectance import reflectance
-from .regions import Region, regions_from
 
 if TYPE_CHECKING:
     import xarray as xr

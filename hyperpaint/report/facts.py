@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from .base.schema import BAND, IRRADIANCE_TIME, IRRADIANCE_WAVELENGTH
+from hyperpaint.base.schema import BAND, IRRADIANCE_TIME, IRRADIANCE_WAVELENGTH
 
 if TYPE_CHECKING:
     import xarray as xr
