@@ -32,7 +32,12 @@ MIB = 2**20
 BLOCK_LINES = 64
 IMPORTS = (
     *("dask.array", "numba", "numcodecs.blosc", "pandas", "pint", "scipy.interpolate", "xarray", "zarr"),
-    *("hyperpaint.accessor", "hyperpaint.io.collect", "hyperpaint.io.store", "hyperpaint.kernels.radiometry"),
+    *(
+        "hyperpaint.accessor",
+        "hyperpaint.io.collect.collect_opening",
+        "hyperpaint.io.store",
+        "hyperpaint.kernels.radiometry",
+    ),
     *("hyperpaint.pipeline", "hyperpaint.pictures.plot", "hyperpaint.radiometry.counts_to_reflectance"),
 )
 

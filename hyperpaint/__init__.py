@@ -38,19 +38,19 @@ if TYPE_CHECKING:
     )
     from .geometry.navigation_checks import check_conventions, estimate_clock_offset, solve_boresight
     from .geometry.orthorectification import MapGrid, map_report, orthorectify
-    from .io.asd import open_asd
-    from .io.control_points import read_control_points
     from .io.dirsig import write_dirsig
-    from .io.envi_writing import write_envi
-    from .io.flightline import open_flightline
-    from .io.geotiff import write_geotiff
-    from .io.irradiance import open_irradiance
+    from .io.envi.envi_writing import write_envi
+    from .io.flightline.flightline_opening import open_flightline
+    from .io.flightline.line_table import write_line_table
     from .io.library import open_library, write_library
-    from .io.line_table import write_line_table
-    from .io.navigation_opening import open_navigation
-    from .io.panel_certificate import read_certificate
+    from .io.maps.geotiff import write_geotiff
+    from .io.navigation.control_points import read_control_points
+    from .io.navigation.navigation_opening import open_navigation
+    from .io.spectrometers.asd import open_asd
+    from .io.spectrometers.irradiance import open_irradiance
+    from .io.spectrometers.panel_certificate import read_certificate
+    from .io.spectrometers.svc import open_svc
     from .io.store import encoding, open_store, to_store, verify
-    from .io.svc import open_svc
     from .laboratory import open_collect
     from .light.illumination import Tilt, match_irradiance
     from .light.sun import solar_position
@@ -115,14 +115,14 @@ _HOME = {
     "mix_paints": "paints.mixing",
     "map_report": "geometry.orthorectification",
     "MapGrid": "geometry.orthorectification",
-    "open_asd": "io.asd",
+    "open_asd": "io.spectrometers.asd",
     "open_collect": "laboratory",
-    "open_flightline": "io.flightline",
-    "open_irradiance": "io.irradiance",
+    "open_flightline": "io.flightline.flightline_opening",
+    "open_irradiance": "io.spectrometers.irradiance",
     "open_library": "io.library",
-    "open_navigation": "io.navigation_opening",
+    "open_navigation": "io.navigation.navigation_opening",
     "open_store": "io.store",
-    "open_svc": "io.svc",
+    "open_svc": "io.spectrometers.svc",
     "orthorectify": "geometry.orthorectification",
     "oxygen_residual": "alignment",
     "pick_regions": "pictures.picking",
@@ -131,8 +131,8 @@ _HOME = {
     "propose_regions": "regions.proposals",
     "quicklook": "pictures.plot",
     "radiance": "radiometry.counts_to_reflectance",
-    "read_certificate": "io.panel_certificate",
-    "read_control_points": "io.control_points",
+    "read_certificate": "io.spectrometers.panel_certificate",
+    "read_control_points": "io.navigation.control_points",
     "read_regions": "regions",
     "reflectance": "radiometry.counts_to_reflectance",
     "relight": "simulation.rendering.relighting",
@@ -158,10 +158,10 @@ _HOME = {
     "validation_figure": "pictures.plot_validation",
     "verify": "io.store",
     "write_dirsig": "io.dirsig",
-    "write_envi": "io.envi_writing",
-    "write_geotiff": "io.geotiff",
+    "write_envi": "io.envi.envi_writing",
+    "write_geotiff": "io.maps.geotiff",
     "write_library": "io.library",
-    "write_line_table": "io.line_table",
+    "write_line_table": "io.flightline.line_table",
     "write_regions": "regions",
     "write_report": "report.store_report",
 }

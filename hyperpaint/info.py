@@ -67,7 +67,7 @@ def describe_path(path: str | Path) -> str:
 
 
 def _file(path: Path) -> Facts:
-    from .io.asd import sniff
+    from .io.spectrometers.asd import sniff
 
     if path.suffix.lower() == ".toml":
         return _collect(path)
@@ -107,10 +107,10 @@ def _file(path: Path) -> Facts:
 
 
 def _envi(path: Path) -> Facts:
-    from .io.envi import find_pair, open_envi
-    from .io.envi_header import MAX_LIBRARY_HEADER_BYTES, read_header
-    from .io.eph_att import is_eph_att
-    from .io.headwall import exposure_seconds
+    from .io.envi.envi_cubes import find_pair, open_envi
+    from .io.envi.envi_header import MAX_LIBRARY_HEADER_BYTES, read_header
+    from .io.flightline.headwall import exposure_seconds
+    from .io.navigation.eph_att import is_eph_att
 
     header_path, data = find_pair(path)
     header = read_header(header_path, MAX_LIBRARY_HEADER_BYTES)
@@ -134,7 +134,7 @@ def _envi(path: Path) -> Facts:
 
 
 def _asd(path: Path) -> Facts:
-    from .io.asd_layout import read_asd
+    from .io.spectrometers.asd_layout import read_asd
 
     file = read_asd(path)
     yield "is", f"ASD spectrum, binary version {file.version}, {file.instrument} {file.instrument_number}"
@@ -157,8 +157,8 @@ def _asd(path: Path) -> Facts:
 
 
 def _svc(path: Path) -> Facts:
-    from .io.svc_fields import error_bits, overlap_of, pair, position_of
-    from .io.svc_layout import read_svc
+    from .io.spectrometers.svc_fields import error_bits, overlap_of, pair, position_of
+    from .io.spectrometers.svc_layout import read_svc
 
     file = read_svc(path)
     overlap = overlap_of(file.header)
@@ -180,7 +180,7 @@ def _svc(path: Path) -> Facts:
 
 
 def _asd_text(path: Path) -> Facts:
-    from .io.asd_text import read_asd_text
+    from .io.spectrometers.asd_text import read_asd_text
 
     text = read_asd_text(path)
     yield "is", f"text export of ASD spectra: {len(text.spectra)} spectra"
@@ -194,7 +194,7 @@ def _asd_text(path: Path) -> Facts:
 
 
 def _irradiance_csv(path: Path) -> Facts:
-    from .io.irradiance_csv import read_irradiance_csv
+    from .io.spectrometers.irradiance_csv import read_irradiance_csv
 
     found: Any = read_irradiance_csv(path)
     shape = np.shape(found.values)
@@ -245,7 +245,7 @@ def _materials(path: Path) -> Facts:
 
 
 def _frame_index(path: Path) -> Facts:
-    from .io.headwall import read_frame_index
+    from .io.flightline.headwall import read_frame_index
 
     index = read_frame_index(path)
     frames = index.frame
@@ -255,7 +255,7 @@ def _frame_index(path: Path) -> Facts:
 
 
 def _navigation(path: Path) -> Facts:
-    from .io.navigation import read_imu_gps
+    from .io.navigation.navigation_records import read_imu_gps
 
     record = read_imu_gps(path)
     yield "is", f"navigation record: {record.rows.size} rows"
@@ -266,7 +266,7 @@ def _navigation(path: Path) -> Facts:
 
 
 def _is_pose_table(path: Path) -> bool:
-    from .io.navigation_csv import is_navigation_csv
+    from .io.navigation.navigation_csv import is_navigation_csv
 
     if path.suffix.lower() in (".sbet", ".lcf"):
         return True
@@ -281,7 +281,7 @@ def _is_pose_table(path: Path) -> bool:
 
 
 def _poses(path: Path) -> Facts:
-    from .io.navigation_opening import navigation_format, read_record
+    from .io.navigation.navigation_opening import navigation_format, read_record
 
     kind = navigation_format(path)
     if kind == "imu_gps":
@@ -306,7 +306,7 @@ def _poses(path: Path) -> Facts:
 
 
 def _settings(path: Path) -> Facts:
-    from .io.headwall import exposure_seconds, read_settings
+    from .io.flightline.headwall import exposure_seconds, read_settings
 
     pairs = read_settings(path)
     exposure = exposure_seconds(pairs, path.name)
@@ -318,7 +318,7 @@ def _settings(path: Path) -> Facts:
 
 
 def _collect(path: Path) -> Facts:
-    from .io.collect import read_collect
+    from .io.collect.collect_opening import read_collect
     from .laboratory import open_collect
 
     collect = read_collect(path, need_irradiance=False)

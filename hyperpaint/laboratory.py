@@ -23,7 +23,7 @@ def calibrate_sweep(
     Parameters
     ----------
     path
-        See `hyperpaint.io.sweep_store.open_sweep`.
+        See `hyperpaint.io.flightline.sweep_store.open_sweep`.
     progress
         Called with steps done and to do.
     **options
@@ -44,7 +44,7 @@ def calibrate_sweep(
         As `hyperpaint.calibrate`.
     """
     from .calibration import calibrate
-    from .io.sweep_store import open_sweep
+    from .io.flightline.sweep_store import open_sweep
 
     sweep = open_sweep(path)
     try:
@@ -104,7 +104,7 @@ def write_calibration(
     made = calibrate_sweep(sweep, progress=progress, **options)
     to_store(made, Path(out), overwrite=overwrite)
     if report is not None:
-        from .io.sweep_store import open_sweep
+        from .io.flightline.sweep_store import open_sweep
         from .pictures.plot_calibration import calibration_report
 
         calibration_report(made, open_sweep(sweep), Path(report))
@@ -152,6 +152,6 @@ def open_collect(
     >>> sorted(tree.children), sorted(tree["flightlines"].children)
     (['calibration', 'flightlines', 'irradiance', 'references'], ['raw_0', 'raw_20'])
     """
-    from .io.collect import open_collect as opened
+    from .io.collect.collect_opening import open_collect as opened
 
     return opened(path, need_irradiance=need_irradiance, chunks=chunks, calibrate=calibrate_sweep)

@@ -83,7 +83,7 @@ def write_map(made: xr.Dataset, path: Path, *, overwrite: bool = False, progress
         A GeoTIFF needs rasterio (extra ``geo``).
     """
     if path.suffix.lower() in (".tif", ".tiff"):
-        from .io.geotiff import write_geotiff
+        from .io.maps.geotiff import write_geotiff
 
         write_geotiff(made, path, overwrite=overwrite)
         return

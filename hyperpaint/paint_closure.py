@@ -171,7 +171,7 @@ class _Signature:
 
 def _field_spectra(folder: Path, wavelength: Floats) -> dict[str, Floats]:
     """Return what the field spectrometer saw of every paint, at the bands of the camera."""
-    from .io.asd import open_asd
+    from .io.spectrometers.asd import open_asd
 
     seen = open_asd(folder)
     at = seen["wavelength"].values

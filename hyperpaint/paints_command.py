@@ -141,13 +141,13 @@ def _spectrum(like: str | None, paints: xr.Dataset) -> Any:
         msg = f"--like {like!r} is no paint of the library and no file"
         raise click.UsageError(msg)
     if path.suffix.lower() == ".sig":
-        from .io.svc import open_svc
+        from .io.spectrometers.svc import open_svc
 
         return open_svc(path)
-    from .io.asd import sniff
+    from .io.spectrometers.asd import sniff
 
     if path.is_file() and sniff(path) == "binary":
-        from .io.asd import open_asd
+        from .io.spectrometers.asd import open_asd
 
         return open_asd(path)
     from .io.library import open_library

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     import xarray as xr
     from distributed import Client
 
-    from .budget import Demand
+    from .io.store.budget import Demand
 
 __all__ = ["process", "run"]
 
@@ -130,8 +130,8 @@ def run(
     """Do what `process` does, and tell what was written; the arguments are those of `process`."""
     import xarray as xr
 
-    from .budget import limited_threads, parse_size
     from .io.store import to_store
+    from .io.store.budget import limited_threads, parse_size
     from .io.store.computing import errors_of_the_cluster
     from .io.store.writer import check_room
 
@@ -196,8 +196,8 @@ def _opened(
 
 def _groups(tree: xr.DataTree, collect: Path, parameters: Mapping[str, Any]) -> dict[str, xr.Dataset]:
     """Return the groups of a store as they were opened, each naming what it is made from."""
-    from .io.collect import read_collect
-    from .io.envi import find_pair
+    from .io.collect.collect_opening import read_collect
+    from .io.envi.envi_cubes import find_pair
 
     entries = read_collect(collect, need_irradiance=parameters["to"] == "reflectance").flightlines
     cubes = {f"flightlines/{entry.id}": find_pair(entry.cube)[1] for entry in entries}
@@ -280,7 +280,7 @@ def _rehearse(groups: Mapping[str, xr.Dataset], collect: str | Path, client: Cli
 
 def _demand(groups: Mapping[str, xr.Dataset], lines: int, client: Client | None, limit: int | None) -> Demand:
     """Return lines a task and threads that keep this process, or each worker, within its memory."""
-    from . import budget
+    from .io.store import budget
 
     loads = {name: budget.Load.of(line) for name, line in groups.items() if ALONG_TRACK in line.dims}
     if client is None:

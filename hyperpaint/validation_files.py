@@ -42,10 +42,10 @@ def validate_files(
     library
         A paint library, see `hyperpaint.open_library`.
     references
-        See `hyperpaint.io.reference_files.open_references`. By default those of the store that the library
+        See `hyperpaint.io.spectrometers.reference_files.open_references`. By default those of the store that the library
         was made from, where it stands beside the library.
     pairs
-        See `hyperpaint.io.reference_pairs.read_pairs`.
+        See `hyperpaint.io.spectrometers.reference_pairs.read_pairs`.
     panel
         See `hyperpaint.read_certificate`.
     **options
@@ -57,9 +57,9 @@ def validate_files(
         Something cannot be read, or as `hyperpaint.validate`.
     """
     from .io.library import open_library
-    from .io.panel_certificate import read_certificate
-    from .io.reference_files import open_references
-    from .io.reference_pairs import read_pairs
+    from .io.spectrometers.panel_certificate import read_certificate
+    from .io.spectrometers.reference_files import open_references
+    from .io.spectrometers.reference_pairs import read_pairs
     from .validation import validate
 
     signatures = open_library(library)
@@ -117,7 +117,7 @@ def write_table(found: Validation, path: str | os.PathLike[str], *, overwrite: b
     StoreError
         The table may not go there, or cannot be written.
     """
-    from .io.publishing import publish_file
+    from .io.files.publishing import publish_file
 
     path = Path(path)
     check_table(path, overwrite=overwrite)

@@ -21,9 +21,11 @@ from click.testing import CliRunner
 from strategies import flight
 
 import hyperpaint as hp
-from hyperpaint import budget, pipeline
+from hyperpaint import pipeline
 from hyperpaint.base.errors import SchemaError, StoreError
-from hyperpaint.budget import (
+from hyperpaint.cli import main
+from hyperpaint.io.store import budget, room
+from hyperpaint.io.store.budget import (
     HELPER_SPACE,
     THREAD_SPACE,
     Load,
@@ -37,8 +39,6 @@ from hyperpaint.budget import (
     thread_count,
     thread_space,
 )
-from hyperpaint.cli import main
-from hyperpaint.io.store import room
 from hyperpaint.io.store.room import check_disk, disk_needed
 
 MIB = 2**20

@@ -53,43 +53,43 @@ class Door:
 
 
 def _envi(path: Path) -> None:
-    from hyperpaint.io.envi import open_envi
+    from hyperpaint.io.envi.envi_cubes import open_envi
 
     open_envi(path).load()
 
 
 def _asd(path: Path) -> None:
-    from hyperpaint.io.asd import open_asd
+    from hyperpaint.io.spectrometers.asd import open_asd
 
     open_asd(path, quantity="reflectance", utc_offset_h=0.0)
 
 
 def _irradiance(path: Path) -> None:
-    from hyperpaint.io.irradiance import open_irradiance
+    from hyperpaint.io.spectrometers.irradiance import open_irradiance
 
     open_irradiance(path, utc_offset_h=0.0, fwhm_nm=3.0, max_gap_s=5.0, units="W m-2 nm-1")
 
 
 def _frame_index(path: Path) -> None:
-    from hyperpaint.io.headwall import read_frame_index
+    from hyperpaint.io.flightline.headwall import read_frame_index
 
     read_frame_index(path)
 
 
 def _navigation(path: Path) -> None:
-    from hyperpaint.io.navigation import read_imu_gps
+    from hyperpaint.io.navigation.navigation_records import read_imu_gps
 
     read_imu_gps(path)
 
 
 def _settings(path: Path) -> None:
-    from hyperpaint.io.headwall import exposure_seconds, read_settings
+    from hyperpaint.io.flightline.headwall import exposure_seconds, read_settings
 
     exposure_seconds(read_settings(path), path.name)
 
 
 def _collect(path: Path) -> None:
-    from hyperpaint.io.collect import open_collect
+    from hyperpaint.io.collect.collect_opening import open_collect
 
     open_collect(path)
 
@@ -123,7 +123,7 @@ def _writer(path: Path) -> None:
 
 
 def _calibration(path: Path) -> None:
-    from hyperpaint.io.calibration_store import open_calibration
+    from hyperpaint.io.flightline.calibration_store import open_calibration
 
     open_calibration(path)
 

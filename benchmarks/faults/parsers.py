@@ -56,7 +56,7 @@ class Parser:
 
 
 def _envi(path: Path) -> None:
-    from hyperpaint.io.envi import open_envi
+    from hyperpaint.io.envi.envi_cubes import open_envi
 
     opened = open_envi(path)
     for array in opened.data_vars.values():
@@ -64,92 +64,92 @@ def _envi(path: Path) -> None:
 
 
 def _asd(path: Path) -> None:
-    from hyperpaint.io.asd import open_asd
+    from hyperpaint.io.spectrometers.asd import open_asd
 
     open_asd(path, None if path.suffix == ".asd" else "reflectance", utc_offset_h=0.0)
 
 
 def _asd_layout(path: Path) -> None:
-    from hyperpaint.io.asd_layout import read_asd
+    from hyperpaint.io.spectrometers.asd_layout import read_asd
 
     read_asd(path)
 
 
 def _asd_text(path: Path) -> None:
-    from hyperpaint.io.asd_text import read_asd_text
+    from hyperpaint.io.spectrometers.asd_text import read_asd_text
 
     read_asd_text(path)
 
 
 def _svc(path: Path) -> None:
-    from hyperpaint.io.svc import open_svc
+    from hyperpaint.io.spectrometers.svc import open_svc
 
     open_svc(path)
     open_svc(path, overlap="trim", dayfirst=False, utc_offset_h=0.0)
 
 
 def _irradiance_csv(path: Path) -> None:
-    from hyperpaint.io.irradiance_csv import read_irradiance_csv
+    from hyperpaint.io.spectrometers.irradiance_csv import read_irradiance_csv
 
     read_irradiance_csv(path)
 
 
 def _irradiance(path: Path) -> None:
-    from hyperpaint.io.irradiance import open_irradiance
+    from hyperpaint.io.spectrometers.irradiance import open_irradiance
 
     open_irradiance(path, utc_offset_h=0.0, fwhm_nm=3.0, max_gap_s=5.0, units="W m-2 nm-1")
 
 
 def _frame_index(path: Path) -> None:
-    from hyperpaint.io.headwall import read_frame_index
+    from hyperpaint.io.flightline.headwall import read_frame_index
 
     read_frame_index(path)
 
 
 def _navigation(path: Path) -> None:
-    from hyperpaint.io.navigation import read_imu_gps
+    from hyperpaint.io.navigation.navigation_records import read_imu_gps
 
     read_imu_gps(path)
 
 
 def _sbet(path: Path) -> None:
-    from hyperpaint.io.navigation_opening import open_navigation
+    from hyperpaint.io.navigation.navigation_opening import open_navigation
 
     open_navigation(path, format="sbet", week=2158)
 
 
 def _lcf(path: Path) -> None:
-    from hyperpaint.io.navigation_opening import open_navigation
+    from hyperpaint.io.navigation.navigation_opening import open_navigation
 
     open_navigation(path, format="lcf", week=2149, leap_seconds=18)
 
 
 def _eph_att(path: Path) -> None:
-    from hyperpaint.io.navigation_opening import open_navigation
+    from hyperpaint.io.navigation.navigation_opening import open_navigation
 
     open_navigation(path, format="eph_att", week=1941, leap_seconds=18)
 
 
 def _navigation_csv(path: Path) -> None:
-    from hyperpaint.io.navigation_opening import open_navigation
+    from hyperpaint.io.navigation.navigation_opening import open_navigation
 
     open_navigation(path, format="csv", leap_seconds=18)
 
 
 def _settings(path: Path) -> None:
-    from hyperpaint.io.headwall import exposure_seconds, read_settings
+    from hyperpaint.io.flightline.headwall import exposure_seconds, read_settings
 
     exposure_seconds(read_settings(path), path.name)
 
 
 def _gps_time(path: Path) -> None:
-    from hyperpaint.io.navigation import read_gps_time
+    from hyperpaint.io.navigation.navigation_records import read_gps_time
 
     read_gps_time(path)
 
 
 def _collect(path: Path) -> None:
-    from hyperpaint.io.collect_toml import read_collect
+    from hyperpaint.io.collect.collect_toml import read_collect
 
     read_collect(path)
 

@@ -24,7 +24,7 @@ _DATA_SUFFIXES = ("", ".img", ".dat", ".raw", ".bil", ".bip", ".bsq")
 class EnviBackendEntrypoint(BackendEntrypoint):
     """Opens ENVI cubes lazily: ``xr.open_dataset("raw_0.hdr")``, or with ``engine="envi"``.
 
-    See `hyperpaint.io.envi.open_envi` for what is returned.
+    See `hyperpaint.io.envi.envi_cubes.open_envi` for what is returned.
     """
 
     description: ClassVar[str] = "ENVI cubes (.hdr and data file) through hyperpaint"
@@ -67,7 +67,7 @@ class EnviBackendEntrypoint(BackendEntrypoint):
         drop_variables
             Names left out of the dataset.
         keep_whole_lines
-            Open recordings that were cut short; see `hyperpaint.io.envi.open_envi`.
+            Open recordings that were cut short; see `hyperpaint.io.envi.envi_cubes.open_envi`.
 
         Raises
         ------
@@ -76,7 +76,7 @@ class EnviBackendEntrypoint(BackendEntrypoint):
         FileNotFoundError
             There is no such file.
         """
-        from .envi import open_envi
+        from .envi.envi_cubes import open_envi
 
         dataset = open_envi(filename_or_obj, keep_whole_lines=keep_whole_lines)
         if drop_variables is None:

@@ -331,6 +331,6 @@ def _head(store: str | os.PathLike[str], opened: dict[str, xr.Dataset], problems
 
 def _write(place: Path, content: Markup) -> None:
     """Write the page; no half page ever stands under its name."""
-    from hyperpaint.io.publishing import publish_file
+    from hyperpaint.io.files.publishing import publish_file
 
     publish_file(place, content.encode("utf-8", "replace"), overwrite=True)

@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import Any
 
 from hyperpaint.base.errors import FormatError, Problems
-from hyperpaint.io.toml_checks import text
-from hyperpaint.io.toml_tables import TableReader, load_tables, shown
+from hyperpaint.io.files.toml_checks import text
+from hyperpaint.io.files.toml_tables import TableReader, load_tables, shown
 
 from .tables import LISTS, NAMED, SCHEMA
 

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hyperpaint.base.errors import FormatError, PaintError, Problems, SchemaError
-from hyperpaint.io.spectrum_csv import read_spectrum_csv
+from hyperpaint.io.spectrometers.spectrum_csv import read_spectrum_csv
 
 from .tables import MATERIAL
 
@@ -272,7 +272,7 @@ def _atmosphere(entry: AtmosphereEntry) -> Atmosphere:
     if entry.table is not None:
         made = Atmosphere.from_table(entry.table, **sun, **sky)
     elif entry.irradiance:
-        from hyperpaint.io.irradiance import open_irradiance
+        from hyperpaint.io.spectrometers.irradiance import open_irradiance
 
         moment = None if time is None else np.datetime64(str(time).replace(" ", "T"), "ns")
         made = Atmosphere.from_irradiance(open_irradiance(entry.irradiance), time=moment, **sun, **sky)

@@ -130,7 +130,7 @@ def test_coefficients_of_a_vendor() -> None:
     made = calibration_from_coefficients(gain, axis, width, srf_shape="slit")
     np.testing.assert_allclose(made.radiance_gain, [[1e-6, np.nan], [2e-6, np.nan]], rtol=1e-6)
     assert made.radiance_gain.dtype == np.float32
-    from hyperpaint.io.calibration_store import open_calibration
+    from hyperpaint.io.flightline.calibration_store import open_calibration
 
     assert open_calibration(made).srf_shape == "slit"
     with pytest.raises(SchemaError, match="give exposure_time"):

@@ -12,9 +12,9 @@ from click.testing import CliRunner
 import hyperpaint as hp
 from hyperpaint.base.errors import CollectError, FormatError
 from hyperpaint.cli import main
-from hyperpaint.io.calibration_store import open_calibration
-from hyperpaint.io.collect import open_collect as open_without_physics
-from hyperpaint.io.sweep_store import open_sweep
+from hyperpaint.io.collect.collect_opening import open_collect as open_without_physics
+from hyperpaint.io.flightline.calibration_store import open_calibration
+from hyperpaint.io.flightline.sweep_store import open_sweep
 from hyperpaint.simulation import simulate_collect, simulate_sweep
 
 

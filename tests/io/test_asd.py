@@ -13,9 +13,9 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from hyperpaint.base.errors import FormatError, PaintWarning, SchemaError, TimeError
-from hyperpaint.io.asd import find_files, open_asd, read_asd
-from hyperpaint.io.asd_blocks import Cursor
-from hyperpaint.io.asd_text import read_asd_text
+from hyperpaint.io.spectrometers.asd import find_files, open_asd, read_asd
+from hyperpaint.io.spectrometers.asd_blocks import Cursor
+from hyperpaint.io.spectrometers.asd_text import read_asd_text
 
 GRID = np.arange(350.0, 1051.0)
 COUNTS = 1000.0 + np.arange(len(GRID)) * 3.0

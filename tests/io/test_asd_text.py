@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from hyperpaint.base.errors import FormatError, PaintWarning
-from hyperpaint.io.asd import open_asd
-from hyperpaint.io.asd_text import is_asd_text, read_asd_text
+from hyperpaint.io.spectrometers.asd import open_asd
+from hyperpaint.io.spectrometers.asd_text import is_asd_text, read_asd_text
 
 PREAMBLE = """
 Text conversion of header file c:\\sky\\sky_00001.asd

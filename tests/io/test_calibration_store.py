@@ -13,7 +13,7 @@ import xarray as xr
 
 import hyperpaint as hp
 from hyperpaint.base.errors import FormatError
-from hyperpaint.io.calibration_store import open_calibration
+from hyperpaint.io.flightline.calibration_store import open_calibration
 
 
 @pytest.fixture

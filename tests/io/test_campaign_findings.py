@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 from hyperpaint.base.errors import CollectError, FormatError, PaintWarning
-from hyperpaint.io.asd import open_asd
-from hyperpaint.io.collect_toml import read_collect
-from hyperpaint.io.envi_header import parse_header
-from hyperpaint.io.irradiance import open_irradiance
+from hyperpaint.io.collect.collect_toml import read_collect
+from hyperpaint.io.envi.envi_header import parse_header
+from hyperpaint.io.spectrometers.asd import open_asd
+from hyperpaint.io.spectrometers.irradiance import open_irradiance
 
 
 @pytest.mark.parametrize(

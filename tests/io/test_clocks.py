@@ -11,7 +11,13 @@ import numpy as np
 import pytest
 
 from hyperpaint.base.errors import PaintWarning, TimeError
-from hyperpaint.io.clocks import LEAP_SECONDS, LEAP_SECONDS_EXPIRY, Clock, ClockCorrection, gps_to_utc
+from hyperpaint.io.navigation.clocks import (
+    LEAP_SECONDS,
+    LEAP_SECONDS_EXPIRY,
+    Clock,
+    ClockCorrection,
+    gps_to_utc,
+)
 
 
 def gps_clock(text: str) -> np.ndarray[Any, Any]:

@@ -14,8 +14,8 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from hyperpaint.base.errors import CollectError
-from hyperpaint.io.collect import open_collect, read_collect
-from hyperpaint.io.envi_array import EnviArray
+from hyperpaint.io.collect.collect_opening import open_collect, read_collect
+from hyperpaint.io.envi.envi_array import EnviArray
 from hyperpaint.simulation.collect import simulate_collect
 
 LINES = 60
@@ -135,7 +135,7 @@ def test_no_cube_is_read(folder: Path, monkeypatch: pytest.MonkeyPatch, no_compu
 
 
 def test_navigation_shared_by_the_cubes_is_read_once(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    from hyperpaint.io import collect
+    from hyperpaint.io.collect import collect_opening as collect
 
     read: list[Path] = []
     original = collect.read_imu_gps

@@ -10,7 +10,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from hyperpaint.base.errors import FormatError
-from hyperpaint.io.control_points import read_control_points
+from hyperpaint.io.navigation.control_points import read_control_points
 
 TABLE = """# crs: EPSG:32617
 Name;Flightline;Line;Sample;Easting [m];Northing [m];Height_m

@@ -9,8 +9,8 @@ import pytest
 import xarray as xr
 
 from hyperpaint.base.errors import FormatError, SchemaError
-from hyperpaint.io.dark import DARK_NONE, open_dark
-from hyperpaint.io.timing import Timing
+from hyperpaint.io.flightline.dark import DARK_NONE, open_dark
+from hyperpaint.io.flightline.timing import Timing
 
 BANDS, COLUMNS = 3, 4
 CUBE = ("along_track", "band", "cross_track")

@@ -25,8 +25,8 @@ from hypothesis import strategies as st
 from hyperpaint.base import schema
 from hyperpaint.base.errors import FormatError, PaintWarning
 from hyperpaint.io.backends import EnviBackendEntrypoint
-from hyperpaint.io.envi import open_envi
-from hyperpaint.io.envi_array import EnviArray
+from hyperpaint.io.envi.envi_array import EnviArray
+from hyperpaint.io.envi.envi_cubes import open_envi
 
 
 @pytest.fixture
@@ -83,7 +83,7 @@ def _index(size: int) -> st.SearchStrategy[Any]:
 def test_any_index_equals_numpy(
     tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch, interleave: str, gap: int
 ) -> None:
-    from hyperpaint.io import envi_array
+    from hyperpaint.io.envi import envi_array
 
     monkeypatch.setattr(envi_array, "_GAP", gap)
     monkeypatch.setattr(envi_array, "_BOX", 100)

@@ -15,7 +15,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hyperpaint.base.errors import FormatError
-from hyperpaint.io.envi_header import parse_header, read_header
+from hyperpaint.io.envi.envi_header import parse_header, read_header
 
 BASE = {
     "samples": "4",

@@ -13,7 +13,7 @@ from envi_cubes import FROM_LBS, toy, write_cube
 from hyperpaint.base import schema
 from hyperpaint.base.errors import FormatError, PaintWarning
 from hyperpaint.io.backends import EnviBackendEntrypoint
-from hyperpaint.io.envi import find_pair, open_envi
+from hyperpaint.io.envi.envi_cubes import find_pair, open_envi
 
 # --- names, units, coordinates -----------------------------------------------------------------------------
 

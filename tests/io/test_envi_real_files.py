@@ -12,7 +12,7 @@ import xarray as xr
 
 from hyperpaint.base import schema
 from hyperpaint.base.errors import PaintWarning
-from hyperpaint.io.envi import open_envi
+from hyperpaint.io.envi.envi_cubes import open_envi
 
 
 @pytest.mark.real_data

@@ -12,11 +12,11 @@ import xarray as xr
 
 from hyperpaint.base import schema
 from hyperpaint.base.errors import CollectError, FormatError, PaintWarning, SchemaError, TimeError
-from hyperpaint.io.calibration_store import open_calibration
-from hyperpaint.io.envi_array import EnviArray
-from hyperpaint.io.flightline import open_flightline
-from hyperpaint.io.irradiance_cut import cut_irradiance
-from hyperpaint.io.navigation import read_imu_gps
+from hyperpaint.io.envi.envi_array import EnviArray
+from hyperpaint.io.flightline.calibration_store import open_calibration
+from hyperpaint.io.flightline.flightline_opening import open_flightline
+from hyperpaint.io.navigation.navigation_records import read_imu_gps
+from hyperpaint.io.spectrometers.irradiance_cut import cut_irradiance
 
 LINES, BANDS, COLUMNS = 70, 3, 4
 T0 = np.datetime64("2021-07-23T12:00:00", "ns")

@@ -11,8 +11,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hyperpaint.base.errors import FormatError, TimeError
-from hyperpaint.io.envi import open_envi
-from hyperpaint.io.headwall import (
+from hyperpaint.io.envi.envi_cubes import open_envi
+from hyperpaint.io.flightline.headwall import (
     FrameIndex,
     exposure_seconds,
     match_frames,

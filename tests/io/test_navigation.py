@@ -13,8 +13,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hyperpaint.base.errors import FormatError, PaintWarning, TimeError
-from hyperpaint.io.navigation import read_gps_time, read_imu_gps
-from hyperpaint.io.timing import Timing, line_times, utc_of
+from hyperpaint.io.flightline.timing import Timing, line_times, utc_of
+from hyperpaint.io.navigation.navigation_records import read_gps_time, read_imu_gps
 
 T0 = np.datetime64("2021-07-23T12:00:00", "ns")
 MS = np.timedelta64(1, "ms")

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from hyperpaint.base.errors import StoreError
-from hyperpaint.io.publishing import publish_file, published_files, published_folder
+from hyperpaint.io.files.publishing import publish_file, published_files, published_folder
 
 
 def no_foreign(_: Path) -> str:

@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 
 import hyperpaint as hp
 from hyperpaint.base.errors import FormatError
-from hyperpaint.io.reference_files import open_references
-from hyperpaint.io.reference_pairs import read_pairs
+from hyperpaint.io.spectrometers.reference_files import open_references
+from hyperpaint.io.spectrometers.reference_pairs import read_pairs
 
 
 @pytest.mark.real_data

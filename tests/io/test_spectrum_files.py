@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hyperpaint.base.errors import FormatError
-from hyperpaint.io.spectrum_files import find_paths, for_all, name_spectra, same_grids
+from hyperpaint.io.spectrometers.spectrum_files import find_paths, for_all, name_spectra, same_grids
 
 NAMES = st.sampled_from(["red", "red (2)", "blue", "a/red", ""])
 

@@ -14,8 +14,8 @@ from svc_texts import german
 from hyperpaint.base.errors import FormatError, PaintWarning
 from hyperpaint.base.units import conversion_factor
 from hyperpaint.info import describe_path
-from hyperpaint.io.svc import open_svc
-from hyperpaint.io.svc_layout import read_svc
+from hyperpaint.io.spectrometers.svc import open_svc
+from hyperpaint.io.spectrometers.svc_layout import read_svc
 
 pytestmark = pytest.mark.real_data
 

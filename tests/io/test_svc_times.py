@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 from svc_texts import svc_text
 
 from hyperpaint.base.errors import PaintWarning
-from hyperpaint.io.svc import open_svc
-from hyperpaint.io.svc_times import orders_of, read_gps_time, read_stamp, utc_of
+from hyperpaint.io.spectrometers.svc import open_svc
+from hyperpaint.io.spectrometers.svc_times import orders_of, read_gps_time, read_stamp, utc_of
 
 MARCH = dt.datetime(2024, 3, 5, 17, 8, 9)
 

@@ -25,7 +25,7 @@ import numpy.typing as npt
 
 from hyperpaint.base.errors import FormatError, Problems
 from hyperpaint.base.schema import BAND, LIBRARY_VARIABLES, MEMBER, PAINT
-from hyperpaint.io.reading import read_limited_text
+from hyperpaint.io.files.reading import read_limited_text
 
 from .emissivity_text import CURVE_BEGIN
 

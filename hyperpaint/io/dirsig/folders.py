@@ -11,8 +11,8 @@ from pathlib import Path
 from typing import Any
 
 from hyperpaint.base.errors import FormatError, StoreError
-from hyperpaint.io.publishing import published_folder
-from hyperpaint.io.reading import read_limited
+from hyperpaint.io.files.publishing import published_folder
+from hyperpaint.io.files.reading import read_limited
 
 __all__ = ["EMISSIVITY", "REFLECTANCE", "export_folder", "write_marker"]
 

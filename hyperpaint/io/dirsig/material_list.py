@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from hyperpaint.base.errors import FormatError, Problems
-from hyperpaint.io.reading import decoded_text, read_limited_text
+from hyperpaint.io.files.reading import decoded_text, read_limited_text
 
 __all__ = ["Material", "Section", "materials_text", "read_materials"]
 

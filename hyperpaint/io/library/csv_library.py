@@ -17,7 +17,7 @@ import numpy as np
 
 from hyperpaint.base.errors import FormatError, PaintWarning, Problems
 from hyperpaint.base.schema import BAND, PAINT
-from hyperpaint.io.publishing import published_files
+from hyperpaint.io.files.publishing import published_files
 
 from .metadata import metadata_path, metadata_text, read_metadata
 from .records import CENTRE, Key, blocks_of, names_of, placements, spectral_variables, with_metadata

@@ -12,7 +12,7 @@ import numpy as np
 
 from hyperpaint.base.errors import Problems, SchemaError
 from hyperpaint.base.schema import PAINT
-from hyperpaint.io.publishing import published_folder
+from hyperpaint.io.files.publishing import published_folder
 
 from .ecostress import METADATA
 from .records import CENTRE, names_of

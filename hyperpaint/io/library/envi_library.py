@@ -20,9 +20,9 @@ import numpy as np
 import numpy.typing as npt
 
 from hyperpaint.base.errors import FormatError, PaintWarning, Problems
-from hyperpaint.io.envi import find_pair
-from hyperpaint.io.envi_grammar import bare
-from hyperpaint.io.envi_header import MAX_LIBRARY_HEADER_BYTES, EnviHeader, read_header
+from hyperpaint.io.envi.envi_cubes import find_pair
+from hyperpaint.io.envi.envi_grammar import bare
+from hyperpaint.io.envi.envi_header import MAX_LIBRARY_HEADER_BYTES, EnviHeader, read_header
 
 from .envi_names import MARK, keys_of
 from .metadata import metadata_path, read_metadata

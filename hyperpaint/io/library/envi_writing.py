@@ -10,8 +10,8 @@ import numpy as np
 
 from hyperpaint.base.errors import SchemaError
 from hyperpaint.base.schema import BAND, PAINT
-from hyperpaint.io.envi_header import MAX_LIBRARY_HEADER_BYTES
-from hyperpaint.io.publishing import published_files
+from hyperpaint.io.envi.envi_header import MAX_LIBRARY_HEADER_BYTES
+from hyperpaint.io.files.publishing import published_files
 
 from .envi_names import MARK, header_names, record_name
 from .metadata import metadata_path, metadata_text

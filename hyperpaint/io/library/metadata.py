@@ -18,7 +18,7 @@ import numpy.typing as npt
 
 from hyperpaint.base.errors import FormatError, Problems, SchemaError
 from hyperpaint.base.schema import BAND, PAINT, quality_attrs
-from hyperpaint.io.reading import read_limited
+from hyperpaint.io.files.reading import read_limited
 
 from .spectra import text_column
 

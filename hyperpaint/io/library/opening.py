@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from hyperpaint.base.errors import FormatError, Problems, StoreError
-from hyperpaint.io.file_patterns import is_pattern, matching_files
+from hyperpaint.io.files.file_patterns import is_pattern, matching_files
 
 from .csv_library import is_csv_library, read_csv_library
 from .ecostress import is_ecostress, read_ecostress

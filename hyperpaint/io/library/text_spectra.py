@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from hyperpaint.base.errors import FormatError, Problems
-from hyperpaint.io.reading import decoded_text, read_limited_text
+from hyperpaint.io.files.reading import decoded_text, read_limited_text
 
 from .spectra import FloatArray
 

@@ -18,8 +18,7 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any, TypeVar
 
-from hyperpaint.budget import thread_space
-
+from .budget import thread_space
 from .location import sync_folder
 
 __all__ = ["at_once", "flush_group", "start_flush"]

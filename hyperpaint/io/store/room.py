@@ -12,8 +12,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from hyperpaint.base.errors import PaintError, StoreError
-from hyperpaint.budget import MARGIN, size_text
 
+from .budget import MARGIN, size_text
 from .layout import storage_chunks
 from .location import Location
 

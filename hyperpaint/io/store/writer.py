@@ -12,9 +12,9 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 from hyperpaint.base.errors import Problems, StoreError
 from hyperpaint.base.schema import FORMAT_VERSION
-from hyperpaint.budget import check_memory, limited_threads
 
 from . import blocks, computing, layout
+from .budget import check_memory, limited_threads
 from .durability import flush_group
 from .listing import (
     INPUTS,

@@ -132,7 +132,7 @@ def test_what_fails_leaves_nothing_behind(tmp_path: Path, monkeypatch: pytest.Mo
     def full(*_: Any) -> None:
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr("hyperpaint.io.publishing.flush_group", full)
+    monkeypatch.setattr("hyperpaint.io.files.publishing.flush_group", full)
     with pytest.raises(StoreError, match="cannot be written: No space left"):
         hp.write_dirsig(library(seed=1), out, overwrite=True)
     assert files(out) == before

@@ -13,7 +13,7 @@ import xarray as xr
 
 import hyperpaint as hp
 from hyperpaint.base.errors import FormatError, StoreError
-from hyperpaint.io import publishing
+from hyperpaint.io.files import publishing
 from hyperpaint.io.library import envi_writing
 
 NAMES = {"envi": "paints.sli", "csv": "paints.csv", "zarr": "paints.zarr", "ecostress": "paints"}

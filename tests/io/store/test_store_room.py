@@ -16,9 +16,8 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from hyperpaint import budget
 from hyperpaint.base.errors import StoreError
-from hyperpaint.io.store import durability, is_complete, resume, room, to_store, verify, writer
+from hyperpaint.io.store import budget, durability, is_complete, resume, room, to_store, verify, writer
 from hyperpaint.io.store.room import check_disk, disk_needed
 
 CUBE = ("along_track", "band", "cross_track")

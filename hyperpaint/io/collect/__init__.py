@@ -1,0 +1,1 @@
+"""A whole collect: ``collect.toml`` read, checked, and opened as one tree."""

@@ -1,0 +1,373 @@
+"""What a ``collect.toml`` says: read, checked, and its files found, before anything is opened."""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from hyperpaint.base.errors import CollectError, FormatError, Problems, TimeError
+from hyperpaint.io.files.toml_tables import TableReader, load_tables, shown
+from hyperpaint.io.flightline.timing import utc_of
+
+from .collect_schema import LISTS, SCHEMA
+
+__all__ = [
+    "Camera",
+    "Collect",
+    "FlightlineEntry",
+    "IrradianceEntry",
+    "ReferenceEntry",
+    "parse_collect",
+    "read_collect",
+]
+
+_ID = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,99}")
+#: Names that mean something to Zarr.
+_RESERVED = {"zarr.json", "c"}
+
+
+@dataclass(frozen=True)
+class Camera:
+    """``[camera]``: what holds for all flight lines; times in seconds."""
+
+    bit_depth: int = 12
+    saturation_count: float | None = None
+    exposure_time: float | None = None
+    frame_period: float | None = None
+    stamp: str = "end"
+    clock_offset_s: float | None = None
+    time_scale: str = "utc"
+    gps_leap_seconds: int | None = None
+    fwhm_nm: float | None = None
+    radiance_units: str | None = None
+
+
+@dataclass(frozen=True)
+class IrradianceEntry:
+    """``[irradiance]``: files in a fixed order, and arguments of `open_irradiance`."""
+
+    files: tuple[Path, ...]
+    options: Mapping[str, Any] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class FlightlineEntry:
+    """One ``[[flightlines]]``; times in seconds."""
+
+    id: str
+    cube: Path
+    frame_index: Path | None = None
+    nav: Path | None = None
+    gps_time: Path | None = None
+    date: str | None = None
+    start_time: Any = None
+    exposure_time: float | None = None
+    frame_period: float | None = None
+    keep_whole_lines: bool = False
+
+
+@dataclass(frozen=True)
+class ReferenceEntry:
+    """One ``[[references]]``: a field spectrometer's files."""
+
+    instrument: str
+    files: tuple[Path, ...]
+
+    @property
+    def group(self) -> str:
+        """Name of the group that they go to: the instrument's, blanks as underscores.
+
+        Examples
+        --------
+        >>> ReferenceEntry("SVC HR-1024i", ()).group
+        'SVC_HR-1024i'
+        """
+        return "_".join(self.instrument.split())
+
+
+@dataclass(frozen=True)
+class Collect:
+    """What a ``collect.toml`` says, its paths absolute and found.
+
+    Attributes
+    ----------
+    path
+        The file.
+    name
+        Of the collect.
+    camera, calibration, irradiance, flightlines, references
+        Its tables; ``irradiance`` and ``calibration`` None where not needed and not given.
+    navigation
+        What it declares of `hyperpaint.Convention`, by the names of its fields.
+    sweep
+        Lab sweep to calibrate in place of a ``calibration``.
+    dark
+        Dark cubes, or ``"none"`` or ``"calibration"``.
+    """
+
+    path: Path
+    name: str
+    camera: Camera
+    calibration: Path | None
+    dark: tuple[Path, ...] | str | None
+    irradiance: IrradianceEntry | None
+    flightlines: tuple[FlightlineEntry, ...]
+    references: tuple[ReferenceEntry, ...] = ()
+    sweep: Path | None = None
+    navigation: Mapping[str, Any] = field(default_factory=dict)
+
+
+# --- tables into checked values ----------------------------------------------------------------------------
+
+
+def _load(path: Path) -> dict[str, Any]:
+    try:
+        return load_tables(path, "a collect.toml")
+    except FormatError as error:
+        raise CollectError(str(error)) from error
+
+
+class _Reader(TableReader):
+    """Reads a collect's tables, of which one may be a word."""
+
+    def __init__(self, path: Path, raw: Mapping[str, Any], problems: Problems) -> None:
+        #: Tables, and ids of flight lines without times, whose problems have been noted.
+        self.reported: set[str] = set()
+        self.dark = self._dark_word(raw)
+        super().__init__(path, raw, SCHEMA, LISTS, problems)
+
+    def _dark_word(self, raw: Mapping[str, Any]) -> str | None:
+        word = raw.get("dark")
+        if isinstance(word, dict):
+            word = word.get("cubes")
+        return word if word in ("none", "calibration") else None
+
+    def section(self, name: str, value: Any, extra: str = "") -> list[dict[str, Any]]:
+        """Return the tables of this name with what is valid in them; for the dark there may be a word."""
+        if name == "dark":
+            if value in ("none", "calibration"):
+                return []
+            extra = ', or dark = "none"'
+        return super().section(name, value, extra)
+
+
+# --- tables into dataclasses -------------------------------------------------------------------------------
+
+
+def _seconds(table: Mapping[str, Any], key: str) -> float | None:
+    return None if key not in table else float(f"{table[key] / 1000:.12g}")
+
+
+def _camera(reader: _Reader) -> Camera:
+    table = reader.one("camera")
+    same = ("bit_depth", "saturation_count", "stamp", "clock_offset_s", "time_scale", "gps_leap_seconds")
+    given = {key: table[key] for key in (*same, "fwhm_nm", "radiance_units") if key in table}
+    return Camera(
+        **given,
+        exposure_time=_seconds(table, "exposure_time_ms"),
+        frame_period=_seconds(table, "frame_period_ms"),
+    )
+
+
+def _calibration(reader: _Reader) -> tuple[Path | None, Path | None]:
+    """Return the paths of a calibration and of a lab sweep, of which there is one at most."""
+    table = reader.one("calibration")
+    if {"path", "sweep"} <= table["?"]:
+        reader.problems.add("[calibration] has both path and sweep; keep the one that is to be used")
+    path = reader.path("[calibration]", "path", table.get("path"))
+    sweep = reader.path("[calibration]", "sweep", table.get("sweep"))
+    if reader.tables["calibration"] and not table["?"] & {"path", "sweep"}:
+        reader.problems.add("[calibration] path is missing (or sweep, a lab sweep)")
+    if path is None and sweep is None and table["?"]:
+        reader.reported.add("calibration")
+    return path, sweep
+
+
+def _dark(reader: _Reader) -> tuple[Path, ...] | str | None:
+    if reader.dark is not None:
+        return reader.dark
+    table = reader.one("dark")
+    found = reader.files("[dark]", "cubes", table["cubes"]) if "cubes" in table else ()
+    if not found and table["?"]:
+        reader.reported.add("dark")
+    return found or None
+
+
+def _irradiance(reader: _Reader) -> IrradianceEntry | None:
+    table = reader.one("irradiance")
+    if "files" not in table:
+        if table["?"] and "files" not in table["?"]:
+            reader.problems.add("[irradiance] files is missing: the spectrometer's files")
+        return None
+    options = {key: value for key, value in table.items() if key not in ("?", "files", "calibration")}
+    if "calibration" in table:
+        found = {
+            str(key): reader.path("[irradiance.calibration]", str(key), str(value))
+            for key, value in table["calibration"].items()
+        }
+        options["calibration"] = {key: path for key, path in found.items() if path is not None}
+    return IrradianceEntry(reader.files("[irradiance]", "files", table["files"]), options)
+
+
+def _flightline(
+    reader: _Reader, number: int, table: Mapping[str, Any], camera: Camera
+) -> FlightlineEntry | None:
+    place = f"[[flightlines]] {number + 1}"
+    if "cube" not in table:
+        if "cube" not in table["?"]:
+            reader.problems.add(f"{place} cube is missing")
+        return None
+    cube = reader.path(place, "cube", table["cube"])
+    name = table.get("id", Path(table["cube"]).name.split(".")[0])
+    if not _ID.fullmatch(name) or name in _RESERVED:
+        expected = "letters, digits, '.', '_' and '-': it names a group of the store"
+        reader.problems.add(f"{place} id = {shown(name)}, expected {expected}")
+    before = len(reader.problems)
+    paths = {key: reader.path(place, key, table.get(key)) for key in ("frame_index", "nav", "gps_time")}
+    start = table.get("start_time")
+    if start is not None:
+        try:
+            start = utc_of(start, "start_time")
+        except TimeError as error:
+            reader.problems.add(f"{place} {error}")
+    _check_timing(reader, place, table, camera)
+    if len(reader.problems) > before:
+        reader.reported.add(f"times of {name}")
+    if cube is None:
+        return None
+    return FlightlineEntry(
+        name,
+        cube,
+        **paths,
+        date=str(table["date"]) if "date" in table else None,
+        start_time=start,
+        exposure_time=_seconds(table, "exposure_time_ms"),
+        frame_period=_seconds(table, "frame_period_ms"),
+        keep_whole_lines=table.get("keep_whole_lines", False),
+    )
+
+
+def _check_timing(reader: _Reader, place: str, table: Mapping[str, Any], camera: Camera) -> None:
+    given = table["?"]
+    period = "frame_period_ms" in given or "frame_period_ms" in reader.one("camera")["?"]
+    by_index = "frame_index" in given and given & {"nav", "start_time", "gps_time", "date"}
+    if not by_index and not ("start_time" in given and period):
+        stated = sorted(given & {"frame_index", "nav", "start_time"}) + (
+            ["frame_period_ms"] if period else []
+        )
+        reader.problems.add(
+            f"{place} no line times: found {', '.join(stated) or 'nothing'},"
+            " expected frame_index and nav, or start_time and frame_period_ms"
+        )
+    if "date" in given and camera.clock_offset_s is None:
+        reader.problems.add(
+            f"{place} date needs [camera] clock_offset_s: UTC = computer clock + clock_offset_s"
+        )
+
+
+def _flightlines(reader: _Reader, camera: Camera) -> tuple[FlightlineEntry, ...]:
+    tables = reader.tables["flightlines"]
+    if not tables:
+        reader.problems.add("no [[flightlines]]: at least one with a cube is needed")
+    found = [_flightline(reader, number, table, camera) for number, table in enumerate(tables)]
+    entries = [entry for entry in found if entry is not None]
+    # as on file systems that ignore case
+    names = [entry.id.lower() for entry in entries]
+    for name in sorted({name for name in names if names.count(name) > 1}):
+        reader.problems.add(
+            f"[[flightlines]] id {name!r} is given to {names.count(name)} lines; each needs its own"
+        )
+    return tuple(entries)
+
+
+def _references(reader: _Reader) -> tuple[ReferenceEntry, ...]:
+    made: list[ReferenceEntry] = []
+    for number, table in enumerate(reader.tables["references"]):
+        place = f"[[references]] {number + 1}"
+        absent = [key for key in ("instrument", "files") if key not in table["?"]]
+        if absent:
+            reader.problems.add(f"{place} {' and '.join(absent)} missing")
+        if "instrument" not in table or "files" not in table:
+            continue
+        name = table["instrument"]
+        group = ReferenceEntry(name, ()).group
+        if not _ID.fullmatch(group) or group in _RESERVED:
+            expected = "letters, digits, blanks, '.', '_' and '-': it names a group of the store"
+            reader.problems.add(f"{place} instrument = {shown(name)}, expected {expected}")
+        elif group.lower() in (entry.group.lower() for entry in made):
+            reader.problems.add(f"{place} instrument {name!r} is there already; list all its files in one")
+        else:
+            made.append(ReferenceEntry(name, reader.files(place, "files", table["files"])))
+    return tuple(made)
+
+
+def parse_collect(path: Path, problems: Problems, *, need_irradiance: bool) -> tuple[Collect, set[str]]:
+    """Read what of a ``collect.toml`` is valid, so that what it names can be checked as well.
+
+    Parameters
+    ----------
+    path
+        The file.
+    problems
+        Takes what is wrong.
+    need_irradiance
+        False where only radiance is wanted.
+
+    Returns
+    -------
+    collect : Collect
+        What is valid.
+    reported : set of str
+        ``"calibration"``, ``"dark"`` and ``"times of <id>"`` where their problems have been noted.
+
+    Raises
+    ------
+    CollectError
+        The file cannot be read, or is not TOML.
+    """
+    reader = _Reader(path, _load(path), problems)
+    camera = _camera(reader)
+    irradiance = _irradiance(reader)
+    if need_irradiance and "irradiance" not in reader.given:
+        problems.add("no [irradiance]: reflectance needs the spectrometer's files (not needed for radiance)")
+    calibration, sweep = _calibration(reader)
+    collect = Collect(
+        path=path,
+        name=reader.one("collect").get("name", path.resolve().parent.name),
+        camera=camera,
+        calibration=calibration,
+        dark=_dark(reader),
+        irradiance=irradiance,
+        flightlines=_flightlines(reader, camera),
+        references=_references(reader),
+        sweep=sweep,
+        navigation={key: value for key, value in reader.one("navigation").items() if key != "?"},
+    )
+    return collect, reader.reported
+
+
+def read_collect(path: str | os.PathLike[str], *, need_irradiance: bool = True) -> Collect:
+    """Read and check a ``collect.toml``; what it names is looked for, not opened.
+
+    Parameters
+    ----------
+    path
+        The file; paths in it are relative to its folder.
+    need_irradiance
+        False where only radiance is wanted.
+
+    Raises
+    ------
+    CollectError
+        Not TOML (with the line), unknown keys, wrong types or values, what is missing or not found; all
+        problems are listed.
+    """
+    path = Path(path)
+    problems = Problems(f"{path} cannot be processed", CollectError)
+    made, _ = parse_collect(path, problems, need_irradiance=need_irradiance)
+    problems.raise_if_any()
+    return made

@@ -1,0 +1,1 @@
+"""ENVI cubes and their headers, read lazily and written."""

@@ -1,0 +1,304 @@
+"""ENVI cubes written: a flight line, or a map in its place.
+
+The data file is filled block by block as dask computes them, so that a cube of any length needs the memory of
+a few blocks. Header and data appear together, the header last.
+"""
+
+from __future__ import annotations
+
+import errno
+import os
+import threading
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+
+from hyperpaint.base.errors import SchemaError
+from hyperpaint.base.schema import ALONG_TRACK, BAND, CROSS_TRACK
+from hyperpaint.io.files.publishing import published_files
+from hyperpaint.io.maps.map_grids import Grid, envi_map_info, grid_of
+from hyperpaint.io.maps.product_choice import RGB_WAVELENGTHS, nearest_bands, product_of, stored_float
+
+if TYPE_CHECKING:
+    import xarray as xr
+    from numpy.typing import NDArray
+
+__all__ = ["Interleave", "write_envi"]
+
+Interleave = Literal["bil", "bip", "bsq"]
+
+_DATA_SUFFIXES = (".img", ".dat", ".raw", ".bil", ".bip", ".bsq")
+_CODES = {"uint8": 1, "int16": 2, "int32": 3, "float32": 4, "float64": 5, "uint16": 12, "uint32": 13}
+_AXES: Mapping[str, str] = {"bil": "lbs", "bip": "lsb", "bsq": "bls"}
+_SCALE = 10_000
+_IGNORE = 65_535
+_BLOCK = 64 * 2**20
+"""Bytes of an array in memory that are written at a time."""
+
+
+def write_envi(
+    dataset: xr.Dataset,
+    path: str | os.PathLike[str],
+    *,
+    variable: str | None = None,
+    interleave: Interleave | None = None,
+    dtype: Literal["float32", "uint16"] | None = None,
+    overwrite: bool = False,
+    progress: Callable[[int, int], None] | None = None,
+) -> Path:
+    """Write a cube of a flight line or of a map as ENVI.
+
+    Parameters
+    ----------
+    dataset
+        A flight line, (along_track, band, cross_track), or a map, (y, x, band), in any order; or with planes
+        of them, (along_track, cross_track) or (y, x). A map's place is that of ``spatial_ref``, with its
+        ``GeoTransform`` (which may be rotated) or ``x`` and ``y``.
+    path
+        The data file, or the header; without either's suffix, ``.img`` is added.
+    variable
+        By default the first of ``reflectance``, ``radiance``, ``counts``, ``values``.
+    interleave
+        By default ``"bil"`` for flight lines and ``"bip"`` for maps: the order in which the blocks come.
+    dtype
+        ``"float32"``; or ``"uint16"``, for reflectance times 10,000 (0 to 6.5534, others end there), unknown
+        samples 65535. By default floats are float32 (places such as ``east`` and ``glt_line`` float64), and
+        integers stay what they are.
+    overwrite
+        Replace files that exist.
+    progress
+        Called with samples written and samples in all.
+
+    Returns
+    -------
+    pathlib.Path
+        The header.
+
+    Raises
+    ------
+    SchemaError
+        There is no such variable, its dims or type are others, or ENVI cannot say where its grid is; all are
+        listed.
+    StoreError
+        A file exists, or cannot be written. What was there stays.
+    MissingExtraError
+        The map has a reference system, and pyproj is not installed.
+
+    Notes
+    -----
+    ENVI knows grids of square pixels turned by an angle. A grid whose rows count the other way round (a
+    mirrored one) is written from its last row on. `open_envi` reads float32 and integers back bit for bit.
+
+    Examples
+    --------
+    >>> import tempfile, xarray as xr
+    >>> from hyperpaint.io.envi.envi_cubes import open_envi
+    >>> scratch = tempfile.TemporaryDirectory()
+    >>> cube = xr.DataArray(np.ones((2, 3, 4), "f4"), dims=("along_track", "band", "cross_track"))
+    >>> line = cube.assign_attrs(units="1").to_dataset(name="reflectance")
+    >>> header = write_envi(line, Path(scratch.name) / "line")
+    >>> header.name, dict(open_envi(header).sizes)
+    ('line.hdr', {'along_track': 2, 'band': 3, 'cross_track': 4})
+    >>> scratch.cleanup()
+    """
+    cube = _cube(dataset, variable, dtype)
+    grid = grid_of(dataset) if "y" in cube.dims else None
+    if grid is not None and grid.mirrored:
+        cube, grid = cube.isel(y=slice(None, None, -1)), grid.flipped(cube.sizes["y"])
+    chosen = interleave or ("bil" if grid is None and "y" not in cube.dims else "bip")
+    if chosen not in _AXES:
+        msg = f"interleave {chosen!r:.40}, expected 'bil', 'bip' or 'bsq'"
+        raise SchemaError(msg)
+    order = [dict(zip("lsb", cube.dims, strict=True))[axis] for axis in _AXES[chosen]]
+    stored = cube.transpose(*order)
+    header = _header(dataset, cube, chosen, grid)
+    data, head = _paths(Path(path))
+    with published_files([data, head], overwrite=overwrite) as (data_file, header_file):
+        _fill(data_file, stored, progress)
+        header_file.write_bytes(header.encode())
+    return head
+
+
+# --- what is written ---------------------------------------------------------------------------------------
+
+
+def _cube(dataset: xr.Dataset, variable: str | None, dtype: str | None) -> xr.DataArray:
+    """Return the array (line, sample, band) in the type that is stored, still lazy."""
+    cube = product_of(dataset, variable)
+    name = str(cube.name)
+    if BAND not in cube.dims:
+        cube = cube.expand_dims(BAND, axis=-1)
+    cube = cube.transpose(*(("y", "x") if "y" in cube.dims else (ALONG_TRACK, CROSS_TRACK)), BAND)
+    if dtype not in (None, "float32", "uint16"):
+        msg = f"dtype {dtype!r:.40}, expected 'float32' or 'uint16'"
+        raise SchemaError(msg)
+    if dtype == "uint16" and cube.dtype.kind == "f":
+        if name != "reflectance":
+            msg = f"{name!r} is {cube.dtype}; as uint16 only reflectance is written, whose scale is agreed on"
+            raise SchemaError(msg)
+        scaled = (cube * np.float32(_SCALE)).round().clip(0, _IGNORE - 1).fillna(_IGNORE)
+        return scaled.astype(np.uint16).assign_attrs(cube.attrs)
+    if cube.dtype.kind == "f" or dtype == "float32":
+        return cube.astype(np.float32 if dtype == "float32" else stored_float(cube), copy=False)
+    if cube.dtype == bool:
+        return cube.astype(np.uint8)
+    if cube.dtype.name not in _CODES:
+        msg = f"{name!r} is {cube.dtype}, expected floats or one of {', '.join(_CODES)}"
+        raise SchemaError(msg)
+    return cube
+
+
+def _header(dataset: xr.Dataset, cube: xr.DataArray, interleave: str, grid: Grid | None) -> str:
+    lines, samples, bands = cube.shape
+    name = str(cube.name)
+    scaled = name == "reflectance" and cube.dtype.kind == "u"
+    title = _printable(str(dataset.attrs.get("title") or dataset.attrs.get("source") or "hyperpaint"))
+    # the last level that a description names is what readers take the values for
+    level = f", {name.upper()}" if name in ("radiance", "reflectance") else f", {name}"
+    rows = [
+        "ENVI",
+        f"description = {{{title}{level}}}",
+        f"samples = {samples}",
+        f"lines = {lines}",
+        f"bands = {bands}",
+        "header offset = 0",
+        "file type = ENVI Standard",
+        f"data type = {_CODES[cube.dtype.name]}",
+        f"interleave = {interleave}",
+        "byte order = 0",
+    ]
+    if units := cube.attrs.get("units"):
+        rows.append(f";Units = {_printable(str(units))}")
+    if scaled:
+        rows += [f"reflectance scale factor = {_SCALE}", f"data ignore value = {_IGNORE}"]
+    elif cube.dtype.kind == "f":
+        rows.append("data ignore value = nan")
+    elif "data_ignore_value" in cube.attrs:
+        rows.append(f"data ignore value = {cube.attrs['data_ignore_value']}")
+    if BAND not in dataset[name].dims:
+        rows.append(f"band names = {{{_printable(name)}}}")
+    else:
+        rows += _spectral(dataset)
+    if grid is not None:
+        rows += [f"{key} = {{{value}}}" for key, value in envi_map_info(grid).items()]
+    return "\n".join(rows) + "\n"
+
+
+def _spectral(dataset: xr.Dataset) -> list[str]:
+    rows: list[str] = []
+    axis = dataset.variables.get("wavelength")
+    if axis is None or axis.dims != (BAND,):
+        return rows
+    nm = axis.values.astype(np.float64)
+    if np.isfinite(nm).all():
+        rows += ["wavelength units = Nanometers", f"wavelength = {_listed(nm)}"]
+        if (chosen := nearest_bands(nm, RGB_WAVELENGTHS)) is not None:
+            rows.append(f"default bands = {{{', '.join(str(band + 1) for band in chosen)}}}")
+    for key, name in (("fwhm", "fwhm"), ("bbl", "good")):
+        found = dataset.variables.get(name)
+        if found is not None and found.dims == (BAND,) and np.isfinite(found.values.astype(np.float64)).all():
+            flags = [str(int(value)) for value in found.values]
+            rows.append(f"{key} = {_wrapped(flags) if key == 'bbl' else _listed(found.values)}")
+    return rows
+
+
+def _listed(values: NDArray[Any]) -> str:
+    return _wrapped([repr(float(value)) for value in values])
+
+
+def _wrapped(values: list[str]) -> str:
+    return "{\n " + ",\n ".join(", ".join(values[at : at + 8]) for at in range(0, len(values), 8)) + "}"
+
+
+def _printable(text: str) -> str:
+    """Return text that cannot end a brace or a line of a header."""
+    return "".join(mark if mark.isprintable() and mark not in "{}" else " " for mark in text)[:500]
+
+
+def _paths(path: Path) -> tuple[Path, Path]:
+    """Return the data file and its header."""
+    if path.suffix.lower() == ".hdr":
+        return path.with_suffix(".img"), path
+    if path.suffix.lower() in _DATA_SUFFIXES:
+        return path, path.with_suffix(".hdr")
+    return path.with_name(path.name + ".img"), path.with_name(path.name + ".hdr")
+
+
+# --- the data file -----------------------------------------------------------------------------------------
+
+
+@dataclass(eq=False)
+class _Target:
+    """A file that takes blocks of an array at their places; any thread, any order.
+
+    Blocks go through `os.pwrite`: a memory map would keep what was written in memory for as long as it likes.
+    """
+
+    path: str
+    shape: tuple[int, int, int]
+    dtype: np.dtype[Any]
+    progress: Callable[[int, int], None] | None = None
+    done: int = 0
+    lock: Any = field(default_factory=threading.Lock)
+
+    def __getstate__(self) -> dict[str, Any]:
+        # on another machine nobody sees the progress
+        return {**self.__dict__, "progress": None, "lock": None}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state, lock=threading.Lock())
+
+    def __setitem__(self, region: tuple[slice, slice, slice], block: NDArray[Any]) -> None:
+        """Write one block."""
+        block = np.ascontiguousarray(block, self.dtype.newbyteorder("<"))
+        starts = [where.indices(size)[0] for where, size in zip(region, self.shape, strict=True)]
+        _, rows, columns = self.shape
+        whole_rows = block.shape[2] == columns
+        descriptor = os.open(self.path, os.O_WRONLY)
+        try:
+            for plane in range(block.shape[0]):
+                first = ((starts[0] + plane) * rows + starts[1]) * columns + starts[2]
+                pieces = [block[plane]] if whole_rows else block[plane]
+                for row, piece in enumerate(pieces):
+                    self._write(descriptor, piece, first + row * columns)
+        finally:
+            os.close(descriptor)
+        with self.lock:
+            self.done += block.size
+            if self.progress is not None:
+                self.progress(self.done, int(np.prod(self.shape)))
+
+    def _write(self, descriptor: int, piece: NDArray[Any], first: int) -> None:
+        view = piece.reshape(-1).view(np.uint8).data
+        offset = first * self.dtype.itemsize
+        while len(view):
+            count = os.pwrite(descriptor, view, offset)
+            view, offset = view[count:], offset + count
+
+
+def _fill(path: Path, stored: xr.DataArray, progress: Callable[[int, int], None] | None) -> None:
+    """Write an array in the order of its dims."""
+    shape = (stored.shape[0], stored.shape[1], stored.shape[2])
+    with open(path, "wb") as file:
+        size = stored.size * stored.dtype.itemsize
+        file.truncate(size)
+        if size and hasattr(os, "posix_fallocate"):
+            try:
+                os.posix_fallocate(file.fileno(), 0, size)
+            except OSError as error:
+                # a full disk is told before anything is computed; not every file system can
+                if error.errno == errno.ENOSPC:
+                    raise
+    target = _Target(os.path.abspath(path), shape, stored.dtype, progress)
+    if stored.chunks is not None:
+        import dask.array as da
+
+        da.store(stored.data, target, lock=False)
+        return
+    step = max(1, _BLOCK // max(1, int(np.prod(shape[1:])) * stored.dtype.itemsize))
+    for first in range(0, shape[0], step):
+        part = slice(first, min(first + step, shape[0]))
+        target[part, slice(None), slice(None)] = stored[part].values

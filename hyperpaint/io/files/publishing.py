@@ -1,0 +1,147 @@
+"""Files and folders that appear whole or not at all.
+
+They are built in the folder that a store is built in, ``.partial-<name>`` beside their place: see
+`hyperpaint.io.store.stage`.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+
+from hyperpaint.base.errors import StoreError
+from hyperpaint.io.store.durability import flush_group
+from hyperpaint.io.store.location import sync_folder
+from hyperpaint.io.store.stage import Staging, discard, staging
+
+__all__ = ["publish_file", "published_files", "published_folder"]
+
+
+def publish_file(path: Path, content: bytes, *, overwrite: bool) -> None:
+    """Write a file whole or not at all.
+
+    Raises
+    ------
+    StoreError
+        It exists, or is being written by somebody else; or the system refuses. What was there stays.
+    """
+    with published_files([path], overwrite=overwrite) as (temporary,):
+        temporary.write_bytes(content)
+
+
+@contextlib.contextmanager
+def published_files(targets: Sequence[Path], *, overwrite: bool) -> Iterator[list[Path]]:
+    """Yield a path to write for each file of a product; they get their places when the block ends well.
+
+    The last file is what the product is opened by: it is the first to go, where another is replaced, and the
+    last to appear, so that what is opened is always of one product.
+
+    Parameters
+    ----------
+    targets
+        Files of one folder.
+    overwrite
+        Whether files that exist may be replaced.
+
+    Raises
+    ------
+    StoreError
+        A file exists, or is being written by somebody else; or the system refuses. What was there stays.
+    """
+    key = targets[-1]
+    _refuse_existing(targets, overwrite=overwrite)
+    with _built(key) as (_, build):
+        written = [build / target.name for target in targets]
+        yield written
+        flush_group(build, written)
+        _refuse_existing(targets, overwrite=overwrite)
+        with contextlib.suppress(FileNotFoundError):
+            if len(targets) > 1:
+                key.unlink()
+        for path, target in zip(written, targets, strict=True):
+            os.replace(path, target)
+        sync_folder(key.parent)
+
+
+@contextlib.contextmanager
+def published_folder(target: Path, *, overwrite: bool, foreign: Callable[[Path], str]) -> Iterator[Path]:
+    """Yield a folder to fill, which gets its place when the block ends well.
+
+    Parameters
+    ----------
+    target
+        Its place: new, an empty folder, or an earlier product.
+    overwrite
+        Whether an earlier product may be replaced.
+    foreign
+        What a folder that is not empty holds and this product does not, such as "other files"; nothing for
+        an earlier product. What holds anything else is never replaced.
+
+    Raises
+    ------
+    StoreError
+        The folder holds something else, or a product that may not be replaced, or is being written by
+        somebody else; or the system refuses. What was there stays.
+    """
+    _refuse_folder(target, foreign, overwrite=overwrite)
+    with _built(target) as (stage, build):
+        yield build
+        flush_group(build, [])
+        _refuse_folder(target, foreign, overwrite=overwrite)
+        stage.publish(build, "")
+
+
+@contextlib.contextmanager
+def _built(target: Path) -> Iterator[tuple[Staging, Path]]:
+    """Yield a new folder beside a place, as its only writer; what is still there in the end is removed."""
+    try:
+        target.parent.mkdir(parents=True, exist_ok=True)
+        with staging(target) as stage:
+            build = stage.build("", "product")
+            build.mkdir(parents=True)
+            try:
+                yield stage, build
+            finally:
+                if build.exists():
+                    discard(build)
+    except OSError as error:
+        if isinstance(error, StoreError):
+            raise
+        msg = f"{target} cannot be written: {error.strerror or error}"
+        raise StoreError(msg) from error
+
+
+def _refuse_existing(targets: Sequence[Path], *, overwrite: bool) -> None:
+    found = [target for target in targets if os.path.lexists(target)]
+    if folders := [target for target in found if target.is_dir()]:
+        msg = f"{folders[0]} is a folder; choose another path"
+        raise StoreError(msg)
+    if found and not overwrite:
+        names = ", ".join(map(str, found))
+        msg = (
+            f"{names} {'exists' if len(found) == 1 else 'exist'}; pass overwrite=True, or choose another path"
+        )
+        raise StoreError(msg)
+
+
+def _refuse_folder(target: Path, foreign: Callable[[Path], str], *, overwrite: bool) -> None:
+    if not os.path.lexists(target):
+        return
+    if target.is_symlink() or not target.is_dir():
+        msg = f"{target} is a file or a link, expected a folder; choose another path"
+        raise StoreError(msg)
+    try:
+        if not any(target.iterdir()):
+            return
+        other = foreign(target)
+    except OSError as error:
+        msg = f"{target} cannot be read: {error.strerror or error}"
+        raise StoreError(msg) from error
+    if other:
+        msg = f"{target} holds {other}; choose a new or empty folder"
+        raise StoreError(msg)
+    if not overwrite:
+        msg = f"{target} exists; pass overwrite=True, or choose another path"
+        raise StoreError(msg)

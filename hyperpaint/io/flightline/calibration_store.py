@@ -1,0 +1,251 @@
+"""Calibration stores: `radiance_gain` and the spectral axis of an imager, checked at the door."""
+
+from __future__ import annotations
+
+import os
+import warnings
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from hyperpaint.base.errors import FormatError, PaintWarning, Problems, SchemaError, UnitsError
+from hyperpaint.base.schema import BAND, CROSS_TRACK, SRF_SHAPES, VARIABLES, dtype_of, label
+from hyperpaint.base.units import convert
+from hyperpaint.io.files.reading import load_netcdf
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+__all__ = ["check_calibration", "open_calibration"]
+
+_ELEMENT = (BAND, CROSS_TRACK)
+#: Variables of the table that a calibration may hold, those it must hold first.
+_REQUIRED = ("radiance_gain", "wavelength", "fwhm")
+_OPTIONAL = (
+    "wavelength_shift",
+    "band_spacing",
+    "good",
+    "dark_counts",
+    "dark_exposure_time",
+    "saturation_count",
+    "electrons_per_count",
+    "read_noise",
+    "look_angle",
+)
+#: What a lab calibration adds, of which nothing but units and dims is asked.
+_OF_A_SWEEP = (
+    "radiance_gain_u_random",
+    "radiance_gain_u_systematic",
+    "wavelength_u",
+    "irradiance_u_systematic",
+    "dark_bias",
+    "dark_rate",
+    "flat_field",
+    "responsivity",
+    "quantum_efficiency",
+    "stray_light",
+    "step_wavelength",
+    "line_band",
+    "line_centre",
+    "line_fwhm",
+    "line_own_fwhm",
+    "line_amplitude",
+    "line_area",
+    "line_covariance",
+    "line_trusted",
+    "beam_centre",
+    "beam_fwhm",
+    "out_of_band",
+    "second_order",
+)
+_TABULATED = ("srf_offset", "srf")
+
+
+def open_calibration(source: str | os.PathLike[str] | xr.Dataset, *, group: str | None = None) -> xr.Dataset:
+    """Open a calibration and check it.
+
+    Parameters
+    ----------
+    source
+        A Zarr store or netCDF file with ``radiance_gain`` (band, cross_track), ``wavelength`` (band) and
+        ``fwhm`` (band) at its root, all with units; or such a Dataset.
+    group
+        Group of the store that holds them; by default the root, or ``calibration`` where the root is a
+        collect.
+
+    Returns
+    -------
+    xarray.Dataset
+        In memory, in the units, dims and dtypes of `hyperpaint.base.schema`; attribute ``srf_shape``. Elements
+        with a NaN gain are bad. Other variables on ``band`` and ``cross_track`` are kept.
+
+    Raises
+    ------
+    FormatError
+        The store cannot be read, or is one of ours and was never finished or has lost a part.
+    SchemaError
+        Variables, units or values are missing or impossible; all problems are listed.
+
+    Warns
+    -----
+    PaintWarning
+        The line shape is not given, and taken to be Gaussian.
+
+    Examples
+    --------
+    >>> import xarray as xr
+    >>> gain = xr.DataArray([[1e-8, 1e-8]], dims=("band", "cross_track"))
+    >>> gain.attrs["units"] = "uW cm-2 sr-1 nm-1 s count-1"
+    >>> nm = {"units": "nm"}
+    >>> made = open_calibration(xr.Dataset(
+    ...     {"radiance_gain": gain},
+    ...     {"wavelength": ("band", [550.0], nm), "fwhm": ("band", [6.0], nm)},
+    ...     {"srf_shape": "slit"}))
+    >>> float(made.radiance_gain[0, 0]), made.radiance_gain.units
+    (1.00...e-10, 'W m-2 sr-1 nm-1 s count-1')
+    """
+    import xarray as xr
+
+    if isinstance(source, xr.Dataset):
+        return check_calibration(source)
+    path = Path(source)
+    if not path.exists():
+        msg = f"{path}: no such calibration; expected a Zarr store or a netCDF file"
+        raise FormatError(msg)
+    dataset = _read(path, group)
+    if group is None and "radiance_gain" not in dataset.variables and (path / "calibration").is_dir():
+        dataset = _read(path, "calibration")
+    return check_calibration(dataset, str(path))
+
+
+def _read(path: Path, group: str | None) -> xr.Dataset:
+    try:
+        return _load_store(path, group) if path.is_dir() else load_netcdf(path, group)
+    except Exception as error:  # zarr, codecs, numpy and the netCDF engines each have their own
+        hint = "" if path.is_dir() else "; netCDF-4 needs: python -m pip install h5netcdf"
+        msg = (
+            f"{path}: not a readable Zarr store or netCDF file ({type(error).__name__}: {error!s:.200}){hint}"
+        )
+        raise FormatError(msg) from error
+
+
+def _load_store(path: Path, group: str | None) -> xr.Dataset:
+    """Load a group, which must be finished where hyperpaint wrote it; other programs leave no record."""
+    from hyperpaint.io.store import load_unverified, open_store
+    from hyperpaint.io.store.location import Location, clean_group
+    from hyperpaint.io.store.record import CHUNKS, COMPLETE
+
+    location, name = Location.of(path), clean_group(group)
+    attributes = (location.metadata(name) or {}).get("attributes") or {}
+    ours = COMPLETE in attributes or any(
+        location.has(name, array, CHUNKS) for array in location.folders(name)
+    )
+    return open_store(path, group, chunks=None).load() if ours else load_unverified(path, group)
+
+
+def check_calibration(dataset: xr.Dataset, subject: str = "this Dataset") -> xr.Dataset:
+    """Return a calibration in the units, dims and dtypes of the table, or say all that is wrong with it.
+
+    Parameters
+    ----------
+    dataset
+        See `open_calibration`.
+    subject
+        Names it in messages.
+
+    Raises
+    ------
+    SchemaError
+        Variables, units or values are missing or impossible; all problems are listed.
+
+    Warns
+    -----
+    PaintWarning
+        The line shape is not given, and taken to be Gaussian.
+    """
+    import xarray as xr
+
+    problems = Problems(f"{subject} cannot be used as calibration", SchemaError)
+    shape = dataset.attrs.get("srf_shape")
+    wanted = [*_REQUIRED, *(name for name in (*_OPTIONAL, *_OF_A_SWEEP) if name in dataset.variables)]
+    if shape == "tabulated" or "srf" in dataset.variables:
+        wanted += _TABULATED
+    made: dict[str, xr.DataArray] = {}
+    for name in wanted:
+        try:
+            made[name] = _variable(dataset, name)
+        except (SchemaError, UnitsError) as error:
+            problems.add(str(error))
+    for name, array in made.items():
+        _check_values(name, array.to_numpy(), problems)
+    if shape is not None and shape not in SRF_SHAPES:
+        problems.add(f"attribute srf_shape {shape!r}, expected one of {', '.join(SRF_SHAPES)}")
+    sizes = {name: size for name, size in dataset.sizes.items() if name in _ELEMENT}
+    if any(size == 0 for size in sizes.values()):
+        problems.add(f"sizes {sizes}: nothing in it")
+    problems.raise_if_any()
+    if shape is None:
+        shape = "gaussian"
+        warnings.warn(
+            f"{subject}: no attribute srf_shape; a Gaussian line shape is assumed", PaintWarning, stacklevel=2
+        )
+    for other, array in dataset.data_vars.items():
+        known = str(other) in VARIABLES
+        if not known and array.ndim and set(array.dims) <= set(_ELEMENT) and array.dtype.kind in "fiu":
+            made[str(other)] = array
+    coords = {name: made.pop(name) for name in list(made) if name in VARIABLES and VARIABLES[name].coordinate}
+    return xr.Dataset(made, coords, {**dataset.attrs, "srf_shape": shape})
+
+
+def _variable(dataset: xr.Dataset, name: str) -> xr.DataArray:
+    """Return a variable as the table has it, without coordinates."""
+    spec = VARIABLES[name]
+    if name not in dataset.variables:
+        msg = f"{name!r} is missing: {spec.meaning.lower()} ({', '.join(spec.dims)}) [{spec.units}]"
+        raise SchemaError(msg)
+    array = dataset[name].reset_coords(drop=True)
+    allowed = [dims for dims in (spec.dims, *spec.alternatives) if set(dims) == set(array.dims)]
+    if not allowed:
+        expected = " or ".join(f"({', '.join(dims)})" for dims in (spec.dims, *spec.alternatives))
+        msg = f"{name!r} has dims ({', '.join(map(str, array.dims))}), expected {expected}"
+        raise SchemaError(msg)
+    kinds = "biu" if spec.dtype == "bool" else "fiu"
+    if array.dtype.kind not in kinds:
+        msg = f"{name!r} has dtype {array.dtype}, expected {spec.dtype}"
+        raise SchemaError(msg)
+    array = array.transpose(*allowed[0])
+    if spec.units and spec.units != "1":
+        # float64 until the factor is in, rounded once
+        array = convert(array.astype(np.float64), spec.units, name)
+    return label(array.astype(dtype_of(name)), name)
+
+
+def _check_values(name: str, values: np.ndarray[Any, Any], problems: Problems) -> None:
+    if name == "radiance_gain":
+        known = values[~np.isnan(values)]
+        if not known.size:
+            problems.add(
+                "'radiance_gain' is NaN everywhere, expected a gain for the elements that are not bad"
+            )
+        elif not (np.isfinite(known).all() and (known > 0).all()):
+            bad = int((~np.isfinite(known) | (known <= 0)).sum())
+            problems.add(f"'radiance_gain' is zero, negative or infinite in {bad} elements; bad ones are NaN")
+    elif name in ("wavelength", "fwhm", "band_spacing", "saturation_count", "electrons_per_count"):
+        if not (np.isfinite(values).all() and (values > 0).all()):
+            problems.add(f"{name!r} is not finite and positive everywhere")
+    elif name == "wavelength_shift":
+        if not (np.isfinite(values).all() and (np.abs(values) < 100.0).all()):
+            problems.add("'wavelength_shift' is not finite and below 100 nm everywhere")
+    elif name == "look_angle":
+        if not (np.isfinite(values).all() and (np.abs(values) < 90.0).all()):
+            problems.add("'look_angle' is not finite and below 90 degrees everywhere")
+    elif name.startswith("radiance_gain_u_") or name in ("wavelength_u", "irradiance_u_systematic"):
+        if (values < 0).any():
+            problems.add(f"{name!r} is negative in places, expected a standard uncertainty")
+    elif name in ("read_noise", "srf"):
+        known = values[~np.isnan(values)] if name == "read_noise" else values
+        if not (np.isfinite(known).all() and (known >= 0).all()):
+            problems.add(f"{name!r} is not finite and at least zero everywhere")
+    elif name == "srf_offset" and not (np.isfinite(values).all() and (np.diff(values) > 0).all()):
+        problems.add("'srf_offset' does not increase strictly")

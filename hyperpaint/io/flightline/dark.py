@@ -1,0 +1,291 @@
+"""Dark references: cubes taken with the lens capped, averaged element by element."""
+
+from __future__ import annotations
+
+import json
+import warnings
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from hyperpaint.base.errors import FormatError, PaintError, PaintWarning, SchemaError, TimeError
+from hyperpaint.base.schema import (
+    ALONG_TRACK,
+    BAND,
+    CROSS_TRACK,
+    CUBE,
+    dtype_of,
+    label,
+    rename_to_roles,
+    require,
+)
+
+from .headwall import DarkFrames, cube_number, exposure_seconds, find_settings, read_settings, sum_dark
+from .timing import Timing, line_times, utc_of
+
+if TYPE_CHECKING:
+    import xarray as xr
+    from numpy.typing import NDArray
+
+__all__ = ["DARK_NONE", "Dark", "open_dark"]
+
+DARK_NONE = "none"
+_DARK_OF_CALIBRATION = "calibration"
+#: Lines from which the spread of a dark cube is a measure of read noise.
+_NOISE_LINES = 16
+_ELEMENT = (BAND, CROSS_TRACK)
+_ROUNDING = 1.0 / 12.0
+"""Variance of whole counts [count2], which `read_noise` does not hold."""
+
+
+@dataclass(frozen=True)
+class Dark:
+    """Dark counts of a flight line.
+
+    Attributes
+    ----------
+    counts
+        ``dark_counts`` ([dark_time,] band, cross_track) float32, [count].
+    exposures
+        Seconds of each reference, None where unknown.
+    read_noise
+        Spread over the lines (band, cross_track) less that of rounding, or None where there are too few.
+    uncertainty
+        Of the mean, from that spread (band, cross_track), or None.
+    source
+        Says where they come from.
+    """
+
+    counts: xr.DataArray
+    exposures: tuple[float | None, ...]
+    read_noise: xr.DataArray | None
+    source: str
+    uncertainty: xr.DataArray | None = None
+
+    def variables(self, *, needs_noise: bool) -> dict[str, xr.DataArray]:
+        """Return the variables that a flight line keeps."""
+        import xarray as xr
+
+        made = {"dark_counts": self.counts}
+        known = [seconds for seconds in self.exposures if seconds is not None]
+        if known and len(known) == len(self.exposures):
+            by_time = "dark_time" in self.counts.dims
+            values = np.array(known if by_time else known[0])
+            array = xr.DataArray(values, dims=("dark_time",) if by_time else ())
+            made["dark_exposure_time"] = label(array, "dark_exposure_time")
+        if needs_noise and self.read_noise is not None:
+            made["read_noise"] = self.read_noise
+        if self.uncertainty is not None:
+            made["dark_counts_u_random"] = self.uncertainty
+        return made
+
+
+@dataclass(frozen=True)
+class _Reference:
+    """One dark cube."""
+
+    name: str
+    frames: DarkFrames
+    time: np.datetime64 | None
+    exposure: float | None
+
+
+def open_dark(
+    source: Any, timing: Timing, calibration: xr.Dataset | None, cube: xr.DataArray | None
+) -> Dark | None:
+    """Open the dark references of a line.
+
+    Parameters
+    ----------
+    source
+        Path or Dataset of a dark cube, or several; a Dataset with ``dark_counts``; ``"none"`` or
+        ``"calibration"``.
+    timing
+        Clock settings of the flight, which hold for ``frameIndex_<N>.txt`` and ``imu_gps.txt`` beside a dark
+        cube.
+    calibration
+        Of the camera, or None where it failed to open.
+    cube
+        The line's counts, or None where they failed to open.
+
+    Returns
+    -------
+    Dark or None
+        Several references whose times are known are kept along ``dark_time``; otherwise they are averaged.
+        None where what it depends on failed to open.
+
+    Raises
+    ------
+    SchemaError
+        No dark was named, or one does not fit the cube.
+    FormatError
+        A file is not a cube of raw counts.
+    """
+    import xarray as xr
+
+    if source is None or (isinstance(source, (list, tuple)) and not source):
+        msg = (
+            'no dark reference; give dark cubes, or dark="none" where the counts are dark-corrected '
+            '(in collect.toml: cubes = [...] or cubes = "none" in [dark])'
+        )
+        raise SchemaError(msg)
+    shape = None if cube is None else tuple(cube.sizes[dim] for dim in _ELEMENT)
+    if isinstance(source, str) and source == DARK_NONE:
+        if shape is None:
+            return None
+        zeros = label(xr.DataArray(np.zeros(shape, np.float32), dims=_ELEMENT), "dark_counts", dark="none")
+        return Dark(zeros, (None,), None, DARK_NONE)
+    if isinstance(source, str) and source == _DARK_OF_CALIBRATION:
+        return None if calibration is None else _given(calibration, shape, "the calibration")
+    if isinstance(source, xr.Dataset) and "dark_counts" in source:
+        return _given(source, shape, "a Dataset")
+    several: Sequence[Any] = source if isinstance(source, (list, tuple)) else [source]
+    return _combine([_reference(one, timing, shape) for one in several])
+
+
+def _given(dataset: xr.Dataset, shape: tuple[int, ...] | None, name: str) -> Dark:
+    exposure = dataset.get("dark_exposure_time")
+    names = ["dark_counts"] + ([] if exposure is None else ["dark_exposure_time"])
+    found = require(dataset, names, "a dark correction")
+    counts = found["dark_counts"].astype(dtype_of("dark_counts"))
+    _check_shape(tuple(counts.sizes[dim] for dim in _ELEMENT), shape, f"dark_counts of {name}")
+    if not np.isfinite(counts.values).any():
+        msg = f"dark_counts of {name} are not finite anywhere"
+        raise SchemaError(msg)
+    times = counts.coords["dark_time"] if "dark_time" in counts.dims else None
+    counts = label(counts.reset_coords(drop=True), "dark_counts")
+    if times is not None:
+        counts = counts.assign_coords(dark_time=times.astype("datetime64[ns]"))
+    seconds: tuple[float | None, ...] = (None,)
+    if exposure is not None:
+        seconds = tuple(float(value) for value in np.atleast_1d(found["dark_exposure_time"].values))
+    return Dark(counts, seconds, None, name)
+
+
+def _check_shape(found: tuple[int, ...], shape: tuple[int, ...] | None, name: str) -> None:
+    if shape is not None and found != shape:
+        msg = (
+            f"{name}: {found[0]} bands x {found[1]} columns, the cube has {shape[0]} x {shape[1]};"
+            " give the dark of this camera and binning"
+        )
+        raise SchemaError(msg)
+
+
+def _reference(source: Any, timing: Timing, shape: tuple[int, ...] | None) -> _Reference:
+    """Sum one dark cube, and learn its time and exposure from the files beside it."""
+    import xarray as xr
+
+    from hyperpaint.io.envi.envi_cubes import open_envi
+
+    if isinstance(source, xr.Dataset):
+        opened, path = rename_to_roles(source), None
+        name = str(source.attrs.get("source", "dark"))
+    else:
+        path = Path(source)
+        opened, name = open_envi(path), path.name
+    if "counts" not in opened:
+        held = ", ".join(map(str, opened.data_vars)) or "nothing"
+        msg = f"{name}: holds {held}, expected a dark cube of raw counts"
+        raise FormatError(msg)
+    counts = opened["counts"]
+    if set(counts.dims) == set(CUBE):
+        counts = counts.transpose(*CUBE)
+        _check_shape(counts.shape[1:], shape, f"dark {name}")
+    frames = sum_dark(counts, f"dark {name}")
+    exposure = _exposure(opened, path, name)
+    return _Reference(name, frames, _time(opened, path, timing, counts.sizes[ALONG_TRACK]), exposure)
+
+
+def _exposure(opened: xr.Dataset, path: Path | None, name: str) -> float | None:
+    if "exposure_time" in opened and opened["exposure_time"].ndim == 0:
+        return float(require(opened, ["exposure_time"], "a dark correction")["exposure_time"])
+    settings = None if path is None else find_settings(path)
+    if settings is not None:
+        seconds = exposure_seconds(read_settings(settings), f"dark {name}: settings.txt")
+        if seconds is not None:
+            return seconds
+    return exposure_seconds(
+        json.loads(opened.attrs.get("envi_comments", "{}")), f"dark {name}: header comments"
+    )
+
+
+def _time(opened: xr.Dataset, path: Path | None, timing: Timing, lines: int) -> np.datetime64 | None:
+    """Return UTC at the middle of a dark cube, None where it is unknown."""
+    if "time" in opened.coords:
+        known = opened["time"].values.astype("datetime64[ns]")
+        known = known[~np.isnat(known)]
+        return _middle(known) if known.size else None
+    if path is None:
+        return None
+    index = path.parent / f"frameIndex_{cube_number(path)}.txt"
+    nav = path.parent / "imu_gps.txt"
+    if index.is_file() and nav.is_file():
+        beside = Timing(
+            frame_index=index,
+            nav=nav,
+            stamp=timing.stamp,
+            clock_offset_s=timing.clock_offset_s,
+            time_scale=timing.time_scale,
+            gps_leap_seconds=timing.gps_leap_seconds,
+        )
+        try:
+            times = line_times(path, lines, beside).time
+            return _middle(times[~np.isnat(times)])
+        except PaintError as error:
+            warnings.warn(f"dark {path.name}: time unknown; {error}", PaintWarning, stacklevel=2)
+    stated = json.loads(opened.attrs.get("envi_header", "{}")).get("acquisition time")
+    try:
+        return None if stated is None else utc_of(str(stated), "acquisition time")
+    except TimeError:
+        return None  # without a zone it orders nothing
+
+
+def _middle(times: NDArray[np.datetime64]) -> np.datetime64:
+    return np.datetime64(int((times[0].astype(np.int64) + times[-1].astype(np.int64)) // 2), "ns")
+
+
+def _combine(references: list[_Reference]) -> Dark:
+    """Stack references along time where all times are known, else average them."""
+    import xarray as xr
+
+    noisy = [ref.frames for ref in references if ref.frames.lines >= _NOISE_LINES]
+    noise = variance = None
+    if noisy:
+        weights = np.array([frames.lines - 1 for frames in noisy], np.float64)
+        variance = sum(w * frames.variance for w, frames in zip(weights, noisy, strict=True)) / weights.sum()
+        noise = _labelled(np.sqrt(np.maximum(variance - _ROUNDING, 0.0)), "read_noise")
+    source = ", ".join(f"{ref.name} ({ref.frames.lines} lines)" for ref in references)
+    times = [ref.time for ref in references if ref.time is not None]
+    if len(references) > 1 and len(times) == len(references) == len(set(times)):
+        references = sorted(references, key=lambda ref: ref.time or np.datetime64(0, "ns"))
+        stack = np.stack([ref.frames.mean for ref in references]).astype(np.float32)
+        counts = label(xr.DataArray(stack, dims=("dark_time", *_ELEMENT)), "dark_counts")
+        stamps = np.array([ref.time for ref in references], "datetime64[ns]")
+        counts = counts.assign_coords(dark_time=label(xr.DataArray(stamps, dims="dark_time"), "dark_time"))
+        fewest = min(ref.frames.lines for ref in references)
+        spread = None if variance is None else _labelled(np.sqrt(variance / fewest), "dark_counts_u_random")
+        return Dark(counts, tuple(ref.exposure for ref in references), noise, source, spread)
+    exposures = {ref.exposure for ref in references}
+    if len(exposures) > 1:
+        shown = ", ".join(
+            f"{ref.name} {'unknown' if ref.exposure is None else f'{ref.exposure * 1e3:g} ms'}"
+            for ref in references
+        )
+        msg = f"dark cubes of different exposures and unknown times cannot be averaged: {shown}"
+        raise SchemaError(msg)
+    lines = sum(ref.frames.lines for ref in references)
+    total = sum((ref.frames.total for ref in references), np.zeros_like(references[0].frames.total))
+    mean = (total / np.float64(lines)).astype(np.float32)
+    if len(references) > 1:
+        source += "; averaged, their times being unknown"
+    spread = None if variance is None else _labelled(np.sqrt(variance / lines), "dark_counts_u_random")
+    return Dark(_labelled(mean, "dark_counts"), (references[0].exposure,), noise, source, spread)
+
+
+def _labelled(values: NDArray[Any], name: str) -> xr.DataArray:
+    import xarray as xr
+
+    return label(xr.DataArray(values.astype(np.float32), dims=_ELEMENT), name)

@@ -1,0 +1,413 @@
+"""One flight line, from its instruments' files: counts and everything needed to calibrate them, lazily."""
+
+from __future__ import annotations
+
+import os
+import warnings
+from collections.abc import Mapping, Sequence
+from dataclasses import fields
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+
+from hyperpaint.base.attitude_conventions import Convention
+from hyperpaint.base.errors import PaintWarning, SchemaError
+from hyperpaint.base.independent_steps import Findings, Unavailable
+from hyperpaint.base.schema import ALONG_TRACK, BAND, CROSS_TRACK, label
+from hyperpaint.io.navigation.navigation_records import ASSUMED, Navigation
+from hyperpaint.io.spectrometers.irradiance_cut import cut_irradiance
+
+from .calibration_store import open_calibration
+from .dark import Dark, open_dark
+from .line_parts import (
+    FlightlineInputs,
+    check_cube,
+    find_exposure,
+    find_saturation,
+    lazy_cube,
+    open_file,
+    path_of,
+)
+from .timing import LineTimes, Timing, line_times
+
+if TYPE_CHECKING:
+    import xarray as xr
+    from numpy.typing import NDArray
+
+    type_path = str | os.PathLike[str]
+
+__all__ = ["assemble", "open_flightline"]
+
+#: Nanometres between header and calibration beyond which the user hears of it.
+_WAVELENGTH_TOLERANCE = 0.5
+
+
+def open_flightline(
+    cube: type_path | xr.Dataset,
+    *,
+    frame_index: type_path | None = None,
+    nav: type_path | Navigation | None = None,
+    dark: Any = None,
+    calibration: type_path | xr.Dataset | None = None,
+    irradiance: Any = None,
+    exposure_time: float | Sequence[float] | None = None,
+    frame_period: float | None = None,
+    start_time: Any = None,
+    gps_time: type_path | None = None,
+    date: str | None = None,
+    stamp: Literal["start", "mid", "end"] = "end",
+    nav_clock_offset_s: float | None = None,
+    time_scale: Literal["utc", "gps"] = "utc",
+    gps_leap_seconds: int | None = None,
+    nav_max_gap_s: float | None = None,
+    convention: Mapping[str, Any] | None = None,
+    bit_depth: int = 12,
+    saturation_count: float | None = None,
+    radiance_units: str | None = None,
+    fwhm_nm: float | None = None,
+    chunks: Any = "auto",
+    name: str | None = None,
+    keep_whole_lines: bool = False,
+) -> xr.Dataset:
+    """Open a flight line with all that calibrates it, without reading the cube.
+
+    Parameters
+    ----------
+    cube
+        ENVI cube in sensor geometry (either file of the pair), or its Dataset: raw counts, or a vendor's
+        radiance, which needs neither ``calibration`` nor ``dark``.
+    frame_index
+        ``frameIndex_<N>.txt``. As many rows as lines: by row. As many lines as frames from first to last: by
+        number, missing frames being blank lines (``time`` NaT, ``counts`` 65535). An index of the whole
+        flight serves ``raw_<N>`` as well.
+    nav
+        ``imu_gps.txt``: UTC, and position and attitude at mid exposure.
+    dark
+        Dark cube or cubes (``dark_counts`` is the mean of their lines), a Dataset with ``dark_counts``,
+        ``"calibration"`` for those of the calibration, or ``"none"``.
+    calibration
+        See `open_calibration`. Its wavelengths win over those of the header.
+    irradiance
+        From `open_irradiance`, or paths for it. Kept: the line +- 60 s, and at least the bracketing samples.
+        Without it the line cannot become reflectance.
+    exposure_time
+        Seconds, scalar or (along_track,); by default from ``settings.txt`` beside the cube, then from the
+        header's comment lines. Where they disagree the argument wins.
+    frame_period
+        Seconds from line to line; with ``start_time`` it replaces ``frame_index`` and ``nav``.
+    start_time
+        Stamp of the first line, with a zone.
+    gps_time, date
+        For frame indices stamped by the recording computer: ``gps_time.txt``, or the day (``"2024-06-01"``),
+        with ``nav_clock_offset_s``.
+    stamp
+        What a line's time stamp marks.
+    nav_clock_offset_s, time_scale, gps_leap_seconds
+        UTC = stamp of the navigation + offset [s]; ``"gps"`` takes leap seconds off, from a table unless
+        given.
+    nav_max_gap_s
+        Longest interval of the navigation that is interpolated [s]; default 2.5 x the median, at least 0.1 s.
+    convention
+        What the angles and heights of ``nav`` mean and where the columns look, as far as it is known: fields
+        of `hyperpaint.Convention`, such as ``{"column_order": "left_to_right"}``. The others are as the
+        format is taken to mean them; the line's attribute ``navigation_assumed`` lists those.
+    bit_depth, saturation_count
+        The converter is full at ``saturation_count``: as given, else as in the calibration, else
+        ``2**bit_depth - 1``.
+    radiance_units
+        Units of a radiance cube whose header does not say them.
+    fwhm_nm
+        Width of the bands [nm] where neither calibration nor header gives it.
+    chunks
+        dask chunks of the cube: ``"auto"`` for 32 whole lines, None for no dask (except where units are
+        converted or dropped lines blanked), else as for `xarray.Dataset.chunk`.
+    name
+        Name of the line; by default that of the cube.
+    keep_whole_lines
+        Open the whole lines of a file that was cut short.
+
+    Returns
+    -------
+    xarray.Dataset
+        ``counts`` (along_track, band, cross_track) uint16 or ``radiance`` float32, lazy, with the variables
+        and coordinates of `hyperpaint.base.schema`; ``time`` is UTC at mid exposure.
+
+    Raises
+    ------
+    FormatError
+        A file is damaged, or is not what it should be.
+    TimeError
+        Line times are missing or contradictory, or navigation or irradiance does not cover the line.
+    SchemaError, UnitsError
+        The calibration lacks something, or does not fit the cube.
+    CollectError
+        Several of these; all are listed.
+
+    Warns
+    -----
+    PaintWarning
+        Sources disagree, or lines fall outside the navigation record.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> from hyperpaint.simulation import simulate_collect
+    >>> folder = simulate_collect(tempfile.mkdtemp(), scene="plan", lines=40, bands=4, columns=6).parent
+    >>> line = open_flightline(
+    ...     folder / "flight/raw_0.hdr",
+    ...     frame_index=folder / "flight/frameIndex_0.txt",
+    ...     nav=folder / "flight/imu_gps.txt",
+    ...     dark=folder / "dark/raw_0.hdr",
+    ...     calibration=folder / "calibration.zarr",
+    ... )
+    >>> line["counts"].chunks, line["time"].values[0], line.attrs["exposure_source"]
+    (((32, 8), (4,), (6,)), np.datetime64('2021-07-20T17:10:00.000000000'), 'settings.txt')
+    """
+    import xarray as xr
+
+    source = cube if isinstance(cube, xr.Dataset) else Path(cube)
+    timing = Timing(
+        frame_index=None if frame_index is None else Path(frame_index),
+        nav=nav if nav is None or isinstance(nav, Navigation) else Path(nav),
+        gps_time=None if gps_time is None else Path(gps_time),
+        date=date,
+        start_time=start_time,
+        frame_period=frame_period,
+        stamp=stamp,
+        clock_offset_s=nav_clock_offset_s,
+        time_scale=time_scale,
+        gps_leap_seconds=gps_leap_seconds,
+        max_gap_s=nav_max_gap_s,
+    )
+    found: Path | xr.Dataset | None = None
+    if calibration is not None:
+        found = calibration if isinstance(calibration, xr.Dataset) else Path(calibration)
+    inputs = FlightlineInputs(
+        cube=source,
+        timing=timing,
+        exposure_time=exposure_time,
+        dark=dark,
+        calibration=found,
+        irradiance=irradiance,
+        bit_depth=bit_depth,
+        saturation_count=saturation_count,
+        radiance_units=radiance_units,
+        fwhm_nm=fwhm_nm,
+        chunks=chunks,
+        name=name,
+        keep_whole_lines=keep_whole_lines,
+        convention=convention or {},
+    )
+    shown = name or (source.name if isinstance(source, Path) else "from a Dataset")
+    findings = Findings(f"flight line {shown!r} cannot be opened")
+    made = assemble(inputs, findings)
+    findings.raise_if_any()
+    return made
+
+
+def assemble(inputs: FlightlineInputs, findings: Findings) -> xr.Dataset:
+    """Open every input, noting in ``findings`` what is wrong with any; return the line if nothing is.
+
+    Steps whose input failed are left out, so that every problem is found once.
+    """
+    import xarray as xr
+
+    path = path_of(inputs)
+    cube: xr.DataArray | None = None
+    opened = xr.Dataset()
+    is_counts = True
+    with findings.step():
+        opened = open_file(inputs)
+        is_counts = "counts" in opened
+        cube = check_cube(opened, inputs)
+    exposure: NDArray[np.float64] | None = None
+    with findings.step():
+        exposure, exposure_source = find_exposure(inputs, path, opened, required=is_counts)
+    calibration: xr.Dataset | None = None
+    with findings.step():
+        calibration = _calibration(inputs, cube, required=is_counts)
+    timing = Timing() if isinstance(inputs.timing, Unavailable) else inputs.timing
+    times: LineTimes | None = None
+    if cube is not None and timing is inputs.timing:
+        with findings.step():
+            times = line_times(
+                path,
+                cube.sizes[ALONG_TRACK],
+                timing,
+                0.0 if exposure is None else exposure,
+                shortened=inputs.keep_whole_lines,
+            )
+    dark: Dark | None = None
+    if is_counts and not isinstance(inputs.dark, Unavailable):
+        with findings.step():
+            dark = open_dark(inputs.dark, timing, calibration, cube)
+    irradiance: xr.Dataset | None = None
+    with findings.step():
+        irradiance = _irradiance(inputs, times)
+    meaning: dict[str, Any] = {}
+    with findings.step():
+        meaning = _navigation_attrs(inputs.convention, timing) if timing.nav is not None else {}
+    saturation: xr.DataArray | None = None
+    with findings.step():
+        saturation = find_saturation(inputs, calibration)
+    if findings.errors or cube is None or times is None:
+        return xr.Dataset()
+    parts: dict[str, xr.DataArray] = {cube.name: lazy_cube(cube, times, inputs)}  # type: ignore[dict-item]
+    attrs: dict[str, Any] = {"name": inputs.name or path.name.split(".")[0], "source": path.name}
+    if exposure is not None:
+        dims = (ALONG_TRACK,) if exposure.ndim else ()
+        parts["exposure_time"] = label(xr.DataArray(exposure, dims=dims), "exposure_time")
+        attrs["exposure_source"] = exposure_source
+    parts |= _calibration_parts(calibration, is_counts)
+    if dark is not None and saturation is not None:
+        parts |= {"saturation_count": saturation, **dark.variables(needs_noise="read_noise" not in parts)}
+        attrs["dark_source"] = dark.source
+    if irradiance is not None:
+        parts |= {str(key): value for key, value in irradiance.data_vars.items()}
+    made = xr.Dataset(parts, _coordinates(opened, calibration, times, inputs, path))
+    made.attrs = {
+        **attrs,
+        "srf_shape": "gaussian" if calibration is None else calibration.attrs["srf_shape"],
+        "irradiance_srf_shape": "gaussian"
+        if irradiance is None
+        else irradiance.attrs["irradiance_srf_shape"],
+        **_scale_attrs(calibration if is_counts else None),
+        "time_source": times.source,
+        "stamp": timing.stamp,
+        **meaning,
+        "dropped_frames": times.dropped,
+        **{key: opened.attrs[key] for key in ("envi_comments", "envi_notes") if key in opened.attrs},
+        **inputs.attrs,
+    }
+    return made
+
+
+# --- calibration -------------------------------------------------------------------------------------------
+
+
+def _calibration(inputs: FlightlineInputs, cube: xr.DataArray | None, *, required: bool) -> xr.Dataset | None:
+    if isinstance(inputs.calibration, Unavailable):
+        return None
+    if inputs.calibration is None:
+        if required:
+            msg = f"{path_of(inputs).name}: no calibration; raw counts need one (calibration=)"
+            raise SchemaError(msg)
+        if cube is not None and "wavelength" not in cube.coords:
+            msg = f"{path_of(inputs).name}: no wavelengths in the header; give the calibration of this camera"
+            raise SchemaError(msg)
+        return None
+    calibration = open_calibration(inputs.calibration)
+    if cube is not None:
+        gain = calibration["radiance_gain"]
+        expected = {dim: cube.sizes[dim] for dim in gain.dims}
+        if dict(gain.sizes) != expected:
+            msg = (
+                f"{path_of(inputs).name} has {_shape(expected)}, the calibration {_shape(gain.sizes)};"
+                " give the calibration of this camera and binning"
+            )
+            raise SchemaError(msg)
+    return calibration
+
+
+def _shape(sizes: Mapping[Any, int]) -> str:
+    return f"{sizes[BAND]} bands x {sizes[CROSS_TRACK]} columns"
+
+
+def _calibration_parts(calibration: xr.Dataset | None, is_counts: bool) -> dict[str, xr.DataArray]:
+    """Return what a line keeps of its calibration; of a radiance cube's, line shape and look angles."""
+    if calibration is None:
+        return {}
+    left = {
+        "dark_counts",
+        "dark_exposure_time",
+        "dark_bias",
+        "dark_rate",
+        "flat_field",  # in the gain already
+        "responsivity",
+        "saturation_count",
+    }
+    # the lines of a lab sweep stay with the calibration
+    own = {BAND, CROSS_TRACK, "srf_offset", "irradiance_wavelength"}
+    kept = [
+        str(name)
+        for name, array in calibration.data_vars.items()
+        if name not in left and set(array.dims) <= own
+    ]
+    if not is_counts:
+        kept = [name for name in kept if name in ("srf", "look_angle")]
+    return {name: calibration[name].reset_coords(drop=True) for name in kept}
+
+
+def _scale_attrs(calibration: xr.Dataset | None) -> dict[str, Any]:
+    """Return what the calibration says of the counts and the scale that its gain holds for."""
+    names = ("linearity", "absolute_scale")
+    return {} if calibration is None else {k: calibration.attrs[k] for k in names if k in calibration.attrs}
+
+
+def _navigation_attrs(declared: Mapping[str, Any], timing: Timing) -> dict[str, Any]:
+    """Return what the poses of a line mean, and what of that nobody has declared.
+
+    Raises
+    ------
+    SchemaError
+        A declaration that does not exist.
+    """
+    known = {each.name for each in fields(Convention)} - {"angle_unit", "stamp_reference"}
+    if not set(declared) <= known:
+        wrong, right = (", ".join(sorted(names)) for names in (set(declared) - known, known))
+        msg = f"convention has {wrong}, expected some of {right}; angles are in degree, and stamp= is apart"
+        raise SchemaError(msg)
+    meant = Convention(**{"stamp_reference": timing.stamp, **declared})
+    assumed = [name for name in ASSUMED if name not in declared]
+    return {**meant.to_attrs(), **({"navigation_assumed": ", ".join(assumed)} if assumed else {})}
+
+
+# --- coordinates -------------------------------------------------------------------------------------------
+
+
+def _coordinates(
+    opened: xr.Dataset, calibration: xr.Dataset | None, times: LineTimes, inputs: FlightlineInputs, path: Path
+) -> dict[str, xr.DataArray]:
+    import xarray as xr
+
+    made: dict[str, xr.DataArray] = {}
+    for source in (opened, calibration):
+        for name in ("wavelength", "fwhm", "band_spacing", "good", "wavelength_shift", "srf_offset"):
+            if source is not None and name in source.coords:
+                array = source.coords[name].reset_coords(drop=True)
+                if name == "good" and name in made:
+                    array = array & made[name]
+                made[name] = label(array, name)
+    if "fwhm" not in made and inputs.fwhm_nm is not None:
+        made["fwhm"] = label(xr.DataArray(np.full(opened.sizes[BAND], inputs.fwhm_nm), dims=BAND), "fwhm")
+    if "wavelength" in made and made["wavelength"].size > 1 and "band_spacing" not in made:
+        # kept with every band, so that a choice of bands still knows how wide the pixels are
+        spacing = np.abs(np.gradient(made["wavelength"].values))
+        made["band_spacing"] = label(xr.DataArray(spacing, dims=BAND), "band_spacing")
+    if calibration is not None and "wavelength" in opened.coords:
+        apart = float(np.abs(opened["wavelength"].values - calibration["wavelength"].values).max())
+        if apart > _WAVELENGTH_TOLERANCE:
+            message = f"wavelengths of header and calibration are up to {apart:.3g} nm apart"
+            warnings.warn(
+                f"{path.name}: {message}; those of the calibration are used", PaintWarning, stacklevel=4
+            )
+    along = {"time": times.time, "frame": times.frame, **times.place}
+    made |= {name: label(xr.DataArray(values, dims=ALONG_TRACK), name) for name, values in along.items()}
+    return made
+
+
+# --- irradiance --------------------------------------------------------------------------------------------
+
+
+def _irradiance(inputs: FlightlineInputs, times: LineTimes | None) -> xr.Dataset | None:
+    import xarray as xr
+
+    source = inputs.irradiance
+    if source is None or isinstance(source, Unavailable):
+        return None
+    if not isinstance(source, xr.Dataset):
+        from hyperpaint.io.spectrometers.irradiance import open_irradiance
+
+        source = open_irradiance(source)
+    return source if times is None else cut_irradiance(source, times.time)

@@ -1,0 +1,470 @@
+"""Side files of a Headwall flight folder: settings, frame index, header comments, dark cubes.
+
+A flight is many cubes ``raw_<N>``, N the number of the cube's first frame; the frame numbers of
+``frameIndex_<N>.txt`` are absolute. No vendor description of these files is public: the variants read here
+are those that public code writes or reads (Nano-Hyperspec with APX-15, its older software, TERRA-REF).
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+
+from hyperpaint.base.errors import FormatError, Problems, TimeError, UnitsError
+from hyperpaint.base.schema import CHUNK_LINES, CUBE
+from hyperpaint.base.units import conversion_factor
+from hyperpaint.io.files.reading import read_limited_text
+
+if TYPE_CHECKING:
+    import xarray as xr
+    from numpy.typing import NDArray
+
+__all__ = [
+    "DarkFrames",
+    "FrameIndex",
+    "Table",
+    "check_increasing",
+    "cube_number",
+    "exposure_seconds",
+    "find_settings",
+    "match_frames",
+    "name_rows",
+    "read_frame_index",
+    "read_settings",
+    "read_table",
+    "read_text",
+    "sum_dark",
+    "time_of_day",
+    "to_integers",
+]
+
+_MAX_SETTINGS = 16 << 20
+_MAX_TABLE = 1 << 30
+_MAX_FRAME = 1 << 40
+_SECOND = 1_000_000
+_DAY = 86_400 * _SECOND
+_TIME_OF_DAY = re.compile(r"(\d{1,2}):(\d{2}):(\d{2})(?: +(\d{1,6})|\.(\d{1,6})\d*)?")
+_INTEGER = re.compile(r"[+-]?[0-9]{1,16}(?:\.0*)?")
+_EXPOSURE = re.compile(r"(?:exposure|integration)(?: time)? *\(([^()]*)\)", re.IGNORECASE)
+_CUBE_NUMBER = re.compile(r"raw_(\d{1,12})", re.IGNORECASE)
+
+
+# --- text and tables ---------------------------------------------------------------------------------------
+
+
+def read_text(path: Path, limit: int = _MAX_SETTINGS) -> str:
+    """Return the text of a side file, its line ends made those of Unix.
+
+    Raises
+    ------
+    FormatError
+        The file cannot be read, is larger than ``limit`` bytes, or is binary.
+    """
+    data = read_limited_text(path, limit, "a text file")
+    if b"\0" in data:
+        msg = f"{path}: binary, expected text; some systems write binary logs under the same name: export it"
+        raise FormatError(msg)
+    text = data.decode("latin-1").removeprefix("\xef\xbb\xbf")
+    return text.replace("\r\n", "\n").replace("\r", "\n")
+
+
+@dataclass(frozen=True)
+class Table:
+    """A text table with one header line, its cells still text.
+
+    Attributes
+    ----------
+    name
+        File name, for messages.
+    rows
+        Line number in the file of each row, the header being line 1.
+    columns
+        Column name in lower case to cells.
+    """
+
+    name: str
+    rows: NDArray[np.int64]
+    columns: Mapping[str, list[str]]
+
+
+def read_table(path: str | Path, what: str, *, needs: Sequence[str]) -> Table:
+    """Read a tab-separated table by its header names.
+
+    Parameters
+    ----------
+    path
+        The file; blank lines are skipped.
+    what
+        Names the kind of file in messages.
+    needs
+        Columns, in lower case, without which it is another kind of file.
+
+    Raises
+    ------
+    FormatError
+        Unreadable, binary, without its header line or a needed column, without rows, or with rows of another
+        number of cells than the header.
+    """
+    path = Path(path)
+    lines = read_text(path, _MAX_TABLE).split("\n")
+    # an older program separates the two columns of a frame index with blanks
+    separator = "\t" if "\t" in lines[0] else None
+    names = [cell.strip().lower() for cell in lines[0].rstrip("\t").split(separator)]
+    missing = [name for name in needs if name not in names]
+    if missing or len(set(names)) != len(names):
+        msg = f"{path}: a {what} starts with a header that names {list(needs)} once, found {lines[0][:120]!r}"
+        raise FormatError(msg)
+    cells: list[list[str]] = []
+    rows: list[int] = []
+    wrong: list[int] = []
+    for number, line in enumerate(lines[1:], start=2):
+        if not line.strip():
+            continue
+        row = line.split(separator, -1 if separator else len(names) - 1)
+        while len(row) > len(names) and not row[-1].strip():
+            row.pop()  # a tab at the end of the line
+        if len(row) == len(names):
+            cells.append(row)
+            rows.append(number)
+        else:
+            wrong.append(number)
+    if wrong:
+        msg = f"{path}: {name_rows(wrong)} without {len(names)} cells; mend or delete"
+        raise FormatError(msg)
+    if not cells:
+        msg = f"{path}: a header without rows"
+        raise FormatError(msg)
+    columns = [list(column) for column in zip(*cells, strict=True)]
+    return Table(path.name, np.array(rows, np.int64), dict(zip(names, columns, strict=True)))
+
+
+def name_rows(rows: Sequence[int] | NDArray[np.int64]) -> str:
+    """Return ``"line 7"`` or ``"lines 7, 9, 11 ... (40 in all)"`` for a message."""
+    shown = ", ".join(str(int(row)) for row in rows[:5])
+    if len(rows) == 1:
+        return f"line {shown}"
+    return f"lines {shown}" + (f" ... ({len(rows)} in all)" if len(rows) > 5 else "")
+
+
+def to_integers(table: Table, name: str) -> NDArray[np.int64]:
+    """Return a column of whole numbers.
+
+    Raises
+    ------
+    FormatError
+        Cells are not whole numbers; their lines are named.
+    """
+    cells = [cell.strip() for cell in table.columns[name]]
+    # the common case at a tenth of the time: digits only, none empty, none too long for int64
+    if "".join(cells).isdecimal() and min(map(len, cells)) > 0 and max(map(len, cells)) <= 16:
+        return np.array(list(map(int, cells)), np.int64)
+    wrong = [int(row) for row, cell in zip(table.rows, cells, strict=True) if not _INTEGER.fullmatch(cell)]
+    if wrong:
+        msg = f"{table.name}: column {name!r} is not a whole number in {name_rows(wrong)}"
+        raise FormatError(msg)
+    return np.array([int(cell.partition(".")[0]) for cell in cells], np.int64)
+
+
+# --- settings ----------------------------------------------------------------------------------------------
+
+
+def read_settings(path: str | Path) -> dict[str, str]:
+    """Read ``settings.txt``: every ``key = value`` line, blanks around both removed.
+
+    Raises
+    ------
+    FormatError
+        Unreadable, binary or too large.
+    """
+    pairs = (line.partition("=") for line in read_text(Path(path)).split("\n"))
+    return {key.strip(): value.strip() for key, sign, value in pairs if sign and key.strip()}
+
+
+def find_settings(cube: Path) -> Path | None:
+    """Return the settings file beside a cube: ``settings.txt``, or ``<id>_settings.txt`` of ``<id>_raw``."""
+    stem = cube.name.split(".")[0]
+    names = ["settings.txt"]
+    if stem.endswith("_raw"):
+        names.insert(0, f"{stem.removesuffix('_raw')}_settings.txt")
+    return next((cube.parent / name for name in names if (cube.parent / name).is_file()), None)
+
+
+def exposure_seconds(pairs: Mapping[str, str], source: str) -> float | None:
+    """Return the exposure [s] that ``Exposure (ms)`` or a like key states, None where there is none.
+
+    Parameters
+    ----------
+    pairs
+        From `read_settings`, or the comment lines of a header.
+    source
+        Names them in messages.
+
+    Raises
+    ------
+    FormatError
+        The value is not a positive number, or the keys contradict each other.
+
+    Examples
+    --------
+    >>> exposure_seconds({"Exposure (ms)": "5.0"}, "settings.txt")
+    0.005
+    """
+    found: dict[str, float] = {}
+    for key, text in pairs.items():
+        match = _EXPOSURE.fullmatch(" ".join(key.split()))
+        if match is None:
+            continue
+        try:
+            value = float(f"{float(text) * conversion_factor(match[1].strip(), 's'):.12g}")
+        except (ValueError, UnitsError) as error:
+            msg = f"{source}: {key} = {text[:40]!r}, expected a number and a unit of time in the brackets"
+            raise FormatError(msg) from error
+        if not (np.isfinite(value) and value > 0):
+            msg = f"{source}: {key} = {text}, expected a positive exposure"
+            raise FormatError(msg)
+        found[key] = value
+    if len(set(found.values())) > 1:
+        stated = ", ".join(f"{key} = {pairs[key]}" for key in found)
+        msg = f"{source}: contradictory exposures {stated}"
+        raise FormatError(msg)
+    return next(iter(found.values()), None)
+
+
+# --- frame index -------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class FrameIndex:
+    """Frame numbers and time stamps of recorded lines.
+
+    Attributes
+    ----------
+    name
+        File name, for messages.
+    frame
+        Absolute frame numbers, strictly increasing, (row,).
+    stamp
+        Microseconds of the clock, strictly increasing, (row,).
+    clock
+        ``"instrument"``: the clock of ``Timestamp`` in ``imu_gps.txt``; ``"time of day"``: since midnight of
+        the first row's day on the recording computer.
+    fitted
+        The file holds whole seconds, the stamps are the straight line through them.
+    """
+
+    name: str
+    frame: NDArray[np.int64]
+    stamp: NDArray[np.int64]
+    clock: Literal["instrument", "time of day"]
+    fitted: bool = False
+
+
+def read_frame_index(path: str | Path) -> FrameIndex:
+    """Read ``frameIndex_<N>.txt``, whichever way its program stamps the frames.
+
+    ``Timestamp`` in microseconds of the instrument's clock; or ``Time`` as ``HH:MM:SS <microseconds>`` of the
+    recording computer; or ``HH:MM:SS``: whole seconds, through which a straight line over the frame numbers
+    is laid, since a pushbroom records at a steady rate.
+
+    Raises
+    ------
+    FormatError
+        Not a frame index, or cells that are not what the header says.
+    TimeError
+        Stamps that repeat or run backwards, or whole seconds that no steady rate explains.
+    """
+    table = read_table(path, "frame index", needs=["frame#"])
+    name = next((name for name in ("timestamp", "time") if name in table.columns), None)
+    if name is None:
+        name = next((column for column in table.columns if column != "frame#"), "")
+    if not name:
+        msg = f"{path}: one column only, expected 'Frame#' and 'Timestamp' or 'Time'"
+        raise FormatError(msg)
+    frame = to_integers(table, "frame#")
+    steps = np.flatnonzero(np.diff(frame) <= 0)
+    if steps.size or frame[0] < 0 or frame[-1] > _MAX_FRAME:
+        wrong = table.rows[steps + 1] if steps.size else table.rows[:1]
+        msg = f"{path}: frame numbers repeat, run backwards or are absurd in {name_rows(wrong)}"
+        raise FormatError(msg)
+    if ":" not in table.columns[name][0]:
+        stamp = to_integers(table, name)
+        check_increasing(stamp, table.rows, f"{path}: column {name!r}")
+        return FrameIndex(table.name, frame, stamp, "instrument")
+    stamp, whole_seconds = time_of_day(table, name)
+    if whole_seconds and len(stamp) > 1:
+        return FrameIndex(table.name, frame, _straighten(frame, stamp, str(path)), "time of day", fitted=True)
+    check_increasing(stamp, table.rows, f"{path}: column {name!r}")
+    return FrameIndex(table.name, frame, stamp, "time of day")
+
+
+def check_increasing(stamp: NDArray[np.int64], rows: NDArray[np.int64], subject: str) -> None:
+    """Raise TimeError naming the rows whose stamp does not exceed the one before."""
+    wrong = rows[1:][np.diff(stamp) <= 0]
+    if wrong.size:
+        msg = f"{subject} repeats or runs backwards in {name_rows(wrong)}; delete or re-order these rows"
+        raise TimeError(msg)
+
+
+def time_of_day(table: Table, name: str) -> tuple[NDArray[np.int64], bool]:
+    """Return microseconds since midnight of the first row's day, and whether none has a fraction."""
+    made = np.empty(len(table.rows), np.int64)
+    wrong: list[int] = []
+    whole = True
+    for place, cell in enumerate(table.columns[name]):
+        match = _TIME_OF_DAY.fullmatch(cell.strip())
+        if match is None or int(match[1]) > 23 or int(match[2]) > 59 or int(match[3]) > 60:
+            wrong.append(int(table.rows[place]))
+            continue
+        hours, minutes, seconds, micros, fraction = match.groups()
+        whole = whole and micros is None and fraction is None
+        made[place] = (int(hours) * 60 + int(minutes)) * 60 * _SECOND + int(seconds) * _SECOND
+        made[place] += int(micros) if micros is not None else int((fraction or "0").ljust(6, "0"))
+    if wrong:
+        msg = f"{table.name}: column {name!r} is not 'HH:MM:SS microseconds' in {name_rows(wrong)}"
+        raise FormatError(msg)
+    # a step back by more than half a day is midnight
+    days = np.concatenate([[0], np.cumsum(np.diff(made) < -_DAY // 2)])
+    return made + days * _DAY, whole
+
+
+def _straighten(frame: NDArray[np.int64], stamp: NDArray[np.int64], subject: str) -> NDArray[np.int64]:
+    if len(np.unique(stamp)) < 3:
+        msg = f"{subject}: whole seconds, fewer than three of them; give start_time and frame_period"
+        raise TimeError(msg)
+    x = (frame - frame[0]).astype(np.float64)
+    y = (stamp - stamp[0]) + 0.5 * _SECOND  # a truncated second is half a second late on average
+    slope, offset = np.polyfit(x, y, 1)
+    if slope <= 0 or np.abs(y - (offset + slope * x)).max() > 0.75 * _SECOND:
+        msg = f"{subject}: stamps of whole seconds that no steady frame rate explains"
+        raise TimeError(msg)
+    made: NDArray[np.int64] = stamp[0] + np.round(offset + slope * x).astype(np.int64)
+    return made
+
+
+def cube_number(cube: Path) -> int | None:
+    """Return N of ``raw_<N>``, the number of the cube's first frame, or None."""
+    match = _CUBE_NUMBER.fullmatch(cube.name.split(".")[0])
+    return int(match[1]) if match else None
+
+
+def match_frames(
+    index: FrameIndex, lines: int, cube: Path, *, shortened: bool = False
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Tell which frame each line of a cube is.
+
+    Parameters
+    ----------
+    index
+        Frame index of the cube, or of the whole flight.
+    lines
+        Lines of the cube.
+    cube
+        Its path: ``raw_<N>`` and its neighbours tell the cube's part of a whole flight's index.
+    shortened
+        The file was cut short and only its whole lines are kept: it may hold fewer lines than rows.
+
+    Returns
+    -------
+    frame : (along_track,) int64
+        Frame numbers.
+    row : (along_track,) int64
+        Row of the index, -1 where the frame was dropped.
+
+    Raises
+    ------
+    FormatError
+        The lines fit the index neither by row nor by number.
+    """
+    first, last, rows = int(index.frame[0]), int(index.frame[-1]), len(index.frame)
+    # start and length in rows, first frame and one past the last: of the index, then of the cube's part in it
+    parts = [(0, rows, first, last + 1)]
+    number = cube_number(cube)
+    if number is not None and first <= number <= last:
+        others = [cube_number(other) for other in cube.parent.glob("raw_*.hdr")]
+        end = min((n for n in others if n is not None and n > number), default=last + 1)
+        start, stop = np.searchsorted(index.frame, [number, end])
+        parts.append((int(start), int(stop - start), number, end))
+    for start, length, begin, end in parts:
+        if lines == length or (shortened and lines < length == end - begin):
+            row = np.arange(start, start + lines)
+            return index.frame[row], row
+        if lines == end - begin and length:
+            frame = np.arange(begin, end)
+            row = np.full(lines, -1)
+            row[index.frame[start : start + length] - begin] = np.arange(start, start + length)
+            return frame, row
+    msg = (
+        f"{cube.name} has {lines} lines; {index.name} has {rows} rows, frames {first} to {last}"
+        f" ({last - first + 1} by number): neither fits; give the frame index of this cube"
+        " (a cube cut short in flight: keep_whole_lines=True, or keep_whole_lines = true in collect.toml)"
+    )
+    raise FormatError(msg)
+
+
+# --- dark cubes --------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class DarkFrames:
+    """Exact sums over the lines of one dark cube.
+
+    Attributes
+    ----------
+    lines
+        Number of lines.
+    total, squares
+        Sum of the counts and of their squares, (band, cross_track); whole numbers, so that no bit depends
+        on the order of addition.
+    """
+
+    lines: int
+    total: NDArray[np.uint64]
+    squares: NDArray[np.uint64]
+
+    @property
+    def mean(self) -> NDArray[np.float64]:
+        """Mean dark count, (band, cross_track)."""
+        return self.total / np.float64(self.lines)
+
+    @property
+    def variance(self) -> NDArray[np.float64]:
+        """Variance over the lines with n - 1 in the denominator, (band, cross_track)."""
+        spread = self.squares.astype(np.float64) - self.total.astype(np.float64) * self.mean
+        return np.maximum(spread, 0.0) / (self.lines - 1)
+
+
+def sum_dark(counts: xr.DataArray, subject: str) -> DarkFrames:
+    """Add up the lines of a dark cube, a slab at a time.
+
+    Parameters
+    ----------
+    counts
+        Raw counts, (along_track, band, cross_track), lazily indexed.
+    subject
+        Names the cube in messages.
+
+    Raises
+    ------
+    FormatError
+        It is not a cube of unsigned integers with at least one line.
+    """
+    problems = Problems(f"{subject} cannot serve as dark reference", FormatError)
+    if counts.dims != CUBE:
+        problems.add(f"dims {tuple(map(str, counts.dims))}, expected {CUBE}")
+    elif counts.sizes[CUBE[0]] == 0:
+        problems.add("no lines")
+    if counts.dtype.kind != "u" or counts.dtype.itemsize > 2:
+        problems.add(f"dtype {counts.dtype}, expected raw counts of 8 or 16 bits without a sign")
+    problems.raise_if_any()
+    shape = counts.shape[1:]
+    total, squares = np.zeros(shape, np.uint64), np.zeros(shape, np.uint64)
+    for start in range(0, counts.shape[0], CHUNK_LINES):
+        slab: NDArray[Any] = counts[start : start + CHUNK_LINES].to_numpy()
+        total += slab.sum(axis=0, dtype=np.uint64)
+        squares += np.square(slab, dtype=np.uint64).sum(axis=0)
+    return DarkFrames(int(counts.shape[0]), total, squares)

@@ -1,0 +1,117 @@
+"""The lines of a flight as a table of text: time, place, attitude, and whatever else a line has one of."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from hyperpaint.base.attitude_conventions import Convention
+from hyperpaint.base.errors import SchemaError
+from hyperpaint.base.schema import ALONG_TRACK
+from hyperpaint.io.files.publishing import published_files
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+__all__ = ["write_line_table"]
+
+_FIRST = (
+    *("frame", "time", "latitude", "longitude", "altitude", "roll", "pitch", "heading"),
+    *("exposure_time", "irradiance_age"),
+)
+_ROWS = 4096
+
+
+def write_line_table(line: xr.Dataset, path: str | os.PathLike[str], *, overwrite: bool = False) -> Path:
+    """Write what a flight line has one of for each scan line as comma-separated values.
+
+    `open_navigation` reads the file again where it holds the pose, and every number keeps its bits: what the
+    angles mean is declared in its first lines.
+
+    Parameters
+    ----------
+    line
+        A flight line: its variables on ``along_track`` alone, of numbers or times. Scalars of a line, such as
+        one exposure time, are repeated.
+    path
+        The file.
+    overwrite
+        Replace a file that exists.
+
+    Returns
+    -------
+    pathlib.Path
+        The file: ``line``, then a column a variable with its unit, ``roll [degree]``; times are UTC at mid
+        exposure, ISO 8601; what is unknown is empty.
+
+    Raises
+    ------
+    SchemaError
+        There is no ``along_track``, or nothing on it.
+    StoreError
+        The file exists, or cannot be written. What was there stays.
+
+    Examples
+    --------
+    >>> import tempfile, xarray as xr
+    >>> scratch = tempfile.TemporaryDirectory()
+    >>> line = xr.Dataset({"roll": ("along_track", [0.5, -0.25], {"units": "degree"})})
+    >>> print(write_line_table(line, Path(scratch.name) / "lines.csv").read_text())
+    line,roll [degree]
+    0,0.5
+    1,-0.25
+    >>> scratch.cleanup()
+    """
+    path = Path(path)
+    columns = _columns(line)
+    convention = Convention.from_attrs(line.attrs)
+    declared = {} if convention is None else convention.to_attrs()
+    with (
+        published_files([path], overwrite=overwrite) as (target,),
+        open(target, "w", encoding="utf-8", newline="\n") as file,
+    ):
+        file.writelines(f"# {key}: {value}\n" for key, value in declared.items())
+        file.write(",".join(["line", *columns]) + "\n")
+        for first in range(0, line.sizes[ALONG_TRACK], _ROWS):
+            file.writelines(_rows(columns, first))
+    return path
+
+
+def _columns(line: xr.Dataset) -> dict[str, Any]:
+    """Return the columns by what the header calls them."""
+    lines = line.sizes.get(ALONG_TRACK)
+    found = [str(name) for name, array in line.variables.items() if array.dims == (ALONG_TRACK,)]
+    if lines is None or not found:
+        msg = f"no variable on {ALONG_TRACK!r} alone, dims are {dict(line.sizes)}; give a flight line"
+        raise SchemaError(msg)
+    found += [name for name in _FIRST if name in line.variables and line.variables[name].dims == ()]
+    order = {name: place for place, name in enumerate(_FIRST)}
+    columns: dict[str, Any] = {}
+    for name in sorted(set(found), key=lambda name: (order.get(name, len(order)), name)):
+        values = line[name].values
+        if values.dtype.kind not in "iufbM":
+            continue
+        units = line[name].attrs.get("units")
+        plain = units in (None, "", "1") or values.dtype.kind in "Mb" or "," in str(units)
+        columns[name if plain else f"{name} [{units}]"] = np.broadcast_to(values, (lines,))
+    return columns
+
+
+def _rows(columns: dict[str, Any], first: int) -> Iterator[str]:
+    cells = [_texts(values[first : first + _ROWS]) for values in columns.values()]
+    for number, row in enumerate(zip(*cells, strict=True), start=first):
+        yield ",".join([str(number), *row]) + "\n"
+
+
+def _texts(values: Any) -> list[str]:
+    if values.dtype.kind == "M":
+        stamps = np.datetime_as_string(values.astype("datetime64[ns]"), unit="ns")
+        return ["" if stamp == "NaT" else f"{stamp}Z" for stamp in stamps]
+    if values.dtype.kind == "f":
+        # the shortest text that is the same number again
+        return ["" if np.isnan(value) else str(value) for value in values]
+    return [str(int(value)) for value in values]

@@ -1,0 +1,294 @@
+"""When and where each line of a cube was exposed: frame index, clocks and navigation joined."""
+
+from __future__ import annotations
+
+import datetime
+import re
+import warnings
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+
+from hyperpaint.base.errors import PaintWarning, Problems, TimeError
+from hyperpaint.io.navigation.clocks import Clock, ClockCorrection
+from hyperpaint.io.navigation.navigation_records import Navigation, read_gps_time, read_imu_gps
+
+from .headwall import FrameIndex, cube_number, match_frames, read_frame_index
+from .stamps import TO_MIDDLE
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+__all__ = ["LineTimes", "Timing", "line_times", "utc_of"]
+
+_NS_PER_S = 1_000_000_000
+_DAY_US = 86_400_000_000
+_LONGEST = 1e4
+_DATE = re.compile(r"[0-9]{4}-[0-9]{2}-[0-9]{2}")
+
+
+@dataclass(frozen=True)
+class Timing:
+    """What is known of the clocks of one flight line; see `hyperpaint.open_flightline`."""
+
+    frame_index: Path | None = None
+    nav: Path | Navigation | None = None
+    gps_time: Path | None = None
+    date: str | None = None
+    start_time: Any = None
+    frame_period: float | None = None
+    stamp: str = "end"
+    clock_offset_s: float | None = None
+    time_scale: Literal["utc", "gps"] = "utc"
+    gps_leap_seconds: int | None = None
+    max_gap_s: float | None = None
+
+    @property
+    def correction(self) -> ClockCorrection:
+        """How the navigation's stamps become UTC."""
+        return ClockCorrection(self.clock_offset_s or 0.0, self.time_scale, self.gps_leap_seconds)
+
+
+@dataclass(frozen=True)
+class LineTimes:
+    """Times and places of the lines of a cube.
+
+    Attributes
+    ----------
+    frame
+        Frame numbers, (along_track,).
+    recorded
+        False where the frame was dropped and the line is blank, (along_track,).
+    time
+        UTC at mid exposure, NaT where unknown, (along_track,).
+    place
+        ``latitude`` ... ``heading`` to (along_track,) float64; empty without navigation.
+    dropped
+        Number of frames missing between the first and the last, blank lines included.
+    source
+        Says where the times come from.
+    """
+
+    frame: NDArray[np.int64]
+    recorded: NDArray[np.bool_]
+    time: NDArray[np.datetime64]
+    place: Mapping[str, NDArray[np.float64]] = field(repr=False)
+    dropped: int
+    source: str
+
+
+def utc_of(value: Any, what: str) -> np.datetime64:
+    """Return an instant as datetime64[ns] UTC.
+
+    Parameters
+    ----------
+    value
+        ISO text or a datetime, both with a zone, or a numpy.datetime64, which is UTC.
+    what
+        Names it in messages.
+
+    Raises
+    ------
+    TimeError
+        Unreadable, or without a zone.
+
+    Examples
+    --------
+    >>> utc_of("2024-06-01T14:00:00+02:00", "start_time")
+    np.datetime64('2024-06-01T12:00:00.000000000')
+    """
+    if isinstance(value, np.datetime64) and not np.isnat(value):
+        return np.datetime64(value.astype("datetime64[ns]").astype(np.int64).item(), "ns")
+    if isinstance(value, str):
+        try:
+            value = datetime.datetime.fromisoformat(value.strip())
+        except ValueError as error:
+            msg = f"{what} {value[:60]!r} is not a time; expected one like '2024-06-01T12:00:00Z'"
+            raise TimeError(msg) from error
+    if not isinstance(value, datetime.datetime) or value.tzinfo is None:
+        msg = f"{what} {value!s:.60} has no zone; write '2024-06-01T12:00:00Z', or '-05:00' at the end"
+        raise TimeError(msg)
+    if not 1980 <= value.year <= 2200:
+        msg = f"{what} {value!s:.60} is not a time of this camera; expected a year from 1980 to 2200"
+        raise TimeError(msg)
+    utc = value.astimezone(datetime.UTC).replace(tzinfo=None)
+    return np.datetime64(utc, "ns")
+
+
+def line_times(
+    cube: Path,
+    lines: int,
+    timing: Timing,
+    exposure_time: float | NDArray[np.float64] = 0.0,
+    *,
+    shortened: bool = False,
+) -> LineTimes:
+    """Join frame index, clocks and navigation to the lines of a cube.
+
+    The stamp of a line in the instrument's microseconds is placed between the rows of the navigation record
+    that hold both this clock and UTC, linearly and in int64; nothing is extrapolated. From what the stamp
+    marks, half an exposure leads to mid exposure.
+
+    Parameters
+    ----------
+    cube
+        Path of the cube; ``raw_<N>`` names its first frame.
+    lines
+        Its number of lines.
+    timing
+        The sources.
+    exposure_time
+        Seconds, scalar or (along_track,).
+    shortened
+        The cube was cut short, and its frame index may hold more rows than it has lines.
+
+    Raises
+    ------
+    FormatError
+        A side file is damaged, or the frame index does not fit the cube.
+    TimeError
+        Sources are missing or contradict each other, or no line falls inside the navigation record.
+
+    Warns
+    -----
+    PaintWarning
+        Lines outside the navigation record; a frame period or exposure that the stamps contradict; stamps of
+        whole seconds.
+    """
+    _check(timing)
+    index = read_frame_index(timing.frame_index) if timing.frame_index is not None else None
+    nav = timing.nav
+    if isinstance(nav, Path):
+        nav = read_imu_gps(nav, timing.correction)
+    if index is None:
+        frame = np.arange(lines, dtype=np.int64) + (cube_number(cube) or 0)
+        row = np.arange(lines)
+    else:
+        frame, row = match_frames(index, lines, cube, shortened=shortened)
+    recorded = row >= 0
+    clock = _clock(timing, index, nav, row[recorded], cube)
+    time = np.full(lines, np.datetime64("NaT", "ns"), "datetime64[ns]")
+    if index is not None:
+        time[recorded] = clock.at(index.stamp[row[recorded]])
+        _check_rate(index, row[recorded], timing, exposure_time, cube)
+    else:
+        period_us = _NS_PER_S * float(timing.frame_period or 0.0)
+        time = clock.at(np.zeros(1, np.int64)) + np.round((frame - frame[0]) * period_us).astype(
+            "timedelta64[ns]"
+        )
+    _report_outside(cube, np.isnat(time[recorded]), clock)
+    half = np.round(np.asarray(exposure_time) * TO_MIDDLE[timing.stamp] * _NS_PER_S).astype("timedelta64[ns]")
+    time = time + half
+    place: Mapping[str, NDArray[np.float64]] = {}
+    if nav is not None:
+        place = nav.dated_by(clock).at(time, timing.max_gap_s)
+    dropped = int(frame[-1] - frame[0]) + 1 - int(recorded.sum()) if lines else 0
+    return LineTimes(frame, recorded, time, place, dropped, clock.source)
+
+
+def _check(timing: Timing) -> None:
+    problems = Problems("the clocks of the flight cannot be used as described", TimeError)
+    if timing.stamp not in TO_MIDDLE:
+        problems.add(f"stamp {timing.stamp!r}, expected 'start', 'mid' or 'end' (of the exposure)")
+    for name, seconds in (("frame_period", timing.frame_period), ("nav_max_gap_s", timing.max_gap_s)):
+        if seconds is not None and not 0 < seconds <= _LONGEST:
+            problems.add(f"{name} {seconds} s, expected a positive number")
+    problems.raise_if_any()
+
+
+def _clock(
+    timing: Timing, index: FrameIndex | None, nav: Navigation | None, rows: NDArray[np.intp], cube: Path
+) -> Clock:
+    """Choose the one source of UTC."""
+    if timing.start_time is not None:
+        if index is not None and nav is not None and nav.utc is not None:
+            msg = f"{cube.name}: start_time, and a navigation record that holds UTC; give one of them"
+            raise TimeError(msg)
+        start = utc_of(timing.start_time, "start_time").astype(np.int64)
+        if index is None and not timing.frame_period:
+            msg = f"{cube.name}: start_time without frame_index or frame_period; give one of them"
+            raise TimeError(msg)
+        return _steady(0 if index is None else int(index.stamp[rows[0]]), int(start), "start_time")
+    if index is None:
+        msg = (
+            f"{cube.name}: no line times; give frame_index and nav, or start_time and frame_period"
+            f"{_found_beside(cube)}"
+        )
+        raise TimeError(msg)
+    if index.clock == "time of day" and timing.gps_time is not None:
+        return read_gps_time(timing.gps_time, timing.correction)
+    if index.clock == "time of day" and timing.date is not None:
+        return _from_date(timing)
+    if nav is None:
+        msg = f"{cube.name}: {index.name} holds no UTC; give nav (imu_gps.txt), or start_time"
+        raise TimeError(msg)
+    return nav.clock_for(index)
+
+
+def _found_beside(cube: Path) -> str:
+    number = cube_number(cube)
+    names = [f"frameIndex_{number}.txt", "imu_gps.txt"]
+    found = [name for name in names if (cube.parent / name).is_file()]
+    return f" (beside the cube: {', '.join(found)})" if found else ""
+
+
+def _from_date(timing: Timing) -> Clock:
+    text = str(timing.date)
+    try:
+        midnight = np.datetime64(text, "ns") if _DATE.fullmatch(text) else None
+    except ValueError:
+        midnight = None
+    if midnight is None or not "1980" <= text < "2200":
+        msg = f"date {text[:40]!r}, expected one like '2024-06-01'"
+        raise TimeError(msg)
+    if timing.clock_offset_s is None:
+        msg = (
+            "date without clock_offset_s: UTC = the computer's clock + clock_offset_s (0.0 if it ran on UTC)"
+        )
+        raise TimeError(msg)
+    utc = timing.correction.apply(np.array([midnight]).astype(np.int64))
+    return _steady(0, int(utc[0]), "date and time of day")
+
+
+def _steady(stamp: int, utc: int, source: str) -> Clock:
+    """Make a clock that runs true from one instant, over any flight."""
+    span = np.array([-10 * _DAY_US, 10 * _DAY_US], np.int64)
+    return Clock(stamp + span, utc + span * 1000, source)
+
+
+def _check_rate(
+    index: FrameIndex,
+    rows: NDArray[np.intp],
+    timing: Timing,
+    exposure_time: float | NDArray[np.float64],
+    cube: Path,
+) -> None:
+    """Warn where stated period, exposure and stamps contradict each other."""
+    if index.fitted:
+        message = f"{index.name} holds whole seconds: line times are a straight line through them"
+        warnings.warn(f"{cube.name}: {message}", PaintWarning, stacklevel=3)
+    if len(rows) < 2:
+        return
+    period = float(np.median(np.diff(index.stamp[rows]) / np.diff(index.frame[rows]))) * 1e-6
+    stated = timing.frame_period
+    if stated and abs(period / stated - 1.0) > 0.05:
+        message = f"frame_period {stated * 1e3:g} ms, but {index.name} steps by {period * 1e3:.4g} ms a frame"
+        warnings.warn(f"{cube.name}: {message}; the stamps are used", PaintWarning, stacklevel=3)
+    longest = float(np.max(exposure_time))
+    if longest > 1.01 * period:
+        message = f"exposure {longest * 1e3:g} ms is longer than the {period * 1e3:.4g} ms between frames"
+        warnings.warn(f"{cube.name}: {message}; is its unit right?", PaintWarning, stacklevel=3)
+
+
+def _report_outside(cube: Path, outside: NDArray[np.bool_], clock: Clock) -> None:
+    if not outside.any():
+        return
+    if outside.all():
+        msg = f"{cube.name}: no line lies inside {clock.source}; give the record of this flight"
+        raise TimeError(msg)
+    lines = np.flatnonzero(outside)
+    message = f"{len(lines)} of {len(outside)} lines ({lines[0]} to {lines[-1]}) lie outside {clock.source}"
+    warnings.warn(f"{cube.name}: {message}: no time, no place", PaintWarning, stacklevel=3)

@@ -1,0 +1,1 @@
+"""Maps written: GeoTIFF and the grids they lie on."""

@@ -1,0 +1,302 @@
+"""Maps written as GeoTIFF: every band as it is, or a picture in true colours.
+
+Windows are written as dask computes them, one at a time; a cloud-optimised file is made of the plain one
+afterwards, by GDAL, in the same streaming way.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+
+from hyperpaint.base.errors import MissingExtraError, SchemaError, StoreError
+from hyperpaint.base.schema import BAND
+from hyperpaint.io.files.publishing import published_files
+
+from .map_grids import Grid, grid_of
+from .product_choice import RGB_WAVELENGTHS, nearest_bands, product_of, stored_float
+
+if TYPE_CHECKING:
+    import xarray as xr
+    from numpy.typing import NDArray
+
+__all__ = ["write_geotiff"]
+
+_TILE = 256
+_SAMPLED = 64
+"""Rows that the levels of a picture are found in."""
+_BLOCK = 64 * 2**20
+
+
+def write_geotiff(
+    map: xr.Dataset,
+    path: str | os.PathLike[str],
+    *,
+    variable: str | None = None,
+    bands: Literal["all", "rgb"] | Sequence[int] = "all",
+    cog: bool = True,
+    stretch: tuple[float, float] = (2.0, 98.0),
+    overwrite: bool = False,
+    progress: Callable[[int, int], None] | None = None,
+) -> Path:
+    """Write a map as GeoTIFF.
+
+    Parameters
+    ----------
+    map
+        With a variable on (y, x, band) or (y, x) in any order, and a place: ``spatial_ref`` with
+        ``GeoTransform`` (any affine, turned or not), or ``x`` and ``y``.
+    path
+        The file.
+    variable
+        By default the first of ``reflectance``, ``radiance``, ``counts``, ``values``.
+    bands
+        ``"all"``; indices; or ``"rgb"``: an 8-bit picture of the bands nearest to 640, 550 and 460 nm,
+        brightness between the percentiles of ``stretch``, sRGB curve, 0 where a band is unknown.
+    cog
+        Write a cloud-optimised GeoTIFF: tiled, with overviews, deflated.
+    stretch
+        Percentiles of brightness that become black and white, found in at most 64 rows.
+    overwrite
+        Replace a file that exists.
+    progress
+        Called with samples written and samples in all.
+
+    Returns
+    -------
+    pathlib.Path
+        The file.
+
+    Raises
+    ------
+    SchemaError
+        There is no such variable or band, its dims are others, its place is not known, or ``"rgb"`` has no
+        bands near those wavelengths.
+    StoreError
+        A file exists, or cannot be written. What was there stays.
+    MissingExtraError
+        rasterio is not installed.
+
+    Notes
+    -----
+    Floats are float32 (places such as ``east`` and ``glt_line`` float64), unknown samples NaN; integers stay
+    what they are. Bands are described by their
+    wavelength, which is a tag of the band too.
+
+    Examples
+    --------
+    >>> write_geotiff(ortho, "ortho.tif", bands="rgb")  # doctest: +SKIP
+    PosixPath('ortho.tif')
+    """
+    _rasterio()
+    path = Path(path)
+    array = product_of(map, variable)
+    if "y" not in array.dims:
+        msg = (
+            f"{array.name!r} is {dict(array.sizes)}, expected a map (y, x, band); orthorectify the line first"
+        )
+        raise SchemaError(msg)
+    grid = grid_of(map)
+    if grid is None:
+        msg = "the place of this map is not known: there is no spatial_ref with a GeoTransform, nor x and y"
+        raise SchemaError(msg)
+    array = array if BAND in array.dims else array.expand_dims(BAND, axis=-1)
+    array = array.transpose("y", "x", BAND)
+    chosen = _chosen(map, array, bands)
+    array = array.isel({BAND: chosen})
+    picture = isinstance(bands, str) and bands == "rgb"
+    stored = _picture(array, stretch) if picture else _plain(array)
+    names, tags = _descriptions(map, str(array.name), chosen)
+    with published_files([path], overwrite=overwrite) as (target,), _told(path):
+        plain = target.with_name("plain.tif") if cog else target
+        _write(plain, stored, grid, picture, names, tags, progress)
+        if cog:
+            _optimise(plain, target, picture)
+    return path
+
+
+def _rasterio() -> Any:
+    try:
+        import rasterio
+    except ImportError as error:
+        needed = MissingExtraError.of("rasterio", "geo", "writing a GeoTIFF")
+        raise needed from error
+    return rasterio
+
+
+@contextmanager
+def _told(path: Path) -> Iterator[None]:
+    """Turn what GDAL refuses into an error of ours."""
+    try:
+        yield
+    except _rasterio().errors.RasterioError as error:
+        msg = f"{path} cannot be written: {error}"
+        raise StoreError(msg) from error
+
+
+# --- values ------------------------------------------------------------------------------------------------
+
+
+def _chosen(map: xr.Dataset, array: xr.DataArray, bands: Any) -> list[int]:
+    """Return the indices of the bands to be written."""
+    count = array.sizes[BAND]
+    if isinstance(bands, str):
+        if bands == "all":
+            return list(range(count))
+        if bands != "rgb":
+            msg = f"bands {bands!r:.40}, expected 'all', 'rgb' or indices"
+            raise SchemaError(msg)
+        axis = map.variables.get("wavelength")
+        known = axis is not None and axis.dims == (BAND,) and axis.size == count
+        found = nearest_bands(map["wavelength"].values, RGB_WAVELENGTHS) if known else None
+        if found is None:
+            msg = "a picture needs bands within 50 nm of 640, 550 and 460 nm; choose bands by their indices"
+            raise SchemaError(msg)
+        return found
+    chosen = [int(band) for band in bands]
+    if not chosen or not all(-count <= band < count for band in chosen):
+        msg = f"bands {chosen[:20]}, expected one or more of 0 to {count - 1}"
+        raise SchemaError(msg)
+    return [band % count for band in chosen]
+
+
+def _plain(array: xr.DataArray) -> xr.DataArray:
+    if array.dtype.kind == "f":
+        return array.astype(stored_float(array), copy=False)
+    if array.dtype == bool:
+        return array.astype(np.uint8)
+    if array.dtype.name in ("uint8", "uint16", "int16", "uint32", "int32"):
+        return array
+    msg = f"{array.name!r} is {array.dtype}, expected floats or integers of at most 32 bits"
+    raise SchemaError(msg)
+
+
+def _picture(array: xr.DataArray, stretch: tuple[float, float]) -> xr.DataArray:
+    """Return 8-bit sRGB (y, x, band); 0 stands for what is unknown."""
+    import xarray as xr
+
+    if not 0.0 <= stretch[0] < stretch[1] <= 100.0:
+        msg = f"stretch {stretch}, expected two rising percentiles within 0 and 100"
+        raise SchemaError(msg)
+    step = -(-array.sizes["y"] // _SAMPLED)
+    sample = array.isel(y=slice(step // 2, None, step)).values.astype(np.float64)
+    known = sample[np.isfinite(sample).all(axis=-1)]
+    # one range for the three keeps the colours
+    low, high = np.percentile(known, stretch) if known.size else (0.0, 1.0)
+    made: xr.DataArray = xr.apply_ufunc(
+        _encode,
+        array,
+        kwargs={"low": float(low), "high": float(max(high, low + 1e-12))},
+        input_core_dims=[[BAND]],
+        output_core_dims=[[BAND]],
+        dask="parallelized",
+        output_dtypes=[np.uint8],
+        dask_gufunc_kwargs={"allow_rechunk": True},
+    )
+    return made
+
+
+def _encode(linear: NDArray[Any], low: float, high: float) -> NDArray[np.uint8]:
+    known = np.isfinite(linear).all(axis=-1, keepdims=True)
+    share = np.clip((np.where(known, linear, low) - low) / (high - low), 0.0, 1.0)
+    # IEC 61966-2-1
+    shown = np.where(share <= 0.0031308, 12.92 * share, 1.055 * share ** (1.0 / 2.4) - 0.055)
+    made: NDArray[np.uint8] = np.where(known, np.round(1.0 + 254.0 * shown), 0.0).astype(np.uint8)
+    return made
+
+
+def _descriptions(map: xr.Dataset, name: str, chosen: list[int]) -> tuple[list[str], list[dict[str, str]]]:
+    """Return what each band is called, and its tags."""
+    axis = map.variables.get("wavelength")
+    if axis is None or axis.dims != (BAND,) or BAND not in map[name].dims:
+        return ([name] if len(chosen) == 1 else [f"band {band + 1}" for band in chosen]), [{} for _ in chosen]
+    nm = axis.values.astype(np.float64)[chosen]
+    tags = [{"wavelength": repr(float(value)), "wavelength_units": "Nanometers"} for value in nm]
+    return [f"{value:.6g} nm" for value in nm], tags
+
+
+# --- the file ----------------------------------------------------------------------------------------------
+
+
+class _Target:
+    """A raster that takes blocks (y, x, band) at their places, one at a time."""
+
+    def __init__(self, raster: Any, total: int, progress: Callable[[int, int], None] | None) -> None:
+        self.raster, self.total, self.progress, self.done = raster, total, progress, 0
+
+    def __setitem__(self, region: tuple[slice, slice, slice], block: NDArray[Any]) -> None:
+        """Write one block."""
+        from rasterio.windows import Window
+
+        raster = self.raster
+        row, column, first = (
+            where.indices(size)[0]
+            for where, size in zip(region, (raster.height, raster.width, raster.count), strict=True)
+        )
+        indexes = list(range(first + 1, first + 1 + block.shape[2]))
+        window = Window(column, row, block.shape[1], block.shape[0])
+        raster.write(np.ascontiguousarray(np.moveaxis(block, -1, 0)), indexes=indexes, window=window)
+        self.done += block.size
+        if self.progress is not None:
+            self.progress(self.done, self.total)
+
+
+def _write(
+    path: Path,
+    stored: xr.DataArray,
+    grid: Grid,
+    picture: bool,
+    names: list[str],
+    tags: list[dict[str, str]],
+    progress: Callable[[int, int], None] | None,
+) -> None:
+    rasterio = _rasterio()
+    height, width, count = stored.shape
+    a, b, c, d, e, f = grid.transform
+    profile = {
+        "driver": "GTiff", "height": height, "width": width, "count": count, "dtype": stored.dtype.name,
+        "transform": rasterio.Affine(b, c, a, e, f, d),
+        "crs": None if grid.wkt is None else rasterio.crs.CRS.from_wkt(grid.wkt),
+        "tiled": True, "blockxsize": _TILE, "blockysize": _TILE, "bigtiff": "if_safer",
+        "interleave": "pixel" if picture else "band",
+        "nodata": 0 if picture else np.nan if stored.dtype.kind == "f" else None,
+        **({"photometric": "rgb"} if picture else {}),
+    }  # fmt: skip
+    with rasterio.open(path, "w", **profile) as raster:
+        for place, (name, about) in enumerate(zip(names, tags, strict=True), start=1):
+            raster.set_band_description(place, name)
+            raster.update_tags(place, **about)
+        target = _Target(raster, stored.size, progress)
+        if stored.chunks is not None:
+            import dask
+            import dask.array as da
+
+            # a raster belongs to this process, and is no friend of threads
+            with dask.config.set(scheduler="threads"):
+                da.store(stored.data, target, lock=True)
+            return
+        step = max(_TILE, _BLOCK // max(1, width * count * stored.dtype.itemsize) // _TILE * _TILE)
+        for first in range(0, height, step):
+            rows = slice(first, min(first + step, height))
+            target[rows, slice(None), slice(None)] = stored[rows].values
+
+
+def _optimise(plain: Path, target: Path, picture: bool) -> None:
+    """Make a cloud-optimised file of a plain one."""
+    from rasterio.shutil import copy
+
+    options = {
+        "compress": "deflate",
+        "blocksize": _TILE,
+        "bigtiff": "if_safer",
+        # spectra must not be mixed, a picture is better averaged
+        "overview_resampling": "average" if picture else "nearest",
+        "predictor": "yes",
+    }
+    copy(plain, target, driver="COG", **options)
+    plain.unlink()

@@ -1,0 +1,210 @@
+"""Clocks: GPS time, leap seconds, corrections, and a clock tied to UTC at knots.
+
+Offsets and leap seconds are data: nothing is corrected that the caller did not ask for.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+
+from hyperpaint.base.errors import PaintWarning, TimeError
+from hyperpaint.io.flightline.headwall import check_increasing, name_rows
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+__all__ = [
+    "LEAP_SECONDS",
+    "LEAP_SECONDS_EXPIRY",
+    "NAT",
+    "NS_PER_S",
+    "Clock",
+    "ClockCorrection",
+    "bracket",
+    "gps_to_utc",
+    "overlap",
+    "tie_clock",
+]
+
+LEAP_SECONDS: Mapping[str, int] = {
+    "1980-01-06": 0, "1981-07-01": 1, "1982-07-01": 2, "1983-07-01": 3, "1985-07-01": 4, "1988-01-01": 5,
+    "1990-01-01": 6, "1991-01-01": 7, "1992-07-01": 8, "1993-07-01": 9, "1994-07-01": 10, "1996-01-01": 11,
+    "1997-07-01": 12, "1999-01-01": 13, "2006-01-01": 14, "2009-01-01": 15, "2012-07-01": 16,
+    "2015-07-01": 17, "2017-01-01": 18,
+}  # fmt: skip
+"""GPS time minus UTC [s] from 0 h UTC of a day on (IERS ``leap-seconds.list``: TAI - UTC less 19 s)."""
+
+LEAP_SECONDS_EXPIRY = "2026-06-28"
+"""Day until which the IERS has promised `LEAP_SECONDS`; later times get the last value, with a warning."""
+
+NAT = np.iinfo(np.int64).min
+"""NaT of a datetime64 as an integer."""
+
+NS_PER_S = 1_000_000_000
+_NS_PER_US = 1000
+_LARGEST_OFFSET = 1e9
+_DAY = 86_400_000_000  # us
+_CLOCK_STEP = 200 * 1_000_000  # ns: no two clocks drift this far apart between neighbouring rows
+
+
+def gps_to_utc(gps: NDArray[np.int64], leap_seconds: int | None = None) -> NDArray[np.int64]:
+    """Turn GPS time into UTC.
+
+    Parameters
+    ----------
+    gps
+        Nanoseconds since 1970-01-01 as a GPS clock shows them, any shape.
+    leap_seconds
+        GPS minus UTC [s]; by default from `LEAP_SECONDS`.
+
+    Warns
+    -----
+    PaintWarning
+        Times beyond `LEAP_SECONDS_EXPIRY`, ``leap_seconds`` not given.
+
+    Raises
+    ------
+    TimeError
+        Times before GPS time began.
+
+    Examples
+    --------
+    >>> shown = np.array(["2024-06-01T12:00:18"], "datetime64[ns]").astype("int64")
+    >>> gps_to_utc(shown).astype("datetime64[ns]").astype("datetime64[s]")
+    array(['2024-06-01T12:00:00'], dtype='datetime64[s]')
+    """
+    if leap_seconds is not None:
+        return gps - leap_seconds * NS_PER_S
+    offsets = np.array(list(LEAP_SECONDS.values()), np.int64)
+    days = np.array(list(LEAP_SECONDS), "datetime64[ns]").astype(np.int64)
+    place = np.searchsorted(days + offsets * NS_PER_S, gps, side="right") - 1
+    if np.any(place < 0):
+        msg = "times before 1980-01-06, when GPS time began; is this clock GPS time?"
+        raise TimeError(msg)
+    expiry = np.datetime64(LEAP_SECONDS_EXPIRY, "ns").astype(np.int64)
+    if np.any(gps > expiry):
+        warnings.warn(
+            f"the table of leap seconds is promised until {LEAP_SECONDS_EXPIRY}; {offsets[-1]} s is used for"
+            " later times: check, and give gps_leap_seconds",
+            PaintWarning,
+            stacklevel=2,
+        )
+    utc: NDArray[np.int64] = gps - offsets[place] * NS_PER_S
+    return utc
+
+
+@dataclass(frozen=True)
+class ClockCorrection:
+    """How the time stamps of a navigation record become UTC.
+
+    Attributes
+    ----------
+    offset_s
+        UTC = stamp + ``offset_s`` [s].
+    time_scale
+        What the stamps count: ``"utc"``, or ``"gps"``, from which leap seconds are taken.
+    leap_seconds
+        GPS minus UTC [s] where `LEAP_SECONDS` is not to be used.
+    """
+
+    offset_s: float = 0.0
+    time_scale: Literal["utc", "gps"] = "utc"
+    leap_seconds: int | None = None
+
+    def __post_init__(self) -> None:
+        if not abs(self.offset_s) <= _LARGEST_OFFSET:
+            msg = f"a clock offset of {self.offset_s} s; expected at most {_LARGEST_OFFSET:g} s either way"
+            raise TimeError(msg)
+        if self.time_scale not in ("utc", "gps"):
+            msg = f"time_scale {self.time_scale!r}, expected 'utc' or 'gps'"
+            raise TimeError(msg)
+
+    def apply(self, stamp: NDArray[np.int64]) -> NDArray[np.int64]:
+        """Return UTC in nanoseconds since 1970-01-01."""
+        if self.time_scale == "gps":
+            stamp = gps_to_utc(stamp, self.leap_seconds)
+        return stamp + round(self.offset_s * NS_PER_S)
+
+
+@dataclass(frozen=True)
+class Clock:
+    """A clock tied to UTC at knots, straight between them.
+
+    Attributes
+    ----------
+    stamp
+        Microseconds of the clock, strictly increasing, (knot,).
+    utc
+        Nanoseconds since 1970-01-01, strictly increasing, (knot,).
+    source
+        Says where the knots come from.
+    daily
+        The stamps are times of day, so that one past midnight may be a day early or late.
+    """
+
+    stamp: NDArray[np.int64]
+    utc: NDArray[np.int64]
+    source: str
+    daily: bool = False
+
+    def at(self, stamp: NDArray[np.int64]) -> NDArray[np.datetime64]:
+        """Return UTC [datetime64[ns]] at stamps, NaT before the first and after the last knot."""
+        if self.daily:
+            fits = (d for d in (0, _DAY, -_DAY) if overlap(stamp + d, self.stamp))
+            stamp = stamp + next(fits, 0)
+        place, weight, inside = bracket(self.stamp, stamp)
+        after = np.minimum(place + 1, len(self.utc) - 1)
+        step = (self.utc[after] - self.utc[place]).astype(np.float64)
+        utc = self.utc[place] + np.round(weight * step).astype(np.int64)
+        return np.where(inside, utc, NAT).astype("datetime64[ns]")
+
+
+def overlap(one: NDArray[np.int64], other: NDArray[np.int64]) -> bool:
+    """Tell whether the ranges of two arrays have something in common."""
+    return bool(one.min() <= other.max() and one.max() >= other.min())
+
+
+def bracket(
+    knots: NDArray[np.int64], at: NDArray[np.int64]
+) -> tuple[NDArray[np.intp], NDArray[np.float64], NDArray[np.bool_]]:
+    """Return the knot before, the weight of the knot after, and what lies inside the knots."""
+    inside = (at >= knots[0]) & (at <= knots[-1])
+    place = np.clip(np.searchsorted(knots, at, side="right") - 1, 0, max(len(knots) - 2, 0))
+    after = np.minimum(place + 1, len(knots) - 1)
+    # differences of int64 first: an absolute time in float64 would lose 100 ns
+    width = np.maximum(knots[after] - knots[place], 1)
+    weight = np.where(inside, at - knots[place], 0) / width
+    return place, weight, inside
+
+
+def tie_clock(
+    stamp: NDArray[np.int64],
+    utc: NDArray[np.int64],
+    rows: NDArray[np.int64],
+    source: str,
+    *,
+    daily: bool = False,
+) -> Clock:
+    """Make a clock of rows, after checking that its stamps and UTC run together."""
+    check_increasing(stamp, rows, source)
+    backwards = rows[1:][np.diff(utc) < 0]
+    if backwards.size:
+        msg = f"{source}: UTC runs backwards in {name_rows(backwards)}; delete or re-order these rows"
+        raise TimeError(msg)
+    # a receiver slower than the log repeats its time: a new value counts from its first row
+    first = np.concatenate([[True], np.diff(utc) > 0])
+    stamp, utc, rows = stamp[first], utc[first], rows[first]
+    drift = np.diff(utc).astype(np.float64) - np.diff(stamp).astype(np.float64) * _NS_PER_US
+    steps = np.flatnonzero(np.abs(drift) > _CLOCK_STEP)
+    if steps.size:
+        msg = (
+            f"{source}: UTC steps by {drift[steps[0]] / NS_PER_S:+.3f} s against the clock of the stamps in"
+            f" {name_rows(rows[steps + 1])} (a receiver that learnt its leap seconds?); cut the record there"
+        )
+        raise TimeError(msg)
+    return Clock(stamp, utc, source, daily)

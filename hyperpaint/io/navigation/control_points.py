@@ -1,0 +1,138 @@
+"""Ground control points: where a surveyed point is on the ground, and where in a picture it is seen."""
+
+from __future__ import annotations
+
+import csv
+import re
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from hyperpaint.base.errors import FormatError, Problems
+from hyperpaint.io.files.reading import read_limited_text
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+__all__ = ["read_control_points"]
+
+_MAX_BYTES = 16 << 20
+_MOST_ROWS = 100_000
+_MOST_SHOWN = 8
+_LARGEST = 1e8
+_NUMBERS = ("along_track", "cross_track", "east", "north", "height")
+_ALIASES = {
+    **dict.fromkeys(("along_track", "line", "row"), "along_track"),
+    **dict.fromkeys(("cross_track", "sample", "column", "col"), "cross_track"),
+    **dict.fromkeys(("east", "easting", "x", "e"), "east"),
+    **dict.fromkeys(("north", "northing", "y", "n"), "north"),
+    **dict.fromkeys(("height", "elevation", "z", "h", "altitude"), "height"),
+    **dict.fromkeys(("flightline", "flight_line", "image"), "flightline"),
+    **dict.fromkeys(("name", "point", "id", "label"), "name"),
+}
+_UNIT = re.compile(r"\s*[\[(][^\])]*[\])]\s*$|_m$")
+
+
+def read_control_points(path: str | Path) -> xr.Dataset:
+    r"""Read ground control points from a table of text.
+
+    The header names ``along_track`` and ``cross_track`` (or ``line`` and ``sample``; pixels, whole numbers
+    at their centres, counted from 0), ``east``, ``north`` (of a map) and ``height`` above the ellipsoid, all
+    in metres; and, where they are of several lines, ``flightline``; ``name`` is kept. Cells are parted by
+    commas, semicolons or tabs. A comment ``# crs: EPSG:32617`` before the header names the map.
+
+    Parameters
+    ----------
+    path
+        The file.
+
+    Returns
+    -------
+    xarray.Dataset
+        ``along_track_pixel``, ``cross_track_pixel`` [1], ``east``, ``north``, ``height`` [m] (point),
+        float64, coordinates ``name`` and ``flightline`` (str; empty where the file has none), and the
+        attribute ``crs`` where it is named.
+
+    Raises
+    ------
+    FormatError
+        The file cannot be read; columns are missing or doubled; cells are no finite numbers; all problems,
+        up to a few, are listed.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     path = Path(folder) / "points.csv"
+    ...     _ = path.write_text("# crs: EPSG:32617\nname,line,sample,east,north,height\nA,10.5,3,1,2,50\n")
+    ...     points = read_control_points(path)
+    >>> points.attrs["crs"], points.along_track_pixel.values.tolist(), points.name.values.tolist()
+    ('EPSG:32617', [10.5], ['A'])
+    """
+    import xarray as xr
+
+    path = Path(path)
+    text = read_limited_text(path, _MAX_BYTES, "a table of control points").decode("utf-8-sig", "replace")
+    problems = Problems(f"{path} cannot be used as control points", FormatError)
+    rows = [(number, line) for number, line in enumerate(text.splitlines(), 1) if line.strip()]
+    comments = [line for _, line in rows if line.lstrip().startswith("#")]
+    rows = [(number, line) for number, line in rows if not line.lstrip().startswith("#")]
+    if len(rows) < 2 or len(rows) > _MOST_ROWS:
+        msg = f"{path}: {max(len(rows) - 1, 0)} points, expected a header and 1 to {_MOST_ROWS}"
+        raise FormatError(msg)
+    mark = next((mark for mark in ("\t", ";", ",") if mark in rows[0][1]), ",")
+    header = [_ALIASES.get(_plain(cell), "") for cell in _cells(rows[0][1], mark)]
+    for name in _NUMBERS:
+        if header.count(name) != 1:
+            problems.add(f"{header.count(name)} columns for {name!r} in {rows[0][1][:80]!r}, expected one")
+    problems.raise_if_any()
+    cells: dict[str, list[str]] = {name: [] for name in ("name", "flightline")}
+    numbers: dict[str, list[float]] = {name: [] for name in _NUMBERS}
+    for number, line in rows[1:]:
+        row = _cells(line, mark)
+        if len(row) != len(header):
+            problems.add(f"line {number}: {len(row)} cells, expected {len(header)}")
+        else:
+            for name in _NUMBERS:
+                numbers[name].append(_number(row[header.index(name)], name, number, problems))
+            for name, found in cells.items():
+                found.append(row[header.index(name)].strip()[:200] if name in header else "")
+        if len(problems) >= _MOST_SHOWN:
+            break
+    problems.raise_if_any()
+    keys = {name: f"{name}_pixel" if name.endswith("_track") else name for name in _NUMBERS}
+    made = xr.Dataset(
+        {
+            keys[name]: ("point", np.array(values), {"units": "1" if name.endswith("_track") else "m"})
+            for name, values in numbers.items()
+        },
+        coords={name: ("point", np.array(values, dtype=str)) for name, values in cells.items()},
+        attrs={"source": path.name},
+    )
+    for comment in comments:
+        key, _, value = comment.lstrip("# \t").partition(":")
+        if key.strip().lower() == "crs" and value.strip():
+            made.attrs["crs"] = value.strip()[:10_000]
+    return made
+
+
+def _cells(line: str, mark: str) -> list[str]:
+    try:
+        return next(csv.reader([line], delimiter=mark), [])
+    except csv.Error:
+        return []
+
+
+def _plain(cell: str) -> str:
+    return _UNIT.sub("", cell.strip()).strip().lower().replace(" ", "_")
+
+
+def _number(cell: str, name: str, line: int, problems: Problems) -> float:
+    try:
+        found = float(cell)
+    except ValueError:
+        found = float("nan")
+    if not abs(found) <= _LARGEST:
+        problems.add(f"line {line}: {name} {cell[:40]!r}, expected a finite number")
+    return found

@@ -1,0 +1,328 @@
+"""Navigation of any kind of file as one dataset, its stamps UTC and its meaning declared."""
+
+from __future__ import annotations
+
+import datetime
+import itertools
+import os
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal, get_args
+
+import numpy as np
+
+from hyperpaint.base.attitude_conventions import Convention
+from hyperpaint.base.errors import FormatError, SchemaError, TimeError
+from hyperpaint.base.independent_steps import Findings
+
+from .gps_weeks import TimeSource, utc_of_record
+from .pose_records import POSE, PoseRecord
+
+if TYPE_CHECKING:
+    import xarray as xr
+    from numpy.typing import NDArray
+
+__all__ = ["NAVIGATION_TIME", "NavigationFormat", "navigation_format", "open_navigation", "read_record"]
+
+NAVIGATION_TIME = "navigation_time"
+NavigationFormat = Literal["imu_gps", "sbet", "lcf", "eph_att", "csv"]
+Paths = str | os.PathLike[str] | Sequence[str | os.PathLike[str]]
+
+_HEAD = 4096
+_MEANINGS = {
+    "latitude": "Latitude of the navigation's reference point, north positive",
+    "longitude": "Longitude of the navigation's reference point, east positive",
+    "altitude": "Height of the navigation's reference point",
+    "roll": "Roll, as recorded",
+    "pitch": "Pitch, as recorded",
+    "heading": "Heading, as recorded",
+}
+
+
+def open_navigation(
+    paths: Paths,
+    *,
+    convention: Convention | Mapping[str, Any] | None = None,
+    format: NavigationFormat | None = None,
+    week: int | None = None,
+    date: str | datetime.date | None = None,
+    leap_seconds: int | None = None,
+    time_scale: Literal["gps", "utc"] | None = None,
+    clock_offset_s: float | None = None,
+    gps_time: str | os.PathLike[str] | None = None,
+) -> xr.Dataset:
+    """Read a navigation record: where the platform was, how it was turned, and when.
+
+    ==================  ===================================================================================
+    ``imu_gps``         Headwall ``imu_gps.txt``, three generations; degree; UTC
+    ``sbet``            Applanix SBET (POSPac); radian; seconds of the GPS week
+    ``lcf``             Resonon ``.lcf``; radian, roll positive with the right wing UP; GPS time
+    ``eph_att``         AVIRIS-NG ``*_eph_att`` with its ENVI header; degree; seconds of the GPS week
+    ``csv``             a table with a header that names columns and units, see `read_navigation_csv`
+    ==================  ===================================================================================
+
+    Each reader declares what its format is known to mean. What nothing published states is listed in the
+    attribute ``assumed``; which side column 0 looks to, and what the stamps of the camera's frames mark, no
+    navigation file can say: they stay undeclared until ``convention`` declares them.
+
+    Parameters
+    ----------
+    paths
+        One file, or several of one format that follow one another in time.
+    convention
+        What the numbers mean, in place of what the format declares; or a mapping that replaces some of its
+        choices, such as ``{"column_order": "left_to_right"}``.
+    format
+        By default told from name and content.
+    week, date
+        Of files that count seconds of a GPS week: weeks since 1980-01-06, or the day of the first row,
+        ``"2021-05-20"``. A date is checked against the day that the stamps say.
+    leap_seconds
+        GPS minus UTC [s]; by default of the table of the IERS. It is not used where stamps are UTC.
+    time_scale
+        What the stamps count, where it is not what the format is known for.
+    clock_offset_s
+        UTC = stamp + ``clock_offset_s`` [s]. Needed, with ``date``, for an ``imu_gps.txt`` with the time of
+        day of the recording computer alone.
+    gps_time
+        ``gps_time.txt`` beside such a file, in its place.
+
+    Returns
+    -------
+    xarray.Dataset
+        ``latitude``, ``longitude`` [degree], ``altitude`` [m], ``roll``, ``pitch``, ``heading`` (units as in
+        the file) on ``navigation_time`` [UTC, datetime64[ns]], float64, wrapped as in the file, NaN where
+        unknown. Attributes: the convention, ``format``, ``source``, and how stamps became UTC
+        (``time_scale``, ``gps_week``, ``leap_seconds``, ``clock_offset_s``).
+
+    Raises
+    ------
+    FormatError
+        A file is damaged or of another kind, or its kind cannot be told; all problems are listed.
+    TimeError
+        The GPS week is not known, or contradicts the stamps; time runs backwards, within a file or from one
+        to the next; a clock that cannot be as described.
+    SchemaError
+        A convention that does not exist, or that contradicts the unit of the angles.
+
+    Warns
+    -----
+    PaintWarning
+        Times beyond the table of leap seconds; a record whose inertial system never aligned.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> scratch = tempfile.TemporaryDirectory()
+    >>> path = Path(scratch.name) / "flight.csv"
+    >>> _ = path.write_text('''time,latitude [degree],longitude [degree],altitude [m],roll [degree],pitch [degree],heading [degree]
+    ... 2024-06-01T12:00:00Z,43.1,-77.6,150,0.5,-1,359.5
+    ... 2024-06-01T12:00:01Z,43.1,-77.6,150,0.4,-1,0.5
+    ... ''')
+    >>> flight = open_navigation(path, convention={"column_order": "left_to_right"})
+    >>> flight.heading.values
+    array([359.5,   0.5])
+    >>> flight.attrs["convention_column_order"]
+    'left_to_right'
+    >>> scratch.cleanup()
+    """  # noqa: E501
+    import xarray as xr
+
+    files = [Path(paths)] if isinstance(paths, str | os.PathLike) else [Path(path) for path in paths]
+    if not files:
+        msg = "no navigation file given, expected one or more"
+        raise FormatError(msg)
+    source = TimeSource(week, date, leap_seconds, time_scale, clock_offset_s)
+    source.check()
+    if format is not None and format not in get_args(NavigationFormat):
+        msg = f"format {format!r:.40}, expected {', '.join(map(repr, get_args(NavigationFormat)))}"
+        raise SchemaError(msg)
+    parts: list[tuple[PoseRecord, NDArray[np.int64], dict[str, Any]]] = []
+    findings = Findings("the navigation cannot be used")
+    for path in files:
+        with findings.step():
+            record = _read(path, format or navigation_format(path), source, gps_time)
+            parts.append((record, *utc_of_record(record, source)))
+    findings.raise_if_any()
+    parts.sort(key=lambda part: int(part[1][0]))
+    _refuse_mixtures(parts)
+    meant = _convention(parts[0][0], convention)
+    units = {"latitude": "degree", "longitude": "degree", "altitude": "m"}
+    columns = {
+        name: (
+            NAVIGATION_TIME,
+            np.concatenate([record.values[name] for record, _, _ in parts]),
+            {"long_name": _MEANINGS[name], "units": units.get(name, meant.angle_unit)},
+        )
+        for name in POSE
+    }
+    for name, (_, about) in parts[0][0].others.items():
+        columns[name] = (
+            NAVIGATION_TIME,
+            np.concatenate([part[0].others[name][0] for part in parts]),
+            dict(about),
+        )
+    time = np.concatenate([utc for _, utc, _ in parts]).astype("datetime64[ns]")
+    return xr.Dataset(
+        columns,
+        {NAVIGATION_TIME: (NAVIGATION_TIME, time, {"long_name": "UTC of the navigation record"})},
+        _attributes(parts, meant, convention),
+    )
+
+
+def navigation_format(path: str | Path) -> NavigationFormat:
+    """Tell from its name and first bytes which kind of navigation a file holds.
+
+    Raises
+    ------
+    FormatError
+        It cannot be read, or is of none of them.
+    """
+    path = Path(path)
+    suffix = path.suffix.lower()
+    if suffix == ".hdr" or path.with_name(path.name + ".hdr").is_file():
+        return "eph_att"
+    try:
+        with open(path, "rb") as file:
+            head = file.read(_HEAD)
+    except OSError as error:
+        msg = f"{path}: cannot be read ({error.strerror or error}); check the path"
+        raise FormatError(msg) from error
+    if suffix == ".sbet" or (suffix == ".out" and b"\0" in head):
+        return "sbet"
+    if suffix == ".lcf":
+        return "lcf"
+    first = head.partition(b"\n")[0].lower()
+    if b"\0" not in head and {b"roll", b"pitch", b"yaw", b"lat", b"lon", b"alt"} <= set(first.split()):
+        return "imu_gps"
+    if b"\0" not in head and suffix in (".csv", ".tsv", ".txt", ".asc", ".dat"):
+        return "csv"
+    known = ", ".join(map(repr, get_args(NavigationFormat)))
+    what = "binary" if b"\0" in head else f"begins {head[:60].decode('latin-1')!r}"
+    msg = f"{path}: {what}, not a kind of navigation known by its name; give format=, one of {known}"
+    raise FormatError(msg)
+
+
+# --- one file ----------------------------------------------------------------------------------------------
+
+
+def _read(path: Path, format: NavigationFormat, source: TimeSource, gps_time: Any) -> PoseRecord:
+    if format == "imu_gps":
+        return _headwall(path, source, None if gps_time is None else Path(gps_time))
+    return read_record(path, format)
+
+
+def read_record(path: Path, format: NavigationFormat) -> PoseRecord:
+    """Read a file of any format but ``imu_gps``, its stamps as they are.
+
+    Raises
+    ------
+    FormatError, TimeError
+        As the reader of the format.
+    """
+    from .eph_att import read_eph_att
+    from .lcf import read_lcf
+    from .navigation_csv import read_navigation_csv
+    from .sbet import read_sbet
+
+    readers: Mapping[str, Callable[[Path], PoseRecord]] = {
+        "sbet": read_sbet,
+        "lcf": read_lcf,
+        "eph_att": read_eph_att,
+        "csv": read_navigation_csv,
+    }
+    return readers[format](path)
+
+
+def _headwall(path: Path, source: TimeSource, gps_time: Path | None) -> PoseRecord:
+    """Read ``imu_gps.txt``; its stamps stay as they are, for `utc_of_record` to correct."""
+    from .navigation_records import ASSUMED, Navigation, read_gps_time, read_imu_gps
+
+    record: Navigation = read_imu_gps(path)
+    own_clock = record.utc is None
+    if own_clock and gps_time is not None:
+        record = record.dated_by(read_gps_time(gps_time))
+    elif own_clock and None not in (source.midnight, source.clock_offset_s):
+        record = record.dated_at(int(source.midnight or 0))
+    if record.utc is None or not record.utc.size:
+        msg = (
+            f"{path.name} holds no date; give gps_time= (gps_time.txt of the same flight), or date= and "
+            "clock_offset_s= (UTC = the computer's clock + clock_offset_s)"
+        )
+        raise TimeError(msg)
+    wrong = record.rows[1:][np.diff(record.utc) < 0]
+    if wrong.size:
+        from hyperpaint.io.flightline.headwall import name_rows
+
+        msg = f"{path.name}: UTC runs backwards in {name_rows(wrong)}; delete or re-order these rows"
+        raise TimeError(msg)
+    return PoseRecord(
+        path.name,
+        "Headwall imu_gps",
+        record.utc,
+        "1970",
+        record.values,
+        Convention(),
+        assumed=ASSUMED,
+        time_scale="utc",
+    )
+
+
+# --- the dataset -------------------------------------------------------------------------------------------
+
+
+def _refuse_mixtures(parts: Sequence[tuple[PoseRecord, NDArray[np.int64], dict[str, Any]]]) -> None:
+    first = parts[0][0]
+    for (before, earlier, _), (record, utc, _) in itertools.pairwise(parts):
+        if (record.format, record.convention, set(record.others)) != (
+            first.format, first.convention, set(first.others),
+        ):  # fmt: skip
+            msg = f"{first.name} ({first.format}) and {record.name} ({record.format}) differ; open them apart"
+            raise FormatError(msg)
+        if utc[0] <= earlier[-1]:
+            end, start = (
+                np.datetime64(int(at), "ns").astype("datetime64[ms]") for at in (earlier[-1], utc[0])
+            )
+            msg = f"{before.name} ends at {end}, after {record.name} begins at {start}; give one of them"
+            raise TimeError(msg)
+
+
+def _convention(record: PoseRecord, given: Convention | Mapping[str, Any] | None) -> Convention:
+    if given is None:
+        return record.convention
+    if isinstance(given, Convention):
+        meant = given
+    else:
+        unknown = set(given) - set(record.convention.__dataclass_fields__)
+        if unknown:
+            msg = f"convention has no {', '.join(map(repr, sorted(unknown)))}; see hyperpaint.base.attitude_conventions"
+            raise SchemaError(msg)
+        meant = record.convention.replace(**given)
+    if "angle_unit" not in record.assumed and meant.angle_unit != record.convention.angle_unit:
+        held = record.convention.angle_unit
+        msg = (
+            f"convention declares angle_unit {meant.angle_unit!r}, {record.name} ({record.format}) holds "
+            f"{held}; give Convention(angle_unit={held!r}, ...), or a mapping of what differs"
+        )
+        raise SchemaError(msg)
+    return meant
+
+
+def _attributes(
+    parts: Sequence[tuple[PoseRecord, NDArray[np.int64], dict[str, Any]]],
+    meant: Convention,
+    given: Convention | Mapping[str, Any] | None,
+) -> dict[str, Any]:
+    record, _, timed = parts[0]
+    attrs: dict[str, Any] = {
+        "source": ", ".join(part[0].name for part in parts),
+        "format": record.format,
+        **record.attrs,
+        **timed,
+        **meant.to_attrs(),
+    }
+    declared = set(meant.__dataclass_fields__) if isinstance(given, Convention) else set(given or ())
+    assumed = [name for name in record.assumed if name not in declared]
+    if assumed:
+        attrs["assumed"] = ", ".join(assumed)
+    return attrs

@@ -1,0 +1,378 @@
+"""Navigation records: where the camera was, how it was turned, and what UTC its clocks showed.
+
+``imu_gps.txt`` is read by its header names (three generations of the program), ``gps_time.txt`` ties the
+recording computer's clock to the receiver's. `clocks` turns what they show into UTC.
+"""
+
+from __future__ import annotations
+
+import re
+import warnings
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from hyperpaint.base.errors import FormatError, PaintWarning, Problems, TimeError
+from hyperpaint.io.flightline.headwall import (
+    FrameIndex,
+    Table,
+    check_increasing,
+    name_rows,
+    read_table,
+    read_text,
+    time_of_day,
+    to_integers,
+)
+
+from .clocks import NAT, NS_PER_S, Clock, ClockCorrection, bracket, overlap, tie_clock
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+__all__ = ["ASSUMED", "LIMITS", "Navigation", "limited_numbers", "read_gps_time", "read_imu_gps"]
+
+_MONTHS = ("jan", "feb", "mar", "apr", "may", "jun", "jul", "aug", "sep", "oct", "nov", "dec")
+_DATE_TIME = re.compile(
+    r"([0-9]{4})[-/]([0-9]{1,2}|[A-Za-z]{3})[-/]([0-9]{1,2})[ T]+"
+    r"([0-9]{1,2}):([0-9]{2}):([0-9]{2})(?:\.([0-9]{1,9}))?Z?"
+)
+#: Name in the file to name in a flight line, and the largest magnitude that is an angle or height at all.
+_COLUMNS = {
+    "lat": ("latitude", 90.0),
+    "lon": ("longitude", 360.0),
+    "alt": ("altitude", 1e5),
+    "roll": ("roll", 360.0),
+    "pitch": ("pitch", 360.0),
+    "yaw": ("heading", 360.0),
+}
+LIMITS = dict(_COLUMNS.values())
+"""The largest magnitude of each that is a position or an angle at all [degree, m]."""
+ASSUMED = (
+    *("roll_positive", "pitch_positive", "heading_positive", "heading_reference"),
+    *("angle_unit", "euler_order", "height_reference"),
+)
+"""Fields of the convention of ``imu_gps.txt`` on which no statement of its maker is public."""
+_ATTITUDE = ("roll", "pitch", "heading")
+_CLOCK_COLUMNS = ("timestamp", "systemtime", "gps_utc")
+_UTC_COLUMN = "gps_utc_date&time"
+
+
+# --- imu_gps.txt -------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Navigation:
+    """One navigation record.
+
+    Attributes
+    ----------
+    name
+        File name, for messages.
+    rows
+        Line of the file of each row.
+    stamps
+        Clock column (lower case) to microseconds, (row,); ``"time of day"`` counts from midnight of the first
+        row's day.
+    utc
+        UTC, nanoseconds since 1970-01-01, (row,); None where the file holds no date.
+    values
+        ``latitude longitude altitude roll pitch heading`` [degree, m], (row,); NaN where unknown.
+    """
+
+    name: str
+    rows: NDArray[np.int64]
+    stamps: Mapping[str, NDArray[np.int64]]
+    utc: NDArray[np.int64] | None
+    values: Mapping[str, NDArray[np.float64]] = field(repr=False)
+
+    def clock_for(self, index: FrameIndex) -> Clock:
+        """Return the clock of the frame index, tied to UTC by this record.
+
+        Raises
+        ------
+        TimeError
+            The record holds no UTC or no such clock, its stamps repeat or run backwards, its clocks step
+            against each other, or it does not overlap the frame index.
+        """
+        wanted = _CLOCK_COLUMNS if index.clock == "instrument" else ("time of day",)
+        spans: list[str] = []
+        for column in wanted:
+            stamp = self.stamps.get(column)
+            if stamp is None or self.utc is None:
+                continue
+            daily = column == "time of day"
+            if not daily and not overlap(index.stamp, stamp):
+                spans.append(f"{column} {stamp.min()} to {stamp.max()}")
+                continue
+            return tie_clock(stamp, self.utc, self.rows, f"{self.name}: {column}", daily=daily)
+        held = "; ".join(spans) or f"columns {sorted(self.stamps)}, {'no ' if self.utc is None else ''}UTC"
+        msg = (
+            f"{index.name} counts {index.clock} {index.stamp[0]} to {index.stamp[-1]} us, which"
+            f" {self.name} does not cover ({held}); give the navigation of this flight, or gps_time or date"
+        )
+        raise TimeError(msg)
+
+    def dated_by(self, clock: Clock) -> Navigation:
+        """Return the record with UTC from a clock of the recording computer; rows outside it are dropped."""
+        stamp = self.stamps.get("time of day")
+        if self.utc is not None or stamp is None:
+            return self
+        check_increasing(stamp, self.rows, f"{self.name}: column 'time'")
+        utc = clock.at(stamp).astype(np.int64)
+        return replace(self, utc=utc)._where(utc != NAT)
+
+    def dated_at(self, midnight: int) -> Navigation:
+        """Return the record with UTC of the recording computer's time of day.
+
+        Parameters
+        ----------
+        midnight
+            0 h of the first row's day on that clock [ns since 1970-01-01].
+        """
+        stamp = self.stamps.get("time of day")
+        return self if stamp is None else replace(self, utc=midnight + stamp * 1000)
+
+    def _where(self, keep: NDArray[np.bool_]) -> Navigation:
+        return Navigation(
+            self.name,
+            self.rows[keep],
+            {name: stamp[keep] for name, stamp in self.stamps.items()},
+            None if self.utc is None else self.utc[keep],
+            {name: value[keep] for name, value in self.values.items()},
+        )
+
+    def at(
+        self, time: NDArray[np.datetime64], max_gap_s: float | None = None
+    ) -> dict[str, NDArray[np.float64]]:
+        """Return position and attitude at times, linear between rows.
+
+        Parameters
+        ----------
+        time
+            UTC [datetime64[ns]], NaT allowed, (along_track,).
+        max_gap_s
+            Longest interval [s] that is interpolated; by default 2.5 times the median one, at least 0.1 s.
+
+        Returns
+        -------
+        dict of (along_track,) float64
+            The names of `values`; NaN in gaps, outside the record and at NaT.
+
+        Raises
+        ------
+        TimeError
+            The record has no UTC, or it runs backwards.
+        """
+        if self.utc is None:
+            msg = f"{self.name} holds no UTC; give gps_time, or date and clock_offset_s"
+            raise TimeError(msg)
+        if np.any(np.diff(self.utc) < 0):
+            rows = self.rows[1:][np.diff(self.utc) < 0]
+            msg = f"{self.name}: UTC runs backwards in {name_rows(rows)}; delete or re-order these rows"
+            raise TimeError(msg)
+        new = np.concatenate([[True], np.diff(self.utc) > 0])
+        knots = self.utc[new]
+        place, weight, inside = bracket(knots, time.astype("datetime64[ns]").astype(np.int64))
+        after = np.minimum(place + 1, len(knots) - 1)
+        steps = np.diff(knots) / NS_PER_S
+        gap = max_gap_s or max(2.5 * float(np.median(steps)) if steps.size else 0.0, 0.1)
+        known = inside & ((knots[after] - knots[place]) / NS_PER_S <= gap)
+        made: dict[str, NDArray[np.float64]] = {}
+        for name, value in self.values.items():
+            before = value[new][place]
+            step = value[new][after] - before
+            if name in ("heading", "longitude"):
+                step = (step + 180.0) % 360.0 - 180.0  # the short way round
+            result = before + weight * step
+            if name == "heading":
+                result %= 360.0
+            elif name == "longitude":
+                result = (result + 180.0) % 360.0 - 180.0
+            made[name] = np.where(known, result, np.nan)
+        return made
+
+
+def read_imu_gps(path: str | Path, correction: ClockCorrection | None = None) -> Navigation:
+    """Read ``imu_gps.txt``, whichever of its three generations it is.
+
+    All have ``Roll Pitch Yaw Lat Lon Alt`` [degree, m]; the clock is ``Timestamp`` in microseconds with
+    ``Gps_UTC_Date&Time``, or ``Time`` of the recording computer, or ``SystemTime`` and ``GPS_UTC`` with a
+    date that spells its month. ``heading`` is ``Yaw``, which belongs to roll and pitch; what the column
+    ``Heading`` means is not published. Rows before the inertial system has aligned (``Roll`` exactly 0) have
+    no attitude, and are dropped where their date is not yet that of the others.
+
+    Parameters
+    ----------
+    path
+        The file.
+    correction
+        How ``Gps_UTC_Date&Time`` becomes UTC; by default it is UTC.
+
+    Raises
+    ------
+    FormatError
+        Binary (some systems write another log under this name), without the columns, or cells that are not
+        numbers, angles or dates.
+    """
+    table = read_table(path, "navigation record", needs=list(_COLUMNS))
+    problems = Problems(f"{path} cannot be used as navigation", FormatError)
+    values = {
+        name: limited_numbers(table, column, limit, problems) for column, (name, limit) in _COLUMNS.items()
+    }
+    problems.raise_if_any()
+    unaligned = np.cumsum(values["roll"] != 0.0) == 0
+    nowhere = (values["latitude"] == 0.0) & (values["longitude"] == 0.0)
+    for name in _ATTITUDE:
+        values[name][unaligned] = np.nan
+    for name in ("latitude", "longitude", "altitude"):
+        values[name][nowhere] = np.nan
+    utc = None
+    if _UTC_COLUMN in table.columns:
+        utc = _dates(table, _UTC_COLUMN, unaligned)
+    record = Navigation(table.name, table.rows, _stamps(table), utc=None, values=values)
+    if unaligned.all():
+        warnings.warn(
+            f"{path}: Roll is 0 throughout, the inertial system never aligned: no attitude",
+            PaintWarning,
+            stacklevel=2,
+        )
+    if utc is None:
+        return record
+    keep = _dated(utc, next(iter(record.stamps.values()), None), unaligned)
+    if not keep.any():
+        msg = f"{path}: no row with a date"
+        raise FormatError(msg)
+    return replace(
+        record, utc=(correction or ClockCorrection()).apply(np.where(keep, utc, utc[keep][0]))
+    )._where(keep)
+
+
+def limited_numbers(table: Table, column: str, limit: float, problems: Problems) -> NDArray[np.float64]:
+    """Return a column of numbers, NaN allowed; what is beyond a limit or no number is noted."""
+    cells = table.columns[column]
+    try:
+        made = np.array(list(map(float, cells)))
+    except ValueError:
+        made = np.array([_number(cell) for cell in cells])
+    if "_" in "".join(cells):  # 1_000 is a number to Python only
+        made[["_" in cell for cell in cells]] = np.inf
+    wrong = table.rows[np.abs(made) > limit]
+    if wrong.size:
+        problems.add(f"column {column!r} is not a number within {limit:g} in {name_rows(wrong)}")
+    return made
+
+
+def _number(cell: str) -> float:
+    try:
+        return float(cell)
+    except ValueError:
+        return np.inf
+
+
+def _dates(table: Table, column: str, unaligned: NDArray[np.bool_]) -> NDArray[np.int64]:
+    """Return nanoseconds since 1970-01-01, the least int64 where an unaligned row has no date."""
+    texts = [_iso(cell) for cell in table.columns[column]]
+    try:
+        made = np.array(texts, "datetime64[ns]")
+    except ValueError:  # the 31st of a shorter month, the 25th hour
+        made = np.array([_instant(text) for text in texts])
+    wrong = table.rows[np.isnat(made) & ~unaligned]
+    if wrong.size:
+        msg = f"{table.name}: column {column!r} is not like '2021/07/23 12:34:56.789' in {name_rows(wrong)}"
+        raise FormatError(msg)
+    return made.astype(np.int64)
+
+
+def _iso(cell: str) -> str:
+    match = _DATE_TIME.fullmatch(cell.strip())
+    if match is None:
+        return "NaT"
+    year, month, day, hour, minute, second, fraction = match.groups()
+    # beyond these years nanoseconds overflow, and a receiver without a fix shows its epoch
+    if not "1980" <= year < "2200":
+        return "NaT"
+    if not month.isdigit():
+        if month.lower() not in _MONTHS:
+            return "NaT"
+        month = str(_MONTHS.index(month.lower()) + 1)
+    return f"{year}-{month:0>2}-{day:0>2}T{hour:0>2}:{minute}:{second}.{fraction or '0'}"
+
+
+def _instant(text: str) -> np.datetime64:
+    try:
+        return np.datetime64(text, "ns")
+    except ValueError:
+        return np.datetime64("NaT", "ns")
+
+
+def _stamps(table: Table) -> dict[str, NDArray[np.int64]]:
+    made: dict[str, NDArray[np.int64]] = {}
+    for column in _CLOCK_COLUMNS:
+        if column not in table.columns:
+            continue
+        try:
+            made[column] = to_integers(table, column)
+        except FormatError:
+            if column == "timestamp":
+                raise
+            # of SystemTime and GPS_UTC either may be no count of microseconds
+    if "time" in table.columns:
+        made["time of day"] = time_of_day(table, "time")[0]
+    return made
+
+
+def _dated(
+    utc: NDArray[np.int64], stamp: NDArray[np.int64] | None, unaligned: NDArray[np.bool_]
+) -> NDArray[np.bool_]:
+    """Tell which rows have a date; of unaligned ones, a date that agrees with those of the aligned."""
+    dated: NDArray[np.bool_] = np.not_equal(utc, NAT)
+    aligned = dated & ~unaligned
+    if stamp is None or not aligned.any():
+        return dated
+    offset = utc / 1e9 - stamp / 1e6
+    agrees = np.abs(offset - np.median(offset[aligned])) < 1.0
+    kept: NDArray[np.bool_] = dated & (agrees | ~unaligned)
+    return kept
+
+
+# --- gps_time.txt ------------------------------------------------------------------------------------------
+
+
+def read_gps_time(path: str | Path, correction: ClockCorrection | None = None) -> Clock:
+    """Read ``gps_time.txt``, which ties the recording computer's time of day to the receiver's date and time.
+
+    Parameters
+    ----------
+    path
+        The file: ``HH:MM:SS <microseconds>``, a tab, date and time. A first line that is neither is taken
+        for a header.
+    correction
+        How the receiver's stamps become UTC; by default they are UTC.
+
+    Raises
+    ------
+    FormatError
+        Binary, or rows that are not such pairs.
+    TimeError
+        Stamps repeat or run backwards, or the two clocks step against each other.
+    """
+    path = Path(path)
+    lines = [(number, line) for number, line in enumerate(read_text(path).split("\n"), 1) if line.strip()]
+    if lines and _iso(lines[0][1].partition("\t")[2]) == "NaT":
+        del lines[0]
+    if not lines:
+        msg = f"{path}: no rows of computer time, tab, receiver date and time"
+        raise FormatError(msg)
+    rows = np.array([number for number, _ in lines], np.int64)
+    pairs = [line.split("\t") for _, line in lines]
+    wrong = [int(row) for row, pair in zip(rows, pairs, strict=True) if len(pair) < 2]
+    if wrong:
+        msg = f"{path}: {name_rows(wrong)} without a tab between computer time and receiver time"
+        raise FormatError(msg)
+    table = Table(path.name, rows, {"pc": [pair[0] for pair in pairs], "pos": [pair[1] for pair in pairs]})
+    utc = _dates(table, "pos", np.zeros(len(rows), bool))
+    utc = (correction or ClockCorrection()).apply(utc)
+    return tie_clock(time_of_day(table, "pc")[0], utc, rows, path.name, daily=True)

@@ -1,0 +1,1 @@
+"""Files of field spectrometers and irradiance logs: ASD, SVC, text, stores."""

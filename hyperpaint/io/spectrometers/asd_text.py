@@ -1,0 +1,240 @@
+"""Text exports of ASD spectra, as ViewSpec writes them.
+
+The variants that are known: a table ``Wavelength;name.asd`` with a semicolon, tab or comma, one column a
+spectrum or (exported by rows) one row a spectrum, alone or under a preamble of sentences. The preamble may
+hold the comment field as NUL bytes, a blank first line and sentences that nobody documented. What no variant
+holds is the quantity, its units, and the UTC offset of the time stamp: the reader cannot tell them either.
+"""
+
+from __future__ import annotations
+
+import datetime as dt
+import math
+import os
+import re
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from hyperpaint.base.errors import FormatError
+from hyperpaint.io.files.reading import read_limited_text
+
+from .asd_blocks import nominal_integration_ms
+
+__all__ = ["AsdText", "is_asd_text", "read_asd_text"]
+
+_LARGEST_FILE = 512 * 2**20
+_SEPARATORS = (";", "\t", ",")
+_NUMBER = r"([-+]?[0-9]+(?:\.[0-9]*)?(?:[Ee][-+]?[0-9]+)?)"
+_TABLE = re.compile(r'"?wavelengths?"?\s*[;,\t]', re.IGNORECASE)
+# Windows' C library spells what is not a number in its own way
+_NO_NUMBERS = {"1.#qnan": math.nan, "-1.#ind": math.nan, "1.#ind": math.nan, "1.#inf": math.inf}
+
+
+@dataclass(frozen=True, eq=False)
+class AsdText:
+    """What one text export holds; arrays are float64 and read-only.
+
+    Attributes
+    ----------
+    name
+        File name without its folder.
+    spectra
+        Names of the spectra.
+    wavelength
+        (wavelength) [nm].
+    values
+        (spectrum, wavelength), in whatever quantity was exported.
+    local_time
+        When the spectrum was saved, by the clock of the logging PC, or None without a preamble.
+    instrument_number, integration_ms, sample_averages, ymax, splices
+        As in the binary, None where the preamble does not say. ``ymax`` is the upper end of the operator's
+        plot, the only hint at the quantity.
+    cosine_receptor, white_reference
+        Whether a cosine receptor was attached, whether the spectrum was compared to a panel; or None.
+    """
+
+    name: str
+    spectra: tuple[str, ...]
+    wavelength: npt.NDArray[np.float64]
+    values: npt.NDArray[np.float64]
+    local_time: dt.datetime | None
+    instrument_number: str | None
+    integration_ms: float | None
+    sample_averages: int | None
+    ymax: float | None
+    splices: tuple[float, float] | None
+    cosine_receptor: bool | None
+    white_reference: bool | None
+
+    @property
+    def likely_quantity(self) -> str | None:
+        """The quantity that ``ymax`` goes with in files whose quantity is known; a guess."""
+        return {1.25: "reflectance", 2.5: "irradiance", 65535.0: "counts"}.get(self.ymax or 0.0)
+
+
+def is_asd_text(head: bytes) -> bool:
+    """Tell from its first bytes whether a file is a text export of ASD spectra."""
+    return any(_TABLE.match(line) for line in _lines(head))
+
+
+def read_asd_text(path: str | os.PathLike[str]) -> AsdText:
+    r"""Read one text export of ASD spectra.
+
+    Parameters
+    ----------
+    path
+        A file that ViewSpec exported, of any of its variants.
+
+    Returns
+    -------
+    AsdText
+        Spectra (spectrum, wavelength) and what the preamble says.
+
+    Raises
+    ------
+    FormatError
+        The file cannot be read, or has no table ``Wavelength``, or its table is damaged.
+
+    Examples
+    --------
+    >>> import pathlib, tempfile
+    >>> path = pathlib.Path(tempfile.mkdtemp(), "sky.txt")
+    >>> _ = path.write_text("Wavelength;sky.asd\n550; 0.89 \n551; 9.1E-01 \n")
+    >>> read_asd_text(path).values
+    array([[0.89, 0.91]])
+    """
+    path = Path(path)
+    lines = _lines(read_limited_text(path, _LARGEST_FILE, "a text export of spectra"))
+    start = next((i for i, line in enumerate(lines) if _TABLE.match(line)), None)
+    if start is None:
+        msg = (
+            f"{path.name}: no line begins with 'Wavelength' and a separator: not a text export of ASD spectra"
+        )
+        raise FormatError(msg)
+    spectra, wavelength, values = _table(path.name, lines[start:])
+    return AsdText(path.name, spectra, wavelength, values, **_preamble(path.name, "\n".join(lines[:start])))
+
+
+def _lines(data: bytes) -> list[str]:
+    return data.replace(b"\0", b"").decode("latin-1").replace("\r\n", "\n").replace("\r", "\n").split("\n")
+
+
+def _preamble(name: str, text: str) -> dict[str, Any]:
+    """Return the fields of `AsdText` that the sentences above the table give."""
+
+    def found(pattern: str, make: Callable[[re.Match[str]], Any]) -> Any:
+        match = re.search(pattern, text, re.IGNORECASE)
+        return None if match is None else make(match)
+
+    return {
+        "local_time": found(
+            r"spectrum saved:?\s*(\d{1,2})/(\d{1,2})/(\d{1,4})\s+at\s+(\d{1,2}):(\d\d):(\d\d)\s*([AP]M)?",
+            lambda match: _local_time(name, match),
+        ),
+        "instrument_number": found(r"instrument number(?: was|:)\s*(\S{1,40})", lambda match: match[1]),
+        "integration_ms": found(
+            r"VNIR integration time\s*:\s*(\d{1,9})(?!\d)",
+            lambda match: nominal_integration_ms(int(match[1])),
+        ),
+        "sample_averages": found(
+            r"\b(\d{1,6}|one) samples? per data value",
+            lambda match: 1 if match[1].lower() == "one" else int(match[1]),
+        ),
+        "ymax": found(rf"ymax\s*=\s*{_NUMBER}", lambda match: float(match[1])),
+        "splices": found(
+            rf"join between VNIR and SWIR1 was {_NUMBER} nm(?s:.){{0,200}}?SWIR1 and SWIR2 was {_NUMBER} nm",
+            lambda match: (float(match[1]), float(match[2])),
+        ),
+        "cosine_receptor": found(
+            r"there was (.{0,80}?) attached", lambda match: "cosine receptor" in match[1].lower()
+        ),
+        "white_reference": found(
+            r"data is (not )?compared to a white reference", lambda match: match[1] is None
+        ),
+    }
+
+
+def _local_time(name: str, match: re.Match[str]) -> dt.datetime:
+    month, day, year, hour, minute, second = (int(match[i]) for i in range(1, 7))
+    if match[7]:
+        hour = hour % 12 + (12 if match[7].upper() == "PM" else 0)
+    try:
+        # older programs write the years since 1900
+        made = dt.datetime(year + 1900 if year < 1000 else year, month, day, hour, minute, second)
+        if not 1980 <= made.year < 2150:
+            raise ValueError
+        return made
+    except ValueError as error:
+        msg = f"{name}: {match[0]!r} is not a date in the order month/day/year"
+        raise FormatError(msg) from error
+
+
+_Table = tuple[tuple[str, ...], npt.NDArray[np.float64], npt.NDArray[np.float64]]
+
+
+def _table(name: str, lines: list[str]) -> _Table:
+    header = lines[0]
+    separator = max(_SEPARATORS, key=header.count)
+    cells = [cell.strip().strip('"') for cell in header.split(separator)]
+    while cells and not cells[-1]:  # a separator at the end of the line
+        cells.pop()
+    if len(cells) < 2:
+        msg = f"{name}: the table has no column beside 'Wavelength'; export the spectra again"
+        raise FormatError(msg)
+    by_rows = all(_number(cell) is not None for cell in cells[1:])
+    labels, values = _rows(name, lines[1:], separator, len(cells), words=by_rows)
+    if by_rows:
+        spectra, wavelength = tuple(labels), np.array([_number(cell) for cell in cells[1:]], np.float64)
+    else:
+        spectra, wavelength = tuple(cells[1:]), np.array([_number(label) for label in labels], np.float64)
+        values = values.T
+    if not (np.all(np.isfinite(wavelength)) and np.all(wavelength > 0) and np.all(np.diff(wavelength) > 0)):
+        msg = f"{name}: the wavelengths do not increase; the table is damaged"
+        raise FormatError(msg)
+    values = np.ascontiguousarray(values)
+    wavelength.flags.writeable = values.flags.writeable = False
+    return spectra, wavelength, values
+
+
+def _rows(
+    name: str, lines: list[str], separator: str, width: int, *, words: bool
+) -> tuple[list[str], npt.NDArray[np.float64]]:
+    """Return the first cells of the table's rows, and the numbers in the others.
+
+    Lines that are no rows, such as ``x2bar``, are known above and below a table of columns, never inside it.
+    """
+    labels: list[str] = []
+    values: list[list[float]] = []
+    ended_at: int | None = None
+    for number, line in enumerate(lines, start=2):
+        cells = [cell.strip() for cell in line.rstrip().rstrip(separator).split(separator)]
+        row = [_number(cell) for cell in cells[1:]]
+        whole = [value for value in row if value is not None]
+        if not (line.strip() and (words or _number(cells[0]) is not None)):
+            ended_at = ended_at or (number if labels and line.strip() else None)
+            continue
+        if len(cells) != width or len(whole) != len(row) or ended_at is not None:
+            msg = (
+                f"{name}: line {number} of the table holds {line.strip()[:60]!r}, "
+                f"expected {width} cells separated by {separator!r}; the table is damaged"
+            )
+            raise FormatError(msg)
+        labels.append(cells[0])
+        values.append(whole)
+    if not labels:
+        msg = f"{name}: the table is empty; export the spectra again"
+        raise FormatError(msg)
+    return labels, np.array(values, np.float64)
+
+
+def _number(cell: str) -> float | None:
+    try:
+        # a comma left in a cell is a decimal comma; float() would take 1_000 for a number
+        return None if "_" in cell else float(cell.replace(",", "."))
+    except ValueError:
+        return _NO_NUMBERS.get(cell.lower())

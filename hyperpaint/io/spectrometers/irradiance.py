@@ -1,0 +1,461 @@
+"""The record of a sky-pointing spectrometer as one series in UTC, whatever it was logged in."""
+
+from __future__ import annotations
+
+import datetime as dt
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+import numpy.typing as npt
+import xarray as xr
+
+from hyperpaint.base.errors import FormatError, Problems, SchemaError, TimeError, UnitsError
+from hyperpaint.base.schema import IRRADIANCE_TIME, IRRADIANCE_WAVELENGTH, VARIABLES, label
+from hyperpaint.base.units import conversion_factor, convert
+from hyperpaint.io.flightline.stamps import TO_MIDDLE
+
+from .asd import Spectrum, find_files, mask_undefined, read_spectra, sniff, utc_offsets
+from .daylight import check_magnitude
+from .irradiance_csv import read_irradiance_csv
+from .irradiance_store import is_store, stored_series
+from .spectrum_files import Paths, check_utc_offset, listed
+
+__all__ = ["open_irradiance"]
+
+Stamp = Literal["start", "mid", "end"]
+_FloatArray = npt.NDArray[np.float64]
+
+ASD_FWHM_NM = 3.0
+_ASD_FWHM_SOURCE = f"assumed: {ASD_FWHM_NM:g} nm, the resolution of ASD instruments at 700 nm"
+_GAP_INTERVALS = 2.5
+#: Pairs of samples with one stamp that a message names.
+_MOST_SHOWN = 20
+
+
+@dataclass(frozen=True, eq=False)
+class _Series:
+    """Samples as they were logged, before clocks and units are settled."""
+
+    sources: Sequence[str]
+    stamps: npt.NDArray[np.datetime64]  # (sample), in the zone of utc_offset_h
+    utc_offset_h: Sequence[float]
+    averaging_s: _FloatArray  # (sample)
+    wavelength: _FloatArray
+    values: _FloatArray  # (sample, wavelength)
+    units: str
+    origin: str
+    fwhm: _FloatArray | float | None = None
+    fwhm_source: str = "given by the data"
+    max_gap_s: float | None = None
+    clock_uncertainty_s: float | None = None
+    attrs: Mapping[str, Any] = field(default_factory=dict)
+
+
+def open_irradiance(
+    paths: Paths | xr.Dataset | xr.DataArray,
+    quantity: str | None = None,
+    *,
+    utc_offset_h: float | None = None,
+    clock_offset_s: float = 0.0,
+    stamp: Stamp = "end",
+    fwhm_nm: float | None = None,
+    max_gap_s: float | None = None,
+    units: str | None = None,
+    calibration: Mapping[str, str | os.PathLike[str]] | None = None,
+    averaging_s: float | None = None,
+    clock_uncertainty_s: float | None = None,
+) -> xr.Dataset:
+    """Open a series of downwelling irradiance spectra.
+
+    Parameters
+    ----------
+    paths
+        A file, a glob, a folder or a list of files: binary ``.asd`` files, text exports of ASD spectra, or
+        csv series (see `read_irradiance_csv`); or a Zarr or netCDF store, or an xarray object, with
+        ``irradiance`` on a time and a wavelength dim (of a collect's store, the group ``irradiance``).
+    quantity
+        ``irradiance``, to say so where text exports do not; without it their plot range is taken as a hint,
+        with a warning. Binary files become irradiance through their calibration.
+    utc_offset_h
+        Clock of the logging PC minus UTC [h], zones only. By default what the files say; csv stamps may carry
+        their zone; xarray objects are in UTC.
+    clock_offset_s
+        What has to be added to the logging PC's clock [s]: UTC = stamp - utc_offset_h + clock_offset_s.
+    stamp
+        What a stamp marks: ``start``, ``mid`` or ``end`` of the averaging window.
+    fwhm_nm
+        Full width at half maximum of the spectrometer [nm]; for ASD instruments 3 nm are assumed.
+    max_gap_s
+        Longest interval [s] that may be interpolated; by default 2.5 times the median interval.
+    units
+        Units of the values where the data do not say. For ASD spectra W m-2 nm-1 are taken, the vendor's.
+    calibration
+        Calibration files of the instrument, see `hyperpaint.io.spectrometers.asd.open_asd`.
+    averaging_s
+        Length of the averaging window [s]. By default what the file says (integration time times the spectra
+        averaged), else 0.
+    clock_uncertainty_s
+        How far the clocks of camera and spectrometer may still disagree [s]. Without it they count as not
+        checked; see `hyperpaint.light.synchrony`.
+
+    Returns
+    -------
+    xarray.Dataset
+        ``irradiance`` (irradiance_time, irradiance_wavelength) [W m-2 nm-1] float32, in memory, ordered by
+        time; ``irradiance_fwhm`` [nm], ``irradiance_max_gap`` [s] and, where it is known,
+        ``irradiance_clock_uncertainty`` [s]; coordinates ``irradiance_time`` (UTC at
+        the middle of each sample, datetime64[ns]) and ``irradiance_wavelength`` [nm]. The attributes tell
+        what was assumed. ASD stamps are whole seconds, as in the files: what lies below a second is lost.
+
+    Raises
+    ------
+    FormatError
+        Files are missing or damaged, cannot give irradiance, or differ in wavelengths; all are named.
+    TimeError
+        The UTC offset is unknown, samples have no stamp or the same one, or a single sample has no
+        ``max_gap_s``.
+    UnitsError
+        Units are missing or wrong, or the sun cannot have been as bright or as dim as they say.
+    SchemaError
+        An argument is none of those above, the width is unknown, or an xarray object is not such a series.
+    IncompleteStoreError
+        The store is hyperpaint's own, and its group was never finished.
+
+    Warns
+    -----
+    PaintWarning
+        Saturated or undefined samples, which become NaN; and see `hyperpaint.io.spectrometers.asd.open_asd`.
+
+    Examples
+    --------
+    >>> import numpy as np, xarray as xr
+    >>> times = np.array(["2024-05-21T12:00:02", "2024-05-21T12:00:00"], "datetime64[us]")
+    >>> sky = xr.DataArray(
+    ...     [[0.9, 1.0], [0.8, 0.9]],
+    ...     coords={"time": times, "wavelength": ("wavelength", [500.0, 600.0], {"units": "nm"})},
+    ...     dims=("time", "wavelength"),
+    ...     attrs={"units": "W m-2 nm-1"},
+    ... )
+    >>> series = open_irradiance(sky, fwhm_nm=3.0, clock_offset_s=37.25)
+    >>> series["irradiance_time"].values
+    array(['2024-05-21T12:00:37.250000000', '2024-05-21T12:00:39.250000000'], dtype='datetime64[ns]')
+    >>> series["irradiance"].values[:, 0]
+    array([0.8, 0.9], dtype=float32)
+    """
+    _check_arguments(quantity, clock_offset_s, stamp, fwhm_nm, max_gap_s, averaging_s, clock_uncertainty_s)
+    if isinstance(paths, xr.Dataset | xr.DataArray):
+        series = _from_xarray(paths, utc_offset_h, units)
+    elif isinstance(paths, str | os.PathLike) and is_store(Path(paths)):
+        series = _from_xarray(stored_series(Path(paths)), utc_offset_h, units, Path(paths).name)
+    else:
+        series = _from_files(find_files(paths), quantity, utc_offset_h, units, calibration)
+    window = series.averaging_s if averaging_s is None else np.full(len(series.stamps), averaging_s)
+    times = _utc_middle(series, clock_offset_s, TO_MIDDLE[stamp] * window)
+    order = np.argsort(times, kind="stable")
+    _refuse_duplicates(series, times, order)
+    values = _in_float32_range(series, order, conversion_factor(series.units, VARIABLES["irradiance"].units))
+    check_magnitude(series.wavelength, values)
+    made = _dataset(series, times[order], values, fwhm_nm, max_gap_s)
+    known = series.clock_uncertainty_s if clock_uncertainty_s is None else clock_uncertainty_s
+    if known is not None:
+        name = "irradiance_clock_uncertainty"
+        made[name] = label(xr.DataArray(np.float64(known)), name)
+    made.attrs.update(
+        irradiance_utc_offset_h=sorted(set(map(float, series.utc_offset_h))),
+        irradiance_clock_offset_s=float(clock_offset_s),
+        irradiance_stamp=stamp,
+        irradiance_averaging_s=float(np.median(window)),
+    )
+    return made
+
+
+def _check_arguments(
+    quantity: str | None,
+    clock_offset_s: float,
+    stamp: str,
+    fwhm_nm: float | None,
+    max_gap_s: float | None,
+    averaging_s: float | None,
+    clock_uncertainty_s: float | None,
+) -> None:
+    problems = Problems("an irradiance series cannot be opened as asked", SchemaError)
+    if quantity not in (None, "irradiance"):
+        problems.add(f"quantity={quantity!r}: expected 'irradiance'; hp.open_asd opens other quantities")
+    if not np.isfinite(clock_offset_s):
+        problems.add(f"clock_offset_s={clock_offset_s}: expected seconds")
+    if stamp not in TO_MIDDLE:
+        problems.add(f"stamp={stamp!r}: expected one of {', '.join(TO_MIDDLE)}")
+    for name, value in (("fwhm_nm", fwhm_nm), ("max_gap_s", max_gap_s)):
+        if value is not None and not (np.isfinite(value) and value > 0):
+            problems.add(f"{name}={value}: expected a positive number")
+    for name, value in (("averaging_s", averaging_s), ("clock_uncertainty_s", clock_uncertainty_s)):
+        if value is not None and not (np.isfinite(value) and value >= 0):
+            problems.add(f"{name}={value}: expected seconds, not negative")
+    problems.raise_if_any()
+
+
+def _from_files(
+    files: Sequence[Path],
+    quantity: str | None,
+    utc_offset_h: float | None,
+    units: str | None,
+    calibration: Mapping[str, str | os.PathLike[str]] | None,
+) -> _Series:
+    kinds = [sniff(path) for path in files]
+    if "csv" in kinds:
+        foreign = [path.name for path, kind in zip(files, kinds, strict=True) if kind != "csv"]
+        if foreign:
+            msg = f"csv series do not mix with other files; open them apart. No csv series: {listed(foreign)}"
+            raise FormatError(msg)
+        return _from_csv(files, utc_offset_h, units)
+    if quantity is None and "text" not in kinds:
+        quantity = "irradiance"  # what is in a binary depends on its calibration, not on what was displayed
+    spectra, found = read_spectra(files, quantity, calibration=calibration)
+    if found != "irradiance":
+        msg = (
+            f"the files seem to hold {found}, not irradiance; pass quantity='irradiance' if they hold "
+            f"irradiance after all. Files: {listed([path.name for path in files])}"
+        )
+        raise FormatError(msg)
+    vendors = VARIABLES["irradiance"].units
+    assumed = {"irradiance_units_source": f"assumed: {vendors}, the vendor's; text exports do not say"}
+    return _from_spectra(
+        spectra,
+        utc_offset_h,
+        units or vendors,
+        fwhm=ASD_FWHM_NM,
+        fwhm_source=_ASD_FWHM_SOURCE,
+        attrs=assumed if units is None and "text" in kinds else {},
+    )
+
+
+def _from_csv(files: Sequence[Path], utc_offset_h: float | None, units: str | None) -> _Series:
+    problems = Problems("csv series cannot be used", FormatError)
+    tables = []
+    for path in files:
+        try:
+            tables.append(read_irradiance_csv(path))
+        except FormatError as error:
+            problems.add(str(error))
+    problems.raise_if_any()
+    for what in ("units", "fwhm_nm", "wavelength"):
+        if any(not np.array_equal(getattr(table, what), getattr(tables[0], what)) for table in tables):
+            msg = f"the csv files differ in their {what}; open them apart: {listed([t.name for t in tables])}"
+            raise FormatError(msg)
+    found_units = units or tables[0].units
+    if found_units is None:
+        msg = (
+            f"{listed([t.name for t in tables])}: no units; pass units=, or add a line on top, for example "
+            f"'# units: {VARIABLES['irradiance'].units}'"
+        )
+        raise UnitsError(msg)
+    spectra = [
+        Spectrum(
+            source=f"{table.name}:{line}",
+            wavelength=table.wavelength,
+            values=values,
+            local_time=time.replace(tzinfo=None),
+            utc_offset_h=None if (zone := time.utcoffset()) is None else zone / dt.timedelta(hours=1),
+        )
+        for table in tables
+        for line, time, values in zip(table.lines, table.times, table.values, strict=True)
+    ]
+    spectra = mask_undefined(spectra, "irradiance")
+    return _from_spectra(spectra, utc_offset_h, found_units, one_clock=False, fwhm=tables[0].fwhm_nm)
+
+
+def _from_spectra(
+    spectra: Sequence[Spectrum],
+    utc_offset_h: float | None,
+    units: str,
+    *,
+    one_clock: bool = True,
+    **extra: Any,
+) -> _Series:
+    without_stamp = [spectrum.source for spectrum in spectra if spectrum.local_time is None]
+    if without_stamp:
+        msg = (
+            "spectra without a time stamp cannot make a series; export them with the header "
+            f"('Spectrum saved: ...'), or write a csv series: {listed(without_stamp)}"
+        )
+        raise TimeError(msg)
+    sources = [spectrum.source for spectrum in spectra]
+    several = f" to {sources[-1]} ({len(sources)} spectra)" if len(sources) > 1 else ""
+    return _Series(
+        sources=sources,
+        stamps=np.array([spectrum.local_time for spectrum in spectra], "datetime64[ns]"),
+        utc_offset_h=utc_offsets(spectra, utc_offset_h, one_clock=one_clock),
+        averaging_s=np.array([spectrum.averaging_s or 0.0 for spectrum in spectra], np.float64),
+        wavelength=spectra[0].wavelength,
+        values=np.stack([spectrum.values for spectrum in spectra]),
+        units=units,
+        origin=f"{sources[0]}{several}",
+        **extra,
+    )
+
+
+def _from_xarray(
+    data: xr.Dataset | xr.DataArray,
+    utc_offset_h: float | None,
+    units: str | None,
+    origin: str = "an xarray object",
+) -> _Series:
+    if isinstance(data, xr.DataArray):
+        data = data.to_dataset(name="irradiance")
+    if "irradiance" not in data.data_vars:
+        msg = (
+            f"{origin} has no variable 'irradiance', only {[str(name) for name in data.data_vars]}; rename it"
+        )
+        raise SchemaError(msg)
+    array = data["irradiance"]
+    time, wavelength = _axes(array, origin)
+    array = array.transpose(time.name, wavelength.name)
+    if utc_offset_h is not None:
+        check_utc_offset(utc_offset_h)
+    found_units = array.attrs.get("units", units)
+    if found_units is None:
+        msg = (
+            f"{origin}: 'irradiance' has no units; pass units=, for example {VARIABLES['irradiance'].units!r}"
+        )
+        raise UnitsError(msg)
+    if units is not None and conversion_factor(str(found_units), units) != 1.0:
+        msg = (
+            f"{origin}: units={units!r}, but the data say {found_units!r}; drop the argument or mend the data"
+        )
+        raise UnitsError(msg)
+    nanometres = convert(wavelength, "nm", str(wavelength.name)).values.astype(np.float64)
+    if not (np.all(np.isfinite(nanometres)) and np.all(np.diff(nanometres) > 0)):
+        msg = f"{origin}: {wavelength.name!r} does not increase; sort by it, and drop what occurs twice"
+        raise SchemaError(msg)
+    count = array.sizes[time.name]
+    values = array.values.astype(np.float64)
+    sources = [f"sample {i}" for i in range(count)]
+    if np.isinf(values).any():
+        spectra = [Spectrum(name, nanometres, row) for name, row in zip(sources, values, strict=True)]
+        values = np.stack([spectrum.values for spectrum in mask_undefined(spectra, "irradiance")])
+    fwhm = data.get("irradiance_fwhm")
+    gap, clock = (data.get(f"irradiance_{name}") for name in ("max_gap", "clock_uncertainty"))
+    return _Series(
+        sources=sources,
+        stamps=time.values.astype("datetime64[ns]"),
+        utc_offset_h=[0.0 if utc_offset_h is None else utc_offset_h] * count,
+        averaging_s=np.zeros(count),
+        wavelength=nanometres,
+        values=values,
+        units=str(found_units),
+        origin=origin,
+        fwhm=None if fwhm is None else convert(fwhm, "nm").values,
+        max_gap_s=None if gap is None else float(convert(gap, "s")),
+        clock_uncertainty_s=None if clock is None else float(convert(clock, "s")),
+        attrs={key: value for key, value in data.attrs.items() if str(key).startswith("irradiance_")},
+    )
+
+
+def _axes(array: xr.DataArray, origin: str) -> tuple[xr.DataArray, xr.DataArray]:
+    """Return the time and the wavelength coordinate of a series."""
+    found = []
+    for names in ((IRRADIANCE_TIME, "time"), (IRRADIANCE_WAVELENGTH, "wavelength")):
+        name = next((name for name in names if name in array.dims and name in array.coords), None)
+        if name is None or array.ndim != 2:
+            msg = (
+                f"{origin}: 'irradiance' has dims {tuple(map(str, array.dims))}, expected a time and a "
+                f"wavelength with coordinates, named {IRRADIANCE_TIME!r} or 'time', "
+                f"{IRRADIANCE_WAVELENGTH!r} or 'wavelength'"
+            )
+            raise SchemaError(msg)
+        found.append(array[name])
+    if found[0].dtype.kind != "M" or found[0].isnull().any():
+        msg = f"{origin}: {found[0].name!r} has dtype {found[0].dtype}, expected datetime64 without NaT"
+        raise TimeError(msg)
+    return found[0], found[1]
+
+
+def _utc_middle(series: _Series, clock_offset_s: float, shift_s: _FloatArray) -> npt.NDArray[np.datetime64]:
+    seconds = clock_offset_s - np.asarray(series.utc_offset_h, np.float64) * 3600.0 + shift_s
+    times: npt.NDArray[np.datetime64] = series.stamps + np.rint(seconds * 1e9).astype("timedelta64[ns]")
+    return times
+
+
+def _refuse_duplicates(
+    series: _Series, times: npt.NDArray[np.datetime64], order: npt.NDArray[np.intp]
+) -> None:
+    twice = np.flatnonzero(np.diff(times[order]) == np.timedelta64(0, "ns"))
+    if not len(twice):
+        return
+    problems = Problems(
+        "samples of one series have the same time stamp; leave one of each pair out, or write a csv series "
+        "with finer stamps",
+        TimeError,
+    )
+    shown = twice[:_MOST_SHOWN]
+    for first, second in zip(order[shown], order[shown + 1], strict=True):
+        same = np.array_equal(series.values[first], series.values[second], equal_nan=True)
+        remark = " (the same spectrum twice)" if same else ""
+        problems.add(f"{series.stamps[second]}: {series.sources[first]} and {series.sources[second]}{remark}")
+    if len(twice) > len(shown):
+        problems.add(f"... ({len(twice)} pairs in all)")
+    problems.raise_if_any()
+
+
+def _in_float32_range(series: _Series, order: npt.NDArray[np.intp], factor: float) -> _FloatArray:
+    """Return the ordered values in the units of the table; refuse numbers that only damage writes."""
+    raw = series.values[order]
+    with np.errstate(over="ignore"):
+        values: _FloatArray = raw * factor
+    lost = np.isfinite(raw) & ~(np.abs(values) <= np.finfo(np.float32).max)
+    if lost.any():
+        where = listed([series.sources[place] for place in order[lost.any(axis=1)]])
+        msg = f"irradiance up to {np.abs(raw[lost]).max():.3g} {series.units}; is the file damaged? {where}"
+        raise FormatError(msg)
+    return values
+
+
+def _dataset(
+    series: _Series,
+    times: npt.NDArray[np.datetime64],
+    values: _FloatArray,
+    fwhm_nm: float | None,
+    max_gap_s: float | None,
+) -> xr.Dataset:
+    fwhm = series.fwhm if fwhm_nm is None else fwhm_nm
+    if fwhm is None:
+        msg = f"{series.origin} does not say the spectrometer's resolution; pass fwhm_nm="
+        raise SchemaError(msg)
+    gap_s = series.max_gap_s if max_gap_s is None else max_gap_s
+    if gap_s is None:
+        if len(times) < 2:
+            msg = f"a single irradiance sample ({series.origin}) has no interval; pass max_gap_s="
+            raise TimeError(msg)
+        gap_s = _GAP_INTERVALS * float(np.median(np.diff(times).astype(np.int64))) / 1e9
+    dims = (IRRADIANCE_TIME, IRRADIANCE_WAVELENGTH)
+    width = np.asarray(fwhm, np.float64)
+    if width.shape not in ((), series.wavelength.shape) or not np.all(width > 0):
+        msg = f"{series.origin}: irradiance_fwhm must be one positive number, or one per wavelength"
+        raise SchemaError(msg)
+    return xr.Dataset(
+        {
+            "irradiance": label(xr.DataArray(values.astype(np.float32), dims=dims), "irradiance"),
+            "irradiance_fwhm": label(
+                xr.DataArray(width, dims=dims[1:] if width.ndim else ()), "irradiance_fwhm"
+            ),
+            "irradiance_max_gap": label(xr.DataArray(np.float64(gap_s)), "irradiance_max_gap"),
+        },
+        coords={
+            IRRADIANCE_TIME: (IRRADIANCE_TIME, times, VARIABLES[IRRADIANCE_TIME].attrs),
+            IRRADIANCE_WAVELENGTH: (
+                IRRADIANCE_WAVELENGTH,
+                series.wavelength,
+                VARIABLES[IRRADIANCE_WAVELENGTH].attrs,
+            ),
+        },
+        attrs={
+            "irradiance_srf_shape": "gaussian",
+            **series.attrs,
+            "irradiance_source": series.origin,
+            "irradiance_fwhm_source": series.fwhm_source if fwhm_nm is None else "given by the user",
+        },
+    )

@@ -1,0 +1,502 @@
+"""The memory a run takes, known before it starts.
+
+Memory is modelled, not measured: a fixed share, the calibration and matched spectra that every task reads,
+and for every thread the slabs of lines it has in hand. Peaks measured at 272 x 640 and
+136 x 320 elements, with 1 to 4 threads and 32 to 128 lines a task, lay 5 to 17 % below the model with kernels
+compiled before; `MARGIN` comes on top.
+
+Where the address space is limited as well (``ulimit -v``, some batch systems), more is needed than what
+becomes resident: stacks, and the arenas that glibc reserves for every thread. `HELPER_SPACE` and
+`THREAD_SPACE` are what was measured of it.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import os
+import threading
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from hyperpaint.base.errors import Problems, SchemaError, StoreError
+from hyperpaint.base.schema import ALONG_TRACK, BAND, CHUNK_LINES, CROSS_TRACK, IRRADIANCE_TIME
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+__all__ = [
+    "HELPER_SPACE",
+    "MARGIN",
+    "PROCESS",
+    "RUNNING",
+    "THREAD_SPACE",
+    "USABLE",
+    "WORKER",
+    "Demand",
+    "Load",
+    "available_memory",
+    "check_memory",
+    "fit",
+    "limited_threads",
+    "parse_size",
+    "process_limit",
+    "resident_memory",
+    "size_text",
+    "thread_count",
+    "thread_space",
+]
+
+RUNNING = 100 * 10**6
+"""Bytes that kernels, codecs and the writer add to what is resident once a collect is open."""
+
+PROCESS = 330 * 10**6
+"""Bytes of a process that did nothing else before, kernels compiled in it, without any slab."""
+
+WORKER = 380 * 10**6
+"""Bytes of a worker of dask.distributed, without any slab."""
+
+SLABS_IN_HAND = 2
+"""Slabs of a thread: one is made while another waits for its last chunk to be stored."""
+
+ENCODED_COPIES = 1.5
+"""Encoding a chunk takes room for the worst case, and a copy of what came out."""
+
+TASK_BYTES = 16_000
+"""Graph of one slab."""
+
+MARGIN = 1.1
+"""Needed is what the model says, and a tenth more."""
+
+USABLE = 0.8
+"""Share of the available memory that a run takes when it is given no limit."""
+
+HELPER_SPACE = 48 * 2**20
+"""Address space of each thread that zarr starts for its files, beyond what becomes resident.
+
+They are up to four more than there are processors. On two processors, with six of them and the event loop,
+runs that became resident with 172 MiB (one thread) and 270 MiB (two) failed within 400 and 550 MiB of address
+space, and passed within 550 and 700.
+"""
+
+THREAD_SPACE = 72 * 2**20
+"""Address space of a thread that computes, beyond its slabs: a stack of 8 MiB, an arena of 64 MiB."""
+
+SMILE_STEP = 0.5
+"""Distance of the shifts at which matched irradiance is kept [nm]."""
+
+
+@dataclass(frozen=True)
+class Load:
+    """What one flight line asks of memory; all in bytes.
+
+    Attributes
+    ----------
+    scan_line
+        Counts and float32 product of one scan line.
+    light
+        Irradiance of one scan line while it is interpolated.
+    encoded
+        The chunk that is encoded, of the widest stored cube, and its result.
+    shared
+        Calibration, darks and matched spectra, which all tasks read.
+    lines
+        Scan lines of the flight line.
+
+    Examples
+    --------
+    >>> load = Load(scan_line=1_044_480, light=34_816, encoded=33_423_360, shared=4_000_000, lines=640)
+    >>> load.peak(lines=32, threads=2, fixed=270_000_000) // 10**6
+    479
+    """
+
+    scan_line: int
+    light: int
+    encoded: int
+    shared: int
+    lines: int
+
+    @classmethod
+    def of(cls, line: xr.Dataset) -> Load:
+        """Return the load of a flight line as `open_flightline` returns it."""
+        import numpy as np
+
+        cube = line["counts"] if "counts" in line else line["radiance"]
+        samples = cube.sizes[BAND] * cube.sizes[CROSS_TRACK]
+        single = np.dtype(np.float32).itemsize
+        cells = _smile_cells(line)
+        cubic = line.sizes[BAND] * cells * 4 * np.dtype(np.float64).itemsize
+        small = sum(v.nbytes for v in line.variables.values() if ALONG_TRACK not in v.dims or v.ndim == 1)
+        return cls(
+            scan_line=samples * (cube.dtype.itemsize + single),
+            light=4 * cubic,
+            encoded=int(ENCODED_COPIES * min(CHUNK_LINES, cube.sizes[ALONG_TRACK]) * samples * single),
+            # once as it was read, once as the tasks take it
+            shared=2 * (small + line.sizes.get(IRRADIANCE_TIME, 0) * cubic),
+            lines=cube.sizes[ALONG_TRACK],
+        )
+
+    def peak(self, *, lines: int, threads: int, fixed: int) -> int:
+        """Return the modelled peak [byte] at ``lines`` a task; ``fixed`` is there without any slab."""
+        slabs = math.ceil(self.lines / lines)
+        slab = min(lines, self.lines) * (self.scan_line + self.light)
+        a_thread = min(SLABS_IN_HAND, slabs) * slab + self.encoded
+        return fixed + self.shared + TASK_BYTES * slabs + min(threads, slabs) * a_thread
+
+
+def _smile_cells(line: xr.Dataset) -> int:
+    """Return how many pieces the smile is cut into, or a large number where it is not at hand."""
+    if "wavelength_shift" not in line.variables:
+        return 1
+    variable = line.variables["wavelength_shift"]
+    if variable.chunks is not None:
+        return 16
+    values = variable.values
+    return 1 + math.ceil(float(values.max() - values.min()) / SMILE_STEP) if values.size else 1
+
+
+@dataclass(frozen=True)
+class Demand:
+    """How a run is done so that it stays within its memory.
+
+    Attributes
+    ----------
+    lines
+        Scan lines a task.
+    threads
+        Threads at once, in one process.
+    needed
+        Peak memory of that process, margin included [byte].
+    """
+
+    lines: int
+    threads: int
+    needed: int
+
+
+def fit(
+    loads: Mapping[str, Load],
+    *,
+    lines: int,
+    threads: int,
+    fixed: int,
+    limit: int | None,
+    least_threads: int = 1,
+    a_thread: int = 0,
+) -> Demand:
+    """Return lines a task and threads with which every flight line stays within a limit.
+
+    Lines are halved first, down to the 32 of a storage chunk, then threads are taken away one by one.
+
+    Parameters
+    ----------
+    loads
+        Name of a flight line to its load; lines are processed one after the other.
+    lines, threads
+        What is wished for.
+    fixed
+        Memory there is without any slab [byte].
+    limit
+        Most memory of the process [byte]; None for no limit.
+    least_threads
+        Threads that there are at least.
+    a_thread
+        What each thread takes besides its slabs [byte]; see `thread_space`.
+
+    Raises
+    ------
+    StoreError
+        Not even the fewest threads with 32 lines a task stay within the limit.
+
+    Examples
+    --------
+    >>> load = Load(scan_line=1_044_480, light=34_816, encoded=33_423_360, shared=4_000_000, lines=6400)
+    >>> fit({"raw_0": load}, lines=256, threads=4, fixed=270 * 10**6, limit=600 * 10**6)
+    Demand(lines=32, threads=2, needed=530416268)
+    """
+
+    def demand(lines: int, threads: int) -> Demand:
+        peaks = [load.peak(lines=lines, threads=threads, fixed=fixed) for load in loads.values()]
+        return Demand(lines, threads, int(MARGIN * max(peaks, default=0)) + threads * a_thread * bool(peaks))
+
+    found = demand(lines, threads)
+    if limit is None:
+        return found
+    while found.needed > limit and found.lines > CHUNK_LINES:
+        found = demand(max(CHUNK_LINES, found.lines // 2), found.threads)
+    while found.needed > limit and found.threads > least_threads:
+        found = demand(found.lines, found.threads - 1)
+    if found.needed > limit:
+        worst = max(loads, key=lambda name: loads[name].peak(lines=found.lines, threads=1, fixed=fixed))
+        mend = "fewer threads a worker, " if least_threads > 1 else ""
+        which = "the limit of the address space (ulimit -v)" if a_thread else "the memory limit"
+        msg = (
+            f"/{worst} needs {size_text(found.needed)} of memory with {_counted(found.threads, 'thread')} "
+            f"and {found.lines} lines a task, the fewest possible, but {size_text(limit)} may be taken; "
+            f"{mend}end other programs, raise {which}, or take a larger machine"
+        )
+        raise StoreError(msg)
+    return found
+
+
+# --- what there is -----------------------------------------------------------------------------------------
+
+
+def parse_size(size: str | int) -> int:
+    """Return a size such as ``"2 GiB"`` in bytes.
+
+    Raises
+    ------
+    SchemaError
+        It is no positive size.
+
+    Examples
+    --------
+    >>> parse_size("2 GiB"), parse_size("500 MB"), parse_size(4096)
+    (2147483648, 500000000, 4096)
+    """
+    from dask.utils import parse_bytes
+
+    try:
+        # without a number dask would take one
+        found = int(parse_bytes(size)) if any(map(str.isdigit, str(size))) else 0
+    except (ValueError, OverflowError, TypeError, AttributeError):
+        found = 0
+    if found <= 0:
+        msg = f"{size!r} is no size of memory; expected bytes, or text such as '2 GiB' or '500 MB'"
+        raise SchemaError(msg)
+    return found
+
+
+def available_memory(system: Path = Path("/")) -> int | None:
+    """Return the memory that can still be taken [byte]; None if unknown.
+
+    The least of what the machine, its container and the limit of this process's address space leave; of the
+    last, what helper threads reserve is taken off first.
+
+    Parameters
+    ----------
+    system
+        Where ``proc`` and ``sys`` are.
+    """
+    found = [_shared_memory(system), _address_space(system)]
+    return min((max(0, each) for each in found if each is not None), default=None)
+
+
+def _shared_memory(system: Path) -> int | None:
+    """Return what the machine and its container leave: other programs take of it as well."""
+    found = [_machine_memory(system), *_container_memory(system)]
+    return min((each for each in found if each is not None), default=None)
+
+
+def process_limit(resident: int, limit: int | None = None) -> int | None:
+    """Return the most memory that this process may take [byte]; None for no limit.
+
+    Parameters
+    ----------
+    resident
+        What it holds now [byte].
+    limit
+        Given by the user, in place of `USABLE` of what is available; a limit of the address space, which no
+        other program shares, holds besides.
+    """
+    shared, space = _shared_memory(Path("/")), _address_space(Path("/"))
+    if limit is None and shared is not None:
+        limit = resident + int(USABLE * max(0, shared))
+    if space is None:
+        return limit
+    most = resident + max(0, space)
+    return most if limit is None else min(limit, most)
+
+
+def thread_space() -> int:
+    """Return the address space that a computing thread takes besides its slabs [byte]; 0 without a limit."""
+    return 0 if _address_limit() is None else THREAD_SPACE
+
+
+def _address_limit() -> int | None:
+    try:
+        import resource
+    except ImportError:  # pragma: no cover - Windows
+        return None
+    limit = resource.getrlimit(resource.RLIMIT_AS)[0]
+    return None if limit == resource.RLIM_INFINITY else limit
+
+
+def _address_space(system: Path) -> int | None:
+    """Return the address space that is left to slabs; None without a limit, or where its use is not known."""
+    limit, pages = _address_limit(), _read(system / "proc/self/statm").split()
+    if limit is None or not pages:
+        return None
+    # zarr's threads are those of asyncio; what runs already has its space
+    running = sum(thread.name.startswith(("asyncio_", "zarr_io")) for thread in threading.enumerate())
+    helpers = max(0, min(32, (os.cpu_count() or 1) + 4) + 1 - running)
+    return limit - int(pages[0]) * os.sysconf("SC_PAGE_SIZE") - helpers * HELPER_SPACE
+
+
+def _machine_memory(system: Path) -> int | None:
+    # free pages alone would leave out the cache of files, which gives way
+    for line in _read(system / "proc/meminfo").splitlines():
+        if line.startswith("MemAvailable:"):
+            return int(line.split()[1]) * 1024
+    try:
+        return os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
+    except (AttributeError, ValueError, OSError):
+        return None
+
+
+def _container_memory(system: Path) -> Iterable[int]:
+    """Yield what the control groups of this process (version 2 or 1), and those above them, leave."""
+    root = system / "sys/fs/cgroup"
+    for entry in _read(system / "proc/self/cgroup").splitlines():
+        number, _, rest = entry.partition(":")
+        controllers, _, path = rest.partition(":")
+        if number == "0":
+            base, limit, used = root, "memory.max", "memory.current"
+        elif "memory" in controllers.split(","):
+            base, limit, used = root / "memory", "memory.limit_in_bytes", "memory.usage_in_bytes"
+        else:
+            continue
+        inside = [part for part in path.split("/") if part not in ("", "..")]
+        for depth in range(len(inside) + 1):
+            folder = base.joinpath(*inside[:depth])
+            most, taken = _read(folder / limit).strip(), _read(folder / used).strip()
+            if most.isdigit() and taken.isdigit():
+                yield int(most) - int(taken) + _reclaimable(folder)
+
+
+def _reclaimable(group: Path) -> int:
+    for line in _read(group / "memory.stat").splitlines():
+        name, _, value = line.partition(" ")
+        if name in ("inactive_file", "total_inactive_file") and value.isdigit():
+            return int(value)
+    return 0
+
+
+def _read(path: Path) -> str:
+    try:
+        return path.read_text(encoding="ascii", errors="replace")
+    except OSError:
+        return ""
+
+
+def resident_memory() -> int:
+    """Return the memory this process holds now [byte]; 200 MB where the system does not say."""
+    pages = _read(Path("/proc/self/statm")).split()
+    return int(pages[1]) * os.sysconf("SC_PAGE_SIZE") if len(pages) > 1 else 200 * 10**6
+
+
+# --- threads -----------------------------------------------------------------------------------------------
+
+
+def thread_count() -> int:
+    """Return how many threads dask would take here."""
+    import dask
+    from dask.system import CPU_COUNT
+
+    if dask.config.get("scheduler", None) in ("sync", "synchronous", "single-threaded"):
+        return 1
+    pool = dask.config.get("pool", None)
+    return int(getattr(pool, "_max_workers", 0) or dask.config.get("num_workers", None) or CPU_COUNT)
+
+
+@contextlib.contextmanager
+def limited_threads(count: int | None) -> Iterator[None]:
+    """Let dask take no more threads than that; None leaves them as they are."""
+    import dask
+
+    if count is None or count >= thread_count():
+        yield
+        return
+    with dask.config.set(num_workers=count, pool=None):
+        yield
+
+
+def check_memory(dataset: xr.Dataset, subject: str) -> int | None:
+    """Return how many threads may store a dataset at once; refuse one of which not even one block fits.
+
+    Its dask chunks are as they are, so that only threads can be saved. No value is read.
+
+    Parameters
+    ----------
+    dataset
+        What is made of dask arrays counts; what is in memory does not. Cubes along the flight are computed
+        together, line by line; of the others, each alone.
+    subject
+        Names it in the error.
+
+    Returns
+    -------
+    int or None
+        None where nothing is known against any number.
+
+    Raises
+    ------
+    StoreError
+        One block is larger than the memory that is available; the figures are given.
+    """
+    cubes = [v for v in dataset.variables.values() if v.chunks and ALONG_TRACK in v.dims and v.ndim > 1]
+    available = available_memory()
+    if available is not None:
+        _check_blocks(dataset, available, subject)
+    if not cubes or available is None or not all(v.size for v in cubes):
+        return None
+    length = cubes[0].sizes[ALONG_TRACK]
+    a_line = [v.nbytes // length for v in cubes]
+    lines = max(max(v.chunksizes[ALONG_TRACK]) for v in cubes)
+    encoded = int(ENCODED_COPIES * min(CHUNK_LINES, length) * max(a_line))
+    surely = lines * sum(a_line) + encoded + thread_space()
+    if surely > available:
+        msg = (
+            f"{subject} needs {size_text(surely)} of memory for one dask chunk of {_counted(lines, 'line')}, "
+            f"but {size_text(available)} are available; take fewer lines a chunk (chunks={{'{ALONG_TRACK}': "
+            f"{CHUNK_LINES}}}), end other programs, or raise the memory limit"
+        )
+        raise StoreError(msg)
+    # what a cube alone is made from is taken to be half as large: 16-bit counts of a float32 product
+    alone = sum(size > max(a_line) // 4 for size in a_line) == 1
+    load = Load(sum(a_line) + alone * max(a_line) // 2, 0, encoded, 0, length)
+    resident, threads = resident_memory(), thread_count()
+    limit = process_limit(resident)
+    while threads > 1 and limit is not None:
+        peak = load.peak(lines=lines, threads=threads, fixed=resident + RUNNING)
+        if MARGIN * peak + threads * thread_space() <= limit:
+            break
+        threads -= 1
+    return threads
+
+
+def _check_blocks(dataset: xr.Dataset, available: int, subject: str) -> None:
+    """Refuse a dataset of which one block that is not of whole lines takes more than is available."""
+    problems = Problems(f"{subject} does not fit into {size_text(available)} of memory", StoreError)
+    for name, variable in dataset.variables.items():
+        if not variable.chunks or (ALONG_TRACK in variable.dims and variable.ndim > 1):
+            continue
+        block = math.prod(map(max, variable.chunks)) * variable.dtype.itemsize if variable.size else 0
+        if block + thread_space() > available:
+            sizes = tuple(map(max, variable.chunks))
+            problems.add(
+                f"{name!r} needs {size_text(block + thread_space())} for one dask chunk of {sizes}; take "
+                "smaller chunks, end other programs, or raise the memory limit"
+            )
+    problems.raise_if_any()
+
+
+# --- sizes ------------------------------------------------------------------------------------------------
+
+
+def size_text(size: int) -> str:
+    """Return a size for reading: MiB below one GiB.
+
+    Examples
+    --------
+    >>> size_text(3 * 2**30), size_text(5 * 2**20)
+    ('3.00 GiB', '5 MiB')
+    """
+    return f"{size / 2**30:.2f} GiB" if size >= 2**30 else f"{math.ceil(size / 2**20)} MiB"
+
+
+def _counted(number: int, noun: str) -> str:
+    return f"{number} {noun}{'' if number == 1 else 's'}"
