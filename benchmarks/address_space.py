@@ -38,7 +38,11 @@ IMPORTS = (
         "hyperpaint.io.store",
         "hyperpaint.kernels.radiometry",
     ),
-    *("hyperpaint.pipeline", "hyperpaint.pictures.plot", "hyperpaint.radiometry.counts_to_reflectance"),
+    *(
+        "hyperpaint.workflows.pipeline",
+        "hyperpaint.pictures.plot",
+        "hyperpaint.radiometry.counts_to_reflectance",
+    ),
 )
 
 

@@ -158,7 +158,7 @@ def distributed(lines: int = 2048) -> Iterator[Row]:
     from benchmarks.bench_pipeline import threads
     from benchmarks.common import THREADS, best_of, counts_store, scratch
     from hyperpaint.base.schema import CHUNK_LINES
-    from hyperpaint.pipeline import CLUSTER_LINES
+    from hyperpaint.workflows.pipeline import CLUSTER_LINES
 
     products = {
         "to_store(reflectance)": ["reflectance"],

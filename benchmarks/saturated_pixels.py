@@ -54,10 +54,10 @@ def trace_scene(seed: int, lines: int = 160, columns: int = 200, samples: int = 
 def exposed(traced: Any, sky: Any, exposure: float, seed: int, bands: int = 60) -> tuple[Any, dict[str, Any]]:
     """Return the flight line of a 12-bit camera, and what is true of its pixels."""
     import hyperpaint as hp
-    from hyperpaint.scene_rendering.products import counts_of
     from hyperpaint.simulation.camera import Camera
     from hyperpaint.simulation.rendering.bands import BandSet
     from hyperpaint.simulation.settings import SimulationSettings
+    from hyperpaint.workflows.rendering.products import counts_of
 
     settings = {"bands": bands, "columns": traced.sizes["cross_track"], "seed": seed, "smile_nm": 0.0}
     camera, whole = (Camera.of(SimulationSettings(**settings, bit_depth=bits)) for bits in (BITS, 16))

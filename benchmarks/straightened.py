@@ -36,8 +36,8 @@ def fly(folder: Path, wobble: str, *, lines: int = 1500, columns: int = COLUMNS,
     """Return a processed line, and the truth, of a flight over a checkerboard."""
     import xarray as xr
 
-    from hyperpaint.pipeline import process
     from hyperpaint.simulation import simulate_collect
+    from hyperpaint.workflows.pipeline import process
 
     collect = simulate_collect(
         folder / wobble, lines=lines, columns=columns, bands=4, scene="checkerboard", swath=columns * GSD,

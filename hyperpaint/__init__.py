@@ -51,7 +51,6 @@ if TYPE_CHECKING:
     from .io.spectrometers.panel_certificate import read_certificate
     from .io.spectrometers.svc import open_svc
     from .io.store import encoding, open_store, to_store, verify
-    from .laboratory import open_collect
     from .light.illumination import Tilt, match_irradiance
     from .light.sun import solar_position
     from .paints.mixing import mix_paints, sample_paints, shade_paints
@@ -66,14 +65,12 @@ if TYPE_CHECKING:
     from .pictures.plot_library import library_overview
     from .pictures.plot_spectra import spectrum, triptych
     from .pictures.plot_validation import validation_figure
-    from .pipeline import process
     from .radiometry.counts_to_reflectance import Panel, radiance, reflectance
     from .radiometry.smoothing import smooth
     from .radiometry.uncertainty import estimate_noise, mean_uncertainty
     from .regions import Region, Regions, read_regions, write_regions
     from .regions.proposals import Proposals, propose_regions
     from .report.store_report import write_report
-    from .scene_rendering import render_scene
     from .simulation import simulate_collect
     from .simulation.rendering.relighting import relight
     from .simulation.rendering.tracing import trace
@@ -81,6 +78,9 @@ if TYPE_CHECKING:
     from .surroundings.corrections import correct_light, remove_mirrored_sky
     from .surroundings.flags import flag
     from .validation import Validation, validate
+    from .workflows.laboratory import open_collect
+    from .workflows.pipeline import process
+    from .workflows.rendering import render_scene
 
 __version__ = "0.1.0"
 
@@ -116,7 +116,7 @@ _HOME = {
     "map_report": "geometry.orthorectification",
     "MapGrid": "geometry.orthorectification",
     "open_asd": "io.spectrometers.asd",
-    "open_collect": "laboratory",
+    "open_collect": "workflows.laboratory",
     "open_flightline": "io.flightline.flightline_opening",
     "open_irradiance": "io.spectrometers.irradiance",
     "open_library": "io.library",
@@ -126,7 +126,7 @@ _HOME = {
     "orthorectify": "geometry.orthorectification",
     "oxygen_residual": "alignment",
     "pick_regions": "pictures.picking",
-    "process": "pipeline",
+    "process": "workflows.pipeline",
     "Proposals": "regions.proposals",
     "propose_regions": "regions.proposals",
     "quicklook": "pictures.plot",
@@ -137,7 +137,7 @@ _HOME = {
     "reflectance": "radiometry.counts_to_reflectance",
     "relight": "simulation.rendering.relighting",
     "remove_mirrored_sky": "surroundings.corrections",
-    "render_scene": "scene_rendering",
+    "render_scene": "workflows.rendering",
     "rgb": "pictures.plot",
     "sample_paints": "paints.mixing",
     "search_library": "paints.paint_search",

@@ -98,7 +98,7 @@ def demo(ctx: click.Context, /, folder: Path, overwrite: bool, quiet: bool, **sh
     """
     import time
 
-    from .demonstration import PICTURE, STORE, run_demonstration
+    from .workflows.demonstration import PICTURE, STORE, run_demonstration
 
     begin = time.perf_counter()
     shown = is_watched(quiet)
@@ -223,8 +223,8 @@ def simulate(folder: Path, truth: bool, sweep: bool, overwrite: bool, quiet: boo
     regions.geojson (clean pixels of every paint that has enough, for signatures --regions) and collect.toml.
     What is not given has the simulator's default; every effect can be switched off.
     """
-    from .demonstration import refuse_foreign
     from .simulation import simulate_collect
+    from .workflows.demonstration import refuse_foreign
 
     given = {name: value for name, value in settings.items() if value is not None}
     if overwrite:
@@ -301,7 +301,7 @@ def calibrate(
     SWEEP.zarr holds counts (step, band, cross_track), dark_counts, step_wavelength, flux, capture_fraction,
     exposure_time, monochromator_fwhm and etendue, with units.
     """
-    from .laboratory import write_calibration
+    from .workflows.laboratory import write_calibration
 
     with progress_bar("calibrating", is_watched(quiet)) as shown:
         made = write_calibration(sweep, out, absolute=not relative, report=report, progress=shown, **options)
@@ -356,7 +356,7 @@ def process(collect: Path, out: Path, quiet: bool, **options: Any) -> None:
     Everything is checked before anything is written. An interrupted run is resumed by running it again; a
     store that is already complete is left as it is.
     """
-    from .pipeline import run
+    from .workflows.pipeline import run
 
     done = run(collect, out, progress=is_watched(quiet), **options)
     if not done.written:
@@ -452,7 +452,7 @@ def signatures(
     shadow or in a neighbour's light. Lines of which the store does not say where these are, as process leaves
     them, are looked at as a whole first; --no-flags does without.
     """
-    from .signature_files import table_of, write_signatures
+    from .workflows.signature_files import table_of, write_signatures
 
     smoothing = None if smooth is None else {"method": smooth, "window": window}
     limits = {name: options.pop(name) for name in ("diffuse", "glint", "shadow", "adjacency")}

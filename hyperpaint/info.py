@@ -319,7 +319,7 @@ def _settings(path: Path) -> Facts:
 
 def _collect(path: Path) -> Facts:
     from .io.collect.collect_opening import read_collect
-    from .laboratory import open_collect
+    from .workflows.laboratory import open_collect
 
     collect = read_collect(path, need_irradiance=False)
     lit = collect.irradiance is not None

@@ -117,7 +117,7 @@ def validate(
     are known; and what was not paired. Exit status 1 outside tolerance, or where a reference is missing that
     a region names, or a part has too few bands to judge.
     """
-    from .validation_files import check_table, validate_files, write_table
+    from .workflows.validation_files import check_table, validate_files, write_table
 
     if out is not None:
         check_table(out, overwrite=overwrite)

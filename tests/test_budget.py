@@ -21,7 +21,6 @@ from click.testing import CliRunner
 from strategies import flight
 
 import hyperpaint as hp
-from hyperpaint import pipeline
 from hyperpaint.base.errors import SchemaError, StoreError
 from hyperpaint.cli import main
 from hyperpaint.io.store import budget, room
@@ -40,6 +39,7 @@ from hyperpaint.io.store.budget import (
     thread_space,
 )
 from hyperpaint.io.store.room import check_disk, disk_needed
+from hyperpaint.workflows import pipeline
 
 MIB = 2**20
 ROOT = Path(__file__).resolve().parents[1]

@@ -12,9 +12,9 @@ import xarray as xr
 from click.testing import CliRunner
 
 import hyperpaint as hp
-from hyperpaint import demonstration
 from hyperpaint.cli import main
-from hyperpaint.demonstration import compare, refuse_foreign
+from hyperpaint.workflows import demonstration
+from hyperpaint.workflows.demonstration import compare, refuse_foreign
 
 SHAPE = ("--lines", "64", "--bands", "100", "--columns", "24")
 

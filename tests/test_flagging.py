@@ -13,14 +13,14 @@ import xarray as xr
 from click.testing import CliRunner, Result
 
 import hyperpaint as hp
-from hyperpaint import signature_files
 from hyperpaint import surroundings as scene_model
 from hyperpaint.base.quality_bits import Quality
 from hyperpaint.cli import main
 from hyperpaint.light.sun import diffuse_fraction, solar_position
-from hyperpaint.signature_files import write_signatures
 from hyperpaint.surroundings import flagging
 from hyperpaint.surroundings.flagging import flag_line, is_flagged
+from hyperpaint.workflows import signature_files
+from hyperpaint.workflows.signature_files import write_signatures
 
 LINES, BANDS, COLUMNS = 48, 24, 40
 NM = np.linspace(420.0, 980.0, BANDS)

@@ -9,10 +9,10 @@ import pytest
 import xarray as xr
 
 import hyperpaint as hp
-from hyperpaint import paint_closure
-from hyperpaint.demonstration import compare
-from hyperpaint.paint_closure import compare_paints, signature_problems, signature_table
 from hyperpaint.simulation.rendering.pigments import paint_spec
+from hyperpaint.workflows import paint_closure
+from hyperpaint.workflows.demonstration import compare
+from hyperpaint.workflows.paint_closure import compare_paints, signature_problems, signature_table
 
 BANDS = (420.0, 980.0)
 

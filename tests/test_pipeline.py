@@ -13,7 +13,7 @@ import pytest
 import xarray as xr
 
 import hyperpaint as hp
-from hyperpaint.pipeline import run
+from hyperpaint.workflows.pipeline import run
 
 
 @pytest.fixture(scope="module")

@@ -19,9 +19,9 @@ import hyperpaint as hp
 from hyperpaint.base.errors import FormatError, SchemaError, StoreError
 from hyperpaint.cli import main
 from hyperpaint.io.store import list_groups
-from hyperpaint.scene_rendering import products
 from hyperpaint.simulation.camera import Camera
 from hyperpaint.simulation.settings import SimulationSettings
+from hyperpaint.workflows.rendering import products
 
 Hyperpaint = Callable[..., Result]
 
@@ -369,7 +369,7 @@ def test_problems_are_one_message_and_status_2(hyperpaint: Hyperpaint, tmp_path:
 
 
 def test_the_example_is_printed_and_help_teaches(hyperpaint: Hyperpaint) -> None:
-    from hyperpaint.scene_rendering.example import EXAMPLE
+    from hyperpaint.workflows.rendering.example import EXAMPLE
 
     assert hyperpaint("render", "--example").stdout == EXAMPLE
     shown = hyperpaint("render", "--help").stdout

@@ -16,8 +16,8 @@ import pytest
 import xarray as xr
 
 import hyperpaint as hp
-from hyperpaint.pipeline import process
 from hyperpaint.simulation import simulate_collect
+from hyperpaint.workflows.pipeline import process
 
 ROOT = Path(__file__).resolve().parents[1]
 pytestmark = pytest.mark.skipif(

@@ -43,7 +43,7 @@ _NOBODY = 65534
 _DONE, _REFUSED = 0, 3
 _CONTEXT = multiprocessing.get_context("forkserver")
 _CONTEXT.set_forkserver_preload(
-    ["xarray", "dask.array", "zarr", "hyperpaint", "hyperpaint.pipeline", __name__]
+    ["xarray", "dask.array", "zarr", "hyperpaint", "hyperpaint.workflows.pipeline", __name__]
 )
 
 

@@ -10,7 +10,7 @@ import pytest
 
 import hyperpaint as hp
 from hyperpaint.base.errors import CollectError
-from hyperpaint.pipeline import run
+from hyperpaint.workflows.pipeline import run
 
 
 @pytest.fixture(scope="module")

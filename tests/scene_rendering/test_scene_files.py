@@ -14,9 +14,9 @@ from hypothesis import strategies as st
 
 from hyperpaint.base.errors import FormatError, SchemaError
 from hyperpaint.io.spectrometers.spectrum_csv import read_spectrum_csv
-from hyperpaint.scene_rendering.example import EXAMPLE
-from hyperpaint.scene_rendering.scene_files import SceneFile, read_scene_file
-from hyperpaint.scene_rendering.scene_parts import build_parts, chosen_atmospheres
+from hyperpaint.workflows.rendering.example import EXAMPLE
+from hyperpaint.workflows.rendering.scene_files import SceneFile, read_scene_file
+from hyperpaint.workflows.rendering.scene_parts import build_parts, chosen_atmospheres
 
 SMALL = """\
 [scene]

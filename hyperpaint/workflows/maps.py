@@ -5,10 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from .base.attitude_conventions import Convention
-from .base.errors import MissingExtraError, SchemaError
-from .geometry.georeference import PinholeCamera
-from .geometry.orthorectification import orthorectify
+from hyperpaint.base.attitude_conventions import Convention
+from hyperpaint.base.errors import MissingExtraError, SchemaError
+from hyperpaint.geometry.georeference import PinholeCamera
+from hyperpaint.geometry.orthorectification import orthorectify
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -83,17 +83,17 @@ def write_map(made: xr.Dataset, path: Path, *, overwrite: bool = False, progress
         A GeoTIFF needs rasterio (extra ``geo``).
     """
     if path.suffix.lower() in (".tif", ".tiff"):
-        from .io.maps.geotiff import write_geotiff
+        from hyperpaint.io.maps.geotiff import write_geotiff
 
         write_geotiff(made, path, overwrite=overwrite)
         return
-    from .io.store import to_store
+    from hyperpaint.io.store import to_store
 
     to_store(made, path, overwrite=overwrite, progress=progress)
 
 
 def _line_of(store: Path, line: str | None) -> xr.Dataset:
-    from .io.store import list_groups, open_store
+    from hyperpaint.io.store import list_groups, open_store
 
     prefix = "flightlines/"
     lines = [group.removeprefix(prefix) for group in list_groups(store) if group.startswith(prefix)]

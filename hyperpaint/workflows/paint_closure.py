@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
-from .base.schema import ALONG_TRACK, BAND, CHUNK_LINES, CROSS_TRACK
+from hyperpaint.base.schema import ALONG_TRACK, BAND, CHUNK_LINES, CROSS_TRACK
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -93,7 +93,7 @@ def compare_paints(store: Path, truth: Path, bands: tuple[float, float]) -> tupl
     """
     import xarray as xr
 
-    from .io.store import list_groups
+    from hyperpaint.io.store import list_groups
 
     known = xr.open_zarr(truth)
     attrs = known["paint_id"].attrs
@@ -171,7 +171,7 @@ class _Signature:
 
 def _field_spectra(folder: Path, wavelength: Floats) -> dict[str, Floats]:
     """Return what the field spectrometer saw of every paint, at the bands of the camera."""
-    from .io.spectrometers.asd import open_asd
+    from hyperpaint.io.spectrometers.asd import open_asd
 
     seen = open_asd(folder)
     at = seen["wavelength"].values

@@ -13,12 +13,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from .base.errors import Problems, SchemaError, StoreError
+from hyperpaint.base.errors import Problems, SchemaError, StoreError
 
 if TYPE_CHECKING:
     import xarray as xr
 
-    from .validation import Validation
+    from hyperpaint.validation import Validation
 
 __all__ = ["check_table", "validate_files", "write_table"]
 
@@ -56,11 +56,11 @@ def validate_files(
     FormatError, SchemaError, StoreError, UnitsError
         Something cannot be read, or as `hyperpaint.validate`.
     """
-    from .io.library import open_library
-    from .io.spectrometers.panel_certificate import read_certificate
-    from .io.spectrometers.reference_files import open_references
-    from .io.spectrometers.reference_pairs import read_pairs
-    from .validation import validate
+    from hyperpaint.io.library import open_library
+    from hyperpaint.io.spectrometers.panel_certificate import read_certificate
+    from hyperpaint.io.spectrometers.reference_files import open_references
+    from hyperpaint.io.spectrometers.reference_pairs import read_pairs
+    from hyperpaint.validation import validate
 
     signatures = open_library(library)
     named = None if pairs is None else read_pairs(pairs)
@@ -117,7 +117,7 @@ def write_table(found: Validation, path: str | os.PathLike[str], *, overwrite: b
     StoreError
         The table may not go there, or cannot be written.
     """
-    from .io.files.publishing import publish_file
+    from hyperpaint.io.files.publishing import publish_file
 
     path = Path(path)
     check_table(path, overwrite=overwrite)

@@ -11,14 +11,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from .base.errors import CollectError, MissingExtraError, Problems, StoreError
-from .io.store.listing import INPUTS
+from hyperpaint.base.errors import CollectError, MissingExtraError, Problems, StoreError
+from hyperpaint.io.store.listing import INPUTS
 
 if TYPE_CHECKING:
     import xarray as xr
     from distributed import Client
 
-    from .io.store.location import Location
+    from hyperpaint.io.store.location import Location
 
 __all__ = ["Outcome", "bars_on_stderr", "computing_on", "kept_groups", "local_folder"]
 
@@ -93,10 +93,10 @@ def kept_groups(
     StoreError
         Groups of other inputs stand where ours would, or beside them; all are listed.
     """
-    from .io.store import is_complete, open_store
-    from .io.store.listing import groups_above
-    from .io.store.location import Location
-    from .io.store.occupied import problems_above
+    from hyperpaint.io.store import is_complete, open_store
+    from hyperpaint.io.store.listing import groups_above
+    from hyperpaint.io.store.location import Location
+    from hyperpaint.io.store.occupied import problems_above
 
     if not out.exists():
         return []
@@ -124,8 +124,8 @@ def kept_groups(
 
 
 def _has_all_chunks(location: Location, group: str) -> bool:
-    from .io.store.listing import has_all_chunks
-    from .io.store.record import read_record
+    from hyperpaint.io.store.listing import has_all_chunks
+    from hyperpaint.io.store.record import read_record
 
     record = read_record(location, group)
     return record is not None and has_all_chunks(location, group, record)
@@ -147,7 +147,7 @@ def computing_on(address: str | None) -> Iterator[Client | None]:
     StoreError
         No worker comes.
     """
-    from .io.store.computing import client_in_force
+    from hyperpaint.io.store.computing import client_in_force
 
     if address is None:
         client = client_in_force()

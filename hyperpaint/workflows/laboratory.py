@@ -7,7 +7,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from .base.errors import SchemaError
+from hyperpaint.base.errors import SchemaError
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -43,8 +43,8 @@ def calibrate_sweep(
     PaintWarning
         As `hyperpaint.calibrate`.
     """
-    from .calibration import calibrate
-    from .io.flightline.sweep_store import open_sweep
+    from hyperpaint.calibration import calibrate
+    from hyperpaint.io.flightline.sweep_store import open_sweep
 
     sweep = open_sweep(path)
     try:
@@ -92,20 +92,20 @@ def write_calibration(
     StoreError
         The store cannot be written, or holds something else.
     """
-    from .io.store import to_store
+    from hyperpaint.io.store import to_store
 
     if Path(out).resolve() == Path(sweep).resolve():
         msg = f"{out} is the sweep itself; choose another path for the calibration"
         raise SchemaError(msg)
     if report is not None:
-        from .pictures.plot_calibration import check_picture
+        from hyperpaint.pictures.plot_calibration import check_picture
 
         check_picture(Path(report))
     made = calibrate_sweep(sweep, progress=progress, **options)
     to_store(made, Path(out), overwrite=overwrite)
     if report is not None:
-        from .io.flightline.sweep_store import open_sweep
-        from .pictures.plot_calibration import calibration_report
+        from hyperpaint.io.flightline.sweep_store import open_sweep
+        from hyperpaint.pictures.plot_calibration import calibration_report
 
         calibration_report(made, open_sweep(sweep), Path(report))
     return made
@@ -152,6 +152,6 @@ def open_collect(
     >>> sorted(tree.children), sorted(tree["flightlines"].children)
     (['calibration', 'flightlines', 'irradiance', 'references'], ['raw_0', 'raw_20'])
     """
-    from .io.collect.collect_opening import open_collect as opened
+    from hyperpaint.io.collect.collect_opening import open_collect as opened
 
     return opened(path, need_irradiance=need_irradiance, chunks=chunks, calibrate=calibrate_sweep)

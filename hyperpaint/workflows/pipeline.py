@@ -10,16 +10,17 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from .base.errors import CollectError, PaintError, Problems, SchemaError, StoreError
-from .base.schema import ALONG_TRACK, CHUNK_LINES, FORMAT_VERSION
-from .io.store.listing import INPUTS
+from hyperpaint.base.errors import CollectError, PaintError, Problems, SchemaError, StoreError
+from hyperpaint.base.schema import ALONG_TRACK, CHUNK_LINES, FORMAT_VERSION
+from hyperpaint.io.store.listing import INPUTS
+
 from .running import Outcome, bars_on_stderr, computing_on, kept_groups, local_folder
 
 if TYPE_CHECKING:
     import xarray as xr
     from distributed import Client
 
-    from .io.store.budget import Demand
+    from hyperpaint.io.store.budget import Demand
 
 __all__ = ["process", "run"]
 
@@ -130,10 +131,10 @@ def run(
     """Do what `process` does, and tell what was written; the arguments are those of `process`."""
     import xarray as xr
 
-    from .io.store import to_store
-    from .io.store.budget import limited_threads, parse_size
-    from .io.store.computing import errors_of_the_cluster
-    from .io.store.writer import check_room
+    from hyperpaint.io.store import to_store
+    from hyperpaint.io.store.budget import limited_threads, parse_size
+    from hyperpaint.io.store.computing import errors_of_the_cluster
+    from hyperpaint.io.store.writer import check_room
 
     _check_words(to, reflectance)
     out = local_folder(out, "process")
@@ -196,8 +197,8 @@ def _opened(
 
 def _groups(tree: xr.DataTree, collect: Path, parameters: Mapping[str, Any]) -> dict[str, xr.Dataset]:
     """Return the groups of a store as they were opened, each naming what it is made from."""
-    from .io.collect.collect_opening import read_collect
-    from .io.envi.envi_cubes import find_pair
+    from hyperpaint.io.collect.collect_opening import read_collect
+    from hyperpaint.io.envi.envi_cubes import find_pair
 
     entries = read_collect(collect, need_irradiance=parameters["to"] == "reflectance").flightlines
     cubes = {f"flightlines/{entry.id}": find_pair(entry.cube)[1] for entry in entries}
@@ -244,7 +245,7 @@ def _product(dataset: xr.Dataset, name: str, to: Product, kept: Kept) -> xr.Data
     if to == "radiance":
         made = dataset.paint.radiance()
         return made.drop_vars("radiance") if kept == "none" and "counts" in made else made
-    from .pictures.plot import overview
+    from hyperpaint.pictures.plot import overview
 
     made = dataset.paint.reflectance(keep_bits=KEPT_BITS)
     made["reflectance"].attrs["keep_bits"] = KEPT_BITS
@@ -259,7 +260,7 @@ def _rehearse(groups: Mapping[str, xr.Dataset], collect: str | Path, client: Cli
 
     On a cluster this also compiles the kernels once, where the workers share a cache.
     """
-    from .io.store.computing import RETRIES, errors_of_the_cluster
+    from hyperpaint.io.store.computing import RETRIES, errors_of_the_cluster
 
     options = {} if client is None else {"retries": RETRIES}
     problems = Problems(f"{collect} cannot be processed", CollectError)
@@ -280,7 +281,7 @@ def _rehearse(groups: Mapping[str, xr.Dataset], collect: str | Path, client: Cli
 
 def _demand(groups: Mapping[str, xr.Dataset], lines: int, client: Client | None, limit: int | None) -> Demand:
     """Return lines a task and threads that keep this process, or each worker, within its memory."""
-    from .io.store import budget
+    from hyperpaint.io.store import budget
 
     loads = {name: budget.Load.of(line) for name, line in groups.items() if ALONG_TRACK in line.dims}
     if client is None:

@@ -11,11 +11,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from .base.errors import MissingExtraError, StoreError
-from .base.schema import ALONG_TRACK, BAND, CHUNK_LINES, CROSS_TRACK
+from hyperpaint.base.errors import MissingExtraError, StoreError
+from hyperpaint.base.schema import ALONG_TRACK, BAND, CHUNK_LINES, CROSS_TRACK
+from hyperpaint.simulation.collect import CAMERA_SOFTWARE, MARKER, PARTS
+
 from .paint_closure import PaintAgreement, aligned, compare_paints, signature_problems, signature_table
 from .pipeline import run
-from .simulation.collect import CAMERA_SOFTWARE, MARKER, PARTS
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -172,7 +173,7 @@ def compare(store: Path, truth: Path) -> Comparison:
     """
     import xarray as xr
 
-    from .io.store import list_groups
+    from hyperpaint.io.store import list_groups
 
     known = xr.open_zarr(truth)
     names = str(known["surface"].attrs["flag_meanings"]).split()
@@ -338,7 +339,7 @@ def run_demonstration(
     SchemaError
         A size or the scene is out of range; all problems are listed.
     """
-    from .simulation import simulate_collect
+    from hyperpaint.simulation import simulate_collect
 
     refuse_foreign(folder, overwrite=overwrite)
     effects = EFFECTS if samples is None else {**EFFECTS, "samples": samples}
@@ -386,7 +387,7 @@ def _draw(store: Path, picture: Path, say: Callable[[str], None]) -> None:
     """Write a quicklook of the first line where matplotlib is installed; else say how to get it."""
     import xarray as xr
 
-    from .io.store import list_groups
+    from hyperpaint.io.store import list_groups
 
     group = next(name for name in list_groups(store) if name.startswith("flightlines/"))
     try:

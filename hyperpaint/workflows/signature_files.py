@@ -7,15 +7,15 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from .base.errors import PaintError, SchemaError, StoreError
-from .base.schema import Quality
-from .paints.signatures.gathering import part_of
-from .surroundings.flagging import Flagged, flag_line, is_flagged
+from hyperpaint.base.errors import PaintError, SchemaError, StoreError
+from hyperpaint.base.schema import Quality
+from hyperpaint.paints.signatures.gathering import part_of
+from hyperpaint.surroundings.flagging import Flagged, flag_line, is_flagged
 
 if TYPE_CHECKING:
     import xarray as xr
 
-    from .regions import Regions
+    from hyperpaint.regions import Regions
 
 __all__ = ["table_of", "write_signatures"]
 
@@ -78,9 +78,9 @@ def write_signatures(
         The store has no finished flight line of the regions; or the library cannot be written, or its store
         holds something else.
     """
-    from .io.store import to_store
-    from .paints.signatures import extract_signatures
-    from .regions import regions_from
+    from hyperpaint.io.store import to_store
+    from hyperpaint.paints.signatures import extract_signatures
+    from hyperpaint.regions import regions_from
 
     inside, around = Path(out).resolve(), Path(store).resolve()
     if inside == around or around in inside.parents:
@@ -116,8 +116,8 @@ def _lines(
     store: str | os.PathLike[str], wanted: tuple[str, ...]
 ) -> tuple[dict[str, xr.Dataset], frozenset[str]]:
     """Return the flight lines that are wanted, all if none is named, and which have flags."""
-    from .io.store import list_groups, open_store
-    from .radiometry.counts_to_reflectance import reflectance
+    from hyperpaint.io.store import list_groups, open_store
+    from hyperpaint.radiometry.counts_to_reflectance import reflectance
 
     groups = [group for group in list_groups(store) if group.startswith("flightlines/")]
     names = [group.removeprefix("flightlines/") for group in groups]
@@ -176,8 +176,8 @@ def _proposed(
     SchemaError
         There is none; what was refused is told.
     """
-    from .regions import Regions
-    from .regions.proposals import propose_regions
+    from hyperpaint.regions import Regions
+    from hyperpaint.regions.proposals import propose_regions
 
     # with several lines, names of paints begin with that of their line
     made = {}
@@ -199,7 +199,7 @@ def _proposed(
 
 
 def _excluded(keep: Sequence[str]) -> Quality:
-    from .paints.signatures import EXCLUDED
+    from hyperpaint.paints.signatures import EXCLUDED
 
     known = {str(flag.name).lower(): flag for flag in Quality}
     if unknown := [name for name in keep if name.lower() not in known]:

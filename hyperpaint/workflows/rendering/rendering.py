@@ -16,8 +16,8 @@ from hyperpaint.base.errors import Problems, SchemaError, StoreError
 from hyperpaint.base.schema import CHUNK_LINES, FORMAT_VERSION
 from hyperpaint.io.store.budget import size_text
 from hyperpaint.io.store.listing import INPUTS
-from hyperpaint.running import Outcome, bars_on_stderr, computing_on, kept_groups, local_folder
 from hyperpaint.simulation.rendering.scene_record import MOST_SAMPLES
+from hyperpaint.workflows.running import Outcome, bars_on_stderr, computing_on, kept_groups, local_folder
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -67,7 +67,7 @@ def render_scene(
     Parameters
     ----------
     path
-        A ``scene.toml``; see `hyperpaint.scene_rendering`.
+        A ``scene.toml``; see `hyperpaint.workflows.rendering`.
     out
         The store, a folder.
     samples

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hyperpaint.base.schema import CUBE, IRRADIANCE_TIME, IRRADIANCE_WAVELENGTH, VARIABLES
-from hyperpaint.pipeline import KEPT_BITS
+from hyperpaint.workflows.pipeline import KEPT_BITS
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -79,7 +79,7 @@ class Render:
         Returns
         -------
         xarray.Dataset
-            A flight line; see `hyperpaint.scene_rendering.render_scene`.
+            A flight line; see `hyperpaint.workflows.rendering.render_scene`.
 
         Raises
         ------

@@ -1,0 +1,5 @@
+"""Whole jobs from files to files: process, calibrate, extract, validate, map, render, demonstrate.
+
+Paths come in, finished stores go out: the only room where readers, physics and the simulator meet. For the
+command line and the top of the package.
+"""
