@@ -22,7 +22,7 @@ from strategies import flight
 
 import hyperpaint as hp
 from hyperpaint.base.errors import SchemaError, StoreError
-from hyperpaint.cli import main
+from hyperpaint.cli.program import main
 from hyperpaint.io.store import budget, room
 from hyperpaint.io.store.budget import (
     HELPER_SPACE,

@@ -15,7 +15,7 @@ import xarray as xr
 from click.testing import CliRunner, Result
 
 import hyperpaint as hp
-from hyperpaint.cli import main
+from hyperpaint.cli.program import main
 
 Hyperpaint = Callable[..., Result]
 
@@ -78,7 +78,7 @@ def test_version_and_help_teach(hyperpaint: Hyperpaint) -> None:
 
 def test_help_loads_nothing_heavy() -> None:
     heavy = ("numba", "zarr", "dask", "scipy", "pint", "matplotlib", "distributed")
-    code = f"import sys, hyperpaint.cli; sys.exit(', '.join(n for n in {heavy} if n in sys.modules) or 0)"
+    code = f"import sys, hyperpaint.cli.program; sys.exit(', '.join(n for n in {heavy} if n in sys.modules) or 0)"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)
     assert done.returncode == 0, done.stderr
 

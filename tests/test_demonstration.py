@@ -12,7 +12,7 @@ import xarray as xr
 from click.testing import CliRunner
 
 import hyperpaint as hp
-from hyperpaint.cli import main
+from hyperpaint.cli.program import main
 from hyperpaint.workflows import demonstration
 from hyperpaint.workflows.demonstration import compare, refuse_foreign
 

@@ -11,7 +11,7 @@ import xarray as xr
 from click.testing import CliRunner, Result
 
 import hyperpaint as hp
-from hyperpaint.cli import main
+from hyperpaint.cli.program import main
 from hyperpaint.io.dirsig import open_emissivity, read_materials
 from hyperpaint.io.library import open_library
 

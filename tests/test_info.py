@@ -10,7 +10,7 @@ import xarray as xr
 from library_examples import make_library
 
 import hyperpaint as hp
-from hyperpaint.info import describe_path
+from hyperpaint.cli.info import describe_path
 
 
 @pytest.fixture

@@ -11,7 +11,7 @@ from click.testing import CliRunner
 from flown_lines import fly, located
 
 import hyperpaint as hp
-from hyperpaint.cli import main
+from hyperpaint.cli.program import main
 
 
 @pytest.fixture

@@ -10,7 +10,7 @@ import xarray as xr
 from click.testing import CliRunner
 
 import hyperpaint as hp
-from hyperpaint.cli import main
+from hyperpaint.cli.program import main
 
 
 def run(*arguments: object, status: int = 0) -> str:

@@ -14,7 +14,7 @@ from click.testing import CliRunner
 from hyperpaint import calibrate
 from hyperpaint.base.errors import MissingExtraError, PaintWarning, SchemaError
 from hyperpaint.calibration.line_samples import fitted_lines
-from hyperpaint.cli import main
+from hyperpaint.cli.program import main
 from hyperpaint.pictures.plot_calibration import calibration_report, check_picture
 from hyperpaint.simulation import simulate_sweep
 

@@ -14,7 +14,7 @@ from click.testing import CliRunner
 
 import hyperpaint as hp
 from hyperpaint.base.errors import SchemaError
-from hyperpaint.cli import main
+from hyperpaint.cli.program import main
 from hyperpaint.light.sun import diffuse_fraction
 from hyperpaint.regions import pixels_of
 from hyperpaint.regions.proposals.footprints import hull_of

@@ -17,7 +17,7 @@ from click.testing import CliRunner, Result
 
 import hyperpaint as hp
 from hyperpaint.base.errors import FormatError, SchemaError, StoreError
-from hyperpaint.cli import main
+from hyperpaint.cli.program import main
 from hyperpaint.io.store import list_groups
 from hyperpaint.simulation.camera import Camera
 from hyperpaint.simulation.settings import SimulationSettings

@@ -18,7 +18,7 @@ from strategies import flight
 import hyperpaint as hp
 from hyperpaint.base.errors import SchemaError, StoreError
 from hyperpaint.base.schema import Quality
-from hyperpaint.cli import main
+from hyperpaint.cli.program import main
 from hyperpaint.report.markup import element, text
 
 pytest.importorskip("matplotlib")

@@ -11,7 +11,7 @@ from click.testing import CliRunner, Result
 
 import hyperpaint as hp
 from hyperpaint.base.errors import SchemaError, StoreError
-from hyperpaint.cli import main
+from hyperpaint.cli.program import main
 from hyperpaint.workflows.signature_files import write_signatures
 
 HOOD = hp.Region("hood", [(1, 2), (9, 2), (9, 12), (1, 12)], flightline="raw_0", properties={"make": "x"})

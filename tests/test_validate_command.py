@@ -13,7 +13,7 @@ from agreeing_spectra import NM, agreeing, field, library, seen, smooth
 from click.testing import CliRunner, Result
 
 import hyperpaint as hp
-from hyperpaint.cli import main
+from hyperpaint.cli.program import main
 from hyperpaint.simulation.paints import CAR_PAINTS
 
 

@@ -95,7 +95,7 @@ def _collect(path: Path) -> None:
 
 
 def _info(path: Path) -> None:
-    from hyperpaint.info import describe_path
+    from hyperpaint.cli.info import describe_path
 
     describe_path(path)
 
@@ -275,7 +275,7 @@ def warm_up() -> None:
         importlib.import_module(f"hyperpaint.io.{module}")
     for module in (
         "hyperpaint.io.store.guard",
-        "hyperpaint.info",
+        "hyperpaint.cli.info",
         "google_crc32c",
         "dask.array",
         "fsspec.core",

@@ -18,7 +18,7 @@ from svc_texts import GRID, MATCHED, PANEL, SURFACE, german, svc_text
 import hyperpaint as hp
 from hyperpaint.base.errors import FormatError, PaintWarning, SchemaError, TimeError
 from hyperpaint.base.units import conversion_factor
-from hyperpaint.info import describe_path
+from hyperpaint.cli.info import describe_path
 from hyperpaint.io.spectrometers.svc import SVC_JOINS, open_svc
 from hyperpaint.io.spectrometers.svc_fields import position_of
 from hyperpaint.io.spectrometers.svc_layout import is_svc, read_svc

@@ -10,7 +10,7 @@ import xarray as xr
 from click.testing import CliRunner
 
 import hyperpaint as hp
-from hyperpaint.cli import main
+from hyperpaint.cli.program import main
 from hyperpaint.simulation import SimulationSettings, simulate_collect, simulate_line
 from hyperpaint.simulation.checkerboard_flight import Checkerboard, CheckerboardFlight
 from hyperpaint.simulation.flight import PIXEL_ANGLE

@@ -13,7 +13,7 @@ import xarray as xr
 from click.testing import CliRunner, Result
 
 import hyperpaint as hp
-from hyperpaint.cli import main
+from hyperpaint.cli.program import main
 from hyperpaint.simulation import SimulationSettings, simulate_collect
 from hyperpaint.simulation.flight import Lines
 from hyperpaint.simulation.painted_regions import PaintedRectangles

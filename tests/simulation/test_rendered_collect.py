@@ -14,7 +14,7 @@ import xarray as xr
 from click.testing import CliRunner
 
 from hyperpaint.base.errors import SchemaError
-from hyperpaint.cli import main
+from hyperpaint.cli.program import main
 from hyperpaint.simulation import SimulationSettings, simulate_collect, simulate_line
 from hyperpaint.simulation.paints import MATERIALS
 from hyperpaint.simulation.rendered_flight import RenderedFlight

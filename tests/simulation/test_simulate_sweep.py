@@ -11,9 +11,9 @@ import pytest
 import xarray as xr
 from click.testing import CliRunner
 
-from hyperpaint import cli
 from hyperpaint.base.errors import SchemaError, StoreError
 from hyperpaint.base.schema import SWEEP_VARIABLES
+from hyperpaint.cli import program as cli
 from hyperpaint.simulation import (
     SimulationSettings,
     SweepSettings,

@@ -57,7 +57,7 @@ def make_report(
     then paint signatures and the calibration, where there are any. What cannot be read is named on the page
     and here, with exit status 1.
     """
-    from .report.store_report import write_report
+    from hyperpaint.report.store_report import write_report
 
     with progress_bar("drawing", is_watched(quiet)) as shown:
         done = write_report(store, out, flightlines=flightlines or None, progress=shown, **options)

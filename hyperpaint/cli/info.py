@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from .base.errors import FormatError, IncompleteStoreError, StoreError
-from .base.schema import ALONG_TRACK
-from .report.facts import (
+from hyperpaint.base.errors import FormatError, IncompleteStoreError, StoreError
+from hyperpaint.base.schema import ALONG_TRACK
+from hyperpaint.report.facts import (
     Facts,
     counted,
     facts_of_bands,
@@ -67,7 +67,7 @@ def describe_path(path: str | Path) -> str:
 
 
 def _file(path: Path) -> Facts:
-    from .io.spectrometers.asd import sniff
+    from hyperpaint.io.spectrometers.asd import sniff
 
     if path.suffix.lower() == ".toml":
         return _collect(path)
@@ -107,10 +107,10 @@ def _file(path: Path) -> Facts:
 
 
 def _envi(path: Path) -> Facts:
-    from .io.envi.envi_cubes import find_pair, open_envi
-    from .io.envi.envi_header import MAX_LIBRARY_HEADER_BYTES, read_header
-    from .io.flightline.headwall import exposure_seconds
-    from .io.navigation.eph_att import is_eph_att
+    from hyperpaint.io.envi.envi_cubes import find_pair, open_envi
+    from hyperpaint.io.envi.envi_header import MAX_LIBRARY_HEADER_BYTES, read_header
+    from hyperpaint.io.flightline.headwall import exposure_seconds
+    from hyperpaint.io.navigation.eph_att import is_eph_att
 
     header_path, data = find_pair(path)
     header = read_header(header_path, MAX_LIBRARY_HEADER_BYTES)
@@ -134,7 +134,7 @@ def _envi(path: Path) -> Facts:
 
 
 def _asd(path: Path) -> Facts:
-    from .io.spectrometers.asd_layout import read_asd
+    from hyperpaint.io.spectrometers.asd_layout import read_asd
 
     file = read_asd(path)
     yield "is", f"ASD spectrum, binary version {file.version}, {file.instrument} {file.instrument_number}"
@@ -157,8 +157,8 @@ def _asd(path: Path) -> Facts:
 
 
 def _svc(path: Path) -> Facts:
-    from .io.spectrometers.svc_fields import error_bits, overlap_of, pair, position_of
-    from .io.spectrometers.svc_layout import read_svc
+    from hyperpaint.io.spectrometers.svc_fields import error_bits, overlap_of, pair, position_of
+    from hyperpaint.io.spectrometers.svc_layout import read_svc
 
     file = read_svc(path)
     overlap = overlap_of(file.header)
@@ -180,7 +180,7 @@ def _svc(path: Path) -> Facts:
 
 
 def _asd_text(path: Path) -> Facts:
-    from .io.spectrometers.asd_text import read_asd_text
+    from hyperpaint.io.spectrometers.asd_text import read_asd_text
 
     text = read_asd_text(path)
     yield "is", f"text export of ASD spectra: {len(text.spectra)} spectra"
@@ -194,7 +194,7 @@ def _asd_text(path: Path) -> Facts:
 
 
 def _irradiance_csv(path: Path) -> Facts:
-    from .io.spectrometers.irradiance_csv import read_irradiance_csv
+    from hyperpaint.io.spectrometers.irradiance_csv import read_irradiance_csv
 
     found: Any = read_irradiance_csv(path)
     shape = np.shape(found.values)
@@ -212,7 +212,7 @@ def _spectra_if_any(path: Path) -> Facts:
 
 
 def _library(path: Path) -> Facts:
-    from .io.library import open_library
+    from hyperpaint.io.library import open_library
 
     library = open_library(path)
     form = library.attrs.get("format", library.attrs.get("layout", "paint library"))
@@ -235,7 +235,7 @@ def _named(library: Any) -> str:
 
 
 def _materials(path: Path) -> Facts:
-    from .io.dirsig import read_materials
+    from hyperpaint.io.dirsig import read_materials
 
     found = read_materials(path)
     yield "is", f"DIRSIG material list: {counted(len(found), 'material')}"
@@ -245,7 +245,7 @@ def _materials(path: Path) -> Facts:
 
 
 def _frame_index(path: Path) -> Facts:
-    from .io.flightline.headwall import read_frame_index
+    from hyperpaint.io.flightline.headwall import read_frame_index
 
     index = read_frame_index(path)
     frames = index.frame
@@ -255,7 +255,7 @@ def _frame_index(path: Path) -> Facts:
 
 
 def _navigation(path: Path) -> Facts:
-    from .io.navigation.navigation_records import read_imu_gps
+    from hyperpaint.io.navigation.navigation_records import read_imu_gps
 
     record = read_imu_gps(path)
     yield "is", f"navigation record: {record.rows.size} rows"
@@ -266,7 +266,7 @@ def _navigation(path: Path) -> Facts:
 
 
 def _is_pose_table(path: Path) -> bool:
-    from .io.navigation.navigation_csv import is_navigation_csv
+    from hyperpaint.io.navigation.navigation_csv import is_navigation_csv
 
     if path.suffix.lower() in (".sbet", ".lcf"):
         return True
@@ -281,7 +281,7 @@ def _is_pose_table(path: Path) -> bool:
 
 
 def _poses(path: Path) -> Facts:
-    from .io.navigation.navigation_opening import navigation_format, read_record
+    from hyperpaint.io.navigation.navigation_opening import navigation_format, read_record
 
     kind = navigation_format(path)
     if kind == "imu_gps":
@@ -306,7 +306,7 @@ def _poses(path: Path) -> Facts:
 
 
 def _settings(path: Path) -> Facts:
-    from .io.flightline.headwall import exposure_seconds, read_settings
+    from hyperpaint.io.flightline.headwall import exposure_seconds, read_settings
 
     pairs = read_settings(path)
     exposure = exposure_seconds(pairs, path.name)
@@ -318,8 +318,8 @@ def _settings(path: Path) -> Facts:
 
 
 def _collect(path: Path) -> Facts:
-    from .io.collect.collect_opening import read_collect
-    from .workflows.laboratory import open_collect
+    from hyperpaint.io.collect.collect_opening import read_collect
+    from hyperpaint.workflows.laboratory import open_collect
 
     collect = read_collect(path, need_irradiance=False)
     lit = collect.irradiance is not None
@@ -361,7 +361,7 @@ def _folder(path: Path) -> Facts:
 
 
 def _store(path: Path) -> Facts:
-    from .io.store import list_groups
+    from hyperpaint.io.store import list_groups
 
     groups = list_groups(path)
     if groups == [""]:
@@ -375,8 +375,8 @@ def _store(path: Path) -> Facts:
 
 def _group(path: Path, name: str) -> Facts:
     """Yield what a group holds, or why it must not be read."""
-    from .io.store import open_store, open_unverified
-    from .io.store.record import COMPLETE
+    from hyperpaint.io.store import open_store, open_unverified
+    from hyperpaint.io.store.record import COMPLETE
 
     try:
         group = open_store(path, name)

@@ -90,7 +90,7 @@ def list_paints(
     LIB is a library's Zarr store, as `signatures` writes it, or any file of spectra that hyperpaint reads;
     without it, the starter library. Several conditions must all be met.
     """
-    from .paints.paint_search import search_library
+    from hyperpaint.paints.paint_search import search_library
 
     if options["maximum_angle"] is not None and like is None:
         msg = "--maximum-angle needs --like"
@@ -107,13 +107,13 @@ def list_paints(
         return
     click.echo(_table(found))
     if out is not None:
-        from .io.library import write_library
+        from hyperpaint.io.library import write_library
 
         with progress_bar("writing", is_watched(quiet)) as shown:
             path = write_library(found, out, overwrite=overwrite, progress=shown)
         click.echo(f"saved in {path}")
     if picture is not None:
-        from .pictures.plot_library import library_overview
+        from hyperpaint.pictures.plot_library import library_overview
 
         library_overview(found, picture)
         click.echo(f"look at them in {picture}")
@@ -121,13 +121,13 @@ def list_paints(
 
 def _opened(library: Path | None, members: int | None) -> xr.Dataset:
     if library is None:
-        from .paints.starter_paints import starter_library
+        from hyperpaint.paints.starter_paints import starter_library
 
         return starter_library() if members is None else starter_library(members=members)
     if members is not None:
         msg = "--members is for the starter library; leave it out"
         raise click.UsageError(msg)
-    from .io.library import open_library
+    from hyperpaint.io.library import open_library
 
     return open_library(library)
 
@@ -141,16 +141,16 @@ def _spectrum(like: str | None, paints: xr.Dataset) -> Any:
         msg = f"--like {like!r} is no paint of the library and no file"
         raise click.UsageError(msg)
     if path.suffix.lower() == ".sig":
-        from .io.spectrometers.svc import open_svc
+        from hyperpaint.io.spectrometers.svc import open_svc
 
         return open_svc(path)
-    from .io.spectrometers.asd import sniff
+    from hyperpaint.io.spectrometers.asd import sniff
 
     if path.is_file() and sniff(path) == "binary":
-        from .io.spectrometers.asd import open_asd
+        from hyperpaint.io.spectrometers.asd import open_asd
 
         return open_asd(path)
-    from .io.library import open_library
+    from hyperpaint.io.library import open_library
 
     return open_library(path)
 

@@ -12,7 +12,8 @@ from typing import Any
 
 import click
 
-from . import __version__
+from hyperpaint import __version__
+
 from .console import FAILED_CHECK, Program, is_watched, listed, progress_bar
 from .export_command import export
 from .orthorectify_command import make_map
@@ -98,7 +99,7 @@ def demo(ctx: click.Context, /, folder: Path, overwrite: bool, quiet: bool, **sh
     """
     import time
 
-    from .workflows.demonstration import PICTURE, STORE, run_demonstration
+    from hyperpaint.workflows.demonstration import PICTURE, STORE, run_demonstration
 
     begin = time.perf_counter()
     shown = is_watched(quiet)
@@ -223,8 +224,8 @@ def simulate(folder: Path, truth: bool, sweep: bool, overwrite: bool, quiet: boo
     regions.geojson (clean pixels of every paint that has enough, for signatures --regions) and collect.toml.
     What is not given has the simulator's default; every effect can be switched off.
     """
-    from .simulation import simulate_collect
-    from .workflows.demonstration import refuse_foreign
+    from hyperpaint.simulation import simulate_collect
+    from hyperpaint.workflows.demonstration import refuse_foreign
 
     given = {name: value for name, value in settings.items() if value is not None}
     if overwrite:
@@ -301,7 +302,7 @@ def calibrate(
     SWEEP.zarr holds counts (step, band, cross_track), dark_counts, step_wavelength, flux, capture_fraction,
     exposure_time, monochromator_fwhm and etendue, with units.
     """
-    from .workflows.laboratory import write_calibration
+    from hyperpaint.workflows.laboratory import write_calibration
 
     with progress_bar("calibrating", is_watched(quiet)) as shown:
         made = write_calibration(sweep, out, absolute=not relative, report=report, progress=shown, **options)
@@ -356,7 +357,7 @@ def process(collect: Path, out: Path, quiet: bool, **options: Any) -> None:
     Everything is checked before anything is written. An interrupted run is resumed by running it again; a
     store that is already complete is left as it is.
     """
-    from .workflows.pipeline import run
+    from hyperpaint.workflows.pipeline import run
 
     done = run(collect, out, progress=is_watched(quiet), **options)
     if not done.written:
@@ -452,7 +453,7 @@ def signatures(
     shadow or in a neighbour's light. Lines of which the store does not say where these are, as process leaves
     them, are looked at as a whole first; --no-flags does without.
     """
-    from .workflows.signature_files import table_of, write_signatures
+    from hyperpaint.workflows.signature_files import table_of, write_signatures
 
     smoothing = None if smooth is None else {"method": smooth, "window": window}
     limits = {name: options.pop(name) for name in ("diffuse", "glint", "shadow", "adjacency")}
@@ -498,7 +499,7 @@ Example:
 @click.pass_context
 def verify(ctx: click.Context, /, store: Path) -> None:
     """Read every chunk of a store and compare it with its record; exit status 1 where one is wrong."""
-    from .io.store import verify as verify_store
+    from hyperpaint.io.store import verify as verify_store
 
     report = verify_store(store)
     click.echo(str(report))

@@ -117,12 +117,12 @@ def validate(
     are known; and what was not paired. Exit status 1 outside tolerance, or where a reference is missing that
     a region names, or a part has too few bands to judge.
     """
-    from .workflows.validation_files import check_table, validate_files, write_table
+    from hyperpaint.workflows.validation_files import check_table, validate_files, write_table
 
     if out is not None:
         check_table(out, overwrite=overwrite)
     if picture is not None:
-        from .pictures.plot_validation import check_picture
+        from hyperpaint.pictures.plot_validation import check_picture
 
         check_picture(picture)
     given = {name: value for name, value in options.items() if value is not None}
@@ -132,7 +132,7 @@ def validate(
         write_table(found, out, overwrite=overwrite)
         click.echo(f"all digits are in {out}")
     if picture is not None:
-        from .pictures.plot_validation import validation_figure
+        from hyperpaint.pictures.plot_validation import validation_figure
 
         validation_figure(found, picture)
         click.echo(f"look at it in {picture}")

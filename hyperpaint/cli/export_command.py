@@ -67,7 +67,7 @@ def export(library: Path, form: str, out: Path, overwrite: bool, quiet: bool, **
     For DIRSIG every paint becomes emissivity with many curves, so that a texture can draw from them, and a
     MATERIAL_ENTRY; README.txt beside them says how to add them to a scene.
     """
-    from .io.library import open_library, write_library
+    from hyperpaint.io.library import open_library, write_library
 
     given = {name: value for name, value in options.items() if value not in (None, False)}
     if given and form != "dirsig":
@@ -77,7 +77,7 @@ def export(library: Path, form: str, out: Path, overwrite: bool, quiet: bool, **
     paints = open_library(library)
     with progress_bar("writing", is_watched(quiet)) as shown:
         if form == "dirsig":
-            from .io.dirsig import write_dirsig
+            from hyperpaint.io.dirsig import write_dirsig
 
             made = write_dirsig(paints, out, overwrite=overwrite, progress=shown, **_options(given))
             click.echo(f"{out}: {made.sizes['paint']} paints, {int(made['curves'].sum())} curves")

@@ -14,7 +14,7 @@ __all__ = ["render"]
 
 def _print_example(ctx: click.Context, _: click.Parameter, wanted: bool) -> None:
     if wanted and not ctx.resilient_parsing:
-        from .workflows.rendering.example import EXAMPLE
+        from hyperpaint.workflows.rendering.example import EXAMPLE
 
         click.echo(EXAMPLE, nl=False)
         ctx.exit()
@@ -72,7 +72,7 @@ def render(scene: Path, out: Path, picture: Path | None, quiet: bool, **options:
     shadow, shares of sun, sky, glint and indirect light. Everything is checked before anything is written; an
     interrupted run is resumed by running it again, a store that is already complete is left as it is.
     """
-    from .workflows.rendering.rendering import run
+    from hyperpaint.workflows.rendering.rendering import run
 
     done = run(scene, out, progress=is_watched(quiet), **options)
     if not done.written:
@@ -82,7 +82,7 @@ def render(scene: Path, out: Path, picture: Path | None, quiet: bool, **options:
         if done.kept:
             click.echo(f"{out}: {listed(done.kept)} there already, from the same inputs")
     if picture is not None:
-        from .workflows.rendering.pictures import draw_renders
+        from hyperpaint.workflows.rendering.pictures import draw_renders
 
         draw_renders(out, (*done.written, *done.kept), picture)
         click.echo(f"look at it in {picture}")

@@ -85,7 +85,7 @@ def make_map(
     Reflectance comes along, computed from counts where the store has no other; into a store also flags, line
     times, view angles, and which line and column every cell shows. Nothing is averaged.
     """
-    from .workflows.maps import map_of_store, write_map
+    from hyperpaint.workflows.maps import map_of_store, write_map
 
     if out.suffix.lower() not in (".tif", ".tiff", ".zarr"):
         msg = f"--out {out}: expected a name that ends in .tif or .zarr"

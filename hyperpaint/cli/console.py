@@ -10,7 +10,7 @@ from typing import Any
 
 import click
 
-from .base.errors import PaintError, PaintWarning
+from hyperpaint.base.errors import PaintError, PaintWarning
 
 __all__ = ["FAILED_CHECK", "WRONG_INPUT", "Program", "is_watched", "listed", "progress_bar"]
 
