@@ -5,10 +5,10 @@ from __future__ import annotations
 import numba
 import numpy as np
 
-from hyperpaint.kernels.transport.blocks import Block, Rays, Sources
-from hyperpaint.kernels.transport.hierarchy import Geometry, build_geometry
-from hyperpaint.kernels.transport.paths import trace_lines
-from hyperpaint.kernels.transport.surfaces import Surfaces, internal_reflectance
+from hyperpaint.simulation.transport.blocks import Block, Rays, Sources
+from hyperpaint.simulation.transport.hierarchy import Geometry, build_geometry
+from hyperpaint.simulation.transport.paths import trace_lines
+from hyperpaint.simulation.transport.surfaces import Surfaces, internal_reflectance
 
 #: False where the tests run as plain Python, some hundred times slower.
 COMPILED = not numba.config.DISABLE_JIT

@@ -17,7 +17,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hyperpaint.base.errors import SchemaError
-from hyperpaint.kernels.transport.paths import Block
 
 from .ellipsoid import TransverseMercator
 from .flight import PIXEL_ANGLE, Flight, Layer, Lines
@@ -35,6 +34,7 @@ from .rendering.tracing import PreparedScene, prepare_scene, trace_block
 from .rendering.truth_layers import LabelTables
 from .scenes import SWATH
 from .settings import SimulationSettings
+from .transport.paths import Block
 
 __all__ = ["GLINT", "RenderedFlight"]
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hyperpaint.kernels.transport import air
-from hyperpaint.kernels.transport.band_integrals import integrate_bands
+from hyperpaint.simulation.transport import air
+from hyperpaint.simulation.transport.band_integrals import integrate_bands
 
 
 @pytest.mark.parametrize("compiled", [True, False])

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from transport_scenes import COMPILED, code
 
-from hyperpaint.kernels.transport.codes import SKY, add_path, with_factor, write_paths
+from hyperpaint.simulation.transport.codes import SKY, add_path, with_factor, write_paths
 
 
 def table(size: int = 4096) -> tuple[np.ndarray, ...]:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from transport_scenes import COMPILED, QUAD, ground
 
-from hyperpaint.kernels.transport.hierarchy import STACK, Geometry, build_geometry, closest, occluded
+from hyperpaint.simulation.transport.hierarchy import STACK, Geometry, build_geometry, closest, occluded
 
 COUNT = 400 if COMPILED else 25
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from transport_scenes import COMPILED
 
-from hyperpaint.kernels.transport.mixing import index_paths, mix, mix_shifted
+from hyperpaint.simulation.transport.mixing import index_paths, mix, mix_shifted
 
 LINES, SLOTS, COLUMNS, PATHS, BANDS = (3, 7, 37, 50, 19) if COMPILED else (1, 3, 18, 9, 4)
 

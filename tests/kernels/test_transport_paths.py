@@ -24,9 +24,9 @@ from transport_scenes import (
     weight_of,
 )
 
-from hyperpaint.kernels.transport.blocks import Block, Rays
-from hyperpaint.kernels.transport.hierarchy import build_geometry
-from hyperpaint.kernels.transport.paths import trace_lines
+from hyperpaint.simulation.transport.blocks import Block, Rays
+from hyperpaint.simulation.transport.hierarchy import build_geometry
+from hyperpaint.simulation.transport.paths import trace_lines
 
 PLANE = (ground(), QUAD, 0)
 SKY, OVERCAST, SUN = 0, 1, 2

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from transport_scenes import COMPILED
 
-from hyperpaint.kernels.transport.random_numbers import philox, uniforms
+from hyperpaint.simulation.transport.random_numbers import philox, uniforms
 
 #: Known answers of the authors' library Random123 1.09, kat_vectors, "philox4x32 10".
 KNOWN = [

@@ -6,15 +6,15 @@ import numpy as np
 import pytest
 from transport_scenes import COMPILED, materials
 
-from hyperpaint.kernels.transport.lobes import BASE, COAT, ENDED, FLAKES, lobes_at, scatter, sun_weights
-from hyperpaint.kernels.transport.surfaces import (
+from hyperpaint.simulation.transport.lobes import BASE, COAT, ENDED, FLAKES, lobes_at, scatter, sun_weights
+from hyperpaint.simulation.transport.surfaces import (
     facet_density,
     facet_lambda,
     fresnel,
     internal_reflectance,
     sample_facet,
 )
-from hyperpaint.kernels.transport.vectors import frame_of, from_frame, in_frame
+from hyperpaint.simulation.transport.vectors import frame_of, from_frame, in_frame
 
 
 def fresnel_by_angles(cosine: np.ndarray, index: float) -> np.ndarray:

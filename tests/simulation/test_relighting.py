@@ -24,7 +24,6 @@ from traced_scenes import (
 
 import hyperpaint as hp
 from hyperpaint.base.schema import VARIABLES
-from hyperpaint.kernels.transport import paths
 from hyperpaint.simulation.rendering.bands import BandSet
 from hyperpaint.simulation.rendering.four_curves import Atmosphere
 from hyperpaint.simulation.rendering.materials import Coat, Flakes, Material, base_albedo, coated_reflectance
@@ -36,6 +35,7 @@ from hyperpaint.simulation.rendering.scene_record import SceneRecord
 from hyperpaint.simulation.rendering.spectra import spectrum_of
 from hyperpaint.simulation.rendering.truth_layers import SHARES
 from hyperpaint.simulation.sensor import smile
+from hyperpaint.simulation.transport import paths
 
 SAMPLES = {"samples": 8, "seed": 3, "overcast": True}
 MANY_BANDS = BandSet(np.linspace(399.356, 1001.42, 68), np.array(6.0))

@@ -113,7 +113,7 @@ class Lighting:
         """Return L exp(-k d) + Lp d, the radiance behind a distance d of air; NaN, the sky, has none."""
         if not (self.extinction.any() or self.path_radiance.any()):
             return surface
-        from hyperpaint.kernels.transport.air import through_air
+        from hyperpaint.simulation.transport.air import through_air
 
         out = surface if in_place else np.empty_like(surface)
         through_air(surface, self.extinction, self.path_radiance, distance, out)
@@ -131,7 +131,7 @@ class Lighting:
 
     def shares(self, weight: Cube, code: Array, variation: Floats | None) -> Cube:
         """Return where the light came from, (line, share, column); see `truth_layers.SHARES`."""
-        from hyperpaint.kernels.transport.mixing import index_paths, mix
+        from hyperpaint.simulation.transport.mixing import index_paths, mix
 
         distinct, index = index_paths(code)
         node = int(np.abs(self.table.bands.nodes).argmin())

@@ -216,7 +216,7 @@ class ProductTable:
         SchemaError
             As `rows`.
         """
-        from hyperpaint.kernels.transport.mixing import index_paths, mix, mix_shifted
+        from hyperpaint.simulation.transport.mixing import index_paths, mix, mix_shifted
 
         distinct, index = index_paths(codes)
         products = self.rows(distinct)
@@ -234,7 +234,7 @@ class ProductTable:
             return self._known, self._products
 
     def _make(self, codes: Codes) -> NDArray[np.float32]:
-        from hyperpaint.kernels.transport.band_integrals import integrate_bands
+        from hyperpaint.simulation.transport.band_integrals import integrate_bands
 
         out = np.empty((self.bands.nodes.size, codes.size, self.bands.wavelength.size), np.float32)
         chosen, source = self.codes.factors(codes), self._row_of_source[source_of(codes)]

@@ -35,9 +35,9 @@ if TYPE_CHECKING:
     import dask.array as da
     import xarray as xr
 
-    from hyperpaint.kernels.transport.hierarchy import Geometry
-    from hyperpaint.kernels.transport.paths import Block, Sources
-    from hyperpaint.kernels.transport.surfaces import Surfaces
+    from hyperpaint.simulation.transport.hierarchy import Geometry
+    from hyperpaint.simulation.transport.paths import Block, Sources
+    from hyperpaint.simulation.transport.surfaces import Surfaces
 
     from .platforms import Platform
     from .scene import Scene
@@ -86,8 +86,8 @@ def prepare_scene(scene: Scene, settings: TraceSettings) -> PreparedScene:
     SchemaError
         There are too many spectra for the depth.
     """
-    from hyperpaint.kernels.transport.hierarchy import build_geometry
-    from hyperpaint.kernels.transport.paths import Sources
+    from hyperpaint.simulation.transport.hierarchy import build_geometry
+    from hyperpaint.simulation.transport.paths import Sources
 
     record = SceneRecord.of(scene)
     geometry = build_geometry(
@@ -100,7 +100,7 @@ def prepare_scene(scene: Scene, settings: TraceSettings) -> PreparedScene:
 
 
 def _surfaces(record: SceneRecord) -> Surfaces:
-    from hyperpaint.kernels.transport.surfaces import Surfaces, internal_reflectance
+    from hyperpaint.simulation.transport.surfaces import Surfaces, internal_reflectance
 
     coats = [material.coat for material in record.materials]
     flakes = [material.flakes for material in record.materials]
@@ -137,7 +137,7 @@ def trace_block(prepared: PreparedScene, platform: Platform, start: int, stop: i
     Returns
     -------
     Block
-        Arrays of these lines; see `hyperpaint.kernels.transport.paths.Block`.
+        Arrays of these lines; see `hyperpaint.simulation.transport.paths.Block`.
     """
     here = slice(start, stop)
     edges = platform.column_edges, platform.along_edges
@@ -147,7 +147,7 @@ def trace_block(prepared: PreparedScene, platform: Platform, start: int, stop: i
 def _trace_rays(
     prepared: PreparedScene, origin: Array, rotation: Array, edges: tuple[Array, Array], first_line: int
 ) -> Block:
-    from hyperpaint.kernels.transport.paths import Rays, trace_lines
+    from hyperpaint.simulation.transport.paths import Rays, trace_lines
 
     settings = prepared.settings
     block = _empty_block(len(origin), edges[0].size - 1, settings)
@@ -167,7 +167,7 @@ def _trace_rays(
 
 
 def _empty_block(lines: int, columns: int, settings: TraceSettings) -> Block:
-    from hyperpaint.kernels.transport.paths import Block
+    from hyperpaint.simulation.transport.paths import Block
 
     paths, pixels = (lines, settings.slot_count, columns), (lines, columns)
     suns = (lines, len(settings.suns), columns)

@@ -102,7 +102,7 @@ class Block(NamedTuple):
 
 
 class Settings(NamedTuple):
-    """Plain numbers of a trace: see `hyperpaint.kernels.transport.paths.trace_lines`."""
+    """Plain numbers of a trace: see `hyperpaint.simulation.transport.paths.trace_lines`."""
 
     first_line: int
     samples: int
