@@ -7,8 +7,8 @@ a product where it should be a quotient (eq. 6). Here each equation is one funct
 "corrected" (the default) or "as_printed", for those who want to check, and for tests that show what fails.
 All else in the package uses the corrected chain.
 
-Arguments are plain numbers or arrays in the units stated, or Quantities of `hyperpaint.base.units.registry`; where
-any is a Quantity the result is one. Units are carried through either way, and pi is a solid angle [sr].
+Arguments are plain numbers or arrays in the units stated, or Quantities of `hyperpaint.base.units.registry`;
+where any is a Quantity the result is one. Units are carried through either way, and pi is a solid angle [sr].
 
 Where an equation's dimensions do not agree, pint raises its ``DimensionalityError``.
 

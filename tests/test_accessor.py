@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 import xarray as xr
-from strategies import flight
+from support.strategies import flight
 
 import hyperpaint as hp
 from hyperpaint import alignment

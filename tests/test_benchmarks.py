@@ -14,8 +14,8 @@ from typing import Any
 
 import numpy as np
 import pytest
+from support import ROOT
 
-ROOT = Path(__file__).resolve().parents[1]
 MODULES = (
     "calibration",
     "dirsig",

@@ -118,12 +118,12 @@ def align_to_irradiance(
 
     .. math:: \sum_b \big( (1 - P) \ln (\bar L_b / \bar E_b(\delta, f)) \big)^2
 
-    where :math:`\bar E_b` is matched to the band's response (`hyperpaint.light.responses.matching_operator`) and
-    :math:`P` projects onto polynomials. Pixels with a missing sample in the windows are left out whole, since
-    a mean over other pixels in every band would make steps. Uncertainties follow from the residual; they know
-    nothing of structure that surfaces have and polynomials lack, such as the foot of vegetation's red edge,
-    nor of noise in the irradiance record, which all columns share. The mean over windows weighs with the
-    inverse of their covariances.
+    where :math:`\bar E_b` is matched to the band's response (`hyperpaint.light.responses.matching_operator`)
+    and :math:`P` projects onto polynomials. Pixels with a missing sample in the windows are left out whole,
+    since a mean over other pixels in every band would make steps. Uncertainties follow from the residual;
+    they know nothing of structure that surfaces have and polynomials lack, such as the foot of vegetation's
+    red edge, nor of noise in the irradiance record, which all columns share. The mean over windows weighs
+    with the inverse of their covariances.
 
     The literature ([1]_, [2]_) matches spectra to a modelled atmosphere; here the irradiance record stands in
     its place.

@@ -61,8 +61,8 @@ def calibrate(
     ----------
     sweep
         Means of the frames of every step, dark not subtracted; the rows of
-        `hyperpaint.base.schema.SWEEP_VARIABLES`. ``counts`` (step, band, cross_track), ``dark_counts`` ([step,]
-        band, cross_track) [count], ``step_wavelength`` (step), ``monochromator_fwhm`` [nm],
+        `hyperpaint.base.schema.SWEEP_VARIABLES`. ``counts`` (step, band, cross_track), ``dark_counts``
+        ([step,] band, cross_track) [count], ``step_wavelength`` (step), ``monochromator_fwhm`` [nm],
         ``exposure_time`` [s], ``flux`` [W] of the whole beam, ``capture_fraction`` [1] and ``etendue`` [m2
         sr]. ``flux`` per step is taken as equal in all lit columns, so that column differences are response;
         per step and column it is what each column gets, and nothing need be told of unlit ones. Optional:

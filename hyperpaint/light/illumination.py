@@ -235,8 +235,8 @@ def match_irradiance(
 
     Notes
     -----
-    The operator is that of `hyperpaint.light.responses.matching_operator`. Its rows sum to 1, so that a constant
-    irradiance passes unchanged.
+    The operator is that of `hyperpaint.light.responses.matching_operator`. Its rows sum to 1, so that a
+    constant irradiance passes unchanged.
 
     Examples
     --------

@@ -69,10 +69,10 @@ def survey(
         A flight line with ``reflectance`` (along_track, band, cross_track) [1] and ``wavelength``. Time,
         latitude, longitude and heading, where it has them, tell where the sun stands in the image.
     diffuse
-        Where the diffuse part of the irradiance is known from: "model", the clear sky of `hyperpaint.light.sun`;
-        "pvlib", SPECTRL2 (extra ``sim``); "shadow", a cast shadow on the ground in the image itself, as far
-        as one is found; or a measured spectrum (band,) or with a coordinate ``wavelength``, such as a reading
-        in the shade of a small disc over that in full light.
+        Where the diffuse part of the irradiance is known from: "model", the clear sky of
+        `hyperpaint.light.sun`; "pvlib", SPECTRL2 (extra ``sim``); "shadow", a cast shadow on the ground in
+        the image itself, as far as one is found; or a measured spectrum (band,) or with a coordinate
+        ``wavelength``, such as a reading in the shade of a small disc over that in full light.
     sun_zenith
         [degree]; from time and place unless given.
     sun_azimuth, heading

@@ -112,12 +112,12 @@ def validate(
     -----
     The finer spectrum is brought onto the bands of the coarser one, mostly the signature's: weights on its
     channels reproduce the response of each band, the channels' own width considered
-    (`hyperpaint.light.responses.matching_operator`; Gaussian line shapes). A band that they see less than 99.9 % of
-    is left out and counted, so that nothing is renormalised over what is missing; so is one that is too sharp
-    for them, whose noise they would multiply by more than 3. Where detectors overlap, and wavelengths fall,
-    each serves to the middle of the overlap, 987 nm of an SVC; ``open_svc(..., overlap="trim", joins=)``
-    chooses otherwise. Reflectance is weighted by the response alone: that light varies within a band matters
-    where paint does, too, and hardly then.
+    (`hyperpaint.light.responses.matching_operator`; Gaussian line shapes). A band that they see less than
+    99.9 % of is left out and counted, so that nothing is renormalised over what is missing; so is one that is
+    too sharp for them, whose noise they would multiply by more than 3. Where detectors overlap, and
+    wavelengths fall, each serves to the middle of the overlap, 987 nm of an SVC; ``open_svc(...,
+    overlap="trim", joins=)`` chooses otherwise. Reflectance is weighted by the response alone: that light
+    varies within a band matters where paint does, too, and hardly then.
 
     Statistics are plain means over bands, see `statistics_of`. Their uncertainty is that of propagated draws
     (JCGM 101): random errors independent from channel to channel, systematic ones common to all. Of one

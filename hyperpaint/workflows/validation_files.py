@@ -42,8 +42,8 @@ def validate_files(
     library
         A paint library, see `hyperpaint.open_library`.
     references
-        See `hyperpaint.io.spectrometers.reference_files.open_references`. By default those of the store that the library
-        was made from, where it stands beside the library.
+        See `hyperpaint.io.spectrometers.reference_files.open_references`. By default those of the store that
+        the library was made from, where it stands beside the library.
     pairs
         See `hyperpaint.io.spectrometers.reference_pairs.read_pairs`.
     panel

@@ -10,7 +10,7 @@ import pytest
 import xarray as xr
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from strategies import START, labelled
+from support.strategies import START, labelled
 
 import hyperpaint as hp
 from hyperpaint.base.errors import SchemaError

@@ -18,9 +18,10 @@ from typing import Any
 import numpy as np
 import pytest
 import xarray as xr
-from envi_cubes import CODES, FROM_LBS, toy, write_cube
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from support import ROOT
+from support.envi_cubes import CODES, FROM_LBS, toy, write_cube
 
 from hyperpaint.base import schema
 from hyperpaint.base.errors import FormatError, PaintWarning
@@ -345,7 +346,7 @@ def test_installed_plugin_opens_by_itself(tmp_path: Path) -> None:
 
 def test_declared_entry_point_opens_by_itself(tmp_path: Path) -> None:
     """As if installed: the entry point that pyproject.toml declares, in a fresh interpreter."""
-    root = Path(__file__).resolve().parents[2]
+    root = ROOT
     declared = tomllib.loads((root / "pyproject.toml").read_text())["project"]["entry-points"]
     points = "\n".join(f"{key} = {value}" for key, value in declared["xarray.backends"].items())
     made = tmp_path / "site" / "hyperpaint_declared-0.dist-info"
@@ -372,7 +373,7 @@ def test_entry_point_module_imports_nothing_of_ours() -> None:
         "print(*sorted(m for m in set(sys.modules) - before if m.split('.')[0] not in ('hyperpaint',)))\n"
         "print(*sorted(m for m in set(sys.modules) - before if m.startswith('hyperpaint.io.')))\n"
     )
-    root = Path(__file__).resolve().parents[2]
+    root = ROOT
     result = subprocess.run(
         [sys.executable, "-c", code], env={**os.environ, "PYTHONPATH": str(root)},
         capture_output=True, text=True, timeout=120, check=True,

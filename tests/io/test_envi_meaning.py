@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from envi_cubes import FROM_LBS, toy, write_cube
+from support.envi_cubes import FROM_LBS, toy, write_cube
 
 from hyperpaint.base import schema
 from hyperpaint.base.errors import FormatError, PaintWarning

@@ -13,7 +13,7 @@ import pytest
 import xarray as xr
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from svc_texts import GRID, MATCHED, PANEL, SURFACE, german, svc_text
+from support.svc_texts import GRID, MATCHED, PANEL, SURFACE, german, svc_text
 
 import hyperpaint as hp
 from hyperpaint.base.errors import FormatError, PaintWarning, SchemaError, TimeError

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import xarray as xr
-from svc_texts import german
+from support.svc_texts import german
 
 from hyperpaint.base.errors import FormatError, PaintWarning
 from hyperpaint.base.units import conversion_factor

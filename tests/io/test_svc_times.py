@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from svc_texts import svc_text
+from support.svc_texts import svc_text
 
 from hyperpaint.base.errors import PaintWarning
 from hyperpaint.io.spectrometers.svc import open_svc

@@ -7,6 +7,8 @@ import subprocess
 import sys
 from pathlib import Path
 
+from support import ROOT
+
 HERE = Path(__file__).resolve().parent
 
 
@@ -16,7 +18,7 @@ def test_kernels_run_without_compilation() -> None:
     command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", *map(str, names)]
     found = subprocess.run(
         command,
-        cwd=HERE.parents[1],
+        cwd=ROOT,
         env={**os.environ, "NUMBA_DISABLE_JIT": "1", "HYPERPAINT_REQUIRE_REAL_DATA": ""},
         capture_output=True,
         text=True,

@@ -11,7 +11,7 @@ import dask
 import numpy as np
 import pytest
 import xarray as xr
-from traced_scenes import (
+from support.traced_scenes import (
     FEW_BANDS,
     LOW_SUN,
     SUN,

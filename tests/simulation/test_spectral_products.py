@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from traced_scenes import seen_by
+from support.traced_scenes import seen_by
 
 from hyperpaint.base.errors import SchemaError
 from hyperpaint.simulation.camera import Camera

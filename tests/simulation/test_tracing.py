@@ -14,7 +14,7 @@ import dask
 import numpy as np
 import pytest
 import xarray as xr
-from traced_scenes import LOW_SUN, SUN, flight, two_cars
+from support.traced_scenes import LOW_SUN, SUN, flight, two_cars
 
 import hyperpaint as hp
 from hyperpaint.base.errors import SchemaError

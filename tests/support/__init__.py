@@ -1,1 +1,8 @@
-"""What tests share: builders of small inputs, and the programs that watch over a rebuilding."""
+"""What tests share: builders of small inputs, and the programs that watch over the house."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[2]
+"""The repository."""

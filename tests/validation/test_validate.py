@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 import xarray as xr
-from agreeing_spectra import NM, agreeing, field, library, seen, smooth, value_of
+from support.agreeing_spectra import NM, agreeing, field, library, seen, smooth, value_of
 
 import hyperpaint as hp
 from hyperpaint.base.errors import PaintWarning, SchemaError, UnitsError

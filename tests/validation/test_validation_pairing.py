@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import xarray as xr
-from agreeing_spectra import NM, agreeing, field, library, seen
+from support.agreeing_spectra import NM, agreeing, field, library, seen
 
 import hyperpaint as hp
 from hyperpaint.base.errors import PaintWarning, SchemaError

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import xarray as xr
-from agreeing_spectra import field, library, value_of
+from support.agreeing_spectra import field, library, value_of
 
 import hyperpaint as hp
 

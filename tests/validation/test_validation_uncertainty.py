@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from agreeing_spectra import NM, field, library, seen, value_of
+from support.agreeing_spectra import NM, field, library, seen, value_of
 
 import hyperpaint as hp
 

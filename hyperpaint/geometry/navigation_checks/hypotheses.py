@@ -125,7 +125,7 @@ def score(
     longitudes are all of the other sign. So every declaration is taken as wrong with odds of 1 to 400 only.
 
     Residuals are taken as normal, those beyond `CLIP` standard deviations as outliers, and as fewer than they
-    are by what those of the best resemble their neighbours; see `hyperpaint.geometry.navigation_checks.likelihood`.
+    are by what those of the best resemble their neighbours; see `likelihood`.
     """
     found: list[tuple[Hypothesis, Residuals]] = []
     poses: dict[Any, Float] = {}

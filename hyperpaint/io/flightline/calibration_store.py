@@ -77,8 +77,8 @@ def open_calibration(source: str | os.PathLike[str] | xr.Dataset, *, group: str 
     Returns
     -------
     xarray.Dataset
-        In memory, in the units, dims and dtypes of `hyperpaint.base.schema`; attribute ``srf_shape``. Elements
-        with a NaN gain are bad. Other variables on ``band`` and ``cross_track`` are kept.
+        In memory, in the units, dims and dtypes of `hyperpaint.base.schema`; attribute ``srf_shape``.
+        Elements with a NaN gain are bad. Other variables on ``band`` and ``cross_track`` are kept.
 
     Raises
     ------

@@ -79,8 +79,8 @@ def read_navigation_csv(path: str | Path) -> PoseRecord:
     ``time`` or ``utc``, ISO 8601 stamps (in a column ``time`` with a zone); ``gps_time [s]`` from 1980-01-06,
     ``time_of_week [s]`` or ``unix_time [s]``. Cells are parted by commas, semicolons or tabs; an empty one is
     unknown, and a row without a time is left out. Other columns are ignored. Comments ``# key: value`` before
-    the header declare fields of the `hyperpaint.base.attitude_conventions.Convention`, ``gps_week``, ``leap_seconds`` and
-    ``time_scale``.
+    the header declare fields of the `hyperpaint.base.attitude_conventions.Convention`, ``gps_week``,
+    ``leap_seconds`` and ``time_scale``.
 
     Parameters
     ----------

@@ -295,7 +295,7 @@ def _convention(record: PoseRecord, given: Convention | Mapping[str, Any] | None
     else:
         unknown = set(given) - set(record.convention.__dataclass_fields__)
         if unknown:
-            msg = f"convention has no {', '.join(map(repr, sorted(unknown)))}; see hyperpaint.base.attitude_conventions"
+            msg = f"convention has no {', '.join(map(repr, sorted(unknown)))}; see hyperpaint.Convention"
             raise SchemaError(msg)
         meant = record.convention.replace(**given)
     if "angle_unit" not in record.assumed and meant.angle_unit != record.convention.angle_unit:

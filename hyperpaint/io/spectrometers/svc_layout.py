@@ -3,7 +3,7 @@
 A first line that names the maker, ``key= value`` lines up to ``data=``, then a row a channel: wavelength
 [nm], the scan of the white reference, the scan of the target, and their ratio in per cent, rounded. Numbers
 follow the locale of the PC that saved the file: a decimal comma stands in rows and in the header, where a
-comma *and a blank* separate the items of a list. What each key means is read in `hyperpaint.io.spectrometers.svc_fields`.
+comma *and a blank* separate the items of a list. What each key means is read in `svc_fields`.
 """
 
 from __future__ import annotations

@@ -94,9 +94,9 @@ def mix_paints(
     .. math:: q_{mix} = \sum_i c_i s_i q_i \Big/ \sum_i c_i s_i
 
     (Duncan, Proc. Phys. Soc. 52, 390, 1940; with equal s the single-constant theory), where q follows from
-    reflectance through Saunderson's correction, see `hyperpaint.paints.mixing.kubelka_munk`. Absorption rules: a
-    part of black in nine of white is far darker than a tenth. What a coat mirrors, where the library has it
-    apart as ``specular_reflectance``, is averaged. A band that is NaN in one parent is NaN. Eager.
+    reflectance through Saunderson's correction, see `hyperpaint.paints.mixing.kubelka_munk`. Absorption
+    rules: a part of black in nine of white is far darker than a tenth. What a coat mirrors, where the library
+    has it apart as ``specular_reflectance``, is averaged. A band that is NaN in one parent is NaN. Eager.
 
     Examples
     --------

@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 import pytest
 import xarray as xr
-from dirsig_exports import BANDS, NM, files, library, strict_ems
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from support.dirsig_exports import BANDS, NM, files, library, strict_ems
 
 import hyperpaint as hp
 from hyperpaint.base.errors import PaintWarning, SchemaError

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from dirsig_exports import BANDS, NM, files, library
+from support.dirsig_exports import BANDS, NM, files, library
 
 import hyperpaint as hp
 from hyperpaint.base.errors import FormatError, SchemaError, StoreError

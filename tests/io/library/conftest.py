@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 import xarray as xr
-from library_examples import make_library
+from support.library_examples import make_library
 
 
 @pytest.fixture

@@ -1,0 +1,345 @@
+"""The command line: exit status, messages, and that nothing half-written stays."""
+
+from __future__ import annotations
+
+import re
+import shutil
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+import xarray as xr
+from click.testing import CliRunner, Result
+
+import hyperpaint as hp
+from hyperpaint.cli.program import main
+
+Hyperpaint = Callable[..., Result]
+
+
+@pytest.fixture(scope="module")
+def source(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Folder of a small simulated collect."""
+    folder = tmp_path_factory.mktemp("collect")
+    hp.simulate_collect(folder, scene="plan", lines=40, bands=20, columns=8, seed=1)
+    return folder
+
+
+@pytest.fixture
+def collect(source: Path, tmp_path: Path) -> Path:
+    """A copy that a test may spoil; its ``collect.toml``."""
+    shutil.copytree(source, tmp_path / "raw", copy_function=shutil.copy2)
+    return tmp_path / "raw" / "collect.toml"
+
+
+@pytest.fixture
+def hyperpaint() -> Hyperpaint:
+    """Return what runs the command line in this process."""
+
+    def call(*arguments: object) -> Result:
+        return CliRunner().invoke(main, [str(argument) for argument in arguments])
+
+    return call
+
+
+def edit(path: Path, old: str, new: str) -> None:
+    text = path.read_text()
+    assert old in text
+    path.write_text(text.replace(old, new))
+
+
+def refused(result: Result) -> str:
+    """Return the one message of a refused call, checked for form; warnings may stand before it."""
+    assert result.exit_code == 2, result.output
+    warned, error, message = result.stderr.partition("error: ")
+    assert error
+    assert all(line.startswith("warning: ") for line in warned.splitlines()), warned
+    assert "error: " not in message
+    assert "Traceback" not in message
+    assert result.stdout == ""
+    return message
+
+
+# --- the program as a whole --------------------------------------------------------------------------------
+
+
+def test_version_and_help_teach(hyperpaint: Hyperpaint) -> None:
+    assert hyperpaint("--version").stdout == f"hyperpaint, version {hp.__version__}\n"
+    shown = hyperpaint("--help").stdout
+    for command in ("demo", "simulate", "process", "info", "verify"):
+        assert f"\n  {command} " in shown
+        assert f"hyperpaint {command} " in shown or command == "simulate"
+        assert hyperpaint(command, "--help").exit_code == 0
+    assert "Exit status: 0 done, 1 the data fail a check, 2 the call or an input is wrong." in shown
+
+
+def test_help_loads_nothing_heavy() -> None:
+    heavy = ("numba", "zarr", "dask", "scipy", "pint", "matplotlib", "distributed")
+    loaded = f"', '.join(name for name in {heavy} if name in sys.modules)"
+    code = f"import sys, hyperpaint.cli.program; sys.exit({loaded} or 0)"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)
+    assert done.returncode == 0, done.stderr
+
+
+def test_module_runs_like_the_command(tmp_path: Path) -> None:
+    call = [sys.executable, "-m", "hyperpaint", "info", str(tmp_path)]
+    done = subprocess.run(call, capture_output=True, text=True, timeout=60)
+    assert done.returncode == 2
+    assert done.stderr.startswith("error: ")
+
+
+def test_usage_errors_exit_with_two(hyperpaint: Hyperpaint, tmp_path: Path) -> None:
+    assert hyperpaint("process").exit_code == 2
+    assert hyperpaint("process", tmp_path / "none.toml", "--out", tmp_path / "s.zarr").exit_code == 2
+    assert hyperpaint("paint").exit_code == 2
+    assert hyperpaint("info", tmp_path / "none").exit_code == 2
+
+
+# --- process -----------------------------------------------------------------------------------------------
+
+
+def test_process_then_again(hyperpaint: Hyperpaint, collect: Path, tmp_path: Path) -> None:
+    out = tmp_path / "lot.zarr"
+    first = hyperpaint("process", collect, "--out", out)
+    assert first.exit_code == 0, first.stderr
+    assert (
+        first.stdout
+        == f"{out}: wrote /flightlines/raw_0, /irradiance, /calibration, /references/svc, /references/asd\n"
+    )
+    before = {path: path.stat().st_mtime_ns for path in tmp_path.rglob("*")}
+    again = hyperpaint("process", collect, "--out", out)
+    assert again.exit_code == 0
+    assert again.stdout.startswith(f"{out} is already complete")
+    assert {path: path.stat().st_mtime_ns for path in tmp_path.rglob("*")} == before
+    other = hyperpaint("process", collect, "--out", out, "--to", "radiance")
+    assert "pass --overwrite to replace it" in refused(other)
+    replaced = hyperpaint("process", collect, "--out", out, "--to", "radiance", "--overwrite")
+    assert replaced.exit_code == 0
+    assert "already, from the same inputs" in replaced.stdout
+    assert "radiance" in xr.open_zarr(out, group="flightlines/raw_0")
+
+
+def test_warnings_are_one_line_each(hyperpaint: Hyperpaint, collect: Path, tmp_path: Path) -> None:
+    edit(collect.parent / "flight" / "settings.txt", "5.0", "4.0")
+    done = hyperpaint("process", collect, "--out", tmp_path / "lot.zarr", "--to", "radiance")
+    assert done.exit_code == 0
+    assert done.stderr.count("\n") == 1
+    assert re.match(r"warning: raw_0.hdr: exposure_time 5 ms is used; settings.txt 4 ms", done.stderr)
+
+
+def test_a_dark_at_another_exposure_is_found_before_writing(
+    hyperpaint: Hyperpaint, collect: Path, tmp_path: Path
+) -> None:
+    edit(collect, "exposure_time_ms = 5.0", "exposure_time_ms = 4.0")
+    message = refused(hyperpaint("process", collect, "--out", tmp_path / "lot.zarr"))
+    assert "the dark was taken at 5 ms, the line at 4 ms" in message
+    assert not (tmp_path / "lot.zarr").exists()
+
+
+def _truncate(folder: Path) -> str:
+    cube = folder / "flight" / "raw_0"
+    cube.write_bytes(cube.read_bytes()[:-100])
+    return r"raw_0.*bytes"
+
+
+def _lengthen(folder: Path) -> str:
+    cube = folder / "flight" / "raw_0"
+    cube.write_bytes(cube.read_bytes() + bytes(100))
+    return r"raw_0.*bytes"
+
+
+def _fewer_bands(folder: Path) -> str:
+    _rewrite(folder, lambda calibration: calibration.isel(band=slice(0, 19)))
+    return "20 bands.*19 bands"
+
+
+def _no_units(folder: Path) -> str:
+    def strip(calibration: xr.Dataset) -> xr.Dataset:
+        del calibration["radiance_gain"].attrs["units"]
+        return calibration
+
+    _rewrite(folder, strip)
+    return "radiance_gain.*units"
+
+
+def _rewrite(folder: Path, change: Callable[[xr.Dataset], xr.Dataset]) -> None:
+    path = folder / "calibration.zarr"
+    calibration = change(xr.open_zarr(path).load().drop_encoding())
+    shutil.rmtree(path)
+    calibration.to_zarr(path, zarr_format=3, consolidated=False)
+
+
+def _no_exposure(folder: Path) -> str:
+    edit(folder / "collect.toml", "exposure_time_ms = 5.0\n", "")
+    (folder / "flight" / "settings.txt").unlink()
+    for header in (folder / "flight").glob("*.hdr"):
+        header.write_text(re.sub(r"(?im)^;.*exposure.*$", "", header.read_text()))
+    return "exposure"
+
+
+def _microwatts(folder: Path) -> str:
+    _light_from_csv(folder, 1e6)
+    return "uW labelled as W"
+
+
+def _light_from_csv(folder: Path, factor: float) -> None:
+    shutil.rmtree(folder / "asd")
+    nm = np.arange(380, 1021, 1)
+    sky = factor * 1.4 * np.exp(-(((nm - 550.0) / 300.0) ** 2))
+    cells = ",".join(f"{value:.6g}" for value in sky)
+    rows = [",".join(["time", *map(str, nm)])]
+    rows += [f"2021-07-20T12:09:{second}-05:00,{cells}" for second in (18, 20, 22, 24, 26)]
+    (folder / "sky.csv").write_text("\n".join(rows) + "\n")
+    edit(folder / "collect.toml", 'files = "asd/*.asd"', 'files = "sky.csv"\nunits = "W m-2 nm-1"')
+
+
+def _negative_exposure(folder: Path) -> str:
+    edit(folder / "collect.toml", "exposure_time_ms = 5.0", "exposure_time_ms = -5.0")
+    return r"exposure_time_ms = -5\.0, expected a positive number"
+
+
+@pytest.mark.parametrize(
+    "spoil",
+    [_truncate, _lengthen, _fewer_bands, _no_units, _no_exposure, _microwatts, _negative_exposure],
+    ids=lambda function: function.__name__.strip("_"),
+)
+def test_bad_input_is_one_message_and_leaves_nothing(
+    hyperpaint: Hyperpaint, collect: Path, tmp_path: Path, spoil: Callable[[Path], str]
+) -> None:
+    expected = spoil(collect.parent)
+    before = sorted(tmp_path.rglob("*"))
+    message = refused(hyperpaint("process", collect, "--out", tmp_path / "lot.zarr"))
+    assert re.search(expected, message, re.DOTALL), message
+    assert sorted(tmp_path.rglob("*")) == before
+
+
+def test_all_problems_are_listed_at_once(hyperpaint: Hyperpaint, collect: Path, tmp_path: Path) -> None:
+    expected = [_truncate(collect.parent), _no_units(collect.parent), _negative_exposure(collect.parent)]
+    edit(collect, "utc_offset_h = -5.0", "utc_offset_h = 5.0")
+    edit(collect, "stamp = ", "stmp = ")
+    message = refused(hyperpaint("process", collect, "--out", tmp_path / "lot.zarr"))
+    for pattern in [*expected, "did you mean 'stamp'"]:
+        assert re.search(pattern, message, re.DOTALL), message
+    assert not (tmp_path / "lot.zarr").exists()
+
+
+def test_light_from_csv_is_taken_in_the_right_units(
+    hyperpaint: Hyperpaint, collect: Path, tmp_path: Path
+) -> None:
+    _light_from_csv(collect.parent, 1.0)
+    done = hyperpaint("process", collect, "--out", tmp_path / "lot.zarr")
+    assert done.exit_code == 0, done.stderr
+    line = xr.open_zarr(tmp_path / "lot.zarr", group="flightlines/raw_0")
+    assert 0.02 < float(line["reflectance"].load().median()) < 0.9
+
+
+def test_a_clock_hours_off_is_refused(hyperpaint: Hyperpaint, collect: Path, tmp_path: Path) -> None:
+    edit(collect, "utc_offset_h = -5.0", "utc_offset_h = 0.0")
+    message = refused(hyperpaint("process", collect, "--out", tmp_path / "lot.zarr"))
+    assert "utc_offset_h" in message
+
+
+# --- info and verify ---------------------------------------------------------------------------------------
+
+
+def test_info_tells_what_files_are(hyperpaint: Hyperpaint, source: Path) -> None:
+    told = {
+        "flight/raw_0.hdr": r"ENVI cube, bil, uint16.*40 along_track x 20 band x 8 cross_track.*\[count\]",
+        "flight/raw_0": r"399\.356 to 1001\.42 nm.*5 ms \(header comments\)",
+        "flight/frameIndex_0.txt": "frame index.*40, number 0 to 39, 0 missing",
+        "flight/imu_gps.txt": "navigation record.*2021-07-20T17:09:58",
+        "flight/settings.txt": "Headwall settings.*5 ms",
+        "asd/sky00000.asd": r"ASD spectrum.*irradiance.*350 to 1075 nm.*cosine receptor",
+        "calibration.zarr": r"radiance_gain.*20 band x 8 cross_track.*W m-2 sr-1 nm-1 s count-1",
+        "collect.toml": r"1 flight line; every file opens.*5 ms.*irradiance.*hyperpaint process",
+    }
+    for name, pattern in told.items():
+        found = hyperpaint("info", source / name)
+        assert found.exit_code == 0, found.stderr
+        assert re.search(pattern, found.stdout, re.DOTALL), found.stdout
+
+
+def test_info_of_a_collect_without_light(hyperpaint: Hyperpaint, collect: Path) -> None:
+    text = collect.read_text()
+    collect.write_text(text[: text.index("[irradiance]")] + text[text.index("[[flightlines]]") :])
+    assert "--to radiance" in hyperpaint("info", collect).stdout
+
+
+def test_info_of_what_it_does_not_know(hyperpaint: Hyperpaint, source: Path, tmp_path: Path) -> None:
+    (tmp_path / "poem.txt").write_text("roses are red")
+    assert "not a kind of file known here" in refused(hyperpaint("info", tmp_path / "poem.txt"))
+    assert "in it are calibration.zarr, collect.toml" in refused(hyperpaint("info", source))
+
+
+def test_info_and_verify_of_a_store(hyperpaint: Hyperpaint, collect: Path, tmp_path: Path) -> None:
+    out = tmp_path / "lot.zarr"
+    hp.process(collect, out, reflectance="none")
+    found = hyperpaint("info", out).stdout
+    assert "5 groups" in found
+    assert found.count("state: complete") == 5
+    assert "NOT COMPLETE" not in found
+    one = hyperpaint("info", out / "flightlines" / "raw_0").stdout
+    assert re.search(r"counts +40 along_track x 20 band x 8 cross_track, uint16 \[count\]", one)
+    whole = hyperpaint("verify", out)
+    assert whole.exit_code == 0
+    assert "whole" in whole.stdout
+    chunk = next((out / "flightlines" / "raw_0" / "counts" / "c").rglob("0"))
+    while chunk.is_dir():
+        chunk = chunk / "0"
+    chunk.unlink()
+    damaged = hyperpaint("verify", out)
+    assert damaged.exit_code == 1
+    assert "the chunk is missing" in damaged.stdout
+    assert "not a Zarr v3 store" in refused(hyperpaint("verify", tmp_path / "nothing.zarr"))
+
+
+@pytest.mark.real_data
+def test_info_of_real_files(hyperpaint: Hyperpaint, shared_data: Path) -> None:
+    told = {
+        "svc_sig/BNL13001_000_moc.sig": r"SVC spectrum.*HR-1024i.*982 channels.*removed @ 970, 1901 nm",
+        "asd_binary/soil.asd": r"binary version 8.*white reference.*350 to 2500 nm",
+        "asd_ascii/asd-e-irrad-sky.csv": "text export.*irradiance",
+        "envi_sli/library_berlin.hdr": r"spectral library: 75 spectra.*75 paint x 177 band",
+        "envi_cube/darkReference": r"1 along_track x 978 band x 1600 cross_track, uint16",
+    }
+    for name, pattern in told.items():
+        found = hyperpaint("info", shared_data / name)
+        assert found.exit_code == 0, found.stderr
+        assert re.search(pattern, found.stdout, re.DOTALL), found.stdout
+
+
+# --- simulate ----------------------------------------------------------------------------------------------
+
+
+def test_simulate_passes_its_switches_on(hyperpaint: Hyperpaint, tmp_path: Path) -> None:
+    shape = ("--scene", "plan", "--lines", 12, "--bands", 5, "--columns", 6)
+    effects = ("--shape", "slit", "--no-smile", "--no-noise", "--dropped", 2, "--clock-offset", 3.5)
+    done = hyperpaint("simulate", tmp_path / "sim", *shape, *effects)
+    assert done.exit_code == 0, done.stderr
+    assert "hyperpaint process" in done.stdout
+    truth = xr.open_zarr(tmp_path / "sim" / "truth.zarr")
+    assert truth.sizes["along_track"] == 12
+    assert truth.attrs["srf_shape"] == "slit"
+    assert int(truth["no_data"].sum()) == 2
+    assert float(abs(truth["wavelength_shift"]).max()) == 0.0
+    assert "clock_offset_s = 3.5" in (tmp_path / "sim" / "collect.toml").read_text()
+
+
+def test_simulate_lists_what_is_out_of_range(hyperpaint: Hyperpaint, tmp_path: Path) -> None:
+    done = hyperpaint("simulate", tmp_path / "sim", "--exposure-ms", -5, "--sun-zenith", 120)
+    message = refused(done)
+    assert "exposure_time_ms=-5.0" in message
+    assert "sun_zenith=120.0" in message
+    assert not (tmp_path / "sim").exists()
+
+
+def test_simulate_never_replaces_a_real_collect(hyperpaint: Hyperpaint, collect: Path) -> None:
+    shape = ("--lines", 8, "--bands", 4, "--columns", 4)
+    collect.write_text(collect.read_text().replace("# simulated by hyperpaint", "# flown on 20 July"))
+    before = sorted(collect.parent.rglob("*"))
+    message = refused(hyperpaint("simulate", collect.parent, *shape, "--overwrite"))
+    assert "not simulated" in message
+    assert sorted(collect.parent.rglob("*")) == before

@@ -1,0 +1,85 @@
+"""What `describe_path` says of files and stores; the command line's own tests cover every kind of file."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import xarray as xr
+from support.library_examples import make_library
+
+import hyperpaint as hp
+from hyperpaint.cli.info import describe_path
+
+
+@pytest.fixture
+def line() -> xr.Dataset:
+    counts = np.ones((40, 3, 2), np.uint16)
+    return xr.Dataset(
+        {
+            "counts": (("along_track", "band", "cross_track"), counts, {"units": "count"}),
+            "exposure_time": ((), 0.005, {"units": "s"}),
+            "read_noise": ((), np.float32(2.0), {"units": "count"}),
+        },
+        {"wavelength": ("band", [450.0, 550.0, 650.0], {"units": "nm"})},
+        {"exposure_source": "collect.toml"},
+    )
+
+
+def test_a_finished_group(tmp_path: Path, line: xr.Dataset) -> None:
+    hp.to_store(line, tmp_path / "lot.zarr", "flightlines/raw_0")
+    text = describe_path(tmp_path / "lot.zarr")
+    assert "1 group with arrays" in text
+    assert "state: complete, written 20" in text
+    assert "counts: 40 along_track x 3 band x 2 cross_track, uint16 [count]" in text
+    assert "wavelength: 450 to 650 nm" in text
+    assert "exposure: 5 ms (collect.toml)" in text
+    assert "also holds: read_noise" in text
+
+
+def test_a_damaged_group(tmp_path: Path, line: xr.Dataset) -> None:
+    hp.to_store(line, tmp_path / "lot.zarr")
+    next((tmp_path / "lot.zarr" / "counts").glob("hyperpaint-chunks.json")).unlink()
+    assert "NOT COMPLETE: " in describe_path(tmp_path / "lot.zarr")
+
+
+def test_a_group_that_was_never_finished(tmp_path: Path, line: xr.Dataset) -> None:
+    line.assign_attrs(hyperpaint_version="0.1").to_zarr(
+        tmp_path / "lot.zarr", zarr_format=3, consolidated=False
+    )
+    assert "NOT COMPLETE: " in describe_path(tmp_path / "lot.zarr")
+
+
+def test_a_store_of_another_program(tmp_path: Path, line: xr.Dataset) -> None:
+    line.to_zarr(tmp_path / "other.zarr", zarr_format=3, consolidated=False)
+    text = describe_path(tmp_path / "other.zarr")
+    assert "no completion record (not written by hyperpaint's store writer)" in text
+    assert "NOT COMPLETE" not in text
+
+
+def test_the_simulators_stores(tmp_path: Path) -> None:
+    collect = hp.simulate_collect(tmp_path / "sim", scene="plan", lines=8, bands=4, columns=4)
+    for name in ("calibration.zarr", "truth.zarr"):
+        assert "no completion record (not written" in describe_path(collect.parent / name)
+    assert "5 ms (collect.toml)" in describe_path(collect)
+
+
+def test_what_is_not_there(tmp_path: Path) -> None:
+    with pytest.raises(hp.FormatError, match="no such file"):
+        describe_path(tmp_path / "none")
+    with pytest.raises(hp.StoreError, match="not a Zarr store"):
+        describe_path(tmp_path)
+
+
+@pytest.mark.parametrize("name", ["paints.sli", "paints.csv", "paints.zarr", "paints"])
+def test_a_paint_library(tmp_path: Path, name: str) -> None:
+    library = make_library().isel(band=[0, 1, 4])
+    path = hp.write_library(library, tmp_path / name, format=None if "." in name else "ecostress")
+    text = describe_path(path)
+    assert "Grün; Grün" in text
+    assert "reflectance" in text
+    assert "400 to 800 nm" in text
+    if path.suffix != ".zarr":
+        assert "5 spectra" in text
+        assert "make" in text

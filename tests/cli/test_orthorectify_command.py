@@ -1,0 +1,139 @@
+"""A map from the command line."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import xarray as xr
+from click.testing import CliRunner
+from support.flown_lines import fly, located
+
+import hyperpaint as hp
+from hyperpaint.cli.program import main
+
+
+@pytest.fixture
+def store(tmp_path: Path) -> Path:
+    pytest.importorskip("pyproj")
+    flown = fly(40, 20, "calm", heading=30.0)
+    values = np.random.default_rng(0).random((40, 6, 20)).astype(np.float32)
+    line = located(flown, reflectance=(("along_track", "band", "cross_track"), values, {"units": "1"}))
+    line = line.assign_coords(wavelength=("band", np.linspace(450.0, 700.0, 6), {"units": "nm"}))
+    hp.to_store(xr.DataTree.from_dict({"/flightlines/raw_0": line}), tmp_path / "lot.zarr")
+    return tmp_path / "lot.zarr"
+
+
+def test_a_map_as_store_and_as_geotiff(store: Path) -> None:
+    done = CliRunner().invoke(
+        main, ["orthorectify", str(store), "--out", str(store.parent / "map.zarr"), "--quiet"]
+    )
+    assert done.exit_code == 0, done.output
+    made = xr.open_zarr(store.parent / "map.zarr")
+    assert {"reflectance", "quality", "line_time", "glt_line", "hits", "gap"} <= set(made.variables)
+    rasterio = pytest.importorskip("rasterio")
+    done = CliRunner().invoke(
+        main, ["orthorectify", str(store), "--gsd", "0.01", "--out", str(store.parent / "map.tif"), "--quiet"]
+    )
+    assert done.exit_code == 0, done.output
+    with rasterio.open(store.parent / "map.tif") as picture:
+        assert picture.count == 6
+        assert picture.crs.to_epsg() == 32617
+        assert picture.transform.b == 0.0
+
+
+def test_what_is_wrong_is_said(store: Path) -> None:
+    done = CliRunner().invoke(main, ["orthorectify", str(store), "--out", "map.png"])
+    assert done.exit_code == 2
+    assert "ends in .tif or .zarr" in done.output
+    done = CliRunner().invoke(main, ["orthorectify", str(store), "--line", "raw_9", "--out", "map.zarr"])
+    assert done.exit_code == 2
+    assert "there is no 'raw_9'" in done.output
+
+
+# rioxarray multiplies transforms the old way
+_OLD_TRANSFORMS = pytest.mark.filterwarnings("ignore:Use `@` matmul:PendingDeprecationWarning")
+MOUNTED = (0.34, -0.95, -0.13)
+CAMERA = ("--focal-length-mm", "12", "--pixel-pitch-um", "7.4", "--column-order", "left_to_right")
+BORESIGHT = ("--boresight", *map(str, MOUNTED))
+
+
+@pytest.fixture(scope="module")
+def board(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return the folder of a simulated collect over a level checkerboard, with its DEM, after processing."""
+    pytest.importorskip("pyproj")
+    rasterio = pytest.importorskip("rasterio")
+    folder = tmp_path_factory.mktemp("board")
+    collect = hp.simulate_collect(
+        folder / "collect", lines=32, bands=4, columns=24, scene="checkerboard", boresight=MOUNTED
+    )
+    done = CliRunner().invoke(main, ["process", str(collect), "--out", str(folder / "lot.zarr"), "--quiet"])
+    assert done.exit_code == 0, done.output
+    truth = xr.open_zarr(folder / "collect" / "truth.zarr")
+    corner = float(truth.east.min()) - 5.0, float(truth.north.max()) + 5.0
+    size = int(max(np.ptp(truth.east.values), np.ptp(truth.north.values)) + 10.0) + 2
+    profile = {"driver": "GTiff", "width": size, "height": size, "count": 1, "dtype": "float32"}
+    where = rasterio.Affine(1.0, 0.0, corner[0], 0.0, -1.0, corner[1])
+    with rasterio.open(
+        folder / "dem.tif", "w", crs=truth.attrs["crs"], transform=where, nodata=-9999.0, **profile
+    ) as dem:
+        heights = np.full((size, size), truth.attrs["ground"], np.float32)
+        heights[0, 0] = -9999.0
+        dem.write(heights, 1)
+    return folder
+
+
+def shift(board: Path, *options: str) -> float:
+    """Return how far the pixel of a cell truly lies from it, as the median [cell]."""
+    out = board / "map.zarr"
+    call = ["orthorectify", str(board / "lot.zarr"), *options, "--out", str(out), "--quiet", "--overwrite"]
+    done = CliRunner().invoke(main, call)
+    assert done.exit_code == 0, done.output
+    with xr.open_zarr(out) as made, xr.open_zarr(board / "collect" / "truth.zarr") as truth:
+        line, sample = made.nearest_line.values, made.nearest_sample.values
+        shown = line >= 0
+        assert shown.mean() > 0.3
+        assert np.isfinite(made.reflectance.values[shown]).any()
+        pixel = line[shown], sample[shown]
+        off = (made[name].values[shown] - truth[name].values[pixel] for name in ("east", "north"))
+        return float(np.median(np.hypot(*off)) / made.attrs["gsd"])
+
+
+@_OLD_TRANSFORMS
+def test_a_camera_a_dem_and_a_boresight_put_pixels_in_their_place(board: Path) -> None:
+    dem = ("--dem", str(board / "dem.tif"), "--dem-heights", "ellipsoid")
+    level = ("--ground", str(xr.open_zarr(board / "collect" / "truth.zarr").attrs["ground"]))
+    for ground in (dem, level):
+        assert shift(board, *ground, *CAMERA, *BORESIGHT) < 1.0
+    assert shift(board, *level, *CAMERA) > 5.0
+
+
+@_OLD_TRANSFORMS
+def test_a_dem_whose_heights_are_above_nothing(board: Path) -> None:
+    call = ["orthorectify", str(board / "lot.zarr"), "--dem", str(board / "dem.tif"), *CAMERA]
+    done = CliRunner().invoke(main, [*call, "--out", str(board / "none.zarr"), "--quiet"])
+    assert done.exit_code == 2
+    assert "--dem-heights" in done.output
+    assert not (board / "none.zarr").exists()
+
+
+def test_a_line_that_declares_no_signs_is_not_guessed_at(board: Path, tmp_path: Path) -> None:
+    line = hp.open_store(board / "lot.zarr", "flightlines/raw_0")
+    line.attrs = {name: value for name, value in line.attrs.items() if not name.startswith("convention_")}
+    hp.to_store(xr.DataTree.from_dict({"/flightlines/raw_0": line}), tmp_path / "bare.zarr")
+    call = ["orthorectify", str(tmp_path / "bare.zarr"), "--ground", "0", *CAMERA, "--quiet"]
+    done = CliRunner().invoke(main, [*call, "--out", str(tmp_path / "map.zarr")])
+    assert done.exit_code == 2, done.output
+    assert "roll_positive" in done.output
+    assert "[navigation]" in done.output
+    assert not (tmp_path / "map.zarr").exists()
+
+
+def test_a_store_of_one_nameless_line_has_no_line_of_a_name(store: Path, tmp_path: Path) -> None:
+    hp.to_store(hp.open_store(store, "flightlines/raw_0"), tmp_path / "one.zarr")
+    call = ["orthorectify", str(tmp_path / "one.zarr"), "--out", str(tmp_path / "map.zarr"), "--quiet"]
+    done = CliRunner().invoke(main, [*call, "--line", "nope"])
+    assert done.exit_code == 2
+    assert "there is no 'nope'" in done.output
+    assert CliRunner().invoke(main, call).exit_code == 0

@@ -1,0 +1,269 @@
+"""`hyperpaint validate`: from a simulated collect to an agreement table, its files, and its exit status."""
+
+from __future__ import annotations
+
+import csv
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+import xarray as xr
+from click.testing import CliRunner, Result
+from support.agreeing_spectra import NM, agreeing, field, library, seen, smooth
+
+import hyperpaint as hp
+from hyperpaint.cli.program import main
+from hyperpaint.simulation.paints import CAR_PAINTS
+
+
+def run(*words: object) -> Result:
+    return CliRunner().invoke(main, [str(word) for word in words])
+
+
+@pytest.fixture(scope="module")
+def lot(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A simulated collect, processed, with signatures of its solid paints by the commands themselves."""
+    folder = tmp_path_factory.mktemp("lot")
+    size = ("--scene", "plan", "--lines", 64, "--bands", 60, "--columns", 48, "--seed", 1, "--glint", 0)
+    assert run("simulate", folder / "raw", *size).exit_code == 0
+    assert run("process", folder / "raw" / "collect.toml", "--out", folder / "lot.zarr").exit_code == 0
+    hp.write_regions(_painted(folder / "raw" / "truth.zarr", folder / "lot.zarr"), folder / "cars.geojson")
+    # in a plan every pixel shows one surface
+    words = ("--regions", folder / "cars.geojson", "--out", folder / "paints.zarr", "--keep", "mixed_edge")
+    done = run("signatures", folder / "lot.zarr", *words)
+    assert done.exit_code == 0, done.output
+    return folder
+
+
+def _painted(truth: Path, store: Path) -> hp.Regions:
+    """Return a square of every paint that shows one of four pixels."""
+    known = xr.open_zarr(truth)["surface"]
+    frames = xr.open_zarr(store, group="flightlines/raw_0")["frame"].values
+    surface = known.values[frames]
+    made = {}
+    for number, name in enumerate(known.attrs["flag_meanings"].split()):
+        if name not in CAR_PAINTS:
+            continue
+        windows = np.lib.stride_tricks.sliding_window_view(surface == number, (4, 4)).all(axis=(2, 3))
+        if windows.any():
+            y, x = map(int, np.argwhere(windows)[0])
+            corners = [(x, y), (x + 3, y), (x + 3, y + 3), (x, y + 3)]
+            made[name] = hp.Region(name, corners, flightline="raw_0")
+    assert len(made) >= 4
+    return hp.Regions(tuple(made.values()))
+
+
+@pytest.fixture
+def stored(tmp_path: Path) -> Path:
+    hp.to_store(agreeing()[0], tmp_path / "paints.zarr")
+    return tmp_path / "paints.zarr"
+
+
+@pytest.fixture
+def references(tmp_path: Path) -> Path:
+    """A text export of the field spectrometer, named as the paint."""
+    spectrum = agreeing()[1]
+    rows = zip(spectrum["wavelength"].values, spectrum["reflectance"].values[0], strict=True)
+    folder = tmp_path / "asd"
+    folder.mkdir()
+    (folder / "hood.asd.txt").write_text(
+        "Wavelength;hood.asd\n" + "".join(f"{nm:g}; {value:.8f}\n" for nm, value in rows)
+    )
+    return folder
+
+
+# --- from the raw files to the table -----------------------------------------------------------------------
+
+
+def test_simulate_process_signatures_validate(lot: Path) -> None:
+    done = run("validate", lot / "paints.zarr", "--reference", lot / "raw/svc/*.sig")
+    assert done.exit_code == 0, done.output
+    assert "pairs within tolerance (rmse 0.02)" in done.stdout
+    found = hp.validate(hp.open_store(lot / "paints.zarr"), hp.open_svc(lot / "raw" / "svc"))
+    assert found.table() in done.stdout
+    # what texture and noise leave of sixteen pixels
+    assert float(found.statistics["rmse"].max()) < 0.012
+    assert found.statistics["overlap"].values.tolist() == ["preserved"] * found.statistics.sizes["pair"]
+
+
+def test_the_store_keeps_its_references(lot: Path) -> None:
+    assert hp.verify(lot / "lot.zarr").ok
+    for group, opened in {
+        "references/svc": hp.open_svc(lot / "raw" / "svc"),
+        "references/asd": hp.open_asd(lot / "raw" / "asd_reflectance"),
+    }.items():
+        kept = hp.open_store(lot / "lot.zarr", group)
+        for name in ("reflectance", "wavelength", "time", "source"):
+            np.testing.assert_array_equal(kept[name].values, opened[name].values)
+        assert kept["reflectance"].attrs["units"] == "1"
+    own = run("validate", lot / "paints.zarr")
+    assert own.exit_code == 0, own.output
+    said = run("validate", lot / "paints.zarr", "--reference", lot / "lot.zarr")
+    assert said.stdout == own.stdout
+    assert "(SVC)" in own.stdout
+    assert "(ASD)" in own.stdout
+
+
+def test_a_wrong_gain_fails(lot: Path, tmp_path: Path) -> None:
+    paints = hp.open_store(lot / "paints.zarr").load().drop_encoding()
+    bright = paints.assign(reflectance=(paints["reflectance"] * np.float32(1.1)).assign_attrs(units="1"))
+    hp.to_store(bright, tmp_path / "bright.zarr")
+    words = ("validate", tmp_path / "bright.zarr", "--reference", lot / "raw/svc/*.sig")
+    done = run(*words)
+    assert done.exit_code == 1
+    assert "not passed: " in done.stderr
+    assert run(*words, "--tolerance", "spectral_angle=0.03", "--tolerance", "scale=0.12").exit_code == 0
+
+
+# --- options -----------------------------------------------------------------------------------------------
+
+
+def test_options_reach_the_function(stored: Path, references: Path, tmp_path: Path) -> None:
+    panel = tmp_path / "panel.csv"
+    panel.write_text("Diffuse target\nnm;R\n300;0.9\n2500;0.9\n")
+    pairs = tmp_path / "pairs.json"
+    pairs.write_text('{"hood": ["hood"]}')
+    words = ("--panel", panel, "--pairs", pairs, "--part", "red=620-700", "--part", "blue=420-480.5")
+    more = ("--tolerance", "0.5", "--reference-fwhm", 3, "--plot", tmp_path / "p.png")
+    out = tmp_path / "t.json"
+    done = run("validate", stored, "--reference", references, *words, *more, "--out", out)
+    assert done.exit_code == 0, done.output
+    made = json.loads(out.read_text())
+    assert made["parts"] == {"red": [620.0, 700.0], "blue": [420.0, 480.5]}
+    assert made["tolerance"] == {"rmse": 0.5}
+    assert made["passed"] is True
+    assert made["pairs"][0]["parts"]["red"]["scale"] == pytest.approx(1 / 0.9, rel=1e-3)
+    assert made["pairs"][0]["parts"]["red"]["rmse_u"] is None
+    assert "widths of channels 3 nm, as said" in made["pairs"][0]["notes"]
+    assert (tmp_path / "p.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_tables_hold_all_digits(stored: Path, references: Path, tmp_path: Path) -> None:
+    out = tmp_path / "agreement.csv"
+    assert run("validate", stored, "--reference", references / "hood.asd.txt", "--out", out).exit_code == 0
+    found = hp.validate(agreeing()[0], hp.open_asd(references, "reflectance"))
+    with out.open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert [row["part"] for row in rows] == ["VIS", "NIR", "all"]
+    for column, row in enumerate(rows):
+        assert float(row["rmse"]) == found.statistics["rmse"].values[0, column]
+        assert row["rmse_u"] == ""
+        assert int(row["bands"]) == found.statistics["bands"].values[0, column]
+    refused = run("validate", stored, "--reference", references, "--out", out)
+    assert refused.exit_code == 2
+    assert "pass --overwrite to replace it" in refused.stderr
+    assert run("validate", stored, "--reference", references, "--out", out, "--overwrite").exit_code == 0
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["agreement.csv", "asd", "paints.zarr"]
+
+
+def test_a_library_is_a_reference(stored: Path, tmp_path: Path) -> None:
+    hp.to_store(library(1.01 * seen(NM, 6.0)), tmp_path / "other.zarr")
+    done = run("validate", stored, "--reference", tmp_path / "other.zarr")
+    assert done.exit_code == 0, done.output
+    assert "(library)" in done.stdout
+
+
+def test_a_library_of_another_program_is_a_reference_too(stored: Path, tmp_path: Path) -> None:
+    path = tmp_path / "hood.csv"
+    nm = np.arange(380.0, 1021.0)
+    rows = "".join(f"{at:g},{100 * value:.6f}\n" for at, value in zip(nm, seen(nm, 3.0), strict=True))
+    path.write_text("wavelength (nm),reflectance (%)\n" + rows)
+    done = run("validate", stored, "--reference", path, "--reference-fwhm", 3, "--tolerance", 1e-4)
+    assert done.exit_code == 0, done.output
+
+
+def test_files_of_different_wavelengths_are_opened_apart(stored: Path, tmp_path: Path) -> None:
+    folder = tmp_path / "mixed"
+    folder.mkdir()
+    for name, step in (("hood", 1.0), ("roof", 2.0)):
+        nm = np.arange(380.0, 1021.0, step)
+        rows = "".join(f"{at:g};{value:.8f}\n" for at, value in zip(nm, smooth(nm), strict=True))
+        (folder / f"{name}.txt").write_text(f"Wavelength;{name}.asd\n{rows}")
+    done = run("validate", stored, "--reference", folder / "*.txt")
+    assert done.exit_code == 0, done.output
+    assert "references without a paint: roof" in done.stdout
+
+
+def test_bad_calls_are_one_message(stored: Path, references: Path, tmp_path: Path) -> None:
+    poem = tmp_path / "poem.txt"
+    poem.write_text("Shall I compare thee\nto a summer's day\n")
+    reference = ("--reference", references)
+    for words, told in {
+        (stored,): "name files with --reference",
+        (stored, "--reference", tmp_path / "no*.sig"): "no spectra found",
+        (stored, "--reference", poem): "poem.txt",
+        (stored, *reference, "--pairs", poem): "no list of paints and references",
+        (stored, *reference, "--panel", poem): "is no spectrum",
+        (stored, *reference, "--tolerance", "much"): "'much', expected a number of RMSE",
+        (stored, *reference, "--tolerance", "colour=1"): "no statistic 'colour'",
+        (stored, *reference, "--part", "red"): "'red', expected a name and wavelengths",
+        (stored, *reference, "--part", "=400-500"): "expected a name",
+        (stored, *reference, "--out", tmp_path / "t.xlsx"): "ends in .csv or .json",
+        (stored, *reference, "--out", tmp_path / "none" / "t.csv"): "there is no folder",
+        (stored, *reference, "--plot", tmp_path / "p.nothing"): "p.nothing",
+        (poem, *reference): "poem.txt",
+        (tmp_path / "none.zarr", *reference): "does not exist",
+    }.items():
+        done = run("validate", *words)
+        assert done.exit_code == 2, (words, done.output)
+        assert told in done.stderr, (told, done.stderr)
+        assert "Traceback" not in done.output
+    assert not list(tmp_path.glob("t.*"))
+
+
+def test_a_store_named_inside_a_library_is_looked_for_beside_it_only(tmp_path: Path) -> None:
+    for name in ("../elsewhere.zarr", "/etc", "", ".."):
+        paints = agreeing()[0].assign_attrs(store=name)
+        hp.to_store(paints, tmp_path / "p.zarr", overwrite=True)
+        (tmp_path / "references").mkdir(exist_ok=True)
+        assert "name files with --reference" in run("validate", tmp_path / "p.zarr").stderr
+
+
+def test_numbers_that_are_none_make_valid_json(tmp_path: Path) -> None:
+    from hyperpaint.workflows.validation_files import write_table
+
+    paints, reference = agreeing()
+    found = hp.validate(paints.isel(band=slice(0, 9)), field(reference["reflectance"].values))
+    write_table(found, tmp_path / "t.json")
+    made = json.loads((tmp_path / "t.json").read_text(), parse_constant=pytest.fail)
+    assert made["pairs"][0]["parts"]["NIR"]["rmse"] is None
+    assert made["parts"]["all"] == [0.0, None]
+
+
+def test_messages_name_options_and_say_things_once(stored: Path, references: Path, tmp_path: Path) -> None:
+    (references / "hood.asd.txt").rename(references / "door.asd.txt")
+    done = run("validate", stored, "--reference", references)
+    assert done.exit_code == 2
+    assert "name them with --pairs, or give regions a property reference" in done.stderr
+    done = run("validate", stored, "--reference", tmp_path / "none.sig")
+    assert done.exit_code == 2
+    assert done.stderr.count("references cannot be opened") == 1
+    assert "none.sig: cannot be read" in done.stderr
+
+
+def test_a_wrong_picture_is_refused_before_the_work(
+    stored: Path, references: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def work(*_: object, **__: object) -> None:
+        pytest.fail("the work was done first")
+
+    monkeypatch.setattr("hyperpaint.workflows.validation_files.validate_files", work)
+    done = run("validate", stored, "--reference", references, "--plot", tmp_path / "p.nope")
+    assert done.exit_code == 2
+    assert "expected a name that ends in one of" in done.stderr
+
+
+def test_what_is_not_judged_or_missing_is_exit_1(stored: Path, references: Path, tmp_path: Path) -> None:
+    words = ("validate", stored, "--reference", references)
+    assert run(*words, "--require-all").exit_code == 0
+    empty = run(*words, "--part", "SWIR=1500-1700")
+    assert empty.exit_code == 1
+    assert "not passed: hood against hood: SWIR (0 of 0 bands, too few to judge)" in empty.stderr
+    hp.to_store(library([seen(NM, 6.0)] * 2, ("hood", "roof")), tmp_path / "two.zarr")
+    more = ("validate", tmp_path / "two.zarr", "--reference", references)
+    assert run(*more).exit_code == 0
+    missing = run(*more, "--require-all")
+    assert missing.exit_code == 1
+    assert "not passed: roof: its reference is not there" in missing.stderr
+    assert "1 of 2 paints compared" in missing.stdout

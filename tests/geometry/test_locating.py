@@ -1,0 +1,396 @@
+"""Rays to level ground against geocentric space, signs by hand, and what `locate` promises of its result."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyproj
+import pytest
+import xarray as xr
+from scipy.spatial.transform import Rotation
+from support.geocentric_rays import LEFT_TO_RIGHT, PERIOD, UTM, exact_places, flown, level, recorded
+
+import hyperpaint as hp
+from hyperpaint.base.attitude_conventions import Convention
+from hyperpaint.base.errors import MissingExtraError, SchemaError, TimeError
+from hyperpaint.base.schema import VARIABLES, Quality
+from hyperpaint.geometry.georeference import grid_heading, utm_zone
+
+PLACES = ("east", "north", "ground_height", "view_zenith", "view_azimuth")
+CAMERA = hp.PinholeCamera(5, field_of_view=40.0, edges="centres")
+TANGENTS = np.column_stack([np.zeros(5), np.linspace(-1, 1, 5) * np.tan(np.radians(20.0))])
+
+
+def still(**pose: float) -> xr.Dataset:
+    return flown(1, 5, **({"roll": 0, "pitch": 0, "heading": 0, "altitude": 100.0} | pose))
+
+
+def offsets(line: xr.Dataset, **options: Any) -> tuple[np.ndarray, np.ndarray]:
+    """Return how far pixels are to the true east and north of the camera, with the map turned back."""
+    made = hp.locate(line, ground=0.0, crs=UTM, camera=CAMERA, **options)
+    lat, lon = float(line.latitude[0]), float(line.longitude[0])
+    x, y = pyproj.Transformer.from_crs("EPSG:4326", UTM, always_xy=True).transform(lon, lat)
+    factors = pyproj.Proj(UTM).get_factors(lon, lat)
+    turn = np.radians(factors.meridian_convergence)
+    scale = factors.meridional_scale
+    e, n = (made.east.values[0] - x) / scale, (made.north.values[0] - y) / scale
+    return e * np.cos(turn) + n * np.sin(turn), n * np.cos(turn) - e * np.sin(turn)
+
+
+# --- physics -----------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("altitude", "limit"), [(15.24, 1e-8), (120.0, 1e-7), (5000.0, 5e-3)])
+@pytest.mark.parametrize(
+    ("latitude", "longitude"), [(34.0, -80.2), (-33.0, -78.1), (69.0, -83.4), (0.0, -81.0)]
+)
+def test_rays_end_where_those_of_geocentric_space_end(
+    altitude: float, limit: float, latitude: float, longitude: float
+) -> None:
+    rng = np.random.default_rng(1)
+    line = flown(
+        30, 5, altitude=altitude, latitude=latitude + rng.uniform(-0.01, 0.01, 30),
+        longitude=longitude + rng.uniform(-0.01, 0.01, 30), roll=rng.uniform(-15, 15, 30),
+        pitch=rng.uniform(-15, 15, 30), heading=rng.uniform(0, 360, 30),
+    )  # fmt: skip
+    mounting = {"boresight": (0.4, -0.6, 0.8), "lever_arm": (0.05, -0.02, 0.12)}
+    made = hp.locate(line, ground=2.0, crs=UTM, camera=CAMERA, **mounting)
+    wanted = exact_places(line, TANGENTS, level(2.0), farthest=3 * altitude, **mounting)
+    for name in ("east", "north", "ground_height"):
+        np.testing.assert_allclose(made[name], wanted[name], rtol=0, atol=max(limit, 3e-9))
+    np.testing.assert_allclose(made.view_zenith, wanted["view_zenith"], rtol=0, atol=1e-7 + 1e-2 * limit)
+    turned = (made.view_azimuth.values - wanted["view_azimuth"] + 180.0) % 360.0 - 180.0
+    assert np.abs(turned * np.sin(np.radians(wanted["view_zenith"]))).max() < 1e-7 + 1e-2 * limit
+
+
+def test_signs_by_hand() -> None:
+    tan10, tan20 = np.tan(np.radians([10.0, 20.0]))
+    east, north = offsets(still())
+    np.testing.assert_allclose(east[[0, 2, 4]], [-100 * tan20, 0, 100 * tan20], atol=1e-3)
+    np.testing.assert_allclose(north, 0, atol=1e-3)
+    east, north = offsets(still(roll=10.0))  # right wing down: to the left
+    assert east[2] == pytest.approx(-100 * tan10, abs=1e-3)
+    east, north = offsets(still(pitch=10.0))  # nose up: forward
+    assert north[2] == pytest.approx(100 * tan10, abs=1e-3)
+    east, north = offsets(still(heading=90.0, pitch=10.0))
+    assert (east[2], north[2]) == pytest.approx((100 * tan10, 0), abs=1e-3)
+    assert north[4] < -30  # flying east, the right is south
+    east, north = offsets(still(), convention=LEFT_TO_RIGHT.replace(column_order="right_to_left"))
+    assert east[0] == pytest.approx(100 * tan20, abs=1e-3)
+
+
+def test_boresight_and_lever_arm_by_hand() -> None:
+    east, north = offsets(still(heading=90.0), lever_arm=(3.0, 2.0, 10.0))
+    # forward is east, right is south, and 10 m lower the swath is narrower
+    assert (east[2], north[2]) == pytest.approx((3.0, -2.0), abs=1e-3)
+    assert north[0] + 2.0 == pytest.approx(90 * np.tan(np.radians(20.0)), abs=1e-3)
+    # a rotation, not a sum of angles: flying tilted by 30 degrees the two differ
+    turned = Rotation.from_euler("ZYX", [20, 10, 30], degrees=True) * Rotation.from_euler(
+        "ZYX", [3, 2, 1], degrees=True
+    )
+    heading, pitch, roll = turned.as_euler("ZYX", degrees=True)
+    tilted = offsets(still(heading=20, pitch=10, roll=30), boresight=(1.0, 2.0, 3.0))
+    np.testing.assert_allclose(tilted, offsets(still(heading=heading, pitch=pitch, roll=roll)), atol=1e-9)
+    assert np.abs(tilted[0] - offsets(still(heading=23, pitch=12, roll=31))[0]).max() > 0.1
+
+
+def test_map_north_and_scale() -> None:
+    # G4
+    rng = np.random.default_rng(2)
+    lat, lon, heading = rng.uniform(-75, 75, 50), rng.uniform(-84, -78, 50), rng.uniform(0, 360, 50)
+    gamma = pyproj.Proj(UTM).get_factors(lon, lat).meridian_convergence
+    found = grid_heading(heading, lat, lon, UTM)
+    assert np.abs((found - heading + gamma + 180) % 360 - 180).max() < 1e-6
+    np.testing.assert_allclose(
+        gamma, np.degrees(np.arctan(np.tan(np.radians(lon + 81)) * np.sin(np.radians(lat)))), atol=1e-3
+    )
+    # pixels of a line that flies to true north lie, on the map, across its grid heading
+    line = flown(50, 5, roll=0, pitch=0, heading=heading, latitude=lat, longitude=lon)
+    made = hp.locate(line, ground=0.0, crs=UTM, camera=CAMERA)
+    across = np.degrees(np.arctan2(made.east[:, 4] - made.east[:, 0], made.north[:, 4] - made.north[:, 0]))
+    assert np.abs((across.values - found - 90 + 180) % 360 - 180).max() < 1e-4
+    # and 1 km on the ground is 1 km less the map's scale; back to degrees within 1 mm
+    geod = pyproj.Geod(ellps="WGS84")
+    far_lon, far_lat, _ = geod.fwd([-80.2], [34.0], [37.0], [1000.0])
+    ends = flown(2, 1, roll=0, pitch=0, heading=0, latitude=[34.0, far_lat[0]], longitude=[-80.2, far_lon[0]])
+    camera = hp.PinholeCamera(1, field_of_view=1.0, edges="outer")
+    made = hp.locate(ends, ground=0.0, crs=UTM, camera=camera)
+    back = pyproj.Transformer.from_crs(UTM, "EPSG:4326", always_xy=True).transform(made.east, made.north)
+    _, _, distance = geod.inv(back[0][0], back[1][0], back[0][1], back[1][1])
+    assert distance[0] == pytest.approx(1000.0, abs=1e-3)
+    step = np.hypot(np.diff(made.east[:, 0]), np.diff(made.north[:, 0]))[0]
+    assert step / 1000.0 == pytest.approx(
+        pyproj.Proj(UTM).get_factors(-80.2, 34.0).meridional_scale, abs=1e-5
+    )
+
+
+def test_the_antimeridian_and_southern_zones() -> None:
+    line = flown(4, 5, longitude=[179.9999, 179.99999, -179.99999, -179.9999], latitude=-17.0)
+    made = hp.locate(line, ground=0.0, camera=CAMERA)
+    assert made.east.attrs["crs"] in ("EPSG:32760", "EPSG:32701")
+    assert np.isfinite(made.east).all()
+    assert np.abs(made.north - made.north[0, 2]).max() < 100
+    assert utm_zone(-17.0, 180.0) == "EPSG:32701"
+    assert utm_zone(78.0, 20.0) == "EPSG:32633"
+    assert utm_zone(60.0, 3.5) == "EPSG:32632"
+    with pytest.raises(SchemaError, match="no UTM zone"):
+        utm_zone(85.0, 0.0)
+
+
+def test_tables_of_look_angles() -> None:
+    line = flown(6, 5)
+    across, along = np.array([-20.0, -9.0, 0.5, 11.0, 21.0]), np.array([0.1, 0.0, -0.1, 0.0, 0.2])
+    unit = {"units": "degree"}
+    table = xr.Dataset(
+        {"look_across": ("cross_track", across, unit), "look_along": ("cross_track", along, unit)}
+    )
+    tangents = np.tan(np.radians(np.column_stack([along, across])))
+    wanted = exact_places(line, tangents, level(1.0))
+    for made in (
+        hp.locate(line, ground=1.0, crs=UTM, camera=table),
+        hp.locate(line.assign(table), ground=1.0, crs=UTM),
+    ):
+        np.testing.assert_allclose(made.east, wanted["east"], rtol=0, atol=1e-8)
+        np.testing.assert_allclose(made.north, wanted["north"], rtol=0, atol=1e-8)
+    # the angles that come with a calibration, in radians, need no order of columns
+    line.attrs = Convention().to_attrs()
+    lab = line.assign(look_angle=("cross_track", np.radians(across), {"units": "radian"}))
+    made = hp.locate(lab, ground=1.0, crs=UTM)
+    tangents[:, 0] = 0.0
+    np.testing.assert_allclose(made.east, exact_places(line, tangents, level(1.0))["east"], rtol=0, atol=1e-8)
+
+
+def test_pinholes_by_hand() -> None:
+    outer = hp.PinholeCamera(640, field_of_view=40.0, edges="outer")
+    centres = hp.PinholeCamera(640, field_of_view=40.0, edges="centres")
+    assert centres.spacing / outer.spacing == pytest.approx(640 / 639)
+    assert centres.look_across("left_to_right")[[0, -1]] == pytest.approx([-20, 20])
+    lens = hp.PinholeCamera(4, pixel_pitch=7.4e-6, focal_length=12e-3)
+    tangent = np.tan(np.radians(lens.look_across("right_to_left")))
+    assert tangent == pytest.approx(np.array([1.5, 0.5, -0.5, -1.5]) * 7.4e-6 / 12e-3)
+    with pytest.raises(SchemaError, match=r"edges None.*'centres' or 'outer'"):
+        hp.PinholeCamera(4, field_of_view=40.0)
+    with pytest.raises(SchemaError, match=r"columns 0(.|\n)*either pixel_pitch and focal_length"):
+        hp.PinholeCamera(0, pixel_pitch=7.4e-6)
+
+
+# --- what has no place -------------------------------------------------------------------------------------
+
+
+def test_rays_to_the_horizon_and_above() -> None:
+    line = flown(5, 5, roll=[0.0, 69.5, 70.5, 110.0, 180.0], pitch=0, heading=0)
+    made = hp.locate(line, ground=0.0, crs=UTM, camera=CAMERA).compute()
+    # column 0 looks 20 degrees to the left, roll turns it further
+    assert np.isfinite(made.east[:, 0]).values.tolist() == [True, True, False, False, False]
+    assert np.isfinite(made.east[:, 4]).values.tolist() == [True, True, True, False, False]
+    for name in PLACES:
+        np.testing.assert_array_equal(np.isnan(made[name]), np.isnan(made.east))
+    off = (made.quality & Quality.OFF_SWATH) > 0
+    np.testing.assert_array_equal(off, np.isnan(made.east))
+    assert np.isnan(hp.locate(line, ground=16.0, crs=UTM, camera=CAMERA).east).all()  # underground
+
+
+def test_lines_without_a_pose() -> None:
+    line = flown(6, 5)
+    line["roll"][1] = np.nan
+    line["latitude"][2] = np.nan
+    line["altitude"][4] = np.inf
+    line["quality"] = (("along_track", "cross_track"), np.full((6, 5), 3, np.uint16))
+    made = hp.locate(line, ground=0.0, crs=UTM, camera=CAMERA).compute()
+    lost = np.array([False, True, True, False, True, False])
+    for name in PLACES:
+        np.testing.assert_array_equal(np.isnan(made[name]).all("cross_track"), lost)
+        np.testing.assert_array_equal(np.isnan(made[name]).any("cross_track"), lost)
+    np.testing.assert_array_equal(made.quality[:, 0], np.where(lost, 1027, 3))
+    for name in ("latitude", "roll", "heading"):
+        np.testing.assert_array_equal(np.isnan(made[name]), lost)
+
+
+# --- what it promises --------------------------------------------------------------------------------------
+
+
+def test_names_units_and_dtypes() -> None:
+    line = flown(40, 5)
+    made = hp.locate(line, ground=0.0, camera=CAMERA, lever_arm=(0, 0, 1), clock_offset_s=0.0)
+    for state in (made, made.compute()):
+        for name in PLACES:
+            assert state[name].dtype == np.float64
+            assert state[name].dims == ("along_track", "cross_track")
+            assert state[name].attrs["units"] == VARIABLES[name].units
+            assert state[name].attrs["grid_mapping"] == "spatial_ref"
+            assert name in state.coords
+        assert state.quality.dtype == np.uint16
+        assert state.spatial_ref.attrs["grid_mapping_name"] == "transverse_mercator"
+        assert state.east.attrs["crs"] == UTM
+        assert state.attrs["ground"] == 0.0
+        assert state.attrs["lever_arm"] == [0.0, 0.0, 1.0]
+        assert Convention.from_attrs(state.attrs) == LEFT_TO_RIGHT
+    assert set(line.coords) <= set(made.coords)
+    xr.testing.assert_identical(made.counts.drop_vars(made.coords), line.counts.drop_vars(line.coords))
+    xr.testing.assert_identical(line.paint.locate(ground=0.0, camera=CAMERA, lever_arm=(0, 0, 1)), made)
+
+
+def test_nothing_is_computed_until_asked(no_compute: Callable[[], Any]) -> None:
+    line = flown(70, 5).chunk(along_track=32)
+    assert line["roll"].chunks is not None
+    record = recorded(flown(70, 5)).chunk()
+    with no_compute():
+        own = hp.locate(line, ground=0.0, crs=UTM, camera=CAMERA)
+        nav = hp.locate(line, navigation=record, ground=0.0, crs=UTM, camera=CAMERA,
+                        convention=LEFT_TO_RIGHT)  # fmt: skip
+        assert own.chunks["along_track"] == (32, 32, 6)
+        eager = hp.locate(flown(70, 5), ground=0.0, camera=CAMERA)
+        assert eager.east.chunks is not None
+    np.testing.assert_array_equal(own.east, eager.east)
+    np.testing.assert_allclose(nav.east, eager.east, rtol=0, atol=1e-8)
+
+
+@pytest.mark.parametrize("dem", [False, True])
+def test_no_bit_depends_on_chunks(dem: bool) -> None:
+    line = flown(61, 5)
+    if dem:
+        x, y = 573_700 + np.arange(400) * 0.5, 3_762_300 + np.arange(400) * 0.5
+        made = hp.locate(line, ground=0.0, crs=UTM, camera=CAMERA)
+        x, y = x - x.mean() + float(made.east.mean()), y - y.mean() + float(made.north.mean())
+        heights = np.random.default_rng(0).uniform(0, 2, (400, 400))
+        attrs = {"crs": UTM, "height_reference": "ellipsoid"}
+        ground: dict[str, Any] = {"dem": xr.DataArray(heights, {"y": y, "x": x}, ("y", "x"), attrs=attrs)}
+    else:
+        ground = {"ground": 0.0}
+    whole = hp.locate(line.chunk(along_track=-1), crs=UTM, camera=CAMERA, **ground).compute()
+    assert np.isfinite(whole.east).all()
+    for chunks in (1, 7, (20, 1, 40)):
+        parts = hp.locate(line.chunk(along_track=chunks), crs=UTM, camera=CAMERA, **ground).compute()
+        for name in (*PLACES, "quality", "roll"):
+            np.testing.assert_array_equal(whole[name], parts[name])
+    single = hp.locate(line.isel(along_track=slice(17, 18)), crs=UTM, camera=CAMERA, **ground)
+    np.testing.assert_array_equal(whole.east[17:18], single.east)
+
+
+def test_it_may_be_located_again() -> None:
+    line = flown(20, 5)
+    line["roll"] = -line["roll"]
+    line["roll"].attrs["units"] = "degree"
+    mirrored = LEFT_TO_RIGHT.replace(roll_positive="right_wing_up")
+    once = hp.locate(line, ground=0.0, camera=CAMERA, convention=mirrored)
+    np.testing.assert_array_equal(once.east, hp.locate(flown(20, 5), ground=0.0, camera=CAMERA).east)
+    again = hp.locate(once, ground=0.0, camera=CAMERA)
+    np.testing.assert_allclose(again.east, once.east, rtol=0, atol=1e-9)
+    np.testing.assert_allclose(again["roll"], flown(20, 5)["roll"], rtol=0, atol=1e-12)
+
+
+def test_it_survives_a_store(tmp_path: Path) -> None:
+    made = hp.locate(flown(20, 5), ground=0.0, camera=CAMERA)
+    hp.to_store(made, tmp_path / "lot.zarr", "flightlines/raw_0")
+    opened = xr.open_zarr(tmp_path / "lot.zarr", group="flightlines/raw_0")
+    np.testing.assert_array_equal(opened.east, made.east)
+    assert Convention.from_attrs(opened.attrs) == LEFT_TO_RIGHT
+    assert opened.east.attrs["crs"] == UTM
+
+
+def test_other_navigation_than_the_line_knows() -> None:
+    line = flown(60, 5)
+    bare = line.drop_vars(["latitude", "longitude", "altitude", "roll", "pitch", "heading"])
+    record = recorded(line)
+    made = hp.locate(bare, navigation=record, ground=0.0, camera=CAMERA)
+    np.testing.assert_allclose(made.east, hp.locate(line, ground=0.0, camera=CAMERA).east, rtol=0, atol=1e-8)
+    # the clock of the navigation is three lines ahead
+    late = record.assign_coords(navigation_time=record.navigation_time.values + 3 * PERIOD)
+    shifted = hp.locate(bare, navigation=late, ground=0.0, camera=CAMERA, clock_offset_s=0.021)
+    np.testing.assert_allclose(shifted.east, made.east, rtol=0, atol=1e-8)
+    # the same of the line's own poses: what is outside them has no place
+    own = hp.locate(line, ground=0.0, camera=CAMERA, clock_offset_s=0.021)
+    np.testing.assert_allclose(own.east[:-3], made.east[3:], rtol=0, atol=1e-8)
+    assert np.isnan(own.east[-3:]).all()
+
+
+# --- refusals ----------------------------------------------------------------------------------------------
+
+
+def test_what_cannot_be_is_said_at_once() -> None:
+    line = flown(4, 5)
+    with pytest.raises(SchemaError, match=r"boresight(.|\n)*lever_arm(.|\n)*not both(.|\n)*clock_offset_s"):
+        hp.locate(line, boresight=(1, 2), lever_arm=(np.nan, 0, 0), clock_offset_s=np.inf)  # type: ignore[arg-type]
+    bare = line.assign_attrs()
+    bare.attrs = {}
+    with pytest.raises(SchemaError, match="does not declare what its angles and heights mean"):
+        hp.locate(bare, ground=0.0, camera=CAMERA)
+    with pytest.raises(SchemaError, match="column 0 looks left or right"):
+        hp.locate(bare, ground=0.0, camera=CAMERA, convention=Convention())
+    with pytest.raises(SchemaError, match=r"look_across has shape \(4,\), the line 5 columns"):
+        hp.locate(line, ground=0.0, camera=hp.PinholeCamera(4, field_of_view=9.0, edges="outer"))
+    with pytest.raises(SchemaError, match="where the columns look is not known"):
+        hp.locate(line, ground=0.0)
+    wrong = line.drop_vars("roll").copy(deep=True)
+    wrong["pitch"].attrs["units"] = "radian"
+    with pytest.raises(SchemaError, match=r"'roll' is missing(.|\n)*'pitch' has units 'radian'"):
+        hp.locate(wrong, ground=0.0, camera=CAMERA)
+    with pytest.raises(SchemaError, match="not known to PROJ"):
+        hp.locate(line, ground=0.0, camera=CAMERA, crs="EPSG:nothing")
+    with pytest.raises(SchemaError, match="not a map in metres"):
+        hp.locate(line, ground=0.0, camera=CAMERA, crs="EPSG:4326")
+    lost = line.copy(deep=True)
+    lost["roll"][:] = np.nan
+    with pytest.raises(SchemaError, match="no line has a pose"):
+        hp.locate(lost, ground=0.0, camera=CAMERA)
+    with pytest.raises(SchemaError, match="interpolation 'quintic'"):
+        hp.locate(line, ground=0.0, camera=CAMERA, interpolation="quintic")  # type: ignore[arg-type]
+    record = recorded(line).isel(navigation_time=[0, 2, 1, 3])
+    with pytest.raises(TimeError, match=r"runs backwards at 1 of 4 rows \(2\)"):
+        hp.locate(line, navigation=record, ground=0.0, camera=CAMERA)
+
+
+def test_a_missing_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "pyproj", None)
+    with pytest.raises(MissingExtraError, match=r"hyperpaint\[geo\]"):
+        hp.locate(flown(4, 5), ground=0.0, camera=CAMERA, crs="EPSG:32618")
+    monkeypatch.setitem(sys.modules, "shapely", None)
+    with pytest.raises(MissingExtraError, match=r"hyperpaint\[geo\]"):
+        hp.footprint(xr.Dataset())
+
+
+# --- coverage ----------------------------------------------------------------------------------------------
+
+
+def test_spacing_by_hand() -> None:
+    line = flown(11, 5, roll=0, pitch=0, heading=0, altitude=10.0)
+    made = hp.spacing(hp.locate(line, ground=0.0, camera=CAMERA))
+    scale = pyproj.Proj(UTM).get_factors(-80.2, 34.0).meridional_scale
+    assert made["across"] == pytest.approx(scale * 5 * np.tan(np.radians(20.0)), rel=1e-4)
+    assert made["along"] == pytest.approx(1.14 * 0.007, rel=2e-3)
+    assert made["gsd"] == made["across"]
+    assert made["reversed"] == made["off_swath"] == 0.0
+    nodding = line.assign(pitch=("along_track", [0, 3] * 5 + [0], {"units": "degree"}))
+    assert hp.spacing(hp.locate(nodding, ground=0.0, camera=CAMERA))["reversed"] == pytest.approx(0.5)
+    with pytest.raises(SchemaError, match="'east' is missing"):
+        hp.spacing(line)
+
+
+def test_footprints() -> None:
+    import shapely
+
+    line = flown(200, 5, altitude=10.0, roll=0, pitch=0, heading=5)
+    located = hp.locate(line, ground=0.0, camera=CAMERA)
+    outline = hp.footprint(located, crs=UTM)
+    shape = shapely.from_geojson(json.dumps(outline["geometry"]))
+    assert shape.is_valid
+    assert shape.geom_type == "Polygon"
+    width, length = 2 * 10 * np.tan(np.radians(20.0)), 199 * 0.007 * 1.14
+    assert outline["properties"]["area"] == pytest.approx(width * length, rel=0.02)
+    inside = shapely.contains_xy(
+        shape.buffer(0.01), located.east.values.ravel(), located.north.values.ravel()
+    )
+    assert inside.mean() > 0.99
+    lon, lat = np.array(hp.footprint(located)["geometry"]["coordinates"][0]).mean(axis=0)
+    assert (lon, lat) == pytest.approx((-80.2, 34.0), abs=1e-4)
+    line["roll"][90:110] = np.nan
+    parted = hp.footprint(hp.locate(line, ground=0.0, camera=CAMERA))
+    assert parted["geometry"]["type"] == "MultiPolygon"
+    assert parted["properties"]["lines"] == 180
+    with pytest.raises(SchemaError, match="no two neighbouring lines"):
+        hp.footprint(located.isel(along_track=[0]))

@@ -1,0 +1,348 @@
+"""Maps of flown lines, against where the pixels are known to lie."""
+
+from __future__ import annotations
+
+import tracemalloc
+from typing import Any
+
+import dask
+import numpy as np
+import pytest
+import xarray as xr
+from support.flown_lines import GSD, MAP, Flown, fly, hills, located, nearest_by_distance
+from support.strategies import flight
+
+import hyperpaint as hp
+from hyperpaint.base.errors import SchemaError
+
+CUBE = ("along_track", "band", "cross_track")
+OFF = int(hp.Quality.OFF_SWATH)
+
+
+def coordinates(flown: Flown) -> Any:
+    """Return the coordinate cube: a band of east, and one of north."""
+    return (CUBE, np.stack([flown.east, flown.north], axis=1))
+
+
+def centres(made: xr.Dataset) -> tuple[np.ndarray, np.ndarray]:
+    """Return where cells lie, by GDAL's transform alone."""
+    c, a, b, f, d, e = map(float, made.spatial_ref.attrs["GeoTransform"].split())
+    row, col = np.meshgrid(np.arange(made.sizes["y"]) + 0.5, np.arange(made.sizes["x"]) + 0.5, indexing="ij")
+    return c + a * col + b * row, f + d * col + e * row
+
+
+def away(made: xr.Dataset) -> np.ndarray:
+    """Return how far what cells got lies from them [pixel]."""
+    east, north = centres(made)
+    there = made.there.values
+    return np.hypot(there[..., 0] - east, there[..., 1] - north) / made.attrs["gsd"]
+
+
+@pytest.mark.parametrize("grid", ["flight", "north"])
+@pytest.mark.parametrize("ground", [None, hills], ids=["plane", "dem"])
+@pytest.mark.parametrize("wobble", ["calm", "rough"])
+def test_coordinates_come_back(wobble: str, ground: Any, grid: Any) -> None:
+    flown = fly(300, 120, wobble, heading=37.0, ground=ground)
+    line = located(flown, there=coordinates(flown))
+    made = hp.orthorectify(line, grid=grid, variables="there", method="bilinear").compute()
+    error = away(made)
+    shown = np.isfinite(made.glt_line.values)
+    assert (np.isfinite(error) == shown).all()
+    assert shown.mean() > 0.25
+    assert error[shown].max() <= 1e-3
+    nearest = hp.orthorectify(line, grid=grid, variables="there").compute()
+    exact, _ = nearest_by_distance(flown, *(part[shown] for part in centres(nearest)))
+    exact_rms = np.sqrt((exact**2).mean()) / made.attrs["gsd"]
+    assert np.sqrt((away(nearest)[shown] ** 2).mean()) <= 1.10 * exact_rms
+    report = hp.map_report(made)
+    assert report["covered"] == shown.sum()
+    # beyond the ends of hilly lines little is left out
+    assert report["gaps"] <= (0 if ground is None else 0.002 * shown.sum())
+
+
+def test_a_line_without_wobble_is_its_own_map() -> None:
+    flown = fly(40, 30, "none")
+    values = np.arange(1200.0).reshape(40, 30)
+    line = located(flown, chunk=None, red=(CUBE[::2], values))
+    made = hp.orthorectify(line, GSD, variables=["red", "time"])
+    assert made.sizes == {"y": 40, "x": 30}
+    # the flight goes up
+    np.testing.assert_array_equal(made.red, values[::-1])
+    assert made.line_time.dtype == "datetime64[ns]"
+    np.testing.assert_array_equal(made.line_time[:, 3], line.time[::-1])
+    np.testing.assert_array_equal(made.nearest_line[:, 0], np.arange(40)[::-1])
+
+
+@pytest.mark.parametrize("method", ["nearest", "bilinear"])
+def test_neither_tiles_nor_chunks_change_anything(method: Any) -> None:
+    flown = fly(150, 70, "rough", heading=200.0)
+    cube = np.random.default_rng(0).random((150, 5, 70)).astype(np.float32)
+    whole = None
+    for chunk, tile in ((None, 256), (32, 17), (7, 64), (150, 33)):
+        line = located(flown, chunk=chunk, radiance=(CUBE, cube, {"units": "W m-2 sr-1 nm-1"}))
+        made = hp.orthorectify(line, grid="north", method=method, tile=tile).compute()
+        if whole is None:
+            whole = made
+        xr.testing.assert_identical(made, whole)
+    assert whole.radiance.dtype == np.float32
+
+
+def test_it_is_lazy_and_reads_the_lines_it_needs() -> None:
+    import dask.array as da
+
+    read: list[int] = []
+
+    def block(block_id: Any = None) -> np.ndarray:
+        read.append(block_id[0])
+        return np.ones((16, 3, 40), np.float32)
+
+    flown = fly(320, 40, "calm")
+    cube = da.map_blocks(
+        block, chunks=((16,) * 20, (3,), (40,)), dtype=np.float32, meta=np.empty((0, 0, 0), "f4")
+    )
+    line = located(flown, chunk=16).assign(radiance=(CUBE, cube, {"units": "W m-2 sr-1 nm-1"}))
+    made = hp.orthorectify(line, tile=64)
+    assert not read
+    assert all(dask.is_dask_collection(part.data) for part in made.data_vars.values())
+    made.radiance[-64:].compute(scheduler="sync")
+    assert read
+    assert set(read) <= set(range(7))
+
+
+def test_reflectance_and_map_can_be_made_in_either_order() -> None:
+    """Counts on the map, with the line and column that each is of, become the reflectance of the map."""
+    flown = fly(24, 10, "rough", heading=20.0)
+    line = flight(lines=24, columns=10).line
+    line["counts"] = line.counts.astype(np.uint16).assign_attrs(line.counts.attrs)
+    dims = CUBE[::2]
+    attrs = {"units": "m", "crs": MAP}
+    line = line.assign_coords(east=(dims, flown.east, attrs), north=(dims, flown.north, attrs))
+    after = hp.orthorectify(hp.reflectance(line), variables=["reflectance"]).compute()
+    before = hp.orthorectify(line, variables=["counts", "time"]).compute()
+    assert before.counts.dtype == np.uint16
+    shown = before.nearest_line.values >= 0
+    assert (before.counts.values[~shown] == 65535).all()
+    # every cell becomes a line of its own, with its own time, dark but for its own column
+    columns = before.nearest_sample.values[shown]
+    cells = np.arange(columns.size)
+    counts = np.zeros((columns.size, line.sizes["band"], 10), np.uint16)
+    counts[cells, :, columns] = before.counts.values[shown]
+    fake = line.drop_dims("along_track").assign(counts=(CUBE, counts, line.counts.attrs))
+    fake = fake.assign_coords(time=("along_track", before.line_time.values[shown]))
+    lines = before.nearest_line.values[shown]
+    for name in line.variables:
+        if line[name].dims == ("along_track",) and name != "time":
+            fake[name] = ("along_track", line[name].values[lines], line[name].attrs)
+    made = hp.reflectance(fake).reflectance.values[cells, :, columns]
+    np.testing.assert_array_equal(made.view(np.uint32), after.reflectance.values[shown].view(np.uint32))
+    assert np.isfinite(made).any()
+
+
+def test_flags_are_joined_and_what_is_missing_does_not_leak() -> None:
+    flown = fly(40, 30, "calm", heading=10.0)
+    values = np.ones((40, 2, 30), np.float32)
+    values[20, 1, 15] = np.nan
+    line = located(flown, radiance=(CUBE, values, {"units": "W m-2 sr-1 nm-1"})).compute()
+    line.quality[20, 15] = 1
+    made = hp.orthorectify(line, method="bilinear").compute()
+    bad = np.isnan(made.radiance.values[..., 1]) & (made.hits.values > 0)
+    assert 2 <= bad.sum() <= 9
+    assert (made.quality.values[bad] == 1).all()
+    assert (made.radiance.values[bad, 0] == 1.0).all()
+    assert ((made.quality.values == OFF) == (made.hits.values == 0)).all()
+    one = hp.orthorectify(line).compute()
+    assert (
+        (one.quality.values == 1) == (np.isnan(one.radiance.values[..., 1]) & (one.hits.values > 0))
+    ).all()
+
+
+def test_a_gap_is_empty_flagged_and_counted() -> None:
+    flown = fly(200, 40, "none")
+    lost = flown.east.copy()
+    lost[80:120] = np.nan
+    line = located(Flown(lost, flown.north, flown.up, flown.position, flown.attitude))
+    line["red"] = line.east * 0 + 1
+    made = hp.orthorectify(line, GSD, variables=["red", "quality"]).compute()
+    assert made.sizes["y"] == 200
+    hole = made.hits.values == 0
+    assert hole[80:120].all()
+    assert hole.sum() == 40 * 40
+    assert (made.gap.values == hole).all()
+    assert (made.quality.values[hole] == OFF).all()
+    assert np.isnan(made.red.values[hole]).all()
+    assert hp.map_report(made) == {
+        "cells": 8000,
+        "covered": 6400,
+        "gaps": 1600,
+        "multiple": 0,
+        "most_hits": 1,
+    }
+    # the same frames never recorded: lines follow one another, far apart
+    dropped = line.isel(along_track=np.r_[0:80, 120:200]).chunk(along_track=32)
+    made = hp.orthorectify(dropped, GSD, variables=["red"]).compute()
+    assert (made.hits.values == 0).sum() == 40 * 40
+
+
+def test_holes_and_single_pixels() -> None:
+    flown = fly(60, 40, "rough")
+    lost = flown.east.copy()
+    lost[10:20, 5:12] = np.nan
+    lost[40, 7] = np.nan
+    made = hp.orthorectify(
+        located(Flown(lost, flown.north, flown.up, flown.position, flown.attitude)), variables=["quality"]
+    ).compute()
+    whole = hp.orthorectify(located(flown), made.attrs["gsd"], variables=["quality"]).compute()
+    assert hp.map_report(made)["covered"] < hp.map_report(whole)["covered"]
+    assert not (made.quality.values[made.hits.values > 0] & OFF).any()
+
+
+def test_which_of_several_is_chosen() -> None:
+    flown = fly(120, 30, "none")
+    north = flown.north.copy()
+    north[60:] = north[59::-1]  # turns round half way
+    line = located(Flown(flown.east, north, flown.up, flown.position, flown.attitude))
+    first, last = (
+        hp.orthorectify(line, GSD, variables=[], multi_hit=rule, grid="north").compute().glt_line
+        for rule in ("first", "last")
+    )
+    assert float(first.max()) <= 60
+    assert float(last.min()) >= 59
+
+
+def test_bounds_make_one_grid_for_several_lines() -> None:
+    bounds = (500_000.0, 3_760_000.0, 500_000.4, 3_760_000.3)
+    maps = [
+        hp.orthorectify(
+            located(fly(80, 40, seed=k)), 0.01, grid="north", bounds=bounds, variables=["quality"]
+        )
+        for k in (1, 2)
+    ]
+    assert maps[0].sizes == {"y": 30, "x": 40}
+    np.testing.assert_array_equal(maps[0].x, maps[1].x)
+    np.testing.assert_allclose(maps[0].x[0], 500_000.005)
+    np.testing.assert_allclose(maps[0].y[0], 3_760_000.295)
+    whole = hp.orthorectify(located(fly(80, 40, seed=1)), 0.01, variables=["quality"])
+    part = hp.orthorectify(located(fly(80, 40, seed=1)), 0.01, variables=["quality"], bounds=bounds)
+    east, north = centres(part)
+    np.testing.assert_allclose(part.east, east, atol=1e-7)
+    np.testing.assert_allclose(part.north, north, atol=1e-7)
+    assert part.sizes["y"] < whole.sizes["y"]
+
+
+@pytest.mark.parametrize("order", ["sensor", "map"])
+def test_regions_of_the_map_are_pixels_of_the_line(order: str) -> None:
+    flown = fly(60, 40, "calm", heading=70.0)
+    rng = np.random.default_rng(3)
+    values = rng.random((60, 6, 40)).astype(np.float32)
+    line = located(flown, reflectance=(CUBE, values, {"units": "1"}))
+    line = line.assign_coords(wavelength=("band", np.linspace(450.0, 700.0, 6), {"units": "nm"}))
+    low, high, left, right = 20, 33, 11, 25
+    sensor = hp.Region("hood", [(left, low), (right, low), (right, high), (left, high)])
+    # the outline of these pixels on the ground, half a pixel around their centres
+    edge = [(low - 1, left - 1), (low - 1, right), (high, right), (high, left - 1)]
+    corners = [
+        tuple(part[i : i + 2, j : j + 2].mean() for part in (flown.east, flown.north)) for i, j in edge
+    ]
+    along = [(low - 1, j) for j in range(left - 1, right + 1)] + [(i, right) for i in range(low, high + 1)]
+    along += [(high, j) for j in range(right - 1, left - 2, -1)] + [
+        (i, left - 1) for i in range(high - 1, low - 1, -1)
+    ]
+    corners = [
+        tuple(part[i : i + 2, j : j + 2].mean() for part in (flown.east, flown.north)) for i, j in along
+    ]
+    regions = hp.Regions((hp.Region("hood", corners),), "map", MAP)
+    if order == "map":  # drawn in degrees
+        pyproj = pytest.importorskip("pyproj")
+        to_degrees = pyproj.Transformer.from_crs(MAP, "OGC:CRS84", always_xy=True)
+        regions = hp.Regions(
+            (hp.Region("hood", [to_degrees.transform(*xy) for xy in corners]),), "map", "OGC:CRS84"
+        )
+    on_map = line.paint.signatures(regions)
+    on_sensor = line.paint.signatures(hp.Regions((sensor,)))
+    assert int(on_map.n[0]) == (high - low + 1) * (right - left + 1)
+    for name in ("reflectance", "reflectance_sd", "member_reflectance", "n"):
+        np.testing.assert_array_equal(on_map[name].values, on_sensor[name].values)
+
+
+def test_what_comes_along() -> None:
+    flown = fly(40, 20, "calm")
+    line = located(flown, radiance=(CUBE, np.ones((40, 3, 20), np.float32), {"units": "W m-2 sr-1 nm-1"}))
+    line = line.assign_coords(wavelength=("band", [500.0, 600.0, 700.0], {"units": "nm"}))
+    line = line.assign(roll=("along_track", flown.attitude[:, 0]), look=("cross_track", np.arange(20.0)))
+    made = hp.orthorectify(line)
+    assert set(made.data_vars) == {
+        "radiance", "quality", "line_time", "hits", "gap",
+        "glt_line", "glt_sample", "nearest_line", "nearest_sample",
+    }  # fmt: skip
+    assert made.radiance.attrs["units"] == "W m-2 sr-1 nm-1"
+    assert made.radiance.attrs["grid_mapping"] == "spatial_ref"
+    np.testing.assert_array_equal(made.wavelength, line.wavelength)
+    asked = hp.orthorectify(line, variables=["roll", "look"]).compute()
+    shown = asked.nearest_line.values >= 0
+    np.testing.assert_array_equal(
+        asked["roll"].values[shown], line["roll"].values[asked.nearest_line.values[shown]]
+    )
+    np.testing.assert_array_equal(asked["look"].values[shown], asked.nearest_sample.values[shown])
+
+
+def test_what_cannot_be_mapped_is_named_at_once() -> None:
+    line = located(fly(20, 10))
+    with pytest.raises(
+        SchemaError, match=r"(?s)grid 'up'.*method 'cubic'.*multi_hit 'best'.*gsd -1.*tile 0.*bounds"
+    ):
+        hp.orthorectify(line, -1, grid="up", method="cubic", multi_hit="best", tile=0, bounds=(1, 1, 0, 0))
+    with pytest.raises(SchemaError, match=r"(?s)'paint' is not there.*'lamp' \(a scalar\)"):
+        hp.orthorectify(line.assign(lamp=1.0), variables=["paint", "lamp"])
+    with pytest.raises(SchemaError, match="located already, and ground= would do nothing"):
+        hp.orthorectify(line, ground=0.0)
+    with pytest.raises(SchemaError, match="nothing to map"):
+        hp.orthorectify(line.assign_coords(east=line.east * np.nan), variables=[])
+    with pytest.raises(SchemaError, match="two of each are needed"):
+        hp.orthorectify(line.isel(cross_track=[0]), variables=[])
+    with pytest.raises(SchemaError, match="give a larger gsd"):
+        hp.orthorectify(line, 1e-7, variables=[])
+    with pytest.raises(SchemaError, match="'hits' and 'gap' missing"):
+        hp.map_report(line)
+
+
+def test_too_many_tiles_are_counted_before_they_are_made() -> None:
+    line = located(fly(20, 10))
+    tracemalloc.start()
+    with pytest.raises(SchemaError, match=r"is \d+ tiles of 1 x 1, expected 100000 at most"):
+        hp.orthorectify(line, GSD / 40.0, tile=1, variables=[])
+    assert tracemalloc.get_traced_memory()[1] < 20e6
+    tracemalloc.stop()
+
+
+@pytest.mark.parametrize("lazy", [False, True])
+@pytest.mark.parametrize("method", ["nearest", "bilinear"])
+@pytest.mark.parametrize("dtype", [">f4", ">f8", "f2", ">u2", ">i4"])
+def test_foreign_types_become_native_ones(dtype: str, method: Any, lazy: bool) -> None:
+    flown = fly(20, 12, "none")
+    cube = np.random.default_rng(3).integers(0, 99, (20, 3, 12))
+    native = "f4" if dtype == "f2" else dtype[1:]
+    line = located(flown, chunk=None)
+    maps = []
+    for kind in (dtype, native):
+        given = line.assign(there=(CUBE, cube.astype(kind))).assign_coords(
+            mark=(CUBE[::2], cube[:, 0].astype(kind))
+        )
+        given = given.chunk(along_track=7) if lazy else given
+        maps.append(hp.orthorectify(given, variables=["there", "mark"], method=method))
+    for name in ("there", "mark"):
+        assert maps[0][name].dtype.str == maps[1][name].dtype.str
+        assert maps[0][name].compute().dtype.isnative
+        np.testing.assert_array_equal(maps[0][name], maps[1][name])
+
+
+def test_types_that_are_no_numbers_are_refused() -> None:
+    line = located(fly(20, 10))
+    odd = {f"odd_{kind}": (CUBE[::2], np.zeros((20, 10), kind)) for kind in ("c8", "U3", "m8[ns]")}
+    with pytest.raises(SchemaError, match=r"(?s)'odd_c8' is complex64.*'odd_U3' is <U3.*'odd_m8\[ns\]' is"):
+        hp.orthorectify(line.assign(odd), variables=list(odd))
+
+
+def test_progress_is_told() -> None:
+    told: list[tuple[int, int]] = []
+    hp.orthorectify(located(fly(100, 10)), variables=[], progress=lambda done, of: told.append((done, of)))
+    assert told[-1] == (4, 4)

@@ -1,0 +1,449 @@
+"""Memory and disk are known before a run, and a run that would not fit is refused."""
+
+from __future__ import annotations
+
+import functools
+import importlib
+import os
+import subprocess
+import sys
+import threading
+from collections import namedtuple
+from pathlib import Path
+from typing import Any
+
+import dask
+import dask.array as da
+import numpy as np
+import pytest
+import xarray as xr
+from click.testing import CliRunner
+from support import ROOT
+from support.strategies import flight
+
+import hyperpaint as hp
+from hyperpaint.base.errors import SchemaError, StoreError
+from hyperpaint.cli.program import main
+from hyperpaint.io.store import budget, room
+from hyperpaint.io.store.budget import (
+    HELPER_SPACE,
+    THREAD_SPACE,
+    Load,
+    available_memory,
+    check_memory,
+    fit,
+    limited_threads,
+    parse_size,
+    process_limit,
+    resident_memory,
+    thread_count,
+    thread_space,
+)
+from hyperpaint.io.store.room import check_disk, disk_needed
+from hyperpaint.workflows import pipeline
+
+MIB = 2**20
+Usage = namedtuple("Usage", "total used free")
+
+
+def load(lines: int = 6400) -> Load:
+    """The load of a flight line of 272 bands and 640 columns."""
+    return Load(scan_line=272 * 640 * 6, light=34_816, encoded=33_423_360, shared=4_000_000, lines=lines)
+
+
+@pytest.fixture(scope="module")
+def collect(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("collect")
+    return hp.simulate_collect(folder, scene="plan", lines=72, bands=20, columns=12, seed=3, truth=False)
+
+
+# --- memory ------------------------------------------------------------------------------------------------
+
+
+def test_a_load_counts_cube_product_and_what_is_shared() -> None:
+    line = flight(lines=100, bands=10, columns=8, dtype=np.uint16).line
+    found = Load.of(line)
+    assert found.scan_line == 10 * 8 * (2 + 4)
+    assert found.encoded == 1.5 * 32 * 10 * 8 * 4
+    assert found.lines == 100
+    assert found.shared > 2 * (line.dark_counts.nbytes + line.radiance_gain.nbytes + line.irradiance.nbytes)
+    smiling = line.assign_coords(wavelength_shift=("cross_track", np.linspace(0, 3, 8), {"units": "nm"}))
+    assert Load.of(smiling).light > 5 * found.light
+    assert Load.of(smiling.chunk()).light >= Load.of(smiling).light  # not at hand: never less
+    start = line.drop_vars("counts").assign(radiance=line.counts.astype(np.float32))
+    assert Load.of(start).scan_line == 10 * 8 * 8
+
+
+def test_the_peak_grows_with_threads_and_lines_but_not_with_the_flight() -> None:
+    alone = load().peak(lines=32, threads=1, fixed=0)
+    assert load().peak(lines=32, threads=3, fixed=0) > 2.5 * alone
+    assert load().peak(lines=128, threads=1, fixed=0) > 2.5 * alone
+    assert load().peak(lines=32, threads=1, fixed=5) == alone + 5
+    long = load(lines=64_000).peak(lines=32, threads=1, fixed=0)
+    assert alone < long < 1.4 * alone
+    # what is shorter than a task, or than all the threads, asks for less
+    assert load(lines=8).peak(lines=32, threads=8, fixed=0) < alone
+
+
+def test_lines_a_task_go_first_then_threads() -> None:
+    wished: dict[str, Any] = {"lines": 256, "threads": 4, "fixed": 200 * MIB}
+    free = fit({"a": load()}, limit=None, **wished)
+    assert (free.lines, free.threads) == (256, 4)
+    assert fit({"a": load()}, limit=free.needed, **wished) == free
+    fewer = fit({"a": load()}, limit=free.needed - 1, **wished)
+    assert (fewer.lines, fewer.threads) == (128, 4)
+    tight = fit({"a": load()}, limit=500 * MIB, **wished)
+    assert (tight.lines, tight.threads) == (32, 2)
+    assert tight.needed <= 500 * MIB
+
+
+def test_what_never_fits_is_refused_with_the_figure() -> None:
+    wished: dict[str, Any] = {"lines": 32, "threads": 4, "fixed": 200 * MIB}
+    loads = {"flightlines/small": load(lines=8), "flightlines/large": load()}
+    with pytest.raises(StoreError, match=r"/flightlines/large needs \d+ MiB of memory with 1 thread and 32"):
+        fit(loads, limit=250 * MIB, **wished)
+    with pytest.raises(StoreError, match=r"with 4 threads .* fewer threads a worker"):
+        fit(loads, limit=400 * MIB, least_threads=4, **wished)
+    assert fit({}, limit=1, **wished).needed == 0  # nothing to do needs nothing
+
+
+@pytest.mark.parametrize(
+    "size", ["", "much", "GiB", "-1 GiB", 0, -5, "1 parsec", float("inf"), float("nan"), None]
+)
+def test_what_is_no_size(size: Any) -> None:
+    with pytest.raises(SchemaError, match="expected bytes, or text such as"):
+        parse_size(size)
+
+
+def test_available_memory_of_this_machine() -> None:
+    found = available_memory()
+    assert found is None or found > 10 * MIB
+    assert 10 * MIB < resident_memory() < 100 * 2**30
+
+
+def write(folder: Path, **files: str | int) -> None:
+    folder.mkdir(parents=True, exist_ok=True)
+    for name, text in files.items():
+        (folder / name.replace("__", ".")).write_text(f"{text}\n")
+
+
+def test_a_container_leaves_less_than_its_machine(tmp_path: Path) -> None:
+    write(tmp_path / "proc", meminfo="MemTotal: 9000000 kB\nMemAvailable:    8000000 kB")
+    assert available_memory(tmp_path) == 8_000_000 * 1024
+    write(tmp_path / "proc/self", cgroup="0::/outer/inner")
+    groups = tmp_path / "sys/fs/cgroup"
+    write(groups / "outer/inner", memory__max="max", memory__current=5)
+    assert available_memory(tmp_path) == 8_000_000 * 1024
+    # the limit of a group above holds as well; cached files give way
+    write(groups / "outer", memory__max=3000, memory__current=2500, memory__stat="anon 7\ninactive_file 400")
+    assert available_memory(tmp_path) == 900
+    write(groups / "outer", memory__current=9000)
+    assert available_memory(tmp_path) == 0
+
+
+def test_version_one_of_control_groups(tmp_path: Path) -> None:
+    write(tmp_path / "proc", meminfo="MemAvailable: 8000000 kB")
+    write(tmp_path / "proc/self", cgroup="5:cpu:/x\n4:hugetlb,memory:/job")
+    group = tmp_path / "sys/fs/cgroup/memory/job"
+    write(group, memory__limit_in_bytes=7000, memory__usage_in_bytes=1000)
+    assert available_memory(tmp_path) == 6000
+
+
+# --- address space -----------------------------------------------------------------------------------------
+
+
+def limited(monkeypatch: pytest.MonkeyPatch, size: int | None) -> None:
+    monkeypatch.setattr(budget, "_address_limit", lambda: size)
+
+
+def test_a_limited_address_space_leaves_less(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    write(tmp_path / "proc", meminfo="MemAvailable: 8000000 kB")
+    write(tmp_path / "proc/self", statm="100000 5000 1 1 0 1 0")
+    limited(monkeypatch, None)
+    assert available_memory(tmp_path) == 8_000_000 * 1024
+    assert thread_space() == 0
+    used = 100_000 * os.sysconf("SC_PAGE_SIZE")
+    limited(monkeypatch, used + 4 * 2**30)
+    monkeypatch.setattr(budget.os, "cpu_count", lambda: 2)
+    monkeypatch.setattr(budget.threading, "enumerate", list)
+    assert available_memory(tmp_path) == 4 * 2**30 - 7 * HELPER_SPACE
+    assert thread_space() == THREAD_SPACE
+    # helpers that run have taken their space already
+    started = [threading.Thread(name=name) for name in ("asyncio_0", "zarr_io", "mine")]
+    monkeypatch.setattr(budget.threading, "enumerate", lambda: started)
+    assert available_memory(tmp_path) == 4 * 2**30 - 5 * HELPER_SPACE
+    limited(monkeypatch, used + 1)
+    assert available_memory(tmp_path) == 0
+    (tmp_path / "proc/self/statm").unlink()
+    assert available_memory(tmp_path) == 8_000_000 * 1024
+
+
+def test_the_limit_of_a_process_is_the_least_of_all(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(budget, "_shared_memory", lambda _: 1000)
+    monkeypatch.setattr(budget, "_address_space", lambda _: None)
+    assert process_limit(50) == 850
+    assert process_limit(50, 10_000) == 10_000  # who gives a limit means it
+    monkeypatch.setattr(budget, "_address_space", lambda _: 600)
+    assert process_limit(50) == 650  # no other program takes of it
+    assert process_limit(50, 10_000) == 650
+    assert process_limit(50, 100) == 100
+    monkeypatch.setattr(budget, "_shared_memory", lambda _: None)
+    assert process_limit(50) == 650
+    monkeypatch.setattr(budget, "_address_space", lambda _: None)
+    assert process_limit(50) is None
+
+
+def test_each_thread_costs_address_space() -> None:
+    wished: dict[str, Any] = {"lines": 32, "threads": 4, "fixed": 200 * MIB}
+    free = fit({"a": load()}, limit=None, **wished)
+    assert fit({"a": load()}, limit=None, a_thread=70 * MIB, **wished).needed == free.needed + 280 * MIB
+    assert fit({"a": load()}, limit=free.needed, a_thread=70 * MIB, **wished).threads < 4
+    with pytest.raises(StoreError, match=r"needs \d+ MiB .*raise the limit of the address space"):
+        fit({"a": load()}, limit=300 * MIB, a_thread=70 * MIB, **wished)
+
+
+LIMITED = """
+import resource, sys
+import hyperpaint.io.collect, hyperpaint.pipeline, hyperpaint.radiometry, zarr, dask.array
+used = int(open("/proc/self/statm").read().split()[0]) * resource.getpagesize()
+resource.setrlimit(resource.RLIMIT_AS, (used + 300 * 2**20,) * 2)
+try:
+    hyperpaint.process(sys.argv[1], sys.argv[2])
+except hyperpaint.base.errors.StoreError as error:
+    print(error)
+"""
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="address space is limited on Linux")
+def test_a_process_of_too_little_address_space_is_refused_with_the_figure(
+    collect: Path, tmp_path: Path
+) -> None:
+    command = [sys.executable, "-c", LIMITED, str(collect), str(tmp_path / "lot.zarr")]
+    # one arena for all threads: how many glibc reserves while the collect is opened is a matter of chance
+    run = functools.partial(subprocess.run, capture_output=True, text=True, timeout=120, check=False)
+    done = run(command, env=os.environ | {"MALLOC_ARENA_MAX": "1"})
+    assert "/flightlines/raw_0 needs " in done.stdout, done.stderr[-500:]
+    assert "(ulimit -v)" in done.stdout
+    assert not (tmp_path / "lot.zarr").exists()
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(sys.platform != "linux", reason="address space is limited on Linux")
+@pytest.mark.skipif(not (ROOT / "benchmarks").is_dir(), reason="installed without its benchmarks")
+def test_a_cube_larger_than_the_address_space(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.syspath_prepend(str(ROOT))
+    space = importlib.import_module("benchmarks.address_space")
+    assert space.show(tmp_path, 1100 * MIB, 1024 * MIB)
+    assert "bit-identical" in capsys.readouterr().out
+
+
+# --- threads -----------------------------------------------------------------------------------------------
+
+
+def test_threads_are_limited_and_given_back() -> None:
+    with dask.config.set(scheduler="threads", num_workers=4, pool=None):
+        assert thread_count() == 4
+        with limited_threads(2):
+            assert thread_count() == 2
+        for same in (None, 4, 9):
+            with limited_threads(same):
+                assert thread_count() == 4
+        with dask.config.set(scheduler="synchronous"):
+            assert thread_count() == 1
+
+
+def test_blocks_of_a_lazy_cube_limit_the_threads(monkeypatch: pytest.MonkeyPatch) -> None:
+    cube = xr.DataArray(
+        da.zeros((6400, 272, 640), chunks=(64, 272, 640), dtype="float32"),
+        dims=("along_track", "band", "cross_track"),
+    )
+    stored = xr.Dataset({"reflectance": cube})
+    with dask.config.set(scheduler="threads", num_workers=4):
+        monkeypatch.setattr(budget, "available_memory", lambda: 16 * 2**30)
+        monkeypatch.setattr(budget, "_shared_memory", lambda _: 16 * 2**30)
+        assert check_memory(stored, "it") == 4
+        monkeypatch.setattr(budget, "_shared_memory", lambda _: 700 * MIB)
+        assert check_memory(stored, "it") in (1, 2)
+        monkeypatch.setattr(budget, "available_memory", lambda: 60 * MIB)
+        with pytest.raises(
+            StoreError, match="it needs 75 MiB of memory for one dask chunk of 64 lines, but 60"
+        ):
+            check_memory(stored, "it")
+        assert check_memory(stored.isel(band=0).load(), "it") is None  # in memory already
+        monkeypatch.setattr(budget, "available_memory", lambda: None)
+        assert check_memory(stored, "it") is None
+
+
+def test_blocks_of_other_arrays_count(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(budget, "available_memory", lambda: 60 * MIB)
+    tall = xr.DataArray(da.zeros((4096, 4096), chunks=(4096, 4096), dtype="float32"), dims=("y", "x"))
+    with pytest.raises(StoreError, match=r"'slope' needs 64 MiB for one dask chunk of \(4096, 4096\); take"):
+        check_memory(xr.Dataset({"slope": tall}), "it")
+    assert check_memory(xr.Dataset({"slope": tall.chunk(x=1024)}), "it") is None
+    assert check_memory(xr.Dataset({"slope": tall[:0]}), "it") is None
+
+
+# --- disk --------------------------------------------------------------------------------------------------
+
+
+def test_a_rounded_cube_takes_less_disk() -> None:
+    cube = xr.DataArray(np.zeros((64, 272, 640), np.float32), dims=("along_track", "band", "cross_track"))
+    bare = disk_needed(xr.Dataset({"reflectance": cube}))
+    rounded = disk_needed(xr.Dataset({"reflectance": cube.assign_attrs(keep_bits=12)}))
+    assert bare > cube.nbytes
+    assert rounded < 0.7 * bare
+
+
+@pytest.mark.parametrize(("bits", "told"), [(12, True), (12, False), (16, False)])
+def test_white_noise_takes_no_more_disk_than_is_asked_for(bits: int, told: bool, tmp_path: Path) -> None:
+    counts = np.random.default_rng(0).integers(0, 2**bits, (64, 50, 100)).astype("uint16")
+    line = xr.Dataset({"counts": (("along_track", "band", "cross_track"), counts)})
+    if told:
+        line["saturation_count"] = np.float32(2**bits - 1)
+    hp.to_store(line, tmp_path / "lot.zarr")
+    used = sum(512 * path.stat().st_blocks for path in (tmp_path / "lot.zarr").rglob("*"))
+    assert 0.5 * disk_needed(line) < used < disk_needed(line)
+
+
+def test_a_full_disk_is_refused_before_anything_is_written(
+    collect: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    out = tmp_path / "far" / "lot.zarr"
+    monkeypatch.setattr(room.shutil, "disk_usage", lambda _: Usage(10**12, 10**12, 1000))
+    with pytest.raises(StoreError, match=r"\d+ MiB of disk are needed, 1 MiB are free; make room"):
+        hp.process(collect, out)
+    assert not any(tmp_path.iterdir())
+
+
+def test_what_an_interrupted_run_left_counts(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(room.shutil, "disk_usage", lambda _: Usage(10**12, 10**12, 1000))
+    check_disk(tmp_path / "lot.zarr", 1000)
+    with pytest.raises(StoreError, match="of disk are needed"):
+        check_disk(tmp_path / "lot.zarr", 1500)
+    begun = tmp_path / ".partial-lot.zarr" / "a"
+    begun.mkdir(parents=True)
+    (begun / "chunk").write_bytes(bytes(600))
+    check_disk(tmp_path / "lot.zarr", 1500, [begun])
+    with pytest.raises(StoreError, match="of disk are needed"):
+        check_disk(tmp_path / "lot.zarr", 1500)  # what is taken up is named
+
+
+# --- process -----------------------------------------------------------------------------------------------
+
+
+def test_process_takes_fewer_threads_and_the_same_bits_come_out(
+    collect: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    seen: list[budget.Demand] = []
+    threads: list[int | None] = []
+    monkeypatch.setattr(budget, "resident_memory", lambda: 0)
+    monkeypatch.setattr(budget, "PROCESS", 0)
+    monkeypatch.setattr(budget, "RUNNING", 0)
+    found = budget.fit
+
+    def spy(*args: Any, **options: Any) -> budget.Demand:
+        seen.append(found(*args, **options))
+        return seen[-1]
+
+    def rehearse(*_: Any) -> None:
+        threads.append(dask.config.get("num_workers", None))
+
+    monkeypatch.setattr(budget, "fit", spy)
+    monkeypatch.setattr(pipeline, "_rehearse", rehearse)
+    monkeypatch.setattr(pipeline, "CHUNK_LINES", 64)
+    with dask.config.set(num_workers=3):
+        wide = hp.process(collect, tmp_path / "wide.zarr", memory_limit="1 GiB")
+        tight = hp.process(collect, tmp_path / "tight.zarr", memory_limit=seen[0].needed // 2)
+    assert (seen[0].lines, seen[0].threads) == (64, 3)
+    assert (seen[1].lines, seen[1].threads) == (32, 1)
+    assert threads == [3, 1]
+    assert hp.verify(tight).ok
+    first, second = (xr.open_zarr(path, group="flightlines/raw_0") for path in (wide, tight))
+    for name in ("counts", "reflectance", "quality"):
+        np.testing.assert_array_equal(first[name].values, second[name].values)
+
+
+def test_process_refuses_what_cannot_fit(collect: Path, tmp_path: Path) -> None:
+    out = tmp_path / "lot.zarr"
+    with pytest.raises(StoreError, match=r"/flightlines/raw_0 needs .* but 10 MiB may be taken; .*raise"):
+        hp.process(collect, out, memory_limit="10 MiB")
+    with pytest.raises(SchemaError, match="'much' is no size of memory"):
+        hp.process(collect, out, memory_limit="much")
+    assert not out.exists()
+    hp.process(collect, out)
+    hp.process(collect, out, memory_limit="10 MiB")  # there is nothing left to do
+
+
+def test_the_command_line_takes_a_limit(collect: Path, tmp_path: Path) -> None:
+    out = ["process", str(collect), "--out", str(tmp_path / "lot.zarr"), "--memory-limit"]
+    done = CliRunner().invoke(main, [*out, "10 MiB"])
+    assert done.exit_code == 2
+    assert "raise the memory limit" in done.stderr
+    # a process of its own: the limit counts what is resident already, and a run of all tests holds a lot
+    fresh = subprocess.run([sys.executable, "-m", "hyperpaint", *out, "2 GiB"], check=False, timeout=120)
+    assert fresh.returncode == 0
+
+
+def test_a_cluster_is_asked_for_the_memory_of_its_workers() -> None:
+    lines = {"flightlines/a": flight(lines=300).line}
+
+    class Client:
+        def __init__(self, **worker: int) -> None:
+            self.workers = {"a": {"nthreads": 2, "memory_limit": 8 * 2**30}, "b": worker}
+
+        def scheduler_info(self, n_workers: int) -> dict[str, Any]:
+            assert n_workers == -1
+            return {"workers": self.workers}
+
+    found = pipeline._demand(lines, 256, Client(nthreads=4, memory_limit=2**30), None)  # type: ignore[arg-type]
+    assert (found.lines, found.threads) == (256, 4)
+    with pytest.raises(StoreError, match=r"4 threads .* but 160 MiB may be taken; fewer threads a worker"):
+        pipeline._demand(lines, 256, Client(nthreads=4, memory_limit=200 * MIB), None)  # type: ignore[arg-type]
+    free = pipeline._demand(lines, 256, Client(nthreads=4, memory_limit=0), 2**30)  # type: ignore[arg-type]
+    assert free.lines == 256
+
+
+MEASURE = """
+import sys, dask, hyperpaint
+from hyperpaint import budget
+found = budget.fit
+def spy(*args, **options):
+    global needed
+    demand = found(*args, **options)
+    needed = demand.needed
+    return demand
+budget.fit = spy
+with dask.config.set(num_workers=int(sys.argv[3])):
+    hyperpaint.process(sys.argv[1], sys.argv[2])
+status = dict(line.split(":", 1) for line in open("/proc/self/status"))
+print(needed, int(status["VmHWM"].split()[0]) * 1024)
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="the peak is read from Linux's /proc")
+@pytest.mark.parametrize("threads", [1, 2])
+def test_measured_peaks_stay_below_the_model(large: Path, tmp_path: Path, threads: int) -> None:
+    done = subprocess.run(
+        [sys.executable, "-c", MEASURE, str(large), str(tmp_path / "lot.zarr"), str(threads)],
+        capture_output=True,
+        text=True,
+        timeout=120,
+        check=True,
+    )
+    needed, peak = map(int, done.stdout.split())
+    assert peak <= needed
+    if threads == 1:  # a second thread that waits for a busy core holds no slab, and the peak is anyone's
+        assert needed <= 1.4 * peak
+    size = sum(path.stat().st_size for path in (tmp_path / "lot.zarr").rglob("*") if path.is_file())
+    counts, product = 320 * 272 * 640 * 2, 320 * 272 * 640 * 4
+    assert size < 1.1 * (0.55 * counts + 0.45 * product)
+
+
+@pytest.fixture(scope="module")
+def large(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A collect of the camera's whole size."""
+    folder = tmp_path_factory.mktemp("large")
+    return hp.simulate_collect(folder, scene="plan", lines=320, bands=272, columns=640, seed=3, truth=False)

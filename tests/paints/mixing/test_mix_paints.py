@@ -1,0 +1,271 @@
+"""Mixtures and shades against numbers worked out by hand."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import xarray as xr
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from support.library_examples import make_library
+
+import hyperpaint as hp
+from hyperpaint.base.errors import PaintWarning, SchemaError
+from hyperpaint.paints.mixing.kubelka_munk import Interface, absorption_to_scattering, thick_layer_reflectance
+
+WHITE, BLACK, RED = "Synthetic Polar White", "Synthetic Carbon Black", "Synthetic Signal Red"
+
+
+def library_of(spectra: dict[str, list[float]], mirror: str | None = "excluded") -> xr.Dataset:
+    """Return a library of a few bands."""
+    bands = len(next(iter(spectra.values())))
+    attrs = {"units": "1", **({} if mirror is None else {"mirror_reflection": mirror})}
+    return xr.Dataset(
+        {"reflectance": (("paint", "band"), np.float32(list(spectra.values())), attrs)},
+        {
+            "paint": np.array(list(spectra), object),
+            "wavelength": ("band", np.linspace(450.0, 900.0, bands), {"units": "nm"}),
+        },
+    )
+
+
+@pytest.fixture(scope="module")
+def paints() -> xr.Dataset:
+    return hp.starter_library(members=6)
+
+
+def test_a_mixture_by_hand() -> None:
+    # without an interface: R = 0.5 has K/S 0.25, R = 0.2 has 1.6; a half of each 0.925
+    library = library_of({"a": [0.5, 0.5], "b": [0.2, 0.5]})
+    made = hp.mix_paints(library, {"c": {"a": 1.0, "b": 1.0}}, k1=0.0, k2=0.0)
+    expected = [1.925 - np.sqrt(1.925**2 - 1.0), 0.5]
+    np.testing.assert_allclose(made.reflectance.values[0], expected, rtol=1e-6)
+
+
+def test_scattering_weighs_duncans_sums() -> None:
+    library = library_of({"a": [0.5, 0.4], "b": [0.2, 0.5]})
+    thrice = hp.mix_paints(library, {"c": {"a": 1, "b": 1}}, scattering={"a": 3.0})
+    parts = hp.mix_paints(library, {"c": {"a": 3, "b": 1}})
+    np.testing.assert_array_equal(thrice.reflectance, parts.reflectance)
+    assert thrice.attrs["scattering"] == "a 3"
+    assert json.loads(thrice.weights.item()) == [0.5, 0.5]
+
+
+@pytest.mark.parametrize("mirror", ["excluded", "included"])
+def test_mirrored_light_is_taken_off_and_put_back(mirror: str) -> None:
+    layers = np.array([[0.8, 0.3], [0.1, 0.6]])
+    offset = 0.04 if mirror == "included" else 0.0
+    seen = Interface().seen(layers) + offset
+    library = library_of({"a": seen[0].tolist(), "b": seen[1].tolist()}, mirror)
+    made = hp.mix_paints(library, {"c": {"a": 3, "b": 1}})
+    ratio = np.array([0.75, 0.25]) @ absorption_to_scattering(layers)
+    expected = Interface().seen(thick_layer_reflectance(ratio)) + offset
+    np.testing.assert_allclose(made.reflectance.values[0], expected, rtol=1e-6)
+    assert made.reflectance.attrs["mirror_reflection"] == mirror
+
+
+def test_linear_mixing_is_a_mean(paints: xr.Dataset) -> None:
+    made = hp.mix_paints(paints, {"pink": {WHITE: 3, RED: 1}}, method="linear")
+    own = paints.reflectance.values.astype(np.float64)
+    np.testing.assert_allclose(made.reflectance.values[0], 0.75 * own[0] + 0.25 * own[5], rtol=1e-6)
+
+
+def test_pigments_darken_more_than_areas(paints: xr.Dataset) -> None:
+    recipe = {"grey": {WHITE: 0.9, BLACK: 0.1}}
+    pot, side = (hp.mix_paints(paints, recipe, method=m).reflectance for m in ("kubelka-munk", "linear"))
+    assert (pot <= side + 1e-6).all()
+    assert float(pot.mean()) < 0.3 * float(side.mean())
+
+
+@settings(max_examples=30, deadline=None)
+@given(
+    st.lists(st.floats(0.0, 1.0), min_size=3, max_size=3),
+    st.lists(st.floats(0.0, 1.0), min_size=3, max_size=3),
+    st.floats(0.01, 1.0),
+)
+@pytest.mark.filterwarnings("ignore:.*darker than any layer:hyperpaint.base.errors.PaintWarning")
+def test_mixtures_lie_between_their_parents(first: list[float], second: list[float], share: float) -> None:
+    library = library_of({"a": first, "b": second})
+    made = hp.mix_paints(library, {"c": {"a": share, "b": 1.0}}).reflectance.values[0]
+    low = np.minimum(*library.reflectance.values) - 1e-6
+    high = np.maximum(*library.reflectance.values) + 1e-6
+    # what no layer can have is replaced: blacker than a thousandth, brighter than 1 - k1
+    assert ((made >= np.minimum(low, 0.96)) & (made <= np.maximum(high, 4e-4))).all()
+
+
+def test_one_parent_alone_is_itself_and_members_go_along(paints: xr.Dataset) -> None:
+    made = hp.mix_paints(paints, {"same": {RED: 2.0, WHITE: 0.0}})
+    np.testing.assert_allclose(made.reflectance[0], paints.reflectance[5], rtol=2e-6)
+    np.testing.assert_allclose(made.member_reflectance[0], paints.member_reflectance[5], rtol=2e-6)
+    np.testing.assert_allclose(made.reflectance_sd[0], paints.reflectance_sd[5], rtol=1e-3, atol=1e-7)
+    np.testing.assert_allclose(made.specular_reflectance[0], paints.specular_reflectance[5])
+
+
+def test_provenance_is_told_and_survives_stores(paints: xr.Dataset, tmp_path: Path) -> None:
+    made = hp.mix_paints(paints, {"Grün, hell": {WHITE: 2, "Synthetic Arctic Green": 1}})
+    assert made.provenance.item() == made.attrs["provenance"] == "synthetic"
+    assert json.loads(made.parents.item()) == [WHITE, "Synthetic Arctic Green"]
+    assert json.loads(made.weights.item()) == pytest.approx([2 / 3, 1 / 3])
+    assert made.reflectance.dtype == made.member_reflectance.dtype == np.float32
+    for name in ("made.zarr", "made.sli", "made.csv"):
+        back = hp.open_library(hp.write_library(made, tmp_path / name)).load()
+        np.testing.assert_array_equal(back.member_reflectance, made.member_reflectance)
+        assert back["paint"].item() == "Grün, hell"
+        assert back.parents.item() == made.parents.item()
+        assert back.reflectance.attrs["mirror_reflection"] == "excluded"
+
+
+def test_a_missing_band_of_a_parent_is_missing() -> None:
+    library = library_of({"a": [0.5, np.nan, 0.5], "b": [0.2, 0.3, 0.4], "c": [0.1, 0.1, 0.1]})
+    made = hp.mix_paints(library, {"ab": {"a": 1, "b": 1}, "bc": {"a": 0, "b": 1, "c": 1}})
+    assert np.isnan(made.reflectance.values).tolist() == [[False, True, False], [False] * 3]
+
+
+def test_percent_and_any_order_of_dims_are_taken() -> None:
+    library = library_of({"a": [0.5, 0.4], "b": [0.2, 0.5]})
+    turned = (library * 100.0).transpose("band", "paint")
+    turned["reflectance"].attrs = {"units": "percent", "mirror_reflection": "excluded"}
+    made, other = (hp.mix_paints(one, {"c": {"a": 1, "b": 1}}) for one in (library, turned))
+    np.testing.assert_allclose(made.reflectance, other.reflectance, rtol=1e-6)
+
+
+def test_what_cannot_be_mixed_is_refused_all_at_once() -> None:
+    twins = make_library()
+    with pytest.raises(SchemaError) as told:
+        hp.mix_paints(
+            twins,
+            {"x": {"Grün": 1.0}, "y": {"red, mat": 1.0}, "z": {"red, matt": -1.0}, "w": {}},
+            method="magic",  # type: ignore[arg-type]
+            scattering={"red, matt": 0.0},
+        )
+    for text in (
+        "2 paints are named 'Grün'",
+        "did you mean 'red, matt'",
+        "[-1.0]",
+        "'w'",
+        "'magic'",
+        "is 0.0",
+    ):
+        assert text in str(told.value)
+
+
+@pytest.mark.parametrize(
+    ("options", "text"),
+    [
+        ({"mirrored": [0.1]}, "one a band"),
+        ({"mirrored": 1.0}, "below 1"),
+        ({"k1": 1.5}, "k1=1.5"),
+    ],
+)
+def test_impossible_coats_are_refused(options: dict[str, Any], text: str) -> None:
+    library = library_of({"a": [0.5, 0.4], "b": [0.2, 0.5]})
+    with pytest.raises(SchemaError, match=text):
+        hp.mix_paints(library, {"c": {"a": 1, "b": 1}}, **options)
+
+
+def test_less_light_than_the_coat_mirrors_is_refused_with_a_way_out() -> None:
+    field = library_of({"black": [0.03, 0.02], "white": [0.8, 0.8]}, "included")
+    with pytest.raises(SchemaError, match=r"(?s)100% of 'black'.*pass mirrored="):
+        hp.mix_paints(field, {"grey": {"black": 1, "white": 9}})
+    made = hp.mix_paints(field, {"grey": {"black": 1, "white": 9}}, mirrored=[0.016, 0.004])
+    assert (made.reflectance > 0.02).all()
+
+
+def test_noise_below_black_and_above_white_is_replaced_with_a_warning() -> None:
+    library = library_of({"black": [-0.01, 0.02, 0.02], "white": [0.8, 0.99, 0.8]})
+    with pytest.warns(PaintWarning, match="1 of 6 reflectances are darker .* 1 brighter"):
+        made = hp.mix_paints(library, {"grey": {"black": 1, "white": 9}})
+    assert ((made.reflectance > 0.0) & (made.reflectance < 1.0)).all()
+
+
+# --- shades ---
+
+
+def test_depths_multiply_absorption(paints: xr.Dataset) -> None:
+    red = paints.isel(paint=[5])
+    ladder = hp.shade_paints(red, [0.25, 1.0, 4.0])
+    assert ladder["paint"].values.tolist() == [f"{RED} x {depth}" for depth in ("0.25", "1", "4")]
+    assert ladder.depth.values.tolist() == [0.25, 1.0, 4.0]
+    np.testing.assert_allclose(ladder.reflectance[1], red.reflectance[0], rtol=2e-6)
+    ratio = absorption_to_scattering(Interface().layer(ladder.reflectance.values.astype(np.float64)))
+    np.testing.assert_allclose(ratio[2] / ratio[0], 16.0, rtol=1e-4)
+    assert (np.diff(ladder.reflectance, axis=0) < 0.0).all()
+    assert ladder.member_reflectance.shape == (3, 6, 272)
+
+
+def test_a_tint_is_a_mixture_with_what_absorbs_nothing() -> None:
+    library = library_of({"a": [0.5, 0.3], "ideal": [0.96, 0.96]})
+    tint = hp.shade_paints(library.isel(paint=[0]), [0.1])
+    mixed = hp.mix_paints(library, {"m": {"a": 1, "ideal": 9}})
+    np.testing.assert_allclose(tint.reflectance, mixed.reflectance, rtol=1e-5)
+
+
+@pytest.mark.parametrize("depths", [[], [0.0], [np.nan], 2.0])
+def test_depths_that_cannot_be(paints: xr.Dataset, depths: Any) -> None:
+    with pytest.raises(SchemaError, match="numbers above 0"):
+        hp.shade_paints(paints, depths)
+
+
+# --- members, and units ---
+
+
+def with_members(counts: dict[str, list[int]], members: int = 4) -> xr.Dataset:
+    """Return paints of two bands that have the members said, all of the reflectance of their paint."""
+    library = library_of({name: [0.2 + 0.1 * k, 0.5] for k, name in enumerate(counts)})
+    stack = np.full((len(counts), members, 2), np.nan, np.float32)
+    for number, held in enumerate(counts.values()):
+        stack[number, held] = library.reflectance.values[number] * (1.0 + 0.01 * np.float32(held)[:, None])
+    library["member_reflectance"] = (("paint", "member", "band"), stack, {"units": "1"})
+    return library
+
+
+def test_every_paint_keeps_its_own_members() -> None:
+    library = with_members({"all": [0, 1, 2, 3], "two": [0, 2], "none": [], "late": [2, 3]})
+    shades = hp.shade_paints(library, [1.0])
+    held = np.isfinite(shades.member_reflectance.values).all(axis=2)
+    assert held.sum(axis=1).tolist() == [4, 2, 0, 2]
+    # padding comes last
+    assert (np.diff(held.astype(int), axis=1) <= 0).all()
+    own = library.member_reflectance.values
+    np.testing.assert_allclose(shades.member_reflectance[0], own[0], rtol=1e-6)
+    np.testing.assert_allclose(shades.member_reflectance[3, :2], own[3, 2:], rtol=1e-6)
+    np.testing.assert_allclose(shades.reflectance_sd[1], own[1, [0, 2]].std(axis=0, ddof=1), rtol=1e-3)
+    np.testing.assert_allclose(shades.reflectance_quantiles[3, 2], own[3, 2:].mean(axis=0), rtol=1e-5)
+    assert np.isnan(shades.reflectance_sd.values[2]).all()
+    assert np.isnan(shades.reflectance_quantiles.values[2]).all()
+
+
+@pytest.mark.parametrize("method", ["kubelka-munk", "linear"])
+def test_members_without_a_partner_are_left_out_with_a_warning(method: Any) -> None:
+    library = with_members({"all": [0, 1, 2, 3], "two": [0, 2], "late": [2, 3], "none": []})
+    recipes = {"a": {"all": 1.0}, "b": {"two": 1.0, "late": 3.0}, "c": {"all": 1.0, "two": 0.0}}
+    mixed = hp.mix_paints(library, recipes, method=method)
+    assert np.isfinite(mixed.member_reflectance.values).all(axis=2).sum(axis=1).tolist() == [4, 2, 4]
+    assert np.isfinite(mixed.reflectance_sd).all()
+    with pytest.warns(PaintWarning, match="2 members of the parents of 1 of 2 paints have no partner"):
+        mixed = hp.mix_paints(library, {"a": {"all": 1.0}, "d": {"all": 1.0, "two": 1.0}}, method=method)
+    assert np.isfinite(mixed.member_reflectance.values).all(axis=2).sum(axis=1).tolist() == [4, 2]
+    with pytest.warns(PaintWarning, match="no partner"):
+        alone = hp.mix_paints(library, {"e": {"all": 1.0, "none": 1.0}}, method=method)
+    assert "member_reflectance" not in alone
+
+
+def test_areas_that_cannot_be_are_clipped_with_a_warning() -> None:
+    library = library_of({"a": [1.2, 0.5, np.nan], "b": [-0.02, 0.5, 0.5]})
+    with pytest.warns(PaintWarning, match="2 of 5 reflectances are outside 0 to 1"):
+        mixed = hp.mix_paints(library, {"x": {"a": 1.0}, "y": {"b": 1.0}}, method="linear")
+    np.testing.assert_array_equal(mixed.reflectance, np.float32([[1.0, 0.5, np.nan], [0.0, 0.5, 0.5]]))
+
+
+def test_a_coat_in_percent_is_converted(paints: xr.Dataset) -> None:
+    percent = paints.assign(
+        specular_reflectance=(100.0 * paints.specular_reflectance).assign_attrs(units="%")
+    )
+    mixed = hp.mix_paints(percent, {"same": {RED: 1.0}})
+    shades = hp.shade_paints(percent.isel(paint=[5]), [1.0])
+    for made in (mixed, shades):
+        np.testing.assert_allclose(made.specular_reflectance[0], paints.specular_reflectance[5], rtol=1e-5)

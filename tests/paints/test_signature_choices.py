@@ -1,0 +1,290 @@
+"""What goes into a signature: flags, smoothing, corrections, several lines; and the library it makes."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import xarray as xr
+from support.painted_lines import CHUNKINGS, RAW, SPECTRA, TWO, assert_same_bits, made, raw
+
+import hyperpaint as hp
+from hyperpaint import Quality, Region, Regions, SchemaError, extract_signatures
+from hyperpaint.base.schema import CUBE, LIBRARY_VARIABLES, VARIABLES
+from hyperpaint.regions import pixels, regions_from
+
+# --- flags, smoothing and refusals -------------------------------------------------------------------------
+
+
+def test_excluded_flags_are_the_users_choice() -> None:
+    line = made()
+    everything = extract_signatures(line, TWO, exclude=0)
+    assert (everything.n_excluded == 0).all()
+    assert everything.quality.values.tolist() == [64 | 32] * 2
+    assert everything.attrs["exclude"] == "none"
+    strict = extract_signatures(line, TWO, exclude=Quality.GLINT | Quality.LOW_SUN)
+    assert (strict.n < extract_signatures(line, TWO).n).all()
+    assert strict.attrs["exclude"] == "low_sun glint"
+    assert (extract_signatures(line.drop_vars("quality"), TWO).n_excluded == 0).all()
+
+
+def test_all_regions_with_too_few_pixels_are_named() -> None:
+    line = made()
+    line["quality"].values[:] = int(Quality.SHADOW)
+    with pytest.raises(SchemaError) as caught:
+        extract_signatures(line, TWO)
+    told = str(caught.value)
+    for region in TWO:
+        size = pixels(region, line)[0].size
+        assert f"{region.name!r}: 0 of {size} pixels are left, expected 5 (100% shadow)" in told, told
+    beyond = Regions(
+        (TWO[0], Region("far", [(90, 90), (99, 90), (99, 99)]), Region("off", [(90, 0), (99, 0), (99, 9)]))
+    )
+    with pytest.raises(SchemaError, match=r"(?s)'far' holds no pixel.*40 lines of 16 columns.*'off'"):
+        extract_signatures(line, beyond)
+
+
+def test_a_pixel_without_any_value_is_left_out() -> None:
+    line = made()
+    line["reflectance"].values[5, :, 3] = np.nan
+    line["quality"].values[:] = 0
+    assert extract_signatures(line, TWO).n_excluded.values.tolist() == [1, 0]
+
+
+@pytest.mark.parametrize("method", ["savitzky-golay", "box"])
+def test_one_bad_band_touches_its_window_only(method: str) -> None:
+    line = made()
+    line["reflectance"] = line.reflectance.fillna(0.3)
+    smoothing = {"method": method, "window": 5}
+    whole = extract_signatures(line, TWO, smooth=smoothing)
+    holed = line.copy(deep=True)
+    holed["reflectance"].values[:, 6, :] = np.nan
+    found = extract_signatures(holed, TWO, smooth=smoothing)
+    for name in SPECTRA:
+        array, before = (library[name].transpose(..., "band").values for library in (found, whole))
+        same = np.array([np.array_equal(array[..., k], before[..., k], equal_nan=True) for k in range(12)])
+        assert same.tolist() == [True] * 4 + [False] * 5 + [True] * 3, name
+        assert np.isfinite(array[..., :6][before[..., :6] == before[..., :6]]).all()
+    assert found.attrs["smoothing"].lower().startswith(method)
+    assert whole.attrs["smoothing"] != extract_signatures(line, TWO).attrs["smoothing"] == "none"
+    with pytest.raises(SchemaError, match="smoothed already"):
+        extract_signatures(line.paint.smooth("box", 3), TWO, smooth="box")
+    assert extract_signatures(line.paint.smooth("box", 3), TWO).attrs["smoothing"] == "box, 3 bands"
+
+
+# --- corrections -------------------------------------------------------------------------------------------
+
+SMILE = ("wavelength_shift", ("cross_track", np.linspace(-1.0, 1.0, 16), {"units": "nm"}))
+
+
+@pytest.mark.parametrize("smile", [False, True])
+def test_what_was_corrected_is_said(smile: bool) -> None:
+    line = made().assign_coords(dict([SMILE] if smile else []))
+    tilted = line.assign(reflectance=line.reflectance.assign_attrs(tilt="tilted by 3 degree"))
+    removed = hp.remove_mirrored_sky(line, sun_zenith=40.0)
+    lines = {"a": removed, "b": tilted, "c": line}
+    library = extract_signatures(lines, on_lines("a", "b", "c"), smooth="box")
+    text = removed.reflectance.attrs["mirrored_sky_removed"]
+    assert library.attrs["corrections"] == f"mirrored_sky_removed: {text}; tilt: tilted by 3 degree; none"
+    assert library.reflectance.attrs["mirrored_sky_removed"] == f"{text}; none"
+    assert library.reflectance.attrs["tilt"] == "none; tilted by 3 degree"
+    with pytest.raises(SchemaError, match="tilt is 'tilted by 3 degree'; compute reflectance without tilt="):
+        extract_signatures(tilted, TWO, specular_sky=True, sun_zenith=40.0)
+    with pytest.raises(SchemaError, match="it was before"):
+        hp.remove_mirrored_sky(library, sun_zenith=40.0)
+    lit = hp.correct_light(line, direct=0.9, sun_zenith=40.0)
+    assert extract_signatures(lit, TWO).attrs["corrections"].startswith("light_corrected: direct 0.9")
+    assert extract_signatures(line, TWO).attrs["corrections"] == "none"
+    assert "tilt" not in line.reflectance.attrs
+
+
+@pytest.mark.parametrize("chunks", CHUNKINGS[1:])
+def test_the_same_bits_without_the_mirrored_sky(chunks: Any) -> None:
+    line = raw()
+    lazy = line.assign(counts=line.counts.chunk(chunks), time=line.time.chunk(along_track=7))
+    expected = line.paint.signatures(RAW, specular_sky=True, smooth="box")
+    assert_same_bits(lazy.paint.signatures(RAW, specular_sky=True, smooth="box"), expected)
+    assert expected.attrs["corrections"].startswith("mirrored_sky_removed: F0 0.04")
+
+
+def test_the_mirrored_sky_is_subtracted() -> None:
+    line = raw()
+    seen, less = (line.paint.signatures(RAW, specular_sky=sky) for sky in (False, True))
+    stamps = (line[name].values for name in ("time", "latitude", "longitude"))
+    zenith = float(hp.solar_position(*stamps)[0].mean())
+    taken = 0.04 * hp.sun.diffuse_fraction(line.wavelength.values, zenith)
+    assert taken.max() > 0.01
+    for name in ("reflectance", "reflectance_quantiles", "member_reflectance"):
+        lower = (seen[name] - less[name]).transpose(..., "band").mean("paint").values[..., 1:-1]
+        np.testing.assert_allclose(lower, np.broadcast_to(taken[1:-1], lower.shape), atol=1e-6)
+    np.testing.assert_allclose(less.reflectance_sd, seen.reflectance_sd, rtol=1e-3)
+    low = line.paint.signatures(RAW, specular_sky=True, sun_zenith=80.0)
+    assert (low.reflectance[:, 2] < less.reflectance[:, 2]).all()
+    assert "sun zenith 80 degree" in low.attrs["corrections"]
+
+
+def test_a_mirrored_sky_that_cannot_be_subtracted() -> None:
+    line = made()
+    with pytest.raises(SchemaError, match="give sun_zenith="):
+        extract_signatures(line, TWO, specular_sky=True)
+    with pytest.raises(SchemaError, match="specular_sky=True as well"):
+        extract_signatures(line, TWO, sun_zenith=30.0)
+    removed = hp.remove_mirrored_sky(line.assign_coords(dict([SMILE])), sun_zenith=40.0)
+    with pytest.raises(SchemaError, match="it was before"):
+        extract_signatures(removed, TWO, specular_sky=True, sun_zenith=40.0)
+
+
+def test_every_wrong_option_is_told() -> None:
+    with pytest.raises(SchemaError) as caught:
+        extract_signatures(
+            made(), Regions(()), exclude="glint", members=-1, centre="mean", min_pixels=0  # type: ignore[arg-type]
+        )  # fmt: skip
+    told = str(caught.value)
+    assert all(
+        word in told
+        for word in ("no region", "exclude='glint'", "members=-1", "centre='mean'", "min_pixels=0")
+    )
+    with pytest.raises(SchemaError, match="line is int"):
+        extract_signatures(3, TWO)  # type: ignore[arg-type]
+    with pytest.raises(SchemaError, match="cannot compute reflectance"):
+        extract_signatures(made().drop_vars("reflectance"), TWO)
+    with pytest.raises(SchemaError, match="'wavelength' is missing"):
+        extract_signatures(made().drop_vars("wavelength"), TWO)
+
+
+# --- several lines, and the library ------------------------------------------------------------------------
+
+
+def on_lines(*names: str) -> Regions:
+    return Regions(tuple(Region(f"p{k}", TWO[0].polygon, flightline=name) for k, name in enumerate(names)))
+
+
+def test_regions_of_several_flight_lines() -> None:
+    lines = {"raw_0": made(), "raw_9": made(seed=9).chunk({"along_track": 8}), "raw_18": made(seed=5)}
+    regions = on_lines("raw_9", "raw_0", "raw_9")
+    library = extract_signatures(lines, regions)
+    assert library.flightline.values.tolist() == ["raw_9", "raw_0", "raw_9"]
+    for number, region in enumerate(regions):
+        alone = extract_signatures(lines[region.flightline].assign_attrs(name=region.flightline), region)
+        for name in ("reflectance", "n", "n_eff", "quality_share"):
+            np.testing.assert_array_equal(library[name][number], alone[name][0])
+    tree = xr.DataTree.from_dict({f"/flightlines/{name}": line for name, line in lines.items()})
+    assert_same_bits(extract_signatures(tree, regions), library)
+    other = made(seed=1).assign_coords(wavelength=("band", np.linspace(400.0, 901.0, 12), {"units": "nm"}))
+    with pytest.raises(SchemaError, match="bands of 'raw_0' are not those of 'raw_9'"):
+        extract_signatures({**lines, "raw_0": other}, regions)
+
+
+def test_a_region_of_another_line_is_never_taken_for_this_one() -> None:
+    with pytest.raises(SchemaError, match=r"'p0' is of flight line 'raw_7'; there is 'raw_0'"):
+        extract_signatures(made(), on_lines("raw_7"))
+    with pytest.raises(SchemaError, match=r"(?s)'p0' names no flight line; there is 'a', 'b'.*'p1' is of"):
+        extract_signatures({"a": made(), "b": made()}, on_lines("", "c"))
+    nameless = made()
+    del nameless.attrs["name"]
+    assert extract_signatures(nameless, on_lines("raw_7")).n.size == 1
+    with pytest.raises(SchemaError, match="'p1' is of flight line 'raw_8'"):
+        extract_signatures(nameless, on_lines("raw_7", "raw_8"))
+
+
+def test_the_library_is_that_of_the_table() -> None:
+    library = extract_signatures(made(), TWO)
+    for name, row in LIBRARY_VARIABLES.items():
+        array = library[name]
+        assert array.dims == row.dims, name
+        assert array.dtype == (object if row.dtype == "str" else row.dtype), name
+        assert row.attrs.items() <= array.attrs.items(), name
+        assert (name in library.coords) == row.coordinate, name
+    assert set(library.data_vars) <= set(LIBRARY_VARIABLES)
+    assert library["colour"].values.tolist() == ["red", ""]
+    np.testing.assert_array_equal(library["year"], [2019.0, np.nan])
+    assert regions_from(json.loads(library["region"].values[1]))[0] == TWO[1]
+    assert library.attrs["regions"] == TWO.digest
+    assert library.quality.attrs["flag_masks"].tolist() == [int(flag) for flag in Quality]
+    assert VARIABLES["reflectance"].dims == CUBE
+
+
+def test_properties_that_are_no_names_stay_in_the_region() -> None:
+    odd = {
+        "n": 3,
+        "a b": 1,
+        "x/y": 2,
+        "__hidden": 3,
+        "nested": {"a": [1]},
+        "ok": True,
+        "big": 2**70,
+        "band": 1,
+    }
+    library = extract_signatures(made(), Region("a", TWO[0].polygon, properties=odd))
+    assert library["nested"].item() == '{"a": [1]}'
+    assert library["ok"].item() == "true"
+    assert library["big"].item() == str(2**70)
+    assert not {"a b", "x/y", "__hidden", "band"} & set(library.variables)
+    assert library["n"].item() > 3
+    assert '"x/y": 2' in library["region"].item()
+    many = Region("a", TWO[0].polygon, properties={f"p{k}": k for k in range(500)})
+    assert len(extract_signatures(made(), many).coords) < 80
+
+
+def test_the_store_gives_back_the_same_bits(tmp_path: Path) -> None:
+    library = extract_signatures(
+        raw(), Regions((Region("Škoda, red", RAW[0].polygon, properties={"year": 2019}), RAW[1]))
+    )
+    for group in (None, "signatures"):
+        path = hp.to_store(library, tmp_path / f"{group}.zarr", group)
+        found = xr.open_zarr(path, group=group, consolidated=False).load()
+        xr.testing.assert_equal(found, library)
+        for name in library.data_vars:
+            assert found[name].dtype == library[name].dtype
+            assert found[name].values.tobytes() == library[name].values.tobytes(), name
+        assert found.attrs.items() >= library.attrs.items()
+    hp.to_store(library, tmp_path / "None.zarr")  # the same content: nothing is done
+
+
+def test_reflectance_in_per_cent() -> None:
+    line = made()
+    percent = line.assign(reflectance=(line.reflectance * np.float32(100)).assign_attrs(units="percent"))
+    a, b = (extract_signatures(each, TWO).reflectance for each in (line, percent))
+    np.testing.assert_allclose(a, b, rtol=1e-5)
+
+
+def test_signatures_of_a_map() -> None:
+    line = made()
+    grid = (
+        line[["reflectance", "wavelength"]]
+        .rename(along_track="y", cross_track="x")
+        .transpose("y", "x", "band")
+    )
+    grid = grid.assign_coords(x=100.0 + np.arange(16), y=500.0 - np.arange(40))
+    region = Region("a", [(103, 480), (110, 480), (110, 490), (103, 490)])
+    placed = extract_signatures(grid, Regions((region,), "map", "EPSG:32618"))
+    drawn = extract_signatures(line.drop_vars("quality"), Region("a", [(3, 10), (10, 10), (10, 20), (3, 20)]))
+    np.testing.assert_array_equal(placed.reflectance, drawn.reflectance)
+
+
+def test_the_accessor_says_the_same() -> None:
+    line = made().rename(along_track="downtrack", cross_track="crosstrack", band="bands")
+    assert_same_bits(line.paint.signatures(TWO, members=9), extract_signatures(made(), TWO, members=9))
+    odd = made().rename(along_track="flown")
+    assert odd.paint.signatures(TWO, dims={"along_track": "flown"}).sizes["paint"] == 2
+
+
+def test_smile_is_taken_out_before_pixels_are_put_together() -> None:
+    # a steep edge, seen by every column at wavelengths of its own
+    line = made(bands=40)
+    nominal = line.wavelength.values
+    shift = np.linspace(-6.0, 6.0, 16)
+    edge = 0.1 + 0.6 / (1 + np.exp(-(nominal[:, None] + shift - 650.0) / 12.0))
+    line["reflectance"] = (CUBE, np.broadcast_to(edge.astype("f4"), (40, 40, 16)).copy(), {"units": "1"})
+    smiling = line.assign_coords(wavelength_shift=("cross_track", shift, {"units": "nm"}))
+    expected = 0.1 + 0.6 / (1 + np.exp(-(nominal - 650.0) / 12.0))
+    region = Region("a", [(0, 0), (15, 0), (15, 39), (0, 39)])
+    found = extract_signatures(smiling, region).isel(paint=0)
+    inner = slice(1, -1)
+    np.testing.assert_allclose(found.reflectance[inner], expected[inner], atol=2e-3)
+    assert found.reflectance_sd[inner].max() < 2e-3
+    assert extract_signatures(line, region).reflectance_sd.max() > 0.03
+    assert found.attrs["spectral_axis"] == "nominal wavelengths"

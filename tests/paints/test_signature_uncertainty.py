@@ -1,0 +1,177 @@
+"""Paint signatures against the truth, and how sure they are."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import xarray as xr
+from support.painted_lines import RAW, TWO, made, raw
+
+import hyperpaint as hp
+from hyperpaint import Region, Regions, extract_signatures
+from hyperpaint.base.schema import CUBE
+from hyperpaint.paints.signatures import independence
+from hyperpaint.paints.signatures.independence import effective_pixels
+from hyperpaint.regions import pixels
+from hyperpaint.simulation import simulate_line
+from hyperpaint.simulation.paints import MATERIALS
+
+# --- against the truth -------------------------------------------------------------------------------------
+
+
+def patch_of(line: xr.Dataset, material: str) -> Region:
+    """Return a rectangle of pixels that all see one material."""
+    here = line.surface.values == list(MATERIALS).index(material)
+    best: tuple[int, ...] = (0, 0, 0, 0, 0)
+    for row, column in np.argwhere(here):
+        for height in (4, 6, 9):
+            for width in (3, 5, 8):
+                window = here[row : row + height, column : column + width]
+                if window.shape == (height, width) and window.all() and height * width > best[0]:
+                    best = (height * width, row, column, height, width)
+    _, y, x, height, width = best
+    corners = [(x, y), (x + width - 1, y), (x + width - 1, y + height - 1), (x, y + height - 1)]
+    return Region(material, corners)
+
+
+def test_signatures_of_a_simulated_line_are_the_truth_within_noise() -> None:
+    line = simulate_line(lines=96, bands=100, columns=128, smile_nm=0.0, glint=0.05, seed=1)
+    counts = {name: (line.surface.values == k).sum() for k, name in enumerate(MATERIALS)}
+    found = [patch_of(line, name) for name, count in counts.items() if count > 100 and name != "glass"]
+    regions = Regions(tuple(region for region in found if pixels(region, line)[0].size >= 12))
+    assert len(regions) >= 6
+    library = line.paint.signatures(regions)
+    for number, region in enumerate(regions):
+        along, across = pixels(region, line)
+        lit = ~line.true_saturated.values[along, across]
+        truth = np.median(line.true_reflectance.values[along[lit], :, across[lit]], axis=0)
+        row = library.isel(paint=number)
+        # the mean of n pixels, and truth that is itself the median of a texture of as many
+        within = (
+            5 * np.hypot(row.reflectance_u_random, 1.6 * row.reflectance_sd / np.sqrt(row.n_eff))
+            + 0.004 * truth
+        )
+        away = np.abs(row.reflectance.values - truth)
+        assert (away[5:-5] < within.values[5:-5]).all(), (region.name, away.max())
+        assert row.n + row.n_excluded == along.size
+
+
+def test_what_is_told_of_light_and_time() -> None:
+    line = raw()
+    library = line.paint.signatures(RAW)
+    along, _ = pixels(RAW[1], line)
+    stamps = line.time.values[along].astype("i8")
+    assert abs(library.time.values[1].astype("i8") - stamps.mean()) <= 1000
+    place = (float(line[name].values[along].mean()) for name in ("latitude", "longitude"))
+    zenith, azimuth = hp.solar_position(library.time.values[1], *place)
+    np.testing.assert_allclose([library.sun_zenith[1], library.sun_azimuth[1]], [zenith, azimuth], atol=1e-6)
+    age = line.paint.reflectance().irradiance_age.values[along]
+    assert library.irradiance_age.values[1] == age.max()
+    assert 0 < age.max() < 2
+
+
+# --- how sure it is ----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("reach", "expected"), [(1, independence.SMEAR), (2, 4.0), (3, 9.0)])
+def test_independent_pixels_of_noise_that_is_smeared(reach: int, expected: float) -> None:
+    # a box of r x r pixels over white noise: the autocorrelations of all distances sum to r**2;
+    # pixels of a camera that moves share some light in any case
+    along, across = np.divmod(np.arange(80 * 80), 80)
+    ratios = []
+    for seed in range(6):
+        white = np.random.default_rng(seed).standard_normal((80 + reach - 1, 80 + reach - 1, 4))
+        windows = np.lib.stride_tricks.sliding_window_view(white, (reach, reach), axis=(0, 1))
+        values = 0.3 + 0.01 * windows.mean(axis=(-1, -2))
+        values[5, 7] += 1.0  # one outlier does not hide the others' correlation
+        ratios.append(along.size / effective_pixels(values.reshape(-1, 4).astype("f4"), along, across))
+    assert np.mean(ratios) == pytest.approx(expected, rel=0.12)
+
+
+def test_the_spread_of_means_is_what_independent_pixels_say() -> None:
+    # means over many regions of smeared noise scatter by sd / sqrt(n_eff), not by sd / sqrt(n)
+    along, across = np.divmod(np.arange(24 * 24), 24)
+    means, told, naive = [], [], []
+    for seed in range(120):
+        white = np.random.default_rng(seed).standard_normal((26, 26))
+        plane = np.lib.stride_tricks.sliding_window_view(white, (3, 3)).mean(axis=(-1, -2)).reshape(-1, 1)
+        means.append(plane.mean())
+        told.append(plane.std() / np.sqrt(effective_pixels(plane, along, across)))
+        naive.append(plane.std() / 24)
+    assert np.std(means) == pytest.approx(np.mean(told), rel=0.25)
+    assert np.std(means) > 2 * np.mean(naive)
+
+
+def test_few_pixels_share_light_with_their_neighbours() -> None:
+    along, across = np.divmod(np.arange(12), 4)
+    assert effective_pixels(np.random.default_rng(0).random((12, 3)), along, across) == 12 / 1.3
+    assert effective_pixels(np.zeros((1, 2)), along[:1], across[:1]) == 1.0
+    # a region that says nothing, and one that is all the same
+    along, across = np.divmod(np.arange(100), 10)
+    assert effective_pixels(np.full((100, 2), np.nan), along, across) == 100 / 1.3
+    assert 1.0 <= effective_pixels(np.full((100, 2), 0.3), along, across) <= 100.0
+
+
+def test_more_pixels_are_never_worth_less() -> None:
+    # noise without any correlation: from 32 pixels on it is told from values, and a camera still smears
+    worth = []
+    for count in (31, 32, 33):
+        along, across = np.divmod(np.arange(count), 6)
+        values = [np.random.default_rng(seed).standard_normal((count, 8)) for seed in range(20)]
+        found = [effective_pixels(each, along, across) for each in values]
+        assert max(found) <= count / 1.3
+        worth.append(np.max(found))
+    assert worth == sorted(worth)
+    assert worth[2] == 33 / 1.3
+
+
+def test_uncertainty_is_that_of_the_pixels_with_a_value() -> None:
+    line = made(bands=6).drop_vars("quality")
+    value = np.full((40, 6, 16), 0.3, "f4") + np.random.default_rng(2).normal(0, 0.01, (40, 6, 16)).astype(
+        "f4"
+    )
+    u = np.where(np.arange(16) < 4, 0.04, 0.01).astype("f4") * np.ones((40, 6, 1), "f4")
+    value[:, 1, :4] = np.nan
+    value[:, 2, :] = np.nan
+    value[:, 3, 1:], value[1:, 3, 0] = np.nan, np.nan
+    told = {"units": "1", "components": "known"}
+    line = line.assign(
+        reflectance=(CUBE, value, {"units": "1"}),
+        reflectance_u_random=(CUBE, u, told),
+        reflectance_u_systematic=(CUBE, u, told),
+    )
+    row = extract_signatures(line, Region("all", [(0, 0), (15, 0), (15, 39), (0, 39)])).isel(paint=0)
+    n, n_eff = 640, float(row.n_eff)
+    assert row.n == n
+    whole = np.mean(u[:, 0].astype(float) ** 2)
+    expected = [np.sqrt(whole / n_eff), 0.01 / np.sqrt(n_eff * 480 / n), np.nan, 0.04]
+    np.testing.assert_allclose(row.reflectance_u_random[:4], expected, rtol=1e-5)
+    np.testing.assert_allclose(
+        row.reflectance_u_systematic[:4], [u[:, 0].mean(), 0.01, np.nan, 0.04], rtol=1e-5
+    )
+
+
+def test_uncertainty_of_a_rectangle_is_that_of_the_mean() -> None:
+    line = raw().paint.reflectance(uncertainty=True)
+    rectangle = Region("a", [(2, 3), (12, 3), (12, 30), (2, 30)])
+    row = extract_signatures(line, rectangle, exclude=0).isel(paint=0)
+    part = line.isel(along_track=slice(3, 31), cross_track=slice(2, 13))
+    expected = hp.mean_uncertainty(part)
+    # smile leaves columns without a value in the outermost bands
+    inner = slice(1, -1)
+    np.testing.assert_allclose(row.reflectance_u_systematic[inner], expected.u_systematic[inner], rtol=1e-5)
+    alone = (expected.u_random * np.sqrt(expected.n_eff))[inner]
+    np.testing.assert_allclose(row.reflectance_u_random[inner], alone / np.sqrt(row.n_eff), rtol=1e-5)
+    assert row.reflectance_u_systematic.attrs["components"] == "radiance_gain_u_systematic"
+    assert "electrons_per_count" in row.reflectance_u_random.attrs["components"]
+
+
+def test_uncertainties_that_are_not_known_are_not_zero() -> None:
+    library = extract_signatures(made(), TWO)
+    assert np.isnan(library.reflectance_u_random).all()
+    assert library.reflectance_u_random.attrs["components"] == "none known"
+    line = raw().drop_vars("radiance_gain_u_systematic")
+    library = extract_signatures(line, RAW)
+    assert np.isnan(library.reflectance_u_systematic).all()
+    assert (library.reflectance_u_random[:, 1:-1] > 0).all()
+    np.testing.assert_array_equal(np.isnan(library.reflectance_u_random), np.isnan(library.reflectance))

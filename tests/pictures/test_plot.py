@@ -1,0 +1,114 @@
+"""True colour from spectra, and the figure of a flight line."""
+
+from __future__ import annotations
+
+import sys
+from typing import Any
+
+import numpy as np
+import pytest
+import xarray as xr
+from support.strategies import flight
+
+from hyperpaint.base.errors import MissingExtraError, SchemaError
+from hyperpaint.pictures.plot import colour_matching, quicklook, rgb
+
+NM = np.arange(385.0, 780.0, 5.0)
+WHITE = (0.0, 100.0)
+
+
+def scene(spectra: np.ndarray) -> xr.Dataset:
+    """Return spectra (pixel, band) as a flight line one pixel wide."""
+    values = np.asarray(spectra, "f4")[:, :, None]
+    return xr.Dataset(
+        {"reflectance": (("along_track", "band", "cross_track"), values, {"units": "1"})},
+        {"wavelength": ("band", NM, {"units": "nm"})},
+    )
+
+
+@pytest.mark.parametrize(
+    ("nm", "x", "y", "z"),
+    [  # CIE 1931 tables
+        (450, 0.3362, 0.0380, 1.7721),
+        (500, 0.0049, 0.3230, 0.2720),
+        (550, 0.4334, 0.9950, 0.0087),
+        (600, 1.0622, 0.6310, 0.0008),
+        (650, 0.2835, 0.1070, 0.0000),
+    ],
+)
+def test_observer_of_1931(nm: float, x: float, y: float, z: float) -> None:
+    np.testing.assert_allclose(colour_matching([nm])[:, 0], [x, y, z], atol=0.03)
+
+
+def test_grey_is_grey_and_white_is_white() -> None:
+    made = rgb(scene(np.array([[1.0], [0.2], [0.0]]) * np.ones(NM.size)), stretch=WHITE).values[:, 0]
+    np.testing.assert_allclose(made[0], 1.0, atol=0.01)
+    # 0.2 as the standard encodes it
+    np.testing.assert_allclose(made[1], 1.055 * 0.2 ** (1 / 2.4) - 0.055, atol=0.01)
+    np.testing.assert_allclose(made[2], 0.0, atol=1e-6)
+
+
+def test_colours_have_their_names() -> None:
+    edges = [(600, 780), (500, 580), (385, 480)]
+    spectra = np.array([0.05 + 0.8 * ((low <= NM) & (high >= NM)) for low, high in edges])
+    made = rgb(scene(spectra), stretch=WHITE)
+    assert made.rgb.values.tolist() == ["red", "green", "blue"]
+    assert made.values[:, 0].argmax(axis=1).tolist() == [0, 1, 2]
+
+
+def test_saturated_is_white_and_nothing_is_black() -> None:
+    spectra = np.full((3, NM.size), 0.2)
+    spectra[1] = np.nan
+    spectra[1, :3] = 0.2
+    spectra[2] = np.nan
+    made = rgb(scene(spectra), stretch=WHITE).values[:, 0]
+    assert (made[1] > 0.95).all()
+    assert (made[2] == 0).all()
+    assert not np.isnan(made).any()
+
+
+def test_lazy_labelled_and_float32(no_compute: Any) -> None:
+    line = flight(lines=70).line
+    chunked = line.chunk(along_track=16).assign_coords(line.coords)
+    with no_compute():
+        made = rgb(chunked)
+    assert made.dims == ("along_track", "cross_track", "rgb")
+    assert made.dtype == made.compute().dtype == np.float32
+    assert 0 <= made.values.min() < made.values.max() <= 1
+    np.testing.assert_allclose(made.values, line.paint.rgb().values, atol=1e-6)
+    assert "units" not in made.attrs
+
+
+def test_without_visible_bands() -> None:
+    line = scene(np.ones((2, NM.size)))
+    with pytest.raises(SchemaError, match="three bands"):
+        rgb(line.assign_coords(wavelength=line.wavelength + 600))
+
+
+def test_quicklook_draws_a_picture(tmp_path: Any) -> None:
+    pytest.importorskip("matplotlib")
+    figure = flight(lines=30).line.paint.quicklook(tmp_path / "line.png", lines=10)
+    assert (tmp_path / "line.png").read_bytes().startswith(b"\x89PNG")
+    assert len(figure.axes) == 4
+
+
+def test_quicklook_without_matplotlib(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
+    with pytest.raises(MissingExtraError, match=r"hyperpaint\[viz\]"):
+        quicklook(flight().line)
+
+
+def test_smile_does_not_tint_the_picture() -> None:
+    """Expected: one paint, seen by columns on their own wavelengths, has one colour."""
+    shift = np.linspace(-3.0, 3.0, 7)
+    edge = 0.1 + 0.6 / (1.0 + np.exp(-(NM[:, None] + shift - 590.0) / 12.0))
+    cube = xr.Dataset(
+        {"reflectance": (("along_track", "band", "cross_track"), edge[None].astype("f4"), {"units": "1"})},
+        {
+            "wavelength": ("band", NM, {"units": "nm"}),
+            "wavelength_shift": ("cross_track", shift, {"units": "nm"}),
+        },
+    )
+    seen = rgb(cube, stretch=WHITE).values[0]
+    tinted = rgb(cube.drop_vars("wavelength_shift"), stretch=WHITE).values[0]
+    assert np.ptp(seen, axis=0).max() < 0.1 * np.ptp(tinted, axis=0).max()

@@ -1,0 +1,146 @@
+"""Flags and layers on the picture: what lies on the axes."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import xarray as xr
+from support.strategies import flight
+
+from hyperpaint.base.errors import SchemaError
+from hyperpaint.base.schema import Quality
+from hyperpaint.regions import Region
+
+pytest.importorskip("matplotlib")
+
+from matplotlib.colors import to_rgb
+from matplotlib.figure import Figure
+
+from hyperpaint.pictures.plot_flags import FLAG_COLOURS, background, draw_outlines, flag_overlay, flag_shares
+
+
+def axes() -> object:
+    return Figure().add_subplot()
+
+
+@pytest.fixture(scope="module")
+def line() -> xr.Dataset:
+    """A flight line of 40 x 6 pixels, with flags and a layer of known places."""
+    made = flight(lines=40, columns=6).line.paint.reflectance().compute()
+    quality = np.zeros((40, 6), np.uint16)
+    quality[3, 1] = Quality.GLINT
+    quality[10:20, 2] = Quality.SHADOW
+    quality[15, 2] |= int(Quality.SATURATED | Quality.GLINT)
+    made["quality"] = (("along_track", "cross_track"), quality)
+    glint = np.zeros((40, 6), np.float32)
+    glint[7, 4], glint[8, 4], glint[0, 0] = 0.25, 0.5, np.nan
+    made["glint_fraction"] = (("along_track", "cross_track"), glint, {"units": "1", "long_name": "Glint"})
+    return made
+
+
+def test_every_flag_has_its_own_colour() -> None:
+    assert set(FLAG_COLOURS) == set(Quality)
+    assert len({to_rgb(colour) for colour in FLAG_COLOURS.values()}) == len(Quality)
+
+
+def test_flagged_pixels_have_the_colour_of_their_rarest_flag(line: xr.Dataset) -> None:
+    drawn = flag_overlay(line, opacity=0.6, axes=axes()).images[1].get_array()
+    assert drawn.shape == (6, 40, 4)  # columns down, lines to the right
+    expected = np.zeros((40, 6), bool)
+    expected[3, 1] = expected[10:20, 2] = True
+    np.testing.assert_array_equal(drawn[..., 3].T > 0, expected)
+    np.testing.assert_allclose(drawn[1, 3], [*to_rgb(FLAG_COLOURS[Quality.GLINT]), 0.6], atol=1e-6)
+    np.testing.assert_allclose(drawn[2, 12, :3], to_rgb(FLAG_COLOURS[Quality.SHADOW]), atol=1e-6)
+    np.testing.assert_allclose(drawn[2, 15, :3], to_rgb(FLAG_COLOURS[Quality.SATURATED]), atol=1e-6)
+
+
+def test_the_legend_tells_shares_of_all_pixels(line: xr.Dataset) -> None:
+    for lines in (1000, 7):
+        made = flag_overlay(line, axes=axes(), lines=lines)
+        texts = [text.get_text() for text in made.get_legend().get_texts()]
+        assert texts == ["saturated  0.417 %", "glint  0.833 %", "shadow  4.167 %"]
+
+
+def test_chosen_flags_alone(line: xr.Dataset) -> None:
+    by_name = flag_overlay(line, "glint", axes=axes()).images[1].get_array()
+    by_bit = flag_overlay(line, Quality.GLINT, axes=axes()).images[1].get_array()
+    np.testing.assert_array_equal(by_name, by_bit)
+    assert int((by_name[..., 3] > 0).sum()) == 2
+    made = flag_overlay(line, ["low_sun"], axes=axes())
+    assert [text.get_text() for text in made.get_legend().get_texts()] == ["low sun  0 %"]
+
+
+def test_a_picture_of_fewer_lines_loses_no_flag(line: xr.Dataset) -> None:
+    made = flag_overlay(line, "glint", lines=10, axes=axes())
+    drawn = made.images[1].get_array()[..., 3].T > 0
+    assert drawn.shape == (10, 6)
+    assert np.argwhere(drawn).tolist() == [[0, 1], [3, 2]]
+    assert made.images[1].get_extent() == [-0.5, 39.5, 5.5, -0.5]
+
+
+def test_layers_are_values_over_the_picture(line: xr.Dataset) -> None:
+    made = flag_overlay(line, layer="glint_fraction", axes=axes())
+    assert made.get_legend() is None
+    layer = made.images[1]
+    assert layer.get_array()[4, 8] == np.float32(0.5)
+    assert layer.get_array().mask[0, 0]
+    alpha = layer.get_alpha()
+    assert alpha[4, 8] == pytest.approx(0.75)
+    assert alpha[3, 3] == 0
+    labels = [other.get_ylabel() for other in made.figure.axes]
+    assert "glint_fraction" in labels
+    fewer = flag_overlay(line, "shadow", layer="glint_fraction", lines=10, axes=axes())
+    assert float(fewer.images[1].get_array()[4].max()) == 0.5
+    assert fewer.get_legend() is not None
+
+
+def test_layers_below_zero_are_drawn_about_zero(line: xr.Dataset) -> None:
+    both = np.zeros((40, 6), np.float32)
+    both[:20], both[20:30] = -0.3, 0.6
+    tilt = line.assign(blocked_direct=(("along_track", "cross_track"), both))
+    layer = flag_overlay(tilt, layer="blocked_direct", axes=axes()).images[1]
+    assert (layer.norm.vmin, layer.norm.vmax) == pytest.approx((-0.6, 0.6))
+    np.testing.assert_allclose(layer.get_alpha()[0, [0, 25, 35]], [0.75, 0.75, 0.0], atol=1e-6)
+    # a little noise below zero is no sign
+    both[:20] = -0.01
+    assert flag_overlay(tilt, layer="blocked_direct", axes=axes()).images[1].norm.vmin == 0
+
+
+def test_what_is_not_there_is_told(line: xr.Dataset) -> None:
+    with pytest.raises(SchemaError, match=r"no flag 'glitter'.*saturated"):
+        flag_overlay(line, ["glitter"], axes=axes())
+    with pytest.raises(SchemaError, match=r"no layer 'wavelength'.*glint_fraction"):
+        flag_overlay(line, layer="wavelength", axes=axes())
+
+
+def test_a_line_without_flags_says_so(line: xr.Dataset) -> None:
+    clean = line.assign(quality=line.quality * np.uint16(0))
+    made = flag_overlay(clean, axes=axes())
+    assert [text.get_text() for text in made.get_legend().get_texts()] == ["no flag set"]
+    assert flag_shares(clean.quality.values) == {}
+
+
+def test_quality_is_computed_where_it_is_missing() -> None:
+    made = flag_overlay(flight(lines=12).line, axes=axes())
+    assert made.get_xlabel() == "along_track"
+
+
+def test_the_stored_picture_is_taken_where_it_fits(line: xr.Dataset) -> None:
+    stored = np.full((20, 6, 3), 51, np.uint8)
+    attrs = {"line_step": 2, "column_step": 1}
+    with_picture = line.assign(overview=(("overview_y", "overview_x", "rgb"), stored, attrs))
+    np.testing.assert_allclose(background(with_picture, 4), np.full((10, 6, 3), 0.2), atol=1e-6)
+    # it is too coarse for every line, and of a part of the line it is another's picture
+    assert background(with_picture, 1).shape == (40, 6, 3)
+    part = with_picture.isel(along_track=slice(0, 20))
+    assert background(part, 1).shape == (20, 6, 3)
+    assert not np.allclose(background(part, 1), 0.2)
+
+
+def test_outlines_close_and_lie_where_the_region_is() -> None:
+    made = Figure().add_subplot()
+    draw_outlines(made, [Region("$roof", [(1, 10), (4, 10), (4, 20)])])
+    x, y = made.lines[0].get_data()
+    assert x.tolist() == [10, 10, 20, 10]
+    assert y.tolist() == [1, 4, 4, 1]
+    assert made.texts[0].get_text() == r"\$roof"

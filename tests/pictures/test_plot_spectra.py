@@ -1,0 +1,218 @@
+"""Spectra on axes: the values drawn are those of the cube."""
+
+from __future__ import annotations
+
+import sys
+from typing import Any
+
+import numpy as np
+import pytest
+import xarray as xr
+from support.strategies import flight
+
+import hyperpaint as hp
+from hyperpaint.base.errors import MissingExtraError, SchemaError
+from hyperpaint.base.schema import Quality
+from hyperpaint.pictures.plot import srgb
+
+pytest.importorskip("matplotlib")
+
+from matplotlib.figure import Figure
+
+from hyperpaint.pictures.plot_library import MOST_PAINTS, library_overview, paint_colours
+from hyperpaint.pictures.plot_spectra import spectrum, triptych
+
+LEFT = hp.Region("left", [(0, 0), (2, 0), (2, 19), (0, 19)])
+RIGHT = hp.Region("_right $x", [(3, 0), (5, 0), (5, 19), (3, 19)])
+
+
+def axes() -> Any:
+    return Figure().add_subplot()
+
+
+@pytest.fixture(scope="module")
+def line() -> xr.Dataset:
+    return flight(lines=20, bands=24, columns=6).line
+
+
+@pytest.fixture(scope="module")
+def paints(line: xr.Dataset) -> xr.Dataset:
+    return hp.extract_signatures(line, hp.Regions((LEFT, RIGHT)), exclude=0)
+
+
+def texts(made: Any) -> list[str]:
+    return [text.get_text() for text in made.get_legend().get_texts()]
+
+
+def test_a_pixel_is_the_cube_at_its_own_wavelengths(line: xr.Dataset) -> None:
+    shift = np.linspace(-1.0, 1.0, 6)
+    smiling = line.assign_coords(wavelength_shift=("cross_track", shift, {"units": "nm"}))
+    made = spectrum(smiling, pixels=(3, 4), axes=axes())
+    nm, values = made.lines[0].get_data()
+    np.testing.assert_allclose(nm, line.wavelength.values + shift[4])
+    np.testing.assert_array_equal(values, smiling.paint.reflectance().reflectance.values[3, :, 4])
+    assert made.get_xlabel() == "wavelength [nm]"
+
+
+def test_pixels_tell_their_flags_and_uncertainty(line: xr.Dataset) -> None:
+    full = line.paint.reflectance().compute()
+    quality = np.zeros((20, 6), np.uint16)
+    quality[3, 4] = Quality.GLINT | Quality.LOW_SUN
+    full["quality"] = (("along_track", "cross_track"), quality)
+    u = xr.full_like(full.reflectance, 0.03)
+    full["reflectance_u_random"], full["reflectance_u_systematic"] = u, u * np.float32(4 / 3)
+    made = spectrum(full, pixels=[(3, 4), (0, 0)], axes=axes())
+    assert texts(made) == ["(3, 4): low sun, glint", "(0, 0)"]
+    band = made.collections[0].get_paths()[0].vertices
+    values = full.reflectance.values[3, :, 4]
+    assert band[:, 1].max() == pytest.approx(values.max() + 0.05, abs=1e-6)
+
+
+def test_bands_that_are_not_good_are_left_out(line: xr.Dataset) -> None:
+    good = np.ones(24, bool)
+    good[5] = False
+    made = spectrum(line.assign_coords(good=("band", good)), pixels=(0, 0), axes=axes())
+    assert np.isnan(made.lines[0].get_ydata()).nonzero()[0].tolist() == [5]
+
+
+def test_regions_are_signatures_with_their_quantiles(line: xr.Dataset, paints: xr.Dataset) -> None:
+    regions = hp.Regions((LEFT, RIGHT))
+    made = spectrum(line, regions, exclude=0, axes=axes())
+    for number, drawn in enumerate(made.lines):
+        np.testing.assert_array_equal(drawn.get_ydata(), paints.reflectance.values[number])
+    assert texts(made) == ["left (n = 60)", r" _right \$x (n = 60)"]
+    outer = made.collections[0].get_paths()[0].vertices[:, 1]
+    assert outer.min() == pytest.approx(paints.reflectance_quantiles.values[0, 0].min())
+    assert outer.max() == pytest.approx(paints.reflectance_quantiles.values[0, -1].max())
+    assert not spectrum(line, regions, exclude=0, spread="none", axes=axes()).collections
+
+
+def test_paints_of_a_library_by_name(paints: xr.Dataset) -> None:
+    made = paints.paint.spectrum(paints="left", spread="sd", axes=axes())
+    assert len(made.lines) == 1
+    band = made.collections[0].get_paths()[0].vertices[:, 1]
+    assert band.max() == pytest.approx(float((paints.reflectance + paints.reflectance_sd)[0].max()))
+    assert len(paints.paint.spectrum(axes=axes()).lines) == 2
+
+
+def test_all_that_is_wrong_is_told_at_once(line: xr.Dataset, paints: xr.Dataset) -> None:
+    with pytest.raises(SchemaError, match=r"(?s)spread='range'.*either regions or pixels"):
+        spectrum(line, spread="range")
+    with pytest.raises(SchemaError, match="neither regions nor pixels"):
+        spectrum(paints, pixels=(0, 0))
+    with pytest.raises(SchemaError, match=r"no paint 'middle'; there is left, _right \$x"):
+        spectrum(paints, paints="middle", axes=axes())
+    with pytest.raises(SchemaError, match=r"(?s)\(20, 0\) is outside.*\(0, -1\) is outside"):
+        spectrum(line, pixels=[(20, 0), (0, -1)], axes=axes())
+    with pytest.raises(SchemaError, match="whole"):
+        spectrum(line, pixels=(0.5, 1.0))
+    with pytest.raises(SchemaError, match="at most 24"):
+        spectrum(line, pixels=[(0, 0)] * 25)
+
+
+def test_new_axes_are_those_of_pyplot(line: xr.Dataset) -> None:
+    from matplotlib import pyplot
+
+    made = spectrum(line, pixels=(0, 0))
+    assert made.figure is pyplot.gcf()
+    pyplot.close(made.figure)
+
+
+def test_without_matplotlib(line: xr.Dataset, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "matplotlib", None)
+    monkeypatch.setitem(sys.modules, "matplotlib.pyplot", None)
+    monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
+    with pytest.raises(MissingExtraError, match=r"hyperpaint\[viz\]"):
+        spectrum(line, pixels=(0, 0))
+    with pytest.raises(MissingExtraError, match=r"hyperpaint\[viz\]"):
+        triptych(line, LEFT)
+
+
+# --- the triptych ------------------------------------------------------------------------------------------
+
+
+def test_a_triptych_shows_the_medians_of_all_three(line: xr.Dataset, tmp_path: Any) -> None:
+    figure = line.paint.triptych(LEFT, tmp_path / "left.png", exclude=0)
+    assert (tmp_path / "left.png").read_bytes().startswith(b"\x89PNG")
+    assert [made.get_title() for made in figure.axes] == ["counts", "radiance", "reflectance"]
+    cubes = (line.counts, line.paint.radiance().radiance, line.paint.reflectance().reflectance)
+    for made, cube in zip(figure.axes, cubes, strict=True):
+        expected = np.median(cube.values[:20, :, 0:3].astype("f4"), axis=(0, 2))
+        drawn = {curve.get_label(): curve for curve in made.lines}["median"]
+        np.testing.assert_allclose(drawn.get_ydata(), expected, rtol=1e-6)
+    counts, light = ({c.get_label(): c for c in made.lines} for made in figure.axes[:2])
+    np.testing.assert_allclose(counts["dark"].get_ydata(), np.median(line.dark_counts.values[:, :3], axis=1))
+    assert counts["saturation"].get_ydata()[0] == 4095
+    nm, white = light["white surface"].get_data()
+    nearest = np.abs(line.irradiance_time.values - line.time.values[10]).argmin()
+    np.testing.assert_allclose(
+        white, line.irradiance.sel(irradiance_wavelength=nm).values[nearest] / np.pi, rtol=1e-6
+    )
+
+
+def test_a_triptych_is_of_one_region_with_pixels_left(line: xr.Dataset) -> None:
+    with pytest.raises(SchemaError, match="one region, found 2"):
+        triptych(line, hp.Regions((LEFT, RIGHT)))
+    dark = line.assign(saturation_count=((), np.float32(60.0), {"units": "count"}))
+    with pytest.raises(SchemaError, match="'left': none of 60 pixels is left"):
+        triptych(dark, LEFT)
+    with pytest.raises(SchemaError, match="counts"):
+        triptych(line.drop_vars("counts"), LEFT)
+
+
+def test_a_triptych_counts_pixels_that_have_a_value(line: xr.Dataset) -> None:
+    # of a column without a gain there are counts, and no reflectance
+    gain = line.radiance_gain.copy(data=np.where(np.arange(6) == 1, np.nan, line.radiance_gain.values))
+    holed = line.assign(radiance_gain=gain)
+    figure = triptych(holed, LEFT, exclude=0)
+    assert figure.get_suptitle() == "left: 40 of 60 pixels"
+
+
+# --- the library -------------------------------------------------------------------------------------------
+
+
+def test_the_overview_draws_every_paint_in_its_colour(paints: xr.Dataset) -> None:
+    figure = library_overview(paints, columns=3)
+    shown = [made for made in figure.axes if made.axison]
+    assert [made.get_title(loc="left") for made in shown] == ["left  n = 60", r" _right \$x  n = 60"]
+    for number, made in enumerate(shown):
+        np.testing.assert_array_equal(made.lines[0].get_ydata(), paints.reflectance.values[number])
+        np.testing.assert_allclose(
+            made.patches[0].get_facecolor()[:3],
+            srgb(paints.reflectance.values[number], paints.wavelength.values),
+            atol=1e-6,
+        )
+
+
+def test_colours_of_paints() -> None:
+    nm = np.arange(400.0, 1000.0, 10.0)
+    spectra = np.stack([0.05 + 0.7 * (nm > 600), 0.05 + 0.7 * (nm < 480), np.full(nm.size, 0.5)])
+    library = xr.Dataset(
+        {"reflectance": (("paint", "band"), spectra.astype("f4"), {"units": "1"})},
+        {"wavelength": ("band", nm, {"units": "nm"}), "paint": ["red", "blue", "grey"]},
+    )
+    red, blue, grey = paint_colours(library)
+    assert red.argmax() == 0
+    assert blue.argmax() == 2
+    assert np.ptp(grey) < 0.02
+    # bands without a value: their neighbours stand in
+    holed = library.copy(deep=True)
+    holed.reflectance[2, 5:8] = np.nan
+    np.testing.assert_allclose(paint_colours(holed)[2], grey, atol=1e-6)
+    infrared = library.assign_coords(wavelength=("band", nm + 500, {"units": "nm"}))
+    assert np.isnan(paint_colours(infrared)).all()
+    assert len(library_overview(infrared).axes) == 3
+
+
+def test_the_overview_is_bounded() -> None:
+    nm = np.arange(400.0, 800.0, 40.0)
+    count = MOST_PAINTS + 3
+    library = xr.Dataset(
+        {"reflectance": (("paint", "band"), np.full((count, nm.size), 0.3, "f4"), {"units": "1"})},
+        {"wavelength": ("band", nm, {"units": "nm"}), "paint": [f"p{k}" for k in range(count)]},
+    )
+    figure = library_overview(library, columns=8)
+    assert len(figure.axes) == MOST_PAINTS
+    assert figure.get_suptitle() == f"the first {MOST_PAINTS} of {count} paints"
+    with pytest.raises(SchemaError, match="has none"):
+        library_overview(library.isel(paint=slice(0, 0)))

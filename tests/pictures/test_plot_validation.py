@@ -1,0 +1,79 @@
+"""Pictures of validations show what was compared."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import matplotlib as mpl
+import numpy as np
+import pytest
+from support.agreeing_spectra import NM, agreeing, field, library, seen
+
+import hyperpaint as hp
+from hyperpaint.base.errors import SchemaError
+from hyperpaint.pictures.plot_validation import MOST_PAIRS, check_picture
+
+mpl.use("Agg")
+
+
+def test_curves_are_the_spectra() -> None:
+    nm = np.arange(500.0, 901.0)
+    paints = library(seen(NM, 6.0), reflectance_sd=np.full(NM.size, 0.01))
+    found = hp.validate(paints, field(0.97 * seen(nm, 3.0), nm=nm))
+    figure = hp.validation_figure(found)
+    upper, lower = figure.axes
+    spectra = found.spectra[0]
+    used = spectra["used"].values
+    for line, name in zip(upper.lines, ("signature", "reference"), strict=True):
+        drawn = np.asarray(line.get_ydata())
+        np.testing.assert_array_equal(drawn[used], spectra[name].values[used])
+        assert np.isnan(drawn[~used]).all()
+    np.testing.assert_array_equal(
+        np.asarray(lower.lines[1].get_ydata())[used], spectra["difference"].values[used]
+    )
+    assert len(upper.collections) == 1  # the spread of the pixels
+    assert upper.get_title(loc="left") == "hood"
+    assert f"RMSE {float(found.statistics['rmse'].sel(part='all').item()):.4f}" in upper.get_title(
+        loc="right"
+    )
+    assert "reference (ASD)" in [text.get_text() for text in upper.get_legend().get_texts()]
+    low, high = lower.get_ylim()
+    assert low == -high
+    assert high >= float(np.abs(spectra["difference"]).max())
+
+
+def test_the_worst_of_many_are_shown(tmp_path: Path) -> None:
+    count = MOST_PAIRS + 3
+    names = [f"paint {n}" for n in range(count)]
+    levels = np.linspace(0.9, 1.0, count)
+    paints = library(np.outer(levels, seen(NM, 6.0)), names)
+    references = library(np.outer(np.ones(count), seen(NM, 6.0)), names)
+    figure = hp.validation_figure(hp.validate(paints, references), tmp_path / "many.png", columns=6)
+    titles = [axes.get_title(loc="left") for axes in figure.axes[::2]]
+    assert titles == names[:MOST_PAIRS]
+    assert f"the {MOST_PAIRS} worst of {count} shown" in figure.get_suptitle()
+    assert (tmp_path / "many.png").stat().st_size > 10_000
+
+
+def test_any_name_is_drawn(tmp_path: Path) -> None:
+    name = "$\\frac{_\x1b" + "x" * 90
+    paints = library(seen(NM, 6.0), (name,))
+    hp.validation_figure(hp.validate(paints, paints), tmp_path / "a.png", limit=0.1)
+
+
+def test_wrong_sizes() -> None:
+    found = hp.validate(*agreeing())
+    for wrong in ({"columns": 0}, {"limit": 0.0}, {"limit": float("nan")}):
+        with pytest.raises(SchemaError, match="expected positive numbers"):
+            hp.validation_figure(found, **wrong)
+
+
+def test_a_place_for_a_picture_is_refused_before_any_work(tmp_path: Path) -> None:
+    check_picture(tmp_path / "a.PNG")
+    for name, told in {
+        "a.nope": "ends in one of .*.pdf",
+        "a": "ends in one of",
+        "none/a.png": "no folder",
+    }.items():
+        with pytest.raises(SchemaError, match=told):
+            check_picture(tmp_path / name)

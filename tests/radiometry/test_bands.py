@@ -1,0 +1,119 @@
+"""Bands by wavelength, and spectra without their smile."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+import xarray as xr
+from support.strategies import flight
+
+from hyperpaint.base.errors import SchemaError
+from hyperpaint.radiometry.bands import at, to_nominal
+from hyperpaint.radiometry.counts_to_reflectance import reflectance
+
+SHIFT = np.array([-1.3, 0.0, 0.4, 2.2])
+
+
+def smiling(lines: int = 6) -> tuple[xr.Dataset, np.ndarray]:
+    wavelength = np.linspace(500.0, 560.0, 13)
+    own = wavelength[:, None] + SHIFT
+    values = 0.4 + 0.3 * np.sin(own / 15)
+    dataset = xr.Dataset(
+        {
+            "reflectance": (
+                ("along_track", "band", "cross_track"),
+                np.tile(values, (lines, 1, 1)).astype("f4"),
+                {"units": "1"},
+            ),
+            "counts": (("along_track", "band", "cross_track"), np.zeros((lines, 13, 4), "u2")),
+            "quality": (("along_track", "cross_track"), np.arange(lines * 4).reshape(lines, 4).astype("u2")),
+        },
+        {
+            "wavelength": ("band", wavelength, {"units": "nm"}),
+            "wavelength_shift": ("cross_track", SHIFT, {"units": "nm"}),
+        },
+    )
+    return dataset, 0.4 + 0.3 * np.sin(wavelength / 15)
+
+
+def test_at_takes_the_nearest_bands_of_any_axis() -> None:
+    nm = np.array([400.0, 700.0, 690.0, 1000.0, 550.0])
+    dataset = xr.Dataset(
+        {"reflectance": ("band", np.arange(5.0))}, {"wavelength": ("band", nm, {"units": "nm"})}
+    )
+    assert float(at(dataset, 560.0).reflectance) == 4
+    assert at(dataset, 560.0).reflectance.dims == ()
+    np.testing.assert_array_equal(at(dataset, [690.4, 695.1, 400.0]).reflectance, [2, 1, 0])
+    um = dataset.assign_coords(wavelength=("band", nm / 1000, {"units": "um"}))
+    assert float(um.paint.at(560.0).reflectance) == 4
+    for nowhere in (5000.0, np.nan, [550.0, -9.0]):
+        with pytest.raises(SchemaError, match="no band at"):
+            at(dataset, nowhere)
+    with pytest.raises(SchemaError, match="wavelength"):
+        at(xr.Dataset(), 550.0)
+
+
+@pytest.mark.parametrize(
+    "chunks", [None, {"along_track": 2}, {"along_track": 4, "band": 5, "cross_track": 3}]
+)
+def test_smile_is_taken_out(chunks: Any, no_compute: Any) -> None:
+    dataset, expected = smiling()
+    source = dataset if chunks is None else dataset.chunk(chunks).assign_coords(dataset.coords)
+    with no_compute():
+        made = to_nominal(source)
+    found = made.reflectance
+    assert found.dtype == found.compute().dtype == np.float32
+    assert found.dims == ("along_track", "band", "cross_track")
+    values = found.values
+    there = ~np.isnan(values)
+    np.testing.assert_allclose(
+        values[there], np.broadcast_to(expected[:, None], values.shape)[there], atol=2e-4
+    )
+    # the outermost bands of columns that do not reach them, and nothing else
+    assert np.argwhere(~there[0]).tolist() == [[0, 2], [0, 3], [12, 0]]
+    assert "wavelength_shift" not in made.variables
+    assert "counts" not in made.variables
+    np.testing.assert_array_equal(made.quality, dataset.quality)
+    assert found.attrs["units"] == "1"
+    np.testing.assert_array_equal(values[:, :, 1], dataset.reflectance.values[:, :, 1])
+
+
+def test_a_missing_band_touches_its_neighbours_only() -> None:
+    dataset, _ = smiling(1)
+    dataset.reflectance.values[0, 6, :] = np.nan
+    missing = np.isnan(to_nominal(dataset).reflectance.values[0])
+    assert np.flatnonzero(missing[:, 1]).tolist() == [6]
+    assert set(np.flatnonzero(missing[1:12, 0]) + 1) <= {4, 5, 6, 7, 8}
+
+
+def test_descending_bands() -> None:
+    dataset, _ = smiling()
+    turned = to_nominal(dataset.isel(band=slice(None, None, -1))).reflectance.isel(band=slice(None, None, -1))
+    np.testing.assert_allclose(turned, to_nominal(dataset).reflectance, rtol=1e-5)
+
+
+def test_no_smile_is_no_work() -> None:
+    dataset, _ = smiling()
+    plain = dataset.drop_vars("wavelength_shift")
+    made = to_nominal(plain)
+    xr.testing.assert_identical(made.reflectance, plain.reflectance)
+    assert "counts" not in made
+
+
+def test_refusals() -> None:
+    dataset, _ = smiling()
+    with pytest.raises(SchemaError, match="neither"):
+        to_nominal(dataset.drop_vars("reflectance"))
+    with pytest.raises(SchemaError, match="too few"):
+        to_nominal(dataset.isel(band=slice(0, 3)))
+    joined = dataset.isel(band=[0, 1, 2, 6, 5, 7, 8])
+    with pytest.raises(SchemaError, match="in order"):
+        to_nominal(joined)
+
+
+def test_after_reflectance_of_a_whole_line() -> None:
+    made = reflectance(flight(bands=20, columns=4, smile=SHIFT, flat=True).line)
+    found = to_nominal(made).reflectance.values
+    np.testing.assert_allclose(found[~np.isnan(found)], 0.4, rtol=1e-4)

@@ -1,0 +1,54 @@
+"""Saturated pixels of traced glossy and metallic cars, against counts that no converter clipped."""
+
+from __future__ import annotations
+
+import importlib
+from typing import Any
+
+import numpy as np
+import pytest
+from support import ROOT
+
+import hyperpaint as hp
+
+pytestmark = pytest.mark.skipif(
+    not (ROOT / "benchmarks").is_dir(), reason="the scenes are those of the benchmarks"
+)
+
+
+@pytest.fixture(scope="module")
+def scenes() -> Any:
+    """Return benchmarks.saturated_pixels, and two of its scenes, by seed."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.syspath_prepend(str(ROOT))
+        module = importlib.import_module("benchmarks.saturated_pixels")
+    return module, {seed: module.trace_scene(seed) for seed in (302, 303)}
+
+
+def test_every_clipped_pixel_is_found_and_few_others(scenes: Any) -> None:
+    module, of_seed = scenes
+    found, clipped = [], []
+    for seed, (traced, _, sky) in of_seed.items():
+        for exposure in module.EXPOSURES:
+            line, true = module.exposed(traced, sky, exposure, seed)
+            found.append(module.found_in(line))
+            clipped.append(true["clipped"])
+            assert 10 <= true["clipped"].sum() < 0.2 * true["clipped"].size
+            # what the flag promises: any band within 16 counts of the converter's end
+            np.testing.assert_array_equal(found[-1], true["told"])
+    # within those 16 counts the converter is not trusted, though some of the samples were not clipped
+    recall, precision = module.recall_and_precision(np.stack(found), np.stack(clipped))
+    assert recall == 1.0
+    assert precision >= 0.99
+
+
+def test_samples_that_were_clipped_are_missing_and_the_others_stay(scenes: Any) -> None:
+    module, of_seed = scenes
+    traced, _, sky = of_seed[303]
+    line, true = module.exposed(traced, sky, 0.012, 303, bands=30)
+    radiance = hp.radiance(line).radiance.values
+    full = line.counts.values >= line.saturation_count.values - module.MARGIN
+    assert np.isnan(radiance[full]).all()
+    assert np.isfinite(radiance[~full]).all()
+    assert full.any(axis=1)[true["clipped"]].all()
+    assert np.isfinite(radiance).any(axis=1)[true["clipped"]].mean() > 0.9

@@ -1,0 +1,85 @@
+"""Means over pixels: what shrinks in them, what does not, and what nobody knows."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import xarray as xr
+from support.strategies import flight, with_noise
+
+from hyperpaint.base.errors import SchemaError
+from hyperpaint.radiometry.counts_to_reflectance import reflectance
+from hyperpaint.radiometry.uncertainty import mean_uncertainty
+
+U = ("reflectance_u_random", "reflectance_u_systematic")
+
+
+def region(rng: np.random.Generator, field: np.ndarray, u: float) -> xr.Dataset:
+    dims = ("along_track", "cross_track")
+    return xr.Dataset(
+        {
+            "reflectance": (dims, field),
+            U[0]: (dims, np.full(field.shape, u)),
+            U[1]: (dims, np.full(field.shape, 0.02)),
+        }
+    )
+
+
+def test_only_the_random_part_of_a_mean_shrinks() -> None:
+    rng = np.random.default_rng(0)
+    found = [
+        mean_uncertainty(region(rng, rng.normal(0.3, 0.01, (n, n)), 0.01)).compute() for n in (5, 20, 60)
+    ]
+    for made, n in zip(found, (25, 400, 3600), strict=True):
+        assert int(made.n) == n
+        assert 0.7 * n < float(made.n_eff) <= n
+        np.testing.assert_allclose(float(made.u_systematic), 0.02)
+        np.testing.assert_allclose(float(made.u_random), 0.01 / np.sqrt(float(made.n_eff)))
+
+
+def test_correlated_pixels_count_for_fewer() -> None:
+    rng = np.random.default_rng(1)
+    means, claimed = [], []
+    for _ in range(200):
+        white = rng.normal(size=(46, 46))
+        # five by five pixels share their error
+        field = np.lib.stride_tricks.sliding_window_view(white, (5, 5)).mean(axis=(2, 3)) * 0.05
+        made = mean_uncertainty(region(rng, 0.3 + field, 0.01))
+        means.append(float(made["mean"]))
+        claimed.append(float(made.u_random))
+    truth = np.std(means)
+    assert truth > 3 * 0.01 / 42  # far more than independent pixels would have
+    assert 0.7 < np.median(claimed) / truth < 1.4
+
+
+def test_a_mean_over_bands_keeps_them_and_skips_what_is_missing() -> None:
+    line = with_noise(flight(dtype=np.uint16).line, radiance_gain_u_systematic=0.02)
+    line["counts"].values[3, 5, 2] = 4090
+    made = reflectance(line, uncertainty=True)
+    found = mean_uncertainty(made)
+    assert found["mean"].dims == ("band",)
+    assert "wavelength" in found.coords
+    np.testing.assert_array_equal(found.n, np.where(np.arange(12) == 5, 143, 144))
+    np.testing.assert_allclose(
+        found["mean"], made.reflectance.mean(["along_track", "cross_track"]), rtol=1e-5
+    )
+    with pytest.raises(SchemaError, match="no dim of the region"):
+        mean_uncertainty(made, "pixel")
+    with pytest.raises(SchemaError, match="uncertainty=True"):
+        mean_uncertainty(made.drop_vars(U[0]))
+
+
+def test_an_error_that_nobody_knows_is_not_none() -> None:
+    line = flight(dtype=np.uint16).line
+    unknown = reflectance(with_noise(line), uncertainty=True)
+    found = mean_uncertainty(unknown)
+    assert found.u_systematic.isnull().all()
+    assert found.u_systematic.attrs["components"] == "none known"
+    assert (found.u_random > 0).all()
+    assert "read_noise" in found.u_random.attrs["components"]
+    for name in U:
+        unknown[name].attrs = {}
+    assert mean_uncertainty(unknown).u_systematic.isnull().all()
+    known = mean_uncertainty(reflectance(with_noise(line, wavelength_u=0.1), uncertainty=True))
+    assert (known.u_systematic > 0).all()
+    assert known.u_systematic.attrs["components"] == "wavelength_u"

@@ -1,0 +1,355 @@
+"""The report: strict HTML, nothing from outside, texts that stay texts, and what it shows of a store."""
+
+from __future__ import annotations
+
+import base64
+import re
+from collections.abc import Callable
+from html.parser import HTMLParser
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import xarray as xr
+from click.testing import CliRunner
+from support.strategies import flight
+
+import hyperpaint as hp
+from hyperpaint.base.errors import SchemaError, StoreError
+from hyperpaint.base.schema import Quality
+from hyperpaint.cli.program import main
+from hyperpaint.report.markup import element, text
+
+pytest.importorskip("matplotlib")
+
+HOSTILE = (
+    '</style><script>alert(1)</script><img src="http://evil.example/x" onerror=alert(2)> $\\frac{\u202e\x07'
+)
+VOID = {"meta", "img"}
+KNOWN = {
+    "html", "head", "body", "meta", "title", "style", "main", "nav", "section", "h1", "h2", "h3", "p", "a",
+    "table", "tr", "th", "td", "figure", "figcaption", "img", "div", "strong", "ul", "li", "span", "details",
+    "summary",
+}  # fmt: skip
+ATTRIBUTES = {
+    "lang", "charset", "http-equiv", "content", "name", "id", "class", "href", "src", "alt", "scope", "style",
+}  # fmt: skip
+
+
+class Strict(HTMLParser):
+    """Parses a page, and fails on anything that is not balanced, not known, or not inside the page."""
+
+    def __init__(self) -> None:
+        super().__init__(convert_charrefs=True)
+        self.open: list[str] = []
+        self.pictures: list[bytes] = []
+        self.ids: set[str] = set()
+        self.links: list[str] = []
+        self.words: list[str] = []
+        self.style = ""
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        assert tag in KNOWN, tag
+        given = dict(attrs)
+        assert len(given) == len(attrs)
+        assert set(given) <= ATTRIBUTES, given
+        if "src" in given:
+            kind, _, data = str(given["src"]).partition(",")
+            assert kind == "data:image/png;base64"
+            self.pictures.append(base64.b64decode(data, validate=True))
+        if "href" in given:
+            assert str(given["href"]).startswith("#")
+            self.links.append(str(given["href"])[1:])
+        if "id" in given:
+            assert given["id"] not in self.ids
+            self.ids.add(str(given["id"]))
+        if "style" in given:
+            assert re.fullmatch(r"(width:[\d.]+em|background:rgb\(\d+,\d+,\d+\))", str(given["style"]))
+        if tag not in VOID:
+            self.open.append(tag)
+
+    def handle_endtag(self, tag: str) -> None:
+        assert tag not in VOID
+        assert self.open.pop() == tag
+
+    def handle_data(self, data: str) -> None:
+        if self.open and self.open[-1] == "style":
+            self.style += data
+        else:
+            self.words.append(data)
+
+
+def parsed(path: Path) -> Strict:
+    """Return a page, parsed strictly."""
+    content = path.read_text(encoding="utf-8")
+    assert content.startswith("<!DOCTYPE html>")
+    found = Strict()
+    found.feed(content)
+    found.close()
+    assert not found.open
+    assert not re.search(r"url\(|@import|expression", found.style)
+    assert all(picture.startswith(b"\x89PNG") for picture in found.pictures)
+    assert set(found.links) <= found.ids
+    # no tag names anything outside, whatever texts say
+    assert not re.search(r"<[^>]*(https?:|//)", re.sub(r'"data:image/png;base64,[^"]*"', '""', content))
+    return found
+
+
+def words(path: Path) -> str:
+    return " ".join(parsed(path).words)
+
+
+@pytest.fixture(scope="module")
+def lot(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A store of two flight lines, one of which says hostile things, and of paints."""
+    store = tmp_path_factory.mktemp("report") / "lot.zarr"
+    line = flight(lines=40).line.paint.reflectance().compute()
+    quality = np.zeros((40, 6), np.uint16)
+    quality[:10, 0] = Quality.GLINT
+    line["quality"] = line.quality.copy(data=quality)
+    layer = xr.zeros_like(line.quality, np.float32).assign_attrs(units="1")
+    layered = line.assign(glint_fraction=layer.rename("glint_fraction")).assign_attrs(collect="a car park")
+    hp.to_store(layered, store, "flightlines/raw_0")
+    hostile = line.assign_attrs(name=HOSTILE, source=HOSTILE, dark_source="x" * 5000)
+    hp.to_store(hostile, store, "flightlines/raw_20")
+    hp.to_store(paints(line), store, "signatures")
+    return store
+
+
+def paints(line: xr.Dataset) -> xr.Dataset:
+    """Return a library of two paints, one of which has a hostile name."""
+    name = "<b onload=alert(1)>$x"
+    regions = (
+        hp.Region(
+            "red hood", [(0, 0), (2, 0), (2, 9), (0, 9)], flightline="raw_0", properties={"make": "Ours & Co"}
+        ),
+        hp.Region(name, [(3, 0), (5, 0), (5, 9), (3, 9)], flightline="raw_0"),
+    )
+    return hp.extract_signatures({"raw_0": line}, hp.Regions(regions), exclude=0)
+
+
+@pytest.fixture(scope="module")
+def whole(lot: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The page of everything in the store."""
+    place = tmp_path_factory.mktemp("page") / "report.html"
+    told: list[tuple[int, int]] = []
+    done = hp.write_report(lot, place, progress=lambda *step: told.append(step))
+    assert done.problems == ()
+    assert done.flightlines == ("flightlines/raw_0", "flightlines/raw_20")
+    assert told == sorted(told)
+    assert told[0] == (0, 3000)
+    assert told[-1] == (3000, 3000)
+    assert list(place.parent.iterdir()) == [place]
+    return place
+
+
+def test_a_page_of_everything(whole: Path) -> None:
+    page = parsed(whole)
+    shown = " ".join(page.words)
+    for heading in (
+        "True colour",
+        "Flags",
+        "Irradiance over time",
+        "Reflectance",
+        "Provenance",
+        "a car park",
+    ):
+        assert heading in shown, heading
+    assert "40 along_track x 12 band x 6 cross_track" in shown
+    # of 240 pixels 10 have glint
+    assert "4.167 %" in shown
+    assert "95.83 % of 240 pixels have no flag." in shown
+    assert "red hood" in shown
+    assert "Ours & Co" in shown
+    # true colour, flags, irradiance and reflectance of two lines; the layer of one; the paints
+    assert len(page.pictures) == 10
+
+
+def test_texts_of_a_store_stay_texts(whole: Path) -> None:
+    content = whole.read_text(encoding="utf-8")
+    assert "<script" not in content
+    assert "<b " not in content
+    assert "&lt;script&gt;alert(1)&lt;/script&gt;" in content
+    assert "\u202e" not in content
+    assert "\x07" not in content
+    assert "x" * 2001 not in content
+    assert "default-src 'none'" in content.replace("&#x27;", "'")
+
+
+def test_texts_are_escaped_and_cut() -> None:
+    assert str(text("<&\"'>")) == "&lt;&amp;&quot;&#x27;&gt;"
+    assert str(text(text("<"))) == "&lt;"
+    assert str(text("a\x00\x1b[31m\ud800b\nc")) == "a\ufffd\ufffd[31m\ufffdb\nc"
+    assert len(text("x" * 9999)) == 2003
+    assert str(element("td", "<i>", class_='"x')) == '<td class="&quot;x">&lt;i&gt;</td>'
+
+
+def test_both_kinds_of_light_on_the_screen(whole: Path) -> None:
+    assert "prefers-color-scheme: dark" in parsed(whole).style
+
+
+def test_one_line_alone(lot: Path, tmp_path: Path) -> None:
+    done = hp.write_report(lot, tmp_path / "one.html", flightlines=["raw_20"], lines=5)
+    assert done.flightlines == ("flightlines/raw_20",)
+    with pytest.raises(SchemaError, match=r"no flight line 'raw_1'; there is flightlines/raw_0"):
+        hp.write_report(lot, tmp_path / "none.html", flightlines=["raw_1"])
+    with pytest.raises(SchemaError, match="lines=0"):
+        hp.write_report(lot, tmp_path / "none.html", lines=0)
+    assert not (tmp_path / "none.html").exists()
+
+
+def test_a_page_is_never_replaced_unasked(lot: Path, tmp_path: Path) -> None:
+    page = tmp_path / "report.html"
+    page.write_text("mine")
+    with pytest.raises(StoreError, match="exists already; pass overwrite=True"):
+        hp.write_report(lot, page)
+    assert page.read_text() == "mine"
+    hp.write_report(lot, page, flightlines=["raw_0"], overwrite=True)
+    parsed(page)
+    for place in (lot / "report.html", tmp_path, tmp_path / "no" / "report.html"):
+        with pytest.raises(StoreError, match="cannot be written to"):
+            hp.write_report(lot, place)
+
+
+def test_a_library_beside_the_store(lot: Path, tmp_path: Path) -> None:
+    hp.to_store(paints(hp.open_store(lot, "flightlines/raw_0")), tmp_path / "paints.zarr")
+    hp.write_report(lot, tmp_path / "r.html", flightlines=["raw_0"], signatures=tmp_path / "paints.zarr")
+    assert "paints.zarr" in words(tmp_path / "r.html")
+    alone = tmp_path / "line.zarr"
+    hp.to_store(flight().line, alone)
+    with pytest.raises(SchemaError, match="no paint library"):
+        hp.write_report(lot, tmp_path / "s.html", signatures=alone)
+
+
+def test_what_is_missing_is_left_out(tmp_path: Path) -> None:
+    line = flight(lines=16).line
+    radiance = line.paint.radiance().compute()[["radiance", "quality"]].assign_attrs(line.attrs)
+    hp.to_store(radiance, tmp_path / "a.zarr", "flightlines/raw_0")
+    done = hp.write_report(tmp_path / "a.zarr", tmp_path / "a.html")
+    assert done.problems == ()
+    assert "There is no picture" in words(tmp_path / "a.html")
+    empty = tmp_path / "c.zarr"
+    hp.to_store(xr.Dataset({"a": ("x", np.arange(3.0))}), empty, "other")
+    with pytest.raises(StoreError, match="nothing to show"):
+        hp.write_report(empty, tmp_path / "c.html")
+
+
+def test_damage_is_named_and_the_rest_is_shown(lot: Path, tmp_path: Path) -> None:
+    import shutil
+
+    spoiled = tmp_path / "lot.zarr"
+    shutil.copytree(lot, spoiled)
+    (spoiled / "flightlines/raw_0/reflectance/c/0/0/0").unlink()
+    run = CliRunner().invoke(main, ["report", str(spoiled), "--out", str(tmp_path / "r.html"), "--quiet"])
+    assert run.exit_code == 1, run.output
+    assert "cannot be read: /flightlines/raw_0" in run.stderr
+    shown = words(tmp_path / "r.html")
+    assert "This could not be shown: true colour" in shown
+    assert "Irradiance over time" in shown
+    assert "red hood" in shown
+
+
+def test_the_command(lot: Path, tmp_path: Path) -> None:
+    def call(*arguments: Any) -> Any:
+        return CliRunner().invoke(main, ["report", *map(str, arguments)])
+
+    run = call(lot, "--out", tmp_path / "r.html", "--line", "raw_0")
+    assert run.exit_code == 0, run.output
+    assert "1 flight line (raw_0)" in run.stdout
+    assert run.stderr == ""
+    again = call(lot, "--out", tmp_path / "r.html")
+    assert again.exit_code == 2
+    assert "pass --overwrite" in again.stderr
+    assert call(lot, "--out", tmp_path / "r.html", "--line", "raw_0", "--overwrite").exit_code == 0
+    assert call(tmp_path / "nothing.zarr", "--out", tmp_path / "x.html").exit_code == 2
+
+
+def spoil_n(library: xr.Dataset) -> xr.Dataset:
+    return library.assign(n=("paint", ["many", "few"], {"units": "1"}))
+
+
+def spoil_quality(library: xr.Dataset) -> xr.Dataset:
+    return library.assign(quality=("paint", [np.nan, 1.0]))
+
+
+def spoil_n_eff(library: xr.Dataset) -> xr.Dataset:
+    return library.assign(n_eff=(("paint", "band"), np.ones((2, library.sizes["band"])), {"units": "1"}))
+
+
+def spoil_quantile(library: xr.Dataset) -> xr.Dataset:
+    text = [f"q{level}" for level in library["quantile"].values]
+    return library.assign_coords(quantile=("quantile", text, {"units": "1"}))
+
+
+def spoil_units(library: xr.Dataset) -> xr.Dataset:
+    return library.assign(sun_zenith=("paint", ["high", "low"], {"units": "radian"}))
+
+
+def spoil_regions(library: xr.Dataset) -> xr.Dataset:
+    text = np.full((2, library.sizes["band"]), "{}")
+    return library.drop_vars("region").assign(region=(("band", "paint"), text.T))
+
+
+def spoil_flags(line: xr.Dataset) -> xr.Dataset:
+    return line.assign(quality=line["quality"].astype(np.float32))
+
+
+def spoil_lines(line: xr.Dataset) -> xr.Dataset:
+    return line.isel(along_track=slice(0, 0))
+
+
+def spoil_times(line: xr.Dataset) -> xr.Dataset:
+    return line.isel(irradiance_time=slice(0, 0))
+
+
+def spoil_clock(line: xr.Dataset) -> xr.Dataset:
+    return line.drop_vars("irradiance_time")
+
+
+def spoil_layer(line: xr.Dataset) -> xr.Dataset:
+    text = np.full((line.sizes["along_track"], line.sizes["cross_track"]), "bright")
+    return line.assign(glint_fraction=(("along_track", "cross_track"), text))
+
+
+@pytest.mark.parametrize(
+    ("group", "spoil", "named"),
+    [
+        ("signatures", spoil_n, "'n' is"),
+        ("signatures", spoil_quality, "'quality' is float"),
+        ("signatures", spoil_n_eff, "'n_eff'"),
+        ("signatures", spoil_quantile, "'quantile' is"),
+        ("signatures", spoil_units, "'sun_zenith' is"),
+        ("signatures", spoil_regions, "regions"),
+        ("flightlines/raw_0", spoil_flags, "quality is float32"),
+        ("flightlines/raw_0", spoil_lines, "no pixels"),
+        ("flightlines/raw_0", spoil_times, "irradiance_time"),
+        ("flightlines/raw_0", spoil_clock, "irradiance_time"),
+        ("flightlines/raw_0", spoil_layer, "glint_fraction"),
+    ],
+)
+def test_odd_contents_are_named_and_the_rest_is_shown(
+    lot: Path, tmp_path: Path, group: str, spoil: Callable[[xr.Dataset], xr.Dataset], named: str
+) -> None:
+    """Rationale: `to_store` takes any dataset, also one that no step of ours has made.
+
+    Expected: the page is there, names what is wrong, and shows what comes after it; exit status 1.
+    """
+    odd = tmp_path / "odd.zarr"
+    held = {name: hp.open_store(lot, name).load() for name in ("flightlines/raw_0", "signatures")}
+    held[group] = spoil(held[group])
+    for name, made in held.items():
+        for variable in made.variables.values():
+            variable.encoding.clear()
+        hp.to_store(made, odd, name)
+    run = CliRunner().invoke(main, ["report", str(odd), "--out", str(tmp_path / "r.html"), "--quiet"])
+    assert run.exit_code == 1, run.output
+    told = [line for line in run.stderr.splitlines() if line.startswith(f"cannot be read: /{group}, ")]
+    assert any(named in line for line in told), run.stderr
+    page = parsed(tmp_path / "r.html")
+    shown = " ".join(page.words)
+    assert named in shown
+    assert shown.count("Provenance") == 2
+    assert "red hood" in shown
+    # of the paints, at least the spectra; of the line, whatever has nothing to do with what is wrong
+    assert len(page.pictures) >= (1 if spoil is spoil_lines else 3)

@@ -1,0 +1,135 @@
+"""What a dataset says of itself in a notebook: nothing computed, nothing believed."""
+
+from __future__ import annotations
+
+import base64
+import re
+import struct
+import zlib
+from html.parser import HTMLParser
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import xarray as xr
+from support.strategies import flight
+
+import hyperpaint as hp
+from hyperpaint.base.schema import Quality
+from hyperpaint.pictures.figures import encode_png, label_for
+from hyperpaint.report.summaries import stored_overview, summary_html, summary_text
+
+
+def with_overview(line: xr.Dataset) -> xr.Dataset:
+    picture = np.arange(24 * 6 * 3, dtype=np.uint8).reshape(24, 6, 3)
+    attrs = {"line_step": 1, "column_step": 1}
+    return line.assign(overview=(("overview_y", "overview_x", "rgb"), picture, attrs))
+
+
+def test_a_flight_line_in_words() -> None:
+    shown = repr(flight().line.paint)
+    assert shown.startswith("flight line raw_0\n")
+    assert "24 along_track x 12 band x 6 cross_track, float32 [count]" in shown
+    assert "500 to 700 nm, fwhm 6 nm" in shown
+    assert "2020-06-21T17:00:10.000 to 2020-06-21T17:00:10.161 UTC" in shown
+    assert ".reflectance()" in shown
+
+
+def test_flags_are_told_where_they_are_at_hand() -> None:
+    line = flight().line
+    quality = np.zeros((24, 6), np.uint16)
+    quality[:6] = Quality.GLINT
+    known = line.assign(quality=(("along_track", "cross_track"), quality))
+    assert "glint 25 %" in summary_text(known)
+    assert "not computed yet" in summary_text(known.chunk(along_track=8))
+    assert "no flag set" in summary_text(known.assign(quality=known.quality * np.uint16(0)))
+
+
+def test_nothing_is_computed(no_compute: Any) -> None:
+    # small variables as they are, cubes lazy
+    whole = with_overview(flight().line)
+    line = whole.chunk(along_track=8).assign_coords(whole.coords)
+    small = {name: whole[name] for name in whole.data_vars if "along_track" not in whole[name].dims}
+    line = line.assign(small).paint.reflectance()
+    line["overview"] = line.overview.chunk(overview_y=8)
+    with no_compute():
+        shown = line.paint._repr_html_()
+    assert "not computed yet" in shown
+    # a picture that would have to be computed is not
+    assert "<img" not in shown
+
+
+def test_the_stored_picture_is_shown(tmp_path: Path) -> None:
+    hp.to_store(with_overview(flight().line), tmp_path / "lot.zarr", "flightlines/raw_0")
+    line = xr.open_zarr(tmp_path / "lot.zarr", group="flightlines/raw_0")
+    shown = line.paint.reflectance().paint._repr_html_()
+    found = re.search(r'src="data:image/png;base64,([^"]+)"', shown)
+    assert found
+    # along_track to the right
+    assert struct.unpack(">II", base64.b64decode(found[1])[16:24]) == (24, 6)
+    np.testing.assert_array_equal(stored_overview(line), with_overview(flight().line).overview)
+
+
+def test_a_store_that_is_gone_is_no_error(tmp_path: Path) -> None:
+    import shutil
+
+    hp.to_store(with_overview(flight().line), tmp_path / "lot.zarr")
+    line = xr.open_zarr(tmp_path / "lot.zarr")
+    shutil.rmtree(tmp_path / "lot.zarr")
+    assert "flight line" in repr(line.paint)
+    assert "flight line" in line.paint._repr_html_()
+
+
+@pytest.mark.parametrize(
+    "odd",
+    [
+        xr.Dataset(),
+        xr.Dataset({"a": 1}),
+        xr.Dataset({"reflectance": ("paint", [1.0])}),
+        xr.Dataset({"counts": ("along_track", ["x"])}, {"wavelength": ("band", ["red"]), "time": 3}),
+        xr.Dataset({"overview": (("overview_y", "overview_x", "rgb"), np.zeros((0, 3, 3), "u1"))}),
+    ],
+)
+def test_any_dataset_has_a_summary(odd: xr.Dataset) -> None:
+    assert repr(odd.paint)
+    HTMLParser().feed(odd.paint._repr_html_())
+
+
+def test_names_and_attributes_stay_texts() -> None:
+    line = flight().line.assign_attrs(name="<script>\x1b[31m", dark_source="<img src=x>")
+    shown = summary_html(line)
+    assert "<script" not in shown
+    assert "&lt;script&gt;" in shown
+    assert "<img" not in shown
+    assert "\x1b" not in summary_text(line)
+
+
+def test_a_library_in_words() -> None:
+    region = hp.Region("hood", [(0, 0), (2, 0), (2, 9), (0, 9)])
+    shown = repr(hp.extract_signatures(flight().line, hp.Regions((region,)), exclude=0).paint)
+    assert shown.startswith("paint library")
+    assert "1 paint: hood" in shown
+    assert "30 to 30 a paint" in shown
+
+
+def test_png_holds_the_picture() -> None:
+    picture = np.random.default_rng(0).integers(0, 256, (5, 7, 3), np.uint8)
+    made = encode_png(picture)
+    kinds, at = {}, 8
+    while at < len(made):
+        (size,) = struct.unpack(">I", made[at : at + 4])
+        kind, data = made[at + 4 : at + 8], made[at + 8 : at + 8 + size]
+        assert struct.unpack(">I", made[at + 8 + size : at + 12 + size])[0] == zlib.crc32(kind + data)
+        kinds[kind] = data
+        at += 12 + size
+    rows = np.frombuffer(zlib.decompress(kinds[b"IDAT"]), np.uint8).reshape(5, 22)
+    assert not rows[:, 0].any()
+    np.testing.assert_array_equal(rows[:, 1:].reshape(5, 7, 3), picture)
+
+
+def test_labels_are_letters() -> None:
+    assert label_for("$\\frac{1}$") == r"\$\frac{1}\$"
+    assert label_for("_hidden") == " _hidden"
+    assert label_for("a\nb\x00") == "a\ufffdb\ufffd"
+    assert len(label_for("x" * 500)) == 60

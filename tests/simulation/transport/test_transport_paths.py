@@ -1,0 +1,277 @@
+"""Traced scenes against geometry by hand, exact where chance plays no part."""
+
+from __future__ import annotations
+
+import itertools
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+import pytest
+from support.transport_scenes import (
+    COMPILED,
+    QUAD,
+    box,
+    code,
+    ground,
+    joined,
+    materials,
+    nadir,
+    rectangle,
+    staring,
+    sun,
+    suns,
+    traced,
+    weight_of,
+)
+
+from hyperpaint.simulation.transport.blocks import Block, Rays
+from hyperpaint.simulation.transport.hierarchy import build_geometry
+from hyperpaint.simulation.transport.paths import trace_lines
+
+PLANE = (ground(), QUAD, 0)
+SKY, OVERCAST, SUN = 0, 1, 2
+LINES, COLUMNS, SAMPLES = (12, 16, 16) if COMPILED else (2, 3, 3)
+
+
+def car_park() -> tuple:
+    """Return a ground, three boxes and a wall, of five materials, coated and bare, with flakes."""
+    wall = rectangle([-3, 2.5, 0], [6, 0, 0], [0, 0, 2])
+    boxes = [(*box(x, y, 0.8, 1.0), label) for x, y, label in ((-2, 0, 1), (0, 0.3, 2), (2, -0.5, 3))]
+    surfaces = materials(None, (1.5, 0.05), (1.5, 0.1), (1.6, 0.02), None)
+    surfaces.flake_share[2], surfaces.flake_factor[2] = 0.5, 5
+    return joined(PLANE, *boxes, (wall, QUAD, 4)), surfaces
+
+
+def same(first: Block, second: Block) -> None:
+    for name, a, b in zip(Block._fields, first, second, strict=True):
+        np.testing.assert_array_equal(a, b, err_msg=name)
+
+
+def test_a_lambert_plane_is_exact_in_every_pixel() -> None:
+    found = traced(
+        joined(PLANE), materials(None), suns(sun(60), overcast=True), nadir(LINES, COLUMNS, width=8.0)
+    )
+    np.testing.assert_allclose(weight_of(found, code(SKY, 0)), 1, rtol=1e-12)
+    np.testing.assert_allclose(weight_of(found, code(SUN, 0)), 0.5, rtol=1e-7)  # float32
+    assert (weight_of(found, code(OVERCAST, 0)) > 0).all()
+    assert ((found.code >= 0).sum(axis=1) == 3).all()
+    # L = rho (E_sun cos + E_sky) / pi
+    rho, e_sun, e_sky = 0.3, 1.7, 0.4
+    radiance = rho / np.pi * (weight_of(found, code(SUN, 0)) * e_sun + weight_of(found, code(SKY, 0)) * e_sky)
+    np.testing.assert_allclose(radiance, rho * (e_sun * 0.5 + e_sky) / np.pi, rtol=1e-6)
+    np.testing.assert_array_equal(found.purity, 1)
+    np.testing.assert_array_equal(found.sun_visibility, 1)
+    np.testing.assert_allclose(found.incidence, 0.5, rtol=1e-7)
+    assert (found.material == 0).all()
+    assert (found.instance == 0).all()
+
+
+def test_parts_have_their_types_and_empty_slots_come_last() -> None:
+    geometry, surfaces = car_park()
+    found = traced(geometry, surfaces, suns(sun(40), sun(70, 200)), nadir(LINES, COLUMNS, width=8.0))
+    assert [part.dtype.str[1:] for part in found] == ["f4", "i8", "i4", "i4", "f4", "f4", "f8", "f4", "f4"]
+    used = found.code >= 0
+    assert (np.diff(used.astype(int), axis=1) <= 0).all()
+    rising = np.diff(found.code, axis=1)
+    assert (rising[used[:, 1:]] > 0).all()
+    assert (found.weight[used] > 0).all()
+    assert (found.weight[~used] == 0).all()
+    assert set(np.unique(found.code[used] & 7)) == {SKY, SUN, SUN + 1}
+
+
+@pytest.mark.parametrize("cuts", [(0, 1, 5, LINES), (0, LINES // 2, LINES)] if COMPILED else [(0, 1, 2)])
+def test_the_same_bits_in_any_blocks(cuts: tuple[int, ...]) -> None:
+    geometry, surfaces = car_park()
+    light, rays = suns(sun(50), overcast=True, radius=0.005), nadir(LINES, COLUMNS, width=8.0)
+    whole = traced(geometry, surfaces, light, rays, samples=SAMPLES, seed=9, first_line=100, slots=6)
+    for start, stop in itertools.pairwise(cuts):
+        part = Rays(rays.origin[start:stop], rays.rotation[start:stop], *rays[2:])
+        found = traced(
+            geometry, surfaces, light, part, samples=SAMPLES, seed=9, first_line=100 + start, slots=6
+        )
+        same(found, Block(*(piece[start:stop] for piece in whole)))
+
+
+def test_the_same_bits_on_threads() -> None:
+    geometry, surfaces = car_park()
+    given = (geometry, surfaces, suns(sun(50)), nadir(LINES, COLUMNS, width=8.0))
+    alone = traced(*given, samples=SAMPLES)
+    with ThreadPoolExecutor(3) as pool:
+        found = list(pool.map(lambda _: traced(*given, samples=SAMPLES), range(6)))
+    for block in found:
+        same(block, alone)
+
+
+def test_lines_and_seeds_have_numbers_of_their_own() -> None:
+    geometry, surfaces = car_park()
+    rays = nadir(LINES, COLUMNS, width=8.0)
+    given = {"geometry": geometry, "surfaces": surfaces, "sources": suns(sun(50)), "rays": rays, "samples": 4}
+    base = traced(**given).weight
+    assert (traced(**given).weight == base).all()
+    assert (traced(**given, seed=1).weight != base).any()
+    assert (traced(**given, first_line=1).weight != base).any()
+
+
+def test_the_camera_looks_where_its_attitude_says() -> None:
+    edges, along = np.array([-0.5, -0.3, 0.5, 0.51]), np.array([0.2, 0.21])
+    heading, pitch, roll = np.radians([30.0, 4.0, -7.0])
+    cz, sz, cy, sy, cx, sx = (
+        f(a) for a in (heading, pitch, roll) for f in (np.cos, np.sin)
+    )  # fmt: skip
+    north_east_down = (
+        np.array([[cz, -sz, 0], [sz, cz, 0], [0, 0, 1]])
+        @ np.array([[cy, 0, sy], [0, 1, 0], [-sy, 0, cy]])
+        @ np.array([[1, 0, 0], [0, cx, -sx], [0, sx, cx]])
+    )
+    rotation = np.array([[0, 1, 0], [1, 0, 0], [0, 0, -1]]) @ north_east_down
+    rays = Rays(np.array([[[3.0, 4, 25], [3, 4, 25]]]), np.tile(rotation, (1, 2, 1, 1)), edges, along)
+    found = traced(joined(PLANE), materials(None), suns(), rays, samples=400 if COMPILED else 60)
+    for column in range(3):
+        middle = np.array([0.205, edges[column : column + 2].mean(), 1])
+        towards = rotation @ middle
+        point = np.array([3, 4, 25]) - towards * 25 / towards[2]
+        np.testing.assert_allclose(found.position[0, :, column], point, atol=0.1 if column == 2 else 1.5)
+    assert found.position[0, 0, 0] < found.position[0, 0, 2]  # right is east of left
+    np.testing.assert_allclose(
+        found.distance[0, 2], np.linalg.norm(rotation @ middle) * 25 / -towards[2], rtol=0.01
+    )
+
+
+def test_exposure_smears_the_line_along_the_flight() -> None:
+    origin = np.array([[[0.0, -3, 10], [0.0, 5, 10]]])
+    rotation = np.tile(np.array([[0.0, 1, 0], [1, 0, 0], [0, 0, -1]]), (1, 2, 1, 1))
+    rays = Rays(origin, rotation, np.array([-1e-6, 1e-6]), np.array([-1e-6, 1e-6]))
+    strip = (rectangle([-1, 1, 0.5], [2, 0, 0], [0, 20, 0]), QUAD, 1)
+    found = traced(
+        joined(PLANE, strip), materials(None, None), suns(), rays, samples=4000 if COMPILED else 200
+    )
+    near = 0.03 if COMPILED else 0.15
+    assert found.position[0, 1, 0] == pytest.approx(1, abs=8 * near)
+    assert found.purity[0, 0] == pytest.approx(0.5, abs=near)
+
+
+def test_labels_are_those_of_most_samples() -> None:
+    half = (rectangle([-50, -50, 0.0], [50.6, 0, 0], [0, 100, 0]), QUAD, 1)
+    rest = (rectangle([0.6, -50, 0.0], [50, 0, 0], [0, 100, 0]), QUAD, 0)
+    rays = nadir(2, 3, width=3.0)  # the middle pixel: -0.5 to 0.5; the last: 0.5 to 1.5
+    found = traced(joined(half, rest), materials(None, None), suns(), rays, samples=200)
+    np.testing.assert_array_equal(found.material, [[1, 1, 0]] * 2)
+    np.testing.assert_array_equal(found.instance, [[0, 0, 1]] * 2)
+    np.testing.assert_array_equal(found.purity[:, :2], 1)
+    np.testing.assert_allclose(found.purity[:, 2], 0.9, atol=0.08)
+
+
+def test_a_view_of_the_sky_has_no_labels() -> None:
+    rays = staring([0, 0, 5.0], -sun(20), 3)  # from below, upwards
+    found = traced(joined(PLANE), materials(None), suns(sun(30), overcast=True), rays._replace(
+        origin=np.full((1, 2, 3), 5.0)
+    ))  # fmt: skip
+    assert (found.material == -1).all()
+    assert (found.instance == -1).all()
+    assert np.isnan(found.distance).all()
+    assert np.isnan(found.position).all()
+    assert np.isnan(found.sun_visibility).all()
+    np.testing.assert_allclose(weight_of(found, code(SKY)), 1)
+    np.testing.assert_allclose(weight_of(found, code(OVERCAST)), 1.5 * np.cos(np.radians(20)), rtol=1e-6)
+
+
+def test_shadows_hide_the_sun_only() -> None:
+    roof = (rectangle([-1, -1, 3.0], [2, 0, 0], [0, 2, 0]), QUAD, 1)
+    towards = sun(45)
+    shaded, lit = [-3.0, 0, 0], [3.0, 0, 0]  # the sun stands in the east: the shadow falls west
+    for point, seen in ((shaded, 0.0), (lit, 1.0)):
+        rays = staring(point, sun(10, 180), 2)
+        found = traced(joined(PLANE, roof), materials(None, None), suns(towards), rays)
+        np.testing.assert_array_equal(found.sun_visibility, seen)
+        np.testing.assert_allclose(found.incidence, np.sqrt(0.5), rtol=1e-6)
+        np.testing.assert_allclose(weight_of(found, code(SUN, 0)), seen * np.sqrt(0.5), rtol=1e-6)
+
+
+def test_surfaces_are_seen_from_both_sides() -> None:
+    up = traced(joined(PLANE), materials(None), suns(sun(30)), staring([0, 0, 0.0], sun(20), 1))
+    turned = (ground(), QUAD[:, ::-1], 0)
+    down = traced(joined(turned), materials(None), suns(sun(30)), staring([0, 0, 0.0], sun(20), 1))
+    np.testing.assert_array_equal(up.code, down.code)
+    np.testing.assert_allclose(up.weight, down.weight, rtol=1e-6)
+    below = traced(joined(PLANE), materials(None), suns(sun(30)), staring([0, 0, 0.0], -sun(20), 1))
+    np.testing.assert_array_equal(below.sun_visibility, 0)
+    np.testing.assert_array_equal(below.incidence, 0)
+
+
+def test_smooth_normals_turn_the_light_and_not_the_shape() -> None:
+    tilted = np.tile([np.sin(0.2), 0, np.cos(0.2)], (4, 1))
+    geometry = build_geometry(ground(), QUAD, tilted, [0, 0], [0, 0])
+    found = traced(geometry, materials(None), suns(sun(60)), staring([0, 0, 0.0], sun(5), 2))
+    np.testing.assert_allclose(weight_of(found, code(SUN, 0)), np.cos(np.pi / 3 - 0.2), rtol=1e-6)
+    np.testing.assert_allclose(found.incidence, np.cos(np.pi / 3 - 0.2), rtol=1e-6)
+    np.testing.assert_allclose(found.position[0, :, 0], 0, atol=1e-7)
+    assert (weight_of(found, code(SKY, 0)) <= 1 + 1e-6).all()
+
+
+def test_codes_tell_the_mirror_from_the_diffuse_way() -> None:
+    """A smooth coat shows a sun-lit wall: sun, wall's factor, through the mirror, more than one surface."""
+    wall = (rectangle([-200, 4.0, 0], [400, 0, 0], [0, 0, 300]), QUAD, 1)
+    towards = sun(60, 180)  # behind the camera's back: on the wall's face
+    rays = staring([0, 0, 0.0], sun(50, 180), 8)
+    found = traced(
+        joined(PLANE, wall), materials((1.5, 0.001), None), suns(towards), rays,
+        samples=4000 if COMPILED else 40, depth=2,
+    )  # fmt: skip
+    mirrored = weight_of(found, code(SUN, 1, mirror=True, indirect=True)).mean()
+    cosine = np.cos(np.radians(50))
+    g = np.sqrt(1.25 + cosine**2)
+    a, b = (g - cosine) / (g + cosine), (cosine * (g + cosine) - 1) / (cosine * (g - cosine) + 1)
+    expected = 0.5 * a**2 * (1 + b**2) * np.sin(np.radians(60))  # F x cosine of the sun on the wall
+    assert mirrored == pytest.approx(expected, rel=0.03 if COMPILED else 0.5)
+    diffuse = weight_of(found, code(SUN, 0, 1, indirect=True)).mean()
+    assert diffuse > 0
+    assert (weight_of(found, code(SUN, 1, indirect=True)) == 0).all()
+
+
+def test_white_grooves_lose_nothing_but_the_last_bounce() -> None:
+    """With every factor 1, Lambert surfaces under an even sky are as bright as the sky, of any shape."""
+    left = (rectangle([0, -50, 0], [-1, 0, 1], [0, 100, 0]), QUAD, 0)
+    right = (rectangle([0, -50, 0], [1, 0, 1], [0, 100, 0]), QUAD, 0)
+    rays = nadir(2, 4, width=1.6)
+    deep = traced(joined(left, right), materials(None), suns(), rays, depth=40, digit_bits=1, samples=64)
+    np.testing.assert_allclose(deep.weight.sum(axis=1), 1, rtol=1e-6)
+    shallow = traced(joined(left, right), materials(None), suns(), rays, depth=2, digit_bits=1, samples=64)
+    assert (shallow.weight.sum(axis=1) < 1).any()
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"depth": 15}, "do not fit a code"),
+        ({"digit_bits": 1}, "need more than 1 bits"),
+        ({"samples": 0}, "must be positive"),
+        ({"seed": -1}, "not negative"),
+        ({"seed": 2**63}, "fit 63 bits"),
+        ({"first_line": -1}, "not negative"),
+        ({"first_line": 2**32}, "lines and samples 32"),
+        ({"sources": suns(*[sun(10)] * 7)}, "at most 6"),
+        ({"sources": suns(2 * sun(10))}, "unit vectors"),
+        ({"surfaces": materials((1.5, np.nan), None)}, "from 0 to 1"),
+        ({"surfaces": materials(None, None)._replace(coat_index=np.array([np.inf, 0]))}, "must be finite"),
+        ({"surfaces": materials((1.5, 0.1), None, flakes=1.5)}, "from 0 to 1"),
+        ({"surfaces": materials(None, None)._replace(internal=np.zeros(1))}, "unequal length"),
+        ({"surfaces": materials(None, None)._replace(base_factor=np.array([0, -1]))}, "a base factor"),
+    ],
+)
+def test_what_loops_would_run_wild_on_is_refused(change: dict, words: str) -> None:
+    given = {
+        "geometry": joined((ground(), QUAD, 1)), "surfaces": materials(None, None), "sources": suns(),
+        "rays": nadir(1, 2, width=1.0),
+    } | change  # fmt: skip
+    with pytest.raises(ValueError, match=words):
+        traced(**given)
+
+
+def test_all_faults_are_told_at_once() -> None:
+    block = Block.empty(1, 4, 3, 0)
+    rays = nadir(1, 2, width=1.0)
+    rays.origin[:] = np.nan
+    with pytest.raises(ValueError, match=r"must be finite.*block.weight must be contiguous \(1, 4, 2\)"):
+        trace_lines(joined(PLANE), materials(None), suns(), rays, 0, 1, 1, 4, 0, block)
+    with pytest.raises(ValueError, match="materials 3 to 3 of 1"):
+        traced(joined((ground(), QUAD, 3)), materials(None), suns(), nadir(1, 2, width=1.0))

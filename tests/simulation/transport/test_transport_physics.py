@@ -1,0 +1,190 @@
+"""Many samples against analytic radiometry: what the recorder must get right to be used as truth."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from support.transport_scenes import (
+    COMPILED,
+    QUAD,
+    box,
+    code,
+    ground,
+    joined,
+    materials,
+    nadir,
+    rectangle,
+    staring,
+    sun,
+    suns,
+    traced,
+    weight_of,
+)
+
+pytestmark = pytest.mark.skipif(not COMPILED, reason="many samples want a compiler")
+
+PLANE = (ground(), QUAD, 0)
+SKY, OVERCAST, SUN = 0, 1, 2
+EAST = 90.0
+
+
+def glint(view: np.ndarray, light: np.ndarray, index: float, alpha: float) -> float:
+    """Return F D G / (4 cos_o) of a level surface [sr-1], from angles and tangents.
+
+    Walter et al. 2007, equation 33; Heitz 2014, equation 99 (height-correlated G); Fresnel by Snell's angles.
+    """
+    half = (view + light) / np.linalg.norm(view + light)
+    outside = np.arccos(view @ half)
+    inside = np.arcsin(np.sin(outside) / index)
+    s = (np.cos(outside) - index * np.cos(inside)) / (np.cos(outside) + index * np.cos(inside))
+    p = (index * np.cos(outside) - np.cos(inside)) / (index * np.cos(outside) + np.cos(inside))
+    tilt = np.tan(np.arccos(half[2]))
+    density = alpha**2 / (np.pi * half[2] ** 4 * (alpha**2 + tilt**2) ** 2)
+    smith = [(np.sqrt(1 + (alpha * np.tan(np.arccos(a[2]))) ** 2) - 1) / 2 for a in (view, light)]
+    return float((s**2 + p**2) / 2 * density / (1 + sum(smith)) / (4 * view[2]))
+
+
+@pytest.mark.parametrize("alpha", [0.05, 0.1])
+@pytest.mark.parametrize("view", [(40.0, 270.0), (37.0, 270.0), (40.0, 262.0), (60.0, 270.0), (10.0, 45.0)])
+def test_the_glint_of_a_flat_coat(view: tuple[float, float], alpha: float) -> None:
+    light, towards = sun(40, EAST), sun(*view)
+    found = traced(joined(PLANE), materials((1.5, alpha)), suns(light), staring([0, 0, 0.0], towards, 4))
+    irradiance = 1.3
+    radiance = weight_of(found, code(SUN, mirror=True)) * irradiance / np.pi
+    np.testing.assert_allclose(radiance, glint(towards, light, 1.5, alpha) * irradiance, rtol=1e-3)
+    if view == (40.0, 270.0) and alpha == 0.05:  # an order of magnitude above a grey paint
+        assert radiance.mean() > 10 * 0.3 / np.pi * np.cos(np.radians(40)) * irradiance
+
+
+def share_seen(height: float, width: float, distance: float) -> float:
+    """Return the view factor from a level element to a rectangle that stands upright, element at its middle.
+
+    J. R. Howell, "A catalog of radiation heat transfer configuration factors", B-4 (the element faces a
+    corner of the rectangle), twice.
+    """
+    b, root = width / 2, np.hypot(height, distance)
+    return float((np.arctan(b / distance) - distance / root * np.arctan(b / root)) / np.pi)
+
+
+def test_the_view_factor_is_a_sum_over_the_wall() -> None:
+    n = 1000
+    y, z = np.meshgrid(((np.arange(n) + 0.5) / n - 0.5) * 6, (np.arange(n) + 0.5) / n)
+    square = 0.3**2 + y**2 + z**2
+    summed = (z * 0.3 / (np.pi * square**2)).sum() * 6 / n**2
+    assert share_seen(1.0, 6.0, 0.3) == pytest.approx(summed, rel=1e-5)
+
+
+def test_a_red_wall_beside_a_grey_panel() -> None:
+    grey, red = 0, 1
+    panel = (rectangle([0.2, -0.1, 0], [0.2, 0, 0], [0, 0.2, 0]), QUAD, grey)
+    wall = (rectangle([0, -3, 0], [0, 6, 0], [0, 0, 1]), QUAD, red)
+    light = sun(60, EAST)
+    rays = staring([0.3, 0, 0.0], sun(20, EAST), 64)
+    found = traced(
+        joined(panel, wall), materials(None, None), suns(light), rays, samples=8192, depth=3, seed=1
+    )
+    adjacent = weight_of(found, code(SUN, grey, red, indirect=True)).mean()
+    assert adjacent == pytest.approx(share_seen(1.0, 6.0, 0.3) * np.sin(np.radians(60)), rel=5e-3)
+    own = weight_of(found, code(SUN, grey))
+    np.testing.assert_allclose(own, 0.5, rtol=1e-6)
+    sky = weight_of(found, code(SKY, grey)).mean()
+    assert sky == pytest.approx(1 - share_seen(1.0, 6.0, 0.3), rel=5e-3)
+
+
+def white_furnace(alpha: float, zenith: float, flakes: float = 0.0, flake_alpha: float = 0.35) -> float:
+    surfaces = materials((1.5, alpha), flakes=flakes, flake_alpha=flake_alpha)
+    rays = staring([0, 0, 0.0], sun(zenith, EAST), 64)
+    found = traced(joined(PLANE), surfaces, suns(), rays, samples=4096, depth=1, seed=3)
+    return float(found.weight.sum(axis=1, dtype=float).mean())
+
+
+@pytest.mark.parametrize("zenith", [0, 30, 60])
+@pytest.mark.parametrize("alpha", [0.001, 0.05, 0.1])
+def test_a_coated_white_base_in_a_white_furnace(alpha: float, zenith: float) -> None:
+    assert white_furnace(alpha, zenith) == pytest.approx(1, abs=5e-3)
+
+
+@pytest.mark.parametrize("zenith", [0, 45, 60, 80])
+@pytest.mark.parametrize("flake_alpha", [0.15, 0.35, 0.6])
+def test_flakes_in_a_white_furnace_gain_nothing(zenith: float, flake_alpha: float) -> None:
+    found = white_furnace(0.05, zenith, flakes=0.5, flake_alpha=flake_alpha)
+    assert 0.6 < found <= 1.001
+
+
+@pytest.mark.parametrize("zenith", [70, 80, 88])
+@pytest.mark.parametrize("alpha", [0.1, 0.5])
+def test_rough_coats_at_grazing_angles_gain_nothing(alpha: float, zenith: float) -> None:
+    assert white_furnace(alpha, zenith) <= 1.001
+
+
+def test_overcast_sky_brings_the_same_light_to_a_plane() -> None:
+    found = traced(joined(PLANE), materials(None), suns(overcast=True), nadir(16, 64, width=8.0), samples=256)
+    np.testing.assert_allclose(weight_of(found, code(SKY, 0)), 1, rtol=1e-6)
+    assert weight_of(found, code(OVERCAST, 0)).mean() == pytest.approx(1, abs=5e-3)
+
+
+def test_overcast_sky_favours_what_looks_up() -> None:
+    """An upright wall gets 1 / pi of the light of a level surface; of an even sky it would be 1 / 2."""
+    wall = (rectangle([0, -50, 0], [0, 100, 0], [0, 0, 50]), QUAD, 0)
+    rays = staring([0, 0, 25.0], sun(80, EAST), 64)
+    found = traced(joined(wall), materials(None), suns(overcast=True), rays, samples=4096)
+    # integral of 1.5 cos(zenith) / pi x cos(incidence) over the quarter sphere
+    u, a = np.meshgrid((np.arange(500) + 0.5) / 500, ((np.arange(500) + 0.5) / 500 - 0.5) * np.pi)
+    expected = (1.5 * u / np.pi * np.sqrt(1 - u**2) * np.cos(a)).sum() * np.pi / 500**2
+    assert weight_of(found, code(OVERCAST, 0)).mean() == pytest.approx(expected, rel=5e-3)
+    assert expected == pytest.approx(1 / np.pi, rel=1e-3)
+
+
+def test_noise_falls_with_the_root_of_the_samples() -> None:
+    blocks = [(*box(x, 0.4, 0.5, 1.0), 1) for x in (-1.1, 1.1)]
+    geometry = joined(PLANE, *blocks)
+    rays = staring([0, 0, 0.0], sun(10, 180), 2000)
+    counts = np.array([4, 16, 64, 256])
+    spread = []
+    for samples in counts:
+        found = traced(geometry, materials(None, None), suns(), rays, samples=int(samples), seed=5)
+        spread.append(weight_of(found, code(SKY, 0)).std())
+    slope = np.polyfit(np.log(counts), np.log(spread), 1)[0]
+    assert slope == pytest.approx(-0.5, rel=0.1)
+
+
+def test_a_sun_with_a_disc_has_a_half_shadow() -> None:
+    light, radius = sun(0), 0.02
+    roof = (rectangle([0, -50, 10], [50, 0, 0], [0, 100, 0]), QUAD, 1)
+    scene = joined(PLANE, roof)
+    places, shares = [-0.25, -0.1, 0.0, 0.1, 0.25], []
+    for x in places:
+        rays = staring([x, 0, 0.0], sun(30, 270), 16)
+        found = traced(
+            scene, materials(None, None), suns(light, radius=radius), rays, samples=2048, depth=1, seed=2
+        )
+        shares.append(found.sun_visibility.mean())
+    # share of a disc, seen from 10 m under a straight edge
+    t = np.clip(np.array(places) / 10 / radius, -1, 1)
+    expected = 0.5 - (t * np.sqrt(1 - t**2) + np.arcsin(t)) / np.pi
+    np.testing.assert_allclose(shares, expected, atol=0.01)
+
+
+def test_light_between_floor_and_endless_wall_follows_the_series() -> None:
+    """In a right angle that goes on for ever each face sees the other by half, whatever the distance."""
+    floor = (rectangle([-1e6, -1e6, 0], [2e6, 0, 0], [0, 1e6, 0]), QUAD, 0)
+    wall = (rectangle([-1e6, 0, 0], [2e6, 0, 0], [0, 0, 1e6]), QUAD, 1)
+    rays = staring([0, -0.5, 0.0], sun(30, 180), 64)
+    found = traced(joined(floor, wall), materials(None, None), suns(), rays, samples=4096, depth=4)
+    ways = [(0,), (0, 1), (0, 1, 0), (0, 1, 0, 1)]
+    shares = [weight_of(found, code(SKY, *way, indirect=len(way) > 1)).mean() for way in ways]
+    np.testing.assert_allclose(shares, [1 / 2, 1 / 4, 1 / 8, 1 / 16], atol=4e-3)
+
+
+def test_slots_that_are_few_keep_the_total_and_the_mean() -> None:
+    blocks = [(*box(x, 0.4, 0.5, 1.0), 1 + k) for k, x in enumerate((-1.1, 0.0, 1.1))]
+    geometry = joined(PLANE, *blocks)
+    surfaces = materials(None, (1.5, 0.05), (1.5, 0.1), None)
+    rays = nadir(24, 64, width=4.0)
+    full = traced(geometry, surfaces, suns(sun(50)), rays, samples=64, slots=200)
+    few = traced(geometry, surfaces, suns(sun(50)), rays, samples=64, slots=8)
+    np.testing.assert_allclose(few.weight.sum(axis=1), full.weight.sum(axis=1), rtol=1e-5)
+    assert (full.code[:, -1] == -1).all()
+    used = np.unique(full.code[full.code >= 0])
+    means = np.array([[weight_of(block, int(one)).mean() for one in used] for block in (full, few)])
+    np.testing.assert_allclose(means[1], means[0], atol=4e-3)

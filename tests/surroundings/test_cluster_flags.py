@@ -1,0 +1,28 @@
+"""The same flags on a cluster of processes as on threads."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from support.analytic_scenes import as_line, bonnet, smooth_edge, wavelengths
+
+import hyperpaint as hp
+from hyperpaint.surroundings.flags import LAYERS
+
+
+@pytest.mark.filterwarnings("ignore")
+def test_a_cluster_finds_the_same_flags() -> None:
+    distributed = pytest.importorskip("distributed")
+    nm = wavelengths()
+    cube, _ = bonnet(nm, smooth_edge(nm, 600.0, 0.04, 0.6))
+    line = as_line(cube, nm, snr=100.0)
+    first = hp.flag(line, sun_zenith=30.0).compute(scheduler="synchronous")
+    with (
+        distributed.LocalCluster(
+            n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None
+        ) as cluster,
+        distributed.Client(cluster),
+    ):
+        other = hp.flag(line.chunk(along_track=64), sun_zenith=30.0).compute()
+    for name in (*LAYERS, "quality"):
+        np.testing.assert_array_equal(first[name].values, other[name].values)

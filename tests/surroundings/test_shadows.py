@@ -1,0 +1,128 @@
+"""Cast shadows among segments: told from dark glass and black paint by what lies around them."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import scipy.optimize
+from support.analytic_scenes import smooth_edge
+
+from hyperpaint.light.sun import diffuse_fraction
+from hyperpaint.surroundings.light_mixtures import senders_of, solve
+from hyperpaint.surroundings.model import LIT, SHADED
+from hyperpaint.surroundings.references import Light
+from hyperpaint.surroundings.segments import Segments, distance_to, edge_distance, touching
+from hyperpaint.surroundings.shadows import match_shade, shaded_pixels
+
+NM = np.linspace(412.0, 988.0, 24)
+DIFFUSE = diffuse_fraction(NM, 40.0)
+LIGHT = Light(1.0 - DIFFUSE, DIFFUSE)
+ASPHALT = smooth_edge(NM, 600.0, 0.07, 0.12, 150.0)
+RED = smooth_edge(NM, 600.0, 0.04, 0.6)
+AWAY = np.array([1.0, 0.0])
+"""Shadows fall on to higher lines."""
+
+
+def shadow_of(body: np.ndarray, direct: float, sky: float, sent: float = 0.0) -> np.ndarray:
+    """Return a body in little light."""
+    return body * (direct * LIGHT.direct + sky * LIGHT.diffuse + sent * RED)
+
+
+def matched(number: np.ndarray, spectra: list[np.ndarray], side: np.ndarray | None = AWAY) -> list[int]:
+    """Return the segments that are taken for shadows on the first one."""
+    count = len(spectra)
+    numbers = number.astype(np.int32)
+    size = np.bincount(number.ravel(), minlength=count).astype(np.int64)
+    found, ground = match_shade(numbers, np.stack(spectra), size, touching(numbers, count), LIGHT, side)
+    assert ground[0]
+    assert set(found.state) <= {LIT, SHADED}
+    shaded = np.flatnonzero(found.state == SHADED)
+    assert (found.body[shaded] == 0).all()
+    return shaded.tolist()
+
+
+@pytest.mark.parametrize("parts", [2, 3])
+def test_the_amounts_are_those_of_non_negative_least_squares(parts: int) -> None:
+    rng = np.random.default_rng(3)
+    body, sender, seen = rng.uniform(0.02, 0.6, (3, 40, 24))
+    amount, misfit = solve(seen, body, sender if parts == 3 else None, LIGHT)
+    for row in range(40):
+        sigma = 0.05 * seen[row] + 0.0005
+        columns = [body[row] * LIGHT.direct, body[row] * LIGHT.diffuse, body[row] * sender[row]][:parts]
+        expected, rest = scipy.optimize.nnls(np.stack(columns, axis=1) / sigma[:, None], seen[row] / sigma)
+        np.testing.assert_allclose(amount[row], expected, atol=1e-5)
+        np.testing.assert_allclose(misfit[row], 0.05 * rest / np.sqrt(24), rtol=1e-6)
+
+
+@pytest.mark.parametrize("side", [AWAY, None])
+def test_glass_of_the_spectrum_of_a_shadow_is_none_where_its_car_surrounds_it(
+    side: np.ndarray | None,
+) -> None:
+    number = np.zeros((60, 60), int)
+    number[10:30, 10:50] = 1  # a red car
+    number[30:40, 10:50] = 2  # its shadow
+    number[15:25, 20:40] = 3  # its roof window
+    dark = shadow_of(ASPHALT, 0.01, 0.8)
+    assert matched(number, [ASPHALT, RED, dark, dark], side) == [2]
+
+
+def test_what_is_dark_on_the_side_of_the_sun_is_a_black_car() -> None:
+    number = np.zeros((60, 60), int)
+    number[10:30, 10:50] = 1
+    number[30:40, 10:50] = 2
+    black = shadow_of(ASPHALT, 0.015, 0.7)
+    assert matched(number, [ASPHALT, black, shadow_of(ASPHALT, 0.005, 0.75)]) == [2]
+
+
+def test_a_red_car_reddens_the_shadow_beside_it() -> None:
+    number = np.zeros((60, 60), int)
+    number[10:24, 10:50] = 1
+    number[24:32, 10:50] = 2
+    number[32:46, 10:50] = 3
+    number[24:32, 50:56] = 4  # where the shadow between the cars comes into the open
+    between = shadow_of(ASPHALT, 0.03, 0.3, sent=0.15)
+    spectra = [ASPHALT, 0.5 + 0.0 * RED, between, RED, shadow_of(ASPHALT, 0.01, 0.7)]
+    assert senders_of(number.astype(np.int32), np.stack(spectra), np.bincount(number.ravel()))[2, 0] == 3
+    assert matched(number, spectra) == [2, 4]
+
+
+def test_a_shadow_with_light_all_around_needs_nothing_beside_it() -> None:
+    number = np.zeros((40, 40), int)
+    number[12:24, 12:24] = 1
+    assert matched(number, [ASPHALT, shadow_of(ASPHALT, 0.01, 0.85)]) == [1]
+    # an oil stain is darker in the light of the sun as well as in that of the sky
+    assert matched(number, [ASPHALT, 0.4 * ASPHALT]) == []
+
+
+def test_single_pixels_of_the_ground_lack_the_sun_or_are_only_dark() -> None:
+    number = np.zeros((5, 6), np.int32)
+    number[:, 3:] = 1
+    number[4, 5] = -1
+    seen = np.broadcast_to(ASPHALT, (5, 6, 24)).astype(np.float32)
+    seen = np.where((number == 1)[..., None], RED, seen).astype(np.float32)
+    seen[1, 1] = shadow_of(ASPHALT, 0.4, 0.95)
+    seen[2, 1] = 0.5 * ASPHALT
+    seen[1, 4] = shadow_of(RED, 0.4, 0.95)  # a door: it leans, or lies in shadow
+    seen[3, 1] = np.nan
+    found = shaded_pixels(seen, number, np.array([True, False]), np.stack([ASPHALT, RED]), LIGHT)
+    assert np.argwhere(found).tolist() == [[1, 1]]
+
+
+def test_no_material_is_mixed_where_parts_of_one_car_meet() -> None:
+    number = np.repeat(np.arange(3), 6)[None].repeat(9, axis=0).astype(np.int32)
+    sure = np.ones(number.shape, bool)
+    sure[4, 6] = False
+    segments = Segments(number, sure, np.bincount(number.ravel()).astype(np.int64))
+    body = np.arange(3, dtype=np.int32)
+    distance = edge_distance(segments, body, np.array([0, 0, 2], np.int32))
+    assert distance.dtype == np.uint8
+    assert distance[0].tolist()[:12] == [12, 11, 10, 9, 8, 7, 6, 5, 4, 3, 2, 1]
+    assert distance[4, 6] == 0
+    assert edge_distance(segments, body, body)[0, 5:7].tolist() == [1, 1]
+
+
+def test_distances_are_counted_from_what_is_chosen() -> None:
+    chosen = np.zeros((4, 7), bool)
+    assert (distance_to(chosen) == 255).all()
+    chosen[2, 1] = True
+    assert distance_to(chosen)[2].tolist() == [1, 0, 1, 2, 3, 4, 5]

@@ -1,0 +1,291 @@
+"""What a survey finds, and that it is the same whatever the chunks."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+import xarray as xr
+from support.analytic_scenes import as_line, bonnet, box_shadow, smooth_edge, wavelengths
+
+import hyperpaint as hp
+from hyperpaint.base.errors import SchemaError
+from hyperpaint.base.schema import Quality
+from hyperpaint.light.sun import diffuse_fraction
+from hyperpaint.surroundings.channels import (
+    channel_noise,
+    channel_numbers,
+    to_nominal_channels,
+    without_unknown,
+)
+from hyperpaint.surroundings.light import measured_fraction, shadow_side_of
+from hyperpaint.surroundings.model import LIT, SHADED, SceneModel
+from hyperpaint.surroundings.neighbours import coloured
+from hyperpaint.surroundings.references import Light
+from hyperpaint.surroundings.segments import divide, touching
+
+NM = wavelengths()
+RED = smooth_edge(NM, 600.0, 0.04, 0.6)
+ASPHALT = smooth_edge(NM, 600.0, 0.07, 0.12, 150.0)
+
+
+@pytest.fixture(scope="module")
+def shadow_line() -> xr.Dataset:
+    cube, _, _ = box_shadow(NM, ASPHALT, RED)
+    return as_line(cube, NM, snr=100.0)
+
+
+@pytest.fixture(scope="module")
+def model(shadow_line: xr.Dataset) -> SceneModel:
+    return hp.survey(shadow_line, sun_zenith=40.0)
+
+
+def test_a_shadow_is_matched_to_the_ground_around_it(model: SceneModel) -> None:
+    shaded = np.flatnonzero(model.state == SHADED)
+    assert shaded.size >= 1
+    lit = model.body[shaded]
+    assert (model.state[lit] == LIT).all()
+    expected = np.bincount(model.channel, ASPHALT) / np.bincount(model.channel)
+    np.testing.assert_allclose(model.reference[lit[0]], expected, rtol=0.01)
+    assert (model.shade_distance[model.segment == shaded[0]] == 0).all()
+
+
+def test_the_light_of_the_sky_is_measured_in_the_shadow(shadow_line: xr.Dataset) -> None:
+    found = hp.survey(shadow_line, sun_zenith=40.0, diffuse="shadow").diffuse_fraction
+    true = np.bincount(hp.survey(shadow_line, sun_zenith=40.0).channel, diffuse_fraction(NM, 40.0))
+    # the box hides some of the sky, which is not known
+    ratio = found / (true / np.bincount(channel_numbers(NM, np.ones(NM.size, bool))))
+    assert ratio.min() > 0.7
+    assert ratio.max() < 1.01
+    assert np.ptp(ratio) < 0.02
+
+
+def test_without_a_shadow_the_split_cannot_be_measured() -> None:
+    plane = as_line(np.broadcast_to(ASPHALT, (32, 32, NM.size)).copy(), NM)
+    with pytest.raises(SchemaError, match="found no cast shadow"):
+        hp.survey(plane, sun_zenith=30.0, diffuse="shadow")
+
+
+@pytest.mark.parametrize("lines", [1, 7, 32, 50, 160])
+def test_the_same_bits_for_any_chunks(shadow_line: xr.Dataset, model: SceneModel, lines: int) -> None:
+    other = hp.survey(shadow_line.chunk(along_track=lines, band=20), sun_zenith=40.0)
+    xr.testing.assert_identical(other.to_dataset(), model.to_dataset())
+
+
+def test_a_model_can_be_stored(model: SceneModel, tmp_path: Any, shadow_line: xr.Dataset) -> None:
+    hp.to_store(model.to_dataset(), tmp_path / "model.zarr", group="scene")
+    stored = xr.open_zarr(tmp_path / "model.zarr", group="scene")
+    again = SceneModel.from_dataset(stored)
+    np.testing.assert_array_equal(again.reference, model.reference)
+    flagged = [hp.flag(shadow_line, one).quality.values for one in (model, stored)]
+    np.testing.assert_array_equal(*flagged)
+
+
+def test_what_is_no_model_is_refused_with_all_that_is_wrong(model: SceneModel) -> None:
+    broken = model.to_dataset().drop_vars(["segment", "body"])
+    with pytest.raises(SchemaError, match=r"(?s)segment.*body"):
+        SceneModel.from_dataset(broken)
+    points = model.to_dataset()
+    points["body"] = points["body"] + 1000
+    with pytest.raises(SchemaError, match="beyond"):
+        SceneModel.from_dataset(points)
+
+
+def test_a_damaged_model_is_refused_before_anything_is_looked_up(model: SceneModel) -> None:
+    stored = model.to_dataset()
+    damaged = stored.isel(cell_along=slice(3))
+    damaged["band_channel"] = damaged.band_channel + 10
+    damaged["diffuse_fraction"] = damaged.diffuse_fraction * np.nan
+    damaged["segment"] = damaged.segment.astype(np.float64) * np.nan
+    with pytest.raises(SchemaError, match=r"(?s)'segment' holds float64.*'band_channel'.*'diffuse_fraction'"):
+        SceneModel.from_dataset(damaged)
+    damaged["segment"] = stored.segment.astype(np.int64) + 2**32
+    with pytest.raises(SchemaError, match="'segment' holds int64 values that are no int32"):
+        SceneModel.from_dataset(damaged)
+    damaged["segment"] = stored.segment
+    with pytest.raises(SchemaError, match=r"\(3, 40\) cells, expected \(40, 40\)"):
+        SceneModel.from_dataset(damaged)
+    for numbers in (model.channel - 1, np.minimum(model.channel, 20), np.full(NM.size, -1)):
+        with pytest.raises(SchemaError, match="'band_channel' does not name each of the 24 channels"):
+            SceneModel.from_dataset(stored.assign(band_channel=("band", numbers)))
+
+
+def test_channels_that_most_pixels_lack_are_left_out() -> None:
+    channels = np.ones((4, 5, 3), np.float32)
+    channels[..., 1] = np.nan
+    channels[0, 0] = np.nan
+    left, numbers = without_unknown(channels, np.array([0, 0, 1, -1, 2]))
+    assert left.shape == (4, 5, 2)
+    assert numbers.tolist() == [0, 0, -1, -1, 1]
+    channels[:] = np.nan
+    assert without_unknown(channels, np.arange(3))[0].shape == (4, 5, 3)
+
+
+def test_a_grey_with_a_missing_channel_is_grey() -> None:
+    diffuse = diffuse_fraction(NM, 40.0)
+    spectrum = np.stack([np.full(NM.size, 0.4), RED])
+    whole = coloured(spectrum, Light(1.0 - diffuse, diffuse))
+    spectrum[:, 30] = np.nan
+    holed = coloured(spectrum, Light(1.0 - diffuse, diffuse))
+    assert holed[0] < 1e-12
+    np.testing.assert_allclose(holed[1], whole[1], rtol=0.02)
+
+
+def test_a_line_that_cannot_be_surveyed_says_why(shadow_line: xr.Dataset) -> None:
+    dead = shadow_line.isel(along_track=slice(0)).assign(good=("band", np.zeros(NM.size, bool)))
+    with pytest.raises(SchemaError, match=r"(?s)at least one line.*none of the 96 bands is good"):
+        hp.survey(dead, sun_zenith=40.0)
+    with pytest.raises(SchemaError, match="at least one line, band and column"):
+        hp.survey(shadow_line.isel(cross_track=slice(0)), sun_zenith=40.0)
+    nm = np.where(np.arange(NM.size) == 7, np.nan, NM)
+    unknown = shadow_line.assign_coords(wavelength=("band", nm, {"units": "nm"}))
+    with pytest.raises(SchemaError, match=r"wavelength is missing in 1 good bands, the first of them 7"):
+        hp.survey(unknown, sun_zenith=40.0)
+    good = np.isfinite(nm)
+    flagged = hp.flag(unknown.assign(good=("band", good)), sun_zenith=40.0).compute()
+    assert (flagged.quality.values & 128).any()
+    with pytest.raises(SchemaError, match=r"'shadow' finds shadows by the light of a clear sky.*sun_zenith="):
+        hp.survey(shadow_line, diffuse="shadow")
+
+
+@pytest.mark.parametrize("value", [0.0, np.nan])
+def test_scenes_of_nothing_have_no_flags(value: float) -> None:
+    cube = np.full((32, 40, NM.size), value)
+    flagged = hp.flag(as_line(cube, NM), sun_zenith=40.0).compute()
+    assert not flagged.quality.values.any()
+    cube[:, 20:] = 0.5
+    assert hp.survey(as_line(cube, NM), sun_zenith=40.0).segments == (2 if value == 0 else 1)
+
+
+def test_progress_is_told(shadow_line: xr.Dataset, capsys: pytest.CaptureFixture[str]) -> None:
+    told: list[tuple[int, int]] = []
+    hp.survey(shadow_line, sun_zenith=40.0, progress=lambda done, total: told.append((done, total)))
+    assert told[-1] == (160, 160)
+    hp.survey(shadow_line, sun_zenith=40.0, progress=True)
+    assert "160/160 lines" in capsys.readouterr().err
+
+
+def test_a_survey_without_the_sun_says_what_is_missing(shadow_line: xr.Dataset) -> None:
+    with pytest.raises(SchemaError, match="sun_zenith="):
+        hp.survey(shadow_line)
+    with pytest.raises(SchemaError, match="'model', 'pvlib', 'shadow'"):
+        hp.survey(shadow_line, diffuse="guess", sun_zenith=30.0)
+
+
+def test_missing_pixels_belong_to_nothing(shadow_line: xr.Dataset) -> None:
+    holes = shadow_line.reflectance.where(shadow_line.reflectance.along_track != 5).astype(np.float32)
+    holes.attrs = shadow_line.reflectance.attrs
+    found = hp.survey(shadow_line.assign(reflectance=holes), sun_zenith=40.0)
+    assert (found.segment[5] == -1).all()
+    assert (np.delete(found.segment, 5, axis=0) >= 0).all()
+
+
+def test_segments_split_where_materials_meet() -> None:
+    cube = np.full((24, 30, 4), 0.1, np.float32)
+    cube[:, 12:] = 0.3
+    cube[3, 3] = 0.9  # a single pixel goes with its neighbours
+    segments = divide(cube)
+    assert segments.size.tolist() == [24 * 12, 24 * 18]
+    assert not segments.sure[3, 3]
+    pairs = touching(segments.number, 2)
+    assert pairs.one.tolist() == [0, 1]
+    assert pairs.length.tolist() == [24, 24]
+    assert pairs.sides.tolist() == [[0, 0, 24, 0], [0, 0, 0, 24]]
+
+
+def test_channels_are_even_runs_of_good_bands() -> None:
+    good = np.ones(272, bool)
+    good[100:110] = False
+    numbers = channel_numbers(np.linspace(400.0, 1000.0, 272), good)
+    assert (numbers[100:110] == -1).all()
+    counts = np.bincount(numbers[good])
+    assert counts.size == 24
+    assert set(counts) <= {10, 11}
+
+
+def test_a_measured_split_must_fit() -> None:
+    with pytest.raises(SchemaError, match="one value for each of the 96 bands"):
+        measured_fraction(np.ones(3), NM)
+    with pytest.raises(SchemaError, match="leaves 0 to 1"):
+        measured_fraction(np.full(NM.size, 1.5), NM)
+    given = xr.DataArray([0.4, 0.1], {"wavelength": ("w", [400.0, 1000.0])}, "w")
+    np.testing.assert_allclose(measured_fraction(given, NM), np.linspace(0.4, 0.1, NM.size))
+
+
+def test_the_side_of_shadows_from_sun_and_heading() -> None:
+    nothing = xr.Dataset()
+    # flying north, sun in the south: shadows ahead; sun in the east: to the left
+    np.testing.assert_allclose(shadow_side_of(nothing, 180.0, 0.0), [1.0, 0.0], atol=1e-12)
+    np.testing.assert_allclose(shadow_side_of(nothing, 90.0, 0.0), [0.0, -1.0], atol=1e-12)
+    assert shadow_side_of(nothing, None, 0.0) is None
+
+
+def test_pvlib_gives_a_split_near_that_of_the_core() -> None:
+    pytest.importorskip("pvlib")
+    from hyperpaint.surroundings.light import diffuse_from_clear_sky
+
+    ours, theirs = (diffuse_from_clear_sky(source, NM, 30.0) for source in ("model", "pvlib"))
+    np.testing.assert_allclose(ours, theirs, rtol=0.15, atol=0.01)
+
+
+@pytest.mark.parametrize("snr", [40.0, 100.0])
+def test_the_noise_of_channels_is_measured(snr: float) -> None:
+    cube, _, _ = box_shadow(NM, ASPHALT, RED)
+    found = hp.survey(as_line(cube, NM, snr=snr), sun_zenith=40.0).noise
+    # a channel is the mean of four bands
+    np.testing.assert_allclose(found, 1.0 / snr / 2.0, rtol=0.1)
+    assert (hp.survey(as_line(cube, NM), sun_zenith=40.0).noise < 2e-4).all()
+    assert (
+        channel_noise(np.ones((4, 4, 2), np.float32), np.zeros((4, 4), np.int32), cube[:4, :4, 0] > 0) == 0
+    ).all()
+
+
+def test_smile_is_taken_out_of_channels() -> None:
+    centre = np.linspace(412.0, 988.0, 24)
+    shift = np.stack([np.zeros(24), np.full(24, 3.0), np.linspace(-2.0, 2.0, 24)], axis=1)
+    seen = smooth_edge(centre[:, None] + shift, 600.0, 0.04, 0.6, 60.0).T[None].repeat(40, axis=0)
+    channels = seen.astype(np.float32)
+    channels[3, 2, 5] = np.nan
+    to_nominal_channels(channels, centre, shift)
+    true = smooth_edge(centre, 600.0, 0.04, 0.6, 60.0)
+    assert np.nanmax(np.abs(channels - true)) < 0.0025 < 0.05 * np.abs(seen - true).max() * 10
+    assert np.isnan(channels[3, 2, 5])
+    assert np.isnan(channels).sum() == 1
+    np.testing.assert_array_equal(channels[:, 0], seen[:, 0].astype(np.float32))
+
+
+def test_a_smile_changes_no_flags() -> None:
+    cube, _ = bonnet(NM, RED)
+    smile = 3.0 * np.linspace(-1.0, 1.0, cube.shape[1]) ** 2
+    bent = np.stack(
+        [[np.interp(NM + nm, NM, here) for nm, here in zip(smile, row, strict=True)] for row in cube]
+    )
+    straight = hp.flag(as_line(cube, NM, snr=200.0), sun_zenith=30.0)
+    line = as_line(bent, NM, snr=200.0)
+    given = line.assign_coords(wavelength_shift=("cross_track", smile, {"units": "nm"}))
+    flagged = hp.flag(given, sun_zenith=30.0)
+    assert (flagged.quality.values != straight.quality.values).mean() < 0.01
+    inside = np.s_[:, 30:66]
+    apart = (flagged.glint_fraction - straight.glint_fraction).values[inside]
+    assert np.abs(apart[straight.glint_fraction.values[inside] < 0.5]).mean() < 0.001
+
+
+def test_parts_of_one_car_show_one_paint() -> None:
+    direct = 1.0 - diffuse_fraction(NM, 30.0)
+    cube = np.broadcast_to(ASPHALT, (80, 96, NM.size)).copy()
+    cube[10:40, 20:70] = RED  # the roof
+    cube[40:46, 20:70] = 0.02
+    cube[46:70, 20:70] = 0.9 * RED + 0.03 * direct  # the bonnet, in glint all over
+    line = as_line(cube, NM, snr=200.0)
+    model = hp.survey(line, sun_zenith=30.0)
+    roof, bonnet_ = model.body[model.segment[20, 40]], model.body[model.segment[60, 40]]
+    assert roof != bonnet_
+    assert model.paint[roof] == model.paint[bonnet_] != model.paint[model.segment[5, 5]]
+    clean = np.bincount(model.channel, RED) / np.bincount(model.channel)
+    ratio = model.reference[bonnet_] / clean
+    np.testing.assert_allclose(ratio / ratio[-1], 1.0, atol=0.05)
+    flagged = hp.flag(line, model).compute()
+    np.testing.assert_allclose(flagged.glint_fraction.values[50:66, 30:60], 0.03, atol=0.006)
+    assert (flagged.quality.values[50:66, 30:60] & int(Quality.GLINT) > 0).mean() > 0.99
+    assert not (flagged.quality.values[12:38, 24:66] & int(Quality.ADJACENCY)).any()

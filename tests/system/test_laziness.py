@@ -1,0 +1,205 @@
+"""The same bits whatever the chunks, nothing read before it is asked for; dtypes and attributes."""
+
+from __future__ import annotations
+
+import time as clock
+from typing import Any
+
+import dask
+import dask.array as da
+import numpy as np
+import pytest
+import xarray as xr
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from support.strategies import SHIFT, START, assert_same, chunkings, flight, stored, values
+
+from hyperpaint.base.errors import SchemaError
+from hyperpaint.radiometry.counts_to_reflectance import Panel, radiance, reflectance
+
+
+@pytest.fixture(scope="module")
+def hard_line() -> xr.Dataset:
+    """Every branch at once: smile, two darks, saturation, bad elements, a dropped frame, a gap."""
+    line = flight(lines=40, bands=12, columns=6, dtype=np.uint16, smile=SHIFT, position=True, drift=0.01).line
+    rng = np.random.default_rng(4)
+    line["counts"].values[rng.random((40, 12, 6)) < 0.01] = 4095
+    line["radiance_gain"].values[3, 4] = np.nan
+    stamps = line.time.values.copy() + np.arange(40) * np.timedelta64(300_000_000, "ns")
+    stamps[11] = np.datetime64("NaT", "ns")
+    dark = line.dark_counts.values
+    line = line.drop_vars("dark_counts").assign_coords(
+        time=("along_track", stamps),
+        dark_time=("dark_time", START + np.array([0, 30], "timedelta64[s]")),
+    )
+    line["dark_counts"] = (
+        ("dark_time", "band", "cross_track"),
+        np.stack([dark, dark + 3]),
+        {"units": "count"},
+    )
+    return line
+
+
+@pytest.mark.parametrize("scheduler", ["synchronous", "threads"])
+@pytest.mark.parametrize(
+    "chunks",
+    [
+        {"along_track": 1},
+        {"along_track": 7, "band": -1, "cross_track": -1},
+        {"along_track": 40},
+        {"along_track": 16, "band": 5},
+        {"along_track": (3, 30, 7), "band": (1, 11), "cross_track": (4, 2)},
+    ],
+)
+def test_the_same_bits_whatever_the_chunks(hard_line: xr.Dataset, chunks: Any, scheduler: str) -> None:
+    with dask.config.set(scheduler="synchronous"):
+        whole = reflectance(hard_line, keep_bits=12).compute()
+    with dask.config.set(scheduler=scheduler):
+        assert_same(whole, reflectance(hard_line.chunk(chunks), keep_bits=12).compute())
+
+
+def test_the_same_bits_in_other_processes(hard_line: xr.Dataset) -> None:
+    line = hard_line.chunk({"along_track": 20})
+    with dask.config.set(scheduler="processes", num_workers=1):
+        other = reflectance(line)[["reflectance", "quality", "irradiance_age"]].compute()
+    assert_same(reflectance(line), other)
+
+
+@settings(max_examples=8, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(data=st.data())
+def test_the_same_bits_for_any_chunks(hard_line: xr.Dataset, data: st.DataObject) -> None:
+    chunks = {
+        dim: data.draw(chunkings(hard_line.sizes[dim]), label=dim)
+        for dim in ("along_track", "band", "cross_track")
+    }
+    with dask.config.set(scheduler="synchronous"):
+        assert_same(reflectance(hard_line), reflectance(hard_line.chunk(chunks)))
+
+
+def test_any_order_of_dims(hard_line: xr.Dataset) -> None:
+    turned = hard_line.transpose("cross_track", "band", "along_track", ...)
+    assert_same(reflectance(hard_line), reflectance(turned))
+    other = hard_line.rename_dims(along_track="downtrack", band="bands", cross_track="crosstrack")
+    assert_same(reflectance(hard_line), other.paint.reflectance())
+
+
+@pytest.mark.parametrize("dtype", ["uint8", ">u2", "int16", "int32", "float64", "float32"])
+def test_counts_of_other_types(dtype: str) -> None:
+    line = flight(dtype=np.uint16).line
+    line["counts"].values[:] = line.counts.values // 20
+    np.testing.assert_array_equal(values(line.assign(counts=line.counts.astype(dtype))), values(line))
+
+
+def test_rounding_keeps_the_bits_that_were_asked_for() -> None:
+    line = flight().line
+    full, rounded = values(line), values(line, keep_bits=12)
+    np.testing.assert_allclose(rounded, full, rtol=2.0**-13)
+    assert not (rounded.view(np.uint32) & ((1 << 11) - 1)).any()
+    np.testing.assert_array_equal(values(line, keep_bits=23), full)
+    for bad in (0, 24, -1):
+        with pytest.raises(SchemaError, match="keep_bits"):
+            reflectance(line, keep_bits=bad)
+
+
+def test_nothing_is_read_while_building(tmp_path: Any, hard_line: xr.Dataset, no_compute: Any) -> None:
+    line = stored(hard_line, tmp_path / "line.zarr")
+    assert line.time.chunks is not None  # non-index coordinates are lazy too
+    with no_compute():
+        made = reflectance(line, panel=Panel(slice(0, 4), slice(0, 3), 0.4), tilt=(3.0, 90.0))
+        calibrated = line.paint.radiance()
+        for name, array in (("reflectance", made), ("radiance", calibrated)):
+            assert array[name].dtype == np.float32
+            assert array[name].chunks is not None
+            assert array.quality.dtype == np.uint16
+            assert array[name].dims == ("along_track", "band", "cross_track")
+            assert array.quality.dims == ("along_track", "cross_track")
+        assert made.irradiance_age.dtype == np.float32
+        smoothed = made.paint.smooth()
+    for name in ("reflectance", "quality", "irradiance_age"):
+        assert made[name].compute().dtype == made[name].dtype
+        assert made[name].compute().shape == made[name].shape
+    assert smoothed.reflectance.compute().dtype == np.float32
+    assert_same(reflectance(hard_line), reflectance(line))
+
+
+def test_lazy_from_radiance(tmp_path: Any, no_compute: Any) -> None:
+    line = radiance(flight().line).drop_vars("counts").compute()
+    lazily = stored(line, tmp_path / "radiance.zarr")
+    with no_compute():
+        made = reflectance(lazily)
+    assert_same(reflectance(line), made)
+
+
+def test_two_tasks_a_slab_at_the_most(tmp_path: Any) -> None:
+    sizes = {}
+    for lines in (16, 96):
+        line = stored(flight(lines=lines).line, tmp_path / f"{lines}.zarr")
+        (fused,) = dask.optimize(line.paint.reflectance()["reflectance"])
+        sizes[lines] = len(fused.__dask_graph__())
+    assert (sizes[96] - sizes[16]) / 10 <= 2
+
+
+def test_graph_of_a_long_line_is_quick(no_compute: Any, record_property: Any) -> None:
+    line = flight(lines=1, bands=272, columns=640).line
+    lines = 100_000
+    long = line.drop_dims("along_track").assign_coords(
+        time=("along_track", START + np.arange(lines) * np.timedelta64(7_000_000, "ns"))
+    )
+    cube = da.zeros((lines, 272, 640), chunks=(32, -1, -1), dtype=np.uint16)
+    long["counts"] = (("along_track", "band", "cross_track"), cube, {"units": "count"})
+    begin = clock.perf_counter()
+    with no_compute():
+        made = reflectance(long)["reflectance"]
+        dask.optimize(made)
+    spent = clock.perf_counter() - begin
+    record_property("seconds", spent)
+    assert spent < 2.0
+
+
+def test_inputs_are_never_changed(hard_line: xr.Dataset) -> None:
+    before = hard_line.copy(deep=True)
+    reflectance(hard_line, tilt=(2.0, 10.0), panel=Panel(slice(0, 4), slice(0, 3), 0.4)).compute()
+    radiance(hard_line).compute()
+    xr.testing.assert_identical(hard_line, before)
+
+
+@pytest.mark.parametrize("keep", [True, False, "default"])
+def test_attributes_are_replaced(keep: Any) -> None:
+    line = flight().line
+    line["counts"].attrs["comment"] = "stale"
+    with xr.set_options(keep_attrs=keep):
+        made = reflectance(line)
+        bright = radiance(line)
+    assert made.reflectance.attrs["units"] == "1"
+    assert made.reflectance.attrs["long_name"]
+    assert "comment" not in made.reflectance.attrs
+    assert bright.radiance.attrs["units"] == "W m-2 sr-1 nm-1"
+    assert made.irradiance_age.attrs["units"] == "s"
+    assert made.quality.attrs["flag_meanings"].startswith("saturated below_dark")
+    assert made.attrs["name"] == "raw_0"
+    assert set(line.variables) < set(made.variables)
+
+
+def test_stored_reflectance_is_always_computed_anew() -> None:
+    made = flight()
+    stale = made.line.assign(reflectance=made.line.counts.assign_attrs(units="1"))
+    np.testing.assert_allclose(values(stale), made.reflectance, rtol=1e-5)
+
+
+def test_a_long_record_does_not_weigh_on_the_tasks() -> None:
+    line = flight().line
+    when = line.irradiance_time.values[0] + np.arange(5000) * np.timedelta64(1, "s")
+    record = xr.Dataset(
+        {
+            "irradiance": (
+                line.irradiance.dims,
+                np.repeat(line.irradiance.values[:1], 5000, 0),
+                {"units": "W m-2 nm-1"},
+            )
+        },
+        {"irradiance_time": when, "irradiance_wavelength": line.irradiance_wavelength},
+    ).assign(irradiance_fwhm=line.irradiance_fwhm)
+    made = reflectance(line, record).reflectance.data
+    (key,) = (key for key in made.dask if str(key).startswith("make_plan"))
+    plan = dask.get(dict(made.dask), key)
+    assert len(plan.series) < 100
