@@ -201,7 +201,7 @@ def counts_store(lines: int, *, smile: bool = False) -> Path:
 
 
 def plan_of(line: Any) -> Any:
-    """Return what the tasks of a flight line share (`hyperpaint.radiometry.slabs.Plan`), its values loaded."""
+    """Return what the tasks of a flight line share (`radiometry.slabs.Plan`), its values loaded."""
     from hyperpaint.radiometry.planning import make_plan
 
     light = ("irradiance", "irradiance_fwhm", "irradiance_time", "irradiance_wavelength")

@@ -33,10 +33,11 @@ ROOMS = (
     "report",
     "workflows",
     "accessor",
+    "__init__",
     "cli",
 )
-ALONE = {"base": set(), "kernels": set(), "simulation": {"base"}, "io": {"base"}, "paper": {"base"}}
-"""All that these may import: a loop closed through shared code proves nothing, and readers hold no physics."""
+ALONE = {"base": set(), "kernels": {"base"}, "simulation": {"base"}, "io": {"base"}, "paper": {"base"}}
+"""All that these may import: a loop closed through shared code proves nothing, readers hold no physics."""
 
 
 def modules() -> dict[str, Path]:
@@ -85,7 +86,7 @@ IMPORTS = {name: imports(name, path) for name, path in MODULES.items()}
 
 
 def test_the_parser_sees_imports() -> None:
-    assert "numba" in IMPORTS["kernels._jit"][1]
+    assert "numba" in IMPORTS["base.jit"][1]
 
 
 def room_of(name: str) -> str:
@@ -100,7 +101,7 @@ def test_imports_point_down(name: str) -> None:
     if room in ALONE:
         assert targets <= ALONE[room]
     elif room in ROOMS:
-        assert targets <= set(ROOMS[: ROOMS.index(room)])
+        assert targets <= {*ROOMS[: ROOMS.index(room)], "paper"}
 
 
 def test_kernels_are_loops_over_arrays() -> None:

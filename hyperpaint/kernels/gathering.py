@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy.typing as npt
 
-from ._jit import kernel
+from hyperpaint.base.jit import kernel
 
 __all__ = ["gather_bilinear", "gather_nearest"]
 

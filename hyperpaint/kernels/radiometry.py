@@ -12,7 +12,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from ._jit import kernel
+from hyperpaint.base.jit import kernel
+
 from .quality import count_levels, flag_line, gather_row
 from .uncertainty import propagate_line
 

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from ._jit import borrowing_kernel, kernel
+from hyperpaint.base.jit import borrowing_kernel, kernel
 
 __all__ = ["BLOCK", "PLACES", "level_places", "raster_places"]
 

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from ._jit import kernel
+from hyperpaint.base.jit import kernel
 
 __all__ = ["propagate_line"]
 

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from ._jit import kernel
+from hyperpaint.base.jit import kernel
 
 __all__ = ["PARTS", "average_bands", "minimise", "unmix_lines"]
 

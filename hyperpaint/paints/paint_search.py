@@ -13,9 +13,9 @@ from hyperpaint.base import schema
 from hyperpaint.base.errors import Problems, SchemaError
 from hyperpaint.base.schema import BAND, LIBRARY_VARIABLES, PAINT
 from hyperpaint.base.units import convert
-from hyperpaint.pictures.plot_library import paint_colours
 
 from .colour_difference import ciede2000, lab_of, parse_colour
+from .true_colour import paint_colours
 
 if TYPE_CHECKING:
     import xarray as xr

@@ -9,11 +9,11 @@ import numpy.typing as npt
 
 from hyperpaint.base.errors import Problems, SchemaError
 from hyperpaint.base.schema import BAND, LIBRARY_VARIABLES, PAINT
-from hyperpaint.pictures.plot_library import paint_colours
 
 from .colour_difference import srgb_hex
 from .mixing.kubelka_munk import Interface, absorption_to_scattering, thick_layer_reflectance
 from .mixing.synthetic import SPECULAR, synthetic_library, text_column
+from .true_colour import paint_colours
 
 if TYPE_CHECKING:
     import xarray as xr

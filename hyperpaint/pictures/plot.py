@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from hyperpaint.base import schema
 from hyperpaint.base.errors import SchemaError
-from hyperpaint.light.responses import band_spacing
+from hyperpaint.paints.true_colour import encode_srgb, srgb_weights
 from hyperpaint.radiometry.counts_to_reflectance import reflectance
 
 from .figures import label_for, new_figure, save_figure
@@ -21,7 +21,6 @@ if TYPE_CHECKING:
 
 __all__ = [
     "OVERVIEW_SHAPE",
-    "colour_matching",
     "draw_irradiance",
     "draw_reflectance",
     "flags_of",
@@ -29,55 +28,12 @@ __all__ = [
     "overview",
     "quicklook",
     "rgb",
-    "srgb",
 ]
 
 Array = npt.NDArray[Any]
 
 OVERVIEW_SHAPE = (1000, 640)
 """Most lines and columns of the stored picture."""
-
-# XYZ of an equal-energy white, adapted to D65 (Bradford), to linear sRGB (IEC 61966-2-1)
-_BRADFORD_E_TO_D65 = np.array(
-    [
-        [0.9531874, -0.0265906, 0.0238731],
-        [-0.0382467, 1.0288406, 0.0094060],
-        [0.0026068, -0.0030332, 1.0892565],
-    ]
-)
-_XYZ_TO_SRGB = np.array(
-    [
-        [3.2404542, -1.5371385, -0.4985314],
-        [-0.9692660, 1.8760108, 0.0415560],
-        [0.0556434, -0.2040259, 1.0572252],
-    ]
-)
-
-
-def colour_matching(wavelength: npt.ArrayLike) -> Array:
-    """Return the CIE 1931 colour-matching functions x, y, z (3, band) at wavelengths [nm].
-
-    The multi-lobe fit of [1]_, within 1 % of the tables.
-
-    References
-    ----------
-    .. [1] C. Wyman, P.-P. Sloan, P. Shirley, "Simple Analytic Approximations to the CIE XYZ Color Matching
-       Functions", J. Computer Graphics Techniques 2(2), 1-11 (2013).
-
-    Examples
-    --------
-    >>> print(colour_matching([555.0]).round(2).ravel())
-    [0.52 1.   0.01]
-    """
-    nm = np.asarray(wavelength, np.float64)
-
-    def lobe(centre: float, below: float, above: float) -> Array:
-        return np.asarray(np.exp(-0.5 * ((nm - centre) / np.where(nm < centre, below, above)) ** 2))
-
-    x = 1.056 * lobe(599.8, 37.9, 31.0) + 0.362 * lobe(442.0, 16.0, 26.7) - 0.065 * lobe(501.1, 20.4, 26.2)
-    y = 0.821 * lobe(568.8, 46.9, 40.5) + 0.286 * lobe(530.9, 16.3, 31.1)
-    z = 1.217 * lobe(437.0, 11.8, 36.0) + 0.681 * lobe(459.0, 26.0, 13.8)
-    return np.stack([x, y, z])
 
 
 def rgb(dataset: xr.Dataset, *, stretch: tuple[float, float] = (2.0, 98.0)) -> xr.DataArray:
@@ -128,7 +84,7 @@ def rgb(dataset: xr.Dataset, *, stretch: tuple[float, float] = (2.0, 98.0)) -> x
     linear = xr.apply_ufunc(
         _mix,
         source,
-        kwargs={"weights": _srgb_weights(wavelength[visible], shift)},
+        kwargs={"weights": srgb_weights(wavelength[visible], shift)},
         input_core_dims=[[schema.BAND, schema.CROSS_TRACK]],
         output_core_dims=[[schema.CROSS_TRACK, "rgb"]],
         dask="parallelized",
@@ -138,70 +94,11 @@ def rgb(dataset: xr.Dataset, *, stretch: tuple[float, float] = (2.0, 98.0)) -> x
     dims = [dim for dim in source.dims if dim != schema.BAND]
     low, high = _levels(linear, dims[0], stretch)
     shown = ((linear - low) / np.maximum(high - low, np.float32(1e-6))).clip(0.0, 1.0)
-    made: xr.DataArray = xr.apply_ufunc(_encode_srgb, shown, dask="parallelized", output_dtypes=[np.float32])
+    made: xr.DataArray = xr.apply_ufunc(encode_srgb, shown, dask="parallelized", output_dtypes=[np.float32])
     made = made.transpose(*dims, "rgb").rename("rgb")
     made = made.assign_coords(rgb=("rgb", ["red", "green", "blue"]))
     made.attrs = {"long_name": "True colour (sRGB)", "stretch": f"{stretch[0]:g} to {stretch[1]:g} %"}
     return made
-
-
-def srgb(spectra: npt.ArrayLike, wavelength: npt.ArrayLike) -> Array:
-    """Return the colours of reflectance spectra in daylight.
-
-    Parameters
-    ----------
-    spectra : (..., band)
-        Reflectance [1]; where it is NaN the neighbours stand in.
-    wavelength : (band,)
-        Increasing [nm].
-
-    Returns
-    -------
-    (..., 3), float32
-        sRGB from 0 to 1, white being a reflectance of 1; NaN where no visible band has a value.
-
-    Raises
-    ------
-    SchemaError
-        There are fewer than three bands between 380 and 780 nm.
-
-    Examples
-    --------
-    >>> nm = np.arange(400.0, 700.0, 5.0)
-    >>> srgb(np.where(nm > 600.0, 0.8, 0.05), nm).argmax()
-    np.int64(0)
-    """
-    nm = np.asarray(wavelength, np.float64)
-    visible = np.flatnonzero((nm > 380) & (nm < 780))
-    if visible.size < 3:
-        msg = f"a colour needs three bands between 380 and 780 nm, found {visible.size}"
-        raise SchemaError(msg)
-    nm = nm[visible]
-    values = np.asarray(spectra, np.float64)[..., visible]
-    flat = values.reshape(-1, visible.size)
-    filled = np.full_like(flat, np.nan)
-    for own, spectrum in zip(filled, flat, strict=True):
-        known = np.isfinite(spectrum)
-        if known.any():
-            own[:] = np.interp(nm, nm[known], spectrum[known])
-    linear = filled @ _srgb_weights(nm, None)[..., 0].T.astype(np.float64)
-    return _encode_srgb(linear.clip(0.0, 1.0)).reshape(*values.shape[:-1], 3)
-
-
-def _encode_srgb(linear: Array) -> Array:
-    """Return linear values 0 to 1 as the sRGB standard encodes them."""
-    curved = 1.055 * np.maximum(linear, 0.0031308) ** (1 / 2.4) - 0.055
-    return np.asarray(np.where(linear <= 0.0031308, 12.92 * linear, curved), np.float32)
-
-
-def _srgb_weights(wavelength: Array, shift: Array | None) -> Array:
-    """Return what turns reflectance into linear sRGB, (rgb, band, 1 or column): each column its own smile."""
-    own = wavelength[:, None]
-    if shift is not None:
-        own = own + np.atleast_2d(shift)
-    matching = colour_matching(own) * band_spacing(wavelength)[:, None]
-    matching = matching / matching.sum(axis=1, keepdims=True)
-    return np.asarray(np.tensordot(_XYZ_TO_SRGB @ _BRADFORD_E_TO_D65, matching, 1), np.float32)
 
 
 def _mix(values: Array, *, weights: Array) -> Array:

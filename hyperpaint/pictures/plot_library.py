@@ -10,15 +10,15 @@ import numpy.typing as npt
 
 from hyperpaint.base import schema
 from hyperpaint.base.errors import Problems, SchemaError
+from hyperpaint.paints.true_colour import paint_colours
 
 from .figures import label_for, new_figure, save_figure
-from .plot import srgb
 from .plot_spectra import draw_band
 
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["MOST_PAINTS", "find_usable", "library_overview", "paint_colours"]
+__all__ = ["MOST_PAINTS", "find_usable", "library_overview"]
 
 MOST_PAINTS = 48
 """Paints of one figure at the most."""
@@ -113,21 +113,6 @@ def find_usable(paints: xr.Dataset) -> tuple[xr.Dataset, list[str]]:
     ]
     found, wrong = schema.find(paints, alike, table)
     return paints.drop_vars([name for name in names if name not in found]), [*problems, *wrong]
-
-
-def paint_colours(paints: xr.Dataset) -> npt.NDArray[np.float32]:
-    """Return the colour of every paint in daylight, (paint, 3), sRGB from 0 to 1; NaN where it has none.
-
-    Bands that are not ``good`` are left out.
-    """
-    found = schema.require(paints, ["reflectance", "wavelength"], "colours", schema.LIBRARY_VARIABLES)
-    values = found["reflectance"].values
-    if "good" in paints.variables:
-        values = np.where(paints["good"].values.astype(bool), values, np.nan)
-    try:
-        return np.asarray(srgb(values, found["wavelength"].values), np.float32)
-    except SchemaError:  # fewer than three visible bands
-        return np.full((len(values), 3), np.nan, np.float32)
 
 
 def _draw_paint(

@@ -18,11 +18,12 @@ import numpy.typing as npt
 from hyperpaint.base import schema
 from hyperpaint.base.errors import PaintError, SchemaError
 from hyperpaint.base.schema import ALONG_TRACK, CROSS_TRACK, PAINT, Quality
+from hyperpaint.paints.true_colour import paint_colours
 from hyperpaint.pictures.figures import data_uri, encode_png, new_figure, png_of
 from hyperpaint.pictures.plot import draw_irradiance, draw_reflectance, flags_of
 from hyperpaint.pictures.plot_calibration import calibration_report
 from hyperpaint.pictures.plot_flags import background, draw_outlines, flag_overlay, flag_shares
-from hyperpaint.pictures.plot_library import find_usable, library_overview, paint_colours
+from hyperpaint.pictures.plot_library import find_usable, library_overview
 from hyperpaint.radiometry.counts_to_reflectance import reflectance
 from hyperpaint.regions import Region, regions_from
 

@@ -14,7 +14,8 @@ import hyperpaint as hp
 from hyperpaint.base.errors import SchemaError
 from hyperpaint.io.dirsig import open_emissivity
 from hyperpaint.paints.colour_difference import srgb_hex
-from hyperpaint.pictures.plot_library import library_overview, paint_colours
+from hyperpaint.paints.true_colour import paint_colours
+from hyperpaint.pictures.plot_library import library_overview
 from hyperpaint.simulation.rendering.pigments import FOURTEEN
 from hyperpaint.simulation.rendering.spectra import spectrum_of
 

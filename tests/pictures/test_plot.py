@@ -11,7 +11,8 @@ import xarray as xr
 from support.strategies import flight
 
 from hyperpaint.base.errors import MissingExtraError, SchemaError
-from hyperpaint.pictures.plot import colour_matching, quicklook, rgb
+from hyperpaint.paints.true_colour import colour_matching
+from hyperpaint.pictures.plot import quicklook, rgb
 
 NM = np.arange(385.0, 780.0, 5.0)
 WHITE = (0.0, 100.0)

@@ -366,7 +366,7 @@ def test_fresh_workers_load_kernels_from_disk() -> None:
 
 
 KERNEL = """
-from kernels._jit import kernel
+from kernels.jit import kernel
 from kernels.doubled import doubled
 assert doubled(2) == 4
 print(len(doubled.stats.cache_hits), len(doubled.stats.cache_misses))
@@ -378,9 +378,9 @@ def read_only_package(tmp_path: Path) -> Path:
     """Return a folder with a kernel beside which nothing can be written, not even by root."""
     package = tmp_path / "kernels"
     package.mkdir()
-    shutil.copy(ROOT / "hyperpaint/kernels/_jit.py", package)
+    shutil.copy(ROOT / "hyperpaint/base/jit.py", package)
     (package / "__init__.py").touch()
-    text = "from kernels._jit import kernel\n\n@kernel\ndef doubled(value):\n    return 2 * value\n"
+    text = "from kernels.jit import kernel\n\n@kernel\ndef doubled(value):\n    return 2 * value\n"
     (package / "doubled.py").write_text(text)
     (package / "__pycache__").touch()
     return tmp_path

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hyperpaint.kernels._jit import kernel
+from hyperpaint.base.jit import kernel
 
 __all__ = ["through_air"]
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from typing import Any, NamedTuple
 
-from hyperpaint.kernels._jit import borrowing_kernel
+from hyperpaint.base.jit import borrowing_kernel
 
 from .surfaces import (
     SMALLEST_ALPHA,

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from hyperpaint.kernels._jit import borrowing_kernel
+from hyperpaint.base.jit import borrowing_kernel
 
 __all__ = ["index_paths", "mix", "mix_shifted"]
 

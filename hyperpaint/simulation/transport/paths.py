@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from hyperpaint.kernels._jit import borrowing_kernel
+from hyperpaint.base.jit import borrowing_kernel
 
 from .blocks import Block, Rays, Settings, Sources, check
 from .codes import ADD_INDIRECT, ADD_MIRROR, FIRST_SUN, OVERCAST, SKY, add_path, with_factor, write_paths

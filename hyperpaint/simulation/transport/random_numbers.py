@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from hyperpaint.kernels._jit import borrowing_kernel
+from hyperpaint.base.jit import borrowing_kernel
 
 __all__ = ["philox", "uniforms"]
 

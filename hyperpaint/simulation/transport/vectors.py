@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import TypeAlias
 
-from hyperpaint.kernels._jit import borrowing_kernel
+from hyperpaint.base.jit import borrowing_kernel
 
 __all__ = ["Frame", "Vector", "along", "dot", "frame_of", "from_frame", "in_frame", "unit"]
 
