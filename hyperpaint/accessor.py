@@ -475,11 +475,10 @@ class PaintAccessor:
 
         source = self._dataset.encoding.get("source")
         if not isinstance(source, str):
-            msg = (
+            raise StoreError(
                 "the dataset does not say which store it was opened from, as those do that xarray.open_zarr "
                 "opens by path or URL; call hyperpaint.verify(path), or load it whole where it is in icechunk"
             )
-            raise StoreError(msg)
         return verify(source)
 
     def quantify(self) -> xr.Dataset:

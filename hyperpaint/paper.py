@@ -85,8 +85,7 @@ def _result(made: Any, unit: str, *given: Amount) -> Any:
 def _check(variant: str) -> bool:
     """Tell whether the corrected variant is wanted."""
     if variant not in ("corrected", "as_printed"):
-        msg = f"variant={variant!r}, expected 'corrected' or 'as_printed'"
-        raise ValueError(msg)
+        raise ValueError(f"variant={variant!r}, expected 'corrected' or 'as_printed'")
     return variant == "corrected"
 
 

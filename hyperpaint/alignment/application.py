@@ -88,8 +88,7 @@ def apply_alignment(
         "the alignment",
     )
     if CROSS_TRACK not in dataset.dims:
-        msg = f"the line has no dim {CROSS_TRACK!r}, only {', '.join(map(str, dataset.dims))}"
-        raise SchemaError(msg)
+        raise SchemaError(f"the line has no dim {CROSS_TRACK!r}, only {', '.join(map(str, dataset.dims))}")
     columns = dataset.sizes[CROSS_TRACK]
     each = _by_window(alignment)
     reliable = each["flag"].values == 0

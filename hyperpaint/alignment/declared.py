@@ -112,8 +112,9 @@ class Declared:
         """Return the declared shift of every element (band, column) [nm]."""
         given = self.wavelength_shift
         if not (np.isfinite(given).all() and np.abs(given).max() <= _MOST_SHIFT):
-            msg = f"'wavelength_shift' must be finite and at most {_MOST_SHIFT:g} nm; check its units"
-            raise SchemaError(msg)
+            raise SchemaError(
+                f"'wavelength_shift' must be finite and at most {_MOST_SHIFT:g} nm; check its units"
+            )
         return np.broadcast_to(given, (self.wavelength.size, columns))
 
     def bands(self, inside: Array) -> Responses:

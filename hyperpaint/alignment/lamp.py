@@ -95,8 +95,7 @@ def mean_light(
     level_of_line = level[before] + weight * (level[after] - level[before])
     seen = np.flatnonzero(np.isfinite(level_of_line))
     if seen.size == 0:
-        msg = "no line of the flight has irradiance at its time; are the clocks right?"
-        raise SchemaError(msg)
+        raise SchemaError("no line of the flight has irradiance at its time; are the clocks right?")
     share = np.zeros(len(light.spectra))
     np.add.at(share, before[seen], (1.0 - weight[seen]) / level_of_line[seen])
     np.add.at(share, after[seen], weight[seen] / level_of_line[seen])
@@ -110,11 +109,10 @@ def _level(light: Light, low: float, high: float) -> Float:
     # a channel that is missing nearly always costs its bands; a spectrum that lacks others is left out
     inside &= np.isnan(light.spectra).mean(axis=0) <= 0.1
     if not inside.any():
-        msg = (
+        raise SchemaError(
             f"the irradiance record ({light.wavelength.min():g} to {light.wavelength.max():g} nm) holds "
             "nothing in the window; there is no lamp to align to"
         )
-        raise SchemaError(msg)
     level = light.spectra[:, inside].mean(axis=1)
     return np.where(level > 0.0, level, np.nan)
 
@@ -147,12 +145,11 @@ def table_of_bands(
     table = irradiance_table(spectrometer, bands, spectrum[near], limits)
     covered = np.isfinite(table.log).all(axis=(0, 1))
     if covered.sum() < fewest:
-        msg = (
+        raise SchemaError(
             f"the irradiance record ({channels.min():g} to {channels.max():g} nm, {width.max():g} nm wide) "
             f"covers {covered.sum()} of the {covered.size} bands from {bands.wavelength.min():.1f} to "
             f"{bands.wavelength.max():.1f} nm, expected at least {fewest}; there is no lamp to align to"
         )
-        raise SchemaError(msg)
     return table
 
 

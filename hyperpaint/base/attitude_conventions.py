@@ -201,12 +201,11 @@ class Convention:
         if self.height_reference == "ellipsoid":
             return heights
         if self.geoid_undulation is None:
-            msg = (
+            raise SchemaError(
                 "heights are above the geoid, and geoid_undulation is not declared; look up the height of "
                 "the geoid above the ellipsoid at the place [m] and declare it: "
                 "Convention(height_reference='geoid', geoid_undulation=...)"
             )
-            raise SchemaError(msg)
         return heights + self.geoid_undulation
 
     def to_mid_exposure(self, exposure_time: npt.ArrayLike) -> Float:
@@ -223,8 +222,9 @@ class Convention:
             ``stamp_reference`` is not declared.
         """
         if self.stamp_reference is None:
-            msg = "stamp_reference is not declared; expected 'start', 'mid' or 'end' (of the exposure)"
-            raise SchemaError(msg)
+            raise SchemaError(
+                "stamp_reference is not declared; expected 'start', 'mid' or 'end' (of the exposure)"
+            )
         return np.asarray(exposure_time, np.float64) * _TO_MIDDLE[self.stamp_reference]
 
     def replace(self, **changes: Any) -> Convention:
@@ -237,19 +237,17 @@ class Convention:
             return np.zeros(())
         if self.heading_reference == "magnetic":
             if self.declination is None:
-                msg = (
+                raise SchemaError(
                     "headings count from magnetic north, and declination is not declared; look up that of "
                     "the place and day [degree, east positive]: "
                     "Convention(heading_reference='magnetic', declination=...)"
                 )
-                raise SchemaError(msg)
             return np.asarray(self.declination, np.float64)
         if convergence is None:
-            msg = (
+            raise SchemaError(
                 "headings count from grid north, whose direction is not known here; declare the map it is "
                 "of: Convention(heading_reference='grid', grid_crs='EPSG:...')"
             )
-            raise SchemaError(msg)
         return np.asarray(convergence, np.float64)
 
 

@@ -61,11 +61,10 @@ def rename_to_roles(dataset: xr.Dataset, dims: Mapping[str, Hashable] | None = N
     names: dict[Hashable, Hashable] = {}
     for role, name in (dims or {}).items():
         if role not in CUBE or name not in dataset.dims:
-            msg = (
+            raise SchemaError(
                 f"dims={{{role!r}: {name!r}}}: expected roles {list(CUBE)} "
                 f"and dims of the dataset {list(map(str, dataset.dims))}"
             )
-            raise SchemaError(msg)
         names[name] = role
     for role, aliases in DIM_ALIASES.items():
         if role in dataset.dims or role in names.values():

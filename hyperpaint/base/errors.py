@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Self
 
 __all__ = [
     "CollectError",
@@ -11,6 +13,7 @@ __all__ = [
     "MissingExtraError",
     "PaintError",
     "PaintWarning",
+    "Problem",
     "Problems",
     "SchemaError",
     "StoreError",
@@ -19,8 +22,97 @@ __all__ = [
 ]
 
 
+@dataclass(frozen=True)
+class Problem:
+    """One thing that is wrong with an input.
+
+    Attributes
+    ----------
+    found
+        What was found.
+    expected
+        What was expected instead; empty where ``found`` says it all.
+    mend
+        What a caller in Python can do about it.
+    option
+        What a caller of the command line can do, where that is spelled in another way.
+
+    Examples
+    --------
+    >>> problem = Problem("lot.zarr exists", mend="pass overwrite=True", option="pass --overwrite")
+    >>> str(problem), problem.text(on_command_line=True)
+    ('lot.zarr exists; pass overwrite=True', 'lot.zarr exists; pass --overwrite')
+    """
+
+    found: str
+    expected: str = ""
+    mend: str = ""
+    option: str = ""
+
+    def text(self, *, on_command_line: bool = False) -> str:
+        """Return one sentence for a reader in Python, or on the command line."""
+        found = f"{self.found}, expected {self.expected}" if self.expected else self.found
+        mend = self.option if on_command_line and self.option else self.mend
+        return "; ".join(part for part in (found, mend) if part)
+
+    def __str__(self) -> str:
+        return self.text()
+
+
 class PaintError(Exception):
-    """Base of every error hyperpaint raises on purpose."""
+    """Base of every error hyperpaint raises on purpose.
+
+    Parameters
+    ----------
+    found
+        What was found, or the subject of several problems.
+    expected, mend, option
+        See `Problem`.
+    problems
+        All that is wrong with the subject.
+    """
+
+    def __init__(
+        self,
+        found: str = "",
+        *,
+        expected: str = "",
+        mend: str = "",
+        option: str = "",
+        problems: Sequence[Problem] = (),
+    ) -> None:
+        self._own = Problem(found, expected, mend, option)
+        self.problems = tuple(problems)
+        super().__init__(self.text())
+
+    def note(self, found: str, *, mend: str = "", option: str = "") -> None:
+        """Add what is known where the error passes by; Python prints it below the message."""
+        self._notes = (*getattr(self, "_notes", ()), Problem(found, mend=mend, option=option))
+        self.add_note(str(self._notes[-1]))
+
+    def notes(self, *, on_command_line: bool = False) -> list[str]:
+        """Return what was noted, for a reader in Python, or on the command line."""
+        texts = {
+            str(note): note.text(on_command_line=on_command_line) for note in getattr(self, "_notes", ())
+        }
+        return [texts.get(note, note) for note in getattr(self, "__notes__", ())]
+
+    def about(self, subject: str) -> Self:
+        """Return the same error, opened by what it is about, such as the path of a file."""
+        own = self._own
+        return type(self)(
+            f"{subject}: {own.found}",
+            expected=own.expected, mend=own.mend, option=own.option, problems=self.problems,
+        )  # fmt: skip
+
+    def text(self, *, on_command_line: bool = False) -> str:
+        """Return the message for a reader in Python, or on the command line."""
+        own = self._own.text(on_command_line=on_command_line)
+        if not self.problems:
+            return own
+        texts = (problem.text(on_command_line=on_command_line) for problem in self.problems)
+        lines = "\n  ".join(text.replace("\n", "\n  ") for text in texts)
+        return f"{own}:\n  {lines}"
 
 
 class UnitsError(PaintError, ValueError):
@@ -89,21 +181,19 @@ class Problems:
     def __init__(self, subject: str, error: type[PaintError]) -> None:
         self._subject = subject
         self._error = error
-        self._found: list[str] = []
+        self._problems: list[Problem] = []
 
-    def add(self, problem: str) -> None:
-        """Note one problem: what was found, what was expected, how to mend it."""
-        self._found.append(problem)
+    def add(self, found: str, *, expected: str = "", mend: str = "", option: str = "") -> None:
+        """Note one problem: what was found, what was expected, how to mend it; see `Problem`."""
+        self._problems.append(Problem(found, expected, mend, option))
 
     def __len__(self) -> int:
-        return len(self._found)
+        return len(self._problems)
 
     def __iter__(self) -> Iterator[str]:
-        return iter(self._found)
+        return map(str, self._problems)
 
     def raise_if_any(self) -> None:
         """Raise one error that lists every problem noted; do nothing where there is none."""
-        if self._found:
-            lines = "\n  ".join(problem.replace("\n", "\n  ") for problem in self._found)
-            msg = f"{self._subject}:\n  {lines}"
-            raise self._error(msg)
+        if self._problems:
+            raise self._error(self._subject, problems=self._problems)

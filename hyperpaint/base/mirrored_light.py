@@ -51,8 +51,9 @@ def mirror_reflection(library: xr.Dataset) -> str | None:
     said = attrs.get(_SAID)
     if said is not None:
         if not isinstance(said, str) or said not in (INCLUDED, EXCLUDED):
-            msg = f"attribute {_SAID!r} of reflectance is {said!r:.60}, expected {INCLUDED!r} or {EXCLUDED!r}"
-            raise SchemaError(msg)
+            raise SchemaError(
+                f"attribute {_SAID!r} of reflectance is {said!r:.60}, expected {INCLUDED!r} or {EXCLUDED!r}"
+            )
         return said
     if _APART in library.variables:
         return EXCLUDED

@@ -112,14 +112,14 @@ def registry(force_ndarray_like: bool = False) -> pint.UnitRegistry[Any]:
 
 def _quantity(text: object) -> Any:
     if not isinstance(text, str):
-        msg = f"units must be text in CF spelling such as 'W m-2 sr-1 nm-1', found {text!r}"
-        raise UnitsError(msg)
+        raise UnitsError(f"units must be text in CF spelling such as 'W m-2 sr-1 nm-1', found {text!r}")
     # pint evaluates powers, so that 9**9**9 or s1000000000000 would never return
     text = _plain_powers(text[:201])
     huge = any(len(power.lstrip("-")) > 2 for _, power in _CF_POWER.findall(text))
     if len(text) > 200 or huge or len(_POWER.findall(text)) != len(_SAFE_POWER.findall(text)):
-        msg = f"units {text[:60]!r} cannot be read; expected CF spelling such as 'W m-2 sr-1 nm-1'"
-        raise UnitsError(msg)
+        raise UnitsError(
+            f"units {text[:60]!r} cannot be read; expected CF spelling such as 'W m-2 sr-1 nm-1'"
+        )
     return _parse(text.strip() or "1")
 
 
@@ -132,8 +132,9 @@ def _parse(text: str) -> Any:
             raise ValueError
         return made
     except Exception as error:  # pint leaks TypeError, tokenize errors and its own classes
-        msg = f"units {text!r} cannot be read; expected CF spelling such as 'W m-2 sr-1 nm-1'"
-        raise UnitsError(msg) from error
+        raise UnitsError(
+            f"units {text!r} cannot be read; expected CF spelling such as 'W m-2 sr-1 nm-1'"
+        ) from error
 
 
 def conversion_factor(found: str, wanted: str) -> float:
@@ -161,11 +162,10 @@ def conversion_factor(found: str, wanted: str) -> float:
         return 1.0
     source, target = _quantity(found), _quantity(wanted)
     if source.dimensionality != target.dimensionality:
-        msg = (
+        raise UnitsError(
             f"units {found!r} are not convertible to {wanted!r}; "
             "check the quantity, and whether a solid angle (sr) or an exposure (s) is missing"
         )
-        raise UnitsError(msg)
     # twelve digits: the factor of a decimal unit is then the decimal number itself
     return float(f"{(source / target).to_base_units().magnitude:.12g}")
 
@@ -211,13 +211,11 @@ def convert(array: xr.DataArray, wanted: str, name: str | None = None) -> xr.Dat
     name = name or str(array.name)
     found = array.attrs.get("units")
     if found is None:
-        msg = f"{name!r} has no units; set {name}.attrs['units'], for example to {wanted!r}"
-        raise UnitsError(msg)
+        raise UnitsError(f"{name!r} has no units; set {name}.attrs['units'], for example to {wanted!r}")
     try:
         factor = conversion_factor(str(found), wanted)
     except UnitsError as error:
-        msg = f"{name!r}: {error}"
-        raise UnitsError(msg) from error
+        raise UnitsError(f"{name!r}: {error}") from error
     if factor != 1.0:
         # as an integer, a factor of 0.001 would be 0
         kind = np.result_type(array.dtype, np.float16)

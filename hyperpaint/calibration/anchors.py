@@ -172,8 +172,7 @@ def anchor_to_radiance(
         Some frames are saturated; those elements keep no gain.
     """
     if scale not in ("element", "common"):
-        msg = f"scale {scale!r}, expected 'element' or 'common'"
-        raise SchemaError(msg)
+        raise SchemaError(f"scale {scale!r}, expected 'element' or 'common'")
     found = require(calibration, ["wavelength", "fwhm"], "an anchor")
     spectrum = convert(radiance, VARIABLES["radiance"].units, "radiance")
     level = _band_means(calibration, found, spectrum)
@@ -187,8 +186,9 @@ def anchor_to_radiance(
         factor = float(np.nanmedian(gain / own))
         gain = own * factor
     if not np.isfinite(gain).any():
-        msg = "no element is covered by the source's spectrum and lit by it; check wavelengths and dark"
-        raise SchemaError(msg)
+        raise SchemaError(
+            "no element is covered by the source's spectrum and lit by it; check wavelengths and dark"
+        )
     anchor = f"radiance of a known source, {scale} scale"
     return _with_gain(calibration, gain, anchor, uncertainty, same_shape=scale == "common")
 
@@ -272,12 +272,11 @@ def _dark_of_exposure(frames: xr.Dataset, calibration: xr.Dataset, exposure: flo
     if not (np.abs(taken - exposure) > _SAME_EXPOSURE * exposure).any():
         return 0.0
     if "dark_rate" not in calibration.variables:
-        msg = (
+        raise SchemaError(
             f"dark at another exposure: frames at {exposure * 1e3:g} ms, dark at "
             f"{', '.join(f'{t * 1e3:g}' for t in np.unique(taken))} ms, and the calibration has no "
             "dark_rate; take a dark at the exposure of the frames"
         )
-        raise SchemaError(msg)
     rate = require(calibration, ["dark_rate"], "an anchor")["dark_rate"].to_numpy().astype(np.float64)
     return np.asarray(rate * (exposure - float(np.mean(taken))))
 
@@ -285,20 +284,19 @@ def _dark_of_exposure(frames: xr.Dataset, calibration: xr.Dataset, exposure: flo
 def _band_means(calibration: xr.Dataset, found: dict[str, Any], spectrum: xr.DataArray) -> Float:
     """Return the mean of a spectrum over the response of every element (band, cross_track)."""
     if spectrum.ndim != 1:
-        msg = f"the source's radiance has dims {tuple(map(str, spectrum.dims))}, expected one, of wavelengths"
-        raise SchemaError(msg)
+        raise SchemaError(
+            f"the source's radiance has dims {tuple(map(str, spectrum.dims))}, expected one, of wavelengths"
+        )
     dim = spectrum.dims[0]
     axis = spectrum["wavelength"] if "wavelength" in spectrum.coords else spectrum[dim]
     if "units" in axis.attrs and not same_dimension(str(axis.attrs["units"]), "nm"):
-        msg = f"wavelengths of the source have units {axis.attrs['units']!r}, expected nm"
-        raise SchemaError(msg)
+        raise SchemaError(f"wavelengths of the source have units {axis.attrs['units']!r}, expected nm")
     grid = (
         (convert(axis, "nm", "wavelength") if "units" in axis.attrs else axis).to_numpy().astype(np.float64)
     )
     values = spectrum.to_numpy().astype(np.float64)
     if grid.size < 2 or not (np.diff(grid) > 0).all():
-        msg = "wavelengths of the source's radiance do not increase; sort them"
-        raise SchemaError(msg)
+        raise SchemaError("wavelengths of the source's radiance do not increase; sort them")
     shift = calibration["wavelength_shift"] if "wavelength_shift" in calibration.variables else None
     shifts = np.zeros((1, 1)) if shift is None else shift.to_numpy()
     shifts = np.atleast_2d(shifts)
@@ -396,14 +394,12 @@ def calibration_from_coefficients(
 
     wanted = VARIABLES["radiance_gain"].units
     if coefficients.ndim != 2 or set(coefficients.dims) != set(_ELEMENT):
-        msg = f"coefficients have dims {tuple(map(str, coefficients.dims))}, expected {_ELEMENT}"
-        raise SchemaError(msg)
+        raise SchemaError(f"coefficients have dims {tuple(map(str, coefficients.dims))}, expected {_ELEMENT}")
     gain = coefficients.astype(np.float64).transpose(*_ELEMENT)
     units = str(coefficients.attrs.get("units", ""))
     if same_dimension(units, "W m-2 sr-1 nm-1 count-1"):
         if exposure_time is None or not exposure_time > 0:
-            msg = f"coefficients in {units!r} hold at one exposure; give exposure_time [s]"
-            raise SchemaError(msg)
+            raise SchemaError(f"coefficients in {units!r} hold at one exposure; give exposure_time [s]")
         gain = convert(gain, "W m-2 sr-1 nm-1 count-1", "coefficients") * exposure_time
     else:
         gain = convert(gain, wanted, "coefficients")

@@ -132,11 +132,11 @@ def calibrate(
 
     given: Any = sweep
     if not isinstance(given, xr.Dataset):
-        msg = f"sweep is {type(given).__name__}, expected a Dataset; open its store with xarray.open_zarr"
-        raise SchemaError(msg)
+        raise SchemaError(
+            f"sweep is {type(given).__name__}, expected a Dataset; open its store with xarray.open_zarr"
+        )
     if srf_shape is not None and srf_shape not in SHAPES:
-        msg = f"srf_shape {srf_shape!r}, expected one of {', '.join(SHAPES)}, or None"
-        raise SchemaError(msg)
+        raise SchemaError(f"srf_shape {srf_shape!r}, expected one of {', '.join(SHAPES)}, or None")
     lab = check_sweep(sweep, absolute=absolute)
     tick = _counter(progress, lab.shape[0] * (3 if srf_shape else 4))
     bad = _bad_at_the_door(lab, bad_elements)
@@ -224,24 +224,23 @@ def _bad_at_the_door(lab: LabSweep, given: xr.DataArray | None) -> Bool:
     if given is not None:
         if set(given.dims) != {BAND, CROSS_TRACK} or given.transpose(BAND, CROSS_TRACK).shape != bad.shape:
             expected = f"{BAND} and {CROSS_TRACK} of {bad.shape}"
-            msg = f"bad_elements has sizes {dict(given.sizes)}, expected {expected}"
-            raise SchemaError(msg)
+            raise SchemaError(f"bad_elements has sizes {dict(given.sizes)}, expected {expected}")
         bad = bad | given.transpose(BAND, CROSS_TRACK).to_numpy().astype(bool)
     if bad.all():
-        msg = "this lab sweep cannot be calibrated:\n  no element has a finite dark that is not saturated"
-        raise SchemaError(msg)
+        raise SchemaError(
+            "this lab sweep cannot be calibrated:\n  no element has a finite dark that is not saturated"
+        )
     return bad
 
 
 def _need_lines(lab: LabSweep, read: Read) -> None:
     dark = [float(w) for w, window in zip(lab.wavelength, read.windows, strict=True) if window is None]
     if len(dark) > len(read.windows) - _FEWEST:
-        msg = (
+        raise SchemaError(
             f"this lab sweep cannot be calibrated:\n  no line above the noise at {len(dark)} of "
             f"{len(read.windows)} steps ({listed(dark, 'nm')}); is the dark that of these "
             "exposures, and was the lamp on?"
         )
-        raise SchemaError(msg)
 
 
 def _need_trusted(read: Read, lines: Lines, fits: Sequence[Fits | None]) -> None:
@@ -261,11 +260,10 @@ def _need_trusted(read: Read, lines: Lines, fits: Sequence[Fits | None]) -> None
             "than a line is wide cannot tell its place; widen the monochromator's line"
         )
     reasons = reasons or ["the others lie at the edge of the array: give more steps"]
-    msg = (
+    raise SchemaError(
         f"this lab sweep cannot be calibrated:\n  {trusted} steps have lines that can be trusted, expected "
         f"{_FEWEST} or more; {'; '.join(reasons)}"
     )
-    raise SchemaError(msg)
 
 
 def _map(lines: Lines, lab: LabSweep, wavelength: Float, degree: int | None) -> WavelengthMap:

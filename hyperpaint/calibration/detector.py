@@ -169,8 +169,9 @@ def dark_model(darks: xr.Dataset | Sequence[xr.Dataset]) -> xr.Dataset:
     problems.raise_if_any()
     model = fit_dark_model(np.stack(frames), np.array(exposures))
     if not model.known_rate:
-        msg = f"all darks have an exposure of {exposures[0] * 1e3:g} ms; a rate needs two exposures"
-        raise SchemaError(msg)
+        raise SchemaError(
+            f"all darks have an exposure of {exposures[0] * 1e3:g} ms; a rate needs two exposures"
+        )
     drift = np.nanmean(frames[-1] - model.at(exposures[-1])) - np.nanmean(frames[0] - model.at(exposures[0]))
     return xr.Dataset(
         {
@@ -224,8 +225,9 @@ def flat_field(frames: xr.DataArray, dark: xr.DataArray | None = None) -> xr.Dat
     array([[1.1111, 0.9091]], dtype=float32)
     """
     if not set(_ELEMENT) <= set(frames.dims):
-        msg = f"flat-field frames have dims {tuple(map(str, frames.dims))}, expected {BAND} and {CROSS_TRACK}"
-        raise SchemaError(msg)
+        raise SchemaError(
+            f"flat-field frames have dims {tuple(map(str, frames.dims))}, expected {BAND} and {CROSS_TRACK}"
+        )
     others = [dim for dim in frames.dims if dim not in _ELEMENT]
     level = frames.astype(np.float64)
     if others:
@@ -247,8 +249,9 @@ def factors_of(flat: xr.DataArray, shape: tuple[int, ...]) -> Float:
         Its dims or sizes are others.
     """
     if set(flat.dims) != set(_ELEMENT) or flat.transpose(*_ELEMENT).shape != shape:
-        msg = f"flat_field has sizes {dict(flat.sizes)}, expected {BAND} and {CROSS_TRACK} of {shape}"
-        raise SchemaError(msg)
+        raise SchemaError(
+            f"flat_field has sizes {dict(flat.sizes)}, expected {BAND} and {CROSS_TRACK} of {shape}"
+        )
     return np.asarray(flat.transpose(*_ELEMENT).to_numpy(), np.float64)
 
 
@@ -285,8 +288,9 @@ def linearity(signal: npt.ArrayLike, measured: npt.ArrayLike, degree: int = 3) -
     """
     light, counts = np.asarray(signal, np.float64).ravel(), np.asarray(measured, np.float64).ravel()
     if light.size != counts.size or light.size < degree or not (light > 0).all() or not (counts > 0).all():
-        msg = f"linearity of degree {degree} needs {degree} or more positive signals, each with its counts"
-        raise SchemaError(msg)
+        raise SchemaError(
+            f"linearity of degree {degree} needs {degree} or more positive signals, each with its counts"
+        )
     # s light = c + a2 c^2 + ...: linear in s and the a; divided by c all measurements weigh alike
     scale = counts.max()
     columns = [light / counts, *(-((counts / scale) ** (power - 1)) for power in range(2, degree + 1))]

@@ -164,8 +164,7 @@ def check_sweep(sweep: xr.Dataset, *, absolute: bool = True) -> LabSweep:
     dark = _dark(found, values, problems)
     problems.raise_if_any()
     if dark is None:
-        msg = "this lab sweep cannot be calibrated:\n  no dark follows from 'dark_counts'"
-        raise SchemaError(msg)
+        raise SchemaError("this lab sweep cannot be calibrated:\n  no dark follows from 'dark_counts'")
     return _assembled(found, values, dark, (steps, columns), shape == "triangle")
 
 

@@ -180,11 +180,10 @@ def correct_stray_light(cube: xr.DataArray, stray_light: xr.DataArray) -> xr.Dat
     name = str(stray_light.name or "stray_light")
     matrix = np.asarray(stray_light.transpose(BAND, "source_band").to_numpy(), np.float64)
     if BAND not in cube.dims or matrix.shape != (cube.sizes[BAND],) * 2 or not np.isfinite(matrix).all():
-        msg = (
+        raise SchemaError(
             f"{name} has shape {matrix.shape}, the cube {dict(cube.sizes)}; expected a finite square matrix "
             f"over the {BAND}s of the cube"
         )
-        raise SchemaError(msg)
     if not matrix.any():
         return cube
     try:
@@ -192,8 +191,9 @@ def correct_stray_light(cube: xr.DataArray, stray_light: xr.DataArray) -> xr.Dat
     except np.linalg.LinAlgError:
         inverse = np.full_like(matrix, np.inf)
     if not np.abs(inverse).sum(axis=1).max() < _MOST_AMPLIFIED:
-        msg = f"{name} cannot be inverted: it says that most light is stray; expected shares far below 1"
-        raise SchemaError(msg)
+        raise SchemaError(
+            f"{name} cannot be inverted: it says that most light is stray; expected shares far below 1"
+        )
     if cube.chunks is not None:
         cube = cube.chunk({BAND: -1})
     dtype = np.result_type(cube.dtype, np.float32)

@@ -177,8 +177,9 @@ class Result:
 
         gain, known = self.gain
         if not known.any():
-            msg = "this lab sweep cannot be calibrated:\n  no column has four lines that can be trusted"
-            raise SchemaError(msg)
+            raise SchemaError(
+                "this lab sweep cannot be calibrated:\n  no column has four lines that can be trusted"
+            )
         if self.lab.absolute:
             self._check_plausible(gain)
         self._warn_of_width()
@@ -303,12 +304,11 @@ class Result:
             problem += " capture_fraction x exposure_time is too large"
         else:
             return
-        msg = (
+        raise SchemaError(
             f"this lab sweep cannot be calibrated:\n  {problem}; check the units of flux (uW said to be W?) "
             "and of exposure_time (ms said to be s?), and capture_fraction; without an absolute scale, pass "
             "absolute=False"
         )
-        raise SchemaError(msg)
 
     @cached_property
     def _unlit(self) -> Bool:

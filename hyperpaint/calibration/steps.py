@@ -195,11 +195,10 @@ def _check_told(lab: LabSweep, windows: list[Window | None]) -> None:
         if window is not None and (missing := int((~np.isfinite(lab.power[step, window.columns])).sum()))
     ]
     if untold:
-        msg = (
+        raise SchemaError(
             f"this lab sweep cannot be calibrated:\n  flux x capture_fraction is zero or nan in columns that "
             f"counts show to be lit: {listed(untold)}; measure it there"
         )
-        raise SchemaError(msg)
 
 
 def _warn_of_clipping(highest: Float) -> None:
@@ -227,11 +226,10 @@ def _check_monotone(lab: LabSweep, windows: list[Window | None]) -> None:
         where = listed(
             [f"{lab.wavelength[found[k + 1][0]]:g} nm at band {place[k + 1]}, after {place[k]}" for k in back]
         )
-        msg = (
+        raise SchemaError(
             "this lab sweep cannot be calibrated:\n  lines do not move along the array as the wavelengths "
             f"do: {where}; are the steps in order, and do counts and step_wavelength belong together?"
         )
-        raise SchemaError(msg)
 
 
 def fit_as_seen(lab: LabSweep, read: Read, tick: Tick) -> tuple[Lines, list[Fits | None]]:

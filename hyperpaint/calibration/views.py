@@ -85,15 +85,15 @@ def quantum_efficiency(
     """
     names = ["responsivity", "wavelength"]
     if calibration.attrs.get("absolute_scale") == "unknown":
-        msg = (
+        raise SchemaError(
             "a quantum efficiency needs an absolute scale, which this calibration has not (absolute_scale = "
             "'unknown'); give it one by hyperpaint.calibration.anchor_to_radiance"
         )
-        raise SchemaError(msg)
     if electrons_per_count is None:
         if "electrons_per_count" not in calibration.variables:
-            msg = "a quantum efficiency needs electrons_per_count [electron count-1]: give it, or estimate it"
-            raise SchemaError(msg)
+            raise SchemaError(
+                "a quantum efficiency needs electrons_per_count [electron count-1]: give it, or estimate it"
+            )
         names.append("electrons_per_count")
     found = require(calibration, names, "a quantum efficiency")
     electrons: Any = found.get("electrons_per_count", electrons_per_count)

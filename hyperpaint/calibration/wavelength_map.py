@@ -108,8 +108,7 @@ def fit_wavelength_map(
     across = len(np.unique(column))
     degree = min(BAND_DEGREE, different - 2)
     if degree < 1:
-        msg = f"lines of {different} wavelengths, expected 3 or more for a wavelength map"
-        raise SchemaError(msg)
+        raise SchemaError(f"lines of {different} wavelengths, expected 3 or more for a wavelength map")
     degrees = [column_degree] if column_degree is not None else [d for d in COLUMN_DEGREES if d < across]
     weight = np.ones_like(band)
     if uncertainty is not None:

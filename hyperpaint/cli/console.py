@@ -27,14 +27,12 @@ class Program(click.Group):
             try:
                 return super().invoke(ctx)
             except (PaintError, OSError) as error:
-                # what Python calls an argument is an option here
-                text = "\n".join([str(error), *getattr(error, "__notes__", ())])
-                text = text.replace("pass overwrite=True", "pass --overwrite")
-                text = text.replace("with overwrite=True", "with --overwrite")
-                text = text.replace("give sun_zenith=", "give --sun-zenith")
-                text = text.replace("pairs={paint: reference}", "--pairs")
-                text = text.replace("flags=False does without", "--no-flags does without")
-                click.echo(f"error: {text}", err=True)
+                texts = (
+                    [error.text(on_command_line=True), *error.notes(on_command_line=True)]
+                    if isinstance(error, PaintError)
+                    else [str(error)]
+                )
+                click.echo("error: " + "\n".join(texts), err=True)
                 ctx.exit(WRONG_INPUT)
 
 

@@ -72,8 +72,7 @@ def export(library: Path, form: str, out: Path, overwrite: bool, quiet: bool, **
     given = {name: value for name, value in options.items() if value not in (None, False)}
     if given and form != "dirsig":
         names = ", ".join(f"--{name.replace('_', '-').replace('wavelength-', '')}" for name in given)
-        msg = f"{names} only with --format dirsig"
-        raise click.UsageError(msg)
+        raise click.UsageError(f"{names} only with --format dirsig")
     paints = open_library(library)
     with progress_bar("writing", is_watched(quiet)) as shown:
         if form == "dirsig":
@@ -98,5 +97,4 @@ def _options(given: dict[str, Any]) -> dict[str, Any]:
     try:
         return {**given, "specular": float(share)}
     except ValueError:
-        msg = f"--specular {share!r}, expected a number or 'library'"
-        raise click.UsageError(msg) from None
+        raise click.UsageError(f"--specular {share!r}, expected a number or 'library'") from None

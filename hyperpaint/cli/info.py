@@ -57,8 +57,7 @@ def describe_path(path: str | Path) -> str:
     """
     path = Path(path)
     if not path.exists():
-        msg = f"no such file or folder: {path}"
-        raise FormatError(msg)
+        raise FormatError(f"no such file or folder: {path}")
     facts = dict(_folder(path) if path.is_dir() else _file(path))
     width = max(map(len, facts))
     indent = "\n" + " " * (width + 4)
@@ -99,8 +98,7 @@ def _file(path: Path) -> Facts:
         return _spectra_if_any(path)
     if path.suffix.lower() == ".mat":
         return _materials(path)
-    msg = f"{path}: not a kind of file known here; {_EXPECTED}"
-    raise FormatError(msg)
+    raise FormatError(f"{path}: not a kind of file known here; {_EXPECTED}")
 
 
 # --- one kind of file each ---------------------------------------------------------------------------------
@@ -207,8 +205,9 @@ def _spectra_if_any(path: Path) -> Facts:
     try:
         yield from _library(path)
     except FormatError as error:
-        msg = f"{path}: not a kind of file known here; {_EXPECTED}. Taken for spectra: {error}"
-        raise FormatError(msg) from error
+        raise FormatError(
+            f"{path}: not a kind of file known here; {_EXPECTED}. Taken for spectra: {error}"
+        ) from error
 
 
 def _library(path: Path) -> Facts:
@@ -356,8 +355,7 @@ def _folder(path: Path) -> Facts:
         and not entry.name.startswith(".")
     )
     seen = f"; in it are {', '.join(known[:8])}{' ...' if len(known) > 8 else ''}" if known else ""
-    msg = f"{path} is a folder, not a Zarr store{seen}; {_EXPECTED}"
-    raise StoreError(msg)
+    raise StoreError(f"{path} is a folder, not a Zarr store{seen}; {_EXPECTED}")
 
 
 def _store(path: Path) -> Facts:

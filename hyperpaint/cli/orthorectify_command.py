@@ -88,8 +88,7 @@ def make_map(
     from hyperpaint.workflows.maps import map_of_store, write_map
 
     if out.suffix.lower() not in (".tif", ".tiff", ".zarr"):
-        msg = f"--out {out}: expected a name that ends in .tif or .zarr"
-        raise click.UsageError(msg)
+        raise click.UsageError(f"--out {out}: expected a name that ends in .tif or .zarr")
     chosen = grid or ("flight" if out.suffix.lower() == ".zarr" else "north")
     given = {name: value for name, value in options.items() if value is not None}
     with progress_bar("looking", is_watched(quiet)) as shown:

@@ -93,11 +93,9 @@ def list_paints(
     from hyperpaint.paints.paint_search import search_library
 
     if options["maximum_angle"] is not None and like is None:
-        msg = "--maximum-angle needs --like"
-        raise click.UsageError(msg)
+        raise click.UsageError("--maximum-angle needs --like")
     if options["maximum_colour_difference"] is not None and options["colour"] is None:
-        msg = "--maximum-difference needs --colour"
-        raise click.UsageError(msg)
+        raise click.UsageError("--maximum-difference needs --colour")
     paints = _opened(library, members)
     found = search_library(paints, like=_spectrum(like, paints), **options)
     count = found.sizes["paint"]
@@ -125,8 +123,7 @@ def _opened(library: Path | None, members: int | None) -> xr.Dataset:
 
         return starter_library() if members is None else starter_library(members=members)
     if members is not None:
-        msg = "--members is for the starter library; leave it out"
-        raise click.UsageError(msg)
+        raise click.UsageError("--members is for the starter library; leave it out")
     from hyperpaint.io.library import open_library
 
     return open_library(library)
@@ -138,8 +135,7 @@ def _spectrum(like: str | None, paints: xr.Dataset) -> Any:
         return like
     path = Path(like)
     if not path.exists():
-        msg = f"--like {like!r} is no paint of the library and no file"
-        raise click.UsageError(msg)
+        raise click.UsageError(f"--like {like!r} is no paint of the library and no file")
     if path.suffix.lower() == ".sig":
         from hyperpaint.io.spectrometers.svc import open_svc
 

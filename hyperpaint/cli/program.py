@@ -460,8 +460,7 @@ def signatures(
     given = {name: value for name, value in limits.items() if value is not None}
     if given and not flags:
         named = ", ".join(f"--{name}" for name in given)
-        msg = f"--no-flags looks for nothing; leave out {named}"
-        raise click.UsageError(msg)
+        raise click.UsageError(f"--no-flags looks for nothing; leave out {named}")
     with progress_bar("flags and signatures" if flags else "extracting", is_watched(quiet)) as shown:
         made = write_signatures(
             store, regions, out, smooth=smoothing, flags=given or flags, progress=shown, **options

@@ -24,8 +24,9 @@ def _limits(_ctx: click.Context, _param: click.Parameter, values: tuple[str, ...
         try:
             made[name or "rmse"] = float(number)
         except ValueError as error:
-            msg = f"{value!r}, expected a number of RMSE, or a statistic such as bias=0.01"
-            raise click.BadParameter(msg) from error
+            raise click.BadParameter(
+                f"{value!r}, expected a number of RMSE, or a statistic such as bias=0.01"
+            ) from error
     return made or None
 
 
@@ -37,8 +38,7 @@ def _parts(
     for value in values:
         found = _PART.fullmatch(value)
         if found is None:
-            msg = f"{value!r}, expected a name and wavelengths, such as red=620-700"
-            raise click.BadParameter(msg)
+            raise click.BadParameter(f"{value!r}, expected a name and wavelengths, such as red=620-700")
         made[found["name"]] = float(found["first"]), float(found["last"])
     return made or None
 

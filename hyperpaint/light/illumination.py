@@ -160,8 +160,7 @@ def smile_cells(wavelength_shift: npt.ArrayLike | None, columns: int) -> Smile:
     given = np.zeros(columns) if wavelength_shift is None else wavelength_shift
     shift = np.atleast_2d(np.asarray(given, np.float64))
     if not (np.isfinite(shift).all() and np.abs(shift).max() <= 20.0):
-        msg = "'wavelength_shift' must be finite and at most 20 nm; check its units"
-        raise SchemaError(msg)
+        raise SchemaError("'wavelength_shift' must be finite and at most 20 nm; check its units")
     if not shift.any():
         whole = np.array([[0, columns]])
         return Smile(np.zeros(1), np.zeros((1, columns), np.float32), whole, np.zeros((1, 1), np.int64))

@@ -151,11 +151,10 @@ def _even_spacing(wavelength: Float) -> Float:
     steps = np.abs(np.diff(wavelength))
     jumps = np.abs(np.log(steps[1:] / steps[:-1])) if steps.all() else np.array([np.inf])
     if wavelength.size < 2 or jumps.max(initial=0.0) > np.log(1.3):
-        msg = (
+        raise SchemaError(
             "a slit-shaped response needs the camera's band spacing, which the bands here do not tell; give "
             "'band_spacing' (band) [nm], or choose bands after the reflectance is computed"
         )
-        raise SchemaError(msg)
     return band_spacing(wavelength)
 
 
@@ -305,11 +304,10 @@ def _remembered_operator(
 def _check_size(steps: float, channels: int, *responses: Responses) -> None:
     if steps > _MOST_STEPS or steps * channels > _MOST_SAMPLES:
         widths = np.concatenate([each.fwhm for each in responses])
-        msg = (
+        raise SchemaError(
             f"'fwhm' reaches from {widths.min():g} to {widths.max():g} nm: responses so far apart cannot be "
             "matched; is a width wrong, or in another unit?"
         )
-        raise SchemaError(msg)
 
 
 def _has_hole(centres: Float, centre: float, half: float, widest: float) -> bool:

@@ -104,8 +104,7 @@ def line_light(
     levels = np.reshape(levels, (samples.size, -1))
     kept = np.flatnonzero(np.isfinite(levels).all(axis=1))
     if kept.size == 0:
-        msg = "the irradiance record holds no valid spectrum"
-        raise TimeError(msg)
+        raise TimeError("the irradiance record holds no valid spectrum")
     missing = np.isnat(lines)
     stamps, ticks = lines.astype(np.int64), samples[kept].astype(np.int64)
     stamps = np.where(missing, ticks[0], stamps)

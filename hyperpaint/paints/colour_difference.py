@@ -48,8 +48,9 @@ def parse_colour(colour: str) -> Floats:
     if match is None:
         close = difflib.get_close_matches(word, COLOURS, 1)
         hint = f"did you mean {close[0]!r}?" if close else f"known are {', '.join(COLOURS)}"
-        msg = f"colour {colour!r:.60} is no name known here and no sRGB such as '#a3222a'; {hint}"
-        raise SchemaError(msg)
+        raise SchemaError(
+            f"colour {colour!r:.60} is no name known here and no sRGB such as '#a3222a'; {hint}"
+        )
     return np.frombuffer(bytes.fromhex(match[1]), np.uint8) / 255.0
 
 

@@ -182,8 +182,9 @@ def _colour_differences(library: xr.Dataset, colour: str) -> Floats:
     wavelength = np.asarray(library["wavelength"].values, np.float64)
     colours = paint_colours(library.isel({BAND: np.argsort(wavelength, kind="stable")}))
     if len(colours) and not np.isfinite(colours).any():
-        msg = "no paint of the library has a colour: it needs three good bands between 380 and 780 nm"
-        raise SchemaError(msg)
+        raise SchemaError(
+            "no paint of the library has a colour: it needs three good bands between 380 and 780 nm"
+        )
     different = ciede2000(lab_of(colours), wanted)
     return np.where(np.isfinite(different), different, np.inf)
 
@@ -198,11 +199,10 @@ def _angles(library: xr.Dataset, reflectance: xr.DataArray, wavelength: xr.DataA
     if "good" in library.variables:
         spectrum = np.where(library["good"].values.astype(bool), spectrum, np.nan)
     if np.isfinite(spectrum).sum() < _FEWEST_BANDS:
-        msg = (
+        raise SchemaError(
             f"like= has a value in {int(np.isfinite(spectrum).sum())} good bands of the library "
             f"({nm.min():g} to {nm.max():g} nm), expected at least {_FEWEST_BANDS}"
         )
-        raise SchemaError(msg)
     paints = np.asarray(reflectance.values, np.float64)
     both = np.isfinite(paints) & np.isfinite(spectrum)
     x, y = np.where(both, paints, 0.0), np.where(both, spectrum, 0.0)
@@ -222,24 +222,28 @@ def _one_spectrum(library: xr.Dataset, like: Any, nm: Floats) -> Floats:
     if isinstance(like, str):
         names = [str(name) for name in library[PAINT].values]
         if names.count(like) != 1:
-            msg = f"like={like!r:.60} names {names.count(like)} paints of the library, expected 1"
-            raise SchemaError(msg)
+            raise SchemaError(
+                f"like={like!r:.60} names {names.count(like)} paints of the library, expected 1"
+            )
         like = library.isel({PAINT: names.index(like)})
     if isinstance(like, xr.Dataset):
         if "reflectance" not in like.variables:
-            msg = f"like= holds {', '.join(map(str, like.data_vars)) or 'nothing'}, expected reflectance"
-            raise SchemaError(msg)
+            raise SchemaError(
+                f"like= holds {', '.join(map(str, like.data_vars)) or 'nothing'}, expected reflectance"
+            )
         like = like["reflectance"]
     if not isinstance(like, xr.DataArray):
         values = np.asarray(like, np.float64)
         if values.shape != nm.shape:
-            msg = f"like= has shape {values.shape}, expected ({nm.size},), or a DataArray with wavelengths"
-            raise SchemaError(msg)
+            raise SchemaError(
+                f"like= has shape {values.shape}, expected ({nm.size},), or a DataArray with wavelengths"
+            )
         return values
     spectrum = like.squeeze()
     if spectrum.ndim != 1 or "wavelength" not in spectrum.coords:
-        msg = f"like= has dims {like.dims} of sizes {like.shape}, expected one spectrum with its wavelength"
-        raise SchemaError(msg)
+        raise SchemaError(
+            f"like= has dims {like.dims} of sizes {like.shape}, expected one spectrum with its wavelength"
+        )
     axis = spectrum["wavelength"]
     # what has no units is in nanometres, as the table has it
     axis = convert(axis, "nm") if "units" in axis.attrs else axis

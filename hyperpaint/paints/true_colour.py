@@ -90,8 +90,7 @@ def srgb(spectra: npt.ArrayLike, wavelength: npt.ArrayLike) -> Array:
     nm = np.asarray(wavelength, np.float64)
     visible = np.flatnonzero((nm > 380) & (nm < 780))
     if visible.size < 3:
-        msg = f"a colour needs three bands between 380 and 780 nm, found {visible.size}"
-        raise SchemaError(msg)
+        raise SchemaError(f"a colour needs three bands between 380 and 780 nm, found {visible.size}")
     nm = nm[visible]
     values = np.asarray(spectra, np.float64)[..., visible]
     flat = values.reshape(-1, visible.size)

@@ -94,8 +94,7 @@ def save_figure(figure: Any, path: str | Path | None, dpi: int = 110) -> None:
     try:
         figure.savefig(path, dpi=dpi)
     except ValueError as error:
-        msg = f"{path}: {error}"
-        raise SchemaError(msg) from error
+        raise SchemaError(f"{path}: {error}") from error
 
 
 def png_of(figure: Any, dpi: int = 110) -> bytes:

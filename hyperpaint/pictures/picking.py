@@ -226,9 +226,9 @@ def _need_extra() -> None:
 def _on_sensor(regions: Any) -> Regions:
     found = Regions(()) if regions is None else regions_from(regions)
     if found.coordinates != "sensor":
-        msg = "regions to begin with are in map coordinates, expected those of the sensor (column and line)"
-        raise SchemaError(msg)
+        raise SchemaError(
+            "regions to begin with are in map coordinates, expected those of the sensor (column and line)"
+        )
     if holed := [region.name for region in found if region.holes]:
-        msg = f"regions with holes cannot be drawn: {', '.join(holed)}; leave them out"
-        raise SchemaError(msg)
+        raise SchemaError(f"regions with holes cannot be drawn: {', '.join(holed)}; leave them out")
     return found

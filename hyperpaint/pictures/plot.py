@@ -66,13 +66,13 @@ def rgb(dataset: xr.Dataset, *, stretch: tuple[float, float] = (2.0, 98.0)) -> x
         dataset = reflectance(dataset)
     cube = dataset["reflectance"]
     if not cube.size:
-        msg = f"a true-colour picture needs pixels, reflectance has the shape {cube.shape}"
-        raise SchemaError(msg)
+        raise SchemaError(f"a true-colour picture needs pixels, reflectance has the shape {cube.shape}")
     wavelength = schema.require(dataset, ["wavelength"], "a true-colour picture")["wavelength"].values
     visible = np.flatnonzero((wavelength > 380) & (wavelength < 780))
     if visible.size < 3:
-        msg = f"a true-colour picture needs three bands between 380 and 780 nm, found {visible.size}"
-        raise SchemaError(msg)
+        raise SchemaError(
+            f"a true-colour picture needs three bands between 380 and 780 nm, found {visible.size}"
+        )
     shift = None
     if "wavelength_shift" in dataset.variables:
         found = schema.require(dataset, ["wavelength_shift"], "a true-colour picture")["wavelength_shift"]
@@ -218,8 +218,7 @@ def flags_of(dataset: xr.Dataset) -> Array:
     """
     quality = schema.require(dataset, ["quality"], "a picture of flags")["quality"]
     if quality.dtype.kind not in "iu":
-        msg = f"quality is {quality.dtype}, expected uint16: one bit a flag"
-        raise SchemaError(msg)
+        raise SchemaError(f"quality is {quality.dtype}, expected uint16: one bit a flag")
     return np.asarray(quality.values)
 
 
@@ -246,8 +245,9 @@ def draw_irradiance(axes: Any, dataset: xr.Dataset) -> None:
     series = schema.require(dataset, ["irradiance"], "a picture of irradiance")["irradiance"]
     moments = series.coords.get(schema.IRRADIANCE_TIME)
     if moments is None or not moments.size or moments.dtype.kind != "M":
-        msg = "a picture of irradiance needs its times: the coordinate irradiance_time, one moment at least"
-        raise SchemaError(msg)
+        raise SchemaError(
+            "a picture of irradiance needs its times: the coordinate irradiance_time, one moment at least"
+        )
     series = series.compute()
     start = series[schema.IRRADIANCE_TIME].values[0]
     seconds = (series[schema.IRRADIANCE_TIME].values - start) / np.timedelta64(1, "s")

@@ -161,8 +161,7 @@ def _transect(places: Sequence[Any], lines: int, columns: int, width: int) -> tu
     start, stop = (np.array([np.mean(along), np.mean(across)]) for along, across in places)
     length = float(np.hypot(*(stop - start)))
     if length < 1.0:
-        msg = "adjacency cannot be drawn: both regions have the same middle; choose them apart"
-        raise SchemaError(msg)
+        raise SchemaError("adjacency cannot be drawn: both regions have the same middle; choose them apart")
     ahead = (stop - start) / length
     away = np.arange(int(length) + 1, dtype=np.float64)
     aside = np.arange(width) - (width - 1) / 2

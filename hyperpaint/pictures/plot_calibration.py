@@ -139,11 +139,11 @@ def check_picture(path: str | Path | None) -> None:
     path = Path(path)
     kinds = sorted(FigureCanvasBase.get_supported_filetypes())
     if path.suffix.lower().lstrip(".") not in kinds:
-        msg = f"{path}: no picture that matplotlib writes; expected a name that ends in .{', .'.join(kinds)}"
-        raise SchemaError(msg)
+        raise SchemaError(
+            f"{path}: no picture that matplotlib writes; expected a name that ends in .{', .'.join(kinds)}"
+        )
     if not path.absolute().parent.is_dir():
-        msg = f"{path}: there is no folder {path.absolute().parent} for the picture"
-        raise SchemaError(msg)
+        raise SchemaError(f"{path}: there is no folder {path.absolute().parent} for the picture")
 
 
 def _values(calibration: xr.Dataset, sweep: xr.Dataset | None, column: int | None) -> Values:

@@ -178,8 +178,7 @@ def _flags_named(flags: Quality | str | Iterable[str] | None) -> tuple[Quality, 
     names = [flags] if isinstance(flags, str) else [str(name) for name in flags]
     known = {str(flag.name).lower(): flag for flag in Quality}
     if unknown := [name for name in names if name.lower() not in known]:
-        msg = f"no flag {', '.join(map(repr, unknown))}; flags are {', '.join(known)}"
-        raise SchemaError(msg)
+        raise SchemaError(f"no flag {', '.join(map(repr, unknown))}; flags are {', '.join(known)}")
     return tuple(known[name.lower()] for name in names)
 
 
@@ -233,8 +232,9 @@ def _check_layer(dataset: xr.Dataset, layer: str) -> None:
         if set(array.dims) == {ALONG_TRACK, CROSS_TRACK} and array.dtype.kind in "fiub"
     ]
     if layer not in planes:
-        msg = f"no layer {layer!r} on (along_track, cross_track); there is {', '.join(planes) or 'none'}"
-        raise SchemaError(msg)
+        raise SchemaError(
+            f"no layer {layer!r} on (along_track, cross_track); there is {', '.join(planes) or 'none'}"
+        )
 
 
 def _draw_layer(axes: Any, dataset: xr.Dataset, layer: str, step: int, opacity: float) -> None:

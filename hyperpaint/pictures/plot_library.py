@@ -66,8 +66,7 @@ def library_overview(
     found = schema.require(paints, ["reflectance", "wavelength"], "an overview", schema.LIBRARY_VARIABLES)
     count = paints.sizes[schema.PAINT]
     if not count:
-        msg = "an overview needs paints, the library has none"
-        raise SchemaError(msg)
+        raise SchemaError("an overview needs paints, the library has none")
     shown = min(count, MOST_PAINTS)
     columns = max(1, min(columns, shown))
     rows = -(-shown // columns)

@@ -268,8 +268,7 @@ def triptych(
     counts = schema.require(dataset, ["counts", "wavelength"], "a triptych")["counts"]
     found = regions_from(region)
     if len(found) != 1:
-        msg = f"a triptych shows one region, found {len(found)}; index them, such as regions[0]"
-        raise SchemaError(msg)
+        raise SchemaError(f"a triptych shows one region, found {len(found)}; index them, such as regions[0]")
     calibrated = reflectance(dataset)
     cubes = {
         "counts": counts,
@@ -285,8 +284,9 @@ def triptych(
     used &= np.isfinite(spectra["reflectance"]).any(axis=1)
     if not used.any():
         name = found[0].name
-        msg = f"region {name!r}: none of {along.size} pixels is left; draw it elsewhere, or exclude less"
-        raise SchemaError(msg)
+        raise SchemaError(
+            f"region {name!r}: none of {along.size} pixels is left; draw it elsewhere, or exclude less"
+        )
     figure.suptitle(f"{label_for(found[0].name)}: {int(used.sum())} of {along.size} pixels")
     wavelength, known = _wavelength_of(dataset)
     for axes, (name, cube) in zip(figure.subplots(1, 3), spectra.items(), strict=True):

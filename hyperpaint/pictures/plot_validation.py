@@ -78,8 +78,7 @@ def validation_figure(
         ``columns`` or ``limit`` is not positive, or matplotlib writes no such picture.
     """
     if columns < 1 or (limit is not None and not limit > 0.0):
-        msg = f"columns={columns}, limit={limit}: expected positive numbers"
-        raise SchemaError(msg)
+        raise SchemaError(f"columns={columns}, limit={limit}: expected positive numbers")
     shown = _chosen(validation)
     columns = min(columns, len(shown))
     rows = -(-len(shown) // columns)

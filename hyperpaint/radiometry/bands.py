@@ -52,8 +52,9 @@ def at(dataset: xr.Dataset, wavelength: npt.ArrayLike) -> xr.Dataset:
     away = np.abs(centres[nearest] - wanted)
     if (away > band_spacing(np.sort(centres)).max()).any() or not np.isfinite(wanted).all():
         worst = np.atleast_1d(wanted)[np.atleast_1d(away).argmax()]
-        msg = f"no band at {worst:g} nm; bands reach from {centres.min():g} to {centres.max():g} nm"
-        raise SchemaError(msg)
+        raise SchemaError(
+            f"no band at {worst:g} nm; bands reach from {centres.min():g} to {centres.max():g} nm"
+        )
     return dataset.isel({schema.BAND: nearest.item() if nearest.ndim == 0 else nearest})
 
 
@@ -89,8 +90,9 @@ def to_nominal(dataset: xr.Dataset) -> xr.Dataset:
     dataset = schema.rename_to_roles(dataset)
     products = [name for name in ("radiance", "reflectance") if name in dataset.variables]
     if not products:
-        msg = "neither 'radiance' nor 'reflectance' to bring to nominal wavelengths; compute one first"
-        raise SchemaError(msg)
+        raise SchemaError(
+            "neither 'radiance' nor 'reflectance' to bring to nominal wavelengths; compute one first"
+        )
     if "wavelength_shift" not in dataset.variables:
         return dataset[[*products, *_without_bands(dataset)]]
     found = schema.require(dataset, ["wavelength", "wavelength_shift", *products], "nominal wavelengths")
@@ -128,14 +130,14 @@ def _lagrange_weights(wavelength: Array, shift: Array) -> tuple[Array, Array]:
     """Return the first of four bands and their weights, (band, column[, 4])."""
     bands, columns = wavelength.size, shift.shape[1]
     if bands < 4:
-        msg = f"{bands} bands are too few to interpolate between; four are needed"
-        raise SchemaError(msg)
+        raise SchemaError(f"{bands} bands are too few to interpolate between; four are needed")
     own = wavelength[:, None] + np.broadcast_to(shift, (bands, columns))
     descending = wavelength[0] > wavelength[-1]
     axis = own[::-1] if descending else own
     if not (np.diff(axis, axis=0) > 0).all():
-        msg = "wavelengths must be in order to interpolate between bands; split the cube at detector joins"
-        raise SchemaError(msg)
+        raise SchemaError(
+            "wavelengths must be in order to interpolate between bands; split the cube at detector joins"
+        )
     wanted = wavelength[::-1] if descending else wavelength
     first = np.empty((bands, columns), np.int64)
     weights = np.empty((bands, columns, 4))

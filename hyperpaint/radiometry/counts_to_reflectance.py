@@ -91,15 +91,16 @@ class Panel:
 
     def __post_init__(self) -> None:
         if not 0.0 <= self.uncertainty < 1.0:
-            msg = f"the panel's uncertainty is {self.uncertainty}, expected a fraction of 1, such as 0.02"
-            raise SchemaError(msg)
+            raise SchemaError(
+                f"the panel's uncertainty is {self.uncertainty}, expected a fraction of 1, such as 0.02"
+            )
         labelled = hasattr(self.reflectance, "coords")
         if labelled and "wavelength" not in self.reflectance.coords:
-            msg = "the panel's reflectance has no coordinate 'wavelength' [nm]"
-            raise SchemaError(msg)
+            raise SchemaError("the panel's reflectance has no coordinate 'wavelength' [nm]")
         if not labelled and not (np.ndim(self.reflectance) == 0 and 0 < self.reflectance <= 1.2):
-            msg = f"the panel's reflectance is {self.reflectance}, expected 0 to 1, or a DataArray"
-            raise SchemaError(msg)
+            raise SchemaError(
+                f"the panel's reflectance is {self.reflectance}, expected 0 to 1, or a DataArray"
+            )
 
     def at(self, wavelength: Any) -> Any:
         """Return the reflectance at wavelengths (band,) [nm]; NaN outside what is known."""
@@ -290,18 +291,16 @@ def reflectance(
     _refuse_without(dataset, ("counts", "radiance", "reflectance"), "reflectance")
     if not {"counts", "radiance"} & set(dataset.variables):
         if any(option is not None for option in (irradiance, tilt, panel, keep_bits)):
-            msg = (
+            raise SchemaError(
                 "irradiance=, tilt=, panel= and keep_bits= need 'counts' or 'radiance', "
                 "found 'reflectance' only"
             )
-            raise SchemaError(msg)
         stored = ["reflectance", *(UNCERTAINTIES if uncertainty else ())]
         return dataset.assign(schema.require(dataset, stored, "reflectance"))
     if irradiance is not None:
         dataset = _replace_irradiance(dataset, irradiance)
     if keep_bits is not None and not 1 <= keep_bits <= 23:
-        msg = f"keep_bits={keep_bits}, expected 1 to 23 mantissa bits of float32"
-        raise SchemaError(msg)
+        raise SchemaError(f"keep_bits={keep_bits}, expected 1 to 23 mantissa bits of float32")
     if "counts" in dataset.variables:
         _refuse_calibration(dataset, needs_scale=panel is None)
     cube, values = _cube_inputs(dataset, "reflectance")
@@ -330,11 +329,10 @@ def reflectance(
 def _refuse_without(dataset: xr.Dataset, names: tuple[str, ...], purpose: str) -> None:
     if not set(names) & set(dataset.variables):
         held = ", ".join(map(str, dataset.data_vars)) or "no variable"
-        msg = (
+        raise SchemaError(
             f"cannot compute {purpose} from {held}; expected 'counts' with {', '.join(_COUNTED[1:])}, "
             f"or {' or '.join(repr(name) for name in names[1:])}"
         )
-        raise SchemaError(msg)
 
 
 def _refuse_calibration(dataset: xr.Dataset, *, needs_scale: bool) -> None:
@@ -358,8 +356,7 @@ def _attitude(tilt: Any) -> Tilt | None:
     if tilt is None or isinstance(tilt, Tilt):
         return tilt
     if not isinstance(tilt, tuple) or len(tilt) != 2:
-        msg = f"tilt={tilt!r}, expected hyperpaint.Tilt or (angle, azimuth) in degrees"
-        raise SchemaError(msg)
+        raise SchemaError(f"tilt={tilt!r}, expected hyperpaint.Tilt or (angle, azimuth) in degrees")
     return Tilt(*tilt)
 
 
@@ -402,8 +399,7 @@ def _light_inputs(dataset: xr.Dataset, tilt: Any) -> dict[str, Any]:
 def _shape(dataset: xr.Dataset, attr: str) -> str:
     shape = str(dataset.attrs.get(attr, "gaussian"))
     if shape not in schema.SRF_SHAPES:
-        msg = f"attribute {attr!r} is {shape!r}, expected one of {', '.join(schema.SRF_SHAPES)}"
-        raise SchemaError(msg)
+        raise SchemaError(f"attribute {attr!r} is {shape!r}, expected one of {', '.join(schema.SRF_SHAPES)}")
     return shape
 
 
@@ -412,16 +408,16 @@ def _replace_irradiance(dataset: xr.Dataset, irradiance: Any) -> xr.Dataset:
     import xarray as xr
 
     if not isinstance(irradiance, xr.Dataset):
-        msg = (
+        raise SchemaError(
             f"irradiance= is {type(irradiance).__name__}, expected a Dataset with 'irradiance' and "
             "'irradiance_fwhm', as hyperpaint.open_irradiance returns it"
         )
-        raise SchemaError(msg)
     names = [name for name in irradiance.data_vars if str(name).startswith("irradiance")]
     if "irradiance" not in names:
         held = ", ".join(map(str, irradiance.data_vars)) or "nothing"
-        msg = f"the Dataset given as irradiance= holds {held}, expected 'irradiance' and 'irradiance_fwhm'"
-        raise SchemaError(msg)
+        raise SchemaError(
+            f"the Dataset given as irradiance= holds {held}, expected 'irradiance' and 'irradiance_fwhm'"
+        )
     own = [name for name in dataset.variables if str(name).startswith("irradiance")]
     kept = {name: text for name, text in dataset.attrs.items() if not name.startswith("irradiance")}
     told = {name: text for name, text in irradiance.attrs.items() if str(name).startswith("irradiance")}

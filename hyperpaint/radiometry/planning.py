@@ -172,8 +172,9 @@ def _darks(cube: Mapping[str, Any], exposure: Float) -> tuple[Array, Array, Arra
         return dark.mean(axis=0, dtype=np.float64).astype(np.float32)[None], index, weight
     stamps = np.asarray(times).astype("datetime64[ns]")
     if np.isnat(stamps).any():
-        msg = f"{np.isnat(stamps).sum()} of {stamps.size} 'dark_time' are missing (NaT); drop these darks"
-        raise TimeError(msg)
+        raise TimeError(
+            f"{np.isnat(stamps).sum()} of {stamps.size} 'dark_time' are missing (NaT); drop these darks"
+        )
     order = np.argsort(stamps, kind="stable")
     dark, ticks = dark[order], stamps[order].astype(np.int64)
     now = np.asarray(cube["time"]).astype("datetime64[ns]")
@@ -188,12 +189,11 @@ def _darks_in_exposure(dark: Array, taken: Float, exposure: Float) -> tuple[Arra
     """Return the fitted darks at the shortest and the longest exposure, and the place of lines between."""
     if np.ptp(taken) <= SAME_EXPOSURE * taken.max():
         found = np.unique(exposure.round(9)) * 1e3
-        msg = (
+        raise SchemaError(
             f"the dark was taken at {taken[0] * 1e3:g} ms, the line at "
             f"{', '.join(f'{ms:g}' for ms in found[:4])} ms; take a dark at the line's exposure, or darks at "
             "two exposures, from which bias and rate follow"
         )
-        raise SchemaError(msg)
     centred = taken - taken.mean()
     rate = np.tensordot(centred, dark, axes=(0, 0)) / (centred @ centred)
     shortest, longest = exposure.min(), exposure.max()
@@ -279,8 +279,7 @@ def _mean_place(degrees: Any, name: str) -> float:
     known = np.asarray(degrees, np.float64)
     known = known[np.isfinite(known)]
     if known.size == 0:
-        msg = f"tilt= needs the sun's position, but {name!r} is missing on every line"
-        raise SchemaError(msg)
+        raise SchemaError(f"tilt= needs the sun's position, but {name!r} is missing on every line")
     return float(known.mean())
 
 
@@ -307,8 +306,9 @@ def _panel_scale(panel: Mapping[str, Any]) -> Float:
     pixels = np.isfinite(observed)
     number = pixels.sum(axis=(0, 2))
     if not number.any():
-        msg = "the panel's region holds no valid pixel; it is saturated, in a gap, or outside the line"
-        raise SchemaError(msg)
+        raise SchemaError(
+            "the panel's region holds no valid pixel; it is saturated, in a gap, or outside the line"
+        )
     share = number / (observed.shape[0] * observed.shape[2])
     if (share < 0.5).any():
         text = f"more than half of the panel's pixels are saturated or bad in {(share < 0.5).sum()} bands"

@@ -62,15 +62,17 @@ def read_regions(path: str | os.PathLike[str]) -> Regions:
     place = Path(path)
     raw = _read(place)
     if raw.count(b"[") + raw.count(b"{") > _MOST_CONTAINERS or raw.count(b",") > _MOST_SEPARATORS:
-        msg = f"{place}: more values than {MOST_REGIONS} regions have, expected GeoJSON of some regions"
-        raise FormatError(msg)
+        raise FormatError(
+            f"{place}: more values than {MOST_REGIONS} regions have, expected GeoJSON of some regions"
+        )
     try:
         text = raw.decode("utf-8-sig")
         document = json.loads(text, object_pairs_hook=_object, parse_constant=_no_constant)
     except (ValueError, RecursionError) as error:
         told = "nested too deep" if isinstance(error, RecursionError) else str(error)
-        msg = f"{place}: no GeoJSON ({told:.200}); expected a FeatureCollection of polygons in UTF-8"
-        raise FormatError(msg) from error
+        raise FormatError(
+            f"{place}: no GeoJSON ({told:.200}); expected a FeatureCollection of polygons in UTF-8"
+        ) from error
     return _collection(document, str(place))
 
 
@@ -108,8 +110,11 @@ def write_regions(
     temporary = place.with_name(f".{place.name}.{os.getpid()}")
     try:
         if place.exists() and not overwrite and place.read_bytes() != content:
-            msg = f"{place} exists and holds something else; pass overwrite=True to replace it"
-            raise StoreError(msg)
+            raise StoreError(
+                f"{place} exists and holds something else",
+                mend="pass overwrite=True to replace it",
+                option="pass --overwrite to replace it",
+            )
         temporary.write_bytes(content)
         os.replace(temporary, place)
     except OSError as error:
@@ -117,8 +122,7 @@ def write_regions(
             temporary.unlink()
         if isinstance(error, StoreError):
             raise
-        msg = f"{place} cannot be written: {error.strerror or error}"
-        raise StoreError(msg) from error
+        raise StoreError(f"{place} cannot be written: {error.strerror or error}") from error
     return place
 
 
@@ -155,11 +159,10 @@ def regions_from(source: Any) -> Regions:
         found = tuple(source)
         if all(isinstance(each, Region) for each in found):
             return Regions(found)
-    msg = (
+    raise SchemaError(
         f"regions are {type(source).__name__}, expected hyperpaint.Regions, the path of a GeoJSON file, "
         "or its content"
     )
-    raise SchemaError(msg)
 
 
 def _read(place: Path) -> bytes:
@@ -170,11 +173,11 @@ def _read(place: Path) -> bytes:
             with open(place, "rb") as file:
                 return file.read(MOST_BYTES)
     except (OSError, ValueError) as error:
-        msg = f"{place}: cannot be read ({getattr(error, 'strerror', None) or error}); check the path"
-        raise FormatError(msg) from error
+        raise FormatError(
+            f"{place}: cannot be read ({getattr(error, 'strerror', None) or error}); check the path"
+        ) from error
     size = f"{found.st_size} bytes" if stat.S_ISREG(found.st_mode) else "a folder, pipe or device"
-    msg = f"{place}: {size}, {expected}"
-    raise FormatError(msg)
+    raise FormatError(f"{place}: {size}, {expected}")
 
 
 def _json(value: Any) -> str:
@@ -184,14 +187,12 @@ def _json(value: Any) -> str:
 def _object(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     made = dict(pairs)
     if len(made) < len(pairs):
-        msg = "a member occurs twice in the same object"
-        raise ValueError(msg)
+        raise ValueError("a member occurs twice in the same object")
     return made
 
 
 def _no_constant(text: str) -> None:
-    msg = f"{text} is no number of JSON"
-    raise ValueError(msg)
+    raise ValueError(f"{text} is no number of JSON")
 
 
 # --- what a document says ----------------------------------------------------------------------------------
@@ -220,8 +221,7 @@ def _collection(document: Any, subject: str) -> Regions:
     try:
         return Regions(tuple(found), coordinates, crs)
     except SchemaError as error:
-        msg = f"{subject}: {error}"
-        raise FormatError(msg) from error
+        raise FormatError(f"{subject}: {error}") from error
 
 
 def _features(document: Any, problems: Problems) -> list[Any]:
@@ -262,14 +262,12 @@ def _region(feature: Any) -> Region:
         It is none.
     """
     if not isinstance(feature, Mapping) or feature.get("type") != "Feature":
-        msg = f"{type(feature).__name__}, expected a Feature"
-        raise SchemaError(msg)
+        raise SchemaError(f"{type(feature).__name__}, expected a Feature")
     properties = feature.get("properties")
     properties = dict(properties) if isinstance(properties, Mapping) else {}
     name, flightline = properties.pop("name", None), properties.pop("flightline", None)
     if name is None:
-        msg = "it has no property 'name', which names the paint"
-        raise SchemaError(msg)
+        raise SchemaError("it has no property 'name', which names the paint")
     polygon, *holes = _rings(feature.get("geometry"), name)
     return Region(name, polygon, tuple(holes), "" if flightline is None else flightline, properties)
 
@@ -281,15 +279,14 @@ def _rings(geometry: Any, name: Any) -> list[Any]:
     # many programs write every polygon as one of several
     if kind == "MultiPolygon" and isinstance(rings, list | tuple):
         if len(rings) != 1:
-            msg = f"{subject} with {len(rings)} polygons; expected one, give each a name of its own"
-            raise SchemaError(msg)
+            raise SchemaError(
+                f"{subject} with {len(rings)} polygons; expected one, give each a name of its own"
+            )
         kind, rings = "Polygon", rings[0]
     if kind != "Polygon":
-        msg = f"{subject}, expected a Polygon"
-        raise SchemaError(msg)
+        raise SchemaError(f"{subject}, expected a Polygon")
     if not isinstance(rings, list | tuple) or not rings:
-        msg = f"{subject} without a list of rings"
-        raise SchemaError(msg)
+        raise SchemaError(f"{subject} without a list of rings")
     return [_positions(ring, subject) for ring in rings]
 
 
@@ -301,8 +298,7 @@ def _positions(ring: Any, subject: str) -> Any:
             or len(position) < 2
             or not all(map(_is_number, position[:2]))
         ):
-            msg = f"{subject} with a corner {position!r:.60}, expected [x, y]"
-            raise SchemaError(msg)
+            raise SchemaError(f"{subject} with a corner {position!r:.60}, expected [x, y]")
         # heights are of no use here
         made.append((float(position[0]), float(position[1])))
     return np.array(made, np.float64).reshape(-1, 2)

@@ -164,8 +164,7 @@ def _inside(region: Region, x: Float, y: Float) -> npt.NDArray[np.bool_]:
     try:
         return contains(region.polygon, region.holes, x, y)
     except SchemaError as error:
-        msg = f"the pixels of region {region.name!r} cannot be found: {error}"
-        raise SchemaError(msg) from error
+        raise SchemaError(f"the pixels of region {region.name!r} cannot be found: {error}") from error
 
 
 def _values(part: xr.DataArray, lines: int, columns: int) -> Float:
@@ -216,12 +215,11 @@ def _ground(line: xr.Dataset, crs: str | None) -> tuple[xr.DataArray, xr.DataArr
     """
     there = {pair: _crs_of(line, pair) for pair in _GROUND if _is_place(line, pair)}
     if not there:
-        msg = (
+        raise SchemaError(
             "regions of a map need the place of every pixel: variables east and north, or longitude and "
             "latitude (along_track, cross_track), or x and y of a map; draw the regions in sensor "
             "coordinates, or locate the line first"
         )
-        raise SchemaError(msg)
     wanted = None if crs is None else _normal(crs)
     fitting = [pair for pair, found in there.items() if wanted is None or found in (None, wanted)]
     # what says that it fits goes before what says nothing
@@ -233,8 +231,9 @@ def _ground(line: xr.Dataset, crs: str | None) -> tuple[xr.DataArray, xr.DataArr
     if not fitting or (wanted is None and len(fitting) > 1):
         held = ", ".join(f"{x} and {y} ({found or 'unknown'})" for (x, y), found in there.items())
         told = "do not tell their crs" if crs is None else f"are in {crs!r:.80}"
-        msg = f"the regions {told}, the line has {held}; write the regions in one of these, and name it"
-        raise SchemaError(msg)
+        raise SchemaError(
+            f"the regions {told}, the line has {held}; write the regions in one of these, and name it"
+        )
     x, y = fitting[0]
     return line[x].reset_coords(drop=True), line[y].reset_coords(drop=True), None
 

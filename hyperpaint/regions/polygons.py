@@ -87,11 +87,10 @@ def contains(polygon: Float, holes: Sequence[Float], x: Float, y: Float) -> Mask
 
 def _check_effort(comparisons: int, points: int) -> None:
     if comparisons > _FREE + _MOST_EDGES * points:
-        msg = (
+        raise SchemaError(
             f"{comparisons / points:.0f} of its edges pass every one of {points} pixels, expected at most "
             f"{_MOST_EDGES}; split it, or give it fewer corners"
         )
-        raise SchemaError(msg)
 
 
 def _runs(ring: Float, y: Float) -> tuple[Index, Index]:

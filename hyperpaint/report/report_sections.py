@@ -92,8 +92,9 @@ def _pictures(line: xr.Dataset, lines: int, regions: Sequence[Region]) -> Iterat
 def _true_colour(line: xr.Dataset, lines: int, drawn: list[bool]) -> Markup:
     """Return the picture, and note in ``drawn`` that there is one."""
     if not line.sizes[ALONG_TRACK] or not line.sizes[CROSS_TRACK]:
-        msg = f"the line has no pixels: {line.sizes[ALONG_TRACK]} lines of {line.sizes[CROSS_TRACK]} columns"
-        raise SchemaError(msg)
+        raise SchemaError(
+            f"the line has no pixels: {line.sizes[ALONG_TRACK]} lines of {line.sizes[CROSS_TRACK]} columns"
+        )
     heading = element("h3", "True colour")
     try:
         picture = background(line, max(1, -(-line.sizes[ALONG_TRACK] // lines)))

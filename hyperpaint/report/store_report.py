@@ -123,8 +123,7 @@ def write_report(
     new_figure("a report")  # before anything is read
     place = _checked_place(store, Path(out), overwrite)
     if lines < 1:
-        msg = f"lines={lines}, expected 1 or more"
-        raise SchemaError(msg)
+        raise SchemaError(f"lines={lines}, expected 1 or more")
     opened, problems = _opened(store, list_groups(store))
     shown = _chosen({name: line for name, line in opened.items() if _is_line(line)}, flightlines, store)
     libraries = {name: made for name, made in opened.items() if _is_library(made)}
@@ -132,8 +131,7 @@ def write_report(
         libraries[Path(signatures).name] = _library(signatures)
     if not shown and not libraries:
         told = "; ".join(problems) or f"its groups are {', '.join(opened) or 'none'}"
-        msg = f"{store} has nothing to show, neither a flight line nor signatures: {told}"
-        raise StoreError(msg)
+        raise StoreError(f"{store} has nothing to show, neither a flight line nor signatures: {told}")
     outlines = _outlines(shown, libraries, problems)
     steps = len(shown) + len(libraries) + ("calibration" in opened)
     parts: list[tuple[str, Iterator[Part]]] = [
@@ -208,7 +206,11 @@ def _checked_place(store: str | os.PathLike[str], place: Path, overwrite: bool) 
     elif place.is_dir():
         problems.add("that is a folder; name a file in it, such as report.html")
     elif place.exists() and not overwrite:
-        problems.add("it exists already; pass overwrite=True to replace it")
+        problems.add(
+            "it exists already",
+            mend="pass overwrite=True to replace it",
+            option="pass --overwrite to replace it",
+        )
     if not place.absolute().parent.is_dir():
         problems.add(f"there is no folder {place.absolute().parent}")
     problems.raise_if_any()
@@ -247,8 +249,7 @@ def _chosen(
     }
     if unknown := [name for name, key in found.items() if key is None]:
         held = ", ".join(lines) or "none"
-        msg = f"{store} has no flight line {', '.join(map(repr, unknown))}; there is {held}"
-        raise SchemaError(msg)
+        raise SchemaError(f"{store} has no flight line {', '.join(map(repr, unknown))}; there is {held}")
     return {key: lines[key] for key in found.values() if key is not None}
 
 
@@ -257,10 +258,9 @@ def _library(path: str | os.PathLike[str]) -> xr.Dataset:
 
     made = open_store(path)
     if not _is_library(made):
-        msg = (
+        raise SchemaError(
             f"{path} is no paint library; expected reflectance (paint, band), as hyperpaint signatures writes"
         )
-        raise SchemaError(msg)
     return made
 
 

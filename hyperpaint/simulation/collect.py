@@ -125,11 +125,11 @@ def simulate_collect(
         {"lines": lines, "bands": bands, "columns": columns, "seed": seed, "scene": scene, **effects}
     )
     if not settings.quantise:
-        msg = "quantise=False: files hold whole counts; use simulate_line for float32 counts in memory"
-        raise SchemaError(msg)
+        raise SchemaError(
+            "quantise=False: files hold whole counts; use simulate_line for float32 counts in memory"
+        )
     if block_lines < 1:
-        msg = f"block_lines={block_lines}, expected a whole number above 0"
-        raise SchemaError(msg)
+        raise SchemaError(f"block_lines={block_lines}, expected a whole number above 0")
     lab = None if sweep is None else Sweep(SweepSettings.of(sweep, settings))
     flight = _flight_of(settings)
     root = _prepare(Path(folder), overwrite)
@@ -167,14 +167,12 @@ def _write_lab(sweep: Sweep, folder: Path, truth: bool) -> None:
 
 def _prepare(root: Path, overwrite: bool) -> Path:
     if root.exists() and not root.is_dir():
-        msg = f"{root} is a file; name a folder for the simulated collect"
-        raise StoreError(msg)
+        raise StoreError(f"{root} is a file; name a folder for the simulated collect")
     if root.is_dir() and any(root.iterdir()):
         if not overwrite:
-            msg = (
-                f"{root} is not empty; name another folder, or replace an earlier collect with overwrite=True"
-            )
-            raise StoreError(msg)
+            mend = "name another folder, or replace an earlier collect with {}"
+            found = f"{root} is not empty"
+            raise StoreError(found, mend=mend.format("overwrite=True"), option=mend.format("--overwrite"))
         for part in reversed(PARTS):  # collect.toml first: what is half removed is not a collect
             target = root / part
             if target.is_dir() and not target.is_symlink():

@@ -115,11 +115,10 @@ class RenderedFlight(Flight):
         start = np.ceil((before + ahead) / _PERIOD) * _PERIOD - ahead
         length = start + settings.lines * self.ground_sample + before
         if length > _LONGEST:
-            msg = (
+            raise SchemaError(
                 f"{settings.lines} lines of {self.ground_sample:g} m need {length:.0f} m of car park, and at "
                 f"most {_LONGEST:g} m are rendered; take fewer lines, more columns, or scene='plan'"
             )
-            raise SchemaError(msg)
         park = car_park(
             length=float(length),
             width=SWATH,

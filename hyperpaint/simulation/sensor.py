@@ -239,10 +239,9 @@ class Imager:
         step = grid[1] - grid[0]
         lowest, highest = self.wavelength.min() - self.reach, self.wavelength.max() + self.reach
         if grid[0] > lowest or grid[-1] < highest:
-            msg = (
+            raise ValueError(
                 f"grid covers {grid[0]:.1f} to {grid[-1]:.1f} nm, responses {lowest:.1f} to {highest:.1f} nm"
             )
-            raise ValueError(msg)
         shifts, column = np.unique(self.wavelength_shift, return_inverse=True)
         made = np.empty((len(spectra), len(self.wavelength), len(self.wavelength_shift)))
         common = np.empty((len(spectra), len(shifts)))

@@ -246,8 +246,9 @@ class SimulationSettings:
         known = {field.name for field in fields(cls)}
         unknown = sorted(set(values) - known)
         if unknown:
-            msg = f"unknown settings {', '.join(unknown)}; expected some of {', '.join(sorted(known))}"
-            raise SchemaError(msg)
+            raise SchemaError(
+                f"unknown settings {', '.join(unknown)}; expected some of {', '.join(sorted(known))}"
+            )
         return cls(**values)
 
     @property

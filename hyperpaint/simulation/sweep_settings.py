@@ -163,8 +163,7 @@ class SweepSettings:
         unknown = sorted(set(values) - own - theirs)
         if unknown:
             known = ", ".join(sorted(own | theirs))
-            msg = f"unknown settings {', '.join(unknown)}; expected some of {known}"
-            raise SchemaError(msg)
+            raise SchemaError(f"unknown settings {', '.join(unknown)}; expected some of {known}")
         changes = {name: value for name, value in values.items() if name in theirs}
         camera = SimulationSettings.of(changes) if camera is None else replace(camera, **changes)
         return cls(camera=camera, **{name: value for name, value in values.items() if name in own})

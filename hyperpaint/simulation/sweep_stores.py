@@ -227,8 +227,9 @@ def _clear(target: Path, overwrite: bool) -> None:
         return
     # an earlier sweep is a Zarr store; anything else is not ours to remove
     if not overwrite or not (target / "zarr.json").is_file():
-        msg = f"{target} exists already; name another path, or replace an earlier sweep with overwrite=True"
-        raise StoreError(msg)
+        mend = "name another path, or replace an earlier sweep with {}"
+        found = f"{target} exists already"
+        raise StoreError(found, mend=mend.format("overwrite=True"), option=mend.format("--overwrite"))
     shutil.rmtree(target)
 
 

@@ -194,8 +194,7 @@ def _fraction_of(line: xr.Dataset, diffuse: Any, sun_zenith: float | None) -> tu
     if not isinstance(diffuse, str):
         return measured_fraction(diffuse, wavelength), "measured"
     if diffuse not in SOURCES or diffuse == "shadow":
-        msg = f"diffuse={diffuse!r}, expected 'model', 'pvlib' or a measured spectrum"
-        raise SchemaError(msg)
+        raise SchemaError(f"diffuse={diffuse!r}, expected 'model', 'pvlib' or a measured spectrum")
     zenith = sun_zenith_of(line, sun_zenith)
     fraction = diffuse_from_clear_sky(diffuse, wavelength, zenith)
     return fraction, f"{diffuse}, sun zenith {zenith:.4g} degree"

@@ -155,8 +155,9 @@ def flag(
     if model is None:
         model = survey(line, progress=progress, **options)
     elif options:
-        msg = f"{', '.join(options)}: options of the survey, which is not run where a model is given"
-        raise SchemaError(msg)
+        raise SchemaError(
+            f"{', '.join(options)}: options of the survey, which is not run where a model is given"
+        )
     known = model if isinstance(model, SceneModel) else SceneModel.from_dataset(model)
     _check_model(known, cube, line["wavelength"])
     limits = {"glint": glint, "shadow": shadow, "adjacency": adjacency, "edge": float(edge)}

@@ -48,19 +48,21 @@ def sun_zenith_of(line: xr.Dataset, sun_zenith: float | None) -> float:
     """
     if sun_zenith is not None:
         if not 0.0 <= sun_zenith <= 90.0:
-            msg = f"sun_zenith={sun_zenith!r}, expected 0 to 90 degrees"
-            raise SchemaError(msg)
+            raise SchemaError(f"sun_zenith={sun_zenith!r}, expected 0 to 90 degrees")
         return float(sun_zenith)
     if not {"time", "latitude", "longitude"} <= set(line.variables):
-        msg = (
-            "the sun's place is not known: the line has no time, latitude and longitude; give sun_zenith= "
-            "[degree], or diffuse= with a measured spectrum"
+        raise SchemaError(
+            "the sun's place is not known: the line has no time, latitude and longitude",
+            mend="give sun_zenith= [degree], or diffuse= with a measured spectrum",
+            option="give --sun-zenith",
         )
-        raise SchemaError(msg)
     zenith, _ = solar_position(*(line[name].values for name in ("time", "latitude", "longitude")))
     if not np.isfinite(zenith).any():
-        msg = "time, latitude or longitude is missing on every line; give sun_zenith= [degree]"
-        raise SchemaError(msg)
+        raise SchemaError(
+            "time, latitude or longitude is missing on every line",
+            mend="give sun_zenith= [degree]",
+            option="give --sun-zenith",
+        )
     return float(np.mean(zenith[np.isfinite(zenith)]))
 
 
@@ -148,14 +150,12 @@ def measured_fraction(given: Any, wavelength: Float) -> Float:
     else:
         values = np.asarray(given, np.float64)
     if values.shape != wavelength.shape:
-        msg = (
+        raise SchemaError(
             f"diffuse= has shape {values.shape}, expected one value for each of the {wavelength.size} bands, "
             "or a DataArray with a coordinate 'wavelength' [nm]"
         )
-        raise SchemaError(msg)
     if not ((values >= 0) & (values <= 1)).all():
-        msg = "diffuse= leaves 0 to 1, or does not cover the bands"
-        raise SchemaError(msg)
+        raise SchemaError("diffuse= leaves 0 to 1, or does not cover the bands")
     return values
 
 
@@ -179,11 +179,10 @@ def fraction_in_shadow(
     """
     shaded = np.flatnonzero((matches.state == SHADED) & (size >= _LEAST_PIXELS))
     if not shaded.size:
-        msg = (
+        raise SchemaError(
             "diffuse='shadow' found no cast shadow of 60 pixels beside its ground in full sun; "
             "use diffuse='model', or give a measured spectrum"
         )
-        raise SchemaError(msg)
     ground = matches.body[shaded]
     best = ground[np.argmax(size[ground])]
     flat = channels.reshape(-1, channels.shape[2])

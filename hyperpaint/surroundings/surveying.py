@@ -208,15 +208,17 @@ def _fraction(
         zenith = sun_zenith_of(line, sun_zenith) if known else float("nan")
         return measured_fraction(diffuse, wavelength), "a measured spectrum", zenith
     if diffuse not in SOURCES:
-        msg = f"diffuse={diffuse!r}, expected {', '.join(map(repr, SOURCES))} or a measured spectrum"
-        raise SchemaError(msg)
+        raise SchemaError(
+            f"diffuse={diffuse!r}, expected {', '.join(map(repr, SOURCES))} or a measured spectrum"
+        )
     try:
         zenith = sun_zenith_of(line, sun_zenith)
     except SchemaError as error:
         if diffuse != "shadow":
             raise
-        msg = f"diffuse='shadow' finds shadows by the light of a clear sky, to start from: {error}"
-        raise SchemaError(msg) from error
+        raise SchemaError(
+            f"diffuse='shadow' finds shadows by the light of a clear sky, to start from: {error}"
+        ) from error
     text = {
         "model": f"clear sky of hyperpaint.light.sun, sun at {zenith:.1f} degrees from the zenith",
         "pvlib": f"SPECTRL2 of pvlib, sun at {zenith:.1f} degrees from the zenith",

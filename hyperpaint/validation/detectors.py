@@ -65,27 +65,26 @@ def join_detectors(wavelength: Float) -> Axis:
     ([0, 4, 5], (985.0,))
     """
     if not (wavelength.size and np.isfinite(wavelength).all()):
-        msg = "wavelengths must be finite, and at least one [nm]"
-        raise SchemaError(msg)
+        raise SchemaError("wavelengths must be finite, and at least one [nm]")
     order = np.arange(wavelength.size)
     if (np.diff(wavelength) < 0).sum() > wavelength.size // 2:
         order = order[::-1]
     begins = np.flatnonzero(np.diff(wavelength[order]) <= 0) + 1
     detectors = np.split(order, begins)
     if len(detectors) > _MOST_DETECTORS:
-        msg = (
+        raise SchemaError(
             f"wavelengths fall {len(begins)} times, expected an axis that increases but for joins of "
             "detectors; sort the spectrum"
         )
-        raise SchemaError(msg)
     kept, number, joins = detectors[0], np.zeros(detectors[0].size, np.intp), []
     for index, following in enumerate(detectors[1:], 1):
         middle = float(0.5 * (wavelength[kept[-1]] + wavelength[following[0]]))
         before = wavelength[kept] <= middle
         after = following[wavelength[following] > middle]
         if not (before.any() and after.size):
-            msg = f"one detector's wavelengths lie within another's near {middle:g} nm; open them apart"
-            raise SchemaError(msg)
+            raise SchemaError(
+                f"one detector's wavelengths lie within another's near {middle:g} nm; open them apart"
+            )
         kept = np.concatenate([kept[before], after])
         number = np.concatenate([number[before], np.full(after.size, index)])
         joins.append(middle)

@@ -94,12 +94,11 @@ def paired(signatures: Sequence[Measured], references: Sequence[Measured], pairs
     problems.raise_if_any()
     left = tuple(f"{each.name} ({each.instrument})" for k, each in enumerate(references) if k not in used)
     if not made:
-        msg = (
+        raise SchemaError(
             f"no paint has a reference of its name; paints are {_listed([s.name for s in signatures])}, "
             f"references {_listed(left)}; name them with pairs={{paint: reference}}, or give regions a "
             "property reference"
         )
-        raise SchemaError(msg)
     return Pairing(tuple(made), tuple(alone), left, tuple(missed))
 
 
@@ -120,11 +119,12 @@ def _called(name: str, references: Sequence[Measured], problems: Problems) -> li
         if len(places) > 1:
             several = len({dataset for dataset, _ in places}) > 1
             held = _listed([_whereabouts(references[k]) if several else references[k].name for k in own])
-            text = (
-                f"{name!r} may be any of {held} of {instrument}; name one, or all that are repeated "
-                "readings, with pairs={paint: reference}, or leave files out"
+            mend = "name one, or all that are repeated readings, with {}, or leave files out"
+            problems.add(
+                f"{name!r} may be any of {held} of {instrument}",
+                mend=mend.format("pairs={paint: reference}"),
+                option=mend.format("--pairs"),
             )
-            problems.add(text)
     return [k for own in found.values() for k in own]
 
 
@@ -141,8 +141,7 @@ def _said(
 ) -> dict[str, tuple[str, ...]]:
     """Return the pairs that the caller named."""
     if not isinstance(pairs, Mapping):
-        msg = f"pairs is {type(pairs).__name__}, expected names of references by names of paints"
-        raise SchemaError(msg)
+        raise SchemaError(f"pairs is {type(pairs).__name__}, expected names of references by names of paints")
     problems = Problems("pairs= cannot be followed", SchemaError)
     paints = {each.name for each in signatures}
     known = frozenset[str]().union(*(each.names.every for each in references))

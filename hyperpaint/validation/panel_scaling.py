@@ -36,8 +36,7 @@ def scaled_by_panel(spectra: list[Measured], panel: Any) -> list[Measured]:
     """
     array = panel["reflectance"] if hasattr(panel, "data_vars") and "reflectance" in panel else panel
     if not hasattr(array, "dims") or tuple(array.dims) != ("wavelength",) or "wavelength" not in array.coords:
-        msg = "panel= must be a DataArray of reflectance on wavelength; see read_certificate"
-        raise SchemaError(msg)
+        raise SchemaError("panel= must be a DataArray of reflectance on wavelength; see read_certificate")
     problems = Problems("references cannot be scaled by the panel", SchemaError)
     wavelength = convert(array["wavelength"], "nm").values.astype(np.float64)
     values = convert(array, "1", "panel").values.astype(np.float64)

@@ -141,8 +141,9 @@ def signatures_from(signatures: xr.Dataset) -> list[Measured]:
         Units cannot be read.
     """
     if not hasattr(signatures, "data_vars"):
-        msg = f"signatures are {type(signatures).__name__}, expected a paint library (xarray.Dataset)"
-        raise SchemaError(msg)
+        raise SchemaError(
+            f"signatures are {type(signatures).__name__}, expected a paint library (xarray.Dataset)"
+        )
     return list(_of_library(signatures, 0, None, "band"))
 
 
@@ -165,8 +166,9 @@ def references_from(references: Any, fwhm: float | None) -> list[Measured]:
     if isinstance(datasets, Mapping):
         datasets = list(datasets.values())
     if not isinstance(datasets, Iterable) or isinstance(datasets, str):
-        msg = f"references are {type(references).__name__}, expected a Dataset, or several; see open_svc"
-        raise SchemaError(msg)
+        raise SchemaError(
+            f"references are {type(references).__name__}, expected a Dataset, or several; see open_svc"
+        )
     problems = Problems("references cannot be used", SchemaError)
     made: list[Measured] = []
     for number, dataset in enumerate(datasets, 1):
@@ -195,22 +197,19 @@ def _told_apart(spectra: Sequence[Measured]) -> list[Measured]:
 
 def _of_dataset(dataset: Any, number: int, fwhm: float | None) -> Iterator[Measured]:
     if not hasattr(dataset, "data_vars"):
-        msg = f"{type(dataset).__name__}, expected a Dataset"
-        raise SchemaError(msg)
+        raise SchemaError(f"{type(dataset).__name__}, expected a Dataset")
     if "reflectance" not in dataset.data_vars:
         held = ", ".join(map(str, dataset.data_vars)) or "nothing"
-        msg = f"holds {held}, expected reflectance; open it with quantity='reflectance'"
-        raise SchemaError(msg)
+        raise SchemaError(f"holds {held}, expected reflectance; open it with quantity='reflectance'")
     dims = set(dataset["reflectance"].dims)
     if BAND in dims:
         return _of_library(dataset, number, fwhm, "library")
     if "wavelength" in dims and dims <= {"spectrum", "wavelength"}:
         return _of_spectrometer(dataset, number, fwhm)
-    msg = (
+    raise SchemaError(
         f"'reflectance' has dims ({', '.join(map(str, dataset['reflectance'].dims))}), expected "
         "(spectrum, wavelength) of a spectrometer or (paint, band) of a library"
     )
-    raise SchemaError(msg)
 
 
 # --- paint libraries ---------------------------------------------------------------------------------------
@@ -265,8 +264,7 @@ def _of_spectrometer(dataset: xr.Dataset, dataset_number: int, fwhm: float | Non
     if "spectrum" not in dataset["reflectance"].dims:
         dataset = dataset.expand_dims("spectrum")
     if "wavelength" not in dataset.coords:
-        msg = "'wavelength' is missing, the coordinate of reflectance [nm]"
-        raise SchemaError(msg)
+        raise SchemaError("'wavelength' is missing, the coordinate of reflectance [nm]")
     order = ("spectrum", "wavelength")
     values = convert(dataset["reflectance"], "1").transpose(*order).values.astype(np.float64)
     wavelength = convert(dataset["wavelength"], "nm").values.astype(np.float64)
@@ -411,12 +409,11 @@ def _check_widths(fwhm: Float, wavelength: Float) -> None:
     """Refuse widths of channels that no instrument has: one alone sets the step of all responses."""
     spacing = float(np.median(np.diff(wavelength))) if wavelength.size > 1 else np.inf
     if not ((fwhm >= _NARROWEST) & (fwhm <= _WIDEST * spacing)).all():
-        msg = (
+        raise SchemaError(
             f"'fwhm' reaches from {np.min(fwhm):g} to {np.max(fwhm):g} nm, expected {_NARROWEST:g} to "
             f"{_WIDEST * spacing:g} nm, {_WIDEST:g} distances of channels; correct it, or pass "
             "reference_fwhm="
         )
-        raise SchemaError(msg)
 
 
 def _known(spread: Any, order: npt.NDArray[np.intp]) -> Float | None:

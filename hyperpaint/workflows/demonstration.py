@@ -186,8 +186,7 @@ def compare(store: Path, truth: Path) -> Comparison:
         for slab, true in _slabs(line, known):
             sums.add(slab, true)
     if sums is None:
-        msg = f"{store} holds no flight line to compare"
-        raise StoreError(msg)
+        raise StoreError(f"{store} holds no flight line to compare")
     paints = compare_paints(store, truth, BANDS_NM) if "car_id" in known else ()
     return replace(sums.comparison(names), paints=paints)
 
@@ -282,13 +281,15 @@ def refuse_foreign(folder: Path, *, overwrite: bool) -> None:
     if any(CAMERA_SOFTWARE.encode() not in path.read_bytes() for path in told) or (
         toml.exists() and not simulated
     ):
-        msg = f"{folder} holds files of a collect that were not simulated, which stay; name another folder"
-        raise StoreError(msg)
+        raise StoreError(
+            f"{folder} holds files of a collect that were not simulated, which stay; name another folder"
+        )
     if overwrite or (simulated and (folder / STORE).is_dir() and not others):
         return
     shown = ", ".join(others[:5] or sorted(entry.name for entry in folder.iterdir())[:5])
-    msg = f"{folder} is not empty ({shown}); name another folder, or pass overwrite=True to write into it"
-    raise StoreError(msg)
+    found = f"{folder} is not empty ({shown})"
+    mend = "name another folder, or pass {} to write into it"
+    raise StoreError(found, mend=mend.format("overwrite=True"), option=mend.format("--overwrite"))
 
 
 def run_demonstration(

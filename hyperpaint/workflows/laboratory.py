@@ -50,8 +50,7 @@ def calibrate_sweep(
     try:
         made = calibrate(sweep, progress=progress, **options)
     except SchemaError as error:
-        msg = f"{path}: {error}"
-        raise SchemaError(msg) from error
+        raise SchemaError(f"{path}: {error}") from error
     return made.assign_attrs(sweep=Path(path).name)
 
 
@@ -95,8 +94,7 @@ def write_calibration(
     from hyperpaint.io.store import to_store
 
     if Path(out).resolve() == Path(sweep).resolve():
-        msg = f"{out} is the sweep itself; choose another path for the calibration"
-        raise SchemaError(msg)
+        raise SchemaError(f"{out} is the sweep itself; choose another path for the calibration")
     if report is not None:
         from hyperpaint.pictures.plot_calibration import check_picture
 

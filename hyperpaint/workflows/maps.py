@@ -60,13 +60,12 @@ def map_of_store(
     if column_order is not None:
         told = Convention.from_attrs(found.attrs)
         if told is None:
-            msg = (
+            raise SchemaError(
                 f"{store} does not declare what the angles and heights of its line mean, and makers differ: "
                 "--column-order does not tell it; declare roll_positive, pitch_positive, heading_positive, "
                 "heading_reference, euler_order and height_reference in the table [navigation] of "
                 "collect.toml and process the collect again"
             )
-            raise SchemaError(msg)
         location["convention"] = told.replace(column_order=column_order)
     given = {name: value for name, value in location.items() if value is not None}
     return orthorectify(found, **options, **given)
@@ -98,14 +97,12 @@ def _line_of(store: Path, line: str | None) -> xr.Dataset:
     prefix = "flightlines/"
     lines = [group.removeprefix(prefix) for group in list_groups(store) if group.startswith(prefix)]
     if not lines and line is not None:
-        msg = f"{store} holds no named flight lines, and there is no {line!r}; leave out --line"
-        raise SchemaError(msg)
+        raise SchemaError(f"{store} holds no named flight lines, and there is no {line!r}; leave out --line")
     name = lines[0] if line is None and len(lines) == 1 else line
     if lines and name not in lines:
         held = ", ".join(map(repr, lines))
         asked = "give --line" if line is None else f"there is no {line!r}"
-        msg = f"{store} holds the flight lines {held}; {asked}"
-        raise SchemaError(msg)
+        raise SchemaError(f"{store} holds the flight lines {held}; {asked}")
     found: xr.Dataset = open_store(store, f"{prefix}{name}") if lines else open_store(store)
     return found
 
@@ -120,9 +117,8 @@ def _heights(path: Path, reference: str | None, undulation: float | None) -> xr.
     told = {"height_reference": reference, "geoid_undulation": undulation}
     made: xr.DataArray = dem.assign_attrs({name: value for name, value in told.items() if value is not None})
     if "height_reference" not in made.attrs:
-        msg = (
+        raise SchemaError(
             f"{path} does not say what its heights are above, and most DEMs are above the geoid; give "
             "--dem-heights ellipsoid, or --dem-heights geoid with --geoid, the height of the geoid there [m]"
         )
-        raise SchemaError(msg)
     return made

@@ -57,11 +57,10 @@ def local_folder(out: str | Path, command: str) -> Path:
         ``out`` is a URL.
     """
     if _URL.match(os.fspath(out)):
-        msg = (
+        raise StoreError(
             f"{command} writes to a folder, not to {os.fspath(out)!r}; {command} to a folder and copy it, or "
             "write the groups of open_collect with to_store, which takes URLs (README, 'Object stores')"
         )
-        raise StoreError(msg)
     return Path(out)
 
 
@@ -118,7 +117,11 @@ def kept_groups(
                 kept.append(name)
         elif not overwrite:
             state = "with other inputs or parameters" if same else f"never finished, or not by {command}"
-            problems.add(f"/{name} is there already, {state}; pass overwrite=True to replace it")
+            problems.add(
+                f"/{name} is there already, {state}",
+                mend="pass overwrite=True to replace it",
+                option="pass --overwrite to replace it",
+            )
     problems.raise_if_any()
     return kept
 
@@ -163,8 +166,9 @@ def computing_on(address: str | None) -> Iterator[Client | None]:
     try:
         client = Client(address, timeout="10s", set_as_default=True)
     except (OSError, ValueError, TimeoutError) as error:
-        msg = f"no dask scheduler answers at {address!r} ({error}); expected something like tcp://host:8786"
-        raise CollectError(msg) from error
+        raise CollectError(
+            f"no dask scheduler answers at {address!r} ({error}); expected something like tcp://host:8786"
+        ) from error
     with client:
         _wait_for_workers(client)
         yield client
@@ -175,12 +179,11 @@ def _wait_for_workers(client: Client) -> None:
     try:
         client.wait_for_workers(1, timeout=WORKERS_WAIT)
     except TimeoutError as error:
-        msg = (
+        raise StoreError(
             f"no worker has come to the scheduler at {client.scheduler_info()['address']} within "
             f"{WORKERS_WAIT} s; start some (dask worker ADDRESS), or wait longer yourself: "
             "client.wait_for_workers(1)"
-        )
-        raise StoreError(msg) from error
+        ) from error
 
 
 @contextlib.contextmanager

@@ -84,12 +84,10 @@ def write_signatures(
 
     inside, around = Path(out).resolve(), Path(store).resolve()
     if inside == around or around in inside.parents:
-        msg = f"{out} is in the store itself; choose another path for the library"
-        raise SchemaError(msg)
+        raise SchemaError(f"{out} is in the store itself; choose another path for the library")
     if keep:
         if options.get("exclude") is not None:
-            msg = "keep= and exclude= say the same in two ways; pass one of them"
-            raise SchemaError(msg)
+            raise SchemaError("keep= and exclude= say the same in two ways; pass one of them")
         options["exclude"] = _excluded(keep)
     given = None if regions is None else regions_from(regions)
     lines, looked_at = _lines(store, () if given is None else given.flightlines)
@@ -122,8 +120,9 @@ def _lines(
     groups = [group for group in list_groups(store) if group.startswith("flightlines/")]
     names = [group.removeprefix("flightlines/") for group in groups]
     if not groups:
-        msg = f"{store} holds no flight line; expected groups flightlines/<id>, as hyperpaint process writes"
-        raise StoreError(msg)
+        raise StoreError(
+            f"{store} holds no flight line; expected groups flightlines/<id>, as hyperpaint process writes"
+        )
     lines, flagged = {}, set()
     for name in names if not wanted or not set(wanted) <= set(names) else wanted:
         line = open_store(store, f"flightlines/{name}")
@@ -148,7 +147,8 @@ def _flagged(line: xr.Dataset, name: str, options: Mapping[str, Any]) -> Flagged
     try:
         return flag_line(line, **options)
     except PaintError as error:
-        error.add_note(f"flight line {name!r} has no flags of glint or shadow yet; flags=False does without")
+        found = f"flight line {name!r} has no flags of glint or shadow yet"
+        error.note(found, mend="flags=False does without", option="--no-flags does without")
         raise
 
 
@@ -193,8 +193,9 @@ def _proposed(
     if not len(found):
         refused = [text for proposals in made.values() for text in proposals.table().splitlines()]
         shown = "".join(f"\n  {text}" for text in refused[:_MOST_TOLD])
-        msg = f"no region can be proposed, {len(refused)} were refused; draw some, and name them{shown}"
-        raise SchemaError(msg)
+        raise SchemaError(
+            f"no region can be proposed, {len(refused)} were refused; draw some, and name them{shown}"
+        )
     return found
 
 
@@ -203,8 +204,7 @@ def _excluded(keep: Sequence[str]) -> Quality:
 
     known = {str(flag.name).lower(): flag for flag in Quality}
     if unknown := [name for name in keep if name.lower() not in known]:
-        msg = f"no flag {', '.join(map(repr, unknown))}; flags are {', '.join(known)}"
-        raise SchemaError(msg)
+        raise SchemaError(f"no flag {', '.join(map(repr, unknown))}; flags are {', '.join(known)}")
     exclude = EXCLUDED
     for name in keep:
         exclude &= ~known[name.lower()]

@@ -76,11 +76,10 @@ def _store_of(signatures: xr.Dataset, library: Path) -> Path:
     # only a name: no path from inside a file leads out of the folder
     plain = isinstance(name, str) and name not in ("", ".", "..") and Path(name).name == name
     if not plain or not (place / "references").is_dir():
-        msg = (
+        raise SchemaError(
             f"no references: the store that {library} was made from has none, or is not beside it; name "
             "files with --reference"
         )
-        raise SchemaError(msg)
     return place
 
 
@@ -101,7 +100,11 @@ def check_table(path: Path, *, overwrite: bool = False) -> None:
     if path.is_dir():
         problems.add("that is a folder; name a file in it, such as agreement.csv")
     elif path.exists() and not overwrite:
-        problems.add("it exists already; pass overwrite=True to replace it")
+        problems.add(
+            "it exists already",
+            mend="pass overwrite=True to replace it",
+            option="pass --overwrite to replace it",
+        )
     if not path.absolute().parent.is_dir():
         problems.add(f"there is no folder {path.absolute().parent}")
     problems.raise_if_any()

@@ -127,11 +127,10 @@ def look_angles(
     """
     if isinstance(camera, PinholeCamera):
         if convention.column_order is None:
-            msg = (
+            raise SchemaError(
                 "whether column 0 looks left or right is not declared; give "
                 "convention=Convention(column_order='left_to_right') or 'right_to_left'"
             )
-            raise SchemaError(msg)
         across = camera.look_across(convention.column_order)
         along = np.zeros_like(across)
     else:
@@ -153,8 +152,9 @@ def directions(across: Float, along: Float) -> Float:
         Angles that are not finite, or do not look down at all.
     """
     if not (np.abs(across) < _STEEPEST).all() or not (np.abs(along) < _STEEPEST).all():
-        msg = f"the angles of the columns are not finite and below {_STEEPEST:g} degrees everywhere"
-        raise SchemaError(msg)
+        raise SchemaError(
+            f"the angles of the columns are not finite and below {_STEEPEST:g} degrees everywhere"
+        )
     u = np.stack([np.tan(np.radians(along)), np.tan(np.radians(across)), np.ones(across.size)], axis=1)
     return np.asarray(u / np.linalg.norm(u, axis=1, keepdims=True))
 
@@ -163,11 +163,10 @@ def _table(source: xr.Dataset) -> tuple[Any, Any]:
     """Return ``look_across`` and ``look_along`` (cross_track,) [degree] of a dataset."""
     name = next((name for name in ("look_across", "look_angle") if name in source.variables), None)
     if name is None:
-        msg = (
+        raise SchemaError(
             "where the columns look is not known: neither look_across nor look_angle (cross_track) [degree]; "
             "give camera=hp.PinholeCamera(columns, pixel_pitch, focal_length), or a table of the angles"
         )
-        raise SchemaError(msg)
     across = convert(source[name], "degree").data.astype(np.float64)
     if "look_along" not in source.variables:
         return across, np.zeros(across.shape)

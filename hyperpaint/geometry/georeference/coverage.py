@@ -63,10 +63,9 @@ def footprint(located: xr.Dataset, *, crs: Any = None) -> dict[str, Any]:
     known = np.all(np.isfinite(ends), axis=(1, 2))
     follows = np.flatnonzero(known[1:] & known[:-1])
     if not follows.size:
-        msg = (
+        raise SchemaError(
             "no two neighbouring lines are placed on the ground; look at poses and at the quality's off_swath"
         )
-        raise SchemaError(msg)
     corners = np.concatenate([ends[follows], ends[follows + 1]], axis=1)
     quads = shapely.convex_hull(shapely.multipoints(corners))
     across, along = _steps(east, north)
@@ -113,8 +112,9 @@ def spacing(located: xr.Dataset) -> dict[str, float]:
             value = float(np.percentile(found, percent)) if found.size else np.nan
             made[f"{name}_p{percent:02.0f}"] = value
     if np.isnan([made["across"], made["along"]]).all():
-        msg = "no two neighbouring pixels are placed on the ground; look at poses and the quality's off_swath"
-        raise SchemaError(msg)
+        raise SchemaError(
+            "no two neighbouring pixels are placed on the ground; look at poses and the quality's off_swath"
+        )
     made["gsd"] = float(np.nanmax([made["across"], made["along"]]))
     made["reversed"] = _reversed(east, north)
     made["off_swath"] = float(np.isnan(east).mean())
@@ -128,8 +128,7 @@ def _places(located: xr.Dataset) -> tuple[Float, Float, str]:
     found = require(located, ["east", "north"], "what a line covers")
     crs = found["east"].attrs.get("crs")
     if not isinstance(crs, str):
-        msg = "'east' does not declare its map; locate the line with hyperpaint.locate"
-        raise SchemaError(msg)
+        raise SchemaError("'east' does not declare its map; locate the line with hyperpaint.locate")
     east, north = dask.compute(found["east"].data, found["north"].data)
     return np.asarray(east), np.asarray(north), crs
 

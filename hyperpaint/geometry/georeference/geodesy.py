@@ -86,11 +86,11 @@ def crs_of(crs: Any) -> str:
     try:
         known = pyproj.CRS.from_user_input(crs).to_2d()
     except pyproj.exceptions.CRSError as error:
-        msg = f"crs {crs!r:.80} is not known to PROJ; expected such as 'EPSG:32617'"
-        raise SchemaError(msg) from error
+        raise SchemaError(f"crs {crs!r:.80} is not known to PROJ; expected such as 'EPSG:32617'") from error
     if not (known.is_projected or known.is_geographic):
-        msg = f"crs {crs!r:.80} is neither projected nor geographic; expected such as 'EPSG:32617'"
-        raise SchemaError(msg)
+        raise SchemaError(
+            f"crs {crs!r:.80} is neither projected nor geographic; expected such as 'EPSG:32617'"
+        )
     code = known.to_authority(min_confidence=100)
     return ":".join(code) if code and pyproj.CRS(":".join(code)) == known else known.to_wkt()
 
@@ -123,8 +123,7 @@ def utm_zone(latitude: float, longitude: float) -> str:
     'EPSG:32632'
     """
     if not (-80.0 <= latitude <= 84.0 and np.isfinite(longitude)):
-        msg = f"no UTM zone at latitude {latitude:g}, longitude {longitude:g}; give crs="
-        raise SchemaError(msg)
+        raise SchemaError(f"no UTM zone at latitude {latitude:g}, longitude {longitude:g}; give crs=")
     longitude = (longitude + 180.0) % 360.0 - 180.0
     zone = int((longitude + 180.0) // 6.0) + 1
     if 56.0 <= latitude < 64.0 and 3.0 <= longitude < 12.0:

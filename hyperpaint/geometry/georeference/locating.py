@@ -225,17 +225,17 @@ def _map_of(poses: Any, crs: Any) -> str:
     if crs is None:
         known = np.flatnonzero(np.isfinite(poses[0]))
         if not known.size:
-            msg = "no line has a pose, and so no UTM zone; check the navigation and its times, or give crs="
-            raise SchemaError(msg)
+            raise SchemaError(
+                "no line has a pose, and so no UTM zone; check the navigation and its times, or give crs="
+            )
         latitude, longitude = poses[:2, known[known.size // 2]]
         crs = utm_zone(float(latitude), float(longitude))
     made = crs_of(crs)
     if not is_in_metres(made):
-        msg = (
+        raise SchemaError(
             f"crs {crs!r:.80} is not a map in metres to the east and north; give a projected one, such as "
             "'EPSG:32617'"
         )
-        raise SchemaError(msg)
     return made
 
 
@@ -256,8 +256,7 @@ def _pose_inputs(
     if navigation is None:
         return {**made, "recorded": wanted, "wanted": wanted}
     if NAVIGATION_TIME not in navigation.variables:
-        msg = f"this navigation record has no {NAVIGATION_TIME!r}, UTC as datetime64[ns]"
-        raise SchemaError(msg)
+        raise SchemaError(f"this navigation record has no {NAVIGATION_TIME!r}, UTC as datetime64[ns]")
     return {**made, "recorded": navigation[NAVIGATION_TIME].data, "wanted": wanted}
 
 

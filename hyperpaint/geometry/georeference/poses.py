@@ -120,12 +120,11 @@ def convention_of(dataset: xr.Dataset, convention: Convention | None, subject: s
     """
     found = convention or Convention.from_attrs(dataset.attrs)
     if found is None:
-        msg = (
+        raise SchemaError(
             f"{subject} does not declare what its angles and heights mean, and makers differ; give "
             "convention=Convention(...), whose defaults are roll positive with the right wing down, pitch "
             "with the nose up, heading clockwise from true north [degree] and heights above the ellipsoid"
         )
-        raise SchemaError(msg)
     return found
 
 
@@ -288,8 +287,7 @@ def check_interpolation(interpolation: str, max_gap_s: float | None) -> None:
 
 def _nanoseconds(time: npt.NDArray[Any]) -> npt.NDArray[np.int64]:
     if time.dtype.kind != "M":
-        msg = f"times have dtype {time.dtype}, expected datetime64[ns] (UTC)"
-        raise TimeError(msg)
+        raise TimeError(f"times have dtype {time.dtype}, expected datetime64[ns] (UTC)")
     return time.astype("datetime64[ns]").astype(np.int64)
 
 
@@ -306,11 +304,10 @@ def _increasing(knots: npt.NDArray[np.int64]) -> npt.NDArray[np.bool_]:
     if np.any(steps < 0):
         rows = dated[1:][steps < 0]
         shown = ", ".join(map(str, rows[:5].tolist())) + (", ..." if rows.size > 5 else "")
-        msg = (
+        raise TimeError(
             f"{NAVIGATION_TIME} runs backwards at {rows.size} of {knots.size} rows ({shown}); "
             "sort the record by time, or take these rows out"
         )
-        raise TimeError(msg)
     keep = np.zeros(knots.size, bool)
     keep[dated[np.concatenate([[True], steps > 0])[: dated.size]]] = True
     return keep

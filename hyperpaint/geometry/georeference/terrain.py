@@ -135,8 +135,7 @@ def terrain_of(heights: npt.NDArray[Any], grid: TerrainGrid) -> Terrain:
         made[np.asarray(heights) == value] = np.nan
     made[~np.isfinite(made)] = np.nan
     if np.isnan(made).all():
-        msg = "this DEM holds no heights, only holes"
-        raise SchemaError(msg)
+        raise SchemaError("this DEM holds no heights, only holes")
     made = np.ascontiguousarray(grid.heights.ellipsoidal(made))
     return Terrain(grid, made, _tops(made), float(np.nanmin(made)), float(np.nanmax(made)))
 

@@ -196,5 +196,4 @@ def _changes(picture: npt.NDArray[np.float32], at: Float) -> tuple[Float, Float]
 
 
 def _refuse(reason: str) -> NoReturn:
-    msg = f"the clocks cannot be compared: {reason}"
-    raise TimeError(msg)
+    raise TimeError(f"the clocks cannot be compared: {reason}")

@@ -163,11 +163,10 @@ def _scores(setting: Setting) -> tuple[list[Scored], Mask]:
     plain = Hypothesis(setting.declared.replace(angle_unit="degree", column_order="left_to_right"))
     used = setting.comparable(setting.view.motion(plain.poses(setting.recorded)))
     if used.sum() < _FEWEST:
-        msg = (
+        raise SchemaError(
             f"{int(used.sum())} parts of rows show a motion and have poses, expected {_FEWEST}; look at the "
             "times of line and record, and at what the line shows"
         )
-        raise SchemaError(msg)
     scored = score(
         setting.seen,
         setting.recorded,

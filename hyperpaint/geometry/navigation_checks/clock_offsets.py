@@ -120,11 +120,9 @@ def estimate_clock_offset(
         Neither or both records; what is needed is missing.
     """
     if (navigation is None) == (irradiance is None):
-        msg = "give navigation= or irradiance=, one of them: they have clocks of their own"
-        raise SchemaError(msg)
+        raise SchemaError("give navigation= or irradiance=, one of them: they have clocks of their own")
     if not 0.0 < max_offset_s < np.inf:
-        msg = f"max_offset_s {max_offset_s!r}, expected a time above 0 [s]"
-        raise SchemaError(msg)
+        raise SchemaError(f"max_offset_s {max_offset_s!r}, expected a time above 0 [s]")
     if irradiance is not None:
         light = light_offset(line, irradiance, image, lines, max_offset_s, max_uncertainty_s or 1.0)
         curve = _curve(light.offsets, light.misfit)
@@ -193,8 +191,7 @@ def _at_rest(poses: Float) -> Float:
 
 
 def _refuse(reason: str) -> NoReturn:
-    msg = f"the clocks cannot be compared: {reason}"
-    raise TimeError(msg)
+    raise TimeError(f"the clocks cannot be compared: {reason}")
 
 
 def _curve(offsets: Float, misfit: Float) -> xr.DataArray:

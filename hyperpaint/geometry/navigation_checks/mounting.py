@@ -195,12 +195,11 @@ def solve_boresight(
     freedom = 2 * int(kept.sum()) - len(free)
     variance = float((misses[kept] ** 2).sum()) / freedom
     if variance > largest_picking_sd**2:
-        msg = (
+        raise SchemaError(
             f"nothing fits these control points: {np.sqrt(variance):.1f} pixel are left, expected "
             f"{largest_picking_sd:g} at most (largest_picking_sd=); is the clock, clock_offset_s=, known "
             f"within 1 s, are convention=, camera= and crs= those of the flight, points those of the lines?"
         )
-        raise SchemaError(msg)
     whole = problem.whole(solution)
     return BoresightSolution(
         (float(whole[0]), float(whole[1]), float(whole[2])),
@@ -249,18 +248,17 @@ def _sights(
 
     crs = points.attrs.get("crs") if crs is None else crs
     if crs is None:
-        msg = "which map east and north are of is not known; give crs="
-        raise SchemaError(msg)
+        raise SchemaError("which map east and north are of is not known; give crs=")
     count = points.sizes["point"]
     if not isinstance(lines, xr.Dataset):
         if "flightline" not in points.variables:
-            msg = "control points do not say which line they are of: flightline (point)"
-            raise SchemaError(msg)
+            raise SchemaError("control points do not say which line they are of: flightline (point)")
         of = points["flightline"].values.astype(str)
         unknown = sorted(set(of) - set(lines))
         if unknown:
-            msg = f"control points are of {', '.join(unknown)}; lines given are {', '.join(map(str, lines))}"
-            raise SchemaError(msg)
+            raise SchemaError(
+                f"control points are of {', '.join(unknown)}; lines given are {', '.join(map(str, lines))}"
+            )
         parts = [(name, line, np.flatnonzero(of == name)) for name, line in lines.items()]
     else:
         parts = [("", lines, np.arange(count))]
@@ -377,12 +375,11 @@ class _Problem:
             if abs(one[0][-1] - free[-1]) > _SAME_CLOCK and not one[2] > _CLEARLY * scale
         ]
         if rivals:
-            msg = (
+            raise SchemaError(
                 f"clocks {free[-1]:+.3f} and {rivals[0][0][-1]:+.3f} s fit these control points alike, "
                 f"leaving {scale:.2f} and {rivals[0][2]:.2f} pixel; add points, or leave 'clock' out of "
                 "solve="
             )
-            raise SchemaError(msg)
         self.whiten(free)
         return free, kept
 

@@ -169,8 +169,9 @@ def recorded_poses(line: xr.Dataset, navigation: xr.Dataset | None, crs: Any = N
                if name not in source.variables or source[name].dims != (dim,)]  # fmt: skip
     if missing:
         subject = "this line" if navigation is None else "this navigation record"
-        msg = f"{subject} has no {', '.join(missing)} ({dim}); give navigation=hp.open_navigation(...)"
-        raise SchemaError(msg)
+        raise SchemaError(
+            f"{subject} has no {', '.join(missing)} ({dim}); give navigation=hp.open_navigation(...)"
+        )
     times = wanted if navigation is None else source[NAVIGATION_TIME].values
     columns = {name: np.asarray(source[name].values, np.float64) for name in POSE}
     return Recorded(times.astype("datetime64[ns]"), columns, wanted.astype("datetime64[ns]"), crs)

@@ -109,18 +109,15 @@ def setting_of(
     if ground is None:
         told = line.attrs.get("ground")
         if not isinstance(told, int | float):
-            msg = "the height of the ground is not known; give ground= [m above the ellipsoid]"
-            raise SchemaError(msg)
+            raise SchemaError("the height of the ground is not known; give ground= [m above the ellipsoid]")
         ground = float(told)
     chosen = _middle(line.sizes[ALONG_TRACK]) if lines is None else lines
     part = line.isel({ALONG_TRACK: chosen})
     if part.sizes[ALONG_TRACK] < _FEWEST_LINES:
-        msg = f"{part.sizes[ALONG_TRACK]} lines, expected {_FEWEST_LINES} at least"
-        raise SchemaError(msg)
+        raise SchemaError(f"{part.sizes[ALONG_TRACK]} lines, expected {_FEWEST_LINES} at least")
     seen = row_motion(picture_of(part, None if image is None else image.isel({ALONG_TRACK: chosen})))
     if seen is None:
-        msg = "the picture is too narrow, or shows nothing at all; expected 64 columns at least"
-        raise SchemaError(msg)
+        raise SchemaError("the picture is too narrow, or shows nothing at all; expected 64 columns at least")
     roll, pitch, heading = (float(angle) for angle in boresight)
     forward, right, down = (float(length) for length in lever_arm)
     view, matter = view_of(

@@ -179,10 +179,9 @@ def sightings_of(
     across, along = (np.tan(np.radians(np.asarray(a))) for a in look_angles(line, camera, meant))
     outside = ~((at >= -0.5) & (at <= time.size - 0.5) & (column >= -0.5) & (column <= across.size - 0.5))
     if outside.any() or time.size < 2:
-        msg = (
+        raise SchemaError(
             f"points {index[outside].tolist()} are outside a line of {time.size} lines, {across.size} columns"
         )
-        raise SchemaError(msg)
     before = np.clip(np.floor(at).astype(np.int64), 0, time.size - 2)
     steps = (time[before + 1] - time[before]).astype(np.int64)
     seen = time[before] + np.round((at - before) * steps).astype("timedelta64[ns]")
@@ -209,10 +208,9 @@ def sightings_of(
     )
     missing = ~np.isfinite(made.misses(np.zeros(3), 0.0, clock)).all(axis=1) if rows.any() else outside | True
     if missing.any():
-        msg = (
+        raise SchemaError(
             f"points {index[missing].tolist()} are on lines without time or pose; look at gaps of the record"
         )
-        raise SchemaError(msg)
     return made
 
 

@@ -206,8 +206,9 @@ def _located(line: xr.Dataset, location: dict[str, Any]) -> xr.Dataset:
         return locate(line, **location)
     if location:
         given = ", ".join(f"{name}=" for name in location)
-        msg = f"this line is located already, and {given} would do nothing; leave out, or drop east and north"
-        raise SchemaError(msg)
+        raise SchemaError(
+            f"this line is located already, and {given} would do nothing; leave out, or drop east and north"
+        )
     return line
 
 
@@ -226,8 +227,7 @@ def _places(line: xr.Dataset, lines: tuple[int, ...]) -> tuple[da.Array, da.Arra
     found = require(line, ["east", "north"], "a map")
     if min(found["east"].shape) < 2:
         lines_, columns = found["east"].shape
-        msg = f"{lines_} lines of {columns} columns make no map; two of each are needed"
-        raise SchemaError(msg)
+        raise SchemaError(f"{lines_} lines of {columns} columns make no map; two of each are needed")
     crs = found["east"].attrs.get("crs")
     east, north = (in_slabs(found[name], lines).astype(np.float64) for name in ("east", "north"))
     return east, north, crs
@@ -241,8 +241,7 @@ def _planned(
     survey = survey_lines(east, north, axes, progress)
     size = survey.gsd if gsd is None else float(gsd)
     if not size > 0.0:
-        msg = "the pixels lie upon one another, and give no size of a cell; give gsd= [m]"
-        raise SchemaError(msg)
+        raise SchemaError("the pixels lie upon one another, and give no size of a cell; give gsd= [m]")
     if kind == "flight":
         # the centre of the first cell lies in the corner of what is covered
         left, _, upper, _ = survey.box
@@ -257,11 +256,10 @@ def _check_tiles(grid: MapGrid, tile: int) -> None:
     rows, cols = grid.shape
     count = -(-rows // tile) * -(-cols // tile)
     if count > _MOST_TILES:
-        msg = (
+        raise SchemaError(
             f"a map of {rows} x {cols} cells of {grid.gsd:g} m is {count} tiles of {tile} x {tile}, expected "
             f"{_MOST_TILES} at most; give a larger gsd, bounds, or a larger tile"
         )
-        raise SchemaError(msg)
 
 
 def _dataset(

@@ -45,8 +45,9 @@ def map_report(made: xr.Dataset) -> dict[str, float]:
 
     missing = [name for name in ("hits", "gap") if name not in made.variables]
     if missing:
-        msg = f"this is no map: {' and '.join(map(repr, missing))} missing; orthorectify a flight line first"
-        raise SchemaError(msg)
+        raise SchemaError(
+            f"this is no map: {' and '.join(map(repr, missing))} missing; orthorectify a flight line first"
+        )
     hits, gap = made["hits"], made["gap"]
     lazy = ((hits > 0).sum(), gap.sum(), (hits > 1).sum(), hits.max())
     covered, gaps, multiple, most = dask.compute(*(part.data for part in lazy))

@@ -122,8 +122,9 @@ def open_collect(
 
 def _calibrated(sweep: Path, calibrate: Callable[[Path], xr.Dataset] | None) -> xr.Dataset:
     if calibrate is None:
-        msg = f"{sweep}: a lab sweep, for which open_collect needs calibrate=; hyperpaint.open_collect has it"
-        raise CollectError(msg)
+        raise CollectError(
+            f"{sweep}: a lab sweep, for which open_collect needs calibrate=; hyperpaint.open_collect has it"
+        )
     return open_calibration(calibrate(sweep))
 
 
@@ -144,11 +145,10 @@ def _references(entries: tuple[ReferenceEntry, ...], findings: Findings) -> Iter
         with findings.step():
             opened = open_spectra(entry.files)
             if len(opened) > 1:
-                msg = (
+                raise CollectError(
                     f"[[references]] {entry.instrument!r}: files of {len(opened)} kinds of instruments; give "
                     "each its own [[references]]"
                 )
-                raise CollectError(msg)
             told = {} if entry.group == entry.instrument else {"instrument_name": entry.instrument}
             yield entry.group, opened[0].assign_attrs(told)
 

@@ -273,8 +273,9 @@ def open_emissivity(path: str | os.PathLike[str]) -> xr.Dataset:
     found = read_emissivity(place)
     wavelength = found.curves[0].wavelength
     if not all(np.array_equal(curve.wavelength, wavelength) for curve in found.curves):
-        msg = f"{place}: curves on different wavelengths, expected the same for all; read_emissivity has each"
-        raise FormatError(msg)
+        raise FormatError(
+            f"{place}: curves on different wavelengths, expected the same for all; read_emissivity has each"
+        )
     members = 1.0 - np.array([curve.emissivity for curve in found.curves])
     values = {
         "reflectance": members.mean(axis=0, dtype=np.float64)[np.newaxis].astype(np.float32),

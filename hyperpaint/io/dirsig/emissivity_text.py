@@ -66,8 +66,9 @@ class ColumnText:
         written = [f"{value / 1000.0:.{WAVELENGTH_DECIMALS}f}" for value in np.asarray(wavelength, float)]
         steps = itertools.pairwise(zip(map(float, written), written, strict=True))
         if equal := next((one[1] for one, other in steps if other[0] <= one[0]), ""):
-            msg = f"two wavelengths at or below {equal} um in turn, expected them to ascend; keep one of them"
-            raise SchemaError(msg)
+            raise SchemaError(
+                f"two wavelengths at or below {equal} um in turn, expected them to ascend; keep one of them"
+            )
         head = f"{title}\n" if title else ""
         rows = [f"{text}\t0.{'0' * DECIMALS}\n" for text in written]
         self._template = np.frombuffer((head + "".join(rows)).encode(), np.uint8)

@@ -42,8 +42,7 @@ def export_folder(folder: str | os.PathLike[str], *, overwrite: bool) -> Iterato
         cannot be written. Also for whatever the disk refuses inside.
     """
     if _URL.match(os.fspath(folder)):
-        msg = f"{os.fspath(folder)!r} is a URL, expected a folder; write to a folder and copy it"
-        raise StoreError(msg)
+        raise StoreError(f"{os.fspath(folder)!r} is a URL, expected a folder; write to a folder and copy it")
     place = Path(os.path.abspath(folder))
     with published_folder(place, overwrite=overwrite, foreign=_foreign) as build:
         for name in (EMISSIVITY, REFLECTANCE):

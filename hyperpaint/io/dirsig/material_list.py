@@ -113,8 +113,7 @@ def read_materials(path: str | os.PathLike[str]) -> tuple[Material, ...]:
     place = Path(path)
     data = read_limited_text(place, MOST_BYTES, "a DIRSIG material list")
     if data.count(b"\n") > MOST_LINES:
-        msg = f"{place}: over {MOST_LINES} lines, expected a DIRSIG material list"
-        raise FormatError(msg)
+        raise FormatError(f"{place}: over {MOST_LINES} lines, expected a DIRSIG material list")
     problems = Problems(f"{place} is no DIRSIG material list", FormatError)
     top = _parse(decoded_text(data), problems)
     problems.raise_if_any()

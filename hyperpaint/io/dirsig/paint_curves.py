@@ -119,10 +119,9 @@ class Axis:
         wavelength = np.asarray(found["wavelength"].values, np.float64)
         known_all = np.isfinite(wavelength).all() and wavelength.size
         if not (known_all and wavelength.min() >= SHORTEST and wavelength.max() <= LONGEST):
-            msg = (
+            raise SchemaError(
                 f"a wavelength is unknown or far off, expected {SHORTEST:g} to {LONGEST:g} nm; drop the band"
             )
-            raise SchemaError(msg)
         self.order = np.argsort(wavelength, kind="stable")
         self.wavelength = wavelength[self.order]
         steps = np.diff(wavelength)
@@ -135,8 +134,7 @@ class Axis:
         written = np.round(self.wavelength / 1000.0, WAVELENGTH_DECIMALS)
         if same := np.flatnonzero(np.diff(written) <= 0.0).tolist():
             shown = ", ".join(f"{self.wavelength[band]:.4f}" for band in same[:8])
-            msg = f"two bands at {shown} nm, expected one; keep one detector there"
-            raise SchemaError(msg)
+            raise SchemaError(f"two bands at {shown} nm, expected one; keep one detector there")
         good = found["good"].values.astype(bool) if "good" in found else np.ones(len(written), bool)
         self.good = good[self.order]
 
@@ -210,8 +208,7 @@ def curves_of(axis: Axis, centre: Array, curves: Array, choices: Choices) -> Pai
     curves = curves[np.isfinite(curves).any(axis=1)]
     usable = np.flatnonzero(np.isfinite(centre))
     if usable.size < 2:
-        msg = "fewer than two bands have a value, expected a spectrum; leave the paint out"
-        raise PaintProblemError(msg)
+        raise PaintProblemError("fewer than two bands have a value, expected a spectrum; leave the paint out")
     if not len(curves):  # a paint of which no member was kept
         curves = centre[np.newaxis]
     measured = (float(axis.wavelength[usable[0]]), float(axis.wavelength[usable[-1]]))
@@ -219,8 +216,9 @@ def curves_of(axis: Axis, centre: Array, curves: Array, choices: Choices) -> Pai
     chosen = _inside(axis.wavelength, usable, choices.wavelength_range)
     wavelength = axis.wavelength[chosen]
     if np.median(centre[usable]) > 1.0:
-        msg = f"reflectance of {np.median(centre[usable]):g} in the middle, expected 0 to 1; is it percent?"
-        raise PaintProblemError(msg)
+        raise PaintProblemError(
+            f"reflectance of {np.median(centre[usable]):g} in the middle, expected 0 to 1; is it percent?"
+        )
     curves, filled, left_out = _without_holes(wavelength, curves[:, chosen], choices)
     holes = ~np.isfinite(centre[chosen])
     if holes.any() and choices.gaps == "refuse":
@@ -242,14 +240,14 @@ def _beyond(measured: tuple[float, float], choices: Choices) -> tuple[bool, bool
     low, high = choices.wavelength_range
     below, above = low < measured[0], high > measured[1]
     if low >= measured[1] or high <= measured[0]:
-        msg = f"measured {measured[0]:g} to {measured[1]:g} nm, nothing of {low:g} to {high:g} nm"
-        raise PaintProblemError(msg)
+        raise PaintProblemError(
+            f"measured {measured[0]:g} to {measured[1]:g} nm, nothing of {low:g} to {high:g} nm"
+        )
     if (below or above) and not choices.extrapolate:
-        msg = (
+        raise PaintProblemError(
             f"measured {measured[0]:g} to {measured[1]:g} nm, {low:g} to {high:g} nm are asked for; ask for "
             "less, or pass extrapolate=True to hold the ends constant"
         )
-        raise PaintProblemError(msg)
     return below, above
 
 
@@ -282,8 +280,9 @@ def _without_holes(wavelength: Array, curves: Array, choices: Choices) -> tuple[
         raise PaintProblemError(_holes(which, wavelength[missing.any(axis=0)]))
     whole = ~(missing[:, 0] | missing[:, -1])
     if not whole.any():
-        msg = "no curve reaches both ends of the range; choose a shorter wavelength_range, or curves='centre'"
-        raise PaintProblemError(msg)
+        raise PaintProblemError(
+            "no curve reaches both ends of the range; choose a shorter wavelength_range, or curves='centre'"
+        )
     made, missing = curves[whole], missing[whole]
     for row, holes in zip(made, missing, strict=True):
         if holes.any():

@@ -153,12 +153,11 @@ class EnviArray(BackendArray):
         """Raise where the file is not the one that was opened: its layout and meaning may be others."""
         status = os.fstat(file.fileno())
         if (status.st_size, status.st_mtime_ns) != (self.file_size, self.modified_ns):
-            msg = (
+            raise FormatError(
                 f"ENVI data file {self.path!r} has changed since it was opened: found {status.st_size} bytes "
                 f"of {_moment(status.st_mtime_ns)}, expected {self.file_size} bytes of "
                 f"{_moment(self.modified_ns)}; open it again"
             )
-            raise FormatError(msg)
 
     def _gather(self, file: io.FileIO, along: list[Positions], into: Array) -> None:
         """Read boxes of the file that hold the wanted samples, and keep those."""
@@ -202,11 +201,10 @@ class EnviArray(BackendArray):
         while done < len(view):
             count = file.readinto(view[done:])
             if not count:
-                msg = (
+                raise FormatError(
                     f"ENVI data file {self.path!r} ends {len(view) - done} bytes early: it was "
                     f"{self.file_size} bytes when it was opened; open it again"
                 )
-                raise FormatError(msg)
             done += count
 
 

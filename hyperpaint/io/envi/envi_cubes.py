@@ -58,18 +58,16 @@ def find_pair(path: str | os.PathLike[str]) -> tuple[Path, Path]:
     """
     path = Path(path)
     if not path.is_file():
-        msg = f"no such file: {str(path)!r}"
-        raise FileNotFoundError(msg)
+        raise FileNotFoundError(f"no such file: {str(path)!r}")
     if path.suffix.lower() == ".hdr":
         return path, _data_of(path)
     header = _existing([Path(f"{path}{suffix}") for suffix in (".hdr", ".HDR")])
     header = header or _existing([path.with_suffix(suffix) for suffix in (".hdr", ".HDR")])
     if not header:
-        msg = (
+        raise FormatError(
             f"ENVI data file {str(path)!r} has no header beside it; "
             f"expected {path.name + '.hdr'!r} or {path.stem + '.hdr'!r}"
         )
-        raise FormatError(msg)
     return header[0], path
 
 
@@ -78,15 +76,13 @@ def _data_of(header: Path) -> Path:
     suffixes = [suffix for lower in _DATA_SUFFIXES for suffix in (lower, lower.upper())]
     found = _existing([whole]) or _existing([Path(f"{whole}{suffix}") for suffix in suffixes])
     if not found:
-        msg = (
+        raise FormatError(
             f"ENVI header {str(header)!r} has no data file beside it; "
             f"expected {whole.name!r}, with no suffix or with one of {' '.join(_DATA_SUFFIXES)}"
         )
-        raise FormatError(msg)
     if len(found) > 1:
         names = ", ".join(repr(path.name) for path in found)
-        msg = f"ENVI header {str(header)!r} could belong to {names}; open the data file you mean"
-        raise FormatError(msg)
+        raise FormatError(f"ENVI header {str(header)!r} could belong to {names}; open the data file you mean")
     return found[0]
 
 

@@ -186,8 +186,7 @@ def read_header(path: str | os.PathLike[str], limit: int = MAX_HEADER_BYTES) -> 
         raw = file.read(min(os.fstat(file.fileno()).st_size, limit) + 1)
     name = f"ENVI header {os.fspath(path)!r}"
     if len(raw) > limit:
-        msg = f"{name} cannot be read: it is over {limit >> 20} MB; is it the data file?"
-        raise FormatError(msg)
+        raise FormatError(f"{name} cannot be read: it is over {limit >> 20} MB; is it the data file?")
     try:
         text = raw.decode("utf-8-sig")
     except UnicodeDecodeError:
@@ -233,8 +232,7 @@ def parse_header(text: str, name: str = "ENVI header") -> EnviHeader:
     header = _interpret(scanned, findings) if scanned.fields else None
     findings.raise_if_any()
     if header is None:
-        msg = f"{name} cannot be used: it holds no 'key = value' line"
-        raise FormatError(msg)
+        raise FormatError(f"{name} cannot be used: it holds no 'key = value' line")
     return header
 
 
@@ -309,8 +307,7 @@ def _to_float(text: str) -> float:
             return float(text)
         except ValueError:
             pass
-    msg = f"{shown(text)} is not a number"
-    raise ValueError(msg)
+    raise ValueError(f"{shown(text)} is not a number")
 
 
 def _interpret(scanned: Scanned, findings: Findings) -> EnviHeader:

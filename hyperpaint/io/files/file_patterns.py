@@ -49,12 +49,10 @@ def matching_files(folder: Path, pattern: str, most: int = MOST_ENTRIES) -> list
     ValueError: expected a pattern inside the folder of the file
     """
     if len(pattern) > _LONGEST or "\0" in pattern:
-        msg = f"expected a pattern of at most {_LONGEST} characters"
-        raise ValueError(msg)
+        raise ValueError(f"expected a pattern of at most {_LONGEST} characters")
     parts = [part for part in pattern.replace(os.sep, "/").split("/") if part != "."]
     if os.path.isabs(pattern) or os.path.splitdrive(pattern)[0] or ".." in parts:
-        msg = "expected a pattern inside the folder of the file"
-        raise ValueError(msg)
+        raise ValueError("expected a pattern inside the folder of the file")
     work = _Work(most)
     found = [str(folder)]
     for part in filter(None, parts):
@@ -110,5 +108,4 @@ class _Work:
     def _count(self, number: int) -> None:
         self.left -= number
         if self.left < 0:
-            msg = f"more than {self.most} files and folders to look at; name their folder"
-            raise ValueError(msg)
+            raise ValueError(f"more than {self.most} files and folders to look at; name their folder")

@@ -18,6 +18,8 @@ from hyperpaint.io.store.stage import Staging, discard, staging
 
 __all__ = ["publish_file", "published_files", "published_folder"]
 
+_MEND = "pass {}, or choose another path"
+
 
 def publish_file(path: Path, content: bytes, *, overwrite: bool) -> None:
     """Write a file whole or not at all.
@@ -109,39 +111,32 @@ def _built(target: Path) -> Iterator[tuple[Staging, Path]]:
     except OSError as error:
         if isinstance(error, StoreError):
             raise
-        msg = f"{target} cannot be written: {error.strerror or error}"
-        raise StoreError(msg) from error
+        raise StoreError(f"{target} cannot be written: {error.strerror or error}") from error
 
 
 def _refuse_existing(targets: Sequence[Path], *, overwrite: bool) -> None:
     found = [target for target in targets if os.path.lexists(target)]
     if folders := [target for target in found if target.is_dir()]:
-        msg = f"{folders[0]} is a folder; choose another path"
-        raise StoreError(msg)
+        raise StoreError(f"{folders[0]} is a folder; choose another path")
     if found and not overwrite:
         names = ", ".join(map(str, found))
-        msg = (
-            f"{names} {'exists' if len(found) == 1 else 'exist'}; pass overwrite=True, or choose another path"
-        )
-        raise StoreError(msg)
+        found_there = f"{names} {'exists' if len(found) == 1 else 'exist'}"
+        raise StoreError(found_there, mend=_MEND.format("overwrite=True"), option=_MEND.format("--overwrite"))
 
 
 def _refuse_folder(target: Path, foreign: Callable[[Path], str], *, overwrite: bool) -> None:
     if not os.path.lexists(target):
         return
     if target.is_symlink() or not target.is_dir():
-        msg = f"{target} is a file or a link, expected a folder; choose another path"
-        raise StoreError(msg)
+        raise StoreError(f"{target} is a file or a link, expected a folder; choose another path")
     try:
         if not any(target.iterdir()):
             return
         other = foreign(target)
     except OSError as error:
-        msg = f"{target} cannot be read: {error.strerror or error}"
-        raise StoreError(msg) from error
+        raise StoreError(f"{target} cannot be read: {error.strerror or error}") from error
     if other:
-        msg = f"{target} holds {other}; choose a new or empty folder"
-        raise StoreError(msg)
+        raise StoreError(f"{target} holds {other}; choose a new or empty folder")
     if not overwrite:
-        msg = f"{target} exists; pass overwrite=True, or choose another path"
-        raise StoreError(msg)
+        found = f"{target} exists"
+        raise StoreError(found, mend=_MEND.format("overwrite=True"), option=_MEND.format("--overwrite"))

@@ -49,13 +49,10 @@ def read_limited(path: Path, limit: int, expected: str) -> bytes:
                 # read() sets aside all it is allowed to read
                 return file.read(size)
     except OSError as error:
-        msg = f"{path}: cannot be read ({error.strerror or error}); check the path"
-        raise FormatError(msg) from error
+        raise FormatError(f"{path}: cannot be read ({error.strerror or error}); check the path") from error
     if not stat.S_ISREG(found.st_mode):
-        msg = f"{path}: a folder, pipe or device, expected {expected}; check the path"
-        raise FormatError(msg)
-    msg = f"{path}: {size} bytes, expected {expected} of at most {limit} bytes; check the path"
-    raise FormatError(msg)
+        raise FormatError(f"{path}: a folder, pipe or device, expected {expected}; check the path")
+    raise FormatError(f"{path}: {size} bytes, expected {expected} of at most {limit} bytes; check the path")
 
 
 def read_limited_text(path: Path, limit: int, expected: str) -> bytes:
@@ -72,8 +69,9 @@ def read_limited_text(path: Path, limit: int, expected: str) -> bytes:
     if len(data) > LONGEST_LINE:
         longest = max((line.end() - line.start() for line in _LINE.finditer(data)), default=0)
         if longest > LONGEST_LINE:
-            msg = f"{path}: a line of {longest} bytes, expected {expected}, lines of at most {LONGEST_LINE}"
-            raise FormatError(msg)
+            raise FormatError(
+                f"{path}: a line of {longest} bytes, expected {expected}, lines of at most {LONGEST_LINE}"
+            )
     return data
 
 
@@ -104,10 +102,8 @@ def load_netcdf(path: Path, group: str | None = None) -> xr.Dataset:
     import xarray as xr
 
     if not path.is_file():
-        msg = f"{path}: expected a netCDF file; check the path"
-        raise FormatError(msg)
+        raise FormatError(f"{path}: expected a netCDF file; check the path")
     with xr.open_dataset(os.fspath(path), group=group) as dataset:
         if dataset.nbytes > MOST_NETCDF_BYTES:
-            msg = f"{path} declares {dataset.nbytes} bytes, expected at most {MOST_NETCDF_BYTES}"
-            raise FormatError(msg)
+            raise FormatError(f"{path} declares {dataset.nbytes} bytes, expected at most {MOST_NETCDF_BYTES}")
         return dataset.load()

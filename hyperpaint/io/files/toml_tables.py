@@ -41,13 +41,11 @@ def load_tables(path: Path, kind: str) -> dict[str, Any]:
     """
     raw = read_limited(path, _MAX_BYTES, kind)
     if _LONG_KEY.search(raw):
-        msg = f"{path}: a key of more than 64 parts, expected those of {kind}"
-        raise FormatError(msg)
+        raise FormatError(f"{path}: a key of more than 64 parts, expected those of {kind}")
     try:
         return tomllib.loads(raw.decode("utf-8"))
     except (ValueError, RecursionError) as error:  # TOMLDecodeError and UnicodeDecodeError are ValueErrors
-        msg = f"{path}: not TOML: {error!s:.300}"
-        raise FormatError(msg) from error
+        raise FormatError(f"{path}: not TOML: {error!s:.300}") from error
 
 
 def suggestion(key: str, known: Iterable[str]) -> str:

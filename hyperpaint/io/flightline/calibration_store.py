@@ -111,8 +111,7 @@ def open_calibration(source: str | os.PathLike[str] | xr.Dataset, *, group: str 
         return check_calibration(source)
     path = Path(source)
     if not path.exists():
-        msg = f"{path}: no such calibration; expected a Zarr store or a netCDF file"
-        raise FormatError(msg)
+        raise FormatError(f"{path}: no such calibration; expected a Zarr store or a netCDF file")
     dataset = _read(path, group)
     if group is None and "radiance_gain" not in dataset.variables and (path / "calibration").is_dir():
         dataset = _read(path, "calibration")
@@ -124,10 +123,9 @@ def _read(path: Path, group: str | None) -> xr.Dataset:
         return _load_store(path, group) if path.is_dir() else load_netcdf(path, group)
     except Exception as error:  # zarr, codecs, numpy and the netCDF engines each have their own
         hint = "" if path.is_dir() else "; netCDF-4 needs: python -m pip install h5netcdf"
-        msg = (
+        raise FormatError(
             f"{path}: not a readable Zarr store or netCDF file ({type(error).__name__}: {error!s:.200}){hint}"
-        )
-        raise FormatError(msg) from error
+        ) from error
 
 
 def _load_store(path: Path, group: str | None) -> xr.Dataset:
@@ -202,18 +200,17 @@ def _variable(dataset: xr.Dataset, name: str) -> xr.DataArray:
     """Return a variable as the table has it, without coordinates."""
     spec = VARIABLES[name]
     if name not in dataset.variables:
-        msg = f"{name!r} is missing: {spec.meaning.lower()} ({', '.join(spec.dims)}) [{spec.units}]"
-        raise SchemaError(msg)
+        raise SchemaError(
+            f"{name!r} is missing: {spec.meaning.lower()} ({', '.join(spec.dims)}) [{spec.units}]"
+        )
     array = dataset[name].reset_coords(drop=True)
     allowed = [dims for dims in (spec.dims, *spec.alternatives) if set(dims) == set(array.dims)]
     if not allowed:
         expected = " or ".join(f"({', '.join(dims)})" for dims in (spec.dims, *spec.alternatives))
-        msg = f"{name!r} has dims ({', '.join(map(str, array.dims))}), expected {expected}"
-        raise SchemaError(msg)
+        raise SchemaError(f"{name!r} has dims ({', '.join(map(str, array.dims))}), expected {expected}")
     kinds = "biu" if spec.dtype == "bool" else "fiu"
     if array.dtype.kind not in kinds:
-        msg = f"{name!r} has dtype {array.dtype}, expected {spec.dtype}"
-        raise SchemaError(msg)
+        raise SchemaError(f"{name!r} has dtype {array.dtype}, expected {spec.dtype}")
     array = array.transpose(*allowed[0])
     if spec.units and spec.units != "1":
         # float64 until the factor is in, rounded once

@@ -127,11 +127,10 @@ def open_dark(
     import xarray as xr
 
     if source is None or (isinstance(source, (list, tuple)) and not source):
-        msg = (
+        raise SchemaError(
             'no dark reference; give dark cubes, or dark="none" where the counts are dark-corrected '
             '(in collect.toml: cubes = [...] or cubes = "none" in [dark])'
         )
-        raise SchemaError(msg)
     shape = None if cube is None else tuple(cube.sizes[dim] for dim in _ELEMENT)
     if isinstance(source, str) and source == DARK_NONE:
         if shape is None:
@@ -153,8 +152,7 @@ def _given(dataset: xr.Dataset, shape: tuple[int, ...] | None, name: str) -> Dar
     counts = found["dark_counts"].astype(dtype_of("dark_counts"))
     _check_shape(tuple(counts.sizes[dim] for dim in _ELEMENT), shape, f"dark_counts of {name}")
     if not np.isfinite(counts.values).any():
-        msg = f"dark_counts of {name} are not finite anywhere"
-        raise SchemaError(msg)
+        raise SchemaError(f"dark_counts of {name} are not finite anywhere")
     times = counts.coords["dark_time"] if "dark_time" in counts.dims else None
     counts = label(counts.reset_coords(drop=True), "dark_counts")
     if times is not None:
@@ -167,11 +165,10 @@ def _given(dataset: xr.Dataset, shape: tuple[int, ...] | None, name: str) -> Dar
 
 def _check_shape(found: tuple[int, ...], shape: tuple[int, ...] | None, name: str) -> None:
     if shape is not None and found != shape:
-        msg = (
+        raise SchemaError(
             f"{name}: {found[0]} bands x {found[1]} columns, the cube has {shape[0]} x {shape[1]};"
             " give the dark of this camera and binning"
         )
-        raise SchemaError(msg)
 
 
 def _reference(source: Any, timing: Timing, shape: tuple[int, ...] | None) -> _Reference:
@@ -188,8 +185,7 @@ def _reference(source: Any, timing: Timing, shape: tuple[int, ...] | None) -> _R
         opened, name = open_envi(path), path.name
     if "counts" not in opened:
         held = ", ".join(map(str, opened.data_vars)) or "nothing"
-        msg = f"{name}: holds {held}, expected a dark cube of raw counts"
-        raise FormatError(msg)
+        raise FormatError(f"{name}: holds {held}, expected a dark cube of raw counts")
     counts = opened["counts"]
     if set(counts.dims) == set(CUBE):
         counts = counts.transpose(*CUBE)
@@ -274,8 +270,7 @@ def _combine(references: list[_Reference]) -> Dark:
             f"{ref.name} {'unknown' if ref.exposure is None else f'{ref.exposure * 1e3:g} ms'}"
             for ref in references
         )
-        msg = f"dark cubes of different exposures and unknown times cannot be averaged: {shown}"
-        raise SchemaError(msg)
+        raise SchemaError(f"dark cubes of different exposures and unknown times cannot be averaged: {shown}")
     lines = sum(ref.frames.lines for ref in references)
     total = sum((ref.frames.total for ref in references), np.zeros_like(references[0].frames.total))
     mean = (total / np.float64(lines)).astype(np.float32)

@@ -291,22 +291,21 @@ def _calibration(inputs: FlightlineInputs, cube: xr.DataArray | None, *, require
         return None
     if inputs.calibration is None:
         if required:
-            msg = f"{path_of(inputs).name}: no calibration; raw counts need one (calibration=)"
-            raise SchemaError(msg)
+            raise SchemaError(f"{path_of(inputs).name}: no calibration; raw counts need one (calibration=)")
         if cube is not None and "wavelength" not in cube.coords:
-            msg = f"{path_of(inputs).name}: no wavelengths in the header; give the calibration of this camera"
-            raise SchemaError(msg)
+            raise SchemaError(
+                f"{path_of(inputs).name}: no wavelengths in the header; give the calibration of this camera"
+            )
         return None
     calibration = open_calibration(inputs.calibration)
     if cube is not None:
         gain = calibration["radiance_gain"]
         expected = {dim: cube.sizes[dim] for dim in gain.dims}
         if dict(gain.sizes) != expected:
-            msg = (
+            raise SchemaError(
                 f"{path_of(inputs).name} has {_shape(expected)}, the calibration {_shape(gain.sizes)};"
                 " give the calibration of this camera and binning"
             )
-            raise SchemaError(msg)
     return calibration
 
 
@@ -356,8 +355,9 @@ def _navigation_attrs(declared: Mapping[str, Any], timing: Timing) -> dict[str, 
     known = {each.name for each in fields(Convention)} - {"angle_unit", "stamp_reference"}
     if not set(declared) <= known:
         wrong, right = (", ".join(sorted(names)) for names in (set(declared) - known, known))
-        msg = f"convention has {wrong}, expected some of {right}; angles are in degree, and stamp= is apart"
-        raise SchemaError(msg)
+        raise SchemaError(
+            f"convention has {wrong}, expected some of {right}; angles are in degree, and stamp= is apart"
+        )
     meant = Convention(**{"stamp_reference": timing.stamp, **declared})
     assumed = [name for name in ASSUMED if name not in declared]
     return {**meant.to_attrs(), **({"navigation_assumed": ", ".join(assumed)} if assumed else {})}

@@ -67,8 +67,9 @@ def read_text(path: Path, limit: int = _MAX_SETTINGS) -> str:
     """
     data = read_limited_text(path, limit, "a text file")
     if b"\0" in data:
-        msg = f"{path}: binary, expected text; some systems write binary logs under the same name: export it"
-        raise FormatError(msg)
+        raise FormatError(
+            f"{path}: binary, expected text; some systems write binary logs under the same name: export it"
+        )
     text = data.decode("latin-1").removeprefix("\xef\xbb\xbf")
     return text.replace("\r\n", "\n").replace("\r", "\n")
 
@@ -117,8 +118,9 @@ def read_table(path: str | Path, what: str, *, needs: Sequence[str]) -> Table:
     names = [cell.strip().lower() for cell in lines[0].rstrip("\t").split(separator)]
     missing = [name for name in needs if name not in names]
     if missing or len(set(names)) != len(names):
-        msg = f"{path}: a {what} starts with a header that names {list(needs)} once, found {lines[0][:120]!r}"
-        raise FormatError(msg)
+        raise FormatError(
+            f"{path}: a {what} starts with a header that names {list(needs)} once, found {lines[0][:120]!r}"
+        )
     cells: list[list[str]] = []
     rows: list[int] = []
     wrong: list[int] = []
@@ -134,11 +136,9 @@ def read_table(path: str | Path, what: str, *, needs: Sequence[str]) -> Table:
         else:
             wrong.append(number)
     if wrong:
-        msg = f"{path}: {name_rows(wrong)} without {len(names)} cells; mend or delete"
-        raise FormatError(msg)
+        raise FormatError(f"{path}: {name_rows(wrong)} without {len(names)} cells; mend or delete")
     if not cells:
-        msg = f"{path}: a header without rows"
-        raise FormatError(msg)
+        raise FormatError(f"{path}: a header without rows")
     columns = [list(column) for column in zip(*cells, strict=True)]
     return Table(path.name, np.array(rows, np.int64), dict(zip(names, columns, strict=True)))
 
@@ -165,8 +165,7 @@ def to_integers(table: Table, name: str) -> NDArray[np.int64]:
         return np.array(list(map(int, cells)), np.int64)
     wrong = [int(row) for row, cell in zip(table.rows, cells, strict=True) if not _INTEGER.fullmatch(cell)]
     if wrong:
-        msg = f"{table.name}: column {name!r} is not a whole number in {name_rows(wrong)}"
-        raise FormatError(msg)
+        raise FormatError(f"{table.name}: column {name!r} is not a whole number in {name_rows(wrong)}")
     return np.array([int(cell.partition(".")[0]) for cell in cells], np.int64)
 
 
@@ -222,16 +221,15 @@ def exposure_seconds(pairs: Mapping[str, str], source: str) -> float | None:
         try:
             value = float(f"{float(text) * conversion_factor(match[1].strip(), 's'):.12g}")
         except (ValueError, UnitsError) as error:
-            msg = f"{source}: {key} = {text[:40]!r}, expected a number and a unit of time in the brackets"
-            raise FormatError(msg) from error
+            raise FormatError(
+                f"{source}: {key} = {text[:40]!r}, expected a number and a unit of time in the brackets"
+            ) from error
         if not (np.isfinite(value) and value > 0):
-            msg = f"{source}: {key} = {text}, expected a positive exposure"
-            raise FormatError(msg)
+            raise FormatError(f"{source}: {key} = {text}, expected a positive exposure")
         found[key] = value
     if len(set(found.values())) > 1:
         stated = ", ".join(f"{key} = {pairs[key]}" for key in found)
-        msg = f"{source}: contradictory exposures {stated}"
-        raise FormatError(msg)
+        raise FormatError(f"{source}: contradictory exposures {stated}")
     return next(iter(found.values()), None)
 
 
@@ -283,14 +281,12 @@ def read_frame_index(path: str | Path) -> FrameIndex:
     if name is None:
         name = next((column for column in table.columns if column != "frame#"), "")
     if not name:
-        msg = f"{path}: one column only, expected 'Frame#' and 'Timestamp' or 'Time'"
-        raise FormatError(msg)
+        raise FormatError(f"{path}: one column only, expected 'Frame#' and 'Timestamp' or 'Time'")
     frame = to_integers(table, "frame#")
     steps = np.flatnonzero(np.diff(frame) <= 0)
     if steps.size or frame[0] < 0 or frame[-1] > _MAX_FRAME:
         wrong = table.rows[steps + 1] if steps.size else table.rows[:1]
-        msg = f"{path}: frame numbers repeat, run backwards or are absurd in {name_rows(wrong)}"
-        raise FormatError(msg)
+        raise FormatError(f"{path}: frame numbers repeat, run backwards or are absurd in {name_rows(wrong)}")
     if ":" not in table.columns[name][0]:
         stamp = to_integers(table, name)
         check_increasing(stamp, table.rows, f"{path}: column {name!r}")
@@ -306,8 +302,9 @@ def check_increasing(stamp: NDArray[np.int64], rows: NDArray[np.int64], subject:
     """Raise TimeError naming the rows whose stamp does not exceed the one before."""
     wrong = rows[1:][np.diff(stamp) <= 0]
     if wrong.size:
-        msg = f"{subject} repeats or runs backwards in {name_rows(wrong)}; delete or re-order these rows"
-        raise TimeError(msg)
+        raise TimeError(
+            f"{subject} repeats or runs backwards in {name_rows(wrong)}; delete or re-order these rows"
+        )
 
 
 def time_of_day(table: Table, name: str) -> tuple[NDArray[np.int64], bool]:
@@ -325,8 +322,9 @@ def time_of_day(table: Table, name: str) -> tuple[NDArray[np.int64], bool]:
         made[place] = (int(hours) * 60 + int(minutes)) * 60 * _SECOND + int(seconds) * _SECOND
         made[place] += int(micros) if micros is not None else int((fraction or "0").ljust(6, "0"))
     if wrong:
-        msg = f"{table.name}: column {name!r} is not 'HH:MM:SS microseconds' in {name_rows(wrong)}"
-        raise FormatError(msg)
+        raise FormatError(
+            f"{table.name}: column {name!r} is not 'HH:MM:SS microseconds' in {name_rows(wrong)}"
+        )
     # a step back by more than half a day is midnight
     days = np.concatenate([[0], np.cumsum(np.diff(made) < -_DAY // 2)])
     return made + days * _DAY, whole
@@ -334,14 +332,14 @@ def time_of_day(table: Table, name: str) -> tuple[NDArray[np.int64], bool]:
 
 def _straighten(frame: NDArray[np.int64], stamp: NDArray[np.int64], subject: str) -> NDArray[np.int64]:
     if len(np.unique(stamp)) < 3:
-        msg = f"{subject}: whole seconds, fewer than three of them; give start_time and frame_period"
-        raise TimeError(msg)
+        raise TimeError(
+            f"{subject}: whole seconds, fewer than three of them; give start_time and frame_period"
+        )
     x = (frame - frame[0]).astype(np.float64)
     y = (stamp - stamp[0]) + 0.5 * _SECOND  # a truncated second is half a second late on average
     slope, offset = np.polyfit(x, y, 1)
     if slope <= 0 or np.abs(y - (offset + slope * x)).max() > 0.75 * _SECOND:
-        msg = f"{subject}: stamps of whole seconds that no steady frame rate explains"
-        raise TimeError(msg)
+        raise TimeError(f"{subject}: stamps of whole seconds that no steady frame rate explains")
     made: NDArray[np.int64] = stamp[0] + np.round(offset + slope * x).astype(np.int64)
     return made
 
@@ -398,12 +396,11 @@ def match_frames(
             row = np.full(lines, -1)
             row[index.frame[start : start + length] - begin] = np.arange(start, start + length)
             return frame, row
-    msg = (
+    raise FormatError(
         f"{cube.name} has {lines} lines; {index.name} has {rows} rows, frames {first} to {last}"
         f" ({last - first + 1} by number): neither fits; give the frame index of this cube"
         " (a cube cut short in flight: keep_whole_lines=True, or keep_whole_lines = true in collect.toml)"
     )
-    raise FormatError(msg)
 
 
 # --- dark cubes --------------------------------------------------------------------------------------------

@@ -95,25 +95,24 @@ def check_cube(opened: xr.Dataset, inputs: FlightlineInputs) -> xr.DataArray:
     name = next((name for name in ("counts", "radiance") if name in opened), None)
     if name is None:
         held = ", ".join(map(str, opened.data_vars)) or "nothing"
-        msg = f"{path}: holds {held}, expected raw counts or radiance (then give radiance_units)"
-        raise FormatError(msg)
+        raise FormatError(f"{path}: holds {held}, expected raw counts or radiance (then give radiance_units)")
     cube = opened[name]
     if set(cube.dims) != set(CUBE):
-        msg = f"{path}: dims {tuple(map(str, cube.dims))}, expected {CUBE}: sensor geometry, not a map"
-        raise FormatError(msg)
+        raise FormatError(
+            f"{path}: dims {tuple(map(str, cube.dims))}, expected {CUBE}: sensor geometry, not a map"
+        )
     if not all(cube.sizes.values()):
-        msg = f"{path}: empty, {dict(cube.sizes)}"
-        raise FormatError(msg)
+        raise FormatError(f"{path}: empty, {dict(cube.sizes)}")
     if name == "counts" and (cube.dtype.kind != "u" or cube.dtype.itemsize > 2):
-        msg = (
+        raise FormatError(
             f"{path}: samples are {cube.dtype}, expected raw counts: uint16 (ENVI data type 12) or uint8 (1)"
         )
-        raise FormatError(msg)
     if name == "radiance":
         units = inputs.radiance_units or cube.attrs.get("units")
         if units is None:
-            msg = f"{path}: radiance without units; give radiance_units, for example 'mW cm-2 sr-1 um-1'"
-            raise FormatError(msg)
+            raise FormatError(
+                f"{path}: radiance without units; give radiance_units, for example 'mW cm-2 sr-1 um-1'"
+            )
         cube = cube.assign_attrs(units=units)
         # a wrong unit is reported now, with the other problems
         conversion_factor(str(units), VARIABLES[name].units)
@@ -167,11 +166,13 @@ def find_exposure(
     if given is not None:
         lines = opened.sizes.get(ALONG_TRACK)
         if given.ndim > 1 or (given.ndim == 1 and lines is not None and given.size != lines):
-            msg = f"{path.name}: exposure_time has shape {given.shape}, expected a scalar or {lines} lines"
-            raise SchemaError(msg)
+            raise SchemaError(
+                f"{path.name}: exposure_time has shape {given.shape}, expected a scalar or {lines} lines"
+            )
         if not (np.isfinite(given).all() and (given > 0).all()):
-            msg = f"{path.name}: exposure_time {given.min() * 1e3:g} ms, expected a positive number"
-            raise SchemaError(msg)
+            raise SchemaError(
+                f"{path.name}: exposure_time {given.min() * 1e3:g} ms, expected a positive number"
+            )
     settings = find_settings(path) if isinstance(inputs.cube, Path) else None
     comments = json.loads(opened.attrs.get("envi_comments", "{}"))
     for source, pairs in (
@@ -199,11 +200,10 @@ def find_exposure(
         return np.array(value), source
     # an unread header is another problem, not a missing exposure
     if required and opened.sizes:
-        msg = (
+        raise SchemaError(
             f"{path.name}: no exposure in settings.txt beside the cube nor in the header's comments;"
             " give exposure_time [s] (exposure_time_ms in collect.toml)"
         )
-        raise SchemaError(msg)
     return None, ""
 
 
@@ -219,10 +219,8 @@ def find_saturation(inputs: FlightlineInputs, calibration: xr.Dataset | None) ->
         return calibration["saturation_count"].reset_coords(drop=True)
     if given is None:
         if not 1 <= inputs.bit_depth <= 16:
-            msg = f"bit_depth {inputs.bit_depth}, expected 1 to 16"
-            raise SchemaError(msg)
+            raise SchemaError(f"bit_depth {inputs.bit_depth}, expected 1 to 16")
         given = 2**inputs.bit_depth - 1
     if not 0 < given <= 65535:
-        msg = f"saturation_count {given}, expected a count up to 65535"
-        raise SchemaError(msg)
+        raise SchemaError(f"saturation_count {given}, expected a count up to 65535")
     return label(xr.DataArray(np.float32(given)), "saturation_count")

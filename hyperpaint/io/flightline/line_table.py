@@ -86,8 +86,9 @@ def _columns(line: xr.Dataset) -> dict[str, Any]:
     lines = line.sizes.get(ALONG_TRACK)
     found = [str(name) for name, array in line.variables.items() if array.dims == (ALONG_TRACK,)]
     if lines is None or not found:
-        msg = f"no variable on {ALONG_TRACK!r} alone, dims are {dict(line.sizes)}; give a flight line"
-        raise SchemaError(msg)
+        raise SchemaError(
+            f"no variable on {ALONG_TRACK!r} alone, dims are {dict(line.sizes)}; give a flight line"
+        )
     found += [name for name in _FIRST if name in line.variables and line.variables[name].dims == ()]
     order = {name: place for place, name in enumerate(_FIRST)}
     columns: dict[str, Any] = {}

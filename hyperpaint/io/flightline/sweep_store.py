@@ -40,17 +40,16 @@ def open_sweep(path: str | os.PathLike[str], *, group: str | None = None) -> xr.
 
     path = Path(path)
     if not path.exists():
-        msg = f"{path}: no such sweep; expected a Zarr store or a netCDF file"
-        raise FormatError(msg)
+        raise FormatError(f"{path}: no such sweep; expected a Zarr store or a netCDF file")
     try:
         # counts change from step to step only along one dim: a chunk of steps is all that is in memory
         opened = open_unverified(path, group, chunks={}) if path.is_dir() else load_netcdf(path, group)
     except Exception as error:  # zarr, codecs, numpy and the netCDF engines each have their own
-        msg = f"{path}: not a readable Zarr store or netCDF file ({type(error).__name__}: {error!s:.200})"
-        raise FormatError(msg) from error
+        raise FormatError(
+            f"{path}: not a readable Zarr store or netCDF file ({type(error).__name__}: {error!s:.200})"
+        ) from error
     if "counts" not in opened.variables or STEP not in opened["counts"].dims:
         found = ", ".join(sorted(map(str, opened.variables))[:8]) or "nothing"
-        msg = f"{path}: no lab sweep: expected 'counts' (step, band, cross_track), found {found}"
-        raise FormatError(msg)
+        raise FormatError(f"{path}: no lab sweep: expected 'counts' (step, band, cross_track), found {found}")
     kept = [name for name in SWEEP_VARIABLES if name in opened.variables]
     return opened[kept].reset_coords(drop=True) if not set(kept) & set(opened.coords) else opened[kept]

@@ -106,14 +106,17 @@ def utc_of(value: Any, what: str) -> np.datetime64:
         try:
             value = datetime.datetime.fromisoformat(value.strip())
         except ValueError as error:
-            msg = f"{what} {value[:60]!r} is not a time; expected one like '2024-06-01T12:00:00Z'"
-            raise TimeError(msg) from error
+            raise TimeError(
+                f"{what} {value[:60]!r} is not a time; expected one like '2024-06-01T12:00:00Z'"
+            ) from error
     if not isinstance(value, datetime.datetime) or value.tzinfo is None:
-        msg = f"{what} {value!s:.60} has no zone; write '2024-06-01T12:00:00Z', or '-05:00' at the end"
-        raise TimeError(msg)
+        raise TimeError(
+            f"{what} {value!s:.60} has no zone; write '2024-06-01T12:00:00Z', or '-05:00' at the end"
+        )
     if not 1980 <= value.year <= 2200:
-        msg = f"{what} {value!s:.60} is not a time of this camera; expected a year from 1980 to 2200"
-        raise TimeError(msg)
+        raise TimeError(
+            f"{what} {value!s:.60} is not a time of this camera; expected a year from 1980 to 2200"
+        )
     utc = value.astimezone(datetime.UTC).replace(tzinfo=None)
     return np.datetime64(utc, "ns")
 
@@ -205,26 +208,24 @@ def _clock(
     """Choose the one source of UTC."""
     if timing.start_time is not None:
         if index is not None and nav is not None and nav.utc is not None:
-            msg = f"{cube.name}: start_time, and a navigation record that holds UTC; give one of them"
-            raise TimeError(msg)
+            raise TimeError(
+                f"{cube.name}: start_time, and a navigation record that holds UTC; give one of them"
+            )
         start = utc_of(timing.start_time, "start_time").astype(np.int64)
         if index is None and not timing.frame_period:
-            msg = f"{cube.name}: start_time without frame_index or frame_period; give one of them"
-            raise TimeError(msg)
+            raise TimeError(f"{cube.name}: start_time without frame_index or frame_period; give one of them")
         return _steady(0 if index is None else int(index.stamp[rows[0]]), int(start), "start_time")
     if index is None:
-        msg = (
+        raise TimeError(
             f"{cube.name}: no line times; give frame_index and nav, or start_time and frame_period"
             f"{_found_beside(cube)}"
         )
-        raise TimeError(msg)
     if index.clock == "time of day" and timing.gps_time is not None:
         return read_gps_time(timing.gps_time, timing.correction)
     if index.clock == "time of day" and timing.date is not None:
         return _from_date(timing)
     if nav is None:
-        msg = f"{cube.name}: {index.name} holds no UTC; give nav (imu_gps.txt), or start_time"
-        raise TimeError(msg)
+        raise TimeError(f"{cube.name}: {index.name} holds no UTC; give nav (imu_gps.txt), or start_time")
     return nav.clock_for(index)
 
 
@@ -242,13 +243,11 @@ def _from_date(timing: Timing) -> Clock:
     except ValueError:
         midnight = None
     if midnight is None or not "1980" <= text < "2200":
-        msg = f"date {text[:40]!r}, expected one like '2024-06-01'"
-        raise TimeError(msg)
+        raise TimeError(f"date {text[:40]!r}, expected one like '2024-06-01'")
     if timing.clock_offset_s is None:
-        msg = (
+        raise TimeError(
             "date without clock_offset_s: UTC = the computer's clock + clock_offset_s (0.0 if it ran on UTC)"
         )
-        raise TimeError(msg)
     utc = timing.correction.apply(np.array([midnight]).astype(np.int64))
     return _steady(0, int(utc[0]), "date and time of day")
 
@@ -287,8 +286,7 @@ def _report_outside(cube: Path, outside: NDArray[np.bool_], clock: Clock) -> Non
     if not outside.any():
         return
     if outside.all():
-        msg = f"{cube.name}: no line lies inside {clock.source}; give the record of this flight"
-        raise TimeError(msg)
+        raise TimeError(f"{cube.name}: no line lies inside {clock.source}; give the record of this flight")
     lines = np.flatnonzero(outside)
     message = f"{len(lines)} of {len(outside)} lines ({lines[0]} to {lines[-1]}) lie outside {clock.source}"
     warnings.warn(f"{cube.name}: {message}: no time, no place", PaintWarning, stacklevel=3)

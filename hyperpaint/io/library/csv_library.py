@@ -105,8 +105,7 @@ def read_csv_library(path: Path) -> xr.Dataset:
     wavelength, names, keys, rows = _table(path)
     check_wavelengths(wavelength, source)
     if not names:
-        msg = f"{source}: no row of {CENTRE!r}; write the library anew"
-        raise FormatError(msg)
+        raise FormatError(f"{source}: no row of {CENTRE!r}; write the library anew")
     placed = placements(keys, len(names), wavelength.size, source)
     values = np.array(rows, np.float32)
     for placement in placed.values():
@@ -180,22 +179,23 @@ def _cells(path: Path) -> Iterator[list[str]]:
     source = path.name
     try:
         if not path.is_file() or path.stat().st_size > _MOST_BYTES:
-            msg = f"{path}: no plain file, or over {_MOST_BYTES} bytes, expected a table of a paint library"
-            raise FormatError(msg)
+            raise FormatError(
+                f"{path}: no plain file, or over {_MOST_BYTES} bytes, expected a table of a paint library"
+            )
         with open(path, encoding="utf-8-sig", newline="") as file:
             for row in csv.reader(file, strict=True):
                 if row:
                     yield row
     except (csv.Error, UnicodeDecodeError, OSError) as error:
-        msg = f"{source} cannot be read: {error!s:.200}"
-        raise FormatError(msg) from error
+        raise FormatError(f"{source} cannot be read: {error!s:.200}") from error
 
 
 def _wavelengths(row: list[str], source: str) -> FloatArray:
     found: list[Any] = [number(cell) for cell in row[len(_HEAD) :]]
     if tuple(row[: len(_HEAD)]) != _HEAD or not found or None in found or len(found) > _MOST_BANDS:
-        msg = f"{source}: its first row is {','.join(row)[:60]!r}, expected {','.join(_HEAD)} and wavelengths"
-        raise FormatError(msg)
+        raise FormatError(
+            f"{source}: its first row is {','.join(row)[:60]!r}, expected {','.join(_HEAD)} and wavelengths"
+        )
     return np.array(found, np.float64)
 
 

@@ -80,8 +80,7 @@ def read_ecostress(
     notes = _compared(fields, table, source)
     factor, note = wavelength_factor(fields["X Units"], table[:, 0], source)
     if np.isnan(table[:, 0]).any():
-        msg = f"{source}: a wavelength is not a number"
-        raise FormatError(msg)
+        raise FormatError(f"{source}: a wavelength is not a number")
     return Spectra(
         source=source,
         form=f"{'ASTER' if wrapped else 'ECOSTRESS'} library text",
@@ -108,10 +107,8 @@ def _header(lines: list[str], source: str) -> tuple[dict[str, str], int, bool]:
             fields[current].append(line.strip())
             wrapped = True
         elif line.strip():
-            msg = f"{source}: line {at + 1} is {line.strip()[:60]!r}, expected 'Name: ...'"
-            raise FormatError(msg)
-    msg = f"{source}: no line of two numbers after its header"
-    raise FormatError(msg)
+            raise FormatError(f"{source}: line {at + 1} is {line.strip()[:60]!r}, expected 'Name: ...'")
+    raise FormatError(f"{source}: no line of two numbers after its header")
 
 
 def _is_pair(line: str) -> bool:
@@ -129,8 +126,7 @@ def _compared(fields: dict[str, str], table: FloatArray, source: str) -> list[st
     """Refuse another number of values than the header says; return what else does not fit it."""
     count = fields["Number of X Values"]
     if count != str(len(table)):
-        msg = f"{source}: {len(table)} values, its header says {count[:30]}; copy the file again"
-        raise FormatError(msg)
+        raise FormatError(f"{source}: {len(table)} values, its header says {count[:30]}; copy the file again")
     notes = []
     for key, found in (("First X Value", table[0, 0]), ("Last X Value", table[-1, 0])):
         told = number(fields.get(key, ""))
@@ -153,15 +149,18 @@ def _columns(fields: dict[str, str], source: str) -> dict[str, Any]:
     try:
         told = json.loads(more.removeprefix(METADATA))
     except (ValueError, RecursionError) as error:
-        msg = f"{source}: 'Additional Information' holds damaged metadata ({error!s:.100})"
-        raise FormatError(msg) from error
+        raise FormatError(
+            f"{source}: 'Additional Information' holds damaged metadata ({error!s:.100})"
+        ) from error
     if not isinstance(told, dict):
-        msg = f"{source}: 'Additional Information' holds {type(told).__name__}, expected names and values"
-        raise FormatError(msg)
+        raise FormatError(
+            f"{source}: 'Additional Information' holds {type(told).__name__}, expected names and values"
+        )
     for name, value in told.items():
         if not name.isidentifier() or name in made or name in ("paint", "band", "wavelength", "reflectance"):
-            msg = f"{source}: 'Additional Information' names {name[:60]!r}, expected a new plain name"
-            raise FormatError(msg)
+            raise FormatError(
+                f"{source}: 'Additional Information' names {name[:60]!r}, expected a new plain name"
+            )
         made[name] = _told(name, value, source)
     return made
 
@@ -172,8 +171,7 @@ def _told(name: str, value: Any, source: str) -> Any:
         try:
             return typed_values([value], row.dtype)
         except ValueError as error:
-            msg = f"{source}: metadata {name!r}: {error}"
-            raise FormatError(msg) from error
+            raise FormatError(f"{source}: metadata {name!r}: {error}") from error
     if isinstance(value, str):
         return text_column([value])
     if value is None:
@@ -182,5 +180,4 @@ def _told(name: str, value: Any, source: str) -> Any:
         return np.array([value])
     if isinstance(value, float) and np.isfinite(value):
         return np.array([value])
-    msg = f"{source}: metadata {name!r} is {str(value)[:60]!r}, expected text or a number"
-    raise FormatError(msg)
+    raise FormatError(f"{source}: metadata {name!r} is {str(value)[:60]!r}, expected text or a number")

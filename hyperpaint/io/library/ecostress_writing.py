@@ -65,11 +65,10 @@ def write_ecostress_library(
     """
     names = names_of(library)
     if broken := [name for name in names if name != name.strip()]:
-        msg = (
+        raise SchemaError(
             f"{len(broken)} names begin or end with blanks, such as {broken[0]!r}, which a header does not "
             "keep; rename them"
         )
-        raise SchemaError(msg)
     values = np.asarray(library[CENTRE].values, np.float64)
     kept = np.isfinite(values).any(axis=0)
     if "good" in library.variables:

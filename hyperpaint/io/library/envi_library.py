@@ -116,8 +116,7 @@ def _records(header: EnviHeader, path: Path) -> Iterator[tuple[int, Array]]:
             count = min(step, header.lines - first)
             stored = np.fromfile(file, header.dtype, count * header.samples)
             if stored.size != count * header.samples:
-                msg = f"{path.name} became shorter while it was read"
-                raise FormatError(msg)
+                raise FormatError(f"{path.name} became shorter while it was read")
             yield first, stored.reshape(count, header.samples)
 
 
@@ -146,11 +145,10 @@ def _foreign(
         if width is None and skipped == 2:
             width = stored[1].astype(np.float64) * factor
     if nm is None:
-        msg = (
+        raise FormatError(
             f"{source}: its header gives no wavelengths (wavelength units "
             f"{bare(header.fields.get('wavelength units', 'not given'))!r}); pass wavelength= [nm]"
         )
-        raise FormatError(msg)
     check_wavelengths(nm, source)
     if warned:
         warnings.warn(f"{source}: {'; '.join(warned)}", PaintWarning, stacklevel=6)
@@ -229,19 +227,19 @@ def _scale(header: EnviHeader, source: str) -> float | None:
     # the first names the wavelengths, and may itself hold commas
     title = titles.rpartition(",")[2]
     if (found := _OTHER_QUANTITY.search(title)) and "reflect" not in title.lower():
-        msg = f"{source}: its z plot title is {title.strip()[:60]!r} ({found[0]}), expected reflectance"
-        raise FormatError(msg)
+        raise FormatError(
+            f"{source}: its z plot title is {title.strip()[:60]!r} ({found[0]}), expected reflectance"
+        )
     said = None
     if match := _TITLE_SCALE.search(title):
         said = float(match[1])
     elif _TITLE_PERCENT.search(title):
         said = 100.0
     if factor is not None and said is not None and factor != said:
-        msg = (
+        raise FormatError(
             f"{source}: 'reflectance scale factor' is {factor:g}, but 'z plot titles' say "
             f"{title.strip()[:60]!r}; pass scale="
         )
-        raise FormatError(msg)
     return said if factor is None else factor
 
 
@@ -275,8 +273,7 @@ def _classes(path: Path, names: Sequence[str]) -> dict[str, Array]:
 def _own(header: EnviHeader, path: Path) -> xr.Dataset:
     source = path.name
     if header.wavelength is None or header.dtype != np.dtype("<f4"):
-        msg = f"{source}: its header is not as hyperpaint writes it; write the library anew"
-        raise FormatError(msg)
+        raise FormatError(f"{source}: its header is not as hyperpaint writes it; write the library anew")
     names, keys = keys_of(bare(header.fields.get("spectra names", "")), header.lines, source)
     placed = placements(keys, len(names), header.samples, source)
     sidecar = metadata_path(path)

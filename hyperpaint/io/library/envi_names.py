@@ -79,14 +79,16 @@ def keys_of(text: str, count: int, source: str) -> tuple[list[str], list[Key]]:
         There are not as many names, or one leads nowhere.
     """
     if text.count(",") + 1 != count:
-        msg = f"{source}: {text.count(',') + 1} spectra names for {count} spectra; write the library anew"
-        raise FormatError(msg)
+        raise FormatError(
+            f"{source}: {text.count(',') + 1} spectra names for {count} spectra; write the library anew"
+        )
     records = [name.strip() for name in text.split(",")]
     names = list(_paints(records))
     places = {name: at for at, name in enumerate(names)}
     if len(places) != len(names) or records[: len(names)] != names:
-        msg = f"{source}: its first records are not its paints, each once; write the library anew"
-        raise FormatError(msg)
+        raise FormatError(
+            f"{source}: its first records are not its paints, each once; write the library anew"
+        )
     return names, [_key(record, places, source) for record in records]
 
 
@@ -100,6 +102,5 @@ def _key(record: str, places: dict[str, int], source: str) -> Key:
     paint, _, label = record.partition(_BAR)
     match = _LABEL.fullmatch(label)
     if paint not in places or match is None:
-        msg = f"{source}: record {record[:80]!r} leads to no paint; write the library anew"
-        raise FormatError(msg)
+        raise FormatError(f"{source}: record {record[:80]!r} leads to no paint; write the library anew")
     return _LONG.get(match[1], match[1]), places[paint], int(match[2] or 0) - 1

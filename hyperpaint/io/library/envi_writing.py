@@ -84,11 +84,10 @@ def _header(library: xr.Dataset, records: Sequence[str]) -> bytes:
     ]
     text = ("\n".join(lines) + "\n").encode()
     if len(text) > MAX_LIBRARY_HEADER_BYTES:
-        msg = (
+        raise SchemaError(
             f"the header would take {len(text)} bytes for {len(records)} spectra, at most "
             f"{MAX_LIBRARY_HEADER_BYTES} are read again; shorten names, write fewer members, or write Zarr"
         )
-        raise SchemaError(msg)
     return text
 
 

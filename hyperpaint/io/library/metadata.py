@@ -106,11 +106,10 @@ def metadata_text(library: xr.Dataset, spectra: Iterable[str]) -> str:
     rows = ",\n".join(f"    {_dumped(name)}: {_dumped(value)}" for name, value in variables.items())
     text = "{\n" + ",\n".join([*lines, '  "variables": {\n' + rows + "\n  }"]) + "\n}\n"
     if len(text.encode()) > MOST_BYTES:
-        msg = (
+        raise SchemaError(
             f"the library's metadata take {len(text.encode())} bytes, at most {MOST_BYTES} can be written; "
             "drop variables, write fewer paints, or write Zarr"
         )
-        raise SchemaError(msg)
     return text
 
 
@@ -187,10 +186,9 @@ def read_metadata(path: Path, sizes: Mapping[str, int]) -> Metadata:
     try:
         document = json.loads(raw.decode("utf-8"), parse_constant=_refuse_constant)
     except (ValueError, RecursionError) as error:
-        msg = (
+        raise FormatError(
             f"{path.name}: cannot be read as JSON ({error!s:.100}); copy it again, or write the library anew"
-        )
-        raise FormatError(msg) from error
+        ) from error
     problems = Problems(f"{path.name} does not go with its library", FormatError)
     made = Metadata()
     if not isinstance(document, dict) or document.get("hyperpaint_library") != VERSION:
@@ -202,8 +200,7 @@ def read_metadata(path: Path, sizes: Mapping[str, int]) -> Metadata:
 
 
 def _refuse_constant(text: str) -> None:
-    msg = f"{text} is no JSON"
-    raise ValueError(msg)
+    raise ValueError(f"{text} is no JSON")
 
 
 def _read_document(
@@ -256,8 +253,7 @@ def _variable(
         # dims that no spectrum has get their size from the first variable that has them
         expected = tuple(sizes.setdefault(dim, size) for dim, size in zip(dims, shape, strict=True))
         if shape != expected:
-            msg = f"shape {shape}, expected {expected}"
-            raise ValueError(msg)
+            raise ValueError(f"shape {shape}, expected {expected}")
         values = typed_values(flat, kind).reshape(shape)
     except (ValueError, TypeError, OverflowError) as error:
         problems.add(f"{name[:60]!r} ({kind}): {error!s:.100}")
@@ -282,12 +278,10 @@ def _flatten(values: Any, depth: int, into: list[Any]) -> tuple[int, ...]:
         into.append(values)
         return ()
     if not isinstance(values, list):
-        msg = "expected lists as deep as its dims"
-        raise ValueError(msg)
+        raise ValueError("expected lists as deep as its dims")
     shapes = {_flatten(value, depth - 1, into) for value in values}
     if len(shapes) > 1:
-        msg = "its lists have different lengths"
-        raise ValueError(msg)
+        raise ValueError("its lists have different lengths")
     return (len(values), *(shapes.pop() if shapes else (0,) * (depth - 1)))
 
 
@@ -314,28 +308,26 @@ def typed_values(flat: list[Any], kind: str) -> Array:
         with np.errstate(over="ignore"):
             values: Array = made.astype(kind)
         if np.isinf(values).any():
-            msg = "a number is too large"
-            raise ValueError(msg)
+            raise ValueError("a number is too large")
         return values
     _each(flat, int)
     limits = np.iinfo(kind)
     if any(not limits.min <= value <= limits.max for value in flat):
-        msg = "a number is out of range"
-        raise ValueError(msg)
+        raise ValueError("a number is out of range")
     return np.array(flat, kind)
 
 
 def _each(values: list[Any], kind: type | tuple[type, ...]) -> None:
     boolean = kind is bool
     if not all(isinstance(value, kind) and isinstance(value, bool) == boolean for value in values):
-        msg = f"expected {getattr(kind, '__name__', 'number')} values alone"
-        raise ValueError(msg)
+        raise ValueError(f"expected {getattr(kind, '__name__', 'number')} values alone")
 
 
 def _times(flat: list[str]) -> Array:
     """Return times as `metadata_text` writes them; years beyond datetime64[ns] would wrap around."""
     for text in filter(None, flat):
         if _TIME.fullmatch(text) is None or not 1700 <= int(text[:4]) <= 2261:
-            msg = f"{text[:40]!r} is no time such as 2024-05-21T11:33:07.000000000 from 1700 to 2261"
-            raise ValueError(msg)
+            raise ValueError(
+                f"{text[:40]!r} is no time such as 2024-05-21T11:33:07.000000000 from 1700 to 2261"
+            )
     return np.array([np.datetime64(text or "NaT", "ns") for text in flat], "datetime64[ns]")

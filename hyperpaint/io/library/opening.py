@@ -121,8 +121,7 @@ def open_library(
     >>> scratch.cleanup()
     """
     if scale is not None and not (np.isfinite(scale) and scale > 0):
-        msg = f"scale is {scale}, expected the stored value of a reflectance of one, such as 100"
-        raise FormatError(msg)
+        raise FormatError(f"scale is {scale}, expected the stored value of a reflectance of one, such as 100")
     options = _Options(_axis(wavelength, "wavelength"), _axis(fwhm, "fwhm"), scale)
     if isinstance(path, str | os.PathLike) and _is_store(path):
         options.refuse_for(path)
@@ -163,8 +162,9 @@ def _axis(given: Path_ | Any | None, name: str) -> FloatArray | None:
     except (TypeError, ValueError):
         values = np.empty(0)
     if values.ndim != 1 or not values.size or not np.isfinite(values).all():
-        msg = f"{name}= is {str(given)[:60]!r}, expected one finite number a band [nm], or a file"
-        raise FormatError(msg)
+        raise FormatError(
+            f"{name}= is {str(given)[:60]!r}, expected one finite number a band [nm], or a file"
+        )
     return values
 
 
@@ -263,15 +263,13 @@ def _opened(path: Path, options: _Options) -> xr.Dataset:
     """Open one file, by what it holds."""
     if not path.is_file():
         kind = "no plain file" if os.path.lexists(path) else "no such file"
-        msg = f"{path}: {kind}; expected a spectral library"
-        raise FormatError(msg)
+        raise FormatError(f"{path}: {kind}; expected a spectral library")
     try:
         return _by_content(path, options)
     except OSError as error:
         if isinstance(error, StoreError):
             raise
-        msg = f"{path}: cannot be read ({error.strerror or error})"
-        raise FormatError(msg) from error
+        raise FormatError(f"{path}: cannot be read ({error.strerror or error})") from error
 
 
 def _by_content(path: Path, options: _Options) -> xr.Dataset:

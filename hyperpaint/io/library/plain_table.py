@@ -87,8 +87,7 @@ def read_plain_table(
     said = " ".join(preamble)
     heading = preamble[-1] if preamble else ""
     if (found := _OTHER_QUANTITY.search(heading)) and not re.search("reflect", said, re.IGNORECASE):
-        msg = f"{source}: its heading says {found[0]!r}, expected reflectance"
-        raise FormatError(msg)
+        raise FormatError(f"{source}: its heading says {found[0]!r}, expected reflectance")
     factor, note = wavelength_factor(said, table[:, 0], source)
     values = reflectances(
         table[:, 1:].T, source, said=100.0 if _PERCENT.search(heading) else None, given=scale
@@ -115,8 +114,9 @@ def _beginning(lines: Sequence[str], source: str) -> tuple[int, _Dialect, int]:
             # where the next line fits none, it is reported: no line of numbers is taken for a heading
             dialect = fitting[0] if fitting else rows[0][0]
             return at, dialect, next(len(row) for d, row in rows if d == dialect)
-    msg = f"{source}: no table of numbers found, expected a wavelength and one or more values a line"
-    raise FormatError(msg)
+    raise FormatError(
+        f"{source}: no table of numbers found, expected a wavelength and one or more values a line"
+    )
 
 
 def _numbers(lines: Sequence[str], first: int, dialect: _Dialect, columns: int, source: str) -> FloatArray:
@@ -142,8 +142,9 @@ def _check_order(wavelength: FloatArray, source: str) -> None:
     steps = np.diff(wavelength)
     back = min(int((steps < 0).sum()), int((steps > 0).sum()))
     if np.isnan(wavelength).any() or back > max(4, steps.size // 20) or not steps.any():
-        msg = f"{source}: the first column rises and falls, expected wavelengths; spectra belong in columns"
-        raise FormatError(msg)
+        raise FormatError(
+            f"{source}: the first column rises and falls, expected wavelengths; spectra belong in columns"
+        )
 
 
 def _names(preamble: Sequence[str], dialect: _Dialect, columns: int, stem: str) -> tuple[list[str], bool]:

@@ -105,8 +105,9 @@ def checked_library(library: xr.Dataset) -> xr.Dataset:
     problems.raise_if_any()
     wavelength = np.asarray(found["wavelength"].values, np.float64)
     if not (np.isfinite(wavelength).all() and (wavelength > 0).all()):
-        msg = "wavelengths of the library are not all finite and above 0; drop those bands with .isel"
-        raise SchemaError(msg)
+        raise SchemaError(
+            "wavelengths of the library are not all finite and above 0; drop those bands with .isel"
+        )
     return library.assign_coords({n: v for n, v in found.items() if n in library.coords}).assign(
         {n: v for n, v in found.items() if n not in library.coords}
     )
@@ -236,16 +237,17 @@ def placements(keys: Sequence[Key], paints: int, bands: int, source: str) -> dic
         paint = np.array([keys[at][1] for at in records], np.int64)
         inner = np.array([keys[at][2] for at in records], np.int64)
         if np.unique(np.stack([paint, inner]), axis=1).shape[1] != len(records):
-            msg = f"{source}: a record of {variable!r} is there twice; write the library anew"
-            raise FormatError(msg)
+            raise FormatError(f"{source}: a record of {variable!r} is there twice; write the library anew")
         if len(set((inner < 0).tolist())) > 1 or (inner[0] < 0 and len(records) != paints):
-            msg = f"{source}: {len(records)} records of {variable!r} for {paints} paints; write it anew"
-            raise FormatError(msg)
+            raise FormatError(
+                f"{source}: {len(records)} records of {variable!r} for {paints} paints; write it anew"
+            )
         places = () if inner[0] < 0 else (int(inner.max()) + 1,)
         cells = paints * bands * (places or (1,))[0]
         if cells > _most_cells(len(records) * bands):
-            msg = f"{source}: {len(records)} records of {variable!r} would need {cells} cells; is it damaged?"
-            raise FormatError(msg)
+            raise FormatError(
+                f"{source}: {len(records)} records of {variable!r} would need {cells} cells; is it damaged?"
+            )
         values = np.full((paints, *places, bands), np.nan, np.float32)
         made[variable] = Placement(records, paint, inner, values)
     return made

@@ -104,8 +104,9 @@ def library_of(found: Spectra) -> xr.Dataset:
     bands = found.reflectance.shape[1]
     for name, axis in (("wavelength", found.wavelength), ("fwhm", found.fwhm)):
         if axis is not None and axis.shape != (bands,):
-            msg = f"{found.source}: {axis.size} values of {name} for {bands} bands; pass the one that fits"
-            raise FormatError(msg)
+            raise FormatError(
+                f"{found.source}: {axis.size} values of {name} for {bands} bands; pass the one that fits"
+            )
     rows = LIBRARY_VARIABLES
     data = {"reflectance": found.reflectance, **found.others}
     variables = {name: ((PAINT, BAND), values, dict(rows[name].attrs)) for name, values in data.items()}
@@ -154,11 +155,10 @@ def check_wavelengths(wavelength: FloatArray, source: str) -> None:
             found += " (are they nanometres, said to be micrometres?)"
     else:
         found = f"{wavelength.size} wavelengths, not all of them finite"
-    msg = (
+    raise FormatError(
         f"{source}: {found}, expected {SHORTEST:g} nm to {LONGEST:g} nm; "
         "check their units, or pass wavelength= [nm]"
     )
-    raise FormatError(msg)
 
 
 def reflectances(
@@ -210,8 +210,7 @@ def reflectances(
         made = values.astype(np.float32)
     if not np.isfinite(made[np.isfinite(values)]).all() or np.isinf(values).any():
         largest = np.abs(values[~np.isnan(values)]).max()
-        msg = f"{source}: values up to {largest:g}, expected finite reflectance"
-        raise FormatError(msg)
+        raise FormatError(f"{source}: values up to {largest:g}, expected finite reflectance")
     return made
 
 
@@ -235,11 +234,10 @@ def _judge_fractions(values: FloatArray, source: str) -> None:
         "in hundredths of a percent, scale=1 where it is right"
     )
     if known.size and float(np.median(known)) > _LARGEST_FRACTION:
-        msg = (
+        raise FormatError(
             f"{source}: values up to {known.max():g}, half of them above {np.median(known):g}, and no scale; "
             f"{advice}"
         )
-        raise FormatError(msg)
     bright = [
         bool(there.any()) and float(np.median(one[there])) > _LARGEST_FRACTION
         for one, there in zip(values, finite, strict=True)

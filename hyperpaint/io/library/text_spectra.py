@@ -34,8 +34,7 @@ def lines_of(path: Path, expected: str) -> list[str]:
     """
     raw = read_limited_text(path, MOST_BYTES, expected)
     if b"\0" in raw:
-        msg = f"{path}: holds NUL bytes, expected {expected}; UTF-16 text must be saved as UTF-8"
-        raise FormatError(msg)
+        raise FormatError(f"{path}: holds NUL bytes, expected {expected}; UTF-16 text must be saved as UTF-8")
     return _BREAK.split(decoded_text(raw))
 
 
@@ -121,8 +120,7 @@ def wavelength_factor(text: str, wavelength: FloatArray, source: str) -> tuple[f
     if _NANOMETRE.search(text):
         return 1.0, ""
     if found := _OTHER.search(text):
-        msg = f"{source}: x in {found[0]!r}, expected wavelengths in nm or um; pass wavelength="
-        raise FormatError(msg)
+        raise FormatError(f"{source}: x in {found[0]!r}, expected wavelengths in nm or um; pass wavelength=")
     if wavelength.size and float(np.nanmax(wavelength)) < 100.0:
         return 1e3, "no wavelength units: values below 100 taken as micrometres"
     return 1.0, "no wavelength units: values taken as nanometres"

@@ -68,20 +68,17 @@ def read_usgs(
     parts = _SPECTRUM.fullmatch(told)
     name, spectrometer, measurement = parts.groups() if parts else (told, "", "")
     if is_usgs_axis(title):
-        msg = f"{source}: {told[:60]!r} are no spectrum; pass the file as wavelength= or fwhm="
-        raise FormatError(msg)
+        raise FormatError(f"{source}: {told[:60]!r} are no spectrum; pass the file as wavelength= or fwhm=")
     if measurement == "TRAN":
-        msg = f"{source}: {told[:60]!r} is a transmittance, expected reflectance"
-        raise FormatError(msg)
+        raise FormatError(f"{source}: {told[:60]!r} is a transmittance, expected reflectance")
     notes: list[str] = []
     nm = _axis(path, "wave", values.size, spectrometer, notes) if wavelength is None else wavelength
     if nm is None:
-        msg = (
+        raise FormatError(
             f"{source}: no file of {values.size} wavelengths beside it or in the folders above; pass "
             "wavelength=, the library's file '..._Wavelengths_...txt' of its spectrometer"
             f"{' ' + spectrometer if spectrometer else ''}"
         )
-        raise FormatError(msg)
     width = _axis(path, "bandpass", values.size, spectrometer, notes) if fwhm is None else fwhm
     columns = {"spectrometer": spectrometer, "measurement": measurement}
     if record:
@@ -103,8 +100,7 @@ def _column(path: Path) -> tuple[str, FloatArray]:
     lines = lines_of(path, "a file of the USGS spectral library")
     values = numbers_of_lines(lines, 1, 1, path.name)[:, 0]
     if values.size < 2:
-        msg = f"{path.name}: {values.size} values, expected a title and one value a line"
-        raise FormatError(msg)
+        raise FormatError(f"{path.name}: {values.size} values, expected a title and one value a line")
     return lines[0], values
 
 
@@ -119,8 +115,7 @@ def read_usgs_axis(path: Path) -> tuple[FloatArray, str]:
     title, values = _column(path)
     factor, note = wavelength_factor(title.replace("_", " "), values, path.name)
     if not np.isfinite(values).all():
-        msg = f"{path.name}: not all of its {values.size} values are finite"
-        raise FormatError(msg)
+        raise FormatError(f"{path.name}: not all of its {values.size} values are finite")
     return in_nanometres(values, factor), note
 
 
@@ -140,8 +135,9 @@ def _axis(path: Path, kind: str, count: int, spectrometer: str, notes: list[str]
     if len({values.tobytes() for values, _ in found.values()}) > 1:
         listed = ", ".join(sorted(file.name for file in found))
         option = "wavelength=" if kind == "wave" else "fwhm="
-        msg = f"{path.name}: {listed} have {count} values each; pass {option}, the one that belongs to it"
-        raise FormatError(msg)
+        raise FormatError(
+            f"{path.name}: {listed} have {count} values each; pass {option}, the one that belongs to it"
+        )
     for file, (values, note) in found.items():
         notes.append(f"{'wavelengths' if kind == 'wave' else 'fwhm'} of {file.name}{note and ': ' + note}")
         return values

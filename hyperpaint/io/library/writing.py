@@ -106,8 +106,9 @@ def write_library(
     chosen = _OF_SUFFIX.get(path.suffix.lower()) if format is None else format
     if chosen not in _WRITERS:
         found = f"format {format!r}" if format is not None else f"no format of the suffix {path.suffix!r}"
-        msg = f"{found}; expected format= one of {', '.join(FORMATS)}, or a suffix .sli, .csv or .zarr"
-        raise FormatError(msg)
+        raise FormatError(
+            f"{found}; expected format= one of {', '.join(FORMATS)}, or a suffix .sli, .csv or .zarr"
+        )
     path = _named(path, chosen)
     _WRITERS[chosen](checked_library(library), path, overwrite=overwrite, progress=progress)
     return path

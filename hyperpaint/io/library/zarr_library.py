@@ -48,14 +48,12 @@ def read_zarr_library(path: str | os.PathLike[str]) -> xr.Dataset:
     groups = list_groups(path)
     if "" not in groups:
         named = ", ".join(f"{os.fspath(path)}/{group}" for group in groups) or "none"
-        msg = f"{os.fspath(path)} holds no paint library at its root; groups found: {named}"
-        raise FormatError(msg)
+        raise FormatError(f"{os.fspath(path)} holds no paint library at its root; groups found: {named}")
     library = open_store(path)
     rows = {name: LIBRARY_VARIABLES[name] for name in (PAINT, "reflectance", "wavelength")}
     missing = [name for name in rows if name not in library.variables]
     wrong = [row.dim_problem(library[name]) for name, row in rows.items() if name not in missing]
     if missing or any(wrong):
         told = "; ".join([f"{name!r} is missing" for name in missing] + [text for text in wrong if text])
-        msg = f"{os.fspath(path)} holds no paint library: {told}"
-        raise FormatError(msg)
+        raise FormatError(f"{os.fspath(path)} holds no paint library: {told}")
     return library

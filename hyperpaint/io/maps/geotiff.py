@@ -97,14 +97,14 @@ def write_geotiff(
     path = Path(path)
     array = product_of(map, variable)
     if "y" not in array.dims:
-        msg = (
+        raise SchemaError(
             f"{array.name!r} is {dict(array.sizes)}, expected a map (y, x, band); orthorectify the line first"
         )
-        raise SchemaError(msg)
     grid = grid_of(map)
     if grid is None:
-        msg = "the place of this map is not known: there is no spatial_ref with a GeoTransform, nor x and y"
-        raise SchemaError(msg)
+        raise SchemaError(
+            "the place of this map is not known: there is no spatial_ref with a GeoTransform, nor x and y"
+        )
     array = array if BAND in array.dims else array.expand_dims(BAND, axis=-1)
     array = array.transpose("y", "x", BAND)
     chosen = _chosen(map, array, bands)
@@ -135,8 +135,7 @@ def _told(path: Path) -> Iterator[None]:
     try:
         yield
     except _rasterio().errors.RasterioError as error:
-        msg = f"{path} cannot be written: {error}"
-        raise StoreError(msg) from error
+        raise StoreError(f"{path} cannot be written: {error}") from error
 
 
 # --- values ------------------------------------------------------------------------------------------------
@@ -149,19 +148,18 @@ def _chosen(map: xr.Dataset, array: xr.DataArray, bands: Any) -> list[int]:
         if bands == "all":
             return list(range(count))
         if bands != "rgb":
-            msg = f"bands {bands!r:.40}, expected 'all', 'rgb' or indices"
-            raise SchemaError(msg)
+            raise SchemaError(f"bands {bands!r:.40}, expected 'all', 'rgb' or indices")
         axis = map.variables.get("wavelength")
         known = axis is not None and axis.dims == (BAND,) and axis.size == count
         found = nearest_bands(map["wavelength"].values, RGB_WAVELENGTHS) if known else None
         if found is None:
-            msg = "a picture needs bands within 50 nm of 640, 550 and 460 nm; choose bands by their indices"
-            raise SchemaError(msg)
+            raise SchemaError(
+                "a picture needs bands within 50 nm of 640, 550 and 460 nm; choose bands by their indices"
+            )
         return found
     chosen = [int(band) for band in bands]
     if not chosen or not all(-count <= band < count for band in chosen):
-        msg = f"bands {chosen[:20]}, expected one or more of 0 to {count - 1}"
-        raise SchemaError(msg)
+        raise SchemaError(f"bands {chosen[:20]}, expected one or more of 0 to {count - 1}")
     return [band % count for band in chosen]
 
 
@@ -172,8 +170,7 @@ def _plain(array: xr.DataArray) -> xr.DataArray:
         return array.astype(np.uint8)
     if array.dtype.name in ("uint8", "uint16", "int16", "uint32", "int32"):
         return array
-    msg = f"{array.name!r} is {array.dtype}, expected floats or integers of at most 32 bits"
-    raise SchemaError(msg)
+    raise SchemaError(f"{array.name!r} is {array.dtype}, expected floats or integers of at most 32 bits")
 
 
 def _picture(array: xr.DataArray, stretch: tuple[float, float]) -> xr.DataArray:
@@ -181,8 +178,7 @@ def _picture(array: xr.DataArray, stretch: tuple[float, float]) -> xr.DataArray:
     import xarray as xr
 
     if not 0.0 <= stretch[0] < stretch[1] <= 100.0:
-        msg = f"stretch {stretch}, expected two rising percentiles within 0 and 100"
-        raise SchemaError(msg)
+        raise SchemaError(f"stretch {stretch}, expected two rising percentiles within 0 and 100")
     step = -(-array.sizes["y"] // _SAMPLED)
     sample = array.isel(y=slice(step // 2, None, step)).values.astype(np.float64)
     known = sample[np.isfinite(sample).all(axis=-1)]

@@ -86,12 +86,11 @@ def grid_of(dataset: xr.Dataset) -> Grid | None:
     if along or c != 0.0 or e != 0.0:
         found = _along(dataset, transform)
         if not along and not _same(found, transform, dataset):
-            msg = (
+            raise SchemaError(
                 f"GeoTransform of {SPATIAL_REF} is turned, and 'x' and 'y' are not the distances of all its "
                 "cells from its corner, so that nothing tells which cells these are; drop 'x' and 'y' where "
                 "it is the whole grid"
             )
-            raise SchemaError(msg)
     else:
         found = _north_up(dataset, (b, f))
     # numbers that agree keep their bits
@@ -142,11 +141,10 @@ def _numbers(text: Any) -> Transform:
     except (TypeError, ValueError):
         a = b = c = d = e = f = math.nan
     if not all(map(math.isfinite, (a, b, c, d, e, f))) or b * f - c * e == 0.0:
-        msg = (
+        raise SchemaError(
             f"GeoTransform of {SPATIAL_REF} is {text!r:.80}, expected six numbers in GDAL's order: x of the "
             "outer corner, its steps a column and a row, then y"
         )
-        raise SchemaError(msg)
     return a, b, c, d, e, f
 
 
@@ -210,8 +208,9 @@ def _reference_system(wkt: str | None) -> tuple[str, list[str], str, dict[str, s
     try:
         crs = pyproj.CRS.from_user_input(wkt).to_2d()
     except pyproj.exceptions.CRSError as error:
-        msg = f"{SPATIAL_REF} holds a reference system that PROJ does not know: {wkt[:60]!r}"
-        raise SchemaError(msg) from error
+        raise SchemaError(
+            f"{SPATIAL_REF} holds a reference system that PROJ does not know: {wkt[:60]!r}"
+        ) from error
     text = {"coordinate system string": crs.to_wkt("WKT1_ESRI")}
     geodetic = crs.geodetic_crs
     datum = geodetic.name if geodetic is not None else "WGS 84"

@@ -34,15 +34,13 @@ def product_of(dataset: xr.Dataset, variable: str | None) -> xr.DataArray:
     if name is None or name not in dataset.variables:
         held = ", ".join(map(str, dataset.data_vars)) or "nothing"
         wanted = "one of " + ", ".join(_PRODUCTS) if name is None else repr(name)
-        msg = f"there is no {wanted} to write; the dataset holds {held}: name one with variable="
-        raise SchemaError(msg)
+        raise SchemaError(f"there is no {wanted} to write; the dataset holds {held}: name one with variable=")
     array = dataset[name]
     if set(array.dims) - {BAND} not in _GEOMETRIES or not array.size:
-        msg = (
+        raise SchemaError(
             f"{name!r} is {dict(array.sizes)}, expected ({ALONG_TRACK}, {BAND}, {CROSS_TRACK}) or "
             f"(y, x, {BAND}), with or without {BAND}, and no dim of size 0"
         )
-        raise SchemaError(msg)
     return array.reset_coords(drop=True)
 
 

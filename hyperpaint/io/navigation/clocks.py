@@ -84,8 +84,7 @@ def gps_to_utc(gps: NDArray[np.int64], leap_seconds: int | None = None) -> NDArr
     days = np.array(list(LEAP_SECONDS), "datetime64[ns]").astype(np.int64)
     place = np.searchsorted(days + offsets * NS_PER_S, gps, side="right") - 1
     if np.any(place < 0):
-        msg = "times before 1980-01-06, when GPS time began; is this clock GPS time?"
-        raise TimeError(msg)
+        raise TimeError("times before 1980-01-06, when GPS time began; is this clock GPS time?")
     expiry = np.datetime64(LEAP_SECONDS_EXPIRY, "ns").astype(np.int64)
     if np.any(gps > expiry):
         warnings.warn(
@@ -118,11 +117,11 @@ class ClockCorrection:
 
     def __post_init__(self) -> None:
         if not abs(self.offset_s) <= _LARGEST_OFFSET:
-            msg = f"a clock offset of {self.offset_s} s; expected at most {_LARGEST_OFFSET:g} s either way"
-            raise TimeError(msg)
+            raise TimeError(
+                f"a clock offset of {self.offset_s} s; expected at most {_LARGEST_OFFSET:g} s either way"
+            )
         if self.time_scale not in ("utc", "gps"):
-            msg = f"time_scale {self.time_scale!r}, expected 'utc' or 'gps'"
-            raise TimeError(msg)
+            raise TimeError(f"time_scale {self.time_scale!r}, expected 'utc' or 'gps'")
 
     def apply(self, stamp: NDArray[np.int64]) -> NDArray[np.int64]:
         """Return UTC in nanoseconds since 1970-01-01."""
@@ -194,17 +193,17 @@ def tie_clock(
     check_increasing(stamp, rows, source)
     backwards = rows[1:][np.diff(utc) < 0]
     if backwards.size:
-        msg = f"{source}: UTC runs backwards in {name_rows(backwards)}; delete or re-order these rows"
-        raise TimeError(msg)
+        raise TimeError(
+            f"{source}: UTC runs backwards in {name_rows(backwards)}; delete or re-order these rows"
+        )
     # a receiver slower than the log repeats its time: a new value counts from its first row
     first = np.concatenate([[True], np.diff(utc) > 0])
     stamp, utc, rows = stamp[first], utc[first], rows[first]
     drift = np.diff(utc).astype(np.float64) - np.diff(stamp).astype(np.float64) * _NS_PER_US
     steps = np.flatnonzero(np.abs(drift) > _CLOCK_STEP)
     if steps.size:
-        msg = (
+        raise TimeError(
             f"{source}: UTC steps by {drift[steps[0]] / NS_PER_S:+.3f} s against the clock of the stamps in"
             f" {name_rows(rows[steps + 1])} (a receiver that learnt its leap seconds?); cut the record there"
         )
-        raise TimeError(msg)
     return Clock(stamp, utc, source, daily)

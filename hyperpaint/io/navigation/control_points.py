@@ -79,8 +79,7 @@ def read_control_points(path: str | Path) -> xr.Dataset:
     comments = [line for _, line in rows if line.lstrip().startswith("#")]
     rows = [(number, line) for number, line in rows if not line.lstrip().startswith("#")]
     if len(rows) < 2 or len(rows) > _MOST_ROWS:
-        msg = f"{path}: {max(len(rows) - 1, 0)} points, expected a header and 1 to {_MOST_ROWS}"
-        raise FormatError(msg)
+        raise FormatError(f"{path}: {max(len(rows) - 1, 0)} points, expected a header and 1 to {_MOST_ROWS}")
     mark = next((mark for mark in ("\t", ";", ",") if mark in rows[0][1]), ",")
     header = [_ALIASES.get(_plain(cell), "") for cell in _cells(rows[0][1], mark)]
     for name in _NUMBERS:

@@ -63,8 +63,7 @@ def read_eph_att(path: str | Path) -> PoseRecord:
         file.seek(header.header_offset)
         stored = np.fromfile(file, header.dtype, header.lines * header.bands)
     if stored.size != header.lines * header.bands:
-        msg = f"{data_path}: became shorter while it was read"
-        raise FormatError(msg)
+        raise FormatError(f"{data_path}: became shorter while it was read")
     # one sample a line leaves lines and bands
     by_bands = header.interleave == "bsq"
     table = stored.reshape((header.bands, header.lines)).T if by_bands else stored.reshape(header.lines, -1)

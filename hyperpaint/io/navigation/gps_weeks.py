@@ -145,11 +145,10 @@ def _week_of(record: PoseRecord, source: TimeSource) -> tuple[int, str]:
         return record.week, f"said by {record.name}"
     first = int(record.stamp[0]) // NS_PER_S
     day = ("Sunday", "Monday", "Tuesday", "Wednesday", "Thursday", "Friday", "Saturday")[first // 86_400 % 7]
-    msg = (
+    raise TimeError(
         f"{record.name} counts seconds of a GPS week (from {first} s: a {day}) and does not say which week; "
         "give week=, the weeks since 1980-01-06, or date='YYYY-MM-DD' of the flight"
     )
-    raise TimeError(msg)
 
 
 def _refuse_another_date(record: PoseRecord, first: int, source: TimeSource) -> None:

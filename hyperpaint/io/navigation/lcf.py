@@ -99,8 +99,9 @@ def _table(path: Path) -> Table:
         cells.append(row)
     if wrong or not cells:
         said = f"{name_rows(wrong)} without them" if wrong else "no rows"
-        msg = f"{path}: expected at least {len(_COLUMNS)} columns ({', '.join(_COLUMNS)}), found {said}"
-        raise FormatError(msg)
+        raise FormatError(
+            f"{path}: expected at least {len(_COLUMNS)} columns ({', '.join(_COLUMNS)}), found {said}"
+        )
     columns = list(zip(*cells, strict=True))
     named = {name: list(columns[place]) for place, name in enumerate(_COLUMNS)}
     return Table(path.name, np.array(rows, np.int64), named)

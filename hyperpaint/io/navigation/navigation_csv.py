@@ -115,8 +115,7 @@ def read_navigation_csv(path: str | Path) -> PoseRecord:
         check_poses(values, unit, problems, "row")
     problems.raise_if_any()
     if not known.any():
-        msg = f"{path}: no row with a time"
-        raise FormatError(msg)
+        raise FormatError(f"{path}: no row with a time")
     kept = stamp[known]
     if clock == "week":
         kept = unwrap_weeks(kept)
@@ -158,10 +157,9 @@ def _split(path: Path) -> tuple[dict[str, str], list[_Column], Table]:
     cells = head.split(separator, _MOST_COLUMNS)
     header = [_column(cell) for cell in cells]
     if len(cells) > _MOST_COLUMNS or not any(column.key in _ALIASES for column in header):
-        msg = (
+        raise FormatError(
             f"{path}: expected a header that names {', '.join(POSE)} and a time, found {head.strip()[:80]!r}"
         )
-        raise FormatError(msg)
     rows: list[int] = []
     kept: list[list[str]] = []
     wrong: list[int] = []
@@ -176,8 +174,7 @@ def _split(path: Path) -> tuple[dict[str, str], list[_Column], Table]:
         kept.append(row)
     if wrong or not kept:
         what = f"{name_rows(wrong)} without {len(header)} cells; mend or delete" if wrong else "no rows"
-        msg = f"{path}: {what}"
-        raise FormatError(msg)
+        raise FormatError(f"{path}: {what}")
     columns = {
         column.shown: list(cells) for column, cells in zip(header, zip(*kept, strict=True), strict=True)
     }

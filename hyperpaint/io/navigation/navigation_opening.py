@@ -130,13 +130,13 @@ def open_navigation(
 
     files = [Path(paths)] if isinstance(paths, str | os.PathLike) else [Path(path) for path in paths]
     if not files:
-        msg = "no navigation file given, expected one or more"
-        raise FormatError(msg)
+        raise FormatError("no navigation file given, expected one or more")
     source = TimeSource(week, date, leap_seconds, time_scale, clock_offset_s)
     source.check()
     if format is not None and format not in get_args(NavigationFormat):
-        msg = f"format {format!r:.40}, expected {', '.join(map(repr, get_args(NavigationFormat)))}"
-        raise SchemaError(msg)
+        raise SchemaError(
+            f"format {format!r:.40}, expected {', '.join(map(repr, get_args(NavigationFormat)))}"
+        )
     parts: list[tuple[PoseRecord, NDArray[np.int64], dict[str, Any]]] = []
     findings = Findings("the navigation cannot be used")
     for path in files:
@@ -186,8 +186,7 @@ def navigation_format(path: str | Path) -> NavigationFormat:
         with open(path, "rb") as file:
             head = file.read(_HEAD)
     except OSError as error:
-        msg = f"{path}: cannot be read ({error.strerror or error}); check the path"
-        raise FormatError(msg) from error
+        raise FormatError(f"{path}: cannot be read ({error.strerror or error}); check the path") from error
     if suffix == ".sbet" or (suffix == ".out" and b"\0" in head):
         return "sbet"
     if suffix == ".lcf":
@@ -199,8 +198,9 @@ def navigation_format(path: str | Path) -> NavigationFormat:
         return "csv"
     known = ", ".join(map(repr, get_args(NavigationFormat)))
     what = "binary" if b"\0" in head else f"begins {head[:60].decode('latin-1')!r}"
-    msg = f"{path}: {what}, not a kind of navigation known by its name; give format=, one of {known}"
-    raise FormatError(msg)
+    raise FormatError(
+        f"{path}: {what}, not a kind of navigation known by its name; give format=, one of {known}"
+    )
 
 
 # --- one file ----------------------------------------------------------------------------------------------
@@ -245,17 +245,17 @@ def _headwall(path: Path, source: TimeSource, gps_time: Path | None) -> PoseReco
     elif own_clock and None not in (source.midnight, source.clock_offset_s):
         record = record.dated_at(int(source.midnight or 0))
     if record.utc is None or not record.utc.size:
-        msg = (
+        raise TimeError(
             f"{path.name} holds no date; give gps_time= (gps_time.txt of the same flight), or date= and "
             "clock_offset_s= (UTC = the computer's clock + clock_offset_s)"
         )
-        raise TimeError(msg)
     wrong = record.rows[1:][np.diff(record.utc) < 0]
     if wrong.size:
         from hyperpaint.io.flightline.headwall import name_rows
 
-        msg = f"{path.name}: UTC runs backwards in {name_rows(wrong)}; delete or re-order these rows"
-        raise TimeError(msg)
+        raise TimeError(
+            f"{path.name}: UTC runs backwards in {name_rows(wrong)}; delete or re-order these rows"
+        )
     return PoseRecord(
         path.name,
         "Headwall imu_gps",
@@ -277,14 +277,16 @@ def _refuse_mixtures(parts: Sequence[tuple[PoseRecord, NDArray[np.int64], dict[s
         if (record.format, record.convention, set(record.others)) != (
             first.format, first.convention, set(first.others),
         ):  # fmt: skip
-            msg = f"{first.name} ({first.format}) and {record.name} ({record.format}) differ; open them apart"
-            raise FormatError(msg)
+            raise FormatError(
+                f"{first.name} ({first.format}) and {record.name} ({record.format}) differ; open them apart"
+            )
         if utc[0] <= earlier[-1]:
             end, start = (
                 np.datetime64(int(at), "ns").astype("datetime64[ms]") for at in (earlier[-1], utc[0])
             )
-            msg = f"{before.name} ends at {end}, after {record.name} begins at {start}; give one of them"
-            raise TimeError(msg)
+            raise TimeError(
+                f"{before.name} ends at {end}, after {record.name} begins at {start}; give one of them"
+            )
 
 
 def _convention(record: PoseRecord, given: Convention | Mapping[str, Any] | None) -> Convention:
@@ -295,16 +297,16 @@ def _convention(record: PoseRecord, given: Convention | Mapping[str, Any] | None
     else:
         unknown = set(given) - set(record.convention.__dataclass_fields__)
         if unknown:
-            msg = f"convention has no {', '.join(map(repr, sorted(unknown)))}; see hyperpaint.Convention"
-            raise SchemaError(msg)
+            raise SchemaError(
+                f"convention has no {', '.join(map(repr, sorted(unknown)))}; see hyperpaint.Convention"
+            )
         meant = record.convention.replace(**given)
     if "angle_unit" not in record.assumed and meant.angle_unit != record.convention.angle_unit:
         held = record.convention.angle_unit
-        msg = (
+        raise SchemaError(
             f"convention declares angle_unit {meant.angle_unit!r}, {record.name} ({record.format}) holds "
             f"{held}; give Convention(angle_unit={held!r}, ...), or a mapping of what differs"
         )
-        raise SchemaError(msg)
     return meant
 
 

@@ -109,11 +109,10 @@ class Navigation:
                 continue
             return tie_clock(stamp, self.utc, self.rows, f"{self.name}: {column}", daily=daily)
         held = "; ".join(spans) or f"columns {sorted(self.stamps)}, {'no ' if self.utc is None else ''}UTC"
-        msg = (
+        raise TimeError(
             f"{index.name} counts {index.clock} {index.stamp[0]} to {index.stamp[-1]} us, which"
             f" {self.name} does not cover ({held}); give the navigation of this flight, or gps_time or date"
         )
-        raise TimeError(msg)
 
     def dated_by(self, clock: Clock) -> Navigation:
         """Return the record with UTC from a clock of the recording computer; rows outside it are dropped."""
@@ -167,12 +166,12 @@ class Navigation:
             The record has no UTC, or it runs backwards.
         """
         if self.utc is None:
-            msg = f"{self.name} holds no UTC; give gps_time, or date and clock_offset_s"
-            raise TimeError(msg)
+            raise TimeError(f"{self.name} holds no UTC; give gps_time, or date and clock_offset_s")
         if np.any(np.diff(self.utc) < 0):
             rows = self.rows[1:][np.diff(self.utc) < 0]
-            msg = f"{self.name}: UTC runs backwards in {name_rows(rows)}; delete or re-order these rows"
-            raise TimeError(msg)
+            raise TimeError(
+                f"{self.name}: UTC runs backwards in {name_rows(rows)}; delete or re-order these rows"
+            )
         new = np.concatenate([[True], np.diff(self.utc) > 0])
         knots = self.utc[new]
         place, weight, inside = bracket(knots, time.astype("datetime64[ns]").astype(np.int64))
@@ -243,8 +242,7 @@ def read_imu_gps(path: str | Path, correction: ClockCorrection | None = None) ->
         return record
     keep = _dated(utc, next(iter(record.stamps.values()), None), unaligned)
     if not keep.any():
-        msg = f"{path}: no row with a date"
-        raise FormatError(msg)
+        raise FormatError(f"{path}: no row with a date")
     return replace(
         record, utc=(correction or ClockCorrection()).apply(np.where(keep, utc, utc[keep][0]))
     )._where(keep)
@@ -281,8 +279,9 @@ def _dates(table: Table, column: str, unaligned: NDArray[np.bool_]) -> NDArray[n
         made = np.array([_instant(text) for text in texts])
     wrong = table.rows[np.isnat(made) & ~unaligned]
     if wrong.size:
-        msg = f"{table.name}: column {column!r} is not like '2021/07/23 12:34:56.789' in {name_rows(wrong)}"
-        raise FormatError(msg)
+        raise FormatError(
+            f"{table.name}: column {column!r} is not like '2021/07/23 12:34:56.789' in {name_rows(wrong)}"
+        )
     return made.astype(np.int64)
 
 
@@ -364,14 +363,12 @@ def read_gps_time(path: str | Path, correction: ClockCorrection | None = None) -
     if lines and _iso(lines[0][1].partition("\t")[2]) == "NaT":
         del lines[0]
     if not lines:
-        msg = f"{path}: no rows of computer time, tab, receiver date and time"
-        raise FormatError(msg)
+        raise FormatError(f"{path}: no rows of computer time, tab, receiver date and time")
     rows = np.array([number for number, _ in lines], np.int64)
     pairs = [line.split("\t") for _, line in lines]
     wrong = [int(row) for row, pair in zip(rows, pairs, strict=True) if len(pair) < 2]
     if wrong:
-        msg = f"{path}: {name_rows(wrong)} without a tab between computer time and receiver time"
-        raise FormatError(msg)
+        raise FormatError(f"{path}: {name_rows(wrong)} without a tab between computer time and receiver time")
     table = Table(path.name, rows, {"pc": [pair[0] for pair in pairs], "pos": [pair[1] for pair in pairs]})
     utc = _dates(table, "pos", np.zeros(len(rows), bool))
     utc = (correction or ClockCorrection()).apply(utc)

@@ -108,8 +108,9 @@ def check_time_order(name: str, stamp: NDArray[np.int64], row: str) -> None:
     """
     wrong = np.flatnonzero(np.diff(stamp) < 0) + 2
     if wrong.size:
-        msg = f"{name}: time runs backwards in {numbered(row, wrong)}; delete or re-order these rows"
-        raise TimeError(msg)
+        raise TimeError(
+            f"{name}: time runs backwards in {numbered(row, wrong)}; delete or re-order these rows"
+        )
 
 
 def check_seconds(name: str, seconds: NDArray[np.float64], most: float, problems: Problems, row: str) -> None:

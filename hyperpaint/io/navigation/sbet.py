@@ -98,19 +98,17 @@ def _records(path: Path) -> np.ndarray[tuple[int], np.dtype[np.void]]:
             status = os.fstat(file.fileno())
             count, rest = divmod(status.st_size, _RECORD.itemsize)
             if not stat.S_ISREG(status.st_mode) or status.st_size > _LARGEST:
-                msg = f"{path}: no file of at most {_LARGEST >> 30} GB, expected an SBET file; check the path"
-                raise FormatError(msg)
+                raise FormatError(
+                    f"{path}: no file of at most {_LARGEST >> 30} GB, expected an SBET file; check the path"
+                )
             if rest or not count:
-                msg = (
+                raise FormatError(
                     f"{path}: {status.st_size} bytes, expected records of {_RECORD.itemsize} bytes: {count} "
                     f"whole ones and {rest} bytes more; it is cut short, or of another kind: copy it again"
                 )
-                raise FormatError(msg)
             made = np.fromfile(file, _RECORD, count)
     except OSError as error:
-        msg = f"{path}: cannot be read ({error.strerror or error}); check the path"
-        raise FormatError(msg) from error
+        raise FormatError(f"{path}: cannot be read ({error.strerror or error}); check the path") from error
     if made.size != count:
-        msg = f"{path}: became shorter while it was read"
-        raise FormatError(msg)
+        raise FormatError(f"{path}: became shorter while it was read")
     return made

@@ -255,14 +255,14 @@ def read_spectra(
         See `open_asd`.
     """
     if quantity is not None and quantity not in QUANTITIES:
-        msg = f"quantity={quantity!r}: expected one of {', '.join(QUANTITIES)}"
-        raise SchemaError(msg)
+        raise SchemaError(f"quantity={quantity!r}: expected one of {', '.join(QUANTITIES)}")
     external = _external_calibration(calibration or {})
     contents = for_all(files, _read_file)
     wanted = quantity or _common_quantity(contents)
     if absolute and wanted != "reflectance":
-        msg = f"absolute=True is of reflectance, the spectra are {wanted}; leave it out, or name the quantity"
-        raise SchemaError(msg)
+        raise SchemaError(
+            f"absolute=True is of reflectance, the spectra are {wanted}; leave it out, or name the quantity"
+        )
     derived = for_all(contents, lambda content: _spectra_of(content, wanted, external, absolute))
     spectra = [
         replace(spectrum, path=path)
@@ -286,8 +286,7 @@ def _read_file(path: Path) -> AsdFile | AsdText:
         reason = "a pipe, a device or a link that leads nowhere; expected a file"
     else:
         reason = "no such file"
-    msg = f"{path.name}: {reason}"
-    raise FormatError(msg)
+    raise FormatError(f"{path.name}: {reason}")
 
 
 def sniff(path: Path) -> Kind:
@@ -350,10 +349,9 @@ def _spectra_of(
             )
         ]
     if absolute:
-        msg = (
+        raise FormatError(
             f"{content.name}: a text export, to which no panel's reflectance can be put; give the binary file"
         )
-        raise FormatError(msg)
     averaging_s = None
     if content.integration_ms is not None:
         averaging_s = content.integration_ms * 1e-3 * max(content.sample_averages or 1, 1)
@@ -373,8 +371,7 @@ def _spectra_of(
 def _external_calibration(calibration: Mapping[str, str | os.PathLike[str]]) -> dict[str, AsdFile]:
     unknown = sorted(set(calibration) - set(CALIBRATION_KEYS))
     if unknown:
-        msg = f"calibration keys {unknown}: expected some of {', '.join(CALIBRATION_KEYS)}"
-        raise SchemaError(msg)
+        raise SchemaError(f"calibration keys {unknown}: expected some of {', '.join(CALIBRATION_KEYS)}")
     read = for_all(calibration.values(), read_asd)
     return {CALIBRATION_KEYS[key]: file for key, file in zip(calibration, read, strict=True)}
 
@@ -451,18 +448,18 @@ def utc_offsets(
             _warn(f"utc_offset_h={utc_offset_h:+g} is used although the files say otherwise: {said}")
         return [utc_offset_h] * len(spectra)
     if one_clock and len(known) > 1:
-        msg = f"the files of one series differ in their UTC offset; pass utc_offset_h=. Found {said}"
-        raise TimeError(msg)
+        raise TimeError(
+            f"the files of one series differ in their UTC offset; pass utc_offset_h=. Found {said}"
+        )
     if one_clock and known:
         return [next(iter(known))] * len(spectra)
     silent = [spectrum for spectrum in spectra if spectrum.utc_offset_h is None]
     if silent:
         hint = next((hint for hint in map(_offset_hint, silent) if hint), "")
-        msg = (
+        raise TimeError(
             "the time stamps are local and the files do not say their zone; pass utc_offset_h= "
             f"(local time minus UTC in hours){hint}. Files: {listed([s.source for s in silent])}"
         )
-        raise TimeError(msg)
     return [spectrum.utc_offset_h for spectrum in spectra if spectrum.utc_offset_h is not None]
 
 

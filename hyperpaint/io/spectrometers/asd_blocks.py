@@ -113,11 +113,10 @@ class Cursor:
     def bytes(self, count: int, what: str) -> bytes:
         """Read bytes; ``what`` names them in messages."""
         if count > self.left:
-            msg = (
+            raise self.error(
                 f"{what} needs {count} bytes at offset {self._at}, {self.left} are left: "
                 "the file is truncated or damaged; copy it again from the instrument"
             )
-            raise self.error(msg)
         self._at += count
         return self._data[self._at - count : self._at]
 
@@ -142,14 +141,12 @@ class Cursor:
         """Read the head of an OLE SAFEARRAY and return how many items follow."""
         (dims,) = self.values("H", what)
         if dims * 8 > self.left or dims > 60:
-            msg = f"{what} has {dims} dimensions: the file is damaged"
-            raise self.error(msg)
+            raise self.error(f"{what} has {dims} dimensions: the file is damaged")
         count = 1 if dims else 0
         for _ in range(dims):
             count *= self.values("Ii", what)[0]
         if count * item_bytes > self.left:
-            msg = f"{what} declares {count} items, more than the {self.left} bytes left can hold"
-            raise self.error(msg)
+            raise self.error(f"{what} declares {count} items, more than the {self.left} bytes left can hold")
         return count
 
 
@@ -198,12 +195,10 @@ def _calibrations(cursor: Cursor, channels: int) -> dict[str, AsdCalibration]:
     blocks: dict[str, AsdCalibration] = {}
     for code, name, milliseconds, *gains in heads:
         if not 0 <= code < len(_CALIBRATION_KINDS):
-            msg = f"calibration block of type {code}, expected 0 to 3: damaged"
-            raise cursor.error(msg)
+            raise cursor.error(f"calibration block of type {code}, expected 0 to 3: damaged")
         kind = _CALIBRATION_KINDS[code]
         if kind in blocks:
-            msg = f"two calibration blocks of kind {kind}, expected one of each: damaged"
-            raise cursor.error(msg)
+            raise cursor.error(f"two calibration blocks of kind {kind}, expected one of each: damaged")
         values = cursor.array(channels, np.dtype("<f8"), f"the {kind} calibration block")
         integration_ms = nominal_integration_ms(milliseconds)
         blocks[kind] = AsdCalibration(kind, plain_text(name), integration_ms, (gains[0], gains[1]), values)
@@ -221,11 +216,10 @@ def parse_gps(cursor: Cursor, block: bytes) -> AsdGps | None:
         # west positive in the file
         return AsdGps(_degrees(latitude, 90.0), -_degrees(longitude, 180.0), _metres(altitude), fix)
     except ValueError as error:
-        msg = (
+        raise cursor.error(
             f"GPS position {latitude}, {longitude}, {altitude} m at {hour}:{minute}:{second}, "
             "expected ddmm.mmmm, dddmm.mmmm and metres: damaged"
-        )
-        raise cursor.error(msg) from error
+        ) from error
 
 
 def _degrees(ddmm: float, limit: float) -> float:

@@ -37,11 +37,10 @@ def derive_quantity(
     wavelength, values = file.wavelength, file.spectrum
     if quantity == "reflectance":
         if file.reference is None:
-            msg = (
+            raise FormatError(
                 f"{file.name}: no white reference in the file, so no reflectance; "
                 "pass quantity='counts', or give files saved after the white reference was taken"
             )
-            raise FormatError(msg)
         values = _ratio(file.spectrum, file.reference)
         if absolute:
             with np.errstate(all="ignore"):
@@ -68,18 +67,18 @@ def _needed_blocks(
     blocks = {kind: (block.values, block.integration_ms) for kind, block in file.calibrations.items()}
     for kind, other in external.items():
         if kind in kinds and not np.array_equal(other.wavelength, file.wavelength):
-            msg = f"{file.name}: its wavelengths are not those of the calibration file {other.name}"
-            raise FormatError(msg)
+            raise FormatError(
+                f"{file.name}: its wavelengths are not those of the calibration file {other.name}"
+            )
         blocks[kind] = (other.spectrum, other.integration_ms)
     missing = [kind for kind in kinds if kind not in blocks]
     if missing:
         keys = [key for key, kind in CALIBRATION_KEYS.items() if kind in missing]
-        msg = (
+        raise FormatError(
             f"{file.name}: no calibration block {' and '.join(missing)} in the file, so no {purpose}; pass "
             f"calibration={{{', '.join(f'{key!r}: path' for key in keys)}}} with the instrument's files "
             "(.ill, .raw, .ref), or export the spectra as text with the vendor's software"
         )
-        raise FormatError(msg)
     return blocks
 
 
@@ -88,11 +87,10 @@ def _responsivity(file: AsdFile, quantity: str, external: Mapping[str, AsdFile])
     blocks = _needed_blocks(file, _NEEDED_BLOCKS[quantity], quantity, external)
     lamp_counts, lamp_ms = blocks["FO"]
     if file.integration_ms <= 0 or lamp_ms <= 0:
-        msg = (
+        raise FormatError(
             f"{file.name}: integration time {file.integration_ms:g} ms, that of the calibration "
             f"{lamp_ms:g} ms; expected positive numbers"
         )
-        raise FormatError(msg)
     per_count = _ratio(blocks["LMP"][0], lamp_counts) * (lamp_ms / file.integration_ms)
     return per_count * blocks["BSE"][0] / np.pi if quantity == "radiance" else per_count
 

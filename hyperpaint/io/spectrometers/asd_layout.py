@@ -207,8 +207,7 @@ def read_asd(path: str | os.PathLike[str]) -> AsdFile:
 def _parse(data: bytes, name: str) -> AsdFile:
     cursor = Cursor(data, name)
     if data[:3] not in _VERSIONS:
-        msg = f"begins with {data[:3]!r}, expected one of ASD, as2 to as8: not an .asd file"
-        raise cursor.error(msg)
+        raise cursor.error(f"begins with {data[:3]!r}, expected one of ASD, as2 to as8: not an .asd file")
     version = _VERSIONS[data[:3]]
     header = _header(cursor)
     channels: int = header["channels"]
@@ -218,16 +217,14 @@ def _parse(data: bytes, name: str) -> AsdFile:
     if version >= 2:
         flag, reference_ole, _ = cursor.values("Hdd", "the head of the white reference")
         if flag not in (0, 0xFFFF):
-            msg = f"white reference flag {flag:#06x}, expected 0x0000 or 0xffff: damaged"
-            raise cursor.error(msg)
+            raise cursor.error(f"white reference flag {flag:#06x}, expected 0x0000 or 0xffff: damaged")
         description = cursor.text("the description of the white reference")
         # a file without a reference holds zeros or an old one in its place
         values = cursor.array(channels, dtype, "the white reference")
         reference = values if flag and np.any(values != 0.0) else None
     calibrations = read_later_blocks(cursor, version, channels)
     if not cursor.at_end:
-        msg = f"{cursor.left} bytes follow the last block of a version {version} file: damaged"
-        raise cursor.error(msg)
+        raise cursor.error(f"{cursor.left} bytes follow the last block of a version {version} file: damaged")
     return AsdFile(
         name=name,
         version=version,
@@ -260,22 +257,18 @@ def _header(cursor: Cursor) -> dict[str, Any]:
         values = cursor.values(fmt, f"the header ({name})")
         header[name] = values[0] if len(values) == 1 else values
     if header["data_format"] not in _DTYPES:
-        msg = f"data format {header['data_format']}, expected 0 float, 1 integer or 2 double"
-        raise cursor.error(msg)
+        raise cursor.error(f"data format {header['data_format']}, expected 0 float, 1 integer or 2 double")
     if header["data_type"] >= len(_DATA_TYPES):
-        msg = f"data type {header['data_type']}, expected 0 to {len(_DATA_TYPES) - 1}: damaged"
-        raise cursor.error(msg)
+        raise cursor.error(f"data type {header['data_type']}, expected 0 to {len(_DATA_TYPES) - 1}: damaged")
     if header["channels"] == 0:
-        msg = "no channels: the file holds no spectrum"
-        raise cursor.error(msg)
+        raise cursor.error("no channels: the file holds no spectrum")
     return header
 
 
 def _wavelength(cursor: Cursor, header: Mapping[str, Any]) -> _FloatArray:
     first, step = header["first_wavelength"], header["wavelength_step"]
     if not (0 < first < 1e5 and 0 < step < 1e4):
-        msg = f"first wavelength {first} nm, step {step} nm, expected positive numbers: damaged"
-        raise cursor.error(msg)
+        raise cursor.error(f"first wavelength {first} nm, step {step} nm, expected positive numbers: damaged")
     made: _FloatArray = first + step * np.arange(header["channels"], dtype=np.float64)
     made.flags.writeable = False
     return made
@@ -289,8 +282,7 @@ def _local_time(cursor: Cursor, tm: tuple[int, ...]) -> dt.datetime:
         # C allows the second 60
         return dt.datetime(year + 1900, month + 1, day, hour, minute) + dt.timedelta(seconds=second)
     except ValueError as error:
-        msg = f"time of the spectrum {tm[:6]} is not a date: damaged"
-        raise cursor.error(msg) from error
+        raise cursor.error(f"time of the spectrum {tm[:6]} is not a date: damaged") from error
 
 
 def _utc_offset_h(ole_days: float, epoch_s: int) -> float | None:

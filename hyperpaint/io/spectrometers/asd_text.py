@@ -112,10 +112,9 @@ def read_asd_text(path: str | os.PathLike[str]) -> AsdText:
     lines = _lines(read_limited_text(path, _LARGEST_FILE, "a text export of spectra"))
     start = next((i for i, line in enumerate(lines) if _TABLE.match(line)), None)
     if start is None:
-        msg = (
+        raise FormatError(
             f"{path.name}: no line begins with 'Wavelength' and a separator: not a text export of ASD spectra"
         )
-        raise FormatError(msg)
     spectra, wavelength, values = _table(path.name, lines[start:])
     return AsdText(path.name, spectra, wavelength, values, **_preamble(path.name, "\n".join(lines[:start])))
 
@@ -170,8 +169,7 @@ def _local_time(name: str, match: re.Match[str]) -> dt.datetime:
             raise ValueError
         return made
     except ValueError as error:
-        msg = f"{name}: {match[0]!r} is not a date in the order month/day/year"
-        raise FormatError(msg) from error
+        raise FormatError(f"{name}: {match[0]!r} is not a date in the order month/day/year") from error
 
 
 _Table = tuple[tuple[str, ...], npt.NDArray[np.float64], npt.NDArray[np.float64]]
@@ -184,8 +182,7 @@ def _table(name: str, lines: list[str]) -> _Table:
     while cells and not cells[-1]:  # a separator at the end of the line
         cells.pop()
     if len(cells) < 2:
-        msg = f"{name}: the table has no column beside 'Wavelength'; export the spectra again"
-        raise FormatError(msg)
+        raise FormatError(f"{name}: the table has no column beside 'Wavelength'; export the spectra again")
     by_rows = all(_number(cell) is not None for cell in cells[1:])
     labels, values = _rows(name, lines[1:], separator, len(cells), words=by_rows)
     if by_rows:
@@ -194,8 +191,7 @@ def _table(name: str, lines: list[str]) -> _Table:
         spectra, wavelength = tuple(cells[1:]), np.array([_number(label) for label in labels], np.float64)
         values = values.T
     if not (np.all(np.isfinite(wavelength)) and np.all(wavelength > 0) and np.all(np.diff(wavelength) > 0)):
-        msg = f"{name}: the wavelengths do not increase; the table is damaged"
-        raise FormatError(msg)
+        raise FormatError(f"{name}: the wavelengths do not increase; the table is damaged")
     values = np.ascontiguousarray(values)
     wavelength.flags.writeable = values.flags.writeable = False
     return spectra, wavelength, values
@@ -219,16 +215,14 @@ def _rows(
             ended_at = ended_at or (number if labels and line.strip() else None)
             continue
         if len(cells) != width or len(whole) != len(row) or ended_at is not None:
-            msg = (
+            raise FormatError(
                 f"{name}: line {number} of the table holds {line.strip()[:60]!r}, "
                 f"expected {width} cells separated by {separator!r}; the table is damaged"
             )
-            raise FormatError(msg)
         labels.append(cells[0])
         values.append(whole)
     if not labels:
-        msg = f"{name}: the table is empty; export the spectra again"
-        raise FormatError(msg)
+        raise FormatError(f"{name}: the table is empty; export the spectra again")
     return labels, np.array(values, np.float64)
 
 

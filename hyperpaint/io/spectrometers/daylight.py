@@ -47,8 +47,7 @@ def check_magnitude(wavelength: Floats, values: Floats) -> None:
         if brightest > _HIGHEST_MEDIAN
         else f"darker than deep twilight (at least {_LOWEST_MEDIAN:g} is believed)"
     )
-    msg = (
+    raise UnitsError(
         f"the median irradiance of 400-1000 nm is {brightest:.3g} W m-2 nm-1, {direction}; are the values in "
         "other units (uW labelled as W?) or another quantity, such as counts? Pass units=, or convert them"
     )
-    raise UnitsError(msg)

@@ -209,18 +209,18 @@ def _from_files(
     if "csv" in kinds:
         foreign = [path.name for path, kind in zip(files, kinds, strict=True) if kind != "csv"]
         if foreign:
-            msg = f"csv series do not mix with other files; open them apart. No csv series: {listed(foreign)}"
-            raise FormatError(msg)
+            raise FormatError(
+                f"csv series do not mix with other files; open them apart. No csv series: {listed(foreign)}"
+            )
         return _from_csv(files, utc_offset_h, units)
     if quantity is None and "text" not in kinds:
         quantity = "irradiance"  # what is in a binary depends on its calibration, not on what was displayed
     spectra, found = read_spectra(files, quantity, calibration=calibration)
     if found != "irradiance":
-        msg = (
+        raise FormatError(
             f"the files seem to hold {found}, not irradiance; pass quantity='irradiance' if they hold "
             f"irradiance after all. Files: {listed([path.name for path in files])}"
         )
-        raise FormatError(msg)
     vendors = VARIABLES["irradiance"].units
     assumed = {"irradiance_units_source": f"assumed: {vendors}, the vendor's; text exports do not say"}
     return _from_spectra(
@@ -244,15 +244,15 @@ def _from_csv(files: Sequence[Path], utc_offset_h: float | None, units: str | No
     problems.raise_if_any()
     for what in ("units", "fwhm_nm", "wavelength"):
         if any(not np.array_equal(getattr(table, what), getattr(tables[0], what)) for table in tables):
-            msg = f"the csv files differ in their {what}; open them apart: {listed([t.name for t in tables])}"
-            raise FormatError(msg)
+            raise FormatError(
+                f"the csv files differ in their {what}; open them apart: {listed([t.name for t in tables])}"
+            )
     found_units = units or tables[0].units
     if found_units is None:
-        msg = (
+        raise UnitsError(
             f"{listed([t.name for t in tables])}: no units; pass units=, or add a line on top, for example "
             f"'# units: {VARIABLES['irradiance'].units}'"
         )
-        raise UnitsError(msg)
     spectra = [
         Spectrum(
             source=f"{table.name}:{line}",
@@ -278,11 +278,10 @@ def _from_spectra(
 ) -> _Series:
     without_stamp = [spectrum.source for spectrum in spectra if spectrum.local_time is None]
     if without_stamp:
-        msg = (
+        raise TimeError(
             "spectra without a time stamp cannot make a series; export them with the header "
             f"('Spectrum saved: ...'), or write a csv series: {listed(without_stamp)}"
         )
-        raise TimeError(msg)
     sources = [spectrum.source for spectrum in spectra]
     several = f" to {sources[-1]} ({len(sources)} spectra)" if len(sources) > 1 else ""
     return _Series(
@@ -307,10 +306,9 @@ def _from_xarray(
     if isinstance(data, xr.DataArray):
         data = data.to_dataset(name="irradiance")
     if "irradiance" not in data.data_vars:
-        msg = (
+        raise SchemaError(
             f"{origin} has no variable 'irradiance', only {[str(name) for name in data.data_vars]}; rename it"
         )
-        raise SchemaError(msg)
     array = data["irradiance"]
     time, wavelength = _axes(array, origin)
     array = array.transpose(time.name, wavelength.name)
@@ -318,19 +316,18 @@ def _from_xarray(
         check_utc_offset(utc_offset_h)
     found_units = array.attrs.get("units", units)
     if found_units is None:
-        msg = (
+        raise UnitsError(
             f"{origin}: 'irradiance' has no units; pass units=, for example {VARIABLES['irradiance'].units!r}"
         )
-        raise UnitsError(msg)
     if units is not None and conversion_factor(str(found_units), units) != 1.0:
-        msg = (
+        raise UnitsError(
             f"{origin}: units={units!r}, but the data say {found_units!r}; drop the argument or mend the data"
         )
-        raise UnitsError(msg)
     nanometres = convert(wavelength, "nm", str(wavelength.name)).values.astype(np.float64)
     if not (np.all(np.isfinite(nanometres)) and np.all(np.diff(nanometres) > 0)):
-        msg = f"{origin}: {wavelength.name!r} does not increase; sort by it, and drop what occurs twice"
-        raise SchemaError(msg)
+        raise SchemaError(
+            f"{origin}: {wavelength.name!r} does not increase; sort by it, and drop what occurs twice"
+        )
     count = array.sizes[time.name]
     values = array.values.astype(np.float64)
     sources = [f"sample {i}" for i in range(count)]
@@ -361,16 +358,16 @@ def _axes(array: xr.DataArray, origin: str) -> tuple[xr.DataArray, xr.DataArray]
     for names in ((IRRADIANCE_TIME, "time"), (IRRADIANCE_WAVELENGTH, "wavelength")):
         name = next((name for name in names if name in array.dims and name in array.coords), None)
         if name is None or array.ndim != 2:
-            msg = (
+            raise SchemaError(
                 f"{origin}: 'irradiance' has dims {tuple(map(str, array.dims))}, expected a time and a "
                 f"wavelength with coordinates, named {IRRADIANCE_TIME!r} or 'time', "
                 f"{IRRADIANCE_WAVELENGTH!r} or 'wavelength'"
             )
-            raise SchemaError(msg)
         found.append(array[name])
     if found[0].dtype.kind != "M" or found[0].isnull().any():
-        msg = f"{origin}: {found[0].name!r} has dtype {found[0].dtype}, expected datetime64 without NaT"
-        raise TimeError(msg)
+        raise TimeError(
+            f"{origin}: {found[0].name!r} has dtype {found[0].dtype}, expected datetime64 without NaT"
+        )
     return found[0], found[1]
 
 
@@ -409,8 +406,9 @@ def _in_float32_range(series: _Series, order: npt.NDArray[np.intp], factor: floa
     lost = np.isfinite(raw) & ~(np.abs(values) <= np.finfo(np.float32).max)
     if lost.any():
         where = listed([series.sources[place] for place in order[lost.any(axis=1)]])
-        msg = f"irradiance up to {np.abs(raw[lost]).max():.3g} {series.units}; is the file damaged? {where}"
-        raise FormatError(msg)
+        raise FormatError(
+            f"irradiance up to {np.abs(raw[lost]).max():.3g} {series.units}; is the file damaged? {where}"
+        )
     return values
 
 
@@ -423,19 +421,18 @@ def _dataset(
 ) -> xr.Dataset:
     fwhm = series.fwhm if fwhm_nm is None else fwhm_nm
     if fwhm is None:
-        msg = f"{series.origin} does not say the spectrometer's resolution; pass fwhm_nm="
-        raise SchemaError(msg)
+        raise SchemaError(f"{series.origin} does not say the spectrometer's resolution; pass fwhm_nm=")
     gap_s = series.max_gap_s if max_gap_s is None else max_gap_s
     if gap_s is None:
         if len(times) < 2:
-            msg = f"a single irradiance sample ({series.origin}) has no interval; pass max_gap_s="
-            raise TimeError(msg)
+            raise TimeError(f"a single irradiance sample ({series.origin}) has no interval; pass max_gap_s=")
         gap_s = _GAP_INTERVALS * float(np.median(np.diff(times).astype(np.int64))) / 1e9
     dims = (IRRADIANCE_TIME, IRRADIANCE_WAVELENGTH)
     width = np.asarray(fwhm, np.float64)
     if width.shape not in ((), series.wavelength.shape) or not np.all(width > 0):
-        msg = f"{series.origin}: irradiance_fwhm must be one positive number, or one per wavelength"
-        raise SchemaError(msg)
+        raise SchemaError(
+            f"{series.origin}: irradiance_fwhm must be one positive number, or one per wavelength"
+        )
     return xr.Dataset(
         {
             "irradiance": label(xr.DataArray(values.astype(np.float32), dims=dims), "irradiance"),

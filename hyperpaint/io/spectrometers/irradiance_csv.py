@@ -103,29 +103,26 @@ def _parse(name: str, text: str) -> IrradianceTable:
         elif line.strip():
             rows.append((number, [cell.strip().strip('"') for cell in line.strip().split(",")]))
     if not rows or rows[0][1][0].lower() != "time":
-        msg = f"{name}: no header 'time,<wavelength>,...': not an irradiance series"
-        raise FormatError(msg)
+        raise FormatError(f"{name}: no header 'time,<wavelength>,...': not an irradiance series")
     wavelength = _wavelength(name, rows[0][1][1:])
     if len(rows) < 2:
-        msg = f"{name}: no rows under the header; expected a time and {len(wavelength)} values in each"
-        raise FormatError(msg)
+        raise FormatError(
+            f"{name}: no rows under the header; expected a time and {len(wavelength)} values in each"
+        )
     times, values = [], np.empty((len(rows) - 1, len(wavelength)))
     for index, (number, cells) in enumerate(rows[1:]):
         try:
             times.append(_time(cells[0]))
             if len(cells) != len(wavelength) + 1:
-                msg = f"{len(cells) - 1} values"
-                raise ValueError(msg)
+                raise ValueError(f"{len(cells) - 1} values")
             values[index] = [float(cell) if cell else math.nan for cell in cells[1:]]
         except (ValueError, OverflowError) as error:
-            msg = (
+            raise FormatError(
                 f"{name}: line {number} cannot be read ({error}); expected an ISO 8601 time such as "
                 f"2024-05-21T12:00:00Z and {len(wavelength)} numbers"
-            )
-            raise FormatError(msg) from error
+            ) from error
     if len({time.tzinfo is None for time in times}) > 1:
-        msg = f"{name}: some stamps have a zone and some have not; give it to all or to none"
-        raise FormatError(msg)
+        raise FormatError(f"{name}: some stamps have a zone and some have not; give it to all or to none")
     lines = tuple(number for number, _ in rows[1:])
     return IrradianceTable(
         name, tuple(times), lines, wavelength, values, comments.get("units"), _width(name, comments)
@@ -136,19 +133,18 @@ def _wavelength(name: str, cells: list[str]) -> npt.NDArray[np.float64]:
     try:
         made = np.array([float(cell) for cell in cells], np.float64)
     except ValueError as error:
-        msg = f"{name}: the header cannot be read ({error}); expected 'time' and wavelengths in nm"
-        raise FormatError(msg) from error
+        raise FormatError(
+            f"{name}: the header cannot be read ({error}); expected 'time' and wavelengths in nm"
+        ) from error
     if not (len(made) and np.all(np.isfinite(made)) and np.all(made > 0) and np.all(np.diff(made) > 0)):
-        msg = f"{name}: the wavelengths in the header must be positive and increase"
-        raise FormatError(msg)
+        raise FormatError(f"{name}: the wavelengths in the header must be positive and increase")
     return made
 
 
 def _time(cell: str) -> dt.datetime:
     made = dt.datetime.fromisoformat(cell)
     if made.year not in _YEARS:
-        msg = f"the year {made.year} lies outside {_YEARS.start} to {_YEARS.stop - 1}"
-        raise ValueError(msg)
+        raise ValueError(f"the year {made.year} lies outside {_YEARS.start} to {_YEARS.stop - 1}")
     return made
 
 
@@ -160,6 +156,5 @@ def _width(name: str, comments: dict[str, str]) -> float | None:
     except ValueError:
         made = math.nan
     if not 0 < made < math.inf:
-        msg = f"{name}: '# fwhm_nm: {comments['fwhm_nm'][:40]}', expected a positive number"
-        raise FormatError(msg)
+        raise FormatError(f"{name}: '# fwhm_nm: {comments['fwhm_nm'][:40]}', expected a positive number")
     return made

@@ -49,17 +49,17 @@ def cut_irradiance(irradiance: xr.Dataset, time: NDArray[np.datetime64]) -> xr.D
     found = require(irradiance, names, "the irradiance of a flight line")
     stamps = found["irradiance"][IRRADIANCE_TIME].values.astype("datetime64[ns]")
     if np.isnat(stamps).any() or (np.diff(stamps) <= np.timedelta64(0, "ns")).any():
-        msg = "irradiance times repeat, run backwards or are missing; sort them and drop repeated ones"
-        raise TimeError(msg)
+        raise TimeError(
+            "irradiance times repeat, run backwards or are missing; sort them and drop repeated ones"
+        )
     known = time[~np.isnat(time)]
     if not known.size or stamps.size == 0 or stamps[-1] < known.min() or stamps[0] > known.max():
         covered = f"{_second(stamps[0])} to {_second(stamps[-1])}" if stamps.size else "nothing"
         flown = f"{_second(known.min())} to {_second(known.max())}" if known.size else "at unknown times"
-        msg = (
+        raise TimeError(
             f"the irradiance record covers {covered} UTC, the line was flown {flown} UTC;"
             " check utc_offset_h and clock_offset_s"
         )
-        raise TimeError(msg)
     first, last = known.min(), known.max()
     start = min(
         np.searchsorted(stamps, first - _MARGIN),

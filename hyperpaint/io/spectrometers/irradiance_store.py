@@ -39,8 +39,8 @@ def stored_series(path: Path) -> xr.Dataset:
     except IncompleteStoreError as error:
         if ours:
             raise
-        msg = f"{path}: cannot be opened as a Zarr store ({error})"
-        raise FormatError(msg) from error
+        raise FormatError(f"{path}: cannot be opened as a Zarr store ({error})") from error
     except Exception as error:  # zarr, h5py and xarray leak classes of their own on damaged stores
-        msg = f"{path}: cannot be opened as a Zarr or netCDF store ({type(error).__name__}: {error})"
-        raise FormatError(msg) from error
+        raise FormatError(
+            f"{path}: cannot be opened as a Zarr or netCDF store ({type(error).__name__}: {error})"
+        ) from error

@@ -54,11 +54,10 @@ def read_certificate(path: str | os.PathLike[str]) -> xr.DataArray:
     path = Path(path)
     wavelength, values = read_spectrum_csv(path, headings=_MOST_HEADINGS)
     if not ((values > 0.0) & (values <= _LARGEST)).all():
-        msg = (
+        raise FormatError(
             f"{path}: values from {values.min():g} to {values.max():g}, expected reflectance as a fraction; "
             "divide percent by 100"
         )
-        raise FormatError(msg)
     attrs = {**VARIABLES["wavelength"].attrs, "long_name": "Wavelength of the certificate"}
     return xr.DataArray(
         values.astype(np.float64),

@@ -74,8 +74,7 @@ def _of_store(path: Path) -> list[xr.Dataset]:
         group for group in groups if not group
     ]
     if not wanted:
-        msg = f"{path}: expected a paint library, or groups {_GROUP}<instrument>"
-        raise FormatError(msg)
+        raise FormatError(f"{path}: expected a paint library, or groups {_GROUP}<instrument>")
     return [open_store(path, group or None) for group in wanted]
 
 

@@ -51,8 +51,7 @@ def read_pairs(path: str | os.PathLike[str]) -> dict[str, tuple[str, ...]]:
     try:
         text = data.decode("utf-8-sig")
     except UnicodeDecodeError as error:
-        msg = f"{path}: no UTF-8 text; save it as UTF-8"
-        raise FormatError(msg) from error
+        raise FormatError(f"{path}: no UTF-8 text; save it as UTF-8") from error
     problems = Problems(f"{path} is no list of paints and references", FormatError)
     found = _of_json(text, problems) if path.suffix.lower() == ".json" else _of_lines(text, problems)
     made: dict[str, dict[str, None]] = {}

@@ -132,8 +132,7 @@ def check_utc_offset(hours: float) -> None:
         It is outside -14 to 14.
     """
     if not -14.0 <= hours <= 14.0:
-        msg = f"utc_offset_h={hours}: expected local time minus UTC in hours, within -14 to 14"
-        raise TimeError(msg)
+        raise TimeError(f"utc_offset_h={hours}: expected local time minus UTC in hours, within -14 to 14")
 
 
 def listed(names: Sequence[str], most: int = 20) -> str:

@@ -211,21 +211,20 @@ def _measurement(
     if quantity == "reflectance":
         values = _reflectance(file)
     elif file.units[side] != quantity:
-        msg = (
+        raise FormatError(
             f"{file.name}: its {SCANS[side]} is in {file.units[side]}, not in {quantity}; pass "
             f"quantity={file.units[side]!r}, or save the file in {quantity} with the vendor's software"
         )
-        raise FormatError(msg)
     elif side == 0 and not file.has_reference:
-        msg = f"{file.name}: no white reference was taken; pass scan='target'"
-        raise FormatError(msg)
+        raise FormatError(f"{file.name}: no white reference was taken; pass scan='target'")
     else:
         values = (file.reference, file.target)[side] * _SCALE[quantity]
     at = _handovers(file, joins) if trim else ()
     used = _trimmed(file, at)
     if not used.any():
-        msg = f"{file.name}: its detectors do not follow one another in wavelength; the file is damaged"
-        raise FormatError(msg)
+        raise FormatError(
+            f"{file.name}: its detectors do not follow one another in wavelength; the file is damaged"
+        )
     return SvcMeasurement(
         file=file,
         path=path,
@@ -254,8 +253,7 @@ def _reflectance(file: SvcFile) -> _FloatArray:
             "reflectance; save the file in radiance with the vendor's software, or pass quantity='counts'"
         )
     if reason:
-        msg = f"{file.name}: {reason}"
-        raise FormatError(msg)
+        raise FormatError(f"{file.name}: {reason}")
     made = np.full(len(file.target), np.nan)
     with np.errstate(all="ignore"):  # damaged values; what is not finite is reported later
         np.divide(file.target, file.reference, out=made, where=file.reference != 0.0)
@@ -271,11 +269,10 @@ def _handovers(file: SvcFile, joins: tuple[float, float] | None) -> tuple[float,
         low = first - float(np.ptp(file.wavelength[start : start + 2]))
         high = last + float(np.ptp(file.wavelength[max(start - 2, 0) : start]))
         if joins is not None and not low <= join <= high:
-            msg = (
+            raise FormatError(
                 f"{file.name}: the join at {join:g} nm is not where detectors overlap, {first:g} to "
                 f"{last:g} nm; pass joins= within the overlaps"
             )
-            raise FormatError(msg)
         made.append(min(max(join, low), high))
     return tuple(made)
 

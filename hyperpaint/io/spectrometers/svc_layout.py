@@ -124,11 +124,10 @@ def read_svc(path: str | os.PathLike[str]) -> SvcFile:
     data = read_limited_text(path, _LARGEST_FILE, "an SVC spectrometer's file")
     if not is_svc(data[:200]):
         ger = " (a GER file; SVC's software converts it)" if data[:6] == b"///GER" else ""
-        msg = (
+        raise FormatError(
             f"{path.name}: begins with {data[:24]!r}{ger}, expected '/*** Spectra Vista SIG Data ***/': "
             "not an SVC .sig file"
         )
-        raise FormatError(msg)
     lines = decoded_text(data.replace(b"\0", b"")).replace("\r\n", "\n").replace("\r", "\n").split("\n")
     header, first = _header(path.name, lines)
     wavelength, reference, target, percent = _table(path.name, lines, first)
@@ -172,36 +171,35 @@ def _header(name: str, lines: list[str]) -> tuple[dict[str, str], int]:
                 header[last] = f"{header[last]}\n{line.strip()}"
             continue
         if header.setdefault(key, value.strip()) != value.strip():
-            msg = f"{name}: {key!r} stands twice in the header and differs; the file is damaged"
-            raise FormatError(msg)
+            raise FormatError(f"{name}: {key!r} stands twice in the header and differs; the file is damaged")
         last = key
-    msg = (
+    raise FormatError(
         f"{name}: no line 'data=' among the first {_MOST_HEADER_LINES}, so no spectrum: the file is "
         "truncated; copy it again from the instrument"
     )
-    raise FormatError(msg)
 
 
 def _table(name: str, lines: list[str], first: int) -> list[_FloatArray]:
     rows: list[list[float]] = []
     if len(lines) - first > _MOST_ROWS:
-        msg = f"{name}: {len(lines) - first} rows, expected at most {_MOST_ROWS}; the file is damaged"
-        raise FormatError(msg)
+        raise FormatError(
+            f"{name}: {len(lines) - first} rows, expected at most {_MOST_ROWS}; the file is damaged"
+        )
     for number, line in enumerate(lines[first:], start=first + 1):
         if not line.strip():
             continue
         cells = line.replace("n. def.", "n.def.").split(None, 5)
         values = [value for cell in cells if (value := svc_number(cell)) is not None]
         if len(cells) != 4 or len(values) != 4:
-            msg = (
+            raise FormatError(
                 f"{name}: line {number} holds {line.strip()[:60]!r}, expected four numbers (wavelength, "
                 "reference, target, per cent): the file is truncated or damaged; copy it again"
             )
-            raise FormatError(msg)
         rows.append(values)
     if len(rows) < 2:
-        msg = f"{name}: {len(rows)} rows, expected a spectrum; copy the file again from the instrument"
-        raise FormatError(msg)
+        raise FormatError(
+            f"{name}: {len(rows)} rows, expected a spectrum; copy the file again from the instrument"
+        )
     made = [np.ascontiguousarray(column) for column in np.array(rows, np.float64).T]
     for column in made:
         column.flags.writeable = False
@@ -210,15 +208,15 @@ def _table(name: str, lines: list[str], first: int) -> list[_FloatArray]:
 
 def _detector_starts(name: str, wavelength: _FloatArray) -> tuple[int, ...]:
     if not np.all((wavelength > 0.0) & (wavelength < 1e5)):
-        msg = f"{name}: wavelengths that are not positive numbers of nanometres; the file is damaged"
-        raise FormatError(msg)
+        raise FormatError(
+            f"{name}: wavelengths that are not positive numbers of nanometres; the file is damaged"
+        )
     starts = (0, *(int(step) + 1 for step in np.flatnonzero(np.diff(wavelength) <= 0.0)))
     if len(starts) > _MOST_DETECTORS:
-        msg = (
+        raise FormatError(
             f"{name}: the wavelengths step back {len(starts) - 1} times, expected at most "
             f"{_MOST_DETECTORS - 1} (where detectors overlap); the file is damaged"
         )
-        raise FormatError(msg)
     return starts
 
 
@@ -227,11 +225,10 @@ def _refuse_truncated(name: str, header: Mapping[str, str], rows: int) -> None:
     found = _CHANNELS.search(header.get("instrument", ""))
     kept = "overlap: preserve" in header.get("factors", "").partition("]")[0].lower()
     if found and kept and rows < int(found[1]):
-        msg = (
+        raise FormatError(
             f"{name}: {rows} rows, expected the {found[1]} channels of an HR-{found[1]} whose overlap is "
             "preserved: the file is truncated; copy it again from the instrument"
         )
-        raise FormatError(msg)
 
 
 def _units(name: str, header: Mapping[str, str]) -> tuple[str, str]:
@@ -241,6 +238,7 @@ def _units(name: str, header: Mapping[str, str]) -> tuple[str, str]:
         words *= 2
     if len(words) != 2 or any(word not in known for word in words):
         found = repr(header["units"][:60]) if "units" in header else "no line 'units='"
-        msg = f"{name}: {found}, expected units= Radiance, Radiance (or Counts, or Irradiance): damaged"
-        raise FormatError(msg)
+        raise FormatError(
+            f"{name}: {found}, expected units= Radiance, Radiance (or Counts, or Irradiance): damaged"
+        )
     return words[0], words[1]

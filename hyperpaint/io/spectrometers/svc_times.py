@@ -165,8 +165,7 @@ def read_gps_time(text: str) -> dt.timedelta | None:
         return None
     match = _GPS_TIME.fullmatch(text)
     if match is None or int(match[1]) > 23 or int(match[2]) > 59 or int(match[3]) > 60:
-        msg = f"{text[:20]!r}: expected a time of day, HHMMSS.sss"
-        raise ValueError(msg)
+        raise ValueError(f"{text[:20]!r}: expected a time of day, HHMMSS.sss")
     return dt.timedelta(
         hours=int(match[1]),
         minutes=int(match[2]),

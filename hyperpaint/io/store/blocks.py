@@ -213,6 +213,5 @@ def _as_stored(block: np.ndarray[Any, Any], dtype: np.dtype[Any]) -> np.ndarray[
     if block.dtype.kind in "mM":
         return block.astype(f"{block.dtype.kind}8[ns]", copy=False).view(np.int64)
     if block.dtype.newbyteorder("=") != dtype.newbyteorder("="):
-        msg = f"a block came as {block.dtype}, declared was {dtype}"
-        raise TypeError(msg)
+        raise TypeError(f"a block came as {block.dtype}, declared was {dtype}")
     return block.astype(dtype.newbyteorder("<"), copy=False)

@@ -232,12 +232,11 @@ def fit(
         worst = max(loads, key=lambda name: loads[name].peak(lines=found.lines, threads=1, fixed=fixed))
         mend = "fewer threads a worker, " if least_threads > 1 else ""
         which = "the limit of the address space (ulimit -v)" if a_thread else "the memory limit"
-        msg = (
+        raise StoreError(
             f"/{worst} needs {size_text(found.needed)} of memory with {_counted(found.threads, 'thread')} "
             f"and {found.lines} lines a task, the fewest possible, but {size_text(limit)} may be taken; "
             f"{mend}end other programs, raise {which}, or take a larger machine"
         )
-        raise StoreError(msg)
     return found
 
 
@@ -265,8 +264,9 @@ def parse_size(size: str | int) -> int:
     except (ValueError, OverflowError, TypeError, AttributeError):
         found = 0
     if found <= 0:
-        msg = f"{size!r} is no size of memory; expected bytes, or text such as '2 GiB' or '500 MB'"
-        raise SchemaError(msg)
+        raise SchemaError(
+            f"{size!r} is no size of memory; expected bytes, or text such as '2 GiB' or '500 MB'"
+        )
     return found
 
 
@@ -449,12 +449,11 @@ def check_memory(dataset: xr.Dataset, subject: str) -> int | None:
     encoded = int(ENCODED_COPIES * min(CHUNK_LINES, length) * max(a_line))
     surely = lines * sum(a_line) + encoded + thread_space()
     if surely > available:
-        msg = (
+        raise StoreError(
             f"{subject} needs {size_text(surely)} of memory for one dask chunk of {_counted(lines, 'line')}, "
             f"but {size_text(available)} are available; take fewer lines a chunk (chunks={{'{ALONG_TRACK}': "
             f"{CHUNK_LINES}}}), end other programs, or raise the memory limit"
         )
-        raise StoreError(msg)
     # what a cube alone is made from is taken to be half as large: 16-bit counts of a float32 product
     alone = sum(size > max(a_line) // 4 for size in a_line) == 1
     load = Load(sum(a_line) + alone * max(a_line) // 2, 0, encoded, 0, length)

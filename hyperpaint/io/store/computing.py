@@ -128,8 +128,7 @@ def errors_of_the_cluster(what: str) -> Iterator[None]:
         told = _told_of_cluster(error)
         if told is None:
             raise
-        msg = f"{what}: {told}; {_AGAIN}"
-        raise StoreError(msg) from error
+        raise StoreError(f"{what}: {told}; {_AGAIN}") from error
 
 
 # --- blocks ------------------------------------------------------------------------------------------------
@@ -270,5 +269,4 @@ def _raise_named(error: BaseException, place: str, hint: str = "") -> NoReturn:
     if told is None:
         error.add_note(f"while storing {place}")
         raise error
-    msg = f"cannot store {place}: {told}; {_AGAIN}"
-    raise StoreError(msg) from error
+    raise StoreError(f"cannot store {place}: {told}; {_AGAIN}") from error

@@ -143,8 +143,7 @@ def parse_document(raw: bytes, where: str) -> dict[str, Any]:
                 if isinstance(document, dict)
                 else f"expected a JSON object, found {kind}"
             )
-    msg = f"{where} is damaged: {problem}"
-    raise IncompleteStoreError(msg)
+    raise IncompleteStoreError(f"{where} is damaged: {problem}")
 
 
 def _too_much(raw: bytes) -> str:
@@ -179,14 +178,12 @@ def check_node(document: Mapping[str, Any], where: str) -> ChunkForm | None:
     """
     kind = document.get("node_type")
     if document.get("zarr_format") != 3 or kind not in ("group", "array"):
-        msg = (
+        raise StoreError(
             f"{where}: zarr_format {document.get('zarr_format')!r:.40}, node_type {kind!r:.40}; "
             "expected a group or an array of Zarr format 3"
         )
-        raise StoreError(msg)
     if not isinstance(document.get("attributes", {}), dict):
-        msg = f"{where}: attributes are not a JSON object"
-        raise StoreError(msg)
+        raise StoreError(f"{where}: attributes are not a JSON object")
     return array_form(document, where) if kind == "array" else None
 
 

@@ -54,8 +54,7 @@ def decode_chunk(form: ChunkForm, encoded: np.ndarray[Any, Any]) -> np.ndarray[A
     if form.is_text:
         _check_texts(data.tobytes(), form.items)
     elif data.size != form.decoded_bytes:
-        msg = f"it decodes to {data.size} bytes, the array declares {form.decoded_bytes}"
-        raise StoreError(msg)
+        raise StoreError(f"it decodes to {data.size} bytes, the array declares {form.decoded_bytes}")
     return data
 
 
@@ -66,8 +65,7 @@ def _without_checksum(data: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
     body, stored = data[:-_CRC_BYTES], int.from_bytes(data[-_CRC_BYTES:].tobytes(), "little")
     found = int(google_crc32c.value(body))
     if data.size < _CRC_BYTES or found != stored:
-        msg = f"its crc32c is {found:08x}, stored is {stored:08x}"
-        raise StoreError(msg)
+        raise StoreError(f"its crc32c is {found:08x}, stored is {stored:08x}")
     return body
 
 
@@ -79,8 +77,7 @@ def _decompressed(codec: str, data: np.ndarray[Any, Any]) -> np.ndarray[Any, Any
     try:
         return np.frombuffer(decoders[codec]().decode(data), np.uint8)
     except Exception as error:  # each library has its own
-        msg = f"it cannot be decoded ({type(error).__name__}: {error})"
-        raise StoreError(msg) from None
+        raise StoreError(f"it cannot be decoded ({type(error).__name__}: {error})") from None
 
 
 def check_frame(form: ChunkForm, encoded: bytes | memoryview) -> None:
@@ -104,8 +101,7 @@ def check_frame(form: ChunkForm, encoded: bytes | memoryview) -> None:
     """
     data = memoryview(encoded).cast("B")
     if len(data) > form.most_encoded_bytes:
-        msg = f"{len(data)} bytes for a chunk that decodes to {form.decoded_bytes}"
-        raise StoreError(msg)
+        raise StoreError(f"{len(data)} bytes for a chunk that decodes to {form.decoded_bytes}")
     at = next((i for i, name in enumerate(form.codecs) if name in COMPRESSORS), None)
     inside = form.codecs if at is None else form.codecs[:at]
     outside = () if at is None else form.codecs[at + 1 :]
@@ -115,11 +111,9 @@ def check_frame(form: ChunkForm, encoded: bytes | memoryview) -> None:
     held = len(data) if at is None else _held(form.codecs[at], data, plain)
     if form.is_text:
         if held > MOST_TEXT_BYTES:
-            msg = f"it holds {held} bytes of text, expected at most {MOST_TEXT_BYTES}"
-            raise StoreError(msg)
+            raise StoreError(f"it holds {held} bytes of text, expected at most {MOST_TEXT_BYTES}")
     elif held != plain:
-        msg = f"it holds {held} bytes, the array declares {plain}"
-        raise StoreError(msg)
+        raise StoreError(f"it holds {held} bytes, the array declares {plain}")
 
 
 def _held(codec: str, data: memoryview, limit: int) -> int:
@@ -132,33 +126,30 @@ def _held(codec: str, data: memoryview, limit: int) -> int:
 def _blosc(data: memoryview) -> int:
     """Return the decoded bytes that a blosc frame declares."""
     if len(data) < _BLOSC_HEADER:
-        msg = f"{len(data)} bytes are no blosc frame"
-        raise StoreError(msg)
+        raise StoreError(f"{len(data)} bytes are no blosc frame")
     version, typesize = data[0], data[3]
     held, block, size = (int.from_bytes(data[start : start + 4], "little") for start in (4, 8, 12))
     if size != len(data):
-        msg = f"its blosc frame says {size} bytes, there are {len(data)}"
-        raise StoreError(msg)
+        raise StoreError(f"its blosc frame says {size} bytes, there are {len(data)}")
     if version not in (1, 2) or typesize == 0 or not (0 < block <= held or held == 0):
-        msg = (
+        raise StoreError(
             f"blosc frame of version {version}, {typesize} bytes a sample, blocks of {block} of {held} bytes"
         )
-        raise StoreError(msg)
     return held
 
 
 def _zstd(data: memoryview, limit: int) -> int:
     """Return the decoded bytes that a zstd frame declares (RFC 8878, 3.1.1)."""
     if len(data) < 6 or data[:4] != _ZSTD_MAGIC:
-        msg = "it is no zstd frame"
-        raise StoreError(msg)
+        raise StoreError("it is no zstd frame")
     descriptor = data[4]
     single, checked = bool(descriptor & 0x20), bool(descriptor & 0x04)
     start = 5 + (0 if single else 1) + (0, 1, 2, 4)[descriptor & 3]
     width = (1 if single else 0, 2, 4, 8)[descriptor >> 6]
     if width == 0:
-        msg = "its zstd frame does not say how much it holds; write it with a zstd that does, or with blosc"
-        raise StoreError(msg)
+        raise StoreError(
+            "its zstd frame does not say how much it holds; write it with a zstd that does, or with blosc"
+        )
     held = int.from_bytes(data[start : start + width], "little") + (256 if width == 2 else 0)
     if held <= limit:
         _check_zstd_blocks(data, start + width, len(data) - (4 if checked else 0), held)
@@ -178,8 +169,7 @@ def _check_zstd_blocks(data: memoryview, place: int, end: int, held: int) -> Non
             if place == end:
                 return
             break
-    msg = "the blocks of its zstd frame do not end where the chunk ends"
-    raise StoreError(msg)
+    raise StoreError("the blocks of its zstd frame do not end where the chunk ends")
 
 
 def _gzip(data: memoryview, limit: int) -> int:
@@ -190,17 +180,14 @@ def _gzip(data: memoryview, limit: int) -> int:
         try:
             piece = stream.decompress(pending, _PIECE)
         except zlib.error as error:
-            msg = f"it is no gzip stream ({error})"
-            raise StoreError(msg) from None
+            raise StoreError(f"it is no gzip stream ({error})") from None
         if not piece and not stream.eof:
             break
         held, pending = held + len(piece), stream.unconsumed_tail
     if held > limit:
-        msg = f"its gzip stream holds more than the {limit} bytes that the array declares"
-        raise StoreError(msg)
+        raise StoreError(f"its gzip stream holds more than the {limit} bytes that the array declares")
     if not stream.eof or stream.unused_data:
-        msg = "its gzip stream does not end where the chunk ends"
-        raise StoreError(msg)
+        raise StoreError("its gzip stream does not end where the chunk ends")
     return held
 
 
@@ -208,13 +195,11 @@ def _check_texts(plain: bytes, items: int) -> None:
     """Walk through texts, each after its length, as ``vlen-utf8`` stores them."""
     found = int.from_bytes(plain[:4], "little")
     if found != items:
-        msg = f"it holds {found} texts, the array declares {items}"
-        raise StoreError(msg)
+        raise StoreError(f"it holds {found} texts, the array declares {items}")
     place = 4
     for _ in range(items):
         if place + 4 > len(plain):
             break
         place += 4 + int.from_bytes(plain[place : place + 4], "little")
     if place != len(plain):
-        msg = f"its {items} texts do not end where the chunk ends"
-        raise StoreError(msg)
+        raise StoreError(f"its {items} texts do not end where the chunk ends")

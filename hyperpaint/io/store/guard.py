@@ -82,11 +82,10 @@ def _check_numcodecs() -> None:
 
     found = tuple(int(part) for part in re.findall(r"\d+", numcodecs.__version__)[:3])
     if found < _FLOOR:
-        msg = (
+        raise StoreError(
             f"numcodecs {numcodecs.__version__} runs code that a store brings along; "
             "install a newer one: python -m pip install 'numcodecs>=0.16.6'"
         )
-        raise StoreError(msg)
 
 
 class _Guard:
@@ -118,8 +117,9 @@ class _Guard:
             return MOST_JSON_BYTES
         array = self._array_of(key)
         if array is None or byte_range is not None:
-            msg = f"{self.url}/{key} was asked for, which is neither metadata nor a chunk of an array"
-            raise StoreError(msg)
+            raise StoreError(
+                f"{self.url}/{key} was asked for, which is neither metadata nor a chunk of an array"
+            )
         return self.forms[array].most_encoded_bytes
 
     def _checked(self, key: str, value: Any, prototype: Any) -> Any:
@@ -168,8 +168,7 @@ class _Guard:
         except StoreError as error:
             if self.record is not None:
                 raise self._not_recorded(key, f"is damaged or forged: {error}") from None
-            msg = f"the chunk {self.url}/{key} is damaged or forged: {error}"
-            raise StoreError(msg) from None
+            raise StoreError(f"the chunk {self.url}/{key} is damaged or forged: {error}") from None
         if self.record is not None and not self._is_recorded(path, key, decoded):
             raise self._not_recorded(key, "is not what was written (its checksum differs)")
         return decoded
@@ -227,8 +226,7 @@ class _LocalGuard(_Guard, LocalStore):  # type: ignore[misc]
     def _is_plain(self, key: str, byte_range: Any) -> bool:
         found = plain_file(os.fspath(self.root), key)
         if found is not None and found.st_size > (most := self._most_bytes(key, byte_range)):
-            msg = f"{self.url}/{key} has {found.st_size} bytes, expected at most {most}"
-            raise StoreError(msg)
+            raise StoreError(f"{self.url}/{key} has {found.st_size} bytes, expected at most {most}")
         return found is not None
 
     async def get(self, key: str, prototype: Any = None, byte_range: Any = None) -> Any:
@@ -242,8 +240,7 @@ class _LocalGuard(_Guard, LocalStore):  # type: ignore[misc]
         try:
             found = super().get_sync(key, prototype=prototype, byte_range=byte_range) if there else None
         except OSError as error:
-            msg = f"{self.url}/{key} cannot be read: {error.strerror or error}"
-            raise StoreError(msg) from error
+            raise StoreError(f"{self.url}/{key} cannot be read: {error.strerror or error}") from error
         return self._checked(key, found, prototype)
 
     async def get_partial_values(self, prototype: Any, key_ranges: Any) -> list[Any]:
@@ -259,8 +256,7 @@ class _RemoteGuard(_Guard, FsspecStore):  # type: ignore[misc]
         most = self._most_bytes(key, byte_range)
         found = await super().get(key, prototype or default_buffer_prototype(), byte_range)
         if found is not None and len(found) > most:
-            msg = f"{self.url}/{key} has {len(found)} bytes, expected at most {most}"
-            raise StoreError(msg)
+            raise StoreError(f"{self.url}/{key} has {len(found)} bytes, expected at most {most}")
         return await asyncio.to_thread(self._checked, key, found, prototype)
 
     async def get_partial_values(self, prototype: Any, key_ranges: Any) -> list[Any]:

@@ -38,8 +38,7 @@ def clean_group(group: str | None) -> str:
     """
     parts = [part for part in (group or "").split("/") if part]
     if any(part.startswith((".", "__")) or part == METADATA or "\\" in part for part in parts):
-        msg = f"group {group!r}: expected names without a leading '.' or '__' between slashes"
-        raise StoreError(msg)
+        raise StoreError(f"group {group!r}: expected names without a leading '.' or '__' between slashes")
     return "/".join(parts)
 
 
@@ -79,13 +78,13 @@ class Location:
         try:
             fs, root = url_to_fs(text)
         except ImportError as error:
-            msg = f"{text:.200} cannot be opened: {error}; install that package with python -m pip install"
-            raise MissingExtraError(msg) from error
+            raise MissingExtraError(
+                f"{text:.200} cannot be opened: {error}; install that package with python -m pip install"
+            ) from error
         except Exception as error:  # each file system of fsspec has its own
-            msg = (
+            raise StoreError(
                 f"{text:.200} cannot be opened: {error!s:.200}; expected a folder, or a URL that fsspec knows"
-            )
-            raise StoreError(msg) from error
+            ) from error
         if "file" in (fs.protocol if isinstance(fs.protocol, tuple) else (fs.protocol,)):
             folder = Path(root)
             return cls(str(folder), str(folder), fs, folder)
@@ -117,17 +116,16 @@ class Location:
                 if plain_file(self.root, key[len(self.root) :].lstrip("/")) is None:
                     return None
             elif ".." in key.split("/"):
-                msg = f"{key} leads out of the store"
-                raise StoreError(msg)
+                raise StoreError(f"{key} leads out of the store")
             if self.fs.size(key) > MOST_JSON_BYTES:
-                msg = f"{key} is larger than {MOST_JSON_BYTES} bytes, which no metadata of a store is"
-                raise IncompleteStoreError(msg)
+                raise IncompleteStoreError(
+                    f"{key} is larger than {MOST_JSON_BYTES} bytes, which no metadata of a store is"
+                )
             return bytes(self.fs.cat_file(key))
         except (FileNotFoundError, IsADirectoryError, NotADirectoryError):
             return None
         except OSError as error:
-            msg = f"{key:.200} cannot be read: {error.strerror or error}"
-            raise StoreError(msg) from error
+            raise StoreError(f"{key:.200} cannot be read: {error.strerror or error}") from error
 
     def read_json(self, group: str, *parts: str) -> dict[str, Any] | None:
         """Return a JSON object; None where there is no such file.
@@ -185,10 +183,9 @@ class Location:
                 if (kind := self._node_type(path)) in ("group", "array", "unreadable"):
                     found[path] = str(kind)
                     if len(found) > MOST_NODES:
-                        msg = (
+                        raise StoreError(
                             f"{self.url} holds more than {MOST_NODES} groups and arrays, which no store does"
                         )
-                        raise StoreError(msg)
                 if kind == "group":
                     pending.append(path)
         return found
@@ -211,27 +208,27 @@ class Location:
             more than `MOST_NODES`; the group is more than `MOST_DEPTH` deep; or it cannot be listed.
         """
         if group.count("/") >= MOST_DEPTH:
-            msg = (
+            raise StoreError(
                 f"{self.url}: groups more than {MOST_DEPTH} deep ({group:.80}...), which no store of ours has"
             )
-            raise StoreError(msg)
         names: list[str] = []
         try:
             for name, is_folder, is_link in self._entries(group):
                 if is_folder and is_link:
                     place = self.key(group, name)
-                    msg = f"{place}: a link to another folder; a store holds plain files and folders"
-                    raise StoreError(msg)
+                    raise StoreError(
+                        f"{place}: a link to another folder; a store holds plain files and folders"
+                    )
                 if is_folder:
                     names.append(name)
                 if len(names) > MOST_NODES:
-                    msg = f"{self.key(group)} holds more than {MOST_NODES} folders, which no group does"
-                    raise StoreError(msg)
+                    raise StoreError(
+                        f"{self.key(group)} holds more than {MOST_NODES} folders, which no group does"
+                    )
         except (FileNotFoundError, NotADirectoryError):
             return []
         except OSError as error:
-            msg = f"{self.key(group):.200} cannot be listed: {error.strerror or error}"
-            raise StoreError(msg) from error
+            raise StoreError(f"{self.key(group):.200} cannot be listed: {error.strerror or error}") from error
         return sorted(names)
 
     def _entries(self, group: str) -> Iterator[tuple[str, bool, bool]]:
@@ -275,8 +272,9 @@ class Location:
         while pending:
             folder = pending.pop()
             if folder.count("/") > _MOST_FOLDERS_DEEP:
-                msg = f"{self.key(group)}: folders more than {_MOST_FOLDERS_DEEP} deep, which no array has"
-                raise StoreError(msg)
+                raise StoreError(
+                    f"{self.key(group)}: folders more than {_MOST_FOLDERS_DEEP} deep, which no array has"
+                )
             try:
                 with os.scandir(self.key(group, folder)) as entries:
                     for entry in entries:
@@ -288,8 +286,9 @@ class Location:
             except FileNotFoundError:
                 continue
             except OSError as error:
-                msg = f"{self.key(group, folder):.200} cannot be listed: {error.strerror or error}"
-                raise StoreError(msg) from error
+                raise StoreError(
+                    f"{self.key(group, folder):.200} cannot be listed: {error.strerror or error}"
+                ) from error
         return found
 
 
@@ -311,8 +310,7 @@ def plain_file(root: str, key: str) -> os.stat_result | None:
     """
     parts = key.split("/")
     if any(part in ("", ".", "..") or "\\" in part or "\0" in part for part in parts):
-        msg = f"{root}: {key!r:.200} is no path inside a store"
-        raise StoreError(msg)
+        raise StoreError(f"{root}: {key!r:.200} is no path inside a store")
     place = root
     found: os.stat_result | None = None
     for part in parts:
@@ -322,16 +320,15 @@ def plain_file(root: str, key: str) -> os.stat_result | None:
         except (FileNotFoundError, NotADirectoryError):
             return None
         except OSError as error:
-            msg = f"{place:.200} cannot be read: {error.strerror}"
-            raise StoreError(msg) from error
+            raise StoreError(f"{place:.200} cannot be read: {error.strerror}") from error
         if stat.S_ISLNK(found.st_mode):
-            msg = f"{place} is a link; a store holds plain files and folders"
-            raise StoreError(msg)
+            raise StoreError(f"{place} is a link; a store holds plain files and folders")
     if found is None or stat.S_ISDIR(found.st_mode):
         return None
     if not stat.S_ISREG(found.st_mode):
-        msg = f"{place} is no plain file, but a pipe or a device; a store holds plain files and folders"
-        raise StoreError(msg)
+        raise StoreError(
+            f"{place} is no plain file, but a pipe or a device; a store holds plain files and folders"
+        )
     return found
 
 

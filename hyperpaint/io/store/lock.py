@@ -104,8 +104,7 @@ def _acquire(lock: Path, owner: bytes, store: Path) -> None:
         with os.fdopen(descriptor, "wb") as file:
             _write(file, owner, lock)
         return
-    msg = f"{store} is being written: {lock} comes and goes; wait for the other writer to finish"
-    raise StoreError(msg)
+    raise StoreError(f"{store} is being written: {lock} comes and goes; wait for the other writer to finish")
 
 
 def _write(file: BinaryIO, owner: bytes, lock: Path) -> None:
@@ -215,11 +214,10 @@ def _refuse_living(holder: dict[str, Any], lock: Path, store: Path, *, can_take_
         else f"wait for it to finish, or delete {lock} once you know that it has died"
     )
     words = {key: str(holder.get(key))[:80] for key in ("pid", "host", "since")}
-    msg = (
+    raise StoreError(
         f"{store} is being written by process {words['pid']} on {words['host']} "
         f"since {words['since']}; {hint}"
     )
-    raise StoreError(msg)
 
 
 def _is_dead(holder: dict[str, Any]) -> bool | None:

@@ -34,8 +34,7 @@ def list_groups(path: str | os.PathLike[str]) -> list[str]:
     """
     location = Location.of(path)
     if location.read_json("", "zarr.json") is None:
-        msg = f"{location.url} is not a Zarr v3 store; expected a folder with a zarr.json"
-        raise StoreError(msg)
+        raise StoreError(f"{location.url} is not a Zarr v3 store; expected a folder with a zarr.json")
     return location.groups()
 
 
@@ -90,8 +89,9 @@ def open_store(path: str | os.PathLike[str], group: str | None = None, **kwargs:
         if before is None or read_seal(location, name) == before:
             raise
         # what was read is partly of one version, partly of the other
-        msg = f"group {'/' + name!r} of {location.url} was replaced while it was opened; open it again"
-        raise IncompleteStoreError(msg) from error
+        raise IncompleteStoreError(
+            f"group {'/' + name!r} of {location.url} was replaced while it was opened; open it again"
+        ) from error
 
 
 def open_unverified(path: str | os.PathLike[str], group: str | None = None, **kwargs: Any) -> xr.Dataset:
@@ -107,8 +107,7 @@ def open_unverified(path: str | os.PathLike[str], group: str | None = None, **kw
     if node is None:
         old = any(location.has(name, file) for file in (".zgroup", ".zarray", ".zmetadata"))
         hint = "; it is Zarr 2: rewrite it with xarray's to_zarr(..., zarr_format=3)" if old else ""
-        msg = f"there is no group {'/' + name!r} of Zarr 3 in {location.url}{hint}"
-        raise StoreError(msg)
+        raise StoreError(f"there is no group {'/' + name!r} of Zarr 3 in {location.url}{hint}")
     check_node(node, location.key(name))
     return _opened(location, name, str(metadata_checksum(node)), None, **kwargs)
 
@@ -123,8 +122,9 @@ def load_unverified(path: str | os.PathLike[str], group: str | None = None) -> x
     """
     opened = open_unverified(path, group, chunks=None)
     if opened.nbytes > MOST_LOADED_BYTES:
-        msg = f"{os.fspath(path)} declares {opened.nbytes} bytes, expected at most {MOST_LOADED_BYTES}"
-        raise StoreError(msg)
+        raise StoreError(
+            f"{os.fspath(path)} declares {opened.nbytes} bytes, expected at most {MOST_LOADED_BYTES}"
+        )
     return opened.load()
 
 
@@ -143,8 +143,9 @@ def _opened(
     except StoreError:
         raise
     except Exception as error:  # zarr, numpy and xarray's decoding each have their own
-        msg = f"{location.group_url(group)} cannot be opened: {type(error).__name__}: {error!s:.300}"
-        raise StoreError(msg) from error
+        raise StoreError(
+            f"{location.group_url(group)} cannot be opened: {type(error).__name__}: {error!s:.300}"
+        ) from error
     for name, variable in opened.variables.items():
         variable.encoding["compressors"] = stored_codecs(store, f"{group}/{name}".lstrip("/"))
     opened.encoding["source"] = location.url
@@ -157,23 +158,22 @@ def _complete_record(location: Location, group: str) -> GroupRecord:
     node = location.metadata(group)
     if node is None or node.get("node_type") != "group":
         found = ", ".join("/" + name for name in location.groups()) or "none"
-        msg = f"there is no {where}; groups found: {found}"
-        raise StoreError(msg)
+        raise StoreError(f"there is no {where}; groups found: {found}")
     record = read_record(location, group)
     if record is None:
-        msg = f"{where} has no completion record: it was never finished, or not by hyperpaint; write it again"
-        raise IncompleteStoreError(msg)
+        raise IncompleteStoreError(
+            f"{where} has no completion record: it was never finished, or not by hyperpaint; write it again"
+        )
     if attributes_checksum(node) != record.attributes:
-        msg = f"{where} has attributes other than recorded; write the group again"
-        raise IncompleteStoreError(msg)
+        raise IncompleteStoreError(f"{where} has attributes other than recorded; write the group again")
     for name, array in record.arrays.items():
         document = location.metadata(group, name)
         if document is None or metadata_checksum(document) != array.metadata:
             state = "is missing" if document is None else "has metadata other than recorded"
-            msg = f"array {name!r} in {where} {state}; write the group again"
-            raise IncompleteStoreError(msg)
+            raise IncompleteStoreError(f"array {name!r} in {where} {state}; write the group again")
         form = check_node(document, location.key(group, name))
         if form is None or form.grid != array.grid:
-            msg = f"array {name!r} in {where} has {form and form.grid} chunks, recorded are {array.grid}"
-            raise IncompleteStoreError(msg)
+            raise IncompleteStoreError(
+                f"array {name!r} in {where} has {form and form.grid} chunks, recorded are {array.grid}"
+            )
     return record

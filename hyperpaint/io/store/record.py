@@ -86,18 +86,17 @@ class ArrayRecord:
     def from_document(cls, document: Mapping[str, Any]) -> ArrayRecord:
         """Return the record that a parsed file holds; any of four errors where it holds none."""
         if int(document["hyperpaint_format"]) > FORMAT_VERSION:
-            msg = f"format {document['hyperpaint_format']} is newer than {FORMAT_VERSION}; update hyperpaint"
-            raise ValueError(msg)
+            raise ValueError(
+                f"format {document['hyperpaint_format']} is newer than {FORMAT_VERSION}; update hyperpaint"
+            )
         record = cls(document["metadata"], tuple(document["grid"]), tuple(document["crc32c"]))
         if len(record.grid) > _MOST_DIMS or not all(
             type(number) is int and 0 <= number < 2**32
             for number in (record.metadata, *record.grid, *record.chunks)
         ):
-            msg = "expected whole numbers below 2**32"
-            raise ValueError(msg)
+            raise ValueError("expected whole numbers below 2**32")
         if math.prod(record.grid) != len(record.chunks):
-            msg = f"a grid of {record.grid} chunks has {len(record.chunks)} checksums"
-            raise ValueError(msg)
+            raise ValueError(f"a grid of {record.grid} chunks has {len(record.chunks)} checksums")
         return record
 
 
@@ -157,12 +156,14 @@ def read_record(location: Location, group: str) -> GroupRecord | None:
     where = f"group {'/' + group!r} of {location.url}"
     match = _SEAL.fullmatch(str(seal))
     if match is None:
-        msg = f"the completion record of {where} is damaged: {COMPLETE} = {seal!r:.80}; write it again"
-        raise IncompleteStoreError(msg)
+        raise IncompleteStoreError(
+            f"the completion record of {where} is damaged: {COMPLETE} = {seal!r:.80}; write it again"
+        )
     record = GroupRecord(match[1], int(match[3], 16), _array_records(location, group, where))
     if record.digest != int(match[2], 16):
-        msg = f"the arrays in {where} are not all those that were stored together; write it again"
-        raise IncompleteStoreError(msg)
+        raise IncompleteStoreError(
+            f"the arrays in {where} are not all those that were stored together; write it again"
+        )
     return record
 
 
@@ -174,15 +175,15 @@ def _array_records(location: Location, group: str, where: str) -> dict[str, Arra
             continue
         document = location.read_json(group, name, CHUNKS)
         if document is None:
-            msg = f"array {name!r} in {where} has no record of its chunks: it was added, or never finished"
-            raise IncompleteStoreError(msg)
+            raise IncompleteStoreError(
+                f"array {name!r} in {where} has no record of its chunks: it was added, or never finished"
+            )
         try:
             records[name] = ArrayRecord.from_document(document)
         except (ValueError, KeyError, TypeError, OverflowError) as error:
-            msg = (
+            raise IncompleteStoreError(
                 f"the record {location.key(group, name, CHUNKS)} is damaged: {error!r}; write the group again"
-            )
-            raise IncompleteStoreError(msg) from None
+            ) from None
     return records
 
 

@@ -90,11 +90,10 @@ def check_disk(store: Path, needed: int, begun: Iterable[Path] = ()) -> None:
     free = _free(store)
     left = needed - sum(_size(file) for folder in begun for file in folder.rglob("*"))
     if free is not None and left > free:
-        msg = (
+        raise StoreError(
             f"cannot write {store}: {size_text(left)} of disk are needed, {size_text(free)} are free; make "
             "room, choose another disk, or leave reflectance to be computed from counts (reflectance='none')"
         )
-        raise StoreError(msg)
 
 
 def _free(store: Path) -> int | None:
@@ -128,8 +127,7 @@ def errors_of_the_system(location: Location, groups: Mapping[str, xr.Dataset]) -
     except PaintError as error:
         cause = error.__cause__  # a block's error, which names the block
         if isinstance(cause, OSError) and cause.errno in _FULL:
-            msg = f"{error}; {_room(location, groups)}"
-            raise StoreError(msg) from cause
+            raise StoreError(f"{error}; {_room(location, groups)}") from cause
         raise
     except OSError as error:
         raise StoreError(_told(error, location, groups)) from error
@@ -137,12 +135,11 @@ def errors_of_the_system(location: Location, groups: Mapping[str, xr.Dataset]) -
         # threads that cannot be started are told as a RuntimeError
         if isinstance(error, RuntimeError) and "start new thread" not in str(error):
             raise
-        msg = (
+        raise StoreError(
             f"cannot write {location.url}: memory ran out ({str(error) or 'nothing can be allocated'}); take "
             "fewer lines a dask chunk or fewer threads, end other programs, or raise the limit; run again: "
             "the chunks that are finished will be taken up"
-        )
-        raise StoreError(msg) from error
+        ) from error
 
 
 def _told(error: OSError, location: Location, groups: Mapping[str, xr.Dataset]) -> str:

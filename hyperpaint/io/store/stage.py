@@ -165,8 +165,9 @@ class Staging:
         with contextlib.suppress(StoreError):
             if clean_group(group) == group and _quoted(group) == name:
                 return group
-        msg = f"{found} names no group of a store, and no writer left it there; look at it, then remove it"
-        raise StoreError(msg)
+        raise StoreError(
+            f"{found} names no group of a store, and no writer left it there; look at it, then remove it"
+        )
 
     def _entries(self) -> list[Path]:
         """Return what is in the folder, sorted; the folder and all in it must be no links."""
@@ -176,8 +177,7 @@ class Staging:
             return []
         for found in (self.folder, *entries):
             if found.is_symlink():
-                msg = f"{found} is a link, which no writer left there; look at it, then remove it"
-                raise StoreError(msg)
+                raise StoreError(f"{found} is a link, which no writer left there; look at it, then remove it")
         return entries
 
     def _place(self, group: str) -> Path:
@@ -186,8 +186,7 @@ class Staging:
         for part in group.split("/") if group else ():
             place = place / part
             if place.is_symlink():
-                msg = f"{place} is a link; a store holds plain files and folders"
-                raise StoreError(msg)
+                raise StoreError(f"{place} is a link; a store holds plain files and folders")
         return place
 
 
@@ -270,8 +269,7 @@ def staging(store: Path, wanted: Collection[tuple[str, str]] = ()) -> Iterator[S
     """
     made = Staging(store)
     if made.folder.is_symlink():
-        msg = f"{made.folder} is a link, which no writer left there; look at it, then remove it"
-        raise StoreError(msg)
+        raise StoreError(f"{made.folder} is a link, which no writer left there; look at it, then remove it")
     with locked(made.folder / "lock", store):
         made.recover(wanted)
         yield made

@@ -128,8 +128,9 @@ def _location(path: str | os.PathLike[str]) -> Location:
         location = Location.of(os.fspath(path))
     except TypeError:
         kind = type(path).__name__
-        msg = f"a store to verify is named by its folder or URL, not by {kind}; {_NO_RECORDS}"
-        raise StoreError(msg) from None
+        raise StoreError(
+            f"a store to verify is named by its folder or URL, not by {kind}; {_NO_RECORDS}"
+        ) from None
     if not location.has("", METADATA):
         msg = f"{location.url} is not a Zarr v3 store; expected a folder with a {METADATA}"
         if location.has("", "snapshots") and location.has("", "manifests"):

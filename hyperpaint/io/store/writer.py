@@ -267,7 +267,11 @@ def _pending(jobs: list[_Job], above: list[str], location: Location, *, overwrit
         elif found == "array":
             problems.add(f"{'/' + job.group!r} or a group above it is an array; choose another group")
         elif found not in ("", "lacks chunks") and not overwrite:
-            problems.add(f"group {'/' + job.group!r} exists, {found}; pass overwrite=True to replace it")
+            problems.add(
+                f"group {'/' + job.group!r} exists, {found}",
+                mend="pass overwrite=True to replace it",
+                option="pass --overwrite to replace it",
+            )
         pending.append(job)
     problems.raise_if_any()
     return pending

@@ -191,8 +191,7 @@ def shade_paints(
     """
     factors = np.asarray(depths, np.float64)
     if factors.ndim != 1 or not factors.size or not ((factors > 0.0) & np.isfinite(factors)).all():
-        msg = f"depths={depths!r:.60}, expected numbers above 0, such as [0.1, 0.5, 2]"
-        raise SchemaError(msg)
+        raise SchemaError(f"depths={depths!r:.60}, expected numbers above 0, such as [0.1, 0.5, 2]")
     _require(library)
     names = [str(name) for name in library[PAINT].values]
     coating = coating_of(library, k1, k2, mirrored)

@@ -142,8 +142,9 @@ def extract_signatures(
     found = regions_from(regions)
     options.check(found)
     if sun_zenith is not None and not specular_sky:
-        msg = f"sun_zenith={sun_zenith!r} is for the mirrored sky only; pass specular_sky=True as well"
-        raise SchemaError(msg)
+        raise SchemaError(
+            f"sun_zenith={sun_zenith!r} is for the mirrored sky only; pass specular_sky=True as well"
+        )
     lines = lines_of(line, found)
     sources = {
         name: source_of(dataset, smooth, specular_sky, sun_zenith) for name, (dataset, _) in lines.items()

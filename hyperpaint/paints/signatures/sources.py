@@ -102,8 +102,7 @@ def source_of(
         nominal = remove_mirrored_sky(where, sun_zenith=sun_zenith)
     if smoothing is not None:
         if before is not None:
-            msg = f"the reflectance is smoothed already ({before}); leave out smooth="
-            raise SchemaError(msg)
+            raise SchemaError(f"the reflectance is smoothed already ({before}); leave out smooth=")
         options = {"method": smoothing} if isinstance(smoothing, str) else dict(smoothing)
         nominal = smooth(nominal, **options)
     cube = nominal["reflectance"]
@@ -164,5 +163,6 @@ def _by_name(line: Any) -> dict[str, xr.Dataset]:
         return {name: child.to_dataset() for name, child in parent.children.items()}
     if isinstance(line, Mapping):
         return dict(line)
-    msg = f"line is {type(line).__name__}, expected a Dataset, several by name, or a DataTree of them"
-    raise SchemaError(msg)
+    raise SchemaError(
+        f"line is {type(line).__name__}, expected a Dataset, several by name, or a DataTree of them"
+    )

@@ -149,8 +149,7 @@ def _sweep_points(dataset: xr.Dataset) -> tuple[_Points, float, str]:
     variance = found["counts_variance"].transpose(*dims).values.astype(np.float64)
     frames = found["frame_count"].values.astype(np.float64)
     if (frames < 2).any():
-        msg = "'frame_count' must be 2 or more: one frame has no variance"
-        raise SchemaError(msg)
+        raise SchemaError("'frame_count' must be 2 or more: one frame has no variance")
     if "saturation_count" in found:
         # clipping lowers the variance before the mean reaches the end
         room = SATURATION_MARGIN + 5.0 * np.sqrt(np.maximum(variance, 0.0))
@@ -273,8 +272,7 @@ def _fit(points: _Points) -> _Transfer:
 
     known = np.isfinite(points.variance) & np.isfinite(points.by_signal)
     if known.sum() < _FEWEST:
-        msg = f"noise cannot be estimated: {known.sum()} variances, expected {_FEWEST} or more"
-        raise SchemaError(msg)
+        raise SchemaError(f"noise cannot be estimated: {known.sum()} variances, expected {_FEWEST} or more")
     freedom = np.broadcast_to(points.freedom, known.shape)
     slope, height = _first_guess(points, known, freedom)
     edge = chi2.ppf(_KEPT, points.freedom) / points.freedom
@@ -292,8 +290,9 @@ def _fit(points: _Points) -> _Transfer:
         even = typical < 1.0 + _BLOCK_SIGMAS * spread
         used = known & even[:, None] & (ratio < edge)
         if used.sum() < _FEWEST:
-            msg = "noise cannot be estimated: no block is homogeneous; give repeated frames, or a lab sweep"
-            raise SchemaError(msg)
+            raise SchemaError(
+                "noise cannot be estimated: no block is homogeneous; give repeated frames, or a lab sweep"
+            )
         before = slope
         slope, height, covariance = _solve(points, used, model * loss, points.variance / loss)
         if abs(slope - before) < 1e-4 * abs(slope):
@@ -361,12 +360,11 @@ def _refuse_unless_sure(made: _Transfer) -> None:
     relative = np.sqrt(made.covariance[0, 0]) / max(made.slope, 1e-300)
     if made.slope > 0 and relative < _WORST_UNCERTAINTY:
         return
-    msg = (
+    raise SchemaError(
         f"electrons per count cannot be told: signals of {made.low:.0f} to {made.high:.0f} counts give a "
         f"slope of {made.slope:.3g} +- {np.sqrt(made.covariance[0, 0]):.2g} counts of variance a count; "
         "take a line with dark and bright surfaces, or repeated frames of several levels"
     )
-    raise SchemaError(msg)
 
 
 def _labelled(found: _Transfer, points: _Points, quantisation: float, source: str) -> xr.Dataset:

@@ -181,8 +181,7 @@ class BandSet:
             The bands have no smile, and so one node.
         """
         if self.wavelength_shift is None:
-            msg = "bands without smile have one node; take the products as they are"
-            raise SchemaError(msg)
+            raise SchemaError("bands without smile have one node; take the products as they are")
         place = (self.wavelength_shift - self.nodes[0]) / self._node_step
         first = np.clip(np.floor(place).astype(np.int64) - 1, 0, self.nodes.size - 4)
         return first, cubic_weights(place - first - 1)

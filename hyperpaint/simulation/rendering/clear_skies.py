@@ -22,11 +22,9 @@ def check_wavelengths(wavelength: Floats) -> None:
         The grid has not one dim and two samples, or they are not positive, finite and increasing.
     """
     if wavelength.ndim != 1 or wavelength.size < 2:
-        msg = f"wavelength has shape {wavelength.shape}, expected one dim and at least 2 samples"
-        raise SchemaError(msg)
+        raise SchemaError(f"wavelength has shape {wavelength.shape}, expected one dim and at least 2 samples")
     if not (np.isfinite(wavelength).all() and wavelength[0] > 0.0 and (np.diff(wavelength) > 0.0).all()):
-        msg = "wavelength must be positive, finite and increasing [nm]; sort it, drop duplicates"
-        raise SchemaError(msg)
+        raise SchemaError("wavelength must be positive, finite and increasing [nm]; sort it, drop duplicates")
 
 
 def built_in_sky(
@@ -109,8 +107,7 @@ def spectrl2_sky(
     coarse = np.asarray(found["wavelength"], dtype=np.float64)
     if not (coarse[0] <= wavelength[0] and wavelength[-1] <= coarse[-1]):
         span = f"from {wavelength[0]:g} to {wavelength[-1]:g} nm"
-        msg = f"wavelength goes {span}; SPECTRL2 covers {coarse[0]:g} to {coarse[-1]:g} nm"
-        raise SchemaError(msg)
+        raise SchemaError(f"wavelength goes {span}; SPECTRL2 covers {coarse[0]:g} to {coarse[-1]:g} nm")
     sun, sky = (np.interp(wavelength, coarse, np.ravel(found[name])) for name in ("dni", "dhi"))
     return sun, sky
 
@@ -134,6 +131,5 @@ def relative_air_mass(sun_zenith: float) -> float:
     (10.31, 11.47)
     """
     if not 0.0 <= sun_zenith <= 90.0:
-        msg = f"sun_zenith is {sun_zenith!r}, expected 0 to 90 degrees"
-        raise SchemaError(msg)
+        raise SchemaError(f"sun_zenith is {sun_zenith!r}, expected 0 to 90 degrees")
     return float(1.0 / (np.cos(np.radians(sun_zenith)) + 0.50572 * (96.07995 - sun_zenith) ** -1.6364))

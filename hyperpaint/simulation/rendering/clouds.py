@@ -57,8 +57,7 @@ def cloud_factor(oktas: float) -> float:
     0.25
     """
     if not 0.0 <= oktas <= 8.0:
-        msg = f"cloud amount is {oktas!r} oktas, expected 0 (clear) to 8 (overcast)"
-        raise SchemaError(msg)
+        raise SchemaError(f"cloud amount is {oktas!r} oktas, expected 0 (clear) to 8 (overcast)")
     return float(1.0 - 0.75 * (oktas / 8.0) ** 3.4)
 
 

@@ -317,8 +317,9 @@ class Atmosphere:
             direct_fraction = level / (level + sky)
         fraction = np.asarray(direct_fraction, dtype=np.float64)
         if fraction.shape not in ((), grid.shape) or not ((fraction >= 0.0) & (fraction <= 1.0)).all():
-            msg = f"direct_fraction {fraction.shape} must be one number or {grid.shape}, from 0 to 1"
-            raise SchemaError(msg)
+            raise SchemaError(
+                f"direct_fraction {fraction.shape} must be one number or {grid.shape}, from 0 to 1"
+            )
         sun = total * fraction / np.cos(np.radians(sun_zenith))
         sky = total * (1.0 - fraction)
         return cls._hazy(
@@ -450,8 +451,9 @@ class Atmosphere:
             text = dataset.attrs.get("haze", "")
             haze = Haze(**json.loads(text)) if text else None
         except (ValueError, TypeError) as error:
-            msg = f"attribute 'haze' is {text!r}, expected the JSON text that to_dataset writes"
-            raise SchemaError(msg) from error
+            raise SchemaError(
+                f"attribute 'haze' is {text!r}, expected the JSON text that to_dataset writes"
+            ) from error
         name = str(dataset.attrs.get("name", ""))
         return cls(grid, sun, sky, extinction, path, zenith, azimuth, share, name, haze)
 
@@ -493,5 +495,4 @@ def preset_atmosphere(name: str) -> Atmosphere:
         return Atmosphere.clear(82.0, 265.0, name=name)
     if name == "cloudy":
         return replace(Atmosphere.clear(25.0, 180.0).clouded(8.0), name=name)
-    msg = f"there is no atmosphere {name!r}; expected one of {', '.join(PRESETS)}"
-    raise SchemaError(msg)
+    raise SchemaError(f"there is no atmosphere {name!r}; expected one of {', '.join(PRESETS)}")

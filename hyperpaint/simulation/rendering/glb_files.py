@@ -74,36 +74,34 @@ def strip_glb(data: bytes, where: str) -> Stripped:
 def _chunks(data: bytes, where: str) -> tuple[dict[str, Any], bytes]:
     """Return the description and the numbers of a GLB file."""
     if len(data) < 20 or data[:4] != b"glTF":
-        msg = (
+        raise FormatError(
             f"{where}: it begins with {data[:4]!r}, expected a binary glTF file (b'glTF'); export it as .glb"
         )
-        raise FormatError(msg)
     _, version, length, size, kind = struct.unpack("<4sIIII", data[:20])
     if version != 2 or kind != _JSON:
-        msg = f"{where}: glTF version {version}, expected 2 with its JSON chunk first; export it anew"
-        raise FormatError(msg)
+        raise FormatError(
+            f"{where}: glTF version {version}, expected 2 with its JSON chunk first; export it anew"
+        )
     if length > len(data) or 20 + size > length:
-        msg = (
+        raise FormatError(
             f"{where}: it declares {length} bytes with {size} of JSON, found {len(data)}; "
             "the file is cut or damaged"
         )
-        raise FormatError(msg)
     try:
         header = json.loads(data[20 : 20 + size])
     except (ValueError, RecursionError) as error:
-        msg = f"{where}: its JSON chunk cannot be read ({error}); the file is damaged"
-        raise FormatError(msg) from error
+        raise FormatError(f"{where}: its JSON chunk cannot be read ({error}); the file is damaged") from error
     if not isinstance(header, dict):
-        msg = f"{where}: its JSON chunk holds {type(header).__name__}, expected an object"
-        raise FormatError(msg)
+        raise FormatError(f"{where}: its JSON chunk holds {type(header).__name__}, expected an object")
     body = b""
     if length >= 28 + size:
         count, kind = struct.unpack("<II", data[20 + size : 28 + size])
         if kind == _BINARY:
             body = data[28 + size : 28 + size + count]
             if len(body) != count:
-                msg = f"{where}: its binary chunk declares {count} bytes, found {len(body)}; the file is cut"
-                raise FormatError(msg)
+                raise FormatError(
+                    f"{where}: its binary chunk declares {count} bytes, found {len(body)}; the file is cut"
+                )
     return header, body
 
 

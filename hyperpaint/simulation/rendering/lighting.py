@@ -43,18 +43,16 @@ def traced_sun(atmosphere: Atmosphere, settings: TraceSettings) -> int:
     nearest = int(apart.argmin())
     if apart[nearest] > _SAME_DIRECTION and atmosphere.sun.any():
         there = ", ".join(f"({zenith:g}, {azimuth:g})" for zenith, azimuth in settings.suns)
-        msg = (
+        raise SchemaError(
             f"atmosphere {atmosphere.name!r} has its sun at (zenith, azimuth) = "
             f"({atmosphere.sun_zenith:g}, {atmosphere.sun_azimuth:g}) degrees; traced were {there}; "
             "trace the scene with this sun as well"
         )
-        raise SchemaError(msg)
     if atmosphere.overcast_share > 0 and atmosphere.sky.any() and not settings.overcast:
-        msg = (
+        raise SchemaError(
             f"atmosphere {atmosphere.name!r} has an overcast share of {atmosphere.overcast_share:.3g}, "
             "but no overcast sky was traced; trace the scene with overcast=True"
         )
-        raise SchemaError(msg)
     return nearest
 
 

@@ -230,8 +230,7 @@ def _through_interface(index: float, geometry: Geometry) -> float:
         "d/0": hemispherical_reflectance(index),
     }
     if geometry not in others:
-        msg = f"geometry is {geometry!r}, expected one of {', '.join(others)}"
-        raise SchemaError(msg)
+        raise SchemaError(f"geometry is {geometry!r}, expected one of {', '.join(others)}")
     return (1.0 - normal) * (1.0 - others[geometry]) / index**2
 
 
@@ -283,8 +282,9 @@ def measured_factor(
     measured = _checked(reflectance)
     if specular_included:
         if geometry == "0/45":
-            msg = "a 0/45 measurement does not contain the mirror reflection; leave specular_included out"
-            raise SchemaError(msg)
+            raise SchemaError(
+                "a 0/45 measurement does not contain the mirror reflection; leave specular_included out"
+            )
         measured = measured - (0.0 if index is None else float(fresnel_reflectance(1.0, index)))
     crossed, back = 1.0, 0.0
     if index is not None:

@@ -65,16 +65,18 @@ def read_irradiance(series: xr.Dataset, time: Any = None) -> tuple[Floats, Float
     check_wavelengths(grid)
     if time is None:
         if len(values) != 1:
-            msg = f"the irradiance series has {len(values)} samples; say which with time=..., in UTC"
-            raise SchemaError(msg)
+            raise SchemaError(
+                f"the irradiance series has {len(values)} samples; say which with time=..., in UTC"
+            )
         return grid, _without_noise(values[0])
     times = require(series, ["irradiance_time"], "the irradiance at one time")["irradiance_time"].values
     stamps = times.astype("datetime64[ns]").astype(np.int64)
     when = _nanoseconds(time)
     if not len(stamps) or not stamps[0] <= when <= stamps[-1]:
         span = f"from {times[0]} to {times[-1]}" if len(stamps) else "empty"
-        msg = f"time {np.datetime64(time, 'ns')} is outside the irradiance series, which is {span}"
-        raise SchemaError(msg)
+        raise SchemaError(
+            f"time {np.datetime64(time, 'ns')} is outside the irradiance series, which is {span}"
+        )
     after = min(max(int(np.searchsorted(stamps, when)), 1), len(stamps) - 1) if len(stamps) > 1 else 0
     before = max(after - 1, 0)
     weight = 0.0 if after == before else (when - stamps[before]) / (stamps[after] - stamps[before])
@@ -98,8 +100,7 @@ def _nanoseconds(time: Any) -> np.int64:
     except (ValueError, TypeError):
         moment = np.datetime64("NaT", "ns")
     if np.isnat(moment):
-        msg = f"time is {time!r}, expected UTC such as '2020-06-21T17:00:15'"
-        raise SchemaError(msg)
+        raise SchemaError(f"time is {time!r}, expected UTC such as '2020-06-21T17:00:15'")
     return moment.astype(np.int64)
 
 

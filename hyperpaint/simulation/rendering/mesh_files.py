@@ -90,12 +90,14 @@ def read_mesh(
     }  # fmt: skip
     suffix = file.suffix.lower()
     if suffix not in readers:
-        msg = f"{file.name}: the ending {suffix!r} is not known, expected one of {', '.join(readers)}"
-        raise FormatError(msg)
+        raise FormatError(
+            f"{file.name}: the ending {suffix!r} is not known, expected one of {', '.join(readers)}"
+        )
     upright = _UPRIGHT.get(("y" if suffix == ".glb" else "z") if up is None else up)
     if upright is None or not (np.isfinite(unit) and unit > 0):
-        msg = f"up={up!r} and unit={unit!r}, expected one of x, y, z and a number of metres above 0"
-        raise SchemaError(msg)
+        raise SchemaError(
+            f"up={up!r} and unit={unit!r}, expected one of x, y, z and a number of metres above 0"
+        )
     raw = readers[suffix](_contents(file), file.name)
     _check(raw, file.name)
     vertices = unit * raw.vertices @ upright.T
@@ -120,32 +122,28 @@ def _contents(file: Path) -> bytes:
     try:
         size = file.stat().st_size
         if size > _MOST_BYTES:
-            msg = f"{file.name}: {size} bytes, expected at most {_MOST_BYTES}; simplify the mesh"
-            raise FormatError(msg)
+            raise FormatError(f"{file.name}: {size} bytes, expected at most {_MOST_BYTES}; simplify the mesh")
         data = file.read_bytes()
     except OSError as error:
-        msg = f"{file}: cannot be read ({error.strerror})"
-        raise FormatError(msg) from error
+        raise FormatError(f"{file}: cannot be read ({error.strerror})") from error
     if not data.strip():
-        msg = f"{file.name}: the file is empty, expected a mesh"
-        raise FormatError(msg)
+        raise FormatError(f"{file.name}: the file is empty, expected a mesh")
     return data
 
 
 def _check(raw: RawTriangles, where: str) -> None:
     if not len(raw.faces):
-        msg = f"{where}: there are no triangles in it, expected a mesh with faces"
-        raise FormatError(msg)
+        raise FormatError(f"{where}: there are no triangles in it, expected a mesh with faces")
     if raw.faces.min() < 0 or raw.faces.max() >= len(raw.vertices):
-        msg = f"{where}: faces name vertices beyond the {len(raw.vertices)} there are; the file is damaged"
-        raise FormatError(msg)
+        raise FormatError(
+            f"{where}: faces name vertices beyond the {len(raw.vertices)} there are; the file is damaged"
+        )
     bad = np.flatnonzero(~np.isfinite(raw.vertices).all(axis=1))
     if len(bad):
-        msg = (
+        raise FormatError(
             f"{where}: {len(bad)} of {len(raw.vertices)} vertices are not finite, the first is number "
             f"{bad[0]} counted from 0; mend the mesh"
         )
-        raise FormatError(msg)
 
 
 def _assigned(
@@ -163,8 +161,9 @@ def _assigned(
             continue
         numbers[group] = chosen.setdefault(material, len(chosen))
     if missing:
-        msg = f"{where}: no material for {', '.join(missing[:20])}; name them in materials=, or give default="
-        raise SchemaError(msg)
+        raise SchemaError(
+            f"{where}: no material for {', '.join(missing[:20])}; name them in materials=, or give default="
+        )
     return tuple(chosen), numbers[raw.face_group]
 
 
@@ -190,10 +189,9 @@ def _read_glb(data: bytes, where: str) -> RawTriangles:
     trimesh = _trimesh(where)
     stripped = strip_glb(data, where)
     if stripped.triangles > _MOST_TRIANGLES:
-        msg = (
+        raise FormatError(
             f"{where}: {stripped.triangles} triangles, expected at most {_MOST_TRIANGLES}; simplify the mesh"
         )
-        raise FormatError(msg)
     if not stripped.triangles:
         return RawTriangles(np.zeros((0, 3)), np.zeros((0, 3), np.int64), np.zeros(0, np.int64), ())
     scene = _loaded(trimesh.load_scene, stripped.data, "glb", where)
@@ -230,8 +228,9 @@ def _loaded(load: Callable[..., Any], data: bytes, kind: str, where: str, **opti
             warnings.simplefilter("ignore")  # of what numpy thinks of trimesh's parsers
             return load(io.BytesIO(data), file_type=kind, process=False, **options)
     except Exception as error:  # a parser of others may fail in any way
-        msg = f"{where}: trimesh cannot read it ({type(error).__name__}: {error}); the file is damaged or odd"
-        raise FormatError(msg) from error
+        raise FormatError(
+            f"{where}: trimesh cannot read it ({type(error).__name__}: {error}); the file is damaged or odd"
+        ) from error
 
 
 def _faces(mesh: Any) -> NDArray[np.int64]:

@@ -178,11 +178,10 @@ def _spectral_mitsuba() -> Any:
         raise needed from error
     variant = mitsuba.variant()
     if variant is None or "spectral" not in variant:
-        msg = (
+        raise SchemaError(
             f"the variant of Mitsuba is {variant}, expected a spectral one; "
             "call mitsuba.set_variant('scalar_spectral') first"
         )
-        raise SchemaError(msg)
     return mitsuba
 
 

@@ -89,10 +89,9 @@ def parse_obj(data: bytes, where: str) -> RawTriangles:
     faces = np.asarray(corners, np.int64).reshape(-1, 3)
     if faces.size and (faces.min() < 0 or faces.max() >= len(vertices)):
         wrong = int(faces.max()) + 1 if faces.max() >= len(vertices) else int(faces.min())
-        msg = (
+        raise FormatError(
             f"{where}: a face names vertex {wrong}, but there are {len(vertices)}; the file is cut or damaged"
         )
-        raise FormatError(msg)
     return RawTriangles(vertices, faces, np.asarray(face_group, np.int64), tuple(groups))
 
 
@@ -102,8 +101,9 @@ def _position(words: list[str], where: str, number: int) -> list[float]:
     except ValueError:
         found = []
     if len(found) != 3:
-        msg = f"{where}: line {number} is {' '.join(words)[:60]!r}, expected 'v' and three numbers"
-        raise FormatError(msg)
+        raise FormatError(
+            f"{where}: line {number} is {' '.join(words)[:60]!r}, expected 'v' and three numbers"
+        )
     return found
 
 
@@ -114,9 +114,8 @@ def _corners(words: list[str], before: int, where: str, number: int) -> list[int
     except ValueError:
         found = []
     if len(found) < 3 or not all(0 < abs(index) < _LARGEST_INDEX for index in found):
-        msg = (
+        raise FormatError(
             f"{where}: line {number} is {' '.join(words)[:60]!r}, expected 'f' and three or more numbers of "
             "vertices, counted from 1"
         )
-        raise FormatError(msg)
     return [index - 1 if index > 0 else before + index for index in found]

@@ -231,8 +231,9 @@ def _library(spectra: Any) -> Mapping[Any, Any]:
         or "paint" not in getattr(reflectance, "dims", ())
         or "paint" not in spectra.coords
     ):
-        msg = "spectra is no mapping of names to spectra, and no library with reflectance(paint, band)"
-        raise SchemaError(msg)
+        raise SchemaError(
+            "spectra is no mapping of names to spectra, and no library with reflectance(paint, band)"
+        )
     return {str(name): reflectance.isel(paint=place) for place, name in enumerate(spectra["paint"].values)}
 
 
@@ -270,8 +271,7 @@ def _spectrum(value: Any, name: str, problems: Problems) -> Spectrum | None:
 def _columns(value: Any) -> tuple[Floats, Floats]:
     if hasattr(value, "dims"):
         if "wavelength" not in value.coords:
-            msg = "it has no coordinate 'wavelength'"
-            raise ValueError(msg)
+            raise ValueError("it has no coordinate 'wavelength'")
         axis = value["wavelength"]
         axis = convert(axis, "nm") if "units" in axis.attrs else axis
         values = convert(value, "1") if "units" in value.attrs else value

@@ -106,17 +106,15 @@ class PathCodes:
             The digits do not fit into 63 bits.
         """
         if depth < 1:
-            msg = f"depth={depth}, expected at least 1 scattering"
-            raise SchemaError(msg)
+            raise SchemaError(f"depth={depth}, expected at least 1 scattering")
         bits = max(factors, 1).bit_length()
         if _FIRST_DIGIT + depth * bits > _USABLE_BITS:
             most = (_USABLE_BITS - _FIRST_DIGIT) // bits
-            msg = (
+            raise SchemaError(
                 f"{factors} spectra and depth={depth} do not fit into the code of a path; "
                 "there is a spectrum for each material, two where it has flakes; "
                 f"with so many depth is at most {most}"
             )
-            raise SchemaError(msg)
         return cls(depth, bits)
 
     def code(

@@ -198,10 +198,9 @@ def paint_spec(name: str) -> PaintSpec:
         return _CATALOGUE[name]
     found = parse_name(name)
     if found is None or found[2]:
-        msg = (
+        raise SchemaError(
             f"there is no paint {name!r}; expected one of {', '.join(FOURTEEN)}, or pigment:<family>:<number>"
         )
-        raise SchemaError(msg)
     return generate_paint(found[0], found[1])
 
 
@@ -250,11 +249,9 @@ def seen_through_coat(pigments: Pigments, wavelength: Floats) -> Floats:
 @functools.lru_cache(maxsize=4096)
 def _generate(family: str, number: int) -> tuple[PaintSpec, Pigments]:
     if family not in FAMILIES:
-        msg = f"there is no family of paints {family!r}; expected one of {', '.join(FAMILIES)}"
-        raise SchemaError(msg)
+        raise SchemaError(f"there is no family of paints {family!r}; expected one of {', '.join(FAMILIES)}")
     if not 0 <= number < 10**9:
-        msg = f"the number of a paint is {number!r}, expected 0 to 999999999"
-        raise SchemaError(msg)
+        raise SchemaError(f"the number of a paint is {number!r}, expected 0 to 999999999")
     rng = np.random.default_rng([FAMILIES.index(family), number])
     hue = str(rng.choice(list(_HUES)))
     adjective = str(rng.choice(_ADJECTIVES))

@@ -215,8 +215,7 @@ def _moment(value: np.datetime64 | str) -> np.datetime64:
     except (ValueError, TypeError):
         found = np.asarray("NaT", dtype="datetime64[ns]")
     if not np.datetime64("1980-01-01") <= found < np.datetime64("2100-01-01"):
-        msg = f"start_time={value!r:.60}, expected a UTC time such as '2021-07-20T17:10:00'"
-        raise SchemaError(msg)
+        raise SchemaError(f"start_time={value!r:.60}, expected a UTC time such as '2021-07-20T17:10:00'")
     return np.datetime64(found.item(), "ns")
 
 

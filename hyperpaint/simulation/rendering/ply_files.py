@@ -30,12 +30,12 @@ def check_ply(data: bytes, where: str) -> None:
         There is no PLY header, or it declares more than the file can hold.
     """
     if not data.startswith(b"ply"):
-        msg = f"{where}: it begins with {data[:4]!r}, expected b'ply'"
-        raise FormatError(msg)
+        raise FormatError(f"{where}: it begins with {data[:4]!r}, expected b'ply'")
     head, end, _ = data[:_LONGEST_HEADER].partition(b"end_header")
     if not end:
-        msg = f"{where}: no end_header in its first {_LONGEST_HEADER} bytes; the file is cut or damaged"
-        raise FormatError(msg)
+        raise FormatError(
+            f"{where}: no end_header in its first {_LONGEST_HEADER} bytes; the file is cut or damaged"
+        )
     room = len(data) - len(head) - len(end)
     lines = head.decode("latin-1").split("\n")
     binary = any("binary" in line for line in lines[:3])
@@ -48,14 +48,14 @@ def check_ply(data: bytes, where: str) -> None:
         elif words[:1] == ["property"]:
             row += _row(words, where, line) if binary else 2  # a digit and what follows it
     if needed > room + 2:
-        msg = f"{where}: its header declares {needed} bytes or more, found {room}; the file is cut or damaged"
-        raise FormatError(msg)
+        raise FormatError(
+            f"{where}: its header declares {needed} bytes or more, found {room}; the file is cut or damaged"
+        )
 
 
 def _count(words: list[str], where: str, line: str) -> int:
     if len(words) != 3 or not words[2].isascii() or not words[2].isdigit() or len(words[2]) > 18:
-        msg = f"{where}: the header has {line.strip()[:60]!r}, expected 'element NAME COUNT'"
-        raise FormatError(msg)
+        raise FormatError(f"{where}: the header has {line.strip()[:60]!r}, expected 'element NAME COUNT'")
     return int(words[2])
 
 
@@ -63,6 +63,7 @@ def _row(words: list[str], where: str, line: str) -> int:
     """Return the least number of bytes that a property takes up."""
     kinds = words[2:4] if words[1:2] == ["list"] else words[1:2]
     if len(words) != (5 if words[1:2] == ["list"] else 3) or any(kind not in _SIZES for kind in kinds):
-        msg = f"{where}: the header has {line.strip()[:60]!r}, expected 'property TYPE NAME' or a list"
-        raise FormatError(msg)
+        raise FormatError(
+            f"{where}: the header has {line.strip()[:60]!r}, expected 'property TYPE NAME' or a list"
+        )
     return _SIZES[kinds[0]]

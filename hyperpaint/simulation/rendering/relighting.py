@@ -159,8 +159,9 @@ def relight(
 def _atmosphere(atmosphere: Any) -> Atmosphere:
     made = preset_atmosphere(atmosphere) if isinstance(atmosphere, str) else atmosphere
     if not isinstance(made, Atmosphere):
-        msg = f"atmosphere is {type(made).__name__}, expected an Atmosphere or the name of a preset one"
-        raise SchemaError(msg)
+        raise SchemaError(
+            f"atmosphere is {type(made).__name__}, expected an Atmosphere or the name of a preset one"
+        )
     return made
 
 
@@ -187,11 +188,9 @@ def _variation(variation: npt.ArrayLike | None, lines: int) -> Floats | None:
         return None
     factors = np.asarray(variation, np.float64)
     if factors.shape != (2, lines):
-        msg = f"variation has shape {factors.shape}, expected (2, along_track) = (2, {lines})"
-        raise SchemaError(msg)
+        raise SchemaError(f"variation has shape {factors.shape}, expected (2, along_track) = (2, {lines})")
     if not np.isfinite(factors).all() or (factors < 0).any():
-        msg = "variation holds factors that are negative or not finite"
-        raise SchemaError(msg)
+        raise SchemaError("variation holds factors that are negative or not finite")
     return np.ascontiguousarray(factors.T)
 
 

@@ -207,11 +207,10 @@ class Scene:
         count = len(np.atleast_1d(np.asarray(faces)))
         if face_material is None:
             if len(materials) != 1:
-                msg = (
+                raise SchemaError(
                     f"scene of {thing.name!r} has {len(materials)} materials and no face_material, "
                     "expected the number of the material of every triangle; give face_material="
                 )
-                raise SchemaError(msg)
             face_material = np.zeros(count, np.int32)
         return cls(
             name or thing.name,

@@ -112,8 +112,7 @@ class TraceSettings:
         try:
             directions = tuple(tuple(float(angle) for angle in sun) for sun in suns)
         except (TypeError, ValueError):
-            msg = f"suns={suns!r}, expected a list of (zenith, azimuth) in degrees"
-            raise SchemaError(msg) from None
+            raise SchemaError(f"suns={suns!r}, expected a list of (zenith, azimuth) in degrees") from None
         return cls(directions, **settings)  # type: ignore[arg-type]
 
 
@@ -216,8 +215,9 @@ class SceneRecord:
                 sun_radius=float(attrs.get("sun_radius", 0.0)),
             )
         except (TypeError, KeyError, IndexError, AttributeError, ValueError) as error:
-            msg = f"this is no traced dataset (see hyperpaint.trace): its attributes are damaged ({error})"
-            raise SchemaError(msg) from error
+            raise SchemaError(
+                f"this is no traced dataset (see hyperpaint.trace): its attributes are damaged ({error})"
+            ) from error
         return record, settings
 
     def _check_numbers(self) -> None:

@@ -97,8 +97,9 @@ def _sample_times(traced: xr.Dataset, lines: int) -> NDArray[np.datetime64]:
     try:
         first, last = (np.datetime64(traced.attrs[f"time_coverage_{end}"], "ns") for end in ("start", "end"))
     except (KeyError, ValueError, TypeError) as error:
-        msg = f"this is no traced dataset (see hyperpaint.trace): time_coverage_start or _end: {error}"
-        raise SchemaError(msg) from error
+        raise SchemaError(
+            f"this is no traced dataset (see hyperpaint.trace): time_coverage_start or _end: {error}"
+        ) from error
     between = np.empty(0, "datetime64[ns]")
     if lines:
         span = int(np.asarray(last - first, "timedelta64[ns]").astype(np.int64))

@@ -98,8 +98,7 @@ def spectrum_of(name: str) -> Spectrum:
         return _limited(SPECTRA[name])
     close = difflib.get_close_matches(name, SPECTRA, 1)
     hint = f"did you mean {close[0]!r}?" if close else f"there are {', '.join(SPECTRA)}"
-    msg = f"there is no spectrum {name!r}; {hint}"
-    raise SchemaError(msg)
+    raise SchemaError(f"there is no spectrum {name!r}; {hint}")
 
 
 def _limited(spectrum: Spectrum) -> Spectrum:

@@ -239,11 +239,10 @@ class ProductTable:
         out = np.empty((self.bands.nodes.size, codes.size, self.bands.wavelength.size), np.float32)
         chosen, source = self.codes.factors(codes), self._row_of_source[source_of(codes)]
         if chosen.max(initial=-1) >= len(self._factors):
-            msg = (
+            raise SchemaError(
                 f"a path was multiplied by spectrum {chosen.max()}, the scene has {len(self._factors)}; "
                 "transport_path is damaged, or of another scene than the attributes"
             )
-            raise SchemaError(msg)
         integrate_bands(self._factors, chosen, source, self._weights, self._first_band, out)
         return out.swapaxes(0, 1)
 

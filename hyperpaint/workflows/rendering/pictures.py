@@ -41,8 +41,7 @@ def draw_renders(store: Path, groups: Sequence[str], path: Path) -> None:
     opened = {group: open_store(store, group) for group in groups}
     shown = {group: made["overview"] for group, made in opened.items() if "overview" in made}
     if not shown:
-        msg = f"{store} has no overview to draw: a picture takes three visible bands"
-        raise StoreError(msg)
+        raise StoreError(f"{store} has no overview to draw: a picture takes three visible bands")
     lines, columns = next(iter(shown.values())).shape[:2]
     size = (_WIDTH * len(shown), _WIDTH * min(lines / columns, 5.0) + 0.4)
     figure = Figure(figsize=size, layout="constrained")
@@ -56,5 +55,4 @@ def draw_renders(store: Path, groups: Sequence[str], path: Path) -> None:
     try:
         figure.savefig(path, dpi=_DPI)
     except ValueError as error:
-        msg = f"{path}: {error}"
-        raise StoreError(msg) from error
+        raise StoreError(f"{path}: {error}") from error

@@ -188,11 +188,10 @@ def _check_disk_roughly(file: SceneFile, out: Path) -> None:
     least = pixels * (_LEAST_TRACED + _LEAST_SAMPLE * file.camera.get("bands", 272))
     free = shutil.disk_usage(folder).free
     if least > free:
-        msg = (
+        raise StoreError(
             f"{file.path} needs {size_text(least)} of disk at the very least, but {size_text(free)} are free "
             f"in {folder}; take fewer lines, columns or bands, or another disk"
         )
-        raise StoreError(msg)
 
 
 def _announcement(name: str, file: SceneFile) -> str:
@@ -281,11 +280,10 @@ def _refuse_orphans(out: Path, planned: Mapping[str, Any], kept: Sequence[str]) 
         return
     left = [name for name in list_groups(out) if name.startswith(RENDERS) and name not in planned]
     if left:
-        msg = (
+        raise StoreError(
             f"{out} holds /{', /'.join(left)}, of a scene traced with other parameters; render them too, or "
             "choose another path"
         )
-        raise StoreError(msg)
 
 
 def _light(atmosphere: Any) -> str:

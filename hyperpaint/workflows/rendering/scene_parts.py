@@ -111,8 +111,7 @@ def chosen_atmospheres(parts: Parts, names: Sequence[str]) -> tuple[Atmosphere, 
     unknown = [name for name in names if name not in known]
     if unknown:
         found = ", ".join(map(repr, unknown))
-        msg = f"there is no atmosphere {found} in the scene file; it has {', '.join(known)}"
-        raise SchemaError(msg)
+        raise SchemaError(f"there is no atmosphere {found} in the scene file; it has {', '.join(known)}")
     return tuple(known[name] for name in dict.fromkeys(names)) if names else parts.atmospheres
 
 
@@ -267,8 +266,9 @@ def _atmosphere(entry: AtmosphereEntry) -> Atmosphere:
     sky = {key: options.pop(key) for key in ("overcast_share", "direct_fraction") if key in options}
     clear = {key: options.pop(key) for key in ("aerosol", "water") if key in options}
     if clear and (entry.table is not None or entry.irradiance):
-        msg = f"{' and '.join(clear)} can be given with a preset only; the light is as the file has it"
-        raise SchemaError(msg)
+        raise SchemaError(
+            f"{' and '.join(clear)} can be given with a preset only; the light is as the file has it"
+        )
     if entry.table is not None:
         made = Atmosphere.from_table(entry.table, **sun, **sky)
     elif entry.irradiance:
