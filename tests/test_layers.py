@@ -10,94 +10,24 @@ import sys
 from pathlib import Path
 
 import pytest
+from support import house
+from support.rooms import ALONE, ROOMS
 
 import hyperpaint
 
 ROOT = Path(hyperpaint.__file__).parent
-#: One row a room, from the ground up: a room imports rooms below it.
-ROOMS = (
-    "base",
-    "kernels",
-    "simulation",
-    "io",
-    "light",
-    "radiometry",
-    "calibration",
-    "alignment",
-    "surroundings",
-    "geometry",
-    "regions",
-    "paints",
-    "validation",
-    "pictures",
-    "report",
-    "workflows",
-    "accessor",
-    "__init__",
-    "cli",
-)
-ALONE = {"base": set(), "kernels": {"base"}, "simulation": {"base"}, "io": {"base"}, "paper": {"base"}}
-"""All that these may import: a loop closed through shared code proves nothing, readers hold no physics."""
-
-
-def modules() -> dict[str, Path]:
-    """Return every module of the package by its dotted name inside it."""
-    found = {}
-    for path in ROOT.rglob("*.py"):
-        parts = path.relative_to(ROOT).with_suffix("").parts
-        found[".".join(parts)] = path
-    return found
-
-
-def imports(name: str, path: Path) -> tuple[set[str], set[str]]:
-    """Return which modules of the package, and which of others, a module imports, at its top or inside."""
-    here = ["hyperpaint", *name.split(".")][:-1]
-    inside, outside = set(), set()
-    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-        if isinstance(node, ast.Import):
-            targets = [alias.name for alias in node.names]
-        elif isinstance(node, ast.ImportFrom):
-            base = here[: len(here) - node.level + 1] if node.level else []
-            stem = ".".join([*base, *([node.module] if node.module else [])])
-            targets = [f"{stem}.{alias.name}" for alias in node.names]
-        else:
-            continue
-        for target in targets:
-            if target.split(".")[0] == "hyperpaint":
-                inside.add(_module_of(target))
-            else:
-                outside.add(target.split(".")[0])
-    return inside, outside
-
-
-def _module_of(target: str) -> str:
-    """Return the longest part of a dotted name that is a module, without the package's name."""
-    parts = target.split(".")[1:]
-    while parts:
-        path = ROOT.joinpath(*parts)
-        if path.with_suffix(".py").is_file() or (path / "__init__.py").is_file():
-            return ".".join(parts)
-        parts = parts[:-1]
-    return "__init__"
-
-
-MODULES = modules()
-IMPORTS = {name: imports(name, path) for name, path in MODULES.items()}
+MODULES = house.modules()
+IMPORTS = {name: house.imports(name) for name in MODULES}
 
 
 def test_the_parser_sees_imports() -> None:
-    assert "numba" in IMPORTS["base.jit"][1]
-
-
-def room_of(name: str) -> str:
-    """Return the room a module is in, or the module at the top of the package."""
-    return name.split(".")[0]
+    assert "numba" in IMPORTS["base.jit"]["outside"]
 
 
 @pytest.mark.parametrize("name", sorted(MODULES))
 def test_imports_point_down(name: str) -> None:
-    room = room_of(name)
-    targets = {room_of(target) for target in IMPORTS[name][0]} - {room}
+    room = house.room_of(name)
+    targets = {house.room_of(target) for target in IMPORTS[name]["inside"]} - {room}
     if room in ALONE:
         assert targets <= ALONE[room]
     elif room in ROOMS:
@@ -106,8 +36,15 @@ def test_imports_point_down(name: str) -> None:
 
 def test_kernels_are_loops_over_arrays() -> None:
     for name in MODULES:
-        if room_of(name) == "kernels":
-            assert IMPORTS[name][1] <= {"__future__", "typing", "collections", "math", "numpy", "numba"}
+        if house.room_of(name) == "kernels":
+            assert IMPORTS[name]["outside"] <= {
+                "__future__",
+                "typing",
+                "collections",
+                "math",
+                "numpy",
+                "numba",
+            }
 
 
 def test_backends_import_xarray_alone_at_their_top() -> None:

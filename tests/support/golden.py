@@ -15,6 +15,7 @@ from __future__ import annotations
 import argparse
 import hashlib
 import json
+import os
 import re
 import subprocess
 import sys
@@ -24,6 +25,7 @@ from pathlib import Path
 import numpy as np
 import xarray as xr
 
+_ENVIRONMENT = {**os.environ, "PYTHONHASHSEED": "0"}
 _FLIGHT = "--lines 256 --bands 64 --columns 192 --samples 4 --seed 11 --smile 1.0"
 _SWEPT = "--lines 16 --bands 64 --columns 24 --scene plan --seed 3 --sweep"
 _CAMERA = "--ground 152.4 --field-of-view 18.9 --column-order left_to_right"
@@ -31,7 +33,7 @@ _CAMERA = "--ground 152.4 --field-of-view 18.9 --column-order left_to_right"
 _RUN = re.compile(
     r"\d{4}-\d\d-\d\d[T ]\d\d:\d\d(:\d\d(\.\d+)?)?(Z|\+00:00)?"
     r"|\b[0-9a-f]{32}(?:[0-9a-f]{32})?\b"
-    r"|attributes=[0-9a-f]{8}|\bhyperpaint[.\w]*|\b\d+\.\d+ ?(?:s|MB|MiB|GiB)\b"
+    r"|(?:attributes|crc32c)=[0-9a-f]{8}|\bhyperpaint[.\w]*|\b\d+\.\d+ ?(?:s|MB|MiB|GiB)\b"
 )
 
 
@@ -64,7 +66,11 @@ def digests(folder: Path) -> dict[str, str]:
     sums: dict[str, str] = {}
     for command in journey(folder):
         done = subprocess.run(
-            [sys.executable, "-m", "hyperpaint", *command], capture_output=True, text=True, check=False
+            [sys.executable, "-m", "hyperpaint", *command],
+            capture_output=True,
+            text=True,
+            check=False,
+            env=_ENVIRONMENT,
         )
         said = _text(done.stdout + done.stderr, folder)
         sums[f"words: hyperpaint {command[0]} {' '.join(command[3:5]) if command[0] == 'export' else ''}"] = (
@@ -91,7 +97,11 @@ def _rendered(folder: Path, example: str) -> dict[str, str]:
     scene.write_text(small, encoding="utf-8")
     command = ["render", str(scene), "--out", str(folder / "scene.zarr"), "--samples", "4", "--quiet"]
     done = subprocess.run(
-        [sys.executable, "-m", "hyperpaint", *command], capture_output=True, text=True, check=False
+        [sys.executable, "-m", "hyperpaint", *command],
+        capture_output=True,
+        text=True,
+        check=False,
+        env=_ENVIRONMENT,
     )
     if done.returncode == 2:
         sys.stderr.write(done.stderr)

@@ -182,7 +182,7 @@ def _trimesh(where: str) -> Any:
         return importlib.import_module("trimesh")
     except ImportError as error:
         purpose = f"reading {where}"
-        raise MissingExtraError.of("trimesh", "mesh", purpose) from error  # noqa: EM101
+        raise MissingExtraError.of("trimesh", "mesh", purpose) from error
 
 
 def _read_glb(data: bytes, where: str) -> RawTriangles:
