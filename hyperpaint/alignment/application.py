@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hyperpaint.base import schema
+from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import Problems, SchemaError
 from hyperpaint.base.schema import BAND, CROSS_TRACK
 
@@ -16,8 +17,6 @@ if TYPE_CHECKING:
     import xarray as xr
 
 __all__ = ["apply_alignment"]
-
-Float = npt.NDArray[np.float64]
 
 
 _NEEDED = (
@@ -141,7 +140,7 @@ def _check(each: xr.Dataset, reliable: npt.NDArray[np.bool_], shape: tuple[int, 
     problems.raise_if_any()
 
 
-def _smoothed(found: xr.Dataset, columns: int, degree: int) -> tuple[Float, float]:
+def _smoothed(found: xr.Dataset, columns: int, degree: int) -> tuple[Floats, float]:
     """Return the shift's correction of all columns (column,) [nm] and the mean width factor of one window."""
     scale = max((columns - 1) / 2.0, 1.0)
     basis = np.polynomial.legendre.legvander(found["column"].values / scale - 1.0, degree)
@@ -160,7 +159,7 @@ def _smoothed(found: xr.Dataset, columns: int, degree: int) -> tuple[Float, floa
 
 
 def _replaced(
-    dataset: xr.Dataset, known: Mapping[str, xr.DataArray], found: xr.Dataset, correction: Float, factor: Any
+    dataset: xr.Dataset, known: Mapping[str, xr.DataArray], found: xr.Dataset, correction: Floats, factor: Any
 ) -> xr.Dataset:
     """Return the line with what was found in place, and a sentence that says so."""
     import xarray as xr
@@ -168,7 +167,7 @@ def _replaced(
     centres, wavelength = np.atleast_1d(found["window_centre"].values), known["wavelength"].values
     order = np.argsort(centres)
 
-    def over_bands(values: Float) -> Float:
+    def over_bands(values: Floats) -> Floats:
         return np.asarray(np.interp(wavelength, centres[order], values[order]))
 
     if len(order) == 1:

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
 
+from hyperpaint.base.arrays import Floats, Progress
 from hyperpaint.base.schema import ALONG_TRACK
 from hyperpaint.radiometry.slabs import line_chunked
 
@@ -16,16 +16,14 @@ if TYPE_CHECKING:
 
 __all__ = ["Progress", "mean_over_lines"]
 
-Float = npt.NDArray[np.float64]
-Progress = Callable[[int, int], None]
 
 _FIRST_LINES = 64
 """Lines that tell which elements are bad."""
 
 
 def mean_over_lines(
-    cube: xr.DataArray, level: Float, progress: Progress | None = None
-) -> tuple[Float, npt.NDArray[np.int64]]:
+    cube: xr.DataArray, level: Floats, progress: Progress | None = None
+) -> tuple[Floats, npt.NDArray[np.int64]]:
     """Return the mean over lines of a cube over its light's level (band, column), and the pixels in it.
 
     One slab is in memory at a time. Lines are added one after the other, so that the result does not depend

@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hyperpaint.base import schema
+from hyperpaint.base.arrays import Array, Floats
 from hyperpaint.base.errors import SchemaError
 from hyperpaint.base.schema import IRRADIANCE_TIME, IRRADIANCE_WAVELENGTH
 from hyperpaint.light.responses import Responses, log_slope
@@ -18,8 +19,6 @@ if TYPE_CHECKING:
 
 __all__ = ["Declared", "Light"]
 
-Float = npt.NDArray[np.float64]
-Array = npt.NDArray[Any]
 
 _MOST_SHIFT = 20.0
 """Declared shift beyond which units are wrong [nm]."""
@@ -43,10 +42,10 @@ class Light:
         Longest time without a sample [s], or None.
     """
 
-    spectra: Float
+    spectra: Floats
     time: Array
-    wavelength: Float
-    fwhm: Float
+    wavelength: Floats
+    fwhm: Floats
     srf_shape: str
     max_gap: float | None
 
@@ -72,10 +71,10 @@ class Declared:
     """
 
     time: Array
-    wavelength: Float
-    fwhm: Float
+    wavelength: Floats
+    fwhm: Floats
     good: npt.NDArray[np.bool_]
-    wavelength_shift: Float
+    wavelength_shift: Floats
     imager: Responses
     light: Light
 
@@ -108,7 +107,7 @@ class Declared:
             ),
         )
 
-    def shift(self, columns: int) -> Float:
+    def shift(self, columns: int) -> Floats:
         """Return the declared shift of every element (band, column) [nm]."""
         given = self.wavelength_shift
         if not (np.isfinite(given).all() and np.abs(given).max() <= _MOST_SHIFT):

@@ -9,12 +9,13 @@ reflectance is.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
 
 from hyperpaint.base import schema
+from hyperpaint.base.arrays import Array, Floats
 from hyperpaint.base.errors import Problems, SchemaError
 from hyperpaint.base.schema import ALONG_TRACK, BAND, CROSS_TRACK
 from hyperpaint.radiometry.counts_to_reflectance import radiance
@@ -30,8 +31,6 @@ if TYPE_CHECKING:
 
 __all__ = ["align_to_irradiance"]
 
-Float = npt.NDArray[np.float64]
-Array = npt.NDArray[Any]
 
 FEWEST_PIXELS = 8
 """Pixels below which a column tells nothing."""
@@ -184,8 +183,8 @@ def _check_options(degree: int, group: int, max_shift: float, max_uncertainty: f
 
 
 def _grouped(
-    spectrum: Float, pixels: npt.NDArray[np.int64], shift: Float, group: int
-) -> tuple[Float, npt.NDArray[np.int64], Float, Float]:
+    spectrum: Floats, pixels: npt.NDArray[np.int64], shift: Floats, group: int
+) -> tuple[Floats, npt.NDArray[np.int64], Floats, Floats]:
     """Return spectra, pixels, shifts and column numbers of groups of neighbouring columns."""
     columns = np.arange(pixels.size, dtype=np.float64)
     if group == 1:
@@ -207,7 +206,7 @@ def _grouped(
     )
 
 
-def _any_column(spectrum: Float) -> Array:
+def _any_column(spectrum: Floats) -> Array:
     """Return which bands are there in any column, (band, 1)."""
     return np.asarray(np.isfinite(spectrum).any(axis=1, keepdims=True))
 
@@ -215,9 +214,9 @@ def _any_column(spectrum: Float) -> Array:
 def _fit_window(
     inside: Array,
     declared: Declared,
-    light: Float,
-    spectrum: Float,
-    shift: Float,
+    light: Floats,
+    spectrum: Floats,
+    shift: Floats,
     degree: int,
     max_shift: float,
 ) -> Fit:
@@ -228,7 +227,7 @@ def _fit_window(
 
 
 def _labelled(
-    estimates: list[Estimate], pixels: npt.NDArray[np.int64], column: Float, max_uncertainty: float
+    estimates: list[Estimate], pixels: npt.NDArray[np.int64], column: Floats, max_uncertainty: float
 ) -> xr.Dataset:
     """Return estimates as a Dataset (window, cross_track), with flags that know the noise and the pixels."""
     import xarray as xr

@@ -8,8 +8,8 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
+from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import SchemaError
 from hyperpaint.light.responses import GAUSSIAN_SIGMA, Matching, Responses, matching_operator
 from hyperpaint.light.synchrony import line_light
@@ -18,8 +18,6 @@ from .declared import Declared, Light
 
 __all__ = ["FACTORS", "IrradianceTable", "mean_light", "table_of_bands"]
 
-Float = npt.NDArray[np.float64]
-Array = npt.NDArray[Any]
 
 SHIFT_STEP = 0.5
 """Distance of the shifts at which irradiance is matched [nm]; splines between are good to 1e-3 nm."""
@@ -45,12 +43,12 @@ class IrradianceTable:
         Mean square distance from its centre at which a band responds [nm2].
     """
 
-    wavelength: Float
-    shifts: Float
-    factors: Float
-    log: Float
-    noise_gain: Float
-    variance: Float
+    wavelength: Floats
+    shifts: Floats
+    factors: Floats
+    log: Floats
+    noise_gain: Floats
+    variance: Floats
 
     @cached_property
     def splines(self) -> list[Any]:
@@ -62,7 +60,7 @@ class IrradianceTable:
             for values in np.moveaxis(self.log, -1, 0)
         ]
 
-    def at(self, shift: Float, factor: Float, *, dx: int = 0, dy: int = 0) -> Float:
+    def at(self, shift: Floats, factor: Floats, *, dx: int = 0, dy: int = 0) -> Floats:
         """Return the logarithm, or a derivative of it, (band, column), at (band, column) and (column,)."""
         made = np.full(shift.shape, np.nan)
         for band, spline in enumerate(self.splines):
@@ -70,7 +68,7 @@ class IrradianceTable:
                 made[band] = spline.ev(shift[band], factor, dx=dx, dy=dy)
         return made
 
-    def variance_at(self, factor: Float) -> Float:
+    def variance_at(self, factor: Floats) -> Floats:
         """Return the variance of the responses (band, column) at widths (column,) [nm2]."""
         place = np.interp(factor, self.factors, np.arange(self.factors.size))
         low = np.minimum(place.astype(np.int64), self.factors.size - 2)
@@ -78,14 +76,14 @@ class IrradianceTable:
             self.variance[low].T + (place - low) * (self.variance[low + 1] - self.variance[low]).T
         )
 
-    def noise_gain_at(self, factor: Float) -> Float:
+    def noise_gain_at(self, factor: Floats) -> Floats:
         """Return the noise gain at widths (column,) [1]."""
         return np.asarray(np.interp(factor, self.factors, self.noise_gain))
 
 
 def mean_light(
     declared: Declared, windows: list[tuple[float, float]], lines: slice | None
-) -> tuple[Float, Float]:
+) -> tuple[Floats, Floats]:
     """Return the record's mean spectrum in units of its level (channel,), and the level of every line."""
     light = declared.light
     level = _level(light, min(low for low, _ in windows), max(high for _, high in windows))
@@ -103,7 +101,7 @@ def mean_light(
     return (share[used] / seen.size) @ light.spectra[used], level_of_line
 
 
-def _level(light: Light, low: float, high: float) -> Float:
+def _level(light: Light, low: float, high: float) -> Floats:
     """Return the mean irradiance of every sample between two wavelengths; NaN where it is not positive."""
     inside = (light.wavelength >= low) & (light.wavelength <= high)
     # a channel that is missing nearly always costs its bands; a spectrum that lacks others is left out
@@ -118,7 +116,7 @@ def _level(light: Light, low: float, high: float) -> Float:
 
 
 def table_of_bands(
-    light: Light, spectrum: Float, bands: Responses, limits: tuple[float, float], fewest: int
+    light: Light, spectrum: Floats, bands: Responses, limits: tuple[float, float], fewest: int
 ) -> IrradianceTable:
     """Return the light as some bands would see it, or raise where the record covers too few of them.
 
@@ -154,7 +152,7 @@ def table_of_bands(
 
 
 def irradiance_table(
-    spectrometer: Responses, imager: Responses, spectrum: Float, limits: tuple[float, float]
+    spectrometer: Responses, imager: Responses, spectrum: Floats, limits: tuple[float, float]
 ) -> IrradianceTable:
     """Return a spectrum (channel,) as an imager's bands would see it at many shifts and widths.
 
@@ -190,7 +188,7 @@ def irradiance_table(
 @functools.lru_cache(maxsize=4)
 def _operators(
     spectrometer: Responses, imager: Responses, limits: tuple[float, float]
-) -> tuple[Float, list[Matching]]:
+) -> tuple[Floats, list[Matching]]:
     """Return the shifts, and the operators at every width; once for all flight lines of a camera."""
     first, last = np.floor(limits[0] / SHIFT_STEP) - 1, np.ceil(limits[1] / SHIFT_STEP) + 1
     shifts = np.arange(first, last + 1) * SHIFT_STEP
@@ -205,7 +203,7 @@ def _widened(imager: Responses, factor: float) -> Responses:
     return replace(imager, fwhm=imager.fwhm * factor)
 
 
-def _variance(bands: Responses) -> Float:
+def _variance(bands: Responses) -> Floats:
     """Return the variance of every band's line shape [nm2]."""
     if bands.shape == "slit":
         return np.asarray((bands.fwhm**2 + np.asarray(bands.spacing) ** 2) / 12.0)

@@ -3,17 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
-import numpy.typing as npt
+
+from hyperpaint.base.arrays import Array, Floats
 
 from .lamp import FACTORS, IrradianceTable
 
 __all__ = ["RESIDUAL_FLOOR", "Fit", "fewest_bands", "fit_columns"]
 
-Float = npt.NDArray[np.float64]
-Array = npt.NDArray[Any]
 
 RESIDUAL_FLOOR = 1e-4
 """Relative departure that numbers of float32 and the matching leave in the best of cases."""
@@ -43,17 +41,17 @@ class Fit:
         Bands more than what is fitted.
     """
 
-    shift: Float
-    shift_u: Float
-    factor: Float
-    factor_u: Float
-    correlation: Float
-    residual: Float
-    residual_declared: Float
-    departure: Float
-    departure_declared: Float
+    shift: Floats
+    shift_u: Floats
+    factor: Floats
+    factor_u: Floats
+    correlation: Floats
+    residual: Floats
+    residual_declared: Floats
+    departure: Floats
+    departure_declared: Floats
     at_limit: Array
-    noise_gain: Float
+    noise_gain: Floats
     freedom: Array
 
 
@@ -71,10 +69,10 @@ class _Optimum:
         Of shift and factor; none where the optimum was reached.
     """
 
-    shift: Float
-    factor: Float
-    tilt: Float
-    last_step: Float
+    shift: Floats
+    factor: Floats
+    tilt: Floats
+    last_step: Floats
 
 
 @dataclass(frozen=True)
@@ -82,11 +80,11 @@ class _Smooth:
     """Takes out of logarithms (band, column) what a polynomial over the bands can explain."""
 
     used: Array
-    basis: Float  # (column, band, power), orthonormal over the used bands
-    slopes: Float  # (column, band, power), its derivative [nm-1]
+    basis: Floats  # (column, band, power), orthonormal over the used bands
+    slopes: Floats  # (column, band, power), its derivative [nm-1]
 
     @classmethod
-    def over(cls, wavelength: Float, used: Array, degree: int) -> _Smooth:
+    def over(cls, wavelength: Floats, used: Array, degree: int) -> _Smooth:
         scale = np.ptp(wavelength) / 2.0
         place = (wavelength - wavelength.min()) / scale - 1.0
         powers = np.polynomial.legendre.legvander(place, degree)
@@ -101,13 +99,13 @@ class _Smooth:
         upper = np.where(used.any(axis=0).reshape(-1, 1, 1), upper, np.eye(degree + 1))
         return cls(used, basis, derivatives / scale @ np.linalg.inv(upper))
 
-    def slope(self, values: Float) -> Float:
+    def slope(self, values: Floats) -> Floats:
         """Return the derivative of the smooth curve (band, column) [nm-1]."""
         kept = np.where(self.used, values, 0.0)
         terms = np.einsum("xbp,bx->xp", self.basis, kept)
         return np.asarray(np.einsum("xbp,xp->bx", self.slopes, terms))
 
-    def without(self, values: Float) -> Float:
+    def without(self, values: Floats) -> Floats:
         """Return the departures, 0 in bands that are not used."""
         kept = np.where(self.used, values, 0.0)
         smooth = np.einsum("xbp,xp->bx", self.basis, np.einsum("xbp,bx->xp", self.basis, kept))
@@ -123,18 +121,20 @@ class _Ratio:
 
     table: IrradianceTable
     smooth: _Smooth
-    log: Float  # (band, column), of radiance
-    declared: Float  # (band, column), shift [nm]
+    log: Floats  # (band, column), of radiance
+    declared: Floats  # (band, column), shift [nm]
 
-    def departure(self, tilt: Float, shift: Float, factor: Float) -> Float:
+    def departure(self, tilt: Floats, shift: Floats, factor: Floats) -> Floats:
         """Return its departure from a smooth curve (band, column)."""
         return self.smooth.without(self._at(tilt, shift, factor))
 
-    def tilt(self, tilt: Float, shift: Float, factor: Float) -> Float:
+    def tilt(self, tilt: Floats, shift: Floats, factor: Floats) -> Floats:
         """Return the next tilt (band, column) [nm] from the slope of the smooth curve."""
         return np.asarray(self.smooth.slope(self._at(tilt, shift, factor)) * self.table.variance_at(factor))
 
-    def normal_equations(self, tilt: Float, shift: Float, factor: Float, away: Float) -> tuple[Float, Float]:
+    def normal_equations(
+        self, tilt: Floats, shift: Floats, factor: Floats, away: Floats
+    ) -> tuple[Floats, Floats]:
         """Return the normal matrix (column, 2, 2) and right side (column, 2) of a Gauss-Newton step."""
         place = self.declared + tilt + shift
         slopes = np.stack(
@@ -145,7 +145,7 @@ class _Ratio:
         )
         return np.einsum("ibx,jbx->xij", slopes, slopes), np.einsum("ibx,bx->xi", slopes, away)
 
-    def _at(self, tilt: Float, shift: Float, factor: Float) -> Float:
+    def _at(self, tilt: Floats, shift: Floats, factor: Floats) -> Floats:
         return self.log - self.table.at(self.declared + tilt + shift, factor)
 
 
@@ -155,7 +155,7 @@ def fewest_bands(degree: int) -> int:
 
 
 def fit_columns(
-    table: IrradianceTable, spectrum: Float, declared: Float, degree: int, max_shift: float
+    table: IrradianceTable, spectrum: Floats, declared: Floats, degree: int, max_shift: float
 ) -> Fit:
     """Find the shift and the width of every column at which radiance over irradiance is smooth.
 
@@ -209,7 +209,7 @@ def _search(ratio: _Ratio, max_shift: float) -> _Optimum:
     return _Optimum(shift, factor, tilt, step)
 
 
-def _coarse(ratio: _Ratio, tilt: Float, max_shift: float) -> tuple[Float, Float]:
+def _coarse(ratio: _Ratio, tilt: Floats, max_shift: float) -> tuple[Floats, Floats]:
     """Return the best of a grid of shifts and widths of every column."""
     columns = tilt.shape[1]
     best = np.full(columns, np.inf)
@@ -236,7 +236,7 @@ def _reported(ratio: _Ratio, found: _Optimum, told: Array, freedom: Array, max_s
     ends |= (np.abs(found.last_step) > 1e-3).any(axis=1)
     shift_u, factor_u, correlation = _uncertainties(after, normal, freedom, told)
 
-    def residual(departure: Float) -> Float:
+    def residual(departure: Floats) -> Floats:
         return np.where(told, np.sqrt((departure**2).sum(axis=0) / np.maximum(freedom, 1)), np.nan)
 
     return Fit(
@@ -255,13 +255,15 @@ def _reported(ratio: _Ratio, found: _Optimum, told: Array, freedom: Array, max_s
     )
 
 
-def _solved(normal: Float, right: Float) -> Float:
+def _solved(normal: Floats, right: Floats) -> Floats:
     """Return the steps (column, 2); a touch of damping keeps those finite where the light has no lines."""
     damping = 1e-12 + 1e-9 * np.trace(normal, axis1=1, axis2=2)
     return np.asarray(np.linalg.solve(normal + damping[:, None, None] * np.eye(2), right[..., None])[..., 0])
 
 
-def _uncertainties(after: Float, normal: Float, freedom: Array, told: Array) -> tuple[Float, Float, Float]:
+def _uncertainties(
+    after: Floats, normal: Floats, freedom: Array, told: Array
+) -> tuple[Floats, Floats, Floats]:
     """Return the standard uncertainties of shift and factor from the residual, and their correlation.
 
     Infinite where the light has no lines, NaN where a column tells nothing.

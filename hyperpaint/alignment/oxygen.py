@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
 
 from hyperpaint.base import schema
+from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import SchemaError
 from hyperpaint.base.schema import ALONG_TRACK, BAND, CROSS_TRACK
 from hyperpaint.radiometry.counts_to_reflectance import reflectance
@@ -19,8 +20,6 @@ if TYPE_CHECKING:
 
 __all__ = ["oxygen_depth", "oxygen_residual"]
 
-Float = npt.NDArray[np.float64]
-Array = npt.NDArray[Any]
 
 SHOULDERS = ((740.0, 753.0), (775.0, 788.0))
 """Where reflectance is free of the oxygen A band seen 6 nm wide [nm]."""
@@ -99,13 +98,13 @@ def oxygen_residual(dataset: xr.Dataset, *, progress: Progress | None = None) ->
     )
 
 
-def _parts(wavelength: Float) -> tuple[npt.NDArray[np.bool_], Float]:
+def _parts(wavelength: Floats) -> tuple[npt.NDArray[np.bool_], Floats]:
     """Return which bands are on the shoulders, and how much each weighs in the band itself."""
     shoulders = np.logical_or.reduce([(wavelength >= low) & (wavelength <= high) for low, high in SHOULDERS])
     return shoulders, np.clip(1.0 - np.abs(wavelength - CENTRE) / REACH, 0.0, None)
 
 
-def oxygen_depth(wavelength: Float, spectrum: Float) -> float:
+def oxygen_depth(wavelength: Floats, spectrum: Floats) -> float:
     """Return the depth of the oxygen A band left in one spectrum, see `oxygen_residual`.
 
     Parameters

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
+from hyperpaint.base.arrays import Array, Floats
 from hyperpaint.base.errors import Problems, SchemaError
 
 from .declared import Declared
@@ -25,8 +25,6 @@ __all__ = [
     "estimate",
 ]
 
-Float = npt.NDArray[np.float64]
-Array = npt.NDArray[Any]
 Window = tuple[float, float]
 
 WINDOWS = ((740.0, 800.0), (890.0, 985.0))
@@ -99,19 +97,19 @@ def bands_of(windows: list[Window], declared: Declared, degree: int) -> list[Arr
 class Estimate:
     """Shift [nm] and width factor [1] of every column with their covariance, and what goes with them."""
 
-    value: Float  # (column, 2)
-    covariance: Float  # (column, 2, 2)
-    shift: Float  # (column,), declared [nm]
+    value: Floats  # (column, 2)
+    covariance: Floats  # (column, 2, 2)
+    shift: Floats  # (column,), declared [nm]
     fwhm: float  # declared [nm]
     centre: float  # mean wavelength of the bands [nm]
-    residual: Float
-    residual_declared: Float
+    residual: Floats
+    residual_declared: Floats
     freedom: Array
     flag: Array
-    chi2: Float
+    chi2: Floats
 
 
-def estimate(fit: Fit, inside: Array, declared: Declared, shift: Float) -> Estimate:
+def estimate(fit: Fit, inside: Array, declared: Declared, shift: Floats) -> Estimate:
     """Return what one window tells; its flags but that of noise, which is for the mean to decide."""
     flag = np.where(np.isfinite(fit.shift), 0, FLAGS["no_data"])
     flag |= np.where(fit.at_limit, FLAGS["at_limit"], 0)
@@ -167,7 +165,7 @@ def combined(windows: list[Estimate]) -> Estimate:
     )
 
 
-def _pooled(windows: list[Estimate], told: Array, name: str) -> Float:
+def _pooled(windows: list[Estimate], told: Array, name: str) -> Floats:
     """Return a residual (column,) over the windows that can tell."""
     freedom = np.where(told, np.stack([each.freedom for each in windows]), 0)
     square = np.where(told, np.stack([getattr(each, name) for each in windows]) ** 2, 0.0)
@@ -175,7 +173,7 @@ def _pooled(windows: list[Estimate], told: Array, name: str) -> Float:
         return np.asarray(np.sqrt((freedom * square).sum(axis=0) / freedom.sum(axis=0)))
 
 
-def _one_noise(windows: list[Estimate], told: Array) -> Float:
+def _one_noise(windows: list[Estimate], told: Array) -> Floats:
     """Return the pooled variance over each window's own (window, column); 1 where they differ too much.
 
     Variances from a few tens of bands are uncertain by a third, and would make weights as uncertain.

@@ -16,11 +16,11 @@ from typing import Any, Literal
 import numpy as np
 import numpy.typing as npt
 
+from .arrays import Floats
 from .errors import Problems, SchemaError
 
 __all__ = ["Convention"]
 
-Float = npt.NDArray[np.float64]
 
 _PREFIX = "convention_"
 _CHOICES: Mapping[str, tuple[str, ...]] = {
@@ -152,7 +152,7 @@ class Convention:
         heading: npt.ArrayLike,
         *,
         convergence: npt.ArrayLike | None = None,
-    ) -> tuple[Float, Float, Float]:
+    ) -> tuple[Floats, Floats, Floats]:
         """Return canonical roll, pitch (-180 to 180) and heading (0 to 360) [degree].
 
         Parameters
@@ -189,7 +189,7 @@ class Convention:
         # twice, as a hair less than 0 comes to 360 itself
         return _wrapped(x), y, np.mod(np.mod(z, 360.0), 360.0)
 
-    def ellipsoidal(self, height: npt.ArrayLike) -> Float:
+    def ellipsoidal(self, height: npt.ArrayLike) -> Floats:
         """Return heights above the ellipsoid [m].
 
         Raises
@@ -208,7 +208,7 @@ class Convention:
             )
         return heights + self.geoid_undulation
 
-    def to_mid_exposure(self, exposure_time: npt.ArrayLike) -> Float:
+    def to_mid_exposure(self, exposure_time: npt.ArrayLike) -> Floats:
         """Return what is to be added to a stamp to have the middle of the exposure [s].
 
         Parameters
@@ -231,7 +231,7 @@ class Convention:
         """Return the convention with other choices."""
         return replace(self, **changes)
 
-    def _north(self, convergence: npt.ArrayLike | None) -> Float:
+    def _north(self, convergence: npt.ArrayLike | None) -> Floats:
         """Return the direction that headings count from, clockwise from true north [degree]."""
         if self.heading_reference == "true":
             return np.zeros(())
@@ -255,18 +255,18 @@ def _is_number(value: Any) -> bool:
     return isinstance(value, int | float | np.integer | np.floating) and not isinstance(value, bool)
 
 
-def _known(x: Float, y: Float, z: Float) -> tuple[Float, Float, Float]:
+def _known(x: Floats, y: Floats, z: Floats) -> tuple[Floats, Floats, Floats]:
     """Return angles that are NaN, all three of them, where any is no finite number."""
     unknown = ~(np.isfinite(x) & np.isfinite(y) & np.isfinite(z))
     return np.where(unknown, np.nan, x), np.where(unknown, np.nan, y), np.where(unknown, np.nan, z)
 
 
-def _wrapped(angle: Float) -> Float:
+def _wrapped(angle: Floats) -> Floats:
     """Return angles within -180 and 180; those that are there already keep their bits."""
     return np.where(np.abs(angle) > 180.0, (angle + 180.0) % 360.0 - 180.0, angle)
 
 
-def _reordered(roll: Float, pitch: Float, heading: Float, order: str) -> tuple[Float, Float, Float]:
+def _reordered(roll: Floats, pitch: Floats, heading: Floats, order: str) -> tuple[Floats, Floats, Floats]:
     """Return the angles that, in the order heading, pitch, roll, make the same rotation."""
     axes = {"X": roll, "Y": pitch, "Z": heading}
     turned = np.eye(3)
@@ -280,7 +280,7 @@ def _reordered(roll: Float, pitch: Float, heading: Float, order: str) -> tuple[F
     )
 
 
-def _turn(axis: int, angle: Float) -> Float:
+def _turn(axis: int, angle: Floats) -> Floats:
     """Return rotations about one axis (..., 3, 3)."""
     made = np.zeros((*angle.shape, 3, 3))
     first, second = (axis + 1) % 3, (axis + 2) % 3

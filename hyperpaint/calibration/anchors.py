@@ -6,8 +6,8 @@ import warnings
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import numpy.typing as npt
 
+from hyperpaint.base.arrays import Bools, Floats
 from hyperpaint.base.errors import PaintWarning, Problems, SchemaError
 from hyperpaint.base.schema import ALONG_TRACK, BAND, CROSS_TRACK, VARIABLES, label, require
 from hyperpaint.base.units import convert, same_dimension
@@ -26,8 +26,6 @@ __all__ = [
     "panel_radiance",
 ]
 
-Float = npt.NDArray[np.float64]
-Bool = npt.NDArray[np.bool_]
 _ELEMENT = (BAND, CROSS_TRACK)
 _NODE_SPACING = 0.25  # nm; over so little the mean of a spectrum over a band is straight
 _LEAST_COVER = 0.999
@@ -193,7 +191,7 @@ def anchor_to_radiance(
     return _with_gain(calibration, gain, anchor, uncertainty, same_shape=scale == "common")
 
 
-def _unlit(calibration: xr.Dataset, columns: int) -> Bool:
+def _unlit(calibration: xr.Dataset, columns: int) -> Bools:
     """Return the columns (cross_track,) whose wavelengths no line of the sweep has told."""
     first, last = calibration.attrs.get("lit_columns", (0, columns - 1))
     column = np.arange(columns)
@@ -201,7 +199,7 @@ def _unlit(calibration: xr.Dataset, columns: int) -> Bool:
 
 
 def _with_gain(
-    calibration: xr.Dataset, gain: Float, anchor: str, uncertainty: float, *, same_shape: bool = False
+    calibration: xr.Dataset, gain: Floats, anchor: str, uncertainty: float, *, same_shape: bool = False
 ) -> xr.Dataset:
     """Return the calibration with another gain, and all that belongs to its scale."""
     import xarray as xr
@@ -222,7 +220,7 @@ def _with_gain(
     )  # fmt: skip
 
 
-def _signal(frames: xr.Dataset, calibration: xr.Dataset) -> tuple[Float, float]:
+def _signal(frames: xr.Dataset, calibration: xr.Dataset) -> tuple[Floats, float]:
     """Return mean counts above dark (band, cross_track), NaN where saturated, and the exposure [s]."""
     problems = Problems("these frames cannot be used as an anchor", SchemaError)
     for name in ("counts", "dark_counts", "exposure_time"):
@@ -264,7 +262,7 @@ def _signal(frames: xr.Dataset, calibration: xr.Dataset) -> tuple[Float, float]:
     return signal, float(exposure[0])
 
 
-def _dark_of_exposure(frames: xr.Dataset, calibration: xr.Dataset, exposure: float) -> Float | float:
+def _dark_of_exposure(frames: xr.Dataset, calibration: xr.Dataset, exposure: float) -> Floats | float:
     """Return what the dark of the frames lacks for their exposure [count]; 0 where it is of that exposure."""
     if "dark_exposure_time" not in frames.variables:
         return 0.0
@@ -281,7 +279,7 @@ def _dark_of_exposure(frames: xr.Dataset, calibration: xr.Dataset, exposure: flo
     return np.asarray(rate * (exposure - float(np.mean(taken))))
 
 
-def _band_means(calibration: xr.Dataset, found: dict[str, Any], spectrum: xr.DataArray) -> Float:
+def _band_means(calibration: xr.Dataset, found: dict[str, Any], spectrum: xr.DataArray) -> Floats:
     """Return the mean of a spectrum over the response of every element (band, cross_track)."""
     if spectrum.ndim != 1:
         raise SchemaError(
@@ -321,7 +319,7 @@ def _band_means(calibration: xr.Dataset, found: dict[str, Any], spectrum: xr.Dat
     return made
 
 
-def _slope(calibration: xr.Dataset, found: dict[str, Any]) -> Float | None:
+def _slope(calibration: xr.Dataset, found: dict[str, Any]) -> Floats | None:
     """Return the slope of the log responsivity over a band (band,) [nm-1], where a gain tells it."""
     if "radiance_gain" not in calibration.variables:
         return None
@@ -332,7 +330,7 @@ def _slope(calibration: xr.Dataset, found: dict[str, Any]) -> Float | None:
     return log_slope(found["wavelength"].to_numpy(), level, 2.0 * found["fwhm"].to_numpy())
 
 
-def _mean_over(responses: Responses, band: int, grid: Float, values: Float) -> float:
+def _mean_over(responses: Responses, band: int, grid: Floats, values: Floats) -> float:
     half = float(responses.reach()[band])
     step = min(float(responses.fwhm[band]) / 40.0, half / 20.0)
     centre = float(responses.wavelength[band])

@@ -5,12 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 from numpy.polynomial import chebyshev
+
+from hyperpaint.base.arrays import Floats
 
 __all__ = ["beam_problem"]
 
-Float = npt.NDArray[np.float64]
 
 _DEGREE = 4  # of a beam's log profile over the columns
 _SURE = 4.5  # standard deviations of noise and of the elements' differences
@@ -27,11 +27,11 @@ class _Profiles:
         The profile about its median, and its standard deviation; NaN where a line is not trusted.
     """
 
-    level: Float
-    spread: Float
+    level: Floats
+    spread: Floats
 
 
-def beam_problem(wavelength: Float, areas: Float, tolerance: float) -> str | None:
+def beam_problem(wavelength: Floats, areas: Floats, tolerance: float) -> str | None:
     """Return what betrays a beam that does not light all columns alike, or None.
 
     Parameters
@@ -67,7 +67,7 @@ def beam_problem(wavelength: Float, areas: Float, tolerance: float) -> str | Non
     return None
 
 
-def _profiles(areas: Float) -> _Profiles:
+def _profiles(areas: Floats) -> _Profiles:
     lit = np.flatnonzero(np.isfinite(areas).any(axis=0))
     level = np.full((len(areas), lit.size), np.nan)
     spread = level.copy()

@@ -9,8 +9,8 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import numpy.typing as npt
 
+from hyperpaint.base.arrays import Bools, Floats
 from hyperpaint.base.errors import PaintWarning, SchemaError
 from hyperpaint.base.schema import BAND, CROSS_TRACK
 
@@ -31,8 +31,6 @@ if TYPE_CHECKING:
 
 __all__ = ["calibrate"]
 
-Float = npt.NDArray[np.float64]
-Bool = npt.NDArray[np.bool_]
 
 _FEWEST = 4
 _UNEVEN = 0.75  # of the flux's uncertainty: a fall over the columns that is let pass
@@ -196,7 +194,7 @@ def _with_differences(
     return read, fit_through(lab, read, surface, shape, fits, lambda: None), differences
 
 
-def _warn_of_beam(lab: LabSweep, areas: Float, tolerance: float) -> None:
+def _warn_of_beam(lab: LabSweep, areas: Floats, tolerance: float) -> None:
     problem = beam_problem(lab.wavelength, areas, tolerance)
     if problem is not None:
         warnings.warn(
@@ -218,7 +216,7 @@ def _counter(progress: Callable[[int, int], None] | None, total: int) -> Callabl
     return tick
 
 
-def _bad_at_the_door(lab: LabSweep, given: xr.DataArray | None) -> Bool:
+def _bad_at_the_door(lab: LabSweep, given: xr.DataArray | None) -> Bools:
     """Return the elements (band, cross_track) that are known as bad before a line is looked at."""
     bad = deviant_darks(lab.dark.at(float(lab.exposure.min())), lab.saturation)
     if given is not None:
@@ -266,7 +264,7 @@ def _need_trusted(read: Read, lines: Lines, fits: Sequence[Fits | None]) -> None
     )
 
 
-def _map(lines: Lines, lab: LabSweep, wavelength: Float, degree: int | None) -> WavelengthMap:
+def _map(lines: Lines, lab: LabSweep, wavelength: Floats, degree: int | None) -> WavelengthMap:
     """Return the wavelength map through the trusted lines at the wavelengths (step,) of their light."""
     step, column = np.nonzero(lines.trusted)
     return fit_wavelength_map(
@@ -304,7 +302,7 @@ def _say_what_is_left_out(lab: LabSweep, read: Read) -> None:
 
 def _map_through(
     lines: Lines, lab: LabSweep, read: Read, rough: WavelengthMap, shape: str, degree: int | None
-) -> tuple[WavelengthMap, Float, Float]:
+) -> tuple[WavelengthMap, Floats, Floats]:
     """Return the wavelength map, the slope of the log responsivity [nm-1] and the pull [nm] at the steps."""
     nothing = np.zeros(lab.shape[0])
     known = np.flatnonzero(lines.trusted.any(axis=1))
@@ -313,10 +311,10 @@ def _map_through(
         return _map(lines, lab, lab.wavelength, degree), nothing, nothing
     at = lab.wavelength[known]
 
-    def at_all_steps(values: Float) -> Float:
+    def at_all_steps(values: Floats) -> Floats:
         return np.interp(lab.wavelength, at, values)
 
-    def middle(values: Float) -> Float:
+    def middle(values: Floats) -> Floats:
         return at_all_steps(np.nanmedian(np.where(lines.trusted, values, np.nan)[known], axis=1))
 
     slope = at_all_steps(np.gradient(np.log(level[known]), at))

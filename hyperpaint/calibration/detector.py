@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
+from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import Problems, SchemaError
 from hyperpaint.base.schema import BAND, CROSS_TRACK, label
 
@@ -28,7 +29,6 @@ __all__ = [
     "linearity",
 ]
 
-Float = npt.NDArray[np.float64]
 _ELEMENT = (BAND, CROSS_TRACK)
 _SAME_EXPOSURE = 1e-3
 """Relative difference of exposures below which they count as one: what drivers round to."""
@@ -56,11 +56,11 @@ class DarkModel:
         Exposure of every dark [s].
     """
 
-    bias: Float
-    rate: Float
+    bias: Floats
+    rate: Floats
     exposures: tuple[float, ...]
     residual: float
-    taken: Float
+    taken: Floats
 
     @property
     def known_rate(self) -> bool:
@@ -88,12 +88,12 @@ class DarkModel:
         offset = self.taken - self.taken.mean()
         return float(1.0 / count + (exposure - self.taken.mean()) ** 2 / (offset**2).sum())
 
-    def at(self, exposure: float) -> Float:
+    def at(self, exposure: float) -> Floats:
         """Return the dark counts at an exposure [s]; with a single dark, those of that dark."""
         return self.bias + exposure * self.rate if self.known_rate else self.bias
 
 
-def fit_dark_model(dark: Float, exposure: Float) -> DarkModel:
+def fit_dark_model(dark: Floats, exposure: Floats) -> DarkModel:
     """Return the least-squares model of darks (dark, band, cross_track) at exposures (dark,) [s]."""
     different = [float(exposure.min())]
     for value in np.sort(exposure):
@@ -149,7 +149,7 @@ def dark_model(darks: xr.Dataset | Sequence[xr.Dataset]) -> xr.Dataset:
 
     given = [darks] if isinstance(darks, xr.Dataset) else list(darks)
     problems = Problems("no dark model can be made", SchemaError)
-    frames: list[Float] = []
+    frames: list[Floats] = []
     exposures: list[float] = []
     for dark in given:
         try:
@@ -240,7 +240,7 @@ def flat_field(frames: xr.DataArray, dark: xr.DataArray | None = None) -> xr.Dat
     return label((level.mean(CROSS_TRACK) / level).transpose(*_ELEMENT).astype(np.float32), "flat_field")
 
 
-def factors_of(flat: xr.DataArray, shape: tuple[int, ...]) -> Float:
+def factors_of(flat: xr.DataArray, shape: tuple[int, ...]) -> Floats:
     """Return the values of a `flat_field` for an array of ``shape`` (band, cross_track).
 
     Raises
@@ -320,7 +320,7 @@ def linearised(coefficients: Sequence[float]) -> Callable[[Any], Any]:
     return apply
 
 
-def deviant_darks(dark: Float, saturation: Float | None) -> npt.NDArray[np.bool_]:
+def deviant_darks(dark: Floats, saturation: Floats | None) -> npt.NDArray[np.bool_]:
     """Return the elements (band, cross_track) whose dark is not finite, saturated or far from all others."""
     finite = np.isfinite(dark)
     known = np.where(finite, dark, np.nan)

@@ -9,6 +9,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
+from hyperpaint.base.arrays import Floats
 from hyperpaint.kernels.line_fits import AREA, profiles
 
 from .lab_sweep import LabSweep
@@ -18,7 +19,6 @@ from .wavelength_map import WavelengthMap
 
 __all__ = ["complete_edge_lines"]
 
-Float = npt.NDArray[np.float64]
 
 _LEAST_SEEN = 0.3  # of a line's area
 _DEVIANT = 0.15  # of a line's height: a sample this far from the completed line says that it is another
@@ -26,7 +26,7 @@ _OWN_WIDTH_U = 0.005  # relative uncertainty of the width at the edge, where no 
 
 
 def complete_edge_lines(
-    lab: LabSweep, read: Read, lines: Lines, surface: WavelengthMap, light: Float, fwhm: Float, shape: str
+    lab: LabSweep, read: Read, lines: Lines, surface: WavelengthMap, light: Floats, fwhm: Floats, shape: str
 ) -> None:
     """Fit the heights of lines that are cut off by the edge of the array, and mark them as completed.
 
@@ -53,13 +53,13 @@ def complete_edge_lines(
 
 def _complete(
     lab: LabSweep, read: Read, lines: Lines, surface: WavelengthMap, step: int, window: Window,
-    cut: npt.NDArray[np.bool_], centre: Float, fwhm: float, shape: str,
+    cut: npt.NDArray[np.bool_], centre: Floats, fwhm: float, shape: str,
 ) -> None:  # fmt: skip
     spacing = surface.spacing(centre, window.columns)
     width, source = fwhm / spacing, lab.width[step] / spacing
     frames = float(lab.frames[step])
 
-    def profile(moved: float, wider: float) -> Float:
+    def profile(moved: float, wider: float) -> Floats:
         out = np.empty(window.values.shape)
         distance = window.places - (centre + moved)[:, None]
         profiles(distance, width * wider, source, SHAPES[shape], lab.triangular, out)
@@ -72,7 +72,7 @@ def _complete(
     weight = np.where(known, 1.0 / np.maximum(variance, 1e-300), 0.0)
     norm = np.maximum((weight * unit**2).sum(axis=1), 1e-300)
 
-    def area_of(shape_of: Float) -> Float:
+    def area_of(shape_of: Floats) -> Floats:
         shape_of = np.where(known, shape_of, 0.0)
         height = (weight * shape_of * values).sum(axis=1)
         return np.asarray(height / np.maximum((weight * shape_of**2).sum(axis=1), 1e-300))

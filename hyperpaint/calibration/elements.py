@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
+from hyperpaint.base.arrays import Bools, Floats
 from hyperpaint.kernels.line_fits import profiles
 
 from .lab_sweep import LabSweep
@@ -16,8 +16,6 @@ from .wavelength_map import WavelengthMap
 
 __all__ = ["Differences", "deviant_elements", "element_differences"]
 
-Float = npt.NDArray[np.float64]
-Bool = npt.NDArray[np.bool_]
 
 _BRIGHT = 0.12  # of a line's height, from which a dead element would show
 _DEVIANT = 0.5  # of the light of its line, by which such an element is off
@@ -42,7 +40,7 @@ class Differences:
     slope: float
 
 
-def _widths(lab: LabSweep, lines: Lines, surface: WavelengthMap) -> Float:
+def _widths(lab: LabSweep, lines: Lines, surface: WavelengthMap) -> Floats:
     """Return the camera's own width at every step (step,) [nm]; without a good line, that of the nearest."""
     columns = np.arange(lab.shape[2])
     own = lines.own_width * surface.spacing(np.nan_to_num(lines.centre), columns)
@@ -53,8 +51,8 @@ def _widths(lab: LabSweep, lines: Lines, surface: WavelengthMap) -> Float:
 
 
 def _unit_lines(
-    lab: LabSweep, window: Window, step: int, surface: WavelengthMap, centre: Float, width: float, shape: int
-) -> Float:
+    lab: LabSweep, window: Window, step: int, surface: WavelengthMap, centre: Floats, width: float, shape: int
+) -> Floats:
     """Return lines of unit area (line, sample) at given centres (line,) [band]."""
     spacing = surface.spacing(centre, window.columns)
     unit = np.empty(window.values.shape)
@@ -65,7 +63,7 @@ def _unit_lines(
     return unit
 
 
-def deviant_elements(lab: LabSweep, read: Read, lines: Lines, surface: WavelengthMap, shape: int) -> Bool:
+def deviant_elements(lab: LabSweep, read: Read, lines: Lines, surface: WavelengthMap, shape: int) -> Bools:
     """Return the elements (band, cross_track) whose light is not that of the line they stand in.
 
     Place and width of a line are those that all others tell, which one dead element cannot disturb; its
@@ -150,7 +148,7 @@ def element_differences(
     return _split(tally)
 
 
-def _of_free_height_and_place(values: Float, unit: Float, slope: Float) -> tuple[Float, Float, Float]:
+def _of_free_height_and_place(values: Floats, unit: Floats, slope: Floats) -> tuple[Floats, Floats, Floats]:
     """Return lines of fitted height, what a small move leaves of the rest, and each sample's freedom.
 
     Of independent scatter of variances d, sum(d x freedom) is expected to be left.
@@ -164,7 +162,7 @@ def _of_free_height_and_place(values: Float, unit: Float, slope: Float) -> tuple
     return model, apart, 1.0 - first**2 - second**2
 
 
-def _split(tally: Float) -> Differences:
+def _split(tally: Floats) -> Differences:
     """Return the parts of the scatter that grow as the signal and as its square, from sums over bins."""
     from scipy.optimize import nnls
 

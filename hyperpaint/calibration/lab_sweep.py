@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import numpy.typing as npt
 
+from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import Problems, SchemaError
 from hyperpaint.base.schema import CROSS_TRACK, MONOCHROMATOR_SHAPES, STEP, SWEEP_VARIABLES, find
 
@@ -18,7 +18,6 @@ if TYPE_CHECKING:
 
 __all__ = ["SATURATION_MARGIN", "LabSweep", "check_sweep", "listed"]
 
-Float = npt.NDArray[np.float64]
 
 SATURATION_MARGIN = 16.0
 """Counts below ``saturation_count`` from which a sample is not trusted, as in flight."""
@@ -77,15 +76,15 @@ class LabSweep:
     counts: xr.DataArray
     variance: xr.DataArray | None
     dark: DarkModel
-    wavelength: Float
-    width: Float
+    wavelength: Floats
+    width: Floats
     triangular: bool
-    exposure: Float
-    frames: Float
+    exposure: Floats
+    frames: Floats
     dark_frames: float | None
-    power: Float
-    etendue: Float
-    saturation: Float | None
+    power: Floats
+    etendue: Floats
+    saturation: Floats | None
     electrons_per_count: float | None
     read_noise: float | None
     absolute: bool
@@ -97,11 +96,11 @@ class LabSweep:
         steps, bands, columns = self.counts.shape
         return steps, bands, columns
 
-    def frame(self, step: int) -> Float:
+    def frame(self, step: int) -> Floats:
         """Return the mean counts of one step, dark not subtracted (band, cross_track)."""
         return np.asarray(self.counts.isel({STEP: step}).to_numpy(), np.float64)
 
-    def frame_variance(self, step: int) -> Float | None:
+    def frame_variance(self, step: int) -> Floats | None:
         """Return the variance of one frame of a step (band, cross_track), or None."""
         if self.variance is None:
             return None
@@ -184,7 +183,7 @@ def _variables(sweep: xr.Dataset, absolute: bool, problems: Problems) -> dict[st
     return found
 
 
-def _check_order(values: dict[str, Float], problems: Problems) -> None:
+def _check_order(values: dict[str, Floats], problems: Problems) -> None:
     if "step_wavelength" not in values:
         return
     wavelength = values["step_wavelength"]
@@ -203,7 +202,12 @@ def _check_order(values: dict[str, Float], problems: Problems) -> None:
 
 
 def _check_positive(
-    name: str, dims: tuple[Any, ...], values: Float, high: float, wavelength: Float | None, problems: Problems
+    name: str,
+    dims: tuple[Any, ...],
+    values: Floats,
+    high: float,
+    wavelength: Floats | None,
+    problems: Problems,
 ) -> None:
     wrong = ~(np.isfinite(values) & (values > 0) & (values <= high))
     if dims == (STEP, CROSS_TRACK):
@@ -223,7 +227,7 @@ def _check_positive(
     problems.add(f"{name!r} is {found:g}{where}, expected {expected}{mend}")
 
 
-def _dark(found: dict[str, xr.DataArray], values: dict[str, Float], problems: Problems) -> DarkModel | None:
+def _dark(found: dict[str, xr.DataArray], values: dict[str, Floats], problems: Problems) -> DarkModel | None:
     if "dark_counts" not in found:
         return None
     dark = found["dark_counts"]
@@ -262,17 +266,17 @@ def _dark(found: dict[str, xr.DataArray], values: dict[str, Float], problems: Pr
 
 def _assembled(
     found: dict[str, xr.DataArray],
-    values: dict[str, Float],
+    values: dict[str, Floats],
     dark: DarkModel,
     sizes: tuple[int, int],
     triangular: bool,
 ) -> LabSweep:
     steps, columns = sizes
 
-    def per_step(name: str, default: float) -> Float:
+    def per_step(name: str, default: float) -> Floats:
         return np.broadcast_to(values.get(name, np.float64(default)), (steps,)).astype(np.float64)
 
-    def per_line(name: str) -> Float:
+    def per_line(name: str) -> Floats:
         value = values.get(name, np.ones(()))
         value = np.where(value > 0, value, np.nan)
         return np.broadcast_to(value[:, None] if value.ndim == 1 else value, (steps, columns))

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from hyperpaint.base.arrays import Bools, Floats
 from hyperpaint.kernels.line_fits import (
     AREA,
     CENTRE,
@@ -27,8 +28,6 @@ from .lab_sweep import SATURATION_MARGIN
 
 __all__ = ["SHAPES", "Fits", "Light", "NoiseModel", "Window", "find_line", "fit_beam", "fit_window"]
 
-Float = npt.NDArray[np.float64]
-Bool = npt.NDArray[np.bool_]
 
 SHAPES = {"gaussian": GAUSSIAN, "slit": SLIT}
 """Line shapes a sweep can tell apart, and what the kernel calls them."""
@@ -52,7 +51,7 @@ class NoiseModel:
     slope: float
     dark: float = 0.0
 
-    def variance(self, signal: Float, frames: float) -> Float:
+    def variance(self, signal: Floats, frames: float) -> Floats:
         """Return the variance of the mean of some frames less the dark."""
         return np.asarray((self.constant + self.slope * np.maximum(signal, 0.0)) / frames + self.dark)
 
@@ -61,7 +60,7 @@ class NoiseModel:
 class Light:
     """What lights the camera at one step, for fits in units of bands: widths in bands, shape of the line."""
 
-    width: Float
+    width: Floats
     triangular: bool
 
 
@@ -91,20 +90,20 @@ class Window:
 
     columns: npt.NDArray[np.int64]
     first: npt.NDArray[np.int64]
-    values: Float
-    background: Float
-    background_variance: Float
-    saturated: Bool
-    beam: Float
-    out_of_band: Float
+    values: Floats
+    background: Floats
+    background_variance: Floats
+    saturated: Bools
+    beam: Floats
+    out_of_band: Floats
     band: int
 
     @property
-    def places(self) -> Float:
+    def places(self) -> Floats:
         """Band of every sample (line, sample)."""
         return np.asarray(self.first[:, None] + np.arange(self.values.shape[1]), np.float64)
 
-    def leave_out(self, bad: Bool) -> None:
+    def leave_out(self, bad: Bools) -> None:
         """Blank the samples of bad elements (band, cross_track)."""
         places = self.first[:, None] + np.arange(self.values.shape[1])
         self.values[bad[np.clip(places, 0, len(bad) - 1), self.columns[:, None]]] = np.nan
@@ -134,19 +133,19 @@ class Fits:
         Whether the search has ended at finite numbers.
     """
 
-    parameters: Float
-    covariance: Float
-    width: Float
-    amplitude: Float
-    area: Float
-    area_variance: Float
-    unseen: Float
-    chi2: Float
-    degrees: Float
-    converged: Bool
+    parameters: Floats
+    covariance: Floats
+    width: Floats
+    amplitude: Floats
+    area: Floats
+    area_variance: Floats
+    unseen: Floats
+    chi2: Floats
+    degrees: Floats
+    converged: Bools
 
 
-def find_line(net: Float, raw: Float, bad: Bool, saturation: Float | None) -> Window | None:
+def find_line(net: Floats, raw: Floats, bad: Bools, saturation: Floats | None) -> Window | None:
     """Return the window about the line of one step, or None where there is none.
 
     Parameters
@@ -210,7 +209,7 @@ def find_line(net: Float, raw: Float, bad: Bool, saturation: Float | None) -> Wi
     )
 
 
-def _mean(values: Float, axis: int) -> Float:
+def _mean(values: Floats, axis: int) -> Floats:
     """Return the mean of what is finite; NaN where nothing is."""
     known = np.isfinite(values)
     count = known.sum(axis=axis)
@@ -218,7 +217,7 @@ def _mean(values: Float, axis: int) -> Float:
     return np.asarray(np.where(count > 0, total / np.maximum(count, 1), np.nan))
 
 
-def _rough_width(spectrum: Float, peak: int) -> float:
+def _rough_width(spectrum: Floats, peak: int) -> float:
     """Return the full width of a peak from area over height, at least one band [band]."""
     half = 3
     for _ in range(6):
@@ -233,7 +232,7 @@ def _rough_width(spectrum: Float, peak: int) -> float:
     return float(min(width, len(spectrum) / 4.0))
 
 
-def _background(outside: Float) -> tuple[Float, Float]:
+def _background(outside: Floats) -> tuple[Floats, Floats]:
     """Return the mean of each column beyond its window, clipped, and its variance in that of a band.
 
     A dark that has drifted lifts all bands alike; left in, it would add to the area band by band.
@@ -252,7 +251,7 @@ def _background(outside: Float) -> tuple[Float, Float]:
     return mean, variance
 
 
-def _brightest(light: Float) -> float:
+def _brightest(light: Floats) -> float:
     """Return the light of the brightest columns, whatever a single one says."""
     known = np.where(np.isfinite(light), light, 0.0)
     if known.size < 5:
@@ -261,7 +260,7 @@ def _brightest(light: Float) -> float:
     return float(np.median(stacked, axis=1).max())
 
 
-def fit_beam(beam: Float) -> tuple[float, float]:
+def fit_beam(beam: Floats) -> tuple[float, float]:
     """Return centre and full width at half maximum of the beam over columns; NaN where it shows no peak."""
     known = np.isfinite(beam)
     columns = np.arange(beam.size, dtype=np.float64)
@@ -333,8 +332,8 @@ def fit_window(
 
 
 def _fit_twice(
-    window: Window, values: Float, variance: Float, parameters: Float, shape: int, light: Light
-) -> tuple[Float, Float, Bool, Bool]:
+    window: Window, values: Floats, variance: Floats, parameters: Floats, shape: int, light: Light
+) -> tuple[Floats, Floats, Bools, Bools]:
     """Fit in place, and again without the worst sample where that is no noise.
 
     Returns covariance, chi2, whether the search has ended, and the samples that were used.
@@ -363,7 +362,7 @@ def _fit_twice(
     return covariance, chi2, converged, used
 
 
-def _start(window: Window, light: Light) -> Float:
+def _start(window: Window, light: Light) -> Floats:
     values = np.where(np.isfinite(window.values), np.maximum(window.values, 0.0), 0.0)
     peak = np.argmax(values, axis=1)
     height = values.max(axis=1)
@@ -377,30 +376,30 @@ def _start(window: Window, light: Light) -> Float:
     return np.column_stack([window.first + peak, own, area, np.zeros_like(area)]).astype(np.float64)
 
 
-def _restart(start: Fits, light: Light) -> Float:
+def _restart(start: Fits, light: Light) -> Floats:
     parameters = start.parameters.copy()
     parameters[:, WIDTH] = np.sqrt(np.maximum(start.width**2 - light.width**2, (0.3 * start.width) ** 2))
     return parameters
 
 
-def _model(window: Window, start: Fits, shape: int, light: Light, parameters: Float) -> Float:
+def _model(window: Window, start: Fits, shape: int, light: Light, parameters: Floats) -> Floats:
     return np.asarray(start.parameters[:, AREA, None] * _profiles(window, parameters, shape, light))
 
 
-def _profiles(window: Window, parameters: Float, shape: int, light: Light) -> Float:
+def _profiles(window: Window, parameters: Floats, shape: int, light: Light) -> Floats:
     out = np.empty(window.values.shape)
     distance = window.places - parameters[:, CENTRE, None]
     profiles(distance, parameters[:, WIDTH].copy(), light.width, shape, light.triangular, out)
     return out
 
 
-def _peaks(parameters: Float, shape: int, light: Light) -> Float:
+def _peaks(parameters: Floats, shape: int, light: Light) -> Floats:
     out = np.empty((len(parameters), 1))
     profiles(np.zeros_like(out), parameters[:, WIDTH].copy(), light.width, shape, light.triangular, out)
     return out[:, 0]
 
 
-def _area(window: Window, parameters: Float, unit: Float, used: Bool) -> tuple[Float, Float]:
+def _area(window: Window, parameters: Floats, unit: Floats, used: Bools) -> tuple[Floats, Floats]:
     """Return the sum over all bands of each line, and the share of it that only the fit knows.
 
     What the bands that were read do not hold of a line lies beyond the edge of the array, or on bad elements.

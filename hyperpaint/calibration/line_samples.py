@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-import numpy.typing as npt
 
+from hyperpaint.base.arrays import Floats
 from hyperpaint.base.schema import BAND, CROSS_TRACK, STEP, require
 from hyperpaint.kernels.line_fits import profiles
 
@@ -21,7 +21,6 @@ if TYPE_CHECKING:
 
 __all__ = ["FittedLine", "fitted_lines"]
 
-Float = npt.NDArray[np.float64]
 
 _REACH = 1.6  # full widths that are drawn to either side
 _POINTS = 201
@@ -43,11 +42,11 @@ class FittedLine:
     """
 
     wavelength: float
-    distance: Float
-    counts: Float
-    residual: Float
-    curve_distance: Float
-    curve: Float
+    distance: Floats
+    counts: Floats
+    residual: Floats
+    curve_distance: Floats
+    curve: Floats
 
 
 def fitted_lines(
@@ -127,17 +126,17 @@ class _Shape:
         self._triangular = attrs["monochromator_shape"] == "triangle"
         self._peak = float(self._of(np.zeros(1))[0])
 
-    def _of(self, place: Float) -> Float:
-        out: Float = np.empty((1, place.size), np.float64)
+    def _of(self, place: Floats) -> Floats:
+        out: Floats = np.empty((1, place.size), np.float64)
         profiles(place[None], self._own, self._source, self._shape, self._triangular, out)
         return np.asarray(out[0])
 
-    def at(self, place: Float) -> Float:
+    def at(self, place: Floats) -> Floats:
         """Return it at distances from the centre [band]."""
         return np.asarray(self._of(place) / self._peak)
 
 
-def _samples(lab: LabSweep, calibration: xr.Dataset, step: int, column: int) -> tuple[Float, Float]:
+def _samples(lab: LabSweep, calibration: xr.Dataset, step: int, column: int) -> tuple[Floats, Floats]:
     """Return the bands about a line of one column, and their counts above dark and background."""
     raw = lab.frame(step)
     dark = lab.dark.at(float(lab.exposure[step]))

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
+from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import SchemaError
 from hyperpaint.base.schema import BAND
 
@@ -26,12 +27,11 @@ __all__ = [
     "wing_in_window",
 ]
 
-Float = npt.NDArray[np.float64]
 
 _MOST_AMPLIFIED = 10.0  # sum of a row of the inverse, beyond which the light would be mostly stray
 
 
-def second_order_share(rows: Float, step_wavelength: Float, wavelength: Float, width: Float) -> Float:
+def second_order_share(rows: Floats, step_wavelength: Floats, wavelength: Floats, width: Floats) -> Floats:
     """Return counts at twice the wavelength over those of the line, a step (step,) [1].
 
     Parameters
@@ -55,7 +55,7 @@ def second_order_share(rows: Float, step_wavelength: Float, wavelength: Float, w
     return share
 
 
-def common_offset(level: Float, area: Float) -> float:
+def common_offset(level: Floats, area: Floats) -> float:
     """Return the counts off the lines that do not follow their light: those of a dark that is off [count].
 
     Parameters
@@ -70,7 +70,7 @@ def common_offset(level: Float, area: Float) -> float:
     return float(np.linalg.lstsq(terms, level[known], rcond=None)[0][0])
 
 
-def wing_in_window(rows: Float, centre: Float) -> float:
+def wing_in_window(rows: Floats, centre: Floats) -> float:
     """Return the share of a line's area that is light scattered into its window, beyond the background [1].
 
     Parameters
@@ -89,8 +89,8 @@ def wing_in_window(rows: Float, centre: Float) -> float:
 
 
 def stray_light_matrix(
-    rows: Float, centre: Float, step_wavelength: Float, wavelength: Float, width: Float, second: Float
-) -> Float:
+    rows: Floats, centre: Floats, step_wavelength: Floats, wavelength: Floats, width: Floats, second: Floats
+) -> Floats:
     """Return the share of each band's light that every other band sees (band, source_band) [1].
 
     Parameters
@@ -117,7 +117,7 @@ def stray_light_matrix(
     return np.asarray(matrix)
 
 
-def _line_spread(distance: Float, share: Float, bands: int) -> Any:
+def _line_spread(distance: Floats, share: Floats, bands: int) -> Any:
     """Return the wings as a function of the distance in bands: medians of bins that widen with distance."""
     edges = np.unique(np.round(np.geomspace(1.0, bands, 25)))
     edges = np.concatenate([-edges[::-1], edges])
@@ -132,14 +132,14 @@ def _line_spread(distance: Float, share: Float, bands: int) -> Any:
         return lambda at: np.zeros(np.shape(at))
     nearest = float(np.abs(distance).min())
 
-    def wing(at: npt.NDArray[Any]) -> Float:
+    def wing(at: npt.NDArray[Any]) -> Floats:
         # within the window of a line its own light hides what scatters: there is none by definition
         return np.where(np.abs(at) >= nearest, np.maximum(np.interp(at, centres, levels), 0.0), 0.0)
 
     return wing
 
 
-def _second_order(step_wavelength: Float, share: Float, wavelength: Float, width: float) -> Float:
+def _second_order(step_wavelength: Floats, share: Floats, wavelength: Floats, width: float) -> Floats:
     inside = (2.0 * wavelength >= wavelength.min()) & (2.0 * wavelength <= wavelength.max())
     level = np.interp(wavelength, step_wavelength, np.maximum(share, 0.0), left=share[0], right=share[-1])
     level = np.where(inside, np.maximum(level, 0.0), 0.0)

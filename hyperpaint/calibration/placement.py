@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
+
+from hyperpaint.base.arrays import Bools, Floats
 
 from .lab_sweep import LabSweep
 from .steps import Lines
@@ -11,8 +12,6 @@ from .wavelength_map import WavelengthMap, fit_width
 
 __all__ = ["at_steps", "band_widths", "line_wavelengths", "placed_lines"]
 
-Float = npt.NDArray[np.float64]
-Bool = npt.NDArray[np.bool_]
 
 _MISPLACED = 0.5  # nm from the wavelength map, beyond which a line's wavelength is not what is said
 
@@ -20,14 +19,14 @@ _ODD = 20.0  # times the step's usual chi2: several dead elements in one line
 _ODD_WIDTH = 0.3  # of the step's usual width
 
 
-def line_wavelengths(lines: Lines, surface: WavelengthMap, pull: Float) -> Float:
+def line_wavelengths(lines: Lines, surface: WavelengthMap, pull: Floats) -> Floats:
     """Return where the map puts the centres of the lines (step, cross_track) [nm], less the slope's pull."""
     columns = np.arange(lines.centre.shape[1])
     there = surface.at(np.nan_to_num(lines.centre), columns) - pull[:, None]
     return np.asarray(np.where(np.isfinite(lines.centre), there, np.nan))
 
 
-def placed_lines(lab: LabSweep, lines: Lines, surface: WavelengthMap, pull: Float) -> Bool:
+def placed_lines(lab: LabSweep, lines: Lines, surface: WavelengthMap, pull: Floats) -> Bools:
     """Return the good fits (step, cross_track) that are like the others, and lie where the map says."""
     apart = np.abs(line_wavelengths(lines, surface, pull) - lab.wavelength[:, None])
     misfit = np.where(lines.trusted, lines.chi2 / lines.degrees, np.nan)
@@ -41,7 +40,7 @@ def placed_lines(lab: LabSweep, lines: Lines, surface: WavelengthMap, pull: Floa
         return np.asarray(like_others & (apart < max(_MISPLACED, 6.0 * surface.residual)))
 
 
-def band_widths(lab: LabSweep, lines: Lines, surface: WavelengthMap, placed: Bool) -> Float:
+def band_widths(lab: LabSweep, lines: Lines, surface: WavelengthMap, placed: Bools) -> Floats:
     """Return the camera's own width of every band (band,) [nm] from those of the placed lines."""
     steps = np.flatnonzero(placed.any(axis=1))
     spacing = surface.spacing(np.nan_to_num(lines.centre), np.arange(lab.shape[2]))
@@ -55,7 +54,7 @@ def band_widths(lab: LabSweep, lines: Lines, surface: WavelengthMap, placed: Boo
     )
 
 
-def at_steps(lab: LabSweep, surface: WavelengthMap, of_bands: Float) -> Float:
+def at_steps(lab: LabSweep, surface: WavelengthMap, of_bands: Floats) -> Floats:
     """Return what is known of the bands (band,) at the wavelengths of the steps (step,)."""
     centre = surface.at(np.arange(lab.shape[1]), lab.shape[2] // 2)
     order = np.argsort(centre)

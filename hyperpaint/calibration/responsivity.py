@@ -13,17 +13,16 @@ bands). A band wants :math:`\int R_b\,d\lambda = (s * R_0)(\lambda_b)`. To secon
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
+
+from hyperpaint.base.arrays import Bools, Floats
 
 __all__ = ["element_gain", "interpolate_nodes", "monotone_slopes", "second_order_factor", "shape_variance"]
 
-Float = npt.NDArray[np.float64]
-Bool = npt.NDArray[np.bool_]
 
 _WIDEST_GAP = 3.0  # median steps; over more than that nothing is interpolated
 
 
-def shape_variance(fwhm: Float, shape: str, spacing: Float | float = 0.0) -> Float:
+def shape_variance(fwhm: Floats, shape: str, spacing: Floats | float = 0.0) -> Floats:
     """Return the variance of a line shape [nm2]: "gaussian", "triangle" (of equal slits) or "slit"."""
     if shape == "gaussian":
         return np.asarray(fwhm**2 / (8.0 * np.log(2.0)))
@@ -32,7 +31,7 @@ def shape_variance(fwhm: Float, shape: str, spacing: Float | float = 0.0) -> Flo
     return np.asarray((fwhm**2 + np.square(spacing)) / 12.0)
 
 
-def second_order_factor(wavelength: Float, line: Float, own: Float, source: Float) -> Float:
+def second_order_factor(wavelength: Floats, line: Floats, own: Floats, source: Floats) -> Floats:
     """Return what turns the responsivity that a line saw into that of a band at the same wavelength.
 
     Parameters
@@ -60,7 +59,7 @@ def second_order_factor(wavelength: Float, line: Float, own: Float, source: Floa
     return np.clip(factor, 0.9, 1.1)
 
 
-def monotone_slopes(x: Float, y: Float) -> Float:
+def monotone_slopes(x: Floats, y: Floats) -> Floats:
     """Return slopes at the nodes that interpolate smooth values well, and never ring.
 
     Those of a cubic spline, of fourth order; where the values turn from one curvature to the other, limited
@@ -89,8 +88,8 @@ def monotone_slopes(x: Float, y: Float) -> Float:
 
 
 def interpolate_nodes(
-    x: Float, y: Float, known: Bool, at: Float, tolerance: float = 0.0
-) -> tuple[Float, Bool]:
+    x: Floats, y: Floats, known: Bools, at: Floats, tolerance: float = 0.0
+) -> tuple[Floats, Bools]:
     """Return each column's values between its known nodes, and where there is anything between which to be.
 
     Parameters
@@ -120,7 +119,7 @@ def interpolate_nodes(
     return made, np.isfinite(made)
 
 
-def _hermite(x: Float, y: Float, at: Float, widest: float, tolerance: float) -> Float:
+def _hermite(x: Floats, y: Floats, at: Floats, widest: float, tolerance: float) -> Floats:
     slope = monotone_slopes(x, y)
     at = np.where((at < x[0]) & (at >= x[0] - tolerance), x[0], at)
     at = np.where((at > x[-1]) & (at <= x[-1] + tolerance), x[-1], at)
@@ -136,13 +135,13 @@ def _hermite(x: Float, y: Float, at: Float, widest: float, tolerance: float) -> 
 
 
 def element_gain(
-    step_wavelength: Float,
-    node: Float,
-    known: Bool,
-    wavelength: Float,
-    etendue: Float,
+    step_wavelength: Floats,
+    node: Floats,
+    known: Bools,
+    wavelength: Floats,
+    etendue: Floats,
     tolerance: float = 0.0,
-) -> tuple[Float, Bool]:
+) -> tuple[Floats, Bools]:
     """Return the gain of every element [W m-2 sr-1 nm-1 s count-1] from responsivities at the steps.
 
     Parameters

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
+from hyperpaint.base.arrays import Bools, Floats
 from hyperpaint.base.errors import PaintWarning, SchemaError
 from hyperpaint.base.schema import VARIABLES, dtype_of, label
 
@@ -27,8 +28,6 @@ if TYPE_CHECKING:
 
 __all__ = ["Budget", "Result", "line_level"]
 
-Float = npt.NDArray[np.float64]
-Bool = npt.NDArray[np.bool_]
 
 _ILL_CONDITIONED = 0.7  # width of the monochromator over that of the camera
 _TOLERANCE = (0.01, 0.05)  # nm by which an element may lie beyond the outer step: at least, and at most
@@ -51,7 +50,7 @@ class Budget:
         return float(np.sqrt(self.flux**2 + self.capture**2 + self.etendue**2))
 
 
-def line_level(lines: Lines, lab: LabSweep, surface: WavelengthMap, used: Bool | None = None) -> Float:
+def line_level(lines: Lines, lab: LabSweep, surface: WavelengthMap, used: Bools | None = None) -> Floats:
     """Return the integrated response that the lines saw (step,) [count nm J-1], median of the columns."""
     nodes = _nodes(lines, lab, surface)
     known = lines.trusted if used is None else used
@@ -61,7 +60,7 @@ def line_level(lines: Lines, lab: LabSweep, surface: WavelengthMap, used: Bool |
     return made
 
 
-def _nodes(lines: Lines, lab: LabSweep, surface: WavelengthMap) -> Float:
+def _nodes(lines: Lines, lab: LabSweep, surface: WavelengthMap) -> Floats:
     column = np.broadcast_to(np.arange(lines.centre.shape[1]), lines.centre.shape)
     spacing = surface.spacing(np.nan_to_num(lines.centre), column)
     with np.errstate(over="ignore"):  # of fits that are not trusted
@@ -97,29 +96,29 @@ class Result:
     read: Read
     lines: Lines
     surface: WavelengthMap
-    line_slope: Float
-    pull: Float
+    line_slope: Floats
+    pull: Floats
     shape: str
     misfit: dict[str, float]
-    bad: Bool
+    bad: Bools
     budget: Budget
     linearity: tuple[float, ...]
-    placed: Bool
-    fwhm: Float
+    placed: Bools
+    fwhm: Floats
     differences: float
 
     @cached_property
-    def wavelength(self) -> Float:
+    def wavelength(self) -> Floats:
         """Of every element (band, cross_track) [nm]."""
         return self.surface.grid()[0]
 
     @cached_property
-    def spacing(self) -> Float:
+    def spacing(self) -> Floats:
         """Of the bands, element by element (band, cross_track) [nm]."""
         return self.surface.grid()[1]
 
     @cached_property
-    def centre_wavelength(self) -> Float:
+    def centre_wavelength(self) -> Floats:
         """Of the bands at the centre column (band,) [nm]."""
         return np.asarray(self.wavelength[:, self.lab.shape[2] // 2])
 
@@ -129,27 +128,27 @@ class Result:
         return np.broadcast_to(np.arange(self.lab.shape[2]), self.lines.centre.shape)
 
     @cached_property
-    def line_wavelength(self) -> Float:
+    def line_wavelength(self) -> Floats:
         """Where the map puts the centres of the lines (step, cross_track) [nm], less the slope's pull."""
         return line_wavelengths(self.lines, self.surface, self.pull)
 
     @cached_property
-    def line_spacing(self) -> Float:
+    def line_spacing(self) -> Floats:
         """Spacing of bands at the lines (step, cross_track) [nm]."""
         return self.surface.spacing(np.nan_to_num(self.lines.centre), self.columns)
 
     @cached_property
-    def used(self) -> Bool:
+    def used(self) -> Bools:
         """Lines whose area is used: those in place, and those at the edges completed from them."""
         return np.asarray(self.placed | self.lines.completed)
 
     @cached_property
-    def fwhm_at_steps(self) -> Float:
+    def fwhm_at_steps(self) -> Floats:
         """Width of the camera's line at every step (step,) [nm]."""
         return at_steps(self.lab, self.surface, self.fwhm)
 
     @cached_property
-    def gain(self) -> tuple[Float, Bool]:
+    def gain(self) -> tuple[Floats, Bools]:
         """Gain of every element [W m-2 sr-1 nm-1 s count-1], NaN where not known; and whether it is."""
         lab = self.lab
         used = self.used
@@ -171,7 +170,7 @@ class Result:
         low, high = _TOLERANCE
         return min(max(low, 3.0 * self.surface.residual), high)
 
-    def dataset(self, flat: Float | None) -> xr.Dataset:
+    def dataset(self, flat: Floats | None) -> xr.Dataset:
         """Return the calibration."""
         import xarray as xr
 
@@ -214,7 +213,7 @@ class Result:
             self._attrs(good),
         )
 
-    def _uncertainties(self, gain: Float, good: Bool) -> dict[str, Float]:
+    def _uncertainties(self, gain: Floats, good: Bools) -> dict[str, Floats]:
         random = np.full(gain.shape, np.nan)
         for column in range(gain.shape[1]):
             used = np.flatnonzero(self.used[:, column])
@@ -284,7 +283,7 @@ class Result:
             "stray_light": matrix,
         }
 
-    def _check_plausible(self, gain: Float) -> None:
+    def _check_plausible(self, gain: Floats) -> None:
         """Refuse a scale at which a photon would free more than an electron, or next to none at all."""
         photon = PLANCK_TIMES_LIGHT / (self.wavelength * 1e-9)
         counts = photon / (gain * self.lab.etendue * self.spacing)
@@ -311,7 +310,7 @@ class Result:
         )
 
     @cached_property
-    def _unlit(self) -> Bool:
+    def _unlit(self) -> Bools:
         """Columns (cross_track,) beyond the outer lit ones, where the map is held as it is there."""
         first, last = self.surface.lit
         column = np.arange(self.lab.shape[2])
@@ -379,7 +378,7 @@ class Result:
             return "photon transfer of the sweep, good to some per cent; see hyperpaint.estimate_noise"
         return "none"
 
-    def _attrs(self, good: Bool) -> dict[str, Any]:
+    def _attrs(self, good: Bools) -> dict[str, Any]:
         lab = self.lab
         left_out = [float(w) for w in lab.wavelength[~self.used.any(axis=1)]]
         return {
@@ -413,7 +412,7 @@ class Result:
         }
 
 
-def _levelled(gain: Float, flat: Float | None) -> Float:
+def _levelled(gain: Floats, flat: Floats | None) -> Floats:
     """Return gains on counts as they are, from those on counts that a flat field has levelled."""
     if flat is None:
         return gain.copy()

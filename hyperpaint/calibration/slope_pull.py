@@ -8,8 +8,8 @@ besides, and its fit moves by a little less than its centroid; so the fit itself
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
+from hyperpaint.base.arrays import Floats
 from hyperpaint.kernels.line_fits import CENTRE, fit_lines, profiles
 
 from .lab_sweep import LabSweep
@@ -17,15 +17,20 @@ from .line_fits import SHAPES, NoiseModel
 
 __all__ = ["line_pull"]
 
-Float = npt.NDArray[np.float64]
 
 _PARTS = 161  # of the light's line
 _REACH = {True: 1.0, False: 2.2}  # half support of a triangle and of a Gaussian in full widths
 
 
 def line_pull(
-    lab: LabSweep, noise: NoiseModel, slope: Float, own: Float, spacing: Float, amplitude: Float, shape: str
-) -> Float:
+    lab: LabSweep,
+    noise: NoiseModel,
+    slope: Floats,
+    own: Floats,
+    spacing: Floats,
+    amplitude: Floats,
+    shape: str,
+) -> Floats:
     """Return by how much the lines of a sweep are found beyond the wavelengths of their light (step,) [nm].
 
     Parameters
@@ -57,7 +62,7 @@ def line_pull(
 
 
 def _fitted(
-    offset: Float, light: Float, own: float, source: float, lab: LabSweep, noise: NoiseModel, frames: float,
+    offset: Floats, light: Floats, own: float, source: float, lab: LabSweep, noise: NoiseModel, frames: float,
     amplitude: float, shape: int,
 ) -> float:  # fmt: skip
     """Return where the fit puts a line of such light that is centred at zero [band]."""

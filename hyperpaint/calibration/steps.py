@@ -7,8 +7,8 @@ from collections.abc import Callable
 from dataclasses import dataclass, fields
 
 import numpy as np
-import numpy.typing as npt
 
+from hyperpaint.base.arrays import Bools, Floats
 from hyperpaint.base.errors import PaintWarning, SchemaError
 from hyperpaint.kernels.line_fits import CENTRE, GAUSSIAN, WIDTH
 
@@ -18,8 +18,6 @@ from .wavelength_map import WavelengthMap
 
 __all__ = ["FROM_FRAMES", "FROM_SCATTER", "Lines", "Read", "fit_as_seen", "fit_through", "read_lines"]
 
-Float = npt.NDArray[np.float64]
-Bool = npt.NDArray[np.bool_]
 Tick = Callable[[], None]
 
 FROM_FRAMES, FROM_SCATTER = "variance of the frames", "scatter of the bands off the lines"
@@ -49,7 +47,7 @@ class Read:
     """
 
     windows: list[Window | None]
-    rows: Float
+    rows: Floats
     noise: NoiseModel
     noise_source: str
 
@@ -58,19 +56,19 @@ class Read:
 class Lines:
     """What is known of the lines of all steps, (step, cross_track) unless said; NaN where there is none."""
 
-    centre: Float
-    own_width: Float
-    width: Float
-    amplitude: Float
-    area: Float
-    area_u: Float
-    centre_u: Float
-    own_width_u: Float
-    covariance: Float
-    chi2: Float
-    degrees: Float
-    trusted: Bool
-    completed: Bool
+    centre: Floats
+    own_width: Floats
+    width: Floats
+    amplitude: Floats
+    area: Floats
+    area_u: Floats
+    centre_u: Floats
+    own_width_u: Floats
+    covariance: Floats
+    chi2: Floats
+    degrees: Floats
+    trusted: Bools
+    completed: Bools
 
     @classmethod
     def empty(cls, steps: int, columns: int) -> Lines:
@@ -107,7 +105,7 @@ class Lines:
 
 
 def read_lines(
-    lab: LabSweep, bad: Bool, linearised: Callable[[Float], Float], flat: Float | None, tick: Tick
+    lab: LabSweep, bad: Bools, linearised: Callable[[Floats], Floats], flat: Floats | None, tick: Tick
 ) -> Read:
     """Read every step once and keep the windows about its lines.
 
@@ -153,7 +151,7 @@ def read_lines(
     return Read(windows, rows, noise, source)
 
 
-def _count_in(tally: Float, net: Float, variance: Float, bad: Bool) -> None:
+def _count_in(tally: Floats, net: Floats, variance: Floats, bad: Bools) -> None:
     known = np.isfinite(net) & np.isfinite(variance) & ~bad
     signal, found = net[known], variance[known]
     bins = np.searchsorted(_SIGNAL_EDGES, signal, side="right") - 1
@@ -161,7 +159,7 @@ def _count_in(tally: Float, net: Float, variance: Float, bad: Bool) -> None:
         tally[row] += np.bincount(bins, weight, tally.shape[1])
 
 
-def _noise_model(lab: LabSweep, tally: Float, scatter: list[float]) -> tuple[NoiseModel, str]:
+def _noise_model(lab: LabSweep, tally: Floats, scatter: list[float]) -> tuple[NoiseModel, str]:
     """Return the photon-transfer line of the sweep, else what is stated, else the scatter off the lines."""
     dark = lab.dark.spread**2 * lab.dark.leverage(float(np.median(lab.exposure)))
     alone = lab.dark.leverage(float(np.median(lab.exposure))) / (lab.dark_frames or np.median(lab.frames))
@@ -201,7 +199,7 @@ def _check_told(lab: LabSweep, windows: list[Window | None]) -> None:
         )
 
 
-def _warn_of_clipping(highest: Float) -> None:
+def _warn_of_clipping(highest: Floats) -> None:
     """Warn where the highest counts of the elements (band, cross_track) repeat one value along a column."""
     top = float(highest.max())
     same = highest >= top - _SAME_COUNT

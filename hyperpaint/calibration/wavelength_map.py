@@ -9,12 +9,11 @@ import numpy as np
 import numpy.typing as npt
 from numpy.polynomial import chebyshev
 
+from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import SchemaError
 
 __all__ = ["WavelengthMap", "fit_wavelength_map", "fit_width"]
 
-Float = npt.NDArray[np.float64]
-Bool = npt.NDArray[np.bool_]
 
 BAND_DEGREE = 3
 COLUMN_DEGREES = (0, 1, 2, 3, 4)
@@ -41,25 +40,25 @@ class WavelengthMap:
         Tukey's weights of the lines.
     """
 
-    coefficients: Float
+    coefficients: Floats
     bands: int
     columns: int
     lit: tuple[int, int]
     residual: float
-    weight: Float
+    weight: Floats
 
-    def at(self, band: npt.ArrayLike, column: npt.ArrayLike) -> Float:
+    def at(self, band: npt.ArrayLike, column: npt.ArrayLike) -> Floats:
         """Return the wavelength at fractional bands and columns [nm]."""
         u, v = self._scaled(np.asarray(band, np.float64), np.asarray(column, np.float64))
         return np.asarray(chebyshev.chebval2d(u, v, self.coefficients))
 
-    def spacing(self, band: npt.ArrayLike, column: npt.ArrayLike) -> Float:
+    def spacing(self, band: npt.ArrayLike, column: npt.ArrayLike) -> Floats:
         """Return ``|d wavelength / d band|`` [nm]."""
         u, v = self._scaled(np.asarray(band, np.float64), np.asarray(column, np.float64))
         slope = chebyshev.chebder(self.coefficients, axis=0) * (2.0 / max(self.bands - 1, 1))
         return np.asarray(np.abs(chebyshev.chebval2d(u, v, slope)))
 
-    def band_of(self, wavelength: float, column: npt.NDArray[np.int64]) -> Float:
+    def band_of(self, wavelength: float, column: npt.NDArray[np.int64]) -> Floats:
         """Return the fractional bands of a wavelength [nm] in some columns, to a little beyond the array."""
         low = np.full(column.shape, -0.05 * self.bands - 2.0)
         high = np.full(column.shape, 1.05 * self.bands + 1.0)
@@ -70,19 +69,19 @@ class WavelengthMap:
             low, high = np.where(below, middle, low), np.where(below, high, middle)
         return np.asarray(0.5 * (low + high))
 
-    def grid(self) -> tuple[Float, Float]:
+    def grid(self) -> tuple[Floats, Floats]:
         """Return wavelength and spacing of every element (band, cross_track) [nm]."""
         band, column = np.meshgrid(np.arange(self.bands), np.arange(self.columns), indexing="ij")
         return self.at(band, column), self.spacing(band, column)
 
-    def _scaled(self, band: Float, column: Float) -> tuple[Float, Float]:
+    def _scaled(self, band: Floats, column: Floats) -> tuple[Floats, Floats]:
         band, column = np.broadcast_arrays(band, np.clip(column, *self.lit))
         return 2.0 * band / max(self.bands - 1, 1) - 1.0, 2.0 * column / max(self.columns - 1, 1) - 1.0
 
 
 def fit_wavelength_map(
-    band: Float, column: Float, wavelength: Float, sizes: tuple[int, int], *,
-    column_degree: int | None = None, uncertainty: Float | None = None,
+    band: Floats, column: Floats, wavelength: Floats, sizes: tuple[int, int], *,
+    column_degree: int | None = None, uncertainty: Floats | None = None,
 ) -> WavelengthMap:  # fmt: skip
     """Return the robust low-order surface through line centres.
 
@@ -130,12 +129,12 @@ def fit_wavelength_map(
 
 
 def _robust(
-    band: Float,
-    column: Float,
-    wavelength: Float,
+    band: Floats,
+    column: Floats,
+    wavelength: Floats,
     sizes: tuple[int, int],
     degrees: tuple[int, int],
-    prior: Float,
+    prior: Floats,
 ) -> WavelengthMap:
     bands, columns = sizes
     u, v = 2.0 * band / max(bands - 1, 1) - 1.0, 2.0 * column / max(columns - 1, 1) - 1.0
@@ -159,13 +158,13 @@ def _robust(
     return WavelengthMap(solved.reshape(shape), bands, columns, lit, rms, tukey)
 
 
-def _weighted(terms: Float, values: Float, weight: Float) -> Float:
+def _weighted(terms: Floats, values: Floats, weight: Floats) -> Floats:
     normal = np.einsum("ni,n,nj->ij", terms, weight, terms, optimize=True)
     right = terms.T @ (weight * values)
     return np.asarray(np.linalg.lstsq(normal, right, rcond=None)[0])
 
 
-def fit_width(wavelength: Float, width: Float, uncertainty: Float, at: Float, degree: int = 2) -> Float:
+def fit_width(wavelength: Floats, width: Floats, uncertainty: Floats, at: Floats, degree: int = 2) -> Floats:
     """Return the width of every band [nm] from those of the steps, robustly; beyond them that of the last.
 
     Parameters

@@ -6,15 +6,11 @@ that stays in the processor's cache; every cell is then one copy of a whole spec
 
 from __future__ import annotations
 
-from typing import Any
-
-import numpy.typing as npt
-
+from hyperpaint.base.arrays import Array
 from hyperpaint.base.jit import kernel
 
 __all__ = ["gather_bilinear", "gather_nearest"]
 
-Array = npt.NDArray[Any]
 
 _COLUMNS = 16
 """Columns that are turned together: a line of the cache in single precision."""

@@ -7,16 +7,14 @@ Every cell whose centre lies in it is given the line and the column, as fraction
 from __future__ import annotations
 
 import math
-from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
+from hyperpaint.base.arrays import Array
 from hyperpaint.base.jit import kernel
 
 __all__ = ["FIRST", "LAST", "NADIR", "fill_between", "invert_lines"]
 
-Array = npt.NDArray[Any]
 
 NADIR, FIRST, LAST = 0, 1, 2
 """Which of several patches over one cell counts: that nearest to the middle column, of the first line, or of

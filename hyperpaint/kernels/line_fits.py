@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import math
-from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
+from hyperpaint.base.arrays import Array
 from hyperpaint.base.jit import kernel
 
 __all__ = [
@@ -15,7 +14,6 @@ __all__ = [
     "fit_lines", "full_widths", "line_profile", "profiles",
 ]  # fmt: skip
 
-Array = npt.NDArray[Any]
 
 #: Places of the parameters of a line: centre [samples], full width at half maximum of the instrument's own
 #: response [samples], area [value x samples], offset [value].

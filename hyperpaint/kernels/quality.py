@@ -5,13 +5,12 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
+from hyperpaint.base.arrays import Array
 from hyperpaint.base.jit import kernel
 
 __all__ = ["count_levels", "flag_line", "gather_row"]
 
-Array = npt.NDArray[Any]
 
 _SATURATED = np.uint16(1)
 _BELOW_DARK = np.uint16(2)

@@ -10,8 +10,8 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
+from hyperpaint.base.arrays import Array
 from hyperpaint.base.jit import kernel
 
 from .quality import count_levels, flag_line, gather_row
@@ -19,7 +19,6 @@ from .uncertainty import propagate_line
 
 __all__ = ["calibrate_slab", "round_bits"]
 
-Array = npt.NDArray[Any]
 
 _NAN = np.float32(np.nan)
 _ONE = np.uint32(1)

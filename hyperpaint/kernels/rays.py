@@ -9,16 +9,14 @@ a straight ray each is then a parabola in the distance s from the camera.
 from __future__ import annotations
 
 import math
-from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
+from hyperpaint.base.arrays import Array
 from hyperpaint.base.jit import borrowing_kernel, kernel
 
 __all__ = ["BLOCK", "PLACES", "level_places", "raster_places"]
 
-Array = npt.NDArray[Any]
 
 PLACES = 5
 """What is known of a pixel: x and y on the map, height [m], zenith and azimuth of the camera [degree]."""

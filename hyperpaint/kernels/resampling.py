@@ -2,16 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
-import numpy.typing as npt
 
+from hyperpaint.base.arrays import Array
 from hyperpaint.base.jit import kernel
 
 __all__ = ["resample_slab"]
-
-Array = npt.NDArray[Any]
 
 
 @kernel

@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
+from hyperpaint.base.arrays import Array
 from hyperpaint.base.jit import kernel
 
 __all__ = [
@@ -18,8 +18,6 @@ __all__ = [
     "number_segments",
     "step_sizes",
 ]
-
-Array = npt.NDArray[Any]
 
 
 @kernel

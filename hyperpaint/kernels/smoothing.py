@@ -5,13 +5,12 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
+from hyperpaint.base.arrays import Array
 from hyperpaint.base.jit import kernel
 
 __all__ = ["filter_slab"]
 
-Array = npt.NDArray[Any]
 
 _NAN = np.float32(np.nan)
 _ZERO = np.float32(0.0)

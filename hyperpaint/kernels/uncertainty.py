@@ -9,13 +9,12 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
+from hyperpaint.base.arrays import Array
 from hyperpaint.base.jit import kernel
 
 __all__ = ["propagate_line"]
 
-Array = npt.NDArray[Any]
 
 _NOTHING = np.float32(0.0)
 _ONE = np.float32(1.0)

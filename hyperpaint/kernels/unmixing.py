@@ -5,13 +5,12 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
+from hyperpaint.base.arrays import Array
 from hyperpaint.base.jit import kernel
 
 __all__ = ["PARTS", "average_bands", "minimise", "unmix_lines"]
 
-Array = npt.NDArray[Any]
 
 PARTS = 8
 """Direct, diffuse, sun's mirror image, sky's mirror image, and two neighbours: reflected twice, mirrored."""

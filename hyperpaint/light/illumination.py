@@ -15,6 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hyperpaint.base import schema
+from hyperpaint.base.arrays import Array, Floats
 from hyperpaint.base.errors import PaintWarning, Problems, SchemaError
 from hyperpaint.base.units import convert
 
@@ -26,8 +27,6 @@ if TYPE_CHECKING:
 
 __all__ = ["Smile", "Tilt", "match_irradiance", "matched_series", "smile_cells"]
 
-Float = npt.NDArray[np.float64]
-Array = npt.NDArray[Any]
 
 NODE_SPACING = 0.5
 """Distance of the wavelength shifts at which operators are made [nm]; between them E is cubic."""
@@ -75,7 +74,7 @@ class Tilt:
                 problems.add(f"{name} {value}, expected 0 to 1")
         problems.raise_if_any()
 
-    def factor(self, time: Array, latitude: float, longitude: float, wavelength: Float) -> Float:
+    def factor(self, time: Array, latitude: float, longitude: float, wavelength: Floats) -> Floats:
         r"""Return the irradiance on the surface over that on level ground, (time, band) [1].
 
         Notes
@@ -119,12 +118,12 @@ class Smile:
         Runs of neighbouring columns that share a cell.
     """
 
-    nodes: Float
+    nodes: Floats
     shift: Array
     edges: Array
     cells: Array
 
-    def cubics(self, series: Float) -> Float:
+    def cubics(self, series: Floats) -> Floats:
         """Return cubics (..., band, cell, 4) through values (..., node, band).
 
         One node gives (..., band, 1, 1), the values themselves. Elsewhere it is Lagrange's polynomial
@@ -305,7 +304,7 @@ def match_irradiance(
 
 
 def _operator(
-    channels: Float,
+    channels: Floats,
     irradiance_fwhm: Any,
     irradiance_shape: str,
     imager: Mapping[str, Any],
@@ -347,7 +346,7 @@ def _operator(
     return matching
 
 
-def _apply(matching: Matching, spectra: Array) -> Float:
+def _apply(matching: Matching, spectra: Array) -> Floats:
     """Return spectra (..., channel) as (..., node, band); NaN only where a weight meets one."""
     # a spectrometer reaches far beyond the camera: most of its channels have no weight
     used = (np.nan_to_num(matching.weights) != 0.0).any(axis=(0, 1))
@@ -362,12 +361,12 @@ def _apply(matching: Matching, spectra: Array) -> Float:
 
 def matched_series(
     spectra: Array,
-    channels: Float,
+    channels: Floats,
     irradiance_fwhm: Any,
     irradiance_shape: str,
     imager: Mapping[str, Any],
-    nodes: Float,
-) -> tuple[Float, Float]:
+    nodes: Floats,
+) -> tuple[Floats, Floats]:
     """Return a series (time, channel) as float64 (time, node, band), and the misfit (node, band) [1].
 
     The array side of `match_irradiance`.

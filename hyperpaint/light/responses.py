@@ -15,12 +15,12 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import Problems, SchemaError
 from hyperpaint.base.schema import SRF_SHAPES
 
 __all__ = ["Matching", "Responses", "band_spacing", "log_slope", "matching_operator"]
 
-Float = npt.NDArray[np.float64]
 
 GAUSSIAN_SIGMA = 1.0 / (2.0 * np.sqrt(2.0 * np.log(2.0)))
 """Standard deviation of a Gaussian per unit of full width at half maximum."""
@@ -61,13 +61,13 @@ class Responses:
         Tabulated line shapes: distances from the centre [nm] and values of any scale.
     """
 
-    wavelength: Float
-    fwhm: Float
+    wavelength: Floats
+    fwhm: Floats
     shape: str = "gaussian"
-    spacing: Float | None = None
-    slope: Float | None = None
-    offset: Float | None = None
-    table: Float | None = None
+    spacing: Floats | None = None
+    slope: Floats | None = None
+    offset: Floats | None = None
+    table: Floats | None = None
 
     def __post_init__(self) -> None:
         wavelength = np.atleast_1d(np.asarray(self.wavelength, np.float64))
@@ -102,7 +102,7 @@ class Responses:
         """Return the same responses with every centre moved by ``shift`` [nm]."""
         return replace(self, wavelength=self.wavelength + shift)
 
-    def reach(self) -> Float:
+    def reach(self) -> Floats:
         """Half support of each band [nm], beyond which a response is negligible."""
         if self.shape == "gaussian":
             return np.asarray(_REACH * self.fwhm)
@@ -110,7 +110,7 @@ class Responses:
             return np.asarray(0.5 * (self.fwhm + np.asarray(self.spacing)))
         return np.full(self.wavelength.shape, float(np.max(np.abs(np.asarray(self.offset)))))
 
-    def on(self, grid: Float, band: int) -> Float:
+    def on(self, grid: Floats, band: int) -> Floats:
         """Return the response of one band on an even grid [nm], its sum times the step being 1."""
         distance = grid - self.wavelength[band]
         width = self.fwhm[band]
@@ -146,7 +146,7 @@ def problems_of_table(problems: Problems, offset: Any, table: Any, bands: int) -
         problems.add("'srf_offset' must increase and have at least three values [nm]")
 
 
-def _even_spacing(wavelength: Float) -> Float:
+def _even_spacing(wavelength: Floats) -> Floats:
     """Return the spacing of bands that are all there; a choice of bands does not tell how wide pixels are."""
     steps = np.abs(np.diff(wavelength))
     jumps = np.abs(np.log(steps[1:] / steps[:-1])) if steps.all() else np.array([np.inf])
@@ -158,7 +158,7 @@ def _even_spacing(wavelength: Float) -> Float:
     return band_spacing(wavelength)
 
 
-def band_spacing(wavelength: npt.ArrayLike) -> Float:
+def band_spacing(wavelength: npt.ArrayLike) -> Floats:
     """Return the distance between neighbouring bands at each band [nm].
 
     Examples
@@ -172,7 +172,7 @@ def band_spacing(wavelength: npt.ArrayLike) -> Float:
     return np.asarray(np.abs(np.gradient(wavelength)))
 
 
-def log_slope(wavelength: Float, responsivity: Float, width: Float) -> Float:
+def log_slope(wavelength: Floats, responsivity: Floats, width: Floats) -> Floats:
     """Return d ln R / d wavelength at every band [nm-1].
 
     The slope at the band of the parabola through its neighbours: at the ends of the array, where they lie to
@@ -218,10 +218,10 @@ class Matching:
         Part of the imager's response inside the spectrometer's range [1].
     """
 
-    weights: Float
-    misfit: Float
-    noise_gain: Float
-    coverage: Float
+    weights: Floats
+    misfit: Floats
+    noise_gain: Floats
+    coverage: Floats
 
 
 def matching_operator(
@@ -310,7 +310,7 @@ def _check_size(steps: float, channels: int, *responses: Responses) -> None:
         )
 
 
-def _has_hole(centres: Float, centre: float, half: float, widest: float) -> bool:
+def _has_hole(centres: Floats, centre: float, half: float, widest: float) -> bool:
     """Tell whether sorted channels leave more than ``widest`` open within ``half`` of a centre [nm]."""
     first = max(int(np.searchsorted(centres, centre - half)) - 1, 0)
     last = int(np.searchsorted(centres, centre + half)) + 1
@@ -318,7 +318,7 @@ def _has_hole(centres: Float, centre: float, half: float, widest: float) -> bool
     return bool(steps.size and steps.max() > widest)
 
 
-def _constrained_ridge(channels: Float, responses: Float, ridge: float) -> Float:
+def _constrained_ridge(channels: Floats, responses: Floats, ridge: float) -> Floats:
     """Return the ridge weights (node, channel) of channels for responses, each row summing to 1."""
     # einsum: threads of a BLAS that wait for busy cores make products this small ten times slower
     gram = np.einsum("ig,jg->ij", channels, channels)

@@ -5,16 +5,17 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
+from hyperpaint.base.arrays import Floats
+
 __all__ = ["air_mass", "diffuse_fraction", "solar_position"]
 
-Float = npt.NDArray[np.float64]
 
 _J2000 = np.datetime64("2000-01-01T12:00:00", "ns")
 
 
 def solar_position(
     time: npt.ArrayLike, latitude: npt.ArrayLike, longitude: npt.ArrayLike
-) -> tuple[Float, Float]:
+) -> tuple[Floats, Floats]:
     """Return the zenith angle and the azimuth of the sun [degree].
 
     Parameters
@@ -71,7 +72,7 @@ def solar_position(
     return zenith, azimuth
 
 
-def air_mass(zenith: npt.ArrayLike) -> Float:
+def air_mass(zenith: npt.ArrayLike) -> Floats:
     """Return the relative optical air mass at a zenith angle [degree] (Kasten 1966, as in SPECTRL2).
 
     Examples
@@ -92,7 +93,7 @@ def diffuse_fraction(
     angstrom_exponent: float = 1.14,
     pressure: float = 101_325.0,
     ground_reflectance: float = 0.2,
-) -> Float:
+) -> Floats:
     r"""Return the diffuse part of the global horizontal irradiance under a clear sky [1].
 
     Parameters
@@ -137,7 +138,7 @@ def diffuse_fraction(
     optical_depth = aerosol_optical_depth * (um / 0.5) ** -angstrom_exponent
     albedo = 0.945 * np.exp(-0.095 * np.log(um / 0.4) ** 2)
 
-    def transmittances(path: float) -> tuple[Float, Float, Float]:
+    def transmittances(path: float) -> tuple[Floats, Floats, Floats]:
         rayleigh = np.exp(-path * pressure / 101_325.0 / (um**4 * (115.6406 - 1.335 / um**2)))
         return rayleigh, np.exp(-albedo * optical_depth * path), np.exp(-(1 - albedo) * optical_depth * path)
 

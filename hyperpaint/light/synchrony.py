@@ -8,11 +8,11 @@ the data; what such an error could do to a line is (`timing_sensitivity`).
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
+from hyperpaint.base.arrays import Array, Floats
 from hyperpaint.base.errors import Problems, SchemaError, TimeError
 from hyperpaint.base.schema import Quality
 
@@ -20,8 +20,6 @@ from .sun import solar_position
 
 __all__ = ["LineLight", "check_irradiance_times", "line_light", "timing_sensitivity"]
 
-Float = npt.NDArray[np.float64]
-Array = npt.NDArray[Any]
 
 UNSTABLE_CHANGE = 0.02
 """Relative change of the 400-1000 nm irradiance between two samples above which light is unstable."""
@@ -52,7 +50,7 @@ class LineLight:
 
     before: npt.NDArray[np.int64]
     after: npt.NDArray[np.int64]
-    weight: Float
+    weight: Floats
     age: npt.NDArray[np.float32]
     sensitivity: npt.NDArray[np.float32]
     flags: npt.NDArray[np.uint16]
@@ -61,7 +59,7 @@ class LineLight:
 def line_light(
     time: Array,
     irradiance_time: Array,
-    levels: Float,
+    levels: Floats,
     max_gap: float | None = None,
     latitude: Array | None = None,
     longitude: Array | None = None,
@@ -142,7 +140,7 @@ def line_light(
     )
 
 
-def timing_sensitivity(stamps: Array, ticks: Array, levels: Float, within: float) -> Float:
+def timing_sensitivity(stamps: Array, ticks: Array, levels: Floats, within: float) -> Floats:
     r"""Return the largest error that clocks could cause in the irradiance of each line (line,), relative [1].
 
     Parameters
@@ -191,7 +189,7 @@ def timing_sensitivity(stamps: Array, ticks: Array, levels: Float, within: float
     return np.asarray(np.expm1(np.maximum(here - least, most - here).max(axis=1)))
 
 
-def _at(ticks: Array, levels: Float, stamps: Array) -> Float:
+def _at(ticks: Array, levels: Floats, stamps: Array) -> Floats:
     """Return the logarithm of the levels at times, linear between samples; held beyond the ends."""
     after = np.clip(np.searchsorted(ticks, stamps, side="right"), 1, ticks.size - 1)
     weight = np.clip((stamps - ticks[after - 1]) / (ticks[after] - ticks[after - 1]), 0.0, 1.0)[:, None]

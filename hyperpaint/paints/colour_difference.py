@@ -8,11 +8,11 @@ import re
 import numpy as np
 import numpy.typing as npt
 
+from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import SchemaError
 
 __all__ = ["COLOURS", "ciede2000", "lab_of", "nearest_colour", "parse_colour", "srgb_hex"]
 
-Floats = npt.NDArray[np.float64]
 
 COLOURS = {
     "white": "#eeeeec", "ivory": "#ece2c6", "beige": "#cdbb98", "silver": "#b4b7b9", "grey": "#7c7f82",

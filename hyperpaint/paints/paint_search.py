@@ -7,9 +7,9 @@ import unicodedata
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import numpy.typing as npt
 
 from hyperpaint.base import schema
+from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import Problems, SchemaError
 from hyperpaint.base.schema import BAND, LIBRARY_VARIABLES, PAINT
 from hyperpaint.base.units import convert
@@ -22,7 +22,6 @@ if TYPE_CHECKING:
 
 __all__ = ["search_library"]
 
-Floats = npt.NDArray[np.float64]
 
 _FEWEST_BANDS = 5
 _WIDEST_STEP = 4.0

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
+from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import Problems, SchemaError
 from hyperpaint.base.schema import BAND, LIBRARY_VARIABLES, PAINT
 
@@ -22,7 +23,6 @@ if TYPE_CHECKING:
 
 __all__ = ["MOST_MEMBERS", "starter_library"]
 
-Floats = npt.NDArray[np.float64]
 
 FIRST, LAST, BANDS = 400.0, 1000.0, 272
 """Of a pushbroom camera for the visible and near infrared [nm]."""

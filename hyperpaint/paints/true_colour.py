@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
 
 from hyperpaint.base import schema
+from hyperpaint.base.arrays import Array
 from hyperpaint.base.errors import SchemaError
 from hyperpaint.light.responses import band_spacing
 
@@ -16,7 +17,6 @@ if TYPE_CHECKING:
 
 __all__ = ["colour_matching", "encode_srgb", "paint_colours", "srgb", "srgb_weights"]
 
-Array = npt.NDArray[Any]
 
 # XYZ of an equal-energy white, adapted to D65 (Bradford), to linear sRGB (IEC 61966-2-1)
 _BRADFORD_E_TO_D65 = np.array(

@@ -9,9 +9,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import numpy.typing as npt
 
 from hyperpaint.base import schema
+from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import MissingExtraError, PaintError, SchemaError
 from hyperpaint.base.schema import ALONG_TRACK, CROSS_TRACK
 from hyperpaint.paints.signatures import extract_signatures
@@ -23,8 +23,6 @@ if TYPE_CHECKING:
     import xarray as xr
 
 __all__ = ["RegionPicker", "corners_at", "pick_regions"]
-
-Float = npt.NDArray[np.float64]
 
 
 def pick_regions(
@@ -80,7 +78,7 @@ def pick_regions(
     return RegionPicker(line, regions, flightline=flightline, lines=lines, exclude=exclude)
 
 
-def corners_at(along: Sequence[float], across: Sequence[float], shape: tuple[int, int]) -> Float | None:
+def corners_at(along: Sequence[float], across: Sequence[float], shape: tuple[int, int]) -> Floats | None:
     """Return places on the picture as corners of a polygon: whole pixels of the line, no two alike in a row.
 
     Parameters
@@ -138,7 +136,7 @@ class RegionPicker:
         self._exclude = exclude
         self._flightline = flightline
         self._regions = _on_sensor(regions)
-        self._spectra: dict[bytes, tuple[Float, Float] | str] = {}
+        self._spectra: dict[bytes, tuple[Floats, Floats] | str] = {}
         step = max(1, -(-self._shape[0] // max(lines, 1)))
         self._shown = PickerView(self, background(self._line, step), self._shape)
         self.view = self._shown.layout
@@ -191,14 +189,14 @@ class RegionPicker:
 
     # --- what is told about a region -----------------------------------------------------------------------
 
-    def spectrum_of(self, region: Region) -> tuple[Float, Float] | str:
+    def spectrum_of(self, region: Region) -> tuple[Floats, Floats] | str:
         """Return wavelengths [nm] and quantiles of reflectance (5, 50, 95 %; band), or why there are none."""
         key = region.polygon.tobytes()
         if key not in self._spectra:
             self._spectra[key] = self._spectrum(region)
         return self._spectra[key]
 
-    def _spectrum(self, region: Region) -> tuple[Float, Float] | str:
+    def _spectrum(self, region: Region) -> tuple[Floats, Floats] | str:
         # of this line, whatever the region calls it
         own = Regions((Region(region.name, region.polygon),))
         try:

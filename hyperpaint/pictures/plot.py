@@ -7,9 +7,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import numpy.typing as npt
 
 from hyperpaint.base import schema
+from hyperpaint.base.arrays import Array
 from hyperpaint.base.errors import SchemaError
 from hyperpaint.paints.true_colour import encode_srgb, srgb_weights
 from hyperpaint.radiometry.counts_to_reflectance import reflectance
@@ -30,7 +30,6 @@ __all__ = [
     "rgb",
 ]
 
-Array = npt.NDArray[Any]
 
 OVERVIEW_SHAPE = (1000, 640)
 """Most lines and columns of the stored picture."""

@@ -7,9 +7,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import numpy.typing as npt
 
 from hyperpaint.base import schema
+from hyperpaint.base.arrays import Array
 from hyperpaint.base.errors import Problems, SchemaError
 from hyperpaint.base.schema import ALONG_TRACK, BAND, CROSS_TRACK
 from hyperpaint.paints.signatures.gathering import gather
@@ -23,7 +23,6 @@ if TYPE_CHECKING:
 
 __all__ = ["adjacency_figure"]
 
-Array = npt.NDArray[Any]
 
 _COLOURS = ("#2456d8", "#17a05f", "#d62728", "#7a3b12")
 """Of bands by rising wavelength, as long as there are no more; then those of matplotlib."""

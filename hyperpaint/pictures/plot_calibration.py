@@ -6,9 +6,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import numpy.typing as npt
 
 from hyperpaint.base import schema
+from hyperpaint.base.arrays import Array
 from hyperpaint.base.errors import MissingExtraError, Problems, SchemaError
 from hyperpaint.base.schema import BAND, CROSS_TRACK, STEP
 
@@ -17,7 +17,6 @@ if TYPE_CHECKING:
 
 __all__ = ["calibration_report", "check_picture"]
 
-Array = npt.NDArray[Any]
 Values = dict[str, Any]
 
 # of Okabe and Ito's palette, which colour-blind readers can tell apart

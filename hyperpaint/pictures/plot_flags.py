@@ -6,9 +6,9 @@ from collections.abc import Iterable, Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import numpy.typing as npt
 
 from hyperpaint.base import schema
+from hyperpaint.base.arrays import Array
 from hyperpaint.base.errors import SchemaError
 from hyperpaint.base.schema import ALONG_TRACK, CROSS_TRACK, Quality
 from hyperpaint.radiometry.counts_to_reflectance import reflectance
@@ -22,7 +22,6 @@ if TYPE_CHECKING:
 
 __all__ = ["FLAG_COLOURS", "background", "draw_outlines", "flag_overlay", "flag_shares"]
 
-Array = npt.NDArray[Any]
 
 FLAG_COLOURS: Mapping[Quality, str] = {
     Quality.SATURATED: "#ff2d2d",

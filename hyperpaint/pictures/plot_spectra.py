@@ -7,9 +7,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import numpy.typing as npt
 
 from hyperpaint.base import schema
+from hyperpaint.base.arrays import Array
 from hyperpaint.base.errors import Problems, SchemaError
 from hyperpaint.base.schema import ALONG_TRACK, BAND, CROSS_TRACK, Quality
 from hyperpaint.paints.signatures import EXCLUDED, extract_signatures
@@ -25,7 +25,6 @@ if TYPE_CHECKING:
 
 __all__ = ["draw_band", "spectrum", "triptych"]
 
-Array = npt.NDArray[Any]
 
 SPREADS = ("quantiles", "sd", "none")
 MOST_CURVES = 24

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
 
 from hyperpaint.base import schema
+from hyperpaint.base.arrays import Array
 from hyperpaint.base.errors import SchemaError
 from hyperpaint.light.responses import band_spacing
 
@@ -17,8 +18,6 @@ if TYPE_CHECKING:
     import xarray as xr
 
 __all__ = ["at", "to_nominal"]
-
-Array = npt.NDArray[Any]
 
 
 def at(dataset: xr.Dataset, wavelength: npt.ArrayLike) -> xr.Dataset:

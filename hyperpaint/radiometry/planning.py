@@ -10,8 +10,8 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
+from hyperpaint.base.arrays import Array, Floats
 from hyperpaint.base.errors import PaintWarning, Problems, SchemaError, TimeError
 from hyperpaint.base.schema import Quality
 from hyperpaint.light.illumination import Smile, Tilt, matched_series, smile_cells
@@ -22,8 +22,6 @@ from .uncertainty.propagation import error_terms
 
 __all__ = ["make_plan"]
 
-Array = npt.NDArray[Any]
-Float = npt.NDArray[np.float64]
 
 SATURATION_MARGIN = 16.0
 """Counts below the converter's end from which a sample is no longer trusted."""
@@ -147,7 +145,7 @@ def _no_dark(shape: tuple[int, int, int]) -> tuple[Array, Array, Array]:
     return np.zeros((1, bands, columns), np.float32), np.zeros(lines, np.int64), np.zeros(lines, np.float32)
 
 
-def _darks(cube: Mapping[str, Any], exposure: Float) -> tuple[Array, Array, Array]:
+def _darks(cube: Mapping[str, Any], exposure: Floats) -> tuple[Array, Array, Array]:
     """Return darks (n, band, column), and between which of them every line lies, at which weight.
 
     Darks at the line's exposure are interpolated in time. Where no dark is, or lines differ in exposure, bias
@@ -185,7 +183,7 @@ def _darks(cube: Mapping[str, Any], exposure: Float) -> tuple[Array, Array, Arra
     return dark, index.astype(np.int64), np.clip(weight, 0.0, 1.0).astype(np.float32)
 
 
-def _darks_in_exposure(dark: Array, taken: Float, exposure: Float) -> tuple[Array, Array, Array]:
+def _darks_in_exposure(dark: Array, taken: Floats, exposure: Floats) -> tuple[Array, Array, Array]:
     """Return the fitted darks at the shortest and the longest exposure, and the place of lines between."""
     if np.ptp(taken) <= SAME_EXPOSURE * taken.max():
         found = np.unique(exposure.round(9)) * 1e3
@@ -226,7 +224,7 @@ def _noise_margin(cube: Mapping[str, Any], watched: Array) -> Array:
 
 def _illuminate(
     cube: Mapping[str, Any], light: Mapping[str, Any], time: Array, smile: Smile, tilt: Tilt | None
-) -> tuple[Float, LineLight, Array]:
+) -> tuple[Floats, LineLight, Array]:
     """Return the matched series as cubics over the smile, the spectra around every line, and the misfit."""
     spectra = np.asarray(light["irradiance"], np.float64)
     channels = np.asarray(light["irradiance_wavelength"], np.float64)
@@ -264,7 +262,7 @@ def _illuminate(
     return smile.cubics(matched), light_of_lines, misfit.max(axis=0).astype(np.float32)
 
 
-def _responsivity(cube: Mapping[str, Any]) -> Float | None:
+def _responsivity(cube: Mapping[str, Any]) -> Floats | None:
     """Return the mean relative responsivity of every band; NaN where it is bad in every column."""
     if "radiance_gain" not in cube:
         return None
@@ -283,7 +281,7 @@ def _mean_place(degrees: Any, name: str) -> float:
     return float(known.mean())
 
 
-def _levels(spectra: Float, channels: Float) -> Float:
+def _levels(spectra: Floats, channels: Floats) -> Floats:
     """Return sums of each spectrum over intervals of 100 nm; NaN where it misses what nearly all others have.
 
     Wavelengths missing in more than a tenth of the spectra do not count: they cost their bands, not the
@@ -300,7 +298,7 @@ def _levels(spectra: Float, channels: Float) -> Float:
     )
 
 
-def _panel_scale(panel: Mapping[str, Any]) -> Float:
+def _panel_scale(panel: Mapping[str, Any]) -> Floats:
     """Return known over observed reflectance of a panel, band by band."""
     observed = np.asarray(panel["observed"], np.float64)
     pixels = np.isfinite(observed)

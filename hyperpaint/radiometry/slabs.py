@@ -12,8 +12,8 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import numpy.typing as npt
 
+from hyperpaint.base.arrays import Array, Floats
 from hyperpaint.base.schema import CHUNK_LINES, CUBE, Quality
 from hyperpaint.light.illumination import Smile
 from hyperpaint.light.synchrony import LineLight
@@ -35,8 +35,6 @@ __all__ = [
     "small",
 ]
 
-Array = npt.NDArray[Any]
-Float = npt.NDArray[np.float64]
 
 QUANTISATION = 1.0 / 12.0
 """Variance that conversion to whole counts adds [count2]."""
@@ -112,9 +110,9 @@ class Plan:
     dark_index: Array
     dark_weight: Array
     gain: Array
-    rate: Float
-    scale: Float
-    series: Float | None
+    rate: Floats
+    scale: Floats
+    series: Floats | None
     lines: LineLight | None
     misfit: Array
     smile: Smile

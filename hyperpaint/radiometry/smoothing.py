@@ -6,12 +6,12 @@ reflectance, where a Savitzky-Golay filter of the same width moves it by 0.002.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
-import numpy.typing as npt
 
 from hyperpaint.base import schema
+from hyperpaint.base.arrays import Array
 from hyperpaint.base.errors import Problems, SchemaError
 
 from .slabs import line_chunked
@@ -22,8 +22,6 @@ if TYPE_CHECKING:
 __all__ = ["METHODS", "smooth"]
 
 METHODS = ("savitzky-golay", "box")
-
-Array = npt.NDArray[Any]
 
 
 def smooth(

@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hyperpaint.base import schema
+from hyperpaint.base.arrays import Floats, Ints
 from hyperpaint.base.errors import Problems, SchemaError
 from hyperpaint.base.schema import ALONG_TRACK, CROSS_TRACK
 
@@ -22,9 +23,7 @@ if TYPE_CHECKING:
 
 __all__ = ["Pixels", "pixels", "pixels_of", "region_mask"]
 
-Index = npt.NDArray[np.int64]
-Float = npt.NDArray[np.float64]
-Pixels = tuple[Index, Index]
+Pixels = tuple[Ints, Ints]
 """Positions along and across the track, line by line."""
 
 _BLOCK_PIXELS = 2**20
@@ -160,14 +159,14 @@ def _on_map(regions: Regions, line: xr.Dataset, shape: tuple[int, int]) -> list[
     return [_joined(found) for found in parts]
 
 
-def _inside(region: Region, x: Float, y: Float) -> npt.NDArray[np.bool_]:
+def _inside(region: Region, x: Floats, y: Floats) -> npt.NDArray[np.bool_]:
     try:
         return contains(region.polygon, region.holes, x, y)
     except SchemaError as error:
         raise SchemaError(f"the pixels of region {region.name!r} cannot be found: {error}") from error
 
 
-def _values(part: xr.DataArray, lines: int, columns: int) -> Float:
+def _values(part: xr.DataArray, lines: int, columns: int) -> Floats:
     """Return a coordinate of a block of lines, line by line (pixel,)."""
     values = part.transpose(ALONG_TRACK, CROSS_TRACK, missing_dims="ignore").values.astype(np.float64)
     if part.dims == (ALONG_TRACK,):
@@ -198,7 +197,7 @@ def _moved(regions: Regions, crs: str) -> Regions:
     # in GeoJSON longitude comes first, whatever the system's own order
     source, target = crs_of(_normal(str(regions.crs))), crs_of(crs)
 
-    def moved(ring: Any) -> Float:
+    def moved(ring: Any) -> Floats:
         return between_maps(np.asarray(ring, np.float64), source, target)
 
     members = (

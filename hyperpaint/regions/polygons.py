@@ -18,13 +18,12 @@ from fractions import Fraction
 import numpy as np
 import numpy.typing as npt
 
+from hyperpaint.base.arrays import Bools, Floats
 from hyperpaint.base.errors import SchemaError
 
 __all__ = ["contains"]
 
-Float = npt.NDArray[np.float64]
 Index = npt.NDArray[np.intp]
-Mask = npt.NDArray[np.bool_]
 
 _EPSILON = 2.0**-53
 _ROUNDING = (3.0 + 16.0 * _EPSILON) * _EPSILON
@@ -36,7 +35,7 @@ _FREE = 10_000_000
 """Comparisons of an edge with a point that any polygon may take."""
 
 
-def contains(polygon: Float, holes: Sequence[Float], x: Float, y: Float) -> Mask:
+def contains(polygon: Floats, holes: Sequence[Floats], x: Floats, y: Floats) -> Bools:
     """Return which points lie in a polygon or on one of its edges (point,).
 
     Parameters
@@ -80,7 +79,7 @@ def contains(polygon: Float, holes: Sequence[Float], x: Float, y: Float) -> Mask
             continue
         within, edge = _ring(ring, near_x[part], near_y[part], first - part.start, last - part.start)
         inside[part] &= ~within | edge if number else within | edge
-    made: Mask = np.zeros(x.size, bool)
+    made: Bools = np.zeros(x.size, bool)
     made[near] = inside
     return made
 
@@ -93,7 +92,7 @@ def _check_effort(comparisons: int, points: int) -> None:
         )
 
 
-def _runs(ring: Float, y: Float) -> tuple[Index, Index]:
+def _runs(ring: Floats, y: Floats) -> tuple[Index, Index]:
     """Return the first point beside every edge, and that after the last one (edge,); y ascends."""
     closed = np.concatenate([ring, ring[:1]])[:, 1]
     first = np.searchsorted(y, np.minimum(closed[:-1], closed[1:]), "left")
@@ -101,7 +100,7 @@ def _runs(ring: Float, y: Float) -> tuple[Index, Index]:
     return first, last
 
 
-def _ring(ring: Float, x: Float, y: Float, first: Index, last: Index) -> tuple[Mask, Mask]:
+def _ring(ring: Floats, x: Floats, y: Floats, first: Index, last: Index) -> tuple[Bools, Bools]:
     """Return which points a ring winds around an odd number of times, and which lie on it; y ascends."""
     within = np.zeros(x.size, bool)
     edge = np.zeros(x.size, bool)
@@ -119,7 +118,7 @@ def _ring(ring: Float, x: Float, y: Float, first: Index, last: Index) -> tuple[M
     return within, edge
 
 
-def _side(start: Float, stop: Float, x: Float, y: Float) -> npt.NDArray[np.int8]:
+def _side(start: Floats, stop: Floats, x: Floats, y: Floats) -> npt.NDArray[np.int8]:
     """Return 1 for points left of a directed edge, -1 right of it, 0 on its line."""
     along_x, along_y = stop[0] - start[0], stop[1] - start[1]
     off_x, off_y = x - start[0], y - start[1]
@@ -134,7 +133,7 @@ def _side(start: Float, stop: Float, x: Float, y: Float) -> npt.NDArray[np.int8]
     return side
 
 
-def _exact_side(start: Float, stop: Float, x: float, y: float) -> int:
+def _exact_side(start: Floats, stop: Floats, x: float, y: float) -> int:
     x0, y0, x1, y1 = (Fraction(float(value)) for value in (*start, *stop))
     cross = (x1 - x0) * (Fraction(y) - y0) - (y1 - y0) * (Fraction(x) - x0)
     return (cross > 0) - (cross < 0)

@@ -7,11 +7,12 @@ Whatever a store says of itself is escaped.
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from hyperpaint.base.arrays import Progress
 from hyperpaint.base.errors import PaintError, Problems, SchemaError, StoreError
 from hyperpaint.base.schema import ALONG_TRACK, CROSS_TRACK, PAINT
 from hyperpaint.paints.signatures.gathering import part_of
@@ -34,8 +35,6 @@ MOST_LINES = 64
 """Flight lines of one page at the most: each takes some megabytes."""
 
 _SOUGHT = "Glint, shadow and light of neighbours"
-
-Progress = Callable[[int, int], None]
 
 
 @dataclass(frozen=True)

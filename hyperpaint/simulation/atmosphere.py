@@ -13,11 +13,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
+
+from hyperpaint.base.arrays import Floats
 
 __all__ = ["GRID_STEP", "Light", "Sky", "spectral_grid"]
 
-Floats = NDArray[np.float64]
 
 GRID_STEP = 0.05
 """Spacing of the simulator's wavelength grid [nm]: a third of the narrowest line."""

@@ -8,13 +8,14 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from hyperpaint.base.arrays import Floats
+
 from .atmosphere import spectral_grid
 from .sensor import ETENDUE, Detector, Imager, nominal_responsivity, smile
 from .settings import SimulationSettings
 
 __all__ = ["CAMERA_FIELDS", "Camera"]
 
-Floats = NDArray[np.float64]
 
 CAMERA_FIELDS = frozenset(
     {

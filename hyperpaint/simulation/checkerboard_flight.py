@@ -15,13 +15,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from hyperpaint.base.arrays import Floats
+
 from .flight import PIXEL_ANGLE, Flight, Layer, Lines
 from .paints import reflectance
 from .settings import SimulationSettings
 
 __all__ = ["Checkerboard", "CheckerboardFlight"]
 
-Floats = NDArray[np.float64]
 
 _SQUARES = ("panel_05", "panel_50")
 _LINES_AT_ONCE = 32  # a slab that stays in the cache

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import itertools
 import shutil
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from hyperpaint.base.arrays import Progress
 from hyperpaint.base.errors import SchemaError, StoreError
 from hyperpaint.base.schema import CHUNK_LINES
 
@@ -46,8 +47,6 @@ field spectrometer's simulated files, and in the regions for what made them."""
 _BOOT = 1_234_567_891_000  # ns on the instrument's clock at the first line: it knows no date
 _NAVIGATION_MARGIN = 2 * 10**9  # ns around the flight
 _DARK_LEAD = 60 * 10**9  # ns from the first dark frame to the first line
-
-Progress = Callable[[int, int], None]
 
 
 def simulate_collect(

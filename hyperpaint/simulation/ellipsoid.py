@@ -10,11 +10,12 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
+
+from hyperpaint.base.arrays import Floats
 
 __all__ = ["LocalFrame", "TransverseMercator", "geocentric", "geodetic", "north_east_down"]
 
-Floats = NDArray[np.float64]
 
 _A, _F = 6_378_137.0, 1 / 298.257223563
 _B = _A * (1 - _F)

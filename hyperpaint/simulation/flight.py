@@ -18,6 +18,8 @@ from types import MappingProxyType
 import numpy as np
 from numpy.typing import NDArray
 
+from hyperpaint.base.arrays import Floats, Floats32
+
 from .atmosphere import Light, spectral_grid
 from .camera import Camera
 from .ellipsoid import LocalFrame, TransverseMercator
@@ -30,8 +32,6 @@ from .trajectories import Trajectory
 
 __all__ = ["ORIGIN", "PIXEL_ANGLE", "Flight", "Layer", "Lines", "SkySamples"]
 
-Floats = NDArray[np.float64]
-Cube = NDArray[np.float32]
 
 PIXEL_ANGLE = 7.4e-6 / 12e-3
 """Pixel pitch over focal length [rad]."""
@@ -235,7 +235,7 @@ class Flight(abc.ABC):
             Lines no longer needed, whose memory is used again; fresh memory costs more than the arithmetic.
         """
 
-    def _cubes(self, number: int, into: Lines | None) -> tuple[Cube, Cube, Cube]:
+    def _cubes(self, number: int, into: Lines | None) -> tuple[Floats32, Floats32, Floats32]:
         """Return memory for counts, radiance and reflectance of a number of lines."""
         if into is None or len(into.counts) < number:
             shape = (number, self.settings.bands, self.settings.columns)

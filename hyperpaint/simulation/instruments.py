@@ -16,6 +16,8 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
+from hyperpaint.base.arrays import Floats
+
 __all__ = [
     "ASD_WAVELENGTH",
     "BilWriter",
@@ -27,7 +29,6 @@ __all__ = [
     "write_settings",
 ]
 
-Floats = NDArray[np.float64]
 
 ASD_WAVELENGTH = np.arange(350.0, 1076.0)
 """Wavelengths of the simulated spectrometer [nm]."""

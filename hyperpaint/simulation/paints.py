@@ -13,11 +13,10 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
+
+from hyperpaint.base.arrays import Floats
 
 __all__ = ["CAR_PAINTS", "MATERIALS", "PANELS", "Bump", "Edge", "Paint", "Plain", "reflectance"]
-
-Floats = NDArray[np.float64]
 
 
 class Feature(Protocol):

@@ -9,6 +9,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from hyperpaint.base.arrays import Floats
+
 from .flight import Flight, Lines
 from .paints import CAR_PAINTS, MATERIALS, reflectance
 from .scenes import CarPark
@@ -16,7 +18,6 @@ from .settings import SimulationSettings
 
 __all__ = ["PlanFlight"]
 
-Floats = NDArray[np.float64]
 
 _TEXTURE, _GLINT = 10, 11  # keys of the random streams
 

@@ -9,7 +9,6 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from .atmosphere import spectral_grid
 from .flight import ORIGIN, Flight
@@ -20,7 +19,6 @@ from .svc_files import SVC_DETECTORS, svc_wavelengths, write_svc
 
 __all__ = ["ASD_FOLDER", "SVC_FOLDER", "write_references"]
 
-Floats = NDArray[np.float64]
 
 SVC_FOLDER, ASD_FOLDER = "svc", "asd_reflectance"
 

@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import SchemaError
 
 from .ellipsoid import TransverseMercator
@@ -38,7 +39,6 @@ from .transport.paths import Block
 
 __all__ = ["GLINT", "RenderedFlight"]
 
-Floats = NDArray[np.float64]
 
 GLINT = 0.02
 """Reflectance that the sun's mirror image in a clear coat adds to a pixel which counts as glint."""

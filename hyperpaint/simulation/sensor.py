@@ -19,6 +19,8 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from hyperpaint.base.arrays import Floats
+
 __all__ = [
     "ETENDUE",
     "SHAPES",
@@ -32,7 +34,6 @@ __all__ = [
     "smile",
 ]
 
-Floats = NDArray[np.float64]
 
 SHAPES = ("gaussian", "slit")
 """Line shapes of the imager."""

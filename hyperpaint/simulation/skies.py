@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
+
+from hyperpaint.base.arrays import Floats
 
 from .atmosphere import Sky
 from .rendering.clear_skies import relative_air_mass
@@ -11,7 +12,6 @@ from .rendering.clouds import cloud_transmittance
 
 __all__ = ["sky_irradiance"]
 
-Floats = NDArray[np.float64]
 
 _OVERCAST = 8.0  # oktas
 

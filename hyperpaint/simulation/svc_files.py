@@ -10,11 +10,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
+
+from hyperpaint.base.arrays import Floats
 
 __all__ = ["SVC_DETECTORS", "SvcDetector", "svc_wavelengths", "write_svc"]
 
-Floats = NDArray[np.float64]
 
 _UNIT = 1e-6  # W m-2 sr-1 nm-1: the files count radiance in 1e-10 W cm-2 sr-1 nm-1
 

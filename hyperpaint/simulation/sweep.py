@@ -19,6 +19,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from hyperpaint.base.arrays import Floats
+
 from .camera import Camera
 from .sweep_settings import SweepSettings
 
@@ -27,7 +29,6 @@ if TYPE_CHECKING:
 
 __all__ = ["Frames", "Sweep", "simulate_sweep"]
 
-Floats = NDArray[np.float64]
 
 # keys of the random streams: [seed, stream, step], so that nothing depends on which steps are made
 _LINE_NOISE, _DARK_NOISE, _POWER_METER, _DIAL = 30, 31, 32, 33

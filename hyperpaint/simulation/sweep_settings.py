@@ -7,8 +7,8 @@ from dataclasses import dataclass, field, fields, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import Problems, SchemaError
 from hyperpaint.base.schema import MONOCHROMATOR_SHAPES
 
@@ -17,7 +17,6 @@ from .settings import SimulationSettings
 
 __all__ = ["SweepSettings"]
 
-Floats = NDArray[np.float64]
 PerStep = float | Sequence[float] | Floats
 
 # also known to flights: what the electronics do to a frame, in the lab as in the air

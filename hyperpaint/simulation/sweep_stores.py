@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import shutil
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +11,7 @@ import xarray as xr
 import zarr
 from zarr.codecs import BloscCodec
 
+from hyperpaint.base.arrays import Progress
 from hyperpaint.base.errors import StoreError
 from hyperpaint.base.schema import (
     BAND,
@@ -33,8 +33,6 @@ TRUTH = "true_"
 """Opens the names of what a real sweep would not know."""
 
 _ELEMENT = (BAND, CROSS_TRACK)
-
-Progress = Callable[[int, int], None]
 
 
 def _labelled(row: Variable, values: Any, dims: tuple[str, ...] | None = None) -> xr.Variable:

@@ -12,7 +12,8 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
+
+from hyperpaint.base.arrays import Floats
 
 from .ellipsoid import LocalFrame
 from .rendering.rotations import quaternions, turns
@@ -22,7 +23,6 @@ if TYPE_CHECKING:
 
 __all__ = ["CONVENTION", "WOBBLES", "Motion", "Trajectory"]
 
-Floats = NDArray[np.float64]
 
 WOBBLES = ("none", "slow", "calm", "rough")
 """How a platform may move about its course."""

@@ -7,14 +7,14 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from hyperpaint.base.arrays import Floats, Ints
+
 from .neighbours import coloured
 from .references import AS_GLINT, GLINT_TOLERANCE, Light, Matches, unmix_spectra
 from .segments import Touching, beyond, distinct_pairs
 
 __all__ = ["TILT", "Paints", "clean_references", "same_paints"]
 
-Float = npt.NDArray[np.float64]
-Int = npt.NDArray[np.int64]
 
 TILT = 0.1
 """Spread of the amount of direct light within a body: how far its parts lean."""
@@ -65,17 +65,17 @@ class Paints(NamedTuple):
     """
 
     first: npt.NDArray[np.int32]
-    one: Int
-    other: Int
+    one: Ints
+    other: Ints
 
 
-def _relative_colour(spectrum: Float, light: Light) -> Float:
+def _relative_colour(spectrum: Floats, light: Light) -> Floats:
     """Return how coloured spectra are, relative to their brightness (segment,) [1]."""
     level = np.nan_to_num(spectrum).mean(axis=1)
     return np.asarray(coloured(spectrum, light) / np.maximum(level, 1e-6))
 
 
-def same_paints(spectrum: Float, size: Int, pairs: Touching, matches: Matches, light: Light) -> Paints:
+def same_paints(spectrum: Floats, size: Ints, pairs: Touching, matches: Matches, light: Light) -> Paints:
     r"""Find the bodies that are parts of one car: of the same colour, but for tilt and glint.
 
     Of bodies that touch, or have something small between them, one is the other's paint where
@@ -101,14 +101,14 @@ def same_paints(spectrum: Float, size: Int, pairs: Touching, matches: Matches, l
 
 def clean_references(
     channels: npt.NDArray[np.float32],
-    places: list[Int],
-    spectrum: Float,
+    places: list[Ints],
+    spectrum: Floats,
     matches: Matches,
     paints: Paints,
     light: Light,
     neighbours: npt.NDArray[np.int32],
     zenith: float,
-) -> tuple[Float, Float]:
+) -> tuple[Floats, Floats]:
     """Return the spectra of bodies (segment, channel) without glint, and how far their parts lean (segment,).
 
     Where what glint and neighbours add differs from pixel to pixel by over 0.003, those with the least of it
@@ -162,7 +162,7 @@ def clean_references(
     return np.ascontiguousarray(reference[matches.body]), tilt[matches.body]
 
 
-def _darkest(values: Float, light: Light, most: float) -> Float | None:
+def _darkest(values: Floats, light: Light, most: float) -> Floats | None:
     """Return the mean of a grey body's darkest pixels, None where they are not what is without glint.
 
     The brightest are brighter by ``most`` at least; half of the body is not much brighter, as it would be
@@ -183,8 +183,8 @@ def _darkest(values: Float, light: Light, most: float) -> Float | None:
 
 
 def _additions(
-    values: Float, segment: int, known: Float, light: Light, neighbours: npt.NDArray[np.int32]
-) -> tuple[Float, Float]:
+    values: Floats, segment: int, known: Floats, light: Light, neighbours: npt.NDArray[np.int32]
+) -> tuple[Floats, Floats]:
     """Return what glint and neighbours add to pixels, up to a constant, and their amounts of direct light.
 
     An amount of each is added to all before, so that less than in the mean shows as well.
@@ -197,7 +197,7 @@ def _additions(
     return amount[:, 2] + added.sum(axis=1) - _LIFT * mirrored.max(axis=1), amount[:, 0]
 
 
-def _common_glint(reference: Float, places: list[Int], paints: Paints, light: Light) -> Float:
+def _common_glint(reference: Floats, places: list[Ints], paints: Paints, light: Light) -> Floats:
     """Return the glint that all of a body lies in (segment,), as other parts of the same paint show it."""
     size = np.array([here.size for here in places])
     large = size[paints.other] >= _SHARE * size[paints.one]

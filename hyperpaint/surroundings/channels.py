@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import itertools
 import sys
-from collections.abc import Callable
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
 
 from hyperpaint.base import schema
+from hyperpaint.base.arrays import Array, Progress
 from hyperpaint.base.schema import ALONG_TRACK, BAND, CHUNK_LINES, CROSS_TRACK
 from hyperpaint.radiometry.slabs import line_chunked
 
@@ -30,8 +30,6 @@ __all__ = [
     "without_unknown",
 ]
 
-Array = npt.NDArray[Any]
-Progress = Callable[[int, int], None]
 
 CHANNELS = 24
 """Channels of a cube that has more bands."""

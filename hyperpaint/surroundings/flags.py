@@ -12,6 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hyperpaint.base import schema
+from hyperpaint.base.arrays import Array
 from hyperpaint.base.errors import Problems, SchemaError
 from hyperpaint.base.schema import ALONG_TRACK, CROSS_TRACK, Quality
 from hyperpaint.radiometry.slabs import line_chunked
@@ -24,7 +25,6 @@ if TYPE_CHECKING:
 
 __all__ = ["LAYERS", "flag"]
 
-Array = npt.NDArray[Any]
 
 LAYERS = ("glint_fraction", "blocked_direct", "adjacency", "adjacency_segment", "mirrored_sky")
 """Layers that bits are set from, and those that explain them."""

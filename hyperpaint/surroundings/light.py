@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
+from hyperpaint.base.arrays import Floats, Ints
 from hyperpaint.base.errors import MissingExtraError, SchemaError
 from hyperpaint.light.sun import diffuse_fraction, solar_position
 
@@ -26,8 +27,6 @@ __all__ = [
     "sun_zenith_of",
 ]
 
-Float = npt.NDArray[np.float64]
-Int = npt.NDArray[np.int64]
 
 _LEAST_PIXELS = 60
 """Pixels of a shadow that the diffuse fraction is taken from, at least."""
@@ -66,7 +65,7 @@ def sun_zenith_of(line: xr.Dataset, sun_zenith: float | None) -> float:
     return float(np.mean(zenith[np.isfinite(zenith)]))
 
 
-def shadow_side_of(line: xr.Dataset, sun_azimuth: float | None, heading: float | None) -> Float | None:
+def shadow_side_of(line: xr.Dataset, sun_azimuth: float | None, heading: float | None) -> Floats | None:
     """Return the direction (along, across) in the image in which shadows fall, None where it is not known.
 
     The right-hand column is to the right of the flight.
@@ -90,7 +89,7 @@ def _mean_angle(degrees: Any) -> float | None:
     return float(np.degrees(np.arctan2(np.sin(known).mean(), np.cos(known).mean())))
 
 
-def diffuse_from_clear_sky(source: str, wavelength: Float, zenith: float) -> Float:
+def diffuse_from_clear_sky(source: str, wavelength: Floats, zenith: float) -> Floats:
     """Return the diffuse fraction (band,) [1] of a clear sky, by the core's model or by pvlib's.
 
     pvlib's SPECTRL2 (Bird & Riordan, J. Climate Appl. Meteor. 25, 87, 1986) is asked for sea level, 1.5 cm of
@@ -128,7 +127,7 @@ def diffuse_from_clear_sky(source: str, wavelength: Float, zenith: float) -> Flo
     return np.interp(wavelength, np.ravel(made["wavelength"]), share)
 
 
-def measured_fraction(given: Any, wavelength: Float) -> Float:
+def measured_fraction(given: Any, wavelength: Floats) -> Floats:
     """Return a measured diffuse fraction at the bands' wavelengths.
 
     Parameters
@@ -161,11 +160,11 @@ def measured_fraction(given: Any, wavelength: Float) -> Float:
 
 def fraction_in_shadow(
     channels: npt.NDArray[np.float32],
-    places: list[Int],
-    spectrum: Float,
-    size: Int,
+    places: list[Ints],
+    spectrum: Floats,
+    size: Ints,
     matches: Matches,
-) -> Float:
+) -> Floats:
     r"""Return the diffuse fraction (channel,) from a shadow on the largest body that has one of some size.
 
     :math:`f_{dif} = \rho_{shadow} / \rho_{sun}`, of the pixels of the shadow that see most of the sky: the

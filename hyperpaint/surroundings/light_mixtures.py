@@ -7,14 +7,13 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from hyperpaint.base.arrays import Bools, Floats, Ints
+
 from .cells import CELL
 from .references import Light
 
 __all__ = ["Mixtures", "in_parts", "mixtures_of", "senders_of", "solve", "without_sun"]
 
-Float = npt.NDArray[np.float64]
-Int = npt.NDArray[np.int64]
-Mask = npt.NDArray[np.bool_]
 
 _TOLERANCE, _FLOOR = 0.05, 0.0005
 """What spectra are compared to: relative, and in reflectance [1]."""
@@ -44,20 +43,20 @@ class Mixtures(NamedTuple):
         Root mean square of what remains, relative to what is seen [1].
     """
 
-    segment: Int
-    body: Int
-    direct: Float
-    sky: Float
-    sent: Float
-    misfit: Float
+    segment: Ints
+    body: Ints
+    direct: Floats
+    sky: Floats
+    sent: Floats
+    misfit: Floats
 
 
-def without_sun(found: Mixtures) -> Mask:
+def without_sun(found: Mixtures) -> Bools:
     """Tell which get so little direct light that, for the sky they see, grey things may send it."""
     return np.asarray(found.direct < 0.02 + 0.2 * np.clip(0.75 - found.sky, 0.0, 1.0))
 
 
-def mixtures_of(segment: Int, body: Int, spectrum: Float, senders: Int, light: Light) -> Mixtures:
+def mixtures_of(segment: Ints, body: Ints, spectrum: Floats, senders: Ints, light: Light) -> Mixtures:
     r"""Return segments as bodies in little sun, with the neighbour's light that leaves least.
 
     :math:`\rho_B (c f_{dir} + V f_{dif} + b \rho_n)` with c, V, b not negative; what a neighbour sends comes
@@ -101,7 +100,7 @@ def in_parts(count: int, together: int = _TOGETHER) -> list[slice]:
     return [slice(first, first + together) for first in range(0, count, together)]
 
 
-def senders_of(number: npt.NDArray[np.int32], spectrum: Float, size: Int) -> npt.NDArray[np.int64]:
+def senders_of(number: npt.NDArray[np.int32], spectrum: Floats, size: Ints) -> npt.NDArray[np.int64]:
     """Return the coloured segments nearest to most of each segment's pixels (segment, rank); -1 for none.
 
     What grey ones send cannot be told from direct light.
@@ -130,7 +129,7 @@ def senders_of(number: npt.NDArray[np.int32], spectrum: Float, size: Int) -> npt
     return made
 
 
-def solve(seen: Float, body: Float, sender: Float | None, light: Light) -> tuple[Float, Float]:
+def solve(seen: Floats, body: Floats, sender: Floats | None, light: Light) -> tuple[Floats, Floats]:
     """Return amounts (n, 2 or 3) that are not negative and relative misfits (n,), of spectra (n, channel).
 
     The exact minimum: of all sets of parts, that which leaves least without any negative amount.

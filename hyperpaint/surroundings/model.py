@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
+from hyperpaint.base.arrays import Array, Floats
 from hyperpaint.base.errors import Problems, SchemaError
 from hyperpaint.base.schema import ALONG_TRACK, BAND, CROSS_TRACK, FORMAT_VERSION
 
@@ -19,8 +20,6 @@ if TYPE_CHECKING:
 
 __all__ = ["GLINTED", "LIT", "SHADED", "SceneModel"]
 
-Array = npt.NDArray[Any]
-Float = npt.NDArray[np.float64]
 
 LIT, SHADED, GLINTED = 0, 1, 2
 """States of a segment: as it is; another body's cast shadow; another body under the sun's mirror image."""
@@ -133,12 +132,12 @@ class SceneModel:
         How it was made.
     """
 
-    wavelength: Float
+    wavelength: Floats
     channel: npt.NDArray[np.int64]
-    channel_wavelength: Float
-    diffuse_fraction: Float
-    shift: Float
-    noise: Float
+    channel_wavelength: Floats
+    diffuse_fraction: Floats
+    shift: Floats
+    noise: Floats
     segment: npt.NDArray[np.int32]
     edge_distance: npt.NDArray[np.uint8]
     shade_distance: npt.NDArray[np.uint8]
@@ -147,9 +146,9 @@ class SceneModel:
     state: npt.NDArray[np.int8]
     body: npt.NDArray[np.int32]
     paint: npt.NDArray[np.int32]
-    tilt: Float
-    spectrum: Float
-    reference: Float
+    tilt: Floats
+    spectrum: Floats
+    reference: Floats
     attrs: dict[str, Any] = field(default_factory=dict)
 
     @property

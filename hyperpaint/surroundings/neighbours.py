@@ -7,13 +7,14 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from hyperpaint.base.arrays import Floats
+
 from .cells import CELL
 from .model import LIT
 from .references import Light, Matches
 
 __all__ = ["coloured", "nearest_coloured"]
 
-Float = npt.NDArray[np.float64]
 
 RANKS = 4
 """Neighbours of a cell that are kept; one or two of them may be its own body."""
@@ -23,7 +24,7 @@ _LEAST_PIXELS = 40
 """Pixels that it has, at least."""
 
 
-def coloured(spectrum: Float, light: Light) -> npt.NDArray[np.float64]:
+def coloured(spectrum: Floats, light: Light) -> npt.NDArray[np.float64]:
     """Return how coloured spectra are (segment,): what neither light nor grey explains, rms [1].
 
     Of the channels that are known; 0 where those are too few to tell.
@@ -44,7 +45,7 @@ def coloured(spectrum: Float, light: Light) -> npt.NDArray[np.float64]:
 def nearest_coloured(
     number: npt.NDArray[np.int32],
     size: npt.NDArray[np.int64],
-    spectrum: Float,
+    spectrum: Floats,
     matches: Matches,
     light: Light,
     reach: int,

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
+
+from hyperpaint.base.arrays import Array, Floats, Ints
 
 from .model import GLINTED, LIT, SHADED
 from .segments import Touching, distinct_pairs
@@ -20,9 +22,6 @@ __all__ = [
     "unmix_spectra",
 ]
 
-Array = npt.NDArray[Any]
-Float = npt.NDArray[np.float64]
-Int = npt.NDArray[np.int64]
 
 # spectra of segments are compared to so much of the reference, and so much reflectance [1]
 _SHADE_TOLERANCE, GLINT_TOLERANCE, _FLOOR = 0.08, 0.02, 0.0005
@@ -52,8 +51,8 @@ one that leans, of one in glint; parts as in `hyperpaint.kernels.unmixing`."""
 class Light(NamedTuple):
     """The parts of the irradiance in channels (channel,) [1]; they add up to 1."""
 
-    direct: Float
-    diffuse: Float
+    direct: Floats
+    diffuse: Floats
 
 
 class Matches(NamedTuple):
@@ -63,7 +62,7 @@ class Matches(NamedTuple):
     body: npt.NDArray[np.int32]
 
 
-def median_spectra(channels: npt.NDArray[np.float32], places: list[Int]) -> Float:
+def median_spectra(channels: npt.NDArray[np.float32], places: list[Ints]) -> Floats:
     """Return the median (segment, channel) of the pixels at places; NaN where nothing is known."""
     flat = channels.reshape(-1, channels.shape[2])
     made = np.full((len(places), channels.shape[2]), np.nan)
@@ -73,7 +72,7 @@ def median_spectra(channels: npt.NDArray[np.float32], places: list[Int]) -> Floa
     return made
 
 
-def _median(values: Float) -> Float:
+def _median(values: Floats) -> Floats:
     """Return the median of columns, of what is known; NaN where nothing is."""
     if not np.isnan(values).any():
         return np.asarray(np.median(values, axis=0))
@@ -85,14 +84,14 @@ def _median(values: Float) -> Float:
 
 
 def unmix_spectra(
-    seen: Float,
-    body: Int,
-    bodies: Float,
+    seen: Floats,
+    body: Ints,
+    bodies: Floats,
     light: Light,
     noise: float,
     priors: Array,
     neighbours: npt.NDArray[np.int32] | None = None,
-) -> tuple[Float, Float, Float]:
+) -> tuple[Floats, Floats, Floats]:
     """Return amounts (n, part), misfits (n,) and what neighbours add (n, 2) of spectra (n, channel).
 
     Parameters
@@ -129,12 +128,12 @@ def unmix_spectra(
 
 
 def match_segments(
-    spectrum: Float,
-    size: Int,
+    spectrum: Floats,
+    size: Ints,
     pairs: Touching,
     light: Light,
     shade: Matches,
-    step: Float,
+    step: Floats,
     zenith: float,
 ) -> Matches:
     r"""Find the segments that are others' surfaces in glint, beside those that are in shadow.
@@ -171,7 +170,9 @@ def match_segments(
     return Matches(state, body)
 
 
-def _pairs_of_bodies(near: tuple[Int, Int], state: Array, body: Array, spectrum: Float) -> tuple[Int, Int]:
+def _pairs_of_bodies(
+    near: tuple[Ints, Ints], state: Array, body: Array, spectrum: Floats
+) -> tuple[Ints, Ints]:
     """Return the segments that are not matched yet, each with the bodies near it."""
     one, other = near[0], body[near[1]].astype(np.int64)
     known = np.asarray(np.isfinite(spectrum).all(axis=1))
@@ -180,7 +181,13 @@ def _pairs_of_bodies(near: tuple[Int, Int], state: Array, body: Array, spectrum:
 
 
 def _match_glint(
-    spectrum: Float, size: Int, near: tuple[Int, Int], light: Light, state: Array, body: Array, most: float
+    spectrum: Floats,
+    size: Ints,
+    near: tuple[Ints, Ints],
+    light: Light,
+    state: Array,
+    body: Array,
+    most: float,
 ) -> bool:
     """Match segments to what they are with the sun's mirror image; tell whether any was."""
     lit = state[near[1]] != SHADED
@@ -202,7 +209,7 @@ def _match_glint(
     return _assign(one[~tilted], other[~tilted], misfit[~tilted], GLINTED, state, body)
 
 
-def _assign(one: Int, other: Int, misfit: Float, kind: int, state: Array, body: Array) -> bool:
+def _assign(one: Ints, other: Ints, misfit: Floats, kind: int, state: Array, body: Array) -> bool:
     """Give segments, and those whose body they were, the body that fits best; tell whether any got one."""
     found = False
     for place in np.argsort(misfit, kind="stable"):
@@ -215,8 +222,8 @@ def _assign(one: Int, other: Int, misfit: Float, kind: int, state: Array, body: 
 
 
 def _could_be_shade(
-    spectrum: Float, one: Int, other: Int, light: Light
-) -> tuple[Float, Float, npt.NDArray[np.bool_]]:
+    spectrum: Floats, one: Ints, other: Ints, light: Light
+) -> tuple[Floats, Floats, npt.NDArray[np.bool_]]:
     """Return amounts, relative misfits, and whether ``one`` looks like ``other`` in shadow, pair by pair."""
     amount, misfit, _ = unmix_spectra(
         spectrum[one], other, np.nan_to_num(spectrum), light, _SHADE_TOLERANCE, _AS_SHADE

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
+
+from hyperpaint.base.arrays import Array, Ints
 
 __all__ = [
     "Segments",
@@ -20,8 +22,6 @@ __all__ = [
     "touching",
 ]
 
-Array = npt.NDArray[Any]
-Int = npt.NDArray[np.int64]
 
 STEP_FLOOR = 0.01
 """Reflectance below which steps between pixels count for less [1]."""
@@ -54,7 +54,7 @@ class Segments(NamedTuple):
 
     number: npt.NDArray[np.int32]
     sure: npt.NDArray[np.bool_]
-    size: Int
+    size: Ints
 
 
 class Touching(NamedTuple):
@@ -70,17 +70,17 @@ class Touching(NamedTuple):
         How many of these sides are steps from one to the other along, against, to the right and to the left.
     """
 
-    one: Int
-    other: Int
-    length: Int
-    sides: Int
+    one: Ints
+    other: Ints
+    length: Ints
+    sides: Ints
 
 
 def divide(channels: npt.NDArray[np.float32]) -> Segments:
     """Return the segments of a line (line, column, channel).
 
     The steps between neighbouring pixels are taken from the gentlest on, and join what they lie between
-    unless they stand out from the steps inside (Felzenszwalb & Huttenlocher, Int. J. Comput. Vis. 59, 2004).
+    unless they stand out from the steps inside (Felzenszwalb & Huttenlocher, Ints. J. Comput. Vis. 59, 2004).
     Nothing depends on how the line came into memory.
     """
     from hyperpaint.kernels.segmentation import absorb, is_large, join_segments, number_segments, step_sizes
@@ -106,7 +106,7 @@ def divide(channels: npt.NDArray[np.float32]) -> Segments:
     return Segments(number.reshape(shape), sure.reshape(shape), sizes)
 
 
-def sample_pixels(number: npt.NDArray[np.int32], chosen: npt.NDArray[np.bool_], count: int) -> list[Int]:
+def sample_pixels(number: npt.NDArray[np.int32], chosen: npt.NDArray[np.bool_], count: int) -> list[Ints]:
     """Return places of at most `SAMPLE` chosen pixels of every segment, evenly spread in line order.
 
     Segments without a chosen pixel give the first ones they have.
@@ -137,7 +137,7 @@ def touching(number: npt.NDArray[np.int32], count: int) -> Touching:
     return Touching(found // max(count, 1), found % max(count, 1), sides.sum(axis=1), sides)
 
 
-def beyond(pairs: Touching, size: Int) -> tuple[Int, Int]:
+def beyond(pairs: Touching, size: Ints) -> tuple[Ints, Ints]:
     """Return pairs of segments that touch, or have a small one between them that touches both.
 
     Large segments are no bridge: everything in a car park touches the asphalt.
@@ -156,7 +156,7 @@ def beyond(pairs: Touching, size: Int) -> tuple[Int, Int]:
     return row[apart][order], column[apart][order]
 
 
-def distinct_pairs(one: Int, other: Int, count: int) -> tuple[Int, Int]:
+def distinct_pairs(one: Ints, other: Ints, count: int) -> tuple[Ints, Ints]:
     """Return pairs of numbers below ``count``, each once, sorted."""
     codes = np.unique(one * count + other)
     return codes // max(count, 1), codes % max(count, 1)

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
+
+from hyperpaint.base.arrays import Array, Bools, Floats, Ints
 
 from .light_mixtures import Mixtures, in_parts, mixtures_of, senders_of, solve, without_sun
 from .model import LIT, SHADED
@@ -14,10 +16,6 @@ from .segments import Touching, beyond, distinct_pairs
 
 __all__ = ["match_shade", "shaded_pixels"]
 
-Array = npt.NDArray[Any]
-Float = npt.NDArray[np.float64]
-Int = npt.NDArray[np.int64]
-Mask = npt.NDArray[np.bool_]
 
 _STEPS = np.array([[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]])
 """Directions (along, across) of the sides of `Touching`."""
@@ -111,20 +109,20 @@ class Scene(NamedTuple):
         Sides of pixels around a segment, those at the edge of the picture among them.
     """
 
-    spectrum: Float
-    size: Int
+    spectrum: Floats
+    size: Ints
     pairs: Touching
-    border: Float
+    border: Floats
 
 
 def match_shade(
     number: npt.NDArray[np.int32],
-    spectrum: Float,
-    size: Int,
+    spectrum: Floats,
+    size: Ints,
     pairs: Touching,
     light: Light,
     side: Array | None,
-) -> tuple[Matches, Mask]:
+) -> tuple[Matches, Bools]:
     r"""Find the segments that lie in a cast shadow, and those that are ground (segment,).
 
     A segment can be in the shadow of a body where
@@ -183,7 +181,7 @@ def match_shade(
     return Matches(state, body), ground
 
 
-def _candidates(scene: Scene, senders: Int, light: Light) -> Mixtures:
+def _candidates(scene: Scene, senders: Ints, light: Light) -> Mixtures:
     """Return the segments that could be in shadow, with the bodies that they touch, and the largest."""
     spectrum, size, pairs = scene.spectrum, scene.size, scene.pairs
     count = size.size
@@ -198,7 +196,7 @@ def _candidates(scene: Scene, senders: Int, light: Light) -> Mixtures:
     return mixtures_of(*distinct_pairs(one[fits], other[fits], count), spectrum, senders, light)
 
 
-def _lit_sides(found: Mixtures, scene: Scene) -> Float:
+def _lit_sides(found: Mixtures, scene: Scene) -> Floats:
     """Return the sides (n, 4) on which candidates touch what looks like their body."""
     pairs, spectrum = scene.pairs, scene.spectrum
     first, last = np.searchsorted(pairs.one, [found.segment, found.segment + 1])
@@ -212,7 +210,7 @@ def _lit_sides(found: Mixtures, scene: Scene) -> Float:
     return made
 
 
-def _alike(spectrum: Float, one: Int, other: Int) -> Mask:
+def _alike(spectrum: Floats, one: Ints, other: Ints) -> Bools:
     """Tell which segments are of about the same colour and brightness, pair by pair."""
     level = spectrum.mean(axis=1)
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -221,7 +219,7 @@ def _alike(spectrum: Float, one: Int, other: Int) -> Mask:
     return np.asarray(close & (np.abs(shape[one] - shape[other]).max(axis=1) < _ALIKE))
 
 
-def _side_of_shadows(found: Mixtures, sides: Float, scene: Scene) -> Float | None:
+def _side_of_shadows(found: Mixtures, sides: Floats, scene: Scene) -> Floats | None:
     """Return the direction (along, across) in which shadows fall, None without any."""
     sure = _clear(found) & (found.sky > _LEAST_SKY) & (scene.size[found.segment] >= _TELLING)
     total = (sides[sure] @ _STEPS * scene.size[found.segment[sure], None]).sum(axis=0)
@@ -229,7 +227,7 @@ def _side_of_shadows(found: Mixtures, sides: Float, scene: Scene) -> Float | Non
     return np.asarray(total / length) if length > 0 else None
 
 
-def _clear(found: Mixtures, most_sent: float = _SENT) -> Mask:
+def _clear(found: Mixtures, most_sent: float = _SENT) -> Bools:
     """Tell which see much of the sky and, unlike glass and black paint, hardly anything else."""
     hidden = np.clip(_OPEN_SKY - found.sky, 0.0, 1.0)
     little = found.direct < _CLEAR_DIRECT.open + _CLEAR_DIRECT.hidden * hidden
@@ -237,7 +235,7 @@ def _clear(found: Mixtures, most_sent: float = _SENT) -> Mask:
     return np.asarray(little & (found.misfit < _TIGHT))
 
 
-def _beyond_doubt(found: Mixtures, length: Float, way: Float, border: Float) -> Mask:
+def _beyond_doubt(found: Mixtures, length: Floats, way: Floats, border: Floats) -> Bools:
     """Tell which are clear, and touch their lit body away from the sun, or all around."""
     around = border[found.segment]
     touches = (length >= _LEAST_CONTACT) & (length > _SURE.border * around)
@@ -246,7 +244,7 @@ def _beyond_doubt(found: Mixtures, length: Float, way: Float, border: Float) -> 
     return np.asarray(_clear(found) & (found.sky > _LEAST_SKY) & touches & (away | island))
 
 
-def _ground(scene: Scene, state: Array, body: Array) -> Mask:
+def _ground(scene: Scene, state: Array, body: Array) -> Bools:
     """Return which segments are ground (segment,): the largest, and what most shadows lie on."""
     count = scene.size.size
     area = np.bincount(body, np.where(state == SHADED, scene.size, 0), count)
@@ -256,7 +254,7 @@ def _ground(scene: Scene, state: Array, body: Array) -> Mask:
     return made
 
 
-def _best_on_ground(found: Mixtures, on_ground: Mask, count: int) -> Mask:
+def _best_on_ground(found: Mixtures, on_ground: Bools, count: int) -> Bools:
     """Tell which fit their segments about as well as any of the ground does."""
     least = np.full(count, np.inf)
     np.minimum.at(least, found.segment[on_ground], found.misfit[on_ground])
@@ -265,10 +263,10 @@ def _best_on_ground(found: Mixtures, on_ground: Mask, count: int) -> Mask:
 
 def _grow(
     found: Mixtures,
-    ground: Mask,
-    best: Mask,
-    length: Float,
-    way: Float,
+    ground: Bools,
+    best: Bools,
+    length: Floats,
+    way: Floats,
     scene: Scene,
     state: Array,
     body: Array,
@@ -296,13 +294,13 @@ def _grow(
             break
 
 
-def _touched(which: Mask, scene: Scene) -> Float:
+def _touched(which: Bools, scene: Scene) -> Floats:
     """Return how many sides of every segment lie at some others (segment,)."""
     weight = scene.pairs.length * which[scene.pairs.other]
     return np.bincount(scene.pairs.one, weight, scene.size.size).astype(np.float64)
 
 
-def _assign(found: Mixtures, chosen: Mask, state: Array, body: Array) -> bool:
+def _assign(found: Mixtures, chosen: Bools, state: Array, body: Array) -> bool:
     """Give segments the body, itself lit, that fits best; tell whether any got one."""
     any_ = False
     for place in np.flatnonzero(chosen)[np.argsort(found.misfit[chosen], kind="stable")]:
@@ -317,10 +315,10 @@ def _assign(found: Mixtures, chosen: Mask, state: Array, body: Array) -> bool:
 def shaded_pixels(
     channels: npt.NDArray[np.float32],
     number: npt.NDArray[np.int32],
-    level: Mask,
-    reference: Float,
+    level: Bools,
+    reference: Floats,
     light: Light,
-) -> Mask:
+) -> Bools:
     """Return the pixels (line, column) of level ground that lack direct light: shadows of thin things.
 
     What leans away from the sun lacks it as well, so that nothing but the ground can be asked.

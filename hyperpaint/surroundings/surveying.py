@@ -8,6 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hyperpaint.base import schema
+from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import Problems, SchemaError
 from hyperpaint.base.schema import BAND
 
@@ -42,7 +43,6 @@ if TYPE_CHECKING:
 
 __all__ = ["survey"]
 
-Float = npt.NDArray[np.float64]
 
 _EDGE = 2
 """Pixels from a boundary from which on spectra count."""
@@ -176,7 +176,7 @@ def survey(
     )  # fmt: skip
 
 
-def _good_bands(line: xr.Dataset, cube: xr.DataArray, wavelength: Float) -> npt.NDArray[np.bool_]:
+def _good_bands(line: xr.Dataset, cube: xr.DataArray, wavelength: Floats) -> npt.NDArray[np.bool_]:
     """Return which bands are good (band,), of a line that can be looked at."""
     problems = Problems("this line cannot be surveyed", SchemaError)
     if not cube.size:
@@ -200,8 +200,8 @@ def _good_bands(line: xr.Dataset, cube: xr.DataArray, wavelength: Float) -> npt.
 
 
 def _fraction(
-    diffuse: Any, line: xr.Dataset, wavelength: Float, sun_zenith: float | None
-) -> tuple[Float, str, float]:
+    diffuse: Any, line: xr.Dataset, wavelength: Floats, sun_zenith: float | None
+) -> tuple[Floats, str, float]:
     """Return the diffuse fraction (band,) to start from, where it is from, and the sun's zenith angle."""
     if not isinstance(diffuse, str):
         known = sun_zenith is not None or {"time", "latitude", "longitude"} <= set(line.variables)
@@ -227,7 +227,7 @@ def _fraction(
     return diffuse_from_clear_sky(diffuse, wavelength, zenith), text[diffuse], zenith
 
 
-def _mean_of(values: Float, channel: npt.NDArray[np.int64]) -> Float:
+def _mean_of(values: Floats, channel: npt.NDArray[np.int64]) -> Floats:
     """Return the means of values (band,) over the bands of every channel (channel,)."""
     used = channel >= 0
     weight = np.bincount(channel[used])

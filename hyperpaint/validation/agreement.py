@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
+
+from hyperpaint.base.arrays import Floats
 
 __all__ = ["STATISTICS", "statistics_of", "uncertainty_of"]
 
-Float = npt.NDArray[np.float64]
 
 STATISTICS = ("bias", "rmse", "mae", "spectral_angle", "scale", "scale_free_error")
 """Names of the statistics: those of a validation's table, and of tolerances."""
@@ -15,7 +15,7 @@ STATISTICS = ("bias", "rmse", "mae", "spectral_angle", "scale", "scale_free_erro
 _LEAST_SHAPE = 3  # bands: of one, angle and scale-free error are always 0
 
 
-def statistics_of(signature: Float, reference: Float) -> dict[str, Float]:
+def statistics_of(signature: Floats, reference: Floats) -> dict[str, Floats]:
     r"""Return the statistics of agreement over the last axis.
 
     Parameters
@@ -75,13 +75,13 @@ def statistics_of(signature: Float, reference: Float) -> dict[str, Float]:
     }
 
 
-def _length(vectors: Float) -> Float:
+def _length(vectors: Floats) -> Floats:
     return np.asarray(np.sqrt((vectors**2).sum(axis=-1)))
 
 
 def uncertainty_of(
-    signature: Float, reference: Float, signature_errors: Float, reference_errors: Float
-) -> dict[str, Float]:
+    signature: Floats, reference: Floats, signature_errors: Floats, reference_errors: Floats
+) -> dict[str, Floats]:
     r"""Return the standard uncertainty of every statistic of `statistics_of`.
 
     Parameters

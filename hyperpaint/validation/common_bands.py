@@ -7,13 +7,13 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from hyperpaint.base.arrays import Floats
 from hyperpaint.light.responses import Responses, matching_operator
 
 from .spectra import Measured
 
 __all__ = ["Operator", "bands_of", "operator_onto"]
 
-Float = npt.NDArray[np.float64]
 
 _SAME_WAVELENGTH = 1e-3  # nm
 _NOISE_GAIN = 3.0
@@ -38,13 +38,13 @@ class Operator:
         As of `hyperpaint.light.responses.Matching`.
     """
 
-    weights: Float | None
+    weights: Floats | None
     seen: npt.NDArray[np.bool_]
-    coverage: Float
-    misfit: Float
-    noise_gain: Float
+    coverage: Floats
+    misfit: Floats
+    noise_gain: Floats
 
-    def __call__(self, values: Float) -> Float:
+    def __call__(self, values: Floats) -> Floats:
         """Return values (..., channel) on the bands (..., band); NaN where a band is left out."""
         made = np.full((*values.shape[:-1], self.seen.size), np.nan)
         if self.weights is None:

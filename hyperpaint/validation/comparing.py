@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
+from hyperpaint.base.arrays import Floats
 from hyperpaint.base.schema import BAND
 
 from .common_bands import Operator, bands_of, operator_onto
@@ -21,7 +22,6 @@ if TYPE_CHECKING:
 
 __all__ = ["Compared", "compare"]
 
-Float = npt.NDArray[np.float64]
 
 DRAWS = 1000
 """Draws of the uncertainty: it is known to 2 % itself."""
@@ -46,10 +46,10 @@ class Compared:
 
     pair: Pair
     bands: Measured
-    signature: Float
-    reference: Float
+    signature: Floats
+    reference: Floats
     onto: tuple[Operator, ...]
-    errors: tuple[Float, Float] | None
+    errors: tuple[Floats, Floats] | None
 
     @property
     def names(self) -> str:
@@ -67,7 +67,7 @@ class Compared:
         return np.isfinite(self.signature) & np.isfinite(self.reference)
 
     @property
-    def coverage(self) -> Float:
+    def coverage(self) -> Floats:
         """Part of each band's response that all sides see (band,)."""
         return np.asarray(np.min([each.coverage for each in self.onto], axis=0))
 
@@ -203,7 +203,7 @@ class Compared:
             },
         )
 
-    def _spreads(self) -> dict[str, Float]:
+    def _spreads(self) -> dict[str, Floats]:
         """Return the standard deviations of what signature and reference are means of (band,)."""
         made = {}
         own, others = self.pair.signature.sd, self.pair.references
@@ -235,8 +235,8 @@ def compare(pair: Pair, seed: int) -> Compared:
 
 
 def _errors_of_mean(
-    references: Sequence[Measured], onto: Sequence[Operator], seen: Float, rng: np.random.Generator
-) -> Float:
+    references: Sequence[Measured], onto: Sequence[Operator], seen: Floats, rng: np.random.Generator
+) -> Floats:
     count = len(seen)
     if count == 1:
         return onto[0](references[0].errors(rng, DRAWS))

@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import SchemaError
 
 __all__ = ["Axis", "channel_widths", "join_detectors"]
 
-Float = npt.NDArray[np.float64]
 
 _MOST_DETECTORS = 8
 
@@ -42,7 +42,7 @@ class Axis:
     joins: tuple[float, ...]
 
 
-def join_detectors(wavelength: Float) -> Axis:
+def join_detectors(wavelength: Floats) -> Axis:
     """Return which channels make one increasing axis of wavelengths.
 
     Where wavelengths fall, another detector begins. Of two that overlap, each serves to the middle of the
@@ -91,7 +91,7 @@ def join_detectors(wavelength: Float) -> Axis:
     return Axis(kept, number, tuple(joins))
 
 
-def channel_widths(wavelength: Float, detector: npt.NDArray[Any], instrument: str) -> tuple[Float, str]:
+def channel_widths(wavelength: Floats, detector: npt.NDArray[Any], instrument: str) -> tuple[Floats, str]:
     """Return how wide channels are, where the data do not say, and what that was taken from.
 
     Parameters

@@ -6,16 +6,14 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
+from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import Problems, SchemaError
 from hyperpaint.base.units import convert
 
 from .spectra import Measured
 
 __all__ = ["scaled_by_panel"]
-
-Float = npt.NDArray[np.float64]
 
 
 def scaled_by_panel(spectra: list[Measured], panel: Any) -> list[Measured]:
@@ -54,10 +52,10 @@ def scaled_by_panel(spectra: list[Measured], panel: Any) -> list[Measured]:
     return [_scaled(each, wavelength, values) for each in spectra]
 
 
-def _scaled(spectrum: Measured, wavelength: Float, values: Float) -> Measured:
+def _scaled(spectrum: Measured, wavelength: Floats, values: Floats) -> Measured:
     factor = np.interp(spectrum.wavelength, wavelength, values, np.nan, np.nan)
 
-    def times(spread: Float | None) -> Float | None:
+    def times(spread: Floats | None) -> Floats | None:
         return None if spread is None else spread * factor
 
     return replace(

@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hyperpaint.base import schema
+from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import Problems, SchemaError, UnitsError
 from hyperpaint.base.mirrored_light import mirror_reflection
 from hyperpaint.base.schema import BAND, LIBRARY_VARIABLES, PAINT
@@ -23,7 +24,6 @@ if TYPE_CHECKING:
 
 __all__ = ["Measured", "references_from", "signatures_from"]
 
-Float = npt.NDArray[np.float64]
 
 UNKNOWN = "unknown"
 _MIRRORS = ("included", "excluded")
@@ -71,12 +71,12 @@ class Measured:
     wanted: str
     instrument: str
     serial: str
-    wavelength: Float
-    fwhm: Float
-    values: Float
-    u_random: Float | None
-    u_systematic: Float | None
-    sd: Float | None
+    wavelength: Floats
+    fwhm: Floats
+    values: Floats
+    u_random: Floats | None
+    u_systematic: Floats | None
+    sd: Floats | None
     count: float
     overlap: str
     matched: bool
@@ -112,7 +112,7 @@ class Measured:
                 )
         return made
 
-    def errors(self, rng: np.random.Generator, draws: int) -> Float:
+    def errors(self, rng: np.random.Generator, draws: int) -> Floats:
         """Return what may be wrong with the values (draw, channel), at random.
 
         Random errors are independent, systematic ones common to all channels. Where neither is known, the
@@ -359,8 +359,8 @@ class _Channels:
     """Channels that the spectra of a dataset share."""
 
     order: npt.NDArray[np.intp]
-    wavelength: Float
-    fwhm: Float
+    wavelength: Floats
+    fwhm: Floats
     notes: tuple[str, ...]
 
     @classmethod
@@ -389,7 +389,7 @@ class _Channels:
         return cls(axis.order, at, fwhm, (*notes, source))
 
     def spectrum(
-        self, values: Float, spreads: Mapping[str, Any], count: float | None, **about: Any
+        self, values: Floats, spreads: Mapping[str, Any], count: float | None, **about: Any
     ) -> Measured:
         """Return one spectrum on these channels; a spread whose every value is missing is not known."""
         u_random, u_systematic, sd = (_known(spreads.get(name), self.order) for name in _SPREADS)
@@ -405,7 +405,7 @@ class _Channels:
         )
 
 
-def _check_widths(fwhm: Float, wavelength: Float) -> None:
+def _check_widths(fwhm: Floats, wavelength: Floats) -> None:
     """Refuse widths of channels that no instrument has: one alone sets the step of all responses."""
     spacing = float(np.median(np.diff(wavelength))) if wavelength.size > 1 else np.inf
     if not ((fwhm >= _NARROWEST) & (fwhm <= _WIDEST * spacing)).all():
@@ -416,7 +416,7 @@ def _check_widths(fwhm: Float, wavelength: Float) -> None:
         )
 
 
-def _known(spread: Any, order: npt.NDArray[np.intp]) -> Float | None:
+def _known(spread: Any, order: npt.NDArray[np.intp]) -> Floats | None:
     if spread is None:
         return None
     own = np.asarray(spread, np.float64)[order]

@@ -7,9 +7,9 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import numpy.typing as npt
 
 from hyperpaint.alignment import oxygen_depth
+from hyperpaint.base.arrays import Bools, Floats
 from hyperpaint.base.errors import PaintWarning, Problems, SchemaError
 
 from .agreement import STATISTICS, statistics_of, uncertainty_of
@@ -24,8 +24,6 @@ if TYPE_CHECKING:
 
 __all__ = ["PARTS", "validate"]
 
-Float = npt.NDArray[np.float64]
-Flags = npt.NDArray[np.bool_]
 
 PARTS: Mapping[str, tuple[float, float]] = {
     "VIS": (400.0, 700.0),
@@ -290,7 +288,7 @@ def _attrs(name: str) -> dict[str, str]:
     return {"units": units.get(name, "1"), "long_name": meaning}
 
 
-def _passes(found: Mapping[str, Float], judged: Flags, limits: Mapping[str, float], *, named: bool) -> Flags:
+def _passes(found: Mapping[str, Floats], judged: Bools, limits: Mapping[str, float], *, named: bool) -> Bools:
     """Tell which parts pass.
 
     One that is not judged still fails where it is outside of a limit; and where the user asked for it, or

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
+from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import MissingExtraError, StoreError
 from hyperpaint.base.schema import ALONG_TRACK, BAND, CHUNK_LINES, CROSS_TRACK
 from hyperpaint.simulation.collect import CAMERA_SOFTWARE, MARKER, PARTS
@@ -23,7 +24,6 @@ if TYPE_CHECKING:
 
 __all__ = ["Agreement", "Comparison", "compare", "refuse_foreign", "run_demonstration"]
 
-Floats = npt.NDArray[np.float64]
 
 STORE, PICTURE = "lot.zarr", "quicklook.png"
 _OURS = frozenset({*PARTS, STORE, PICTURE, f".partial-{STORE}"})

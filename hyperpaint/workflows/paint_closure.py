@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
+from hyperpaint.base.arrays import Floats
 from hyperpaint.base.schema import ALONG_TRACK, BAND, CHUNK_LINES, CROSS_TRACK
 
 if TYPE_CHECKING:
@@ -24,7 +25,6 @@ __all__ = [
     "signature_table",
 ]
 
-Floats = npt.NDArray[np.float64]
 
 MAX_ERROR = 0.01
 """Of a signature of many pixels against its truth: RMS over bands, relative."""

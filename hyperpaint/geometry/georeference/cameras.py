@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
-import numpy.typing as npt
 
+from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import Problems, SchemaError
 from hyperpaint.base.schema import CROSS_TRACK
 from hyperpaint.base.units import convert
@@ -19,7 +19,6 @@ if TYPE_CHECKING:
 
 __all__ = ["PinholeCamera", "directions", "look_angles"]
 
-Float = npt.NDArray[np.float64]
 
 _STEEPEST = 89.0
 """Look angle up to which a camera that looks down is believed [degree]."""
@@ -94,7 +93,7 @@ class PinholeCamera:
         intervals = self.columns - 1 if self.edges == "centres" else self.columns
         return float(2.0 * np.tan(np.radians(self.field_of_view or 0.0) / 2.0) / intervals)
 
-    def look_across(self, column_order: Literal["left_to_right", "right_to_left"]) -> Float:
+    def look_across(self, column_order: Literal["left_to_right", "right_to_left"]) -> Floats:
         """Return the angles of the columns from the axis, positive to the right (cross_track,) [degree]."""
         sign = -1.0 if column_order == "right_to_left" else 1.0
         offset = np.arange(self.columns) - (self.columns - 1) / 2
@@ -143,7 +142,7 @@ def look_angles(
     return across, along
 
 
-def directions(across: Float, along: Float) -> Float:
+def directions(across: Floats, along: Floats) -> Floats:
     """Return unit vectors in the camera's frame (cross_track, 3): forward, right, along the optical axis.
 
     Raises

@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import numpy.typing as npt
 
+from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import MissingExtraError, SchemaError
 from hyperpaint.base.schema import require
 
@@ -17,7 +17,6 @@ if TYPE_CHECKING:
 
 __all__ = ["footprint", "spacing"]
 
-Float = npt.NDArray[np.float64]
 
 _LONGITUDE_LATITUDE = "OGC:CRS84"
 _PERCENTILES = (5.0, 95.0)
@@ -121,7 +120,7 @@ def spacing(located: xr.Dataset) -> dict[str, float]:
     return made
 
 
-def _places(located: xr.Dataset) -> tuple[Float, Float, str]:
+def _places(located: xr.Dataset) -> tuple[Floats, Floats, str]:
     """Return east and north of every pixel [m], and their map."""
     import dask
 
@@ -133,7 +132,7 @@ def _places(located: xr.Dataset) -> tuple[Float, Float, str]:
     return np.asarray(east), np.asarray(north), crs
 
 
-def _ends(east: Float, north: Float) -> Float:
+def _ends(east: Floats, north: Floats) -> Floats:
     """Return the outermost pixels of every line that have a place (line, 2, 2); NaN where none has."""
     known = np.isfinite(east)
     first = known.argmax(axis=1)
@@ -142,14 +141,14 @@ def _ends(east: Float, north: Float) -> Float:
     return np.stack([np.stack([east[rows, at], north[rows, at]], axis=-1) for at in (first, last)], axis=1)
 
 
-def _steps(east: Float, north: Float) -> tuple[Float, Float]:
+def _steps(east: Floats, north: Floats) -> tuple[Floats, Floats]:
     """Return distances to the next column and to the next line [m]."""
     across = np.hypot(np.diff(east, axis=1), np.diff(north, axis=1))
     along = np.hypot(np.diff(east, axis=0), np.diff(north, axis=0))
     return across, along
 
 
-def _reversed(east: Float, north: Float) -> float:
+def _reversed(east: Floats, north: Floats) -> float:
     """Return the share of steps from line to line, at the middle column, that go against the flight."""
     middle = east.shape[1] // 2
     steps = np.stack([np.diff(east[:, middle]), np.diff(north[:, middle])], axis=-1)

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
+from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import MissingExtraError, SchemaError
 
 if TYPE_CHECKING:
@@ -27,7 +28,6 @@ __all__ = [
     "utm_zone",
 ]
 
-Float = npt.NDArray[np.float64]
 
 GEODETIC = "EPSG:4979"
 """Latitude, longitude and height above the ellipsoid of WGS 84, which positions are in."""
@@ -133,7 +133,7 @@ def utm_zone(latitude: float, longitude: float) -> str:
     return f"EPSG:{(32600 if latitude >= 0 else 32700) + zone}"
 
 
-def meridian_convergence(latitude: npt.ArrayLike, longitude: npt.ArrayLike, crs: Any) -> Float:
+def meridian_convergence(latitude: npt.ArrayLike, longitude: npt.ArrayLike, crs: Any) -> Floats:
     """Return where grid north points, clockwise from true north [degree].
 
     Parameters
@@ -173,7 +173,7 @@ def meridian_convergence(latitude: npt.ArrayLike, longitude: npt.ArrayLike, crs:
 
 def grid_heading(
     heading: npt.ArrayLike, latitude: npt.ArrayLike, longitude: npt.ArrayLike, crs: Any
-) -> Float:
+) -> Floats:
     """Return headings from the north of a map, of headings from true north, 0 to 360 [degree].
 
     Parameters
@@ -209,7 +209,7 @@ def grid_mapping_attrs(crs: str) -> dict[str, Any]:
     return {**made, "spatial_ref": known.to_wkt()}
 
 
-def between_maps(places: Float, source: str, target: str) -> Float:
+def between_maps(places: Floats, source: str, target: str) -> Floats:
     """Return places (n, 2) of one reference system in another, x or longitude first."""
     if source == target:
         return places
@@ -236,7 +236,7 @@ def is_in_metres(crs: str) -> bool:
     return known.is_projected and all(axis.unit_conversion_factor == 1.0 for axis in known.axis_info)
 
 
-def near_turns(x: Float, middle: float, crs: str) -> Float:
+def near_turns(x: Floats, middle: float, crs: str) -> Floats:
     """Return by how much x is to be moved to be the one nearest to a place that means the same.
 
     Whole turns of longitude [degree], where the reference system is geographic; 0 on a map.
@@ -262,8 +262,8 @@ _OFFSETS = np.array(
 
 
 def polynomials(
-    latitude: Float, longitude: Float, altitude: Float, reach: Float, crs: str
-) -> tuple[Float, Float, Float]:
+    latitude: Floats, longitude: Floats, altitude: Floats, reach: Floats, crs: str
+) -> tuple[Floats, Floats, Floats]:
     """Return map coordinates and height around cameras, as polynomials of metres east, north and up.
 
     Parameters
@@ -294,7 +294,7 @@ def polynomials(
     return made[0], made[1], made[2]
 
 
-def _fit(latitude: Float, longitude: Float, altitude: Float, reach: Float, crs: str) -> Float:
+def _fit(latitude: Floats, longitude: Floats, altitude: Floats, reach: Floats, crs: str) -> Floats:
     origin = np.stack(_geocentric().transform(longitude, latitude, altitude), axis=-1)
     around = origin[:, None] + (_OFFSETS * reach[:, None, None]) @ _east_north_up(latitude, longitude)
     lon, lat, height = _geocentric().transform(
@@ -308,7 +308,7 @@ def _fit(latitude: Float, longitude: Float, altitude: Float, reach: Float, crs: 
     return made
 
 
-def _east_north_up(latitude: Float, longitude: Float) -> Float:
+def _east_north_up(latitude: Floats, longitude: Floats) -> Floats:
     """Return the directions east, north and up in geocentric coordinates (line, 3, 3)."""
     phi, lam = np.radians(latitude), np.radians(longitude)
     sin_lat, cos_lat, sin_lon, cos_lon = np.sin(phi), np.cos(phi), np.sin(lam), np.cos(lam)
@@ -321,7 +321,7 @@ def _east_north_up(latitude: Float, longitude: Float) -> Float:
     return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
 
 
-def _coefficients(value: Float, reach: Float) -> Float:
+def _coefficients(value: Floats, reach: Floats) -> Floats:
     """Return the ten coefficients (line, 10) of what is known at `_OFFSETS` times the reach (line, 19)."""
     centre, ends, corners = value[:, 0], value[:, 1:7].reshape(-1, 3, 2), value[:, 7:].reshape(-1, 3, 4)
     slope = (ends[..., 0] - ends[..., 1]) / (2.0 * reach[:, None])
@@ -331,7 +331,7 @@ def _coefficients(value: Float, reach: Float) -> Float:
     return np.concatenate([centre[:, None], slope, square, mixed], axis=1)
 
 
-def turn_of_north(latitude: Float) -> Float:
+def turn_of_north(latitude: Floats) -> Floats:
     """Return how true north turns with the way to the east [rad m-1]."""
     phi = np.radians(latitude)
     radius = _WGS84_AXIS / np.sqrt(1.0 - _WGS84_ECCENTRICITY2 * np.sin(phi) ** 2)

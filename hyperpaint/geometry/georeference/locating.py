@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import numpy.typing as npt
 
+from hyperpaint.base.arrays import Floats
 from hyperpaint.base.attitude_conventions import Convention
 from hyperpaint.base.errors import Problems, SchemaError
 from hyperpaint.base.schema import ALONG_TRACK, BAND, CHUNK_LINES, CROSS_TRACK, Quality, label, require
@@ -34,7 +34,6 @@ if TYPE_CHECKING:
 
 __all__ = ["locate"]
 
-Float = npt.NDArray[np.float64]
 
 _PLACES = ("east", "north", "ground_height", "view_zenith", "view_azimuth")
 """Coordinates added, in the order in which the kernels write them."""
@@ -270,7 +269,7 @@ def _poses(
     recorded: Any = None,
     wanted: Any = None,
     **columns: Any,
-) -> Float:
+) -> Floats:
     """Return canonical poses of all lines (6, line), float64; all NaN or none."""
     values = canonical_values(*(columns[name] for name in POSE), convention=convention, crs=crs)
     if recorded is None:

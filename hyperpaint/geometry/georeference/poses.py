@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 import numpy.typing as npt
 
+from hyperpaint.base.arrays import Floats
 from hyperpaint.base.attitude_conventions import Convention
 from hyperpaint.base.errors import Problems, SchemaError, TimeError
 from hyperpaint.base.schema import ALONG_TRACK, label
@@ -35,7 +36,6 @@ __all__ = [
     "with_convention",
 ]
 
-Float = npt.NDArray[np.float64]
 Interpolation = Literal["linear", "cubic"]
 
 NAVIGATION_TIME = "navigation_time"
@@ -174,7 +174,7 @@ def canonical_values(
     *,
     convention: Convention,
     crs: Any = None,
-) -> Float:
+) -> Floats:
     """Return canonical poses (6, row), float64, of columns that a convention gives the meaning of."""
     latitude, longitude = np.asarray(latitude, np.float64), np.asarray(longitude, np.float64)
     convergence = None
@@ -248,13 +248,13 @@ def interpolate_pose(
 
 def poses_at(
     recorded: npt.NDArray[np.datetime64],
-    values: Float,
+    values: Floats,
     time: npt.NDArray[np.datetime64],
     *,
     clock_offset_s: float = 0.0,
     max_gap_s: float | None = None,
     interpolation: Interpolation = "linear",
-) -> Float:
+) -> Floats:
     """Return poses (6, line) at times, of canonical ones (6, row); see `interpolate_pose`."""
     check_interpolation(interpolation, max_gap_s)
     knots = _nanoseconds(recorded)
@@ -315,7 +315,7 @@ def _increasing(knots: npt.NDArray[np.int64]) -> npt.NDArray[np.bool_]:
 
 def _bracket(
     knots: npt.NDArray[np.int64], wanted: npt.NDArray[np.int64], gap: float
-) -> tuple[npt.NDArray[np.int64], Float, npt.NDArray[np.bool_]]:
+) -> tuple[npt.NDArray[np.int64], Floats, npt.NDArray[np.bool_]]:
     """Return the row before each time, the weight of the row after, and whether it may be interpolated."""
     before = np.clip(np.searchsorted(knots, wanted, side="right") - 1, 0, max(knots.size - 2, 0))
     after = np.minimum(before + 1, knots.size - 1)
@@ -328,15 +328,19 @@ def _bracket(
 
 
 def _positions_between(
-    knots: npt.NDArray[np.int64], values: Float, wanted: npt.NDArray[np.int64], gap: float, interpolation: str
-) -> Float:
+    knots: npt.NDArray[np.int64],
+    values: Floats,
+    wanted: npt.NDArray[np.int64],
+    gap: float,
+    interpolation: str,
+) -> Floats:
     values = values.copy()
     values[1] = np.unwrap(values[1], period=360.0)
     before, weight, known = _bracket(knots, wanted, gap)
     if interpolation == "cubic" and knots.size > 1:
         from scipy.interpolate import CubicSpline
 
-        def spline(rows: slice, s: Float, t: Float) -> Float:
+        def spline(rows: slice, s: Floats, t: Floats) -> Floats:
             return np.asarray(CubicSpline(s, values[:, rows], axis=1)(t))
 
         made = _by_stretch(knots, wanted, known, gap, spline)
@@ -348,14 +352,18 @@ def _positions_between(
 
 
 def _attitudes_between(
-    knots: npt.NDArray[np.int64], values: Float, wanted: npt.NDArray[np.int64], gap: float, interpolation: str
-) -> Float:
+    knots: npt.NDArray[np.int64],
+    values: Floats,
+    wanted: npt.NDArray[np.int64],
+    gap: float,
+    interpolation: str,
+) -> Floats:
     rotation = quaternions(*values)
     before, weight, known = _bracket(knots, wanted, gap)
     if interpolation == "cubic" and knots.size > 1:
         from scipy.spatial.transform import Rotation, RotationSpline
 
-        def spline(rows: slice, s: Float, t: Float) -> Float:
+        def spline(rows: slice, s: Floats, t: Floats) -> Floats:
             turned = RotationSpline(s, Rotation.from_quat(rotation[rows], scalar_first=True))(t)
             return np.asarray(turned.as_quat(scalar_first=True)).T
 
@@ -373,7 +381,7 @@ def _by_stretch(
     gap: float,
     spline: Any,
     size: int = 3,
-) -> Float:
+) -> Floats:
     """Return splines (size, line) that end at every gap; a stretch of one row is that row."""
     ends = [0, *(np.flatnonzero(np.diff(knots) / _NS_PER_S > gap) + 1).tolist(), knots.size]
     made = np.full((size, wanted.size), np.nan)

@@ -8,15 +8,16 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
+from hyperpaint.base.arrays import Floats
+
 __all__ = ["angles_of", "matrices", "quaternions", "slerp"]
 
-Float = npt.NDArray[np.float64]
 
 _NEARLY_EQUAL = 1e-8
 """Half angle between rotations below which the arc is its chord [rad]."""
 
 
-def quaternions(roll: npt.ArrayLike, pitch: npt.ArrayLike, heading: npt.ArrayLike) -> Float:
+def quaternions(roll: npt.ArrayLike, pitch: npt.ArrayLike, heading: npt.ArrayLike) -> Floats:
     """Return Rz(heading) Ry(pitch) Rx(roll) of angles [degree] (..., 4)."""
     halves = [np.radians(np.asarray(angle, np.float64)) / 2 for angle in (roll, pitch, heading)]
     (cr, cp, ch), (sr, sp, sh) = ([f(half) for half in halves] for f in (np.cos, np.sin))
@@ -31,7 +32,7 @@ def quaternions(roll: npt.ArrayLike, pitch: npt.ArrayLike, heading: npt.ArrayLik
     )
 
 
-def matrices(rotation: Float) -> Float:
+def matrices(rotation: Floats) -> Floats:
     """Return quaternions as matrices (..., 3, 3), which turn body into north, east, down."""
     w, x, y, z = np.moveaxis(rotation, -1, 0)
     rows = [
@@ -42,7 +43,7 @@ def matrices(rotation: Float) -> Float:
     return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
 
 
-def angles_of(rotation: Float) -> tuple[Float, Float, Float]:
+def angles_of(rotation: Floats) -> tuple[Floats, Floats, Floats]:
     """Return roll (-180 to 180), pitch (-90 to 90) and heading (0 to 360) [degree] of quaternions."""
     w, x, y, z = np.moveaxis(rotation, -1, 0)
     roll = np.arctan2(2 * (w * x + y * z), 1 - 2 * (x * x + y * y))
@@ -52,7 +53,7 @@ def angles_of(rotation: Float) -> tuple[Float, Float, Float]:
     return np.degrees(roll), np.degrees(pitch), np.mod(np.mod(np.degrees(heading), 360.0), 360.0)
 
 
-def slerp(first: Float, second: Float, weight: Float) -> Float:
+def slerp(first: Floats, second: Floats, weight: Floats) -> Floats:
     """Return rotations on the shorter arc from ``first`` (weight 0) to ``second`` (weight 1) (..., 4).
 
     Notes

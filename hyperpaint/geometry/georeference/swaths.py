@@ -7,6 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from hyperpaint.base.arrays import Floats
+
 from .cameras import directions
 from .geodesy import near_turns, polynomials, turn_of_north
 from .rotations import matrices, quaternions
@@ -14,7 +16,6 @@ from .terrain import Terrain
 
 __all__ = ["Mounting", "Swath", "places_of", "swath_of"]
 
-Float = npt.NDArray[np.float64]
 
 _MAP_FROM_NED = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
 """Turns north, east, down into east, north, up."""
@@ -58,8 +59,8 @@ class Swath:
         First line of every slab, and the number of lines.
     """
 
-    poses: Float
-    look: Float
+    poses: Floats
+    look: Floats
     mounting: Mounting
     ground: float | Terrain
     crs: str
@@ -67,9 +68,9 @@ class Swath:
 
 
 def swath_of(
-    poses: Float,
-    across: Float,
-    along: Float,
+    poses: Floats,
+    across: Floats,
+    along: Floats,
     mounting: Mounting,
     ground: float | Terrain,
     crs: str,
@@ -79,13 +80,13 @@ def swath_of(
     return Swath(poses, directions(np.asarray(across), np.asarray(along)), mounting, ground, crs, starts)
 
 
-def places_of(swath: Swath, block_id: tuple[int, ...]) -> Float:
+def places_of(swath: Swath, block_id: tuple[int, ...]) -> Floats:
     """Return what is known of the pixels of a slab (part, line, column), float64."""
     here = slice(int(swath.starts[block_id[1]]), int(swath.starts[block_id[1] + 1]))
     return place_lines(swath, swath.poses[:, here])
 
 
-def place_lines(swath: Swath, poses: Float) -> Float:
+def place_lines(swath: Swath, poses: Floats) -> Floats:
     """Return x, y, height [m], zenith and azimuth [degree] (part, line, column) of lines with poses."""
     from hyperpaint.kernels.rays import PLACES, level_places, raster_places
 

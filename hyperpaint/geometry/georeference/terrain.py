@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
+from hyperpaint.base.arrays import Floats
 from hyperpaint.base.attitude_conventions import Convention
 from hyperpaint.base.errors import Problems, SchemaError
 from hyperpaint.kernels.rays import BLOCK
@@ -20,7 +21,6 @@ if TYPE_CHECKING:
 
 __all__ = ["Terrain", "TerrainGrid", "grid_of", "terrain_of"]
 
-Float = npt.NDArray[np.float64]
 
 _EVEN = 1e-3
 """Part of a cell by which the coordinates of a raster may miss their even spacing."""
@@ -66,8 +66,8 @@ class Terrain:
     """
 
     grid: TerrainGrid
-    heights: Float
-    tops: Float
+    heights: Floats
+    tops: Floats
     lowest: float
     highest: float
 
@@ -140,7 +140,7 @@ def terrain_of(heights: npt.NDArray[Any], grid: TerrainGrid) -> Terrain:
     return Terrain(grid, made, _tops(made), float(np.nanmin(made)), float(np.nanmax(made)))
 
 
-def _tops(heights: Float) -> Float:
+def _tops(heights: Floats) -> Floats:
     filled = np.where(np.isnan(heights), -np.inf, heights)
     rows, cols = (range(0, size - 1, BLOCK) for size in filled.shape)
     # a block owns the borders it shares

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, NoReturn
 import numpy as np
 import numpy.typing as npt
 
+from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import TimeError
 from hyperpaint.base.schema import ALONG_TRACK, IRRADIANCE_TIME, IRRADIANCE_WAVELENGTH, require
 from hyperpaint.light.synchrony import check_irradiance_times
@@ -25,7 +26,6 @@ if TYPE_CHECKING:
 
 __all__ = ["LightOffset", "light_offset"]
 
-Float = npt.NDArray[np.float64]
 
 _WAVELENGTHS = (500.0, 850.0)
 """What pictures are of, too [nm]."""
@@ -60,8 +60,8 @@ class LightOffset:
     offset: float
     sd: float
     evidence: str
-    offsets: Float
-    misfit: Float
+    offsets: Floats
+    misfit: Floats
 
 
 def light_offset(
@@ -117,7 +117,7 @@ def light_offset(
 
 
 def _best(
-    offsets: Float, seen: Float, meant: Float, covered: npt.NDArray[np.bool_], loosest: float
+    offsets: Floats, seen: Floats, meant: Floats, covered: npt.NDArray[np.bool_], loosest: float
 ) -> LightOffset:
     """Return the best offset, unless it is none."""
     seen = seen - np.median(seen)
@@ -155,7 +155,7 @@ def _best(
     return LightOffset(offset, sd, told, offsets, np.sqrt(left / none))
 
 
-def _minimum(offsets: Float, cost: Float) -> float:
+def _minimum(offsets: Floats, cost: Floats) -> float:
     """Return where a cost is least, by a parabola through the least and its neighbours."""
     best = int(np.nanargmin(cost))
     if not 0 < best < offsets.size - 1 or not np.isfinite(cost[best - 1 : best + 2]).all():
@@ -165,16 +165,16 @@ def _minimum(offsets: Float, cost: Float) -> float:
     return float(offsets[best] + np.clip(part, -1.0, 1.0) * (offsets[1] - offsets[0]))
 
 
-def _scale(values: Float) -> float:
+def _scale(values: Floats) -> float:
     return 1.4826 * float(np.median(np.abs(values))) + _EPS
 
 
-def _clipped(values: Float, scale: float) -> Float:
+def _clipped(values: Floats, scale: float) -> Floats:
     """Return squares, those of outliers held at that of four standard deviations."""
     return np.asarray(np.minimum(values**2, (4.0 * scale) ** 2))
 
 
-def _level(irradiance: Mapping[str, xr.DataArray]) -> Float:
+def _level(irradiance: Mapping[str, xr.DataArray]) -> Floats:
     """Return the level of every spectrum (irradiance_time,), any scale."""
     wavelength = irradiance[IRRADIANCE_WAVELENGTH].values
     inside = (wavelength >= _WAVELENGTHS[0]) & (wavelength <= _WAVELENGTHS[1])
@@ -183,7 +183,7 @@ def _level(irradiance: Mapping[str, xr.DataArray]) -> Float:
     return np.asarray(spectra[:, chosen].mean(axis=1), np.float64)
 
 
-def _changes(picture: npt.NDArray[np.float32], at: Float) -> tuple[Float, Float]:
+def _changes(picture: npt.NDArray[np.float32], at: Floats) -> tuple[Floats, Floats]:
     """Return times of lines that have one, and the logarithm of the light's change from each to the next."""
     good = np.isfinite(at) & (np.abs(at) < 1e9)
     order = np.flatnonzero(good)[np.argsort(at[good], kind="stable")]

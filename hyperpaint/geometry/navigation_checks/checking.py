@@ -7,8 +7,8 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import numpy.typing as npt
 
+from hyperpaint.base.arrays import Bools, Floats
 from hyperpaint.base.attitude_conventions import Convention
 from hyperpaint.base.errors import SchemaError
 from hyperpaint.base.schema import ALONG_TRACK
@@ -26,9 +26,6 @@ if TYPE_CHECKING:
 
 __all__ = ["check_conventions"]
 
-Float = npt.NDArray[np.float64]
-
-Mask = npt.NDArray[np.bool_]
 
 _FEWEST = 500
 """Parts of rows that must be comparable."""
@@ -158,7 +155,7 @@ def _findings(setting: Setting) -> list[Finding]:
 # --- which meaning -----------------------------------------------------------------------------------------
 
 
-def _scores(setting: Setting) -> tuple[list[Scored], Mask]:
+def _scores(setting: Setting) -> tuple[list[Scored], Bools]:
     """Return all meanings by how well they fit, and what of the picture was compared."""
     plain = Hypothesis(setting.declared.replace(angle_unit="degree", column_order="left_to_right"))
     used = setting.comparable(setting.view.motion(plain.poses(setting.recorded)))
@@ -186,7 +183,7 @@ def _best(scored: list[Scored], declared: Hypothesis) -> Hypothesis:
     return min(near, key=lambda h: sum(own[n] != v for n, v in fields_of(h).items()))
 
 
-def _senses(setting: Setting, scored: list[Scored], declared: Hypothesis, used: Mask) -> list[Finding]:
+def _senses(setting: Setting, scored: list[Scored], declared: Hypothesis, used: Bools) -> list[Finding]:
     """Return findings on what meanings differ in."""
     near = [fields_of(one.hypothesis) for one in scored if one.odds > -ODDS]
     late = "" if fields_of(declared) in near else _late(setting, declared, scored[0].hypothesis, used)
@@ -213,12 +210,12 @@ def _senses(setting: Setting, scored: list[Scored], declared: Hypothesis, used: 
     return findings
 
 
-def _late(setting: Setting, declared: Hypothesis, best: Hypothesis, used: Mask) -> str:
+def _late(setting: Setting, declared: Hypothesis, best: Hypothesis, used: Bools) -> str:
     """Return why a clock that is off is as good an explanation as another meaning; empty where it is not."""
     offsets = np.arange(-_CLOCK_SEARCH, _CLOCK_SEARCH + _CLOCK_STEP / 2, _CLOCK_STEP)
 
-    def curve(hypothesis: Hypothesis) -> Float:
-        def poses(offset: float) -> Float:
+    def curve(hypothesis: Hypothesis) -> Floats:
+        def poses(offset: float) -> Floats:
             return hypothesis.poses(setting.recorded, offset)
 
         return costs_of(setting.seen, poses, hypothesis.view(setting.view), used, offsets)
@@ -254,7 +251,7 @@ def _square(hypothesis: Hypothesis, setting: Setting) -> float:
     return max(way / float(np.abs(setting.view.step).mean()), 1.0)
 
 
-def _fitted_height(setting: Setting, hypothesis: Hypothesis, used: Mask) -> Refined:
+def _fitted_height(setting: Setting, hypothesis: Hypothesis, used: Bools) -> Refined:
     poses, view = hypothesis.poses(setting.recorded), hypothesis.view(setting.view)
     return fit_height(setting.seen, poses, view, used, setting.interval, _height(hypothesis, setting))
 
@@ -277,7 +274,7 @@ def _heights(declared: str, given: float, found: Refined) -> Finding:
     return Finding(name, declared, "undecided", "", seen)
 
 
-def _stamps(setting: Setting, best: Hypothesis, used: Mask) -> Finding:
+def _stamps(setting: Setting, best: Hypothesis, used: Bools) -> Finding:
     """Return what the clock says of the part of the exposure that stamps mark."""
     found = fit_clock(
         setting.seen, lambda offset: best.poses(setting.recorded, offset), best.view(setting.view), used

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, NoReturn
 
 import numpy as np
-import numpy.typing as npt
 
+from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import SchemaError, TimeError
 from hyperpaint.geometry.georeference import PinholeCamera
 
@@ -24,7 +24,6 @@ if TYPE_CHECKING:
 
 __all__ = ["ClockOffset", "estimate_clock_offset"]
 
-Float = npt.NDArray[np.float64]
 
 _COARSE = 0.01
 """Step of the first search [s]; platforms turn at some hertz at most."""
@@ -142,7 +141,7 @@ def estimate_clock_offset(
     meant = Hypothesis(setting.declared)
     view = meant.view(setting.view)
 
-    def poses(offset: float) -> Float:
+    def poses(offset: float) -> Floats:
         return meant.poses(setting.recorded, offset)
 
     steady = np.broadcast_to(setting.steady[:, None], setting.seen.shift.shape)
@@ -182,7 +181,7 @@ def estimate_clock_offset(
     return ClockOffset(found.value, found.sd, "attitude", told, _curve(offsets, misfit))
 
 
-def _at_rest(poses: Float) -> Float:
+def _at_rest(poses: Floats) -> Floats:
     """Return poses whose angles are their means."""
     made, known = poses.copy(), np.isfinite(poses[3])
     turned = np.exp(1j * np.radians(poses[3:, known])).mean(axis=1)
@@ -194,7 +193,7 @@ def _refuse(reason: str) -> NoReturn:
     raise TimeError(f"the clocks cannot be compared: {reason}")
 
 
-def _curve(offsets: Float, misfit: Float) -> xr.DataArray:
+def _curve(offsets: Floats, misfit: Floats) -> xr.DataArray:
     import xarray as xr
 
     return xr.DataArray(

@@ -10,6 +10,7 @@ from typing import Any, Literal
 import numpy as np
 import numpy.typing as npt
 
+from hyperpaint.base.arrays import Floats
 from hyperpaint.base.attitude_conventions import Convention
 
 from .likelihood import CLIP, Residuals, inflation, residuals, robust_scale
@@ -18,7 +19,6 @@ from .pose_motion import Motion, Recorded, View
 
 __all__ = ["Hypothesis", "Scored", "fields_of", "hypotheses_of", "score"]
 
-Float = npt.NDArray[np.float64]
 Positions = Literal["as declared", "latitude and longitude swapped", "longitude west positive"]
 
 POSITIONS: tuple[Positions, ...] = (
@@ -52,7 +52,7 @@ class Hypothesis:
     convention: Convention
     positions: Positions = "as declared"
 
-    def poses(self, recorded: Recorded, clock_offset_s: float = 0.0) -> Float:
+    def poses(self, recorded: Recorded, clock_offset_s: float = 0.0) -> Floats:
         """Return canonical poses (6, line)."""
         if self.positions == POSITIONS[1]:
             recorded = recorded.swapped()
@@ -128,7 +128,7 @@ def score(
     are by what those of the best resemble their neighbours; see `likelihood`.
     """
     found: list[tuple[Hypothesis, Residuals]] = []
-    poses: dict[Any, Float] = {}
+    poses: dict[Any, Floats] = {}
     for hypothesis in hypotheses_of(declared.convention, columns_matter=columns_matter):
         key = (hypothesis.convention.replace(column_order=None), hypothesis.positions)
         if key not in poses:
@@ -155,7 +155,7 @@ def score(
     return sorted(scored, key=lambda one: -one.odds)
 
 
-def _costs(left: list[Float], used: npt.NDArray[np.bool_]) -> Float:
+def _costs(left: list[Floats], used: npt.NDArray[np.bool_]) -> Floats:
     """Return negative logarithms of likelihoods, but for a constant."""
     scales = [robust_scale(one[used]) for one in left]
     best = int(np.argmin(scales))

@@ -7,12 +7,13 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from hyperpaint.base.arrays import Floats
+
 from .picture_motion import RowMotion
 from .pose_motion import Motion
 
 __all__ = ["Residuals", "inflation", "residuals", "robust_scale"]
 
-Float = npt.NDArray[np.float64]
 
 CLIP = 4.0
 """Standard deviations at which a residual counts no more."""
@@ -34,11 +35,11 @@ class Residuals:
         [1].
     """
 
-    shift: Float
-    unlikeness: Float
+    shift: Floats
+    unlikeness: Floats
 
 
-def robust_scale(values: Float) -> float:
+def robust_scale(values: Floats) -> float:
     """Return the standard deviation of values about 0, by the median of their size; NaN is left out."""
     known = np.abs(values[np.isfinite(values)])
     return max(1.4826 * float(np.median(known)), 1e-9) if known.size else float("nan")
@@ -68,7 +69,7 @@ def residuals(seen: RowMotion, meant: Motion, used: npt.NDArray[np.bool_], inter
     return Residuals(shift, _unexplained(seen.unlikeness, alike, used))
 
 
-def _without(values: Float, parts: list[tuple[Float, float]], used: npt.NDArray[np.bool_]) -> Float:
+def _without(values: Floats, parts: list[tuple[Floats, float]], used: npt.NDArray[np.bool_]) -> Floats:
     """Return values less parts of known form and of unknown, but bounded, size; robust."""
     design = np.stack([np.where(used, part, 0.0) for part, _ in parts])
     limits = np.array([limit for _, limit in parts])
@@ -83,7 +84,7 @@ def _without(values: Float, parts: list[tuple[Float, float]], used: npt.NDArray[
     return np.where(used, left, np.nan)
 
 
-def _unexplained(values: Float, alike: Float, used: npt.NDArray[np.bool_]) -> Float:
+def _unexplained(values: Floats, alike: Floats, used: npt.NDArray[np.bool_]) -> Floats:
     """Return values less a constant and a multiple of ``alike`` that is not negative; robust."""
     left = values - np.median(values[used])
     for _ in range(3):
@@ -95,7 +96,7 @@ def _unexplained(values: Float, alike: Float, used: npt.NDArray[np.bool_]) -> Fl
     return np.where(used, left, np.nan)
 
 
-def inflation(left: Float) -> float:
+def inflation(left: Floats) -> float:
     """Return by how much residuals (line, zone) are fewer than they are many: they resemble their neighbours.
 
     Notes

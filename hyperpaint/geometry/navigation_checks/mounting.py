@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
+from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import Problems, SchemaError
 from hyperpaint.geometry.georeference import PinholeCamera
 
@@ -21,7 +22,6 @@ if TYPE_CHECKING:
 
 __all__ = ["BoresightSolution", "solve_boresight"]
 
-Float = npt.NDArray[np.float64]
 
 PARAMETERS = ("roll", "pitch", "heading", "height", "clock")
 _UNITS = {"roll": "degree", "pitch": "degree", "heading": "degree", "height": "m", "clock": "s"}
@@ -241,7 +241,7 @@ def _sights(
     camera: Any,
     convention: Convention | None,
     crs: Any,
-    start: Float,
+    start: Floats,
 ) -> list[Sightings]:
     """Return the points, line by line."""
     import xarray as xr
@@ -289,17 +289,17 @@ class _Problem:
     """Misses of all points as a function of what is solved for."""
 
     sights: list[Sightings]
-    start: Float
+    start: Floats
     free: list[int]
     count: int
 
-    def whole(self, free: Float) -> Float:
+    def whole(self, free: Floats) -> Floats:
         """Return all five parameters."""
         made = self.start.copy()
         made[self.free] = free
         return made
 
-    def misses(self, free: Float) -> Float:
+    def misses(self, free: Floats) -> Floats:
         """Return misses of all points (point, 2) [pixel of picking]."""
         whole, made = self.whole(free), np.zeros((self.count, 2))
         for k, sight in enumerate(self.sights):
@@ -307,12 +307,12 @@ class _Problem:
             made[sight.index] = np.einsum("nij,nj->ni", self._white[k], found)
         return made
 
-    def whiten(self, free: Float) -> None:
+    def whiten(self, free: Floats) -> None:
         """Take the motion of points in the picture from here on as it is with these parameters."""
         whole = self.whole(free)
         self._white = [s.whitening(whole[:3], float(whole[3]), float(whole[4])) for s in self.sights]
 
-    def slopes(self, free: Float, kept: npt.NDArray[np.bool_]) -> Float:
+    def slopes(self, free: Floats, kept: npt.NDArray[np.bool_]) -> Floats:
         """Return derivatives of the misses of points that are kept (2 point, parameter)."""
         if not hasattr(self, "_white"):
             self.whiten(free)
@@ -324,8 +324,8 @@ class _Problem:
         return np.stack(made, axis=1)
 
     def fit(
-        self, free: Float, kept: npt.NDArray[np.bool_], scale: float | None = None, roughly: bool = False
-    ) -> Float:
+        self, free: Floats, kept: npt.NDArray[np.bool_], scale: float | None = None, roughly: bool = False
+    ) -> Floats:
         """Return the parameters that fit best, or nearly; with a scale [pixel] by soft-L1."""
         from scipy.optimize import least_squares
 
@@ -352,7 +352,7 @@ class _Problem:
             sane[sight.index] = ~(far | sight.behind(at[:3], float(at[3]), float(at[4])))
         return sane if 2 * sane.sum() > self.count else np.ones(self.count, bool)
 
-    def best(self, sane: npt.NDArray[np.bool_]) -> tuple[Float, npt.NDArray[np.bool_]]:
+    def best(self, sane: npt.NDArray[np.bool_]) -> tuple[Floats, npt.NDArray[np.bool_]]:
         """Return the parameters, and which points they fit, of the clock that fits best.
 
         Raises
@@ -383,7 +383,7 @@ class _Problem:
         self.whiten(free)
         return free, kept
 
-    def clocks(self, sane: npt.NDArray[np.bool_]) -> list[Float]:
+    def clocks(self, sane: npt.NDArray[np.bool_]) -> list[Floats]:
         """Return where to begin: the best of clocks around, the others fit to each."""
         held = _Problem(self.sights, self.start.copy(), self.free[:-1], self.count)
         held._white = self._white  # misses of all clocks are then in one unit
@@ -403,7 +403,9 @@ class _Problem:
         hopeful = sorted((k for k in lowest if left[k] <= _HOPEFUL * min(left)), key=lambda k: left[k])
         return [begun[k] for k in hopeful[:_CANDIDATES]]
 
-    def robust(self, free: Float, sane: npt.NDArray[np.bool_]) -> tuple[Float, npt.NDArray[np.bool_], float]:
+    def robust(
+        self, free: Floats, sane: npt.NDArray[np.bool_]
+    ) -> tuple[Floats, npt.NDArray[np.bool_], float]:
         """Return the parameters, which points they fit, and what these are left with [pixel]."""
         kept, count = sane, int(sane.sum())
         free = self.fit(free, kept)
@@ -427,7 +429,7 @@ class _Problem:
         return free, kept, float(np.median(np.where(np.isfinite(left), left, np.inf)))
 
 
-def _refuse_unidentifiable(slopes: Float, names: list[str], kept: npt.NDArray[np.bool_]) -> float:
+def _refuse_unidentifiable(slopes: Floats, names: list[str], kept: npt.NDArray[np.bool_]) -> float:
     """Return the condition number.
 
     Raises
@@ -465,7 +467,7 @@ def _refuse_unidentifiable(slopes: Float, names: list[str], kept: npt.NDArray[np
     return condition
 
 
-def _labelled(covariance: Float, names: list[str]) -> xr.DataArray:
+def _labelled(covariance: Floats, names: list[str]) -> xr.DataArray:
     import xarray as xr
 
     units = ", ".join(_UNITS[name] for name in names)
@@ -477,7 +479,7 @@ def _labelled(covariance: Float, names: list[str]) -> xr.DataArray:
     )
 
 
-def _points(points: xr.Dataset, misses: Float, kept: npt.NDArray[np.bool_]) -> xr.Dataset:
+def _points(points: xr.Dataset, misses: Floats, kept: npt.NDArray[np.bool_]) -> xr.Dataset:
     import xarray as xr
 
     told = [str(n) for n in points["name"].values] if "name" in points.variables else [""] * kept.size

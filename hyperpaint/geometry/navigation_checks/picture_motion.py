@@ -13,9 +13,10 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from hyperpaint.base.arrays import Floats
+
 __all__ = ["RowMotion", "row_motion"]
 
-Float = npt.NDArray[np.float64]
 
 FEWEST_ZONES, MOST_ZONES, ZONE = 4, 12, 64
 """Parts of a row that are looked at each for itself, and their width where there are enough columns."""
@@ -46,10 +47,10 @@ class RowMotion:
         Column in the middle of every zone.
     """
 
-    shift: Float
-    unlikeness: Float
-    structure: Float
-    centres: Float
+    shift: Floats
+    unlikeness: Floats
+    structure: Floats
+    centres: Floats
 
 
 def row_motion(picture: npt.NDArray[Any]) -> RowMotion | None:
@@ -93,7 +94,7 @@ def row_motion(picture: npt.NDArray[Any]) -> RowMotion | None:
     return RowMotion(shift, unlike, structure / weight, starts + (width - 1) / 2)
 
 
-def _levelled(picture: npt.NDArray[Any]) -> Float:
+def _levelled(picture: npt.NDArray[Any]) -> Floats:
     """Return the logarithm without the gains of columns."""
     values = np.asarray(picture, np.float64)
     known = np.isfinite(values) & (values > 0.0)
@@ -103,7 +104,7 @@ def _levelled(picture: npt.NDArray[Any]) -> Float:
     return np.asarray(logs)
 
 
-def _fine(rows: Float) -> Float:
+def _fine(rows: Floats) -> Floats:
     """Return rows without what changes slowly.
 
     A long edge aslant looks like a shift to any two rows; of what is small there is more, to every side.
@@ -116,14 +117,14 @@ def _fine(rows: Float) -> Float:
     return np.asarray(level / contrast)
 
 
-def _difference(before: Float, after: Float, moved: Float, window: slice) -> Float:
+def _difference(before: Floats, after: Floats, moved: Floats, window: slice) -> Floats:
     """Return the mean square difference of rows that are moved onto one another (row,)."""
     known = np.where(np.isnan(moved), 0.0, moved)
     apart = _moved(after, window, -known / 2) - _moved(before, window, known / 2)
     return np.where(np.isnan(moved), np.nan, (apart**2).mean(axis=1))
 
 
-def _shift(before: Float, after: Float, window: slice) -> Float:
+def _shift(before: Floats, after: Floats, window: slice) -> Floats:
     """Return the shift of every row (row,), NaN where it is not within `REACH`."""
     still = after[:, window]
     tries = range(-REACH, REACH + 1)
@@ -146,7 +147,7 @@ def _shift(before: Float, after: Float, window: slice) -> Float:
     return np.where(edge, np.nan, moved)
 
 
-def _moved(rows: Float, window: slice, by: Float) -> Float:
+def _moved(rows: Floats, window: slice, by: Floats) -> Floats:
     """Return rows at columns + ``by``, by cubic convolution (Keys, 1981)."""
     whole = np.floor(by).astype(np.int64)
     t = (by - whole)[:, None]
@@ -162,7 +163,7 @@ def _moved(rows: Float, window: slice, by: Float) -> Float:
     return np.asarray(sum(w * tap for w, tap in zip(weights, taps, strict=True)))
 
 
-def _own_structure(rows: Float, window: slice) -> Float:
+def _own_structure(rows: Floats, window: slice) -> Floats:
     """Return mean square differences of rows with themselves, 0 to `REACH` columns apart (row, lag)."""
     made = np.zeros((rows.shape[0], REACH + 1))
     for lag in range(1, REACH + 1):

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
+from hyperpaint.base.arrays import Floats
 from hyperpaint.base.attitude_conventions import Convention
 from hyperpaint.base.errors import SchemaError
 from hyperpaint.base.schema import ALONG_TRACK, require
@@ -20,7 +21,6 @@ if TYPE_CHECKING:
 
 __all__ = ["Motion", "Recorded", "View", "course_of", "local_metres", "recorded_poses", "units_of", "view_of"]
 
-Float = npt.NDArray[np.float64]
 
 _AXIS, _ECCENTRICITY2 = 6378137.0, 6.69437999014e-3  # WGS 84
 _LOWEST = 0.05
@@ -39,8 +39,8 @@ class Motion:
         Across the row, forward positive [pixel of the row].
     """
 
-    shift: Float
-    travel: Float
+    shift: Floats
+    travel: Floats
 
 
 @dataclass(frozen=True)
@@ -60,11 +60,11 @@ class Recorded:
     """
 
     times: npt.NDArray[np.datetime64]
-    columns: dict[str, Float]
+    columns: dict[str, Floats]
     wanted: npt.NDArray[np.datetime64]
     crs: Any = None
 
-    def at(self, convention: Convention, clock_offset_s: float = 0.0) -> Float:
+    def at(self, convention: Convention, clock_offset_s: float = 0.0) -> Floats:
         """Return canonical poses (6, line) if the record means what ``convention`` says."""
         columns = (self.columns[name] for name in POSE)
         values = canonical_values(*columns, convention=convention, crs=self.crs)
@@ -98,14 +98,14 @@ class View:
         Height of the ground above the ellipsoid [m].
     """
 
-    right: Float
-    forward: Float
-    step: Float
+    right: Floats
+    forward: Floats
+    step: Floats
     boresight: tuple[float, float, float]
     lever_arm: tuple[float, float, float]
     ground: float
 
-    def motion(self, poses: Float, *, boresight: tuple[float, float, float] | None = None) -> Motion:
+    def motion(self, poses: Floats, *, boresight: tuple[float, float, float] | None = None) -> Motion:
         """Return the motion that poses (6, line) mean; NaN where a pose is not known."""
         north, east = local_metres(poses[0], poses[1])
         body = matrices(quaternions(*poses[3:]))
@@ -123,7 +123,7 @@ class View:
             forward = (way[..., 0] * pixel[..., 1] - way[..., 1] * pixel[..., 0]) / area
         return Motion(sideways, forward * np.sign(self.step))
 
-    def _hits(self, origin: Float, height: Float, rotation: Float, columns: float) -> Float:
+    def _hits(self, origin: Floats, height: Floats, rotation: Floats, columns: float) -> Floats:
         u = np.stack([self.forward, self.right + columns * self.step, np.ones_like(self.right)], axis=-1)
         d = np.einsum("nij,zj->nzi", rotation, u)
         with np.errstate(invalid="ignore", divide="ignore"):
@@ -131,7 +131,7 @@ class View:
         return np.asarray(origin[:, None] + s[..., None] * d[..., :2])
 
 
-def local_metres(latitude: Float, longitude: Float) -> tuple[Float, Float]:
+def local_metres(latitude: Floats, longitude: Floats) -> tuple[Floats, Floats]:
     """Return metres to the north and to the east of the first known place; good for a flight line."""
     known = np.flatnonzero(np.isfinite(latitude) & np.isfinite(longitude))
     if not known.size:
@@ -145,7 +145,7 @@ def local_metres(latitude: Float, longitude: Float) -> tuple[Float, Float]:
     return north, np.radians(longitude - longitude[start]) * parallel
 
 
-def course_of(poses: Float) -> float:
+def course_of(poses: Floats) -> float:
     """Return the direction from the first place to the last, clockwise from true north [degree]."""
     north, east = local_metres(poses[0], poses[1])
     known = np.flatnonzero(np.isfinite(north))
@@ -180,7 +180,7 @@ def recorded_poses(line: xr.Dataset, navigation: xr.Dataset | None, crs: Any = N
 def view_of(
     line: xr.Dataset,
     camera: Any,
-    centres: Float,
+    centres: Floats,
     boresight: tuple[float, float, float],
     lever_arm: tuple[float, float, float],
     ground: float,

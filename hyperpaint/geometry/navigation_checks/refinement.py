@@ -8,13 +8,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
+from hyperpaint.base.arrays import Floats
+
 from .likelihood import CLIP, SLANT, inflation, residuals, robust_scale
 from .picture_motion import RowMotion
 from .pose_motion import Motion, View
 
 __all__ = ["Refined", "amplitude", "costs_of", "fit_clock", "fit_height"]
 
-Float = npt.NDArray[np.float64]
 
 _STEP = 0.002
 """Over which motion is differenced in time [s]."""
@@ -53,7 +54,7 @@ class Refined:
 
 def fit_clock(
     seen: RowMotion,
-    poses: Callable[[float], Float],
+    poses: Callable[[float], Floats],
     view: View,
     used: npt.NDArray[np.bool_],
     start: float = 0.0,
@@ -98,11 +99,11 @@ def fit_clock(
 
 def costs_of(
     seen: RowMotion,
-    poses: Callable[[float], Float],
+    poses: Callable[[float], Floats],
     view: View,
     used: npt.NDArray[np.bool_],
-    offsets: Float,
-) -> Float:
+    offsets: Floats,
+) -> Floats:
     """Return the robust standard deviation of shifts (offset,) [pixel] at offsets of the clock [s].
 
     NaN where less than half of the picture has a pose.
@@ -117,14 +118,14 @@ def costs_of(
     return made
 
 
-def _levelled(left: Float, travel: Float) -> Float:
+def _levelled(left: Floats, travel: Floats) -> Floats:
     """Return residuals less what leans on the ground, which is in proportion to the way."""
     known = np.isfinite(left) & (np.abs(left) < CLIP * robust_scale(left))
     lean = float((left[known] * travel[known]).sum() / max((travel[known] ** 2).sum(), 1e-12))
     return np.asarray(left - np.clip(lean, -SLANT, SLANT) * travel)
 
 
-def amplitude(seen: RowMotion, meant: Float, rest: Float, used: npt.NDArray[np.bool_]) -> float:
+def amplitude(seen: RowMotion, meant: Floats, rest: Floats, used: npt.NDArray[np.bool_]) -> float:
     """Return what shifts of the picture are of those expected, both less those of a platform at rest."""
     good = used & np.isfinite(meant) & np.isfinite(rest)
     away = seen.shift - meant
@@ -135,7 +136,7 @@ def amplitude(seen: RowMotion, meant: Float, rest: Float, used: npt.NDArray[np.b
 
 
 def _solved(
-    values: Float, parts: tuple[Float, ...], travel: Float, used: npt.NDArray[np.bool_]
+    values: Floats, parts: tuple[Floats, ...], travel: Floats, used: npt.NDArray[np.bool_]
 ) -> tuple[float, float, float]:
     """Return the size of the first part, its uncertainty, and the cost before it is taken out."""
     good = used & np.isfinite(values) & np.isfinite(parts).all(axis=0) & np.isfinite(travel)
@@ -164,7 +165,7 @@ def _solved(
     return float(size[0]), sd, 0.5 * float(np.minimum((remains[good] / scale) ** 2, CLIP**2).sum()) / fewer
 
 
-def _jackknife(normal: Float, right: Float, whole_a: Float, whole_b: Float, group: int) -> float:
+def _jackknife(normal: Floats, right: Floats, whole_a: Floats, whole_b: Floats, group: int) -> float:
     """Return the uncertainty of the first part when groups of neighbouring blocks are left out in turn."""
     starts = np.arange(0, normal.shape[0], group)
     normal, right = (np.add.reduceat(a, starts, axis=0) for a in (normal, right))
@@ -175,20 +176,20 @@ def _jackknife(normal: Float, right: Float, whole_a: Float, whole_b: Float, grou
     return float(np.sqrt((count - 1) / count * ((without - without.mean()) ** 2).sum()))
 
 
-def _apart(values: Float, lean: Float) -> Float:
+def _apart(values: Floats, lean: Floats) -> Floats:
     """Return values (line, zone) less what is in proportion to the way, zone by zone."""
     size = (values * lean).sum(axis=0) / np.maximum((lean**2).sum(axis=0), 1e-12)
     return np.asarray(values - size * lean)
 
 
-def _smooth(values: Float) -> Float:
+def _smooth(values: Floats) -> Floats:
     from scipy.ndimage import uniform_filter1d
 
     return np.asarray(uniform_filter1d(values, _SMOOTH, axis=0, mode="constant"))
 
 
 def fit_height(
-    seen: RowMotion, poses: Float, view: View, used: npt.NDArray[np.bool_], interval: float, height: float
+    seen: RowMotion, poses: Floats, view: View, used: npt.NDArray[np.bool_], interval: float, height: float
 ) -> Refined:
     """Return the height above the ground [m] at which the way over ground fits the turns of the platform.
 

@@ -23,7 +23,6 @@ if TYPE_CHECKING:
 
 __all__ = ["MOST_LINES", "Setting", "setting_of"]
 
-Float = npt.NDArray[np.float64]
 
 MOST_LINES = 4000
 """Lines that a check looks at unless told otherwise: those in the middle."""

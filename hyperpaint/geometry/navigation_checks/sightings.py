@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
+from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import SchemaError
 from hyperpaint.base.schema import require
 from hyperpaint.geometry.georeference.cameras import look_angles
@@ -29,7 +30,6 @@ if TYPE_CHECKING:
 
 __all__ = ["Sightings", "sightings_of"]
 
-Float = npt.NDArray[np.float64]
 
 _AXIS, _ECCENTRICITY2 = 6378137.0, 6.69437999014e-3  # WGS 84
 _AROUND = 3.0
@@ -65,19 +65,19 @@ class Sightings:
     """
 
     times: npt.NDArray[np.datetime64]
-    poses: Float
+    poses: Floats
     seen: npt.NDArray[np.datetime64]
-    line_time: Float
-    ground: Float
-    forward: Float
-    right: Float
-    step: Float
+    line_time: Floats
+    ground: Floats
+    forward: Floats
+    right: Floats
+    step: Floats
     lever_arm: tuple[float, float, float]
     index: npt.NDArray[np.int64]
     field_of_view: float
-    _kept: dict[tuple[float, float], Float] = field(default_factory=dict, repr=False)
+    _kept: dict[tuple[float, float], Floats] = field(default_factory=dict, repr=False)
 
-    def misses(self, boresight: Float, height: float, clock: float, lines: float = 0.0) -> Float:
+    def misses(self, boresight: Floats, height: float, clock: float, lines: float = 0.0) -> Floats:
         """Return by how much points are not where they were seen (point, 2): forward, right [tangent].
 
         Parameters
@@ -94,11 +94,11 @@ class Sightings:
         way = self._ways(boresight, height, clock, lines)
         return np.asarray(way[:, :2] / way[:, 2:] - np.stack([self.forward, self.right], axis=-1))
 
-    def behind(self, boresight: Float, height: float, clock: float) -> npt.NDArray[np.bool_]:
+    def behind(self, boresight: Floats, height: float, clock: float) -> npt.NDArray[np.bool_]:
         """Tell which points are behind the camera (point,), where a miss means nothing."""
         return np.asarray(self._ways(boresight, height, clock, 0.0)[:, 2] <= 0.0)
 
-    def whitening(self, boresight: Float, height: float, clock: float) -> Float:
+    def whitening(self, boresight: Floats, height: float, clock: float) -> Floats:
         """Return what turns misses into pixels of picking (point, 2, 2).
 
         A pixel in the line and one in the column move a point by two directions in the camera's frame; what
@@ -110,7 +110,7 @@ class Sightings:
         both = moved[:, :, None] * moved[:, None] + self.step[:, :, None] * self.step[:, None] + floor
         return np.asarray(np.linalg.inv(np.linalg.cholesky(both)))
 
-    def _ways(self, boresight: Float, height: float, clock: float, lines: float) -> Float:
+    def _ways(self, boresight: Floats, height: float, clock: float, lines: float) -> Floats:
         """Return the ways from the camera to the points in its frame (point, 3) [m]."""
         poses = self._poses(clock, lines)
         body = matrices(quaternions(*poses[3:]))
@@ -120,7 +120,7 @@ class Sightings:
         way = np.einsum("nji,nj->ni", body, way) - np.array(self.lever_arm)
         return np.asarray(way @ matrices(quaternions(*boresight)))
 
-    def _poses(self, clock: float, lines: float) -> Float:
+    def _poses(self, clock: float, lines: float) -> Floats:
         if (clock, lines) not in self._kept:
             if len(self._kept) > 16:
                 self._kept.clear()
@@ -129,7 +129,7 @@ class Sightings:
         return self._kept[clock, lines]
 
 
-def _place(latitude: Float, longitude: Float, height: Float) -> tuple[Float, Float]:
+def _place(latitude: Floats, longitude: Floats, height: Floats) -> tuple[Floats, Floats]:
     """Return geocentric coordinates (n, 3) and the directions north, east, down there (n, 3, 3)."""
     phi, lam = np.radians(latitude), np.radians(longitude)
     sp, cp, sl, cl = np.sin(phi), np.cos(phi), np.sin(lam), np.cos(lam)
@@ -214,7 +214,7 @@ def sightings_of(
     return made
 
 
-def _beyond(at: Float, index: npt.NDArray[np.int64], values: Float) -> Float:
+def _beyond(at: Floats, index: npt.NDArray[np.int64], values: Floats) -> Floats:
     """Return values at fractions of an index, half a step beyond its ends too."""
     inside = np.interp(at, index, values)
     low, high = np.minimum(at, 0.0), np.maximum(at - index[-1], 0.0)

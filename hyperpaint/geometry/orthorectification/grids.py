@@ -7,11 +7,11 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
+
+from hyperpaint.base.arrays import Floats
 
 __all__ = ["Axes", "Box", "MapGrid", "box_of", "covering", "flight_axes", "north_axes"]
 
-Float = npt.NDArray[np.float64]
 Box = tuple[float, float, float, float]
 """Least and largest way to the right, then down, from the anchor of axes [m]."""
 
@@ -42,7 +42,7 @@ class Axes:
         """East and north of one step down."""
         return self.right[1], -self.right[0]
 
-    def along(self, east: Float, north: Float) -> tuple[Float, Float]:
+    def along(self, east: Floats, north: Floats) -> tuple[Floats, Floats]:
         """Return how far places lie to the right of, and down from, the anchor [m]."""
         e, n = east - self.anchor[0], north - self.anchor[1]
         (a, b), (c, d) = self.right, self.down
@@ -93,7 +93,7 @@ class MapGrid:
         y, x = (self.first[0] + row) * self.gsd, (self.first[1] + col) * self.gsd
         return self.axes.anchor[0] + x * a + y * c, self.axes.anchor[1] + x * b + y * d
 
-    def centres(self, rows: slice, cols: slice) -> tuple[Float, Float]:
+    def centres(self, rows: slice, cols: slice) -> tuple[Floats, Floats]:
         """Return east and north of the centres of cells (row, col) [m]."""
         row = np.arange(rows.start, rows.stop)[:, None] + 0.5
         col = np.arange(cols.start, cols.stop)[None, :] + 0.5
@@ -102,7 +102,7 @@ class MapGrid:
         return self.axes.anchor[0] + x * a + y * c, self.axes.anchor[1] + x * b + y * d
 
     @property
-    def frame(self) -> Float:
+    def frame(self) -> Floats:
         """What turns map coordinates into cells, see `hyperpaint.kernels.inverse_map`."""
         east, north = self._place(0.5, 0.5)
         turn = np.array([*self.axes.right, *self.axes.down]) / self.gsd
@@ -114,7 +114,7 @@ def north_axes() -> Axes:
     return Axes((1.0, 0.0), (0.0, 0.0))
 
 
-def flight_axes(left: Float, right: Float) -> Axes:
+def flight_axes(left: Floats, right: Floats) -> Axes:
     """Return axes along a flight, which goes up.
 
     Parameters

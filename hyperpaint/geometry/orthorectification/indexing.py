@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+
+from hyperpaint.base.arrays import Array, Floats, Ints
 
 from .grids import MapGrid
 from .surveys import Survey
@@ -25,9 +26,6 @@ __all__ = [
     "reading_of",
 ]
 
-Array = npt.NDArray[Any]
-Float = npt.NDArray[np.float64]
-Index = npt.NDArray[np.int64]
 Window = tuple[slice, slice]
 """Rows and columns of a tile."""
 
@@ -58,7 +56,7 @@ class Plan:
     rule: int
     longest: float
     last: int
-    between: Float
+    between: Floats
 
 
 @dataclass(frozen=True)
@@ -75,8 +73,8 @@ class TileIndex:
         Patches over a cell.
     """
 
-    line: Float
-    sample: Float
+    line: Floats
+    sample: Floats
     nearest_line: Array
     nearest_sample: Array
     hits: Array
@@ -99,14 +97,14 @@ class Reading:
     """
 
     shape: tuple[int, int]
-    cells: Index
-    lines: Index
-    columns: Index
-    along: Float
-    across: Float
+    cells: Ints
+    lines: Ints
+    columns: Ints
+    along: Floats
+    across: Floats
 
 
-def areas_between(survey: Survey) -> Float:
+def areas_between(survey: Survey) -> Floats:
     """Return the areas between the ends of lines, over lines without a place (pair, 4, 2)."""
     ends = survey.ends[np.isfinite(survey.ends).all(axis=(1, 2))]
     before, after = ends[:-1], ends[1:]
@@ -150,8 +148,8 @@ def index_tile(
     rows: slice,
     cols: slice,
     starts: Sequence[int],
-    east: Sequence[Float],
-    north: Sequence[Float],
+    east: Sequence[Floats],
+    north: Sequence[Floats],
 ) -> TileIndex:
     """Return the places of the line at the cells of a tile.
 
@@ -222,5 +220,5 @@ def reading_of(index: TileIndex, bilinear: bool) -> Reading:
     return Reading(index.hits.shape, cells[order], lines, columns, line - lines, sample - columns)
 
 
-def _whole(line: Array, sample: Array) -> tuple[Index, Index]:
+def _whole(line: Array, sample: Array) -> tuple[Ints, Ints]:
     return line.astype(np.int64), sample.astype(np.int64)

@@ -6,13 +6,12 @@ from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
+
+from hyperpaint.base.arrays import Array
 
 from .indexing import Reading, TileIndex
 
 __all__ = ["column_values", "line_values", "map_spectra", "plane_values"]
-
-Array = npt.NDArray[Any]
 
 
 def map_spectra(reading: Reading, starts: Sequence[int], slabs: Sequence[Array], empty: Any) -> Array:

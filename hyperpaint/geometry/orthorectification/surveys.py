@@ -6,13 +6,13 @@ however long the flight.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
 
+from hyperpaint.base.arrays import Floats, Progress
 from hyperpaint.base.errors import SchemaError
 
 from .grids import Axes, Box, flight_axes
@@ -22,8 +22,6 @@ if TYPE_CHECKING:
 
 __all__ = ["Progress", "Survey", "direction_of_flight", "survey_lines"]
 
-Float = npt.NDArray[np.float64]
-Progress = Callable[[int, int], None]
 
 _SAMPLED_LINES = 64
 """Lines that the direction of flight is found from."""
@@ -47,8 +45,8 @@ class Survey:
         Median over lines of the median distance of neighbouring columns, and to the next line [m].
     """
 
-    boxes: Float
-    ends: Float
+    boxes: Floats
+    ends: Floats
     across: float
     along: float
 
@@ -102,7 +100,7 @@ def survey_lines(east: da.Array, north: da.Array, axes: Axes, progress: Progress
     return Survey(table[:, :4], table[:, 4:8].reshape(-1, 2, 2), across, along)
 
 
-def _ends_of(east: da.Array, north: da.Array, lines: npt.NDArray[Any]) -> Float:
+def _ends_of(east: da.Array, north: da.Array, lines: npt.NDArray[Any]) -> Floats:
     """Return the ends of lines that have a place (line, 2, 2)."""
     edges = np.cumsum((0, *east.chunks[0]))
     slabs = np.searchsorted(edges, lines, side="right") - 1
@@ -149,7 +147,7 @@ def _computed(
     return made
 
 
-def _looked_at(east: Float, north: Float, axes: Axes) -> tuple[Float, tuple[Float, Float]]:
+def _looked_at(east: Floats, north: Floats, axes: Axes) -> tuple[Floats, tuple[Floats, Floats]]:
     """Return the rows of the lines of a slab (line, `_COLUMNS`), and where some pixels of its ends lie."""
     out = np.full((len(east), _COLUMNS), np.nan)
     step = max(1, east.shape[1] // _SAMPLED_COLUMNS)
@@ -174,13 +172,13 @@ def _looked_at(east: Float, north: Float, axes: Axes) -> tuple[Float, tuple[Floa
     return out, ends
 
 
-def _medians(steps: Float) -> Float:
+def _medians(steps: Floats) -> Floats:
     """Return the median of every row, without what is NaN; NaN where all of it is."""
     if not steps.shape[1] or not np.isnan(steps).any():
         return np.median(steps, axis=1) if steps.size else np.full(len(steps), np.nan)
     return np.array([_median(row) for row in steps])
 
 
-def _median(values: Float) -> float:
+def _median(values: Floats) -> float:
     found = values[np.isfinite(values)]
     return float(np.median(found)) if found.size else np.nan

@@ -10,7 +10,8 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import numpy.typing as npt
+
+from hyperpaint.base.arrays import Array
 
 from .grids import MapGrid
 from .indexing import Plan, Window, gaps_of, index_tile, reading_of
@@ -21,7 +22,6 @@ if TYPE_CHECKING:
 
 __all__ = ["Tiles", "tile_windows"]
 
-Array = npt.NDArray[Any]
 Place = tuple[int, int]
 """Row and column of a tile."""
 

@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import numpy.typing as npt
 
+from hyperpaint.base.arrays import Array
 from hyperpaint.base.errors import PaintWarning, Problems, SchemaError
 from hyperpaint.base.schema import LIBRARY_VARIABLES, PAINT, require
 
@@ -38,7 +38,6 @@ if TYPE_CHECKING:
 
 __all__ = ["write_dirsig"]
 
-Array = npt.NDArray[Any]
 
 SURFACES = ("ClassicEmissivity", "SimpleReflectance")
 _MOST_TOLD = 20

@@ -21,8 +21,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-import numpy.typing as npt
 
+from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import FormatError, Problems
 from hyperpaint.base.schema import BAND, LIBRARY_VARIABLES, MEMBER, PAINT
 from hyperpaint.io.files.reading import read_limited_text
@@ -34,7 +34,6 @@ if TYPE_CHECKING:
 
 __all__ = ["Curve", "Emissivity", "open_emissivity", "read_emissivity", "read_reflectance_text"]
 
-Array = npt.NDArray[np.float64]
 
 MOST_BYTES = 128 * 2**20
 """Of an ``.ems`` file: a thousand curves of 2000 wavelengths have some 36 MB."""
@@ -68,8 +67,8 @@ class Curve:
         (wavelength,) [1].
     """
 
-    wavelength: Array
-    emissivity: Array
+    wavelength: Floats
+    emissivity: Floats
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,7 +85,7 @@ class Emissivity:
         ``new`` or ``old``.
     """
 
-    weights: Array
+    weights: Floats
     curves: tuple[Curve, ...]
     layout: str
 
@@ -131,7 +130,7 @@ def _count(line: bytes, problems: Problems) -> int:
     return count
 
 
-def _weights(lines: list[bytes], problems: Problems) -> Array:
+def _weights(lines: list[bytes], problems: Problems) -> Floats:
     wrong = [number for number, line in enumerate(lines, 2) if not _ONE_NUMBER.fullmatch(line)]
     for number in wrong[:_MOST_TOLD]:
         problems.add(
@@ -178,7 +177,7 @@ def _curves(body: bytes, count: int, problems: Problems) -> tuple[str, list[Curv
     return layout, curves
 
 
-def _table(rows: bytes, line: int, problems: Problems) -> Array | None:
+def _table(rows: bytes, line: int, problems: Problems) -> Floats | None:
     """Return rows of two numbers (row, 2), None where they are anything else."""
     if _ROWS.fullmatch(rows):
         return np.array(rows.split(), np.float64).reshape(-1, 2)
@@ -191,14 +190,14 @@ def _table(rows: bytes, line: int, problems: Problems) -> Array | None:
     return None
 
 
-def _new_curve(table: Array) -> tuple[Curve, str]:
+def _new_curve(table: Floats) -> tuple[Curve, str]:
     wavelength, emissivity = table.T.copy()
     return Curve(wavelength, emissivity), _wavelength_problem(wavelength) or _value_problem(
         emissivity, "emissivity"
     )
 
 
-def _old_curve(table: Array) -> tuple[Curve, str]:
+def _old_curve(table: Floats) -> tuple[Curve, str]:
     wavenumber, emissivity = table.T.copy()
     wrong = _value_problem(emissivity, "emissivity")
     if not np.array_equal(wavenumber, _WAVENUMBERS):
@@ -210,7 +209,7 @@ def _old_curve(table: Array) -> tuple[Curve, str]:
     return Curve(1e4 / wavenumber, emissivity), wrong
 
 
-def _wavelength_problem(wavelength: Array) -> str:
+def _wavelength_problem(wavelength: Floats) -> str:
     if not np.isfinite(wavelength).all() or wavelength[0] <= 0.0 or (np.diff(wavelength) <= 0.0).any():
         return "wavelengths do not ascend from above 0; sort the rows, one a wavelength"
     if wavelength[-1] > _LONGEST:
@@ -218,7 +217,7 @@ def _wavelength_problem(wavelength: Array) -> str:
     return ""
 
 
-def _value_problem(values: Array, name: str) -> str:
+def _value_problem(values: Floats, name: str) -> str:
     if np.isfinite(values).all() and values.min() >= 0.0 and values.max() <= 1.0:
         return ""
     return f"{name} from {values.min():g} to {values.max():g}, expected 0 to 1; is it percent?"
@@ -228,7 +227,7 @@ def _shown(line: bytes) -> str:
     return repr(line[:60].decode("ascii", "replace"))
 
 
-def read_reflectance_text(path: str | os.PathLike[str]) -> tuple[Array, Array]:
+def read_reflectance_text(path: str | os.PathLike[str]) -> tuple[Floats, Floats]:
     """Read the two columns that DIRSIG's SimpleReflectance takes.
 
     Returns

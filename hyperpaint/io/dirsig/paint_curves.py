@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import numpy.typing as npt
 
+from hyperpaint.base.arrays import Array
 from hyperpaint.base.errors import PaintWarning, SchemaError
 from hyperpaint.base.schema import BAND, LIBRARY_VARIABLES, PAINT, Variable, require
 
@@ -31,7 +31,6 @@ __all__ = [
     "curves_of",
 ]
 
-Array = npt.NDArray[Any]
 
 CURVES = {"members": "member_reflectance", "quantiles": "reflectance_quantiles", "centre": "reflectance"}
 """Which variable of a library holds the curves of a paint."""

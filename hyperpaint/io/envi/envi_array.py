@@ -19,12 +19,11 @@ import numpy.typing as npt
 from xarray.backends import BackendArray
 from xarray.core import indexing
 
+from hyperpaint.base.arrays import Array, Ints
 from hyperpaint.base.errors import FormatError
 
 __all__ = ["EnviArray", "Scaling"]
 
-Array = npt.NDArray[Any]
-Positions = npt.NDArray[np.int64]
 
 # bytes that are cheaper to read and drop than to skip with another system call
 _GAP = 32 * 2**10
@@ -130,7 +129,7 @@ class EnviArray(BackendArray):
         kept = [size for size, index in zip(values.shape, key, strict=True) if not _is_integer(index)]
         return values.reshape(kept)
 
-    def _read(self, positions: list[Positions]) -> Array:
+    def _read(self, positions: list[Ints]) -> Array:
         shape = tuple(len(wanted) for wanted in positions)
         made = np.empty(shape, self.stored.newbyteorder("="))
         if made.size == 0:
@@ -159,7 +158,7 @@ class EnviArray(BackendArray):
                 f"{_moment(self.modified_ns)}; open it again"
             )
 
-    def _gather(self, file: io.FileIO, along: list[Positions], into: Array) -> None:
+    def _gather(self, file: io.FileIO, along: list[Ints], into: Array) -> None:
         """Read boxes of the file that hold the wanted samples, and keep those."""
         _, rows, columns = self.file_shape
         row_bytes = columns * self.stored.itemsize
@@ -177,7 +176,7 @@ class EnviArray(BackendArray):
                 box = self._box(file, chosen)
                 into[first:last, top:bottom] = box
 
-    def _box(self, file: io.FileIO, chosen: tuple[Positions, Positions, Positions]) -> Array:
+    def _box(self, file: io.FileIO, chosen: tuple[Ints, Ints, Ints]) -> Array:
         """Read from the first to the last wanted sample and return the wanted ones."""
         _, rows, columns = self.file_shape
         low, high = [int(wanted[0]) for wanted in chosen], [int(wanted[-1]) for wanted in chosen]
@@ -216,7 +215,7 @@ def _is_integer(index: object) -> bool:
     return isinstance(index, int | np.integer)
 
 
-def _positions(index: Any, size: int) -> Positions:
+def _positions(index: Any, size: int) -> Ints:
     if _is_integer(index):
         return np.array([index], dtype=np.int64)
     if isinstance(index, slice):
@@ -224,7 +223,7 @@ def _positions(index: Any, size: int) -> Positions:
     return np.asarray(index, dtype=np.int64)
 
 
-def _is_slab(along: list[Positions], file_shape: tuple[int, int, int]) -> bool:
+def _is_slab(along: list[Ints], file_shape: tuple[int, int, int]) -> bool:
     """Whether the samples are one run of whole planes of the file."""
     planes, rows, columns = along
     return (
@@ -235,7 +234,7 @@ def _is_slab(along: list[Positions], file_shape: tuple[int, int, int]) -> bool:
 
 
 def _runs(
-    positions: Positions, pitch: int, width: int, gap: int, largest: int | None
+    positions: Ints, pitch: int, width: int, gap: int, largest: int | None
 ) -> Iterator[tuple[int, int]]:
     """Group sorted positions whose pieces, `width` of every `pitch` bytes, are read at once.
 
@@ -253,7 +252,7 @@ def _runs(
     yield from itertools.pairwise(edges)
 
 
-def _selector(positions: Positions) -> slice | Positions:
+def _selector(positions: Ints) -> slice | Ints:
     """Return a slice where positions are evenly spaced: it copies nothing."""
     steps = np.diff(positions)
     if len(steps) == 0:

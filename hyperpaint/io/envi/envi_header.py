@@ -15,13 +15,13 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import FormatError, Problems
 
 from .envi_grammar import Findings, Scanned, bare, scan, shown
 
 __all__ = ["EnviHeader", "MapInfo", "parse_header", "read_header"]
 
-FloatArray = npt.NDArray[np.float64]
 
 MAX_HEADER_BYTES = 4 * 2**20
 MAX_LIBRARY_HEADER_BYTES = 16 * 2**20
@@ -133,14 +133,14 @@ class EnviHeader:
     header_offset: int
     dtype: np.dtype[Any]
     interleave: str
-    wavelength: FloatArray | None = None
-    fwhm: FloatArray | None = None
+    wavelength: Floats | None = None
+    fwhm: Floats | None = None
     good: npt.NDArray[np.bool_] | None = None
     band_names: tuple[str, ...] = ()
     data_ignore_value: int | float | None = None
     reflectance_scale_factor: float | None = None
-    data_gain_values: FloatArray | None = None
-    data_offset_values: FloatArray | None = None
+    data_gain_values: Floats | None = None
+    data_offset_values: Floats | None = None
     map_info: MapInfo | None = None
     description: str = ""
     fields: dict[str, str] = field(default_factory=dict)
@@ -273,7 +273,7 @@ class _Reader:
             self.findings.problem(f"{key!r} is {shown(text)}, expected one number")
             return None
 
-    def numbers(self, key: str, count: int, per: str) -> FloatArray | None:
+    def numbers(self, key: str, count: int, per: str) -> Floats | None:
         """Return a list with one finite number for each band."""
         text = self.fields.get(key)
         if text is None or not bare(text):
@@ -399,7 +399,7 @@ def _band_names(reader: _Reader, bands: int) -> tuple[str, ...]:
 
 def _spectral_axis(
     reader: _Reader, count: int, per: str, names: tuple[str, ...]
-) -> tuple[FloatArray | None, FloatArray | None]:
+) -> tuple[Floats | None, Floats | None]:
     """Return wavelength and FWHM in nm."""
     wavelength, fwhm = reader.numbers("wavelength", count, per), reader.numbers("fwhm", count, per)
     text = bare(reader.fields.get("wavelength units", ""))
@@ -431,15 +431,15 @@ def _spectral_axis(
     return wavelength, None if fwhm is None else _in_nanometres(fwhm, factor, "fwhm", reader)
 
 
-def _in_nanometres(values: FloatArray, factor: float, name: str, reader: _Reader) -> FloatArray:
+def _in_nanometres(values: Floats, factor: float, name: str, reader: _Reader) -> Floats:
     with np.errstate(over="ignore"):
-        made: FloatArray = values * factor
+        made: Floats = values * factor
     if not np.isfinite(made).all():
         reader.findings.problem(f"{name!r} holds values up to {values.max():.3g}: no wavelength is so long")
     return made
 
 
-def _nanometres_per_unit(unit: str, wavelength: FloatArray | None, findings: Findings) -> float:
+def _nanometres_per_unit(unit: str, wavelength: Floats | None, findings: Findings) -> float:
     if wavelength is None or wavelength.size == 0:
         return _NANOMETRES.get(unit, 1.0)
     longest = float(wavelength.max())
@@ -457,7 +457,7 @@ def _nanometres_per_unit(unit: str, wavelength: FloatArray | None, findings: Fin
     return factor
 
 
-def _wavelength_of_names(names: tuple[str, ...], findings: Findings) -> FloatArray | None:
+def _wavelength_of_names(names: tuple[str, ...], findings: Findings) -> Floats | None:
     """Return the wavelengths that GDAL leaves in band names, such as ``399.356 nm``."""
     found = []
     for name in names:

@@ -15,13 +15,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from hyperpaint.base.arrays import Floats, Floats32
 from hyperpaint.base.errors import FormatError, PaintWarning, Problems
 from hyperpaint.base.schema import BAND, PAINT
 from hyperpaint.io.files.publishing import published_files
 
 from .metadata import metadata_path, metadata_text, read_metadata
 from .records import CENTRE, Key, blocks_of, names_of, placements, spectral_variables, with_metadata
-from .spectra import FloatArray, SingleArray, check_wavelengths
+from .spectra import check_wavelengths
 from .text_spectra import number
 
 if TYPE_CHECKING:
@@ -119,13 +120,13 @@ def read_csv_library(path: Path) -> xr.Dataset:
     return with_metadata(data, {"wavelength": wavelength}, names, told, source)
 
 
-def _table(path: Path) -> tuple[FloatArray, list[str], list[Key], list[SingleArray]]:
+def _table(path: Path) -> tuple[Floats, list[str], list[Key], list[Floats32]]:
     """Return wavelengths, names of the paints, what each row is, and the rows."""
     source = path.name
     problems = Problems(f"{source} cannot be read", FormatError)
     names: list[str] = []
     keys: list[Key] = []
-    rows: list[SingleArray] = []
+    rows: list[Floats32] = []
     owner = _Owner()
     cells = _cells(path)
     wavelength = _wavelengths(next(cells, []), source)
@@ -190,7 +191,7 @@ def _cells(path: Path) -> Iterator[list[str]]:
         raise FormatError(f"{source} cannot be read: {error!s:.200}") from error
 
 
-def _wavelengths(row: list[str], source: str) -> FloatArray:
+def _wavelengths(row: list[str], source: str) -> Floats:
     found: list[Any] = [number(cell) for cell in row[len(_HEAD) :]]
     if tuple(row[: len(_HEAD)]) != _HEAD or not found or None in found or len(found) > _MOST_BANDS:
         raise FormatError(
@@ -199,7 +200,7 @@ def _wavelengths(row: list[str], source: str) -> FloatArray:
     return np.array(found, np.float64)
 
 
-def _values(row: list[str], bands: int) -> SingleArray | None:
+def _values(row: list[str], bands: int) -> Floats32 | None:
     """Return the numbers of a row, None where they are none or too many."""
     if len(row) != len(_HEAD) + bands:
         return None

@@ -13,11 +13,12 @@ from typing import Any
 
 import numpy as np
 
+from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import FormatError, Problems
 from hyperpaint.base.schema import LIBRARY_VARIABLES, PAINT
 
 from .metadata import typed_values
-from .spectra import FloatArray, Spectra, reflectances, text_column
+from .spectra import Spectra, reflectances, text_column
 from .text_spectra import in_nanometres, lines_of, number, numbers_of_lines, wavelength_factor
 
 __all__ = ["KEYS", "METADATA", "is_ecostress", "read_ecostress"]
@@ -46,9 +47,7 @@ def is_ecostress(head: str) -> bool:
     return re.match(r"\s*Name\s*:", head) is not None and "Number of X Values" in head
 
 
-def read_ecostress(
-    path: Path, *, scale: float | None = None, wavelength: FloatArray | None = None
-) -> Spectra:
+def read_ecostress(path: Path, *, scale: float | None = None, wavelength: Floats | None = None) -> Spectra:
     """Read a spectrum of the ECOSTRESS or ASTER library.
 
     Parameters
@@ -122,7 +121,7 @@ def _scale_of(units: str) -> float | None:
     return 1.0 if _FRACTION.search(units) else None
 
 
-def _compared(fields: dict[str, str], table: FloatArray, source: str) -> list[str]:
+def _compared(fields: dict[str, str], table: Floats, source: str) -> list[str]:
     """Refuse another number of values than the header says; return what else does not fit it."""
     count = fields["Number of X Values"]
     if count != str(len(table)):

@@ -10,13 +10,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import Problems, SchemaError
 from hyperpaint.base.schema import PAINT
 from hyperpaint.io.files.publishing import published_folder
 
 from .ecostress import METADATA
 from .records import CENTRE, names_of
-from .spectra import FloatArray
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -93,7 +93,7 @@ def _foreign(folder: Path) -> str:
     return ""
 
 
-def _refuse_gaps(values: FloatArray, names: Sequence[str]) -> None:
+def _refuse_gaps(values: Floats, names: Sequence[str]) -> None:
     problems = Problems("the library cannot be written as ECOSTRESS text", SchemaError)
     gaps = np.flatnonzero(~np.isfinite(values).all(axis=1))
     for at in gaps[:_MOST_SHOWN]:
@@ -137,7 +137,7 @@ def file_names(names: Sequence[str]) -> list[str]:
     return made
 
 
-def _said_of_all(library: xr.Dataset, micrometres: FloatArray) -> dict[str, list[Any]]:
+def _said_of_all(library: xr.Dataset, micrometres: Floats) -> dict[str, list[Any]]:
     """Return fields of the header that the library says once; those of single paints win."""
     mirrored = library[CENTRE].attrs.get("mirror_reflection")
     made = {
@@ -148,7 +148,7 @@ def _said_of_all(library: xr.Dataset, micrometres: FloatArray) -> dict[str, list
     return {name: [str(value)] * library.sizes[PAINT] for name, value in made.items() if value}
 
 
-def _range(micrometres: FloatArray) -> str:
+def _range(micrometres: Floats) -> str:
     """Return the words of the ECOSTRESS library for a range of wavelengths."""
     if micrometres.max() <= 3.0:
         return "VSWIR"
@@ -171,7 +171,7 @@ def _columns(library: xr.Dataset) -> dict[str, list[Any]]:
     return made
 
 
-def _text(name: str, about: dict[str, Any], micrometres: FloatArray, values: FloatArray) -> str:
+def _text(name: str, about: dict[str, Any], micrometres: Floats, values: Floats) -> str:
     """Return a file; its header has the keys of the ECOSTRESS library, in their order."""
     about = dict(about)
     lines = [f"Name: {name}"]

@@ -14,11 +14,12 @@ import re
 import warnings
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
 
+from hyperpaint.base.arrays import Array, Floats
 from hyperpaint.base.errors import FormatError, PaintWarning, Problems
 from hyperpaint.io.envi.envi_cubes import find_pair
 from hyperpaint.io.envi.envi_grammar import bare
@@ -27,7 +28,7 @@ from hyperpaint.io.envi.envi_header import MAX_LIBRARY_HEADER_BYTES, EnviHeader,
 from .envi_names import MARK, keys_of
 from .metadata import metadata_path, read_metadata
 from .records import placements, with_metadata
-from .spectra import OWN_AXES, FloatArray, Spectra, check_wavelengths, library_of, reflectances, text_column
+from .spectra import OWN_AXES, Spectra, check_wavelengths, library_of, reflectances, text_column
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -43,15 +44,13 @@ _WAVELENGTHS = re.compile(r"wave", re.IGNORECASE)
 _BANDWIDTHS = re.compile(r"resolution|bandpass|fwhm", re.IGNORECASE)
 _ERROR_BARS = re.compile(r"\s*error ?bars? to (?:preceding|previous)", re.IGNORECASE)
 
-Array = npt.NDArray[Any]
-
 
 def read_envi_library(
     path: Path,
     *,
     scale: float | None = None,
-    wavelength: FloatArray | None = None,
-    fwhm: FloatArray | None = None,
+    wavelength: Floats | None = None,
+    fwhm: Floats | None = None,
 ) -> xr.Dataset:
     """Read an ENVI spectral library.
 
@@ -127,8 +126,8 @@ def _foreign(
     header: EnviHeader,
     path: Path,
     scale: float | None,
-    wavelength: FloatArray | None,
-    fwhm: FloatArray | None,
+    wavelength: Floats | None,
+    fwhm: Floats | None,
 ) -> Spectra:
     source = path.name
     notes = list(header.notes)
@@ -191,7 +190,7 @@ def _names(header: EnviHeader, warned: list[str]) -> list[str]:
     return [name or number for name, number in zip(names, numbered, strict=True)]
 
 
-def _axis_records(names: Sequence[str], stored: Array, nm: FloatArray | None) -> int:
+def _axis_records(names: Sequence[str], stored: Array, nm: Floats | None) -> int:
     """Return how many of the first records are wavelengths and bandwidths, as in libraries of the USGS."""
     if len(names) < 3 or not _WAVELENGTHS.match(names[0]):
         return 0

@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import numpy.typing as npt
 
+from hyperpaint.base.arrays import Array
 from hyperpaint.base.errors import FormatError, Problems
 from hyperpaint.base.schema import BAND, PAINT
 
@@ -21,8 +21,6 @@ __all__ = ["joined"]
 
 _MOST_SHOWN = 10
 _OF_BANDS = ("wavelength", "fwhm", "good")
-
-Array = npt.NDArray[Any]
 
 
 def joined(opened: Sequence[tuple[Path, xr.Dataset]]) -> xr.Dataset:

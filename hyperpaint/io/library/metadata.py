@@ -14,8 +14,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import numpy.typing as npt
 
+from hyperpaint.base.arrays import Array
 from hyperpaint.base.errors import FormatError, Problems, SchemaError
 from hyperpaint.base.schema import BAND, PAINT, quality_attrs
 from hyperpaint.io.files.reading import read_limited
@@ -36,8 +36,6 @@ _DTYPES = (
 )  # fmt: skip
 
 _TIME = re.compile(r"[0-9]{4}-[0-9]{2}-[0-9]{2}T[0-9]{2}:[0-9]{2}:[0-9]{2}\.[0-9]{9}")
-
-Array = npt.NDArray[Any]
 
 
 class Metadata:

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import FormatError, Problems, StoreError
 from hyperpaint.io.files.file_patterns import is_pattern, matching_files
 
@@ -19,7 +20,7 @@ from .ecostress import is_ecostress, read_ecostress
 from .envi_library import read_envi_library
 from .joining import joined
 from .plain_table import read_plain_table
-from .spectra import OWN_AXES, FloatArray, library_of
+from .spectra import OWN_AXES, library_of
 from .usgs import is_usgs, is_usgs_axis, read_usgs, read_usgs_axis
 from .zarr_library import read_zarr_library
 
@@ -43,8 +44,8 @@ _DIGITS = re.compile(r"(\d+)")
 class _Options:
     """What the caller says that files do not."""
 
-    wavelength: FloatArray | None
-    fwhm: FloatArray | None
+    wavelength: Floats | None
+    fwhm: Floats | None
     scale: float | None
 
     def refuse_for(self, path: Path_) -> None:
@@ -151,7 +152,7 @@ def _is_store(path: Path_) -> bool:
     )
 
 
-def _axis(given: Path_ | Any | None, name: str) -> FloatArray | None:
+def _axis(given: Path_ | Any | None, name: str) -> Floats | None:
     """Return wavelengths or bandwidths that the caller gives, as numbers or in a file."""
     if given is None:
         return None

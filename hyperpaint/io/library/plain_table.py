@@ -10,9 +10,10 @@ from pathlib import Path
 
 import numpy as np
 
+from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import FormatError, Problems
 
-from .spectra import FloatArray, Spectra, reflectances
+from .spectra import Spectra, reflectances
 from .text_spectra import in_nanometres, lines_of, number, wavelength_factor
 
 __all__ = ["read_plain_table"]
@@ -50,9 +51,7 @@ _DIALECTS = (
 )  # fmt: skip
 
 
-def read_plain_table(
-    path: Path, *, scale: float | None = None, wavelength: FloatArray | None = None
-) -> Spectra:
+def read_plain_table(path: Path, *, scale: float | None = None, wavelength: Floats | None = None) -> Spectra:
     """Read spectra from a table of two or more columns.
 
     Cells are separated by commas, semicolons, tabs or blanks; decimal commas are understood where no comma
@@ -119,7 +118,7 @@ def _beginning(lines: Sequence[str], source: str) -> tuple[int, _Dialect, int]:
     )
 
 
-def _numbers(lines: Sequence[str], first: int, dialect: _Dialect, columns: int, source: str) -> FloatArray:
+def _numbers(lines: Sequence[str], first: int, dialect: _Dialect, columns: int, source: str) -> Floats:
     problems = Problems(f"{source} cannot be read", FormatError)
     rows = []
     for at, line in enumerate(lines[first:], first + 1):
@@ -133,11 +132,11 @@ def _numbers(lines: Sequence[str], first: int, dialect: _Dialect, columns: int, 
         else:
             rows.append(np.array(row, np.float64))
     problems.raise_if_any()
-    table: FloatArray = np.array(rows, np.float64)
+    table: Floats = np.array(rows, np.float64)
     return table
 
 
-def _check_order(wavelength: FloatArray, source: str) -> None:
+def _check_order(wavelength: Floats, source: str) -> None:
     """Refuse a first column that wanders: it may step back where detectors join, not more."""
     steps = np.diff(wavelength)
     back = min(int((steps < 0).sum()), int((steps > 0).sum()))

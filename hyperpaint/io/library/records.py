@@ -15,10 +15,11 @@ import numpy as np
 import numpy.typing as npt
 
 from hyperpaint.base import schema
+from hyperpaint.base.arrays import Floats32, Ints
 from hyperpaint.base.errors import FormatError, Problems, SchemaError
 from hyperpaint.base.schema import BAND, LIBRARY_VARIABLES, MEMBER, PAINT
 
-from .spectra import SingleArray, text_column
+from .spectra import text_column
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -44,7 +45,6 @@ _FEW_CELLS, _MANY_CELLS = 2**22, 2**29
 _CONTROL = ("Cc", "Cs", "Zl", "Zp")
 _MOST_SHOWN = 5
 
-Positions = npt.NDArray[np.int64]
 Key = tuple[str, int, int]
 """Variable, paint, and place within the paint, both counted from 0; the place is -1 where there is one."""
 
@@ -66,9 +66,9 @@ class Block:
     """
 
     variable: str
-    paint: Positions
-    inner: Positions
-    values: SingleArray
+    paint: Ints
+    inner: Ints
+    values: Floats32
 
 
 # --- from a library ----------------------------------------------------------------------------------------
@@ -161,7 +161,7 @@ def blocks_of(library: xr.Dataset, names: Iterable[str]) -> Iterator[Block]:
         inner = [dim for dim in array.dims if dim not in (PAINT, BAND)]
         array = array.transpose(PAINT, *inner, BAND)
         for start, stop in _pieces(array):
-            values: SingleArray = np.asarray(array[start:stop].values, np.float32)
+            values: Floats32 = np.asarray(array[start:stop].values, np.float32)
             if not inner:
                 places = np.arange(start, stop)
                 yield Block(name, places, np.full(stop - start, -1), np.ascontiguousarray(values))
@@ -207,12 +207,12 @@ class Placement:
         Filled by `put`; NaN elsewhere.
     """
 
-    records: Positions
-    paint: Positions
-    inner: Positions
-    values: SingleArray
+    records: Ints
+    paint: Ints
+    inner: Ints
+    values: Floats32
 
-    def put(self, first: int, rows: SingleArray) -> None:
+    def put(self, first: int, rows: Floats32) -> None:
         """Place those of consecutive records, of which ``first`` is the first, that belong here."""
         low, high = np.searchsorted(self.records, (first, first + len(rows)))
         taken = rows[self.records[low:high] - first]
@@ -259,7 +259,7 @@ def _most_cells(stored: int) -> int:
 
 
 def with_metadata(
-    data: Mapping[str, SingleArray],
+    data: Mapping[str, Floats32],
     axes: Mapping[str, Any],
     names: Sequence[str],
     told: Metadata | None,
@@ -339,7 +339,7 @@ def _dims_and_attrs(name: str, ndim: int, told: Metadata | None) -> tuple[tuple[
     return (PAINT, BAND) if ndim == 2 else (PAINT, f"place_of_{name}", BAND), {}
 
 
-def _widened(values: SingleArray, size: int | None) -> SingleArray:
+def _widened(values: Floats32, size: int | None) -> Floats32:
     """Return members with the padding that they had; what would be out of proportion is left away."""
     if size is None or not values.shape[1] <= size <= 8 * max(values.shape[1], 8):
         return values

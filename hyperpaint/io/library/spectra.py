@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
+from hyperpaint.base.arrays import Floats, Floats32
 from hyperpaint.base.errors import FormatError, PaintWarning
 from hyperpaint.base.schema import BAND, LIBRARY_VARIABLES, PAINT, quality_attrs
 
@@ -18,8 +19,6 @@ if TYPE_CHECKING:
 
 __all__ = [
     "OWN_AXES",
-    "FloatArray",
-    "SingleArray",
     "Spectra",
     "check_wavelengths",
     "library_of",
@@ -28,8 +27,6 @@ __all__ = [
     "with_numbers_as_data",
 ]
 
-FloatArray = npt.NDArray[np.float64]
-SingleArray = npt.NDArray[np.float32]
 
 SHORTEST, LONGEST = 100.0, 3e5
 """Wavelengths that a spectral library may hold [nm]: far ultraviolet to far infrared (those of the USGS end
@@ -81,11 +78,11 @@ class Spectra:
     source: str
     form: str
     names: Sequence[str]
-    wavelength: FloatArray
-    reflectance: SingleArray
-    fwhm: FloatArray | None = None
+    wavelength: Floats
+    reflectance: Floats32
+    fwhm: Floats | None = None
     good: npt.NDArray[np.bool_] | None = None
-    others: Mapping[str, SingleArray] = field(default_factory=dict)
+    others: Mapping[str, Floats32] = field(default_factory=dict)
     columns: Mapping[str, Sequence[Any] | npt.NDArray[Any]] = field(default_factory=dict)
     notes: Sequence[str] = ()
 
@@ -138,7 +135,7 @@ def text_column(texts: Sequence[str]) -> npt.NDArray[np.object_]:
     return made
 
 
-def check_wavelengths(wavelength: FloatArray, source: str) -> None:
+def check_wavelengths(wavelength: Floats, source: str) -> None:
     """Refuse wavelengths that are none [nm].
 
     Raises
@@ -163,7 +160,7 @@ def check_wavelengths(wavelength: FloatArray, source: str) -> None:
 
 def reflectances(
     stored: npt.NDArray[Any], source: str, *, said: float | None, given: float | None, ignore: Any = None
-) -> SingleArray:
+) -> Floats32:
     """Return stored values as reflectance.
 
     Parameters
@@ -214,7 +211,7 @@ def reflectances(
     return made
 
 
-def _drop_marks(values: FloatArray, scale: float | None, source: str) -> None:
+def _drop_marks(values: Floats, scale: float | None, source: str) -> None:
     """Replace by NaN what only stands for missing values, with a warning."""
     with np.errstate(over="ignore"):
         marks = np.isin(values, _MARKS) | (np.isfinite(values) & (values < _LEAST * (scale or 1.0)))
@@ -225,7 +222,7 @@ def _drop_marks(values: FloatArray, scale: float | None, source: str) -> None:
         values[marks] = np.nan
 
 
-def _judge_fractions(values: FloatArray, source: str) -> None:
+def _judge_fractions(values: Floats, source: str) -> None:
     """Refuse values that are no fractions, where nothing says their scale; warn of single spectra."""
     finite = np.isfinite(values)
     known = np.abs(values[finite])

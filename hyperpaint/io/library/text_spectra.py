@@ -7,10 +7,10 @@ from pathlib import Path
 
 import numpy as np
 
+from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import FormatError, Problems
 from hyperpaint.io.files.reading import decoded_text, read_limited_text
 
-from .spectra import FloatArray
 
 __all__ = ["MOST_BYTES", "in_nanometres", "lines_of", "number", "numbers_of_lines", "wavelength_factor"]
 
@@ -55,7 +55,7 @@ def number(text: str) -> float | None:
     return None if value in (float("inf"), float("-inf")) else value
 
 
-def numbers_of_lines(lines: list[str], first: int, columns: int, source: str) -> FloatArray:
+def numbers_of_lines(lines: list[str], first: int, columns: int, source: str) -> Floats:
     """Return lines of blank-separated numbers, (line, column); empty lines are passed over.
 
     Parameters
@@ -91,14 +91,14 @@ def numbers_of_lines(lines: list[str], first: int, columns: int, source: str) ->
     return np.array(rows, np.float64).reshape(-1, columns)
 
 
-def in_nanometres(values: FloatArray, factor: float) -> FloatArray:
+def in_nanometres(values: Floats, factor: float) -> Floats:
     """Return wavelengths [nm]; those of a damaged file may become infinite, which is refused later."""
     with np.errstate(over="ignore"):
-        made: FloatArray = values * factor
+        made: Floats = values * factor
     return made
 
 
-def wavelength_factor(text: str, wavelength: FloatArray, source: str) -> tuple[float, str]:
+def wavelength_factor(text: str, wavelength: Floats, source: str) -> tuple[float, str]:
     """Return the nanometres of one unit of the wavelengths, and a note where that is inferred.
 
     Parameters

@@ -11,9 +11,10 @@ from pathlib import Path
 
 import numpy as np
 
+from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import FormatError
 
-from .spectra import FloatArray, Spectra, reflectances, text_column
+from .spectra import Spectra, reflectances, text_column
 from .text_spectra import in_nanometres, lines_of, numbers_of_lines, wavelength_factor
 
 __all__ = ["is_usgs", "is_usgs_axis", "read_usgs", "read_usgs_axis"]
@@ -42,8 +43,8 @@ def read_usgs(
     path: Path,
     *,
     scale: float | None = None,
-    wavelength: FloatArray | None = None,
-    fwhm: FloatArray | None = None,
+    wavelength: Floats | None = None,
+    fwhm: Floats | None = None,
 ) -> Spectra:
     """Read a spectrum of the USGS library.
 
@@ -95,7 +96,7 @@ def read_usgs(
     )
 
 
-def _column(path: Path) -> tuple[str, FloatArray]:
+def _column(path: Path) -> tuple[str, Floats]:
     """Return the title of a file and its values."""
     lines = lines_of(path, "a file of the USGS spectral library")
     values = numbers_of_lines(lines, 1, 1, path.name)[:, 0]
@@ -104,7 +105,7 @@ def _column(path: Path) -> tuple[str, FloatArray]:
     return lines[0], values
 
 
-def read_usgs_axis(path: Path) -> tuple[FloatArray, str]:
+def read_usgs_axis(path: Path) -> tuple[Floats, str]:
     """Return the wavelengths or bandwidths that a file of the library holds [nm], and a note on their units.
 
     Raises
@@ -119,7 +120,7 @@ def read_usgs_axis(path: Path) -> tuple[FloatArray, str]:
     return in_nanometres(values, factor), note
 
 
-def _axis(path: Path, kind: str, count: int, spectrometer: str, notes: list[str]) -> FloatArray | None:
+def _axis(path: Path, kind: str, count: int, spectrometer: str, notes: list[str]) -> Floats | None:
     """Return the wavelengths or bandwidths found near a spectrum; None where none has as many values."""
     found = {}
     for file in _candidates(path, kind):

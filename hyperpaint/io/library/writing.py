@@ -7,6 +7,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from hyperpaint.base.arrays import Progress
 from hyperpaint.base.errors import FormatError
 
 from .csv_library import write_csv_library
@@ -20,7 +21,6 @@ if TYPE_CHECKING:
 
 __all__ = ["FORMATS", "write_library"]
 
-Progress = Callable[[int, int], None]
 
 _WRITERS: dict[str, Callable[..., Any]] = {
     "envi": write_envi_library,

@@ -14,6 +14,7 @@ import numpy as np
 import numpy.typing as npt
 import xarray as xr
 
+from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import FormatError, PaintWarning, Problems, SchemaError, TimeError
 from hyperpaint.base.schema import VARIABLES, label
 
@@ -39,7 +40,6 @@ __all__ = [
 ]
 
 Kind = Literal["binary", "text", "csv", "unknown"]
-_FloatArray = npt.NDArray[np.float64]
 
 QUANTITIES = ("counts", "radiance", "reflectance", "irradiance")
 _QUANTITY_OF_DATA_TYPE = {"raw": "counts", **{name: name for name in QUANTITIES[1:]}}
@@ -70,8 +70,8 @@ class Spectrum:
     """
 
     source: str
-    wavelength: _FloatArray
-    values: _FloatArray
+    wavelength: Floats
+    values: Floats
     local_time: dt.datetime | None = None
     utc_offset_h: float | None = None
     averaging_s: float | None = None

@@ -9,8 +9,8 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
+from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import FormatError
 
 __all__ = [
@@ -23,7 +23,6 @@ __all__ = [
     "read_later_blocks",
 ]
 
-_FloatArray = npt.NDArray[np.float64]
 
 _TRAILER = b"\xff\xfe\xfd"  # newer software appends it to files that it saves again
 _CALIBRATION_KINDS = ("ABS", "BSE", "LMP", "FO")
@@ -71,7 +70,7 @@ class AsdCalibration:
     name: str
     integration_ms: float
     gains: tuple[int, int]
-    values: _FloatArray
+    values: Floats
 
 
 def nominal_integration_ms(milliseconds: int) -> float:
@@ -129,7 +128,7 @@ class Cursor:
         (length,) = self.values("H", f"the length of {what}")
         return plain_text(self.bytes(length, what))
 
-    def array(self, count: int, dtype: np.dtype[Any], what: str) -> _FloatArray:
+    def array(self, count: int, dtype: np.dtype[Any], what: str) -> Floats:
         """Read ``count`` numbers as read-only float64."""
         raw = np.frombuffer(self.bytes(count * dtype.itemsize, what), dtype)
         with np.errstate(invalid="ignore"):  # signalling NaN in a damaged file

@@ -7,13 +7,13 @@ from collections.abc import Mapping
 import numpy as np
 import numpy.typing as npt
 
+from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import FormatError
 
 from .asd_layout import AsdFile
 
 __all__ = ["CALIBRATION_KEYS", "derive_quantity", "panel_of"]
 
-_FloatArray = npt.NDArray[np.float64]
 
 CALIBRATION_KEYS = {"lamp": "LMP", "fore_optic": "FO", "panel": "BSE", "absolute": "ABS"}
 """What users call the files of an instrument's calibration, and the kind of block each replaces."""
@@ -23,7 +23,7 @@ _NEEDED_BLOCKS = {"irradiance": ("LMP", "FO"), "radiance": ("LMP", "FO", "BSE")}
 
 def derive_quantity(
     file: AsdFile, quantity: str, external: Mapping[str, AsdFile], *, absolute: bool = False
-) -> tuple[_FloatArray, _FloatArray, npt.NDArray[np.bool_]]:
+) -> tuple[Floats, Floats, npt.NDArray[np.bool_]]:
     """Return the wavelengths, the values in ``quantity``, and where the detector was saturated.
 
     See the notes of `open_asd` for the formulas; ``external`` holds calibration files by kind, which win
@@ -62,7 +62,7 @@ def panel_of(file: AsdFile, external: Mapping[str, AsdFile]) -> str:
 
 def _needed_blocks(
     file: AsdFile, kinds: tuple[str, ...], purpose: str, external: Mapping[str, AsdFile]
-) -> dict[str, tuple[_FloatArray, float]]:
+) -> dict[str, tuple[Floats, float]]:
     """Return values and integration time [ms] of the calibration blocks of some kinds."""
     blocks = {kind: (block.values, block.integration_ms) for kind, block in file.calibrations.items()}
     for kind, other in external.items():
@@ -82,7 +82,7 @@ def _needed_blocks(
     return blocks
 
 
-def _responsivity(file: AsdFile, quantity: str, external: Mapping[str, AsdFile]) -> _FloatArray:
+def _responsivity(file: AsdFile, quantity: str, external: Mapping[str, AsdFile]) -> Floats:
     """Return irradiance or radiance per count (wavelength)."""
     blocks = _needed_blocks(file, _NEEDED_BLOCKS[quantity], quantity, external)
     lamp_counts, lamp_ms = blocks["FO"]
@@ -95,7 +95,7 @@ def _responsivity(file: AsdFile, quantity: str, external: Mapping[str, AsdFile])
     return per_count * blocks["BSE"][0] / np.pi if quantity == "radiance" else per_count
 
 
-def _ratio(numerator: _FloatArray, denominator: _FloatArray) -> _FloatArray:
+def _ratio(numerator: Floats, denominator: Floats) -> Floats:
     """Return the ratio, NaN where the denominator is zero or undefined."""
     made = np.full(numerator.shape, np.nan)
     with np.errstate(all="ignore"):  # damaged values; what is not finite is reported later

@@ -18,8 +18,8 @@ from types import MappingProxyType
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
+from hyperpaint.base.arrays import Floats
 from hyperpaint.io.files.reading import read_limited
 
 from .asd_blocks import (
@@ -34,7 +34,6 @@ from .asd_blocks import (
 
 __all__ = ["AsdFile", "is_asd", "read_asd"]
 
-_FloatArray = npt.NDArray[np.float64]
 
 HEADER_BYTES = 484
 _LARGEST_FILE = 64 * 2**20  # ten times what 65,535 channels with every calibration block would need
@@ -160,9 +159,9 @@ class AsdFile:
     utc_offset_h: float | None
     dark_utc: dt.datetime | None
     data_type: str
-    wavelength: _FloatArray
-    spectrum: _FloatArray
-    reference: _FloatArray | None
+    wavelength: Floats
+    spectrum: Floats
+    reference: Floats | None
     integration_ms: float
     sample_averages: int
     gains: tuple[int, int]
@@ -265,11 +264,11 @@ def _header(cursor: Cursor) -> dict[str, Any]:
     return header
 
 
-def _wavelength(cursor: Cursor, header: Mapping[str, Any]) -> _FloatArray:
+def _wavelength(cursor: Cursor, header: Mapping[str, Any]) -> Floats:
     first, step = header["first_wavelength"], header["wavelength_step"]
     if not (0 < first < 1e5 and 0 < step < 1e4):
         raise cursor.error(f"first wavelength {first} nm, step {step} nm, expected positive numbers: damaged")
-    made: _FloatArray = first + step * np.arange(header["channels"], dtype=np.float64)
+    made: Floats = first + step * np.arange(header["channels"], dtype=np.float64)
     made.flags.writeable = False
     return made
 

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
+from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import UnitsError
 
 __all__ = ["check_magnitude"]
 
-Floats = npt.NDArray[np.float64]
 
 # Above the atmosphere the sun gives 2.2 W m-2 nm-1 at most and 1.5 in the median of 400-1000 nm, and light
 # off clouds hardly adds more than the air takes; 3e-4 is deep twilight, yet more than full sun mistaken for

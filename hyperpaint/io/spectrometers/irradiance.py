@@ -13,6 +13,7 @@ import numpy as np
 import numpy.typing as npt
 import xarray as xr
 
+from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import FormatError, Problems, SchemaError, TimeError, UnitsError
 from hyperpaint.base.schema import IRRADIANCE_TIME, IRRADIANCE_WAVELENGTH, VARIABLES, label
 from hyperpaint.base.units import conversion_factor, convert
@@ -27,7 +28,6 @@ from .spectrum_files import Paths, check_utc_offset, listed
 __all__ = ["open_irradiance"]
 
 Stamp = Literal["start", "mid", "end"]
-_FloatArray = npt.NDArray[np.float64]
 
 ASD_FWHM_NM = 3.0
 _ASD_FWHM_SOURCE = f"assumed: {ASD_FWHM_NM:g} nm, the resolution of ASD instruments at 700 nm"
@@ -43,12 +43,12 @@ class _Series:
     sources: Sequence[str]
     stamps: npt.NDArray[np.datetime64]  # (sample), in the zone of utc_offset_h
     utc_offset_h: Sequence[float]
-    averaging_s: _FloatArray  # (sample)
-    wavelength: _FloatArray
-    values: _FloatArray  # (sample, wavelength)
+    averaging_s: Floats  # (sample)
+    wavelength: Floats
+    values: Floats  # (sample, wavelength)
     units: str
     origin: str
-    fwhm: _FloatArray | float | None = None
+    fwhm: Floats | float | None = None
     fwhm_source: str = "given by the data"
     max_gap_s: float | None = None
     clock_uncertainty_s: float | None = None
@@ -371,7 +371,7 @@ def _axes(array: xr.DataArray, origin: str) -> tuple[xr.DataArray, xr.DataArray]
     return found[0], found[1]
 
 
-def _utc_middle(series: _Series, clock_offset_s: float, shift_s: _FloatArray) -> npt.NDArray[np.datetime64]:
+def _utc_middle(series: _Series, clock_offset_s: float, shift_s: Floats) -> npt.NDArray[np.datetime64]:
     seconds = clock_offset_s - np.asarray(series.utc_offset_h, np.float64) * 3600.0 + shift_s
     times: npt.NDArray[np.datetime64] = series.stamps + np.rint(seconds * 1e9).astype("timedelta64[ns]")
     return times
@@ -398,11 +398,11 @@ def _refuse_duplicates(
     problems.raise_if_any()
 
 
-def _in_float32_range(series: _Series, order: npt.NDArray[np.intp], factor: float) -> _FloatArray:
+def _in_float32_range(series: _Series, order: npt.NDArray[np.intp], factor: float) -> Floats:
     """Return the ordered values in the units of the table; refuse numbers that only damage writes."""
     raw = series.values[order]
     with np.errstate(over="ignore"):
-        values: _FloatArray = raw * factor
+        values: Floats = raw * factor
     lost = np.isfinite(raw) & ~(np.abs(values) <= np.finfo(np.float32).max)
     if lost.any():
         where = listed([series.sources[place] for place in order[lost.any(axis=1)]])
@@ -415,7 +415,7 @@ def _in_float32_range(series: _Series, order: npt.NDArray[np.intp], factor: floa
 def _dataset(
     series: _Series,
     times: npt.NDArray[np.datetime64],
-    values: _FloatArray,
+    values: Floats,
     fwhm_nm: float | None,
     max_gap_s: float | None,
 ) -> xr.Dataset:

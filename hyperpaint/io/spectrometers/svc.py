@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 import xarray as xr
 
+from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import FormatError, Problems, SchemaError
 from hyperpaint.base.schema import label
 
@@ -30,7 +31,6 @@ from .svc_layout import SvcFile, read_svc
 
 __all__ = ["SVC_JOINS", "open_svc"]
 
-_FloatArray = npt.NDArray[np.float64]
 Scan = Literal["reference", "target"]
 Overlap = Literal["keep", "trim"]
 
@@ -236,7 +236,7 @@ def _measurement(
     )
 
 
-def _reflectance(file: SvcFile) -> _FloatArray:
+def _reflectance(file: SvcFile) -> Floats:
     """Return target over reference, NaN where the reference is zero."""
     reason = ""
     times = items(file.header.get("integration", ""))

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import PaintWarning
 from hyperpaint.base.schema import VARIABLES
 
@@ -32,7 +33,6 @@ __all__ = [
     "warn_of",
 ]
 
-_FloatArray = npt.NDArray[np.float64]
 
 SCANS = ("reference", "target")
 """The two scans of a file, in its order."""
@@ -49,8 +49,8 @@ class SvcMeasurement:
     file: SvcFile
     path: Path
     overlap: SvcOverlap
-    wavelength: _FloatArray
-    values: _FloatArray
+    wavelength: Floats
+    values: Floats
     detector: npt.NDArray[np.int64] | None
     trimmed_at: tuple[float, ...]
 
@@ -62,7 +62,7 @@ class SvcMeasurement:
         return self.overlap.text
 
 
-def defined(values: _FloatArray) -> _FloatArray:
+def defined(values: Floats) -> Floats:
     """Return the values with NaN for what is not finite."""
     return np.where(np.isfinite(values), values, np.nan)
 
@@ -219,7 +219,7 @@ def coords_of_files(measured: Sequence[SvcMeasurement], quantity: str) -> dict[s
     return coords
 
 
-def _column_differences(files: Sequence[SvcFile]) -> _FloatArray:
+def _column_differences(files: Sequence[SvcFile]) -> Floats:
     """Return how far each file's fourth column is from the ratio; warn where rounding does not explain it."""
     made = np.full(len(files), np.nan)
     contradictory = []

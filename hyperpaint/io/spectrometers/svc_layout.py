@@ -17,14 +17,13 @@ from pathlib import Path
 from types import MappingProxyType
 
 import numpy as np
-import numpy.typing as npt
 
+from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import FormatError
 from hyperpaint.io.files.reading import decoded_text, read_limited_text
 
 __all__ = ["SvcFile", "is_svc", "read_svc", "svc_number"]
 
-_FloatArray = npt.NDArray[np.float64]
 
 _LARGEST_FILE = 4 * 2**20  # a hundred times what the instruments write
 _MOST_ROWS = 32_768
@@ -76,10 +75,10 @@ class SvcFile:
     name: str
     header: Mapping[str, str]
     units: tuple[str, str]
-    wavelength: _FloatArray
-    reference: _FloatArray
-    target: _FloatArray
-    percent: _FloatArray
+    wavelength: Floats
+    reference: Floats
+    target: Floats
+    percent: Floats
     starts: tuple[int, ...]
 
     @property
@@ -179,7 +178,7 @@ def _header(name: str, lines: list[str]) -> tuple[dict[str, str], int]:
     )
 
 
-def _table(name: str, lines: list[str], first: int) -> list[_FloatArray]:
+def _table(name: str, lines: list[str], first: int) -> list[Floats]:
     rows: list[list[float]] = []
     if len(lines) - first > _MOST_ROWS:
         raise FormatError(
@@ -206,7 +205,7 @@ def _table(name: str, lines: list[str], first: int) -> list[_FloatArray]:
     return made
 
 
-def _detector_starts(name: str, wavelength: _FloatArray) -> tuple[int, ...]:
+def _detector_starts(name: str, wavelength: Floats) -> tuple[int, ...]:
     if not np.all((wavelength > 0.0) & (wavelength < 1e5)):
         raise FormatError(
             f"{name}: wavelengths that are not positive numbers of nanometres; the file is damaged"

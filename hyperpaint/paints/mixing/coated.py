@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
+from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import PaintWarning, Problems, SchemaError
 from hyperpaint.base.mirrored_light import EXCLUDED, mirror_reflection
 from hyperpaint.base.schema import BAND
@@ -20,7 +21,6 @@ if TYPE_CHECKING:
 
 __all__ = ["BLACKEST", "Coating", "coating_of"]
 
-Floats = npt.NDArray[np.float64]
 
 BLACKEST = 1e-3
 """Of a layer without an interface [1]: blacker is no paint (soot in a binder is 0.02), but noise, whose K/S

@@ -21,11 +21,10 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import Problems, SchemaError
 
 __all__ = ["Interface", "absorption_to_scattering", "thick_layer_reflectance"]
-
-Floats = npt.NDArray[np.float64]
 
 
 def absorption_to_scattering(reflectance: npt.ArrayLike) -> Floats:

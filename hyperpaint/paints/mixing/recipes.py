@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hyperpaint.base import schema
+from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import PaintWarning, Problems, SchemaError
 from hyperpaint.base.schema import PAINT
 
@@ -22,7 +23,6 @@ if TYPE_CHECKING:
 
 __all__ = ["METHODS", "mix_paints", "shade_paints"]
 
-Floats = npt.NDArray[np.float64]
 Method = Literal["kubelka-munk", "linear"]
 
 METHODS = ("kubelka-munk", "linear")

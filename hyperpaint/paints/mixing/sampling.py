@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hyperpaint.base import schema
+from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import PaintWarning, Problems, SchemaError
 from hyperpaint.base.schema import BAND, MEMBER, PAINT
 
@@ -20,7 +21,6 @@ if TYPE_CHECKING:
 
 __all__ = ["draw_variants", "sample_paints"]
 
-Floats = npt.NDArray[np.float64]
 Form = Literal["members", "paints"]
 
 _MARGIN = 0.005

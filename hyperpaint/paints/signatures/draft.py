@@ -6,8 +6,8 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
+from hyperpaint.base.arrays import Array
 from hyperpaint.base.schema import BAND, Quality
 from hyperpaint.light.sun import solar_position
 from hyperpaint.radiometry.uncertainty.propagation import NONE_KNOWN, UNCERTAINTIES
@@ -20,7 +20,6 @@ from .viewing import mean_view, relative_azimuth
 
 __all__ = ["Draft"]
 
-Array = npt.NDArray[Any]
 
 _CORRELATED_BANDS = 8
 """Good bands, spread over all, that the correlation of pixels is looked at in."""

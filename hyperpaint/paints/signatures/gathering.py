@@ -7,12 +7,12 @@ blocks, so that all that follows from them has the same bits for any chunking.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import numpy.typing as npt
 
+from hyperpaint.base.arrays import Array, Progress
 from hyperpaint.base.schema import ALONG_TRACK, BAND, CROSS_TRACK
 from hyperpaint.radiometry.slabs import line_chunked
 
@@ -20,9 +20,6 @@ if TYPE_CHECKING:
     import xarray as xr
 
 __all__ = ["Progress", "gather", "part_of"]
-
-Array = npt.NDArray[Any]
-Progress = Callable[[int, int], None]
 
 
 def gather(

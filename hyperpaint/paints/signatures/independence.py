@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
-import numpy.typing as npt
 
+from hyperpaint.base.arrays import Array
 from hyperpaint.radiometry.uncertainty.averages import effective_number
 
 __all__ = ["SMEAR", "effective_pixels"]
 
-Array = npt.NDArray[Any]
 
 SMEAR = 1.3
 """Pixels that are worth one at least, whatever their values say: 1 + 2 c.

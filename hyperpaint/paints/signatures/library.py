@@ -7,8 +7,8 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import numpy.typing as npt
 
+from hyperpaint.base.arrays import Array
 from hyperpaint.base.schema import BAND, LIBRARY_VARIABLES, Quality, quality_attrs
 from hyperpaint.radiometry.uncertainty.propagation import NONE_KNOWN, UNCERTAINTIES
 from hyperpaint.regions import Regions
@@ -22,7 +22,6 @@ if TYPE_CHECKING:
 
 __all__ = ["paint_library"]
 
-Array = npt.NDArray[Any]
 
 _GEOMETRY = (
     "sun_zenith",

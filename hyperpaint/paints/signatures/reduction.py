@@ -6,15 +6,14 @@ Everything is exact and of one band at a time, but the geometric median, which n
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
+from hyperpaint.base.arrays import Array, Floats
+
 __all__ = ["CENTRES", "QUANTILES", "BandSummary", "chosen_members", "geometric_median", "summarise"]
 
-Array = npt.NDArray[Any]
-Float = npt.NDArray[np.float64]
 
 CENTRES = ("trimmed_mean", "geometric_median", "median")
 QUANTILES = (0.05, 0.25, 0.5, 0.75, 0.95)
@@ -41,9 +40,9 @@ class BandSummary:
         At `QUANTILES`.
     """
 
-    centre: Float
-    sd: Float
-    quantiles: Float
+    centre: Floats
+    sd: Floats
+    quantiles: Floats
 
 
 def summarise(values: Array, centre: str) -> BandSummary:
@@ -78,7 +77,7 @@ def summarise(values: Array, centre: str) -> BandSummary:
     return BandSummary(middle, spread, quantiles)
 
 
-def _quantiles(ordered: Float) -> Float:
+def _quantiles(ordered: Floats) -> Floats:
     """Return the quantiles of ascending values, linear between them; numpy's own takes ten times as long."""
     place = np.array(QUANTILES) * (ordered.size - 1)
     below = place.astype(np.intp)
@@ -86,11 +85,11 @@ def _quantiles(ordered: Float) -> Float:
     return np.asarray(ordered[below] + (place - below) * (ordered[above] - ordered[below]))
 
 
-def _median(ordered: Float) -> float:
+def _median(ordered: Floats) -> float:
     return float(0.5 * (ordered[(ordered.size - 1) // 2] + ordered[ordered.size // 2]))
 
 
-def _trimmed_mean(ordered: Float) -> float:
+def _trimmed_mean(ordered: Floats) -> float:
     """Return the iterated trimmed mean of ascending values."""
     centre = _median(ordered)
     spread = _SIGMA_OF_DEVIATION * _median(np.sort(np.abs(ordered - centre)))
@@ -107,7 +106,7 @@ def _trimmed_mean(ordered: Float) -> float:
     return float(kept.mean())
 
 
-def geometric_median(values: Array) -> Float:
+def geometric_median(values: Array) -> Floats:
     """Return the spectrum whose distances to all others have the smallest sum (band,), by Weiszfeld's rule.
 
     Parameters

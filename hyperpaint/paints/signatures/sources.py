@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hyperpaint.base import schema
+from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import Problems, SchemaError
 from hyperpaint.base.schema import BAND
 from hyperpaint.radiometry.bands import to_nominal
@@ -26,7 +27,6 @@ if TYPE_CHECKING:
 
 __all__ = ["Smoothing", "Source", "lines_of", "source_of"]
 
-Float = npt.NDArray[np.float64]
 Smoothing = str | Mapping[str, Any] | None
 """Method of `hyperpaint.smooth`, or its arguments by name; None smooths nothing."""
 
@@ -64,8 +64,8 @@ class Source:
     planes: dict[str, xr.DataArray]
     small: dict[str, xr.DataArray]
     viewing: Viewing
-    wavelength: Float
-    fwhm: Float
+    wavelength: Floats
+    fwhm: Floats
     good: npt.NDArray[np.bool_]
     smoothing: str
     corrections: dict[str, str]

@@ -6,20 +6,18 @@ Measured directions of every pixel come first; else those of a camera of known l
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
-import numpy.typing as npt
 
 from hyperpaint.base import schema
+from hyperpaint.base.arrays import Array, Floats
 
 if TYPE_CHECKING:
     import xarray as xr
 
 __all__ = ["ATTITUDE", "Viewing", "mean_view", "relative_azimuth", "viewing_of"]
 
-Array = npt.NDArray[Any]
-Float = npt.NDArray[np.float64]
 
 ATTITUDE = ("roll", "pitch", "heading")
 """Variables of a line that turn its camera."""
@@ -53,7 +51,7 @@ class Viewing:
     def __init__(self, found: Mapping[str, xr.DataArray], problems: tuple[str, ...] = ()) -> None:
         self.planes: dict[str, xr.DataArray] = {}
         self.lines: dict[str, xr.DataArray] = {}
-        self.look: Float | None = None
+        self.look: Floats | None = None
         if "view_zenith" in found:
             self.planes = {name: found[name] for name in _PIXELS if name in found}
             self.told = " and ".join(self.planes) + " of the pixels"
@@ -122,7 +120,7 @@ def mean_view(
     return made, float(np.degrees(np.arctan2(east, north)) % 360.0) if level > _ALONG_THE_VERTICAL else np.nan
 
 
-def _from_attitude(look: Array, roll: Array, pitch: Array, heading: Array) -> tuple[Float, Float]:
+def _from_attitude(look: Array, roll: Array, pitch: Array, heading: Array) -> tuple[Floats, Floats]:
     """Return zenith angle and azimuth of the direction to the camera [degree]; see `mean_view`."""
     # roll turns the line of sight within the plane that look angles are in
     side, tilt = np.radians(look.astype(np.float64) - roll), np.radians(pitch.astype(np.float64))

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
-import numpy.typing as npt
 
+from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import Problems, SchemaError
 from hyperpaint.base.schema import ALONG_TRACK, CROSS_TRACK
 
@@ -17,8 +17,6 @@ if TYPE_CHECKING:
     import xarray as xr
 
 __all__ = ["effective_number", "mean_uncertainty"]
-
-Float = npt.NDArray[np.float64]
 
 
 def mean_uncertainty(region: xr.Dataset, dims: Sequence[str] | str | None = None) -> xr.Dataset:
@@ -117,7 +115,7 @@ def mean_uncertainty(region: xr.Dataset, dims: Sequence[str] | str | None = None
     return result
 
 
-def _nothing_known(array: xr.DataArray, values: Float) -> bool:
+def _nothing_known(array: xr.DataArray, values: Floats) -> bool:
     """Return whether no component of the uncertainty is known; its cube is then zero throughout.
 
     Arithmetic of xarray may have dropped the attribute, so that the zeros are asked as well.
@@ -125,7 +123,7 @@ def _nothing_known(array: xr.DataArray, values: Float) -> bool:
     return array.attrs.get("components") == NONE_KNOWN or not np.nan_to_num(values).any()
 
 
-def effective_number(plane: Float) -> float:
+def effective_number(plane: Floats) -> float:
     """Return how many independent values are as good as these, which lie on a grid; NaN are left out."""
     there = np.isfinite(plane)
     n = int(there.sum())
@@ -136,7 +134,7 @@ def effective_number(plane: Float) -> float:
         return float(n)
     size, axes = [2 * length for length in plane.shape], range(plane.ndim)
 
-    def correlate(values: Float) -> Float:
+    def correlate(values: Floats) -> Floats:
         power = np.abs(np.fft.rfftn(values, size, axes)) ** 2
         return np.asarray(np.fft.irfftn(power, size, axes))
 

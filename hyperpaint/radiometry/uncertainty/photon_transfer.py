@@ -12,12 +12,13 @@ from __future__ import annotations
 
 import warnings
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
 
 from hyperpaint.base import schema
+from hyperpaint.base.arrays import Array, Floats
 from hyperpaint.base.errors import PaintWarning, Problems, SchemaError
 from hyperpaint.base.schema import ALONG_TRACK, BAND, CROSS_TRACK, STEP
 from hyperpaint.radiometry.slabs import QUANTISATION
@@ -27,8 +28,6 @@ if TYPE_CHECKING:
 
 __all__ = ["estimate_noise"]
 
-Array = npt.NDArray[Any]
-Float = npt.NDArray[np.float64]
 
 BLOCK_LINES = 8
 """Lines of a block, within which a column is asked to see one surface."""
@@ -58,10 +57,10 @@ class _Points:
         Degrees of freedom of a variance.
     """
 
-    variance: Float
-    by_signal: Float
-    by_floor: Float
-    freedom: Float
+    variance: Floats
+    by_signal: Floats
+    by_floor: Floats
+    freedom: Floats
 
 
 def estimate_noise(dataset: xr.Dataset, *, repeated: bool = False) -> xr.Dataset:
@@ -260,7 +259,7 @@ class _Transfer:
 
     slope: float
     height: float
-    covariance: Float
+    covariance: Floats
     used: npt.NDArray[np.bool_]
     low: float
     high: float
@@ -303,7 +302,7 @@ def _fit(points: _Points) -> _Transfer:
     return made
 
 
-def _first_guess(points: _Points, known: npt.NDArray[np.bool_], freedom: Float) -> tuple[float, float]:
+def _first_guess(points: _Points, known: npt.NDArray[np.bool_], freedom: Floats) -> tuple[float, float]:
     """Return slope and height of the lower envelope of binned medians."""
     from scipy.stats import chi2
 
@@ -326,15 +325,15 @@ def _first_guess(points: _Points, known: npt.NDArray[np.bool_], freedom: Float) 
 
 
 def _solve(
-    points: _Points, used: npt.NDArray[np.bool_], model: Float, variance: Float
-) -> tuple[float, float, Float]:
+    points: _Points, used: npt.NDArray[np.bool_], model: Floats, variance: Floats
+) -> tuple[float, float, Floats]:
     """Return slope and height by weighted least squares, and their covariance by the jackknife."""
     weight = np.where(used, 1.0 / model**2, 0.0)
     value = np.where(used, variance, 0.0)
     a, b = (np.where(used, v, 0.0) for v in (points.by_signal, points.by_floor))
     part = np.arange(len(used)) * _PARTS // len(used)
 
-    def sums(product: Float) -> Float:
+    def sums(product: Floats) -> Floats:
         total = np.bincount(part, (weight * product).sum(axis=1), minlength=_PARTS)
         return total.astype(np.float64)
 
@@ -343,7 +342,7 @@ def _solve(
     # signals of hundreds beside a constant of 1
     scale = np.sqrt(np.maximum(normal.sum(axis=-1).diagonal(), 1e-300))
 
-    def solution(left_out: int | None) -> Float:
+    def solution(left_out: int | None) -> Floats:
         kept = np.arange(_PARTS) != (-1 if left_out is None else left_out)
         matrix, vector = normal[..., kept].sum(axis=-1), right[..., kept].sum(axis=-1)
         found, *_ = np.linalg.lstsq(matrix / np.outer(scale, scale), vector / scale, rcond=None)
@@ -409,7 +408,7 @@ def _labelled(found: _Transfer, points: _Points, quantisation: float, source: st
     return made
 
 
-def _curve(found: _Transfer, points: _Points) -> tuple[Float, Float, Float]:
+def _curve(found: _Transfer, points: _Points) -> tuple[Floats, Floats, Floats]:
     """Return mean signals, variances and variances of the line, in bins of as many points each."""
     a, b, v = (array[found.used] for array in (points.by_signal, points.by_floor, points.variance))
     order = np.argsort(a / b, kind="stable")

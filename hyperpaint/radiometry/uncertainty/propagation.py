@@ -10,9 +10,9 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import numpy.typing as npt
 
 from hyperpaint.base import schema
+from hyperpaint.base.arrays import Array, Floats
 from hyperpaint.base.errors import Problems, SchemaError
 from hyperpaint.radiometry import slabs
 from hyperpaint.radiometry.slabs import QUANTISATION, ErrorTerms
@@ -22,8 +22,6 @@ if TYPE_CHECKING:
 
 __all__ = ["NONE_KNOWN", "UNCERTAINTIES", "error_terms", "uncertainty_inputs", "with_uncertainty"]
 
-Array = npt.NDArray[Any]
-Float = npt.NDArray[np.float64]
 
 _NOISE = ("electrons_per_count", "read_noise", "dark_counts_u_random")
 _SYSTEMATIC = (
@@ -133,7 +131,7 @@ def error_terms(
     """
     _check_uncertainties(uncertain, bad)
 
-    def of(name: str) -> Float:
+    def of(name: str) -> Floats:
         return _rows(uncertain.get(name, 0.0), bad.shape)
 
     whole = np.issubdtype(np.dtype(dtype), np.integer)
@@ -159,11 +157,11 @@ def error_terms(
     )
 
 
-def _float32(values: Float) -> Array:
+def _float32(values: Floats) -> Array:
     return np.ascontiguousarray(values, np.float32)
 
 
-def _rows(values: Any, shape: tuple[int, ...]) -> Float:
+def _rows(values: Any, shape: tuple[int, ...]) -> Floats:
     """Return a value, one a band, or one an element as (1 or band, column)."""
     array = np.asarray(values, np.float64)
     if array.ndim == 1:
@@ -173,7 +171,7 @@ def _rows(values: Any, shape: tuple[int, ...]) -> Float:
 
 def _irradiance_u(
     uncertain: Mapping[str, Any], cube: Mapping[str, Any], light: Mapping[str, Any] | None
-) -> Float:
+) -> Floats:
     """Return the relative uncertainty of the irradiance of every band (1 or band, 1)."""
     known = np.asarray(uncertain.get("irradiance_u_systematic", 0.0), np.float64)
     if known.ndim == 0 or light is None:
@@ -184,7 +182,7 @@ def _irradiance_u(
     return np.asarray(at[:, None])
 
 
-def _band_steps(wavelength: Float) -> Float:
+def _band_steps(wavelength: Floats) -> Floats:
     """Return weights of the rise to the band above, and of that from the band below (band, 4) [nm-1].
 
     With both neighbours they give the slope between these, with one that to it. A neighbour across a join of

@@ -4,20 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from hyperpaint.base.arrays import Array, Bools, Floats
 from hyperpaint.base.schema import Quality
 from hyperpaint.surroundings import SceneModel
 from hyperpaint.surroundings.model import SHADED
 
 __all__ = ["Limits", "Measures", "Piece", "measured", "pieces"]
 
-Array = npt.NDArray[Any]
-Float = npt.NDArray[np.float64]
-Mask = npt.NDArray[np.bool_]
 
 _WRONG = Quality.SATURATED | Quality.IRRADIANCE_GAP | Quality.NO_DATA | Quality.OFF_SWATH
 _LEAST_CHANGE = 0.005
@@ -54,7 +51,7 @@ class Piece(NamedTuple):
 
     body: int
     first: tuple[int, int]
-    inside: Mask
+    inside: Bools
 
     @property
     def window(self) -> tuple[slice, slice]:
@@ -63,7 +60,7 @@ class Piece(NamedTuple):
         return slice(y, y + lines), slice(x, x + columns)
 
     @property
-    def middle(self) -> Float:
+    def middle(self) -> Floats:
         """Line and column of its centre, (2,)."""
         return np.asarray(np.argwhere(self.inside).mean(axis=0) + np.array(self.first, np.float64))
 
@@ -92,8 +89,8 @@ class Measures(NamedTuple):
         Share of the piece that is left out, by the reason.
     """
 
-    usable: Mask
-    spectrum: Float
+    usable: Bools
+    spectrum: Floats
     pixels: int
     angle: float
     spread: float
@@ -130,7 +127,7 @@ def measured(
     channels: Array,
     layers: Mapping[str, Array],
     limits: Limits,
-    brightness: Float | None = None,
+    brightness: Floats | None = None,
 ) -> Measures:
     """Return what is measured of a piece, and which of its pixels a region can have.
 
@@ -150,7 +147,7 @@ def measured(
     here = {name: layer[piece.window] for name, layer in layers.items()}
     seen = channels[piece.window].astype(np.float64)
     inside = piece.inside & np.isfinite(seen).all(axis=2)
-    left_out: dict[str, Mask] = {
+    left_out: dict[str, Bools] = {
         "without data": ~inside,
         "wrong": (here["quality"] & np.uint16(_WRONG)) != 0,
         "glint": ~(here["glint_fraction"] <= limits.glint),
@@ -177,7 +174,7 @@ def measured(
 
 
 def _measures(
-    usable: Mask, seen: Float, brightness: Float, here: Mapping[str, Array], lost: Mapping[str, float]
+    usable: Bools, seen: Floats, brightness: Floats, here: Mapping[str, Array], lost: Mapping[str, float]
 ) -> Measures:
     count = int(usable.sum())
     if not count:
@@ -206,11 +203,11 @@ def _measures(
     )
 
 
-def _both(mask: Mask, axis: int) -> Mask:
+def _both(mask: Bools, axis: int) -> Bools:
     return np.asarray(mask[1:] & mask[:-1] if axis == 0 else mask[:, 1:] & mask[:, :-1])
 
 
-def _smoothed(values: Array, known: Mask) -> Float:
+def _smoothed(values: Array, known: Bools) -> Floats:
     """Return means over a square of what is known (line, column); NaN where nothing is."""
     from scipy.ndimage import uniform_filter
 
@@ -221,7 +218,7 @@ def _smoothed(values: Array, known: Mask) -> Float:
         return np.where(known, total / count, np.nan)
 
 
-def _brightness(seen: Float, known: Mask) -> tuple[Float, float]:
+def _brightness(seen: Floats, known: Bools) -> tuple[Floats, float]:
     """Return how bright pixels are, relative to the median (line, column), and its largest reflectance."""
     if not known.any():
         return np.full(known.shape, np.nan), np.nan
@@ -230,7 +227,7 @@ def _brightness(seen: Float, known: Mask) -> tuple[Float, float]:
     return made / float(np.median(made[known])), float(middle.max())
 
 
-def _largest(mask: Mask) -> Mask:
+def _largest(mask: Bools) -> Bools:
     """Return the largest connected part of a mask without what is narrower than three pixels."""
     from scipy.ndimage import binary_opening, label
 

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
+from hyperpaint.base.arrays import Array
 from hyperpaint.surroundings import SceneModel
 
 from .candidates import Limits, Measures, Piece, measured
@@ -19,8 +19,6 @@ from .roofs import NoRoof, Roof, find_roof
 
 __all__ = ["Car", "Judged", "better_part", "find_cars", "judge_car"]
 
-Array = npt.NDArray[Any]
-Mask = npt.NDArray[np.bool_]
 Judged = tuple[Piece, Measures, Verdict]
 
 _MOSTLY, _OVERLAP = 0.5, 0.3

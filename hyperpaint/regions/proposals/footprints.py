@@ -2,20 +2,18 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
+from hyperpaint.base.arrays import Array, Bools, Floats
 from hyperpaint.surroundings import SceneModel
 
 from .surroundings import largest_body
 
 __all__ = ["Footprint", "Scene", "footprint_of", "hull_of"]
 
-Array = npt.NDArray[Any]
-Float = npt.NDArray[np.float64]
-Mask = npt.NDArray[np.bool_]
 
 _MIRRORED = 0.04
 """Reflectance of a clear coat of index 1.5, ((n - 1) / (n + 1))^2 [1]."""
@@ -56,7 +54,7 @@ class Scene(NamedTuple):
     channels: Array
     sky: Array
     level: Array
-    ground: Float
+    ground: Floats
 
     @classmethod
     def of(cls, channels: Array, model: SceneModel) -> Scene:
@@ -65,7 +63,7 @@ class Scene(NamedTuple):
         ground = np.nan_to_num(model.reference[largest_body(model)])
         return cls(channels, sky, channels.mean(axis=2), ground)
 
-    def without_sky(self, window: tuple[slice, slice]) -> Float:
+    def without_sky(self, window: tuple[slice, slice]) -> Floats:
         """Return the reflectance of a part of the picture, less the mirrored sky [1]."""
         return np.asarray(self.channels[window] - self.sky, np.float64)
 
@@ -92,11 +90,11 @@ class Footprint(NamedTuple):
     """
 
     first: tuple[int, int]
-    paint: Mask
-    whole: Mask
-    brightness: Float
-    axis: Float
-    middle: Float
+    paint: Bools
+    whole: Bools
+    brightness: Floats
+    axis: Floats
+    middle: Floats
     length: float
     width: float
     cut: bool
@@ -109,7 +107,7 @@ class Footprint(NamedTuple):
 
 
 def footprint_of(
-    inside: Mask, first: tuple[int, int], colour: Float, scene: Scene, across_windows: bool = False
+    inside: Bools, first: tuple[int, int], colour: Floats, scene: Scene, across_windows: bool = False
 ) -> Footprint | None:
     """Return the car that a piece of paint is of; None where its colour goes on without an end.
 
@@ -154,13 +152,13 @@ def footprint_of(
 class _Like(NamedTuple):
     """Which pixels have a colour, look like the ground, are dark beside that colour; how bright they are."""
 
-    paint: Mask
-    ground: Mask
-    dark: Mask
-    brightness: Float
+    paint: Bools
+    ground: Bools
+    dark: Bools
+    brightness: Floats
 
 
-def _like(colour: Float, scene: Scene, window: tuple[slice, slice]) -> _Like:
+def _like(colour: Floats, scene: Scene, window: tuple[slice, slice]) -> _Like:
     seen = scene.without_sky(window)
     length = np.maximum(np.linalg.norm(seen, axis=2), 1e-9)
     own, ground = float(np.linalg.norm(colour)), float(np.linalg.norm(scene.ground))
@@ -175,7 +173,7 @@ def _like(colour: Float, scene: Scene, window: tuple[slice, slice]) -> _Like:
     )
 
 
-def _whole(like: _Like, seed: Mask, across_windows: bool) -> Mask | None:
+def _whole(like: _Like, seed: Bools, across_windows: bool) -> Bools | None:
     """Return what lies between the thick parts of a connected colour, those of a seed's car.
 
     Bay lines and mirrors are thin. Where there is ground in between, only what the colour encloses around the
@@ -201,8 +199,8 @@ def _whole(like: _Like, seed: Mask, across_windows: bool) -> Mask | None:
 
 
 def _gathered(
-    cores: npt.NDArray[np.int32], first: int, thick: float, depth: Float, filled: Mask, like: _Like
-) -> Mask:
+    cores: npt.NDArray[np.int32], first: int, thick: float, depth: Floats, filled: Bools, like: _Like
+) -> Bools:
     """Return what lies between a part and those around it, as far as it may be one car."""
     from scipy.ndimage import distance_transform_edt
 
@@ -225,13 +223,13 @@ def _gathered(
     return around
 
 
-def _grown(core: Mask, thick: float, filled: Mask) -> Mask:
+def _grown(core: Bools, thick: float, filled: Bools) -> Bools:
     from scipy.ndimage import distance_transform_edt
 
     return np.asarray((distance_transform_edt(~core) <= thick) & filled)
 
 
-def hull_of(mask: Mask) -> Mask:
+def hull_of(mask: Bools) -> Bools:
     """Return the convex hull of a mask (line, column)."""
     from scipy.spatial import ConvexHull
 
@@ -251,14 +249,14 @@ def hull_of(mask: Mask) -> Mask:
     return np.asarray(inside & level[:, None])
 
 
-def _border(mask: Mask) -> Float:
+def _border(mask: Bools) -> Floats:
     """Return the first and the last pixel of every line of a mask (point, 2)."""
     rows = np.flatnonzero(mask.any(axis=1))
     ends = [np.flatnonzero(mask[row])[[0, -1]] for row in rows]
     return np.array([(row, x) for row, pair in zip(rows, ends, strict=True) for x in pair], np.float64)
 
 
-def _rectangle(mask: Mask) -> tuple[Float, Float, float, float]:
+def _rectangle(mask: Bools) -> tuple[Floats, Floats, float, float]:
     """Return axis, centre, length and width of the smallest rectangle around a mask."""
     points = _border(mask)
     best: tuple[float, ...] = (np.inf,)

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
-import numpy.typing as npt
 
 from hyperpaint.surroundings import SceneModel
 
@@ -14,8 +13,6 @@ from .surroundings import DARK, Surfaces, ring_around
 
 __all__ = ["Verdict", "judge_change", "judge_dark", "judge_lean", "judge_pixels"]
 
-Float = npt.NDArray[np.float64]
-Mask = npt.NDArray[np.bool_]
 
 _LEANS = {"roof": 1.5, "panel": 14.0, "dark paint": 12.0}
 """Degrees by which the middle of a roof, or any panel, may lean."""

@@ -5,12 +5,11 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
+
+from hyperpaint.base.arrays import Bools, Floats
 
 __all__ = ["Levelled", "level_light"]
 
-Float = npt.NDArray[np.float64]
-Mask = npt.NDArray[np.bool_]
 
 _ROUNDS = 30
 _ABOVE, _BELOW, _LEAST = 1.5, 3.0, 0.003
@@ -40,7 +39,7 @@ class Levelled(NamedTuple):
 
 
 def level_light(
-    brightness: Float, inside: Mask, lit: Mask, middle: tuple[float, float], unsure: float, axis: Float
+    brightness: Floats, inside: Bools, lit: Bools, middle: tuple[float, float], unsure: float, axis: Floats
 ) -> Levelled | None:
     """Return how bright a roof is in its middle; None where too little of it is seen.
 

@@ -3,18 +3,17 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
+
+from hyperpaint.base.arrays import Bools, Floats
 
 __all__ = ["outline"]
 
-Float = npt.NDArray[np.float64]
-Mask = npt.NDArray[np.bool_]
 
 _STEPS = ((0, 1), (1, 0), (0, -1), (-1, 0))
 """Right, down, left, up, as (line, column); a right turn is the next one."""
 
 
-def outline(mask: Mask, first: tuple[int, int] = (0, 0)) -> tuple[Float, tuple[Float, ...]]:
+def outline(mask: Bools, first: tuple[int, int] = (0, 0)) -> tuple[Floats, tuple[Floats, ...]]:
     """Return the ring around a connected set of pixels, and those around its holes.
 
     Parameters
@@ -46,7 +45,7 @@ def outline(mask: Mask, first: tuple[int, int] = (0, 0)) -> tuple[Float, tuple[F
     return made[0], tuple(made[1:])
 
 
-def _sides(mask: Mask) -> dict[tuple[int, int], list[int]]:
+def _sides(mask: Bools) -> dict[tuple[int, int], list[int]]:
     """Return the ways that lead from every corner along the mask, which lies to their right."""
     wide = np.pad(mask, 1)
     inner = wide[1:-1, 1:-1]

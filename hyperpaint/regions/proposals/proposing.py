@@ -7,9 +7,9 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import numpy.typing as npt
 
 from hyperpaint.base import schema
+from hyperpaint.base.arrays import Array
 from hyperpaint.base.errors import Problems, SchemaError
 from hyperpaint.radiometry.slabs import line_chunked
 from hyperpaint.regions import Region, Regions
@@ -31,7 +31,6 @@ if TYPE_CHECKING:
 
 __all__ = ["Proposals", "propose_regions"]
 
-Array = npt.NDArray[Any]
 
 _LAYERS = ("glint_fraction", "blocked_direct", "adjacency", "quality")
 

@@ -5,14 +5,13 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
+
+from hyperpaint.base.arrays import Bools, Floats
 
 from .footprints import Footprint
 
 __all__ = ["NoRoof", "Roof", "find_roof"]
 
-Float = npt.NDArray[np.float64]
-Mask = npt.NDArray[np.bool_]
 
 _MIDDLE, _SIDE = 0.4, 0.3
 """Half widths of the car within which windows cross it, and from which on they run along it."""
@@ -57,7 +56,7 @@ class Roof(NamedTuple):
         Whether it lies between windows, and these between paint.
     """
 
-    inside: Mask
+    inside: Bools
     middle: tuple[float, float]
     unsure: float
     reason: str
@@ -87,13 +86,13 @@ class _Run(NamedTuple):
 class _Frame(NamedTuple):
     """Places along a car [pixel] from its end, and across it from its axis in half widths (line, column)."""
 
-    along: Float
-    across: Float
+    along: Floats
+    across: Floats
     length: float
     width: float
 
 
-def find_roof(car: Footprint, level: Float) -> Roof | NoRoof:
+def find_roof(car: Footprint, level: Floats) -> Roof | NoRoof:
     """Return the roof of a car, or why none is found.
 
     Parameters
@@ -113,14 +112,14 @@ def find_roof(car: Footprint, level: Float) -> Roof | NoRoof:
     return found
 
 
-def _glass(car: Footprint, level: Float) -> Mask:
+def _glass(car: Footprint, level: Floats) -> Bools:
     """Return which pixels of a car are dark as windows."""
     own = float(np.median(level[car.paint & car.whole]))
     limit = min(max(_DARK, _AS_PAINT * own), own)
     return np.asarray(~car.paint & car.whole & (level < limit))
 
 
-def _frame(car: Footprint, axis: Float, length: float, width: float) -> _Frame:
+def _frame(car: Footprint, axis: Floats, length: float, width: float) -> _Frame:
     """Return where pixels are along and across a car."""
     y, x = np.indices(car.whole.shape, np.float64)
     y, x = y - car.middle[0], x - car.middle[1]
@@ -128,7 +127,7 @@ def _frame(car: Footprint, axis: Float, length: float, width: float) -> _Frame:
     return _Frame(y * axis[0] + x * axis[1] + 0.5 * length, across, length, width)
 
 
-def _roof_along(car: Footprint, glass: Mask, frame: _Frame) -> Roof | NoRoof:
+def _roof_along(car: Footprint, glass: Bools, frame: _Frame) -> Roof | NoRoof:
     """Return the best roof among the stretches between windows along a frame."""
     crossed = _share_of_tracks(glass, car.whole & (np.abs(frame.across) < _MIDDLE), frame) > _CROSSED
     runs = _runs(crossed, _STRIP * frame.length)
@@ -203,8 +202,8 @@ def _level_place(car: Footprint, runs: list[_Run], number: int, frame: _Frame) -
 
 
 def _roof(
-    car: Footprint, glass: Mask, frame: _Frame, run: _Run, level: tuple[float, float]
-) -> tuple[Mask, tuple[float, float], float] | None:
+    car: Footprint, glass: Bools, frame: _Frame, run: _Run, level: tuple[float, float]
+) -> tuple[Bools, tuple[float, float], float] | None:
     """Return the pixels of a roof, and where it is level."""
     here = car.whole & (frame.along >= run.first) & (frame.along < run.last)
     left, right = (_edge(glass & here, sign, frame, run) for sign in (-1, 1))
@@ -224,7 +223,7 @@ def _roof(
     return inside, (float(y), float(x)), level[1]
 
 
-def _edge(glass: Mask, sign: int, frame: _Frame, run: _Run) -> float:
+def _edge(glass: Bools, sign: int, frame: _Frame, run: _Run) -> float:
     """Return where side windows begin on one side of the axis, median over the tracks; NaN without them."""
     beside = glass & (sign * frame.across > _SIDE)
     nearest = np.full(run.length, np.inf)
@@ -234,7 +233,7 @@ def _edge(glass: Mask, sign: int, frame: _Frame, run: _Run) -> float:
     return float(np.median(found)) if found.size >= _LEAST_SEEN * nearest.size else np.nan
 
 
-def _share_of_tracks(which: Mask, of: Mask, frame: _Frame) -> Float:
+def _share_of_tracks(which: Bools, of: Bools, frame: _Frame) -> Floats:
     """Return the share of tracks across a car that is of some kind (track,)."""
     count = round(frame.length)
     track = np.floor(frame.along[of]).astype(np.int64).clip(0, count - 1)
@@ -242,7 +241,7 @@ def _share_of_tracks(which: Mask, of: Mask, frame: _Frame) -> Float:
     return np.asarray(np.bincount(track, which[of], count) / np.maximum(whole, 1))
 
 
-def _windows_beside(car: Footprint, glass: Mask, frame: _Frame) -> Mask:
+def _windows_beside(car: Footprint, glass: Bools, frame: _Frame) -> Bools:
     """Return along which tracks there are side windows (track,), on the side where there are more.
 
     Outside of a window there is a door; outside of what lies in the car's shadow there is nothing lit.
@@ -260,7 +259,7 @@ def _windows_beside(car: Footprint, glass: Mask, frame: _Frame) -> Mask:
     return max(made, key=lambda one: int(one.sum()))
 
 
-def _runs(crossed: Mask, strip: float) -> list[_Run]:
+def _runs(crossed: Bools, strip: float) -> list[_Run]:
     """Return the stretches of paint and of windows, from end to end.
 
     What is shorter than a strip [pixel] between windows, as before a sunroof, goes with them.

@@ -5,15 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
+from hyperpaint.base.arrays import Bools, Floats
 from hyperpaint.surroundings import SceneModel
 from hyperpaint.surroundings.model import SHADED
 
 __all__ = ["DARK", "Surfaces", "largest_body", "ring_around"]
 
-Float = npt.NDArray[np.float64]
-Mask = npt.NDArray[np.bool_]
 
 DARK = 0.05
 """Mean reflectance below which a surface is a window, or a dark paint [1]."""
@@ -39,12 +37,12 @@ class Surfaces:
         Whether it is dark as glass, like the largest body, green as leaves, in another body's shadow.
     """
 
-    level: Float
-    blueness: Float
-    dark: Mask
-    ground: Mask
-    vegetation: Mask
-    shade: Mask
+    level: Floats
+    blueness: Floats
+    dark: Bools
+    ground: Bools
+    vegetation: Bools
+    shade: Bools
 
     @classmethod
     def of(cls, model: SceneModel) -> Surfaces:
@@ -74,7 +72,7 @@ def largest_body(model: SceneModel) -> int:
     return int(np.argmax(np.bincount(model.body, weights=model.size, minlength=model.segments)))
 
 
-def _like_the_largest(model: SceneModel, direction: Float, length: Float) -> Mask:
+def _like_the_largest(model: SceneModel, direction: Floats, length: Floats) -> Bools:
     """Return which segments are the largest body, or look like it, whatever their light (segment,)."""
     if not model.segments:
         return np.zeros(0, bool)
@@ -86,7 +84,7 @@ def _like_the_largest(model: SceneModel, direction: Float, length: Float) -> Mas
     return np.asarray(like | (model.body == largest))
 
 
-def _mean_over(spectrum: Float, wavelength: Float, span: tuple[float, float]) -> Float:
+def _mean_over(spectrum: Floats, wavelength: Floats, span: tuple[float, float]) -> Floats:
     """Return the mean of channels in a span [nm], or of the nearest one."""
     chosen = (wavelength >= span[0]) & (wavelength <= span[1])
     if not chosen.any():
@@ -94,7 +92,7 @@ def _mean_over(spectrum: Float, wavelength: Float, span: tuple[float, float]) ->
     return np.asarray(spectrum[:, chosen].mean(axis=1))
 
 
-def ring_around(mask: Mask, width: int) -> Mask:
+def ring_around(mask: Bools, width: int) -> Bools:
     """Return the pixels around a mask (line, column), from 3 to 3 + width away."""
     from scipy.ndimage import binary_dilation
 

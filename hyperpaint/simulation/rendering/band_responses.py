@@ -13,11 +13,12 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from hyperpaint.base.arrays import Floats
+
 from .bands import BandSet, cubic_weights
 
 __all__ = ["BandResponses", "cell_means"]
 
-Floats = NDArray[np.float64]
 
 _FACTOR_STEP = 0.5  # nm between the points at which products of reflectances are taken
 _FINEST_STEP = 0.05  # nm at which responses are taken, or a hundredth of the sharpest

@@ -10,13 +10,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import Problems, SchemaError
 from hyperpaint.simulation.sensor import SHAPES, Imager, line_shape
 from hyperpaint.simulation.settings import SimulationSettings
 
 __all__ = ["BandSet"]
 
-Floats = NDArray[np.float64]
 
 _GAUSSIAN_REACH = 2.5  # full widths; beyond them lies 1e-8 of a Gaussian's area
 #: Distance of the shifts at which products are made: at the most [nm], and in parts of the narrowest band.

@@ -14,11 +14,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from hyperpaint.base.arrays import Floats
+
 from .primitives import Mesh, cuboid, lattice, polygon, put_together, smoothed, tube
 
 __all__ = ["CAR_TYPES", "CarShape", "car_body"]
 
-Floats = NDArray[np.float64]
 Words = NDArray[np.object_]
 
 _CREASE = 38.0  # what bends by more is an edge [degree]

@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import MissingExtraError, SchemaError
 from hyperpaint.simulation.atmosphere import Sky
 
 __all__ = ["built_in_sky", "check_wavelengths", "relative_air_mass", "spectrl2_sky"]
-
-Floats = NDArray[np.float64]
 
 
 def check_wavelengths(wavelength: Floats) -> None:

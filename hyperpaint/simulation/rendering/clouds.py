@@ -21,8 +21,8 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
+from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import Problems, SchemaError
 
 if TYPE_CHECKING:
@@ -30,7 +30,6 @@ if TYPE_CHECKING:
 
 __all__ = ["CIE_OVERCAST_SHARE", "add_clouds", "cloud_factor", "cloud_transmittance"]
 
-Floats = NDArray[np.float64]
 
 CIE_OVERCAST_SHARE = 4.0 / 7.0
 """Share of the cosine part in the diffuse irradiance of a CIE overcast sky."""

@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
+from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import Problems, SchemaError
 from hyperpaint.base.units import convert
 from hyperpaint.simulation.atmosphere import spectral_grid
@@ -29,7 +30,6 @@ if TYPE_CHECKING:
 
 __all__ = ["PRESETS", "Atmosphere", "preset_atmosphere"]
 
-Floats = npt.NDArray[np.float64]
 
 _CURVES = {
     "sun": ("W m-2 nm-1", "Direct solar irradiance at the ground, normal to the beam"),

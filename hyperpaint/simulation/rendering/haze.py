@@ -17,13 +17,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import Problems, SchemaError
 
 __all__ = ["HAZE", "Haze"]
 
-Floats = NDArray[np.float64]
 
 _CONTRAST = 3.912  # -ln 0.02
 _REFERENCE = 550.0  # nm

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from hyperpaint.base.arrays import Array, Floats, Floats32
 from hyperpaint.base.errors import SchemaError
 
 from .band_responses import BandResponses, cell_means
@@ -21,9 +20,6 @@ from .truth_layers import light_shares, share_weights
 
 __all__ = ["Lighting", "make_lighting", "source_spectra", "traced_sun"]
 
-Array = NDArray[Any]
-Cube = NDArray[np.float32]
-Floats = NDArray[np.float64]
 
 _SAME_DIRECTION = 0.01  # degree
 
@@ -89,10 +85,10 @@ class Lighting:
     table: ProductTable
     direct: Floats
     diffuse: Floats
-    extinction: Cube
-    path_radiance: Cube
+    extinction: Floats32
+    path_radiance: Floats32
 
-    def surface_radiance(self, weight: Cube, code: Array, variation: Floats | None) -> Cube:
+    def surface_radiance(self, weight: Floats32, code: Array, variation: Floats | None) -> Floats32:
         """Return what the scene sends to the camera, (line, band, column) [W m-2 sr-1 nm-1].
 
         Parameters
@@ -107,7 +103,7 @@ class Lighting:
         self.table.mix(_varied(weight, code, variation), code, out)
         return out
 
-    def at_sensor(self, surface: Cube, distance: Cube, *, in_place: bool = False) -> Cube:
+    def at_sensor(self, surface: Floats32, distance: Floats32, *, in_place: bool = False) -> Floats32:
         """Return L exp(-k d) + Lp d, the radiance behind a distance d of air; NaN, the sky, has none."""
         if not (self.extinction.any() or self.path_radiance.any()):
             return surface
@@ -117,7 +113,7 @@ class Lighting:
         through_air(surface, self.extinction, self.path_radiance, distance, out)
         return out
 
-    def reflectance(self, surface: Cube, variation: Floats | None) -> Cube:
+    def reflectance(self, surface: Floats32, variation: Floats | None) -> Floats32:
         """Return pi L / E of what the scene sends to the camera [1]; NaN where there is no light."""
         out = np.empty_like(surface)
         factors = np.ones((len(surface), 2)) if variation is None else variation
@@ -127,7 +123,7 @@ class Lighting:
             np.multiply(surface[line], scale.astype(np.float32), out=out[line])
         return out
 
-    def shares(self, weight: Cube, code: Array, variation: Floats | None) -> Cube:
+    def shares(self, weight: Floats32, code: Array, variation: Floats | None) -> Floats32:
         """Return where the light came from, (line, share, column); see `truth_layers.SHARES`."""
         from hyperpaint.simulation.transport.mixing import index_paths, mix
 
@@ -140,7 +136,7 @@ class Lighting:
         return light_shares(sums)
 
 
-def _varied(weight: Cube, code: Array, variation: Floats | None) -> Cube:
+def _varied(weight: Floats32, code: Array, variation: Floats | None) -> Floats32:
     if variation is None:
         return weight
     factors = variation.astype(np.float32)[:, :, None, None]

@@ -22,6 +22,7 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
+from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import PaintWarning, Problems, SchemaError
 
 __all__ = [
@@ -38,7 +39,6 @@ __all__ = [
     "measured_factor",
 ]
 
-Floats = npt.NDArray[np.float64]
 Geometry = Literal["0/0", "0/45", "d/0"]
 
 KINDS = (

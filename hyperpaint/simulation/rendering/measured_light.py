@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
+from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import FormatError, PaintWarning, Problems, SchemaError, UnitsError
 from hyperpaint.base.schema import require
 from hyperpaint.base.units import conversion_factor
@@ -22,7 +23,6 @@ if TYPE_CHECKING:
 
 __all__ = ["read_irradiance", "read_table"]
 
-Floats = npt.NDArray[np.float64]
 
 _MOST_BYTES = 16 * 2**20
 _MOST_PROBLEMS = 10

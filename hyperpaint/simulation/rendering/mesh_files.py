@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import FormatError, MissingExtraError, SchemaError
 
 from .glb_files import strip_glb
@@ -27,7 +28,6 @@ from .scene import Instance, Scene, has_area, warn_of_dropped
 
 __all__ = ["read_mesh"]
 
-Floats = NDArray[np.float64]
 
 _MOST_BYTES, _MOST_TRIANGLES = 2**30, 50_000_000
 #: Turns the axis that points up into z, and keeps the axes right-handed.

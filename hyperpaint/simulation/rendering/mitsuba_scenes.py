@@ -13,8 +13,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import MissingExtraError, PaintWarning, Problems, SchemaError
 
 from .bands import BandSet
@@ -29,7 +30,6 @@ if TYPE_CHECKING:
 
 __all__ = ["FrameCamera", "to_mitsuba"]
 
-Floats = NDArray[np.float64]
 
 _SMOOTH = 0.02  # GGX alpha up to which a coat becomes a mirror
 _REACH = 2.0  # full widths at half maximum; beyond them lies 2.5e-6 of a Gaussian's area

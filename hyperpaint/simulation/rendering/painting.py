@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import PaintError, Problems, SchemaError
 from hyperpaint.base.units import convert
 
@@ -22,8 +22,6 @@ if TYPE_CHECKING:
     import xarray as xr
 
 __all__ = ["FactorSpectra", "Table", "factor_spectra"]
-
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

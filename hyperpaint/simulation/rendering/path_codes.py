@@ -17,8 +17,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
+from hyperpaint.base.arrays import Bools, Ints
 from hyperpaint.base.errors import SchemaError
 
 __all__ = [
@@ -35,8 +35,6 @@ __all__ = [
     "source_of",
 ]
 
-Codes = npt.NDArray[np.int64]
-Mask = npt.NDArray[np.bool_]
 
 SKY, OVERCAST_SKY, FIRST_SUN = 0, 1, 2
 """Numbers of the sources."""
@@ -52,22 +50,22 @@ _FIRST_DIGIT = 5
 _USABLE_BITS = 63
 
 
-def source_of(codes: Codes) -> Codes:
+def source_of(codes: Ints) -> Ints:
     """Return the number of the source of every code."""
     return codes & _SOURCE_MASK
 
 
-def is_direct(codes: Codes) -> Mask:
+def is_direct(codes: Ints) -> Bools:
     """Tell which paths begin at a sun; what begins at the sky is diffuse."""
     return np.asarray((codes & _SOURCE_MASK) >= FIRST_SUN)
 
 
-def is_mirrored(codes: Codes) -> Mask:
+def is_mirrored(codes: Ints) -> Bools:
     """Tell which paths left the first surface through its coat."""
     return np.asarray((codes & MIRROR) != 0)
 
 
-def is_indirect(codes: Codes) -> Mask:
+def is_indirect(codes: Ints) -> Bools:
     """Tell which paths met more than one surface."""
     return np.asarray((codes & INDIRECT) != 0)
 
@@ -126,7 +124,7 @@ class PathCodes:
             made |= (factor + 1) << (_FIRST_DIGIT + place * self.digit_bits)
         return made
 
-    def factors(self, codes: Codes) -> Codes:
+    def factors(self, codes: Ints) -> Ints:
         """Return the factors of every code, shape (code, depth); -1 where there is none."""
         shifts = _FIRST_DIGIT + self.digit_bits * np.arange(self.depth)
         digits = (np.asarray(codes, np.int64)[:, None] >> shifts) & ((1 << self.digit_bits) - 1)

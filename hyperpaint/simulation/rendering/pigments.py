@@ -15,8 +15,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import SchemaError
 from hyperpaint.simulation.paints import Bump, Edge, Feature, Paint
 
@@ -24,7 +24,6 @@ from .materials import Coat, Flakes, Material, coated_reflectance
 
 __all__ = ["FAMILIES", "FINISHES", "FOURTEEN", "PaintSpec", "Pigments", "generate_paint", "paint_spec"]
 
-Floats = NDArray[np.float64]
 
 FINISHES = ("solid", "metallic", "pearl")
 """What a paint looks like when one walks around it."""

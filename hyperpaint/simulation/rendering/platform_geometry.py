@@ -17,13 +17,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import Problems, SchemaError
 
 from .rotations import attitude_of
 
 __all__ = ["MOST_COLUMNS", "MOST_LINES", "START", "STEEPEST", "Platform", "finite_floats"]
 
-Floats = NDArray[np.float64]
 
 MOST_LINES, MOST_COLUMNS = 1_000_000, 20_000
 """Sizes of a flight that are taken; poses are held in memory, 200 bytes a line."""

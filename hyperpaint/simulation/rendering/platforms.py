@@ -6,8 +6,9 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import Problems, SchemaError
 
 from .platform_geometry import MOST_COLUMNS, MOST_LINES, START, STEEPEST, Platform, finite_floats
@@ -15,7 +16,6 @@ from .rotations import interpolate, matrices, quaternions, turns
 
 __all__ = ["Platform", "platform_from_poses", "pushbroom"]
 
-Floats = NDArray[np.float64]
 
 IFOV = 7.4e-6 / 12e-3
 """Angle of a pixel: 7.4 um pixels behind a lens of 12 mm [rad]."""

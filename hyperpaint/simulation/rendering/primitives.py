@@ -8,13 +8,12 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from hyperpaint.base.arrays import Floats, Ints
+
 from .materials import Material
 from .scene import PARTS, Instance, Scene, has_area
 
 __all__ = ["Mesh", "cuboid", "lattice", "polygon", "put_together", "smoothed", "tube", "uniform"]
-
-Floats = NDArray[np.float64]
-Integers = NDArray[np.int64]
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,10 +37,10 @@ class Mesh:
     """
 
     vertices: Floats
-    faces: Integers
-    surface: Integers
+    faces: Ints
+    surface: Ints
     surfaces: tuple[str, ...]
-    part: Integers
+    part: Ints
     normals: Floats = field(default_factory=lambda: np.zeros((0, 3)))
 
     def __post_init__(self) -> None:
@@ -253,7 +252,7 @@ def _directions_and_angles(corners: Floats) -> tuple[Floats, Floats]:
     return turned[:, 0] / sine[:, :1], angle
 
 
-def _distinct(vertex: Integers, normals: Floats) -> tuple[Integers, Integers]:
+def _distinct(vertex: Ints, normals: Floats) -> tuple[Ints, Ints]:
     """Return the first of all corners of one vertex and normal, and for every corner which of them it is."""
     # normals to 21 bits an axis, in one number: sorting is what takes time in a large mesh
     steps = np.rint((normals + 1.0) * 1e6).astype(np.int64)

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, cast
 import numpy as np
 import numpy.typing as npt
 
+from hyperpaint.base.arrays import Array, Floats
 from hyperpaint.base.errors import Problems, SchemaError
 from hyperpaint.base.schema import (
     ALONG_TRACK,
@@ -39,8 +40,6 @@ if TYPE_CHECKING:
 
 __all__ = ["relight"]
 
-Array = npt.NDArray[Any]
-Floats = npt.NDArray[np.float64]
 
 _PATHS = ("transport_weight", "transport_path", "distance")
 _KEPT = (

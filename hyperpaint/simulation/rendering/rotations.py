@@ -7,11 +7,12 @@ are the same rotation.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
+
+from hyperpaint.base.arrays import Floats
 
 __all__ = ["attitude_of", "interpolate", "matrices", "quaternions", "turns"]
 
-Floats = NDArray[np.float64]
 
 #: north, east, down into east, north, up, and the other way round
 _SCENE = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])

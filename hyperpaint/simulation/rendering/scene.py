@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import PaintWarning, Problems, SchemaError
 
 from .materials import Material
@@ -27,7 +28,6 @@ __all__ = [
     "warn_of_dropped",
 ]
 
-Floats = NDArray[np.float64]
 
 INSTANCE_KINDS = ("ground", "car", "tree", "wall", "panel", "other")
 """What a thing in a scene can be."""

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import Problems, SchemaError
 
 from .materials import KINDS, Coat, Flakes, Material
@@ -19,7 +20,6 @@ from .scene import Factor, Instance, Scene
 
 __all__ = ["MOST_SAMPLES", "SceneRecord", "TraceSettings", "sun_vectors"]
 
-Floats = NDArray[np.float64]
 
 MOST_SAMPLES = 1 << 14
 """Paths of a pixel that are taken."""

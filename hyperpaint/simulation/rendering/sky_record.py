@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import SchemaError
 from hyperpaint.base.schema import IRRADIANCE_TIME, IRRADIANCE_WAVELENGTH, VARIABLES, dtype_of
 from hyperpaint.simulation.sensor import convolve_gaussian
@@ -20,7 +21,6 @@ if TYPE_CHECKING:
 
 __all__ = ["irradiance_record"]
 
-Floats = NDArray[np.float64]
 
 _FWHM, _STEP = 3.0, 1.0  # nm, of the field spectrometer
 _GRID_STEP = 0.05  # nm

@@ -11,8 +11,8 @@ import difflib
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 
+from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import SchemaError
 from hyperpaint.simulation.paints import CAR_PAINTS, MATERIALS, Bump, Edge, Paint, Plain
 
@@ -20,7 +20,6 @@ from .pigments import aluminium, parse_name, pigments_of, seen_through_coat
 
 __all__ = ["SPECTRA", "Spectrum", "spectrum_of"]
 
-Floats = NDArray[np.float64]
 Spectrum = Callable[[Floats], Floats]
 """Reflectance factor, 0 to 1, by wavelength [nm]."""
 

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from hyperpaint.base.arrays import Floats, Ints
 from hyperpaint.base.errors import SchemaError
 from hyperpaint.simulation.sensor import Imager
 
@@ -23,8 +24,6 @@ from .path_codes import PathCodes, source_of
 
 __all__ = ["ProductTable"]
 
-Floats = NDArray[np.float64]
-Codes = NDArray[np.int64]
 
 _LARGEST_CACHE = 96 * 2**20  # bytes of products that are kept; more are made again each time
 
@@ -71,7 +70,7 @@ class ProductTable:
 
     def _start_empty(self) -> None:
         nodes, bands = self.bands.nodes.size, self.bands.wavelength.size
-        self._known: Codes = np.empty(0, np.int64)
+        self._known: Ints = np.empty(0, np.int64)
         self._products = np.empty((0, nodes, bands), np.float32)
         self._lock = threading.Lock()
 
@@ -160,7 +159,7 @@ class ProductTable:
         }
         return cls(responses, codes, fine, factors(responses.grid))
 
-    def rows(self, codes: Codes) -> NDArray[np.float32]:
+    def rows(self, codes: Ints) -> NDArray[np.float32]:
         """Return the products of paths, shape (node, path, band), float32.
 
         Parameters
@@ -186,7 +185,7 @@ class ProductTable:
         gathered[there], gathered[missing] = products[found[there]], made
         return np.ascontiguousarray(gathered.swapaxes(0, 1))
 
-    def at_columns(self, codes: Codes) -> Floats:
+    def at_columns(self, codes: Ints) -> Floats:
         """Return the products of a few paths as every column sees them, shape (path, band, cross_track).
 
         Without smile cross_track has size 1.
@@ -201,7 +200,7 @@ class ProductTable:
         made = sum(at_nodes[..., first + j, :] * weight[:, j, None] for j in range(4))
         return np.moveaxis(np.asarray(made), -2, -1)
 
-    def mix(self, weight: NDArray[np.float32], codes: Codes, out: NDArray[np.float32]) -> None:
+    def mix(self, weight: NDArray[np.float32], codes: Ints, out: NDArray[np.float32]) -> None:
         """Write the sum of weight x product over the paths of every pixel, with the smile of each column.
 
         Parameters
@@ -229,11 +228,11 @@ class ProductTable:
         """Return what the bands see of a source itself, shape (node, band)."""
         return np.pi * self.rows(np.array([source], np.int64))[:, 0].astype(np.float64)
 
-    def _snapshot(self) -> tuple[Codes, NDArray[np.float32]]:
+    def _snapshot(self) -> tuple[Ints, NDArray[np.float32]]:
         with self._lock:
             return self._known, self._products
 
-    def _make(self, codes: Codes) -> NDArray[np.float32]:
+    def _make(self, codes: Ints) -> NDArray[np.float32]:
         from hyperpaint.simulation.transport.band_integrals import integrate_bands
 
         out = np.empty((self.bands.nodes.size, codes.size, self.bands.wavelength.size), np.float32)
@@ -246,7 +245,7 @@ class ProductTable:
         integrate_bands(self._factors, chosen, source, self._weights, self._first_band, out)
         return out.swapaxes(0, 1)
 
-    def _keep(self, codes: Codes, made: NDArray[np.float32]) -> None:
+    def _keep(self, codes: Ints, made: NDArray[np.float32]) -> None:
         with self._lock:
             if self._products.nbytes + made.nbytes > _LARGEST_CACHE:
                 return
@@ -257,7 +256,7 @@ class ProductTable:
             self._products = np.concatenate([self._products, made[new]])[order]
 
 
-def _lookup(known: Codes, codes: Codes) -> Codes:
+def _lookup(known: Ints, codes: Ints) -> Ints:
     """Return where codes stand among sorted known ones; -1 for the others."""
     if not known.size:
         return np.full(codes.shape, -1, np.int64)

@@ -7,13 +7,13 @@ few overlapping blobs and turned any way around facing outwards. Leaves are Lamb
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
+
+from hyperpaint.base.arrays import Floats
 
 from .primitives import Mesh, cuboid, put_together, smoothed, tube, uniform
 
 __all__ = ["brick_wall", "hedge", "lamp_post", "leafy_tree"]
 
-Floats = NDArray[np.float64]
 
 _LEAF = 0.20  # length of a leaf, or of the tuft that stands for several [m]
 

@@ -11,8 +11,8 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from hyperpaint.base.arrays import Array
 from hyperpaint.base.errors import SchemaError
 from hyperpaint.base.schema import (
     ALONG_TRACK,
@@ -44,7 +44,6 @@ if TYPE_CHECKING:
 
 __all__ = ["PreparedScene", "prepare_scene", "trace", "trace_block"]
 
-Array = NDArray[Any]
 Sun = tuple[float, float] | Atmosphere | str
 
 

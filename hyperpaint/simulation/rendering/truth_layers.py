@@ -14,6 +14,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from hyperpaint.base.arrays import Array, Ints
+
 from .materials import KINDS
 from .path_codes import is_direct, is_indirect, is_mirrored
 from .pigments import FOURTEEN
@@ -21,8 +23,6 @@ from .scene_record import SceneRecord
 
 __all__ = ["SHARES", "LabelTables", "light_shares", "share_weights"]
 
-Array = NDArray[Any]
-Codes = NDArray[np.int64]
 
 SHARES = ("sun_share", "sky_share", "glint_share", "mirrored_sky_share", "indirect_share")
 """Layers that say where the light of a pixel came from."""
@@ -97,7 +97,7 @@ class LabelTables:
         return {"flag_values": numbers, "flag_meanings": " ".join(meanings)}
 
 
-def share_weights(codes: Codes, level: NDArray[np.float32]) -> NDArray[np.float32]:
+def share_weights(codes: Ints, level: NDArray[np.float32]) -> NDArray[np.float32]:
     """Return what a path's weight counts for in the whole light and in every share.
 
     Parameters

@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
-from numpy.typing import NDArray
 
+from hyperpaint.base.arrays import Array
 from hyperpaint.base.jit import kernel
 
 __all__ = ["through_air"]
 
-Array = NDArray[Any]
 
 _THIN = 0.15  # optical depth up to which a short series is exact to float32
 

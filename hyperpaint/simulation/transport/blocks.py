@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
+
+from hyperpaint.base.arrays import Array
 
 from .hierarchy import Geometry
 from .surfaces import Surfaces
 
 __all__ = ["Block", "Rays", "Settings", "Sources", "check"]
 
-Array = npt.NDArray[Any]
 
 _MOST_SUNS = 6
 

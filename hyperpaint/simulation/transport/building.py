@@ -5,13 +5,12 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from hyperpaint.base.arrays import Array
 from hyperpaint.base.jit import borrowing_kernel
 
 __all__ = ["build_nodes"]
 
-Array = npt.NDArray[Any]
 
 _BINS = 16
 _LARGEST_LEAF = 4

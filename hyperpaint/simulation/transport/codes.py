@@ -11,8 +11,8 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
+from hyperpaint.base.arrays import Array
 from hyperpaint.base.jit import borrowing_kernel
 
 __all__ = [
@@ -20,7 +20,6 @@ __all__ = [
     "add_path", "with_factor", "write_paths",
 ]  # fmt: skip
 
-Array = npt.NDArray[Any]
 
 SKY, OVERCAST, FIRST_SUN = 0, 1, 2
 ADD_MIRROR, ADD_INDIRECT = 8, 16

@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from hyperpaint.base.arrays import Array
 from hyperpaint.base.jit import borrowing_kernel
 
 from .building import build_nodes
@@ -18,7 +19,6 @@ from .vectors import Vector
 
 __all__ = ["STACK", "Geometry", "build_geometry", "closest", "occluded"]
 
-Array = npt.NDArray[Any]
 
 #: Length of the stack of a traversal; `building` keeps every branch shorter.
 STACK = 96

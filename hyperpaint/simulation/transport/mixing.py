@@ -7,11 +7,11 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from hyperpaint.base.arrays import Array
 from hyperpaint.base.jit import borrowing_kernel
 
 __all__ = ["index_paths", "mix", "mix_shifted"]
 
-Array = npt.NDArray[Any]
 
 _TILE = 16  # columns whose spectra are made side by side, before they are written band by band
 _MULTIPLIER = np.uint64(0x9E3779B1)

@@ -15,8 +15,8 @@ import math
 from typing import Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from hyperpaint.base.arrays import Array
 from hyperpaint.base.jit import borrowing_kernel
 
 from .blocks import Block, Rays, Settings, Sources, check
@@ -29,7 +29,6 @@ from .vectors import Frame, Vector, along, dot, frame_of, from_frame, in_frame, 
 
 __all__ = ["WIDENED_ALPHA", "Block", "Rays", "Sources", "trace_lines"]
 
-Array = npt.NDArray[Any]
 
 _CAMERA, _SCATTER, _SUN, _SLOT, _LOBE = 0, 16, 1024, 65536, 65537  # what random numbers are for
 _GOLDEN = 0.6180339887498949  # multiples of it spread evenly over the unit interval

@@ -6,11 +6,12 @@ Directions are given in the frame of the surface, z along its normal, and point 
 from __future__ import annotations
 
 import math
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
+from hyperpaint.base.arrays import Array
 from hyperpaint.base.jit import borrowing_kernel
 
 from .vectors import Vector, unit
@@ -20,7 +21,6 @@ __all__ = [
     "refracted_cosine", "sample_cosine", "sample_facet",
 ]  # fmt: skip
 
-Array = npt.NDArray[Any]
 
 #: A smoother coat is taken to be as rough as this: its image of a point sun would never be met.
 SMALLEST_ALPHA = 1e-3

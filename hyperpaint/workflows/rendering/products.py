@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from hyperpaint.base.arrays import Floats, Floats32
 from hyperpaint.base.schema import CUBE, IRRADIANCE_TIME, IRRADIANCE_WAVELENGTH, VARIABLES
 from hyperpaint.workflows.pipeline import KEPT_BITS
 
@@ -24,8 +25,6 @@ if TYPE_CHECKING:
 
 __all__ = ["Render", "counts_of", "irradiance_series", "pose_of"]
 
-Floats = NDArray[np.float64]
-Single = NDArray[np.float32]
 
 _INTERVAL = 2  # s from one sample of the spectrometer to the next
 _MARGIN = 6  # s of the record before and after the flight
@@ -139,7 +138,7 @@ def _rounded(cube: xr.DataArray) -> xr.DataArray:
     return made
 
 
-def _round_bits(values: Single) -> Single:
+def _round_bits(values: Floats32) -> Floats32:
     dropped = 23 - KEPT_BITS
     bits = values.view(np.uint32)
     half = np.uint32((1 << (dropped - 1)) - 1)
@@ -239,7 +238,12 @@ def counts_of(
 
 
 def _expose(
-    cube: Single, lines: NDArray[np.int64], *, scale: Floats, detector: Detector, key: tuple[int, ...] | None
+    cube: Floats32,
+    lines: NDArray[np.int64],
+    *,
+    scale: Floats,
+    detector: Detector,
+    key: tuple[int, ...] | None,
 ) -> NDArray[np.uint16]:
     """Return the counts of a block of lines, one line after the other: no float64 cube is made."""
     made = np.empty(cube.shape, dtype=np.uint16)

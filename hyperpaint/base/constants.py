@@ -1,0 +1,42 @@
+"""Constants that several rooms need: one home for each."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+__all__ = [
+    "MAX_TASK_BYTES",
+    "QUANTISATION_VARIANCE_COUNT2",
+    "SATURATION_MARGIN_COUNTS",
+    "STAMP_TO_MID_EXPOSURES",
+    "WGS84_ECCENTRICITY_SQUARED",
+    "WGS84_SEMI_MAJOR_AXIS_M",
+    "lines_a_task",
+]
+
+SATURATION_MARGIN_COUNTS = 16
+"""Counts below the converter's last from which a sample is taken for saturated (DESIGN.md, `saturated`)."""
+
+QUANTISATION_VARIANCE_COUNT2 = 1.0 / 12.0
+"""Variance that conversion to whole counts adds [count2]: that of a uniform error of one count's width."""
+
+WGS84_SEMI_MAJOR_AXIS_M = 6378137.0
+WGS84_ECCENTRICITY_SQUARED = 6.69437999014e-3
+"""NIMA TR8350.2, World Geodetic System 1984. The simulator's ellipsoid has its own, to check against."""
+
+STAMP_TO_MID_EXPOSURES: Mapping[str, float] = {"start": 0.5, "mid": 0.0, "end": -0.5}
+"""From what a frame's time stamp marks to the middle of its exposure, in exposures."""
+
+MAX_TASK_BYTES = 24_000_000
+"""Output of one task; a larger block costs the allocator a trip to the kernel each time."""
+
+
+def lines_a_task(bytes_a_line: int, most: int = 32) -> int:
+    """Return how many whole lines make a task: ``most``, or as many as `MAX_TASK_BYTES` hold, one at least.
+
+    Examples
+    --------
+    >>> lines_a_task(640 * 272 * 4), lines_a_task(2_000_000)
+    (32, 12)
+    """
+    return min(most, max(1, MAX_TASK_BYTES // max(bytes_a_line, 1)))
