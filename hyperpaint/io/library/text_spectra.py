@@ -11,7 +11,6 @@ from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import FormatError, Problems
 from hyperpaint.io.files.reading import decoded_text, read_limited_text
 
-
 __all__ = ["MOST_BYTES", "in_nanometres", "lines_of", "number", "numbers_of_lines", "wavelength_factor"]
 
 MOST_BYTES = 32 * 2**20
