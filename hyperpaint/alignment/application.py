@@ -81,7 +81,7 @@ def apply_alignment(
     True
     """
     dataset = schema.rename_to_roles(line)
-    known = schema.require(
+    declared = schema.require(
         dataset,
         ["wavelength", "fwhm", *(n for n in ("wavelength_shift",) if n in dataset.variables)],
         "the alignment",
@@ -99,7 +99,7 @@ def apply_alignment(
         ),
         strict=True,
     )
-    return _replaced(dataset, known, each, np.stack(corrections), np.array(factors) if fwhm else None)
+    return _replaced(dataset, declared, each, np.stack(corrections), np.array(factors) if fwhm else None)
 
 
 def _by_window(alignment: xr.Dataset) -> xr.Dataset:
@@ -140,11 +140,11 @@ def _check(each: xr.Dataset, reliable: npt.NDArray[np.bool_], shape: tuple[int, 
     problems.raise_if_any()
 
 
-def _smoothed(found: xr.Dataset, columns: int, degree: int) -> tuple[Floats, float]:
+def _smoothed(window: xr.Dataset, columns: int, degree: int) -> tuple[Floats, float]:
     """Return the shift's correction of all columns (column,) [nm] and the mean width factor of one window."""
     scale = max((columns - 1) / 2.0, 1.0)
-    basis = np.polynomial.legendre.legvander(found["column"].values / scale - 1.0, degree)
-    value, spread = found["shift_correction"].values, np.maximum(found["wavelength_shift_u"].values, 1e-6)
+    basis = np.polynomial.legendre.legvander(window["column"].values / scale - 1.0, degree)
+    value, spread = window["shift_correction"].values, np.maximum(window["wavelength_shift_u"].values, 1e-6)
     weight = 1.0 / spread
     for _ in range(20):
         solved = np.linalg.lstsq(basis * weight[:, None], value * weight, rcond=None)[0]
@@ -153,18 +153,22 @@ def _smoothed(found: xr.Dataset, columns: int, degree: int) -> tuple[Floats, flo
         # square roots, since a weight multiplies the residual before it is squared
         weight = np.sqrt(np.minimum(1.0, 1.5 * scatter / np.maximum(away, 1e-12))) / spread
     everywhere = np.polynomial.legendre.legvander(np.arange(columns) / scale - 1.0, degree)
-    factor, width = found["fwhm_factor"].values, 1.0 / np.maximum(found["fwhm_u"].values, 1e-6) ** 2
+    factor, width = window["fwhm_factor"].values, 1.0 / np.maximum(window["fwhm_u"].values, 1e-6) ** 2
     near = np.abs(factor - np.median(factor)) <= 3.0 * 1.4826 * np.median(np.abs(factor - np.median(factor)))
     return everywhere @ solved, float((factor * width)[near].sum() / width[near].sum())
 
 
 def _replaced(
-    dataset: xr.Dataset, known: Mapping[str, xr.DataArray], found: xr.Dataset, correction: Floats, factor: Any
+    dataset: xr.Dataset,
+    variables: Mapping[str, xr.DataArray],
+    alignment: xr.Dataset,
+    correction: Floats,
+    factor: Any,
 ) -> xr.Dataset:
     """Return the line with what was found in place, and a sentence that says so."""
     import xarray as xr
 
-    centres, wavelength = np.atleast_1d(found["window_centre"].values), known["wavelength"].values
+    centres, wavelength = np.atleast_1d(alignment["window_centre"].values), variables["wavelength"].values
     order = np.argsort(centres)
 
     def over_bands(values: Floats) -> Floats:
@@ -174,21 +178,21 @@ def _replaced(
         shift = xr.DataArray(correction[0], dims=CROSS_TRACK)
     else:
         shift = xr.DataArray(np.apply_along_axis(over_bands, 0, correction), dims=(BAND, CROSS_TRACK))
-    if "wavelength_shift" in known:
-        declared = known["wavelength_shift"]
+    if "wavelength_shift" in variables:
+        declared = variables["wavelength_shift"]
         shift = shift + xr.DataArray(declared.values, dims=declared.dims)
     order_of_dims = [dim for dim in (BAND, CROSS_TRACK) if dim in shift.dims]
     stale = ("reflectance", "reflectance_u_random", "reflectance_u_systematic", "irradiance_misfit")
-    made = dataset.drop_vars([name for name in stale if name in dataset.variables]).assign_coords(
+    aligned = dataset.drop_vars([name for name in stale if name in dataset.variables]).assign_coords(
         wavelength_shift=schema.label(shift.transpose(*order_of_dims), "wavelength_shift")
     )
-    told = (
-        f"wavelength_shift corrected in flight against the irradiance record at {found.attrs[_WINDOW]}, "
+    sentence = (
+        f"wavelength_shift corrected in flight against the irradiance record at {alignment.attrs[_WINDOW]}, "
         f"mean {correction.mean():+.3f} nm"
     )
     if factor is not None:
-        width = xr.DataArray(known["fwhm"].values * over_bands(factor), dims=BAND)
-        made = made.assign_coords(fwhm=schema.label(width, "fwhm"))
-        told += f"; fwhm times {', '.join(f'{value:.4f}' for value in factor)}"
+        width = xr.DataArray(variables["fwhm"].values * over_bands(factor), dims=BAND)
+        aligned = aligned.assign_coords(fwhm=schema.label(width, "fwhm"))
+        sentence += f"; fwhm times {', '.join(f'{value:.4f}' for value in factor)}"
     before = dataset.attrs.get("alignment")
-    return made.assign_attrs(alignment=f"{before}; then {told}" if before else told)
+    return aligned.assign_attrs(alignment=f"{before}; then {sentence}" if before else sentence)

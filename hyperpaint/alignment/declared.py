@@ -86,8 +86,8 @@ class Declared:
         optional = ["wavelength_shift", "good", "band_spacing", "radiance_gain", "irradiance_max_gap"]
         optional += ["srf", "srf_offset"]
         names = [*needed, *(name for name in optional if name in dataset.variables)]
-        found = schema.require(dataset, names, "the alignment")
-        values: dict[str, Array] = {name: np.asarray(array.values) for name, array in found.items()}
+        arrays = schema.require(dataset, names, "the alignment")
+        values: dict[str, Array] = {name: np.asarray(array.values) for name, array in arrays.items()}
         wavelength = values["wavelength"]
         gap = values.get("irradiance_max_gap")
         return cls(

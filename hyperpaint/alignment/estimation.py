@@ -160,8 +160,8 @@ def align_to_irradiance(
     spectrum, pixels, shift, column = _grouped(spectrum, pixels, declared.shift(mean.shape[1]), group)
     fits = [_fit_window(inside, declared, light, spectrum, shift, degree, max_shift) for inside in chosen]
     apart = [estimate(fit, inside, declared, shift) for fit, inside in zip(fits, chosen, strict=True)]
-    found = _labelled(apart if separate else [combined(apart)], pixels, column, max_uncertainty)
-    return _with_spectra(found, fits, chosen, declared, separate).assign_attrs(
+    report = _labelled(apart if separate else [combined(apart)], pixels, column, max_uncertainty)
+    return _with_spectra(report, fits, chosen, declared, separate).assign_attrs(
         window="; ".join(f"{low:g}-{high:g} nm" for low, high in windows),
         degree=degree,
         lines=len(level),
@@ -255,9 +255,9 @@ def _labelled(
         "chi2": np.stack([each.chi2 for each in estimates]),
         "flag": flag,
     }
-    made = xr.Dataset({name: (("window", CROSS_TRACK), values) for name, values in each.items()})
-    made["pixels"] = (CROSS_TRACK, pixels)
-    return made.assign_coords(
+    report = xr.Dataset({name: (("window", CROSS_TRACK), values) for name, values in each.items()})
+    report["pixels"] = (CROSS_TRACK, pixels)
+    return report.assign_coords(
         column=(CROSS_TRACK, column, {"long_name": "Column, or mean column of a group", "units": "1"}),
         window_centre=(
             "window",
@@ -268,25 +268,25 @@ def _labelled(
 
 
 def _with_spectra(
-    found: xr.Dataset, fits: list[Fit], chosen: list[Array], declared: Declared, separate: bool
+    report: xr.Dataset, fits: list[Fit], chosen: list[Array], declared: Declared, separate: bool
 ) -> xr.Dataset:
     """Return the report with the departures band by band, and all attributes."""
-    made = found if separate else found.isel(window=0)
+    shown = report if separate else report.isel(window=0)
     for name in ("departure", "departure_declared"):
-        values = np.full((declared.wavelength.size, found.sizes[CROSS_TRACK]), np.nan)
+        values = np.full((declared.wavelength.size, report.sizes[CROSS_TRACK]), np.nan)
         for fit, inside in zip(fits, chosen, strict=True):
             values[inside] = getattr(fit, name)
-        made[name] = ((BAND, CROSS_TRACK), values)
-    made = made.assign_coords(wavelength=(BAND, declared.wavelength, schema.VARIABLES["wavelength"].attrs))
-    for name in map(str, made.data_vars):
+        shown[name] = ((BAND, CROSS_TRACK), values)
+    shown = shown.assign_coords(wavelength=(BAND, declared.wavelength, schema.VARIABLES["wavelength"].attrs))
+    for name in map(str, shown.data_vars):
         if name in schema.VARIABLES:
-            made[name].attrs = schema.VARIABLES[name].attrs
+            shown[name].attrs = schema.VARIABLES[name].attrs
         else:
             units, meaning = _REPORTED[name]
-            made[name].attrs = {"long_name": meaning, "units": units}
-    made["flag"].attrs = {
+            shown[name].attrs = {"long_name": meaning, "units": units}
+    shown["flag"].attrs = {
         "long_name": _REPORTED["flag"][1],
         "flag_masks": np.array(list(FLAGS.values()), np.uint8),
         "flag_meanings": " ".join(FLAGS),
     }
-    return made
+    return shown

@@ -62,11 +62,11 @@ class IrradianceTable:
 
     def at(self, shift: Floats, factor: Floats, *, dx: int = 0, dy: int = 0) -> Floats:
         """Return the logarithm, or a derivative of it, (band, column), at (band, column) and (column,)."""
-        made = np.full(shift.shape, np.nan)
+        log = np.full(shift.shape, np.nan)
         for band, spline in enumerate(self.splines):
             if spline is not None:
-                made[band] = spline.ev(shift[band], factor, dx=dx, dy=dy)
-        return made
+                log[band] = spline.ev(shift[band], factor, dx=dx, dy=dy)
+        return log
 
     def variance_at(self, factor: Floats) -> Floats:
         """Return the variance of the responses (band, column) at widths (column,) [nm2]."""

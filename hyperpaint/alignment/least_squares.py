@@ -101,15 +101,15 @@ class _Smooth:
 
     def slope(self, values: Floats) -> Floats:
         """Return the derivative of the smooth curve (band, column) [nm-1]."""
-        kept = np.where(self.used, values, 0.0)
-        terms = np.einsum("xbp,bx->xp", self.basis, kept)
+        usable = np.where(self.used, values, 0.0)
+        terms = np.einsum("xbp,bx->xp", self.basis, usable)
         return np.asarray(np.einsum("xbp,xp->bx", self.slopes, terms))
 
     def without(self, values: Floats) -> Floats:
         """Return the departures, 0 in bands that are not used."""
-        kept = np.where(self.used, values, 0.0)
-        smooth = np.einsum("xbp,xp->bx", self.basis, np.einsum("xbp,bx->xp", self.basis, kept))
-        return np.where(self.used, kept - smooth, 0.0)
+        usable = np.where(self.used, values, 0.0)
+        smooth = np.einsum("xbp,xp->bx", self.basis, np.einsum("xbp,bx->xp", self.basis, usable))
+        return np.where(self.used, usable - smooth, 0.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -186,12 +186,12 @@ def fit_columns(
     covered = np.isfinite(table.log).all(axis=(0, 1)).reshape(-1, 1)
     with np.errstate(invalid="ignore"):
         used = covered & (spectrum > 0.0)
-    told = used.sum(axis=0) >= fewest_bands(degree)
+    has_bands = used.sum(axis=0) >= fewest_bands(degree)
     freedom = used.sum(axis=0) - fewest_bands(degree) + _FEWEST_FREEDOM
-    used = used & told
+    used = used & has_bands
     log = np.where(used, np.log(np.where(used, spectrum, 1.0)), 0.0)
     ratio = _Ratio(table, _Smooth.over(table.wavelength, used, degree), log, declared)
-    return _reported(ratio, _search(ratio, max_shift), told, freedom, max_shift)
+    return _reported(ratio, _search(ratio, max_shift), has_bands, freedom, max_shift)
 
 
 def _search(ratio: _Ratio, max_shift: float) -> _Optimum:
@@ -225,33 +225,33 @@ def _coarse(ratio: _Ratio, tilt: Floats, max_shift: float) -> tuple[Floats, Floa
     return shift, factor
 
 
-def _reported(ratio: _Ratio, found: _Optimum, told: Array, freedom: Array, max_shift: float) -> Fit:
+def _reported(ratio: _Ratio, optimum: _Optimum, has_bands: Array, freedom: Array, max_shift: float) -> Fit:
     """Return the fit with its uncertainties, beside what the declared values leave."""
-    shift, factor, used = found.shift, found.factor, ratio.smooth.used
-    after = ratio.departure(found.tilt, shift, factor)
-    normal, _ = ratio.normal_equations(found.tilt, shift, factor, after)
+    shift, factor, used = optimum.shift, optimum.factor, ratio.smooth.used
+    after = ratio.departure(optimum.tilt, shift, factor)
+    normal, _ = ratio.normal_equations(optimum.tilt, shift, factor, after)
     zero, one = np.zeros_like(shift), np.ones_like(shift)
-    before = ratio.departure(ratio.tilt(found.tilt, zero, one), zero, one)
+    before = ratio.departure(ratio.tilt(optimum.tilt, zero, one), zero, one)
     ends = (np.abs(shift) >= max_shift) | (factor <= FACTORS[0]) | (factor >= FACTORS[-1])
-    ends |= (np.abs(found.last_step) > 1e-3).any(axis=1)
-    shift_u, factor_u, correlation = _uncertainties(after, normal, freedom, told)
+    ends |= (np.abs(optimum.last_step) > 1e-3).any(axis=1)
+    shift_u, factor_u, correlation = _uncertainties(after, normal, freedom, has_bands)
 
     def residual(departure: Floats) -> Floats:
-        return np.where(told, np.sqrt((departure**2).sum(axis=0) / np.maximum(freedom, 1)), np.nan)
+        return np.where(has_bands, np.sqrt((departure**2).sum(axis=0) / np.maximum(freedom, 1)), np.nan)
 
     return Fit(
-        shift=np.where(told, shift, np.nan),
+        shift=np.where(has_bands, shift, np.nan),
         shift_u=shift_u,
-        factor=np.where(told, factor, np.nan),
+        factor=np.where(has_bands, factor, np.nan),
         factor_u=factor_u,
         correlation=correlation,
         residual=residual(after),
         residual_declared=residual(before),
         departure=np.where(used, np.expm1(after), np.nan),
         departure_declared=np.where(used, np.expm1(before), np.nan),
-        at_limit=ends & told,
+        at_limit=ends & has_bands,
         noise_gain=ratio.table.noise_gain_at(factor),
-        freedom=np.where(told, freedom, 0),
+        freedom=np.where(has_bands, freedom, 0),
     )
 
 
@@ -262,7 +262,7 @@ def _solved(normal: Floats, right: Floats) -> Floats:
 
 
 def _uncertainties(
-    after: Floats, normal: Floats, freedom: Array, told: Array
+    after: Floats, normal: Floats, freedom: Array, has_bands: Array
 ) -> tuple[Floats, Floats, Floats]:
     """Return the standard uncertainties of shift and factor from the residual, and their correlation.
 
@@ -277,9 +277,9 @@ def _uncertainties(
         shift_u = np.where(lit, np.sqrt(variance * factor / determinant), np.inf)
         factor_u = np.where(lit, np.sqrt(variance * shift / determinant), np.inf)
         correlation = np.where(lit, -common / np.sqrt(shift * factor), 0.0)
-    lost = np.full(told.shape, np.nan)
+    lost = np.full(has_bands.shape, np.nan)
     return (
-        np.where(told, shift_u, lost),
-        np.where(told, factor_u, lost),
-        np.where(told, correlation, lost),
+        np.where(has_bands, shift_u, lost),
+        np.where(has_bands, factor_u, lost),
+        np.where(has_bands, correlation, lost),
     )

@@ -77,10 +77,10 @@ def oxygen_residual(dataset: xr.Dataset, *, progress: Progress | None = None) ->
     if "reflectance" not in dataset.variables:
         dataset = reflectance(dataset)
     names = ["wavelength", "reflectance", *(n for n in ("wavelength_shift",) if n in dataset.variables)]
-    found = schema.require(dataset, names, "the oxygen residual")
-    cube = found["reflectance"]
-    shift = found["wavelength_shift"].values if "wavelength_shift" in found else 0.0
-    own = found["wavelength"].values[:, None] + np.broadcast_to(
+    arrays = schema.require(dataset, names, "the oxygen residual")
+    cube = arrays["reflectance"]
+    shift = arrays["wavelength_shift"].values if "wavelength_shift" in arrays else 0.0
+    own = arrays["wavelength"].values[:, None] + np.broadcast_to(
         shift, (cube.sizes[BAND], cube.sizes[CROSS_TRACK])
     )
     shoulders, weight = _parts(own)
@@ -92,8 +92,8 @@ def oxygen_residual(dataset: xr.Dataset, *, progress: Progress | None = None) ->
     used = np.flatnonzero((shoulders | (weight > 0)).any(axis=1))
     mean, _ = mean_over_lines(cube[:, used], np.ones(cube.sizes[ALONG_TRACK]), progress)
     depth = np.array([oxygen_depth(own[used, x], mean[:, x]) for x in range(mean.shape[1])])
-    made = xr.DataArray(depth, dims=CROSS_TRACK, name="oxygen_residual")
-    return made.assign_attrs(
+    residual = xr.DataArray(depth, dims=CROSS_TRACK, name="oxygen_residual")
+    return residual.assign_attrs(
         units="1", long_name="Depth of the oxygen A band left in reflectance; negative where overcorrected"
     )
 

@@ -136,20 +136,24 @@ def combined(windows: list[Estimate]) -> Estimate:
     value = np.stack([each.value for each in windows])
     covariance = np.stack([each.covariance for each in windows])
     flag = np.stack([each.flag for each in windows])
-    told = (flag == 0) & np.isfinite(covariance).all(axis=(2, 3))
-    covariance = covariance * _one_noise(windows, told)[..., None, None]
+    is_reliable = (flag == 0) & np.isfinite(covariance).all(axis=(2, 3))
+    covariance = covariance * _one_noise(windows, is_reliable)[..., None, None]
     # where no window can tell, the first says why
-    told[0] |= ~told.any(axis=0)
-    plain = np.where(told[..., None, None] & np.isfinite(covariance), covariance, np.eye(2))
-    weight = np.where(told[..., None, None], np.linalg.inv(plain), 0.0)
+    is_reliable[0] |= ~is_reliable.any(axis=0)
+    plain = np.where(is_reliable[..., None, None] & np.isfinite(covariance), covariance, np.eye(2))
+    weight = np.where(is_reliable[..., None, None], np.linalg.inv(plain), 0.0)
     total = np.linalg.inv(weight.sum(axis=0))
-    seen = np.where(told[..., None], value, 0.0)
+    seen = np.where(is_reliable[..., None], value, 0.0)
     mean = np.einsum("xij,wxjk,wxk->xi", total, weight, seen)
     away = seen - mean
     chi2 = np.einsum("wxi,wxij,wxj->x", away, weight, away)
-    freedom = 2 * (told.sum(axis=0) - 1)
+    freedom = 2 * (is_reliable.sum(axis=0) - 1)
     # of a single window, its own
-    single, only, columns = told.sum(axis=0) == 1, np.argmax(told, axis=0), np.arange(told.shape[1])
+    single, only, columns = (
+        is_reliable.sum(axis=0) == 1,
+        np.argmax(is_reliable, axis=0),
+        np.arange(is_reliable.shape[1]),
+    )
     own_freedom = np.stack([each.freedom for each in windows])
     return Estimate(
         value=mean,
@@ -157,32 +161,32 @@ def combined(windows: list[Estimate]) -> Estimate:
         shift=np.mean(np.stack([each.shift for each in windows]), axis=0),
         fwhm=float(np.mean([each.fwhm for each in windows])),
         centre=float(np.mean([each.centre for each in windows])),
-        residual=_pooled(windows, told, "residual"),
-        residual_declared=_pooled(windows, told, "residual_declared"),
-        freedom=np.where(told, own_freedom, 0).sum(axis=0),
+        residual=_pooled(windows, is_reliable, "residual"),
+        residual_declared=_pooled(windows, is_reliable, "residual_declared"),
+        freedom=np.where(is_reliable, own_freedom, 0).sum(axis=0),
         flag=np.where(single, flag[only, columns], 0).astype(np.uint8),
         chi2=np.where(freedom > 0, chi2 / np.maximum(freedom, 1), np.nan),
     )
 
 
-def _pooled(windows: list[Estimate], told: Array, name: str) -> Floats:
+def _pooled(windows: list[Estimate], is_reliable: Array, name: str) -> Floats:
     """Return a residual (column,) over the windows that can tell."""
-    freedom = np.where(told, np.stack([each.freedom for each in windows]), 0)
-    square = np.where(told, np.stack([getattr(each, name) for each in windows]) ** 2, 0.0)
+    freedom = np.where(is_reliable, np.stack([each.freedom for each in windows]), 0)
+    square = np.where(is_reliable, np.stack([getattr(each, name) for each in windows]) ** 2, 0.0)
     with np.errstate(invalid="ignore"):
         return np.asarray(np.sqrt((freedom * square).sum(axis=0) / freedom.sum(axis=0)))
 
 
-def _one_noise(windows: list[Estimate], told: Array) -> Floats:
+def _one_noise(windows: list[Estimate], is_reliable: Array) -> Floats:
     """Return the pooled variance over each window's own (window, column); 1 where they differ too much.
 
     Variances from a few tens of bands are uncertain by a third, and would make weights as uncertain.
     """
     own = np.where(
-        told, np.stack([np.maximum(each.residual, RESIDUAL_FLOOR) for each in windows]) ** 2, np.nan
+        is_reliable, np.stack([np.maximum(each.residual, RESIDUAL_FLOOR) for each in windows]) ** 2, np.nan
     )
-    pooled = np.maximum(_pooled(windows, told, "residual"), RESIDUAL_FLOOR) ** 2
+    pooled = np.maximum(_pooled(windows, is_reliable, "residual"), RESIDUAL_FLOOR) ** 2
     with np.errstate(invalid="ignore", all="ignore"):
-        largest, least = (np.where(told, own, end) for end in (-np.inf, np.inf))
+        largest, least = (np.where(is_reliable, own, end) for end in (-np.inf, np.inf))
         alike = largest.max(axis=0) <= _SAME_NOISE * least.min(axis=0)
-        return np.asarray(np.where(told & alike, pooled / own, 1.0))
+        return np.asarray(np.where(is_reliable & alike, pooled / own, 1.0))

@@ -17,6 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from .arrays import Floats
+from .constants import STAMP_TO_MID_EXPOSURES
 from .errors import Problems, SchemaError
 
 __all__ = ["Convention"]
@@ -35,7 +36,6 @@ _CHOICES: Mapping[str, tuple[str, ...]] = {
     "column_order": ("left_to_right", "right_to_left"),
 }
 _UNDECLARED = ("stamp_reference", "column_order")
-_TO_MIDDLE = {"start": 0.5, "mid": 0.0, "end": -0.5}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -225,7 +225,7 @@ class Convention:
             raise SchemaError(
                 "stamp_reference is not declared; expected 'start', 'mid' or 'end' (of the exposure)"
             )
-        return np.asarray(exposure_time, np.float64) * _TO_MIDDLE[self.stamp_reference]
+        return np.asarray(exposure_time, np.float64) * STAMP_TO_MID_EXPOSURES[self.stamp_reference]
 
     def replace(self, **changes: Any) -> Convention:
         """Return the convention with other choices."""

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from enum import Enum
 from typing import Self
 
 __all__ = [
     "CollectError",
+    "Findings",
     "FormatError",
     "IncompleteStoreError",
     "MissingExtraError",
@@ -18,6 +21,7 @@ __all__ = [
     "SchemaError",
     "StoreError",
     "TimeError",
+    "Unavailable",
     "UnitsError",
 ]
 
@@ -197,3 +201,41 @@ class Problems:
         """Raise one error that lists every problem noted; do nothing where there is none."""
         if self._problems:
             raise self._error(self._subject, problems=self._problems)
+
+
+class Unavailable(Enum):
+    """Stands for an input that failed to open and has been reported."""
+
+    REPORTED = "reported"
+
+
+class Findings:
+    """Errors that independent inputs raise, raised together; `Problems` lists the faults of one input.
+
+    A lone error is raised as it is, more than one are listed.
+    """
+
+    def __init__(self, subject: str) -> None:
+        self.subject = subject
+        self.errors: list[Exception] = []
+
+    @contextlib.contextmanager
+    def step(self) -> Iterator[None]:
+        """Note what a step raises on purpose, and go on after it."""
+        try:
+            yield
+        except (PaintError, OSError) as error:
+            self.errors.append(error)
+
+    def raise_if_any(self) -> None:
+        """Raise the one error as it is, or one that lists them all."""
+        if not self.errors:
+            return
+        kinds = {type(error) for error in self.errors}
+        if len(self.errors) == 1 and isinstance(self.errors[0], PaintError):
+            raise self.errors[0]
+        kind = kinds.pop() if len(kinds) == 1 else CollectError
+        problems = Problems(self.subject, kind if issubclass(kind, PaintError) else CollectError)
+        for error in self.errors:
+            problems.add(str(error))
+        problems.raise_if_any()

@@ -105,6 +105,6 @@ def uncertainty_of(
     About the value itself rather than the mean of the draws, since noise makes RMSE, MAE and angle larger,
     and never smaller than nothing: of equal spectra they would otherwise seem too sure.
     """
-    found = statistics_of(signature, reference)
+    exact = statistics_of(signature, reference)
     drawn = statistics_of(signature + signature_errors, reference + reference_errors)
-    return {name: np.asarray(np.sqrt(((drawn[name] - found[name]) ** 2).mean())) for name in STATISTICS}
+    return {name: np.asarray(np.sqrt(((drawn[name] - exact[name]) ** 2).mean())) for name in STATISTICS}

@@ -46,14 +46,14 @@ class Operator:
 
     def __call__(self, values: Floats) -> Floats:
         """Return values (..., channel) on the bands (..., band); NaN where a band is left out."""
-        made = np.full((*values.shape[:-1], self.seen.size), np.nan)
+        on_bands = np.full((*values.shape[:-1], self.seen.size), np.nan)
         if self.weights is None:
-            made[..., self.seen] = values[..., self.seen]
-            return made
+            on_bands[..., self.seen] = values[..., self.seen]
+            return on_bands
         # what no band weighs may be missing
         used = np.flatnonzero(self.weights[self.seen].any(axis=0))
-        made[..., self.seen] = values[..., used] @ self.weights[np.ix_(self.seen, used)].T
-        return made
+        on_bands[..., self.seen] = values[..., used] @ self.weights[np.ix_(self.seen, used)].T
+        return on_bands
 
 
 def bands_of(signature: Measured, references: list[Measured]) -> Measured:
@@ -77,14 +77,14 @@ def operator_onto(bands: Measured, spectrum: Measured) -> Operator:
     The same channels are left as they are. Missing samples count as not seen; those of the bands' own
     spectrum do not matter here.
     """
-    known = np.isfinite(spectrum.values)
+    is_finite = np.isfinite(spectrum.values)
     if _same_channels(bands, spectrum):
-        zero = np.where(known, 0.0, np.nan)
-        return Operator(None, known, known.astype(np.float64), zero, zero + 1.0)
+        zero = np.where(is_finite, 0.0, np.nan)
+        return Operator(None, is_finite, is_finite.astype(np.float64), zero, zero + 1.0)
     size = bands.wavelength.size
     reach = 3.0 * (bands.fwhm.max() + spectrum.fwhm.max())
     near = spectrum.wavelength >= bands.wavelength.min() - reach
-    used = np.flatnonzero(known & near & (spectrum.wavelength <= bands.wavelength.max() + reach))
+    used = np.flatnonzero(is_finite & near & (spectrum.wavelength <= bands.wavelength.max() + reach))
     weights = np.zeros((size, spectrum.wavelength.size))
     if used.size < 2:
         none, unknown = np.zeros(size), np.full(size, np.nan)
@@ -97,11 +97,7 @@ def operator_onto(bands: Measured, spectrum: Measured) -> Operator:
     seen = ~torn & (matching.noise_gain[0] <= _NOISE_GAIN)
     weights[np.ix_(seen, used)] = matching.weights[0][seen]
     return Operator(
-        weights,
-        seen,
-        np.where(torn, 0.0, matching.coverage[0]),
-        matching.misfit[0],
-        matching.noise_gain[0],
+        weights, seen, np.where(torn, 0.0, matching.coverage[0]), matching.misfit[0], matching.noise_gain[0]
     )
 
 
@@ -116,7 +112,7 @@ def _over_a_hole(bands: Measured, spectrum: Measured, used: npt.NDArray[np.intp]
     """Tell which bands lie over channels that are missing, wider than two widths of their neighbours."""
     at, width = spectrum.wavelength[used], spectrum.fwhm[used]
     open_ = np.diff(at) > 2.0 * np.maximum(width[1:], width[:-1])
-    made = np.zeros(bands.wavelength.size, bool)
+    over_hole = np.zeros(bands.wavelength.size, bool)
     for left, right in zip(at[:-1][open_], at[1:][open_], strict=True):
-        made |= (bands.wavelength + bands.fwhm > left) & (bands.wavelength - bands.fwhm < right)
-    return made
+        over_hole |= (bands.wavelength + bands.fwhm > left) & (bands.wavelength - bands.fwhm < right)
+    return over_hole

@@ -100,28 +100,28 @@ class Compared:
 
     def warnings(self) -> list[str]:
         """Return what a user can act on."""
-        made = []
+        messages = []
         name, own, other = self.pair.signature.name, self.pair.signature.mirror, self.mirror
         if {own, other} in ({"included", "excluded"}, {"included", "mixed"}, {"excluded", "mixed"}):
-            made.append(
+            messages.append(
                 f"{name}: the mirror image of the sky is {own} in the signature, {other} in the reference; a "
                 "clear coat's adds 0.04 of the share of skylight; see remove_mirrored_sky"
             )
-        return made
+        return messages
 
     def notes(self) -> tuple[str, ...]:
         """Return what a reader of the result should know."""
-        made = [note for each in self.pair.references for note in each.notes]
-        made += [f"signature: {note}" for note in self.pair.signature.notes]
+        notes = [note for each in self.pair.references for note in each.notes]
+        notes += [f"signature: {note}" for note in self.pair.signature.notes]
         if self.matched:
-            made.append(
+            notes.append(
                 "the reference was overlap-matched: below the join of detectors its values were scaled"
             )
         if self.bands is not self.pair.signature:
-            made.append("the signature was brought onto the reference's bands")
-        made += self._left_out()
-        made += self._scales()
-        return tuple(dict.fromkeys([*made, *self._uncertainty()]))
+            notes.append("the signature was brought onto the reference's bands")
+        notes += self._left_out()
+        notes += self._scales()
+        return tuple(dict.fromkeys([*notes, *self._uncertainty()]))
 
     def _scales(self) -> list[str]:
         """Return that one side is relative to a panel, the other is not."""
@@ -139,17 +139,17 @@ class Compared:
     def _uncertainty(self) -> list[str]:
         """Return what is not known of the uncertainties."""
         own, others = self.pair.signature, self.pair.references
-        known = {
+        has_uncertainty = {
             "signature": own.has_uncertainty,
             "reference": len(others) > 1 or others[0].has_uncertainty,
         }
-        unknown = [side for side, has in known.items() if not has]
-        made = []
+        unknown = [side for side, has in has_uncertainty.items() if not has]
+        notes = []
         if unknown:
-            made.append(f"uncertainty without that of the {' and the '.join(unknown)}, which is not known")
+            notes.append(f"uncertainty without that of the {' and the '.join(unknown)}, which is not known")
         for side, spectra in (("signature", (own,)), ("reference", others)):
-            made += [f"uncertainty of the {side}: {text}" for each in spectra for text in each.gaps()]
-        return made
+            notes += [f"uncertainty of the {side}: {text}" for each in spectra for text in each.gaps()]
+        return notes
 
     @property
     def scatter(self) -> float:
@@ -176,7 +176,7 @@ class Compared:
         """Return both spectra on the common bands."""
         import xarray as xr
 
-        found = {
+        columns = {
             "signature": self.signature,
             "reference": self.reference,
             "difference": self.signature - self.reference,
@@ -185,36 +185,32 @@ class Compared:
         }
         if self.errors is not None:
             for name, errors in zip(("signature_u", "reference_u"), self.errors, strict=True):
-                found[name] = np.sqrt((errors**2).mean(axis=0))
+                columns[name] = np.sqrt((errors**2).mean(axis=0))
         meanings = {**MEANINGS, "reference": "Reflectance of the reference on common bands"}
-        made = {
+        variables = {
             name: (BAND, values, {"units": "1", "long_name": meanings[name]})
-            for name, values in found.items()
+            for name, values in columns.items()
         }
         wavelength = (BAND, self.bands.wavelength, {"units": "nm", "long_name": "Centre of the common bands"})
         fwhm = (BAND, self.bands.fwhm, {"units": "nm", "long_name": "Width of the common bands"})
         return xr.Dataset(
-            made,
+            variables,
             {"wavelength": wavelength, "fwhm": fwhm, "used": (BAND, self.used)},
-            {
-                "paint": self.pair.signature.name,
-                "reference": self.names,
-                "instrument": self.instrument,
-            },
+            {"paint": self.pair.signature.name, "reference": self.names, "instrument": self.instrument},
         )
 
     def _spreads(self) -> dict[str, Floats]:
         """Return the standard deviations of what signature and reference are means of (band,)."""
-        made = {}
+        spreads = {}
         own, others = self.pair.signature.sd, self.pair.references
         if own is not None:
-            made["signature_sd"] = self.onto[-1](own)
+            spreads["signature_sd"] = self.onto[-1](own)
         if len(others) > 1:
             seen = [use(each.values) for use, each in zip(self.onto[:-1], others, strict=True)]
-            made["reference_sd"] = np.std(seen, axis=0, ddof=1)
+            spreads["reference_sd"] = np.std(seen, axis=0, ddof=1)
         elif others[0].sd is not None:
-            made["reference_sd"] = self.onto[0](others[0].sd)
-        return made
+            spreads["reference_sd"] = self.onto[0](others[0].sd)
+        return spreads
 
 
 def compare(pair: Pair, seed: int) -> Compared:
@@ -226,9 +222,9 @@ def compare(pair: Pair, seed: int) -> Compared:
     onto = tuple(operator_onto(bands, each) for each in (*pair.references, pair.signature))
     seen = np.stack([use(each.values) for use, each in zip(onto[:-1], pair.references, strict=True)])
     rng = np.random.default_rng(seed)
-    known = pair.signature.has_uncertainty or len(seen) > 1 or pair.references[0].has_uncertainty
+    has_uncertainty = pair.signature.has_uncertainty or len(seen) > 1 or pair.references[0].has_uncertainty
     errors = None
-    if known:
+    if has_uncertainty:
         own = onto[-1](pair.signature.errors(rng, DRAWS))
         errors = own, _errors_of_mean(pair.references, onto[:-1], seen, rng)
     return Compared(pair, bands, onto[-1](pair.signature.values), seen.mean(axis=0), onto, errors)
@@ -241,7 +237,7 @@ def _errors_of_mean(
     if count == 1:
         return onto[0](references[0].errors(rng, DRAWS))
     away = seen - seen.mean(axis=0)
-    made = np.asarray(rng.standard_normal((DRAWS, count)) @ away / np.sqrt(count * (count - 1.0)))
+    errors = np.asarray(rng.standard_normal((DRAWS, count)) @ away / np.sqrt(count * (count - 1.0)))
     # what repetition does not show: readings of one instrument share what is wrong with it
     common = [
         use(each.u_systematic)
@@ -249,13 +245,13 @@ def _errors_of_mean(
         if each.u_systematic is not None
     ]
     if common:
-        made += np.mean(common, axis=0) * rng.standard_normal((DRAWS, 1))
+        errors += np.mean(common, axis=0) * rng.standard_normal((DRAWS, 1))
     # a few readings may agree by chance
     for use, each in zip(onto, references, strict=True):
         if each.u_random is not None:
-            made += use(each.u_random * rng.standard_normal((DRAWS, each.u_random.size))) / count
-    return made
+            errors += use(each.u_random * rng.standard_normal((DRAWS, each.u_random.size))) / count
+    return errors
 
 
-def _common(told: Sequence[str]) -> str:
-    return told[0] if len(set(told)) == 1 else "mixed"
+def _common(words: Sequence[str]) -> str:
+    return words[0] if len(set(words)) == 1 else "mixed"

@@ -76,19 +76,19 @@ def join_detectors(wavelength: Floats) -> Axis:
             f"wavelengths fall {len(begins)} times, expected an axis that increases but for joins of "
             "detectors; sort the spectrum"
         )
-    kept, number, joins = detectors[0], np.zeros(detectors[0].size, np.intp), []
+    channels, number, joins = detectors[0], np.zeros(detectors[0].size, np.intp), []
     for index, following in enumerate(detectors[1:], 1):
-        middle = float(0.5 * (wavelength[kept[-1]] + wavelength[following[0]]))
-        before = wavelength[kept] <= middle
+        middle = float(0.5 * (wavelength[channels[-1]] + wavelength[following[0]]))
+        before = wavelength[channels] <= middle
         after = following[wavelength[following] > middle]
         if not (before.any() and after.size):
             raise SchemaError(
                 f"one detector's wavelengths lie within another's near {middle:g} nm; open them apart"
             )
-        kept = np.concatenate([kept[before], after])
+        channels = np.concatenate([channels[before], after])
         number = np.concatenate([number[before], np.full(after.size, index)])
         joins.append(middle)
-    return Axis(kept, number, tuple(joins))
+    return Axis(channels, number, tuple(joins))
 
 
 def channel_widths(wavelength: Floats, detector: npt.NDArray[Any], instrument: str) -> tuple[Floats, str]:
@@ -108,9 +108,9 @@ def channel_widths(wavelength: Floats, detector: npt.NDArray[Any], instrument: s
     source
         What they were taken from, for a reader of the result.
     """
-    told = instrument.lower()
+    lowered = instrument.lower()
     for kind, names in _NAMES.items():
-        if any(name in told for name in names):
+        if any(name in lowered for name in names):
             told_apart = detector.max() > 0 and wavelength[0] < _EDGES[0]
             part = detector if told_apart else np.searchsorted(_EDGES, wavelength, "right")
             widths = np.array(_WIDTHS[kind])[np.minimum(part, len(_EDGES))]

@@ -70,7 +70,7 @@ def paired(signatures: Sequence[Measured], references: Sequence[Measured], pairs
     wanted = _said(signatures, references, pairs) if pairs is not None else None
     problems = Problems("paints and references cannot be paired by name", SchemaError)
     counts = Counter(each.name for each in signatures)
-    made: list[Pair] = []
+    matched: list[Pair] = []
     alone: list[str] = []
     missed: list[str] = []
     used: set[int] = set()
@@ -90,16 +90,16 @@ def paired(signatures: Sequence[Measured], references: Sequence[Measured], pairs
         instruments = dict.fromkeys(references[k].instrument for k in own)
         for instrument in instruments:
             group = tuple(references[k] for k in own if references[k].instrument == instrument)
-            made.append(Pair(signature, group))
+            matched.append(Pair(signature, group))
     problems.raise_if_any()
     left = tuple(f"{each.name} ({each.instrument})" for k, each in enumerate(references) if k not in used)
-    if not made:
+    if not matched:
         raise SchemaError(
             f"no paint has a reference of its name; paints are {_listed([s.name for s in signatures])}, "
             f"references {_listed(left)}; name them with pairs={{paint: reference}}, or give regions a "
             "property reference"
         )
-    return Pairing(tuple(made), tuple(alone), left, tuple(missed))
+    return Pairing(tuple(matched), tuple(alone), left, tuple(missed))
 
 
 def _called(name: str, references: Sequence[Measured], problems: Problems) -> list[int]:
@@ -107,14 +107,14 @@ def _called(name: str, references: Sequence[Measured], problems: Problems) -> li
 
     Files of one name in different folders are not repeated readings of one paint: that is noted.
     """
-    found: dict[str, list[int]] = {}
+    matches: dict[str, list[int]] = {}
     for rank in range(3):
         hits: dict[str, list[int]] = {}
         for k, each in enumerate(references):
-            if name in each.names.ranks[rank] and each.instrument not in found:
+            if name in each.names.ranks[rank] and each.instrument not in matches:
                 hits.setdefault(each.instrument, []).append(k)
-        found |= hits
-    for instrument, own in found.items():
+        matches |= hits
+    for instrument, own in matches.items():
         places = {references[k].names.place for k in own}
         if len(places) > 1:
             several = len({dataset for dataset, _ in places}) > 1
@@ -125,7 +125,7 @@ def _called(name: str, references: Sequence[Measured], problems: Problems) -> li
                 mend=mend.format("pairs={paint: reference}"),
                 option=mend.format("--pairs"),
             )
-    return [k for own in found.values() for k in own]
+    return [k for own in matches.values() for k in own]
 
 
 def _whereabouts(reference: Measured) -> str:
@@ -144,19 +144,19 @@ def _said(
         raise SchemaError(f"pairs is {type(pairs).__name__}, expected names of references by names of paints")
     problems = Problems("pairs= cannot be followed", SchemaError)
     paints = {each.name for each in signatures}
-    known = frozenset[str]().union(*(each.names.every for each in references))
-    made: dict[str, tuple[str, ...]] = {}
+    names_there = frozenset[str]().union(*(each.names.every for each in references))
+    wanted: dict[str, tuple[str, ...]] = {}
     for paint, names in pairs.items():
         several = (names,) if isinstance(names, str) else tuple(names)
         if paint not in paints:
             problems.add(f"there is no paint {paint!r}; there is {_listed(sorted(paints))}")
         for name in several:
-            if name not in known:
+            if name not in names_there:
                 held = _listed([each.name for each in references])
                 problems.add(f"there is no reference {name!r} for {paint!r}; there is {held}")
-        made[str(paint)] = several
+        wanted[str(paint)] = several
     problems.raise_if_any()
-    return made
+    return wanted
 
 
 def _listed(names: Sequence[str]) -> str:

@@ -43,8 +43,8 @@ def scaled_by_panel(spectra: list[Measured], panel: Any) -> list[Measured]:
     if not (np.isfinite(wavelength).all() and np.isfinite(values).all() and (np.diff(wavelength) > 0).all()):
         problems.add("panel= has wavelengths twice, or values that are not finite")
     elif not ((values > 0.0) & (values <= 1.2)).all():
-        found = f"{values.min():g} to {values.max():g}"
-        problems.add(f"panel= reaches from {found}, expected more than 0, at most 1.2; is it in percent?")
+        limits = f"{values.min():g} to {values.max():g}"
+        problems.add(f"panel= reaches from {limits}, expected more than 0, at most 1.2; is it in percent?")
     for each in spectra:
         if each.absolute:
             problems.add(f"reference {each.name!r} is absolute already, or of a library; leave out panel=")

@@ -107,13 +107,13 @@ class Validation:
     @property
     def problems(self) -> tuple[str, ...]:
         """What is outside of the tolerance or cannot be judged, one text a pair or paint."""
-        found = []
+        failures = []
         paints = self._texts("paint")
         for row, within in enumerate(self.statistics["passes"].values):
             bad = [self._failure(row, int(column)) for column in np.flatnonzero(~within)]
             if bad:
-                found.append(f"{paints[row]} against {self._texts('reference')[row]}: {', '.join(bad)}")
-        return (*found, *(f"{name}: its reference is not there" for name in self.missing))
+                failures.append(f"{paints[row]} against {self._texts('reference')[row]}: {', '.join(bad)}")
+        return (*failures, *(f"{name}: its reference is not there" for name in self.missing))
 
     def _failure(self, row: int, column: int) -> str:
         """Return the name of a part that does not pass, with the reason where that is a lack of bands."""
@@ -161,13 +161,13 @@ class Validation:
 
     def _rows(self) -> list[tuple[str, ...]]:
         """Return a row of cells for every part of every pair that has bands."""
-        found = self.statistics
-        made: list[tuple[str, ...]] = []
+        statistics = self.statistics
+        rows: list[tuple[str, ...]] = []
         last = -1
-        for row in range(found.sizes["pair"]):
+        for row in range(statistics.sizes["pair"]):
             paint, reference = self._texts("paint")[row], self._texts("reference")[row]
-            for column in range(found.sizes["part"]):
-                one = found.isel(pair=row, part=column)
+            for column in range(statistics.sizes["part"]):
+                one = statistics.isel(pair=row, part=column)
                 count, left = int(one["bands"]), int(one["bands_left_out"])
                 if not count:
                     continue
@@ -185,8 +185,8 @@ class Validation:
                 last = row
                 verdict = "FAILS" if not one["passes"] else "" if one["judged"] else "not judged"
                 names = _short(paint), f"{_short(reference)} ({_short(self._texts('instrument')[row])})"
-                made.append((*names, part, f"{count}/{count + left}", *cells, oxygen, verdict))
-        return made
+                rows.append((*names, part, f"{count}/{count + left}", *cells, oxygen, verdict))
+        return rows
 
     def _oxygen(self, row: int) -> str:
         depths = (
@@ -200,14 +200,14 @@ class Validation:
         for row, texts in enumerate(self.notes):
             for text in (f"overlap of detectors: {self._texts('overlap')[row]}", *texts):
                 rows.setdefault(text, []).append(row)
-        made = [f"{self._whom(which)}: {text}" for text, which in rows.items()]
+        remarks = [f"{self._whom(which)}: {text}" for text, which in rows.items()]
         for text, names in (
             ("without a reference", self.unpaired_signatures),
             ("references without a paint", self.unpaired_references),
         ):
             if names:
-                made.append(f"{text}: {', '.join(names)}")
-        return made
+                remarks.append(f"{text}: {', '.join(names)}")
+        return remarks
 
     def _whom(self, rows: Sequence[int]) -> str:
         """Return which pairs are meant: all, all of an instrument, or paints by name."""

@@ -98,19 +98,19 @@ class Measured:
         """Return what is not known of the uncertainty, for a reader of the result."""
         if self.u_random is None and self.u_systematic is None:
             return []
-        made, there = [], np.isfinite(self.values)
+        gaps, there = [], np.isfinite(self.values)
         for name, spread, other in (
             ("random", self.u_random, "systematic"),
             ("systematic", self.u_systematic, "random"),
         ):
             if spread is None:
-                made.append(f"{other} part only, the {name} one is not known")
+                gaps.append(f"{other} part only, the {name} one is not known")
             elif not np.isfinite(spread[there]).all():
-                known = int(np.isfinite(spread[there]).sum())
-                made.append(
-                    f"{name} part known in {known} of {int(there.sum())} channels; elsewhere none is told"
+                count = int(np.isfinite(spread[there]).sum())
+                gaps.append(
+                    f"{name} part known in {count} of {int(there.sum())} channels; elsewhere none is told"
                 )
-        return made
+        return gaps
 
     def errors(self, rng: np.random.Generator, draws: int) -> Floats:
         """Return what may be wrong with the values (draw, channel), at random.
@@ -119,15 +119,15 @@ class Measured:
         standard deviation of the mean is taken for systematic: readings of a surface differ in level more
         than in shape. NaN where one of them is known of other channels, but not there.
         """
-        made = np.zeros((draws, self.values.size))
+        errors = np.zeros((draws, self.values.size))
         if self.u_random is not None:
-            made += self.u_random * rng.standard_normal(made.shape)
+            errors += self.u_random * rng.standard_normal(errors.shape)
         common = self.u_systematic
         if common is None and self.u_random is None and self.sd is not None:
             common = self.sd / np.sqrt(self.count)
         if common is not None:
-            made += common * rng.standard_normal((draws, 1))
-        return made
+            errors += common * rng.standard_normal((draws, 1))
+        return errors
 
 
 def signatures_from(signatures: xr.Dataset) -> list[Measured]:
@@ -170,16 +170,16 @@ def references_from(references: Any, fwhm: float | None) -> list[Measured]:
             f"references are {type(references).__name__}, expected a Dataset, or several; see open_svc"
         )
     problems = Problems("references cannot be used", SchemaError)
-    made: list[Measured] = []
+    spectra: list[Measured] = []
     for number, dataset in enumerate(datasets, 1):
         try:
-            made += _of_dataset(dataset, number, fwhm)
+            spectra += _of_dataset(dataset, number, fwhm)
         except (SchemaError, UnitsError) as error:
             problems.add(f"reference {number}: {error}")
-    if not made and not problems:
+    if not spectra and not problems:
         problems.add("there is none; open some with open_svc, open_asd or open_library")
     problems.raise_if_any()
-    return _told_apart(made)
+    return _told_apart(spectra)
 
 
 def _told_apart(spectra: Sequence[Measured]) -> list[Measured]:
@@ -227,20 +227,20 @@ def _of_library(
     optional = [name for name in (*_SPREADS, "fwhm", "n", "n_eff") if name in dataset.variables]
     purpose = "a validation"
     required = schema.require(dataset, [PAINT, "reflectance", "wavelength"], purpose, LIBRARY_VARIABLES)
-    found = {**required, **schema.find(dataset, optional, LIBRARY_VARIABLES)[0]}
+    arrays = {**required, **schema.find(dataset, optional, LIBRARY_VARIABLES)[0]}
     attrs = {**dataset.attrs, **dataset["reflectance"].attrs}
-    values = found["reflectance"].values.astype(np.float64)
+    values = arrays["reflectance"].values.astype(np.float64)
     if "good" in dataset.variables and dataset["good"].dims == (BAND,):
         values = np.where(dataset["good"].values.astype(bool), values, np.nan)
     channels = _Channels.of(
-        found["wavelength"].values, found.get("fwhm"), fwhm, str(attrs.get("instrument", ""))
+        arrays["wavelength"].values, arrays.get("fwhm"), fwhm, str(attrs.get("instrument", ""))
     )
-    for number, name in enumerate(found[PAINT].values):
-        own = {key: found[key].values[number] for key in _SPREADS if key in found}
+    for number, name in enumerate(arrays[PAINT].values):
+        own = {key: arrays[key].values[number] for key in _SPREADS if key in arrays}
         yield channels.spectrum(
             values[number],
             own,
-            _count_of(found, number),
+            _count_of(arrays, number),
             names=names_of_paint(str(name), dataset_number),
             wanted=_text_of(dataset, "reference", number, PAINT),
             instrument=str(attrs.get("instrument", "")) or otherwise,
@@ -251,10 +251,10 @@ def _of_library(
         )
 
 
-def _count_of(found: Mapping[str, Any], number: int) -> float | None:
+def _count_of(arrays: Mapping[str, Any], number: int) -> float | None:
     """Return how many independent pixels a paint is of: neighbours share what is wrong with them."""
-    told = (float(found[name].values[number]) for name in ("n_eff", "n") if name in found)
-    return next((count for count in told if np.isfinite(count)), None)
+    counts = (float(arrays[name].values[number]) for name in ("n_eff", "n") if name in arrays)
+    return next((count for count in counts if np.isfinite(count)), None)
 
 
 # --- spectrometers -----------------------------------------------------------------------------------------
@@ -282,7 +282,7 @@ def _of_spectrometer(dataset: xr.Dataset, dataset_number: int, fwhm: float | Non
     )
     for number, spectrum in enumerate(values):
         texts = [_text_of(dataset, key, number, "spectrum") for key in ("spectrum", "source", "name")]
-        told = {
+        texts_of = {
             key: _text_of(dataset, key, number, "spectrum") or attrs.get(key)
             for key in ("overlap", "mirror_reflection", "instrument")
         }
@@ -293,11 +293,11 @@ def _of_spectrometer(dataset: xr.Dataset, dataset_number: int, fwhm: float | Non
             None if count is None else float(count),
             names=names_of_spectrum(texts[0], texts[1], texts[2], number, dataset_number),
             wanted="",
-            instrument=str(attrs.get("instrument") or told["instrument"] or "spectrometer"),
+            instrument=str(attrs.get("instrument") or texts_of["instrument"] or "spectrometer"),
             serial=_text_of(dataset, "instrument", number, "spectrum"),
             notes=(*channels.notes, *_errors_told(dataset, number)),
-            **_overlap_of(told["overlap"], _flag_of(dataset, "overlap_matched", number)),
-            mirror=_one_of(_MIRRORS, told["mirror_reflection"]),
+            **_overlap_of(texts_of["overlap"], _flag_of(dataset, "overlap_matched", number)),
+            mirror=_one_of(_MIRRORS, texts_of["mirror_reflection"]),
             absolute=attrs.get("reflectance_scale", "relative") == "absolute",
         )
 
@@ -331,24 +331,24 @@ def _flag_of(dataset: xr.Dataset, key: str, number: int) -> bool:
 
 def _errors_told(dataset: xr.Dataset, number: int) -> list[str]:
     """Return what the instrument said was wrong with the scans."""
-    made = []
+    errors = []
     for scan in ("target", "reference"):
         key = f"error_{scan}"
         if key in dataset.variables and dataset[key].dims in (("spectrum",), ()):
             bits = int(np.ravel(dataset[key].values)[number if dataset[key].dims else 0])
             if bits > 0:
                 panel = " of the white panel" if scan == "reference" else ""
-                made.append(f"the instrument set error bits {bits} in the {scan} scan{panel}")
-    return made
+                errors.append(f"the instrument set error bits {bits} in the {scan} scan{panel}")
+    return errors
 
 
 def _overlap_of(text: Any, matched: Any) -> dict[str, Any]:
-    told = text if isinstance(text, str) and text else UNKNOWN
-    return {"overlap": told, "matched": bool(matched) or told == "matched"}
+    overlap = text if isinstance(text, str) and text else UNKNOWN
+    return {"overlap": overlap, "matched": bool(matched) or overlap == "matched"}
 
 
-def _one_of(known: tuple[str, ...], value: Any) -> str:
-    return str(value) if value in known else UNKNOWN
+def _one_of(choices: tuple[str, ...], value: Any) -> str:
+    return str(value) if value in choices else UNKNOWN
 
 
 # --- channels that the spectra of a dataset share ----------------------------------------------------------

@@ -164,17 +164,17 @@ def validate(
     problems.raise_if_any()
     scatters = [_scatter(each, limits) for each in compared]
     mirrors = [text for each in compared for text in each.warnings()]
-    told = [
+    scatter_texts = [
         f"{each.pair.signature.name}: {text}"
-        for each, found in zip(compared, scatters, strict=True)
-        for text in found
+        for each, texts in zip(compared, scatters, strict=True)
+        for text in texts
     ]
-    for text in dict.fromkeys((*mirrors, *told)):
+    for text in dict.fromkeys((*mirrors, *scatter_texts)):
         warnings.warn(text, PaintWarning, stacklevel=2)
     return Validation(
         statistics=_statistics(compared, parts, limits, named=named),
         spectra=tuple(each.dataset() for each in compared),
-        notes=tuple((*each.notes(), *found) for each, found in zip(compared, scatters, strict=True)),
+        notes=tuple((*each.notes(), *texts) for each, texts in zip(compared, scatters, strict=True)),
         unpaired_signatures=pairing.signatures,
         unpaired_references=pairing.references,
         missing=pairing.signatures if require_all else pairing.missing,
@@ -229,9 +229,9 @@ def _statistics(
     import xarray as xr
 
     shape = len(compared), len(parts)
-    found = {name: np.full(shape, np.nan) for name in STATISTICS}
-    found |= {f"{name}_u": np.full(shape, np.nan) for name in STATISTICS}
-    found |= {"coverage": np.full(shape, np.nan)}
+    statistics = {name: np.full(shape, np.nan) for name in STATISTICS}
+    statistics |= {f"{name}_u": np.full(shape, np.nan) for name in STATISTICS}
+    statistics |= {"coverage": np.full(shape, np.nan)}
     bands, left_out = np.zeros(shape, np.int64), np.zeros(shape, np.int64)
     for row, each in enumerate(compared):
         for column, edges in enumerate(parts.values()):
@@ -241,23 +241,23 @@ def _statistics(
             if not here.any():
                 continue
             sides = each.signature[here], each.reference[here]
-            found["coverage"][row, column] = each.coverage[here].min()
+            statistics["coverage"][row, column] = each.coverage[here].min()
             for name, value in statistics_of(*sides).items():
-                found[name][row, column] = value
+                statistics[name][row, column] = value
             if each.errors is not None:
                 drawn = uncertainty_of(*sides, *(errors[:, here] for errors in each.errors))
                 for name, value in drawn.items():
-                    found[f"{name}_u"][row, column] = value
+                    statistics[f"{name}_u"][row, column] = value
     dims = ("pair", "part")
-    made: dict[str, Any] = {name: (dims, values, _attrs(name)) for name, values in found.items()}
-    made["bands"] = (dims, bands, _attrs("bands"))
-    made["bands_left_out"] = (dims, left_out, _attrs("bands_left_out"))
+    variables: dict[str, Any] = {name: (dims, values, _attrs(name)) for name, values in statistics.items()}
+    variables["bands"] = (dims, bands, _attrs("bands"))
+    variables["bands_left_out"] = (dims, left_out, _attrs("bands_left_out"))
     judged = (bands >= _LEAST_BANDS) & (bands >= _LEAST_SHARE * (bands + left_out))
-    for name, told in (("judged", judged), ("passes", _passes(found, judged, limits, named=named))):
-        made[name] = (dims, told, {"long_name": MEANINGS[name]})
+    for name, flags in (("judged", judged), ("passes", _passes(statistics, judged, limits, named=named))):
+        variables[name] = (dims, flags, {"long_name": MEANINGS[name]})
     for name, side in (("oxygen_residual", "signature"), ("reference_oxygen_residual", "reference")):
         depth = [oxygen_depth(each.bands.wavelength, getattr(each, side)) for each in compared]
-        made[name] = ("pair", np.array(depth, np.float64), _attrs(name))
+        variables[name] = ("pair", np.array(depth, np.float64), _attrs(name))
     texts = {
         "paint": [each.pair.signature.name for each in compared],
         "reference": [each.names for each in compared],
@@ -274,7 +274,7 @@ def _statistics(
     coords["part"] = np.array(list(parts), object)
     for name, end in (("first_wavelength", 0), ("last_wavelength", 1)):
         coords[name] = ("part", np.array([edges[end] for edges in parts.values()], np.float64), _attrs(name))
-    return xr.Dataset(made, coords, {"title": "Agreement of paint signatures with references"})
+    return xr.Dataset(variables, coords, {"title": "Agreement of paint signatures with references"})
 
 
 def _attrs(name: str) -> dict[str, str]:
@@ -288,7 +288,9 @@ def _attrs(name: str) -> dict[str, str]:
     return {"units": units.get(name, "1"), "long_name": meaning}
 
 
-def _passes(found: Mapping[str, Floats], judged: Bools, limits: Mapping[str, float], *, named: bool) -> Bools:
+def _passes(
+    statistics: Mapping[str, Floats], judged: Bools, limits: Mapping[str, float], *, named: bool
+) -> Bools:
     """Tell which parts pass.
 
     One that is not judged still fails where it is outside of a limit; and where the user asked for it, or
@@ -296,7 +298,7 @@ def _passes(found: Mapping[str, Floats], judged: Bools, limits: Mapping[str, flo
     """
     within, outside = np.ones(judged.shape, bool), np.zeros(judged.shape, bool)
     for name, limit in limits.items():
-        away = np.abs(found[name] - 1.0 if name == "scale" else found[name])
+        away = np.abs(statistics[name] - 1.0 if name == "scale" else statistics[name])
         # of NaN, neither is true
         within &= away <= limit
         outside |= away > limit

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from hyperpaint.base.errors import CollectError, Problems
-from hyperpaint.base.independent_steps import Findings, Unavailable
+from hyperpaint.base.errors import CollectError, Findings, Problems, Unavailable
 from hyperpaint.io.flightline.calibration_store import open_calibration
 from hyperpaint.io.flightline.flightline_opening import assemble
 from hyperpaint.io.flightline.line_parts import FlightlineInputs
@@ -30,7 +29,22 @@ from .collect_toml import (
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["Collect", "open_collect", "read_collect"]
+__all__ = ["Collect", "OpenedCollect", "open_collect", "open_with_settings", "read_collect"]
+
+
+@dataclass(frozen=True)
+class OpenedCollect:
+    """A collect that has been opened, with what its ``collect.toml`` says."""
+
+    tree: xr.DataTree
+    settings: Collect
+
+    @property
+    def cubes(self) -> dict[str, Path]:
+        """Data file of every flight line, by the line's group (``flightlines/<id>``)."""
+        from hyperpaint.io.envi.envi_cubes import find_pair
+
+        return {f"flightlines/{entry.id}": find_pair(entry.cube)[1] for entry in self.settings.flightlines}
 
 
 def open_collect(
@@ -40,49 +54,43 @@ def open_collect(
     chunks: Any = "auto",
     calibrate: Callable[[Path], xr.Dataset] | None = None,
 ) -> xr.DataTree:
-    """Open everything a ``collect.toml`` names, without reading a cube.
+    """Open everything a ``collect.toml`` names, see `hyperpaint.open_collect`, which brings ``calibrate``."""
+    options: Any = {"need_irradiance": need_irradiance, "chunks": chunks, "calibrate": calibrate}
+    return open_with_settings(path, **options).tree
+
+
+def open_with_settings(
+    source: str | os.PathLike[str] | Collect,
+    *,
+    need_irradiance: bool = True,
+    chunks: Any = "auto",
+    calibrate: Callable[[Path], xr.Dataset] | None = None,
+) -> OpenedCollect:
+    """Open everything a ``collect.toml`` names, without reading a cube, and keep what it says.
 
     Parameters
     ----------
-    path
-        The file.
-    need_irradiance
-        False where only radiance is wanted: a collect without irradiance is then whole.
-    chunks
-        dask chunks of the cubes, as for `open_flightline`.
+    source
+        The file, or its settings where it has been read and checked before.
+    need_irradiance, chunks
+        See `hyperpaint.open_collect`.
     calibrate
-        Turns the path of a lab sweep into a calibration; `hyperpaint.open_collect` brings one.
-
-    Returns
-    -------
-    xarray.DataTree
-        ``/flightlines/<id>`` (see `open_flightline`), ``/irradiance``, ``/calibration`` and
-        ``/references/<instrument>``; the root holds attributes and no variables.
+        Turns the path of a lab sweep into a calibration.
 
     Raises
     ------
     CollectError
         The file, or anything it names, cannot be used; all problems of all files are listed.
-
-    Warns
-    -----
-    PaintWarning
-        As `open_flightline` and `open_irradiance`.
-
-    Examples
-    --------
-    >>> import tempfile
-    >>> from hyperpaint.simulation import simulate_collect
-    >>> path = simulate_collect(tempfile.mkdtemp(), scene="plan", lines=40, bands=4, columns=6, cubes=2)
-    >>> tree = open_collect(path)
-    >>> sorted(tree.children), sorted(tree["flightlines"].children)
-    (['calibration', 'flightlines', 'irradiance', 'references'], ['raw_0', 'raw_20'])
     """
     import xarray as xr
 
-    path = Path(path)
+    path = source.path if isinstance(source, Collect) else Path(source)
     problems = Problems(f"{path} cannot be processed", CollectError)
-    collect, reported = parse_collect(path, problems, need_irradiance=need_irradiance)
+    reported: set[str] = set()
+    if isinstance(source, Collect):
+        collect = source
+    else:
+        collect, reported = parse_collect(path, problems, need_irradiance=need_irradiance)
     findings = Findings(str(path))
     calibration: xr.Dataset | Unavailable | None = None
     if collect.calibration is not None or "calibration" in reported:
@@ -117,7 +125,7 @@ def open_collect(
     if isinstance(calibration, xr.Dataset):
         groups["/calibration"] = calibration
     groups |= {f"/references/{name}": dataset for name, dataset in references.items()}
-    return xr.DataTree.from_dict(groups)
+    return OpenedCollect(xr.DataTree.from_dict(groups), collect)
 
 
 def _calibrated(sweep: Path, calibrate: Callable[[Path], xr.Dataset] | None) -> xr.Dataset:
@@ -149,8 +157,8 @@ def _references(entries: tuple[ReferenceEntry, ...], findings: Findings) -> Iter
                     f"[[references]] {entry.instrument!r}: files of {len(opened)} kinds of instruments; give "
                     "each its own [[references]]"
                 )
-            told = {} if entry.group == entry.instrument else {"instrument_name": entry.instrument}
-            yield entry.group, opened[0].assign_attrs(told)
+            label = {} if entry.group == entry.instrument else {"instrument_name": entry.instrument}
+            yield entry.group, opened[0].assign_attrs(label)
 
 
 def _navigation(collect: Collect, findings: Findings) -> Iterator[tuple[Path, Navigation]]:

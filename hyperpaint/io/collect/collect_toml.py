@@ -10,10 +10,9 @@ from pathlib import Path
 from typing import Any
 
 from hyperpaint.base.errors import CollectError, FormatError, Problems, TimeError
+from hyperpaint.io.files import toml_checks as check
 from hyperpaint.io.files.toml_tables import TableReader, load_tables, shown
 from hyperpaint.io.flightline.timing import utc_of
-
-from .collect_schema import LISTS, SCHEMA
 
 __all__ = [
     "Camera",
@@ -28,6 +27,66 @@ __all__ = [
 _ID = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,99}")
 #: Names that mean something to Zarr.
 _RESERVED = {"zarr.json", "c"}
+_STAMP = check.one_of("start", "mid", "end")
+_SCHEMA: Mapping[str, Mapping[str, check.Check]] = {
+    "collect": {"name": check.text, "description": check.text},
+    "camera": {
+        "bit_depth": check.whole(1, 16),
+        "saturation_count": check.positive,
+        "exposure_time_ms": check.positive,
+        "frame_period_ms": check.positive,
+        "stamp": _STAMP,
+        "clock_offset_s": check.number,
+        "time_scale": check.one_of("utc", "gps"),
+        "gps_leap_seconds": check.whole(-100, 100),
+        "fwhm_nm": check.positive,
+        "radiance_units": check.text,
+    },
+    "navigation": {
+        "roll_positive": check.one_of("right_wing_down", "right_wing_up"),
+        "pitch_positive": check.one_of("nose_up", "nose_down"),
+        "heading_positive": check.one_of("clockwise", "counterclockwise"),
+        "heading_reference": check.one_of("true", "grid", "magnetic"),
+        "euler_order": check.one_of("ZYX", "ZXY", "XYZ"),
+        "height_reference": check.one_of("ellipsoid", "geoid"),
+        "column_order": check.one_of("left_to_right", "right_to_left"),
+        "declination": check.number,
+        "geoid_undulation": check.number,
+        "grid_crs": check.text,
+    },
+    "calibration": {"path": check.text, "sweep": check.text},
+    "dark": {"cubes": check.texts},
+    "irradiance": {
+        "files": check.texts,
+        "quantity": check.text,
+        "utc_offset_h": check.number,
+        "clock_offset_s": check.number,
+        "stamp": _STAMP,
+        "fwhm_nm": check.positive,
+        "max_gap_s": check.positive,
+        "clock_uncertainty_s": check.not_negative,
+        "units": check.text,
+        "averaging_s": check.number,
+        "calibration": check.table,
+    },
+    "flightlines": {
+        "id": check.text,
+        "cube": check.text,
+        "frame_index": check.text,
+        "nav": check.text,
+        "gps_time": check.text,
+        "date": check.time,
+        "start_time": check.time,
+        "exposure_time_ms": check.positive,
+        "frame_period_ms": check.positive,
+        "keep_whole_lines": check.flag,
+    },
+    "references": {"instrument": check.text, "files": check.texts},
+}
+"""Check of every key of every table."""
+
+_LISTS = ("flightlines", "references")
+"""Tables that may be there several times."""
 
 
 @dataclass(frozen=True)
@@ -138,7 +197,7 @@ class _Reader(TableReader):
         #: Tables, and ids of flight lines without times, whose problems have been noted.
         self.reported: set[str] = set()
         self.dark = self._dark_word(raw)
-        super().__init__(path, raw, SCHEMA, LISTS, problems)
+        super().__init__(path, raw, _SCHEMA, _LISTS, problems)
 
     def _dark_word(self, raw: Mapping[str, Any]) -> str | None:
         word = raw.get("dark")
@@ -191,10 +250,10 @@ def _dark(reader: _Reader) -> tuple[Path, ...] | str | None:
     if reader.dark is not None:
         return reader.dark
     table = reader.one("dark")
-    found = reader.files("[dark]", "cubes", table["cubes"]) if "cubes" in table else ()
-    if not found and table["?"]:
+    cubes = reader.files("[dark]", "cubes", table["cubes"]) if "cubes" in table else ()
+    if not cubes and table["?"]:
         reader.reported.add("dark")
-    return found or None
+    return cubes or None
 
 
 def _irradiance(reader: _Reader) -> IrradianceEntry | None:
@@ -205,11 +264,11 @@ def _irradiance(reader: _Reader) -> IrradianceEntry | None:
         return None
     options = {key: value for key, value in table.items() if key not in ("?", "files", "calibration")}
     if "calibration" in table:
-        found = {
+        certificates = {
             str(key): reader.path("[irradiance.calibration]", str(key), str(value))
             for key, value in table["calibration"].items()
         }
-        options["calibration"] = {key: path for key, path in found.items() if path is not None}
+        options["calibration"] = {key: path for key, path in certificates.items() if path is not None}
     return IrradianceEntry(reader.files("[irradiance]", "files", table["files"]), options)
 
 
@@ -273,8 +332,8 @@ def _flightlines(reader: _Reader, camera: Camera) -> tuple[FlightlineEntry, ...]
     tables = reader.tables["flightlines"]
     if not tables:
         reader.problems.add("no [[flightlines]]: at least one with a cube is needed")
-    found = [_flightline(reader, number, table, camera) for number, table in enumerate(tables)]
-    entries = [entry for entry in found if entry is not None]
+    candidates = [_flightline(reader, number, table, camera) for number, table in enumerate(tables)]
+    entries = [entry for entry in candidates if entry is not None]
     # as on file systems that ignore case
     names = [entry.id.lower() for entry in entries]
     for name in sorted({name for name in names if names.count(name) > 1}):
@@ -285,7 +344,7 @@ def _flightlines(reader: _Reader, camera: Camera) -> tuple[FlightlineEntry, ...]
 
 
 def _references(reader: _Reader) -> tuple[ReferenceEntry, ...]:
-    made: list[ReferenceEntry] = []
+    entries: list[ReferenceEntry] = []
     for number, table in enumerate(reader.tables["references"]):
         place = f"[[references]] {number + 1}"
         absent = [key for key in ("instrument", "files") if key not in table["?"]]
@@ -298,11 +357,11 @@ def _references(reader: _Reader) -> tuple[ReferenceEntry, ...]:
         if not _ID.fullmatch(group) or group in _RESERVED:
             expected = "letters, digits, blanks, '.', '_' and '-': it names a group of the store"
             reader.problems.add(f"{place} instrument = {shown(name)}, expected {expected}")
-        elif group.lower() in (entry.group.lower() for entry in made):
+        elif group.lower() in (entry.group.lower() for entry in entries):
             reader.problems.add(f"{place} instrument {name!r} is there already; list all its files in one")
         else:
-            made.append(ReferenceEntry(name, reader.files(place, "files", table["files"])))
-    return tuple(made)
+            entries.append(ReferenceEntry(name, reader.files(place, "files", table["files"])))
+    return tuple(entries)
 
 
 def parse_collect(path: Path, problems: Problems, *, need_irradiance: bool) -> tuple[Collect, set[str]]:
@@ -368,6 +427,6 @@ def read_collect(path: str | os.PathLike[str], *, need_irradiance: bool = True) 
     """
     path = Path(path)
     problems = Problems(f"{path} cannot be processed", CollectError)
-    made, _ = parse_collect(path, problems, need_irradiance=need_irradiance)
+    collect, _ = parse_collect(path, problems, need_irradiance=need_irradiance)
     problems.raise_if_any()
-    return made
+    return collect

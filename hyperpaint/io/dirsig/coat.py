@@ -25,7 +25,7 @@ class Coat:
     ----------
     mirror_reflection
         Whether the library's reflectance holds it: ``included`` or ``excluded``.
-    told
+    is_declared
         Whether the library says so.
     specular
         Fraction of DIRSIG's reflectance that is specular; ``library`` for what the library's
@@ -33,13 +33,13 @@ class Coat:
     """
 
     mirror_reflection: str
-    told: bool
+    is_declared: bool
     specular: float | str
 
     @property
     def attrs(self) -> dict[str, str]:
         """Attributes that say what was done."""
-        source = "told by the library" if self.told else "not told by the library, taken to be so"
+        source = "told by the library" if self.is_declared else "not told by the library, taken to be so"
         term = (
             "none: reflectance is diffuse"
             if self.specular == 0.0
@@ -79,13 +79,13 @@ def coat_of(library: xr.Dataset, specular: float | str) -> Coat:
     """
     problems = Problems("no specular term can be written", SchemaError)
     apart = "specular_reflectance" in library.variables
-    told = None
+    declared = None
     try:
-        told = mirror_reflection(library)
+        declared = mirror_reflection(library)
     except SchemaError as error:
         problems.add(str(error))
     # of measured reflectance the safe guess: a coat that is counted twice is not seen by anyone
-    mirror = told or INCLUDED
+    mirror = declared or INCLUDED
     number = specular if not isinstance(specular, str) else None
     if number is not None and not 0.0 <= number < 1.0:
         problems.add(f"specular={specular!r}, expected 0 to below 1, or 'library'")
@@ -100,4 +100,4 @@ def coat_of(library: xr.Dataset, specular: float | str) -> Coat:
             f"--specular-sky), with reflectance.attrs['mirror_reflection'] = {EXCLUDED!r}"
         )
     problems.raise_if_any()
-    return Coat(mirror, told is not None, number if number is not None else specular)
+    return Coat(mirror, declared is not None, number if number is not None else specular)

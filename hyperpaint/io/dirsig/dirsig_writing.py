@@ -248,7 +248,7 @@ def _names(library: xr.Dataset, scene: str | os.PathLike[str] | None) -> list[di
     names = names or [f"paint {number}" for number in range(1, library.sizes[PAINT] + 1)]
     tokens = material_ids(names, [material.id for material in taken])
     plain = material_names(names, [material.name for material in taken])
-    about = [name for name, known in library.coords.items() if known.dims == (PAINT,) and name != PAINT]
+    about = [name for name, column in library.coords.items() if column.dims == (PAINT,) and name != PAINT]
     texts = {str(name): [str(value) for value in library[name].values] for name in about}
     return [
         {
@@ -257,7 +257,7 @@ def _names(library: xr.Dataset, scene: str | os.PathLike[str] | None) -> list[di
             "name": plain[number],
             "emissivity_file": f"{EMISSIVITY}/{tokens[number]}.ems",
             "reflectance_file": f"{REFLECTANCE}/{tokens[number]}.txt",
-            "about": {name: column[number] for name, column in texts.items() if column[number]},
+            "about": {name: values[number] for name, values in texts.items() if values[number]},
         }
         for number in range(len(names))
     ]
@@ -280,7 +280,7 @@ def _write_spectra(
         for number, record in enumerate(records[paints]):
             centre, curves = values["centre"][number], values["curves"][number]
             try:
-                made = curves_of(axis, centre, curves, choices)
+                spectra = curves_of(axis, centre, curves, choices)
             except PaintProblemError as error:
                 if len(problems) < _MOST_TOLD:
                     problems.add(f"{record['paint']!r}: {error}")
@@ -291,11 +291,11 @@ def _write_spectra(
             fraction = coat.fraction(np.where(axis.good, centre[axis.order], np.nan),
                                      None if mirror is None else mirror[axis.order])  # fmt: skip
             if not len(problems):
-                key = made.wavelength.tobytes()
+                key = spectra.wavelength.tobytes()
                 if key not in formats:
                     formats.clear()  # paints in turn are alike; what they need is not kept for ever
-                    formats[key] = ColumnText(made.wavelength, CURVE_BEGIN), ColumnText(made.wavelength)
-                record |= _write_paint(made, fraction, build, record, *formats[key])
+                    formats[key] = ColumnText(spectra.wavelength, CURVE_BEGIN), ColumnText(spectra.wavelength)
+                record |= _write_paint(spectra, fraction, build, record, *formats[key])
         if progress is not None:
             progress(paints.stop, len(records))
     if more:
@@ -304,7 +304,7 @@ def _write_spectra(
 
 
 def _write_paint(
-    made: PaintCurves,
+    spectra: PaintCurves,
     fraction: float,
     build: Path,
     record: Mapping[str, Any],
@@ -314,28 +314,28 @@ def _write_paint(
     """Write the files of one paint; return the rest of its record."""
     clipped = 0
     with open(build / record["emissivity_file"], "wb") as file:
-        file.write(emissivity_head(len(made.curves)))
-        for start in range(0, len(made.curves), _AT_ONCE):
-            total = made.curves[start : start + _AT_ONCE] / (1.0 - fraction)
+        file.write(emissivity_head(len(spectra.curves)))
+        for start in range(0, len(spectra.curves), _AT_ONCE):
+            total = spectra.curves[start : start + _AT_ONCE] / (1.0 - fraction)
             clipped += int(((total < 0.0) | (total > 1.0)).sum())
             file.write(curve_text.text(1.0 - np.clip(total, 0.0, 1.0)))
-    outside = int(((made.centre < 0.0) | (made.centre > 1.0)).sum())
-    centre = np.clip(made.centre, 0.0, 1.0)
+    outside = int(((spectra.centre < 0.0) | (spectra.centre > 1.0)).sum())
+    centre = np.clip(spectra.centre, 0.0, 1.0)
     (build / record["reflectance_file"]).write_bytes(plain_text.text(centre[np.newaxis]))
-    beyond = [name for name, is_so in (("below", made.below), ("above", made.above)) if is_so]
+    beyond = [name for name, is_so in (("below", spectra.below), ("above", spectra.above)) if is_so]
     return {
-        "wavelength": [float(made.wavelength[0]), float(made.wavelength[-1])],
-        "measured": list(made.measured),
-        "bands": len(made.wavelength),
-        "curves": len(made.curves),
+        "wavelength": [float(spectra.wavelength[0]), float(spectra.wavelength[-1])],
+        "measured": list(spectra.measured),
+        "bands": len(spectra.wavelength),
+        "curves": len(spectra.curves),
         "clipped": clipped,
         "centre_clipped": outside,
-        "interpolated": made.interpolated,
-        "centre_interpolated": made.centre_interpolated,
-        "left_out": made.left_out,
+        "interpolated": spectra.interpolated,
+        "centre_interpolated": spectra.centre_interpolated,
+        "left_out": spectra.left_out,
         "extrapolated": " and ".join(beyond),
         "specular_fraction": fraction,
-        "editor_color": _colour(made.wavelength, centre),
+        "editor_color": _colour(spectra.wavelength, centre),
     }
 
 
@@ -348,22 +348,22 @@ def _colour(wavelength: Array, reflectance: Array) -> list[float]:
 
 def _source(library: xr.Dataset) -> dict[str, str]:
     """Return what the library says of itself."""
-    kept = {name: library.attrs[name] for name in ("title", "source", "provenance", "references", "license")
+    texts = {name: library.attrs[name] for name in ("title", "source", "provenance", "references", "license")
             if name in library.attrs}  # fmt: skip
-    return {f"library_{name}": str(value) for name, value in kept.items()}
+    return {f"library_{name}": str(value) for name, value in texts.items()}
 
 
 def _warn(records: list[dict[str, Any]]) -> None:
     """Tell what was done to the spectra that their reader would not expect."""
-    told = []
+    messages = []
     for key, what in (("clipped", "samples outside 0 to 1 were clipped"),
                       ("centre_clipped", "samples of centres outside 0 to 1 were clipped"),
                       ("left_out", "members that lack an end of the range were left out")):  # fmt: skip
         number, paints = sum(record[key] for record in records), sum(bool(record[key]) for record in records)
         if number:
-            told.append(f"{number} {what} (in {paints} of {len(records)} paints)")
-    if told:
-        warnings.warn(f"DIRSIG materials: {'; '.join(told)}; see README.txt", PaintWarning, stacklevel=3)
+            messages.append(f"{number} {what} (in {paints} of {len(records)} paints)")
+    if messages:
+        warnings.warn(f"DIRSIG materials: {'; '.join(messages)}; see README.txt", PaintWarning, stacklevel=3)
 
 
 def _summary(records: list[dict[str, Any]], attrs: Mapping[str, str]) -> xr.Dataset:

@@ -123,8 +123,8 @@ def _parse(data: bytes, name: str) -> Emissivity:
 
 
 def _count(line: bytes, problems: Problems) -> int:
-    found = _COUNT.fullmatch(line)
-    count = int(found[1]) if found else 0
+    match = _COUNT.fullmatch(line)
+    count = int(match[1]) if match else 0
     if not 1 <= count <= MOST_CURVES:
         problems.add(f"line 1: {_shown(line)}, expected a number of curves, 1 to {MOST_CURVES}")
     return count
@@ -162,10 +162,10 @@ def _curves(body: bytes, count: int, problems: Problems) -> tuple[str, list[Curv
     curves = []
     ends = [mark.start() for mark in marks[1:]] + [len(body)]
     line = _WEIGHTS + 3 + body.count(b"\n", 0, start)
-    for number, (found, end) in enumerate(zip(marks, ends, strict=True)):
-        if not new and int(found[1]) != number:
-            problems.add(f"line {line - 1}: curve {int(found[1])}, expected {number}")
-        rows = body[found.end() : end]
+    for number, (heading, end) in enumerate(zip(marks, ends, strict=True)):
+        if not new and int(heading[1]) != number:
+            problems.add(f"line {line - 1}: curve {int(heading[1])}, expected {number}")
+        rows = body[heading.end() : end]
         if (table := _table(rows, line, problems)) is not None:
             curve, wrong = _new_curve(table) if new else _old_curve(table)
             if wrong:
@@ -269,13 +269,13 @@ def open_emissivity(path: str | os.PathLike[str]) -> xr.Dataset:
     import xarray as xr
 
     place = Path(path)
-    found = read_emissivity(place)
-    wavelength = found.curves[0].wavelength
-    if not all(np.array_equal(curve.wavelength, wavelength) for curve in found.curves):
+    file = read_emissivity(place)
+    wavelength = file.curves[0].wavelength
+    if not all(np.array_equal(curve.wavelength, wavelength) for curve in file.curves):
         raise FormatError(
             f"{place}: curves on different wavelengths, expected the same for all; read_emissivity has each"
         )
-    members = 1.0 - np.array([curve.emissivity for curve in found.curves])
+    members = 1.0 - np.array([curve.emissivity for curve in file.curves])
     values = {
         "reflectance": members.mean(axis=0, dtype=np.float64)[np.newaxis].astype(np.float32),
         "member_reflectance": members[np.newaxis].astype(np.float32),
@@ -293,5 +293,5 @@ def open_emissivity(path: str | os.PathLike[str]) -> xr.Dataset:
             PAINT: np.array([place.stem], object),
             "wavelength": (BAND, shown, LIBRARY_VARIABLES["wavelength"].attrs),
         },
-        {"source": place.name, "layout": f"DIRSIG emissivity, {found.layout}"},
+        {"source": place.name, "layout": f"DIRSIG emissivity, {file.layout}"},
     )

@@ -83,9 +83,9 @@ class ColumnText:
     def text(self, values: npt.NDArray[Any]) -> bytes:
         """Return the text of spectra (spectrum, wavelength) between 0 and 1."""
         left = np.rint(np.asarray(values, np.float64) * 10**DECIMALS).astype(np.uint32)
-        made = np.repeat(self._template[np.newaxis], len(left), axis=0)
+        texts = np.repeat(self._template[np.newaxis], len(left), axis=0)
         tables = [
-            (made[:, place].reshape(len(left), -1, width), columns) for place, columns, width in self._runs
+            (texts[:, place].reshape(len(left), -1, width), columns) for place, columns, width in self._runs
         ]
         for digit in range(DECIMALS + 1):
             rest = left // np.uint32(10)
@@ -95,4 +95,4 @@ class ColumnText:
             for table, columns in tables:
                 table[:, :, at] = shown[:, columns]
             left = rest
-        return made.tobytes()
+        return texts.tobytes()

@@ -50,9 +50,9 @@ def export_folder(folder: str | os.PathLike[str], *, overwrite: bool) -> Iterato
         yield build
 
 
-def write_marker(build: Path, told: Mapping[str, Any]) -> None:
+def write_marker(build: Path, content: Mapping[str, Any]) -> None:
     """Write what an export says of itself, by which it is known for one."""
-    document = {"format": _FORMAT, "version": 1, **told}
+    document = {"format": _FORMAT, "version": 1, **content}
     text = json.dumps(document, indent=1, ensure_ascii=False) + "\n"
     (build / _MARKER).write_bytes(text.encode("utf-8", "backslashreplace"))
 

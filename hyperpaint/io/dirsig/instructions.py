@@ -60,10 +60,7 @@ def material_section(
     if surface == "ClassicEmissivity":
         fraction = f"{record['specular_fraction']:g}"
         files = (("FILENAME", record["emissivity_file"]), ("SPECULAR_FRACTION", fraction))
-        properties: tuple[Any, ...] = (
-            ("EMISSIVITY_PROP_NAME", surface),
-            Section("EMISSIVITY_PROP", files),
-        )
+        properties: tuple[Any, ...] = (("EMISSIVITY_PROP_NAME", surface), Section("EMISSIVITY_PROP", files))
     else:
         properties = (
             ("REFLECTANCE_PROP_NAME", surface),
@@ -201,5 +198,5 @@ def _table(records: Sequence[Mapping[str, Any]]) -> str:
         for record in records
         if record["paint"] != record["name"]
     ]
-    told = ["", "Names in plain ASCII, all different:", *names] if names else []
-    return "\n".join([head, *rows, *told])
+    renamed = ["", "Names in plain ASCII, all different:", *names] if names else []
+    return "\n".join([head, *rows, *renamed])

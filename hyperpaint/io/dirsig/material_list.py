@@ -96,8 +96,8 @@ class Material:
 
     def _of(self, part: str, key: str) -> str | None:
         surface = self.entry.section("SURFACE_PROPERTIES")
-        found = surface.section(part) if surface else None
-        return found.get(key) if found else None
+        properties = surface.section(part) if surface else None
+        return properties.get(key) if properties else None
 
 
 def read_materials(path: str | os.PathLike[str]) -> tuple[Material, ...]:
@@ -138,8 +138,8 @@ def _parse(text: str, problems: Problems) -> list[Section]:
         if line == "}" and len(opened) > 1:
             opened.pop()
             opened[-1][2].append(Section(name, tuple(items)))
-        elif (found := _OPENED.fullmatch(line)) and len(opened) <= _DEEPEST:
-            opened.append((found[1], number, []))
+        elif (heading := _OPENED.fullmatch(line)) and len(opened) <= _DEEPEST:
+            opened.append((heading[1], number, []))
         elif name and (pair := _VARIABLE.fullmatch(line) or (name == "LUT" and _LOOK_UP.fullmatch(line))):
             items.append((pair[1], pair[2]))
         else:
@@ -170,9 +170,9 @@ def _material(entry: Section, number: int, problems: Problems) -> Material:
             problems.add(f"{who}: no NAME")
         for text in _section_problems(entry):
             problems.add(f"{who}: {text}")
-        found = Material(token, name, entry)._of("EMISSIVITY_PROP", "SPECULAR_FRACTION")
-        if found is not None and not _is_fraction(found):
-            problems.add(f"{who}: SPECULAR_FRACTION = {found[:40]!r}, expected 0 to 1")
+        fraction = Material(token, name, entry)._of("EMISSIVITY_PROP", "SPECULAR_FRACTION")
+        if fraction is not None and not _is_fraction(fraction):
+            problems.add(f"{who}: SPECULAR_FRACTION = {fraction[:40]!r}, expected 0 to 1")
     return Material(token, name, entry)
 
 

@@ -113,11 +113,11 @@ class Axis:
     """
 
     def __init__(self, library: xr.Dataset) -> None:
-        known = [name for name in ("wavelength", "good") if name in library.variables]
-        found = require(library, known, "DIRSIG materials", LIBRARY_VARIABLES)
-        wavelength = np.asarray(found["wavelength"].values, np.float64)
-        known_all = np.isfinite(wavelength).all() and wavelength.size
-        if not (known_all and wavelength.min() >= SHORTEST and wavelength.max() <= LONGEST):
+        names = [name for name in ("wavelength", "good") if name in library.variables]
+        arrays = require(library, names, "DIRSIG materials", LIBRARY_VARIABLES)
+        wavelength = np.asarray(arrays["wavelength"].values, np.float64)
+        is_finite = np.isfinite(wavelength).all() and wavelength.size
+        if not (is_finite and wavelength.min() >= SHORTEST and wavelength.max() <= LONGEST):
             raise SchemaError(
                 f"a wavelength is unknown or far off, expected {SHORTEST:g} to {LONGEST:g} nm; drop the band"
             )
@@ -134,7 +134,7 @@ class Axis:
         if same := np.flatnonzero(np.diff(written) <= 0.0).tolist():
             shown = ", ".join(f"{self.wavelength[band]:.4f}" for band in same[:8])
             raise SchemaError(f"two bands at {shown} nm, expected one; keep one detector there")
-        good = found["good"].values.astype(bool) if "good" in found else np.ones(len(written), bool)
+        good = arrays["good"].values.astype(bool) if "good" in arrays else np.ones(len(written), bool)
         self.good = good[self.order]
 
 
@@ -157,10 +157,10 @@ def blocks_of(library: xr.Dataset, choices: Choices) -> Iterator[tuple[slice, di
     for start in range(0, count, step):
         paints = slice(start, min(start + step, count))
         part = library[names].isel({PAINT: paints}).load()
-        found = require(part, names, "DIRSIG materials", {**LIBRARY_VARIABLES, **_extra(part)})
-        made = {key: array.values for key, array in found.items()}
-        curves = made[name] if made[name].ndim == 3 else made[name][:, np.newaxis]
-        yield paints, {**made, "centre": made["reflectance"], "curves": curves}
+        arrays = require(part, names, "DIRSIG materials", {**LIBRARY_VARIABLES, **_extra(part)})
+        blocks = {key: array.values for key, array in arrays.items()}
+        curves = blocks[name] if blocks[name].ndim == 3 else blocks[name][:, np.newaxis]
+        yield paints, {**blocks, "centre": blocks["reflectance"], "curves": curves}
 
 
 def _specular(library: xr.Dataset) -> list[str]:
@@ -282,8 +282,8 @@ def _without_holes(wavelength: Array, curves: Array, choices: Choices) -> tuple[
         raise PaintProblemError(
             "no curve reaches both ends of the range; choose a shorter wavelength_range, or curves='centre'"
         )
-    made, missing = curves[whole], missing[whole]
-    for row, holes in zip(made, missing, strict=True):
+    complete, missing = curves[whole], missing[whole]
+    for row, holes in zip(complete, missing, strict=True):
         if holes.any():
             row[holes] = np.interp(wavelength[holes], wavelength[~holes], row[~holes])
-    return made, int(missing.sum()), int((~whole).sum())
+    return complete, int(missing.sum()), int((~whole).sum())

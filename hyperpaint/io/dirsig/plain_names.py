@@ -72,12 +72,12 @@ def _unique(texts: list[str], taken: Collection[str], suffix: str) -> list[str]:
     """Return the texts, with a number where one is there already in upper or lower case."""
     used = {text.casefold() for text in taken}
     count: dict[str, int] = {}
-    made = []
+    unique = []
     for text in texts:
         key, given = text.casefold(), text
         while given.casefold() in used:
             count[key] = count.get(key, 1) + 1
             given = text + suffix.format(count[key])
         used.add(given.casefold())
-        made.append(given)
-    return made
+        unique.append(given)
+    return unique

@@ -126,27 +126,27 @@ class EnviArray(BackendArray):
             fit = tuple(-1 if axis == self.band_axis else 1 for axis in range(3))
             bands = positions[self.band_axis]
             values = self.scaling.apply(values, lambda vector: vector[bands].reshape(fit))
-        kept = [size for size, index in zip(values.shape, key, strict=True) if not _is_integer(index)]
-        return values.reshape(kept)
+        shape = [size for size, index in zip(values.shape, key, strict=True) if not _is_integer(index)]
+        return values.reshape(shape)
 
     def _read(self, positions: list[Ints]) -> Array:
         shape = tuple(len(wanted) for wanted in positions)
-        made = np.empty(shape, self.stored.newbyteorder("="))
-        if made.size == 0:
-            return made
+        samples = np.empty(shape, self.stored.newbyteorder("="))
+        if samples.size == 0:
+            return samples
         # the same memory, its axes in the order of the file
-        in_file_order = made.transpose(np.argsort(self.axes))
+        in_file_order = samples.transpose(np.argsort(self.axes))
         along = [positions[axis] for axis in np.argsort(self.axes)]
         with open(self.path, "rb", buffering=0) as file:
             self._refuse_changed(file)
             if self.axes == (0, 1, 2) and _is_slab(along, self.file_shape):
                 first = int(along[0][0]) * self.file_shape[1] * self.file_shape[2]
-                self._fill(file, first, made.reshape(-1))
+                self._fill(file, first, samples.reshape(-1))
                 if not self.stored.isnative:
-                    made.byteswap(inplace=True)
+                    samples.byteswap(inplace=True)
             else:
                 self._gather(file, along, in_file_order)
-        return made
+        return samples
 
     def _refuse_changed(self, file: io.FileIO) -> None:
         """Raise where the file is not the one that was opened: its layout and meaning may be others."""

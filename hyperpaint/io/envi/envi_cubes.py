@@ -74,25 +74,25 @@ def find_pair(path: str | os.PathLike[str]) -> tuple[Path, Path]:
 def _data_of(header: Path) -> Path:
     whole = header.with_suffix("")
     suffixes = [suffix for lower in _DATA_SUFFIXES for suffix in (lower, lower.upper())]
-    found = _existing([whole]) or _existing([Path(f"{whole}{suffix}") for suffix in suffixes])
-    if not found:
+    candidates = _existing([whole]) or _existing([Path(f"{whole}{suffix}") for suffix in suffixes])
+    if not candidates:
         raise FormatError(
             f"ENVI header {str(header)!r} has no data file beside it; "
             f"expected {whole.name!r}, with no suffix or with one of {' '.join(_DATA_SUFFIXES)}"
         )
-    if len(found) > 1:
-        names = ", ".join(repr(path.name) for path in found)
+    if len(candidates) > 1:
+        names = ", ".join(repr(path.name) for path in candidates)
         raise FormatError(f"ENVI header {str(header)!r} could belong to {names}; open the data file you mean")
-    return found[0]
+    return candidates[0]
 
 
 def _existing(candidates: list[Path]) -> list[Path]:
     """Return the files among the candidates; two spellings of one file count once."""
-    found: list[Path] = []
+    files: list[Path] = []
     for path in candidates:
-        if path.is_file() and not any(path.samefile(other) for other in found):
-            found.append(path)
-    return found
+        if path.is_file() and not any(path.samefile(other) for other in files):
+            files.append(path)
+    return files
 
 
 def open_envi(path: str | os.PathLike[str], *, keep_whole_lines: bool = False) -> xr.Dataset:
@@ -216,21 +216,21 @@ def _has_gain(header: EnviHeader) -> bool:
     return bool((gain is not None and (gain != 1).any()) or (offset is not None and (offset != 0).any()))
 
 
-def _lines_in_file(header: EnviHeader, path: Path, found: int, keep_whole_lines: bool) -> int:
+def _lines_in_file(header: EnviHeader, path: Path, size: int, keep_whole_lines: bool) -> int:
     """Return the number of lines; raise where the file is not as long as the header says."""
     expected = header.header_offset + header.lines * header.line_bytes
-    if found == expected:
+    if size == expected:
         return header.lines
-    whole, remainder = divmod(max(0, found - header.header_offset), header.line_bytes)
+    whole, remainder = divmod(max(0, size - header.header_offset), header.line_bytes)
     by_lines = header.interleave != "bsq"
-    possible = by_lines and whole >= 1 and (found < expected or remainder == 0)
+    possible = by_lines and whole >= 1 and (size < expected or remainder == 0)
     if keep_whole_lines and possible:
         return whole
-    change = "shorter" if found < expected else "longer"
+    change = "shorter" if size < expected else "longer"
     problem = (
-        f"found {found} bytes, expected {expected} ({header.header_offset} + {header.lines} lines x "
+        f"found {size} bytes, expected {expected} ({header.header_offset} + {header.lines} lines x "
         f"{header.bands} bands x {header.samples} samples x {header.dtype.itemsize} bytes): the file is "
-        f"{abs(expected - found)} bytes {change} than its header says"
+        f"{abs(expected - size)} bytes {change} than its header says"
     )
     if by_lines:
         problem += f"\nit holds {whole} whole lines and {remainder} bytes more"
@@ -247,16 +247,16 @@ def _lines_in_file(header: EnviHeader, path: Path, found: int, keep_whole_lines:
 
 
 def _warn(header: EnviHeader, path: Path, lines: int) -> None:
-    found = list(header.warnings)
+    messages = list(header.warnings)
     if _is_unscaled(header):
-        found.append(
+        messages.append(
             "the description says REFLECTANCE but integers are stored and no scale is given: opened as "
             "'values'; add for example 'reflectance scale factor = 10000' to the header"
         )
     if lines != header.lines:
-        found.append(f"{lines} whole lines are kept where the header says {header.lines}")
-    if found:
-        warnings.warn(f"{path.name}: {'; '.join(found)}", PaintWarning, stacklevel=3)
+        messages.append(f"{lines} whole lines are kept where the header says {header.lines}")
+    if messages:
+        warnings.warn(f"{path.name}: {'; '.join(messages)}", PaintWarning, stacklevel=3)
 
 
 def _level(header: EnviHeader) -> str | None:

@@ -259,8 +259,8 @@ class _Reader:
         text = self.fields.get(key)
         if text is not None and text.lower() in allowed:
             return allowed[text.lower()]
-        found = "missing" if text is None else shown(text)
-        self.findings.problem(f"{key!r} is {found}, expected one of {', '.join(allowed)}")
+        stated = "missing" if text is None else shown(text)
+        self.findings.problem(f"{key!r} is {stated}, expected one of {', '.join(allowed)}")
         return None
 
     def number(self, key: str) -> float | None:
@@ -282,10 +282,10 @@ class _Reader:
             return None
         text = bare(text)
         # counted before it is split: a list of millions never becomes objects unless the cube is as large
-        found = sum(1 for _ in _ITEM.finditer(text))
-        if found != count:
+        size = sum(1 for _ in _ITEM.finditer(text))
+        if size != count:
             self.findings.problem(
-                f"{key!r} has {found} values for {count} {per}; expected one for each, or no {key!r} at all"
+                f"{key!r} has {size} values for {count} {per}; expected one for each, or no {key!r} at all"
             )
             return None
         try:
@@ -387,12 +387,12 @@ def _band_names(reader: _Reader, bands: int) -> tuple[str, ...]:
     text = bare(reader.fields.get("band names", ""))
     if not text:
         return ()
-    found = text.rstrip(", \t\n").count(",") + 1
-    if found > max(1000, 10 * bands):
-        reader.findings.problem(f"'band names' has {found} names for {bands} bands; delete the list")
+    count = text.rstrip(", \t\n").count(",") + 1
+    if count > max(1000, 10 * bands):
+        reader.findings.problem(f"'band names' has {count} names for {bands} bands; delete the list")
         return ()
-    if found != bands:
-        reader.findings.note(f"'band names' has {found} names for {bands} bands: names ignored")
+    if count != bands:
+        reader.findings.note(f"'band names' has {count} names for {bands} bands: names ignored")
         return ()
     return tuple(name.strip() for name in text.rstrip(", \t\n").split(","))
 
@@ -433,10 +433,10 @@ def _spectral_axis(
 
 def _in_nanometres(values: Floats, factor: float, name: str, reader: _Reader) -> Floats:
     with np.errstate(over="ignore"):
-        made: Floats = values * factor
-    if not np.isfinite(made).all():
+        nanometres: Floats = values * factor
+    if not np.isfinite(nanometres).all():
         reader.findings.problem(f"{name!r} holds values up to {values.max():.3g}: no wavelength is so long")
-    return made
+    return nanometres
 
 
 def _nanometres_per_unit(unit: str, wavelength: Floats | None, findings: Findings) -> float:
@@ -459,16 +459,16 @@ def _nanometres_per_unit(unit: str, wavelength: Floats | None, findings: Finding
 
 def _wavelength_of_names(names: tuple[str, ...], findings: Findings) -> Floats | None:
     """Return the wavelengths that GDAL leaves in band names, such as ``399.356 nm``."""
-    found = []
+    centres = []
     for name in names:
         match = _NAMED_WAVELENGTH.search(name[:200])
         if match is None or float(match[1]) <= 0:
             return None
-        found.append(float(match[1]) * _NANOMETRES[match[2].lower()])
-    if not found:
+        centres.append(float(match[1]) * _NANOMETRES[match[2].lower()])
+    if not centres:
         return None
     findings.note("no wavelength list: wavelengths taken from the band names")
-    return np.array(found, dtype=np.float64)
+    return np.array(centres, dtype=np.float64)
 
 
 def _map_info(reader: _Reader) -> MapInfo | None:

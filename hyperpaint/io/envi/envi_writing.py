@@ -196,10 +196,14 @@ def _spectral(dataset: xr.Dataset) -> list[str]:
         if (chosen := nearest_bands(nm, RGB_WAVELENGTHS)) is not None:
             rows.append(f"default bands = {{{', '.join(str(band + 1) for band in chosen)}}}")
     for key, name in (("fwhm", "fwhm"), ("bbl", "good")):
-        found = dataset.variables.get(name)
-        if found is not None and found.dims == (BAND,) and np.isfinite(found.values.astype(np.float64)).all():
-            flags = [str(int(value)) for value in found.values]
-            rows.append(f"{key} = {_wrapped(flags) if key == 'bbl' else _listed(found.values)}")
+        variable = dataset.variables.get(name)
+        if (
+            variable is not None
+            and variable.dims == (BAND,)
+            and np.isfinite(variable.values.astype(np.float64)).all()
+        ):
+            flags = [str(int(value)) for value in variable.values]
+            rows.append(f"{key} = {_wrapped(flags) if key == 'bbl' else _listed(variable.values)}")
     return rows
 
 

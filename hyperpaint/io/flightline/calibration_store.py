@@ -169,13 +169,13 @@ def check_calibration(dataset: xr.Dataset, subject: str = "this Dataset") -> xr.
     wanted = [*_REQUIRED, *(name for name in (*_OPTIONAL, *_OF_A_SWEEP) if name in dataset.variables)]
     if shape == "tabulated" or "srf" in dataset.variables:
         wanted += _TABULATED
-    made: dict[str, xr.DataArray] = {}
+    arrays: dict[str, xr.DataArray] = {}
     for name in wanted:
         try:
-            made[name] = _variable(dataset, name)
+            arrays[name] = _variable(dataset, name)
         except (SchemaError, UnitsError) as error:
             problems.add(str(error))
-    for name, array in made.items():
+    for name, array in arrays.items():
         _check_values(name, array.to_numpy(), problems)
     if shape is not None and shape not in SRF_SHAPES:
         problems.add(f"attribute srf_shape {shape!r}, expected one of {', '.join(SRF_SHAPES)}")
@@ -189,11 +189,13 @@ def check_calibration(dataset: xr.Dataset, subject: str = "this Dataset") -> xr.
             f"{subject}: no attribute srf_shape; a Gaussian line shape is assumed", PaintWarning, stacklevel=2
         )
     for other, array in dataset.data_vars.items():
-        known = str(other) in VARIABLES
-        if not known and array.ndim and set(array.dims) <= set(_ELEMENT) and array.dtype.kind in "fiu":
-            made[str(other)] = array
-    coords = {name: made.pop(name) for name in list(made) if name in VARIABLES and VARIABLES[name].coordinate}
-    return xr.Dataset(made, coords, {**dataset.attrs, "srf_shape": shape})
+        in_table = str(other) in VARIABLES
+        if not in_table and array.ndim and set(array.dims) <= set(_ELEMENT) and array.dtype.kind in "fiu":
+            arrays[str(other)] = array
+    coords = {
+        name: arrays.pop(name) for name in list(arrays) if name in VARIABLES and VARIABLES[name].coordinate
+    }
+    return xr.Dataset(arrays, coords, {**dataset.attrs, "srf_shape": shape})
 
 
 def _variable(dataset: xr.Dataset, name: str) -> xr.DataArray:
@@ -220,13 +222,13 @@ def _variable(dataset: xr.Dataset, name: str) -> xr.DataArray:
 
 def _check_values(name: str, values: np.ndarray[Any, Any], problems: Problems) -> None:
     if name == "radiance_gain":
-        known = values[~np.isnan(values)]
-        if not known.size:
+        gains = values[~np.isnan(values)]
+        if not gains.size:
             problems.add(
                 "'radiance_gain' is NaN everywhere, expected a gain for the elements that are not bad"
             )
-        elif not (np.isfinite(known).all() and (known > 0).all()):
-            bad = int((~np.isfinite(known) | (known <= 0)).sum())
+        elif not (np.isfinite(gains).all() and (gains > 0).all()):
+            bad = int((~np.isfinite(gains) | (gains <= 0)).sum())
             problems.add(f"'radiance_gain' is zero, negative or infinite in {bad} elements; bad ones are NaN")
     elif name in ("wavelength", "fwhm", "band_spacing", "saturation_count", "electrons_per_count"):
         if not (np.isfinite(values).all() and (values > 0).all()):
@@ -241,8 +243,8 @@ def _check_values(name: str, values: np.ndarray[Any, Any], problems: Problems) -
         if (values < 0).any():
             problems.add(f"{name!r} is negative in places, expected a standard uncertainty")
     elif name in ("read_noise", "srf"):
-        known = values[~np.isnan(values)] if name == "read_noise" else values
-        if not (np.isfinite(known).all() and (known >= 0).all()):
+        levels = values[~np.isnan(values)] if name == "read_noise" else values
+        if not (np.isfinite(levels).all() and (levels >= 0).all()):
             problems.add(f"{name!r} is not finite and at least zero everywhere")
     elif name == "srf_offset" and not (np.isfinite(values).all() and (np.diff(values) > 0).all()):
         problems.add("'srf_offset' does not increase strictly")

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from hyperpaint.base.constants import QUANTISATION_VARIANCE_COUNT2
 from hyperpaint.base.errors import FormatError, PaintError, PaintWarning, SchemaError, TimeError
 from hyperpaint.base.schema import (
     ALONG_TRACK,
@@ -37,8 +38,6 @@ _DARK_OF_CALIBRATION = "calibration"
 #: Lines from which the spread of a dark cube is a measure of read noise.
 _NOISE_LINES = 16
 _ELEMENT = (BAND, CROSS_TRACK)
-_ROUNDING = 1.0 / 12.0
-"""Variance of whole counts [count2], which `read_noise` does not hold."""
 
 
 @dataclass(frozen=True)
@@ -69,18 +68,18 @@ class Dark:
         """Return the variables that a flight line keeps."""
         import xarray as xr
 
-        made = {"dark_counts": self.counts}
-        known = [seconds for seconds in self.exposures if seconds is not None]
-        if known and len(known) == len(self.exposures):
+        variables = {"dark_counts": self.counts}
+        exposures = [seconds for seconds in self.exposures if seconds is not None]
+        if exposures and len(exposures) == len(self.exposures):
             by_time = "dark_time" in self.counts.dims
-            values = np.array(known if by_time else known[0])
+            values = np.array(exposures if by_time else exposures[0])
             array = xr.DataArray(values, dims=("dark_time",) if by_time else ())
-            made["dark_exposure_time"] = label(array, "dark_exposure_time")
+            variables["dark_exposure_time"] = label(array, "dark_exposure_time")
         if needs_noise and self.read_noise is not None:
-            made["read_noise"] = self.read_noise
+            variables["read_noise"] = self.read_noise
         if self.uncertainty is not None:
-            made["dark_counts_u_random"] = self.uncertainty
-        return made
+            variables["dark_counts_u_random"] = self.uncertainty
+        return variables
 
 
 @dataclass(frozen=True)
@@ -148,8 +147,8 @@ def open_dark(
 def _given(dataset: xr.Dataset, shape: tuple[int, ...] | None, name: str) -> Dark:
     exposure = dataset.get("dark_exposure_time")
     names = ["dark_counts"] + ([] if exposure is None else ["dark_exposure_time"])
-    found = require(dataset, names, "a dark correction")
-    counts = found["dark_counts"].astype(dtype_of("dark_counts"))
+    arrays = require(dataset, names, "a dark correction")
+    counts = arrays["dark_counts"].astype(dtype_of("dark_counts"))
     _check_shape(tuple(counts.sizes[dim] for dim in _ELEMENT), shape, f"dark_counts of {name}")
     if not np.isfinite(counts.values).any():
         raise SchemaError(f"dark_counts of {name} are not finite anywhere")
@@ -159,14 +158,14 @@ def _given(dataset: xr.Dataset, shape: tuple[int, ...] | None, name: str) -> Dar
         counts = counts.assign_coords(dark_time=times.astype("datetime64[ns]"))
     seconds: tuple[float | None, ...] = (None,)
     if exposure is not None:
-        seconds = tuple(float(value) for value in np.atleast_1d(found["dark_exposure_time"].values))
+        seconds = tuple(float(value) for value in np.atleast_1d(arrays["dark_exposure_time"].values))
     return Dark(counts, seconds, None, name)
 
 
-def _check_shape(found: tuple[int, ...], shape: tuple[int, ...] | None, name: str) -> None:
-    if shape is not None and found != shape:
+def _check_shape(actual: tuple[int, ...], shape: tuple[int, ...] | None, name: str) -> None:
+    if shape is not None and actual != shape:
         raise SchemaError(
-            f"{name}: {found[0]} bands x {found[1]} columns, the cube has {shape[0]} x {shape[1]};"
+            f"{name}: {actual[0]} bands x {actual[1]} columns, the cube has {shape[0]} x {shape[1]};"
             " give the dark of this camera and binning"
         )
 
@@ -211,9 +210,9 @@ def _exposure(opened: xr.Dataset, path: Path | None, name: str) -> float | None:
 def _time(opened: xr.Dataset, path: Path | None, timing: Timing, lines: int) -> np.datetime64 | None:
     """Return UTC at the middle of a dark cube, None where it is unknown."""
     if "time" in opened.coords:
-        known = opened["time"].values.astype("datetime64[ns]")
-        known = known[~np.isnat(known)]
-        return _middle(known) if known.size else None
+        stamps = opened["time"].values.astype("datetime64[ns]")
+        stamps = stamps[~np.isnat(stamps)]
+        return _middle(stamps) if stamps.size else None
     if path is None:
         return None
     index = path.parent / f"frameIndex_{cube_number(path)}.txt"
@@ -252,7 +251,7 @@ def _combine(references: list[_Reference]) -> Dark:
     if noisy:
         weights = np.array([frames.lines - 1 for frames in noisy], np.float64)
         variance = sum(w * frames.variance for w, frames in zip(weights, noisy, strict=True)) / weights.sum()
-        noise = _labelled(np.sqrt(np.maximum(variance - _ROUNDING, 0.0)), "read_noise")
+        noise = _labelled(np.sqrt(np.maximum(variance - QUANTISATION_VARIANCE_COUNT2, 0.0)), "read_noise")
     source = ", ".join(f"{ref.name} ({ref.frames.lines} lines)" for ref in references)
     times = [ref.time for ref in references if ref.time is not None]
     if len(references) > 1 and len(times) == len(references) == len(set(times)):

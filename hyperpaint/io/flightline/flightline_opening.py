@@ -12,8 +12,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 from hyperpaint.base.attitude_conventions import Convention
-from hyperpaint.base.errors import PaintWarning, SchemaError
-from hyperpaint.base.independent_steps import Findings, Unavailable
+from hyperpaint.base.errors import Findings, PaintWarning, SchemaError, Unavailable
 from hyperpaint.base.schema import ALONG_TRACK, BAND, CROSS_TRACK, label
 from hyperpaint.io.navigation.navigation_records import ASSUMED, Navigation
 from hyperpaint.io.spectrometers.irradiance_cut import cut_irradiance
@@ -180,15 +179,15 @@ def open_flightline(
         gps_leap_seconds=gps_leap_seconds,
         max_gap_s=nav_max_gap_s,
     )
-    found: Path | xr.Dataset | None = None
+    calibration_source: Path | xr.Dataset | None = None
     if calibration is not None:
-        found = calibration if isinstance(calibration, xr.Dataset) else Path(calibration)
+        calibration_source = calibration if isinstance(calibration, xr.Dataset) else Path(calibration)
     inputs = FlightlineInputs(
         cube=source,
         timing=timing,
         exposure_time=exposure_time,
         dark=dark,
-        calibration=found,
+        calibration=calibration_source,
         irradiance=irradiance,
         bit_depth=bit_depth,
         saturation_count=saturation_count,
@@ -201,9 +200,9 @@ def open_flightline(
     )
     shown = name or (source.name if isinstance(source, Path) else "from a Dataset")
     findings = Findings(f"flight line {shown!r} cannot be opened")
-    made = assemble(inputs, findings)
+    line = assemble(inputs, findings)
     findings.raise_if_any()
-    return made
+    return line
 
 
 def assemble(inputs: FlightlineInputs, findings: Findings) -> xr.Dataset:
@@ -265,8 +264,8 @@ def assemble(inputs: FlightlineInputs, findings: Findings) -> xr.Dataset:
         attrs["dark_source"] = dark.source
     if irradiance is not None:
         parts |= {str(key): value for key, value in irradiance.data_vars.items()}
-    made = xr.Dataset(parts, _coordinates(opened, calibration, times, inputs, path))
-    made.attrs = {
+    line = xr.Dataset(parts, _coordinates(opened, calibration, times, inputs, path))
+    line.attrs = {
         **attrs,
         "srf_shape": "gaussian" if calibration is None else calibration.attrs["srf_shape"],
         "irradiance_srf_shape": "gaussian"
@@ -280,7 +279,7 @@ def assemble(inputs: FlightlineInputs, findings: Findings) -> xr.Dataset:
         **{key: opened.attrs[key] for key in ("envi_comments", "envi_notes") if key in opened.attrs},
         **inputs.attrs,
     }
-    return made
+    return line
 
 
 # --- calibration -------------------------------------------------------------------------------------------
@@ -328,14 +327,14 @@ def _calibration_parts(calibration: xr.Dataset | None, is_counts: bool) -> dict[
     }
     # the lines of a lab sweep stay with the calibration
     own = {BAND, CROSS_TRACK, "srf_offset", "irradiance_wavelength"}
-    kept = [
+    names = [
         str(name)
         for name, array in calibration.data_vars.items()
         if name not in left and set(array.dims) <= own
     ]
     if not is_counts:
-        kept = [name for name in kept if name in ("srf", "look_angle")]
-    return {name: calibration[name].reset_coords(drop=True) for name in kept}
+        names = [name for name in names if name in ("srf", "look_angle")]
+    return {name: calibration[name].reset_coords(drop=True) for name in names}
 
 
 def _scale_attrs(calibration: xr.Dataset | None) -> dict[str, Any]:
@@ -352,9 +351,9 @@ def _navigation_attrs(declared: Mapping[str, Any], timing: Timing) -> dict[str, 
     SchemaError
         A declaration that does not exist.
     """
-    known = {each.name for each in fields(Convention)} - {"angle_unit", "stamp_reference"}
-    if not set(declared) <= known:
-        wrong, right = (", ".join(sorted(names)) for names in (set(declared) - known, known))
+    declarable = {each.name for each in fields(Convention)} - {"angle_unit", "stamp_reference"}
+    if not set(declared) <= declarable:
+        wrong, right = (", ".join(sorted(names)) for names in (set(declared) - declarable, declarable))
         raise SchemaError(
             f"convention has {wrong}, expected some of {right}; angles are in degree, and stamp= is apart"
         )
@@ -371,20 +370,20 @@ def _coordinates(
 ) -> dict[str, xr.DataArray]:
     import xarray as xr
 
-    made: dict[str, xr.DataArray] = {}
+    coords: dict[str, xr.DataArray] = {}
     for source in (opened, calibration):
         for name in ("wavelength", "fwhm", "band_spacing", "good", "wavelength_shift", "srf_offset"):
             if source is not None and name in source.coords:
                 array = source.coords[name].reset_coords(drop=True)
-                if name == "good" and name in made:
-                    array = array & made[name]
-                made[name] = label(array, name)
-    if "fwhm" not in made and inputs.fwhm_nm is not None:
-        made["fwhm"] = label(xr.DataArray(np.full(opened.sizes[BAND], inputs.fwhm_nm), dims=BAND), "fwhm")
-    if "wavelength" in made and made["wavelength"].size > 1 and "band_spacing" not in made:
+                if name == "good" and name in coords:
+                    array = array & coords[name]
+                coords[name] = label(array, name)
+    if "fwhm" not in coords and inputs.fwhm_nm is not None:
+        coords["fwhm"] = label(xr.DataArray(np.full(opened.sizes[BAND], inputs.fwhm_nm), dims=BAND), "fwhm")
+    if "wavelength" in coords and coords["wavelength"].size > 1 and "band_spacing" not in coords:
         # kept with every band, so that a choice of bands still knows how wide the pixels are
-        spacing = np.abs(np.gradient(made["wavelength"].values))
-        made["band_spacing"] = label(xr.DataArray(spacing, dims=BAND), "band_spacing")
+        spacing = np.abs(np.gradient(coords["wavelength"].values))
+        coords["band_spacing"] = label(xr.DataArray(spacing, dims=BAND), "band_spacing")
     if calibration is not None and "wavelength" in opened.coords:
         apart = float(np.abs(opened["wavelength"].values - calibration["wavelength"].values).max())
         if apart > _WAVELENGTH_TOLERANCE:
@@ -393,8 +392,8 @@ def _coordinates(
                 f"{path.name}: {message}; those of the calibration are used", PaintWarning, stacklevel=4
             )
     along = {"time": times.time, "frame": times.frame, **times.place}
-    made |= {name: label(xr.DataArray(values, dims=ALONG_TRACK), name) for name, values in along.items()}
-    return made
+    coords |= {name: label(xr.DataArray(values, dims=ALONG_TRACK), name) for name, values in along.items()}
+    return coords
 
 
 # --- irradiance --------------------------------------------------------------------------------------------

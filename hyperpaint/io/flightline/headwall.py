@@ -213,7 +213,7 @@ def exposure_seconds(pairs: Mapping[str, str], source: str) -> float | None:
     >>> exposure_seconds({"Exposure (ms)": "5.0"}, "settings.txt")
     0.005
     """
-    found: dict[str, float] = {}
+    exposures: dict[str, float] = {}
     for key, text in pairs.items():
         match = _EXPOSURE.fullmatch(" ".join(key.split()))
         if match is None:
@@ -226,11 +226,11 @@ def exposure_seconds(pairs: Mapping[str, str], source: str) -> float | None:
             ) from error
         if not (np.isfinite(value) and value > 0):
             raise FormatError(f"{source}: {key} = {text}, expected a positive exposure")
-        found[key] = value
-    if len(set(found.values())) > 1:
-        stated = ", ".join(f"{key} = {pairs[key]}" for key in found)
+        exposures[key] = value
+    if len(set(exposures.values())) > 1:
+        stated = ", ".join(f"{key} = {pairs[key]}" for key in exposures)
         raise FormatError(f"{source}: contradictory exposures {stated}")
-    return next(iter(found.values()), None)
+    return next(iter(exposures.values()), None)
 
 
 # --- frame index -------------------------------------------------------------------------------------------
@@ -309,7 +309,7 @@ def check_increasing(stamp: NDArray[np.int64], rows: NDArray[np.int64], subject:
 
 def time_of_day(table: Table, name: str) -> tuple[NDArray[np.int64], bool]:
     """Return microseconds since midnight of the first row's day, and whether none has a fraction."""
-    made = np.empty(len(table.rows), np.int64)
+    micros_of_day = np.empty(len(table.rows), np.int64)
     wrong: list[int] = []
     whole = True
     for place, cell in enumerate(table.columns[name]):
@@ -319,15 +319,15 @@ def time_of_day(table: Table, name: str) -> tuple[NDArray[np.int64], bool]:
             continue
         hours, minutes, seconds, micros, fraction = match.groups()
         whole = whole and micros is None and fraction is None
-        made[place] = (int(hours) * 60 + int(minutes)) * 60 * _SECOND + int(seconds) * _SECOND
-        made[place] += int(micros) if micros is not None else int((fraction or "0").ljust(6, "0"))
+        micros_of_day[place] = (int(hours) * 60 + int(minutes)) * 60 * _SECOND + int(seconds) * _SECOND
+        micros_of_day[place] += int(micros) if micros is not None else int((fraction or "0").ljust(6, "0"))
     if wrong:
         raise FormatError(
             f"{table.name}: column {name!r} is not 'HH:MM:SS microseconds' in {name_rows(wrong)}"
         )
     # a step back by more than half a day is midnight
-    days = np.concatenate([[0], np.cumsum(np.diff(made) < -_DAY // 2)])
-    return made + days * _DAY, whole
+    days = np.concatenate([[0], np.cumsum(np.diff(micros_of_day) < -_DAY // 2)])
+    return micros_of_day + days * _DAY, whole
 
 
 def _straighten(frame: NDArray[np.int64], stamp: NDArray[np.int64], subject: str) -> NDArray[np.int64]:
@@ -340,8 +340,8 @@ def _straighten(frame: NDArray[np.int64], stamp: NDArray[np.int64], subject: str
     slope, offset = np.polyfit(x, y, 1)
     if slope <= 0 or np.abs(y - (offset + slope * x)).max() > 0.75 * _SECOND:
         raise TimeError(f"{subject}: stamps of whole seconds that no steady frame rate explains")
-    made: NDArray[np.int64] = stamp[0] + np.round(offset + slope * x).astype(np.int64)
-    return made
+    straight: NDArray[np.int64] = stamp[0] + np.round(offset + slope * x).astype(np.int64)
+    return straight
 
 
 def cube_number(cube: Path) -> int | None:

@@ -11,8 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from hyperpaint.base.errors import FormatError, PaintWarning, SchemaError
-from hyperpaint.base.independent_steps import Unavailable
+from hyperpaint.base.errors import FormatError, PaintWarning, SchemaError, Unavailable
 from hyperpaint.base.schema import (
     ALONG_TRACK,
     BAND,

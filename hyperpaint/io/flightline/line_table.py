@@ -84,15 +84,15 @@ def write_line_table(line: xr.Dataset, path: str | os.PathLike[str], *, overwrit
 def _columns(line: xr.Dataset) -> dict[str, Any]:
     """Return the columns by what the header calls them."""
     lines = line.sizes.get(ALONG_TRACK)
-    found = [str(name) for name, array in line.variables.items() if array.dims == (ALONG_TRACK,)]
-    if lines is None or not found:
+    names = [str(name) for name, array in line.variables.items() if array.dims == (ALONG_TRACK,)]
+    if lines is None or not names:
         raise SchemaError(
             f"no variable on {ALONG_TRACK!r} alone, dims are {dict(line.sizes)}; give a flight line"
         )
-    found += [name for name in _FIRST if name in line.variables and line.variables[name].dims == ()]
+    names += [name for name in _FIRST if name in line.variables and line.variables[name].dims == ()]
     order = {name: place for place, name in enumerate(_FIRST)}
     columns: dict[str, Any] = {}
-    for name in sorted(set(found), key=lambda name: (order.get(name, len(order)), name)):
+    for name in sorted(set(names), key=lambda name: (order.get(name, len(order)), name)):
         values = line[name].values
         if values.dtype.kind not in "iufbM":
             continue

@@ -49,7 +49,7 @@ def open_sweep(path: str | os.PathLike[str], *, group: str | None = None) -> xr.
             f"{path}: not a readable Zarr store or netCDF file ({type(error).__name__}: {error!s:.200})"
         ) from error
     if "counts" not in opened.variables or STEP not in opened["counts"].dims:
-        found = ", ".join(sorted(map(str, opened.variables))[:8]) or "nothing"
-        raise FormatError(f"{path}: no lab sweep: expected 'counts' (step, band, cross_track), found {found}")
-    kept = [name for name in SWEEP_VARIABLES if name in opened.variables]
-    return opened[kept].reset_coords(drop=True) if not set(kept) & set(opened.coords) else opened[kept]
+        held = ", ".join(sorted(map(str, opened.variables))[:8]) or "nothing"
+        raise FormatError(f"{path}: no lab sweep: expected 'counts' (step, band, cross_track), found {held}")
+    names = [name for name in SWEEP_VARIABLES if name in opened.variables]
+    return opened[names].reset_coords(drop=True) if not set(names) & set(opened.coords) else opened[names]

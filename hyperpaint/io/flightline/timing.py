@@ -12,12 +12,12 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
+from hyperpaint.base.constants import STAMP_TO_MID_EXPOSURES
 from hyperpaint.base.errors import PaintWarning, Problems, TimeError
 from hyperpaint.io.navigation.clocks import Clock, ClockCorrection
 from hyperpaint.io.navigation.navigation_records import Navigation, read_gps_time, read_imu_gps
 
 from .headwall import FrameIndex, cube_number, match_frames, read_frame_index
-from .stamps import TO_MIDDLE
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -183,7 +183,9 @@ def line_times(
             "timedelta64[ns]"
         )
     _report_outside(cube, np.isnat(time[recorded]), clock)
-    half = np.round(np.asarray(exposure_time) * TO_MIDDLE[timing.stamp] * _NS_PER_S).astype("timedelta64[ns]")
+    half = np.round(np.asarray(exposure_time) * STAMP_TO_MID_EXPOSURES[timing.stamp] * _NS_PER_S).astype(
+        "timedelta64[ns]"
+    )
     time = time + half
     place: Mapping[str, NDArray[np.float64]] = {}
     if nav is not None:
@@ -194,7 +196,7 @@ def line_times(
 
 def _check(timing: Timing) -> None:
     problems = Problems("the clocks of the flight cannot be used as described", TimeError)
-    if timing.stamp not in TO_MIDDLE:
+    if timing.stamp not in STAMP_TO_MID_EXPOSURES:
         problems.add(f"stamp {timing.stamp!r}, expected 'start', 'mid' or 'end' (of the exposure)")
     for name, seconds in (("frame_period", timing.frame_period), ("nav_max_gap_s", timing.max_gap_s)):
         if seconds is not None and not 0 < seconds <= _LONGEST:
@@ -232,8 +234,8 @@ def _clock(
 def _found_beside(cube: Path) -> str:
     number = cube_number(cube)
     names = [f"frameIndex_{number}.txt", "imu_gps.txt"]
-    found = [name for name in names if (cube.parent / name).is_file()]
-    return f" (beside the cube: {', '.join(found)})" if found else ""
+    files = [name for name in names if (cube.parent / name).is_file()]
+    return f" (beside the cube: {', '.join(files)})" if files else ""
 
 
 def _from_date(timing: Timing) -> Clock:

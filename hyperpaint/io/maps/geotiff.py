@@ -150,13 +150,13 @@ def _chosen(map: xr.Dataset, array: xr.DataArray, bands: Any) -> list[int]:
         if bands != "rgb":
             raise SchemaError(f"bands {bands!r:.40}, expected 'all', 'rgb' or indices")
         axis = map.variables.get("wavelength")
-        known = axis is not None and axis.dims == (BAND,) and axis.size == count
-        found = nearest_bands(map["wavelength"].values, RGB_WAVELENGTHS) if known else None
-        if found is None:
+        has_axis = axis is not None and axis.dims == (BAND,) and axis.size == count
+        nearest = nearest_bands(map["wavelength"].values, RGB_WAVELENGTHS) if has_axis else None
+        if nearest is None:
             raise SchemaError(
                 "a picture needs bands within 50 nm of 640, 550 and 460 nm; choose bands by their indices"
             )
-        return found
+        return nearest
     chosen = [int(band) for band in bands]
     if not chosen or not all(-count <= band < count for band in chosen):
         raise SchemaError(f"bands {chosen[:20]}, expected one or more of 0 to {count - 1}")
@@ -181,10 +181,10 @@ def _picture(array: xr.DataArray, stretch: tuple[float, float]) -> xr.DataArray:
         raise SchemaError(f"stretch {stretch}, expected two rising percentiles within 0 and 100")
     step = -(-array.sizes["y"] // _SAMPLED)
     sample = array.isel(y=slice(step // 2, None, step)).values.astype(np.float64)
-    known = sample[np.isfinite(sample).all(axis=-1)]
+    complete = sample[np.isfinite(sample).all(axis=-1)]
     # one range for the three keeps the colours
-    low, high = np.percentile(known, stretch) if known.size else (0.0, 1.0)
-    made: xr.DataArray = xr.apply_ufunc(
+    low, high = np.percentile(complete, stretch) if complete.size else (0.0, 1.0)
+    picture: xr.DataArray = xr.apply_ufunc(
         _encode,
         array,
         kwargs={"low": float(low), "high": float(max(high, low + 1e-12))},
@@ -194,16 +194,16 @@ def _picture(array: xr.DataArray, stretch: tuple[float, float]) -> xr.DataArray:
         output_dtypes=[np.uint8],
         dask_gufunc_kwargs={"allow_rechunk": True},
     )
-    return made
+    return picture
 
 
 def _encode(linear: NDArray[Any], low: float, high: float) -> NDArray[np.uint8]:
-    known = np.isfinite(linear).all(axis=-1, keepdims=True)
-    share = np.clip((np.where(known, linear, low) - low) / (high - low), 0.0, 1.0)
+    complete = np.isfinite(linear).all(axis=-1, keepdims=True)
+    share = np.clip((np.where(complete, linear, low) - low) / (high - low), 0.0, 1.0)
     # IEC 61966-2-1
     shown = np.where(share <= 0.0031308, 12.92 * share, 1.055 * share ** (1.0 / 2.4) - 0.055)
-    made: NDArray[np.uint8] = np.where(known, np.round(1.0 + 254.0 * shown), 0.0).astype(np.uint8)
-    return made
+    encoded: NDArray[np.uint8] = np.where(complete, np.round(1.0 + 254.0 * shown), 0.0).astype(np.uint8)
+    return encoded
 
 
 def _descriptions(map: xr.Dataset, name: str, chosen: list[int]) -> tuple[list[str], list[dict[str, str]]]:

@@ -69,8 +69,8 @@ def grid_of(dataset: xr.Dataset) -> Grid | None:
         turned and they are not distances along it.
     """
     attrs = dataset[SPATIAL_REF].attrs if SPATIAL_REF in dataset.variables else {}
-    told = attrs.get("crs_wkt") or attrs.get("spatial_ref")
-    wkt = None if told is None else str(told)
+    reference_system = attrs.get("crs_wkt") or attrs.get("spatial_ref")
+    wkt = None if reference_system is None else str(reference_system)
     text = attrs.get("GeoTransform")
     transform = None if text is None else _numbers(text)
     axes = [dataset.variables.get(name) for name in ("x", "y")]
@@ -84,17 +84,17 @@ def grid_of(dataset: xr.Dataset) -> Grid | None:
     _, b, c, _, e, f = transform
     along = dataset["x"].attrs.get("crs") == ALONG_FLIGHT
     if along or c != 0.0 or e != 0.0:
-        found = _along(dataset, transform)
-        if not along and not _same(found, transform, dataset):
+        computed = _along(dataset, transform)
+        if not along and not _same(computed, transform, dataset):
             raise SchemaError(
                 f"GeoTransform of {SPATIAL_REF} is turned, and 'x' and 'y' are not the distances of all its "
                 "cells from its corner, so that nothing tells which cells these are; drop 'x' and 'y' where "
                 "it is the whole grid"
             )
     else:
-        found = _north_up(dataset, (b, f))
+        computed = _north_up(dataset, (b, f))
     # numbers that agree keep their bits
-    return Grid(transform if _same(found, transform, dataset) else found, wkt)
+    return Grid(transform if _same(computed, transform, dataset) else computed, wkt)
 
 
 def _north_up(dataset: xr.Dataset, steps: tuple[float, float]) -> Transform:
@@ -116,17 +116,18 @@ def _windows(dataset: xr.Dataset, steps: tuple[float, float]) -> list[tuple[floa
     """Return the outer edge of the first pixel, and the step, of x and of y."""
     problems = Problems("the place of this map is not known", SchemaError)
     axes = zip("xy", steps, strict=True)
-    found = [_even(name, dataset[name].values, step, problems) for name, step in axes]
+    edges_and_steps = [_even(name, dataset[name].values, step, problems) for name, step in axes]
     problems.raise_if_any()
-    return found
+    return edges_and_steps
 
 
-def _same(found: Transform, told: Transform, dataset: xr.Dataset) -> bool:
+def _same(grid: Transform, reference: Transform, dataset: xr.Dataset) -> bool:
     """Return whether two grids agree over all of a map, but for rounding."""
     (a, b, c), (d, e, f) = (
-        [one - other for one, other in zip(found[k : k + 3], told[k : k + 3], strict=True)] for k in (0, 3)
+        [one - other for one, other in zip(grid[k : k + 3], reference[k : k + 3], strict=True)]
+        for k in (0, 3)
     )
-    tolerance = _TOLERANCE * max(map(abs, (*told[1:3], *told[4:]))) + _ROUNDING
+    tolerance = _TOLERANCE * max(map(abs, (*reference[1:3], *reference[4:]))) + _ROUNDING
     corners = [(col, row) for col in (0, dataset.sizes["x"]) for row in (0, dataset.sizes["y"])]
     return all(
         abs(a + b * col + c * row) <= tolerance and abs(d + e * col + f * row) <= tolerance

@@ -49,8 +49,8 @@ def stored_float(array: xr.DataArray) -> type[np.floating[Any]]:
 
     That is float32, but for what needs more: map coordinates in float32 are off by decimetres.
     """
-    known = VARIABLES.get(str(array.name))
-    exact = known is not None and known.dtype == "float64" and array.dtype.itemsize >= 8
+    row = VARIABLES.get(str(array.name))
+    exact = row is not None and row.dtype == "float64" and array.dtype.itemsize >= 8
     return np.float64 if exact else np.float32
 
 

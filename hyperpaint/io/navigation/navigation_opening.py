@@ -12,8 +12,7 @@ from typing import TYPE_CHECKING, Any, Literal, get_args
 import numpy as np
 
 from hyperpaint.base.attitude_conventions import Convention
-from hyperpaint.base.errors import FormatError, SchemaError, TimeError
-from hyperpaint.base.independent_steps import Findings
+from hyperpaint.base.errors import Findings, FormatError, SchemaError, TimeError
 
 from .gps_weeks import TimeSource, utc_of_record
 from .pose_records import POSE, PoseRecord

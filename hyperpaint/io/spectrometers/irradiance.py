@@ -14,10 +14,10 @@ import numpy.typing as npt
 import xarray as xr
 
 from hyperpaint.base.arrays import Floats
+from hyperpaint.base.constants import STAMP_TO_MID_EXPOSURES
 from hyperpaint.base.errors import FormatError, Problems, SchemaError, TimeError, UnitsError
 from hyperpaint.base.schema import IRRADIANCE_TIME, IRRADIANCE_WAVELENGTH, VARIABLES, label
 from hyperpaint.base.units import conversion_factor, convert
-from hyperpaint.io.flightline.stamps import TO_MIDDLE
 
 from .asd import Spectrum, find_files, mask_undefined, read_spectra, sniff, utc_offsets
 from .daylight import check_magnitude
@@ -154,7 +154,7 @@ def open_irradiance(
     else:
         series = _from_files(find_files(paths), quantity, utc_offset_h, units, calibration)
     window = series.averaging_s if averaging_s is None else np.full(len(series.stamps), averaging_s)
-    times = _utc_middle(series, clock_offset_s, TO_MIDDLE[stamp] * window)
+    times = _utc_middle(series, clock_offset_s, STAMP_TO_MID_EXPOSURES[stamp] * window)
     order = np.argsort(times, kind="stable")
     _refuse_duplicates(series, times, order)
     values = _in_float32_range(series, order, conversion_factor(series.units, VARIABLES["irradiance"].units))
@@ -187,8 +187,8 @@ def _check_arguments(
         problems.add(f"quantity={quantity!r}: expected 'irradiance'; hp.open_asd opens other quantities")
     if not np.isfinite(clock_offset_s):
         problems.add(f"clock_offset_s={clock_offset_s}: expected seconds")
-    if stamp not in TO_MIDDLE:
-        problems.add(f"stamp={stamp!r}: expected one of {', '.join(TO_MIDDLE)}")
+    if stamp not in STAMP_TO_MID_EXPOSURES:
+        problems.add(f"stamp={stamp!r}: expected one of {', '.join(STAMP_TO_MID_EXPOSURES)}")
     for name, value in (("fwhm_nm", fwhm_nm), ("max_gap_s", max_gap_s)):
         if value is not None and not (np.isfinite(value) and value > 0):
             problems.add(f"{name}={value}: expected a positive number")
