@@ -75,8 +75,8 @@ if TYPE_CHECKING:
     from .simulation.rendering.relighting import relight
     from .simulation.rendering.tracing import trace
     from .surroundings import SceneModel, survey
-    from .surroundings.corrections import correct_light, remove_mirrored_sky
     from .surroundings.flags import flag
+    from .surroundings.sun_and_sky import correct_light, remove_mirrored_sky
     from .validation import Validation, validate
     from .workflows.laboratory import open_collect
     from .workflows.pipeline import process

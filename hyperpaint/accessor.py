@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from .geometry.georeference.poses import Interpolation
     from .io.store import StoreReport
     from .light.illumination import Tilt
-    from .paints.signatures.sources import Smoothing
+    from .paints.signatures.line_sources import Smoothing
     from .radiometry.counts_to_reflectance import Panel
     from .regions.proposals import Proposals
     from .simulation.rendering.four_curves import Atmosphere
@@ -228,7 +228,7 @@ class PaintAccessor:
         dims: Dims | None = None,
     ) -> xr.Dataset:
         """Subtract the sky that a clear coat mirrors; see `hyperpaint.remove_mirrored_sky`."""
-        from .surroundings.corrections import remove_mirrored_sky
+        from .surroundings.sun_and_sky import remove_mirrored_sky
 
         return remove_mirrored_sky(
             self._by_role(dims),
@@ -249,7 +249,7 @@ class PaintAccessor:
         dims: Dims | None = None,
     ) -> xr.Dataset:
         """Divide by the light of a tilted surface, or one with less sky; see `hyperpaint.correct_light`."""
-        from .surroundings.corrections import correct_light
+        from .surroundings.sun_and_sky import correct_light
 
         return correct_light(
             self._by_role(dims),

@@ -26,7 +26,8 @@ from hyperpaint.radiometry import bands, smoothing
 from hyperpaint.radiometry import counts_to_reflectance as radiometry
 from hyperpaint.regions import proposals
 from hyperpaint.simulation.rendering import relighting
-from hyperpaint.surroundings import corrections, flags
+from hyperpaint.surroundings import flags
+from hyperpaint.surroundings import sun_and_sky
 
 FUNCTIONS: dict[str, Callable[..., Any]] = {
     "radiance": radiometry.radiance,

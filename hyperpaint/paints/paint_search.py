@@ -14,8 +14,7 @@ from hyperpaint.base.errors import Problems, SchemaError
 from hyperpaint.base.schema import BAND, LIBRARY_VARIABLES, PAINT
 from hyperpaint.base.units import convert
 
-from .colour_difference import ciede2000, lab_of, parse_colour
-from .true_colour import paint_colours
+from .colours import ciede2000, lab_of, paint_colours, parse_colour
 
 if TYPE_CHECKING:
     import xarray as xr

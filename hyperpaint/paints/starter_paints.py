@@ -11,10 +11,9 @@ from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import Problems, SchemaError
 from hyperpaint.base.schema import BAND, LIBRARY_VARIABLES, PAINT
 
-from .colour_difference import srgb_hex
+from .colours import paint_colours, srgb_hex
 from .mixing.kubelka_munk import Interface, absorption_to_scattering, thick_layer_reflectance
-from .mixing.synthetic import SPECULAR, synthetic_library, text_column
-from .true_colour import paint_colours
+from .mixing.synthetic_paints import SPECULAR, synthetic_library, text_column
 
 if TYPE_CHECKING:
     import xarray as xr

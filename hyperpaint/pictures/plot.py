@@ -11,7 +11,7 @@ import numpy as np
 from hyperpaint.base import schema
 from hyperpaint.base.arrays import Array
 from hyperpaint.base.errors import SchemaError
-from hyperpaint.paints.true_colour import encode_srgb, srgb_weights
+from hyperpaint.paints.colours import encode_srgb, srgb_weights
 from hyperpaint.radiometry.counts_to_reflectance import reflectance
 
 from .figures import label_for, new_figure, save_figure

@@ -12,7 +12,7 @@ from hyperpaint.base import schema
 from hyperpaint.base.arrays import Array
 from hyperpaint.base.errors import Problems, SchemaError
 from hyperpaint.base.schema import ALONG_TRACK, BAND, CROSS_TRACK
-from hyperpaint.paints.signatures.gathering import gather
+from hyperpaint.paints.signatures.extraction import gather
 from hyperpaint.regions import Region, pixels_of, regions_from
 
 from .figures import label_for, new_figure, save_figure

@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from hyperpaint.base import schema
 from hyperpaint.base.errors import Problems, SchemaError
-from hyperpaint.paints.true_colour import paint_colours
+from hyperpaint.paints.colours import paint_colours
 
 from .figures import label_for, new_figure, save_figure
 from .plot_spectra import draw_band

@@ -13,7 +13,7 @@ from hyperpaint.base.arrays import Array
 from hyperpaint.base.errors import Problems, SchemaError
 from hyperpaint.base.schema import ALONG_TRACK, BAND, CROSS_TRACK, Quality
 from hyperpaint.paints.signatures import EXCLUDED, extract_signatures
-from hyperpaint.paints.signatures.gathering import gather
+from hyperpaint.paints.signatures.extraction import gather
 from hyperpaint.radiometry.counts_to_reflectance import radiance, reflectance
 from hyperpaint.regions import pixels_of, regions_from
 

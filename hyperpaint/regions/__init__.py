@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from .geojson import read_regions, regions_from, write_regions
 from .outlines import Region, Regions
-from .placement import pixels, pixels_of, region_mask
+from .pixels_in_regions import pixels, pixels_of, region_mask
 
 __all__ = [
     "Region",

@@ -18,7 +18,7 @@ import numpy.typing as npt
 from hyperpaint.base import schema
 from hyperpaint.base.errors import PaintError, SchemaError
 from hyperpaint.base.schema import ALONG_TRACK, CROSS_TRACK, PAINT, Quality
-from hyperpaint.paints.true_colour import paint_colours
+from hyperpaint.paints.colours import paint_colours
 from hyperpaint.pictures.figures import data_uri, encode_png, new_figure, png_of
 from hyperpaint.pictures.plot import draw_irradiance, draw_reflectance, flags_of
 from hyperpaint.pictures.plot_calibration import calibration_report

@@ -15,10 +15,10 @@ from typing import TYPE_CHECKING
 from hyperpaint.base.arrays import Progress
 from hyperpaint.base.errors import PaintError, Problems, SchemaError, StoreError
 from hyperpaint.base.schema import ALONG_TRACK, CROSS_TRACK, PAINT
-from hyperpaint.paints.signatures.gathering import part_of
+from hyperpaint.paints.signatures.extraction import part_of
 from hyperpaint.pictures.figures import new_figure
 from hyperpaint.radiometry.counts_to_reflectance import reflectance
-from hyperpaint.surroundings.flagging import flag_line, is_flagged
+from hyperpaint.surroundings.flags import flag_line, is_flagged
 
 from .markup import Markup, element, joined, table_of_facts
 from .report_page import page

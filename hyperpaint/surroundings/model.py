@@ -1,4 +1,4 @@
-"""What is known of a scene after one look at all of it: small enough to be kept beside the line."""
+"""What is known of a scene after one look at all of it: small enough to be stored beside the line."""
 
 from __future__ import annotations
 
@@ -13,12 +13,53 @@ from hyperpaint.base.arrays import Array, Floats
 from hyperpaint.base.errors import Problems, SchemaError
 from hyperpaint.base.schema import ALONG_TRACK, BAND, CROSS_TRACK, FORMAT_VERSION
 
-from .cells import CELL, two_nearest
-
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["GLINTED", "LIT", "SHADED", "SceneModel"]
+__all__ = ["CELL", "GLINTED", "LIT", "SHADED", "SceneModel", "two_nearest"]
+
+
+Index = npt.NDArray[np.int32]
+
+CELL = 4
+"""Side of a cell [pixel]."""
+
+
+def two_nearest(neighbour: Index, body: Index, paint: Index, number: Index, first: int) -> Index:
+    """Return the two nearest coloured bodies, of other paint than its own, of the pixels of some lines.
+
+    Parameters
+    ----------
+    neighbour : (cell_along, cell_cross, rank)
+        Segments nearest to a cell, -1 for none.
+    body : (segment,)
+        Body of a segment.
+    paint : (segment,)
+        What is the same for all bodies of one paint.
+    number : (line, column)
+        Segment of every pixel of these lines, -1 without data.
+    first
+        Number of the first of these lines.
+
+    Returns
+    -------
+    (line, column, 2), int32
+        Numbers of segments, -1 for none.
+    """
+    lines, columns = number.shape
+    cells = neighbour[(first + np.arange(lines)) // CELL][:, np.arange(columns) // CELL]
+    bodies = np.append(body, np.int32(-1))
+    paints = np.append(paint, np.int32(-2))
+    own = paints[number]
+    found = np.full((lines, columns, 2), -1, np.int32)
+    for rank in range(cells.shape[-1]):
+        here = bodies[cells[..., rank]]
+        fresh = (here >= 0) & (paints[here] != own) & (here != found[..., 0])
+        into_first = fresh & (found[..., 0] < 0)
+        into_second = fresh & ~into_first & (found[..., 1] < 0)
+        found[..., 0] = np.where(into_first, here, found[..., 0])
+        found[..., 1] = np.where(into_second, here, found[..., 1])
+    return found
 
 
 LIT, SHADED, GLINTED = 0, 1, 2

@@ -9,9 +9,8 @@ import numpy.typing as npt
 
 from hyperpaint.base.arrays import Array, Bools, Floats, Ints
 
-from .light_mixtures import Mixtures, in_parts, mixtures_of, senders_of, solve, without_sun
+from .full_light import Light, Matches, Mixtures, in_parts, mixtures_of, senders_of, solve, without_sun
 from .model import LIT, SHADED
-from .references import Light, Matches
 from .segments import Touching, beyond, distinct_pairs
 
 __all__ = ["match_shade", "shaded_pixels"]

@@ -12,8 +12,7 @@ from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import Problems, SchemaError
 from hyperpaint.base.schema import BAND
 
-from .bodies import clean_references, same_paints
-from .cells import two_nearest
+from .bodies import clean_references, nearest_coloured, same_paints
 from .channels import (
     Progress,
     channel_noise,
@@ -24,7 +23,11 @@ from .channels import (
     watched,
     without_unknown,
 )
-from .light import (
+from .full_light import Light, match_segments, median_spectra
+from .model import LIT, SHADED, SceneModel, two_nearest
+from .segments import border_steps, distance_to, divide, edge_distance, sample_pixels, touching
+from .shadows import match_shade, shaded_pixels
+from .sun_and_sky import (
     SOURCES,
     diffuse_from_clear_sky,
     fraction_in_shadow,
@@ -32,11 +35,6 @@ from .light import (
     shadow_side_of,
     sun_zenith_of,
 )
-from .model import LIT, SHADED, SceneModel
-from .neighbours import nearest_coloured
-from .references import Light, match_segments, median_spectra
-from .segments import border_steps, distance_to, divide, edge_distance, sample_pixels, touching
-from .shadows import match_shade, shaded_pixels
 
 if TYPE_CHECKING:
     import xarray as xr

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 from hyperpaint.base.errors import PaintError, SchemaError, StoreError
 from hyperpaint.base.schema import Quality
-from hyperpaint.paints.signatures.gathering import part_of
-from hyperpaint.surroundings.flagging import Flagged, flag_line, is_flagged
+from hyperpaint.paints.signatures.extraction import part_of
+from hyperpaint.surroundings.flags import Flagged, flag_line, is_flagged
 
 if TYPE_CHECKING:
     import xarray as xr

@@ -10,7 +10,7 @@ import hyperpaint as hp
 from hyperpaint.base.errors import SchemaError
 from hyperpaint.base.mirrored_light import EXCLUDED, INCLUDED, mirror_reflection
 from hyperpaint.io.dirsig.coat import coat_of
-from hyperpaint.paints.mixing.coated import coating_of
+from hyperpaint.paints.mixing.kubelka_munk import coating_of
 from hyperpaint.validation.spectra import signatures_from
 
 CASES = [

@@ -6,14 +6,7 @@ import numpy as np
 import pytest
 
 from hyperpaint.base.errors import SchemaError
-from hyperpaint.paints.colour_difference import (
-    COLOURS,
-    ciede2000,
-    lab_of,
-    nearest_colour,
-    parse_colour,
-    srgb_hex,
-)
+from hyperpaint.paints.colours import COLOURS, ciede2000, lab_of, nearest_colour, parse_colour, srgb_hex
 
 PAIRS = [
     ((50.0, 2.6772, -79.7751), (50.0, 0.0, -82.7485), 2.0425),

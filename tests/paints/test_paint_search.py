@@ -12,8 +12,8 @@ from support.library_examples import make_library
 
 import hyperpaint as hp
 from hyperpaint.base.errors import SchemaError, UnitsError
+from hyperpaint.paints.colours import paint_colours
 from hyperpaint.paints.paint_search import _one_spectrum
-from hyperpaint.paints.true_colour import paint_colours
 from hyperpaint.validation.agreement import statistics_of
 
 RED = "Synthetic Signal Red"

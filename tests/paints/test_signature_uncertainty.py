@@ -10,8 +10,8 @@ from support.painted_lines import RAW, TWO, made, raw
 import hyperpaint as hp
 from hyperpaint import Region, Regions, extract_signatures
 from hyperpaint.base.schema import CUBE
-from hyperpaint.paints.signatures import independence
-from hyperpaint.paints.signatures.independence import effective_pixels
+from hyperpaint.paints.signatures import pixel_statistics
+from hyperpaint.paints.signatures.pixel_statistics import effective_pixels
 from hyperpaint.regions import pixels
 from hyperpaint.simulation import simulate_line
 from hyperpaint.simulation.paints import MATERIALS
@@ -73,7 +73,7 @@ def test_what_is_told_of_light_and_time() -> None:
 # --- how sure it is ----------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(("reach", "expected"), [(1, independence.SMEAR), (2, 4.0), (3, 9.0)])
+@pytest.mark.parametrize(("reach", "expected"), [(1, pixel_statistics.SMEAR), (2, 4.0), (3, 9.0)])
 def test_independent_pixels_of_noise_that_is_smeared(reach: int, expected: float) -> None:
     # a box of r x r pixels over white noise: the autocorrelations of all distances sum to r**2;
     # pixels of a camera that moves share some light in any case

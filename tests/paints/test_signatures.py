@@ -12,8 +12,9 @@ from support.painted_lines import CHUNKINGS, RAW, SPECTRA, TWO, assert_same_bits
 
 from hyperpaint import Quality, Region, Regions, SchemaError, extract_signatures
 from hyperpaint.base.schema import CUBE
-from hyperpaint.paints.signatures import extraction, independence
-from hyperpaint.paints.signatures.reduction import chosen_members, geometric_median, summarise
+from hyperpaint.paints.signatures import extraction
+from hyperpaint.paints.signatures import pixel_statistics
+from hyperpaint.paints.signatures.pixel_statistics import chosen_members, geometric_median, summarise
 from hyperpaint.regions import pixels
 
 # --- against plain numpy -----------------------------------------------------------------------------------
@@ -197,7 +198,7 @@ def test_regions_read_some_bands_at_a_time(size: int, monkeypatch: pytest.Monkey
 def test_a_large_region_takes_little_memory(monkeypatch: pytest.MonkeyPatch) -> None:
     lines, bands, columns = 304, 240, 128
     monkeypatch.setattr(extraction, "GATHERED_BYTES", 2 * 2**20)
-    monkeypatch.setattr(independence, "_MOST_CELLS", 2**14)
+    monkeypatch.setattr(pixel_statistics, "_MOST_CELLS", 2**14)
 
     def block(block_info: Any = None) -> np.ndarray:
         start, stop = block_info[None]["array-location"][0]

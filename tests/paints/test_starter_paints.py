@@ -13,8 +13,7 @@ import xarray as xr
 import hyperpaint as hp
 from hyperpaint.base.errors import SchemaError
 from hyperpaint.io.dirsig import open_emissivity
-from hyperpaint.paints.colour_difference import srgb_hex
-from hyperpaint.paints.true_colour import paint_colours
+from hyperpaint.paints.colours import paint_colours, srgb_hex
 from hyperpaint.pictures.plot_library import library_overview
 from hyperpaint.simulation.rendering.pigments import FOURTEEN
 from hyperpaint.simulation.rendering.spectra import spectrum_of

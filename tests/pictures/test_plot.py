@@ -11,7 +11,7 @@ import xarray as xr
 from support.strategies import flight
 
 from hyperpaint.base.errors import MissingExtraError, SchemaError
-from hyperpaint.paints.true_colour import colour_matching
+from hyperpaint.paints.colours import colour_matching
 from hyperpaint.pictures.plot import quicklook, rgb
 
 NM = np.arange(385.0, 780.0, 5.0)

@@ -13,13 +13,13 @@ from support.strategies import flight
 import hyperpaint as hp
 from hyperpaint.base.errors import MissingExtraError, SchemaError
 from hyperpaint.base.schema import Quality
-from hyperpaint.paints.true_colour import srgb
+from hyperpaint.paints.colours import srgb
 
 pytest.importorskip("matplotlib")
 
 from matplotlib.figure import Figure
 
-from hyperpaint.paints.true_colour import paint_colours
+from hyperpaint.paints.colours import paint_colours
 from hyperpaint.pictures.plot_library import MOST_PAINTS, library_overview
 from hyperpaint.pictures.plot_spectra import spectrum, triptych
 

@@ -13,7 +13,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hyperpaint.base.errors import SchemaError
-from hyperpaint.regions import Region, Regions, pixels, pixels_of, placement, region_mask
+from hyperpaint.regions import Region, Regions, pixels, pixels_of, region_mask
+from hyperpaint.regions import pixels_in_regions
 from hyperpaint.regions.polygons import contains
 
 SQUARE = [(1, 1), (5, 1), (5, 5), (1, 5)]
@@ -166,7 +167,7 @@ def test_a_region_beyond_the_line_keeps_what_is_in_it() -> None:
 def test_blocks_of_pixels_change_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     region = Region("a", np.random.default_rng(1).uniform(0, 40, (9, 2)))
     whole = pixels(region, line(50, 45))
-    monkeypatch.setattr(placement, "_BLOCK_PIXELS", 100)
+    monkeypatch.setattr(pixels_in_regions, "_BLOCK_PIXELS", 100)
     for axis in (0, 1):
         np.testing.assert_array_equal(pixels(region, line(50, 45))[axis], whole[axis])
 
@@ -203,7 +204,7 @@ def test_pixels_by_their_place_on_the_ground(chunks: Any) -> None:
 
 
 def test_pixels_of_a_map(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(placement, "_BLOCK_PIXELS", 20)
+    monkeypatch.setattr(pixels_in_regions, "_BLOCK_PIXELS", 20)
     grid = xr.Dataset({"reflectance": (("y", "x", "band"), np.zeros((8, 6, 2), "f4"))})
     grid = grid.assign_coords(x=100.0 + 0.5 * np.arange(6), y=50.0 - 0.5 * np.arange(8))
     region = Region("a", [(101, 48.9), (101.6, 48.9), (101.6, 50), (101, 50)])

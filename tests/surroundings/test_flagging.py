@@ -17,8 +17,8 @@ from hyperpaint import surroundings as scene_model
 from hyperpaint.base.quality_bits import Quality
 from hyperpaint.cli.program import main
 from hyperpaint.light.sun import diffuse_fraction, solar_position
-from hyperpaint.surroundings import flagging
-from hyperpaint.surroundings.flagging import flag_line, is_flagged
+from hyperpaint.surroundings import flags
+from hyperpaint.surroundings.flags import flag_line, is_flagged
 from hyperpaint.workflows import signature_files
 from hyperpaint.workflows.signature_files import write_signatures
 

@@ -8,9 +8,8 @@ import scipy.optimize
 from support.analytic_scenes import smooth_edge
 
 from hyperpaint.light.sun import diffuse_fraction
-from hyperpaint.surroundings.light_mixtures import senders_of, solve
+from hyperpaint.surroundings.full_light import Light, senders_of, solve
 from hyperpaint.surroundings.model import LIT, SHADED
-from hyperpaint.surroundings.references import Light
 from hyperpaint.surroundings.segments import Segments, distance_to, edge_distance, touching
 from hyperpaint.surroundings.shadows import match_shade, shaded_pixels
 

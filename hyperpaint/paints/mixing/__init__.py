@@ -8,6 +8,6 @@ paints).
 from __future__ import annotations
 
 from .recipes import mix_paints, shade_paints
-from .sampling import sample_paints
+from .synthetic_paints import sample_paints
 
 __all__ = ["mix_paints", "sample_paints", "shade_paints"]

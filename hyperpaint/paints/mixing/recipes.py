@@ -15,8 +15,8 @@ from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import PaintWarning, Problems, SchemaError
 from hyperpaint.base.schema import PAINT
 
-from .coated import coating_of
-from .synthetic import MEMBERS, SPECULAR, specular_of, synthetic_library
+from .kubelka_munk import coating_of
+from .synthetic_paints import MEMBERS, SPECULAR, specular_of, synthetic_library
 
 if TYPE_CHECKING:
     import xarray as xr

@@ -10,7 +10,7 @@ import numpy.typing as npt
 from hyperpaint.base.arrays import Array, Bools, Floats
 from hyperpaint.surroundings import SceneModel
 
-from .surroundings import largest_body
+from .candidates import largest_body
 
 __all__ = ["Footprint", "Scene", "footprint_of", "hull_of"]
 

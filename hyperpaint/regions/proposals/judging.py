@@ -8,8 +8,7 @@ import numpy as np
 
 from hyperpaint.surroundings import SceneModel
 
-from .candidates import Limits, Measures, Piece
-from .surroundings import DARK, Surfaces, ring_around
+from .candidates import DARK, Limits, Measures, Piece, Surfaces, ring_around
 
 __all__ = ["Verdict", "judge_change", "judge_dark", "judge_lean", "judge_pixels"]
 

@@ -1,6 +1,7 @@
-"""Corrections of reflectance that are offered, never made unasked: mirrored sky, tilt, hidden sky.
+"""How the irradiance divides into sun and sky, and the corrections of reflectance that follow from it.
 
-Each says in the attributes of ``reflectance`` what was done.
+Corrections (mirrored sky, tilt, hidden sky) are made on request only; each says in the attributes of
+``reflectance`` what was done.
 """
 
 from __future__ import annotations
@@ -8,17 +9,199 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import numpy.typing as npt
 
 from hyperpaint.base import schema
-from hyperpaint.base.errors import Problems, SchemaError
+from hyperpaint.base.arrays import Floats, Ints
+from hyperpaint.base.errors import MissingExtraError, Problems, SchemaError
 from hyperpaint.base.schema import BAND, PAINT
+from hyperpaint.light.sun import diffuse_fraction, solar_position
 
-from .light import SOURCES, diffuse_from_clear_sky, measured_fraction, sun_zenith_of
+from .model import SHADED
 
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["CORRECTIONS", "correct_light", "remove_mirrored_sky"]
+    from .full_light import Matches
+
+__all__ = [
+    "CORRECTIONS",
+    "SOURCES",
+    "correct_light",
+    "diffuse_from_clear_sky",
+    "fraction_in_shadow",
+    "measured_fraction",
+    "remove_mirrored_sky",
+    "shadow_side_of",
+    "sun_zenith_of",
+]
+
+
+_LEAST_PIXELS = 60
+"""Pixels of a shadow that the diffuse fraction is taken from, at least."""
+_OPEN = (0.6, 0.9)
+"""Quantiles of brightness in the blue, between which its pixels see most of the sky."""
+
+SOURCES = ("model", "pvlib", "shadow")
+"""Where the diffuse fraction may come from, beside a measured spectrum."""
+
+
+def sun_zenith_of(line: xr.Dataset, sun_zenith: float | None) -> float:
+    """Return the zenith angle of the sun [degree], given or from time and place of the line.
+
+    Raises
+    ------
+    SchemaError
+        Neither is known.
+    """
+    if sun_zenith is not None:
+        if not 0.0 <= sun_zenith <= 90.0:
+            raise SchemaError(f"sun_zenith={sun_zenith!r}, expected 0 to 90 degrees")
+        return float(sun_zenith)
+    if not {"time", "latitude", "longitude"} <= set(line.variables):
+        raise SchemaError(
+            "the sun's place is not known: the line has no time, latitude and longitude",
+            mend="give sun_zenith= [degree], or diffuse= with a measured spectrum",
+            option="give --sun-zenith",
+        )
+    zenith, _ = solar_position(*(line[name].values for name in ("time", "latitude", "longitude")))
+    if not np.isfinite(zenith).any():
+        raise SchemaError(
+            "time, latitude or longitude is missing on every line",
+            mend="give sun_zenith= [degree]",
+            option="give --sun-zenith",
+        )
+    return float(np.mean(zenith[np.isfinite(zenith)]))
+
+
+def shadow_side_of(line: xr.Dataset, sun_azimuth: float | None, heading: float | None) -> Floats | None:
+    """Return the direction (along, across) in the image in which shadows fall, None where it is not known.
+
+    The right-hand column is to the right of the flight.
+    """
+    if heading is None and "heading" in line.variables:
+        heading = _mean_angle(line["heading"].values)
+    if sun_azimuth is None and {"time", "latitude", "longitude"} <= set(line.variables):
+        _, azimuth = solar_position(*(line[name].values for name in ("time", "latitude", "longitude")))
+        sun_azimuth = _mean_angle(azimuth)
+    if heading is None or sun_azimuth is None:
+        return None
+    away = np.radians(sun_azimuth + 180.0 - heading)
+    return np.array([np.cos(away), np.sin(away)])
+
+
+def _mean_angle(degrees: Any) -> float | None:
+    """Return the mean direction [degree]; None where none is known."""
+    known = np.radians(np.asarray(degrees, np.float64)[np.isfinite(degrees)])
+    if not known.size:
+        return None
+    return float(np.degrees(np.arctan2(np.sin(known).mean(), np.cos(known).mean())))
+
+
+def diffuse_from_clear_sky(source: str, wavelength: Floats, zenith: float) -> Floats:
+    """Return the diffuse fraction (band,) [1] of a clear sky, by the core's model or by pvlib's.
+
+    pvlib's SPECTRL2 (Bird & Riordan, J. Climate Appl. Meteor. 25, 87, 1986) is asked for sea level, 1.5 cm of
+    water vapour, 0.31 atm-cm of ozone and a turbidity of 0.1 at 500 nm.
+
+    Raises
+    ------
+    MissingExtraError
+        pvlib is not installed.
+    """
+    if source != "pvlib":
+        return diffuse_fraction(wavelength, zenith)
+    try:
+        from pvlib.spectrum import spectrl2
+    except ImportError as error:
+        needed = MissingExtraError.of("pvlib", "sim", "the direct/diffuse split of SPECTRL2")
+        raise needed from error
+    from hyperpaint.light.sun import air_mass
+
+    made: Any = spectrl2(
+        apparent_zenith=zenith,
+        aoi=zenith,
+        surface_tilt=0,
+        ground_albedo=0.2,
+        surface_pressure=101_325.0,
+        relative_airmass=float(air_mass(zenith)),
+        precipitable_water=1.5,
+        ozone=0.31,
+        aerosol_turbidity_500nm=0.1,
+        dayofyear=172,
+    )
+    direct = made["poa_global"] - made["poa_sky_diffuse"] - made["poa_ground_diffuse"]
+    whole = np.ravel(made["poa_global"])
+    share = 1.0 - np.ravel(direct) / whole
+    return np.interp(wavelength, np.ravel(made["wavelength"]), share)
+
+
+def measured_fraction(given: Any, wavelength: Floats) -> Floats:
+    """Return a measured diffuse fraction at the bands' wavelengths.
+
+    Parameters
+    ----------
+    given : (band,) or DataArray with a coordinate ``wavelength``
+        Reading in the shade of a small disc over that in full light [1].
+    wavelength : (band,)
+        [nm]
+
+    Raises
+    ------
+    SchemaError
+        It does not fit the bands, or leaves 0 to 1.
+    """
+    if hasattr(given, "coords") and "wavelength" in given.coords:
+        nm = np.asarray(given["wavelength"].values, np.float64)
+        order = np.argsort(nm, kind="stable")
+        values = np.interp(wavelength, nm[order], np.asarray(given.values, np.float64)[order], np.nan, np.nan)
+    else:
+        values = np.asarray(given, np.float64)
+    if values.shape != wavelength.shape:
+        raise SchemaError(
+            f"diffuse= has shape {values.shape}, expected one value for each of the {wavelength.size} bands, "
+            "or a DataArray with a coordinate 'wavelength' [nm]"
+        )
+    if not ((values >= 0) & (values <= 1)).all():
+        raise SchemaError("diffuse= leaves 0 to 1, or does not cover the bands")
+    return values
+
+
+def fraction_in_shadow(
+    channels: npt.NDArray[np.float32],
+    places: list[Ints],
+    spectrum: Floats,
+    size: Ints,
+    matches: Matches,
+) -> Floats:
+    r"""Return the diffuse fraction (channel,) from a shadow on the largest body that has one of some size.
+
+    :math:`f_{dif} = \rho_{shadow} / \rho_{sun}`, of the pixels of the shadow that see most of the sky: the
+    60th to 90th percentile of brightness in the bluest quarter. What things around hide of the sky, and light
+    that comes off them, is not known, and remains in it.
+
+    Raises
+    ------
+    SchemaError
+        There is no such shadow.
+    """
+    shaded = np.flatnonzero((matches.state == SHADED) & (size >= _LEAST_PIXELS))
+    if not shaded.size:
+        raise SchemaError(
+            "diffuse='shadow' found no cast shadow of 60 pixels beside its ground in full sun; "
+            "use diffuse='model', or give a measured spectrum"
+        )
+    ground = matches.body[shaded]
+    best = ground[np.argmax(size[ground])]
+    flat = channels.reshape(-1, channels.shape[2])
+    here = np.concatenate([places[segment] for segment in shaded[ground == best]])
+    values = flat[here].astype(np.float64)
+    values = values[np.isfinite(values).all(axis=1)]
+    blue = values[:, : max(1, values.shape[1] // 4)].mean(axis=1)
+    low, high = np.quantile(blue, _OPEN)
+    open_ = values[(blue >= low) & (blue <= high)]
+    return np.asarray(np.clip(open_.mean(axis=0) / spectrum[best], 0.0, 1.0))
+
 
 CORRECTIONS = ("mirrored_sky_removed", "light_corrected", "tilt")
 """Attributes of reflectance that say what was corrected."""

@@ -23,6 +23,7 @@ if TYPE_CHECKING:
 
 __all__ = ["Pixels", "pixels", "pixels_of", "region_mask"]
 
+
 Pixels = tuple[Ints, Ints]
 """Positions along and across the track, line by line."""
 
