@@ -26,8 +26,7 @@ from hyperpaint.radiometry import bands, smoothing
 from hyperpaint.radiometry import counts_to_reflectance as radiometry
 from hyperpaint.regions import proposals
 from hyperpaint.simulation.rendering import relighting
-from hyperpaint.surroundings import flags
-from hyperpaint.surroundings import sun_and_sky
+from hyperpaint.surroundings import flags, sun_and_sky
 
 FUNCTIONS: dict[str, Callable[..., Any]] = {
     "radiance": radiometry.radiance,
@@ -41,8 +40,8 @@ FUNCTIONS: dict[str, Callable[..., Any]] = {
     "relight": relighting.relight,
     "survey": scene_model.survey,
     "flag": flags.flag,
-    "remove_mirrored_sky": corrections.remove_mirrored_sky,
-    "correct_light": corrections.correct_light,
+    "remove_mirrored_sky": sun_and_sky.remove_mirrored_sky,
+    "correct_light": sun_and_sky.correct_light,
     "propose_regions": proposals.propose_regions,
     "signatures": signatures.extract_signatures,
     "locate": georeference.locate,

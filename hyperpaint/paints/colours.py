@@ -110,9 +110,9 @@ def srgb(spectra: npt.ArrayLike, wavelength: npt.ArrayLike) -> Array:
     flat = values.reshape(-1, visible.size)
     filled = np.full_like(flat, np.nan)
     for own, spectrum in zip(filled, flat, strict=True):
-        known = np.isfinite(spectrum)
-        if known.any():
-            own[:] = np.interp(nm, nm[known], spectrum[known])
+        is_finite = np.isfinite(spectrum)
+        if is_finite.any():
+            own[:] = np.interp(nm, nm[is_finite], spectrum[is_finite])
     linear = filled @ srgb_weights(nm, None)[..., 0].T.astype(np.float64)
     return encode_srgb(linear.clip(0.0, 1.0)).reshape(*values.shape[:-1], 3)
 
@@ -122,12 +122,12 @@ def paint_colours(paints: xr.Dataset) -> npt.NDArray[np.float32]:
 
     Bands that are not ``good`` are left out.
     """
-    found = schema.require(paints, ["reflectance", "wavelength"], "colours", schema.LIBRARY_VARIABLES)
-    values = found["reflectance"].values
+    variables = schema.require(paints, ["reflectance", "wavelength"], "colours", schema.LIBRARY_VARIABLES)
+    values = variables["reflectance"].values
     if "good" in paints.variables:
         values = np.where(paints["good"].values.astype(bool), values, np.nan)
     try:
-        return np.asarray(srgb(values, found["wavelength"].values), np.float32)
+        return np.asarray(srgb(values, variables["wavelength"].values), np.float32)
     except SchemaError:  # fewer than three visible bands
         return np.full((len(values), 3), np.nan, np.float32)
 
@@ -213,8 +213,8 @@ def nearest_colour(colour: npt.ArrayLike) -> str:
     values = np.asarray(colour, np.float64)
     if not np.isfinite(values).all():
         return ""
-    known = lab_of(np.stack([parse_colour(digits) for digits in COLOURS.values()]))
-    return list(COLOURS)[int(ciede2000(lab_of(values), known).argmin())]
+    reference_lab = lab_of(np.stack([parse_colour(digits) for digits in COLOURS.values()]))
+    return list(COLOURS)[int(ciede2000(lab_of(values), reference_lab).argmin())]
 
 
 def lab_of(srgb: npt.ArrayLike) -> Floats:

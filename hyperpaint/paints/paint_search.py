@@ -100,26 +100,26 @@ def search_library(
     """
     _check(name, colour, like, maximum_colour_difference, maximum_angle, limit)
     names = [PAINT, "reflectance", "wavelength"]
-    found = schema.require(library, names, "a search", LIBRARY_VARIABLES)
-    kept = np.ones(library.sizes[PAINT], np.bool_)
+    variables = schema.require(library, names, "a search", LIBRARY_VARIABLES)
+    is_match = np.ones(library.sizes[PAINT], np.bool_)
     if name is not None:
-        kept &= [_is_named(str(each), name) for each in found[PAINT].values]
-    order = np.arange(kept.size)
-    made: dict[str, Any] = {}
+        is_match &= [_is_named(str(each), name) for each in variables[PAINT].values]
+    order = np.arange(is_match.size)
+    coordinates: dict[str, Any] = {}
     if colour is not None:
-        found_off = _colour_differences(library, colour)
-        kept &= found_off <= (np.inf if maximum_colour_difference is None else maximum_colour_difference)
-        order = np.argsort(found_off, kind="stable")
-        told = {"long_name": f"CIEDE2000 difference from {colour}", "units": "1"}
-        made["colour_difference"] = (PAINT, found_off, told)
+        difference = _colour_differences(library, colour)
+        is_match &= difference <= (np.inf if maximum_colour_difference is None else maximum_colour_difference)
+        order = np.argsort(difference, kind="stable")
+        attrs = {"long_name": f"CIEDE2000 difference from {colour}", "units": "1"}
+        coordinates["colour_difference"] = (PAINT, difference, attrs)
     if like is not None:
-        angle = _angles(library, found["reflectance"], found["wavelength"], like)
-        kept &= angle <= (np.inf if maximum_angle is None else maximum_angle)
+        angle = _angles(library, variables["reflectance"], variables["wavelength"], like)
+        is_match &= angle <= (np.inf if maximum_angle is None else maximum_angle)
         order = np.argsort(angle, kind="stable")
-        told = {"long_name": "Spectral angle to the spectrum searched for", "units": "rad"}
-        made["spectral_angle"] = (PAINT, angle, told)
-    order = order[kept[order]][:limit]
-    return library.assign_coords(made).isel({PAINT: order})
+        attrs = {"long_name": "Spectral angle to the spectrum searched for", "units": "rad"}
+        coordinates["spectral_angle"] = (PAINT, angle, attrs)
+    order = order[is_match[order]][:limit]
+    return library.assign_coords(coordinates).isel({PAINT: order})
 
 
 def _check(
@@ -253,11 +253,11 @@ def _interpolated(nm: Floats, own: Floats, values: Floats) -> Floats:
     order = np.argsort(own, kind="stable")
     own, values = own[order], values[order]
     usual = np.diff(own[np.isfinite(own)])
-    known = np.isfinite(own) & np.isfinite(values)
-    at, values = own[known], values[known]
+    is_finite = np.isfinite(own) & np.isfinite(values)
+    at, values = own[is_finite], values[is_finite]
     if at.size < 2:
         return np.full(nm.size, np.nan)
-    made = np.interp(nm, at, values, left=np.nan, right=np.nan)
+    interpolated = np.interp(nm, at, values, left=np.nan, right=np.nan)
     steps = np.diff(at)
     # detectors differ in their steps: a hole is wide beside its neighbours, on both sides
     padded = np.pad(steps, 1, constant_values=np.inf)
@@ -265,4 +265,4 @@ def _interpolated(nm: Floats, own: Floats, values: Floats) -> Floats:
     beside = np.maximum(np.where(np.isfinite(beside), beside, 0.0), np.median(usual))
     step = np.clip(np.searchsorted(at, nm, side="left") - 1, 0, steps.size - 1)
     inside_hole = (steps > _WIDEST_STEP * beside)[step] & (nm > at[step]) & (nm < at[step + 1])
-    return np.where(inside_hole, np.nan, made)
+    return np.where(inside_hole, np.nan, interpolated)

@@ -144,12 +144,12 @@ def _variants(spec: PaintSpec, nm: Floats, count: int, rng: np.random.Generator)
     load = np.exp(_LOAD * rng.standard_normal(count))
     shift = _HUE_NM * rng.standard_normal(count)
     level = np.exp(_LEVEL * rng.standard_normal(count))
-    made = np.empty((count, nm.size), np.float32)
-    for row, pigment, moved, light in zip(made, load, shift, level, strict=True):
+    variants = np.empty((count, nm.size), np.float32)
+    for row, pigment, moved, light in zip(variants, load, shift, level, strict=True):
         layer = np.clip(interface.layer(spec.reflectance(nm - moved)), 1e-4, 1.0)
         varied = thick_layer_reflectance(pigment * absorption_to_scattering(layer))
         row[:] = np.clip(light * interface.seen(varied) * (1.0 - _share(spec)), 0.0, 1.0)
-    return made
+    return variants
 
 
 def _library(
@@ -163,7 +163,7 @@ def _library(
         {"title": "parameters of pigments, hyperpaint.simulation"},
     )
     names = [f"Synthetic {spec.trade_name}" for spec in specs]
-    made = synthetic_library(
+    paints = synthetic_library(
         bands,
         names,
         values,
@@ -171,8 +171,10 @@ def _library(
         "Kubelka-Munk from parametric K/S",
         seed=seed,
     )
-    made.attrs["title"] = "Starter library: synthetic car paints, none of them measured"
-    swatches = [srgb_hex(colour) for colour in paint_colours(made)] if _is_visible(nm) else [""] * len(specs)
+    paints.attrs["title"] = "Starter library: synthetic car paints, none of them measured"
+    swatches = (
+        [srgb_hex(colour) for colour in paint_colours(paints)] if _is_visible(nm) else [""] * len(specs)
+    )
     about = {
         "finish": ("Finish", [spec.finish for spec in specs]),
         "colour": ("Colour in words", [spec.colour for spec in specs]),
@@ -184,7 +186,7 @@ def _library(
     }
     roughness = np.array([spec.coat.roughness for spec in specs])
     told = {"long_name": "GGX alpha of the clear coat", "units": "1"}
-    return made.assign_coords({**texts, "roughness": (PAINT, roughness, told)})
+    return paints.assign_coords({**texts, "roughness": (PAINT, roughness, told)})
 
 
 def _is_visible(nm: Floats) -> bool:

@@ -69,9 +69,9 @@ def read_regions(path: str | os.PathLike[str]) -> Regions:
         text = raw.decode("utf-8-sig")
         document = json.loads(text, object_pairs_hook=_object, parse_constant=_no_constant)
     except (ValueError, RecursionError) as error:
-        told = "nested too deep" if isinstance(error, RecursionError) else str(error)
+        reason = "nested too deep" if isinstance(error, RecursionError) else str(error)
         raise FormatError(
-            f"{place}: no GeoJSON ({told:.200}); expected a FeatureCollection of polygons in UTF-8"
+            f"{place}: no GeoJSON ({reason:.200}); expected a FeatureCollection of polygons in UTF-8"
         ) from error
     return _collection(document, str(place))
 
@@ -156,9 +156,9 @@ def regions_from(source: Any) -> Regions:
         document = source if isinstance(source, Mapping) else source.__geo_interface__
         return _collection(document, "these regions")
     if isinstance(source, Iterable):
-        found = tuple(source)
-        if all(isinstance(each, Region) for each in found):
-            return Regions(found)
+        members = tuple(source)
+        if all(isinstance(each, Region) for each in members):
+            return Regions(members)
     raise SchemaError(
         f"regions are {type(source).__name__}, expected hyperpaint.Regions, the path of a GeoJSON file, "
         "or its content"
@@ -168,15 +168,15 @@ def regions_from(source: Any) -> Regions:
 def _read(place: Path) -> bytes:
     expected = f"expected GeoJSON of at most {MOST_BYTES} bytes; check the path"
     try:
-        found = place.stat()
-        if stat.S_ISREG(found.st_mode) and found.st_size <= MOST_BYTES:
+        status = place.stat()
+        if stat.S_ISREG(status.st_mode) and status.st_size <= MOST_BYTES:
             with open(place, "rb") as file:
                 return file.read(MOST_BYTES)
     except (OSError, ValueError) as error:
         raise FormatError(
             f"{place}: cannot be read ({getattr(error, 'strerror', None) or error}); check the path"
         ) from error
-    size = f"{found.st_size} bytes" if stat.S_ISREG(found.st_mode) else "a folder, pipe or device"
+    size = f"{status.st_size} bytes" if stat.S_ISREG(status.st_mode) else "a folder, pipe or device"
     raise FormatError(f"{place}: {size}, {expected}")
 
 
@@ -185,10 +185,10 @@ def _json(value: Any) -> str:
 
 
 def _object(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    made = dict(pairs)
-    if len(made) < len(pairs):
+    mapping = dict(pairs)
+    if len(mapping) < len(pairs):
         raise ValueError("a member occurs twice in the same object")
-    return made
+    return mapping
 
 
 def _no_constant(text: str) -> None:
@@ -207,10 +207,10 @@ def _collection(document: Any, subject: str) -> Regions:
     if coordinates not in COORDINATES:
         problems.add(f"coordinates {str(coordinates)[:80]!r}, expected one of {', '.join(COORDINATES)}")
     problems.raise_if_any()
-    found, wrong = [], 0
+    regions, wrong = [], 0
     for number, feature in enumerate(features):
         try:
-            found.append(_region(feature))
+            regions.append(_region(feature))
         except PaintError as error:
             wrong += 1
             if wrong <= _MOST_TOLD:
@@ -219,7 +219,7 @@ def _collection(document: Any, subject: str) -> Regions:
         problems.add(f"and {wrong - _MOST_TOLD} features more")
     problems.raise_if_any()
     try:
-        return Regions(tuple(found), coordinates, crs)
+        return Regions(tuple(regions), coordinates, crs)
     except SchemaError as error:
         raise FormatError(f"{subject}: {error}") from error
 
@@ -231,8 +231,8 @@ def _features(document: Any, problems: Problems) -> list[Any]:
         return [document]
     features = document.get("features") if kind == "FeatureCollection" else None
     if not isinstance(features, list | tuple):
-        told = f"type {kind!r:.80}" if isinstance(document, Mapping) else type(document).__name__
-        problems.add(f"{told}, expected a FeatureCollection with a list of features")
+        description = f"type {kind!r:.80}" if isinstance(document, Mapping) else type(document).__name__
+        problems.add(f"{description}, expected a FeatureCollection with a list of features")
         return []
     if len(features) > MOST_REGIONS:
         problems.add(f"{len(features)} features, expected at most {MOST_REGIONS}; split the file")
@@ -241,14 +241,14 @@ def _features(document: Any, problems: Problems) -> list[Any]:
 
 
 def _crs(document: Mapping[str, Any], problems: Problems) -> str | None:
-    found = document.get("crs")
-    if isinstance(found, Mapping):
-        inner = found.get("properties")
-        found = inner.get("name") if isinstance(inner, Mapping) else None
-    elif found is None:
+    crs = document.get("crs")
+    if isinstance(crs, Mapping):
+        inner = crs.get("properties")
+        crs = inner.get("name") if isinstance(inner, Mapping) else None
+    elif crs is None:
         return None
-    if isinstance(found, str) and 0 < len(found) <= 10_000 and found.isprintable():
-        return found
+    if isinstance(crs, str) and 0 < len(crs) <= 10_000 and crs.isprintable():
+        return crs
     problems.add("the crs has no name; expected text such as 'EPSG:32618', or an object with properties.name")
     return None
 
@@ -291,7 +291,7 @@ def _rings(geometry: Any, name: Any) -> list[Any]:
 
 
 def _positions(ring: Any, subject: str) -> Any:
-    made = []
+    corners = []
     for position in ring if isinstance(ring, list | tuple) else (None,):
         if (
             not isinstance(position, list | tuple)
@@ -300,8 +300,8 @@ def _positions(ring: Any, subject: str) -> Any:
         ):
             raise SchemaError(f"{subject} with a corner {position!r:.60}, expected [x, y]")
         # heights are of no use here
-        made.append((float(position[0]), float(position[1])))
-    return np.array(made, np.float64).reshape(-1, 2)
+        corners.append((float(position[0]), float(position[1])))
+    return np.array(corners, np.float64).reshape(-1, 2)
 
 
 def _is_number(value: Any) -> bool:

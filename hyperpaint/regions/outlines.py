@@ -164,10 +164,10 @@ class Regions(Sequence[Region]):
     @property
     def __geo_interface__(self) -> dict[str, Any]:
         """The regions as a FeatureCollection of GeoJSON, as shapely and geopandas take it."""
-        made: dict[str, Any] = {"type": "FeatureCollection", "coordinates": self.coordinates}
+        collection: dict[str, Any] = {"type": "FeatureCollection", "coordinates": self.coordinates}
         if self.crs is not None:
-            made["crs"] = {"type": "name", "properties": {"name": self.crs}}
-        return {**made, "features": [region.feature() for region in self.regions]}
+            collection["crs"] = {"type": "name", "properties": {"name": self.crs}}
+        return {**collection, "features": [region.feature() for region in self.regions]}
 
     @property
     def digest(self) -> str:
@@ -197,21 +197,21 @@ def _name_problem(value: object, *, may_be_empty: bool) -> str | None:
 def _ring(ring: Any, index: int, problems: Problems) -> npt.NDArray[np.float64]:
     called = "polygon" if index == 0 else f"hole {index}"
     try:
-        made = np.array(ring, np.float64)
+        corners = np.array(ring, np.float64)
     except (TypeError, ValueError):
-        made = np.empty((0,))
-    if made.ndim != 2 or made.shape[1] != 2:
-        problems.add(f"the {called} has shape {made.shape}, expected (vertex, 2): x and y of its corners")
-        return made
-    if len(made) > 1 and (made[0] == made[-1]).all():
-        made = made[:-1]
-    if not 3 <= len(made) <= MOST_VERTICES:
-        problems.add(f"the {called} has {len(made)} corners, expected 3 to {MOST_VERTICES}")
-    if not (np.abs(made) <= LARGEST).all():
+        corners = np.empty((0,))
+    if corners.ndim != 2 or corners.shape[1] != 2:
+        problems.add(f"the {called} has shape {corners.shape}, expected (vertex, 2): x and y of its corners")
+        return corners
+    if len(corners) > 1 and (corners[0] == corners[-1]).all():
+        corners = corners[:-1]
+    if not 3 <= len(corners) <= MOST_VERTICES:
+        problems.add(f"the {called} has {len(corners)} corners, expected 3 to {MOST_VERTICES}")
+    if not (np.abs(corners) <= LARGEST).all():
         problems.add(f"the {called} has corners that are not numbers from {-LARGEST:g} to {LARGEST:g}")
-    made = made + 0.0  # no negative zero
-    made.flags.writeable = False
-    return made
+    corners = corners + 0.0  # no negative zero
+    corners.flags.writeable = False
+    return corners
 
 
 def _plain(properties: Any, problems: Problems) -> dict[str, Any]:
@@ -230,5 +230,5 @@ def _plain(properties: Any, problems: Problems) -> dict[str, Any]:
     except (TypeError, ValueError, RecursionError) as error:
         problems.add(f"properties are not text, finite numbers, lists or mappings of them ({error!s:.80})")
         return {}
-    made: dict[str, Any] = json.loads(text)
-    return made
+    copied: dict[str, Any] = json.loads(text)
+    return copied

@@ -96,18 +96,18 @@ def region_mask(regions: Any, line: xr.Dataset) -> xr.DataArray:
     """
     import xarray as xr
 
-    found = regions_from(regions)
+    region_list = regions_from(regions)
     line = schema.rename_to_roles(line)
-    places = pixels_of(found, line)
-    made = np.full((line.sizes[ALONG_TRACK], line.sizes[CROSS_TRACK]), -1, np.int16)
+    places = pixels_of(region_list, line)
+    mask = np.full((line.sizes[ALONG_TRACK], line.sizes[CROSS_TRACK]), -1, np.int16)
     for number, place in enumerate(places):
-        made[place] = number
+        mask[place] = number
     attrs = {
         "long_name": "Region that a pixel lies in",
-        "flag_values": np.arange(-1, len(found), dtype=np.int16),
-        "flag_meanings": " ".join(["none", *(name.replace(" ", "_") for name in found.names)]),
+        "flag_values": np.arange(-1, len(region_list), dtype=np.int16),
+        "flag_meanings": " ".join(["none", *(name.replace(" ", "_") for name in region_list.names)]),
     }
-    return xr.DataArray(made, dims=(ALONG_TRACK, CROSS_TRACK), name="region", attrs=attrs)
+    return xr.DataArray(mask, dims=(ALONG_TRACK, CROSS_TRACK), name="region", attrs=attrs)
 
 
 def pixels_of(regions: Regions, line: xr.Dataset) -> list[Pixels]:
@@ -221,18 +221,18 @@ def _ground(line: xr.Dataset, crs: str | None) -> tuple[xr.DataArray, xr.DataArr
             "coordinates, or locate the line first"
         )
     wanted = None if crs is None else _normal(crs)
-    fitting = [pair for pair, found in there.items() if wanted is None or found in (None, wanted)]
+    fitting = [pair for pair, pair_crs in there.items() if wanted is None or pair_crs in (None, wanted)]
     # what says that it fits goes before what says nothing
     fitting.sort(key=lambda pair: there[pair] is None)
-    others = [pair for pair, found in there.items() if found is not None]
+    others = [pair for pair, pair_crs in there.items() if pair_crs is not None]
     if not fitting and others:
         x, y = others[0]
         return line[x].reset_coords(drop=True), line[y].reset_coords(drop=True), there[others[0]]
     if not fitting or (wanted is None and len(fitting) > 1):
-        held = ", ".join(f"{x} and {y} ({found or 'unknown'})" for (x, y), found in there.items())
-        told = "do not tell their crs" if crs is None else f"are in {crs!r:.80}"
+        held = ", ".join(f"{x} and {y} ({pair_crs or 'unknown'})" for (x, y), pair_crs in there.items())
+        stated = "do not tell their crs" if crs is None else f"are in {crs!r:.80}"
         raise SchemaError(
-            f"the regions {told}, the line has {held}; write the regions in one of these, and name it"
+            f"the regions {stated}, the line has {held}; write the regions in one of these, and name it"
         )
     x, y = fitting[0]
     return line[x].reset_coords(drop=True), line[y].reset_coords(drop=True), None
@@ -247,10 +247,10 @@ def _is_place(line: xr.Dataset, pair: tuple[str, str]) -> bool:
 
 
 def _crs_of(line: xr.Dataset, pair: tuple[str, str]) -> str | None:
-    told = line[pair[0]].attrs.get("crs", line.attrs.get("crs"))
+    stated = line[pair[0]].attrs.get("crs", line.attrs.get("crs"))
     if pair[0] in _GEOGRAPHIC:
         return _DEGREES
-    return _normal(told) if isinstance(told, str) else None
+    return _normal(stated) if isinstance(stated, str) else None
 
 
 def _normal(crs: str) -> str:

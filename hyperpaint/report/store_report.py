@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING
 
 from hyperpaint.base.arrays import Progress
 from hyperpaint.base.errors import PaintError, Problems, SchemaError, StoreError
+from hyperpaint.base.progress_reports import part_of
 from hyperpaint.base.schema import ALONG_TRACK, CROSS_TRACK, PAINT
-from hyperpaint.paints.signatures.extraction import part_of
 from hyperpaint.pictures.figures import new_figure
 from hyperpaint.radiometry.counts_to_reflectance import reflectance
 from hyperpaint.surroundings.flags import flag_line, is_flagged
@@ -155,7 +155,7 @@ def write_report(
 
 def _shares(progress: Progress | None, steps: int) -> list[Progress | None]:
     """Return what each of several sections tells its progress to."""
-    return [None if progress is None else part_of(progress, number, steps) for number in range(steps)]
+    return [part_of(progress, number, steps) for number in range(steps)]
 
 
 def _flagged_section(
@@ -182,7 +182,7 @@ def _flagged_section(
 def _with_flags(line: xr.Dataset, sun_zenith: float | None, progress: Progress | None) -> xr.Dataset:
     """Return a line with flags and layers in memory, found in one pass after a survey."""
     seen = line if "reflectance" in line.variables else reflectance(line)
-    surveyed = None if progress is None else part_of(progress, 0, 2)
+    surveyed = part_of(progress, 0, 2)
     flagged = flag_line(seen, sun_zenith=sun_zenith, progress=surveyed).line
     return line.assign(flagged[["quality", *LAYERS]].reset_coords(drop=True).compute().data_vars)
 

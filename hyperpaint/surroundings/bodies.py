@@ -30,16 +30,16 @@ def coloured(spectrum: Floats, light: Light) -> npt.NDArray[np.float64]:
     Of the channels that are known; 0 where those are too few to tell.
     """
     basis = np.stack([np.ones_like(light.direct), light.diffuse], axis=1)
-    known = np.isfinite(spectrum)
-    made = np.zeros(len(spectrum))
-    for pattern in np.unique(known, axis=0):
+    is_finite = np.isfinite(spectrum)
+    colour = np.zeros(len(spectrum))
+    for pattern in np.unique(is_finite, axis=0):
         if pattern.sum() <= basis.shape[1]:
             continue
-        same = (known == pattern).all(axis=1)
+        same = (is_finite == pattern).all(axis=1)
         seen = spectrum[same][:, pattern]
         amounts, *_ = np.linalg.lstsq(basis[pattern], seen.T, rcond=None)
-        made[same] = np.sqrt(np.mean((seen - (basis[pattern] @ amounts).T) ** 2, axis=1))
-    return made
+        colour[same] = np.sqrt(np.mean((seen - (basis[pattern] @ amounts).T) ** 2, axis=1))
+    return colour
 
 
 def nearest_coloured(
@@ -70,8 +70,8 @@ def nearest_coloured(
     cells = tuple(-(-length // CELL) for length in number.shape)
     labels = np.full((*cells, RANKS), -1, np.int32)
     distances = np.full((*cells, RANKS), np.inf)
-    found: Any = np.where(np.append(sends, False)[centre], centre, -1)
-    labels[: centre.shape[0], : centre.shape[1], 0] = found
+    sources: Any = np.where(np.append(sends, False)[centre], centre, -1)
+    labels[: centre.shape[0], : centre.shape[1], 0] = sources
     distances[..., 0] = np.where(labels[..., 0] >= 0, 0.0, np.inf)
     nearest_sources(labels, distances, reach / CELL)
     return labels
@@ -149,8 +149,10 @@ def same_paints(spectrum: Floats, size: Ints, pairs: Touching, matches: Matches,
     paint = np.isfinite(spectrum).all(axis=1) & (_relative_colour(spectrum, light) > _COLOURED)
     open_ = (one != other) & paint[one] & paint[other]
     one, other = distinct_pairs(one[open_], other[open_], size.size)
-    known = np.nan_to_num(spectrum)
-    _, misfit, _ = unmix_spectra(known[one], other, known, light, GLINT_TOLERANCE, AS_GLINT)
+    finite_spectrum = np.nan_to_num(spectrum)
+    _, misfit, _ = unmix_spectra(
+        finite_spectrum[one], other, finite_spectrum, light, GLINT_TOLERANCE, AS_GLINT
+    )
     one, other = one[misfit < 1.0], other[misfit < 1.0]
     shape = size.size, size.size
     joined = scipy.sparse.csr_array((np.ones(one.size), (one, other)), shape=shape)
@@ -190,8 +192,8 @@ def clean_references(
     zenith
         Of the sun [degree]; NaN where not known.
     """
-    known = np.nan_to_num(spectrum)
-    reference, tilt = known.copy(), np.full(len(spectrum), TILT)
+    finite_spectrum = np.nan_to_num(spectrum)
+    reference, tilt = finite_spectrum.copy(), np.full(len(spectrum), TILT)
     colour = _relative_colour(spectrum, light)
     most = _BEYOND_TILT / max(np.cos(np.radians(np.nan_to_num(zenith, nan=60.0))), 0.2)
     flat = channels.reshape(-1, channels.shape[2])
@@ -210,7 +212,7 @@ def clean_references(
             if darkest.mean() > _BRIGHT and middle > _MOSTLY:
                 tilt[segment] = _GLINT_TILT
             continue
-        extra, direct = _additions(values, segment, known, light, neighbours[here])
+        extra, direct = _additions(values, segment, finite_spectrum, light, neighbours[here])
         low, high = np.quantile(extra, [0.1, 0.5])
         if high - low > _DIFFERS:
             first, last = np.quantile(extra, _CLEAN_GREY if grey else _CLEAN)
@@ -236,25 +238,25 @@ def _darkest(values: Floats, light: Light, most: float) -> Floats | None:
     low, wide = np.quantile(level, _CLEAN_GREY)
     if wide - low < _PLATEAU:  # mostly without glint: the darkest lean away
         first, last = low, wide
-    found = values[(level >= first) & (level <= last)].mean(axis=0)
+    darkest = values[(level >= first) & (level <= last)].mean(axis=0)
     split = np.stack([light.direct, light.diffuse], axis=1)
-    both = np.stack([found, np.median(values, axis=0)], axis=1)
+    both = np.stack([darkest, np.median(values, axis=0)], axis=1)
     (_, (here, there)), *_ = np.linalg.lstsq(split, both, rcond=None)
-    return np.asarray(found) if here > _SKY * there else None
+    return np.asarray(darkest) if here > _SKY * there else None
 
 
 def _additions(
-    values: Floats, segment: int, known: Floats, light: Light, neighbours: npt.NDArray[np.int32]
+    values: Floats, segment: int, finite_spectrum: Floats, light: Light, neighbours: npt.NDArray[np.int32]
 ) -> tuple[Floats, Floats]:
     """Return what glint and neighbours add to pixels, up to a constant, and their amounts of direct light.
 
     An amount of each is added to all before, so that less than in the mean shows as well.
     """
     first = neighbours[:, 0]
-    mirrored = np.where(first[:, None] >= 0, known[first], 0.0)
+    mirrored = np.where(first[:, None] >= 0, finite_spectrum[first], 0.0)
     lifted = values + _OFFSET + _LIFT * mirrored
     body = np.full(len(values), segment)
-    amount, _, added = unmix_spectra(lifted, body, known, light, 0.01, _AS_PIXEL, neighbours)
+    amount, _, added = unmix_spectra(lifted, body, finite_spectrum, light, 0.01, _AS_PIXEL, neighbours)
     return amount[:, 2] + added.sum(axis=1) - _LIFT * mirrored.max(axis=1), amount[:, 0]
 
 
@@ -264,6 +266,6 @@ def _common_glint(reference: Floats, places: list[Ints], paints: Paints, light: 
     large = size[paints.other] >= _SHARE * size[paints.one]
     one, other = paints.one[large], paints.other[large]
     amount, misfit, _ = unmix_spectra(reference[one], other, reference, light, GLINT_TOLERANCE, AS_GLINT)
-    found = np.zeros(len(reference))
-    np.maximum.at(found, one[misfit < 1.0], amount[misfit < 1.0, 2])
-    return found
+    glint = np.zeros(len(reference))
+    np.maximum.at(glint, one[misfit < 1.0], amount[misfit < 1.0, 2])
+    return glint

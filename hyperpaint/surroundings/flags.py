@@ -14,14 +14,14 @@ import numpy as np
 import numpy.typing as npt
 
 from hyperpaint.base import schema
-from hyperpaint.base.arrays import Array
+from hyperpaint.base.arrays import Array, Progress
 from hyperpaint.base.errors import Problems, SchemaError
 from hyperpaint.base.schema import ALONG_TRACK, CROSS_TRACK, Quality
 from hyperpaint.radiometry.bands import to_nominal
 from hyperpaint.radiometry.slabs import line_chunked
 
 from . import SceneModel, survey
-from .channels import Progress, to_channels, to_nominal_channels
+from .surveying import to_channels, to_nominal_channels
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -161,10 +161,10 @@ def flag(
         raise SchemaError(
             f"{', '.join(options)}: options of the survey, which is not run where a model is given"
         )
-    known = model if isinstance(model, SceneModel) else SceneModel.from_dataset(model)
-    _check_model(known, cube, line["wavelength"])
+    scene = model if isinstance(model, SceneModel) else SceneModel.from_dataset(model)
+    _check_model(scene, cube, line["wavelength"])
     limits = {"glint": glint, "shadow": shadow, "adjacency": adjacency, "edge": float(edge)}
-    return _lazily(line, cube, known, limits)
+    return _lazily(line, cube, scene, limits)
 
 
 def _check(**limits: float) -> None:
@@ -181,8 +181,10 @@ def _check_model(model: SceneModel, cube: xr.DataArray, wavelength: xr.DataArray
     if model.segment.shape != (lines, columns):
         problems.add(f"it has {model.segment.shape} pixels, the line ({lines}, {columns})")
     # of a lazy coordinate only the size is looked at
-    known = model.wavelength if wavelength.chunks is not None else wavelength.values
-    if model.wavelength.shape != (bands,) or not np.array_equal(model.wavelength, known, equal_nan=True):
+    line_wavelength = model.wavelength if wavelength.chunks is not None else wavelength.values
+    if model.wavelength.shape != (bands,) or not np.array_equal(
+        model.wavelength, line_wavelength, equal_nan=True
+    ):
         problems.add(f"it has other bands than the {bands} of the line; survey the line as it is flagged")
     problems.raise_if_any()
 
@@ -200,26 +202,26 @@ def _lazily(line: xr.Dataset, cube: xr.DataArray, model: SceneModel, limits: dic
         meta=np.empty((0, 0, 0), object),
     )  # fmt: skip
     pixel = (ALONG_TRACK, CROSS_TRACK)
-    made = {}
+    layers = {}
     for name in (*LAYERS, "quality"):
         dtype = schema.dtype_of(name)
         array = da.blockwise(
             _layer_of, "lx", blocks, "lbx", name=None, layer=name, concatenate=False, dtype=dtype,
             meta=np.empty((0, 0), dtype),
         )  # fmt: skip
-        made[name] = schema.label(xr.DataArray(array, dims=pixel), name)
+        layers[name] = schema.label(xr.DataArray(array, dims=pixel), name)
     for name, limit in (
         ("glint_fraction", "glint"),
         ("blocked_direct", "shadow"),
         ("adjacency", "adjacency"),
     ):
-        made[name].attrs["threshold"] = limits[limit]
-    bits = made["quality"]
+        layers[name].attrs["threshold"] = limits[limit]
+    bits = layers["quality"]
     if "quality" in line.variables:
         before = schema.require(line, ["quality"], "flags")["quality"].variable
         bits = bits.copy(data=(bits.variable | before.transpose(*pixel)).data)
-    made["quality"] = schema.label(bits, "quality", flags_from=_origin(model))
-    return line.assign(made)
+    layers["quality"] = schema.label(bits, "quality", flags_from=_origin(model))
+    return line.assign(layers)
 
 
 def _origin(model: SceneModel) -> str:
@@ -229,8 +231,8 @@ def _origin(model: SceneModel) -> str:
 def _layer_of(blocks: Any, layer: str) -> Array:
     while isinstance(blocks, list):
         (blocks,) = blocks
-    found: Array = blocks[layer]
-    return found
+    plane: Array = blocks[layer]
+    return plane
 
 
 def _most(model: SceneModel) -> npt.NDArray[np.float64]:
@@ -273,7 +275,7 @@ def _flag_block(
         model.tilt, _most(model), EVIDENCE, _lean(model), amount, added, together, misfit,
     )  # fmt: skip
     most = np.argmax(added, axis=2)[..., None]
-    made = {
+    layers = {
         "glint_fraction": amount[..., 2],
         "blocked_direct": 1.0 - amount[..., 0],
         "adjacency": together,
@@ -281,15 +283,15 @@ def _flag_block(
         "mirrored_sky": amount[..., 3],
     }
     bits = np.zeros(shape, np.uint16)
-    bits[made["glint_fraction"] > limits["glint"]] |= np.uint16(Quality.GLINT)
-    missing = made["blocked_direct"]
+    bits[layers["glint_fraction"] > limits["glint"]] |= np.uint16(Quality.GLINT)
+    missing = layers["blocked_direct"]
     cast = model.shade_distance[start:stop] <= _PENUMBRA
     bits[(missing >= limits["shadow"]) & cast] |= np.uint16(Quality.SHADOW)
     bits[together > limits["adjacency"]] |= np.uint16(Quality.ADJACENCY)
     bits[model.edge_distance[start:stop] <= limits["edge"]] |= np.uint16(Quality.MIXED_EDGE)
     bits[model.segment[start:stop] < 0] = 0
     return {
-        **{name: np.ascontiguousarray(layer, schema.dtype_of(name)) for name, layer in made.items()},
+        **{name: np.ascontiguousarray(layer, schema.dtype_of(name)) for name, layer in layers.items()},
         "quality": bits,
     }
 

@@ -71,22 +71,22 @@ class Matches(NamedTuple):
 def median_spectra(channels: npt.NDArray[np.float32], places: list[Ints]) -> Floats:
     """Return the median (segment, channel) of the pixels at places; NaN where nothing is known."""
     flat = channels.reshape(-1, channels.shape[2])
-    made = np.full((len(places), channels.shape[2]), np.nan)
+    medians = np.full((len(places), channels.shape[2]), np.nan)
     for segment, here in enumerate(places):
         if here.size:
-            made[segment] = _median(flat[here].astype(np.float64))
-    return made
+            medians[segment] = _median(flat[here].astype(np.float64))
+    return medians
 
 
 def _median(values: Floats) -> Floats:
     """Return the median of columns, of what is known; NaN where nothing is."""
     if not np.isnan(values).any():
         return np.asarray(np.median(values, axis=0))
-    made = np.full(values.shape[1], np.nan)
-    for column, known in enumerate(np.isfinite(values).T):
-        if known.any():
-            made[column] = np.median(values[known, column])
-    return made
+    median = np.full(values.shape[1], np.nan)
+    for column, is_finite in enumerate(np.isfinite(values).T):
+        if is_finite.any():
+            median[column] = np.median(values[is_finite, column])
+    return median
 
 
 def unmix_spectra(
@@ -181,8 +181,8 @@ def _pairs_of_bodies(
 ) -> tuple[Ints, Ints]:
     """Return the segments that are not matched yet, each with the bodies near it."""
     one, other = near[0], body[near[1]].astype(np.int64)
-    known = np.asarray(np.isfinite(spectrum).all(axis=1))
-    open_ = (state[one] == LIT) & (one != other) & known[one] & known[other]
+    is_finite = np.asarray(np.isfinite(spectrum).all(axis=1))
+    open_ = (state[one] == LIT) & (one != other) & is_finite[one] & is_finite[other]
     return distinct_pairs(one[open_], other[open_], len(spectrum))
 
 
@@ -217,14 +217,14 @@ def _match_glint(
 
 def _assign(one: Ints, other: Ints, misfit: Floats, kind: int, state: Array, body: Array) -> bool:
     """Give segments, and those whose body they were, the body that fits best; tell whether any got one."""
-    found = False
+    any_assigned = False
     for place in np.argsort(misfit, kind="stable"):
         segment, parent = one[place], other[place]
         if state[segment] == LIT and body[parent] != segment:
             state[segment] = kind
             body[body == segment] = body[parent]
-            found = True
-    return found
+            any_assigned = True
+    return any_assigned
 
 
 def _could_be_shade(
@@ -279,9 +279,9 @@ class Mixtures(NamedTuple):
     misfit: Floats
 
 
-def without_sun(found: Mixtures) -> Bools:
+def without_sun(mixtures: Mixtures) -> Bools:
     """Tell which get so little direct light that, for the sky they see, grey things may send it."""
-    return np.asarray(found.direct < 0.02 + 0.2 * np.clip(0.75 - found.sky, 0.0, 1.0))
+    return np.asarray(mixtures.direct < 0.02 + 0.2 * np.clip(0.75 - mixtures.sky, 0.0, 1.0))
 
 
 def mixtures_of(segment: Ints, body: Ints, spectrum: Floats, senders: Ints, light: Light) -> Mixtures:
@@ -301,8 +301,11 @@ def mixtures_of(segment: Ints, body: Ints, spectrum: Floats, senders: Ints, ligh
     light
         Parts of the irradiance.
     """
-    known = np.nan_to_num(spectrum)
-    alone = [solve(known[segment[part]], known[body[part]], None, light) for part in in_parts(segment.size)]
+    finite_spectrum = np.nan_to_num(spectrum)
+    alone = [
+        solve(finite_spectrum[segment[part]], finite_spectrum[body[part]], None, light)
+        for part in in_parts(segment.size)
+    ]
     if not alone:
         none = np.empty(0)
         return Mixtures(segment, body, none, none, none, none)
@@ -315,7 +318,12 @@ def mixtures_of(segment: Ints, body: Ints, spectrum: Floats, senders: Ints, ligh
         rows = np.flatnonzero((sender >= 0) & (sender != body))
         for part in in_parts(rows.size):
             here = rows[part]
-            more, rest = solve(known[segment[here]], known[body[here]], known[sender[here]], light)
+            more, rest = solve(
+                finite_spectrum[segment[here]],
+                finite_spectrum[body[here]],
+                finite_spectrum[sender[here]],
+                light,
+            )
             better = (rest < misfit[here]) & (more[:, 2] < 1.0 - more[:, 1])
             amount[here[better]], misfit[here[better]] = more[better], rest[better]
     fits = (amount[:, 1] < _MOST_SKY) & (misfit < _MOST_MISFIT)
@@ -345,16 +353,16 @@ def senders_of(number: npt.NDArray[np.int32], spectrum: Floats, size: Ints) -> n
     distances[..., 0][labels[..., 0] >= 0] = 0.0
     nearest_sources(labels, distances, _REACH / CELL)
     here = np.repeat(centre.ravel().astype(np.int64), _RANKS)
-    found = labels.ravel().astype(np.int64)
-    pairs, times = np.unique((here * size.size + found)[(here >= 0) & (found >= 0)], return_counts=True)
+    nearest = labels.ravel().astype(np.int64)
+    pairs, times = np.unique((here * size.size + nearest)[(here >= 0) & (nearest >= 0)], return_counts=True)
     one, other = pairs // max(size.size, 1), pairs % max(size.size, 1)
     order = np.lexsort((other, -times, one))
     one, other = one[order], other[order]
     rank = np.arange(one.size) - np.searchsorted(one, one)
-    made = np.full((size.size, _NEIGHBOURS), -1, np.int64)
+    senders = np.full((size.size, _NEIGHBOURS), -1, np.int64)
     first = rank < _NEIGHBOURS
-    made[one[first], rank[first]] = other[first]
-    return made
+    senders[one[first], rank[first]] = other[first]
+    return senders
 
 
 def solve(seen: Floats, body: Floats, sender: Floats | None, light: Light) -> tuple[Floats, Floats]:
@@ -372,7 +380,7 @@ def solve(seen: Floats, body: Floats, sender: Floats | None, light: Light) -> tu
     right = np.einsum("nki,nk->ni", design, target)
     square = (target * target).sum(axis=1)
     count, used = right.shape
-    best, made = square.copy(), np.zeros((count, used))
+    best, amounts = square.copy(), np.zeros((count, used))
     small = 1e-9 * np.trace(gram, axis1=1, axis2=2)[:, None, None]
     for subset in range(1, 2**used):
         which = [part for part in range(used) if subset >> part & 1]
@@ -381,6 +389,6 @@ def solve(seen: Floats, body: Floats, sender: Floats | None, light: Light) -> tu
         cost = square - (amount * right[:, which]).sum(axis=1)
         better = (amount >= 0).all(axis=1) & (cost < best)
         best[better] = cost[better]
-        made[better] = 0.0
-        made[np.flatnonzero(better)[:, None], which] = amount[better]
-    return made, np.sqrt(np.maximum(best, 0.0) / seen.shape[1]) * _TOLERANCE
+        amounts[better] = 0.0
+        amounts[np.flatnonzero(better)[:, None], which] = amount[better]
+    return amounts, np.sqrt(np.maximum(best, 0.0) / seen.shape[1]) * _TOLERANCE

@@ -51,15 +51,15 @@ def two_nearest(neighbour: Index, body: Index, paint: Index, number: Index, firs
     bodies = np.append(body, np.int32(-1))
     paints = np.append(paint, np.int32(-2))
     own = paints[number]
-    found = np.full((lines, columns, 2), -1, np.int32)
+    nearest = np.full((lines, columns, 2), -1, np.int32)
     for rank in range(cells.shape[-1]):
         here = bodies[cells[..., rank]]
-        fresh = (here >= 0) & (paints[here] != own) & (here != found[..., 0])
-        into_first = fresh & (found[..., 0] < 0)
-        into_second = fresh & ~into_first & (found[..., 1] < 0)
-        found[..., 0] = np.where(into_first, here, found[..., 0])
-        found[..., 1] = np.where(into_second, here, found[..., 1])
-    return found
+        fresh = (here >= 0) & (paints[here] != own) & (here != nearest[..., 0])
+        into_first = fresh & (nearest[..., 0] < 0)
+        into_second = fresh & ~into_first & (nearest[..., 1] < 0)
+        nearest[..., 0] = np.where(into_first, here, nearest[..., 0])
+        nearest[..., 1] = np.where(into_second, here, nearest[..., 1])
+    return nearest
 
 
 LIT, SHADED, GLINTED = 0, 1, 2
@@ -102,31 +102,31 @@ def _fits(values: Array, dtype: np.dtype[Any]) -> bool:
     return bool(values.min() >= limits.min and values.max() <= limits.max)
 
 
-def _check_numbers(found: dict[str, Any], sizes: Mapping[Any, int], problems: Problems) -> None:
+def _check_numbers(fields: dict[str, Any], sizes: Mapping[Any, int], problems: Problems) -> None:
     """Note what of the fields found would be looked for beyond the others' ends."""
     count, channels = sizes.get("segment_number", 0), sizes.get("channel", 0)
     for name in ("segment", "neighbour", "body", "paint"):
-        numbers = found.get(name, np.empty(0))
+        numbers = fields.get(name, np.empty(0))
         if numbers.size and (numbers.min() < -1 or numbers.max() >= count):
             problems.add(f"{name!r} points at segments beyond the {count} there are")
-    if "channel" in found:
-        used = np.unique(found["channel"])
+    if "channel" in fields:
+        used = np.unique(fields["channel"])
         if not channels or not np.array_equal(used[used != -1], np.arange(channels)):
             problems.add(
                 f"'band_channel' does not name each of the {channels} channels, and nothing else but -1 for "
                 "bands that are not used"
             )
-    if {"neighbour", "segment"} <= found.keys():
-        cells = tuple(-(-length // CELL) for length in found["segment"].shape)
-        if found["neighbour"].shape[:2] != cells:
-            problems.add(f"'neighbour' has {found['neighbour'].shape[:2]} cells, expected {cells}")
-    if not np.isfinite(found.get("shift", np.empty(0))).all():
+    if {"neighbour", "segment"} <= fields.keys():
+        cells = tuple(-(-length // CELL) for length in fields["segment"].shape)
+        if fields["neighbour"].shape[:2] != cells:
+            problems.add(f"'neighbour' has {fields['neighbour'].shape[:2]} cells, expected {cells}")
+    if not np.isfinite(fields.get("shift", np.empty(0))).all():
         problems.add("'shift' is not finite")
     for name, least in (("noise", 0.0), ("tilt", 1e-6)):
-        spread = found.get(name, np.empty(0))
+        spread = fields.get(name, np.empty(0))
         if not (np.isfinite(spread) & (spread >= least)).all():
             problems.add(f"{name!r} is not finite, or below {least:g}")
-    fraction = found.get("diffuse_fraction", np.empty(0))
+    fraction = fields.get("diffuse_fraction", np.empty(0))
     if not ((fraction >= 0) & (fraction <= 1)).all():
         problems.add("'diffuse_fraction' is not finite, or leaves 0 to 1")
 
@@ -216,11 +216,11 @@ class SceneModel:
         """Return the model as a Dataset that `hyperpaint.to_store` takes."""
         import xarray as xr
 
-        made = {}
+        variables = {}
         for name, (dims, _, units, meaning) in _LAYOUT.items():
             attrs = {"long_name": meaning, **({"units": units} if units else {})}
-            made["band_channel" if name == "channel" else name] = (dims, getattr(self, name), attrs)
-        return xr.Dataset(made, attrs={"hyperpaint_format": FORMAT_VERSION, **self.attrs})
+            variables["band_channel" if name == "channel" else name] = (dims, getattr(self, name), attrs)
+        return xr.Dataset(variables, attrs={"hyperpaint_format": FORMAT_VERSION, **self.attrs})
 
     @classmethod
     def from_dataset(cls, dataset: xr.Dataset) -> SceneModel:
@@ -233,7 +233,7 @@ class SceneModel:
             that are not there, or the diffuse fraction leaves 0 to 1; all are listed.
         """
         problems = Problems("this is no scene model", SchemaError)
-        found: dict[str, Any] = {}
+        fields: dict[str, Any] = {}
         for name, (dims, dtype, _, meaning) in _LAYOUT.items():
             stored = "band_channel" if name == "channel" else name
             if stored not in dataset.variables:
@@ -243,13 +243,13 @@ class SceneModel:
             else:
                 values = dataset[stored].transpose(*dims).values
                 if _fits(values, np.dtype(dtype)):
-                    found[name] = np.ascontiguousarray(values, dtype)
+                    fields[name] = np.ascontiguousarray(values, dtype)
                 else:
                     problems.add(f"{stored!r} holds {values.dtype} values that are no {dtype}")
-        _check_numbers(found, dataset.sizes, problems)
+        _check_numbers(fields, dataset.sizes, problems)
         problems.raise_if_any()
         attrs = {name: value for name, value in dataset.attrs.items() if name != "hyperpaint_format"}
-        return cls(**found, attrs=attrs)
+        return cls(**fields, attrs=attrs)
 
     def __repr__(self) -> str:
         lines, columns = self.segment.shape

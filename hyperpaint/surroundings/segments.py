@@ -95,12 +95,12 @@ def divide(channels: npt.NDArray[np.float32]) -> Segments:
     parent = np.arange(lines * columns, dtype=np.int32)
     size = np.ones(parent.size, np.int32)
     join_segments(order, steps, columns, GRANULARITY, parent, size)
-    known = np.isfinite(channels).mean(axis=2).ravel() > 0.5
+    has_data = np.isfinite(channels).mean(axis=2).ravel() > 0.5
     sure = np.empty(parent.size, np.bool_)
     is_large(parent, size, columns, LEAST_PIXELS, LEAST_CORE, sure)
     absorb(order, columns, LEAST_PIXELS, LEAST_CORE, parent, size)
     number = np.empty(parent.size, np.int32)
-    count = number_segments(parent, known, number)
+    count = number_segments(parent, has_data, number)
     shape = lines, columns
     sizes = np.bincount(number[number >= 0], minlength=count).astype(np.int64)
     return Segments(number.reshape(shape), sure.reshape(shape), sizes)
@@ -116,12 +116,12 @@ def sample_pixels(number: npt.NDArray[np.int32], chosen: npt.NDArray[np.bool_], 
     key = np.where(flat < 0, 2 * count, 2 * flat.astype(np.int64) + ~wanted)
     order = np.argsort(key, kind="stable")
     starts = np.searchsorted(key[order], np.arange(2 * count + 1))
-    found = []
+    samples = []
     for segment in range(count):
         first, middle, last = starts[2 * segment], starts[2 * segment + 1], starts[2 * segment + 2]
         here = order[first:middle] if middle > first else order[first:last]
-        found.append(here[:: max(1, -(-here.size // SAMPLE))])
-    return found
+        samples.append(here[:: max(1, -(-here.size // SAMPLE))])
+    return samples
 
 
 def touching(number: npt.NDArray[np.int32], count: int) -> Touching:
@@ -132,9 +132,9 @@ def touching(number: npt.NDArray[np.int32], count: int) -> Touching:
         one, other = a[differ].astype(np.int64), b[differ].astype(np.int64)
         codes += [one * count + other, other * count + one]
         ways += [np.full(one.size, 2 * axis), np.full(one.size, 2 * axis + 1)]
-    found, place = np.unique(np.concatenate(codes), return_inverse=True)
-    sides = np.bincount(4 * place + np.concatenate(ways), minlength=4 * found.size).reshape(-1, 4)
-    return Touching(found // max(count, 1), found % max(count, 1), sides.sum(axis=1), sides)
+    pairs, place = np.unique(np.concatenate(codes), return_inverse=True)
+    sides = np.bincount(4 * place + np.concatenate(ways), minlength=4 * pairs.size).reshape(-1, 4)
+    return Touching(pairs // max(count, 1), pairs % max(count, 1), sides.sum(axis=1), sides)
 
 
 def beyond(pairs: Touching, size: Ints) -> tuple[Ints, Ints]:
@@ -188,20 +188,20 @@ def edge_distance(
     """
     from hyperpaint.kernels.segmentation import boundary_distance
 
-    made = np.empty(segments.number.shape, np.uint8)
-    between = np.empty_like(made)
-    for labels, distance in ((surface, made), (body, between)):
+    to_surface = np.empty(segments.number.shape, np.uint8)
+    between = np.empty_like(to_surface)
+    for labels, distance in ((surface, to_surface), (body, between)):
         shown = np.append(labels, np.int32(-1))[segments.number].astype(np.int32)
         boundary_distance(shown, segments.sure, 255, distance)
-    made[between == 0] = 0
-    return made
+    to_surface[between == 0] = 0
+    return to_surface
 
 
 def distance_to(chosen: npt.NDArray[np.bool_]) -> npt.NDArray[np.uint8]:
     """Return how many pixels every pixel is from a chosen one (line, column), 0 in one; at most 255."""
     from hyperpaint.kernels.segmentation import boundary_distance
 
-    made = np.empty(chosen.shape, np.uint8)
-    boundary_distance(chosen.astype(np.int32), np.ones(chosen.shape, bool), 255, made)
-    made[chosen] = 0
-    return made
+    distance = np.empty(chosen.shape, np.uint8)
+    boundary_distance(chosen.astype(np.int32), np.ones(chosen.shape, bool), 255, distance)
+    distance[chosen] = 0
+    return distance

@@ -155,28 +155,30 @@ def match_shade(
         border += np.bincount(edge[edge >= 0], minlength=count)
     scene = Scene(spectrum, size, pairs, border)
     ground = np.arange(count) == (np.argmax(size) if count else -1)
-    found = _candidates(scene, senders_of(number, np.nan_to_num(spectrum), size), light)
-    if not found.segment.size:
+    mixtures = _candidates(scene, senders_of(number, np.nan_to_num(spectrum), size), light)
+    if not mixtures.segment.size:
         return Matches(state, body), ground
-    sides = _lit_sides(found, scene)
+    sides = _lit_sides(mixtures, scene)
     if side is None:
-        side = _side_of_shadows(found, sides, scene)
+        side = _side_of_shadows(mixtures, sides, scene)
         if side is None:
             return Matches(state, body), ground
     length, way = sides.sum(axis=1), sides @ (_STEPS @ side)
-    _assign(found, _beyond_doubt(found, length, way, border), state, body)
+    _assign(mixtures, _beyond_doubt(mixtures, length, way, border), state, body)
     ground = _ground(scene, state, body)
-    on_ground = ground[found.body]
-    around = border[found.segment]
+    on_ground = ground[mixtures.body]
+    around = border[mixtures.segment]
     touches = (length >= _ON_GROUND.border * around) & (way >= _ON_GROUND.way * length)
     touches &= length >= _LEAST_CONTACT
-    loose = (found.misfit < _LOOSE) & without_sun(found)
-    sided = (length >= _SIDED.border * around) & (way >= _SIDED.way * length) & (found.misfit < _LOOSE)
-    loose |= sided & (found.direct < _SIDED_DIRECT.open + _SIDED_DIRECT.hidden * (_OPEN_SKY - found.sky))
-    beside = (length >= _LEAST_CONTACT) & (way >= _BESIDE * length) & _clear(found)
-    best = _best_on_ground(found, on_ground, count) & ~ground[found.segment]
-    _assign(found, on_ground & best & ((touches & loose) | beside), state, body)
-    _grow(found, ground, best, length, way, scene, state, body)
+    loose = (mixtures.misfit < _LOOSE) & without_sun(mixtures)
+    sided = (length >= _SIDED.border * around) & (way >= _SIDED.way * length) & (mixtures.misfit < _LOOSE)
+    loose |= sided & (
+        mixtures.direct < _SIDED_DIRECT.open + _SIDED_DIRECT.hidden * (_OPEN_SKY - mixtures.sky)
+    )
+    beside = (length >= _LEAST_CONTACT) & (way >= _BESIDE * length) & _clear(mixtures)
+    best = _best_on_ground(mixtures, on_ground, count) & ~ground[mixtures.segment]
+    _assign(mixtures, on_ground & best & ((touches & loose) | beside), state, body)
+    _grow(mixtures, ground, best, length, way, scene, state, body)
     return Matches(state, body), ground
 
 
@@ -184,29 +186,29 @@ def _candidates(scene: Scene, senders: Ints, light: Light) -> Mixtures:
     """Return the segments that could be in shadow, with the bodies that they touch, and the largest."""
     spectrum, size, pairs = scene.spectrum, scene.size, scene.pairs
     count = size.size
-    known = np.asarray(np.isfinite(spectrum).all(axis=1))
-    level = np.where(known, np.nan_to_num(spectrum).mean(axis=1), 0.0)
+    is_finite = np.asarray(np.isfinite(spectrum).all(axis=1))
+    level = np.where(is_finite, np.nan_to_num(spectrum).mean(axis=1), 0.0)
     largest = np.argsort(-size, kind="stable")[:_LARGEST]
     near, bridged = beyond(pairs, size)
     one = np.concatenate([near, np.repeat(np.arange(count), largest.size)])
     other = np.concatenate([bridged, np.tile(largest, count)])
-    fits = known[one] & known[other] & (one != other) & (level[one] < _DARKER * level[other])
+    fits = is_finite[one] & is_finite[other] & (one != other) & (level[one] < _DARKER * level[other])
     fits &= (size[other] >= _BODY_SHARE * size[one]) & (level[one] > 0)
     return mixtures_of(*distinct_pairs(one[fits], other[fits], count), spectrum, senders, light)
 
 
-def _lit_sides(found: Mixtures, scene: Scene) -> Floats:
+def _lit_sides(mixtures: Mixtures, scene: Scene) -> Floats:
     """Return the sides (n, 4) on which candidates touch what looks like their body."""
     pairs, spectrum = scene.pairs, scene.spectrum
-    first, last = np.searchsorted(pairs.one, [found.segment, found.segment + 1])
+    first, last = np.searchsorted(pairs.one, [mixtures.segment, mixtures.segment + 1])
     times = last - first
     row = np.repeat(np.arange(times.size), times)
     place = np.arange(row.size) - np.repeat(np.cumsum(times) - times, times) + np.repeat(first, times)
-    alike = _alike(spectrum, pairs.other[place], found.body[row])
-    made = np.zeros((times.size, 4))
+    alike = _alike(spectrum, pairs.other[place], mixtures.body[row])
+    lit = np.zeros((times.size, 4))
     for way in range(4):
-        made[:, way] = np.bincount(row[alike], pairs.sides[place[alike], way], times.size)
-    return made
+        lit[:, way] = np.bincount(row[alike], pairs.sides[place[alike], way], times.size)
+    return lit
 
 
 def _alike(spectrum: Floats, one: Ints, other: Ints) -> Bools:
@@ -218,50 +220,50 @@ def _alike(spectrum: Floats, one: Ints, other: Ints) -> Bools:
     return np.asarray(close & (np.abs(shape[one] - shape[other]).max(axis=1) < _ALIKE))
 
 
-def _side_of_shadows(found: Mixtures, sides: Floats, scene: Scene) -> Floats | None:
+def _side_of_shadows(mixtures: Mixtures, sides: Floats, scene: Scene) -> Floats | None:
     """Return the direction (along, across) in which shadows fall, None without any."""
-    sure = _clear(found) & (found.sky > _LEAST_SKY) & (scene.size[found.segment] >= _TELLING)
-    total = (sides[sure] @ _STEPS * scene.size[found.segment[sure], None]).sum(axis=0)
+    sure = _clear(mixtures) & (mixtures.sky > _LEAST_SKY) & (scene.size[mixtures.segment] >= _TELLING)
+    total = (sides[sure] @ _STEPS * scene.size[mixtures.segment[sure], None]).sum(axis=0)
     length = float(np.hypot(*total))
     return np.asarray(total / length) if length > 0 else None
 
 
-def _clear(found: Mixtures, most_sent: float = _SENT) -> Bools:
+def _clear(mixtures: Mixtures, most_sent: float = _SENT) -> Bools:
     """Tell which see much of the sky and, unlike glass and black paint, hardly anything else."""
-    hidden = np.clip(_OPEN_SKY - found.sky, 0.0, 1.0)
-    little = found.direct < _CLEAR_DIRECT.open + _CLEAR_DIRECT.hidden * hidden
-    little &= found.sent < most_sent * (1.0 - found.sky)
-    return np.asarray(little & (found.misfit < _TIGHT))
+    hidden = np.clip(_OPEN_SKY - mixtures.sky, 0.0, 1.0)
+    little = mixtures.direct < _CLEAR_DIRECT.open + _CLEAR_DIRECT.hidden * hidden
+    little &= mixtures.sent < most_sent * (1.0 - mixtures.sky)
+    return np.asarray(little & (mixtures.misfit < _TIGHT))
 
 
-def _beyond_doubt(found: Mixtures, length: Floats, way: Floats, border: Floats) -> Bools:
+def _beyond_doubt(mixtures: Mixtures, length: Floats, way: Floats, border: Floats) -> Bools:
     """Tell which are clear, and touch their lit body away from the sun, or all around."""
-    around = border[found.segment]
+    around = border[mixtures.segment]
     touches = (length >= _LEAST_CONTACT) & (length > _SURE.border * around)
     away = way >= _SURE.way * length
     island = (length > _ISLAND * around) & (way >= -_SIDEWAYS * length)
-    return np.asarray(_clear(found) & (found.sky > _LEAST_SKY) & touches & (away | island))
+    return np.asarray(_clear(mixtures) & (mixtures.sky > _LEAST_SKY) & touches & (away | island))
 
 
 def _ground(scene: Scene, state: Array, body: Array) -> Bools:
     """Return which segments are ground (segment,): the largest, and what most shadows lie on."""
     count = scene.size.size
     area = np.bincount(body, np.where(state == SHADED, scene.size, 0), count)
-    made = np.zeros(count, bool)
+    is_ground = np.zeros(count, bool)
     for one in np.flatnonzero((area > _GROUND_SHARE * area.sum()) | (scene.size == scene.size.max())):
-        made |= _alike(scene.spectrum, np.arange(count), np.full(count, one))
-    return made
+        is_ground |= _alike(scene.spectrum, np.arange(count), np.full(count, one))
+    return is_ground
 
 
-def _best_on_ground(found: Mixtures, on_ground: Bools, count: int) -> Bools:
+def _best_on_ground(mixtures: Mixtures, on_ground: Bools, count: int) -> Bools:
     """Tell which fit their segments about as well as any of the ground does."""
     least = np.full(count, np.inf)
-    np.minimum.at(least, found.segment[on_ground], found.misfit[on_ground])
-    return np.asarray(found.misfit < _WORSE * least[found.segment] + _WORSE_BY)
+    np.minimum.at(least, mixtures.segment[on_ground], mixtures.misfit[on_ground])
+    return np.asarray(mixtures.misfit < _WORSE * least[mixtures.segment] + _WORSE_BY)
 
 
 def _grow(
-    found: Mixtures,
+    mixtures: Mixtures,
     ground: Bools,
     best: Bools,
     length: Floats,
@@ -271,25 +273,25 @@ def _grow(
     body: Array,
 ) -> None:
     """Let shadows go on to what touches them."""
-    around, on_ground = scene.border[found.segment], ground[found.body]
+    around, on_ground = scene.border[mixtures.segment], ground[mixtures.body]
     sunny = (way < -_SIDEWAYS * length) & (length > _SURE.border * around)
-    fits = best & ~sunny & without_sun(found)
-    on = fits & on_ground & (found.misfit < _LOOSE) & (found.sky < _OPEN_SKY)
-    bright = found.sky > _LEAST_SKY
-    other = fits & ~on_ground & (found.misfit < np.where(bright, _DIM_MISFIT, _DARK_MISFIT))
+    fits = best & ~sunny & without_sun(mixtures)
+    on = fits & on_ground & (mixtures.misfit < _LOOSE) & (mixtures.sky < _OPEN_SKY)
+    bright = mixtures.sky > _LEAST_SKY
+    other = fits & ~on_ground & (mixtures.misfit < np.where(bright, _DIM_MISFIT, _DARK_MISFIT))
     dim = other & bright
     # dark glass against bay lines and kerbs has less of the sky
-    markings = other & (found.sky > _MARKING_SKY) & (found.direct < _MARKING_DIRECT)
-    clear = _clear(found, most_sent=_SENT_BESIDE)
+    markings = other & (mixtures.sky > _MARKING_SKY) & (mixtures.direct < _MARKING_DIRECT)
+    clear = _clear(mixtures, most_sent=_SENT_BESIDE)
     for _ in range(_ROUNDS):
         dark = state == SHADED
         shaded, below = (
-            _touched(which, scene)[found.segment] / around for which in (dark, dark & ground[body])
+            _touched(which, scene)[mixtures.segment] / around for which in (dark, dark & ground[body])
         )
         enough = on & (shaded > np.where(clear, _NEXT_CLEAR, _NEXT))
         enough |= (dim & (shaded > _NEXT)) | (markings & (below > _NEXT_MARKING))
-        enough |= best & ~sunny & (found.direct < _ENCLOSED_DIRECT) & (shaded > _ENCLOSED)
-        if not _assign(found, enough, state, body):
+        enough |= best & ~sunny & (mixtures.direct < _ENCLOSED_DIRECT) & (shaded > _ENCLOSED)
+        if not _assign(mixtures, enough, state, body):
             break
 
 
@@ -299,11 +301,11 @@ def _touched(which: Bools, scene: Scene) -> Floats:
     return np.bincount(scene.pairs.one, weight, scene.size.size).astype(np.float64)
 
 
-def _assign(found: Mixtures, chosen: Bools, state: Array, body: Array) -> bool:
+def _assign(mixtures: Mixtures, chosen: Bools, state: Array, body: Array) -> bool:
     """Give segments the body, itself lit, that fits best; tell whether any got one."""
     any_ = False
-    for place in np.flatnonzero(chosen)[np.argsort(found.misfit[chosen], kind="stable")]:
-        segment, parent = found.segment[place], body[found.body[place]]
+    for place in np.flatnonzero(chosen)[np.argsort(mixtures.misfit[chosen], kind="stable")]:
+        segment, parent = mixtures.segment[place], body[mixtures.body[place]]
         if state[segment] == LIT and state[parent] == LIT and parent != segment:
             state[segment] = SHADED
             body[body == segment] = parent
@@ -335,7 +337,7 @@ def shaded_pixels(
     light
         Parts of the irradiance.
     """
-    made = np.zeros(number.shape, bool)
+    shaded = np.zeros(number.shape, bool)
     bright = reference.mean(axis=1)
     asked = np.append(level, False)[number]
     for part in in_parts(len(number), _LINES):
@@ -345,5 +347,5 @@ def shaded_pixels(
         amount, misfit = solve(seen[here].astype(np.float64), body, None, light)
         bluer = amount[:, 1] > amount[:, 0] + _SKY_OVER_SUN
         missing = (amount[:, 0] < _MISSING) & bluer & (misfit < _PATCHY)
-        made[part][here] = missing
-    return made
+        shaded[part][here] = missing
+    return shaded

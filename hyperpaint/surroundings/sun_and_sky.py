@@ -92,10 +92,10 @@ def shadow_side_of(line: xr.Dataset, sun_azimuth: float | None, heading: float |
 
 def _mean_angle(degrees: Any) -> float | None:
     """Return the mean direction [degree]; None where none is known."""
-    known = np.radians(np.asarray(degrees, np.float64)[np.isfinite(degrees)])
-    if not known.size:
+    angles = np.radians(np.asarray(degrees, np.float64)[np.isfinite(degrees)])
+    if not angles.size:
         return None
-    return float(np.degrees(np.arctan2(np.sin(known).mean(), np.cos(known).mean())))
+    return float(np.degrees(np.arctan2(np.sin(angles).mean(), np.cos(angles).mean())))
 
 
 def diffuse_from_clear_sky(source: str, wavelength: Floats, zenith: float) -> Floats:
@@ -118,7 +118,7 @@ def diffuse_from_clear_sky(source: str, wavelength: Floats, zenith: float) -> Fl
         raise needed from error
     from hyperpaint.light.sun import air_mass
 
-    made: Any = spectrl2(
+    spectra: Any = spectrl2(
         apparent_zenith=zenith,
         aoi=zenith,
         surface_tilt=0,
@@ -130,10 +130,10 @@ def diffuse_from_clear_sky(source: str, wavelength: Floats, zenith: float) -> Fl
         aerosol_turbidity_500nm=0.1,
         dayofyear=172,
     )
-    direct = made["poa_global"] - made["poa_sky_diffuse"] - made["poa_ground_diffuse"]
-    whole = np.ravel(made["poa_global"])
+    direct = spectra["poa_global"] - spectra["poa_sky_diffuse"] - spectra["poa_ground_diffuse"]
+    whole = np.ravel(spectra["poa_global"])
     share = 1.0 - np.ravel(direct) / whole
-    return np.interp(wavelength, np.ravel(made["wavelength"]), share)
+    return np.interp(wavelength, np.ravel(spectra["wavelength"]), share)
 
 
 def measured_fraction(given: Any, wavelength: Floats) -> Floats:
@@ -280,8 +280,8 @@ def remove_mirrored_sky(
     fraction, source = _fraction_of(line, diffuse, sun_zenith)
     taken = (strength * sky_view_factor * fraction).astype(np.float32)
     text = f"F0 {strength:g} x sky view {sky_view_factor:g} x diffuse fraction ({source})"
-    made = {name: line[name] - _on_bands(taken) for name in _LEVELS if name in line.variables}
-    return _with(line, made, "mirrored_sky_removed", text)
+    corrected = {name: line[name] - _on_bands(taken) for name in _LEVELS if name in line.variables}
+    return _with(line, corrected, "mirrored_sky_removed", text)
 
 
 def correct_light(
@@ -347,13 +347,13 @@ def correct_light(
     sky = _on_bands(fraction)
     light = direct * (1.0 - sky) + sky_view_factor * sky + (1.0 - sky_view_factor) * neighbour_reflectance
     light = light.where(light > 0)
-    made = {name: line[name] / light for name in (*_LEVELS, *_WIDTHS) if name in line.variables}
-    told = {
+    corrected = {name: line[name] / light for name in (*_LEVELS, *_WIDTHS) if name in line.variables}
+    factors = {
         name: f"{value:g}" if name in plain else "given"
         for name, value in (("direct", direct), ("sky view", sky_view_factor))
     }
-    parts = ", ".join(f"{name} {value}" for name, value in told.items())
-    return _with(line, made, "light_corrected", f"{parts}, diffuse fraction ({source})")
+    parts = ", ".join(f"{name} {value}" for name, value in factors.items())
+    return _with(line, corrected, "light_corrected", f"{parts}, diffuse fraction ({source})")
 
 
 def _check(line: xr.Dataset, done: tuple[str, ...], *, most: float = 1.0, **numbers: float) -> None:
@@ -389,17 +389,17 @@ def _on_bands(values: Any) -> xr.DataArray:
     return xr.DataArray(values.astype(np.float32), dims=BAND)
 
 
-def _with(line: xr.Dataset, made: dict[str, xr.DataArray], name: str, text: str) -> xr.Dataset:
+def _with(line: xr.Dataset, variables: dict[str, xr.DataArray], name: str, text: str) -> xr.Dataset:
     """Return the line with what was corrected, and say so."""
     done = {
         key: array.astype(np.float32).transpose(*line[key].dims).assign_attrs(line[key].attrs)
-        for key, array in made.items()
+        for key, array in variables.items()
     }
     said = {"mirror_reflection": "excluded"} if name == "mirrored_sky_removed" else {}
     done["reflectance"] = done["reflectance"].assign_attrs({name: text, **said})
     corrected = line.assign(done)
     if PAINT in line["reflectance"].dims:
         before = line.attrs.get("corrections", "none")
-        told = f"{name}: {text}"
-        corrected = corrected.assign_attrs(corrections=told if before == "none" else f"{before}; {told}")
+        entry = f"{name}: {text}"
+        corrected = corrected.assign_attrs(corrections=entry if before == "none" else f"{before}; {entry}")
     return corrected

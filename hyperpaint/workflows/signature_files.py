@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from hyperpaint.base.errors import PaintError, SchemaError, StoreError
+from hyperpaint.base.progress_reports import part_of
 from hyperpaint.base.schema import Quality
-from hyperpaint.paints.signatures.extraction import part_of
 from hyperpaint.surroundings.flags import Flagged, flag_line, is_flagged
 
 if TYPE_CHECKING:
@@ -96,14 +96,14 @@ def write_signatures(
     surveys.setdefault("sun_zenith", sun_zenith)
     flagged = {}
     for number, name in enumerate(wanted):
-        told = None if progress is None else part_of(progress, number, len(wanted) + 1)
+        told = part_of(progress, number, len(wanted) + 1)
         flagged[name] = _flagged(lines[name], name, {**surveys, "progress": told})
     origin = _origin(lines, flagged, looked_at)
     found = _proposed(lines, flagged, surveys) if given is None else given
     lines |= {name: done.line for name, done in flagged.items()}
     if options.get("specular_sky"):
         options["sun_zenith"] = sun_zenith
-    told = None if progress is None else part_of(progress, len(wanted), len(wanted) + 1)
+    told = part_of(progress, len(wanted), len(wanted) + 1)
     made = extract_signatures(lines, found, progress=told, **options)
     made.attrs |= {"store": around.name, "flags": origin}
     to_store(made, Path(out), overwrite=overwrite)

@@ -12,8 +12,7 @@ from support.painted_lines import CHUNKINGS, RAW, SPECTRA, TWO, assert_same_bits
 
 from hyperpaint import Quality, Region, Regions, SchemaError, extract_signatures
 from hyperpaint.base.schema import CUBE
-from hyperpaint.paints.signatures import extraction
-from hyperpaint.paints.signatures import pixel_statistics
+from hyperpaint.paints.signatures import extraction, pixel_statistics
 from hyperpaint.paints.signatures.pixel_statistics import chosen_members, geometric_median, summarise
 from hyperpaint.regions import pixels
 

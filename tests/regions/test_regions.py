@@ -13,8 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hyperpaint.base.errors import SchemaError
-from hyperpaint.regions import Region, Regions, pixels, pixels_of, region_mask
-from hyperpaint.regions import pixels_in_regions
+from hyperpaint.regions import Region, Regions, pixels, pixels_in_regions, pixels_of, region_mask
 from hyperpaint.regions.polygons import contains
 
 SQUARE = [(1, 1), (5, 1), (5, 5), (1, 5)]

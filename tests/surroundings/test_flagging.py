@@ -14,6 +14,7 @@ from click.testing import CliRunner, Result
 
 import hyperpaint as hp
 from hyperpaint import surroundings as scene_model
+from hyperpaint.base import schema
 from hyperpaint.base.quality_bits import Quality
 from hyperpaint.cli.program import main
 from hyperpaint.light.sun import diffuse_fraction, solar_position
@@ -42,7 +43,7 @@ def scene(*, placed: bool = True) -> xr.Dataset:
         {"wavelength": ("band", NM, {"units": "nm"})},
         {"name": "raw_0"},
     )
-    line["quality"] = hp.schema.label(
+    line["quality"] = schema.label(
         xr.DataArray(np.zeros((LINES, COLUMNS), np.uint16), dims=("along_track", "cross_track")), "quality"
     )
     if placed:
@@ -79,9 +80,8 @@ def surveys(monkeypatch: pytest.MonkeyPatch) -> list[dict[str, Any]]:
         return real(line, **options)
 
     import hyperpaint.regions.proposals.proposing as proposing
-    import hyperpaint.surroundings.flags as flags
 
-    for module in (flagging, flags, proposing):
+    for module in (flags, proposing):
         monkeypatch.setattr(module, "survey", watched)
     return made
 

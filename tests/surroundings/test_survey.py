@@ -14,16 +14,16 @@ from hyperpaint.base.errors import SchemaError
 from hyperpaint.base.schema import Quality
 from hyperpaint.light.sun import diffuse_fraction
 from hyperpaint.surroundings.bodies import coloured
-from hyperpaint.surroundings.channels import (
+from hyperpaint.surroundings.full_light import Light
+from hyperpaint.surroundings.model import LIT, SHADED, SceneModel
+from hyperpaint.surroundings.segments import divide, touching
+from hyperpaint.surroundings.sun_and_sky import measured_fraction, shadow_side_of
+from hyperpaint.surroundings.surveying import (
     channel_noise,
     channel_numbers,
     to_nominal_channels,
     without_unknown,
 )
-from hyperpaint.surroundings.full_light import Light
-from hyperpaint.surroundings.model import LIT, SHADED, SceneModel
-from hyperpaint.surroundings.segments import divide, touching
-from hyperpaint.surroundings.sun_and_sky import measured_fraction, shadow_side_of
 
 NM = wavelengths()
 RED = smooth_edge(NM, 600.0, 0.04, 0.6)

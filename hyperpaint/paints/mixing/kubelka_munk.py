@@ -165,10 +165,10 @@ class Coating:
         high = ~low & (layer > 1.0)
         self._refuse_dark(values < self.mirrored, np.isfinite(values), names)
         if low.any() or high.any():
-            known = int(np.isfinite(values).sum())
+            finite_count = int(np.isfinite(values).sum())
             msg = (
-                f"{int(low.sum())} of {known} reflectances are darker than any layer of paint under an "
-                f"interface with k1 = {self.interface.k1:g}, {int(high.sum())} brighter; they were replaced "
+                f"{int(low.sum())} of {finite_count} reflectances are darker than any layer of paint under "
+                f"an interface with k1 = {self.interface.k1:g}, {int(high.sum())} brighter; they were replaced "
                 f"by what is nearest, of R_inf = {BLACKEST:g} and 1"
             )
             warnings.warn(msg, PaintWarning, stacklevel=4)
@@ -180,11 +180,11 @@ class Coating:
         seen = self.interface.seen(thick_layer_reflectance(ratio)) + self.mirrored
         return np.asarray(np.clip(seen, 0.0, 1.0))
 
-    def _refuse_dark(self, dark: npt.NDArray[np.bool_], known: Any, names: list[str]) -> None:
+    def _refuse_dark(self, dark: npt.NDArray[np.bool_], is_finite: Any, names: list[str]) -> None:
         if not self.mirrored.any():
             return
         problems = Problems("the library's reflectance cannot hold that much mirrored light", SchemaError)
-        for name, one, there in zip(names, dark, known, strict=True):
+        for name, one, there in zip(names, dark, is_finite, strict=True):
             share = float(one.sum() / max(int(there.sum()), 1))
             if share > _FEW:
                 problems.add(f"{share:.0%} of {name!r} is darker than {float(self.mirrored.max()):g}")
@@ -216,13 +216,13 @@ def coating_of(library: xr.Dataset, k1: float, k2: float, mirrored: Any) -> Coat
     """
     interface = Interface(k1, k2)
     problems = Problems("the light that the coat mirrors is not known", SchemaError)
-    told = None
+    stated = None
     try:
-        told = mirror_reflection(library)
+        stated = mirror_reflection(library)
     except SchemaError as error:
         problems.add(str(error))
     if mirrored is None:
-        mirrored = 0.0 if told == EXCLUDED else k1
+        mirrored = 0.0 if stated == EXCLUDED else k1
     values = np.asarray(mirrored, np.float64)
     if values.shape not in ((), (library.sizes[BAND],)):
         problems.add(f"mirrored= has shape {values.shape}, expected a number or one a band")

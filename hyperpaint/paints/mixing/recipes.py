@@ -116,8 +116,8 @@ def mix_paints(
     parents = list(dict.fromkeys(name for recipe in shares.values() for name in recipe))
     values = _spectra(library, parents)
     weights = np.array([[recipe.get(name, 0.0) for name in parents] for recipe in shares.values()])
-    made = {SPECULAR: _averaged(weights, values[SPECULAR])} if SPECULAR in values else {}
-    told: dict[str, Any] = {}
+    specular = {SPECULAR: _averaged(weights, values[SPECULAR])} if SPECULAR in values else {}
+    settings: dict[str, Any] = {}
     if method == "linear":
         areas = {name: _averaged(weights, array) for name, array in values.items() if name != SPECULAR}
         mix = {name: _clipped(array) for name, array in areas.items()}
@@ -130,11 +130,11 @@ def mix_paints(
             for name, array in values.items()
             if name != SPECULAR
         }
-        told = {"k1": k1, "k2": k2, "scattering": "equal" if scattering is None else _listed(scattering)}
+        settings = {"k1": k1, "k2": k2, "scattering": "equal" if scattering is None else _listed(scattering)}
     if MEMBERS in values:
         _tell_of_partners(weights > 0.0, values[MEMBERS])
-    values = _trimmed(made | mix)
-    return synthetic_library(library, list(shares), values, list(shares.values()), method, **told)
+    values = _trimmed(specular | mix)
+    return synthetic_library(library, list(shares), values, list(shares.values()), method, **settings)
 
 
 def shade_paints(
@@ -197,18 +197,22 @@ def shade_paints(
     coating = coating_of(library, k1, k2, mirrored)
     values = _spectra(library, None)
     count = len(names)
-    made: dict[str, Floats] = {}
+    spectra: dict[str, Floats] = {}
     for name, array in values.items():
         if name == SPECULAR:
-            made[name] = np.repeat(array, factors.size, axis=0)
+            spectra[name] = np.repeat(array, factors.size, axis=0)
             continue
         scale = np.tile(factors, count).reshape(-1, *[1] * (array.ndim - 1))
-        made[name] = coating.reflectance(np.repeat(coating.ratio(array, names), factors.size, axis=0) * scale)
+        spectra[name] = coating.reflectance(
+            np.repeat(coating.ratio(array, names), factors.size, axis=0) * scale
+        )
     shades = [f"{name} x {depth:g}" for name in names for depth in factors.tolist()]
     parents = [{name: 1.0} for name in names for _ in factors]
-    shaded = synthetic_library(library, shades, _trimmed(made), parents, "kubelka-munk shade", k1=k1, k2=k2)
-    told = {"long_name": "Pigment relative to that of the parent", "units": "1"}
-    return shaded.assign_coords(depth=(PAINT, np.tile(factors, count), told))
+    shaded = synthetic_library(
+        library, shades, _trimmed(spectra), parents, "kubelka-munk shade", k1=k1, k2=k2
+    )
+    attrs = {"long_name": "Pigment relative to that of the parent", "units": "1"}
+    return shaded.assign_coords(depth=(PAINT, np.tile(factors, count), attrs))
 
 
 def _listed(numbers: Mapping[str, float]) -> str:
@@ -218,11 +222,11 @@ def _listed(numbers: Mapping[str, float]) -> str:
 
 def _averaged(weights: Floats, values: Floats) -> Floats:
     """Return weighted sums (new, ..., band) of (paint, ..., band); what a recipe does not take is no NaN."""
-    made = np.zeros((len(weights), *values.shape[1:]))
-    for row, shares in zip(made, weights, strict=True):
+    sums = np.zeros((len(weights), *values.shape[1:]))
+    for row, shares in zip(sums, weights, strict=True):
         for number in np.flatnonzero(shares):
             row += shares[number] * values[number]
-    return made
+    return sums
 
 
 def _require(library: xr.Dataset) -> None:
@@ -234,19 +238,19 @@ def _require(library: xr.Dataset) -> None:
 def _spectra(library: xr.Dataset, parents: list[str] | None) -> dict[str, Floats]:
     """Return what can be mixed of paints, by variable, float64 [1]; of all paints without names."""
     if parents is not None:
-        known = [str(name) for name in library[PAINT].values]
-        library = library.isel({PAINT: [known.index(name) for name in parents]})
+        names = [str(name) for name in library[PAINT].values]
+        library = library.isel({PAINT: [names.index(name) for name in parents]})
     some = [name for name in (MEMBERS,) if name in library.variables]
-    found = schema.require(library, ["reflectance", *some], "new paints", schema.LIBRARY_VARIABLES)
-    made = {name: np.asarray(array.values, np.float64) for name, array in found.items()}
+    variables = schema.require(library, ["reflectance", *some], "new paints", schema.LIBRARY_VARIABLES)
+    spectra = {name: np.asarray(array.values, np.float64) for name, array in variables.items()}
     if SPECULAR in library.variables:
-        made[SPECULAR] = np.asarray(specular_of(library), np.float64)
+        spectra[SPECULAR] = np.asarray(specular_of(library), np.float64)
     if some:
         # members are mixed by their turn: what is none comes after them all
-        absent = ~np.isfinite(made[MEMBERS]).any(axis=2)
+        absent = ~np.isfinite(spectra[MEMBERS]).any(axis=2)
         order = np.argsort(absent, axis=1, kind="stable")[:, :, np.newaxis]
-        made[MEMBERS] = np.take_along_axis(made[MEMBERS], order, axis=1)
-    return made
+        spectra[MEMBERS] = np.take_along_axis(spectra[MEMBERS], order, axis=1)
+    return spectra
 
 
 def _trimmed(values: dict[str, Floats]) -> dict[str, Floats]:
@@ -282,10 +286,9 @@ def _clipped(reflectance: Floats) -> Floats:
     """Return reflectance from 0 to 1; warn where it was none."""
     outside = int(((reflectance < 0.0) | (reflectance > 1.0)).sum())
     if outside:
-        known = int(np.isfinite(reflectance).sum())
-        msg = (
-            f"{outside} of {known} reflectances are outside 0 to 1 and were clipped, as noise is; check scale"
-        )
+        finite_count = int(np.isfinite(reflectance).sum())
+        msg = f"{outside} of {finite_count} reflectances are outside 0 to 1 and were clipped, as noise is; "
+            "check scale"
         warnings.warn(msg, PaintWarning, stacklevel=4)
     return np.clip(reflectance, 0.0, 1.0)
 
@@ -299,14 +302,14 @@ def _checked(
     """Return shares by name of the new paint and of its parents, each recipe's sum 1."""
     _require(library)
     problems = Problems("paints cannot be mixed", SchemaError)
-    known = [str(name) for name in library[PAINT].values]
+    paint_names = [str(name) for name in library[PAINT].values]
     if method not in METHODS:
         problems.add(f"method={method!r}, expected one of {', '.join(METHODS)}")
     if not recipes:
         problems.add('there is no recipe; expected some, such as {"grey": {"white": 9, "black": 1}}')
     shares = {}
     for name, recipe in recipes.items():
-        wrong = [text for parent in recipe if (text := _name_problem(str(parent), known))]
+        wrong = [text for parent in recipe if (text := _name_problem(str(parent), paint_names))]
         parts = np.array([*recipe.values()], np.float64)
         if not (parts.size and np.isfinite(parts).all() and (parts >= 0.0).all() and parts.sum() > 0.0):
             wrong.append(f"parts are {list(recipe.values())}, expected 0 or more, not all 0")
@@ -315,7 +318,7 @@ def _checked(
         if not wrong:
             shares[str(name)] = dict(zip(recipe, (parts / parts.sum()).tolist(), strict=True))
     for name, number in (scattering or {}).items():
-        if text := _name_problem(name, known):
+        if text := _name_problem(name, paint_names):
             problems.add(f"scattering: {text}")
         if not 0.0 < number < np.inf:
             problems.add(f"scattering of {name!r} is {number!r}, expected a number above 0")
@@ -323,12 +326,12 @@ def _checked(
     return shares
 
 
-def _name_problem(name: str, known: list[str]) -> str:
+def _name_problem(name: str, paint_names: list[str]) -> str:
     """Return why a name does not say one paint; nothing where it does."""
-    count = known.count(name)
+    count = paint_names.count(name)
     if count == 1:
         return ""
     if count:
         return f"{count} paints are named {name!r}; give them different names, or leave some out with isel"
-    close = difflib.get_close_matches(name, known, 1)
+    close = difflib.get_close_matches(name, paint_names, 1)
     return f"there is no paint {name!r}" + (f"; did you mean {close[0]!r}?" if close else "")

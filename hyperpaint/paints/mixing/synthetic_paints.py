@@ -60,9 +60,9 @@ _LASTING = ("mirror_reflection", "mirrored_sky_removed", "light_corrected", "til
 
 def text_column(texts: Sequence[str]) -> npt.NDArray[np.object_]:
     """Return texts of any length, as stores hold them."""
-    made = np.empty(len(texts), object)
-    made[:] = list(texts)
-    return made
+    column = np.empty(len(texts), object)
+    column[:] = list(texts)
+    return column
 
 
 def specular_of(library: xr.Dataset) -> npt.NDArray[Any]:
@@ -103,19 +103,19 @@ def synthetic_library(
     """
     import xarray as xr
 
-    made = xr.Dataset()
+    paints = xr.Dataset()
     if MEMBERS in values and values[MEMBERS].shape[1] > 1:
         values = {**values, **_spread(values[MEMBERS])}
-        made = made.assign_coords(
+        paints = paints.assign_coords(
             {QUANTILE: (QUANTILE, np.array(QUANTILES), LIBRARY_VARIABLES[QUANTILE].attrs)}
         )
     for name, array in values.items():
-        told = {"long_name": _MEANINGS[name], "units": "1"}
-        made[name] = (_DIMS[name], np.asarray(array, np.float32), told)
+        variable_attrs = {"long_name": _MEANINGS[name], "units": "1"}
+        paints[name] = (_DIMS[name], np.asarray(array, np.float32), variable_attrs)
     before = library["reflectance"].attrs
-    made["reflectance"].attrs |= {key: before[key] for key in _LASTING if key in before}
+    paints["reflectance"].attrs |= {key: before[key] for key in _LASTING if key in before}
     bands = {name: array for name, array in library.coords.items() if array.dims == (BAND,)}
-    made = made.assign_coords(bands).assign_coords(
+    paints = paints.assign_coords(bands).assign_coords(
         {
             PAINT: (PAINT, text_column(names), LIBRARY_VARIABLES[PAINT].attrs),
             **{
@@ -129,36 +129,36 @@ def synthetic_library(
             },
         }
     )
-    made.attrs = {
+    paints.attrs = {
         "title": "Synthetic paints",
         "provenance": "synthetic",
         "made_from": str(library.attrs.get("title", "a paint library")),
         **attrs,
     }
-    return made
+    return paints
 
 
 def _spread(members: npt.NDArray[Any]) -> dict[str, npt.NDArray[Any]]:
     """Return how far members (paint, member, band) are apart; NaN of fewer than two, or one."""
     # one paint after the other: a copy of all members would double the memory
-    made = [_spread_of_paint(one[np.isfinite(one).any(axis=1)]) for one in members]
+    spreads = [_spread_of_paint(one[np.isfinite(one).any(axis=1)]) for one in members]
     return {
-        "reflectance_sd": np.stack([sd for sd, _ in made]),
-        "reflectance_quantiles": np.stack([quantiles for _, quantiles in made]),
+        "reflectance_sd": np.stack([sd for sd, _ in spreads]),
+        "reflectance_quantiles": np.stack([quantiles for _, quantiles in spreads]),
     }
 
 
 def _spread_of_paint(members: npt.NDArray[Any]) -> tuple[npt.NDArray[Any], npt.NDArray[Any]]:
     """Return standard deviation (band,) and quantiles (quantile, band) of members, band by band."""
-    known = np.isfinite(members).sum(axis=0)
-    sd = np.full(known.size, np.nan)
-    quantiles = np.full((len(QUANTILES), known.size), np.nan)
+    finite_count = np.isfinite(members).sum(axis=0)
+    sd = np.full(finite_count.size, np.nan)
+    quantiles = np.full((len(QUANTILES), finite_count.size), np.nan)
     # the variants of numpy that pass over NaN are slower by far
-    whole = bool(known.size) and bool((known == len(members)).all())
+    whole = bool(finite_count.size) and bool((finite_count == len(members)).all())
     sd_of, quantile_of = (np.std, np.quantile) if whole else (np.nanstd, np.nanquantile)
-    if (two := known > 1).any():
+    if (two := finite_count > 1).any():
         sd[two] = sd_of(members[:, two], axis=0, ddof=1, dtype=np.float64)
-    if (one := known > 0).any():
+    if (one := finite_count > 0).any():
         quantiles[:, one] = quantile_of(members[:, one], QUANTILES, axis=0)
     return sd, quantiles
 
@@ -297,13 +297,13 @@ def draw_variants(
     scale = np.sqrt(size / (size - 1.0) / (1.0 + bandwidth**2))
     varied = mean + scale * (chosen + bandwidth * moved)
     share = 0.5 * (1.0 + np.tanh(0.5 * varied))  # the logistic function, without overflow
-    made = share * (1.0 + below + above) - below
+    variants = share * (1.0 + below + above) - below
     # the tails of a logit near its ends are longer than those of what is measured
     centre, beyond = inside.mean(axis=0), bandwidth * inside.std(axis=0)
     wider = np.sqrt(size / (size - 1.0))
     low = centre + wider * (inside.min(axis=0) - centre) - beyond
     high = centre + wider * (inside.max(axis=0) - centre) + beyond
-    return np.asarray(np.clip(np.clip(made, low, high), 0.0, 1.0))
+    return np.asarray(np.clip(np.clip(variants, low, high), 0.0, 1.0))
 
 
 def _margins(members: Floats) -> tuple[Floats, Floats]:
@@ -319,7 +319,7 @@ def _margins(members: Floats) -> tuple[Floats, Floats]:
 def _members(library: xr.Dataset, count: int, form: str, bandwidth: float | None) -> npt.NDArray[np.float32]:
     """Return the population (paint, member, band), if all options can be."""
     names = [PAINT, "reflectance", "member_reflectance", "wavelength"]
-    found, wrong = schema.find(library, names, schema.LIBRARY_VARIABLES)
+    variables, wrong = schema.find(library, names, schema.LIBRARY_VARIABLES)
     problems = Problems("variants cannot be drawn", SchemaError)
     for problem in wrong:
         problems.add(problem)
@@ -330,16 +330,16 @@ def _members(library: xr.Dataset, count: int, form: str, bandwidth: float | None
     if bandwidth is not None and not 0.0 <= bandwidth < np.inf:
         problems.add(f"bandwidth={bandwidth!r}, expected 0 or more, or None")
     problems.raise_if_any()
-    return np.asarray(found["member_reflectance"].values)
+    return np.asarray(variables["member_reflectance"].values)
 
 
 def _whole(spectra: Floats) -> tuple[npt.NDArray[np.bool_], Floats]:
     """Return the bands that most members have, and the members that have all of these."""
-    known = np.isfinite(spectra)
-    known = known[known.any(axis=1)]
+    is_finite = np.isfinite(spectra)
+    is_finite = is_finite[is_finite.any(axis=1)]
     spectra = spectra[np.isfinite(spectra).any(axis=1)]
-    bands = known.mean(axis=0) > 0.5 if len(known) else np.zeros(spectra.shape[1], np.bool_)
-    return bands, spectra[known[:, bands].all(axis=1)][:, bands]
+    bands = is_finite.mean(axis=0) > 0.5 if len(is_finite) else np.zeros(spectra.shape[1], np.bool_)
+    return bands, spectra[is_finite[:, bands].all(axis=1)][:, bands]
 
 
 def _library(library: xr.Dataset, drawn: npt.NDArray[np.float32], form: str, seed: int) -> xr.Dataset:
@@ -356,10 +356,10 @@ def _library(library: xr.Dataset, drawn: npt.NDArray[np.float32], form: str, see
         values = {"reflectance": drawn.reshape(-1, drawn.shape[2])}
     if SPECULAR in library.variables:
         values[SPECULAR] = specular_of(library)[which]
-    made = synthetic_library(library, names, values, [{name: 1.0} for name in parents], _METHOD, seed=seed)
+    paints = synthetic_library(library, names, values, [{name: 1.0} for name in parents], _METHOD, seed=seed)
     about = {
         name: (PAINT, array.values[which], array.attrs)
         for name, array in library.coords.items()
-        if array.dims == (PAINT,) and name not in made.coords
+        if array.dims == (PAINT,) and name not in paints.coords
     }
-    return made.assign_coords(about).drop_vars(MEMBER, errors="ignore")
+    return paints.assign_coords(about).drop_vars(MEMBER, errors="ignore")

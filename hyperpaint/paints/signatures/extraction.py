@@ -15,6 +15,7 @@ import numpy as np
 
 from hyperpaint.base.arrays import Array, Progress
 from hyperpaint.base.errors import Problems, SchemaError
+from hyperpaint.base.progress_reports import part_of
 from hyperpaint.base.schema import ALONG_TRACK, BAND, CROSS_TRACK, Quality
 from hyperpaint.radiometry.slabs import line_chunked
 from hyperpaint.regions import Regions, pixels_of, regions_from
@@ -27,7 +28,7 @@ from .pixel_statistics import CENTRES
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["EXCLUDED", "Progress", "extract_signatures", "gather", "part_of"]
+__all__ = ["EXCLUDED", "extract_signatures", "gather"]
 
 
 def gather(
@@ -83,18 +84,18 @@ def gather(
         for block, pixel in zip(touched, wanted, strict=True)
     ]
     lazy = {name: _whole(array) for name, array in small.items() if array.chunks is not None}
-    found = _computed([*tasks, *lazy.values()], progress)
+    results = _computed([*tasks, *lazy.values()], progress)
     values = {name: array.values for name, array in small.items() if name not in lazy}
-    values |= dict(zip(lazy, found[len(tasks) :], strict=True))
+    values |= dict(zip(lazy, results[len(tasks) :], strict=True))
     width = len(range(*bands.indices(next(iter(cubes.values())).sizes[BAND])))
     spectra = {name: np.empty((along.size, width), np.float32) for name in cubes}
     values |= {name: np.empty(along.size, plane.dtype) for name, plane in planes.items()}
     values["present"] = np.empty(along.size, bool)
     outputs = [*spectra.values(), *(values[name] for name in planes), values["present"]]
     for block, pixel in enumerate(wanted):
-        for out, part in zip(outputs, found[block], strict=True):
+        for out, part in zip(outputs, results[block], strict=True):
             out[pixel] = part
-        found[block] = None  # what is copied is let go, or everything would be held twice
+        results[block] = None  # what is copied is let go, or everything would be held twice
     return spectra, values
 
 
@@ -142,21 +143,6 @@ def _on_cluster(client: Any, tasks: list[Any], progress: Progress) -> list[Any]:
     for done, _ in enumerate(as_completed(futures), start=1):
         progress(done, len(futures))
     return list(client.gather(futures))
-
-
-def part_of(progress: Progress, number: int, total: int) -> Progress:
-    """Return a progress that tells how far one of several parts is, in thousandths of each.
-
-    Examples
-    --------
-    >>> part_of(print, 1, 4)(5, 10)
-    1500 4000
-    """
-
-    def told(done: int, steps: int) -> None:
-        progress(1000 * number + 1000 * done // max(steps, 1), 1000 * total)
-
-    return told
 
 
 EXCLUDED = (
@@ -274,32 +260,34 @@ def extract_signatures(
     ('grass', 'green', 32)
     """
     options = _Options(EXCLUDED if exclude is None else exclude, members, centre, min_pixels, seed)
-    found = regions_from(regions)
-    options.check(found)
+    region_list = regions_from(regions)
+    options.check(region_list)
     if sun_zenith is not None and not specular_sky:
         raise SchemaError(
             f"sun_zenith={sun_zenith!r} is for the mirrored sky only; pass specular_sky=True as well"
         )
-    lines = lines_of(line, found)
+    lines = lines_of(line, region_list)
     sources = {
         name: source_of(dataset, smooth, specular_sky, sun_zenith) for name, (dataset, _) in lines.items()
     }
     _check_bands(sources)
     names = {position: name for name, (_, positions) in lines.items() for position in positions}
-    places = _places(found, lines, sources)
+    places = _places(region_list, lines, sources)
     rounds = [
         _Round(name, batch, bands)
         for name, (_, positions) in lines.items()
         for batch, bands in _rounds(sources[name], positions, places)
     ]
     if centre == "geometric_median":
-        _refuse_divided(rounds, sources, places, found)
+        _refuse_divided(rounds, sources, places, region_list)
     drafts = [Draft(sources[names[position]], place) for position, place in enumerate(places)]
     for number, each in enumerate(rounds):
-        told = None if progress is None else part_of(progress, number, len(rounds))
-        _reduce(each, sources[each.line], drafts, options, told)
-    _refuse_small(found, drafts, min_pixels)
-    return paint_library(found, drafts, [names[k] for k in range(len(found))], sources, options.notes)
+        reported = part_of(progress, number, len(rounds))
+        _reduce(each, sources[each.line], drafts, options, reported)
+    _refuse_small(region_list, drafts, min_pixels)
+    return paint_library(
+        region_list, drafts, [names[k] for k in range(len(region_list))], sources, options.notes
+    )
 
 
 @dataclass(frozen=True)
@@ -317,8 +305,8 @@ class _Options:
         if not len(regions):
             problems.add("there is no region; draw some, or have some proposed")
         if not isinstance(self.exclude, int) or not 0 <= self.exclude < 2 * max(Quality):
-            told = f"exclude={self.exclude!r:.40}"
-            problems.add(f"{told}, expected flags such as Quality.GLINT | Quality.SHADOW, or 0")
+            given = f"exclude={self.exclude!r:.40}"
+            problems.add(f"{given}, expected flags such as Quality.GLINT | Quality.SHADOW, or 0")
         if self.members < 0:
             problems.add(f"members={self.members}, expected 0 or more")
         if self.centre not in CENTRES:
@@ -344,14 +332,14 @@ class _Round:
 
 
 def _reduce(
-    part: _Round, source: Source, drafts: Sequence[Draft], options: _Options, told: Progress | None
+    part: _Round, source: Source, drafts: Sequence[Draft], options: _Options, progress: Progress | None
 ) -> None:
     """Gather the pixels of some regions, and reduce them."""
     batch = [drafts[position] for position in part.batch]
     along, across = (
         np.concatenate([getattr(draft, axis) for draft in batch]) for axis in ("along", "across")
     )
-    read = None if told is None else _first_half(told)
+    read = None if progress is None else _first_half(progress)
     spectra, values = gather(source.cubes, source.planes, along, across, part.bands, source.small, read)
     of_lines = {key: values[key] for key in source.small}
     start = 0
@@ -364,8 +352,8 @@ def _reduce(
             draft.choose(present, planes, of_lines, options.exclude, options.members, options.seed)
         if draft.n >= options.min_pixels:
             draft.take_bands({name: cube[own] for name, cube in spectra.items()}, part.bands, options.centre)
-        if told is not None:
-            told(along.size + start, 2 * along.size)
+        if progress is not None:
+            progress(along.size + start, 2 * along.size)
 
 
 # --- what can be said before anything is read --------------------------------------------------------------
@@ -436,9 +424,9 @@ def _refuse_divided(
     problems.raise_if_any()
 
 
-def _first_half(told: Progress) -> Progress:
+def _first_half(progress: Progress) -> Progress:
     """Return a progress for reading, after which comes reducing."""
-    return lambda done, blocks: told(done, 2 * blocks)
+    return lambda done, blocks: progress(done, 2 * blocks)
 
 
 def _refuse_small(regions: Regions, drafts: Sequence[Draft], min_pixels: int) -> None:

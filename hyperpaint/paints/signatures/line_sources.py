@@ -61,32 +61,34 @@ class Viewing:
         Variables of pixels and of lines that directions are made of.
     look : (cross_track,), float64
         Look angles [degree]; None where they are not needed.
-    told
+    description
         Where directions are from, or why they are not known.
     """
 
-    def __init__(self, found: Mapping[str, xr.DataArray], problems: tuple[str, ...] = ()) -> None:
+    def __init__(self, variables: Mapping[str, xr.DataArray], problems: tuple[str, ...] = ()) -> None:
         self.planes: dict[str, xr.DataArray] = {}
         self.lines: dict[str, xr.DataArray] = {}
         self.look: Floats | None = None
-        if "view_zenith" in found:
-            self.planes = {name: found[name] for name in _PIXELS if name in found}
-            self.told = " and ".join(self.planes) + " of the pixels"
-        elif {"look_angle", "roll", "pitch"} <= set(found):
-            self.look = found["look_angle"].values.astype(np.float64)
-            self.lines = {name: found[name] for name in ATTITUDE if name in found}
-            self.told = f"look_angle with {', '.join(self.lines)}; no angle between camera and platform"
+        if "view_zenith" in variables:
+            self.planes = {name: variables[name] for name in _PIXELS if name in variables}
+            self.description = " and ".join(self.planes) + " of the pixels"
+        elif {"look_angle", "roll", "pitch"} <= set(variables):
+            self.look = variables["look_angle"].values.astype(np.float64)
+            self.lines = {name: variables[name] for name in ATTITUDE if name in variables}
+            self.description = (
+                f"look_angle with {', '.join(self.lines)}; no angle between camera and platform"
+            )
         else:
-            missing = [name for name in ("look_angle", "roll", "pitch") if name not in found]
-            told = f"not known: no view_zenith of the pixels, and no {', '.join(missing)}"
-            self.told = "; ".join([told, *problems])
+            missing = [name for name in ("look_angle", "roll", "pitch") if name not in variables]
+            reason = f"not known: no view_zenith of the pixels, and no {', '.join(missing)}"
+            self.description = "; ".join([reason, *problems])
 
 
 def viewing_of(line: xr.Dataset) -> Viewing:
     """Return what a line says of its directions of view; what is no such variable is named, not refused."""
     names = [name for name in (*_PIXELS, "look_angle", *ATTITUDE) if name in line.variables]
-    found, problems = schema.find(line, names)
-    return Viewing(found, tuple(problems))
+    variables, problems = schema.find(line, names)
+    return Viewing(variables, tuple(problems))
 
 
 def mean_view(
@@ -122,8 +124,8 @@ def mean_view(
         zenith, azimuth = _from_attitude(viewing.look[across], lines["roll"], lines["pitch"], heading)
     else:
         return np.nan, np.nan
-    known = np.isfinite(zenith)
-    zenith, azimuth = zenith[known], azimuth[known]
+    is_finite = np.isfinite(zenith)
+    zenith, azimuth = zenith[is_finite], azimuth[is_finite]
     if not zenith.size:
         return np.nan, np.nan
     away = np.sin(np.radians(zenith))
@@ -133,8 +135,10 @@ def mean_view(
     angle = np.radians(np.where(np.isfinite(azimuth), azimuth, 0.0))
     north, east = float((away * np.cos(angle)).mean()), float((away * np.sin(angle)).mean())
     level = np.hypot(north, east)
-    made = float(np.degrees(np.arctan2(level, np.cos(np.radians(zenith)).mean())))
-    return made, float(np.degrees(np.arctan2(east, north)) % 360.0) if level > _ALONG_THE_VERTICAL else np.nan
+    mean_zenith = float(np.degrees(np.arctan2(level, np.cos(np.radians(zenith)).mean())))
+    return mean_zenith, float(
+        np.degrees(np.arctan2(east, north)) % 360.0
+    ) if level > _ALONG_THE_VERTICAL else np.nan
 
 
 def _from_attitude(look: Array, roll: Array, pitch: Array, heading: Array) -> tuple[Floats, Floats]:
@@ -220,17 +224,21 @@ def source_of(
         line = reflectance(line, uncertainty=set(line.variables) >= _NOISE_KNOWN)
     names = ["reflectance", *(name for name in UNCERTAINTIES if name in line.variables)]
     optional = [name for name in ("quality", "fwhm", "good", *_SMALL) if name in line.variables]
-    found = schema.require(line, [*names, "wavelength", *optional], "paint signatures")
-    line = line.assign({name: found[name] for name in names})
-    before = found["reflectance"].attrs.get("smoothing")
+    variables = schema.require(line, [*names, "wavelength", *optional], "paint signatures")
+    line = line.assign({name: variables[name] for name in names})
+    before = variables["reflectance"].attrs.get("smoothing")
     # nominal wavelengths come with new attributes; what was corrected stays so
     corrected = {
-        key: found["reflectance"].attrs[key] for key in CORRECTIONS if key in found["reflectance"].attrs
+        key: variables["reflectance"].attrs[key]
+        for key in CORRECTIONS
+        if key in variables["reflectance"].attrs
     }
     nominal = to_nominal(line)
     nominal = nominal.assign(reflectance=nominal["reflectance"].assign_attrs(corrected))
     if specular_sky:
-        where = nominal.assign({name: found[name] for name in ("wavelength", *_SMALL) if name in found})
+        where = nominal.assign(
+            {name: variables[name] for name in ("wavelength", *_SMALL) if name in variables}
+        )
         nominal = remove_mirrored_sky(where, sun_zenith=sun_zenith)
     if smoothing is not None:
         if before is not None:
@@ -240,16 +248,16 @@ def source_of(
     cube = nominal["reflectance"]
     viewing = viewing_of(line)
     size = cube.sizes[BAND]
-    wavelength = found["wavelength"].values.astype(np.float64)
+    wavelength = variables["wavelength"].values.astype(np.float64)
     return Source(
         line=line,
-        cubes={"reflectance": cube, **{name: found[name] for name in names[1:]}},
-        planes={**({"quality": found["quality"]} if "quality" in found else {}), **viewing.planes},
-        small={**{name: found[name] for name in _SMALL if name in found}, **viewing.lines},
+        cubes={"reflectance": cube, **{name: variables[name] for name in names[1:]}},
+        planes={**({"quality": variables["quality"]} if "quality" in variables else {}), **viewing.planes},
+        small={**{name: variables[name] for name in _SMALL if name in variables}, **viewing.lines},
         viewing=viewing,
         wavelength=wavelength,
-        fwhm=found["fwhm"].values.astype(np.float64) if "fwhm" in found else np.full(size, np.nan),
-        good=found["good"].values.astype(bool) if "good" in found else np.ones(size, bool),
+        fwhm=variables["fwhm"].values.astype(np.float64) if "fwhm" in variables else np.full(size, np.nan),
+        good=variables["good"].values.astype(bool) if "good" in variables else np.ones(size, bool),
         smoothing=str(cube.attrs.get("smoothing", before or "none")),
         corrections={key: str(cube.attrs[key]) for key in CORRECTIONS if key in cube.attrs},
         components={name: str(line[name].attrs.get("components", NONE_KNOWN)) for name in names[1:]},
@@ -269,17 +277,17 @@ def lines_of(line: Any, regions: Regions) -> dict[str, tuple[xr.Dataset, list[in
     only = next(iter(given)) if len(given) == 1 else None
     # a line that does not say its name is taken to be the regions' one
     nameless = only == "" and len(regions.flightlines) < 2
-    found: dict[str, tuple[xr.Dataset, list[int]]] = {}
+    lines: dict[str, tuple[xr.Dataset, list[int]]] = {}
     for position, region in enumerate(regions):
         wanted = only if only is not None and (nameless or not region.flightline) else region.flightline
         if wanted in given:
-            found.setdefault(wanted, (given[wanted], []))[1].append(position)
+            lines.setdefault(wanted, (given[wanted], []))[1].append(position)
             continue
         held = ", ".join(map(repr, given)) or "no flight line"
-        told = f"is of flight line {region.flightline!r}" if region.flightline else "names no flight line"
-        problems.add(f"region {region.name!r} {told}; there is {held}")
+        naming = f"is of flight line {region.flightline!r}" if region.flightline else "names no flight line"
+        problems.add(f"region {region.name!r} {naming}; there is {held}")
     problems.raise_if_any()
-    return found
+    return lines
 
 
 def _by_name(line: Any) -> dict[str, xr.Dataset]:

@@ -145,12 +145,12 @@ class Draft:
             See `summarise`.
         """
         values = cubes["reflectance"][self._used]
-        found = summarise(values, centre)
+        summary = summarise(values, centre)
         there = np.isfinite(values)
         self._values[bands] = there.sum(axis=0)
-        self.spectra["reflectance"][bands] = found.centre
-        self.spectra["reflectance_sd"][bands] = found.sd
-        self.spectra["reflectance_quantiles"][:, bands] = found.quantiles
+        self.spectra["reflectance"][bands] = summary.centre
+        self.spectra["reflectance_sd"][bands] = summary.sd
+        self.spectra["reflectance_quantiles"][:, bands] = summary.quantiles
         self.spectra["member_reflectance"][:, bands] = values[self._chosen]
         own = (self._correlated >= bands.start) & (self._correlated < bands.stop)
         self._columns.append(values[:, self._correlated[own] - bands.start])
@@ -173,13 +173,13 @@ class Draft:
 
 def _mean(values: Array, there: Array, power: float) -> Array:
     """Return the mean of a power over pixels that have a reflectance (band,); NaN where none has."""
-    made = np.full(values.shape[1], np.nan)
+    means = np.full(values.shape[1], np.nan)
     # one band after the other: the order of the sum is then that of the pixels, however many bands there are
     for band, column in enumerate(values.T):
-        known = column[there[:, band] & np.isfinite(column)].astype(np.float64)
-        if known.size:
-            made[band] = (known**power).mean()
-    return made
+        finite_values = column[there[:, band] & np.isfinite(column)].astype(np.float64)
+        if finite_values.size:
+            means[band] = (finite_values**power).mean()
+    return means
 
 
 def _geometry(lines: Mapping[str, Array]) -> dict[str, Any]:
@@ -265,41 +265,41 @@ def paint_library(
         "fwhm": first.fwhm,
         "good": np.all([source.good for source in sources.values()], axis=0),
     }
-    made = xr.Dataset()
+    library = xr.Dataset()
     for name, row in LIBRARY_VARIABLES.items():
         flags = quality_attrs() if name == "quality" else {}
-        attrs = {**flags, **row.attrs, **_told(name, sources)}
-        made[name] = xr.DataArray(_typed(values[name], row.dtype), dims=row.dims, attrs=attrs)
-    made = made.set_coords([name for name, row in LIBRARY_VARIABLES.items() if row.coordinate])
+        attrs = {**flags, **row.attrs, **_uncertainty_attrs(name, sources)}
+        library[name] = xr.DataArray(_typed(values[name], row.dtype), dims=row.dims, attrs=attrs)
+    library = library.set_coords([name for name, row in LIBRARY_VARIABLES.items() if row.coordinate])
     properties = {
         name: ("paint", column, {"long_name": f"Property {name} of the regions"})
         for name, column in _properties(regions).items()
     }
-    made = made.assign_coords(properties)
-    made["reflectance"].attrs |= {
+    library = library.assign_coords(properties)
+    library["reflectance"].attrs |= {
         "centre": notes["centre"],
         "mirror_reflection": _mirror_reflection(sources),
         **_corrections(sources),
     }
-    made.attrs = {
+    library.attrs = {
         "title": "Paint signatures",
         "source": _sources(sources),
         "flightlines": list(sources),
         "regions": regions.digest,
         "coordinates_of_regions": regions.coordinates,
         "spectral_axis": "nominal wavelengths",
-        "view_geometry": "; ".join(dict.fromkeys(source.viewing.told for source in sources.values())),
+        "view_geometry": "; ".join(dict.fromkeys(source.viewing.description for source in sources.values())),
         "smoothing": "; ".join(dict.fromkeys(source.smoothing for source in sources.values())),
         "corrections": "; ".join(dict.fromkeys(_corrected(source) for source in sources.values())),
         **notes,
     }
-    return made
+    return library
 
 
 def _padded(values: Array, size: int, fill: float) -> Array:
-    made = np.full((size, *values.shape[1:]), fill, values.dtype)
-    made[: len(values)] = values
-    return made
+    padded = np.full((size, *values.shape[1:]), fill, values.dtype)
+    padded[: len(values)] = values
+    return padded
 
 
 def _typed(values: Any, dtype: str) -> Array:
@@ -309,7 +309,7 @@ def _typed(values: Any, dtype: str) -> Array:
     return np.array(values, object if dtype == "str" else dtype)
 
 
-def _told(name: str, sources: Mapping[str, Source]) -> dict[str, Any]:
+def _uncertainty_attrs(name: str, sources: Mapping[str, Source]) -> dict[str, Any]:
     """Return attributes of an uncertainty that say what entered it."""
     if name not in UNCERTAINTIES:
         return {}
@@ -338,8 +338,8 @@ def _corrected(source: Source) -> str:
 
 def _sources(sources: Mapping[str, Source]) -> str:
     """Return the names of the files that the flight lines were made from."""
-    told = (str(source.line.attrs.get("source", "")) for source in sources.values())
-    return ", ".join(dict.fromkeys(text for text in told if text))
+    names = (str(source.line.attrs.get("source", "")) for source in sources.values())
+    return ", ".join(dict.fromkeys(text for text in names if text))
 
 
 def _properties(regions: Regions) -> dict[str, Array]:
@@ -354,10 +354,10 @@ def _properties(regions: Regions) -> dict[str, Array]:
 
 
 def _column(values: Sequence[Any]) -> Array:
-    known = [value for value in values if value is not None]
-    numbers = [value for value in known if isinstance(value, int | float) and not isinstance(value, bool)]
-    if known and len(numbers) == len(known) and all(abs(value) < 2**53 for value in numbers):
-        if len(known) == len(values) and all(isinstance(value, int) for value in known):
+    present = [value for value in values if value is not None]
+    numbers = [value for value in present if isinstance(value, int | float) and not isinstance(value, bool)]
+    if present and len(numbers) == len(present) and all(abs(value) < 2**53 for value in numbers):
+        if len(present) == len(values) and all(isinstance(value, int) for value in present):
             return np.array(values, np.int64)
         return np.array([np.nan if value is None else value for value in values], np.float64)
     return np.array([_text(value) for value in values], object)

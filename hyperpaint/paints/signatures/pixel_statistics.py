@@ -100,17 +100,17 @@ def _trimmed_mean(ordered: Floats) -> float:
     """Return the iterated trimmed mean of ascending values."""
     centre = _median(ordered)
     spread = _SIGMA_OF_DEVIATION * _median(np.sort(np.abs(ordered - centre)))
-    kept = ordered
+    retained = ordered
     for _ in range(_MOST_ROUNDS):
         reach = TRIM_SIGMAS * spread
-        first = int(np.searchsorted(kept, centre - reach, "left"))
-        last = int(np.searchsorted(kept, centre + reach, "right"))
+        first = int(np.searchsorted(retained, centre - reach, "left"))
+        last = int(np.searchsorted(retained, centre + reach, "right"))
         # rounding may leave nothing of values that are all the same
-        if first >= last or (first == 0 and last == kept.size):
+        if first >= last or (first == 0 and last == retained.size):
             break
-        kept = kept[first:last]
-        centre, spread = float(kept.mean()), float(kept.std())
-    return float(kept.mean())
+        retained = retained[first:last]
+        centre, spread = float(retained.mean()), float(retained.std())
+    return float(retained.mean())
 
 
 def geometric_median(values: Array) -> Floats:

@@ -264,11 +264,13 @@ def measured(
         lost[reason] = float((usable & mask).sum() / piece.inside.sum())
         usable &= ~mask
     usable = _largest(usable)
-    found = _measures(usable, seen, brightness, here, {name: share for name, share in lost.items() if share})
+    measures = _measures(
+        usable, seen, brightness, here, {name: share for name, share in lost.items() if share}
+    )
     if not lit.any():
-        return found
+        return measures
     low, high = np.quantile(brightness[lit], [0.1, 0.9])
-    return found._replace(change=0.5 * float(high - low))
+    return measures._replace(change=0.5 * float(high - low))
 
 
 def _measures(
@@ -305,24 +307,24 @@ def _both(mask: Bools, axis: int) -> Bools:
     return np.asarray(mask[1:] & mask[:-1] if axis == 0 else mask[:, 1:] & mask[:, :-1])
 
 
-def _smoothed(values: Array, known: Bools) -> Floats:
+def _smoothed(values: Array, valid: Bools) -> Floats:
     """Return means over a square of what is known (line, column); NaN where nothing is."""
     from scipy.ndimage import uniform_filter
 
-    known = known & np.isfinite(values)
-    total = uniform_filter(np.where(known, values, 0.0).astype(np.float64), _AROUND, mode="constant")
-    count = uniform_filter(known.astype(np.float64), _AROUND, mode="constant")
+    valid = valid & np.isfinite(values)
+    total = uniform_filter(np.where(valid, values, 0.0).astype(np.float64), _AROUND, mode="constant")
+    count = uniform_filter(valid.astype(np.float64), _AROUND, mode="constant")
     with np.errstate(invalid="ignore", divide="ignore"):
-        return np.where(known, total / count, np.nan)
+        return np.where(valid, total / count, np.nan)
 
 
-def _brightness(seen: Floats, known: Bools) -> tuple[Floats, float]:
+def _brightness(seen: Floats, valid: Bools) -> tuple[Floats, float]:
     """Return how bright pixels are, relative to the median (line, column), and its largest reflectance."""
-    if not known.any():
-        return np.full(known.shape, np.nan), np.nan
-    middle = np.median(seen[known], axis=0)
-    made = _smoothed(seen @ (middle / max(float(middle @ middle), 1e-12)), known)
-    return made / float(np.median(made[known])), float(middle.max())
+    if not valid.any():
+        return np.full(valid.shape, np.nan), np.nan
+    middle = np.median(seen[valid], axis=0)
+    smoothed = _smoothed(seen @ (middle / max(float(middle @ middle), 1e-12)), valid)
+    return smoothed / float(np.median(smoothed[valid])), float(middle.max())
 
 
 def _largest(mask: Bools) -> Bools:

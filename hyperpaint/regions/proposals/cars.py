@@ -56,15 +56,15 @@ class Car:
     is_car: bool = False
     size: int = 0
 
-    def add(self, piece: Piece, found: Footprint, roof: Roof | NoRoof) -> None:
+    def add(self, piece: Piece, footprint: Footprint, roof: Roof | NoRoof) -> None:
         """Add a piece, and what is seen around it: of several footprints with a roof the largest counts."""
         self.pieces.append(piece)
-        self.size = max(self.size, int(found.whole.sum()))
+        self.size = max(self.size, int(footprint.whole.sum()))
         if isinstance(roof, NoRoof):
             self.is_car |= roof.is_car
             self.reason = roof.reason
-        elif self.footprint is None or found.whole.sum() > self.footprint.whole.sum():
-            self.footprint, self.roof, self.is_car = found, roof, True
+        elif self.footprint is None or footprint.whole.sum() > self.footprint.whole.sum():
+            self.footprint, self.roof, self.is_car = footprint, roof, True
 
 
 def find_cars(pieces: Iterable[Piece], scene: Scene) -> list[Car]:
@@ -73,22 +73,22 @@ def find_cars(pieces: Iterable[Piece], scene: Scene) -> list[Car]:
     owner = np.full(scene.level.shape, -1, np.int32)
     painted = owner.copy()
     for piece in sorted(pieces, key=lambda one: (-int(one.inside.sum()), one.first, one.body)):
-        known = painted[piece.window][piece.inside]
-        if (known >= 0).mean() > _MOSTLY:
-            car = cars[int(np.bincount(known[known >= 0]).argmax())]
+        owners = painted[piece.window][piece.inside]
+        if (owners >= 0).mean() > _MOSTLY:
+            car = cars[int(np.bincount(owners[owners >= 0]).argmax())]
             if car.roof is not None and car.roof.complete:
                 car.pieces.append(piece)
                 continue
-        found, roof = _look_around(piece, scene)
-        if found is None:
+        footprint, roof = _look_around(piece, scene)
+        if footprint is None:
             cars.append(Car([piece]))
             continue
-        number = _same(found, owner, cars)
+        number = _same(footprint, owner, cars)
         if number == len(cars):
             cars.append(Car([]))
-        cars[number].add(piece, found, roof)
-        for plane, mask in ((owner, found.whole), (painted, found.whole & found.paint)):
-            view = plane[found.window]
+        cars[number].add(piece, footprint, roof)
+        for plane, mask in ((owner, footprint.whole), (painted, footprint.whole & footprint.paint)):
+            view = plane[footprint.window]
             view[mask & (view < 0)] = number
     return cars
 
@@ -98,24 +98,24 @@ def _look_around(piece: Piece, scene: Scene) -> tuple[Footprint | None, Roof | N
     colour = np.median(scene.without_sky(piece.window)[piece.inside], axis=0)
     seen: list[tuple[Footprint, Roof | NoRoof]] = []
     for across_windows in (False, True):
-        found = footprint_of(piece.inside, piece.first, colour, scene, across_windows)
-        if found is None:
+        footprint = footprint_of(piece.inside, piece.first, colour, scene, across_windows)
+        if footprint is None:
             break
-        seen.append((found, find_roof(found, scene.level[found.window])))
+        seen.append((footprint, find_roof(footprint, scene.level[footprint.window])))
         if isinstance(seen[-1][1], Roof):
             return seen[-1]
     return seen[0] if seen else (None, NoRoof("its colour goes on beyond any car", False))
 
 
-def _same(found: Footprint, owner: npt.NDArray[np.int32], cars: list[Car]) -> int:
+def _same(footprint: Footprint, owner: npt.NDArray[np.int32], cars: list[Car]) -> int:
     """Return the number of the car that a footprint lies on, that of a new one if none."""
-    there = owner[found.window][found.whole]
+    there = owner[footprint.window][footprint.whole]
     there = there[there >= 0]
     if not there.size:
         return len(cars)
     shared = np.bincount(there)
     number = int(shared.argmax())
-    least = min(int(found.whole.sum()), cars[number].size)
+    least = min(int(footprint.whole.sum()), cars[number].size)
     return number if shared[number] > _OVERLAP * least else len(cars)
 
 
@@ -150,7 +150,7 @@ def judge_car(
 
 
 def _judge_roof(
-    found: Footprint,
+    footprint: Footprint,
     roof: Roof,
     model: SceneModel,
     channels: Array,
@@ -159,15 +159,15 @@ def _judge_roof(
     zenith: float | None,
 ) -> Judged | None:
     """Return what is thought of a roof; None where nothing of it is away from edges."""
-    piece = _piece_of(found, roof, model, limits.erode)
+    piece = _piece_of(footprint, roof, model, limits.erode)
     if piece is None:
         return None
-    y, x = piece.first[0] - found.first[0], piece.first[1] - found.first[1]
+    y, x = piece.first[0] - footprint.first[0], piece.first[1] - footprint.first[1]
     lines, columns = piece.inside.shape
-    brightness = found.brightness[y : y + lines, x : x + columns]
+    brightness = footprint.brightness[y : y + lines, x : x + columns]
     lit = piece.inside & (layers["blocked_direct"][piece.window] < limits.shadow)
     middle = (roof.middle[0] - y, roof.middle[1] - x)
-    level = level_light(brightness, piece.inside, lit, middle, roof.unsure, found.axis)
+    level = level_light(brightness, piece.inside, lit, middle, roof.unsure, footprint.axis)
     verdict = Verdict("roof", reasons=[roof.reason])
     if level is None:
         verdict.objections.append("too little of the roof is lit to tell how bright it is where it is level")
@@ -181,7 +181,7 @@ def _judge_roof(
     off = abs(float(np.median(relative[measures.usable])) - 1.0) if measures.pixels else 0.0
     judge_pixels(verdict, measures, limits)
     judge_lean(verdict, measures, zenith, "roof", level.misfit + level.unsure + off)
-    judge_change(verdict, level.change, zenith, _CUT if found.cut else 1.0)
+    judge_change(verdict, level.change, zenith, _CUT if footprint.cut else 1.0)
     if level.misfit > _MOST_MISFIT:
         verdict.objections.append(
             f"brightness in its middle is {level.misfit:.0%} off the plane around it: glint, or another tilt"
@@ -189,15 +189,15 @@ def _judge_roof(
     return piece, measures, verdict
 
 
-def _piece_of(found: Footprint, roof: Roof, model: SceneModel, erode: int) -> Piece | None:
+def _piece_of(footprint: Footprint, roof: Roof, model: SceneModel, erode: int) -> Piece | None:
     """Return the pixels of a roof that are away from what has another colour."""
     from scipy.ndimage import distance_transform_edt
 
-    inside = roof.inside & (distance_transform_edt(np.pad(found.paint, 1))[1:-1, 1:-1] > erode)
+    inside = roof.inside & (distance_transform_edt(np.pad(footprint.paint, 1))[1:-1, 1:-1] > erode)
     lines, columns = np.flatnonzero(inside.any(axis=1)), np.flatnonzero(inside.any(axis=0))
     if not lines.size:
         return None
-    first = (int(lines[0]) + found.first[0], int(columns[0]) + found.first[1])
+    first = (int(lines[0]) + footprint.first[0], int(columns[0]) + footprint.first[1])
     mask = inside[lines[0] : lines[-1] + 1, columns[0] : columns[-1] + 1]
     piece = Piece(0, first, mask)
     segment = model.segment[piece.window][mask]

@@ -216,10 +216,10 @@ def _gathered(
         wider = whole | (cores == nearest)
         if gaps[nearest] > _APART * float(depth[wider].max()):
             break
-        made = hull_of(_grown(wider, thick, filled))
-        narrow = _rectangle(made)[3] < _WIDEST * 2.0 * float(depth[wider].max())
-        if narrow and (made & like.ground).sum() < _MOST_GROUND * made.sum():
-            whole, around = wider, made
+        hull = hull_of(_grown(wider, thick, filled))
+        narrow = _rectangle(hull)[3] < _WIDEST * 2.0 * float(depth[wider].max())
+        if narrow and (hull & like.ground).sum() < _MOST_GROUND * hull.sum():
+            whole, around = wider, hull
     return around
 
 

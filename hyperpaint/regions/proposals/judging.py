@@ -59,7 +59,12 @@ class Verdict:
 
 
 def judge_dark(
-    piece: Piece, found: Measures, model: SceneModel, surfaces: Surfaces, limits: Limits, zenith: float | None
+    piece: Piece,
+    measures: Measures,
+    model: SceneModel,
+    surfaces: Surfaces,
+    limits: Limits,
+    zenith: float | None,
 ) -> Verdict:
     """Return what is thought of a piece that is as dark as glass, or like leaves."""
     verdict = Verdict()
@@ -69,10 +74,10 @@ def judge_dark(
         return verdict
     _judge_dark(verdict, piece, model, surfaces)
     if verdict.kind:
-        judge_pixels(verdict, found, limits)
-        judge_lean(verdict, found, zenith, "dark paint")
-        if found.angle > _DARK_ANGLE:
-            text = f"spectra differ by {found.angle:.1f} degrees: windows, as dark, may be among them"
+        judge_pixels(verdict, measures, limits)
+        judge_lean(verdict, measures, zenith, "dark paint")
+        if measures.angle > _DARK_ANGLE:
+            text = f"spectra differ by {measures.angle:.1f} degrees: windows, as dark, may be among them"
             verdict.objections.append(text)
     return verdict
 
@@ -120,7 +125,7 @@ def _judge_dark(verdict: Verdict, piece: Piece, model: SceneModel, surfaces: Sur
 
 
 def judge_lean(
-    verdict: Verdict, found: Measures, zenith: float | None, part: str, unsure: float = 0.0
+    verdict: Verdict, measures: Measures, zenith: float | None, part: str, unsure: float = 0.0
 ) -> None:
     """Object where a lean that nothing shows could make the signature wrong.
 
@@ -128,7 +133,7 @@ def judge_lean(
     ----------
     verdict
         Gets the objection, or the reason.
-    found
+    measures
         What is measured.
     zenith
         Of the sun [degree]; None where it is not known.
@@ -137,9 +142,9 @@ def judge_lean(
     unsure
         What its brightness may be off beside, relative [1].
     """
-    if not found.pixels:
+    if not measures.pixels:
         return
-    most = float(found.spectrum.max())
+    most = float(measures.spectrum.max())
     allowed = max(_TOLERANCE, _RELATIVE * most)
     lean = _LEANS[part]
     if zenith is None:
@@ -176,26 +181,30 @@ def judge_change(verdict: Verdict, change: float, zenith: float | None, part: fl
         )
 
 
-def judge_pixels(verdict: Verdict, found: Measures, limits: Limits) -> None:
+def judge_pixels(verdict: Verdict, measures: Measures, limits: Limits) -> None:
     """Tell what is measured; object to too few pixels, and to what is not of one colour; give the score."""
-    lost = ", ".join(f"{share:.0%} {reason}" for reason, share in found.lost.items() if share >= 0.01)
-    told = f" ({lost} left out)" if lost else ""
-    if found.pixels < limits.min_pixels:
-        verdict.objections.append(f"{found.pixels} pixels are left, expected {limits.min_pixels}{told}")
+    lost = ", ".join(f"{share:.0%} {reason}" for reason, share in measures.lost.items() if share >= 0.01)
+    left_out = f" ({lost} left out)" if lost else ""
+    if measures.pixels < limits.min_pixels:
+        verdict.objections.append(
+            f"{measures.pixels} pixels are left, expected {limits.min_pixels}{left_out}"
+        )
         return
-    verdict.reasons.append(f"{found.pixels} pixels{told}")
-    if found.angle > limits.angle:
-        verdict.objections.append(f"not homogeneous: spectra differ by {found.angle:.1f} degrees")
+    verdict.reasons.append(f"{measures.pixels} pixels{left_out}")
+    if measures.angle > limits.angle:
+        verdict.objections.append(f"not homogeneous: spectra differ by {measures.angle:.1f} degrees")
     verdict.reasons.append(
-        f"homogeneous to {found.angle:.1f} degrees, brightness to {found.spread:.1%}; "
-        f"glint {found.glint:.3f}, light of neighbours {found.adjacency:.3f}"
+        f"homogeneous to {measures.angle:.1f} degrees, brightness to {measures.spread:.1%}; "
+        f"glint {measures.glint:.3f}, light of neighbours {measures.adjacency:.3f}"
     )
-    verdict.score = score_of(found)
+    verdict.score = score_of(measures)
 
 
-def score_of(found: Measures) -> float:
+def score_of(measures: Measures) -> float:
     """Return area x homogeneity / (1 + adjacency + glint + tilt), each over what halves the score."""
-    area = min(1.0, found.pixels / _ENOUGH)
-    homogeneity = 1.0 / (1.0 + (found.angle / _HALF_ANGLE) ** 2)
-    against = found.adjacency / _HALF_ADJACENCY + found.glint / _HALF_GLINT + found.spread / _HALF_SPREAD
+    area = min(1.0, measures.pixels / _ENOUGH)
+    homogeneity = 1.0 / (1.0 + (measures.angle / _HALF_ANGLE) ** 2)
+    against = (
+        measures.adjacency / _HALF_ADJACENCY + measures.glint / _HALF_GLINT + measures.spread / _HALF_SPREAD
+    )
     return float(area * homogeneity / (1.0 + against))

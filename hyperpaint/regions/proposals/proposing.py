@@ -9,14 +9,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from hyperpaint.base import schema
-from hyperpaint.base.arrays import Array, Bools, Floats
+from hyperpaint.base.arrays import Array, Bools, Floats, Progress
 from hyperpaint.base.errors import Problems, SchemaError
 from hyperpaint.radiometry.slabs import line_chunked
 from hyperpaint.regions import Region, Regions
 from hyperpaint.surroundings import SceneModel, survey
-from hyperpaint.surroundings.channels import Progress, to_channels
 from hyperpaint.surroundings.flags import flag
 from hyperpaint.surroundings.sun_and_sky import sun_zenith_of
+from hyperpaint.surroundings.surveying import to_channels
 
 from .candidates import DARK, Limits, Measures, Piece, Surfaces, measured, pieces
 from .cars import Judged, find_cars, judge_car, settle_dark
@@ -61,8 +61,8 @@ def outline(mask: Bools, first: tuple[int, int] = (0, 0)) -> tuple[Floats, tuple
         # the first corner in line order, so that the first ring is the one around all others
         rings.append(_follow(min(sides), sides))
     offset = np.array([first[1] - 0.5, first[0] - 0.5])
-    made = [np.array([(x, y) for y, x in ring], np.float64) + offset for ring in rings]
-    return made[0], tuple(made[1:])
+    corners = [np.array([(x, y) for y, x in ring], np.float64) + offset for ring in rings]
+    return corners[0], tuple(corners[1:])
 
 
 def _sides(mask: Bools) -> dict[tuple[int, int], list[int]]:
@@ -71,11 +71,11 @@ def _sides(mask: Bools) -> dict[tuple[int, int], list[int]]:
     inner = wide[1:-1, 1:-1]
     beside = (wide[:-2, 1:-1], wide[1:-1, 2:], wide[2:, 1:-1], wide[1:-1, :-2])
     corner = ((0, 0), (0, 1), (1, 1), (1, 0))  # where the side above, right, below, left begins
-    made: dict[tuple[int, int], list[int]] = {}
+    ways: dict[tuple[int, int], list[int]] = {}
     for way, (other, (down, right)) in enumerate(zip(beside, corner, strict=True)):
         for line, column in np.argwhere(inner & ~other).tolist():
-            made.setdefault((line + down, column + right), []).append(way)
-    return made
+            ways.setdefault((line + down, column + right), []).append(way)
+    return ways
 
 
 def _follow(start: tuple[int, int], sides: dict[tuple[int, int], list[int]]) -> list[tuple[int, int]]:
@@ -253,22 +253,22 @@ def propose_regions(
     _check(limits, most)
     if model is None:
         model = survey(line, progress=progress, **options)
-    known = model if isinstance(model, SceneModel) else SceneModel.from_dataset(model)
+    scene = model if isinstance(model, SceneModel) else SceneModel.from_dataset(model)
     zenith = _zenith(line, options.get("sun_zenith"))
-    channels, layers = _read(line, known)
-    surfaces = Surfaces.of(known)
+    channels, layers = _read(line, scene)
+    surfaces = Surfaces.of(scene)
     bright, judged = [], []
-    for piece in pieces(known, erode, max(min_pixels // 4, 1)):
+    for piece in pieces(scene, erode, max(min_pixels // 4, 1)):
         if surfaces.ground[piece.body]:
             continue
         if surfaces.level[piece.body] >= DARK and not surfaces.vegetation[piece.body]:
             bright.append(piece)
         else:
-            found = measured(piece, channels, layers, limits)
-            judged.append((piece, found, judge_dark(piece, found, known, surfaces, limits, zenith)))
-    settle_dark(judged, known, surfaces)
-    for car in find_cars(bright, Scene.of(channels, known)):
-        judged += judge_car(car, known, channels, layers, limits, zenith)
+            measures = measured(piece, channels, layers, limits)
+            judged.append((piece, measures, judge_dark(piece, measures, scene, surfaces, limits, zenith)))
+    settle_dark(judged, scene, surfaces)
+    for car in find_cars(bright, Scene.of(channels, scene)):
+        judged += judge_car(car, scene, channels, layers, limits, zenith)
     return _ranked(judged, most, flightline, name)
 
 
@@ -308,9 +308,9 @@ def _read(line: xr.Dataset, model: SceneModel) -> tuple[Array, dict[str, Array]]
     numbers = dask.delayed(model.channel)
     blocks = [dask.delayed(to_channels, pure=True)(one, numbers) for one in np.ravel(cube.data.to_delayed())]
     planes = [flagged[name].data for name in _LAYERS[:3]]
-    found = dask.compute(*blocks, *planes)
-    channels = np.concatenate(found[: len(blocks)])
-    layers = dict(zip(_LAYERS, found[len(blocks) :], strict=False))
+    results = dask.compute(*blocks, *planes)
+    channels = np.concatenate(results[: len(blocks)])
+    layers = dict(zip(_LAYERS, results[len(blocks) :], strict=False))
     layers["quality"] = np.zeros(channels.shape[:2], np.uint16) if before is None else before.values
     return channels, layers
 
@@ -319,11 +319,11 @@ def _ranked(judged: list[Judged], most: int | None, flightline: str, name: str) 
     good = [one for one in judged if not one[2].objections]
     bad = sorted((one for one in judged if one[2].objections), key=lambda one: one[2].scenery)
     good.sort(key=lambda one: (-one[2].score, one[0].first, one[0].body))
-    kept = good[:most]
-    digits = len(str(max(len(kept), len(bad), 10)))
+    accepted_candidates = good[:most]
+    digits = len(str(max(len(accepted_candidates), len(bad), 10)))
     accepted = [
         _region(*one, f"{name}_{rank:0{digits}}", flightline, {"rank": rank, "score": round(one[2].score, 4)})
-        for rank, one in enumerate(kept, start=1)
+        for rank, one in enumerate(accepted_candidates, start=1)
     ]
     refused = [
         _region(*one, f"refused_{rank:0{digits}}", flightline, {"refused": one[2].objections})
@@ -333,22 +333,22 @@ def _ranked(judged: list[Judged], most: int | None, flightline: str, name: str) 
 
 
 def _region(
-    piece: Piece, found: Measures, verdict: Verdict, name: str, flightline: str, more: Mapping[str, Any]
+    piece: Piece, measures: Measures, verdict: Verdict, name: str, flightline: str, more: Mapping[str, Any]
 ) -> Region:
-    ring, holes = outline(found.usable if found.pixels else piece.inside, piece.first)
-    measures = {
-        "spectral_angle": found.angle,
-        "brightness_spread": found.spread,
-        "brightness_slope": found.slope,
-        "glint": found.glint,
-        "blocked_direct": found.shadow,
-        "adjacency": found.adjacency,
+    ring, holes = outline(measures.usable if measures.pixels else piece.inside, piece.first)
+    numbers = {
+        "spectral_angle": measures.angle,
+        "brightness_spread": measures.spread,
+        "brightness_slope": measures.slope,
+        "glint": measures.glint,
+        "blocked_direct": measures.shadow,
+        "adjacency": measures.adjacency,
     }
     properties = {
         **more,
         "kind": verdict.kind or "unknown",
-        "pixels": found.pixels,
-        **{key: round(value, 5) for key, value in measures.items() if np.isfinite(value)},
+        "pixels": measures.pixels,
+        **{key: round(value, 5) for key, value in numbers.items() if np.isfinite(value)},
         "reasons": verdict.reasons,
     }
     return Region(name, ring, holes, flightline, properties)

@@ -103,13 +103,13 @@ def find_roof(car: Footprint, level: Floats) -> Roof | NoRoof:
         Mean reflectance in its window [1].
     """
     glass = _glass(car, level)
-    found = _roof_along(car, glass, _frame(car, car.axis, car.length, car.width))
-    if isinstance(found, NoRoof) and car.cut:
+    roof = _roof_along(car, glass, _frame(car, car.axis, car.length, car.width))
+    if isinstance(roof, NoRoof) and car.cut:
         # of a car that is cut off, the longer side may be its width
         aside = np.array([car.axis[1], -car.axis[0]])
         other = _roof_along(car, glass, _frame(car, aside, car.width, car.length))
-        return found if isinstance(other, NoRoof) else other
-    return found
+        return roof if isinstance(other, NoRoof) else other
+    return roof
 
 
 def _glass(car: Footprint, level: Floats) -> Bools:
@@ -138,13 +138,13 @@ def _roof_along(car: Footprint, glass: Bools, frame: _Frame) -> Roof | NoRoof:
     for number, run in enumerate(runs):
         if run.window or run.length < _LEAST_RUN:
             continue
-        found = _judge_run(car, runs, number, float(beside[run.first : run.last].mean()), frame)
-        if found is None or (best is not None and best.worth >= found[1]):
+        grounds = _judge_run(car, runs, number, float(beside[run.first : run.last].mean()), frame)
+        if grounds is None or (best is not None and best.worth >= grounds[1]):
             continue
-        made = _roof(car, glass, frame, run, _level_place(car, runs, number, frame))
-        if made is not None:
-            inside, middle, unsure = made
-            best = Roof(inside, middle, unsure, *found, 1 < number < len(runs) - 2)
+        pixels = _roof(car, glass, frame, run, _level_place(car, runs, number, frame))
+        if pixels is not None:
+            inside, middle, unsure = pixels
+            best = Roof(inside, middle, unsure, *grounds, 1 < number < len(runs) - 2)
     if best is not None:
         return best
     slender = _CAR[0] < frame.length / frame.width < _CAR[1]
@@ -159,22 +159,22 @@ def _judge_run(
     run = runs[number]
     share = run.length / frame.length
     ends = int(number > 0) + int(number + 1 < len(runs))
-    told = f"side windows along {sided:.0%} of it"
+    evidence = f"side windows along {sided:.0%} of it"
     if car.cut:
         if ends == 2 and sided > _LONG_SIDED and run.length > _LEAST_ROOF_OF_CUT * frame.width:
-            return f"a roof: windows end it on both sides, {told}", share + sided
+            return f"a roof: windows end it on both sides, {evidence}", share + sided
         return None
     slender = frame.length / frame.width
     if not (_CAR[0] < slender < _CAR[1] or (ends == 2 and sided > _SURELY and slender > _CUT_CAR)):
         return None
-    told = f"{share:.0%} of the car's length, {told}"
+    evidence = f"{share:.0%} of the car's length, {evidence}"
     middle = 0.5 * (run.first + run.last) / frame.length
     if ends == 2 and (sided > _SIDED or _CENTRAL[0] < middle < _CENTRAL[1]):
-        return f"a roof: windows end it on both sides, {told}", share + sided
+        return f"a roof: windows end it on both sides, {evidence}", share + sided
     if ends == 1 and sided > _SURELY:
-        return f"a roof: a window ends it, {told}", share + sided
+        return f"a roof: a window ends it, {evidence}", share + sided
     if ends == 1 and share > _LONGEST_BONNET and sided > (_LONG_SIDED if share < _VAN else _VAN_SIDED):
-        return f"a roof: a window ends it, and it is longer than any bonnet, {told}", share + sided
+        return f"a roof: a window ends it, and it is longer than any bonnet, {evidence}", share + sided
     return None
 
 
@@ -229,8 +229,8 @@ def _edge(glass: Bools, sign: int, frame: _Frame, run: _Run) -> float:
     nearest = np.full(run.length, np.inf)
     track = (np.floor(frame.along[beside]).astype(np.int64) - run.first).clip(0, run.length - 1)
     np.minimum.at(nearest, track, sign * frame.across[beside])
-    found = nearest[np.isfinite(nearest)]
-    return float(np.median(found)) if found.size >= _LEAST_SEEN * nearest.size else np.nan
+    edges = nearest[np.isfinite(nearest)]
+    return float(np.median(edges)) if edges.size >= _LEAST_SEEN * nearest.size else np.nan
 
 
 def _share_of_tracks(which: Bools, of: Bools, frame: _Frame) -> Floats:
@@ -248,15 +248,15 @@ def _windows_beside(car: Footprint, glass: Bools, frame: _Frame) -> Bools:
     """
     count = round(frame.length)
     track = np.floor(frame.along).astype(np.int64).clip(0, count - 1)
-    made = []
+    side_windows = []
     for sign in (-1, 1):
         aside = sign * frame.across
         lit = car.whole & ~glass & (aside > _MIDDLE)
         outermost = np.zeros(count)
         np.maximum.at(outermost, track[lit], aside[lit])
         of = glass & (aside > _MIDDLE) & (aside < outermost[track])
-        made.append(np.bincount(track[of], minlength=count) >= _LEAST_WINDOW)
-    return max(made, key=lambda one: int(one.sum()))
+        side_windows.append(np.bincount(track[of], minlength=count) >= _LEAST_WINDOW)
+    return max(side_windows, key=lambda one: int(one.sum()))
 
 
 def _runs(crossed: Bools, strip: float) -> list[_Run]:
@@ -268,15 +268,15 @@ def _runs(crossed: Bools, strip: float) -> list[_Run]:
     stretches = [
         _Run(a, b, bool(crossed[a])) for a, b in zip(ends[:-1].tolist(), ends[1:].tolist(), strict=True)
     ]
-    made: list[_Run] = []
+    merged: list[_Run] = []
     for number, run in enumerate(stretches):
         inner = 0 < number < len(stretches) - 1
         least = strip if inner and not run.window else _LEAST_WINDOW
-        if made and (run.length < least or made[-1].window == run.window):
-            made[-1] = _Run(made[-1].first, run.last, made[-1].window)
+        if merged and (run.length < least or merged[-1].window == run.window):
+            merged[-1] = _Run(merged[-1].first, run.last, merged[-1].window)
         else:
-            made.append(run)
-    return made
+            merged.append(run)
+    return merged
 
 
 _ROUNDS = 30
@@ -332,17 +332,17 @@ def level_light(
         return None
     place = np.stack([np.ones(y.size), y - middle[0], x - middle[1]], axis=1)
     seen = brightness[lit]
-    kept = np.ones(seen.size, bool)
+    fitted = np.ones(seen.size, bool)
     for _ in range(_ROUNDS):
-        plane = np.linalg.lstsq(place[kept], seen[kept], rcond=None)[0]
+        plane = np.linalg.lstsq(place[fitted], seen[fitted], rcond=None)[0]
         off = seen - place @ plane
-        spread = max(1.4826 * float(np.median(np.abs(off[kept]))), _LEAST * abs(float(plane[0])))
+        spread = max(1.4826 * float(np.median(np.abs(off[fitted]))), _LEAST * abs(float(plane[0])))
         chosen = (off < _ABOVE * spread) & (off > -_BELOW * spread)
-        if chosen.sum() < _ENOUGH or np.array_equal(chosen, kept):
+        if chosen.sum() < _ENOUGH or np.array_equal(chosen, fitted):
             break
-        kept = chosen
+        fitted = chosen
     near = np.hypot(*(place[:, 1:].T)) < np.quantile(np.hypot(*(place[:, 1:].T)), 0.4)
-    there = float(np.median(off[near & kept])) if (near & kept).any() else 0.0
+    there = float(np.median(off[near & fitted])) if (near & fitted).any() else 0.0
     y, x = np.nonzero(inside)
     low, high = np.quantile(plane[1] * y + plane[2] * x, [0.1, 0.9])
     change = 0.5 * float(high - low) / max(abs(float(plane[0])), 1e-9)

@@ -1,0 +1,48 @@
+"""Progress as it is passed on: to the parts of a task, and to a bar on stderr."""
+
+from __future__ import annotations
+
+import sys
+from typing import overload
+
+from .arrays import Progress
+
+__all__ = ["as_progress", "part_of"]
+
+_BAR_CHARACTERS = 40
+
+
+@overload
+def part_of(progress: None, number: int, total: int) -> None: ...
+@overload
+def part_of(progress: Progress, number: int, total: int) -> Progress: ...
+@overload
+def part_of(progress: Progress | None, number: int, total: int) -> Progress | None: ...
+def part_of(progress: Progress | None, number: int, total: int) -> Progress | None:
+    """Return a progress that reports one of several parts, in thousandths of each; None where there is none.
+
+    Examples
+    --------
+    >>> part_of(print, 1, 4)(5, 10)
+    1500 4000
+    """
+    if progress is None:
+        return None
+    return lambda done, steps: progress(1000 * number + 1000 * done // max(steps, 1), 1000 * total)
+
+
+def as_progress(progress: Progress | bool | None, label: str) -> Progress | None:
+    """Return what draws a bar on stderr where ``progress`` is True, and ``progress`` itself otherwise."""
+    if progress is None or progress is False:
+        return None
+    if progress is not True:
+        return progress
+
+    def draw(done: int, total: int) -> None:
+        filled = _BAR_CHARACTERS * done // max(total, 1)
+        end = "\n" if done >= total else ""
+        bar = "#" * filled + "-" * (_BAR_CHARACTERS - filled)
+        sys.stderr.write(f"\r{label} [{bar}] {done}/{total} lines{end}")
+        sys.stderr.flush()
+
+    return draw
