@@ -168,8 +168,8 @@ class Coating:
             finite_count = int(np.isfinite(values).sum())
             msg = (
                 f"{int(low.sum())} of {finite_count} reflectances are darker than any layer of paint under "
-                f"an interface with k1 = {self.interface.k1:g}, {int(high.sum())} brighter; they were replaced "
-                f"by what is nearest, of R_inf = {BLACKEST:g} and 1"
+                f"an interface with k1 = {self.interface.k1:g}, {int(high.sum())} brighter; they were "
+                f"replaced by what is nearest, of R_inf = {BLACKEST:g} and 1"
             )
             warnings.warn(msg, PaintWarning, stacklevel=4)
         layer = np.where(low, BLACKEST, np.minimum(layer, 1.0))

@@ -287,8 +287,7 @@ def _clipped(reflectance: Floats) -> Floats:
     outside = int(((reflectance < 0.0) | (reflectance > 1.0)).sum())
     if outside:
         finite_count = int(np.isfinite(reflectance).sum())
-        msg = f"{outside} of {finite_count} reflectances are outside 0 to 1 and were clipped, as noise is; "
-            "check scale"
+        msg = f"{outside} of {finite_count} reflectances are outside 0 to 1 and were clipped; check the scale"
         warnings.warn(msg, PaintWarning, stacklevel=4)
     return np.clip(reflectance, 0.0, 1.0)
 
