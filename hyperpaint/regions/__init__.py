@@ -1,7 +1,6 @@
-"""Regions of a flight line: named polygons, their files, and the pixels in them.
+"""Regions of a flight line: named polygons, their GeoJSON files, the pixels in them, and proposals.
 
-Rooms: `outlines` (regions as data), `geojson` (their files), `polygons` (points in a polygon, exactly),
-`placement` (pixels of a line).
+Outlines and flight lines come in; positions of pixels and masks go out. For paints and every room above.
 """
 
 from __future__ import annotations
