@@ -51,10 +51,10 @@ class Places:
     def setup(self, ground):
         import hyperpaint as hp
 
-        self.locate = hp.locate
+        self.locate = hp.geometry.locate
         self.line = wobbling_line()
-        self.options = {"camera": hp.PinholeCamera(COLUMNS, pixel_pitch=7.4e-6, focal_length=14e-3)}
-        level = hp.locate(self.line, ground=0.0, **self.options)
+        self.options = {"camera": hp.geometry.PinholeCamera(COLUMNS, pixel_pitch=7.4e-6, focal_length=14e-3)}
+        level = hp.geometry.locate(self.line, ground=0.0, **self.options)
         self.options |= {"ground": 0.0} if ground == "level" else {"dem": surface_model(level)}
         self.time_places(ground)
 

@@ -39,13 +39,13 @@ class Map:
         import hyperpaint as hp
 
         with threads():
-            hp.orthorectify(self.located, grid=grid, variables=[])["glt_line"].compute()
+            hp.geometry.orthorectify(self.located, grid=grid, variables=[])["glt_line"].compute()
 
     def time_plan(self, _lines, grid):
         import hyperpaint as hp
 
         with threads():
-            hp.orthorectify(self.located, grid=grid, variables=["counts"])
+            hp.geometry.orthorectify(self.located, grid=grid, variables=["counts"])
 
     def peakmem_poses_to_map(self, lines, grid):
         self.time_poses_to_map(lines, grid)
@@ -56,5 +56,5 @@ class Map:
         import hyperpaint as hp
 
         with threads():
-            made = hp.orthorectify(located, grid=grid, variables=["counts"], method=method)["counts"]
+            made = hp.geometry.orthorectify(located, grid=grid, variables=["counts"], method=method)["counts"]
             da.store(made.data, np.empty(made.shape, made.dtype), lock=False)

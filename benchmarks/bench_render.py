@@ -123,7 +123,9 @@ class Render:
         import hyperpaint as hp
 
         flight = platform(pixels, pixels)
-        return hp.trace(scene(), flight, [SUN], samples=self.samples, chunk_lines=max(1, pixels // 8))
+        return hp.simulation.trace(
+            scene(), flight, [SUN], samples=self.samples, chunk_lines=max(1, pixels // 8)
+        )
 
     def time_scene_to_radiance(self, pixels):
         with threads():
@@ -159,7 +161,7 @@ class Graph:
     def time_build(self, lines):
         import hyperpaint as hp
 
-        hp.trace(scene(), self.flight, [SUN]).paint.relight()
+        hp.simulation.trace(scene(), self.flight, [SUN]).paint.relight()
 
     def track_tasks_per_block(self, lines):
         """Tasks of the relit radiance for each block of 32 lines, once optimised."""
@@ -167,7 +169,7 @@ class Graph:
 
         import hyperpaint as hp
 
-        (made,) = dask.optimize(hp.trace(scene(), self.flight, [SUN]).paint.relight()["radiance"])
+        (made,) = dask.optimize(hp.simulation.trace(scene(), self.flight, [SUN]).paint.relight()["radiance"])
         return len(dict(made.__dask_graph__())) / -(-lines // 32)
 
     track_tasks_per_block.unit = "tasks"

@@ -79,9 +79,9 @@ def located_line(line: Any, **options: Any) -> Any:
     import hyperpaint as hp
 
     columns = line.sizes["cross_track"]
-    camera = hp.PinholeCamera(columns, pixel_pitch=GSD, focal_length=HEIGHT)
+    camera = hp.geometry.PinholeCamera(columns, pixel_pitch=GSD, focal_length=HEIGHT)
     convention = hp.Convention(column_order="left_to_right", stamp_reference="mid")
-    return hp.locate(line, ground=0.0, crs=CRS, camera=camera, convention=convention, **options)
+    return hp.geometry.locate(line, ground=0.0, crs=CRS, camera=camera, convention=convention, **options)
 
 
 def with_counts(line: Any, bands: int) -> Any:
@@ -172,7 +172,7 @@ def compare(lines: int, columns: int, rough: bool, rounds: int) -> dict[str, flo
 
     def index() -> Any:
         nonlocal made
-        made = hp.orthorectify(known, GSD, grid="north", variables=[])
+        made = hp.geometry.orthorectify(known, GSD, grid="north", variables=[])
         return dask.compute(made["nearest_line"].data, made["nearest_sample"].data)
 
     seconds = {"rays": rays}
@@ -252,11 +252,11 @@ def whole_job(lines: int, columns: int, bands: int, grid: str, rounds: int) -> f
     line = with_counts(posed_line(lines, columns), bands)
 
     def run() -> None:
-        made = hp.orthorectify(located_line(line), grid=grid, variables=["counts"])["counts"]
+        made = hp.geometry.orthorectify(located_line(line), grid=grid, variables=["counts"])["counts"]
         da.store(made.data, out, lock=False)
 
     # memory that has been touched: what a machine takes to hand out fresh pages is not what is asked for here
-    shape = hp.orthorectify(located_line(line), grid=grid, variables=["counts"])["counts"].shape
+    shape = hp.geometry.orthorectify(located_line(line), grid=grid, variables=["counts"])["counts"].shape
     out = np.zeros(shape, np.uint16)
     out.fill(1)
     seconds, _ = best(run, rounds)
@@ -285,7 +285,7 @@ def stream(lines: int, columns: int, bands: int) -> None:
     line = line.assign(radiance=(("along_track", "band", "cross_track"), cube, {"units": "W m-2 sr-1 nm-1"}))
     before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3
     start = time.perf_counter()
-    made = hp.orthorectify(line, variables=["radiance"])["radiance"]
+    made = hp.geometry.orthorectify(line, variables=["radiance"])["radiance"]
     built = time.perf_counter() - start
 
     class Sink:

@@ -53,9 +53,9 @@ def render(
     flight = pushbroom(
         LINES, COLUMNS, ground_sample=gsd, line_spacing=gsd, start=(-0.1, 3.0), wobble=0.1, seed=seed
     )
-    traced = hp.trace(park, flight, [sky], samples=samples, seed=seed, sun_radius=0.267)
+    traced = hp.simulation.trace(park, flight, [sky], samples=samples, seed=seed, sun_radius=0.267)
     bands = BandSet(np.linspace(405.0, 995.0, BANDS), np.full(BANDS, 6.0))
-    line = hp.relight(traced.compute(), bands, atmosphere=sky).compute()
+    line = hp.simulation.relight(traced.compute(), bands, atmosphere=sky).compute()
     line.attrs["gsd"] = gsd
     return line, sky
 
@@ -93,8 +93,8 @@ def look(seed: int, flakes: bool, samples: int) -> tuple[int, int, int, int]:
     line, sky = render(seed, flakes, samples)
     line = seen_with_noise(line, seed)
     sun = {"sun_zenith": sky.sun_zenith}
-    found = hp.propose_regions(line, **sun, sun_azimuth=sky.sun_azimuth, heading=0.0)
-    corrected = hp.remove_mirrored_sky(line, **sun)["reflectance"].values
+    found = hp.regions.propose_regions(line, **sun, sun_azimuth=sky.sun_azimuth, heading=0.0)
+    corrected = hp.surroundings.remove_mirrored_sky(line, **sun)["reflectance"].values
     paints = line["paint_id"].attrs["flag_meanings"].split()
     names = [one["name"] for one in json.loads(line.attrs["instances"])]
     nm = line["wavelength"].values

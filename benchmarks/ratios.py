@@ -325,7 +325,7 @@ def _fly(folder: Path, lines: str) -> None:
     from benchmarks.bench_pipeline import threads
     from benchmarks.bench_render import SUN, platform, scene
 
-    traced = hp.trace(scene(), platform(int(lines), 640), [SUN], samples=64)
+    traced = hp.simulation.trace(scene(), platform(int(lines), 640), [SUN], samples=64)
     with threads():
         hp.to_store(traced.paint.relight(truth=False)[["radiance"]], folder / "out.zarr")
 

@@ -48,7 +48,7 @@ def trace_scene(seed: int, lines: int = 160, columns: int = 200, samples: int = 
     flight = pushbroom(
         lines, columns, ground_sample=gsd, line_spacing=gsd, start=(0.0, 2.0), exposure_time=0.004
     )
-    return hp.trace(park, flight, [sky], samples=samples, seed=seed).compute(), flight, sky
+    return hp.simulation.trace(park, flight, [sky], samples=samples, seed=seed).compute(), flight, sky
 
 
 def exposed(traced: Any, sky: Any, exposure: float, seed: int, bands: int = 60) -> tuple[Any, dict[str, Any]]:
@@ -61,7 +61,7 @@ def exposed(traced: Any, sky: Any, exposure: float, seed: int, bands: int = 60) 
 
     settings = {"bands": bands, "columns": traced.sizes["cross_track"], "seed": seed, "smile_nm": 0.0}
     camera, whole = (Camera.of(SimulationSettings(**settings, bit_depth=bits)) for bits in (BITS, 16))
-    relit = hp.relight(traced, BandSet.of_imager(camera.imager), atmosphere=sky, truth=False)
+    relit = hp.simulation.relight(traced, BandSet.of_imager(camera.imager), atmosphere=sky, truth=False)
     light = relit["radiance"].chunk(along_track=32)
     line = counts_of(light, camera, exposure, seed, "noon").compute()
     unclipped, noiseless = (

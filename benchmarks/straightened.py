@@ -64,7 +64,7 @@ def corner_errors(placed: Any, truth: Any, *, method: str, grid: str) -> np.ndar
     import hyperpaint as hp
     from benchmarks.saddle_points import misplacement
 
-    made = hp.orthorectify(placed, GSD, method=method, grid=grid, variables=["reflectance"])
+    made = hp.geometry.orthorectify(placed, GSD, method=method, grid=grid, variables=["reflectance"])
     picture = made["reflectance"].isel(band=BAND).values
     transform = tuple(map(float, made["spatial_ref"].attrs["GeoTransform"].split()))
     corners = truth["corner_east"].values, truth["corner_north"].values

@@ -1,4 +1,4 @@
-"""What `hyperpaint.check_conventions` names: twelve wrong declarations, and flights declared rightly.
+"""What `check_conventions` names: twelve wrong declarations, and flights declared rightly.
 
     python benchmarks/wrong_conventions.py                 a rough flight, and 20 right ones; two minutes
     python benchmarks/wrong_conventions.py --right 4       fewer
@@ -28,7 +28,7 @@ def check(flight: Any, made: Any) -> Any:
     from hyperpaint.geometry.navigation_checks import check_conventions
 
     line, nav, declared = made
-    camera = hp.PinholeCamera(flight.columns, pixel_pitch=flight.spacing, focal_length=1.0)
+    camera = hp.geometry.PinholeCamera(flight.columns, pixel_pitch=flight.spacing, focal_length=1.0)
     return check_conventions(line, nav, convention=declared, camera=camera, ground=flight.ground)
 
 

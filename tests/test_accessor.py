@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import inspect
 from collections.abc import Callable
 from pathlib import Path
@@ -10,67 +11,57 @@ from typing import Any
 import numpy as np
 import pytest
 import xarray as xr
+from support import accessor_stub
 from support.strategies import flight
 
 import hyperpaint as hp
-from hyperpaint import alignment
-from hyperpaint import surroundings as scene_model
-from hyperpaint.accessor import PaintAccessor
-from hyperpaint.base import units
+from hyperpaint.accessor import METHODS, PaintAccessor
 from hyperpaint.base.errors import StoreError
-from hyperpaint.geometry import georeference, orthorectification
-from hyperpaint.io import store
-from hyperpaint.paints import signatures
-from hyperpaint.pictures import plot, plot_flags, plot_spectra
-from hyperpaint.radiometry import bands, smoothing
-from hyperpaint.radiometry import counts_to_reflectance as radiometry
-from hyperpaint.regions import proposals
-from hyperpaint.simulation.rendering import relighting
-from hyperpaint.surroundings import flags, sun_and_sky
-
-FUNCTIONS: dict[str, Callable[..., Any]] = {
-    "radiance": radiometry.radiance,
-    "reflectance": radiometry.reflectance,
-    "smooth": smoothing.smooth,
-    "at": bands.at,
-    "to_nominal": bands.to_nominal,
-    "align_to_irradiance": alignment.align_to_irradiance,
-    "apply_alignment": alignment.apply_alignment,
-    "oxygen_residual": alignment.oxygen_residual,
-    "relight": relighting.relight,
-    "survey": scene_model.survey,
-    "flag": flags.flag,
-    "remove_mirrored_sky": sun_and_sky.remove_mirrored_sky,
-    "correct_light": sun_and_sky.correct_light,
-    "propose_regions": proposals.propose_regions,
-    "signatures": signatures.extract_signatures,
-    "locate": georeference.locate,
-    "orthorectify": orthorectification.orthorectify,
-    "rgb": plot.rgb,
-    "quicklook": plot.quicklook,
-    "spectrum": plot_spectra.spectrum,
-    "triptych": plot_spectra.triptych,
-    "flag_overlay": plot_flags.flag_overlay,
-    "quantify": units.quantify,
-    "verify": store.verify,
-}
 
 
-def test_no_method_without_a_function() -> None:
-    public = {name for name in vars(PaintAccessor) if not name.startswith("_")}
-    assert public == set(FUNCTIONS)
+def function_of(name: str) -> Callable[..., Any]:
+    room, _, function = METHODS[name].partition(":")
+    found: Callable[..., Any] = getattr(getattr(hp, room), function or name)
+    return found
 
 
-@pytest.mark.parametrize("name", FUNCTIONS)
-def test_signatures_are_those_of_the_functions(name: str) -> None:
-    method = inspect.signature(getattr(PaintAccessor, name))
-    function = inspect.signature(FUNCTIONS[name])
-    mine = [p for p in list(method.parameters.values())[1:] if p.name != "dims"]
-    theirs = list(function.parameters.values())[1:]
-    assert [(p.name, p.kind, p.default) for p in mine] == [(p.name, p.kind, p.default) for p in theirs]
-    for own, other in zip(mine, theirs, strict=True):
-        assert str(own.annotation) == str(other.annotation)
-    assert getattr(PaintAccessor, name).__doc__
+@pytest.mark.parametrize("name", METHODS)
+def test_a_method_is_its_function_with_the_dataset_given(name: str) -> None:
+    function = function_of(name)
+    method = getattr(xr.Dataset().paint, name)
+    mine = [p for p in inspect.signature(method).parameters.values() if p.name != "dims"]
+    assert mine == list(inspect.signature(function).parameters.values())[1:]
+    assert inspect.getdoc(method).startswith(inspect.getdoc(function))
+    assert next(iter(inspect.signature(getattr(PaintAccessor, name)).parameters)) == "self"
+
+
+def test_editors_see_the_methods_as_they_are() -> None:
+    assert ast.dump(ast.parse(accessor_stub.STUB.read_text(encoding="utf-8"))) == ast.dump(
+        ast.parse(accessor_stub.formatted(accessor_stub.stub()))
+    )
+
+
+TYPED = """
+from typing import TYPE_CHECKING, cast
+import xarray as xr
+import hyperpaint as hp
+
+if TYPE_CHECKING:
+    from hyperpaint.accessor import PaintDataset
+
+line = cast("PaintDataset", xr.open_zarr("lot.zarr", group="flightlines/raw_0"))
+reveal_type(line.paint.reflectance().paint.rgb())
+line.paint.reflectance(uncertainly=True)
+"""
+
+
+def test_mypy_knows_the_accessor(tmp_path: Path) -> None:
+    api = pytest.importorskip("mypy.api")
+    (tmp_path / "script.py").write_text(TYPED)
+    text, _, status = api.run(["--cache-dir", str(tmp_path), str(tmp_path / "script.py")])
+    assert status == 1
+    assert "xarray.core.dataarray.DataArray" in text
+    assert 'Unexpected keyword argument "uncertainly"' in text
 
 
 def test_accessor_asks_nothing_of_a_dataset() -> None:
@@ -103,9 +94,11 @@ def test_functions_and_accessor_agree() -> None:
 def test_corrections_in_one_line() -> None:
     line = flight(lines=8, columns=4).line.paint.reflectance()
     bare = line.paint.remove_mirrored_sky(sun_zenith=30.0)
-    xr.testing.assert_identical(bare, hp.remove_mirrored_sky(line, sun_zenith=30.0))
+    xr.testing.assert_identical(bare, hp.surroundings.remove_mirrored_sky(line, sun_zenith=30.0))
     options = {"direct": 0.9, "sky_view_factor": 0.8, "sun_zenith": 30.0}
-    xr.testing.assert_identical(bare.paint.correct_light(**options), hp.correct_light(bare, **options))
+    xr.testing.assert_identical(
+        bare.paint.correct_light(**options), hp.surroundings.correct_light(bare, **options)
+    )
 
 
 def test_verify_finds_the_store_of_a_dataset(tmp_path: Path) -> None:

@@ -3,3 +3,7 @@
 An irradiance record and the bands of a camera come in, the irradiance that each band of each line saw goes
 out. For radiometry and all above it.
 """
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -3,3 +3,7 @@
 A flight line with its calibration and light comes in, the same line with lazy cubes goes out. For all rooms
 that read reflectance.
 """
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -3,19 +3,6 @@
 Outlines and flight lines come in; positions of pixels and masks go out. For paints and every room above.
 """
 
-from __future__ import annotations
+import lazy_loader
 
-from .geojson import read_regions, regions_from, write_regions
-from .outlines import Region, Regions
-from .pixels_in_regions import pixels, pixels_of, region_mask
-
-__all__ = [
-    "Region",
-    "Regions",
-    "pixels",
-    "pixels_of",
-    "read_regions",
-    "region_mask",
-    "regions_from",
-    "write_regions",
-]
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

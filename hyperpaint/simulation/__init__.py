@@ -9,39 +9,6 @@ triangles (`rendered_flight`, `rendering`) or over squares of known corners (`ch
 paints are, `collect` the whole; `sweep` shines a monochromator into the same camera.
 """
 
-from __future__ import annotations
+import lazy_loader
 
-from typing import TYPE_CHECKING, Any
-
-if TYPE_CHECKING:
-    from .collect import simulate_collect, simulate_line
-    from .settings import SimulationSettings
-    from .sweep import simulate_sweep
-    from .sweep_settings import SweepSettings
-    from .sweep_stores import write_sweep
-
-__all__ = [
-    "SimulationSettings",
-    "SweepSettings",
-    "simulate_collect",
-    "simulate_line",
-    "simulate_sweep",
-    "write_sweep",
-]
-
-_HOMES = {
-    "SimulationSettings": "settings",
-    "SweepSettings": "sweep_settings",
-    "simulate_collect": "collect",
-    "simulate_line": "collect",
-    "simulate_sweep": "sweep",
-    "write_sweep": "sweep_stores",
-}
-
-
-def __getattr__(name: str) -> Any:
-    if name in _HOMES:
-        from importlib import import_module
-
-        return getattr(import_module(f"{__name__}.{_HOMES[name]}"), name)
-    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -1,8 +1,5 @@
 """What is known of a scene after one look at all of it; flags are then a matter of single pixels."""
 
-from __future__ import annotations
+import lazy_loader
 
-from .model import SceneModel
-from .surveying import survey
-
-__all__ = ["SceneModel", "survey"]
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

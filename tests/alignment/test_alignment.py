@@ -8,16 +8,14 @@ from typing import Any
 import numpy as np
 import pytest
 import xarray as xr
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 from support.strategies import START, labelled
 
 import hyperpaint as hp
 from hyperpaint.base.errors import SchemaError
 from hyperpaint.simulation import simulate_line
 from hyperpaint.simulation.atmosphere import Sky
-from hyperpaint.simulation.paints import MATERIALS
-from hyperpaint.simulation.paints import reflectance as surface_reflectance
+from hyperpaint.simulation.paints import MATERIALS, reflectance as surface_reflectance
 
 GRID = np.arange(650.0, 1010.0, 0.05)
 SPACING = 602.064 / 271
@@ -75,7 +73,7 @@ def grey(columns: int = 2) -> np.ndarray:
 @pytest.mark.parametrize("shape", ["gaussian", "slit"])
 def test_nothing_is_found_where_nothing_is_wrong(shape: str) -> None:
     # 25 surfaces: panels, every paint of the simulator, grass, asphalt
-    found = hp.align_to_irradiance(line_of(surface_reflectance(list(MATERIALS), GRID), shape=shape))
+    found = hp.alignment.align_to_irradiance(line_of(surface_reflectance(list(MATERIALS), GRID), shape=shape))
     assert found.sizes["cross_track"] == len(MATERIALS) > 15
     assert (found.flag == 0).all()
     assert abs(found.shift_correction).max() < {"gaussian": 0.003, "slit": 0.012}[shape]
@@ -86,7 +84,7 @@ def test_nothing_is_found_where_nothing_is_wrong(shape: str) -> None:
 @pytest.mark.parametrize(("shift", "fwhm"), [(0.4, 6.2), (-1.3, 5.2), (1.7, 7.4)])
 def test_truth_is_found(shape: str, shift: float, fwhm: float) -> None:
     rho = surface_reflectance(["panel_20", "grass", "asphalt"], GRID)
-    found = hp.align_to_irradiance(line_of(rho, shape=shape, shift=shift, fwhm=fwhm))
+    found = hp.alignment.align_to_irradiance(line_of(rho, shape=shape, shift=shift, fwhm=fwhm))
     np.testing.assert_allclose(found.wavelength_shift, shift, atol=0.02)
     np.testing.assert_allclose(found.fwhm, fwhm, atol=0.06)
     assert (found.flag == 0).all()
@@ -97,7 +95,7 @@ def test_smile_that_is_declared_is_not_found_again() -> None:
     line = line_of(grey(3), shift=0.5).assign_coords(
         wavelength_shift=("cross_track", [0.5, 0.3, 0.7], {"units": "nm"})
     )
-    found = hp.align_to_irradiance(line, window=OXYGEN)
+    found = hp.alignment.align_to_irradiance(line, window=OXYGEN)
     np.testing.assert_allclose(found.shift_correction, [0.0, 0.2, -0.2], atol=0.005)
     np.testing.assert_allclose(found.wavelength_shift, 0.5, atol=0.005)
     by_element = line.assign_coords(
@@ -107,7 +105,7 @@ def test_smile_that_is_declared_is_not_found_again() -> None:
             {"units": "nm"},
         )
     )
-    xr.testing.assert_allclose(hp.align_to_irradiance(by_element, window=OXYGEN), found)
+    xr.testing.assert_allclose(hp.alignment.align_to_irradiance(by_element, window=OXYGEN), found)
 
 
 @pytest.mark.slow
@@ -116,7 +114,7 @@ def test_scatter_at_snr_100_under_the_simulated_sky(shape: str, record_property:
     """The light at 48 degrees from the zenith, one column a draw."""
     sky = sum(Sky(48.19).irradiance(GRID))
     line = line_of(grey(150), light=sky, shape=shape, shift=0.4, fwhm=6.2, noise=0.01)
-    found = hp.align_to_irradiance(line)
+    found = hp.alignment.align_to_irradiance(line)
     shift, fwhm = found.shift_correction.values - 0.4, found.fwhm.values - 6.2
     record_property("shift", (float(shift.mean()), float(shift.std())))
     record_property("fwhm", (float(fwhm.mean()), float(fwhm.std())))
@@ -140,7 +138,7 @@ def test_scatter_at_snr_100_under_the_reference_sun(
     table = np.genfromtxt(shared_data / "downwelling" / "ASTMG173.csv", delimiter=",", skip_header=3)
     sun = np.interp(GRID, table[:, 0], table[:, 3])
     line = line_of(grey(200), light=sun, shape=shape, shift=0.4, fwhm=6.2, noise=0.01)
-    found = hp.align_to_irradiance(line)
+    found = hp.alignment.align_to_irradiance(line)
     shift, fwhm = found.shift_correction.values - 0.4, found.fwhm.values - 6.2
     record_property("shift", (float(shift.mean()), float(shift.std())))
     record_property("fwhm", (float(fwhm.mean()), float(fwhm.std())))
@@ -198,29 +196,29 @@ def test_a_flight_with_a_wrong_camera_file_is_mended(shape: str, record_property
 @given(st.floats(1e-3, 1e3), st.floats(1e-3, 1e3))
 def test_scales_of_radiance_and_of_irradiance_do_not_matter(radiance: float, irradiance: float) -> None:
     line = line_of(grey(1), shift=0.3)
-    first = hp.align_to_irradiance(line, window=OXYGEN)
+    first = hp.alignment.align_to_irradiance(line, window=OXYGEN)
     scaled = line.assign(
         radiance=(line.radiance * np.float32(radiance)).assign_attrs(line.radiance.attrs),
         irradiance=(line.irradiance * np.float32(irradiance)).assign_attrs(line.irradiance.attrs),
     )
-    second = hp.align_to_irradiance(scaled, window=OXYGEN)
+    second = hp.alignment.align_to_irradiance(scaled, window=OXYGEN)
     for name in ("wavelength_shift", "fwhm"):
         np.testing.assert_allclose(second[name], first[name], atol=2e-4)
 
 
 def test_chunks_change_no_bit() -> None:
     line = line_of(surface_reflectance(["grass", "panel_20"], GRID), shift=0.3, noise=0.01, lines=23)
-    first = hp.align_to_irradiance(line, window=OXYGEN)
+    first = hp.alignment.align_to_irradiance(line, window=OXYGEN)
     for chunks in ({"along_track": 5}, {"along_track": 23}, {"along_track": 8, "band": 31, "cross_track": 1}):
         lazy = line.assign(radiance=line.radiance.chunk(chunks))
-        xr.testing.assert_identical(hp.align_to_irradiance(lazy, window=OXYGEN), first)
-        assert (hp.oxygen_residual(lazy).values == hp.oxygen_residual(line).values).all()
+        xr.testing.assert_identical(hp.alignment.align_to_irradiance(lazy, window=OXYGEN), first)
+        assert (hp.alignment.oxygen_residual(lazy).values == hp.alignment.oxygen_residual(line).values).all()
 
 
 def test_progress_counts_lines() -> None:
     line = line_of(grey(), lines=20)
     seen: list[tuple[int, int]] = []
-    hp.align_to_irradiance(
+    hp.alignment.align_to_irradiance(
         line.assign(radiance=line.radiance.chunk({"along_track": 8})),
         window=OXYGEN,
         lines=slice(0, 20),
@@ -231,11 +229,11 @@ def test_progress_counts_lines() -> None:
 
 def test_pixels_that_saturate_are_left_out_whole() -> None:
     line = line_of(surface_reflectance(["grass", "panel_20"], GRID), shift=0.3, lines=40)
-    clean = hp.align_to_irradiance(line.isel(along_track=slice(20)), window=OXYGEN)
+    clean = hp.alignment.align_to_irradiance(line.isel(along_track=slice(20)), window=OXYGEN)
     spoilt = line.radiance.copy(deep=True)
     spoilt[20:] *= 1 + 0.5 * (line.wavelength / 700 - 1)  # another surface, brighter than the converter's end
     spoilt[20:, (WAVELENGTH < 765)] = np.nan
-    found = hp.align_to_irradiance(line.assign(radiance=spoilt), window=OXYGEN)
+    found = hp.alignment.align_to_irradiance(line.assign(radiance=spoilt), window=OXYGEN)
     assert (found.pixels == 20).all()
     np.testing.assert_allclose(found.wavelength_shift, clean.wavelength_shift, atol=1e-4)
 
@@ -245,21 +243,21 @@ def test_bad_elements_cost_their_band_only() -> None:
     radiance = line.radiance.copy(deep=True)
     radiance[:, 30:33, 1] = np.nan
     radiance[:, :, 2] = np.nan
-    found = hp.align_to_irradiance(line.assign(radiance=radiance), window=OXYGEN)
+    found = hp.alignment.align_to_irradiance(line.assign(radiance=radiance), window=OXYGEN)
     np.testing.assert_allclose(found.wavelength_shift[:2], 0.3, atol=0.005)
     np.testing.assert_array_equal(found.pixels, [10, 10, 0])
     np.testing.assert_array_equal(found.flag, [0, 0, 1])
     assert np.isnan(found.wavelength_shift[2])
     assert np.isnan(found.departure[30:33, 1]).all()
-    grouped = hp.align_to_irradiance(line.assign(radiance=radiance), window=OXYGEN, group=2)
+    grouped = hp.alignment.align_to_irradiance(line.assign(radiance=radiance), window=OXYGEN, group=2)
     np.testing.assert_array_equal(grouped.column, [0.5, 2.0])
     np.testing.assert_allclose(grouped.wavelength_shift[0], 0.3, atol=0.005)
 
 
 def test_groups_of_columns_are_steadier() -> None:
     line = line_of(grey(96), noise=0.01)
-    apart = hp.align_to_irradiance(line, window=OXYGEN)
-    found = hp.align_to_irradiance(line, window=OXYGEN, group=16)
+    apart = hp.alignment.align_to_irradiance(line, window=OXYGEN)
+    found = hp.alignment.align_to_irradiance(line, window=OXYGEN, group=16)
     assert found.sizes["cross_track"] == 6
     assert found.wavelength_shift_u.mean() < apart.wavelength_shift_u.mean() / 3
     assert abs(found.wavelength_shift).max() < 5 * found.wavelength_shift_u.max()
@@ -268,11 +266,11 @@ def test_groups_of_columns_are_steadier() -> None:
 def test_windows_apart_make_a_shift_that_changes_with_wavelength() -> None:
     line = line_of(grey(4), shift=0.3)
     moved = line.assign_coords(wavelength=line.wavelength + 0.002 * (line.wavelength - 770))
-    found = hp.align_to_irradiance(moved, window=[(740, 800), (890, 985)], separate=True)
+    found = hp.alignment.align_to_irradiance(moved, window=[(740, 800), (890, 985)], separate=True)
     assert found.wavelength_shift.dims == ("window", "cross_track")
-    together = hp.align_to_irradiance(moved, window=[(740, 800), (890, 985)])
+    together = hp.alignment.align_to_irradiance(moved, window=[(740, 800), (890, 985)])
     assert (together.chi2 > 10).all()  # it is told that one shift does not serve
-    mended = hp.apply_alignment(moved, found, degree=1)
+    mended = hp.alignment.apply_alignment(moved, found, degree=1)
     assert mended.wavelength_shift.dims == ("band", "cross_track")
     own = (mended.wavelength + mended.wavelength_shift).transpose("band", "cross_track").values
     between = (WAVELENGTH > 765) & (WAVELENGTH < 935)
@@ -281,7 +279,7 @@ def test_windows_apart_make_a_shift_that_changes_with_wavelength() -> None:
 
 def test_what_cannot_tell_is_flagged() -> None:
     def flags(line: xr.Dataset, **options: Any) -> str:
-        found = hp.align_to_irradiance(line, window=OXYGEN, **options)
+        found = hp.alignment.align_to_irradiance(line, window=OXYGEN, **options)
         names = found.flag.attrs["flag_meanings"].split()
         masks = found.flag.attrs["flag_masks"]
         return " ".join(n for n, m in zip(names, masks, strict=True) if (found.flag.values & m).all())
@@ -299,63 +297,63 @@ def test_what_cannot_be_is_refused() -> None:
     line = line_of(grey())
     cut = line.isel(irradiance_wavelength=slice(0, 90))
     with pytest.raises(SchemaError, match=r"covers \d+ of the 27 bands.*no lamp"):
-        hp.align_to_irradiance(cut, window=OXYGEN)
+        hp.alignment.align_to_irradiance(cut, window=OXYGEN)
     with pytest.raises(SchemaError, match="holds nothing in the window"):
-        hp.align_to_irradiance(line.isel(irradiance_wavelength=slice(0, 20)))
+        hp.alignment.align_to_irradiance(line.isel(irradiance_wavelength=slice(0, 20)))
     with pytest.raises(SchemaError, match="at least 11"):
-        hp.align_to_irradiance(line, window=(755, 770))
+        hp.alignment.align_to_irradiance(line, window=(755, 770))
     with pytest.raises(SchemaError, match="overlap from 790 to 800"):
-        hp.align_to_irradiance(line, window=[(740, 800), (790, 850)])
+        hp.alignment.align_to_irradiance(line, window=[(740, 800), (790, 850)])
     with pytest.raises(SchemaError, match="pairs"):
-        hp.align_to_irradiance(line, window=(740, 800, 900))  # type: ignore[arg-type]
+        hp.alignment.align_to_irradiance(line, window=(740, 800, 900))  # type: ignore[arg-type]
     for window in (("a", "b"), ((740, 800), (890,)), {}, "red"):
         with pytest.raises(SchemaError, match="cannot be used"):
-            hp.align_to_irradiance(line, window=window)  # type: ignore[arg-type]
+            hp.alignment.align_to_irradiance(line, window=window)  # type: ignore[arg-type]
     with pytest.raises(SchemaError, match=r"(?s)degree=99.*group=0.*max_shift=-1.*max_uncertainty=0"):
-        hp.align_to_irradiance(line, degree=99, group=0, max_shift=-1.0, max_uncertainty=0.0)
+        hp.alignment.align_to_irradiance(line, degree=99, group=0, max_shift=-1.0, max_uncertainty=0.0)
     with pytest.raises(SchemaError, match=r"(?s)'time' is missing.*'irradiance' is missing"):
-        hp.align_to_irradiance(line.drop_vars(["irradiance", "time"]))
+        hp.alignment.align_to_irradiance(line.drop_vars(["irradiance", "time"]))
     later = line.assign_coords(time=line.time + np.timedelta64(1, "h"))
     with pytest.raises(SchemaError, match="are the clocks right"):
-        hp.align_to_irradiance(later)
+        hp.alignment.align_to_irradiance(later)
 
 
 def test_one_wild_column_does_not_bend_the_others() -> None:
     line = line_of(grey(12), shift=0.3)
-    found = hp.align_to_irradiance(line, window=OXYGEN)
+    found = hp.alignment.align_to_irradiance(line, window=OXYGEN)
     found["shift_correction"][5] += 1.0
     found["fwhm_factor"][5] += 0.3
-    mended = hp.apply_alignment(line.assign(reflectance=line.radiance), found)
+    mended = hp.alignment.apply_alignment(line.assign(reflectance=line.radiance), found)
     np.testing.assert_allclose(mended.wavelength_shift, 0.3, atol=0.02)
     np.testing.assert_allclose(mended.fwhm, 6.0, atol=0.02)
     assert "reflectance" not in mended
-    kept = hp.apply_alignment(line, found, fwhm=False)
+    kept = hp.alignment.apply_alignment(line, found, fwhm=False)
     xr.testing.assert_identical(kept.fwhm.drop_vars("fwhm"), line.fwhm.drop_vars("fwhm"))
-    again = hp.apply_alignment(mended, found)
+    again = hp.alignment.apply_alignment(mended, found)
     assert again.attrs["alignment"].count("corrected in flight") == 2
 
 
 def test_applying_what_does_not_belong_is_refused() -> None:
     line = line_of(grey(5))
-    found = hp.align_to_irradiance(line, window=OXYGEN)
+    found = hp.alignment.align_to_irradiance(line, window=OXYGEN)
     with pytest.raises(SchemaError, match="other bands or columns"):
-        hp.apply_alignment(line.isel(cross_track=slice(3)), found)
+        hp.alignment.apply_alignment(line.isel(cross_track=slice(3)), found)
     with pytest.raises(SchemaError, match="no dim 'cross_track'"):
-        hp.apply_alignment(line[["wavelength", "fwhm"]], found)
+        hp.alignment.apply_alignment(line[["wavelength", "fwhm"]], found)
     found["flag"][:4] = 2
     with pytest.raises(SchemaError, match="1 of 5 columns can tell"):
-        hp.apply_alignment(line, found)
+        hp.alignment.apply_alignment(line, found)
 
 
 def test_applying_what_is_no_alignment_is_refused() -> None:
     line = line_of(grey(5))
     with pytest.raises(SchemaError, match=r"(?s)'flag' is missing.*'window_centre' is missing.*dim 'band'"):
-        hp.apply_alignment(line, xr.Dataset())
-    found = hp.align_to_irradiance(line, window=OXYGEN)
+        hp.alignment.apply_alignment(line, xr.Dataset())
+    found = hp.alignment.align_to_irradiance(line, window=OXYGEN)
     with pytest.raises(SchemaError, match="attribute 'window' is missing"):
-        hp.apply_alignment(line, found.drop_attrs())
+        hp.alignment.apply_alignment(line, found.drop_attrs())
     with pytest.raises(SchemaError, match="'fwhm_u' is on no dim, expected cross_track"):
-        hp.apply_alignment(line, found.assign(fwhm_u=found.fwhm_u[0]))
+        hp.alignment.apply_alignment(line, found.assign(fwhm_u=found.fwhm_u[0]))
 
 
 def test_tabulated_line_shapes_are_widened() -> None:
@@ -365,6 +363,6 @@ def test_tabulated_line_shapes_are_widened() -> None:
     line = line.assign_coords(srf_offset=("srf_offset", offset, {"units": "nm"})).assign(
         srf=(("band", "srf_offset"), table, {"units": "1"})
     )
-    found = hp.align_to_irradiance(line, window=OXYGEN)
+    found = hp.alignment.align_to_irradiance(line, window=OXYGEN)
     np.testing.assert_allclose(found.wavelength_shift, 0.3, atol=0.005)
     np.testing.assert_allclose(found.fwhm, 6.6, atol=0.02)

@@ -11,11 +11,11 @@ from hyperpaint.simulation import simulate_line
 
 def test_oxygen_residual_has_a_sign() -> None:
     line = simulate_line(lines=8, columns=3, smile_nm=0.0, noise=False)
-    assert abs(hp.oxygen_residual(line)).max() < 2e-3
-    longer = hp.oxygen_residual(line.assign_coords(wavelength=line.wavelength + 0.2))
-    wider = hp.oxygen_residual(line.assign_coords(fwhm=line.fwhm + 0.2))
+    assert abs(hp.alignment.oxygen_residual(line)).max() < 2e-3
+    longer = hp.alignment.oxygen_residual(line.assign_coords(wavelength=line.wavelength + 0.2))
+    wider = hp.alignment.oxygen_residual(line.assign_coords(fwhm=line.fwhm + 0.2))
     assert (longer < -0.008).all()
     assert (wider > 0.003).all()
     assert longer.attrs["units"] == "1"
     with pytest.raises(SchemaError, match="too few bands for the oxygen residual"):
-        hp.oxygen_residual(line.isel(band=slice(0, 20)))
+        hp.alignment.oxygen_residual(line.isel(band=slice(0, 20)))

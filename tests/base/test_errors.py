@@ -25,7 +25,7 @@ def test_every_error_has_the_base_and_a_builtin() -> None:
         error = getattr(errors, name)
         assert issubclass(error, errors.PaintError)
         assert issubclass(error, parent)
-        assert getattr(hyperpaint, name) is error
+        assert getattr(hyperpaint.errors, name) is error
     assert issubclass(errors.PaintWarning, UserWarning)
 
 

@@ -62,6 +62,6 @@ def test_another_word_is_refused() -> None:
     with pytest.raises(SchemaError, match="'yes', expected 'included' or 'excluded'"):
         mirror_reflection(paints)
     with pytest.raises(SchemaError, match="'yes'"):
-        hp.mix_paints(paints, {"same": {"red": 1.0}})
+        hp.paints.mix_paints(paints, {"same": {"red": 1.0}})
     with pytest.raises(SchemaError, match="'yes'"):
         coat_of(paints, 0.0)

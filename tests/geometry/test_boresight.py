@@ -59,7 +59,7 @@ def picked(points: xr.Dataset, seed: int, sd: float = 0.3) -> xr.Dataset:
 
 def solved(flown: dict[str, Flight], points: xr.Dataset, **changes: Any) -> BoresightSolution:
     flight = next(iter(flown.values()))
-    camera = hp.PinholeCamera(flight.columns, pixel_pitch=flight.spacing, focal_length=1.0)
+    camera = hp.geometry.PinholeCamera(flight.columns, pixel_pitch=flight.spacing, focal_length=1.0)
     told = {"convention": DECLARED, "camera": camera, "lever_arm": flight.lever_arm, **changes}
     lines = {name: one.line(image=False) for name, one in flown.items()}
     records = {name: one.navigation() for name, one in flown.items()}
@@ -133,8 +133,8 @@ def test_one_line_alone_and_what_was_flown_is_located() -> None:
     flight = flown["raw_0"]
     line = flight.line(image=False)
     found = solved(flown, points)
-    camera = hp.PinholeCamera(flight.columns, pixel_pitch=flight.spacing, focal_length=1.0)
-    located = hp.locate(
+    camera = hp.geometry.PinholeCamera(flight.columns, pixel_pitch=flight.spacing, focal_length=1.0)
+    located = hp.geometry.locate(
         line,
         navigation=flight.navigation(),
         convention=DECLARED,

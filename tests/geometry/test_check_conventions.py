@@ -17,7 +17,7 @@ pytest.importorskip("pyproj")
 
 def check(flight: Flight, made: tuple) -> ConventionCheck:
     line, nav, declared = made
-    camera = hp.PinholeCamera(flight.columns, pixel_pitch=flight.spacing, focal_length=1.0)
+    camera = hp.geometry.PinholeCamera(flight.columns, pixel_pitch=flight.spacing, focal_length=1.0)
     return check_conventions(line, nav, convention=declared, camera=camera, ground=flight.ground)
 
 
@@ -90,7 +90,7 @@ def test_units_of_the_variables_contradict() -> None:
 def test_what_is_missing_is_named() -> None:
     flight = Flight(lines=100)
     line, nav, declared = right(flight)
-    camera = hp.PinholeCamera(flight.columns, pixel_pitch=flight.spacing, focal_length=1.0)
+    camera = hp.geometry.PinholeCamera(flight.columns, pixel_pitch=flight.spacing, focal_length=1.0)
     with pytest.raises(SchemaError, match="ground"):
         check_conventions(line, nav, convention=declared, camera=camera)
     with pytest.raises(SchemaError, match="roll"):

@@ -16,7 +16,7 @@ pytest.importorskip("pyproj")
 
 
 def by_attitude(flight: Flight, **changes: object) -> ClockOffset:
-    camera = hp.PinholeCamera(flight.columns, pixel_pitch=flight.spacing, focal_length=1.0)
+    camera = hp.geometry.PinholeCamera(flight.columns, pixel_pitch=flight.spacing, focal_length=1.0)
     told = {"convention": DECLARED, "camera": camera, "ground": flight.ground, "max_offset_s": 0.6, **changes}
     return estimate_clock_offset(flight.line(), navigation=flight.navigation(), **told)  # type: ignore[arg-type]
 
@@ -45,7 +45,7 @@ def test_a_record_of_another_day_is_refused() -> None:
     flight = Flight(seed=1, lines=100)
     nav = flight.navigation()
     nav = nav.assign_coords(navigation_time=nav.navigation_time + np.timedelta64(1, "D"))
-    camera = hp.PinholeCamera(flight.columns, pixel_pitch=flight.spacing, focal_length=1.0)
+    camera = hp.geometry.PinholeCamera(flight.columns, pixel_pitch=flight.spacing, focal_length=1.0)
     with pytest.raises(TimeError, match="dates and zones"):
         estimate_clock_offset(
             flight.line(), navigation=nav, convention=DECLARED, camera=camera, ground=flight.ground

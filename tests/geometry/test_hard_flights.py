@@ -13,7 +13,7 @@ import hyperpaint as hp
 
 OFF = int(hp.Quality.OFF_SWATH)
 ALTITUDE, COLUMNS, LINES = 15.24, 24, 120
-CAMERA = hp.PinholeCamera(COLUMNS, pixel_pitch=0.008, focal_length=ALTITUDE)
+CAMERA = hp.geometry.PinholeCamera(COLUMNS, pixel_pitch=0.008, focal_length=ALTITUDE)
 PLACES = ("east", "north", "ground_height", "view_zenith", "view_azimuth")
 
 
@@ -34,9 +34,9 @@ def mapped(line: xr.Dataset, **options: Any) -> tuple[xr.Dataset, xr.Dataset]:
     } | options
     if "dem" in given:
         del given["ground"]
-    located = hp.locate(line, **given)
+    located = hp.geometry.locate(line, **given)
     variables = ["number", "east", "north", "view_azimuth", "quality"]
-    made = hp.orthorectify(located, variables=variables, method="bilinear").compute()
+    made = hp.geometry.orthorectify(located, variables=variables, method="bilinear").compute()
     located = located.compute()
     lost = np.isnan(located.east.values)
     for name in PLACES:
@@ -198,11 +198,11 @@ def test_no_hole_inside_the_hull_that_is_not_a_gap(wobble: float, grid: Any) -> 
 
     heading = 31.0 + 7.0 * wobble * np.sin(np.arange(LINES) / 11.0)
     line = steady(wobble=wobble, heading=heading, seed=3)
-    located = hp.locate(line, ground=0.0, camera=CAMERA, crs=UTM).compute()
+    located = hp.geometry.locate(line, ground=0.0, camera=CAMERA, crs=UTM).compute()
     for lost in (range(0), range(50, 60)):
         placed = located.copy(deep=True)
         placed.east[list(lost)] = np.nan
-        made = hp.orthorectify(placed, grid=grid, variables=["east"]).compute()
+        made = hp.geometry.orthorectify(placed, grid=grid, variables=["east"]).compute()
         known = np.isfinite(placed.east.values).all(axis=1)
         east, north = (placed[name].values[known] for name in ("east", "north"))
         outline = [(e[:-1, :-1], e[:-1, 1:], e[1:, 1:], e[1:, :-1]) for e in (east, north)]
@@ -217,7 +217,7 @@ def test_no_hole_inside_the_hull_that_is_not_a_gap(wobble: float, grid: Any) -> 
         if not lost:
             assert not made.gap.values.any()
             assert not (inside & empty).any()
-            assert hp.map_report(made)["gaps"] == 0
+            assert hp.geometry.map_report(made)["gaps"] == 0
         else:
-            assert hp.map_report(made)["gaps"] > 60
+            assert hp.geometry.map_report(made)["gaps"] > 60
             assert (inside & empty).sum() > 60

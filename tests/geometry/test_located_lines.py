@@ -11,7 +11,7 @@ import hyperpaint as hp
 from hyperpaint.regions import pixels
 
 POSE = ("latitude", "longitude", "altitude", "roll", "pitch", "heading")
-CAMERA = hp.PinholeCamera(6, field_of_view=40.0, edges="centres")
+CAMERA = hp.geometry.PinholeCamera(6, field_of_view=40.0, edges="centres")
 
 
 def line_with_poses() -> xr.Dataset:

@@ -22,7 +22,7 @@ from hyperpaint.base.schema import VARIABLES, Quality
 from hyperpaint.geometry.georeference import grid_heading, utm_zone
 
 PLACES = ("east", "north", "ground_height", "view_zenith", "view_azimuth")
-CAMERA = hp.PinholeCamera(5, field_of_view=40.0, edges="centres")
+CAMERA = hp.geometry.PinholeCamera(5, field_of_view=40.0, edges="centres")
 TANGENTS = np.column_stack([np.zeros(5), np.linspace(-1, 1, 5) * np.tan(np.radians(20.0))])
 
 
@@ -32,7 +32,7 @@ def still(**pose: float) -> xr.Dataset:
 
 def offsets(line: xr.Dataset, **options: Any) -> tuple[np.ndarray, np.ndarray]:
     """Return how far pixels are to the true east and north of the camera, with the map turned back."""
-    made = hp.locate(line, ground=0.0, crs=UTM, camera=CAMERA, **options)
+    made = hp.geometry.locate(line, ground=0.0, crs=UTM, camera=CAMERA, **options)
     lat, lon = float(line.latitude[0]), float(line.longitude[0])
     x, y = pyproj.Transformer.from_crs("EPSG:4326", UTM, always_xy=True).transform(lon, lat)
     factors = pyproj.Proj(UTM).get_factors(lon, lat)
@@ -59,7 +59,7 @@ def test_rays_end_where_those_of_geocentric_space_end(
         pitch=rng.uniform(-15, 15, 30), heading=rng.uniform(0, 360, 30),
     )  # fmt: skip
     mounting = {"boresight": (0.4, -0.6, 0.8), "lever_arm": (0.05, -0.02, 0.12)}
-    made = hp.locate(line, ground=2.0, crs=UTM, camera=CAMERA, **mounting)
+    made = hp.geometry.locate(line, ground=2.0, crs=UTM, camera=CAMERA, **mounting)
     wanted = exact_places(line, TANGENTS, level(2.0), farthest=3 * altitude, **mounting)
     for name in ("east", "north", "ground_height"):
         np.testing.assert_allclose(made[name], wanted[name], rtol=0, atol=max(limit, 3e-9))
@@ -111,15 +111,15 @@ def test_map_north_and_scale() -> None:
     )
     # pixels of a line that flies to true north lie, on the map, across its grid heading
     line = flown(50, 5, roll=0, pitch=0, heading=heading, latitude=lat, longitude=lon)
-    made = hp.locate(line, ground=0.0, crs=UTM, camera=CAMERA)
+    made = hp.geometry.locate(line, ground=0.0, crs=UTM, camera=CAMERA)
     across = np.degrees(np.arctan2(made.east[:, 4] - made.east[:, 0], made.north[:, 4] - made.north[:, 0]))
     assert np.abs((across.values - found - 90 + 180) % 360 - 180).max() < 1e-4
     # and 1 km on the ground is 1 km less the map's scale; back to degrees within 1 mm
     geod = pyproj.Geod(ellps="WGS84")
     far_lon, far_lat, _ = geod.fwd([-80.2], [34.0], [37.0], [1000.0])
     ends = flown(2, 1, roll=0, pitch=0, heading=0, latitude=[34.0, far_lat[0]], longitude=[-80.2, far_lon[0]])
-    camera = hp.PinholeCamera(1, field_of_view=1.0, edges="outer")
-    made = hp.locate(ends, ground=0.0, crs=UTM, camera=camera)
+    camera = hp.geometry.PinholeCamera(1, field_of_view=1.0, edges="outer")
+    made = hp.geometry.locate(ends, ground=0.0, crs=UTM, camera=camera)
     back = pyproj.Transformer.from_crs(UTM, "EPSG:4326", always_xy=True).transform(made.east, made.north)
     _, _, distance = geod.inv(back[0][0], back[1][0], back[0][1], back[1][1])
     assert distance[0] == pytest.approx(1000.0, abs=1e-3)
@@ -131,7 +131,7 @@ def test_map_north_and_scale() -> None:
 
 def test_the_antimeridian_and_southern_zones() -> None:
     line = flown(4, 5, longitude=[179.9999, 179.99999, -179.99999, -179.9999], latitude=-17.0)
-    made = hp.locate(line, ground=0.0, camera=CAMERA)
+    made = hp.geometry.locate(line, ground=0.0, camera=CAMERA)
     assert made.east.attrs["crs"] in ("EPSG:32760", "EPSG:32701")
     assert np.isfinite(made.east).all()
     assert np.abs(made.north - made.north[0, 2]).max() < 100
@@ -152,31 +152,31 @@ def test_tables_of_look_angles() -> None:
     tangents = np.tan(np.radians(np.column_stack([along, across])))
     wanted = exact_places(line, tangents, level(1.0))
     for made in (
-        hp.locate(line, ground=1.0, crs=UTM, camera=table),
-        hp.locate(line.assign(table), ground=1.0, crs=UTM),
+        hp.geometry.locate(line, ground=1.0, crs=UTM, camera=table),
+        hp.geometry.locate(line.assign(table), ground=1.0, crs=UTM),
     ):
         np.testing.assert_allclose(made.east, wanted["east"], rtol=0, atol=1e-8)
         np.testing.assert_allclose(made.north, wanted["north"], rtol=0, atol=1e-8)
     # the angles that come with a calibration, in radians, need no order of columns
     line.attrs = Convention().to_attrs()
     lab = line.assign(look_angle=("cross_track", np.radians(across), {"units": "radian"}))
-    made = hp.locate(lab, ground=1.0, crs=UTM)
+    made = hp.geometry.locate(lab, ground=1.0, crs=UTM)
     tangents[:, 0] = 0.0
     np.testing.assert_allclose(made.east, exact_places(line, tangents, level(1.0))["east"], rtol=0, atol=1e-8)
 
 
 def test_pinholes_by_hand() -> None:
-    outer = hp.PinholeCamera(640, field_of_view=40.0, edges="outer")
-    centres = hp.PinholeCamera(640, field_of_view=40.0, edges="centres")
+    outer = hp.geometry.PinholeCamera(640, field_of_view=40.0, edges="outer")
+    centres = hp.geometry.PinholeCamera(640, field_of_view=40.0, edges="centres")
     assert centres.spacing / outer.spacing == pytest.approx(640 / 639)
     assert centres.look_across("left_to_right")[[0, -1]] == pytest.approx([-20, 20])
-    lens = hp.PinholeCamera(4, pixel_pitch=7.4e-6, focal_length=12e-3)
+    lens = hp.geometry.PinholeCamera(4, pixel_pitch=7.4e-6, focal_length=12e-3)
     tangent = np.tan(np.radians(lens.look_across("right_to_left")))
     assert tangent == pytest.approx(np.array([1.5, 0.5, -0.5, -1.5]) * 7.4e-6 / 12e-3)
     with pytest.raises(SchemaError, match=r"edges None.*'centres' or 'outer'"):
-        hp.PinholeCamera(4, field_of_view=40.0)
+        hp.geometry.PinholeCamera(4, field_of_view=40.0)
     with pytest.raises(SchemaError, match=r"columns 0(.|\n)*either pixel_pitch and focal_length"):
-        hp.PinholeCamera(0, pixel_pitch=7.4e-6)
+        hp.geometry.PinholeCamera(0, pixel_pitch=7.4e-6)
 
 
 # --- what has no place -------------------------------------------------------------------------------------
@@ -184,7 +184,7 @@ def test_pinholes_by_hand() -> None:
 
 def test_rays_to_the_horizon_and_above() -> None:
     line = flown(5, 5, roll=[0.0, 69.5, 70.5, 110.0, 180.0], pitch=0, heading=0)
-    made = hp.locate(line, ground=0.0, crs=UTM, camera=CAMERA).compute()
+    made = hp.geometry.locate(line, ground=0.0, crs=UTM, camera=CAMERA).compute()
     # column 0 looks 20 degrees to the left, roll turns it further
     assert np.isfinite(made.east[:, 0]).values.tolist() == [True, True, False, False, False]
     assert np.isfinite(made.east[:, 4]).values.tolist() == [True, True, True, False, False]
@@ -192,7 +192,7 @@ def test_rays_to_the_horizon_and_above() -> None:
         np.testing.assert_array_equal(np.isnan(made[name]), np.isnan(made.east))
     off = (made.quality & Quality.OFF_SWATH) > 0
     np.testing.assert_array_equal(off, np.isnan(made.east))
-    assert np.isnan(hp.locate(line, ground=16.0, crs=UTM, camera=CAMERA).east).all()  # underground
+    assert np.isnan(hp.geometry.locate(line, ground=16.0, crs=UTM, camera=CAMERA).east).all()  # underground
 
 
 def test_lines_without_a_pose() -> None:
@@ -201,7 +201,7 @@ def test_lines_without_a_pose() -> None:
     line["latitude"][2] = np.nan
     line["altitude"][4] = np.inf
     line["quality"] = (("along_track", "cross_track"), np.full((6, 5), 3, np.uint16))
-    made = hp.locate(line, ground=0.0, crs=UTM, camera=CAMERA).compute()
+    made = hp.geometry.locate(line, ground=0.0, crs=UTM, camera=CAMERA).compute()
     lost = np.array([False, True, True, False, True, False])
     for name in PLACES:
         np.testing.assert_array_equal(np.isnan(made[name]).all("cross_track"), lost)
@@ -216,7 +216,7 @@ def test_lines_without_a_pose() -> None:
 
 def test_names_units_and_dtypes() -> None:
     line = flown(40, 5)
-    made = hp.locate(line, ground=0.0, camera=CAMERA, lever_arm=(0, 0, 1), clock_offset_s=0.0)
+    made = hp.geometry.locate(line, ground=0.0, camera=CAMERA, lever_arm=(0, 0, 1), clock_offset_s=0.0)
     for state in (made, made.compute()):
         for name in PLACES:
             assert state[name].dtype == np.float64
@@ -240,11 +240,11 @@ def test_nothing_is_computed_until_asked(no_compute: Callable[[], Any]) -> None:
     assert line["roll"].chunks is not None
     record = recorded(flown(70, 5)).chunk()
     with no_compute():
-        own = hp.locate(line, ground=0.0, crs=UTM, camera=CAMERA)
-        nav = hp.locate(line, navigation=record, ground=0.0, crs=UTM, camera=CAMERA,
+        own = hp.geometry.locate(line, ground=0.0, crs=UTM, camera=CAMERA)
+        nav = hp.geometry.locate(line, navigation=record, ground=0.0, crs=UTM, camera=CAMERA,
                         convention=LEFT_TO_RIGHT)  # fmt: skip
         assert own.chunks["along_track"] == (32, 32, 6)
-        eager = hp.locate(flown(70, 5), ground=0.0, camera=CAMERA)
+        eager = hp.geometry.locate(flown(70, 5), ground=0.0, camera=CAMERA)
         assert eager.east.chunks is not None
     np.testing.assert_array_equal(own.east, eager.east)
     np.testing.assert_allclose(nav.east, eager.east, rtol=0, atol=1e-8)
@@ -255,20 +255,20 @@ def test_no_bit_depends_on_chunks(dem: bool) -> None:
     line = flown(61, 5)
     if dem:
         x, y = 573_700 + np.arange(400) * 0.5, 3_762_300 + np.arange(400) * 0.5
-        made = hp.locate(line, ground=0.0, crs=UTM, camera=CAMERA)
+        made = hp.geometry.locate(line, ground=0.0, crs=UTM, camera=CAMERA)
         x, y = x - x.mean() + float(made.east.mean()), y - y.mean() + float(made.north.mean())
         heights = np.random.default_rng(0).uniform(0, 2, (400, 400))
         attrs = {"crs": UTM, "height_reference": "ellipsoid"}
         ground: dict[str, Any] = {"dem": xr.DataArray(heights, {"y": y, "x": x}, ("y", "x"), attrs=attrs)}
     else:
         ground = {"ground": 0.0}
-    whole = hp.locate(line.chunk(along_track=-1), crs=UTM, camera=CAMERA, **ground).compute()
+    whole = hp.geometry.locate(line.chunk(along_track=-1), crs=UTM, camera=CAMERA, **ground).compute()
     assert np.isfinite(whole.east).all()
     for chunks in (1, 7, (20, 1, 40)):
-        parts = hp.locate(line.chunk(along_track=chunks), crs=UTM, camera=CAMERA, **ground).compute()
+        parts = hp.geometry.locate(line.chunk(along_track=chunks), crs=UTM, camera=CAMERA, **ground).compute()
         for name in (*PLACES, "quality", "roll"):
             np.testing.assert_array_equal(whole[name], parts[name])
-    single = hp.locate(line.isel(along_track=slice(17, 18)), crs=UTM, camera=CAMERA, **ground)
+    single = hp.geometry.locate(line.isel(along_track=slice(17, 18)), crs=UTM, camera=CAMERA, **ground)
     np.testing.assert_array_equal(whole.east[17:18], single.east)
 
 
@@ -277,15 +277,15 @@ def test_it_may_be_located_again() -> None:
     line["roll"] = -line["roll"]
     line["roll"].attrs["units"] = "degree"
     mirrored = LEFT_TO_RIGHT.replace(roll_positive="right_wing_up")
-    once = hp.locate(line, ground=0.0, camera=CAMERA, convention=mirrored)
-    np.testing.assert_array_equal(once.east, hp.locate(flown(20, 5), ground=0.0, camera=CAMERA).east)
-    again = hp.locate(once, ground=0.0, camera=CAMERA)
+    once = hp.geometry.locate(line, ground=0.0, camera=CAMERA, convention=mirrored)
+    np.testing.assert_array_equal(once.east, hp.geometry.locate(flown(20, 5), ground=0.0, camera=CAMERA).east)
+    again = hp.geometry.locate(once, ground=0.0, camera=CAMERA)
     np.testing.assert_allclose(again.east, once.east, rtol=0, atol=1e-9)
     np.testing.assert_allclose(again["roll"], flown(20, 5)["roll"], rtol=0, atol=1e-12)
 
 
 def test_it_survives_a_store(tmp_path: Path) -> None:
-    made = hp.locate(flown(20, 5), ground=0.0, camera=CAMERA)
+    made = hp.geometry.locate(flown(20, 5), ground=0.0, camera=CAMERA)
     hp.to_store(made, tmp_path / "lot.zarr", "flightlines/raw_0")
     opened = xr.open_zarr(tmp_path / "lot.zarr", group="flightlines/raw_0")
     np.testing.assert_array_equal(opened.east, made.east)
@@ -297,14 +297,16 @@ def test_other_navigation_than_the_line_knows() -> None:
     line = flown(60, 5)
     bare = line.drop_vars(["latitude", "longitude", "altitude", "roll", "pitch", "heading"])
     record = recorded(line)
-    made = hp.locate(bare, navigation=record, ground=0.0, camera=CAMERA)
-    np.testing.assert_allclose(made.east, hp.locate(line, ground=0.0, camera=CAMERA).east, rtol=0, atol=1e-8)
+    made = hp.geometry.locate(bare, navigation=record, ground=0.0, camera=CAMERA)
+    np.testing.assert_allclose(
+        made.east, hp.geometry.locate(line, ground=0.0, camera=CAMERA).east, rtol=0, atol=1e-8
+    )
     # the clock of the navigation is three lines ahead
     late = record.assign_coords(navigation_time=record.navigation_time.values + 3 * PERIOD)
-    shifted = hp.locate(bare, navigation=late, ground=0.0, camera=CAMERA, clock_offset_s=0.021)
+    shifted = hp.geometry.locate(bare, navigation=late, ground=0.0, camera=CAMERA, clock_offset_s=0.021)
     np.testing.assert_allclose(shifted.east, made.east, rtol=0, atol=1e-8)
     # the same of the line's own poses: what is outside them has no place
-    own = hp.locate(line, ground=0.0, camera=CAMERA, clock_offset_s=0.021)
+    own = hp.geometry.locate(line, ground=0.0, camera=CAMERA, clock_offset_s=0.021)
     np.testing.assert_allclose(own.east[:-3], made.east[3:], rtol=0, atol=1e-8)
     assert np.isnan(own.east[-3:]).all()
 
@@ -315,43 +317,45 @@ def test_other_navigation_than_the_line_knows() -> None:
 def test_what_cannot_be_is_said_at_once() -> None:
     line = flown(4, 5)
     with pytest.raises(SchemaError, match=r"boresight(.|\n)*lever_arm(.|\n)*not both(.|\n)*clock_offset_s"):
-        hp.locate(line, boresight=(1, 2), lever_arm=(np.nan, 0, 0), clock_offset_s=np.inf)  # type: ignore[arg-type]
+        hp.geometry.locate(line, boresight=(1, 2), lever_arm=(np.nan, 0, 0), clock_offset_s=np.inf)  # type: ignore[arg-type]
     bare = line.assign_attrs()
     bare.attrs = {}
     with pytest.raises(SchemaError, match="does not declare what its angles and heights mean"):
-        hp.locate(bare, ground=0.0, camera=CAMERA)
+        hp.geometry.locate(bare, ground=0.0, camera=CAMERA)
     with pytest.raises(SchemaError, match="column 0 looks left or right"):
-        hp.locate(bare, ground=0.0, camera=CAMERA, convention=Convention())
+        hp.geometry.locate(bare, ground=0.0, camera=CAMERA, convention=Convention())
     with pytest.raises(SchemaError, match=r"look_across has shape \(4,\), the line 5 columns"):
-        hp.locate(line, ground=0.0, camera=hp.PinholeCamera(4, field_of_view=9.0, edges="outer"))
+        hp.geometry.locate(
+            line, ground=0.0, camera=hp.geometry.PinholeCamera(4, field_of_view=9.0, edges="outer")
+        )
     with pytest.raises(SchemaError, match="where the columns look is not known"):
-        hp.locate(line, ground=0.0)
+        hp.geometry.locate(line, ground=0.0)
     wrong = line.drop_vars("roll").copy(deep=True)
     wrong["pitch"].attrs["units"] = "radian"
     with pytest.raises(SchemaError, match=r"'roll' is missing(.|\n)*'pitch' has units 'radian'"):
-        hp.locate(wrong, ground=0.0, camera=CAMERA)
+        hp.geometry.locate(wrong, ground=0.0, camera=CAMERA)
     with pytest.raises(SchemaError, match="not known to PROJ"):
-        hp.locate(line, ground=0.0, camera=CAMERA, crs="EPSG:nothing")
+        hp.geometry.locate(line, ground=0.0, camera=CAMERA, crs="EPSG:nothing")
     with pytest.raises(SchemaError, match="not a map in metres"):
-        hp.locate(line, ground=0.0, camera=CAMERA, crs="EPSG:4326")
+        hp.geometry.locate(line, ground=0.0, camera=CAMERA, crs="EPSG:4326")
     lost = line.copy(deep=True)
     lost["roll"][:] = np.nan
     with pytest.raises(SchemaError, match="no line has a pose"):
-        hp.locate(lost, ground=0.0, camera=CAMERA)
+        hp.geometry.locate(lost, ground=0.0, camera=CAMERA)
     with pytest.raises(SchemaError, match="interpolation 'quintic'"):
-        hp.locate(line, ground=0.0, camera=CAMERA, interpolation="quintic")  # type: ignore[arg-type]
+        hp.geometry.locate(line, ground=0.0, camera=CAMERA, interpolation="quintic")  # type: ignore[arg-type]
     record = recorded(line).isel(navigation_time=[0, 2, 1, 3])
     with pytest.raises(TimeError, match=r"runs backwards at 1 of 4 rows \(2\)"):
-        hp.locate(line, navigation=record, ground=0.0, camera=CAMERA)
+        hp.geometry.locate(line, navigation=record, ground=0.0, camera=CAMERA)
 
 
 def test_a_missing_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "pyproj", None)
     with pytest.raises(MissingExtraError, match=r"hyperpaint\[geo\]"):
-        hp.locate(flown(4, 5), ground=0.0, camera=CAMERA, crs="EPSG:32618")
+        hp.geometry.locate(flown(4, 5), ground=0.0, camera=CAMERA, crs="EPSG:32618")
     monkeypatch.setitem(sys.modules, "shapely", None)
     with pytest.raises(MissingExtraError, match=r"hyperpaint\[geo\]"):
-        hp.footprint(xr.Dataset())
+        hp.geometry.footprint(xr.Dataset())
 
 
 # --- coverage ----------------------------------------------------------------------------------------------
@@ -359,24 +363,26 @@ def test_a_missing_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_spacing_by_hand() -> None:
     line = flown(11, 5, roll=0, pitch=0, heading=0, altitude=10.0)
-    made = hp.spacing(hp.locate(line, ground=0.0, camera=CAMERA))
+    made = hp.geometry.spacing(hp.geometry.locate(line, ground=0.0, camera=CAMERA))
     scale = pyproj.Proj(UTM).get_factors(-80.2, 34.0).meridional_scale
     assert made["across"] == pytest.approx(scale * 5 * np.tan(np.radians(20.0)), rel=1e-4)
     assert made["along"] == pytest.approx(1.14 * 0.007, rel=2e-3)
     assert made["gsd"] == made["across"]
     assert made["reversed"] == made["off_swath"] == 0.0
     nodding = line.assign(pitch=("along_track", [0, 3] * 5 + [0], {"units": "degree"}))
-    assert hp.spacing(hp.locate(nodding, ground=0.0, camera=CAMERA))["reversed"] == pytest.approx(0.5)
+    assert hp.geometry.spacing(hp.geometry.locate(nodding, ground=0.0, camera=CAMERA))[
+        "reversed"
+    ] == pytest.approx(0.5)
     with pytest.raises(SchemaError, match="'east' is missing"):
-        hp.spacing(line)
+        hp.geometry.spacing(line)
 
 
 def test_footprints() -> None:
     import shapely
 
     line = flown(200, 5, altitude=10.0, roll=0, pitch=0, heading=5)
-    located = hp.locate(line, ground=0.0, camera=CAMERA)
-    outline = hp.footprint(located, crs=UTM)
+    located = hp.geometry.locate(line, ground=0.0, camera=CAMERA)
+    outline = hp.geometry.footprint(located, crs=UTM)
     shape = shapely.from_geojson(json.dumps(outline["geometry"]))
     assert shape.is_valid
     assert shape.geom_type == "Polygon"
@@ -386,11 +392,11 @@ def test_footprints() -> None:
         shape.buffer(0.01), located.east.values.ravel(), located.north.values.ravel()
     )
     assert inside.mean() > 0.99
-    lon, lat = np.array(hp.footprint(located)["geometry"]["coordinates"][0]).mean(axis=0)
+    lon, lat = np.array(hp.geometry.footprint(located)["geometry"]["coordinates"][0]).mean(axis=0)
     assert (lon, lat) == pytest.approx((-80.2, 34.0), abs=1e-4)
     line["roll"][90:110] = np.nan
-    parted = hp.footprint(hp.locate(line, ground=0.0, camera=CAMERA))
+    parted = hp.geometry.footprint(hp.geometry.locate(line, ground=0.0, camera=CAMERA))
     assert parted["geometry"]["type"] == "MultiPolygon"
     assert parted["properties"]["lines"] == 180
     with pytest.raises(SchemaError, match="no two neighbouring lines"):
-        hp.footprint(located.isel(along_track=[0]))
+        hp.geometry.footprint(located.isel(along_track=[0]))

@@ -44,17 +44,17 @@ def away(made: xr.Dataset) -> np.ndarray:
 def test_coordinates_come_back(wobble: str, ground: Any, grid: Any) -> None:
     flown = fly(300, 120, wobble, heading=37.0, ground=ground)
     line = located(flown, there=coordinates(flown))
-    made = hp.orthorectify(line, grid=grid, variables="there", method="bilinear").compute()
+    made = hp.geometry.orthorectify(line, grid=grid, variables="there", method="bilinear").compute()
     error = away(made)
     shown = np.isfinite(made.glt_line.values)
     assert (np.isfinite(error) == shown).all()
     assert shown.mean() > 0.25
     assert error[shown].max() <= 1e-3
-    nearest = hp.orthorectify(line, grid=grid, variables="there").compute()
+    nearest = hp.geometry.orthorectify(line, grid=grid, variables="there").compute()
     exact, _ = nearest_by_distance(flown, *(part[shown] for part in centres(nearest)))
     exact_rms = np.sqrt((exact**2).mean()) / made.attrs["gsd"]
     assert np.sqrt((away(nearest)[shown] ** 2).mean()) <= 1.10 * exact_rms
-    report = hp.map_report(made)
+    report = hp.geometry.map_report(made)
     assert report["covered"] == shown.sum()
     # beyond the ends of hilly lines little is left out
     assert report["gaps"] <= (0 if ground is None else 0.002 * shown.sum())
@@ -64,7 +64,7 @@ def test_a_line_without_wobble_is_its_own_map() -> None:
     flown = fly(40, 30, "none")
     values = np.arange(1200.0).reshape(40, 30)
     line = located(flown, chunk=None, red=(CUBE[::2], values))
-    made = hp.orthorectify(line, GSD, variables=["red", "time"])
+    made = hp.geometry.orthorectify(line, GSD, variables=["red", "time"])
     assert made.sizes == {"y": 40, "x": 30}
     # the flight goes up
     np.testing.assert_array_equal(made.red, values[::-1])
@@ -80,7 +80,7 @@ def test_neither_tiles_nor_chunks_change_anything(method: Any) -> None:
     whole = None
     for chunk, tile in ((None, 256), (32, 17), (7, 64), (150, 33)):
         line = located(flown, chunk=chunk, radiance=(CUBE, cube, {"units": "W m-2 sr-1 nm-1"}))
-        made = hp.orthorectify(line, grid="north", method=method, tile=tile).compute()
+        made = hp.geometry.orthorectify(line, grid="north", method=method, tile=tile).compute()
         if whole is None:
             whole = made
         xr.testing.assert_identical(made, whole)
@@ -101,7 +101,7 @@ def test_it_is_lazy_and_reads_the_lines_it_needs() -> None:
         block, chunks=((16,) * 20, (3,), (40,)), dtype=np.float32, meta=np.empty((0, 0, 0), "f4")
     )
     line = located(flown, chunk=16).assign(radiance=(CUBE, cube, {"units": "W m-2 sr-1 nm-1"}))
-    made = hp.orthorectify(line, tile=64)
+    made = hp.geometry.orthorectify(line, tile=64)
     assert not read
     assert all(dask.is_dask_collection(part.data) for part in made.data_vars.values())
     made.radiance[-64:].compute(scheduler="sync")
@@ -117,8 +117,8 @@ def test_reflectance_and_map_can_be_made_in_either_order() -> None:
     dims = CUBE[::2]
     attrs = {"units": "m", "crs": MAP}
     line = line.assign_coords(east=(dims, flown.east, attrs), north=(dims, flown.north, attrs))
-    after = hp.orthorectify(hp.reflectance(line), variables=["reflectance"]).compute()
-    before = hp.orthorectify(line, variables=["counts", "time"]).compute()
+    after = hp.geometry.orthorectify(hp.reflectance(line), variables=["reflectance"]).compute()
+    before = hp.geometry.orthorectify(line, variables=["counts", "time"]).compute()
     assert before.counts.dtype == np.uint16
     shown = before.nearest_line.values >= 0
     assert (before.counts.values[~shown] == 65535).all()
@@ -144,13 +144,13 @@ def test_flags_are_joined_and_what_is_missing_does_not_leak() -> None:
     values[20, 1, 15] = np.nan
     line = located(flown, radiance=(CUBE, values, {"units": "W m-2 sr-1 nm-1"})).compute()
     line.quality[20, 15] = 1
-    made = hp.orthorectify(line, method="bilinear").compute()
+    made = hp.geometry.orthorectify(line, method="bilinear").compute()
     bad = np.isnan(made.radiance.values[..., 1]) & (made.hits.values > 0)
     assert 2 <= bad.sum() <= 9
     assert (made.quality.values[bad] == 1).all()
     assert (made.radiance.values[bad, 0] == 1.0).all()
     assert ((made.quality.values == OFF) == (made.hits.values == 0)).all()
-    one = hp.orthorectify(line).compute()
+    one = hp.geometry.orthorectify(line).compute()
     assert (
         (one.quality.values == 1) == (np.isnan(one.radiance.values[..., 1]) & (one.hits.values > 0))
     ).all()
@@ -162,7 +162,7 @@ def test_a_gap_is_empty_flagged_and_counted() -> None:
     lost[80:120] = np.nan
     line = located(Flown(lost, flown.north, flown.up, flown.position, flown.attitude))
     line["red"] = line.east * 0 + 1
-    made = hp.orthorectify(line, GSD, variables=["red", "quality"]).compute()
+    made = hp.geometry.orthorectify(line, GSD, variables=["red", "quality"]).compute()
     assert made.sizes["y"] == 200
     hole = made.hits.values == 0
     assert hole[80:120].all()
@@ -170,7 +170,7 @@ def test_a_gap_is_empty_flagged_and_counted() -> None:
     assert (made.gap.values == hole).all()
     assert (made.quality.values[hole] == OFF).all()
     assert np.isnan(made.red.values[hole]).all()
-    assert hp.map_report(made) == {
+    assert hp.geometry.map_report(made) == {
         "cells": 8000,
         "covered": 6400,
         "gaps": 1600,
@@ -179,7 +179,7 @@ def test_a_gap_is_empty_flagged_and_counted() -> None:
     }
     # the same frames never recorded: lines follow one another, far apart
     dropped = line.isel(along_track=np.r_[0:80, 120:200]).chunk(along_track=32)
-    made = hp.orthorectify(dropped, GSD, variables=["red"]).compute()
+    made = hp.geometry.orthorectify(dropped, GSD, variables=["red"]).compute()
     assert (made.hits.values == 0).sum() == 40 * 40
 
 
@@ -188,11 +188,11 @@ def test_holes_and_single_pixels() -> None:
     lost = flown.east.copy()
     lost[10:20, 5:12] = np.nan
     lost[40, 7] = np.nan
-    made = hp.orthorectify(
+    made = hp.geometry.orthorectify(
         located(Flown(lost, flown.north, flown.up, flown.position, flown.attitude)), variables=["quality"]
     ).compute()
-    whole = hp.orthorectify(located(flown), made.attrs["gsd"], variables=["quality"]).compute()
-    assert hp.map_report(made)["covered"] < hp.map_report(whole)["covered"]
+    whole = hp.geometry.orthorectify(located(flown), made.attrs["gsd"], variables=["quality"]).compute()
+    assert hp.geometry.map_report(made)["covered"] < hp.geometry.map_report(whole)["covered"]
     assert not (made.quality.values[made.hits.values > 0] & OFF).any()
 
 
@@ -202,7 +202,7 @@ def test_which_of_several_is_chosen() -> None:
     north[60:] = north[59::-1]  # turns round half way
     line = located(Flown(flown.east, north, flown.up, flown.position, flown.attitude))
     first, last = (
-        hp.orthorectify(line, GSD, variables=[], multi_hit=rule, grid="north").compute().glt_line
+        hp.geometry.orthorectify(line, GSD, variables=[], multi_hit=rule, grid="north").compute().glt_line
         for rule in ("first", "last")
     )
     assert float(first.max()) <= 60
@@ -212,7 +212,7 @@ def test_which_of_several_is_chosen() -> None:
 def test_bounds_make_one_grid_for_several_lines() -> None:
     bounds = (500_000.0, 3_760_000.0, 500_000.4, 3_760_000.3)
     maps = [
-        hp.orthorectify(
+        hp.geometry.orthorectify(
             located(fly(80, 40, seed=k)), 0.01, grid="north", bounds=bounds, variables=["quality"]
         )
         for k in (1, 2)
@@ -221,8 +221,8 @@ def test_bounds_make_one_grid_for_several_lines() -> None:
     np.testing.assert_array_equal(maps[0].x, maps[1].x)
     np.testing.assert_allclose(maps[0].x[0], 500_000.005)
     np.testing.assert_allclose(maps[0].y[0], 3_760_000.295)
-    whole = hp.orthorectify(located(fly(80, 40, seed=1)), 0.01, variables=["quality"])
-    part = hp.orthorectify(located(fly(80, 40, seed=1)), 0.01, variables=["quality"], bounds=bounds)
+    whole = hp.geometry.orthorectify(located(fly(80, 40, seed=1)), 0.01, variables=["quality"])
+    part = hp.geometry.orthorectify(located(fly(80, 40, seed=1)), 0.01, variables=["quality"], bounds=bounds)
     east, north = centres(part)
     np.testing.assert_allclose(part.east, east, atol=1e-7)
     np.testing.assert_allclose(part.north, north, atol=1e-7)
@@ -269,7 +269,7 @@ def test_what_comes_along() -> None:
     line = located(flown, radiance=(CUBE, np.ones((40, 3, 20), np.float32), {"units": "W m-2 sr-1 nm-1"}))
     line = line.assign_coords(wavelength=("band", [500.0, 600.0, 700.0], {"units": "nm"}))
     line = line.assign(roll=("along_track", flown.attitude[:, 0]), look=("cross_track", np.arange(20.0)))
-    made = hp.orthorectify(line)
+    made = hp.geometry.orthorectify(line)
     assert set(made.data_vars) == {
         "radiance", "quality", "line_time", "hits", "gap",
         "glt_line", "glt_sample", "nearest_line", "nearest_sample",
@@ -277,7 +277,7 @@ def test_what_comes_along() -> None:
     assert made.radiance.attrs["units"] == "W m-2 sr-1 nm-1"
     assert made.radiance.attrs["grid_mapping"] == "spatial_ref"
     np.testing.assert_array_equal(made.wavelength, line.wavelength)
-    asked = hp.orthorectify(line, variables=["roll", "look"]).compute()
+    asked = hp.geometry.orthorectify(line, variables=["roll", "look"]).compute()
     shown = asked.nearest_line.values >= 0
     np.testing.assert_array_equal(
         asked["roll"].values[shown], line["roll"].values[asked.nearest_line.values[shown]]
@@ -290,26 +290,28 @@ def test_what_cannot_be_mapped_is_named_at_once() -> None:
     with pytest.raises(
         SchemaError, match=r"(?s)grid 'up'.*method 'cubic'.*multi_hit 'best'.*gsd -1.*tile 0.*bounds"
     ):
-        hp.orthorectify(line, -1, grid="up", method="cubic", multi_hit="best", tile=0, bounds=(1, 1, 0, 0))
+        hp.geometry.orthorectify(
+            line, -1, grid="up", method="cubic", multi_hit="best", tile=0, bounds=(1, 1, 0, 0)
+        )
     with pytest.raises(SchemaError, match=r"(?s)'paint' is not there.*'lamp' \(a scalar\)"):
-        hp.orthorectify(line.assign(lamp=1.0), variables=["paint", "lamp"])
+        hp.geometry.orthorectify(line.assign(lamp=1.0), variables=["paint", "lamp"])
     with pytest.raises(SchemaError, match="located already, and ground= would do nothing"):
-        hp.orthorectify(line, ground=0.0)
+        hp.geometry.orthorectify(line, ground=0.0)
     with pytest.raises(SchemaError, match="nothing to map"):
-        hp.orthorectify(line.assign_coords(east=line.east * np.nan), variables=[])
+        hp.geometry.orthorectify(line.assign_coords(east=line.east * np.nan), variables=[])
     with pytest.raises(SchemaError, match="two of each are needed"):
-        hp.orthorectify(line.isel(cross_track=[0]), variables=[])
+        hp.geometry.orthorectify(line.isel(cross_track=[0]), variables=[])
     with pytest.raises(SchemaError, match="give a larger gsd"):
-        hp.orthorectify(line, 1e-7, variables=[])
+        hp.geometry.orthorectify(line, 1e-7, variables=[])
     with pytest.raises(SchemaError, match="'hits' and 'gap' missing"):
-        hp.map_report(line)
+        hp.geometry.map_report(line)
 
 
 def test_too_many_tiles_are_counted_before_they_are_made() -> None:
     line = located(fly(20, 10))
     tracemalloc.start()
     with pytest.raises(SchemaError, match=r"is \d+ tiles of 1 x 1, expected 100000 at most"):
-        hp.orthorectify(line, GSD / 40.0, tile=1, variables=[])
+        hp.geometry.orthorectify(line, GSD / 40.0, tile=1, variables=[])
     assert tracemalloc.get_traced_memory()[1] < 20e6
     tracemalloc.stop()
 
@@ -328,7 +330,7 @@ def test_foreign_types_become_native_ones(dtype: str, method: Any, lazy: bool) -
             mark=(CUBE[::2], cube[:, 0].astype(kind))
         )
         given = given.chunk(along_track=7) if lazy else given
-        maps.append(hp.orthorectify(given, variables=["there", "mark"], method=method))
+        maps.append(hp.geometry.orthorectify(given, variables=["there", "mark"], method=method))
     for name in ("there", "mark"):
         assert maps[0][name].dtype.str == maps[1][name].dtype.str
         assert maps[0][name].compute().dtype.isnative
@@ -339,10 +341,12 @@ def test_types_that_are_no_numbers_are_refused() -> None:
     line = located(fly(20, 10))
     odd = {f"odd_{kind}": (CUBE[::2], np.zeros((20, 10), kind)) for kind in ("c8", "U3", "m8[ns]")}
     with pytest.raises(SchemaError, match=r"(?s)'odd_c8' is complex64.*'odd_U3' is <U3.*'odd_m8\[ns\]' is"):
-        hp.orthorectify(line.assign(odd), variables=list(odd))
+        hp.geometry.orthorectify(line.assign(odd), variables=list(odd))
 
 
 def test_progress_is_told() -> None:
     told: list[tuple[int, int]] = []
-    hp.orthorectify(located(fly(100, 10)), variables=[], progress=lambda done, of: told.append((done, of)))
+    hp.geometry.orthorectify(
+        located(fly(100, 10)), variables=[], progress=lambda done, of: told.append((done, of))
+    )
     assert told[-1] == (4, 4)

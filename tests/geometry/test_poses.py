@@ -9,8 +9,7 @@ import numpy as np
 import pyproj
 import pytest
 import xarray as xr
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation, RotationSpline, Slerp
 from support.geocentric_rays import START
@@ -58,7 +57,7 @@ SECONDS = np.linspace(0.0, 0.58, 211)
 
 def test_linear_poses_are_those_of_scipy() -> None:
     data = record()
-    made = hp.interpolate_pose(data, at(SECONDS))
+    made = hp.geometry.interpolate_pose(data, at(SECONDS))
     knots = np.arange(60) * 0.01
     assert turn_between(made, Slerp(knots, scipy_rotations(data))(SECONDS)).max() < 1e-6
     for name in POSE[:3]:
@@ -71,7 +70,7 @@ def test_linear_poses_are_those_of_scipy() -> None:
 
 def test_cubic_poses_are_those_of_scipy() -> None:
     data = record(13, 0.05)
-    made = hp.interpolate_pose(data, at(SECONDS), interpolation="cubic")
+    made = hp.geometry.interpolate_pose(data, at(SECONDS), interpolation="cubic")
     knots = np.arange(13) * 0.05
     assert turn_between(made, RotationSpline(knots, scipy_rotations(data))(SECONDS)).max() < 1e-6
     np.testing.assert_allclose(made.altitude, CubicSpline(knots, data.altitude)(SECONDS), rtol=0, atol=1e-9)
@@ -79,7 +78,9 @@ def test_cubic_poses_are_those_of_scipy() -> None:
     fine = truth.isel(navigation_time=slice(100, 500))  # away from the ends, where a spline is free
     times = at(np.arange(100, 500) * 0.001)
     errors = [
-        turn_between(hp.interpolate_pose(data, times, interpolation=kind), scipy_rotations(fine)).max()
+        turn_between(
+            hp.geometry.interpolate_pose(data, times, interpolation=kind), scipy_rotations(fine)
+        ).max()
         for kind in ("linear", "cubic")
     ]
     assert errors[1] < 0.2 * errors[0]
@@ -90,11 +91,11 @@ def test_quaternions_change_sign_without_harm() -> None:
     for before, after in ((359.0, 1.0), (179.0, 181.0), (-1.0, 1.0), (1.0, 359.0)):
         data = record(2, 0.1, roll=[0, 0], pitch=[0, 0], heading=[before, after])
         for kind in ("linear", "cubic"):
-            made = hp.interpolate_pose(data, at([0.05]), interpolation=kind)
+            made = hp.geometry.interpolate_pose(data, at([0.05]), interpolation=kind)
             gap = (float(made["heading"][0]) - before + 180) % 360 - 180
             assert abs(gap) == pytest.approx(1.0, abs=1e-9), (before, kind)
     data = record(2, 0.1, longitude=[179.9999, -179.9999])
-    middle = hp.interpolate_pose(data, at([0.02, 0.05, 0.08])).longitude.values
+    middle = hp.geometry.interpolate_pose(data, at([0.02, 0.05, 0.08])).longitude.values
     assert np.abs(np.abs(middle) - 180).max() < 1e-4
 
 
@@ -122,11 +123,11 @@ def known(made: xr.Dataset) -> list[bool]:
 
 @pytest.mark.parametrize("kind", ["linear", "cubic"])
 def test_nothing_is_extrapolated(kind: Any) -> None:
-    made = hp.interpolate_pose(record(), at([-0.001, 0.0, 0.3, 0.59, 0.591]), interpolation=kind)
+    made = hp.geometry.interpolate_pose(record(), at([-0.001, 0.0, 0.3, 0.59, 0.591]), interpolation=kind)
     assert known(made) == [False, True, True, True, False]
     times = at([0.1, 0.2])
     times[1] = np.datetime64("NaT", "ns")
-    assert known(hp.interpolate_pose(record(), times, interpolation=kind)) == [True, False]
+    assert known(hp.geometry.interpolate_pose(record(), times, interpolation=kind)) == [True, False]
 
 
 @pytest.mark.parametrize("kind", ["linear", "cubic"])
@@ -136,9 +137,11 @@ def test_gaps_are_not_bridged(kind: Any) -> None:
     holed = data.isel(navigation_time=rows)
     seconds = [0.18, 0.19, 0.191, 0.3, 0.349, 0.35, 0.36]
     wanted = [True, True, False, False, False, True, True]
-    assert known(hp.interpolate_pose(holed, at(seconds), interpolation=kind)) == wanted
-    assert all(known(hp.interpolate_pose(holed, at(seconds), interpolation=kind, max_gap_s=0.2)))
-    assert known(hp.interpolate_pose(data, at([0.005, 0.01]), interpolation=kind, max_gap_s=0.009)) == [
+    assert known(hp.geometry.interpolate_pose(holed, at(seconds), interpolation=kind)) == wanted
+    assert all(known(hp.geometry.interpolate_pose(holed, at(seconds), interpolation=kind, max_gap_s=0.2)))
+    assert known(
+        hp.geometry.interpolate_pose(data, at([0.005, 0.01]), interpolation=kind, max_gap_s=0.009)
+    ) == [
         False,
         True,
     ]
@@ -146,12 +149,12 @@ def test_gaps_are_not_bridged(kind: Any) -> None:
     for name in ("pitch", "altitude"):
         lost = data.copy(deep=True)
         lost[name][20:35] = np.nan
-        assert known(hp.interpolate_pose(lost, at(seconds), interpolation=kind)) == wanted
+        assert known(hp.geometry.interpolate_pose(lost, at(seconds), interpolation=kind)) == wanted
     lost["roll"][:] = np.nan
-    assert not any(known(hp.interpolate_pose(lost, at(seconds), interpolation=kind)))
+    assert not any(known(hp.geometry.interpolate_pose(lost, at(seconds), interpolation=kind)))
     # one that stands alone between two gaps holds at its own time
     lone = data.isel(navigation_time=[0, 1, 2, 25, 50, 51])
-    made = hp.interpolate_pose(lone, at([0.25, 0.251, 0.505]), interpolation=kind)
+    made = hp.geometry.interpolate_pose(lone, at([0.25, 0.251, 0.505]), interpolation=kind)
     assert known(made) == [True, False, True]
     assert float(made.altitude[0]) == pytest.approx(float(data.altitude[25]), abs=1e-12)
 
@@ -161,21 +164,21 @@ def test_times_of_a_record() -> None:
     twice = xr.concat(
         [data.isel(navigation_time=[0, 1]), data.isel(navigation_time=[1, 2, 3])], "navigation_time"
     )
-    made = hp.interpolate_pose(twice, at([0.015]))
+    made = hp.geometry.interpolate_pose(twice, at([0.015]))
     assert float(made.altitude[0]) == pytest.approx(float(data.altitude[1:3].mean()), abs=1e-12)
     with pytest.raises(TimeError, match="runs backwards at 4 of 5 rows"):
-        hp.interpolate_pose(data.isel(navigation_time=slice(None, None, -1)), at([0.0]))
+        hp.geometry.interpolate_pose(data.isel(navigation_time=slice(None, None, -1)), at([0.0]))
     with pytest.raises(TimeError, match="dtype float64"):
-        hp.interpolate_pose(data.assign_coords(navigation_time=np.arange(5.0)), at([0.0]))
+        hp.geometry.interpolate_pose(data.assign_coords(navigation_time=np.arange(5.0)), at([0.0]))
     for kind in ("linear", "cubic"):
         one = data.isel(navigation_time=[2])
-        made = hp.interpolate_pose(one, at([0.01, 0.02, 0.03]), interpolation=kind)  # type: ignore[arg-type]
+        made = hp.geometry.interpolate_pose(one, at([0.01, 0.02, 0.03]), interpolation=kind)  # type: ignore[arg-type]
         assert known(made) == [False, True, False]
 
 
 def test_clock_offsets_shift_the_line() -> None:
-    made = hp.interpolate_pose(record(), at(SECONDS[:100]), clock_offset_s=0.0375)
-    wanted = hp.interpolate_pose(record(), at(SECONDS[:100] + 0.0375))
+    made = hp.geometry.interpolate_pose(record(), at(SECONDS[:100]), clock_offset_s=0.0375)
+    wanted = hp.geometry.interpolate_pose(record(), at(SECONDS[:100] + 0.0375))
     for name in POSE:
         np.testing.assert_allclose(made[name], wanted[name], rtol=0, atol=1e-7)
 
@@ -194,7 +197,7 @@ def test_signs_of_makers(name: str) -> None:
     data = record()
     mirrored = data.assign({name: -data[name]})
     mirrored[name].attrs["units"] = "degree"
-    made = hp.canonical_navigation(mirrored, convention=Convention(**FOREIGN[name]))
+    made = hp.geometry.canonical_navigation(mirrored, convention=Convention(**FOREIGN[name]))
     for other in POSE:
         np.testing.assert_allclose(made[other], data[other], rtol=0, atol=1e-12)
     assert Convention.from_attrs(made.attrs) == CANONICAL
@@ -216,20 +219,22 @@ def test_units_references_and_heights() -> None:
     radians = data.copy(deep=True)
     for name in ("roll", "pitch", "heading"):
         radians[name] = np.radians(data[name]).assign_attrs(units="radian")
-    made = hp.canonical_navigation(radians, convention=Convention(angle_unit="radian"))
+    made = hp.geometry.canonical_navigation(radians, convention=Convention(angle_unit="radian"))
     np.testing.assert_allclose(made["heading"], data["heading"], rtol=0, atol=1e-12)
     assert made["heading"].attrs["units"] == "degree"
     with pytest.raises(SchemaError, match=r"'roll' has units 'radian'(.|\n)*'heading' has units 'radian'"):
-        hp.canonical_navigation(radians)
+        hp.geometry.canonical_navigation(radians)
     magnetic = Convention(heading_reference="magnetic", declination=-7.5)
-    turned = hp.canonical_navigation(data, convention=magnetic)["heading"]
+    turned = hp.geometry.canonical_navigation(data, convention=magnetic)["heading"]
     assert np.abs((turned - data["heading"] + 7.5 + 180) % 360 - 180).max() < 1e-9
     with pytest.raises(SchemaError, match="declination is not declared"):
-        hp.canonical_navigation(data, convention=Convention(heading_reference="magnetic"))
+        hp.geometry.canonical_navigation(data, convention=Convention(heading_reference="magnetic"))
     high = Convention(height_reference="geoid", geoid_undulation=-33.2)
-    np.testing.assert_allclose(hp.canonical_navigation(data, convention=high).altitude, data.altitude - 33.2)
+    np.testing.assert_allclose(
+        hp.geometry.canonical_navigation(data, convention=high).altitude, data.altitude - 33.2
+    )
     with pytest.raises(SchemaError, match="geoid_undulation is not declared"):
-        hp.canonical_navigation(data, convention=Convention(height_reference="geoid"))
+        hp.geometry.canonical_navigation(data, convention=Convention(height_reference="geoid"))
 
 
 def test_headings_from_grid_north() -> None:
@@ -238,10 +243,10 @@ def test_headings_from_grid_north() -> None:
     assert gamma > 1.0
     for convention, crs in ((Convention(heading_reference="grid"), 32617),
                             (Convention(heading_reference="grid", grid_crs="EPSG:32617"), None)):  # fmt: skip
-        made = hp.canonical_navigation(data, convention=convention, crs=crs)["heading"]
+        made = hp.geometry.canonical_navigation(data, convention=convention, crs=crs)["heading"]
         assert np.abs((made - data["heading"] - gamma + 180) % 360 - 180).max() < 1e-5
     with pytest.raises(SchemaError, match="grid north, whose direction is not known"):
-        hp.canonical_navigation(data, convention=Convention(heading_reference="grid"))
+        hp.geometry.canonical_navigation(data, convention=Convention(heading_reference="grid"))
 
 
 def test_conventions_are_stored_with_the_data(tmp_path: Path) -> None:
@@ -276,7 +281,7 @@ def test_a_real_flight_with_every_other_row_left_out(shared_data: Path) -> None:
         len(rows), 0.1, latitude=lat, longitude=lon, altitude=alt, roll=roll, pitch=pitch, heading=heading
     )
     data = data.assign_coords(navigation_time=at(time - time[0]).values)
-    made = hp.interpolate_pose(
+    made = hp.geometry.interpolate_pose(
         data.isel(navigation_time=slice(0, None, 2)), at(time - time[0])[1:-1:2], max_gap_s=1
     )
     error = turn_between(made, scipy_rotations(data.isel(navigation_time=slice(1, -1, 2))))

@@ -16,7 +16,7 @@ from hyperpaint.base.errors import SchemaError
 from hyperpaint.base.schema import Quality
 
 COLUMNS = 21
-CAMERA = hp.PinholeCamera(COLUMNS, field_of_view=60.0, edges="centres")
+CAMERA = hp.geometry.PinholeCamera(COLUMNS, field_of_view=60.0, edges="centres")
 TANGENTS = np.column_stack([np.zeros(COLUMNS), np.linspace(-1, 1, COLUMNS) * np.tan(np.radians(30.0))])
 TO_UTM = pyproj.Transformer.from_crs("EPSG:4326", UTM, always_xy=True)
 CENTRE = np.array(TO_UTM.transform(-80.2, 34.0))
@@ -52,7 +52,7 @@ def test_hits_lie_on_the_surface_and_nothing_is_in_the_way() -> None:
     heights[70:90, 40:60] += 3.0
     raster = dem(heights)
     line = flown(40, COLUMNS, wobble=8.0, heading=rng.uniform(0, 360, 40))
-    made = hp.locate(line, dem=raster, crs=UTM, camera=CAMERA).compute()
+    made = hp.geometry.locate(line, dem=raster, crs=UTM, camera=CAMERA).compute()
     assert np.isfinite(made.east).all()
     # on the bilinear surface
     lon, lat = pyproj.Transformer.from_crs(UTM, "EPSG:4326", always_xy=True).transform(
@@ -85,7 +85,7 @@ def test_a_raster_on_another_map(crs: str) -> None:
     raster = xr.DataArray(
         heights, {"y": y, "x": x}, ("y", "x"), attrs={"crs": crs, "height_reference": "ellipsoid"}
     )
-    made = hp.locate(line, dem=raster, crs=UTM, camera=CAMERA)
+    made = hp.geometry.locate(line, dem=raster, crs=UTM, camera=CAMERA)
     to_raster = pyproj.Transformer.from_crs("EPSG:4326", crs, always_xy=True)
 
     def plane(longitude: np.ndarray, latitude: np.ndarray) -> np.ndarray:
@@ -99,8 +99,8 @@ def test_a_raster_on_another_map(crs: str) -> None:
 
 def test_a_level_raster_is_level_ground() -> None:
     line = flown(20, COLUMNS)
-    flat = hp.locate(line, ground=1.25, crs=UTM, camera=CAMERA).compute()
-    made = hp.locate(line, dem=dem(np.full((200, 200), 1.25)), crs=UTM, camera=CAMERA).compute()
+    flat = hp.geometry.locate(line, ground=1.25, crs=UTM, camera=CAMERA).compute()
+    made = hp.geometry.locate(line, dem=dem(np.full((200, 200), 1.25)), crs=UTM, camera=CAMERA).compute()
     for name in ("east", "north", "ground_height", "view_zenith", "view_azimuth"):
         np.testing.assert_allclose(made[name], flat[name], rtol=0, atol=1e-7)
 
@@ -111,9 +111,9 @@ def test_boxes_hide_what_is_behind_them() -> None:
     heights[:, 480:560] = heights[:, 200:240] = 1.5
     raster = dem(heights, 0.02)
     line = flown(1, 301, **LEVEL)
-    camera = hp.PinholeCamera(301, field_of_view=50.0, edges="centres")
-    made = hp.locate(line, dem=raster, crs=UTM, camera=camera).compute()
-    flat = hp.locate(line, ground=0.0, crs=UTM, camera=camera).compute()
+    camera = hp.geometry.PinholeCamera(301, field_of_view=50.0, edges="centres")
+    made = hp.geometry.locate(line, dem=raster, crs=UTM, camera=camera).compute()
+    flat = hp.geometry.locate(line, ground=0.0, crs=UTM, camera=camera).compute()
     away = made.east.values[0] - CENTRE[0]
     left, right = (0.02 * (np.array(edges) - 399.5) for edges in ((199.0, 240.0), (479.0, 560.0)))
     top = made.ground_height.values[0]
@@ -146,8 +146,8 @@ def test_thin_walls_and_peaks_are_not_jumped_over() -> None:
     heights[100, 60] = 12.0
     gamma = pyproj.Proj(UTM).get_factors(-80.2, 34.0).meridian_convergence
     line = flown(1, 4001, **(LEVEL | {"heading": float(gamma)}))  # to the raster's own north
-    camera = hp.PinholeCamera(4001, field_of_view=150.0, edges="centres")
-    made = hp.locate(line, dem=dem(heights, 0.5), crs=UTM, camera=camera).compute()
+    camera = hp.geometry.PinholeCamera(4001, field_of_view=150.0, edges="centres")
+    made = hp.geometry.locate(line, dem=dem(heights, 0.5), crs=UTM, camera=camera).compute()
     away = made.east.values[0] - CENTRE[0]
     # the wall stands at 15 m; over its top of 10 m the ground is seen from 15 * 15.24 / 5.24 m on
     assert not ((away > 15.01) & (away < 43.6)).any()
@@ -160,10 +160,10 @@ def test_thin_walls_and_peaks_are_not_jumped_over() -> None:
 def test_holes_and_edges_are_not_ground() -> None:
     heights = np.full((200, 200), 0.5)
     line = flown(3, COLUMNS, **LEVEL)
-    whole = hp.locate(line, dem=dem(heights, 0.1), crs=UTM, camera=CAMERA).compute()
+    whole = hp.geometry.locate(line, dem=dem(heights, 0.1), crs=UTM, camera=CAMERA).compute()
     away = whole.east.values - CENTRE[0]
     heights[:, 120:130] = np.nan
-    holed = hp.locate(line, dem=dem(heights, 0.1), crs=UTM, camera=CAMERA).compute()
+    holed = hp.geometry.locate(line, dem=dem(heights, 0.1), crs=UTM, camera=CAMERA).compute()
     lost = np.isnan(holed.east.values)
     over = (away > 0.1 * (119 - 99.5)) & (away < 0.1 * (130 - 99.5))
     np.testing.assert_array_equal(lost, over)
@@ -171,52 +171,56 @@ def test_holes_and_edges_are_not_ground() -> None:
     np.testing.assert_array_equal(holed.east.values[~lost], whole.east.values[~lost])
     # the same marked by a number, and nothing but it
     marked = dem(np.where(np.isnan(heights), -9999, heights), 0.1, _FillValue=-9999)
-    np.testing.assert_array_equal(hp.locate(line, dem=marked, crs=UTM, camera=CAMERA).east, holed.east)
+    np.testing.assert_array_equal(
+        hp.geometry.locate(line, dem=marked, crs=UTM, camera=CAMERA).east, holed.east
+    )
     # a tall thing behind a hole: rays that fly over the hole reach it, those that end in it do not
     tall = np.full((200, 200), 0.5)
     tall[:, 120:125], tall[:, 126:] = np.nan, 6.0
-    seen = hp.locate(line, dem=dem(tall, 0.1), crs=UTM, camera=CAMERA).compute()
+    seen = hp.geometry.locate(line, dem=dem(tall, 0.1), crs=UTM, camera=CAMERA).compute()
     assert np.isnan(seen.east.values[over & (away < 2.4)]).all()
     assert seen.ground_height.values[0, -3:] == pytest.approx(6.0)
     # past the edge there is nothing
-    small = hp.locate(line, dem=dem(np.full((200, 60), 0.5), 0.1), crs=UTM, camera=CAMERA).compute()
+    small = hp.geometry.locate(line, dem=dem(np.full((200, 60), 0.5), 0.1), crs=UTM, camera=CAMERA).compute()
     np.testing.assert_array_equal(np.isnan(small.east.values), np.abs(away) > 2.95)
     with pytest.raises(SchemaError, match="only holes"):
-        hp.locate(line, dem=dem(np.full((9, 9), np.nan)), crs=UTM, camera=CAMERA)
+        hp.geometry.locate(line, dem=dem(np.full((9, 9), np.nan)), crs=UTM, camera=CAMERA)
 
 
 def test_a_camera_below_the_surface_or_the_top() -> None:
     line = flown(1, COLUMNS, altitude=4.0, **LEVEL)
     heights = np.full((200, 200), 0.5)
     heights[:, :60] = 9.0  # a building beside the camera, higher than it
-    made = hp.locate(line, dem=dem(heights, 0.1), crs=UTM, camera=CAMERA).compute()
+    made = hp.geometry.locate(line, dem=dem(heights, 0.1), crs=UTM, camera=CAMERA).compute()
     assert np.isfinite(made.east).all()
     assert float(made.ground_height.max()) == pytest.approx(0.5)
-    under = hp.locate(line, dem=dem(np.full((200, 200), 5.0), 0.1), crs=UTM, camera=CAMERA)
+    under = hp.geometry.locate(line, dem=dem(np.full((200, 200), 5.0), 0.1), crs=UTM, camera=CAMERA)
     assert np.isnan(under.east).all()
 
 
 def test_heights_above_the_geoid() -> None:
     line = flown(3, COLUMNS)
     sea = dem(np.full((200, 200), 34.0), height_reference="geoid", geoid_undulation=-33.0)
-    wanted = hp.locate(line, ground=1.0, crs=UTM, camera=CAMERA)
-    np.testing.assert_allclose(hp.locate(line, dem=sea, crs=UTM, camera=CAMERA).east, wanted.east, atol=1e-7)
+    wanted = hp.geometry.locate(line, ground=1.0, crs=UTM, camera=CAMERA)
+    np.testing.assert_allclose(
+        hp.geometry.locate(line, dem=sea, crs=UTM, camera=CAMERA).east, wanted.east, atol=1e-7
+    )
 
 
 def test_rasters_that_cannot_be_used() -> None:
     line, heights = flown(3, COLUMNS), np.zeros((9, 9))
     with pytest.raises(SchemaError, match=r"no crs(.|\n)*most DEMs above the geoid"):
-        hp.locate(line, dem=dem(heights, crs=None, height_reference=None), crs=UTM, camera=CAMERA)
+        hp.geometry.locate(line, dem=dem(heights, crs=None, height_reference=None), crs=UTM, camera=CAMERA)
     with pytest.raises(SchemaError, match="geoid_undulation is not declared"):
-        hp.locate(line, dem=dem(heights, height_reference="geoid"), crs=UTM, camera=CAMERA)
+        hp.geometry.locate(line, dem=dem(heights, height_reference="geoid"), crs=UTM, camera=CAMERA)
     uneven = dem(heights)
     uneven = uneven.assign_coords(x=uneven.x.values + 0.01 * (np.arange(9) == 4))
     with pytest.raises(SchemaError, match="'x' is not evenly spaced"):
-        hp.locate(line, dem=uneven, crs=UTM, camera=CAMERA)
+        hp.geometry.locate(line, dem=uneven, crs=UTM, camera=CAMERA)
     with pytest.raises(SchemaError, match=r"dims \(lat, lon\), expected \(y, x\)"):
-        hp.locate(line, dem=dem(heights).rename(y="lat", x="lon"), crs=UTM, camera=CAMERA)
+        hp.geometry.locate(line, dem=dem(heights).rename(y="lat", x="lon"), crs=UTM, camera=CAMERA)
     with pytest.raises(SchemaError, match="not both"):
-        hp.locate(line, dem=dem(heights), ground=0.0, crs=UTM, camera=CAMERA)
+        hp.geometry.locate(line, dem=dem(heights), ground=0.0, crs=UTM, camera=CAMERA)
 
 
 @pytest.mark.filterwarnings("ignore:Use `@` matmul:PendingDeprecationWarning")  # affine 3 in rioxarray
@@ -229,8 +233,8 @@ def test_rasters_as_rioxarray_opens_them(tmp_path: Any, no_compute: Any) -> None
     declared = opened.assign_attrs(height_reference="ellipsoid")
     line = flown(3, COLUMNS)
     with no_compute():
-        made = hp.locate(line, dem=declared, crs=UTM, camera=CAMERA)
-    wanted = hp.locate(line, dem=raster, crs=UTM, camera=CAMERA)
+        made = hp.geometry.locate(line, dem=declared, crs=UTM, camera=CAMERA)
+    wanted = hp.geometry.locate(line, dem=raster, crs=UTM, camera=CAMERA)
     np.testing.assert_allclose(made.east, wanted.east, rtol=0, atol=1e-8)
     opened.close()
 
@@ -248,7 +252,7 @@ def test_longitudes_of_a_dem_may_count_from_elsewhere(longitude: float, middle: 
         attrs={"crs": "EPSG:4326", "height_reference": "ellipsoid"},
     )
     told = {"crs": "EPSG:32601" if abs(longitude) > 170 else "EPSG:32617", "camera": CAMERA}
-    made, level = hp.locate(line, dem=raster, **told), hp.locate(line, ground=0.0, **told)
+    made, level = hp.geometry.locate(line, dem=raster, **told), hp.geometry.locate(line, ground=0.0, **told)
     np.testing.assert_allclose(made.east, level.east, atol=1e-4)
     assert np.isfinite(made.east).all()
 
@@ -258,6 +262,8 @@ def test_a_grid_along_a_flight_is_no_dem(transform: str) -> None:
     raster = dem(np.zeros((40, 40)))
     turned = raster.assign_coords(spatial_ref=((), 0, {"GeoTransform": transform}))
     with pytest.raises(SchemaError, match="turned on its map"):
-        hp.locate(flown(4, COLUMNS), dem=turned, camera=CAMERA)
+        hp.geometry.locate(flown(4, COLUMNS), dem=turned, camera=CAMERA)
     straight = raster.assign_coords(spatial_ref=((), 0, {"GeoTransform": "0 0.25 0 0 0 -0.25"}))
-    assert hp.locate(flown(4, COLUMNS), dem=straight.isel(y=slice(None, None, 2)), camera=CAMERA).east.size
+    assert hp.geometry.locate(
+        flown(4, COLUMNS), dem=straight.isel(y=slice(None, None, 2)), camera=CAMERA
+    ).east.size

@@ -10,8 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 import xarray as xr
-from hypothesis import HealthCheck, given, settings
-from hypothesis import strategies as st
+from hypothesis import HealthCheck, given, settings, strategies as st
 
 from hyperpaint.base.errors import CollectError
 from hyperpaint.io.collect.collect_opening import open_collect, read_collect

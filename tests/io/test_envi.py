@@ -18,8 +18,7 @@ from typing import Any
 import numpy as np
 import pytest
 import xarray as xr
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 from support import ROOT
 from support.envi_cubes import CODES, FROM_LBS, toy, write_cube
 

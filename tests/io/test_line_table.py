@@ -8,8 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 import xarray as xr
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 import hyperpaint as hp
 from hyperpaint.base import schema
@@ -45,7 +44,7 @@ def test_a_table_of_lines(tmp_path: Path) -> None:
     pose = {name: [0.1, np.nan, 1 / 3] for name in POSE}
     line = line_of(pose)
     line["time"] = line.time.where(line.frame != 11)
-    text = hp.write_line_table(line, tmp_path / "lines.csv").read_text().splitlines()
+    text = hp.io.write_line_table(line, tmp_path / "lines.csv").read_text().splitlines()
     assert "# convention_column_order: left_to_right" in text
     rows = [row for row in text if not row.startswith("#")]
     assert rows[0] == (
@@ -69,7 +68,7 @@ def test_the_pose_comes_back_bit_for_bit(
     number = st.floats(-90.0, 90.0) | st.just(float("nan"))
     pose = {name: data.draw(st.lists(number, min_size=lines, max_size=lines)) for name in POSE}
     line = line_of(pose, lines)
-    path = hp.write_line_table(line, tmp_path_factory.mktemp("table") / "lines.csv")
+    path = hp.io.write_line_table(line, tmp_path_factory.mktemp("table") / "lines.csv")
     flight = hp.open_navigation(path)
     for name in POSE:
         np.testing.assert_array_equal(flight[name], line[name])
@@ -78,8 +77,8 @@ def test_the_pose_comes_back_bit_for_bit(
 
 def test_what_is_no_line_is_refused(tmp_path: Path) -> None:
     with pytest.raises(SchemaError, match="give a flight line"):
-        hp.write_line_table(xr.Dataset({"a": ("x", [1.0])}), tmp_path / "lines.csv")
-    path = hp.write_line_table(line_of({name: [0.0] * 3 for name in POSE}), tmp_path / "lines.csv")
+        hp.io.write_line_table(xr.Dataset({"a": ("x", [1.0])}), tmp_path / "lines.csv")
+    path = hp.io.write_line_table(line_of({name: [0.0] * 3 for name in POSE}), tmp_path / "lines.csv")
     with pytest.raises(StoreError, match="overwrite=True"):
-        hp.write_line_table(line_of({name: [0.0] * 3 for name in POSE}), path)
+        hp.io.write_line_table(line_of({name: [0.0] * 3 for name in POSE}), path)
     assert [one.name for one in tmp_path.iterdir()] == ["lines.csv"]

@@ -10,8 +10,7 @@ import dask.array as da
 import numpy as np
 import pytest
 import xarray as xr
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 import hyperpaint as hp
 from hyperpaint.base import schema
@@ -85,7 +84,7 @@ def place(transform: tuple[float, ...], column: Any, row: Any) -> tuple[Any, Any
 @pytest.mark.parametrize("chunks", [None, (16, -1, -1), (7, 2, 11)])
 def test_a_line_comes_back_bit_for_bit(tmp_path: Path, interleave: Any, chunks: Any) -> None:
     cube = values()
-    header = hp.write_envi(line_of(cube, chunks=chunks), tmp_path / "line", interleave=interleave)
+    header = hp.io.write_envi(line_of(cube, chunks=chunks), tmp_path / "line", interleave=interleave)
     assert header == tmp_path / "line.hdr"
     opened = open_envi(header)
     assert opened["reflectance"].dims == schema.CUBE
@@ -101,10 +100,10 @@ def test_a_line_comes_back_bit_for_bit(tmp_path: Path, interleave: Any, chunks: 
 
 def test_counts_and_radiance_keep_what_they_are(tmp_path: Path) -> None:
     counts = np.arange(24 * 5 * 6, dtype=np.uint16).reshape(24, 5, 6)
-    opened = open_envi(hp.write_envi(line_of(counts, "counts"), tmp_path / "raw_0"))
+    opened = open_envi(hp.io.write_envi(line_of(counts, "counts"), tmp_path / "raw_0"))
     assert opened["counts"].dtype == np.uint16
     np.testing.assert_array_equal(opened["counts"], counts)
-    opened = open_envi(hp.write_envi(line_of(values(), "radiance"), tmp_path / "radiance.dat"))
+    opened = open_envi(hp.io.write_envi(line_of(values(), "radiance"), tmp_path / "radiance.dat"))
     np.testing.assert_array_equal(opened["radiance"], values())
     assert opened["radiance"].attrs["units"] == schema.VARIABLES["radiance"].units
 
@@ -112,20 +111,20 @@ def test_counts_and_radiance_keep_what_they_are(tmp_path: Path) -> None:
 def test_reflectance_as_integers(tmp_path: Path) -> None:
     cube = values(4, 5, 3)
     cube[0, 0] = [-0.1, 7.0, 0.00005]
-    header = hp.write_envi(line_of(cube), tmp_path / "line", dtype="uint16")
+    header = hp.io.write_envi(line_of(cube), tmp_path / "line", dtype="uint16")
     assert read_header(header).dtype == np.uint16
     stored = np.fromfile(tmp_path / "line.img", "<u2").reshape(4, 5, 3)
     expected = np.where(np.isnan(cube), 65535, np.clip(np.round(cube * np.float32(1e4)), 0, 65534))
     np.testing.assert_array_equal(stored, expected.astype(np.uint16))
     np.testing.assert_allclose(open_envi(header)["reflectance"][1:].values, cube[1:], rtol=0, atol=5.1e-5)
     with pytest.raises(SchemaError, match="only reflectance"):
-        hp.write_envi(line_of(values(), "radiance"), tmp_path / "other", dtype="uint16")
+        hp.io.write_envi(line_of(values(), "radiance"), tmp_path / "other", dtype="uint16")
 
 
 def test_a_plane_is_one_band(tmp_path: Path) -> None:
     line = line_of(values(8))
     line["quality"] = (("along_track", "cross_track"), np.arange(240, dtype=np.uint16).reshape(8, 30))
-    header = hp.write_envi(line, tmp_path / "flags", variable="quality")
+    header = hp.io.write_envi(line, tmp_path / "flags", variable="quality")
     found = read_header(header)
     assert (found.bands, found.band_names, found.wavelength) == (1, ("quality",), None)
     np.testing.assert_array_equal(np.fromfile(tmp_path / "flags.img", "<u2"), np.arange(240))
@@ -143,13 +142,13 @@ def test_any_shape_and_chunks_come_back(
 ) -> None:
     cube = np.random.default_rng(1).random(shape, dtype=np.float32)
     line = line_of(cube, chunks=chunks).transpose(*order)
-    header = hp.write_envi(line, tmp_path_factory.mktemp("envi") / "line", interleave=interleave)
+    header = hp.io.write_envi(line, tmp_path_factory.mktemp("envi") / "line", interleave=interleave)
     np.testing.assert_array_equal(open_envi(header)["reflectance"], cube)
 
 
 def test_progress_counts_every_sample_once(tmp_path: Path) -> None:
     seen: list[tuple[int, int]] = []
-    hp.write_envi(line_of(values()), tmp_path / "line", progress=lambda *at: seen.append(at))
+    hp.io.write_envi(line_of(values()), tmp_path / "line", progress=lambda *at: seen.append(at))
     assert seen[-1] == (6000, 6000)
     assert [done for done, _ in seen] == sorted(done for done, _ in seen)
 
@@ -164,7 +163,7 @@ def test_blocks_are_written_as_they_are_computed(tmp_path: Path) -> None:
     zeros = da.zeros((64, 5, 30), chunks=(1, -1, -1), dtype=np.float32)
     cube = zeros.map_blocks(compute, meta=np.zeros((0, 0, 0), "f4"))
     line = xr.Dataset({"reflectance": (schema.CUBE, cube, {"units": "1"})})
-    hp.write_envi(line, tmp_path / "line", progress=lambda *_: events.append("written"))
+    hp.io.write_envi(line, tmp_path / "line", progress=lambda *_: events.append("written"))
     assert events.count("computed") == events.count("written") == 64
     # no more blocks are waiting than there are threads
     waiting = np.cumsum([1 if event == "computed" else -1 for event in events])
@@ -179,7 +178,7 @@ def test_a_full_disk_is_told_before_anything_is_computed(
 
     monkeypatch.setattr("os.posix_fallocate", full, raising=False)
     with no_compute(), pytest.raises(StoreError, match="No space left"):
-        hp.write_envi(line_of(values()), tmp_path / "line")
+        hp.io.write_envi(line_of(values()), tmp_path / "line")
     assert not list(tmp_path.iterdir())
 
 
@@ -191,7 +190,7 @@ def test_a_full_disk_is_told_before_anything_is_computed(
 def test_gdal_finds_an_envi_map_in_its_place(tmp_path: Path, degrees: float, mirrored: bool) -> None:
     rasterio = pytest.importorskip("rasterio")
     cube, transform = values(), turned(degrees, mirrored=mirrored)
-    header = hp.write_envi(map_of(cube, transform), tmp_path / "map")
+    header = hp.io.write_envi(map_of(cube, transform), tmp_path / "map")
     opened = open_envi(header)["reflectance"]
     assert opened.dims == ("y", "x", "band")
     expected = np.moveaxis(cube, 1, -1)[:: -1 if mirrored else 1]
@@ -213,7 +212,7 @@ def test_geographic_and_other_systems(tmp_path: Path) -> None:
         ("EPSG:3035", (4e6, 0.5, 0.0, 3e6, 0.0, -0.5)),
     ):
         name = crs.replace(":", "_")
-        hp.write_envi(map_of(values(), transform, crs), tmp_path / name)
+        hp.io.write_envi(map_of(values(), transform, crs), tmp_path / name)
         with rasterio.open(tmp_path / f"{name}.img") as raster:
             # ESRI's text of a geographic system has its axes the other way round
             assert raster.crs.is_geographic if crs == "EPSG:4326" else raster.crs.to_epsg() == int(crs[5:])
@@ -223,7 +222,7 @@ def test_geographic_and_other_systems(tmp_path: Path) -> None:
 def test_spectral_reads_the_export(tmp_path: Path) -> None:
     spectral = pytest.importorskip("spectral")
     cube = values()
-    header = hp.write_envi(map_of(cube, turned(30.0)), tmp_path / "map", interleave="bsq")
+    header = hp.io.write_envi(map_of(cube, turned(30.0)), tmp_path / "map", interleave="bsq")
     image = spectral.open_image(str(header))
     np.testing.assert_array_equal(image.read_subregion((0, 40), (0, 30)), np.moveaxis(cube, 1, -1))
     np.testing.assert_allclose(image.bands.centers, NM)
@@ -239,12 +238,12 @@ def test_north_up_maps_are_placed_by_their_coordinates(tmp_path: Path) -> None:
     grid = grid_of(made)
     assert grid is not None
     assert grid.transform == (300_000.0, 0.25, 0.0, 4e6 + 0.25, 0.0, -0.5)
-    opened = open_envi(hp.write_envi(made, tmp_path / "map"))
+    opened = open_envi(hp.io.write_envi(made, tmp_path / "map"))
     np.testing.assert_array_equal(opened.x, made.x)
     np.testing.assert_array_equal(opened.y, made.y)
     uneven = made.assign_coords(x=np.arange(30.0) ** 2)
     with pytest.raises(SchemaError, match="'x' is not evenly spaced"):
-        hp.write_envi(uneven, tmp_path / "other")
+        hp.io.write_envi(uneven, tmp_path / "other")
 
 
 SELECTIONS: dict[str, dict[str, slice]] = {
@@ -272,11 +271,11 @@ def test_a_part_of_a_map_stays_in_its_place(
     values = np.stack([east - 500_000.0, north - 4e6], axis=1).astype(np.float32)
     line = xr.Dataset({"values": (schema.CUBE, values, {"units": "1"})})
     line = line.assign_coords(east=(dims, east, attrs), north=(dims, north, attrs))
-    made = hp.orthorectify(line, grid=kind, variables="values", method="bilinear")
+    made = hp.geometry.orthorectify(line, grid=kind, variables="values", method="bilinear")
     part = made.isel(SELECTIONS[selection])  # type: ignore[arg-type]
-    files = [hp.write_geotiff(part, tmp_path / "map.tif")]
+    files = [hp.io.write_geotiff(part, tmp_path / "map.tif")]
     if selection not in ("upside down", "every second"):
-        files.append(hp.write_envi(part, tmp_path / "map").with_suffix(".img"))
+        files.append(hp.io.write_envi(part, tmp_path / "map").with_suffix(".img"))
     for path in files:
         with rasterio.open(path) as raster:
             found = raster.read()
@@ -316,13 +315,13 @@ def test_places_are_written_to_the_last_bit(tmp_path: Path) -> None:
     made = made.assign(dict.fromkeys(("north", "glt_line", "wetness"), (("y", "x"), exact)))
     for name, dtype in (("north", "float64"), ("glt_line", "float64"), ("wetness", "float32")):
         for path in (
-            hp.write_geotiff(made, tmp_path / f"{name}.tif", variable=name),
-            hp.write_envi(made, tmp_path / name, variable=name).with_suffix(".img"),
+            hp.io.write_geotiff(made, tmp_path / f"{name}.tif", variable=name),
+            hp.io.write_envi(made, tmp_path / name, variable=name).with_suffix(".img"),
         ):
             with rasterio.open(path) as raster:
                 assert raster.dtypes == (dtype,)
                 np.testing.assert_array_equal(raster.read(1), exact.astype(dtype))
-    header = hp.write_envi(made, tmp_path / "short", variable="north", dtype="float32")
+    header = hp.io.write_envi(made, tmp_path / "short", variable="north", dtype="float32")
     assert read_header(header).dtype == np.float32
 
 
@@ -344,7 +343,7 @@ def test_a_geotransform_that_is_none_is_refused(tmp_path: Path, text: Any) -> No
     made = map_of(values(), turned(0.0), None)
     made["spatial_ref"].attrs["GeoTransform"] = text
     with pytest.raises(SchemaError, match="GeoTransform"):
-        hp.write_envi(made, tmp_path / "map")
+        hp.io.write_envi(made, tmp_path / "map")
 
 
 # --- whole or not at all -----------------------------------------------------------------------------------
@@ -361,20 +360,20 @@ def _failing(message: str = "power cut") -> xr.Dataset:
 
 
 def test_an_interrupted_export_leaves_what_was_there(tmp_path: Path) -> None:
-    hp.write_envi(line_of(values()), tmp_path / "line")
+    hp.io.write_envi(line_of(values()), tmp_path / "line")
     before = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
     with pytest.raises(StoreError, match="power cut"):
-        hp.write_envi(_failing(), tmp_path / "line", overwrite=True)
+        hp.io.write_envi(_failing(), tmp_path / "line", overwrite=True)
     assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == before
     with pytest.raises(StoreError, match="power cut"):
-        hp.write_envi(_failing(), tmp_path / "other")
+        hp.io.write_envi(_failing(), tmp_path / "other")
     assert sorted(before) == sorted(path.name for path in tmp_path.iterdir())
 
 
 def test_files_are_replaced_on_request_alone(tmp_path: Path) -> None:
     pytest.importorskip("rasterio")
     made = map_of(values(), turned(30.0))
-    for write, name in ((hp.write_envi, "map.hdr"), (hp.write_geotiff, "map.tif")):
+    for write, name in ((hp.io.write_envi, "map.hdr"), (hp.io.write_geotiff, "map.tif")):
         write(made, tmp_path / name)
         with pytest.raises(StoreError, match="overwrite=True"):
             write(made, tmp_path / name)
@@ -382,7 +381,7 @@ def test_files_are_replaced_on_request_alone(tmp_path: Path) -> None:
     assert sorted(path.name for path in tmp_path.iterdir()) == ["map.hdr", "map.img", "map.tif"]
 
 
-@pytest.mark.parametrize("write", [hp.write_envi, hp.write_geotiff])
+@pytest.mark.parametrize("write", [hp.io.write_envi, hp.io.write_geotiff])
 def test_what_cannot_be_written_is_told(tmp_path: Path, write: Any) -> None:
     pytest.importorskip("rasterio")
     made = map_of(values(), turned(0.0), None)
@@ -408,7 +407,7 @@ def test_geotiff_holds_every_band_in_its_place(
 ) -> None:
     rasterio = pytest.importorskip("rasterio")
     cube = values(300, 5, 280)
-    path = hp.write_geotiff(map_of(cube, transform, chunks=(128, 100, 3)), tmp_path / "map.tif", cog=cog)
+    path = hp.io.write_geotiff(map_of(cube, transform, chunks=(128, 100, 3)), tmp_path / "map.tif", cog=cog)
     with rasterio.open(path) as raster:
         assert raster.dtypes == ("float32",) * 5
         assert np.isnan(raster.nodata)
@@ -432,7 +431,7 @@ def test_a_picture_is_true_colour(tmp_path: Path) -> None:
     cube[:, 1, 20:40] = 0.6  # green
     cube[:, 0, 40:] = 0.6  # blue
     cube[0, 0, 0] = np.nan
-    path = hp.write_geotiff(map_of(cube, turned(20.0)), tmp_path / "map.tif", bands="rgb")
+    path = hp.io.write_geotiff(map_of(cube, turned(20.0)), tmp_path / "map.tif", bands="rgb")
     with rasterio.open(path) as raster:
         shown = raster.read()
         assert raster.dtypes == ("uint8",) * 3
@@ -451,13 +450,13 @@ def test_chosen_bands_and_planes(tmp_path: Path) -> None:
     cube = values()
     made = map_of(cube, turned(10.0))
     seen: list[tuple[int, int]] = []
-    hp.write_geotiff(made, tmp_path / "two.tif", bands=[4, -5], progress=lambda *at: seen.append(at))
+    hp.io.write_geotiff(made, tmp_path / "two.tif", bands=[4, -5], progress=lambda *at: seen.append(at))
     assert seen[-1] == (2400, 2400)
     with rasterio.open(tmp_path / "two.tif") as raster:
         np.testing.assert_array_equal(raster.read(), np.moveaxis(cube, 1, 0)[[4, 0]])
         assert raster.descriptions == ("850 nm", "450.25 nm")
     made["quality"] = (("y", "x"), np.arange(1200, dtype=np.uint16).reshape(40, 30))
-    hp.write_geotiff(made, tmp_path / "flags.tif", variable="quality", cog=False)
+    hp.io.write_geotiff(made, tmp_path / "flags.tif", variable="quality", cog=False)
     with rasterio.open(tmp_path / "flags.tif") as raster:
         np.testing.assert_array_equal(raster.read(1), made["quality"])
         assert raster.descriptions == ("quality",)
@@ -476,15 +475,15 @@ def test_chosen_bands_and_planes(tmp_path: Path) -> None:
 def test_bands_that_are_not_there(tmp_path: Path, arguments: dict[str, Any], match: str) -> None:
     pytest.importorskip("rasterio")
     with pytest.raises(SchemaError, match=match):
-        hp.write_geotiff(map_of(values(), turned(0.0)), tmp_path / "map.tif", **arguments)
+        hp.io.write_geotiff(map_of(values(), turned(0.0)), tmp_path / "map.tif", **arguments)
 
 
 def test_a_geotiff_needs_a_place(tmp_path: Path) -> None:
     pytest.importorskip("rasterio")
     with pytest.raises(SchemaError, match="orthorectify"):
-        hp.write_geotiff(line_of(values()), tmp_path / "map.tif")
+        hp.io.write_geotiff(line_of(values()), tmp_path / "map.tif")
     with pytest.raises(SchemaError, match="place of this map is not known"):
-        hp.write_geotiff(map_of(values(), turned(0.0)).drop_vars("spatial_ref"), tmp_path / "map.tif")
+        hp.io.write_geotiff(map_of(values(), turned(0.0)).drop_vars("spatial_ref"), tmp_path / "map.tif")
 
 
 def test_no_picture_without_visible_bands() -> None:

@@ -9,8 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 from hyperpaint.base.errors import FormatError, PaintWarning, TimeError
 from hyperpaint.io.flightline.timing import Timing, line_times, utc_of

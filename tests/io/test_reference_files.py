@@ -7,8 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
-from hypothesis import strategies as st
+from hypothesis import HealthCheck, given, settings, strategies as st
 
 import hyperpaint as hp
 from hyperpaint.base.errors import FormatError
@@ -18,12 +17,12 @@ from hyperpaint.io.spectrometers.reference_pairs import read_pairs
 
 @pytest.mark.real_data
 def test_real_certificates(shared_data: Path) -> None:
-    panel = hp.read_certificate(shared_data / "spectra_ascii" / "R90.txt")
+    panel = hp.io.read_certificate(shared_data / "spectra_ascii" / "R90.txt")
     assert panel.dtype == np.float64
     assert panel.attrs["units"] == "1"
     assert panel["wavelength"].attrs["units"] == "nm"
     assert float(panel.sel(wavelength=250.0)) == 0.942517
-    zenith = hp.read_certificate(shared_data / "lab_calibration" / "zenith_lite_95R_certificate.csv")
+    zenith = hp.io.read_certificate(shared_data / "lab_calibration" / "zenith_lite_95R_certificate.csv")
     assert float(zenith.sel(wavelength=250.0)) == 0.911211
     assert float(zenith.sel(wavelength=312.0)) == 0.967611
 
@@ -48,7 +47,7 @@ def test_no_certificate(tmp_path: Path, content: bytes, told: str) -> None:
     if content.startswith(b"\0"):
         told = "0 lines of numbers"
     with pytest.raises(FormatError, match=told):
-        hp.read_certificate(path)
+        hp.io.read_certificate(path)
 
 
 @pytest.mark.parametrize(
@@ -92,7 +91,7 @@ HEADS = st.sampled_from([b"", b'{"a":', b"a,b\n"])
 def test_any_bytes_are_read_or_refused(tmp_path: Path, data: bytes, name: str, head: bytes) -> None:
     path = tmp_path / name
     path.write_bytes(head + data)
-    for reader in (read_pairs, hp.read_certificate):
+    for reader in (read_pairs, hp.io.read_certificate):
         with contextlib.suppress(FormatError):
             reader(path)
 

@@ -6,8 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from hyperpaint.base.errors import FormatError
 from hyperpaint.io.spectrometers.spectrum_files import find_paths, for_all, name_spectra, same_grids

@@ -11,8 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import xarray as xr
-from hypothesis import HealthCheck, given, settings
-from hypothesis import strategies as st
+from hypothesis import HealthCheck, given, settings, strategies as st
 from support.svc_texts import GRID, MATCHED, PANEL, SURFACE, german, svc_text
 
 import hyperpaint as hp

@@ -21,7 +21,7 @@ RED = "Synthetic Signal Red"
 
 @pytest.fixture(scope="module")
 def paints() -> xr.Dataset:
-    return hp.starter_library(members=2)
+    return hp.paints.starter_library(members=2)
 
 
 def names(found: xr.Dataset) -> list[str]:
@@ -45,7 +45,7 @@ def names(found: xr.Dataset) -> list[str]:
     ],
 )
 def test_names(wanted: str, expected: list[str]) -> None:
-    assert names(hp.search_library(make_library(), name=wanted)) == expected
+    assert names(hp.paints.search_library(make_library(), name=wanted)) == expected
 
 
 def test_a_sharp_s_and_decomposed_letters() -> None:
@@ -58,12 +58,12 @@ def test_a_sharp_s_and_decomposed_letters() -> None:
         ("skoda", "Škoda"),
         ("ŠKODA", "Škoda"),
     ):
-        assert names(hp.search_library(library, name=wanted)) == [expected]
+        assert names(hp.paints.search_library(library, name=wanted)) == [expected]
 
 
 def test_every_paint_is_nearest_to_its_own_swatch(paints: xr.Dataset) -> None:
     for name, digits in zip(names(paints), paints.srgb.values, strict=True):
-        found = hp.search_library(paints, colour=digits)
+        found = hp.paints.search_library(paints, colour=digits)
         # a swatch is rounded to eight bits
         assert found.colour_difference[names(found).index(name)] < 1.0
         assert (np.diff(found.colour_difference) >= 0.0).all()
@@ -72,24 +72,24 @@ def test_every_paint_is_nearest_to_its_own_swatch(paints: xr.Dataset) -> None:
 
 def test_words_find_paints_of_that_word(paints: xr.Dataset) -> None:
     for word in ("white", "red", "blue", "green", "yellow", "black", "violet", "brown"):
-        found = hp.search_library(paints, colour=word, limit=1)
+        found = hp.paints.search_library(paints, colour=word, limit=1)
         assert word in found.colour.item(), (word, found.colour.item())
 
 
 def test_limits_leave_out(paints: xr.Dataset) -> None:
-    near = hp.search_library(paints, colour="red", maximum_colour_difference=10.0)
+    near = hp.paints.search_library(paints, colour="red", maximum_colour_difference=10.0)
     assert 0 < near.sizes["paint"] < 10
     assert float(near.colour_difference.max()) <= 10.0
-    alike = hp.search_library(paints, like=RED, maximum_angle=0.1, limit=3, name="*red")
+    alike = hp.paints.search_library(paints, like=RED, maximum_angle=0.1, limit=3, name="*red")
     assert names(alike)[0] == RED
     assert float(alike.spectral_angle[0]) == pytest.approx(0.0, abs=1e-7)
     assert alike.spectral_angle.attrs["units"] == "rad"
-    assert hp.search_library(paints, name="no such paint").sizes["paint"] == 0
+    assert hp.paints.search_library(paints, name="no such paint").sizes["paint"] == 0
 
 
 def test_the_angle_by_hand_and_blind_to_scale(paints: xr.Dataset) -> None:
     own = paints.reflectance.values.astype(np.float64)
-    found = hp.search_library(paints, like=3.0 * own[5]).spectral_angle
+    found = hp.paints.search_library(paints, like=3.0 * own[5]).spectral_angle
     by_name = dict(zip(found["paint"].values, found.values, strict=True))
     for number, name in enumerate(names(paints)):
         cosine = own[number] @ own[5] / np.linalg.norm(own[number]) / np.linalg.norm(own[5])
@@ -112,7 +112,7 @@ def test_spectra_on_other_bands(paints: xr.Dataset) -> None:
         paints.isel(paint=5),
         paints.isel(paint=[5]),
     ):
-        found = hp.search_library(paints, like=like, limit=1)
+        found = hp.paints.search_library(paints, like=like, limit=1)
         assert names(found) == [RED]
         assert float(found.spectral_angle[0]) < 0.01
 
@@ -124,7 +124,7 @@ def test_bad_bands_and_missing_values_do_not_count(paints: xr.Dataset) -> None:
     spoilt.reflectance[:, 100] = 5.0
     spoilt.reflectance[7] = np.nan
     spoilt = spoilt.assign_coords(good=("band", good))
-    found = hp.search_library(spoilt, like=paints.isel(paint=5), colour="red")
+    found = hp.paints.search_library(spoilt, like=paints.isel(paint=5), colour="red")
     assert names(found)[0] == RED
     assert float(found.spectral_angle[0]) == pytest.approx(0.0, abs=1e-7)
     assert np.isinf(found.spectral_angle[-1])
@@ -133,7 +133,7 @@ def test_bad_bands_and_missing_values_do_not_count(paints: xr.Dataset) -> None:
 
 def test_descending_wavelengths_have_the_same_colours(paints: xr.Dataset) -> None:
     turned = paints.isel(band=slice(None, None, -1))
-    found, other = (hp.search_library(one, colour="blue") for one in (paints, turned))
+    found, other = (hp.paints.search_library(one, colour="blue") for one in (paints, turned))
     assert names(found) == names(other)
     np.testing.assert_allclose(found.colour_difference, other.colour_difference, atol=1e-3)
     assert np.isfinite(paint_colours(paints)).all()
@@ -142,7 +142,7 @@ def test_descending_wavelengths_have_the_same_colours(paints: xr.Dataset) -> Non
 def test_members_stay_lazy(paints: xr.Dataset, no_compute: Any) -> None:
     lazy = paints.assign(member_reflectance=paints.member_reflectance.chunk({"paint": 4}))
     with no_compute():
-        found = hp.search_library(lazy, colour="red", limit=2)
+        found = hp.paints.search_library(lazy, colour="red", limit=2)
     assert isinstance(found.member_reflectance.data, dask.array.Array)
 
 
@@ -167,15 +167,15 @@ def test_members_stay_lazy(paints: xr.Dataset, no_compute: Any) -> None:
 )
 def test_what_cannot_be_searched_for(paints: xr.Dataset, options: dict[str, Any], text: str) -> None:
     with pytest.raises(SchemaError, match=text):
-        hp.search_library(paints, **options)
+        hp.paints.search_library(paints, **options)
 
 
 def test_a_library_beyond_the_visible_has_no_colours() -> None:
-    infrared = hp.starter_library(members=0, wavelength=np.linspace(800.0, 1000.0, 20))
+    infrared = hp.paints.starter_library(members=0, wavelength=np.linspace(800.0, 1000.0, 20))
     assert set(infrared.srgb.values) == {""}
     with pytest.raises(SchemaError, match="has a colour"):
-        hp.search_library(infrared, colour="red")
-    assert hp.search_library(infrared, like=RED, limit=1)["paint"].item() == RED
+        hp.paints.search_library(infrared, colour="red")
+    assert hp.paints.search_library(infrared, like=RED, limit=1)["paint"].item() == RED
 
 
 def test_holes_of_a_spectrum_are_not_bridged(paints: xr.Dataset) -> None:
@@ -185,7 +185,7 @@ def test_holes_of_a_spectrum_are_not_bridged(paints: xr.Dataset) -> None:
         whole.where(np.abs(whole.wavelength - 650.0) > 150.0),
         whole[[*range(40), *range(200, 272)]],
     ):
-        alike = hp.search_library(paints, like=hole, limit=1)
+        alike = hp.paints.search_library(paints, like=hole, limit=1)
         assert names(alike) == [RED]
         assert float(alike.spectral_angle[0]) == pytest.approx(0.0, abs=1e-7)
     # but a lost sample is what interpolation is for, and so are coarser detectors
@@ -196,9 +196,9 @@ def test_holes_of_a_spectrum_are_not_bridged(paints: xr.Dataset) -> None:
 def test_wavelengths_of_a_spectrum_have_units(paints: xr.Dataset) -> None:
     nm = paints.wavelength.values
     like = paints.reflectance[5].assign_coords(wavelength=("band", nm / 1000.0, {"units": "um"}))
-    found = hp.search_library(paints, like=like, limit=1)
+    found = hp.paints.search_library(paints, like=like, limit=1)
     assert names(found) == [RED]
     assert float(found.spectral_angle[0]) == pytest.approx(0.0, abs=1e-5)
     like.wavelength.attrs["units"] = "K"
     with pytest.raises(UnitsError):
-        hp.search_library(paints, like=like)
+        hp.paints.search_library(paints, like=like)

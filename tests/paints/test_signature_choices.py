@@ -84,7 +84,7 @@ SMILE = ("wavelength_shift", ("cross_track", np.linspace(-1.0, 1.0, 16), {"units
 def test_what_was_corrected_is_said(smile: bool) -> None:
     line = made().assign_coords(dict([SMILE] if smile else []))
     tilted = line.assign(reflectance=line.reflectance.assign_attrs(tilt="tilted by 3 degree"))
-    removed = hp.remove_mirrored_sky(line, sun_zenith=40.0)
+    removed = hp.surroundings.remove_mirrored_sky(line, sun_zenith=40.0)
     lines = {"a": removed, "b": tilted, "c": line}
     library = extract_signatures(lines, on_lines("a", "b", "c"), smooth="box")
     text = removed.reflectance.attrs["mirrored_sky_removed"]
@@ -94,8 +94,8 @@ def test_what_was_corrected_is_said(smile: bool) -> None:
     with pytest.raises(SchemaError, match="tilt is 'tilted by 3 degree'; compute reflectance without tilt="):
         extract_signatures(tilted, TWO, specular_sky=True, sun_zenith=40.0)
     with pytest.raises(SchemaError, match="it was before"):
-        hp.remove_mirrored_sky(library, sun_zenith=40.0)
-    lit = hp.correct_light(line, direct=0.9, sun_zenith=40.0)
+        hp.surroundings.remove_mirrored_sky(library, sun_zenith=40.0)
+    lit = hp.surroundings.correct_light(line, direct=0.9, sun_zenith=40.0)
     assert extract_signatures(lit, TWO).attrs["corrections"].startswith("light_corrected: direct 0.9")
     assert extract_signatures(line, TWO).attrs["corrections"] == "none"
     assert "tilt" not in line.reflectance.attrs
@@ -114,7 +114,7 @@ def test_the_mirrored_sky_is_subtracted() -> None:
     line = raw()
     seen, less = (line.paint.signatures(RAW, specular_sky=sky) for sky in (False, True))
     stamps = (line[name].values for name in ("time", "latitude", "longitude"))
-    zenith = float(hp.solar_position(*stamps)[0].mean())
+    zenith = float(hp.light.solar_position(*stamps)[0].mean())
     taken = 0.04 * hp.sun.diffuse_fraction(line.wavelength.values, zenith)
     assert taken.max() > 0.01
     for name in ("reflectance", "reflectance_quantiles", "member_reflectance"):
@@ -132,7 +132,7 @@ def test_a_mirrored_sky_that_cannot_be_subtracted() -> None:
         extract_signatures(line, TWO, specular_sky=True)
     with pytest.raises(SchemaError, match="specular_sky=True as well"):
         extract_signatures(line, TWO, sun_zenith=30.0)
-    removed = hp.remove_mirrored_sky(line.assign_coords(dict([SMILE])), sun_zenith=40.0)
+    removed = hp.surroundings.remove_mirrored_sky(line.assign_coords(dict([SMILE])), sun_zenith=40.0)
     with pytest.raises(SchemaError, match="it was before"):
         extract_signatures(removed, TWO, specular_sky=True, sun_zenith=40.0)
 

@@ -63,7 +63,7 @@ def test_what_is_told_of_light_and_time() -> None:
     stamps = line.time.values[along].astype("i8")
     assert abs(library.time.values[1].astype("i8") - stamps.mean()) <= 1000
     place = (float(line[name].values[along].mean()) for name in ("latitude", "longitude"))
-    zenith, azimuth = hp.solar_position(library.time.values[1], *place)
+    zenith, azimuth = hp.light.solar_position(library.time.values[1], *place)
     np.testing.assert_allclose([library.sun_zenith[1], library.sun_azimuth[1]], [zenith, azimuth], atol=1e-6)
     age = line.paint.reflectance().irradiance_age.values[along]
     assert library.irradiance_age.values[1] == age.max()
@@ -156,7 +156,7 @@ def test_uncertainty_of_a_rectangle_is_that_of_the_mean() -> None:
     rectangle = Region("a", [(2, 3), (12, 3), (12, 30), (2, 30)])
     row = extract_signatures(line, rectangle, exclude=0).isel(paint=0)
     part = line.isel(along_track=slice(3, 31), cross_track=slice(2, 13))
-    expected = hp.mean_uncertainty(part)
+    expected = hp.radiometry.mean_uncertainty(part)
     # smile leaves columns without a value in the outermost bands
     inner = slice(1, -1)
     np.testing.assert_allclose(row.reflectance_u_systematic[inner], expected.u_systematic[inner], rtol=1e-5)

@@ -156,7 +156,7 @@ def test_traced_rays_come_from_there() -> None:
     from hyperpaint.workflows.rendering.products import _look_angle, pose_of
 
     flight = pushbroom(16, 24, altitude=20.0, ground_sample=0.6, line_spacing=0.3, heading=30.0, wobble=5.0)
-    traced = hp.trace(plane(200.0), flight, ["noon"], samples=64).compute()
+    traced = hp.simulation.trace(plane(200.0), flight, ["noon"], samples=64).compute()
     cube = (("along_track", "band", "cross_track"), np.full((16, 2, 24), 0.3, "f4"), {"units": "1"})
     line = xr.Dataset(
         {"reflectance": cube, "look_angle": _look_angle(flight)},

@@ -21,7 +21,7 @@ from hyperpaint.simulation.rendering.spectra import spectrum_of
 
 @pytest.fixture(scope="module")
 def paints() -> xr.Dataset:
-    return hp.starter_library()
+    return hp.paints.starter_library()
 
 
 def test_its_form(paints: xr.Dataset) -> None:
@@ -59,19 +59,19 @@ def test_bodies_are_those_of_the_simulator(paints: xr.Dataset) -> None:
 
 
 def test_same_call_same_bits_and_another_seed_other_members(paints: xr.Dataset) -> None:
-    xr.testing.assert_identical(hp.starter_library(), paints)
-    other = hp.starter_library(seed=1, members=4)
+    xr.testing.assert_identical(hp.paints.starter_library(), paints)
+    other = hp.paints.starter_library(seed=1, members=4)
     np.testing.assert_array_equal(other.reflectance, paints.reflectance)
     assert not np.array_equal(other.member_reflectance, paints.member_reflectance[:, :4])
 
 
 def test_members_surround_their_paint(paints: xr.Dataset) -> None:
-    many = hp.starter_library(members=400)
+    many = hp.paints.starter_library(members=400)
     apart = many.member_reflectance.median("member") - many.reflectance
     assert float((apart / many.reflectance_sd).max()) < 0.3
     relative = (many.reflectance_sd / many.reflectance).mean("band")
     assert ((relative > 0.015) & (relative < 0.12)).all()
-    assert "member_reflectance" not in hp.starter_library(members=0)
+    assert "member_reflectance" not in hp.paints.starter_library(members=0)
 
 
 def test_swatches_are_the_colours_of_the_bodies(paints: xr.Dataset) -> None:
@@ -89,11 +89,11 @@ def test_swatches_are_the_colours_of_the_bodies(paints: xr.Dataset) -> None:
 )
 def test_what_it_cannot_be(options: dict[str, Any], text: str) -> None:
     with pytest.raises(SchemaError, match=text):
-        hp.starter_library(**options)
+        hp.paints.starter_library(**options)
 
 
 def test_dirsig_takes_it_without_counting_the_coat_twice(tmp_path: Path) -> None:
-    solid = hp.starter_library(members=3).isel(paint=[0, 3, 5])
+    solid = hp.paints.starter_library(members=3).isel(paint=[0, 3, 5])
     made = hp.write_dirsig(solid, tmp_path / "dirsig", specular="library")
     assert made.attrs["mirror_reflection"] == "excluded"
     file = tmp_path / "dirsig" / made.emissivity_file.values[2]
@@ -105,7 +105,7 @@ def test_dirsig_takes_it_without_counting_the_coat_twice(tmp_path: Path) -> None
 
 @pytest.mark.parametrize("suffix", ["zarr", "sli", "csv"])
 def test_it_is_saved_and_opened(tmp_path: Path, suffix: str) -> None:
-    paints = hp.starter_library(members=2)
+    paints = hp.paints.starter_library(members=2)
     back = hp.open_library(hp.write_library(paints, tmp_path / f"starter.{suffix}")).load()
     for name in paints.variables:
         np.testing.assert_array_equal(back[name], paints[name], err_msg=str(name))

@@ -20,7 +20,7 @@ def test_curves_are_the_spectra() -> None:
     nm = np.arange(500.0, 901.0)
     paints = library(seen(NM, 6.0), reflectance_sd=np.full(NM.size, 0.01))
     found = hp.validate(paints, field(0.97 * seen(nm, 3.0), nm=nm))
-    figure = hp.validation_figure(found)
+    figure = hp.pictures.validation_figure(found)
     upper, lower = figure.axes
     spectra = found.spectra[0]
     used = spectra["used"].values
@@ -48,7 +48,7 @@ def test_the_worst_of_many_are_shown(tmp_path: Path) -> None:
     levels = np.linspace(0.9, 1.0, count)
     paints = library(np.outer(levels, seen(NM, 6.0)), names)
     references = library(np.outer(np.ones(count), seen(NM, 6.0)), names)
-    figure = hp.validation_figure(hp.validate(paints, references), tmp_path / "many.png", columns=6)
+    figure = hp.pictures.validation_figure(hp.validate(paints, references), tmp_path / "many.png", columns=6)
     titles = [axes.get_title(loc="left") for axes in figure.axes[::2]]
     assert titles == names[:MOST_PAIRS]
     assert f"the {MOST_PAIRS} worst of {count} shown" in figure.get_suptitle()
@@ -58,14 +58,14 @@ def test_the_worst_of_many_are_shown(tmp_path: Path) -> None:
 def test_any_name_is_drawn(tmp_path: Path) -> None:
     name = "$\\frac{_\x1b" + "x" * 90
     paints = library(seen(NM, 6.0), (name,))
-    hp.validation_figure(hp.validate(paints, paints), tmp_path / "a.png", limit=0.1)
+    hp.pictures.validation_figure(hp.validate(paints, paints), tmp_path / "a.png", limit=0.1)
 
 
 def test_wrong_sizes() -> None:
     found = hp.validate(*agreeing())
     for wrong in ({"columns": 0}, {"limit": 0.0}, {"limit": float("nan")}):
         with pytest.raises(SchemaError, match="expected positive numbers"):
-            hp.validation_figure(found, **wrong)
+            hp.pictures.validation_figure(found, **wrong)
 
 
 def test_a_place_for_a_picture_is_refused_before_any_work(tmp_path: Path) -> None:

@@ -9,8 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 import xarray as xr
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 from hyperpaint.base.errors import SchemaError
 from hyperpaint.regions import Region, Regions, pixels, pixels_in_regions, pixels_of, region_mask

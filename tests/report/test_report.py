@@ -134,7 +134,7 @@ def whole(lot: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The page of everything in the store."""
     place = tmp_path_factory.mktemp("page") / "report.html"
     told: list[tuple[int, int]] = []
-    done = hp.write_report(lot, place, progress=lambda *step: told.append(step))
+    done = hp.report.write_report(lot, place, progress=lambda *step: told.append(step))
     assert done.problems == ()
     assert done.flightlines == ("flightlines/raw_0", "flightlines/raw_20")
     assert told == sorted(told)
@@ -190,12 +190,12 @@ def test_both_kinds_of_light_on_the_screen(whole: Path) -> None:
 
 
 def test_one_line_alone(lot: Path, tmp_path: Path) -> None:
-    done = hp.write_report(lot, tmp_path / "one.html", flightlines=["raw_20"], lines=5)
+    done = hp.report.write_report(lot, tmp_path / "one.html", flightlines=["raw_20"], lines=5)
     assert done.flightlines == ("flightlines/raw_20",)
     with pytest.raises(SchemaError, match=r"no flight line 'raw_1'; there is flightlines/raw_0"):
-        hp.write_report(lot, tmp_path / "none.html", flightlines=["raw_1"])
+        hp.report.write_report(lot, tmp_path / "none.html", flightlines=["raw_1"])
     with pytest.raises(SchemaError, match="lines=0"):
-        hp.write_report(lot, tmp_path / "none.html", lines=0)
+        hp.report.write_report(lot, tmp_path / "none.html", lines=0)
     assert not (tmp_path / "none.html").exists()
 
 
@@ -203,36 +203,38 @@ def test_a_page_is_never_replaced_unasked(lot: Path, tmp_path: Path) -> None:
     page = tmp_path / "report.html"
     page.write_text("mine")
     with pytest.raises(StoreError, match="exists already; pass overwrite=True"):
-        hp.write_report(lot, page)
+        hp.report.write_report(lot, page)
     assert page.read_text() == "mine"
-    hp.write_report(lot, page, flightlines=["raw_0"], overwrite=True)
+    hp.report.write_report(lot, page, flightlines=["raw_0"], overwrite=True)
     parsed(page)
     for place in (lot / "report.html", tmp_path, tmp_path / "no" / "report.html"):
         with pytest.raises(StoreError, match="cannot be written to"):
-            hp.write_report(lot, place)
+            hp.report.write_report(lot, place)
 
 
 def test_a_library_beside_the_store(lot: Path, tmp_path: Path) -> None:
     hp.to_store(paints(hp.open_store(lot, "flightlines/raw_0")), tmp_path / "paints.zarr")
-    hp.write_report(lot, tmp_path / "r.html", flightlines=["raw_0"], signatures=tmp_path / "paints.zarr")
+    hp.report.write_report(
+        lot, tmp_path / "r.html", flightlines=["raw_0"], signatures=tmp_path / "paints.zarr"
+    )
     assert "paints.zarr" in words(tmp_path / "r.html")
     alone = tmp_path / "line.zarr"
     hp.to_store(flight().line, alone)
     with pytest.raises(SchemaError, match="no paint library"):
-        hp.write_report(lot, tmp_path / "s.html", signatures=alone)
+        hp.report.write_report(lot, tmp_path / "s.html", signatures=alone)
 
 
 def test_what_is_missing_is_left_out(tmp_path: Path) -> None:
     line = flight(lines=16).line
     radiance = line.paint.radiance().compute()[["radiance", "quality"]].assign_attrs(line.attrs)
     hp.to_store(radiance, tmp_path / "a.zarr", "flightlines/raw_0")
-    done = hp.write_report(tmp_path / "a.zarr", tmp_path / "a.html")
+    done = hp.report.write_report(tmp_path / "a.zarr", tmp_path / "a.html")
     assert done.problems == ()
     assert "There is no picture" in words(tmp_path / "a.html")
     empty = tmp_path / "c.zarr"
     hp.to_store(xr.Dataset({"a": ("x", np.arange(3.0))}), empty, "other")
     with pytest.raises(StoreError, match="nothing to show"):
-        hp.write_report(empty, tmp_path / "c.html")
+        hp.report.write_report(empty, tmp_path / "c.html")
 
 
 def test_damage_is_named_and_the_rest_is_shown(lot: Path, tmp_path: Path) -> None:

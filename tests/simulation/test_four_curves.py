@@ -9,8 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from dask.base import tokenize
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 from numpy.testing import assert_allclose
 from scipy.integrate import quad
 

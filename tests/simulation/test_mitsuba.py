@@ -67,10 +67,10 @@ def our_image(scene: Scene, sky: Atmosphere, camera: FrameCamera, samples: int, 
     strips = []
     for strip in range(STRIPS):
         still = Platform(origin, down, across, along[[strip + 1, strip]], np.arange(LINES))
-        traced = hp.trace(
+        traced = hp.simulation.trace(
             scene, still, [sky], samples=samples, depth=depth, seed=strip, slots=256, chunk_lines=1
         )
-        made = hp.relight(traced, BANDS, atmosphere=sky, truth=False).radiance.mean("along_track")
+        made = hp.simulation.relight(traced, BANDS, atmosphere=sky, truth=False).radiance.mean("along_track")
         strips.append(made.transpose("cross_track", "band").values)
     return np.stack(strips).astype(np.float64)
 

@@ -42,7 +42,7 @@ MANY_BANDS = BandSet(np.linspace(399.356, 1001.42, 68), np.array(6.0))
 
 
 def tracing(scene: Any = None, **more: Any) -> xr.Dataset:
-    return hp.trace(scene or two_cars(), flight(), [SUN, LOW_SUN], **{**SAMPLES, **more})
+    return hp.simulation.trace(scene or two_cars(), flight(), [SUN, LOW_SUN], **{**SAMPLES, **more})
 
 
 @pytest.fixture(scope="module")
@@ -60,7 +60,7 @@ def panel(spectrum: str = "panel_20", coat: Coat | None = None) -> Any:
 @pytest.mark.parametrize("sun", [SUN, LOW_SUN])
 def test_a_lambert_plane(sun: tuple[float, float]) -> None:
     """L = rho (E_sun cos + E_sky) / pi in every pixel and every one of 272 bands."""
-    made = hp.trace(panel(), flight(8, 12, wobble=2.0), [SUN, LOW_SUN], samples=16).paint.relight(
+    made = hp.simulation.trace(panel(), flight(8, 12, wobble=2.0), [SUN, LOW_SUN], samples=16).paint.relight(
         atmosphere=flat_light(1.2, 0.3, sun)
     )
     light = 1.2 * np.cos(np.radians(sun[0])) + 0.3
@@ -75,7 +75,11 @@ def test_a_lambert_plane(sun: tuple[float, float]) -> None:
 def test_a_lambert_plane_under_lines() -> None:
     """The same where light and paint have spectra: reflectance is their irradiance-weighted mean."""
     light = line_light()
-    made = hp.trace(panel("red"), flight(2, 3), [SUN], samples=4).paint.relight(atmosphere=light).compute()
+    made = (
+        hp.simulation.trace(panel("red"), flight(2, 3), [SUN], samples=4)
+        .paint.relight(atmosphere=light)
+        .compute()
+    )
     grid = light.wavelength
     expected = []
     for centre in made.wavelength.values:
@@ -89,7 +93,7 @@ def test_a_lambert_plane_under_lines() -> None:
 
 def test_an_overcast_plane() -> None:
     """Both skies give a level surface the same light; the overcast one is met by chance."""
-    trace = hp.trace(panel(), flight(16, 16), [SUN], samples=64, overcast=True)
+    trace = hp.simulation.trace(panel(), flight(16, 16), [SUN], samples=64, overcast=True)
     made = trace.paint.relight(FEW_BANDS, atmosphere=flat_light(0.0, 1.0, overcast_share=0.6))
     assert float(made.radiance.mean()) == pytest.approx(0.2 / np.pi, rel=2e-3)
     np.testing.assert_allclose(made.sky_share, 1.0, rtol=1e-6)
@@ -98,7 +102,7 @@ def test_an_overcast_plane() -> None:
 @pytest.mark.parametrize("level", [0.05, 0.5])
 def test_a_coated_plane_reads_as_an_integrating_sphere_reads_it(level: float) -> None:
     """Under a uniform sky, seen from above: diffuse light in, near normal out, the mirror image with it."""
-    trace = hp.trace(panel("panel_50", Coat()), flight(12, 12), [SUN], samples=256)
+    trace = hp.simulation.trace(panel("panel_50", Coat()), flight(12, 12), [SUN], samples=256)
     nm = np.array([380.0, 1050.0])
     made = trace.paint.relight(
         FEW_BANDS, atmosphere=flat_light(0.0, 1.0), paints={"panel_50": (nm, [level, level])}
@@ -139,7 +143,7 @@ def test_a_sum_by_hand(traced: xr.Dataset, share: float, bent: bool) -> None:
     light = line_light(LOW_SUN)
     light = dataclasses.replace(light, overcast_share=share)
     # the second sun has number 3; by hand only source 2 is known
-    only = hp.trace(two_cars(), flight(), [LOW_SUN], **SAMPLES).compute()
+    only = hp.simulation.trace(two_cars(), flight(), [LOW_SUN], **SAMPLES).compute()
     shift = smile(16, 1.2) if bent else None
     bands = BandSet(FEW_BANDS.wavelength, FEW_BANDS.fwhm, "gaussian", shift)
     made = only.paint.relight(bands, atmosphere=light).radiance.values
@@ -149,7 +153,7 @@ def test_a_sum_by_hand(traced: xr.Dataset, share: float, bent: bool) -> None:
 
 
 def test_a_sun_more_changes_nothing(traced: xr.Dataset) -> None:
-    alone = hp.trace(two_cars(), flight(), [LOW_SUN], **SAMPLES).paint.relight(
+    alone = hp.simulation.trace(two_cars(), flight(), [LOW_SUN], **SAMPLES).paint.relight(
         FEW_BANDS, atmosphere=line_light(LOW_SUN)
     )
     among = traced.paint.relight(FEW_BANDS, atmosphere=line_light(LOW_SUN))
@@ -183,7 +187,7 @@ def test_a_repainted_metallic_car_has_the_flakes_of_its_new_paint(new: str) -> N
     old = Material("lacquer", "blue", "paint", Coat(), Flakes(0.2))
     images = []
     for material, paints in ((old, {"lacquer": new}), (spec.material("lacquer"), {})):
-        traced = hp.trace(plane(400.0, material), flight(4, 3), [SUN], samples=4, depth=1)
+        traced = hp.simulation.trace(plane(400.0, material), flight(4, 3), [SUN], samples=4, depth=1)
         images.append(traced.paint.relight(MANY_BANDS, atmosphere=light, paints=paints).radiance)
     xr.testing.assert_allclose(*images, rtol=1e-5)
 
@@ -406,7 +410,7 @@ def test_a_relit_scene_is_a_flight_line(varies: bool) -> None:
     platform = pushbroom(lines, 6, altitude=12.0, frame_period=0.5)
     seconds = np.arange(lines) / lines
     variation = np.stack([1.0 - 0.3 * seconds, 1.0 + 0.2 * seconds]) if varies else None
-    trace = hp.trace(two_cars(), platform, [SUN], samples=4)
+    trace = hp.simulation.trace(two_cars(), platform, [SUN], samples=4)
     made = trace.paint.relight(atmosphere=line_light(), variation=variation)
     found = made.drop_vars("reflectance").paint.reflectance().compute()
     np.testing.assert_allclose(found.reflectance, made.reflectance, rtol=1e-3)

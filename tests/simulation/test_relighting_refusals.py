@@ -29,7 +29,7 @@ MANY_BANDS = BandSet(np.linspace(399.356, 1001.42, 68), np.array(6.0))
 
 
 def tracing(scene: Any = None, **more: Any) -> xr.Dataset:
-    return hp.trace(scene or two_cars(), flight(), [SUN, LOW_SUN], **{**SAMPLES, **more})
+    return hp.simulation.trace(scene or two_cars(), flight(), [SUN, LOW_SUN], **{**SAMPLES, **more})
 
 
 @pytest.fixture(scope="module")
@@ -43,7 +43,9 @@ def test_a_sun_that_was_not_traced(traced: xr.Dataset) -> None:
     traced.paint.relight(atmosphere=flat_light(direction=(40.009, 150.0)))
     traced.paint.relight(atmosphere=flat_light(0.0, direction=(10.0, 0.0)))  # no sun, no direction
     with pytest.raises(SchemaError, match="overcast=True"):
-        hp.trace(two_cars(), flight(), [SUN]).paint.relight(atmosphere=flat_light(overcast_share=0.5))
+        hp.simulation.trace(two_cars(), flight(), [SUN]).paint.relight(
+            atmosphere=flat_light(overcast_share=0.5)
+        )
 
 
 def test_paints_that_cannot_be_are_all_named(traced: xr.Dataset) -> None:
@@ -100,7 +102,7 @@ def test_reflectances_may_be_clipped(traced: xr.Dataset) -> None:
 )
 def test_arguments_that_cannot_be(traced: xr.Dataset, arguments: dict[str, Any], found: str) -> None:
     with pytest.raises(SchemaError, match=found):
-        hp.relight(traced, **{"atmosphere": flat_light(), **arguments})
+        hp.simulation.relight(traced, **{"atmosphere": flat_light(), **arguments})
 
 
 def test_an_untraced_dataset() -> None:
@@ -118,7 +120,11 @@ def test_an_instance_of_many_materials_has_no_one_paint() -> None:
     joined = type(scene).join([scene, other])
     both = dataclasses.replace(joined, face_instance=np.zeros_like(joined.face_instance))
     with pytest.raises(SchemaError, match="2 materials to paint; name one of them: 'stripe 0', 'stripe 1'"):
-        hp.trace(both, flight(1, 1), [SUN]).paint.relight(paints={"chart": "red"}, atmosphere=flat_light())
+        hp.simulation.trace(both, flight(1, 1), [SUN]).paint.relight(
+            paints={"chart": "red"}, atmosphere=flat_light()
+        )
     shared = dataclasses.replace(joined, face_material=np.zeros_like(joined.face_material))
     with pytest.raises(SchemaError, match="'other' would change too"):
-        hp.trace(shared, flight(1, 1), [SUN]).paint.relight(paints={"chart": "red"}, atmosphere=flat_light())
+        hp.simulation.trace(shared, flight(1, 1), [SUN]).paint.relight(
+            paints={"chart": "red"}, atmosphere=flat_light()
+        )

@@ -56,8 +56,8 @@ def seen(
     scene: Scene, platform: Platform, sky: Atmosphere, spectra: Any = None, **options: Any
 ) -> xr.Dataset:
     """Return what four bands see of a scene."""
-    traced = hp.trace(scene, platform, [sky], **options)
-    return hp.relight(traced, BANDS, atmosphere=sky, spectra=spectra).compute()
+    traced = hp.simulation.trace(scene, platform, [sky], **options)
+    return hp.simulation.relight(traced, BANDS, atmosphere=sky, spectra=spectra).compute()
 
 
 def view_factor(distance: float, height: float, half_width: float) -> float:
@@ -205,22 +205,24 @@ def test_a_million_triangles_look_like_two(record_property: Any) -> None:
 
 def test_reflectance_above_one_is_refused_or_clamped() -> None:
     sky = light(1.0, 0.3, 40.0, 200.0)
-    traced = hp.trace(plane(50.0, GREY), looking(), [sky], samples=4)
+    traced = hp.simulation.trace(plane(50.0, GREY), looking(), [sky], samples=4)
     bright = {"panel_20": ([300.0, 1100.0], [1.3, 1.3])}
     with pytest.raises(SchemaError, match=r"'panel_20' goes from 1.3 to 1.3, expected 0 to 1"):
-        hp.relight(traced, BANDS, atmosphere=sky, spectra=bright)
-    clamped = hp.relight(traced, BANDS, atmosphere=sky, spectra=bright, clip=True)
+        hp.simulation.relight(traced, BANDS, atmosphere=sky, spectra=bright)
+    clamped = hp.simulation.relight(traced, BANDS, atmosphere=sky, spectra=bright, clip=True)
     np.testing.assert_allclose(clamped.reflectance, 1.0, rtol=1e-5)
 
 
 def test_what_does_not_cover_the_bands_is_named() -> None:
     sky = light(1.0, 0.3, 40.0, 200.0)
-    traced = hp.trace(plane(50.0, GREY), looking(), [sky], samples=4)
+    traced = hp.simulation.trace(plane(50.0, GREY), looking(), [sky], samples=4)
     with pytest.raises(
         SchemaError, match=r"'panel_20' covers 500.0 to 700.0 nm, expected the bands, 450.0 to 850.0"
     ):
-        hp.relight(traced, BANDS, atmosphere=sky, spectra={"panel_20": ([500.0, 700.0], [0.2, 0.2])})
+        hp.simulation.relight(
+            traced, BANDS, atmosphere=sky, spectra={"panel_20": ([500.0, 700.0], [0.2, 0.2])}
+        )
     wavelength, none = np.array([500.0, 1100.0]), np.zeros(2)
     narrow = Atmosphere(wavelength, none + 1.0, none, none, none, 40.0, 200.0, name="narrow")
     with pytest.raises(SchemaError, match=r"'narrow' covers 500.0 to 1100.0 nm"):
-        hp.relight(traced, BANDS, atmosphere=narrow)
+        hp.simulation.relight(traced, BANDS, atmosphere=narrow)

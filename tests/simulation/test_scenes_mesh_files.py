@@ -10,8 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
-from hypothesis import strategies as st
+from hypothesis import HealthCheck, given, settings, strategies as st
 
 from hyperpaint.base.errors import FormatError, MissingExtraError, PaintError, PaintWarning, SchemaError
 from hyperpaint.simulation.rendering.glb_files import strip_glb

@@ -7,8 +7,7 @@ import warnings
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 from hyperpaint.base.errors import PaintWarning, SchemaError
 from hyperpaint.simulation.rendering.materials import Coat, Flakes, Material

@@ -32,7 +32,9 @@ DIMS = {"along_track": 24, "slot": 40, "cross_track": 16, "sun": 2}
 
 
 def traced(chunk_lines: int = 32, **more: Any) -> xr.Dataset:
-    return hp.trace(two_cars(), flight(), [SUN, LOW_SUN], chunk_lines=chunk_lines, **{**SETTINGS, **more})
+    return hp.simulation.trace(
+        two_cars(), flight(), [SUN, LOW_SUN], chunk_lines=chunk_lines, **{**SETTINGS, **more}
+    )
 
 
 @pytest.fixture(scope="module")
@@ -138,7 +140,7 @@ def test_graph_of_a_long_line_is_quick(no_compute: Any, record_property: Any) ->
     scene, platform = two_cars(), pushbroom(100_000, 640)
     begin = clock.perf_counter()
     with no_compute():
-        made = hp.trace(scene, platform, [SUN])
+        made = hp.simulation.trace(scene, platform, [SUN])
     record_property("seconds", clock.perf_counter() - begin)
     assert clock.perf_counter() - begin < 5.0  # a third of a second on an idle machine
     assert made.transport_weight.data.npartitions == 3125
@@ -149,9 +151,9 @@ def test_graph_of_a_long_line_is_quick(no_compute: Any, record_property: Any) ->
 
 def test_a_car_park_is_sent_without_a_warning() -> None:
     """Of a graph of 10 MB dask says that it is large."""
-    made = hp.trace(car_park(), flight(), [SUN]).transport_weight.data
+    made = hp.simulation.trace(car_park(), flight(), [SUN]).transport_weight.data
     assert len(pickle.dumps(dict(made.__dask_graph__()))) < 8e6
-    assert made.name == hp.trace(car_park(), flight(), [SUN]).transport_weight.data.name
+    assert made.name == hp.simulation.trace(car_park(), flight(), [SUN]).transport_weight.data.name
 
 
 def test_labels_say_what_is_seen(whole: xr.Dataset) -> None:
@@ -176,7 +178,9 @@ def test_labels_say_what_is_seen(whole: xr.Dataset) -> None:
 
 
 def test_the_sky_has_no_labels() -> None:
-    made = hp.trace(plane(1.0), pushbroom(3, 9, altitude=10.0, ground_sample=1.0), [SUN], samples=2).compute()
+    made = hp.simulation.trace(
+        plane(1.0), pushbroom(3, 9, altitude=10.0, ground_sample=1.0), [SUN], samples=2
+    ).compute()
     beside = made.instance.values[:, 0]
     assert (beside == -1).all()
     for name in ("material", "surface_class", "paint_id", "car_id"):
@@ -186,11 +190,11 @@ def test_the_sky_has_no_labels() -> None:
 
 def test_suns_may_be_atmospheres_or_their_names() -> None:
     noon = preset_atmosphere("noon")
-    made = hp.trace(plane(), flight(1, 1), ["noon", noon, "near_sunset", SUN])
+    made = hp.simulation.trace(plane(), flight(1, 1), ["noon", noon, "near_sunset", SUN])
     sunset = preset_atmosphere("near_sunset")
     assert made.sun_zenith.values.tolist() == [noon.sun_zenith, sunset.sun_zenith, SUN[0]]
     assert made.attrs["overcast"] == 0
-    assert hp.trace(plane(), flight(1, 1), "cloudy").attrs["overcast"] == 1
+    assert hp.simulation.trace(plane(), flight(1, 1), "cloudy").attrs["overcast"] == 1
     np.testing.assert_allclose(sun_vectors([(90.0, 0.0)]), [[0.0, 1.0, 0.0]], atol=1e-15)
 
 
@@ -216,12 +220,12 @@ def test_suns_may_be_atmospheres_or_their_names() -> None:
 def test_settings_out_of_range(wrong: dict[str, Any], found: str) -> None:
     suns = wrong.pop("suns", [SUN])
     with pytest.raises(SchemaError, match=found):
-        hp.trace(two_cars(), flight(1, 1), suns, **wrong)
+        hp.simulation.trace(two_cars(), flight(1, 1), suns, **wrong)
 
 
 def test_all_problems_at_once() -> None:
     with pytest.raises(SchemaError) as caught:
-        hp.trace(plane(), flight(1, 1), [(95.0, 0.0)], samples=0, slots=0)
+        hp.simulation.trace(plane(), flight(1, 1), [(95.0, 0.0)], samples=0, slots=0)
     assert str(caught.value).count("\n") == 3
 
 
@@ -229,7 +233,7 @@ def test_too_many_spectra_for_the_depth() -> None:
     many = [Material(f"m{number}", "asphalt", "asphalt") for number in range(300)]
     scene = Scene.join([plane(1.0, material, instance=f"i{n}") for n, material in enumerate(many)])
     with pytest.raises(SchemaError, match="300 spectra and depth=7 do not fit"):
-        hp.trace(scene, flight(1, 1), [SUN], depth=7)
+        hp.simulation.trace(scene, flight(1, 1), [SUN], depth=7)
 
 
 def test_a_store_holds_a_traced_scene(tmp_path: Path, whole: xr.Dataset, no_compute: Any) -> None:

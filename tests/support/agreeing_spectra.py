@@ -65,6 +65,6 @@ def agreeing() -> tuple[xr.Dataset, xr.Dataset]:
     return library(seen(NM, 6.0)), field(seen(nm, 3.0))
 
 
-def value_of(found: hp.Validation, name: str, part: str = "all", pair: int = 0) -> float:
+def value_of(found: hp.validation.Validation, name: str, part: str = "all", pair: int = 0) -> float:
     """Return one statistic of one pair."""
     return float(found.statistics[name].isel(pair=pair).sel(part=part))

@@ -16,13 +16,13 @@ def test_a_cluster_finds_the_same_flags() -> None:
     nm = wavelengths()
     cube, _ = bonnet(nm, smooth_edge(nm, 600.0, 0.04, 0.6))
     line = as_line(cube, nm, snr=100.0)
-    first = hp.flag(line, sun_zenith=30.0).compute(scheduler="synchronous")
+    first = hp.surroundings.flag(line, sun_zenith=30.0).compute(scheduler="synchronous")
     with (
         distributed.LocalCluster(
             n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None
         ) as cluster,
         distributed.Client(cluster),
     ):
-        other = hp.flag(line.chunk(along_track=64), sun_zenith=30.0).compute()
+        other = hp.surroundings.flag(line.chunk(along_track=64), sun_zenith=30.0).compute()
     for name in (*LAYERS, "quality"):
         np.testing.assert_array_equal(first[name].values, other[name].values)

@@ -29,7 +29,7 @@ def line(values: Any) -> xr.Dataset:
 def test_black_paint_without_its_blue_sky_is_black() -> None:
     seen = line(0.03 + 0.04 * SKY)
     assert float(seen.reflectance.max() / seen.reflectance.min()) > 1.3
-    made = hp.remove_mirrored_sky(seen, sun_zenith=35.0)
+    made = hp.surroundings.remove_mirrored_sky(seen, sun_zenith=35.0)
     assert made.reflectance.chunks is not None
     np.testing.assert_allclose(made.reflectance.values, 0.03, atol=1e-6)
     assert made.reflectance.dtype == np.float32
@@ -39,7 +39,7 @@ def test_black_paint_without_its_blue_sky_is_black() -> None:
 
 def test_a_tilted_panel_under_half_a_sky() -> None:
     light = 1.2 * (1 - SKY) + 0.6 * SKY + 0.4 * 0.2
-    made = hp.correct_light(line(0.3 * light), direct=1.2, sky_view_factor=0.6, sun_zenith=35.0)
+    made = hp.surroundings.correct_light(line(0.3 * light), direct=1.2, sky_view_factor=0.6, sun_zenith=35.0)
     np.testing.assert_allclose(made.reflectance.values, 0.3, rtol=1e-5)
     assert made.reflectance.dims == ("along_track", "band", "cross_track")
 
@@ -49,18 +49,20 @@ def test_the_light_of_every_pixel() -> None:
     light = direct * (1 - xr.DataArray(SKY, dims="band")) + xr.DataArray(SKY, dims="band")
     seen = line(np.ones(NM.size))
     seen["reflectance"] = (seen.reflectance * 0.5 * light).astype(np.float32).assign_attrs(units="1")
-    made = hp.correct_light(seen, direct=direct, sun_zenith=35.0)
+    made = hp.surroundings.correct_light(seen, direct=direct, sun_zenith=35.0)
     np.testing.assert_allclose(made.reflectance.values, 0.5, rtol=1e-5)
 
 
 def test_nothing_is_corrected_twice_or_out_of_range() -> None:
-    once = hp.remove_mirrored_sky(line(np.ones(NM.size)), sun_zenith=35.0)
+    once = hp.surroundings.remove_mirrored_sky(line(np.ones(NM.size)), sun_zenith=35.0)
     with pytest.raises(SchemaError, match="it was before"):
-        hp.remove_mirrored_sky(once, sun_zenith=35.0)
+        hp.surroundings.remove_mirrored_sky(once, sun_zenith=35.0)
     with pytest.raises(SchemaError, match=r"(?s)strength=2.*sky_view_factor=-1"):
-        hp.remove_mirrored_sky(line(np.ones(NM.size)), strength=2.0, sky_view_factor=-1.0, sun_zenith=35.0)
+        hp.surroundings.remove_mirrored_sky(
+            line(np.ones(NM.size)), strength=2.0, sky_view_factor=-1.0, sun_zenith=35.0
+        )
     with pytest.raises(SchemaError, match="'wavelength' is missing"):
-        hp.correct_light(line(np.ones(NM.size)).drop_vars("wavelength"), sun_zenith=35.0)
+        hp.surroundings.correct_light(line(np.ones(NM.size)).drop_vars("wavelength"), sun_zenith=35.0)
 
 
 def test_uncertainties_are_divided_by_the_same_light() -> None:
@@ -69,7 +71,7 @@ def test_uncertainties_are_divided_by_the_same_light() -> None:
         name: (seen.reflectance * np.float32(part)).assign_attrs(units="1", components=name)
         for name, part in (("reflectance_u_random", 0.02), ("reflectance_u_systematic", 0.05))
     }
-    made = hp.correct_light(seen.assign(u), direct=0.6, sun_zenith=35.0)
+    made = hp.surroundings.correct_light(seen.assign(u), direct=0.6, sun_zenith=35.0)
     light = (0.6 * (1 - SKY) + SKY)[None, :, None]
     for name, array in u.items():
         assert made[name].chunks is not None
@@ -81,18 +83,21 @@ def test_uncertainties_are_divided_by_the_same_light() -> None:
 def test_where_there_is_no_light_nothing_is_known() -> None:
     # warnings are errors here
     direct = xr.DataArray(np.array([1.0, 0.0, -2.0, np.nan]), dims="along_track")
-    made = hp.correct_light(line(np.full(NM.size, 0.3)), direct=direct, sky_view_factor=0.0, sun_zenith=35.0,
-                            neighbour_reflectance=0.0).reflectance.values  # fmt: skip
+    options = {"sky_view_factor": 0.0, "sun_zenith": 35.0, "neighbour_reflectance": 0.0}
+    grey = line(np.full(NM.size, 0.3))
+    made = hp.surroundings.correct_light(grey, direct=direct, **options).reflectance.values
     assert np.isfinite(made[0]).all()
     assert np.isnan(made[1:]).all()
 
 
 def test_the_sky_is_removed_before_the_light_is_corrected() -> None:
     seen = line(np.full(NM.size, 0.3))
-    lit = hp.correct_light(seen, direct=0.9, sun_zenith=35.0)
+    lit = hp.surroundings.correct_light(seen, direct=0.9, sun_zenith=35.0)
     with pytest.raises(SchemaError, match=r"it was before: light_corrected is 'direct 0\.9"):
-        hp.remove_mirrored_sky(lit, sun_zenith=35.0)
-    both = hp.correct_light(hp.remove_mirrored_sky(seen, sun_zenith=35.0), direct=0.9, sun_zenith=35.0)
+        hp.surroundings.remove_mirrored_sky(lit, sun_zenith=35.0)
+    both = hp.surroundings.correct_light(
+        hp.surroundings.remove_mirrored_sky(seen, sun_zenith=35.0), direct=0.9, sun_zenith=35.0
+    )
     assert {"mirrored_sky_removed", "light_corrected"} <= set(both.reflectance.attrs)
     assert "sun zenith 35 degree" in both.reflectance.attrs["mirrored_sky_removed"]
 
@@ -100,7 +105,7 @@ def test_the_sky_is_removed_before_the_light_is_corrected() -> None:
 def test_a_tilted_panel_is_corrected_in_one_order_only() -> None:
     seen = simulate_line(lines=4, bands=12, columns=6, smile_nm=0.0, noise=False)
     tilted = hp.reflectance(seen, tilt=(10.0, 180.0))
-    for correct in (hp.remove_mirrored_sky, hp.correct_light):
+    for correct in (hp.surroundings.remove_mirrored_sky, hp.surroundings.correct_light):
         with pytest.raises(SchemaError, match=r"tilt is .*10.*without tilt=.*correct_light\(direct="):
             correct(tilted)
     # what the message says to do gives what tilt= gives, but for the sky that is subtracted before
@@ -117,11 +122,13 @@ def test_a_tilted_panel_is_corrected_in_one_order_only() -> None:
     }
     plain = hp.reflectance(seen)
     np.testing.assert_allclose(
-        hp.correct_light(plain, **options).reflectance, tilted.reflectance, rtol=2e-3, atol=1e-4
+        hp.surroundings.correct_light(plain, **options).reflectance, tilted.reflectance, rtol=2e-3, atol=1e-4
     )
     sky = 0.04 * diffuse_fraction(seen.wavelength.values, float(zenith))[None, :, None]
-    light = plain.reflectance.values / hp.correct_light(plain, **options).reflectance.values
-    bare = hp.correct_light(hp.remove_mirrored_sky(plain, sun_zenith=float(zenith)), **options)
+    light = plain.reflectance.values / hp.surroundings.correct_light(plain, **options).reflectance.values
+    bare = hp.surroundings.correct_light(
+        hp.surroundings.remove_mirrored_sky(plain, sun_zenith=float(zenith)), **options
+    )
     np.testing.assert_allclose(bare.reflectance, (plain.reflectance - sky) / light, rtol=1e-4, atol=1e-5)
 
 
@@ -132,8 +139,8 @@ def test_a_library_corrected_is_that_of_a_line_corrected() -> None:
     seen["reflectance"] = (seen.reflectance + noise).astype(np.float32).assign_attrs(units="1")
     region = hp.Region("hood", [(0, 0), (2, 0), (2, 3), (0, 3)])
     for correct in (
-        lambda given: hp.remove_mirrored_sky(given, sun_zenith=35.0),
-        lambda given: hp.correct_light(given, direct=0.7, sun_zenith=35.0),
+        lambda given: hp.surroundings.remove_mirrored_sky(given, sun_zenith=35.0),
+        lambda given: hp.surroundings.correct_light(given, direct=0.7, sun_zenith=35.0),
     ):
         early = hp.extract_signatures(correct(seen), region)
         late = correct(hp.extract_signatures(seen, region))

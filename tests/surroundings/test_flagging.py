@@ -197,7 +197,7 @@ def test_smile_is_taken_out_before_flags() -> None:
     bent = line.assign_coords(wavelength_shift=("cross_track", shift, {"units": "nm"}))
     done = flag_line(bent)
     assert "wavelength_shift" not in done.seen.variables
-    expected = hp.flag(bent.paint.to_nominal()).quality
+    expected = hp.surroundings.flag(bent.paint.to_nominal()).quality
     np.testing.assert_array_equal(done.line.quality, expected)
     assert "wavelength_shift" in done.line.variables
     small = bent.assign_coords(wavelength_shift=("cross_track", 0.1 * shift, {"units": "nm"}))
@@ -208,7 +208,7 @@ def test_the_report_shows_what_is_found(lot: Path, tmp_path: Path, surveys: list
     pytest.importorskip("matplotlib")
     before = {path: path.read_bytes() for path in lot.rglob("*") if path.is_file()}
     told: list[tuple[int, int]] = []
-    done = hp.write_report(lot, tmp_path / "a.html", progress=lambda *step: told.append(step))
+    done = hp.report.write_report(lot, tmp_path / "a.html", progress=lambda *step: told.append(step))
     assert done.problems == ()
     page = (tmp_path / "a.html").read_text()
     assert "were looked for here; the store has no such flags" in page

@@ -43,7 +43,7 @@ def precision_and_recall(found: Mask, true: Mask, counted: Mask) -> tuple[float,
 @pytest.mark.parametrize("seed", [100, 101])
 def test_the_shadow_of_a_box(seed: int) -> None:
     cube, blocked, ground = box_shadow(NM, ASPHALT, RED)
-    line = hp.flag(as_line(cube, NM, snr=100.0, seed=seed), sun_zenith=40.0).compute()
+    line = hp.surroundings.flag(as_line(cube, NM, snr=100.0, seed=seed), sun_zenith=40.0).compute()
     precision, recall = precision_and_recall(has(line, Quality.SHADOW), blocked >= 0.2, np.ones_like(ground))
     assert precision >= 0.99
     assert recall >= 0.99
@@ -58,7 +58,7 @@ def test_the_shadow_of_a_box(seed: int) -> None:
 )
 def test_the_image_of_the_sun_in_a_bonnet(body: Any, zenith: float) -> None:
     cube, glint = bonnet(NM, body, zenith=zenith)
-    line = hp.flag(as_line(cube, NM, snr=100.0, seed=103), sun_zenith=zenith).compute()
+    line = hp.surroundings.flag(as_line(cube, NM, snr=100.0, seed=103), sun_zenith=zenith).compute()
     counted = ~has(line, Quality.MIXED_EDGE)
     precision, recall = precision_and_recall(has(line, Quality.GLINT), glint > 0.02, counted)
     assert precision >= 0.95
@@ -69,24 +69,26 @@ def test_the_image_of_the_sun_in_a_bonnet(body: Any, zenith: float) -> None:
 def test_a_red_wall_reddens_a_grey_plane(plane: float) -> None:
     grey = np.full(NM.size, plane)
     cube, added, masks = wall_beside_plane(NM, grey, RED, height=0.7, pixel=0.05)
-    line = hp.flag(as_line(cube, NM, snr=100.0, seed=102), sun_zenith=35.0).compute()
+    line = hp.surroundings.flag(as_line(cube, NM, snr=100.0, seed=102), sun_zenith=35.0).compute()
     near = masks["plane"].values & ~has(line, Quality.MIXED_EDGE) & (added > 0.015) & (added < 0.025)
     assert near.sum() > 100
     assert has(line, Quality.ADJACENCY)[near].mean() > 0.99
     assert abs((line.adjacency.values - added)[near].mean()) < 0.002
     wall = int(line.adjacency_segment.values[near][0])
     assert (line.adjacency_segment.values[near] == wall).all()
-    assert wall == hp.survey(as_line(cube, NM, snr=100.0, seed=102), sun_zenith=35.0).segment[48, 4]
+    assert (
+        wall == hp.surroundings.survey(as_line(cube, NM, snr=100.0, seed=102), sun_zenith=35.0).segment[48, 4]
+    )
 
 
 def test_two_neighbours_add_the_peak_of_their_sum() -> None:
     red, blue = (np.exp(-(((NM - centre) / 60.0) ** 2)) for centre in (850.0, 450.0))
     cube = np.full((48, 64, NM.size), 0.3)
     cube[:, :12], cube[:, -12:] = 0.05 + 0.6 * red, 0.05 + 0.6 * blue
-    model = hp.survey(as_line(cube, NM), sun_zenith=35.0)
+    model = hp.surroundings.survey(as_line(cube, NM), sun_zenith=35.0)
     extra = 0.02 * red + 0.02 * blue
     cube[20:28, 20:44] += extra
-    flagged = hp.flag(as_line(cube, NM), model).compute()
+    flagged = hp.surroundings.flag(as_line(cube, NM), model).compute()
     inside = np.s_[21:27, 24:40]
     # the tail of neither adds to the peak of the other
     np.testing.assert_allclose(flagged.adjacency.values[inside], extra.max(), atol=0.003)
@@ -100,7 +102,7 @@ def test_two_neighbours_add_the_peak_of_their_sum() -> None:
 def test_the_shadow_of_a_box_though_bands_are_dead(dead: Any) -> None:
     cube, blocked, _ = box_shadow(NM, ASPHALT, RED)
     cube[..., list(dead)] = np.nan
-    line = hp.flag(as_line(cube, NM, snr=100.0, seed=100), sun_zenith=40.0).compute()
+    line = hp.surroundings.flag(as_line(cube, NM, snr=100.0, seed=100), sun_zenith=40.0).compute()
     found = has(line, Quality.SHADOW)
     precision, recall = precision_and_recall(found, blocked >= 0.2, np.ones_like(found))
     assert precision >= 0.99
@@ -109,7 +111,7 @@ def test_the_shadow_of_a_box_though_bands_are_dead(dead: Any) -> None:
 
 def test_a_plain_plane_has_no_flags() -> None:
     plane = as_line(np.broadcast_to(ASPHALT, (64, 64, NM.size)).copy(), NM, snr=100.0, seed=105)
-    assert not hp.flag(plane, sun_zenith=30.0).quality.values.any()
+    assert not hp.surroundings.flag(plane, sun_zenith=30.0).quality.values.any()
 
 
 @pytest.fixture(scope="module")
@@ -119,7 +121,7 @@ def line() -> xr.Dataset:
 
 
 def test_flags_are_lazy_and_keep_their_types(line: xr.Dataset, no_compute: Callable[[], Any]) -> None:
-    model = hp.survey(line, sun_zenith=30.0)
+    model = hp.surroundings.survey(line, sun_zenith=30.0)
     with no_compute():
         flagged = line.paint.flag(model)
     for name in LAYERS:
@@ -133,8 +135,8 @@ def test_flags_are_lazy_and_keep_their_types(line: xr.Dataset, no_compute: Calla
 
 @pytest.mark.parametrize("lines", [1, 13, 32, 64, 160])
 def test_the_same_flags_for_any_chunks(line: xr.Dataset, lines: int) -> None:
-    first = hp.flag(line, sun_zenith=30.0).compute()
-    other = hp.flag(line.chunk(along_track=lines), sun_zenith=30.0).compute()
+    first = hp.surroundings.flag(line, sun_zenith=30.0).compute()
+    other = hp.surroundings.flag(line.chunk(along_track=lines), sun_zenith=30.0).compute()
     for name in (*LAYERS, "quality"):
         np.testing.assert_array_equal(first[name].values, other[name].values)
 
@@ -142,33 +144,36 @@ def test_the_same_flags_for_any_chunks(line: xr.Dataset, lines: int) -> None:
 def test_bits_that_were_set_stay(line: xr.Dataset) -> None:
     before = xr.DataArray(np.full((160, 96), 9, np.uint16), dims=("along_track", "cross_track"))
     for given in (before, before.chunk(along_track=40)):
-        flagged = hp.flag(line.assign(quality=given), sun_zenith=30.0)
+        flagged = hp.surroundings.flag(line.assign(quality=given), sun_zenith=30.0)
         assert (flagged.quality.values & 9 == 9).all()
         assert has(flagged.compute(), Quality.GLINT).any()
-        smooth = hp.smooth(flagged, "box", 5)
+        smooth = hp.radiometry.smooth(flagged, "box", 5)
         np.testing.assert_array_equal(smooth.quality.values, flagged.quality.values)
 
 
 def test_thresholds_are_the_users(line: xr.Dataset) -> None:
-    model = hp.survey(line, sun_zenith=30.0)
+    model = hp.surroundings.survey(line, sun_zenith=30.0)
     found = [
-        has(hp.flag(line, model, glint=limit).compute(), Quality.GLINT).sum() for limit in (0.02, 1.0, 9.0)
+        has(hp.surroundings.flag(line, model, glint=limit).compute(), Quality.GLINT).sum()
+        for limit in (0.02, 1.0, 9.0)
     ]
     assert found[0] > found[1] > found[2] == 0
 
 
 def test_a_model_of_another_line_is_refused(line: xr.Dataset) -> None:
-    model = hp.survey(line, sun_zenith=30.0)
+    model = hp.surroundings.survey(line, sun_zenith=30.0)
     with pytest.raises(SchemaError, match=r"(?s)160, 96.*bands"):
-        hp.flag(line.isel(along_track=slice(10), band=slice(20)), model)
+        hp.surroundings.flag(line.isel(along_track=slice(10), band=slice(20)), model)
     with pytest.raises(SchemaError, match="options of the survey"):
-        hp.flag(line, model, reach=5)
+        hp.surroundings.flag(line, model, reach=5)
     with pytest.raises(SchemaError, match=r"(?s)glint=-1.*shadow=nan"):
-        hp.flag(line, model, glint=-1, shadow=float("nan"))
+        hp.surroundings.flag(line, model, glint=-1, shadow=float("nan"))
 
 
 def test_missing_pixels_have_no_flags(line: xr.Dataset) -> None:
     seen = line.reflectance.where(line.reflectance.cross_track != 40).astype(np.float32)
-    flagged = hp.flag(line.assign(reflectance=seen.assign_attrs(units="1")), sun_zenith=30.0).compute()
+    flagged = hp.surroundings.flag(
+        line.assign(reflectance=seen.assign_attrs(units="1")), sun_zenith=30.0
+    ).compute()
     assert not flagged.quality.values[:, 40].any()
     assert np.isnan(flagged.glint_fraction.values[:, 40]).all()

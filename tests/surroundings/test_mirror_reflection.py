@@ -29,8 +29,8 @@ def told(library: xr.Dataset) -> object:
 def test_signatures_say_it(line: xr.Dataset, regions: hp.Regions, tmp_path: Path) -> None:
     seen = hp.extract_signatures(line, regions)
     removed = hp.extract_signatures(line, regions, specular_sky=True, sun_zenith=40.0)
-    afterwards = hp.remove_mirrored_sky(seen, sun_zenith=40.0)
-    before = hp.extract_signatures(hp.remove_mirrored_sky(line, sun_zenith=40.0), regions)
+    afterwards = hp.surroundings.remove_mirrored_sky(seen, sun_zenith=40.0)
+    before = hp.extract_signatures(hp.surroundings.remove_mirrored_sky(line, sun_zenith=40.0), regions)
     assert [told(each) for each in (seen, removed, afterwards, before)] == ["included", *["excluded"] * 3]
     made = hp.write_dirsig(afterwards, tmp_path / "dirsig", specular=0.02)
     assert made.attrs["mirror_reflection"] == "excluded"
@@ -39,15 +39,15 @@ def test_signatures_say_it(line: xr.Dataset, regions: hp.Regions, tmp_path: Path
 
 
 def test_one_line_that_holds_it_decides(line: xr.Dataset) -> None:
-    lines = {"a": line, "b": hp.remove_mirrored_sky(line, sun_zenith=40.0)}
+    lines = {"a": line, "b": hp.surroundings.remove_mirrored_sky(line, sun_zenith=40.0)}
     corners = [(0, 0), (0, 31), (0.4, 31), (0.4, 0)]
     both = hp.Regions(tuple(hp.Region(f"grass {name}", corners, flightline=name) for name in lines))
     assert told(hp.extract_signatures(lines, both)) == "included"
 
 
 def test_mixtures_of_signatures_keep_it(line: xr.Dataset, regions: hp.Regions) -> None:
-    body = hp.remove_mirrored_sky(hp.extract_signatures(line, regions), sun_zenith=40.0)
-    darker = hp.shade_paints(body, [2.0])
+    body = hp.surroundings.remove_mirrored_sky(hp.extract_signatures(line, regions), sun_zenith=40.0)
+    darker = hp.paints.shade_paints(body, [2.0])
     assert told(darker) == "excluded"
     assert (darker.reflectance <= body.reflectance.clip(min=1e-3).values).all()
-    assert told(hp.sample_paints(body, 5)) == "excluded"
+    assert told(hp.paints.sample_paints(body, 5)) == "excluded"

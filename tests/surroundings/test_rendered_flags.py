@@ -23,12 +23,12 @@ def scene() -> xr.Dataset:
     sky = Atmosphere.clear(ZENITH, AZIMUTH)
     park = car_park(length=11.7, width=16.0, seed=103, neighbours=("walls",), margin=10.0, flakes=False)
     flight = pushbroom(176, 192, altitude=15.0, ground_sample=0.035, line_spacing=0.035, start=(-4.0, 2.0))
-    traced = hp.trace(park, flight, [sky], samples=96, seed=103, sun_radius=0.267)
-    return hp.relight(traced, atmosphere=sky).compute()
+    traced = hp.simulation.trace(park, flight, [sky], samples=96, seed=103, sun_radius=0.267)
+    return hp.simulation.relight(traced, atmosphere=sky).compute()
 
 
 def test_shadows_on_the_ground_and_glint_on_coloured_paint(scene: xr.Dataset) -> None:
-    flagged = hp.flag(scene, sun_zenith=ZENITH, sun_azimuth=AZIMUTH, heading=0.0).compute()
+    flagged = hp.surroundings.flag(scene, sun_zenith=ZENITH, sun_azimuth=AZIMUTH, heading=0.0).compute()
     bits = flagged.quality.values
     counted = (bits & int(Quality.MIXED_EDGE)) == 0
     kind = np.array(KINDS)[scene.surface_class.values]

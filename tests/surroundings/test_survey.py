@@ -38,7 +38,7 @@ def shadow_line() -> xr.Dataset:
 
 @pytest.fixture(scope="module")
 def model(shadow_line: xr.Dataset) -> SceneModel:
-    return hp.survey(shadow_line, sun_zenith=40.0)
+    return hp.surroundings.survey(shadow_line, sun_zenith=40.0)
 
 
 def test_a_shadow_is_matched_to_the_ground_around_it(model: SceneModel) -> None:
@@ -52,8 +52,10 @@ def test_a_shadow_is_matched_to_the_ground_around_it(model: SceneModel) -> None:
 
 
 def test_the_light_of_the_sky_is_measured_in_the_shadow(shadow_line: xr.Dataset) -> None:
-    found = hp.survey(shadow_line, sun_zenith=40.0, diffuse="shadow").diffuse_fraction
-    true = np.bincount(hp.survey(shadow_line, sun_zenith=40.0).channel, diffuse_fraction(NM, 40.0))
+    found = hp.surroundings.survey(shadow_line, sun_zenith=40.0, diffuse="shadow").diffuse_fraction
+    true = np.bincount(
+        hp.surroundings.survey(shadow_line, sun_zenith=40.0).channel, diffuse_fraction(NM, 40.0)
+    )
     # the box hides some of the sky, which is not known
     ratio = found / (true / np.bincount(channel_numbers(NM, np.ones(NM.size, bool))))
     assert ratio.min() > 0.7
@@ -64,12 +66,12 @@ def test_the_light_of_the_sky_is_measured_in_the_shadow(shadow_line: xr.Dataset)
 def test_without_a_shadow_the_split_cannot_be_measured() -> None:
     plane = as_line(np.broadcast_to(ASPHALT, (32, 32, NM.size)).copy(), NM)
     with pytest.raises(SchemaError, match="found no cast shadow"):
-        hp.survey(plane, sun_zenith=30.0, diffuse="shadow")
+        hp.surroundings.survey(plane, sun_zenith=30.0, diffuse="shadow")
 
 
 @pytest.mark.parametrize("lines", [1, 7, 32, 50, 160])
 def test_the_same_bits_for_any_chunks(shadow_line: xr.Dataset, model: SceneModel, lines: int) -> None:
-    other = hp.survey(shadow_line.chunk(along_track=lines, band=20), sun_zenith=40.0)
+    other = hp.surroundings.survey(shadow_line.chunk(along_track=lines, band=20), sun_zenith=40.0)
     xr.testing.assert_identical(other.to_dataset(), model.to_dataset())
 
 
@@ -78,7 +80,7 @@ def test_a_model_can_be_stored(model: SceneModel, tmp_path: Any, shadow_line: xr
     stored = xr.open_zarr(tmp_path / "model.zarr", group="scene")
     again = SceneModel.from_dataset(stored)
     np.testing.assert_array_equal(again.reference, model.reference)
-    flagged = [hp.flag(shadow_line, one).quality.values for one in (model, stored)]
+    flagged = [hp.surroundings.flag(shadow_line, one).quality.values for one in (model, stored)]
     np.testing.assert_array_equal(*flagged)
 
 
@@ -135,48 +137,50 @@ def test_a_grey_with_a_missing_channel_is_grey() -> None:
 def test_a_line_that_cannot_be_surveyed_says_why(shadow_line: xr.Dataset) -> None:
     dead = shadow_line.isel(along_track=slice(0)).assign(good=("band", np.zeros(NM.size, bool)))
     with pytest.raises(SchemaError, match=r"(?s)at least one line.*none of the 96 bands is good"):
-        hp.survey(dead, sun_zenith=40.0)
+        hp.surroundings.survey(dead, sun_zenith=40.0)
     with pytest.raises(SchemaError, match="at least one line, band and column"):
-        hp.survey(shadow_line.isel(cross_track=slice(0)), sun_zenith=40.0)
+        hp.surroundings.survey(shadow_line.isel(cross_track=slice(0)), sun_zenith=40.0)
     nm = np.where(np.arange(NM.size) == 7, np.nan, NM)
     unknown = shadow_line.assign_coords(wavelength=("band", nm, {"units": "nm"}))
     with pytest.raises(SchemaError, match=r"wavelength is missing in 1 good bands, the first of them 7"):
-        hp.survey(unknown, sun_zenith=40.0)
+        hp.surroundings.survey(unknown, sun_zenith=40.0)
     good = np.isfinite(nm)
-    flagged = hp.flag(unknown.assign(good=("band", good)), sun_zenith=40.0).compute()
+    flagged = hp.surroundings.flag(unknown.assign(good=("band", good)), sun_zenith=40.0).compute()
     assert (flagged.quality.values & 128).any()
     with pytest.raises(SchemaError, match=r"'shadow' finds shadows by the light of a clear sky.*sun_zenith="):
-        hp.survey(shadow_line, diffuse="shadow")
+        hp.surroundings.survey(shadow_line, diffuse="shadow")
 
 
 @pytest.mark.parametrize("value", [0.0, np.nan])
 def test_scenes_of_nothing_have_no_flags(value: float) -> None:
     cube = np.full((32, 40, NM.size), value)
-    flagged = hp.flag(as_line(cube, NM), sun_zenith=40.0).compute()
+    flagged = hp.surroundings.flag(as_line(cube, NM), sun_zenith=40.0).compute()
     assert not flagged.quality.values.any()
     cube[:, 20:] = 0.5
-    assert hp.survey(as_line(cube, NM), sun_zenith=40.0).segments == (2 if value == 0 else 1)
+    assert hp.surroundings.survey(as_line(cube, NM), sun_zenith=40.0).segments == (2 if value == 0 else 1)
 
 
 def test_progress_is_told(shadow_line: xr.Dataset, capsys: pytest.CaptureFixture[str]) -> None:
     told: list[tuple[int, int]] = []
-    hp.survey(shadow_line, sun_zenith=40.0, progress=lambda done, total: told.append((done, total)))
+    hp.surroundings.survey(
+        shadow_line, sun_zenith=40.0, progress=lambda done, total: told.append((done, total))
+    )
     assert told[-1] == (160, 160)
-    hp.survey(shadow_line, sun_zenith=40.0, progress=True)
+    hp.surroundings.survey(shadow_line, sun_zenith=40.0, progress=True)
     assert "160/160 lines" in capsys.readouterr().err
 
 
 def test_a_survey_without_the_sun_says_what_is_missing(shadow_line: xr.Dataset) -> None:
     with pytest.raises(SchemaError, match="sun_zenith="):
-        hp.survey(shadow_line)
+        hp.surroundings.survey(shadow_line)
     with pytest.raises(SchemaError, match="'model', 'pvlib', 'shadow'"):
-        hp.survey(shadow_line, diffuse="guess", sun_zenith=30.0)
+        hp.surroundings.survey(shadow_line, diffuse="guess", sun_zenith=30.0)
 
 
 def test_missing_pixels_belong_to_nothing(shadow_line: xr.Dataset) -> None:
     holes = shadow_line.reflectance.where(shadow_line.reflectance.along_track != 5).astype(np.float32)
     holes.attrs = shadow_line.reflectance.attrs
-    found = hp.survey(shadow_line.assign(reflectance=holes), sun_zenith=40.0)
+    found = hp.surroundings.survey(shadow_line.assign(reflectance=holes), sun_zenith=40.0)
     assert (found.segment[5] == -1).all()
     assert (np.delete(found.segment, 5, axis=0) >= 0).all()
 
@@ -232,10 +236,10 @@ def test_pvlib_gives_a_split_near_that_of_the_core() -> None:
 @pytest.mark.parametrize("snr", [40.0, 100.0])
 def test_the_noise_of_channels_is_measured(snr: float) -> None:
     cube, _, _ = box_shadow(NM, ASPHALT, RED)
-    found = hp.survey(as_line(cube, NM, snr=snr), sun_zenith=40.0).noise
+    found = hp.surroundings.survey(as_line(cube, NM, snr=snr), sun_zenith=40.0).noise
     # a channel is the mean of four bands
     np.testing.assert_allclose(found, 1.0 / snr / 2.0, rtol=0.1)
-    assert (hp.survey(as_line(cube, NM), sun_zenith=40.0).noise < 2e-4).all()
+    assert (hp.surroundings.survey(as_line(cube, NM), sun_zenith=40.0).noise < 2e-4).all()
     assert (
         channel_noise(np.ones((4, 4, 2), np.float32), np.zeros((4, 4), np.int32), cube[:4, :4, 0] > 0) == 0
     ).all()
@@ -261,10 +265,10 @@ def test_a_smile_changes_no_flags() -> None:
     bent = np.stack(
         [[np.interp(NM + nm, NM, here) for nm, here in zip(smile, row, strict=True)] for row in cube]
     )
-    straight = hp.flag(as_line(cube, NM, snr=200.0), sun_zenith=30.0)
+    straight = hp.surroundings.flag(as_line(cube, NM, snr=200.0), sun_zenith=30.0)
     line = as_line(bent, NM, snr=200.0)
     given = line.assign_coords(wavelength_shift=("cross_track", smile, {"units": "nm"}))
-    flagged = hp.flag(given, sun_zenith=30.0)
+    flagged = hp.surroundings.flag(given, sun_zenith=30.0)
     assert (flagged.quality.values != straight.quality.values).mean() < 0.01
     inside = np.s_[:, 30:66]
     apart = (flagged.glint_fraction - straight.glint_fraction).values[inside]
@@ -278,14 +282,14 @@ def test_parts_of_one_car_show_one_paint() -> None:
     cube[40:46, 20:70] = 0.02
     cube[46:70, 20:70] = 0.9 * RED + 0.03 * direct  # the bonnet, in glint all over
     line = as_line(cube, NM, snr=200.0)
-    model = hp.survey(line, sun_zenith=30.0)
+    model = hp.surroundings.survey(line, sun_zenith=30.0)
     roof, bonnet_ = model.body[model.segment[20, 40]], model.body[model.segment[60, 40]]
     assert roof != bonnet_
     assert model.paint[roof] == model.paint[bonnet_] != model.paint[model.segment[5, 5]]
     clean = np.bincount(model.channel, RED) / np.bincount(model.channel)
     ratio = model.reference[bonnet_] / clean
     np.testing.assert_allclose(ratio / ratio[-1], 1.0, atol=0.05)
-    flagged = hp.flag(line, model).compute()
+    flagged = hp.surroundings.flag(line, model).compute()
     np.testing.assert_allclose(flagged.glint_fraction.values[50:66, 30:60], 0.03, atol=0.006)
     assert (flagged.quality.values[50:66, 30:60] & int(Quality.GLINT) > 0).mean() > 0.99
     assert not (flagged.quality.values[12:38, 24:66] & int(Quality.ADJACENCY)).any()

@@ -10,8 +10,7 @@ import dask.array as da
 import numpy as np
 import pytest
 import xarray as xr
-from hypothesis import HealthCheck, given, settings
-from hypothesis import strategies as st
+from hypothesis import HealthCheck, given, settings, strategies as st
 from support.strategies import SHIFT, START, assert_same, chunkings, flight, stored, values
 
 from hyperpaint.base.errors import SchemaError

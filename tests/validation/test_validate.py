@@ -171,7 +171,7 @@ def test_a_shift_of_wavelength_shows_in_the_oxygen_residual() -> None:
         found = hp.validate(paints, flat, tolerance=1.0)
         depths.append(found.statistics["oxygen_residual"].item())
         assert found.statistics["reference_oxygen_residual"].item() == pytest.approx(0.0, abs=1e-9)
-        assert depths[-1] == pytest.approx(float(hp.oxygen_residual(moved).mean()), abs=2e-3)
+        assert depths[-1] == pytest.approx(float(hp.alignment.oxygen_residual(moved).mean()), abs=2e-3)
     assert abs(depths[0]) < 2e-3
     assert depths[1] < -0.02
 

@@ -108,7 +108,7 @@ def test_a_white_reference_seen_as_a_target_is_white(shared_data: Path) -> None:
         library(np.ones(bands.size), ("panel",), nm=bands), white, {"panel": "ACPL_D2_P1_T_1_WR_000"}
     )
     assert abs(value_of(found, "scale") - 1.0) < 0.005
-    panel = hp.read_certificate(shared_data / "spectra_ascii" / "R90.txt")
+    panel = hp.io.read_certificate(shared_data / "spectra_ascii" / "R90.txt")
     scaled = hp.validate(
         library(np.ones(bands.size), ("panel",), nm=bands), white, {"panel": "ACPL_D2_P1_T_1_WR_000"},
         panel=panel, tolerance=1.0,

@@ -13,7 +13,7 @@ LEVEL = seen(FIELD_NM, 3.0)
 PAINT = seen(NM, 6.0)
 
 
-def readings(count: int, **spreads: float) -> hp.Validation:
+def readings(count: int, **spreads: float) -> hp.validation.Validation:
     """Compare a paint with readings that are nearly the same, of known uncertainty."""
     values = LEVEL + 1e-5 * np.arange(count)[:, None]
     made = field(values, ["hood"] * count)

@@ -111,7 +111,7 @@ def test_overview_is_the_picture_of_the_line(store: Path) -> None:
     assert picture.dims == ("overview_y", "overview_x", "rgb")
     assert picture.dtype == np.uint8
     assert picture.shape == (line.sizes["along_track"], line.sizes["cross_track"], 3)
-    expected = hp.rgb(line[["reflectance"]]).values
+    expected = hp.pictures.rgb(line[["reflectance"]]).values
     np.testing.assert_allclose(picture.values / 255.0, expected, atol=0.51 / 255)
 
 
@@ -188,7 +188,7 @@ def test_radiance_needs_no_irradiance(collect: Path, tmp_path: Path) -> None:
     text = collect.read_text()
     start, stop = text.index("[irradiance]"), text.index("[[flightlines]]")
     collect.write_text(text[:start] + text[stop:])
-    with pytest.raises(hp.CollectError, match="irradiance"):
+    with pytest.raises(hp.errors.CollectError, match="irradiance"):
         hp.process(collect, tmp_path / "lot.zarr")
     assert not (tmp_path / "lot.zarr").exists()
     out = hp.process(collect, tmp_path / "lot.zarr", to="radiance")
@@ -216,7 +216,7 @@ def test_values_that_cannot_be_are_found_before_writing(
         raise hp.SchemaError(msg)
 
     monkeypatch.setattr("hyperpaint.radiometry.counts_to_reflectance.make_plan", refuse)
-    with pytest.raises(hp.CollectError, match="the gain cannot be") as caught:
+    with pytest.raises(hp.errors.CollectError, match="the gain cannot be") as caught:
         hp.process(collect, tmp_path / "lot.zarr")
     assert str(caught.value).count("the gain cannot be") == 2  # one for each line
     assert not (tmp_path / "lot.zarr").exists()
@@ -255,7 +255,7 @@ def test_a_cluster_gives_the_same_bits(collect: Path, store: Path, tmp_path: Pat
 
 def test_a_wrong_address_is_one_error(collect: Path, tmp_path: Path) -> None:
     pytest.importorskip("distributed")
-    with pytest.raises(hp.CollectError, match="no dask scheduler answers at 'nonsense'"):
+    with pytest.raises(hp.errors.CollectError, match="no dask scheduler answers at 'nonsense'"):
         hp.process(collect, tmp_path / "lot.zarr", scheduler="nonsense")
 
 

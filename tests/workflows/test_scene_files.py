@@ -9,8 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
-from hypothesis import strategies as st
+from hypothesis import HealthCheck, given, settings, strategies as st
 
 from hyperpaint.base.errors import FormatError, SchemaError
 from hyperpaint.io.spectrometers.spectrum_csv import read_spectrum_csv

@@ -11,8 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 import xarray as xr
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 from support.dirsig_exports import BANDS, NM, files, library, strict_ems
 
 import hyperpaint as hp

@@ -6,8 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 from hyperpaint.base.errors import FormatError, SchemaError
 from hyperpaint.io.dirsig import open_emissivity, read_emissivity, read_reflectance_text

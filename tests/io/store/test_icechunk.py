@@ -61,7 +61,7 @@ def computed(line: xr.Dataset) -> xr.Dataset:
 
 
 def write(product: xr.Dataset, session: Any, **options: Any) -> None:
-    encoding = hp.encoding(product)
+    encoding = hp.io.encoding(product)
     product.to_zarr(session.store, group=PRODUCT, mode="w", encoding=encoding, consolidated=False, **options)
 
 
@@ -141,7 +141,7 @@ session = repository.writable_session("main")
 line = xr.open_zarr(session.store, group=sys.argv[2], consolidated=False)
 product = line.paint.reflectance()[["reflectance", "quality"]].reset_coords(drop=True)
 product.to_zarr(
-    session.store, group="products/raw_0", encoding=hp.encoding(product), consolidated=False, compute=False
+    session.store, group="products/raw_0", encoding=hp.io.encoding(product), consolidated=False, compute=False
 )
 product.isel(along_track=slice(32)).to_zarr(
     session.store, group="products/raw_0", region={"along_track": slice(0, 32)}, consolidated=False
@@ -165,7 +165,7 @@ def test_a_killed_writer_leaves_the_older_commit(plain: Path, tmp_path: Path) ->
     assert "products" not in zarr.open_group(again.readonly_session("main").store, mode="r")
 
 
-@pytest.mark.parametrize("protected", [True, False], ids=["hyperpaint.encoding", "default"])
+@pytest.mark.parametrize("protected", [True, False], ids=["hyperpaint.io.encoding", "default"])
 def test_only_our_codec_tells_a_flipped_bit(plain: Path, tmp_path: Path, protected: bool) -> None:
     # noise does not compress, so that nearly every bit is a sample's
     noise = np.random.default_rng(7).integers(0, 2**32, (64, 12, 16), dtype=np.uint32).view(np.float32)
@@ -173,7 +173,9 @@ def test_only_our_codec_tells_a_flipped_bit(plain: Path, tmp_path: Path, protect
     folder = tmp_path / "lot.icechunk"
     repository = icechunk.Repository.create(icechunk.local_filesystem_storage(str(folder)))
     session = repository.writable_session("main")
-    product.to_zarr(session.store, encoding=hp.encoding(product) if protected else None, consolidated=False)
+    product.to_zarr(
+        session.store, encoding=hp.io.encoding(product) if protected else None, consolidated=False
+    )
     session.commit("product")
     session = repository.readonly_session("main")
     chunk = max((folder / "chunks").iterdir(), key=lambda file: file.stat().st_size)

@@ -17,8 +17,7 @@ import pytest
 import xarray as xr
 
 from hyperpaint.base.errors import StoreError
-from hyperpaint.io.store import is_complete, open_store, stage, to_store, verify
-from hyperpaint.io.store import lock as locks
+from hyperpaint.io.store import is_complete, lock as locks, open_store, stage, to_store, verify
 from hyperpaint.io.store.stage import Staging, staging
 from hyperpaint.io.store.swap import exchange
 

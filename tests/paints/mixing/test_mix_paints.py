@@ -9,8 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 import xarray as xr
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 from support.library_examples import make_library
 
 import hyperpaint as hp
@@ -35,21 +34,21 @@ def library_of(spectra: dict[str, list[float]], mirror: str | None = "excluded")
 
 @pytest.fixture(scope="module")
 def paints() -> xr.Dataset:
-    return hp.starter_library(members=6)
+    return hp.paints.starter_library(members=6)
 
 
 def test_a_mixture_by_hand() -> None:
     # without an interface: R = 0.5 has K/S 0.25, R = 0.2 has 1.6; a half of each 0.925
     library = library_of({"a": [0.5, 0.5], "b": [0.2, 0.5]})
-    made = hp.mix_paints(library, {"c": {"a": 1.0, "b": 1.0}}, k1=0.0, k2=0.0)
+    made = hp.paints.mix_paints(library, {"c": {"a": 1.0, "b": 1.0}}, k1=0.0, k2=0.0)
     expected = [1.925 - np.sqrt(1.925**2 - 1.0), 0.5]
     np.testing.assert_allclose(made.reflectance.values[0], expected, rtol=1e-6)
 
 
 def test_scattering_weighs_duncans_sums() -> None:
     library = library_of({"a": [0.5, 0.4], "b": [0.2, 0.5]})
-    thrice = hp.mix_paints(library, {"c": {"a": 1, "b": 1}}, scattering={"a": 3.0})
-    parts = hp.mix_paints(library, {"c": {"a": 3, "b": 1}})
+    thrice = hp.paints.mix_paints(library, {"c": {"a": 1, "b": 1}}, scattering={"a": 3.0})
+    parts = hp.paints.mix_paints(library, {"c": {"a": 3, "b": 1}})
     np.testing.assert_array_equal(thrice.reflectance, parts.reflectance)
     assert thrice.attrs["scattering"] == "a 3"
     assert json.loads(thrice.weights.item()) == [0.5, 0.5]
@@ -61,7 +60,7 @@ def test_mirrored_light_is_taken_off_and_put_back(mirror: str) -> None:
     offset = 0.04 if mirror == "included" else 0.0
     seen = Interface().seen(layers) + offset
     library = library_of({"a": seen[0].tolist(), "b": seen[1].tolist()}, mirror)
-    made = hp.mix_paints(library, {"c": {"a": 3, "b": 1}})
+    made = hp.paints.mix_paints(library, {"c": {"a": 3, "b": 1}})
     ratio = np.array([0.75, 0.25]) @ absorption_to_scattering(layers)
     expected = Interface().seen(thick_layer_reflectance(ratio)) + offset
     np.testing.assert_allclose(made.reflectance.values[0], expected, rtol=1e-6)
@@ -69,14 +68,16 @@ def test_mirrored_light_is_taken_off_and_put_back(mirror: str) -> None:
 
 
 def test_linear_mixing_is_a_mean(paints: xr.Dataset) -> None:
-    made = hp.mix_paints(paints, {"pink": {WHITE: 3, RED: 1}}, method="linear")
+    made = hp.paints.mix_paints(paints, {"pink": {WHITE: 3, RED: 1}}, method="linear")
     own = paints.reflectance.values.astype(np.float64)
     np.testing.assert_allclose(made.reflectance.values[0], 0.75 * own[0] + 0.25 * own[5], rtol=1e-6)
 
 
 def test_pigments_darken_more_than_areas(paints: xr.Dataset) -> None:
     recipe = {"grey": {WHITE: 0.9, BLACK: 0.1}}
-    pot, side = (hp.mix_paints(paints, recipe, method=m).reflectance for m in ("kubelka-munk", "linear"))
+    pot, side = (
+        hp.paints.mix_paints(paints, recipe, method=m).reflectance for m in ("kubelka-munk", "linear")
+    )
     assert (pot <= side + 1e-6).all()
     assert float(pot.mean()) < 0.3 * float(side.mean())
 
@@ -90,7 +91,7 @@ def test_pigments_darken_more_than_areas(paints: xr.Dataset) -> None:
 @pytest.mark.filterwarnings("ignore:.*darker than any layer:hyperpaint.base.errors.PaintWarning")
 def test_mixtures_lie_between_their_parents(first: list[float], second: list[float], share: float) -> None:
     library = library_of({"a": first, "b": second})
-    made = hp.mix_paints(library, {"c": {"a": share, "b": 1.0}}).reflectance.values[0]
+    made = hp.paints.mix_paints(library, {"c": {"a": share, "b": 1.0}}).reflectance.values[0]
     low = np.minimum(*library.reflectance.values) - 1e-6
     high = np.maximum(*library.reflectance.values) + 1e-6
     # what no layer can have is replaced: blacker than a thousandth, brighter than 1 - k1
@@ -98,7 +99,7 @@ def test_mixtures_lie_between_their_parents(first: list[float], second: list[flo
 
 
 def test_one_parent_alone_is_itself_and_members_go_along(paints: xr.Dataset) -> None:
-    made = hp.mix_paints(paints, {"same": {RED: 2.0, WHITE: 0.0}})
+    made = hp.paints.mix_paints(paints, {"same": {RED: 2.0, WHITE: 0.0}})
     np.testing.assert_allclose(made.reflectance[0], paints.reflectance[5], rtol=2e-6)
     np.testing.assert_allclose(made.member_reflectance[0], paints.member_reflectance[5], rtol=2e-6)
     np.testing.assert_allclose(made.reflectance_sd[0], paints.reflectance_sd[5], rtol=1e-3, atol=1e-7)
@@ -106,7 +107,7 @@ def test_one_parent_alone_is_itself_and_members_go_along(paints: xr.Dataset) -> 
 
 
 def test_provenance_is_told_and_survives_stores(paints: xr.Dataset, tmp_path: Path) -> None:
-    made = hp.mix_paints(paints, {"Grün, hell": {WHITE: 2, "Synthetic Arctic Green": 1}})
+    made = hp.paints.mix_paints(paints, {"Grün, hell": {WHITE: 2, "Synthetic Arctic Green": 1}})
     assert made.provenance.item() == made.attrs["provenance"] == "synthetic"
     assert json.loads(made.parents.item()) == [WHITE, "Synthetic Arctic Green"]
     assert json.loads(made.weights.item()) == pytest.approx([2 / 3, 1 / 3])
@@ -121,7 +122,7 @@ def test_provenance_is_told_and_survives_stores(paints: xr.Dataset, tmp_path: Pa
 
 def test_a_missing_band_of_a_parent_is_missing() -> None:
     library = library_of({"a": [0.5, np.nan, 0.5], "b": [0.2, 0.3, 0.4], "c": [0.1, 0.1, 0.1]})
-    made = hp.mix_paints(library, {"ab": {"a": 1, "b": 1}, "bc": {"a": 0, "b": 1, "c": 1}})
+    made = hp.paints.mix_paints(library, {"ab": {"a": 1, "b": 1}, "bc": {"a": 0, "b": 1, "c": 1}})
     assert np.isnan(made.reflectance.values).tolist() == [[False, True, False], [False] * 3]
 
 
@@ -129,14 +130,14 @@ def test_percent_and_any_order_of_dims_are_taken() -> None:
     library = library_of({"a": [0.5, 0.4], "b": [0.2, 0.5]})
     turned = (library * 100.0).transpose("band", "paint")
     turned["reflectance"].attrs = {"units": "percent", "mirror_reflection": "excluded"}
-    made, other = (hp.mix_paints(one, {"c": {"a": 1, "b": 1}}) for one in (library, turned))
+    made, other = (hp.paints.mix_paints(one, {"c": {"a": 1, "b": 1}}) for one in (library, turned))
     np.testing.assert_allclose(made.reflectance, other.reflectance, rtol=1e-6)
 
 
 def test_what_cannot_be_mixed_is_refused_all_at_once() -> None:
     twins = make_library()
     with pytest.raises(SchemaError) as told:
-        hp.mix_paints(
+        hp.paints.mix_paints(
             twins,
             {"x": {"Grün": 1.0}, "y": {"red, mat": 1.0}, "z": {"red, matt": -1.0}, "w": {}},
             method="magic",  # type: ignore[arg-type]
@@ -164,21 +165,21 @@ def test_what_cannot_be_mixed_is_refused_all_at_once() -> None:
 def test_impossible_coats_are_refused(options: dict[str, Any], text: str) -> None:
     library = library_of({"a": [0.5, 0.4], "b": [0.2, 0.5]})
     with pytest.raises(SchemaError, match=text):
-        hp.mix_paints(library, {"c": {"a": 1, "b": 1}}, **options)
+        hp.paints.mix_paints(library, {"c": {"a": 1, "b": 1}}, **options)
 
 
 def test_less_light_than_the_coat_mirrors_is_refused_with_a_way_out() -> None:
     field = library_of({"black": [0.03, 0.02], "white": [0.8, 0.8]}, "included")
     with pytest.raises(SchemaError, match=r"(?s)100% of 'black'.*pass mirrored="):
-        hp.mix_paints(field, {"grey": {"black": 1, "white": 9}})
-    made = hp.mix_paints(field, {"grey": {"black": 1, "white": 9}}, mirrored=[0.016, 0.004])
+        hp.paints.mix_paints(field, {"grey": {"black": 1, "white": 9}})
+    made = hp.paints.mix_paints(field, {"grey": {"black": 1, "white": 9}}, mirrored=[0.016, 0.004])
     assert (made.reflectance > 0.02).all()
 
 
 def test_noise_below_black_and_above_white_is_replaced_with_a_warning() -> None:
     library = library_of({"black": [-0.01, 0.02, 0.02], "white": [0.8, 0.99, 0.8]})
     with pytest.warns(PaintWarning, match="1 of 6 reflectances are darker .* 1 brighter"):
-        made = hp.mix_paints(library, {"grey": {"black": 1, "white": 9}})
+        made = hp.paints.mix_paints(library, {"grey": {"black": 1, "white": 9}})
     assert ((made.reflectance > 0.0) & (made.reflectance < 1.0)).all()
 
 
@@ -187,7 +188,7 @@ def test_noise_below_black_and_above_white_is_replaced_with_a_warning() -> None:
 
 def test_depths_multiply_absorption(paints: xr.Dataset) -> None:
     red = paints.isel(paint=[5])
-    ladder = hp.shade_paints(red, [0.25, 1.0, 4.0])
+    ladder = hp.paints.shade_paints(red, [0.25, 1.0, 4.0])
     assert ladder["paint"].values.tolist() == [f"{RED} x {depth}" for depth in ("0.25", "1", "4")]
     assert ladder.depth.values.tolist() == [0.25, 1.0, 4.0]
     np.testing.assert_allclose(ladder.reflectance[1], red.reflectance[0], rtol=2e-6)
@@ -199,15 +200,15 @@ def test_depths_multiply_absorption(paints: xr.Dataset) -> None:
 
 def test_a_tint_is_a_mixture_with_what_absorbs_nothing() -> None:
     library = library_of({"a": [0.5, 0.3], "ideal": [0.96, 0.96]})
-    tint = hp.shade_paints(library.isel(paint=[0]), [0.1])
-    mixed = hp.mix_paints(library, {"m": {"a": 1, "ideal": 9}})
+    tint = hp.paints.shade_paints(library.isel(paint=[0]), [0.1])
+    mixed = hp.paints.mix_paints(library, {"m": {"a": 1, "ideal": 9}})
     np.testing.assert_allclose(tint.reflectance, mixed.reflectance, rtol=1e-5)
 
 
 @pytest.mark.parametrize("depths", [[], [0.0], [np.nan], 2.0])
 def test_depths_that_cannot_be(paints: xr.Dataset, depths: Any) -> None:
     with pytest.raises(SchemaError, match="numbers above 0"):
-        hp.shade_paints(paints, depths)
+        hp.paints.shade_paints(paints, depths)
 
 
 # --- members, and units ---
@@ -225,7 +226,7 @@ def with_members(counts: dict[str, list[int]], members: int = 4) -> xr.Dataset:
 
 def test_every_paint_keeps_its_own_members() -> None:
     library = with_members({"all": [0, 1, 2, 3], "two": [0, 2], "none": [], "late": [2, 3]})
-    shades = hp.shade_paints(library, [1.0])
+    shades = hp.paints.shade_paints(library, [1.0])
     held = np.isfinite(shades.member_reflectance.values).all(axis=2)
     assert held.sum(axis=1).tolist() == [4, 2, 0, 2]
     # padding comes last
@@ -243,21 +244,23 @@ def test_every_paint_keeps_its_own_members() -> None:
 def test_members_without_a_partner_are_left_out_with_a_warning(method: Any) -> None:
     library = with_members({"all": [0, 1, 2, 3], "two": [0, 2], "late": [2, 3], "none": []})
     recipes = {"a": {"all": 1.0}, "b": {"two": 1.0, "late": 3.0}, "c": {"all": 1.0, "two": 0.0}}
-    mixed = hp.mix_paints(library, recipes, method=method)
+    mixed = hp.paints.mix_paints(library, recipes, method=method)
     assert np.isfinite(mixed.member_reflectance.values).all(axis=2).sum(axis=1).tolist() == [4, 2, 4]
     assert np.isfinite(mixed.reflectance_sd).all()
     with pytest.warns(PaintWarning, match="2 members of the parents of 1 of 2 paints have no partner"):
-        mixed = hp.mix_paints(library, {"a": {"all": 1.0}, "d": {"all": 1.0, "two": 1.0}}, method=method)
+        mixed = hp.paints.mix_paints(
+            library, {"a": {"all": 1.0}, "d": {"all": 1.0, "two": 1.0}}, method=method
+        )
     assert np.isfinite(mixed.member_reflectance.values).all(axis=2).sum(axis=1).tolist() == [4, 2]
     with pytest.warns(PaintWarning, match="no partner"):
-        alone = hp.mix_paints(library, {"e": {"all": 1.0, "none": 1.0}}, method=method)
+        alone = hp.paints.mix_paints(library, {"e": {"all": 1.0, "none": 1.0}}, method=method)
     assert "member_reflectance" not in alone
 
 
 def test_areas_that_cannot_be_are_clipped_with_a_warning() -> None:
     library = library_of({"a": [1.2, 0.5, np.nan], "b": [-0.02, 0.5, 0.5]})
     with pytest.warns(PaintWarning, match="2 of 5 reflectances are outside 0 to 1"):
-        mixed = hp.mix_paints(library, {"x": {"a": 1.0}, "y": {"b": 1.0}}, method="linear")
+        mixed = hp.paints.mix_paints(library, {"x": {"a": 1.0}, "y": {"b": 1.0}}, method="linear")
     np.testing.assert_array_equal(mixed.reflectance, np.float32([[1.0, 0.5, np.nan], [0.0, 0.5, 0.5]]))
 
 
@@ -265,7 +268,7 @@ def test_a_coat_in_percent_is_converted(paints: xr.Dataset) -> None:
     percent = paints.assign(
         specular_reflectance=(100.0 * paints.specular_reflectance).assign_attrs(units="%")
     )
-    mixed = hp.mix_paints(percent, {"same": {RED: 1.0}})
-    shades = hp.shade_paints(percent.isel(paint=[5]), [1.0])
+    mixed = hp.paints.mix_paints(percent, {"same": {RED: 1.0}})
+    shades = hp.paints.shade_paints(percent.isel(paint=[5]), [1.0])
     for made in (mixed, shades):
         np.testing.assert_allclose(made.specular_reflectance[0], paints.specular_reflectance[5], rtol=1e-5)

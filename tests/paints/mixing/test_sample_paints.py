@@ -81,17 +81,19 @@ def test_variants_stay_between_nothing_and_all(level: float) -> None:
 
 def test_a_paint_has_its_own_variants_whatever_is_beside_it() -> None:
     both = library_of(population(), population(seed=5))
-    drawn, alone = hp.sample_paints(both, 12), hp.sample_paints(both.isel(paint=[1]), 12)
+    drawn, alone = hp.paints.sample_paints(both, 12), hp.paints.sample_paints(both.isel(paint=[1]), 12)
     np.testing.assert_array_equal(drawn.member_reflectance[1], alone.member_reflectance[0])
-    np.testing.assert_array_equal(hp.sample_paints(both, 12).member_reflectance, drawn.member_reflectance)
-    other = hp.sample_paints(both, 12, seed=1)
+    np.testing.assert_array_equal(
+        hp.paints.sample_paints(both, 12).member_reflectance, drawn.member_reflectance
+    )
+    other = hp.paints.sample_paints(both, 12, seed=1)
     assert not np.array_equal(other.member_reflectance, drawn.member_reflectance)
 
 
 def test_members_and_paints_are_the_same_draws() -> None:
     library = library_of(population(), population(seed=5))
     library["reflectance"].attrs["mirror_reflection"] = "included"
-    drawn, paints = (hp.sample_paints(library, 7, form=form) for form in ("members", "paints"))
+    drawn, paints = (hp.paints.sample_paints(library, 7, form=form) for form in ("members", "paints"))
     assert dict(drawn.member_reflectance.sizes) == {"paint": 2, "member": 7, "band": 40}
     np.testing.assert_array_equal(drawn.member_reflectance.values.reshape(14, 40), paints.reflectance)
     np.testing.assert_allclose(drawn.reflectance, drawn.member_reflectance.mean("member"), rtol=1e-5)
@@ -109,7 +111,7 @@ def test_missing_bands_and_members() -> None:
     own[50, 20] = np.nan  # one lacks another
     own[55:] = np.nan  # padding
     with pytest.warns(PaintWarning, match="1 members lack bands"):
-        drawn = hp.sample_paints(library_of(own), 9)
+        drawn = hp.paints.sample_paints(library_of(own), 9)
     assert np.isnan(drawn.member_reflectance.values[0]).any(axis=0).nonzero()[0].tolist() == [5]
 
 
@@ -117,7 +119,7 @@ def test_reflectance_that_cannot_be_is_clipped_with_a_warning() -> None:
     own = population()
     own[3, 4] = 1.2
     with pytest.warns(PaintWarning, match="1 values outside 0 to 1"):
-        drawn = hp.sample_paints(library_of(own), 9)
+        drawn = hp.paints.sample_paints(library_of(own), 9)
     assert float(drawn.member_reflectance.max()) <= 1.0
 
 
@@ -127,14 +129,14 @@ def test_reflectance_that_cannot_be_is_clipped_with_a_warning() -> None:
 )
 def test_options_that_cannot_be(options: dict[str, Any], text: str) -> None:
     with pytest.raises(SchemaError, match=text):
-        hp.sample_paints(library_of(population()), **{"count": 3, **options})
+        hp.paints.sample_paints(library_of(population()), **{"count": 3, **options})
 
 
 def test_a_library_without_a_population_is_refused() -> None:
     with pytest.raises(SchemaError, match="member_reflectance"):
-        hp.sample_paints(hp.starter_library(members=0), 3)
+        hp.paints.sample_paints(hp.paints.starter_library(members=0), 3)
     with pytest.raises(SchemaError, match=r"(?s)'paint 0' has 1 whole members.*'paint 1' has 0"):
-        hp.sample_paints(library_of(population()[:1], np.full((1, 40), np.nan)), 3)
+        hp.paints.sample_paints(library_of(population()[:1], np.full((1, 40), np.nan)), 3)
 
 
 @pytest.mark.parametrize(("level", "noise"), [(0.015, 0.01), (0.02, 0.006), (0.985, 0.01)])
@@ -155,6 +157,6 @@ def test_noise_near_black_and_white_is_kept(level: float, noise: float) -> None:
 def test_a_coat_in_percent_is_converted() -> None:
     library = library_of(population())
     library["specular_reflectance"] = xr.full_like(library.reflectance, 4.0).assign_attrs(units="percent")
-    drawn = hp.sample_paints(library, 3)
+    drawn = hp.paints.sample_paints(library, 3)
     np.testing.assert_allclose(drawn.specular_reflectance, 0.04, rtol=1e-6)
     assert drawn.specular_reflectance.attrs["units"] == "1"

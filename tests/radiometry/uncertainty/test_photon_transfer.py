@@ -61,7 +61,7 @@ def test_what_it_returns_goes_into_reflectance() -> None:
     line = simulate_line(lines=32, bands=48, columns=60).drop_vars(["electrons_per_count", "read_noise"])
     with pytest.raises(SchemaError, match=r"line\.assign\(hp\.estimate_noise\(line\)\)"):
         line.paint.reflectance(uncertainty=True)
-    found = hp.estimate_noise(line)
+    found = hp.radiometry.estimate_noise(line)
     for name, units in (("electrons_per_count", "electron count-1"), ("read_noise", "count")):
         assert found[name].dtype == np.float32
         assert found[name].attrs["units"] == found[f"{name}_u"].attrs["units"] == units

@@ -6,8 +6,7 @@ import itertools
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 from support.transport_scenes import COMPILED, code
 
 from hyperpaint.simulation.transport.codes import SKY, add_path, with_factor, write_paths

@@ -1,0 +1,253 @@
+"""What type checkers see of ``Dataset.paint``; written by tests/support/accessor_stub.py.
+
+xarray lets type checkers take any attribute of a Dataset for anything. To have ``.paint`` completed and
+checked, say once what a dataset is: ``line = cast(PaintDataset, xr.open_zarr(...))``; what its methods return
+is one again. `PaintDataset` exists for type checkers only: import it under ``if TYPE_CHECKING:``.
+"""
+
+from collections.abc import Hashable, Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy.typing as npt
+import xarray as xr
+
+from hyperpaint.alignment.column_means import Progress
+from hyperpaint.alignment.windows import Window
+from hyperpaint.base.attitude_conventions import Convention
+from hyperpaint.base.schema import Quality
+from hyperpaint.geometry.georeference.cameras import PinholeCamera
+from hyperpaint.geometry.georeference.poses import Interpolation
+from hyperpaint.io.store import StoreReport
+from hyperpaint.light.illumination import Tilt
+from hyperpaint.paints.signatures.line_sources import Smoothing
+from hyperpaint.radiometry.counts_to_reflectance import Panel
+from hyperpaint.regions.proposals.proposing import Proposals
+from hyperpaint.simulation.rendering.four_curves import Atmosphere
+from hyperpaint.surroundings.model import SceneModel
+
+METHODS: dict[str, str]
+Dims = Mapping[str, Hashable]
+
+class PaintDataset(xr.Dataset):
+    """A Dataset whose ``.paint`` is known."""
+
+    @property
+    def paint(self) -> PaintAccessor: ...
+
+class PaintAccessor:
+    """Methods on a flight line; each returns something new, lazily unless it says otherwise."""
+
+    def __init__(self, dataset: xr.Dataset) -> None: ...
+    def _repr_html_(self) -> str: ...
+    def verify(self) -> StoreReport:
+        """Read every chunk of the store that the dataset was opened from (eager)."""
+    def quantify(self) -> PaintDataset:
+        """Return a view for pint-xarray users: data variables as Quantities (extra ``units``)."""
+
+    def radiance(self, *, dims: Dims | None = None) -> PaintDataset:
+        """Spectral radiance at the sensor, from raw counts."""
+    def reflectance(
+        self,
+        irradiance: xr.Dataset | None = None,
+        *,
+        uncertainty: bool = False,
+        tilt: Tilt | tuple[float, float] | None = None,
+        panel: Panel | None = None,
+        keep_bits: int | None = None,
+        dims: Dims | None = None,
+    ) -> PaintDataset:
+        """Reflectance factor under the irradiance measured at the time of every line."""
+    def smooth(
+        self, method: str = "savitzky-golay", window: int = 11, *, order: int = 2, dims: Dims | None = None
+    ) -> PaintDataset:
+        """Smooth ``reflectance`` over the bands."""
+    def at(self, wavelength: npt.ArrayLike, *, dims: Dims | None = None) -> PaintDataset:
+        """Return the bands nearest to one or several wavelengths."""
+    def to_nominal(self, *, dims: Dims | None = None) -> PaintDataset:
+        """Return spectra at the nominal wavelengths: the smile taken out."""
+    def align_to_irradiance(
+        self,
+        *,
+        window: Window | Sequence[Window] | None = None,
+        separate: bool = False,
+        lines: slice | None = None,
+        degree: int = 5,
+        group: int = 1,
+        max_shift: float = 2.0,
+        max_uncertainty: float = 0.1,
+        progress: Progress | None = None,
+        dims: Dims | None = None,
+    ) -> PaintDataset:
+        """In-flight spectral calibration: smile and FWHM of every column from the daylight's own lines."""
+    def apply_alignment(
+        self, alignment: xr.Dataset, *, degree: int = 2, fwhm: bool = True, dims: Dims | None = None
+    ) -> PaintDataset:
+        """Return the line with the wavelengths and widths that `hyperpaint.align_to_irradiance` found."""
+    def oxygen_residual(self, *, progress: Progress | None = None, dims: Dims | None = None) -> xr.DataArray:
+        """Return what is left of the oxygen A band in the reflectance of every column."""
+    def survey(
+        self,
+        *,
+        diffuse: Any = "model",
+        sun_zenith: float | None = None,
+        sun_azimuth: float | None = None,
+        heading: float | None = None,
+        reach: int = 120,
+        progress: Progress | bool | None = None,
+        dims: Dims | None = None,
+    ) -> SceneModel:
+        """Look at a whole line once, and return what flags need to know of it."""
+    def flag(
+        self,
+        model: SceneModel | xr.Dataset | None = None,
+        *,
+        glint: float = 0.02,
+        shadow: float = 0.2,
+        adjacency: float = 0.01,
+        edge: int = 1,
+        progress: Progress | bool | None = None,
+        dims: Dims | None = None,
+        **options: Any,
+    ) -> PaintDataset:
+        """Set the bits of glint, shadow, adjacency and mixed edges, and add the layers they are set from."""
+    def remove_mirrored_sky(
+        self,
+        *,
+        strength: float = 0.04,
+        sky_view_factor: float = 1.0,
+        diffuse: Any = "model",
+        sun_zenith: float | None = None,
+        dims: Dims | None = None,
+    ) -> PaintDataset:
+        """Subtract the sky that a clear coat mirrors, as seen from above."""
+    def correct_light(
+        self,
+        *,
+        direct: Any = 1.0,
+        sky_view_factor: Any = 1.0,
+        neighbour_reflectance: float = 0.2,
+        diffuse: Any = "model",
+        sun_zenith: float | None = None,
+        dims: Dims | None = None,
+    ) -> PaintDataset:
+        """Divide by the light that a tilted surface, or one with part of its sky hidden, gets."""
+    def locate(
+        self,
+        *,
+        navigation: xr.Dataset | None = None,
+        boresight: Sequence[float] = (0.0, 0.0, 0.0),
+        lever_arm: Sequence[float] = (0.0, 0.0, 0.0),
+        ground: float | None = None,
+        dem: xr.DataArray | None = None,
+        crs: Any = None,
+        camera: PinholeCamera | xr.Dataset | None = None,
+        clock_offset_s: float = 0.0,
+        convention: Convention | None = None,
+        max_gap_s: float | None = None,
+        interpolation: Interpolation = "linear",
+        dims: Dims | None = None,
+    ) -> PaintDataset:
+        """Add the place on the ground that every pixel shows, and the direction it is seen from."""
+    def orthorectify(
+        self,
+        gsd: float | None = None,
+        *,
+        grid: Literal["flight", "north"] = "flight",
+        variables: Iterable[str] | None = None,
+        method: Literal["nearest", "bilinear"] = "nearest",
+        multi_hit: Literal["nadir", "first", "last"] = "nadir",
+        max_stretch: float = 20.0,
+        tile: int = 256,
+        bounds: Sequence[float] | None = None,
+        progress: Progress | None = None,
+        dims: Dims | None = None,
+        **location: Any,
+    ) -> PaintDataset:
+        """Return a flight line as a map of square cells, with the place of every cell in the line."""
+    def propose_regions(
+        self,
+        model: SceneModel | xr.Dataset | None = None,
+        *,
+        most: int | None = None,
+        min_pixels: int = 40,
+        erode: int = 3,
+        glint: float = 0.02,
+        shadow: float = 0.2,
+        adjacency: float = 0.02,
+        brightness: float = 0.03,
+        angle: float = 5.0,
+        flightline: str = "",
+        name: str = "paint",
+        progress: Progress | bool | None = None,
+        dims: Dims | None = None,
+        **options: Any,
+    ) -> Proposals:
+        """Propose regions of car paint, best first, each with its reasons; and say what is refused, and why."""
+    def signatures(
+        self,
+        regions: Any,
+        *,
+        exclude: Quality | int | None = None,
+        members: int = 256,
+        centre: str = "trimmed_mean",
+        smooth: Smoothing = None,
+        specular_sky: bool = False,
+        sun_zenith: float | None = None,
+        min_pixels: int = 5,
+        seed: int = 0,
+        progress: Progress | None = None,
+        dims: Dims | None = None,
+    ) -> PaintDataset:
+        """Make a paint library: one signature a region, with spread, uncertainty and provenance."""
+    def rgb(self, *, stretch: tuple[float, float] = (2.0, 98.0), dims: Dims | None = None) -> xr.DataArray:
+        """Return a true-colour picture: reflectance through the CIE 1931 observer to sRGB."""
+    def quicklook(
+        self, path: str | Path | None = None, *, lines: int = 1000, dims: Dims | None = None
+    ) -> Any:
+        """Draw a flight line: true colour, quality, irradiance over time."""
+    def spectrum(
+        self,
+        regions: Any = None,
+        *,
+        pixels: Sequence[int] | Sequence[Sequence[int]] | None = None,
+        paints: str | Iterable[str] | None = None,
+        spread: str = "quantiles",
+        exclude: Quality | int | None = None,
+        axes: Any = None,
+        dims: Dims | None = None,
+    ) -> Any:
+        """Draw reflectance over wavelength: of regions or pixels of a flight line, or of the paints of a library."""
+    def triptych(
+        self,
+        region: Any,
+        path: str | Path | None = None,
+        *,
+        exclude: Quality | int | None = None,
+        dims: Dims | None = None,
+    ) -> Any:
+        """Draw one region as counts, as radiance and as reflectance, side by side."""
+    def flag_overlay(
+        self,
+        flags: Quality | str | Iterable[str] | None = None,
+        *,
+        layer: str | None = None,
+        lines: int = 1000,
+        opacity: float = 0.75,
+        axes: Any = None,
+        dims: Dims | None = None,
+    ) -> Any:
+        """Draw flags, or a continuous layer, over the true-colour picture of a flight line."""
+    def relight(
+        self,
+        bands: Any = None,
+        *,
+        paints: Mapping[str, Any] | None = None,
+        atmosphere: Atmosphere | str = "noon",
+        spectra: Mapping[str, Any] | xr.Dataset | None = None,
+        variation: npt.ArrayLike | None = None,
+        truth: bool = True,
+        clip: bool = False,
+        dims: Dims | None = None,
+    ) -> PaintDataset:
+        """Return the radiance of a traced scene under an atmosphere, as a camera's bands see it."""

@@ -1,0 +1,14 @@
+from .picking import pick_regions as pick_regions
+from .plot import (
+    quicklook as quicklook,
+    rgb as rgb,
+)
+from .plot_adjacency import adjacency_figure as adjacency_figure
+from .plot_calibration import calibration_report as calibration_report
+from .plot_flags import flag_overlay as flag_overlay
+from .plot_library import library_overview as library_overview
+from .plot_spectra import (
+    spectrum as spectrum,
+    triptych as triptych,
+)
+from .plot_validation import validation_figure as validation_figure

@@ -1,0 +1,1 @@
+from .store_report import write_report as write_report

@@ -1,0 +1,10 @@
+from .collect import (
+    simulate_collect as simulate_collect,
+    simulate_line as simulate_line,
+)
+from .rendering.relighting import relight as relight
+from .rendering.tracing import trace as trace
+from .settings import SimulationSettings as SimulationSettings
+from .sweep import simulate_sweep as simulate_sweep
+from .sweep_settings import SweepSettings as SweepSettings
+from .sweep_stores import write_sweep as write_sweep
