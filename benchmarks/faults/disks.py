@@ -175,15 +175,15 @@ def store(path: Path, *line: Any) -> None:
 
 def _process(collect: Path, out: Path, delay: float = 0.0) -> None:
     """Process a collect, slowly enough for something to happen meanwhile."""
-    from hyperpaint.io.store import blocks
+    from hyperpaint.io.store import chunks
 
-    plain = blocks.write_chunk
+    plain = chunks.write_chunk
 
     def slow(folder: Path, *rest: Any) -> None:
         time.sleep(delay)
         plain(folder, *rest)
 
-    blocks.write_chunk = slow
+    chunks.write_chunk = slow
     hp.process(collect, out)
 
 

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from hyperpaint.base.arrays import Bools, Floats
+from hyperpaint.base.constants import SATURATION_MARGIN_COUNTS
 from hyperpaint.base.errors import PaintWarning, Problems, SchemaError
 from hyperpaint.base.schema import ALONG_TRACK, BAND, CROSS_TRACK, VARIABLES, label, require
 from hyperpaint.base.units import convert, same_dimension
@@ -17,14 +18,6 @@ from .detector import coefficients_of, linearised
 
 if TYPE_CHECKING:
     import xarray as xr
-
-__all__ = [
-    "anchor_to_radiance",
-    "calibration_from_coefficients",
-    "etendue_from_optics",
-    "etendue_from_pupil",
-    "panel_radiance",
-]
 
 _ELEMENT = (BAND, CROSS_TRACK)
 _NODE_SPACING = 0.25  # nm; over so little the mean of a spectrum over a band is straight
@@ -247,7 +240,7 @@ def _signal(frames: xr.Dataset, calibration: xr.Dataset) -> tuple[Floats, float]
     full = None
     if "saturation_count" in {*frames.variables, *calibration.variables}:
         limit: Any = frames.get("saturation_count", calibration.get("saturation_count"))
-        full = counts >= limit - 16.0
+        full = counts >= limit - float(SATURATION_MARGIN_COUNTS)
         full = full.any(others) if others else full
     mean = counts.astype(np.float64).mean(others) if others else counts.astype(np.float64)
     level = (mean - dark.mean(ALONG_TRACK) if ALONG_TRACK in dark.dims else mean - dark).transpose(*_ELEMENT)

@@ -16,19 +16,6 @@ from hyperpaint.base.schema import BAND, CROSS_TRACK, label
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = [
-    "DarkModel",
-    "coefficients_of",
-    "dark_at",
-    "dark_model",
-    "deviant_darks",
-    "factors_of",
-    "fit_dark_model",
-    "flat_field",
-    "linearised",
-    "linearity",
-]
-
 _ELEMENT = (BAND, CROSS_TRACK)
 _SAME_EXPOSURE = 1e-3
 """Relative difference of exposures below which they count as one: what drivers round to."""

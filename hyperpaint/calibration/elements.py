@@ -1,21 +1,23 @@
-"""Single elements against the lines they stand in: which see no light, and how much the others differ."""
+"""Lines and elements against what all others say: which lie in place, which are cut off, which deviate.
+
+Four parameters cannot be fitted to half a line. For a line at the edge of the array the wavelength map gives
+the place and the neighbours give the width; only the height is fitted, and the area follows.
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
 import numpy as np
+import numpy.typing as npt
 
 from hyperpaint.base.arrays import Bools, Floats
-from hyperpaint.kernels.line_fits import profiles
+from hyperpaint.kernels.line_fits import AREA, profiles
 
 from .lab_sweep import LabSweep
-from .line_fits import Window
+from .line_fits import SHAPES, Window
 from .steps import Lines, Read
-from .wavelength_map import WavelengthMap
-
-__all__ = ["Differences", "deviant_elements", "element_differences"]
-
+from .wavelength_map import WavelengthMap, fit_width
 
 _BRIGHT = 0.12  # of a line's height, from which a dead element would show
 _DEVIANT = 0.5  # of the light of its line, by which such an element is off
@@ -174,3 +176,131 @@ def _split(tally: Floats) -> Differences:
     terms = np.column_stack([signal, square])
     slope, relative = nnls(terms * weight[:, None], found * weight)[0]
     return Differences(float(np.sqrt(relative)), float(slope))
+
+
+_MISPLACED = 0.5  # nm from the wavelength map, beyond which a line's wavelength is not what is said
+
+_ODD = 20.0  # times the step's usual chi2: several dead elements in one line
+_ODD_WIDTH = 0.3  # of the step's usual width
+
+
+def line_wavelengths(lines: Lines, surface: WavelengthMap, pull: Floats) -> Floats:
+    """Return where the map puts the centres of the lines (step, cross_track) [nm], less the slope's pull."""
+    columns = np.arange(lines.centre.shape[1])
+    there = surface.at(np.nan_to_num(lines.centre), columns) - pull[:, None]
+    return np.asarray(np.where(np.isfinite(lines.centre), there, np.nan))
+
+
+def placed_lines(lab: LabSweep, lines: Lines, surface: WavelengthMap, pull: Floats) -> Bools:
+    """Return the good fits (step, cross_track) that are like the others, and lie where the map says."""
+    apart = np.abs(line_wavelengths(lines, surface, pull) - lab.wavelength[:, None])
+    misfit = np.where(lines.trusted, lines.chi2 / lines.degrees, np.nan)
+    width = np.where(lines.trusted, lines.own_width, np.nan)
+    usual, usual_width = np.ones((len(apart), 1)), np.ones((len(apart), 1))
+    rows = lines.trusted.any(axis=1)
+    usual[rows, 0] = np.maximum(np.nanmedian(misfit[rows], axis=1), 1.0)
+    usual_width[rows, 0] = np.nanmedian(width[rows], axis=1)
+    with np.errstate(invalid="ignore"):
+        like_others = (misfit < _ODD * usual) & (np.abs(width / usual_width - 1.0) < _ODD_WIDTH)
+        return np.asarray(like_others & (apart < max(_MISPLACED, 6.0 * surface.residual)))
+
+
+def band_widths(lab: LabSweep, lines: Lines, surface: WavelengthMap, placed: Bools) -> Floats:
+    """Return the camera's own width of every band (band,) [nm] from those of the placed lines."""
+    steps = np.flatnonzero(placed.any(axis=1))
+    spacing = surface.spacing(np.nan_to_num(lines.centre), np.arange(lab.shape[2]))
+    widths = np.where(placed, lines.own_width * spacing, np.nan)[steps]
+    spread = np.where(placed, lines.own_width_u * spacing, np.nan)[steps]
+    return fit_width(
+        lab.wavelength[steps],
+        np.nanmedian(widths, axis=1),
+        np.nanmedian(spread, axis=1) / np.sqrt(placed[steps].sum(axis=1)),
+        surface.at(np.arange(lab.shape[1]), lab.shape[2] // 2),
+    )
+
+
+def at_steps(lab: LabSweep, surface: WavelengthMap, of_bands: Floats) -> Floats:
+    """Return what is known of the bands (band,) at the wavelengths of the steps (step,)."""
+    centre = surface.at(np.arange(lab.shape[1]), lab.shape[2] // 2)
+    order = np.argsort(centre)
+    return np.interp(lab.wavelength, centre[order], of_bands[order])
+
+
+_LEAST_SEEN = 0.3  # of a line's area
+_MAX_EDGE_RESIDUAL = 0.15  # share of a line's height; a larger residual belongs to another line
+_OWN_WIDTH_U = 0.005  # relative uncertainty of the width at the edge, where no line has told it
+
+
+def complete_edge_lines(
+    lab: LabSweep, read: Read, lines: Lines, surface: WavelengthMap, light: Floats, fwhm: Floats, shape: str
+) -> None:
+    """Fit the heights of lines that are cut off by the edge of the array, and mark them as completed.
+
+    Parameters
+    ----------
+    lab, read, lines, surface
+        The sweep and what has been found; ``lines`` is changed.
+    light : (step,)
+        Wavelengths at which the camera sees the lines [nm].
+    fwhm : (step,)
+        The camera's own width there [nm].
+    shape
+        Line shape of the camera.
+    """
+    for step, window in enumerate(read.windows):
+        if window is None:
+            continue
+        cut = (window.first < 0) | (window.first + window.values.shape[1] > lab.shape[1])
+        cut &= ~lines.trusted[step, window.columns] & ~window.saturated
+        if cut.any():
+            centre = surface.band_of(float(light[step]), window.columns)
+            _complete(lab, read, lines, surface, step, window, cut, centre, float(fwhm[step]), shape)
+
+
+def _complete(
+    lab: LabSweep, read: Read, lines: Lines, surface: WavelengthMap, step: int, window: Window,
+    cut: npt.NDArray[np.bool_], centre: Floats, fwhm: float, shape: str,
+) -> None:  # fmt: skip
+    spacing = surface.spacing(centre, window.columns)
+    width, source = fwhm / spacing, lab.width[step] / spacing
+    frames = float(lab.frames[step])
+
+    def profile(moved: float, wider: float) -> Floats:
+        out = np.empty(window.values.shape)
+        distance = window.places - (centre + moved)[:, None]
+        profiles(distance, width * wider, source, SHAPES[shape], lab.triangular, out)
+        return out
+
+    known = np.isfinite(window.values)
+    values = np.where(known, window.values, 0.0)
+    unit = np.where(known, profile(0.0, 1.0), 0.0)
+    variance = read.noise.variance(values, frames) + (1e-4 * values.max(axis=1, keepdims=True)) ** 2
+    weight = np.where(known, 1.0 / np.maximum(variance, 1e-300), 0.0)
+    norm = np.maximum((weight * unit**2).sum(axis=1), 1e-300)
+
+    def area_of(shape_of: Floats) -> Floats:
+        shape_of = np.where(known, shape_of, 0.0)
+        height = (weight * shape_of * values).sum(axis=1)
+        return np.asarray(height / np.maximum((weight * shape_of**2).sum(axis=1), 1e-300))
+
+    fitted = area_of(unit)
+    seen = unit.sum(axis=1)
+    area = values.sum(axis=1) + (1.0 - seen) * fitted
+    # what the place and the width are not known to, the area is not known to either
+    by_place = (1.0 - seen) * (area_of(profile(1e-3, 1.0)) - fitted) / 1e-3
+    by_place -= (profile(1e-3, 1.0) * known - unit).sum(axis=1) * fitted / 1e-3
+    by_width = (1.0 - seen) * (area_of(profile(0.0, 1.0 + 1e-3)) - fitted) / 1e-3
+    by_width -= (profile(0.0, 1.0 + 1e-3) * known - unit).sum(axis=1) * fitted / 1e-3
+    noise = np.where(known, read.noise.variance(values, frames), 0.0).sum(axis=1) + (1.0 - seen) ** 2 / norm
+    total = noise + (by_place * surface.residual / spacing) ** 2 + (by_width * _OWN_WIDTH_U) ** 2
+    apart = np.abs(np.where(known, values - fitted[:, None] * unit, 0.0))
+    height = np.abs(fitted) * profile(0.0, 1.0).max(axis=1)
+    # one free parameter: what is not noise is a dead element, or a line elsewhere
+    far = apart > np.maximum(8.0 * np.sqrt(variance), _MAX_EDGE_RESIDUAL * height[:, None])
+    done = cut & (seen >= _LEAST_SEEN) & (fitted > 0) & np.isfinite(total) & ~far.any(axis=1)
+    at = (step, window.columns[done])
+    lines.area[at] = area[done]
+    lines.area_u[at] = np.sqrt(total[done]) / area[done]
+    lines.centre[at] = centre[done]
+    lines.completed[at] = True
+    lines.covariance[(*at, AREA, AREA)] = total[done]

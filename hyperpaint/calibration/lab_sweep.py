@@ -16,12 +16,6 @@ from .detector import DarkModel, fit_dark_model
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["SATURATION_MARGIN", "LabSweep", "check_sweep", "listed"]
-
-
-SATURATION_MARGIN = 16.0
-"""Counts below ``saturation_count`` from which a sample is not trusted, as in flight."""
-
 _FEWEST_STEPS = 4
 _REQUIRED = ("counts", "dark_counts", "step_wavelength", "exposure_time", "monochromator_fwhm")
 _ABSOLUTE = ("flux", "capture_fraction", "etendue")

@@ -12,6 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hyperpaint.base.arrays import Bools, Floats
+from hyperpaint.base.constants import SATURATION_MARGIN_COUNTS
 from hyperpaint.kernels.line_fits import (
     AREA,
     CENTRE,
@@ -23,11 +24,6 @@ from hyperpaint.kernels.line_fits import (
     full_widths,
     profiles,
 )
-
-from .lab_sweep import SATURATION_MARGIN
-
-__all__ = ["SHAPES", "Fits", "Light", "NoiseModel", "Window", "find_line", "fit_beam", "fit_window"]
-
 
 SHAPES = {"gaussian": GAUSSIAN, "slit": SLIT}
 """Line shapes a sweep can tell apart, and what the kernel calls them."""
@@ -188,7 +184,7 @@ def find_line(net: Floats, raw: Floats, bad: Bools, saturation: Floats | None) -
     values = values - background[:, None]
     full = np.zeros(columns, np.bool_)
     if saturation is not None:
-        limit = np.broadcast_to(saturation, net.shape) - SATURATION_MARGIN
+        limit = np.broadcast_to(saturation, net.shape) - float(SATURATION_MARGIN_COUNTS)
         full = ((raw >= limit)[clipped, across] & inside & np.isfinite(values)).any(axis=1)
     light = np.where(np.isfinite(values).sum(axis=1) >= min(6, bands), np.nansum(values, axis=1), np.nan)
     brightest = _brightest(light)

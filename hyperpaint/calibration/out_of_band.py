@@ -19,15 +19,6 @@ from hyperpaint.base.schema import BAND
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = [
-    "common_offset",
-    "correct_stray_light",
-    "second_order_share",
-    "stray_light_matrix",
-    "wing_in_window",
-]
-
-
 _MOST_AMPLIFIED = 10.0  # sum of a row of the inverse, beyond which the light would be mostly stray
 
 

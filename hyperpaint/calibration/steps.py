@@ -9,14 +9,13 @@ from dataclasses import dataclass, fields
 import numpy as np
 
 from hyperpaint.base.arrays import Bools, Floats
+from hyperpaint.base.constants import QUANTISATION_VARIANCE_COUNT2, SATURATION_MARGIN_COUNTS
 from hyperpaint.base.errors import PaintWarning, SchemaError
 from hyperpaint.kernels.line_fits import CENTRE, GAUSSIAN, WIDTH
 
-from .lab_sweep import SATURATION_MARGIN, LabSweep, listed
+from .lab_sweep import LabSweep, listed
 from .line_fits import Fits, Light, NoiseModel, Window, find_line, fit_window
 from .wavelength_map import WavelengthMap
-
-__all__ = ["FROM_FRAMES", "FROM_SCATTER", "Lines", "Read", "fit_as_seen", "fit_through", "read_lines"]
 
 Tick = Callable[[], None]
 
@@ -26,7 +25,6 @@ FROM_FRAMES, FROM_SCATTER = "variance of the frames", "scatter of the bands off 
 _CLIPPED = 3  # bands of a column that reach the highest count of the sweep: a line does so in one, or two
 _SAME_COUNT = 0.25
 _INSIDE = 0.5  # full widths between a line's centre and the edge of the array, at least
-_QUANTISATION = 1.0 / 12.0  # variance of rounding [count2]
 _SIGNAL_EDGES = np.concatenate([[-np.inf], np.geomspace(2.0, 65536.0, 40), [np.inf]])
 
 
@@ -131,7 +129,7 @@ def read_lines(
         net = linearised(raw - lab.dark.at(float(lab.exposure[step])))
         variance = lab.frame_variance(step)
         if variance is not None:
-            full = lab.saturation is not None and raw >= lab.saturation - SATURATION_MARGIN
+            full = lab.saturation is not None and raw >= lab.saturation - float(SATURATION_MARGIN_COUNTS)
             _count_in(tally, net, variance, bad | full)
         if flat is not None:
             net = net * flat
@@ -177,7 +175,7 @@ def _noise_model(lab: LabSweep, tally: Floats, scatter: list[float]) -> tuple[No
             constant = max(float(constant), 0.0)
             return NoiseModel(constant, float(slope), dark or constant * float(alone)), FROM_FRAMES
     if lab.electrons_per_count is not None:
-        constant = (lab.read_noise or 0.0) ** 2 + _QUANTISATION
+        constant = (lab.read_noise or 0.0) ** 2 + QUANTISATION_VARIANCE_COUNT2
         return NoiseModel(
             constant, 1.0 / lab.electrons_per_count, dark or constant * float(alone)
         ), "as stated"

@@ -1,18 +1,24 @@
-"""What can be derived from a calibration: relative responsivity, external quantum efficiency."""
+"""Derived from a calibration: relative responsivity, quantum efficiency, lines beside their fits."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import SchemaError
-from hyperpaint.base.schema import BAND, CROSS_TRACK, label, require
+from hyperpaint.base.schema import BAND, CROSS_TRACK, STEP, label, require
+from hyperpaint.kernels.line_fits import profiles
+
+from .detector import coefficients_of, deviant_darks, linearised
+from .lab_sweep import LabSweep, check_sweep
+from .line_fits import SHAPES, find_line
 
 if TYPE_CHECKING:
     import xarray as xr
-
-__all__ = ["PLANCK_TIMES_LIGHT", "quantum_efficiency", "relative_responsivity"]
 
 PLANCK_TIMES_LIGHT = 6.62607015e-34 * 2.99792458e8
 """[J m]"""
@@ -100,3 +106,132 @@ def quantum_efficiency(
     photon = PLANCK_TIMES_LIGHT / (found["wavelength"] * 1e-9)
     made = (found["responsivity"] * electrons * photon).median(CROSS_TRACK).transpose(BAND)
     return label(made.astype(np.float64), "quantum_efficiency")
+
+
+_REACH = 1.6  # full widths that are drawn to either side
+_POINTS = 201
+
+
+@dataclass(frozen=True, eq=False)
+class FittedLine:
+    """One line in one column.
+
+    Attributes
+    ----------
+    wavelength
+        Of the monochromator [nm].
+    distance, counts, residual : (sample,)
+        Of the bands near the line: distance from its centre [nm], counts above dark and background, and those
+        less the fit, relative to the line's height. Empty where there is no sweep.
+    curve_distance, curve : (point,)
+        The fit [nm], [count].
+    """
+
+    wavelength: float
+    distance: Floats
+    counts: Floats
+    residual: Floats
+    curve_distance: Floats
+    curve: Floats
+
+
+def fitted_lines(
+    calibration: xr.Dataset, sweep: xr.Dataset | None, steps: Sequence[int], column: int
+) -> list[FittedLine]:
+    """Return some lines of one column with their fits.
+
+    Parameters
+    ----------
+    calibration
+        Of `hyperpaint.calibrate`.
+    sweep
+        That it was made from, of which these steps are read; None for the fits alone.
+    steps
+        Numbers of steps that have a fit in this column.
+    column
+        Number of a column.
+
+    Returns
+    -------
+    list of FittedLine
+
+    Raises
+    ------
+    SchemaError
+        The calibration holds no lines, or the sweep is not whole.
+
+    Examples
+    --------
+    >>> from hyperpaint.calibration import calibrate
+    >>> from hyperpaint.simulation import simulate_sweep
+    >>> sweep = simulate_sweep(steps=13, bands=136, columns=2, noise=False, quantise=False)
+    >>> (line,) = fitted_lines(calibrate(sweep), sweep, [6], 1)
+    >>> line.wavelength, bool(abs(line.residual).max() < 0.01)
+    (700.0, True)
+    """
+    names = ("step_wavelength", "wavelength", "line_band", "line_own_fwhm", "line_amplitude")
+    found = require(calibration, names, "its fitted lines")
+    wavelength = found["wavelength"].to_numpy()
+    spacing = np.gradient(wavelength)
+    lab = None if sweep is None else check_sweep(sweep, absolute=False)
+    made = []
+    for step in steps:
+        at = {STEP: step, CROSS_TRACK: column}
+        centre = float(found["line_band"].isel(at))
+        amplitude = float(found["line_amplitude"].isel(at))
+        own = float(found["line_own_fwhm"].isel(at))
+        across = float(np.interp(centre, np.arange(wavelength.size), spacing))
+        source = calibration.attrs["monochromator_fwhm_nm"] if lab is None else lab.width[step]
+        shape = _Shape(calibration.attrs, own / abs(across), float(source) / abs(across))
+        reach = _REACH * float(np.hypot(own, source)) / abs(across)
+        curve_at = np.linspace(-reach, reach, _POINTS)
+        place, counts = np.empty(0), np.empty(0)
+        if lab is not None:
+            place, counts = _samples(lab, calibration, step, column)
+            near = np.abs(place - centre) <= reach
+            place, counts = place[near] - centre, counts[near]
+        made.append(
+            FittedLine(
+                float(found["step_wavelength"][step]),
+                place * across,
+                counts,
+                counts / amplitude - shape.at(place),
+                curve_at * across,
+                amplitude * shape.at(curve_at),
+            )
+        )
+    return made
+
+
+class _Shape:
+    """The profile of a line of unit height; widths in bands."""
+
+    def __init__(self, attrs: dict[str, object], own: float, source: float) -> None:
+        self._own, self._source = np.array([own]), np.array([source])
+        self._shape = SHAPES[str(attrs["srf_shape"])]
+        self._triangular = attrs["monochromator_shape"] == "triangle"
+        self._peak = float(self._of(np.zeros(1))[0])
+
+    def _of(self, place: Floats) -> Floats:
+        out: Floats = np.empty((1, place.size), np.float64)
+        profiles(place[None], self._own, self._source, self._shape, self._triangular, out)
+        return np.asarray(out[0])
+
+    def at(self, place: Floats) -> Floats:
+        """Return it at distances from the centre [band]."""
+        return np.asarray(self._of(place) / self._peak)
+
+
+def _samples(lab: LabSweep, calibration: xr.Dataset, step: int, column: int) -> tuple[Floats, Floats]:
+    """Return the bands about a line of one column, and their counts above dark and background."""
+    raw = lab.frame(step)
+    dark = lab.dark.at(float(lab.exposure[step]))
+    net = linearised(coefficients_of(calibration.attrs))(raw - dark)
+    if "flat_field" in calibration.variables:
+        net = net * calibration["flat_field"].transpose(BAND, CROSS_TRACK).to_numpy()
+    window = find_line(net, raw, deviant_darks(dark, lab.saturation), lab.saturation)
+    if window is None or column not in window.columns:
+        return np.empty(0), np.empty(0)
+    line = int(np.flatnonzero(window.columns == column)[0])
+    known = np.isfinite(window.values[line])
+    return window.places[line, known], window.values[line, known]

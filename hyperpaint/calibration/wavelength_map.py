@@ -12,9 +12,6 @@ from numpy.polynomial import chebyshev
 from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import SchemaError
 
-__all__ = ["WavelengthMap", "fit_wavelength_map", "fit_width"]
-
-
 BAND_DEGREE = 3
 COLUMN_DEGREES = (0, 1, 2, 3, 4)
 _TUKEY = 4.685  # standard deviations beyond which Tukey's biweight gives no weight

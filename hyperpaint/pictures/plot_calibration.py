@@ -187,7 +187,7 @@ def _draw_lines(
     """Draw counts and fit of a few steps, and what is left of them."""
     from matplotlib import colormaps
 
-    from hyperpaint.calibration.line_samples import fitted_lines
+    from hyperpaint.calibration.views import fitted_lines
 
     usable = np.flatnonzero(values["line_trusted"][:, values["column"]])
     # not the outermost, some of whose light falls beside the array

@@ -82,9 +82,17 @@ def write_calibration(flight: Flight, path: Path) -> None:
         },
     )
     # one chunk each, and everything written: a missing chunk is then a fault
-    encoding = {name: {"chunks": array.shape} for name, array in made.variables.items() if array.ndim}
+    encoding = blosc_encoding(made)
+    for name, array in made.variables.items():
+        encoding[name] |= {"chunks": array.shape} if array.ndim else {}
     made.to_zarr(path, mode="w", zarr_format=3, consolidated=False, encoding=encoding)
     consolidate(path)
+
+
+def blosc_encoding(dataset: xr.Dataset) -> dict[Any, dict[str, Any]]:
+    """Return the encoding of small arrays: zarr's own default, zstd, is none that hyperpaint reads."""
+    codec = BloscCodec(typesize=1, cname="lz4", clevel=5, shuffle="bitshuffle")
+    return {name: {"compressors": [codec]} for name in dataset.variables}
 
 
 def consolidate(path: Path) -> None:
@@ -157,7 +165,9 @@ class TruthStore:
         )
         head = head.assign(_corners(flight))
         time_encoding = {"dtype": "int64", "units": TIME_UNITS, "calendar": "proleptic_gregorian"}
-        head.to_zarr(path, mode="w", zarr_format=3, consolidated=False, encoding={"time": time_encoding})
+        encoding = blosc_encoding(head)
+        encoding["time"] |= time_encoding
+        head.to_zarr(path, mode="w", zarr_format=3, consolidated=False, encoding=encoding)
         group = zarr.open_group(path, mode="r+")
         cube, plane = settings.shape, (settings.lines, settings.columns)
         self._arrays = {

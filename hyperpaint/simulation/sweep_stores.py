@@ -23,7 +23,7 @@ from hyperpaint.base.schema import (
     Variable,
 )
 
-from .stores import consolidate
+from .stores import blosc_encoding, consolidate
 from .sweep import Sweep
 from .sweep_settings import SweepSettings
 
@@ -203,7 +203,9 @@ def store_sweep(sweep: Sweep, path: Path, *, truth: bool = True, progress: Progr
     """Write a sweep where nothing stands yet, and its truth beside it."""
     if truth:
         known = sweep_truth(sweep).assign_attrs(hyperpaint_format=FORMAT_VERSION)
-        known.to_zarr(_truth_beside(path), mode="w", zarr_format=3, consolidated=False)
+        known.to_zarr(
+            _truth_beside(path), mode="w", zarr_format=3, consolidated=False, encoding=blosc_encoding(known)
+        )
         consolidate(_truth_beside(path))
     # xarray writes the small arrays; the cubes are filled step by step and never held whole
     head = xr.Dataset(
@@ -211,7 +213,7 @@ def store_sweep(sweep: Sweep, path: Path, *, truth: bool = True, progress: Progr
         coords={"step_wavelength": _step_wavelength(sweep)},
         attrs={"hyperpaint_format": FORMAT_VERSION, **_attrs(sweep)},
     )
-    head.to_zarr(path, mode="w", zarr_format=3, consolidated=False)
+    head.to_zarr(path, mode="w", zarr_format=3, consolidated=False, encoding=blosc_encoding(head))
     _write_cubes(sweep, path, progress)
     consolidate(path)
 

@@ -95,7 +95,7 @@ def kept_groups(
     from hyperpaint.io.store import is_complete, open_store
     from hyperpaint.io.store.listing import groups_above
     from hyperpaint.io.store.location import Location
-    from hyperpaint.io.store.occupied import problems_above
+    from hyperpaint.io.store.overwriting import problems_above
 
     if not out.exists():
         return []

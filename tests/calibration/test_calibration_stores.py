@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import xarray as xr
 from click.testing import CliRunner
+from support.codecs import plain_zarr
 
 import hyperpaint as hp
 from hyperpaint.base.errors import CollectError, FormatError
@@ -22,9 +23,8 @@ from hyperpaint.simulation import simulate_collect, simulate_sweep
 def lab(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("lab")
     sweep = simulate_sweep(steps=31, bands=136, columns=6, nonuniformity=0)
-    sweep.drop_vars([name for name in sweep.variables if str(name).startswith("true_")]).chunk(
-        step=1
-    ).to_zarr(folder / "sweep.zarr", zarr_format=3, consolidated=False)
+    truth = [name for name in sweep.variables if str(name).startswith("true_")]
+    plain_zarr(sweep.drop_vars(truth).chunk(step=1), folder / "sweep.zarr")
     return folder
 
 
@@ -83,7 +83,7 @@ def test_command_line_says_what_is_wrong(lab: Path, tmp_path: Path) -> None:
 def test_other_stores_are_no_sweeps(tmp_path: Path) -> None:
     with pytest.raises(FormatError, match="no such sweep"):
         open_sweep(tmp_path / "nothing.zarr")
-    xr.Dataset({"a": ("x", [1.0])}).to_zarr(tmp_path / "a.zarr", zarr_format=3, consolidated=False)
+    plain_zarr(xr.Dataset({"a": ("x", [1.0])}), tmp_path / "a.zarr")
     with pytest.raises(FormatError, match=r"no lab sweep: expected 'counts' .* found a"):
         open_sweep(tmp_path / "a.zarr")
 
@@ -95,9 +95,8 @@ def collect(tmp_path_factory: pytest.TempPathFactory) -> Path:
     same = {"bands": 136, "columns": 6, "nonuniformity": 0}
     path = simulate_collect(folder / "c", scene="plan", lines=40, **same)
     sweep = simulate_sweep(**same)
-    sweep.drop_vars([name for name in sweep.variables if str(name).startswith("true_")]).to_zarr(
-        folder / "c" / "lab.zarr", zarr_format=3, consolidated=False
-    )
+    truth = [name for name in sweep.variables if str(name).startswith("true_")]
+    plain_zarr(sweep.drop_vars(truth), folder / "c" / "lab.zarr")
     text = path.read_text()
     assert 'path = "calibration.zarr"' in text
     path.write_text(text.replace('path = "calibration.zarr"', 'sweep = "lab.zarr"'))

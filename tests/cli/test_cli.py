@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 import xarray as xr
 from click.testing import CliRunner, Result
+from support.codecs import plain_zarr
 
 import hyperpaint as hp
 from hyperpaint.cli.program import main
@@ -169,7 +170,7 @@ def _rewrite(folder: Path, change: Callable[[xr.Dataset], xr.Dataset]) -> None:
     path = folder / "calibration.zarr"
     calibration = change(xr.open_zarr(path).load().drop_encoding())
     shutil.rmtree(path)
-    calibration.to_zarr(path, zarr_format=3, consolidated=False)
+    plain_zarr(calibration, path)
 
 
 def _no_exposure(folder: Path) -> str:

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import xarray as xr
+from support.codecs import plain_zarr
 from support.library_examples import make_library
 
 import hyperpaint as hp
@@ -45,14 +46,12 @@ def test_a_damaged_group(tmp_path: Path, line: xr.Dataset) -> None:
 
 
 def test_a_group_that_was_never_finished(tmp_path: Path, line: xr.Dataset) -> None:
-    line.assign_attrs(hyperpaint_version="0.1").to_zarr(
-        tmp_path / "lot.zarr", zarr_format=3, consolidated=False
-    )
+    plain_zarr(line.assign_attrs(hyperpaint_version="0.1"), tmp_path / "lot.zarr")
     assert "NOT COMPLETE: " in describe_path(tmp_path / "lot.zarr")
 
 
 def test_a_store_of_another_program(tmp_path: Path, line: xr.Dataset) -> None:
-    line.to_zarr(tmp_path / "other.zarr", zarr_format=3, consolidated=False)
+    plain_zarr(line, tmp_path / "other.zarr")
     text = describe_path(tmp_path / "other.zarr")
     assert "no completion record (not written by hyperpaint's store writer)" in text
     assert "NOT COMPLETE" not in text

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import xarray as xr
+from support.codecs import plain_zarr
 
 import hyperpaint as hp
 from hyperpaint.base.errors import FormatError
@@ -61,5 +62,5 @@ def test_what_we_wrote_must_be_whole(
 
 
 def test_what_others_wrote_has_no_record(calibration: xr.Dataset, tmp_path: Path) -> None:
-    calibration.to_zarr(tmp_path / "cal.zarr", zarr_format=3, consolidated=False)
+    plain_zarr(calibration, tmp_path / "cal.zarr")
     assert open_calibration(tmp_path / "cal.zarr").attrs["srf_shape"] == "slit"

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from hyperpaint.io.files.file_patterns import is_pattern, matching_files
+from hyperpaint.io.files.reading import is_pattern, matching_files
 
 
 @pytest.fixture

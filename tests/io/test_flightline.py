@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 import xarray as xr
+from support.codecs import plain_zarr
 
 from hyperpaint.base import schema
 from hyperpaint.base.errors import CollectError, FormatError, PaintWarning, SchemaError, TimeError
@@ -372,7 +373,7 @@ def test_calibration_stores(tmp_path: Path, suffix: str) -> None:
     path = tmp_path / f"calibration{suffix}"
     calibration = make_calibration(radiance_gain_u=(ELEMENT, np.ones((BANDS, COLUMNS))))
     if suffix == ".zarr":
-        calibration.to_zarr(path, consolidated=False)
+        plain_zarr(calibration, path)
     else:
         pytest.importorskip("h5netcdf")
         calibration.to_netcdf(path, engine="h5netcdf")

@@ -5,6 +5,7 @@ import random
 import numpy as np
 import pytest
 import xarray as xr
+from support.codecs import plain_zarr
 
 from hyperpaint.base.errors import (
     FormatError,
@@ -390,7 +391,7 @@ def test_store_round_trip(log, tmp_path, name, group):
     if name.endswith(".nc"):
         series.to_netcdf(tmp_path / name, engine="h5netcdf")
     else:
-        series.to_zarr(tmp_path / name, group=group, consolidated=False, zarr_format=3)
+        plain_zarr(series, tmp_path / name, group)
     again = open_irradiance(tmp_path / name)
     for name in ("irradiance", "irradiance_fwhm", "irradiance_max_gap"):
         xr.testing.assert_identical(again[name].drop_encoding(), series[name])

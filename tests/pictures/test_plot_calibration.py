@@ -10,10 +10,11 @@ import numpy as np
 import pytest
 import xarray as xr
 from click.testing import CliRunner
+from support.codecs import plain_zarr
 
 from hyperpaint import calibrate
 from hyperpaint.base.errors import MissingExtraError, PaintWarning, SchemaError
-from hyperpaint.calibration.line_samples import fitted_lines
+from hyperpaint.calibration.views import fitted_lines
 from hyperpaint.cli.program import main
 from hyperpaint.pictures.plot_calibration import calibration_report, check_picture
 from hyperpaint.simulation import simulate_sweep
@@ -170,7 +171,7 @@ def test_without_matplotlib(monkeypatch: pytest.MonkeyPatch, calibration: xr.Dat
 def test_command_line_writes_the_picture(sweep: xr.Dataset, tmp_path: Path) -> None:
     pytest.importorskip("matplotlib")
     known = [name for name in sweep.variables if not str(name).startswith("true_")]
-    sweep[known].to_zarr(tmp_path / "sweep.zarr", zarr_format=3, consolidated=False)
+    plain_zarr(sweep[known], tmp_path / "sweep.zarr")
 
     def call(picture: str) -> Any:
         paths = [str(tmp_path / name) for name in ("sweep.zarr", "cal.zarr", picture)]

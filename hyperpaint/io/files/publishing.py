@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
 from hyperpaint.base.errors import StoreError
-from hyperpaint.io.store.durability import flush_group
+from hyperpaint.io.store.disk import flush_group
 from hyperpaint.io.store.location import sync_folder
 from hyperpaint.io.store.stage import Staging, discard, staging
 

@@ -1,23 +1,39 @@
-"""TOML files as checked tables: every problem noted, nothing opened that a table names."""
+"""TOML files as checked tables: checks of values, every problem noted, no file opened."""
 
 from __future__ import annotations
 
+import datetime
 import difflib
 import os
 import re
 import stat
+import sys
 import tomllib
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
 from hyperpaint.base.errors import FormatError, Problems
 
-from .file_patterns import is_pattern, matching_files
-from .reading import read_limited
-from .toml_checks import Check
+from .reading import is_pattern, matching_files, read_limited
 
-__all__ = ["TableReader", "load_tables", "shown", "suggestion"]
+__all__ = [
+    "Check",
+    "TableReader",
+    "flag",
+    "load_tables",
+    "not_negative",
+    "number",
+    "one_of",
+    "positive",
+    "shown",
+    "suggestion",
+    "table",
+    "text",
+    "texts",
+    "time",
+    "whole",
+]
 
 _MAX_BYTES = 1 << 20
 #: A key of so many parts: tomllib's time for it grows with the square of their number.
@@ -180,3 +196,72 @@ def _is_special(path: Path) -> bool:
     except OSError:
         return False
     return not (stat.S_ISREG(mode) or stat.S_ISDIR(mode))
+
+
+Check = Callable[[Any], str | None]
+"""Takes a value, and returns None where it is good, else what was expected."""
+
+
+def text(value: Any) -> str | None:
+    """Expect text that is not blank."""
+    return None if isinstance(value, str) and value.strip() else "a text"
+
+
+def number(value: Any) -> str | None:
+    """Expect a number; TOML's ``inf`` and ``nan`` are none."""
+    # compared, not converted: a whole number may be larger than any float
+    good = isinstance(value, (int, float)) and not isinstance(value, bool)
+    return None if good and abs(value) <= sys.float_info.max else "a number"
+
+
+def positive(value: Any) -> str | None:
+    """Expect a number above 0."""
+    return None if number(value) is None and value > 0 else "a positive number"
+
+
+def not_negative(value: Any) -> str | None:
+    """Expect a number from 0 on."""
+    return None if number(value) is None and value >= 0 else "a number from 0 on"
+
+
+def whole(least: int, most: int) -> Check:
+    """Expect a whole number between two, both included."""
+
+    def check(value: Any) -> str | None:
+        good = isinstance(value, int) and not isinstance(value, bool) and least <= value <= most
+        return None if good else f"a whole number from {least} to {most}"
+
+    return check
+
+
+def flag(value: Any) -> str | None:
+    """Expect true or false."""
+    return None if isinstance(value, bool) else "true or false"
+
+
+def one_of(*allowed: str) -> Check:
+    """Expect one of these words."""
+
+    def check(value: Any) -> str | None:
+        return (
+            None if isinstance(value, str) and value in allowed else f"one of {', '.join(map(repr, allowed))}"
+        )
+
+    return check
+
+
+def texts(value: Any) -> str | None:
+    """Expect a text, or a list of some."""
+    several = value if isinstance(value, list) and value else [value]
+    return None if all(text(one) is None for one in several) else "a text or a list of texts"
+
+
+def table(value: Any) -> str | None:
+    """Expect a table."""
+    return None if isinstance(value, dict) else "a table of texts"
+
+
+def time(value: Any) -> str | None:
+    """Expect a date or time, or text that spells one."""
+    good = isinstance(value, (str, datetime.date))
+    return None if good else "a date or time"

@@ -13,7 +13,7 @@ import numpy as np
 
 from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import FormatError, Problems, StoreError
-from hyperpaint.io.files.file_patterns import is_pattern, matching_files
+from hyperpaint.io.files.reading import is_pattern, matching_files
 
 from .csv_library import is_csv_library, read_csv_library
 from .ecostress import is_ecostress, read_ecostress

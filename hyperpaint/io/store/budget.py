@@ -27,28 +27,6 @@ from hyperpaint.base.schema import ALONG_TRACK, BAND, CHUNK_LINES, CROSS_TRACK, 
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = [
-    "HELPER_SPACE",
-    "MARGIN",
-    "PROCESS",
-    "RUNNING",
-    "THREAD_SPACE",
-    "USABLE",
-    "WORKER",
-    "Demand",
-    "Load",
-    "available_memory",
-    "check_memory",
-    "fit",
-    "limited_threads",
-    "parse_size",
-    "process_limit",
-    "resident_memory",
-    "size_text",
-    "thread_count",
-    "thread_space",
-]
-
 RUNNING = 100 * 10**6
 """Bytes that kernels, codecs and the writer add to what is resident once a collect is open."""
 
@@ -221,23 +199,23 @@ def fit(
         peaks = [load.peak(lines=lines, threads=threads, fixed=fixed) for load in loads.values()]
         return Demand(lines, threads, int(MARGIN * max(peaks, default=0)) + threads * a_thread * bool(peaks))
 
-    found = demand(lines, threads)
+    plan = demand(lines, threads)
     if limit is None:
-        return found
-    while found.needed > limit and found.lines > CHUNK_LINES:
-        found = demand(max(CHUNK_LINES, found.lines // 2), found.threads)
-    while found.needed > limit and found.threads > least_threads:
-        found = demand(found.lines, found.threads - 1)
-    if found.needed > limit:
-        worst = max(loads, key=lambda name: loads[name].peak(lines=found.lines, threads=1, fixed=fixed))
+        return plan
+    while plan.needed > limit and plan.lines > CHUNK_LINES:
+        plan = demand(max(CHUNK_LINES, plan.lines // 2), plan.threads)
+    while plan.needed > limit and plan.threads > least_threads:
+        plan = demand(plan.lines, plan.threads - 1)
+    if plan.needed > limit:
+        worst = max(loads, key=lambda name: loads[name].peak(lines=plan.lines, threads=1, fixed=fixed))
         mend = "fewer threads a worker, " if least_threads > 1 else ""
         which = "the limit of the address space (ulimit -v)" if a_thread else "the memory limit"
         raise StoreError(
-            f"/{worst} needs {size_text(found.needed)} of memory with {_counted(found.threads, 'thread')} "
-            f"and {found.lines} lines a task, the fewest possible, but {size_text(limit)} may be taken; "
+            f"/{worst} needs {size_text(plan.needed)} of memory with {_counted(plan.threads, 'thread')} "
+            f"and {plan.lines} lines a task, the fewest possible, but {size_text(limit)} may be taken; "
             f"{mend}end other programs, raise {which}, or take a larger machine"
         )
-    return found
+    return plan
 
 
 # --- what there is -----------------------------------------------------------------------------------------
@@ -260,18 +238,18 @@ def parse_size(size: str | int) -> int:
 
     try:
         # without a number dask would take one
-        found = int(parse_bytes(size)) if any(map(str.isdigit, str(size))) else 0
+        number = int(parse_bytes(size)) if any(map(str.isdigit, str(size))) else 0
     except (ValueError, OverflowError, TypeError, AttributeError):
-        found = 0
-    if found <= 0:
+        number = 0
+    if number <= 0:
         raise SchemaError(
             f"{size!r} is no size of memory; expected bytes, or text such as '2 GiB' or '500 MB'"
         )
-    return found
+    return number
 
 
-def available_memory(system: Path = Path("/")) -> int | None:
-    """Return the memory that can still be taken [byte]; None if unknown.
+def available_memory(system: Path = Path("/")) -> int:
+    """Return the memory that can still be taken [byte].
 
     The least of what the machine, its container and the limit of this process's address space leave; of the
     last, what helper threads reserve is taken off first.
@@ -281,18 +259,18 @@ def available_memory(system: Path = Path("/")) -> int | None:
     system
         Where ``proc`` and ``sys`` are.
     """
-    found = [_shared_memory(system), _address_space(system)]
-    return min((max(0, each) for each in found if each is not None), default=None)
+    space = _address_space()
+    shared = _shared_memory(system)
+    return max(0, shared if space is None else min(shared, space))
 
 
-def _shared_memory(system: Path) -> int | None:
+def _shared_memory(system: Path) -> int:
     """Return what the machine and its container leave: other programs take of it as well."""
-    found = [_machine_memory(system), *_container_memory(system)]
-    return min((each for each in found if each is not None), default=None)
+    return min(_machine_memory(), *_container_memory(system))
 
 
-def process_limit(resident: int, limit: int | None = None) -> int | None:
-    """Return the most memory that this process may take [byte]; None for no limit.
+def process_limit(resident: int, limit: int | None = None) -> int:
+    """Return the most memory that this process may take [byte].
 
     Parameters
     ----------
@@ -302,13 +280,10 @@ def process_limit(resident: int, limit: int | None = None) -> int | None:
         Given by the user, in place of `USABLE` of what is available; a limit of the address space, which no
         other program shares, holds besides.
     """
-    shared, space = _shared_memory(Path("/")), _address_space(Path("/"))
-    if limit is None and shared is not None:
-        limit = resident + int(USABLE * max(0, shared))
-    if space is None:
-        return limit
-    most = resident + max(0, space)
-    return most if limit is None else min(limit, most)
+    if limit is None:
+        limit = resident + int(USABLE * max(0, _shared_memory(Path("/"))))
+    space = _address_space()
+    return limit if space is None else min(limit, resident + max(0, space))
 
 
 def thread_space() -> int:
@@ -325,30 +300,31 @@ def _address_limit() -> int | None:
     return None if limit == resource.RLIM_INFINITY else limit
 
 
-def _address_space(system: Path) -> int | None:
-    """Return the address space that is left to slabs; None without a limit, or where its use is not known."""
-    limit, pages = _address_limit(), _read(system / "proc/self/statm").split()
-    if limit is None or not pages:
+def _address_space() -> int | None:
+    """Return the address space that is left to slabs; None without a limit."""
+    limit = _address_limit()
+    if limit is None:
         return None
+    import psutil
+
     # zarr's threads are those of asyncio; what runs already has its space
     running = sum(thread.name.startswith(("asyncio_", "zarr_io")) for thread in threading.enumerate())
     helpers = max(0, min(32, (os.cpu_count() or 1) + 4) + 1 - running)
-    return limit - int(pages[0]) * os.sysconf("SC_PAGE_SIZE") - helpers * HELPER_SPACE
+    return limit - int(psutil.Process().memory_info().vms) - helpers * HELPER_SPACE
 
 
-def _machine_memory(system: Path) -> int | None:
-    # free pages alone would leave out the cache of files, which gives way
-    for line in _read(system / "proc/meminfo").splitlines():
-        if line.startswith("MemAvailable:"):
-            return int(line.split()[1]) * 1024
-    try:
-        return os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
-    except (AttributeError, ValueError, OSError):
-        return None
+def _machine_memory() -> int:
+    import psutil
+
+    # with the cache of files, which gives way
+    return int(psutil.virtual_memory().available)
 
 
 def _container_memory(system: Path) -> Iterable[int]:
-    """Yield what the control groups of this process (version 2 or 1), and those above them, leave."""
+    """Yield what the control groups of this process (version 2 or 1), and those above them, leave.
+
+    psutil knows no control groups, and distributed only the limit of the innermost, not what is left of it.
+    """
     root = system / "sys/fs/cgroup"
     for entry in _read(system / "proc/self/cgroup").splitlines():
         number, _, rest = entry.partition(":")
@@ -383,9 +359,10 @@ def _read(path: Path) -> str:
 
 
 def resident_memory() -> int:
-    """Return the memory this process holds now [byte]; 200 MB where the system does not say."""
-    pages = _read(Path("/proc/self/statm")).split()
-    return int(pages[1]) * os.sysconf("SC_PAGE_SIZE") if len(pages) > 1 else 200 * 10**6
+    """Return the memory this process holds now [byte]."""
+    import psutil
+
+    return int(psutil.Process().memory_info().rss)
 
 
 # --- threads -----------------------------------------------------------------------------------------------
@@ -439,9 +416,8 @@ def check_memory(dataset: xr.Dataset, subject: str) -> int | None:
     """
     cubes = [v for v in dataset.variables.values() if v.chunks and ALONG_TRACK in v.dims and v.ndim > 1]
     available = available_memory()
-    if available is not None:
-        _check_blocks(dataset, available, subject)
-    if not cubes or available is None or not all(v.size for v in cubes):
+    _check_blocks(dataset, available, subject)
+    if not cubes or not all(v.size for v in cubes):
         return None
     length = cubes[0].sizes[ALONG_TRACK]
     a_line = [v.nbytes // length for v in cubes]
@@ -459,7 +435,7 @@ def check_memory(dataset: xr.Dataset, subject: str) -> int | None:
     load = Load(sum(a_line) + alone * max(a_line) // 2, 0, encoded, 0, length)
     resident, threads = resident_memory(), thread_count()
     limit = process_limit(resident)
-    while threads > 1 and limit is not None:
+    while threads > 1:
         peak = load.peak(lines=lines, threads=threads, fixed=resident + RUNNING)
         if MARGIN * peak + threads * thread_space() <= limit:
             break

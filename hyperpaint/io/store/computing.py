@@ -1,8 +1,8 @@
-"""Where blocks are computed: threads or a cluster; what goes wrong there names the block.
+"""Where blocks are computed: on threads or a cluster; errors name the block, a bar shows the progress.
 
 A cluster repeats a task whose worker died, and `RETRIES` times one that raised: a file system shared by many
-nodes fails for a moment now and then. What a block comes to is fetched as soon as it is done, so that the
-death of a worker costs the blocks it had in hand and no other.
+nodes fails for a moment now and then. The result of a block is fetched as soon as it is done, so that the
+death of a worker costs only the blocks it had in hand.
 """
 
 from __future__ import annotations
@@ -11,24 +11,21 @@ import asyncio
 import concurrent.futures
 import contextlib
 import sys
+import time
 import traceback
-from collections.abc import Generator, Iterable, Iterator, Mapping
+from collections.abc import Collection, Generator, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, NoReturn
 
 from hyperpaint.base.errors import PaintError, StoreError
 from hyperpaint.base.schema import ALONG_TRACK
 
-from .progress import BlockBar, bar_over_blocks
-
 if TYPE_CHECKING:
     import dask.array as da
     import numpy as np
     from distributed import Client
 
-    from .blocks import Target
-
-__all__ = ["RETRIES", "client_in_force", "compute", "errors_of_the_cluster"]
+    from .chunks import Target
 
 RETRIES = 3
 """How often a cluster repeats a task that raised an error, before the error counts."""
@@ -270,3 +267,57 @@ def _raise_named(error: BaseException, place: str, hint: str = "") -> NoReturn:
         error.add_note(f"while storing {place}")
         raise error
     raise StoreError(f"cannot store {place}: {told}; {_AGAIN}") from error
+
+
+_WIDTH = 40
+_FEWEST = 0.02  # share that must be done before the rest is guessed
+
+
+class BlockBar:
+    """A bar on stdout, as dask draws it, with the time that is left.
+
+    Parameters
+    ----------
+    total
+        Blocks to do.
+    """
+
+    def __init__(self, total: int) -> None:
+        self._total, self._done, self._shown = total, 0, 0
+        self._begun = time.perf_counter()
+
+    def advance(self, blocks: int = 1) -> None:
+        """Count blocks that are done, and draw."""
+        from dask.utils import format_time
+
+        self._done += blocks
+        elapsed = time.perf_counter() - self._begun
+        share = self._done / max(self._total, 1)
+        bar, percent = "#" * int(_WIDTH * share), int(100 * share)
+        text = f"[{bar:<{_WIDTH}}] | {percent}% Completed | {format_time(elapsed)}"
+        if _FEWEST <= share < 1.0:
+            text += f", {format_time(elapsed / share - elapsed).strip()} left"
+        # what a longer text has left would stay
+        sys.stdout.write(("\r" + " " * self._shown if len(text) < self._shown else "") + "\r" + text)
+        sys.stdout.flush()
+        self._shown = len(text)
+
+
+@contextlib.contextmanager
+def bar_over_blocks(keys: Collection[Any]) -> Iterator[None]:
+    """Draw a bar while dask computes these keys in this process; an error is told below the bar."""
+    from dask.callbacks import Callback
+
+    bar, wanted = BlockBar(len(keys)), set(keys)
+
+    def count(key: Any, *_: Any) -> None:
+        if key in wanted:
+            bar.advance()
+
+    bar.advance(0)
+    try:
+        with Callback(posttask=count):
+            yield
+    finally:
+        sys.stdout.write("\n")
+        sys.stdout.flush()

@@ -1,12 +1,12 @@
 """What the metadata of a store may say, whoever wrote it: bounded JSON, plain numbers, known codecs.
 
 A store from somebody else is a program for the libraries that read it: its metadata name the codecs that
-are run, and how much memory is allocated for a chunk. Here is what hyperpaint accepts; `frames` holds the
-chunks to it, and `guard` sees to it that nothing is read without both.
+are run, and how much memory is allocated for a chunk. Here is what hyperpaint accepts; `guard` holds the
+chunks to it.
 
-Codecs: ``bytes``, ``transpose``, ``vlen-utf8`` (text only), at most one of ``blosc``, ``zstd`` and ``gzip``,
-and ``crc32c``. Not ``sharding_indexed``, whose index is one more set of offsets to distrust and which
-`to_store` does not write; nothing under ``numcodecs.``, where ``pickle`` lives; no object codec but text's.
+Codecs are those that `layout` writes: ``bytes`` or, for text, ``vlen-utf8``, then ``blosc`` and ``crc32c``,
+of which either may be missing. All others are refused with the advice to use plain `xarray.open_zarr`:
+foreign compressors, ``sharding_indexed``, everything under ``numcodecs.``, where ``pickle`` lives.
 """
 
 from __future__ import annotations
@@ -18,8 +18,6 @@ from dataclasses import dataclass
 from typing import Any, TypeGuard
 
 from hyperpaint.base.errors import IncompleteStoreError, Problems, StoreError
-
-__all__ = ["MOST_JSON_BYTES", "ChunkForm", "array_form", "check_node", "parse_document"]
 
 MOST_JSON_BYTES = 32 * 2**20
 """Bytes of a metadata document: a collect of 60 lines has 2 MB."""
@@ -42,7 +40,6 @@ MOST_TEXT_BYTES = 64 * 2**20
 """Decoded bytes of a chunk of text, whose metadata do not say how long it is."""
 
 _MOST_DIMS = 32
-_MOST_CODECS = 8
 _MOST_NAME = 255
 _MOST_FILL = 4096
 _LARGEST_SIZE = 2**48
@@ -59,10 +56,9 @@ _FIXED_TEXT_TYPES = ("fixed_length_utf32", "null_terminated_bytes")
 _TEXT_TYPES = ("string", "variable_length_utf8")
 _LONGEST_FIXED_TEXT = 2**16
 
-_TO_BYTES = ("bytes", "vlen-utf8")
-COMPRESSORS = ("blosc", "zstd", "gzip")
-_BYTES_TO_BYTES = (*COMPRESSORS, "crc32c")
-_CODECS = ("transpose", *_TO_BYTES, *_BYTES_TO_BYTES)
+_CODECS = ("bytes", "vlen-utf8", "blosc", "crc32c")
+_BYTES_TO_BYTES = ((), ("blosc",), ("crc32c",), ("blosc", "crc32c"))
+_OTHER_READER = "if you trust it, open it with plain xarray.open_zarr, then write it with hyperpaint.to_store"
 
 
 @dataclass(frozen=True)
@@ -77,15 +73,12 @@ class ChunkForm:
         Bytes of a sample; 0 for text, whose samples have no fixed length.
     codecs
         Names of the codecs from bytes to bytes, in the order in which they encode.
-    is_plain
-        Whether what they encode are numbers, little-endian and in C order, as `to_store` stores them.
     """
 
     shape: tuple[int, ...]
     chunk: tuple[int, ...]
     item_bytes: int
     codecs: tuple[str, ...]
-    is_plain: bool = True
 
     @property
     def is_text(self) -> bool:
@@ -209,7 +202,7 @@ def array_form(document: Mapping[str, Any], where: str) -> ChunkForm:
     ...             "chunk_grid": {"name": "regular", "configuration": {"chunk_shape": [32]}}}, "counts")
     Traceback (most recent call last):
     hyperpaint.base.errors.StoreError: counts will not be read:
-      codec 'numcodecs.pickle'; expected bytes, vlen-utf8, transpose, blosc, zstd, gzip or crc32c
+      codec 'numcodecs.pickle', expected those of hyperpaint: bytes (little-endian), then blosc, ...
     """
     problems = Problems(f"{where} will not be read", StoreError)
     item_bytes = _item_bytes(document.get("data_type"), problems)
@@ -222,7 +215,7 @@ def array_form(document: Mapping[str, Any], where: str) -> ChunkForm:
     codecs = _codecs(document.get("codecs"), text=item_bytes == 0, problems=problems)
     _check_others(document, problems)
     if shape is not None and chunk is not None:
-        form = ChunkForm(shape, chunk, item_bytes or 0, codecs, _is_plain_numbers(document))
+        form = ChunkForm(shape, chunk, item_bytes or 0, codecs)
         if item_bytes is not None:
             _check_sizes(form, problems)
         problems.raise_if_any()
@@ -277,40 +270,22 @@ def _item_bytes(data_type: Any, problems: Problems) -> int | None:
 
 def _codecs(entries: Any, *, text: bool, problems: Problems) -> tuple[str, ...]:
     """Return the codecs from bytes to bytes."""
-    if not isinstance(entries, list) or not 1 <= len(entries) <= _MOST_CODECS:
-        problems.add(f"codecs {entries!r:.80}; expected a list of 1 to {_MOST_CODECS}")
+    first = "vlen-utf8" if text else "bytes"
+    expected = f"those of hyperpaint: {first} (little-endian), then blosc, then crc32c"
+    if not isinstance(entries, list) or not 1 <= len(entries) <= 3:
+        problems.add(f"codecs {entries!r:.80}", expected=expected, mend=_OTHER_READER)
         return ()
     named = [_named(entry) for entry in entries]
-    names = [name for name, _ in named]
-    unknown = [str(entries[i])[:60] for i, name in enumerate(names) if not name]
-    unknown += [repr(name)[:60] for name in names if name and name not in _CODECS]
-    for name in unknown:
-        expected = "bytes, vlen-utf8, transpose, blosc, zstd, gzip or crc32c"
-        hint = "; rewrite it in plain chunks" if "sharding" in name else ""
-        problems.add(f"codec {name}; expected {expected}{hint}")
-    if unknown:
-        return ()
-    wanted = "vlen-utf8" if text else "bytes"
-    first = next((i for i, name in enumerate(names) if name != "transpose"), len(names))
-    after = tuple(names[first + 1 :])
-    if names[first : first + 1] != [wanted] or not set(after) <= set(_BYTES_TO_BYTES):
-        problems.add(
-            f"codecs {', '.join(names)}; expected [transpose,] {wanted}, then a compressor and crc32c"
-        )
-    elif sum(name in COMPRESSORS for name in after) > 1:
-        problems.add(f"codecs {', '.join(names)}; expected at most one compressor")
+    names = tuple(name for name, _ in named)
+    for entry, name in zip(entries, names, strict=True):
+        if name not in _CODECS:
+            problems.add(f"codec {name or entry!r:.60}", expected=expected, mend=_OTHER_READER)
+            return ()
+    if names[0] != first or names[1:] not in _BYTES_TO_BYTES or named[0][1].get("endian") == "big":
+        problems.add(f"codecs {', '.join(names)}", expected=expected, mend=_OTHER_READER)
     if wrong := [name for name, configuration in named if not _is_plain(configuration)]:
-        problems.add(f"configuration of codec {', '.join(wrong)}; expected numbers, names and short lists")
-    return after
-
-
-def _is_plain_numbers(document: Mapping[str, Any]) -> bool:
-    """Tell whether chunks hold numbers in little-endian C order under their compressor."""
-    kind, _ = _named(document.get("data_type"))
-    entries = document.get("codecs")
-    name, configuration = _named(entries[0]) if isinstance(entries, list) and entries else ("", {})
-    known = kind in (*_ITEM_BYTES, *_TIME_TYPES)
-    return known and name == "bytes" and configuration.get("endian", "little") == "little"
+        problems.add(f"configuration of codec {', '.join(wrong)}", expected="numbers, names and short lists")
+    return names[1:]
 
 
 def _is_plain(configuration: Mapping[str, Any]) -> bool:

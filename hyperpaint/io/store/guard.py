@@ -1,10 +1,10 @@
 """Zarr stores that hand out nothing unchecked: metadata, chunks and the paths to them.
 
-`xarray` and `zarr` read through these as through any store. Metadata pass `documents`, chunks are decoded by
-`frames`, and both are held against the completion record where there is one: each when it is read, so that
-opening stays as cheap as it is and a slab is checked where it is decoded, on a worker too. What is not the
-recorded content, be it damaged, exchanged, stale or of a later version, is never handed out. A reader that
-opens the same store by its path has none of this.
+`xarray` and `zarr` read through these as through any store. Metadata pass `documents`, chunks pass
+`decode_chunk`, and both are held against the completion record where there is one: each when it is read, so
+that opening stays as cheap as it is and a slab is checked where it is decoded, on a worker too. What is not
+the recorded content, be it damaged, exchanged, stale or of a later version, is never handed out. A reader
+that opens the same store by its path has none of this.
 """
 
 from __future__ import annotations
@@ -22,18 +22,17 @@ from zarr.storage import FsspecStore, LocalStore
 
 from hyperpaint.base.errors import IncompleteStoreError, StoreError
 
-from .blocks import region
-from .documents import MOST_JSON_BYTES, ChunkForm, check_node, parse_document
-from .frames import decode_chunk
+from .chunks import region
+from .documents import MOST_JSON_BYTES, MOST_TEXT_BYTES, ChunkForm, check_node, parse_document
 from .location import METADATA, Location, plain_file
 from .record import COMPLETE, GroupRecord, attributes_checksum, checksum, metadata_checksum, read_seal
 
 if TYPE_CHECKING:
     import numpy as np
 
-__all__ = ["guarded", "stored_codecs"]
-
 _FLOOR = (0, 16, 6)
+_CRC_BYTES = 4
+_BLOSC_HEADER = 16
 #: Zarr 2 keeps its metadata in these: to a guarded reader they do not exist.
 _OLD_METADATA = (".zarray", ".zgroup", ".zattrs", ".zmetadata")
 
@@ -86,6 +85,96 @@ def _check_numcodecs() -> None:
             f"numcodecs {numcodecs.__version__} runs code that a store brings along; "
             "install a newer one: python -m pip install 'numcodecs>=0.16.6'"
         )
+
+
+def decode_chunk(form: ChunkForm, encoded: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
+    """Return an encoded chunk without its compressor and checksum, bounded by what its array declares.
+
+    The decompressor allocates what a frame says it holds: a frame of 32 kB can say 1 GiB. Its header is
+    therefore compared with the array's metadata first (`documents` bounds what those may declare).
+
+    Parameters
+    ----------
+    form
+        Of the array.
+    encoded
+        The chunk as it is stored, uint8.
+
+    Returns
+    -------
+    numpy.ndarray of uint8
+        Its samples, or its texts each after its length (walked through).
+
+    Raises
+    ------
+    StoreError
+        It does not decode to what the array declares, or a checksum in it is wrong.
+    """
+    if encoded.size > form.most_encoded_bytes:
+        raise StoreError(f"{encoded.size} bytes for a chunk that decodes to {form.decoded_bytes}")
+    data = encoded
+    for codec in reversed(form.codecs):
+        data = _without_checksum(data) if codec == "crc32c" else _decompressed(form, data)
+    _check_size(form, data.size)
+    if form.is_text:
+        _check_texts(data.tobytes(), form.items)
+    return data
+
+
+def _check_size(form: ChunkForm, size: int) -> None:
+    if form.is_text:
+        if size > MOST_TEXT_BYTES:
+            raise StoreError(f"it holds {size} bytes of text", expected=f"at most {MOST_TEXT_BYTES}")
+    elif size != form.decoded_bytes:
+        raise StoreError(f"it holds {size} bytes, the array declares {form.decoded_bytes}")
+
+
+def _without_checksum(data: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
+    """Return what is before a crc32c, which must be that of it."""
+    import google_crc32c
+
+    body, stored = data[:-_CRC_BYTES], int.from_bytes(data[-_CRC_BYTES:].tobytes(), "little")
+    computed = int(google_crc32c.value(body))
+    if data.size < _CRC_BYTES or computed != stored:
+        raise StoreError(f"its crc32c is {computed:08x}, stored is {stored:08x}")
+    return body
+
+
+def _decompressed(form: ChunkForm, data: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
+    """Return what a blosc frame holds, once its header declares its own length and the size of the chunk."""
+    import numcodecs
+    import numpy as np
+
+    if data.size < _BLOSC_HEADER:
+        raise StoreError(f"{data.size} bytes are no blosc frame")
+    header = data[:_BLOSC_HEADER].tobytes()
+    size, block, length = (int.from_bytes(header[start : start + 4], "little") for start in (4, 8, 12))
+    if length != data.size:
+        raise StoreError(f"its blosc frame says {length} bytes, there are {data.size}")
+    version, typesize = header[0], header[3]
+    if version not in (1, 2) or typesize == 0 or not (0 < block <= size or size == 0):
+        raise StoreError(
+            f"blosc frame of version {version}, {typesize} bytes a sample, blocks of {block} of {size} bytes"
+        )
+    _check_size(form, size)
+    try:
+        return np.frombuffer(numcodecs.Blosc().decode(data), np.uint8)
+    except Exception as error:  # the library has no class of its own
+        raise StoreError(f"it cannot be decoded ({type(error).__name__}: {error})") from None
+
+
+def _check_texts(plain: bytes, items: int) -> None:
+    """Walk through texts, each after its length, as ``vlen-utf8`` stores them."""
+    count = int.from_bytes(plain[:4], "little")
+    if count != items:
+        raise StoreError(f"it holds {count} texts, the array declares {items}")
+    place = 4
+    for _ in range(items):
+        if place + 4 > len(plain):
+            break
+        place += 4 + int.from_bytes(plain[place : place + 4], "little")
+    if place != len(plain):
+        raise StoreError(f"its {items} texts do not end where the chunk ends")
 
 
 class _Guard:
@@ -188,10 +277,8 @@ class _Guard:
         )
         if form.is_text:
             values = _texts(decoded).reshape(form.chunk)[(*inside, ...)]
-        elif form.is_plain:
+        else:
             values = decoded.reshape(*form.chunk, form.item_bytes)[inside]
-        else:  # big-endian or transposed, which no writer of ours seals
-            return False
         return checksum(values) == array.chunks[int(np.ravel_multi_index(place, array.grid)) if place else 0]
 
     def _not_recorded(self, key: str, state: str) -> IncompleteStoreError:

@@ -22,17 +22,6 @@ if TYPE_CHECKING:
     import numpy as np
     import xarray as xr
 
-__all__ = [
-    "encode_chunk",
-    "encoding",
-    "encoding_of",
-    "fill_value",
-    "is_at_hand",
-    "prepare",
-    "regroup",
-    "storage_chunks",
-]
-
 TILE = 128
 """Cells along each side of a map tile: 18 MB of float32 at 272 bands."""
 

@@ -17,22 +17,6 @@ from hyperpaint.base.schema import FORMAT_VERSION
 from .location import METADATA, Location, sync_folder
 from .record import ATTRIBUTES, COMPLETE, GroupRecord, metadata_checksum, read_record, sealed_attributes
 
-__all__ = [
-    "INPUTS",
-    "VOLATILE_ATTRS",
-    "finish_root",
-    "groups_above",
-    "has_all_chunks",
-    "is_damaged",
-    "is_listed",
-    "make_groups_above",
-    "rebuild_groups",
-    "stamped",
-    "unlist",
-    "version_of_program",
-    "without_known_warnings",
-]
-
 VOLATILE_ATTRS = ("created", "history", "hyperpaint_version", ATTRIBUTES, COMPLETE)
 """Attributes that say when, not what: they do not make another content."""
 

@@ -14,8 +14,6 @@ from hyperpaint.base.errors import IncompleteStoreError, MissingExtraError, Stor
 
 from .documents import MOST_JSON_BYTES, parse_document
 
-__all__ = ["METADATA", "Location", "clean_group", "plain_file", "replace_file", "sync_folder"]
-
 METADATA = "zarr.json"
 
 MOST_DEPTH = 16

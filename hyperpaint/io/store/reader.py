@@ -1,7 +1,7 @@
 """Open stores, and refuse what was never finished, or may not be read at all.
 
 Whoever wrote a store, nothing of it is decoded before its metadata (`documents`) and each chunk as it is read
-(`frames`) have been checked. What only every chunk together can tell, `verification` finds.
+(`guard`) have been checked. What only every chunk together can tell, `verification` finds.
 """
 
 from __future__ import annotations
@@ -17,8 +17,6 @@ from .record import GroupRecord, attributes_checksum, metadata_checksum, read_re
 
 if TYPE_CHECKING:
     import xarray as xr
-
-__all__ = ["is_complete", "list_groups", "load_unverified", "open_store", "open_unverified"]
 
 MOST_LOADED_BYTES = 2**30
 """Bytes of all arrays of a group that is loaded at once."""

@@ -26,21 +26,6 @@ from .location import Location
 if TYPE_CHECKING:
     import numpy as np
 
-__all__ = [
-    "ATTRIBUTES",
-    "CHUNKS",
-    "COMPLETE",
-    "ArrayRecord",
-    "GroupRecord",
-    "attributes_checksum",
-    "checksum",
-    "has_sealed_attributes",
-    "metadata_checksum",
-    "read_record",
-    "read_seal",
-    "sealed_attributes",
-]
-
 CHUNKS = "hyperpaint-chunks.json"
 """File in an array's folder."""
 

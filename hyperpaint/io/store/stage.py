@@ -2,7 +2,7 @@
 
 ``.partial-<store>/`` holds
 
-* ``lock``: who writes, see `lock`;
+* ``lock``: who writes, see `locked`;
 * ``build-<group>-<content>-<attempt>``: a group under construction, a small Zarr store of its own;
 * ``replaced-<group>``: the old group, for the moment between two renames;
 * ``discarded-<number>``: what is being removed.
@@ -22,6 +22,8 @@ import contextlib
 import os
 import re
 import shutil
+import stat
+import time
 import uuid
 from collections.abc import Collection, Iterator
 from pathlib import Path
@@ -29,15 +31,17 @@ from urllib.parse import quote, unquote
 
 from hyperpaint.base.errors import StoreError
 
+from .disk import exchange
 from .listing import groups_above, make_groups_above
 from .location import METADATA, Location, clean_group, sync_folder
-from .lock import locked
 from .record import CHUNKS
-from .swap import exchange
-
-__all__ = ["Staging", "clear_up", "discard", "is_temporary", "staging"]
 
 _ROOT = "%root"
+_PATIENCE_S = 3.0
+"""How long a lock without a record is watched; filelock takes it over after 2 s without a change."""
+_EMPTY_AGE_S = 30.0
+"""Age from which an empty lock is taken for what a power failure left: a writer fills it at once."""
+_TRIES = 20
 #: Half-written metadata, ours and zarr's.
 _TEMPORARY = re.compile(r"\.zarr\.json\.[0-9a-f]{1,32}|zarr\.[0-9a-f]{32}\.partial")
 
@@ -249,6 +253,79 @@ def _quoted(group: str) -> str:
 
 def _build_prefix(group: str, content: str) -> str:
     return f"build-{_quoted(group)}-{content}-"
+
+
+@contextlib.contextmanager
+def locked(lock: Path, store: Path) -> Iterator[None]:
+    """Hold the lock of a store; its folder is made, and removed where it is empty in the end.
+
+    `filelock.SoftFileLock` writes the process, its start and its host into the file, and takes over the
+    lock of a process that has died; a file without such a record it takes over after 2 s without a change.
+
+    Parameters
+    ----------
+    lock
+        The file.
+    store
+        What it stands for, for messages.
+
+    Raises
+    ------
+    StoreError
+        Another writer holds it, or it cannot be seen from here whether that one has died; or it is no file.
+    """
+    import filelock
+
+    # not shared with another call in this process: two writers in two threads exclude each other as well
+    holder = filelock.SoftFileLock(lock, poll_interval=0.05, thread_local=False, is_singleton=False)
+    for _ in range(_TRIES):
+        _refuse_what_is_no_lock(lock, store)
+        lock.parent.mkdir(parents=True, exist_ok=True)
+        try:
+            holder.acquire(timeout=_PATIENCE_S if holder.pid is None else 0.0)
+            break
+        except FileNotFoundError:  # the writer before us has just removed the folder
+            continue
+        except filelock.Timeout:
+            raise _being_written(lock, store) from None
+    else:
+        raise StoreError(
+            f"{store} is being written: {lock} comes and goes; wait for the other writer to finish"
+        )
+    try:
+        yield
+    finally:
+        with contextlib.suppress(OSError):  # a disk may have become read-only
+            holder.release()
+            lock.parent.rmdir()
+
+
+def _refuse_what_is_no_lock(lock: Path, store: Path) -> None:
+    """Refuse a link, folder or pipe in a lock's place; remove the empty file that a power failure left."""
+    with contextlib.suppress(FileNotFoundError):
+        status = os.lstat(lock)
+        if not stat.S_ISREG(status.st_mode):
+            raise StoreError(
+                f"{lock} is a link, a folder or a pipe",
+                expected="the file that a writer leaves there",
+                mend=f"delete it once you know that nobody writes {store}",
+            )
+        if not status.st_size and time.time() - status.st_mtime > _EMPTY_AGE_S:
+            os.unlink(lock)
+
+
+def _being_written(lock: Path, store: Path) -> StoreError:
+    """Return the error that names the process which holds a lock."""
+    try:
+        with open(lock, encoding="utf-8", errors="replace") as file:
+            process, host, *_ = [*file.read(400).splitlines(), "unknown", "unknown"]
+        since = time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime(os.lstat(lock).st_mtime))
+    except OSError:  # it has just finished
+        process, host, since = "unknown", "unknown", "just now"
+    return StoreError(
+        f"{store} is being written by process {process[:80]} on {host[:80]} since {since}",
+        mend=f"wait for it to finish, or delete {lock} once you know that it has died",
+    )
 
 
 @contextlib.contextmanager

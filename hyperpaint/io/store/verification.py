@@ -10,7 +10,7 @@ from typing import Any
 
 from hyperpaint.base.errors import StoreError
 
-from .blocks import region
+from .chunks import region
 from .documents import check_node
 from .location import METADATA, Location
 from .record import (
@@ -23,9 +23,6 @@ from .record import (
     metadata_checksum,
     read_record,
 )
-
-__all__ = ["StoreReport", "verify"]
-
 
 #: Names without a node that are told one by one.
 _MOST_LISTED = 20

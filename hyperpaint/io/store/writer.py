@@ -13,9 +13,10 @@ from typing import TYPE_CHECKING, Any, TypeVar
 from hyperpaint.base.errors import Problems, StoreError
 from hyperpaint.base.schema import FORMAT_VERSION
 
-from . import blocks, computing, layout
+from . import chunks, computing, layout
 from .budget import check_memory, limited_threads
-from .durability import flush_group
+from .chunks import adopt, is_mendable
+from .disk import check_disk, disk_needed, errors_of_the_system, flush_group
 from .listing import (
     INPUTS,
     VOLATILE_ATTRS,
@@ -30,7 +31,7 @@ from .listing import (
     without_known_warnings,
 )
 from .location import METADATA, Location, clean_group
-from .occupied import damaged_groups, occupant, problems_above
+from .overwriting import damaged_groups, is_named_by_content, occupant, problems_above, reads_from
 from .record import (
     CHUNKS,
     COMPLETE,
@@ -40,16 +41,11 @@ from .record import (
     checksum,
     metadata_checksum,
 )
-from .resume import adopt, is_mendable
-from .room import check_disk, disk_needed, errors_of_the_system
-from .sources import is_named_by_content, reads_from
 from .stage import Staging, clear_up, discard, staging
 
 if TYPE_CHECKING:
     import numpy as np
     import xarray as xr
-
-__all__ = ["check_room", "to_store"]
 
 PathT = TypeVar("PathT", str, Path)
 
@@ -372,7 +368,7 @@ def _write_arrays(
 
     dataset = job.dataset
     variables = {str(name): variable for name, variable in dataset.variables.items()}
-    streamed = {name: variable for name, variable in variables.items() if blocks.is_streamed(variable)}
+    streamed = {name: variable for name, variable in variables.items() if chunks.is_streamed(variable)}
     with computing.errors_of_the_cluster(f"cannot store /{job.group}"):
         _write_metadata(dataset.assign_attrs(stamped(dataset.attrs, "to_store")), list(streamed), place.url)
         node = zarr.open_group(place.url, mode="r+", zarr_format=3, use_consolidated=False)
@@ -381,7 +377,7 @@ def _write_arrays(
         }
         known = _taken_up(targets, leftovers)
         lazy = {
-            name: blocks.lazy_checksums(variable, targets[name], known[name])
+            name: chunks.lazy_checksums(variable, targets[name], known[name])
             for name, variable in streamed.items()
         }
         return computing.compute(lazy, targets, group=job.group, progress=progress)
@@ -399,14 +395,14 @@ def _records(
     for name in map(str, dataset.variables):
         array = node[name]
         if name in sums:
-            grid, chunks = sums[name].shape, sums[name].ravel().tolist()
+            grid, checksums = sums[name].shape, sums[name].ravel().tolist()
         else:
             # what xarray wrote is small: it is read again, which also proves that it can be
             grid = tuple(-(-size // step) for size, step in zip(array.shape, array.chunks, strict=True))
-            pieces = (blocks.region(index, array.chunks, array.shape) for index in np.ndindex(grid))
-            chunks = [checksum(np.asarray(array[piece])) for piece in pieces]
+            pieces = (chunks.region(index, array.chunks, array.shape) for index in np.ndindex(grid))
+            checksums = [checksum(np.asarray(array[piece])) for piece in pieces]
         metadata = metadata_checksum(place.metadata("", name) or {})
-        records[name] = ArrayRecord(metadata, grid, tuple(chunks))
+        records[name] = ArrayRecord(metadata, grid, tuple(checksums))
     return records
 
 
@@ -415,14 +411,14 @@ def _chunk_files(dataset: xr.Dataset, folder: Path, arrays: Mapping[str, ArrayRe
     import numpy as np
 
     for name, array in arrays.items():
-        if blocks.is_streamed(dataset.variables[name]):
+        if chunks.is_streamed(dataset.variables[name]):
             for position in np.ndindex(array.grid):
                 yield folder.joinpath(name, "c", *map(str, position))
 
 
-def _target(array: Any, name: str, variable: xr.Variable, place: Location) -> blocks.Target:
+def _target(array: Any, name: str, variable: xr.Variable, place: Location) -> chunks.Target:
     folder = None if place.local is None else place.local / name
-    return blocks.Target(array, folder, array.chunks, layout.fill_value(variable.dtype))
+    return chunks.Target(array, folder, array.chunks, layout.fill_value(variable.dtype))
 
 
 def _writable(node: Any, name: str) -> Any:
@@ -433,7 +429,7 @@ def _writable(node: Any, name: str) -> Any:
 
 
 def _taken_up(
-    targets: Mapping[str, blocks.Target], leftovers: list[Path]
+    targets: Mapping[str, chunks.Target], leftovers: list[Path]
 ) -> dict[str, dict[tuple[int, ...], int]]:
     """Take the finished chunks out of what earlier attempts left; return the checksums of each array's."""
     known: dict[str, dict[tuple[int, ...], int]] = {name: {} for name in targets}
@@ -452,7 +448,7 @@ def _remove_hidden(place: Location) -> None:
 
 def _write_metadata(dataset: xr.Dataset, streamed: list[str], url: str) -> None:
     """Let xarray write the metadata of all variables and the values of those that are not streamed."""
-    holders = {name: blocks.placeholder(dataset.variables[name]) for name in streamed}
+    holders = {name: chunks.placeholder(dataset.variables[name]) for name in streamed}
     coords = {name: holder for name, holder in holders.items() if name in dataset.coords}
     others = {name: holder for name, holder in holders.items() if name not in coords}
     small = dataset.drop_vars(streamed).compute()

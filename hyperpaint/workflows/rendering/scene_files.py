@@ -10,8 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from hyperpaint.base.errors import FormatError, Problems
-from hyperpaint.io.files.toml_checks import text
-from hyperpaint.io.files.toml_tables import TableReader, load_tables, shown
+from hyperpaint.io.files.toml_tables import TableReader, load_tables, shown, text
 
 from .tables import LISTS, NAMED, SCHEMA
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from hyperpaint.io.files.toml_checks import Check, flag, number, one_of, positive, text, texts, time, whole
+from hyperpaint.io.files.toml_tables import Check, flag, number, one_of, positive, text, texts, time, whole
 from hyperpaint.simulation.rendering.materials import KINDS
 from hyperpaint.simulation.rendering.scene import INSTANCE_KINDS
 from hyperpaint.simulation.rendering.scene_record import MOST_SAMPLES

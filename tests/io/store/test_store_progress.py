@@ -8,15 +8,15 @@ import dask.array as da
 import pytest
 import xarray as xr
 
-from hyperpaint.io.store import progress, to_store
+from hyperpaint.io.store import computing, to_store
 
 
 def test_the_bar_says_what_is_left(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     clock = iter([0.0, 0.0, 1.0, 70.0, 80.0])
-    monkeypatch.setattr(progress.time, "perf_counter", lambda: next(clock))
-    bar = progress.BlockBar(8)
+    monkeypatch.setattr(computing.time, "perf_counter", lambda: next(clock))
+    bar = computing.BlockBar(8)
     for blocks in (0, 1, 6, 1):
         bar.advance(blocks)
     drawn = [part for part in re.split(r"\r+ *", capsys.readouterr().out) if part]

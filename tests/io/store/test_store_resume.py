@@ -399,16 +399,16 @@ def test_resumed_blocks_are_the_values(tmp_path: Path) -> None:
 FULL_DISK = """
 import errno, sys
 import hyperpaint as hp
-from hyperpaint.io.store import blocks
+from hyperpaint.io.store import chunks
 
-write, calls = blocks.write_chunk, []
+write, calls = chunks.write_chunk, []
 def until_full(*args):
     if len(calls) == 12:
         raise OSError(errno.ENOSPC, "No space left on device")
     calls.append(args)
     write(*args)
 
-blocks.write_chunk = until_full
+chunks.write_chunk = until_full
 try:
     hp.process(sys.argv[1], sys.argv[2])
 except hp.errors.StoreError:
@@ -418,7 +418,7 @@ except hp.errors.StoreError:
 
 def test_process_is_resumed_by_another_process(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     import hyperpaint as hp
-    from hyperpaint.io.store import blocks
+    from hyperpaint.io.store import chunks
 
     collect, path = tmp_path / "raw/collect.toml", tmp_path / "lot.zarr"
     hp.simulate_collect(collect.parent, scene="plan", lines=320, bands=20, columns=12, cubes=1, seed=3)
@@ -432,13 +432,13 @@ def test_process_is_resumed_by_another_process(tmp_path: Path, monkeypatch: pyte
     }
     assert len(finished) == 12
     written: list[str] = []
-    write = blocks.write_chunk
+    write = chunks.write_chunk
 
     def count(folder: Path, key: str, *args: Any) -> None:
         written.append(f"{folder.name}/{key}")
         write(folder, key, *args)
 
-    monkeypatch.setattr(blocks, "write_chunk", count)
+    monkeypatch.setattr(chunks, "write_chunk", count)
     hp.process(collect, path)
     assert not finished & set(written)
     assert_whole(path, content(tmp_path / "whole.zarr"))

@@ -17,8 +17,8 @@ import pytest
 import xarray as xr
 
 from hyperpaint.base.errors import StoreError
-from hyperpaint.io.store import budget, durability, is_complete, resume, room, to_store, verify, writer
-from hyperpaint.io.store.room import check_disk, disk_needed
+from hyperpaint.io.store import budget, chunks, disk, is_complete, to_store, verify, writer
+from hyperpaint.io.store.disk import check_disk, disk_needed
 
 CUBE = ("along_track", "band", "cross_track")
 GROUP = "flightlines/raw_0"
@@ -31,7 +31,7 @@ def line(lines: int = 128, chunk: int = 32, name: str = "counts") -> xr.Dataset:
 
 
 def free(monkeypatch: pytest.MonkeyPatch, size: int) -> None:
-    monkeypatch.setattr(room.shutil, "disk_usage", lambda _: Usage(10**12, 10**12, size))
+    monkeypatch.setattr(disk.shutil, "disk_usage", lambda _: Usage(10**12, 10**12, size))
 
 
 # --- disk --------------------------------------------------------------------------------------------------
@@ -94,7 +94,7 @@ def test_a_disk_of_unknown_size_is_no_reason_to_refuse(
     def unknown(_: Path) -> Usage:
         raise OSError(errno.ENOSYS, "unknown")
 
-    monkeypatch.setattr(room.shutil, "disk_usage", unknown)
+    monkeypatch.setattr(disk.shutil, "disk_usage", unknown)
     check_disk(tmp_path / "lot.zarr", 10**15)
 
 
@@ -102,19 +102,19 @@ def test_a_disk_of_unknown_size_is_no_reason_to_refuse(
 def test_a_disk_that_fills_up_says_what_was_needed(
     number: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    plain, path = resume._replace, tmp_path / "lot.zarr"
+    plain, path = chunks._replace, tmp_path / "lot.zarr"
 
     def full(file: Path, parts: Any, **options: Any) -> None:
         if "c/2/" in str(file):
             raise OSError(number, os.strerror(number), str(file))
         plain(file, parts, **options)
 
-    monkeypatch.setattr(resume, "_replace", full)
+    monkeypatch.setattr(chunks, "_replace", full)
     with dask.config.set(scheduler="synchronous"):
         with pytest.raises(StoreError, match=rf"{os.strerror(number)}.*may take 1 MiB in all, .* make room"):
             to_store(line(), path, GROUP, source_token="a")
         assert not is_complete(path, GROUP)
-        monkeypatch.setattr(resume, "_replace", plain)
+        monkeypatch.setattr(chunks, "_replace", plain)
         to_store(line(), path, GROUP, source_token="a")
     assert verify(path).ok
     assert os.listdir(tmp_path) == ["lot.zarr"]
@@ -135,14 +135,14 @@ def test_a_disk_that_fills_up_says_what_was_needed(
 )
 def test_errors_of_the_system_are_told(error: Exception, told: str, tmp_path: Path) -> None:
     location = writer.Location.of("lot.zarr")
-    with pytest.raises(StoreError, match=told), room.errors_of_the_system(location, {GROUP: line()}):
+    with pytest.raises(StoreError, match=told), disk.errors_of_the_system(location, {GROUP: line()}):
         raise error
 
 
 def test_other_errors_stay_as_they_are() -> None:
     location = writer.Location.of("lot.zarr")
     for error in (RuntimeError("other"), ValueError("wrong"), StoreError("ours")):
-        with pytest.raises(type(error), match=f"^{error}$"), room.errors_of_the_system(location, {}):
+        with pytest.raises(type(error), match=f"^{error}$"), disk.errors_of_the_system(location, {}):
             raise error
 
 
@@ -239,11 +239,11 @@ def test_a_disk_that_refuses_to_flush_leaves_nothing_finished(
     def broken(_: str) -> None:
         raise OSError(errno.EIO, "broken disk")
 
-    plain: Callable[[Any], None] = durability._flush
-    monkeypatch.setattr(durability, "_flush", broken)
+    plain: Callable[[Any], None] = disk._flush
+    monkeypatch.setattr(disk, "_flush", broken)
     with pytest.raises(StoreError, match="broken disk"):
         to_store(line(), tmp_path / "lot.zarr", GROUP, source_token="a")
     assert not is_complete(tmp_path / "lot.zarr", GROUP)
-    monkeypatch.setattr(durability, "_flush", plain)
+    monkeypatch.setattr(disk, "_flush", plain)
     to_store(line(), tmp_path / "lot.zarr", GROUP, source_token="a")
     assert verify(tmp_path / "lot.zarr").ok

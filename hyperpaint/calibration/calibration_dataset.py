@@ -11,13 +11,14 @@ import numpy as np
 import numpy.typing as npt
 
 from hyperpaint.base.arrays import Bools, Floats
+from hyperpaint.base.constants import QUANTISATION_VARIANCE_COUNT2
 from hyperpaint.base.errors import PaintWarning, SchemaError
 from hyperpaint.base.schema import VARIABLES, dtype_of, label
 
+from .elements import at_steps, line_wavelengths
 from .lab_sweep import LabSweep
 from .line_fits import fit_beam
 from .out_of_band import common_offset, second_order_share, stray_light_matrix, wing_in_window
-from .placement import at_steps, line_wavelengths
 from .responsivity import element_gain, second_order_factor, shape_variance
 from .steps import FROM_FRAMES, Lines, Read
 from .views import PLANCK_TIMES_LIGHT
@@ -25,9 +26,6 @@ from .wavelength_map import WavelengthMap
 
 if TYPE_CHECKING:
     import xarray as xr
-
-__all__ = ["Budget", "Result", "line_level"]
-
 
 _ILL_CONDITIONED = 0.7  # width of the monochromator over that of the camera
 _TOLERANCE = (0.01, 0.05)  # nm by which an element may lie beyond the outer step: at least, and at most
@@ -242,7 +240,7 @@ class Result:
         if self.read.noise_source == FROM_FRAMES:
             electrons = electrons or 1.0 / noise.slope
             if read_noise is None:
-                read_noise = float(np.sqrt(max(noise.constant - 1.0 / 12.0, 0.0)))
+                read_noise = float(np.sqrt(max(noise.constant - QUANTISATION_VARIANCE_COUNT2, 0.0)))
         if electrons is not None:
             made["electrons_per_count"] = electrons
         if read_noise is not None:

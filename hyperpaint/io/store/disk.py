@@ -1,26 +1,37 @@
-"""Disk space: whether a store has room, before it is written; and what a full disk, or memory, is told as."""
+"""The disk under a store: its free space, files that survive a power failure, folders that change places.
+
+The kernel keeps written files in memory for half a minute or so. Before a group is sealed with its completion
+record, and before it is renamed into its place, every file of it and every folder is therefore flushed to the
+disk: a sealed group that is there after a power failure is whole. A group under construction may have lost
+files; what is taken up of it is checked against its checksums first.
+
+Writing a chunk to the disk begins as soon as it is in its file, while others are computed, so that little is
+left to wait for at the end.
+"""
 
 from __future__ import annotations
 
 import contextlib
+import ctypes
 import errno
+import functools
 import math
 import os
 import shutil
-from collections.abc import Iterable, Iterator, Mapping
+import sys
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from hyperpaint.base.errors import PaintError, StoreError
 
-from .budget import MARGIN, size_text
+from .budget import MARGIN, size_text, thread_space
 from .layout import storage_chunks
-from .location import Location
+from .location import Location, sync_folder
 
 if TYPE_CHECKING:
     import xarray as xr
-
-__all__ = ["check_disk", "disk_needed", "errors_of_the_system"]
 
 NOISE_SHARE = 0.03
 """Share of its bytes in memory that a cube takes on disk beyond the bits that can differ: headers, and what
@@ -169,3 +180,113 @@ def _is_beside(file: object, store: Path) -> bool:
         os.path.relpath(os.path.abspath(os.fsdecode(file)), above) if isinstance(file, str | bytes) else ""
     )
     return inside.split(os.sep)[0] in (store.name, f".partial-{store.name}")
+
+
+_Item = TypeVar("_Item")
+_Result = TypeVar("_Result")
+
+_AT_ONCE = 8
+"""Files flushed at a time: disks take several orders at once."""
+
+
+def start_flush(file: Any) -> None:
+    """Let the kernel begin to write a file to the disk, without waiting for it."""
+    if hasattr(os, "posix_fadvise"):
+        file.flush()
+        # Linux starts to write what it is told will not be needed; what is on its way stays in memory
+        os.posix_fadvise(file.fileno(), 0, 0, os.POSIX_FADV_DONTNEED)
+
+
+def flush_group(folder: Path, expected: Iterable[Path]) -> None:
+    """Flush all files of a folder, then all its folders; return when the disk has them.
+
+    Parameters
+    ----------
+    folder
+        A group under construction.
+    expected
+        Files that must be there: somebody may have cleared up while they were written.
+
+    Raises
+    ------
+    FileNotFoundError
+        One is missing.
+    OSError
+        The disk could not take them.
+    """
+    files: set[str] = set()
+    folders: list[Path] = []
+    for above, _, names in os.walk(folder, topdown=False):
+        files.update(os.path.join(above, name) for name in names)
+        folders.append(Path(above))
+    for path in expected:
+        if os.fspath(path) not in files:
+            raise FileNotFoundError(errno.ENOENT, "a finished chunk has been removed", os.fspath(path))
+    at_once(_flush, sorted(files), _AT_ONCE)
+    at_once(sync_folder, folders, _AT_ONCE)
+
+
+def at_once(function: Callable[[_Item], _Result], items: Sequence[_Item], most: int) -> list[_Result]:
+    """Return what a function that waits for the disk makes of every item, some at a time.
+
+    One after the other where the address space is limited: a thread would reserve some 70 MiB of it, which
+    the plan of a run has given to its computing threads.
+    """
+    if thread_space():
+        return [function(item) for item in items]
+    with ThreadPoolExecutor(most) as pool:
+        return list(pool.map(function, items))
+
+
+def _flush(path: str | Path) -> None:
+    descriptor = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
+
+
+_HERE = -100  # AT_FDCWD
+_EXCHANGE = 2  # RENAME_EXCHANGE
+#: What kernels, sandboxes and file systems that do not know it answer.
+_UNKNOWN = (errno.ENOSYS, errno.EINVAL, errno.EOPNOTSUPP, errno.EPERM)
+
+
+def exchange(one: Path, other: Path) -> bool:
+    """Let two paths change places, both of which must be there.
+
+    Returns
+    -------
+    bool
+        False where system or file system cannot: nothing is done then. Linux can, on most local disks.
+
+    Raises
+    ------
+    OSError
+        A path is missing, or may not be changed.
+    """
+    rename = _renameat2()
+    if rename is None:
+        return False
+    # as `os.rename` does: this is one
+    sys.audit("os.rename", os.fspath(one), os.fspath(other), -1, -1)
+    if rename(_HERE, os.fsencode(one), _HERE, os.fsencode(other), _EXCHANGE) == 0:
+        return True
+    code = ctypes.get_errno()
+    if code in _UNKNOWN:
+        return False
+    raise OSError(code, os.strerror(code), os.fspath(one), None, os.fspath(other))
+
+
+@functools.cache
+def _renameat2() -> Any:
+    """Return the C library's function, None where there is none."""
+    if sys.platform != "linux":
+        return None
+    try:
+        function = ctypes.CDLL(None, use_errno=True).renameat2
+    except (OSError, AttributeError):
+        return None
+    function.argtypes = (ctypes.c_int, ctypes.c_char_p, ctypes.c_int, ctypes.c_char_p, ctypes.c_uint)
+    function.restype = ctypes.c_int
+    return function
