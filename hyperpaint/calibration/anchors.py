@@ -114,8 +114,8 @@ def panel_radiance(irradiance: xr.DataArray, reflectance: float | xr.DataArray) 
     UnitsError
         ``irradiance`` has no units of irradiance.
     """
-    made = convert(irradiance, VARIABLES["irradiance"].units, "irradiance") * reflectance / np.pi
-    return label(made, "radiance")
+    radiance = convert(irradiance, VARIABLES["irradiance"].units, "irradiance") * reflectance / np.pi
+    return label(radiance, "radiance")
 
 
 def anchor_to_radiance(
@@ -164,9 +164,9 @@ def anchor_to_radiance(
     """
     if scale not in ("element", "common"):
         raise SchemaError(f"scale {scale!r}, expected 'element' or 'common'")
-    found = require(calibration, ["wavelength", "fwhm"], "an anchor")
+    response_inputs = require(calibration, ["wavelength", "fwhm"], "an anchor")
     spectrum = convert(radiance, VARIABLES["radiance"].units, "radiance")
-    level = _band_means(calibration, found, spectrum)
+    level = _band_means(calibration, response_inputs, spectrum)
     signal, exposure = _signal(frames, calibration)
     signal = linearised(coefficients_of(calibration.attrs))(signal)
     signal[:, _unlit(calibration, signal.shape[1])] = np.nan
@@ -201,11 +201,11 @@ def _with_gain(
     systematic = np.where(good, np.float32(uncertainty), np.float32(np.nan)).astype(np.float32)
     stale = ["radiance_gain_u_systematic", "quantum_efficiency", "responsivity"]
     stale += [] if same_shape else ["radiance_gain_u_random"]
-    made = calibration.drop_vars(stale, errors="ignore")
+    rescaled = calibration.drop_vars(stale, errors="ignore")
     if {"responsivity", "radiance_gain"} <= set(calibration.variables):
         ratio = calibration["radiance_gain"].transpose(*_ELEMENT).astype(np.float64) / gain
-        made["responsivity"] = label(calibration["responsivity"] * ratio, "responsivity")
-    return made.assign(
+        rescaled["responsivity"] = label(calibration["responsivity"] * ratio, "responsivity")
+    return rescaled.assign(
         radiance_gain=label(xr.DataArray(gain.astype(np.float32), dims=_ELEMENT), "radiance_gain"),
         radiance_gain_u_systematic=label(xr.DataArray(systematic, dims=BAND), "radiance_gain_u_systematic"),
     ).assign_coords(good=label(xr.DataArray(good, dims=BAND), "good")).assign_attrs(
@@ -272,7 +272,7 @@ def _dark_of_exposure(frames: xr.Dataset, calibration: xr.Dataset, exposure: flo
     return np.asarray(rate * (exposure - float(np.mean(taken))))
 
 
-def _band_means(calibration: xr.Dataset, found: dict[str, Any], spectrum: xr.DataArray) -> Floats:
+def _band_means(calibration: xr.Dataset, response_inputs: dict[str, Any], spectrum: xr.DataArray) -> Floats:
     """Return the mean of a spectrum over the response of every element (band, cross_track)."""
     if spectrum.ndim != 1:
         raise SchemaError(
@@ -293,26 +293,26 @@ def _band_means(calibration: xr.Dataset, found: dict[str, Any], spectrum: xr.Dat
     shifts = np.atleast_2d(shifts)
     spacing = calibration.get("band_spacing")
     responses = Responses(
-        found["wavelength"].to_numpy(),
-        found["fwhm"].to_numpy(),
+        response_inputs["wavelength"].to_numpy(),
+        response_inputs["fwhm"].to_numpy(),
         str(calibration.attrs.get("srf_shape", "gaussian")),
         spacing=None if spacing is None else spacing.to_numpy(),
         offset=calibration["srf_offset"].to_numpy() if "srf_offset" in calibration.variables else None,
         table=calibration["srf"].to_numpy() if "srf" in calibration.variables else None,
-        slope=_slope(calibration, found),
+        slope=_slope(calibration, response_inputs),
     )
     low, high = float(shifts.min()), float(shifts.max())
     nodes = np.linspace(low, high, max(int(np.ceil((high - low) / _NODE_SPACING)) + 1, 1))
     bands = responses.wavelength.size
     columns = calibration.sizes.get(CROSS_TRACK, shifts.shape[1])
-    made = np.empty((bands, columns))
+    means = np.empty((bands, columns))
     for band in range(bands):
         at_nodes = [_mean_over(responses.shifted(float(node)), band, grid, values) for node in nodes]
-        made[band] = np.interp(shifts[band if len(shifts) > 1 else 0], nodes, at_nodes)
-    return made
+        means[band] = np.interp(shifts[band if len(shifts) > 1 else 0], nodes, at_nodes)
+    return means
 
 
-def _slope(calibration: xr.Dataset, found: dict[str, Any]) -> Floats | None:
+def _slope(calibration: xr.Dataset, response_inputs: dict[str, Any]) -> Floats | None:
     """Return the slope of the log responsivity over a band (band,) [nm-1], where a gain tells it."""
     if "radiance_gain" not in calibration.variables:
         return None
@@ -320,7 +320,9 @@ def _slope(calibration: xr.Dataset, found: dict[str, Any]) -> Floats | None:
     level = np.full(len(gain), np.nan)
     rows = np.isfinite(gain).any(axis=1)
     level[rows] = 1.0 / np.nanmedian(gain[rows], axis=1)
-    return log_slope(found["wavelength"].to_numpy(), level, 2.0 * found["fwhm"].to_numpy())
+    return log_slope(
+        response_inputs["wavelength"].to_numpy(), level, 2.0 * response_inputs["fwhm"].to_numpy()
+    )
 
 
 def _mean_over(responses: Responses, band: int, grid: Floats, values: Floats) -> float:
@@ -396,11 +398,11 @@ def calibration_from_coefficients(
         gain = convert(gain, wanted, "coefficients")
     values = gain.to_numpy()
     values = np.where(np.isfinite(values) & (values > 0), values, np.nan)
-    made = xr.Dataset(
+    calibration = xr.Dataset(
         coords={"wavelength": _axis(wavelength, "wavelength"), "fwhm": _axis(fwhm, "fwhm")},
         attrs={"srf_shape": srf_shape},
     )
-    return _with_gain(made, values, "coefficients of the vendor", uncertainty)
+    return _with_gain(calibration, values, "coefficients of the vendor", uncertainty)
 
 
 def _axis(array: xr.DataArray, name: str) -> xr.DataArray:

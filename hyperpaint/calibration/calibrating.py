@@ -181,9 +181,9 @@ def _with_differences(
     lab: LabSweep, read: Read, lines: Lines, surface: WavelengthMap, shape: int, fits: list[Fits | None]
 ) -> tuple[Read, Lines, Differences]:
     """Return how much elements differ, and fits whose noise is that of the lines where nothing told it."""
-    known = read.noise_source != FROM_SCATTER
-    differences = element_differences(lab, read, lines, surface, shape, known_noise=known)
-    if known:
+    is_noise_known = read.noise_source != FROM_SCATTER
+    differences = element_differences(lab, read, lines, surface, shape, known_noise=is_noise_known)
+    if is_noise_known:
         return read, lines, differences
     if lab.variance is None:
         warnings.warn(
@@ -308,19 +308,19 @@ def _map_through(
 ) -> tuple[WavelengthMap, Floats, Floats]:
     """Return the wavelength map, the slope of the log responsivity [nm-1] and the pull [nm] at the steps."""
     nothing = np.zeros(lab.shape[0])
-    known = np.flatnonzero(lines.trusted.any(axis=1))
+    lit_steps = np.flatnonzero(lines.trusted.any(axis=1))
     level = line_level(lines, lab, rough)
-    if known.size < _FEWEST or not (level[known] > 0).all():
+    if lit_steps.size < _FEWEST or not (level[lit_steps] > 0).all():
         return _map(lines, lab, lab.wavelength, degree), nothing, nothing
-    at = lab.wavelength[known]
+    at = lab.wavelength[lit_steps]
 
     def at_all_steps(values: Floats) -> Floats:
         return np.interp(lab.wavelength, at, values)
 
     def middle(values: Floats) -> Floats:
-        return at_all_steps(np.nanmedian(np.where(lines.trusted, values, np.nan)[known], axis=1))
+        return at_all_steps(np.nanmedian(np.where(lines.trusted, values, np.nan)[lit_steps], axis=1))
 
-    slope = at_all_steps(np.gradient(np.log(level[known]), at))
+    slope = at_all_steps(np.gradient(np.log(level[lit_steps]), at))
     spacing = rough.spacing(np.nan_to_num(lines.centre), np.arange(lab.shape[2]))
     own = middle(lines.own_width * spacing)
     pull = line_pull(lab, read.noise, slope, own, middle(spacing), middle(lines.amplitude), shape)
@@ -362,17 +362,17 @@ def beam_problem(wavelength: Floats, areas: Floats, tolerance: float) -> str | N
     steps = np.flatnonzero(count >= max(4.0, 0.5 * count.max()))
     if steps.size < 4:
         return None
-    found = _profiles(areas[steps])
-    fall = np.nanmax(found.level, axis=1) - np.nanmin(found.level, axis=1)
-    sure = fall - _SURE * np.sqrt(2.0) * np.nanmax(found.spread, axis=1)
-    mean = np.nanmean(found.level, axis=0)
-    mean_spread = np.nanmax(found.spread / np.sqrt(np.isfinite(found.level).sum(axis=0)))
+    profiles = _profiles(areas[steps])
+    fall = np.nanmax(profiles.level, axis=1) - np.nanmin(profiles.level, axis=1)
+    sure = fall - _SURE * np.sqrt(2.0) * np.nanmax(profiles.spread, axis=1)
+    mean = np.nanmean(profiles.level, axis=0)
+    mean_spread = np.nanmax(profiles.spread / np.sqrt(np.isfinite(profiles.level).sum(axis=0)))
     if np.ptp(mean) - _SURE * np.sqrt(2.0) * mean_spread > tolerance or sure.max() > tolerance:
         worst = int(np.argmax(sure))
         at = wavelength[steps[worst]]
         return f"lines fall by {1.0 - np.exp(-fall[worst]):.1%} over the columns (at {at:g} nm)"
-    changes = np.nanmean((found.level - mean) ** 2, axis=0)
-    noise = np.nanmean(found.spread**2, axis=0)
+    changes = np.nanmean((profiles.level - mean) ** 2, axis=0)
+    noise = np.nanmean(profiles.spread**2, axis=0)
     column = int(np.argmax(changes - noise))
     excess = float(np.sqrt(max(changes[column] - 2.0 * noise[column], 0.0)))
     if excess > _CHANGING * tolerance:
@@ -388,14 +388,14 @@ def _profiles(areas: Floats) -> _Profiles:
     spread = level.copy()
     place = np.linspace(-1.0, 1.0, lit.size)
     for row, area in enumerate(areas[:, lit]):
-        known = np.isfinite(area) & (area > 0)
-        degree = min(_DEGREE, int(known.sum()) // 4)
-        terms = np.asarray(chebyshev.chebvander(place[known], degree), np.float64)
-        log = np.log(area[known])
+        is_lit = np.isfinite(area) & (area > 0)
+        degree = min(_DEGREE, int(is_lit.sum()) // 4)
+        terms = np.asarray(chebyshev.chebvander(place[is_lit], degree), np.float64)
+        log = np.log(area[is_lit])
         inverse = np.linalg.pinv(terms)
         fitted = terms @ (inverse @ log)
-        free = max(int(known.sum()) - degree - 1, 1)
+        free = max(int(is_lit.sum()) - degree - 1, 1)
         rms = float(np.sqrt(((log - fitted) ** 2).sum() / free))
-        level[row, known] = fitted - np.median(fitted)
-        spread[row, known] = rms * np.sqrt(np.einsum("ij,ji->i", terms, inverse))
+        level[row, is_lit] = fitted - np.median(fitted)
+        spread[row, is_lit] = rms * np.sqrt(np.einsum("ij,ji->i", terms, inverse))
     return _Profiles(level, spread)

@@ -51,11 +51,11 @@ class Budget:
 def line_level(lines: Lines, lab: LabSweep, surface: WavelengthMap, used: Bools | None = None) -> Floats:
     """Return the integrated response that the lines saw (step,) [count nm J-1], median of the columns."""
     nodes = _nodes(lines, lab, surface)
-    known = lines.trusted if used is None else used
-    made = np.full(len(nodes), np.nan)
-    rows = known.any(axis=1)
-    made[rows] = np.nanmedian(np.where(known, nodes, np.nan)[rows], axis=1)
-    return made
+    is_used = lines.trusted if used is None else used
+    level = np.full(len(nodes), np.nan)
+    rows = is_used.any(axis=1)
+    level[rows] = np.nanmedian(np.where(is_used, nodes, np.nan)[rows], axis=1)
+    return level
 
 
 def _nodes(lines: Lines, lab: LabSweep, surface: WavelengthMap) -> Floats:
@@ -172,8 +172,8 @@ class Result:
         """Return the calibration."""
         import xarray as xr
 
-        gain, known = self.gain
-        if not known.any():
+        gain, has_gain = self.gain
+        if not has_gain.any():
             raise SchemaError(
                 "this lab sweep cannot be calibrated:\n  no column has four lines that can be trusted"
             )
@@ -230,11 +230,11 @@ class Result:
     def _dark(self) -> dict[str, Any]:
         lab = self.lab
         exposure = float(np.median(lab.exposure))
-        made: dict[str, Any] = {"dark_counts": lab.dark.at(exposure), "dark_exposure_time": exposure}
+        variables: dict[str, Any] = {"dark_counts": lab.dark.at(exposure), "dark_exposure_time": exposure}
         if lab.dark.known_rate:
-            made |= {"dark_bias": lab.dark.bias, "dark_rate": lab.dark.rate}
+            variables |= {"dark_bias": lab.dark.bias, "dark_rate": lab.dark.rate}
         if lab.saturation is not None:
-            made["saturation_count"] = lab.saturation
+            variables["saturation_count"] = lab.saturation
         noise = self.read.noise
         electrons, read_noise = lab.electrons_per_count, lab.read_noise
         if self.read.noise_source == FROM_FRAMES:
@@ -242,10 +242,10 @@ class Result:
             if read_noise is None:
                 read_noise = float(np.sqrt(max(noise.constant - QUANTISATION_VARIANCE_COUNT2, 0.0)))
         if electrons is not None:
-            made["electrons_per_count"] = electrons
+            variables["electrons_per_count"] = electrons
         if read_noise is not None:
-            made["read_noise"] = read_noise
-        return made
+            variables["read_noise"] = read_noise
+        return variables
 
     def _line_variables(self) -> dict[str, Any]:
         lines, steps = self.lines, self.lab.shape[0]
@@ -286,11 +286,11 @@ class Result:
         photon = PLANCK_TIMES_LIGHT / (self.wavelength * 1e-9)
         counts = photon / (gain * self.lab.etendue * self.spacing)
         best = float(np.nanmax(np.nanmedian(counts[np.isfinite(counts).any(axis=1)], axis=1)))
-        known = self.lab.electrons_per_count
-        if known is None and self.read.noise_source == FROM_FRAMES:
-            known = 1.0 / self.read.noise.slope
-        low, high = (known, known) if known is not None else _ELECTRONS
-        at = "" if known is None else f" at {known:.3g} electrons a count"
+        electrons = self.lab.electrons_per_count
+        if electrons is None and self.read.noise_source == FROM_FRAMES:
+            electrons = 1.0 / self.read.noise.slope
+        low, high = (electrons, electrons) if electrons is not None else _ELECTRONS
+        at = "" if electrons is None else f" at {electrons:.3g} electrons a count"
         if best * low > 1.05:
             problem = (
                 f"{best * low:.3g} electrons out per photon in{at}, expected below 1: flux x capture_fraction"
@@ -340,10 +340,10 @@ class Result:
                 level[step] = np.median(window.background[window.background_variance > 0])
                 area[step] = np.median(self.lines.area[step, self.placed[step]])
                 bands[step] = np.count_nonzero(self.read.rows[step])
-        known = np.isfinite(level)
-        if not known.any():
+        has_level = np.isfinite(level)
+        if not has_level.any():
             return {}
-        of_one = float(np.median(bands[known] / area[known]))
+        of_one = float(np.median(bands[has_level] / area[has_level]))
         offset = common_offset(level, area)
         if abs(offset) > _DARK_OFF:
             warnings.warn(
@@ -353,8 +353,8 @@ class Result:
                 PaintWarning,
                 stacklevel=4,
             )
-        found = {"out_of_band_of_one_count": of_one}
-        return found | ({"dark_offset_count": offset} if np.isfinite(offset) else {})
+        checks = {"out_of_band_of_one_count": of_one}
+        return checks | ({"dark_offset_count": offset} if np.isfinite(offset) else {})
 
     def _warn_of_width(self) -> None:
         own = self.fwhm_at_steps

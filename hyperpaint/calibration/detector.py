@@ -140,14 +140,14 @@ def dark_model(darks: xr.Dataset | Sequence[xr.Dataset]) -> xr.Dataset:
     exposures: list[float] = []
     for dark in given:
         try:
-            found = require(dark, ["dark_counts", "dark_exposure_time"], "a dark model")
+            arrays = require(dark, ["dark_counts", "dark_exposure_time"], "a dark model")
         except SchemaError as error:
             problems.add(str(error))
             continue
-        counts = np.asarray(found["dark_counts"].to_numpy(), np.float64)
+        counts = np.asarray(arrays["dark_counts"].to_numpy(), np.float64)
         counts = counts if counts.ndim == 3 else counts[None]
         frames.extend(counts)
-        exposures.extend(np.broadcast_to(found["dark_exposure_time"].to_numpy(), len(counts)).tolist())
+        exposures.extend(np.broadcast_to(arrays["dark_exposure_time"].to_numpy(), len(counts)).tolist())
     shapes = sorted({frame.shape for frame in frames})
     if len(shapes) > 1:
         problems.add(f"darks of shapes {shapes}, expected one")
@@ -289,8 +289,8 @@ def linearity(signal: npt.ArrayLike, measured: npt.ArrayLike, degree: int = 3) -
 
 def coefficients_of(attrs: Mapping[Any, Any]) -> tuple[float, ...]:
     """Return the `linearity` that the attributes of a calibration tell."""
-    told = attrs.get("linearity", ())
-    return () if isinstance(told, str) else tuple(float(value) for value in np.atleast_1d(told))
+    stated = attrs.get("linearity", ())
+    return () if isinstance(stated, str) else tuple(float(value) for value in np.atleast_1d(stated))
 
 
 def linearised(coefficients: Sequence[float]) -> Callable[[Any], Any]:
@@ -299,10 +299,10 @@ def linearised(coefficients: Sequence[float]) -> Callable[[Any], Any]:
     def apply(counts: Any) -> Any:
         if not coefficients:
             return counts
-        made = 0.0
+        relative = 0.0
         for coefficient in reversed(coefficients):
-            made = (made + coefficient) * counts
-        return counts * (1.0 + made)
+            relative = (relative + coefficient) * counts
+        return counts * (1.0 + relative)
 
     return apply
 
@@ -310,11 +310,11 @@ def linearised(coefficients: Sequence[float]) -> Callable[[Any], Any]:
 def deviant_darks(dark: Floats, saturation: Floats | None) -> npt.NDArray[np.bool_]:
     """Return the elements (band, cross_track) whose dark is not finite, saturated or far from all others."""
     finite = np.isfinite(dark)
-    known = np.where(finite, dark, np.nan)
-    middle = np.nanmedian(known)
+    levels = np.where(finite, dark, np.nan)
+    middle = np.nanmedian(levels)
     # a camera's dark has a pattern, so far is far beyond its own spread
-    spread = 1.4826 * np.nanmedian(np.abs(known - middle))
-    far = np.abs(known - middle) > max(30.0 * spread, 100.0)
+    spread = 1.4826 * np.nanmedian(np.abs(levels - middle))
+    far = np.abs(levels - middle) > max(30.0 * spread, 100.0)
     if saturation is not None:
-        far |= known > 0.5 * saturation
+        far |= levels > 0.5 * saturation
     return np.asarray(~finite | far)

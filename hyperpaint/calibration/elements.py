@@ -47,9 +47,9 @@ def _widths(lab: LabSweep, lines: Lines, surface: WavelengthMap) -> Floats:
     columns = np.arange(lab.shape[2])
     own = lines.own_width * surface.spacing(np.nan_to_num(lines.centre), columns)
     count = lines.trusted.sum(axis=1)
-    known = np.flatnonzero(count >= max(0.5 * count.max(), 1))  # a few at the edge may all be wrong
-    middle = np.nanmedian(np.where(lines.trusted, own, np.nan)[known], axis=1)
-    return np.asarray(np.interp(lab.wavelength, lab.wavelength[known], middle))
+    fitted_steps = np.flatnonzero(count >= max(0.5 * count.max(), 1))  # a few at the edge may all be wrong
+    middle = np.nanmedian(np.where(lines.trusted, own, np.nan)[fitted_steps], axis=1)
+    return np.asarray(np.interp(lab.wavelength, lab.wavelength[fitted_steps], middle))
 
 
 def _unit_lines(
@@ -171,10 +171,10 @@ def _split(tally: Floats) -> Differences:
     used = tally[0] >= _FEWEST
     if used.sum() < 2:
         return Differences(0.0, 0.0)
-    signal, square, found = (row[used] / tally[0][used] for row in tally[1:])
-    weight = np.sqrt(tally[0][used]) / np.maximum(np.abs(found), 1e-12)
+    signal, square, excess = (row[used] / tally[0][used] for row in tally[1:])
+    weight = np.sqrt(tally[0][used]) / np.maximum(np.abs(excess), 1e-12)
     terms = np.column_stack([signal, square])
-    slope, relative = nnls(terms * weight[:, None], found * weight)[0]
+    slope, relative = nnls(terms * weight[:, None], excess * weight)[0]
     return Differences(float(np.sqrt(relative)), float(slope))
 
 
@@ -271,15 +271,15 @@ def _complete(
         profiles(distance, width * wider, source, SHAPES[shape], lab.triangular, out)
         return out
 
-    known = np.isfinite(window.values)
-    values = np.where(known, window.values, 0.0)
-    unit = np.where(known, profile(0.0, 1.0), 0.0)
+    is_finite = np.isfinite(window.values)
+    values = np.where(is_finite, window.values, 0.0)
+    unit = np.where(is_finite, profile(0.0, 1.0), 0.0)
     variance = read.noise.variance(values, frames) + (1e-4 * values.max(axis=1, keepdims=True)) ** 2
-    weight = np.where(known, 1.0 / np.maximum(variance, 1e-300), 0.0)
+    weight = np.where(is_finite, 1.0 / np.maximum(variance, 1e-300), 0.0)
     norm = np.maximum((weight * unit**2).sum(axis=1), 1e-300)
 
     def area_of(shape_of: Floats) -> Floats:
-        shape_of = np.where(known, shape_of, 0.0)
+        shape_of = np.where(is_finite, shape_of, 0.0)
         height = (weight * shape_of * values).sum(axis=1)
         return np.asarray(height / np.maximum((weight * shape_of**2).sum(axis=1), 1e-300))
 
@@ -288,12 +288,14 @@ def _complete(
     area = values.sum(axis=1) + (1.0 - seen) * fitted
     # what the place and the width are not known to, the area is not known to either
     by_place = (1.0 - seen) * (area_of(profile(1e-3, 1.0)) - fitted) / 1e-3
-    by_place -= (profile(1e-3, 1.0) * known - unit).sum(axis=1) * fitted / 1e-3
+    by_place -= (profile(1e-3, 1.0) * is_finite - unit).sum(axis=1) * fitted / 1e-3
     by_width = (1.0 - seen) * (area_of(profile(0.0, 1.0 + 1e-3)) - fitted) / 1e-3
-    by_width -= (profile(0.0, 1.0 + 1e-3) * known - unit).sum(axis=1) * fitted / 1e-3
-    noise = np.where(known, read.noise.variance(values, frames), 0.0).sum(axis=1) + (1.0 - seen) ** 2 / norm
+    by_width -= (profile(0.0, 1.0 + 1e-3) * is_finite - unit).sum(axis=1) * fitted / 1e-3
+    noise = (
+        np.where(is_finite, read.noise.variance(values, frames), 0.0).sum(axis=1) + (1.0 - seen) ** 2 / norm
+    )
     total = noise + (by_place * surface.residual / spacing) ** 2 + (by_width * _OWN_WIDTH_U) ** 2
-    apart = np.abs(np.where(known, values - fitted[:, None] * unit, 0.0))
+    apart = np.abs(np.where(is_finite, values - fitted[:, None] * unit, 0.0))
     height = np.abs(fitted) * profile(0.0, 1.0).max(axis=1)
     # one free parameter: what is not noise is a dead element, or a line elsewhere
     far = apart > np.maximum(8.0 * np.sqrt(variance), _MAX_EDGE_RESIDUAL * height[:, None])

@@ -126,14 +126,14 @@ def check_sweep(sweep: xr.Dataset, *, absolute: bool = True) -> LabSweep:
         Variables, dims, units or values are missing or impossible; all problems are listed.
     """
     problems = Problems("this lab sweep cannot be calibrated", SchemaError)
-    found = _variables(sweep, absolute, problems)
+    arrays = _variables(sweep, absolute, problems)
     steps = sweep.sizes.get(STEP, 0)
     columns = sweep.sizes.get(CROSS_TRACK, 0)
     if sweep.sizes and steps < _FEWEST_STEPS:
         problems.add(f"{steps} steps, expected at least {_FEWEST_STEPS}")
     values = {
         name: np.asarray(array.to_numpy(), np.float64)
-        for name, array in found.items()
+        for name, array in arrays.items()
         if name not in ("counts", "counts_variance", "dark_counts")
     }
     _check_order(values, problems)
@@ -144,7 +144,7 @@ def check_sweep(sweep: xr.Dataset, *, absolute: bool = True) -> LabSweep:
     ):  # fmt: skip
         if name in values:
             _check_positive(
-                name, found[name].dims, values[name], high, values.get("step_wavelength"), problems
+                name, arrays[name].dims, values[name], high, values.get("step_wavelength"), problems
             )
     if "read_noise" in values and not (np.isfinite(values["read_noise"]) & (values["read_noise"] >= 0)).all():
         worst = float(values["read_noise"].min())
@@ -154,11 +154,11 @@ def check_sweep(sweep: xr.Dataset, *, absolute: bool = True) -> LabSweep:
         problems.add(
             f"attribute monochromator_shape {shape!r}, expected one of {', '.join(MONOCHROMATOR_SHAPES)}"
         )
-    dark = _dark(found, values, problems)
+    dark = _dark(arrays, values, problems)
     problems.raise_if_any()
     if dark is None:
         raise SchemaError("this lab sweep cannot be calibrated:\n  no dark follows from 'dark_counts'")
-    return _assembled(found, values, dark, (steps, columns), shape == "triangle")
+    return _assembled(arrays, values, dark, (steps, columns), shape == "triangle")
 
 
 def _variables(sweep: xr.Dataset, absolute: bool, problems: Problems) -> dict[str, xr.DataArray]:
@@ -167,14 +167,14 @@ def _variables(sweep: xr.Dataset, absolute: bool, problems: Problems) -> dict[st
         wanted = [*_REQUIRED, *_ABSOLUTE, *(name for name in _OPTIONAL if name in sweep.variables)]
     elif "flux" not in wanted:
         wanted.insert(5, "flux")
-    found, wrong = find(sweep, wanted, SWEEP_VARIABLES)
+    arrays, wrong = find(sweep, wanted, SWEEP_VARIABLES)
     for problem in wrong:
         problems.add(problem)
-    kinds = {name: array for name, array in found.items() if array.dtype.kind not in "iuf"}
+    kinds = {name: array for name, array in arrays.items() if array.dtype.kind not in "iuf"}
     for name, array in kinds.items():
         problems.add(f"{name!r} has dtype {array.dtype}, expected {SWEEP_VARIABLES[name].dtype}")
-        del found[name]
-    return found
+        del arrays[name]
+    return arrays
 
 
 def _check_order(values: dict[str, Floats], problems: Problems) -> None:
@@ -217,14 +217,14 @@ def _check_positive(
         at = "" if wavelength is None else f" ({listed(wavelength[steps], 'nm')})"
         where = f" at {steps.size} of {len(values)} steps{at}"
         mend = "; measure it, or leave these steps out with sweep.isel(step=...)"
-    found = values[wrong].ravel()[0]
-    problems.add(f"{name!r} is {found:g}{where}, expected {expected}{mend}")
+    first = values[wrong].ravel()[0]
+    problems.add(f"{name!r} is {first:g}{where}, expected {expected}{mend}")
 
 
-def _dark(found: dict[str, xr.DataArray], values: dict[str, Floats], problems: Problems) -> DarkModel | None:
-    if "dark_counts" not in found:
+def _dark(arrays: dict[str, xr.DataArray], values: dict[str, Floats], problems: Problems) -> DarkModel | None:
+    if "dark_counts" not in arrays:
         return None
-    dark = found["dark_counts"]
+    dark = arrays["dark_counts"]
     by_step = STEP in dark.dims
     exposure = values.get("exposure_time")
     at = values.get("dark_exposure_time", exposure)
@@ -259,7 +259,7 @@ def _dark(found: dict[str, xr.DataArray], values: dict[str, Floats], problems: P
 
 
 def _assembled(
-    found: dict[str, xr.DataArray],
+    arrays: dict[str, xr.DataArray],
     values: dict[str, Floats],
     dark: DarkModel,
     sizes: tuple[int, int],
@@ -279,11 +279,11 @@ def _assembled(
         return float(np.nanmedian(values[name])) if name in values else None
 
     by_column = any(
-        name in found and CROSS_TRACK in found[name].dims for name in ("flux", "capture_fraction")
+        name in arrays and CROSS_TRACK in arrays[name].dims for name in ("flux", "capture_fraction")
     )
     return LabSweep(
-        counts=found["counts"],
-        variance=found.get("counts_variance"),
+        counts=arrays["counts"],
+        variance=arrays.get("counts_variance"),
         dark=dark,
         wavelength=values["step_wavelength"],
         width=per_step("monochromator_fwhm", 0.0),
@@ -296,6 +296,6 @@ def _assembled(
         saturation=values.get("saturation_count"),
         electrons_per_count=scalar("electrons_per_count"),
         read_noise=scalar("read_noise"),
-        absolute=all(name in found for name in _ABSOLUTE),
+        absolute=all(name in arrays for name in _ABSOLUTE),
         by_column=by_column,
     )

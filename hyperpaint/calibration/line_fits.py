@@ -207,9 +207,9 @@ def find_line(net: Floats, raw: Floats, bad: Bools, saturation: Floats | None) -
 
 def _mean(values: Floats, axis: int) -> Floats:
     """Return the mean of what is finite; NaN where nothing is."""
-    known = np.isfinite(values)
-    count = known.sum(axis=axis)
-    total = np.where(known, values, 0.0).sum(axis=axis)
+    is_finite = np.isfinite(values)
+    count = is_finite.sum(axis=axis)
+    total = np.where(is_finite, values, 0.0).sum(axis=axis)
     return np.asarray(np.where(count > 0, total / np.maximum(count, 1), np.nan))
 
 
@@ -233,37 +233,37 @@ def _background(outside: Floats) -> tuple[Floats, Floats]:
 
     A dark that has drifted lifts all bands alike; left in, it would add to the area band by band.
     """
-    known = np.isfinite(outside)
+    is_finite = np.isfinite(outside)
     mean, variance = np.zeros(outside.shape[1]), np.zeros(outside.shape[1])
-    told = np.flatnonzero(known.sum(axis=0) >= _FEWEST_BESIDE)
-    if not told.size:
+    covered = np.flatnonzero(is_finite.sum(axis=0) >= _FEWEST_BESIDE)
+    if not covered.size:
         return mean, variance
-    beside, known = outside[:, told], known[:, told]
+    beside, is_finite = outside[:, covered], is_finite[:, covered]
     middle = np.nanmedian(beside, axis=0)
     spread = 1.4826 * np.nanmedian(np.abs(beside - middle), axis=0)
-    kept = known & (np.abs(beside - middle) <= 4.0 * spread)
-    count = np.maximum(kept.sum(axis=0), 1)
-    mean[told], variance[told] = np.where(kept, beside, 0.0).sum(axis=0) / count, 1.0 / count
+    is_background = is_finite & (np.abs(beside - middle) <= 4.0 * spread)
+    count = np.maximum(is_background.sum(axis=0), 1)
+    mean[covered], variance[covered] = np.where(is_background, beside, 0.0).sum(axis=0) / count, 1.0 / count
     return mean, variance
 
 
 def _brightest(light: Floats) -> float:
     """Return the light of the brightest columns, whatever a single one says."""
-    known = np.where(np.isfinite(light), light, 0.0)
-    if known.size < 5:
-        return float(known.max(initial=0.0))
-    stacked = np.lib.stride_tricks.sliding_window_view(known, 5)
+    levels = np.where(np.isfinite(light), light, 0.0)
+    if levels.size < 5:
+        return float(levels.max(initial=0.0))
+    stacked = np.lib.stride_tricks.sliding_window_view(levels, 5)
     return float(np.median(stacked, axis=1).max())
 
 
 def fit_beam(beam: Floats) -> tuple[float, float]:
     """Return centre and full width at half maximum of the beam over columns; NaN where it shows no peak."""
-    known = np.isfinite(beam)
+    is_finite = np.isfinite(beam)
     columns = np.arange(beam.size, dtype=np.float64)
-    weights = np.where(known, 1.0, 0.0)[None]
-    values = np.where(known, beam, 0.0)
+    weights = np.where(is_finite, 1.0, 0.0)[None]
+    values = np.where(is_finite, beam, 0.0)
     total = np.maximum(values, 0.0).sum()
-    if known.sum() < 8 or not total > 0:
+    if is_finite.sum() < 8 or not total > 0:
         return np.nan, np.nan
     centre = float((np.maximum(values, 0.0) * columns).sum() / total)
     parameters = np.array([[centre, total / _GAUSS, total, 0.0]])
@@ -297,11 +297,11 @@ def fit_window(
     start
         Fits to begin from.
     """
-    known = np.isfinite(window.values)
-    values = np.where(known, window.values, 0.0)
+    is_finite = np.isfinite(window.values)
+    values = np.where(is_finite, window.values, 0.0)
     parameters = _start(window, light) if start is None else _restart(start, light)
     model = values if start is None else _model(window, start, shape, light, parameters)
-    height = np.max(np.where(known, values, -np.inf), axis=1, keepdims=True)
+    height = np.max(np.where(is_finite, values, -np.inf), axis=1, keepdims=True)
     # weights that follow each count's own noise favour low counts: they follow a model where there is one
     floor = (1e-4 * height) ** 2 if start is not None else (3e-2 * height) ** 2
     variance = noise.variance(model, frames) + floor

@@ -54,11 +54,11 @@ def common_offset(level: Floats, area: Floats) -> float:
     level, area : (step,)
         Counts of a band off the line, and area of the line; medians of the lit columns [count].
     """
-    known = np.isfinite(level) & np.isfinite(area) & (area > 0)
-    if known.sum() < 4 or np.ptp(area[known]) < 0.2 * area[known].max():
+    usable = np.isfinite(level) & np.isfinite(area) & (area > 0)
+    if usable.sum() < 4 or np.ptp(area[usable]) < 0.2 * area[usable].max():
         return float("nan")
-    terms = np.column_stack([np.ones(int(known.sum())), area[known]])
-    return float(np.linalg.lstsq(terms, level[known], rcond=None)[0][0])
+    terms = np.column_stack([np.ones(int(usable.sum())), area[usable]])
+    return float(np.linalg.lstsq(terms, level[usable], rcond=None)[0][0])
 
 
 def wing_in_window(rows: Floats, centre: Floats) -> float:
@@ -102,9 +102,11 @@ def stray_light_matrix(
     wing = _line_spread(distance[usable], rows[usable], bands)
     place = np.arange(bands)
     matrix = wing(place[:, None] - place)
-    known = np.isfinite(second)
-    if known.any():
-        matrix += _second_order(step_wavelength[known], second[known], wavelength, float(np.median(width)))
+    has_second = np.isfinite(second)
+    if has_second.any():
+        matrix += _second_order(
+            step_wavelength[has_second], second[has_second], wavelength, float(np.median(width))
+        )
     return np.asarray(matrix)
 
 
@@ -189,9 +191,11 @@ def correct_stray_light(cube: xr.DataArray, stray_light: xr.DataArray) -> xr.Dat
         cube = cube.chunk({BAND: -1})
     dtype = np.result_type(cube.dtype, np.float32)
     operator = xr.DataArray(inverse.astype(dtype), dims=("corrected", BAND))
-    made: xr.DataArray = xr.dot(cube.astype(dtype), operator, dim=BAND).rename({"corrected": BAND})
-    made = made.transpose(*cube.dims)
-    made = made.assign_coords({key: value for key, value in cube.coords.items() if key not in made.coords})
-    made.attrs = {**cube.attrs, "stray_light": "corrected with the matrix of the lab sweep"}
-    made.name = cube.name
-    return made
+    corrected: xr.DataArray = xr.dot(cube.astype(dtype), operator, dim=BAND).rename({"corrected": BAND})
+    corrected = corrected.transpose(*cube.dims)
+    corrected = corrected.assign_coords(
+        {key: value for key, value in cube.coords.items() if key not in corrected.coords}
+    )
+    corrected.attrs = {**cube.attrs, "stray_light": "corrected with the matrix of the lab sweep"}
+    corrected.name = cube.name
+    return corrected

@@ -49,10 +49,10 @@ def second_order_factor(wavelength: Floats, line: Floats, own: Floats, source: F
         Variances of the camera's line shape and of the monochromator's [nm2].
     """
     factor = np.ones_like(line)
-    known = np.flatnonzero(np.isfinite(line) & (line > 0))
-    if known.size < 5:
+    positive = np.flatnonzero(np.isfinite(line) & (line > 0))
+    if positive.size < 5:
         return factor
-    x, y = wavelength[known], line[known]
+    x, y = wavelength[positive], line[positive]
     left, right = np.diff(x)[:-1], np.diff(x)[1:]
     bend = 2.0 * ((y[2:] - y[1:-1]) / right - (y[1:-1] - y[:-2]) / left) / (left + right)
     relative = np.empty_like(y)
@@ -60,7 +60,7 @@ def second_order_factor(wavelength: Floats, line: Floats, own: Floats, source: F
     relative[0], relative[-1] = relative[1], relative[-2]
     # smoothed, since noise of a second difference is six times that of the values
     smooth = np.convolve(np.pad(relative, 1, mode="edge"), [0.25, 0.5, 0.25], mode="valid")
-    factor[known] = 1.0 + 0.5 * (own - source)[known] * smooth
+    factor[positive] = 1.0 + 0.5 * (own - source)[positive] * smooth
     return np.clip(factor, 0.9, 1.1)
 
 
@@ -93,7 +93,7 @@ def monotone_slopes(x: Floats, y: Floats) -> Floats:
 
 
 def interpolate_nodes(
-    x: Floats, y: Floats, known: Bools, at: Floats, tolerance: float = 0.0
+    x: Floats, y: Floats, used: Bools, at: Floats, tolerance: float = 0.0
 ) -> tuple[Floats, Bools]:
     """Return each column's values between its known nodes, and where there is anything between which to be.
 
@@ -102,7 +102,7 @@ def interpolate_nodes(
     x : (node,)
         Increasing.
     y : (node, column)
-    known : (node, column)
+    used : (node, column)
         Nodes that are used; columns with fewer than four get nothing.
     at : (place, column)
     tolerance
@@ -112,16 +112,16 @@ def interpolate_nodes(
     -------
     Values (place, column), NaN beyond the outer nodes and in gaps of over three steps; and whether finite.
     """
-    made = np.full(at.shape, np.nan)
-    patterns, member = np.unique(known, axis=1, return_inverse=True)
+    values = np.full(at.shape, np.nan)
+    patterns, member = np.unique(used, axis=1, return_inverse=True)
     widest = _WIDEST_GAP * float(np.median(np.diff(x)))
     for index in range(patterns.shape[1]):
         nodes = np.flatnonzero(patterns[:, index])
         columns = np.flatnonzero(member.ravel() == index)
         if nodes.size < 4:
             continue
-        made[:, columns] = _hermite(x[nodes], y[np.ix_(nodes, columns)], at[:, columns], widest, tolerance)
-    return made, np.isfinite(made)
+        values[:, columns] = _hermite(x[nodes], y[np.ix_(nodes, columns)], at[:, columns], widest, tolerance)
+    return values, np.isfinite(values)
 
 
 def _hermite(x: Floats, y: Floats, at: Floats, widest: float, tolerance: float) -> Floats:
@@ -134,15 +134,15 @@ def _hermite(x: Floats, y: Floats, at: Floats, widest: float, tolerance: float) 
     column = np.arange(at.shape[1])
     y0, y1 = y[left, column], y[left + 1, column]
     m0, m1 = slope[left, column] * width, slope[left + 1, column] * width
-    made = y0 * (1 + 2 * u) * (1 - u) ** 2 + m0 * u * (1 - u) ** 2
-    made += y1 * u**2 * (3 - 2 * u) + m1 * u**2 * (u - 1)
-    return np.where((u >= 0) & (u <= 1) & (width <= widest), made, np.nan)
+    values = y0 * (1 + 2 * u) * (1 - u) ** 2 + m0 * u * (1 - u) ** 2
+    values += y1 * u**2 * (3 - 2 * u) + m1 * u**2 * (u - 1)
+    return np.where((u >= 0) & (u <= 1) & (width <= widest), values, np.nan)
 
 
 def element_gain(
     step_wavelength: Floats,
     node: Floats,
-    known: Bools,
+    used: Bools,
     wavelength: Floats,
     etendue: Floats,
     tolerance: float = 0.0,
@@ -155,7 +155,7 @@ def element_gain(
         [nm]
     node : (step, cross_track)
         Responsivity of a band times spacing, the integral of its response [count nm J-1].
-    known : (step, cross_track)
+    used : (step, cross_track)
     wavelength : (band, cross_track)
         Of the elements [nm].
     etendue : (cross_track,)
@@ -167,9 +167,9 @@ def element_gain(
     -------
     The gain, NaN where it would be extrapolated; and whether it is known.
     """
-    log = np.log(np.where(known & (node > 0), node, 1.0))
-    made, finite = interpolate_nodes(step_wavelength, log, known & (node > 0), wavelength, tolerance)
-    return np.asarray(np.exp(-made) / etendue), finite
+    log = np.log(np.where(used & (node > 0), node, 1.0))
+    log_gain, finite = interpolate_nodes(step_wavelength, log, used & (node > 0), wavelength, tolerance)
+    return np.asarray(np.exp(-log_gain) / etendue), finite
 
 
 _PARTS = 161  # of the light's line

@@ -72,9 +72,9 @@ class Lines:
     def empty(cls, steps: int, columns: int) -> Lines:
         """Return lines of which nothing is known yet."""
         shape = (steps, columns)
-        made = {field.name: np.full(shape, np.nan) for field in fields(cls)}
+        arrays = {field.name: np.full(shape, np.nan) for field in fields(cls)}
         return cls(
-            **made
+            **arrays
             | {
                 "covariance": np.full((*shape, 4, 4), np.nan),
                 "trusted": np.zeros(shape, np.bool_),
@@ -150,10 +150,10 @@ def read_lines(
 
 
 def _count_in(tally: Floats, net: Floats, variance: Floats, bad: Bools) -> None:
-    known = np.isfinite(net) & np.isfinite(variance) & ~bad
-    signal, found = net[known], variance[known]
+    is_finite = np.isfinite(net) & np.isfinite(variance) & ~bad
+    signal, spread = net[is_finite], variance[is_finite]
     bins = np.searchsorted(_SIGNAL_EDGES, signal, side="right") - 1
-    for row, weight in enumerate((None, signal, found)):
+    for row, weight in enumerate((None, signal, spread)):
         tally[row] += np.bincount(bins, weight, tally.shape[1])
 
 
@@ -212,15 +212,15 @@ def _warn_of_clipping(highest: Floats) -> None:
 
 
 def _check_monotone(lab: LabSweep, windows: list[Window | None]) -> None:
-    found = [(step, window.band) for step, window in enumerate(windows) if window is not None]
-    if len(found) < 3:
+    peaks = [(step, window.band) for step, window in enumerate(windows) if window is not None]
+    if len(peaks) < 3:
         return
-    place = np.array([band for _, band in found])
+    place = np.array([band for _, band in peaks])
     moves = np.diff(place)
     back = np.flatnonzero(moves * np.sign(np.median(moves)) < -2)
     if back.size:
         where = listed(
-            [f"{lab.wavelength[found[k + 1][0]]:g} nm at band {place[k + 1]}, after {place[k]}" for k in back]
+            [f"{lab.wavelength[peaks[k + 1][0]]:g} nm at band {place[k + 1]}, after {place[k]}" for k in back]
         )
         raise SchemaError(
             "this lab sweep cannot be calibrated:\n  lines do not move along the array as the wavelengths "
@@ -231,16 +231,16 @@ def _check_monotone(lab: LabSweep, windows: list[Window | None]) -> None:
 def fit_as_seen(lab: LabSweep, read: Read, tick: Tick) -> tuple[Lines, list[Fits | None]]:
     """Return Gaussian fits of the lines as they are, whatever the light: good for where they lie."""
     lines = Lines.empty(lab.shape[0], lab.shape[2])
-    kept: list[Fits | None] = []
+    fits_of_steps: list[Fits | None] = []
     for step, window in enumerate(read.windows):
         fits = None
         if window is not None:
             light = Light(np.zeros(len(window.columns)), False)
             fits = fit_window(window, read.noise, float(lab.frames[step]), GAUSSIAN, light)
             lines.store(step, window, fits, lab.shape[1])
-        kept.append(fits)
+        fits_of_steps.append(fits)
         tick()
-    return lines, kept
+    return lines, fits_of_steps
 
 
 def fit_through(

@@ -49,10 +49,10 @@ def relative_responsivity(calibration: xr.Dataset) -> xr.DataArray:
     >>> relative_responsivity(made).values.ravel()
     array([0.25, 1.  ])
     """
-    found = require(calibration, ["responsivity"], "a relative responsivity")["responsivity"]
-    made = found / found.median(CROSS_TRACK).max()
-    made.attrs = {"long_name": "Responsivity relative to the best band", "units": "1"}
-    return made.rename("relative_responsivity")
+    responsivity = require(calibration, ["responsivity"], "a relative responsivity")["responsivity"]
+    relative = responsivity / responsivity.median(CROSS_TRACK).max()
+    relative.attrs = {"long_name": "Responsivity relative to the best band", "units": "1"}
+    return relative.rename("relative_responsivity")
 
 
 def quantum_efficiency(
@@ -101,11 +101,11 @@ def quantum_efficiency(
                 "a quantum efficiency needs electrons_per_count [electron count-1]: give it, or estimate it"
             )
         names.append("electrons_per_count")
-    found = require(calibration, names, "a quantum efficiency")
-    electrons: Any = found.get("electrons_per_count", electrons_per_count)
-    photon = PLANCK_TIMES_LIGHT / (found["wavelength"] * 1e-9)
-    made = (found["responsivity"] * electrons * photon).median(CROSS_TRACK).transpose(BAND)
-    return label(made.astype(np.float64), "quantum_efficiency")
+    inputs = require(calibration, names, "a quantum efficiency")
+    electrons: Any = inputs.get("electrons_per_count", electrons_per_count)
+    photon = PLANCK_TIMES_LIGHT / (inputs["wavelength"] * 1e-9)
+    efficiency = (inputs["responsivity"] * electrons * photon).median(CROSS_TRACK).transpose(BAND)
+    return label(efficiency.astype(np.float64), "quantum_efficiency")
 
 
 _REACH = 1.6  # full widths that are drawn to either side
@@ -170,16 +170,16 @@ def fitted_lines(
     (700.0, True)
     """
     names = ("step_wavelength", "wavelength", "line_band", "line_own_fwhm", "line_amplitude")
-    found = require(calibration, names, "its fitted lines")
-    wavelength = found["wavelength"].to_numpy()
+    lines = require(calibration, names, "its fitted lines")
+    wavelength = lines["wavelength"].to_numpy()
     spacing = np.gradient(wavelength)
     lab = None if sweep is None else check_sweep(sweep, absolute=False)
-    made = []
+    fitted = []
     for step in steps:
         at = {STEP: step, CROSS_TRACK: column}
-        centre = float(found["line_band"].isel(at))
-        amplitude = float(found["line_amplitude"].isel(at))
-        own = float(found["line_own_fwhm"].isel(at))
+        centre = float(lines["line_band"].isel(at))
+        amplitude = float(lines["line_amplitude"].isel(at))
+        own = float(lines["line_own_fwhm"].isel(at))
         across = float(np.interp(centre, np.arange(wavelength.size), spacing))
         source = calibration.attrs["monochromator_fwhm_nm"] if lab is None else lab.width[step]
         shape = _Shape(calibration.attrs, own / abs(across), float(source) / abs(across))
@@ -190,9 +190,9 @@ def fitted_lines(
             place, counts = _samples(lab, calibration, step, column)
             near = np.abs(place - centre) <= reach
             place, counts = place[near] - centre, counts[near]
-        made.append(
+        fitted.append(
             FittedLine(
-                float(found["step_wavelength"][step]),
+                float(lines["step_wavelength"][step]),
                 place * across,
                 counts,
                 counts / amplitude - shape.at(place),
@@ -200,7 +200,7 @@ def fitted_lines(
                 amplitude * shape.at(curve_at),
             )
         )
-    return made
+    return fitted
 
 
 class _Shape:
@@ -233,5 +233,5 @@ def _samples(lab: LabSweep, calibration: xr.Dataset, step: int, column: int) -> 
     if window is None or column not in window.columns:
         return np.empty(0), np.empty(0)
     line = int(np.flatnonzero(window.columns == column)[0])
-    known = np.isfinite(window.values[line])
-    return window.places[line, known], window.values[line, known]
+    is_finite = np.isfinite(window.values[line])
+    return window.places[line, is_finite], window.values[line, is_finite]

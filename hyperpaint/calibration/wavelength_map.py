@@ -113,10 +113,10 @@ def fit_wavelength_map(
         weight = 1.0 / (uncertainty**2 + floor**2)
         weight /= weight.mean()
 
-    def criterion(made: WavelengthMap) -> float:
+    def criterion(surface: WavelengthMap) -> float:
         # Bayesian information, with rounding of stored counts as a floor
-        fit = band.size * 2.0 * np.log(made.residual + 1e-6)
-        return float(fit + made.coefficients.size * np.log(band.size))
+        fit = band.size * 2.0 * np.log(surface.residual + 1e-6)
+        return float(fit + surface.coefficients.size * np.log(band.size))
 
     trials = [
         _robust(band, column, wavelength, sizes, (degree, min(trial, max(across - 1, 0))), weight)
@@ -147,9 +147,9 @@ def _robust(
             break
         z = residual / (_TUKEY * sigma)
         tukey = np.where(np.abs(z) < 1.0, (1.0 - z**2) ** 2, 0.0)
-    kept = tukey > 0
-    freedom = max(kept.sum() - terms.shape[1], 1)
-    rms = float(np.sqrt(((wavelength - terms @ solved)[kept] ** 2).sum() / freedom))
+    inliers = tukey > 0
+    freedom = max(inliers.sum() - terms.shape[1], 1)
+    rms = float(np.sqrt(((wavelength - terms @ solved)[inliers] ** 2).sum() / freedom))
     shape = (degrees[0] + 1, degrees[1] + 1)
     lit = (int(column.min()), int(column.max()))
     return WavelengthMap(solved.reshape(shape), bands, columns, lit, rms, tukey)

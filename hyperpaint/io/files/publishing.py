@@ -115,12 +115,12 @@ def _built(target: Path) -> Iterator[tuple[Staging, Path]]:
 
 
 def _refuse_existing(targets: Sequence[Path], *, overwrite: bool) -> None:
-    found = [target for target in targets if os.path.lexists(target)]
-    if folders := [target for target in found if target.is_dir()]:
+    existing = [target for target in targets if os.path.lexists(target)]
+    if folders := [target for target in existing if target.is_dir()]:
         raise StoreError(f"{folders[0]} is a folder; choose another path")
-    if found and not overwrite:
-        names = ", ".join(map(str, found))
-        found_there = f"{names} {'exists' if len(found) == 1 else 'exist'}"
+    if existing and not overwrite:
+        names = ", ".join(map(str, existing))
+        found_there = f"{names} {'exists' if len(existing) == 1 else 'exist'}"
         raise StoreError(found_there, mend=_MEND.format("overwrite=True"), option=_MEND.format("--overwrite"))
 
 
@@ -138,5 +138,5 @@ def _refuse_folder(target: Path, foreign: Callable[[Path], str], *, overwrite: b
     if other:
         raise StoreError(f"{target} holds {other}; choose a new or empty folder")
     if not overwrite:
-        found = f"{target} exists"
-        raise StoreError(found, mend=_MEND.format("overwrite=True"), option=_MEND.format("--overwrite"))
+        existing = f"{target} exists"
+        raise StoreError(existing, mend=_MEND.format("overwrite=True"), option=_MEND.format("--overwrite"))

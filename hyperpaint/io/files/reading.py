@@ -47,15 +47,15 @@ def read_limited(path: Path, limit: int, expected: str) -> bytes:
         The file cannot be read, or is larger than ``limit``.
     """
     try:
-        found = path.stat()
-        size = found.st_size
-        if stat.S_ISREG(found.st_mode) and size <= limit:
+        status = path.stat()
+        size = status.st_size
+        if stat.S_ISREG(status.st_mode) and size <= limit:
             with open(path, "rb") as file:
                 # read() sets aside all it is allowed to read
                 return file.read(size)
     except OSError as error:
         raise FormatError(f"{path}: cannot be read ({error.strerror or error}); check the path") from error
-    if not stat.S_ISREG(found.st_mode):
+    if not stat.S_ISREG(status.st_mode):
         raise FormatError(f"{path}: a folder, pipe or device, expected {expected}; check the path")
     raise FormatError(f"{path}: {size} bytes, expected {expected} of at most {limit} bytes; check the path")
 
@@ -158,10 +158,10 @@ def matching_files(folder: Path, pattern: str, most: int = MOST_ENTRIES) -> list
     if os.path.isabs(pattern) or os.path.splitdrive(pattern)[0] or ".." in parts:
         raise ValueError("expected a pattern inside the folder of the file")
     work = _Work(most)
-    found = [str(folder)]
+    paths = [str(folder)]
     for part in filter(None, parts):
-        found = list(dict.fromkeys(path for base in found for path in work.step(base, part)))
-    return sorted(Path(path) for path in found)
+        paths = list(dict.fromkeys(path for base in paths for path in work.step(base, part)))
+    return sorted(Path(path) for path in paths)
 
 
 class _Work:
@@ -198,16 +198,16 @@ class _Work:
             ]
 
     def _entries(self, folder: str) -> list[os.DirEntry[str]]:
-        found = []
+        listed = []
         try:
             with os.scandir(folder) as entries:
                 for entry in entries:
                     self._count(1)
-                    found.append(entry)
+                    listed.append(entry)
         except OSError:  # no folder, or not ours to read: nothing in it matches
-            return found
+            return listed
         self._count(1)
-        return found
+        return listed
 
     def _count(self, number: int) -> None:
         self.left -= number

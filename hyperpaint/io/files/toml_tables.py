@@ -64,11 +64,11 @@ def load_tables(path: Path, kind: str) -> dict[str, Any]:
         raise FormatError(f"{path}: not TOML: {error!s:.300}") from error
 
 
-def suggestion(key: str, known: Iterable[str]) -> str:
+def suggestion(key: str, allowed: Iterable[str]) -> str:
     """Return what to add to a message on a key that is not known: the nearest, or all of them."""
-    known = list(known)
-    close = difflib.get_close_matches(key[:100], known, n=1)
-    return f"; did you mean {close[0]!r}?" if close else f"; known are {', '.join(known)}"
+    allowed = list(allowed)
+    close = difflib.get_close_matches(key[:100], allowed, n=1)
+    return f"; did you mean {close[0]!r}?" if close else f"; known are {', '.join(allowed)}"
 
 
 def shown(value: Any) -> str:
@@ -140,7 +140,7 @@ class TableReader:
         return f"[[{name}]] {number + 1}" if name in self.lists else f"[{name}]"
 
     def _checked(self, place: str, name: str, table: Mapping[str, Any]) -> dict[str, Any]:
-        made: dict[str, Any] = {}
+        valid: dict[str, Any] = {}
         for key, value in table.items():
             check = self.schema[name].get(key)
             if check is None:
@@ -148,11 +148,11 @@ class TableReader:
                 continue
             expected = check(value)
             if expected is None:
-                made[key] = value
+                valid[key] = value
             else:
                 self.problems.add(f"{place} {key} = {shown(value)}, expected {expected}")
-        made["?"] = set(table)
-        return made
+        valid["?"] = set(table)
+        return valid
 
     def one(self, name: str) -> dict[str, Any]:
         """Return the single table of this name, empty where absent."""
@@ -173,7 +173,7 @@ class TableReader:
 
     def files(self, place: str, key: str, value: str | list[str]) -> tuple[Path, ...]:
         """Return the files of paths and globs, each glob sorted; one that matches nothing is a problem."""
-        found: list[Path] = []
+        paths: list[Path] = []
         for text in value if isinstance(value, list) else [value]:
             if "\0" not in text and is_pattern(text) and not os.path.lexists(self.folder / text):
                 try:
@@ -181,12 +181,12 @@ class TableReader:
                 except ValueError as error:
                     self.problems.add(f"{place} {key} = {shown(text)}: {error}")
                     continue
-                found += [match for match in matches if not _is_special(match)]
+                paths += [match for match in matches if not _is_special(match)]
                 if not matches:
                     self.problems.add(f"{place} {key} = {text!r}: matches no file in {self.folder}")
             elif (path := self.path(place, key, text)) is not None:
-                found.append(path)
-        return tuple(dict.fromkeys(found))
+                paths.append(path)
+        return tuple(dict.fromkeys(paths))
 
 
 def _is_special(path: Path) -> bool:

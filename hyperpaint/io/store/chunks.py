@@ -130,7 +130,7 @@ def placeholder(variable: xr.Variable) -> xr.Variable:
 
 
 def lazy_checksums(
-    variable: xr.Variable, target: Target, known: Mapping[tuple[int, ...], int] | None = None
+    variable: xr.Variable, target: Target, finished: Mapping[tuple[int, ...], int] | None = None
 ) -> da.Array:
     """Return the checksums of a variable's chunks; to compute them is to store the variable.
 
@@ -140,9 +140,9 @@ def lazy_checksums(
         What is stored.
     target
         Where.
-    known
+    finished
         Position in the grid to checksum, for chunks that are there already: a block of which all chunks are
-        known is not computed.
+        finished is not computed.
     """
     import dask
     import dask.array as da
@@ -167,13 +167,13 @@ def lazy_checksums(
         meta=np.empty((0,) * data.ndim, dtype=np.uint32),
         name=f"store-{uuid.uuid4().hex}",
     )
-    return _without_known(sums, offsets, known) if known else sums
+    return _without_finished(sums, offsets, finished) if finished else sums
 
 
-def _without_known(
-    sums: da.Array, offsets: tuple[tuple[int, ...], ...], known: Mapping[tuple[int, ...], int]
+def _without_finished(
+    sums: da.Array, offsets: tuple[tuple[int, ...], ...], finished: Mapping[tuple[int, ...], int]
 ) -> da.Array:
-    """Put values in the place of blocks whose checksums are known; their tasks are then culled."""
+    """Put values in the place of blocks whose chunks are finished; their tasks are then culled."""
     import dask.array as da
     import numpy as np
     from dask.highlevelgraph import HighLevelGraph
@@ -183,7 +183,7 @@ def _without_known(
     for index in np.ndindex(sums.numblocks):
         first = tuple(starts[i] for starts, i in zip(offsets, index, strict=True))
         sizes = tuple(pieces[i] for pieces, i in zip(sums.chunks, index, strict=True))
-        chunks = [known.get(tuple(map(sum, zip(first, step, strict=True)))) for step in np.ndindex(sizes)]
+        chunks = [finished.get(tuple(map(sum, zip(first, step, strict=True)))) for step in np.ndindex(sizes)]
         if None in chunks:
             layer[(name, *index)] = (sums.name, *index)
         else:
@@ -248,7 +248,7 @@ def write_chunk(folder: Path, key: str, parts: Sequence[bytes], value: int) -> N
     _replace(_record_of(path), [f"{key} {value:08x}\n".encode()])
 
 
-def adopt(leftover: Path, target: Target, known: dict[tuple[int, ...], int]) -> None:
+def adopt(leftover: Path, target: Target, finished: dict[tuple[int, ...], int]) -> None:
     """Move the finished chunks of an array from an earlier run's folder into the array's own.
 
     Parameters
@@ -257,7 +257,7 @@ def adopt(leftover: Path, target: Target, known: dict[tuple[int, ...], int]) -> 
         The array's folder in what the earlier run left; need not be there.
     target
         The array, with its metadata already written.
-    known
+    finished
         Position in the grid to checksum; the chunks that are moved, read and found whole are added.
     """
     import numpy as np
@@ -280,19 +280,19 @@ def adopt(leftover: Path, target: Target, known: dict[tuple[int, ...], int]) -> 
         # the record follows before the chunk is read: after a kill in between both are taken up once more
         os.replace(_record_of(leftover / key), _record_of(path))
         try:
-            found = checksum(np.asarray(array[target.region(position)]))
+            computed = checksum(np.asarray(array[target.region(position)]))
         except Exception:  # a damaged chunk may raise anything that a codec raises
-            found = None
-        if found != value:
+            computed = None
+        if computed != value:
             _record_of(path).unlink()
             path.unlink()
             return None
         return value
 
     grid = (-(-size // step) for size, step in zip(array.shape, target.chunk, strict=True))
-    positions = [position for position in np.ndindex(*grid) if position not in known]
-    found = zip(positions, at_once(moved, positions, os.cpu_count() or 1), strict=True)
-    known.update((position, value) for position, value in found if value is not None)
+    positions = [position for position in np.ndindex(*grid) if position not in finished]
+    checksums = zip(positions, at_once(moved, positions, os.cpu_count() or 1), strict=True)
+    finished.update((position, value) for position, value in checksums if value is not None)
 
 
 def is_mendable(error: BaseException) -> bool:

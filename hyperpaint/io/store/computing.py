@@ -85,12 +85,12 @@ def compute(
     sums = {name: np.empty(array.shape, array.dtype) for name, array in lazy.items()}
     client = client_in_force()
     if client is None:
-        found = _on_threads(get_scheduler(collections=arrays), graph, blocks, group, progress=progress)
+        results = _on_threads(get_scheduler(collections=arrays), graph, blocks, group, progress=progress)
     else:
-        found = _on_cluster(client, graph, blocks, group)
-        found = _with_bar(found, len(blocks)) if progress else found
-    with contextlib.closing(found):
-        for key, value in found:
+        results = _on_cluster(client, graph, blocks, group)
+        results = _with_bar(results, len(blocks)) if progress else results
+    with contextlib.closing(results):
+        for key, value in results:
             sums[blocks[key].array][blocks[key].sums] = value
     return sums
 
@@ -122,10 +122,10 @@ def errors_of_the_cluster(what: str) -> Iterator[None]:
     except PaintError:
         raise
     except (Exception, *_CANCELLED) as error:
-        told = _told_of_cluster(error)
-        if told is None:
+        reason = _told_of_cluster(error)
+        if reason is None:
             raise
-        raise StoreError(f"{what}: {told}; {_AGAIN}") from error
+        raise StoreError(f"{what}: {reason}; {_AGAIN}") from error
 
 
 # --- blocks ------------------------------------------------------------------------------------------------
@@ -138,12 +138,12 @@ def _blocks(name: str, sums: da.Array, target: Target) -> dict[Key, _Block]:
 
     dim, *_ = target.array.metadata.dimension_names or ("row",)
     called = "lines" if dim == ALONG_TRACK else dim
-    found = {}
+    blocks = {}
     for index, region in zip(np.ndindex(sums.numblocks), slices_from_chunks(sums.chunks), strict=True):
         first = region[0].start * target.chunk[0]
         last = min(region[0].stop * target.chunk[0], target.array.shape[0]) - 1
-        found[(sums.name, *index)] = _Block(name, region, f"{called} {first} to {last} of {name}")
-    return found
+        blocks[(sums.name, *index)] = _Block(name, region, f"{called} {first} to {last} of {name}")
+    return blocks
 
 
 def _fed(graph: Mapping[Key, Any], blocks: Mapping[Key, _Block], key: Any) -> list[_Block]:
@@ -162,9 +162,9 @@ def _fed(graph: Mapping[Key, Any], blocks: Mapping[Key, _Block], key: Any) -> li
 
 def _place(group: str, blocks: Iterable[_Block]) -> str:
     """Return words for a group's blocks; the group alone where the task was needed for many of them."""
-    found = list(blocks)
-    words = dict.fromkeys(block.words for block in found)
-    arrays = {block.array for block in found}
+    listed = list(blocks)
+    words = dict.fromkeys(block.words for block in listed)
+    arrays = {block.array for block in listed}
     return f"/{group}, {' and '.join(words)}" if 0 < len(words) == len(arrays) else f"/{group}"
 
 
@@ -227,12 +227,12 @@ def _on_cluster(client: Client, graph: dict[Key, Any], blocks: Mapping[Key, _Blo
                 client.cancel(list(wanted.values()), force=True)
 
 
-def _with_bar(found: Found, total: int) -> Found:
+def _with_bar(results: Found, total: int) -> Found:
     """Draw a bar while blocks come in; distributed's own vanishes in notebooks and at its end."""
     bar = BlockBar(total)
-    with contextlib.closing(found), contextlib.ExitStack() as stack:
+    with contextlib.closing(results), contextlib.ExitStack() as stack:
         stack.callback(sys.stdout.write, "\n")  # an error is told below the bar
-        for each in found:
+        for each in results:
             bar.advance()
             yield each
 
@@ -260,13 +260,13 @@ def _raise_named(error: BaseException, place: str, hint: str = "") -> NoReturn:
     StoreError
         In place of what another run may be spared: errors of the system, of memory and of the cluster.
     """
-    told = _told_of_cluster(error)
-    if told is None and not isinstance(error, PaintError) and isinstance(error, OSError | MemoryError):
-        told = f"{type(error).__name__}: {error}{hint}; mend this"
-    if told is None:
+    reason = _told_of_cluster(error)
+    if reason is None and not isinstance(error, PaintError) and isinstance(error, OSError | MemoryError):
+        reason = f"{type(error).__name__}: {error}{hint}; mend this"
+    if reason is None:
         error.add_note(f"while storing {place}")
         raise error
-    raise StoreError(f"cannot store {place}: {told}; {_AGAIN}") from error
+    raise StoreError(f"cannot store {place}: {reason}; {_AGAIN}") from error
 
 
 _WIDTH = 40

@@ -169,8 +169,8 @@ def _room(location: Location, groups: Mapping[str, xr.Dataset]) -> str:
     """Return words for the room that groups need, and that there is."""
     needed = size_text(sum(map(disk_needed, groups.values())))
     free = None if location.local is None else _free(location.local)
-    found = "" if free is None else f", {size_text(free)} are free now"
-    return f"{', '.join(f'/{group}' for group in groups)} may take {needed} in all{found}; make room"
+    available = "" if free is None else f", {size_text(free)} are free now"
+    return f"{', '.join(f'/{group}' for group in groups)} may take {needed} in all{available}; make room"
 
 
 def _is_beside(file: object, store: Path) -> bool:

@@ -79,8 +79,8 @@ def _check_numcodecs() -> None:
     """Refuse a numcodecs whose text codecs pass what they decode on to pickle."""
     import numcodecs
 
-    found = tuple(int(part) for part in re.findall(r"\d+", numcodecs.__version__)[:3])
-    if found < _FLOOR:
+    version = tuple(int(part) for part in re.findall(r"\d+", numcodecs.__version__)[:3])
+    if version < _FLOOR:
         raise StoreError(
             f"numcodecs {numcodecs.__version__} runs code that a store brings along; "
             "install a newer one: python -m pip install 'numcodecs>=0.16.6'"
@@ -219,8 +219,8 @@ class _Guard:
                 raise self._not_recorded(key, "is missing")
             return None
         data = value.as_numpy_array()
-        made = self._metadata(key, data.tobytes()) if is_metadata else self._chunk(key, data)
-        return (prototype or default_buffer_prototype()).buffer.from_bytes(made)
+        content = self._metadata(key, data.tobytes()) if is_metadata else self._chunk(key, data)
+        return (prototype or default_buffer_prototype()).buffer.from_bytes(content)
 
     def _metadata(self, key: str, raw: bytes) -> bytes:
         where, path = f"{self.url}/{key}", key.rpartition("/")[0]
@@ -311,10 +311,10 @@ class _LocalGuard(_Guard, LocalStore):  # type: ignore[misc]
     """A folder. Links in it are not followed, and nothing but plain files is opened."""
 
     def _is_plain(self, key: str, byte_range: Any) -> bool:
-        found = plain_file(os.fspath(self.root), key)
-        if found is not None and found.st_size > (most := self._most_bytes(key, byte_range)):
-            raise StoreError(f"{self.url}/{key} has {found.st_size} bytes, expected at most {most}")
-        return found is not None
+        status = plain_file(os.fspath(self.root), key)
+        if status is not None and status.st_size > (most := self._most_bytes(key, byte_range)):
+            raise StoreError(f"{self.url}/{key} has {status.st_size} bytes, expected at most {most}")
+        return status is not None
 
     async def get(self, key: str, prototype: Any = None, byte_range: Any = None) -> Any:
         # what is decoded in zarr's one event loop, no other thread could decode at the same time
@@ -325,10 +325,10 @@ class _LocalGuard(_Guard, LocalStore):  # type: ignore[misc]
             return None
         there = self._is_plain(key, byte_range)
         try:
-            found = super().get_sync(key, prototype=prototype, byte_range=byte_range) if there else None
+            content = super().get_sync(key, prototype=prototype, byte_range=byte_range) if there else None
         except OSError as error:
             raise StoreError(f"{self.url}/{key} cannot be read: {error.strerror or error}") from error
-        return self._checked(key, found, prototype)
+        return self._checked(key, content, prototype)
 
     async def get_partial_values(self, prototype: Any, key_ranges: Any) -> list[Any]:
         return [await self.get(key, prototype, byte_range) for key, byte_range in key_ranges]
@@ -341,10 +341,10 @@ class _RemoteGuard(_Guard, FsspecStore):  # type: ignore[misc]
         if _is_old(key):
             return None
         most = self._most_bytes(key, byte_range)
-        found = await super().get(key, prototype or default_buffer_prototype(), byte_range)
-        if found is not None and len(found) > most:
-            raise StoreError(f"{self.url}/{key} has {len(found)} bytes, expected at most {most}")
-        return await asyncio.to_thread(self._checked, key, found, prototype)
+        content = await super().get(key, prototype or default_buffer_prototype(), byte_range)
+        if content is not None and len(content) > most:
+            raise StoreError(f"{self.url}/{key} has {len(content)} bytes, expected at most {most}")
+        return await asyncio.to_thread(self._checked, key, content, prototype)
 
     async def get_partial_values(self, prototype: Any, key_ranges: Any) -> list[Any]:
         return [await self.get(key, prototype, byte_range) for key, byte_range in key_ranges]

@@ -149,8 +149,8 @@ def finish_root(attrs: Mapping[str, dict[str, Any]], location: Location) -> None
         make_groups_above(group, location)
         node = location.metadata(group)
         if node is None or not _has_attrs(node, wanted):
-            known = (node or {}).get("attributes", {})
-            _write_group(group, {**known, **stamped({**known, **_plain(wanted)}, "to_store")}, location)
+            stored = (node or {}).get("attributes", {})
+            _write_group(group, {**stored, **stamped({**stored, **_plain(wanted)}, "to_store")}, location)
     location.write_json(_consolidated(location), METADATA)
 
 

@@ -172,21 +172,21 @@ class Location:
         StoreError
             There are more than `MOST_NODES`, or groups more than `MOST_DEPTH` deep; or see `folders`.
         """
-        found: dict[str, str] = {}
+        kinds: dict[str, str] = {}
         pending = [""]
         while pending:
             group = pending.pop()
             for child in self.folders(group):
                 path = f"{group}/{child}" if group else child
                 if (kind := self._node_type(path)) in ("group", "array", "unreadable"):
-                    found[path] = str(kind)
-                    if len(found) > MOST_NODES:
+                    kinds[path] = str(kind)
+                    if len(kinds) > MOST_NODES:
                         raise StoreError(
                             f"{self.url} holds more than {MOST_NODES} groups and arrays, which no store does"
                         )
                 if kind == "group":
                     pending.append(path)
-        return found
+        return kinds
 
     def subgroups(self, group: str) -> list[str]:
         """Return the names of the groups right below a group."""
@@ -265,7 +265,7 @@ class Location:
         if self.local is None:
             prefix = self.key(group).rstrip("/") + "/"
             return {file.removeprefix(prefix) for file in self.fs.find(self.key(group))}
-        found: set[str] = set()
+        paths: set[str] = set()
         pending = [""]
         while pending:
             folder = pending.pop()
@@ -280,14 +280,14 @@ class Location:
                         if entry.is_dir(follow_symlinks=False):
                             pending.append(path)
                         else:
-                            found.add(path)
+                            paths.add(path)
             except FileNotFoundError:
                 continue
             except OSError as error:
                 raise StoreError(
                     f"{self.key(group, folder):.200} cannot be listed: {error.strerror or error}"
                 ) from error
-        return found
+        return paths
 
 
 def plain_file(root: str, key: str) -> os.stat_result | None:
@@ -310,24 +310,24 @@ def plain_file(root: str, key: str) -> os.stat_result | None:
     if any(part in ("", ".", "..") or "\\" in part or "\0" in part for part in parts):
         raise StoreError(f"{root}: {key!r:.200} is no path inside a store")
     place = root
-    found: os.stat_result | None = None
+    status: os.stat_result | None = None
     for part in parts:
         place = f"{place}/{part}"
         try:
-            found = os.lstat(place)
+            status = os.lstat(place)
         except (FileNotFoundError, NotADirectoryError):
             return None
         except OSError as error:
             raise StoreError(f"{place:.200} cannot be read: {error.strerror}") from error
-        if stat.S_ISLNK(found.st_mode):
+        if stat.S_ISLNK(status.st_mode):
             raise StoreError(f"{place} is a link; a store holds plain files and folders")
-    if found is None or stat.S_ISDIR(found.st_mode):
+    if status is None or stat.S_ISDIR(status.st_mode):
         return None
-    if not stat.S_ISREG(found.st_mode):
+    if not stat.S_ISREG(status.st_mode):
         raise StoreError(
             f"{place} is no plain file, but a pipe or a device; a store holds plain files and folders"
         )
-    return found
+    return status
 
 
 def replace_file(path: Path, content: bytes) -> None:

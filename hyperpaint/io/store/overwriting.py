@@ -100,10 +100,10 @@ def _is_sealed(group: str, location: Location) -> bool:
 def _entries(location: Location, group: str) -> list[str]:
     """Return the names in a group's folder, without what a killed writer left half-written."""
     try:
-        found = location.fs.ls(location.key(group), detail=False)
+        listed = location.fs.ls(location.key(group), detail=False)
     except (FileNotFoundError, NotADirectoryError):
         return []
-    names = (str(entry).rstrip("/").rpartition("/")[2] for entry in found)
+    names = (str(entry).rstrip("/").rpartition("/")[2] for entry in listed)
     return [name for name in names if not is_temporary(name)]
 
 
@@ -198,5 +198,5 @@ def _lies_in(array: Any, location: Location, group: str) -> bool:
     base = getattr(place.store, "path", None)  # fsspec stores
     if base is None or root is not None:
         return False
-    found = "/".join(part.strip("/") for part in (str(base), place.path) if part)
-    return (found + "/").startswith(location.key(group).strip("/") + "/")
+    source = "/".join(part.strip("/") for part in (str(base), place.path) if part)
+    return (source + "/").startswith(location.key(group).strip("/") + "/")

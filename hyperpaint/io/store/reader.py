@@ -155,8 +155,8 @@ def _complete_record(location: Location, group: str) -> GroupRecord:
     where = f"group {'/' + group!r} of {location.url}"
     node = location.metadata(group)
     if node is None or node.get("node_type") != "group":
-        found = ", ".join("/" + name for name in location.groups()) or "none"
-        raise StoreError(f"there is no {where}; groups found: {found}")
+        others = ", ".join("/" + name for name in location.groups()) or "none"
+        raise StoreError(f"there is no {where}; groups found: {others}")
     record = read_record(location, group)
     if record is None:
         raise IncompleteStoreError(

@@ -180,8 +180,8 @@ def attributes_checksum(node: Mapping[str, Any]) -> int:
 
 def sealed_attributes(attributes: Mapping[str, Any]) -> dict[str, Any]:
     """Return the attributes of a group without arrays with their checksum among them."""
-    kept = {key: value for key, value in attributes.items() if key not in (ATTRIBUTES, COMPLETE)}
-    return {**kept, ATTRIBUTES: f"crc32c={metadata_checksum(kept):08x}"}
+    others = {key: value for key, value in attributes.items() if key not in (ATTRIBUTES, COMPLETE)}
+    return {**others, ATTRIBUTES: f"crc32c={metadata_checksum(others):08x}"}
 
 
 def has_sealed_attributes(node: Mapping[str, Any]) -> bool:

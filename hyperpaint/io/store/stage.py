@@ -77,7 +77,7 @@ class Staging:
     def leftovers(self, group: str, content: str) -> list[Path]:
         """Return what earlier attempts built of a group with the same content."""
         prefix = _build_prefix(group, content)
-        return [found for found in self._entries() if found.name.startswith(prefix)]
+        return [entry for entry in self._entries() if entry.name.startswith(prefix)]
 
     def close(self, build: Path, group: str, content: str) -> Path:
         """Give what has been built another name, and return that.
@@ -141,14 +141,14 @@ class Staging:
         """
         prefixes = tuple(_build_prefix(group, content) for group, content in wanted)
         entries = self._entries()
-        replaced = {found: self._group_of(found) for found in entries if found.name.startswith("replaced-")}
-        for found in entries:
-            if found in replaced:
-                self._put_back(found, replaced[found])
-            elif found.name.startswith("discarded-") or (
-                found.name.startswith("build-") and not found.name.startswith(prefixes)
+        replaced = {entry: self._group_of(entry) for entry in entries if entry.name.startswith("replaced-")}
+        for entry in entries:
+            if entry in replaced:
+                self._put_back(entry, replaced[entry])
+            elif entry.name.startswith("discarded-") or (
+                entry.name.startswith("build-") and not entry.name.startswith(prefixes)
             ):
-                discard(found)
+                discard(entry)
         above = {name for group, _ in wanted for name in groups_above(group)}
         for leftover in _temporaries(self.store, above):
             with contextlib.suppress(FileNotFoundError):
@@ -163,14 +163,14 @@ class Staging:
         os.rename(old, target)
         make_groups_above(group, Location.of(self.store))
 
-    def _group_of(self, found: Path) -> str:
-        name = found.name.removeprefix("replaced-")
+    def _group_of(self, old: Path) -> str:
+        name = old.name.removeprefix("replaced-")
         group = "" if name == _ROOT else unquote(name)
         with contextlib.suppress(StoreError):
             if clean_group(group) == group and _quoted(group) == name:
                 return group
         raise StoreError(
-            f"{found} names no group of a store, and no writer left it there; look at it, then remove it"
+            f"{old} names no group of a store, and no writer left it there; look at it, then remove it"
         )
 
     def _entries(self) -> list[Path]:
@@ -179,9 +179,9 @@ class Staging:
             entries = [] if self.folder.is_symlink() else sorted(self.folder.iterdir())
         except (FileNotFoundError, NotADirectoryError):
             return []
-        for found in (self.folder, *entries):
-            if found.is_symlink():
-                raise StoreError(f"{found} is a link, which no writer left there; look at it, then remove it")
+        for entry in (self.folder, *entries):
+            if entry.is_symlink():
+                raise StoreError(f"{entry} is a link, which no writer left there; look at it, then remove it")
         return entries
 
     def _place(self, group: str) -> Path:
@@ -212,8 +212,8 @@ def _temporaries(store: Path, above: Collection[str]) -> Iterator[str]:
             continue
         seen.add(folder)
         try:
-            with os.scandir(folder) as found:
-                entries = list(found)
+            with os.scandir(folder) as listed:
+                entries = list(listed)
         except OSError:
             continue
         for entry in entries:
@@ -344,12 +344,12 @@ def staging(store: Path, wanted: Collection[tuple[str, str]] = ()) -> Iterator[S
     StoreError
         Another process is writing the store, or its staging folder holds what no writer leaves there.
     """
-    made = Staging(store)
-    if made.folder.is_symlink():
-        raise StoreError(f"{made.folder} is a link, which no writer left there; look at it, then remove it")
-    with locked(made.folder / "lock", store):
-        made.recover(wanted)
-        yield made
+    stage = Staging(store)
+    if stage.folder.is_symlink():
+        raise StoreError(f"{stage.folder} is a link, which no writer left there; look at it, then remove it")
+    with locked(stage.folder / "lock", store):
+        stage.recover(wanted)
+        yield stage
 
 
 def clear_up(store: Path) -> None:
@@ -359,6 +359,6 @@ def clear_up(store: Path) -> None:
     """
     folder = Staging(store).folder
     with contextlib.suppress(StoreError, OSError):
-        if not any(found.name.startswith("build-") for found in folder.iterdir()):
+        if not any(entry.name.startswith("build-") for entry in folder.iterdir()):
             with staging(store):
                 pass

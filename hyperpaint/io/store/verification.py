@@ -250,11 +250,11 @@ def _array_problems(location: Location, group: str, name: str, record: ArrayReco
             return f"/{where}/{key}: the chunk is missing"
         try:
             values = array[region(position, array.chunks, array.shape)] if array.ndim else array[...]
-            found = checksum(np.asarray(values))
+            computed = checksum(np.asarray(values))
         except Exception as error:  # a damaged chunk may raise anything that a codec raises
             return f"/{where}/{key}: cannot be read: {type(error).__name__}: {error}"
-        return None if found == expected else f"/{where}/{key}: not what was written (checksum differs)"
+        return None if computed == expected else f"/{where}/{key}: not what was written (checksum differs)"
 
     with ThreadPoolExecutor(os.cpu_count()) as pool:
-        found = pool.map(problem, positions, keys, record.chunks)
-        yield from (line for line in found if line)
+        problems = pool.map(problem, positions, keys, record.chunks)
+        yield from (line for line in problems if line)

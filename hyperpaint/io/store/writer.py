@@ -196,9 +196,9 @@ def _without_foreign_inputs(dataset: xr.Dataset, source_token: str | None) -> xr
     """Drop what names the inputs of another group: it came along from what the dataset was made of."""
     if INPUTS not in dataset.attrs or (source_token is not None and dataset.attrs[INPUTS] == source_token):
         return dataset
-    kept = dataset.copy(deep=False)
-    del kept.attrs[INPUTS]
-    return kept
+    unmarked = dataset.copy(deep=False)
+    del unmarked.attrs[INPUTS]
+    return unmarked
 
 
 def _inside(group: str, tree: xr.DataTree, node: xr.DataTree) -> str:
@@ -210,16 +210,16 @@ def _inside(group: str, tree: xr.DataTree, node: xr.DataTree) -> str:
 def _token(dataset: xr.Dataset, source_token: str | None) -> str:
     from dask.base import tokenize
 
-    def kept(attrs: Any) -> dict[str, Any]:
+    def content_attrs(attrs: Any) -> dict[str, Any]:
         return {key: value for key, value in attrs.items() if key not in VOLATILE_ATTRS}
 
     variables = []
     for name, variable in sorted(dataset.variables.items(), key=lambda item: str(item[0])):
-        form = (str(name), variable.dims, variable.shape, str(variable.dtype), kept(variable.attrs))
+        form = (str(name), variable.dims, variable.shape, str(variable.dtype), content_attrs(variable.attrs))
         content = _content(variable) if source_token is None else None
         variables.append((*form, content))
     coords = sorted(map(str, dataset.coords))
-    return str(tokenize(FORMAT_VERSION, source_token, variables, coords, kept(dataset.attrs)))
+    return str(tokenize(FORMAT_VERSION, source_token, variables, coords, content_attrs(dataset.attrs)))
 
 
 def _content(variable: xr.Variable) -> Any:
@@ -252,19 +252,19 @@ def _pending(jobs: list[_Job], above: list[str], location: Location, *, overwrit
         problems.add(text)
     pending = []
     for job in jobs:
-        found = occupant(job.group, job.token, location)
-        if found == "same":
+        state = occupant(job.group, job.token, location)
+        if state == "same":
             continue
-        if found == "parent":
+        if state == "parent":
             problems.add(
                 f"group {'/' + job.group!r} holds other groups, or folders that are none of its "
                 "arrays, which would be lost; choose another group, or remove them first"
             )
-        elif found == "array":
+        elif state == "array":
             problems.add(f"{'/' + job.group!r} or a group above it is an array; choose another group")
-        elif found not in ("", "lacks chunks") and not overwrite:
+        elif state not in ("", "lacks chunks") and not overwrite:
             problems.add(
-                f"group {'/' + job.group!r} exists, {found}",
+                f"group {'/' + job.group!r} exists, {state}",
                 mend="pass overwrite=True to replace it",
                 option="pass --overwrite to replace it",
             )
@@ -375,9 +375,9 @@ def _write_arrays(
         targets = {
             name: _target(_writable(node, name), name, variable, place) for name, variable in streamed.items()
         }
-        known = _taken_up(targets, leftovers)
+        finished = _taken_up(targets, leftovers)
         lazy = {
-            name: chunks.lazy_checksums(variable, targets[name], known[name])
+            name: chunks.lazy_checksums(variable, targets[name], finished[name])
             for name, variable in streamed.items()
         }
         return computing.compute(lazy, targets, group=job.group, progress=progress)
@@ -432,12 +432,12 @@ def _taken_up(
     targets: Mapping[str, chunks.Target], leftovers: list[Path]
 ) -> dict[str, dict[tuple[int, ...], int]]:
     """Take the finished chunks out of what earlier attempts left; return the checksums of each array's."""
-    known: dict[str, dict[tuple[int, ...], int]] = {name: {} for name in targets}
+    finished: dict[str, dict[tuple[int, ...], int]] = {name: {} for name in targets}
     for leftover in leftovers:
         for name, target in targets.items():
-            adopt(leftover / name, target, known[name])
+            adopt(leftover / name, target, finished[name])
         discard(leftover)
-    return known
+    return finished
 
 
 def _remove_hidden(place: Location) -> None:
