@@ -228,13 +228,7 @@ def flat_field(frames: xr.DataArray, dark: xr.DataArray | None = None) -> xr.Dat
 
 
 def factors_of(flat: xr.DataArray, shape: tuple[int, ...]) -> Floats:
-    """Return the values of a `flat_field` for an array of ``shape`` (band, cross_track).
-
-    Raises
-    ------
-    SchemaError
-        Its dims or sizes are others.
-    """
+    """Return the values of a `flat_field` for an array of ``shape`` (band, cross_track), or raise."""
     if set(flat.dims) != set(_ELEMENT) or flat.transpose(*_ELEMENT).shape != shape:
         raise SchemaError(
             f"flat_field has sizes {dict(flat.sizes)}, expected {BAND} and {CROSS_TRACK} of {shape}"

@@ -49,10 +49,8 @@ def second_order_share(rows: Floats, step_wavelength: Floats, wavelength: Floats
 def common_offset(level: Floats, area: Floats) -> float:
     """Return the counts off the lines that do not follow their light: those of a dark that is off [count].
 
-    Parameters
-    ----------
-    level, area : (step,)
-        Counts of a band off the line, and area of the line; medians of the lit columns [count].
+    ``level`` and ``area`` (step,) are the counts of a band off the line and the area of the line, medians of
+    the lit columns [count].
     """
     usable = np.isfinite(level) & np.isfinite(area) & (area > 0)
     if usable.sum() < 4 or np.ptp(area[usable]) < 0.2 * area[usable].max():
@@ -64,10 +62,7 @@ def common_offset(level: Floats, area: Floats) -> float:
 def wing_in_window(rows: Floats, centre: Floats) -> float:
     """Return the share of a line's area that is light scattered into its window, beyond the background [1].
 
-    Parameters
-    ----------
-    rows, centre
-        As in `stray_light_matrix`.
+    ``rows`` and ``centre`` as in `stray_light_matrix`.
     """
     shares = []
     for row, middle in zip(rows, centre, strict=True):

@@ -249,15 +249,10 @@ def parse_size(size: str | int) -> int:
 
 
 def available_memory(system: Path = Path("/")) -> int:
-    """Return the memory that can still be taken [byte].
+    """Return the memory that can still be taken [byte]; ``system`` is where ``proc`` and ``sys`` are.
 
     The least of what the machine, its container and the limit of this process's address space leave; of the
     last, what helper threads reserve is taken off first.
-
-    Parameters
-    ----------
-    system
-        Where ``proc`` and ``sys`` are.
     """
     space = _address_space()
     shared = _shared_memory(system)
@@ -270,15 +265,10 @@ def _shared_memory(system: Path) -> int:
 
 
 def process_limit(resident: int, limit: int | None = None) -> int:
-    """Return the most memory that this process may take [byte].
+    """Return the most memory that this process, which holds ``resident`` bytes, may take [byte].
 
-    Parameters
-    ----------
-    resident
-        What it holds now [byte].
-    limit
-        Given by the user, in place of `USABLE` of what is available; a limit of the address space, which no
-        other program shares, holds besides.
+    ``limit`` of the user stands in place of `USABLE` of what is available; a limit of the address space,
+    which no other program shares, holds besides.
     """
     if limit is None:
         limit = resident + int(USABLE * max(0, _shared_memory(Path("/"))))

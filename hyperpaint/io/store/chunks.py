@@ -51,19 +51,10 @@ class Target:
     fill: Any
 
     def write(self, block: np.ndarray[Any, Any], offset: tuple[int, ...]) -> np.ndarray[Any, Any]:
-        """Write a block that starts at the storage chunk ``offset``; return each chunk's checksum.
+        """Write a block of whole chunks that starts at the chunk ``offset`` of the grid; return checksums.
 
-        Parameters
-        ----------
-        block
-            Whole storage chunks, but at the far edges of the array.
-        offset
-            Position of the first chunk in the grid.
-
-        Returns
-        -------
-        numpy.ndarray of uint32
-            One checksum a chunk, in the shape of the grid.
+        At the far edges of the array chunks may be cut. The checksums (uint32) have the shape of the block's
+        grid.
         """
         import numpy as np
 
@@ -132,17 +123,9 @@ def placeholder(variable: xr.Variable) -> xr.Variable:
 def lazy_checksums(
     variable: xr.Variable, target: Target, finished: Mapping[tuple[int, ...], int] | None = None
 ) -> da.Array:
-    """Return the checksums of a variable's chunks; to compute them is to store the variable.
+    """Return the checksums of a variable's chunks; to compute them is to store the variable in ``target``.
 
-    Parameters
-    ----------
-    variable
-        What is stored.
-    target
-        Where.
-    finished
-        Position in the grid to checksum, for chunks that are there already: a block of which all chunks are
-        finished is not computed.
+    A block of which all chunks are ``finished`` (position in the grid to checksum) is not computed.
     """
     import dask
     import dask.array as da
@@ -229,19 +212,7 @@ _RECORD = re.compile(r"(\S{1,200}) ([0-9a-f]{8})\n")
 
 
 def write_chunk(folder: Path, key: str, parts: Sequence[bytes], value: int) -> None:
-    """Write a chunk file of an array, then its record.
-
-    Parameters
-    ----------
-    folder
-        The array's.
-    key
-        The chunk's path in it.
-    parts
-        What the file holds.
-    value
-        Checksum of the chunk's decoded samples.
-    """
+    """Write the file ``key`` of an array's folder from ``parts``, then its record with the checksum."""
     path = folder / key
     _make_parents(folder, path)
     _replace(path, parts, flush=True)
@@ -249,16 +220,10 @@ def write_chunk(folder: Path, key: str, parts: Sequence[bytes], value: int) -> N
 
 
 def adopt(leftover: Path, target: Target, finished: dict[tuple[int, ...], int]) -> None:
-    """Move the finished chunks of an array from an earlier run's folder into the array's own.
+    """Move finished chunks of an earlier run's array into the array's own folder; add them to ``finished``.
 
-    Parameters
-    ----------
-    leftover
-        The array's folder in what the earlier run left; need not be there.
-    target
-        The array, with its metadata already written.
-    finished
-        Position in the grid to checksum; the chunks that are moved, read and found whole are added.
+    ``leftover`` need not exist; the target's metadata are already written. A chunk is added, by its position
+    in the grid, once it has been read and its checksum is the recorded one.
     """
     import numpy as np
 

@@ -50,24 +50,13 @@ class _Block:
 def compute(
     lazy: Mapping[str, da.Array], targets: Mapping[str, Target], *, group: str, progress: bool
 ) -> dict[str, np.ndarray[Any, Any]]:
-    """Compute together what is lazy, so that what two arrays share is computed once.
-
-    Parameters
-    ----------
-    lazy
-        Name to checksums, from `blocks.lazy_checksums`.
-    targets
-        Name to what its blocks are written to.
-    group
-        Group of the store, for messages.
-    progress
-        Show a bar.
+    """Compute lazy checksums (`chunks.lazy_checksums`) together: what two arrays share is computed once.
 
     Raises
     ------
     StoreError
-        A block could not be read, computed or written, or the cluster was lost; the message names the block.
-        Other errors of a task are raised as they are, with a note that names it.
+        A block could not be read, computed or written, or the cluster was lost; the message names group and
+        block. Other errors of a task are raised as they are, with a note that names it.
     """
     import numpy as np
     from dask.base import get_scheduler
@@ -105,18 +94,7 @@ def client_in_force() -> Client | None:
 
 @contextlib.contextmanager
 def errors_of_the_cluster(what: str) -> Iterator[None]:
-    """Turn lost workers, and a lost scheduler, into an error that says what could not be done.
-
-    Parameters
-    ----------
-    what
-        Begins the message, such as ``"cannot process collect.toml"``.
-
-    Raises
-    ------
-    StoreError
-        In place of any error of distributed.
-    """
+    """Turn lost workers, and a lost scheduler, into a StoreError; ``what`` opens the message."""
     try:
         yield
     except PaintError:
@@ -253,13 +231,7 @@ def _told_of_cluster(error: BaseException) -> str | None:
 
 
 def _raise_named(error: BaseException, place: str, hint: str = "") -> NoReturn:
-    """Raise an error of a task so that it names the block.
-
-    Raises
-    ------
-    StoreError
-        In place of what another run may be spared: errors of the system, of memory and of the cluster.
-    """
+    """Raise a task's error so that it names the block; those of system, memory, cluster as StoreError."""
     reason = _told_of_cluster(error)
     if reason is None and not isinstance(error, PaintError) and isinstance(error, OSError | MemoryError):
         reason = f"{type(error).__name__}: {error}{hint}; mend this"
@@ -274,13 +246,7 @@ _FEWEST = 0.02  # share that must be done before the rest is guessed
 
 
 class BlockBar:
-    """A bar on stdout, as dask draws it, with the time that is left.
-
-    Parameters
-    ----------
-    total
-        Blocks to do.
-    """
+    """A bar on stdout over ``total`` blocks, as dask draws it, with the time that is left."""
 
     def __init__(self, total: int) -> None:
         self._total, self._done, self._shown = total, 0, 0

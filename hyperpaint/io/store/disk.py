@@ -82,21 +82,10 @@ def _noise_bits(dataset: xr.Dataset, name: str) -> int:
 
 
 def check_disk(store: Path, needed: int, begun: Iterable[Path] = ()) -> None:
-    """Refuse a store for which its disk has no room.
+    """Refuse a store whose disk has less free space than ``needed`` bytes, with the figures.
 
-    Parameters
-    ----------
-    store
-        Where it will be; neither it nor the folders above need be there yet.
-    needed
-        Bytes to be written.
-    begun
-        What an interrupted run left and this one takes up: its bytes are taken off.
-
-    Raises
-    ------
-    StoreError
-        There is less room; the figures are given.
+    Neither the store nor the folders above need exist. The size of the folders ``begun``, which an
+    interrupted run left and this one takes up, is taken off.
     """
     free = _free(store)
     left = needed - sum(_size(file) for folder in begun for file in folder.rglob("*"))
@@ -124,15 +113,7 @@ def _size(path: Path) -> int:
 
 @contextlib.contextmanager
 def errors_of_the_system(location: Location, groups: Mapping[str, xr.Dataset]) -> Iterator[None]:
-    """Turn a full disk or memory, and folders and files that cannot be used, into one readable error.
-
-    Parameters
-    ----------
-    location
-        The store.
-    groups
-        What is being written.
-    """
+    """Turn a full disk or memory, and files that cannot be used, into one readable error."""
     try:
         yield
     except PaintError as error:
@@ -200,19 +181,7 @@ def start_flush(file: Any) -> None:
 def flush_group(folder: Path, expected: Iterable[Path]) -> None:
     """Flush all files of a folder, then all its folders; return when the disk has them.
 
-    Parameters
-    ----------
-    folder
-        A group under construction.
-    expected
-        Files that must be there: somebody may have cleared up while they were written.
-
-    Raises
-    ------
-    FileNotFoundError
-        One is missing.
-    OSError
-        The disk could not take them.
+    FileNotFoundError where one of the files ``expected`` is missing: somebody may have removed it.
     """
     files: set[str] = set()
     folders: list[Path] = []
@@ -253,17 +222,9 @@ _UNKNOWN = (errno.ENOSYS, errno.EINVAL, errno.EOPNOTSUPP, errno.EPERM)
 
 
 def exchange(one: Path, other: Path) -> bool:
-    """Let two paths change places, both of which must be there.
+    """Let two existing paths change places; return False, with nothing done, where system or disk cannot.
 
-    Returns
-    -------
-    bool
-        False where system or file system cannot: nothing is done then. Linux can, on most local disks.
-
-    Raises
-    ------
-    OSError
-        A path is missing, or may not be changed.
+    Linux can, on most local disks.
     """
     rename = _renameat2()
     if rename is None:

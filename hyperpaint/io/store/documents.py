@@ -107,19 +107,9 @@ class ChunkForm:
 
 
 def parse_document(raw: bytes, where: str) -> dict[str, Any]:
-    """Return the JSON object of a metadata file.
+    """Return the JSON object of a metadata file, which ``where`` names in messages.
 
-    Parameters
-    ----------
-    raw
-        Its bytes.
-    where
-        Names the file in messages.
-
-    Raises
-    ------
-    IncompleteStoreError
-        It is not a JSON object, or larger, deeper or with more values than any metadata of a store.
+    IncompleteStoreError where it is no JSON object, or larger, deeper or longer than any metadata of a store.
     """
     problem = _too_much(raw)
     if not problem:
@@ -162,13 +152,7 @@ def _is_deep(document: dict[str, Any]) -> bool:
 
 
 def check_node(document: Mapping[str, Any], where: str) -> ChunkForm | None:
-    """Check the ``zarr.json`` of a node; return the form of an array's chunks, None for a group.
-
-    Raises
-    ------
-    StoreError
-        The node is neither a group nor an array that may be read; all problems are listed.
-    """
+    """Check the ``zarr.json`` of a node; return the form of an array's chunks, None for a group."""
     kind = document.get("node_type")
     if document.get("zarr_format") != 3 or kind not in ("group", "array"):
         raise StoreError(

@@ -42,20 +42,9 @@ def guarded(
 ) -> LocalStore | FsspecStore:
     """Return a read-only Zarr store over a place that nobody vouches for.
 
-    Parameters
-    ----------
-    location
-        The place.
-    group, record
-        A group, and its completion record: what is read of it must be what was recorded, and a chunk that
-        is missing is refused, where it would otherwise read as the fill value.
-    content
-        Names what is stored, for the names of dask's tasks.
-
-    Raises
-    ------
-    StoreError
-        The numcodecs installed runs code that stores name.
+    With ``group`` and its completion ``record``, what is read of the group must be what was recorded, and a
+    chunk that is missing is refused, where it would otherwise read as the fill value. ``content`` names what
+    is stored, for the names of dask's tasks.
     """
     _check_numcodecs()
     if location.local is not None:
@@ -88,27 +77,11 @@ def _check_numcodecs() -> None:
 
 
 def decode_chunk(form: ChunkForm, encoded: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
-    """Return an encoded chunk without its compressor and checksum, bounded by what its array declares.
+    """Return a chunk (uint8) without compressor and checksum: samples, or texts after their lengths.
 
     The decompressor allocates what a frame says it holds: a frame of 32 kB can say 1 GiB. Its header is
-    therefore compared with the array's metadata first (`documents` bounds what those may declare).
-
-    Parameters
-    ----------
-    form
-        Of the array.
-    encoded
-        The chunk as it is stored, uint8.
-
-    Returns
-    -------
-    numpy.ndarray of uint8
-        Its samples, or its texts each after its length (walked through).
-
-    Raises
-    ------
-    StoreError
-        It does not decode to what the array declares, or a checksum in it is wrong.
+    therefore compared with the array's metadata first (`documents` bounds what those may declare). StoreError
+    where the chunk does not decode to what the array declares, or a checksum in it is wrong.
     """
     if encoded.size > form.most_encoded_bytes:
         raise StoreError(f"{encoded.size} bytes for a chunk that decodes to {form.decoded_bytes}")

@@ -183,10 +183,7 @@ def encoding_of(variable: xr.Variable) -> dict[str, Any]:
 def prepare(dataset: xr.Dataset, group: str) -> xr.Dataset:
     """Return ``dataset`` as it will be stored: no stale encodings, strings as objects, aligned dask chunks.
 
-    Raises
-    ------
-    StoreError
-        Names, dtypes or attributes cannot be stored; all are listed.
+    StoreError where names, dtypes or attributes cannot be stored; all are listed.
     """
     problems = Problems(f"the dataset cannot be stored as group {'/' + group!r}", StoreError)
     _check_attrs("the dataset", dataset.attrs, problems)
@@ -289,16 +286,8 @@ def encode_chunk(block: np.ndarray[Any, Any], chunk: tuple[int, ...], fill: Any)
     """Return a storage chunk as its bytes on disk: blosc, then the crc32c that follows it.
 
     The very bytes that zarr-python makes with the codecs of `encoding_of`, without its copies and its one
-    event loop, which cost as much again as the compression.
-
-    Parameters
-    ----------
-    block
-        The chunk, C-contiguous and little-endian; smaller than ``chunk`` at the far edge of an array.
-    chunk
-        Storage chunk.
-    fill
-        Fills what an edge chunk lacks.
+    event loop, which cost as much again as the compression. ``block`` is C-contiguous and little-endian; at
+    the far edge of an array, where it is smaller than ``chunk``, ``fill`` completes it.
     """
     import google_crc32c
     import numpy as np

@@ -85,13 +85,7 @@ def has_all_chunks(location: Location, group: str, record: GroupRecord) -> bool:
 
 
 def is_damaged(group: str, location: Location) -> bool:
-    """Tell whether there is metadata of a group that cannot be read.
-
-    Raises
-    ------
-    StoreError
-        A link or a pipe is in its place.
-    """
+    """Tell whether there is metadata of a group that cannot be read; a link or pipe there is a StoreError."""
     try:
         location.metadata(group)
     except IncompleteStoreError:
@@ -100,15 +94,7 @@ def is_damaged(group: str, location: Location) -> bool:
 
 
 def rebuild_groups(groups: Iterable[str], location: Location) -> None:
-    """Write the metadata of groups anew, without arrays of their own; what is in them stays.
-
-    Parameters
-    ----------
-    groups
-        Those that are damaged, or missing above others.
-    location
-        The store.
-    """
+    """Write the metadata of damaged or missing groups without arrays anew; what is in them stays."""
     for group in groups:
         _write_group(group, stamped({}, "rebuilt"), location)
 
@@ -136,15 +122,7 @@ def unlist(group: str, location: Location) -> None:
 
 
 def finish_root(attrs: Mapping[str, dict[str, Any]], location: Location) -> None:
-    """Set the attributes of groups without variables, then list all metadata in the root.
-
-    Parameters
-    ----------
-    attrs
-        Group to attributes.
-    location
-        The store.
-    """
+    """Set the attributes of groups without variables (by group), then list all metadata in the root."""
     for group, wanted in attrs.items():
         make_groups_above(group, location)
         node = location.metadata(group)

@@ -27,13 +27,7 @@ _MOST_FOLDERS_DEEP = 40
 
 
 def clean_group(group: str | None) -> str:
-    """Return a group's path without leading or trailing slashes; the root is ``""``.
-
-    Raises
-    ------
-    StoreError
-        The path leaves the store, or a part of it cannot be a group's name.
-    """
+    """Return a group's path without slashes around it (the root is ``""``), or raise a StoreError."""
     parts = [part for part in (group or "").split("/") if part]
     if any(part.startswith((".", "__")) or part == METADATA or "\\" in part for part in parts):
         raise StoreError(f"group {group!r}: expected names without a leading '.' or '__' between slashes")
@@ -101,13 +95,7 @@ class Location:
         return bool(self.fs.exists(self.key(group, *parts)))
 
     def read(self, group: str, *parts: str) -> bytes | None:
-        """Return a small file's bytes; None where there is no such file.
-
-        Raises
-        ------
-        StoreError
-            The path leaves the store, the file is none, is larger than metadata are, or cannot be read.
-        """
+        """Return a small file's bytes; None without such a file, StoreError where it may not be read."""
         key = self.key(group, *parts)
         try:
             if self.local is not None:
@@ -126,15 +114,7 @@ class Location:
             raise StoreError(f"{key:.200} cannot be read: {error.strerror or error}") from error
 
     def read_json(self, group: str, *parts: str) -> dict[str, Any] | None:
-        """Return a JSON object; None where there is no such file.
-
-        Raises
-        ------
-        IncompleteStoreError
-            The file is not a JSON object, or more than metadata of a store are.
-        StoreError
-            The path leaves the store, or the file cannot be read.
-        """
+        """Return a JSON object; None without such a file, IncompleteStoreError where it is damaged."""
         raw = self.read(group, *parts)
         return None if raw is None else parse_document(raw, self.key(group, *parts))
 
@@ -154,23 +134,15 @@ class Location:
             replace_file(self.local.joinpath(*parts), content)
 
     def groups(self) -> list[str]:
-        """Return every group that holds arrays, sorted; unreadable nodes are passed over.
-
-        Raises
-        ------
-        StoreError
-            See `nodes`.
-        """
+        """Return every group that holds arrays, sorted; unreadable nodes are passed over; see `nodes`."""
         arrays = (path for path, kind in self.nodes().items() if kind == "array")
         return sorted({path.rpartition("/")[0] for path in arrays})
 
     def nodes(self) -> dict[str, str]:
         """Return every node below the root: ``group``, ``array``, or ``unreadable``.
 
-        Raises
-        ------
-        StoreError
-            There are more than `MOST_NODES`, or groups more than `MOST_DEPTH` deep; or see `folders`.
+        StoreError where there are more than `MOST_NODES`, or groups more than `MOST_DEPTH` deep; or see
+        `folders`.
         """
         kinds: dict[str, str] = {}
         pending = [""]
@@ -199,11 +171,9 @@ class Location:
     def folders(self, group: str) -> list[str]:
         """Return the names of the folders in a group.
 
-        Raises
-        ------
-        StoreError
-            One of them is a link, which would lead out of the store, or around in it without end; there are
-            more than `MOST_NODES`; the group is more than `MOST_DEPTH` deep; or it cannot be listed.
+        StoreError where one of them is a link, which would lead out of the store, or around in it without
+        end; where there are more than `MOST_NODES`, the group is more than `MOST_DEPTH` deep, or it cannot be
+        listed.
         """
         if group.count("/") >= MOST_DEPTH:
             raise StoreError(
@@ -255,13 +225,7 @@ class Location:
         return None if document is None else str(document.get("node_type"))
 
     def files(self, group: str) -> set[str]:
-        """Return the paths of all files below a group, relative to it; links are files.
-
-        Raises
-        ------
-        StoreError
-            A folder cannot be listed, or is deeper than any array's.
-        """
+        """Return the paths of all files below a group, relative to it; links are files."""
         if self.local is None:
             prefix = self.key(group).rstrip("/") + "/"
             return {file.removeprefix(prefix) for file in self.fs.find(self.key(group))}
@@ -291,20 +255,10 @@ class Location:
 
 
 def plain_file(root: str, key: str) -> os.stat_result | None:
-    """Return the state of a plain file in a local store; None where there is no file.
+    """Return the state of a plain file at ``key`` inside a store's folder ``root``; None where there is none.
 
-    Parameters
-    ----------
-    root
-        The store's folder, which may itself be reached through links.
-    key
-        Path inside it.
-
-    Raises
-    ------
-    StoreError
-        The path leaves the store, passes through a link, or ends in something that is no plain file: a
-        store holds files and folders only.
+    The folder itself may be reached through links. StoreError where the path leaves the store, passes through
+    a link, or ends in something that is no plain file: a store holds files and folders only.
     """
     parts = key.split("/")
     if any(part in ("", ".", "..") or "\\" in part or "\0" in part for part in parts):

@@ -18,16 +18,9 @@ if TYPE_CHECKING:
 
 
 def problems_above(groups: Iterable[str], location: Location, *, overwrite: bool) -> list[str]:
-    """Return why groups cannot be written below others, one line each; empty where they can.
+    """Return why groups cannot be written below ``groups``, one line each; empty where they can.
 
-    Parameters
-    ----------
-    groups
-        The groups above.
-    location
-        The store.
-    overwrite
-        Damaged metadata may be written anew.
+    With ``overwrite``, damaged metadata may be written anew.
     """
     if _is_foreign(location):
         return ["it exists and is not a Zarr v3 store; choose another path"]
@@ -49,22 +42,10 @@ def damaged_groups(groups: Iterable[str], location: Location) -> list[str]:
 
 
 def occupant(group: str, token: str, location: Location) -> str:
-    """Return what is in a group's place.
+    """Return what is in a group's place; ``token`` names the content that is to be written.
 
-    Parameters
-    ----------
-    group
-        Its path.
-    token
-        Names the content that is to be written.
-    location
-        The store.
-
-    Returns
-    -------
-    str
-        Nothing (""), the "same" content, which perhaps "lacks chunks", a "parent" of what is not part of it,
-        an "array", or in words that go into a sentence what else.
+    Nothing (""), the "same" content, which perhaps "lacks chunks", a "parent" of what is not part of it, an
+    "array", or in words that go into a sentence what else.
     """
     if any(_is_array(location, each) for each in (*groups_above(group), group) if each):
         return "array"

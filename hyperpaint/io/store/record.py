@@ -129,10 +129,8 @@ def read_seal(location: Location, group: str) -> str | None:
 def read_record(location: Location, group: str) -> GroupRecord | None:
     """Return the completion record of a group; None where it was never finished.
 
-    Raises
-    ------
-    IncompleteStoreError
-        The record is damaged or not of this group, or arrays are missing or were added.
+    IncompleteStoreError where the record is damaged or not of this group, or arrays are missing or were
+    added.
     """
     node = location.metadata(group) or {}
     seal = (node.get("attributes") or {}).get(COMPLETE)

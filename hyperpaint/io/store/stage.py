@@ -58,13 +58,7 @@ def is_temporary(name: str) -> bool:
 
 
 class Staging:
-    """The folder beside a store in which its groups are built.
-
-    Parameters
-    ----------
-    store
-        Folder of the store.
-    """
+    """The folder beside a store in which its groups are built."""
 
     def __init__(self, store: Path) -> None:
         self.store = store
@@ -134,10 +128,7 @@ class Staging:
     def recover(self, wanted: Collection[tuple[str, str]] = ()) -> None:
         """Undo a replacement that was cut short, and remove half-built groups but for those wanted.
 
-        Raises
-        ------
-        StoreError
-            There is what no writer leaves: links, or names that lead out of the store.
+        StoreError where there is what no writer leaves: links, or names that lead out of the store.
         """
         prefixes = tuple(_build_prefix(group, content) for group, content in wanted)
         entries = self._entries()
@@ -195,15 +186,7 @@ class Staging:
 
 
 def _temporaries(store: Path, above: Collection[str]) -> Iterator[str]:
-    """Yield half-written metadata in the folders of groups; no link is followed.
-
-    Parameters
-    ----------
-    store
-        Its root counts as a group.
-    above
-        Groups whose metadata may not be there yet.
-    """
+    """Yield half-written metadata in the folders of a store and of groups ``above``, through no link."""
     pending = [os.fspath(store), *(os.fspath(store / name) for name in above if name)]
     seen: set[str] = set()
     while pending:
@@ -259,20 +242,10 @@ def _build_prefix(group: str, content: str) -> str:
 def locked(lock: Path, store: Path) -> Iterator[None]:
     """Hold the lock of a store; its folder is made, and removed where it is empty in the end.
 
-    `filelock.SoftFileLock` writes the process, its start and its host into the file, and takes over the
-    lock of a process that has died; a file without such a record it takes over after 2 s without a change.
-
-    Parameters
-    ----------
-    lock
-        The file.
-    store
-        What it stands for, for messages.
-
-    Raises
-    ------
-    StoreError
-        Another writer holds it, or it cannot be seen from here whether that one has died; or it is no file.
+    `filelock.SoftFileLock` writes the process, its start and its host into the file, and takes over the lock
+    of a process that has died; a file without such a record it takes over after 2 s without a change.
+    StoreError where another writer holds it, where nobody can see from here whether that one has died, or
+    where it is no file.
     """
     import filelock
 
@@ -330,19 +303,9 @@ def _being_written(lock: Path, store: Path) -> StoreError:
 
 @contextlib.contextmanager
 def staging(store: Path, wanted: Collection[tuple[str, str]] = ()) -> Iterator[Staging]:
-    """Open the staging folder of a store, as its only writer.
+    """Open the staging folder of a store, as its only writer, else a StoreError.
 
-    Parameters
-    ----------
-    store
-        Folder of the store.
-    wanted
-        Groups and contents about to be written: what earlier attempts built of them is kept.
-
-    Raises
-    ------
-    StoreError
-        Another process is writing the store, or its staging folder holds what no writer leaves there.
+    What earlier attempts built of the groups and contents ``wanted``, which are about to be written, is kept.
     """
     stage = Staging(store)
     if stage.folder.is_symlink():

@@ -284,21 +284,9 @@ def _opened(location: Location, jobs: list[_Job]) -> Iterator[Staging | None]:
 
 
 def check_room(groups: Mapping[str, xr.Dataset], path: str | Path, tokens: Mapping[str, str]) -> None:
-    """Refuse groups for which a store's disk has no room, taken together.
+    """Refuse groups (name to what `to_store` will be given) that together do not fit on a store's disk.
 
-    Parameters
-    ----------
-    groups
-        Group to what `to_store` will be given.
-    path
-        The store.
-    tokens
-        Group to ``source_token``.
-
-    Raises
-    ------
-    StoreError
-        There is less room; the figures are given.
+    ``tokens`` are their source tokens; the error gives the figures.
     """
     jobs = [_Job(name, dataset, _token(dataset, tokens[name])) for name, dataset in groups.items()]
     _check_disk(jobs, Location.of(path))
