@@ -1,11 +1,8 @@
 """From a lab sweep to a calibration, and every other way to a gain.
 
-Rooms: `lab_sweep` (the sweep at the door), `steps` and `line_fits` (line by line), `elements` (dead ones, and
-what the others differ in), `slope_pull`, `wavelength_map`, `placement` (which lines lie where they should),
-`edge_lines`, `beam` (light along the slit), `responsivity` (areas to gains), `calibrating` (all of it in
-order), `result` (the dataset), `views` (what can be derived), `anchors` (absolute scale by other means),
-`detector` (dark, flat field, linearity), `out_of_band` (stray light, second order), `line_samples` (lines
-beside their fits).
+In: a monochromator sweep (`lab_sweep` checks it), frames of a known source, or the vendor's coefficients.
+Out: a dataset with gain, wavelengths, dark and uncertainties. Called by workflows and the command line;
+alignment, pictures and reports read its results.
 """
 
 from __future__ import annotations

@@ -349,14 +349,9 @@ class _Profiles:
 def beam_problem(wavelength: Floats, areas: Floats, tolerance: float) -> str | None:
     """Return what betrays a beam that does not light all columns alike, or None.
 
-    Parameters
-    ----------
-    wavelength : (step,)
-        [nm]
-    areas : (step, cross_track)
-        Of the fitted lines [count], which a dead element does not dim; NaN where there is none.
-    tolerance
-        Relative fall over the columns that is let pass.
+    ``areas`` (step, cross_track) are those of the fitted lines [count], which a dead element does not dim,
+    NaN where there is none; ``wavelength`` (step,) [nm]; ``tolerance`` is the relative fall over the columns
+    let pass.
     """
     count = np.isfinite(areas).sum(axis=1)
     steps = np.flatnonzero(count >= max(4.0, 0.5 * count.max()))

@@ -9,7 +9,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from hyperpaint.base.arrays import Bools, Floats
 from hyperpaint.kernels.line_fits import AREA, profiles
@@ -107,17 +106,11 @@ def deviant_elements(lab: LabSweep, read: Read, lines: Lines, surface: Wavelengt
 def element_differences(
     lab: LabSweep, read: Read, lines: Lines, surface: WavelengthMap, shape: int, *, known_noise: bool
 ) -> Differences:
-    """Return how much elements differ from the lines that all others tell, beyond noise.
+    """Return how much elements differ from the lines that all others say, beyond noise.
 
     A fit of four parameters hides most of it, since a line is a few bands wide. So place and width are those
-    of the map, and each line has its height free, and a small move.
-
-    Parameters
-    ----------
-    lab, read, lines, surface, shape
-        Sweep, windows, good fits, map and line shape of the camera.
-    known_noise
-        Whether ``read.noise`` tells the noise of bright samples; otherwise that is found too.
+    of the map, and each line has its height free, and a small move. Without ``known_noise``, ``read.noise``
+    does not hold for bright samples, and their noise is determined too.
     """
     widths = _widths(lab, lines, surface)
     tally = np.zeros((4, len(_SIGNAL_EDGES) - 1))
@@ -236,16 +229,8 @@ def complete_edge_lines(
 ) -> None:
     """Fit the heights of lines that are cut off by the edge of the array, and mark them as completed.
 
-    Parameters
-    ----------
-    lab, read, lines, surface
-        The sweep and what has been found; ``lines`` is changed.
-    light : (step,)
-        Wavelengths at which the camera sees the lines [nm].
-    fwhm : (step,)
-        The camera's own width there [nm].
-    shape
-        Line shape of the camera.
+    ``lines`` is changed. ``light`` (step,) are the wavelengths at which the camera sees the lines [nm],
+    ``fwhm`` (step,) its own width there [nm], ``shape`` its line shape.
     """
     for step, window in enumerate(read.windows):
         if window is None:
@@ -254,13 +239,26 @@ def complete_edge_lines(
         cut &= ~lines.trusted[step, window.columns] & ~window.saturated
         if cut.any():
             centre = surface.band_of(float(light[step]), window.columns)
-            _complete(lab, read, lines, surface, step, window, cut, centre, float(fwhm[step]), shape)
+            _complete(
+                lab,
+                read,
+                lines,
+                surface,
+                step=step,
+                cut=cut,
+                centre=centre,
+                fwhm=float(fwhm[step]),
+                shape=shape,
+            )
 
 
 def _complete(
-    lab: LabSweep, read: Read, lines: Lines, surface: WavelengthMap, step: int, window: Window,
-    cut: npt.NDArray[np.bool_], centre: Floats, fwhm: float, shape: str,
+    lab: LabSweep, read: Read, lines: Lines, surface: WavelengthMap, *,
+    step: int, cut: Bools, centre: Floats, fwhm: float, shape: str,
 ) -> None:  # fmt: skip
+    window = read.windows[step]
+    if window is None:
+        return
     spacing = surface.spacing(centre, window.columns)
     width, source = fwhm / spacing, lab.width[step] / spacing
     frames = float(lab.frames[step])

@@ -144,14 +144,8 @@ class Fits:
 def find_line(net: Floats, raw: Floats, bad: Bools, saturation: Floats | None) -> Window | None:
     """Return the window about the line of one step, or None where there is none.
 
-    Parameters
-    ----------
-    net, raw : (band, cross_track)
-        Counts less dark, and as they were read.
-    bad : (band, cross_track)
-        Elements to leave out.
-    saturation
-        Count at which the converter is full, or None.
+    ``net`` (band, cross_track) are counts less dark, ``raw`` as they were read; ``bad`` elements are left
+    out; ``saturation`` is the count at which the converter is full, or None.
     """
     bands, columns = net.shape
     clean = np.where(bad | ~np.isfinite(net), np.nan, net)
@@ -282,20 +276,10 @@ def fit_beam(beam: Floats) -> tuple[float, float]:
 def fit_window(
     window: Window, noise: NoiseModel, frames: float, shape: int, light: Light, start: Fits | None = None
 ) -> Fits:
-    """Return the fits of all lines of a window.
+    """Return the fits of all lines of a window (`find_line`), weighted by ``noise``, of ``frames`` frames.
 
-    Parameters
-    ----------
-    window
-        See `find_line`.
-    noise, frames
-        Weights of the fit.
-    shape
-        Value of `SHAPES`.
-    light
-        What the camera looked at; of no width in the first fit, which is of the line as it is seen.
-    start
-        Fits to begin from.
+    ``shape`` is a value of `SHAPES`. ``light`` is what the camera looked at; of no width in the first fit,
+    which is of the line as it is seen. ``start`` are fits to begin from.
     """
     is_finite = np.isfinite(window.values)
     values = np.where(is_finite, window.values, 0.0)

@@ -25,16 +25,9 @@ _MOST_AMPLIFIED = 10.0  # sum of a row of the inverse, beyond which the light wo
 def second_order_share(rows: Floats, step_wavelength: Floats, wavelength: Floats, width: Floats) -> Floats:
     """Return counts at twice the wavelength over those of the line, a step (step,) [1].
 
-    Parameters
-    ----------
-    rows : (step, band)
-        Counts outside the lines relative to the lines' areas; 0 inside their windows.
-    step_wavelength : (step,)
-        [nm]
-    wavelength : (band,)
-        [nm]
-    width : (step,)
-        Full width at half maximum of the line as it is seen [nm]; the second order is up to twice as wide.
+    ``rows`` (step, band) are counts outside the lines relative to the lines' areas, 0 inside their windows;
+    ``step_wavelength`` (step,) and ``wavelength`` (band,) [nm]; ``width`` (step,) is the full width at half
+    maximum of the line as it is seen [nm]. The second order is up to twice as wide.
     """
     share = np.full(len(rows), np.nan)
     for step, (centre, fwhm) in enumerate(zip(2.0 * step_wavelength, width, strict=True)):
@@ -79,16 +72,8 @@ def stray_light_matrix(
 ) -> Floats:
     """Return the share of each band's light that every other band sees (band, source_band) [1].
 
-    Parameters
-    ----------
-    rows : (step, band)
-        Counts outside the lines relative to the lines' areas; 0 inside their windows.
-    centre : (step,)
-        Bands of the lines.
-    step_wavelength, wavelength, width
-        As in `second_order_share`.
-    second : (step,)
-        Of `second_order_share`.
+    ``rows``, ``step_wavelength``, ``wavelength`` and ``width`` as in `second_order_share`, of which
+    ``second`` (step,) is the result; ``centre`` (step,) are the bands of the lines.
     """
     bands = rows.shape[1]
     distance = np.arange(bands) - centre[:, None]

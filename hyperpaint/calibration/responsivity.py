@@ -39,14 +39,9 @@ def shape_variance(fwhm: Floats, shape: str, spacing: Floats | float = 0.0) -> F
 def second_order_factor(wavelength: Floats, line: Floats, own: Floats, source: Floats) -> Floats:
     """Return what turns the responsivity that a line saw into that of a band at the same wavelength.
 
-    Parameters
-    ----------
-    wavelength : (step,)
-        [nm]
-    line : (step,)
-        Responsivity from the lines' areas, any scale; the median of the columns, NaN where it is not known.
-    own, source : (step,)
-        Variances of the camera's line shape and of the monochromator's [nm2].
+    ``wavelength`` (step,) [nm]; ``line`` (step,) is the responsivity from the lines' areas at any scale,
+    median of the columns, NaN where it is not known; ``own`` and ``source`` (step,) are the variances of the
+    camera's line shape and of the monochromator's [nm2].
     """
     factor = np.ones_like(line)
     positive = np.flatnonzero(np.isfinite(line) & (line > 0))
@@ -65,15 +60,10 @@ def second_order_factor(wavelength: Floats, line: Floats, own: Floats, source: F
 
 
 def monotone_slopes(x: Floats, y: Floats) -> Floats:
-    """Return slopes at the nodes that interpolate smooth values well, and never ring.
+    """Return slopes at nodes ``x`` (node,) that interpolate smooth ``y`` (node, column), and never ring.
 
     Those of a cubic spline, of fourth order; where the values turn from one curvature to the other, limited
     as Fritsch and Carlson's (Hyman 1983), which keeps every piece monotone that its ends leave so.
-
-    Parameters
-    ----------
-    x : (node,)
-    y : (node, column)
     """
     from scipy.interpolate import CubicSpline
 
@@ -95,22 +85,11 @@ def monotone_slopes(x: Floats, y: Floats) -> Floats:
 def interpolate_nodes(
     x: Floats, y: Floats, used: Bools, at: Floats, tolerance: float = 0.0
 ) -> tuple[Floats, Bools]:
-    """Return each column's values between its known nodes, and where there is anything between which to be.
+    """Return each column's values (place, column) between its used nodes, and where they are finite.
 
-    Parameters
-    ----------
-    x : (node,)
-        Increasing.
-    y : (node, column)
-    used : (node, column)
-        Nodes that are used; columns with fewer than four get nothing.
-    at : (place, column)
-    tolerance
-        How far beyond the outer nodes a place may lie and still count as on them.
-
-    Returns
-    -------
-    Values (place, column), NaN beyond the outer nodes and in gaps of over three steps; and whether finite.
+    ``x`` (node,) increases; ``y`` and ``used`` (node, column): columns with fewer than four used nodes get
+    nothing; ``at`` (place, column) may lie ``tolerance`` beyond the outer nodes. NaN beyond them and in gaps
+    of over three steps.
     """
     values = np.full(at.shape, np.nan)
     patterns, member = np.unique(used, axis=1, return_inverse=True)
@@ -147,25 +126,12 @@ def element_gain(
     etendue: Floats,
     tolerance: float = 0.0,
 ) -> tuple[Floats, Bools]:
-    """Return the gain of every element [W m-2 sr-1 nm-1 s count-1] from responsivities at the steps.
+    """Return the gain of every element [W m-2 sr-1 nm-1 s count-1], and whether it is known.
 
-    Parameters
-    ----------
-    step_wavelength : (step,)
-        [nm]
-    node : (step, cross_track)
-        Responsivity of a band times spacing, the integral of its response [count nm J-1].
-    used : (step, cross_track)
-    wavelength : (band, cross_track)
-        Of the elements [nm].
-    etendue : (cross_track,)
-        [m2 sr]
-    tolerance
-        Uncertainty of the wavelengths [nm], within which an element counts as on the outer step.
-
-    Returns
-    -------
-    The gain, NaN where it would be extrapolated; and whether it is known.
+    NaN where it would be extrapolated. ``node`` (step, cross_track) is the responsivity of a band times
+    spacing, the integral of its response [count nm J-1], of the steps ``used`` there; ``step_wavelength``
+    (step,) and ``wavelength`` (band, cross_track) of the elements [nm]; ``etendue`` (cross_track,) [m2 sr].
+    Within the ``tolerance``, the uncertainty of the wavelengths [nm], an element counts as on the outer step.
     """
     log = np.log(np.where(used & (node > 0), node, 1.0))
     log_gain, finite = interpolate_nodes(step_wavelength, log, used & (node > 0), wavelength, tolerance)
@@ -185,18 +151,11 @@ def line_pull(
     amplitude: Floats,
     shape: str,
 ) -> Floats:
-    """Return by how much the lines of a sweep are found beyond the wavelengths of their light (step,) [nm].
+    """Return by how much the lines of a sweep lie beyond the wavelengths of their light (step,) [nm].
 
-    Parameters
-    ----------
-    lab, noise
-        The sweep, and the weights of its fits.
-    slope : (step,)
-        d ln responsivity / d wavelength [nm-1].
-    own, spacing, amplitude : (step,)
-        Width of the camera's line [nm], spacing of the bands [nm] and height of the line [count].
-    shape
-        Line shape of the camera.
+    ``slope`` (step,) is d ln responsivity / d wavelength [nm-1]; ``own``, ``spacing`` and ``amplitude``
+    (step,) are the width of the camera's line [nm], the spacing of the bands [nm] and the height of the line
+    [count]; ``shape`` is the camera's line shape, ``noise`` weights the fits.
     """
     bend = np.gradient(slope, lab.wavelength)
     pulled = np.zeros(len(slope))
@@ -210,14 +169,14 @@ def line_pull(
         light *= np.exp(slope[step] * offset + 0.5 * bend[step] * offset**2)
         pulled[step] = spacing[step] * _fitted(
             offset / spacing[step], light / light.sum(), own[step] / spacing[step], source / spacing[step],
-            lab, noise, float(lab.frames[step]), amplitude[step], SHAPES[shape],
+            lab, noise, frames=float(lab.frames[step]), amplitude=amplitude[step], shape=SHAPES[shape],
         )  # fmt: skip
     return pulled
 
 
 def _fitted(
-    offset: Floats, light: Floats, own: float, source: float, lab: LabSweep, noise: NoiseModel, frames: float,
-    amplitude: float, shape: int,
+    offset: Floats, light: Floats, own: float, source: float, lab: LabSweep, noise: NoiseModel, *,
+    frames: float, amplitude: float, shape: int,
 ) -> float:  # fmt: skip
     """Return where the fit puts a line of such light that is centred at zero [band]."""
     half = int(np.ceil(2.2 * np.hypot(own, source) + 2.0))

@@ -107,15 +107,8 @@ def read_lines(
 ) -> Read:
     """Read every step once and keep the windows about its lines.
 
-    Raises
-    ------
-    SchemaError
-        The lines do not move along the array as the wavelengths do, or light falls where none is told.
-
-    Warns
-    -----
-    PaintWarning
-        Lines look clipped, and ``saturation_count`` is missing.
+    SchemaError where the lines do not move along the array as the wavelengths do, or light falls where none
+    is stated; a warning where lines look clipped and ``saturation_count`` is missing.
     """
     steps, bands, _ = lab.shape
     windows: list[Window | None] = []

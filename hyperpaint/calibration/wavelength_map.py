@@ -80,25 +80,12 @@ def fit_wavelength_map(
     band: Floats, column: Floats, wavelength: Floats, sizes: tuple[int, int], *,
     column_degree: int | None = None, uncertainty: Floats | None = None,
 ) -> WavelengthMap:  # fmt: skip
-    """Return the robust low-order surface through line centres.
+    """Return the robust low-order surface through line centres; SchemaError where there are too few.
 
-    Parameters
-    ----------
-    band, column : (line,)
-        Where each line was found, in fractional bands.
-    wavelength : (line,)
-        Of its light [nm].
-    sizes
-        Bands and columns of the array.
-    column_degree
-        Of the smile; None for the lowest of 0 to 4 beyond which nothing is gained.
-    uncertainty : (line,)
-        Standard deviation of each centre [band].
-
-    Raises
-    ------
-    SchemaError
-        Too few lines for the surface.
+    ``band`` and ``column`` (line,) is where each line lies, in fractional bands, ``wavelength`` (line,) that
+    of its light [nm], ``uncertainty`` (line,) the standard deviation of each centre [band]; ``sizes`` are
+    bands and columns of the array. ``column_degree`` is that of the smile; None for the lowest of 0 to 4
+    beyond which nothing is gained.
     """
     different = len(np.unique(np.round(wavelength, 6)))
     across = len(np.unique(column))
@@ -164,12 +151,8 @@ def _weighted(terms: Floats, values: Floats, weight: Floats) -> Floats:
 def fit_width(wavelength: Floats, width: Floats, uncertainty: Floats, at: Floats, degree: int = 2) -> Floats:
     """Return the width of every band [nm] from those of the steps, robustly; beyond them that of the last.
 
-    Parameters
-    ----------
-    wavelength, width, uncertainty : (step,)
-        Of the lines, medians over the columns [nm].
-    at : (band,)
-        Where the width is wanted [nm].
+    ``wavelength``, ``width`` and ``uncertainty`` (step,) are of the lines, medians over the columns; ``at``
+    (band,) is where the width is wanted; all in nm.
     """
     low, high = float(wavelength.min()), float(wavelength.max())
     scale = max(high - low, 1.0)

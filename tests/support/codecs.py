@@ -9,9 +9,9 @@ import xarray as xr
 from zarr.codecs import BloscCodec
 
 
-def plain_zarr(dataset: xr.Dataset, path: Path, group: str | None = None) -> None:
+def plain_zarr(dataset: xr.Dataset, path: Path | str, group: str | None = None) -> None:
     """Write a dataset with plain xarray, compressed with blosc."""
     encoding: dict[Any, dict[str, Any]] = {
         name: {"compressors": [BloscCodec()]} for name in dataset.variables
     }
-    dataset.to_zarr(path, group=group, zarr_format=3, consolidated=False, encoding=encoding)
+    dataset.to_zarr(path, group=group, mode="w", zarr_format=3, consolidated=False, encoding=encoding)

@@ -261,7 +261,7 @@ def available_memory(system: Path = Path("/")) -> int:
 
 def _shared_memory(system: Path) -> int:
     """Return what the machine and its container leave: other programs take of it as well."""
-    return min(_machine_memory(), *_container_memory(system))
+    return min([_machine_memory(), *_container_memory(system)])
 
 
 def process_limit(resident: int, limit: int | None = None) -> int:
