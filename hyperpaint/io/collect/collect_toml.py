@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from hyperpaint.base.errors import CollectError, FormatError, Problems, TimeError
-from hyperpaint.io.files import toml_checks as check
+from hyperpaint.io.files import toml_tables as check
 from hyperpaint.io.files.toml_tables import TableReader, load_tables, shown
 from hyperpaint.io.flightline.timing import utc_of
 
