@@ -12,8 +12,7 @@ import numpy as np
 import pytest
 import xarray as xr
 import zarr
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 from numcodecs import Blosc
 
 from hyperpaint.base.errors import IncompleteStoreError, StoreError
