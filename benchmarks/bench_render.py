@@ -44,7 +44,7 @@ def lighting(smile=0.0):
     """Return what the tasks of a relighting share, for 272 bands."""
     import dask
 
-    from hyperpaint.simulation.rendering.bands import BandSet
+    from hyperpaint.simulation.rendering.camera_bands import BandSet
     from hyperpaint.simulation.rendering.four_curves import preset_atmosphere
     from hyperpaint.simulation.rendering.relighting import _lighting, factor_spectra
     from hyperpaint.simulation.rendering.scene_record import SceneRecord

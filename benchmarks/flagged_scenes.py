@@ -53,7 +53,7 @@ def surroundings_of(seed: int) -> tuple[str, ...]:
 def surfaces_of(line: Any) -> Any:
     """Return the place in `SURFACES` of what every pixel shows (along_track, cross_track)."""
     from hyperpaint.simulation.rendering.materials import KINDS
-    from hyperpaint.simulation.rendering.spectra import spectrum_of
+    from hyperpaint.simulation.rendering.scene_spectra import spectrum_of
 
     kind = np.array([*KINDS, "sky"])[line["surface_class"].values]
     made = np.full(kind.shape, SURFACES.index("other"))

@@ -38,7 +38,7 @@ def render(
 ) -> tuple[Any, Any]:
     """Return a flight line without noise, its truth beside it, and the atmosphere."""
     import hyperpaint as hp
-    from hyperpaint.simulation.rendering.bands import BandSet
+    from hyperpaint.simulation.rendering.camera_bands import BandSet
     from hyperpaint.simulation.rendering.car_parks import car_park
     from hyperpaint.simulation.rendering.four_curves import Atmosphere
     from hyperpaint.simulation.rendering.platforms import pushbroom
@@ -88,7 +88,7 @@ def look(seed: int, flakes: bool, samples: int) -> tuple[int, int, int, int]:
     """Print a scene's table; return whole cars, of them right and wrong, and wrong regions elsewhere."""
     import hyperpaint as hp
     from hyperpaint.regions import pixels_of
-    from hyperpaint.simulation.rendering.spectra import spectrum_of
+    from hyperpaint.simulation.rendering.scene_spectra import spectrum_of
 
     line, sky = render(seed, flakes, samples)
     line = seen_with_noise(line, seed)

@@ -18,7 +18,7 @@ from .mixing.synthetic_paints import SPECULAR, synthetic_library, text_column
 if TYPE_CHECKING:
     import xarray as xr
 
-    from hyperpaint.simulation.rendering.pigments import PaintSpec
+    from hyperpaint.simulation.rendering.scene_spectra import PaintSpec
 
 __all__ = ["MOST_MEMBERS", "starter_library"]
 
@@ -112,7 +112,7 @@ def _check(members: int, nm: Floats) -> None:
 
 
 def _specs() -> list[PaintSpec]:
-    from hyperpaint.simulation.rendering.pigments import FOURTEEN, generate_paint, paint_spec
+    from hyperpaint.simulation.rendering.scene_spectra import FOURTEEN, generate_paint, paint_spec
 
     generated = [generate_paint(family, number) for family, number in GENERATED]
     return [*map(paint_spec, FOURTEEN), *generated]
@@ -126,7 +126,7 @@ def _body(spec: PaintSpec, nm: Floats) -> Floats:
 def _specular(spec: PaintSpec, nm: Floats) -> Floats:
     """Return what coat and flakes reflect about the mirror direction (band,) [1]."""
     from hyperpaint.simulation.rendering.materials import fresnel_reflectance
-    from hyperpaint.simulation.rendering.spectra import spectrum_of
+    from hyperpaint.simulation.rendering.scene_spectra import spectrum_of
 
     coat = float(fresnel_reflectance(1.0, spec.coat.index))
     if spec.flakes is None:

@@ -21,16 +21,15 @@ from hyperpaint.base.errors import SchemaError
 
 from .ellipsoid import TransverseMercator
 from .flight import PIXEL_ANGLE, Flight, Layer, Lines
-from .rendering.bands import BandSet
+from .rendering.camera_bands import BandSet
 from .rendering.car_parks import car_park
+from .rendering.lighting import ProductTable
 from .rendering.painting import factor_spectra
 from .rendering.path_codes import FIRST_SUN, SKY, is_direct, is_indirect, is_mirrored
-from .rendering.pigments import paint_spec
 from .rendering.platforms import Platform
 from .rendering.scene import Scene
 from .rendering.scene_record import SceneRecord, TraceSettings
-from .rendering.spectra import spectrum_of
-from .rendering.spectral_products import ProductTable
+from .rendering.scene_spectra import paint_spec, spectrum_of
 from .rendering.tracing import PreparedScene, prepare_scene, trace_block
 from .rendering.truth_layers import LabelTables
 from .scenes import SWATH

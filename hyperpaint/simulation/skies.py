@@ -7,8 +7,7 @@ import numpy as np
 from hyperpaint.base.arrays import Floats
 
 from .atmosphere import Sky
-from .rendering.clear_skies import relative_air_mass
-from .rendering.clouds import cloud_transmittance
+from .rendering.sky_models import cloud_transmittance, relative_air_mass
 
 __all__ = ["sky_irradiance"]
 
@@ -23,7 +22,7 @@ def sky_irradiance(sky: str, sun_zenith: float, wavelength: Floats) -> Floats:
     ----------
     sky
         One of `hyperpaint.simulation.settings.SKIES`. Under an overcast one a quarter of the clear sky's
-        light is left, slightly bluer (`rendering.clouds`), and none of the sun.
+        light is left, slightly bluer (`rendering.sky_models`), and none of the sun.
     sun_zenith
         [degree]
     wavelength

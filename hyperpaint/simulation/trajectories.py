@@ -16,7 +16,7 @@ import numpy as np
 from hyperpaint.base.arrays import Floats
 
 from .ellipsoid import LocalFrame
-from .rendering.rotations import quaternions, turns
+from .rendering.platform_geometry import quaternions, turns
 
 if TYPE_CHECKING:
     from .settings import SimulationSettings

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hyperpaint.simulation.transport import air
-from hyperpaint.simulation.transport.band_integrals import integrate_bands
+from hyperpaint.simulation.transport import mixing
+from hyperpaint.simulation.transport.mixing import integrate_bands
 
 
 @pytest.mark.parametrize("compiled", [True, False])
@@ -40,7 +40,7 @@ def test_air_is_an_exponential(depth: float, in_place: bool) -> None:
     distance = np.full((5, 6), depth / 1e-3, np.float32)
     distance[0, 0] = np.nan
     out = surface if in_place else np.empty_like(surface)
-    air.through_air(surface, extinction, path_radiance, distance, out)
+    mixing.through_air(surface, extinction, path_radiance, distance, out)
     metres = np.nan_to_num(distance.astype(np.float64))[:, None]
     expected = given * np.exp(-extinction.astype(np.float64) * metres) + 2e-5 * metres
     np.testing.assert_allclose(out, expected, rtol=4e-7)
@@ -48,7 +48,7 @@ def test_air_is_an_exponential(depth: float, in_place: bool) -> None:
 
 
 def test_the_series_and_the_exponential_meet() -> None:
-    plain = getattr(air._thin_air, "py_func", air._thin_air)
+    plain = getattr(mixing._thin_air, "py_func", mixing._thin_air)
     made = np.empty((1, 3), np.float32)
     take, metres = np.full((1, 3), 1e-3, np.float32), np.array([0.0, 80.0, 149.0], np.float32)
     plain(np.ones((1, 3), np.float32), take, np.zeros((1, 3), np.float32), metres, made)

@@ -15,8 +15,7 @@ from hyperpaint.base.errors import SchemaError
 from hyperpaint.io.dirsig import open_emissivity
 from hyperpaint.paints.colours import paint_colours, srgb_hex
 from hyperpaint.pictures.plot_library import library_overview
-from hyperpaint.simulation.rendering.pigments import FOURTEEN
-from hyperpaint.simulation.rendering.spectra import spectrum_of
+from hyperpaint.simulation.rendering.scene_spectra import FOURTEEN, spectrum_of
 
 
 @pytest.fixture(scope="module")

@@ -19,11 +19,11 @@ from hyperpaint.light.sun import diffuse_fraction
 from hyperpaint.regions import pixels_of
 from hyperpaint.regions.proposals.footprints import hull_of
 from hyperpaint.regions.proposals.proposing import outline
-from hyperpaint.simulation.rendering.bands import BandSet
+from hyperpaint.simulation.rendering.camera_bands import BandSet
 from hyperpaint.simulation.rendering.car_parks import car_park
 from hyperpaint.simulation.rendering.four_curves import Atmosphere
 from hyperpaint.simulation.rendering.platforms import pushbroom
-from hyperpaint.simulation.rendering.spectra import spectrum_of
+from hyperpaint.simulation.rendering.scene_spectra import spectrum_of
 from hyperpaint.surroundings.sun_and_sky import remove_mirrored_sky
 
 ZENITH = 30.0

@@ -15,9 +15,8 @@ from scipy.integrate import quad
 
 from hyperpaint.base.errors import MissingExtraError, SchemaError, UnitsError
 from hyperpaint.simulation.atmosphere import Sky, spectral_grid
-from hyperpaint.simulation.rendering.clear_skies import relative_air_mass
 from hyperpaint.simulation.rendering.four_curves import PRESETS, Atmosphere, preset_atmosphere
-from hyperpaint.simulation.rendering.haze import Haze
+from hyperpaint.simulation.rendering.sky_models import Haze, relative_air_mass
 
 GRID = np.arange(400.0, 1001.0, 1.0)
 UNITS = {

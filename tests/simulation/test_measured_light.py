@@ -11,9 +11,8 @@ from hypothesis import HealthCheck, given, settings, strategies as st
 from numpy.testing import assert_allclose
 
 from hyperpaint.base.errors import FormatError, PaintWarning, SchemaError
-from hyperpaint.simulation.rendering.clear_skies import built_in_sky
 from hyperpaint.simulation.rendering.four_curves import Atmosphere
-from hyperpaint.simulation.rendering.haze import Haze
+from hyperpaint.simulation.rendering.sky_models import Haze, built_in_sky
 
 GRID = np.arange(400.0, 1001.0, 5.0)
 HEADER = "wavelength [nm], sun [W m-2 nm-1], sky [W m-2 nm-1]"

@@ -15,28 +15,29 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from oracles.mitsuba_scenes import FrameCamera
 
 import hyperpaint as hp
-from hyperpaint.simulation.rendering.bands import BandSet
+from hyperpaint.simulation.rendering.camera_bands import BandSet
 from hyperpaint.simulation.rendering.car_parks import car_park
 from hyperpaint.simulation.rendering.four_curves import Atmosphere
 from hyperpaint.simulation.rendering.materials import Coat, Material
-from hyperpaint.simulation.rendering.mitsuba_scenes import FrameCamera
+from hyperpaint.simulation.rendering.platform_geometry import matrices, quaternions
 from hyperpaint.simulation.rendering.platforms import Platform
-from hyperpaint.simulation.rendering.rotations import matrices, quaternions
 from hyperpaint.simulation.rendering.scene import Scene, box, plane
 
 pytestmark = pytest.mark.skipif(
-    importlib.util.find_spec("mitsuba") is None, reason="Mitsuba is not installed (extra mitsuba)"
+    importlib.util.find_spec("mitsuba") is None, reason="Mitsuba is not installed (extra oracles)"
 )
 
 BANDS = BandSet(np.array([450.0, 550.0, 650.0, 850.0]), np.array(6.0))
 STRIPS, LINES = 8, 4
 WORKER = """
 import pickle, sys
+sys.path.insert(0, sys.argv[1])
 import mitsuba, numpy
 mitsuba.set_variant("scalar_spectral")
-from hyperpaint.simulation.rendering.mitsuba_scenes import to_mitsuba
+from oracles.mitsuba_scenes import to_mitsuba
 with open("scene.pickle", "rb") as file:
     arguments, options = pickle.load(file)
 described = to_mitsuba(*arguments, "meshes", **options)
@@ -85,9 +86,8 @@ def images(tmp_path: Path) -> Images:
         options = {"wavelength": BANDS.wavelength, "fwhm": 6.0, "camera": camera, "depth": depth}
         with (tmp_path / "scene.pickle").open("wb") as file:
             pickle.dump(((scene, sky), options | {"samples": 4096}), file)
-        done = subprocess.run(
-            [sys.executable, "-c", WORKER], cwd=tmp_path, capture_output=True, text=True, timeout=300
-        )
+        command = [sys.executable, "-c", WORKER, str(Path(__file__).parents[1])]
+        done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=300)
         assert done.returncode == 0, done.stderr
         theirs = np.load(tmp_path / "image.npy").astype(np.float64)
         theirs = theirs.reshape(STRIPS, -1, *theirs.shape[1:]).mean(axis=1)

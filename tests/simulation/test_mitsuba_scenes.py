@@ -9,11 +9,11 @@ from typing import Any
 
 import numpy as np
 import pytest
+from oracles.mitsuba_scenes import FrameCamera, to_mitsuba
 
 from hyperpaint.base.errors import MissingExtraError, PaintWarning, SchemaError
 from hyperpaint.simulation.rendering.four_curves import Atmosphere
 from hyperpaint.simulation.rendering.materials import Coat, Flakes, Material, base_albedo
-from hyperpaint.simulation.rendering.mitsuba_scenes import FrameCamera, to_mitsuba
 from hyperpaint.simulation.rendering.scene import Scene, plane
 
 NOON = Atmosphere.clear(30.0, 90.0, haze=None)
@@ -148,5 +148,5 @@ def test_a_variant_without_spectra_is_refused(
 
 def test_without_mitsuba_the_extra_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "mitsuba", None)
-    with pytest.raises(MissingExtraError, match=r"hyperpaint\[mitsuba\]"):
+    with pytest.raises(MissingExtraError, match=r"hyperpaint\[oracles\]"):
         to_mitsuba(plane(4.0, GREY), NOON, tmp_path, wavelength=[550.0], camera=FrameCamera())

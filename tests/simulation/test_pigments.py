@@ -13,16 +13,17 @@ from numpy.testing import assert_allclose
 from hyperpaint.base.errors import SchemaError
 from hyperpaint.simulation.paints import CAR_PAINTS, MATERIALS
 from hyperpaint.simulation.rendering.materials import Coat, base_albedo
-from hyperpaint.simulation.rendering.pigments import (
+from hyperpaint.simulation.rendering.scene_spectra import (
     FAMILIES,
     FINISHES,
     FOURTEEN,
+    SPECTRA,
     Pigments,
     generate_paint,
     paint_spec,
     pigments_of,
+    spectrum_of,
 )
-from hyperpaint.simulation.rendering.spectra import SPECTRA, spectrum_of
 
 GRID = np.arange(380.0, 1021.0, 1.0)
 VISIBLE = (GRID > 430) & (GRID < 680)
@@ -61,7 +62,7 @@ def test_a_number_is_one_paint(family: str, number: int) -> None:
 def test_a_paint_is_the_same_in_another_process() -> None:
     code = (
         "import numpy as np\n"
-        "from hyperpaint.simulation.rendering.spectra import spectrum_of\n"
+        "from hyperpaint.simulation.rendering.scene_spectra import spectrum_of\n"
         "print(spectrum_of('pigment:tinted:5')(np.array([450.0, 650.0])).tobytes().hex())\n"
     )
     done = subprocess.run(

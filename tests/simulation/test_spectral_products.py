@@ -14,10 +14,10 @@ from support.traced_scenes import seen_by
 from hyperpaint.base.errors import SchemaError
 from hyperpaint.simulation.camera import Camera
 from hyperpaint.simulation.paints import CAR_PAINTS, reflectance
-from hyperpaint.simulation.rendering import spectral_products
-from hyperpaint.simulation.rendering.band_responses import BandResponses, cell_means
-from hyperpaint.simulation.rendering.bands import BandSet
+from hyperpaint.simulation.rendering import lighting
+from hyperpaint.simulation.rendering.camera_bands import BandResponses, BandSet, cell_means
 from hyperpaint.simulation.rendering.four_curves import Atmosphere
+from hyperpaint.simulation.rendering.lighting import ProductTable
 from hyperpaint.simulation.rendering.path_codes import (
     PathCodes,
     is_direct,
@@ -25,7 +25,6 @@ from hyperpaint.simulation.rendering.path_codes import (
     is_mirrored,
     source_of,
 )
-from hyperpaint.simulation.rendering.spectral_products import ProductTable
 from hyperpaint.simulation.sensor import nominal_responsivity
 from hyperpaint.simulation.settings import SimulationSettings
 
@@ -199,7 +198,7 @@ def test_a_table_travels_without_what_it_has_made(monkeypatch: pytest.MonkeyPatc
     assert len(pickle.dumps(table)) == empty
     np.testing.assert_array_equal(pickle.loads(pickle.dumps(table)).rows(codes), rows)
     # and what does not fit is made again each time
-    monkeypatch.setattr(spectral_products, "_LARGEST_CACHE", 100 * 272 * 4)
+    monkeypatch.setattr(lighting, "_LARGEST_CACHE", 100 * 272 * 4)
     small = pickle.loads(pickle.dumps(table))
     for start in range(0, codes.size, 30):
         part = codes[start : start + 30]

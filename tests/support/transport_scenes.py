@@ -5,8 +5,8 @@ from __future__ import annotations
 import numba
 import numpy as np
 
-from hyperpaint.simulation.transport.blocks import Block, Rays, Sources
 from hyperpaint.simulation.transport.hierarchy import Geometry, build_geometry
+from hyperpaint.simulation.transport.path_blocks import Block, Rays, Sources
 from hyperpaint.simulation.transport.paths import trace_lines
 from hyperpaint.simulation.transport.surfaces import Surfaces, internal_reflectance
 

@@ -9,7 +9,7 @@ import pytest
 import xarray as xr
 
 import hyperpaint as hp
-from hyperpaint.simulation.rendering.pigments import paint_spec
+from hyperpaint.simulation.rendering.scene_spectra import paint_spec
 from hyperpaint.workflows import paint_closure
 from hyperpaint.workflows.demonstration import compare
 from hyperpaint.workflows.paint_closure import compare_paints, signature_problems, signature_table

@@ -5,18 +5,15 @@ depend on wavelength. `tracing` records the weights, `relighting` turns them int
 atmosphere and camera. The modules, in the order in which they build on one another:
 
 What is seen
-    `materials` and the paints of `pigments`, with their `spectra`; `scene`, triangles of materials;
-    `primitives`, `car_bodies`, `surroundings` and `pavements`, of which `car_parks` makes a scene;
-    `mesh_files` reads one (with `obj_files`, `glb_files`, `ply_files`).
+    `materials` with their spectra and paints (`scene_spectra`); `scene`, triangles of materials;
+    `primitives`, `car_bodies`, `street_furniture` and `pavements`, of which `car_parks` makes a scene;
+    `mesh_files` reads one, with `mesh_formats`.
 The light
-    `four_curves`, the atmosphere, from `clear_skies`, `clouds`, `haze` or `measured_light`.
+    `four_curves`, the atmosphere, from `sky_models` or `measured_light`.
 The camera
-    `rotations`, `platform_geometry` and the flights of `platforms`; `bands` and their `band_responses`.
+    `platform_geometry` and the flights of `platforms`; `camera_bands`.
 Tracing
     `path_codes`, `scene_record` (what a traced dataset keeps of its scene), `tracing`.
 Relighting
-    `painting` (which spectrum every factor has), `spectral_products`, `lighting`, `truth_layers`,
-    `sky_record` and `relighting`.
-Elsewhere
-    `mitsuba_scenes` hands a scene to another renderer.
+    `painting` (which spectrum every factor has), `lighting`, `truth_layers` and `relighting`.
 """

@@ -21,10 +21,10 @@ from hyperpaint.simulation.paints import PANELS
 from .car_bodies import CAR_TYPES, car_body
 from .materials import Coat, Material
 from .pavements import BAY, Layout, paved, strips_across, worn
-from .pigments import FOURTEEN, paint_spec, parse_name
 from .primitives import cuboid, put_together
 from .scene import Instance, Scene
-from .surroundings import brick_wall, hedge, lamp_post, leafy_tree
+from .scene_spectra import FOURTEEN, paint_spec, parse_name
+from .street_furniture import brick_wall, hedge, lamp_post, leafy_tree
 
 __all__ = ["NEIGHBOURS", "car_park"]
 
@@ -67,8 +67,7 @@ def car_park(
     occupancy
         Share of the bays that are taken.
     paints
-        Names of spectra, each used once before any is used again; the catalogue `pigments.FOURTEEN` unless
-        given.
+        Names of spectra, each used once before any is used again; `FOURTEEN` unless given.
     types
         Which `CAR_TYPES` there are; all unless given.
     seed

@@ -22,8 +22,15 @@ from hyperpaint.base.errors import Problems, SchemaError
 from hyperpaint.base.units import convert
 from hyperpaint.simulation.atmosphere import spectral_grid
 
-from .clear_skies import built_in_sky, check_wavelengths, spectrl2_sky
-from .haze import HAZE, Haze
+from .sky_models import (
+    CIE_OVERCAST_SHARE,
+    HAZE,
+    Haze,
+    built_in_sky,
+    check_wavelengths,
+    cloud_transmittance,
+    spectrl2_sky,
+)
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -66,7 +73,7 @@ class Atmosphere:
         Where the sun stands: from the vertical, and clockwise from north [degree].
     overcast_share
         Share of the diffuse irradiance whose radiance goes with the cosine of the zenith angle, the rest
-        being uniform: 0 a uniform sky, 4/7 a CIE overcast one (see `clouds`), up to 1.
+        being uniform: 0 a uniform sky, 4/7 a CIE overcast one (see `sky_models`), up to 1.
     name
         What to call it.
     haze
@@ -385,7 +392,7 @@ class Atmosphere:
         return replace(made, extinction=curves["extinction"], path_radiance=curves["path_radiance"])
 
     def clouded(self, oktas: float, *, colour: float = 0.24) -> Atmosphere:
-        """Return this clear atmosphere with clouds over it; what they do to light is said in `clouds`.
+        """Return this clear atmosphere with clouds over it; what they do to light is said in `sky_models`.
 
         Parameters
         ----------
@@ -405,9 +412,21 @@ class Atmosphere:
         >>> bool((overcast.sun == 0.0).all()), round(overcast.overcast_share, 3)
         (True, 0.571)
         """
-        from .clouds import add_clouds
-
-        return add_clouds(self, oktas, colour=colour)
+        hidden = oktas / 8.0
+        left = cloud_transmittance(self.wavelength, oktas, colour=colour)
+        sun = self.sun * (1.0 - hidden)
+        sky = self.irradiance * left - sun * self.sun_cosine
+        if self.haze is not None:
+            path = self.haze.path_radiance(self.wavelength, sun, sky, self.sun_zenith)
+        else:
+            # from what directions the air scatters is not known: in proportion to the light in the air
+            before, after = self.sun + 2.0 * self.sky, sun + 2.0 * sky
+            path = self.path_radiance * np.divide(after, before, out=np.zeros_like(after), where=before > 0)
+        return replace(
+            self, sun=sun, sky=sky, path_radiance=path,
+            overcast_share=(1.0 - hidden) * self.overcast_share + hidden * CIE_OVERCAST_SHARE,
+            name=f"{self.name}, {oktas:g} oktas" if self.name else f"{oktas:g} oktas",
+        )  # fmt: skip
 
     def to_dataset(self) -> xr.Dataset:
         """Return the curves as labelled variables on ``wavelength``, with CF units."""

@@ -1,24 +1,31 @@
-"""Light, spectra and camera of one relighting, and what they do to a block of traced lines."""
+"""Light, spectra and camera of one relighting, and what they do to a block of traced lines.
+
+A path of weight ``w`` adds ``w E(lambda)/pi x product of its factors`` to the radiance of a pixel. The second
+part depends on nothing but the path's code, of which a scene has some thousands: it is made once for every
+code, for whole bands, and kept.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import threading
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from hyperpaint.base.arrays import Array, Floats, Floats32
+from hyperpaint.base.arrays import Array, Floats, Floats32, Ints
 from hyperpaint.base.errors import SchemaError
+from hyperpaint.simulation.sensor import Imager
 
-from .band_responses import BandResponses, cell_means
-from .bands import BandSet
+from .camera_bands import BandResponses, BandSet, cell_means
 from .four_curves import Atmosphere
-from .path_codes import FIRST_SUN, OVERCAST_SKY, SKY, PathCodes, is_direct
+from .path_codes import FIRST_SUN, OVERCAST_SKY, SKY, PathCodes, is_direct, source_of
 from .scene_record import TraceSettings, sun_vectors
-from .spectral_products import ProductTable
 from .truth_layers import light_shares, share_weights
 
-__all__ = ["Lighting", "make_lighting", "source_spectra", "traced_sun"]
+__all__ = ["Lighting", "ProductTable", "make_lighting", "source_spectra", "traced_sun"]
 
 
 _SAME_DIRECTION = 0.01  # degree
@@ -107,7 +114,7 @@ class Lighting:
         """Return L exp(-k d) + Lp d, the radiance behind a distance d of air; NaN, the sky, has none."""
         if not (self.extinction.any() or self.path_radiance.any()):
             return surface
-        from hyperpaint.simulation.transport.air import through_air
+        from hyperpaint.simulation.transport.mixing import through_air
 
         out = surface if in_place else np.empty_like(surface)
         through_air(surface, self.extinction, self.path_radiance, distance, out)
@@ -179,3 +186,242 @@ def make_lighting(
     direct = sum((light[number] for number in light if number >= FIRST_SUN), np.zeros(1)) * sun_cosine
     diffuse = sum((light[number] for number in light if number < FIRST_SUN), np.zeros(1))
     return Lighting(table, np.asarray(direct), np.asarray(diffuse), extinction, path)
+
+
+_LARGEST_CACHE = 96 * 2**20  # bytes of products that are kept; more are made again each time
+
+
+class ProductTable:
+    """Band spectra by code, made when they are first asked for.
+
+    Threads share one table. It can be sent to other processes, where it starts empty. No product depends on
+    what was asked for before or beside it.
+
+    Use `of` for radiance as a calibrated camera would state it, `of_imager` for what a detector integrates.
+
+    Attributes
+    ----------
+    bands
+        Of the camera.
+    codes
+        How codes are read.
+
+    Examples
+    --------
+    A grey panel of reflectance 0.4 under a sun of 1.3 W m-2 nm-1; its path has source 2 and factor 0.
+
+    >>> light = np.array([300.0, 1100.0]), {2: np.array([1.3, 1.3])}
+    >>> codes, bands = PathCodes.of(factors=1, depth=4), BandSet.nano_hyperspec()
+    >>> table = ProductTable.of(bands, codes, *light, lambda grid: np.full((1, grid.size), 0.4))
+    >>> rows = table.rows(np.array([codes.code(2, (0,))]))
+    >>> rows.shape, rows.dtype, round(float(rows[0, 0, 0]), 6)  # (node, path, band), 0.4 x 1.3 / pi
+    ((1, 1, 272), dtype('float32'), 0.165521)
+    """
+
+    def __init__(
+        self, responses: BandResponses, codes: PathCodes, sources: Mapping[int, Floats], factors: Floats
+    ) -> None:
+        self.bands, self.codes = responses.bands, codes
+        lit = {number: spectrum for number, spectrum in sources.items() if spectrum.any()}
+        self._row_of_source = np.full(8, -1, np.int64)
+        self._row_of_source[list(lit)] = np.arange(len(lit))
+        spectra = np.stack([*lit.values()]) if lit else np.zeros((1, responses.fine.size))
+        self._weights = responses.weights(spectra) / np.pi
+        self._first_band = responses.first_band
+        self._factors = np.ascontiguousarray(factors, np.float64)
+        self._start_empty()
+
+    def _start_empty(self) -> None:
+        nodes, bands = self.bands.nodes.size, self.bands.wavelength.size
+        self._known: Ints = np.empty(0, np.int64)
+        self._products = np.empty((0, nodes, bands), np.float32)
+        self._lock = threading.Lock()
+
+    def __getstate__(self) -> dict[str, Any]:
+        left = {"_known", "_products", "_lock"}
+        return {name: value for name, value in self.__dict__.items() if name not in left}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state)
+        self._start_empty()
+
+    @classmethod
+    def of(
+        cls,
+        bands: BandSet,
+        codes: PathCodes,
+        wavelength: Floats,
+        sources: Mapping[int, Floats],
+        factors: Callable[[Floats], Floats],
+    ) -> ProductTable:
+        """Return the table of a calibrated camera: means over the responses [W m-2 sr-1 nm-1].
+
+        Parameters
+        ----------
+        bands
+            Of the camera.
+        codes
+            How codes are read.
+        wavelength : (point,)
+            Of the sources, increasing [nm]. Responses end where it does.
+        sources
+            Number of a source to its irradiance, shape (point,) [W m-2 nm-1]: direct normal of a sun, level
+            diffuse of a sky. Sources that are not named are dark.
+        factors
+            Gives all factors at wavelengths [nm], shape (factor, wavelength); see
+            `hyperpaint.simulation.rendering.painting.factor_spectra`.
+        """
+        return cls._made(bands, codes, wavelength, sources, factors, normalise=True)
+
+    @classmethod
+    def of_imager(
+        cls,
+        imager: Imager,
+        codes: PathCodes,
+        wavelength: Floats,
+        sources: Mapping[int, Floats],
+        factors: Callable[[Floats], Floats],
+    ) -> ProductTable:
+        """Return the table of a detector: INT L R d lambda, not normalised [W m-2 sr-1 count J-1].
+
+        ``R`` is responsivity x line shape, with the smile at the table's nodes; the elements' own factors
+        (`Imager.element_factor`) are left to the caller. Mixed, and multiplied by that factor, it is what
+        `hyperpaint.simulation.sensor.expected_counts` takes. Parameters are those of `of`.
+
+        Examples
+        --------
+        >>> from hyperpaint.simulation.camera import Camera
+        >>> from hyperpaint.simulation.settings import SimulationSettings
+        >>> camera = Camera.of(SimulationSettings(bands=8, columns=5))
+        >>> codes = PathCodes.of(factors=1, depth=4)
+        >>> light = np.array([300.0, 1100.0]), {0: np.full(2, np.pi)}  # a radiance of one
+        >>> table = ProductTable.of_imager(camera.imager, codes, *light, lambda grid: np.ones((1, grid.size)))
+        >>> seen = table.at_columns(np.array([codes.code(0, (0,))]))[0] * camera.imager.element_factor
+        >>> bool(np.allclose(seen, camera.response_area, rtol=1e-5))
+        True
+        """
+        bands = BandSet.of_imager(imager)
+        return cls._made(bands, codes, wavelength, sources, factors, normalise=False)
+
+    @classmethod
+    def _made(
+        cls,
+        bands: BandSet,
+        codes: PathCodes,
+        wavelength: Floats,
+        sources: Mapping[int, Floats],
+        factors: Callable[[Floats], Floats],
+        *,
+        normalise: bool,
+    ) -> ProductTable:
+        covered = float(wavelength[0]), float(wavelength[-1])
+        responses = BandResponses(bands, covered, normalise=normalise)
+        fine = {
+            number: cell_means(wavelength, np.asarray(spectrum, np.float64), responses.fine)
+            for number, spectrum in sources.items()
+        }
+        return cls(responses, codes, fine, factors(responses.grid))
+
+    def rows(self, codes: Ints) -> NDArray[np.float32]:
+        """Return the products of paths, shape (node, path, band), float32.
+
+        Parameters
+        ----------
+        codes : (path,)
+            Different from one another, none of them empty.
+
+        Raises
+        ------
+        SchemaError
+            A code names a factor that the scene does not have.
+        """
+        codes = np.ascontiguousarray(codes, np.int64)
+        known, products = self._snapshot()
+        found = _lookup(known, codes)
+        missing = np.flatnonzero(found < 0)
+        if not missing.size:
+            return np.ascontiguousarray(products[found].swapaxes(0, 1))
+        made = self._make(codes[missing])
+        self._keep(codes[missing], made)
+        gathered = np.empty((codes.size, *made.shape[1:]), np.float32)
+        there = found >= 0
+        gathered[there], gathered[missing] = products[found[there]], made
+        return np.ascontiguousarray(gathered.swapaxes(0, 1))
+
+    def at_columns(self, codes: Ints) -> Floats:
+        """Return the products of a few paths as every column sees them, shape (path, band, cross_track).
+
+        Without smile cross_track has size 1.
+        """
+        return self.to_columns(self.rows(codes).astype(np.float64).swapaxes(0, 1))
+
+    def to_columns(self, at_nodes: Floats) -> Floats:
+        """Return values at nodes (..., node, band) as every column sees them, (..., band, cross_track)."""
+        if self.bands.wavelength_shift is None:
+            return np.moveaxis(at_nodes, -2, -1)
+        first, weight = self.bands.between_nodes()
+        made = sum(at_nodes[..., first + j, :] * weight[:, j, None] for j in range(4))
+        return np.moveaxis(np.asarray(made), -2, -1)
+
+    def mix(self, weight: NDArray[np.float32], codes: Ints, out: NDArray[np.float32]) -> None:
+        """Write the sum of weight x product over the paths of every pixel, with the smile of each column.
+
+        Parameters
+        ----------
+        weight, codes : (line, slot, column)
+            As traced; empty slots add nothing.
+        out : (line, band, column)
+            Overwritten; in the units of the table.
+
+        Raises
+        ------
+        SchemaError
+            As `rows`.
+        """
+        from hyperpaint.simulation.transport.mixing import index_paths, mix, mix_shifted
+
+        distinct, index = index_paths(codes)
+        products = self.rows(distinct)
+        if self.bands.wavelength_shift is None:
+            mix(weight, index, products[0], out)
+        else:
+            mix_shifted(weight, index, products, *self.bands.between_nodes(), out)
+
+    def irradiance(self, source: int) -> Floats:
+        """Return what the bands see of a source itself, shape (node, band)."""
+        return np.pi * self.rows(np.array([source], np.int64))[:, 0].astype(np.float64)
+
+    def _snapshot(self) -> tuple[Ints, NDArray[np.float32]]:
+        with self._lock:
+            return self._known, self._products
+
+    def _make(self, codes: Ints) -> NDArray[np.float32]:
+        from hyperpaint.simulation.transport.mixing import integrate_bands
+
+        out = np.empty((self.bands.nodes.size, codes.size, self.bands.wavelength.size), np.float32)
+        chosen, source = self.codes.factors(codes), self._row_of_source[source_of(codes)]
+        if chosen.max(initial=-1) >= len(self._factors):
+            raise SchemaError(
+                f"a path was multiplied by spectrum {chosen.max()}, the scene has {len(self._factors)}; "
+                "transport_path is damaged, or of another scene than the attributes"
+            )
+        integrate_bands(self._factors, chosen, source, self._weights, self._first_band, out)
+        return out.swapaxes(0, 1)
+
+    def _keep(self, codes: Ints, made: NDArray[np.float32]) -> None:
+        with self._lock:
+            if self._products.nbytes + made.nbytes > _LARGEST_CACHE:
+                return
+            new = _lookup(self._known, codes) < 0  # another thread may have made them meanwhile
+            known = np.concatenate([self._known, codes[new]])
+            order = np.argsort(known)
+            self._known = known[order]
+            self._products = np.concatenate([self._products, made[new]])[order]
+
+
+def _lookup(known: Ints, codes: Ints) -> Ints:
+    """Return where codes stand among sorted known ones; -1 for the others."""
+    if not known.size:
+        return np.full(codes.shape, -1, np.int64)
+    place = np.searchsorted(known, codes).clip(max=known.size - 1)
+    return np.where(known[place] == codes, place, -1)

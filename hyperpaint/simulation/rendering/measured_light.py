@@ -16,7 +16,7 @@ from hyperpaint.base.errors import FormatError, PaintWarning, Problems, SchemaEr
 from hyperpaint.base.schema import require
 from hyperpaint.base.units import conversion_factor
 
-from .clear_skies import check_wavelengths
+from .sky_models import check_wavelengths
 
 if TYPE_CHECKING:
     import xarray as xr

@@ -12,11 +12,10 @@ from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import PaintError, Problems, SchemaError
 from hyperpaint.base.units import convert
 
-from .bands import BandSet
+from .camera_bands import BandSet
 from .materials import Flakes, measured_factor
-from .pigments import paint_spec
 from .scene_record import SceneRecord
-from .spectra import Spectrum, spectrum_of
+from .scene_spectra import Spectrum, paint_spec, spectrum_of
 
 if TYPE_CHECKING:
     import xarray as xr

@@ -11,8 +11,18 @@ from numpy.typing import ArrayLike
 from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import Problems, SchemaError
 
-from .platform_geometry import MOST_COLUMNS, MOST_LINES, START, STEEPEST, Platform, finite_floats
-from .rotations import interpolate, matrices, quaternions, turns
+from .platform_geometry import (
+    MOST_COLUMNS,
+    MOST_LINES,
+    START,
+    STEEPEST,
+    Platform,
+    finite_floats,
+    interpolate,
+    matrices,
+    quaternions,
+    turns,
+)
 
 __all__ = ["Platform", "platform_from_poses", "pushbroom"]
 

@@ -18,8 +18,8 @@ from hyperpaint.base.arrays import Array, Ints
 
 from .materials import KINDS
 from .path_codes import is_direct, is_indirect, is_mirrored
-from .pigments import FOURTEEN
 from .scene_record import SceneRecord
+from .scene_spectra import FOURTEEN
 
 __all__ = ["SHARES", "LabelTables", "light_shares", "share_weights"]
 

@@ -1,4 +1,4 @@
-"""Recorded paths times products of spectra: radiance."""
+"""Recorded paths times products of spectra: radiance at the surface, and behind the air before the camera."""
 
 from __future__ import annotations
 
@@ -8,9 +8,9 @@ import numpy as np
 import numpy.typing as npt
 
 from hyperpaint.base.arrays import Array
-from hyperpaint.base.jit import borrowing_kernel
+from hyperpaint.base.jit import borrowing_kernel, kernel
 
-__all__ = ["index_paths", "mix", "mix_shifted"]
+__all__ = ["index_paths", "integrate_bands", "mix", "mix_shifted", "through_air"]
 
 
 _TILE = 16  # columns whose spectra are made side by side, before they are written band by band
@@ -221,3 +221,96 @@ def _mix_shifted(
                             share = weight[line, slot, column] * node_weight[column, k]
                             _add_row(sums, column - first, table, node[column] + k, row, share)
             _write_tile(sums, first, last, line, out)
+
+
+@kernel
+def integrate_bands(
+    factors: Array, chosen: Array, source: Array, weights: Array, first_band: Array, out: Array
+) -> None:
+    """Integrate the products of paths over bands.
+
+    Each path is done by itself and in the order of the wavelengths, so that its result does not depend on
+    the paths it comes with.
+
+    Parameters
+    ----------
+    factors : (factor, grid), float64
+        Spectra.
+    chosen : (path, digit), int64
+        Factors of every path; -1 for none.
+    source : (path,), int64
+        Row of ``weights``; -1 for a source without light.
+    weights : (source, node, grid, width), float64
+        Integral of response x source x the basis function of a grid point, for the bands from ``first_band``.
+    first_band : (grid,), int64
+        First of the ``width`` bands that a grid point counts for.
+    out : (node, path, band), float32
+        Written.
+    """
+    grid, width = weights.shape[2], weights.shape[3]
+    nodes, bands = out.shape[0], out.shape[2]
+    product = np.empty(grid, np.float64)
+    total = np.empty(bands, np.float64)
+    for path in range(chosen.shape[0]):
+        product[:] = 1.0
+        for digit in range(chosen.shape[1]):
+            factor = chosen[path, digit]
+            if factor >= 0:
+                for point in range(grid):
+                    product[point] *= factors[factor, point]
+        for node in range(nodes):
+            total[:] = 0.0
+            if source[path] >= 0:
+                row = weights[source[path], node]
+                for point in range(grid):
+                    first, value = first_band[point], product[point]
+                    for band in range(width):
+                        total[first + band] += row[point, band] * value
+            for band in range(bands):
+                out[node, path, band] = total[band]
+
+
+_THIN = 0.15  # optical depth up to which a short series is exact to float32
+
+
+def through_air(surface: Array, extinction: Array, path_radiance: Array, distance: Array, out: Array) -> None:
+    """Write L exp(-k d) + Lp d.
+
+    Parameters
+    ----------
+    surface : (line, band, column), float32
+        L [W m-2 sr-1 nm-1].
+    extinction, path_radiance : (band, column or 1), float32
+        k [m-1], Lp [W m-2 sr-1 nm-1 m-1].
+    distance : (line, column), float32
+        d [m]; not finite where there is no air.
+    out : (line, band, column), float32
+        Written.
+    """
+    columns = surface.shape[2]
+    take = np.ascontiguousarray(np.broadcast_to(extinction, (surface.shape[1], columns)), np.float32)
+    add = np.ascontiguousarray(np.broadcast_to(path_radiance, take.shape), np.float32)
+    metres = np.ascontiguousarray(np.where(np.isfinite(distance), distance, 0.0), np.float32)
+    deepest = take.max(axis=0, initial=0.0)
+    for line in range(len(surface)):
+        # of this line alone: what else is in the block changes no bit
+        if (deepest * metres[line]).max(initial=0.0) < _THIN:
+            _thin_air(surface[line], take, add, metres[line], out[line])
+        else:
+            np.multiply(surface[line], np.exp(take * -metres[line]), out=out[line])
+            out[line] += add * metres[line]
+
+
+@kernel
+def _thin_air(surface: Array, take: Array, add: Array, metres: Array, out: Array) -> None:
+    one = np.float32(1.0)
+    for band in range(surface.shape[0]):
+        for column in range(surface.shape[1]):
+            depth = take[band, column] * metres[column]
+            # exp(-depth): what is left out is below depth^6 / 720
+            left = one - depth * np.float32(1 / 5)
+            left = one - depth * np.float32(1 / 4) * left
+            left = one - depth * np.float32(1 / 3) * left
+            left = one - depth * np.float32(1 / 2) * left
+            left = one - depth * left
+            out[band, column] = surface[band, column] * left + add[band, column] * metres[column]

@@ -19,12 +19,11 @@ import numpy as np
 from hyperpaint.base.arrays import Array
 from hyperpaint.base.jit import borrowing_kernel
 
-from .blocks import Block, Rays, Settings, Sources, check
 from .codes import ADD_INDIRECT, ADD_MIRROR, FIRST_SUN, OVERCAST, SKY, add_path, with_factor, write_paths
 from .hierarchy import STACK, Geometry, closest, occluded
-from .lobes import BASE, COAT, ENDED, WIDENED_ALPHA, Lobes, lobes_at, scatter, sun_weights
+from .path_blocks import Block, Rays, Settings, Sources, check
 from .random_numbers import uniforms
-from .surfaces import Surfaces
+from .surfaces import BASE, COAT, ENDED, WIDENED_ALPHA, Lobes, Surfaces, lobes_at, scatter, sun_weights
 from .vectors import Frame, Vector, along, dot, frame_of, from_frame, in_frame, unit
 
 __all__ = ["WIDENED_ALPHA", "Block", "Rays", "Sources", "trace_lines"]

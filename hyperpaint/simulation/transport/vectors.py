@@ -45,11 +45,7 @@ def frame_of(z: Vector) -> Frame:
     sign = math.copysign(1.0, z[2])
     a = -1.0 / (sign + z[2])
     b = z[0] * z[1] * a
-    return (
-        (1.0 + sign * z[0] * z[0] * a, sign * b, -sign * z[0]),
-        (b, sign + z[1] * z[1] * a, -z[1]),
-        z,
-    )
+    return ((1.0 + sign * z[0] * z[0] * a, sign * b, -sign * z[0]), (b, sign + z[1] * z[1] * a, -z[1]), z)
 
 
 @borrowing_kernel

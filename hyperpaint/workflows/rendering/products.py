@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     import xarray as xr
 
     from hyperpaint.simulation.camera import Camera
-    from hyperpaint.simulation.rendering.bands import BandSet
+    from hyperpaint.simulation.rendering.camera_bands import BandSet
     from hyperpaint.simulation.rendering.four_curves import Atmosphere
     from hyperpaint.simulation.rendering.platforms import Platform
     from hyperpaint.simulation.sensor import Detector
@@ -121,7 +121,7 @@ class Render:
 
         What reads radiance back knows of no responsivity, and matches the irradiance without one too.
         """
-        from hyperpaint.simulation.rendering.bands import BandSet
+        from hyperpaint.simulation.rendering.camera_bands import BandSet
 
         bands = BandSet.of_imager(self.camera.imager)
         return bands if product == "counts" else replace(bands, responsivity=None)

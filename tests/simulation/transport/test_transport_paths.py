@@ -24,8 +24,8 @@ from support.transport_scenes import (
     weight_of,
 )
 
-from hyperpaint.simulation.transport.blocks import Block, Rays
 from hyperpaint.simulation.transport.hierarchy import build_geometry
+from hyperpaint.simulation.transport.path_blocks import Block, Rays
 from hyperpaint.simulation.transport.paths import trace_lines
 
 PLANE = (ground(), QUAD, 0)

@@ -6,13 +6,19 @@ import numpy as np
 import pytest
 from support.transport_scenes import COMPILED, materials
 
-from hyperpaint.simulation.transport.lobes import BASE, COAT, ENDED, FLAKES, lobes_at, scatter, sun_weights
 from hyperpaint.simulation.transport.surfaces import (
+    BASE,
+    COAT,
+    ENDED,
+    FLAKES,
     facet_density,
     facet_lambda,
     fresnel,
     internal_reflectance,
+    lobes_at,
     sample_facet,
+    scatter,
+    sun_weights,
 )
 from hyperpaint.simulation.transport.vectors import frame_of, from_frame, in_frame
 

@@ -17,16 +17,15 @@ from numpy.typing import ArrayLike
 
 from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import MissingExtraError, PaintWarning, Problems, SchemaError
-
-from .bands import BandSet
-from .materials import internal_reflectance
-from .painting import factor_spectra
-from .scene_record import SceneRecord, sun_vectors
+from hyperpaint.simulation.rendering.camera_bands import BandSet
+from hyperpaint.simulation.rendering.materials import internal_reflectance
+from hyperpaint.simulation.rendering.painting import factor_spectra
+from hyperpaint.simulation.rendering.scene_record import SceneRecord, sun_vectors
 
 if TYPE_CHECKING:
-    from .four_curves import Atmosphere
-    from .materials import Material
-    from .scene import Scene
+    from hyperpaint.simulation.rendering.four_curves import Atmosphere
+    from hyperpaint.simulation.rendering.materials import Material
+    from hyperpaint.simulation.rendering.scene import Scene
 
 __all__ = ["FrameCamera", "to_mitsuba"]
 
@@ -174,7 +173,7 @@ def _spectral_mitsuba() -> Any:
     try:
         import mitsuba
     except ImportError as error:
-        needed = MissingExtraError.of("mitsuba", "mitsuba", "describing a scene to Mitsuba")
+        needed = MissingExtraError.of("mitsuba", "oracles", "describing a scene to Mitsuba")
         raise needed from error
     variant = mitsuba.variant()
     if variant is None or "spectral" not in variant:

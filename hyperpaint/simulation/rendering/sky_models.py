@@ -1,0 +1,339 @@
+"""Models of the light of the sky: clear skies, a layer of clouds over them, and the air before the camera.
+
+*Amount*: Kasten & Czeplak (Solar Energy 24, 1980) found in ten years at Hamburg that N oktas of cloud leave
+``1 - 0.75 (N/8)^3.4`` of the clear sky's global irradiance. The direct beam is taken to be hidden for N/8 of
+the time; what is left beyond it is diffuse.
+
+*Colour*: Bartlett, Ciotti, Davis & Cullen (J. Geophys. Res. 103, 31017, 1998) fitted the ratio of cloudy to
+clear irradiance over 412-700 nm with ``CF (a(CF) + b(CF) (lambda/490)^-4)``, where the cloud factor CF is
+the ratio at 490 nm: overcast light is slightly bluer. Their coefficients were seen here second-hand only
+(a = 0.76 + 0.24 CF, b = 0.24 (1 - CF)), so that they are an argument. Limits: the broadband factor of Kasten
+& Czeplak stands for CF; beyond 700 nm the form is extrapolated; longer paths of light in clouds deepen the
+bands of water and oxygen, which is left out; the same authors found skies (Bering Sea) that do not follow it.
+
+*Direction*: the CIE overcast sky (Moon & Spencer 1942), L = L_zenith (1 + 2 cos theta) / 3, is a sum of a
+uniform sky and one whose radiance goes with cos theta. On a level surface the first gives pi L_z / 3 and the
+second 4 pi L_z / 9: shares of 3/7 and 4/7 of the diffuse irradiance.
+
+*Air*: what the air between a surface and the camera takes away and adds, per metre.
+Extinction is that of air molecules plus haze, such that a black thing vanishes at the visibility V, where 2 %
+of its contrast is left: ``k(550 nm) = 3.912 / V`` (Koschmieder 1924). Light scattered into a short vertical
+path comes from the sun, from the sky and from the ground; per metre it is ``k_s`` times the source function
+
+    J = E_sun P(Theta) / (4 pi) + beta E_sky / pi + (1 - beta) r E / pi
+
+with the scattering angle ``Theta = 180 deg - sun zenith`` of a camera that looks straight down, the phase
+function ``P`` (Rayleigh's; Henyey & Greenstein 1941 for haze), the share ``beta`` of light that is scattered
+into the back hemisphere, and the reflectance ``r`` of the surroundings. Over a white ground without a sun,
+and where nothing is absorbed, J is the radiance of the sky: then a path changes nothing, as it must.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from hyperpaint.base.arrays import Floats
+from hyperpaint.base.errors import MissingExtraError, Problems, SchemaError
+from hyperpaint.simulation.atmosphere import Sky
+
+__all__ = [
+    "CIE_OVERCAST_SHARE", "HAZE", "Haze", "built_in_sky", "check_wavelengths", "cloud_factor",
+    "cloud_transmittance", "relative_air_mass", "spectrl2_sky",
+]  # fmt: skip
+
+
+def check_wavelengths(wavelength: Floats) -> None:
+    """Refuse what is no grid of wavelengths.
+
+    Raises
+    ------
+    SchemaError
+        The grid has not one dim and two samples, or they are not positive, finite and increasing.
+    """
+    if wavelength.ndim != 1 or wavelength.size < 2:
+        raise SchemaError(f"wavelength has shape {wavelength.shape}, expected one dim and at least 2 samples")
+    if not (np.isfinite(wavelength).all() and wavelength[0] > 0.0 and (np.diff(wavelength) > 0.0).all()):
+        raise SchemaError("wavelength must be positive, finite and increasing [nm]; sort it, drop duplicates")
+
+
+def built_in_sky(
+    wavelength: Floats, sun_zenith: float, *, aerosol: float = 0.10, ozone: float = 0.31, water: float = 1.0
+) -> tuple[Floats, Floats]:
+    """Return direct normal and diffuse level irradiance of the simulator's own sky [W m-2 nm-1].
+
+    The model of `hyperpaint.simulation.atmosphere.Sky`, with the air mass of Kasten & Young in place of
+    1 / cos(zenith).
+
+    Parameters
+    ----------
+    wavelength
+        Increasing, shape (wavelength,) [nm].
+    sun_zenith
+        Angle between the sun and the vertical [degree].
+    aerosol, ozone, water
+        As for `Sky`.
+
+    Raises
+    ------
+    SchemaError
+        The sun is not above the horizon, or the wavelengths are no grid.
+    """
+    check_wavelengths(wavelength)
+    mass = relative_air_mass(sun_zenith)
+    sky = Sky(sun_zenith=sun_zenith, aerosol=aerosol, ozone=ozone, water=water, airmass=mass)
+    direct, diffuse = sky.irradiance(wavelength)
+    # Sky gives the direct light of a level surface
+    return direct / np.cos(np.radians(sun_zenith)), diffuse
+
+
+def spectrl2_sky(
+    wavelength: Floats,
+    sun_zenith: float,
+    *,
+    aerosol: float = 0.10,
+    ozone: float = 0.31,
+    precipitable_water: float = 1.5,
+    ground: float = 0.15,
+    pressure: float = 101325.0,
+    dayofyear: int = 172,
+) -> tuple[Floats, Floats]:
+    """Return direct normal and diffuse level irradiance of SPECTRL2 [W m-2 nm-1].
+
+    Parameters
+    ----------
+    wavelength
+        Shape (wavelength,), within 300 to 4000 [nm]; straight lines join SPECTRL2's samples.
+    sun_zenith
+        Angle between the sun and the vertical [degree].
+    aerosol, ozone, precipitable_water, ground, pressure, dayofyear
+        As for `Atmosphere.spectrl2`.
+
+    Raises
+    ------
+    MissingExtraError
+        pvlib is not installed.
+    SchemaError
+        The sun is not above the horizon, or the wavelengths are no grid or leave SPECTRL2's.
+    """
+    check_wavelengths(wavelength)
+    try:
+        from pvlib.spectrum import spectrl2
+    except ImportError as error:
+        needed = MissingExtraError.of("pvlib", "sim", "the SPECTRL2 atmosphere")
+        raise needed from error
+    found = spectrl2(
+        apparent_zenith=sun_zenith,
+        aoi=sun_zenith,
+        surface_tilt=0.0,
+        ground_albedo=ground,
+        surface_pressure=pressure,
+        relative_airmass=relative_air_mass(sun_zenith),
+        precipitable_water=precipitable_water,
+        ozone=ozone,
+        aerosol_turbidity_500nm=aerosol,
+        dayofyear=dayofyear,
+    )
+    coarse = np.asarray(found["wavelength"], dtype=np.float64)
+    if not (coarse[0] <= wavelength[0] and wavelength[-1] <= coarse[-1]):
+        span = f"from {wavelength[0]:g} to {wavelength[-1]:g} nm"
+        raise SchemaError(f"wavelength goes {span}; SPECTRL2 covers {coarse[0]:g} to {coarse[-1]:g} nm")
+    sun, sky = (np.interp(wavelength, coarse, np.ravel(found[name])) for name in ("dni", "dhi"))
+    return sun, sky
+
+
+def relative_air_mass(sun_zenith: float) -> float:
+    """Return the relative optical air mass of Kasten & Young (Applied Optics 28, 4735, 1989).
+
+    Parameters
+    ----------
+    sun_zenith
+        Apparent zenith angle, 0 to 90 [degree].
+
+    Raises
+    ------
+    SchemaError
+        The sun is not above the horizon.
+
+    Examples
+    --------
+    >>> round(relative_air_mass(85.0), 2), round(float(1.0 / np.cos(np.radians(85.0))), 2)
+    (10.31, 11.47)
+    """
+    if not 0.0 <= sun_zenith <= 90.0:
+        raise SchemaError(f"sun_zenith is {sun_zenith!r}, expected 0 to 90 degrees")
+    return float(1.0 / (np.cos(np.radians(sun_zenith)) + 0.50572 * (96.07995 - sun_zenith) ** -1.6364))
+
+
+CIE_OVERCAST_SHARE = 4.0 / 7.0
+"""Share of the cosine part in the diffuse irradiance of a CIE overcast sky."""
+
+_CLOUD_REFERENCE_NM = 490.0
+
+
+def cloud_factor(oktas: float) -> float:
+    """Return the part of a clear sky's global irradiance that ``oktas`` eighths of cloud leave.
+
+    Parameters
+    ----------
+    oktas
+        Cloud amount, 0 to 8.
+
+    Raises
+    ------
+    SchemaError
+        There are no such oktas.
+
+    Examples
+    --------
+    >>> cloud_factor(8)
+    0.25
+    """
+    if not 0.0 <= oktas <= 8.0:
+        raise SchemaError(f"cloud amount is {oktas!r} oktas, expected 0 (clear) to 8 (overcast)")
+    return float(1.0 - 0.75 * (oktas / 8.0) ** 3.4)
+
+
+def cloud_transmittance(wavelength: Floats, oktas: float, *, colour: float = 0.24) -> Floats:
+    """Return global irradiance under clouds over that of the clear sky.
+
+    Parameters
+    ----------
+    wavelength
+        Any shape [nm].
+    oktas
+        Cloud amount, 0 to 8.
+    colour
+        Strength of the blue tint, 0 to 1: b = colour (1 - CF) and a = 1 - b; 0 for grey clouds.
+
+    Returns
+    -------
+    numpy.ndarray
+        Shape of ``wavelength`` [1].
+
+    Raises
+    ------
+    SchemaError
+        ``oktas`` or ``colour`` is outside its range; both are listed.
+
+    Examples
+    --------
+    >>> cloud_transmittance(np.array([400.0, 490.0, 700.0, 1000.0]), 8).round(3)
+    array([0.306, 0.25 , 0.216, 0.208])
+    """
+    problems = Problems("clouds cannot be made", SchemaError)
+    if not 0.0 <= oktas <= 8.0:
+        problems.add(f"cloud amount is {oktas!r} oktas, expected 0 (clear) to 8 (overcast)")
+    if not 0.0 <= colour <= 1.0:
+        problems.add(f"colour is {colour!r}, expected 0 (grey) to 1")
+    problems.raise_if_any()
+    factor = cloud_factor(oktas)
+    tint = colour * (1.0 - factor)
+    return np.asarray(factor * (1.0 - tint + tint * (wavelength / _CLOUD_REFERENCE_NM) ** -4.0))
+
+
+_CONTRAST = 3.912  # -ln 0.02
+_HAZE_REFERENCE_NM = 550.0
+_MOLECULES = 1.162e-5  # m-1, scattering of air at 550 nm, 1013 hPa and 15 degC (Bucholtz 1995)
+_MOLECULES_EXPONENT = -4.08
+
+
+@dataclass(frozen=True)
+class Haze:
+    """Air near the ground.
+
+    Attributes
+    ----------
+    visibility
+        Distance at which 2 % of a contrast are left at 550 nm [m]; up to 336 km, that of pure air.
+    angstrom
+        Exponent of the wavelength in the haze's extinction, positive.
+    asymmetry
+        Mean cosine of its scattering angle, from above -1 to below 1.
+    scattering_albedo
+        Share of its extinction that is scattering.
+    ground
+        Reflectance of the surroundings at all wavelengths.
+
+    Raises
+    ------
+    SchemaError
+        An attribute is outside its range; all are listed.
+
+    Examples
+    --------
+    >>> extinction = Haze().extinction(np.array([450.0, 550.0, 850.0]))
+    >>> (1e4 * extinction).round(2)  # per 10 km
+    array([2.32, 1.7 , 0.92])
+    """
+
+    visibility: float = 23_000.0
+    angstrom: float = 1.3
+    asymmetry: float = 0.65
+    scattering_albedo: float = 0.95
+    ground: float = 0.15
+
+    def __post_init__(self) -> None:
+        problems = Problems("haze cannot be made", SchemaError)
+        longest = _CONTRAST / _MOLECULES
+        if not 0.0 < self.visibility <= longest:
+            problems.add(f"visibility is {self.visibility!r} m, expected above 0 and up to {longest:.0f} m")
+        if not 0.0 <= self.angstrom <= 4.0:
+            problems.add(f"angstrom is {self.angstrom!r}, expected 0 to 4")
+        if not -1.0 < self.asymmetry < 1.0:
+            problems.add(f"asymmetry is {self.asymmetry!r}, expected between -1 and 1")
+        for name in ("scattering_albedo", "ground"):
+            if not 0.0 <= getattr(self, name) <= 1.0:
+                problems.add(f"{name} is {getattr(self, name)!r}, expected 0 to 1")
+        problems.raise_if_any()
+
+    def _coefficients(self, wavelength: Floats) -> tuple[Floats, Floats]:
+        """Return the extinction of molecules and of haze [m-1]."""
+        relative = wavelength / _HAZE_REFERENCE_NM
+        molecules = _MOLECULES * relative**_MOLECULES_EXPONENT
+        particles = (_CONTRAST / self.visibility - _MOLECULES) * relative**-self.angstrom
+        return molecules, particles
+
+    def extinction(self, wavelength: Floats) -> Floats:
+        """Return the extinction coefficient at ``wavelength`` [nm], same shape [m-1]."""
+        molecules, particles = self._coefficients(wavelength)
+        return np.asarray(molecules + particles)
+
+    def path_radiance(self, wavelength: Floats, sun: Floats, sky: Floats, sun_zenith: float) -> Floats:
+        """Return the radiance that a short vertical path adds, per metre [W m-2 sr-1 nm-1 m-1].
+
+        Parameters
+        ----------
+        wavelength
+            Shape (wavelength,) [nm].
+        sun, sky
+            Direct normal and diffuse horizontal irradiance, shape (wavelength,) [W m-2 nm-1].
+        sun_zenith
+            Angle between the sun and the vertical [degree].
+        """
+        cosine = np.cos(np.radians(sun_zenith))
+        reflected = self.ground * (sun * cosine + sky)
+        molecules, particles = self._coefficients(wavelength)
+
+        def source(phase: float, backward: float) -> Floats:
+            diffuse = (backward * sky + (1.0 - backward) * reflected) / np.pi
+            return np.asarray(sun * phase / (4.0 * np.pi) + diffuse)
+
+        g = self.asymmetry
+        # the sun's light comes down and leaves upwards: the cosine of the scattering angle is -cos(zenith)
+        rayleigh = 0.75 * (1.0 + cosine**2)
+        henyey_greenstein = float((1.0 - g**2) / (1.0 + g**2 + 2.0 * g * cosine) ** 1.5)
+        scattered = self.scattering_albedo * particles * source(henyey_greenstein, _backward_share(g))
+        return np.asarray(molecules * source(rayleigh, 0.5) + scattered)
+
+
+def _backward_share(g: float) -> float:
+    """Return the share of Henyey-Greenstein scattering at more than 90 degrees."""
+    if abs(g) < 1e-6:
+        return 0.5  # the formula is 0/0 there; its slope is -3/4
+    return (1.0 - g) / (2.0 * g) * ((1.0 + g) / float(np.sqrt(1.0 + g**2)) - 1.0)
+
+
+HAZE = Haze()
+"""Usual clear air: a visibility of 23 km."""

@@ -1,0 +1,1 @@
+"""Renderers and packages that hyperpaint is checked against."""
