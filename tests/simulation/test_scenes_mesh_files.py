@@ -13,11 +13,9 @@ import pytest
 from hypothesis import HealthCheck, given, settings, strategies as st
 
 from hyperpaint.base.errors import FormatError, MissingExtraError, PaintError, PaintWarning, SchemaError
-from hyperpaint.simulation.rendering.glb_files import strip_glb
 from hyperpaint.simulation.rendering.materials import Material
 from hyperpaint.simulation.rendering.mesh_files import read_mesh
-from hyperpaint.simulation.rendering.obj_files import parse_obj
-from hyperpaint.simulation.rendering.ply_files import check_ply
+from hyperpaint.simulation.rendering.mesh_formats import check_ply, parse_obj, strip_glb
 
 GREY = Material("grey", "panel_20", "panel")
 RED = Material("red paint", "red", "paint")

@@ -202,11 +202,10 @@ class BandSet:
         offset : (band, point)
             [nm], on an even grid of ``step`` nm.
         """
-        made = [
-            line_shape(row, float(fwhm), float(spacing), self.shape, step)
-            for row, fwhm, spacing in zip(offset, self.fwhm, self.spacing, strict=True)
-        ]
-        return np.stack(made)
+        rows = zip(offset, self.fwhm, self.spacing, strict=True)
+        return np.stack(
+            [line_shape(row, float(fwhm), float(spacing), self.shape, step) for row, fwhm, spacing in rows]
+        )
 
     def lowest(self) -> float:
         """Return the lowest wavelength at which any element responds [nm]."""
@@ -233,13 +232,13 @@ def cubic_weights(place: Floats) -> Floats:
 
 def _floats(values: Any, name: str, problems: Problems) -> Floats:
     try:
-        made = np.array(values, np.float64)
+        array = np.array(values, np.float64)
     except (TypeError, ValueError):
         problems.add(f"{name} is {type(values).__name__}, expected numbers [nm]")
         return np.zeros(0)
-    if not np.isfinite(made).all():
+    if not np.isfinite(array).all():
         problems.add(f"{name} holds values that are not finite")
-    return made
+    return array
 
 
 _FACTOR_STEP = 0.5  # nm between the points at which products of reflectances are taken
@@ -298,13 +297,13 @@ class BandResponses:
         bands = self.bands
         points = self._starts[:, None] * self._cell + np.arange(self._cells * self._cell)
         offset = self.fine[points] - (bands.wavelength + bands.nodes[node])[:, None]
-        made = bands.line_shapes(offset, self._fine_step)
+        response = bands.line_shapes(offset, self._fine_step)
         if bands.responsivity is not None:
-            made = made * np.asarray(bands.responsivity(self.fine))[points]
-        made = made * (self._inside[points] * self._fine_step)
+            response = response * np.asarray(bands.responsivity(self.fine))[points]
+        response = response * (self._inside[points] * self._fine_step)
         if self._normalise:
-            made /= made.sum(axis=1, keepdims=True)
-        return points, made
+            response /= response.sum(axis=1, keepdims=True)
+        return points, response
 
     def weights(self, sources: Floats) -> Floats:
         """Return what grid points count for in the bands, shape (source, node, grid, width).
@@ -315,7 +314,7 @@ class BandResponses:
             Spectra of the sources; see `cell_means`.
         """
         shape = (len(sources), self.bands.nodes.size, self.grid.size, self.width)
-        made = np.zeros(shape)
+        grid_weights = np.zeros(shape)
         grid_points = self._starts[:, None] - 1 + np.arange(self._cells + 3)
         band = np.arange(self._starts.size)[:, None] - self.first_band[grid_points]
         cubic = cubic_weights(np.arange(self._cell, dtype=np.float64) / self._cell)
@@ -327,17 +326,17 @@ class BandResponses:
                 # not a matrix product: the same bits whatever the threads of a BLAS
                 for place, part in enumerate(np.einsum("bcp,pj->jbc", lit, cubic)):
                     spread[:, place : place + self._cells] += part
-                made[number, node, grid_points, band] = spread
-        return made
+                grid_weights[number, node, grid_points, band] = spread
+        return grid_weights
 
     def means(self, spectra: Floats) -> Floats:
         """Return what bands see of spectra on the fine grid, shape (spectrum, node, band)."""
-        made = np.empty((len(spectra), self.bands.nodes.size, self._starts.size))
-        for node in range(made.shape[1]):
+        band_means = np.empty((len(spectra), self.bands.nodes.size, self._starts.size))
+        for node in range(band_means.shape[1]):
             points, responses = self._responses(node)
             for number, spectrum in enumerate(spectra):
-                made[number, node] = (responses * spectrum[points]).sum(axis=1)
-        return made
+                band_means[number, node] = (responses * spectrum[points]).sum(axis=1)
+        return band_means
 
 
 def cell_means(wavelength: Floats, spectrum: Floats, grid: Floats) -> Floats:

@@ -176,9 +176,9 @@ def _stations(shape: CarShape, length: float) -> Floats:
     glass += [0.5 * (shape.roof_end + shape.rear_base), shape.rear_base]
     posts = [post for pillar in shape.pillars for post in pillar if post < 0.97]
     bed = [end + step for end in shape.bed or () for step in (0.0, gap)]
-    found = np.array(sorted({*bends, *glass, *posts, *bed, *(s + d for s in seams for d in (0.0, gap))}))
-    near = np.diff(found, prepend=-1.0) < 0.6 * gap
-    return found[~near]
+    stations = np.array(sorted({*bends, *glass, *posts, *bed, *(s + d for s in seams for d in (0.0, gap))}))
+    near = np.diff(stations, prepend=-1.0) < 0.6 * gap
+    return stations[~near]
 
 
 def _boot_seam(shape: CarShape) -> float:
@@ -304,14 +304,14 @@ def _between(s: Floats, begin: float, end: float) -> NDArray[np.bool_]:
 
 def _ends(sections: Floats) -> list[Mesh]:
     """Return the two sheets that close the body at nose and tail."""
-    made = []
+    sheets = []
     for row, order in ((0, 1), (-1, -1)):
         left, right = sections[row, :_COLUMNS], sections[row, : _COLUMNS - 2 : -1]
         points = np.stack([left, right], axis=1)[::order]
         cells = (len(points) - 1, 1)
         sheet = lattice(points, np.full(cells, "paint", object), np.full(cells, "bumper", object))
-        made.append(smoothed(sheet, _CREASE))  # where left meets right, cells are triangles
-    return made
+        sheets.append(smoothed(sheet, _CREASE))  # where left meets right, cells are triangles
+    return sheets
 
 
 def _underbody(sections: Floats) -> Mesh:
@@ -326,7 +326,7 @@ def _wheels(length: float, width: float) -> list[Mesh]:
     """Return the wheels, and the dark arches they turn in."""
     radius, thick = _WHEEL
     angle = 2 * np.pi * np.arange(_SIDES) / _SIDES
-    made = []
+    pieces = []
     for side in (-1, 1):
         outside = side * (0.5 * width + 0.006)
         rim = np.stack([np.zeros(_SIDES), side * np.cos(angle), np.sin(angle)], axis=1)
@@ -336,13 +336,13 @@ def _wheels(length: float, width: float) -> list[Mesh]:
             tread = tube(back, hub, (radius, radius), "tyre", sides=_SIDES, part="wheel", closed=False)
             arch = hub - (side * 0.003, 0, 0) + 1.17 * radius * rim
             arch[:, 2] = np.maximum(arch[:, 2], _SILL)
-            made += [
+            pieces += [
                 smoothed(tread),
                 polygon(hub + radius * rim, "tyre", "wheel"),
                 polygon(hub + (side * 0.004, 0, 0) + 0.62 * radius * rim, "rim", "wheel"),
                 smoothed(polygon(arch, "trim", "wing"), 1.0),  # what is cut off below leaves empty triangles
             ]
-    return made
+    return pieces
 
 
 def _mirrors(shape: CarShape, length: float, width: float) -> list[Mesh]:
@@ -357,7 +357,7 @@ def _mirrors(shape: CarShape, length: float, width: float) -> list[Mesh]:
 def _plates(sections: Floats) -> list[Mesh]:
     """Return the number plates, and the dark grille over the front one."""
     nose, tail = sections[0, :, 1].max() + 0.004, sections[-1, :, 1].min() - 0.004
-    made = []
+    plates = []
     for place, side, low, size, word in (
         (nose, -1, 0.34, (0.26, 0.11), "plate"),
         (tail, 1, 0.44, (0.26, 0.11), "plate"),
@@ -365,8 +365,8 @@ def _plates(sections: Floats) -> list[Mesh]:
     ):
         (half, tall) = size
         corners = [(side * half * x, place, low + tall * z) for x, z in ((-1, 0), (1, 0), (1, 1), (-1, 1))]
-        made.append(polygon(corners, word, "plate" if word == "plate" else "bumper"))
-    return made
+        plates.append(polygon(corners, word, "plate" if word == "plate" else "bumper"))
+    return plates
 
 
 def _roof_rails(shape: CarShape, length: float, width: float, height: float) -> list[Mesh]:

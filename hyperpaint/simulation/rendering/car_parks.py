@@ -147,10 +147,10 @@ class _Choices:
 
     def material(self, name: str, paint: str) -> Material:
         """Return the surface of a car that has a paint."""
-        known = paint in FOURTEEN or parse_name(paint) is not None
-        made = paint_spec(paint).material(name) if known else Material(name, paint, "paint", Coat())
-        coat = made.coat if self.coat == "own" else self.coat
-        return replace(made, coat=coat, flakes=made.flakes if self.flakes and coat else None)
+        in_catalogue = paint in FOURTEEN or parse_name(paint) is not None
+        surface = paint_spec(paint).material(name) if in_catalogue else Material(name, paint, "paint", Coat())
+        coat = surface.coat if self.coat == "own" else self.coat
+        return replace(surface, coat=coat, flakes=surface.flakes if self.flakes and coat else None)
 
     def paint(self, number: int) -> str:
         """Return the paint of a car: as many successive cars as there are paints have all of them."""
@@ -186,14 +186,14 @@ def _check(
         problems.add(f"leaves is {leaves}, expected 0 to 100000")
     if chosen.seed < 0:
         problems.add(f"seed is {chosen.seed}, expected 0 or more")
-    for what, names, known in (
+    for what, names, allowed in (
         ("neighbours", neighbours, NEIGHBOURS),
         ("types", chosen.types, tuple(CAR_TYPES)),
     ):
-        unknown = [one for one in names if one not in known]
+        unknown = [one for one in names if one not in allowed]
         if unknown:
             problems.add(
-                f"{what} has {', '.join(map(repr, unknown))}, expected names from {', '.join(known)}"
+                f"{what} has {', '.join(map(repr, unknown))}, expected names from {', '.join(allowed)}"
             )
     if not chosen.paints or not chosen.types:
         problems.add("paints or types are empty, expected at least one name of each")

@@ -377,7 +377,7 @@ class Atmosphere:
         if name is None:
             name = "table" if isinstance(table, Mapping) else Path(table).stem
         sun, sky = curves["sun"], curves["sky"]
-        made = cls._hazy(
+        atmosphere = cls._hazy(
             curves["wavelength"],
             sun,
             sky,
@@ -388,8 +388,8 @@ class Atmosphere:
             name=name,
         )
         if "extinction" not in curves:
-            return made
-        return replace(made, extinction=curves["extinction"], path_radiance=curves["path_radiance"])
+            return atmosphere
+        return replace(atmosphere, extinction=curves["extinction"], path_radiance=curves["path_radiance"])
 
     def clouded(self, oktas: float, *, colour: float = 0.24) -> Atmosphere:
         """Return this clear atmosphere with clouds over it; what they do to light is said in `sky_models`.

@@ -69,10 +69,10 @@ def source_spectra(atmosphere: Atmosphere, settings: TraceSettings) -> dict[int,
     """
     sun = traced_sun(atmosphere, settings)
     share = atmosphere.overcast_share
-    made = {SKY: atmosphere.sky * (1.0 - share), FIRST_SUN + sun: atmosphere.sun}
+    spectra = {SKY: atmosphere.sky * (1.0 - share), FIRST_SUN + sun: atmosphere.sun}
     if share > 0:
-        made[OVERCAST_SKY] = atmosphere.sky * share
-    return made
+        spectra[OVERCAST_SKY] = atmosphere.sky * share
+    return spectra
 
 
 @dataclass(frozen=True, eq=False)
@@ -233,12 +233,12 @@ class ProductTable:
 
     def _start_empty(self) -> None:
         nodes, bands = self.bands.nodes.size, self.bands.wavelength.size
-        self._known: Ints = np.empty(0, np.int64)
+        self._cached_codes: Ints = np.empty(0, np.int64)
         self._products = np.empty((0, nodes, bands), np.float32)
         self._lock = threading.Lock()
 
     def __getstate__(self) -> dict[str, Any]:
-        left = {"_known", "_products", "_lock"}
+        left = {"_cached_codes", "_products", "_lock"}
         return {name: value for name, value in self.__dict__.items() if name not in left}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
@@ -271,7 +271,7 @@ class ProductTable:
             Gives all factors at wavelengths [nm], shape (factor, wavelength); see
             `hyperpaint.simulation.rendering.painting.factor_spectra`.
         """
-        return cls._made(bands, codes, wavelength, sources, factors, normalise=True)
+        return cls._of_sources(bands, codes, wavelength, sources, factors, normalise=True)
 
     @classmethod
     def of_imager(
@@ -301,10 +301,10 @@ class ProductTable:
         True
         """
         bands = BandSet.of_imager(imager)
-        return cls._made(bands, codes, wavelength, sources, factors, normalise=False)
+        return cls._of_sources(bands, codes, wavelength, sources, factors, normalise=False)
 
     @classmethod
-    def _made(
+    def _of_sources(
         cls,
         bands: BandSet,
         codes: PathCodes,
@@ -336,16 +336,16 @@ class ProductTable:
             A code names a factor that the scene does not have.
         """
         codes = np.ascontiguousarray(codes, np.int64)
-        known, products = self._snapshot()
-        found = _lookup(known, codes)
-        missing = np.flatnonzero(found < 0)
+        cached_codes, products = self._snapshot()
+        place = _lookup(cached_codes, codes)
+        missing = np.flatnonzero(place < 0)
         if not missing.size:
-            return np.ascontiguousarray(products[found].swapaxes(0, 1))
-        made = self._make(codes[missing])
-        self._keep(codes[missing], made)
-        gathered = np.empty((codes.size, *made.shape[1:]), np.float32)
-        there = found >= 0
-        gathered[there], gathered[missing] = products[found[there]], made
+            return np.ascontiguousarray(products[place].swapaxes(0, 1))
+        new_products = self._make(codes[missing])
+        self._keep(codes[missing], new_products)
+        gathered = np.empty((codes.size, *new_products.shape[1:]), np.float32)
+        there = place >= 0
+        gathered[there], gathered[missing] = products[place[there]], new_products
         return np.ascontiguousarray(gathered.swapaxes(0, 1))
 
     def at_columns(self, codes: Ints) -> Floats:
@@ -360,8 +360,8 @@ class ProductTable:
         if self.bands.wavelength_shift is None:
             return np.moveaxis(at_nodes, -2, -1)
         first, weight = self.bands.between_nodes()
-        made = sum(at_nodes[..., first + j, :] * weight[:, j, None] for j in range(4))
-        return np.moveaxis(np.asarray(made), -2, -1)
+        at_columns = sum(at_nodes[..., first + j, :] * weight[:, j, None] for j in range(4))
+        return np.moveaxis(np.asarray(at_columns), -2, -1)
 
     def mix(self, weight: NDArray[np.float32], codes: Ints, out: NDArray[np.float32]) -> None:
         """Write the sum of weight x product over the paths of every pixel, with the smile of each column.
@@ -393,7 +393,7 @@ class ProductTable:
 
     def _snapshot(self) -> tuple[Ints, NDArray[np.float32]]:
         with self._lock:
-            return self._known, self._products
+            return self._cached_codes, self._products
 
     def _make(self, codes: Ints) -> NDArray[np.float32]:
         from hyperpaint.simulation.transport.mixing import integrate_bands
@@ -408,20 +408,20 @@ class ProductTable:
         integrate_bands(self._factors, chosen, source, self._weights, self._first_band, out)
         return out.swapaxes(0, 1)
 
-    def _keep(self, codes: Ints, made: NDArray[np.float32]) -> None:
+    def _keep(self, codes: Ints, products: NDArray[np.float32]) -> None:
         with self._lock:
-            if self._products.nbytes + made.nbytes > _LARGEST_CACHE:
+            if self._products.nbytes + products.nbytes > _LARGEST_CACHE:
                 return
-            new = _lookup(self._known, codes) < 0  # another thread may have made them meanwhile
-            known = np.concatenate([self._known, codes[new]])
-            order = np.argsort(known)
-            self._known = known[order]
-            self._products = np.concatenate([self._products, made[new]])[order]
+            new = _lookup(self._cached_codes, codes) < 0  # another thread may have made them meanwhile
+            all_codes = np.concatenate([self._cached_codes, codes[new]])
+            order = np.argsort(all_codes)
+            self._cached_codes = all_codes[order]
+            self._products = np.concatenate([self._products, products[new]])[order]
 
 
-def _lookup(known: Ints, codes: Ints) -> Ints:
+def _lookup(sorted_codes: Ints, codes: Ints) -> Ints:
     """Return where codes stand among sorted known ones; -1 for the others."""
-    if not known.size:
+    if not sorted_codes.size:
         return np.full(codes.shape, -1, np.int64)
-    place = np.searchsorted(known, codes).clip(max=known.size - 1)
-    return np.where(known[place] == codes, place, -1)
+    place = np.searchsorted(sorted_codes, codes).clip(max=sorted_codes.size - 1)
+    return np.where(sorted_codes[place] == codes, place, -1)

@@ -59,9 +59,9 @@ def read_irradiance(series: xr.Dataset, time: Any = None) -> tuple[Floats, Float
         Noise around zero, down to -1 % of the largest value, is set to 0.
     """
     names = ["irradiance", "irradiance_wavelength"]
-    found = require(series, names, "the atmosphere of an irradiance series")
-    values = np.asarray(found["irradiance"].values, dtype=np.float64)
-    grid = np.asarray(found["irradiance_wavelength"].values, dtype=np.float64)
+    arrays = require(series, names, "the atmosphere of an irradiance series")
+    values = np.asarray(arrays["irradiance"].values, dtype=np.float64)
+    grid = np.asarray(arrays["irradiance_wavelength"].values, dtype=np.float64)
     check_wavelengths(grid)
     if time is None:
         if len(values) != 1:
@@ -137,16 +137,16 @@ def read_table(table: str | Path | Mapping[str, npt.ArrayLike]) -> dict[str, Flo
 
 
 def _stack_columns(headings: Sequence[Any], columns: Sequence[Any], problems: Problems) -> Floats:
-    made = []
+    arrays = []
     for heading, column in zip(headings, columns, strict=True):
         try:
-            made.append(np.asarray(column, dtype=np.float64))
+            arrays.append(np.asarray(column, dtype=np.float64))
         except (ValueError, TypeError):
             problems.add(f"column {heading!r} does not hold numbers")
-    shapes = {array.shape for array in made}
+    shapes = {array.shape for array in arrays}
     if not problems and (len(shapes) != 1 or len(next(iter(shapes))) != 1):
         problems.add(f"columns have shapes {sorted(shapes)}, expected one dim and the same length")
-    return np.stack(made, axis=1) if not len(problems) else np.empty((0, 0))
+    return np.stack(arrays, axis=1) if not len(problems) else np.empty((0, 0))
 
 
 def _read_rows(path: Path, problems: Problems) -> tuple[list[str], Floats]:
@@ -188,7 +188,7 @@ def _read_rows(path: Path, problems: Problems) -> tuple[list[str], Floats]:
 
 def _read_headings(headings: Sequence[Any], problems: Problems) -> dict[str, tuple[int, float]]:
     """Return the column of every curve and the factor to our units."""
-    found: dict[str, tuple[int, float]] = {}
+    curves: dict[str, tuple[int, float]] = {}
     for column, heading in enumerate(headings):
         match = _HEADING.fullmatch(str(heading).strip())
         if match is None:
@@ -199,19 +199,19 @@ def _read_headings(headings: Sequence[Any], problems: Problems) -> dict[str, tup
         name, units = match[1].lower(), match[2].strip()
         if name not in _UNITS:
             problems.add(f"column {name!r} is unknown, expected some of {', '.join(_UNITS)}")
-        elif name in found:
+        elif name in curves:
             problems.add(f"column {name!r} is there twice")
         else:
             try:
-                found[name] = (column, conversion_factor(units, _UNITS[name]))
+                curves[name] = (column, conversion_factor(units, _UNITS[name]))
             except UnitsError as error:
                 problems.add(f"column {name!r}: {error}")
-    missing = [name for name in _NEEDED if name not in found]
+    missing = [name for name in _NEEDED if name not in curves]
     if missing and not len(problems):
         problems.add(f"without column {' and '.join(missing)}; expected {', '.join(_NEEDED)}")
-    if ("extinction" in found) != ("path_radiance" in found):
+    if ("extinction" in curves) != ("path_radiance" in curves):
         problems.add("extinction and path_radiance come together: give both or neither")
-    return found
+    return curves
 
 
 def _check_values(curves: Mapping[str, Floats], problems: Problems) -> None:

@@ -6,30 +6,24 @@ declared sizes have been held against the file. Nothing outside the file itself 
 
 from __future__ import annotations
 
-import importlib
-import io
-import warnings
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hyperpaint.base.arrays import Floats
-from hyperpaint.base.errors import FormatError, MissingExtraError, SchemaError
+from hyperpaint.base.errors import FormatError, SchemaError
 
-from .glb_files import strip_glb
 from .materials import Material
-from .obj_files import RawTriangles, parse_obj
-from .ply_files import check_ply
+from .mesh_formats import RawTriangles, parse_obj, read_glb, read_ply
 from .primitives import Mesh, smoothed
 from .scene import Instance, Scene, has_area, warn_of_dropped
 
 __all__ = ["read_mesh"]
 
 
-_MOST_BYTES, _MOST_TRIANGLES = 2**30, 50_000_000
+_MAX_BYTES = 2**30
 #: Turns the axis that points up into z, and keeps the axes right-handed.
 _UPRIGHT = {
     "x": np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]]),
@@ -86,8 +80,10 @@ def read_mesh(
     """
     file = Path(path)
     readers: dict[str, Callable[[bytes, str], RawTriangles]] = {
-        ".obj": parse_obj, ".glb": _read_glb, ".ply": _read_ply,
-    }  # fmt: skip
+        ".obj": parse_obj,
+        ".glb": read_glb,
+        ".ply": read_ply,
+    }
     suffix = file.suffix.lower()
     if suffix not in readers:
         raise FormatError(
@@ -101,11 +97,11 @@ def read_mesh(
     raw = readers[suffix](_contents(file), file.name)
     _check(raw, file.name)
     vertices = unit * raw.vertices @ upright.T
-    kept = has_area(vertices, raw.faces)
-    warn_of_dropped(file.stem, kept)
+    with_area = has_area(vertices, raw.faces)
+    warn_of_dropped(file.stem, with_area)
     thing = Instance(instance or file.stem) if isinstance(instance, str) else instance
     chosen, surface = _assigned(raw, materials or {}, default, file.name)
-    faces, surface = raw.faces[kept], surface[kept]
+    faces, surface = raw.faces[with_area], surface[with_area]
     normals = np.zeros((0, 3))
     if crease is not None:
         vertices, faces = _welded(vertices, faces)
@@ -121,8 +117,8 @@ def read_mesh(
 def _contents(file: Path) -> bytes:
     try:
         size = file.stat().st_size
-        if size > _MOST_BYTES:
-            raise FormatError(f"{file.name}: {size} bytes, expected at most {_MOST_BYTES}; simplify the mesh")
+        if size > _MAX_BYTES:
+            raise FormatError(f"{file.name}: {size} bytes, expected at most {_MAX_BYTES}; simplify the mesh")
         data = file.read_bytes()
     except OSError as error:
         raise FormatError(f"{file}: cannot be read ({error.strerror})") from error
@@ -175,70 +171,3 @@ def _welded(vertices: Floats, faces: NDArray[np.int64]) -> tuple[Floats, NDArray
     number = np.empty(len(vertices), np.int64)
     number[order] = np.cumsum(new) - 1
     return placed[new], number[faces]
-
-
-def _trimesh(where: str) -> Any:
-    try:
-        return importlib.import_module("trimesh")
-    except ImportError as error:
-        purpose = f"reading {where}"
-        raise MissingExtraError.of("trimesh", "mesh", purpose) from error
-
-
-def _read_glb(data: bytes, where: str) -> RawTriangles:
-    trimesh = _trimesh(where)
-    stripped = strip_glb(data, where)
-    if stripped.triangles > _MOST_TRIANGLES:
-        raise FormatError(
-            f"{where}: {stripped.triangles} triangles, expected at most {_MOST_TRIANGLES}; simplify the mesh"
-        )
-    if not stripped.triangles:
-        return RawTriangles(np.zeros((0, 3)), np.zeros((0, 3), np.int64), np.zeros(0, np.int64), ())
-    scene = _loaded(trimesh.load_scene, stripped.data, "glb", where)
-    vertices, faces, face_group = [], [], []
-    groups: list[tuple[str, str]] = []
-    first = 0
-    for node in sorted(scene.graph.nodes_geometry):
-        transform, name = scene.graph[node]
-        mesh = scene.geometry[name]
-        points = np.asarray(mesh.vertices, np.float64) @ transform[:3, :3].T + transform[:3, 3]
-        material = getattr(getattr(mesh.visual, "material", None), "name", None)
-        vertices.append(points)
-        faces.append(_faces(mesh) + first)
-        face_group.append(np.full(len(faces[-1]), len(groups)))
-        groups.append((_named(stripped.materials, material), _named(stripped.meshes, name.partition("_")[0])))
-        first += len(points)
-    return RawTriangles(
-        np.concatenate(vertices), np.concatenate(faces), np.concatenate(face_group), tuple(groups)
-    )
-
-
-def _read_ply(data: bytes, where: str) -> RawTriangles:
-    trimesh = _trimesh(where)
-    check_ply(data, where)
-    mesh = _loaded(trimesh.load_mesh, data, "ply", where, skip_materials=True)
-    faces = _faces(mesh)
-    vertices = np.asarray(mesh.vertices, np.float64).reshape(-1, 3)
-    return RawTriangles(vertices, faces, np.zeros(len(faces), np.int64), (("", ""),))
-
-
-def _loaded(load: Callable[..., Any], data: bytes, kind: str, where: str, **options: Any) -> Any:
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # of what numpy thinks of trimesh's parsers
-            return load(io.BytesIO(data), file_type=kind, process=False, **options)
-    except Exception as error:  # a parser of others may fail in any way
-        raise FormatError(
-            f"{where}: trimesh cannot read it ({type(error).__name__}: {error}); the file is damaged or odd"
-        ) from error
-
-
-def _faces(mesh: Any) -> NDArray[np.int64]:
-    return np.asarray(getattr(mesh, "faces", np.zeros((0, 3))), np.int64).reshape(-1, 3)
-
-
-def _named(names: tuple[str, ...], number: str | None) -> str:
-    """Return the name that a number in words stands for; empty where it stands for none."""
-    if number is None or not number.isdecimal() or int(number) >= len(names):
-        return ""
-    return names[int(number)]

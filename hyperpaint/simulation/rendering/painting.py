@@ -69,12 +69,14 @@ class FactorSpectra:
 
     def __call__(self, wavelength: Floats) -> Floats:
         """Return the factors ``rho'`` at wavelengths [nm], shape (factor, wavelength)."""
-        made: dict[tuple[str, float | None], Floats] = {}
+        rows_by_key: dict[tuple[str, float | None], Floats] = {}
         for key in zip(self.names, self.coats, strict=True):
-            if key not in made:
+            if key not in rows_by_key:
                 reflectance = np.broadcast_to(self.spectra[key[0]](wavelength), wavelength.shape)
-                made[key] = measured_factor(reflectance.clip(0, 1) if self.clip else reflectance, key[1])
-        rows = [made[key] for key in zip(self.names, self.coats, strict=True)]
+                rows_by_key[key] = measured_factor(
+                    reflectance.clip(0, 1) if self.clip else reflectance, key[1]
+                )
+        rows = [rows_by_key[key] for key in zip(self.names, self.coats, strict=True)]
         return np.asarray(np.stack(rows) * np.asarray(self.scales)[:, None])
 
 
@@ -111,26 +113,26 @@ def factor_spectra(
         Names are unknown, values cannot be read, leave 0 to 1, or do not cover the bands; all are listed.
     """
     problems = Problems("the scene cannot be painted", SchemaError)
-    known = {str(name): value for name, value in _library(spectra).items()}
-    assigned, scales = _painted(record, dict(paints or {}), known, problems)
-    found: dict[str, Spectrum] = {}
+    library = {str(name): value for name, value in _library(spectra).items()}
+    assigned, scales = _painted(record, dict(paints or {}), library, problems)
+    by_name: dict[str, Spectrum] = {}
     for name in dict.fromkeys(assigned):
-        spectrum = _spectrum(known.get(name, name), name, problems)
+        spectrum = _spectrum(library.get(name, name), name, problems)
         if spectrum is not None:
             _check_values(name, spectrum, bands, problems, clip=clip)
-            found[name] = _near_bands(spectrum, bands)
+            by_name[name] = _near_bands(spectrum, bands)
     problems.raise_if_any()
     coats = []
     for factor in record.factors:
         coat = record.materials[factor.material].coat
         coats.append(None if coat is None or factor.flakes else coat.index)
-    return FactorSpectra(tuple(assigned), tuple(coats), found, tuple(scales), clip)
+    return FactorSpectra(tuple(assigned), tuple(coats), by_name, tuple(scales), clip)
 
 
 def _painted(
-    record: SceneRecord, paints: dict[str, Any], known: dict[str, Any], problems: Problems
+    record: SceneRecord, paints: dict[str, Any], library: dict[str, Any], problems: Problems
 ) -> tuple[list[str], list[float]]:
-    """Return spectrum and scale of every factor; new spectra are added to ``known``."""
+    """Return spectrum and scale of every factor; new spectra are added to ``library``."""
     original = []
     for factor in record.factors:
         material = record.materials[factor.material]
@@ -149,7 +151,7 @@ def _painted(
     for key in sorted((key for key in paints if key in rank), key=rank.__getitem__):
         name = paints[key] if isinstance(paints[key], str) else key
         if not isinstance(paints[key], str):
-            known[key] = paints[key]
+            library[key] = paints[key]
         if rank[key] == 0:
             chosen = [place for place, spectrum in enumerate(original) if spectrum == key]
         elif rank[key] == 1:
@@ -237,8 +239,8 @@ def _library(spectra: Any) -> Mapping[Any, Any]:
 def _spectrum(value: Any, name: str, problems: Problems) -> Spectrum | None:
     """Return what a user gave for a spectrum as a function."""
     if callable(value) and not hasattr(value, "dims"):
-        made: Spectrum = value
-        return made
+        spectrum: Spectrum = value
+        return spectrum
     if isinstance(value, str):
         try:
             return spectrum_of(value)

@@ -119,10 +119,10 @@ class PathCodes:
         self, source: int, factors: Sequence[int] = (), *, mirror: bool = False, indirect: bool = False
     ) -> int:
         """Return the code of a path."""
-        made = source | (MIRROR if mirror else 0) | (INDIRECT if indirect else 0)
+        code = source | (MIRROR if mirror else 0) | (INDIRECT if indirect else 0)
         for place, factor in enumerate(sorted(factors, reverse=True)):
-            made |= (factor + 1) << (_FIRST_DIGIT + place * self.digit_bits)
-        return made
+            code |= (factor + 1) << (_FIRST_DIGIT + place * self.digit_bits)
+        return code
 
     def factors(self, codes: Ints) -> Ints:
         """Return the factors of every code, shape (code, depth); -1 where there is none."""

@@ -190,7 +190,7 @@ def worn(layout: Layout, seed: int) -> list[Mesh]:
 
 def _tufts(layout: Layout, seed: int) -> list[Mesh]:
     """Return blades of grass on the lawn nearest to the cars: one mesh for every bay's length of it."""
-    made = []
+    tufts = []
     for bay in range(layout.bays):
         rng = np.random.default_rng([seed, _WEAR, bay])
         east, count = layout.kerb[0], 300
@@ -200,8 +200,8 @@ def _tufts(layout: Layout, seed: int) -> list[Mesh]:
         lean = rng.normal(0.0, 0.05, (count, 3)) * (1, 1, 0) + (0, 0, 0.07)
         side = rng.normal(0.0, 0.06, (count, 3)) * (1, 1, 0)
         corners = np.stack([foot - side, foot + side, foot + lean], axis=1)
-        made.append(uniform(corners.reshape(-1, 3), np.arange(3 * count), "grass"))
-    return made
+        tufts.append(uniform(corners.reshape(-1, 3), np.arange(3 * count), "grass"))
+    return tufts
 
 
 def _gaps(rows: tuple[tuple[float, float], ...], west: float, east: float) -> Iterator[tuple[float, float]]:

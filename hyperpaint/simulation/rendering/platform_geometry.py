@@ -96,9 +96,9 @@ class Platform:
             "time": (lines,),
         }
         for name, shape in expected.items():
-            found = np.shape(getattr(self, name))
-            if found != shape:
-                problems.add(f"{name} has shape {found}, expected {shape}")
+            actual = np.shape(getattr(self, name))
+            if actual != shape:
+                problems.add(f"{name} has shape {actual}, expected {shape}")
         edges = self.column_edges.shape
         if len(edges) != 1 or not 2 <= edges[0] <= MOST_COLUMNS + 1:
             problems.add(
@@ -154,13 +154,13 @@ class Platform:
 def finite_floats(values: Any, name: str, problems: Problems) -> Floats:
     """Return values as float64, noting what is no array of finite numbers."""
     try:
-        made = np.ascontiguousarray(values, dtype=np.float64)
+        array = np.ascontiguousarray(values, dtype=np.float64)
     except (TypeError, ValueError):
         problems.add(f"{name} is not an array of numbers")
         return np.zeros(0)
-    if not np.isfinite(made).all():
-        problems.add(f"{name} holds {np.count_nonzero(~np.isfinite(made))} values that are not finite")
-    return made
+    if not np.isfinite(array).all():
+        problems.add(f"{name} holds {np.count_nonzero(~np.isfinite(array))} values that are not finite")
+    return array
 
 
 #: north, east, down into east, north, up, and the other way round
@@ -218,8 +218,8 @@ def interpolate(first: Floats, second: Floats, part: Floats) -> Floats:
     near = angle <= _NEARLY_EQUAL
     one = np.where(near, 1.0 - part, np.sin((1.0 - part) * angle) / sine)
     other = np.where(near, part, np.sin(part * angle) / sine)
-    made = one[..., None] * first + other[..., None] * second
-    return np.asarray(made / np.linalg.norm(made, axis=-1, keepdims=True))
+    between = one[..., None] * first + other[..., None] * second
+    return np.asarray(between / np.linalg.norm(between, axis=-1, keepdims=True))
 
 
 def attitude_of(rotation: Floats) -> Floats:
@@ -237,6 +237,6 @@ def attitude_of(rotation: Floats) -> Floats:
     roll = np.arctan2(middle[:, 2, 1], middle[:, 2, 2])
     pitch = -np.arcsin(np.clip(middle[:, 2, 0], -1.0, 1.0))
     heading = np.arctan2(middle[:, 1, 0], middle[:, 0, 0])
-    made = np.degrees(np.stack([roll, pitch, heading], axis=-1))
-    made[:, 2] %= 360.0
-    return np.asarray(made)
+    angles = np.degrees(np.stack([roll, pitch, heading], axis=-1))
+    angles[:, 2] %= 360.0
+    return np.asarray(angles)

@@ -143,11 +143,11 @@ def _oscillations(moment: Floats, number: int, seed: int, stream: int) -> Floats
     phases = rng.uniform(0.0, 2.0 * np.pi, rates.shape)
     weights = _WOBBLE_RATES**-0.5
     weights *= np.sqrt(2.0 / (weights**2).sum())
-    made = np.zeros((number, *moment.shape))
-    for one, (rate, phase) in zip(made, zip(rates, phases, strict=True), strict=True):
+    oscillations = np.zeros((number, *moment.shape))
+    for one, (rate, phase) in zip(oscillations, zip(rates, phases, strict=True), strict=True):
         for weight, r, p in zip(weights, rate, phase, strict=True):
             one += weight * np.sin(2.0 * np.pi * r * moment + p)
-    return made
+    return oscillations
 
 
 def _check_pushbroom(given: dict[str, Any]) -> None:
@@ -221,12 +221,12 @@ def _moment(value: np.datetime64 | str) -> np.datetime64:
     try:
         # "now" would be another flight at every call
         spelled = "NaT" if isinstance(value, str) and not value[:1].isdigit() else value
-        found = np.asarray(spelled, dtype="datetime64[ns]").reshape(())
+        moment = np.asarray(spelled, dtype="datetime64[ns]").reshape(())
     except (ValueError, TypeError):
-        found = np.asarray("NaT", dtype="datetime64[ns]")
-    if not np.datetime64("1980-01-01") <= found < np.datetime64("2100-01-01"):
+        moment = np.asarray("NaT", dtype="datetime64[ns]")
+    if not np.datetime64("1980-01-01") <= moment < np.datetime64("2100-01-01"):
         raise SchemaError(f"start_time={value!r:.60}, expected a UTC time such as '2021-07-20T17:10:00'")
-    return np.datetime64(found.item(), "ns")
+    return np.datetime64(moment.item(), "ns")
 
 
 # --- a flight as it was recorded ---------------------------------------------------------------------------

@@ -213,8 +213,8 @@ def smoothed(mesh: Mesh, crease: float = 40.0) -> Mesh:
     >>> len(cube.vertices), len(np.unique(cube.normals.round(6), axis=0))
     (24, 6)
     """
-    kept = has_area(mesh.vertices, mesh.faces)
-    faces = mesh.faces[kept]
+    with_area = has_area(mesh.vertices, mesh.faces)
+    faces = mesh.faces[with_area]
     unit, angle = _directions_and_angles(mesh.vertices[faces])
     vertex = faces.reshape(-1)
     order = np.argsort(vertex, kind="stable")
@@ -236,8 +236,8 @@ def smoothed(mesh: Mesh, crease: float = 40.0) -> Mesh:
         mesh,
         vertices=mesh.vertices[vertex[first]],
         faces=corner.reshape(-1, 3).astype(np.int64),
-        surface=mesh.surface[kept],
-        part=mesh.part[kept],
+        surface=mesh.surface[with_area],
+        part=mesh.part[with_area],
         normals=normals[first],
     )
 

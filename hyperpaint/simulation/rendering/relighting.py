@@ -44,7 +44,7 @@ __all__ = ["irradiance_record", "relight"]
 
 
 _PATHS = ("transport_weight", "transport_path", "distance")
-_KEPT = (
+_UNLIT_LAYERS = (
     "material", "instance", "surface_class", "car_id", "purity", "distance", "east", "north", "up",
 )  # fmt: skip
 """Layers of the traced dataset that no light changes."""
@@ -128,22 +128,22 @@ def relight(
     (('along_track', 'band', 'cross_track'), dtype('float32'), 'W m-2 sr-1 nm-1')
     """
     record, settings = SceneRecord.from_attrs(traced.attrs)
-    found = require(traced, _PATHS, "radiance from traced paths")
+    variables = require(traced, _PATHS, "radiance from traced paths")
     sky = _atmosphere(atmosphere)
     camera = BandSet.of(bands)
-    lines, columns = found["distance"].sizes[ALONG_TRACK], found["distance"].sizes[CROSS_TRACK]
+    lines, columns = (variables["distance"].sizes[dim] for dim in (ALONG_TRACK, CROSS_TRACK))
     _check(camera, sky, columns)
     factors = _variation(variation, lines)
     painted = factor_spectra(record, camera, paints, spectra, clip=clip)
     sun = traced_sun(sky, settings)
     cosine = float(np.cos(np.radians(settings.suns[sun][0])))
     light = _lighting(camera, record, settings, sky, painted, cosine)
-    paths = [_whole_lines(found[name]) for name in _PATHS]
+    paths = [_whole_lines(variables[name]) for name in _PATHS]
     cubes = _lazy_cubes(paths, light, factors, camera, truth=truth)
-    made = _dataset(cubes, traced, camera, _tables(record, painted))
+    line = _dataset(cubes, traced, camera, _tables(record, painted))
     if truth and "sun_visibility" in traced.variables:
         visible = traced["sun_visibility"].isel({SUN: sun}, drop=True)
-        made["shadow"] = label((1.0 - visible).astype(np.float32), "shadow")
+        line["shadow"] = label((1.0 - visible).astype(np.float32), "shadow")
     series = irradiance_record(traced, sky, cosine, camera, factors)
     attrs = {
         "hyperpaint_format": FORMAT_VERSION,
@@ -154,16 +154,16 @@ def relight(
         "srf_shape": camera.shape,
         **series.attrs,
     }
-    return made.assign_coords(series.coords).assign(series.data_vars).assign_attrs(attrs)
+    return line.assign_coords(series.coords).assign(series.data_vars).assign_attrs(attrs)
 
 
 def _atmosphere(atmosphere: Any) -> Atmosphere:
-    made = preset_atmosphere(atmosphere) if isinstance(atmosphere, str) else atmosphere
-    if not isinstance(made, Atmosphere):
+    light = preset_atmosphere(atmosphere) if isinstance(atmosphere, str) else atmosphere
+    if not isinstance(light, Atmosphere):
         raise SchemaError(
-            f"atmosphere is {type(made).__name__}, expected an Atmosphere or the name of a preset one"
+            f"atmosphere is {type(light).__name__}, expected an Atmosphere or the name of a preset one"
         )
-    return made
+    return light
 
 
 def _check(bands: BandSet, atmosphere: Atmosphere, columns: int) -> None:
@@ -291,7 +291,7 @@ def _dataset(
 ) -> xr.Dataset:
     import xarray as xr
 
-    made = {
+    variables = {
         name: (CUBE if array.ndim == 3 else (ALONG_TRACK, CROSS_TRACK), array, VARIABLES[name].attrs)
         for name, array in cubes.items()
     }
@@ -302,10 +302,10 @@ def _dataset(
     }
     if bands.wavelength_shift is not None:
         coords["wavelength_shift"] = (CROSS_TRACK, bands.wavelength_shift)
-    line = xr.Dataset(made, {n: (*value, VARIABLES[n].attrs) for n, value in coords.items()})
+    line = xr.Dataset(variables, {n: (*value, VARIABLES[n].attrs) for n, value in coords.items()})
     if "time" in traced.variables:
         line = line.assign_coords(time=traced["time"].variable)
-    for name in _KEPT:
+    for name in _UNLIT_LAYERS:
         if name in traced.variables:
             line[name] = traced[name].variable
     if "material" in traced.variables:

@@ -149,15 +149,15 @@ class Scene:
         _check_names(problems, "material", [material.name for material in self.materials])
         _check_instances(problems, self.instances)
         problems.raise_if_any()
-        kept = has_area(vertices, faces)
-        warn_of_dropped(self.name, kept)
+        with_area = has_area(vertices, faces)
+        warn_of_dropped(self.name, with_area)
         checked: dict[str, Any] = {
             "vertices": vertices,
-            "faces": faces[kept],
+            "faces": faces[with_area],
             "normals": normals,
-            "face_material": material[kept].astype(np.int32),
-            "face_instance": instance[kept].astype(np.int32),
-            "face_part": part[kept].astype(np.int8),
+            "face_material": material[with_area].astype(np.int32),
+            "face_instance": instance[with_area].astype(np.int32),
+            "face_part": part[with_area].astype(np.int8),
             "materials": tuple(self.materials),
             "instances": tuple(self.instances),
         }
@@ -422,19 +422,19 @@ def _array(
     problems: Problems, name: str, values: object, dtype: type, shape: tuple[int | None, ...]
 ) -> NDArray[Any]:
     """Return ``values`` as an array of ``dtype``; an empty one becomes zeros where the length is known."""
-    found = np.asarray(values)
-    if found.size == 0 and shape[0] is not None:
+    array = np.asarray(values)
+    if array.size == 0 and shape[0] is not None:
         return np.zeros([length or 0 for length in shape], dtype)
     wanted = " x ".join("any" if length is None else str(length) for length in shape)
-    if found.ndim != len(shape) or any(
-        w is not None and w != f for w, f in zip(shape, found.shape, strict=True)
+    if array.ndim != len(shape) or any(
+        w is not None and w != f for w, f in zip(shape, array.shape, strict=True)
     ):
-        problems.add(f"{name} have the shape {found.shape}, expected {wanted}")
-    elif found.dtype.kind not in ("iu" if np.issubdtype(dtype, np.integer) else "iuf"):
-        problems.add(f"{name} are {found.dtype}, expected numbers as {np.dtype(dtype)} holds them")
+        problems.add(f"{name} have the shape {array.shape}, expected {wanted}")
+    elif array.dtype.kind not in ("iu" if np.issubdtype(dtype, np.integer) else "iuf"):
+        problems.add(f"{name} are {array.dtype}, expected numbers as {np.dtype(dtype)} holds them")
     else:
         # whole numbers stay wide until their range has been looked at
-        return found.astype(np.int64 if np.issubdtype(dtype, np.integer) else np.float64)
+        return array.astype(np.int64 if np.issubdtype(dtype, np.integer) else np.float64)
     return np.zeros([length or 0 for length in shape], dtype)
 
 
@@ -488,12 +488,12 @@ def has_area(vertices: Floats, faces: NDArray[np.int64]) -> NDArray[np.bool_]:
     return np.asarray(np.linalg.norm(_crossed(vertices, faces), axis=1) > _SMALLEST_SHAPE * longest)
 
 
-def warn_of_dropped(name: str, kept: NDArray[np.bool_]) -> None:
+def warn_of_dropped(name: str, with_area: NDArray[np.bool_]) -> None:
     """Warn where triangles of a scene without area are dropped."""
-    if not kept.all():
-        dropped = int((~kept).sum())
+    if not with_area.all():
+        dropped = int((~with_area).sum())
         warnings.warn(
-            f"scene {name!r}: {dropped} of {len(kept)} triangles have no area and were dropped",
+            f"scene {name!r}: {dropped} of {len(with_area)} triangles have no area and were dropped",
             PaintWarning,
             stacklevel=4,
         )

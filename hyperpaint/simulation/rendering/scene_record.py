@@ -241,14 +241,14 @@ class SceneRecord:
 
 def _parsed(attrs: Mapping[Any, Any], name: str, problems: Problems) -> list[Any]:
     try:
-        found = json.loads(attrs[name])
+        entries = json.loads(attrs[name])
     except KeyError:
         problems.add(f"attribute {name!r} is missing")
     except (TypeError, ValueError, RecursionError):
         problems.add(f"attribute {name!r} is no JSON text")
     else:
-        if isinstance(found, list) and found:
-            return found
+        if isinstance(entries, list) and entries:
+            return entries
         problems.add(f"attribute {name!r} holds no list")
     return []
 

@@ -202,12 +202,12 @@ def paint_spec(name: str) -> PaintSpec:
     """
     if name in _CATALOGUE:
         return _CATALOGUE[name]
-    found = parse_name(name)
-    if found is None or found[2]:
+    parsed = parse_name(name)
+    if parsed is None or parsed[2]:
         raise SchemaError(
             f"there is no paint {name!r}; expected one of {', '.join(FOURTEEN)}, or pigment:<family>:<number>"
         )
-    return generate_paint(found[0], found[1])
+    return generate_paint(parsed[0], parsed[1])
 
 
 def generate_paint(family: str, number: int) -> PaintSpec:
@@ -303,12 +303,12 @@ def _mix(family: str, hue: str, rng: np.random.Generator) -> tuple[Pigments, str
 def _absorbers(
     rows: Sequence[tuple[str, float, float, float, float]], strength: float, rng: np.random.Generator
 ) -> tuple[Feature, ...]:
-    made: list[Feature] = []
+    features: list[Feature] = []
     for kind, centre, spread, width, height in rows:
         feature = Edge if kind == "edge" else Bump
         at = centre + rng.normal(0.0, spread / 2.0)
-        made.append(feature(at, width * rng.uniform(0.8, 1.3), strength * height * rng.uniform(0.8, 1.2)))
-    return tuple(made)
+        features.append(feature(at, width * rng.uniform(0.8, 1.3), strength * height * rng.uniform(0.8, 1.2)))
+    return tuple(features)
 
 
 Spectrum = Callable[[Floats], Floats]

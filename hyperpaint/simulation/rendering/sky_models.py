@@ -123,7 +123,7 @@ def spectrl2_sky(
     except ImportError as error:
         needed = MissingExtraError.of("pvlib", "sim", "the SPECTRL2 atmosphere")
         raise needed from error
-    found = spectrl2(
+    table = spectrl2(
         apparent_zenith=sun_zenith,
         aoi=sun_zenith,
         surface_tilt=0.0,
@@ -135,11 +135,11 @@ def spectrl2_sky(
         aerosol_turbidity_500nm=aerosol,
         dayofyear=dayofyear,
     )
-    coarse = np.asarray(found["wavelength"], dtype=np.float64)
+    coarse = np.asarray(table["wavelength"], dtype=np.float64)
     if not (coarse[0] <= wavelength[0] and wavelength[-1] <= coarse[-1]):
         span = f"from {wavelength[0]:g} to {wavelength[-1]:g} nm"
         raise SchemaError(f"wavelength goes {span}; SPECTRL2 covers {coarse[0]:g} to {coarse[-1]:g} nm")
-    sun, sky = (np.interp(wavelength, coarse, np.ravel(found[name])) for name in ("dni", "dhi"))
+    sun, sky = (np.interp(wavelength, coarse, np.ravel(table[name])) for name in ("dni", "dhi"))
     return sun, sky
 
 

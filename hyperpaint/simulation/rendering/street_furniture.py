@@ -124,8 +124,8 @@ def lamp_post(height: float = 6.0, arm: float = 1.2) -> Mesh:
 
 
 def _directions(rng: np.random.Generator, count: int) -> Floats:
-    made = rng.standard_normal((count, 3))
-    return np.asarray(made / np.linalg.norm(made, axis=1, keepdims=True))
+    vectors = rng.standard_normal((count, 3))
+    return np.asarray(vectors / np.linalg.norm(vectors, axis=1, keepdims=True))
 
 
 def _foliage(rng: np.random.Generator, places: Floats, outward: Floats) -> Mesh:

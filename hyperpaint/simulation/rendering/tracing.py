@@ -284,10 +284,10 @@ def _directions(suns: Any) -> tuple[Any, bool]:
         return suns, False
     lights = [preset_atmosphere(sun) if isinstance(sun, str) else sun for sun in suns]
     named = [light for light in lights if isinstance(light, Atmosphere)]
-    made = [
+    directions = [
         (light.sun_zenith, light.sun_azimuth) if isinstance(light, Atmosphere) else light for light in lights
     ]
-    different = [sun for place, sun in enumerate(made) if sun not in made[:place]]
+    different = [sun for place, sun in enumerate(directions) if sun not in directions[:place]]
     return different, any(light.overcast_share > 0 for light in named)
 
 
@@ -364,10 +364,12 @@ def _prepare_packed(packed: bytes, settings: TraceSettings) -> PreparedScene:
 
 def _poses(platform: Platform) -> Array:
     """Return number, origin and rotation of every line in one structured array, shape (line,)."""
-    made = np.empty(platform.lines, [("line", "i8"), ("origin", "f8", (2, 3)), ("rotation", "f8", (2, 3, 3))])
-    made["line"] = np.arange(platform.lines)
-    made["origin"], made["rotation"] = platform.origin, platform.rotation
-    return made
+    poses = np.empty(
+        platform.lines, [("line", "i8"), ("origin", "f8", (2, 3)), ("rotation", "f8", (2, 3, 3))]
+    )
+    poses["line"] = np.arange(platform.lines)
+    poses["origin"], poses["rotation"] = platform.origin, platform.rotation
+    return poses
 
 
 def _trace_task(poses: Array, prepared: PreparedScene, edges: tuple[Array, Array]) -> dict[str, Array]:
@@ -406,7 +408,7 @@ def _labelled(
         "sun_zenith": (SUN, np.array([zenith for zenith, _ in settings.suns], np.float64)),
         "sun_azimuth": (SUN, np.array([azimuth for _, azimuth in settings.suns], np.float64)),
     }
-    made = xr.Dataset(
+    traced = xr.Dataset(
         {name: ([_DIMS[dim] for dim in _LAYOUT[name]], array) for name, array in arrays.items()},
         {name: (dims, values, VARIABLES[name].attrs) for name, (dims, values) in coords.items()},
         {
@@ -417,5 +419,5 @@ def _labelled(
             "time_coverage_end": str(utc.max()),
         },
     )
-    named = {name: label(made[name], name, **labels.attrs(name)) for name in arrays}
-    return made.assign(named)
+    named = {name: label(traced[name], name, **labels.attrs(name)) for name in arrays}
+    return traced.assign(named)

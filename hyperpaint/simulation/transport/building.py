@@ -132,9 +132,9 @@ def _best_split(count: int, room: _Room) -> tuple[float, int, int]:
             total += room.counts[first + at - 1]
             _widen(room.boxes, _SWEPT, room.boxes, first + at - 1)
             if 0 < total < count:
-                found = total * _measure(room.boxes, _SWEPT, floor) + room.costs[at]
-                if found < cost:
-                    cost, best_axis, best_bin = found, axis, at
+                split_cost = total * _measure(room.boxes, _SWEPT, floor) + room.costs[at]
+                if split_cost < cost:
+                    cost, best_axis, best_bin = split_cost, axis, at
     return cost, best_axis, best_bin
 
 

@@ -106,15 +106,15 @@ def _thin(codes: Array, sums: Array, places: Array, count: int, slots: int, draw
     for i in range(exact, count):
         rest += sums[places[i]]
     step = rest / (slots - exact)
-    kept, passed = exact, 0.0
+    taken, passed = exact, 0.0
     for i in range(exact, count):
         passed += sums[places[i]]
-        if kept < slots and passed > (kept - exact + draw) * step:
-            places[kept], places[i] = places[i], places[kept]
-            kept += 1
-    for i in range(exact, kept):
+        if taken < slots and passed > (taken - exact + draw) * step:
+            places[taken], places[i] = places[i], places[taken]
+            taken += 1
+    for i in range(exact, taken):
         sums[places[i]] = step
-    return kept
+    return taken
 
 
 @borrowing_kernel

@@ -121,9 +121,9 @@ def build_geometry(
     triangles = points[corners]
     across = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
     area = np.sqrt((across**2).sum(axis=1))
-    kept = np.flatnonzero(area > 0)
-    nodes, links, order = build_nodes(np.ascontiguousarray(triangles[kept]))
-    order = kept[order]
+    with_area = np.flatnonzero(area > 0)
+    nodes, links, order = build_nodes(np.ascontiguousarray(triangles[with_area]))
+    order = with_area[order]
     at_corners = np.zeros((len(order), 3, 3))
     if len(shading):
         at_corners = shading[corners[order]]
@@ -254,7 +254,7 @@ def closest(
     sz = 1.0 / _component(kz, dx, dy, dz)
     sx, sy = _component(kx, dx, dy, dz) * sz, _component(ky, dx, dy, dz) * sz
     px, py, pz = _component(kx, ox, oy, oz), _component(ky, ox, oy, oz), _component(kz, ox, oy, oz)
-    best, found, weights = limit, -1, (0.0, 0.0, 0.0)
+    best, nearest, weights = limit, -1, (0.0, 0.0, 0.0)
     size = 0
     link = 0
     while True:
@@ -278,11 +278,11 @@ def closest(
             for face in range(packed >> 4, (packed >> 4) + (packed & 15)):
                 t, a, b, c = _meet(triangles, np.uint64(face), kx, ky, kz, px, py, pz, sx, sy, sz)
                 if 0.0 < t < best:
-                    best, found, weights = t, face, (a, b, c)
+                    best, nearest, weights = t, face, (a, b, c)
         while size > 0 and entries[size - 1] >= best:
             size -= 1
         if size == 0:
-            return best, found, weights
+            return best, nearest, weights
         size -= 1
         link = stack[size]
 

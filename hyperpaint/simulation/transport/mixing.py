@@ -42,20 +42,20 @@ def index_paths(code: npt.NDArray[np.int64]) -> tuple[npt.NDArray[np.int64], npt
     size = 1024
     while True:
         table, places = np.full(size, -1), np.empty(size, np.int32)
-        found = np.empty(size // 2, np.int64)
-        number = _number(flat, table, places, found, index)
+        distinct = np.empty(size // 2, np.int64)
+        number = _number(flat, table, places, distinct, index)
         if number >= 0:
             break
         size *= 4
-    found = found[:number]
-    order = np.argsort(found)
+    distinct = distinct[:number]
+    order = np.argsort(distinct)
     rank = np.full(number + 1, -1, np.int32)  # the last serves -1
     rank[order] = np.arange(number, dtype=np.int32)
-    return found[order], rank[index].reshape(np.shape(code))
+    return distinct[order], rank[index].reshape(np.shape(code))
 
 
 @borrowing_kernel
-def _number(flat: Array, table: Array, places: Array, found: Array, index: Array) -> int:
+def _number(flat: Array, table: Array, places: Array, distinct: Array, index: Array) -> int:
     """Write numbers of codes in the order they come; return how many, -1 where the table is too small."""
     mask = table.size - 1
     number = 0
@@ -68,11 +68,11 @@ def _number(flat: Array, table: Array, places: Array, found: Array, index: Array
         at = np.int64(folded >> np.uint64(16)) & mask
         while table[at] != code:
             if table[at] < 0:
-                if number == found.size:
+                if number == distinct.size:
                     return -1
                 table[at] = code
                 places[at] = number
-                found[number] = code
+                distinct[number] = code
                 number += 1
                 break
             at = (at + 1) & mask
