@@ -5,10 +5,11 @@ from __future__ import annotations
 import numba
 import numpy as np
 
+from hyperpaint.simulation.rendering.materials import internal_reflectance
 from hyperpaint.simulation.transport.hierarchy import Geometry, build_geometry
-from hyperpaint.simulation.transport.path_blocks import Block, Rays, Sources
+from hyperpaint.simulation.transport.path_blocks import Block, Rays, Settings, Sources
 from hyperpaint.simulation.transport.paths import trace_lines
-from hyperpaint.simulation.transport.surfaces import Surfaces, internal_reflectance
+from hyperpaint.simulation.transport.surfaces import Surfaces
 
 #: False where the tests run as plain Python, some hundred times slower.
 COMPILED = not numba.config.DISABLE_JIT
@@ -112,7 +113,8 @@ def traced(
     slots: int = 48,
 ) -> Block:
     block = Block.empty(len(rays.origin), slots, len(rays.column_edges) - 1, len(sources.suns))
-    trace_lines(geometry, surfaces, sources, rays, first_line, samples, depth, digit_bits, seed, block)
+    numbers = Settings(first_line, samples, depth, digit_bits, seed)
+    trace_lines(geometry, surfaces, sources, rays, numbers, block)
     return block
 
 

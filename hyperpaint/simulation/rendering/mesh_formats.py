@@ -256,16 +256,13 @@ def strip_glb(data: bytes, where: str) -> Stripped:
     """
     header, body = _chunks(data, where)
     check = _GlbCheck(header, len(body), where)
-    kept_header, triangles = check.stripped()
-    text = json.dumps(kept_header).encode()
+    remaining, triangles = check.stripped()
+    text = json.dumps(remaining).encode()
     text += b" " * (-len(text) % 4)
     body += b"\0" * (-len(body) % 4)
     whole = struct.pack("<II", len(text), _JSON) + text + struct.pack("<II", len(body), _BINARY) + body
-    names = [
-        tuple(one["name"] if isinstance(one.get("name"), str) else "" for one in check.many(key))
-        for key in ("materials", "meshes")
-    ]
-    return Stripped(struct.pack("<4sII", b"glTF", 2, 12 + len(whole)) + whole, *names, triangles)
+    clean = struct.pack("<4sII", b"glTF", 2, 12 + len(whole)) + whole
+    return Stripped(clean, check.names("materials"), check.names("meshes"), triangles)
 
 
 def _chunks(data: bytes, where: str) -> tuple[dict[str, Any], bytes]:
@@ -328,6 +325,10 @@ class _GlbCheck:
         if not isinstance(entries, list) or not all(isinstance(entry, kind) for entry in entries):
             self.fail(f"{key} is not a list of {getattr(kind, '__name__', 'numbers')}")
         return list(entries)
+
+    def names(self, key: str) -> tuple[str, ...]:
+        given = [entry.get("name") for entry in self.many(key)]
+        return tuple(name if isinstance(name, str) else "" for name in given)
 
     def whole(self, of: dict[str, Any], key: str, most: int, default: int | None = None) -> int:
         """Return a whole number from 0 to ``most`` under a key."""

@@ -27,6 +27,7 @@ from hyperpaint.base.schema import (
 )
 
 from .four_curves import Atmosphere, preset_atmosphere
+from .materials import internal_reflectance
 from .path_codes import PathCodes
 from .scene_record import SceneRecord, TraceSettings, sun_vectors
 from .truth_layers import LabelTables
@@ -36,7 +37,7 @@ if TYPE_CHECKING:
     import xarray as xr
 
     from hyperpaint.simulation.transport.hierarchy import Geometry
-    from hyperpaint.simulation.transport.paths import Block, Sources
+    from hyperpaint.simulation.transport.path_blocks import Block, Sources
     from hyperpaint.simulation.transport.surfaces import Surfaces
 
     from .platforms import Platform
@@ -86,7 +87,7 @@ def prepare_scene(scene: Scene, settings: TraceSettings) -> PreparedScene:
         There are too many spectra for the depth.
     """
     from hyperpaint.simulation.transport.hierarchy import build_geometry
-    from hyperpaint.simulation.transport.paths import Sources
+    from hyperpaint.simulation.transport.path_blocks import Sources
 
     record = SceneRecord.of(scene)
     geometry = build_geometry(
@@ -99,7 +100,7 @@ def prepare_scene(scene: Scene, settings: TraceSettings) -> PreparedScene:
 
 
 def _surfaces(record: SceneRecord) -> Surfaces:
-    from hyperpaint.simulation.transport.surfaces import Surfaces, internal_reflectance
+    from hyperpaint.simulation.transport.surfaces import Surfaces
 
     coats = [material.coat for material in record.materials]
     flakes = [material.flakes for material in record.materials]
@@ -108,8 +109,7 @@ def _surfaces(record: SceneRecord) -> Surfaces:
     flake_factor = np.full(len(coats), -1, np.int32)
     for number, factor in enumerate(record.factors):
         (flake_factor if factor.flakes else base_factor)[factor.material] = number
-    internal = np.zeros(len(coats))
-    internal[index > 0] = internal_reflectance(index[index > 0])
+    internal = np.array([0.0 if coat is None else internal_reflectance(coat.index) for coat in coats])
     return Surfaces(
         index,
         np.array([1.0 if coat is None else coat.roughness for coat in coats]),
@@ -136,7 +136,7 @@ def trace_block(prepared: PreparedScene, platform: Platform, start: int, stop: i
     Returns
     -------
     Block
-        Arrays of these lines; see `hyperpaint.simulation.transport.paths.Block`.
+        Arrays of these lines; see `hyperpaint.simulation.transport.path_blocks.Block`.
     """
     here = slice(start, stop)
     edges = platform.column_edges, platform.along_edges
@@ -146,41 +146,15 @@ def trace_block(prepared: PreparedScene, platform: Platform, start: int, stop: i
 def _trace_rays(
     prepared: PreparedScene, origin: Array, rotation: Array, edges: tuple[Array, Array], first_line: int
 ) -> Block:
-    from hyperpaint.simulation.transport.paths import Rays, trace_lines
+    from hyperpaint.simulation.transport.path_blocks import Block, Rays, Settings
+    from hyperpaint.simulation.transport.paths import trace_lines
 
-    settings = prepared.settings
-    block = _empty_block(len(origin), edges[0].size - 1, settings)
-    trace_lines(
-        prepared.geometry,
-        prepared.surfaces,
-        prepared.sources,
-        Rays(origin, rotation, *edges),
-        first_line,
-        settings.samples,
-        settings.depth,
-        prepared.codes.digit_bits,
-        settings.seed,
-        block,
-    )
+    chosen = prepared.settings
+    numbers = Settings(first_line, chosen.samples, chosen.depth, prepared.codes.digit_bits, chosen.seed)
+    block = Block.empty(len(origin), chosen.slot_count, edges[0].size - 1, len(chosen.suns))
+    scene = prepared.geometry, prepared.surfaces, prepared.sources
+    trace_lines(*scene, Rays(origin, rotation, *edges), numbers, block)
     return block
-
-
-def _empty_block(lines: int, columns: int, settings: TraceSettings) -> Block:
-    from hyperpaint.simulation.transport.paths import Block
-
-    paths, pixels = (lines, settings.slot_count, columns), (lines, columns)
-    suns = (lines, len(settings.suns), columns)
-    return Block(
-        weight=np.empty(paths, np.float32),
-        code=np.empty(paths, np.int64),
-        material=np.empty(pixels, np.int32),
-        instance=np.empty(pixels, np.int32),
-        purity=np.empty(pixels, np.float32),
-        distance=np.empty(pixels, np.float32),
-        position=np.empty((lines, 3, columns), np.float64),
-        sun_visibility=np.empty(suns, np.float32),
-        incidence=np.empty(suns, np.float32),
-    )
 
 
 def trace(
@@ -293,20 +267,10 @@ def _directions(suns: Any) -> tuple[Any, bool]:
 
 #: Variable to its dims, one letter each: line, slot, sun (u), column (x).
 _LAYOUT = {
-    "transport_weight": "lsx",
-    "transport_path": "lsx",
-    "material": "lx",
-    "instance": "lx",
-    "surface_class": "lx",
-    "paint_id": "lx",
-    "car_id": "lx",
-    "purity": "lx",
-    "distance": "lx",
-    "east": "lx",
-    "north": "lx",
-    "up": "lx",
-    "sun_visibility": "lux",
-    "sun_incidence": "lux",
+    **dict.fromkeys(("transport_weight", "transport_path"), "lsx"),
+    **dict.fromkeys(("material", "instance", "surface_class", "paint_id", "car_id", "purity"), "lx"),
+    **dict.fromkeys(("distance", "east", "north", "up"), "lx"),
+    **dict.fromkeys(("sun_visibility", "sun_incidence"), "lux"),
 }
 _DIMS = {"l": ALONG_TRACK, "s": SLOT, "u": SUN, "x": CROSS_TRACK}
 

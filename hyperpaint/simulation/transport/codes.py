@@ -8,7 +8,7 @@ lowest bits, 0 for none.
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -17,7 +17,7 @@ from hyperpaint.base.jit import borrowing_kernel
 
 __all__ = [
     "ADD_INDIRECT", "ADD_MIRROR", "FIRST_DIGIT", "FIRST_SUN", "OVERCAST", "SKY",
-    "add_path", "with_factor", "write_paths",
+    "PathTable", "add_path", "with_factor", "write_paths",
 ]  # fmt: skip
 
 
@@ -26,6 +26,15 @@ ADD_MIRROR, ADD_INDIRECT = 8, 16
 FIRST_DIGIT = 5
 
 _MULTIPLIER = np.uint64(0x9E3779B1)
+
+
+class PathTable(NamedTuple):
+    """Weights of a pixel's paths by code: an open-addressing table whose length is a power of two."""
+
+    codes: Array  # by place; -1 where empty
+    sums: Array  # weights by place
+    used: Array  # places in use
+    in_use: Array  # (1,) their number
 
 
 @borrowing_kernel
@@ -41,10 +50,11 @@ def with_factor(code: Any, factor: Any, digit_bits: int) -> Any:
 
 
 @borrowing_kernel
-def add_path(codes: Array, sums: Array, used: Array, count: Array, code: int, weight: float) -> None:
-    """Add a weight to its code in an open-addressing table whose length is a power of two."""
+def add_path(table: PathTable, code: int, weight: float) -> None:
+    """Add a weight to its code."""
     if not weight > 0.0:
         return
+    codes, sums, in_use = table.codes, table.sums, table.in_use
     mask = codes.size - 1
     folded = np.uint64((code ^ (code >> 29)) & 0xFFFFFFFF) * _MULTIPLIER
     at = np.int64(folded >> np.uint64(16)) & mask
@@ -52,24 +62,25 @@ def add_path(codes: Array, sums: Array, used: Array, count: Array, code: int, we
         if codes[at] < 0:
             codes[at] = code
             sums[at] = 0.0
-            used[count[0]] = at
-            count[0] += 1
+            table.used[in_use[0]] = at
+            in_use[0] += 1
             break
         at = (at + 1) & mask
     sums[at] += weight
 
 
 @borrowing_kernel
-def _precedes(codes: Array, sums: Array, a: int, b: int, by_weight: bool) -> Any:
+def _precedes(table: PathTable, a: int, b: int, by_weight: bool) -> Any:
     """Return whether place a comes before b: heavier first, or smaller code first."""
-    if by_weight and sums[a] != sums[b]:
-        return sums[a] > sums[b]
-    return codes[a] < codes[b]
+    if by_weight and table.sums[a] != table.sums[b]:
+        return table.sums[a] > table.sums[b]
+    return table.codes[a] < table.codes[b]
 
 
 @borrowing_kernel
-def _sort(codes: Array, sums: Array, places: Array, count: int, by_weight: bool) -> None:
-    """Sort places of the table (Shell's sort: short lists, no memory)."""
+def _sort(table: PathTable, count: int, by_weight: bool) -> None:
+    """Sort the places in use (Shell's sort: short lists, no memory)."""
+    places = table.used
     gap = 1
     while gap < count // 3:
         gap = 3 * gap + 1
@@ -77,7 +88,7 @@ def _sort(codes: Array, sums: Array, places: Array, count: int, by_weight: bool)
         for i in range(gap, count):
             place = places[i]
             j = i
-            while j >= gap and _precedes(codes, sums, place, places[j - gap], by_weight):
+            while j >= gap and _precedes(table, place, places[j - gap], by_weight):
                 places[j] = places[j - gap]
                 j -= gap
             places[j] = place
@@ -85,13 +96,14 @@ def _sort(codes: Array, sums: Array, places: Array, count: int, by_weight: bool)
 
 
 @borrowing_kernel
-def _thin(codes: Array, sums: Array, places: Array, count: int, slots: int, draw: float) -> int:
+def _thin(table: PathTable, count: int, slots: int, draw: float) -> int:
     """Keep ``slots`` of the codes, unbiased, their total unchanged; return how many are kept.
 
     The heaviest stay as they are. Of the others, systematic sampling takes each with a probability
     proportional to its weight, and gives all that are taken the same weight.
     """
-    _sort(codes, sums, places, count, True)
+    sums, places = table.sums, table.used
+    _sort(table, count, True)
     rest = 0.0
     for i in range(count - 1, -1, -1):
         rest += sums[places[i]]
@@ -119,23 +131,14 @@ def _thin(codes: Array, sums: Array, places: Array, count: int, slots: int, draw
 
 @borrowing_kernel
 def write_paths(
-    codes: Array,
-    sums: Array,
-    used: Array,
-    count: Array,
-    scale: float,
-    draw: float,
-    weight: Array,
-    code: Array,
-    line: int,
-    column: int,
+    table: PathTable, scale: float, draw: float, weight: Array, code: Array, line: int, column: int
 ) -> None:
     """Write the table of a pixel, by ascending code.
 
     Parameters
     ----------
-    codes, sums, used, count
-        The table: codes and weights by place, places in use, their number.
+    table
+        Of the pixel.
     scale
         What weights are multiplied by.
     draw
@@ -146,14 +149,14 @@ def write_paths(
         The pixel.
     """
     slots = weight.shape[1]
-    number = count[0]
+    number = table.in_use[0]
     if number > slots:
-        number = _thin(codes, sums, used, number, slots, draw)
-    _sort(codes, sums, used, number, False)
+        number = _thin(table, number, slots, draw)
+    _sort(table, number, False)
     for slot in range(slots):
         if slot < number:
-            code[line, slot, column] = codes[used[slot]]
-            weight[line, slot, column] = sums[used[slot]] * scale
+            code[line, slot, column] = table.codes[table.used[slot]]
+            weight[line, slot, column] = table.sums[table.used[slot]] * scale
         else:
             code[line, slot, column] = -1
             weight[line, slot, column] = 0.0

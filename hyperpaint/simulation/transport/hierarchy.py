@@ -142,12 +142,21 @@ def build_geometry(
     )
 
 
+class _Ray(NamedTuple):
+    """A ray as the tests of boxes and triangles take it."""
+
+    sides: tuple[Any, Any, Any]  # of a box that it enters by, for each axis: 0 the lowest, 1 the highest
+    origin: Vector
+    inverse: Vector  # of the direction
+    axes: tuple[Any, Any, Any]  # of its own frame: the last is the one it runs along most
+    begin: Vector  # the origin in that frame
+    shear: Vector  # what turns the direction into the last axis
+
+
 @borrowing_kernel
-def _enter(
-    nodes: Array, at: Any, nx: Any, ny: Any, nz: Any,
-    ox: float, oy: float, oz: float, ix: float, iy: float, iz: float, limit: float,
-) -> float:  # fmt: skip
+def _enter(nodes: Array, at: Any, ray: _Ray, limit: float) -> float:
     """Return where a ray enters a box, from 0 on; `_FAR` where it misses it before ``limit``."""
+    (nx, ny, nz), (ox, oy, oz), (ix, iy, iz) = ray.sides, ray.origin, ray.inverse
     near = (nodes[at + nx] - ox) * ix
     far = (nodes[at + (nx ^ _1)] - ox) * ix
     low = (nodes[at + _2 + ny] - oy) * iy
@@ -190,15 +199,13 @@ def _component(axis: Any, x: float, y: float, z: float) -> float:
 
 
 @borrowing_kernel
-def _meet(
-    triangles: Array, face: Any, kx: Any, ky: Any, kz: Any,
-    ox: float, oy: float, oz: float, sx: float, sy: float, sz: float,
-) -> tuple[float, float, float, float]:  # fmt: skip
+def _meet(triangles: Array, face: Any, ray: _Ray) -> tuple[float, float, float, float]:
     """Return the distance to a triangle and the hit's weights of the corners; -1 for a miss.
 
     S. Woop, C. Benthin, I. Wald, "Watertight ray/triangle intersection", JCGT 2 (2013). The function of an
     edge has exactly opposite values for the two triangles that share it; zero belongs to both.
     """
+    (kx, ky, kz), (ox, oy, oz), (sx, sy, sz) = ray.axes, ray.begin, ray.shear
     at = face * _9
     az = triangles[at + kz] - oz
     ax = triangles[at + kx] - ox - sx * az
@@ -224,6 +231,20 @@ def _meet(
 
 
 @borrowing_kernel
+def _ray_of(origin: Vector, direction: Vector) -> _Ray:
+    """Return a ray as boxes and triangles take it."""
+    ox, oy, oz = origin
+    dx, dy, dz = direction
+    ix, iy, iz = _inverse(dx), _inverse(dy), _inverse(dz)
+    nx, ny, nz = _0 if ix > 0.0 else _1, _0 if iy > 0.0 else _1, _0 if iz > 0.0 else _1
+    kx, ky, kz = _axes(dx, dy, dz)
+    sz = 1.0 / _component(kz, dx, dy, dz)
+    sx, sy = _component(kx, dx, dy, dz) * sz, _component(ky, dx, dy, dz) * sz
+    px, py, pz = _component(kx, ox, oy, oz), _component(ky, ox, oy, oz), _component(kz, ox, oy, oz)
+    return _Ray((nx, ny, nz), (ox, oy, oz), (ix, iy, iz), (kx, ky, kz), (px, py, pz), (sx, sy, sz))
+
+
+@borrowing_kernel
 def closest(
     geometry: Geometry, stack: Array, entries: Array, origin: Vector, direction: Vector, limit: float
 ) -> tuple[float, int, Vector]:
@@ -246,22 +267,15 @@ def closest(
         The face is -1 where nothing is met; else the hit is the sum of its corners with these weights.
     """
     nodes, links, triangles = geometry.nodes, geometry.links, geometry.triangles
-    ox, oy, oz = origin
-    dx, dy, dz = direction
-    ix, iy, iz = _inverse(dx), _inverse(dy), _inverse(dz)
-    nx, ny, nz = _0 if ix > 0.0 else _1, _0 if iy > 0.0 else _1, _0 if iz > 0.0 else _1
-    kx, ky, kz = _axes(dx, dy, dz)
-    sz = 1.0 / _component(kz, dx, dy, dz)
-    sx, sy = _component(kx, dx, dy, dz) * sz, _component(ky, dx, dy, dz) * sz
-    px, py, pz = _component(kx, ox, oy, oz), _component(ky, ox, oy, oz), _component(kz, ox, oy, oz)
+    ray = _ray_of(origin, direction)
     best, nearest, weights = limit, -1, (0.0, 0.0, 0.0)
     size = 0
     link = 0
     while True:
         if link >= 0:
             at = np.uint64(link) * _12
-            first = _enter(nodes, at, nx, ny, nz, ox, oy, oz, ix, iy, iz, best)
-            second = _enter(nodes, at + _6, nx, ny, nz, ox, oy, oz, ix, iy, iz, best)
+            first = _enter(nodes, at, ray, best)
+            second = _enter(nodes, at + _6, ray, best)
             child = np.uint64(link) * _2
             if first < _FAR or second < _FAR:
                 link, other = links[child], links[child + _1]
@@ -276,7 +290,7 @@ def closest(
         else:
             packed = -(link + 1)
             for face in range(packed >> 4, (packed >> 4) + (packed & 15)):
-                t, a, b, c = _meet(triangles, np.uint64(face), kx, ky, kz, px, py, pz, sx, sy, sz)
+                t, a, b, c = _meet(triangles, np.uint64(face), ray)
                 if 0.0 < t < best:
                     best, nearest, weights = t, face, (a, b, c)
         while size > 0 and entries[size - 1] >= best:
@@ -291,21 +305,14 @@ def closest(
 def occluded(geometry: Geometry, stack: Array, origin: Vector, direction: Vector, limit: float) -> bool:
     """Return whether a ray meets anything; parameters as for `closest`."""
     nodes, links, triangles = geometry.nodes, geometry.links, geometry.triangles
-    ox, oy, oz = origin
-    dx, dy, dz = direction
-    ix, iy, iz = _inverse(dx), _inverse(dy), _inverse(dz)
-    nx, ny, nz = _0 if ix > 0.0 else _1, _0 if iy > 0.0 else _1, _0 if iz > 0.0 else _1
-    kx, ky, kz = _axes(dx, dy, dz)
-    sz = 1.0 / _component(kz, dx, dy, dz)
-    sx, sy = _component(kx, dx, dy, dz) * sz, _component(ky, dx, dy, dz) * sz
-    px, py, pz = _component(kx, ox, oy, oz), _component(ky, ox, oy, oz), _component(kz, ox, oy, oz)
+    ray = _ray_of(origin, direction)
     size = 0
     link = 0
     while True:
         if link >= 0:
             at = np.uint64(link) * _12
-            first = _enter(nodes, at, nx, ny, nz, ox, oy, oz, ix, iy, iz, limit)
-            second = _enter(nodes, at + _6, nx, ny, nz, ox, oy, oz, ix, iy, iz, limit)
+            first = _enter(nodes, at, ray, limit)
+            second = _enter(nodes, at + _6, ray, limit)
             child = np.uint64(link) * _2
             if first < _FAR:
                 if second < _FAR:
@@ -319,7 +326,7 @@ def occluded(geometry: Geometry, stack: Array, origin: Vector, direction: Vector
         else:
             packed = -(link + 1)
             for face in range(packed >> 4, (packed >> 4) + (packed & 15)):
-                t, _, _, _ = _meet(triangles, np.uint64(face), kx, ky, kz, px, py, pz, sx, sy, sz)
+                t, _, _, _ = _meet(triangles, np.uint64(face), ray)
                 if 0.0 < t < limit:
                     return True
         if size == 0:

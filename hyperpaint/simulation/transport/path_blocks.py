@@ -102,7 +102,21 @@ class Block(NamedTuple):
 
 
 class Settings(NamedTuple):
-    """Plain numbers of a trace: see `hyperpaint.simulation.transport.paths.trace_lines`."""
+    """Plain numbers of a trace.
+
+    Attributes
+    ----------
+    first_line
+        Number of a block's first line in the flight line; with it random numbers do not depend on blocks.
+    samples
+        Paths of a pixel.
+    depth
+        Largest number of scatterings.
+    digit_bits
+        Bits of a factor in a code.
+    seed
+        Non-negative integer.
+    """
 
     first_line: int
     samples: int

@@ -19,14 +19,24 @@ import numpy as np
 from hyperpaint.base.arrays import Array
 from hyperpaint.base.jit import borrowing_kernel
 
-from .codes import ADD_INDIRECT, ADD_MIRROR, FIRST_SUN, OVERCAST, SKY, add_path, with_factor, write_paths
+from .codes import (
+    ADD_INDIRECT,
+    ADD_MIRROR,
+    FIRST_SUN,
+    OVERCAST,
+    SKY,
+    PathTable,
+    add_path,
+    with_factor,
+    write_paths,
+)
 from .hierarchy import STACK, Geometry, closest, occluded
 from .path_blocks import Block, Rays, Settings, Sources, check
 from .random_numbers import uniforms
 from .surfaces import BASE, COAT, ENDED, WIDENED_ALPHA, Lobes, Surfaces, lobes_at, scatter, sun_weights
 from .vectors import Frame, Vector, along, dot, frame_of, from_frame, in_frame, unit
 
-__all__ = ["WIDENED_ALPHA", "Block", "Rays", "Sources", "trace_lines"]
+__all__ = ["WIDENED_ALPHA", "Block", "Rays", "Settings", "Sources", "trace_lines"]
 
 
 _CAMERA, _SCATTER, _SUN, _SLOT, _LOBE = 0, 16, 1024, 65536, 65537  # what random numbers are for
@@ -40,10 +50,7 @@ class _Room(NamedTuple):
 
     stack: Array  # (STACK,) nodes of a traversal
     entries: Array  # (STACK,) and where the ray enters them
-    codes: Array  # hash table: codes, -1 where empty
-    sums: Array  # and their weights
-    used: Array  # places in use
-    in_use: Array  # (1,) their number
+    table: PathTable
     labels: Array  # (sample,) distinct pairs of labels
     votes: Array  # (sample,) samples that meet them
     first: Array  # (5,) of the first hits: number, sum of distance, x, y, z
@@ -51,9 +58,18 @@ class _Room(NamedTuple):
     cosines: Array  # (sun,) sum of cosines
 
 
-class _Place(NamedTuple):
-    """What a path belongs to."""
+class _Scene(NamedTuple):
+    """What paths meet."""
 
+    geometry: Geometry
+    surfaces: Surfaces
+    sources: Sources
+
+
+class _Place(NamedTuple):
+    """What the random numbers of a path belong to."""
+
+    seed: int
     line: int
     column: int
     sample: int
@@ -80,11 +96,7 @@ def trace_lines(
     surfaces: Surfaces,
     sources: Sources,
     rays: Rays,
-    first_line: int,
-    samples: int,
-    depth: int,
-    digit_bits: int,
-    seed: int,
+    settings: Settings,
     block: Block,
 ) -> None:
     """Trace whole lines and record their paths.
@@ -95,16 +107,8 @@ def trace_lines(
         The scene and its light.
     rays
         Lines of this block only.
-    first_line
-        Number of the first of them in the flight line; with it random numbers do not depend on blocks.
-    samples
-        Paths of a pixel.
-    depth
-        Largest number of scatterings.
-    digit_bits
-        Bits of a factor in a code.
-    seed
-        Non-negative integer.
+    settings
+        How they are traced.
     block
         Written.
 
@@ -132,34 +136,26 @@ def trace_lines(
     Uniform sky is radiance from every direction, below the horizon as well (a scene has an edge); overcast
     sky, L = 1.5 cos(zenith angle) E / pi, is above it only.
     """
-    settings = Settings(int(first_line), int(samples), int(depth), int(digit_bits), int(seed))
+    settings = Settings(*map(int, settings))
     check(geometry, surfaces, sources, rays, settings, block)
     suns = np.ascontiguousarray(sources.suns, np.float64).reshape(-1, 3)
-    _trace(
-        geometry,
-        Surfaces(
-            *(np.ascontiguousarray(part, np.float64) for part in surfaces[:5]),
-            *(np.ascontiguousarray(part, np.int32) for part in surfaces[5:]),
-        ),
-        Sources(suns, np.ascontiguousarray(sources.sun_radius, np.float64), bool(sources.overcast)),
-        Rays(*(np.ascontiguousarray(part, np.float64) for part in rays)),
-        settings,
-        _room(settings, len(suns)),
-        block,
+    surfaces = Surfaces(
+        *(np.ascontiguousarray(part, np.float64) for part in surfaces[:5]),
+        *(np.ascontiguousarray(part, np.int32) for part in surfaces[5:]),
     )
+    sources = Sources(suns, np.ascontiguousarray(sources.sun_radius, np.float64), bool(sources.overcast))
+    rays = Rays(*(np.ascontiguousarray(part, np.float64) for part in rays))
+    _trace(_Scene(geometry, surfaces, sources), rays, settings, _room(settings, len(suns)), block)
 
 
 def _room(settings: Settings, suns: int) -> _Room:
     """Return memory for the paths of a pixel."""
     most = settings.samples * (settings.depth * suns * 3 + 2)
-    table = 1 << max(4, (2 * most - 1).bit_length())
+    size = 1 << max(4, (2 * most - 1).bit_length())
     return _Room(
         stack=np.empty(STACK, np.int64),
         entries=np.empty(STACK),
-        codes=np.full(table, -1),
-        sums=np.zeros(table),
-        used=np.empty(most, np.int64),
-        in_use=np.zeros(1, np.int64),
+        table=PathTable(np.full(size, -1), np.zeros(size), np.empty(most, np.int64), np.zeros(1, np.int64)),
         labels=np.empty(settings.samples, np.int64),
         votes=np.empty(settings.samples, np.int64),
         first=np.zeros(5),
@@ -169,37 +165,26 @@ def _room(settings: Settings, suns: int) -> _Room:
 
 
 @borrowing_kernel
-def _trace(
-    geometry: Geometry,
-    surfaces: Surfaces,
-    sources: Sources,
-    rays: Rays,
-    settings: Settings,
-    room: _Room,
-    block: Block,
-) -> None:
+def _trace(scene: _Scene, rays: Rays, settings: Settings, room: _Room, block: Block) -> None:
     """Trace every pixel of a block."""
     for line in range(block.material.shape[0]):
         for column in range(block.material.shape[1]):
             _clear_pixel(room)
             distinct = 0
             for sample in range(settings.samples):
-                label = _trace_sample(geometry, surfaces, sources, rays, line, column, sample, settings, room)
+                label = _trace_sample(scene, rays, line, column, sample, settings, room)
                 distinct = _vote(label, distinct, room)
             _write_pixel(block, line, column, distinct, settings, room)
             draw, _, _, _ = uniforms(settings.seed, settings.first_line + line, column, 0, _SLOT)
-            write_paths(
-                room.codes, room.sums, room.used, room.in_use, 1.0 / settings.samples, draw,
-                block.weight, block.code, line, column,
-            )  # fmt: skip
+            write_paths(room.table, 1.0 / settings.samples, draw, block.weight, block.code, line, column)
 
 
 @borrowing_kernel
 def _clear_pixel(room: _Room) -> None:
     """Forget the pixel before."""
-    for i in range(room.in_use[0]):
-        room.codes[room.used[i]] = -1
-    room.in_use[0] = 0
+    for i in range(room.table.in_use[0]):
+        room.table.codes[room.table.used[i]] = -1
+    room.table.in_use[0] = 0
     room.first[:] = 0.0
     room.seen[:] = 0.0
     room.cosines[:] = 0.0
@@ -305,13 +290,13 @@ def _lifted(point: Vector, normal: Vector) -> Vector:
 
 
 @borrowing_kernel
-def _towards_sun(sources: Sources, sun: int, seed: int, place: _Place, bounce: int) -> Vector:
+def _towards_sun(sources: Sources, sun: int, place: _Place, bounce: int) -> Vector:
     """Return a direction to a point of a sun's disc, evenly over its solid angle."""
     middle = (sources.suns[sun, 0], sources.suns[sun, 1], sources.suns[sun, 2])
     radius = sources.sun_radius[sun]
     if radius <= 0.0:
         return middle
-    u, v, _, _ = uniforms(seed, place.line, place.column, place.sample, _SUN + 8 * bounce + sun)
+    u, v, _, _ = uniforms(place.seed, place.line, place.column, place.sample, _SUN + 8 * bounce + sun)
     fall = u * 2.0 * math.sin(0.5 * radius) ** 2  # 1 - cosine, without cancellation
     across = math.sqrt(fall * (2.0 - fall))
     angle = 2.0 * math.pi * v
@@ -325,20 +310,20 @@ def _as_label(material: Any, instance: Any) -> Any:
 
 
 @borrowing_kernel
-def _evenly(seed: int, place: _Place) -> float:
+def _evenly(place: _Place) -> float:
     """Return the number that chooses a sample's first lobe.
 
     Even over the samples of a pixel, from a random start: each lobe gets its share of them almost exactly.
     Few paths follow a coat, and on a dark car by chance twice as many in one pixel as in the next would show.
     """
-    start, _, _, _ = uniforms(seed, place.line, place.column, 0, _LOBE)
+    start, _, _, _ = uniforms(place.seed, place.line, place.column, 0, _LOBE)
     return (start + place.sample * _GOLDEN) % 1.0
 
 
 @borrowing_kernel
 def _record(room: _Room, code: int, weight: float) -> None:
     """Add a path to its pixel."""
-    add_path(room.codes, room.sums, room.used, room.in_use, code, weight)
+    add_path(room.table, code, weight)
 
 
 @borrowing_kernel
@@ -355,18 +340,11 @@ def _record_first(sources: Sources, room: _Room, distance: float, point: Vector,
 
 @borrowing_kernel
 def _trace_sample(
-    geometry: Geometry,
-    surfaces: Surfaces,
-    sources: Sources,
-    rays: Rays,
-    line: int,
-    column: int,
-    sample: int,
-    settings: Settings,
-    room: _Room,
+    scene: _Scene, rays: Rays, line: int, column: int, sample: int, settings: Settings, room: _Room
 ) -> int:
     """Follow one path, record what it gathers, and return the labels of its first hit as one number."""
-    place = _Place(settings.first_line + line, column, sample)
+    geometry, surfaces, sources = scene
+    place = _Place(settings.seed, settings.first_line + line, column, sample)
     u, v, w, _ = uniforms(settings.seed, place.line, column, sample, _CAMERA)
     origin, direction = _camera_ray(rays, line, column, u, v, w)
     label, beta, code, widened = -1, 1.0, 0, False
@@ -391,10 +369,10 @@ def _trace_sample(
             code | ADD_MIRROR if bounce == 0 else code,
             with_factor(code, surfaces.flake_factor[material], settings.digit_bits),
         )
-        _record_suns(geometry, sources, room, hit, lobes, codes, beta, settings.seed, place, bounce)
+        _record_suns(scene, room, hit, lobes, codes, beta, place, bounce)
         u, v, w, _ = uniforms(settings.seed, place.line, column, sample, _SCATTER + bounce)
         if bounce == 0:
-            u = _evenly(settings.seed, place)
+            u = _evenly(place)
         kind, local, weight = scatter(lobes, u, v, w)
         origin, direction = hit.point, from_frame(hit.frame, local)
         if kind == ENDED or dot(own, direction) <= 0.0:  # a shading normal may promise too much
@@ -409,23 +387,22 @@ def _trace_sample(
 
 @borrowing_kernel
 def _record_suns(
-    geometry: Geometry,
-    sources: Sources,
+    scene: _Scene,
     room: _Room,
     hit: _Hit,
     lobes: Lobes,
     codes: _Codes,
     beta: float,
-    seed: int,
     place: _Place,
     bounce: int,
 ) -> None:
     """Add what a surface reflects of the suns that it sees."""
+    sources = scene.sources
     for sun in range(sources.suns.shape[0]):
-        towards = _towards_sun(sources, sun, seed, place, bounce)
+        towards = _towards_sun(sources, sun, place, bounce)
         if dot(hit.frame[2], towards) < _FACING or dot(hit.own, towards) <= 0.0:
             continue
-        if occluded(geometry, room.stack, hit.point, towards, np.inf):
+        if occluded(scene.geometry, room.stack, hit.point, towards, np.inf):
             continue
         base, coat, flakes = sun_weights(lobes, in_frame(hit.frame, towards))
         _record(room, codes.base | FIRST_SUN + sun, beta * base)

@@ -10,9 +10,6 @@ from __future__ import annotations
 import math
 from typing import Any, NamedTuple
 
-import numpy as np
-import numpy.typing as npt
-
 from hyperpaint.base.arrays import Array
 from hyperpaint.base.jit import borrowing_kernel
 
@@ -20,7 +17,7 @@ from .vectors import Vector, dot, unit
 
 __all__ = [
     "BASE", "COAT", "ENDED", "FLAKES", "SMALLEST_ALPHA", "WIDENED_ALPHA", "Lobes", "Surfaces",
-    "facet_density", "facet_lambda", "fresnel", "internal_reflectance", "lobes_at", "refracted_cosine",
+    "facet_density", "facet_lambda", "fresnel",  "lobes_at", "refracted_cosine",
     "sample_cosine", "sample_facet", "scatter", "sun_weights",
 ]  # fmt: skip
 
@@ -39,8 +36,8 @@ class Surfaces(NamedTuple):
     coat_alpha : float64
         GGX alpha of the coat.
     internal : float64
-        Hemispherical reflectance of the coat for diffuse light from within, `internal_reflectance`; 0
-        without a coat.
+        Hemispherical reflectance of the coat for diffuse light from within, `internal_reflectance` of
+        `rendering.materials`; 0 without a coat.
     flake_share : float64
         Part of the light that enters the paint and meets flakes.
     flake_alpha : float64
@@ -58,41 +55,6 @@ class Surfaces(NamedTuple):
     flake_alpha: Array
     base_factor: Array
     flake_factor: Array
-
-
-def internal_reflectance(index: npt.ArrayLike) -> npt.NDArray[np.float64]:
-    """Return the reflectance of a smooth surface for diffuse light that comes from within.
-
-    Parameters
-    ----------
-    index
-        Refractive index [1], above 1; any shape.
-
-    Returns
-    -------
-    Reflectance [1], same shape.
-
-    Notes
-    -----
-    Fi = 1 - (1 - Fe) / n^2, with Fe the integral of Fresnel's equations over diffuse light from outside:
-    J. W. T. Walsh, in Dept. Sci. Indust. Res. Illum. Res. Tech. Pap. 2 (1926); S. Q. Duntley, J. Opt. Soc.
-    Am. 32, 61 (1942).
-
-    Examples
-    --------
-    >>> round(float(internal_reflectance(1.5)), 4)
-    0.5963
-    """
-    n = np.asarray(index, np.float64)
-    square, fourth = n**2, n**4
-    external = (
-        0.5
-        + (n - 1) * (3 * n + 1) / (6 * (n + 1) ** 2)
-        + square * (square - 1) ** 2 / (square + 1) ** 3 * np.log((n - 1) / (n + 1))
-        - 2 * n**3 * (square + 2 * n - 1) / ((square + 1) * (fourth - 1))
-        + 8 * fourth * (fourth + 1) / ((square + 1) * (fourth - 1) ** 2) * np.log(n)
-    )
-    return np.asarray(1 - (1 - external) / square)
 
 
 @borrowing_kernel

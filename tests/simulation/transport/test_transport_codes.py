@@ -9,19 +9,19 @@ import pytest
 from hypothesis import given, settings, strategies as st
 from support.transport_scenes import COMPILED, code
 
-from hyperpaint.simulation.transport.codes import SKY, add_path, with_factor, write_paths
+from hyperpaint.simulation.transport.codes import SKY, PathTable, add_path, with_factor, write_paths
 
 
-def table(size: int = 4096) -> tuple[np.ndarray, ...]:
-    return np.full(size, -1), np.zeros(size), np.empty(size, np.int64), np.zeros(1, np.int64)
+def table(size: int = 4096) -> PathTable:
+    return PathTable(np.full(size, -1), np.zeros(size), np.empty(size, np.int64), np.zeros(1, np.int64))
 
 
 def written(paths: list[tuple[int, float]], slots: int, draw: float = 0.5) -> tuple[np.ndarray, np.ndarray]:
     room = table()
     for number, weight in paths:
-        add_path(*room, number, weight)
+        add_path(room, number, weight)
     weights, codes = np.empty((1, slots, 1), np.float32), np.empty((1, slots, 1), np.int64)
-    write_paths(*room, 1.0, draw, weights, codes, 0, 0)
+    write_paths(room, 1.0, draw, weights, codes, 0, 0)
     return codes[0, :, 0], weights[0, :, 0]
 
 
@@ -88,8 +88,8 @@ def test_a_table_is_used_again() -> None:
             room[0][room[2][i]] = -1
         room[3][0] = 0
         for number in range(20):
-            add_path(*room, 1000 * round_ + number, 1.0)
+            add_path(room, 1000 * round_ + number, 1.0)
         weights, codes = np.empty((1, 4, 1), np.float32), np.empty((1, 4, 1), np.int64)
-        write_paths(*room, 1.0, 0.3, weights, codes, 0, 0)
+        write_paths(room, 1.0, 0.3, weights, codes, 0, 0)
         assert (codes >= 1000 * round_).all()
         assert weights.sum() == pytest.approx(20)

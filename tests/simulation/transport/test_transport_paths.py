@@ -25,7 +25,7 @@ from support.transport_scenes import (
 )
 
 from hyperpaint.simulation.transport.hierarchy import build_geometry
-from hyperpaint.simulation.transport.path_blocks import Block, Rays
+from hyperpaint.simulation.transport.path_blocks import Block, Rays, Settings
 from hyperpaint.simulation.transport.paths import trace_lines
 
 PLANE = (ground(), QUAD, 0)
@@ -272,6 +272,6 @@ def test_all_faults_are_told_at_once() -> None:
     rays = nadir(1, 2, width=1.0)
     rays.origin[:] = np.nan
     with pytest.raises(ValueError, match=r"must be finite.*block.weight must be contiguous \(1, 4, 2\)"):
-        trace_lines(joined(PLANE), materials(None), suns(), rays, 0, 1, 1, 4, 0, block)
+        trace_lines(joined(PLANE), materials(None), suns(), rays, Settings(0, 1, 1, 4, 0), block)
     with pytest.raises(ValueError, match="materials 3 to 3 of 1"):
         traced(joined((ground(), QUAD, 3)), materials(None), suns(), nadir(1, 2, width=1.0))

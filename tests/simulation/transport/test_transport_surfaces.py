@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from support.transport_scenes import COMPILED, materials
 
+from hyperpaint.simulation.rendering.materials import internal_reflectance
 from hyperpaint.simulation.transport.surfaces import (
     BASE,
     COAT,
@@ -14,7 +15,6 @@ from hyperpaint.simulation.transport.surfaces import (
     facet_density,
     facet_lambda,
     fresnel,
-    internal_reflectance,
     lobes_at,
     sample_facet,
     scatter,
