@@ -2,7 +2,11 @@
 
 A path of light contributes ``w E_source(lambda) / pi x product of reflectances(lambda)``, and ``w`` does not
 depend on wavelength. `tracing` records the weights, `relighting` turns them into radiance for any paints,
-atmosphere and camera. The modules, in the order in which they build on one another:
+atmosphere and camera.
+
+Scenes, flights, light and paints come in, traced weights and flight lines with known truth go out.
+`simulation`, `workflows.rendering` and users call it. The modules, in the order in which they build on one
+another:
 
 What is seen
     `materials` with their spectra and paints (`scene_spectra`); `scene`, triangles of materials;

@@ -178,12 +178,12 @@ def _check(
         problems.add(f"occupancy is {chosen.occupancy}, expected 0 to 1")
     if not 0.0 < length <= 10_000.0:
         problems.add(f"length is {length} m, expected more than 0 and at most 10000 m")
-    if not 0.02 <= line_width <= 1.0:
-        problems.add(f"line_width is {line_width} m, expected 0.02 to 1 m")
-    if not 0.0 <= margin <= 10_000.0:
-        problems.add(f"margin is {margin} m, expected 0 to 10000 m")
-    if not 0 <= leaves <= 100_000:
-        problems.add(f"leaves is {leaves}, expected 0 to 100000")
+    for name, value, low, high, unit in (
+        ("line_width", line_width, 0.02, 1, " m"), ("margin", margin, 0, 10_000, " m"),
+        ("leaves", leaves, 0, 100_000, ""),
+    ):  # fmt: skip
+        if not low <= value <= high:
+            problems.add(f"{name} is {value}{unit}", expected=f"{low:g} to {high}{unit}")
     if chosen.seed < 0:
         problems.add(f"seed is {chosen.seed}, expected 0 or more")
     for what, names, allowed in (

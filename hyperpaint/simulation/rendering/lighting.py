@@ -253,6 +253,8 @@ class ProductTable:
         wavelength: Floats,
         sources: Mapping[int, Floats],
         factors: Callable[[Floats], Floats],
+        *,
+        normalise: bool = True,
     ) -> ProductTable:
         """Return the table of a calibrated camera: means over the responses [W m-2 sr-1 nm-1].
 
@@ -270,8 +272,16 @@ class ProductTable:
         factors
             Gives all factors at wavelengths [nm], shape (factor, wavelength); see
             `hyperpaint.simulation.rendering.painting.factor_spectra`.
+        normalise
+            As for `BandResponses`.
         """
-        return cls._of_sources(bands, codes, wavelength, sources, factors, normalise=True)
+        covered = float(wavelength[0]), float(wavelength[-1])
+        responses = BandResponses(bands, covered, normalise=normalise)
+        fine = {
+            number: cell_means(wavelength, np.asarray(spectrum, np.float64), responses.fine)
+            for number, spectrum in sources.items()
+        }
+        return cls(responses, codes, fine, factors(responses.grid))
 
     @classmethod
     def of_imager(
@@ -296,31 +306,12 @@ class ProductTable:
         >>> codes = PathCodes.of(factors=1, depth=4)
         >>> light = np.array([300.0, 1100.0]), {0: np.full(2, np.pi)}  # a radiance of one
         >>> table = ProductTable.of_imager(camera.imager, codes, *light, lambda grid: np.ones((1, grid.size)))
-        >>> seen = table.at_columns(np.array([codes.code(0, (0,))]))[0] * camera.imager.element_factor
+        >>> rows = table.rows(np.array([codes.code(0, (0,))]))[:, 0]
+        >>> seen = table.to_columns(rows.astype(np.float64)) * camera.imager.element_factor
         >>> bool(np.allclose(seen, camera.response_area, rtol=1e-5))
         True
         """
-        bands = BandSet.of_imager(imager)
-        return cls._of_sources(bands, codes, wavelength, sources, factors, normalise=False)
-
-    @classmethod
-    def _of_sources(
-        cls,
-        bands: BandSet,
-        codes: PathCodes,
-        wavelength: Floats,
-        sources: Mapping[int, Floats],
-        factors: Callable[[Floats], Floats],
-        *,
-        normalise: bool,
-    ) -> ProductTable:
-        covered = float(wavelength[0]), float(wavelength[-1])
-        responses = BandResponses(bands, covered, normalise=normalise)
-        fine = {
-            number: cell_means(wavelength, np.asarray(spectrum, np.float64), responses.fine)
-            for number, spectrum in sources.items()
-        }
-        return cls(responses, codes, fine, factors(responses.grid))
+        return cls.of(BandSet.of_imager(imager), codes, wavelength, sources, factors, normalise=False)
 
     def rows(self, codes: Ints) -> NDArray[np.float32]:
         """Return the products of paths, shape (node, path, band), float32.
@@ -347,13 +338,6 @@ class ProductTable:
         there = place >= 0
         gathered[there], gathered[missing] = products[place[there]], new_products
         return np.ascontiguousarray(gathered.swapaxes(0, 1))
-
-    def at_columns(self, codes: Ints) -> Floats:
-        """Return the products of a few paths as every column sees them, shape (path, band, cross_track).
-
-        Without smile cross_track has size 1.
-        """
-        return self.to_columns(self.rows(codes).astype(np.float64).swapaxes(0, 1))
 
     def to_columns(self, at_nodes: Floats) -> Floats:
         """Return values at nodes (..., node, band) as every column sees them, (..., band, cross_track)."""

@@ -26,18 +26,9 @@ from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import PaintWarning, Problems, SchemaError
 
 __all__ = [
-    "KINDS",
-    "Coat",
-    "Flakes",
-    "Material",
-    "base_albedo",
-    "coated_reflectance",
-    "effective_factor",
-    "fresnel_reflectance",
-    "hemispherical_reflectance",
-    "internal_reflectance",
-    "measured_factor",
-]
+    "KINDS", "Coat", "Flakes", "Material", "base_albedo", "coated_reflectance", "fresnel_reflectance",
+    "hemispherical_reflectance", "internal_reflectance", "measured_factor",
+]  # fmt: skip
 
 Geometry = Literal["0/0", "0/45", "d/0"]
 
@@ -310,28 +301,6 @@ def _checked(reflectance: npt.ArrayLike) -> Floats:
         problems.add(f"it reaches {measured.max():.4g}, expected a fraction; divide per cent by 100")
     problems.raise_if_any()
     return measured
-
-
-def effective_factor(albedo: npt.ArrayLike, index: float | None = 1.5) -> Floats:
-    """Return ``rho' = b (1 - Fi) / (1 - b Fi)`` of a base of albedo ``b`` under a coat.
-
-    Parameters
-    ----------
-    albedo
-        Of the base, 0 to 1, any shape.
-    index
-        Refractive index of the coat; None for no coat.
-
-    Examples
-    --------
-    >>> effective_factor([0.0, 0.5, 1.0]).round(3)
-    array([0.   , 0.288, 1.   ])
-    """
-    base = np.asarray(albedo, dtype=np.float64)
-    if index is None:
-        return base
-    back = internal_reflectance(index)
-    return np.asarray(base * (1.0 - back) / (1.0 - base * back))
 
 
 def base_albedo(

@@ -22,18 +22,9 @@ from hyperpaint.base.arrays import Bools, Ints
 from hyperpaint.base.errors import SchemaError
 
 __all__ = [
-    "FIRST_SUN",
-    "INDIRECT",
-    "MIRROR",
-    "MOST_SUNS",
-    "OVERCAST_SKY",
-    "SKY",
-    "PathCodes",
-    "is_direct",
-    "is_indirect",
-    "is_mirrored",
-    "source_of",
-]
+    "FIRST_SUN", "INDIRECT", "MIRROR", "MOST_SUNS", "OVERCAST_SKY", "SKY", "PathCodes", "is_direct",
+    "is_indirect", "is_mirrored", "source_of",
+]  # fmt: skip
 
 
 SKY, OVERCAST_SKY, FIRST_SUN = 0, 1, 2

@@ -40,7 +40,7 @@ if TYPE_CHECKING:
     import dask.array as da
     import xarray as xr
 
-__all__ = ["irradiance_record", "relight"]
+__all__ = ["relight"]
 
 
 _PATHS = ("transport_weight", "transport_path", "distance")
@@ -144,7 +144,7 @@ def relight(
     if truth and "sun_visibility" in traced.variables:
         visible = traced["sun_visibility"].isel({SUN: sun}, drop=True)
         line["shadow"] = label((1.0 - visible).astype(np.float32), "shadow")
-    series = irradiance_record(traced, sky, cosine, camera, factors)
+    series = _irradiance_record(traced, sky, cosine, camera, factors)
     attrs = {
         "hyperpaint_format": FORMAT_VERSION,
         "name": str(traced.attrs.get("name", record.name)),
@@ -334,28 +334,13 @@ _MARGIN = np.timedelta64(10**9, "ns")  # how far the record goes beyond the line
 _MOST_TIMES = 2000
 
 
-def irradiance_record(
+def _irradiance_record(
     traced: xr.Dataset, atmosphere: Atmosphere, sun_cosine: float, bands: BandSet, variation: Floats | None
 ) -> xr.Dataset:
-    """Return ``irradiance`` and its companions, as a flight line has them.
+    """Return ``irradiance`` and its companions as a spectrometer beside the scene records them.
 
-    Parameters
-    ----------
-    traced
-        Its attributes say when the flight begins and ends.
-    atmosphere
-        The light.
-    sun_cosine
-        Cosine of the sun's zenith angle.
-    bands
-        Around which the record is cut.
-    variation : (line, 2)
-        Factors of direct and diffuse light in every line; the record follows them, lazily. None for ones.
-
-    Raises
-    ------
-    SchemaError
-        The dataset does not say when it begins and ends.
+    It is cut around the bands, begins before the flight and ends after it; where the light varies from line
+    to line, (line, 2), it follows, lazily.
     """
     import xarray as xr
 

@@ -17,16 +17,8 @@ from hyperpaint.base.errors import PaintWarning, Problems, SchemaError
 from .materials import Material
 
 __all__ = [
-    "INSTANCE_KINDS",
-    "PARTS",
-    "Factor",
-    "Instance",
-    "Scene",
-    "box",
-    "has_area",
-    "plane",
-    "warn_of_dropped",
-]
+    "INSTANCE_KINDS", "PARTS", "Factor", "Instance", "Scene", "box", "has_area", "plane", "warn_of_dropped",
+]  # fmt: skip
 
 
 INSTANCE_KINDS = ("ground", "car", "tree", "wall", "panel", "other")
