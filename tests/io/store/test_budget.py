@@ -407,7 +407,7 @@ def test_a_cluster_is_asked_for_the_memory_of_its_workers() -> None:
 
 MEASURE = """
 import sys, dask, hyperpaint
-from hyperpaint import budget
+from hyperpaint.io.store import budget
 found = budget.fit
 def spy(*args, **options):
     global needed
