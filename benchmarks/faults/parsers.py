@@ -70,7 +70,7 @@ def _asd(path: Path) -> None:
 
 
 def _asd_layout(path: Path) -> None:
-    from hyperpaint.io.spectrometers.asd_layout import read_asd
+    from hyperpaint.io.spectrometers.asd_binary import read_asd
 
     read_asd(path)
 
@@ -89,7 +89,7 @@ def _svc(path: Path) -> None:
 
 
 def _irradiance_csv(path: Path) -> None:
-    from hyperpaint.io.spectrometers.irradiance_csv import read_irradiance_csv
+    from hyperpaint.io.spectrometers.irradiance_files import read_irradiance_csv
 
     read_irradiance_csv(path)
 

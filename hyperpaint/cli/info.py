@@ -108,7 +108,7 @@ def _envi(path: Path) -> Facts:
     from hyperpaint.io.envi.envi_cubes import find_pair, open_envi
     from hyperpaint.io.envi.envi_header import MAX_LIBRARY_HEADER_BYTES, read_header
     from hyperpaint.io.flightline.headwall import exposure_seconds
-    from hyperpaint.io.navigation.eph_att import is_eph_att
+    from hyperpaint.io.navigation.navigation_formats import is_eph_att
 
     header_path, data = find_pair(path)
     header = read_header(header_path, MAX_LIBRARY_HEADER_BYTES)
@@ -132,7 +132,7 @@ def _envi(path: Path) -> Facts:
 
 
 def _asd(path: Path) -> Facts:
-    from hyperpaint.io.spectrometers.asd_layout import read_asd
+    from hyperpaint.io.spectrometers.asd_binary import read_asd
 
     file = read_asd(path)
     yield "is", f"ASD spectrum, binary version {file.version}, {file.instrument} {file.instrument_number}"
@@ -155,8 +155,7 @@ def _asd(path: Path) -> Facts:
 
 
 def _svc(path: Path) -> Facts:
-    from hyperpaint.io.spectrometers.svc_fields import error_bits, overlap_of, pair, position_of
-    from hyperpaint.io.spectrometers.svc_layout import read_svc
+    from hyperpaint.io.spectrometers.svc_layout import error_bits, overlap_of, pair, position_of, read_svc
 
     file = read_svc(path)
     overlap = overlap_of(file.header)
@@ -192,7 +191,7 @@ def _asd_text(path: Path) -> Facts:
 
 
 def _irradiance_csv(path: Path) -> Facts:
-    from hyperpaint.io.spectrometers.irradiance_csv import read_irradiance_csv
+    from hyperpaint.io.spectrometers.irradiance_files import read_irradiance_csv
 
     found: Any = read_irradiance_csv(path)
     shape = np.shape(found.values)

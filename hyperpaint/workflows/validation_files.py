@@ -45,7 +45,7 @@ def validate_files(
         See `hyperpaint.io.spectrometers.reference_files.open_references`. By default those of the store that
         the library was made from, where it stands beside the library.
     pairs
-        See `hyperpaint.io.spectrometers.reference_pairs.read_pairs`.
+        See `hyperpaint.io.spectrometers.reference_files.read_pairs`.
     panel
         See `hyperpaint.read_certificate`.
     **options
@@ -57,9 +57,8 @@ def validate_files(
         Something cannot be read, or as `hyperpaint.validate`.
     """
     from hyperpaint.io.library import open_library
-    from hyperpaint.io.spectrometers.panel_certificate import read_certificate
-    from hyperpaint.io.spectrometers.reference_files import open_references
-    from hyperpaint.io.spectrometers.reference_pairs import read_pairs
+    from hyperpaint.io.spectrometers.reference_files import open_references, read_pairs
+    from hyperpaint.io.spectrometers.spectrum_csv import read_certificate
     from hyperpaint.validation import validate
 
     signatures = open_library(library)

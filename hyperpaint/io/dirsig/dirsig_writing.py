@@ -249,7 +249,7 @@ def _names(library: xr.Dataset, scene: str | os.PathLike[str] | None) -> list[di
     tokens = material_ids(names, [material.id for material in taken])
     plain = material_names(names, [material.name for material in taken])
     about = [name for name, column in library.coords.items() if column.dims == (PAINT,) and name != PAINT]
-    texts = {str(name): [str(value) for value in library[name].values] for name in about}
+    texts = {str(name): [str(value) for value in library[name].values] for name in sorted(about, key=str)}
     return [
         {
             "paint": names[number],

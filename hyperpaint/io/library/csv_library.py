@@ -11,7 +11,7 @@ import io
 import warnings
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -20,9 +20,9 @@ from hyperpaint.base.errors import FormatError, PaintWarning, Problems
 from hyperpaint.base.schema import BAND, PAINT
 from hyperpaint.io.files.publishing import published_files
 
+from .library_spectra import check_wavelengths
 from .metadata import metadata_path, metadata_text, read_metadata
 from .records import CENTRE, Key, blocks_of, names_of, placements, spectral_variables, with_metadata
-from .spectra import check_wavelengths
 from .text_spectra import number
 
 if TYPE_CHECKING:
@@ -51,12 +51,8 @@ def write_csv_library(
 
     Nine digits a value: float32 comes back as it was.
 
-    Raises
-    ------
-    SchemaError
-        Names or metadata cannot be written.
-    StoreError
-        Files exist, or cannot be written.
+    Raises SchemaError: Names or metadata cannot be written.
+    Raises StoreError: Files exist, or cannot be written.
     """
     variables = spectral_variables(library)
     names = names_of(library)
@@ -81,9 +77,9 @@ def write_csv_library(
 
 def _starting(name: str) -> str:
     """Return a name as a cell."""
-    made = io.StringIO()
-    csv.writer(made, lineterminator="").writerow([name, ""])
-    return made.getvalue()[:-1]
+    buffer = io.StringIO()
+    csv.writer(buffer, lineterminator="").writerow([name, ""])
+    return buffer.getvalue()[:-1]
 
 
 # --- reading -----------------------------------------------------------------------------------------------
@@ -92,15 +88,8 @@ def _starting(name: str) -> str:
 def read_csv_library(path: Path) -> xr.Dataset:
     """Read a library that `write_csv_library` wrote.
 
-    Raises
-    ------
-    FormatError
-        The table or its metadata are damaged, or do not go together.
-
-    Warns
-    -----
-    PaintWarning
-        The metadata are missing.
+    Raises FormatError: The table or its metadata are damaged, or do not go together.
+    Warns PaintWarning: The metadata are missing.
     """
     source = path.name
     wavelength, names, keys, rows = _table(path)
@@ -112,12 +101,13 @@ def read_csv_library(path: Path) -> xr.Dataset:
     for placement in placed.values():
         placement.put(0, values)
     sidecar = metadata_path(path)
-    told = read_metadata(sidecar, {PAINT: len(names), BAND: wavelength.size}) if sidecar.exists() else None
-    if told is None:
+    sizes = {PAINT: len(names), BAND: wavelength.size}
+    metadata = read_metadata(sidecar, sizes) if sidecar.exists() else None
+    if metadata is None:
         text = f"{source}: {sidecar.name} is missing: what is known beside the spectra is lost"
         warnings.warn(text, PaintWarning, stacklevel=5)
     data = {name: placement.values for name, placement in placed.items()}
-    return with_metadata(data, {"wavelength": wavelength}, names, told, source)
+    return with_metadata(data, {"wavelength": wavelength}, names, metadata, source)
 
 
 def _table(path: Path) -> tuple[Floats, list[str], list[Key], list[Floats32]]:
@@ -180,9 +170,7 @@ def _cells(path: Path) -> Iterator[list[str]]:
     source = path.name
     try:
         if not path.is_file() or path.stat().st_size > _MOST_BYTES:
-            raise FormatError(
-                f"{path}: no plain file, or over {_MOST_BYTES} bytes, expected a table of a paint library"
-            )
+            raise FormatError(f"{path}: no plain file, or over {_MOST_BYTES} bytes, expected a paint library")
         with open(path, encoding="utf-8-sig", newline="") as file:
             for row in csv.reader(file, strict=True):
                 if row:
@@ -192,23 +180,23 @@ def _cells(path: Path) -> Iterator[list[str]]:
 
 
 def _wavelengths(row: list[str], source: str) -> Floats:
-    found: list[Any] = [number(cell) for cell in row[len(_HEAD) :]]
-    if tuple(row[: len(_HEAD)]) != _HEAD or not found or None in found or len(found) > _MOST_BANDS:
+    head, wavelengths = row[: len(_HEAD)], [number(cell) for cell in row[len(_HEAD) :]]
+    if tuple(head) != _HEAD or None in wavelengths or not 0 < len(wavelengths) <= _MOST_BANDS:
         raise FormatError(
             f"{source}: its first row is {','.join(row)[:60]!r}, expected {','.join(_HEAD)} and wavelengths"
         )
-    return np.array(found, np.float64)
+    return np.array(wavelengths, np.float64)
 
 
 def _values(row: list[str], bands: int) -> Floats32 | None:
     """Return the numbers of a row, None where they are none or too many."""
     if len(row) != len(_HEAD) + bands:
         return None
-    found = _floats(row[len(_HEAD) :])
-    if found is None:
+    numbers = _floats(row[len(_HEAD) :])
+    if numbers is None:
         return None
     with np.errstate(over="ignore"):
-        values = np.array(found, np.float64).astype(np.float32)
+        values = np.array(numbers, np.float64).astype(np.float32)
     return None if np.isinf(values).any() else values
 
 
@@ -220,5 +208,5 @@ def _floats(cells: list[str]) -> list[float] | None:
             return list(map(float, cells))
         except ValueError:  # an empty cell, perhaps
             pass
-    found = [number(cell) for cell in cells]
-    return None if None in found else [value for value in found if value is not None]
+    numbers = [number(cell) for cell in cells]
+    return None if None in numbers else [value for value in numbers if value is not None]

@@ -8,22 +8,29 @@ from __future__ import annotations
 
 import json
 import re
+import unicodedata
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from hyperpaint.base.arrays import Floats
-from hyperpaint.base.errors import FormatError, Problems
+from hyperpaint.base.errors import FormatError, Problems, SchemaError
 from hyperpaint.base.schema import LIBRARY_VARIABLES, PAINT
+from hyperpaint.io.files.publishing import published_folder
 
+from .library_spectra import Spectra, reflectances, text_column
 from .metadata import typed_values
-from .spectra import Spectra, reflectances, text_column
+from .records import CENTRE, names_of
 from .text_spectra import in_nanometres, lines_of, number, numbers_of_lines, wavelength_factor
 
-__all__ = ["KEYS", "METADATA", "is_ecostress", "read_ecostress"]
+if TYPE_CHECKING:
+    import xarray as xr
 
-KEYS = (
+__all__ = ["is_ecostress", "read_ecostress", "write_ecostress_library"]
+
+_KEYS = (
     "Name", "Type", "Class", "Subclass", "Genus", "Species", "Particle Size", "Sample No.", "Owner",
     "Wavelength Range", "Origin", "Collection Date", "Description", "Measurement", "First Column",
     "Second Column", "X Units", "Y Units", "First X Value", "Last X Value", "Number of X Values",
@@ -31,12 +38,12 @@ KEYS = (
 )  # fmt: skip
 """Of a header, in their order."""
 
-METADATA = "hyperpaint metadata "
+_METADATA = "hyperpaint metadata "
 """Opens the additional information of files that `hyperpaint.write_library` wrote; JSON follows."""
 
-_KEY = re.compile(rf"\s*({'|'.join(map(re.escape, KEYS))})\s*:(.*)", re.IGNORECASE)
-_SPELLED = {key.lower(): key for key in KEYS}
-_ABOUT_THE_AXES = KEYS[KEYS.index("First Column") :]
+_KEY = re.compile(rf"\s*({'|'.join(map(re.escape, _KEYS))})\s*:(.*)", re.IGNORECASE)
+_SPELLED = {key.lower(): key for key in _KEYS}
+_ABOUT_THE_AXES = _KEYS[_KEYS.index("First Column") :]
 _PERCENT = re.compile(r"percent|%", re.IGNORECASE)
 _FRACTION = re.compile(r"fraction|unitless|decimal|\b0 ?(?:-|to) ?1\b|\(1\)", re.IGNORECASE)
 _OTHER_QUANTITY = re.compile(r"transmi|emissiv|absorb|radianc", re.IGNORECASE)
@@ -50,19 +57,9 @@ def is_ecostress(head: str) -> bool:
 def read_ecostress(path: Path, *, scale: float | None = None, wavelength: Floats | None = None) -> Spectra:
     """Read a spectrum of the ECOSTRESS or ASTER library.
 
-    Parameters
-    ----------
-    path
-        The file.
-    scale
-        y of a reflectance of one, where the file does not say it.
-    wavelength
-        To be used in place of the file's own [nm].
-
-    Raises
-    ------
-    FormatError
-        The header or the numbers are not as they should be, or it is no reflectance.
+    scale: y of a reflectance of one, where the file does not say it.
+    wavelength: To be used in place of the file's own [nm].
+    Raises FormatError: The header or the numbers are not as they should be, or it is no reflectance.
     """
     source = path.name
     lines = lines_of(path, "a spectrum of the ECOSTRESS or ASTER library")
@@ -72,8 +69,9 @@ def read_ecostress(path: Path, *, scale: float | None = None, wavelength: Floats
         if key not in fields:
             problems.add(f"{key!r} is missing in its header")
     said = _scale_of(fields.get("Y Units", ""))
-    if found := _OTHER_QUANTITY.search(fields.get("Y Units", "")):
-        problems.add(f"'Y Units' is {fields['Y Units'][:60]!r} ({found[0]}...), expected reflectance")
+    if other_quantity := _OTHER_QUANTITY.search(fields.get("Y Units", "")):
+        units = f"{fields['Y Units'][:60]!r} ({other_quantity[0]}...)"
+        problems.add(f"'Y Units' is {units}, expected reflectance")
     problems.raise_if_any()
     table = numbers_of_lines(lines, first, 2, source)
     notes = _compared(fields, table, source)
@@ -127,44 +125,39 @@ def _compared(fields: dict[str, str], table: Floats, source: str) -> list[str]:
     if count != str(len(table)):
         raise FormatError(f"{source}: {len(table)} values, its header says {count[:30]}; copy the file again")
     notes = []
-    for key, found in (("First X Value", table[0, 0]), ("Last X Value", table[-1, 0])):
-        told = number(fields.get(key, ""))
+    for key, actual in (("First X Value", table[0, 0]), ("Last X Value", table[-1, 0])):
+        stated = number(fields.get(key, ""))
         # the header rounds
-        if told is not None and np.isfinite(told) and abs(told - found) > 1e-2 * abs(found):
-            notes.append(f"{key!r} is {told:g}, found {found:g}")
+        if stated is not None and np.isfinite(stated) and abs(stated - actual) > 1e-2 * abs(actual):
+            notes.append(f"{key!r} is {stated:g}, found {actual:g}")
     return notes
 
 
 def _columns(fields: dict[str, str], source: str) -> dict[str, Any]:
     """Return what the header says of the sample, each as a column of one paint."""
-    made: dict[str, Any] = {
+    columns: dict[str, Any] = {
         re.sub(r"[^a-z]+", "_", key.lower()).strip("_"): text_column([fields[key]])
-        for key in KEYS[1:]
+        for key in _KEYS[1:]
         if key in fields and key not in _ABOUT_THE_AXES
     }
     more = fields.get("Additional Information", "")
-    if not more.startswith(METADATA):
-        return {**made, "additional_information": text_column([more])} if more else made
+    if not more.startswith(_METADATA):
+        return {**columns, "additional_information": text_column([more])} if more else columns
+    where = f"{source}: 'Additional Information'"
     try:
-        told = json.loads(more.removeprefix(METADATA))
+        entries = json.loads(more.removeprefix(_METADATA))
     except (ValueError, RecursionError) as error:
-        raise FormatError(
-            f"{source}: 'Additional Information' holds damaged metadata ({error!s:.100})"
-        ) from error
-    if not isinstance(told, dict):
-        raise FormatError(
-            f"{source}: 'Additional Information' holds {type(told).__name__}, expected names and values"
-        )
-    for name, value in told.items():
-        if not name.isidentifier() or name in made or name in ("paint", "band", "wavelength", "reflectance"):
-            raise FormatError(
-                f"{source}: 'Additional Information' names {name[:60]!r}, expected a new plain name"
-            )
-        made[name] = _told(name, value, source)
-    return made
+        raise FormatError(f"{where} holds damaged metadata ({error!s:.100})") from error
+    if not isinstance(entries, dict):
+        raise FormatError(f"{where} holds {type(entries).__name__}, expected names and values")
+    for name, value in entries.items():
+        if not name.isidentifier() or name in {*columns, "paint", "band", "wavelength", "reflectance"}:
+            raise FormatError(f"{where} names {name[:60]!r}, expected a new plain name")
+        columns[name] = _metadata_column(name, value, source)
+    return columns
 
 
-def _told(name: str, value: Any, source: str) -> Any:
+def _metadata_column(name: str, value: Any, source: str) -> Any:
     row = LIBRARY_VARIABLES.get(name)
     if row is not None and row.dims == (PAINT,):
         try:
@@ -180,3 +173,184 @@ def _told(name: str, value: Any, source: str) -> Any:
     if isinstance(value, float) and np.isfinite(value):
         return np.array([value])
     raise FormatError(f"{source}: metadata {name!r} is {str(value)[:60]!r}, expected text or a number")
+
+
+_SUFFIX = ".spectrum.txt"
+_LONGEST_STEM = 80
+_SPELLINGS = str.maketrans({"ä": "ae", "ö": "oe", "ü": "ue", "Ä": "Ae", "Ö": "Oe", "Ü": "Ue", "ß": "ss"})
+_RESERVED = {"con", "prn", "aux", "nul", *(f"{port}{n}" for port in ("com", "lpt") for n in range(1, 10))}
+_MOST_SHOWN = 5
+
+_MEASUREMENT = "Hemispherical-conical reflectance factor"
+
+_SAMPLE = (
+    ("Type", "type", "manmade"), ("Class", "class", "Paint"), ("Subclass", "subclass", "none"),
+    ("Particle Size", "particle_size", "Solid"), ("Sample No.", "sample_no", "none"),
+    ("Owner", "owner", "none"), ("Wavelength Range", "wavelength_range", "none"),
+    ("Origin", "origin", "none"), ("Collection Date", "collection_date", "N/A"),
+    ("Description", "description", "none"), ("Measurement", "measurement", _MEASUREMENT),
+)  # fmt: skip
+"""Keys of a header before those of the axes, the coordinate that holds each, and what stands otherwise."""
+
+
+def write_ecostress_library(
+    library: xr.Dataset, path: Path, *, overwrite: bool, progress: Callable[[int, int], None] | None
+) -> None:
+    """Write the centre of every paint of a checked library to a text file of its own.
+
+    Bands that are not good, and bands at which no paint has a value, are left out. What else the library says
+    of its paints, in words or numbers, stands as JSON in "Additional Information".
+
+    Raises SchemaError: Names cannot be written; or a paint has no value at a band at which others have one,
+        since the format knows no missing values.
+    Raises StoreError: The folder exists, holds something else, or cannot be written.
+    """
+    names = names_of(library)
+    if broken := [name for name in names if name != name.strip()]:
+        raise SchemaError(
+            f"{len(broken)} names begin or end with blanks, such as {broken[0]!r}, which a header does not "
+            "keep; rename them"
+        )
+    values = np.asarray(library[CENTRE].values, np.float64)
+    used_bands = np.isfinite(values).any(axis=0)
+    if "good" in library.variables:
+        used_bands &= np.asarray(library["good"].values, np.bool_)
+    values = values[:, used_bands]
+    _refuse_gaps(values, names)
+    micrometres = np.asarray(library["wavelength"].values, np.float64)[used_bands] / 1e3
+    columns = {**_said_of_all(library, micrometres), **_columns_of_paints(library)}
+    with published_folder(path, overwrite=overwrite, foreign=_foreign) as folder:
+        for at, (name, stem) in enumerate(zip(names, _file_names(names), strict=True)):
+            about = {key: column[at] for key, column in columns.items()}
+            text = _text(name, about, micrometres, values[at])
+            (folder / f"{stem}{_SUFFIX}").write_bytes(_encoded(text))
+            if progress is not None:
+                progress(at + 1, len(names))
+
+
+def _foreign(folder: Path) -> str:
+    for path in folder.iterdir():
+        if not (path.name.endswith(_SUFFIX) and path.is_file() and not path.is_symlink()):
+            return f"{path.name}, which no library has"
+    return ""
+
+
+def _refuse_gaps(values: Floats, names: Sequence[str]) -> None:
+    problems = Problems("the library cannot be written as ECOSTRESS text", SchemaError)
+    gaps = np.flatnonzero(~np.isfinite(values).all(axis=1))
+    for at in gaps[:_MOST_SHOWN]:
+        missing = int((~np.isfinite(values[at])).sum())
+        problems.add(f"paint {names[at]!r} has no value at {missing} of {values.shape[1]} bands")
+    if gaps.size:
+        problems.add(f"{gaps.size} paints; choose bands that all have (.isel(band=...)), or another format")
+    if not values.size:
+        problems.add("no band is good and has values")
+    problems.raise_if_any()
+
+
+def _file_names(names: Sequence[str]) -> list[str]:
+    """Return the stem of a file for each paint: plain letters, no two alike on any file system.
+
+    Examples
+    --------
+    >>> _file_names(["Grün, matt", "a/b", "A b", "", "aux"])
+    ['Gruen_matt', 'a_b', 'A_b_2', 'unnamed', 'aux_']
+    """
+    stems: list[str] = []
+    taken: set[str] = set()
+    for name in names:
+        plain = unicodedata.normalize("NFKD", name.translate(_SPELLINGS))
+        words = "".join(
+            c if c.isascii() and (c.isalnum() or c in "-+") else " "
+            for c in plain
+            if not unicodedata.combining(c)
+        )
+        stem = "_".join(words.split())[:_LONGEST_STEM] or "unnamed"
+        if stem.lower() in _RESERVED:
+            stem += "_"
+        unique, turn = stem, 1
+        while unique.lower() in taken:
+            turn += 1
+            unique = f"{stem}_{turn}"
+        taken.add(unique.lower())
+        stems.append(unique)
+    return stems
+
+
+def _said_of_all(library: xr.Dataset, micrometres: Floats) -> dict[str, list[Any]]:
+    """Return fields of the header that the library says once; those of single paints win."""
+    mirrored = library[CENTRE].attrs.get("mirror_reflection")
+    fields = {
+        "origin": library.attrs.get("source"),
+        "measurement": f"{_MEASUREMENT}, mirror reflection {mirrored}" if mirrored else None,
+        "wavelength_range": _range(micrometres),
+    }
+    return {name: [str(value)] * library.sizes[PAINT] for name, value in fields.items() if value}
+
+
+def _range(micrometres: Floats) -> str:
+    """Return the words of the ECOSTRESS library for a range of wavelengths."""
+    if micrometres.max() <= 3.0:
+        return "VSWIR"
+    return "TIR" if micrometres.min() >= 2.0 else "All"
+
+
+def _columns_of_paints(library: xr.Dataset) -> dict[str, list[Any]]:
+    """Return what the library says of each paint, as texts and numbers."""
+    columns: dict[str, list[Any]] = {}
+    for name in sorted(library.variables, key=str):  # xarray's order of coordinates differs from run to run
+        array = library.variables[name]
+        # the name of a file that was read is none of the file that is written
+        if array.dims != (PAINT,) or name in (PAINT, "file") or not str(name).isidentifier():
+            continue
+        values = array.values
+        if values.dtype.kind == "M":
+            columns[str(name)] = ["" if np.isnat(value) else str(value) for value in values]
+        elif values.dtype.kind in "biufOUT":
+            plain = values.tolist()
+            columns[str(name)] = [None if isinstance(v, float) and not np.isfinite(v) else v for v in plain]
+    return columns
+
+
+def _text(name: str, about: dict[str, Any], micrometres: Floats, values: Floats) -> str:
+    """Return a file; its header has the keys of the ECOSTRESS library, in their order."""
+    about = dict(about)
+    lines = [f"Name: {name}"]
+    if "collection_date" not in about and about.get("time"):
+        about["collection_date"] = str(about["time"])[:10]
+    for key, coordinate, otherwise in _SAMPLE:
+        entry = " ".join(str(about.pop(coordinate, "") or "").split())
+        lines.append(f"{key}: {entry or otherwise}")
+    more = " ".join(str(about.pop("additional_information", "") or "none").split())
+    if about:
+        more = _METADATA + json.dumps(about, ensure_ascii=False, allow_nan=False)
+    axis = [f"{value:.10g}" for value in micrometres]
+    lines += [
+        "First Column: X",
+        "Second Column: Y",
+        "X Units: Wavelength (micrometers)",
+        "Y Units: Reflectance (percent)",
+        f"First X Value: {axis[0]}",
+        f"Last X Value: {axis[-1]}",
+        f"Number of X Values: {len(axis)}",
+        f"Additional Information: {more}",
+        "",
+        # nine digits of the percentage lead back to the float32
+        *(f"{x}\t{100.0 * y:.9g}" for x, y in zip(axis, values, strict=True)),
+    ]
+    return "\n".join(lines) + "\n"
+
+
+def _encoded(text: str) -> bytes:
+    """Return latin-1, as these libraries use it; UTF-8 where that would not lead back."""
+    try:
+        raw = text.encode("latin-1")
+    except UnicodeEncodeError:
+        return text.encode()
+    if raw.isascii():
+        return raw
+    try:
+        raw.decode("utf-8")
+    except UnicodeDecodeError:
+        return raw
+    return text.encode()

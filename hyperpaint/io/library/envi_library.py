@@ -12,7 +12,7 @@ import csv
 import io
 import re
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -20,20 +20,21 @@ import numpy as np
 import numpy.typing as npt
 
 from hyperpaint.base.arrays import Array, Floats
-from hyperpaint.base.errors import FormatError, PaintWarning, Problems
+from hyperpaint.base.errors import FormatError, PaintWarning, Problems, SchemaError
+from hyperpaint.base.schema import BAND, PAINT
 from hyperpaint.io.envi.envi_cubes import find_pair
 from hyperpaint.io.envi.envi_grammar import bare
 from hyperpaint.io.envi.envi_header import MAX_LIBRARY_HEADER_BYTES, EnviHeader, read_header
+from hyperpaint.io.files.publishing import published_files
 
-from .envi_names import MARK, keys_of
-from .metadata import metadata_path, read_metadata
-from .records import placements, with_metadata
-from .spectra import OWN_AXES, Spectra, check_wavelengths, library_of, reflectances, text_column
+from .library_spectra import OWN_AXES, Spectra, check_wavelengths, library_of, reflectances, text_column
+from .metadata import metadata_path, metadata_text, read_metadata
+from .records import CENTRE, Key, blocks_of, names_of, placements, spectral_variables, with_metadata
 
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["read_envi_library"]
+__all__ = ["read_envi_library", "write_envi_library"]
 
 _BLOCK_BYTES = 16 * 2**20
 _MOST_CLASSES_BYTES = 16 * 2**20
@@ -46,39 +47,22 @@ _ERROR_BARS = re.compile(r"\s*error ?bars? to (?:preceding|previous)", re.IGNORE
 
 
 def read_envi_library(
-    path: Path,
-    *,
-    scale: float | None = None,
-    wavelength: Floats | None = None,
-    fwhm: Floats | None = None,
+    path: Path, *, scale: float | None = None, wavelength: Floats | None = None, fwhm: Floats | None = None
 ) -> xr.Dataset:
     """Read an ENVI spectral library.
 
-    Parameters
-    ----------
-    path
-        The header or the data file.
-    scale
-        Stored value of a reflectance of one; by default the header's ``reflectance scale factor``, else what
-        its ``z plot titles`` say.
-    wavelength, fwhm
-        To be used in place of those of the header [nm].
-
-    Raises
-    ------
-    FormatError
-        The header is damaged, or does not fit the data file; or it is no library of reflectance, or one
-        without wavelengths.
-
-    Warns
-    -----
-    PaintWarning
-        Names are missing, or something was inferred that may make values wrong.
+    path: The header or the data file.
+    scale: Stored value of a reflectance of one; by default the header's ``reflectance scale factor``, else
+        what its ``z plot titles`` say.
+    wavelength, fwhm: To be used in place of those of the header [nm].
+    Raises FormatError: The header is damaged, or does not fit the data file; or it is no library of
+        reflectance, or one without wavelengths.
+    Warns PaintWarning: Names are missing, or something was inferred that may make values wrong.
     """
     header_path, data_path = find_pair(path)
     header = read_header(header_path, MAX_LIBRARY_HEADER_BYTES)
     _refuse_contradictions(header, header_path, data_path)
-    if MARK in header.fields:
+    if _MARK in header.fields:
         if scale is not None or wavelength is not None or fwhm is not None:
             raise FormatError(OWN_AXES.format(data_path.name))
         return _own(header, data_path)
@@ -88,20 +72,19 @@ def read_envi_library(
 def _refuse_contradictions(header: EnviHeader, path: Path, data: Path) -> None:
     problems = Problems(f"{path.name} cannot be used", FormatError)
     if not header.is_spectral_library:
-        problems.add(
-            f"file type is {header.fields.get('file type', 'not given')!r}, expected a spectral library"
-        )
+        problems.add(f"file type is {header.fields.get('file type', 'none')!r}, expected a spectral library")
     if header.bands != 1:
         problems.add(f"bands is {header.bands}, expected 1: spectra are lines, their wavelengths samples")
     if header.dtype.kind == "c":
         problems.add("values are complex, expected reflectance")
     if any(values is not None for values in (header.data_gain_values, header.data_offset_values)):
         problems.add("'data gain values' or 'data offset values' are given, which libraries do not have")
-    found, expected = data.stat().st_size, header.header_offset + header.lines * header.line_bytes
-    if found != expected:
+    stored_bytes, expected = data.stat().st_size, header.header_offset + header.lines * header.line_bytes
+    if stored_bytes != expected:
         problems.add(
-            f"{data.name} has {found} bytes, expected {expected} ({header.lines} spectra of {header.samples} "
-            f"values of {header.dtype.itemsize} bytes after {header.header_offset}); copy it again"
+            f"{data.name} has {stored_bytes} bytes, expected {expected} ({header.lines} spectra of "
+            f"{header.samples} values of {header.dtype.itemsize} bytes after {header.header_offset}); "
+            "copy it again"
         )
     problems.raise_if_any()
 
@@ -123,11 +106,7 @@ def _records(header: EnviHeader, path: Path) -> Iterator[tuple[int, Array]]:
 
 
 def _foreign(
-    header: EnviHeader,
-    path: Path,
-    scale: float | None,
-    wavelength: Floats | None,
-    fwhm: Floats | None,
+    header: EnviHeader, path: Path, scale: float | None, wavelength: Floats | None, fwhm: Floats | None
 ) -> Spectra:
     source = path.name
     notes = list(header.notes)
@@ -154,16 +133,17 @@ def _foreign(
     values = reflectances(
         stored[skipped:], source, said=_scale(header, source), given=scale, ignore=header.data_ignore_value
     )
-    kept, errors = _with_error_bars(names[skipped:], values)
+    spectra, errors = _with_error_bars(names[skipped:], values)
     if errors:
-        notes.append(f"{len(names) - skipped - len(kept)} records are error bars of the spectrum before them")
-    numbers = kept + skipped
+        bars = len(names) - skipped - len(spectra)
+        notes.append(f"{bars} records are error bars of the spectrum before them")
+    numbers = spectra + skipped
     return Spectra(
         source=source,
         form="ENVI spectral library",
         names=[names[at] for at in numbers],
         wavelength=nm,
-        reflectance=values[kept],
+        reflectance=values[spectra],
         fwhm=width,
         good=header.good,
         others=errors,
@@ -179,11 +159,11 @@ def _names(header: EnviHeader, warned: list[str]) -> list[str]:
         warned.append("no spectra names: spectra are numbered")
         return numbered
     # a list of millions of commas never becomes one of objects
-    found = text.rstrip(", \t\n").count(",") + 1
+    count = text.rstrip(", \t\n").count(",") + 1
     names = [name.strip() for name in text.split(",", header.lines)[: header.lines]]
-    if found > header.lines or len(names) < header.lines:
+    if count > header.lines or len(names) < header.lines:
         warned.append(
-            f"{found} spectra names for {header.lines} spectra (a name with a comma counts as two): "
+            f"{count} spectra names for {header.lines} spectra (a name with a comma counts as two): "
             "spectra are numbered"
         )
         return numbered
@@ -210,13 +190,13 @@ def _with_error_bars(
     if bars.size:
         bars[0] = False
     bars[1:] &= ~bars[:-1]
-    kept = np.flatnonzero(~bars)
+    spectra = np.flatnonzero(~bars)
     if not bars.any():
-        return kept, {}
+        return spectra, {}
     errors = np.full_like(values, np.nan)
     errors[np.flatnonzero(bars) - 1] = values[bars]
     errors[errors < 0] = np.nan  # interpolation has left some below zero
-    return kept, {"reflectance_u_random": errors[kept]}
+    return spectra, {"reflectance_u_random": errors[spectra]}
 
 
 def _scale(header: EnviHeader, source: str) -> float | None:
@@ -225,10 +205,9 @@ def _scale(header: EnviHeader, source: str) -> float | None:
     titles = bare(header.fields.get("z plot titles", ""))
     # the first names the wavelengths, and may itself hold commas
     title = titles.rpartition(",")[2]
-    if (found := _OTHER_QUANTITY.search(title)) and "reflect" not in title.lower():
-        raise FormatError(
-            f"{source}: its z plot title is {title.strip()[:60]!r} ({found[0]}), expected reflectance"
-        )
+    if (other_quantity := _OTHER_QUANTITY.search(title)) and "reflect" not in title.lower():
+        shown = f"{title.strip()[:60]!r} ({other_quantity[0]})"
+        raise FormatError(f"{source}: its z plot title is {shown}, expected reflectance")
     said = None
     if match := _TITLE_SCALE.search(title):
         said = float(match[1])
@@ -273,11 +252,12 @@ def _own(header: EnviHeader, path: Path) -> xr.Dataset:
     source = path.name
     if header.wavelength is None or header.dtype != np.dtype("<f4"):
         raise FormatError(f"{source}: its header is not as hyperpaint writes it; write the library anew")
-    names, keys = keys_of(bare(header.fields.get("spectra names", "")), header.lines, source)
+    names, keys = _keys_of(bare(header.fields.get("spectra names", "")), header.lines, source)
     placed = placements(keys, len(names), header.samples, source)
     sidecar = metadata_path(path)
-    told = read_metadata(sidecar, {"paint": len(names), "band": header.samples}) if sidecar.exists() else None
-    if told is None:
+    sizes = {"paint": len(names), "band": header.samples}
+    metadata = read_metadata(sidecar, sizes) if sidecar.exists() else None
+    if metadata is None:
         text = f"{source}: {sidecar.name} is missing: names are those of the header, and all else is lost"
         warnings.warn(text, PaintWarning, stacklevel=6)
     for first, rows in _records(header, path):
@@ -285,4 +265,151 @@ def _own(header: EnviHeader, path: Path) -> xr.Dataset:
             placement.put(first, rows)
     data = {name: placement.values for name, placement in placed.items()}
     axes = {"wavelength": header.wavelength, "fwhm": header.fwhm, "good": header.good}
-    return with_metadata(data, axes, names, told, source)
+    return with_metadata(data, axes, names, metadata, source)
+
+
+_MARK = "hyperpaint library"
+"""Key of a header that says that names lead back."""
+
+_BAR = " | "
+_SHORT = {"member_reflectance": "member"}
+_LONG = {short: name for name, short in _SHORT.items()}
+_LABEL = re.compile(r"([A-Za-z_][A-Za-z0-9_]{0,99})(?: ([1-9][0-9]{0,9}))?")
+_FORBIDDEN = str.maketrans({",": ";", "{": "(", "}": ")", "|": "/"})
+
+
+def _header_names(names: Sequence[str]) -> list[str]:
+    """Return names that a header can hold, no two alike.
+
+    Examples
+    --------
+    >>> _header_names(["red, matt", "blue", "", "blue"])
+    ['red; matt', 'blue', 'unnamed', 'blue (2)']
+    """
+    unique_names: list[str] = []
+    taken: set[str] = set()
+    counts: dict[str, int] = {}
+    for name in names:
+        plain = name.translate(_FORBIDDEN).strip() or "unnamed"
+        unique = plain
+        while unique in taken:
+            counts[plain] = counts.get(plain, 1) + 1
+            unique = f"{plain} ({counts[plain]})"
+        taken.add(unique)
+        unique_names.append(unique)
+    return unique_names
+
+
+def _record_name(paint: str, variable: str, inner: int) -> str:
+    """Return the name of a record.
+
+    Examples
+    --------
+    >>> _record_name("red", "reflectance", -1), _record_name("red", "member_reflectance", 2)
+    ('red', 'red | member 3')
+    """
+    if variable == CENTRE:
+        return paint
+    place = "" if inner < 0 else f" {inner + 1}"
+    return f"{paint}{_BAR}{_SHORT.get(variable, variable)}{place}"
+
+
+def _keys_of(text: str, count: int, source: str) -> tuple[list[str], list[Key]]:
+    """Return the names of the paints, and what each record is.
+
+    text: The names of all records, as the header has them.
+    count: Records of the file.
+    Raises FormatError: There are not as many names, or one leads nowhere.
+    """
+    if text.count(",") + 1 != count:
+        raise FormatError(f"{source}: {text.count(',') + 1} spectra names for {count} spectra; write it anew")
+    records = [name.strip() for name in text.split(",")]
+    names = list(_paints(records))
+    places = {name: at for at, name in enumerate(names)}
+    if len(places) != len(names) or records[: len(names)] != names:
+        raise FormatError(f"{source}: its first records are not its paints, each once; write it anew")
+    return names, [_key(record, places, source) for record in records]
+
+
+def _paints(records: Sequence[str]) -> Iterator[str]:
+    return (record for record in records if _BAR not in record)
+
+
+def _key(record: str, places: dict[str, int], source: str) -> Key:
+    if record in places:
+        return CENTRE, places[record], -1
+    paint, _, label = record.partition(_BAR)
+    match = _LABEL.fullmatch(label)
+    if paint not in places or match is None:
+        raise FormatError(f"{source}: record {record[:80]!r} leads to no paint; write the library anew")
+    return _LONG.get(match[1], match[1]), places[paint], int(match[2] or 0) - 1
+
+
+def write_envi_library(
+    library: xr.Dataset, path: Path, *, overwrite: bool, progress: Callable[[int, int], None] | None
+) -> None:
+    """Write a checked library to ``path`` (``.sli``), its header and its metadata beside it.
+
+    Raises SchemaError: Names or metadata cannot be written, or the header would be larger than what is read.
+    Raises StoreError: Files exist, or cannot be written.
+    """
+    data = path.with_suffix(".sli")
+    variables = spectral_variables(library)
+    names = _header_names(names_of(library))
+    metadata = metadata_text(library, variables)
+    total = len(variables) * len(names)
+    records: list[str] = []
+    targets = [data, metadata_path(data), data.with_suffix(".hdr")]
+    with published_files(targets, overwrite=overwrite) as (values_file, metadata_file, header_file):
+        with open(values_file, "wb") as file:
+            for block in blocks_of(library, variables):
+                np.asarray(block.values, "<f4").tofile(file)
+                places = zip(block.paint.tolist(), block.inner.tolist(), strict=True)
+                records += [_record_name(names[paint], block.variable, inner) for paint, inner in places]
+                if progress is not None and block.paint.size:
+                    progress(variables.index(block.variable) * len(names) + int(block.paint[-1]) + 1, total)
+        header_file.write_bytes(_header(library, records))
+        metadata_file.write_bytes(metadata.encode())
+    if progress is not None:
+        progress(total, total)
+
+
+def _header(library: xr.Dataset, records: Sequence[str]) -> bytes:
+    lists = {"wavelength": [repr(float(value)) for value in library["wavelength"].values]}
+    # a header holds finite numbers only; what is unknown stays in the metadata
+    if "fwhm" in library.variables and np.isfinite(library["fwhm"].values).all():
+        lists["fwhm"] = [repr(float(value)) for value in library["fwhm"].values]
+    if "good" in library.variables:
+        lists["bbl"] = ["1" if value else "0" for value in library["good"].values]
+    lists["spectra names"] = list(records)
+    lines = [
+        "ENVI",
+        f"description = {{Paint library of hyperpaint: {library.sizes[PAINT]} paints}}",
+        f"samples = {library.sizes[BAND]}",
+        f"lines = {len(records)}",
+        "bands = 1",
+        "header offset = 0",
+        "file type = ENVI Spectral Library",
+        "data type = 4",
+        "interleave = bsq",
+        "sensor type = Unknown",
+        "byte order = 0",
+        "wavelength units = Nanometers",
+        "reflectance scale factor = 1.0",
+        "z plot titles = {Wavelength (nm), Reflectance}",
+        f"{_MARK} = 1",
+        *(f"{key} = {{\n {_wrapped(values)}}}" for key, values in lists.items()),
+    ]
+    text = ("\n".join(lines) + "\n").encode()
+    if len(text) > MAX_LIBRARY_HEADER_BYTES:
+        raise SchemaError(
+            f"the header would take {len(text)} bytes for {len(records)} spectra, at most "
+            f"{MAX_LIBRARY_HEADER_BYTES} are read again; shorten names, write fewer members, or write Zarr"
+        )
+    return text
+
+
+def _wrapped(values: Sequence[str]) -> str:
+    """Return a list as ENVI writes it, some values a line."""
+    rows = (", ".join(values[at : at + 8]) for at in range(0, len(values), 8))
+    return ",\n ".join(rows)

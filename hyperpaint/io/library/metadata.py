@@ -20,7 +20,7 @@ from hyperpaint.base.errors import FormatError, Problems, SchemaError
 from hyperpaint.base.schema import BAND, PAINT, quality_attrs
 from hyperpaint.io.files.reading import read_limited
 
-from .spectra import text_column
+from .library_spectra import text_column
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -74,10 +74,8 @@ def metadata_path(data: Path) -> Path:
 def metadata_text(library: xr.Dataset, spectra: Iterable[str]) -> str:
     """Return everything of a library but the values of its spectra.
 
-    Raises
-    ------
-    SchemaError
-        Attributes or values are nothing that JSON can hold; all are listed. Or they are too many.
+    Raises SchemaError: Attributes or values are nothing that JSON can hold; all are listed. Or they are too
+        many.
     """
     names = list(spectra)
     problems = Problems("the library's metadata cannot be written", SchemaError)
@@ -94,9 +92,10 @@ def metadata_text(library: xr.Dataset, spectra: Iterable[str]) -> str:
             for name in names
         },
     }
+    # xarray gathers coordinates from sets: their order is another one in every run
     variables = {
-        str(name): _described(str(name), variable, name in library.coords, problems)
-        for name, variable in library.variables.items()
+        str(name): _described(str(name), library.variables[name], name in library.coords, problems)
+        for name in sorted(library.variables, key=str)
         if name not in names
     }
     problems.raise_if_any()
@@ -116,17 +115,15 @@ def _dumped(value: Any) -> str:
 
 
 def _attrs(attrs: Mapping[Any, Any], owner: str, problems: Problems) -> dict[str, Any]:
-    made = {}
+    plain_attrs = {}
     for key, value in attrs.items():
         plain = value.tolist() if isinstance(value, np.ndarray | np.generic) else value
         try:
             _dumped(plain)
         except (TypeError, ValueError, RecursionError):
-            problems.add(
-                f"attribute {key!r} of {owner} is {str(value)[:60]!r}, expected text or finite numbers"
-            )
-        made[str(key)] = plain
-    return made
+            problems.add(f"attribute {key!r} of {owner} is {str(value)[:60]!r}, expected text or numbers")
+        plain_attrs[str(key)] = plain
+    return plain_attrs
 
 
 def _described(name: str, variable: xr.Variable, coordinate: bool, problems: Problems) -> dict[str, Any]:
@@ -147,12 +144,9 @@ def _described(name: str, variable: xr.Variable, coordinate: bool, problems: Pro
         if values.dtype.kind == "f" and np.isinf(values).any():
             problems.add(f"{name!r} holds infinities, expected finite numbers or NaN")
     return {
-        "dims": [str(dim) for dim in variable.dims],
-        "dtype": kind,
-        "coordinate": coordinate,
-        "attrs": _attrs(variable.attrs, name, problems),
-        "values": plain,
-    }
+        "dims": [str(dim) for dim in variable.dims], "dtype": kind, "coordinate": coordinate,
+        "attrs": _attrs(variable.attrs, name, problems), "values": plain,
+    }  # fmt: skip
 
 
 def _without_nan(values: Any) -> Any:
@@ -168,17 +162,9 @@ def _without_nan(values: Any) -> Any:
 def read_metadata(path: Path, sizes: Mapping[str, int]) -> Metadata:
     """Read the metadata of a library.
 
-    Parameters
-    ----------
-    path
-        The file.
-    sizes
-        Of the dims, as its spectra have them.
-
-    Raises
-    ------
-    FormatError
-        The file is none that `metadata_text` makes, or of another library; all problems are listed.
+    sizes: Of the dims, as its spectra have them.
+    Raises FormatError: The file is none that `metadata_text` makes, or of another library; all problems are
+        listed.
     """
     raw = read_limited(path, MOST_BYTES, "metadata of a paint library")
     try:
@@ -188,13 +174,13 @@ def read_metadata(path: Path, sizes: Mapping[str, int]) -> Metadata:
             f"{path.name}: cannot be read as JSON ({error!s:.100}); copy it again, or write the library anew"
         ) from error
     problems = Problems(f"{path.name} does not go with its library", FormatError)
-    made = Metadata()
+    metadata = Metadata()
     if not isinstance(document, dict) or document.get("hyperpaint_library") != VERSION:
         problems.add(f'expected an object with "hyperpaint_library": {VERSION}')
     else:
-        _read_document(document, made, dict(sizes), problems)
+        _read_document(document, metadata, dict(sizes), problems)
     problems.raise_if_any()
-    return made
+    return metadata
 
 
 def _refuse_constant(text: str) -> None:
@@ -202,30 +188,30 @@ def _refuse_constant(text: str) -> None:
 
 
 def _read_document(
-    document: dict[str, Any], made: Metadata, sizes: dict[str, int], problems: Problems
+    document: dict[str, Any], metadata: Metadata, sizes: dict[str, int], problems: Problems
 ) -> None:
     parts = {name: document.get(name) for name in ("attrs", "sizes", "spectra", "variables")}
     wrong = [name for name, part in parts.items() if not isinstance(part, dict)]
     if wrong:
         problems.add(f"{', '.join(wrong)}: expected an object")
         return
-    made.attrs = _plain_attrs(document["attrs"], "attrs", problems)
+    metadata.attrs = _plain_attrs(document["attrs"], "attrs", problems)
     for dim, size in document["sizes"].items():
         if type(size) is not int or not 0 <= size <= 2**31 or dim in (PAINT, BAND):
             problems.add(f"size of {dim[:60]!r} is {str(size)[:30]}, expected a whole number")
         else:
-            made.sizes[dim] = size
-    for name, told in document["spectra"].items():
-        dims = _dims_of(told, problems, name)
+            metadata.sizes[dim] = size
+    for name, entry in document["spectra"].items():
+        dims = _dims_of(entry, problems, name)
         if dims is not None:
-            made.spectra[name] = (dims, _plain_attrs(told.get("attrs"), name, problems))
-    known = {**made.sizes, **sizes}
-    for name, told in document["variables"].items():
-        found = _variable(name, told, known, problems)
-        if found is not None:
-            made.variables[name] = found
-            if told.get("coordinate") is True:
-                made.coordinates.add(name)
+            metadata.spectra[name] = (dims, _plain_attrs(entry.get("attrs"), name, problems))
+    all_sizes = {**metadata.sizes, **sizes}
+    for name, entry in document["variables"].items():
+        variable = _variable(name, entry, all_sizes, problems)
+        if variable is not None:
+            metadata.variables[name] = variable
+            if entry.get("coordinate") is True:
+                metadata.coordinates.add(name)
 
 
 def _plain_attrs(attrs: Any, owner: str, problems: Problems) -> dict[str, Any]:
@@ -236,18 +222,18 @@ def _plain_attrs(attrs: Any, owner: str, problems: Problems) -> dict[str, Any]:
 
 
 def _variable(
-    name: str, told: Any, sizes: dict[str, int], problems: Problems
+    name: str, entry: Any, sizes: dict[str, int], problems: Problems
 ) -> tuple[tuple[str, ...], Array, dict[str, Any]] | None:
-    dims = _dims_of(told, problems, name)
+    dims = _dims_of(entry, problems, name)
     if dims is None:
         return None
-    kind, attrs = told.get("dtype"), told.get("attrs")
+    kind, attrs = entry.get("dtype"), entry.get("attrs")
     if kind not in _DTYPES or not isinstance(attrs, dict):
         problems.add(f"{name[:60]!r}: expected a known dtype, and attributes")
         return None
     flat: list[Any] = []
     try:
-        shape = _flatten(told.get("values"), len(dims), flat)
+        shape = _flatten(entry.get("values"), len(dims), flat)
         # dims that no spectrum has get their size from the first variable that has them
         expected = tuple(sizes.setdefault(dim, size) for dim, size in zip(dims, shape, strict=True))
         if shape != expected:
@@ -261,8 +247,8 @@ def _variable(
     return dims, values, dict(attrs)
 
 
-def _dims_of(told: Any, problems: Problems, name: str) -> tuple[str, ...] | None:
-    dims = told.get("dims") if isinstance(told, dict) else None
+def _dims_of(entry: Any, problems: Problems, name: str) -> tuple[str, ...] | None:
+    dims = entry.get("dims") if isinstance(entry, dict) else None
     texts = isinstance(dims, list) and all(isinstance(dim, str) for dim in dims)
     if isinstance(dims, list) and texts and len(set(dims)) == len(dims) <= _MOST_DIMS:
         return tuple(dims)
@@ -286,10 +272,7 @@ def _flatten(values: Any, depth: int, into: list[Any]) -> tuple[int, ...]:
 def typed_values(flat: list[Any], kind: str) -> Array:
     """Return values that JSON held as those of a dtype.
 
-    Raises
-    ------
-    ValueError
-        One is of another kind, or out of range.
+    Raises ValueError: One is of another kind, or out of range.
     """
     if kind == "str":
         _each(flat, str)
@@ -302,9 +285,9 @@ def typed_values(flat: list[Any], kind: str) -> Array:
         return np.array(flat, np.bool_)
     if kind.startswith("float"):
         _each([value for value in flat if value is not None], (int, float))
-        made = np.array([np.nan if value is None else float(value) for value in flat], np.float64)
+        numbers = np.array([np.nan if value is None else float(value) for value in flat], np.float64)
         with np.errstate(over="ignore"):
-            values: Array = made.astype(kind)
+            values: Array = numbers.astype(kind)
         if np.isinf(values).any():
             raise ValueError("a number is too large")
         return values
@@ -325,7 +308,5 @@ def _times(flat: list[str]) -> Array:
     """Return times as `metadata_text` writes them; years beyond datetime64[ns] would wrap around."""
     for text in filter(None, flat):
         if _TIME.fullmatch(text) is None or not 1700 <= int(text[:4]) <= 2261:
-            raise ValueError(
-                f"{text[:40]!r} is no time such as 2024-05-21T11:33:07.000000000 from 1700 to 2261"
-            )
+            raise ValueError(f"{text[:40]!r} is no time like 2024-05-21T11:33:07.000000000 from 1700 to 2261")
     return np.array([np.datetime64(text or "NaT", "ns") for text in flat], "datetime64[ns]")

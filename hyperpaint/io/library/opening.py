@@ -11,18 +11,17 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from hyperpaint.base.arrays import Floats
+from hyperpaint.base.arrays import Array, Floats
 from hyperpaint.base.errors import FormatError, Problems, StoreError
+from hyperpaint.base.schema import BAND, LIBRARY_VARIABLES, PAINT
 from hyperpaint.io.files.reading import is_pattern, matching_files
 
 from .csv_library import is_csv_library, read_csv_library
 from .ecostress import is_ecostress, read_ecostress
 from .envi_library import read_envi_library
-from .joining import joined
+from .library_spectra import OWN_AXES, library_of, text_column, with_numbers_as_data
 from .plain_table import read_plain_table
-from .spectra import OWN_AXES, library_of
 from .usgs import is_usgs, is_usgs_axis, read_usgs, read_usgs_axis
-from .zarr_library import read_zarr_library
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -51,10 +50,7 @@ class _Options:
     def refuse_for(self, path: Path_) -> None:
         """Refuse them where the library says all of it.
 
-        Raises
-        ------
-        FormatError
-            One is given.
+        Raises FormatError: One is given.
         """
         if self.wavelength is not None or self.fwhm is not None or self.scale is not None:
             raise FormatError(OWN_AXES.format(os.fspath(path)))
@@ -126,7 +122,7 @@ def open_library(
     options = _Options(_axis(wavelength, "wavelength"), _axis(fwhm, "fwhm"), scale)
     if isinstance(path, str | os.PathLike) and _is_store(path):
         options.refuse_for(path)
-        return read_zarr_library(path)
+        return _read_store(path)
     files = _files(path)
     if len(files) == 1:
         return _opened(files[0], options)
@@ -140,7 +136,7 @@ def open_library(
             if len(problems) == _MOST_SHOWN:
                 break
     problems.raise_if_any()
-    return joined(opened)
+    return _joined(opened)
 
 
 def _is_store(path: Path_) -> bool:
@@ -163,9 +159,7 @@ def _axis(given: Path_ | Any | None, name: str) -> Floats | None:
     except (TypeError, ValueError):
         values = np.empty(0)
     if values.ndim != 1 or not values.size or not np.isfinite(values).all():
-        raise FormatError(
-            f"{name}= is {str(given)[:60]!r}, expected one finite number a band [nm], or a file"
-        )
+        raise FormatError(f"{name}= is {str(given)[:60]!r}, expected one finite number a band [nm] or a file")
     return values
 
 
@@ -180,14 +174,14 @@ def _files(paths: Path_ | Sequence[Path_]) -> list[Path]:
     for entry in entries:
         path = Path(entry)
         if path.is_dir():
-            found = _of_folder(path)
-            if not found:
+            matches = _of_folder(path)
+            if not matches:
                 problems.add(f"{path}: a folder without text files of spectra; name the library's file in it")
         elif os.path.lexists(path) or not is_pattern(str(path)):
-            found = [path]
+            matches = [path]
         else:
-            found = _of_pattern(path, problems)
-        files += found
+            matches = _of_pattern(path, problems)
+        files += matches
     if not files and not problems:
         problems.add("an empty list of files; name at least one")
     problems.raise_if_any()
@@ -202,11 +196,11 @@ def _of_pattern(pattern: Path, problems: Problems) -> list[Path]:
     parts = pattern.parts
     first = next(at for at, part in enumerate(parts) if is_pattern(part))
     try:
-        found = matching_files(Path(*parts[:first]), "/".join(parts[first:]))
+        matches = matching_files(Path(*parts[:first]), "/".join(parts[first:]))
     except ValueError as error:
         problems.add(f"{pattern}: {error}")
         return []
-    files = _spectra_among([path for path in found if path.suffix.lower() != ".json" and not path.is_dir()])
+    files = _spectra_among([path for path in matches if path.suffix.lower() != ".json" and not path.is_dir()])
     if not files:
         problems.add(f"{pattern}: no spectra found")
     return files
@@ -218,7 +212,7 @@ def _spectra_among(paths: Sequence[Path]) -> list[Path]:
     Left out is what goes with spectra: ancillary texts of ECOSTRESS, wavelengths and bandwidths of the USGS,
     tables of classes.
     """
-    kept = [
+    candidates = [
         path
         for path in paths
         if not path.name.startswith(".")
@@ -226,14 +220,14 @@ def _spectra_among(paths: Sequence[Path]) -> list[Path]:
         and not _goes_with_spectra(_head(path))
     ]
     # a library of ENVI is two files
-    headers = {path.with_suffix("") for path in kept if path.suffix.lower() == ".hdr"}
-    kept = [
+    headers = {path.with_suffix("") for path in candidates if path.suffix.lower() == ".hdr"}
+    candidates = [
         path
-        for path in kept
+        for path in candidates
         if path.suffix.lower() in (".hdr", *_TEXT_SUFFIXES)
         or (path.with_suffix("") not in headers and path not in headers)
     ]
-    return sorted(kept, key=lambda path: ([*_natural(path.stem.lower())], path.name))
+    return sorted(candidates, key=lambda path: ([*_natural(path.stem.lower())], path.name))
 
 
 def _goes_with_spectra(head: str) -> bool:
@@ -290,5 +284,120 @@ def _by_content(path: Path, options: _Options) -> xr.Dataset:
     if is_usgs(head):
         return library_of(read_usgs(path, scale=scale, wavelength=nm, fwhm=options.fwhm))
     read = read_ecostress if is_ecostress(head) else read_plain_table
-    found = read(path, scale=scale, wavelength=nm)
-    return library_of(found if options.fwhm is None else replace(found, fwhm=options.fwhm))
+    spectra = read(path, scale=scale, wavelength=nm)
+    return library_of(spectra if options.fwhm is None else replace(spectra, fwhm=options.fwhm))
+
+
+_MAX_SHOWN_DIFFERENCES = 10
+_OF_BANDS = ("wavelength", "fwhm", "good")
+
+
+def _joined(opened: Sequence[tuple[Path, xr.Dataset]]) -> xr.Dataset:
+    """Return one library of those that files hold, in their order; the coordinate `file` tells them apart.
+
+    Raises FormatError: Their wavelengths differ, or one has more than a spectrum for each paint; all are
+        listed.
+    """
+    import xarray as xr
+
+    opened = [(path, library.set_coords(_of_paints(library))) for path, library in opened]
+    libraries = [library for _, library in opened]
+    first_path, first = opened[0]
+    problems = Problems("the files cannot be made one library", FormatError)
+    for path, library in opened:
+        if not np.array_equal(library["wavelength"].values, first["wavelength"].values):
+            problems.add(f"{path.name} has {_grid(library)}, expected {_grid(first)} like {first_path.name}")
+        if more := sorted(str(name) for name, a in library.data_vars.items() if a.dims != (PAINT, BAND)):
+            problems.add(f"{path.name} has {', '.join(more)}; open it by itself")
+        if len(problems) >= _MAX_SHOWN_DIFFERENCES:
+            break
+    problems.raise_if_any()
+    notes = list(dict.fromkeys(text for library in libraries if (text := library.attrs.get("notes"))))
+    merged = xr.Dataset()
+    for name in dict.fromkeys(name for library in libraries for name in library.data_vars):
+        attrs = next(library[name].attrs for library in libraries if name in library)
+        values = [library[name].values if name in library else _unknown(library) for library in libraries]
+        merged[name] = ((PAINT, BAND), np.concatenate(values), attrs)
+    for name in _OF_BANDS:
+        having = [library[name] for library in libraries if name in library.coords]
+        if len(having) == len(libraries) and all(np.array_equal(a.values, having[0].values) for a in having):
+            merged = merged.assign_coords({name: having[0]})
+        elif having:
+            notes.append(f"{name} differs from file to file and is left out")
+    names = dict.fromkeys(name for lib in libraries for name, a in lib.coords.items() if a.dims == (PAINT,))
+    merged = merged.assign_coords({name: _column(name, libraries) for name in names})
+    files = text_column([path.name for path, library in opened for _ in range(library.sizes[PAINT])])
+    merged = merged.assign_coords(file=(PAINT, files, {"long_name": "File"}))
+    forms = dict.fromkeys(str(library.attrs.get("format", "")) for library in libraries)
+    merged.attrs = {
+        "title": "Spectral library",
+        "source": f"{len(opened)} files, {first_path.name} to {opened[-1][0].name}",
+        "format": ", ".join(filter(None, forms)),
+    }
+    if notes:
+        merged.attrs["notes"] = "; ".join(notes[:_MAX_SHOWN_DIFFERENCES])
+    return with_numbers_as_data(merged)
+
+
+def _of_paints(library: xr.Dataset) -> list[str]:
+    return [str(name) for name, array in library.data_vars.items() if array.dims == (PAINT,)]
+
+
+def _grid(library: xr.Dataset) -> str:
+    nm = library["wavelength"].values
+    return f"{nm.size} wavelengths from {nm[0]:g} to {nm[-1]:g} nm"
+
+
+def _unknown(library: xr.Dataset) -> Array:
+    return np.full((library.sizes[PAINT], library.sizes[BAND]), np.nan, np.float32)
+
+
+def _column(name: Any, libraries: Sequence[xr.Dataset]) -> tuple[str, Array, dict[str, Any]]:
+    """Return a coordinate of the paints, empty or NaN for those whose file does not say."""
+    having = [library[name] for library in libraries if name in library.coords]
+    kinds = {array.dtype.kind for array in having}
+    if kinds <= set("OUT"):
+        parts = [
+            list(lib[name].values) if name in lib.coords else [""] * lib.sizes[PAINT] for lib in libraries
+        ]
+        return PAINT, text_column([value for part in parts for value in part]), having[0].attrs
+    if len(kinds) == 1 and len(having) == len(libraries):
+        return PAINT, np.concatenate([array.values for array in having]), having[0].attrs
+    if kinds <= set("biuf"):
+        numbers = [
+            np.asarray(lib[name].values, np.float64)
+            if name in lib.coords
+            else np.full(lib.sizes[PAINT], np.nan)
+            for lib in libraries
+        ]
+        return PAINT, np.concatenate(numbers), having[0].attrs
+    texts = [
+        [str(v) for v in lib[name].values] if name in lib.coords else [""] * lib.sizes[PAINT]
+        for lib in libraries
+    ]
+    return PAINT, text_column([value for part in texts for value in part]), having[0].attrs
+
+
+# --- Zarr stores -------------------------------------------------------------------------------------------
+
+
+def _read_store(path: str | os.PathLike[str]) -> xr.Dataset:
+    """Open a library lazily.
+
+    Raises FormatError: The store is whole but holds no paint library; groups that do are named.
+    Raises StoreError: It is not whole, or no store.
+    """
+    from hyperpaint.io.store import list_groups, open_store
+
+    groups = list_groups(path)
+    if "" not in groups:
+        named = ", ".join(f"{os.fspath(path)}/{group}" for group in groups) or "none"
+        raise FormatError(f"{os.fspath(path)} holds no paint library at its root; groups found: {named}")
+    library = open_store(path)
+    rows = {name: LIBRARY_VARIABLES[name] for name in (PAINT, "reflectance", "wavelength")}
+    missing = [name for name in rows if name not in library.variables]
+    wrong = [row.dim_problem(library[name]) for name, row in rows.items() if name not in missing]
+    if missing or any(wrong):
+        reasons = "; ".join([f"{name!r} is missing" for name in missing] + [text for text in wrong if text])
+        raise FormatError(f"{os.fspath(path)} holds no paint library: {reasons}")
+    return library

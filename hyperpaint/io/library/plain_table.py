@@ -13,7 +13,7 @@ import numpy as np
 from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import FormatError, Problems
 
-from .spectra import Spectra, reflectances
+from .library_spectra import Spectra, reflectances
 from .text_spectra import in_nanometres, lines_of, number, wavelength_factor
 
 __all__ = ["read_plain_table"]
@@ -41,8 +41,8 @@ class _Dialect:
         cells = self.cells(line.strip(" "))
         if len(cells) < 2 or not cells[0].strip():
             return None
-        made = [number(cell.replace(",", ".") if self.comma else cell) for cell in cells]
-        return None if None in made else [value for value in made if value is not None]
+        numbers = [number(cell.replace(",", ".") if self.comma else cell) for cell in cells]
+        return None if None in numbers else [value for value in numbers if value is not None]
 
 
 _DIALECTS = (
@@ -59,20 +59,10 @@ def read_plain_table(path: Path, *, scale: float | None = None, wavelength: Floa
     ``#`` are comments. Where there is one spectrum and its heading says no more than "reflectance", it has
     the name of the file. The third of three columns is a standard deviation where its heading says so.
 
-    Parameters
-    ----------
-    path
-        The file.
-    scale
-        Value of a reflectance of one; by default 100 where the headings say percent, else 1.
-    wavelength
-        To be used in place of the first column [nm].
-
-    Raises
-    ------
-    FormatError
-        There is no table of numbers, or its first column holds no wavelengths, or the values are no
-        reflectance.
+    scale: Value of a reflectance of one; by default 100 where the headings say percent, else 1.
+    wavelength: To be used in place of the first column [nm].
+    Raises FormatError: There is no table of numbers, or its first column holds no wavelengths, or the values
+        are no reflectance.
     """
     source = path.name
     lines = lines_of(path, "a table of wavelengths and reflectance")
@@ -85,12 +75,11 @@ def read_plain_table(path: Path, *, scale: float | None = None, wavelength: Floa
     names, spread = _names(preamble, dialect, columns, path.stem)
     said = " ".join(preamble)
     heading = preamble[-1] if preamble else ""
-    if (found := _OTHER_QUANTITY.search(heading)) and not re.search("reflect", said, re.IGNORECASE):
-        raise FormatError(f"{source}: its heading says {found[0]!r}, expected reflectance")
+    if (other_quantity := _OTHER_QUANTITY.search(heading)) and not re.search("reflect", said, re.IGNORECASE):
+        raise FormatError(f"{source}: its heading says {other_quantity[0]!r}, expected reflectance")
     factor, note = wavelength_factor(said, table[:, 0], source)
-    values = reflectances(
-        table[:, 1:].T, source, said=100.0 if _PERCENT.search(heading) else None, given=scale
-    )
+    percent = 100.0 if _PERCENT.search(heading) else None
+    values = reflectances(table[:, 1:].T, source, said=percent, given=scale)
     return Spectra(
         source=source,
         form="table of text",
@@ -113,9 +102,7 @@ def _beginning(lines: Sequence[str], source: str) -> tuple[int, _Dialect, int]:
             # where the next line fits none, it is reported: no line of numbers is taken for a heading
             dialect = fitting[0] if fitting else rows[0][0]
             return at, dialect, next(len(row) for d, row in rows if d == dialect)
-    raise FormatError(
-        f"{source}: no table of numbers found, expected a wavelength and one or more values a line"
-    )
+    raise FormatError(f"{source}: no table of numbers, expected a wavelength and one or more values a line")
 
 
 def _numbers(lines: Sequence[str], first: int, dialect: _Dialect, columns: int, source: str) -> Floats:

@@ -19,7 +19,7 @@ from hyperpaint.base.arrays import Floats32, Ints
 from hyperpaint.base.errors import FormatError, Problems, SchemaError
 from hyperpaint.base.schema import BAND, LIBRARY_VARIABLES, MEMBER, PAINT
 
-from .spectra import text_column
+from .library_spectra import text_column
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -27,17 +27,9 @@ if TYPE_CHECKING:
     from .metadata import Metadata
 
 __all__ = [
-    "CENTRE",
-    "Block",
-    "Key",
-    "Placement",
-    "blocks_of",
-    "checked_library",
-    "names_of",
-    "placements",
-    "spectral_variables",
+    "CENTRE", "Key", "blocks_of", "checked_library", "names_of", "placements", "spectral_variables",
     "with_metadata",
-]
+]  # fmt: skip
 
 CENTRE = "reflectance"
 _BLOCK_BYTES = 16 * 2**20
@@ -51,24 +43,12 @@ Key = tuple[str, int, int]
 
 @dataclass(frozen=True, eq=False)
 class Block:
-    """Some records of one variable.
+    """Some records of one variable."""
 
-    Attributes
-    ----------
-    variable
-        Its name.
-    paint
-        (record), index of the paint.
-    inner
-        (record), place within the paint; -1 where it has but one.
-    values
-        (record, band) float32, contiguous.
-    """
-
-    variable: str
-    paint: Ints
-    inner: Ints
-    values: Floats32
+    variable: str  # its name
+    paint: Ints  # (record), index of the paint
+    inner: Ints  # (record), place within the paint; -1 where it has but one
+    values: Floats32  # (record, band) float32, contiguous
 
 
 # --- from a library ----------------------------------------------------------------------------------------
@@ -77,39 +57,35 @@ class Block:
 def checked_library(library: xr.Dataset) -> xr.Dataset:
     """Return a library in the units of the table; its values are not looked at.
 
-    Raises
-    ------
-    SchemaError
-        It is no paint library: variables are missing, or have other dims or units; all are listed.
+    Raises SchemaError: It is no paint library: variables are missing, or have other dims or units; all are
+        listed.
     """
     required = dict.fromkeys((PAINT, CENTRE, "wavelength"))
     required |= {name: None for name in LIBRARY_VARIABLES if name in library.variables}
-    known = [name for name in required if not _is_plain_number(library, name)]
-    found, wrong = schema.find(library, known, LIBRARY_VARIABLES)
+    names = [name for name in required if not _is_plain_number(library, name)]
+    variables, wrong = schema.find(library, names, LIBRARY_VARIABLES)
     problems = Problems("the library cannot be written", SchemaError)
     for problem in wrong:
         problems.add(problem)
-    for name in found:
+    for name in variables:
         wanted = np.dtype("object" if (kind := LIBRARY_VARIABLES[name].dtype) == "str" else kind).kind
         numeric = {"f": "fiu", "i": "iu", "u": "iu", "O": "OUT"}.get(wanted, wanted)
-        if found[name].dtype.kind not in numeric:
-            problems.add(f"{name!r} is {found[name].dtype}, expected {kind}")
-    if CENTRE in found and not found[CENTRE].size:
-        problems.add(f"reflectance is {dict(found[CENTRE].sizes)}, expected a paint and a band at least")
+        if variables[name].dtype.kind not in numeric:
+            problems.add(f"{name!r} is {variables[name].dtype}, expected {kind}")
+    if CENTRE in variables and not variables[CENTRE].size:
+        problems.add(f"reflectance is {dict(variables[CENTRE].sizes)}, expected a paint and a band at least")
     for other, array in library.variables.items():
         if {PAINT, BAND} < set(array.dims) and array.dtype.kind == "f" and array.ndim > 3:
             problems.add(f"{other!r} has dims {array.dims}, expected one beside paint and band at most")
     for name in ("wavelength", "fwhm", "good"):
-        if name in found and found[name].dims != (BAND,):
-            problems.add(f"{name!r} has dims {found[name].dims}, expected one value a band")
+        if name in variables and variables[name].dims != (BAND,):
+            problems.add(f"{name!r} has dims {variables[name].dims}, expected one value a band")
     problems.raise_if_any()
-    wavelength = np.asarray(found["wavelength"].values, np.float64)
+    wavelength = np.asarray(variables["wavelength"].values, np.float64)
     if not (np.isfinite(wavelength).all() and (wavelength > 0).all()):
-        raise SchemaError(
-            "wavelengths of the library are not all finite and above 0; drop those bands with .isel"
-        )
-    return library.assign_coords({n: v for n, v in found.items() if n in library.coords}).assign(
-        {n: v for n, v in found.items() if n not in library.coords}
+        raise SchemaError("wavelengths of the library are not all finite and above 0; drop those with .isel")
+    return library.assign_coords({n: v for n, v in variables.items() if n in library.coords}).assign(
+        {n: v for n, v in variables.items() if n not in library.coords}
     )
 
 
@@ -123,10 +99,7 @@ def _is_plain_number(library: xr.Dataset, name: str) -> bool:
 def names_of(library: xr.Dataset) -> list[str]:
     """Return the names of the paints.
 
-    Raises
-    ------
-    SchemaError
-        They are no texts, or hold characters that end lines; all are listed.
+    Raises SchemaError: They are no texts, or hold characters that end lines; all are listed.
     """
     problems = Problems("the library cannot be written", SchemaError)
     names: list[Any] = library[PAINT].values.tolist()
@@ -143,12 +116,12 @@ def names_of(library: xr.Dataset) -> list[str]:
 
 def spectral_variables(library: xr.Dataset) -> list[str]:
     """Return the names of what has a value at every band of a paint: the centre first, members last."""
-    found = [
+    names = [
         str(name)
         for name, variable in library.variables.items()
         if {PAINT, BAND} <= set(variable.dims) and variable.dtype.kind == "f" and variable.ndim <= 3
     ]
-    return sorted(found, key=lambda name: (name != CENTRE, MEMBER in library[name].dims))
+    return sorted(names, key=lambda name: (name != CENTRE, MEMBER in library[name].dims))
 
 
 def blocks_of(library: xr.Dataset, names: Iterable[str]) -> Iterator[Block]:
@@ -166,13 +139,13 @@ def blocks_of(library: xr.Dataset, names: Iterable[str]) -> Iterator[Block]:
                 places = np.arange(start, stop)
                 yield Block(name, places, np.full(stop - start, -1), np.ascontiguousarray(values))
                 continue
-            kept = np.ones(values.shape[:2], np.bool_)
+            is_stored = np.ones(values.shape[:2], np.bool_)
             if inner == [MEMBER]:
-                known: npt.NDArray[np.bool_] = np.any(~np.isnan(values), axis=2)
+                has_value: npt.NDArray[np.bool_] = np.any(~np.isnan(values), axis=2)
                 # up to the last member that has a value
-                kept[:] = np.logical_or.accumulate(known[:, ::-1], axis=1)[:, ::-1]
-            paint, place = np.nonzero(kept)
-            yield Block(name, paint + start, place, values[kept])
+                is_stored[:] = np.logical_or.accumulate(has_value[:, ::-1], axis=1)[:, ::-1]
+            paint, place = np.nonzero(is_stored)
+            yield Block(name, paint + start, place, values[is_stored])
 
 
 def _pieces(array: xr.DataArray) -> Iterator[tuple[int, int]]:
@@ -195,22 +168,12 @@ def _pieces(array: xr.DataArray) -> Iterator[tuple[int, int]]:
 
 @dataclass(frozen=True, eq=False)
 class Placement:
-    """Where the records of one variable belong.
+    """Where the records of one variable belong."""
 
-    Attributes
-    ----------
-    records
-        (record), their numbers in the file, ascending.
-    paint, inner
-        (record), as in `Block`.
-    values
-        Filled by `put`; NaN elsewhere.
-    """
-
-    records: Ints
-    paint: Ints
+    records: Ints  # (record), their numbers in the file, ascending
+    paint: Ints  # (record), as in `Block`
     inner: Ints
-    values: Floats32
+    values: Floats32  # filled by `put`; NaN elsewhere
 
     def put(self, first: int, rows: Floats32) -> None:
         """Place those of consecutive records, of which ``first`` is the first, that belong here."""
@@ -225,13 +188,10 @@ class Placement:
 def placements(keys: Sequence[Key], paints: int, bands: int, source: str) -> dict[str, Placement]:
     """Return where every record belongs, by variable.
 
-    Raises
-    ------
-    FormatError
-        Records are given twice, or some are missing; or so few paints have so many members that the
-        library would be mostly padding.
+    Raises FormatError: Records are given twice, or some are missing; or so few paints have so many members
+        that the library would be mostly padding.
     """
-    made: dict[str, Placement] = {}
+    by_variable: dict[str, Placement] = {}
     for variable in dict.fromkeys(key[0] for key in keys):
         records = np.array([at for at, key in enumerate(keys) if key[0] == variable], np.int64)
         paint = np.array([keys[at][1] for at in records], np.int64)
@@ -249,8 +209,8 @@ def placements(keys: Sequence[Key], paints: int, bands: int, source: str) -> dic
                 f"{source}: {len(records)} records of {variable!r} would need {cells} cells; is it damaged?"
             )
         values = np.full((paints, *places, bands), np.nan, np.float32)
-        made[variable] = Placement(records, paint, inner, values)
-    return made
+        by_variable[variable] = Placement(records, paint, inner, values)
+    return by_variable
 
 
 def _most_cells(stored: int) -> int:
@@ -262,77 +222,69 @@ def with_metadata(
     data: Mapping[str, Floats32],
     axes: Mapping[str, Any],
     names: Sequence[str],
-    told: Metadata | None,
+    metadata: Metadata | None,
     source: str,
 ) -> xr.Dataset:
     """Return spectra and their metadata as the library that was written.
 
-    Parameters
-    ----------
-    data
-        Values of the variables, (paint, band) or (paint, place, band).
-    axes
-        Wavelengths and what else the file of spectra itself says of the bands.
-    names
-        Of the paints, as the file of spectra spells them; the metadata's own win.
-    told
-        The metadata; None where they are lost.
-    source
-        Names the file in messages.
-
-    Raises
-    ------
-    FormatError
-        The two do not go together.
+    data: Values of the variables, (paint, band) or (paint, place, band).
+    axes: Wavelengths and what else the file of spectra itself says of the bands.
+    names: Of the paints, as the file of spectra spells them; the metadata's own win.
+    metadata: None where it is lost.
+    Raises FormatError: The two do not go together.
     """
     import xarray as xr
 
     rows = LIBRARY_VARIABLES
     problems = Problems(f"{source} and its metadata do not go together", FormatError)
-    made = xr.Dataset()
+    library = xr.Dataset()
     for name, values in data.items():
-        dims, attrs = _dims_and_attrs(name, values.ndim, told)
+        dims, attrs = _dims_and_attrs(name, values.ndim, metadata)
         if len(dims) != values.ndim or dims[0] != PAINT or dims[-1] != BAND:
             problems.add(f"{name!r} has dims {dims} in the metadata, found {values.ndim}")
             continue
-        if values.ndim == 3 and told is not None:
-            values = _widened(values, told.sizes.get(dims[1]))
-        if any(made.sizes.get(dim, size) != size for dim, size in zip(dims, values.shape, strict=True)):
-            problems.add(f"{name!r} is {values.shape}, expected {dict(made.sizes)}")
+        if values.ndim == 3 and metadata is not None:
+            values = _widened(values, metadata.sizes.get(dims[1]))
+        if any(library.sizes.get(dim, size) != size for dim, size in zip(dims, values.shape, strict=True)):
+            problems.add(f"{name!r} is {values.shape}, expected {dict(library.sizes)}")
             continue
-        made[name] = (dims, values, attrs)
-    if told is not None:
-        for missing in told.spectra.keys() - data.keys():
+        library[name] = (dims, values, attrs)
+    if metadata is not None:
+        for missing in sorted(metadata.spectra.keys() - data.keys()):
             problems.add(f"{missing[:60]!r} has no record in the file")
     problems.raise_if_any()
-    found = {name: (BAND, values, rows[name].attrs) for name, values in axes.items() if values is not None}
-    coords: dict[str, Any] = {PAINT: (PAINT, text_column(names), rows[PAINT].attrs), **found}
-    if told is None:
-        return made.assign_coords(coords).assign_attrs(title="Spectral library", source=source)
-    return _told(made, coords, told, problems)
+    coords: dict[str, Any] = {PAINT: (PAINT, text_column(names), rows[PAINT].attrs)}
+    coords |= {name: (BAND, values, rows[name].attrs) for name, values in axes.items() if values is not None}
+    if metadata is None:
+        return library.assign_coords(coords).assign_attrs(title="Spectral library", source=source)
+    return _with_variables(library, coords, metadata, problems)
 
 
-def _told(made: xr.Dataset, coords: dict[str, Any], told: Metadata, problems: Problems) -> xr.Dataset:
-    clash = told.variables.keys() & made.variables.keys()
+def _with_variables(
+    library: xr.Dataset, coords: dict[str, Any], metadata: Metadata, problems: Problems
+) -> xr.Dataset:
+    clash = metadata.variables.keys() & library.variables.keys()
     for name in sorted(clash):
         problems.add(f"{name[:60]!r} is both among the spectra and in the metadata")
-    for name, (dims, values, _) in told.variables.items():
+    for name, (dims, values, _) in metadata.variables.items():
         if name in coords and name != PAINT and not np.array_equal(values, coords[name][1]):
             problems.add(f"{name!r} differs; they are of two libraries")
-        if any(made.sizes.get(dim, size) != size for dim, size in zip(dims, values.shape, strict=True)):
-            problems.add(f"{name[:60]!r} is {values.shape} on {dims}, expected {dict(made.sizes)}")
-        if name in made.dims and dims != (name,):
+        if any(library.sizes.get(dim, size) != size for dim, size in zip(dims, values.shape, strict=True)):
+            problems.add(f"{name[:60]!r} is {values.shape} on {dims}, expected {dict(library.sizes)}")
+        if name in library.dims and dims != (name,):
             problems.add(f"{name!r} names a dim, expected it on that dim alone")
     problems.raise_if_any()
-    variables = {name: (dims, values, attrs) for name, (dims, values, attrs) in told.variables.items()}
-    missing = {name: coord for name, coord in coords.items() if name not in variables}
-    made = made.assign(variables).assign_coords(missing)
-    return made.set_coords(sorted(told.coordinates & set(map(str, made.variables)))).assign_attrs(told.attrs)
+    missing = {name: coord for name, coord in coords.items() if name not in metadata.variables}
+    library = library.assign(metadata.variables).assign_coords(missing)
+    coordinates = sorted(metadata.coordinates & set(map(str, library.variables)))
+    return library.set_coords(coordinates).assign_attrs(metadata.attrs)
 
 
-def _dims_and_attrs(name: str, ndim: int, told: Metadata | None) -> tuple[tuple[str, ...], dict[str, Any]]:
-    if told is not None and name in told.spectra:
-        return told.spectra[name]
+def _dims_and_attrs(
+    name: str, ndim: int, metadata: Metadata | None
+) -> tuple[tuple[str, ...], dict[str, Any]]:
+    if metadata is not None and name in metadata.spectra:
+        return metadata.spectra[name]
     row = LIBRARY_VARIABLES.get(name)
     if row is not None and len(row.dims) == ndim:
         return row.dims, dict(row.attrs)
@@ -343,6 +295,6 @@ def _widened(values: Floats32, size: int | None) -> Floats32:
     """Return members with the padding that they had; what would be out of proportion is left away."""
     if size is None or not values.shape[1] <= size <= 8 * max(values.shape[1], 8):
         return values
-    made = np.full((values.shape[0], size, values.shape[2]), np.nan, np.float32)
-    made[:, : values.shape[1]] = values
-    return made
+    widened = np.full((values.shape[0], size, values.shape[2]), np.nan, np.float32)
+    widened[:, : values.shape[1]] = values
+    return widened

@@ -11,7 +11,7 @@ from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import FormatError, Problems
 from hyperpaint.io.files.reading import decoded_text, read_limited_text
 
-__all__ = ["MOST_BYTES", "in_nanometres", "lines_of", "number", "numbers_of_lines", "wavelength_factor"]
+__all__ = ["in_nanometres", "lines_of", "number", "numbers_of_lines", "wavelength_factor"]
 
 MOST_BYTES = 32 * 2**20
 """Bytes of a text file that is read whole: 100,000 bands of 30 spectra."""
@@ -26,10 +26,7 @@ _OTHER = re.compile(r"\b(?:wave ?numbers?|cm\^?-1|1/cm|angstroms?|[GT]Hz)\b", re
 def lines_of(path: Path, expected: str) -> list[str]:
     """Return the lines of a text file, in UTF-8 or else latin-1.
 
-    Raises
-    ------
-    FormatError
-        The file cannot be read, is too large, or is no text.
+    Raises FormatError: The file cannot be read, is too large, or is no text.
     """
     raw = read_limited_text(path, MOST_BYTES, expected)
     if b"\0" in raw:
@@ -57,21 +54,9 @@ def number(text: str) -> float | None:
 def numbers_of_lines(lines: list[str], first: int, columns: int, source: str) -> Floats:
     """Return lines of blank-separated numbers, (line, column); empty lines are passed over.
 
-    Parameters
-    ----------
-    lines
-        Of the whole file.
-    first
-        Index of the first line of numbers.
-    columns
-        Numbers of each line.
-    source
-        Names the file in messages.
-
-    Raises
-    ------
-    FormatError
-        Lines hold something else; the first are listed.
+    first: Index of the first line of numbers.
+    columns: Numbers of each line.
+    Raises FormatError: Lines hold something else; the first are listed.
     """
     problems = Problems(f"{source} cannot be read", FormatError)
     rows = []
@@ -93,33 +78,23 @@ def numbers_of_lines(lines: list[str], first: int, columns: int, source: str) ->
 def in_nanometres(values: Floats, factor: float) -> Floats:
     """Return wavelengths [nm]; those of a damaged file may become infinite, which is refused later."""
     with np.errstate(over="ignore"):
-        made: Floats = values * factor
-    return made
+        nanometres: Floats = values * factor
+    return nanometres
 
 
 def wavelength_factor(text: str, wavelength: Floats, source: str) -> tuple[float, str]:
     """Return the nanometres of one unit of the wavelengths, and a note where that is inferred.
 
-    Parameters
-    ----------
-    text
-        What the file says of its wavelengths; may be empty.
-    wavelength
-        Their numbers.
-    source
-        Names the file in messages.
-
-    Raises
-    ------
-    FormatError
-        They are no wavelengths, but wavenumbers, say.
+    text: What the file says of its wavelengths; may be empty.
+    wavelength: Their numbers.
+    Raises FormatError: They are no wavelengths, but wavenumbers, say.
     """
     if _MICROMETRE.search(text):
         return 1e3, ""
     if _NANOMETRE.search(text):
         return 1.0, ""
-    if found := _OTHER.search(text):
-        raise FormatError(f"{source}: x in {found[0]!r}, expected wavelengths in nm or um; pass wavelength=")
+    if other_unit := _OTHER.search(text):
+        raise FormatError(f"{source}: x in {other_unit[0]!r}, expected nm or um; pass wavelength=")
     if wavelength.size and float(np.nanmax(wavelength)) < 100.0:
         return 1e3, "no wavelength units: values below 100 taken as micrometres"
     return 1.0, "no wavelength units: values taken as nanometres"

@@ -14,16 +14,14 @@ import numpy as np
 from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import FormatError
 
-from .spectra import Spectra, reflectances, text_column
+from .library_spectra import Spectra, reflectances, text_column
 from .text_spectra import in_nanometres, lines_of, numbers_of_lines, wavelength_factor
 
 __all__ = ["is_usgs", "is_usgs_axis", "read_usgs", "read_usgs_axis"]
 
 _TITLE = re.compile(r"\s*(\S{1,40})\s+Record\s*=\s*(\d{1,9})\s*:\s*(.*?)\s*$", re.IGNORECASE)
 _SPECTRUM = re.compile(r"(.*?)\s+(\S+)\s+([A-Z]{4})$")
-_AXIS = re.compile(
-    r"\s*\S{1,40}\s+Record\s*=\s*\d{1,9}\s*:\s*(?:wave|bandpass|resolution|fwhm)", re.IGNORECASE
-)
+_AXIS = re.compile(r"\s*\S{1,40}\s+Record\s*=\s*\d{1,9}\s*:\s*(?:wave|bandpass|resolution|fwhm)", re.I)
 _SPECTROMETERS = ("BECK", "NIC4", "AVIRIS", "ASD")
 _MOST_CANDIDATES = 64
 _LEVELS = 3  # chapters lie in folders of their own
@@ -40,38 +38,26 @@ def is_usgs_axis(head: str) -> bool:
 
 
 def read_usgs(
-    path: Path,
-    *,
-    scale: float | None = None,
-    wavelength: Floats | None = None,
-    fwhm: Floats | None = None,
+    path: Path, *, scale: float | None = None, wavelength: Floats | None = None, fwhm: Floats | None = None
 ) -> Spectra:
     """Read a spectrum of the USGS library.
 
-    Parameters
-    ----------
-    path
-        The file.
-    scale
-        Value of a reflectance of one, 1 by default.
-    wavelength, fwhm
-        Of the bands [nm]; by default those of files beside the spectrum, or in the two folders above it.
-
-    Raises
-    ------
-    FormatError
-        The numbers are not as they should be; it is no reflectance; or its wavelengths cannot be found.
+    scale: Value of a reflectance of one, 1 by default.
+    wavelength, fwhm: Of the bands [nm]; by default those of files beside the spectrum, or in the two folders
+        above it.
+    Raises FormatError: The numbers are not as they should be; it is no reflectance; or its wavelengths cannot
+        be found.
     """
     source = path.name
     title, values = _column(path)
     record = _TITLE.match(title)
-    told = record[3] if record else title.strip()
-    parts = _SPECTRUM.fullmatch(told)
-    name, spectrometer, measurement = parts.groups() if parts else (told, "", "")
+    heading = record[3] if record else title.strip()
+    parts = _SPECTRUM.fullmatch(heading)
+    name, spectrometer, measurement = parts.groups() if parts else (heading, "", "")
     if is_usgs_axis(title):
-        raise FormatError(f"{source}: {told[:60]!r} are no spectrum; pass the file as wavelength= or fwhm=")
+        raise FormatError(f"{source}: {heading[:60]!r} is no spectrum; pass the file as wavelength= or fwhm=")
     if measurement == "TRAN":
-        raise FormatError(f"{source}: {told[:60]!r} is a transmittance, expected reflectance")
+        raise FormatError(f"{source}: {heading[:60]!r} is a transmittance, expected reflectance")
     notes: list[str] = []
     nm = _axis(path, "wave", values.size, spectrometer, notes) if wavelength is None else wavelength
     if nm is None:
@@ -85,15 +71,10 @@ def read_usgs(
     if record:
         columns |= {"library": record[1], "record": record[2]}
     return Spectra(
-        source=source,
-        form="USGS spectral library text",
-        names=[name],
-        wavelength=nm,
-        fwhm=width,
+        source=source, form="USGS spectral library text", names=[name], wavelength=nm, fwhm=width,
         reflectance=reflectances(values[None, :], source, said=None, given=scale),
-        columns={key: text_column([value]) for key, value in columns.items()},
-        notes=notes,
-    )
+        columns={key: text_column([value]) for key, value in columns.items()}, notes=notes,
+    )  # fmt: skip
 
 
 def _column(path: Path) -> tuple[str, Floats]:
@@ -108,10 +89,7 @@ def _column(path: Path) -> tuple[str, Floats]:
 def read_usgs_axis(path: Path) -> tuple[Floats, str]:
     """Return the wavelengths or bandwidths that a file of the library holds [nm], and a note on their units.
 
-    Raises
-    ------
-    FormatError
-        The file is damaged, or holds something else.
+    Raises FormatError: The file is damaged, or holds something else.
     """
     title, values = _column(path)
     factor, note = wavelength_factor(title.replace("_", " "), values, path.name)
@@ -122,24 +100,22 @@ def read_usgs_axis(path: Path) -> tuple[Floats, str]:
 
 def _axis(path: Path, kind: str, count: int, spectrometer: str, notes: list[str]) -> Floats | None:
     """Return the wavelengths or bandwidths found near a spectrum; None where none has as many values."""
-    found = {}
+    axes = {}
     for file in _candidates(path, kind):
         try:
             values, note = read_usgs_axis(file)
         except FormatError:
             continue
         if values.size == count:
-            found[file] = (values, note)
+            axes[file] = (values, note)
     code = next((code for code in _SPECTROMETERS if spectrometer.upper().startswith(code)), None)
-    if len(found) > 1 and code:
-        found = {file: axis for file, axis in found.items() if code in file.name.upper()} or found
-    if len({values.tobytes() for values, _ in found.values()}) > 1:
-        listed = ", ".join(sorted(file.name for file in found))
+    if len(axes) > 1 and code:
+        axes = {file: axis for file, axis in axes.items() if code in file.name.upper()} or axes
+    if len({values.tobytes() for values, _ in axes.values()}) > 1:
+        listed = ", ".join(sorted(file.name for file in axes))
         option = "wavelength=" if kind == "wave" else "fwhm="
-        raise FormatError(
-            f"{path.name}: {listed} have {count} values each; pass {option}, the one that belongs to it"
-        )
-    for file, (values, note) in found.items():
+        raise FormatError(f"{path.name}: {listed} have {count} values each; pass {option}, the right one")
+    for file, (values, note) in axes.items():
         notes.append(f"{'wavelengths' if kind == 'wave' else 'fwhm'} of {file.name}{note and ': ' + note}")
         return values
     return None
@@ -154,9 +130,7 @@ def _candidates(path: Path, kind: str) -> list[Path]:
             names = sorted(entry.name for entry in above.iterdir())
         except OSError:
             continue
-        fitting = [
-            name for name in names if name.lower().endswith(".txt") and any(w in name.lower() for w in words)
-        ]
+        fitting = [n for n in names if n.lower().endswith(".txt") and any(w in n.lower() for w in words)]
         if kind != "wave":  # spectra convolved to another spectrometer say so in their names
             fitting = [name for name in fitting if "wavelength" not in name.lower()]
         if fitting:

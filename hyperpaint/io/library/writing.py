@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING, Any
 
 from hyperpaint.base.arrays import Progress
 from hyperpaint.base.errors import FormatError
+from hyperpaint.base.schema import PAINT
 
 from .csv_library import write_csv_library
-from .ecostress_writing import write_ecostress_library
-from .envi_writing import write_envi_library
+from .ecostress import write_ecostress_library
+from .envi_library import write_envi_library
 from .records import checked_library
-from .zarr_library import write_zarr_library
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -22,11 +22,26 @@ if TYPE_CHECKING:
 __all__ = ["FORMATS", "write_library"]
 
 
+def _write_store(library: xr.Dataset, path: Path, *, overwrite: bool, progress: Progress | None) -> None:
+    """Write a checked library with `hyperpaint.to_store`.
+
+    Raises StoreError: As `hyperpaint.to_store`.
+    """
+    from hyperpaint.io.store import to_store
+
+    total = library.sizes[PAINT]
+    if progress is not None:
+        progress(0, total)
+    to_store(library, path, overwrite=overwrite)
+    if progress is not None:
+        progress(total, total)
+
+
 _WRITERS: dict[str, Callable[..., Any]] = {
     "envi": write_envi_library,
     "ecostress": write_ecostress_library,
     "csv": write_csv_library,
-    "zarr": write_zarr_library,
+    "zarr": _write_store,
 }
 FORMATS = tuple(_WRITERS)
 """Names of the formats."""
@@ -105,9 +120,9 @@ def write_library(
     path = Path(path)
     chosen = _OF_SUFFIX.get(path.suffix.lower()) if format is None else format
     if chosen not in _WRITERS:
-        found = f"format {format!r}" if format is not None else f"no format of the suffix {path.suffix!r}"
+        given = f"format {format!r}" if format is not None else f"no format of the suffix {path.suffix!r}"
         raise FormatError(
-            f"{found}; expected format= one of {', '.join(FORMATS)}, or a suffix .sli, .csv or .zarr"
+            f"{given}; expected format= one of {', '.join(FORMATS)}, or suffix .sli, .csv, .zarr"
         )
     path = _named(path, chosen)
     _WRITERS[chosen](checked_library(library), path, overwrite=overwrite, progress=progress)

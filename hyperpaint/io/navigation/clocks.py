@@ -19,17 +19,9 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 __all__ = [
-    "LEAP_SECONDS",
-    "LEAP_SECONDS_EXPIRY",
-    "NAT",
-    "NS_PER_S",
-    "Clock",
-    "ClockCorrection",
-    "bracket",
-    "gps_to_utc",
-    "overlap",
-    "tie_clock",
-]
+    "LEAP_SECONDS", "LEAP_SECONDS_EXPIRY", "NAT", "NS_PER_S", "Clock", "ClockCorrection", "bracket",
+    "gps_to_utc", "overlap", "tie_clock",
+]  # fmt: skip
 
 LEAP_SECONDS: Mapping[str, int] = {
     "1980-01-06": 0, "1981-07-01": 1, "1982-07-01": 2, "1983-07-01": 3, "1985-07-01": 4, "1988-01-01": 5,
@@ -47,7 +39,7 @@ NAT = np.iinfo(np.int64).min
 
 NS_PER_S = 1_000_000_000
 _NS_PER_US = 1000
-_LARGEST_OFFSET = 1e9
+_MAX_OFFSET_S = 1e9
 _DAY = 86_400_000_000  # us
 _CLOCK_STEP = 200 * 1_000_000  # ns: no two clocks drift this far apart between neighbouring rows
 
@@ -55,22 +47,10 @@ _CLOCK_STEP = 200 * 1_000_000  # ns: no two clocks drift this far apart between 
 def gps_to_utc(gps: NDArray[np.int64], leap_seconds: int | None = None) -> NDArray[np.int64]:
     """Turn GPS time into UTC.
 
-    Parameters
-    ----------
-    gps
-        Nanoseconds since 1970-01-01 as a GPS clock shows them, any shape.
-    leap_seconds
-        GPS minus UTC [s]; by default from `LEAP_SECONDS`.
-
-    Warns
-    -----
-    PaintWarning
-        Times beyond `LEAP_SECONDS_EXPIRY`, ``leap_seconds`` not given.
-
-    Raises
-    ------
-    TimeError
-        Times before GPS time began.
+    gps: Nanoseconds since 1970-01-01 as a GPS clock shows them, any shape.
+    leap_seconds: GPS minus UTC [s]; by default from `LEAP_SECONDS`.
+    Warns PaintWarning: Times beyond `LEAP_SECONDS_EXPIRY`, ``leap_seconds`` not given.
+    Raises TimeError: Times before GPS time began.
 
     Examples
     --------
@@ -99,26 +79,17 @@ def gps_to_utc(gps: NDArray[np.int64], leap_seconds: int | None = None) -> NDArr
 
 @dataclass(frozen=True)
 class ClockCorrection:
-    """How the time stamps of a navigation record become UTC.
+    """How the time stamps of a navigation record become UTC."""
 
-    Attributes
-    ----------
-    offset_s
-        UTC = stamp + ``offset_s`` [s].
-    time_scale
-        What the stamps count: ``"utc"``, or ``"gps"``, from which leap seconds are taken.
-    leap_seconds
-        GPS minus UTC [s] where `LEAP_SECONDS` is not to be used.
-    """
-
-    offset_s: float = 0.0
+    offset_s: float = 0.0  # UTC = stamp + ``offset_s`` [s]
+    # What the stamps count: ``"utc"``, or ``"gps"``, from which leap seconds are taken
     time_scale: Literal["utc", "gps"] = "utc"
-    leap_seconds: int | None = None
+    leap_seconds: int | None = None  # GPS minus UTC [s] where `LEAP_SECONDS` is not to be used
 
     def __post_init__(self) -> None:
-        if not abs(self.offset_s) <= _LARGEST_OFFSET:
+        if not abs(self.offset_s) <= _MAX_OFFSET_S:
             raise TimeError(
-                f"a clock offset of {self.offset_s} s; expected at most {_LARGEST_OFFSET:g} s either way"
+                f"clock offset {self.offset_s} s, expected at most {_MAX_OFFSET_S:g} s either way"
             )
         if self.time_scale not in ("utc", "gps"):
             raise TimeError(f"time_scale {self.time_scale!r}, expected 'utc' or 'gps'")
@@ -132,24 +103,12 @@ class ClockCorrection:
 
 @dataclass(frozen=True)
 class Clock:
-    """A clock tied to UTC at knots, straight between them.
+    """A clock tied to UTC at knots, straight between them."""
 
-    Attributes
-    ----------
-    stamp
-        Microseconds of the clock, strictly increasing, (knot,).
-    utc
-        Nanoseconds since 1970-01-01, strictly increasing, (knot,).
-    source
-        Says where the knots come from.
-    daily
-        The stamps are times of day, so that one past midnight may be a day early or late.
-    """
-
-    stamp: NDArray[np.int64]
-    utc: NDArray[np.int64]
-    source: str
-    daily: bool = False
+    stamp: NDArray[np.int64]  # microseconds of the clock, strictly increasing, (knot,)
+    utc: NDArray[np.int64]  # nanoseconds since 1970-01-01, strictly increasing, (knot,)
+    source: str  # says where the knots come from
+    daily: bool = False  # the stamps are times of day, so that one past midnight may be a day early or late
 
     def at(self, stamp: NDArray[np.int64]) -> NDArray[np.datetime64]:
         """Return UTC [datetime64[ns]] at stamps, NaT before the first and after the last knot."""
@@ -193,9 +152,7 @@ def tie_clock(
     check_increasing(stamp, rows, source)
     backwards = rows[1:][np.diff(utc) < 0]
     if backwards.size:
-        raise TimeError(
-            f"{source}: UTC runs backwards in {name_rows(backwards)}; delete or re-order these rows"
-        )
+        raise TimeError(f"{source}: UTC runs backwards in {name_rows(backwards)}; delete or re-order them")
     # a receiver slower than the log repeats its time: a new value counts from its first row
     first = np.concatenate([[True], np.diff(utc) > 0])
     stamp, utc, rows = stamp[first], utc[first], rows[first]

@@ -95,13 +95,13 @@ def read_control_points(path: str | Path) -> xr.Dataset:
         else:
             for name in _NUMBERS:
                 numbers[name].append(_number(row[header.index(name)], name, number, problems))
-            for name, found in cells.items():
-                found.append(row[header.index(name)].strip()[:200] if name in header else "")
+            for name, column in cells.items():
+                column.append(row[header.index(name)].strip()[:200] if name in header else "")
         if len(problems) >= _MOST_SHOWN:
             break
     problems.raise_if_any()
     keys = {name: f"{name}_pixel" if name.endswith("_track") else name for name in _NUMBERS}
-    made = xr.Dataset(
+    points = xr.Dataset(
         {
             keys[name]: ("point", np.array(values), {"units": "1" if name.endswith("_track") else "m"})
             for name, values in numbers.items()
@@ -112,8 +112,8 @@ def read_control_points(path: str | Path) -> xr.Dataset:
     for comment in comments:
         key, _, value = comment.lstrip("# \t").partition(":")
         if key.strip().lower() == "crs" and value.strip():
-            made.attrs["crs"] = value.strip()[:10_000]
-    return made
+            points.attrs["crs"] = value.strip()[:10_000]
+    return points
 
 
 def _cells(line: str, mark: str) -> list[str]:
@@ -129,9 +129,9 @@ def _plain(cell: str) -> str:
 
 def _number(cell: str, name: str, line: int, problems: Problems) -> float:
     try:
-        found = float(cell)
+        number = float(cell)
     except ValueError:
-        found = float("nan")
-    if not abs(found) <= _LARGEST:
+        number = float("nan")
+    if not abs(number) <= _LARGEST:
         problems.add(f"line {line}: {name} {cell[:40]!r}, expected a finite number")
-    return found
+    return number

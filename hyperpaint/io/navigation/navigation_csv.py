@@ -15,9 +15,17 @@ from hyperpaint.base.errors import FormatError, Problems, SchemaError, UnitsErro
 from hyperpaint.base.units import conversion_factor
 from hyperpaint.io.flightline.headwall import Table, name_rows, read_text
 
-from .gps_weeks import GPS_EPOCH, WEEK_S, nanoseconds, unwrap_weeks
 from .navigation_records import limited_numbers
-from .pose_records import POSE, PoseRecord, check_poses, check_time_order
+from .pose_records import (
+    GPS_EPOCH,
+    POSE,
+    WEEK_S,
+    PoseRecord,
+    check_poses,
+    check_time_order,
+    nanoseconds,
+    unwrap_weeks,
+)
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -45,6 +53,7 @@ _CLOCKS: Mapping[str, str] = {
     **dict.fromkeys(("time of week", "gps time of week", "gps seconds of week", "tow", "sow"), "week"),
     **dict.fromkeys(("unix time", "posix time", "epoch time", "unix"), "unix"),
 }
+_ANGLES = ("roll", "pitch", "heading")
 _UNIT_SUFFIXES = ("deg", "degree", "degrees", "rad", "radian", "radians", "m", "s", "ms", "us", "ns")
 _CELL = re.compile(r"(?P<name>[^\[(]*)(?:[\[(](?P<unit>[^\])]*)[\])])?")
 _STAMP = re.compile(
@@ -67,8 +76,8 @@ def is_navigation_csv(head: bytes) -> bool:
     """Tell from its first bytes whether a file is such a table: its header names a place and an attitude."""
     lines = head.decode("latin-1").removeprefix("\xef\xbb\xbf").splitlines()
     first = next((line for line in lines if line.strip() and not line.lstrip().startswith("#")), "")
-    found = {_ALIASES.get(_column(cell).key) for cell in re.split("[,;\t]", first, maxsplit=_MOST_COLUMNS)}
-    return {"latitude", "longitude", "roll", "pitch"} <= found
+    names = {_ALIASES.get(_column(cell).key) for cell in re.split("[,;\t]", first, maxsplit=_MOST_COLUMNS)}
+    return {"latitude", "longitude", "roll", "pitch"} <= names
 
 
 def read_navigation_csv(path: str | Path) -> PoseRecord:
@@ -82,22 +91,9 @@ def read_navigation_csv(path: str | Path) -> PoseRecord:
     the header declare fields of the `hyperpaint.base.attitude_conventions.Convention`, ``gps_week``,
     ``leap_seconds`` and ``time_scale``.
 
-    Parameters
-    ----------
-    path
-        The file.
-
-    Returns
-    -------
-    PoseRecord
-        Angles in radian where all three are, else in degree.
-
-    Raises
-    ------
-    FormatError
-        Columns or units are missing, or cells are not what the header says; all are listed.
-    TimeError
-        Time runs backwards.
+    Returns PoseRecord: Angles in radian where all three are, else in degree.
+    Raises FormatError: Columns or units are missing, or cells are not what the header says; all are listed.
+    Raises TimeError: Time runs backwards.
     """
     path = Path(path)
     comments, header, table = _split(path)
@@ -108,32 +104,26 @@ def read_navigation_csv(path: str | Path) -> PoseRecord:
     unit = _angle_unit(columns, convention, "angle_unit" not in assumed, problems)
     values: dict[str, NDArray[np.float64]] = {}
     for name in POSE:
-        wanted = unit if name in ("roll", "pitch", "heading") else "m" if name == "altitude" else "degree"
+        wanted = unit if name in _ANGLES else "m" if name == "altitude" else "degree"
         values[name] = _values(table, columns[name], wanted, problems)
-    stamp, known, clock = _stamps(table, columns["time"], said, problems)
+    stamp, has_time, clock = _stamps(table, columns["time"], said, problems)
     if not len(problems):  # the same cells would be named twice
         check_poses(values, unit, problems, "row")
     problems.raise_if_any()
-    if not known.any():
+    if not has_time.any():
         raise FormatError(f"{path}: no row with a time")
-    kept = stamp[known]
+    timed_stamps = stamp[has_time]
     if clock == "week":
-        kept = unwrap_weeks(kept)
-    check_time_order(path.name, kept, "row")
-    left_out = int((~known).sum())
+        timed_stamps = unwrap_weeks(timed_stamps)
+    check_time_order(path.name, timed_stamps, "row")
+    left_out = int((~has_time).sum())
     return PoseRecord(
-        path.name,
-        "csv",
-        kept,
-        "week" if clock == "week" else "1970",
-        {name: value[known] for name, value in values.items()},
-        convention.replace(angle_unit=unit),
-        assumed=tuple(name for name in assumed if name != "angle_unit"),
-        time_scale=_scale(said, clock),
-        week=said.get("gps_week"),
-        leap_seconds=said.get("leap_seconds"),
+        path.name, "csv", timed_stamps, "week" if clock == "week" else "1970",
+        {name: value[has_time] for name, value in values.items()}, convention.replace(angle_unit=unit),
+        assumed=tuple(name for name in assumed if name != "angle_unit"), time_scale=_scale(said, clock),
+        week=said.get("gps_week"), leap_seconds=said.get("leap_seconds"),
         attrs={"rows_without_time": left_out} if left_out else {},
-    )
+    )  # fmt: skip
 
 
 # --- text --------------------------------------------------------------------------------------------------
@@ -161,7 +151,7 @@ def _split(path: Path) -> tuple[dict[str, str], list[_Column], Table]:
             f"{path}: expected a header that names {', '.join(POSE)} and a time, found {head.strip()[:80]!r}"
         )
     rows: list[int] = []
-    kept: list[list[str]] = []
+    rows_of_cells: list[list[str]] = []
     wrong: list[int] = []
     for number, line in enumerate(lines[start + 1 :], start=start + 2):
         if not line.strip() or line.lstrip().startswith("#"):
@@ -171,12 +161,13 @@ def _split(path: Path) -> tuple[dict[str, str], list[_Column], Table]:
             wrong.append(number)
             continue
         rows.append(number)
-        kept.append(row)
-    if wrong or not kept:
+        rows_of_cells.append(row)
+    if wrong or not rows_of_cells:
         what = f"{name_rows(wrong)} without {len(header)} cells; mend or delete" if wrong else "no rows"
         raise FormatError(f"{path}: {what}")
     columns = {
-        column.shown: list(cells) for column, cells in zip(header, zip(*kept, strict=True), strict=True)
+        column.shown: list(cells)
+        for column, cells in zip(header, zip(*rows_of_cells, strict=True), strict=True)
     }
     return comments, header, Table(path.name, np.array(rows, np.int64), columns)
 
@@ -205,16 +196,16 @@ def _declared(
 ) -> tuple[Convention, list[str], dict[str, Any]]:
     """Return the convention, what of it is assumed, and what is said of the clock."""
     names = {field.name for field in fields(Convention)}
-    told: dict[str, Any] = {}
+    declared: dict[str, Any] = {}
     for key, value in comments.items():
         name = key.removeprefix("convention_")
         if name in ("declination", "geoid_undulation"):
             try:
-                told[name] = float(value)
+                declared[name] = float(value)
             except ValueError:
                 problems.add(f"comment {key!r} is {value[:40]!r}, expected a number")
         elif name in names:
-            told[name] = value
+            declared[name] = value
     said: dict[str, Any] = {}
     for name, most in (("gps_week", 11_479), ("leap_seconds", 100)):
         text = comments.get(name)
@@ -231,64 +222,59 @@ def _declared(
             problems.add(f"comment 'time_scale' is {comments['time_scale'][:40]!r}, expected 'gps' or 'utc'")
     convention = Convention()
     try:
-        convention = Convention(**told)
+        convention = Convention(**declared)
     except SchemaError as error:
         problems.add(str(error))
     unsaid = ("stamp_reference", "column_order", "declination", "geoid_undulation", "grid_crs")
-    assumed = [f.name for f in fields(Convention) if f.name not in told and f.name not in unsaid]
+    assumed = [f.name for f in fields(Convention) if f.name not in declared and f.name not in unsaid]
     return convention, assumed, said
 
 
 def _columns(header: list[_Column], problems: Problems) -> dict[str, _Column]:
     """Return the columns of the pose and of the time; what is missing or doubled is noted."""
-    found: dict[str, list[_Column]] = {}
+    columns_by_name: dict[str, list[_Column]] = {}
     for column in header:
         name = _ALIASES.get(column.key) or ("time" if column.key in _CLOCKS else None)
         if name:
-            found.setdefault(name, []).append(column)
+            columns_by_name.setdefault(name, []).append(column)
     for name in (*POSE, "time"):
-        if name not in found:
+        if name not in columns_by_name:
             names = _CLOCKS if name == "time" else [key for key, value in _ALIASES.items() if value == name]
-            problems.add(
-                f"no column for {name}; expected one called {' or '.join(map(repr, list(names)[:4]))}"
-            )
-        elif len(found[name]) > 1:
-            shown = ", ".join(repr(column.shown) for column in found[name])
+            problems.add(f"no column of {name}; expected one named {' or '.join(map(repr, list(names)[:4]))}")
+        elif len(columns_by_name[name]) > 1:
+            shown = ", ".join(repr(column.shown) for column in columns_by_name[name])
             problems.add(f"{shown} are all {name}; keep one of them")
-        elif name != "time" and found[name][0].unit is None:
-            one, unit = found[name][0].shown, "m" if name == "altitude" else "degree"
+        elif name != "time" and columns_by_name[name][0].unit is None:
+            one, unit = columns_by_name[name][0].shown, "m" if name == "altitude" else "degree"
             problems.add(f"column {one!r} has no unit; call it for example '{one} [{unit}]'")
         elif name != "time":
             try:
-                conversion_factor(str(found[name][0].unit), "m" if name == "altitude" else "degree")
+                conversion_factor(str(columns_by_name[name][0].unit), "m" if name == "altitude" else "degree")
             except UnitsError as error:
-                problems.add(f"column {found[name][0].shown!r}: {error}")
-    return {name: columns[0] for name, columns in found.items()}
+                problems.add(f"column {columns_by_name[name][0].shown!r}: {error}")
+    return {name: columns[0] for name, columns in columns_by_name.items()}
 
 
 def _angle_unit(
     columns: Mapping[str, _Column], convention: Convention, declared: bool, problems: Problems
 ) -> Literal["degree", "radian"]:
-    radian = [
-        conversion_factor(str(columns[name].unit), "radian") == 1.0 for name in ("roll", "pitch", "heading")
-    ]
-    found: Literal["degree", "radian"] = "radian" if all(radian) else "degree"
-    if declared and convention.angle_unit != found:
-        problems.add(
-            f"comment 'angle_unit' is {convention.angle_unit!r}, the header says {found!r}; delete one"
-        )
-    return found
+    radian = [conversion_factor(str(columns[name].unit), "radian") == 1.0 for name in _ANGLES]
+    unit: Literal["degree", "radian"] = "radian" if all(radian) else "degree"
+    if declared and convention.angle_unit != unit:
+        problems.add(f"comment 'angle_unit' is {convention.angle_unit!r}, the header says {unit!r}; drop one")
+    return unit
 
 
 def _values(table: Table, column: _Column, wanted: str, problems: Problems) -> NDArray[np.float64]:
     cells = table.columns[column.shown]
     if not all(cell.strip() for cell in cells):
         cells = [cell if cell.strip() else "nan" for cell in cells]
-    made = limited_numbers(Table(table.name, table.rows, {column.shown: cells}), column.shown, 1e6, problems)
+    one_column = Table(table.name, table.rows, {column.shown: cells})
+    numbers = limited_numbers(one_column, column.shown, 1e6, problems)
     if wanted == "degree" and conversion_factor(str(column.unit), "radian") == 1.0:
-        return np.degrees(made)  # all digits: the factors of units have twelve
+        return np.degrees(numbers)  # all digits: the factors of units have twelve
     factor = conversion_factor(str(column.unit), wanted)
-    return made if factor == 1.0 else made * factor
+    return numbers if factor == 1.0 else numbers * factor
 
 
 # --- time --------------------------------------------------------------------------------------------------
@@ -300,32 +286,32 @@ def _stamps(
     """Return nanoseconds, which rows have a time, and what they count from."""
     clock = _CLOCKS[column.key]
     cells = [cell.strip().strip('"') for cell in table.columns[column.shown]]
-    known = np.array([bool(cell) and cell != "NaT" for cell in cells])
+    has_time = np.array([bool(cell) and cell != "NaT" for cell in cells])
     stamp = np.zeros(len(cells), np.int64)
-    first = next((cell for cell, here in zip(cells, known, strict=True) if here), "")
+    first = next((cell for cell, here in zip(cells, has_time, strict=True) if here), "")
     if not first:
-        return stamp, known, clock
+        return stamp, has_time, clock
     if ":" in first:
         zoned = not clock and "time_scale" not in said
-        stamp, wrong = _iso(cells, known, table.rows, zoned=zoned)
+        stamp, wrong = _iso(cells, has_time, table.rows, zoned=zoned)
         if wrong.size:
             zone = " with a zone (or '# time_scale: utc')" if zoned else ""
             problems.add(
                 f"column {column.shown!r} is not like '2024-06-01T12:00:00.5Z'{zone} in {name_rows(wrong)}"
             )
-        return stamp, known, clock if clock == "gps" else ""
+        return stamp, has_time, clock if clock == "gps" else ""
     if clock in ("", "utc"):
         problems.add(
             f"column {column.shown!r} holds numbers: from when do they count? Call it 'gps_time [s]' (from "
             "1980-01-06), 'time_of_week [s]' or 'unix_time [s]'"
         )
-        return stamp, known, clock
+        return stamp, has_time, clock
     try:
         factor = conversion_factor(str(column.unit or "no unit"), "s")
     except UnitsError:
         problems.add(f"column {column.shown!r} has no unit of time; call it for example '{column.key} [s]'")
-        return stamp, known, clock
-    return _counted(table, column, [cell or "0" for cell in cells], factor, clock, problems, known)
+        return stamp, has_time, clock
+    return _counted(table, column, [cell or "0" for cell in cells], factor, clock, problems, has_time)
 
 
 def _counted(
@@ -335,7 +321,7 @@ def _counted(
     factor: float,
     clock: str,
     problems: Problems,
-    known: NDArray[np.bool_],
+    has_time: NDArray[np.bool_],
 ) -> tuple[NDArray[np.int64], NDArray[np.bool_], str]:
     """Return the stamps of a column of numbers."""
     most = (2.0 * WEEK_S if clock == "week" else _LATEST_S) / factor
@@ -343,28 +329,28 @@ def _counted(
     count = len(problems)
     seconds = limited_numbers(numbers, column.shown, most, problems) * factor
     if len(problems) > count:
-        return np.zeros(len(cells), np.int64), known, clock
-    known = known & ~np.isnan(seconds)
+        return np.zeros(len(cells), np.int64), has_time, clock
+    has_time = has_time & ~np.isnan(seconds)
     if (seconds < 0.0).any():
         problems.add(f"column {column.shown!r} is negative in {name_rows(table.rows[seconds < 0.0])}")
-    stamp = nanoseconds(np.where(known & (seconds >= 0.0), seconds, 0.0))
-    if clock == "gps" and known.any() and (seconds[known] <= 2.0 * WEEK_S).all():
+    stamp = nanoseconds(np.where(has_time & (seconds >= 0.0), seconds, 0.0))
+    if clock == "gps" and has_time.any() and (seconds[has_time] <= 2.0 * WEEK_S).all():
         clock = "week"
-    return (stamp + GPS_EPOCH if clock == "gps" else stamp), known, clock
+    return (stamp + GPS_EPOCH if clock == "gps" else stamp), has_time, clock
 
 
 def _scale(said: Mapping[str, Any], clock: str) -> Literal["gps", "utc"]:
-    found: Literal["gps", "utc"] = said.get("time_scale") or ("gps" if clock in ("gps", "week") else "utc")
-    return found
+    scale: Literal["gps", "utc"] = said.get("time_scale") or ("gps" if clock in ("gps", "week") else "utc")
+    return scale
 
 
 def _iso(
-    cells: list[str], known: NDArray[np.bool_], rows: NDArray[np.int64], *, zoned: bool
+    cells: list[str], has_time: NDArray[np.bool_], rows: NDArray[np.int64], *, zoned: bool
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Return nanoseconds since 1970, and the lines whose cell is no stamp."""
     texts, shifts = ["1970-01-01"] * len(cells), np.zeros(len(cells), np.int64)
     bad = np.zeros(len(cells), np.bool_)
-    for place in np.flatnonzero(known).tolist():
+    for place in np.flatnonzero(has_time).tolist():
         match = _STAMP.fullmatch(cells[place][:64])
         if match is None or not "1980" <= match[1] < "2199" or (zoned and match[8] is None):
             bad[place] = True
@@ -375,12 +361,12 @@ def _iso(
             minutes = int(zone[1:3]) * 60 + int(zone[3:5])
             shifts[place] = (-minutes if zone[0] == "-" else minutes) * 60
     try:
-        made = np.array(texts, "datetime64[ns]").astype(np.int64)
+        stamps_ns = np.array(texts, "datetime64[ns]").astype(np.int64)
     except ValueError:  # the 31st of a shorter month, the 25th hour
-        made = np.zeros(len(cells), np.int64)
+        stamps_ns = np.zeros(len(cells), np.int64)
         for place, text in enumerate(texts):
             try:
-                made[place] = np.datetime64(text, "ns").astype(np.int64)
+                stamps_ns[place] = np.datetime64(text, "ns").astype(np.int64)
             except ValueError:
                 bad[place] = True
-    return made - shifts * 1_000_000_000, rows[bad]
+    return stamps_ns - shifts * 1_000_000_000, rows[bad]

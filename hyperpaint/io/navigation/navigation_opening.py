@@ -14,14 +14,13 @@ import numpy as np
 from hyperpaint.base.attitude_conventions import Convention
 from hyperpaint.base.errors import Findings, FormatError, SchemaError, TimeError
 
-from .gps_weeks import TimeSource, utc_of_record
-from .pose_records import POSE, PoseRecord
+from .pose_records import POSE, PoseRecord, TimeSource, utc_of_record
 
 if TYPE_CHECKING:
     import xarray as xr
     from numpy.typing import NDArray
 
-__all__ = ["NAVIGATION_TIME", "NavigationFormat", "navigation_format", "open_navigation", "read_record"]
+__all__ = ["navigation_format", "open_navigation", "read_record"]
 
 NAVIGATION_TIME = "navigation_time"
 NavigationFormat = Literal["imu_gps", "sbet", "lcf", "eph_att", "csv"]
@@ -172,10 +171,7 @@ def open_navigation(
 def navigation_format(path: str | Path) -> NavigationFormat:
     """Tell from its name and first bytes which kind of navigation a file holds.
 
-    Raises
-    ------
-    FormatError
-        It cannot be read, or is of none of them.
+    Raises FormatError: It cannot be read, or is of none of them.
     """
     path = Path(path)
     suffix = path.suffix.lower()
@@ -195,11 +191,9 @@ def navigation_format(path: str | Path) -> NavigationFormat:
         return "imu_gps"
     if b"\0" not in head and suffix in (".csv", ".tsv", ".txt", ".asc", ".dat"):
         return "csv"
-    known = ", ".join(map(repr, get_args(NavigationFormat)))
+    formats = ", ".join(map(repr, get_args(NavigationFormat)))
     what = "binary" if b"\0" in head else f"begins {head[:60].decode('latin-1')!r}"
-    raise FormatError(
-        f"{path}: {what}, not a kind of navigation known by its name; give format=, one of {known}"
-    )
+    raise FormatError(f"{path}: {what}, no known kind of navigation; give format=, one of {formats}")
 
 
 # --- one file ----------------------------------------------------------------------------------------------
@@ -214,22 +208,14 @@ def _read(path: Path, format: NavigationFormat, source: TimeSource, gps_time: An
 def read_record(path: Path, format: NavigationFormat) -> PoseRecord:
     """Read a file of any format but ``imu_gps``, its stamps as they are.
 
-    Raises
-    ------
-    FormatError, TimeError
-        As the reader of the format.
+    Raises FormatError, TimeError: As the reader of the format.
     """
-    from .eph_att import read_eph_att
-    from .lcf import read_lcf
     from .navigation_csv import read_navigation_csv
-    from .sbet import read_sbet
+    from .navigation_formats import read_eph_att, read_lcf, read_sbet
 
     readers: Mapping[str, Callable[[Path], PoseRecord]] = {
-        "sbet": read_sbet,
-        "lcf": read_lcf,
-        "eph_att": read_eph_att,
-        "csv": read_navigation_csv,
-    }
+        "sbet": read_sbet, "lcf": read_lcf, "eph_att": read_eph_att, "csv": read_navigation_csv,
+    }  # fmt: skip
     return readers[format](path)
 
 
@@ -252,19 +238,11 @@ def _headwall(path: Path, source: TimeSource, gps_time: Path | None) -> PoseReco
     if wrong.size:
         from hyperpaint.io.flightline.headwall import name_rows
 
-        raise TimeError(
-            f"{path.name}: UTC runs backwards in {name_rows(wrong)}; delete or re-order these rows"
-        )
+        raise TimeError(f"{path.name}: UTC runs backwards in {name_rows(wrong)}; delete or re-order them")
     return PoseRecord(
-        path.name,
-        "Headwall imu_gps",
-        record.utc,
-        "1970",
-        record.values,
-        Convention(),
-        assumed=ASSUMED,
+        path.name, "Headwall imu_gps", record.utc, "1970", record.values, Convention(), assumed=ASSUMED,
         time_scale="utc",
-    )
+    )  # fmt: skip
 
 
 # --- the dataset -------------------------------------------------------------------------------------------
@@ -280,12 +258,8 @@ def _refuse_mixtures(parts: Sequence[tuple[PoseRecord, NDArray[np.int64], dict[s
                 f"{first.name} ({first.format}) and {record.name} ({record.format}) differ; open them apart"
             )
         if utc[0] <= earlier[-1]:
-            end, start = (
-                np.datetime64(int(at), "ns").astype("datetime64[ms]") for at in (earlier[-1], utc[0])
-            )
-            raise TimeError(
-                f"{before.name} ends at {end}, after {record.name} begins at {start}; give one of them"
-            )
+            end, start = (np.datetime64(int(t), "ns").astype("datetime64[ms]") for t in (earlier[-1], utc[0]))
+            raise TimeError(f"{before.name} ends at {end}, after {record.name} begins at {start}; give one")
 
 
 def _convention(record: PoseRecord, given: Convention | Mapping[str, Any] | None) -> Convention:
@@ -296,9 +270,7 @@ def _convention(record: PoseRecord, given: Convention | Mapping[str, Any] | None
     else:
         unknown = set(given) - set(record.convention.__dataclass_fields__)
         if unknown:
-            raise SchemaError(
-                f"convention has no {', '.join(map(repr, sorted(unknown)))}; see hyperpaint.Convention"
-            )
+            raise SchemaError(f"convention has no {', '.join(map(repr, sorted(unknown)))}; see Convention")
         meant = record.convention.replace(**given)
     if "angle_unit" not in record.assumed and meant.angle_unit != record.convention.angle_unit:
         held = record.convention.angle_unit
@@ -316,12 +288,9 @@ def _attributes(
 ) -> dict[str, Any]:
     record, _, timed = parts[0]
     attrs: dict[str, Any] = {
-        "source": ", ".join(part[0].name for part in parts),
-        "format": record.format,
-        **record.attrs,
-        **timed,
+        "source": ", ".join(part[0].name for part in parts), "format": record.format, **record.attrs, **timed,
         **meant.to_attrs(),
-    }
+    }  # fmt: skip
     declared = set(meant.__dataclass_fields__) if isinstance(given, Convention) else set(given or ())
     assumed = [name for name in record.assumed if name not in declared]
     if assumed:

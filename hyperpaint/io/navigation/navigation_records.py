@@ -41,13 +41,9 @@ _DATE_TIME = re.compile(
 )
 #: Name in the file to name in a flight line, and the largest magnitude that is an angle or height at all.
 _COLUMNS = {
-    "lat": ("latitude", 90.0),
-    "lon": ("longitude", 360.0),
-    "alt": ("altitude", 1e5),
-    "roll": ("roll", 360.0),
-    "pitch": ("pitch", 360.0),
-    "yaw": ("heading", 360.0),
-}
+    "lat": ("latitude", 90.0), "lon": ("longitude", 360.0), "alt": ("altitude", 1e5), "roll": ("roll", 360.0),
+    "pitch": ("pitch", 360.0), "yaw": ("heading", 360.0),
+}  # fmt: skip
 LIMITS = dict(_COLUMNS.values())
 """The largest magnitude of each that is a position or an angle at all [degree, m]."""
 ASSUMED = (
@@ -65,37 +61,23 @@ _UTC_COLUMN = "gps_utc_date&time"
 
 @dataclass(frozen=True)
 class Navigation:
-    """One navigation record.
+    """One navigation record."""
 
-    Attributes
-    ----------
-    name
-        File name, for messages.
-    rows
-        Line of the file of each row.
-    stamps
-        Clock column (lower case) to microseconds, (row,); ``"time of day"`` counts from midnight of the first
-        row's day.
-    utc
-        UTC, nanoseconds since 1970-01-01, (row,); None where the file holds no date.
-    values
-        ``latitude longitude altitude roll pitch heading`` [degree, m], (row,); NaN where unknown.
-    """
-
-    name: str
-    rows: NDArray[np.int64]
+    name: str  # file name, for messages
+    rows: NDArray[np.int64]  # line of the file of each row
+    # Clock column (lower case) to microseconds, (row,); ``"time of day"`` counts from midnight of the first
+    # row's day
     stamps: Mapping[str, NDArray[np.int64]]
+    # UTC, nanoseconds since 1970-01-01, (row,); None where the file holds no date
     utc: NDArray[np.int64] | None
+    # ``latitude longitude altitude roll pitch heading`` [degree, m], (row,); NaN where unknown
     values: Mapping[str, NDArray[np.float64]] = field(repr=False)
 
     def clock_for(self, index: FrameIndex) -> Clock:
         """Return the clock of the frame index, tied to UTC by this record.
 
-        Raises
-        ------
-        TimeError
-            The record holds no UTC or no such clock, its stamps repeat or run backwards, its clocks step
-            against each other, or it does not overlap the frame index.
+        Raises TimeError: The record holds no UTC or no such clock, its stamps repeat or run backwards, its
+            clocks step against each other, or it does not overlap the frame index.
         """
         wanted = _CLOCK_COLUMNS if index.clock == "instrument" else ("time of day",)
         spans: list[str] = []
@@ -126,10 +108,7 @@ class Navigation:
     def dated_at(self, midnight: int) -> Navigation:
         """Return the record with UTC of the recording computer's time of day.
 
-        Parameters
-        ----------
-        midnight
-            0 h of the first row's day on that clock [ns since 1970-01-01].
+        midnight: 0 h of the first row's day on that clock [ns since 1970-01-01].
         """
         stamp = self.stamps.get("time of day")
         return self if stamp is None else replace(self, utc=midnight + stamp * 1000)
@@ -148,38 +127,26 @@ class Navigation:
     ) -> dict[str, NDArray[np.float64]]:
         """Return position and attitude at times, linear between rows.
 
-        Parameters
-        ----------
-        time
-            UTC [datetime64[ns]], NaT allowed, (along_track,).
-        max_gap_s
-            Longest interval [s] that is interpolated; by default 2.5 times the median one, at least 0.1 s.
-
-        Returns
-        -------
-        dict of (along_track,) float64
-            The names of `values`; NaN in gaps, outside the record and at NaT.
-
-        Raises
-        ------
-        TimeError
-            The record has no UTC, or it runs backwards.
+        time: UTC [datetime64[ns]], NaT allowed, (along_track,).
+        max_gap_s: Longest interval [s] that is interpolated; by default 2.5 times the median one, at least
+            0.1 s.
+        Returns dict of (along_track,) float64: The names of `values`; NaN in gaps, outside the record and at
+            NaT.
+        Raises TimeError: The record has no UTC, or it runs backwards.
         """
         if self.utc is None:
             raise TimeError(f"{self.name} holds no UTC; give gps_time, or date and clock_offset_s")
         if np.any(np.diff(self.utc) < 0):
             rows = self.rows[1:][np.diff(self.utc) < 0]
-            raise TimeError(
-                f"{self.name}: UTC runs backwards in {name_rows(rows)}; delete or re-order these rows"
-            )
+            raise TimeError(f"{self.name}: UTC runs backwards in {name_rows(rows)}; delete or re-order them")
         new = np.concatenate([[True], np.diff(self.utc) > 0])
         knots = self.utc[new]
         place, weight, inside = bracket(knots, time.astype("datetime64[ns]").astype(np.int64))
         after = np.minimum(place + 1, len(knots) - 1)
         steps = np.diff(knots) / NS_PER_S
         gap = max_gap_s or max(2.5 * float(np.median(steps)) if steps.size else 0.0, 0.1)
-        known = inside & ((knots[after] - knots[place]) / NS_PER_S <= gap)
-        made: dict[str, NDArray[np.float64]] = {}
+        covered = inside & ((knots[after] - knots[place]) / NS_PER_S <= gap)
+        poses: dict[str, NDArray[np.float64]] = {}
         for name, value in self.values.items():
             before = value[new][place]
             step = value[new][after] - before
@@ -190,8 +157,8 @@ class Navigation:
                 result %= 360.0
             elif name == "longitude":
                 result = (result + 180.0) % 360.0 - 180.0
-            made[name] = np.where(known, result, np.nan)
-        return made
+            poses[name] = np.where(covered, result, np.nan)
+        return poses
 
 
 def read_imu_gps(path: str | Path, correction: ClockCorrection | None = None) -> Navigation:
@@ -203,24 +170,13 @@ def read_imu_gps(path: str | Path, correction: ClockCorrection | None = None) ->
     ``Heading`` means is not published. Rows before the inertial system has aligned (``Roll`` exactly 0) have
     no attitude, and are dropped where their date is not yet that of the others.
 
-    Parameters
-    ----------
-    path
-        The file.
-    correction
-        How ``Gps_UTC_Date&Time`` becomes UTC; by default it is UTC.
-
-    Raises
-    ------
-    FormatError
-        Binary (some systems write another log under this name), without the columns, or cells that are not
-        numbers, angles or dates.
+    correction: How ``Gps_UTC_Date&Time`` becomes UTC; by default it is UTC.
+    Raises FormatError: Binary (some systems write another log under this name), without the columns, or cells
+        that are not numbers, angles or dates.
     """
     table = read_table(path, "navigation record", needs=list(_COLUMNS))
     problems = Problems(f"{path} cannot be used as navigation", FormatError)
-    values = {
-        name: limited_numbers(table, column, limit, problems) for column, (name, limit) in _COLUMNS.items()
-    }
+    values = {name: limited_numbers(table, key, limit, problems) for key, (name, limit) in _COLUMNS.items()}
     problems.raise_if_any()
     unaligned = np.cumsum(values["roll"] != 0.0) == 0
     nowhere = (values["latitude"] == 0.0) & (values["longitude"] == 0.0)
@@ -252,15 +208,15 @@ def limited_numbers(table: Table, column: str, limit: float, problems: Problems)
     """Return a column of numbers, NaN allowed; what is beyond a limit or no number is noted."""
     cells = table.columns[column]
     try:
-        made = np.array(list(map(float, cells)))
+        numbers = np.array(list(map(float, cells)))
     except ValueError:
-        made = np.array([_number(cell) for cell in cells])
+        numbers = np.array([_number(cell) for cell in cells])
     if "_" in "".join(cells):  # 1_000 is a number to Python only
-        made[["_" in cell for cell in cells]] = np.inf
-    wrong = table.rows[np.abs(made) > limit]
+        numbers[["_" in cell for cell in cells]] = np.inf
+    wrong = table.rows[np.abs(numbers) > limit]
     if wrong.size:
         problems.add(f"column {column!r} is not a number within {limit:g} in {name_rows(wrong)}")
-    return made
+    return numbers
 
 
 def _number(cell: str) -> float:
@@ -274,15 +230,15 @@ def _dates(table: Table, column: str, unaligned: NDArray[np.bool_]) -> NDArray[n
     """Return nanoseconds since 1970-01-01, the least int64 where an unaligned row has no date."""
     texts = [_iso(cell) for cell in table.columns[column]]
     try:
-        made = np.array(texts, "datetime64[ns]")
+        dates = np.array(texts, "datetime64[ns]")
     except ValueError:  # the 31st of a shorter month, the 25th hour
-        made = np.array([_instant(text) for text in texts])
-    wrong = table.rows[np.isnat(made) & ~unaligned]
+        dates = np.array([_instant(text) for text in texts])
+    wrong = table.rows[np.isnat(dates) & ~unaligned]
     if wrong.size:
         raise FormatError(
             f"{table.name}: column {column!r} is not like '2021/07/23 12:34:56.789' in {name_rows(wrong)}"
         )
-    return made.astype(np.int64)
+    return dates.astype(np.int64)
 
 
 def _iso(cell: str) -> str:
@@ -308,19 +264,19 @@ def _instant(text: str) -> np.datetime64:
 
 
 def _stamps(table: Table) -> dict[str, NDArray[np.int64]]:
-    made: dict[str, NDArray[np.int64]] = {}
+    stamps: dict[str, NDArray[np.int64]] = {}
     for column in _CLOCK_COLUMNS:
         if column not in table.columns:
             continue
         try:
-            made[column] = to_integers(table, column)
+            stamps[column] = to_integers(table, column)
         except FormatError:
             if column == "timestamp":
                 raise
             # of SystemTime and GPS_UTC either may be no count of microseconds
     if "time" in table.columns:
-        made["time of day"] = time_of_day(table, "time")[0]
-    return made
+        stamps["time of day"] = time_of_day(table, "time")[0]
+    return stamps
 
 
 def _dated(
@@ -333,8 +289,8 @@ def _dated(
         return dated
     offset = utc / 1e9 - stamp / 1e6
     agrees = np.abs(offset - np.median(offset[aligned])) < 1.0
-    kept: NDArray[np.bool_] = dated & (agrees | ~unaligned)
-    return kept
+    has_date: NDArray[np.bool_] = dated & (agrees | ~unaligned)
+    return has_date
 
 
 # --- gps_time.txt ------------------------------------------------------------------------------------------
@@ -343,20 +299,11 @@ def _dated(
 def read_gps_time(path: str | Path, correction: ClockCorrection | None = None) -> Clock:
     """Read ``gps_time.txt``, which ties the recording computer's time of day to the receiver's date and time.
 
-    Parameters
-    ----------
-    path
-        The file: ``HH:MM:SS <microseconds>``, a tab, date and time. A first line that is neither is taken
+    path: The file: ``HH:MM:SS <microseconds>``, a tab, date and time. A first line that is neither is taken
         for a header.
-    correction
-        How the receiver's stamps become UTC; by default they are UTC.
-
-    Raises
-    ------
-    FormatError
-        Binary, or rows that are not such pairs.
-    TimeError
-        Stamps repeat or run backwards, or the two clocks step against each other.
+    correction: How the receiver's stamps become UTC; by default they are UTC.
+    Raises FormatError: Binary, or rows that are not such pairs.
+    Raises TimeError: Stamps repeat or run backwards, or the two clocks step against each other.
     """
     path = Path(path)
     lines = [(number, line) for number, line in enumerate(read_text(path).split("\n"), 1) if line.strip()]

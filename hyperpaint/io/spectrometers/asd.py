@@ -18,26 +18,16 @@ from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import FormatError, PaintWarning, Problems, SchemaError, TimeError
 from hyperpaint.base.schema import VARIABLES, label
 
-from .asd_blocks import AsdCalibration, AsdGps
+from .asd_binary import AsdCalibration, AsdFile, AsdGps, is_asd, read_asd
 from .asd_calibration import CALIBRATION_KEYS, derive_quantity, panel_of
-from .asd_layout import AsdFile, is_asd, read_asd
 from .asd_text import AsdText, is_asd_text, read_asd_text
-from .irradiance_csv import is_irradiance_csv
+from .irradiance_files import is_irradiance_csv
 from .spectrum_files import Paths, check_utc_offset, find_paths, for_all, listed, name_spectra, same_grids
 
 __all__ = [
-    "AsdCalibration",
-    "AsdFile",
-    "AsdGps",
-    "Spectrum",
-    "find_files",
-    "mask_undefined",
-    "open_asd",
-    "read_asd",
-    "read_spectra",
-    "sniff",
-    "utc_offsets",
-]
+    "AsdCalibration", "AsdFile", "AsdGps", "Spectrum", "find_files", "mask_undefined", "open_asd", "read_asd",
+    "read_spectra", "sniff", "utc_offsets",
+]  # fmt: skip
 
 Kind = Literal["binary", "text", "csv", "unknown"]
 
@@ -49,36 +39,21 @@ _TEXT_SUFFIXES = (".txt", ".tsv", ".csv")
 
 @dataclass(frozen=True, eq=False)
 class Spectrum:
-    """One spectrum in one quantity, wherever it was read from.
+    """One spectrum in one quantity, wherever it was read from."""
 
-    Attributes
-    ----------
-    source
-        File name; for one of many in a file, with its column.
-    wavelength, values
-        (wavelength), float64; [nm] and the units of the quantity.
-    local_time, utc_offset_h, averaging_s
-        Stamp of the logging PC, its zone [h] and the averaging window [s]; None where the file does not say.
-    dark_utc, gps
-        As in `AsdFile`.
-    saturated
-        (wavelength), where the file flags the detector as saturated.
-    path
-        Where the file is.
-    panel
-        White panel whose reflectance made that of the spectrum absolute; empty where it is relative.
-    """
-
-    source: str
-    wavelength: Floats
+    source: str  # file name; for one of many in a file, with its column
+    wavelength: Floats  # (wavelength), float64; [nm] and the units of the quantity
     values: Floats
+    # Stamp of the logging PC, its zone [h] and the averaging window [s]; None where the file does not say
     local_time: dt.datetime | None = None
     utc_offset_h: float | None = None
     averaging_s: float | None = None
-    dark_utc: dt.datetime | None = None
+    dark_utc: dt.datetime | None = None  # as in `AsdFile`
     gps: AsdGps | None = None
+    # (wavelength), where the file flags the detector as saturated
     saturated: npt.NDArray[np.bool_] | None = None
-    path: Path | None = None
+    path: Path | None = None  # where the file is
+    # White panel whose reflectance made that of the spectrum absolute; empty where it is relative
     panel: str = ""
 
 
@@ -199,9 +174,9 @@ def _coords(spectra: Sequence[Spectrum], times: npt.NDArray[np.datetime64]) -> d
         "source": ("spectrum", np.array([s.source for s in spectra], object), {"long_name": "File"}),
     }
     for name in ("latitude", "longitude", "altitude"):
-        found = [np.nan if s.gps is None else getattr(s.gps, name) for s in spectra]
+        coordinates = [np.nan if s.gps is None else getattr(s.gps, name) for s in spectra]
         attrs = {**VARIABLES[name].attrs, "long_name": f"{name.capitalize()} of the spectrometer"}
-        coords[name] = ("spectrum", np.array(found, np.float64), attrs)
+        coords[name] = ("spectrum", np.array(coordinates, np.float64), attrs)
     return coords
 
 
@@ -218,10 +193,7 @@ def find_files(paths: Paths) -> list[Path]:
 
     Of a folder, the ``.asd`` files (or the numbered ``.000`` ones of old software), else its text files.
 
-    Raises
-    ------
-    FormatError
-        Nothing is there.
+    Raises FormatError: Nothing is there.
     """
     return find_paths(paths, _files_of_folder, ".asd files, text exports or a csv")
 
@@ -240,19 +212,10 @@ def read_spectra(
 ) -> tuple[list[Spectrum], str]:
     """Read binary files and text exports into spectra of one quantity on one set of wavelengths.
 
-    Returns
-    -------
-    spectra : list of Spectrum
-        In the order of ``files``.
-    quantity : str
-        What they are.
-
-    Raises
-    ------
-    FormatError
-        See `open_asd`.
-    SchemaError
-        See `open_asd`.
+    Returns spectra : list of Spectrum: In the order of ``files``.
+    Returns quantity : str: What they are.
+    Raises FormatError: See `open_asd`.
+    Raises SchemaError: See `open_asd`.
     """
     if quantity is not None and quantity not in QUANTITIES:
         raise SchemaError(f"quantity={quantity!r}: expected one of {', '.join(QUANTITIES)}")
@@ -260,9 +223,7 @@ def read_spectra(
     contents = for_all(files, _read_file)
     wanted = quantity or _common_quantity(contents)
     if absolute and wanted != "reflectance":
-        raise SchemaError(
-            f"absolute=True is of reflectance, the spectra are {wanted}; leave it out, or name the quantity"
-        )
+        raise SchemaError(f"absolute=True needs reflectance, found {wanted}; omit it, or name the quantity")
     derived = for_all(contents, lambda content: _spectra_of(content, wanted, external, absolute))
     spectra = [
         replace(spectrum, path=path)
@@ -307,19 +268,19 @@ def sniff(path: Path) -> Kind:
 
 def _common_quantity(contents: Sequence[AsdFile | AsdText]) -> str:
     """Return the quantity that all files say they are, or seem to be."""
-    found: dict[str | None, list[str]] = {}
+    names_by_quantity: dict[str | None, list[str]] = {}
     for content in contents:
         if isinstance(content, AsdFile):
             key = _QUANTITY_OF_DATA_TYPE.get(content.data_type)
         else:
             key = content.likely_quantity
-        found.setdefault(key, []).append(content.name)
-    if len(found) > 1 or None in found:
+        names_by_quantity.setdefault(key, []).append(content.name)
+    if len(names_by_quantity) > 1 or None in names_by_quantity:
         problems = Problems("the quantity of the spectra is not clear; pass quantity=", FormatError)
-        for key, names in found.items():
+        for key, names in names_by_quantity.items():
             problems.add(f"{key or 'unknown'}: {', '.join(names)}")
         problems.raise_if_any()
-    quantity = next(str(key) for key in found)
+    quantity = next(str(key) for key in names_by_quantity)
     texts = [content.name for content in contents if isinstance(content, AsdText)]
     if texts:
         _warn(
@@ -380,10 +341,8 @@ def _require_one_grid(spectra: Sequence[Spectrum]) -> None:
     groups = same_grids((spectrum.source, spectrum.wavelength) for spectrum in spectra)
     if len(groups) > 1:
         problems = Problems("spectra differ in their wavelengths; open them apart", FormatError)
-        for wavelength, names in groups:
-            problems.add(
-                f"{len(wavelength)} from {wavelength[0]:g} to {wavelength[-1]:g} nm: {', '.join(names)}"
-            )
+        for nm, names in groups:
+            problems.add(f"{len(nm)} from {nm[0]:g} to {nm[-1]:g} nm: {', '.join(names)}")
         problems.raise_if_any()
 
 
@@ -422,37 +381,26 @@ def utc_offsets(
 ) -> list[float]:
     """Return local time minus UTC [h] of each spectrum.
 
-    Parameters
-    ----------
-    spectra
-        With what their files say about the zone of the logging PC.
-    utc_offset_h
-        The user's word, which wins over the files', with a warning where these differ.
-    one_clock
-        The spectra are one series off one PC: files that say nothing take the offset of those that do,
+    spectra: With what their files say about the zone of the logging PC.
+    utc_offset_h: The user's word, which wins over the files', with a warning where these differ.
+    one_clock: The spectra are one series off one PC: files that say nothing take the offset of those that do,
         which must agree.
-
-    Raises
-    ------
-    TimeError
-        An offset is unknown or impossible, or the files of one series contradict one another.
+    Raises TimeError: An offset is unknown or impossible, or the files of one series contradict one another.
     """
-    known: dict[float, list[str]] = {}
+    sources_by_offset: dict[float, list[str]] = {}
     for spectrum in spectra:
         if spectrum.utc_offset_h is not None:
-            known.setdefault(spectrum.utc_offset_h, []).append(spectrum.source)
-    said = "; ".join(f"{hours:+g} h in {listed(names)}" for hours, names in known.items())
+            sources_by_offset.setdefault(spectrum.utc_offset_h, []).append(spectrum.source)
+    said = "; ".join(f"{hours:+g} h in {listed(names)}" for hours, names in sources_by_offset.items())
     if utc_offset_h is not None:
         check_utc_offset(utc_offset_h)
-        if set(known) - {utc_offset_h}:
+        if set(sources_by_offset) - {utc_offset_h}:
             _warn(f"utc_offset_h={utc_offset_h:+g} is used although the files say otherwise: {said}")
         return [utc_offset_h] * len(spectra)
-    if one_clock and len(known) > 1:
-        raise TimeError(
-            f"the files of one series differ in their UTC offset; pass utc_offset_h=. Found {said}"
-        )
-    if one_clock and known:
-        return [next(iter(known))] * len(spectra)
+    if one_clock and len(sources_by_offset) > 1:
+        raise TimeError(f"files of one series differ in their UTC offset; pass utc_offset_h=. Found {said}")
+    if one_clock and sources_by_offset:
+        return [next(iter(sources_by_offset))] * len(spectra)
     silent = [spectrum for spectrum in spectra if spectrum.utc_offset_h is None]
     if silent:
         hint = next((hint for hint in map(_offset_hint, silent) if hint), "")

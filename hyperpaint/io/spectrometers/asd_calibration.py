@@ -10,7 +10,7 @@ import numpy.typing as npt
 from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import FormatError
 
-from .asd_layout import AsdFile
+from .asd_binary import AsdFile
 
 __all__ = ["CALIBRATION_KEYS", "derive_quantity", "panel_of"]
 
@@ -29,10 +29,7 @@ def derive_quantity(
     See the notes of `open_asd` for the formulas; ``external`` holds calibration files by kind, which win
     over the blocks in the file. ``absolute`` multiplies reflectance by that of the white panel.
 
-    Raises
-    ------
-    FormatError
-        The reference or calibration blocks that the quantity needs are missing.
+    Raises FormatError: The reference or calibration blocks that the quantity needs are missing.
     """
     wavelength, values = file.wavelength, file.spectrum
     if quantity == "reflectance":
@@ -67,9 +64,7 @@ def _needed_blocks(
     blocks = {kind: (block.values, block.integration_ms) for kind, block in file.calibrations.items()}
     for kind, other in external.items():
         if kind in kinds and not np.array_equal(other.wavelength, file.wavelength):
-            raise FormatError(
-                f"{file.name}: its wavelengths are not those of the calibration file {other.name}"
-            )
+            raise FormatError(f"{file.name}: its wavelengths are not those of calibration file {other.name}")
         blocks[kind] = (other.spectrum, other.integration_ms)
     missing = [kind for kind in kinds if kind not in blocks]
     if missing:
@@ -97,10 +92,10 @@ def _responsivity(file: AsdFile, quantity: str, external: Mapping[str, AsdFile])
 
 def _ratio(numerator: Floats, denominator: Floats) -> Floats:
     """Return the ratio, NaN where the denominator is zero or undefined."""
-    made = np.full(numerator.shape, np.nan)
+    ratio = np.full(numerator.shape, np.nan)
     with np.errstate(all="ignore"):  # damaged values; what is not finite is reported later
-        np.divide(numerator, denominator, out=made, where=denominator != 0.0)
-    return made
+        np.divide(numerator, denominator, out=ratio, where=denominator != 0.0)
+    return ratio
 
 
 def _splices(file: AsdFile) -> tuple[float, float]:

@@ -23,7 +23,7 @@ import numpy.typing as npt
 from hyperpaint.base.errors import FormatError
 from hyperpaint.io.files.reading import read_limited_text
 
-from .asd_blocks import nominal_integration_ms
+from .asd_binary import nominal_integration_ms
 
 __all__ = ["AsdText", "is_asd_text", "read_asd_text"]
 
@@ -37,37 +37,22 @@ _NO_NUMBERS = {"1.#qnan": math.nan, "-1.#ind": math.nan, "1.#ind": math.nan, "1.
 
 @dataclass(frozen=True, eq=False)
 class AsdText:
-    """What one text export holds; arrays are float64 and read-only.
+    """What one text export holds; arrays are float64 and read-only."""
 
-    Attributes
-    ----------
-    name
-        File name without its folder.
-    spectra
-        Names of the spectra.
-    wavelength
-        (wavelength) [nm].
-    values
-        (spectrum, wavelength), in whatever quantity was exported.
-    local_time
-        When the spectrum was saved, by the clock of the logging PC, or None without a preamble.
-    instrument_number, integration_ms, sample_averages, ymax, splices
-        As in the binary, None where the preamble does not say. ``ymax`` is the upper end of the operator's
-        plot, the only hint at the quantity.
-    cosine_receptor, white_reference
-        Whether a cosine receptor was attached, whether the spectrum was compared to a panel; or None.
-    """
-
-    name: str
-    spectra: tuple[str, ...]
-    wavelength: npt.NDArray[np.float64]
-    values: npt.NDArray[np.float64]
+    name: str  # file name without its folder
+    spectra: tuple[str, ...]  # names of the spectra
+    wavelength: npt.NDArray[np.float64]  # (wavelength) [nm]
+    values: npt.NDArray[np.float64]  # (spectrum, wavelength), in whatever quantity was exported
+    # When the spectrum was saved, by the clock of the logging PC, or None without a preamble
     local_time: dt.datetime | None
+    # As in the binary, None where the preamble does not say. ``ymax`` is the upper end of the operator's
+    # plot, the only hint at the quantity
     instrument_number: str | None
     integration_ms: float | None
     sample_averages: int | None
     ymax: float | None
     splices: tuple[float, float] | None
+    # Whether a cosine receptor was attached, whether the spectrum was compared to a panel; or None
     cosine_receptor: bool | None
     white_reference: bool | None
 
@@ -85,20 +70,9 @@ def is_asd_text(head: bytes) -> bool:
 def read_asd_text(path: str | os.PathLike[str]) -> AsdText:
     r"""Read one text export of ASD spectra.
 
-    Parameters
-    ----------
-    path
-        A file that ViewSpec exported, of any of its variants.
-
-    Returns
-    -------
-    AsdText
-        Spectra (spectrum, wavelength) and what the preamble says.
-
-    Raises
-    ------
-    FormatError
-        The file cannot be read, or has no table ``Wavelength``, or its table is damaged.
+    path: A file that ViewSpec exported, of any of its variants.
+    Returns AsdText: Spectra (spectrum, wavelength) and what the preamble says.
+    Raises FormatError: The file cannot be read, or has no table ``Wavelength``, or its table is damaged.
 
     Examples
     --------
@@ -126,33 +100,33 @@ def _lines(data: bytes) -> list[str]:
 def _preamble(name: str, text: str) -> dict[str, Any]:
     """Return the fields of `AsdText` that the sentences above the table give."""
 
-    def found(pattern: str, make: Callable[[re.Match[str]], Any]) -> Any:
+    def parsed(pattern: str, make: Callable[[re.Match[str]], Any]) -> Any:
         match = re.search(pattern, text, re.IGNORECASE)
         return None if match is None else make(match)
 
     return {
-        "local_time": found(
+        "local_time": parsed(
             r"spectrum saved:?\s*(\d{1,2})/(\d{1,2})/(\d{1,4})\s+at\s+(\d{1,2}):(\d\d):(\d\d)\s*([AP]M)?",
             lambda match: _local_time(name, match),
         ),
-        "instrument_number": found(r"instrument number(?: was|:)\s*(\S{1,40})", lambda match: match[1]),
-        "integration_ms": found(
+        "instrument_number": parsed(r"instrument number(?: was|:)\s*(\S{1,40})", lambda match: match[1]),
+        "integration_ms": parsed(
             r"VNIR integration time\s*:\s*(\d{1,9})(?!\d)",
             lambda match: nominal_integration_ms(int(match[1])),
         ),
-        "sample_averages": found(
+        "sample_averages": parsed(
             r"\b(\d{1,6}|one) samples? per data value",
             lambda match: 1 if match[1].lower() == "one" else int(match[1]),
         ),
-        "ymax": found(rf"ymax\s*=\s*{_NUMBER}", lambda match: float(match[1])),
-        "splices": found(
+        "ymax": parsed(rf"ymax\s*=\s*{_NUMBER}", lambda match: float(match[1])),
+        "splices": parsed(
             rf"join between VNIR and SWIR1 was {_NUMBER} nm(?s:.){{0,200}}?SWIR1 and SWIR2 was {_NUMBER} nm",
             lambda match: (float(match[1]), float(match[2])),
         ),
-        "cosine_receptor": found(
+        "cosine_receptor": parsed(
             r"there was (.{0,80}?) attached", lambda match: "cosine receptor" in match[1].lower()
         ),
-        "white_reference": found(
+        "white_reference": parsed(
             r"data is (not )?compared to a white reference", lambda match: match[1] is None
         ),
     }
@@ -164,10 +138,10 @@ def _local_time(name: str, match: re.Match[str]) -> dt.datetime:
         hour = hour % 12 + (12 if match[7].upper() == "PM" else 0)
     try:
         # older programs write the years since 1900
-        made = dt.datetime(year + 1900 if year < 1000 else year, month, day, hour, minute, second)
-        if not 1980 <= made.year < 2150:
+        stamp = dt.datetime(year + 1900 if year < 1000 else year, month, day, hour, minute, second)
+        if not 1980 <= stamp.year < 2150:
             raise ValueError
-        return made
+        return stamp
     except ValueError as error:
         raise FormatError(f"{name}: {match[0]!r} is not a date in the order month/day/year") from error
 

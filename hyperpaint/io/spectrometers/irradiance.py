@@ -20,9 +20,7 @@ from hyperpaint.base.schema import IRRADIANCE_TIME, IRRADIANCE_WAVELENGTH, VARIA
 from hyperpaint.base.units import conversion_factor, convert
 
 from .asd import Spectrum, find_files, mask_undefined, read_spectra, sniff, utc_offsets
-from .daylight import check_magnitude
-from .irradiance_csv import read_irradiance_csv
-from .irradiance_store import is_store, stored_series
+from .irradiance_files import is_store, read_irradiance_csv, stored_series
 from .spectrum_files import Paths, check_utc_offset, listed
 
 __all__ = ["open_irradiance"]
@@ -158,19 +156,19 @@ def open_irradiance(
     order = np.argsort(times, kind="stable")
     _refuse_duplicates(series, times, order)
     values = _in_float32_range(series, order, conversion_factor(series.units, VARIABLES["irradiance"].units))
-    check_magnitude(series.wavelength, values)
-    made = _dataset(series, times[order], values, fwhm_nm, max_gap_s)
-    known = series.clock_uncertainty_s if clock_uncertainty_s is None else clock_uncertainty_s
-    if known is not None:
+    _check_magnitude(series.wavelength, values)
+    dataset = _dataset(series, times[order], values, fwhm_nm, max_gap_s)
+    uncertainty_s = series.clock_uncertainty_s if clock_uncertainty_s is None else clock_uncertainty_s
+    if uncertainty_s is not None:
         name = "irradiance_clock_uncertainty"
-        made[name] = label(xr.DataArray(np.float64(known)), name)
-    made.attrs.update(
+        dataset[name] = label(xr.DataArray(np.float64(uncertainty_s)), name)
+    dataset.attrs.update(
         irradiance_utc_offset_h=sorted(set(map(float, series.utc_offset_h))),
         irradiance_clock_offset_s=float(clock_offset_s),
         irradiance_stamp=stamp,
         irradiance_averaging_s=float(np.median(window)),
     )
-    return made
+    return dataset
 
 
 def _check_arguments(
@@ -209,28 +207,22 @@ def _from_files(
     if "csv" in kinds:
         foreign = [path.name for path, kind in zip(files, kinds, strict=True) if kind != "csv"]
         if foreign:
-            raise FormatError(
-                f"csv series do not mix with other files; open them apart. No csv series: {listed(foreign)}"
-            )
+            raise FormatError(f"csv and other files do not mix; open them apart. Not csv: {listed(foreign)}")
         return _from_csv(files, utc_offset_h, units)
     if quantity is None and "text" not in kinds:
         quantity = "irradiance"  # what is in a binary depends on its calibration, not on what was displayed
-    spectra, found = read_spectra(files, quantity, calibration=calibration)
-    if found != "irradiance":
+    spectra, held_quantity = read_spectra(files, quantity, calibration=calibration)
+    if held_quantity != "irradiance":
         raise FormatError(
-            f"the files seem to hold {found}, not irradiance; pass quantity='irradiance' if they hold "
-            f"irradiance after all. Files: {listed([path.name for path in files])}"
+            f"the files seem to hold {held_quantity}, not irradiance; pass quantity='irradiance' if they "
+            f"hold irradiance after all. Files: {listed([path.name for path in files])}"
         )
     vendors = VARIABLES["irradiance"].units
     assumed = {"irradiance_units_source": f"assumed: {vendors}, the vendor's; text exports do not say"}
     return _from_spectra(
-        spectra,
-        utc_offset_h,
-        units or vendors,
-        fwhm=ASD_FWHM_NM,
-        fwhm_source=_ASD_FWHM_SOURCE,
+        spectra, utc_offset_h, units or vendors, fwhm=ASD_FWHM_NM, fwhm_source=_ASD_FWHM_SOURCE,
         attrs=assumed if units is None and "text" in kinds else {},
-    )
+    )  # fmt: skip
 
 
 def _from_csv(files: Sequence[Path], utc_offset_h: float | None, units: str | None) -> _Series:
@@ -242,15 +234,14 @@ def _from_csv(files: Sequence[Path], utc_offset_h: float | None, units: str | No
         except FormatError as error:
             problems.add(str(error))
     problems.raise_if_any()
+    names = listed([table.name for table in tables])
     for what in ("units", "fwhm_nm", "wavelength"):
         if any(not np.array_equal(getattr(table, what), getattr(tables[0], what)) for table in tables):
-            raise FormatError(
-                f"the csv files differ in their {what}; open them apart: {listed([t.name for t in tables])}"
-            )
+            raise FormatError(f"the csv files differ in their {what}; open them apart: {names}")
     found_units = units or tables[0].units
     if found_units is None:
         raise UnitsError(
-            f"{listed([t.name for t in tables])}: no units; pass units=, or add a line on top, for example "
+            f"{names}: no units; pass units=, or add a line on top, for example "
             f"'# units: {VARIABLES['irradiance'].units}'"
         )
     spectra = [
@@ -316,18 +307,12 @@ def _from_xarray(
         check_utc_offset(utc_offset_h)
     found_units = array.attrs.get("units", units)
     if found_units is None:
-        raise UnitsError(
-            f"{origin}: 'irradiance' has no units; pass units=, for example {VARIABLES['irradiance'].units!r}"
-        )
+        raise UnitsError(f"{origin}: 'irradiance' has no units; pass units=, for example 'W m-2 nm-1'")
     if units is not None and conversion_factor(str(found_units), units) != 1.0:
-        raise UnitsError(
-            f"{origin}: units={units!r}, but the data say {found_units!r}; drop the argument or mend the data"
-        )
+        raise UnitsError(f"{origin}: units={units!r}, but the data say {found_units!r}; correct one of them")
     nanometres = convert(wavelength, "nm", str(wavelength.name)).values.astype(np.float64)
     if not (np.all(np.isfinite(nanometres)) and np.all(np.diff(nanometres) > 0)):
-        raise SchemaError(
-            f"{origin}: {wavelength.name!r} does not increase; sort by it, and drop what occurs twice"
-        )
+        raise SchemaError(f"{origin}: {wavelength.name!r} does not increase; sort by it and drop repeats")
     count = array.sizes[time.name]
     values = array.values.astype(np.float64)
     sources = [f"sample {i}" for i in range(count)]
@@ -354,7 +339,7 @@ def _from_xarray(
 
 def _axes(array: xr.DataArray, origin: str) -> tuple[xr.DataArray, xr.DataArray]:
     """Return the time and the wavelength coordinate of a series."""
-    found = []
+    axes = []
     for names in ((IRRADIANCE_TIME, "time"), (IRRADIANCE_WAVELENGTH, "wavelength")):
         name = next((name for name in names if name in array.dims and name in array.coords), None)
         if name is None or array.ndim != 2:
@@ -363,12 +348,11 @@ def _axes(array: xr.DataArray, origin: str) -> tuple[xr.DataArray, xr.DataArray]
                 f"wavelength with coordinates, named {IRRADIANCE_TIME!r} or 'time', "
                 f"{IRRADIANCE_WAVELENGTH!r} or 'wavelength'"
             )
-        found.append(array[name])
-    if found[0].dtype.kind != "M" or found[0].isnull().any():
-        raise TimeError(
-            f"{origin}: {found[0].name!r} has dtype {found[0].dtype}, expected datetime64 without NaT"
-        )
-    return found[0], found[1]
+        axes.append(array[name])
+    time, wavelength = axes
+    if time.dtype.kind != "M" or time.isnull().any():
+        raise TimeError(f"{origin}: {time.name!r} has dtype {time.dtype}, expected datetime64 without NaT")
+    return time, wavelength
 
 
 def _utc_middle(series: _Series, clock_offset_s: float, shift_s: Floats) -> npt.NDArray[np.datetime64]:
@@ -430,9 +414,7 @@ def _dataset(
     dims = (IRRADIANCE_TIME, IRRADIANCE_WAVELENGTH)
     width = np.asarray(fwhm, np.float64)
     if width.shape not in ((), series.wavelength.shape) or not np.all(width > 0):
-        raise SchemaError(
-            f"{series.origin}: irradiance_fwhm must be one positive number, or one per wavelength"
-        )
+        raise SchemaError(f"{series.origin}: irradiance_fwhm must be a positive number or one per wavelength")
     return xr.Dataset(
         {
             "irradiance": label(xr.DataArray(values.astype(np.float32), dims=dims), "irradiance"),
@@ -455,4 +437,38 @@ def _dataset(
             "irradiance_source": series.origin,
             "irradiance_fwhm_source": series.fwhm_source if fwhm_nm is None else "given by the user",
         },
+    )
+
+
+# Above the atmosphere the sun gives 2.2 W m-2 nm-1 at most and 1.5 in the median of 400-1000 nm, and light
+# off clouds hardly adds more than the air takes; 3e-4 is deep twilight, yet more than full sun mistaken for
+# W cm-2 nm-1.
+_HIGHEST_MEDIAN = 3.0
+_LOWEST_MEDIAN = 3e-4
+_JUDGED_NM = (400.0, 1000.0)
+
+
+def _check_magnitude(wavelength: Floats, values: Floats) -> None:
+    """Refuse a series whose scale no daylight has: its units are others than those given.
+
+    wavelength : (irradiance_wavelength,): [nm].
+    values : (irradiance_time, irradiance_wavelength): [W m-2 nm-1].
+    Raises UnitsError: The brightest sample's median over 400-1000 nm is not that of daylight.
+    """
+    judged = values[:, (wavelength >= _JUDGED_NM[0]) & (wavelength <= _JUDGED_NM[1])]
+    judged = judged[np.isfinite(judged).any(axis=1)] if judged.shape[1] else judged[:0]
+    if not len(judged):
+        return
+    medians = np.nanmedian(judged, axis=1)
+    brightest = float(medians.max())
+    if _LOWEST_MEDIAN <= brightest <= _HIGHEST_MEDIAN:
+        return
+    direction = (
+        f"brighter than the sun above the atmosphere (at most {_HIGHEST_MEDIAN:g} is believed)"
+        if brightest > _HIGHEST_MEDIAN
+        else f"darker than deep twilight (at least {_LOWEST_MEDIAN:g} is believed)"
+    )
+    raise UnitsError(
+        f"the median irradiance of 400-1000 nm is {brightest:.3g} W m-2 nm-1, {direction}; are the values in "
+        "other units (uW labelled as W?) or another quantity, such as counts? Pass units=, or convert them"
     )

@@ -1,20 +1,23 @@
-"""References in files of any kind known: field spectrometers, paint libraries, stores."""
+"""References of field spectrometers, libraries and stores, and which reference belongs to which paint."""
 
 from __future__ import annotations
 
+import csv
+import json
 import os
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from hyperpaint.base.errors import FormatError, PaintError, Problems
+from hyperpaint.io.files.reading import read_limited_text
 
 from .spectrum_files import find_paths
 
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["open_references", "open_spectra"]
+__all__ = ["open_references", "open_spectra", "read_pairs"]
 
 _GROUP = "references/"
 
@@ -22,31 +25,19 @@ _GROUP = "references/"
 def open_references(paths: Sequence[str | os.PathLike[str]]) -> list[xr.Dataset]:
     """Open references of reflectance.
 
-    Parameters
-    ----------
-    paths
-        Files, globs or folders: SVC ``.sig``, ASD binary or text export, anything `hyperpaint.open_library`
-        reads, or a store with groups ``references/<instrument>``.
-
-    Returns
-    -------
-    list of xarray.Dataset
-        Files of one kind and one set of wavelengths are in one Dataset.
-
-    Raises
-    ------
-    FormatError
-        Files are missing, damaged or of no kind known; all are named.
-    StoreError
-        A store was never finished, or is damaged.
+    paths: Files, globs or folders: SVC ``.sig``, ASD binary or text export, anything
+        `hyperpaint.open_library` reads, or a store with groups ``references/<instrument>``.
+    Returns list of xarray.Dataset: Files of one kind and one set of wavelengths are in one Dataset.
+    Raises FormatError: Files are missing, damaged or of no kind known; all are named.
+    Raises StoreError: A store was never finished, or is damaged.
     """
     stores = [Path(path) for path in paths if (Path(path) / "zarr.json").is_file()]
     others = [path for path in paths if Path(path) not in stores]
-    made = [dataset for store in stores for dataset in _of_store(store)]
+    datasets = [dataset for store in stores for dataset in _of_store(store)]
     if others:
         files = find_paths(others, _spectra_in, ".sig or .asd files, text exports, or a library")
-        made += _of_files(files)
-    return made
+        datasets += _of_files(files)
+    return datasets
 
 
 def _of_files(files: Sequence[Path]) -> list[xr.Dataset]:
@@ -54,10 +45,10 @@ def _of_files(files: Sequence[Path]) -> list[xr.Dataset]:
 
     spectra = [path for path in files if _is_spectrum(path)]
     problems = Problems("references cannot be opened", FormatError)
-    made = _opened(spectra, "reflectance", problems, apart=True)
-    made += _one_by_one(open_library, [path for path in files if path not in spectra], problems)
+    datasets = _opened(spectra, "reflectance", problems, apart=True)
+    datasets += _one_by_one(open_library, [path for path in files if path not in spectra], problems)
     problems.raise_if_any()
-    return made
+    return datasets
 
 
 def _is_spectrum(path: Path) -> bool:
@@ -70,9 +61,7 @@ def _of_store(path: Path) -> list[xr.Dataset]:
     from hyperpaint.io.store import list_groups, open_store
 
     groups = list_groups(path)
-    wanted = [group for group in groups if group.startswith(_GROUP)] or [
-        group for group in groups if not group
-    ]
+    wanted = [g for g in groups if g.startswith(_GROUP)] or [g for g in groups if not g]
     if not wanted:
         raise FormatError(f"{path}: expected a paint library, or groups {_GROUP}<instrument>")
     return [open_store(path, group or None) for group in wanted]
@@ -89,24 +78,15 @@ def open_spectra(
 ) -> list[xr.Dataset]:
     """Open files of field spectrometers, those of one instrument together.
 
-    Parameters
-    ----------
-    files
-        SVC ``.sig``, ASD binary or text exports, in any mixture.
-    quantity
-        See `hyperpaint.open_svc` and `hyperpaint.open_asd`; by default what the files hold.
-    apart
-        Open files one by one where they differ in wavelengths.
-
-    Raises
-    ------
-    FormatError
-        Files cannot be read, or are of no kind known; all are named.
+    files: SVC ``.sig``, ASD binary or text exports, in any mixture.
+    quantity: See `hyperpaint.open_svc` and `hyperpaint.open_asd`; by default what the files hold.
+    apart: Open files one by one where they differ in wavelengths.
+    Raises FormatError: Files cannot be read, or are of no kind known; all are named.
     """
     problems = Problems("references cannot be opened", FormatError)
-    made = _opened(files, quantity, problems, apart=apart)
+    datasets = _opened(files, quantity, problems, apart=apart)
     problems.raise_if_any()
-    return made
+    return datasets
 
 
 def _opened(
@@ -124,23 +104,96 @@ def _opened(
             kinds.setdefault(open_asd, []).append(path)
         else:
             problems.add(f"{path}: no file of a field spectrometer; expected .sig, .asd or a text export")
-    made: list[xr.Dataset] = []
+    datasets: list[xr.Dataset] = []
     for opener, own in kinds.items():
         try:
-            made.append(opener(own, quantity))
+            datasets.append(opener(own, quantity))
         except PaintError as error:
             if not apart or len(own) == 1:
                 problems.add(str(error))
                 continue
-            made += _one_by_one(opener, own, problems, quantity=quantity)
-    return made
+            datasets += _one_by_one(opener, own, problems, quantity=quantity)
+    return datasets
 
 
 def _one_by_one(opener: Any, files: Sequence[Path], problems: Problems, **options: Any) -> list[xr.Dataset]:
-    made = []
+    datasets = []
     for path in files:
         try:
-            made.append(opener(path, **options))
+            datasets.append(opener(path, **options))
         except PaintError as error:
             problems.add(str(error))
-    return made
+    return datasets
+
+
+_MAX_BYTES = 4 << 20
+_MOST_SHOWN = 5
+_HEADINGS = ("paint", "name", "signature", "region")
+
+
+def read_pairs(path: str | os.PathLike[str]) -> dict[str, tuple[str, ...]]:
+    r"""Read which references belong to which paints.
+
+    path: Lines of paint and reference, separated by a comma, under headings or none; a paint may have several
+        lines. Or a JSON object of paints, each with one name or a list of them (``.json``).
+    Returns dict: Names of references by names of paints, in the order of the file.
+    Raises FormatError: The file is no such list; the first problems are told.
+
+    Examples
+    --------
+    >>> import pathlib, tempfile
+    >>> path = pathlib.Path(tempfile.mkdtemp(), "pairs.csv")
+    >>> _ = path.write_text("paint,reference\nhood,svc_0012\nhood,svc_0013\n")
+    >>> read_pairs(path)
+    {'hood': ('svc_0012', 'svc_0013')}
+    """
+    path = Path(path)
+    data = read_limited_text(path, _MAX_BYTES, "a list of paints and references")
+    try:
+        text = data.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise FormatError(f"{path}: no UTF-8 text; save it as UTF-8") from error
+    problems = Problems(f"{path} is no list of paints and references", FormatError)
+    pairs = _of_json(text, problems) if path.suffix.lower() == ".json" else _of_lines(text, problems)
+    references_by_paint: dict[str, dict[str, None]] = {}
+    for paint, reference in pairs:
+        references_by_paint.setdefault(paint, {})[reference] = None
+    if not references_by_paint and not problems:
+        problems.add("it names no pair")
+    problems.raise_if_any()
+    return {paint: tuple(references) for paint, references in references_by_paint.items()}
+
+
+def _of_lines(text: str, problems: Problems) -> Iterator[tuple[str, str]]:
+    rows = csv.reader(text.splitlines(), strict=True)
+    number = 0
+    try:
+        for number, row in enumerate(rows, 1):
+            cells = [cell.strip() for cell in row]
+            if not any(cells) or cells[0].startswith("#"):
+                continue
+            if number == 1 and cells[0].lower() in _HEADINGS and cells[1:2] == ["reference"]:
+                continue
+            if len(cells) == 2 and all(cells):
+                yield cells[0], cells[1]
+            elif len(problems) < _MOST_SHOWN:
+                problems.add(f"line {number}: {','.join(row)[:60]!r}, expected paint, comma, reference")
+    except csv.Error as error:
+        problems.add(f"after line {number}: {error}")
+
+
+def _of_json(text: str, problems: Problems) -> Iterator[tuple[str, str]]:
+    try:
+        document: Any = json.loads(text)
+    except (ValueError, RecursionError) as error:
+        problems.add(f"no JSON ({error!s:.80})")
+        return
+    if not isinstance(document, dict):
+        problems.add("expected an object of paints, each with the name of its reference or a list of names")
+        return
+    for paint, names in document.items():
+        several = [names] if isinstance(names, str) else names
+        if isinstance(several, list) and several and all(isinstance(name, str) and name for name in several):
+            yield from ((paint, name) for name in several)
+        elif len(problems) < _MOST_SHOWN:
+            problems.add(f"{paint!r:.60}: {names!r:.60}, expected a name or a list of names")

@@ -1,16 +1,22 @@
-"""One spectrum in a text file: a wavelength and a value a line."""
+"""One spectrum in a text file, a wavelength and a value a line; also the certificate of a white panel."""
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
 
 from hyperpaint.base.errors import FormatError, Problems
+from hyperpaint.base.schema import VARIABLES
 from hyperpaint.io.files.reading import read_limited_text
 
-__all__ = ["read_spectrum_csv"]
+if TYPE_CHECKING:
+    import xarray as xr
+
+__all__ = ["read_certificate", "read_spectrum_csv"]
 
 _MAX_BYTES = 16 << 20
 _MOST_SHOWN = 5
@@ -24,23 +30,10 @@ def read_spectrum_csv(
 
     Lines that are empty or begin with ``#`` are passed over, and so are headings before the first numbers.
 
-    Parameters
-    ----------
-    path
-        The file.
-    headings
-        Lines at the top that may be headings.
-
-    Returns
-    -------
-    wavelength, value : numpy.ndarray
-        float64, shape (wavelength,).
-
-    Raises
-    ------
-    FormatError
-        A line is not two numbers, wavelengths do not increase or are none in nanometres, or there are fewer
-        than two lines; the first problems are listed.
+    headings: Lines at the top that may be headings.
+    Returns wavelength, value : numpy.ndarray: float64, shape (wavelength,).
+    Raises FormatError: A line is not two numbers, wavelengths do not increase or are none in nanometres, or
+        there are fewer than two lines; the first problems are listed.
     """
     path = Path(path)
     problems = Problems(f"{path} is no spectrum", FormatError)
@@ -57,11 +50,11 @@ def read_spectrum_csv(
             problems.add(f"line {number}: {content[:60]!r}, expected a wavelength [nm] and a value")
             if len(problems) == _MOST_SHOWN:
                 problems.raise_if_any()
-    found = np.array(rows, dtype=np.float64).reshape(-1, 2)
-    wavelength, values = found[:, 0].copy(), found[:, 1].copy()
+    table = np.array(rows, dtype=np.float64).reshape(-1, 2)
+    wavelength, values = table[:, 0].copy(), table[:, 1].copy()
     if len(rows) < 2:
         problems.add(f"{len(rows)} lines of numbers, expected two at least")
-    elif not (np.isfinite(found).all() and (np.diff(wavelength) > 0).all()):
+    elif not (np.isfinite(table).all() and (np.diff(wavelength) > 0).all()):
         problems.add("wavelengths do not increase from line to line, or a value is not finite")
     elif not _WAVELENGTHS[0] <= wavelength[0] <= wavelength[-1] <= _WAVELENGTHS[1]:
         problems.add(f"wavelengths from {wavelength[0]:g} to {wavelength[-1]:g}, expected nanometres")
@@ -77,3 +70,53 @@ def _numbers(line: str) -> tuple[float, float] | None:
         return float(parts[0]), float(parts[1])
     except ValueError:
         return None
+
+
+_MAX_HEADING_LINES = 40
+_MAX_PANEL_REFLECTANCE = 1.2  # of a diffuse panel, as a fraction
+
+
+def read_certificate(path: str | os.PathLike[str]) -> xr.DataArray:
+    r"""Read the certificate of a white panel: lines of wavelength [nm] and reflectance.
+
+    Parameters
+    ----------
+    path
+        Text of two columns, separated by a comma, semicolon, tab or blanks, below 40 lines of headings or
+        less.
+
+    Returns
+    -------
+    (wavelength,), float64
+        Reflectance factor of the panel [1].
+
+    Raises
+    ------
+    FormatError
+        The file is no such table, or its values are no fractions; percent is refused rather than guessed.
+
+    Examples
+    --------
+    >>> import pathlib, tempfile
+    >>> path = pathlib.Path(tempfile.mkdtemp(), "panel.csv")
+    >>> _ = path.write_text("Diffuse target;95 %\nnm;R\n400;0.981\n450;0.985\n")
+    >>> read_certificate(path).values
+    array([0.981, 0.985])
+    """
+    import xarray as xr
+
+    path = Path(path)
+    wavelength, values = read_spectrum_csv(path, headings=_MAX_HEADING_LINES)
+    if not ((values > 0.0) & (values <= _MAX_PANEL_REFLECTANCE)).all():
+        raise FormatError(
+            f"{path}: values from {values.min():g} to {values.max():g}, expected reflectance as a fraction; "
+            "divide percent by 100"
+        )
+    attrs = {**VARIABLES["wavelength"].attrs, "long_name": "Wavelength of the certificate"}
+    return xr.DataArray(
+        values.astype(np.float64),
+        dims="wavelength",
+        coords={"wavelength": ("wavelength", wavelength, attrs)},
+        name="reflectance",
+        attrs={"units": "1", "long_name": "Reflectance factor of the panel", "source": path.name},
+    )

@@ -24,19 +24,9 @@ _R = TypeVar("_R")
 def find_paths(paths: Paths, of_folder: Callable[[list[Path]], list[Path]], expected: str) -> list[Path]:
     """Return the files that ``paths`` names: a file, a glob, a folder, or a list of these.
 
-    Parameters
-    ----------
-    paths
-        As the user gave them.
-    of_folder
-        Picks the spectra among the files of a folder.
-    expected
-        What is looked for, for messages.
-
-    Raises
-    ------
-    FormatError
-        Nothing is there.
+    of_folder: Picks the spectra among the files of a folder.
+    expected: What is looked for, for messages.
+    Raises FormatError: Nothing is there.
     """
     if isinstance(paths, str | os.PathLike):
         paths = [paths]
@@ -48,14 +38,14 @@ def find_paths(paths: Paths, of_folder: Callable[[list[Path]], list[Path]], expe
         if path.is_dir():
             # what only looks like a file is kept: to read it is an error that names it, and none goes missing
             inside = sorted(p for p in path.iterdir() if not p.is_dir() and not p.name.startswith("."))
-            found = of_folder(inside)
+            matches = of_folder(inside)
         elif path.exists() or not glob.has_magic(text):
-            found = [path]
+            matches = [path]
         else:
-            found = [Path(match) for match in sorted(glob.glob(text, recursive=True))]
-        if not found:
+            matches = [Path(match) for match in sorted(glob.glob(text, recursive=True))]
+        if not matches:
             problems.add(f"{text}: no spectra found; expected {expected}")
-        files += found
+        files += matches
     if not files and not problems:
         problems.add("an empty list of files; name at least one")
     problems.raise_if_any()
@@ -65,16 +55,13 @@ def find_paths(paths: Paths, of_folder: Callable[[list[Path]], list[Path]], expe
 def for_all(items: Iterable[_T], function: Callable[[_T], _R]) -> list[_R]:
     """Return ``function`` of each item, in their order.
 
-    Raises
-    ------
-    FormatError
-        It raised that for some: one error names all of them, each reason once.
+    Raises FormatError: It raised that for some: one error names all of them, each reason once.
     """
-    made: list[_R] = []
+    outputs: list[_R] = []
     failed: dict[str, list[str]] = {}
     for item in items:
         try:
-            made.append(function(item))
+            outputs.append(function(item))
         except FormatError as error:
             name, _, reason = str(error).partition(": ")
             failed.setdefault(reason, []).append(name)
@@ -82,7 +69,7 @@ def for_all(items: Iterable[_T], function: Callable[[_T], _R]) -> list[_R]:
     for reason, names in failed.items():
         problems.add(f"{', '.join(names)}: {reason}")
     problems.raise_if_any()
-    return made
+    return outputs
 
 
 def same_grids(
@@ -98,11 +85,8 @@ def same_grids(
 def name_spectra(sources: Sequence[tuple[Path, str]]) -> list[str]:
     """Return a name for each spectrum that no other one has.
 
-    Parameters
-    ----------
-    sources
-        File of each spectrum and its name. Where names repeat, their folder is put before them; where that
-        does not help, a number behind.
+    sources: File of each spectrum and its name. Where names repeat, their folder is put before them; where
+        that does not help, a number behind.
 
     Examples
     --------
@@ -110,7 +94,7 @@ def name_spectra(sources: Sequence[tuple[Path, str]]) -> list[str]:
     ['a/red', 'b/red', 'blue']
     """
     count = Counter(name for _, name in sources)
-    made: list[str] = []
+    unique_names: list[str] = []
     taken: Counter[str] = Counter()
     for path, name in sources:
         folder = path.parent.name if count[name] > 1 else ""
@@ -119,17 +103,14 @@ def name_spectra(sources: Sequence[tuple[Path, str]]) -> list[str]:
             taken[wanted] += 1
             unique = f"{wanted} ({taken[wanted]})"
         taken[unique] += 1
-        made.append(unique)
-    return made
+        unique_names.append(unique)
+    return unique_names
 
 
 def check_utc_offset(hours: float) -> None:
     """Refuse local time minus UTC [h] that is the offset of no zone.
 
-    Raises
-    ------
-    TimeError
-        It is outside -14 to 14.
+    Raises TimeError: It is outside -14 to 14.
     """
     if not -14.0 <= hours <= 14.0:
         raise TimeError(f"utc_offset_h={hours}: expected local time minus UTC in hours, within -14 to 14")

@@ -26,8 +26,7 @@ from .svc_coords import (
     defined,
     warn_of,
 )
-from .svc_fields import detectors_of, items, overlap_of
-from .svc_layout import SvcFile, read_svc
+from .svc_layout import SvcFile, detectors_of, items, overlap_of, read_svc
 
 __all__ = ["SVC_JOINS", "open_svc"]
 
@@ -126,9 +125,7 @@ def open_svc(
     (['red'], array(['2025-05-27T07:42:59.000000000'], dtype='datetime64[ns]'))
     """
     _check_arguments(quantity, scan, overlap, joins, utc_offset_h)
-    files = find_paths(
-        paths, lambda inside: [path for path in inside if path.suffix.lower() == ".sig"], ".sig files"
-    )
+    files = find_paths(paths, lambda inside: [p for p in inside if p.suffix.lower() == ".sig"], ".sig files")
     contents = for_all(files, read_svc)
     side = SCANS.index(scan)
     wanted = quantity or _common_quantity(contents, side)
@@ -185,26 +182,20 @@ def _check_arguments(
 
 def _common_quantity(contents: Sequence[SvcFile], side: int) -> str:
     """Return what the files hold: of targets, reflectance, where both scans are in radiance."""
-    found: dict[str, list[str]] = {}
+    names_by_quantity: dict[str, list[str]] = {}
     for file in contents:
         reflects = side == 1 and file.units == ("radiance", "radiance") and file.has_reference
-        found.setdefault("reflectance" if reflects else file.units[side], []).append(file.name)
-    if len(found) > 1:
+        names_by_quantity.setdefault("reflectance" if reflects else file.units[side], []).append(file.name)
+    if len(names_by_quantity) > 1:
         problems = Problems("the files differ in what they hold; pass quantity=", FormatError)
-        for key, names in found.items():
+        for key, names in names_by_quantity.items():
             problems.add(f"{key}: {', '.join(names)}")
         problems.raise_if_any()
-    return next(iter(found))
+    return next(iter(names_by_quantity))
 
 
 def _measurement(
-    file: SvcFile,
-    path: Path,
-    quantity: str,
-    side: int,
-    joins: tuple[float, float] | None,
-    *,
-    trim: bool,
+    file: SvcFile, path: Path, quantity: str, side: int, joins: tuple[float, float] | None, *, trim: bool
 ) -> SvcMeasurement:
     overlap = overlap_of(file.header)
     detector = detectors_of(file, overlap.joins)
@@ -222,18 +213,11 @@ def _measurement(
     at = _handovers(file, joins) if trim else ()
     used = _trimmed(file, at)
     if not used.any():
-        raise FormatError(
-            f"{file.name}: its detectors do not follow one another in wavelength; the file is damaged"
-        )
+        raise FormatError(f"{file.name}: its detectors do not follow one another in wavelength: damaged")
     return SvcMeasurement(
-        file=file,
-        path=path,
-        overlap=overlap,
-        wavelength=file.wavelength[used],
-        values=values[used],
-        detector=None if detector is None else detector[used],
-        trimmed_at=at,
-    )
+        file=file, path=path, overlap=overlap, wavelength=file.wavelength[used], values=values[used],
+        detector=None if detector is None else detector[used], trimmed_at=at,
+    )  # fmt: skip
 
 
 def _reflectance(file: SvcFile) -> Floats:
@@ -254,15 +238,15 @@ def _reflectance(file: SvcFile) -> Floats:
         )
     if reason:
         raise FormatError(f"{file.name}: {reason}")
-    made = np.full(len(file.target), np.nan)
+    ratio = np.full(len(file.target), np.nan)
     with np.errstate(all="ignore"):  # damaged values; what is not finite is reported later
-        np.divide(file.target, file.reference, out=made, where=file.reference != 0.0)
-    return made
+        np.divide(file.target, file.reference, out=ratio, where=file.reference != 0.0)
+    return ratio
 
 
 def _handovers(file: SvcFile, joins: tuple[float, float] | None) -> tuple[float, ...]:
     """Return where one detector is to follow the other, for each step back of the wavelengths [nm]."""
-    made = []
+    handovers = []
     for start, join in zip(file.starts[1:], joins or SVC_JOINS, strict=False):
         first, last = float(file.wavelength[start]), float(file.wavelength[start - 1])
         # the vendor's software lets the next detector begin at its very first channel, a step above the join
@@ -273,8 +257,8 @@ def _handovers(file: SvcFile, joins: tuple[float, float] | None) -> tuple[float,
                 f"{file.name}: the join at {join:g} nm is not where detectors overlap, {first:g} to "
                 f"{last:g} nm; pass joins= within the overlaps"
             )
-        made.append(min(max(join, low), high))
-    return tuple(made)
+        handovers.append(min(max(join, low), high))
+    return tuple(handovers)
 
 
 def _trimmed(file: SvcFile, handovers: Sequence[float]) -> npt.NDArray[np.bool_]:
@@ -293,11 +277,9 @@ def _require_one_grid(measured: Sequence[SvcMeasurement]) -> None:
     problems = Problems(
         f"the files differ in their wavelengths; open them apart{_joins_that_help(measured)}", FormatError
     )
-    for wavelength, names in groups:
-        kept = ", overlap kept" if np.any(np.diff(wavelength) <= 0.0) else ""
-        problems.add(
-            f"{len(wavelength)} from {wavelength[0]:g} to {wavelength[-1]:g} nm{kept}: {', '.join(names)}"
-        )
+    for nm, names in groups:
+        remark = ", overlap kept" if np.any(np.diff(nm) <= 0.0) else ""
+        problems.add(f"{len(nm)} from {nm[0]:g} to {nm[-1]:g} nm{remark}: {', '.join(names)}")
     problems.raise_if_any()
 
 

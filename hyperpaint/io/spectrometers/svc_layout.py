@@ -3,7 +3,7 @@
 A first line that names the maker, ``key= value`` lines up to ``data=``, then a row a channel: wavelength
 [nm], the scan of the white reference, the scan of the target, and their ratio in per cent, rounded. Numbers
 follow the locale of the PC that saved the file: a decimal comma stands in rows and in the header, where a
-comma *and a blank* separate the items of a list. What each key means is read in `svc_fields`.
+comma *and a blank* separate the items of a list.
 """
 
 from __future__ import annotations
@@ -17,13 +17,16 @@ from pathlib import Path
 from types import MappingProxyType
 
 import numpy as np
+import numpy.typing as npt
 
 from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import FormatError
 from hyperpaint.io.files.reading import decoded_text, read_limited_text
 
-__all__ = ["SvcFile", "is_svc", "read_svc", "svc_number"]
-
+__all__ = [
+    "DETECTORS", "SvcFile", "SvcOverlap", "detectors_of", "error_bits", "is_svc", "items", "overlap_of",
+    "pair", "position_of", "read_svc",
+]  # fmt: skip
 
 _LARGEST_FILE = 4 * 2**20  # a hundred times what the instruments write
 _MOST_ROWS = 32_768
@@ -52,33 +55,18 @@ _CHANNELS = re.compile(r"HR-(\d{3,4})(?!\d)")
 
 @dataclass(frozen=True, eq=False)
 class SvcFile:
-    """What one ``.sig`` file holds; arrays are (wavelength), float64 and read-only, in the file's order.
+    """What one ``.sig`` file holds; arrays are (wavelength), float64 and read-only, in the file's order."""
 
-    Attributes
-    ----------
-    name
-        File name without its folder.
-    header
-        Values by key (lower case), as text.
-    units
-        What the scans of reference and target are in: ``radiance``, ``counts`` or ``irradiance``.
-    wavelength
-        Nanometres; they step back where a detector ends and the next one, which overlaps it, begins.
-    reference, target
-        The two scans, in the file's numbers.
-    percent
-        Their ratio as the file rounds it.
-    starts
-        Row of the first channel of each detector that is told by a step back; the first is 0.
-    """
-
-    name: str
-    header: Mapping[str, str]
+    name: str  # file name without its folder
+    header: Mapping[str, str]  # values by key (lower case), as text
+    # What the scans of reference and target are in: ``radiance``, ``counts`` or ``irradiance``
     units: tuple[str, str]
+    # Nanometres; they step back where a detector ends and the next one, which overlaps it, begins
     wavelength: Floats
-    reference: Floats
+    reference: Floats  # the two scans, in the file's numbers
     target: Floats
-    percent: Floats
+    percent: Floats  # their ratio as the file rounds it
+    # Row of the first channel of each detector that is told by a step back; the first is 0
     starts: tuple[int, ...]
 
     @property
@@ -95,20 +83,10 @@ def is_svc(head: bytes) -> bool:
 def read_svc(path: str | os.PathLike[str]) -> SvcFile:
     r"""Read one ``.sig`` file, of any firmware and locale.
 
-    Parameters
-    ----------
-    path
-        A file that an SVC spectrometer or its software saved.
-
-    Returns
-    -------
-    SvcFile
-        Header and scans (wavelength).
-
-    Raises
-    ------
-    FormatError
-        The file cannot be read, is no ``.sig`` file, or is truncated, damaged or contradictory.
+    path: A file that an SVC spectrometer or its software saved.
+    Returns SvcFile: Header and scans (wavelength).
+    Raises FormatError: The file cannot be read, is no ``.sig`` file, or is truncated, damaged or
+        contradictory.
 
     Examples
     --------
@@ -132,23 +110,18 @@ def read_svc(path: str | os.PathLike[str]) -> SvcFile:
     wavelength, reference, target, percent = _table(path.name, lines, first)
     _refuse_truncated(path.name, header, len(wavelength))
     return SvcFile(
-        name=path.name,
-        header=MappingProxyType(header),
-        units=_units(path.name, header),
-        wavelength=wavelength,
-        reference=reference,
-        target=target,
-        percent=percent,
+        name=path.name, header=MappingProxyType(header), units=_units(path.name, header),
+        wavelength=wavelength, reference=reference, target=target, percent=percent,
         starts=_detector_starts(path.name, wavelength),
-    )
+    )  # fmt: skip
 
 
-def svc_number(text: str) -> float | None:
+def _svc_number(text: str) -> float | None:
     """Return the number that a cell holds, with a point or a comma; None where it is none.
 
     Examples
     --------
-    >>> svc_number("-5,1"), svc_number("1.5E-02"), svc_number("1,5,0")
+    >>> _svc_number("-5,1"), _svc_number("1.5E-02"), _svc_number("1,5,0")
     (-5.1, 0.015, None)
     """
     if _NUMBER.fullmatch(text):
@@ -181,14 +154,12 @@ def _header(name: str, lines: list[str]) -> tuple[dict[str, str], int]:
 def _table(name: str, lines: list[str], first: int) -> list[Floats]:
     rows: list[list[float]] = []
     if len(lines) - first > _MOST_ROWS:
-        raise FormatError(
-            f"{name}: {len(lines) - first} rows, expected at most {_MOST_ROWS}; the file is damaged"
-        )
+        raise FormatError(f"{name}: {len(lines) - first} rows, expected at most {_MOST_ROWS}: damaged")
     for number, line in enumerate(lines[first:], start=first + 1):
         if not line.strip():
             continue
         cells = line.replace("n. def.", "n.def.").split(None, 5)
-        values = [value for cell in cells if (value := svc_number(cell)) is not None]
+        values = [value for cell in cells if (value := _svc_number(cell)) is not None]
         if len(cells) != 4 or len(values) != 4:
             raise FormatError(
                 f"{name}: line {number} holds {line.strip()[:60]!r}, expected four numbers (wavelength, "
@@ -196,20 +167,16 @@ def _table(name: str, lines: list[str], first: int) -> list[Floats]:
             )
         rows.append(values)
     if len(rows) < 2:
-        raise FormatError(
-            f"{name}: {len(rows)} rows, expected a spectrum; copy the file again from the instrument"
-        )
-    made = [np.ascontiguousarray(column) for column in np.array(rows, np.float64).T]
-    for column in made:
+        raise FormatError(f"{name}: {len(rows)} rows, expected a spectrum; copy the file again")
+    columns = [np.ascontiguousarray(column) for column in np.array(rows, np.float64).T]
+    for column in columns:
         column.flags.writeable = False
-    return made
+    return columns
 
 
 def _detector_starts(name: str, wavelength: Floats) -> tuple[int, ...]:
     if not np.all((wavelength > 0.0) & (wavelength < 1e5)):
-        raise FormatError(
-            f"{name}: wavelengths that are not positive numbers of nanometres; the file is damaged"
-        )
+        raise FormatError(f"{name}: wavelengths that are not positive numbers of nanometres: damaged")
     starts = (0, *(int(step) + 1 for step in np.flatnonzero(np.diff(wavelength) <= 0.0)))
     if len(starts) > _MOST_DETECTORS:
         raise FormatError(
@@ -221,23 +188,159 @@ def _detector_starts(name: str, wavelength: Floats) -> tuple[int, ...]:
 
 def _refuse_truncated(name: str, header: Mapping[str, str], rows: int) -> None:
     """Refuse a file that keeps the overlap and still has fewer rows than its instrument has channels."""
-    found = _CHANNELS.search(header.get("instrument", ""))
-    kept = "overlap: preserve" in header.get("factors", "").partition("]")[0].lower()
-    if found and kept and rows < int(found[1]):
+    model = _CHANNELS.search(header.get("instrument", ""))
+    overlap_preserved = "overlap: preserve" in header.get("factors", "").partition("]")[0].lower()
+    if model and overlap_preserved and rows < int(model[1]):
         raise FormatError(
-            f"{name}: {rows} rows, expected the {found[1]} channels of an HR-{found[1]} whose overlap is "
+            f"{name}: {rows} rows, expected the {model[1]} channels of an HR-{model[1]} whose overlap is "
             "preserved: the file is truncated; copy it again from the instrument"
         )
 
 
 def _units(name: str, header: Mapping[str, str]) -> tuple[str, str]:
     words = [word.strip().lower() for word in header.get("units", "").split(",")]
-    known = ("radiance", "counts", "irradiance")
+    allowed = ("radiance", "counts", "irradiance")
     if len(words) == 1:
         words *= 2
-    if len(words) != 2 or any(word not in known for word in words):
-        found = repr(header["units"][:60]) if "units" in header else "no line 'units='"
-        raise FormatError(
-            f"{name}: {found}, expected units= Radiance, Radiance (or Counts, or Irradiance): damaged"
-        )
+    if len(words) != 2 or any(word not in allowed for word in words):
+        line = repr(header["units"][:60]) if "units" in header else "no line 'units='"
+        raise FormatError(f"{name}: {line}, expected units= Radiance, Radiance (or Counts, Irradiance)")
     return words[0], words[1]
+
+
+DETECTORS = ("VNIR", "SWIR1", "SWIR2")
+
+_ITEM = re.compile(r",(?=\s|$)")
+_RECORD = re.compile(r"([^\[\]]*)\[([^\[\]]*)\]?")
+_REMOVED = re.compile(r"remove\s*@\s*(\d{3,4})(?:[.,]0)?\s*,\s*(\d{3,4})(?![\d])", re.IGNORECASE)
+_MATCHING = re.compile(r"matching type:\s*([^\]]*)", re.IGNORECASE)
+_ANGLE = re.compile(r"(\d{3,5})[.,](\d{1,8})\s*,?\s*([NSEW])", re.ASCII | re.IGNORECASE)
+_LONGEST = 2000  # characters of the line that are looked at
+_BITS = re.compile(r"[0-9]{1,9}")
+
+
+@dataclass(frozen=True)
+class SvcOverlap:
+    """What was done where detectors overlap, as the line ``factors`` says it."""
+
+    # True where all channels are there, False where channels were removed, None where the file is silent
+    preserved: bool | None
+    # Wavelengths [nm] at which the next detector takes over, where channels were removed
+    joins: tuple[float, float] | None
+    # How detectors were matched (``Radiance @ 976 - 1010 / NIR-SWIR On``); ``None`` where they were not,
+    # empty where the file is silent. Matching scales the first detector by a ramp, and fades it into the
+    # second up to the end of the range that is named
+    matching: str
+    # VNIR over SWIR1 in the overlap, for reference and target; NaN where unknown
+    factors: tuple[float, float]
+
+    @property
+    def matched(self) -> bool:
+        """Whether the file says that its values were matched."""
+        return self.matching.lower() not in ("", "none")
+
+    @property
+    def text(self) -> str:
+        """In a word or two."""
+        if self.joins is not None:
+            return f"removed @ {self.joins[0]:g}, {self.joins[1]:g} nm"
+        return {True: "preserved", False: "removed", None: "unknown"}[self.preserved]
+
+
+def items(value: str) -> list[str]:
+    """Return the items of a list in the header; a comma without a blank behind it is a decimal comma.
+
+    Examples
+    --------
+    >>> items("1000,0, 40,0, 10,0"), items("                ,                 ")
+    (['1000,0', '40,0', '10,0'], ['', ''])
+    """
+    return [item.strip() for item in _ITEM.split(value)]
+
+
+def pair(header: Mapping[str, str], key: str) -> tuple[str, str]:
+    """Return the texts for reference and target, empty where there is none."""
+    entries = items(header.get(key, ""))
+    return (entries[0], entries[1]) if len(entries) == 2 else ("", entries[0] if len(entries) == 1 else "")
+
+
+def overlap_of(header: Mapping[str, str]) -> SvcOverlap:
+    """Return what the line ``factors`` says.
+
+    A file that was processed again holds a record a time, the latest first.
+
+    Examples
+    --------
+    >>> line = "0.795, 0.848, 1.000 [Overlap: Remove @ 970,1901, Matching Type: None]"
+    >>> overlap_of({"factors": line})
+    SvcOverlap(preserved=False, joins=(970.0, 1901.0), matching='None', factors=(0.795, 0.848))
+    """
+    line = header.get("factors", "")[:_LONGEST]
+    records = _RECORD.findall(line)
+    numbers, latest = records[0] if records else (line, "")
+    values = [_svc_number(item) for item in items(numbers)]
+    first, second = (math.nan if value is None else value for value in (*values, None, None)[:2])
+    removed = _REMOVED.search(latest)
+    word = latest.lower()
+    preserved = True if "preserve" in word else False if "remove" in word else None
+    matchings = [match[1].strip() for _, record in records if (match := _MATCHING.search(record))]
+    applied = [text for text in matchings if text.lower() != "none"]
+    return SvcOverlap(
+        preserved=preserved,
+        joins=(float(removed[1]), float(removed[2])) if removed else None,
+        matching=applied[0] if applied else matchings[0] if matchings else "",
+        factors=(first, second),
+    )
+
+
+def error_bits(header: Mapping[str, str]) -> tuple[int, int]:
+    """Return the instrument's error bits of reference and target, -1 where the file is silent."""
+    first, second = (int(text) if _BITS.fullmatch(text) else -1 for text in pair(header, "error"))
+    return first, second
+
+
+def position_of(header: Mapping[str, str], scan: int) -> tuple[float, float] | None:
+    """Return latitude and longitude [degree], north and east positive, NaN without a fix.
+
+    None where something else stands there.
+
+    scan: 0 for the reference, 1 for the target.
+
+    Examples
+    --------
+    >>> position_of({"latitude": "5230.0000N , 5215.0000S", "longitude": "01332.0665E, 01345.0000W"}, 1)
+    (-52.25, -13.75)
+    """
+    try:
+        latitude = _angle(header.get("latitude", ""), scan, "NS", 90.0)
+        longitude = _angle(header.get("longitude", ""), scan, "EW", 180.0)
+    except ValueError:
+        return None
+    missing = not math.isfinite(latitude + longitude) or latitude == longitude == 0.0
+    return (math.nan, math.nan) if missing else (latitude, longitude)
+
+
+def _angle(value: str, scan: int, letters: str, limit: float) -> float:
+    entries = items(value)
+    # old firmware puts the letter behind a comma of its own: 11121.2335,W, 11121.2324,W
+    text = entries[scan] if len(entries) == 2 else ""
+    if not text.strip(", "):
+        return math.nan
+    match = _ANGLE.fullmatch(text)
+    if match is None or match[3].upper() not in letters:
+        raise ValueError
+    degrees, minutes = int(match[1]) // 100, int(match[1]) % 100 + float(f"0.{match[2]}")
+    angle = degrees + minutes / 60.0
+    if minutes >= 60.0 or angle > limit:
+        raise ValueError
+    return -angle if match[3].upper() == letters[1] else angle
+
+
+def detectors_of(file: SvcFile, joins: tuple[float, float] | None) -> npt.NDArray[np.int64] | None:
+    """Return the number of the detector that each channel is of, None where the file does not tell."""
+    if len(file.starts) > 1:
+        number = np.zeros(len(file.wavelength), np.int64)
+        for start in file.starts[1:]:
+            number[start:] += 1
+        return number
+    return None if joins is None else np.searchsorted(np.array(sorted(joins)), file.wavelength)

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import xarray as xr
 from support.dirsig_exports import BANDS, NM, files, library
 
 import hyperpaint as hp
@@ -172,3 +173,15 @@ def test_a_finished_export_reads_back(tmp_path: Path) -> None:
         assert found.layout == "new"
         members = np.array([curve.emissivity for curve in found.curves])
         np.testing.assert_allclose(members, 1 - paints.member_reflectance.values[number], atol=6e-7)
+
+
+def test_the_marker_does_not_depend_on_the_order_of_coordinates(tmp_path: Path) -> None:
+    paints = library().assign_coords(zone=("paint", ["a"] * library().sizes["paint"]))
+    paints = paints.assign_coords(area=("paint", ["b"] * library().sizes["paint"]))
+    coords = {key: paints.variables[key] for key in reversed([*paints.coords])}
+    turned = xr.Dataset(paints.reset_coords(drop=True).data_vars, coords, paints.attrs)
+    for folder, one in (("one", paints), ("two", turned)):
+        hp.write_dirsig(one, tmp_path / folder)
+    one, two = ((tmp_path / folder / "paints.json").read_bytes() for folder in ("one", "two"))
+    assert one == two
+    assert b'"area": "b"' in one

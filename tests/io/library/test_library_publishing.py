@@ -14,7 +14,7 @@ import xarray as xr
 import hyperpaint as hp
 from hyperpaint.base.errors import FormatError, StoreError
 from hyperpaint.io.files import publishing
-from hyperpaint.io.library import envi_writing
+from hyperpaint.io.library import envi_library
 
 NAMES = {"envi": "paints.sli", "csv": "paints.csv", "zarr": "paints.zarr", "ecostress": "paints"}
 
@@ -153,7 +153,7 @@ def test_a_folder_with_anything_else__is_never_replaced(library: xr.Dataset, tmp
 def test_a_header_too_large_to_be_read__is_refused(
     library: xr.Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(envi_writing, "MAX_LIBRARY_HEADER_BYTES", 500)
+    monkeypatch.setattr(envi_library, "MAX_LIBRARY_HEADER_BYTES", 500)
     with pytest.raises(ValueError, match="shorten names, write fewer members"):
         hp.write_library(library, tmp_path / "paints.sli")
     assert list(tmp_path.iterdir()) == []

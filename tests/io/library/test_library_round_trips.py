@@ -43,6 +43,23 @@ def test_sli_and_csv__give_the_library_back(library: xr.Dataset, tmp_path: Path,
         assert found[variable].dtype == library[variable].dtype, variable
 
 
+@pytest.mark.parametrize("name", ["paints.sli", "paints.csv", "paints"])
+def test_files_do_not_depend_on_the_order_of_coordinates(
+    library: xr.Dataset, tmp_path: Path, name: str
+) -> None:
+    """xarray gathers coordinates from sets, whose order follows PYTHONHASHSEED."""
+    options = {"format": "ecostress"} if name == "paints" else {}
+    library = library.isel(band=[0, 1, 3, 4, 5, 6])
+    coords = {key: library.variables[key] for key in reversed([*library.coords])}
+    turned = xr.Dataset(library.reset_coords(drop=True).data_vars, coords, library.attrs)
+    paths = [
+        hp.write_library(one, tmp_path / folder / name, **options)
+        for folder, one in (("one", library), ("two", turned))
+    ]
+    one, two = (files_of(path if path.is_dir() else path.parent) for path in paths)
+    assert one == two
+
+
 def test_zarr__gives_the_library_back(library: xr.Dataset, tmp_path: Path) -> None:
     found = hp.open_library(hp.write_library(library, tmp_path / "paints.zarr"))
     assert found["member_reflectance"].chunks is not None

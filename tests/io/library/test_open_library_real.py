@@ -178,7 +178,7 @@ def test_usgs_text__without_wavelengths_says_what_is_missing(text: Path, tmp_pat
 
 
 def test_wavelengths_are_no_spectrum(text: Path) -> None:
-    with pytest.raises(FormatError, match="are no spectrum; pass the file as wavelength="):
+    with pytest.raises(FormatError, match="is no spectrum; pass the file as wavelength="):
         hp.open_library(text / WAVELENGTHS)
 
 

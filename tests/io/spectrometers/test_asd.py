@@ -13,7 +13,7 @@ from hypothesis import HealthCheck, given, settings, strategies as st
 
 from hyperpaint.base.errors import FormatError, PaintWarning, SchemaError, TimeError
 from hyperpaint.io.spectrometers.asd import find_files, open_asd, read_asd
-from hyperpaint.io.spectrometers.asd_blocks import Cursor
+from hyperpaint.io.spectrometers.asd_binary import Cursor
 from hyperpaint.io.spectrometers.asd_text import read_asd_text
 
 GRID = np.arange(350.0, 1051.0)
@@ -235,7 +235,7 @@ def test_missing_blocks_are_named_and_files_stand_in(write_asd):
     with pytest.raises(SchemaError, match="lamp, fore_optic, panel"):
         open_asd(path, calibration={"ill": files["lamp"]})
     other_grid = {**files, "lamp": write_asd("y.ill", LAMP[:-1])}
-    with pytest.raises(FormatError, match=r"not those of the calibration file y\.ill"):
+    with pytest.raises(FormatError, match=r"not those of calibration file y\.ill"):
         open_asd(path, utc_offset_h=0, calibration=other_grid)
 
 
@@ -253,7 +253,7 @@ def test_absolute_reflectance(write_asd):
     other_grid = {"absolute": write_asd("y.ref", PANEL[:-1])}
     with pytest.raises(FormatError, match=r"a\.asd, b\.asd: its wavelengths are not those .* y\.ref"):
         open_asd(paths, absolute=True, utc_offset_h=0, calibration=other_grid)
-    with pytest.raises(SchemaError, match="absolute=True is of reflectance, the spectra are counts"):
+    with pytest.raises(SchemaError, match="absolute=True needs reflectance, found counts"):
         open_asd(paths, "counts", absolute=True)
 
 

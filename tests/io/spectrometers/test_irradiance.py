@@ -16,7 +16,7 @@ from hyperpaint.base.errors import (
     UnitsError,
 )
 from hyperpaint.io.spectrometers.irradiance import open_irradiance
-from hyperpaint.io.spectrometers.irradiance_csv import read_irradiance_csv
+from hyperpaint.io.spectrometers.irradiance_files import read_irradiance_csv
 from hyperpaint.io.store import to_store
 
 GRID = np.arange(350.0, 1051.0)
@@ -359,7 +359,7 @@ def test_units_and_width_of_an_xarray_series():
     with pytest.raises(UnitsError, match="has no units"):
         open_irradiance(data.drop_attrs(deep=False), fwhm_nm=3)
     data.attrs["units"] = "mW m-2 nm-1"
-    with pytest.raises(UnitsError, match="drop the argument"):
+    with pytest.raises(UnitsError, match="correct one of them"):
         open_irradiance(data, fwhm_nm=3, units="W m-2 nm-1")
     with pytest.raises(SchemaError, match="fwhm_nm="):
         open_irradiance(data)

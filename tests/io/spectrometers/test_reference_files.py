@@ -11,8 +11,7 @@ from hypothesis import HealthCheck, given, settings, strategies as st
 
 import hyperpaint as hp
 from hyperpaint.base.errors import FormatError
-from hyperpaint.io.spectrometers.reference_files import open_references
-from hyperpaint.io.spectrometers.reference_pairs import read_pairs
+from hyperpaint.io.spectrometers.reference_files import open_references, read_pairs
 
 
 @pytest.mark.real_data

@@ -1,4 +1,4 @@
-"""Irradiance series as comma-separated values."""
+"""Irradiance series in files: comma-separated values, and Zarr or netCDF stores, those of a collect too."""
 
 from __future__ import annotations
 
@@ -10,11 +10,12 @@ from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
+import xarray as xr
 
-from hyperpaint.base.errors import FormatError
-from hyperpaint.io.files.reading import read_limited_text
+from hyperpaint.base.errors import FormatError, IncompleteStoreError
+from hyperpaint.io.files.reading import load_netcdf, read_limited_text
 
-__all__ = ["IrradianceTable", "is_irradiance_csv", "read_irradiance_csv"]
+__all__ = ["is_irradiance_csv", "is_store", "read_irradiance_csv", "stored_series"]
 
 _LARGEST_FILE = 2**30
 _YEARS = range(1970, 2200)  # datetime64[ns] would wrap around in silence from 2262 on
@@ -22,30 +23,14 @@ _YEARS = range(1970, 2200)  # datetime64[ns] would wrap around in silence from 2
 
 @dataclass(frozen=True, eq=False)
 class IrradianceTable:
-    """What one file holds.
+    """What one file holds."""
 
-    Attributes
-    ----------
-    name
-        File name without its folder.
-    times
-        (sample), with a zone where the file gives one.
-    lines
-        (sample), line numbers in the file.
-    wavelength
-        (wavelength) [nm].
-    values
-        (sample, wavelength), NaN where a cell is empty.
-    units, fwhm_nm
-        As the comments say, or None.
-    """
-
-    name: str
-    times: tuple[dt.datetime, ...]
-    lines: tuple[int, ...]
-    wavelength: npt.NDArray[np.float64]
-    values: npt.NDArray[np.float64]
-    units: str | None
+    name: str  # file name without its folder
+    times: tuple[dt.datetime, ...]  # (sample), with a zone where the file gives one
+    lines: tuple[int, ...]  # (sample), line numbers in the file
+    wavelength: npt.NDArray[np.float64]  # (wavelength) [nm]
+    values: npt.NDArray[np.float64]  # (sample, wavelength), NaN where a cell is empty
+    units: str | None  # as the comments say, or None
     fwhm_nm: float | None
 
 
@@ -63,20 +48,8 @@ def read_irradiance_csv(path: str | os.PathLike[str]) -> IrradianceTable:
     with the wavelengths in nanometres, then a row a sample that begins with an ISO 8601 stamp, with a zone
     (``2024-05-21T12:00:00.5Z``) or, all of them, without.
 
-    Parameters
-    ----------
-    path
-        The file.
-
-    Returns
-    -------
-    IrradianceTable
-        Values (sample, wavelength) and what the comments say.
-
-    Raises
-    ------
-    FormatError
-        The file cannot be read, or its header or rows are not as above.
+    Returns IrradianceTable: Values (sample, wavelength) and what the comments say.
+    Raises FormatError: The file cannot be read, or its header or rows are not as above.
 
     Examples
     --------
@@ -106,9 +79,7 @@ def _parse(name: str, text: str) -> IrradianceTable:
         raise FormatError(f"{name}: no header 'time,<wavelength>,...': not an irradiance series")
     wavelength = _wavelength(name, rows[0][1][1:])
     if len(rows) < 2:
-        raise FormatError(
-            f"{name}: no rows under the header; expected a time and {len(wavelength)} values in each"
-        )
+        raise FormatError(f"{name}: no rows; expected a time and {len(wavelength)} values in each")
     times, values = [], np.empty((len(rows) - 1, len(wavelength)))
     for index, (number, cells) in enumerate(rows[1:]):
         try:
@@ -131,30 +102,70 @@ def _parse(name: str, text: str) -> IrradianceTable:
 
 def _wavelength(name: str, cells: list[str]) -> npt.NDArray[np.float64]:
     try:
-        made = np.array([float(cell) for cell in cells], np.float64)
+        wavelength = np.array([float(cell) for cell in cells], np.float64)
     except ValueError as error:
         raise FormatError(
             f"{name}: the header cannot be read ({error}); expected 'time' and wavelengths in nm"
         ) from error
-    if not (len(made) and np.all(np.isfinite(made)) and np.all(made > 0) and np.all(np.diff(made) > 0)):
+    if not (
+        len(wavelength)
+        and np.all(np.isfinite(wavelength))
+        and np.all(wavelength > 0)
+        and np.all(np.diff(wavelength) > 0)
+    ):
         raise FormatError(f"{name}: the wavelengths in the header must be positive and increase")
-    return made
+    return wavelength
 
 
 def _time(cell: str) -> dt.datetime:
-    made = dt.datetime.fromisoformat(cell)
-    if made.year not in _YEARS:
-        raise ValueError(f"the year {made.year} lies outside {_YEARS.start} to {_YEARS.stop - 1}")
-    return made
+    time = dt.datetime.fromisoformat(cell)
+    if time.year not in _YEARS:
+        raise ValueError(f"the year {time.year} lies outside {_YEARS.start} to {_YEARS.stop - 1}")
+    return time
 
 
 def _width(name: str, comments: dict[str, str]) -> float | None:
     if "fwhm_nm" not in comments:
         return None
     try:
-        made = float(comments["fwhm_nm"])
+        width = float(comments["fwhm_nm"])
     except ValueError:
-        made = math.nan
-    if not 0 < made < math.inf:
+        width = math.nan
+    if not 0 < width < math.inf:
         raise FormatError(f"{name}: '# fwhm_nm: {comments['fwhm_nm'][:40]}', expected a positive number")
-    return made
+    return width
+
+
+_SUFFIXES = (".zarr", ".nc", ".nc4", ".h5")
+_FILES = ("zarr.json", ".zgroup", ".zattrs")
+
+
+def is_store(path: Path) -> bool:
+    """Tell whether a path is a Zarr or netCDF store, by its name or by what is in it."""
+    return path.suffix.lower() in _SUFFIXES or any((path / name).exists() for name in _FILES)
+
+
+def stored_series(path: Path) -> xr.Dataset:
+    """Return the dataset that holds the series: the root, or of a collect's store its group irradiance."""
+    from hyperpaint.io.store import load_unverified, open_store
+    from hyperpaint.io.store.location import Location
+
+    group, ours = None, False
+    try:
+        if not path.is_dir():
+            return load_netcdf(path)
+        location = Location.of(path)
+        inner, node = location.metadata("irradiance") or {}, location.metadata("") or {}
+        if inner.get("node_type") == "group":
+            group, node = "irradiance", inner
+        ours = "hyperpaint_format" in (node.get("attributes") or {})
+        # ours is refused where it was never finished
+        return open_store(path, group, chunks=None).load() if ours else load_unverified(path, group)
+    except IncompleteStoreError as error:
+        if ours:
+            raise
+        raise FormatError(f"{path}: cannot be opened as a Zarr store ({error})") from error
+    except Exception as error:  # zarr, h5py and xarray leak classes of their own on damaged stores
+        raise FormatError(
+            f"{path}: cannot be opened as a Zarr or netCDF store ({type(error).__name__}: {error})"
+        ) from error

@@ -11,7 +11,7 @@ from support.svc_texts import svc_text
 
 from hyperpaint.base.errors import PaintWarning
 from hyperpaint.io.spectrometers.svc import open_svc
-from hyperpaint.io.spectrometers.svc_times import orders_of, read_gps_time, read_stamp, utc_of
+from hyperpaint.io.spectrometers.svc_coords import orders_of, read_gps_time, read_stamp, utc_of
 
 MARCH = dt.datetime(2024, 3, 5, 17, 8, 9)
 
@@ -136,9 +136,7 @@ def test_times_of_several_files(tmp_path) -> None:
 def test_gps_wins_over_a_zone_that_contradicts_it(tmp_path) -> None:
     path = tmp_path / "a.sig"
     path.write_text(svc_text())
-    with pytest.warns(
-        PaintWarning, match=r"utc_offset_h=-7 contradicts the GPS time, which is used. .*a\.sig"
-    ):
+    with pytest.warns(PaintWarning, match=r"utc_offset_h=-7 contradicts GPS time, which is used. .*a\.sig"):
         found = open_svc(path, utc_offset_h=-7)
     assert found["time"].values[0] == np.datetime64("2025-05-27T07:42:50.357")
     assert open_svc(path, utc_offset_h=2)["time"].values[0] == found["time"].values[0]

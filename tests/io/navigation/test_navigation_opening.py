@@ -302,7 +302,7 @@ def test_csv_clocks(tmp_path: Path, column: str, cell: str, expected: str) -> No
         ),
         ([CSV_HEADER.replace("altitude [m]", "altitude [s]"), CSV_ROWS[0]], "'s' are not convertible to 'm'"),
         ([CSV_HEADER.replace("pitch", "roll"), CSV_ROWS[0]], "are all roll"),
-        ([CSV_HEADER.replace("time", "when"), CSV_ROWS[0]], "no column for time"),
+        ([CSV_HEADER.replace("time", "when"), CSV_ROWS[0]], "no column of time"),
         ([CSV_HEADER, CSV_ROWS[0].replace("Z", "")], "with a zone"),
         ([CSV_HEADER, "12.5,43,-77,150,0,0,0"], "from when do they count"),
         ([CSV_HEADER, CSV_ROWS[0], "2024-06-01"], "line 3 without 7 cells"),
@@ -329,7 +329,7 @@ def test_all_problems_of_a_csv_are_told_at_once(tmp_path: Path) -> None:
     with pytest.raises(FormatError) as caught:
         hp.open_navigation(write_csv(tmp_path / "f.csv", "# time_scale: tai", header, CSV_ROWS[0]))
     assert all(
-        word in str(caught.value) for word in ("time_scale", "'roll' has no unit", "no column for pitch")
+        word in str(caught.value) for word in ("time_scale", "'roll' has no unit", "no column of pitch")
     )
 
 
@@ -466,7 +466,7 @@ def test_a_mapping_changes_single_choices(tmp_path: Path) -> None:
 def test_files_of_no_known_kind_are_refused(tmp_path: Path) -> None:
     path = tmp_path / "flight.bin"
     path.write_bytes(bytes(272))
-    with pytest.raises(FormatError, match="binary, not a kind"):
+    with pytest.raises(FormatError, match="binary, no known kind"):
         hp.open_navigation(path)
     assert hp.open_navigation(path, format="sbet", week=0, leap_seconds=0).sizes["navigation_time"] == 2
     with pytest.raises(SchemaError, match="format 'nmea'"):
@@ -565,7 +565,7 @@ def test_a_line_of_aviris(shared_data: Path) -> None:
 def test_attitude_alone_is_no_navigation(shared_data: Path) -> None:
     with pytest.raises(FormatError) as caught:
         hp.open_navigation(shared_data / "gps_imu/px4_attitude_69s.csv")
-    assert all(f"no column for {name}" in str(caught.value) for name in ("latitude", "longitude", "altitude"))
+    assert all(f"no column of {name}" in str(caught.value) for name in ("latitude", "longitude", "altitude"))
 
 
 @pytest.mark.real_data

@@ -18,14 +18,9 @@ if TYPE_CHECKING:
     import xarray as xr
 
 __all__ = [
-    "OWN_AXES",
-    "Spectra",
-    "check_wavelengths",
-    "library_of",
-    "reflectances",
-    "text_column",
+    "OWN_AXES", "Spectra", "check_wavelengths", "library_of", "reflectances", "text_column",
     "with_numbers_as_data",
-]
+]  # fmt: skip
 
 
 SHORTEST, LONGEST = 100.0, 3e5
@@ -51,74 +46,51 @@ to another spectrometer, some share of that."""
 
 @dataclass(frozen=True, eq=False)
 class Spectra:
-    """Spectra on one grid, as one file holds them.
+    """Spectra on one grid, as one file holds them."""
 
-    Attributes
-    ----------
-    source
-        File name.
-    form
-        Name of the format.
-    names
-        Of the spectra, as the file spells them.
-    wavelength
-        (band) [nm], in the order of the file.
-    reflectance
-        (paint, band) float32, as a fraction; NaN where there is no value.
-    fwhm, good
-        (band); None where the file does not say.
-    others
-        Further variables on (paint, band): rows of `LIBRARY_VARIABLES` by name.
-    columns
-        What the file says of each spectrum in words.
-    notes
-        What was inferred or looked odd.
-    """
-
-    source: str
-    form: str
-    names: Sequence[str]
-    wavelength: Floats
-    reflectance: Floats32
-    fwhm: Floats | None = None
+    source: str  # file name
+    form: str  # name of the format
+    names: Sequence[str]  # of the spectra, as the file spells them
+    wavelength: Floats  # (band) [nm], in the order of the file
+    reflectance: Floats32  # (paint, band) float32, as a fraction; NaN where there is no value
+    fwhm: Floats | None = None  # (band); None where the file does not say
     good: npt.NDArray[np.bool_] | None = None
+    # Further variables on (paint, band): rows of `LIBRARY_VARIABLES` by name
     others: Mapping[str, Floats32] = field(default_factory=dict)
+    # What the file says of each spectrum in words
     columns: Mapping[str, Sequence[Any] | npt.NDArray[Any]] = field(default_factory=dict)
-    notes: Sequence[str] = ()
+    notes: Sequence[str] = ()  # what was inferred or looked odd
 
 
-def library_of(found: Spectra) -> xr.Dataset:
+def library_of(spectra: Spectra) -> xr.Dataset:
     """Return spectra as a paint library.
 
-    Raises
-    ------
-    FormatError
-        Wavelengths are none: not finite, or outside 100 nm to 300 um; or not as many as bands.
+    Raises FormatError: Wavelengths are none: not finite, or outside 100 nm to 300 um; or not as many as
+        bands.
     """
     import xarray as xr
 
-    check_wavelengths(found.wavelength, found.source)
-    bands = found.reflectance.shape[1]
-    for name, axis in (("wavelength", found.wavelength), ("fwhm", found.fwhm)):
+    check_wavelengths(spectra.wavelength, spectra.source)
+    bands = spectra.reflectance.shape[1]
+    for name, axis in (("wavelength", spectra.wavelength), ("fwhm", spectra.fwhm)):
         if axis is not None and axis.shape != (bands,):
             raise FormatError(
-                f"{found.source}: {axis.size} values of {name} for {bands} bands; pass the one that fits"
+                f"{spectra.source}: {axis.size} values of {name} for {bands} bands; pass the one that fits"
             )
     rows = LIBRARY_VARIABLES
-    data = {"reflectance": found.reflectance, **found.others}
+    data = {"reflectance": spectra.reflectance, **spectra.others}
     variables = {name: ((PAINT, BAND), values, dict(rows[name].attrs)) for name, values in data.items()}
     variables["reflectance"][2]["long_name"] = "Reflectance, as the library gives it"
-    axes = {"wavelength": found.wavelength, "fwhm": found.fwhm, "good": found.good}
-    coords: dict[str, Any] = {PAINT: (PAINT, text_column(found.names), rows[PAINT].attrs)}
-    for name, values in axes.items():
-        if values is not None:
-            coords[name] = (BAND, values, rows[name].attrs)
-    for name, column in found.columns.items():
-        told = rows[name].attrs if name in rows else {"long_name": name.replace("_", " ").capitalize()}
-        coords[name] = (PAINT, np.asarray(column), {**told, **(quality_attrs() if name == "quality" else {})})
-    attrs: dict[str, Any] = {"title": "Spectral library", "source": found.source, "format": found.form}
-    if found.notes:
-        attrs["notes"] = "; ".join(found.notes)
+    axes = {"wavelength": spectra.wavelength, "fwhm": spectra.fwhm, "good": spectra.good}
+    coords: dict[str, Any] = {PAINT: (PAINT, text_column(spectra.names), rows[PAINT].attrs)}
+    coords |= {name: (BAND, values, rows[name].attrs) for name, values in axes.items() if values is not None}
+    for name, column in spectra.columns.items():
+        row_attrs = rows[name].attrs if name in rows else {"long_name": name.replace("_", " ").capitalize()}
+        flags = quality_attrs() if name == "quality" else {}
+        coords[name] = (PAINT, np.asarray(column), {**row_attrs, **flags})
+    attrs: dict[str, Any] = {"title": "Spectral library", "source": spectra.source, "format": spectra.form}
+    if spectra.notes:
+        attrs["notes"] = "; ".join(spectra.notes)
     return with_numbers_as_data(xr.Dataset(variables, coords=coords, attrs=attrs))
 
 
@@ -130,30 +102,27 @@ def with_numbers_as_data(library: xr.Dataset) -> xr.Dataset:
 
 def text_column(texts: Sequence[str]) -> npt.NDArray[np.object_]:
     """Return texts of any length, as stores hold them."""
-    made = np.empty(len(texts), object)
-    made[:] = list(texts)
-    return made
+    column = np.empty(len(texts), object)
+    column[:] = list(texts)
+    return column
 
 
 def check_wavelengths(wavelength: Floats, source: str) -> None:
     """Refuse wavelengths that are none [nm].
 
-    Raises
-    ------
-    FormatError
-        There are none; they are not finite, or outside 100 nm to 300 um.
+    Raises FormatError: There are none; they are not finite, or outside 100 nm to 300 um.
     """
     if wavelength.size and np.isfinite(wavelength).all():
         low, high = float(wavelength.min()), float(wavelength.max())
         if low >= SHORTEST and high <= LONGEST:
             return
-        found = f"wavelengths from {low:g} to {high:g} nm"
+        description = f"wavelengths from {low:g} to {high:g} nm"
         if low >= SHORTEST * 1e3 and high <= LONGEST * 1e3:
-            found += " (are they nanometres, said to be micrometres?)"
+            description += " (are they nanometres, said to be micrometres?)"
     else:
-        found = f"{wavelength.size} wavelengths, not all of them finite"
+        description = f"{wavelength.size} wavelengths, not all of them finite"
     raise FormatError(
-        f"{source}: {found}, expected {SHORTEST:g} nm to {LONGEST:g} nm; "
+        f"{source}: {description}, expected {SHORTEST:g} nm to {LONGEST:g} nm; "
         "check their units, or pass wavelength= [nm]"
     )
 
@@ -163,31 +132,11 @@ def reflectances(
 ) -> Floats32:
     """Return stored values as reflectance.
 
-    Parameters
-    ----------
-    stored
-        Values of the file.
-    source
-        Names the file in messages.
-    said, given
-        Stored value of a reflectance of one, as the file says it and as the caller does, who wins.
-    ignore
-        Stored value that stands for none; those of the USGS always do.
-
-    Returns
-    -------
-    numpy.ndarray
-        float32; a fraction.
-
-    Raises
-    ------
-    FormatError
-        Neither says the scale, and the values are no fractions; or they do not fit float32.
-
-    Warns
-    -----
-    PaintWarning
-        Values far below 0 were taken for missing; or single spectra are hardly fractions.
+    said, given: Stored value of a reflectance of one, as the file says it and as the caller does, who wins.
+    ignore: Stored value that stands for none; those of the USGS always do.
+    Returns numpy.ndarray: float32; a fraction.
+    Raises FormatError: Neither says the scale, and the values are no fractions; or they do not fit float32.
+    Warns PaintWarning: Values far below 0 were taken for missing; or single spectra are hardly fractions.
     """
     with np.errstate(all="ignore"):  # signalling NaNs of a damaged file
         values = stored.astype(np.float64)
@@ -204,11 +153,11 @@ def reflectances(
     if scale not in (None, 1.0):
         values /= scale
     with np.errstate(over="ignore"):
-        made = values.astype(np.float32)
-    if not np.isfinite(made[np.isfinite(values)]).all() or np.isinf(values).any():
+        reflectance = values.astype(np.float32)
+    if not np.isfinite(reflectance[np.isfinite(values)]).all() or np.isinf(values).any():
         largest = np.abs(values[~np.isnan(values)]).max()
         raise FormatError(f"{source}: values up to {largest:g}, expected finite reflectance")
-    return made
+    return reflectance
 
 
 def _drop_marks(values: Floats, scale: float | None, source: str) -> None:
@@ -225,15 +174,15 @@ def _drop_marks(values: Floats, scale: float | None, source: str) -> None:
 def _judge_fractions(values: Floats, source: str) -> None:
     """Refuse values that are no fractions, where nothing says their scale; warn of single spectra."""
     finite = np.isfinite(values)
-    known = np.abs(values[finite])
+    magnitudes = np.abs(values[finite])
     advice = (
         "expected reflectance as a fraction: pass scale=100 where it is in percent, scale=10000 where it is "
         "in hundredths of a percent, scale=1 where it is right"
     )
-    if known.size and float(np.median(known)) > _LARGEST_FRACTION:
+    if magnitudes.size and float(np.median(magnitudes)) > _LARGEST_FRACTION:
         raise FormatError(
-            f"{source}: values up to {known.max():g}, half of them above {np.median(known):g}, and no scale; "
-            f"{advice}"
+            f"{source}: values up to {magnitudes.max():g}, half of them above {np.median(magnitudes):g}, "
+            f"and no scale; {advice}"
         )
     bright = [
         bool(there.any()) and float(np.median(one[there])) > _LARGEST_FRACTION
@@ -242,6 +191,6 @@ def _judge_fractions(values: Floats, source: str) -> None:
     if any(bright):
         msg = (
             f"{source}: {sum(bright)} of {len(values)} spectra have half of their values above "
-            f"{_LARGEST_FRACTION:g}, up to {known.max():g}, and no scale; {advice}"
+            f"{_LARGEST_FRACTION:g}, up to {magnitudes.max():g}, and no scale; {advice}"
         )
         warnings.warn(msg, PaintWarning, stacklevel=7)

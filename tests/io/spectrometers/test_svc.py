@@ -19,8 +19,7 @@ from hyperpaint.base.errors import FormatError, PaintWarning, SchemaError, TimeE
 from hyperpaint.base.units import conversion_factor
 from hyperpaint.cli.info import describe_path
 from hyperpaint.io.spectrometers.svc import SVC_JOINS, open_svc
-from hyperpaint.io.spectrometers.svc_fields import position_of
-from hyperpaint.io.spectrometers.svc_layout import is_svc, read_svc
+from hyperpaint.io.spectrometers.svc_layout import is_svc, position_of, read_svc
 from hyperpaint.simulation.svc_files import svc_wavelengths, write_svc
 
 VENDORS = conversion_factor("1e-10 W cm-2 sr-1 nm-1", "W m-2 sr-1 nm-1")

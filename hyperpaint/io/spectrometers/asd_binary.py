@@ -1,0 +1,419 @@
+"""Layout of the binary files of ASD field spectrometers (``.asd``, versions 1 to 8).
+
+The layout follows "ASD File Format, version 8, revision B" as corrected by reading real files to their last
+byte: little-endian throughout, a fixed header, the spectrum, and from version 2 on the white reference and
+blocks that each version added. A file carries no checksum, so that the structure is all there is to check:
+every declared count is held against the bytes that are left, and the last block must end where the file ends.
+"""
+
+from __future__ import annotations
+
+import datetime as dt
+import math
+import os
+import struct
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+
+from hyperpaint.base.arrays import Floats
+from hyperpaint.base.errors import FormatError
+from hyperpaint.io.files.reading import read_limited
+
+__all__ = ["AsdCalibration", "AsdFile", "AsdGps", "Cursor", "is_asd", "nominal_integration_ms", "read_asd"]
+
+HEADER_BYTES = 484
+_LARGEST_FILE = 64 * 2**20  # ten times what 65,535 channels with every calibration block would need
+
+# name and struct format of each field of the header, in file order
+_HEADER = (
+    ("version", "3s"),
+    ("comment", "157s"),
+    ("saved", "9h"),  # C struct tm, the PC's local time
+    ("program_version", "B"),
+    ("file_version", "B"),
+    ("unused_itime", "B"),
+    ("dark_subtracted", "B"),
+    ("dark_epoch", "i"),
+    ("data_type", "B"),
+    ("reference_epoch", "i"),
+    ("first_wavelength", "f"),
+    ("wavelength_step", "f"),
+    ("data_format", "B"),
+    ("old_averages", "3B"),
+    ("application", "B"),
+    ("channels", "H"),
+    ("application_data", "128s"),
+    ("gps", "56s"),
+    ("integration_ms", "I"),
+    ("fore_optic", "h"),
+    ("dark_correction", "h"),
+    ("calibration_series", "H"),
+    ("instrument_number", "H"),
+    ("display_range", "4f"),
+    ("bits", "H"),
+    ("x_mode", "B"),
+    ("flags", "4B"),
+    ("averages", "3H"),  # dark, reference, sample
+    ("instrument", "B"),
+    ("bulb", "I"),
+    ("swir_gains_offsets", "4H"),
+    ("splices", "2f"),
+    ("smart_detector", "27s"),
+    ("spare", "5s"),
+)
+_VERSIONS = {b"ASD": 1, b"asd": 1, **{f"as{n}".encode(): n for n in range(2, 9)}}
+_DTYPES: dict[int, np.dtype[Any]] = {0: np.dtype("<f4"), 1: np.dtype("<i4"), 2: np.dtype("<f8")}
+_DATA_TYPES = (
+    "raw", "reflectance", "radiance", "no units", "irradiance", "quality index", "transmittance", "unknown",
+    "absorbance",
+)  # fmt: skip
+_INSTRUMENTS = {
+    1: "PSII", 2: "LSVNIR", 3: "FieldSpec VNIR", 4: "FieldSpec FR", 5: "FieldSpec NIR", 6: "CHEM",
+    7: "LabSpec Pro", 10: "HandHeld",
+}  # fmt: skip
+_DETECTORS = {1: "VNIR", 2: "SWIR1", 4: "SWIR2"}
+_OLE_EPOCH_DAYS = 25569  # 1970-01-01 in days since 1899-12-30
+
+
+@dataclass(frozen=True, eq=False)
+class AsdFile:
+    """What one ``.asd`` file holds; arrays are (wavelength), float64 and read-only."""
+
+    name: str  # file name without its folder
+    version: int  # 1 to 8
+    comment: str  # what the operator wrote; of the spectrum and of the white reference
+    description: str
+    # When the spectrum was saved, by the clock of the logging PC, in whole seconds, without a zone
+    local_time: dt.datetime
+    # Local time minus UTC [h], or None where the file has no white reference to take it from
+    utc_offset_h: float | None
+    dark_utc: dt.datetime | None  # when the dark current was measured, or None
+    # ``raw``, ``reflectance``, ``radiance``, ``irradiance`` ...: what the operator looked at. The spectrum is
+    # in raw counts in any case
+    data_type: str
+    wavelength: Floats  # nanometres
+    spectrum: Floats  # counts
+    reference: Floats | None  # counts over the white panel, or None where none was taken
+    integration_ms: float  # integration time of the VNIR detector, see `nominal_integration_ms`
+    sample_averages: int  # spectra averaged into this one
+    gains: tuple[int, int]  # SWIR 1 and SWIR 2
+    # Wavelengths [nm] where VNIR ends and where SWIR 1 ends; -1 where there is no such detector
+    splices: tuple[float, float]
+    gps: AsdGps | None  # None without a fix
+    calibrations: Mapping[str, AsdCalibration]  # calibration blocks by kind
+    instrument: str  # model and serial number
+    instrument_number: int
+    fore_optic: int  # field of view [degree], 0 none, 180 and more a cosine receptor
+    dark_subtracted: bool  # whether the dark current was taken off
+    saturated: frozenset[str]  # detectors that the instrument found saturated: ``VNIR``, ``SWIR1``, ``SWIR2``
+
+
+def is_asd(head: bytes) -> bool:
+    """Tell from its first bytes whether a file is a binary ``.asd`` file."""
+    return head[:3] in _VERSIONS and b"\0" in head[:HEADER_BYTES]
+
+
+def read_asd(path: str | os.PathLike[str]) -> AsdFile:
+    """Read one binary ``.asd`` file, of any version, to its last byte.
+
+    path: A file of an ASD FieldSpec, HandHeld or LabSpec; also their calibration files ``.ill``, ``.raw`` and
+        ``.ref``, which have the same layout.
+    Returns AsdFile: Header, spectrum (wavelength), white reference and calibration blocks.
+    Raises FormatError: The file cannot be read, is not an ``.asd`` file, or is truncated, over-long or
+        contradictory.
+    """
+    path = Path(path)
+    return _parse(read_limited(path, _LARGEST_FILE, "an ASD spectrometer's file"), path.name)
+
+
+def _parse(data: bytes, name: str) -> AsdFile:
+    cursor = Cursor(data, name)
+    if data[:3] not in _VERSIONS:
+        raise cursor.error(f"begins with {data[:3]!r}, expected one of ASD, as2 to as8: not an .asd file")
+    version = _VERSIONS[data[:3]]
+    header = _header(cursor)
+    channels: int = header["channels"]
+    dtype = _DTYPES[header["data_format"]]
+    spectrum = cursor.array(channels, dtype, "the spectrum")
+    reference, reference_ole, description = None, math.nan, ""
+    if version >= 2:
+        flag, reference_ole, _ = cursor.values("Hdd", "the head of the white reference")
+        if flag not in (0, 0xFFFF):
+            raise cursor.error(f"white reference flag {flag:#06x}, expected 0x0000 or 0xffff: damaged")
+        description = cursor.text("the description of the white reference")
+        # a file without a reference holds zeros or an old one in its place
+        values = cursor.array(channels, dtype, "the white reference")
+        reference = values if flag and np.any(values != 0.0) else None
+    calibrations = _read_later_blocks(cursor, version, channels)
+    if not cursor.at_end:
+        raise cursor.error(f"{cursor.left} bytes follow the last block of a version {version} file: damaged")
+    return AsdFile(
+        name=name,
+        version=version,
+        comment=_plain_text(header["comment"]),
+        description=description,
+        local_time=_local_time(cursor, header["saved"]),
+        utc_offset_h=None if reference is None else _utc_offset_h(reference_ole, header["reference_epoch"]),
+        dark_utc=_epoch(header["dark_epoch"]),
+        data_type=_DATA_TYPES[header["data_type"]],
+        wavelength=_wavelength(cursor, header),
+        spectrum=spectrum,
+        reference=reference,
+        integration_ms=nominal_integration_ms(header["integration_ms"]),
+        sample_averages=header["averages"][2],
+        gains=header["swir_gains_offsets"][:2],
+        splices=header["splices"],
+        gps=_parse_gps(cursor, header["gps"]),
+        calibrations=MappingProxyType(calibrations),
+        instrument=_INSTRUMENTS.get(header["instrument"], f"unknown ({header['instrument']})"),
+        instrument_number=header["instrument_number"],
+        fore_optic=header["fore_optic"],
+        dark_subtracted=bool(header["dark_subtracted"]),
+        saturated=frozenset(d for bit, d in _DETECTORS.items() if header["flags"][1] & bit),
+    )
+
+
+def _header(cursor: Cursor) -> dict[str, Any]:
+    header: dict[str, Any] = {}
+    for name, fmt in _HEADER:
+        values = cursor.values(fmt, f"the header ({name})")
+        header[name] = values[0] if len(values) == 1 else values
+    if header["data_format"] not in _DTYPES:
+        raise cursor.error(f"data format {header['data_format']}, expected 0 float, 1 integer or 2 double")
+    if header["data_type"] >= len(_DATA_TYPES):
+        raise cursor.error(f"data type {header['data_type']}, expected 0 to {len(_DATA_TYPES) - 1}: damaged")
+    if header["channels"] == 0:
+        raise cursor.error("no channels: the file holds no spectrum")
+    return header
+
+
+def _wavelength(cursor: Cursor, header: Mapping[str, Any]) -> Floats:
+    first, step = header["first_wavelength"], header["wavelength_step"]
+    if not (0 < first < 1e5 and 0 < step < 1e4):
+        raise cursor.error(f"first wavelength {first} nm, step {step} nm, expected positive numbers: damaged")
+    wavelength: Floats = first + step * np.arange(header["channels"], dtype=np.float64)
+    wavelength.flags.writeable = False
+    return wavelength
+
+
+def _local_time(cursor: Cursor, tm: tuple[int, ...]) -> dt.datetime:
+    second, minute, hour, day, month, year = tm[:6]
+    try:
+        if not (80 <= year < 250 and 0 <= second <= 61):
+            raise ValueError
+        # C allows the second 60
+        return dt.datetime(year + 1900, month + 1, day, hour, minute) + dt.timedelta(seconds=second)
+    except ValueError as error:
+        raise cursor.error(f"time of the spectrum {tm[:6]} is not a date: damaged") from error
+
+
+def _utc_offset_h(ole_days: float, epoch_s: int) -> float | None:
+    """Return local time minus UTC of the white reference, which a file holds in both."""
+    if epoch_s <= 0 or not 0 < ole_days < 1e5:
+        return None
+    seconds = (ole_days - _OLE_EPOCH_DAYS) * 86400.0 - epoch_s
+    hours = round(seconds / 900.0) / 4.0  # zones differ by quarters of an hour
+    return hours if abs(seconds - hours * 3600.0) < 60.0 and -12.0 <= hours <= 14.0 else None
+
+
+def _epoch(seconds: int) -> dt.datetime | None:
+    return dt.datetime(1970, 1, 1) + dt.timedelta(seconds=seconds) if seconds > 0 else None
+
+
+_TRAILER = b"\xff\xfe\xfd"  # newer software appends it to files that it saves again
+_CALIBRATION_KINDS = ("ABS", "BSE", "LMP", "FO")
+
+
+@dataclass(frozen=True, eq=False)
+class AsdGps:
+    """Position that the spectrometer's GPS gave."""
+
+    latitude: float  # degrees, north and east positive (the file itself counts west positive)
+    longitude: float
+    altitude: float  # metres
+    utc: dt.time  # time of day of the fix; the date is not in the file
+
+
+@dataclass(frozen=True, eq=False)
+class AsdCalibration:
+    """One calibration block."""
+
+    # ABS panel reflectance, BSE panel for radiance, LMP lamp irradiance [W m-2 nm-1], FO lamp counts
+    kind: str
+    name: str  # file the block was copied from
+    integration_ms: float  # integration time of the calibration, see `nominal_integration_ms`
+    gains: tuple[int, int]  # SWIR 1 and SWIR 2
+    values: Floats  # (wavelength)
+
+
+def nominal_integration_ms(milliseconds: int) -> float:
+    """Return the integration time that a nominal whole number of milliseconds stands for.
+
+    The file says 8 or 9 where the instrument integrates for 8.5 ms; the longer times (17, 34, 68 ...) are
+    exact.
+
+    Examples
+    --------
+    >>> nominal_integration_ms(9), nominal_integration_ms(136)
+    (8.5, 136.0)
+    """
+    return 8.5 if milliseconds in (8, 9) else float(milliseconds)
+
+
+class Cursor:
+    """Reads a file from front to back and refuses to read past its end."""
+
+    def __init__(self, data: bytes, name: str) -> None:
+        self._data = data
+        self._name = name
+        self._at = 0
+
+    def error(self, problem: str) -> FormatError:
+        """Return an error that names the file."""
+        return FormatError(f"{self._name}: {problem}")
+
+    @property
+    def left(self) -> int:
+        """Bytes not read yet."""
+        return len(self._data) - self._at
+
+    @property
+    def at_end(self) -> bool:
+        """True where nothing follows but what newer software appends."""
+        return self.left == 0 or self._data[self._at :] == _TRAILER
+
+    def bytes(self, count: int, what: str) -> bytes:
+        """Read bytes; ``what`` names them in messages."""
+        if count > self.left:
+            raise self.error(
+                f"{what} needs {count} bytes at offset {self._at}, {self.left} are left: "
+                "the file is truncated or damaged; copy it again from the instrument"
+            )
+        self._at += count
+        return self._data[self._at - count : self._at]
+
+    def values(self, fmt: str, what: str) -> tuple[Any, ...]:
+        """Read the values of a struct format, little-endian."""
+        return struct.unpack("<" + fmt, self.bytes(struct.calcsize("<" + fmt), what))
+
+    def text(self, what: str) -> str:
+        """Read a text that its length precedes."""
+        (length,) = self.values("H", f"the length of {what}")
+        return _plain_text(self.bytes(length, what))
+
+    def array(self, count: int, dtype: np.dtype[Any], what: str) -> Floats:
+        """Read ``count`` numbers as read-only float64."""
+        raw = np.frombuffer(self.bytes(count * dtype.itemsize, what), dtype)
+        with np.errstate(invalid="ignore"):  # signalling NaN in a damaged file
+            values = raw.astype(np.float64)
+        values.flags.writeable = False
+        return values
+
+    def safe_array(self, item_bytes: int, what: str) -> int:
+        """Read the head of an OLE SAFEARRAY and return how many items follow."""
+        (dims,) = self.values("H", what)
+        if dims * 8 > self.left or dims > 60:
+            raise self.error(f"{what} has {dims} dimensions: the file is damaged")
+        count = 1 if dims else 0
+        for _ in range(dims):
+            count *= self.values("Ii", what)[0]
+        if count * item_bytes > self.left:
+            raise self.error(f"{what} declares {count} items, more than the {self.left} bytes left can hold")
+        return count
+
+
+def _read_later_blocks(cursor: Cursor, version: int, channels: int) -> dict[str, AsdCalibration]:
+    """Read what versions 6, 7 and 8 added, and return the calibration blocks by kind."""
+    if version < 6 or (version == 6 and cursor.at_end):
+        return {}
+    _classifier(cursor)
+    calibrations = {}
+    if version >= 7:
+        _dependent_variables(cursor)
+        calibrations = _calibrations(cursor, channels)
+    if version >= 8:
+        cursor.values("i", "the audit count")
+        for _ in range(cursor.safe_array(2, "the audit log")):
+            cursor.text("an audit event")
+        cursor.values("Bq", "the signature")
+        for _ in range(7):
+            cursor.text("the signature")
+        cursor.bytes(128, "the signature")
+    return calibrations
+
+
+def _classifier(cursor: Cursor) -> None:
+    cursor.values("BB", "the classifier block")
+    for _ in range(20):
+        cursor.text("the classifier block")
+    cursor.values("H", "the constituent count")
+    for _ in range(cursor.safe_array(96, "the constituents")):
+        cursor.text("a constituent")
+        cursor.text("a constituent")
+        cursor.values("9di2d", "a constituent")
+
+
+def _dependent_variables(cursor: Cursor) -> None:
+    cursor.values("hh", "the dependent variables")
+    for _ in range(cursor.safe_array(2, "the labels of the dependent variables")):
+        cursor.text("the label of a dependent variable")
+    count = cursor.safe_array(4, "the dependent variables")
+    cursor.bytes(4 * count, "the dependent variables")
+
+
+def _calibrations(cursor: Cursor, channels: int) -> dict[str, AsdCalibration]:
+    (count,) = cursor.values("B", "the number of calibration blocks")
+    heads = [cursor.values("b20sihh", "the head of a calibration block") for _ in range(count)]
+    blocks: dict[str, AsdCalibration] = {}
+    for code, name, milliseconds, *gains in heads:
+        if not 0 <= code < len(_CALIBRATION_KINDS):
+            raise cursor.error(f"calibration block of type {code}, expected 0 to 3: damaged")
+        kind = _CALIBRATION_KINDS[code]
+        if kind in blocks:
+            raise cursor.error(f"two calibration blocks of kind {kind}, expected one of each: damaged")
+        values = cursor.array(channels, np.dtype("<f8"), f"the {kind} calibration block")
+        integration_ms = nominal_integration_ms(milliseconds)
+        blocks[kind] = AsdCalibration(kind, _plain_text(name), integration_ms, (gains[0], gains[1]), values)
+    return blocks
+
+
+def _parse_gps(cursor: Cursor, block: bytes) -> AsdGps | None:
+    """Return the fix in the header's GPS block, None where there is none."""
+    values = struct.unpack("<5dhbbbbbh5sbb", block)
+    _, _, latitude, longitude, altitude, _, _, second, minute, hour = values[:10]
+    if latitude == longitude == altitude == 0.0:
+        return None
+    try:
+        fix = dt.time(hour, minute, second)
+        # west positive in the file
+        return AsdGps(_degrees(latitude, 90.0), -_degrees(longitude, 180.0), _metres(altitude), fix)
+    except ValueError as error:
+        raise cursor.error(
+            f"GPS position {latitude}, {longitude}, {altitude} m at {hour}:{minute}:{second}, "
+            "expected ddmm.mmmm, dddmm.mmmm and metres: damaged"
+        ) from error
+
+
+def _degrees(ddmm: float, limit: float) -> float:
+    if not abs(ddmm) <= limit * 100.0:
+        raise ValueError
+    degrees, minutes = divmod(abs(ddmm), 100.0)
+    if minutes >= 60.0:
+        raise ValueError
+    return math.copysign(degrees + minutes / 60.0, ddmm)
+
+
+def _metres(altitude: float) -> float:
+    if not abs(altitude) < 1e5:
+        raise ValueError
+    return altitude
+
+
+def _plain_text(raw: bytes) -> str:
+    """Return the text before the first NUL."""
+    return raw.split(b"\0", 1)[0].decode("latin-1").strip()
