@@ -42,11 +42,13 @@ class Calibrate:
         self.time_smile_quality_rounding(lines)
 
     def _run(self, smile, quality, cleared_bits=0, terms=None):
+        from hyperpaint.kernels.arguments import SlabOutputs
         from hyperpaint.radiometry.slabs import calibrate_lines
 
         plan = dataclasses.replace(self.plans[smile], cleared_bits=cleared_bits, error_terms=terms)
-        cubes = () if terms is None else (self.u_random, self.u_systematic)
-        calibrate_lines(plan, self.counts, 0, self.out, quality, *cubes)
+        none = np.empty((0, 0, 0), np.float32)
+        cubes = (none, none) if terms is None else (self.u_random, self.u_systematic)
+        calibrate_lines(plan, self.counts, 0, SlabOutputs(self.out, quality, *cubes))
 
     def time_floor(self, lines):
         np.copyto(self.out, self.counts)
@@ -64,7 +66,7 @@ class Calibrate:
         self._run(smile=False, quality=self.no_quality, terms=self.terms)
 
     def time_uncertainty_without_wavelength(self, lines):
-        terms = dataclasses.replace(self.terms, slope=np.empty((0, 4), np.float32))
+        terms = self.terms._replace(slope=np.empty((0, 4), np.float32))
         self._run(smile=False, quality=self.no_quality, terms=terms)
 
     def time_three_casts(self, lines):
@@ -96,7 +98,7 @@ class Smooth:
         np.copyto(self.out, self.counts)
 
     def time_box(self, lines):
-        from hyperpaint.kernels.smoothing import filter_slab
+        from hyperpaint.kernels.spectral_axis import filter_slab
 
         filter_slab(self.values, self.weights, self.first, True, self.fallback, self.out)
 

@@ -73,18 +73,19 @@ class ToStore:
         import google_crc32c
         from numcodecs.blosc import BITSHUFFLE, Blosc
 
+        from hyperpaint.kernels.arguments import SlabOutputs
         from hyperpaint.radiometry.slabs import calibrate_lines
 
         coder, encoder = Blosc(), Blosc("lz4", 5, BITSHUFFLE, typesize=4)
         counts, out = np.empty(_SLAB, np.uint16), np.empty(_SLAB, np.float32)
-        no_quality = np.empty((0, 0), np.uint16)
+        no_quality, none = np.empty((0, 0), np.uint16), np.empty((0, 0, 0), np.float32)
         for number in range(part, len(self.files), THREADS):
             stored = memoryview(self.files[number].read_bytes())
             # the codec is blosc, then crc32c in the last four bytes
             if google_crc32c.value(stored[:-4].tobytes()) != int.from_bytes(stored[-4:], "little"):
                 raise ValueError(number)
             coder.decode(stored[:-4], out=counts)
-            calibrate_lines(self.plan, counts, number * _SLAB[0], out, no_quality)
+            calibrate_lines(self.plan, counts, number * _SLAB[0], SlabOutputs(out, no_quality, none, none))
             encoded = encoder.encode(out)
             checksum = google_crc32c.value(encoded).to_bytes(4, "little")
             with open(folder / str(number), "wb") as file:

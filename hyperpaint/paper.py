@@ -47,14 +47,9 @@ import numpy as np
 from .base.units import registry
 
 __all__ = [
-    "Setup",
-    "electrons",
-    "lambertian_radiance",
-    "radiance",
-    "radiance_per_count",
-    "reflectance",
+    "Setup", "electrons", "lambertian_radiance", "radiance", "radiance_per_count", "reflectance",
     "spectral_responsivity",
-]
+]  # fmt: skip
 
 Amount: TypeAlias = Any
 """A number or array in the unit stated, or a Quantity."""

@@ -5,14 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 __all__ = [
-    "MAX_TASK_BYTES",
-    "QUANTISATION_VARIANCE_COUNT2",
-    "SATURATION_MARGIN_COUNTS",
-    "STAMP_TO_MID_EXPOSURES",
-    "WGS84_ECCENTRICITY_SQUARED",
-    "WGS84_SEMI_MAJOR_AXIS_M",
-    "lines_a_task",
-]
+    "MAX_TASK_BYTES", "QUANTISATION_VARIANCE_COUNT2", "SATURATION_MARGIN_COUNTS",
+    "STAMP_TO_MID_EXPOSURES", "WGS84_ECCENTRICITY_SQUARED", "WGS84_SEMI_MAJOR_AXIS_M", "lines_a_task",
+]  # fmt: skip
 
 SATURATION_MARGIN_COUNTS = 16
 """Counts below the converter's last from which a sample is taken for saturated (DESIGN.md, `saturated`)."""

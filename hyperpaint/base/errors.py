@@ -9,21 +9,10 @@ from enum import Enum
 from typing import Self
 
 __all__ = [
-    "CollectError",
-    "Findings",
-    "FormatError",
-    "IncompleteStoreError",
-    "MissingExtraError",
-    "PaintError",
-    "PaintWarning",
-    "Problem",
-    "Problems",
-    "SchemaError",
-    "StoreError",
-    "TimeError",
-    "Unavailable",
+    "CollectError", "Findings", "FormatError", "IncompleteStoreError", "MissingExtraError", "PaintError",
+    "PaintWarning", "Problem", "Problems", "SchemaError", "StoreError", "TimeError", "Unavailable",
     "UnitsError",
-]
+]  # fmt: skip
 
 
 @dataclass(frozen=True)

@@ -1,66 +1,48 @@
-"""The one table of variables: names, dims, units, dtype and meaning.
+"""What datasets must hold, checked against the one table of variables (`hyperpaint.base.variables`).
 
-Nothing else in the package spells a variable's units or meaning. A function takes its inputs through
-`require` and hands its outputs through `label`, which *replaces* attributes, since xarray carries stale ones
-through arithmetic.
+A function takes its inputs through `require` and hands its outputs through `label`, which *replaces*
+attributes, since xarray carries stale ones through arithmetic.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Hashable, Iterable, Mapping
+from enum import IntFlag
 from typing import TYPE_CHECKING, Any
 
-from .dimensions import (
+from .errors import Problems, SchemaError
+from .units import convert
+from .variables import (
     ALONG_TRACK,
     BAND,
     CROSS_TRACK,
     CUBE,
-    DIM_ALIASES,
+    FLAG,
     IRRADIANCE_TIME,
     IRRADIANCE_WAVELENGTH,
+    LIBRARY_VARIABLES,
+    MEMBER,
+    PAINT,
+    QUANTILE,
     SLOT,
     STEP,
     SUN,
-    rename_to_roles,
+    SWEEP_VARIABLES,
+    VARIABLES,
+    Variable,
 )
-from .errors import Problems, SchemaError
-from .quality_bits import Quality
-from .units import convert
-from .variables import Variable
 
 if TYPE_CHECKING:
     import numpy as np
     import xarray as xr
 
 __all__ = [
-    "ALONG_TRACK",
-    "BAND",
-    "CHUNK_LINES",
-    "CROSS_TRACK",
-    "CUBE",
-    "DIM_ALIASES",
-    "FORMAT_VERSION",
-    "IRRADIANCE_TIME",
-    "IRRADIANCE_WAVELENGTH",
-    "LIBRARY_VARIABLES",
-    "MONOCHROMATOR_SHAPES",
-    "SLOT",
-    "SRF_SHAPES",
-    "STEP",
-    "SUN",
-    "SWEEP_VARIABLES",
-    "TIME_UNITS",
-    "VARIABLES",
-    "Quality",
-    "Variable",
-    "describe",
-    "dtype_of",
-    "find",
-    "label",
-    "quality_attrs",
-    "rename_to_roles",
+    "ALONG_TRACK", "BAND", "CHUNK_LINES", "CROSS_TRACK", "CUBE", "DIM_ALIASES", "FLAG", "FORMAT_VERSION",
+    "IRRADIANCE_TIME", "IRRADIANCE_WAVELENGTH", "LIBRARY_VARIABLES", "MEMBER", "MONOCHROMATOR_SHAPES",
+    "PAINT", "QUANTILE", "SLOT", "SRF_SHAPES", "STEP", "SUN", "SWEEP_VARIABLES", "TIME_UNITS",
+    "VARIABLES", "Quality", "Variable", "dtype_of", "find", "label", "quality_attrs", "rename_to_roles",
     "require",
-]
+]  # fmt: skip
 
 FORMAT_VERSION = 1
 """Version of the layout on disk, repeated in every group as ``hyperpaint_format``."""
@@ -70,330 +52,74 @@ CHUNK_LINES = 32
 
 TIME_UNITS = "nanoseconds since 1970-01-01"
 
-
-_ELEMENT = (BAND, CROSS_TRACK)
-_LINE = (ALONG_TRACK,)
-_GAIN = "W m-2 sr-1 nm-1 s count-1"
-_RADIANCE = "W m-2 sr-1 nm-1"
-_IRRADIANCE = "W m-2 nm-1"
-_LINE_FIT = (STEP, CROSS_TRACK)
-_SWEEP = (STEP, BAND, CROSS_TRACK)
-_PIXEL = (ALONG_TRACK, CROSS_TRACK)
-_PATH = (ALONG_TRACK, SLOT, CROSS_TRACK)
-_CELL = ("y", "x")
-_SUN_PIXEL = (ALONG_TRACK, SUN, CROSS_TRACK)
-
-# fmt: off
-_TABLE = (
-    # --- cubes
-    Variable("counts", CUBE, "count", "uint16", "Raw counts"),
-    Variable(
-        "radiance", CUBE, _RADIANCE, "float32", "Spectral radiance at the sensor",
-        standard_name="upwelling_radiance_per_unit_wavelength_in_air",
-    ),
-    Variable(
-        "reflectance", CUBE, "1", "float32", "Hemispherical-conical reflectance factor",
-        standard_name="surface_bidirectional_reflectance",
-    ),
-    Variable("reflectance_u_random", CUBE, "1", "float32", "Random uncertainty of reflectance"),
-    Variable("reflectance_u_systematic", CUBE, "1", "float32", "Systematic uncertainty of reflectance"),
-    Variable("quality", _PIXEL, "", "uint16", "Quality flags"),
-    Variable("overview", ("overview_y", "overview_x", "rgb"), "", "uint8", "Small true-colour picture (sRGB)"),
-    # --- calibration of every detector element
-    Variable(
-        "dark_counts", _ELEMENT, "count", "float32", "Counts with the lens capped",
-        alternatives=(("dark_time", BAND, CROSS_TRACK),),
-    ),
-    Variable("dark_time", ("dark_time",), "", "datetime64[ns]", "UTC of each dark reference", coordinate=True),
-    Variable(
-        "dark_exposure_time", (), "s", "float64", "Exposure time of the dark reference",
-        alternatives=(("dark_time",),),
-    ),
-    Variable("radiance_gain", _ELEMENT, _GAIN, "float32", "Spectral radiance per count rate"),
-    Variable("exposure_time", (), "s", "float64", "Exposure time", alternatives=(_LINE,)),
-    Variable(
-        "saturation_count", (), "count", "float32", "Count at which the converter is full",
-        alternatives=(_ELEMENT,),
-    ),
-    Variable(
-        "electrons_per_count", (), "electron count-1", "float32", "Electrons per count",
-        alternatives=(_ELEMENT,),
-    ),
-    Variable("read_noise", (), "count", "float32", "Spread of a dark count before rounding (1 sigma)", alternatives=(_ELEMENT,)),
-    # --- light
-    Variable(
-        "irradiance", (IRRADIANCE_TIME, IRRADIANCE_WAVELENGTH), _IRRADIANCE, "float32",
-        "Downwelling spectral irradiance on a level surface",
-        standard_name="surface_downwelling_radiative_flux_per_unit_wavelength_in_air",
-    ),
-    Variable(
-        IRRADIANCE_TIME, (IRRADIANCE_TIME,), "", "datetime64[ns]",
-        "UTC at the middle of each irradiance sample", coordinate=True,
-    ),
-    Variable(
-        IRRADIANCE_WAVELENGTH, (IRRADIANCE_WAVELENGTH,), "nm", "float64",
-        "Wavelength of the irradiance spectrometer", standard_name="radiation_wavelength", coordinate=True,
-    ),
-    Variable(
-        "irradiance_fwhm", (), "nm", "float64", "Full width at half maximum of the irradiance spectrometer",
-        alternatives=((IRRADIANCE_WAVELENGTH,),),
-    ),
-    Variable(
-        "irradiance_max_gap", (), "s", "float64",
-        "Longest interval between irradiance samples that is still interpolated",
-    ),
-    Variable(
-        "irradiance_clock_uncertainty", (), "s", "float64",
-        "How far the clocks of camera and spectrometer may disagree",
-    ),
-    Variable(
-        "irradiance_misfit", (BAND,), "1", "float32",
-        "Distance of the response that irradiance was matched to from that of the camera, relative",
-    ),
-    Variable("irradiance_age", _LINE, "s", "float32", "Time to the nearest irradiance sample"),
-    Variable(
-        "timing_sensitivity", _LINE, "1", "float32",
-        "Largest relative change of irradiance within the clocks' uncertainty",
-    ),
-    # --- coordinates of a line and of a band
-    Variable("time", _LINE, "", "datetime64[ns]", "UTC at mid exposure", standard_name="time", coordinate=True),
-    Variable("frame", _LINE, "1", "int64", "Frame number of the instrument", coordinate=True),
-    Variable(
-        "wavelength", (BAND,), "nm", "float64", "Centre wavelength at the centre column",
-        standard_name="radiation_wavelength", coordinate=True,
-    ),
-    Variable("fwhm", (BAND,), "nm", "float64", "Full width at half maximum of the line shape", coordinate=True),
-    Variable(
-        "band_spacing", (BAND,), "nm", "float64",
-        "Distance to the neighbouring bands of the camera, whatever bands are left here", coordinate=True,
-    ),
-    Variable("good", (BAND,), "", "bool", "False where a band is not to be used", coordinate=True),
-    Variable(
-        "wavelength_shift", (CROSS_TRACK,), "nm", "float64",
-        "Wavelength of an element minus that of its band at the centre column (smile)",
-        alternatives=(_ELEMENT,), coordinate=True,
-    ),
-    Variable(
-        "latitude", _LINE, "degree", "float64", "Latitude of the camera, north positive",
-        standard_name="latitude", coordinate=True,
-    ),
-    Variable(
-        "longitude", _LINE, "degree", "float64", "Longitude of the camera, east positive",
-        standard_name="longitude", coordinate=True,
-    ),
-    Variable("altitude", _LINE, "m", "float64", "Altitude of the camera", coordinate=True),
-    Variable("roll", _LINE, "degree", "float64", "Roll", coordinate=True),
-    Variable("pitch", _LINE, "degree", "float64", "Pitch", coordinate=True),
-    Variable("heading", _LINE, "degree", "float64", "Heading", coordinate=True),
-    # --- from where a pixel is seen
-    Variable("look_across", (CROSS_TRACK,), "degree", "float64", "Angle of a column's line of sight from the axis of the camera, positive to the right"),
-    Variable("look_along", (CROSS_TRACK,), "degree", "float64", "Angle of a column's line of sight from the plane of the slit, positive forward"),
-    Variable("ground_height", _PIXEL, "m", "float64", "Height of what is seen above the ellipsoid", coordinate=True),
-    Variable("look_angle", (CROSS_TRACK,), "degree", "float64", "Angle of a column's line of sight from the axis of the camera, positive to the right"),
-    Variable(
-        "view_zenith", _PIXEL, "degree", "float64", "Angle between the vertical and the direction to the camera",
-        standard_name="sensor_zenith_angle", coordinate=True,
-    ),
-    Variable(
-        "view_azimuth", _PIXEL, "degree", "float64", "Direction to the camera from what is seen, clockwise from north",
-        standard_name="sensor_azimuth_angle", coordinate=True,
-    ),
-    # --- what a lab calibration adds
-    Variable("dark_bias", _ELEMENT, "count", "float32", "Dark counts at no exposure"),
-    Variable("dark_rate", _ELEMENT, "count s-1", "float32", "Dark counts per exposure time"),
-    Variable(
-        "dark_counts_u_random", _ELEMENT, "count", "float32",
-        "Standard uncertainty of dark_counts, independent from element to element", alternatives=((),),
-    ),
-    Variable(
-        "dark_counts_u_systematic", _ELEMENT, "count", "float32",
-        "Standard uncertainty of dark_counts, common to all elements", alternatives=((), (BAND,)),
-    ),
-    Variable("flat_field", _ELEMENT, "1", "float32", "Factor on dark-subtracted counts that levels the columns"),
-    Variable(
-        "radiance_gain_u_random", _ELEMENT, "1", "float32",
-        "Relative standard uncertainty of radiance_gain by noise and by what elements differ in",
-        alternatives=((BAND,), ()),
-    ),
-    Variable(
-        "radiance_gain_u_systematic", _ELEMENT, "1", "float32",
-        "Relative standard uncertainty of radiance_gain, common to all elements", alternatives=((BAND,), ()),
-    ),
-    Variable("wavelength_u", (), "nm", "float64", "Standard uncertainty of wavelength", alternatives=((BAND,),)),
-    Variable(
-        "irradiance_u_systematic", (), "1", "float32", "Relative standard uncertainty of irradiance, common to all times",
-        alternatives=((IRRADIANCE_WAVELENGTH,),),
-    ),
-    Variable("responsivity", _ELEMENT, "count J-1", "float64", "Counts per energy of light entering a pixel's etendue"),
-    Variable(
-        "quantum_efficiency", (BAND,), "1", "float64", "Electrons per photon entering a pixel's etendue",
-        alternatives=(_ELEMENT,),
-    ),
-    Variable("stray_light", (BAND, "source_band"), "1", "float64", "Share of the light of a band that another band sees"),
-    # --- the lines a calibration was made from
-    Variable("step_wavelength", (STEP,), "nm", "float64", "Wavelength of the monochromator", coordinate=True),
-    Variable("line_band", _LINE_FIT, "1", "float64", "Band at the centre of a monochromatic line"),
-    Variable("line_centre", _LINE_FIT, "nm", "float64", "Where the wavelength map puts a line, to be compared with step_wavelength"),
-    Variable("line_fwhm", _LINE_FIT, "nm", "float64", "Full width at half maximum of a line, as seen by the camera"),
-    Variable("line_own_fwhm", _LINE_FIT, "nm", "float64", "The same with the monochromator's own width taken out"),
-    Variable("line_amplitude", _LINE_FIT, "count", "float64", "Height of a line"),
-    Variable("line_area", _LINE_FIT, "count", "float64", "Sum over bands of a line"),
-    Variable(
-        "line_covariance", (*_LINE_FIT, "parameter", "other_parameter"), "", "float64",
-        "Covariance of centre [band], own width [band], area [count] and offset [count] of a line",
-    ),
-    Variable("line_trusted", _LINE_FIT, "", "bool", "Whether a line went into the calibration"),
-    Variable("beam_centre", (STEP,), "1", "float64", "Column at the centre of the beam"),
-    Variable("beam_fwhm", (STEP,), "1", "float64", "Full width at half maximum of the beam in columns"),
-    Variable("out_of_band", (STEP,), "1", "float64", "Share of a line's counts that lies outside of the line"),
-    Variable("second_order", (STEP,), "1", "float64", "Counts at twice the wavelength over those of the line"),
-    # --- a traced scene: weights of paths of light, before any spectrum
-    Variable("transport_weight", _PATH, "1", "float32", "Weight of a path of light: radiance is the sum of weight x irradiance / pi x its reflectances"),
-    Variable("transport_path", _PATH, "", "int64", "Source and reflectances of a path of light, as a code; -1 where there is none"),
-    Variable("distance", _PIXEL, "m", "float32", "Distance from the camera to what is seen"),
-    Variable("material", _PIXEL, "", "int32", "Material that most of a pixel shows; -1 for the sky"),
-    Variable("instance", _PIXEL, "", "int32", "Thing that most of a pixel shows; -1 for the sky"),
-    Variable("surface_class", _PIXEL, "", "int16", "Semantic class that most of a pixel shows; -1 for the sky"),
-    Variable("paint_id", _PIXEL, "", "int16", "Spectrum of the paint that most of a pixel shows; -1 where it is none"),
-    Variable("car_id", _PIXEL, "", "int32", "Instance number of the car that most of a pixel shows; -1 where it is none"),
-    Variable("purity", _PIXEL, "1", "float32", "Share of a pixel that its material and instance fill"),
-    Variable("sun_visibility", _SUN_PIXEL, "1", "float32", "Share of a pixel that sees the sun"),
-    Variable("sun_incidence", _SUN_PIXEL, "1", "float32", "Cosine of the angle between surface normal and sun, 0 where turned away"),
-    Variable("east", _PIXEL, "m", "float64", "Position of what is seen, to the east"),
-    Variable("north", _PIXEL, "m", "float64", "Position of what is seen, to the north"),
-    Variable("up", _PIXEL, "m", "float64", "Position of what is seen, upwards"),
-    Variable("sun_zenith", (SUN,), "degree", "float64", "Angle between the sun and the vertical", coordinate=True),
-    Variable("sun_azimuth", (SUN,), "degree", "float64", "Direction of the sun, clockwise from north", coordinate=True),
-    # --- what is known of the light of a rendered pixel
-    Variable("sun_share", _PIXEL, "1", "float32", "Share of the light that came from the sun"),
-    Variable("sky_share", _PIXEL, "1", "float32", "Share of the light that came from the sky"),
-    Variable("glint_share", _PIXEL, "1", "float32", "Share of the light that is the mirror image of the sun in the surface seen"),
-    Variable("mirrored_sky_share", _PIXEL, "1", "float32", "Share of the light that is the mirror image of the sky in the surface seen"),
-    Variable("indirect_share", _PIXEL, "1", "float32", "Share of the light that met other surfaces before the one seen"),
-    Variable("shadow", _PIXEL, "1", "float32", "Share of a pixel that does not see the sun"),
-    # --- what flags are set from
-    Variable("glint_fraction", _PIXEL, "1", "float32", "Mirror image of the sun, as reflectance under the sun alone"),
-    Variable("blocked_direct", _PIXEL, "1", "float32", "Part of the direct light that is missing; negative where a surface leans towards the sun"),
-    Variable("adjacency", _PIXEL, "1", "float32", "Largest reflectance, in any channel, that coloured neighbours add"),
-    Variable("adjacency_segment", _PIXEL, "", "int32", "Segment of the scene model that adds most of adjacency; -1 for none"),
-    Variable("mirrored_sky", _PIXEL, "1", "float32", "Mirror image of the sky beyond that of the rest of the body"),
-    # --- where a cell of a map lies in its flight line
-    Variable("glt_line", _CELL, "1", "float64", "Line that shows a cell, with the part of the way to the next"),
-    Variable("glt_sample", _CELL, "1", "float64", "Column that shows a cell, with the part of the way to the next"),
-    Variable("nearest_line", _CELL, "1", "int32", "Line of the pixel nearest to a cell"),
-    Variable("nearest_sample", _CELL, "1", "int32", "Column of the pixel nearest to a cell"),
-    Variable("hits", _CELL, "1", "uint16", "How often a flight line shows a cell"),
-    Variable("gap", _CELL, "", "bool", "Whether nothing shows a cell between the ends of the lines"),
-    # --- line shapes measured sample by sample (srf_shape = "tabulated")
-    Variable("srf_offset", ("srf_offset",), "nm", "float64", "Distance from the centre of a band", coordinate=True),
-    Variable("srf", (BAND, "srf_offset"), "1", "float64", "Line shape of a band, any scale"),
-)
-# fmt: on
-
-VARIABLES: Mapping[str, Variable] = {variable.name: variable for variable in _TABLE}
-
-# fmt: off
-_SWEEP_TABLE = (
-    Variable("counts", _SWEEP, "count", "float32", "Counts, mean of the frames of a step, dark not subtracted"),
-    Variable("counts_variance", _SWEEP, "count2", "float32", "Variance of one frame over the frames of a step"),
-    Variable("dark_counts", _ELEMENT, "count", "float32", "Counts without light", alternatives=(_SWEEP,)),
-    Variable(
-        "dark_exposure_time", (), "s", "float64", "Exposure time of the dark reference", alternatives=((STEP,),)
-    ),
-    Variable("frame_count", (), "1", "int64", "Frames averaged in a step", alternatives=((STEP,),)),
-    Variable("dark_frame_count", (), "1", "int64", "Frames averaged in a dark reference", alternatives=((STEP,),)),
-    Variable("step_wavelength", (STEP,), "nm", "float64", "Wavelength of the monochromator", coordinate=True),
-    Variable(
-        "flux", (STEP,), "W", "float64", "Radiant flux of the whole beam, equal in all lit columns",
-        alternatives=(_LINE_FIT,),
-    ),
-    Variable(
-        "capture_fraction", (), "1", "float64", "Share of flux that enters slit width by one column, all bands",
-        alternatives=((STEP,), _LINE_FIT),
-    ),
-    Variable("exposure_time", (), "s", "float64", "Exposure time", alternatives=((STEP,),)),
-    Variable(
-        "monochromator_fwhm", (), "nm", "float64", "Full width at half maximum of the monochromator's line",
-        alternatives=((STEP,),),
-    ),
-    Variable(
-        "etendue", (), "m2 sr", "float64", "Filled slit width times pixel pitch times projected solid angle",
-        alternatives=((CROSS_TRACK,),),
-    ),
-    VARIABLES["saturation_count"],
-    VARIABLES["electrons_per_count"],
-    VARIABLES["read_noise"],
-)
-# fmt: on
-
-SWEEP_VARIABLES: Mapping[str, Variable] = {variable.name: variable for variable in _SWEEP_TABLE}
-"""The table of a lab sweep, whose counts are means on other dims than those of a flight line."""
-
-PAINT, MEMBER, QUANTILE, FLAG = "paint", "member", "quantile", "flag"
-"""Dims of a paint library."""
-
-_SPECTRUM = (PAINT, BAND)
-
-# fmt: off
-_LIBRARY_TABLE = (
-    Variable("paint", (PAINT,), "", "str", "Name of the paint, which is that of its region", coordinate=True),
-    Variable("reflectance", _SPECTRUM, "1", "float32", "Hemispherical-conical reflectance factor, centre of the pixels used"),
-    Variable("reflectance_sd", _SPECTRUM, "1", "float32", "Standard deviation of reflectance over the pixels used"),
-    Variable("reflectance_quantiles", (PAINT, QUANTILE, BAND), "1", "float32", "Quantiles of reflectance over the pixels used"),
-    Variable("reflectance_u_random", _SPECTRUM, "1", "float32", "Random standard uncertainty of the mean reflectance"),
-    Variable("reflectance_u_systematic", _SPECTRUM, "1", "float32", "Systematic standard uncertainty of the mean reflectance"),
-    Variable("member_reflectance", (PAINT, MEMBER, BAND), "1", "float32", "Reflectance of single pixels, NaN beyond the last"),
-    Variable("member_along_track", (PAINT, MEMBER), "1", "int64", "Line of a member, -1 beyond the last"),
-    Variable("member_cross_track", (PAINT, MEMBER), "1", "int64", "Column of a member, -1 beyond the last"),
-    Variable("n", (PAINT,), "1", "int64", "Pixels used"),
-    Variable("n_eff", (PAINT,), "1", "float64", "Independent pixels among those used"),
-    Variable("n_excluded", (PAINT,), "1", "int64", "Pixels of the region that were left out"),
-    Variable("quality", (PAINT,), "", "uint16", "Quality flags of the pixels used"),
-    Variable("quality_share", (PAINT, FLAG), "1", "float32", "Share of the region's pixels that have a flag, used or not"),
-    Variable("sun_zenith", (PAINT,), "degree", "float64", "Zenith angle of the sun", standard_name="solar_zenith_angle"),
-    Variable(
-        "sun_azimuth", (PAINT,), "degree", "float64", "Azimuth of the sun, clockwise from north",
-        standard_name="solar_azimuth_angle",
-    ),
-    Variable(
-        "view_zenith", (PAINT,), "degree", "float64", "Angle between the vertical and the mean direction to the camera",
-        standard_name="sensor_zenith_angle",
-    ),
-    Variable(
-        "view_azimuth", (PAINT,), "degree", "float64", "Mean direction to the camera, clockwise from north",
-        standard_name="sensor_azimuth_angle",
-    ),
-    Variable("relative_azimuth", (PAINT,), "degree", "float64", "Angle between the azimuths of sun and camera, 0 where the sun is behind the camera"),
-    Variable("irradiance_age", (PAINT,), "s", "float32", "Longest time from a line to the nearest irradiance sample"),
-    Variable("time", (PAINT,), "", "datetime64[ns]", "Mean UTC of the pixels used", standard_name="time", coordinate=True),
-    Variable("flightline", (PAINT,), "", "str", "Flight line of the region", coordinate=True),
-    Variable("region", (PAINT,), "", "str", "The region as a Feature of GeoJSON", coordinate=True),
-    Variable(QUANTILE, (QUANTILE,), "1", "float64", "Share of the pixels used that are below", coordinate=True),
-    Variable(FLAG, (FLAG,), "", "str", "Name of a quality flag", coordinate=True),
-    VARIABLES["wavelength"],
-    VARIABLES["fwhm"],
-    VARIABLES["good"],
-)
-# fmt: on
-
-LIBRARY_VARIABLES: Mapping[str, Variable] = {variable.name: variable for variable in _LIBRARY_TABLE}
-"""The table of a paint library, whose spectra are on other dims than those of a flight line."""
-
 MONOCHROMATOR_SHAPES = ("gaussian", "triangle")
 """Line shapes of a monochromator, named by the attribute ``monochromator_shape`` of a sweep."""
 
 SRF_SHAPES = ("gaussian", "slit", "tabulated")
 """Line shapes of a band, named by the dataset attribute ``srf_shape``."""
 
+#: What the neighbours call our dims, in lower case.
+DIM_ALIASES: Mapping[str, tuple[str, ...]] = {
+    ALONG_TRACK: ("line", "lines", "downtrack", "y", "frame"),
+    BAND: ("bands", "wavelength", "wavelengths", "channel"),
+    CROSS_TRACK: ("sample", "samples", "crosstrack", "x", "column"),
+}
 
-def describe() -> str:
-    """Return the table as text, one variable a line."""
-    rows = [(v.name, ", ".join(v.dims) or "scalar", v.units or "-", v.dtype, v.meaning) for v in _TABLE]
-    widths = [max(len(row[column]) for row in rows) for column in range(4)]
-    return "\n".join(
-        "  ".join([*(cell.ljust(width) for cell, width in zip(row, widths, strict=False)), row[4]])
-        for row in rows
-    )
+
+class Quality(IntFlag):
+    """Bits of ``quality``; a bit set early is still set in every later product."""
+
+    SATURATED = 1
+    BELOW_DARK = 2
+    BAD_DETECTOR = 4
+    IRRADIANCE_GAP = 8
+    ILLUMINATION_UNSTABLE = 16
+    LOW_SUN = 32
+    GLINT = 64
+    SHADOW = 128
+    ADJACENCY = 256
+    MIXED_EDGE = 512
+    OFF_SWATH = 1024
+    NO_DATA = 2048
+    TIMING_SENSITIVE = 4096
+
+
+def rename_to_roles(dataset: xr.Dataset, dims: Mapping[str, Hashable] | None = None) -> xr.Dataset:
+    """Return ``dataset`` with its dims named by role: ``along_track``, ``band``, ``cross_track``.
+
+    Parameters
+    ----------
+    dataset
+        Any dataset with a cube.
+    dims
+        Role to dim name, for names that `DIM_ALIASES` does not know.
+
+    Raises
+    ------
+    SchemaError
+        ``dims`` names a role or a dim that does not exist.
+    """
+    names: dict[Hashable, Hashable] = {}
+    for role, name in (dims or {}).items():
+        if role not in CUBE or name not in dataset.dims:
+            raise SchemaError(
+                f"dims={{{role!r}: {name!r}}}: expected roles {list(CUBE)} "
+                f"and dims of the dataset {list(map(str, dataset.dims))}"
+            )
+        names[name] = role
+    for role, aliases in DIM_ALIASES.items():
+        if role in dataset.dims or role in names.values():
+            continue
+        names_of_role = (role, *aliases)
+        alias = next((d for d in dataset.dims if str(d).lower() in names_of_role and d not in names), None)
+        if alias is not None:
+            names[alias] = role
+    # a dim `wavelength` with a coordinate of that name becomes the coordinate wavelength(band)
+    indexed = [name for name, role in names.items() if role == BAND and name in dataset.coords]
+    if indexed:
+        dataset = dataset.reset_index(indexed)
+    names = {old: new for old, new in names.items() if old != new}
+    return dataset.rename_dims(names) if names else dataset
 
 
 def quality_attrs() -> dict[str, Any]:
@@ -410,9 +136,9 @@ def quality_attrs() -> dict[str, Any]:
 def label(array: xr.DataArray, name: str, **extra: Any) -> xr.DataArray:
     """Return ``array`` under the name and attributes of the table, which replace those it had."""
     attrs = quality_attrs() if name == "quality" else VARIABLES[name].attrs
-    made = array.rename(name).copy(deep=False)  # renamed alone, it would share its attributes
-    made.attrs = {**attrs, **extra}
-    return made
+    labelled = array.rename(name).copy(deep=False)  # renamed alone, it would share its attributes
+    labelled.attrs = {**attrs, **extra}
+    return labelled
 
 
 def require(
@@ -438,12 +164,12 @@ def require(
     SchemaError
         Variables are missing, or have other dims or units than the table allows; all are listed.
     """
-    found, wrong = find(dataset, names, table)
+    arrays, faults = find(dataset, names, table)
     problems = Problems(f"cannot compute {purpose}", SchemaError)
-    for problem in wrong:
-        problems.add(problem)
+    for fault in faults:
+        problems.add(fault)
     problems.raise_if_any()
-    return found
+    return arrays
 
 
 def find(
@@ -451,7 +177,7 @@ def find(
 ) -> tuple[dict[str, xr.DataArray], list[str]]:
     """Return what `require` returns of the variables that are as they should be, and the others' problems."""
     problems: list[str] = []
-    found: dict[str, xr.DataArray] = {}
+    arrays: dict[str, xr.DataArray] = {}
     for name in names:
         spec = table[name]
         if name not in dataset.variables:
@@ -467,8 +193,8 @@ def find(
             continue
         order = next(dims for dims in spec.allowed_dims if set(dims) == set(array.dims))
         array = array.transpose(*order)
-        found[name] = convert(array, spec.units) if spec.units else array
-    return found, problems
+        arrays[name] = convert(array, spec.units) if spec.units else array
+    return arrays, problems
 
 
 def dtype_of(name: str) -> np.dtype[Any]:

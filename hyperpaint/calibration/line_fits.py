@@ -13,6 +13,7 @@ import numpy.typing as npt
 
 from hyperpaint.base.arrays import Bools, Floats
 from hyperpaint.base.constants import SATURATION_MARGIN_COUNTS
+from hyperpaint.kernels.arguments import LineFits, LineSamples
 from hyperpaint.kernels.line_fits import (
     AREA,
     CENTRE,
@@ -262,10 +263,8 @@ def fit_beam(beam: Floats) -> tuple[float, float]:
     centre = float((np.maximum(values, 0.0) * columns).sum() / total)
     parameters = np.array([[centre, total / _GAUSS, total, 0.0]])
     covariance, chi2, converged = np.empty((1, 4, 4)), np.empty(1), np.zeros(1, np.bool_)
-    fit_lines(
-        values[None], weights, np.zeros(1, np.int64), np.zeros(1), GAUSSIAN, False, parameters, covariance,
-        chi2, converged,
-    )  # fmt: skip
+    samples = LineSamples(values[None], weights, np.zeros(1, np.int64), np.zeros(1))
+    fit_lines(samples, GAUSSIAN, False, LineFits(parameters, covariance, chi2, converged))
     middle, width, area, offset = parameters[0]
     peaked = bool(converged[0]) and width < 3.0 * beam.size and -width < middle < beam.size + width
     if not peaked or not abs(offset) < 0.5 * area / (width * _GAUSS):
@@ -324,10 +323,8 @@ def _fit_twice(
     begin = parameters.copy()
     for last in (False, True):
         parameters[:] = np.where(np.isfinite(parameters), parameters, begin)
-        fit_lines(
-            values, np.where(used, 1.0 / variance, 0.0), window.first, light.width, shape, light.triangular,
-            parameters, covariance, chi2, converged,
-        )  # fmt: skip
+        samples = LineSamples(values, np.where(used, 1.0 / variance, 0.0), window.first, light.width)
+        fit_lines(samples, shape, light.triangular, LineFits(parameters, covariance, chi2, converged))
         if last:
             break
         fitted = parameters[:, AREA, None] * _profiles(window, parameters, shape, light)

@@ -19,6 +19,7 @@ from __future__ import annotations
 import numpy as np
 
 from hyperpaint.base.arrays import Bools, Floats
+from hyperpaint.kernels.arguments import LineFits, LineSamples
 from hyperpaint.kernels.line_fits import CENTRE, fit_lines, profiles
 
 from .lab_sweep import LabSweep
@@ -189,8 +190,6 @@ def _fitted(
     variance = noise.variance(line, frames) + (1e-4 * amplitude) ** 2
     parameters = np.array([[0.0, own, line.sum(), 0.0]])
     covariance, chi2, converged = np.empty((1, 4, 4)), np.empty(1), np.zeros(1, np.bool_)
-    fit_lines(
-        line[None], 1.0 / variance[None], np.array([-half]), np.array([source]), shape, lab.triangular,
-        parameters, covariance, chi2, converged,
-    )  # fmt: skip
+    samples = LineSamples(line[None], 1.0 / variance[None], np.array([-half]), np.array([source]))
+    fit_lines(samples, shape, lab.triangular, LineFits(parameters, covariance, chi2, converged))
     return float(parameters[0, CENTRE]) if converged[0] else 0.0

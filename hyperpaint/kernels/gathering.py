@@ -9,6 +9,8 @@ from __future__ import annotations
 from hyperpaint.base.arrays import Array
 from hyperpaint.base.jit import kernel
 
+from .arguments import Places
+
 __all__ = ["gather_bilinear", "gather_nearest"]
 
 
@@ -61,16 +63,7 @@ def gather_nearest(
 
 @kernel
 def gather_bilinear(
-    slab: Array,
-    after: Array,
-    lines: Array,
-    columns: Array,
-    along: Array,
-    across: Array,
-    cells: Array,
-    turned: Array,
-    turned_next: Array,
-    out: Array,
+    slab: Array, after: Array, places: Places, turned: Array, turned_next: Array, out: Array
 ) -> None:
     """Write spectra between the four pixels around each place.
 
@@ -80,17 +73,14 @@ def gather_bilinear(
         Any numbers.
     after : (band, column)
         The line that follows the slab.
-    lines, columns : (place,), int64
-        Pixel before each place, line by line.
-    along, across : (place,), like out
-        Way to the next line and column, 0 to 1; of what is 0 away the next is not looked at.
-    cells : (place,), int64
-        Where each goes.
+    places
+        In the slab.
     turned, turned_next : (column, band), like out
         Memory to work in.
     out : (cell, band), float32 or float64
         Written; NaN where one of the pixels looked at is.
     """
+    lines, columns, along, across, cells = places
     last = slab.shape[2] - 1
     k = 0
     while k < lines.size:

@@ -13,6 +13,8 @@ import numpy as np
 from hyperpaint.base.arrays import Array
 from hyperpaint.base.jit import kernel
 
+from .arguments import InverseTile, LinePositions, MapCells
+
 __all__ = ["FIRST", "LAST", "NADIR", "fill_between", "invert_lines"]
 
 
@@ -29,13 +31,21 @@ _OUTER = 1e-6
 
 @kernel
 def _inside_patch(
-    px: float, py: float, ax: float, ay: float, bx: float, by: float, cx: float, cy: float,
-    start_u: float, start_v: float, end_u: float, end_v: float,
-) -> tuple[bool, float, float]:  # fmt: skip
+    p: tuple[float, float],
+    a: tuple[float, float],
+    b: tuple[float, float],
+    c: tuple[float, float],
+    start: tuple[float, float],
+    end: tuple[float, float],
+) -> tuple[bool, float, float]:
     """Return whether p = u a + v b + u v c with u and v within limits, and these, from 0 to 1.
 
     Without u there remains a quadratic in v, whose roots are taken in the form that loses no digits.
     """
+    px, py = p
+    ax, ay = a
+    bx, by = b
+    cx, cy = c
     k2 = by * cx - bx * cy
     k1 = ax * by - ay * bx + px * cy - py * cx
     k0 = ay * px - ax * py
@@ -49,13 +59,13 @@ def _inside_patch(
             v = k0 / q
         elif root == 1 and k2 != 0.0:
             v = q / k2
-        if not start_v <= v < end_v:
+        if not start[1] <= v < end[1]:
             continue
         jx, jy = ax + v * cx, ay + v * cy
         if jx == 0.0 and jy == 0.0:
             continue
         u = (px - v * bx) / jx if abs(jx) > abs(jy) else (py - v * by) / jy
-        if start_u <= u < end_u:
+        if start[0] <= u < end[0]:
             return True, min(max(u, 0.0), 1.0), min(max(v, 0.0), 1.0)
     return False, 0.0, 0.0
 
@@ -95,60 +105,32 @@ def _to_cells(east: Array, north: Array, frame: Array, x: Array, y: Array) -> tu
 
 
 @kernel
-def invert_lines(
-    east: Array,
-    north: Array,
-    east_before: Array,
-    north_before: Array,
-    first: int,
-    last: int,
-    frame: Array,
-    corner: tuple[int, int],
-    longest: float,
-    rule: int,
-    place: Array,
-    nearest: Array,
-    rank: Array,
-    hits: Array,
-) -> None:
+def invert_lines(positions: LinePositions, first: int, last: int, cells: MapCells, out: InverseTile) -> None:
     """Write the place in a flight line of every cell of a tile, as far as some of its lines cover it.
 
     Parameters
     ----------
-    east, north : (line, column), float64
-        Where the pixels of lines that follow one another lie on the map [m]; NaN where that is not known.
-    east_before, north_before : (column,), float64
-        The same of the line before; NaN where there is none.
+    positions
+        Where the pixels of some lines lie, and those of the line before.
     first, last
         Number of the first of these lines, and of the last line of the flight.
-    frame : (6,), float64
-        East and north of the centre of the map's first cell [m]; then what turns metres from there into
-        columns of cells, and into rows of cells, each by its part per metre east and north.
-    corner
-        Row and column of the tile's first cell on the map.
-    longest
-        Edge from which a patch is a gap, and covers nothing [cell].
-    rule
-        `NADIR`, `FIRST` or `LAST`.
-    place : (2, row, col), float64
-        Line and column of every cell, written where a patch covers one that has none yet or a worse one.
-    nearest : (2, row, col), int32
-        Line and column of the one of the patch's four pixels that lies nearest to the cell.
-    rank : (row, col), float64
-        What cells are compared by, the least wins; infinite where nothing has covered them.
-    hits : (row, col), uint16
-        Patches over every cell, added to.
+    cells
+        The tile.
+    out
+        Written.
 
     Notes
     -----
     Lines may go back over themselves: every patch is visited, whichever way round it lies.
     """
-    first_row, first_col = corner
+    east, north = positions.east, positions.north
+    place, nearest, rank, hits = out
+    frame, (first_row, first_col), rule = cells.frame, cells.corner, cells.rule
     last_row, last_col = first_row + hits.shape[0] - 1.0, first_col + hits.shape[1] - 1.0
     columns = east.shape[1]
     x0, y0, x1, y1 = np.empty(columns), np.empty(columns), np.empty(columns), np.empty(columns)
     box = np.empty((5, columns))
-    low0, high0 = _to_cells(east_before, north_before, frame, x0, y0)
+    low0, high0 = _to_cells(positions.east_before, positions.north_before, frame, x0, y0)
     for i in range(east.shape[0]):
         low1, high1 = _to_cells(east[i], north[i], frame, x1, y1)
         start_v = -_OUTER if first + i == 1 else -_EDGE
@@ -172,17 +154,22 @@ def invert_lines(
                 gx, gy = x1[j + 1] - x0[j + 1], y1[j + 1] - y0[j + 1]
                 near = max(ax * ax + ay * ay, bx * bx + by * by)
                 edge = max(near, max(fx * fx + fy * fy, gx * gx + gy * gy))
-                if edge > longest * longest:
+                if edge > cells.longest * cells.longest:
                     continue
                 start_u = -_OUTER if j == 0 else -_EDGE
                 end_u = 1.0 + _OUTER if j == columns - 2 else 1.0 - _EDGE
                 for row in range(top, math.floor(min(lower, last_row)) + 1):
                     for col in range(beside, math.floor(min(right, last_col)) + 1):
                         px, py = col - x0[j], row - y0[j]
-                        found, u, v = _inside_patch(
-                            px, py, ax, ay, bx, by, fx - ax, fy - ay, start_u, start_v, end_u, end_v
+                        inside, u, v = _inside_patch(
+                            (px, py),
+                            (ax, ay),
+                            (bx, by),
+                            (fx - ax, fy - ay),
+                            (start_u, start_v),
+                            (end_u, end_v),
                         )
-                        if not found:
+                        if not inside:
                             continue
                         r, c = row - first_row, col - first_col
                         if hits[r, c] < 65535:
@@ -214,7 +201,7 @@ def fill_between(ends: Array, frame: Array, corner: tuple[int, int], inside: Arr
     ends : (pair, 4, 2), float64
         East and north of the corners of the area between two lines, in the order around it [m].
     frame, corner
-        See `invert_lines`.
+        See `hyperpaint.kernels.arguments.MapCells`.
     inside : (row, col), bool
         Set where the centre of a cell lies in one of the areas.
     """

@@ -9,9 +9,11 @@ import numpy as np
 from hyperpaint.base.arrays import Array
 from hyperpaint.base.jit import kernel
 
+from .arguments import LineFits, LineSamples
+
 __all__ = [
-    "AREA", "CENTRE", "GAUSSIAN", "OFFSET", "SLIT", "WIDTH",
-    "fit_lines", "full_widths", "line_profile", "profiles",
+    "AREA", "CENTRE", "GAUSSIAN", "OFFSET", "SLIT", "WIDTH", "fit_lines", "full_widths", "line_profile",
+    "profiles",
 ]  # fmt: skip
 
 
@@ -127,10 +129,10 @@ def _solve4(matrix: Array, right: Array, out: Array) -> bool:
 
 @kernel
 def _normal_equations(
-    values: Array, weights: Array, first: int, p: Array, source: float, shape: int, triangular: bool,
-    matrix: Array, right: Array,
-) -> float:  # fmt: skip
+    line: LineSamples, p: Array, shape: int, triangular: bool, matrix: Array, right: Array
+) -> float:
     """Fill the normal equations at parameters ``p`` and return the weighted sum of squared residuals."""
+    values, weights, first, source = line
     step = 1e-5 * max(p[WIDTH], 0.1)
     matrix[:] = 0.0
     right[:] = 0.0
@@ -162,9 +164,8 @@ def _normal_equations(
 
 
 @kernel
-def _chi2(
-    values: Array, weights: Array, first: int, p: Array, source: float, shape: int, triangular: bool
-) -> float:
+def _chi2(line: LineSamples, p: Array, shape: int, triangular: bool) -> float:
+    values, weights, first, source = line
     total = 0.0
     for i in range(values.shape[0]):
         if weights[i] > 0.0:
@@ -176,14 +177,13 @@ def _chi2(
 
 @kernel
 def _fit_line(
-    values: Array, weights: Array, first: int, p: Array, source: float, shape: int, triangular: bool,
-    covariance: Array,
-) -> tuple[float, bool]:  # fmt: skip
+    line: LineSamples, p: Array, shape: int, triangular: bool, covariance: Array
+) -> tuple[float, bool]:
     """Improve the parameters of one line in place; return its chi2, and whether the search has ended."""
     matrix, right, damped = np.empty((4, 4)), np.empty(4), np.empty((4, 4))
     change, trial = np.empty(4), np.empty(4)
     damping = 1e-3
-    chi2 = _normal_equations(values, weights, first, p, source, shape, triangular, matrix, right)
+    chi2 = _normal_equations(line, p, shape, triangular, matrix, right)
     ended = False
     for _ in range(_STEPS):
         damped[:] = matrix
@@ -194,12 +194,12 @@ def _fit_line(
         for j in range(4):
             trial[j] = p[j] + change[j]
         trial[WIDTH] = min(max(trial[WIDTH], 0.5 * p[WIDTH], _NARROWEST), 2.0 * p[WIDTH])
-        found = _chi2(values, weights, first, trial, source, shape, triangular)
-        if found <= chi2:
+        trial_chi2 = _chi2(line, trial, shape, triangular)
+        if trial_chi2 <= chi2:
             moved = abs(trial[CENTRE] - p[CENTRE]) + abs(trial[WIDTH] - p[WIDTH])
             p[:] = trial
-            gained = chi2 - found
-            chi2 = _normal_equations(values, weights, first, p, source, shape, triangular, matrix, right)
+            gained = chi2 - trial_chi2
+            chi2 = _normal_equations(line, p, shape, triangular, matrix, right)
             damping = max(damping * 0.1, 1e-12)
             if moved < 1e-9 * p[WIDTH] or gained <= 1e-13 * chi2:
                 ended = True
@@ -221,44 +221,31 @@ def _fit_line(
 
 
 @kernel
-def fit_lines(
-    values: Array, weights: Array, first: Array, source: Array, shape: int, triangular: bool,
-    parameters: Array, covariance: Array, chi2: Array, converged: Array,
-) -> None:  # fmt: skip
+def fit_lines(samples: LineSamples, shape: int, triangular: bool, fits: LineFits) -> None:
     """Fit offset + area x profile to every row by the method of Levenberg and Marquardt.
 
     Parameters
     ----------
-    values : (line, sample), float64
-    weights : (line, sample), float64
-        One over the variance; zero leaves a sample out.
-    first : (line,), int64
-        Place of the first sample of a row.
-    source : (line,), float64
-        Full width at half maximum of the light [samples].
+    samples
+        The rows.
     shape, triangular
         See `line_profile`.
-    parameters : (line, 4), float64
-        Where to begin, and the result: see `CENTRE`.
-    covariance : (line, 4, 4), float64
-        Inverse of the normal matrix; NaN where it is singular.
-    chi2 : (line,), float64
-        Weighted sum of squared residuals.
-    converged : (line,), bool
+    fits
+        Where to begin, and what is written.
     """
-    for line in range(values.shape[0]):
+    parameters, covariance, chi2, converged = fits
+    for line in range(samples.values.shape[0]):
         if not (np.isfinite(parameters[line]).all() and parameters[line, WIDTH] > 0.0):
             parameters[line] = np.nan
             covariance[line] = np.nan
             chi2[line] = np.nan
             converged[line] = False
             continue
-        found, ended = _fit_line(
-            values[line], weights[line], first[line], parameters[line], source[line], shape, triangular,
-            covariance[line],
-        )  # fmt: skip
-        chi2[line] = found
-        converged[line] = ended and np.isfinite(found)
+        one = LineSamples(
+            samples.values[line], samples.weights[line], samples.first[line], samples.source[line]
+        )
+        chi2[line], ended = _fit_line(one, parameters[line], shape, triangular, covariance[line])
+        converged[line] = ended and np.isfinite(chi2[line])
 
 
 @kernel

@@ -15,6 +15,11 @@ import numpy as np
 from hyperpaint.base.arrays import Array
 from hyperpaint.base.jit import borrowing_kernel, kernel
 
+from .arguments import LineFrames, LineRays, Raster
+
+Vector = tuple[float, float, float]
+Parabola = tuple[float, float, float]
+
 __all__ = ["BLOCK", "PLACES", "level_places", "raster_places"]
 
 
@@ -48,7 +53,7 @@ def _at(c: Array, e: float, n: float, u: float) -> float:
 
 
 @borrowing_kernel
-def _gradient(c: Array, e: float, n: float, u: float) -> tuple[float, float, float]:
+def _gradient(c: Array, e: float, n: float, u: float) -> Vector:
     """Return the derivatives of a polynomial at a place."""
     return (
         c[1] + 2.0 * c[4] * e + c[7] * n + c[8] * u,
@@ -58,10 +63,9 @@ def _gradient(c: Array, e: float, n: float, u: float) -> tuple[float, float, flo
 
 
 @borrowing_kernel
-def _along(
-    c: Array, e: float, n: float, u: float, de: float, dn: float, du: float
-) -> tuple[float, float, float]:
+def _along(c: Array, e: float, n: float, u: float, direction: Vector) -> Parabola:
     """Return a polynomial as the parabola that it is along a ray from (e, n, u)."""
+    de, dn, du = direction
     ge, gn, gu = _gradient(c, e, n, u)
     bent = c[4] * de * de + c[5] * dn * dn + c[6] * du * du + c[7] * de * dn + c[8] * de * du + c[9] * dn * du
     return _at(c, e, n, u), ge * de + gn * dn + gu * du, bent
@@ -80,16 +84,16 @@ def _first_zero(a: float, b: float, c: float) -> float:
 
 @borrowing_kernel
 def _describe(
-    x: Array, y: Array, height: Array, turn: float,
-    e: float, n: float, u: float, de: float, dn: float, du: float,
-    out: Array, line: int, column: int,
-) -> None:  # fmt: skip
-    """Write what is known of a pixel that is seen at (e, n, u) in the direction (de, dn, du)."""
-    out[0, line, column] = _at(x, e, n, u)
-    out[1, line, column] = _at(y, e, n, u)
-    out[2, line, column] = _at(height, e, n, u)
+    frames: LineFrames, place: Vector, direction: Vector, out: Array, line: int, column: int
+) -> None:
+    """Write what a pixel shows that is seen at a place (e, n, u) in a direction (de, dn, du)."""
+    e, n, u = place
+    de, dn, du = direction
+    out[0, line, column] = _at(frames.x[line], e, n, u)
+    out[1, line, column] = _at(frames.y[line], e, n, u)
+    out[2, line, column] = _at(frames.height[line], e, n, u)
     # the vertical of the place that is seen, not that of the camera
-    ve, vn, vu = _gradient(height, e, n, u)
+    ve, vn, vu = _gradient(frames.height[line], e, n, u)
     upwards = -(ve * de + vn * dn + vu * du)
     # by the sine: the arc cosine loses half of its digits near the zenith
     ce, cn, cu = vn * du - vu * dn, vu * de - ve * du, ve * dn - vn * de
@@ -101,78 +105,59 @@ def _describe(
         out[4, line, column] = 0.0
         return
     # meridians meet: north of the place is turned against that of the camera
-    azimuth = math.degrees(math.atan2(level_e, level_n) + turn * e)
+    azimuth = math.degrees(math.atan2(level_e, level_n) + frames.turn[line] * e)
     out[4, line, column] = azimuth % 360.0
 
 
+@borrowing_kernel
+def _direction(rays: LineRays, line: int, column: int) -> Vector:
+    """Return where a column of a line looks, in the line's frame."""
+    a, b, c = rays.look[column, 0], rays.look[column, 1], rays.look[column, 2]
+    m = rays.rotation[line]
+    return (
+        m[0, 0] * a + m[0, 1] * b + m[0, 2] * c,
+        m[1, 0] * a + m[1, 1] * b + m[1, 2] * c,
+        m[2, 0] * a + m[2, 1] * b + m[2, 2] * c,
+    )
+
+
 @kernel
-def level_places(
-    origin: Array,
-    rotation: Array,
-    look: Array,
-    x: Array,
-    y: Array,
-    height: Array,
-    turn: Array,
-    ground: float,
-    out: Array,
-) -> None:
+def level_places(rays: LineRays, frames: LineFrames, ground: float, out: Array) -> None:
     """Follow the rays of lines to the surface that is everywhere ``ground`` above the ellipsoid.
 
     Parameters
     ----------
-    origin : (line, 3), float64
-        Projection centre in the line's frame [m].
-    rotation : (line, 3, 3), float64
-        Turns directions of the camera into the line's frame.
-    look : (column, 3), float64
-        Directions of the columns in the camera's frame, of unit length.
-    x, y, height : (line, 10), float64
-        Coordinates of the map and height above the ellipsoid [m], as polynomials of the line's frame.
-    turn : (line,), float64
-        How north turns with the way to the east [rad m-1].
+    rays, frames
+        Of these lines.
     ground
         Height of the ground [m].
     out : (`PLACES`, line, column), float64
         Written; NaN where a ray meets no ground.
     """
-    for line in range(origin.shape[0]):
-        e, n, u = origin[line, 0], origin[line, 1], origin[line, 2]
-        m = rotation[line]
-        for column in range(look.shape[0]):
-            a, b, c = look[column, 0], look[column, 1], look[column, 2]
-            de = m[0, 0] * a + m[0, 1] * b + m[0, 2] * c
-            dn = m[1, 0] * a + m[1, 1] * b + m[1, 2] * c
-            du = m[2, 0] * a + m[2, 1] * b + m[2, 2] * c
-            h0, h1, h2 = _along(height[line], e, n, u, de, dn, du)
+    for line in range(rays.origin.shape[0]):
+        e, n, u = rays.origin[line, 0], rays.origin[line, 1], rays.origin[line, 2]
+        for column in range(rays.look.shape[0]):
+            direction = _direction(rays, line, column)
+            h0, h1, h2 = _along(frames.height[line], e, n, u, direction)
             s = _first_zero(h0 - ground, h1, h2)
             if not s > 0.0:
                 for part in range(PLACES):
                     out[part, line, column] = np.nan
                 continue
-            _describe(
-                x[line], y[line], height[line], turn[line],
-                e + s * de, n + s * dn, u + s * du, de, dn, du, out, line, column,
-            )  # fmt: skip
+            de, dn, du = direction
+            _describe(frames, (e + s * de, n + s * dn, u + s * du), direction, out, line, column)
 
 
 @borrowing_kernel
-def _bend(parabola: tuple[float, float, float], s: float) -> float:
+def _bend(parabola: Parabola, s: float) -> float:
     """Return a parabola at s."""
     return parabola[0] + s * (parabola[1] + s * parabola[2])
 
 
 @borrowing_kernel
-def _above(
-    heights: Array,
-    i: int,
-    j: int,
-    row: tuple[float, float, float],
-    col: tuple[float, float, float],
-    h: tuple[float, float, float],
-    s: float,
-) -> float:
+def _above(heights: Array, i: int, j: int, ray: tuple[Parabola, Parabola, Parabola], s: float) -> float:
     """Return how far a ray is above the bilinear patch of cell (i, j) [m]; NaN over a hole."""
+    row, col, h = ray
     v, w = _bend(row, s) - i, _bend(col, s) - j
     near = heights[i, j] + w * (heights[i, j + 1] - heights[i, j])
     far = heights[i + 1, j] + w * (heights[i + 1, j + 1] - heights[i + 1, j])
@@ -185,9 +170,7 @@ def _arrival(
     heights: Array,
     i: int,
     j: int,
-    row: tuple[float, float, float],
-    col: tuple[float, float, float],
-    h: tuple[float, float, float],
+    ray: tuple[Parabola, Parabola, Parabola],
     s: float,
     f: float,
     end: float,
@@ -199,16 +182,16 @@ def _arrival(
         if f_end == f:
             break
         at = (s * f_end - end * f) / (f_end - f)
-        found = _above(heights, i, j, row, col, h, at)
-        if abs(found) < _SURFACE:
+        above = _above(heights, i, j, ray, at)
+        if abs(above) < _SURFACE:
             return at
-        if found > 0.0:
-            s, f = at, found
+        if above > 0.0:
+            s, f = at, above
             if side == 1:
                 f_end *= 0.5
             side = 1
         else:
-            end, f_end = at, found
+            end, f_end = at, above
             if side == -1:
                 f *= 0.5
             side = -1
@@ -237,16 +220,10 @@ def _to_raster(place: float, speed: float, last: float) -> float:
 
 
 @borrowing_kernel
-def _first_hit(
-    heights: Array,
-    tops: Array,
-    lowest: float,
-    highest: float,
-    row: tuple[float, float, float],
-    col: tuple[float, float, float],
-    h: tuple[float, float, float],
-) -> float:
-    """Return where a ray first meets a raster, cell by cell; NaN where that is not known."""
+def _first_hit(raster: Raster, ray: tuple[Parabola, Parabola, Parabola]) -> float:
+    """Return where a ray (its row, column and height) first meets a raster; NaN where that is unknown."""
+    heights, tops, lowest, highest = raster.heights, raster.tops, raster.lowest, raster.highest
+    row, col, h = ray
     last_row, last_col = heights.shape[0] - 1, heights.shape[1] - 1
     end = _first_zero(h[0] - (lowest - _MARGIN), h[1], h[2])
     if not end > 0.0:
@@ -279,8 +256,8 @@ def _first_hit(
             continue
         leave = s + nudge + min(_to_border(y, vy, i, i + 1), _to_border(x, vx, j, j + 1))
         leave = min(leave, end)
-        f = _above(heights, i, j, row, col, h, s)
-        f_leave = _above(heights, i, j, row, col, h, leave)
+        f = _above(heights, i, j, ray, s)
+        f_leave = _above(heights, i, j, ray, leave)
         if math.isnan(f) or math.isnan(f_leave):
             unknown = True
             s = leave
@@ -289,75 +266,48 @@ def _first_hit(
             return math.nan if unknown and f < -_SURFACE else s
         unknown = False
         if f_leave <= 0.0:
-            return _arrival(heights, i, j, row, col, h, s, f, leave, f_leave)
+            return _arrival(heights, i, j, ray, s, f, leave, f_leave)
         # over a patch the distance is a parabola, which may dip below 0 in between
-        middle = _above(heights, i, j, row, col, h, 0.5 * (s + leave))
+        middle = _above(heights, i, j, ray, 0.5 * (s + leave))
         bent, slope = 2.0 * (f + f_leave - 2.0 * middle), 4.0 * middle - 3.0 * f - f_leave
         if bent > 0.0 and 0.0 < -slope < 2.0 * bent:
             dip = s - slope / (2.0 * bent) * (leave - s)
-            f_dip = _above(heights, i, j, row, col, h, dip)
+            f_dip = _above(heights, i, j, ray, dip)
             if f_dip <= 0.0:
-                return _arrival(heights, i, j, row, col, h, s, f, dip, f_dip)
+                return _arrival(heights, i, j, ray, s, f, dip, f_dip)
         s = leave
     return math.nan
 
 
 @kernel
-def raster_places(
-    origin: Array,
-    rotation: Array,
-    look: Array,
-    x: Array,
-    y: Array,
-    height: Array,
-    turn: Array,
-    row: Array,
-    col: Array,
-    heights: Array,
-    tops: Array,
-    lowest: float,
-    highest: float,
-    out: Array,
-) -> None:
+def raster_places(rays: LineRays, frames: LineFrames, raster: Raster, out: Array) -> None:
     """Follow the rays of lines to the first point of a bilinear surface through a raster of heights.
 
     Parameters
     ----------
-    origin, rotation, look, x, y, height, turn, out
+    rays, frames, out
         See `level_places`.
-    row, col : (line, 10), float64
-        Place in the raster, 0 at the centre of its first cells, as polynomials of the line's frame.
-    heights : (row, col), float64
-        Above the ellipsoid [m]; NaN in holes.
-    tops : (ceil((row - 1) / `BLOCK`), ceil((col - 1) / `BLOCK`)), float64
-        Highest point of every block; minus infinity where all of it is a hole.
-    lowest, highest
-        Of all heights [m].
+    raster
+        The surface.
 
     Notes
     -----
     What is hidden from the camera is not seen: the first hit counts. A ray that leaves a hole, or comes in
     over the edge, below the surface has met the ground where it is not known, and gets NaN.
     """
-    for line in range(origin.shape[0]):
-        e, n, u = origin[line, 0], origin[line, 1], origin[line, 2]
-        m = rotation[line]
-        for column in range(look.shape[0]):
-            a, b, c = look[column, 0], look[column, 1], look[column, 2]
-            de = m[0, 0] * a + m[0, 1] * b + m[0, 2] * c
-            dn = m[1, 0] * a + m[1, 1] * b + m[1, 2] * c
-            du = m[2, 0] * a + m[2, 1] * b + m[2, 2] * c
-            s = _first_hit(
-                heights, tops, lowest, highest,
-                _along(row[line], e, n, u, de, dn, du),
-                _along(col[line], e, n, u, de, dn, du),
-                _along(height[line], e, n, u, de, dn, du),
-            )  # fmt: skip
+    for line in range(rays.origin.shape[0]):
+        e, n, u = rays.origin[line, 0], rays.origin[line, 1], rays.origin[line, 2]
+        for column in range(rays.look.shape[0]):
+            direction = _direction(rays, line, column)
+            ray = (
+                _along(raster.row[line], e, n, u, direction),
+                _along(raster.col[line], e, n, u, direction),
+                _along(frames.height[line], e, n, u, direction),
+            )
+            s = _first_hit(raster, ray)
             if not s > 0.0:
                 for part in range(PLACES):
                     out[part, line, column] = np.nan
                 continue
-            _describe(
-                x[line], y[line], height[line], turn[line],
-                e + s * de, n + s * dn, u + s * du, de, dn, du, out, line, column,
-            )  # fmt: skip
+            de, dn, du = direction
+            _describe(frames, (e + s * de, n + s * dn, u + s * du), direction, out, line, column)

@@ -10,14 +10,9 @@ from hyperpaint.base.arrays import Array
 from hyperpaint.base.jit import kernel
 
 __all__ = [
-    "absorb",
-    "boundary_distance",
-    "is_large",
-    "join_segments",
-    "nearest_sources",
-    "number_segments",
+    "absorb", "boundary_distance", "is_large", "join_segments", "nearest_sources", "number_segments",
     "step_sizes",
-]
+]  # fmt: skip
 
 
 @kernel

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from hyperpaint.base.arrays import Array
 from hyperpaint.base.jit import kernel
+
+from .arguments import AmountPrior, Bodies, ChannelErrors, LightParts, Unmixed
 
 __all__ = ["PARTS", "average_bands", "minimise", "unmix_lines"]
 
@@ -46,10 +48,10 @@ def average_bands(cube: Array, channel: Array, out: Array) -> None:
         if channel[band] >= 0:
             members[channel[band]] += 1
     total = np.empty((columns, groups), np.float64)
-    known = np.empty((columns, groups), np.int64)
+    valid = np.empty((columns, groups), np.int64)
     for line in range(lines):
         total[:] = 0.0
-        known[:] = 0
+        valid[:] = 0
         for band in range(bands):
             group = channel[band]
             if group < 0:
@@ -58,11 +60,11 @@ def average_bands(cube: Array, channel: Array, out: Array) -> None:
                 value = cube[line, band, x]
                 if np.isfinite(value):
                     total[x, group] += value
-                    known[x, group] += 1
+                    valid[x, group] += 1
         for x in range(columns):
             for group in range(groups):
-                enough = 2 * known[x, group] > members[group]
-                out[line, x, group] = total[x, group] / known[x, group] if enough else np.nan
+                enough = 2 * valid[x, group] > members[group]
+                out[line, x, group] = total[x, group] / valid[x, group] if enough else np.nan
 
 
 @kernel
@@ -187,20 +189,38 @@ def _cost(gram: Array, right: Array, amount: Array) -> Any:
     return total
 
 
+class Equations(NamedTuple):
+    """Normal equations of a pixel.
+
+    Attributes
+    ----------
+    gram : (part, part), right : (part,)
+    valid
+        Channels with data.
+    used
+        Parts that the pixel has: those of its own, and of the neighbours that light it.
+    """
+
+    gram: Array
+    right: Array
+    valid: Any
+    used: Any
+
+
 @kernel
 def _normal_equations(
-    seen: Array, parts: Array, used: Any, noise: Array, floor: Any, gram: Array, right: Array
+    seen: Array, parts: Array, used: Any, errors: ChannelErrors, gram: Array, right: Array
 ) -> Any:
-    """Write what least squares needs; return the number of channels known, and the sum without parts."""
+    """Write what least squares needs; return the number of channels with data, and the sum without parts."""
     gram[:] = 0.0
     right[:] = 0.0
-    known, whole = 0, 0.0
+    valid, whole = 0, 0.0
     for k in range(seen.size):
         value = np.float64(seen[k])
         if not np.isfinite(value):
             continue
-        known += 1
-        sigma = noise[k] * abs(value) + floor
+        valid += 1
+        sigma = errors.noise[k] * abs(value) + errors.floor
         weight = 1.0 / (sigma * sigma)
         whole += weight * value * value
         for i in range(used):
@@ -211,7 +231,7 @@ def _normal_equations(
     for i in range(used):
         for j in range(i):
             gram[j, i] = gram[i, j]
-    return known, whole
+    return valid, whole
 
 
 @kernel
@@ -227,18 +247,9 @@ def _tempted(gram: Array, right: Array, used: Any, amount: Array) -> Any:
 
 
 @kernel
-def _settle(
-    gram: Array,
-    right: Array,
-    whole: Any,
-    known: Any,
-    used: Any,
-    most: Array,
-    evidence: Any,
-    held: Array,
-    amount: Array,
-) -> Any:
+def _settle(equations: Equations, whole: Any, most: Array, evidence: Any, held: Array, amount: Array) -> Any:
     """Write the least of the cost, with neighbours where they are worth it; return it."""
+    gram, right, used = equations.gram, equations.right, equations.used
     held[_OWN:] = True
     minimise(gram, right, most, held, amount)
     cost = whole + _cost(gram, right, amount)
@@ -247,7 +258,7 @@ def _settle(
         trial = amount.copy()
         minimise(gram, right, most, held, trial)
         less = whole + _cost(gram, right, trial)
-        if cost - less > evidence * max(1.0, less / (_INDEPENDENT * known)):
+        if cost - less > evidence * max(1.0, less / (_INDEPENDENT * equations.valid)):
             amount[:] = trial
             cost = less
     return cost
@@ -255,38 +266,30 @@ def _settle(
 
 @kernel
 def _solve(
-    gram: Array,
-    right: Array,
-    whole: Any,
-    known: Any,
-    used: Any,
-    most: Array,
-    evidence: Any,
-    lean: Any,
-    tie: Any,
-    amount: Array,
+    equations: Equations, whole: Any, most: Array, evidence: Any, lean: Any, tie: Any, amount: Array
 ) -> None:
     """Write the amounts that the light gives evidence of, from what is expected on.
 
-    ``gram``, ``right`` and ``whole`` (the cost without any parts) with the tie to what is expected, which of
+    ``equations`` and ``whole`` (the cost without any parts) with the tie to what is expected, which of
     direct light is ``tie``. Neighbours, and glint, are in only where leaving them out makes the cost larger
     by ``evidence``, in units of the misfit of what is left, where that is more than noise. What mirrors the
     sun faces halfway to it: it is expected to get ``lean`` more direct light, and is not in shadow.
     """
+    right = equations.right
     held = np.zeros(PARTS, np.bool_)
     start = amount.copy()
     more = tie * lean
     right[0] += more
     glinting = whole + more * (2.0 * start[0] + lean)
-    cost = _settle(gram, right, glinting, known, used, most, evidence, held, amount)
+    cost = _settle(equations, glinting, most, evidence, held, amount)
     right[0] -= more
     if evidence <= 0.0:
         return
     trial = start
     trial[_GLINT] = 0.0
     held[_GLINT] = True
-    plain = _settle(gram, right, whole, known, used, most, evidence, held, trial)
-    weak = plain - cost <= evidence * max(1.0, cost / (_INDEPENDENT * known))
+    plain = _settle(equations, whole, most, evidence, held, trial)
+    weak = plain - cost <= evidence * max(1.0, cost / (_INDEPENDENT * equations.valid))
     if weak or amount[_GLINT] <= 0.0 or amount[0] < _SUNLIT:
         amount[:] = trial
 
@@ -294,120 +297,87 @@ def _solve(
 @kernel
 def unmix_lines(
     seen: Array,
-    body_of: Array,
-    bodies: Array,
-    neighbours: Array,
-    direct: Array,
-    diffuse: Array,
-    noise: Array,
-    floor: Any,
-    expected: Array,
-    spread: Array,
-    tilt: Array,
-    most: Array,
+    bodies: Bodies,
+    light: LightParts,
+    errors: ChannelErrors,
+    prior: AmountPrior,
     evidence: Any,
     lean: Any,
-    amount: Array,
-    added: Array,
-    together: Array,
-    misfit: Array,
+    out: Unmixed,
 ) -> None:
     """Unmix every pixel of a block of lines.
 
     The minimum of sum(((seen - parts amount) / sigma)^2) + sum(((amount - expected) / spread)^2) with
-    sigma = noise x seen + floor and amounts from 0 to ``most``. NaN where less than half is known.
+    sigma = noise x seen + floor and amounts from 0 to the most. NaN where less than half is known.
 
     Parameters
     ----------
     seen : (line, column, channel), float32
         Reflectance [1].
-    body_of : (line, column), int32
-        What each pixel shows, a row of ``bodies``; -1 leaves it NaN.
-    bodies : (body, channel), float64
-        Reflectance in full light [1].
-    neighbours : (line, column, 2), int32
-        Rows of ``bodies`` that light each pixel; -1 for none.
-    direct, diffuse : (channel,), float64
-        Parts of the irradiance [1].
-    noise : (channel,), float64
-        Standard deviation relative to what is seen [1].
-    floor
-        Standard deviation that is added [1].
-    expected, spread : (part,), float64
-        What amounts are without evidence, and how far from it they come to lie.
-    tilt : (body,), float64
-        The spread of the amount of direct light, in place of that in ``spread``.
-    most : (part,), float64
-        Amounts are no larger.
+    bodies, light, errors, prior
+        See `hyperpaint.kernels.arguments`.
     evidence
         By how much leaving glint or neighbours out must enlarge the sum, 9 for three standard deviations;
         they are left out otherwise. 0: nothing is left out.
     lean
         By how much more direct light than usual is expected where there is glint, at most the body's tilt.
-    amount : (line, column, part), float32
+    out
         Written.
-    added : (line, column, 2), float32
-        Largest reflectance over the channels that each neighbour adds, written.
-    together : (line, column), float32
-        Largest reflectance over the channels that both add, written; less than the sum of ``added`` where
-        they are of different colours.
-    misfit : (line, column), float32
-        Root mean square of what remains, in standard deviations, written.
     """
     lines, columns, channels = seen.shape
     parts, nothing = np.empty((PARTS, channels)), np.zeros(channels)
-    gram, right, found = np.empty((PARTS, PARTS)), np.empty(PARTS), np.empty(PARTS)
+    gram, right, amount = np.empty((PARTS, PARTS)), np.empty(PARTS), np.empty(PARTS)
+    reflectance, expected, spread, tilt = bodies.reflectance, prior.expected, prior.spread, prior.tilt
     for line in range(lines):
         for x in range(columns):
-            number = body_of[line, x]
-            known, used = 0, 0
+            number = bodies.body_of[line, x]
+            valid, used = 0, 0
             if number >= 0:
-                first, second = neighbours[line, x, 0], neighbours[line, x, 1]
+                first, second = bodies.neighbours[line, x, 0], bodies.neighbours[line, x, 1]
                 used = _OWN if first < 0 else (_OWN + 2 if second < 0 else _OWN + 4)
-                one = nothing if first < 0 else bodies[first]
-                other = nothing if second < 0 else bodies[second]
-                _fill_parts(bodies[number], direct, diffuse, one, other, parts)
-                known, whole = _normal_equations(seen[line, x], parts, used, noise, floor, gram, right)
-            if 2 * known < channels or number < 0:
-                amount[line, x] = np.nan
-                added[line, x] = np.nan
-                together[line, x] = np.nan
-                misfit[line, x] = np.nan
+                one = nothing if first < 0 else reflectance[first]
+                other = nothing if second < 0 else reflectance[second]
+                _fill_parts(reflectance[number], light.direct, light.diffuse, one, other, parts)
+                valid, whole = _normal_equations(seen[line, x], parts, used, errors, gram, right)
+            if 2 * valid < channels or number < 0:
+                out.amount[line, x] = np.nan
+                out.added[line, x] = np.nan
+                out.together[line, x] = np.nan
+                out.misfit[line, x] = np.nan
                 continue
             for part in range(PARTS):
                 tie = 1.0 / spread[part] ** 2 if part else 1.0 / tilt[number] ** 2
                 gram[part, part] += tie
                 right[part] += tie * expected[part]
                 whole += tie * expected[part] ** 2
-                found[part] = expected[part] if part < used else 0.0
-            _solve(
-                gram, right, whole, known, used, most, evidence, min(lean, tilt[number]),
-                1.0 / tilt[number] ** 2, found,
-            )  # fmt: skip
-            amount[line, x] = found
-            misfit[line, x] = _misfit(seen[line, x], parts, found, noise, floor)
+                amount[part] = expected[part] if part < used else 0.0
+            equations = Equations(gram, right, valid, used)
+            tie = 1.0 / tilt[number] ** 2
+            _solve(equations, whole, prior.most, evidence, min(lean, tilt[number]), tie, amount)
+            out.amount[line, x] = amount
+            out.misfit[line, x] = _misfit(seen[line, x], parts, amount, errors)
             most_first, most_second, most_both = 0.0, 0.0, 0.0
             for k in range(channels):
-                of_first = found[4] * parts[4, k] + found[5] * parts[5, k]
-                of_second = found[6] * parts[6, k] + found[7] * parts[7, k]
+                of_first = amount[4] * parts[4, k] + amount[5] * parts[5, k]
+                of_second = amount[6] * parts[6, k] + amount[7] * parts[7, k]
                 most_first = max(most_first, of_first)
                 most_second = max(most_second, of_second)
                 most_both = max(most_both, of_first + of_second)
-            added[line, x, 0], added[line, x, 1] = most_first, most_second
-            together[line, x] = most_both
+            out.added[line, x, 0], out.added[line, x, 1] = most_first, most_second
+            out.together[line, x] = most_both
 
 
 @kernel
-def _misfit(seen: Array, parts: Array, amount: Array, noise: Array, floor: Any) -> Any:
+def _misfit(seen: Array, parts: Array, amount: Array, errors: ChannelErrors) -> Any:
     """Return the root mean square of what remains, in standard deviations."""
-    total, known = 0.0, 0
+    total, valid = 0.0, 0
     for k in range(seen.size):
         value = np.float64(seen[k])
         if not np.isfinite(value):
             continue
-        known += 1
+        valid += 1
         rest = value
         for i in range(PARTS):
             rest -= amount[i] * parts[i, k]
-        total += (rest / (noise[k] * abs(value) + floor)) ** 2
-    return np.sqrt(total / max(known, 1))
+        total += (rest / (errors.noise[k] * abs(value) + errors.floor)) ** 2
+    return np.sqrt(total / max(valid, 1))

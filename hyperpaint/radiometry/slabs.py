@@ -14,7 +14,16 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from hyperpaint.base.arrays import Array, Floats
+from hyperpaint.base.many_outputs import split_outputs
 from hyperpaint.base.schema import CHUNK_LINES, CUBE, Quality
+from hyperpaint.kernels.arguments import (
+    Calibration,
+    CountLimits,
+    ErrorTerms,
+    FixedFlags,
+    LightCells,
+    SlabOutputs,
+)
 from hyperpaint.light.illumination import Smile
 from hyperpaint.light.synchrony import LineLight
 
@@ -23,46 +32,15 @@ if TYPE_CHECKING:
     import xarray as xr
 
 __all__ = [
-    "QUANTISATION",
-    "Plan",
-    "age_of_irradiance",
-    "calibrate_lines",
-    "calibrated",
-    "line_chunked",
-    "misfit_of_irradiance",
-    "run_slab",
-    "sensitivity_to_timing",
-    "small",
-]
+    "QUANTISATION", "Plan", "age_of_irradiance", "calibrate_lines", "calibrated", "line_chunked",
+    "misfit_of_irradiance", "run_slab", "sensitivity_to_timing", "small",
+]  # fmt: skip
 
 
 QUANTISATION = 1.0 / 12.0
 """Variance that conversion to whole counts adds [count2]."""
 MAX_CHUNK_BYTES = 24_000_000
 """Float32 output of one task; a larger block costs the allocator a trip to the kernel each time."""
-
-
-@dataclass(frozen=True)
-class ErrorTerms:
-    """Terms of the error budget, as the uncertainty of every sample is computed from them.
-
-    Attributes
-    ----------
-    per_electron, noise_floor : (1 or band, column), float32
-        Counts per electron, and the variance of a count without light [count2].
-    relative : (1 or band, column), float32
-        What is proportional to reflectance and common to the flight [1].
-    offset : (1 or band, column), float32
-        Systematic uncertainty of the dark [count].
-    slope : (0 or band, 4), float32
-        Weights of the steps to the neighbouring bands; see `hyperpaint.kernels.uncertainty`.
-    """
-
-    per_electron: Array
-    noise_floor: Array
-    relative: Array
-    offset: Array
-    slope: Array
 
 
 @dataclass(frozen=True)
@@ -102,7 +80,7 @@ class Plan:
         Mantissa bits that rounding clears; 0 rounds nothing.
     starts : (slab,)
         First line of every slab.
-    spread
+    error_terms
         None where uncertainties were not asked for.
     """
 
@@ -165,15 +143,7 @@ _NO_CUBE = np.empty((0, 0, 0), np.float32)
 _NO_ERROR_TERMS = ErrorTerms(_NO_ROWS, _NO_ROWS, _NO_ROWS, _NO_ROWS, _NO_ROWS)
 
 
-def calibrate_lines(
-    plan: Plan,
-    counts: Array,
-    start: int,
-    out: Array,
-    quality: Array,
-    u_random: Array = _NO_CUBE,
-    u_systematic: Array = _NO_CUBE,
-) -> None:
+def calibrate_lines(plan: Plan, counts: Array, start: int, out: SlabOutputs) -> None:
     """Calibrate the lines from ``start`` on into given memory.
 
     Parameters
@@ -182,47 +152,26 @@ def calibrate_lines(
         Contiguous.
     start
         Number of the first of them in the cube.
-    out : (line, band, column), float32
-        Written.
-    quality : (line, column) or (0, 0), uint16
-        Written unless empty.
-    u_random, u_systematic : (line, band, column) or (0, 0, 0), float32
-        Written unless empty; they need the plan's ``error_terms``.
+    out
+        Written unless empty; uncertainties need the plan's ``error_terms``.
     """
     from hyperpaint.kernels.radiometry import calibrate_slab
 
     here = slice(start, start + len(counts))
-    terms = plan.error_terms or _NO_ERROR_TERMS
     calibrate_slab(
         counts,
-        plan.dark,
-        plan.dark_index[here],
-        plan.dark_weight[here],
-        plan.gain,
-        plan.light(here.start, here.stop),
-        plan.smile.shift,
-        plan.smile.edges,
-        plan.smile.cells,
-        plan.saturation_limit,
-        plan.noise_margin,
-        np.issubdtype(counts.dtype, np.integer),
-        np.uint16(plan.most_negative),
-        np.uint16(Quality.NO_DATA),
-        plan.line_flags[here],
-        plan.column_flags,
+        Calibration(plan.dark, plan.dark_index[here], plan.dark_weight[here], plan.gain),
+        LightCells(plan.light(here.start, here.stop), plan.smile.shift, plan.smile.edges, plan.smile.cells),
+        CountLimits(
+            plan.saturation_limit,
+            plan.noise_margin,
+            np.uint16(plan.most_negative),
+            np.issubdtype(counts.dtype, np.integer),
+        ),
+        FixedFlags(plan.line_flags[here], plan.column_flags, np.uint16(Quality.NO_DATA)),
+        plan.error_terms or _NO_ERROR_TERMS,
         np.uint32(plan.cleared_bits),
         out,
-        out.view(np.uint32),
-        quality,
-        terms.per_electron,
-        terms.noise_floor,
-        terms.relative,
-        terms.offset,
-        terms.slope,
-        u_random,
-        u_systematic,
-        u_random.view(np.uint32),
-        u_systematic.view(np.uint32),
     )
 
 
@@ -231,19 +180,13 @@ def run_slab(counts: Array, plan: Plan, block_id: tuple[int, ...]) -> tuple[Arra
 
     With a plan that knows their `ErrorTerms`, the random and the systematic uncertainty follow, as the first.
     """
-    out = np.empty(counts.shape, np.float32)
+    certain = plan.error_terms is None
+    cube = np.empty(counts.shape, np.float32)
     quality = np.empty((counts.shape[0], counts.shape[2]), np.uint16)
-    cubes = () if plan.error_terms is None else (np.empty_like(out), np.empty_like(out))
-    calibrate_lines(plan, np.ascontiguousarray(counts), int(plan.starts[block_id[0]]), out, quality, *cubes)
-    return out, quality, *cubes
-
-
-def _cube_of(slab: tuple[Array, ...], part: int = 0) -> Array:
-    return slab[part]
-
-
-def _quality_of(slabs: list[tuple[Array, ...]]) -> Array:
-    return slabs[0][1]
+    cubes = (_NO_CUBE, _NO_CUBE) if certain else (np.empty_like(cube), np.empty_like(cube))
+    out = SlabOutputs(cube, quality, *cubes)
+    calibrate_lines(plan, np.ascontiguousarray(counts), int(plan.starts[block_id[0]]), out)
+    return out[:2] if certain else tuple(out)
 
 
 def age_of_irradiance(plan: Plan) -> Array:
@@ -286,7 +229,9 @@ def calibrated(
     starts = np.cumsum((0, *counts.chunks[0][:-1]))
     plan = dask.delayed(planner, pure=True)(counts.shape, counts.dtype.str, starts, **inputs)
     slabs = da.map_blocks(run_slab, counts, plan, dtype=object, meta=np.empty((0, 0, 0), object), name=None)
-    parts = ({}, {"part": 2}, {"part": 3})[:cubes]
-    made = tuple(da.blockwise(_cube_of, "lbx", slabs, "lbx", meta=_NO_CUBE, **part) for part in parts)
-    quality = da.blockwise(_quality_of, "lx", slabs, "lbx", meta=np.empty((0, 0), np.uint16))
-    return made, quality, plan
+    # the order of `run_slab`
+    layout = (("lbx", np.float32), ("lx", np.uint16), ("lbx", np.float32), ("lbx", np.float32))
+    reflectance, quality, *uncertainties = split_outputs(
+        slabs, "lbx", dict(enumerate(layout[: 1 + cubes]))
+    ).values()
+    return (reflectance, *uncertainties), quality, plan

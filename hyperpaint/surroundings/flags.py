@@ -16,9 +16,10 @@ import numpy.typing as npt
 from hyperpaint.base import schema
 from hyperpaint.base.arrays import Array, Progress
 from hyperpaint.base.errors import Problems, SchemaError
+from hyperpaint.base.many_outputs import split_outputs
 from hyperpaint.base.schema import ALONG_TRACK, CROSS_TRACK, Quality
-from hyperpaint.radiometry.bands import to_nominal
 from hyperpaint.radiometry.slabs import line_chunked
+from hyperpaint.radiometry.spectral_axis import to_nominal
 
 from . import SceneModel, survey
 from .surveying import to_channels, to_nominal_channels
@@ -202,14 +203,11 @@ def _lazily(line: xr.Dataset, cube: xr.DataArray, model: SceneModel, limits: dic
         meta=np.empty((0, 0, 0), object),
     )  # fmt: skip
     pixel = (ALONG_TRACK, CROSS_TRACK)
-    layers = {}
-    for name in (*LAYERS, "quality"):
-        dtype = schema.dtype_of(name)
-        array = da.blockwise(
-            _layer_of, "lx", blocks, "lbx", name=None, layer=name, concatenate=False, dtype=dtype,
-            meta=np.empty((0, 0), dtype),
-        )  # fmt: skip
-        layers[name] = schema.label(xr.DataArray(array, dims=pixel), name)
+    layout = {name: ("lx", schema.dtype_of(name)) for name in (*LAYERS, "quality")}
+    layers = {
+        name: schema.label(xr.DataArray(array, dims=pixel), name)
+        for name, array in split_outputs(blocks, "lbx", layout).items()
+    }
     for name, limit in (
         ("glint_fraction", "glint"),
         ("blocked_direct", "shadow"),
@@ -226,13 +224,6 @@ def _lazily(line: xr.Dataset, cube: xr.DataArray, model: SceneModel, limits: dic
 
 def _origin(model: SceneModel) -> str:
     return f"diffuse fraction: {model.attrs.get('diffuse_fraction_from', 'unknown')}"
-
-
-def _layer_of(blocks: Any, layer: str) -> Array:
-    while isinstance(blocks, list):
-        (blocks,) = blocks
-    plane: Array = blocks[layer]
-    return plane
 
 
 def _most(model: SceneModel) -> npt.NDArray[np.float64]:
@@ -258,6 +249,7 @@ def _flag_block(
     block_id: tuple[int, ...] = (0,),
 ) -> dict[str, Array]:
     """Return layers and bits of some lines."""
+    from hyperpaint.kernels import arguments
     from hyperpaint.kernels.unmixing import PARTS, unmix_lines
 
     start = starts[block_id[0]]
@@ -270,10 +262,15 @@ def _flag_block(
     added = np.empty((*shape, 2), np.float32)
     together, misfit = np.empty((2, *shape), np.float32)
     unmix_lines(
-        seen, model.bodies(start, stop), model.reference, neighbours, 1.0 - model.diffuse_fraction,
-        model.diffuse_fraction, np.hypot(model.noise, ERROR), FLOOR, np.array(_EXPECTED), np.array(_SPREAD),
-        model.tilt, _most(model), EVIDENCE, _lean(model), amount, added, together, misfit,
-    )  # fmt: skip
+        seen,
+        arguments.Bodies(model.bodies(start, stop), model.reference, neighbours),
+        arguments.LightParts(1.0 - model.diffuse_fraction, model.diffuse_fraction),
+        arguments.ChannelErrors(np.hypot(model.noise, ERROR), FLOOR),
+        arguments.AmountPrior(np.array(_EXPECTED), np.array(_SPREAD), model.tilt, _most(model)),
+        EVIDENCE,
+        _lean(model),
+        arguments.Unmixed(amount, added, together, misfit),
+    )
     most = np.argmax(added, axis=2)[..., None]
     layers = {
         "glint_fraction": amount[..., 2],

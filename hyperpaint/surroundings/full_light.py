@@ -117,6 +117,7 @@ def unmix_spectra(
     neighbours : (n, 2)
         Rows of ``bodies`` that may send light, -1 for none; none by default.
     """
+    from hyperpaint.kernels import arguments
     from hyperpaint.kernels.unmixing import PARTS, unmix_lines
 
     count = len(seen)
@@ -126,10 +127,15 @@ def unmix_spectra(
     expected, spread = np.ascontiguousarray(priors, np.float64)
     alone = np.full((count, 2), -1, np.int32) if neighbours is None else np.ascontiguousarray(neighbours)
     unmix_lines(
-        np.ascontiguousarray(seen, np.float32)[None], body.astype(np.int32)[None], bodies, alone[None],
-        light.direct, light.diffuse, np.full(light.direct.size, noise), _FLOOR, expected, spread,
-        np.full(len(bodies), spread[0]), np.full(PARTS, np.inf), 0.0, 0.0, amount, added, together, misfit,
-    )  # fmt: skip
+        np.ascontiguousarray(seen, np.float32)[None],
+        arguments.Bodies(body.astype(np.int32)[None], bodies, alone[None]),
+        arguments.LightParts(light.direct, light.diffuse),
+        arguments.ChannelErrors(np.full(light.direct.size, noise), _FLOOR),
+        arguments.AmountPrior(expected, spread, np.full(len(bodies), spread[0]), np.full(PARTS, np.inf)),
+        0.0,
+        0.0,
+        arguments.Unmixed(amount, added, together, misfit),
+    )
     return amount[0].astype(np.float64), misfit[0].astype(np.float64), added[0].astype(np.float64)
 
 

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scipy.ndimage import map_coordinates
 
+from hyperpaint.kernels.arguments import Places
 from hyperpaint.kernels.gathering import gather_bilinear, gather_nearest
 
 
@@ -35,10 +36,11 @@ def test_bilinear_is_interpolation(dtype, made) -> None:
     along, across = rng.random((2, 50)).astype(made)
     out = np.zeros((50, 3), made)
     turned = np.empty((20, 3), made)
-    gather_bilinear(cube[:5], cube[5], line, column, along, across, cell, turned, turned.copy(), out)
+    places = Places(line, column, along, across, cell)
+    gather_bilinear(cube[:5], cube[5], places, turned, turned.copy(), out)
     for band in range(3):
-        places = np.stack([line + along, column + across])
-        wanted = map_coordinates(cube[:, band].astype(float), places, order=1)
+        points = np.stack([line + along, column + across])
+        wanted = map_coordinates(cube[:, band].astype(float), points, order=1)
         np.testing.assert_allclose(out[cell, band], wanted, rtol=2e-5)
 
 
@@ -49,5 +51,5 @@ def test_what_has_no_weight_is_not_looked_at() -> None:
     out, turned = np.zeros((1, 1), np.float32), np.empty((3, 1), np.float32)
     for across, wanted in ((0.0, 1.0), (0.5, np.nan)):
         ways = np.zeros(1, np.float32), np.array([across], np.float32)
-        gather_bilinear(cube[:1], cube[1], one, one + 1, *ways, one, turned, turned.copy(), out)
+        gather_bilinear(cube[:1], cube[1], Places(one, one + 1, *ways, one), turned, turned.copy(), out)
         np.testing.assert_array_equal(out, [[wanted]])

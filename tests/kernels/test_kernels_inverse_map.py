@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scipy.optimize import fsolve
 
+from hyperpaint.kernels.arguments import InverseTile, LinePositions, MapCells
 from hyperpaint.kernels.inverse_map import FIRST, LAST, NADIR, fill_between, invert_lines
 
 UNIT = np.array([0.0, 0.0, 1.0, 0.0, 0.0, 1.0])  # metres to the east are columns, to the north rows
@@ -19,9 +20,9 @@ def inverted(east, north, shape, *, rule=NADIR, longest=1e9, first=0, last=None,
     before = np.full((2, east.shape[1]), np.nan)
     for start in range(0, len(east), slab or len(east)):
         e, n = (part[start : start + (slab or len(east))].copy() for part in (east, north))
-        invert_lines(
-            e, n, *before, first + start, last, UNIT, corner, longest, rule, place, nearest, rank, hits
-        )
+        cells = MapCells(UNIT, corner, longest, rule)
+        out = InverseTile(place, nearest, rank, hits)
+        invert_lines(LinePositions(e, n, *before), first + start, last, cells, out)
         before = np.stack([e[-1], n[-1]])
     return place, nearest, hits
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from hyperpaint.kernels.arguments import LineFits, LineSamples
 from hyperpaint.kernels.line_fits import (
     AREA,
     CENTRE,
@@ -69,18 +70,8 @@ def test_fits_find_what_was_put_in(shape: int, triangular: bool, source: float) 
     values = truth[:, AREA, None] * values + truth[:, OFFSET, None]
     found = truth * [1.0, 1.3, 0.8, 0.0] + [0.7, 0, 0, 0]
     covariance, chi2, converged = np.empty((2, 4, 4)), np.empty(2), np.zeros(2, bool)
-    fit_lines(
-        values,
-        np.ones((2, 41)),
-        np.zeros(2, np.int64),
-        light,
-        shape,
-        triangular,
-        found,
-        covariance,
-        chi2,
-        converged,
-    )
+    samples = LineSamples(values, np.ones((2, 41)), np.zeros(2, np.int64), light)
+    fit_lines(samples, shape, triangular, LineFits(found, covariance, chi2, converged))
     assert converged.all()
     np.testing.assert_allclose(found, truth, rtol=2e-5, atol=2e-3)
 
@@ -98,9 +89,8 @@ def test_covariance_is_that_of_repeated_fits() -> None:
     found = truth.copy()
     covariance, chi2, converged = np.empty((lines, 4, 4)), np.empty(lines), np.zeros(lines, bool)
     weights = np.full(values.shape, sigma**-2)
-    fit_lines(
-        values, weights, np.zeros(lines, np.int64), none, GAUSSIAN, False, found, covariance, chi2, converged
-    )
+    samples = LineSamples(values, weights, np.zeros(lines, np.int64), none)
+    fit_lines(samples, GAUSSIAN, False, LineFits(found, covariance, chi2, converged))
     assert converged.all()
     told = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2)).mean(axis=0)
     np.testing.assert_allclose(found.std(axis=0), told, rtol=0.1)
@@ -118,7 +108,7 @@ def test_widths_are_where_the_profile_is_half() -> None:
 def test_what_cannot_be_fitted_is_said() -> None:
     found = np.array([[np.nan, 1, 1, 0], [2.0, 1.0, 1.0, 0.0]])
     covariance, chi2, converged = np.empty((2, 4, 4)), np.empty(2), np.ones(2, bool)
-    fit_lines(np.zeros((2, 5)), np.zeros((2, 5)), np.zeros(2, np.int64), np.zeros(2), GAUSSIAN, False, found,
-              covariance, chi2, converged)  # fmt: skip
+    samples = LineSamples(np.zeros((2, 5)), np.zeros((2, 5)), np.zeros(2, np.int64), np.zeros(2))
+    fit_lines(samples, GAUSSIAN, False, LineFits(found, covariance, chi2, converged))
     assert not converged.any()
     assert np.isnan(covariance).all()

@@ -6,8 +6,10 @@ from typing import Any
 
 import numpy as np
 import pytest
+from support.slab_arguments import grouped, round_values
 
-from hyperpaint.kernels.radiometry import calibrate_slab, round_bits
+from hyperpaint.kernels.arguments import ErrorTerms, SlabOutputs
+from hyperpaint.kernels.radiometry import calibrate_slab
 
 NO_DATA = 2048
 
@@ -93,9 +95,9 @@ def run(p: dict[str, Any], dropped: int = 0, flagging: bool = True) -> tuple[np.
     shape = p["counts"].shape
     out = np.full(shape, 77, np.float32)
     quality = np.full((shape[0], shape[2]) if flagging else (0, 0), 9999, np.uint16)
-    rows, cube = [np.empty((0, 0), np.float32)] * 5, [np.empty((0, 0, 0), np.float32)] * 2
-    bits = [array.view(np.uint32) for array in (out, *cube)]
-    calibrate_slab(*p.values(), np.uint32(dropped), out, bits[0], quality, *rows, *cube, *bits[1:])
+    terms = ErrorTerms(*[np.empty((0, 0), np.float32)] * 5)
+    cube = np.empty((0, 0, 0), np.float32)
+    calibrate_slab(*grouped(p), terms, np.uint32(dropped), SlabOutputs(out, quality, cube, cube))
     return out, quality
 
 
@@ -155,18 +157,18 @@ def test_rounding_is_that_of_numcodecs(keep: int) -> None:
     expected = np.frombuffer(codec.encode(values.copy()), np.float32).reshape(values.shape)
     made = values.copy()
     if keep < 23:
-        round_bits(made.view(np.uint32), np.uint32(23 - keep))
+        round_values(made, 23 - keep)
     np.testing.assert_array_equal(made.view(np.uint32), expected.view(np.uint32))
 
 
 def test_rounding_leaves_nan_missing() -> None:
     values = np.full((1, 1, 4), np.nan, np.float32)
-    round_bits(values.view(np.uint32), np.uint32(11))
+    round_values(values, 11)
     assert np.isnan(values).all()
 
 
 def test_rounding_inside_the_slab_is_the_same() -> None:
     p = problem(np.uint16)
     plain = run(p)[0]
-    round_bits(plain.view(np.uint32), np.uint32(11))
+    round_values(plain, 11)
     assert plain.tobytes() == run(p, dropped=11)[0].tobytes()

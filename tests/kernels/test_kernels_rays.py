@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from hyperpaint.kernels.arguments import LineFrames, LineRays, Raster
 from hyperpaint.kernels.rays import BLOCK, PLACES, level_places, raster_places
 
 DOWN = np.diag([1.0, 1.0, -1.0])[None]  # camera x is east, y north, z down
@@ -23,16 +24,18 @@ def placed(
     look = np.asarray(look, float)
     look = look / np.linalg.norm(look, axis=1, keepdims=True)
     out = np.full((PLACES, 1, len(look)), 7.0)
-    common = (np.array([origin]), DOWN, look, axis(0), axis(1), axis(2), np.zeros(1))
+    rays = LineRays(np.array([origin]), DOWN, look)
+    frames = LineFrames(axis(0), axis(1), axis(2), np.zeros(1))
     if heights is None:
-        level_places(*common, 0.0, out)
+        level_places(rays, frames, 0.0, out)
         return out[:, 0]
     filled = np.where(np.isnan(heights), -np.inf, heights)
     blocks = [range(0, size - 1, BLOCK) for size in heights.shape]
     tops = np.array(
         [[filled[r : r + BLOCK + 1, c : c + BLOCK + 1].max() for c in blocks[1]] for r in blocks[0]]
     )
-    raster_places(*common, axis(1), axis(0), heights, tops, np.nanmin(heights), np.nanmax(heights), out)
+    raster = Raster(axis(1), axis(0), heights, tops, np.nanmin(heights), np.nanmax(heights))
+    raster_places(rays, frames, raster, out)
     return out[:, 0]
 
 
@@ -62,7 +65,8 @@ def test_the_curved_earth() -> None:
     out = np.empty((PLACES, 1, 2))
     look = np.array([[1.0, 0, 1], [1.0, 0, np.tan(np.radians(0.9))]])
     look /= np.linalg.norm(look, axis=1, keepdims=True)
-    level_places(np.zeros((1, 3)), DOWN, look, axis(0), axis(1), height, np.zeros(1), 0.0, out)
+    frames = LineFrames(axis(0), axis(1), height, np.zeros(1))
+    level_places(LineRays(np.zeros((1, 3)), DOWN, look), frames, 0.0, out)
     # the horizon of 1000 m is 1.013 degrees below the horizontal
     assert np.isnan(out[:, 0, 1]).all()
     assert out[0, 0, 0] - 1000.0 == pytest.approx(1000.0**2 / (2 * radius), rel=1e-2)
@@ -72,7 +76,8 @@ def test_the_curved_earth() -> None:
 def test_north_turns_with_the_way_east() -> None:
     out = np.empty((PLACES, 1, 1))
     look = np.array([[1.0, 0, 1]]) / np.sqrt(2)
-    level_places(np.array([[0, 0, 100.0]]), DOWN, look, axis(0), axis(1), axis(2), np.array([1e-6]), 0.0, out)
+    frames = LineFrames(axis(0), axis(1), axis(2), np.array([1e-6]))
+    level_places(LineRays(np.array([[0, 0, 100.0]]), DOWN, look), frames, 0.0, out)
     assert out[4, 0, 0] == pytest.approx(270.0 + np.degrees(1e-4), abs=1e-9)
 
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from hyperpaint.kernels.resampling import resample_slab
-from hyperpaint.radiometry.bands import _lagrange_weights
+from hyperpaint.kernels.spectral_axis import resample_slab
+from hyperpaint.radiometry.spectral_axis import _lagrange_weights
 
 
 def test_against_plain_numpy_with_missing_taps() -> None:

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hyperpaint.kernels.smoothing import filter_slab
-from hyperpaint.radiometry.smoothing import _window_weights
+from hyperpaint.kernels.spectral_axis import filter_slab
+from hyperpaint.radiometry.spectral_axis import _window_weights
 
 
 def filtered(values: np.ndarray, method: str, window: int, order: int = 2) -> np.ndarray:

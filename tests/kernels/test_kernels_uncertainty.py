@@ -6,8 +6,10 @@ from typing import Any
 
 import numpy as np
 import pytest
+from support.slab_arguments import grouped, round_values
 
-from hyperpaint.kernels.radiometry import calibrate_slab, round_bits
+from hyperpaint.kernels.arguments import ErrorTerms, SlabOutputs
+from hyperpaint.kernels.radiometry import calibrate_slab
 
 LINES, BANDS, COLUMNS = 4, 7, 11
 
@@ -59,13 +61,10 @@ def problem(*, smile: int = 0, elements: bool = False, slope: bool = True, seed:
 
 
 def run(p: dict[str, Any], cleared: int = 0) -> list[np.ndarray]:
-    names = list(p)
-    split = names.index("per_electron")
     cubes = [np.full(p["counts"].shape, 77, np.float32) for _ in range(3)]
-    bits = [cube.view(np.uint32) for cube in cubes]
-    before, after = ([p[name] for name in part] for part in (names[:split], names[split:]))
+    terms = ErrorTerms(*(p[name] for name in ErrorTerms._fields))
     none = np.empty((0, 0), np.uint16)
-    calibrate_slab(*before, np.uint32(cleared), cubes[0], bits[0], none, *after, *cubes[1:], *bits[1:])
+    calibrate_slab(*grouped(p), terms, np.uint32(cleared), SlabOutputs(cubes[0], none, *cubes[1:]))
     return cubes
 
 
@@ -131,15 +130,10 @@ def test_against_plain_numpy(smile: int, elements: bool, slope: bool) -> None:
 def test_reflectance_does_not_change_by_a_bit(smile: int) -> None:
     p = problem(smile=smile)
     empty, cube = np.empty((0, 0), np.float32), np.empty((0, 0, 0), np.float32)
-    names = list(p)[: list(p).index("per_electron")]
     for cleared in (0, 11):
         out = np.full(p["counts"].shape, 77, np.float32)
-        plain = [p[name] for name in names]
-        none = np.empty((0, 0), np.uint16)
-        bits = cube.view(np.uint32)
-        calibrate_slab(
-            *plain, np.uint32(cleared), out, out.view(np.uint32), none, *[empty] * 5, cube, cube, bits, bits
-        )
+        outputs = SlabOutputs(out, np.empty((0, 0), np.uint16), cube, cube)
+        calibrate_slab(*grouped(p), ErrorTerms(*[empty] * 5), np.uint32(cleared), outputs)
         assert out.tobytes() == run(p, cleared)[0].tobytes()
 
 
@@ -158,7 +152,7 @@ def test_rounding_is_the_same_as_afterwards() -> None:
     p = problem()
     plain = run(p)
     for cube, rounded in zip(plain, run(p, 11), strict=True):
-        round_bits(cube.view(np.uint32), np.uint32(11))
+        round_values(cube, 11)
         assert cube.tobytes() == rounded.tobytes()
 
 

@@ -10,6 +10,7 @@ import pytest
 from scipy.ndimage import distance_transform_cdt
 from scipy.optimize import lsq_linear
 
+from hyperpaint.kernels import arguments
 from hyperpaint.kernels.segmentation import boundary_distance, join_segments, nearest_sources, step_sizes
 from hyperpaint.kernels.unmixing import PARTS, average_bands, minimise, unmix_lines
 
@@ -44,10 +45,15 @@ def unmix(given: dict[str, Array], evidence: float = 0.0, lean: float = 0.0) -> 
     added = np.empty((*shape, 2), np.float32)
     together, misfit = np.empty((2, *shape), np.float32)
     unmix_lines(
-        given["seen"], given["body_of"], given["bodies"], given["neighbours"], 1 - given["diffuse"],
-        given["diffuse"], given["noise"], 0.005, given["expected"], given["spread"], given["tilt"],
-        given["most"], evidence, lean, amount, added, together, misfit,
-    )  # fmt: skip
+        given["seen"],
+        arguments.Bodies(given["body_of"], given["bodies"], given["neighbours"]),
+        arguments.LightParts(1 - given["diffuse"], given["diffuse"]),
+        arguments.ChannelErrors(given["noise"], 0.005),
+        arguments.AmountPrior(given["expected"], given["spread"], given["tilt"], given["most"]),
+        evidence,
+        lean,
+        arguments.Unmixed(amount, added, together, misfit),
+    )
     return amount, added, together, misfit
 
 

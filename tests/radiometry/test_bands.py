@@ -10,8 +10,8 @@ import xarray as xr
 from support.strategies import flight
 
 from hyperpaint.base.errors import SchemaError
-from hyperpaint.radiometry.bands import at, to_nominal
 from hyperpaint.radiometry.counts_to_reflectance import reflectance
+from hyperpaint.radiometry.spectral_axis import at, to_nominal
 
 SHIFT = np.array([-1.3, 0.0, 0.4, 2.2])
 

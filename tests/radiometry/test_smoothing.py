@@ -12,7 +12,7 @@ from support.strategies import flight
 
 from hyperpaint.base.errors import SchemaError
 from hyperpaint.radiometry.counts_to_reflectance import reflectance
-from hyperpaint.radiometry.smoothing import METHODS, smooth
+from hyperpaint.radiometry.spectral_axis import METHODS, smooth
 
 
 def cube(lines: int = 20, bands: int = 15, columns: int = 4) -> xr.Dataset:

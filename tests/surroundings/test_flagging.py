@@ -15,7 +15,7 @@ from click.testing import CliRunner, Result
 import hyperpaint as hp
 from hyperpaint import surroundings as scene_model
 from hyperpaint.base import schema
-from hyperpaint.base.quality_bits import Quality
+from hyperpaint.base.schema import Quality
 from hyperpaint.cli.program import main
 from hyperpaint.light.sun import diffuse_fraction, solar_position
 from hyperpaint.surroundings import flags

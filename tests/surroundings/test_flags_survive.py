@@ -11,7 +11,7 @@ import pytest
 import xarray as xr
 
 import hyperpaint as hp
-from hyperpaint.base.quality_bits import Quality
+from hyperpaint.base.schema import Quality
 from hyperpaint.simulation import simulate_line
 
 SUN = {"sun_zenith": 35.0}

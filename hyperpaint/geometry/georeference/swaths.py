@@ -88,6 +88,7 @@ def places_of(swath: Swath, block_id: tuple[int, ...]) -> Floats:
 
 def place_lines(swath: Swath, poses: Floats) -> Floats:
     """Return x, y, height [m], zenith and azimuth [degree] (part, line, column) of lines with poses."""
+    from hyperpaint.kernels.arguments import LineFrames, LineRays, Raster
     from hyperpaint.kernels.rays import PLACES, level_places, raster_places
 
     latitude, longitude, altitude = poses[:3]
@@ -98,9 +99,10 @@ def place_lines(swath: Swath, poses: Floats) -> Floats:
     reach = np.clip(altitude - lowest, _NEAREST, _FARTHEST)
     x, y, height = polynomials(latitude, longitude, altitude, reach, swath.crs)
     out = np.empty((PLACES, latitude.size, len(swath.look)))
-    common = (origin, rotation, swath.look, x, y, height, turn_of_north(latitude))
+    rays = LineRays(origin, rotation, swath.look)
+    frames = LineFrames(x, y, height, turn_of_north(latitude))
     if isinstance(swath.ground, float):
-        level_places(*common, swath.ground, out)
+        level_places(rays, frames, swath.ground, out)
         return out
     terrain, grid = swath.ground, swath.ground.grid
     col, row = x.copy(), y.copy()
@@ -111,5 +113,6 @@ def place_lines(swath: Swath, poses: Floats) -> Floats:
     for place, (first, step) in ((col, grid.x), (row, grid.y)):
         place[:, 0] -= first
         place /= step
-    raster_places(*common, row, col, terrain.heights, terrain.tops, terrain.lowest, terrain.highest, out)
+    raster = Raster(row, col, terrain.heights, terrain.tops, terrain.lowest, terrain.highest)
+    raster_places(rays, frames, raster, out)
     return out

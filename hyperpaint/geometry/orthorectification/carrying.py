@@ -11,8 +11,8 @@ import numpy.typing as npt
 
 from hyperpaint.base.errors import Problems, SchemaError
 from hyperpaint.base.schema import ALONG_TRACK, BAND, CROSS_TRACK, CUBE, Quality, label
-from hyperpaint.radiometry.bands import to_nominal
 from hyperpaint.radiometry.counts_to_reflectance import reflectance
+from hyperpaint.radiometry.spectral_axis import to_nominal
 
 if TYPE_CHECKING:
     import dask.array as da

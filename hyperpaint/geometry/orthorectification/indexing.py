@@ -164,28 +164,20 @@ def index_tile(
     east, north
         Where the pixels of the slabs lie (line, column).
     """
+    from hyperpaint.kernels.arguments import InverseTile, LinePositions, MapCells
     from hyperpaint.kernels.inverse_map import invert_lines
 
     shape = rows.stop - rows.start, cols.stop - cols.start
     place, nearest = np.full((2, *shape), np.nan), np.full((2, *shape), -1, np.int32)
     rank, hits = np.full(shape, np.inf), np.zeros(shape, np.uint16)
-    shared = (
-        plan.last,
-        plan.grid.frame,
-        (rows.start, cols.start),
-        plan.longest,
-        plan.rule,
-        place,
-        nearest,
-        rank,
-        hits,
-    )
+    out = InverseTile(place, nearest, rank, hits)
+    cells = MapCells(plan.grid.frame, (rows.start, cols.start), plan.longest, plan.rule)
     follows, before = -1, (np.empty(0), np.empty(0))
     for start, *slab in zip(starts, east, north, strict=True):
         if start != follows:
             before = np.full(slab[0].shape[1], np.nan), np.full(slab[0].shape[1], np.nan)
         e, n = (np.ascontiguousarray(part) for part in slab)
-        invert_lines(e, n, before[0], before[1], start, *shared)
+        invert_lines(LinePositions(e, n, *before), start, plan.last, cells, out)
         before, follows = (e[-1], n[-1]), start + len(e)
     return TileIndex(place[0], place[1], nearest[0], nearest[1], hits)
 

@@ -28,6 +28,7 @@ def map_spectra(reading: Reading, starts: Sequence[int], slabs: Sequence[Array],
     empty
         What cells get that no patch covers.
     """
+    from hyperpaint.kernels.arguments import Places
     from hyperpaint.kernels.gathering import gather_bilinear, gather_nearest
 
     bands, columns = slabs[0].shape[1:]
@@ -47,7 +48,8 @@ def map_spectra(reading: Reading, starts: Sequence[int], slabs: Sequence[Array],
             continue
         ways = reading.along[here].astype(dtype), reading.across[here].astype(dtype)
         after = _line_after(starts, slabs, slab)
-        gather_bilinear(part, after, *place, *ways, reading.cells[here], turned, np.empty_like(turned), out)
+        places = Places(*place, *ways, reading.cells[here])
+        gather_bilinear(part, after, places, turned, np.empty_like(turned), out)
     return out.reshape(*reading.shape, bands)
 
 

@@ -13,9 +13,8 @@ from hyperpaint.base import schema
 from hyperpaint.base.arrays import Array, Floats
 from hyperpaint.base.errors import Problems, SchemaError
 from hyperpaint.base.schema import BAND
-from hyperpaint.radiometry.bands import to_nominal
 from hyperpaint.radiometry.counts_to_reflectance import reflectance
-from hyperpaint.radiometry.smoothing import smooth
+from hyperpaint.radiometry.spectral_axis import smooth, to_nominal
 from hyperpaint.radiometry.uncertainty.propagation import NONE_KNOWN, UNCERTAINTIES
 from hyperpaint.regions import Regions
 from hyperpaint.surroundings.sun_and_sky import CORRECTIONS, remove_mirrored_sky

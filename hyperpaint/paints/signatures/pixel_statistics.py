@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hyperpaint.base.arrays import Array, Floats
-from hyperpaint.radiometry.uncertainty.averages import effective_number
+from hyperpaint.radiometry.uncertainty.propagation import effective_number
 
 __all__ = [
     "CENTRES",

@@ -1,12 +1,12 @@
 """How sure counts, reflectance and means over it are.
 
-Rooms: `photon_transfer` (how noisy the camera is), `propagation` (from what is known of the instrument's
-errors to every reflectance; loops in `hyperpaint.kernels.uncertainty`), `averages` (means over pixels).
+`photon_transfer` says how noisy the camera is, `propagation` what follows for every reflectance and for means
+over pixels; the loops are in `hyperpaint.kernels.radiometry`.
 """
 
 from __future__ import annotations
 
-from .averages import mean_uncertainty
 from .photon_transfer import estimate_noise
+from .propagation import mean_uncertainty
 
 __all__ = ["estimate_noise", "mean_uncertainty"]

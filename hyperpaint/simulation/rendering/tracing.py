@@ -14,6 +14,7 @@ import numpy as np
 
 from hyperpaint.base.arrays import Array
 from hyperpaint.base.errors import SchemaError
+from hyperpaint.base.many_outputs import split_outputs
 from hyperpaint.base.schema import (
     ALONG_TRACK,
     CHUNK_LINES,
@@ -298,19 +299,8 @@ def _lazy_arrays(
         meta=np.empty(0, object),
     )
     sizes = {"s": settings.slot_count, "u": len(settings.suns), "x": platform.columns}
-    return {
-        name: da.blockwise(
-            _part_of,
-            dims,
-            blocks,
-            "l",
-            part=name,
-            new_axes={dim: sizes[dim] for dim in dims[1:]},
-            dtype=dtype_of(name),
-            meta=np.empty((0,) * len(dims), dtype_of(name)),
-        )
-        for name, dims in _LAYOUT.items()
-    }
+    layout = {name: (dims, dtype_of(name)) for name, dims in _LAYOUT.items()}
+    return split_outputs(blocks, "l", layout, sizes)
 
 
 def _packed(scene: Scene) -> bytes:
@@ -354,10 +344,6 @@ def _trace_task(poses: Array, prepared: PreparedScene, edges: tuple[Array, Array
         "sun_incidence": block.incidence,
         **prepared.labels.layers(block.material, block.instance),
     }
-
-
-def _part_of(block: dict[str, Array], part: str) -> Array:
-    return block[part]
 
 
 def _labelled(

@@ -1,4 +1,7 @@
-"""Filters over the spectral axis that a missing band touches in its own window only."""
+"""Weighted sums over the spectral axis: filters, and interpolation with weights of each column.
+
+A missing band touches its own window only.
+"""
 
 from __future__ import annotations
 
@@ -9,7 +12,7 @@ import numpy as np
 from hyperpaint.base.arrays import Array
 from hyperpaint.base.jit import kernel
 
-__all__ = ["filter_slab"]
+__all__ = ["filter_slab", "resample_slab"]
 
 
 _NAN = np.float32(np.nan)
@@ -95,3 +98,26 @@ def without_missing(
         if k != gap:
             total += fallback[band, gap, k] * values[line, first + k, x]
     return total
+
+
+@kernel
+def resample_slab(values: Array, first: Array, weights: Array, out: Array) -> None:
+    """Write sum_k weights[band, column, k] values[first + k]; NaN where a tap with weight is missing.
+
+    Parameters
+    ----------
+    values, out : (line, band, column), float32
+    first : (band, column), int64
+        First of the four bands that are weighed.
+    weights : (band, column, 4), float32
+        NaN where there is nothing to interpolate between.
+    """
+    for line in range(values.shape[0]):
+        for band in range(out.shape[1]):
+            for x in range(out.shape[2]):
+                total = np.float32(0.0)
+                for k in range(4):
+                    weight = weights[band, x, k]
+                    if weight != np.float32(0.0):
+                        total += weight * values[line, first[band, x] + k, x]
+                out[line, band, x] = total

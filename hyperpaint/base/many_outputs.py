@@ -1,0 +1,60 @@
+"""One task, many outputs: each array that a block's task makes, as a lazy array of its own.
+
+A node of dask has one result. The task therefore returns all its arrays, by name or in order, as one block of
+dtype object, and every output picks its own out of it; dask fuses the picking with what follows.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Hashable, Mapping
+from typing import TYPE_CHECKING, Any, TypeVar
+
+import numpy as np
+import numpy.typing as npt
+
+from .arrays import Array
+
+if TYPE_CHECKING:
+    import dask.array as da
+
+__all__ = ["split_outputs"]
+
+Key = TypeVar("Key", bound=Hashable)
+
+
+def split_outputs(
+    blocks: da.Array,
+    dims: str,
+    outputs: Mapping[Key, tuple[str, npt.DTypeLike]],
+    sizes: Mapping[str, int] | None = None,
+) -> dict[Key, da.Array]:
+    """Return every output of the blocks as a lazy array.
+
+    Parameters
+    ----------
+    blocks
+        dtype object; each block is the mapping or the tuple of arrays that a task returns.
+    dims
+        Index of the blocks, a letter a dim. An output may lack those in which there is a single block.
+    outputs
+        Index and dtype of each output, by its key in the mapping, or its place in the tuple.
+    sizes
+        Length of the dims of outputs that ``blocks`` lacks.
+    """
+    import dask.array as da
+
+    return {
+        key: da.blockwise(
+            _pick, index, blocks, dims, key=key, concatenate=False, dtype=np.dtype(dtype),
+            new_axes={dim: (sizes or {})[dim] for dim in index if dim not in dims},
+            meta=np.empty((0,) * len(index), dtype),
+        )
+        for key, (index, dtype) in outputs.items()
+    }  # fmt: skip
+
+
+def _pick(block: Any, key: Hashable) -> Array:
+    while isinstance(block, list):  # along dims that the output lacks
+        (block,) = block
+    array: Array = block[key]
+    return array
