@@ -97,7 +97,7 @@ def test_the_bare_job_makes_what_the_store_holds(monkeypatch: pytest.MonkeyPatch
 
 @pytest.mark.skipif(not (ROOT / "benchmarks").is_dir(), reason="installed without its benchmarks")
 def test_asv_takes_nothing_else_for_a_benchmark() -> None:
-    """asv walks the campaigns as well, and would build any class with a method of such a name."""
+    """asv walks the other files as well, and would build any class with a method of such a name."""
     reserved = re.compile(r"\s*def (time|timeraw|mem|peakmem|track)_\w*\(")
     files = sorted((ROOT / "benchmarks").rglob("*.py"))
     others = [path for path in files if not path.name.startswith("bench_")]
@@ -106,14 +106,12 @@ def test_asv_takes_nothing_else_for_a_benchmark() -> None:
     assert not found
 
 
-def _flagged_scenes(monkeypatch: pytest.MonkeyPatch) -> Any:
-    monkeypatch.syspath_prepend(str(ROOT))
-    return importlib.import_module("benchmarks.flagged_scenes")
+def _flagged_scenes() -> Any:
+    return importlib.import_module("campaigns.flagged_scenes")
 
 
-@pytest.mark.skipif(not (ROOT / "benchmarks").is_dir(), reason="installed without its benchmarks")
-def test_flags_are_counted_by_surface_and_apart_from_mixed_pixels(monkeypatch: pytest.MonkeyPatch) -> None:
-    scenes = _flagged_scenes(monkeypatch)
+def test_flags_are_counted_by_surface_and_apart_from_mixed_pixels() -> None:
+    scenes = _flagged_scenes()
     glint, shadow, adjacency, mixed = 64, 128, 256, 512
     bits = np.array([[glint, 0, glint | mixed, glint], [shadow, shadow, adjacency, mixed]], np.uint16)
     true = {
@@ -139,13 +137,12 @@ def test_flags_are_counted_by_surface_and_apart_from_mixed_pixels(monkeypatch: p
     assert scenes.precision_and_recall(0, 0, 4)[1] == 0.0
 
 
-@pytest.mark.skipif(not (ROOT / "benchmarks").is_dir(), reason="installed without its benchmarks")
 def test_flagged_scenes_runs_at_its_smallest_size(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """A corner of a scene, with few rays: its truth is in the units of the thresholds."""
-    scenes = _flagged_scenes(monkeypatch)
-    cars = importlib.import_module("benchmarks.proposed_cars")
+    scenes = _flagged_scenes()
+    cars = importlib.import_module("campaigns.proposed_cars")
     for name, value in {"LINES": 64, "COLUMNS": 96, "BANDS": 30}.items():
         monkeypatch.setattr(cars, name, value)
     line, sky = cars.render(1, False, 4, ("walls",))

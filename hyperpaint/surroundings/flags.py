@@ -121,7 +121,7 @@ def flag(
 
     Known limits: glint on grey and white paint looks like tilt, and is taken for it where it varies little
     over a body; white lines, and some asphalt, are taken for asphalt in glint; dark glass for asphalt in
-    shadow. On six ray-traced car parks that were not looked at before (``benchmarks/flagged_scenes.py``:
+    shadow. On six ray-traced car parks that were not looked at before (``tests/campaigns/flagged_scenes.py``:
     solid paints, a signal-to-noise ratio of 100, outside mixed pixels) glint is found with precision 0.93 and
     recall 0.78: 0.98 and 0.90 on coloured paint, 0.95 and 0.46 on grey and white, 1.00 and 0.76 on dark, 0.91
     and 0.60 on glass. Shadow is found with 0.95 and 0.91: above 0.99 and 0.94 on the ground, 0.95 and 0.55 on

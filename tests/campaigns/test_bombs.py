@@ -10,10 +10,8 @@ from typing import Any
 
 import pytest
 import xarray as xr
-from support import ROOT
 
 pytestmark = [
-    pytest.mark.skipif(not (ROOT / "benchmarks").is_dir(), reason="installed without its benchmarks"),
     pytest.mark.skipif(not Path("/proc/self/clear_refs").exists(), reason="memory is counted by Linux"),
     # the child never comes back to where the warning could matter
     pytest.mark.filterwarnings("ignore:.*multi-threaded.*fork:DeprecationWarning"),
@@ -49,15 +47,14 @@ QUICK = (
 
 
 @pytest.fixture
-def bombs(monkeypatch: pytest.MonkeyPatch) -> Any:
-    monkeypatch.syspath_prepend(str(ROOT))
-    module = importlib.import_module("benchmarks.faults.bombs")
+def bombs() -> Any:
+    module = importlib.import_module("campaigns.faults.bombs")
     module.warm_up()
     return module
 
 
 def tried(bombs: Any, name: str, door: str, doors: Any = None) -> Any:
-    made = importlib.import_module("benchmarks.faults.outcome").Outcome("bombs")
+    made = importlib.import_module("campaigns.faults.outcome").Outcome("bombs")
     (make,) = [make for bomb, through, make in bombs.all_bombs() if (bomb, through) == (name, door)]
     bombs.run_bomb(name, door, make, made, doors or bombs.DOORS)
     return made
@@ -80,7 +77,7 @@ def test_there_are_sixty_and_each_has_its_name(bombs: Any) -> None:
 
 @pytest.mark.parametrize("door", ["open-store", "verify", "calibration", "irradiance", "info", "foreign"])
 def test_the_store_they_are_made_from_is_let_in(door: str, bombs: Any, tmp_path: Path) -> None:
-    store = importlib.import_module("benchmarks.faults.bomb_making").whole_store(tmp_path)
+    store = importlib.import_module("campaigns.faults.bomb_making").whole_store(tmp_path)
     bombs.DOORS[door].read(store)
 
 

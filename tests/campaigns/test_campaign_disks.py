@@ -7,15 +7,11 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from support import ROOT
-
-pytestmark = pytest.mark.skipif(not (ROOT / "benchmarks").is_dir(), reason="installed without its benchmarks")
 
 
 @pytest.fixture
-def disks(monkeypatch: pytest.MonkeyPatch) -> Any:
-    monkeypatch.syspath_prepend(str(ROOT))
-    return importlib.import_module("benchmarks.faults.disks")
+def disks() -> Any:
+    return importlib.import_module("campaigns.faults.disks")
 
 
 @pytest.fixture
@@ -27,7 +23,7 @@ def mounted(disks: Any) -> Any:
 
 @pytest.fixture
 def made(disks: Any) -> Any:
-    return importlib.import_module("benchmarks.faults.outcome").Outcome("disks")
+    return importlib.import_module("campaigns.faults.outcome").Outcome("disks")
 
 
 @pytest.mark.slow

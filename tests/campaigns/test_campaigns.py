@@ -17,7 +17,6 @@ from support import ROOT
 
 from hyperpaint.base.errors import IncompleteStoreError
 
-pytestmark = pytest.mark.skipif(not (ROOT / "benchmarks").is_dir(), reason="installed without its benchmarks")
 PARSERS = (
     *("envi", "asd", "asd-text", "asd-open", "svc", "irradiance-csv", "irradiance-open"),
     *("frame-index", "imu-gps", "sbet", "lcf", "eph-att", "nav-csv", "settings", "gps-time", "collect-toml"),
@@ -26,13 +25,8 @@ PARSERS = (
 )
 
 
-@pytest.fixture(autouse=True)
-def _benchmarks(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.syspath_prepend(str(ROOT))
-
-
 def faults(name: str) -> Any:
-    return importlib.import_module(f"benchmarks.faults.{name}")
+    return importlib.import_module(f"campaigns.faults.{name}")
 
 
 # --- parsers -----------------------------------------------------------------------------------------------
@@ -238,7 +232,7 @@ def test_parts_add_up() -> None:
 
 
 def test_command_refuses_unknown_campaigns(capsys: pytest.CaptureFixture[str]) -> None:
-    campaigns = importlib.import_module("benchmarks.campaigns")
+    campaigns = importlib.import_module("campaigns.all_faults")
     with pytest.raises(SystemExit):
         campaigns.main(["--only", "parsers,weather"])
     known = ", ".join(campaigns.CAMPAIGNS)

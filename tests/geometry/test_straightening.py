@@ -6,32 +6,21 @@ The simulator has its own geodesy, rotations and navigation; nothing of the way 
 from __future__ import annotations
 
 import importlib
-import sys
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 import xarray as xr
-from support import ROOT
 
 import hyperpaint as hp
 from hyperpaint.simulation import simulate_collect
 from hyperpaint.workflows.pipeline import process
 
-pytestmark = pytest.mark.skipif(
-    not (ROOT / "benchmarks").is_dir(), reason="installed without its benchmarks, which fit the corners"
-)
-
 
 @pytest.fixture(scope="module")
-def straightened() -> Iterator[Any]:
-    sys.path.insert(0, str(ROOT))
-    try:
-        yield importlib.import_module("benchmarks.straightened")
-    finally:
-        sys.path.remove(str(ROOT))
+def straightened() -> Any:
+    return importlib.import_module("campaigns.straightened")
 
 
 @pytest.fixture(scope="module", params=["calm", "rough"])
@@ -56,7 +45,7 @@ def short(straightened: Any, tmp_path_factory: pytest.TempPathFactory) -> tuple[
 @pytest.mark.parametrize("shift", [(0.0, 0.0), (0.31, -0.17)])
 def test_finder_of_corners(straightened: Any, shift: tuple[float, float]) -> None:
     """Expected: of a board drawn 10 x 10 times finer than its pixels, with noise, what it was shifted by."""
-    from benchmarks.saddle_points import misplacement
+    from campaigns.saddle_points import misplacement
 
     size, fine, gsd, turn = 200, 10, 0.008, np.radians(27.0)
     x, y = (np.arange(size * fine) + 0.5) / fine * gsd, (np.arange(size * fine)[:, None] + 0.5) / fine * gsd

@@ -7,21 +7,14 @@ from typing import Any
 
 import numpy as np
 import pytest
-from support import ROOT
 
 import hyperpaint as hp
-
-pytestmark = pytest.mark.skipif(
-    not (ROOT / "benchmarks").is_dir(), reason="the scenes are those of the benchmarks"
-)
 
 
 @pytest.fixture(scope="module")
 def scenes() -> Any:
-    """Return benchmarks.saturated_pixels, and two of its scenes, by seed."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.syspath_prepend(str(ROOT))
-        module = importlib.import_module("benchmarks.saturated_pixels")
+    """Return campaigns.saturated_pixels, and two of its scenes, by seed."""
+    module = importlib.import_module("campaigns.saturated_pixels")
     return module, {seed: module.trace_scene(seed) for seed in (302, 303)}
 
 

@@ -12,7 +12,9 @@ import xarray as xr
 
 import hyperpaint as hp
 from hyperpaint.base.schema import Quality
+from hyperpaint.paints.signatures import EXCLUDED
 from hyperpaint.simulation import simulate_line
+from hyperpaint.surroundings.flags import LAYERS
 
 SUN = {"sun_zenith": 35.0}
 REGION = hp.Region("part", [(2, 4), (17, 4), (17, 27), (2, 27)])
@@ -59,7 +61,7 @@ def test_after_one_step(line: xr.Dataset, name: str) -> None:
     assert_still_set(made, line, name)
     if name not in ("reflectance", "flag"):
         np.testing.assert_array_equal(made.quality, line.quality)
-    for layer in hp.flags.LAYERS:
+    for layer in LAYERS:
         assert layer in made, (name, layer)
 
 
@@ -98,7 +100,7 @@ def test_pixels_that_are_flagged_are_those_left_out(line: xr.Dataset, tmp_path: 
     left: dict[str, Any] = {}
     for name, given in (("as it was", line), ("smoothed", smoothed)):
         left[name] = given.paint.signatures(REGION, min_pixels=1)
-    exclude = int(hp.signatures.EXCLUDED)
+    exclude = int(EXCLUDED)
     expected = int(((bits & exclude == 0) & present).sum())
     assert int(left["smoothed"].n[0]) == expected < along.size
     np.testing.assert_array_equal(left["smoothed"].member_along_track, left["as it was"].member_along_track)

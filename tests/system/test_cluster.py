@@ -327,12 +327,9 @@ def test_cluster_without_workers_is_refused(tmp_path: Path, monkeypatch: pytest.
 
 
 @pytest.mark.slow
-def test_campaign_of_killed_workers(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    if not (ROOT / "benchmarks").is_dir():
-        pytest.skip("installed without its benchmarks")
-    monkeypatch.syspath_prepend(str(ROOT))
-    faults = importlib.import_module("benchmarks.faults.workers")
-    made = importlib.import_module("benchmarks.faults.outcome").Outcome("workers killed")
+def test_campaign_of_killed_workers(tmp_path: Path) -> None:
+    faults = importlib.import_module("campaigns.faults.workers")
+    made = importlib.import_module("campaigns.faults.outcome").Outcome("workers killed")
     (tmp_path / "run").mkdir()
     with faults.Cluster() as killed:
         work = faults.storing(tmp_path)

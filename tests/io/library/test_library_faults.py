@@ -7,10 +7,8 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from support import ROOT
 
 pytestmark = [
-    pytest.mark.skipif(not (ROOT / "benchmarks").is_dir(), reason="installed without its benchmarks"),
     pytest.mark.skipif(not Path("/proc/self/clear_refs").exists(), reason="memory is counted by Linux"),
 ]
 
@@ -18,16 +16,14 @@ pytestmark = [
 @pytest.fixture(scope="module")
 def seeds(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder: Path = tmp_path_factory.mktemp("seeds")
-    with pytest.MonkeyPatch.context() as patched:
-        patched.syspath_prepend(str(ROOT))
-        parsers = importlib.import_module("benchmarks.faults.parsers")
+    parsers = importlib.import_module("campaigns.faults.parsers")
     parsers.prepare(folder)
     return folder
 
 
 @pytest.mark.parametrize("name", ["library-envi", "library-metadata", "library-csv", "library-text"])
 def test_three_hundred_damages(name: str, seeds: Path) -> None:
-    parsers: Any = importlib.import_module("benchmarks.faults.parsers")
+    parsers: Any = importlib.import_module("campaigns.faults.parsers")
     made = parsers.run_part(name, seeds, range(300))
     assert made.wrong == []
     assert made.notes["read"] > 10

@@ -19,7 +19,6 @@ import psutil
 import pytest
 import xarray as xr
 from click.testing import CliRunner
-from support import ROOT
 from support.strategies import flight
 
 import hyperpaint as hp
@@ -206,7 +205,8 @@ def test_each_thread_costs_address_space() -> None:
 
 LIMITED = """
 import resource, sys
-import hyperpaint.io.collect, hyperpaint.workflows.pipeline, hyperpaint.radiometry, zarr, dask.array
+import hyperpaint.io.collect.collect_opening, hyperpaint.workflows.pipeline
+import hyperpaint.radiometry.counts_to_reflectance, zarr, dask.array
 used = int(open("/proc/self/statm").read().split()[0]) * resource.getpagesize()
 resource.setrlimit(resource.RLIMIT_AS, (used + 300 * 2**20,) * 2)
 try:
@@ -231,12 +231,8 @@ def test_a_process_of_too_little_address_space_is_refused_with_the_figure(
 
 @pytest.mark.slow
 @pytest.mark.skipif(sys.platform != "linux", reason="address space is limited on Linux")
-@pytest.mark.skipif(not (ROOT / "benchmarks").is_dir(), reason="installed without its benchmarks")
-def test_a_cube_larger_than_the_address_space(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.syspath_prepend(str(ROOT))
-    space = importlib.import_module("benchmarks.address_space")
+def test_a_cube_larger_than_the_address_space(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    space = importlib.import_module("campaigns.address_space")
     assert space.show(tmp_path, 1100 * MIB, 1024 * MIB)
     assert "bit-identical" in capsys.readouterr().out
 

@@ -1,9 +1,9 @@
 """Fault campaigns at full count: damage made on purpose, and whether anything wrong got through.
 
-    python benchmarks/campaigns.py                          every campaign, hours
-    python benchmarks/campaigns.py --scale 0.01             a hundredth of it
-    python benchmarks/campaigns.py --only parsers,storage   only these
-    python benchmarks/campaigns.py --only parsers --first 200000    further inputs, never tried before
+    python tests/campaigns/all_faults.py                          every campaign, hours
+    python tests/campaigns/all_faults.py --scale 0.01             a hundredth of it
+    python tests/campaigns/all_faults.py --only parsers,storage   only these
+    python tests/campaigns/all_faults.py --only parsers --first 200000    further inputs, never tried before
 
 Every fault is a function of its campaign and its number, so that one that got through can be made again.
 Exits with 1 where a campaign failed, or was stopped (Ctrl-C shows what was counted so far).
@@ -16,11 +16,11 @@ import sys
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
-if __package__ in (None, ""):  # run as a script: `benchmarks` is then not importable yet
+if __package__ in (None, ""):  # run as a script: `campaigns` is then not importable yet
     sys.path.insert(0, str(ROOT))
 
-from benchmarks.faults import bombs, disks, parsers, power, storage, times, workers, writers  # noqa: E402
-from benchmarks.faults.outcome import HEADER, Outcome, total  # noqa: E402
+from campaigns.faults import bombs, disks, parsers, power, storage, times, workers, writers  # noqa: E402
+from campaigns.faults.outcome import HEADER, Outcome, total  # noqa: E402
 
 CAMPAIGNS = {
     "parsers": parsers.campaign,

@@ -271,9 +271,13 @@ def warm_up() -> None:
     """Import what the readers import, so that a child's time and memory are those of the bomb."""
     import importlib
 
-    for module in ("asd", "calibration_store", "collect", "envi", "irradiance", "navigation"):
-        importlib.import_module(f"hyperpaint.io.{module}")
     for module in (
+        "hyperpaint.io.collect.collect_opening",
+        "hyperpaint.io.envi.envi_cubes",
+        "hyperpaint.io.flightline.calibration_store",
+        "hyperpaint.io.navigation.navigation_opening",
+        "hyperpaint.io.spectrometers.asd",
+        "hyperpaint.io.spectrometers.irradiance",
         "hyperpaint.io.store.guard",
         "hyperpaint.cli.info",
         "google_crc32c",

@@ -38,7 +38,7 @@ _SETTINGS = {
 }
 #: The server is one for the whole process: the writers' children come from it, too.
 _PRELOAD = ["distributed", "dask.array", "zarr", "hyperpaint.kernels.radiometry", __name__]
-_PRELOAD += ["benchmarks.faults.writers"]
+_PRELOAD += ["campaigns.faults.writers"]
 #: How often a task's worker may die before dask gives the task up: few, so that some runs end with an error.
 _ALLOWED_FAILURES = (0, 1, 3)
 _NAMED = re.compile(r"/[\w/]+, \w+ \d+ to \d+ of \w+|the first lines of /[\w/]+")

@@ -1,9 +1,9 @@
 """Flags on car parks whose light is traced: what they find, and how much of what they find is true.
 
-    python benchmarks/flagged_scenes.py                      seeds 400 to 405, two minutes
-    python benchmarks/flagged_scenes.py --seeds 7 8          others
-    python benchmarks/flagged_scenes.py --flakes             with metallic paints, whose flakes add a lobe
-    python benchmarks/flagged_scenes.py --json made.json     the same as numbers
+    python tests/campaigns/flagged_scenes.py                 seeds 400 to 405, two minutes
+    python tests/campaigns/flagged_scenes.py --seeds 7 8     others
+    python tests/campaigns/flagged_scenes.py --flakes        with metallic paints, whose flakes add a lobe
+    python tests/campaigns/flagged_scenes.py --json made.json     the same as numbers
 
 Scenes are those of proposed_cars.py: 256 x 320 pixels of 3.5 to 5 cm and 60 bands from 15 m, suns 20 to 50
 degrees from the zenith, paints under clear coats, a signal-to-noise ratio of 100. Walls stand around the
@@ -28,7 +28,7 @@ from typing import Any
 import numpy as np
 
 ROOT = Path(__file__).resolve().parents[1]
-if __package__ in (None, ""):  # run as a script: `benchmarks` is then not importable yet
+if __package__ in (None, ""):  # run as a script: `campaigns` is then not importable yet
     sys.path.insert(0, str(ROOT))
 
 SEEDS = range(400, 406)
@@ -164,7 +164,7 @@ def rows_of(counts: Counts) -> list[str]:
 def look(seed: int, flakes: bool, samples: int) -> Counts:
     """Render, survey and flag a scene, print a row, and return what was counted."""
     import hyperpaint as hp
-    from benchmarks.proposed_cars import render, seen_with_noise
+    from campaigns.proposed_cars import render, seen_with_noise
 
     clean, sky = render(seed, flakes, samples, surroundings_of(seed))
     line = seen_with_noise(clean, seed).chunk(along_track=64)

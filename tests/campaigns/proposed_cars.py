@@ -1,8 +1,8 @@
 """Regions proposed on cars whose light is traced: how many signatures are right, wrong or refused.
 
-    python benchmarks/proposed_cars.py                     ten scenes of seeds 200 to 209, ten minutes
-    python benchmarks/proposed_cars.py --seeds 0 1 2       others
-    python benchmarks/proposed_cars.py --flakes            with metallic paints, whose flakes add a lobe
+    python tests/campaigns/proposed_cars.py                     ten scenes of seeds 200 to 209, ten minutes
+    python tests/campaigns/proposed_cars.py --seeds 0 1 2       others
+    python tests/campaigns/proposed_cars.py --flakes            with metallic paints, whose flakes add a lobe
 
 Scenes: car parks of 256 x 320 pixels of 3.5 to 5 cm and 60 bands from 15 m, under suns 20 to 50 degrees
 from the zenith, of paints under clear coats that mirror sun and sky; a signal-to-noise ratio of 100.
@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 
 ROOT = Path(__file__).resolve().parents[1]
-if __package__ in (None, ""):  # run as a script: `benchmarks` is then not importable yet
+if __package__ in (None, ""):  # run as a script: `campaigns` is then not importable yet
     sys.path.insert(0, str(ROOT))
 
 LINES, COLUMNS, BANDS, SNR = 256, 320, 60, 100.0

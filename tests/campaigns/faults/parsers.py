@@ -22,7 +22,7 @@ from .outcome import MOST_BYTES, MOST_SECONDS, Outcome, in_parallel
 __all__ = ["PARSERS", "Parser", "campaign", "prepare", "run_part"]
 
 COUNT = 200_000
-SHARED_DATA = Path(__file__).resolve().parents[3] / "shared" / "data"
+SHARED_DATA = Path(__file__).resolve().parents[4] / "shared" / "data"
 _PART = 500
 #: A parser that runs longer than this is stopped: it has failed, and the campaign goes on.
 _HANGS = 30

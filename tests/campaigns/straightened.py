@@ -1,7 +1,7 @@
 """Corners of a checkerboard, through files, from a wobbling flight to a map: by how many pixels they miss.
 
-    python benchmarks/straightened.py                      calm and rough, nearest and bilinear; a minute
-    python benchmarks/straightened.py --lines 600          shorter
+    python tests/campaigns/straightened.py                      calm and rough, nearest and bilinear; a minute
+    python tests/campaigns/straightened.py --lines 600          shorter
 
 A flight of 640 columns of 8 mm from 13 m over squares of 16 cm that are turned by 27 degrees; 5 ms of
 exposure, shot and read noise, navigation of 100 Hz whose headings cross north, a camera turned by 0.4, -0.6
@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 
 ROOT = Path(__file__).resolve().parents[1]
-if __package__ in (None, ""):  # run as a script: `benchmarks` is then not importable yet
+if __package__ in (None, ""):  # run as a script: `campaigns` is then not importable yet
     sys.path.insert(0, str(ROOT))
 
 COLUMNS, GSD, SQUARE, TURN = 640, 0.008, 0.16, 27.0
@@ -62,7 +62,7 @@ def pixel_errors(placed: Any, truth: Any) -> np.ndarray[Any, Any]:
 def corner_errors(placed: Any, truth: Any, *, method: str, grid: str) -> np.ndarray[Any, Any]:
     """Return by how much corners miss their places in a map, right and down (corner, 2) [pixel]."""
     import hyperpaint as hp
-    from benchmarks.saddle_points import misplacement
+    from campaigns.saddle_points import misplacement
 
     made = hp.geometry.orthorectify(placed, GSD, method=method, grid=grid, variables=["reflectance"])
     picture = made["reflectance"].isel(band=BAND).values

@@ -1,7 +1,7 @@
 """Saturated pixels of traced cars: how many the flag finds, and how many of those it names are.
 
-    python benchmarks/saturated_pixels.py                  four scenes of seeds 300 to 303, two minutes
-    python benchmarks/saturated_pixels.py --seeds 0 1      others
+    python tests/campaigns/saturated_pixels.py                  four scenes of seeds 300 to 303, two minutes
+    python tests/campaigns/saturated_pixels.py --seeds 0 1      others
 
 Scenes: metallic and solid cars under clear coats that mirror the sun, 160 x 200 pixels of 6 cm and 60 bands,
 at three exposures, the longest of which clips a good part of the car park. A camera of 16 bits whose noise is
@@ -26,7 +26,7 @@ from typing import Any
 import numpy as np
 
 ROOT = Path(__file__).resolve().parents[1]
-if __package__ in (None, ""):  # run as a script: `benchmarks` is then not importable yet
+if __package__ in (None, ""):  # run as a script: `campaigns` is then not importable yet
     sys.path.insert(0, str(ROOT))
 
 BITS, MARGIN = 12, 16.0

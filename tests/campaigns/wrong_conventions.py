@@ -1,7 +1,7 @@
 """What `check_conventions` names: twelve wrong declarations, and flights declared rightly.
 
-    python benchmarks/wrong_conventions.py                 a rough flight, and 20 right ones; two minutes
-    python benchmarks/wrong_conventions.py --right 4       fewer
+    python tests/campaigns/wrong_conventions.py                 a rough flight, and 20 right ones; two minutes
+    python tests/campaigns/wrong_conventions.py --right 4       fewer
 
 A flight of 1,500 lines of 320 columns over a textured ground with stripes: 0.8 cm from 15.24 m, 7 ms a line,
 exposures of 5 ms, navigation of 100 Hz with 0.003 degrees of noise, a boresight that is not known (0.5

@@ -1,7 +1,7 @@
 """A cube far larger than the address space that may be taken: processed all the same, to the same bits.
 
-    python benchmarks/address_space.py                      4 GiB of counts, 1 GiB above the imports
-    python benchmarks/address_space.py --cube-mib 800 --room-mib 700
+    python tests/campaigns/address_space.py                      4 GiB of counts, 1 GiB above the imports
+    python tests/campaigns/address_space.py --cube-mib 800 --room-mib 700
 
 A first process does it without a limit. A second one imports everything, limits its address space
 (``RLIMIT_AS``) to what that takes and ``--room-mib`` more, and does it again. Compared are the bytes of every
