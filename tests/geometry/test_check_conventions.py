@@ -1,4 +1,4 @@
-"""Wrong declarations are named, right ones are not; the whole table is tests/campaigns/wrong_conventions.py."""
+"""Wrong declarations are named, right ones are not; the whole table: campaigns/wrong_conventions.py."""
 
 from __future__ import annotations
 
