@@ -225,8 +225,8 @@ def propose_regions(
               \frac{1}{1 + a/0.01 + g/0.02 + t/0.03}.
 
     A proposal can be wrong. On traced car parks (tests/campaigns/proposed_cars.py), suns 20 to 50 degrees
-    from the zenith, cars of six procedural body types, the same as the rules were tuned on, but seeds 200 to 209
-    never used for that: of 54 whole cars of solid paints 48 signatures were right, none wrong, 6 refused.
+    from the zenith, cars of six procedural body types, the same as the rules were tuned on, but seeds 200 to
+    209 never used for that: of 54 whole cars of solid paints 48 signatures were right, none wrong, 6 refused.
     With metallic paints among them, seeds 210 to 212: of 13 cars 7 right, 2 wrong, 4 refused. Flakes of a
     tinted paint, whose lobe is so wide that a roof's light hardly changes, are taken for the body.
 
