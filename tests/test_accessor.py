@@ -36,6 +36,7 @@ def test_a_method_is_its_function_with_the_dataset_given(name: str) -> None:
 
 
 def test_editors_see_the_methods_as_they_are() -> None:
+    pytest.importorskip("ruff")
     assert ast.dump(ast.parse(accessor_stub.STUB.read_text(encoding="utf-8"))) == ast.dump(
         ast.parse(accessor_stub.formatted(accessor_stub.stub()))
     )
