@@ -44,11 +44,11 @@ def lighting(smile=0.0):
     """Return what the tasks of a relighting share, for 272 bands."""
     import dask
 
+    from hyperpaint.simulation.camera import smile as shifts
     from hyperpaint.simulation.rendering.camera_bands import BandSet
     from hyperpaint.simulation.rendering.four_curves import preset_atmosphere
     from hyperpaint.simulation.rendering.relighting import _lighting, factor_spectra
     from hyperpaint.simulation.rendering.scene_record import SceneRecord
-    from hyperpaint.simulation.sensor import smile as shifts
 
     bands = BandSet.nano_hyperspec()
     bands = BandSet(bands.wavelength, bands.fwhm, bands.shape, shifts(BLOCK[1], smile) if smile else None)

@@ -78,11 +78,10 @@ def export(library: Path, form: str, out: Path, overwrite: bool, quiet: bool, **
         if form == "dirsig":
             from hyperpaint.io.dirsig import write_dirsig
 
-            made = write_dirsig(paints, out, overwrite=overwrite, progress=shown, **_options(given))
-            click.echo(f"{out}: {made.sizes['paint']} paints, {int(made['curves'].sum())} curves")
-            click.echo(
-                f"mirrored light {made.attrs['mirror_reflection']}, {made.attrs['mirror_reflection_source']}"
-            )
+            materials = write_dirsig(paints, out, overwrite=overwrite, progress=shown, **_options(given))
+            click.echo(f"{out}: {materials.sizes['paint']} paints, {int(materials['curves'].sum())} curves")
+            attrs = materials.attrs
+            click.echo(f"mirrored light {attrs['mirror_reflection']}, {attrs['mirror_reflection_source']}")
             click.echo(f"how to add them: {out / 'README.txt'}")
             return
         path = write_library(paints, out, format=form, overwrite=overwrite, progress=shown)

@@ -48,11 +48,9 @@ at -30 m. Where the map is shifted or torn, look first at --boresight, --ground,
 )  # fmt: skip
 @click.option("--ground", type=float, metavar="M", help="Height of level ground.")
 @click.option(
-    "--dem",
-    type=click.Path(exists=True, path_type=Path),
-    metavar="FILE",
+    "--dem", type=click.Path(exists=True, path_type=Path), metavar="FILE",
     help="Heights, instead of --ground.",
-)
+)  # fmt: skip
 @click.option(
     "--dem-heights", type=click.Choice(["ellipsoid", "geoid"]), help="What the heights of --dem are above."
 )
@@ -70,16 +68,9 @@ at -30 m. Where the map is shifted or torn, look first at --boresight, --ground,
 @click.option("--overwrite", is_flag=True, help="Replace a map that is there.")
 @click.option("--quiet", is_flag=True, help="No progress bar.")
 def make_map(
-    store: Path,
-    line: str | None,
-    out: Path,
-    gsd: float | None,
-    grid: Any,
-    method: Any,
-    overwrite: bool,
-    quiet: bool,
-    **options: Any,
-) -> None:
+    store: Path, line: str | None, out: Path, gsd: float | None, grid: Any, method: Any, overwrite: bool,
+    quiet: bool, **options: Any,
+) -> None:  # fmt: skip
     """Straighten a flight line into a map of square cells, from GPS and attitude of its lines.
 
     Reflectance comes along, computed from counts where the store has no other; into a store also flags, line
@@ -92,7 +83,7 @@ def make_map(
     chosen = grid or ("flight" if out.suffix.lower() == ".zarr" else "north")
     given = {name: value for name, value in options.items() if value is not None}
     with progress_bar("looking", is_watched(quiet)) as shown:
-        made = map_of_store(store, line, gsd=gsd, grid=chosen, method=method, progress=shown, **given)
-    write_map(made, out, overwrite=overwrite, progress=is_watched(quiet))
-    rows, cols = made.sizes["y"], made.sizes["x"]
-    click.echo(f"{out}: {rows} x {cols} cells of {made.attrs['gsd']:.4g} m")
+        orthomap = map_of_store(store, line, gsd=gsd, grid=chosen, method=method, progress=shown, **given)
+    write_map(orthomap, out, overwrite=overwrite, progress=is_watched(quiet))
+    rows, cols = orthomap.sizes["y"], orthomap.sizes["x"]
+    click.echo(f"{out}: {rows} x {cols} cells of {orthomap.attrs['gsd']:.4g} m")

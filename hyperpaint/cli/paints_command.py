@@ -76,15 +76,9 @@ coat and flakes mirror is specular_reflectance.""",
 @click.option("--overwrite", is_flag=True, help="Replace a library that is there.")
 @click.option("--quiet", is_flag=True, help="No progress bar.")
 def list_paints(
-    library: Path | None,
-    like: str | None,
-    members: int | None,
-    out: Path | None,
-    picture: Path | None,
-    overwrite: bool,
-    quiet: bool,
-    **options: Any,
-) -> None:
+    library: Path | None, like: str | None, members: int | None, out: Path | None, picture: Path | None,
+    overwrite: bool, quiet: bool, **options: Any,
+) -> None:  # fmt: skip
     """List, search and save the paints of a library.
 
     LIB is a library's Zarr store, as `signatures` writes it, or any file of spectra that hyperpaint reads;
@@ -97,23 +91,23 @@ def list_paints(
     if options["maximum_colour_difference"] is not None and options["colour"] is None:
         raise click.UsageError("--maximum-difference needs --colour")
     paints = _opened(library, members)
-    found = search_library(paints, like=_spectrum(like, paints), **options)
-    count = found.sizes["paint"]
+    matches = search_library(paints, like=_spectrum(like, paints), **options)
+    count = matches.sizes["paint"]
     click.echo(f"{count} of {paints.sizes['paint']} paints, {paints.sizes['band']} bands")
     if not count:
         click.echo("none was found; ask for less")
         return
-    click.echo(_table(found))
+    click.echo(_table(matches))
     if out is not None:
         from hyperpaint.io.library import write_library
 
         with progress_bar("writing", is_watched(quiet)) as shown:
-            path = write_library(found, out, overwrite=overwrite, progress=shown)
+            path = write_library(matches, out, overwrite=overwrite, progress=shown)
         click.echo(f"saved in {path}")
     if picture is not None:
         from hyperpaint.pictures.plot_library import library_overview
 
-        library_overview(found, picture)
+        library_overview(matches, picture)
         click.echo(f"look at them in {picture}")
 
 
@@ -151,15 +145,15 @@ def _spectrum(like: str | None, paints: xr.Dataset) -> Any:
     return open_library(path)
 
 
-def _table(found: xr.Dataset) -> str:
+def _table(matches: xr.Dataset) -> str:
     """Return a line of text for every paint, with how far off it is."""
-    columns = [[str(name) for name in found["paint"].values]]
-    known = [name for name in _ABOUT if name in found.variables and found[name].dims == ("paint",)]
-    columns += [[str(value) for value in found[name].values] for name in known]
-    if "colour_difference" in found.coords:
-        columns.append([f"looks {value:.1f} off" for value in found["colour_difference"].values])
-    if "spectral_angle" in found.coords:
-        columns.append([f"angle {value:.4f} rad" for value in found["spectral_angle"].values])
+    columns = [[str(name) for name in matches["paint"].values]]
+    properties = [name for name in _ABOUT if name in matches.variables and matches[name].dims == ("paint",)]
+    columns += [[str(value) for value in matches[name].values] for name in properties]
+    if "colour_difference" in matches.coords:
+        columns.append([f"looks {value:.1f} off" for value in matches["colour_difference"].values])
+    if "spectral_angle" in matches.coords:
+        columns.append([f"angle {value:.4f} rad" for value in matches["spectral_angle"].values])
     widths = [max(map(len, column)) for column in columns]
     rows = zip(*columns, strict=True)
     return "\n".join(

@@ -14,9 +14,9 @@ __all__ = ["render"]
 
 def _print_example(ctx: click.Context, _: click.Parameter, wanted: bool) -> None:
     if wanted and not ctx.resilient_parsing:
-        from hyperpaint.workflows.rendering.example import EXAMPLE
+        from hyperpaint.workflows.scene_files import example_scene
 
-        click.echo(EXAMPLE, nl=False)
+        click.echo(example_scene(), nl=False)
         ctx.exit()
 
 
@@ -72,17 +72,17 @@ def render(scene: Path, out: Path, picture: Path | None, quiet: bool, **options:
     shadow, shares of sun, sky, glint and indirect light. Everything is checked before anything is written; an
     interrupted run is resumed by running it again, a store that is already complete is left as it is.
     """
-    from hyperpaint.workflows.rendering.rendering import run
+    from hyperpaint.workflows.rendering import run
 
     done = run(scene, out, progress=is_watched(quiet), **options)
     if not done.written:
         click.echo(f"{out} is already complete: same inputs, same parameters; nothing was done")
     else:
         click.echo(f"{out}: wrote {listed(done.written)}")
-        if done.kept:
-            click.echo(f"{out}: {listed(done.kept)} there already, from the same inputs")
+        if done.unchanged:
+            click.echo(f"{out}: {listed(done.unchanged)} there already, from the same inputs")
     if picture is not None:
-        from hyperpaint.workflows.rendering.pictures import draw_renders
+        from hyperpaint.workflows.rendering import draw_renders
 
-        draw_renders(out, (*done.written, *done.kept), picture)
+        draw_renders(out, (*done.written, *done.unchanged), picture)
         click.echo(f"look at it in {picture}")

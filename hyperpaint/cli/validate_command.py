@@ -18,29 +18,29 @@ _PART = re.compile(r"(?P<name>[^=]+)=(?P<first>[0-9]+(\.[0-9]*)?)-(?P<last>[0-9]
 
 def _limits(_ctx: click.Context, _param: click.Parameter, values: tuple[str, ...]) -> dict[str, float] | None:
     """Return tolerances by name of a statistic: each is a number, or NAME=NUMBER."""
-    made = {}
+    tolerances = {}
     for value in values:
         name, _, number = value.rpartition("=")
         try:
-            made[name or "rmse"] = float(number)
+            tolerances[name or "rmse"] = float(number)
         except ValueError as error:
             raise click.BadParameter(
                 f"{value!r}, expected a number of RMSE, or a statistic such as bias=0.01"
             ) from error
-    return made or None
+    return tolerances or None
 
 
 def _parts(
     _ctx: click.Context, _param: click.Parameter, values: tuple[str, ...]
 ) -> dict[str, tuple[float, float]] | None:
     """Return parts of the spectrum: each is NAME=FIRST-LAST [nm]."""
-    made = {}
+    parts = {}
     for value in values:
-        found = _PART.fullmatch(value)
-        if found is None:
+        match = _PART.fullmatch(value)
+        if match is None:
             raise click.BadParameter(f"{value!r}, expected a name and wavelengths, such as red=620-700")
-        made[found["name"]] = float(found["first"]), float(found["last"])
-    return made or None
+        parts[match["name"]] = float(match["first"]), float(match["last"])
+    return parts or None
 
 
 @click.command(
@@ -101,15 +101,9 @@ without folder and suffix; --pairs says otherwise. Nothing is paired by likeness
 @click.option("--overwrite", is_flag=True, help="Replace a table that is there.")
 @click.pass_context
 def validate(
-    ctx: click.Context,
-    /,
-    library: Path,
-    references: tuple[str, ...],
-    out: Path | None,
-    picture: Path | None,
-    overwrite: bool,
-    **options: Any,
-) -> None:
+    ctx: click.Context, /, library: Path, references: tuple[str, ...], out: Path | None, picture: Path | None,
+    overwrite: bool, **options: Any,
+) -> None:  # fmt: skip
     """Compare a paint library with what field spectrometers say of the same paints.
 
     Both are brought to common bands with the responses of their channels. Prints, for every paint and part of
@@ -117,7 +111,7 @@ def validate(
     are known; and what was not paired. Exit status 1 outside tolerance, or where a reference is missing that
     a region names, or a part has too few bands to judge.
     """
-    from hyperpaint.workflows.validation_files import check_table, validate_files, write_table
+    from hyperpaint.workflows.library_files import check_table, validate_files, write_table
 
     if out is not None:
         check_table(out, overwrite=overwrite)
@@ -126,17 +120,17 @@ def validate(
 
         check_picture(picture)
     given = {name: value for name, value in options.items() if value is not None}
-    found = validate_files(library, references, **given)
-    click.echo(found.table())
+    validation = validate_files(library, references, **given)
+    click.echo(validation.table())
     if out is not None:
-        write_table(found, out, overwrite=overwrite)
+        write_table(validation, out, overwrite=overwrite)
         click.echo(f"all digits are in {out}")
     if picture is not None:
         from hyperpaint.pictures.plot_validation import validation_figure
 
-        validation_figure(found, picture)
+        validation_figure(validation, picture)
         click.echo(f"look at it in {picture}")
-    for problem in found.problems:
+    for problem in validation.problems:
         click.echo(f"not passed: {problem}", err=True)
-    if not found.passed:
+    if not validation.passed:
         ctx.exit(FAILED_CHECK)

@@ -1,12 +1,13 @@
 """A simulator of whole collects with known truth, which shares no code with the processing chain.
 
-Its own physics in float64 from the sky to the converter, and its own writers of the instruments' files: a
-chain that recovers the truth from them has shown something. `atmosphere` and `skies` make the light, `paints`
-the surfaces, `sensor` and `camera` the camera, `trajectories` how it wobbles over the earth of `ellipsoid`,
-`flight` what they do line by line: over a flat picture of a car park (`plan_flight`, `scenes`), over one of
-triangles (`rendered_flight`, `rendering`) or over squares of known corners (`checkerboard_flight`).
-`instruments`, `svc_files` and `references` write the files, `stores` the truth, `painted_regions` where the
-paints are, `collect` the whole; `sweep` shines a monochromator into the same camera.
+Settings go in; the instruments' own files, or flight lines in memory, come out with their truth. Tests, the
+demonstration and `hyperpaint render` call it. Its own physics in float64 from the sky to the converter, and
+its own writers: a chain that recovers the truth from them has shown something. `atmosphere` makes the light,
+`paint_spectra` the surfaces, `camera` the camera, `trajectories` how it wobbles over the earth, `flight` what
+they do line by line: over a flat picture of a car park (`plan_flight`), over one of triangles
+(`rendered_flight`, `rendering`) or over squares of known corners (`checkerboard_flight`). `instruments`
+writes the files, `stores` the truth, `painted_regions` where the paints are, `collect` the whole; `sweep`
+shines a monochromator into the same camera.
 """
 
 import lazy_loader

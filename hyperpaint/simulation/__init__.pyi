@@ -5,6 +5,5 @@ from .collect import (
 from .rendering.relighting import relight as relight
 from .rendering.tracing import trace as trace
 from .settings import SimulationSettings as SimulationSettings
-from .sweep import simulate_sweep as simulate_sweep
-from .sweep_settings import SweepSettings as SweepSettings
-from .sweep_stores import write_sweep as write_sweep
+from .sweep import SweepSettings as SweepSettings
+from .sweep_stores import simulate_sweep as simulate_sweep, write_sweep as write_sweep

@@ -1,7 +1,18 @@
-"""One camera for everything that is simulated: equal settings are the same camera, in lab and flight."""
+"""One pushbroom camera for everything that is simulated: equal settings are the same camera.
+
+An element (band b, column x) answers to a photon of wavelength lambda with
+
+    R_b,x(lambda) = f_b,x R0(lambda) s(lambda - lambda_b - shift_x)   counts per joule,
+
+s of unit area, R0 the smooth responsivity common to all elements (optics, grating, quantum efficiency), f the
+element's own factor near one. With etendue A Omega and exposure t it counts
+
+    n = t A Omega INT L(lambda) R_b,x(lambda) d lambda + dark.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -11,10 +22,305 @@ from numpy.typing import NDArray
 from hyperpaint.base.arrays import Floats
 
 from .atmosphere import spectral_grid
-from .sensor import ETENDUE, Detector, Imager, nominal_responsivity, smile
 from .settings import SimulationSettings
 
-__all__ = ["CAMERA_FIELDS", "Camera"]
+__all__ = [
+    "CAMERA_FIELDS", "ETENDUE", "Camera", "Detector", "Imager", "convolve_gaussian", "expected_counts",
+    "filled_etendue", "line_shape", "nominal_responsivity", "smile",
+]  # fmt: skip
+
+
+_GAUSSIAN_REACH = 3.2  # full widths; beyond them lies less than 1e-13 of a Gaussian's area
+# small products: on a busy machine the threads that BLAS wakes for large ones wait longer than they work
+_COLUMNS_AT_ONCE = 16
+_PLANCK_TIMES_LIGHT = 6.62607015e-34 * 2.99792458e8
+_DISPERSION = 2.2140  # nm a pixel of the detector, whatever the number of bands read out
+
+
+def filled_etendue(slit: float = 20e-6, pitch: float = 7.4e-6, f_number: float = 2.5) -> float:
+    """Return the etendue of one element [m2 sr]: slit width x pixel pitch x pi / (4 N^2).
+
+    Examples
+    --------
+    >>> f"{filled_etendue():.4e}"
+    '1.8598e-11'
+    """
+    return slit * pitch * np.pi / (4.0 * f_number**2)
+
+
+ETENDUE = filled_etendue()
+"""Etendue of the simulated imager [m2 sr]."""
+
+
+def line_shape(offset: Floats, fwhm: float, spacing: float, shape: str, step: float) -> Floats:
+    """Return the line shape of a band [nm-1], of unit area on a grid of ``step`` nm.
+
+    Parameters
+    ----------
+    offset
+        Distance from the centre of the band [nm], any shape.
+    fwhm
+        Full width at half maximum [nm]; of a slit its image's width.
+    spacing
+        Width of a pixel [nm]; a slit's image is averaged over it.
+    shape
+        "gaussian", or "slit": a box ``fwhm`` wide convolved with a box ``spacing`` wide.
+    step
+        Grid step [nm]. The slit's shape has corners, so it is averaged over each grid cell exactly.
+
+    Examples
+    --------
+    >>> from hyperpaint.simulation.settings import SHAPES
+    >>> offset = np.arange(-400, 401) * 0.05
+    >>> [round(float(line_shape(offset, 6.0, 2.2, shape, 0.05).sum() * 0.05), 9) for shape in SHAPES]
+    [1.0, 1.0]
+    """
+    if shape == "gaussian":
+        height = 2.0 * np.sqrt(np.log(2.0) / np.pi) / fwhm
+        return np.asarray(height * np.exp(-4.0 * np.log(2.0) * (offset / fwhm) ** 2))
+    # two boxes make four ramps; a ramp integrates to a square, whose difference over a cell is its mean
+    corners = [(1, fwhm + spacing), (-1, fwhm - spacing), (-1, spacing - fwhm), (1, -fwhm - spacing)]
+    # the rising side serves both: past the far corner of the other, squares would cancel to a residue
+    rising = -np.abs(offset)
+    upper, lower = rising + step / 2, rising - step / 2
+    total = np.zeros_like(offset, dtype=np.float64)
+    for sign, corner in corners:
+        total += sign * (np.maximum(upper + corner / 2, 0.0) ** 2 - np.maximum(lower + corner / 2, 0.0) ** 2)
+    return total / (2.0 * fwhm * spacing * step)
+
+
+def convolve_gaussian(spectra: Floats, grid: Floats, centres: Floats, fwhm: float) -> Floats:
+    """Return spectra as a spectrometer of Gaussian line shape sees them.
+
+    Parameters
+    ----------
+    spectra
+        Shape (spectrum, grid).
+    grid
+        Even wavelength grid [nm].
+    centres
+        Wavelengths of the spectrometer [nm].
+    fwhm
+        Full width at half maximum [nm].
+
+    Returns
+    -------
+    Shape (spectrum, centres), in the units of ``spectra``.
+    """
+    step = grid[1] - grid[0]
+    convolved = np.empty((len(spectra), len(centres)))
+    for index, centre in enumerate(centres):
+        start, stop = np.searchsorted(
+            grid, (centre - _GAUSSIAN_REACH * fwhm, centre + _GAUSSIAN_REACH * fwhm)
+        )
+        weights = line_shape(grid[start:stop] - centre, fwhm, 0.0, "gaussian", step)
+        convolved[:, index] = spectra[:, start:stop] @ weights / weights.sum()
+    return convolved
+
+
+def smile(columns: int, nanometres: float) -> Floats:
+    """Return the wavelength shift of every column [nm]: a parabola, zero at the centre column.
+
+    Examples
+    --------
+    >>> smile(5, 0.4)
+    array([0.4, 0.1, 0. , 0.1, 0.4])
+    """
+    centre = columns // 2
+    return np.asarray(nanometres * ((np.arange(columns) - centre) / max(centre, 1)) ** 2)
+
+
+def nominal_responsivity(electrons_per_count: float) -> Callable[[Floats], Floats]:
+    """Return R0(lambda) of the simulated imager [count nm J-1].
+
+    Efficiency of optics, grating and silicon x photons per joule x nm a pixel / electrons per count. The
+    efficiency is 0.19 at 420 nm, 0.28 at 550, 0.13 at 850 and 0.03 at 980, of a level at which
+    a white panel at noon nearly fills twelve bits in 5 ms. R0 falls by 4 %
+    in the 20 nm around the oxygen band.
+    """
+
+    def responsivity(wavelength: Floats) -> Floats:
+        blaze = np.exp(-0.5 * ((wavelength - 570.0) / 225.0) ** 2)
+        silicon = (
+            0.29 / (1.0 + np.exp((wavelength - 985.0) / 32.0)) / (1.0 + np.exp((375.0 - wavelength) / 30.0))
+        )
+        photons = wavelength * 1e-9 / _PLANCK_TIMES_LIGHT
+        return np.asarray((0.04 + 0.93 * blaze) * silicon * photons * _DISPERSION / electrons_per_count)
+
+    return responsivity
+
+
+@dataclass(frozen=True)
+class Imager:
+    """Spectral side of a pushbroom imager.
+
+    Attributes
+    ----------
+    wavelength
+        Centre wavelengths at the centre column, shape (band,) [nm].
+    wavelength_shift
+        Smile, shape (cross_track,) [nm].
+    fwhm
+        Full width at half maximum of every band, shape (band,), or one for all [nm].
+    shape
+        One of `SHAPES`.
+    responsivity
+        R0(lambda) [count nm J-1].
+    element_factor
+        f_b,x, shape (band, cross_track).
+    """
+
+    wavelength: Floats
+    wavelength_shift: Floats
+    fwhm: Floats | float
+    shape: str
+    responsivity: Callable[[Floats], Floats]
+    element_factor: Floats
+
+    @cached_property
+    def spacing(self) -> Floats:
+        """Distance between neighbouring bands, shape (band,) [nm]."""
+        return np.gradient(self.wavelength)
+
+    @cached_property
+    def band_fwhm(self) -> Floats:
+        """Full width at half maximum of every band, shape (band,) [nm]."""
+        return np.broadcast_to(np.asarray(self.fwhm, dtype=np.float64), self.wavelength.shape)
+
+    @cached_property
+    def reach(self) -> float:
+        """Distance from a band's nominal centre beyond which no column responds [nm]."""
+        smile_reach = float(np.abs(self.wavelength_shift).max())
+        if self.shape == "gaussian":
+            return _GAUSSIAN_REACH * float(self.band_fwhm.max()) + smile_reach
+        return float((self.band_fwhm + self.spacing).max()) / 2 + smile_reach + 0.1
+
+    def response(self, band: int, grid: Floats) -> Floats:
+        """Return R_b,x on an even wavelength grid, shape (grid, cross_track) [count J-1]."""
+        return np.asarray(
+            self._common_response(band, grid, self.wavelength_shift) * self.element_factor[band]
+        )
+
+    def _common_response(self, band: int, grid: Floats, shift: Floats) -> Floats:
+        """Return R_b without the elements' own factors at wavelength shifts [nm], shape (grid, shift)."""
+        offset = grid[:, None] - (self.wavelength[band] + shift)
+        shape = self.line_shape(band, offset, grid[1] - grid[0])
+        return np.asarray(self.responsivity(grid)[:, None] * shape)
+
+    def line_shape(self, band: int, offset: Floats, step: float) -> Floats:
+        """Return the line shape of a band [nm-1] at distances from its centre [nm], on a grid of ``step``."""
+        return line_shape(offset, float(self.band_fwhm[band]), float(self.spacing[band]), self.shape, step)
+
+    def integrals(self, spectra: Floats, grid: Floats) -> Floats:
+        """Return INT S(lambda) R_b,x(lambda) d lambda of every spectrum and element.
+
+        Parameters
+        ----------
+        spectra
+            Shape (spectrum, grid): a scene's radiance, a monochromator's line, or ones for INT R.
+        grid
+            Even wavelength grid that covers the responses [nm].
+
+        Returns
+        -------
+        Shape (spectrum, band, cross_track), in the units of ``spectra`` x count J-1 nm.
+
+        Raises
+        ------
+        ValueError
+            The grid ends inside a response.
+        """
+        step = grid[1] - grid[0]
+        lowest, highest = self.wavelength.min() - self.reach, self.wavelength.max() + self.reach
+        if grid[0] > lowest or grid[-1] < highest:
+            raise ValueError(
+                f"grid covers {grid[0]:.1f} to {grid[-1]:.1f} nm, responses {lowest:.1f} to {highest:.1f} nm"
+            )
+        shifts, column = np.unique(self.wavelength_shift, return_inverse=True)
+        integrals = np.empty((len(spectra), len(self.wavelength), len(self.wavelength_shift)))
+        common = np.empty((len(spectra), len(shifts)))
+        for band, centre in enumerate(self.wavelength):
+            start, stop = np.searchsorted(grid, (centre - self.reach, centre + self.reach))
+            response = self._common_response(band, grid[start:stop], shifts)
+            for first in range(0, len(shifts), _COLUMNS_AT_ONCE):
+                here = slice(first, first + _COLUMNS_AT_ONCE)
+                common[:, here] = spectra[:, start:stop] @ response[:, here]
+            integrals[:, band] = common[:, column] * (step * self.element_factor[band])
+        return integrals
+
+
+def expected_counts(integral: Floats, exposure_time: float, etendue: float) -> Floats:
+    """Return the counts above dark of a radiance integral INT L R d lambda.
+
+    Parameters
+    ----------
+    integral
+        INT L(lambda) R_b,x(lambda) d lambda [W m-2 sr-1 count J-1].
+    exposure_time
+        [s]
+    etendue
+        [m2 sr]
+
+    Examples
+    --------
+    A panel of reflectance 0.40 under 1.30 W m-2 nm-1 sends L = rho E / pi; R peaks at 2e16 and is 6 nm wide.
+
+    >>> area = 2.0e16 * np.sqrt(np.pi / (4 * np.log(2))) * 6.0  # INT R d lambda: peak x shape x FWHM
+    >>> expected_counts(np.array([0.40 * 1.30 / np.pi * area]), 5e-3, 1.8598e-11).round(2)
+    array([1966.09])
+    """
+    return exposure_time * etendue * integral
+
+
+@dataclass(frozen=True)
+class Detector:
+    """Electrical side of the imager.
+
+    Attributes
+    ----------
+    dark
+        Counts with the lens capped, shape (band, cross_track) [count].
+    electrons_per_count
+        [electron count-1]
+    read_noise
+        Spread of a dark count, 1 sigma [count].
+    bit_depth
+        Bits of the converter; it is full at 2**bit_depth - 1.
+    """
+
+    dark: Floats
+    electrons_per_count: float
+    read_noise: float
+    bit_depth: int
+
+    @property
+    def saturation_count(self) -> int:
+        """Count at which the converter is full."""
+        return int(2**self.bit_depth - 1)
+
+    def read(self, signal: Floats, rng: np.random.Generator | None) -> Floats:
+        """Return what the converter is given: signal, dark and, with ``rng``, shot and read noise [count].
+
+        The variance is signal / electrons_per_count + read_noise^2; shot noise is taken as Gaussian.
+        """
+        counts = signal + self.dark
+        if rng is not None:
+            spread = np.maximum(signal, 0.0)
+            spread *= 1.0 / self.electrons_per_count
+            spread += self.read_noise**2
+            np.sqrt(spread, out=spread)
+            spread *= rng.standard_normal(signal.shape, dtype=np.float32)
+            counts += spread
+        return counts
+
+    def convert(self, counts: Floats | NDArray[np.float32]) -> NDArray[np.uint16]:
+        """Return whole counts between 0 and `saturation_count`."""
+        converted = np.empty(counts.shape, dtype=np.uint16)
+        for line, given in zip(converted, counts, strict=True):
+            whole = np.rint(given)
+            np.clip(whole, 0, self.saturation_count, out=whole)
+            line[...] = whole
+        return converted
 
 
 CAMERA_FIELDS = frozenset(
@@ -44,7 +350,7 @@ class Camera:
     bad
         True at elements that see no light, shape (band, cross_track).
     electrons_per_count, read_noise, bit_depth
-        As in `hyperpaint.simulation.sensor.Detector`.
+        As in `hyperpaint.simulation.camera.Detector`.
     """
 
     imager: Imager

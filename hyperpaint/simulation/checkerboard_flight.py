@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from hyperpaint.base.arrays import Floats
 
 from .flight import PIXEL_ANGLE, Flight, Layer, Lines
-from .paints import reflectance
+from .paint_spectra import reflectance
 from .settings import SimulationSettings
 
 __all__ = ["Checkerboard", "CheckerboardFlight"]
@@ -119,8 +119,8 @@ class CheckerboardFlight(Flight):
     Examples
     --------
     >>> flight = CheckerboardFlight(SimulationSettings(lines=8, bands=4, columns=32, scene="checkerboard"))
-    >>> made = flight.lines(0, 8)
-    >>> made.counts.shape, sorted(made.layers)
+    >>> block = flight.lines(0, 8)
+    >>> block.counts.shape, sorted(block.layers)
     ((8, 4, 32), ['bright_share', 'east', 'height', 'north'])
     """
 
@@ -176,17 +176,17 @@ class CheckerboardFlight(Flight):
                 layers[name][here] = values
         shares = layers["bright_share"]
         glint = np.zeros((number, columns), bool)
-        made = Lines((shares > 0.5).astype(np.int16), glint, *self._cubes(number, into), layers)
+        block = Lines((shares > 0.5).astype(np.int16), glint, *self._cubes(number, into), layers)
         factors = self.light.factors(self.line_times[start:stop] / 1e9)
 
         def expose(row: int) -> None:
             seen = np.zeros((self.settings.bands, columns))
             for factor, (dark, bright) in zip(factors[:, row], self._reflected, strict=True):
                 seen += factor * (dark + shares[row] * (bright - dark))
-            self._record(made, row, start + row, factors[:, row], seen)
+            self._record(block, row, start + row, factors[:, row], seen)
 
         self._for_lines(number, expose)
-        return made
+        return block
 
     def clean_paint(self, lines: Lines) -> NDArray[np.int32]:
         """Tell which pixels lie within a square."""

@@ -1,4 +1,9 @@
-"""A whole simulated collect: the instruments' files, the calibration, and the truth beside them."""
+"""A whole simulated collect: the instruments' files, the calibration, and the truth beside them.
+
+Two field spectrometers saw the cars' paints on the ground before the flight. The truth of their files is the
+paint's own spectrum: what it reflects near normal, without the mirror image of the sky. Beyond 1000 nm, where
+only the SVC sees, the light has no bands.
+"""
 
 from __future__ import annotations
 
@@ -15,21 +20,81 @@ from hyperpaint.base.arrays import Progress
 from hyperpaint.base.errors import SchemaError, StoreError
 from hyperpaint.base.schema import CHUNK_LINES
 
+from .atmosphere import spectral_grid
+from .camera import convolve_gaussian
 from .checkerboard_flight import CheckerboardFlight
-from .flight import Flight, Lines, SkySamples
-from .instruments import BilWriter, write_asd, write_frame_index, write_navigation, write_sbet, write_settings
+from .flight import ORIGIN, Flight, Lines, SkySamples, sky_irradiance
+from .instruments import (
+    ASD_WAVELENGTH,
+    SVC_DETECTORS,
+    BilWriter,
+    svc_wavelengths,
+    write_asd,
+    write_asd_reflectance,
+    write_frame_index,
+    write_navigation,
+    write_sbet,
+    write_settings,
+    write_svc,
+)
 from .painted_regions import REGIONS, PaintedRectangles
 from .plan_flight import PlanFlight
-from .references import ASD_FOLDER, SVC_FOLDER, write_references
 from .settings import SimulationSettings
-from .sweep import Sweep
-from .sweep_settings import SweepSettings
+from .sweep import Sweep, SweepSettings
 from .trajectories import CONVENTION
 
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["CAMERA_SOFTWARE", "MARKER", "PARTS", "simulate_collect", "simulate_line"]
+__all__ = [
+    "ASD_FOLDER", "CAMERA_SOFTWARE", "MARKER", "PARTS", "SVC_FOLDER", "simulate_collect", "simulate_line",
+    "write_references",
+]  # fmt: skip
+
+
+SVC_FOLDER, ASD_FOLDER = "svc", "asd_reflectance"
+
+_STEP = 0.1  # nm
+_LEAD, _EACH, _PANEL = 3600, 60, 15  # s from the first paint to the flight, to the next paint, from the panel
+_MARGIN = 40.0  # nm beyond the outer channels, more than a line shape reaches
+
+
+def write_references(flight: Flight, folder: Path) -> None:
+    """Write a file of each spectrometer for every paint of the cars.
+
+    Parameters
+    ----------
+    flight
+        Knows the paints and the light.
+    folder
+        Of the collect; receives the folders `SVC_FOLDER` and `ASD_FOLDER`, with files named by paint.
+    """
+    settings = flight.settings
+    svc, asd = folder / SVC_FOLDER, folder / ASD_FOLDER
+    for directory in (svc, asd):
+        directory.mkdir()
+    seen = svc_wavelengths()
+    grid = spectral_grid(seen.min() - _MARGIN, seen.max() + _MARGIN, _STEP)
+    light = sky_irradiance(settings.sky, settings.sun[0], grid).sum(axis=0) / np.pi
+    # the white panel first
+    spectra = np.concatenate([light[None], light * flight.paint_reflectance(flight.paints, grid)])
+    by_svc = np.concatenate(
+        [convolve_gaussian(spectra, grid, each.wavelength, each.fwhm) for each in SVC_DETECTORS], axis=1
+    )
+    by_asd = convolve_gaussian(spectra, grid, ASD_WAVELENGTH, settings.irradiance_fwhm_nm)
+    zone, start = round(settings.utc_offset_h * 3600), flight.start // 10**9
+    for index, paint in enumerate(flight.paints, 1):
+        panel = start - _LEAD + _EACH * index
+        target = panel + _PANEL
+        write_svc(
+            svc / f"{paint}.sig", by_svc[0], by_svc[index], stamps=(panel, target), utc_offset=zone,
+            position=ORIGIN[:2], sun=settings.sun,
+        )  # fmt: skip
+        write_asd_reflectance(
+            asd / f"{paint}.asd", by_asd[index], by_asd[0], stamp=target, utc_offset=zone,
+            reference_stamp=panel,
+        )  # fmt: skip
+
 
 PARTS = (
     "flight", "dark", "asd", SVC_FOLDER, ASD_FOLDER, "lab", "calibration.zarr", "truth.zarr", REGIONS,
@@ -170,8 +235,10 @@ def _prepare(root: Path, overwrite: bool) -> Path:
     if root.is_dir() and any(root.iterdir()):
         if not overwrite:
             mend = "name another folder, or replace an earlier collect with {}"
-            found = f"{root} is not empty"
-            raise StoreError(found, mend=mend.format("overwrite=True"), option=mend.format("--overwrite"))
+            raise StoreError(
+                f"{root} is not empty",
+                mend=mend.format("overwrite=True"), option=mend.format("--overwrite"),
+            )  # fmt: skip
         for part in reversed(PARTS):  # collect.toml first: what is half removed is not a collect
             target = root / part
             if target.is_dir() and not target.is_symlink():
@@ -260,12 +327,12 @@ def _write_flight(
             for begin, end in _blocks(first, last, block_lines):
                 block = flight.lines(begin, end, into=memory)
                 memory = block if memory is None or len(memory.counts) < len(block.counts) else memory
-                kept = recorded[begin:end]
-                counts = block.counts if kept.all() else block.counts[kept]
+                is_recorded = recorded[begin:end]
+                counts = block.counts if is_recorded.all() else block.counts[is_recorded]
                 cube.append(flight.detector.convert(counts))
                 if truth is not None:
-                    truth.write(begin, block, kept)
-                painted.add(block, kept)
+                    truth.write(begin, block, is_recorded)
+                painted.add(block, is_recorded)
                 if progress is not None:
                     progress(end, settings.lines)
         stamps = _frame_stamps(flight.line_times[frames], settings)
@@ -273,11 +340,9 @@ def _write_flight(
     painted.write(root / REGIONS, CAMERA_SOFTWARE)
     _write_settings_file(folder, settings)
     since = np.arange(
-        -_NAVIGATION_MARGIN,
-        int(flight.line_times[-1]) + _NAVIGATION_MARGIN,
-        10**9 // settings.navigation_rate,
-        dtype=np.int64,
-    )
+        -_NAVIGATION_MARGIN, int(flight.line_times[-1]) + _NAVIGATION_MARGIN,
+        10**9 // settings.navigation_rate, dtype=np.int64,
+    )  # fmt: skip
     utc = (flight.start + since).astype("datetime64[ns]")
     pose = flight.pose(since / 1e9)
     write_navigation(folder / "imu_gps.txt", pose, _instrument_stamps(since), utc)
@@ -298,9 +363,9 @@ nav = "flight/imu_gps.txt"
         for name in names
     )
     navigation = "\n".join(f'{key} = "{value}"' for key, value in CONVENTION.items())
-    known = settings.clock_uncertainty_s
+    uncertainty_s = settings.clock_uncertainty_s
     calibration = 'sweep = "lab/sweep.zarr"' if with_sweep else 'path = "calibration.zarr"'
-    clock = "" if known is None else f"clock_uncertainty_s = {float(known)!r}\n"
+    clock = "" if uncertainty_s is None else f"clock_uncertainty_s = {float(uncertainty_s)!r}\n"
     return f"""{MARKER}: seed {settings.seed}, truth in truth.zarr
 
 [collect]

@@ -20,17 +20,46 @@ from numpy.typing import NDArray
 
 from hyperpaint.base.arrays import Floats, Floats32
 
-from .atmosphere import Light, spectral_grid
-from .camera import Camera
-from .ellipsoid import LocalFrame, TransverseMercator
+from .atmosphere import Light, Sky, spectral_grid
+from .camera import Camera, convolve_gaussian, expected_counts
 from .instruments import ASD_AVERAGES, ASD_INTEGRATION_MS, ASD_WAVELENGTH
-from .paints import reflectance
-from .sensor import convolve_gaussian, expected_counts
+from .paint_spectra import reflectance
+from .rendering.sky_models import cloud_transmittance, relative_air_mass
 from .settings import SimulationSettings
-from .skies import sky_irradiance
-from .trajectories import Trajectory
+from .trajectories import LocalFrame, Trajectory, TransverseMercator
 
-__all__ = ["ORIGIN", "PIXEL_ANGLE", "Flight", "Layer", "Lines", "SkySamples"]
+__all__ = ["ORIGIN", "PIXEL_ANGLE", "Flight", "Layer", "Lines", "SkySamples", "sky_irradiance"]
+
+
+_OVERCAST = 8.0  # oktas
+
+
+def sky_irradiance(sky: str, sun_zenith: float, wavelength: Floats) -> Floats:
+    """Return direct and diffuse irradiance of a level surface, shape (2, wavelength) [W m-2 nm-1].
+
+    Parameters
+    ----------
+    sky
+        One of `hyperpaint.simulation.settings.SKIES`. Under an overcast one a quarter of the clear sky's
+        light is left, slightly bluer (`rendering.sky_models`), and none of the sun.
+    sun_zenith
+        [degree]
+    wavelength
+        [nm]
+
+    Examples
+    --------
+    >>> direct, diffuse = sky_irradiance("overcast", 25.0, np.array([550.0, 850.0]))
+    >>> direct, diffuse.round(3)
+    (array([0., 0.]), array([0.329, 0.191]))
+    """
+    # the layers of the air are curved, which matters where the sun is low
+    airmass = relative_air_mass(sun_zenith) if sky == "near_sunset" else None
+    clear = np.stack(Sky(sun_zenith, airmass=airmass).irradiance(wavelength))
+    if sky == "overcast":
+        diffuse = clear.sum(axis=0) * cloud_transmittance(wavelength, _OVERCAST)
+        return np.stack([np.zeros_like(diffuse), diffuse])
+    return clear
 
 
 PIXEL_ANGLE = 7.4e-6 / 12e-3
@@ -242,30 +271,21 @@ class Flight(abc.ABC):
             return np.empty(shape, np.float32), np.empty(shape, np.float32), np.empty(shape, np.float32)
         return into.counts[:number], into.radiance[:number], into.reflectance[:number]
 
-    def _record(self, made: Lines, row: int, line: int, factors: Floats, seen: Floats) -> None:
-        """Fill one line's counts, radiance and reflectance.
+    def _record(self, block: Lines, row: int, line: int, factors: Floats, seen: Floats) -> None:
+        """Fill one row's counts, radiance and reflectance; the line's number in the flight chooses the noise.
 
-        Parameters
-        ----------
-        made, row
-            Where.
-        line
-            Its number in the flight, which chooses the noise.
-        factors
-            Of direct and diffuse light, shape (2,).
-        seen
-            pi INT L R of every element, shape (band, cross_track); overwritten.
+        ``factors`` are of direct and diffuse light; ``seen`` is pi INT L R of every element, and overwritten.
         """
         settings = self.settings
         incident = self._incident[0] * factors[0]
         incident += factors[1] * self._incident[1]
-        np.divide(seen, incident, out=made.reflectance[row], casting="same_kind")
-        np.divide(seen, np.pi * self.response_area, out=made.radiance[row], casting="same_kind")
+        np.divide(seen, incident, out=block.reflectance[row], casting="same_kind")
+        np.divide(seen, np.pi * self.response_area, out=block.radiance[row], casting="same_kind")
         seen *= 1.0 / np.pi
         signal = expected_counts(seen, settings.exposure_time, self.etendue)
         signal[self.bad] = 0.0
         rng = self._rng(_NOISE, line) if settings.noise else None
-        made.counts[row] = self.detector.read(signal, rng)
+        block.counts[row] = self.detector.read(signal, rng)
 
     @staticmethod
     def _for_lines(number: int, expose: Callable[[int], None]) -> None:
@@ -296,8 +316,8 @@ class Flight(abc.ABC):
         middle = begin + length // 2
         if settings.irradiance_gap is not None:
             low, high = (round(1e9 * edge) for edge in settings.irradiance_gap)
-            kept = (middle < low) | (middle > high)
-            stamp, begin, middle = stamp[kept], begin[kept], middle[kept]
+            is_logged = (middle < low) | (middle > high)
+            stamp, begin, middle = stamp[is_logged], begin[is_logged], middle[is_logged]
         factors = self.light.mean_factors(begin / 1e9, (begin + length) / 1e9)
         spectra = convolve_gaussian(self.sky, self.grid, ASD_WAVELENGTH, settings.irradiance_fwhm_nm)
         irradiance = factors.T @ spectra

@@ -45,10 +45,10 @@ class PaintedRectangles:
     >>> from .plan_flight import PlanFlight
     >>> from .settings import SimulationSettings
     >>> flight = PlanFlight(SimulationSettings(lines=64, bands=2, columns=160, scene="plan"))
-    >>> found = PaintedRectangles(flight)
-    >>> found.begin("raw_0")
-    >>> found.add(flight.lines(0, 64), np.ones(64, bool))
-    >>> [feature["properties"]["name"] for feature in found.features()]
+    >>> rectangles = PaintedRectangles(flight)
+    >>> rectangles.begin("raw_0")
+    >>> rectangles.add(flight.lines(0, 64), np.ones(64, bool))
+    >>> [feature["properties"]["name"] for feature in rectangles.features()]
     ['ir_black', 'red', 'green', 'yellow']
     """
 
@@ -118,11 +118,9 @@ class PaintedRectangles:
         first, last, left, right = first + margin, last - margin, left + margin, right - margin
         ring = [[left, first], [right, first], [right, last], [left, last], [left, first]]
         properties: Mapping[str, str] = {
-            "name": paint,
-            "flightline": flightline,
-            "reference": paint,
+            "name": paint, "flightline": flightline, "reference": paint,
             **self._flight.paint_properties(paint),
-        }
+        }  # fmt: skip
         return {
             "type": "Feature",
             "properties": dict(properties),

@@ -1,10 +1,14 @@
 """A flight over a flat picture of a car park: made in no time, for tests of single functions and huge cubes.
 
-A pixel sees one of some twenty level Lambert materials, so that every radiance integral of a flight is in one
-table, INT rho_m E_k R_b,x (k direct or diffuse), made once.
+Across the track lie grass, a kerb, a row of bays, the aisle with grey panels and a second row of bays; the
+bays repeat every 2.5 m. The swath is always 16 m wide, so that a line of few columns is a coarse picture of
+the same place. A pixel sees one of some twenty level Lambert materials, so that every radiance integral of a
+flight is in one table, INT rho_m E_k R_b,x (k direct or diffuse), made once.
 """
 
 from __future__ import annotations
+
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,11 +16,122 @@ from numpy.typing import NDArray
 from hyperpaint.base.arrays import Floats
 
 from .flight import Flight, Lines
-from .paints import CAR_PAINTS, MATERIALS, reflectance
-from .scenes import CarPark
-from .settings import SimulationSettings
+from .paint_spectra import CAR_PAINTS, MATERIALS, PANELS, reflectance
+from .settings import SWATH_M, SimulationSettings
 
-__all__ = ["PlanFlight"]
+__all__ = ["CarPark", "PlanFlight"]
+
+
+_BAY_LENGTH, _BAY_WIDTH = 5.0, 2.5
+_ROWS = (1.4, 10.9)  # where the two rows of bays begin across the track [m]
+_GRASS_END, _KERB_END = 1.0, 1.3
+_LINE_HALF_WIDTH = 0.07
+_PANEL_SIZE, _PANEL_PERIOD, _PANEL_START = 0.90, 30.0, 1.4
+_CLASS = {name: index for index, name in enumerate(MATERIALS)}
+
+#: Dark glass on a car: bounds along its length and half its width, as fractions of the car's own size.
+_WINDOWS = ((0.27, 0.40, 0.0, 0.74), (0.74, 0.84, 0.0, 0.70), (0.42, 0.72, 0.76, 0.90))
+#: Wheels that look out from under the body.
+_WHEELS = ((0.13, 0.25, 0.98, 1.03), (0.72, 0.84, 0.98, 1.03))
+
+
+@dataclass(frozen=True)
+class CarPark:
+    """Layout of a car park.
+
+    Attributes
+    ----------
+    columns
+        Columns of the imager across the swath.
+    seed
+        Chooses which bays are taken, by cars of which paint, and how they stand.
+
+    Examples
+    --------
+    >>> park = CarPark(columns=32, seed=0)
+    >>> park.surface(0, 2).shape, park.surface(0, 2).dtype
+    ((2, 32), dtype('int16'))
+    """
+
+    columns: int
+    seed: int = 0
+
+    @property
+    def ground_sample(self) -> float:
+        """Side of a pixel on the ground [m]."""
+        return SWATH_M / self.columns
+
+    def surface(self, start: int, stop: int) -> NDArray[np.int16]:
+        """Return the class of the pixels of lines ``start`` to ``stop``, shape (along_track, cross_track)."""
+        along = (np.arange(start, stop) + 0.5) * self.ground_sample
+        across = (np.arange(self.columns) + 0.5) * self.ground_sample
+        y, x = np.meshgrid(along, across, indexing="ij")
+        classes = np.full(y.shape, _CLASS["asphalt"], dtype=np.int16)
+        classes[x < _KERB_END] = _CLASS["concrete"]
+        classes[x < _GRASS_END] = _CLASS["grass"]
+        self._paint_bays(classes, y, x)
+        self._lay_panels(classes, y, x)
+        first, last = int(along[0] // _BAY_WIDTH) - 1, int(along[-1] // _BAY_WIDTH) + 1
+        for bay in range(first, last + 1):
+            for row in range(len(_ROWS)):
+                self._park(classes, y, x, bay, row)
+        return classes
+
+    def _paint_bays(self, classes: NDArray[np.int16], y: NDArray[np.float64], x: NDArray[np.float64]) -> None:
+        # a line is at least a pixel wide, or coarse pictures would have none
+        half = max(_LINE_HALF_WIDTH, self.ground_sample / 2)
+        beside = np.abs((y + _BAY_WIDTH / 2) % _BAY_WIDTH - _BAY_WIDTH / 2) <= half
+        for begin in _ROWS:
+            classes[beside & (x >= begin) & (x <= begin + _BAY_LENGTH)] = _CLASS["painted_line"]
+
+    def _lay_panels(self, classes: NDArray[np.int16], y: NDArray[np.float64], x: NDArray[np.float64]) -> None:
+        beside = (y - _PANEL_START) % _PANEL_PERIOD <= _PANEL_SIZE
+        pitch = (_ROWS[1] - _ROWS[0] - _BAY_LENGTH) / len(PANELS)
+        for index, level in enumerate(PANELS):
+            begin = _ROWS[0] + _BAY_LENGTH + (index + 0.5) * pitch - _PANEL_SIZE / 2
+            here = beside & (x >= begin) & (x <= begin + _PANEL_SIZE)
+            classes[here] = _CLASS[f"panel_{round(100 * level):02d}"]
+
+    def _park(
+        self, classes: NDArray[np.int16], y: NDArray[np.float64], x: NDArray[np.float64], bay: int, row: int
+    ) -> None:
+        rng = np.random.default_rng([self.seed, 1, bay + 2, row])
+        if rng.random() > 0.85:
+            return
+        paint = self._paint_of(2 * bay + row)
+        length, width = rng.uniform(4.0, 4.7), rng.uniform(1.7, 1.9)
+        middle = (bay + 0.5) * _BAY_WIDTH + rng.normal(0.0, 0.08)
+        nose = _ROWS[row] + rng.uniform(0.1, _BAY_LENGTH - length)
+        turn, forward = rng.normal(0.0, 0.02), rng.random() < 0.7
+        near = np.abs(y[:, 0] - middle) < _BAY_WIDTH
+        if not near.any():
+            return
+        y, x, view = y[near], x[near], classes[near]
+        # u runs from the nose (0) to the tail (1), v from the middle line (0) to the flank (1)
+        u = (x - nose + turn * (y - middle)) / length
+        u = u if forward else 1.0 - u
+        v = np.abs(y - middle - turn * (x - nose - length / 2)) / (width / 2)
+        body = np.abs(2 * u - 1) ** 6 + v**5 <= 1.0
+        view[_inside(_WHEELS, u, v)] = _CLASS["tyre"]
+        view[body] = _CLASS[paint]
+        view[body & _inside(_WINDOWS, u, v)] = _CLASS["glass"]
+        classes[near] = view
+
+    def _paint_of(self, place: int) -> str:
+        """Return the paint of the car on a place: twelve neighbouring places have twelve paints."""
+        paints = list(CAR_PAINTS)
+        deck, card = divmod(place + 2 * len(paints), len(paints))
+        order = np.random.default_rng([self.seed, 2, deck]).permutation(len(paints))
+        return paints[int(order[card])]
+
+
+def _inside(
+    boxes: tuple[tuple[float, float, float, float], ...], u: NDArray[np.float64], v: NDArray[np.float64]
+) -> NDArray[np.bool_]:
+    within = np.zeros(u.shape, dtype=bool)
+    for first, last, inner, outer in boxes:
+        within |= (u >= first) & (u <= last) & (v >= inner) & (v <= outer)
+    return within
 
 
 _TEXTURE, _GLINT = 10, 11  # keys of the random streams
@@ -52,15 +167,15 @@ class PlanFlight(Flight):
         number = stop - start
         surface = self.park.surface(start, stop)
         mirrored = np.stack([self._mirrored(start + row, surface[row]) for row in range(number)])
-        made = Lines(surface, mirrored > 0, *self._cubes(number, into))
+        block = Lines(surface, mirrored > 0, *self._cubes(number, into))
         factors = self.light.factors(self.line_times[start:stop] / 1e9)
 
         def expose(row: int) -> None:
             seen = self._seen(start + row, surface[row], factors[:, row], mirrored[row])
-            self._record(made, row, start + row, factors[:, row], seen)
+            self._record(block, row, start + row, factors[:, row], seen)
 
         self._for_lines(number, expose)
-        return made
+        return block
 
     def _seen(self, line: int, surface: NDArray[np.int16], factors: Floats, mirrored: Floats) -> Floats:
         """Return pi INT L R of every element of a line, shape (band, cross_track)."""

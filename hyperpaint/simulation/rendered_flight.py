@@ -19,7 +19,6 @@ from numpy.typing import NDArray
 from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import SchemaError
 
-from .ellipsoid import TransverseMercator
 from .flight import PIXEL_ANGLE, Flight, Layer, Lines
 from .rendering.camera_bands import BandSet
 from .rendering.car_parks import car_park
@@ -32,8 +31,8 @@ from .rendering.scene_record import SceneRecord, TraceSettings
 from .rendering.scene_spectra import paint_spec, spectrum_of
 from .rendering.tracing import PreparedScene, prepare_scene, trace_block
 from .rendering.truth_layers import LabelTables
-from .scenes import SWATH
-from .settings import SimulationSettings
+from .settings import SWATH_M, SimulationSettings
+from .trajectories import TransverseMercator
 from .transport.paths import Block
 
 __all__ = ["GLINT", "RenderedFlight"]
@@ -66,8 +65,8 @@ class RenderedFlight(Flight):
     Examples
     --------
     >>> flight = RenderedFlight(SimulationSettings(lines=8, bands=4, columns=32, samples=2))
-    >>> made = flight.lines(0, 8)
-    >>> made.counts.shape, made.layers["purity"].shape
+    >>> block = flight.lines(0, 8)
+    >>> block.counts.shape, block.layers["purity"].shape
     ((8, 4, 32), (8, 32))
     """
 
@@ -84,12 +83,10 @@ class RenderedFlight(Flight):
         self._surface = np.array([self.surfaces.index(name) for name in spectra], np.int16)
         self._cosine = float(np.cos(np.radians(settings.sun[0])))
         self._products = ProductTable.of_imager(
-            self.imager,
-            self._scene.codes,
-            self.grid,
+            self.imager, self._scene.codes, self.grid,
             {SKY: self.sky[1], FIRST_SUN: self.sky[0] / self._cosine},
             factor_spectra(record, BandSet.of_imager(self.imager)),
-        )
+        )  # fmt: skip
 
     def paint_reflectance(self, names: Sequence[str], wavelength: Floats) -> Floats:
         """Return the reflectance of paints without their mirror reflection, shape (name, wavelength)."""
@@ -120,7 +117,7 @@ class RenderedFlight(Flight):
             )
         park = car_park(
             length=float(length),
-            width=SWATH,
+            width=SWATH_M,
             seed=settings.seed,
             neighbours=("trees", "walls", "lamps") if settings.neighbours else (),
             coat="own" if settings.coat else None,
@@ -135,7 +132,7 @@ class RenderedFlight(Flight):
         path = self.trajectory
         lean = float(np.tan(np.radians(max(_STEEPEST, path.steepest))))
         ahead = lean * self.ground_sample / PIXEL_ANGLE
-        turned = float(np.sin(np.radians(path.most_yaw))) * SWATH / 2
+        turned = float(np.sin(np.radians(path.most_yaw))) * SWATH_M / 2
         return ahead, ahead + max(_BEFORE, turned + 1.0) + max(map(abs, path.lever_arm))
 
     @cached_property
@@ -154,21 +151,19 @@ class RenderedFlight(Flight):
         number = stop - start
         block = self._trace(start, stop)
         factors = self.light.factors(self.line_times[start:stop] / 1e9)
-        made = Lines(
-            self._surface[block.material],
-            self._glint(block, factors),
-            *self._cubes(number, into),
+        record = Lines(
+            self._surface[block.material], self._glint(block, factors), *self._cubes(number, into),
             self._label(block),
-        )
+        )  # fmt: skip
         # on its way to counts, INT L R stands where the radiance will be
-        self._shine(block, factors, made.radiance)
+        self._shine(block, factors, record.radiance)
         per_element = np.pi * self.imager.element_factor
 
         def expose(row: int) -> None:
-            self._record(made, row, start + row, factors[:, row], made.radiance[row] * per_element)
+            self._record(record, row, start + row, factors[:, row], record.radiance[row] * per_element)
 
         self._for_lines(number, expose)
-        return made
+        return record
 
     def _trace(self, start: int, stop: int) -> Block:
         """Return the paths of lines; threads share them, since the tracer lets go of the interpreter."""
@@ -186,14 +181,10 @@ class RenderedFlight(Flight):
         latitude, longitude, height = self.frame.geodetic(np.moveaxis(block.position, 1, -1))
         east, north = self.plane.project(latitude, longitude)
         return {
-            **self._scene.labels.layers(block.material, block.instance),
-            "purity": block.purity,
-            "shadow": 1.0 - block.sun_visibility[:, 0],
-            "east": east,
-            "north": north,
-            "height": height,
+            **self._scene.labels.layers(block.material, block.instance), "purity": block.purity,
+            "shadow": 1.0 - block.sun_visibility[:, 0], "east": east, "north": north, "height": height,
             "up": block.position[:, 2],
-        }
+        }  # fmt: skip
 
     def _glint(self, block: Block, factors: Floats) -> NDArray[np.bool_]:
         """Tell where the mirror image of the sun adds `GLINT` to the reflectance, shape (line, column)."""

@@ -4,19 +4,25 @@ from __future__ import annotations
 
 import itertools
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
-from typing import Any
+from typing import Any, TypeGuard
 
 import numpy as np
 
 from hyperpaint.base.errors import Problems, SchemaError
 
-from .scenes import SWATH
-from .sensor import SHAPES
-from .trajectories import WOBBLES
-
-__all__ = ["NEAR_SUNSET", "SCENES", "SKIES", "STAMPS", "SimulationSettings"]
+__all__ = [
+    "NEAR_SUNSET",
+    "SCENES",
+    "SHAPES",
+    "SKIES",
+    "STAMPS",
+    "SWATH_M",
+    "WOBBLES",
+    "SimulationSettings",
+    "is_number",
+]
 
 STAMPS = ("start", "mid", "end")
 """What a time stamp may mark of an exposure."""
@@ -24,6 +30,15 @@ STAMPS = ("start", "mid", "end")
 SCENES = ("plan", "rendered", "checkerboard")
 """What can be flown over: a flat picture of a car park, a car park of triangles whose light is traced, or
 level squares of known corners."""
+
+SHAPES = ("gaussian", "slit")
+"""Line shapes of the imager."""
+
+WOBBLES = ("none", "slow", "calm", "rough")
+"""How a platform may move about its course."""
+
+SWATH_M = 16.0
+"""Width of a scene across the track, unless it is a checkerboard."""
 
 SKIES = ("clear", "near_sunset", "overcast")
 """Kinds of light."""
@@ -171,7 +186,7 @@ class SimulationSettings:
     columns: int = 320
     seed: int = 0
     scene: str = "plan"
-    swath: float = SWATH
+    swath: float = SWATH_M
     square: float = 0.16
     board_turn: float = 27.0
     course: float = 0.0
@@ -243,11 +258,11 @@ class SimulationSettings:
         SchemaError
             Keywords are unknown, or values out of range.
         """
-        known = {field.name for field in fields(cls)}
-        unknown = sorted(set(values) - known)
+        names = {field.name for field in fields(cls)}
+        unknown = sorted(set(values) - names)
         if unknown:
             raise SchemaError(
-                f"unknown settings {', '.join(unknown)}; expected some of {', '.join(sorted(known))}"
+                f"unknown settings {', '.join(unknown)}; expected some of {', '.join(sorted(names))}"
             )
         return cls(**values)
 
@@ -283,13 +298,9 @@ class SimulationSettings:
 
     def _check_choices(self, problems: Problems) -> None:
         choices = {
-            "scene": SCENES,
-            "sky": SKIES,
-            "wobble": WOBBLES,
-            "srf_shape": SHAPES,
-            "stamp": STAMPS,
+            "scene": SCENES, "sky": SKIES, "wobble": WOBBLES, "srf_shape": SHAPES, "stamp": STAMPS,
             "irradiance_stamp": STAMPS,
-        }
+        }  # fmt: skip
         for name, allowed in choices.items():
             if getattr(self, name) not in allowed:
                 problems.add(f"{name}={getattr(self, name)!r}, expected one of {', '.join(allowed)}")
@@ -311,11 +322,13 @@ class SimulationSettings:
                 or not lowest <= value <= highest
             ):
                 problems.add(f"{name}={value!r}, expected a whole number from {lowest} to {highest}")
-        for names, allowed, meaning in _RANGES:
-            for name in names:
-                value = getattr(self, name)
-                if not _is_number(value) or not allowed(value):
-                    problems.add(f"{name}={value!r}, expected {meaning}")
+        for name, (low, high) in _RANGES.items():
+            value = getattr(self, name)
+            above_0 = name in _POSITIVE
+            if not is_number(value) or not low <= value <= high or (above_0 and value == 0):
+                bounds = "above 0" if above_0 else f"from {low:g}"
+                bounds += "" if high == np.inf else f" to {high:g}"
+                problems.add(f"{name}={value!r}, expected a number {bounds}")
         for name, length in (("cloud", 3), ("irradiance_gap", 2)):
             value = getattr(self, name)
             if value is not None and not _are_numbers(value, length):
@@ -324,9 +337,9 @@ class SimulationSettings:
             value = getattr(self, name)
             if not _are_numbers(value, 3) or max(map(abs, value)) > most:
                 problems.add(f"{name}={value!r}, expected 3 numbers from -{most} to {most}")
-        known = self.clock_uncertainty_s
-        if known is not None and not (_is_number(known) and known >= 0):
-            problems.add(f"clock_uncertainty_s={known!r}, expected a number from 0 on, or None")
+        uncertainty_s = self.clock_uncertainty_s
+        if uncertainty_s is not None and not (is_number(uncertainty_s) and uncertainty_s >= 0):
+            problems.add(f"clock_uncertainty_s={uncertainty_s!r}, expected a number from 0 on, or None")
         if not isinstance(self.dropped, int) and not (
             isinstance(self.dropped, list | tuple | range) and all(isinstance(f, int) for f in self.dropped)
         ):
@@ -345,7 +358,7 @@ class SimulationSettings:
         if 10**9 % self.navigation_rate:
             problems.add(f"navigation_rate={self.navigation_rate}, expected a divisor of 1e9, such as 100")
         if self.scene != "checkerboard":
-            for name, value in (("swath", SWATH), ("course", 0.0)):
+            for name, value in (("swath", SWATH_M), ("course", 0.0)):
                 if getattr(self, name) != value:
                     problems.add(
                         f"{name}={getattr(self, name)}, expected {value:g} of any scene but a checkerboard"
@@ -377,13 +390,14 @@ class SimulationSettings:
             problems.add("dropped frames leave a cube empty")
 
 
-def _is_number(value: object) -> bool:
+def is_number(value: object) -> TypeGuard[float]:
+    """Tell whether a value is a finite number, and no truth value."""
     kinds = int | float | np.integer | np.floating
     return isinstance(value, kinds) and not isinstance(value, bool) and bool(np.isfinite(value))
 
 
 def _are_numbers(value: object, length: int) -> bool:
-    return isinstance(value, tuple | list) and len(value) == length and all(map(_is_number, value))
+    return isinstance(value, tuple | list) and len(value) == length and all(map(is_number, value))
 
 
 def _is_start_time(value: object) -> bool:
@@ -414,39 +428,19 @@ _WHOLE = {
     "navigation_rate": (1, 1000),
 }
 
-_Rule = tuple[tuple[str, ...], Callable[[float], bool], str]
-_RANGES: tuple[_Rule, ...] = (
-    (
-        ("exposure_time_ms", "frame_period_ms", "fwhm_nm", "electrons_per_count", "irradiance_fwhm_nm"),
-        lambda value: value > 0,
-        "a number above 0",
+_POSITIVE = ("exposure_time_ms", "frame_period_ms", "fwhm_nm", "electrons_per_count", "irradiance_fwhm_nm")
+#: Smallest and largest value of the fields that are numbers.
+_RANGES = {
+    **dict.fromkeys(_POSITIVE, (0.0, np.inf)),
+    **dict.fromkeys(
+        ("read_noise", "dark_level", "dark_pattern", "dark_rate", "irradiance_noise"), (0.0, np.inf)
     ),
-    (
-        ("read_noise", "dark_level", "dark_pattern", "dark_rate", "irradiance_noise"),
-        lambda value: value >= 0,
-        "a number from 0",
-    ),
-    (
-        ("nonuniformity", "column_nonuniformity", "texture"),
-        lambda value: 0 <= value <= 0.2,
-        "a number from 0 to 0.2",
-    ),
-    (("swath", "square"), lambda value: 0.01 <= value <= 1000, "a number from 0.01 to 1000"),
-    (("course", "board_turn"), lambda value: abs(value) <= 360, "a number from -360 to 360"),
-    (("frame_clock_offset_s",), lambda value: abs(value) <= 1, "a number from -1 to 1"),
-    (("irradiance_margin_s",), lambda value: 0 <= value <= 3600, "a number from 0 to 3600"),
-    (("glint",), lambda value: 0 <= value <= 1, "a number from 0 to 1"),
-    (("fwhm_slope",), lambda value: abs(value) <= 0.5, "a number from -0.5 to 0.5"),
-    (("dispersion_bow_nm",), lambda value: abs(value) <= 20, "a number from -20 to 20"),
-    (("smile_nm",), lambda value: abs(value) <= 20, "a number from -20 to 20"),
-    (("sun_zenith",), lambda value: 0 <= value <= 85, "a number from 0 to 85"),
-    (("sun_azimuth",), lambda value: 0 <= value <= 360, "a number from 0 to 360"),
-    (("drift_per_minute",), lambda value: abs(value) <= 1, "a number from -1 to 1"),
-    (
-        ("first_wavelength", "last_wavelength"),
-        lambda value: 380 <= value <= 1050,
-        "a number from 380 to 1050",
-    ),
-    (("utc_offset_h",), lambda value: abs(value) <= 14, "a number from -14 to 14"),
-    (("clock_offset_s",), lambda value: abs(value) <= 86400, "a number from -86400 to 86400"),
-)
+    **dict.fromkeys(("nonuniformity", "column_nonuniformity", "texture"), (0.0, 0.2)),
+    "swath": (0.01, 1000.0), "square": (0.01, 1000.0),
+    "course": (-360.0, 360.0), "board_turn": (-360.0, 360.0),
+    "frame_clock_offset_s": (-1.0, 1.0), "irradiance_margin_s": (0.0, 3600.0), "glint": (0.0, 1.0),
+    "fwhm_slope": (-0.5, 0.5), "dispersion_bow_nm": (-20.0, 20.0), "smile_nm": (-20.0, 20.0),
+    "sun_zenith": (0.0, 85.0), "sun_azimuth": (0.0, 360.0), "drift_per_minute": (-1.0, 1.0),
+    "first_wavelength": (380.0, 1050.0), "last_wavelength": (380.0, 1050.0),
+    "utc_offset_h": (-14.0, 14.0), "clock_offset_s": (-86400.0, 86400.0),
+}  # fmt: skip

@@ -12,14 +12,14 @@ import zarr
 from numpy.typing import NDArray
 from zarr.codecs import BloscCodec
 
-from hyperpaint.base.schema import CHUNK_LINES, CUBE, FORMAT_VERSION, TIME_UNITS, VARIABLES
+from hyperpaint.base.schema import CHUNK_LINES, CUBE, FORMAT_VERSION, TIME_UNITS, VARIABLES, Variable
 
 from .checkerboard_flight import CheckerboardFlight
 from .flight import Flight, Lines
 from .instruments import ASD_WAVELENGTH
 from .trajectories import CONVENTION
 
-__all__ = ["TruthStore", "consolidate", "line_dataset", "write_calibration"]
+__all__ = ["TruthStore", "consolidate", "create_array", "labelled", "line_dataset", "write_calibration"]
 
 ALONG_TRACK, BAND, CROSS_TRACK = CUBE
 _PLANE = (ALONG_TRACK, CROSS_TRACK)
@@ -40,13 +40,16 @@ def _surface_attrs(flight: Flight) -> dict[str, Any]:
     }
 
 
-def _variable(name: str, values: Any, dims: tuple[str, ...] | None = None) -> xr.Variable:
-    """Return values under the dims, dtype and attributes of the table of variables."""
-    row = VARIABLES[name]
+def labelled(row: Variable, values: Any, dims: tuple[str, ...] | None = None) -> xr.Variable:
+    """Return values under the dims, dtype and attributes of a row of the table of variables."""
     values = np.asarray(values).astype(row.dtype)
     if dims is None:
         dims = next(d for d in (row.dims, *row.alternatives) if len(d) == values.ndim)
     return xr.Variable(dims, values, row.attrs)
+
+
+def _variable(name: str, values: Any, dims: tuple[str, ...] | None = None) -> xr.Variable:
+    return labelled(VARIABLES[name], values, dims)
 
 
 def _band_coords(flight: Flight) -> dict[str, xr.Variable]:
@@ -70,7 +73,7 @@ def _calibration(flight: Flight) -> dict[str, xr.Variable]:
 
 def write_calibration(flight: Flight, path: Path) -> None:
     """Write ``calibration.zarr``: the gain of every element, wavelengths, smile, line shape, noise."""
-    made = xr.Dataset(
+    calibration = xr.Dataset(
         _calibration(flight),
         coords=_band_coords(flight),
         attrs={
@@ -82,10 +85,10 @@ def write_calibration(flight: Flight, path: Path) -> None:
         },
     )
     # one chunk each, and everything written: a missing chunk is then a fault
-    encoding = blosc_encoding(made)
-    for name, array in made.variables.items():
+    encoding = blosc_encoding(calibration)
+    for name, array in calibration.variables.items():
         encoding[name] |= {"chunks": array.shape} if array.ndim else {}
-    made.to_zarr(path, mode="w", zarr_format=3, consolidated=False, encoding=encoding)
+    calibration.to_zarr(path, mode="w", zarr_format=3, consolidated=False, encoding=encoding)
     consolidate(path)
 
 
@@ -114,12 +117,9 @@ def _mounting(flight: Flight) -> dict[str, Any]:
     """Return how the camera was mounted, and the map that places are told on."""
     settings, path = flight.settings, flight.trajectory
     return {
-        "crs": flight.plane.crs,
-        "ground": flight.frame.height,
-        "boresight": list(path.boresight),
-        "lever_arm": list(path.lever_arm),
-        "frame_clock_offset_s": float(settings.frame_clock_offset_s),
-    }
+        "crs": flight.plane.crs, "ground": flight.frame.height, "boresight": list(path.boresight),
+        "lever_arm": list(path.lever_arm), "frame_clock_offset_s": float(settings.frame_clock_offset_s),
+    }  # fmt: skip
 
 
 def _corners(flight: Flight) -> dict[str, xr.Variable]:
@@ -156,44 +156,41 @@ class TruthStore:
         head = xr.Dataset(
             coords=coords,
             attrs={
-                "hyperpaint_format": FORMAT_VERSION,
-                "name": "truth of a simulated collect",
-                "srf_shape": settings.srf_shape,
-                "irradiance_srf_shape": "gaussian",
-                **_mounting(flight),
+                "hyperpaint_format": FORMAT_VERSION, "name": "truth of a simulated collect",
+                "srf_shape": settings.srf_shape, "irradiance_srf_shape": "gaussian", **_mounting(flight),
             },
-        )
+        )  # fmt: skip
         head = head.assign(_corners(flight))
         time_encoding = {"dtype": "int64", "units": TIME_UNITS, "calendar": "proleptic_gregorian"}
         encoding = blosc_encoding(head)
         encoding["time"] |= time_encoding
         head.to_zarr(path, mode="w", zarr_format=3, consolidated=False, encoding=encoding)
         group = zarr.open_group(path, mode="r+")
-        cube, plane = settings.shape, (settings.lines, settings.columns)
-        self._arrays = {
-            **{
-                name: _create(group, name, cube, CUBE, "float32", VARIABLES[name].attrs)
-                for name in ("reflectance", "radiance")
-            },
-            "surface": _create(group, "surface", plane, _PLANE, "int16", _surface_attrs(flight)),
-            "no_data": _create(group, "no_data", (settings.lines,), (ALONG_TRACK,), "bool", _NO_DATA_ATTRS),
+        layers: dict[str, tuple[tuple[str, ...], str, dict[str, Any]]] = {
+            "reflectance": (CUBE, "float32", VARIABLES["reflectance"].attrs),
+            "radiance": (CUBE, "float32", VARIABLES["radiance"].attrs),
+            "surface": (_PLANE, "int16", _surface_attrs(flight)),
+            "no_data": ((ALONG_TRACK,), "bool", _NO_DATA_ATTRS),
+            **{name: (_PLANE, "bool", {"long_name": text}) for name, text in _MASKS.items()},
+            **{name: (_PLANE, layer.dtype, dict(layer.attrs)) for name, layer in flight.layers.items()},
         }
-        for name, text in _MASKS.items():
-            self._arrays[name] = _create(group, name, plane, _PLANE, "bool", {"long_name": text})
-        for name, layer in flight.layers.items():
-            self._arrays[name] = _create(group, name, plane, _PLANE, layer.dtype, dict(layer.attrs))
+        sizes = dict(zip(CUBE, settings.shape, strict=True))
+        self._arrays = {
+            name: create_array(
+                group, name, tuple(sizes[dim] for dim in dims), dims=dims, dtype=dtype, attrs=attrs
+            )
+            for name, (dims, dtype, attrs) in layers.items()
+        }
         consolidate(path)
 
     def write(self, start: int, lines: Lines, recorded: NDArray[np.bool_]) -> None:
         """Write the lines from ``start`` on."""
         here = slice(start, start + len(recorded))
-        self._arrays["reflectance"][here] = lines.reflectance
-        self._arrays["radiance"][here] = lines.radiance
-        self._arrays["surface"][here] = lines.surface
-        self._arrays["glint"][here] = lines.glint
-        self._arrays["saturated"][here] = _saturated(lines, self._full)
-        self._arrays["no_data"][here] = ~recorded
-        for name, values in lines.layers.items():
+        saturated = _saturated(lines, self._full)
+        layers = {"glint": lines.glint, "saturated": saturated, "no_data": ~recorded, **lines.layers}
+        for name in ("reflectance", "radiance", "surface"):
+            self._arrays[name][here] = getattr(lines, name)
+        for name, values in layers.items():
             self._arrays[name][here] = values
 
 
@@ -201,26 +198,18 @@ def _saturated(lines: Lines, full: int) -> NDArray[np.bool_]:
     return np.asarray((lines.counts >= full - 0.5).any(axis=1))
 
 
-def _create(
-    group: zarr.Group,
-    name: str,
-    shape: tuple[int, ...],
-    dims: tuple[str, ...],
-    dtype: str,
-    attrs: dict[str, Any],
-) -> Any:
-    itemsize = np.dtype(dtype).itemsize
+def create_array(
+    group: zarr.Group, name: str, shape: tuple[int, ...], *, dims: tuple[str, ...], dtype: str,
+    attrs: dict[str, Any], chunk_length: int = CHUNK_LINES,
+) -> Any:  # fmt: skip
+    """Create an array to be filled block by block, in chunks of ``chunk_length`` along its first dim."""
+    kind = np.dtype(dtype)
     return group.create_array(
-        name,
-        shape=shape,
-        chunks=(min(CHUNK_LINES, shape[0]), *shape[1:]),
-        dtype=dtype,
-        compressors=[BloscCodec(typesize=itemsize, cname="lz4", clevel=5, shuffle="bitshuffle")],
-        fill_value=np.nan if dtype.startswith("float") else np.dtype(dtype).type(0),
-        dimension_names=dims,
-        attributes=attrs,
+        name, shape=shape, chunks=(min(chunk_length, shape[0]), *shape[1:]), dtype=dtype,
+        compressors=[BloscCodec(typesize=kind.itemsize, cname="lz4", clevel=5, shuffle="bitshuffle")],
+        fill_value=np.nan if kind.kind == "f" else kind.type(0), dimension_names=dims, attributes=attrs,
         config={"write_empty_chunks": True},
-    )
+    )  # fmt: skip
 
 
 def line_dataset(flight: Flight, block: Lines, *, matched: bool) -> xr.Dataset:
@@ -233,7 +222,7 @@ def line_dataset(flight: Flight, block: Lines, *, matched: bool) -> xr.Dataset:
     dark = flight.dark_frames().mean(axis=0) if settings.quantise else detector.dark
     samples = flight.sky_samples()
     dims = ("irradiance_time", BAND, CROSS_TRACK)
-    made = xr.Dataset(
+    line = xr.Dataset(
         {
             "counts": xr.Variable(CUBE, counts, VARIABLES["counts"].attrs),
             "dark_counts": _variable("dark_counts", dark, (BAND, CROSS_TRACK)),
@@ -272,7 +261,7 @@ def line_dataset(flight: Flight, block: Lines, *, matched: bool) -> xr.Dataset:
         },
     )
     if matched:
-        made["matched_irradiance"] = xr.Variable(
+        line["matched_irradiance"] = xr.Variable(
             dims, flight.matched_irradiance(samples.factors), VARIABLES["irradiance"].attrs
         )
-    return made
+    return line

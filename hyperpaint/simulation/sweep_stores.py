@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import shutil
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import xarray as xr
 import zarr
-from zarr.codecs import BloscCodec
 
 from hyperpaint.base.arrays import Progress
 from hyperpaint.base.errors import StoreError
@@ -20,26 +20,17 @@ from hyperpaint.base.schema import (
     STEP,
     SWEEP_VARIABLES,
     VARIABLES,
-    Variable,
 )
 
-from .stores import blosc_encoding, consolidate
-from .sweep import Sweep
-from .sweep_settings import SweepSettings
+from .stores import blosc_encoding, consolidate, create_array, labelled
+from .sweep import Sweep, SweepSettings
 
-__all__ = ["TRUTH", "store_sweep", "sweep_dataset", "sweep_truth", "write_sweep"]
+__all__ = ["simulate_sweep", "store_sweep", "write_sweep"]
 
 TRUTH = "true_"
 """Opens the names of what a real sweep would not know."""
 
 _ELEMENT = (BAND, CROSS_TRACK)
-
-
-def _labelled(row: Variable, values: Any, dims: tuple[str, ...] | None = None) -> xr.Variable:
-    values = np.asarray(values).astype(row.dtype)
-    if dims is None:
-        dims = next(d for d in (row.dims, *row.alternatives) if len(d) == values.ndim)
-    return xr.Variable(dims, values, row.attrs)
 
 
 def _scalar_or_step(values: Any) -> Any:
@@ -66,7 +57,7 @@ def _small_variables(sweep: Sweep) -> dict[str, xr.Variable]:
         "etendue": camera.etendue,
         "saturation_count": camera.detector(0.0).saturation_count,
     }
-    return {name: _labelled(SWEEP_VARIABLES[name], value) for name, value in values.items()}
+    return {name: labelled(SWEEP_VARIABLES[name], value) for name, value in values.items()}
 
 
 def _attrs(sweep: Sweep) -> dict[str, Any]:
@@ -78,7 +69,7 @@ def _attrs(sweep: Sweep) -> dict[str, Any]:
 
 
 def _step_wavelength(sweep: Sweep) -> xr.Variable:
-    return _labelled(SWEEP_VARIABLES["step_wavelength"], sweep.settings.dial)
+    return labelled(SWEEP_VARIABLES["step_wavelength"], sweep.settings.dial)
 
 
 def sweep_truth(sweep: Sweep) -> xr.Dataset:
@@ -87,58 +78,83 @@ def sweep_truth(sweep: Sweep) -> xr.Dataset:
     imager = camera.imager
     seen = np.where(camera.bad, np.nan, camera.response_area / imager.spacing[:, None])
     values: dict[str, Any] = {
-        "radiance_gain": camera.radiance_gain(),
-        "responsivity": seen,
-        "wavelength": imager.wavelength,
-        "wavelength_shift": imager.wavelength_shift,
-        "fwhm": imager.band_fwhm,
-        "dark_bias": camera.dark_bias,
-        "dark_rate": camera.dark_rate,
-        "electrons_per_count": camera.electrons_per_count,
+        "radiance_gain": camera.radiance_gain(), "responsivity": seen, "wavelength": imager.wavelength,
+        "wavelength_shift": imager.wavelength_shift, "fwhm": imager.band_fwhm, "dark_bias": camera.dark_bias,
+        "dark_rate": camera.dark_rate, "electrons_per_count": camera.electrons_per_count,
         "read_noise": camera.read_noise,
-    }
-    made = {name: _labelled(VARIABLES[name], value) for name, value in values.items()}
+    }  # fmt: skip
+    variables = {name: labelled(VARIABLES[name], value) for name, value in values.items()}
     # of the gain every digit: a calibration is to be compared with it to 1e-3 and better
-    made["radiance_gain"] = made["radiance_gain"].copy(data=values["radiance_gain"])
-    made["step_wavelength"] = _labelled(SWEEP_VARIABLES["step_wavelength"], sweep.wavelength)
-    made["bad"] = xr.Variable(_ELEMENT, camera.bad, {"long_name": "True at elements that see no light"})
+    variables["radiance_gain"] = variables["radiance_gain"].copy(data=values["radiance_gain"])
+    variables["step_wavelength"] = labelled(SWEEP_VARIABLES["step_wavelength"], sweep.wavelength)
+    variables["bad"] = xr.Variable(_ELEMENT, camera.bad, {"long_name": "True at elements that see no light"})
     flux_attrs = {**SWEEP_VARIABLES["flux"].attrs, "long_name": "Radiant flux, as every column receives it"}
-    made["flux"] = xr.Variable((STEP, CROSS_TRACK), sweep.power[:, None] * sweep.beam, flux_attrs)
+    variables["flux"] = xr.Variable((STEP, CROSS_TRACK), sweep.power[:, None] * sweep.beam, flux_attrs)
     if settings.stray_light:
-        made["stray_light"] = _labelled(VARIABLES["stray_light"], sweep.stray_matrix)
+        variables["stray_light"] = labelled(VARIABLES["stray_light"], sweep.stray_matrix)
     return xr.Dataset(
-        {f"{TRUTH}{name}": variable for name, variable in made.items()},
+        {f"{TRUTH}{name}": variable for name, variable in variables.items()},
         attrs={f"{TRUTH}srf_shape": imager.shape},
     )
 
 
 def sweep_dataset(sweep: Sweep) -> xr.Dataset:
     """Return a whole sweep in memory, with its truth."""
-    settings, camera = sweep.settings, sweep.settings.camera
-    shape = (settings.steps, camera.bands, camera.columns)
-    counts = np.empty(shape, dtype=np.float32)
-    variance = np.empty(shape, dtype=np.float32) if settings.variance else None
-    for step in range(settings.steps):
-        frames = sweep.frames(step)
-        counts[step] = frames.mean
-        if variance is not None:
-            variance[step] = frames.variance
-    if _is_one_dark(sweep):
-        dark = sweep.dark(0).mean
-    else:
-        dark = np.stack([sweep.dark(step).mean for step in range(settings.steps)])
-    cubes = {"counts": counts, "dark_counts": dark}
-    if variance is not None:
-        cubes["counts_variance"] = variance
+    cubes = {name: np.empty(shape, dtype=np.float32) for name, shape in _shapes(sweep).items()}
+    _fill(sweep, cubes)
     truth = sweep_truth(sweep)
     return xr.Dataset(
         {
-            **{name: _labelled(SWEEP_VARIABLES[name], values) for name, values in cubes.items()},
+            **{name: labelled(SWEEP_VARIABLES[name], values) for name, values in cubes.items()},
             **_small_variables(sweep),
             **truth.data_vars,
         },
         coords={"step_wavelength": _step_wavelength(sweep)},
         attrs={**_attrs(sweep), **truth.attrs},
+    )
+
+
+def simulate_sweep(
+    *, steps: int = 61, bands: int = 272, columns: int = 640, seed: int = 0, **effects: Any
+) -> xr.Dataset:
+    """Simulate a monochromator sweep in memory, with its truth.
+
+    Parameters
+    ----------
+    steps
+        Wavelengths of the sweep, from ``first_step_nm`` to ``last_step_nm``.
+    bands, columns, seed
+        Of the camera. A collect with equal settings is flown with the same camera.
+    **effects
+        Fields of `hyperpaint.simulation.SweepSettings`: ``monochromator_fwhm_nm``, ``stray_light`` ...; and,
+        of the camera, those of `hyperpaint.simulation.SimulationSettings`: ``smile_nm``, ``srf_shape``,
+        ``noise`` ... ``quantise=False`` leaves counts that are not whole.
+
+    Returns
+    -------
+    The sweep as the store holds one: ``counts`` (step, band, cross_track), float32 mean of the frames with
+    the dark still in them, ``counts_variance``, ``dark_counts``, ``flux`` ... Beside it the truth, each
+    variable named ``true_``: ``true_radiance_gain``, ``true_wavelength``, ``true_wavelength_shift``,
+    ``true_fwhm``, ``true_responsivity``, ``true_dark_bias``, ``true_dark_rate``, ``true_bad`` ...
+
+    Raises
+    ------
+    SchemaError
+        An effect is unknown or out of range; all are listed.
+
+    Examples
+    --------
+    The light of a line, summed over its bands, gives the responsivity where it falls.
+
+    >>> sweep = simulate_sweep(steps=3, columns=2, smile_nm=0, nonuniformity=0, noise=False, quantise=False)
+    >>> line = (sweep.counts - sweep.dark_counts).sum("band") / sweep.exposure_time
+    >>> responsivity = (line / sweep.flux / sweep.capture_fraction).isel(step=1, cross_track=0)
+    >>> truth = np.interp(700.0, sweep.true_wavelength, sweep.true_responsivity[:, 0])
+    >>> round(float(responsivity / truth), 3)
+    1.0
+    """
+    return sweep_dataset(
+        Sweep(SweepSettings.of({"steps": steps, "bands": bands, "columns": columns, "seed": seed, **effects}))
     )
 
 
@@ -202,10 +218,11 @@ def write_sweep(
 def store_sweep(sweep: Sweep, path: Path, *, truth: bool = True, progress: Progress | None = None) -> None:
     """Write a sweep where nothing stands yet, and its truth beside it."""
     if truth:
-        known = sweep_truth(sweep).assign_attrs(hyperpaint_format=FORMAT_VERSION)
-        known.to_zarr(
-            _truth_beside(path), mode="w", zarr_format=3, consolidated=False, encoding=blosc_encoding(known)
-        )
+        true_values = sweep_truth(sweep).assign_attrs(hyperpaint_format=FORMAT_VERSION)
+        true_values.to_zarr(
+            _truth_beside(path), mode="w", zarr_format=3, consolidated=False,
+            encoding=blosc_encoding(true_values),
+        )  # fmt: skip
         consolidate(_truth_beside(path))
     # xarray writes the small arrays; the cubes are filled step by step and never held whole
     head = xr.Dataset(
@@ -228,43 +245,48 @@ def _clear(target: Path, overwrite: bool) -> None:
     # an earlier sweep is a Zarr store; anything else is not ours to remove
     if not overwrite or not (target / "zarr.json").is_file():
         mend = "name another path, or replace an earlier sweep with {}"
-        found = f"{target} exists already"
-        raise StoreError(found, mend=mend.format("overwrite=True"), option=mend.format("--overwrite"))
+        raise StoreError(
+            f"{target} exists already",
+            mend=mend.format("overwrite=True"), option=mend.format("--overwrite"),
+        )  # fmt: skip
     shutil.rmtree(target)
 
 
 def _write_cubes(sweep: Sweep, path: Path, progress: Progress | None) -> None:
+    group = zarr.open_group(path, mode="r+")
+    cubes = {}
+    for name, shape in _shapes(sweep).items():
+        row = SWEEP_VARIABLES[name]
+        dims = next(d for d in (row.dims, *row.alternatives) if len(d) == len(shape))
+        # a step a chunk; one dark for all steps is one chunk
+        length = 1 if len(shape) == 3 else shape[0]
+        cubes[name] = create_array(
+            group, name, shape, dims=dims, dtype=row.dtype, attrs=row.attrs, chunk_length=length
+        )
+    _fill(sweep, cubes, progress)
+
+
+def _shapes(sweep: Sweep) -> dict[str, tuple[int, ...]]:
+    """Return the shapes of the cubes of a sweep, by name."""
     settings, camera = sweep.settings, sweep.settings.camera
     shape = (settings.steps, camera.bands, camera.columns)
-    group = zarr.open_group(path, mode="r+")
-    counts = _create(group, "counts", shape)
-    variance = _create(group, "counts_variance", shape) if settings.variance else None
+    shapes: dict[str, tuple[int, ...]] = {
+        "counts": shape, "dark_counts": shape[1:] if _is_one_dark(sweep) else shape
+    }  # fmt: skip
+    return {**shapes, "counts_variance": shape} if settings.variance else shapes
+
+
+def _fill(sweep: Sweep, cubes: Mapping[str, Any], progress: Progress | None = None) -> None:
+    """Write the frames of every step into arrays of `_shapes`."""
     one_dark = _is_one_dark(sweep)
-    dark = _create(group, "dark_counts", shape[1:] if one_dark else shape)
     if one_dark:
-        dark[...] = sweep.dark(0).mean
-    for step in range(settings.steps):
+        cubes["dark_counts"][...] = sweep.dark(0).mean
+    for step in range(sweep.settings.steps):
         frames = sweep.frames(step)
-        counts[step] = frames.mean
-        if variance is not None:
-            variance[step] = frames.variance
+        cubes["counts"][step] = frames.mean
+        if "counts_variance" in cubes:
+            cubes["counts_variance"][step] = frames.variance
         if not one_dark:
-            dark[step] = sweep.dark(step).mean
+            cubes["dark_counts"][step] = sweep.dark(step).mean
         if progress is not None:
-            progress(step + 1, settings.steps)
-
-
-def _create(group: zarr.Group, name: str, shape: tuple[int, ...]) -> Any:
-    row = SWEEP_VARIABLES[name]
-    dims = next(d for d in (row.dims, *row.alternatives) if len(d) == len(shape))
-    return group.create_array(
-        name,
-        shape=shape,
-        chunks=(1, *shape[1:]) if len(shape) == 3 else shape,
-        dtype=row.dtype,
-        compressors=[BloscCodec(typesize=4, cname="lz4", clevel=5, shuffle="bitshuffle")],
-        fill_value=np.nan,
-        dimension_names=dims,
-        attributes=row.attrs,
-        config={"write_empty_chunks": True},
-    )
+            progress(step + 1, sweep.settings.steps)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -13,10 +13,17 @@ import numpy.typing as npt
 
 from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import MissingExtraError, StoreError
-from hyperpaint.base.schema import ALONG_TRACK, BAND, CHUNK_LINES, CROSS_TRACK
+from hyperpaint.base.schema import ALONG_TRACK, BAND, CROSS_TRACK
 from hyperpaint.simulation.collect import CAMERA_SOFTWARE, MARKER, PARTS
 
-from .paint_closure import PaintAgreement, aligned, compare_paints, signature_problems, signature_table
+from .paint_closure import (
+    PaintAgreement,
+    aligned,
+    blocks_with_truth,
+    compare_paints,
+    signature_problems,
+    signature_table,
+)  # fmt: skip
 from .pipeline import run
 
 if TYPE_CHECKING:
@@ -108,17 +115,19 @@ class Comparison:
     @property
     def problems(self) -> tuple[str, ...]:
         """What is outside the tolerance, one line each."""
-        found = [
+        problems = [
             f"{one.material}: bias {one.bias:+.4f}, tolerance {MAX_BIAS}"
             for one in (*self.materials, self.overall)
             if not abs(one.bias) < MAX_BIAS
         ]
         if not self.overall.rmse < MAX_RMSE:
-            found.append(f"all pixels: RMSE {self.overall.rmse:.4f}, tolerance {MAX_RMSE}")
+            problems.append(f"all pixels: RMSE {self.overall.rmse:.4f}, tolerance {MAX_RMSE}")
         if not self.overall.oxygen < MAX_OXYGEN:
-            found.append(f"all pixels: oxygen window {self.overall.oxygen:.2%}, tolerance {MAX_OXYGEN:.1%}")
-        found += signature_problems(self.paints)
-        return tuple(found)
+            problems.append(
+                f"all pixels: oxygen window {self.overall.oxygen:.2%}, tolerance {MAX_OXYGEN:.1%}"
+            )
+        problems += signature_problems(self.paints)
+        return tuple(problems)
 
     @property
     def ok(self) -> bool:
@@ -134,15 +143,9 @@ class Comparison:
 
 def _row(one: Agreement) -> tuple[str, ...]:
     return (
-        one.material,
-        f"{one.pixels}",
-        f"{one.true:.4f}",
-        f"{one.recovered:.4f}",
-        f"{one.bias:+.5f}",
-        f"{one.rmse_of_mean:.5f}",
-        f"{one.rmse:.5f}",
-        f"{100 * one.oxygen:.2f} %",
-    )
+        one.material, f"{one.pixels}", f"{one.true:.4f}", f"{one.recovered:.4f}", f"{one.bias:+.5f}",
+        f"{one.rmse_of_mean:.5f}", f"{one.rmse:.5f}", f"{100 * one.oxygen:.2f} %",
+    )  # fmt: skip
 
 
 def compare(store: Path, truth: Path) -> Comparison:
@@ -175,30 +178,20 @@ def compare(store: Path, truth: Path) -> Comparison:
 
     from hyperpaint.io.store import list_groups
 
-    known = xr.open_zarr(truth)
-    names = str(known["surface"].attrs["flag_meanings"]).split()
+    true_scene = xr.open_zarr(truth)
+    names = str(true_scene["surface"].attrs["flag_meanings"]).split()
     groups = [name for name in list_groups(store) if name.startswith("flightlines/")]
     sums: _Sums | None = None
     for group in groups:
         line = xr.open_zarr(store, group=group)
         if sums is None:
             sums = _Sums.empty(len(names), line["wavelength"].values, line["good"].values)
-        for slab, true in _slabs(line, known):
+        for slab, true in blocks_with_truth(line, true_scene, ["reflectance", "surface"]):
             sums.add(slab, true)
     if sums is None:
         raise StoreError(f"{store} holds no flight line to compare")
-    paints = compare_paints(store, truth, BANDS_NM) if "car_id" in known else ()
+    paints = compare_paints(store, truth, BANDS_NM) if "car_id" in true_scene else ()
     return replace(sums.comparison(names), paints=paints)
-
-
-def _slabs(line: xr.Dataset, truth: xr.Dataset) -> Iterator[tuple[xr.Dataset, xr.Dataset]]:
-    """Yield some lines at a time with their truth, found by frame number."""
-    frames = line["frame"].values
-    for start in range(0, frames.size, CHUNK_LINES):
-        lines = slice(start, start + CHUNK_LINES)
-        names = ["reflectance", "surface"]
-        true = truth[names].isel({ALONG_TRACK: frames[lines]})
-        yield line[["reflectance", "quality"]].isel({ALONG_TRACK: lines}).compute(), true.compute()
 
 
 @dataclass
@@ -276,9 +269,9 @@ def refuse_foreign(folder: Path, *, overwrite: bool) -> None:
     toml = folder / "collect.toml"
     simulated = toml.is_file() and toml.read_bytes().startswith(MARKER.encode())
     patterns = ("flight/*.hdr", "dark/*.hdr", "svc/*.sig", "asd_reflectance/*.asd", "regions.geojson")
-    told = [path for pattern in patterns for path in folder.glob(pattern)]
+    raw_files = [path for pattern in patterns for path in folder.glob(pattern)]
     others = sorted(entry.name for entry in folder.iterdir() if entry.name not in _OURS)
-    if any(CAMERA_SOFTWARE.encode() not in path.read_bytes() for path in told) or (
+    if any(CAMERA_SOFTWARE.encode() not in path.read_bytes() for path in raw_files) or (
         toml.exists() and not simulated
     ):
         raise StoreError(
@@ -287,9 +280,11 @@ def refuse_foreign(folder: Path, *, overwrite: bool) -> None:
     if overwrite or (simulated and (folder / STORE).is_dir() and not others):
         return
     shown = ", ".join(others[:5] or sorted(entry.name for entry in folder.iterdir())[:5])
-    found = f"{folder} is not empty ({shown})"
     mend = "name another folder, or pass {} to write into it"
-    raise StoreError(found, mend=mend.format("overwrite=True"), option=mend.format("--overwrite"))
+    raise StoreError(
+        f"{folder} is not empty ({shown})",
+        mend=mend.format("overwrite=True"), option=mend.format("--overwrite"),
+    )  # fmt: skip
 
 
 def run_demonstration(
@@ -346,41 +341,34 @@ def run_demonstration(
     effects = EFFECTS if samples is None else {**EFFECTS, "samples": samples}
     begin = time.perf_counter()
     collect = simulate_collect(
-        folder,
-        lines=lines,
-        bands=bands,
-        columns=columns,
-        seed=seed,
-        scene=scene,
-        overwrite=True,
-        progress=simulated,
-        **effects,
-    )
+        folder, lines=lines, bands=bands, columns=columns, seed=seed, scene=scene, overwrite=True,
+        progress=simulated, **effects,
+    )  # fmt: skip
     middle = time.perf_counter()
     say(f"simulated {lines} lines x {bands} bands x {columns} columns in {middle - begin:.1f} s: {collect}")
     outcome = run(collect, folder / STORE, overwrite=True, progress=progress)
     say(f"processed as if it were real in {time.perf_counter() - middle:.1f} s: {outcome.path}")
-    found = compare(outcome.path, folder / "truth.zarr")
+    comparison = compare(outcome.path, folder / "truth.zarr")
     say("")
-    say(str(found))
+    say(str(comparison))
     say("")
-    say(_LEGEND.format(*BANDS_NM, *OXYGEN_NM, 100 * found.flagged))
-    if found.paints:
+    say(_LEGEND.format(*BANDS_NM, *OXYGEN_NM, 100 * comparison.flagged))
+    if comparison.paints:
         say("")
-        say(signature_table(found.paints))
-    _say_verdict(found, say)
+        say(signature_table(comparison.paints))
+    _say_verdict(comparison, say)
     _draw(outcome.path, folder / PICTURE, say)
-    return found
+    return comparison
 
 
-def _say_verdict(found: Comparison, say: Callable[[str], None]) -> None:
-    overall = found.overall
+def _say_verdict(comparison: Comparison, say: Callable[[str], None]) -> None:
+    overall = comparison.overall
     say(
         f"overall bias {overall.bias:+.5f} (tolerance {MAX_BIAS}, for each material too), "
         f"RMSE {overall.rmse:.5f} ({MAX_RMSE}), O2 window {overall.oxygen:.2%} ({MAX_OXYGEN:.1%}): "
-        + ("within tolerance" if found.ok else "OUTSIDE TOLERANCE")
+        + ("within tolerance" if comparison.ok else "OUTSIDE TOLERANCE")
     )
-    for problem in found.problems:
+    for problem in comparison.problems:
         say(f"  {problem}")
 
 

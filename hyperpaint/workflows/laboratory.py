@@ -48,10 +48,10 @@ def calibrate_sweep(
 
     sweep = open_sweep(path)
     try:
-        made = calibrate(sweep, progress=progress, **options)
+        calibration = calibrate(sweep, progress=progress, **options)
     except SchemaError as error:
         raise SchemaError(f"{path}: {error}") from error
-    return made.assign_attrs(sweep=Path(path).name)
+    return calibration.assign_attrs(sweep=Path(path).name)
 
 
 def write_calibration(
@@ -99,14 +99,14 @@ def write_calibration(
         from hyperpaint.pictures.plot_calibration import check_picture
 
         check_picture(Path(report))
-    made = calibrate_sweep(sweep, progress=progress, **options)
-    to_store(made, Path(out), overwrite=overwrite)
+    calibration = calibrate_sweep(sweep, progress=progress, **options)
+    to_store(calibration, Path(out), overwrite=overwrite)
     if report is not None:
         from hyperpaint.io.flightline.sweep_store import open_sweep
         from hyperpaint.pictures.plot_calibration import calibration_report
 
-        calibration_report(made, open_sweep(sweep), Path(report))
-    return made
+        calibration_report(calibration, open_sweep(sweep), Path(report))
+    return calibration
 
 
 def open_collect(

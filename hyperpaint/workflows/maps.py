@@ -45,33 +45,33 @@ def map_of_store(
     MissingExtraError
         A DEM needs rioxarray (extra ``geo``).
     """
-    found = _line_of(store, line)
+    flightline = _line_of(store, line)
     location: dict[str, Any] = {"ground": ground, "boresight": boresight, "lever_arm": lever_arm, "crs": crs}
     location["clock_offset_s"] = clock_offset
     location["dem"] = None if dem is None else _heights(dem, dem_heights, geoid)
     if (field_of_view, focal_length_mm, pixel_pitch_um) != (None, None, None):
         location["camera"] = PinholeCamera(
-            found.sizes["cross_track"],
+            flightline.sizes["cross_track"],
             pixel_pitch=None if pixel_pitch_um is None else 1e-6 * pixel_pitch_um,
             focal_length=None if focal_length_mm is None else 1e-3 * focal_length_mm,
             field_of_view=field_of_view,
             edges=None if field_of_view is None else "outer",
         )
     if column_order is not None:
-        told = Convention.from_attrs(found.attrs)
-        if told is None:
+        convention = Convention.from_attrs(flightline.attrs)
+        if convention is None:
             raise SchemaError(
                 f"{store} does not declare what the angles and heights of its line mean, and makers differ: "
                 "--column-order does not tell it; declare roll_positive, pitch_positive, heading_positive, "
                 "heading_reference, euler_order and height_reference in the table [navigation] of "
                 "collect.toml and process the collect again"
             )
-        location["convention"] = told.replace(column_order=column_order)
+        location["convention"] = convention.replace(column_order=column_order)
     given = {name: value for name, value in location.items() if value is not None}
-    return orthorectify(found, **options, **given)
+    return orthorectify(flightline, **options, **given)
 
 
-def write_map(made: xr.Dataset, path: Path, *, overwrite: bool = False, progress: bool = False) -> None:
+def write_map(orthomap: xr.Dataset, path: Path, *, overwrite: bool = False, progress: bool = False) -> None:
     """Write a map as GeoTIFF, or all of it as a Zarr store, by the end of its name.
 
     Raises
@@ -84,11 +84,11 @@ def write_map(made: xr.Dataset, path: Path, *, overwrite: bool = False, progress
     if path.suffix.lower() in (".tif", ".tiff"):
         from hyperpaint.io.maps.geotiff import write_geotiff
 
-        write_geotiff(made, path, overwrite=overwrite)
+        write_geotiff(orthomap, path, overwrite=overwrite)
         return
     from hyperpaint.io.store import to_store
 
-    to_store(made, path, overwrite=overwrite, progress=progress)
+    to_store(orthomap, path, overwrite=overwrite, progress=progress)
 
 
 def _line_of(store: Path, line: str | None) -> xr.Dataset:
@@ -103,8 +103,8 @@ def _line_of(store: Path, line: str | None) -> xr.Dataset:
         held = ", ".join(map(repr, lines))
         asked = "give --line" if line is None else f"there is no {line!r}"
         raise SchemaError(f"{store} holds the flight lines {held}; {asked}")
-    found: xr.Dataset = open_store(store, f"{prefix}{name}") if lines else open_store(store)
-    return found
+    flightline: xr.Dataset = open_store(store, f"{prefix}{name}") if lines else open_store(store)
+    return flightline
 
 
 def _heights(path: Path, reference: str | None, undulation: float | None) -> xr.DataArray:
@@ -114,11 +114,13 @@ def _heights(path: Path, reference: str | None, undulation: float | None) -> xr.
         needed = MissingExtraError.of("rioxarray", "geo", "opening a DEM")
         raise needed from error
     dem: Any = rioxarray.open_rasterio(path, masked=True)
-    told = {"height_reference": reference, "geoid_undulation": undulation}
-    made: xr.DataArray = dem.assign_attrs({name: value for name, value in told.items() if value is not None})
-    if "height_reference" not in made.attrs:
+    references = {"height_reference": reference, "geoid_undulation": undulation}
+    heights: xr.DataArray = dem.assign_attrs(
+        {name: value for name, value in references.items() if value is not None}
+    )
+    if "height_reference" not in heights.attrs:
         raise SchemaError(
             f"{path} does not say what its heights are above, and most DEMs are above the geoid; give "
             "--dem-heights ellipsoid, or --dem-heights geoid with --geoid, the height of the geoid there [m]"
         )
-    return made
+    return heights

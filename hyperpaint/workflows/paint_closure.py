@@ -17,13 +17,9 @@ if TYPE_CHECKING:
     import xarray as xr
 
 __all__ = [
-    "MAX_ERROR",
-    "PaintAgreement",
-    "aligned",
-    "compare_paints",
-    "signature_problems",
+    "MAX_ERROR", "PaintAgreement", "aligned", "blocks_with_truth", "compare_paints", "signature_problems",
     "signature_table",
-]
+]  # fmt: skip
 
 
 MAX_ERROR = 0.01
@@ -95,8 +91,8 @@ def compare_paints(store: Path, truth: Path, bands: tuple[float, float]) -> tupl
 
     from hyperpaint.io.store import list_groups
 
-    known = xr.open_zarr(truth)
-    attrs = known["paint_id"].attrs
+    true_scene = xr.open_zarr(truth)
+    attrs = true_scene["paint_id"].attrs
     names = dict(zip(attrs["flag_values"], str(attrs["flag_meanings"]).split(), strict=True))
     sums: dict[int, _Signature] = {}
     wavelength: Floats = np.zeros(0)
@@ -104,15 +100,26 @@ def compare_paints(store: Path, truth: Path, bands: tuple[float, float]) -> tupl
         line = xr.open_zarr(store, group=group)
         wavelength = line["wavelength"].values
         used = line["good"].values & (wavelength >= bands[0]) & (wavelength <= bands[1])
-        for recovered, true, number, car in _paint_pixels(line, known, used):
+        for recovered, true, number, car in _paint_pixels(line, true_scene, used):
             for paint in np.unique(number):
                 here = number == paint
                 sums.setdefault(int(paint), _Signature()).add(recovered[here], true[here], car[here])
     if not sums:
         return ()
     field = _field_spectra(truth.parent / "asd_reflectance", wavelength[used])
-    made = [one.agreement(names[paint], field[names[paint]]) for paint, one in sums.items()]
-    return tuple(sorted(made, key=lambda one: one.paint))
+    agreements = [one.agreement(names[paint], field[names[paint]]) for paint, one in sums.items()]
+    return tuple(sorted(agreements, key=lambda one: one.paint))
+
+
+def blocks_with_truth(
+    line: xr.Dataset, truth: xr.Dataset, names: list[str]
+) -> Iterator[tuple[xr.Dataset, xr.Dataset]]:
+    """Yield `CHUNK_LINES` lines at a time of a flight line, and ``names`` of the truth of the same frames."""
+    frames = line["frame"].values
+    for start in range(0, frames.size, CHUNK_LINES):
+        lines = slice(start, start + CHUNK_LINES)
+        true = truth[names].isel({ALONG_TRACK: frames[lines]})
+        yield line[["reflectance", "quality"]].isel({ALONG_TRACK: lines}).compute(), true.compute()
 
 
 Pixels = tuple[Floats, Floats, npt.NDArray[np.int64], npt.NDArray[np.int64]]
@@ -120,12 +127,8 @@ Pixels = tuple[Floats, Floats, npt.NDArray[np.int64], npt.NDArray[np.int64]]
 
 def _paint_pixels(line: xr.Dataset, truth: xr.Dataset, used: npt.NDArray[np.bool_]) -> Iterator[Pixels]:
     """Yield recovered and true reflectance (pixel, band), paint and car of the pixels that count."""
-    frames = line["frame"].values
     labels = ["reflectance", "paint_id", "car_id", "purity", "shadow", "up", "glint"]
-    for start in range(0, frames.size, CHUNK_LINES):
-        lines = slice(start, start + CHUNK_LINES)
-        true = truth[labels].isel({ALONG_TRACK: frames[lines]}).compute()
-        seen = line[["reflectance", "quality"]].isel({ALONG_TRACK: lines}).compute()
+    for seen, true in blocks_with_truth(line, truth, labels):
         chosen = (true["paint_id"].values >= 0) & (true["purity"].values > _PURE)
         chosen &= (true["shadow"].values < _LIT) & (true["up"].values > _ROOF) & (seen["quality"].values == 0)
         chosen &= ~true["glint"].values
@@ -160,13 +163,9 @@ class _Signature:
         recovered, true = np.asarray(self.recovered) / self.pixels, np.asarray(self.true) / self.pixels
         error = float(np.sqrt(np.mean((recovered / true - 1.0) ** 2)))
         return PaintAgreement(
-            paint=name,
-            cars=len(self.cars),
-            pixels=self.pixels,
-            recovered=float(recovered.mean()),
-            error=error,
-            field=float(field.mean()),
-        )
+            paint=name, cars=len(self.cars), pixels=self.pixels, recovered=float(recovered.mean()),
+            error=error, field=float(field.mean()),
+        )  # fmt: skip
 
 
 def _field_spectra(folder: Path, wavelength: Floats) -> dict[str, Floats]:
@@ -195,15 +194,11 @@ def signature_table(paints: Sequence[PaintAgreement]) -> str:
     head = ("signature", "cars", "pixels", "field", "recovered", "error")
     rows = [
         (
-            one.paint,
-            f"{one.cars}",
-            f"{one.pixels}",
-            f"{one.field:.4f}",
-            f"{one.recovered:.4f}",
+            one.paint, f"{one.cars}", f"{one.pixels}", f"{one.field:.4f}", f"{one.recovered:.4f}",
             f"{one.error:.2%}",
         )
         for one in paints
-    ]
+    ]  # fmt: skip
     lines = aligned([head, *rows])
     return "\n".join([lines[0], "-" * len(lines[0]), *lines[1:], "", _LEGEND])
 

@@ -5,24 +5,206 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import json
+import os
+import re
 import sys
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from hyperpaint.base.errors import CollectError, PaintError, Problems, SchemaError, StoreError
+from hyperpaint.base.errors import (
+    CollectError,
+    MissingExtraError,
+    PaintError,
+    Problems,
+    SchemaError,
+    StoreError,
+)
 from hyperpaint.base.schema import ALONG_TRACK, CHUNK_LINES, FORMAT_VERSION
 from hyperpaint.io.store.listing import INPUTS
-
-from .running import Outcome, bars_on_stderr, computing_on, kept_groups, local_folder
 
 if TYPE_CHECKING:
     import xarray as xr
     from distributed import Client
 
+    from hyperpaint.io.collect.collect_opening import Collect, OpenedCollect
     from hyperpaint.io.store.budget import Demand
+    from hyperpaint.io.store.location import Location
 
-__all__ = ["process", "run"]
+__all__ = ["Outcome", "bars_on_stderr", "computing_on", "kept_groups", "local_folder", "process", "run"]
+
+
+WORKERS_WAIT = 60
+"""How long a cluster without workers is waited for [s]."""
+
+_URL = re.compile(r"[A-Za-z][A-Za-z0-9+.-]+:/|.*::")
+"""A URL of fsspec, also one that has been made a `Path`; no drive's letter."""
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What a run did.
+
+    Attributes
+    ----------
+    path
+        The store.
+    written
+        Groups that were written.
+    unchanged
+        Groups that were there already, made from the same inputs and parameters.
+    """
+
+    path: Path
+    written: tuple[str, ...]
+    unchanged: tuple[str, ...]
+
+
+def local_folder(out: str | Path, command: str) -> Path:
+    """Return the store's folder; refuse what is none.
+
+    Raises
+    ------
+    StoreError
+        ``out`` is a URL.
+    """
+    if _URL.match(os.fspath(out)):
+        raise StoreError(
+            f"{command} writes to a folder, not to {os.fspath(out)!r}; {command} to a folder and copy it, or "
+            "write the groups of open_collect with to_store, which takes URLs (README, 'Object stores')"
+        )
+    return Path(out)
+
+
+def kept_groups(
+    groups: Mapping[str, xr.Dataset],
+    out: Path,
+    *,
+    overwrite: bool,
+    command: str,
+    only: tuple[str, str] | None = None,
+) -> list[str]:
+    """Return the groups that are there already; refuse a store that holds anything else.
+
+    Parameters
+    ----------
+    groups
+        Those that are to be there, each with its `INPUTS`.
+    out
+        The store.
+    overwrite
+        Whether groups made from something else are to be replaced.
+    command
+        What writes the store, named in messages.
+    only
+        No other group whose name begins with the first may be there: it would not be of the second.
+
+    Raises
+    ------
+    StoreError
+        Groups of other inputs stand where ours would, or beside them; all are listed.
+    """
+    from hyperpaint.io.store import is_complete, open_store
+    from hyperpaint.io.store.listing import groups_above
+    from hyperpaint.io.store.location import Location
+    from hyperpaint.io.store.overwriting import problems_above
+
+    if not out.exists():
+        return []
+    location = Location.of(out)
+    problems = Problems(f"cannot write {out}", StoreError)
+    above = dict.fromkeys(each for name in groups for each in groups_above(name))
+    for text in problems_above(above, location, overwrite=overwrite):
+        problems.add(text)
+    problems.raise_if_any()
+    complete = []
+    for name in location.groups():
+        same = is_complete(out, name) and open_store(out, name).attrs.get(INPUTS)
+        if name not in groups:
+            if only is not None and name.startswith(only[0]):
+                problems.add(f"it holds /{name}, which is not of {only[1]}; choose another path")
+        elif same == groups[name].attrs[INPUTS]:
+            # a chunk that is missing is made again by `to_store`, with all others of its group
+            if _has_all_chunks(location, name):
+                complete.append(name)
+        elif not overwrite:
+            state = "with other inputs or parameters" if same else f"never finished, or not by {command}"
+            problems.add(
+                f"/{name} is there already, {state}",
+                mend="pass overwrite=True to replace it",
+                option="pass --overwrite to replace it",
+            )
+    problems.raise_if_any()
+    return complete
+
+
+def _has_all_chunks(location: Location, group: str) -> bool:
+    from hyperpaint.io.store.listing import has_all_chunks
+    from hyperpaint.io.store.record import read_record
+
+    record = read_record(location, group)
+    return record is not None and has_all_chunks(location, group, record)
+
+
+# --- where it is computed ---
+
+
+@contextlib.contextmanager
+def computing_on(address: str | None) -> Iterator[Client | None]:
+    """Make a cluster the place where dask computes; the caller's own, or threads, without an address.
+
+    Raises
+    ------
+    MissingExtraError
+        distributed is not installed.
+    CollectError
+        No scheduler answers there.
+    StoreError
+        No worker comes.
+    """
+    from hyperpaint.io.store.computing import client_in_force
+
+    if address is None:
+        client = client_in_force()
+        if client is not None:
+            _wait_for_workers(client)
+        yield client
+        return
+    try:
+        from distributed import Client
+    except ImportError as error:
+        needed = MissingExtraError.of("distributed", "distributed", "processing on a cluster")
+        raise needed from error
+    try:
+        client = Client(address, timeout="10s", set_as_default=True)
+    except (OSError, ValueError, TimeoutError) as error:
+        raise CollectError(
+            f"no dask scheduler answers at {address!r} ({error}); expected something like tcp://host:8786"
+        ) from error
+    with client:
+        _wait_for_workers(client)
+        yield client
+
+
+def _wait_for_workers(client: Client) -> None:
+    """Wait for the first worker, whose memory decides how the run is done; refuse a cluster without any."""
+    try:
+        client.wait_for_workers(1, timeout=WORKERS_WAIT)
+    except TimeoutError as error:
+        raise StoreError(
+            f"no worker has come to the scheduler at {client.scheduler_info()['address']} within "
+            f"{WORKERS_WAIT} s; start some (dask worker ADDRESS), or wait longer yourself: "
+            "client.wait_for_workers(1)"
+        ) from error
+
+
+@contextlib.contextmanager
+def bars_on_stderr() -> Iterator[None]:
+    """Send progress bars to stderr, so that stdout holds results only."""
+    with contextlib.redirect_stdout(sys.stderr):
+        yield
+
 
 KEPT_BITS = 12
 """Mantissa bits of the stored reflectance: a relative error of at most 2**-13, 1.2e-4."""
@@ -106,28 +288,16 @@ def process(
     >>> xr.open_zarr(path, group="flightlines/raw_0").paint.rgb()                 # doctest: +SKIP
     """
     return run(
-        collect,
-        out,
-        to=to,
-        reflectance=reflectance,
-        scheduler=scheduler,
-        memory_limit=memory_limit,
-        overwrite=overwrite,
-        progress=progress,
-    ).path
+        collect, out, to=to, reflectance=reflectance, scheduler=scheduler, memory_limit=memory_limit,
+        overwrite=overwrite, progress=progress,
+    ).path  # fmt: skip
 
 
 def run(
-    collect: str | Path,
-    out: str | Path,
-    *,
-    to: Product = "reflectance",
-    reflectance: Kept = "stored",
-    scheduler: str | None = None,
-    memory_limit: str | int | None = None,
-    overwrite: bool = False,
+    collect: str | Path, out: str | Path, *, to: Product = "reflectance", reflectance: Kept = "stored",
+    scheduler: str | None = None, memory_limit: str | int | None = None, overwrite: bool = False,
     progress: bool = False,
-) -> Outcome:
+) -> Outcome:  # fmt: skip
     """Do what `process` does, and tell what was written; the arguments are those of `process`."""
     import xarray as xr
 
@@ -144,20 +314,20 @@ def run(
         client = stack.enter_context(computing_on(scheduler))
         stack.enter_context(errors_of_the_cluster(f"cannot process {collect}"))
         lines_a_task = CHUNK_LINES if client is None else CLUSTER_LINES
-        tree, groups = _opened(collect, lines_a_task, parameters)
-        kept = kept_groups(
+        opened, groups = _opened(collect, lines_a_task, parameters)
+        complete = kept_groups(
             groups, out, overwrite=overwrite, command="process", only=("flightlines/", "this collect")
         )
-        pending = [name for name in groups if name not in kept]
+        pending = [name for name in groups if name not in complete]
         demand = _demand({name: groups[name] for name in pending}, lines_a_task, client, limit)
         stack.enter_context(limited_threads(demand.threads if client is None else None))
         if demand.lines < lines_a_task:
-            tree, groups = _opened(collect, demand.lines, parameters)
-        made = {name: _product(groups[name], name, to, reflectance) for name in pending}
-        check_room(made, out, {name: _token(dataset) for name, dataset in made.items()})
-        _rehearse(made, collect, client)
-        lines = [name for name, dataset in made.items() if ALONG_TRACK in dataset.dims]
-        for name, dataset in made.items():
+            opened, groups = _opened(opened.settings, demand.lines, parameters)
+        products = {name: _product(groups[name], name, to, reflectance) for name in pending}
+        check_room(products, out, {name: _token(dataset) for name, dataset in products.items()})
+        _rehearse(products, collect, client)
+        lines = [name for name, dataset in products.items() if ALONG_TRACK in dataset.dims]
+        for name, dataset in products.items():
             if progress and name in lines:
                 which = f"flight line {lines.index(name) + 1} of {len(lines)}"
                 sys.stderr.write(f"{name}: {which}, {dataset.sizes[ALONG_TRACK]} scan lines\n")
@@ -165,9 +335,9 @@ def run(
                 to_store(
                     dataset, out, name, overwrite=overwrite, progress=progress, source_token=_token(dataset)
                 )
-        root = xr.DataTree(xr.Dataset(attrs=tree.attrs))
+        root = xr.DataTree(xr.Dataset(attrs=opened.tree.attrs))
         to_store(root, out, overwrite=overwrite)
-    return Outcome(out, tuple(made), tuple(kept))
+    return Outcome(out, tuple(products), tuple(complete))
 
 
 def _check_words(to: str, reflectance: str) -> None:
@@ -185,23 +355,23 @@ def _check_words(to: str, reflectance: str) -> None:
 
 
 def _opened(
-    collect: str | Path, lines: int, parameters: Mapping[str, Any]
-) -> tuple[xr.DataTree, dict[str, xr.Dataset]]:
+    collect: str | Path | Collect, lines: int, parameters: Mapping[str, Any]
+) -> tuple[OpenedCollect, dict[str, xr.Dataset]]:
     """Open a collect with so many lines a task; return it, and the groups of a store."""
-    from .laboratory import open_collect
+    from hyperpaint.io.collect.collect_opening import open_with_settings
 
-    need_irradiance = parameters["to"] == "reflectance"
-    tree = open_collect(collect, need_irradiance=need_irradiance, chunks={ALONG_TRACK: lines})
-    return tree, _groups(tree, Path(collect), parameters)
+    from .laboratory import calibrate_sweep
+
+    opened = open_with_settings(
+        collect, need_irradiance=parameters["to"] == "reflectance", chunks={ALONG_TRACK: lines},
+        calibrate=calibrate_sweep,
+    )  # fmt: skip
+    return opened, _groups(opened, parameters)
 
 
-def _groups(tree: xr.DataTree, collect: Path, parameters: Mapping[str, Any]) -> dict[str, xr.Dataset]:
+def _groups(opened: OpenedCollect, parameters: Mapping[str, Any]) -> dict[str, xr.Dataset]:
     """Return the groups of a store as they were opened, each naming what it is made from."""
-    from hyperpaint.io.collect.collect_opening import read_collect
-    from hyperpaint.io.envi.envi_cubes import find_pair
-
-    entries = read_collect(collect, need_irradiance=parameters["to"] == "reflectance").flightlines
-    cubes = {f"flightlines/{entry.id}": find_pair(entry.cube)[1] for entry in entries}
+    tree, cubes = opened.tree, opened.cubes
     groups = {}
     references = (f"references/{name}" for name in tree.children.get("references", {}))
     for name in (*cubes, "irradiance", "calibration", *references):
@@ -219,40 +389,40 @@ def _digest(dataset: xr.Dataset, cube: Path | None, parameters: Mapping[str, Any
     import dask
     import numpy as np
 
-    found = hashlib.sha256(json.dumps([FORMAT_VERSION, KEPT_BITS, parameters], sort_keys=True).encode())
+    digest = hashlib.sha256(json.dumps([FORMAT_VERSION, KEPT_BITS, parameters], sort_keys=True).encode())
     if cube is not None:
         status = cube.stat()
-        found.update(f"{cube.name} {status.st_size} {status.st_mtime_ns}".encode())
-    found.update(json.dumps(dataset.attrs, sort_keys=True, default=str).encode())
+        digest.update(f"{cube.name} {status.st_size} {status.st_mtime_ns}".encode())
+    digest.update(json.dumps(dataset.attrs, sort_keys=True, default=str).encode())
     for name, variable in sorted(dataset.variables.items(), key=lambda item: str(item[0])):
-        found.update(f"{name} {variable.dims} {variable.shape} {variable.dtype} {variable.attrs}".encode())
+        digest.update(f"{name} {variable.dims} {variable.shape} {variable.dtype} {variable.attrs}".encode())
         if not dask.is_dask_collection(variable):
             values = np.ascontiguousarray(variable.values)
             # of texts numpy holds places in memory
-            found.update(repr(values.tolist()).encode() if values.dtype == object else values.tobytes())
-    return found.hexdigest()[:32]
+            digest.update(repr(values.tolist()).encode() if values.dtype == object else values.tobytes())
+    return digest.hexdigest()[:32]
 
 
 def _token(dataset: xr.Dataset) -> str:
     return str(dataset.attrs[INPUTS])
 
 
-def _product(dataset: xr.Dataset, name: str, to: Product, kept: Kept) -> xr.Dataset:
+def _product(dataset: xr.Dataset, name: str, to: Product, storage: Kept) -> xr.Dataset:
     """Return a flight line with all that is stored of it; other groups as they are."""
     if not name.startswith("flightlines/"):
         return dataset
-    made: xr.Dataset
+    product: xr.Dataset
     if to == "radiance":
-        made = dataset.paint.radiance()
-        return made.drop_vars("radiance") if kept == "none" and "counts" in made else made
+        product = dataset.paint.radiance()
+        return product.drop_vars("radiance") if storage == "none" and "counts" in product else product
     from hyperpaint.pictures.plot import overview
 
-    made = dataset.paint.reflectance(keep_bits=KEPT_BITS)
-    made["reflectance"].attrs["keep_bits"] = KEPT_BITS
-    picture = overview(made)
+    product = dataset.paint.reflectance(keep_bits=KEPT_BITS)
+    product["reflectance"].attrs["keep_bits"] = KEPT_BITS
+    picture = overview(product)
     if picture is not None:
-        made = made.assign(overview=picture)
-    return made.drop_vars("reflectance") if kept == "none" else made
+        product = product.assign(overview=picture)
+    return product.drop_vars("reflectance") if storage == "none" else product
 
 
 def _rehearse(groups: Mapping[str, xr.Dataset], collect: str | Path, client: Client | None) -> None:
@@ -287,13 +457,10 @@ def _demand(groups: Mapping[str, xr.Dataset], lines: int, client: Client | None,
     if client is None:
         resident = budget.resident_memory()
         return budget.fit(
-            loads,
-            lines=lines,
-            threads=budget.thread_count(),
-            fixed=max(budget.PROCESS, resident + budget.RUNNING),
-            limit=budget.process_limit(resident, limit),
+            loads, lines=lines, threads=budget.thread_count(),
+            fixed=max(budget.PROCESS, resident + budget.RUNNING), limit=budget.process_limit(resident, limit),
             a_thread=budget.thread_space(),
-        )
+        )  # fmt: skip
     workers = client.scheduler_info(n_workers=-1)["workers"].values()
     limits = [worker["memory_limit"] for worker in workers if worker["memory_limit"]]
     if limit is None and limits:

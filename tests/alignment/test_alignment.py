@@ -15,7 +15,7 @@ import hyperpaint as hp
 from hyperpaint.base.errors import SchemaError
 from hyperpaint.simulation import simulate_line
 from hyperpaint.simulation.atmosphere import Sky
-from hyperpaint.simulation.paints import MATERIALS, reflectance as surface_reflectance
+from hyperpaint.simulation.paint_spectra import MATERIALS, reflectance as surface_reflectance
 
 GRID = np.arange(650.0, 1010.0, 0.05)
 SPACING = 602.064 / 271

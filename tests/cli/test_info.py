@@ -11,7 +11,7 @@ from support.codecs import plain_zarr
 from support.library_examples import make_library
 
 import hyperpaint as hp
-from hyperpaint.cli.info import describe_path
+from hyperpaint.cli.info_command import describe_path
 
 
 @pytest.fixture

@@ -21,7 +21,7 @@ from hyperpaint.cli.program import main
 from hyperpaint.io.store import list_groups
 from hyperpaint.simulation.camera import Camera
 from hyperpaint.simulation.settings import SimulationSettings
-from hyperpaint.workflows.rendering import products
+from hyperpaint.workflows import render_products
 
 Hyperpaint = Callable[..., Result]
 
@@ -205,14 +205,14 @@ def test_counts_do_not_depend_on_chunks(chunk: int) -> None:
 
     def counts(lines: int) -> xr.Dataset:
         cube = xr.DataArray(values, dims=("along_track", "band", "cross_track")).chunk(along_track=lines)
-        return products.counts_of(cube, camera, 5e-3, 7, "noon")
+        return render_products.counts_of(cube, camera, 5e-3, 7, "noon")
 
     made, reference = counts(chunk), counts(1)
     assert made.counts.dtype == made.counts.compute().dtype == np.uint16
     with dask.config.set(scheduler="synchronous"):
         expected = reference.compute()
     xr.testing.assert_identical(made.compute(), expected)
-    other = products.counts_of(reference.counts.astype("f4"), camera, 5e-3, 8, "noon")
+    other = render_products.counts_of(reference.counts.astype("f4"), camera, 5e-3, 8, "noon")
     assert not np.array_equal(other.dark_counts, reference.dark_counts)
 
 
@@ -369,9 +369,9 @@ def test_problems_are_one_message_and_status_2(hyperpaint: Hyperpaint, tmp_path:
 
 
 def test_the_example_is_printed_and_help_teaches(hyperpaint: Hyperpaint) -> None:
-    from hyperpaint.workflows.rendering.example import EXAMPLE
+    from hyperpaint.workflows.scene_files import example_scene
 
-    assert hyperpaint("render", "--example").stdout == EXAMPLE
+    assert hyperpaint("render", "--example").stdout == example_scene()
     shown = hyperpaint("render", "--help").stdout
     assert "hyperpaint render --example > scene.toml" in shown
     assert "\n  render " in hyperpaint("--help").stdout

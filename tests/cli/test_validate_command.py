@@ -14,7 +14,7 @@ from support.agreeing_spectra import NM, agreeing, field, library, seen, smooth
 
 import hyperpaint as hp
 from hyperpaint.cli.program import main
-from hyperpaint.simulation.paints import CAR_PAINTS
+from hyperpaint.simulation.paint_spectra import CAR_PAINTS
 
 
 def run(*words: object) -> Result:
@@ -221,7 +221,7 @@ def test_a_store_named_inside_a_library_is_looked_for_beside_it_only(tmp_path: P
 
 
 def test_numbers_that_are_none_make_valid_json(tmp_path: Path) -> None:
-    from hyperpaint.workflows.validation_files import write_table
+    from hyperpaint.workflows.library_files import write_table
 
     paints, reference = agreeing()
     found = hp.validate(paints.isel(band=slice(0, 9)), field(reference["reflectance"].values))
@@ -248,7 +248,7 @@ def test_a_wrong_picture_is_refused_before_the_work(
     def work(*_: object, **__: object) -> None:
         pytest.fail("the work was done first")
 
-    monkeypatch.setattr("hyperpaint.workflows.validation_files.validate_files", work)
+    monkeypatch.setattr("hyperpaint.workflows.library_files.validate_files", work)
     done = run("validate", stored, "--reference", references, "--plot", tmp_path / "p.nope")
     assert done.exit_code == 2
     assert "expected a name that ends in one of" in done.stderr

@@ -6,7 +6,7 @@ import numpy as np
 import pyproj
 import pytest
 
-from hyperpaint.simulation.ellipsoid import (
+from hyperpaint.simulation.trajectories import (
     LocalFrame,
     TransverseMercator,
     geocentric,

@@ -9,7 +9,7 @@ from numpy.testing import assert_allclose
 from scipy.integrate import quad
 
 from hyperpaint.base.errors import PaintWarning, SchemaError
-from hyperpaint.simulation.paints import Paint
+from hyperpaint.simulation.paint_spectra import Paint
 from hyperpaint.simulation.rendering.materials import (
     KINDS,
     Coat,

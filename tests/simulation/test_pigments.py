@@ -11,7 +11,7 @@ from hypothesis import given, settings, strategies as st
 from numpy.testing import assert_allclose
 
 from hyperpaint.base.errors import SchemaError
-from hyperpaint.simulation.paints import CAR_PAINTS, MATERIALS
+from hyperpaint.simulation.paint_spectra import CAR_PAINTS, MATERIALS
 from hyperpaint.simulation.rendering.materials import Coat, base_albedo
 from hyperpaint.simulation.rendering.scene_spectra import (
     FAMILIES,

@@ -16,7 +16,7 @@ from click.testing import CliRunner
 from hyperpaint.base.errors import SchemaError
 from hyperpaint.cli.program import main
 from hyperpaint.simulation import SimulationSettings, simulate_collect, simulate_line
-from hyperpaint.simulation.paints import MATERIALS
+from hyperpaint.simulation.paint_spectra import MATERIALS
 from hyperpaint.simulation.rendered_flight import RenderedFlight
 
 SMALL: dict[str, Any] = {

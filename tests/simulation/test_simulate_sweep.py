@@ -22,7 +22,7 @@ from hyperpaint.simulation import (
     simulate_sweep,
     write_sweep,
 )
-from hyperpaint.simulation.sensor import nominal_responsivity
+from hyperpaint.simulation.camera import nominal_responsivity
 
 QUIET: dict[str, Any] = {"noise": False, "quantise": False}
 EVEN: dict[str, Any] = {"nonuniformity": 0.0, "smile_nm": 0.0}

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from hyperpaint.simulation.atmosphere import spectral_grid
-from hyperpaint.simulation.sensor import (
-    SHAPES,
+from hyperpaint.simulation.camera import (
     Detector,
     Imager,
     convolve_gaussian,
@@ -16,6 +15,7 @@ from hyperpaint.simulation.sensor import (
     line_shape,
     smile,
 )
+from hyperpaint.simulation.settings import SHAPES
 
 K = np.sqrt(np.pi / (4 * np.log(2)))
 PEAK, WIDTH, SPACING = 2.0e16, 6.0, 600 / 271

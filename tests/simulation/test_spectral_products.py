@@ -12,8 +12,8 @@ from hypothesis import given, strategies as st
 from support.traced_scenes import seen_by
 
 from hyperpaint.base.errors import SchemaError
-from hyperpaint.simulation.camera import Camera
-from hyperpaint.simulation.paints import CAR_PAINTS, reflectance
+from hyperpaint.simulation.camera import Camera, nominal_responsivity
+from hyperpaint.simulation.paint_spectra import CAR_PAINTS, reflectance
 from hyperpaint.simulation.rendering import lighting
 from hyperpaint.simulation.rendering.camera_bands import BandResponses, BandSet, cell_means
 from hyperpaint.simulation.rendering.four_curves import Atmosphere
@@ -25,7 +25,6 @@ from hyperpaint.simulation.rendering.path_codes import (
     is_mirrored,
     source_of,
 )
-from hyperpaint.simulation.sensor import nominal_responsivity
 from hyperpaint.simulation.settings import SimulationSettings
 
 NAMES = list(CAR_PAINTS)

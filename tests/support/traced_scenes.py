@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
+from hyperpaint.simulation.camera import line_shape
 from hyperpaint.simulation.rendering.camera_bands import BandSet
 from hyperpaint.simulation.rendering.four_curves import Atmosphere
 from hyperpaint.simulation.rendering.materials import Coat, Flakes, Material, measured_factor
@@ -14,7 +15,6 @@ from hyperpaint.simulation.rendering.platforms import Platform, pushbroom
 from hyperpaint.simulation.rendering.scene import Instance, Scene, box, plane
 from hyperpaint.simulation.rendering.scene_record import SceneRecord
 from hyperpaint.simulation.rendering.scene_spectra import spectrum_of
-from hyperpaint.simulation.sensor import line_shape
 
 SUN = (40.0, 150.0)
 LOW_SUN = (75.0, 260.0)

@@ -21,7 +21,7 @@ from hyperpaint.light.sun import diffuse_fraction, solar_position
 from hyperpaint.surroundings import flags
 from hyperpaint.surroundings.flags import flag_line, is_flagged
 from hyperpaint.workflows import signature_files
-from hyperpaint.workflows.signature_files import write_signatures
+from hyperpaint.workflows.library_files import write_signatures
 
 LINES, BANDS, COLUMNS = 48, 24, 40
 NM = np.linspace(420.0, 980.0, BANDS)

@@ -120,7 +120,7 @@ def test_rerun_changes_nothing(collect: Path, tmp_path: Path) -> None:
     first = run(collect, out)
     before = state_of(tmp_path)
     second = run(collect, out)
-    assert set(second.kept) == set(first.written)
+    assert set(second.unchanged) == set(first.written)
     assert second.written == ()
     assert state_of(tmp_path) == before
 
@@ -152,7 +152,7 @@ def test_other_inputs_are_refused_without_overwrite(collect: Path, tmp_path: Pat
     assert "/calibration" not in str(caught.value)
     assert state_of(out) == before
     found = run(collect, out, overwrite=True)
-    assert found.kept == ("calibration", "references/asd", "references/svc")
+    assert found.unchanged == ("calibration", "references/asd", "references/svc")
     assert hp.verify(out).ok
 
 

@@ -13,9 +13,8 @@ from hypothesis import HealthCheck, given, settings, strategies as st
 
 from hyperpaint.base.errors import FormatError, SchemaError
 from hyperpaint.io.spectrometers.spectrum_csv import read_spectrum_csv
-from hyperpaint.workflows.rendering.example import EXAMPLE
-from hyperpaint.workflows.rendering.scene_files import SceneFile, read_scene_file
-from hyperpaint.workflows.rendering.scene_parts import build_parts, chosen_atmospheres
+from hyperpaint.workflows.scene_files import SceneFile, example_scene, read_scene_file
+from hyperpaint.workflows.scene_parts import build_parts, chosen_atmospheres
 
 SMALL = """\
 [scene]
@@ -53,7 +52,7 @@ def refused(path: Path) -> str:
 
 
 def test_the_example_says_what_it_says(write: Write) -> None:
-    file = read_scene_file(write(EXAMPLE))
+    file = read_scene_file(write(example_scene()))
     assert isinstance(file, SceneFile)
     assert file.name == "scene"
     assert file.scene == {"kind": "car_park", "seed": 3, "length_m": 22.0, "width_m": 16.0}
@@ -67,7 +66,7 @@ def test_the_example_says_what_it_says(write: Write) -> None:
 
 
 def test_what_the_example_has_commented_out_is_known_too(write: Write, tmp_path: Path) -> None:
-    whole = re.sub(r"(?m)^# (?=\[|[a-z_0-9]+ = )", "", EXAMPLE)
+    whole = re.sub(r"(?m)^# (?=\[|[a-z_0-9]+ = )", "", example_scene())
     assert whole.count("\n[[meshes]]") == 1
     (tmp_path / "spectra").mkdir()
     (tmp_path / "spectra" / "mine.csv").write_text("300,0.2\n1200,0.3\n")
@@ -86,7 +85,7 @@ def test_what_the_example_has_commented_out_is_known_too(write: Write, tmp_path:
 
 
 def test_a_flight_is_over_the_middle_of_what_is_there(write: Write) -> None:
-    park = build_parts(read_scene_file(write(EXAMPLE.replace("wobble_deg = 0.1", "wobble_deg = 0"))))
+    park = build_parts(read_scene_file(write(example_scene().replace("wobble_deg = 0.1", "wobble_deg = 0"))))
     np.testing.assert_allclose(park.platform.position.mean(axis=0), [0.0, 11.0, 15.0], atol=1e-9)
     assert park.camera.imager.wavelength_shift.size == park.platform.columns == 160
 
@@ -254,7 +253,7 @@ def test_folders_and_long_files_are_refused(tmp_path: Path) -> None:
 @settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(st.data())
 def test_mutated_files_raise_only_our_errors(tmp_path: Path, data: st.DataObject) -> None:
-    text = bytearray(EXAMPLE.encode())
+    text = bytearray(example_scene().encode())
     for _ in range(data.draw(st.integers(1, 4))):
         place = data.draw(st.integers(0, len(text) - 1))
         text[place : place + data.draw(st.integers(0, 6))] = data.draw(st.binary(max_size=6))

@@ -12,7 +12,7 @@ from click.testing import CliRunner, Result
 import hyperpaint as hp
 from hyperpaint.base.errors import SchemaError, StoreError
 from hyperpaint.cli.program import main
-from hyperpaint.workflows.signature_files import write_signatures
+from hyperpaint.workflows.library_files import write_signatures
 
 HOOD = hp.Region("hood", [(1, 2), (9, 2), (9, 12), (1, 12)], flightline="raw_0", properties={"make": "x"})
 ROOF = hp.Region("roof", [(2, 3), (12, 9), (4, 15)], flightline="raw_16", properties={"reference": "svc"})

@@ -20,8 +20,8 @@ from numpy.typing import NDArray
 
 from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import Problems, SchemaError
-from hyperpaint.simulation.sensor import SHAPES, Imager, line_shape
-from hyperpaint.simulation.settings import SimulationSettings
+from hyperpaint.simulation.camera import Imager, line_shape
+from hyperpaint.simulation.settings import SHAPES, SimulationSettings
 
 __all__ = ["BandResponses", "BandSet", "cell_means"]
 

@@ -16,7 +16,7 @@ from typing import Literal
 import numpy as np
 
 from hyperpaint.base.errors import Problems, SchemaError
-from hyperpaint.simulation.paints import PANELS
+from hyperpaint.simulation.paint_spectra import PANELS
 
 from .car_bodies import CAR_TYPES, car_body
 from .materials import Coat, Material

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from hyperpaint.base.arrays import Array, Floats, Floats32, Ints
 from hyperpaint.base.errors import SchemaError
-from hyperpaint.simulation.sensor import Imager
+from hyperpaint.simulation.camera import Imager
 
 from .camera_bands import BandResponses, BandSet, cell_means
 from .four_curves import Atmosphere
@@ -296,7 +296,7 @@ class ProductTable:
 
         ``R`` is responsivity x line shape, with the smile at the table's nodes; the elements' own factors
         (`Imager.element_factor`) are left to the caller. Mixed, and multiplied by that factor, it is what
-        `hyperpaint.simulation.sensor.expected_counts` takes. Parameters are those of `of`.
+        `hyperpaint.simulation.camera.expected_counts` takes. Parameters are those of `of`.
 
         Examples
         --------

@@ -27,7 +27,7 @@ from hyperpaint.base.schema import (
     label,
     require,
 )
-from hyperpaint.simulation.sensor import convolve_gaussian
+from hyperpaint.simulation.camera import convolve_gaussian
 
 from .camera_bands import BandResponses, BandSet, cell_means
 from .four_curves import Atmosphere, preset_atmosphere

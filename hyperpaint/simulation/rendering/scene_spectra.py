@@ -1,8 +1,8 @@
 """Every reflectance spectrum that a scene can name: near normal, without the mirror reflection.
 
 Car paints lie under a clear coat whose first reflection the renderer makes itself, so that it is left out
-here: of the paints of `hyperpaint.simulation.paints`, Saunderson's k1 is taken off. What has no coat keeps
-all that it reflects. Of glass, what is behind it is left.
+here: of the paints of `hyperpaint.simulation.paint_spectra`, Saunderson's k1 is taken off. What has no coat
+keeps all that it reflects. Of glass, what is behind it is left.
 
 *Car paints* come from a few parameters: pigments in a binder, flakes among them, a clear coat over all.
 A base is as thick as light goes. Its albedo follows from the absorption over the scattering of its pigments,
@@ -24,7 +24,7 @@ import numpy as np
 
 from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import SchemaError
-from hyperpaint.simulation.paints import CAR_PAINTS, MATERIALS, Bump, Edge, Feature, Paint, Plain
+from hyperpaint.simulation.paint_spectra import CAR_PAINTS, MATERIALS, Bump, Edge, Feature, Paint, Plain
 
 from .materials import Coat, Flakes, Material, coated_reflectance
 

@@ -95,7 +95,7 @@ def _collect(path: Path) -> None:
 
 
 def _info(path: Path) -> None:
-    from hyperpaint.cli.info import describe_path
+    from hyperpaint.cli.info_command import describe_path
 
     describe_path(path)
 
@@ -279,7 +279,7 @@ def warm_up() -> None:
         "hyperpaint.io.spectrometers.asd",
         "hyperpaint.io.spectrometers.irradiance",
         "hyperpaint.io.store.guard",
-        "hyperpaint.cli.info",
+        "hyperpaint.cli.info_command",
         "google_crc32c",
         "dask.array",
         "fsspec.core",

@@ -13,7 +13,7 @@ from hypothesis import given, settings, strategies as st
 import hyperpaint as hp
 from hyperpaint.base.attitude_conventions import Convention
 from hyperpaint.base.errors import FormatError, PaintWarning, SchemaError, TimeError
-from hyperpaint.cli.info import describe_path
+from hyperpaint.cli.info_command import describe_path
 
 POSE = ("latitude", "longitude", "altitude", "roll", "pitch", "heading")
 GPS_EPOCH = np.datetime64("1980-01-06T00:00:00", "ns")

@@ -17,10 +17,10 @@ from support.svc_texts import GRID, MATCHED, PANEL, SURFACE, german, svc_text
 import hyperpaint as hp
 from hyperpaint.base.errors import FormatError, PaintWarning, SchemaError, TimeError
 from hyperpaint.base.units import conversion_factor
-from hyperpaint.cli.info import describe_path
+from hyperpaint.cli.info_command import describe_path
 from hyperpaint.io.spectrometers.svc import SVC_JOINS, open_svc
 from hyperpaint.io.spectrometers.svc_layout import is_svc, position_of, read_svc
-from hyperpaint.simulation.svc_files import svc_wavelengths, write_svc
+from hyperpaint.simulation.instruments import svc_wavelengths, write_svc
 
 VENDORS = conversion_factor("1e-10 W cm-2 sr-1 nm-1", "W m-2 sr-1 nm-1")
 

@@ -13,7 +13,7 @@ from support.svc_texts import german
 
 from hyperpaint.base.errors import FormatError, PaintWarning
 from hyperpaint.base.units import conversion_factor
-from hyperpaint.cli.info import describe_path
+from hyperpaint.cli.info_command import describe_path
 from hyperpaint.io.spectrometers.svc import open_svc
 from hyperpaint.io.spectrometers.svc_layout import read_svc
 

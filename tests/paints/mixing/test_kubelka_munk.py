@@ -9,7 +9,7 @@ from scipy.integrate import solve_ivp
 
 from hyperpaint.base.errors import SchemaError
 from hyperpaint.paints.mixing.kubelka_munk import Interface, absorption_to_scattering, thick_layer_reflectance
-from hyperpaint.simulation.paints import Paint
+from hyperpaint.simulation.paint_spectra import Paint
 from hyperpaint.simulation.rendering.materials import fresnel_reflectance, internal_reflectance
 
 

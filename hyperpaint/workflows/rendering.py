@@ -1,4 +1,29 @@
-"""From a ``scene.toml`` to one finished store: rays once, then a render in every light."""
+"""Rendering of a ``scene.toml``: what is seen, where from, by what, in which light.
+
+The tables of the file, each key with its unit in its name; `EXAMPLE` shows them all (``hyperpaint render
+--example``):
+
+``[scene]``
+    ``kind``: "car_park" (arguments of `hyperpaint.simulation.rendering.car_parks.car_park`), "plane"
+    (``size_m``, ``spectrum``) or "empty"; ``name``, ``seed``.
+``[[meshes]]``
+    ``path`` of an .obj, .glb or .ply file; ``spectrum``, or ``materials`` by the names of its parts;
+    ``name``, ``kind``, ``class``, ``coat_index``, ``coat_roughness``, ``flakes``; ``offset_m``,
+    ``heading_deg``, ``unit_m``, ``up``.
+``[platform]``
+    ``lines`` and ``columns``, and arguments of `hyperpaint.simulation.rendering.platforms.pushbroom`.
+``[camera]``
+    Fields of `hyperpaint.simulation.SimulationSettings` that make a camera.
+``[[atmospheres]]``
+    ``name``, and a ``preset`` ("noon", "near_sunset", "cloudy"), a ``table`` of four curves, or the
+    ``irradiance`` files of a spectrometer; ``sun_zenith_deg``, ``sun_azimuth_deg``, ``oktas`` and others.
+``[sampling]``
+    ``samples``, ``depth``, ``slots``, ``seed``, ``sun_radius_deg``.
+``[spectra]``, ``[paints]``
+    Name to a file with a spectrum; name of a spectrum, material or car to that of its new spectrum.
+``[output]``
+    ``product``: "radiance" or "counts"; ``true_reflectance``.
+"""
 
 from __future__ import annotations
 
@@ -12,12 +37,12 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from hyperpaint.base.errors import Problems, SchemaError, StoreError
+from hyperpaint.base.errors import MissingExtraError, Problems, SchemaError, StoreError
 from hyperpaint.base.schema import CHUNK_LINES, FORMAT_VERSION
 from hyperpaint.io.store.budget import size_text
 from hyperpaint.io.store.listing import INPUTS
 from hyperpaint.simulation.rendering.scene_record import MOST_SAMPLES
-from hyperpaint.workflows.running import Outcome, bars_on_stderr, computing_on, kept_groups, local_folder
+from hyperpaint.workflows.pipeline import Outcome, bars_on_stderr, computing_on, kept_groups, local_folder
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -25,7 +50,8 @@ if TYPE_CHECKING:
     from .scene_files import SceneFile
     from .scene_parts import Parts
 
-__all__ = ["TRANSPORT", "render_scene", "run"]
+__all__ = ["TRANSPORT", "draw_renders", "render_scene", "run"]
+
 
 TRANSPORT = "transport"
 """Group of the traced scene."""
@@ -106,28 +132,16 @@ def render_scene(
     >>> xr.open_zarr(path, group="renders/noon").paint.reflectance()            # doctest: +SKIP
     """
     return run(
-        path,
-        out,
-        samples=samples,
-        to=to,
-        atmospheres=atmospheres,
-        scheduler=scheduler,
-        overwrite=overwrite,
+        path, out, samples=samples, to=to, atmospheres=atmospheres, scheduler=scheduler, overwrite=overwrite,
         progress=progress,
-    ).path
+    ).path  # fmt: skip
 
 
 def run(
-    path: str | Path,
-    out: str | Path,
-    *,
-    samples: int | None = None,
-    to: str | None = None,
-    atmospheres: Sequence[str] = (),
-    scheduler: str | None = None,
-    overwrite: bool = False,
+    path: str | Path, out: str | Path, *, samples: int | None = None, to: str | None = None,
+    atmospheres: Sequence[str] = (), scheduler: str | None = None, overwrite: bool = False,
     progress: bool = False,
-) -> Outcome:
+) -> Outcome:  # fmt: skip
     """Do what `render_scene` does, and tell what was written; the arguments are those of `render_scene`."""
     import xarray as xr
 
@@ -149,21 +163,23 @@ def run(
         lines = CHUNK_LINES if client is None else CLUSTER_LINES
         traced = _traced(file, parts, lines)
         planned = {TRANSPORT: traced, **_renders(traced, file, parts, chosen)}
-        kept = kept_groups(planned, out, overwrite=overwrite, command="render")
-        _refuse_orphans(out, planned, kept)
-        pending = [name for name in planned if name not in kept]
+        complete = kept_groups(planned, out, overwrite=overwrite, command="render")
+        _refuse_orphans(out, planned, complete)
+        pending = [name for name in planned if name not in complete]
         tokens = {name: str(planned[name].attrs[INPUTS]) for name in pending}
         check_room({name: planned[name] for name in pending}, out, tokens)
         for name in pending:
-            made = traced if name == TRANSPORT else _of_stored(out, name, file, parts)
+            dataset = traced if name == TRANSPORT else _of_stored(out, name, file, parts)
             if progress:
                 sys.stderr.write(_announcement(name, file))
             with bars_on_stderr() if progress else contextlib.nullcontext():
-                to_store(made, out, name, overwrite=overwrite, progress=progress, source_token=tokens[name])
+                to_store(
+                    dataset, out, name, overwrite=overwrite, progress=progress, source_token=tokens[name]
+                )
         text = file.path.read_text(encoding="utf-8")
         root = xr.DataTree(xr.Dataset(attrs={"name": file.name, "scene_file": text}))
         to_store(root, out, overwrite=True)
-    return Outcome(out, tuple(pending), tuple(kept))
+    return Outcome(out, tuple(pending), tuple(complete))
 
 
 def _changed(file: SceneFile, samples: int | None, to: str | None) -> SceneFile:
@@ -208,21 +224,14 @@ def _traced(file: SceneFile, parts: Parts, lines: int) -> xr.Dataset:
     """Return the scene, to be traced in blocks of so many lines."""
     from hyperpaint.simulation.rendering.tracing import trace
 
-    from .products import pose_of
+    from .render_products import pose_of
 
     sampling = file.sampling
     traced = trace(
-        parts.scene,
-        parts.platform,
-        parts.suns,
-        samples=sampling.samples,
-        depth=sampling.depth,
-        seed=sampling.seed,
-        slots=sampling.slots,
-        overcast=parts.overcast,
-        sun_radius=sampling.sun_radius_deg,
+        parts.scene, parts.platform, parts.suns, samples=sampling.samples, depth=sampling.depth,
+        seed=sampling.seed, slots=sampling.slots, overcast=parts.overcast, sun_radius=sampling.sun_radius_deg,
         chunk_lines=lines,
-    )
+    )  # fmt: skip
     inputs = {
         "format": FORMAT_VERSION,
         "scene": {**file.scene, "name": file.name},
@@ -239,9 +248,9 @@ def _renders(
     traced: xr.Dataset, file: SceneFile, parts: Parts, names: Sequence[str]
 ) -> dict[str, xr.Dataset]:
     """Return the renders of a traced scene by group."""
-    from .products import Render
+    from .render_products import Render
 
-    made = {}
+    renders = {}
     for atmosphere in parts.atmospheres:
         if atmosphere.name in names:
             inputs = {
@@ -254,14 +263,11 @@ def _renders(
                 "product": [file.product, file.true_reflectance, file.sampling.seed],
             }
             render = Render(atmosphere, parts.camera, parts.platform, parts.spectra, file.paints)
-            made[RENDERS + atmosphere.name] = render.of(
-                traced,
-                product=file.product,
-                true_reflectance=file.true_reflectance,
-                seed=file.sampling.seed,
+            renders[RENDERS + atmosphere.name] = render.of(
+                traced, product=file.product, true_reflectance=file.true_reflectance, seed=file.sampling.seed,
                 noise=parts.noise,
-            ).assign_attrs({INPUTS: _digest(inputs)})
-    return made
+            ).assign_attrs({INPUTS: _digest(inputs)})  # fmt: skip
+    return renders
 
 
 def _of_stored(out: Path, group: str, file: SceneFile, parts: Parts) -> xr.Dataset:
@@ -272,11 +278,11 @@ def _of_stored(out: Path, group: str, file: SceneFile, parts: Parts) -> xr.Datas
     return _renders(stored, file, parts, [group.removeprefix(RENDERS)])[group]
 
 
-def _refuse_orphans(out: Path, planned: Mapping[str, Any], kept: Sequence[str]) -> None:
+def _refuse_orphans(out: Path, planned: Mapping[str, Any], complete: Sequence[str]) -> None:
     """Refuse to trace anew under renders that would stay, of what was traced before."""
     from hyperpaint.io.store import list_groups
 
-    if TRANSPORT in kept or not out.exists():
+    if TRANSPORT in complete or not out.exists():
         return
     left = [name for name in list_groups(out) if name.startswith(RENDERS) and name not in planned]
     if left:
@@ -290,12 +296,12 @@ def _light(atmosphere: Any) -> str:
     """Return a digest of everything that an atmosphere is."""
     import numpy as np
 
-    found = hashlib.sha256()
+    digest = hashlib.sha256()
     for field in dataclasses.fields(atmosphere):
         value = getattr(atmosphere, field.name)
-        found.update(f"{field.name} ".encode())
-        found.update(value.tobytes() if isinstance(value, np.ndarray) else repr(value).encode())
-    return found.hexdigest()
+        digest.update(f"{field.name} ".encode())
+        digest.update(value.tobytes() if isinstance(value, np.ndarray) else repr(value).encode())
+    return digest.hexdigest()
 
 
 def _content(path: Path) -> str:
@@ -306,3 +312,52 @@ def _content(path: Path) -> str:
 def _digest(inputs: Mapping[str, Any]) -> str:
     text = json.dumps(inputs, sort_keys=True, default=str)
     return hashlib.sha256(text.encode()).hexdigest()[:32]
+
+
+_WIDTH, _DPI = 4.0, 150  # of one picture [inch]
+
+
+def draw_renders(store: Path, groups: Sequence[str], path: Path) -> None:
+    """Draw the stored overviews of renders side by side, north up.
+
+    Parameters
+    ----------
+    store
+        Written by `hyperpaint.render_scene`.
+    groups
+        Groups of the store; those without an overview are passed over.
+    path
+        The picture: its suffix says its format.
+
+    Raises
+    ------
+    MissingExtraError
+        matplotlib is not installed.
+    StoreError
+        No group has an overview: there are fewer than three visible bands; or the format is not known.
+    """
+    try:
+        from matplotlib.figure import Figure
+    except ImportError as error:
+        needed = MissingExtraError.of("matplotlib", "viz", "a picture")
+        raise needed from error
+    from hyperpaint.io.store import open_store
+
+    opened = {group: open_store(store, group) for group in groups}
+    shown = {group: dataset["overview"] for group, dataset in opened.items() if "overview" in dataset}
+    if not shown:
+        raise StoreError(f"{store} has no overview to draw: a picture takes three visible bands")
+    lines, columns = next(iter(shown.values())).shape[:2]
+    size = (_WIDTH * len(shown), _WIDTH * min(lines / columns, 5.0) + 0.4)
+    figure = Figure(figsize=size, layout="constrained")
+    for axes, (group, picture) in zip(
+        figure.subplots(1, len(shown), squeeze=False)[0], shown.items(), strict=True
+    ):
+        # the first line is the southernmost of a flight to the north
+        axes.imshow(picture.values, origin="lower", interpolation="nearest")
+        axes.set_title(group.rpartition("/")[2].replace("_", " "))
+        axes.set_axis_off()
+    try:
+        figure.savefig(path, dpi=_DPI)
+    except ValueError as error:
+        raise StoreError(f"{path}: {error}") from error

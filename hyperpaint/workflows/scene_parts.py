@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from hyperpaint.base.errors import FormatError, PaintError, Problems, SchemaError
 from hyperpaint.io.spectrometers.spectrum_csv import read_spectrum_csv
 
-from .tables import MATERIAL
+from .scene_files import MATERIAL
 
 if TYPE_CHECKING:
     from hyperpaint.simulation.camera import Camera
@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from .scene_files import AtmosphereEntry, MeshEntry, SceneFile
 
 __all__ = ["Parts", "build_parts", "chosen_atmospheres"]
+
 
 Spectrum = tuple[NDArray[np.float64], NDArray[np.float64]]
 
@@ -77,7 +78,7 @@ def build_parts(file: SceneFile) -> Parts:
         A mesh needs a package that is not installed.
     """
     problems = Problems(f"{file.path} cannot be rendered", FormatError)
-    made: dict[str, Any] = {}
+    parts: dict[str, Any] = {}
     for name, build in (
         ("scene", _scene),
         ("camera", _camera),
@@ -85,18 +86,18 @@ def build_parts(file: SceneFile) -> Parts:
         ("spectra", _spectra),
     ):
         try:
-            made[name] = build(file)
+            parts[name] = build(file)
         except ImportError:
             raise
         except (PaintError, OSError) as error:
             problems.add(str(error))
     try:
-        made["platform"] = _platform(file, made.get("scene"))
+        parts["platform"] = _platform(file, parts.get("scene"))
     except PaintError as error:
         problems.add(str(error))
     problems.raise_if_any()
     noise = file.camera.get("noise", True)
-    return Parts(**made, noise=noise)
+    return Parts(**parts, noise=noise)
 
 
 def chosen_atmospheres(parts: Parts, names: Sequence[str]) -> tuple[Atmosphere, ...]:
@@ -107,12 +108,12 @@ def chosen_atmospheres(parts: Parts, names: Sequence[str]) -> tuple[Atmosphere, 
     SchemaError
         The scene file has none of that name.
     """
-    known = {each.name: each for each in parts.atmospheres}
-    unknown = [name for name in names if name not in known]
+    by_name = {each.name: each for each in parts.atmospheres}
+    unknown = [name for name in names if name not in by_name]
     if unknown:
-        found = ", ".join(map(repr, unknown))
-        raise SchemaError(f"there is no atmosphere {found} in the scene file; it has {', '.join(known)}")
-    return tuple(known[name] for name in dict.fromkeys(names)) if names else parts.atmospheres
+        missing = ", ".join(map(repr, unknown))
+        raise SchemaError(f"there is no atmosphere {missing} in the scene file; it has {', '.join(by_name)}")
+    return tuple(by_name[name] for name in dict.fromkeys(names)) if names else parts.atmospheres
 
 
 # --- what is seen ------------------------------------------------------------------------------------------
@@ -176,13 +177,9 @@ def _mesh(entry: MeshEntry) -> Scene:
     ]
     thing = Instance(entry.name, kind, painted[0] if kind == "car" and painted else "")
     mesh = read_mesh(
-        entry.path,
-        parts,
-        default=default,
-        instance=thing,
-        unit=float(options.get("unit_m", 1.0)),
+        entry.path, parts, default=default, instance=thing, unit=float(options.get("unit_m", 1.0)),
         up=options.get("up"),
-    )
+    )  # fmt: skip
     return mesh.moved(options.get("offset_m", (0.0, 0.0, 0.0)), float(options.get("heading_deg", 0.0)))
 
 
@@ -195,12 +192,9 @@ def _material(name: str, said: Mapping[str, Any], kind: str) -> Material:
     share = float(said.get("flakes", 0.0))
     over = Coat(**coat) if coat or share or surface == "paint" else None
     return Material(
-        f"paint of {name}" if surface == "paint" else name,
-        said["spectrum"],
-        surface,
-        over,
+        f"paint of {name}" if surface == "paint" else name, said["spectrum"], surface, over,
         Flakes(share) if share else None,
-    )
+    )  # fmt: skip
 
 
 # --- where from, and by what -------------------------------------------------------------------------------
@@ -243,14 +237,14 @@ def _camera(file: SceneFile) -> Camera:
 
 def _atmospheres(file: SceneFile) -> tuple[Atmosphere, ...]:
     problems = Problems("the atmospheres cannot be used", SchemaError)
-    made = []
+    atmospheres = []
     for entry in file.atmospheres:
         try:
-            made.append(_atmosphere(entry))
+            atmospheres.append(_atmosphere(entry))
         except (PaintError, OSError) as error:
             problems.add(f"{entry.name}: {error}")
     problems.raise_if_any()
-    return tuple(made)
+    return tuple(atmospheres)
 
 
 def _atmosphere(entry: AtmosphereEntry) -> Atmosphere:
@@ -270,32 +264,32 @@ def _atmosphere(entry: AtmosphereEntry) -> Atmosphere:
             f"{' and '.join(clear)} can be given with a preset only; the light is as the file has it"
         )
     if entry.table is not None:
-        made = Atmosphere.from_table(entry.table, **sun, **sky)
+        atmosphere = Atmosphere.from_table(entry.table, **sun, **sky)
     elif entry.irradiance:
         from hyperpaint.io.spectrometers.irradiance import open_irradiance
 
         moment = None if time is None else np.datetime64(str(time).replace(" ", "T"), "ns")
-        made = Atmosphere.from_irradiance(open_irradiance(entry.irradiance), time=moment, **sun, **sky)
+        atmosphere = Atmosphere.from_irradiance(open_irradiance(entry.irradiance), time=moment, **sun, **sky)
     else:
-        made = preset_atmosphere(entry.preset or entry.name)
+        atmosphere = preset_atmosphere(entry.preset or entry.name)
         if sun or clear or oktas is not None:
-            oktas = 8.0 if oktas is None and made.overcast_share > 0.0 else oktas
-            sun = {"sun_zenith": made.sun_zenith, "sun_azimuth": made.sun_azimuth} | sun
-            made = Atmosphere.clear(**sun, **clear)
+            oktas = 8.0 if oktas is None and atmosphere.overcast_share > 0.0 else oktas
+            sun = {"sun_zenith": atmosphere.sun_zenith, "sun_azimuth": atmosphere.sun_azimuth} | sun
+            atmosphere = Atmosphere.clear(**sun, **clear)
         if sky:
-            made = replace(made, **sky)
+            atmosphere = replace(atmosphere, **sky)
     if oktas:
-        made = made.clouded(float(oktas))
-    return replace(made, name=entry.name)
+        atmosphere = atmosphere.clouded(float(oktas))
+    return replace(atmosphere, name=entry.name)
 
 
 def _spectra(file: SceneFile) -> dict[str, Spectrum]:
     problems = Problems("spectra cannot be read", FormatError)
-    made = {}
+    spectra = {}
     for name, path in file.spectra.items():
         try:
-            made[name] = read_spectrum_csv(path)
+            spectra[name] = read_spectrum_csv(path)
         except FormatError as error:
             problems.add(str(error))
     problems.raise_if_any()
-    return made
+    return spectra

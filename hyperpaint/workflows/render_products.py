@@ -17,11 +17,10 @@ from hyperpaint.workflows.pipeline import KEPT_BITS
 if TYPE_CHECKING:
     import xarray as xr
 
-    from hyperpaint.simulation.camera import Camera
+    from hyperpaint.simulation.camera import Camera, Detector
     from hyperpaint.simulation.rendering.camera_bands import BandSet
     from hyperpaint.simulation.rendering.four_curves import Atmosphere
     from hyperpaint.simulation.rendering.platforms import Platform
-    from hyperpaint.simulation.sensor import Detector
 
 __all__ = ["Render", "counts_of", "irradiance_series", "pose_of"]
 
@@ -89,32 +88,25 @@ class Render:
         from hyperpaint.simulation.rendering.relighting import relight
 
         relit = relight(
-            traced,
-            self._bands(product),
-            paints=dict(self.paints),
-            atmosphere=self.atmosphere,
+            traced, self._bands(product), paints=dict(self.paints), atmosphere=self.atmosphere,
             spectra=dict(self.spectra),
-        )
+        )  # fmt: skip
         picture = overview(relit)
-        made = relit.rename(reflectance="true_reflectance")
-        made["true_reflectance"] = _rounded(made["true_reflectance"])
+        line = relit.rename(reflectance="true_reflectance")
+        line["true_reflectance"] = _rounded(line["true_reflectance"])
         if not true_reflectance:
-            made = made.drop_vars("true_reflectance")
+            line = line.drop_vars("true_reflectance")
         if product == "counts":
             counts = counts_of(
-                made["radiance"],
-                self.camera,
-                self.platform.exposure_time,
-                seed,
-                self.atmosphere.name,
+                line["radiance"], self.camera, self.platform.exposure_time, seed, self.atmosphere.name,
                 noise=noise,
-            )
-            made = made.drop_vars("radiance").merge(counts)
-        made = irradiance_series(made, self.platform).assign_coords(pose_of(self.platform))
-        made = made.assign(look_angle=_look_angle(self.platform))
+            )  # fmt: skip
+            line = line.drop_vars("radiance").merge(counts)
+        line = irradiance_series(line, self.platform).assign_coords(pose_of(self.platform))
+        line = line.assign(look_angle=_look_angle(self.platform))
         if picture is not None:
-            made = made.assign(overview=picture)
-        return made
+            line = line.assign(overview=picture)
+        return line
 
     def _bands(self, product: str) -> BandSet:
         """Return the bands: as the detector weighs them for counts, line shapes alone for radiance.
@@ -131,19 +123,19 @@ def _rounded(cube: xr.DataArray) -> xr.DataArray:
     """Return a float32 cube with the mantissa bits that a stored reflectance has, to nearest-even."""
     import xarray as xr
 
-    made: xr.DataArray = xr.apply_ufunc(
+    rounded: xr.DataArray = xr.apply_ufunc(
         _round_bits, cube, dask="parallelized", output_dtypes=[np.float32], keep_attrs=True
     )
-    made.attrs |= {"long_name": "Reflectance factor without noise", "keep_bits": KEPT_BITS}
-    return made
+    rounded.attrs |= {"long_name": "Reflectance factor without noise", "keep_bits": KEPT_BITS}
+    return rounded
 
 
 def _round_bits(values: Floats32) -> Floats32:
     dropped = 23 - KEPT_BITS
     bits = values.view(np.uint32)
     half = np.uint32((1 << (dropped - 1)) - 1)
-    made = (bits + half + ((bits >> np.uint32(dropped)) & np.uint32(1))) >> np.uint32(dropped)
-    return (made << np.uint32(dropped)).view(np.float32)
+    rounded = (bits + half + ((bits >> np.uint32(dropped)) & np.uint32(1))) >> np.uint32(dropped)
+    return (rounded << np.uint32(dropped)).view(np.float32)
 
 
 def irradiance_series(relit: xr.Dataset, platform: Platform) -> xr.Dataset:
@@ -162,9 +154,9 @@ def irradiance_series(relit: xr.Dataset, platform: Platform) -> xr.Dataset:
     time = (first + seconds.astype("timedelta64[s]")).astype("datetime64[ns]")
     spectrum = np.asarray(relit["irradiance"][0].values)
     wavelength = relit[IRRADIANCE_WAVELENGTH].variable
-    made = relit.drop_vars(("irradiance", IRRADIANCE_TIME, IRRADIANCE_WAVELENGTH))
+    line = relit.drop_vars(("irradiance", IRRADIANCE_TIME, IRRADIANCE_WAVELENGTH))
     series = np.broadcast_to(spectrum, (count, len(spectrum)))
-    return made.assign(
+    return line.assign(
         irradiance=_variable("irradiance", series),
         irradiance_max_gap=_variable("irradiance_max_gap", 2.5 * _INTERVAL),
     ).assign_coords({IRRADIANCE_TIME: _variable(IRRADIANCE_TIME, time), IRRADIANCE_WAVELENGTH: wavelength})
@@ -225,7 +217,7 @@ def counts_of(
         _expose, cube, lines, scale=scale, detector=detector, key=key if noise else None, dtype=np.uint16,
         meta=np.empty((0, 0, 0), dtype=np.uint16),
     )  # fmt: skip
-    made = {
+    variables = {
         "counts": xr.Variable(CUBE, counts, VARIABLES["counts"].attrs),
         "dark_counts": _variable("dark_counts", _dark(detector, key) if noise else detector.dark),
         "radiance_gain": _variable("radiance_gain", camera.radiance_gain()),
@@ -234,23 +226,19 @@ def counts_of(
         "electrons_per_count": _variable("electrons_per_count", camera.electrons_per_count),
         "read_noise": _variable("read_noise", camera.read_noise),
     }
-    return xr.Dataset(made)
+    return xr.Dataset(variables)
 
 
 def _expose(
-    cube: Floats32,
-    lines: NDArray[np.int64],
-    *,
-    scale: Floats,
-    detector: Detector,
+    cube: Floats32, lines: NDArray[np.int64], *, scale: Floats, detector: Detector,
     key: tuple[int, ...] | None,
-) -> NDArray[np.uint16]:
+) -> NDArray[np.uint16]:  # fmt: skip
     """Return the counts of a block of lines, one line after the other: no float64 cube is made."""
-    made = np.empty(cube.shape, dtype=np.uint16)
-    for seen, number, counts in zip(cube, lines.ravel(), made, strict=True):
+    block = np.empty(cube.shape, dtype=np.uint16)
+    for seen, number, counts in zip(cube, lines.ravel(), block, strict=True):
         rng = None if key is None else np.random.default_rng([*key, int(number)])
         counts[...] = detector.convert(detector.read(seen * scale, rng)[None])[0]
-    return made
+    return block
 
 
 def _dark(detector: Detector, key: tuple[int, ...]) -> Floats:
@@ -262,9 +250,6 @@ def _dark(detector: Detector, key: tuple[int, ...]) -> Floats:
 
 def _variable(name: str, values: Any) -> xr.Variable:
     """Return values under the dims, dtype and attributes of the table of variables."""
-    import xarray as xr
+    from hyperpaint.simulation.stores import labelled
 
-    row = VARIABLES[name]
-    values = np.asarray(values).astype(row.dtype)
-    dims = next(dims for dims in (row.dims, *row.alternatives) if len(dims) == values.ndim)
-    return xr.Variable(dims, values, row.attrs)
+    return labelled(VARIABLES[name], values)

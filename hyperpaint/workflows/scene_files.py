@@ -6,15 +6,167 @@ import os
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from importlib import resources
 from pathlib import Path
 from typing import Any
 
 from hyperpaint.base.errors import FormatError, Problems
-from hyperpaint.io.files.toml_tables import TableReader, load_tables, shown, text
+from hyperpaint.io.files.toml_tables import (
+    Check,
+    TableReader,
+    flag,
+    load_tables,
+    number,
+    one_of,
+    positive,
+    shown,
+    text,
+    texts,
+    time,
+    whole,
+)  # fmt: skip
+from hyperpaint.simulation.rendering.materials import KINDS
+from hyperpaint.simulation.rendering.scene import INSTANCE_KINDS
+from hyperpaint.simulation.rendering.scene_record import MOST_SAMPLES
 
-from .tables import LISTS, NAMED, SCHEMA
+__all__ = [
+    "MATERIAL", "SCHEMA", "AtmosphereEntry", "MeshEntry", "Sampling", "SceneFile", "example_scene",
+    "read_scene_file",
+]  # fmt: skip
 
-__all__ = ["AtmosphereEntry", "MeshEntry", "Sampling", "SceneFile", "read_scene_file"]
+SCENE_KINDS = ("car_park", "plane", "empty")
+"""Scenes that are made; any of them may hold meshes as well."""
+
+
+def _between(lowest: float, highest: float) -> Check:
+    def check(value: Any) -> str | None:
+        good = number(value) is None and lowest <= value <= highest
+        return None if good else f"a number from {lowest:g} to {highest:g}"
+
+    return check
+
+
+def _numbers(length: int) -> Check:
+    def check(value: Any) -> str | None:
+        good = isinstance(value, list) and len(value) == length and all(number(one) is None for one in value)
+        return None if good else f"a list of {length} numbers"
+
+    return check
+
+
+def _number_or(length: int) -> Check:
+    several = _numbers(length)
+
+    def check(value: Any) -> str | None:
+        good = number(value) is None or several(value) is None
+        return None if good else f"a number or {several(value)}"
+
+    return check
+
+
+def _words(value: Any) -> str | None:
+    """Expect a list of texts, which may be empty."""
+    good = isinstance(value, list) and all(text(one) is None for one in value)
+    return None if good else "a list of texts"
+
+
+_share = _between(0.0, 1.0)
+
+MATERIAL: Mapping[str, Check] = {
+    "spectrum": text, "class": one_of(*KINDS), "coat_index": _between(1.0, 3.0), "coat_roughness": _share,
+    "flakes": _share,
+}  # fmt: skip
+"""What a material of a mesh may say of itself."""
+
+
+def _materials(value: Any) -> str | None:
+    """Expect a table of spectra, or of tables of `MATERIAL`."""
+    if not isinstance(value, dict):
+        return "a table: name of a part = spectrum"
+    for name, one in value.items():
+        table = {"spectrum": one} if isinstance(one, str) else one
+        if not isinstance(table, dict) or "spectrum" not in table:
+            return f"for {name!r:.40} a spectrum, or a table with spectrum"
+        for key, entry in table.items():
+            wrong = (
+                MATERIAL[key](entry)
+                if key in MATERIAL
+                else f"none of that name; known are {', '.join(MATERIAL)}"
+            )
+            if wrong is not None:
+                return f"for {name!r:.40}.{key:.40} {wrong}"
+    return None
+
+
+_seed = whole(0, 2**63 - 1)
+
+SCHEMA: Mapping[str, Mapping[str, Check]] = {
+    "scene": {
+        "name": text,
+        "kind": one_of(*SCENE_KINDS),
+        "seed": _seed,
+        # of a plane
+        "size_m": _number_or(2),
+        "spectrum": text,
+        # of a car park
+        "length_m": _between(1.0, 2000.0),
+        "width_m": _between(1.0, 500.0),
+        "rows": whole(1, 100),
+        "occupancy": _share,
+        "paints": _words,
+        "types": _words,
+        "neighbours": _words,
+        "panels": flag,
+        "islands": flag,
+        "coat": flag,
+        "coat_index": _between(1.0, 3.0),
+        "coat_roughness": _share,
+        "line_width_m": _between(0.02, 1.0),
+        "leaves": whole(0, 100_000),
+        "margin_m": _between(0.0, 10_000.0),
+    },
+    "meshes": {
+        "path": text, "name": text, "kind": one_of(*INSTANCE_KINDS), **MATERIAL, "materials": _materials,
+        "offset_m": _numbers(3), "heading_deg": _between(-360.0, 360.0), "unit_m": positive,
+        "up": one_of("x", "y", "z"),
+    },
+    "platform": {
+        "lines": whole(1, 1_000_000), "columns": whole(1, 20_000), "altitude_m": positive,
+        "ground_sample_m": positive, "ifov_mrad": positive, "speed_m_s": positive, "line_spacing_m": positive,
+        "centre_m": _numbers(2), "start_m": _numbers(2), "heading_deg": _between(-360.0, 360.0),
+        "exposure_time_ms": _between(0.0, 3.6e6), "frame_period_ms": positive, "wobble_deg": _number_or(3),
+        "sway_m": _between(0.0, 100.0), "start_time": time, "seed": _seed,
+    },
+    "camera": {
+        "bands": whole(2, 10_000), "first_wavelength_nm": positive, "last_wavelength_nm": positive,
+        "dispersion_bow_nm": number, "fwhm_nm": positive, "fwhm_slope": number,
+        "srf_shape": one_of("gaussian", "slit"), "smile_nm": number, "bit_depth": whole(1, 16),
+        "electrons_per_count": positive, "read_noise": number, "dark_level": number, "dark_pattern": number,
+        "dark_rate": number, "dark_frames": whole(1, 100_000), "nonuniformity": number,
+        "column_nonuniformity": number, "bad_elements": whole(0, 2**40), "noise": flag, "seed": _seed,
+    },
+    "atmospheres": {
+        "name": text, "preset": text, "table": text, "irradiance": texts, "time": time,
+        "direct_fraction": _share, "sun_zenith_deg": _between(0.0, 89.0),
+        "sun_azimuth_deg": _between(-360.0, 360.0), "aerosol": _between(0.0, 10.0),
+        "water": _between(0.0, 100.0), "oktas": _between(0.0, 8.0), "overcast_share": _share,
+    },
+    "sampling": {
+        "samples": whole(1, MOST_SAMPLES), "depth": whole(1, 16), "slots": whole(1, 1024), "seed": _seed,
+        "sun_radius_deg": _between(0.0, 5.0),
+    },
+    "spectra": {},
+    "paints": {},
+    "output": {"product": one_of("radiance", "counts"), "true_reflectance": flag},
+}  # fmt: skip
+"""Check of every key of every table; the keys of `NAMED` are names."""
+
+NAMED = ("spectra", "paints")
+"""Tables whose keys are names of the user's, each with a text."""
+
+LISTS = ("meshes", "atmospheres")
+"""Tables that may be there several times."""
+
 
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,99}")
 _RESERVED = {"zarr.json", "c"}
@@ -100,6 +252,11 @@ class SceneFile:
     true_reflectance: bool = True
 
 
+def example_scene() -> str:
+    """Return a commented ``scene.toml`` to begin with."""
+    return resources.files(__package__).joinpath("example_scene.toml").read_text(encoding="utf-8")
+
+
 def read_scene_file(path: str | os.PathLike[str]) -> SceneFile:
     """Read and check a ``scene.toml``; what it names is looked for, not opened.
 
@@ -124,22 +281,15 @@ def read_scene_file(path: str | os.PathLike[str]) -> SceneFile:
     named = {name: dict.fromkeys(raw[name], text) for name in NAMED if isinstance(raw.get(name), dict)}
     reader = TableReader(path, raw, {**SCHEMA, **named}, LISTS, problems)
     meshes = _meshes(reader)
-    made = SceneFile(
-        path=path,
-        name=reader.one("scene").get("name", path.stem),
-        scene=_scene(reader),
-        meshes=meshes,
-        platform=_platform(reader),
-        camera=_camera(reader),
-        atmospheres=_atmospheres(reader),
-        sampling=Sampling(**_given(reader.one("sampling"))),
-        spectra=_spectra(reader),
-        paints=_given(reader.one("paints")),
-        **_given(reader.one("output")),
-    )
-    _check_size(made, problems)
+    scene_file = SceneFile(
+        path=path, name=reader.one("scene").get("name", path.stem), scene=_scene(reader), meshes=meshes,
+        platform=_platform(reader), camera=_camera(reader), atmospheres=_atmospheres(reader),
+        sampling=Sampling(**_given(reader.one("sampling"))), spectra=_spectra(reader),
+        paints=_given(reader.one("paints")), **_given(reader.one("output")),
+    )  # fmt: skip
+    _check_size(scene_file, problems)
     problems.raise_if_any()
-    return made
+    return scene_file
 
 
 def _given(table: Mapping[str, Any]) -> dict[str, Any]:
@@ -171,38 +321,33 @@ def _scene(reader: TableReader) -> dict[str, Any]:
 
 
 def _meshes(reader: TableReader) -> tuple[MeshEntry, ...]:
-    made, names = [], []
-    for number, table in enumerate(reader.tables["meshes"]):
-        place = reader.place("meshes", number)
+    entries, names = [], []
+    for row, table in enumerate(reader.tables["meshes"]):
+        place = reader.place("meshes", row)
         if "path" not in table["?"]:
             reader.problems.add(f"{place} path is missing: the file with its triangles")
         if not table["?"] & {"spectrum", "materials"}:
             reader.problems.add(
                 f"{place} spectrum is missing: what it is made of (or materials, part by part)"
             )
-        found = reader.path(place, "path", table.get("path"))
-        name = table.get("name", f"mesh_{number + 1}")
+        path = reader.path(place, "path", table.get("path"))
+        name = table.get("name", f"mesh_{row + 1}")
         if name in names:
             reader.problems.add(f"{place} name = {name!r} is given to another mesh; each needs its own")
         names.append(name)
-        if found is not None:
+        if path is not None:
             options = {key: value for key, value in _given(table).items() if key not in ("path", "name")}
-            made.append(MeshEntry(found, name, options))
-    return tuple(made)
+            entries.append(MeshEntry(path, name, options))
+    return tuple(entries)
 
 
 #: Keys of [platform] with a unit, to arguments of `pushbroom` and what they are multiplied by.
 _PLATFORM = {
-    "altitude_m": ("altitude", 1.0),
-    "ground_sample_m": ("ground_sample", 1.0),
-    "ifov_mrad": ("ifov", 1e-3),
-    "speed_m_s": ("speed", 1.0),
-    "line_spacing_m": ("line_spacing", 1.0),
-    "heading_deg": ("heading", 1.0),
-    "exposure_time_ms": ("exposure_time", 1e-3),
-    "frame_period_ms": ("frame_period", 1e-3),
+    "altitude_m": ("altitude", 1.0), "ground_sample_m": ("ground_sample", 1.0), "ifov_mrad": ("ifov", 1e-3),
+    "speed_m_s": ("speed", 1.0), "line_spacing_m": ("line_spacing", 1.0), "heading_deg": ("heading", 1.0),
+    "exposure_time_ms": ("exposure_time", 1e-3), "frame_period_ms": ("frame_period", 1e-3),
     "sway_m": ("sway", 1.0),
-}
+}  # fmt: skip
 
 
 def _platform(reader: TableReader) -> dict[str, Any]:
@@ -210,21 +355,21 @@ def _platform(reader: TableReader) -> dict[str, Any]:
     for key in ("lines", "columns"):
         if key not in table["?"]:
             reader.problems.add(f"[platform] {key} is missing: the size of the cube")
-    made: dict[str, Any] = {}
+    arguments: dict[str, Any] = {}
     for key, value in _given(table).items():
         if key in _PLATFORM:
             name, factor = _PLATFORM[key]
-            made[name] = float(f"{value * factor:.12g}")
+            arguments[name] = float(f"{value * factor:.12g}")
         elif key in ("centre_m", "start_m"):
-            made[key.removesuffix("_m")] = tuple(map(float, value))
+            arguments[key.removesuffix("_m")] = tuple(map(float, value))
         elif key == "wobble_deg":
-            made["wobble"] = tuple(map(float, value)) if isinstance(value, list) else float(value)
+            arguments["wobble"] = tuple(map(float, value)) if isinstance(value, list) else float(value)
         else:
-            made[key] = value
-    if "start_time" in made:
+            arguments[key] = value
+    if "start_time" in arguments:
         # TOML's own times become text that numpy reads; a zone is not taken
-        made["start_time"] = str(made["start_time"]).replace(" ", "T")
-    return made
+        arguments["start_time"] = str(arguments["start_time"]).replace(" ", "T")
+    return arguments
 
 
 def _camera(reader: TableReader) -> dict[str, Any]:
@@ -235,17 +380,17 @@ def _camera(reader: TableReader) -> dict[str, Any]:
 def _atmospheres(reader: TableReader) -> tuple[AtmosphereEntry, ...]:
     if not reader.tables["atmospheres"] and "atmospheres" not in reader.given:
         return (AtmosphereEntry("noon", "noon"),)
-    made = []
-    for number, table in enumerate(reader.tables["atmospheres"]):
-        entry = _atmosphere(reader, reader.place("atmospheres", number), table)
+    entries = []
+    for row, table in enumerate(reader.tables["atmospheres"]):
+        entry = _atmosphere(reader, reader.place("atmospheres", row), table)
         if entry is not None:
-            made.append(entry)
-    names = [entry.name.lower() for entry in made]
+            entries.append(entry)
+    names = [entry.name.lower() for entry in entries]
     for name in sorted({name for name in names if names.count(name) > 1}):
         reader.problems.add(
             f"[[atmospheres]] name {name!r} is given to {names.count(name)}; each needs its own"
         )
-    return tuple(made)
+    return tuple(entries)
 
 
 def _atmosphere(reader: TableReader, place: str, table: Mapping[str, Any]) -> AtmosphereEntry | None:
@@ -273,22 +418,22 @@ def _atmosphere(reader: TableReader, place: str, table: Mapping[str, Any]) -> At
 
 
 def _spectra(reader: TableReader) -> dict[str, Path]:
-    found = {
+    paths = {
         name: reader.path("[spectra]", name, value) for name, value in _given(reader.one("spectra")).items()
     }
-    return {name: path for name, path in found.items() if path is not None}
+    return {name: path for name, path in paths.items() if path is not None}
 
 
-def _check_size(made: SceneFile, problems: Problems) -> None:
-    if made.scene["kind"] == "car_park":
-        triangles = _triangles(made.scene)
+def _check_size(scene_file: SceneFile, problems: Problems) -> None:
+    if scene_file.scene["kind"] == "car_park":
+        triangles = _triangles(scene_file.scene)
         if triangles > _MOST_TRIANGLES:
             problems.add(
                 f"[scene] would have some {triangles:.1e} triangles, expected at most {_MOST_TRIANGLES:.0e}; "
                 "make it shorter or narrower, or give its trees fewer leaves"
             )
-    lines, columns = (made.platform.get(key, 1) for key in ("lines", "columns"))
-    bands = made.camera.get("bands", 272)
+    lines, columns = (scene_file.platform.get(key, 1) for key in ("lines", "columns"))
+    bands = scene_file.camera.get("bands", 272)
     if lines * columns * bands > _MOST_VALUES:
         problems.add(
             f"{lines} lines x {columns} columns x {bands} bands are {lines * columns * bands:.1e} samples, "

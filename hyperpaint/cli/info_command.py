@@ -1,4 +1,4 @@
-"""What a file or a store is, in a few lines of text."""
+"""The command ``hyperpaint info``: what a file or a store is, in a few lines of text."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
+import click
 import numpy as np
 
 from hyperpaint.base.errors import FormatError, IncompleteStoreError, StoreError
@@ -22,7 +23,7 @@ from hyperpaint.report.facts import (
     times_of,
 )
 
-__all__ = ["describe_path"]
+__all__ = ["describe_path", "info"]
 
 _EXPECTED = (
     "expected an ENVI header or cube, an ASD file, an SVC .sig file, a text or csv export of spectra, "
@@ -193,10 +194,10 @@ def _asd_text(path: Path) -> Facts:
 def _irradiance_csv(path: Path) -> Facts:
     from hyperpaint.io.spectrometers.irradiance_files import read_irradiance_csv
 
-    found: Any = read_irradiance_csv(path)
-    shape = np.shape(found.values)
+    series: Any = read_irradiance_csv(path)
+    shape = np.shape(series.values)
     yield "is", f"csv series of irradiance: {shape[0]} samples x {shape[-1]} wavelengths"
-    yield "wavelength", range_of(found.wavelength, "nm")
+    yield "wavelength", range_of(series.wavelength, "nm")
 
 
 def _spectra_if_any(path: Path) -> Facts:
@@ -235,10 +236,10 @@ def _named(library: Any) -> str:
 def _materials(path: Path) -> Facts:
     from hyperpaint.io.dirsig import read_materials
 
-    found = read_materials(path)
-    yield "is", f"DIRSIG material list: {counted(len(found), 'material')}"
-    names = "; ".join(f"{one.id} ({one.name})" for one in found[:_MOST_NAMED])
-    more = len(found) - _MOST_NAMED
+    materials = read_materials(path)
+    yield "is", f"DIRSIG material list: {counted(len(materials), 'material')}"
+    names = "; ".join(f"{one.id} ({one.name})" for one in materials[:_MOST_NAMED])
+    more = len(materials) - _MOST_NAMED
     yield "materials", names + (f"; and {more} more" if more > 0 else "")
 
 
@@ -347,13 +348,13 @@ def _folder(path: Path) -> Facts:
         return _store(path)
     if any(path.glob("*.spectrum.txt")):
         return _library(path)
-    known = sorted(
+    names = sorted(
         entry.name
         for entry in path.iterdir()
         if entry.suffix.lower() in (".toml", ".hdr", ".asd", ".sig", ".zarr")
         and not entry.name.startswith(".")
     )
-    seen = f"; in it are {', '.join(known[:8])}{' ...' if len(known) > 8 else ''}" if known else ""
+    seen = f"; in it are {', '.join(names[:8])}{' ...' if len(names) > 8 else ''}" if names else ""
     raise StoreError(f"{path} is a folder, not a Zarr store{seen}; {_EXPECTED}")
 
 
@@ -398,3 +399,24 @@ def _group(path: Path, name: str) -> Facts:
 
 def _joined(facts: Facts) -> str:
     return "\n".join(f"{name}: {text}" for name, text in facts if text)
+
+
+# --- the command ---
+
+
+@click.command(
+    short_help="Show what a file, collect or store is.",
+    epilog="""\b
+Examples:
+  hyperpaint info collect.toml
+  hyperpaint info lot.zarr/flightlines/raw_0""",
+)
+@click.argument("path", type=click.Path(exists=True, path_type=Path))
+def info(path: Path) -> None:
+    """Show what a file or store is: dims, units, wavelengths, times, exposure, completeness.
+
+    PATH is an ENVI header or cube, an ASD file, a text or csv export, a frame index, a navigation record, a
+    collect.toml, or a Zarr store or one of its groups. Of a collect everything is opened; shown is what
+    `process` would do.
+    """
+    click.echo(describe_path(path))

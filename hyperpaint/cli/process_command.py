@@ -1,0 +1,59 @@
+"""The command ``hyperpaint process``: a collect to a store."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import click
+
+from .console import is_watched, listed
+
+__all__ = ["process"]
+
+
+@click.command(
+    short_help="Process a collect into one Zarr store.",
+    epilog="""\b
+Examples:
+  hyperpaint process collect.toml --out lot.zarr
+  hyperpaint process collect.toml --out lot.zarr --reflectance none     a third of the disk
+  hyperpaint process collect.toml --out lot.zarr --scheduler tcp://node0:8786""",
+)
+@click.argument(
+    "collect", metavar="COLLECT.toml", type=click.Path(exists=True, dir_okay=False, path_type=Path)
+)
+@click.option(
+    "--out", required=True, metavar="STORE.zarr", type=click.Path(path_type=Path), help="The store."
+)
+@click.option(
+    "--to", type=click.Choice(["radiance", "reflectance"]), default="reflectance", show_default=True,
+    help="Radiance needs no irradiance.",
+)  # fmt: skip
+@click.option(
+    "--reflectance", type=click.Choice(["none", "stored"]), default="stored", show_default=True,
+    help="'stored' also writes the computed cube, for other programs; 'none' leaves it to be computed "
+    "from counts.",
+)  # fmt: skip
+@click.option("--scheduler", metavar="ADDRESS", help="Compute on this dask.distributed cluster.")
+@click.option(
+    "--memory-limit", metavar="SIZE",
+    help="Most memory of the process, or of each worker, such as '2 GiB'.  [default: 80% of the available]",
+)  # fmt: skip
+@click.option("--overwrite", is_flag=True, help="Replace groups made from other inputs or parameters.")
+@click.option("--quiet", is_flag=True, help="No progress bar.")
+def process(collect: Path, out: Path, quiet: bool, **options: Any) -> None:
+    """Process a collect into one Zarr store of calibrated flight lines.
+
+    Everything is checked before anything is written. An interrupted run is resumed by running it again; a
+    store that is already complete is left as it is.
+    """
+    from hyperpaint.workflows.pipeline import run
+
+    done = run(collect, out, progress=is_watched(quiet), **options)
+    if not done.written:
+        click.echo(f"{out} is already complete: same inputs, same parameters; nothing was done")
+        return
+    click.echo(f"{out}: wrote {listed(done.written)}")
+    if done.unchanged:
+        click.echo(f"{out}: {listed(done.unchanged)} there already, from the same inputs")

@@ -1,0 +1,382 @@
+"""Paint libraries in files: from a store and its regions to one, and from one to its validation.
+
+The one place where readers meet signatures and validation.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import math
+import os
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from hyperpaint.base.errors import PaintError, Problems, SchemaError, StoreError
+from hyperpaint.base.progress_reports import part_of
+from hyperpaint.base.schema import Quality
+from hyperpaint.surroundings.flags import Flagged, flag_line, is_flagged
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+    from hyperpaint.regions import Regions
+    from hyperpaint.validation import Validation
+
+__all__ = ["check_table", "table_of", "validate_files", "write_signatures", "write_table"]
+
+
+_MOST_TOLD = 10
+_SHARED = ("glint", "shadow", "adjacency", "sun_zenith")
+"""Options of flags that proposals take as well."""
+
+
+def write_signatures(
+    store: str | os.PathLike[str],
+    regions: Any,
+    out: str | os.PathLike[str],
+    *,
+    keep: Sequence[str] = (),
+    flags: bool | Mapping[str, Any] = True,
+    sun_zenith: float | None = None,
+    overwrite: bool = False,
+    progress: Callable[[int, int], None] | None = None,
+    **options: Any,
+) -> xr.Dataset:
+    """Write the signatures of regions on the flight lines of a store, and return them.
+
+    Flight lines that nobody has flagged are surveyed and flagged first; those that were keep their flags.
+    Reflectance is computed from the stored counts where they are, with its uncertainties where the noise of
+    the camera is known; else it is what is stored.
+
+    Parameters
+    ----------
+    store
+        A store with groups ``flightlines/<id>``, as `hyperpaint.process` writes it.
+    regions
+        See `hyperpaint.regions_from`; None has `hyperpaint.propose_regions` propose some on every line, with
+        the survey that flags were made with.
+    out
+        Folder of the library's store.
+    keep
+        Names of flags whose pixels are used, though they are left out otherwise; not with ``exclude``.
+    flags
+        False flags nothing; or thresholds of `hyperpaint.flag` and options of `hyperpaint.survey`, by name.
+    sun_zenith
+        For flags, proposals and the mirrored sky [degree]; by default from time and position of each line.
+    overwrite
+        Replace another library; one of the same content is left alone.
+    progress
+        Called with work done and to do: surveys, then extraction.
+    **options
+        As `hyperpaint.extract_signatures`.
+
+    Returns
+    -------
+    xarray.Dataset
+        The attribute ``flags`` says where flags are from.
+
+    Raises
+    ------
+    FormatError, MissingExtraError, SchemaError, UnitsError
+        As `hyperpaint.extract_signatures` and `hyperpaint.flag`; or ``keep`` names an unknown flag, or comes
+        with ``exclude``.
+    StoreError
+        The store has no finished flight line of the regions; or the library cannot be written, or its store
+        holds something else.
+    """
+    from hyperpaint.io.store import to_store
+    from hyperpaint.paints.signatures import extract_signatures
+    from hyperpaint.regions import regions_from
+
+    inside, around = Path(out).resolve(), Path(store).resolve()
+    if inside == around or around in inside.parents:
+        raise SchemaError(f"{out} is in the store itself; choose another path for the library")
+    if keep:
+        if options.get("exclude") is not None:
+            raise SchemaError("keep= and exclude= say the same in two ways; pass one of them")
+        options["exclude"] = _excluded(keep)
+    given = None if regions is None else regions_from(regions)
+    lines, looked_at = _lines(store, () if given is None else given.flightlines)
+    wanted = [name for name in lines if flags is not False and name not in looked_at]
+    surveys = {} if flags is True or flags is False else dict(flags)
+    surveys.setdefault("sun_zenith", sun_zenith)
+    flagged = {}
+    for number, name in enumerate(wanted):
+        share = part_of(progress, number, len(wanted) + 1)
+        flagged[name] = _flagged(lines[name], name, {**surveys, "progress": share})
+    origin = _origin(lines, flagged, looked_at)
+    targets = _proposed(lines, flagged, surveys) if given is None else given
+    lines |= {name: done.line for name, done in flagged.items()}
+    if options.get("specular_sky"):
+        options["sun_zenith"] = sun_zenith
+    share = part_of(progress, len(wanted), len(wanted) + 1)
+    library = extract_signatures(lines, targets, progress=share, **options)
+    library.attrs |= {"store": around.name, "flags": origin}
+    to_store(library, Path(out), overwrite=overwrite)
+    return library
+
+
+def _lines(
+    store: str | os.PathLike[str], wanted: tuple[str, ...]
+) -> tuple[dict[str, xr.Dataset], frozenset[str]]:
+    """Return the flight lines that are wanted, all if none is named, and which have flags."""
+    from hyperpaint.io.store import list_groups, open_store
+    from hyperpaint.radiometry.counts_to_reflectance import reflectance
+
+    groups = [group for group in list_groups(store) if group.startswith("flightlines/")]
+    names = [group.removeprefix("flightlines/") for group in groups]
+    if not groups:
+        raise StoreError(
+            f"{store} holds no flight line; expected groups flightlines/<id>, as hyperpaint process writes"
+        )
+    lines, flagged = {}, set()
+    for name in names if not wanted or not set(wanted) <= set(names) else wanted:
+        line = open_store(store, f"flightlines/{name}")
+        # as it is stored: computed from counts, all of them would be read for it
+        if is_flagged(line):
+            flagged.add(name)
+        if "counts" in line.variables:
+            has_noise = {"electrons_per_count", "read_noise"} <= set(line.variables)
+            line = reflectance(line, uncertainty=has_noise)
+        lines[name] = line
+    return lines, frozenset(flagged)
+
+
+def _flagged(line: xr.Dataset, name: str, options: Mapping[str, Any]) -> Flagged:
+    """Return a line with its flags; errors of `flag_line` get a note on how to do without."""
+    try:
+        return flag_line(line, **options)
+    except PaintError as error:
+        error.note(
+            f"flight line {name!r} has no flags of glint or shadow yet",
+            mend="flags=False does without", option="--no-flags does without",
+        )  # fmt: skip
+        raise
+
+
+def _origin(
+    lines: Mapping[str, xr.Dataset], flagged: Mapping[str, Flagged], looked_at: frozenset[str]
+) -> str:
+    """Return where the flags of glint, shadow and neighbours are from."""
+    origins = []
+    for name, line in lines.items():
+        if name in flagged:
+            origins.append(str(flagged[name].line["quality"].attrs["flags_from"]))
+        else:
+            text = str(line["quality"].attrs.get("flags_from", "not said from what"))
+            origins.append(f"those of the store, {text}" if name in looked_at else "not looked for")
+    return "; ".join(dict.fromkeys(origins))
+
+
+def _proposed(
+    lines: Mapping[str, xr.Dataset], flagged: Mapping[str, Flagged], options: Mapping[str, Any]
+) -> Regions:
+    """Return the regions that are proposed on flight lines, by the surveys that there are."""
+    from hyperpaint.regions import Regions
+    from hyperpaint.regions.proposals import propose_regions
+
+    # with several lines, names of paints begin with that of their line
+    by_line = {}
+    for name, line in lines.items():
+        paint = "paint" if len(lines) == 1 else f"{name}_paint"
+        done = flagged.get(name)
+        seen, model = (line, None) if done is None else (done.seen, done.model)
+        # beside a model, the survey's other options were used already
+        taken = _SHARED if done else set(options) - {"edge"}
+        shared = {key: options[key] for key in taken if key in options}
+        by_line[name] = propose_regions(seen, model, flightline=name, name=paint, **shared)
+    regions = Regions(tuple(region for proposals in by_line.values() for region in proposals))
+    if not len(regions):
+        refused = [text for proposals in by_line.values() for text in proposals.table().splitlines()]
+        shown = "".join(f"\n  {text}" for text in refused[:_MOST_TOLD])
+        raise SchemaError(
+            f"no region can be proposed, {len(refused)} were refused; draw some, and name them{shown}"
+        )
+    return regions
+
+
+def _excluded(keep: Sequence[str]) -> Quality:
+    from hyperpaint.paints.signatures import EXCLUDED
+
+    flags = {str(flag.name).lower(): flag for flag in Quality}
+    if unknown := [name for name in keep if name.lower() not in flags]:
+        raise SchemaError(f"no flag {', '.join(map(repr, unknown))}; flags are {', '.join(flags)}")
+    exclude = EXCLUDED
+    for name in keep:
+        exclude &= ~flags[name.lower()]
+    return exclude
+
+
+def table_of(library: xr.Dataset) -> str:
+    """Return a line of text for every paint of a library."""
+    names = [str(name) for name in library["paint"].values]
+    width = max(map(len, names))
+    rows = zip(names, *(library[name].values for name in ("n", "n_eff", "n_excluded")), strict=True)
+    return "\n".join(
+        f"  {name:<{width}}  {n} pixels, {n_eff:.0f} independent" + (f", {left} left out" if left else "")
+        for name, n, n_eff, left in rows
+    )
+
+
+_TABLES = (".csv", ".json")
+_PAIR = ("paint", "reference", "instrument", "overlap", "overlap_matched", "mirror_reflection")
+_DEPTHS = ("oxygen_residual", "reference_oxygen_residual")
+
+
+def validate_files(
+    library: str | os.PathLike[str],
+    references: Sequence[str | os.PathLike[str]] = (),
+    *,
+    pairs: str | os.PathLike[str] | None = None,
+    panel: str | os.PathLike[str] | None = None,
+    **options: Any,
+) -> Validation:
+    """Compare a stored paint library with references in files.
+
+    Parameters
+    ----------
+    library
+        A paint library, see `hyperpaint.open_library`.
+    references
+        See `hyperpaint.io.spectrometers.reference_files.open_references`. By default those of the store that
+        the library was made from, where it stands beside the library.
+    pairs
+        See `hyperpaint.io.spectrometers.reference_files.read_pairs`.
+    panel
+        See `hyperpaint.read_certificate`.
+    **options
+        Of `hyperpaint.validate`.
+
+    Raises
+    ------
+    FormatError, SchemaError, StoreError, UnitsError
+        Something cannot be read, or as `hyperpaint.validate`.
+    """
+    from hyperpaint.io.library import open_library
+    from hyperpaint.io.spectrometers.reference_files import open_references, read_pairs
+    from hyperpaint.io.spectrometers.spectrum_csv import read_certificate
+    from hyperpaint.validation import validate
+
+    signatures = open_library(library)
+    named = None if pairs is None else read_pairs(pairs)
+    certified = None if panel is None else read_certificate(panel)
+    opened = open_references(references or [_store_of(signatures, Path(library))])
+    return validate(signatures, opened, named, panel=certified, **options)
+
+
+def _store_of(signatures: xr.Dataset, library: Path) -> Path:
+    """Return the store that a library was made from."""
+    name = signatures.attrs.get("store")
+    place = library.absolute().parent / str(name)
+    # only a name: no path from inside a file leads out of the folder
+    plain = isinstance(name, str) and name not in ("", ".", "..") and Path(name).name == name
+    if not plain or not (place / "references").is_dir():
+        raise SchemaError(
+            f"no references: the store that {library} was made from has none, or is not beside it; name "
+            "files with --reference"
+        )
+    return place
+
+
+# --- tables ------------------------------------------------------------------------------------------------
+
+
+def check_table(path: Path, *, overwrite: bool = False) -> None:
+    """Refuse a place for a table before anything is read.
+
+    Raises
+    ------
+    StoreError
+        A table may not go there; all reasons are listed.
+    """
+    problems = Problems(f"the table cannot be written to {path}", StoreError)
+    if path.suffix.lower() not in _TABLES:
+        problems.add(f"expected a name that ends in {' or '.join(_TABLES)}")
+    if path.is_dir():
+        problems.add("that is a folder; name a file in it, such as agreement.csv")
+    elif path.exists() and not overwrite:
+        problems.add(
+            "it exists already",
+            mend="pass overwrite=True to replace it",
+            option="pass --overwrite to replace it",
+        )
+    if not path.absolute().parent.is_dir():
+        problems.add(f"there is no folder {path.absolute().parent}")
+    problems.raise_if_any()
+
+
+def write_table(validation: Validation, path: str | os.PathLike[str], *, overwrite: bool = False) -> None:
+    """Write the statistics of a validation: ``.csv``, a line for every part of every pair, or ``.json``.
+
+    Numbers have all their digits; what is not known is empty, or null.
+
+    Raises
+    ------
+    StoreError
+        The table may not go there, or cannot be written.
+    """
+    from hyperpaint.io.files.publishing import publish_file
+
+    path = Path(path)
+    check_table(path, overwrite=overwrite)
+    text = _as_csv(validation) if path.suffix.lower() == ".csv" else _as_json(validation)
+    publish_file(path, text.encode(), overwrite=overwrite)
+
+
+def _as_csv(validation: Validation) -> str:
+    table = validation.statistics
+    by_part = [str(name) for name, array in table.data_vars.items() if array.dims == ("pair", "part")]
+    written = io.StringIO()
+    rows = csv.writer(written, lineterminator="\n")
+    rows.writerow([*_PAIR, "part", *by_part, *_DEPTHS])
+    for row in range(table.sizes["pair"]):
+        pair = table.isel(pair=row)
+        for column in range(table.sizes["part"]):
+            one = pair.isel(part=column)
+            cells = [_plain(one[name].values.item()) for name in (*_PAIR, "part", *by_part, *_DEPTHS)]
+            rows.writerow(["" if cell is None else cell for cell in cells])
+    return written.getvalue()
+
+
+def _as_json(validation: Validation) -> str:
+    table = validation.statistics
+    by_part = [str(name) for name, array in table.data_vars.items() if array.dims == ("pair", "part")]
+    pairs = []
+    for row in range(table.sizes["pair"]):
+        pair = table.isel(pair=row)
+        entry = {name: _plain(pair[name].values.item()) for name in (*_PAIR, *_DEPTHS)}
+        entry["notes"] = list(validation.notes[row])
+        entry["parts"] = {
+            str(part): {name: _plain(pair[name].values[column].item()) for name in by_part}
+            for column, part in enumerate(table["part"].values)
+        }
+        pairs.append(entry)
+    document = {
+        "passed": validation.passed,
+        "tolerance": dict(validation.tolerance),
+        "units": {name: table[name].attrs["units"] for name in by_part if "units" in table[name].attrs},
+        "parts": {
+            str(part): [_plain(float(edge)) for edge in edges]
+            for part, *edges in zip(
+                table["part"].values, table["first_wavelength"].values, table["last_wavelength"].values,
+                strict=True,
+            )
+        },
+        "pairs": pairs,
+        "unpaired_signatures": list(validation.unpaired_signatures),
+        "unpaired_references": list(validation.unpaired_references),
+        "missing": list(validation.missing),
+    }  # fmt: skip
+    return json.dumps(document, indent=2, ensure_ascii=False, allow_nan=False) + "\n"
+
+
+def _plain(value: Any) -> Any:
+    """Return a value as Python writes it; None for a number that is none."""
+    if isinstance(value, np.generic):
+        value = value.item()
+    return None if isinstance(value, float) and not math.isfinite(value) else value
