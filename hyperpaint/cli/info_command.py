@@ -11,7 +11,7 @@ import numpy as np
 
 from hyperpaint.base.errors import FormatError, IncompleteStoreError, StoreError
 from hyperpaint.base.schema import ALONG_TRACK
-from hyperpaint.report.facts import (
+from hyperpaint.report.summaries import (
     Facts,
     counted,
     facts_of_bands,

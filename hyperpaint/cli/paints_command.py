@@ -105,7 +105,7 @@ def list_paints(
             path = write_library(matches, out, overwrite=overwrite, progress=shown)
         click.echo(f"saved in {path}")
     if picture is not None:
-        from hyperpaint.pictures.plot_library import library_overview
+        from hyperpaint.pictures.plot_spectra import library_overview
 
         library_overview(matches, picture)
         click.echo(f"look at them in {picture}")

@@ -116,7 +116,7 @@ def validate(
     if out is not None:
         check_table(out, overwrite=overwrite)
     if picture is not None:
-        from hyperpaint.pictures.plot_validation import check_picture
+        from hyperpaint.pictures.figures import check_picture
 
         check_picture(picture)
     given = {name: value for name, value in options.items() if value is not None}

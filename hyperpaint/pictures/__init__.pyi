@@ -3,11 +3,13 @@ from .plot import (
     quicklook as quicklook,
     rgb as rgb,
 )
-from .plot_adjacency import adjacency_figure as adjacency_figure
 from .plot_calibration import calibration_report as calibration_report
-from .plot_flags import flag_overlay as flag_overlay
-from .plot_library import library_overview as library_overview
+from .plot_flags import (
+    adjacency_figure as adjacency_figure,
+    flag_overlay as flag_overlay,
+)
 from .plot_spectra import (
+    library_overview as library_overview,
     spectrum as spectrum,
     triptych as triptych,
 )

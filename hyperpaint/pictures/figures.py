@@ -11,9 +11,18 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from hyperpaint.base.errors import MissingExtraError, SchemaError
+from hyperpaint.base.errors import MissingExtraError, Problems, SchemaError
 
-__all__ = ["axes_or_new", "data_uri", "encode_png", "label_for", "new_figure", "png_of", "save_figure"]
+__all__ = [
+    "axes_or_new",
+    "check_picture",
+    "data_uri",
+    "encode_png",
+    "label_for",
+    "new_figure",
+    "png_of",
+    "save_figure",
+]
 
 _LONGEST_LABEL = 60
 
@@ -74,11 +83,11 @@ def label_for(text: object, longest: int = _LONGEST_LABEL) -> str:
     >>> print(label_for("$5 paint"))
     \$5 paint
     """
-    made = "".join(sign if sign.isprintable() else "\ufffd" for sign in str(text))
-    if len(made) > longest:
-        made = made[: longest - 3] + "..."
-    made = made.replace("$", r"\$")
-    return f" {made}" if made.startswith("_") else made  # a legend leaves out what begins with one
+    shown = "".join(sign if sign.isprintable() else "\ufffd" for sign in str(text))
+    if len(shown) > longest:
+        shown = shown[: longest - 3] + "..."
+    shown = shown.replace("$", r"\$")
+    return f" {shown}" if shown.startswith("_") else shown  # a legend leaves out what begins with one
 
 
 def save_figure(figure: Any, path: str | Path | None, dpi: int = 110) -> None:
@@ -95,6 +104,34 @@ def save_figure(figure: Any, path: str | Path | None, dpi: int = 110) -> None:
         figure.savefig(path, dpi=dpi)
     except ValueError as error:
         raise SchemaError(f"{path}: {error}") from error
+
+
+def check_picture(path: Path) -> None:
+    """Refuse a place for a picture before anything is drawn.
+
+    Raises
+    ------
+    MissingExtraError
+        matplotlib is not installed.
+    SchemaError
+        A picture may not go there; all reasons are listed.
+
+    Examples
+    --------
+    >>> check_picture(Path("calibration.xls"))
+    Traceback (most recent call last):
+    hyperpaint.base.errors.SchemaError: the picture cannot be written to calibration.xls:
+      expected a name that ends in one of .eps, ...
+    """
+    kinds = new_figure("a picture").canvas.get_supported_filetypes()
+    problems = Problems(f"the picture cannot be written to {path}", SchemaError)
+    if path.suffix.lower().removeprefix(".") not in kinds:
+        problems.add(f"expected a name that ends in one of {', '.join(f'.{each}' for each in sorted(kinds))}")
+    if path.is_dir():
+        problems.add("that is a folder; name a file in it, such as agreement.png")
+    if not path.absolute().parent.is_dir():
+        problems.add(f"there is no folder {path.absolute().parent}")
+    problems.raise_if_any()
 
 
 def png_of(figure: Any, dpi: int = 110) -> bytes:

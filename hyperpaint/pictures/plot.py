@@ -20,15 +20,9 @@ if TYPE_CHECKING:
     import xarray as xr
 
 __all__ = [
-    "OVERVIEW_SHAPE",
-    "draw_irradiance",
-    "draw_reflectance",
-    "flags_of",
-    "known_quantiles",
-    "overview",
-    "quicklook",
-    "rgb",
-]
+    "OVERVIEW_SHAPE", "draw_irradiance", "draw_reflectance", "flags_of", "known_quantiles", "overview",
+    "quicklook", "rgb",
+]  # fmt: skip
 
 
 OVERVIEW_SHAPE = (1000, 640)
@@ -74,8 +68,8 @@ def rgb(dataset: xr.Dataset, *, stretch: tuple[float, float] = (2.0, 98.0)) -> x
         )
     shift = None
     if "wavelength_shift" in dataset.variables:
-        found = schema.require(dataset, ["wavelength_shift"], "a true-colour picture")["wavelength_shift"]
-        shift = (found.isel({schema.BAND: visible}) if schema.BAND in found.dims else found).values
+        stored = schema.require(dataset, ["wavelength_shift"], "a true-colour picture")["wavelength_shift"]
+        shift = (stored.isel({schema.BAND: visible}) if schema.BAND in stored.dims else stored).values
     source = cube.isel({schema.BAND: visible})
     if source.chunks is not None:
         source = source.chunk({schema.BAND: -1, schema.CROSS_TRACK: -1})
@@ -93,19 +87,21 @@ def rgb(dataset: xr.Dataset, *, stretch: tuple[float, float] = (2.0, 98.0)) -> x
     dims = [dim for dim in source.dims if dim != schema.BAND]
     low, high = _levels(linear, dims[0], stretch)
     shown = ((linear - low) / np.maximum(high - low, np.float32(1e-6))).clip(0.0, 1.0)
-    made: xr.DataArray = xr.apply_ufunc(encode_srgb, shown, dask="parallelized", output_dtypes=[np.float32])
-    made = made.transpose(*dims, "rgb").rename("rgb")
-    made = made.assign_coords(rgb=("rgb", ["red", "green", "blue"]))
-    made.attrs = {"long_name": "True colour (sRGB)", "stretch": f"{stretch[0]:g} to {stretch[1]:g} %"}
-    return made
+    picture: xr.DataArray = xr.apply_ufunc(
+        encode_srgb, shown, dask="parallelized", output_dtypes=[np.float32]
+    )
+    picture = picture.transpose(*dims, "rgb").rename("rgb")
+    picture = picture.assign_coords(rgb=("rgb", ["red", "green", "blue"]))
+    picture.attrs = {"long_name": "True colour (sRGB)", "stretch": f"{stretch[0]:g} to {stretch[1]:g} %"}
+    return picture
 
 
 def _mix(values: Array, *, weights: Array) -> Array:
     """Return linear sRGB of (..., band, column); a missing band of a seen pixel is over-bright."""
     missing = np.isnan(values)
     seen = ~missing.all(axis=-2, keepdims=True)
-    known = np.where(missing, seen.astype(np.float32), values)
-    return np.stack([(known * weight).sum(axis=-2, dtype=np.float32) for weight in weights], axis=-1)
+    filled = np.where(missing, seen.astype(np.float32), values)
+    return np.stack([(filled * weight).sum(axis=-2, dtype=np.float32) for weight in weights], axis=-1)
 
 
 def _levels(linear: xr.DataArray, lines: Any, stretch: tuple[float, float]) -> tuple[Any, Any]:
@@ -117,7 +113,7 @@ def _levels(linear: xr.DataArray, lines: Any, stretch: tuple[float, float]) -> t
     some = linear.isel({lines: slice(None, None, max(1, linear.sizes[lines] // 64))})
     if some.chunks is not None:
         some = some.chunk(-1)
-    found = xr.apply_ufunc(
+    levels = xr.apply_ufunc(
         lambda picture: np.percentile(picture.mean(axis=-1), stretch, axis=(-2, -1)).astype(np.float32),
         some.transpose(..., "rgb"),
         input_core_dims=[list(some.dims)],
@@ -126,7 +122,7 @@ def _levels(linear: xr.DataArray, lines: Any, stretch: tuple[float, float]) -> t
         output_dtypes=[np.float32],
         dask_gufunc_kwargs={"output_sizes": {"level": 2}},
     )
-    return found.isel(level=0), found.isel(level=1)
+    return levels.isel(level=0), levels.isel(level=1)
 
 
 def overview(dataset: xr.Dataset) -> xr.DataArray | None:
@@ -154,10 +150,10 @@ def overview(dataset: xr.Dataset) -> xr.DataArray | None:
     except SchemaError:  # fewer than three visible bands
         return None
     row = schema.VARIABLES["overview"]
-    made = (picture * np.float32(255.0) + np.float32(0.5)).astype(np.uint8).reset_coords(drop=True)
-    made = made.drop_vars(list(made.coords)).rename(dict(zip(made.dims, row.dims, strict=True)))
-    made.attrs = {**row.attrs, "line_step": steps[along], "column_step": steps[across]}
-    return made.rename("overview")
+    small = (picture * np.float32(255.0) + np.float32(0.5)).astype(np.uint8).reset_coords(drop=True)
+    small = small.drop_vars(list(small.coords)).rename(dict(zip(small.dims, row.dims, strict=True)))
+    small.attrs = {**row.attrs, "line_step": steps[along], "column_step": steps[across]}
+    return small.rename("overview")
 
 
 def quicklook(dataset: xr.Dataset, path: str | Path | None = None, *, lines: int = 1000) -> Any:
@@ -224,12 +220,12 @@ def flags_of(dataset: xr.Dataset) -> Array:
 def _draw_flags(axes: Any, quality: Array) -> None:
     """Draw the share of pixels under every flag that occurs."""
     share = {flag: float((quality & int(flag) != 0).mean()) for flag in schema.Quality}
-    found = {flag: part for flag, part in share.items() if part > 0}
-    names = [str(flag.name).lower().replace("_", " ") for flag in found] or ["no flag set"]
-    bars = axes.barh(names, [100 * part for part in found.values()] or [0.0], height=0.6, color="#b5543c")
+    occurring = {flag: part for flag, part in share.items() if part > 0}
+    names = [str(flag.name).lower().replace("_", " ") for flag in occurring] or ["no flag set"]
+    bars = axes.barh(names, [100 * part for part in occurring.values()] or [0.0], height=0.6, color="#b5543c")
     axes.bar_label(
         bars,
-        [f" {100 * part:.3f}".rstrip("0").rstrip(".") + " %" for part in found.values()] or [""],
+        [f" {100 * part:.3f}".rstrip("0").rstrip(".") + " %" for part in occurring.values()] or [""],
         fontsize="small",
     )
     axes.set(title="quality", xlabel="pixels [%]", ylim=(max(len(names), 8) - 0.4, -0.6))

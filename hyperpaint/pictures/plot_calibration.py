@@ -9,13 +9,15 @@ import numpy as np
 
 from hyperpaint.base import schema
 from hyperpaint.base.arrays import Array
-from hyperpaint.base.errors import MissingExtraError, Problems, SchemaError
+from hyperpaint.base.errors import Problems, SchemaError
 from hyperpaint.base.schema import BAND, CROSS_TRACK, STEP
+
+from .figures import check_picture, new_figure, save_figure
 
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["calibration_report", "check_picture"]
+__all__ = ["calibration_report"]
 
 Values = dict[str, Any]
 
@@ -85,11 +87,10 @@ def calibration_report(
     >>> sweep = simulate_sweep(steps=31, bands=136, columns=4)
     >>> figure = calibration_report(calibrate(sweep), sweep)
     """
-    check_picture(path)
-    from matplotlib.figure import Figure
-
+    figure = new_figure("a calibration report", figsize=(15, 8.8), layout="constrained")
+    if path is not None:
+        check_picture(Path(path))
     values = _values(calibration, sweep, column)
-    figure = Figure(figsize=(15, 8.8), layout="constrained")
     figure.set_layout_engine("constrained", w_pad=0.08, h_pad=0.08)
     figure.suptitle(_title(calibration, values), fontsize="medium")
     grid = figure.add_gridspec(2, 3)
@@ -101,53 +102,13 @@ def calibration_report(
     _draw_widths(figure.add_subplot(grid[1, 0]), values)
     _draw_responsivity(figure.add_subplot(grid[1, 1]), values)
     _draw_uncertainty(figure.add_subplot(grid[1, 2]), values)
-    if path is not None:
-        figure.savefig(path, dpi=110)
+    save_figure(figure, path)
     return figure
-
-
-def check_picture(path: str | Path | None) -> None:
-    """Make sure, before a long computation, that a picture can be written there in the end.
-
-    Parameters
-    ----------
-    path
-        Of the picture; None for none.
-
-    Raises
-    ------
-    MissingExtraError
-        matplotlib is not installed.
-    SchemaError
-        matplotlib writes no such picture, or the folder is not there.
-
-    Examples
-    --------
-    >>> check_picture("calibration.xls")  # doctest: +ELLIPSIS
-    Traceback (most recent call last):
-    hyperpaint.base.errors.SchemaError: calibration.xls: no picture that matplotlib writes; expected ...
-    """
-    try:
-        from matplotlib.backend_bases import FigureCanvasBase
-    except ImportError as error:
-        needed = MissingExtraError.of("matplotlib", "viz", "a calibration report")
-        raise needed from error
-
-    if path is None:
-        return
-    path = Path(path)
-    kinds = sorted(FigureCanvasBase.get_supported_filetypes())
-    if path.suffix.lower().lstrip(".") not in kinds:
-        raise SchemaError(
-            f"{path}: no picture that matplotlib writes; expected a name that ends in .{', .'.join(kinds)}"
-        )
-    if not path.absolute().parent.is_dir():
-        raise SchemaError(f"{path}: there is no folder {path.absolute().parent} for the picture")
 
 
 def _values(calibration: xr.Dataset, sweep: xr.Dataset | None, column: int | None) -> Values:
     """Return what is drawn, as arrays in the units of the table, and the column that stands out."""
-    found = schema.require(calibration, list(_DIMS), "a calibration report")
+    variables = schema.require(calibration, list(_DIMS), "a calibration report")
     sizes = {dim: calibration.sizes[dim] for dim in (STEP, BAND, CROSS_TRACK)}
     problems = Problems("the calibration report cannot be drawn", SchemaError)
     if sweep is not None and any(sweep.sizes.get(dim) != size for dim, size in sizes.items()):
@@ -158,8 +119,8 @@ def _values(calibration: xr.Dataset, sweep: xr.Dataset | None, column: int | Non
     problems.raise_if_any()
     values: Values = {}
     for name, dims in _DIMS.items():
-        missing = {dim: sizes[dim] for dim in dims if dim not in found[name].dims}
-        values[name] = found[name].expand_dims(missing).transpose(*dims).to_numpy()
+        missing = {dim: sizes[dim] for dim in dims if dim not in variables[name].dims}
+        values[name] = variables[name].expand_dims(missing).transpose(*dims).to_numpy()
     if column is None:
         lit = np.flatnonzero(values["line_trusted"].any(axis=0))
         column = int(lit[lit.size // 2]) if lit.size else sizes[CROSS_TRACK] // 2
@@ -168,14 +129,14 @@ def _values(calibration: xr.Dataset, sweep: xr.Dataset | None, column: int | Non
 
 def _title(calibration: xr.Dataset, values: Values) -> str:
     trusted, good, fwhm = values["line_trusted"], values["good"], values["fwhm"]
-    told = [
+    parts = [
         str(calibration.attrs.get("sweep", "lab sweep")),
         f"{int(trusted.any(axis=1).sum())} of {len(trusted)} steps used",
         f"{int(good.sum())} of {good.size} bands have a gain",
         f"line shape {calibration.attrs['srf_shape']}, FWHM {np.nanmedian(fwhm):.2f} nm",
         f"smile {np.ptp(values['wavelength_shift']):.2f} nm",
     ]
-    return "   ·   ".join(told)
+    return "   ·   ".join(parts)
 
 
 # --- the lines ---------------------------------------------------------------------------------------------
@@ -234,9 +195,9 @@ def _draw_residuals(axes: Any, values: Values) -> None:
     """Draw where the wavelength map puts the lines, against the monochromator, line by line."""
     residual = values["line_centre"] - values["step_wavelength"][:, None]
     residual = np.where(values["line_trusted"], residual, np.nan)
-    known = residual[np.isfinite(residual)]
-    limit = max(float(np.percentile(np.abs(known), 98)), 1e-6) if known.size else 1.0
-    spread = f"r.m.s. {np.sqrt(np.mean(known**2)):.2g} nm" if known.size else "no line is used"
+    finite = residual[np.isfinite(residual)]
+    limit = max(float(np.percentile(np.abs(finite), 98)), 1e-6) if finite.size else 1.0
+    spread = f"r.m.s. {np.sqrt(np.mean(finite**2)):.2g} nm" if finite.size else "no line is used"
     _draw_map(
         axes, values["step_wavelength"], residual, "map - monochromator [nm]",
         cmap="PuOr", vmin=-limit, vmax=limit,
@@ -254,13 +215,9 @@ def _draw_smile(axes: Any, values: Values) -> None:
     if min(shift.shape) > 1 and np.ptp(shift) > 0:
         levels = np.linspace(shift.min(), shift.max(), 6)[1:-1]
         curves = axes.contour(
-            values["wavelength"],
-            np.arange(shift.shape[1]),
-            shift.T,
-            levels=levels,
-            colors="white",
+            values["wavelength"], np.arange(shift.shape[1]), shift.T, levels=levels, colors="white",
             linewidths=0.8,
-        )
+        )  # fmt: skip
         axes.clabel(curves, fmt="%.2g", fontsize="small")
     axes.set_title("smile")
 
@@ -341,7 +298,7 @@ def _draw_uncertainty(axes: Any, values: Values) -> None:
 
 def _over_columns(values: Array) -> Array:
     """Return the median of the columns, NaN where none is known."""
-    known = np.isfinite(values).any(axis=1)
+    has_value = np.isfinite(values).any(axis=1)
     middle = np.full(len(values), np.nan)
-    middle[known] = np.nanmedian(values[known], axis=1)
+    middle[has_value] = np.nanmedian(values[has_value], axis=1)
     return middle

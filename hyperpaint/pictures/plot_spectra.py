@@ -1,4 +1,4 @@
-"""Spectra of pixels, regions and paints, with their spread."""
+"""Spectra of pixels, regions and paints, with their spread; a paint library at a glance."""
 
 from __future__ import annotations
 
@@ -9,9 +9,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from hyperpaint.base import schema
-from hyperpaint.base.arrays import Array
+from hyperpaint.base.arrays import Array, Floats32
 from hyperpaint.base.errors import Problems, SchemaError
 from hyperpaint.base.schema import ALONG_TRACK, BAND, CROSS_TRACK, Quality
+from hyperpaint.paints.colours import paint_colours
 from hyperpaint.paints.signatures import EXCLUDED, extract_signatures
 from hyperpaint.paints.signatures.extraction import gather
 from hyperpaint.radiometry.counts_to_reflectance import radiance, reflectance
@@ -23,7 +24,7 @@ from .plot import known_quantiles
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["draw_band", "spectrum", "triptych"]
+__all__ = ["MOST_PAINTS", "draw_band", "find_usable", "library_overview", "spectrum", "triptych"]
 
 
 SPREADS = ("quantiles", "sd", "none")
@@ -119,11 +120,11 @@ def _check(library: bool, regions: Any, pixels: Any, paints: Any, spread: str) -
         if (regions is None) == (pixels is None):
             problems.add("a flight line needs either regions or pixels=(along_track, cross_track)")
     if pixels is not None:
-        found = np.asarray(pixels)
-        if found.ndim not in (1, 2) or found.shape[-1:] != (2,) or found.dtype.kind not in "iu":
+        places = np.asarray(pixels)
+        if places.ndim not in (1, 2) or places.shape[-1:] != (2,) or places.dtype.kind not in "iu":
             problems.add(f"pixels={pixels!r:.60}, expected whole (along_track, cross_track), or several")
-        elif found.ndim == 2 and len(found) > MOST_CURVES:
-            problems.add(f"{len(found)} pixels, expected at most {MOST_CURVES}; outline them as a region")
+        elif places.ndim == 2 and len(places) > MOST_CURVES:
+            problems.add(f"{len(places)} pixels, expected at most {MOST_CURVES}; outline them as a region")
     problems.raise_if_any()
 
 
@@ -143,15 +144,15 @@ def _draw_paints(axes: Any, library: xr.Dataset, paints: str | Iterable[str] | N
     problems.raise_if_any()
     for name in wanted:
         own = library.isel({schema.PAINT: names.index(name)})
-        wavelength, known = _wavelength_of(own)
-        centre = np.where(known, own["reflectance"].values, np.nan)
+        wavelength, is_good = _wavelength_of(own)
+        centre = np.where(is_good, own["reflectance"].values, np.nan)
         count = f" (n = {int(own['n'])})" if "n" in own else ""
         (curve,) = axes.plot(wavelength, centre, lw=1.6, label=label_for(name) + count)
-        draw_band(axes, own, wavelength, known, spread, curve.get_color())
+        draw_band(axes, own, wavelength, is_good, spread, curve.get_color())
 
 
 def draw_band(
-    axes: Any, paint: xr.Dataset, wavelength: Array, known: Array, spread: str, colour: Any
+    axes: Any, paint: xr.Dataset, wavelength: Array, is_good: Array, spread: str, colour: Any
 ) -> None:
     """Shade how far the pixels of one paint are spread.
 
@@ -161,7 +162,7 @@ def draw_band(
         matplotlib axes.
     paint
         One paint of a library.
-    wavelength, known : (band,)
+    wavelength, is_good : (band,)
         Of the bands, and which of them may be shown.
     spread
         See `spectrum`; what the library does not hold is not drawn.
@@ -174,17 +175,19 @@ def draw_band(
             edges = [np.abs(levels - level).argmin() for level in (low, high)]
             if np.allclose(levels[edges], (low, high), atol=1e-6):
                 below, above = paint["reflectance_quantiles"].values[edges]
-                axes.fill_between(wavelength, below, above, where=known, color=colour, alpha=shade, lw=0)
+                axes.fill_between(wavelength, below, above, where=is_good, color=colour, alpha=shade, lw=0)
     elif spread == "sd" and "reflectance_sd" in paint:
         centre, sd = paint["reflectance"].values, paint["reflectance_sd"].values
-        axes.fill_between(wavelength, centre - sd, centre + sd, where=known, color=colour, alpha=0.25, lw=0)
+        axes.fill_between(wavelength, centre - sd, centre + sd, where=is_good, color=colour, alpha=0.25, lw=0)
 
 
 def _wavelength_of(dataset: xr.Dataset) -> tuple[Array, Array]:
     """Return wavelengths [nm], and which bands are to be used."""
-    found = schema.require(dataset, ["wavelength"], "a picture of spectra")["wavelength"].values
-    good = dataset["good"].values.astype(bool) if "good" in dataset.variables else np.ones(found.size, bool)
-    return found, good
+    wavelength = schema.require(dataset, ["wavelength"], "a picture of spectra")["wavelength"].values
+    good = (
+        dataset["good"].values.astype(bool) if "good" in dataset.variables else np.ones(wavelength.size, bool)
+    )
+    return wavelength, good
 
 
 # --- pixels ------------------------------------------------------------------------------------------------
@@ -200,17 +203,17 @@ def _draw_pixels(axes: Any, dataset: xr.Dataset, places: Array) -> None:
     if "reflectance" not in dataset.variables:
         dataset = reflectance(dataset)
     names = [name for name in ("reflectance_u_random", "reflectance_u_systematic") if name in dataset]
-    found = schema.require(dataset, ["reflectance", *names], "a picture of spectra")
+    cubes = schema.require(dataset, ["reflectance", *names], "a picture of spectra")
     planes = {"quality": dataset["quality"]} if "quality" in dataset else {}
-    spectra, values = gather(found, planes, places[:, 0], places[:, 1], slice(None), {})
-    wavelength, known = _wavelength_of(dataset)
+    spectra, values = gather(cubes, planes, places[:, 0], places[:, 1], slice(None), {})
+    wavelength, is_good = _wavelength_of(dataset)
     shift = np.zeros((wavelength.size, size[1]))
     if "wavelength_shift" in dataset.variables:
         own = schema.require(dataset, ["wavelength_shift"], "a picture of spectra")["wavelength_shift"]
         shift = np.broadcast_to(own.values, shift.shape)
     for number, (along, across) in enumerate(places.tolist()):
         at = wavelength + shift[:, across]
-        shown = np.where(known, spectra["reflectance"][number], np.nan)
+        shown = np.where(is_good, spectra["reflectance"][number], np.nan)
         bits = int(values["quality"][number]) if planes else 0
         flags = ", ".join(str(flag.name).lower().replace("_", " ") for flag in Quality if flag & bits)
         label = f"({along}, {across})" + (f": {flags}" if flags else "")
@@ -224,11 +227,7 @@ def _draw_pixels(axes: Any, dataset: xr.Dataset, places: Array) -> None:
 
 
 def triptych(
-    dataset: xr.Dataset,
-    region: Any,
-    path: str | Path | None = None,
-    *,
-    exclude: Quality | int | None = None,
+    dataset: xr.Dataset, region: Any, path: str | Path | None = None, *, exclude: Quality | int | None = None
 ) -> Any:
     r"""Draw one region as counts, as radiance and as reflectance, side by side.
 
@@ -265,16 +264,18 @@ def triptych(
     figure = new_figure("a triptych", figsize=(13, 4.2), layout="constrained")
     dataset = schema.rename_to_roles(dataset)
     counts = schema.require(dataset, ["counts", "wavelength"], "a triptych")["counts"]
-    found = regions_from(region)
-    if len(found) != 1:
-        raise SchemaError(f"a triptych shows one region, found {len(found)}; index them, such as regions[0]")
+    outlined = regions_from(region)
+    if len(outlined) != 1:
+        raise SchemaError(
+            f"a triptych shows one region, found {len(outlined)}; index them, such as regions[0]"
+        )
     calibrated = reflectance(dataset)
     cubes = {
         "counts": counts,
         "radiance": radiance(dataset)["radiance"],
         "reflectance": calibrated["reflectance"],
     }
-    along, across = pixels_of(found, dataset)[0]
+    along, across = pixels_of(outlined, dataset)[0]
     step = max(1, -(-along.size // MOST_PIXELS))
     planes = {"quality": calibrated["quality"]}
     along, across = along[::step], across[::step]
@@ -282,14 +283,14 @@ def triptych(
     used = (values["quality"] & int(EXCLUDED if exclude is None else exclude)) == 0
     used &= np.isfinite(spectra["reflectance"]).any(axis=1)
     if not used.any():
-        name = found[0].name
+        name = outlined[0].name
         raise SchemaError(
             f"region {name!r}: none of {along.size} pixels is left; draw it elsewhere, or exclude less"
         )
-    figure.suptitle(f"{label_for(found[0].name)}: {int(used.sum())} of {along.size} pixels")
-    wavelength, known = _wavelength_of(dataset)
+    figure.suptitle(f"{label_for(outlined[0].name)}: {int(used.sum())} of {along.size} pixels")
+    wavelength, is_good = _wavelength_of(dataset)
     for axes, (name, cube) in zip(figure.subplots(1, 3), spectra.items(), strict=True):
-        _draw_quantiles(axes, wavelength, np.where(known, cube[used], np.nan))
+        _draw_quantiles(axes, wavelength, np.where(is_good, cube[used], np.nan))
         axes.set(title=name, xlabel="wavelength [nm]", ylabel=_LABELS[name])
     _draw_limits(figure.axes[0], dataset, wavelength, across[used])
     _draw_white(figure.axes[1], dataset, along[used])
@@ -335,3 +336,119 @@ def _draw_white(axes: Any, dataset: xr.Dataset, along: Array) -> None:
     there = (samples >= low) & (samples <= high)
     white = series.isel({schema.IRRADIANCE_TIME: int(moment)}).values[there] / np.pi
     axes.plot(samples[there], white, color="0.4", lw=1, ls="--", label="white surface")
+
+
+# --- paint libraries -----------------------------------------------------------------------------------
+
+
+MOST_PAINTS = 48
+"""Paints of one figure at the most."""
+
+_PANEL = (2.9, 2.1)  # [inch]
+_CURVE = "#222222"
+_KINDS = {"float32": "fiu", "float64": "fiu", "int64": "iu", "uint16": "iu", "bool": "b"}
+"""Kinds of dtypes that serve for one of the table."""
+
+
+def library_overview(
+    paints: xr.Dataset, path: str | Path | None = None, *, columns: int = 4, spread: str = "quantiles"
+) -> Any:
+    """Draw every paint of a library: a swatch of its colour, its spectrum and how far its pixels are spread.
+
+    Parameters
+    ----------
+    paints
+        A paint library, as of `hyperpaint.extract_signatures`.
+    path
+        Where to write a picture (PNG, PDF, ...); nowhere by default.
+    columns
+        Paints side by side.
+    spread
+        See `hyperpaint.spectrum`.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+        Of at most 48 paints; its title says how many more there are. All axes have the same scale.
+
+    Raises
+    ------
+    MissingExtraError
+        matplotlib is not installed.
+    SchemaError
+        It is no paint library, what it holds has other dims, units or dtypes than a library's, or matplotlib
+        writes no such picture.
+    """
+    paints, wrong = find_usable(paints)
+    problems = Problems("a paint library cannot be drawn", SchemaError)
+    for problem in wrong:
+        problems.add(problem)
+    problems.raise_if_any()
+    variables = schema.require(paints, ["reflectance", "wavelength"], "an overview", schema.LIBRARY_VARIABLES)
+    count = paints.sizes[schema.PAINT]
+    if not count:
+        raise SchemaError("an overview needs paints, the library has none")
+    shown = min(count, MOST_PAINTS)
+    columns = max(1, min(columns, shown))
+    rows = -(-shown // columns)
+    size = (_PANEL[0] * columns, _PANEL[1] * rows + 0.4)
+    figure = new_figure("a picture of a paint library", figsize=size, layout="constrained")
+    grid = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False)
+    wavelength = variables["wavelength"].values
+    good = (
+        paints["good"].values.astype(bool) if "good" in paints.variables else np.ones(wavelength.size, bool)
+    )
+    colours = paint_colours(paints)
+    for number, axes in enumerate(grid.ravel()):
+        if number < shown:
+            _draw_paint(axes, paints.isel({schema.PAINT: number}), wavelength, good, spread, colours[number])
+        else:
+            axes.set_axis_off()
+    # the last axes of a column carry its wavelengths, also where the row below is not full
+    for number in range(max(0, shown - columns), shown):
+        axes = grid.ravel()[number]
+        axes.tick_params(labelbottom=True)
+        axes.set_xlabel("wavelength [nm]", fontsize="small")
+    grid[0, 0].set_ylim(bottom=min(0.0, grid[0, 0].get_ylim()[0]))
+    if count > shown:
+        figure.suptitle(f"the first {shown} of {count} paints")
+    save_figure(figure, path)
+    return figure
+
+
+def find_usable(paints: xr.Dataset) -> tuple[xr.Dataset, list[str]]:
+    """Return a library without what is not as the table says, and what is wrong with that.
+
+    Reads dims, dtypes and attributes only, never values.
+    """
+    table = schema.LIBRARY_VARIABLES
+    names = [name for name in table if name in paints.variables]
+    kinds = {name: _KINDS.get(table[name].dtype, paints[name].dtype.kind) for name in names}
+    # only numbers can be brought to other units
+    alike = [name for name in names if paints[name].dtype.kind in kinds[name]]
+    problems = [
+        f"{name!r} is {paints[name].dtype}, expected {table[name].dtype}"
+        for name in names
+        if name not in alike
+    ]
+    usable, wrong = schema.find(paints, alike, table)
+    return paints.drop_vars([name for name in names if name not in usable]), [*problems, *wrong]
+
+
+def _draw_paint(
+    axes: Any, paint: xr.Dataset, wavelength: Any, good: Any, spread: str, colour: Floats32
+) -> None:
+    from matplotlib.patches import Rectangle
+
+    draw_band(axes, paint, wavelength, good, spread, _CURVE)
+    axes.plot(wavelength, np.where(good, paint["reflectance"].values, np.nan), color=_CURVE, lw=1.3)
+    count = f"  n = {int(paint['n'])}" if "n" in paint else ""
+    title = label_for(paint[schema.PAINT].item()) + count
+    axes.set_title(title, fontsize="small", loc="left", pad=11 if np.isfinite(colour).all() else None)
+    if np.isfinite(colour).all():
+        swatch = Rectangle(
+            (0.0, 1.0), 1.0, 0.05, transform=axes.transAxes, clip_on=False, facecolor=colour.tolist(),
+            edgecolor="0.5", lw=0.5,
+        )  # fmt: skip
+        axes.add_patch(swatch)
+    axes.tick_params(labelsize="small")

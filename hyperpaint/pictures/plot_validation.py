@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from hyperpaint.base.errors import Problems, SchemaError
+from hyperpaint.base.errors import SchemaError
 
 from .figures import label_for, new_figure, save_figure
 
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
     from hyperpaint.validation import Validation
 
-__all__ = ["MOST_PAIRS", "check_picture", "validation_figure"]
+__all__ = ["MOST_PAIRS", "validation_figure"]
 
 MOST_PAIRS = 24
 """Pairs of one figure at the most."""
@@ -24,27 +24,6 @@ MOST_PAIRS = 24
 _PANEL = (4.3, 3.3)  # [inch]
 _SIGNATURE, _REFERENCE, _DIFFERENCE = "#0072B2", "#D55E00", "#222222"
 _LEAST_SPAN = 0.005  # of the axis of differences
-
-
-def check_picture(path: Path) -> None:
-    """Refuse a place for a picture before anything is drawn.
-
-    Raises
-    ------
-    MissingExtraError
-        matplotlib is not installed.
-    SchemaError
-        A picture may not go there; all reasons are listed.
-    """
-    known = new_figure("a picture of a validation").canvas.get_supported_filetypes()
-    problems = Problems(f"the picture cannot be written to {path}", SchemaError)
-    if path.suffix.lower().removeprefix(".") not in known:
-        problems.add(f"expected a name that ends in one of {', '.join(f'.{each}' for each in sorted(known))}")
-    if path.is_dir():
-        problems.add("that is a folder; name a file in it, such as agreement.png")
-    if not path.absolute().parent.is_dir():
-        problems.add(f"there is no folder {path.absolute().parent}")
-    problems.raise_if_any()
 
 
 def validation_figure(
@@ -123,8 +102,8 @@ def _draw_spectra(axes: Any, validation: Validation, pair: int) -> None:
     spectra = validation.spectra[pair]
     for name, colour, dash in (("signature", _SIGNATURE, "-"), ("reference", _REFERENCE, "--")):
         at, values = _whole(spectra, spectra[name])
-        told = "signature" if name == "signature" else f"reference ({spectra.attrs['instrument']})"
-        axes.plot(at, values, color=colour, ls=dash, lw=1.5, label=label_for(told))
+        legend = "signature" if name == "signature" else f"reference ({spectra.attrs['instrument']})"
+        axes.plot(at, values, color=colour, ls=dash, lw=1.5, label=label_for(legend))
         if f"{name}_sd" in spectra:
             _, sd = _whole(spectra, spectra[f"{name}_sd"])
             axes.fill_between(at, values - sd, values + sd, color=colour, alpha=0.2, lw=0)
@@ -152,9 +131,11 @@ def _draw_difference(axes: Any, validation: Validation, pair: int, limit: float,
         edge = validation.tolerance["rmse"]
         axes.axhspan(-edge, edge, color="#009E73", alpha=0.08, lw=0)
     axes.plot(at, values, color=_DIFFERENCE, lw=1.0)
-    known = [_whole(spectra, spectra[name])[1] for name in ("signature_u", "reference_u") if name in spectra]
-    if known:
-        u = np.sqrt(sum(each**2 for each in known))
+    uncertainties = [
+        _whole(spectra, spectra[name])[1] for name in ("signature_u", "reference_u") if name in spectra
+    ]
+    if uncertainties:
+        u = np.sqrt(sum(each**2 for each in uncertainties))
         axes.fill_between(at, values - u, values + u, color=_DIFFERENCE, alpha=0.2, lw=0)
     axes.set_ylim(-limit, limit)
     axes.tick_params(labelsize="small")

@@ -20,12 +20,12 @@ from hyperpaint.pictures.figures import new_figure
 from hyperpaint.radiometry.counts_to_reflectance import reflectance
 from hyperpaint.surroundings.flags import flag_line, is_flagged
 
-from .markup import Markup, element, joined, table_of_facts
-from .report_page import page
+from .pages import page_part
 from .report_sections import LAYERS, Part, calibration_section, library_section, line_section, regions_of
 
 if TYPE_CHECKING:
     import xarray as xr
+    from markupsafe import Markup
 
     from hyperpaint.regions import Region
 
@@ -117,6 +117,7 @@ def write_report(
     >>> write_report("lot.zarr", "report.html").problems     # doctest: +SKIP
     ()
     """
+    from hyperpaint.io.files.publishing import publish_file
     from hyperpaint.io.store import list_groups
 
     new_figure("a report")  # before anything is read
@@ -125,20 +126,20 @@ def write_report(
         raise SchemaError(f"lines={lines}, expected 1 or more")
     opened, problems = _opened(store, list_groups(store))
     shown = _chosen({name: line for name, line in opened.items() if _is_line(line)}, flightlines, store)
-    libraries = {name: made for name, made in opened.items() if _is_library(made)}
+    libraries = {name: group for name, group in opened.items() if _is_library(group)}
     if signatures is not None:
         libraries[Path(signatures).name] = _library(signatures)
     if not shown and not libraries:
-        told = "; ".join(problems) or f"its groups are {', '.join(opened) or 'none'}"
-        raise StoreError(f"{store} has nothing to show, neither a flight line nor signatures: {told}")
+        reason = "; ".join(problems) or f"its groups are {', '.join(opened) or 'none'}"
+        raise StoreError(f"{store} has nothing to show, neither a flight line nor signatures: {reason}")
     outlines = _outlines(shown, libraries, problems)
     steps = len(shown) + len(libraries) + ("calibration" in opened)
     parts: list[tuple[str, Iterator[Part]]] = [
         *(
-            (name, _flagged_section(line, lines, outlines[name], flags, sun_zenith, told))
-            for (name, line), told in zip(shown.items(), _shares(progress, steps), strict=False)
+            (name, _flagged_section(line, lines, outlines[name], flags, sun_zenith, share))
+            for (name, line), share in zip(shown.items(), _shares(progress, steps), strict=False)
         ),
-        *((name, library_section(made)) for name, made in libraries.items()),
+        *((name, library_section(library)) for name, library in libraries.items()),
     ]
     if "calibration" in opened:
         parts.append(("calibration", calibration_section(opened["calibration"])))
@@ -147,7 +148,10 @@ def write_report(
         if progress is not None:
             progress(1000 * number, 1000 * steps)
         sections.append((name, _drawn(name, draw, problems)))
-    _write(place, page(Path(store).resolve().name, _head(store, opened, problems), sections))
+    head = _head(store, opened, problems)
+    page = page_part("page", title=Path(store).resolve().name, head=head, sections=sections)
+    # no half page ever stands under its name
+    publish_file(place, page.encode("utf-8", "replace"), overwrite=True)
     if progress is not None:
         progress(1000 * steps, 1000 * steps)
     return Written(place, tuple(shown), tuple(problems))
@@ -175,7 +179,7 @@ def _flagged_section(
                 note = f"{_SOUGHT} were looked for here; the store has no such flags."
         # a line that cannot be looked at is shown all the same; damage shows again where it is drawn
         except Exception as error:
-            note = f"{_SOUGHT} could not be looked for: {_told(error)}"
+            note = f"{_SOUGHT} could not be looked for: {_message_of(error)}"
     yield from line_section(line, lines, regions, note)
 
 
@@ -229,13 +233,13 @@ def _opened(store: str | os.PathLike[str], groups: Sequence[str]) -> tuple[dict[
     return opened, problems
 
 
-def _is_line(made: xr.Dataset) -> bool:
-    cubes = {"counts", "radiance", "reflectance", "quality"} & set(made.variables)
-    return {ALONG_TRACK, CROSS_TRACK} <= set(made.dims) and bool(cubes)
+def _is_line(group: xr.Dataset) -> bool:
+    cubes = {"counts", "radiance", "reflectance", "quality"} & set(group.variables)
+    return {ALONG_TRACK, CROSS_TRACK} <= set(group.dims) and bool(cubes)
 
 
-def _is_library(made: xr.Dataset) -> bool:
-    return "reflectance" in made.variables and PAINT in made["reflectance"].dims
+def _is_library(group: xr.Dataset) -> bool:
+    return "reflectance" in group.variables and PAINT in group["reflectance"].dims
 
 
 def _chosen(
@@ -243,38 +247,38 @@ def _chosen(
 ) -> dict[str, xr.Dataset]:
     if wanted is None:
         return dict(list(lines.items())[:MOST_LINES])
-    found = {
+    matches = {
         name: next((key for key in lines if name in (key, key.rpartition("/")[2])), None) for name in wanted
     }
-    if unknown := [name for name, key in found.items() if key is None]:
+    if unknown := [name for name, key in matches.items() if key is None]:
         held = ", ".join(lines) or "none"
         raise SchemaError(f"{store} has no flight line {', '.join(map(repr, unknown))}; there is {held}")
-    return {key: lines[key] for key in found.values() if key is not None}
+    return {key: lines[key] for key in matches.values() if key is not None}
 
 
 def _library(path: str | os.PathLike[str]) -> xr.Dataset:
     from hyperpaint.io.store import open_store
 
-    made = open_store(path)
-    if not _is_library(made):
+    library = open_store(path)
+    if not _is_library(library):
         raise SchemaError(
             f"{path} is no paint library; expected reflectance (paint, band), as hyperpaint signatures writes"
         )
-    return made
+    return library
 
 
 def _outlines(
     lines: dict[str, xr.Dataset], libraries: dict[str, xr.Dataset], problems: list[str]
 ) -> dict[str, list[Region]]:
     """Return the regions of the libraries on every flight line."""
-    found: list[tuple[str, Region]] = []
-    for library, made in libraries.items():
+    outlined: list[tuple[str, Region]] = []
+    for name, library in libraries.items():
         try:
-            found.extend(regions_of(made))
+            outlined.extend(regions_of(library))
         except Exception as error:  # see _drawn
-            problems.append(f"/{library}, regions: {_told(error)}")
+            problems.append(f"/{name}, regions: {_message_of(error)}")
     return {
-        group: [region for name, region in found if name in ("", group, group.rpartition("/")[2])]
+        group: [region for name, region in outlined if name in ("", group, group.rpartition("/")[2])]
         for group in lines
     }
 
@@ -282,20 +286,22 @@ def _outlines(
 # --- the page ----------------------------------------------------------------------------------------------
 
 
-def _drawn(name: str, parts: Iterator[Part], problems: list[str]) -> Markup:
-    """Return a section without what cannot be drawn of it, which is named instead."""
-    made: list[Markup] = []
+def _drawn(name: str, parts: Iterator[Part], problems: list[str]) -> list[Markup]:
+    """Return the parts of a section; what cannot be drawn is named instead, and added to the problems."""
+    drawn: list[Markup] = []
     for what, draw in parts:
         try:
-            made.append(draw())
+            drawn.append(draw())
         # a damaged chunk shows when it is read; and what a store of another hand holds, when it is drawn
         except Exception as error:
-            problems.append(f"/{name}, {what}: {_told(error)}")
-            made.append(element("p", f"This could not be shown: {what}: {_told(error)}", class_="problem"))
-    return joined(made)
+            message = _message_of(error)
+            problems.append(f"/{name}, {what}: {message}")
+            text = f"This could not be shown: {what}: {message}"
+            drawn.append(page_part("paragraph", text=text, kind="problem"))
+    return drawn
 
 
-def _told(error: Exception) -> str:
+def _message_of(error: Exception) -> str:
     kind = "" if isinstance(error, PaintError) else f"{type(error).__name__}: "
     return f"{kind}{error!s:.1000}"
 
@@ -307,29 +313,11 @@ def _head(store: str | os.PathLike[str], opened: dict[str, xr.Dataset], problems
     from hyperpaint.io.store.listing import version_of_program
 
     now = datetime.datetime.now(datetime.UTC).isoformat(sep=" ", timespec="seconds")
-    collects = [str(made.attrs["collect"]) for made in opened.values() if "collect" in made.attrs]
+    collects = [str(group.attrs["collect"]) for group in opened.values() if "collect" in group.attrs]
     facts = {
         "store": Path(store).resolve().name,
         "collect": ", ".join(dict.fromkeys(collects)),
         "groups": ", ".join(f"/{name}" for name in opened),
         "reported": f"{now.removesuffix('+00:00')} UTC by hyperpaint {version_of_program()}",
     }
-    parts = [table_of_facts(facts)]
-    if problems:
-        listed = joined(element("li", problem) for problem in problems)
-        parts.append(
-            element(
-                "div",
-                element("strong", "Not everything could be read"),
-                element("ul", listed),
-                class_="problem",
-            )
-        )
-    return joined(parts)
-
-
-def _write(place: Path, content: Markup) -> None:
-    """Write the page; no half page ever stands under its name."""
-    from hyperpaint.io.files.publishing import publish_file
-
-    publish_file(place, content.encode("utf-8", "replace"), overwrite=True)
+    return page_part("head", pairs=list(facts.items()), problems=problems)

@@ -1,4 +1,4 @@
-"""What a dataset holds, at a glance: as text in a terminal, as HTML in a notebook."""
+"""What a dataset holds, at a glance: as facts, as text in a terminal, as HTML in a notebook."""
 
 from __future__ import annotations
 
@@ -9,16 +9,104 @@ import numpy as np
 import numpy.typing as npt
 
 from hyperpaint.base import schema
-from hyperpaint.base.schema import ALONG_TRACK, Quality
+from hyperpaint.base.schema import ALONG_TRACK, BAND, IRRADIANCE_TIME, IRRADIANCE_WAVELENGTH, Quality
 from hyperpaint.pictures.figures import data_uri, encode_png
 
-from .facts import Facts, counted, facts_of_bands, facts_of_line, form_of, size_of
-from .markup import Markup, element, joined, table_of_facts, void
+from .pages import page_part
 
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["stored_overview", "summary_html", "summary_text"]
+__all__ = [
+    "Facts", "counted", "facts_of_bands", "facts_of_irradiance", "facts_of_line", "form_of", "range_of",
+    "size_of", "stored_overview", "summary_html", "summary_text", "times_of",
+]  # fmt: skip
+
+
+Facts = Iterator[tuple[str, str]]
+"""Names and texts."""
+
+
+def facts_of_line(line: xr.Dataset) -> Facts:
+    """Yield what stands for a flight line, opened or stored."""
+    for name in ("counts", "radiance", "reflectance"):
+        if name in line:
+            yield name, form_of(line[name])
+    yield from facts_of_bands(line)
+    if "time" in line.coords:
+        yield "times", times_of(line["time"].values)
+    if "exposure_time" in line.variables:
+        source = line.attrs.get("exposure_source", "")
+        text = range_of(np.unique(line["exposure_time"].values) * 1e3, "ms")
+        yield "exposure", f"{text} ({source})" if source else text
+    yield "dark", str(line.attrs.get("dark_source", ""))
+    if "irradiance" in line:
+        yield "irradiance", f"{counted(line.sizes[IRRADIANCE_TIME], 'sample')} around the line"
+
+
+def facts_of_irradiance(dataset: xr.Dataset) -> Facts:
+    """Yield what stands for a series of irradiance."""
+    yield "irradiance", form_of(dataset["irradiance"])
+    yield "wavelength", range_of(dataset[IRRADIANCE_WAVELENGTH].values, "nm")
+    yield "times", times_of(dataset[IRRADIANCE_TIME].values)
+
+
+def form_of(array: xr.DataArray) -> str:
+    """Return the dims, dtype and units of an array."""
+    shape = " x ".join(f"{size} {dim}" for dim, size in array.sizes.items()) or "scalar"
+    units = array.attrs.get("units")
+    return f"{shape}, {array.dtype}" + (f" [{units}]" if units else "")
+
+
+def facts_of_bands(dataset: xr.Dataset) -> Facts:
+    """Yield the wavelengths of the bands, and how many are bad."""
+    if "wavelength" not in dataset.coords:
+        yield "wavelength", "unknown" if BAND in dataset.dims else ""
+        return
+    text = range_of(dataset["wavelength"].values, "nm")
+    if "fwhm" in dataset.coords:
+        text += f", fwhm {range_of(dataset['fwhm'].values, 'nm')}"
+    if "good" in dataset.coords and not dataset["good"].values.all():
+        text += f", {counted(int((~dataset['good'].values).sum()), 'bad band')}"
+    yield "wavelength", text
+
+
+def counted(number: int, thing: str) -> str:
+    """Return a number of things, in the singular or plural."""
+    return f"{number} {thing}" if number == 1 else f"{number} {thing}s"
+
+
+def range_of(values: Any, units: str, digits: int = 3) -> str:
+    """Return the lowest and the highest of numbers."""
+    finite = np.asarray(values, np.float64)
+    finite = finite[np.isfinite(finite)]
+    if not finite.size:
+        return "unknown"
+    low, high = (f"{value:.{digits}f}".rstrip("0").rstrip(".") for value in (finite.min(), finite.max()))
+    return f"{low} {units}" if low == high else f"{low} to {high} {units}"
+
+
+def times_of(times: Any) -> str:
+    """Return the first and the last of times."""
+    if times.dtype.kind != "M":
+        return f"no times, but {times.dtype}"
+    dated = times[~np.isnat(times)]
+    if not dated.size:
+        return "times unknown"
+    first, last = (np.datetime_as_string(time, unit="ms") for time in (dated.min(), dated.max()))
+    lost = f", {times.size - dated.size} without a time" if dated.size < times.size else ""
+    return f"{first} to {last} UTC{lost}"
+
+
+def size_of(count: int) -> str:
+    """Return a number of bytes for reading."""
+    size = float(count)
+    for unit in ("bytes", "kB", "MB"):
+        if size < 1000:
+            return f"{size:.0f} {unit}" if unit == "bytes" else f"{size:.1f} {unit}"
+        size /= 1000
+    return f"{size:.1f} GB"
+
 
 _MOST_OVERVIEW_BYTES = 8 * 2**20
 _MOST_NAMES = 40
@@ -44,9 +132,9 @@ def summary_text(dataset: xr.Dataset) -> str:
     title, facts = _summary(dataset)
     width = max((len(name) for name, _ in facts), default=0)
     indent = "\n" + " " * (width + 4)
-    title, facts = _printable(title), [(_printable(name), _printable(told)) for name, told in facts]
+    title, facts = _printable(title), [(_printable(name), _printable(fact)) for name, fact in facts]
     return "\n".join(
-        [title, *(f"  {name.ljust(width)}  {told.replace(chr(10), indent)}" for name, told in facts)]
+        [title, *(f"  {name.ljust(width)}  {fact.replace(chr(10), indent)}" for name, fact in facts)]
     )
 
 
@@ -57,21 +145,12 @@ def summary_html(dataset: xr.Dataset) -> str:
     of the dataset are escaped.
     """
     title, facts = _summary(dataset)
-    rows = table_of_facts(facts, style="border-collapse:collapse;border:0")
-    rows = Markup(rows.replace("<th ", f'<th style="{_CELL}" ').replace("<td>", f'<td style="{_CELL}">'))
-    parts: list[Markup] = [element("strong", title)]
-    picture = _told(lambda: stored_overview(dataset), None)
+    picture = _attempt(lambda: stored_overview(dataset), None)
+    src = ""
     if picture is not None:
         step = max(1, -(-picture.shape[0] // 480))
-        small = np.ascontiguousarray(picture[::step, :: max(1, step // 2)].swapaxes(0, 1))
-        parts.append(
-            void(
-                "img", src=data_uri(encode_png(small)), alt="true colour, along_track to the right",
-                style="display:block;margin:6px 0;width:100%;max-width:480px;max-height:240px;"
-                "image-rendering:pixelated",
-            )
-        )  # fmt: skip
-    return str(element("div", joined([*parts, rows]), style=_STYLE))
+        src = data_uri(encode_png(np.ascontiguousarray(picture[::step, :: max(1, step // 2)].swapaxes(0, 1))))
+    return str(page_part("summary", title=title, pairs=facts, src=src, style=_STYLE, cell_style=_CELL))
 
 
 def stored_overview(dataset: xr.Dataset) -> npt.NDArray[np.uint8] | None:
@@ -88,9 +167,9 @@ def stored_overview(dataset: xr.Dataset) -> npt.NDArray[np.uint8] | None:
     return np.asarray(stored.values)
 
 
-def _printable(told: str) -> str:
+def _printable(text: str) -> str:
     """Return a text that a terminal takes for nothing but text."""
-    return "".join(sign if sign.isprintable() or sign == "\n" else "\ufffd" for sign in told)
+    return "".join(sign if sign.isprintable() or sign == "\n" else "\ufffd" for sign in text)
 
 
 # --- facts -------------------------------------------------------------------------------------------------
@@ -98,21 +177,21 @@ def _printable(told: str) -> str:
 
 def _summary(dataset: xr.Dataset) -> tuple[str, list[tuple[str, str]]]:
     """Return a title and facts. A summary never raises: a dataset may be anything, and its store be gone."""
-    dataset = _told(lambda: schema.rename_to_roles(dataset), dataset)
+    dataset = _attempt(lambda: schema.rename_to_roles(dataset), dataset)
     kind, source = _kind(dataset)
     name = dataset.attrs.get("name") or dataset.attrs.get("title") or ""
     title = f"{kind} {name}".strip()
-    facts = _told(lambda: list(source(dataset)), None)
+    facts = _attempt(lambda: list(source(dataset)), None)
     if facts is None:
         facts = [(str(key), form_of(array)) for key, array in dataset.data_vars.items()][:_MOST_NAMES]
     facts.append(("size", size_of(dataset.nbytes)))
-    return title, [(name, told) for name, told in facts if told]
+    return title, [(name, fact) for name, fact in facts if fact]
 
 
-def _told(function: Any, otherwise: Any) -> Any:
+def _attempt(function: Any, otherwise: Any) -> Any:
     try:
         return function()
-    except Exception:  # what cannot be told is left out
+    except Exception:  # what cannot be read is left out
         return otherwise
 
 
@@ -121,7 +200,7 @@ def _kind(dataset: xr.Dataset) -> tuple[str, Any]:
         return "paint library", _library
     if ALONG_TRACK in dataset.dims:
         return "flight line", _line
-    return "dataset", lambda made: [(str(k), form_of(v)) for k, v in made.data_vars.items()][:_MOST_NAMES]
+    return "dataset", lambda group: [(str(k), form_of(v)) for k, v in group.data_vars.items()][:_MOST_NAMES]
 
 
 def _line(line: xr.Dataset) -> Facts:
@@ -144,8 +223,8 @@ def _flags(line: xr.Dataset) -> str:
     if values.dtype.kind not in "ui" or not values.size:
         return ""
     shares = {flag: np.count_nonzero(values & int(flag)) / values.size for flag in Quality}
-    told = (f"{str(f.name).lower()} {100 * share:.2g} %" for f, share in shares.items() if share)
-    return ", ".join(told) or "no flag set"
+    texts = (f"{str(f.name).lower()} {100 * share:.2g} %" for f, share in shares.items() if share)
+    return ", ".join(texts) or "no flag set"
 
 
 def _abilities(line: xr.Dataset) -> Iterator[str]:
@@ -173,5 +252,5 @@ def _library(library: xr.Dataset) -> Facts:
             values = np.atleast_1d(library[name].values)
             yield label, f"{values.min():.0f} to {values.max():.0f} a paint"
     for name in ("flightlines", "smoothing", "exclude"):
-        found = library.attrs.get(name)
-        yield name, ", ".join(map(str, found)) if isinstance(found, list) else str(found or "")
+        entry = library.attrs.get(name)
+        yield name, ", ".join(map(str, entry)) if isinstance(entry, list) else str(entry or "")

@@ -96,7 +96,7 @@ def write_calibration(
     if Path(out).resolve() == Path(sweep).resolve():
         raise SchemaError(f"{out} is the sweep itself; choose another path for the calibration")
     if report is not None:
-        from hyperpaint.pictures.plot_calibration import check_picture
+        from hyperpaint.pictures.figures import check_picture
 
         check_picture(Path(report))
     calibration = calibrate_sweep(sweep, progress=progress, **options)

@@ -49,6 +49,20 @@ def test_the_suggestion_is_what_was_flown() -> None:
     assert upside["roll_positive"].verdict == "wrong"
 
 
+@pytest.mark.parametrize("mean_pitch", [1.5, 2.5])
+def test_a_platform_that_flies_nose_up(mean_pitch: float) -> None:
+    # such a pitch in radians looks past the horizon: the last meanings tried are left out
+    flight = flown(3, lines=600)
+    line, nav, declared = right(flight)
+    camera = hp.geometry.PinholeCamera(flight.columns, pixel_pitch=flight.spacing, focal_length=1.0)
+    found = check_conventions(
+        line, nav.assign(pitch=nav["pitch"] + mean_pitch), convention=declared, camera=camera,
+        ground=flight.ground, boresight=(0.0, -mean_pitch, 0.0),
+    )  # fmt: skip
+    assert found.wrong == ()
+    assert found["roll_positive"].verdict == "right"
+
+
 def test_two_at_once() -> None:
     flight = flown(3, lines=1000)
     line, nav, _ = right(flight)

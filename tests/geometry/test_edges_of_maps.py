@@ -5,16 +5,14 @@ from __future__ import annotations
 import pytest
 
 from hyperpaint.base.attitude_conventions import Convention
-from hyperpaint.geometry.georeference import grid_heading
+from hyperpaint.geometry.georeference.attitude_rotations import angles_of, quaternions
 from hyperpaint.geometry.georeference.geodesy import crs_of, is_in_metres
-from hyperpaint.geometry.georeference.rotations import angles_of, quaternions
 
 pytest.importorskip("pyproj")
 
 
 def test_headings_stay_below_360() -> None:
     assert Convention().canonical(0.0, 0.0, -1e-20)[2] == 0.0
-    assert grid_heading(-1e-20, 34.0, -81.0, "EPSG:4326") == 0.0
     assert angles_of(quaternions(0.0, 0.0, -1e-20))[2] == 0.0
 
 

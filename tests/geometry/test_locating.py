@@ -19,7 +19,7 @@ import hyperpaint as hp
 from hyperpaint.base.attitude_conventions import Convention
 from hyperpaint.base.errors import MissingExtraError, SchemaError, TimeError
 from hyperpaint.base.schema import VARIABLES, Quality
-from hyperpaint.geometry.georeference import grid_heading, utm_zone
+from hyperpaint.geometry.georeference import meridian_convergence, utm_zone
 
 PLACES = ("east", "north", "ground_height", "view_zenith", "view_azimuth")
 CAMERA = hp.geometry.PinholeCamera(5, field_of_view=40.0, edges="centres")
@@ -104,7 +104,7 @@ def test_map_north_and_scale() -> None:
     rng = np.random.default_rng(2)
     lat, lon, heading = rng.uniform(-75, 75, 50), rng.uniform(-84, -78, 50), rng.uniform(0, 360, 50)
     gamma = pyproj.Proj(UTM).get_factors(lon, lat).meridian_convergence
-    found = grid_heading(heading, lat, lon, UTM)
+    found = heading - meridian_convergence(lat, lon, UTM)
     assert np.abs((found - heading + gamma + 180) % 360 - 180).max() < 1e-6
     np.testing.assert_allclose(
         gamma, np.degrees(np.arctan(np.tan(np.radians(lon + 81)) * np.sin(np.radians(lat)))), atol=1e-3
@@ -328,7 +328,7 @@ def test_what_cannot_be_is_said_at_once() -> None:
         hp.geometry.locate(
             line, ground=0.0, camera=hp.geometry.PinholeCamera(4, field_of_view=9.0, edges="outer")
         )
-    with pytest.raises(SchemaError, match="where the columns look is not known"):
+    with pytest.raises(SchemaError, match="neither look_across nor look_angle"):
         hp.geometry.locate(line, ground=0.0)
     wrong = line.drop_vars("roll").copy(deep=True)
     wrong["pitch"].attrs["units"] = "radian"

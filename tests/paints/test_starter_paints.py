@@ -14,7 +14,7 @@ import hyperpaint as hp
 from hyperpaint.base.errors import SchemaError
 from hyperpaint.io.dirsig import open_emissivity
 from hyperpaint.paints.colours import paint_colours, srgb_hex
-from hyperpaint.pictures.plot_library import library_overview
+from hyperpaint.pictures.plot_spectra import library_overview
 from hyperpaint.simulation.rendering.scene_spectra import FOURTEEN, spectrum_of
 
 

@@ -30,9 +30,7 @@ class NoView:
 @pytest.fixture
 def picker(monkeypatch: pytest.MonkeyPatch) -> RegionPicker:
     """A picker of a line of 24 x 6 pixels without its widget."""
-    view = ModuleType("hyperpaint.pictures.picking_view")
-    view.PickerView = NoView  # type: ignore[attr-defined]
-    monkeypatch.setitem(sys.modules, "hyperpaint.pictures.picking_view", view)
+    monkeypatch.setattr(picking, "PickerView", NoView)
     monkeypatch.setattr(picking, "_need_extra", lambda: None)
     return pick_regions(flight().line, BEGIN, flightline="raw_0")
 

@@ -20,8 +20,7 @@ pytest.importorskip("matplotlib")
 from matplotlib.figure import Figure
 
 from hyperpaint.paints.colours import paint_colours
-from hyperpaint.pictures.plot_library import MOST_PAINTS, library_overview
-from hyperpaint.pictures.plot_spectra import spectrum, triptych
+from hyperpaint.pictures.plot_spectra import MOST_PAINTS, library_overview, spectrum, triptych
 
 LEFT = hp.Region("left", [(0, 0), (2, 0), (2, 19), (0, 19)])
 RIGHT = hp.Region("_right $x", [(3, 0), (5, 0), (5, 19), (3, 19)])

@@ -11,7 +11,8 @@ from support.agreeing_spectra import NM, agreeing, field, library, seen
 
 import hyperpaint as hp
 from hyperpaint.base.errors import SchemaError
-from hyperpaint.pictures.plot_validation import MOST_PAIRS, check_picture
+from hyperpaint.pictures.figures import check_picture
+from hyperpaint.pictures.plot_validation import MOST_PAIRS
 
 mpl.use("Agg")
 

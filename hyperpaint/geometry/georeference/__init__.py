@@ -2,18 +2,11 @@
 
 from .cameras import PinholeCamera
 from .coverage import footprint, spacing
-from .geodesy import grid_heading, meridian_convergence, utm_zone
+from .geodesy import meridian_convergence, utm_zone
 from .locating import locate
 from .poses import canonical_navigation, interpolate_pose
 
 __all__ = [
-    "PinholeCamera",
-    "canonical_navigation",
-    "footprint",
-    "grid_heading",
-    "interpolate_pose",
-    "locate",
-    "meridian_convergence",
-    "spacing",
-    "utm_zone",
-]
+    "PinholeCamera", "canonical_navigation", "footprint", "interpolate_pose", "locate",
+    "meridian_convergence", "spacing", "utm_zone",
+]  # fmt: skip

@@ -20,8 +20,8 @@ if TYPE_CHECKING:
 __all__ = ["PinholeCamera", "directions", "look_angles"]
 
 
-_STEEPEST = 89.0
-"""Look angle up to which a camera that looks down is believed [degree]."""
+_MAX_LOOK_ANGLE_DEG = 89.0
+"""Angle from the optical axis from which a camera no longer looks down."""
 
 
 @dataclass(frozen=True)
@@ -45,7 +45,7 @@ class PinholeCamera:
     Raises
     ------
     SchemaError
-        Neither or both of the two descriptions, or numbers that cannot be; all are listed.
+        Neither or both of the two descriptions, or numbers out of range; all are listed.
 
     Examples
     --------
@@ -62,7 +62,7 @@ class PinholeCamera:
     edges: Literal["centres", "outer"] | None = None
 
     def __post_init__(self) -> None:
-        problems = Problems("this camera cannot be", SchemaError)
+        problems = Problems("the description of this camera is not valid", SchemaError)
         if not (isinstance(self.columns, int | np.integer) and self.columns > 0):
             problems.add(f"columns {self.columns!r:.60}, expected a whole number above 0")
         lengths = (self.pixel_pitch, self.focal_length)
@@ -75,7 +75,7 @@ class PinholeCamera:
             if length is not None and not 0.0 < length < np.inf:
                 problems.add(f"{name} {length!r:.60}, expected a length above 0 [m]")
         if self.field_of_view is not None:
-            if not 0.0 < self.field_of_view < 2 * _STEEPEST:
+            if not 0.0 < self.field_of_view < 2 * _MAX_LOOK_ANGLE_DEG:
                 problems.add(f"field_of_view {self.field_of_view!r:.60}, expected 0 to 178 [degree]")
             if self.edges not in ("centres", "outer"):
                 problems.add(
@@ -150,9 +150,9 @@ def directions(across: Floats, along: Floats) -> Floats:
     SchemaError
         Angles that are not finite, or do not look down at all.
     """
-    if not (np.abs(across) < _STEEPEST).all() or not (np.abs(along) < _STEEPEST).all():
+    if not (np.abs(across) < _MAX_LOOK_ANGLE_DEG).all() or not (np.abs(along) < _MAX_LOOK_ANGLE_DEG).all():
         raise SchemaError(
-            f"the angles of the columns are not finite and below {_STEEPEST:g} degrees everywhere"
+            f"the angles of the columns are not finite and below {_MAX_LOOK_ANGLE_DEG:g} degrees everywhere"
         )
     u = np.stack([np.tan(np.radians(along)), np.tan(np.radians(across)), np.ones(across.size)], axis=1)
     return np.asarray(u / np.linalg.norm(u, axis=1, keepdims=True))
@@ -163,7 +163,7 @@ def _table(source: xr.Dataset) -> tuple[Any, Any]:
     name = next((name for name in ("look_across", "look_angle") if name in source.variables), None)
     if name is None:
         raise SchemaError(
-            "where the columns look is not known: neither look_across nor look_angle (cross_track) [degree]; "
+            "the line has neither look_across nor look_angle (cross_track) [degree]; "
             "give camera=hp.PinholeCamera(columns, pixel_pitch, focal_length), or a table of the angles"
         )
     across = convert(source[name], "degree").data.astype(np.float64)

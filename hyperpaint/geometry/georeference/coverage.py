@@ -59,8 +59,8 @@ def footprint(located: xr.Dataset, *, crs: Any = None) -> dict[str, Any]:
 
     east, north, source = _places(located)
     ends = _ends(east, north)
-    known = np.all(np.isfinite(ends), axis=(1, 2))
-    follows = np.flatnonzero(known[1:] & known[:-1])
+    is_placed = np.all(np.isfinite(ends), axis=(1, 2))
+    follows = np.flatnonzero(is_placed[1:] & is_placed[:-1])
     if not follows.size:
         raise SchemaError(
             "no two neighbouring lines are placed on the ground; look at poses and at the quality's off_swath"
@@ -75,7 +75,7 @@ def footprint(located: xr.Dataset, *, crs: Any = None) -> dict[str, Any]:
     return {
         "type": "Feature",
         "geometry": _geometry(outline),
-        "properties": {"area": float(whole.area), "lines": int(known.sum()), "crs": wanted},
+        "properties": {"area": float(whole.area), "lines": int(is_placed.sum()), "crs": wanted},
     }
 
 
@@ -102,41 +102,41 @@ def spacing(located: xr.Dataset) -> dict[str, float]:
     """
     east, north, _ = _places(located)
     across, along = _steps(east, north)
-    made: dict[str, float] = {}
+    distances: dict[str, float] = {}
     for name, steps in (("across", across), ("along", along)):
-        found = steps[np.isfinite(steps)]
+        finite = steps[np.isfinite(steps)]
         # one column, or one line, has no neighbour
-        made[name] = float(np.median(found)) if found.size else np.nan
+        distances[name] = float(np.median(finite)) if finite.size else np.nan
         for percent in _PERCENTILES:
-            value = float(np.percentile(found, percent)) if found.size else np.nan
-            made[f"{name}_p{percent:02.0f}"] = value
-    if np.isnan([made["across"], made["along"]]).all():
+            value = float(np.percentile(finite, percent)) if finite.size else np.nan
+            distances[f"{name}_p{percent:02.0f}"] = value
+    if np.isnan([distances["across"], distances["along"]]).all():
         raise SchemaError(
             "no two neighbouring pixels are placed on the ground; look at poses and the quality's off_swath"
         )
-    made["gsd"] = float(np.nanmax([made["across"], made["along"]]))
-    made["reversed"] = _reversed(east, north)
-    made["off_swath"] = float(np.isnan(east).mean())
-    return made
+    distances["gsd"] = float(np.nanmax([distances["across"], distances["along"]]))
+    distances["reversed"] = _reversed(east, north)
+    distances["off_swath"] = float(np.isnan(east).mean())
+    return distances
 
 
 def _places(located: xr.Dataset) -> tuple[Floats, Floats, str]:
     """Return east and north of every pixel [m], and their map."""
     import dask
 
-    found = require(located, ["east", "north"], "what a line covers")
-    crs = found["east"].attrs.get("crs")
+    coordinates = require(located, ["east", "north"], "what a line covers")
+    crs = coordinates["east"].attrs.get("crs")
     if not isinstance(crs, str):
         raise SchemaError("'east' does not declare its map; locate the line with hyperpaint.locate")
-    east, north = dask.compute(found["east"].data, found["north"].data)
+    east, north = dask.compute(coordinates["east"].data, coordinates["north"].data)
     return np.asarray(east), np.asarray(north), crs
 
 
 def _ends(east: Floats, north: Floats) -> Floats:
     """Return the outermost pixels of every line that have a place (line, 2, 2); NaN where none has."""
-    known = np.isfinite(east)
-    first = known.argmax(axis=1)
-    last = known.shape[1] - 1 - known[:, ::-1].argmax(axis=1)
+    is_placed = np.isfinite(east)
+    first = is_placed.argmax(axis=1)
+    last = is_placed.shape[1] - 1 - is_placed[:, ::-1].argmax(axis=1)
     rows = np.arange(len(east))
     return np.stack([np.stack([east[rows, at], north[rows, at]], axis=-1) for at in (first, last)], axis=1)
 
@@ -164,5 +164,5 @@ def _geometry(outline: Any) -> dict[str, Any]:
 
     import shapely
 
-    made: dict[str, Any] = json.loads(shapely.to_geojson(outline))
-    return made
+    geometry: dict[str, Any] = json.loads(shapely.to_geojson(outline))
+    return geometry

@@ -9,31 +9,22 @@ import numpy as np
 import numpy.typing as npt
 
 from hyperpaint.base.arrays import Floats
+from hyperpaint.base.constants import WGS84_ECCENTRICITY_SQUARED, WGS84_SEMI_MAJOR_AXIS_M
 from hyperpaint.base.errors import MissingExtraError, SchemaError
 
 if TYPE_CHECKING:
     import pyproj
 
 __all__ = [
-    "GEODETIC",
-    "between_maps",
-    "crs_of",
-    "grid_heading",
-    "grid_mapping_attrs",
-    "is_in_metres",
-    "meridian_convergence",
-    "near_turns",
-    "polynomials",
-    "turn_of_north",
-    "utm_zone",
-]
+    "GEODETIC", "between_maps", "crs_of", "grid_mapping_attrs", "is_in_metres", "meridian_convergence",
+    "near_turns", "polynomials", "turn_of_north", "utm_zone",
+]  # fmt: skip
 
 
 GEODETIC = "EPSG:4979"
 """Latitude, longitude and height above the ellipsoid of WGS 84, which positions are in."""
 
-_WGS84_AXIS, _WGS84_ECCENTRICITY2 = 6378137.0, 6.69437999014e-3
-_POLAR = 89.9
+_MAX_LATITUDE_DEG = 89.9
 """Latitude beyond which east and north change too fast for what is done here [degree]."""
 
 
@@ -49,22 +40,22 @@ def _pyproj() -> Any:
 @functools.lru_cache(maxsize=64)
 def _crs(text: str) -> pyproj.CRS:
     """Return a reference system, of the horizontal alone, of what `crs_of` has returned."""
-    made: pyproj.CRS = _pyproj().CRS.from_user_input(text).to_2d()
-    return made
+    horizontal: pyproj.CRS = _pyproj().CRS.from_user_input(text).to_2d()
+    return horizontal
 
 
 @functools.lru_cache(maxsize=64)
 def _to_map(wkt: str) -> pyproj.Transformer:
     """Return what turns longitude, latitude [degree] and height [m] into x, y of a map."""
-    made: pyproj.Transformer = _pyproj().Transformer.from_crs(GEODETIC, _crs(wkt), always_xy=True)
-    return made
+    transformer: pyproj.Transformer = _pyproj().Transformer.from_crs(GEODETIC, _crs(wkt), always_xy=True)
+    return transformer
 
 
 @functools.lru_cache(maxsize=1)
 def _geocentric() -> pyproj.Transformer:
     """Return what turns longitude, latitude [degree] and height [m] into geocentric X, Y, Z [m]."""
-    made: pyproj.Transformer = _pyproj().Transformer.from_crs(GEODETIC, "EPSG:4978", always_xy=True)
-    return made
+    transformer: pyproj.Transformer = _pyproj().Transformer.from_crs(GEODETIC, "EPSG:4978", always_xy=True)
+    return transformer
 
 
 def crs_of(crs: Any) -> str:
@@ -84,15 +75,15 @@ def crs_of(crs: Any) -> str:
     """
     pyproj = _pyproj()
     try:
-        known = pyproj.CRS.from_user_input(crs).to_2d()
+        system = pyproj.CRS.from_user_input(crs).to_2d()
     except pyproj.exceptions.CRSError as error:
         raise SchemaError(f"crs {crs!r:.80} is not known to PROJ; expected such as 'EPSG:32617'") from error
-    if not (known.is_projected or known.is_geographic):
+    if not (system.is_projected or system.is_geographic):
         raise SchemaError(
             f"crs {crs!r:.80} is neither projected nor geographic; expected such as 'EPSG:32617'"
         )
-    code = known.to_authority(min_confidence=100)
-    return ":".join(code) if code and pyproj.CRS(":".join(code)) == known else known.to_wkt()
+    code = system.to_authority(min_confidence=100)
+    return ":".join(code) if code and pyproj.CRS(":".join(code)) == system else system.to_wkt()
 
 
 def utm_zone(latitude: float, longitude: float) -> str:
@@ -163,50 +154,19 @@ def meridian_convergence(latitude: npt.ArrayLike, longitude: npt.ArrayLike, crs:
     0.7071
     """
     pyproj = _pyproj()
-    known = _crs(crs_of(crs))
+    system = _crs(crs_of(crs))
     latitude, longitude = np.broadcast_arrays(np.asarray(latitude, float), np.asarray(longitude, float))
-    if known.is_geographic:
+    if system.is_geographic:
         return np.zeros(latitude.shape)
-    factors = pyproj.Proj(known).get_factors(longitude, latitude)
+    factors = pyproj.Proj(system).get_factors(longitude, latitude)
     return np.asarray(factors.meridian_convergence, np.float64)
-
-
-def grid_heading(
-    heading: npt.ArrayLike, latitude: npt.ArrayLike, longitude: npt.ArrayLike, crs: Any
-) -> Floats:
-    """Return headings from the north of a map, of headings from true north, 0 to 360 [degree].
-
-    Parameters
-    ----------
-    heading
-        Clockwise from true north [degree].
-    latitude, longitude
-        [degree].
-    crs
-        Projected reference system.
-
-    Returns
-    -------
-    float64
-        Heading less `meridian_convergence`.
-
-    Raises
-    ------
-    SchemaError
-        PROJ does not know the system.
-    MissingExtraError
-        pyproj is not installed.
-    """
-    turned = np.asarray(heading, np.float64) - meridian_convergence(latitude, longitude, crs)
-    # twice, as a hair less than 0 comes to 360 itself
-    return np.asarray(np.mod(np.mod(turned, 360.0), 360.0))
 
 
 def grid_mapping_attrs(crs: str) -> dict[str, Any]:
     """Return the CF attributes of a ``spatial_ref`` coordinate."""
-    known = _crs(crs)
-    made: dict[str, Any] = {str(name): value for name, value in known.to_cf().items()}
-    return {**made, "spatial_ref": known.to_wkt()}
+    system = _crs(crs)
+    attrs: dict[str, Any] = {str(name): value for name, value in system.to_cf().items()}
+    return {**attrs, "spatial_ref": system.to_wkt()}
 
 
 def between_maps(places: Floats, source: str, target: str) -> Floats:
@@ -219,8 +179,10 @@ def between_maps(places: Floats, source: str, target: str) -> Floats:
 
 @functools.lru_cache(maxsize=16)
 def _between(source: str, target: str) -> pyproj.Transformer:
-    made: pyproj.Transformer = _pyproj().Transformer.from_crs(_crs(source), _crs(target), always_xy=True)
-    return made
+    transformer: pyproj.Transformer = _pyproj().Transformer.from_crs(
+        _crs(source), _crs(target), always_xy=True
+    )
+    return transformer
 
 
 def is_in_metres(crs: str) -> bool:
@@ -228,12 +190,12 @@ def is_in_metres(crs: str) -> bool:
 
     Those to the west and south (EPSG:2053) would turn every map over.
     """
-    known = _crs(crs)
-    ways = {axis.direction.lower() for axis in known.axis_info}
+    system = _crs(crs)
+    ways = {axis.direction.lower() for axis in system.axis_info}
     # both axes of a map of the north pole may point south
     if "west" in ways or {"south", "east"} <= ways:
         return False
-    return known.is_projected and all(axis.unit_conversion_factor == 1.0 for axis in known.axis_info)
+    return system.is_projected and all(axis.unit_conversion_factor == 1.0 for axis in system.axis_info)
 
 
 def near_turns(x: Floats, middle: float, crs: str) -> Floats:
@@ -286,12 +248,12 @@ def polynomials(
     second degree is of the order of d (d / R)^2, for a way d on an earth of radius R: 25 nm at 100 m, 0.2 mm
     at 2 km.
     """
-    made = np.full((3, latitude.size, 10), np.nan)
+    coefficients = np.full((3, latitude.size, 10), np.nan)
     good = np.isfinite(latitude) & np.isfinite(longitude) & np.isfinite(altitude) & np.isfinite(reach)
-    good &= np.abs(latitude) < _POLAR
+    good &= np.abs(latitude) < _MAX_LATITUDE_DEG
     if good.any():
-        made[:, good] = _fit(latitude[good], longitude[good], altitude[good], reach[good], crs)
-    return made[0], made[1], made[2]
+        coefficients[:, good] = _fit(latitude[good], longitude[good], altitude[good], reach[good], crs)
+    return coefficients[0], coefficients[1], coefficients[2]
 
 
 def _fit(latitude: Floats, longitude: Floats, altitude: Floats, reach: Floats, crs: str) -> Floats:
@@ -303,9 +265,9 @@ def _fit(latitude: Floats, longitude: Floats, altitude: Floats, reach: Floats, c
     x, y, *_ = _to_map(crs).transform(lon, lat, height)
     if _crs(crs).is_geographic:
         x = x[:, :1] + (x - x[:, :1] + 180.0) % 360.0 - 180.0
-    made = np.stack([_coefficients(np.asarray(value), reach) for value in (x, y, height)])
-    made[~np.isfinite(made)] = np.nan  # PROJ's sign for what is not on the map
-    return made
+    coefficients = np.stack([_coefficients(np.asarray(value), reach) for value in (x, y, height)])
+    coefficients[~np.isfinite(coefficients)] = np.nan  # PROJ's sign for what is not on the map
+    return coefficients
 
 
 def _east_north_up(latitude: Floats, longitude: Floats) -> Floats:
@@ -334,5 +296,5 @@ def _coefficients(value: Floats, reach: Floats) -> Floats:
 def turn_of_north(latitude: Floats) -> Floats:
     """Return how true north turns with the way to the east [rad m-1]."""
     phi = np.radians(latitude)
-    radius = _WGS84_AXIS / np.sqrt(1.0 - _WGS84_ECCENTRICITY2 * np.sin(phi) ** 2)
+    radius = WGS84_SEMI_MAJOR_AXIS_M / np.sqrt(1.0 - WGS84_ECCENTRICITY_SQUARED * np.sin(phi) ** 2)
     return np.asarray(np.tan(phi) / radius)

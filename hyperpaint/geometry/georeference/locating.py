@@ -3,18 +3,28 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from hyperpaint.base.arrays import Floats
+from hyperpaint.base.arrays import Floats, Ints
 from hyperpaint.base.attitude_conventions import Convention
+from hyperpaint.base.constants import lines_a_task
 from hyperpaint.base.errors import Problems, SchemaError
 from hyperpaint.base.schema import ALONG_TRACK, BAND, CHUNK_LINES, CROSS_TRACK, Quality, label, require
-from hyperpaint.radiometry.slabs import MAX_CHUNK_BYTES
 
-from .cameras import PinholeCamera, look_angles
-from .geodesy import crs_of, grid_mapping_attrs, is_in_metres, utm_zone
+from .attitude_rotations import matrices, quaternions
+from .cameras import PinholeCamera, directions, look_angles
+from .geodesy import (
+    crs_of,
+    grid_mapping_attrs,
+    is_in_metres,
+    near_turns,
+    polynomials,
+    turn_of_north,
+    utm_zone,
+)
 from .poses import (
     NAVIGATION_TIME,
     POSE,
@@ -26,13 +36,90 @@ from .poses import (
     poses_at,
     with_convention,
 )
-from .swaths import Mounting, places_of, swath_of
-from .terrain import TerrainGrid, grid_of, terrain_of
+from .terrain import Terrain, grid_of, terrain_of
 
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["locate"]
+__all__ = ["Mounting", "Swath", "locate", "places_of", "swath_of"]
+
+
+_MAP_FROM_NED = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
+"""Turns north, east, down into east, north, up."""
+_MIN_REACH_M, _MAX_REACH_M = 10.0, 20_000.0
+"""Bounds of the way from the camera over which a map is looked at [m]."""
+
+
+@dataclass(frozen=True)
+class Mounting:
+    """How a camera sits in the body."""
+
+    boresight: tuple[float, float, float]  #: Roll, pitch, heading of the camera in the body [degree]
+    #: Projection centre from the point that positions are of: forward, right, down [m]
+    lever_arm: tuple[float, float, float]
+
+
+@dataclass(frozen=True)
+class Swath:
+    """All that a slab of lines needs."""
+
+    poses: Floats  #: (6, line) float64: canonical; see `hyperpaint.geometry.georeference.poses.POSE`
+    look: Floats  #: (column, 3) float64: directions of the columns in the camera's frame
+    mounting: Mounting  #: How the camera sits in the body
+    ground: float | Terrain  #: Height of level ground above the ellipsoid [m], or a raster of heights
+    crs: str  #: Map
+    starts: Ints  #: (slab + 1,): first line of every slab, and the number of lines
+
+
+def swath_of(
+    poses: Floats,
+    across: Floats,
+    along: Floats,
+    mounting: Mounting,
+    ground: float | Terrain,
+    crs: str,
+    starts: Ints,
+) -> Swath:
+    """Return what all tasks share."""
+    return Swath(poses, directions(np.asarray(across), np.asarray(along)), mounting, ground, crs, starts)
+
+
+def places_of(swath: Swath, block_id: tuple[int, ...]) -> Floats:
+    """Return what is known of the pixels of a slab (part, line, column), float64."""
+    here = slice(int(swath.starts[block_id[1]]), int(swath.starts[block_id[1] + 1]))
+    return place_lines(swath, swath.poses[:, here])
+
+
+def place_lines(swath: Swath, poses: Floats) -> Floats:
+    """Return x, y, height [m], zenith and azimuth [degree] (part, line, column) of lines with poses."""
+    from hyperpaint.kernels.arguments import LineFrames, LineRays, Raster
+    from hyperpaint.kernels.rays import PLACES, level_places, raster_places
+
+    latitude, longitude, altitude = poses[:3]
+    body = _MAP_FROM_NED @ matrices(quaternions(*poses[3:]))
+    origin = np.ascontiguousarray(body @ np.array(swath.mounting.lever_arm, np.float64))
+    rotation = np.ascontiguousarray(body @ matrices(quaternions(*swath.mounting.boresight)))
+    lowest = swath.ground if isinstance(swath.ground, float) else swath.ground.lowest
+    reach = np.clip(altitude - lowest, _MIN_REACH_M, _MAX_REACH_M)
+    x, y, height = polynomials(latitude, longitude, altitude, reach, swath.crs)
+    out = np.empty((PLACES, latitude.size, len(swath.look)))
+    rays = LineRays(origin, rotation, swath.look)
+    frames = LineFrames(x, y, height, turn_of_north(latitude))
+    if isinstance(swath.ground, float):
+        level_places(rays, frames, swath.ground, out)
+        return out
+    terrain, grid = swath.ground, swath.ground.grid
+    col, row = x.copy(), y.copy()
+    if grid.crs != swath.crs:
+        col, row, _ = polynomials(latitude, longitude, altitude, reach, grid.crs)
+    # rasters count longitude from -180 or 0, or reach across 180
+    col[:, 0] += near_turns(col[:, 0], grid.x[0] + grid.x[1] * (terrain.heights.shape[1] - 1) / 2, grid.crs)
+    for place, (first, step) in ((col, grid.x), (row, grid.y)):
+        place[:, 0] -= first
+        place /= step
+    raster = Raster(row, col, terrain.heights, terrain.tops, terrain.lowest, terrain.highest)
+    raster_places(rays, frames, raster, out)
+    return out
 
 
 _PLACES = ("east", "north", "ground_height", "view_zenith", "view_azimuth")
@@ -136,10 +223,10 @@ def locate(
     >>> line = line.assign_coords(cross_track=[0, 1, 2])
     >>> camera = PinholeCamera(3, field_of_view=90.0, edges="centres")
     >>> convention = Convention(column_order="left_to_right")
-    >>> made = locate(line, ground=50.0, camera=camera, convention=convention)
-    >>> made.east.attrs["crs"], made.east.diff("cross_track").values.round(1).tolist()
+    >>> located = locate(line, ground=50.0, camera=camera, convention=convention)
+    >>> located.east.attrs["crs"], located.east.diff("cross_track").values.round(1).tolist()
     ('EPSG:32617', [[100.0, 100.0]])
-    >>> made.view_azimuth.values.round().tolist()
+    >>> located.view_azimuth.values.round().tolist()
     [[90.0, 0.0, 270.0]]
     """
     _check(line, boresight, lever_arm, ground, dem, clock_offset_s)
@@ -156,21 +243,24 @@ def locate(
     poses = _call(_poses, convention=meaning, crs=crs, **columns, **options)
     crs = _map_of(poses, crs)
     mounting = Mounting(_triple(boresight), _triple(lever_arm))
-    surface = float(ground) if ground is not None else _surface(dem, grid)
+    surface = None if ground is None else float(ground)
+    if dem is not None:
+        heights = dem.squeeze(drop=True).transpose("y", "x").data
+        surface = _call(terrain_of, heights=heights, grid=grid)
     chunks = _line_chunks(line)
     starts = np.concatenate([[0], np.cumsum(chunks)])
     places = _lazy_places(poses, across, along, mounting, surface, crs, starts)
-    made = _with_poses(line, poses, chunks)
-    made = _with_places(made, places, crs)
-    told = {
+    located = _with_poses(line, poses, chunks)
+    located = _with_places(located, places, crs)
+    settings = {
         "boresight": list(mounting.boresight),
         "lever_arm": list(mounting.lever_arm),
         "ground": "dem" if ground is None else float(ground),
         "clock_offset_s": float(clock_offset_s),
         "pose_interpolation": interpolation if "recorded" in columns else "none",
     }
-    made.attrs = with_convention({**line.attrs, **told}, meaning.of_canonical)
-    return made
+    located.attrs = with_convention({**line.attrs, **settings}, meaning.of_canonical)
+    return located
 
 
 # --- what is asked for -------------------------------------------------------------------------------------
@@ -184,7 +274,7 @@ def _check(
     dem: xr.DataArray | None,
     clock_offset_s: float,
 ) -> None:
-    """Refuse what cannot be, before anything is looked at."""
+    """Refuse arguments that contradict one another or are out of range; all are listed."""
     problems = Problems("this line cannot be located", SchemaError)
     for dim in (ALONG_TRACK, CROSS_TRACK):
         if dim not in line.dims:
@@ -207,11 +297,11 @@ def _check(
 def _meaning(line: xr.Dataset, navigation: xr.Dataset | None, convention: Convention | None) -> Convention:
     """Return what the angles mean, with the order of columns that the line declares where it does not."""
     source, subject = (line, "this line") if navigation is None else (navigation, "this navigation record")
-    found = convention_of(source, convention, subject)
+    declared = convention_of(source, convention, subject)
     own = Convention.from_attrs(line.attrs)
-    if found.column_order is None and own is not None:
-        found = found.replace(column_order=own.column_order)
-    return found
+    if declared.column_order is None and own is not None:
+        declared = declared.replace(column_order=own.column_order)
+    return declared
 
 
 def _triple(three: Sequence[float]) -> tuple[float, float, float]:
@@ -222,20 +312,20 @@ def _triple(three: Sequence[float]) -> tuple[float, float, float]:
 def _map_of(poses: Any, crs: Any) -> str:
     """Return the map asked for, or the UTM zone of the middle of the lines that have a pose."""
     if crs is None:
-        known = np.flatnonzero(np.isfinite(poses[0]))
-        if not known.size:
+        with_pose = np.flatnonzero(np.isfinite(poses[0]))
+        if not with_pose.size:
             raise SchemaError(
                 "no line has a pose, and so no UTM zone; check the navigation and its times, or give crs="
             )
-        latitude, longitude = poses[:2, known[known.size // 2]]
+        latitude, longitude = poses[:2, with_pose[with_pose.size // 2]]
         crs = utm_zone(float(latitude), float(longitude))
-    made = crs_of(crs)
-    if not is_in_metres(made):
+    code = crs_of(crs)
+    if not is_in_metres(code):
         raise SchemaError(
             f"crs {crs!r:.80} is not a map in metres to the east and north; give a projected one, such as "
             "'EPSG:32617'"
         )
-    return made
+    return code
 
 
 # --- poses -------------------------------------------------------------------------------------------------
@@ -248,15 +338,15 @@ def _pose_inputs(
     source = line if navigation is None else navigation
     dim = ALONG_TRACK if navigation is None else NAVIGATION_TIME
     columns = pose_columns(source, convention, dim)
-    made = {name: column.data for name, column in columns.items()}
+    inputs = {name: column.data for name, column in columns.items()}
     if navigation is None and clock_offset_s == 0.0:
-        return made
+        return inputs
     wanted = require(line, ["time"], "poses")["time"].data
     if navigation is None:
-        return {**made, "recorded": wanted, "wanted": wanted}
+        return {**inputs, "recorded": wanted, "wanted": wanted}
     if NAVIGATION_TIME not in navigation.variables:
         raise SchemaError(f"this navigation record has no {NAVIGATION_TIME!r}, UTC as datetime64[ns]")
-    return {**made, "recorded": navigation[NAVIGATION_TIME].data, "wanted": wanted}
+    return {**inputs, "recorded": navigation[NAVIGATION_TIME].data, "wanted": wanted}
 
 
 def _poses(
@@ -276,13 +366,9 @@ def _poses(
         values[:, ~np.isfinite(values).all(axis=0)] = np.nan
         return values
     return poses_at(
-        np.asarray(recorded),
-        values,
-        np.asarray(wanted),
-        clock_offset_s=clock_offset_s,
-        max_gap_s=max_gap_s,
-        interpolation=interpolation,
-    )
+        np.asarray(recorded), values, np.asarray(wanted), clock_offset_s=clock_offset_s,
+        max_gap_s=max_gap_s, interpolation=interpolation,
+    )  # fmt: skip
 
 
 def _with_poses(line: xr.Dataset, poses: Any, chunks: tuple[int, ...]) -> xr.Dataset:
@@ -294,17 +380,13 @@ def _with_poses(line: xr.Dataset, poses: Any, chunks: tuple[int, ...]) -> xr.Dat
 
         shape = (len(POSE), line.sizes[ALONG_TRACK])
         poses = da.from_delayed(poses, shape, np.float64).rechunk((1, chunks))
-    made = {name: label(xr.DataArray(poses[row], dims=(ALONG_TRACK,)), name) for row, name in enumerate(POSE)}
-    return line.drop_vars(POSE, errors="ignore").assign_coords(made)
+    coordinates = {
+        name: label(xr.DataArray(poses[row], dims=(ALONG_TRACK,)), name) for row, name in enumerate(POSE)
+    }
+    return line.drop_vars(POSE, errors="ignore").assign_coords(coordinates)
 
 
 # --- places ------------------------------------------------------------------------------------------------
-
-
-def _surface(dem: xr.DataArray | None, grid: TerrainGrid | None) -> Any:
-    if dem is None or grid is None:
-        raise TypeError
-    return _call(terrain_of, heights=dem.squeeze(drop=True).transpose("y", "x").data, grid=grid)
 
 
 def _lazy_places(
@@ -318,13 +400,9 @@ def _lazy_places(
     swath = _call(swath_of, **parts, mounting=mounting, crs=crs, starts=starts)
     chunks = ((len(_PLACES),), tuple(int(n) for n in np.diff(starts)), (len(across),))
     return da.map_blocks(
-        places_of,
-        dask.delayed(swath, pure=True),
-        chunks=chunks,
-        dtype=np.float64,
-        meta=np.empty((0, 0, 0)),
-        name=None,
-    )
+        places_of, dask.delayed(swath, pure=True), chunks=chunks, dtype=np.float64,
+        meta=np.empty((0, 0, 0)), name=None,
+    )  # fmt: skip
 
 
 def _with_places(line: xr.Dataset, places: Any, crs: str) -> xr.Dataset:
@@ -332,10 +410,10 @@ def _with_places(line: xr.Dataset, places: Any, crs: str) -> xr.Dataset:
     import xarray as xr
 
     dims = (ALONG_TRACK, CROSS_TRACK)
-    told: dict[str, dict[str, str]] = {name: {"grid_mapping": "spatial_ref"} for name in _PLACES}
+    attrs: dict[str, dict[str, str]] = {name: {"grid_mapping": "spatial_ref"} for name in _PLACES}
     for name, standard in (("east", "projection_x_coordinate"), ("north", "projection_y_coordinate")):
-        told[name] |= {"crs": crs, "standard_name": standard}
-    made = {n: label(xr.DataArray(places[k], dims=dims), n, **told[n]) for k, n in enumerate(_PLACES)}
+        attrs[name] |= {"crs": crs, "standard_name": standard}
+    coordinates = {n: label(xr.DataArray(places[k], dims=dims), n, **attrs[n]) for k, n in enumerate(_PLACES)}
     off = (np.isnan(places[0]) * np.uint16(Quality.OFF_SWATH)).astype(np.uint16)
     quality = xr.Variable(dims, off)
     if "quality" in line.variables:
@@ -343,7 +421,7 @@ def _with_places(line: xr.Dataset, places: Any, crs: str) -> xr.Dataset:
     reference = xr.DataArray(np.int64(0), attrs=grid_mapping_attrs(crs))
     line = line.drop_vars([*_PLACES, "spatial_ref"], errors="ignore")
     line = line.assign(quality=label(xr.DataArray(quality), "quality"))
-    return line.assign_coords({**made, "spatial_ref": reference})
+    return line.assign_coords({**coordinates, "spatial_ref": reference})
 
 
 def _line_chunks(line: xr.Dataset) -> tuple[int, ...]:
@@ -353,7 +431,7 @@ def _line_chunks(line: xr.Dataset) -> tuple[int, ...]:
         if array.chunks is not None:
             return tuple(array.chunksizes[ALONG_TRACK])
     samples = line.sizes[CROSS_TRACK] * line.sizes.get(BAND, 1)
-    slab = min(CHUNK_LINES, max(1, MAX_CHUNK_BYTES // max(4 * samples, 1)))
+    slab = lines_a_task(4 * samples, CHUNK_LINES)
     full, rest = divmod(line.sizes[ALONG_TRACK], slab)
     return (slab,) * full + ((rest,) if rest or not full else ())
 

@@ -9,32 +9,23 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 import numpy.typing as npt
 
-from hyperpaint.base.arrays import Floats
+from hyperpaint.base.arrays import Array, Bools, Floats, Ints
 from hyperpaint.base.attitude_conventions import Convention
 from hyperpaint.base.errors import Problems, SchemaError, TimeError
 from hyperpaint.base.schema import ALONG_TRACK, label
 from hyperpaint.base.units import conversion_factor, convert
 
+from .attitude_rotations import angles_of, quaternions, slerp
 from .geodesy import meridian_convergence
-from .rotations import angles_of, quaternions, slerp
 
 if TYPE_CHECKING:
     import xarray as xr
 
 __all__ = [
-    "ANGLES",
-    "NAVIGATION_TIME",
-    "POSE",
-    "Interpolation",
-    "canonical_navigation",
-    "canonical_values",
-    "check_interpolation",
-    "convention_of",
-    "interpolate_pose",
-    "pose_columns",
-    "poses_at",
+    "ANGLES", "NAVIGATION_TIME", "POSE", "Interpolation", "canonical_navigation", "canonical_values",
+    "check_interpolation", "convention_of", "interpolate_pose", "pose_columns", "poses_at",
     "with_convention",
-]
+]  # fmt: skip
 
 Interpolation = Literal["linear", "cubic"]
 
@@ -45,7 +36,7 @@ ANGLES = ("roll", "pitch", "heading")
 
 _NS_PER_S = 1e9
 _NAT = np.iinfo(np.int64).min
-_GAP_STEPS, _SHORTEST_GAP = 2.5, 0.1
+_GAP_INTERVALS, _MIN_GAP_S = 2.5, 0.1
 """Intervals, and seconds, that a gap is longer than."""
 
 
@@ -93,15 +84,15 @@ def canonical_navigation(
     columns = pose_columns(navigation, convention)
     values = canonical_values(*(columns[n].values for n in POSE), convention=convention, crs=crs)
     dims = columns["roll"].dims
-    made = navigation.assign({n: _labelled(v, n, dims) for n, v in zip(POSE, values, strict=True)})
-    made.attrs = with_convention(navigation.attrs, convention.of_canonical)
-    return made
+    canonical = navigation.assign({n: _labelled(v, n, dims) for n, v in zip(POSE, values, strict=True)})
+    canonical.attrs = with_convention(navigation.attrs, convention.of_canonical)
+    return canonical
 
 
 def with_convention(attrs: Mapping[Any, Any], convention: Convention) -> dict[Any, Any]:
     """Return attributes that declare this convention and no other."""
-    kept = {name: value for name, value in attrs.items() if not str(name).startswith("convention_")}
-    return {**kept, **convention.to_attrs()}
+    others = {name: value for name, value in attrs.items() if not str(name).startswith("convention_")}
+    return {**others, **convention.to_attrs()}
 
 
 def _labelled(values: Any, name: str, dims: tuple[Any, ...]) -> xr.DataArray:
@@ -118,14 +109,14 @@ def convention_of(dataset: xr.Dataset, convention: Convention | None, subject: s
     SchemaError
         There is neither.
     """
-    found = convention or Convention.from_attrs(dataset.attrs)
-    if found is None:
+    declared = convention or Convention.from_attrs(dataset.attrs)
+    if declared is None:
         raise SchemaError(
             f"{subject} does not declare what its angles and heights mean, and makers differ; give "
             "convention=Convention(...), whose defaults are roll positive with the right wing down, pitch "
             "with the nose up, heading clockwise from true north [degree] and heights above the ellipsoid"
         )
-    return found
+    return declared
 
 
 def pose_columns(
@@ -140,8 +131,8 @@ def pose_columns(
     UnitsError
         Units that cannot be read, or are of another dimension.
     """
-    problems = Problems("the camera's poses cannot be had", SchemaError)
-    found: dict[str, xr.DataArray] = {}
+    problems = Problems("the poses of the camera cannot be read", SchemaError)
+    columns: dict[str, xr.DataArray] = {}
     for name in POSE:
         if name not in dataset.variables:
             problems.add(f"{name!r} is missing")
@@ -159,9 +150,9 @@ def pose_columns(
                 f"{name!r} has units {units!r}, while the convention declares angle_unit "
                 f"{convention.angle_unit!r}; correct the one that is wrong"
             )
-        found[name] = column
+        columns[name] = column
     problems.raise_if_any()
-    return found
+    return columns
 
 
 def canonical_values(
@@ -235,15 +226,11 @@ def interpolate_pose(
     columns = pose_columns(navigation, convention)
     values = canonical_values(*(columns[n].values for n in POSE), convention=convention, crs=crs)
     poses = poses_at(
-        navigation[NAVIGATION_TIME].values,
-        values,
-        time.values,
-        clock_offset_s=clock_offset_s,
-        max_gap_s=max_gap_s,
-        interpolation=interpolation,
-    )
-    made = xr.Dataset({n: _labelled(v, n, (ALONG_TRACK,)) for n, v in zip(POSE, poses, strict=True)})
-    return made.assign_attrs(convention.of_canonical.to_attrs())
+        navigation[NAVIGATION_TIME].values, values, time.values, clock_offset_s=clock_offset_s,
+        max_gap_s=max_gap_s, interpolation=interpolation,
+    )  # fmt: skip
+    interpolated = xr.Dataset({n: _labelled(v, n, (ALONG_TRACK,)) for n, v in zip(POSE, poses, strict=True)})
+    return interpolated.assign_attrs(convention.of_canonical.to_attrs())
 
 
 def poses_at(
@@ -264,20 +251,22 @@ def poses_at(
     keep = _increasing(knots)
     knots, values = knots[keep], values[:, keep]
     steps = np.diff(knots) / _NS_PER_S
-    gap = max_gap_s or max(_GAP_STEPS * float(np.median(steps)) if steps.size else 0.0, _SHORTEST_GAP)
-    made = np.full((len(POSE), wanted.size), np.nan)
+    gap = max_gap_s or max(_GAP_INTERVALS * float(np.median(steps)) if steps.size else 0.0, _MIN_GAP_S)
+    poses = np.full((len(POSE), wanted.size), np.nan)
     for part, between in ((slice(0, 3), _positions_between), (slice(3, 6), _attitudes_between)):
-        known = np.isfinite(values[part]).all(axis=0)
-        if known.any():
-            made[part] = between(knots[known], values[part][:, known], wanted, gap, interpolation)
+        is_recorded = np.isfinite(values[part]).all(axis=0)
+        if is_recorded.any():
+            poses[part] = between(
+                knots[is_recorded], values[part][:, is_recorded], wanted, gap, interpolation
+            )
     # half a pose places nothing
-    made[:, np.isnan(made).any(axis=0)] = np.nan
-    return made
+    poses[:, np.isnan(poses).any(axis=0)] = np.nan
+    return poses
 
 
 def check_interpolation(interpolation: str, max_gap_s: float | None) -> None:
     """Refuse an interpolation that does not exist, and a gap that is not above 0, as SchemaError."""
-    problems = Problems("poses cannot be interpolated like that", SchemaError)
+    problems = Problems("poses cannot be interpolated with these options", SchemaError)
     if interpolation not in ("linear", "cubic"):
         problems.add(f"interpolation {interpolation!r:.60}, expected 'linear' or 'cubic'")
     if max_gap_s is not None and not max_gap_s > 0.0:
@@ -285,13 +274,13 @@ def check_interpolation(interpolation: str, max_gap_s: float | None) -> None:
     problems.raise_if_any()
 
 
-def _nanoseconds(time: npt.NDArray[Any]) -> npt.NDArray[np.int64]:
+def _nanoseconds(time: Array) -> Ints:
     if time.dtype.kind != "M":
         raise TimeError(f"times have dtype {time.dtype}, expected datetime64[ns] (UTC)")
     return time.astype("datetime64[ns]").astype(np.int64)
 
 
-def _increasing(knots: npt.NDArray[np.int64]) -> npt.NDArray[np.bool_]:
+def _increasing(knots: Ints) -> Bools:
     """Tell which rows have a time that was not there before.
 
     Raises
@@ -313,9 +302,7 @@ def _increasing(knots: npt.NDArray[np.int64]) -> npt.NDArray[np.bool_]:
     return keep
 
 
-def _bracket(
-    knots: npt.NDArray[np.int64], wanted: npt.NDArray[np.int64], gap: float
-) -> tuple[npt.NDArray[np.int64], Floats, npt.NDArray[np.bool_]]:
+def _bracket(knots: Ints, wanted: Ints, gap: float) -> tuple[Ints, Floats, Bools]:
     """Return the row before each time, the weight of the row after, and whether it may be interpolated."""
     before = np.clip(np.searchsorted(knots, wanted, side="right") - 1, 0, max(knots.size - 2, 0))
     after = np.minimum(before + 1, knots.size - 1)
@@ -327,39 +314,29 @@ def _bracket(
     return before, weight, inside & ((step / _NS_PER_S <= gap) | (since == 0) | (since == step))
 
 
-def _positions_between(
-    knots: npt.NDArray[np.int64],
-    values: Floats,
-    wanted: npt.NDArray[np.int64],
-    gap: float,
-    interpolation: str,
-) -> Floats:
+def _positions_between(knots: Ints, values: Floats, wanted: Ints, gap: float, interpolation: str) -> Floats:
     values = values.copy()
     values[1] = np.unwrap(values[1], period=360.0)
-    before, weight, known = _bracket(knots, wanted, gap)
+    before, weight, is_covered = _bracket(knots, wanted, gap)
     if interpolation == "cubic" and knots.size > 1:
         from scipy.interpolate import CubicSpline
 
         def spline(rows: slice, s: Floats, t: Floats) -> Floats:
             return np.asarray(CubicSpline(s, values[:, rows], axis=1)(t))
 
-        made = _by_stretch(knots, wanted, known, gap, spline)
+        positions = _by_stretch(knots, wanted, is_covered, gap, spline)
     else:
         after = np.minimum(before + 1, knots.size - 1)
-        made = values[:, before] + weight * (values[:, after] - values[:, before])
-    made[1] = np.where(np.abs(made[1]) > 180.0, (made[1] + 180.0) % 360.0 - 180.0, made[1])
-    return np.where(known, made, np.nan)
+        positions = values[:, before] + weight * (values[:, after] - values[:, before])
+    positions[1] = np.where(
+        np.abs(positions[1]) > 180.0, (positions[1] + 180.0) % 360.0 - 180.0, positions[1]
+    )
+    return np.where(is_covered, positions, np.nan)
 
 
-def _attitudes_between(
-    knots: npt.NDArray[np.int64],
-    values: Floats,
-    wanted: npt.NDArray[np.int64],
-    gap: float,
-    interpolation: str,
-) -> Floats:
+def _attitudes_between(knots: Ints, values: Floats, wanted: Ints, gap: float, interpolation: str) -> Floats:
     rotation = quaternions(*values)
-    before, weight, known = _bracket(knots, wanted, gap)
+    before, weight, is_covered = _bracket(knots, wanted, gap)
     if interpolation == "cubic" and knots.size > 1:
         from scipy.spatial.transform import Rotation, RotationSpline
 
@@ -367,31 +344,26 @@ def _attitudes_between(
             turned = RotationSpline(s, Rotation.from_quat(rotation[rows], scalar_first=True))(t)
             return np.asarray(turned.as_quat(scalar_first=True)).T
 
-        between = _by_stretch(knots, wanted, known, gap, spline, size=4).T
+        between = _by_stretch(knots, wanted, is_covered, gap, spline, size=4).T
     else:
         after = np.minimum(before + 1, knots.size - 1)
         between = slerp(rotation[before], rotation[after], weight)
-    return np.where(known, np.stack(angles_of(between)), np.nan)
+    return np.where(is_covered, np.stack(angles_of(between)), np.nan)
 
 
 def _by_stretch(
-    knots: npt.NDArray[np.int64],
-    wanted: npt.NDArray[np.int64],
-    known: npt.NDArray[np.bool_],
-    gap: float,
-    spline: Any,
-    size: int = 3,
+    knots: Ints, wanted: Ints, is_covered: Bools, gap: float, spline: Any, size: int = 3
 ) -> Floats:
     """Return splines (size, line) that end at every gap; a stretch of one row is that row."""
     ends = [0, *(np.flatnonzero(np.diff(knots) / _NS_PER_S > gap) + 1).tolist(), knots.size]
-    made = np.full((size, wanted.size), np.nan)
+    splined = np.full((size, wanted.size), np.nan)
     for start, stop in itertools.pairwise(ends):
-        here = known & (wanted >= knots[start]) & (wanted <= knots[stop - 1])
+        here = is_covered & (wanted >= knots[start]) & (wanted <= knots[stop - 1])
         if not here.any():
             continue
         first = max(start - 1, 0) if stop - start == 1 else start
         last = min(start + 2, knots.size) if stop - start == 1 and first == start else stop
         rows = slice(first, last)
         s = (knots[rows] - knots[start]) / _NS_PER_S
-        made[:, here] = spline(rows, s, (wanted[here] - knots[start]) / _NS_PER_S)
-    return made
+        splined[:, here] = spline(rows, s, (wanted[here] - knots[start]) / _NS_PER_S)
+    return splined

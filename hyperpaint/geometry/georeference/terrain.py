@@ -7,9 +7,8 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import numpy.typing as npt
 
-from hyperpaint.base.arrays import Floats
+from hyperpaint.base.arrays import Array, Floats
 from hyperpaint.base.attitude_conventions import Convention
 from hyperpaint.base.errors import Problems, SchemaError
 from hyperpaint.kernels.rays import BLOCK
@@ -22,53 +21,31 @@ if TYPE_CHECKING:
 __all__ = ["Terrain", "TerrainGrid", "grid_of", "terrain_of"]
 
 
-_EVEN = 1e-3
+_MAX_UNEVENNESS = 1e-3
 """Part of a cell by which the coordinates of a raster may miss their even spacing."""
 
 
 @dataclass(frozen=True)
 class TerrainGrid:
-    """How the cells of a raster lie on its map, and what its heights mean.
+    """How the cells of a raster lie on its map, and what its heights mean."""
 
-    Attributes
-    ----------
-    crs
-        Reference system, as `hyperpaint.geometry.georeference.geodesy.crs_of` returns it.
-    x, y
-        Coordinate of the centre of the first cell, and step from cell to cell.
-    heights
-        What the raster's numbers are above.
-    missing
-        Numbers that stand for holes.
-    """
-
-    crs: str
-    x: tuple[float, float]
+    crs: str  #: Reference system, as `hyperpaint.geometry.georeference.geodesy.crs_of` returns it
+    x: tuple[float, float]  #: Coordinate of the centre of the first cell, and step from cell to cell
     y: tuple[float, float]
-    heights: Convention
-    missing: tuple[float, ...]
+    heights: Convention  #: What the raster's numbers are above
+    missing: tuple[float, ...]  #: Numbers that stand for holes
 
 
 @dataclass(frozen=True)
 class Terrain:
-    """A raster of heights, ready for the kernel.
+    """A raster of heights, ready for the kernel."""
 
-    Attributes
-    ----------
-    grid
-        Where its cells lie.
-    heights : (row, col), float64
-        Above the ellipsoid [m]; NaN in holes.
-    tops : (block, block), float64
-        Highest point of every block of `hyperpaint.kernels.rays.BLOCK` cells; minus infinity in holes.
-    lowest, highest
-        Of all [m].
-    """
-
-    grid: TerrainGrid
-    heights: Floats
+    grid: TerrainGrid  #: Where its cells lie
+    heights: Floats  #: (row, col) float64: above the ellipsoid [m]; NaN in holes
+    #: (block, block) float64: highest point of every block of `hyperpaint.kernels.rays.BLOCK` cells; minus
+    #: infinity in holes
     tops: Floats
-    lowest: float
+    lowest: float  #: Of all [m]
     highest: float
 
 
@@ -90,11 +67,11 @@ def grid_of(dem: xr.DataArray) -> TerrainGrid:
         problems.add(f"dims ({', '.join(map(str, dem.dims))}), expected (y, x)")
     else:
         for name in ("x", "y"):
-            found = _axis(dem, name)
-            if isinstance(found, str):
-                problems.add(found)
+            axis = _axis(dem, name)
+            if isinstance(axis, str):
+                problems.add(axis)
             else:
-                axes[name] = found
+                axes[name] = axis
     if _is_turned(dem, axes):
         problems.add(
             "it lies turned on its map, as the GeoTransform of spatial_ref says, so that x and y are no map "
@@ -104,9 +81,11 @@ def grid_of(dem: xr.DataArray) -> TerrainGrid:
     crs = _crs_text(dem)
     if crs is None:
         problems.add("no crs; open it with rioxarray, or declare it: dem.assign_attrs(crs='EPSG:32617')")
-    told = {name: dem.attrs[name] for name in ("height_reference", "geoid_undulation") if name in dem.attrs}
+    declared = {
+        name: dem.attrs[name] for name in ("height_reference", "geoid_undulation") if name in dem.attrs
+    }
     heights = Convention()
-    if "height_reference" not in told:
+    if "height_reference" not in declared:
         problems.add(
             "what its heights are above is not declared; positions are above the ellipsoid, most DEMs above "
             "the geoid: dem.assign_attrs(height_reference='ellipsoid'), or height_reference='geoid' with "
@@ -114,7 +93,7 @@ def grid_of(dem: xr.DataArray) -> TerrainGrid:
         )
     else:
         try:
-            heights = Convention(**told)
+            heights = Convention(**declared)
             heights.ellipsoidal(0.0)
         except SchemaError as error:
             problems.add(str(error))
@@ -122,7 +101,7 @@ def grid_of(dem: xr.DataArray) -> TerrainGrid:
     return TerrainGrid(crs_of(crs), axes["x"], axes["y"], heights, _missing(dem))
 
 
-def terrain_of(heights: npt.NDArray[Any], grid: TerrainGrid) -> Terrain:
+def terrain_of(heights: Array, grid: TerrainGrid) -> Terrain:
     """Return the raster of heights (row, col), made ready for the kernel.
 
     Raises
@@ -130,14 +109,16 @@ def terrain_of(heights: npt.NDArray[Any], grid: TerrainGrid) -> Terrain:
     SchemaError
         It is nothing but holes.
     """
-    made = np.array(heights, dtype=np.float64)
+    elevation = np.array(heights, dtype=np.float64)
     for value in grid.missing:
-        made[np.asarray(heights) == value] = np.nan
-    made[~np.isfinite(made)] = np.nan
-    if np.isnan(made).all():
+        elevation[np.asarray(heights) == value] = np.nan
+    elevation[~np.isfinite(elevation)] = np.nan
+    if np.isnan(elevation).all():
         raise SchemaError("this DEM holds no heights, only holes")
-    made = np.ascontiguousarray(grid.heights.ellipsoidal(made))
-    return Terrain(grid, made, _tops(made), float(np.nanmin(made)), float(np.nanmax(made)))
+    elevation = np.ascontiguousarray(grid.heights.ellipsoidal(elevation))
+    return Terrain(
+        grid, elevation, _tops(elevation), float(np.nanmin(elevation)), float(np.nanmax(elevation))
+    )
 
 
 def _tops(heights: Floats) -> Floats:
@@ -157,7 +138,7 @@ def _axis(dem: xr.DataArray, name: str) -> tuple[float, float] | str:
         return f"{values.size} cells along {name!r}, expected two or more"
     step = (values[-1] - values[0]) / (values.size - 1)
     uneven = np.abs(values - (values[0] + step * np.arange(values.size)))
-    if not (np.isfinite(step) and step != 0.0 and uneven.max() <= _EVEN * abs(step)):
+    if not (np.isfinite(step) and step != 0.0 and uneven.max() <= _MAX_UNEVENNESS * abs(step)):
         return f"coordinate {name!r} is not evenly spaced; bring the DEM to a regular grid"
     return float(values[0]), float(step)
 
@@ -194,5 +175,5 @@ def _crs_text(dem: xr.DataArray) -> str | None:
 
 def _missing(dem: xr.DataArray) -> tuple[float, ...]:
     # of what xarray has decoded, with the mark in `encoding`, holes are NaN already
-    told = [dem.attrs[name] for name in ("_FillValue", "missing_value", "nodata") if name in dem.attrs]
-    return tuple({float(value) for value in told if np.ndim(value) == 0 and np.isfinite(float(value))})
+    marks = [dem.attrs[name] for name in ("_FillValue", "missing_value", "nodata") if name in dem.attrs]
+    return tuple({float(value) for value in marks if np.ndim(value) == 0 and np.isfinite(float(value))})

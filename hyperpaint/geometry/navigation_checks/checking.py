@@ -3,40 +3,116 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
 from hyperpaint.base.arrays import Bools, Floats
 from hyperpaint.base.attitude_conventions import Convention
+from hyperpaint.base.constants import STAMP_TO_MID_EXPOSURES
 from hyperpaint.base.errors import SchemaError
 from hyperpaint.base.schema import ALONG_TRACK
 from hyperpaint.base.units import conversion_factor
 from hyperpaint.geometry.georeference import PinholeCamera
 
-from .findings import ConventionCheck, Finding, Verdict
 from .hypotheses import Hypothesis, Scored, fields_of, score
-from .pose_motion import course_of, local_metres, units_of
-from .refinement import Refined, costs_of, fit_clock, fit_height
-from .setting import Setting, setting_of
+from .motion_fit import Refined, costs_of, fit_clock, fit_height
+from .pose_motion import Setting, course_of, local_metres, setting_of, units_of
 
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["check_conventions"]
+__all__ = ["ConventionCheck", "Finding", "Verdict", "check_conventions"]
 
 
-_FEWEST = 500
-"""Parts of rows that must be comparable."""
-ODDS = 10.0
-"""Logarithm of the likelihood ratio beyond which a meaning is ruled out: 22,000 to 1."""
-_HEIGHT_FACTOR = 1.4
-"""Ratio of heights above ground from which one is called wrong; what leans on the ground biases the fit."""
-_CLOCK_SIGMAS = 3.0
-_CLOCK_SEARCH, _CLOCK_STEP = 1.0, 0.02
-"""How far, and how finely, another clock is looked for where another meaning seems better [s]."""
-_TO_MIDDLE = {"start": 0.5, "mid": 0.0, "end": -0.5}
+Verdict = Literal["right", "wrong", "undecided"]
+
+
+@dataclass(frozen=True)
+class Finding:
+    """What a check says of one thing that is declared.
+
+    Attributes
+    ----------
+    field
+        Field of the `hyperpaint.Convention`; or ``"positions"``, ``"clock"``.
+    declared
+        What is declared.
+    verdict
+        ``"right"``, ``"wrong"``, or ``"undecided"``: neither the track nor the picture can tell.
+    likely
+        What it looks like instead; empty where it is right.
+    evidence
+        Why, in figures.
+    """
+
+    field: str
+    declared: str
+    verdict: Verdict
+    likely: str
+    evidence: str
+
+
+@dataclass(frozen=True)
+class ConventionCheck:
+    """What track and picture say of a declared convention.
+
+    Attributes
+    ----------
+    findings
+        One for everything that is declared.
+    suggested
+        The convention declared, with what is wrong replaced where one alternative is left; it is not applied.
+    lines
+        First line looked at, and the one after the last.
+    """
+
+    findings: tuple[Finding, ...]
+    suggested: Convention
+    lines: tuple[int, int]
+
+    @property
+    def wrong(self) -> tuple[str, ...]:
+        """Names of what looks wrong."""
+        return tuple(one.field for one in self.findings if one.verdict == "wrong")
+
+    @property
+    def undecided(self) -> tuple[str, ...]:
+        """Names of what could not be told."""
+        return tuple(one.field for one in self.findings if one.verdict == "undecided")
+
+    def __getitem__(self, field: str) -> Finding:
+        """Return the finding on a field."""
+        return next(one for one in self.findings if one.field == field)
+
+    def table(self) -> str:
+        """Return the findings as text."""
+        rows = [("", "declared", "verdict", "looks like", "evidence")]
+        rows += [(f.field, f.declared, f.verdict, f.likely, f.evidence) for f in self.findings]
+        widths = [max(len(row[k]) for row in rows) for k in range(4)]
+        return "\n".join(
+            "  ".join([*(cell.ljust(n) for cell, n in zip(row, widths, strict=False)), row[4]]).rstrip()
+            for row in rows
+        )
+
+
+@dataclass(frozen=True)
+class Rules:
+    """When a meaning is called right or wrong; set on simulated flights."""
+
+    min_parts: int = 500  #: parts of rows that must be comparable
+    #: Logarithm of the likelihood ratio beyond which a meaning is ruled out: 22,000 to 1.
+    log_odds: float = 10.0
+    #: Ratio of heights above ground from which one is called wrong; what leans on the ground biases the fit.
+    height_ratio: float = 1.4
+    clock_sd: float = 3.0  #: standard deviations from which a clock is off
+    #: How far, and how finely, another clock is looked for where another meaning seems better.
+    clock_search_s: float = 1.0
+    clock_step_s: float = 0.02
+
+
+RULES = Rules()
 
 
 def check_conventions(
@@ -102,22 +178,14 @@ def check_conventions(
     `hyperpaint.geometry.navigation_checks.pose_motion`.
     """
     setting = setting_of(
-        line,
-        navigation,
-        convention=convention,
-        camera=camera,
-        ground=ground,
-        boresight=boresight,
-        lever_arm=lever_arm,
-        image=image,
-        lines=lines,
-        crs=crs,
-    )
+        line, navigation, convention=convention, camera=camera, ground=ground, boresight=boresight,
+        lever_arm=lever_arm, image=image, lines=lines, crs=crs,
+    )  # fmt: skip
     findings = _findings(setting)
     labelled = units_of(line, navigation)
     if labelled is not None and conversion_factor(labelled, setting.declared.angle_unit) != 1.0:
-        told = f"the variables are labelled {labelled!r}"
-        wrong = Finding("angle_unit", setting.declared.angle_unit, "wrong", labelled, told)
+        evidence = f"the variables are labelled {labelled!r}"
+        wrong = Finding("angle_unit", setting.declared.angle_unit, "wrong", labelled, evidence)
         findings = [wrong if one.field == "angle_unit" else one for one in findings]
     first, stop, _ = setting.lines.indices(line.sizes[ALONG_TRACK])
     return ConventionCheck(tuple(findings), _suggested(setting.declared, findings), (first, stop))
@@ -131,24 +199,24 @@ def _findings(setting: Setting) -> list[Finding]:
         # any height does for signs: one at which pixels are square, as flights are planned
         setting = _at_height(setting, declared, _square(declared, setting))
     scored, used = _scores(setting)
-    if not scored or scored[0].over_rest < ODDS:
-        told = (
+    if not scored or scored[0].over_rest < RULES.log_odds:
+        evidence = (
             "the picture does not follow the attitude: no wobble, little to see, clocks far apart, or a "
             "boresight of some degrees that was not given"
         )
         silent = {**fields_of(declared), "height_reference": setting.declared.height_reference}
         silent |= {"stamp_reference": str(setting.declared.stamp_reference)}
-        return [Finding(n, str(v), "undecided", "", told) for n, v in silent.items()] + [
+        return [Finding(n, str(v), "undecided", "", evidence) for n, v in silent.items()] + [
             _north(declared, setting)
         ]
     best = _best(scored, declared)
-    found = _fitted_height(setting, best, used)
-    if given > 0.0 and _is_off(found, given):
-        setting = _at_height(setting, best, found.value)
+    fitted = _fitted_height(setting, best, used)
+    if given > 0.0 and _is_off(fitted, given):
+        setting = _at_height(setting, best, fitted.value)
         scored, used = _scores(setting)
         best = _best(scored, declared)
     findings = _senses(setting, scored, declared, used)
-    findings += [_north(best, setting), _heights(setting.declared.height_reference, given, found)]
+    findings += [_north(best, setting), _heights(setting.declared.height_reference, given, fitted)]
     return [*findings, _stamps(setting, best, used)]
 
 
@@ -159,60 +227,57 @@ def _scores(setting: Setting) -> tuple[list[Scored], Bools]:
     """Return all meanings by how well they fit, and what of the picture was compared."""
     plain = Hypothesis(setting.declared.replace(angle_unit="degree", column_order="left_to_right"))
     used = setting.comparable(setting.view.motion(plain.poses(setting.recorded)))
-    if used.sum() < _FEWEST:
+    if used.sum() < RULES.min_parts:
         raise SchemaError(
-            f"{int(used.sum())} parts of rows show a motion and have poses, expected {_FEWEST}; look at the "
-            "times of line and record, and at what the line shows"
+            f"{int(used.sum())} parts of rows show a motion and have poses, expected "
+            f"{RULES.min_parts}; look at the times of line and record, and at what the line shows"
         )
     scored = score(
-        setting.seen,
-        setting.recorded,
-        setting.view,
-        Hypothesis(setting.declared),
-        columns_matter=setting.columns_matter,
-        used=used,
-        interval=setting.interval,
-    )
+        setting.seen, setting.recorded, setting.view, Hypothesis(setting.declared),
+        columns_matter=setting.columns_matter, used=used, interval=setting.interval,
+    )  # fmt: skip
     return scored, used
 
 
 def _best(scored: list[Scored], declared: Hypothesis) -> Hypothesis:
     """Return the meaning that fits best; of those that fit as well, that nearest to the one declared."""
     own = fields_of(declared)
-    near = [one.hypothesis for one in scored if one.odds > -ODDS]
+    near = [one.hypothesis for one in scored if one.odds > -RULES.log_odds]
     return min(near, key=lambda h: sum(own[n] != v for n, v in fields_of(h).items()))
 
 
 def _senses(setting: Setting, scored: list[Scored], declared: Hypothesis, used: Bools) -> list[Finding]:
     """Return findings on what meanings differ in."""
-    near = [fields_of(one.hypothesis) for one in scored if one.odds > -ODDS]
+    near = [fields_of(one.hypothesis) for one in scored if one.odds > -RULES.log_odds]
     late = "" if fields_of(declared) in near else _late(setting, declared, scored[0].hypothesis, used)
     findings = []
     for name, own in fields_of(declared).items():
-        fits = [v for v in dict.fromkeys(told[name] for told in near) if v is not None]
+        fits = [v for v in dict.fromkeys(fields[name] for fields in near) if v is not None]
         others = [one.odds for one in scored if fields_of(one.hypothesis)[name] != own]
         mine = [one.odds for one in scored if fields_of(one.hypothesis)[name] == own]
         likely = " or ".join(v for v in fits if v != own)
         verdict: Verdict = "right"
         if own in (None, "None"):
-            verdict, told = "undecided", "not declared"
+            verdict, evidence = "undecided", "not declared"
         elif late:
-            verdict, told = "undecided", late
+            verdict, evidence = "undecided", late
         elif own not in fits:
-            verdict, told = "wrong", f"log odds {min(-max(mine, default=-9999.0), 9999.0):.0f} against it"
+            verdict, evidence = "wrong", f"log odds {min(-max(mine, default=-9999.0), 9999.0):.0f} against it"
         elif len(fits) > 1:
-            verdict, told = "undecided", f"{' and '.join(fits)} fit alike"
+            verdict, evidence = "undecided", f"{' and '.join(fits)} fit alike"
         elif not others:
-            verdict, told = "undecided", "not tested"
+            verdict, evidence = "undecided", "not tested"
         else:
-            told = f"log odds {min(-max(others), 9999.0):.0f} for it"
-        findings.append(Finding(name, str(own), verdict, "" if verdict == "right" else likely, told))
+            evidence = f"log odds {min(-max(others), 9999.0):.0f} for it"
+        findings.append(Finding(name, str(own), verdict, "" if verdict == "right" else likely, evidence))
     return findings
 
 
 def _late(setting: Setting, declared: Hypothesis, best: Hypothesis, used: Bools) -> str:
     """Return why a clock that is off is as good an explanation as another meaning; empty where it is not."""
-    offsets = np.arange(-_CLOCK_SEARCH, _CLOCK_SEARCH + _CLOCK_STEP / 2, _CLOCK_STEP)
+    offsets = np.arange(
+        -RULES.clock_search_s, RULES.clock_search_s + RULES.clock_step_s / 2, RULES.clock_step_s
+    )
 
     def curve(hypothesis: Hypothesis) -> Floats:
         def poses(offset: float) -> Floats:
@@ -224,7 +289,7 @@ def _late(setting: Setting, declared: Hypothesis, best: Hypothesis, used: Bools)
     if np.isnan(own).all() or np.nanmin(own) > np.nanmin(other):
         return ""
     offset = float(offsets[np.nanargmin(own)])
-    if abs(offset) <= _CLOCK_STEP:
+    if abs(offset) <= RULES.clock_step_s:
         return ""
     return f"clocks {offset:+.2f} s apart explain the picture as well; see hyperpaint.estimate_clock_offset"
 
@@ -235,8 +300,8 @@ def _late(setting: Setting, declared: Hypothesis, best: Hypothesis, used: Bools)
 def _height(hypothesis: Hypothesis, setting: Setting) -> float:
     """Return the median height above the ground [m]; NaN where no line has a pose."""
     heights = hypothesis.poses(setting.recorded)[2]
-    known = heights[np.isfinite(heights)]
-    return float(np.median(known)) - setting.view.ground if known.size else float("nan")
+    finite = heights[np.isfinite(heights)]
+    return float(np.median(finite)) - setting.view.ground if finite.size else float("nan")
 
 
 def _at_height(setting: Setting, hypothesis: Hypothesis, height: float) -> Setting:
@@ -256,53 +321,60 @@ def _fitted_height(setting: Setting, hypothesis: Hypothesis, used: Bools) -> Ref
     return fit_height(setting.seen, poses, view, used, setting.interval, _height(hypothesis, setting))
 
 
-def _is_off(found: Refined, given: float) -> bool:
-    ratio = max(found.value / given, given / found.value)
-    return found.odds > ODDS and np.isfinite(found.sd) and ratio > _HEIGHT_FACTOR
+def _is_off(fitted: Refined, given: float) -> bool:
+    ratio = max(fitted.value / given, given / fitted.value)
+    return fitted.odds > RULES.log_odds and np.isfinite(fitted.sd) and ratio > RULES.height_ratio
 
 
-def _heights(declared: str, given: float, found: Refined) -> Finding:
+def _heights(declared: str, given: float, fitted: Refined) -> Finding:
     other = "geoid" if declared == "ellipsoid" else "ellipsoid"
-    seen = f"{found.value:.0f} +- {found.sd:.0f} m above ground by the picture, {given:.0f} m by the record"
+    seen = f"{fitted.value:.0f} +- {fitted.sd:.0f} m above ground by the picture, {given:.0f} m by the record"
     name = "height_reference"
     if not given > 0.0:
         return Finding(name, declared, "wrong", other, f"the camera would be {-given:.0f} m below the ground")
-    if _is_off(found, given):
+    if _is_off(fitted, given):
         return Finding(name, declared, "wrong", other, f"{seen}; or ground= is not that of the ellipsoid")
-    if found.sd * 4.0 < given:
+    if fitted.sd * 4.0 < given:
         return Finding(name, declared, "right", "", seen)
     return Finding(name, declared, "undecided", "", seen)
 
 
 def _stamps(setting: Setting, best: Hypothesis, used: Bools) -> Finding:
     """Return what the clock says of the part of the exposure that stamps mark."""
-    found = fit_clock(
+    fitted = fit_clock(
         setting.seen, lambda offset: best.poses(setting.recorded, offset), best.view(setting.view), used
     )
     declared, half = setting.declared.stamp_reference, setting.exposure / 2
-    told = f"clock {1e3 * found.value:+.1f} +- {1e3 * found.sd:.1f} ms"
+    evidence = f"clock {1e3 * fitted.value:+.1f} +- {1e3 * fitted.sd:.1f} ms"
     name = "stamp_reference"
     if declared is None:
-        return Finding(name, "None", "undecided", "", f"{told}; not declared")
-    if not abs(found.value) > _CLOCK_SIGMAS * found.sd:
-        sharp = np.isfinite(half) and _CLOCK_SIGMAS * found.sd < half
-        return Finding(name, declared, "right" if sharp else "undecided", "", told)
-    shifts = {other: 2.0 * half * (to - _TO_MIDDLE[declared]) for other, to in _TO_MIDDLE.items()}
-    away = {other: abs(found.value - shift) for other, shift in shifts.items() if np.isfinite(shift)}
+        return Finding(name, "None", "undecided", "", f"{evidence}; not declared")
+    if not abs(fitted.value) > RULES.clock_sd * fitted.sd:
+        sharp = np.isfinite(half) and RULES.clock_sd * fitted.sd < half
+        return Finding(name, declared, "right" if sharp else "undecided", "", evidence)
+    shifts = {
+        other: 2.0 * half * (to - STAMP_TO_MID_EXPOSURES[declared])
+        for other, to in STAMP_TO_MID_EXPOSURES.items()
+    }
+    away = {other: abs(fitted.value - shift) for other, shift in shifts.items() if np.isfinite(shift)}
     likely = min(away, key=lambda other: away[other]) if away else declared
-    if likely == declared or away[likely] > max(3.0 * found.sd, half / 2):
-        return Finding("clock", "0 s", "wrong", f"{found.value:+.4f} s", f"{told}; add it as clock_offset_s")
-    return Finding(name, declared, "wrong", likely, f"{told}; a clock that is off by as much looks the same")
+    if likely == declared or away[likely] > max(3.0 * fitted.sd, half / 2):
+        return Finding(
+            "clock", "0 s", "wrong", f"{fitted.value:+.4f} s", f"{evidence}; add it as clock_offset_s"
+        )
+    return Finding(
+        name, declared, "wrong", likely, f"{evidence}; a clock that is off by as much looks the same"
+    )
 
 
 def _north(hypothesis: Hypothesis, setting: Setting) -> Finding:
     """Return the angle between heading and course, from which alone no north can be told."""
     poses = hypothesis.poses(setting.recorded)
-    known = np.isfinite(poses[5])
-    turned = np.exp(1j * np.radians(poses[5][known] - course_of(poses)))
-    crab = float(np.degrees(np.angle(turned.mean()))) if known.any() else float("nan")
-    told = f"heading {crab:+.1f} degrees from the course: wind, boresight and declination look alike"
-    return Finding("heading_reference", setting.declared.heading_reference, "undecided", "", told)
+    has_heading = np.isfinite(poses[5])
+    turned = np.exp(1j * np.radians(poses[5][has_heading] - course_of(poses)))
+    crab = float(np.degrees(np.angle(turned.mean()))) if has_heading.any() else float("nan")
+    evidence = f"heading {crab:+.1f} degrees from the course: wind, boresight and declination look alike"
+    return Finding("heading_reference", setting.declared.heading_reference, "undecided", "", evidence)
 
 
 def _suggested(declared: Convention, findings: list[Finding]) -> Convention:

@@ -1,40 +1,67 @@
-"""How far the clock of a camera is from that of navigation, or from that of an irradiance spectrometer."""
+"""How far the clock of a camera is from that of navigation, or from that of an irradiance spectrometer.
+
+The clock of the irradiance spectrometer follows from clouds that both instruments see. Lines brighten and
+darken with what they show much more than with the light. But from one line to the next most pixels show
+nearly what they showed before, so that the median over columns of the change is that of the light.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, NoReturn
 
 import numpy as np
 
-from hyperpaint.base.arrays import Floats
+from hyperpaint.base.arrays import Bools, Floats, Floats32
 from hyperpaint.base.errors import SchemaError, TimeError
+from hyperpaint.base.schema import ALONG_TRACK, IRRADIANCE_TIME, IRRADIANCE_WAVELENGTH, require
 from hyperpaint.geometry.georeference import PinholeCamera
+from hyperpaint.light.synchrony import check_irradiance_times
 
-from .brightness import light_offset
 from .hypotheses import Hypothesis
-from .refinement import amplitude, costs_of, fit_clock
-from .setting import setting_of
+from .motion_fit import amplitude, costs_of, fit_clock
+from .picture_motion import picture_of
+from .pose_motion import setting_of
 
 if TYPE_CHECKING:
     import xarray as xr
 
     from hyperpaint.base.attitude_conventions import Convention
 
-__all__ = ["ClockOffset", "estimate_clock_offset"]
+__all__ = ["ClockOffset", "LightOffset", "estimate_clock_offset", "light_offset"]
 
 
-_COARSE = 0.01
-"""Step of the first search [s]; platforms turn at some hertz at most."""
-_CLEAR = 0.97
-"""What is left at the best offset, over what is left where the platform is taken to be at rest."""
-_SMALLEST = 0.75
-"""What shifts may be of those expected, or these of them, for the two to be the same motion."""
-_RIVAL = 0.3
-"""Part of that gain that another offset may have."""
-_APART = 0.15
-"""Distance from which another offset is a rival [s]."""
+@dataclass(frozen=True)
+class AttitudeRules:
+    """When an offset between attitude and picture is believed; set on simulated flights."""
+
+    search_step_s: float = 0.01  #: of the first search; platforms turn at some hertz at most
+    #: What is left at the best offset, over what is left where the platform is taken to be at rest.
+    max_left: float = 0.97
+    #: What shifts may be of those expected, or these of them, for the two to be the same motion.
+    min_amplitude: float = 0.75
+    rival_gain: float = 0.3  #: part of the gain by which another offset must fall behind the best
+    rival_distance_s: float = 0.15  #: from which another offset is a rival
+
+
+@dataclass(frozen=True)
+class LightRules:
+    """When an offset between irradiance and brightness of lines is believed; set on simulated flights."""
+
+    wavelengths_nm: tuple[float, float] = (500.0, 850.0)  #: what pictures are of, too
+    min_change: float = 0.02  #: relative change of the light over the line, for clocks to be compared
+    bins_an_interval: float = 2.0  #: of the irradiance record
+    min_bins: int = 12
+    offset_steps: int = 400
+    blocks: int = 12  #: of lines that are left out in turn, for the uncertainty
+    min_log_odds: float = 10.0  #: over no change of the light at all
+    #: Standard deviations, and seconds, from which an offset that fits nearly as well is another one.
+    rival_sd: float = 5.0
+    rival_distance_s: float = 0.5
+
+
+ATTITUDE, LIGHT = AttitudeRules(), LightRules()
 
 
 @dataclass(frozen=True)
@@ -127,17 +154,9 @@ def estimate_clock_offset(
         curve = _curve(light.offsets, light.misfit)
         return ClockOffset(light.offset, light.sd, "irradiance", light.evidence, curve)
     setting = setting_of(
-        line,
-        navigation,
-        convention=convention,
-        camera=camera,
-        ground=ground,
-        boresight=boresight,
-        lever_arm=lever_arm,
-        image=image,
-        lines=lines,
-        crs=crs,
-    )
+        line, navigation, convention=convention, camera=camera, ground=ground, boresight=boresight,
+        lever_arm=lever_arm, image=image, lines=lines, crs=crs,
+    )  # fmt: skip
     meant = Hypothesis(setting.declared)
     view = meant.view(setting.view)
 
@@ -148,7 +167,7 @@ def estimate_clock_offset(
     used = steady & np.isfinite(setting.seen.shift)
     if not used.any():
         _refuse("no two lines in a row show a motion")
-    offsets = np.arange(-max_offset_s, max_offset_s + _COARSE / 2, _COARSE)
+    offsets = np.arange(-max_offset_s, max_offset_s + ATTITUDE.search_step_s / 2, ATTITUDE.search_step_s)
     costs = costs_of(setting.seen, poses, view, used, offsets)
     if np.isnan(costs).all():
         _refuse("the record has no poses at the times of the lines; look at dates and zones")
@@ -157,36 +176,36 @@ def estimate_clock_offset(
     misfit = costs / still
     best = int(np.nanargmin(misfit))
     gain = 1.0 - float(misfit[best])
-    if not gain > 1.0 - _CLEAR:
+    if not gain > 1.0 - ATTITUDE.max_left:
         _refuse(f"attitude explains {100 * max(gain, 0):.1f} % of the shifts; the platform hardly turned")
     if best in (0, offsets.size - 1):
         _refuse(f"the best offset, {offsets[best]:+.2f} s, is the last that was tried; look farther")
-    away = np.abs(offsets - offsets[best]) > _APART
+    away = np.abs(offsets - offsets[best]) > ATTITUDE.rival_distance_s
     rival = 1.0 - float(np.nanmin(np.where(away, misfit, np.inf)))
-    if rival > (1.0 - _RIVAL) * gain:
+    if rival > (1.0 - ATTITUDE.rival_gain) * gain:
         other = float(offsets[np.nanargmin(np.where(away, misfit, np.inf))])
         _refuse(f"{other:+.2f} s fits nearly as well as {offsets[best]:+.2f} s")
     there = poses(float(offsets[best]))
     size = amplitude(setting.seen, view.motion(there).shift, view.motion(_at_rest(there)).shift, used)
-    if not _SMALLEST < size < 1.0 / _SMALLEST:
+    if not ATTITUDE.min_amplitude < size < 1.0 / ATTITUDE.min_amplitude:
         _refuse(
             f"at the best offset, {offsets[best]:+.2f} s, shifts are {size:.2f} of those expected; look "
             "farther, or at signs and units with hyperpaint.check_conventions"
         )
-    found = fit_clock(setting.seen, poses, view, used, float(offsets[best]))
+    fitted = fit_clock(setting.seen, poses, view, used, float(offsets[best]))
     limit = max_uncertainty_s or 0.05
-    if not found.sd < limit:
-        _refuse(f"it is {found.value:+.3f} +- {found.sd:.3f} s, while {limit:g} s is asked for")
-    told = f"attitude explains {100 * gain:.0f} % of the shifts of {int(used.sum())} parts of rows"
-    return ClockOffset(found.value, found.sd, "attitude", told, _curve(offsets, misfit))
+    if not fitted.sd < limit:
+        _refuse(f"it is {fitted.value:+.3f} +- {fitted.sd:.3f} s, while {limit:g} s is asked for")
+    evidence = f"attitude explains {100 * gain:.0f} % of the shifts of {int(used.sum())} parts of rows"
+    return ClockOffset(fitted.value, fitted.sd, "attitude", evidence, _curve(offsets, misfit))
 
 
 def _at_rest(poses: Floats) -> Floats:
     """Return poses whose angles are their means."""
-    made, known = poses.copy(), np.isfinite(poses[3])
-    turned = np.exp(1j * np.radians(poses[3:, known])).mean(axis=1)
-    made[3:, known] = np.degrees(np.angle(turned))[:, None]
-    return made
+    resting, has_pose = poses.copy(), np.isfinite(poses[3])
+    turned = np.exp(1j * np.radians(poses[3:, has_pose])).mean(axis=1)
+    resting[3:, has_pose] = np.degrees(np.angle(turned))[:, None]
+    return resting
 
 
 def _refuse(reason: str) -> NoReturn:
@@ -203,3 +222,153 @@ def _curve(offsets: Floats, misfit: Floats) -> xr.DataArray:
         attrs={"units": "1", "long_name": "What is left unexplained"},
         name="misfit",
     )
+
+
+# --- by clouds -----------------------------------------------------------------------------------------
+
+
+_EPS = 1e-12
+
+
+@dataclass(frozen=True)
+class LightOffset:
+    """What is to be added to the stamps of irradiance, and why."""
+
+    offset: float  #: Offset and its standard uncertainty [s]
+    sd: float
+    evidence: str  #: Why it is believed
+    #: (offset,): what was tried, and what it leaves over what is left of a light that does not change
+    offsets: Floats
+    misfit: Floats
+
+
+def light_offset(
+    line: xr.Dataset,
+    irradiance: xr.Dataset,
+    image: xr.DataArray | None,
+    lines: slice | None,
+    most: float,
+    loosest: float,
+) -> LightOffset:
+    """Return the offset at which the light and the brightness of lines change together.
+
+    Raises
+    ------
+    TimeError
+        It cannot be told; the reason is given.
+    """
+    part = line if lines is None else line.isel({ALONG_TRACK: lines})
+    part_image = image if image is None or lines is None else image.isel({ALONG_TRACK: lines})
+    asked = [IRRADIANCE_TIME, IRRADIANCE_WAVELENGTH, "irradiance"]
+    record = require(irradiance, asked, "a clock's offset")
+    ticks = record[IRRADIANCE_TIME].values.astype("datetime64[ns]")
+    check_irradiance_times(ticks)
+    time = require(part, ["time"], "a clock's offset")["time"].values.astype("datetime64[ns]")
+    start = ticks[0]
+    samples, at = ((t - start).astype(np.int64) / 1e9 for t in (ticks, time))
+    level = np.log(np.maximum(_level(record), _EPS))
+    is_finite = np.isfinite(level)
+    samples, level = samples[is_finite], level[is_finite]
+    if samples.size < 4:
+        _refuse(f"the record has {samples.size} spectra")
+    at, change = _changes(picture_of(part, part_image), at)
+    width = float(np.median(np.diff(samples))) / LIGHT.bins_an_interval
+    edges = np.arange(at[0], at[-1], max(width, 3.0 * float(np.median(np.diff(at)))))
+    if edges.size <= LIGHT.min_bins:
+        _refuse(
+            f"the line lasts {at[-1] - at[0]:.1f} s, expected {LIGHT.min_bins * width:.0f} s for this record"
+        )
+    seen = np.diff(np.interp(edges, at, np.concatenate([[0.0], np.cumsum(change)])))
+    offsets = np.linspace(-most, most, LIGHT.offset_steps + 1)
+    meant = np.full((offsets.size, seen.size), np.nan)
+    for k, offset in enumerate(offsets):
+        stamps = samples + offset
+        if edges[0] >= stamps[0] and edges[-1] <= stamps[-1]:
+            meant[k] = np.diff(np.interp(edges, stamps, level))
+    covered = np.asarray(np.isfinite(meant).all(axis=1))
+    if not covered.any():
+        _refuse("the irradiance record does not cover the line, whatever the offset; look at dates and zones")
+    swing = float(np.ptp(np.cumsum(meant[covered], axis=1), axis=1).max())
+    if swing < LIGHT.min_change:
+        _refuse(
+            f"the light changes by {100 * swing:.1f} % over the line, expected {100 * LIGHT.min_change:.0f} %"
+        )
+    return _best(offsets, seen, meant, covered, loosest)
+
+
+def _best(offsets: Floats, seen: Floats, meant: Floats, covered: Bools, loosest: float) -> LightOffset:
+    """Return the best offset, unless it is none."""
+    seen = seen - np.median(seen)
+    centred = meant - meant.mean(axis=1, keepdims=True)
+    scale = min(_scale(seen - m) for m in centred[covered])
+    cost = np.full(meant.shape, np.nan)
+    cost[covered] = _clipped(seen - centred[covered], scale)
+    left, none = cost.mean(axis=1), float(_clipped(seen, scale).mean())
+    best = int(np.nanargmin(left))
+    residual = seen - centred[best]
+    follows = float((residual[1:] * residual[:-1]).sum() / max((residual**2).sum(), _EPS))
+    count = seen.size * (1.0 - max(follows, 0.0)) / (1.0 + max(follows, 0.0))
+    odds = 0.5 * count * np.log(left / left[best])
+    gain = 0.5 * count * np.log(none / left[best])
+    if not gain > LIGHT.min_log_odds:
+        _refuse(
+            f"the brightness of lines does not follow the light (log odds {gain:.1f}, expected "
+            f"{LIGHT.min_log_odds:g})"
+        )
+    rivals = covered & (odds < 2.0)
+    if rivals[0] or rivals[-1] or (rivals[1:-1] & ~(covered[2:] & covered[:-2])).any():
+        _refuse(f"the best offset, {offsets[best]:+.2f} s, is at the end of those that the record allows")
+    offset = _minimum(offsets, left)
+    blocks = np.array_split(np.arange(seen.size), LIGHT.blocks)
+    without = np.array([_minimum(offsets, cost.sum(axis=1) - cost[:, b].sum(axis=1)) for b in blocks])
+    spread = np.sqrt((LIGHT.blocks - 1) / LIGHT.blocks * ((without - without.mean()) ** 2).sum())
+    near = offsets[odds < 0.5]  # where a curve is a parabola, one standard deviation to either side
+    sd = max(float(spread), float(np.ptp(near)) / 2.0, float(offsets[1] - offsets[0]) / 2.0)
+    away = rivals & (np.abs(offsets - offsets[best]) > max(LIGHT.rival_sd * sd, LIGHT.rival_distance_s))
+    if away.any():
+        _refuse(f"{offsets[away][0]:+.2f} s fits nearly as well as {offsets[best]:+.2f} s")
+    if sd > loosest:
+        _refuse(f"it is {offset:+.2f} +- {sd:.2f} s, while {loosest:g} s is asked for")
+    share = 100.0 * (1.0 - left[best] / none)
+    evidence = f"the light explains {share:.0f} % of the changes of brightness, log odds {gain:.0f}"
+    return LightOffset(offset, sd, evidence, offsets, np.sqrt(left / none))
+
+
+def _minimum(offsets: Floats, cost: Floats) -> float:
+    """Return where a cost is least, by a parabola through the least and its neighbours."""
+    best = int(np.nanargmin(cost))
+    if not 0 < best < offsets.size - 1 or not np.isfinite(cost[best - 1 : best + 2]).all():
+        return float(offsets[best])
+    low, mid, high = cost[best - 1 : best + 2]
+    part = 0.5 * (low - high) / max(float(low + high - 2.0 * mid), _EPS)
+    return float(offsets[best] + np.clip(part, -1.0, 1.0) * (offsets[1] - offsets[0]))
+
+
+def _scale(values: Floats) -> float:
+    return 1.4826 * float(np.median(np.abs(values))) + _EPS
+
+
+def _clipped(values: Floats, scale: float) -> Floats:
+    """Return squares, those of outliers held at that of four standard deviations."""
+    return np.asarray(np.minimum(values**2, (4.0 * scale) ** 2))
+
+
+def _level(irradiance: Mapping[str, xr.DataArray]) -> Floats:
+    """Return the level of every spectrum (irradiance_time,), any scale."""
+    wavelength = irradiance[IRRADIANCE_WAVELENGTH].values
+    inside = (wavelength >= LIGHT.wavelengths_nm[0]) & (wavelength <= LIGHT.wavelengths_nm[1])
+    chosen = np.flatnonzero(inside) if inside.any() else np.arange(wavelength.size)
+    spectra = irradiance["irradiance"].transpose(IRRADIANCE_TIME, IRRADIANCE_WAVELENGTH).values
+    return np.asarray(spectra[:, chosen].mean(axis=1), np.float64)
+
+
+def _changes(picture: Floats32, at: Floats) -> tuple[Floats, Floats]:
+    """Return times of lines that have one, and the logarithm of the light's change from each to the next."""
+    good = np.isfinite(at) & (np.abs(at) < 1e9)
+    order = np.flatnonzero(good)[np.argsort(at[good], kind="stable")]
+    values = picture[order].astype(np.float64)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        steps = np.diff(np.log(np.where(values > 0, values, np.nan)), axis=0)
+    empty = ~np.isfinite(steps).any(axis=1)
+    steps[empty] = 0.0
+    return at[order], np.asarray(np.nanmedian(steps, axis=1))

@@ -8,12 +8,11 @@ from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
-import numpy.typing as npt
 
-from hyperpaint.base.arrays import Floats
+from hyperpaint.base.arrays import Bools, Floats
 from hyperpaint.base.attitude_conventions import Convention
 
-from .likelihood import CLIP, Residuals, inflation, residuals, robust_scale
+from .motion_fit import RULES, Residuals, inflation, residuals, robust_scale
 from .picture_motion import RowMotion
 from .pose_motion import Motion, Recorded, View
 
@@ -32,25 +31,17 @@ _SENSES = {
     "euler_order": ("ZYX", "ZXY", "XYZ"),
     "column_order": ("left_to_right", "right_to_left"),
 }
-_STEEPEST = 90.0
-_RARE = 6.0
+_MAX_LATITUDE_DEG = 90.0
+_LOG_ODDS_AGAINST = 6.0
 """Logarithm of the odds against any one declaration being wrong."""
 
 
 @dataclass(frozen=True)
 class Hypothesis:
-    """One meaning of a record.
+    """One meaning of a record."""
 
-    Attributes
-    ----------
-    convention
-        What angles mean, and the order of columns.
-    positions
-        What latitude and longitude are.
-    """
-
-    convention: Convention
-    positions: Positions = "as declared"
+    convention: Convention  #: What angles mean, and the order of columns
+    positions: Positions = "as declared"  #: What latitude and longitude are
 
     def poses(self, recorded: Recorded, clock_offset_s: float = 0.0) -> Floats:
         """Return canonical poses (6, line)."""
@@ -69,27 +60,18 @@ class Hypothesis:
 
 @dataclass(frozen=True)
 class Scored:
-    """A hypothesis and how well it fits.
+    """A hypothesis and how well it fits."""
 
-    Attributes
-    ----------
-    hypothesis
-        What is supposed.
-    odds
-        Logarithm of its probability over that of the most probable; 0 for that.
-    over_rest
-        The same over the likelihood of a platform that does not turn at all, from shifts alone.
-    """
-
-    hypothesis: Hypothesis
-    odds: float
+    hypothesis: Hypothesis  #: What is supposed
+    odds: float  #: Logarithm of its probability over that of the most probable; 0 for that
+    #: The same over the likelihood of a platform that does not turn at all, from shifts alone
     over_rest: float
 
 
 def fields_of(hypothesis: Hypothesis) -> dict[str, str]:
     """Return what a hypothesis says, field by field."""
-    told = {name: getattr(hypothesis.convention, name) for name in _SENSES}
-    return {**told, "positions": hypothesis.positions}
+    senses = {name: getattr(hypothesis.convention, name) for name in _SENSES}
+    return {**senses, "positions": hypothesis.positions}
 
 
 def hypotheses_of(declared: Convention, *, columns_matter: bool) -> Iterator[Hypothesis]:
@@ -103,8 +85,8 @@ def hypotheses_of(declared: Convention, *, columns_matter: bool) -> Iterator[Hyp
         options.append((own, *(choice for choice in choices if choice != own)) if own in choices else choices)
     for positions in POSITIONS:
         for chosen in itertools.product(*options):
-            told: dict[str, Any] = dict(zip(senses, chosen, strict=True))
-            yield Hypothesis(replace(declared, **told), positions)
+            meanings: dict[str, Any] = dict(zip(senses, chosen, strict=True))
+            yield Hypothesis(replace(declared, **meanings), positions)
 
 
 def score(
@@ -114,50 +96,58 @@ def score(
     declared: Hypothesis,
     *,
     columns_matter: bool,
-    used: npt.NDArray[np.bool_],
+    used: Bools,
     interval: float,
 ) -> list[Scored]:
-    """Return hypotheses, the most probable first; those that cannot be are left out.
+    """Return hypotheses, the most probable first; those from which the ground is not seen are left out.
 
     Notes
     -----
     A picture cannot tell a world from its mirror image, in which roll, heading, the order of columns and
     longitudes are all of the other sign. So every declaration is taken as wrong with odds of 1 to 400 only.
 
-    Residuals are taken as normal, those beyond `CLIP` standard deviations as outliers, and as fewer than they
-    are by what those of the best resemble their neighbours; see `likelihood`.
+    Residuals are taken as normal, those beyond `RULES.clip_sd` standard deviations as outliers, and as fewer
+    than they are by what those of the best resemble their neighbours; see `motion_fit`.
     """
-    found: list[tuple[Hypothesis, Residuals]] = []
+    explained: list[tuple[Hypothesis, Residuals]] = []
     poses: dict[Any, Floats] = {}
+    meant: Motion | None = None
     for hypothesis in hypotheses_of(declared.convention, columns_matter=columns_matter):
         key = (hypothesis.convention.replace(column_order=None), hypothesis.positions)
         if key not in poses:
             poses[key] = hypothesis.poses(recorded)
-        made = poses[key]
-        if not np.isfinite(made[0]).any() or np.nanmax(np.abs(made[0])) >= _STEEPEST:
+        canonical = poses[key]
+        if not np.isfinite(canonical[0]).any() or np.nanmax(np.abs(canonical[0])) >= _MAX_LATITUDE_DEG:
             continue
-        meant = hypothesis.view(view).motion(made)
-        if not (np.isfinite(meant.shift) | ~used).all():
+        motion = hypothesis.view(view).motion(canonical)
+        if not (np.isfinite(motion.shift) | ~used).all():
             continue
-        found.append((hypothesis, residuals(seen, meant, used, interval)))
-    if not found:
+        meant = motion
+        explained.append((hypothesis, residuals(seen, meant, used, interval)))
+    if meant is None:
         return []
     # the same way over ground, at rest in all else
     rest = Motion(*(np.zeros_like(seen.shift) + np.median(part[used]) for part in (seen.shift, meant.travel)))
-    shift = _costs([left.shift for _, left in found] + [residuals(seen, rest, used, interval).shift], used)
-    total = shift[:-1] + _costs([left.unlikeness for _, left in found], used)
+    shift = _costs(
+        [left.shift for _, left in explained] + [residuals(seen, rest, used, interval).shift], used
+    )
+    total = shift[:-1] + _costs([left.unlikeness for _, left in explained], used)
     own = fields_of(declared)
-    total += _RARE * np.array([sum(own[n] != v for n, v in fields_of(h).items()) for h, _ in found])
+    total += _LOG_ODDS_AGAINST * np.array(
+        [sum(own[n] != v for n, v in fields_of(h).items()) for h, _ in explained]
+    )
     scored = [
         Scored(h, float(total.min() - cost), float(shift[-1] - own))
-        for (h, _), cost, own in zip(found, total, shift, strict=False)
+        for (h, _), cost, own in zip(explained, total, shift, strict=False)
     ]
     return sorted(scored, key=lambda one: -one.odds)
 
 
-def _costs(left: list[Floats], used: npt.NDArray[np.bool_]) -> Floats:
+def _costs(left: list[Floats], used: Bools) -> Floats:
     """Return negative logarithms of likelihoods, but for a constant."""
     scales = [robust_scale(one[used]) for one in left]
     best = int(np.argmin(scales))
     scale, fewer = scales[best], inflation(left[best])
-    return np.array([0.5 * np.minimum((one[used] / scale) ** 2, CLIP**2).sum() for one in left]) / fewer
+    return (
+        np.array([0.5 * np.minimum((one[used] / scale) ** 2, RULES.clip_sd**2).sum() for one in left]) / fewer
+    )

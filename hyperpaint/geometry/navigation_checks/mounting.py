@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
-from hyperpaint.base.arrays import Floats
+from hyperpaint.base.arrays import Bools, Floats
 from hyperpaint.base.errors import Problems, SchemaError
 from hyperpaint.geometry.georeference import PinholeCamera
 
@@ -27,27 +26,34 @@ PARAMETERS = ("roll", "pitch", "heading", "height", "clock")
 _UNITS = {"roll": "degree", "pitch": "degree", "heading": "degree", "height": "m", "clock": "s"}
 _STEPS = {"roll": 1e-3, "pitch": 1e-3, "heading": 1e-3, "height": 1e-3, "clock": 5e-4}
 """Over which misses are differenced."""
-_LOOSEST = 30.0
-"""Factor by which what is solved with a parameter may widen its uncertainty."""
-_WIDEST = {"roll": 5.0, "pitch": 5.0, "heading": 5.0, "height": 50.0, "clock": 1.0}
+_MAX_SD = {"roll": 5.0, "pitch": 5.0, "heading": 5.0, "height": 50.0, "clock": 1.0}
 """Uncertainty, of picking to one pixel, beyond which nothing is known: what anyone can see without points."""
-_OUTLYING = 4.5
-"""Standard deviations of picking beyond which a point is left out: 1 in 25,000 of good ones."""
-_MOST_TURNS = 10
-_CLOCKS = np.arange(-10, 11) * 0.1
-"""Where the clock is looked for around where it begins [s]: a wobble of a second or so has a minimum each."""
-_CANDIDATES = 3
-_HOPEFUL = 3.0
-"""Of these, and what they leave at most, as a multiple of the least."""
-_FAR = 5.0
-"""Misses beyond which count less in that search [pixel]."""
-_CLEARLY = 1.3
-"""Factor by which what another clock leaves must exceed what the best one does."""
-_SAME_CLOCK = 0.05
-"""Clocks nearer than this are one [s]."""
-_ASTRAY = 2.0
-"""Fields of view, beyond what most points miss by, from which a point is a blunder, not an error."""
 _FIELDS = ("along_track_pixel", "cross_track_pixel", "east", "north", "height")
+
+
+@dataclass(frozen=True)
+class Rules:
+    """Thresholds of a solution, and where they come from."""
+
+    #: Factor by which what is solved with a parameter may widen its uncertainty: beyond it nothing is told.
+    max_widening: float = 30.0
+    #: Standard deviations of picking [pixel] beyond which a point is left out: 1 in 25,000 of good ones.
+    outlier_sd: float = 4.5
+    max_outlier_rounds: int = 10
+    #: Clocks tried, from where the solution begins [s]: a wobble of a second or so has a minimum each.
+    clock_search_s: tuple[float, ...] = tuple((np.arange(-10, 11) * 0.1).tolist())
+    max_clock_candidates: int = 3
+    #: What a candidate leaves at most, as a multiple of what the best one does.
+    candidate_ratio: float = 3.0
+    soft_miss_px: float = 5.0  #: misses beyond which count less in the search of the clock
+    #: Factor by which what another clock leaves must exceed what the best one does.
+    rival_ratio: float = 1.3
+    same_clock_s: float = 0.05  #: clocks nearer than this are one
+    #: Fields of view, beyond what most points miss by, from which a point is a blunder, not an error.
+    blunder_fields: float = 2.0
+
+
+RULES = Rules()
 
 
 @dataclass(frozen=True)
@@ -103,9 +109,9 @@ class BoresightSolution:
         within = {n: f"+- {sd[n]:.5f}" if n in sd else "as given" for n in PARAMETERS}
         rows = [f"{n:8} {self.value(n):+12.5f} {within[n]:12} {_UNITS[n]}" for n in PARAMETERS]
         bad = self.points["point"].values[self.points["outlier"].values].tolist()
-        kept = int((~self.points["outlier"]).sum())
+        used = int((~self.points["outlier"]).sum())
         rows += [
-            f"{kept} points, {self.picking_sd:.2f} pixel left, condition {self.condition:.1f}",
+            f"{used} points, {self.picking_sd:.2f} pixel left, condition {self.condition:.1f}",
             f"left out: {', '.join(map(str, bad))}" if bad else "no point left out",
         ]
         return "\n".join(rows)
@@ -185,31 +191,28 @@ def solve_boresight(
         lines, control_points, navigation, (forward, right, down), camera, convention, crs, start
     )
     free = [PARAMETERS.index(name) for name in names]
-    problem = _Problem(sights, start, free, control_points.sizes["point"])
-    sane = problem.not_astray()
-    _refuse_unidentifiable(problem.slopes(start[free], sane), names, sane)
-    solution, kept = problem.best(sane)
-    slopes = problem.slopes(solution, kept)
-    condition = _refuse_unidentifiable(slopes, names, kept)
-    misses = problem.misses(solution)
-    freedom = 2 * int(kept.sum()) - len(free)
-    variance = float((misses[kept] ** 2).sum()) / freedom
+    white = [sight.whitening(start[:3], float(start[3]), float(start[4])) for sight in sights]
+    points = _Points(sights, start, free, control_points.sizes["point"], white)
+    plausible = _plausible(points)
+    _refuse_unidentifiable(points.slopes(start[free], plausible), names, plausible)
+    fit = _best_fit(points, plausible)
+    slopes = fit.points.slopes(fit.free, fit.used)
+    condition = _refuse_unidentifiable(slopes, names, fit.used)
+    misses = fit.points.misses(fit.free)
+    freedom = 2 * int(fit.used.sum()) - len(free)
+    variance = float((misses[fit.used] ** 2).sum()) / freedom
     if variance > largest_picking_sd**2:
         raise SchemaError(
             f"nothing fits these control points: {np.sqrt(variance):.1f} pixel are left, expected "
             f"{largest_picking_sd:g} at most (largest_picking_sd=); is the clock, clock_offset_s=, known "
             f"within 1 s, are convention=, camera= and crs= those of the flight, points those of the lines?"
         )
-    whole = problem.whole(solution)
+    roll, pitch, heading, height, clock = fit.points.parameters(fit.free).tolist()
     return BoresightSolution(
-        (float(whole[0]), float(whole[1]), float(whole[2])),
-        float(whole[3]),
-        float(whole[4]),
+        (roll, pitch, heading), height, clock,
         _labelled(np.asarray(variance * np.linalg.inv(slopes.T @ slopes), np.float64), names),
-        _points(control_points, misses, kept),
-        float(np.sqrt(variance)),
-        condition,
-    )
+        _residuals(control_points, misses, fit.used), float(np.sqrt(variance)), condition,
+    )  # fmt: skip
 
 
 def _checked(solve: Sequence[str], points: xr.Dataset) -> list[str]:
@@ -262,197 +265,188 @@ def _sights(
         parts = [(name, line, np.flatnonzero(of == name)) for name, line in lines.items()]
     else:
         parts = [("", lines, np.arange(count))]
-    made = []
+    sights = []
     for name, line, index in parts:
         if index.size:
             many = navigation is not None and not isinstance(navigation, xr.Dataset)
             record: Any = navigation.get(name) if many and navigation is not None else navigation
             chosen = {field: points[field].values[index].astype(np.float64) for field in _FIELDS}
-            made.append(
-                sightings_of(
-                    line,
-                    chosen,
-                    index,
-                    navigation=record,
-                    convention=convention,
-                    camera=camera,
-                    lever_arm=lever_arm,
-                    crs=crs,
-                    clock=float(start[4]),
-                )
-            )
-    return made
+            sight = sightings_of(
+                line, chosen, index, navigation=record, convention=convention, camera=camera,
+                lever_arm=lever_arm, crs=crs, clock=float(start[4]),
+            )  # fmt: skip
+            sights.append(sight)
+    return sights
 
 
-@dataclass
-class _Problem:
+@dataclass(frozen=True)
+class _Points:
     """Misses of all points as a function of what is solved for."""
 
     sights: list[Sightings]
-    start: Floats
-    free: list[int]
+    start: Floats  #: all five parameters where the solution begins
+    free: list[int]  #: positions in `PARAMETERS` of those that are solved for
     count: int
+    white: list[Floats]  #: turns the misses of each sighting into pixels of picking
 
-    def whole(self, free: Floats) -> Floats:
+    def parameters(self, free: Floats) -> Floats:
         """Return all five parameters."""
-        made = self.start.copy()
-        made[self.free] = free
-        return made
+        parameters = self.start.copy()
+        parameters[self.free] = free
+        return parameters
 
     def misses(self, free: Floats) -> Floats:
         """Return misses of all points (point, 2) [pixel of picking]."""
-        whole, made = self.whole(free), np.zeros((self.count, 2))
-        for k, sight in enumerate(self.sights):
-            found = sight.misses(whole[:3], float(whole[3]), float(whole[4]))
-            made[sight.index] = np.einsum("nij,nj->ni", self._white[k], found)
-        return made
+        at, misses = self.parameters(free), np.zeros((self.count, 2))
+        for sight, white in zip(self.sights, self.white, strict=True):
+            tangents = sight.misses(at[:3], float(at[3]), float(at[4]))
+            misses[sight.index] = np.einsum("nij,nj->ni", white, tangents)
+        return misses
 
-    def whiten(self, free: Floats) -> None:
-        """Take the motion of points in the picture from here on as it is with these parameters."""
-        whole = self.whole(free)
-        self._white = [s.whitening(whole[:3], float(whole[3]), float(whole[4])) for s in self.sights]
+    def whitened(self, free: Floats) -> _Points:
+        """Return the same with the motion of points in the picture as it is with these parameters."""
+        at = self.parameters(free)
+        return replace(self, white=[s.whitening(at[:3], float(at[3]), float(at[4])) for s in self.sights])
 
-    def slopes(self, free: Floats, kept: npt.NDArray[np.bool_]) -> Floats:
-        """Return derivatives of the misses of points that are kept (2 point, parameter)."""
-        if not hasattr(self, "_white"):
-            self.whiten(free)
-        made = []
+    def slopes(self, free: Floats, used: Bools) -> Floats:
+        """Return derivatives of the misses of points that are used (2 point, parameter)."""
+        columns = []
         for k, parameter in enumerate(self.free):
             step = np.zeros(free.size)
             step[k] = _STEPS[PARAMETERS[parameter]]
-            made.append((self.misses(free + step) - self.misses(free - step))[kept].ravel() / (2.0 * step[k]))
-        return np.stack(made, axis=1)
+            change = self.misses(free + step) - self.misses(free - step)
+            columns.append(change[used].ravel() / (2.0 * step[k]))
+        return np.stack(columns, axis=1)
 
-    def fit(
-        self, free: Floats, kept: npt.NDArray[np.bool_], scale: float | None = None, roughly: bool = False
-    ) -> Floats:
-        """Return the parameters that fit best, or nearly; with a scale [pixel] by soft-L1."""
-        from scipy.optimize import least_squares
 
-        units = np.array([_STEPS[PARAMETERS[p]] for p in self.free])
-        found = least_squares(
-            lambda u: np.nan_to_num(self.misses(u * units)[kept].ravel(), nan=1e3),
-            free / units,
-            jac=lambda u: np.nan_to_num(self.slopes(u * units, kept)) * units,
-            loss="linear" if scale is None else "soft_l1",
-            f_scale=scale or 1.0,
-            x_scale=1e3 if roughly else 1.0,  # a first step of a degree: smaller ones would end the search
-            ftol=1e-3 if roughly else 1e-8,
-            max_nfev=12 if roughly else None,
-        )
-        return np.asarray(found.x * units)
+class _Fit(NamedTuple):
+    """Parameters that fit, of which points, and the median distance that these are left with [pixel]."""
 
-    def not_astray(self) -> npt.NDArray[np.bool_]:
-        """Tell which points miss by no more than a mounting or a clock could account for."""
-        at, sane = self.start, np.ones(self.count, bool)
-        found = [s.misses(at[:3], float(at[3]), float(at[4])) for s in self.sights]
-        middle = np.median(np.concatenate(found), axis=0)
-        for sight, miss in zip(self.sights, found, strict=True):
-            far = np.linalg.norm(miss - middle, axis=1) > _ASTRAY * max(sight.field_of_view, 0.5)
-            sane[sight.index] = ~(far | sight.behind(at[:3], float(at[3]), float(at[4])))
-        return sane if 2 * sane.sum() > self.count else np.ones(self.count, bool)
+    free: Floats
+    used: Bools
+    left: float
+    points: _Points
 
-    def best(self, sane: npt.NDArray[np.bool_]) -> tuple[Floats, npt.NDArray[np.bool_]]:
-        """Return the parameters, and which points they fit, of the clock that fits best.
 
-        Raises
-        ------
-        SchemaError
-            Another clock fits nearly as well.
-        """
-        if PARAMETERS.index("clock") not in self.free:
-            return self.robust(self.start[self.free], sane)[:2]
-        # the clock is last of what is free
-        white, ranked = self._white, []
-        for at in self.clocks(sane):
-            self._white = white
-            ranked.append(self.robust(at, sane))
-        ranked.sort(key=lambda one: one[2])
-        free, kept, scale = ranked[0]
-        rivals = [
-            one
-            for one in ranked[1:]
-            if abs(one[0][-1] - free[-1]) > _SAME_CLOCK and not one[2] > _CLEARLY * scale
-        ]
-        if rivals:
+def _fit(
+    points: _Points, free: Floats, used: Bools, scale: float | None = None, roughly: bool = False
+) -> Floats:
+    """Return the parameters that fit best, or nearly; with a scale [pixel] by soft-L1."""
+    from scipy.optimize import least_squares
+
+    units = np.array([_STEPS[PARAMETERS[p]] for p in points.free])
+    solution = least_squares(
+        lambda u: np.nan_to_num(points.misses(u * units)[used].ravel(), nan=1e3),
+        free / units,
+        jac=lambda u: np.nan_to_num(points.slopes(u * units, used)) * units,
+        loss="linear" if scale is None else "soft_l1",
+        f_scale=scale or 1.0,
+        x_scale=1e3 if roughly else 1.0,  # a first step of a degree: smaller ones would end the search
+        ftol=1e-3 if roughly else 1e-8,
+        max_nfev=12 if roughly else None,
+    )
+    return np.asarray(solution.x * units)
+
+
+def _plausible(points: _Points) -> Bools:
+    """Tell which points miss by no more than a mounting or a clock could account for."""
+    at, plausible = points.start, np.ones(points.count, bool)
+    misses = [s.misses(at[:3], float(at[3]), float(at[4])) for s in points.sights]
+    middle = np.median(np.concatenate(misses), axis=0)
+    for sight, miss in zip(points.sights, misses, strict=True):
+        limit = RULES.blunder_fields * max(sight.field_of_view, 0.5)
+        far = np.linalg.norm(miss - middle, axis=1) > limit
+        plausible[sight.index] = ~(far | sight.behind(at[:3], float(at[3]), float(at[4])))
+    return plausible if 2 * plausible.sum() > points.count else np.ones(points.count, bool)
+
+
+def _best_fit(points: _Points, plausible: Bools) -> _Fit:
+    """Return the fit with the clock that fits best; SchemaError where another fits nearly as well."""
+    if PARAMETERS.index("clock") not in points.free:
+        return _robust_fit(points, points.start[points.free], plausible)
+    # the clock is last of what is free
+    fits = [_robust_fit(points, at, plausible) for at in _clock_candidates(points, plausible)]
+    best, *others = sorted(fits, key=lambda fit: fit.left)
+    for rival in others:
+        apart = abs(rival.free[-1] - best.free[-1]) > RULES.same_clock_s
+        if apart and not rival.left > RULES.rival_ratio * best.left:
             raise SchemaError(
-                f"clocks {free[-1]:+.3f} and {rivals[0][0][-1]:+.3f} s fit these control points alike, "
-                f"leaving {scale:.2f} and {rivals[0][2]:.2f} pixel; add points, or leave 'clock' out of "
+                f"clocks {best.free[-1]:+.3f} and {rival.free[-1]:+.3f} s fit these control points alike, "
+                f"leaving {best.left:.2f} and {rival.left:.2f} pixel; add points, or leave 'clock' out of "
                 "solve="
             )
-        self.whiten(free)
-        return free, kept
-
-    def clocks(self, sane: npt.NDArray[np.bool_]) -> list[Floats]:
-        """Return where to begin: the best of clocks around, the others fit to each."""
-        held = _Problem(self.sights, self.start.copy(), self.free[:-1], self.count)
-        held._white = self._white  # misses of all clocks are then in one unit
-        begun, left = [], []
-        for clock in self.start[4] + _CLOCKS:
-            held.start[4] = clock
-            free = self.start[held.free]
-            there = sane & np.isfinite(held.misses(free)).all(axis=1)  # the record may end before the others
-            if free.size and there.any():
-                # far away soft-L1 is slow, and the other clock beside it is no place to begin
-                free = held.fit(held.fit(free, there, roughly=True), there, _FAR, roughly=True)
-            begun.append(np.append(free, clock))
-            away = np.linalg.norm(held.misses(free)[sane], axis=1)
-            left.append(np.median(np.where(np.isfinite(away), away, np.inf)))
-        around = np.pad(left, 1, constant_values=np.inf)
-        lowest = [k for k, one in enumerate(left) if one <= min(around[k], around[k + 2])]
-        hopeful = sorted((k for k in lowest if left[k] <= _HOPEFUL * min(left)), key=lambda k: left[k])
-        return [begun[k] for k in hopeful[:_CANDIDATES]]
-
-    def robust(
-        self, free: Floats, sane: npt.NDArray[np.bool_]
-    ) -> tuple[Floats, npt.NDArray[np.bool_], float]:
-        """Return the parameters, which points they fit, and what these are left with [pixel]."""
-        kept, count = sane, int(sane.sum())
-        free = self.fit(free, kept)
-        self.whiten(free)
-        for _ in range(3):
-            scale = max(1.4826 * float(np.nanmedian(np.abs(self.misses(free)[sane]))), 1e-6)
-            free = self.fit(free, kept, 1.5 * scale)
-        freedom = np.sqrt(2 * count / max(2 * count - len(self.free), 1))
-        for _ in range(_MOST_TURNS):
-            away = np.linalg.norm(self.misses(free), axis=1)
-            # the median of the distance of a point is 1.177 standard deviations of line or column
-            scale = freedom * max(float(np.nanmedian(away[kept])) / 1.1774, 1e-6)
-            good = (away < _OUTLYING * scale) & sane
-            if 2 * good.sum() <= len(self.free):
-                break
-            free = self.fit(free, good)
-            if (good == kept).all():
-                break
-            kept = good
-        left = np.linalg.norm(self.misses(free), axis=1)[sane]
-        return free, kept, float(np.median(np.where(np.isfinite(left), left, np.inf)))
+    return best._replace(points=points.whitened(best.free))
 
 
-def _refuse_unidentifiable(slopes: Floats, names: list[str], kept: npt.NDArray[np.bool_]) -> float:
-    """Return the condition number.
+def _clock_candidates(points: _Points, plausible: Bools) -> list[Floats]:
+    """Return where to begin: the best of clocks around, the others fit to each."""
+    begun, left = [], []
+    for clock in points.start[4] + np.array(RULES.clock_search_s):
+        # misses of all clocks are in one unit, that of the start
+        fixed = replace(points, start=np.append(points.start[:4], clock), free=points.free[:-1])
+        free = fixed.start[fixed.free]
+        there = plausible & np.isfinite(fixed.misses(free)).all(
+            axis=1
+        )  # the record may end before the others
+        if free.size and there.any():
+            # far away soft-L1 is slow, and the other clock beside it is no place to begin
+            rough = _fit(fixed, free, there, roughly=True)
+            free = _fit(fixed, rough, there, RULES.soft_miss_px, roughly=True)
+        begun.append(np.append(free, clock))
+        left.append(_median_distance(fixed.misses(free)[plausible]))
+    around = np.pad(left, 1, constant_values=np.inf)
+    lowest = [k for k, one in enumerate(left) if one <= min(around[k], around[k + 2])]
+    near = [k for k in lowest if left[k] <= RULES.candidate_ratio * min(left)]
+    return [begun[k] for k in sorted(near, key=lambda k: left[k])[: RULES.max_clock_candidates]]
 
-    Raises
-    ------
-    SchemaError
-        Parameters do not move points, or move them as others do; they are named.
-    """
+
+def _robust_fit(points: _Points, free: Floats, plausible: Bools) -> _Fit:
+    """Return the fit without points that lie off, first by soft-L1, then by leaving them out."""
+    used, count = plausible, int(plausible.sum())
+    free = _fit(points, free, used)
+    points = points.whitened(free)
+    for _ in range(3):
+        scale = max(1.4826 * float(np.nanmedian(np.abs(points.misses(free)[plausible]))), 1e-6)
+        free = _fit(points, free, used, 1.5 * scale)
+    freedom = np.sqrt(2 * count / max(2 * count - len(points.free), 1))
+    for _ in range(RULES.max_outlier_rounds):
+        away = np.linalg.norm(points.misses(free), axis=1)
+        # the median of the distance of a point is 1.177 standard deviations of line or column
+        scale = freedom * max(float(np.nanmedian(away[used])) / 1.1774, 1e-6)
+        good = (away < RULES.outlier_sd * scale) & plausible
+        if 2 * good.sum() <= len(points.free):
+            break
+        free = _fit(points, free, good)
+        if (good == used).all():
+            break
+        used = good
+    return _Fit(free, used, _median_distance(points.misses(free)[plausible]), points)
+
+
+def _median_distance(misses: Floats) -> float:
+    """Return the median distance of points [pixel]; those that are nowhere are infinitely far."""
+    away = np.linalg.norm(misses, axis=1)
+    return float(np.median(np.where(np.isfinite(away), away, np.inf)))
+
+
+def _refuse_unidentifiable(slopes: Floats, names: list[str], used: Bools) -> float:
+    """Return the condition number; SchemaError names parameters that move no points, or as others do."""
     length = np.linalg.norm(slopes, axis=0)
     problems = Problems(
-        f"{int(kept.sum())} control points do not tell all of {', '.join(names)}", SchemaError
+        f"{int(used.sum())} control points do not tell all of {', '.join(names)}", SchemaError
     )
     for name, size in zip(names, length, strict=True):
-        if not size * _WIDEST[name] > 1.0:
+        if not size * _MAX_SD[name] > 1.0:
             problems.add(
-                f"{name}: {_WIDEST[name]:g} {_UNITS[name]} would move points by less than a pixel; leave it "
+                f"{name}: {_MAX_SD[name]:g} {_UNITS[name]} would move points by less than a pixel; leave it "
                 "out of solve=, or add points across the swath"
             )
     problems.raise_if_any()
     _, singular, turned = np.linalg.svd(slopes / length, full_matrices=False)
     condition = float(singular[0] / singular[-1]) if singular[-1] > 0 else np.inf
     widened = np.sqrt(((turned.T / np.maximum(singular, 1e-12)) ** 2).sum(axis=1))
-    loose = [k for k in range(len(names)) if widened[k] > _LOOSEST]
-    if 2 * kept.sum() <= len(names) or loose:
+    loose = [k for k in range(len(names)) if widened[k] > RULES.max_widening]
+    if 2 * used.sum() <= len(names) or loose:
         for k in loose:
             partners = [n for j, n in enumerate(names) if j != k and abs(turned[-1, j]) > 0.3]
             problems.add(
@@ -479,19 +473,15 @@ def _labelled(covariance: Floats, names: list[str]) -> xr.DataArray:
     )
 
 
-def _points(points: xr.Dataset, misses: Floats, kept: npt.NDArray[np.bool_]) -> xr.Dataset:
+def _residuals(points: xr.Dataset, misses: Floats, used: Bools) -> xr.Dataset:
     import xarray as xr
 
-    told = [str(n) for n in points["name"].values] if "name" in points.variables else [""] * kept.size
-    names = [name or str(k) for k, name in enumerate(told)]
+    labels = [str(n) for n in points["name"].values] if "name" in points.variables else [""] * used.size
+    distance = {"units": "1", "long_name": "Distance [pixel]"}
     return xr.Dataset(
         {
-            "miss": (
-                "point",
-                np.linalg.norm(misses, axis=1),
-                {"units": "1", "long_name": "Distance [pixel]"},
-            ),
-            "outlier": ("point", ~kept, {"long_name": "Left out"}),
+            "miss": ("point", np.linalg.norm(misses, axis=1), distance),
+            "outlier": ("point", ~used, {"long_name": "Left out"}),
         },
-        coords={"point": names},
+        coords={"point": [name or str(k) for k, name in enumerate(labels)]},
     )

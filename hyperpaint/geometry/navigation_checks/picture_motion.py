@@ -1,4 +1,4 @@
-"""How the picture moves from one row to the next, as the picture alone tells it.
+"""One grey picture of a flight line, and how it moves from row to row, as the picture alone tells it.
 
 A line camera that rolls shifts its rows sideways. That shift can be measured wherever the ground is rough.
 How far two rows are apart along the track cannot be measured so, but the farther they are the less they are
@@ -8,52 +8,101 @@ alike; and how alike the ground is over a given way, the rows themselves tell, a
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import numpy.typing as npt
 
-from hyperpaint.base.arrays import Floats
+from hyperpaint.base.arrays import Array, Floats, Floats32, Ints
+from hyperpaint.base.errors import SchemaError
+from hyperpaint.base.schema import ALONG_TRACK, BAND, CROSS_TRACK
 
-__all__ = ["RowMotion", "row_motion"]
+if TYPE_CHECKING:
+    import xarray as xr
+
+__all__ = ["RowMotion", "picture_of", "row_motion"]
 
 
-FEWEST_ZONES, MOST_ZONES, ZONE = 4, 12, 64
-"""Parts of a row that are looked at each for itself, and their width where there are enough columns."""
-REACH = 8
-"""Largest shift between rows that is looked for [pixel]."""
-_BLOCK = 512
-"""Rows at a time."""
-_FEWEST_COLUMNS = 12
-"""Columns of a zone below which nothing is measured."""
+_CUBES = ("counts", "radiance", "reflectance")
+_MOST_BANDS = 12
+"""Bands averaged: enough against noise, without reading what adds nothing."""
+_WAVELENGTHS = (500.0, 850.0)
+"""Where a silicon camera sees best, and the atmosphere lets it [nm]."""
+
+
+def picture_of(line: xr.Dataset, image: xr.DataArray | None) -> Floats32:
+    """Return a picture (along_track, cross_track) of a line, read once.
+
+    Parameters
+    ----------
+    line
+        Has ``counts``, ``radiance`` or ``reflectance``.
+    image
+        The picture itself, (along_track, cross_track), instead.
+
+    Raises
+    ------
+    SchemaError
+        There is no cube; the picture has other dims or sizes than the line.
+    """
+    if image is None:
+        name = next((name for name in _CUBES if name in line.variables), None)
+        if name is None:
+            raise SchemaError(f"this line has no picture: none of {', '.join(_CUBES)}; give image=")
+        image = line[name]
+        if BAND in image.dims:
+            image = image.isel({BAND: _bands(line)}).mean(BAND, dtype=np.float32)
+    sizes = {dim: line.sizes[dim] for dim in (ALONG_TRACK, CROSS_TRACK) if dim in line.sizes}
+    if set(image.dims) != {ALONG_TRACK, CROSS_TRACK} or any(image.sizes[d] != n for d, n in sizes.items()):
+        raise SchemaError(f"the image is {dict(image.sizes)}, expected {sizes} as the line")
+    values: Any = image.transpose(ALONG_TRACK, CROSS_TRACK).values
+    return np.asarray(values, np.float32)
+
+
+def _bands(line: xr.Dataset) -> Ints:
+    chosen = np.arange(line.sizes[BAND])
+    if "wavelength" in line.variables:
+        wavelength = np.asarray(line["wavelength"].values, np.float64)
+        inside = (wavelength >= _WAVELENGTHS[0]) & (wavelength <= _WAVELENGTHS[1])
+        if "good" in line.variables:
+            inside &= np.asarray(line["good"].values, bool)
+        chosen = np.flatnonzero(inside) if inside.any() else chosen
+    spread = np.linspace(0, chosen.size - 1, min(_MOST_BANDS, chosen.size))
+    return np.asarray(chosen[np.unique(np.round(spread).astype(np.int64))])
+
+
+@dataclass(frozen=True)
+class Rules:
+    """How rows of a picture are compared."""
+
+    #: Parts of a row that are looked at each for itself, and their width where there are enough columns.
+    min_zones: int = 4
+    max_zones: int = 12
+    zone_columns: int = 64
+    reach_px: int = 8  #: largest shift between rows that is looked for
+    block_rows: int = 512  #: rows at a time
+    min_columns: int = 12  #: of a zone, below which nothing is measured
+    level_columns: int = 5  #: over which a row is levelled before shifts are looked for
+
+
+RULES = Rules()
+REACH = RULES.reach_px
 _FLAT = 1e-12
-_SLOW = 5
-"""Columns over which a row is levelled before shifts are looked for."""
 
 
 @dataclass(frozen=True)
 class RowMotion:
-    """What rows say of the motion from each to the next.
+    """What rows say of the motion from each to the next."""
 
-    Attributes
-    ----------
-    shift : (row - 1, zone)
-        A row at x shows what the row before shows at x + shift [pixel]; NaN where it is not clear.
-    unlikeness : (row - 1, zone)
-        Mean square difference of the two rows after that shift, over the variance of either.
-    structure : (`REACH` + 1,)
-        The same of one row with itself, over whole pixels across the track.
-    centres : (zone,)
-        Column in the middle of every zone.
-    """
-
+    #: (row - 1, zone): a row at x shows what the row before shows at x + shift [pixel]; NaN where it is not
+    #: clear
     shift: Floats
+    #: (row - 1, zone): mean square difference of the two rows after that shift, over the variance of either
     unlikeness: Floats
-    structure: Floats
-    centres: Floats
+    structure: Floats  #: (`REACH` + 1,): the same of one row with itself, over whole pixels across the track
+    centres: Floats  #: (zone,): column in the middle of every zone
 
 
-def row_motion(picture: npt.NDArray[Any]) -> RowMotion | None:
+def row_motion(picture: Array) -> RowMotion | None:
     """Return what a picture (row, column) says; None where it is too narrow.
 
     Notes
@@ -63,29 +112,29 @@ def row_motion(picture: npt.NDArray[Any]) -> RowMotion | None:
     are smoothed alike.
     """
     rows, columns = picture.shape
-    zones = int(np.clip(columns // ZONE, FEWEST_ZONES, MOST_ZONES))
+    zones = int(np.clip(columns // RULES.zone_columns, RULES.min_zones, RULES.max_zones))
     width = (columns - 2 * REACH) // zones
-    if width < _FEWEST_COLUMNS or rows < 2:
+    if width < RULES.min_columns or rows < 2:
         return None
     starts = REACH + width * np.arange(zones)
     levelled = _levelled(picture)
     fine = _fine(levelled)
     shift, unlike = np.full((rows - 1, zones), np.nan), np.full((rows - 1, zones), np.nan)
     structure, weight = np.zeros(REACH + 1), 0.0
-    for first in range(0, rows - 1, _BLOCK):
-        stop = min(first + _BLOCK, rows - 1)
+    for first in range(0, rows - 1, RULES.block_rows):
+        stop = min(first + RULES.block_rows, rows - 1)
         before, after = levelled[first:stop], levelled[first + 1 : stop + 1]
         for zone, start in enumerate(starts):
             window = slice(int(start), int(start) + width)
             variance = after[:, window].var(axis=1) + before[:, window].var(axis=1)
-            known = variance > _FLAT
-            if not known.any():
+            has_contrast = variance > _FLAT
+            if not has_contrast.any():
                 continue
-            moved = _shift(fine[first:stop][known], fine[first + 1 : stop + 1][known], window)
-            left = _difference(before[known], after[known], moved, window)
-            shift[first:stop, zone][known] = moved
-            unlike[first:stop, zone][known] = left / variance[known]
-            own = _own_structure(before[known], window) / variance[known, None]
+            moved = _shift(fine[first:stop][has_contrast], fine[first + 1 : stop + 1][has_contrast], window)
+            left = _difference(before[has_contrast], after[has_contrast], moved, window)
+            shift[first:stop, zone][has_contrast] = moved
+            unlike[first:stop, zone][has_contrast] = left / variance[has_contrast]
+            own = _own_structure(before[has_contrast], window) / variance[has_contrast, None]
             good = np.isfinite(own).all(axis=1)
             structure += own[good].sum(axis=0)
             weight += float(good.sum())
@@ -94,12 +143,12 @@ def row_motion(picture: npt.NDArray[Any]) -> RowMotion | None:
     return RowMotion(shift, unlike, structure / weight, starts + (width - 1) / 2)
 
 
-def _levelled(picture: npt.NDArray[Any]) -> Floats:
+def _levelled(picture: Array) -> Floats:
     """Return the logarithm without the gains of columns."""
     values = np.asarray(picture, np.float64)
-    known = np.isfinite(values) & (values > 0.0)
-    floor = np.quantile(values[known], 0.001) if known.any() else 1.0
-    logs = np.log(np.where(known, np.maximum(values, floor), floor))
+    is_positive = np.isfinite(values) & (values > 0.0)
+    floor = np.quantile(values[is_positive], 0.001) if is_positive.any() else 1.0
+    logs = np.log(np.where(is_positive, np.maximum(values, floor), floor))
     logs -= np.median(logs, axis=0)
     return np.asarray(logs)
 
@@ -111,16 +160,16 @@ def _fine(rows: Floats) -> Floats:
     """
     from scipy.ndimage import uniform_filter1d
 
-    level = rows - uniform_filter1d(rows, _SLOW, axis=1, mode="nearest")
-    power = uniform_filter1d(level**2, 2 * _SLOW + 1, axis=1, mode="nearest")
+    level = rows - uniform_filter1d(rows, RULES.level_columns, axis=1, mode="nearest")
+    power = uniform_filter1d(level**2, 2 * RULES.level_columns + 1, axis=1, mode="nearest")
     contrast = np.sqrt(np.maximum(power, 0.0)) + 0.1 * np.sqrt(power.mean()) + _FLAT
     return np.asarray(level / contrast)
 
 
 def _difference(before: Floats, after: Floats, moved: Floats, window: slice) -> Floats:
     """Return the mean square difference of rows that are moved onto one another (row,)."""
-    known = np.where(np.isnan(moved), 0.0, moved)
-    apart = _moved(after, window, -known / 2) - _moved(before, window, known / 2)
+    shift = np.where(np.isnan(moved), 0.0, moved)
+    apart = _moved(after, window, -shift / 2) - _moved(before, window, shift / 2)
     return np.where(np.isnan(moved), np.nan, (apart**2).mean(axis=1))
 
 
@@ -165,8 +214,8 @@ def _moved(rows: Floats, window: slice, by: Floats) -> Floats:
 
 def _own_structure(rows: Floats, window: slice) -> Floats:
     """Return mean square differences of rows with themselves, 0 to `REACH` columns apart (row, lag)."""
-    made = np.zeros((rows.shape[0], REACH + 1))
+    structure = np.zeros((rows.shape[0], REACH + 1))
     for lag in range(1, REACH + 1):
         other = rows[:, window.start + lag : window.stop + lag]
-        made[:, lag] = ((other - rows[:, window]) ** 2).mean(axis=1)
-    return made
+        structure[:, lag] = ((other - rows[:, window]) ** 2).mean(axis=1)
+    return structure

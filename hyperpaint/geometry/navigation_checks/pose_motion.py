@@ -1,68 +1,61 @@
-"""How a picture should move from one row to the next, as the poses have it."""
+"""How a picture should move from row to row, as the poses have it; and what a check needs of a line."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
 
-from hyperpaint.base.arrays import Floats
+from hyperpaint.base.arrays import Bools, Floats
 from hyperpaint.base.attitude_conventions import Convention
+from hyperpaint.base.constants import WGS84_ECCENTRICITY_SQUARED, WGS84_SEMI_MAJOR_AXIS_M
 from hyperpaint.base.errors import SchemaError
 from hyperpaint.base.schema import ALONG_TRACK, require
+from hyperpaint.geometry.georeference.attitude_rotations import matrices, quaternions
 from hyperpaint.geometry.georeference.cameras import look_angles
-from hyperpaint.geometry.georeference.poses import ANGLES, NAVIGATION_TIME, POSE, canonical_values, poses_at
-from hyperpaint.geometry.georeference.rotations import matrices, quaternions
+from hyperpaint.geometry.georeference.poses import (
+    ANGLES,
+    NAVIGATION_TIME,
+    POSE,
+    canonical_values,
+    convention_of,
+    poses_at,
+)
+
+from .picture_motion import RowMotion, picture_of, row_motion
 
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["Motion", "Recorded", "View", "course_of", "local_metres", "recorded_poses", "units_of", "view_of"]
+__all__ = [
+    "MAX_LINES", "Motion", "Recorded", "Setting", "View", "course_of", "local_metres", "recorded_poses",
+    "setting_of", "units_of", "view_of",
+]  # fmt: skip
 
 
-_AXIS, _ECCENTRICITY2 = 6378137.0, 6.69437999014e-3  # WGS 84
-_LOWEST = 0.05
+_MIN_DOWNWARD = 0.05
 """Downward part of a direction below which it meets no ground worth the name."""
 
 
 @dataclass(frozen=True)
 class Motion:
-    """What should be seen from each row to the next; see `picture_motion.RowMotion`.
+    """What should be seen from each row to the next; see `picture_motion.RowMotion`."""
 
-    Attributes
-    ----------
-    shift : (line - 1, zone)
-        Sideways [pixel].
-    travel : (line - 1, zone)
-        Across the row, forward positive [pixel of the row].
-    """
-
-    shift: Floats
-    travel: Floats
+    shift: Floats  #: (line - 1, zone): sideways [pixel]
+    travel: Floats  #: (line - 1, zone): across the row, forward positive [pixel of the row]
 
 
 @dataclass(frozen=True)
 class Recorded:
-    """Poses as recorded, with the times they are wanted at.
+    """Poses as recorded, with the times they are wanted at."""
 
-    Attributes
-    ----------
-    times : (row,)
-        Of the record.
-    columns
-        Values (row,) as the file has them, by the name of the variable.
-    wanted : (line,)
-        Mid exposures.
-    crs
-        Map whose north grid headings count from.
-    """
-
-    times: npt.NDArray[np.datetime64]
-    columns: dict[str, Floats]
-    wanted: npt.NDArray[np.datetime64]
-    crs: Any = None
+    times: npt.NDArray[np.datetime64]  #: (row,): of the record
+    columns: dict[str, Floats]  #: Values (row,) as the file has them, by the name of the variable
+    wanted: npt.NDArray[np.datetime64]  #: (line,): mid exposures
+    crs: Any = None  #: Map whose north grid headings count from
 
     def at(self, convention: Convention, clock_offset_s: float = 0.0) -> Floats:
         """Return canonical poses (6, line) if the record means what ``convention`` says."""
@@ -82,28 +75,15 @@ class Recorded:
 
 @dataclass(frozen=True)
 class View:
-    """How a camera looks down from its platform.
+    """How a camera looks down from its platform."""
 
-    Attributes
-    ----------
-    right, forward : (zone,)
-        Tangents of the middle of every zone, to the right and forward, columns from left to right.
-    step : (zone,)
-        Change of ``right`` from a column to the next.
-    boresight
-        Roll, pitch, heading of the camera in the body [degree].
-    lever_arm
-        Forward, right, down [m].
-    ground
-        Height of the ground above the ellipsoid [m].
-    """
-
+    #: (zone,): tangents of the middle of every zone, to the right and forward, columns from left to right
     right: Floats
     forward: Floats
-    step: Floats
-    boresight: tuple[float, float, float]
-    lever_arm: tuple[float, float, float]
-    ground: float
+    step: Floats  #: (zone,): change of ``right`` from a column to the next
+    boresight: tuple[float, float, float]  #: Roll, pitch, heading of the camera in the body [degree]
+    lever_arm: tuple[float, float, float]  #: Forward, right, down [m]
+    ground: float  #: Height of the ground above the ellipsoid [m]
 
     def motion(self, poses: Floats, *, boresight: tuple[float, float, float] | None = None) -> Motion:
         """Return the motion that poses (6, line) mean; NaN where a pose is not known."""
@@ -127,20 +107,20 @@ class View:
         u = np.stack([self.forward, self.right + columns * self.step, np.ones_like(self.right)], axis=-1)
         d = np.einsum("nij,zj->nzi", rotation, u)
         with np.errstate(invalid="ignore", divide="ignore"):
-            s = np.where(d[..., 2] > _LOWEST, height[:, None] / d[..., 2], np.nan)
+            s = np.where(d[..., 2] > _MIN_DOWNWARD, height[:, None] / d[..., 2], np.nan)
         return np.asarray(origin[:, None] + s[..., None] * d[..., :2])
 
 
 def local_metres(latitude: Floats, longitude: Floats) -> tuple[Floats, Floats]:
     """Return metres to the north and to the east of the first known place; good for a flight line."""
-    known = np.flatnonzero(np.isfinite(latitude) & np.isfinite(longitude))
-    if not known.size:
+    placed = np.flatnonzero(np.isfinite(latitude) & np.isfinite(longitude))
+    if not placed.size:
         return np.full(latitude.shape, np.nan), np.full(latitude.shape, np.nan)
-    start = known[0]
+    start = placed[0]
     phi = np.radians(latitude[start])
-    root = 1.0 - _ECCENTRICITY2 * np.sin(phi) ** 2
-    meridian = _AXIS * (1.0 - _ECCENTRICITY2) / root**1.5
-    parallel = _AXIS / np.sqrt(root) * np.cos(phi)
+    root = 1.0 - WGS84_ECCENTRICITY_SQUARED * np.sin(phi) ** 2
+    meridian = WGS84_SEMI_MAJOR_AXIS_M * (1.0 - WGS84_ECCENTRICITY_SQUARED) / root**1.5
+    parallel = WGS84_SEMI_MAJOR_AXIS_M / np.sqrt(root) * np.cos(phi)
     north = np.radians(latitude - latitude[start]) * meridian
     return north, np.radians(longitude - longitude[start]) * parallel
 
@@ -148,10 +128,10 @@ def local_metres(latitude: Floats, longitude: Floats) -> tuple[Floats, Floats]:
 def course_of(poses: Floats) -> float:
     """Return the direction from the first place to the last, clockwise from true north [degree]."""
     north, east = local_metres(poses[0], poses[1])
-    known = np.flatnonzero(np.isfinite(north))
-    if known.size < 2:
+    placed = np.flatnonzero(np.isfinite(north))
+    if placed.size < 2:
         return float("nan")
-    return float(np.degrees(np.arctan2(east[known[-1]], north[known[-1]])) % 360.0)
+    return float(np.degrees(np.arctan2(east[placed[-1]], north[placed[-1]])) % 360.0)
 
 
 def recorded_poses(line: xr.Dataset, navigation: xr.Dataset | None, crs: Any = None) -> Recorded:
@@ -198,18 +178,108 @@ def view_of(
     right, forward = np.tan(np.radians(np.asarray(across))), np.tan(np.radians(np.asarray(along)))
     column = np.arange(right.size)
     view = View(
-        np.interp(centres, column, right),
-        np.interp(centres, column, forward),
-        np.interp(centres, column, np.gradient(right)),
-        boresight,
-        lever_arm,
-        ground,
-    )
+        np.interp(centres, column, right), np.interp(centres, column, forward),
+        np.interp(centres, column, np.gradient(right)), boresight, lever_arm, ground,
+    )  # fmt: skip
     return view, isinstance(camera, PinholeCamera)
 
 
 def units_of(line: xr.Dataset, navigation: xr.Dataset | None) -> str | None:
     """Return the unit that all three angles are labelled with; None where they are not."""
     source = line if navigation is None else navigation
-    found = {str(source[name].attrs.get("units")) for name in ANGLES}
-    return found.pop() if len(found) == 1 and "None" not in found else None
+    labels = {str(source[name].attrs.get("units")) for name in ANGLES}
+    return labels.pop() if len(labels) == 1 and "None" not in labels else None
+
+
+# --- a line as a check sees it -------------------------------------------------------------------------
+
+
+MAX_LINES = 4000
+"""Lines that a check looks at unless told otherwise: those in the middle."""
+_MIN_LINES = 64
+_MAX_STEADY_INTERVALS = 1.5
+"""Median intervals between lines beyond which frames are missing."""
+
+
+@dataclass(frozen=True)
+class Setting:
+    """A line as a check sees it."""
+
+    declared: Convention  #: What the record is said to mean
+    recorded: Recorded  #: Poses as recorded
+    seen: RowMotion  #: Motion of the picture
+    view: View  #: How the camera looks down, its columns from left to right
+    columns_matter: bool  #: Whether the order of columns is to be found out
+    interval: float  #: Between lines [s]
+    exposure: float  #: [s]; NaN where it is not known
+    lines: slice  #: Which lines
+
+    @property
+    def steady(self) -> Bools:
+        """Tell after which lines no frame is missing (line - 1,)."""
+        stamps = self.recorded.wanted.astype(np.int64).astype(np.float64)
+        steps = np.diff(stamps) / 1e9
+        return np.asarray((steps > 0) & (steps < _MAX_STEADY_INTERVALS * self.interval))
+
+    def comparable(self, meant: Motion) -> Bools:
+        """Tell where motion is known of picture and poses, and no frame is missing (line - 1, zone)."""
+        is_seen = np.isfinite(self.seen.shift) & np.isfinite(self.seen.unlikeness)
+        return np.asarray(is_seen & np.isfinite(meant.shift) & self.steady[:, None])
+
+
+def setting_of(
+    line: xr.Dataset,
+    navigation: xr.Dataset | None,
+    *,
+    convention: Convention | None,
+    camera: Any,
+    ground: float | None,
+    boresight: Sequence[float],
+    lever_arm: Sequence[float],
+    image: xr.DataArray | None,
+    lines: slice | None,
+    crs: Any,
+) -> Setting:
+    """Return what a check needs (eager: reads a few bands of the lines).
+
+    Raises
+    ------
+    SchemaError
+        No convention, camera, height of the ground, pose or picture; too few lines or columns.
+    """
+    source, subject = (line, "this line") if navigation is None else (navigation, "this navigation record")
+    declared = convention_of(source, convention, subject)
+    own = Convention.from_attrs(line.attrs)
+    if own is not None:
+        declared = declared.replace(
+            column_order=declared.column_order or own.column_order,
+            stamp_reference=declared.stamp_reference or own.stamp_reference,
+        )
+    if ground is None:
+        located_ground = line.attrs.get("ground")
+        if not isinstance(located_ground, int | float):
+            raise SchemaError("the height of the ground is not known; give ground= [m above the ellipsoid]")
+        ground = float(located_ground)
+    chosen = _middle(line.sizes[ALONG_TRACK]) if lines is None else lines
+    part = line.isel({ALONG_TRACK: chosen})
+    if part.sizes[ALONG_TRACK] < _MIN_LINES:
+        raise SchemaError(f"{part.sizes[ALONG_TRACK]} lines, expected {_MIN_LINES} at least")
+    seen = row_motion(picture_of(part, None if image is None else image.isel({ALONG_TRACK: chosen})))
+    if seen is None:
+        raise SchemaError("the picture is too narrow, or shows nothing at all; expected 64 columns at least")
+    roll, pitch, heading = (float(angle) for angle in boresight)
+    forward, right, down = (float(length) for length in lever_arm)
+    view, matter = view_of(
+        line, camera, seen.centres, (roll, pitch, heading), (forward, right, down), float(ground)
+    )
+    recorded = recorded_poses(part, navigation, crs)
+    steps = np.diff(recorded.wanted.astype(np.int64)) / 1e9
+    exposure = float(np.median(part["exposure_time"].values)) if "exposure_time" in part.variables else np.nan
+    return Setting(
+        declared, recorded, seen, view, matter, float(np.median(steps[steps > 0])), exposure, chosen
+    )
+
+
+def _middle(count: int) -> slice:
+    first = max((count - MAX_LINES) // 2, 0)
+    return slice(first, min(first + MAX_LINES, count))

@@ -9,9 +9,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from hyperpaint.base.arrays import Floats
+from hyperpaint.base.arrays import Bools, Floats, Ints
+from hyperpaint.base.constants import WGS84_ECCENTRICITY_SQUARED, WGS84_SEMI_MAJOR_AXIS_M
 from hyperpaint.base.errors import SchemaError
 from hyperpaint.base.schema import require
+from hyperpaint.geometry.georeference.attitude_rotations import matrices, quaternions
 from hyperpaint.geometry.georeference.cameras import look_angles
 from hyperpaint.geometry.georeference.geodesy import between_maps, crs_of
 from hyperpaint.geometry.georeference.poses import (
@@ -21,7 +23,6 @@ from hyperpaint.geometry.georeference.poses import (
     pose_columns,
     poses_at,
 )
-from hyperpaint.geometry.georeference.rotations import matrices, quaternions
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -31,51 +32,29 @@ if TYPE_CHECKING:
 __all__ = ["Sightings", "sightings_of"]
 
 
-_AXIS, _ECCENTRICITY2 = 6378137.0, 6.69437999014e-3  # WGS 84
-_AROUND = 3.0
+_AROUND_S = 3.0
 """Seconds of a record around every point that are kept, for the clock to be moved in."""
-_FLOOR = 0.05
-"""Part of a pixel that even a platform at rest cannot be told within."""
+_MIN_PICKING_PX = 0.05
+"""Part of a pixel that picking is uncertain by, even on a platform at rest."""
 
 
 @dataclass(frozen=True)
 class Sightings:
-    """The points of one line.
+    """The points of one line."""
 
-    Attributes
-    ----------
-    times, poses : (row,), (6, row)
-        Canonical record around the points.
-    seen : (point,)
-        Mid exposure of the line, a fraction of which the point is at.
-    line_time : (point,)
-        Time from line to line there [s].
-    ground : (point, 3)
-        Geocentric coordinates [m].
-    forward, right : (point,)
-        Tangents of the column.
-    step : (point, 2)
-        Change of these from a column to the next.
-    lever_arm
-        Forward, right, down [m].
-    index : (point,)
-        Which of all points they are.
-    field_of_view
-        Way between the outermost columns [tangent].
-    """
-
-    times: npt.NDArray[np.datetime64]
-    poses: Floats
+    times: npt.NDArray[np.datetime64]  #: (row,): canonical record around the points
+    poses: Floats  #: (6, row): canonical record around the points
+    #: (point,): mid exposure of the line, a fraction of which the point is at
     seen: npt.NDArray[np.datetime64]
-    line_time: Floats
-    ground: Floats
-    forward: Floats
+    line_time: Floats  #: (point,): time from line to line there [s]
+    ground: Floats  #: (point, 3): geocentric coordinates [m]
+    forward: Floats  #: (point,): tangents of the column
     right: Floats
-    step: Floats
-    lever_arm: tuple[float, float, float]
-    index: npt.NDArray[np.int64]
-    field_of_view: float
-    _kept: dict[tuple[float, float], Floats] = field(default_factory=dict, repr=False)
+    step: Floats  #: (point, 2): change of these from a column to the next
+    lever_arm: tuple[float, float, float]  #: Forward, right, down [m]
+    index: Ints  #: (point,): which of all points they are
+    field_of_view: float  #: Way between the outermost columns [tangent]
+    _cache: dict[tuple[float, float], Floats] = field(default_factory=dict, repr=False)
 
     def misses(self, boresight: Floats, height: float, clock: float, lines: float = 0.0) -> Floats:
         """Return by how much points are not where they were seen (point, 2): forward, right [tangent].
@@ -94,7 +73,7 @@ class Sightings:
         way = self._ways(boresight, height, clock, lines)
         return np.asarray(way[:, :2] / way[:, 2:] - np.stack([self.forward, self.right], axis=-1))
 
-    def behind(self, boresight: Floats, height: float, clock: float) -> npt.NDArray[np.bool_]:
+    def behind(self, boresight: Floats, height: float, clock: float) -> Bools:
         """Tell which points are behind the camera (point,), where a miss means nothing."""
         return np.asarray(self._ways(boresight, height, clock, 0.0)[:, 2] <= 0.0)
 
@@ -106,7 +85,7 @@ class Sightings:
         """
         later, earlier = (self.misses(boresight, height, clock, by) for by in (0.5, -0.5))
         moved = later - earlier
-        floor = _FLOOR**2 * (self.step**2).sum(axis=-1)[:, None, None] * np.eye(2)
+        floor = _MIN_PICKING_PX**2 * (self.step**2).sum(axis=-1)[:, None, None] * np.eye(2)
         both = moved[:, :, None] * moved[:, None] + self.step[:, :, None] * self.step[:, None] + floor
         return np.asarray(np.linalg.inv(np.linalg.cholesky(both)))
 
@@ -121,24 +100,24 @@ class Sightings:
         return np.asarray(way @ matrices(quaternions(*boresight)))
 
     def _poses(self, clock: float, lines: float) -> Floats:
-        if (clock, lines) not in self._kept:
-            if len(self._kept) > 16:
-                self._kept.clear()
+        if (clock, lines) not in self._cache:
+            if len(self._cache) > 16:
+                self._cache.clear()
             wanted = self.seen + np.round(lines * self.line_time * 1e9).astype("timedelta64[ns]")
-            self._kept[clock, lines] = poses_at(self.times, self.poses, wanted, clock_offset_s=clock)
-        return self._kept[clock, lines]
+            self._cache[clock, lines] = poses_at(self.times, self.poses, wanted, clock_offset_s=clock)
+        return self._cache[clock, lines]
 
 
 def _place(latitude: Floats, longitude: Floats, height: Floats) -> tuple[Floats, Floats]:
     """Return geocentric coordinates (n, 3) and the directions north, east, down there (n, 3, 3)."""
     phi, lam = np.radians(latitude), np.radians(longitude)
     sp, cp, sl, cl = np.sin(phi), np.cos(phi), np.sin(lam), np.cos(lam)
-    radius = _AXIS / np.sqrt(1.0 - _ECCENTRICITY2 * sp**2)
+    radius = WGS84_SEMI_MAJOR_AXIS_M / np.sqrt(1.0 - WGS84_ECCENTRICITY_SQUARED * sp**2)
     place = np.stack(
         [
             (radius + height) * cp * cl,
             (radius + height) * cp * sl,
-            (radius * (1.0 - _ECCENTRICITY2) + height) * sp,
+            (radius * (1.0 - WGS84_ECCENTRICITY_SQUARED) + height) * sp,
         ],
         axis=-1,
     )
@@ -150,7 +129,7 @@ def _place(latitude: Floats, longitude: Floats, height: Floats) -> tuple[Floats,
 def sightings_of(
     line: xr.Dataset,
     points: Mapping[str, Any],
-    index: npt.NDArray[np.int64],
+    index: Ints,
     *,
     navigation: xr.Dataset | None,
     convention: Convention | None,
@@ -186,35 +165,30 @@ def sightings_of(
     steps = (time[before + 1] - time[before]).astype(np.int64)
     seen = time[before] + np.round((at - before) * steps).astype("timedelta64[ns]")
     moment, rows = seen + np.timedelta64(round(clock * 1e9), "ns"), np.zeros(recorded.size, bool)
-    around = np.timedelta64(round(_AROUND * 1e9), "ns")
+    around = np.timedelta64(round(_AROUND_S * 1e9), "ns")
     for one in moment[~np.isnat(moment)]:
         rows |= np.abs(recorded - one) <= around
     places = between_maps(np.stack([points["east"], points["north"]], -1), crs_of(crs), "OGC:CRS84")
     index_of = np.arange(across.size)
     step = np.stack([np.gradient(along), np.gradient(across)], axis=-1)
     ground, _ = _place(places[:, 1], places[:, 0], np.asarray(points["height"], np.float64))
-    made = Sightings(
-        recorded[rows],
-        values[:, rows],
-        seen,
-        steps / 1e9,
-        ground,
-        _beyond(column, index_of, along),
+    sightings = Sightings(
+        recorded[rows], values[:, rows], seen, steps / 1e9, ground, _beyond(column, index_of, along),
         _beyond(column, index_of, across),
-        step[np.clip(np.round(column).astype(np.int64), 0, across.size - 1)],
-        lever_arm,
-        index,
+        step[np.clip(np.round(column).astype(np.int64), 0, across.size - 1)], lever_arm, index,
         float(np.hypot(np.ptp(along), np.ptp(across))),
+    )  # fmt: skip
+    missing = (
+        ~np.isfinite(sightings.misses(np.zeros(3), 0.0, clock)).all(axis=1) if rows.any() else outside | True
     )
-    missing = ~np.isfinite(made.misses(np.zeros(3), 0.0, clock)).all(axis=1) if rows.any() else outside | True
     if missing.any():
         raise SchemaError(
             f"points {index[missing].tolist()} are on lines without time or pose; look at gaps of the record"
         )
-    return made
+    return sightings
 
 
-def _beyond(at: Floats, index: npt.NDArray[np.int64], values: Floats) -> Floats:
+def _beyond(at: Floats, index: Ints, values: Floats) -> Floats:
     """Return values at fractions of an index, half a step beyond its ends too."""
     inside = np.interp(at, index, values)
     low, high = np.minimum(at, 0.0), np.maximum(at - index[-1], 0.0)

@@ -1,41 +1,46 @@
-"""How the cells of a map lie: north up, or along the flight."""
+"""How the cells of a map lie, and the one look at all lines that comes before: how large the map is.
+
+Nothing of the places is kept but a few numbers a line, so that the memory this takes is that of a few slabs
+however long the flight.
+"""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from hyperpaint.base.arrays import Floats
+from hyperpaint.base.arrays import Array, Floats, Progress
+from hyperpaint.base.errors import SchemaError
 
-__all__ = ["Axes", "Box", "MapGrid", "box_of", "covering", "flight_axes", "north_axes"]
+if TYPE_CHECKING:
+    import dask.array as da
+
+__all__ = [
+    "Axes", "Box", "MapGrid", "Progress", "Survey", "box_of", "covering", "direction_of_flight",
+    "flight_axes", "north_axes", "survey_lines",
+]  # fmt: skip
+
 
 Box = tuple[float, float, float, float]
 """Least and largest way to the right, then down, from the anchor of axes [m]."""
 
-_ELONGATED = 2.0
+_MIN_ELONGATION = 2.0
 """How much longer than wide a track is, to tell a direction of flight."""
-_ROUNDING = 1e-6
+_ROUNDING_CELLS = 1e-6
 """Part of a cell that is not worth a cell of its own."""
 
 
 @dataclass(frozen=True)
 class Axes:
-    """Directions that the columns and rows of a grid go in, and the place they are counted from.
+    """Directions that the columns and rows of a grid go in, and the place they are counted from."""
 
-    Attributes
-    ----------
-    right
-        East and north of one step to the right, of unit length. Down is a right angle clockwise of it, so
-        that a map is never seen from below.
-    anchor
-        East and north that lie on a corner of cells [m].
-    """
-
+    #: East and north of one step to the right, of unit length. Down is a right angle clockwise of it, so
+    #: that a map is never seen from below
     right: tuple[float, float]
-    anchor: tuple[float, float]
+    anchor: tuple[float, float]  #: East and north that lie on a corner of cells [m]
 
     @property
     def down(self) -> tuple[float, float]:
@@ -131,7 +136,7 @@ def flight_axes(left: Floats, right: Floats) -> Axes:
     _, spread, directions = np.linalg.svd(middle - middle.mean(axis=0), full_matrices=False)
     ahead = middle[-1] - middle[0]
     flight = directions[0]
-    if len(middle) < 3 or not spread[0] > _ELONGATED * spread[1]:
+    if len(middle) < 3 or not spread[0] > _MIN_ELONGATION * spread[1]:
         across = (right - left).mean(axis=0)
         flight = np.array([-across[1], across[0]])
         if not np.hypot(*flight) > 0.0:
@@ -146,11 +151,11 @@ def covering(axes: Axes, gsd: float, box: Box, *, whole: bool) -> MapGrid:
     """Return the grid over a box of the axes; with ``whole`` cells reach over all of it, else centres do."""
     left, right, upper, lower = (edge / gsd for edge in box)
     if whole:
-        first = math.floor(upper + _ROUNDING), math.floor(left + _ROUNDING)
-        last = math.ceil(lower - _ROUNDING), math.ceil(right - _ROUNDING)
+        first = math.floor(upper + _ROUNDING_CELLS), math.floor(left + _ROUNDING_CELLS)
+        last = math.ceil(lower - _ROUNDING_CELLS), math.ceil(right - _ROUNDING_CELLS)
     else:
-        first = math.ceil(upper - 0.5 - _ROUNDING), math.ceil(left - 0.5 - _ROUNDING)
-        last = math.floor(lower + 0.5 + _ROUNDING), math.floor(right + 0.5 + _ROUNDING)
+        first = math.ceil(upper - 0.5 - _ROUNDING_CELLS), math.ceil(left - 0.5 - _ROUNDING_CELLS)
+        last = math.floor(lower + 0.5 + _ROUNDING_CELLS), math.floor(right + 0.5 + _ROUNDING_CELLS)
     shape = max(last[0] - first[0], 1), max(last[1] - first[1], 1)
     return MapGrid(axes, gsd, first, shape)
 
@@ -160,3 +165,162 @@ def box_of(axes: Axes, bounds: Any) -> Box:
     west, south, east, north = (float(edge) for edge in bounds)
     x, y = axes.along(np.array([west, west, east, east]), np.array([south, north, south, north]))
     return float(x.min()), float(x.max()), float(y.min()), float(y.max())
+
+
+# --- the look at all lines -----------------------------------------------------------------------------
+
+
+_SAMPLED_LINES = 64
+"""Lines that the direction of flight is found from."""
+_SAMPLED_COLUMNS = 64
+"""Columns of a line, at the least, that its spacing is the median of."""
+_COLUMNS = 10
+"""Of a line: its box (4), its ends (4), its median spacing across and along (2)."""
+
+
+@dataclass(frozen=True)
+class Survey:
+    """What is known of every line."""
+
+    #: (line, 4) float64: least and largest way to the right and down along the axes [m]; NaN of a line
+    #: without any place
+    boxes: Floats
+    ends: Floats  #: (line, 2, 2) float64: east and north of its first and last pixel that has a place [m]
+    #: Median over lines of the median distance of neighbouring columns, and to the next line [m]
+    across: float
+    along: float
+
+    @property
+    def gsd(self) -> float:
+        """The larger of the two spacings [m]."""
+        return float(np.nanmax([self.across, self.along]))
+
+    @property
+    def box(self) -> Box:
+        """The box of all lines."""
+        low, high = np.nanmin(self.boxes, axis=0), np.nanmax(self.boxes, axis=0)
+        return float(low[0]), float(high[1]), float(low[2]), float(high[3])
+
+
+def direction_of_flight(east: da.Array, north: da.Array) -> Axes:
+    """Return axes along the flight, from some lines spread evenly over it.
+
+    Raises
+    ------
+    SchemaError
+        No line has a place.
+    """
+    count = east.shape[0]
+    sampled = np.unique(np.linspace(0, count - 1, _SAMPLED_LINES).astype(int))
+    for lines in (sampled, np.arange(count)):  # all, where those have no pose
+        ends = _ends_of(east, north, lines)
+        if len(ends):
+            break
+    if not len(ends):
+        raise SchemaError(_NOTHING_PLACED)
+    return flight_axes(ends[:, 0], ends[:, 1])
+
+
+def survey_lines(east: da.Array, north: da.Array, axes: Axes, progress: Progress | None) -> Survey:
+    """Return what is known of every line (eager).
+
+    Raises
+    ------
+    SchemaError
+        No pixel has a place.
+    """
+    surveyed = _computed(east, north, list(range(east.numblocks[0])), axes, progress)
+    table = np.concatenate([rows for rows, _ in surveyed])
+    starts = np.cumsum([len(rows) for rows, _ in surveyed])
+    for (_, (_, before)), (_, (after, _)), start in zip(surveyed, surveyed[1:], starts, strict=False):
+        table[start - 1, 9] = _median(np.hypot(*(after - before)))
+    if np.isnan(table[:, :4]).all() or np.isnan(table[:, 8:]).all():
+        raise SchemaError(_NOTHING_PLACED)
+    across, along = (_median(table[:, column]) for column in (8, 9))
+    return Survey(table[:, :4], table[:, 4:8].reshape(-1, 2, 2), across, along)
+
+
+def _ends_of(east: da.Array, north: da.Array, lines: Array) -> Floats:
+    """Return the ends of lines that have a place (line, 2, 2)."""
+    edges = np.cumsum((0, *east.chunks[0]))
+    slabs = np.searchsorted(edges, lines, side="right") - 1
+    touched = np.unique(slabs)
+    surveyed = _computed(east, north, touched.tolist(), Axes((1.0, 0.0), (0.0, 0.0)), None)
+    rows = [
+        table[lines[slabs == slab] - edges[slab], 4:8]
+        for slab, (table, _) in zip(touched, surveyed, strict=True)
+    ]
+    ends = np.concatenate(rows).reshape(-1, 2, 2)
+    return np.asarray(ends[np.isfinite(ends).all(axis=(1, 2))])
+
+
+_NOTHING_PLACED = (
+    "no two neighbouring pixels are placed on the ground, and so there is nothing to map; look at the poses "
+    "and at the quality's off_swath"
+)
+
+
+def _computed(
+    east: da.Array, north: da.Array, slabs: list[int], axes: Axes, progress: Progress | None
+) -> list[Any]:
+    """Return what is found in slabs, with the progress told where it can be."""
+    import dask
+    from dask.callbacks import Callback
+
+    blocks = [array.to_delayed(optimize_graph=False).ravel() for array in (east, north)]
+    look = dask.delayed(_looked_at, pure=False)
+    tasks = [look(blocks[0][slab], blocks[1][slab], axes) for slab in slabs]
+    if progress is None:
+        return list(dask.compute(*tasks))
+    waiting = {task.key for task in tasks}
+
+    def report(key: Any, *_: Any) -> None:
+        if key in waiting:
+            waiting.discard(key)
+            progress(len(tasks) - len(waiting), len(tasks))
+
+    # schedulers of a cluster do not call it: they tell of the end alone
+    with Callback(posttask=report):
+        surveyed = list(dask.compute(*tasks))
+    if waiting:
+        progress(len(tasks), len(tasks))
+    return surveyed
+
+
+def _looked_at(east: Floats, north: Floats, axes: Axes) -> tuple[Floats, tuple[Floats, Floats]]:
+    """Return the rows of the lines of a slab (line, `_COLUMNS`), and where some pixels of its ends lie."""
+    out = np.full((len(east), _COLUMNS), np.nan)
+    step = max(1, east.shape[1] // _SAMPLED_COLUMNS)
+    some = np.stack([east[:, ::step], north[:, ::step]])
+    ends = some[:, 0].copy(), some[:, -1].copy()
+    is_placed = np.isfinite(east) & np.isfinite(north)
+    lines = np.flatnonzero(is_placed.any(axis=1))
+    if not lines.size:
+        return out, ends
+    x, y = axes.along(east[lines], north[lines])
+    for column, (way, reduce, empty) in enumerate(
+        ((x, np.min, np.inf), (x, np.max, -np.inf), (y, np.min, np.inf), (y, np.max, -np.inf))
+    ):
+        out[lines, column] = reduce(
+            way if is_placed.all() else np.where(is_placed[lines], way, empty), axis=1
+        )
+    first = is_placed[lines].argmax(axis=1)
+    last = is_placed.shape[1] - 1 - is_placed[lines, ::-1].argmax(axis=1)
+    for column, at in ((4, first), (6, last)):
+        out[lines, column], out[lines, column + 1] = east[lines, at], north[lines, at]
+    across = [part[:, 1::step] - part[:, :-1:step] for part in (east, north)]
+    out[:, 8] = _medians(np.hypot(*across))
+    out[:-1, 9] = _medians(np.hypot(*np.diff(some, axis=1)))
+    return out, ends
+
+
+def _medians(steps: Floats) -> Floats:
+    """Return the median of every row, without what is NaN; NaN where all of it is."""
+    if not steps.shape[1] or not np.isnan(steps).any():
+        return np.median(steps, axis=1) if steps.size else np.full(len(steps), np.nan)
+    return np.array([_median(row) for row in steps])
+
+
+def _median(values: Floats) -> float:
+    finite = values[np.isfinite(values)]
+    return float(np.median(finite)) if finite.size else np.nan

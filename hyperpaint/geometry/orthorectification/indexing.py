@@ -1,30 +1,22 @@
-"""Which place of a flight line lies at every cell of a tile."""
+"""Which place of a flight line lies at every cell of a tile, and the line's values there."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
-from hyperpaint.base.arrays import Array, Floats, Ints
+from hyperpaint.base.arrays import Array, Bools, Floats, Ints
 
-from .grids import MapGrid
-from .surveys import Survey
+from .grids import MapGrid, Survey
 
 __all__ = [
-    "RULES",
-    "Plan",
-    "Reading",
-    "TileIndex",
-    "Window",
-    "areas_between",
-    "gaps_of",
-    "index_tile",
-    "needed_slabs",
-    "reading_of",
-]
+    "RULES", "Plan", "Reading", "TileIndex", "Window", "areas_between", "column_values", "gaps_of",
+    "index_tile", "line_values", "map_spectra", "needed_slabs", "plane_values", "reading_of",
+]  # fmt: skip
+
 
 Window = tuple[slice, slice]
 """Rows and columns of a tile."""
@@ -35,71 +27,39 @@ RULES = ("nadir", "first", "last")
 
 @dataclass(frozen=True)
 class Plan:
-    """What all tiles share.
+    """What all tiles share."""
 
-    Attributes
-    ----------
-    grid
-        How the cells lie.
-    rule
-        Position in `RULES`.
-    longest
-        Edge from which four pixels do not span a patch [cell].
-    last
-        Number of the last line.
-    between : (pair, 4, 2), float64
-        East and north of the corners of the area from every line that has a place to the next that has,
-        around it [m].
-    """
-
-    grid: MapGrid
-    rule: int
-    longest: float
-    last: int
+    grid: MapGrid  #: How the cells lie
+    rule: int  #: Position in `RULES`
+    longest: float  #: Edge from which four pixels do not span a patch [cell]
+    last: int  #: Number of the last line
+    #: (pair, 4, 2) float64: east and north of the corners of the area from every line that has a place to
+    #: the next that has, around it [m]
     between: Floats
 
 
 @dataclass(frozen=True)
 class TileIndex:
-    """The places of the line at the cells of a tile.
+    """The places of the line at the cells of a tile."""
 
-    Attributes
-    ----------
-    line, sample : (row, col), float64
-        As fractions; NaN where no patch covers a cell.
-    nearest_line, nearest_sample : (row, col), int32
-        Pixel that lies nearest, of the four around the place; -1 where there is none.
-    hits : (row, col), uint16
-        Patches over a cell.
-    """
-
-    line: Floats
+    line: Floats  #: (row, col) float64: as fractions; NaN where no patch covers a cell
     sample: Floats
+    #: (row, col) int32: pixel that lies nearest, of the four around the place; -1 where there is none
     nearest_line: Array
     nearest_sample: Array
-    hits: Array
+    hits: Array  #: (row, col) uint16: patches over a cell
 
 
 @dataclass(frozen=True)
 class Reading:
-    """In which order the pixels of a tile are read, and where they go.
+    """In which order the pixels of a tile are read, and where they go."""
 
-    Attributes
-    ----------
-    shape
-        Rows and columns of the tile.
-    cells : (place,), int64
-        Covered cells, counted row by row, in the order of the lines that are read for them.
-    lines, columns : (place,), int64
-        Pixel to read; where one is to be interpolated, the one before it.
-    along, across : (place,), float64
-        Way from there to the next line and column; empty where nothing is interpolated.
-    """
-
-    shape: tuple[int, int]
+    shape: tuple[int, int]  #: Rows and columns of the tile
+    #: (place,) int64: covered cells, counted row by row, in the order of the lines that are read for them
     cells: Ints
-    lines: Ints
+    lines: Ints  #: (place,) int64: pixel to read; where one is to be interpolated, the one before it
     columns: Ints
+    #: (place,) float64: way from there to the next line and column; empty where nothing is interpolated
     along: Floats
     across: Floats
 
@@ -131,16 +91,16 @@ def needed_slabs(
     cells = survey.boxes / grid.gsd - np.repeat([grid.first[1], grid.first[0]], 2) - 0.5
     low, high = np.fmin(cells[:-1], cells[1:]), np.fmax(cells[:-1], cells[1:])
     # a patch needs both of its lines
-    known = np.isfinite(cells[:-1, 0]) & np.isfinite(cells[1:, 0])
-    made = {}
+    is_placed = np.isfinite(cells[:-1, 0]) & np.isfinite(cells[1:, 0])
+    needed = {}
     for row, of_row in enumerate(windows):
         down = of_row[0][0]
-        pairs = np.flatnonzero(known & (high[:, 3] >= down.start - 1) & (low[:, 2] <= down.stop))
+        pairs = np.flatnonzero(is_placed & (high[:, 3] >= down.start - 1) & (low[:, 2] <= down.stop))
         for col, (_, across) in enumerate(of_row):
             here = pairs[(high[pairs, 1] >= across.start - 1) & (low[pairs, 0] <= across.stop)]
             slabs = np.searchsorted(ends, np.concatenate([here, here + 1]), side="right")
-            made[row, col] = np.unique(slabs).tolist()
-    return made
+            needed[row, col] = np.unique(slabs).tolist()
+    return needed
 
 
 def index_tile(
@@ -187,7 +147,7 @@ def gaps_of(plan: Plan, rows: slice, cols: slice, index: TileIndex) -> Array:
     from hyperpaint.kernels.inverse_map import fill_between
 
     frame = plan.grid.frame
-    inside: npt.NDArray[np.bool_] = np.zeros(index.hits.shape, bool)
+    inside: Bools = np.zeros(index.hits.shape, bool)
     offset = plan.between - frame[:2]
     meets = np.ones(len(offset), bool)
     for (a, b), cells in ((frame[2:4], cols), (frame[4:6], rows)):
@@ -214,3 +174,108 @@ def reading_of(index: TileIndex, bilinear: bool) -> Reading:
 
 def _whole(line: Array, sample: Array) -> tuple[Ints, Ints]:
     return line.astype(np.int64), sample.astype(np.int64)
+
+
+# --- values of a tile ----------------------------------------------------------------------------------
+
+
+def map_spectra(reading: Reading, starts: Sequence[int], slabs: Sequence[Array], empty: Any) -> Array:
+    """Return spectra (row, col, band) of slabs (line, band, column).
+
+    Parameters
+    ----------
+    reading
+        The pixels to read, and whether to interpolate, which makes whole numbers float32.
+    starts
+        First line of every slab.
+    slabs
+        Lines, slab by slab.
+    empty
+        What cells get that no patch covers.
+    """
+    from hyperpaint.kernels.arguments import Places
+    from hyperpaint.kernels.gathering import gather_bilinear, gather_nearest
+
+    bands, columns = slabs[0].shape[1:]
+    bilinear = reading.along.size > 0
+    dtype = np.asarray(empty).dtype
+    out = np.empty((reading.shape[0] * reading.shape[1], bands), dtype)
+    if reading.cells.size < len(out):
+        uncovered = np.ones(len(out), bool)
+        uncovered[reading.cells] = False
+        out[uncovered] = empty
+    turned = np.empty((columns, bands), dtype)
+    for slab, start, here in _by_slab(reading, starts, slabs):
+        place = reading.lines[here] - start, reading.columns[here]
+        part = np.ascontiguousarray(slabs[slab])
+        if not bilinear:
+            gather_nearest(part, *place, reading.cells[here], turned, out)
+            continue
+        ways = reading.along[here].astype(dtype), reading.across[here].astype(dtype)
+        after = _line_after(starts, slabs, slab)
+        places = Places(*place, *ways, reading.cells[here])
+        gather_bilinear(part, after, places, turned, np.empty_like(turned), out)
+    return out.reshape(*reading.shape, bands)
+
+
+def plane_values(
+    reading: Reading, starts: Sequence[int], slabs: Sequence[Array], flags: bool, empty: Any
+) -> Array:
+    """Return values (row, col) of slabs (line, column).
+
+    Parameters
+    ----------
+    reading, starts, slabs, empty
+        See `map_spectra`.
+    flags
+        Whether the bits of all pixels that interpolation looks at are joined, instead of interpolated.
+    """
+    out = np.full(reading.shape[0] * reading.shape[1], empty, slabs[0].dtype)
+    for slab, start, here in _by_slab(reading, starts, slabs):
+        line, column, cells = reading.lines[here] - start, reading.columns[here], reading.cells[here]
+        if not reading.along.size:
+            out[cells] = slabs[slab][line, column]
+            continue
+        along, across = reading.along[here], reading.across[here]
+        lines = np.concatenate([slabs[slab], _line_after(starts, slabs, slab)[None]])
+        # of what is 0 away the next is not looked at
+        corners = ((0, 0), (0, 1), (1, 0), (1, 1))
+        taps = [lines[line + i * (along > 0), column + j * (across > 0)] for i, j in corners]
+        if flags:
+            out[cells] = taps[0] | taps[1] | taps[2] | taps[3]
+        else:
+            first = taps[0] + across * (taps[1] - taps[0])
+            second = taps[2] + across * (taps[3] - taps[2])
+            out[cells] = first + along * (second - first)
+    return out.reshape(reading.shape)
+
+
+def line_values(index: TileIndex, values: Array, empty: Any) -> Array:
+    """Return values (row, col) of what every line has one of, of the nearest line."""
+    return _looked_up(index.nearest_line, values, empty)
+
+
+def column_values(index: TileIndex, values: Array, empty: Any) -> Array:
+    """Return values (row, col) of what every column has one of, of the nearest column."""
+    return _looked_up(index.nearest_sample, values, empty)
+
+
+def _looked_up(place: Array, values: Array, empty: Any) -> Array:
+    return np.where(place >= 0, values[np.maximum(place, 0)], np.asarray(empty, values.dtype))
+
+
+def _by_slab(
+    reading: Reading, starts: Sequence[int], slabs: Sequence[Array]
+) -> Iterator[tuple[int, int, slice]]:
+    """Yield every slab that pixels are read of, its first line, and which these are."""
+    edges = np.searchsorted(reading.lines, [*starts, starts[-1] + len(slabs[-1])])
+    for slab, start in enumerate(starts):
+        here = slice(int(edges[slab]), int(edges[slab + 1]))
+        if here.stop > here.start:
+            yield slab, start, here
+
+
+def _line_after(starts: Sequence[int], slabs: Sequence[Array], slab: int) -> Array:
+    """Return the line that follows a slab; its own last one where nothing is to be read of it."""
+    follows = slab + 1 < len(slabs) and starts[slab + 1] == starts[slab] + len(slabs[slab])
+    return np.ascontiguousarray(slabs[slab + 1][0] if follows else slabs[slab][-1])

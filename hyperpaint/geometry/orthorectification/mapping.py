@@ -13,21 +13,20 @@ from hyperpaint.base.schema import ALONG_TRACK, BAND, CHUNK_LINES, CROSS_TRACK, 
 from hyperpaint.geometry.georeference import locate
 from hyperpaint.geometry.georeference.geodesy import crs_of, grid_mapping_attrs
 
-from .carrying import in_slabs, mapped, prepared
-from .grids import MapGrid, box_of, covering, north_axes
+from .grids import MapGrid, Progress, Survey, box_of, covering, direction_of_flight, north_axes, survey_lines
 from .indexing import RULES, Plan, areas_between, needed_slabs
-from .surveys import Progress, Survey, direction_of_flight, survey_lines
-from .tiling import Tiles, tile_windows
+from .tiling import Tiles, in_slabs, mapped, prepared, tile_windows
 
 if TYPE_CHECKING:
     import dask.array as da
     import xarray as xr
 
-__all__ = ["orthorectify"]
+__all__ = ["map_report", "orthorectify"]
+
 
 _GRIDS = ("flight", "north")
 _METHODS = ("nearest", "bilinear")
-_MOST_TILES = 100_000
+_MAX_TILES = 100_000
 """A graph of more takes minutes and gigabytes before anything is computed."""
 
 
@@ -155,8 +154,8 @@ def orthorectify(
     plan = Plan(made_grid, RULES.index(multi_hit), stretch, last, areas_between(survey))
     slabs = needed_slabs(survey, made_grid, lines, windows)
     tiles = Tiles.of(plan, windows, slabs, east, north, bilinear=method == "bilinear")
-    made = _dataset(line, names, tiles, lines, crs)
-    told = {
+    rectified = _dataset(line, names, tiles, lines, crs)
+    settings = {
         "gsd": made_grid.gsd,
         "spacing_across": survey.across,
         "spacing_along": survey.along,
@@ -165,21 +164,21 @@ def orthorectify(
         "multi_hit": multi_hit,
         "max_stretch": float(max_stretch),
     }
-    made.attrs = {**line.attrs, **told}
-    return made
+    rectified.attrs = {**line.attrs, **settings}
+    return rectified
 
 
 def _check(
     gsd: Any, grid: Any, method: Any, multi_hit: Any, max_stretch: Any, tile: Any, bounds: Any
 ) -> None:
     problems = Problems("this line cannot be orthorectified", SchemaError)
-    for name, found, choices in (
+    for name, given, choices in (
         ("grid", grid, _GRIDS),
         ("method", method, _METHODS),
         ("multi_hit", multi_hit, RULES),
     ):
-        if found not in choices:
-            problems.add(f"{name} {found!r:.60}, expected {' or '.join(map(repr, choices))}")
+        if given not in choices:
+            problems.add(f"{name} {given!r:.60}, expected {' or '.join(map(repr, choices))}")
     if gsd is not None and not (np.ndim(gsd) == 0 and 0.0 < gsd < np.inf):
         problems.add(f"gsd {gsd!r:.60}, expected a length above 0 [m]")
     if not 1.0 <= max_stretch < np.inf:
@@ -224,12 +223,12 @@ def _line_chunks(line: xr.Dataset, names: Sequence[str]) -> tuple[int, ...]:
 
 def _places(line: xr.Dataset, lines: tuple[int, ...]) -> tuple[da.Array, da.Array, str | None]:
     """Return east and north [m] in slabs, and their crs."""
-    found = require(line, ["east", "north"], "a map")
-    if min(found["east"].shape) < 2:
-        lines_, columns = found["east"].shape
+    coordinates = require(line, ["east", "north"], "a map")
+    if min(coordinates["east"].shape) < 2:
+        lines_, columns = coordinates["east"].shape
         raise SchemaError(f"{lines_} lines of {columns} columns make no map; two of each are needed")
-    crs = found["east"].attrs.get("crs")
-    east, north = (in_slabs(found[name], lines).astype(np.float64) for name in ("east", "north"))
+    crs = coordinates["east"].attrs.get("crs")
+    east, north = (in_slabs(coordinates[name], lines).astype(np.float64) for name in ("east", "north"))
     return east, north, crs
 
 
@@ -255,10 +254,10 @@ def _planned(
 def _check_tiles(grid: MapGrid, tile: int) -> None:
     rows, cols = grid.shape
     count = -(-rows // tile) * -(-cols // tile)
-    if count > _MOST_TILES:
+    if count > _MAX_TILES:
         raise SchemaError(
             f"a map of {rows} x {cols} cells of {grid.gsd:g} m is {count} tiles of {tile} x {tile}, expected "
-            f"{_MOST_TILES} at most; give a larger gsd, bounds, or a larger tile"
+            f"{_MAX_TILES} at most; give a larger gsd, bounds, or a larger tile"
         )
 
 
@@ -267,18 +266,18 @@ def _dataset(
 ) -> xr.Dataset:
     import xarray as xr
 
-    made = mapped(line, names, tiles, lines)
+    variables = mapped(line, names, tiles, lines)
     for name in ("glt_line", "glt_sample", "nearest_line", "nearest_sample", "hits", "gap"):
         part = tiles.gap if name == "gap" else tiles.part(name.removeprefix("glt_"), dtype_of(name))
         extra = {"empty_value": -1} if name.startswith("nearest") else {}
         of_cells = xr.DataArray(part, dims=("y", "x"))
-        made[name] = label(of_cells, name, grid_mapping="spatial_ref", **extra)
+        variables[name] = label(of_cells, name, grid_mapping="spatial_ref", **extra)
     of_bands = {
         name: line[name].variable
         for name in line.coords
-        if line[name].dims == (BAND,) and any(BAND in array.dims for array in made.values())
+        if line[name].dims == (BAND,) and any(BAND in array.dims for array in variables.values())
     }
-    dataset = xr.Dataset(made, coords=of_bands)
+    dataset = xr.Dataset(variables, coords=of_bands)
     return dataset.assign_coords(_coordinates(tiles, crs, line))
 
 
@@ -292,7 +291,7 @@ def _coordinates(tiles: Tiles, crs: str | None, line: xr.Dataset) -> dict[str, A
     if crs is not None:
         stands = "spatial_ref" in line.variables and "crs_wkt" in line["spatial_ref"].attrs
         attrs |= line["spatial_ref"].attrs if stands else grid_mapping_attrs(crs_of(crs))
-    made: dict[str, Any] = {"spatial_ref": ((), np.int64(0), {**attrs, "GeoTransform": transform})}
+    coordinates: dict[str, Any] = {"spatial_ref": ((), np.int64(0), {**attrs, "GeoTransform": transform})}
     named = {} if crs is None else {"crs": crs}
     (rows, cols), size = grid.shape, grid.gsd
     x, y = (np.arange(count) + 0.5 for count in (cols, rows))
@@ -300,13 +299,71 @@ def _coordinates(tiles: Tiles, crs: str | None, line: xr.Dataset) -> dict[str, A
         east, _ = grid.centres(slice(0, 1), slice(0, cols))
         _, north = grid.centres(slice(0, rows), slice(0, 1))
         for name, values, towards in (("x", east[0], "east"), ("y", north[:, 0], "north")):
-            told = {"units": "m", "standard_name": f"projection_{name}_coordinate", "axis": name.upper()}
-            made[name] = (name, values, {**told, "long_name": f"Map coordinate to the {towards}", **named})
-        return made
+            axis_attrs = {
+                "units": "m",
+                "standard_name": f"projection_{name}_coordinate",
+                "axis": name.upper(),
+            }
+            coordinates[name] = (
+                name,
+                values,
+                {**axis_attrs, "long_name": f"Map coordinate to the {towards}", **named},
+            )
+        return coordinates
     for name, values, way in (("x", x * size, "to the right of"), ("y", y * size, "down from")):
         meaning = f"Distance {way} the corner of the grid, which lies along the flight"
         # no map coordinates: whoever looks for some is to find east and north
-        made[name] = (name, values, {"units": "m", "long_name": meaning, "crs": "grid along the flight"})
+        coordinates[name] = (
+            name,
+            values,
+            {"units": "m", "long_name": meaning, "crs": "grid along the flight"},
+        )
     for name, lazy in zip(("east", "north"), tiles.centres(), strict=True):
-        made[name] = label(xr.DataArray(lazy, dims=("y", "x")), name, **named)
-    return made
+        coordinates[name] = label(xr.DataArray(lazy, dims=("y", "x")), name, **named)
+    return coordinates
+
+
+def map_report(made: xr.Dataset) -> dict[str, float]:
+    """Return how many cells of a map are covered, several times or not at all (eager, a tile at a time).
+
+    Parameters
+    ----------
+    made
+        What `hyperpaint.orthorectify` has returned.
+
+    Returns
+    -------
+    dict
+        ``cells``: of the whole rectangle; ``covered``: that at least one patch of four pixels shows;
+        ``gaps``: that none shows, between the ends of the lines; ``multiple``: that several show, where the
+        line goes back over itself; ``most_hits``: the most that show one cell.
+
+    Raises
+    ------
+    SchemaError
+        This is no map: it has no ``hits`` or ``gap``.
+
+    Examples
+    --------
+    >>> import numpy as np, xarray as xr
+    >>> made = xr.Dataset({"hits": (("y", "x"), np.uint16([[0, 2], [1, 0]]))})
+    >>> map_report(made.assign(gap=made.hits == np.array([[0, 9], [9, 9]])))
+    {'cells': 4, 'covered': 2, 'gaps': 1, 'multiple': 1, 'most_hits': 2}
+    """
+    import dask
+
+    missing = [name for name in ("hits", "gap") if name not in made.variables]
+    if missing:
+        raise SchemaError(
+            f"this is no map: {' and '.join(map(repr, missing))} missing; orthorectify a flight line first"
+        )
+    hits, gap = made["hits"], made["gap"]
+    lazy = ((hits > 0).sum(), gap.sum(), (hits > 1).sum(), hits.max())
+    covered, gaps, multiple, most = dask.compute(*(part.data for part in lazy))
+    return {
+        "cells": int(np.prod(hits.shape)),
+        "covered": int(covered),
+        "gaps": int(gaps),
+        "multiple": int(multiple),
+        "most_hits": int(most),
+    }

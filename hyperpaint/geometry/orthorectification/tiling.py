@@ -5,22 +5,38 @@ A task is given the slabs of lines that cover its tile, and no others.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+import uuid
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from hyperpaint.base.arrays import Array
+from hyperpaint.base.errors import Problems, SchemaError
+from hyperpaint.base.schema import ALONG_TRACK, BAND, CROSS_TRACK, CUBE, Quality, label
+from hyperpaint.radiometry.counts_to_reflectance import reflectance
+from hyperpaint.radiometry.spectral_axis import to_nominal
 
 from .grids import MapGrid
-from .indexing import Plan, Window, gaps_of, index_tile, reading_of
-from .resampling import column_values, line_values, map_spectra, plane_values
+from .indexing import (
+    Plan,
+    Window,
+    column_values,
+    gaps_of,
+    index_tile,
+    line_values,
+    map_spectra,
+    plane_values,
+    reading_of,
+)
 
 if TYPE_CHECKING:
     import dask.array as da
+    import xarray as xr
 
-__all__ = ["Tiles", "tile_windows"]
+__all__ = ["Tiles", "empty_value", "in_slabs", "mapped", "prepared", "tile_windows"]
+
 
 Place = tuple[int, int]
 """Row and column of a tile."""
@@ -34,35 +50,18 @@ def tile_windows(shape: tuple[int, int], tile: int) -> list[list[Window]]:
 
 @dataclass(frozen=True)
 class Tiles:
-    """The tiles of a map, and what each of them reads.
+    """The tiles of a map, and what each of them reads."""
 
-    Attributes
-    ----------
-    grid
-        How the cells lie.
-    windows
-        Cells of the tiles, by row and column.
-    slabs
-        Slabs of lines that each tile reads.
-    starts
-        First line of every slab.
-    index, gap
-        The `TileIndex` of every tile, lazily, as an array of one object a tile, and its gaps (row, col).
-    nearest, before
-        The `Reading` of every tile, of the nearest pixels, and of those before each place.
-    bilinear
-        Whether to interpolate.
-    """
-
-    grid: MapGrid
-    windows: list[list[Window]]
-    slabs: dict[Place, list[int]]
-    starts: tuple[int, ...]
+    grid: MapGrid  #: How the cells lie
+    windows: list[list[Window]]  #: Cells of the tiles, by row and column
+    slabs: dict[Place, list[int]]  #: Slabs of lines that each tile reads
+    starts: tuple[int, ...]  #: First line of every slab
+    #: The `TileIndex` of every tile, lazily, as an array of one object a tile, and its gaps (row, col)
     index: da.Array
     gap: da.Array
-    nearest: da.Array
+    nearest: da.Array  #: The `Reading` of every tile, of the nearest pixels, and of those before each place
     before: da.Array
-    bilinear: bool
+    bilinear: bool  #: Whether to interpolate
 
     @classmethod
     def of(
@@ -114,7 +113,7 @@ class Tiles:
         They have the type of what stands in empty cells.
         """
         reading = self.before if self.bilinear else self.nearest
-        return self._made("map-cube", map_spectra, reading, cube, (empty,), cube.shape[1:2])
+        return self._tile_array("map-cube", map_spectra, reading, cube, (empty,), cube.shape[1:2])
 
     def plane(self, plane: da.Array, kind: str, empty: Any) -> da.Array:
         """Return values (row, col) of a plane (line, column) in chunks of the slabs.
@@ -123,25 +122,27 @@ class Tiles:
         joins.
         """
         reading = self.nearest if kind == "nearest" or not self.bilinear else self.before
-        return self._made("map-plane", plane_values, reading, plane, (kind == "flags", empty))
+        return self._tile_array("map-plane", plane_values, reading, plane, (kind == "flags", empty))
 
     def lines(self, values: da.Array, empty: Any) -> da.Array:
         """Return values (row, col) of what every line has one of (line,), in one chunk."""
-        return self._made("map-lines", line_values, self.index, values, (empty,))
+        return self._tile_array("map-lines", line_values, self.index, values, (empty,))
 
     def columns(self, values: da.Array, empty: Any) -> da.Array:
         """Return values (row, col) of what every column has one of (column,), in one chunk."""
-        return self._made("map-columns", column_values, self.index, values, (empty,))
+        return self._tile_array("map-columns", column_values, self.index, values, (empty,))
 
     def centres(self) -> tuple[da.Array, da.Array]:
         """Return east and north of the centres of cells (row, col) [m]."""
-        made = []
+        coordinates = []
         for part, name in enumerate(("east", "north")):
             tasks = {place: (_centres, self.grid, *window, part) for place, window in _each(self.windows)}
-            made.append(_array(f"map-{name}", tasks, _chunks(self.windows), np.float64, [], (self.grid,)))
-        return made[0], made[1]
+            coordinates.append(
+                _array(f"map-{name}", tasks, _chunks(self.windows), np.float64, [], (self.grid,))
+            )
+        return coordinates[0], coordinates[1]
 
-    def _made(
+    def _tile_array(
         self,
         label: str,
         function: Callable[..., Array],
@@ -202,3 +203,168 @@ def _array(
     layer = {(name, *place): task for place, task in tasks.items()} | dict(shared or {})
     graph = HighLevelGraph.from_collections(name, layer, dependencies=list(sources))
     return da.Array(graph, name, chunks=chunks, meta=np.empty((0,) * len(chunks), dtype))
+
+
+# --- what comes along, and what stands where there is nothing ------------------------------------------
+
+
+_PRODUCTS = ("reflectance", "radiance")
+_BY_DEFAULT = ("quality", "time", "irradiance_age", "view_zenith", "view_azimuth", "ground_height")
+_RENAMED = {"time": "line_time"}
+_TURNING = ("view_azimuth", "sun_azimuth", "heading", "longitude")
+"""Angles that jump from 360 to 0, or from 180 to -180, between which nothing can be interpolated."""
+_PIXEL = (ALONG_TRACK, CROSS_TRACK)
+
+
+def prepared(line: xr.Dataset, variables: Iterable[str] | None) -> tuple[xr.Dataset, list[str]]:
+    """Return a line whose spectra are at nominal wavelengths, and the variables that are to come along.
+
+    Without a choice that is its reflectance, else its radiance; with counts alone reflectance is computed.
+
+    Raises
+    ------
+    SchemaError
+        Variables that it does not have, of dims that have no place on a map, or of types other than numbers,
+        flags and times; all are listed. Or there is no reflectance, and none can be computed.
+    UnitsError
+        As `hyperpaint.reflectance`.
+    """
+    if isinstance(variables, str):
+        variables = (variables,)
+    if variables is None:
+        top = [name for name in _PRODUCTS if name in line.variables][:1]
+        if not top and "counts" in line.variables:
+            line, top = reflectance(line), ["reflectance"]
+        names = [*top, *(name for name in _BY_DEFAULT if name in line.variables)]
+    else:
+        names = list(dict.fromkeys(variables))
+    problems = Problems("these cannot be brought to a map", SchemaError)
+    for name in names:
+        if name not in line.variables:
+            held = ", ".join(sorted(map(str, line.variables)))
+            problems.add(f"{name!r} is not there; the line has {held:.400}")
+        elif not _is_mapped(line[name].dims):
+            dims = ", ".join(map(str, line[name].dims)) or "a scalar"
+            problems.add(f"{name!r} ({dims}) has no place on a map, expected along_track or cross_track")
+        elif _native(line[name].dtype) is None or (BAND in line[name].dims and line[name].dtype.kind == "M"):
+            expected = "numbers" if BAND in line[name].dims else "numbers, flags or times"
+            problems.add(f"{name!r} is {line[name].dtype}, expected {expected}")
+    problems.raise_if_any()
+    line = _as_native(line, names)
+    spectra = [name for name in names if name in _PRODUCTS]
+    if spectra and "wavelength_shift" in line.variables:
+        line = line.assign({name: to_nominal(line)[name] for name in spectra})
+    return line, names
+
+
+def _is_mapped(dims: Sequence[Any]) -> bool:
+    return set(dims) in ({*CUBE}, {*_PIXEL}, {ALONG_TRACK}, {CROSS_TRACK})
+
+
+def _native(dtype: np.dtype[Any]) -> np.dtype[Any] | None:
+    """Return the type that kernels take in place of one: in the machine's byte order, no half floats."""
+    if dtype.kind == "f":
+        return np.dtype(np.float64 if dtype.itemsize > 4 else np.float32)
+    return dtype.newbyteorder("=") if dtype.kind in "biuM" else None
+
+
+def _as_native(line: xr.Dataset, names: Sequence[str]) -> xr.Dataset:
+    """Return a line whose variables have types that kernels take; what has keeps its memory."""
+    wanted = {name: _native(line[name].dtype) for name in names}
+    # numpy takes types of either byte order for equal
+    other = [
+        name for name, dtype in wanted.items() if dtype is not None and dtype.str != line[name].dtype.str
+    ]
+    converted = {name: line[name].astype(wanted[name]) for name in other}
+    coords = {name: converted.pop(name) for name in other if name in line.coords}
+    return line.assign(converted).assign_coords(coords)
+
+
+def empty_value(name: str, dtype: np.dtype[Any]) -> Any:
+    """Return what a cell gets that no pixel shows.
+
+    NaN and NaT; ``off_swath`` of ``quality``; of whole numbers -1, or the largest where there is no -1.
+    """
+    if name == "quality":
+        return np.uint16(Quality.OFF_SWATH)
+    if dtype.kind == "M":
+        return np.datetime64("NaT", "ns")
+    if dtype.kind == "f":
+        return dtype.type(np.nan)
+    if dtype.kind == "b":
+        return np.bool_(False)
+    return dtype.type(-1) if dtype.kind == "i" else dtype.type(np.iinfo(dtype).max)
+
+
+def mapped(line: xr.Dataset, names: Sequence[str], tiles: Tiles, lines: tuple[int, ...]) -> dict[str, Any]:
+    """Return the variables on a map, by their names there.
+
+    Parameters
+    ----------
+    line
+        What `prepared` has returned.
+    names
+        Variables.
+    tiles
+        The map.
+    lines
+        Lines of every slab.
+    """
+    import xarray as xr
+
+    variables = {}
+    for name in names:
+        values = _on_map(line[name], name, tiles, lines)
+        attrs = {key: value for key, value in line[name].attrs.items() if key != "grid_mapping"}
+        dims = ("y", "x", BAND)[: values.ndim]
+        array = xr.DataArray(values, dims=dims, attrs={**attrs, "grid_mapping": "spatial_ref"})
+        if name == "quality":
+            array = label(array, name, **attrs, grid_mapping="spatial_ref")
+        elif values.dtype.kind in "iu":
+            array.attrs["empty_value"] = empty_value(name, values.dtype)
+        variables[_RENAMED.get(name, name)] = array
+    return variables
+
+
+def _on_map(array: xr.DataArray, name: str, tiles: Tiles, lines: tuple[int, ...]) -> Any:
+    if BAND in array.dims:
+        dtype = np.dtype(np.float32) if tiles.bilinear and array.dtype.kind != "f" else array.dtype
+        return tiles.cube(in_slabs(array.transpose(*CUBE), lines), empty_value(name, dtype))
+    array = array.astype("datetime64[ns]") if array.dtype.kind == "M" else array
+    empty = empty_value(name, array.dtype)
+    if array.ndim == 2:
+        return tiles.plane(in_slabs(array.transpose(*_PIXEL), lines), _kind(array, name), empty)
+    values = array.chunk({array.dims[0]: -1}).data
+    return tiles.lines(values, empty) if array.dims == (ALONG_TRACK,) else tiles.columns(values, empty)
+
+
+class _InMemory:
+    """An array in memory, of which dask neither makes a copy nor a hash."""
+
+    def __init__(self, array: Array) -> None:
+        self._array = array
+        self.shape, self.dtype, self.ndim = array.shape, array.dtype, array.ndim
+
+    def __getitem__(self, key: Any) -> Any:
+        return self._array[key]
+
+
+def in_slabs(array: xr.DataArray, lines: tuple[int, ...]) -> da.Array:
+    """Return an array in chunks of whole lines."""
+    chunks: dict[Any, Any] = {dim: lines if dim == ALONG_TRACK else -1 for dim in array.dims}
+    values = array.variable._data
+    if not isinstance(values, np.ndarray):
+        lazy: da.Array = array.chunk(chunks).data
+        return lazy
+    import dask.array as da
+
+    name = f"in-memory-{uuid.uuid4().hex}"
+    meta = np.empty((0,) * values.ndim, values.dtype)
+    return da.from_array(_InMemory(values), tuple(chunks.values()), name, asarray=False, meta=meta)
+
+
+def _kind(array: xr.DataArray, name: str) -> str:
+    """Return how a plane is brought to the map where spectra are interpolated."""
+    if "flag_masks" in array.attrs or name == "quality":
+        return "flags"
+    return "bilinear" if array.dtype.kind == "f" and name not in _TURNING else "nearest"

@@ -13,7 +13,7 @@ from hyperpaint.base.arrays import Floats
 __all__ = ["angles_of", "matrices", "quaternions", "slerp"]
 
 
-_NEARLY_EQUAL = 1e-8
+_MIN_ARC_RAD = 1e-8
 """Half angle between rotations below which the arc is its chord [rad]."""
 
 
@@ -64,9 +64,9 @@ def slerp(first: Floats, second: Floats, weight: Floats) -> Floats:
     second = np.where((dot < 0)[..., None], -second, second)
     # by the chord: the arc cosine of what is nearly 1 has lost half of its digits
     angle = 2.0 * np.arcsin(np.clip(np.linalg.norm(second - first, axis=-1) / 2.0, 0.0, 1.0))
-    near = angle < _NEARLY_EQUAL
+    near = angle < _MIN_ARC_RAD
     sine = np.where(near, 1.0, np.sin(angle))
     left = np.where(near, 1.0 - weight, np.sin((1.0 - weight) * angle) / sine)
     right = np.where(near, weight, np.sin(weight * angle) / sine)
-    made = left[..., None] * first + right[..., None] * second
-    return np.asarray(made / np.linalg.norm(made, axis=-1, keepdims=True))
+    blend = left[..., None] * first + right[..., None] * second
+    return np.asarray(blend / np.linalg.norm(blend, axis=-1, keepdims=True))
