@@ -20,11 +20,21 @@ from hyperpaint.base.errors import Problems, SchemaError
 from hyperpaint.base.schema import ALONG_TRACK, BAND, CROSS_TRACK
 from hyperpaint.radiometry.counts_to_reflectance import radiance
 
-from .column_means import Progress, mean_over_lines
-from .declared import Declared
-from .lamp import mean_light, table_of_bands
-from .least_squares import Fit, fewest_bands, fit_columns
-from .windows import FLAGS, Estimate, Window, bands_of, checked_windows, combined, default_windows, estimate
+from .lamp import Declared, mean_light, table_of_bands
+from .least_squares import (
+    FLAGS,
+    Estimate,
+    Fit,
+    Window,
+    bands_of,
+    checked_windows,
+    combined,
+    default_windows,
+    estimate,
+    fewest_bands,
+    fit_columns,
+)
+from .oxygen import Progress, mean_over_lines
 
 if TYPE_CHECKING:
     import xarray as xr

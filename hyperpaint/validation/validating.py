@@ -13,11 +13,10 @@ from hyperpaint.base.arrays import Bools, Floats
 from hyperpaint.base.errors import PaintWarning, Problems, SchemaError
 
 from .agreement import STATISTICS, statistics_of, uncertainty_of
-from .comparing import Compared, compare
-from .pairing import paired
-from .panel_scaling import scaled_by_panel
-from .result import MEANINGS, Validation
-from .spectra import references_from, signatures_from
+from .comparing import Compared, compare, paired
+from .dataset_spectra import references_from, signatures_from
+from .measured import scaled_by_panel
+from .validation_result import MEANINGS, Validation
 
 if TYPE_CHECKING:
     import xarray as xr

@@ -23,7 +23,7 @@ def calibrate_sweep(
     Parameters
     ----------
     path
-        See `hyperpaint.io.flightline.sweep_store.open_sweep`.
+        See `hyperpaint.io.flightline.calibration_store.open_sweep`.
     progress
         Called with steps done and to do.
     **options
@@ -44,7 +44,7 @@ def calibrate_sweep(
         As `hyperpaint.calibrate`.
     """
     from hyperpaint.calibration import calibrate
-    from hyperpaint.io.flightline.sweep_store import open_sweep
+    from hyperpaint.io.flightline.calibration_store import open_sweep
 
     sweep = open_sweep(path)
     try:
@@ -102,7 +102,7 @@ def write_calibration(
     calibration = calibrate_sweep(sweep, progress=progress, **options)
     to_store(calibration, Path(out), overwrite=overwrite)
     if report is not None:
-        from hyperpaint.io.flightline.sweep_store import open_sweep
+        from hyperpaint.io.flightline.calibration_store import open_sweep
         from hyperpaint.pictures.plot_calibration import calibration_report
 
         calibration_report(calibration, open_sweep(sweep), Path(report))

@@ -9,9 +9,9 @@ import xarray as xr
 import hyperpaint as hp
 from hyperpaint.base.errors import SchemaError
 from hyperpaint.base.mirrored_light import EXCLUDED, INCLUDED, mirror_reflection
-from hyperpaint.io.dirsig.coat import coat_of
+from hyperpaint.io.dirsig.paint_curves import coat_of
 from hyperpaint.paints.mixing.kubelka_munk import coating_of
-from hyperpaint.validation.spectra import signatures_from
+from hyperpaint.validation.dataset_spectra import signatures_from
 
 CASES = [
     ({}, False, None),

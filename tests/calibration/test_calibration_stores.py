@@ -14,8 +14,7 @@ import hyperpaint as hp
 from hyperpaint.base.errors import CollectError, FormatError
 from hyperpaint.cli.program import main
 from hyperpaint.io.collect.collect_opening import open_collect as open_without_physics
-from hyperpaint.io.flightline.calibration_store import open_calibration
-from hyperpaint.io.flightline.sweep_store import open_sweep
+from hyperpaint.io.flightline.calibration_store import open_calibration, open_sweep
 from hyperpaint.simulation import simulate_collect, simulate_sweep
 
 

@@ -14,7 +14,7 @@ from support.agreeing_spectra import NM, agreeing, field, library, seen, smooth,
 import hyperpaint as hp
 from hyperpaint.base.errors import PaintWarning, SchemaError, UnitsError
 from hyperpaint.simulation import simulate_line
-from hyperpaint.validation.detectors import join_detectors
+from hyperpaint.validation.dataset_spectra import join_detectors
 
 # --- common bands ------------------------------------------------------------------------------------------
 

@@ -1,24 +1,27 @@
-"""A paint library as materials of the simulator DIRSIG."""
+"""A paint library as materials of the simulator DIRSIG, in a folder of its own."""
 
 from __future__ import annotations
 
+import contextlib
+import json
 import os
+import re
 import warnings
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from hyperpaint.base.arrays import Array
-from hyperpaint.base.errors import PaintWarning, Problems, SchemaError
+from hyperpaint.base.errors import FormatError, PaintWarning, Problems, SchemaError, StoreError
 from hyperpaint.base.schema import LIBRARY_VARIABLES, PAINT, require
+from hyperpaint.io.files.publishing import published_folder
+from hyperpaint.io.files.reading import read_limited
 
-from .coat import Coat, coat_of
-from .emissivity_text import CURVE_BEGIN, ColumnText, emissivity_head
-from .folders import EMISSIVITY, REFLECTANCE, export_folder, write_marker
+from .emissivity_files import CURVE_BEGIN, ColumnText, emissivity_head
 from .instructions import THERMAL, glist_text, material_section, readme_text
-from .material_list import materials_text, read_materials
+from .material_list import material_ids, material_names, materials_text, read_materials
 from .paint_curves import (
     CURVES,
     GAPS,
@@ -26,17 +29,67 @@ from .paint_curves import (
     SHORTEST,
     Axis,
     Choices,
+    Coat,
     PaintCurves,
     PaintProblemError,
     blocks_of,
+    coat_of,
     curves_of,
 )
-from .plain_names import material_ids, material_names
 
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["write_dirsig"]
+__all__ = ["EMISSIVITY", "REFLECTANCE", "export_folder", "write_dirsig", "write_marker"]
+
+EMISSIVITY, REFLECTANCE = "emissivity", "reflectance"
+
+_MARKER = "paints.json"
+_FORMAT = "hyperpaint DIRSIG export"
+_MOST_BYTES = 256 * 2**20
+_URL = re.compile(r"[A-Za-z][A-Za-z0-9+.-]+:/|.*::")
+
+
+@contextlib.contextmanager
+def export_folder(folder: str | os.PathLike[str], *, overwrite: bool) -> Iterator[Path]:
+    """Yield a folder to write an export to, which gets its place when the block ends well.
+
+    Parameters
+    ----------
+    folder
+        The place: new, empty, or an earlier export.
+    overwrite
+        Whether that may be replaced.
+
+    Raises
+    ------
+    StoreError
+        The place holds anything else, or an export that may not be replaced; another writes there; or it
+        cannot be written. Also for whatever the disk refuses inside.
+    """
+    if _URL.match(os.fspath(folder)):
+        raise StoreError(f"{os.fspath(folder)!r} is a URL, expected a folder; write to a folder and copy it")
+    place = Path(os.path.abspath(folder))
+    with published_folder(place, overwrite=overwrite, foreign=_foreign) as build:
+        for name in (EMISSIVITY, REFLECTANCE):
+            (build / name).mkdir()
+        yield build
+
+
+def write_marker(build: Path, content: Mapping[str, Any]) -> None:
+    """Write what an export says of itself, by which it is known for one."""
+    document = {"format": _FORMAT, "version": 1, **content}
+    text = json.dumps(document, indent=1, ensure_ascii=False) + "\n"
+    (build / _MARKER).write_bytes(text.encode("utf-8", "backslashreplace"))
+
+
+def _foreign(folder: Path) -> str:
+    try:
+        document = json.loads(read_limited(folder / _MARKER, _MOST_BYTES, "an export"))
+    except (FormatError, ValueError, RecursionError):
+        document = None
+    ours = isinstance(document, dict) and document.get("format") == _FORMAT
+    return "" if ours else "other files"
 
 
 SURFACES = ("ClassicEmissivity", "SimpleReflectance")

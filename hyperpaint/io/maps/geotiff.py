@@ -18,8 +18,7 @@ from hyperpaint.base.errors import MissingExtraError, SchemaError, StoreError
 from hyperpaint.base.schema import BAND
 from hyperpaint.io.files.publishing import published_files
 
-from .map_grids import Grid, grid_of
-from .product_choice import RGB_WAVELENGTHS, nearest_bands, product_of, stored_float
+from .map_grids import RGB_WAVELENGTHS, Grid, grid_of, nearest_bands, product_of, stored_float
 
 if TYPE_CHECKING:
     import xarray as xr

@@ -19,8 +19,15 @@ import numpy as np
 from hyperpaint.base.errors import SchemaError
 from hyperpaint.base.schema import ALONG_TRACK, BAND, CROSS_TRACK
 from hyperpaint.io.files.publishing import published_files
-from hyperpaint.io.maps.map_grids import Grid, envi_map_info, grid_of
-from hyperpaint.io.maps.product_choice import RGB_WAVELENGTHS, nearest_bands, product_of, stored_float
+from hyperpaint.io.maps.map_grids import (
+    RGB_WAVELENGTHS,
+    Grid,
+    envi_map_info,
+    grid_of,
+    nearest_bands,
+    product_of,
+    stored_float,
+)
 
 if TYPE_CHECKING:
     import xarray as xr

@@ -1,4 +1,4 @@
-"""Spectra as validation compares them, out of paint libraries and spectrometer datasets alike."""
+"""Spectra out of paint libraries and spectrometer datasets alike, on one axis of wavelengths."""
 
 from __future__ import annotations
 
@@ -16,13 +16,118 @@ from hyperpaint.base.mirrored_light import mirror_reflection
 from hyperpaint.base.schema import BAND, LIBRARY_VARIABLES, PAINT
 from hyperpaint.base.units import convert
 
-from .detectors import channel_widths, join_detectors
-from .names import Names, names_of_paint, names_of_spectrum
+from .measured import Measured, names_of_paint, names_of_spectrum
 
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["Measured", "references_from", "signatures_from"]
+__all__ = ["Axis", "channel_widths", "join_detectors", "references_from", "signatures_from"]
+
+_MOST_DETECTORS = 8
+
+_WIDTHS: dict[str, tuple[float, ...]] = {"asd": (3.0, 10.0, 10.0), "svc": (3.5, 9.5, 6.5)}
+"""Widths of the channels of three detectors, as the makers of FieldSpec 3/4 and HR-1024i tell them [nm]."""
+_NAMES = {"asd": ("asd", "fieldspec", "handheld"), "svc": ("svc", "spectra vista", "hr-1024", "hr-768")}
+_EDGES = (1000.0, 1900.0)
+"""Where the detectors end, of a file that does not tell them apart [nm]."""
+
+
+@dataclass(frozen=True, eq=False)
+class Axis:
+    """Which channels are used, in the order of wavelength.
+
+    Attributes
+    ----------
+    order : (channel,)
+        Positions in the file.
+    detector : (channel,)
+        Number of the detector that each is of.
+    joins
+        Where one detector takes over from the other [nm].
+    """
+
+    order: npt.NDArray[np.intp]
+    detector: npt.NDArray[np.intp]
+    joins: tuple[float, ...]
+
+
+def join_detectors(wavelength: Floats) -> Axis:
+    """Return which channels make one increasing axis of wavelengths.
+
+    Where wavelengths fall, another detector begins. Of two that overlap, each serves to the middle of the
+    overlap: no sample is averaged with one of the other detector, whose scale and resolution differ.
+
+    Parameters
+    ----------
+    wavelength : (channel,)
+        In the order of the file [nm]; a file that descends as a whole is turned round.
+
+    Raises
+    ------
+    SchemaError
+        Wavelengths are not finite, or in an order that detectors do not have.
+
+    Examples
+    --------
+    >>> axis = join_detectors(np.array([980.0, 990.0, 1000.0, 970.0, 988.0, 1006.0]))
+    >>> axis.order.tolist(), axis.joins
+    ([0, 4, 5], (985.0,))
+    """
+    if not (wavelength.size and np.isfinite(wavelength).all()):
+        raise SchemaError("wavelengths must be finite, and at least one [nm]")
+    order = np.arange(wavelength.size)
+    if (np.diff(wavelength) < 0).sum() > wavelength.size // 2:
+        order = order[::-1]
+    begins = np.flatnonzero(np.diff(wavelength[order]) <= 0) + 1
+    detectors = np.split(order, begins)
+    if len(detectors) > _MOST_DETECTORS:
+        raise SchemaError(
+            f"wavelengths fall {len(begins)} times, expected an axis that increases but for joins of "
+            "detectors; sort the spectrum"
+        )
+    channels, number, joins = detectors[0], np.zeros(detectors[0].size, np.intp), []
+    for index, following in enumerate(detectors[1:], 1):
+        middle = float(0.5 * (wavelength[channels[-1]] + wavelength[following[0]]))
+        before = wavelength[channels] <= middle
+        after = following[wavelength[following] > middle]
+        if not (before.any() and after.size):
+            raise SchemaError(
+                f"one detector's wavelengths lie within another's near {middle:g} nm; open them apart"
+            )
+        channels = np.concatenate([channels[before], after])
+        number = np.concatenate([number[before], np.full(after.size, index)])
+        joins.append(middle)
+    return Axis(channels, number, tuple(joins))
+
+
+def channel_widths(wavelength: Floats, detector: npt.NDArray[Any], instrument: str) -> tuple[Floats, str]:
+    """Return how wide channels are, where the data do not say, and what that was taken from.
+
+    Parameters
+    ----------
+    wavelength, detector : (channel,)
+        Increasing wavelengths [nm], and the detector that each is of.
+    instrument
+        Its name, as the data tell it.
+
+    Returns
+    -------
+    fwhm : (channel,)
+        Full widths at half maximum [nm].
+    source
+        What they were taken from, for a reader of the result.
+    """
+    lowered = instrument.lower()
+    for kind, names in _NAMES.items():
+        if any(name in lowered for name in names):
+            told_apart = detector.max() > 0 and wavelength[0] < _EDGES[0]
+            part = detector if told_apart else np.searchsorted(_EDGES, wavelength, "right")
+            widths = np.array(_WIDTHS[kind])[np.minimum(part, len(_EDGES))]
+            return widths, f"widths of channels as usual for {kind.upper()}"
+    if wavelength.size < 2:
+        return np.ones(wavelength.size), "widths of channels assumed, 1 nm"
+    spacing = np.gradient(wavelength)
+    return 2.0 * spacing, "widths of channels assumed, twice their distance"
 
 
 UNKNOWN = "unknown"
@@ -30,104 +135,6 @@ _MIRRORS = ("included", "excluded")
 _SPREADS = ("reflectance_u_random", "reflectance_u_systematic", "reflectance_sd")
 _NARROWEST, _WIDEST = 0.05, 100.0
 """Of widths of channels, [nm] and in distances of channels; what is beyond is a mistake of the data."""
-
-
-@dataclass(frozen=True, eq=False)
-class Measured:
-    """One spectrum of reflectance, and what is known of it.
-
-    Attributes
-    ----------
-    names
-        What it can be paired by, and where it is from.
-    wanted
-        Name of the reference that a signature asks for; empty where it does not.
-    instrument
-        Its make.
-    serial
-        What else its data say of the instrument, mostly a serial number; may be empty.
-    wavelength, fwhm, values : (channel,), float64
-        Increasing wavelengths [nm], widths of channels [nm], reflectance [1], NaN where there is none.
-    u_random, u_systematic : (channel,) or None
-        Standard uncertainties [1]: independent from channel to channel, and common to all.
-    sd : (channel,) or None
-        Standard deviation of what the spectrum is a mean of [1].
-    count
-        Of how many readings or independent pixels it is; 1 where that is not known.
-    overlap
-        What was done with channels where detectors overlap, as the reader says it: preserved, removed or
-        unknown.
-    matched
-        Whether values were changed there, to make detectors meet.
-    mirror
-        Whether the mirror image of sky and surroundings is included, excluded, or unknown.
-    absolute
-        Whether reflectance is of a perfect diffuser, rather than of a panel.
-    notes
-        What else a reader of results should know.
-    """
-
-    names: Names
-    wanted: str
-    instrument: str
-    serial: str
-    wavelength: Floats
-    fwhm: Floats
-    values: Floats
-    u_random: Floats | None
-    u_systematic: Floats | None
-    sd: Floats | None
-    count: float
-    overlap: str
-    matched: bool
-    mirror: str
-    absolute: bool
-    notes: tuple[str, ...]
-
-    @property
-    def name(self) -> str:
-        """Name as results tell it."""
-        return self.names.shown
-
-    @property
-    def has_uncertainty(self) -> bool:
-        """Whether anything is known of how uncertain it is."""
-        return any(each is not None for each in (self.u_random, self.u_systematic, self.sd))
-
-    def gaps(self) -> list[str]:
-        """Return what is not known of the uncertainty, for a reader of the result."""
-        if self.u_random is None and self.u_systematic is None:
-            return []
-        gaps, there = [], np.isfinite(self.values)
-        for name, spread, other in (
-            ("random", self.u_random, "systematic"),
-            ("systematic", self.u_systematic, "random"),
-        ):
-            if spread is None:
-                gaps.append(f"{other} part only, the {name} one is not known")
-            elif not np.isfinite(spread[there]).all():
-                count = int(np.isfinite(spread[there]).sum())
-                gaps.append(
-                    f"{name} part known in {count} of {int(there.sum())} channels; elsewhere none is told"
-                )
-        return gaps
-
-    def errors(self, rng: np.random.Generator, draws: int) -> Floats:
-        """Return what may be wrong with the values (draw, channel), at random.
-
-        Random errors are independent, systematic ones common to all channels. Where neither is known, the
-        standard deviation of the mean is taken for systematic: readings of a surface differ in level more
-        than in shape. NaN where one of them is known of other channels, but not there.
-        """
-        errors = np.zeros((draws, self.values.size))
-        if self.u_random is not None:
-            errors += self.u_random * rng.standard_normal(errors.shape)
-        common = self.u_systematic
-        if common is None and self.u_random is None and self.sd is not None:
-            common = self.sd / np.sqrt(self.count)
-        if common is not None:
-            errors += common * rng.standard_normal((draws, 1))
-        return errors
 
 
 def signatures_from(signatures: xr.Dataset) -> list[Measured]:

@@ -1,0 +1,253 @@
+"""Spectra as validation compares them: what they are called, where they come from, and what is known of them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from pathlib import PurePath
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from hyperpaint.base.arrays import Floats
+from hyperpaint.base.errors import Problems, SchemaError
+from hyperpaint.base.units import convert
+
+if TYPE_CHECKING:
+    pass
+
+__all__ = ["Measured", "Names", "names_of_paint", "names_of_spectrum", "scaled_by_panel"]
+
+_SUFFIXES = (".asd", ".sig", ".txt", ".tsv", ".csv")
+
+
+@dataclass(frozen=True)
+class Names:
+    """How one spectrum is called.
+
+    Attributes
+    ----------
+    shown
+        As results tell it.
+    ranks
+        What it may be called by: its own names; these without suffix; those without folder too, which spectra
+        of other folders may share. Where one is meant, none of a later rank counts.
+    place
+        Number of the dataset, and folder in it: only readings of one place are repeats of each other.
+    """
+
+    shown: str
+    ranks: tuple[frozenset[str], frozenset[str], frozenset[str]]
+    place: tuple[int, str]
+
+    @property
+    def every(self) -> frozenset[str]:
+        """Names of all ranks."""
+        return frozenset[str]().union(*self.ranks)
+
+
+def names_of_paint(name: str, dataset: int) -> Names:
+    """Return how a paint of a library is called: by its name."""
+    return Names(name, (frozenset({name}), frozenset(), frozenset()), (dataset, ""))
+
+
+def names_of_spectrum(spectrum: str, source: str, other: str, number: int, dataset: int) -> Names:
+    """Return how a spectrum of a field spectrometer is called.
+
+    Parameters
+    ----------
+    spectrum, source, other
+        Its name, which readers put the folder before where names repeat; its file; another name. Any may be
+        empty.
+    number, dataset
+        Of the spectrum in its dataset, and of the dataset.
+
+    Examples
+    --------
+    >>> one = names_of_spectrum("site1/red", "red.sig", "", 0, 1)
+    >>> [sorted(rank) for rank in one.ranks], one.place
+    ([['site1/red', 'site1/red.sig'], [], ['red', 'red.sig']], (1, 'site1/'))
+    """
+    base = PurePath(spectrum).name
+    folder = spectrum[: len(spectrum) - len(base)] if spectrum.endswith(base) else ""
+    full = frozenset(text for text in (spectrum, other, source and folder + source) if text)
+    bare = frozenset(name for text in full for name in _without_suffix(text)) - full
+    short = frozenset(alias for text in (spectrum, source, other) for alias in _aliases(text)) - full - bare
+    # readers number what folders do not tell apart: "red (1)" of red.sig; these are no repeats either
+    numbered = base if source and base not in set(_aliases(source)) else ""
+    shown = spectrum or source or other or f"spectrum {number}"
+    return Names(shown, (full, bare, short), (dataset, folder + numbered))
+
+
+def _aliases(text: str) -> Iterator[str]:
+    """Yield the names that a file, or a column of one, may be called by.
+
+    Examples
+    --------
+    >>> sorted(set(_aliases("svc/red.asd.txt")))
+    ['red', 'red.asd', 'red.asd.txt', 'svc/red.asd.txt']
+    """
+    if not text:
+        return
+    yield text
+    for part in (text, text.rpartition(":")[2]):
+        name = PurePath(part).name
+        yield name
+        yield from _without_suffix(name)
+
+
+def _without_suffix(name: str) -> Iterator[str]:
+    while name.lower().endswith(_SUFFIXES):
+        name = name[: name.rindex(".")]
+        yield name
+
+
+@dataclass(frozen=True, eq=False)
+class Measured:
+    """One spectrum of reflectance, and what is known of it.
+
+    Attributes
+    ----------
+    names
+        What it can be paired by, and where it is from.
+    wanted
+        Name of the reference that a signature asks for; empty where it does not.
+    instrument
+        Its make.
+    serial
+        What else its data say of the instrument, mostly a serial number; may be empty.
+    wavelength, fwhm, values : (channel,), float64
+        Increasing wavelengths [nm], widths of channels [nm], reflectance [1], NaN where there is none.
+    u_random, u_systematic : (channel,) or None
+        Standard uncertainties [1]: independent from channel to channel, and common to all.
+    sd : (channel,) or None
+        Standard deviation of what the spectrum is a mean of [1].
+    count
+        Of how many readings or independent pixels it is; 1 where that is not known.
+    overlap
+        What was done with channels where detectors overlap, as the reader says it: preserved, removed or
+        unknown.
+    matched
+        Whether values were changed there, to make detectors meet.
+    mirror
+        Whether the mirror image of sky and surroundings is included, excluded, or unknown.
+    absolute
+        Whether reflectance is of a perfect diffuser, rather than of a panel.
+    notes
+        What else a reader of results should know.
+    """
+
+    names: Names
+    wanted: str
+    instrument: str
+    serial: str
+    wavelength: Floats
+    fwhm: Floats
+    values: Floats
+    u_random: Floats | None
+    u_systematic: Floats | None
+    sd: Floats | None
+    count: float
+    overlap: str
+    matched: bool
+    mirror: str
+    absolute: bool
+    notes: tuple[str, ...]
+
+    @property
+    def name(self) -> str:
+        """Name as results tell it."""
+        return self.names.shown
+
+    @property
+    def has_uncertainty(self) -> bool:
+        """Whether anything is known of how uncertain it is."""
+        return any(each is not None for each in (self.u_random, self.u_systematic, self.sd))
+
+    def gaps(self) -> list[str]:
+        """Return what is not known of the uncertainty, for a reader of the result."""
+        if self.u_random is None and self.u_systematic is None:
+            return []
+        gaps, there = [], np.isfinite(self.values)
+        for name, spread, other in (
+            ("random", self.u_random, "systematic"),
+            ("systematic", self.u_systematic, "random"),
+        ):
+            if spread is None:
+                gaps.append(f"{other} part only, the {name} one is not known")
+            elif not np.isfinite(spread[there]).all():
+                count = int(np.isfinite(spread[there]).sum())
+                gaps.append(
+                    f"{name} part known in {count} of {int(there.sum())} channels; elsewhere none is told"
+                )
+        return gaps
+
+    def errors(self, rng: np.random.Generator, draws: int) -> Floats:
+        """Return what may be wrong with the values (draw, channel), at random.
+
+        Random errors are independent, systematic ones common to all channels. Where neither is known, the
+        standard deviation of the mean is taken for systematic: readings of a surface differ in level more
+        than in shape. NaN where one of them is known of other channels, but not there.
+        """
+        errors = np.zeros((draws, self.values.size))
+        if self.u_random is not None:
+            errors += self.u_random * rng.standard_normal(errors.shape)
+        common = self.u_systematic
+        if common is None and self.u_random is None and self.sd is not None:
+            common = self.sd / np.sqrt(self.count)
+        if common is not None:
+            errors += common * rng.standard_normal((draws, 1))
+        return errors
+
+
+def scaled_by_panel(spectra: list[Measured], panel: Any) -> list[Measured]:
+    """Return references multiplied by the reflectance of the panel that they are relative to.
+
+    Parameters
+    ----------
+    spectra
+        References relative to the panel.
+    panel
+        Reflectance of the panel on ``wavelength``: a DataArray, or a Dataset with ``reflectance``. Linear
+        between its wavelengths; outside of them it is not known, and neither is the reference.
+
+    Raises
+    ------
+    SchemaError, UnitsError
+        A reference is absolute already, or the panel is no certificate; all problems are listed.
+    """
+    array = panel["reflectance"] if hasattr(panel, "data_vars") and "reflectance" in panel else panel
+    if not hasattr(array, "dims") or tuple(array.dims) != ("wavelength",) or "wavelength" not in array.coords:
+        raise SchemaError("panel= must be a DataArray of reflectance on wavelength; see read_certificate")
+    problems = Problems("references cannot be scaled by the panel", SchemaError)
+    wavelength = convert(array["wavelength"], "nm").values.astype(np.float64)
+    values = convert(array, "1", "panel").values.astype(np.float64)
+    order = np.argsort(wavelength)
+    wavelength, values = wavelength[order], values[order]
+    if not (np.isfinite(wavelength).all() and np.isfinite(values).all() and (np.diff(wavelength) > 0).all()):
+        problems.add("panel= has wavelengths twice, or values that are not finite")
+    elif not ((values > 0.0) & (values <= 1.2)).all():
+        limits = f"{values.min():g} to {values.max():g}"
+        problems.add(f"panel= reaches from {limits}, expected more than 0, at most 1.2; is it in percent?")
+    for each in spectra:
+        if each.absolute:
+            problems.add(f"reference {each.name!r} is absolute already, or of a library; leave out panel=")
+    problems.raise_if_any()
+    return [_scaled(each, wavelength, values) for each in spectra]
+
+
+def _scaled(spectrum: Measured, wavelength: Floats, values: Floats) -> Measured:
+    factor = np.interp(spectrum.wavelength, wavelength, values, np.nan, np.nan)
+
+    def times(spread: Floats | None) -> Floats | None:
+        return None if spread is None else spread * factor
+
+    return replace(
+        spectrum,
+        values=spectrum.values * factor,
+        u_random=times(spectrum.u_random),
+        u_systematic=times(spectrum.u_systematic),
+        sd=times(spectrum.sd),
+        absolute=True,
+        notes=(*spectrum.notes, "scaled by the panel's certificate"),
+    )
