@@ -1,8 +1,7 @@
 """Wavelengths and widths of the camera in flight, with the daylight as the lamp.
 
-Rooms: `estimation` (all of it in order), `declared` (what the line says of itself), `windows` (where to look,
-and what several windows tell together), `lamp` (the light as bands would see it), `least_squares` (shift and
-width), `application` (the line with what was found), `oxygen` (a figure a column), `column_means`.
+A flight line with radiance or counts and its irradiance record comes in; wavelength shifts and widths of
+columns, or the line corrected by them, go out. Called by users, the accessor and `validation`.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""The daylight as a lamp: what a line declares of its bands and light, and the light as bands would see it."""
+"""The daylight as a lamp: bands and light as a line declares them, and the light as bands would see it."""
 
 from __future__ import annotations
 

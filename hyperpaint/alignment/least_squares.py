@@ -1,4 +1,4 @@
-"""Shift and width of every column by least squares in windows of the spectrum, and the mean of the windows."""
+"""Shift and width of every column by least squares in windows of the spectrum, and their mean."""
 
 from __future__ import annotations
 

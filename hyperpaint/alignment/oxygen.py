@@ -1,4 +1,4 @@
-"""Mean spectra of columns, and what is left in them of the oxygen A band: the plainest sign of wrong wavelengths."""
+"""Mean spectra of columns, and what is left of the oxygen A band in them: a sign of wrong wavelengths."""
 
 from __future__ import annotations
 

@@ -1,4 +1,8 @@
-"""Agreement of paint signatures with what field spectrometers, or other libraries, say of the same paints."""
+"""Agreement of paint signatures with field spectrometers, or other libraries, of the same paints.
+
+A paint library and reference datasets come in; a `Validation` (statistics, common spectra, verdict) goes out.
+Called by users, workflows, the command line and reports.
+"""
 
 from .validating import validate
 from .validation_result import Validation

@@ -1,4 +1,4 @@
-"""How far two spectra agree on common bands, in numbers: the finer one as the coarser one's channels see it."""
+"""How far two spectra agree, in numbers, on common bands: the finer as the coarser one's channels see it."""
 
 from __future__ import annotations
 

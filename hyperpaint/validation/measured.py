@@ -1,4 +1,4 @@
-"""Spectra as validation compares them: what they are called, where they come from, and what is known of them."""
+"""Spectra as validation compares them: names, origin, values and uncertainties."""
 
 from __future__ import annotations
 

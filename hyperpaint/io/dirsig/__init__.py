@@ -1,4 +1,8 @@
-"""Materials of the simulator DIRSIG: written from a paint library, and read back strictly."""
+"""Materials of the simulator DIRSIG: written from a paint library, and read back strictly.
+
+A paint library comes in, a folder of files goes out; ``.ems`` and ``.mat`` files come in, curves and materials
+go out. Called by users and workflows.
+"""
 
 from __future__ import annotations
 

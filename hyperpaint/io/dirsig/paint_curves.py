@@ -1,4 +1,4 @@
-"""From a paint library's reflectance to what DIRSIG takes: ascending, without holes, its clear coat counted once."""
+"""From a paint library's reflectance to DIRSIG's: ascending, without holes, the clear coat counted once."""
 
 from __future__ import annotations
 

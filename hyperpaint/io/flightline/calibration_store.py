@@ -1,4 +1,4 @@
-"""Calibration stores and lab sweeps: what an imager's `radiance_gain` and spectral axis are, or follow from."""
+"""Calibration stores (`radiance_gain` and the spectral axis of an imager) and the lab sweeps they follow from."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What of a line or map is exported, and where its pixels lie: an affine grid, as ``spatial_ref`` tells it."""
+"""What of a line or map is exported, and where its pixels lie: an affine grid, from ``spatial_ref``."""
 
 from __future__ import annotations
 
