@@ -20,7 +20,7 @@ from hyperpaint.light.synchrony import line_light
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["Declared", "FACTORS", "IrradianceTable", "Light", "mean_light", "table_of_bands"]
+__all__ = ["FACTORS", "Declared", "IrradianceTable", "Light", "mean_light", "table_of_bands"]
 
 _MOST_SHIFT = 20.0
 """Declared shift beyond which units are wrong [nm]."""
@@ -28,57 +28,28 @@ _MOST_SHIFT = 20.0
 
 @dataclass(frozen=True, eq=False)
 class Light:
-    """The irradiance record.
+    """The irradiance record."""
 
-    Attributes
-    ----------
-    spectra : (sample, channel)
-        Irradiance, any unit.
-    time : (sample,), wavelength : (channel,)
-        Of the samples, and of the channels [nm].
-    fwhm : () or (channel,)
-        Full width at half maximum of the channels [nm].
-    srf_shape
-        Line shape of the spectrometer.
-    max_gap
-        Longest time without a sample [s], or None.
-    """
-
-    spectra: Floats
-    time: Array
-    wavelength: Floats
-    fwhm: Floats
-    srf_shape: str
-    max_gap: float | None
+    spectra: Floats  # (sample, channel): Irradiance, any unit
+    time: Array  # (sample,)
+    wavelength: Floats  # (channel,), of the channels [nm]
+    fwhm: Floats  # () or (channel,): Full width at half maximum of the channels [nm]
+    srf_shape: str  # Line shape of the spectrometer
+    max_gap: float | None  # Longest time without a sample [s], or None
 
 
 @dataclass(frozen=True, eq=False)
 class Declared:
-    """The bands of a line and their light, in the units of the table.
+    """The bands of a line and their light, in the units of the table."""
 
-    Attributes
-    ----------
-    time : (line,)
-        At mid exposure.
-    wavelength, fwhm : (band,)
-        [nm].
-    good : (band,), bool
-        All where nothing is said.
-    wavelength_shift : () or (column,) or (band, column)
-        [nm]; 0 where nothing is said.
-    imager
-        Responses of all bands.
-    light
-        The irradiance record.
-    """
-
-    time: Array
+    time: Array  # (line,): At mid exposure
+    # wavelength, fwhm (band,): [nm]
     wavelength: Floats
     fwhm: Floats
-    good: npt.NDArray[np.bool_]
-    wavelength_shift: Floats
-    imager: Responses
-    light: Light
+    good: npt.NDArray[np.bool_]  # (band,), bool: All where nothing is said
+    wavelength_shift: Floats  # () or (column,) or (band, column): [nm]; 0 where nothing is said
+    imager: Responses  # Responses of all bands
+    light: Light  # The irradiance record
 
     @classmethod
     def by(cls, dataset: xr.Dataset) -> Declared:
@@ -158,28 +129,14 @@ FACTORS = np.linspace(0.6, 1.6, 9)
 
 @dataclass(frozen=True)
 class IrradianceTable:
-    """Irradiance as bands would see it at a grid of shifts and widths.
+    """Irradiance as bands would see it at a grid of shifts and widths."""
 
-    Attributes
-    ----------
-    wavelength : (band,)
-        Declared centres [nm].
-    shifts : (shift,), factors : (factor,)
-        The grid: wavelength minus `wavelength` [nm], width over the declared one [1].
-    log : (shift, factor, band)
-        Logarithm of irradiance; NaN where the record does not cover a band.
-    noise_gain : (factor,)
-        Largest noise gain of the operators at a width [1].
-    variance : (factor, band)
-        Mean square distance from its centre at which a band responds [nm2].
-    """
-
-    wavelength: Floats
-    shifts: Floats
-    factors: Floats
-    log: Floats
-    noise_gain: Floats
-    variance: Floats
+    wavelength: Floats  # (band,): Declared centres [nm]
+    shifts: Floats  # (shift,): wavelength minus `wavelength` [nm]
+    factors: Floats  # (factor,): width over the declared one [1]
+    log: Floats  # (shift, factor, band): Logarithm of irradiance; NaN where the record does not cover a band
+    noise_gain: Floats  # (factor,): Largest noise gain of the operators at a width [1]
+    variance: Floats  # (factor, band): Mean square distance from its centre at which a band responds [nm2]
 
     @cached_property
     def splines(self) -> list[Any]:
@@ -251,18 +208,8 @@ def table_of_bands(
 ) -> IrradianceTable:
     """Return the light as some bands would see it, or raise where the record covers too few of them.
 
-    Parameters
-    ----------
-    light
-        The record.
-    spectrum : (channel,)
-        Its mean.
-    bands
-        As declared.
-    limits
-        Lowest and highest shift [nm].
-    fewest
-        Number of bands that must be covered.
+    ``light``: the record; ``spectrum`` (channel,): its mean; ``bands``: as declared; ``limits``: lowest and
+    highest shift [nm]; ``fewest``: number of bands that must be covered.
     """
     channels = light.wavelength
     width = np.broadcast_to(light.fwhm, channels.shape)
@@ -287,14 +234,8 @@ def irradiance_table(
 ) -> IrradianceTable:
     """Return a spectrum (channel,) as an imager's bands would see it at many shifts and widths.
 
-    Parameters
-    ----------
-    spectrometer, imager
-        Responses of the channels, in order, and of the bands as declared.
-    spectrum : (channel,)
-        Irradiance, any unit.
-    limits
-        Lowest and highest shift [nm].
+    ``spectrometer``, ``imager``: responses of the channels, in order, and of the bands as declared;
+    ``spectrum`` (channel,): irradiance, any unit; ``limits``: lowest and highest shift [nm].
     """
     shifts, operators = _operators(spectrometer, imager, limits)
     log = np.empty((shifts.size, FACTORS.size, imager.wavelength.size))

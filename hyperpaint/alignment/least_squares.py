@@ -14,10 +14,10 @@ from hyperpaint.base.errors import Problems, SchemaError
 from .lamp import FACTORS, Declared, IrradianceTable
 
 __all__ = [
-    "Estimate",
     "FLAGS",
-    "Fit",
     "RESIDUAL_FLOOR",
+    "Estimate",
+    "Fit",
     "Window",
     "bands_of",
     "checked_windows",
@@ -36,58 +36,36 @@ _FEWEST_FREEDOM = 3
 
 @dataclass(frozen=True)
 class Fit:
-    """What one window of bands tells of every column; NaN where it tells nothing.
+    """What one window of bands tells of every column; NaN where it tells nothing."""
 
-    Attributes
-    ----------
-    shift, shift_u, factor, factor_u, correlation : (column,)
-        Wavelength minus the declared one [nm] and width over the declared one [1], with their standard
-        uncertainties and the correlation of their errors.
-    residual, residual_declared : (column,)
-        Relative departure from a smooth curve, root mean square over the degrees of freedom, at the best and
-        at the declared values.
-    departure, departure_declared : (band, column)
-        The same band by band.
-    at_limit : (column,)
-        True where the best lies at an end of the search, or was not reached.
-    noise_gain : (column,)
-        Largest noise gain of the operators at the width found [1].
-    freedom : (column,)
-        Bands more than what is fitted.
-    """
-
+    # shift, shift_u, factor, factor_u, correlation (column,): Wavelength minus the declared one [nm] and
+    # width over the declared one [1], with their standard uncertainties and the correlation of their errors
     shift: Floats
     shift_u: Floats
     factor: Floats
     factor_u: Floats
     correlation: Floats
+    # residual, residual_declared (column,): Relative departure from a smooth curve, root mean square over
+    # the degrees of freedom, at the best and at the declared values
     residual: Floats
     residual_declared: Floats
+    # departure, departure_declared (band, column): The same band by band
     departure: Floats
     departure_declared: Floats
-    at_limit: Array
-    noise_gain: Floats
-    freedom: Array
+    at_limit: Array  # (column,): True where the best lies at an end of the search, or was not reached
+    noise_gain: Floats  # (column,): Largest noise gain of the operators at the width found [1]
+    freedom: Array  # (column,): Bands more than what is fitted
 
 
 @dataclass(frozen=True, eq=False)
 class _Optimum:
-    """Where the search ended.
+    """Where the search ended."""
 
-    Attributes
-    ----------
-    shift, factor : (column,)
-        [nm], [1].
-    tilt : (band, column)
-        Shift that the surface's slope acts as there [nm].
-    last_step : (column, 2)
-        Of shift and factor; none where the optimum was reached.
-    """
-
+    # shift, factor (column,): [nm], [1]
     shift: Floats
     factor: Floats
-    tilt: Floats
-    last_step: Floats
+    tilt: Floats  # (band, column): Shift that the surface's slope acts as there [nm]
+    last_step: Floats  # (column, 2): Of shift and factor; none where the optimum was reached
 
 
 @dataclass(frozen=True)
@@ -174,18 +152,9 @@ def fit_columns(
 ) -> Fit:
     """Find the shift and the width of every column at which radiance over irradiance is smooth.
 
-    Parameters
-    ----------
-    table
-        Logarithm of irradiance.
-    spectrum : (band, column)
-        Mean radiance of every column, any scale; NaN where an element is bad.
-    declared : (band, column)
-        Declared shifts [nm].
-    degree
-        Of the polynomial.
-    max_shift
-        How far from the declared shifts to look [nm].
+    ``table``: logarithm of irradiance; ``spectrum`` (band, column): mean radiance of every column, any scale;
+    NaN where an element is bad; ``declared`` (band, column): declared shifts [nm]; ``degree``: of the
+    polynomial; ``max_shift``: how far from the declared shifts to look [nm].
 
     Notes
     -----

@@ -12,7 +12,7 @@ from hyperpaint.light.responses import Responses, matching_operator
 
 from .measured import Measured
 
-__all__ = ["Operator", "STATISTICS", "bands_of", "operator_onto", "statistics_of", "uncertainty_of"]
+__all__ = ["STATISTICS", "Operator", "bands_of", "operator_onto", "statistics_of", "uncertainty_of"]
 
 STATISTICS = ("bias", "rmse", "mae", "spectral_angle", "scale", "scale_free_error")
 """Names of the statistics: those of a validation's table, and of tolerances."""
@@ -123,24 +123,17 @@ _SAME_WIDTH = 1.02
 
 @dataclass(frozen=True, eq=False)
 class Operator:
-    """How one spectrum is brought onto bands.
+    """How one spectrum is brought onto bands."""
 
-    Attributes
-    ----------
-    weights : (band, channel) or None
-        On the channels of the spectrum; rows sum to 1. None where the channels are the bands.
-    seen : (band,), bool
-        Bands that are compared; the others are left out: not seen whole, or sharper than the channels can
-        tell.
-    coverage : (band,)
-        Part of a band's response that the channels see [1]; 0 where channels are missing in its midst.
-    misfit, noise_gain : (band,)
-        As of `hyperpaint.light.responses.Matching`.
-    """
-
+    # (band, channel) or None: On the channels of the spectrum; rows sum to 1. None where the channels are
+    # the bands.
     weights: Floats | None
+    # (band,), bool: Bands that are compared; the others are left out: not seen whole, or sharper than the
+    # channels can tell
     seen: npt.NDArray[np.bool_]
+    # (band,): Part of a band's response that the channels see [1]; 0 where channels are missing in its midst
     coverage: Floats
+    # misfit, noise_gain (band,): As of `hyperpaint.light.responses.Matching`
     misfit: Floats
     noise_gain: Floats
 

@@ -28,54 +28,32 @@ _MOST_NAMED = 12
 
 @dataclass(frozen=True)
 class Pair:
-    """A signature, and its reference spectra of one instrument.
-
-    Attributes
-    ----------
-    signature
-    references
-        Repeated readings, of which the mean is compared.
-    """
+    """A signature, and its reference spectra of one instrument."""
 
     signature: Measured
-    references: tuple[Measured, ...]
+    references: tuple[Measured, ...]  # Repeated readings, of which the mean is compared
 
 
 @dataclass(frozen=True)
 class Pairing:
-    """What is compared with what.
-
-    Attributes
-    ----------
-    pairs
-    signatures, references
-        Names of those that have no counterpart, with the reason where there is one.
-    missing
-        Those of ``signatures`` that ask for a reference by name, which is not there.
-    """
+    """What is compared with what."""
 
     pairs: tuple[Pair, ...]
+    # signatures, references: Names of those that have no counterpart, with the reason where there is one
     signatures: tuple[str, ...]
     references: tuple[str, ...]
-    missing: tuple[str, ...]
+    missing: tuple[str, ...]  # Those of ``signatures`` that ask for a reference by name, which is not there
 
 
 def paired(signatures: Sequence[Measured], references: Sequence[Measured], pairs: Any = None) -> Pairing:
     """Return which references belong to which signatures.
 
-    Parameters
-    ----------
-    signatures, references
-        Spectra with their names.
-    pairs
-        Names of references by names of paints, one or several each. By default a signature's own property
-        ``reference`` names them, and where it has none, its name.
+    ``signatures``, ``references``: spectra with their names; ``pairs``: names of references by names of
+    paints, one or several each. By default a signature's own property ``reference`` names them, and where it
+    has none, its name.
 
-    Raises
-    ------
-    SchemaError
-        ``pairs`` names what is not there; a name is that of several paints, or of references of several
-        folders or datasets; or nothing can be paired. All of a kind are listed.
+    Raises `SchemaError`: ``pairs`` names what is not there; a name is that of several paints, or of
+    references of several folders or datasets; or nothing can be paired. All of a kind are listed.
     """
     wanted = _said(signatures, references, pairs) if pairs is not None else None
     problems = Problems("paints and references cannot be paired by name", SchemaError)
@@ -180,26 +158,15 @@ DRAWS = 1000
 
 @dataclass(frozen=True, eq=False)
 class Compared:
-    """A pair on common bands.
-
-    Attributes
-    ----------
-    pair
-    bands
-        The spectrum whose channels are the common bands.
-    signature, reference : (band,)
-        Reflectance [1]; NaN where not known.
-    onto
-        How references, and last the signature, were brought there.
-    errors
-        Draws of both (draw, band); None where nothing is known of either's.
-    """
+    """A pair on common bands."""
 
     pair: Pair
-    bands: Measured
+    bands: Measured  # The spectrum whose channels are the common bands
+    # signature, reference (band,): Reflectance [1]; NaN where not known
     signature: Floats
     reference: Floats
-    onto: tuple[Operator, ...]
+    onto: tuple[Operator, ...]  # How references, and last the signature, were brought there
+    # Draws of both (draw, band); None where nothing is known of either's
     errors: tuple[Floats, Floats] | None
 
     @property

@@ -34,21 +34,11 @@ _EDGES = (1000.0, 1900.0)
 
 @dataclass(frozen=True, eq=False)
 class Axis:
-    """Which channels are used, in the order of wavelength.
+    """Which channels are used, in the order of wavelength."""
 
-    Attributes
-    ----------
-    order : (channel,)
-        Positions in the file.
-    detector : (channel,)
-        Number of the detector that each is of.
-    joins
-        Where one detector takes over from the other [nm].
-    """
-
-    order: npt.NDArray[np.intp]
-    detector: npt.NDArray[np.intp]
-    joins: tuple[float, ...]
+    order: npt.NDArray[np.intp]  # (channel,): Positions in the file
+    detector: npt.NDArray[np.intp]  # (channel,): Number of the detector that each is of
+    joins: tuple[float, ...]  # Where one detector takes over from the other [nm]
 
 
 def join_detectors(wavelength: Floats) -> Axis:
@@ -57,15 +47,9 @@ def join_detectors(wavelength: Floats) -> Axis:
     Where wavelengths fall, another detector begins. Of two that overlap, each serves to the middle of the
     overlap: no sample is averaged with one of the other detector, whose scale and resolution differ.
 
-    Parameters
-    ----------
-    wavelength : (channel,)
-        In the order of the file [nm]; a file that descends as a whole is turned round.
+    ``wavelength`` (channel,): in the order of the file [nm]; a file that descends as a whole is turned round.
 
-    Raises
-    ------
-    SchemaError
-        Wavelengths are not finite, or in an order that detectors do not have.
+    Raises `SchemaError`: Wavelengths are not finite, or in an order that detectors do not have.
 
     Examples
     --------
@@ -103,19 +87,11 @@ def join_detectors(wavelength: Floats) -> Axis:
 def channel_widths(wavelength: Floats, detector: npt.NDArray[Any], instrument: str) -> tuple[Floats, str]:
     """Return how wide channels are, where the data do not say, and what that was taken from.
 
-    Parameters
-    ----------
-    wavelength, detector : (channel,)
-        Increasing wavelengths [nm], and the detector that each is of.
-    instrument
-        Its name, as the data tell it.
+    ``wavelength``, ``detector`` (channel,): increasing wavelengths [nm], and the detector that each is of;
+    ``instrument``: its name, as the data tell it.
 
-    Returns
-    -------
-    fwhm : (channel,)
-        Full widths at half maximum [nm].
-    source
-        What they were taken from, for a reader of the result.
+    Returns full widths at half maximum (channel,) [nm], and what they were taken from, for a reader of the
+    result.
     """
     lowered = instrument.lower()
     for kind, names in _NAMES.items():
@@ -140,12 +116,8 @@ _NARROWEST, _WIDEST = 0.05, 100.0
 def signatures_from(signatures: xr.Dataset) -> list[Measured]:
     """Return the spectra of a paint library; what is not ``good`` is NaN.
 
-    Raises
-    ------
-    SchemaError
-        It is no paint library; all problems are listed.
-    UnitsError
-        Units cannot be read.
+    Raises `SchemaError`: It is no paint library; all problems are listed. Raises `UnitsError`: Units cannot
+    be read.
     """
     if not hasattr(signatures, "data_vars"):
         raise SchemaError(
@@ -157,17 +129,9 @@ def signatures_from(signatures: xr.Dataset) -> list[Measured]:
 def references_from(references: Any, fwhm: float | None) -> list[Measured]:
     """Return the spectra of spectrometer datasets and paint libraries.
 
-    Parameters
-    ----------
-    references
-        A Dataset, or several.
-    fwhm
-        Width of channels [nm], where the user says it.
+    ``references``: a Dataset, or several; ``fwhm``: width of channels [nm], where the user says it.
 
-    Raises
-    ------
-    SchemaError
-        Datasets that hold no reflectance; all are listed.
+    Raises `SchemaError`: Datasets that hold no reflectance; all are listed.
     """
     datasets = [references] if hasattr(references, "data_vars") else references
     if isinstance(datasets, Mapping):

@@ -23,21 +23,13 @@ _SUFFIXES = (".asd", ".sig", ".txt", ".tsv", ".csv")
 
 @dataclass(frozen=True)
 class Names:
-    """How one spectrum is called.
+    """How one spectrum is called."""
 
-    Attributes
-    ----------
-    shown
-        As results tell it.
-    ranks
-        What it may be called by: its own names; these without suffix; those without folder too, which spectra
-        of other folders may share. Where one is meant, none of a later rank counts.
-    place
-        Number of the dataset, and folder in it: only readings of one place are repeats of each other.
-    """
-
-    shown: str
+    shown: str  # As results tell it
+    # What it may be called by: its own names; these without suffix; those without folder too, which spectra
+    # of other folders may share. Where one is meant, none of a later rank counts.
     ranks: tuple[frozenset[str], frozenset[str], frozenset[str]]
+    # Number of the dataset, and folder in it: only readings of one place are repeats of each other
     place: tuple[int, str]
 
     @property
@@ -54,13 +46,9 @@ def names_of_paint(name: str, dataset: int) -> Names:
 def names_of_spectrum(spectrum: str, source: str, other: str, number: int, dataset: int) -> Names:
     """Return how a spectrum of a field spectrometer is called.
 
-    Parameters
-    ----------
-    spectrum, source, other
-        Its name, which readers put the folder before where names repeat; its file; another name. Any may be
-        empty.
-    number, dataset
-        Of the spectrum in its dataset, and of the dataset.
+    ``spectrum``, ``source``, ``other``: its name, which readers put the folder before where names repeat; its
+    file; another name. Any may be empty; ``number``, ``dataset``: of the spectrum in its dataset, and of the
+    dataset.
 
     Examples
     --------
@@ -104,55 +92,30 @@ def _without_suffix(name: str) -> Iterator[str]:
 
 @dataclass(frozen=True, eq=False)
 class Measured:
-    """One spectrum of reflectance, and what is known of it.
+    """One spectrum of reflectance, and what is known of it."""
 
-    Attributes
-    ----------
-    names
-        What it can be paired by, and where it is from.
-    wanted
-        Name of the reference that a signature asks for; empty where it does not.
-    instrument
-        Its make.
-    serial
-        What else its data say of the instrument, mostly a serial number; may be empty.
-    wavelength, fwhm, values : (channel,), float64
-        Increasing wavelengths [nm], widths of channels [nm], reflectance [1], NaN where there is none.
-    u_random, u_systematic : (channel,) or None
-        Standard uncertainties [1]: independent from channel to channel, and common to all.
-    sd : (channel,) or None
-        Standard deviation of what the spectrum is a mean of [1].
-    count
-        Of how many readings or independent pixels it is; 1 where that is not known.
-    overlap
-        What was done with channels where detectors overlap, as the reader says it: preserved, removed or
-        unknown.
-    matched
-        Whether values were changed there, to make detectors meet.
-    mirror
-        Whether the mirror image of sky and surroundings is included, excluded, or unknown.
-    absolute
-        Whether reflectance is of a perfect diffuser, rather than of a panel.
-    notes
-        What else a reader of results should know.
-    """
-
-    names: Names
-    wanted: str
-    instrument: str
-    serial: str
+    names: Names  # What it can be paired by, and where it is from
+    wanted: str  # Name of the reference that a signature asks for; empty where it does not
+    instrument: str  # Its make
+    serial: str  # What else its data say of the instrument, mostly a serial number; may be empty
+    # wavelength, fwhm, values (channel,), float64: Increasing wavelengths [nm], widths of channels [nm],
+    # reflectance [1], NaN where there is none
     wavelength: Floats
     fwhm: Floats
     values: Floats
+    # u_random, u_systematic (channel,) or None: Standard uncertainties [1]: independent from channel to
+    # channel, and common to all
     u_random: Floats | None
     u_systematic: Floats | None
-    sd: Floats | None
-    count: float
+    sd: Floats | None  # (channel,) or None: Standard deviation of what the spectrum is a mean of [1]
+    count: float  # Of how many readings or independent pixels it is; 1 where that is not known
+    # What was done with channels where detectors overlap, as the reader says it: preserved, removed or
+    # unknown
     overlap: str
-    matched: bool
-    mirror: str
-    absolute: bool
-    notes: tuple[str, ...]
+    matched: bool  # Whether values were changed there, to make detectors meet
+    mirror: str  # Whether the mirror image of sky and surroundings is included, excluded, or unknown
+    absolute: bool  # Whether reflectance is of a perfect diffuser, rather than of a panel
+    notes: tuple[str, ...]  # What else a reader of results should know
 
     @property
     def name(self) -> str:
@@ -203,18 +166,12 @@ class Measured:
 def scaled_by_panel(spectra: list[Measured], panel: Any) -> list[Measured]:
     """Return references multiplied by the reflectance of the panel that they are relative to.
 
-    Parameters
-    ----------
-    spectra
-        References relative to the panel.
-    panel
-        Reflectance of the panel on ``wavelength``: a DataArray, or a Dataset with ``reflectance``. Linear
-        between its wavelengths; outside of them it is not known, and neither is the reference.
+    ``spectra``: references relative to the panel; ``panel``: reflectance of the panel on ``wavelength``: a
+    DataArray, or a Dataset with ``reflectance``. Linear between its wavelengths; outside of them it is not
+    known, and neither is the reference.
 
-    Raises
-    ------
-    SchemaError, UnitsError
-        A reference is absolute already, or the panel is no certificate; all problems are listed.
+    Raises `SchemaError, UnitsError`: A reference is absolute already, or the panel is no certificate; all
+    problems are listed.
     """
     array = panel["reflectance"] if hasattr(panel, "data_vars") and "reflectance" in panel else panel
     if not hasattr(array, "dims") or tuple(array.dims) != ("wavelength",) or "wavelength" not in array.coords:

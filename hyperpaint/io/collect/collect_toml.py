@@ -150,33 +150,20 @@ class ReferenceEntry:
 
 @dataclass(frozen=True)
 class Collect:
-    """What a ``collect.toml`` says, its paths absolute and found.
+    """What a ``collect.toml`` says, its paths absolute and found."""
 
-    Attributes
-    ----------
-    path
-        The file.
-    name
-        Of the collect.
-    camera, calibration, irradiance, flightlines, references
-        Its tables; ``irradiance`` and ``calibration`` None where not needed and not given.
-    navigation
-        What it declares of `hyperpaint.Convention`, by the names of its fields.
-    sweep
-        Lab sweep to calibrate in place of a ``calibration``.
-    dark
-        Dark cubes, or ``"none"`` or ``"calibration"``.
-    """
-
-    path: Path
-    name: str
+    path: Path  # The file
+    name: str  # Of the collect
+    # camera, calibration, irradiance, flightlines, references: Its tables; ``irradiance`` and
+    # ``calibration`` None where not needed and not given
     camera: Camera
     calibration: Path | None
-    dark: tuple[Path, ...] | str | None
+    dark: tuple[Path, ...] | str | None  # Dark cubes, or ``"none"`` or ``"calibration"``
     irradiance: IrradianceEntry | None
     flightlines: tuple[FlightlineEntry, ...]
     references: tuple[ReferenceEntry, ...] = ()
-    sweep: Path | None = None
+    sweep: Path | None = None  # Lab sweep to calibrate in place of a ``calibration``
+    # What it declares of `hyperpaint.Convention`, by the names of its fields
     navigation: Mapping[str, Any] = field(default_factory=dict)
 
 
@@ -367,26 +354,13 @@ def _references(reader: _Reader) -> tuple[ReferenceEntry, ...]:
 def parse_collect(path: Path, problems: Problems, *, need_irradiance: bool) -> tuple[Collect, set[str]]:
     """Read what of a ``collect.toml`` is valid, so that what it names can be checked as well.
 
-    Parameters
-    ----------
-    path
-        The file.
-    problems
-        Takes what is wrong.
-    need_irradiance
-        False where only radiance is wanted.
+    ``path``: the file; ``problems``: takes what is wrong; ``need_irradiance``: false where only radiance is
+    wanted.
 
-    Returns
-    -------
-    collect : Collect
-        What is valid.
-    reported : set of str
-        ``"calibration"``, ``"dark"`` and ``"times of <id>"`` where their problems have been noted.
+    Returns what is valid, and ``"calibration"``, ``"dark"`` and ``"times of <id>"`` where their problems have
+    been noted.
 
-    Raises
-    ------
-    CollectError
-        The file cannot be read, or is not TOML.
+    Raises `CollectError`: The file cannot be read, or is not TOML.
     """
     reader = _Reader(path, _load(path), problems)
     camera = _camera(reader)

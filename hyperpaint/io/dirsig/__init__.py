@@ -1,13 +1,13 @@
 """Materials of the simulator DIRSIG: written from a paint library, and read back strictly.
 
-A paint library comes in, a folder of files goes out; ``.ems`` and ``.mat`` files come in, curves and materials
-go out. Called by users and workflows.
+A paint library comes in, a folder of files goes out; ``.ems`` and ``.mat`` files come in, curves and
+materials go out. Called by users and workflows.
 """
 
 from __future__ import annotations
 
 from .dirsig_writing import write_dirsig
-from .emissivity_files import Curve, Emissivity, open_emissivity, read_emissivity, read_reflectance_text
+from .emissivity_files import Curve, Emissivity, open_emissivity, read_emissivity
 from .material_list import Material, Section, materials_text, read_materials
 
 __all__ = [
@@ -19,6 +19,5 @@ __all__ = [
     "open_emissivity",
     "read_emissivity",
     "read_materials",
-    "read_reflectance_text",
     "write_dirsig",
 ]

@@ -54,18 +54,10 @@ _URL = re.compile(r"[A-Za-z][A-Za-z0-9+.-]+:/|.*::")
 def export_folder(folder: str | os.PathLike[str], *, overwrite: bool) -> Iterator[Path]:
     """Yield a folder to write an export to, which gets its place when the block ends well.
 
-    Parameters
-    ----------
-    folder
-        The place: new, empty, or an earlier export.
-    overwrite
-        Whether that may be replaced.
+    ``folder``: the place: new, empty, or an earlier export; ``overwrite``: whether that may be replaced.
 
-    Raises
-    ------
-    StoreError
-        The place holds anything else, or an export that may not be replaced; another writes there; or it
-        cannot be written. Also for whatever the disk refuses inside.
+    Raises `StoreError`: The place holds anything else, or an export that may not be replaced; another writes
+    there; or it cannot be written. Also for whatever the disk refuses inside.
     """
     if _URL.match(os.fspath(folder)):
         raise StoreError(f"{os.fspath(folder)!r} is a URL, expected a folder; write to a folder and copy it")

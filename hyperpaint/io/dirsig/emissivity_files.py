@@ -1,4 +1,4 @@
-"""DIRSIG's spectral emissivity (``.ems``) and two-column reflectance files.
+"""DIRSIG's spectral emissivity (``.ems``) files.
 
 An ``.ems`` file is text: the number of curves, 91 weights for view angles of 0 to 90 degrees, then the
 curves. In a new file each begins with the line ``CURVE_BEGIN``, and its rows are wavelength [um], ascending,
@@ -35,15 +35,14 @@ if TYPE_CHECKING:
 
 __all__ = [
     "CURVE_BEGIN",
+    "DECIMALS",
+    "WAVELENGTH_DECIMALS",
     "ColumnText",
     "Curve",
-    "DECIMALS",
     "Emissivity",
-    "WAVELENGTH_DECIMALS",
     "emissivity_head",
     "open_emissivity",
     "read_emissivity",
-    "read_reflectance_text",
 ]
 
 CURVE_BEGIN = "CURVE_BEGIN"
@@ -77,17 +76,9 @@ class ColumnText:
     The digits of all values of many spectra are worked out at once, by whole-number division; the rest of the
     text is copied.
 
-    Parameters
-    ----------
-    wavelength
-        Ascending [nm].
-    title
-        Line before every spectrum; none by default.
+    ``wavelength``: ascending [nm]; ``title``: line before every spectrum; none by default.
 
-    Raises
-    ------
-    SchemaError
-        Wavelengths are not ascending as they are written.
+    Raises `SchemaError`: Wavelengths are not ascending as they are written.
 
     Examples
     --------
@@ -153,37 +144,19 @@ _OLD_MARK = re.compile(rb"^[ \t]*+([0-9]{1,9}+)[ \t]*+\n", re.MULTILINE)
 
 @dataclass(frozen=True, eq=False)
 class Curve:
-    """One spectrum.
+    """One spectrum."""
 
-    Attributes
-    ----------
-    wavelength
-        Ascending (wavelength,) [um].
-    emissivity
-        (wavelength,) [1].
-    """
-
-    wavelength: Floats
-    emissivity: Floats
+    wavelength: Floats  # Ascending (wavelength,) [um]
+    emissivity: Floats  # (wavelength,) [1]
 
 
 @dataclass(frozen=True, eq=False)
 class Emissivity:
-    """What an ``.ems`` file holds.
+    """What an ``.ems`` file holds."""
 
-    Attributes
-    ----------
-    weights
-        Factor on emissivity at 0, 1, ... 90 degrees from the normal (91,) [1].
-    curves
-        At least one.
-    layout
-        ``new`` or ``old``.
-    """
-
-    weights: Floats
-    curves: tuple[Curve, ...]
-    layout: str
+    weights: Floats  # Factor on emissivity at 0, 1, ... 90 degrees from the normal (91,) [1].
+    curves: tuple[Curve, ...]  # At least one
+    layout: str  # ``new`` or ``old``
 
 
 def read_emissivity(path: str | os.PathLike[str]) -> Emissivity:
@@ -321,31 +294,6 @@ def _value_problem(values: Floats, name: str) -> str:
 
 def _shown(line: bytes) -> str:
     return repr(line[:60].decode("ascii", "replace"))
-
-
-def read_reflectance_text(path: str | os.PathLike[str]) -> tuple[Floats, Floats]:
-    """Read the two columns that DIRSIG's SimpleReflectance takes.
-
-    Returns
-    -------
-    Wavelength (wavelength,) [um], ascending, and reflectance (wavelength,) [1].
-
-    Raises
-    ------
-    FormatError
-        The file cannot be read, or has anything else than two columns of numbers, wavelengths that do not
-        ascend or are no micrometres, or reflectance outside 0 to 1.
-    """
-    place = Path(path)
-    data = read_limited_text(place, MOST_BYTES, "two columns of text").replace(b"\r\n", b"\n")
-    problems = Problems(f"{place} is no reflectance for DIRSIG", FormatError)
-    table = _table(data if data.endswith(b"\n") else data + b"\n", 1, problems)
-    problems.raise_if_any()
-    wavelength, reflectance = (np.empty((2, 0)) if table is None else table.T).copy()
-    if wrong := _wavelength_problem(wavelength) or _value_problem(reflectance, "reflectance"):
-        problems.add(wrong)
-    problems.raise_if_any()
-    return wavelength, reflectance
 
 
 def open_emissivity(path: str | os.PathLike[str]) -> xr.Dataset:

@@ -41,18 +41,10 @@ def material_section(
 ) -> Section:
     """Return the entry of one paint in a material list.
 
-    Parameters
-    ----------
-    record
-        A paint's line of ``paints.json``.
-    surface
-        ``ClassicEmissivity`` or ``SimpleReflectance``.
-    rad_solver
-        Name of the radiometry solver.
-    thermal
-        Values of `THERMAL`; None for a material whose temperature is not computed.
-    double_sided
-        Whether the back of a facet shows the paint too.
+    ``record``: a paint's line of ``paints.json``; ``surface``: ``ClassicEmissivity`` or
+    ``SimpleReflectance``; ``rad_solver``: name of the radiometry solver; ``thermal``: values of `THERMAL`;
+    None for a material whose temperature is not computed; ``double_sided``: whether the back of a facet shows
+    the paint too.
     """
     colour = ", ".join(f"{value:.3g}" for value in record["editor_color"])
     sampled = (("ENABLE_SAMPLED_DIFFUSE", "FALSE"),) if rad_solver == "Classic" else ()

@@ -118,17 +118,10 @@ _ENTRY = "MATERIAL_ENTRY"
 
 @dataclass(frozen=True)
 class Section:
-    """A section of the tag format.
+    """A section of the tag format."""
 
-    Attributes
-    ----------
-    name
-        Before the bracket.
-    items
-        What is in it, in its order: pairs of a key and a value, and sections.
-    """
-
-    name: str
+    name: str  # Before the bracket
+    # What is in it, in its order: pairs of a key and a value, and sections
     items: tuple[tuple[str, str] | Section, ...] = ()
 
     def get(self, key: str) -> str | None:
@@ -146,21 +139,11 @@ class Section:
 
 @dataclass(frozen=True)
 class Material:
-    """An entry of a material list.
+    """An entry of a material list."""
 
-    Attributes
-    ----------
-    id
-        Token by which geometry names it.
-    name
-        For people.
-    entry
-        All that the file says of it.
-    """
-
-    id: str
-    name: str
-    entry: Section
+    id: str  # Token by which geometry names it
+    name: str  # For people
+    entry: Section  # All that the file says of it
 
     @property
     def emissivity_file(self) -> str | None:

@@ -21,15 +21,15 @@ if TYPE_CHECKING:
     import xarray as xr
 
 __all__ = [
-    "Axis",
     "CURVES",
-    "Choices",
-    "Coat",
     "GAPS",
     "LONGEST",
+    "SHORTEST",
+    "Axis",
+    "Choices",
+    "Coat",
     "PaintCurves",
     "PaintProblemError",
-    "SHORTEST",
     "blocks_of",
     "coat_of",
     "curves_of",
@@ -38,21 +38,12 @@ __all__ = [
 
 @dataclass(frozen=True)
 class Coat:
-    """What becomes of the light that a clear coat mirrors.
+    """What becomes of the light that a clear coat mirrors."""
 
-    Attributes
-    ----------
-    mirror_reflection
-        Whether the library's reflectance holds it: ``included`` or ``excluded``.
-    is_declared
-        Whether the library says so.
-    specular
-        Fraction of DIRSIG's reflectance that is specular; ``library`` for what the library's
-        ``specular_reflectance`` gives.
-    """
-
-    mirror_reflection: str
-    is_declared: bool
+    mirror_reflection: str  # Whether the library's reflectance holds it: ``included`` or ``excluded``
+    is_declared: bool  # Whether the library says so
+    # Fraction of DIRSIG's reflectance that is specular; ``library`` for what the library's
+    # ``specular_reflectance`` gives
     specular: float | str
 
     @property
@@ -73,10 +64,7 @@ class Coat:
     def fraction(self, centre: npt.NDArray[Any], mirror: npt.NDArray[Any] | None) -> float:
         """Return the specular fraction of a paint [1], to the decimals that are written.
 
-        Parameters
-        ----------
-        centre, mirror
-            Reflectance of body and coat (band,) [1]; NaN where a band is not to be used.
+        ``centre``, ``mirror``: reflectance of body and coat (band,) [1]; NaN where a band is not to be used.
         """
         if not isinstance(self.specular, str):
             return round(float(self.specular), 4)
@@ -90,11 +78,8 @@ class Coat:
 def coat_of(library: xr.Dataset, specular: float | str) -> Coat:
     """Return what becomes of a library's mirrored light.
 
-    Raises
-    ------
-    SchemaError
-        The attribute ``mirror_reflection`` is neither of both; the specular fraction is not from 0 to below
-        1, or would count the coat twice, or is to be taken from a library that has none.
+    Raises `SchemaError`: The attribute ``mirror_reflection`` is neither of both; the specular fraction is not
+    from 0 to below 1, or would count the coat twice, or is to be taken from a library that has none.
     """
     problems = Problems("no specular term can be written", SchemaError)
     apart = "specular_reflectance" in library.variables
@@ -140,66 +125,36 @@ class PaintProblemError(Exception):
 
 @dataclass(frozen=True)
 class Choices:
-    """What the caller chose of the curves.
+    """What the caller chose of the curves."""
 
-    Attributes
-    ----------
-    curves
-        A key of `CURVES`.
-    wavelength_range
-        Low and high end [nm]; None for all that was measured.
-    extrapolate
-        Whether curves are held constant beyond what was measured.
-    gaps
-        What is done about bands without values between others: one of `GAPS`.
-    """
-
-    curves: str
-    wavelength_range: tuple[float, float] | None
-    extrapolate: bool
-    gaps: str
+    curves: str  # A key of `CURVES`
+    wavelength_range: tuple[float, float] | None  # Low and high end [nm]; None for all that was measured
+    extrapolate: bool  # Whether curves are held constant beyond what was measured
+    gaps: str  # What is done about bands without values between others: one of `GAPS`
 
 
 @dataclass(frozen=True, eq=False)
 class PaintCurves:
-    """A paint as it is written.
+    """A paint as it is written."""
 
-    Attributes
-    ----------
-    wavelength
-        Ascending (wavelength,) [nm].
-    centre
-        Reflectance (wavelength,) [1].
-    curves
-        Reflectance of the population (curve, wavelength) [1].
-    measured
-        First and last wavelength that were measured [nm].
-    below, above
-        Whether a sample was added below or above that.
-    interpolated, centre_interpolated
-        Samples of the curves, and of the centre, that were filled in between others.
-    left_out
-        Members that are not among the curves, for what they lack at the ends.
-    """
-
-    wavelength: Array
-    centre: Array
-    curves: Array
-    measured: tuple[float, float]
+    wavelength: Array  # Ascending (wavelength,) [nm]
+    centre: Array  # Reflectance (wavelength,) [1]
+    curves: Array  # Reflectance of the population (curve, wavelength) [1]
+    measured: tuple[float, float]  # First and last wavelength that were measured [nm]
+    # below, above: Whether a sample was added below or above that
     below: bool
     above: bool
+    # interpolated, centre_interpolated: Samples of the curves, and of the centre, that were filled in
+    # between others
     interpolated: int
     centre_interpolated: int
-    left_out: int
+    left_out: int  # Members that are not among the curves, for what they lack at the ends
 
 
 class Axis:
     """The bands of a library, in ascending order.
 
-    Raises
-    ------
-    SchemaError
-        A wavelength is not known or not above 0, or two are the same.
+    Raises `SchemaError`: A wavelength is not known or not above 0, or two are the same.
     """
 
     def __init__(self, library: xr.Dataset) -> None:
@@ -231,10 +186,8 @@ class Axis:
 def blocks_of(library: xr.Dataset, choices: Choices) -> Iterator[tuple[slice, dict[str, Array]]]:
     """Yield a library's values block by block of paints, so that memory does not grow with it.
 
-    Yields
-    ------
-    Paints of the block; ``centre`` (paint, band) and ``curves`` (paint, curve, band) [1], in the library's
-    own order of bands.
+    Yields the paints of the block, and ``centre`` (paint, band) and ``curves`` (paint, curve, band) [1], in the
+    library's own order of bands.
     """
     name = CURVES[choices.curves]
     names = list(dict.fromkeys(["reflectance", name, *_specular(library)]))
@@ -278,19 +231,11 @@ def _chunk_of(array: xr.DataArray) -> int:
 def curves_of(axis: Axis, centre: Array, curves: Array, choices: Choices) -> PaintCurves:
     """Return one paint as it is written.
 
-    Parameters
-    ----------
-    axis
-        The bands.
-    centre, curves
-        Reflectance (band,) and (curve, band) in the library's order; a curve of nothing but NaN is none.
-    choices
-        What the caller chose.
+    ``axis``: the bands; ``centre``, ``curves``: reflectance (band,) and (curve, band) in the library's order;
+    a curve of nothing but NaN is none; ``choices``: what the caller chose.
 
-    Raises
-    ------
-    PaintProblemError
-        It has no values, holes that nobody asked to fill, or does not reach as far as was asked.
+    Raises `PaintProblemError`: It has no values, holes that nobody asked to fill, or does not reach as far as
+    was asked.
     """
     centre = np.where(axis.good, centre[axis.order].astype(np.float64), np.nan)
     curves = np.where(axis.good, curves[:, axis.order].astype(np.float64), np.nan)

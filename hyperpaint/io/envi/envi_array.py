@@ -33,23 +33,12 @@ _BOX = 8 * 2**20
 
 @dataclass(frozen=True, eq=False)
 class Scaling:
-    """From stored samples to values: ``(stored * gain + offset) / divisor``, `ignore` becoming NaN.
+    """From stored samples to values: ``(stored * gain + offset) / divisor``, `ignore` becoming NaN."""
 
-    Attributes
-    ----------
-    dtype
-        Type of the values, floating or complex.
-    ignore
-        Compared with what is stored, before anything is scaled.
-    divisor
-        The reflectance scale factor.
-    gain, offset
-        One for each band.
-    """
-
-    dtype: np.dtype[Any]
-    ignore: int | float | None = None
-    divisor: float | None = None
+    dtype: np.dtype[Any]  # Type of the values, floating or complex
+    ignore: int | float | None = None  # Compared with what is stored, before anything is scaled
+    divisor: float | None = None  # The reflectance scale factor
+    # gain, offset: One for each band
     gain: npt.NDArray[np.float64] | None = None
     offset: npt.NDArray[np.float64] | None = None
 
@@ -70,38 +59,19 @@ class Scaling:
 
 @dataclass(frozen=True, eq=False)
 class EnviArray(BackendArray):
-    """Samples of an ENVI data file, in any order of dims, in native byte order.
+    """Samples of an ENVI data file, in any order of dims, in native byte order."""
 
-    Attributes
-    ----------
-    path
-        Absolute path of the data file.
-    file_size, modified_ns
-        Of the file when it was opened; a read refuses a file that has changed since. dask names an array by
-        its fields: the same file gets the same name, another version another.
-    offset
-        Bytes before the first sample.
-    stored
-        Type of a stored sample, byte order included.
-    file_shape
-        Slowest axis of the file first.
-    axes
-        Axis of the file that each dim is.
-    band_axis
-        The dim that counts bands.
-    scaling
-        None for samples as they are stored.
-    """
-
-    path: str
+    path: str  # Absolute path of the data file
+    # file_size, modified_ns: Of the file when it was opened; a read refuses a file that has changed since.
+    # dask names an array by its fields: the same file gets the same name, another version another.
     file_size: int
     modified_ns: int
-    offset: int
-    stored: np.dtype[Any]
-    file_shape: tuple[int, int, int]
-    axes: tuple[int, int, int]
-    band_axis: int
-    scaling: Scaling | None = None
+    offset: int  # Bytes before the first sample
+    stored: np.dtype[Any]  # Type of a stored sample, byte order included
+    file_shape: tuple[int, int, int]  # Slowest axis of the file first
+    axes: tuple[int, int, int]  # Axis of the file that each dim is
+    band_axis: int  # The dim that counts bands
+    scaling: Scaling | None = None  # None for samples as they are stored
 
     @property
     def shape(self) -> tuple[int, ...]:
@@ -238,10 +208,7 @@ def _runs(
 ) -> Iterator[tuple[int, int]]:
     """Group sorted positions whose pieces, `width` of every `pitch` bytes, are read at once.
 
-    Yields
-    ------
-    tuple of int
-        First and last + 1 of the indices into `positions`.
+    Yields tuple of int: First and last + 1 of the indices into `positions`.
     """
     breaks = np.diff(positions) * pitch - width > gap
     if gap < 0:

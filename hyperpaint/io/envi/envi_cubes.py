@@ -37,24 +37,14 @@ _LEVEL = re.compile(r"(?:^|,)\s*(radiance|reflectance)\s*(?=$|[\],\[])", re.IGNO
 def find_pair(path: str | os.PathLike[str]) -> tuple[Path, Path]:
     """Find the header and the data file that belong together.
 
-    Parameters
-    ----------
-    path
-        Either of the two. A header ``raw_0.hdr`` goes with ``raw_0``, or with that name and one of the
-        suffixes .img .dat .raw .bil .bip .bsq .sli; a data file goes with its name and ``.hdr``, with its own
-        suffix or without.
+    ``path``: either of the two. A header ``raw_0.hdr`` goes with ``raw_0``, or with that name and one of the
+    suffixes .img .dat .raw .bil .bip .bsq .sli; a data file goes with its name and ``.hdr``, with its own
+    suffix or without.
 
-    Returns
-    -------
-    header, data
-        Paths as they were spelled.
+    Returns header, data: Paths as they were spelled.
 
-    Raises
-    ------
-    FormatError
-        The other file is missing, or could be one of several.
-    FileNotFoundError
-        There is no such file.
+    Raises `FormatError`: The other file is missing, or could be one of several. Raises `FileNotFoundError`:
+    There is no such file.
     """
     path = Path(path)
     if not path.is_file():

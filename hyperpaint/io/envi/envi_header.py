@@ -57,96 +57,50 @@ _NAMED_WAVELENGTH = re.compile(
 
 @dataclass(frozen=True)
 class MapInfo:
-    """Where pixels lie on a map.
+    """Where pixels lie on a map."""
 
-    Attributes
-    ----------
-    projection
-        Name of the projection, as written.
-    reference_pixel
-        Column and row of the reference, counted from 1; (1, 1) is the outer upper-left corner of the first
-        pixel.
-    reference
-        Map coordinates x, y of the reference.
-    pixel_size
-        Width and height of a pixel, both positive [map units].
-    details
-        Zone, hemisphere and datum, as written.
-    units
-        Map units as written; empty where the header does not say.
-    rotation
-        Angle of the grid [degree], as written.
-    """
-
-    projection: str
+    projection: str  # Name of the projection, as written
+    # Column and row of the reference, counted from 1; (1, 1) is the outer upper-left corner of the first
+    # pixel
     reference_pixel: tuple[float, float]
-    reference: tuple[float, float]
-    pixel_size: tuple[float, float]
-    details: tuple[str, ...] = ()
-    units: str = ""
-    rotation: float = 0.0
+    reference: tuple[float, float]  # Map coordinates x, y of the reference
+    pixel_size: tuple[float, float]  # Width and height of a pixel, both positive [map units]
+    details: tuple[str, ...] = ()  # Zone, hemisphere and datum, as written
+    units: str = ""  # Map units as written; empty where the header does not say
+    rotation: float = 0.0  # Angle of the grid [degree], as written
 
 
 @dataclass(frozen=True, eq=False)
 class EnviHeader:
-    """What an ENVI header says.
+    """What an ENVI header says."""
 
-    Attributes
-    ----------
-    lines, samples, bands
-        Size of the cube: along track, across track, spectral.
-    header_offset
-        Bytes before the first sample of the data file.
-    dtype
-        Type of a stored sample, byte order included.
-    interleave
-        ``bil`` (line, band, sample), ``bip`` (line, sample, band) or ``bsq`` (band, line, sample).
-    wavelength, fwhm
-        Of each band [nm], in the order of the file, which need not be monotonic; None where unknown.
-    good
-        False for bands the header marks as bad; None where it has no bad band list.
-    band_names
-        As written; empty where absent.
-    data_ignore_value
-        Stored value that means "no data".
-    reflectance_scale_factor
-        Stored value of a reflectance of one.
-    data_gain_values, data_offset_values
-        Per band: physical = stored * gain + offset.
-    map_info
-        None for cubes in sensor geometry.
-    description
-        As written, without braces.
-    fields
-        Every key (lower case) and its raw text, in the order of the file, braces included.
-    comments
-        ``;key = value`` lines, in the order of the file.
-    notes
-        What was inferred or looked odd.
-    warnings
-        Those of the notes that may make values or wavelengths wrong.
-    """
-
+    # lines, samples, bands: Size of the cube: along track, across track, spectral
     lines: int
     samples: int
     bands: int
-    header_offset: int
-    dtype: np.dtype[Any]
+    header_offset: int  # Bytes before the first sample of the data file
+    dtype: np.dtype[Any]  # Type of a stored sample, byte order included
+    # ``bil`` (line, band, sample), ``bip`` (line, sample, band) or ``bsq`` (band, line, sample)
     interleave: str
+    # wavelength, fwhm: Of each band [nm], in the order of the file, which need not be monotonic; None where
+    # unknown
     wavelength: Floats | None = None
     fwhm: Floats | None = None
+    # False for bands the header marks as bad; None where it has no bad band list
     good: npt.NDArray[np.bool_] | None = None
-    band_names: tuple[str, ...] = ()
-    data_ignore_value: int | float | None = None
-    reflectance_scale_factor: float | None = None
+    band_names: tuple[str, ...] = ()  # As written; empty where absent
+    data_ignore_value: int | float | None = None  # Stored value that means "no data"
+    reflectance_scale_factor: float | None = None  # Stored value of a reflectance of one
+    # data_gain_values, data_offset_values: Per band: physical = stored * gain + offset
     data_gain_values: Floats | None = None
     data_offset_values: Floats | None = None
-    map_info: MapInfo | None = None
-    description: str = ""
+    map_info: MapInfo | None = None  # None for cubes in sensor geometry
+    description: str = ""  # As written, without braces
+    # Every key (lower case) and its raw text, in the order of the file, braces included
     fields: dict[str, str] = field(default_factory=dict)
-    comments: dict[str, str] = field(default_factory=dict)
-    notes: tuple[str, ...] = ()
-    warnings: tuple[str, ...] = ()
+    comments: dict[str, str] = field(default_factory=dict)  # ``;key = value`` lines, in the order of the file
+    notes: tuple[str, ...] = ()  # What was inferred or looked odd
+    warnings: tuple[str, ...] = ()  # Those of the notes that may make values or wavelengths wrong
 
     @property
     def line_bytes(self) -> int:
@@ -167,19 +121,10 @@ class EnviHeader:
 def read_header(path: str | os.PathLike[str], limit: int = MAX_HEADER_BYTES) -> EnviHeader:
     """Read an ENVI header file.
 
-    Parameters
-    ----------
-    path
-        The ``.hdr`` file.
-    limit
-        Most bytes that it may have.
+    ``path``: the ``.hdr`` file; ``limit``: most bytes that it may have.
 
-    Raises
-    ------
-    FormatError
-        The file is not an ENVI header, is over the limit, or contradicts itself; all problems are listed.
-    OSError
-        The file cannot be read.
+    Raises `FormatError`: The file is not an ENVI header, is over the limit, or contradicts itself; all
+    problems are listed. Raises `OSError`: The file cannot be read.
     """
     with open(path, "rb") as file:
         # read() sets aside all it is allowed to read
@@ -197,17 +142,9 @@ def read_header(path: str | os.PathLike[str], limit: int = MAX_HEADER_BYTES) -> 
 def parse_header(text: str, name: str = "ENVI header") -> EnviHeader:
     """Read the text of an ENVI header.
 
-    Parameters
-    ----------
-    text
-        Text from the line ``ENVI`` on.
-    name
-        What messages call it.
+    ``text``: text from the line ``ENVI`` on; ``name``: what messages call it.
 
-    Raises
-    ------
-    FormatError
-        The text is not an ENVI header or contradicts itself; all problems are listed.
+    Raises `FormatError`: The text is not an ENVI header or contradicts itself; all problems are listed.
 
     Examples
     --------

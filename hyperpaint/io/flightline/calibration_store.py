@@ -1,4 +1,4 @@
-"""Calibration stores (`radiance_gain` and the spectral axis of an imager) and the lab sweeps they follow from."""
+"""Calibration stores (`radiance_gain` and spectral axis of an imager), and the lab sweeps behind them."""
 
 from __future__ import annotations
 
@@ -154,22 +154,11 @@ def _load_store(path: Path, group: str | None) -> xr.Dataset:
 def check_calibration(dataset: xr.Dataset, subject: str = "this Dataset") -> xr.Dataset:
     """Return a calibration in the units, dims and dtypes of the table, or say all that is wrong with it.
 
-    Parameters
-    ----------
-    dataset
-        See `open_calibration`.
-    subject
-        Names it in messages.
+    ``dataset``: see `open_calibration`; ``subject``: names it in messages.
 
-    Raises
-    ------
-    SchemaError
-        Variables, units or values are missing or impossible; all problems are listed.
+    Raises `SchemaError`: Variables, units or values are missing or impossible; all problems are listed.
 
-    Warns
-    -----
-    PaintWarning
-        The line shape is not given, and taken to be Gaussian.
+    Warns `PaintWarning`: The line shape is not given, and taken to be Gaussian.
     """
     import xarray as xr
 

@@ -42,27 +42,14 @@ _ELEMENT = (BAND, CROSS_TRACK)
 
 @dataclass(frozen=True)
 class Dark:
-    """Dark counts of a flight line.
+    """Dark counts of a flight line."""
 
-    Attributes
-    ----------
-    counts
-        ``dark_counts`` ([dark_time,] band, cross_track) float32, [count].
-    exposures
-        Seconds of each reference, None where unknown.
-    read_noise
-        Spread over the lines (band, cross_track) less that of rounding, or None where there are too few.
-    uncertainty
-        Of the mean, from that spread (band, cross_track), or None.
-    source
-        Says where they come from.
-    """
-
-    counts: xr.DataArray
-    exposures: tuple[float | None, ...]
+    counts: xr.DataArray  # ``dark_counts`` ([dark_time,] band, cross_track) float32, [count]
+    exposures: tuple[float | None, ...]  # Seconds of each reference, None where unknown
+    # Spread over the lines (band, cross_track) less that of rounding, or None where there are too few
     read_noise: xr.DataArray | None
-    source: str
-    uncertainty: xr.DataArray | None = None
+    source: str  # Says where they come from
+    uncertainty: xr.DataArray | None = None  # Of the mean, from that spread (band, cross_track), or None
 
     def variables(self, *, needs_noise: bool) -> dict[str, xr.DataArray]:
         """Return the variables that a flight line keeps."""
@@ -97,31 +84,16 @@ def open_dark(
 ) -> Dark | None:
     """Open the dark references of a line.
 
-    Parameters
-    ----------
-    source
-        Path or Dataset of a dark cube, or several; a Dataset with ``dark_counts``; ``"none"`` or
-        ``"calibration"``.
-    timing
-        Clock settings of the flight, which hold for ``frameIndex_<N>.txt`` and ``imu_gps.txt`` beside a dark
-        cube.
-    calibration
-        Of the camera, or None where it failed to open.
-    cube
-        The line's counts, or None where they failed to open.
+    ``source``: path or Dataset of a dark cube, or several; a Dataset with ``dark_counts``; ``"none"`` or
+    ``"calibration"``; ``timing``: clock settings of the flight, which hold for ``frameIndex_<N>.txt`` and
+    ``imu_gps.txt`` beside a dark cube; ``calibration``: of the camera, or None where it failed to open;
+    ``cube``: the line's counts, or None where they failed to open.
 
-    Returns
-    -------
-    Dark or None
-        Several references whose times are known are kept along ``dark_time``; otherwise they are averaged.
-        None where what it depends on failed to open.
+    Returns Dark or None: Several references whose times are known are kept along ``dark_time``; otherwise
+    they are averaged. None where what it depends on failed to open.
 
-    Raises
-    ------
-    SchemaError
-        No dark was named, or one does not fit the cube.
-    FormatError
-        A file is not a cube of raw counts.
+    Raises `SchemaError`: No dark was named, or one does not fit the cube. Raises `FormatError`: A file is not
+    a cube of raw counts.
     """
     import xarray as xr
 

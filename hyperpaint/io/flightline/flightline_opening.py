@@ -346,10 +346,7 @@ def _scale_attrs(calibration: xr.Dataset | None) -> dict[str, Any]:
 def _navigation_attrs(declared: Mapping[str, Any], timing: Timing) -> dict[str, Any]:
     """Return what the poses of a line mean, and what of that nobody has declared.
 
-    Raises
-    ------
-    SchemaError
-        A declaration that does not exist.
+    Raises `SchemaError`: A declaration that does not exist.
     """
     declarable = {each.name for each in fields(Convention)} - {"angle_unit", "stamp_reference"}
     if not set(declared) <= declarable:

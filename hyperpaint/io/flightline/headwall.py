@@ -60,10 +60,7 @@ _CUBE_NUMBER = re.compile(r"raw_(\d{1,12})", re.IGNORECASE)
 def read_text(path: Path, limit: int = _MAX_SETTINGS) -> str:
     """Return the text of a side file, its line ends made those of Unix.
 
-    Raises
-    ------
-    FormatError
-        The file cannot be read, is larger than ``limit`` bytes, or is binary.
+    Raises `FormatError`: The file cannot be read, is larger than ``limit`` bytes, or is binary.
     """
     data = read_limited_text(path, limit, "a text file")
     if b"\0" in data:
@@ -76,40 +73,21 @@ def read_text(path: Path, limit: int = _MAX_SETTINGS) -> str:
 
 @dataclass(frozen=True)
 class Table:
-    """A text table with one header line, its cells still text.
+    """A text table with one header line, its cells still text."""
 
-    Attributes
-    ----------
-    name
-        File name, for messages.
-    rows
-        Line number in the file of each row, the header being line 1.
-    columns
-        Column name in lower case to cells.
-    """
-
-    name: str
-    rows: NDArray[np.int64]
-    columns: Mapping[str, list[str]]
+    name: str  # File name, for messages
+    rows: NDArray[np.int64]  # Line number in the file of each row, the header being line 1
+    columns: Mapping[str, list[str]]  # Column name in lower case to cells
 
 
 def read_table(path: str | Path, what: str, *, needs: Sequence[str]) -> Table:
     """Read a tab-separated table by its header names.
 
-    Parameters
-    ----------
-    path
-        The file; blank lines are skipped.
-    what
-        Names the kind of file in messages.
-    needs
-        Columns, in lower case, without which it is another kind of file.
+    ``path``: the file; blank lines are skipped; ``what``: names the kind of file in messages; ``needs``:
+    columns, in lower case, without which it is another kind of file.
 
-    Raises
-    ------
-    FormatError
-        Unreadable, binary, without its header line or a needed column, without rows, or with rows of another
-        number of cells than the header.
+    Raises `FormatError`: Unreadable, binary, without its header line or a needed column, without rows, or
+    with rows of another number of cells than the header.
     """
     path = Path(path)
     lines = read_text(path, _MAX_TABLE).split("\n")
@@ -154,10 +132,7 @@ def name_rows(rows: Sequence[int] | NDArray[np.int64]) -> str:
 def to_integers(table: Table, name: str) -> NDArray[np.int64]:
     """Return a column of whole numbers.
 
-    Raises
-    ------
-    FormatError
-        Cells are not whole numbers; their lines are named.
+    Raises `FormatError`: Cells are not whole numbers; their lines are named.
     """
     cells = [cell.strip() for cell in table.columns[name]]
     # the common case at a tenth of the time: digits only, none empty, none too long for int64
@@ -175,10 +150,7 @@ def to_integers(table: Table, name: str) -> NDArray[np.int64]:
 def read_settings(path: str | Path) -> dict[str, str]:
     """Read ``settings.txt``: every ``key = value`` line, blanks around both removed.
 
-    Raises
-    ------
-    FormatError
-        Unreadable, binary or too large.
+    Raises `FormatError`: Unreadable, binary or too large.
     """
     pairs = (line.partition("=") for line in read_text(Path(path)).split("\n"))
     return {key.strip(): value.strip() for key, sign, value in pairs if sign and key.strip()}
@@ -196,17 +168,9 @@ def find_settings(cube: Path) -> Path | None:
 def exposure_seconds(pairs: Mapping[str, str], source: str) -> float | None:
     """Return the exposure [s] that ``Exposure (ms)`` or a like key states, None where there is none.
 
-    Parameters
-    ----------
-    pairs
-        From `read_settings`, or the comment lines of a header.
-    source
-        Names them in messages.
+    ``pairs``: from `read_settings`, or the comment lines of a header; ``source``: names them in messages.
 
-    Raises
-    ------
-    FormatError
-        The value is not a positive number, or the keys contradict each other.
+    Raises `FormatError`: The value is not a positive number, or the keys contradict each other.
 
     Examples
     --------
@@ -238,28 +202,15 @@ def exposure_seconds(pairs: Mapping[str, str], source: str) -> float | None:
 
 @dataclass(frozen=True)
 class FrameIndex:
-    """Frame numbers and time stamps of recorded lines.
+    """Frame numbers and time stamps of recorded lines."""
 
-    Attributes
-    ----------
-    name
-        File name, for messages.
-    frame
-        Absolute frame numbers, strictly increasing, (row,).
-    stamp
-        Microseconds of the clock, strictly increasing, (row,).
-    clock
-        ``"instrument"``: the clock of ``Timestamp`` in ``imu_gps.txt``; ``"time of day"``: since midnight of
-        the first row's day on the recording computer.
-    fitted
-        The file holds whole seconds, the stamps are the straight line through them.
-    """
-
-    name: str
-    frame: NDArray[np.int64]
-    stamp: NDArray[np.int64]
+    name: str  # File name, for messages
+    frame: NDArray[np.int64]  # Absolute frame numbers, strictly increasing, (row,)
+    stamp: NDArray[np.int64]  # Microseconds of the clock, strictly increasing, (row,)
+    # ``"instrument"``: the clock of ``Timestamp`` in ``imu_gps.txt``; ``"time of day"``: since midnight of
+    # the first row's day on the recording computer
     clock: Literal["instrument", "time of day"]
-    fitted: bool = False
+    fitted: bool = False  # The file holds whole seconds, the stamps are the straight line through them
 
 
 def read_frame_index(path: str | Path) -> FrameIndex:
@@ -269,12 +220,8 @@ def read_frame_index(path: str | Path) -> FrameIndex:
     recording computer; or ``HH:MM:SS``: whole seconds, through which a straight line over the frame numbers
     is laid, since a pushbroom records at a steady rate.
 
-    Raises
-    ------
-    FormatError
-        Not a frame index, or cells that are not what the header says.
-    TimeError
-        Stamps that repeat or run backwards, or whole seconds that no steady rate explains.
+    Raises `FormatError`: Not a frame index, or cells that are not what the header says. Raises `TimeError`:
+    Stamps that repeat or run backwards, or whole seconds that no steady rate explains.
     """
     table = read_table(path, "frame index", needs=["frame#"])
     name = next((name for name in ("timestamp", "time") if name in table.columns), None)
@@ -355,28 +302,13 @@ def match_frames(
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Tell which frame each line of a cube is.
 
-    Parameters
-    ----------
-    index
-        Frame index of the cube, or of the whole flight.
-    lines
-        Lines of the cube.
-    cube
-        Its path: ``raw_<N>`` and its neighbours tell the cube's part of a whole flight's index.
-    shortened
-        The file was cut short and only its whole lines are kept: it may hold fewer lines than rows.
+    ``index``: frame index of the cube, or of the whole flight; ``lines``: lines of the cube; ``cube``: its
+    path: ``raw_<N>`` and its neighbours tell the cube's part of a whole flight's index; ``shortened``: the
+    file was cut short and only its whole lines are kept: it may hold fewer lines than rows.
 
-    Returns
-    -------
-    frame : (along_track,) int64
-        Frame numbers.
-    row : (along_track,) int64
-        Row of the index, -1 where the frame was dropped.
+    Returns frame numbers (along_track,), and rows of the index (along_track,), -1 where the frame was dropped.
 
-    Raises
-    ------
-    FormatError
-        The lines fit the index neither by row nor by number.
+    Raises `FormatError`: The lines fit the index neither by row nor by number.
     """
     first, last, rows = int(index.frame[0]), int(index.frame[-1]), len(index.frame)
     # start and length in rows, first frame and one past the last: of the index, then of the cube's part in it
@@ -408,18 +340,11 @@ def match_frames(
 
 @dataclass(frozen=True)
 class DarkFrames:
-    """Exact sums over the lines of one dark cube.
+    """Exact sums over the lines of one dark cube."""
 
-    Attributes
-    ----------
-    lines
-        Number of lines.
-    total, squares
-        Sum of the counts and of their squares, (band, cross_track); whole numbers, so that no bit depends
-        on the order of addition.
-    """
-
-    lines: int
+    lines: int  # Number of lines
+    # total, squares: Sum of the counts and of their squares, (band, cross_track); whole numbers, so that no
+    # bit depends on the order of addition
     total: NDArray[np.uint64]
     squares: NDArray[np.uint64]
 
@@ -438,17 +363,10 @@ class DarkFrames:
 def sum_dark(counts: xr.DataArray, subject: str) -> DarkFrames:
     """Add up the lines of a dark cube, a slab at a time.
 
-    Parameters
-    ----------
-    counts
-        Raw counts, (along_track, band, cross_track), lazily indexed.
-    subject
-        Names the cube in messages.
+    ``counts``: raw counts, (along_track, band, cross_track), lazily indexed; ``subject``: names the cube in
+    messages.
 
-    Raises
-    ------
-    FormatError
-        It is not a cube of unsigned integers with at least one line.
+    Raises `FormatError`: It is not a cube of unsigned integers with at least one line.
     """
     problems = Problems(f"{subject} cannot serve as dark reference", FormatError)
     if counts.dims != CUBE:

@@ -54,46 +54,24 @@ class Timing:
 
 @dataclass(frozen=True)
 class LineTimes:
-    """Times and places of the lines of a cube.
+    """Times and places of the lines of a cube."""
 
-    Attributes
-    ----------
-    frame
-        Frame numbers, (along_track,).
-    recorded
-        False where the frame was dropped and the line is blank, (along_track,).
-    time
-        UTC at mid exposure, NaT where unknown, (along_track,).
-    place
-        ``latitude`` ... ``heading`` to (along_track,) float64; empty without navigation.
-    dropped
-        Number of frames missing between the first and the last, blank lines included.
-    source
-        Says where the times come from.
-    """
-
-    frame: NDArray[np.int64]
-    recorded: NDArray[np.bool_]
-    time: NDArray[np.datetime64]
+    frame: NDArray[np.int64]  # Frame numbers, (along_track,)
+    recorded: NDArray[np.bool_]  # False where the frame was dropped and the line is blank, (along_track,)
+    time: NDArray[np.datetime64]  # UTC at mid exposure, NaT where unknown, (along_track,)
+    # ``latitude`` ... ``heading`` to (along_track,) float64; empty without navigation.
     place: Mapping[str, NDArray[np.float64]] = field(repr=False)
-    dropped: int
-    source: str
+    dropped: int  # Number of frames missing between the first and the last, blank lines included
+    source: str  # Says where the times come from
 
 
 def utc_of(value: Any, what: str) -> np.datetime64:
     """Return an instant as datetime64[ns] UTC.
 
-    Parameters
-    ----------
-    value
-        ISO text or a datetime, both with a zone, or a numpy.datetime64, which is UTC.
-    what
-        Names it in messages.
+    ``value``: ISO text or a datetime, both with a zone, or a numpy.datetime64, which is UTC; ``what``: names
+    it in messages.
 
-    Raises
-    ------
-    TimeError
-        Unreadable, or without a zone.
+    Raises `TimeError`: Unreadable, or without a zone.
 
     Examples
     --------
@@ -135,31 +113,15 @@ def line_times(
     that hold both this clock and UTC, linearly and in int64; nothing is extrapolated. From what the stamp
     marks, half an exposure leads to mid exposure.
 
-    Parameters
-    ----------
-    cube
-        Path of the cube; ``raw_<N>`` names its first frame.
-    lines
-        Its number of lines.
-    timing
-        The sources.
-    exposure_time
-        Seconds, scalar or (along_track,).
-    shortened
-        The cube was cut short, and its frame index may hold more rows than it has lines.
+    ``cube``: path of the cube; ``raw_<N>`` names its first frame; ``lines``: its number of lines; ``timing``:
+    the sources; ``exposure_time``: seconds, scalar or (along_track,); ``shortened``: the cube was cut short,
+    and its frame index may hold more rows than it has lines.
 
-    Raises
-    ------
-    FormatError
-        A side file is damaged, or the frame index does not fit the cube.
-    TimeError
-        Sources are missing or contradict each other, or no line falls inside the navigation record.
+    Raises `FormatError`: A side file is damaged, or the frame index does not fit the cube. Raises
+    `TimeError`: Sources are missing or contradict each other, or no line falls inside the navigation record.
 
-    Warns
-    -----
-    PaintWarning
-        Lines outside the navigation record; a frame period or exposure that the stamps contradict; stamps of
-        whole seconds.
+    Warns `PaintWarning`: Lines outside the navigation record; a frame period or exposure that the stamps
+    contradict; stamps of whole seconds.
     """
     _check(timing)
     index = read_frame_index(timing.frame_index) if timing.frame_index is not None else None

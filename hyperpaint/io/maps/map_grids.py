@@ -17,9 +17,9 @@ if TYPE_CHECKING:
     from numpy.typing import ArrayLike
 
 __all__ = [
-    "Grid",
     "RGB_WAVELENGTHS",
     "SPATIAL_REF",
+    "Grid",
     "envi_map_info",
     "grid_of",
     "nearest_bands",
@@ -37,10 +37,7 @@ _GEOMETRIES = ({ALONG_TRACK, CROSS_TRACK}, {"y", "x"})
 def product_of(dataset: xr.Dataset, variable: str | None) -> xr.DataArray:
     """Return the variable to be written: the one named, else the first product there is.
 
-    Raises
-    ------
-    SchemaError
-        There is none, or its dims are not those of a cube or of a plane.
+    Raises `SchemaError`: There is none, or its dims are not those of a cube or of a plane.
     """
     name = variable or next((name for name in _PRODUCTS if name in dataset.data_vars), None)
     if name is None or name not in dataset.variables:
@@ -94,18 +91,10 @@ _ROUNDING = 1e-9
 
 @dataclass(frozen=True)
 class Grid:
-    """An affine grid: x = a + b column + c row, y = d + e column + f row, at the outer corners of pixels.
+    """An affine grid: x = a + b column + c row, y = d + e column + f row, at the outer corners of pixels."""
 
-    Attributes
-    ----------
-    transform
-        a, b, c, d, e, f: GDAL's order [map units].
-    wkt
-        The reference system; None where it is not known.
-    """
-
-    transform: Transform
-    wkt: str | None
+    transform: Transform  # a, b, c, d, e, f: GDAL's order [map units]
+    wkt: str | None  # The reference system; None where it is not known
 
     @property
     def mirrored(self) -> bool:
@@ -127,11 +116,8 @@ def grid_of(dataset: xr.Dataset) -> Grid | None:
     of a single row or column, and how a grid along the flight lies, in which they are distances from the
     corner of its first cell).
 
-    Raises
-    ------
-    SchemaError
-        ``GeoTransform`` is not six finite numbers; ``x`` and ``y`` are not evenly spaced; or the grid is
-        turned and they are not distances along it.
+    Raises `SchemaError`: ``GeoTransform`` is not six finite numbers; ``x`` and ``y`` are not evenly spaced;
+    or the grid is turned and they are not distances along it.
     """
     attrs = dataset[SPATIAL_REF].attrs if SPATIAL_REF in dataset.variables else {}
     reference_system = attrs.get("crs_wkt") or attrs.get("spatial_ref")
@@ -235,12 +221,8 @@ def envi_map_info(grid: Grid) -> dict[str, str]:
     ENVI writes an angle: a column steps along (cos r, sin r), a row along (sin r, -cos r), r = ``rotation``
     as GDAL reads it.
 
-    Raises
-    ------
-    SchemaError
-        The grid is sheared, mirrored, or turned with pixels that are not square.
-    MissingExtraError
-        There is a reference system, and pyproj is not installed.
+    Raises `SchemaError`: The grid is sheared, mirrored, or turned with pixels that are not square. Raises
+    `MissingExtraError`: There is a reference system, and pyproj is not installed.
     """
     a, b, c, d, e, f = grid.transform
     width, height = math.hypot(b, e), math.hypot(c, f)

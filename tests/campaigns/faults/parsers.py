@@ -160,12 +160,6 @@ def _emissivity(path: Path) -> None:
     open_emissivity(path)
 
 
-def _two_columns(path: Path) -> None:
-    from hyperpaint.io.dirsig import read_reflectance_text
-
-    read_reflectance_text(path)
-
-
 def _materials(path: Path) -> None:
     from hyperpaint.io.dirsig import read_materials
 
@@ -215,7 +209,6 @@ PARSERS: Mapping[str, Parser] = {
     "gps-time": Parser(_gps_time, (FormatError, TimeError), ("gps_time.txt",)),
     "collect-toml": Parser(_collect, (CollectError,), ("collect.toml",)),
     "dirsig-ems": Parser(_emissivity, (FormatError,), ("paint.ems",), ("dirsig/emissivity/*.ems",)),
-    "dirsig-txt": Parser(_two_columns, (FormatError,), ("paint.txt",)),
     "dirsig-mat": Parser(_materials, (FormatError,), ("paints.mat",), ("dirsig/*.mat",)),
     "library-envi": Parser(_library, (FormatError,), ("library/paints.hdr",), ("envi_sli/*.hdr",)),
     "library-metadata": Parser(

@@ -16,7 +16,7 @@ from support.dirsig_exports import BANDS, NM, files, library, strict_ems
 
 import hyperpaint as hp
 from hyperpaint.base.errors import PaintWarning, SchemaError
-from hyperpaint.io.dirsig import open_emissivity, read_emissivity, read_materials, read_reflectance_text
+from hyperpaint.io.dirsig import open_emissivity, read_emissivity, read_materials
 
 
 def test_every_member_is_a_curve(tmp_path: Path) -> None:
@@ -31,7 +31,7 @@ def test_every_member_is_a_curve(tmp_path: Path) -> None:
         np.testing.assert_allclose(micrometres, NM / 1000, atol=5.1e-8)
         members = paints.member_reflectance.values[number].astype(float)
         np.testing.assert_allclose(emissivity, 1 - members, atol=5.1e-7)
-        wavelength, centre = read_reflectance_text(tmp_path / "out" / f"reflectance/paint_{number}.txt")
+        wavelength, centre = np.loadtxt(tmp_path / "out" / f"reflectance/paint_{number}.txt").T
         np.testing.assert_array_equal(wavelength, micrometres)
         np.testing.assert_allclose(centre, paints.reflectance.values[number], atol=5.1e-7)
     assert made.curves.values.tolist() == [5, 5, 5]
@@ -286,7 +286,7 @@ def test_holes_of_the_centre_are_no_less_refused(tmp_path: Path) -> None:
     made = hp.write_dirsig(paints, tmp_path / "out", gaps="interpolate")
     assert made.centre_interpolated.values.tolist() == [0, 2, 0]
     assert made.interpolated.values.tolist() == [0, 0, 0]
-    _, centre = read_reflectance_text(tmp_path / "out/reflectance/paint_1.txt")
+    _, centre = np.loadtxt(tmp_path / "out/reflectance/paint_1.txt").T
     own = paints.reflectance.values[1].astype(float)
     np.testing.assert_allclose(centre[3:5], own[2] + (own[5] - own[2]) * np.array([1, 2]) / 3, atol=6e-7)
     row = (tmp_path / "out/README.txt").read_text().split("paint_1 ")[1].splitlines()[0]

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings, strategies as st
 
 from hyperpaint.base.errors import FormatError, SchemaError
-from hyperpaint.io.dirsig import open_emissivity, read_emissivity, read_reflectance_text
+from hyperpaint.io.dirsig import open_emissivity, read_emissivity
 from hyperpaint.io.dirsig.emissivity_files import ColumnText, emissivity_head
 
 NEW = [
@@ -164,18 +164,6 @@ def test_what_is_no_such_file_is_refused(data: bytes, tmp_path: Path) -> None:
         read_emissivity(path)
     with pytest.raises(FormatError, match="cannot be read"):
         read_emissivity(tmp_path / "missing.ems")
-
-
-def test_two_columns(tmp_path: Path) -> None:
-    path = tmp_path / "r.txt"
-    path.write_bytes(b"0.4 0.1\r\n0.5\t.25\r\n")
-    wavelength, reflectance = read_reflectance_text(path)
-    assert (wavelength.tolist(), reflectance.tolist()) == ([0.4, 0.5], [0.1, 0.25])
-    for text, said in ((b"", "without rows"), (b"0.5 1\n0.4 1\n", "ascend"), (b"0.5 10", "percent"),
-                       (b"400 1", "nanometres"), (b"0.4 0.1 0.1", "line 1")):  # fmt: skip
-        path.write_bytes(text)
-        with pytest.raises(FormatError, match=said):
-            read_reflectance_text(path)
 
 
 # --- text --------------------------------------------------------------------------------------------------
