@@ -12,8 +12,8 @@ from typing import Any, Literal
 import numpy.typing as npt
 import xarray as xr
 
-from hyperpaint.alignment.oxygen import Progress
 from hyperpaint.alignment.least_squares import Window
+from hyperpaint.alignment.oxygen import Progress
 from hyperpaint.base.attitude_conventions import Convention
 from hyperpaint.base.schema import Quality
 from hyperpaint.geometry.georeference.cameras import PinholeCamera

@@ -186,7 +186,7 @@ class Axis:
 def blocks_of(library: xr.Dataset, choices: Choices) -> Iterator[tuple[slice, dict[str, Array]]]:
     """Yield a library's values block by block of paints, so that memory does not grow with it.
 
-    Yields the paints of the block, and ``centre`` (paint, band) and ``curves`` (paint, curve, band) [1], in the
+    Yields the paints of the block; ``centre`` (paint, band) and ``curves`` (paint, curve, band) [1], in the
     library's own order of bands.
     """
     name = CURVES[choices.curves]

@@ -306,7 +306,7 @@ def match_frames(
     path: ``raw_<N>`` and its neighbours tell the cube's part of a whole flight's index; ``shortened``: the
     file was cut short and only its whole lines are kept: it may hold fewer lines than rows.
 
-    Returns frame numbers (along_track,), and rows of the index (along_track,), -1 where the frame was dropped.
+    Returns frame numbers (along_track,), and rows of the index (along_track,), -1 for a dropped frame.
 
     Raises `FormatError`: The lines fit the index neither by row nor by number.
     """
