@@ -118,7 +118,7 @@ def align_to_irradiance(
     ------
     SchemaError, UnitsError, TimeError
         Variables are missing; the window holds too few bands, or the irradiance record does not cover it or
-        no line of the flight; options that cannot be. All problems of a kind are listed.
+        no line of the flight; options are out of range. All problems of a kind are listed.
 
     Notes
     -----

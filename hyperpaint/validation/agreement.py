@@ -10,7 +10,7 @@ import numpy.typing as npt
 from hyperpaint.base.arrays import Floats
 from hyperpaint.light.responses import Responses, matching_operator
 
-from .measured import Measured
+from .measured_spectra import Measured
 
 __all__ = ["STATISTICS", "Operator", "bands_of", "operator_onto", "statistics_of", "uncertainty_of"]
 

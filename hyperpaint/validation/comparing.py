@@ -15,7 +15,7 @@ from hyperpaint.base.errors import Problems, SchemaError
 from hyperpaint.base.schema import BAND
 
 from .agreement import Operator, bands_of, operator_onto
-from .measured import Measured
+from .measured_spectra import Measured
 from .validation_result import MEANINGS
 
 if TYPE_CHECKING:

@@ -16,7 +16,7 @@ from hyperpaint.base.mirrored_light import mirror_reflection
 from hyperpaint.base.schema import BAND, LIBRARY_VARIABLES, PAINT
 from hyperpaint.base.units import convert
 
-from .measured import Measured, names_of_paint, names_of_spectrum
+from .measured_spectra import Measured, names_of_paint, names_of_spectrum
 
 if TYPE_CHECKING:
     import xarray as xr

@@ -15,7 +15,7 @@ from hyperpaint.base.errors import PaintWarning, Problems, SchemaError
 from .agreement import STATISTICS, statistics_of, uncertainty_of
 from .comparing import Compared, compare, paired
 from .dataset_spectra import references_from, signatures_from
-from .measured import scaled_by_panel
+from .measured_spectra import scaled_by_panel
 from .validation_result import MEANINGS, Validation
 
 if TYPE_CHECKING:

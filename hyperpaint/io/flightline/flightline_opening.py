@@ -89,7 +89,7 @@ def open_flightline(
         See `open_calibration`. Its wavelengths win over those of the header.
     irradiance
         From `open_irradiance`, or paths for it. Kept: the line +- 60 s, and at least the bracketing samples.
-        Without it the line cannot become reflectance.
+        Without it no reflectance can be computed.
     exposure_time
         Seconds, scalar or (along_track,); by default from ``settings.txt`` beside the cube, then from the
         header's comment lines. Where they disagree the argument wins.
