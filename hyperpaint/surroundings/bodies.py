@@ -9,19 +9,12 @@ import numpy.typing as npt
 
 from hyperpaint.base.arrays import Floats, Ints
 
-from .full_light import AS_GLINT, GLINT_TOLERANCE, Light, Matches, unmix_spectra
+from .full_light import AS_GLINT, Light, Matches, unmix_spectra
 from .model import CELL, LIT
+from .rules import BODIES, GLINT
 from .segments import Touching, beyond, distinct_pairs
 
-__all__ = ["TILT", "Paints", "clean_references", "coloured", "nearest_coloured", "same_paints"]
-
-
-RANKS = 4
-"""Neighbours of a cell that are kept; one or two of them may be its own body."""
-_COLOUR = 0.04
-"""How coloured a segment is whose light is looked for, see `coloured` [1]."""
-_LEAST_PIXELS = 40
-"""Pixels that it has, at least."""
+__all__ = ["Paints", "clean_references", "coloured", "nearest_coloured", "same_paints"]
 
 
 def coloured(spectrum: Floats, light: Light) -> npt.NDArray[np.float64]:
@@ -65,11 +58,15 @@ def nearest_coloured(
     """
     from hyperpaint.kernels.segmentation import nearest_sources
 
-    sends = (coloured(spectrum, light) > _COLOUR) & (matches.state == LIT) & (size >= _LEAST_PIXELS)
+    sends = (
+        (coloured(spectrum, light) > BODIES.min_sender_colour)
+        & (matches.state == LIT)
+        & (size >= BODIES.min_sender_px)
+    )
     centre = number[CELL // 2 :: CELL, CELL // 2 :: CELL]
     cells = tuple(-(-length // CELL) for length in number.shape)
-    labels = np.full((*cells, RANKS), -1, np.int32)
-    distances = np.full((*cells, RANKS), np.inf)
+    labels = np.full((*cells, BODIES.neighbours_of_cell), -1, np.int32)
+    distances = np.full((*cells, BODIES.neighbours_of_cell), np.inf)
     sources: Any = np.where(np.append(sends, False)[centre], centre, -1)
     labels[: centre.shape[0], : centre.shape[1], 0] = sources
     distances[..., 0] = np.where(labels[..., 0] >= 0, 0.0, np.inf)
@@ -77,40 +74,8 @@ def nearest_coloured(
     return labels
 
 
-TILT = 0.1
-"""Spread of the amount of direct light within a body: how far its parts lean."""
-_GLINT_TILT = 0.03
-"""The same where all that differs by more is known to be glint."""
-_BRIGHT = 0.1
-"""Reflectance from which tilt looks like glint above the usual threshold."""
-_GREY = 0.08
-"""Colour, relative to brightness, below which a mirrored sun cannot be told from more of the sun's light."""
-_COLOURED = 0.1
-"""Colour from which paints are told apart by it."""
-_FEW, _LEAST = 50, 5
-"""Pixels of a body that is looked at, and of those that its reference is the mean of, at least."""
-_DIFFERS = 0.003
-"""By how much half of the pixels differ in what is added to them, where it is no noise [1]."""
-_CLEAN, _CLEAN_GREY = (0.01, 0.1), (0.05, 0.35)
-"""Percentiles of what is added to pixels, between which a body is seen as it is."""
-_BEYOND_TILT = 1.3
-"""Brightness of glint, relative to what faces the sun, at least."""
-_MOSTLY = 1.08
-"""Brightness of half of a body, relative to its darkest parts, from which most of it is in glint."""
-_DARKEST, _USUAL, _BRIGHTEST = (0.02, 0.1), 0.15, 0.98
-"""Quantiles of a grey body's brightness: without glint, as it mostly is without, and in it."""
-_EVEN, _PLATEAU = 3.5, 0.02
-"""Brightness of half of a body, relative to its darkest parts, as beside a shadow; and how far its quantiles
-of `_CLEAN_GREY` are apart where most of it is without glint [1]."""
-_SKY = 0.8
-"""Light of the sky on a body's darkest parts, relative to its median, at least."""
-_SHARE = 0.1
-"""Size of another part of the same paint that shows it without glint, relative to the body, at least."""
-_OFFSET, _LIFT = 0.1, 0.05
-"""What is added before pixels are unmixed, so that amounts below 0 show: to every channel, and of each
-neighbour's reflectance [1]."""
 _BESIDE = 2 * [(0.0, 0.1), (0.0, 0.05)]
-_AS_PIXEL = np.transpose([(1.0, 0.2), (1.0, 0.3), (_OFFSET, 0.1), (_OFFSET, 0.02), *_BESIDE])
+_AS_PIXEL = np.transpose([(1.0, 0.2), (1.0, 0.3), (BODIES.offset, 0.1), (BODIES.offset, 0.02), *_BESIDE])
 """What amounts are expected in a pixel, and how far from it they may come to lie (2, part)."""
 
 
@@ -146,12 +111,12 @@ def same_paints(spectrum: Floats, size: Ints, pairs: Touching, matches: Matches,
 
     near = beyond(pairs, size)
     one, other = matches.body[near[0]].astype(np.int64), matches.body[near[1]].astype(np.int64)
-    paint = np.isfinite(spectrum).all(axis=1) & (_relative_colour(spectrum, light) > _COLOURED)
+    paint = np.isfinite(spectrum).all(axis=1) & (_relative_colour(spectrum, light) > BODIES.min_paint_colour)
     open_ = (one != other) & paint[one] & paint[other]
     one, other = distinct_pairs(one[open_], other[open_], size.size)
     finite_spectrum = np.nan_to_num(spectrum)
     _, misfit, _ = unmix_spectra(
-        finite_spectrum[one], other, finite_spectrum, light, GLINT_TOLERANCE, AS_GLINT
+        finite_spectrum[one], other, finite_spectrum, light, GLINT.tolerance, AS_GLINT
     )
     one, other = one[misfit < 1.0], other[misfit < 1.0]
     shape = size.size, size.size
@@ -193,31 +158,31 @@ def clean_references(
         Of the sun [degree]; NaN where not known.
     """
     finite_spectrum = np.nan_to_num(spectrum)
-    reference, tilt = finite_spectrum.copy(), np.full(len(spectrum), TILT)
+    reference, tilt = finite_spectrum.copy(), np.full(len(spectrum), BODIES.tilt)
     colour = _relative_colour(spectrum, light)
-    most = _BEYOND_TILT / max(np.cos(np.radians(np.nan_to_num(zenith, nan=60.0))), 0.2)
+    most = BODIES.min_glint_brightness / max(np.cos(np.radians(np.nan_to_num(zenith, nan=60.0))), 0.2)
     flat = channels.reshape(-1, channels.shape[2])
     for segment, here in enumerate(places):
         if matches.body[segment] != segment or not np.isfinite(spectrum[segment]).all():
             continue
         here = here[np.isfinite(flat[here]).all(axis=1)]
-        if here.size < _FEW:
+        if here.size < BODIES.min_body_px:
             continue
         values = flat[here].astype(np.float64)
-        grey = colour[segment] < _GREY
+        grey = colour[segment] < BODIES.max_grey_colour
         darkest = _darkest(values, light, most) if grey else None
         if darkest is not None:
             reference[segment] = darkest
             middle = np.median(values.mean(axis=1)) / darkest.mean()
-            if darkest.mean() > _BRIGHT and middle > _MOSTLY:
-                tilt[segment] = _GLINT_TILT
+            if darkest.mean() > BODIES.bright and middle > BODIES.min_mostly_glint:
+                tilt[segment] = BODIES.glint_tilt
             continue
         extra, direct = _additions(values, segment, finite_spectrum, light, neighbours[here])
         low, high = np.quantile(extra, [0.1, 0.5])
-        if high - low > _DIFFERS:
-            first, last = np.quantile(extra, _CLEAN_GREY if grey else _CLEAN)
+        if high - low > BODIES.min_difference:
+            first, last = np.quantile(extra, BODIES.clean_grey_quantiles if grey else BODIES.clean_quantiles)
             chosen = (extra >= first) & (extra <= last) & (direct > 0.7)
-            if chosen.sum() >= _LEAST:
+            if chosen.sum() >= BODIES.min_clean_px:
                 # as the body usually leans, which without glint need not be as those pixels do
                 usual = 1.0 if grey else np.median(direct) / np.median(direct[chosen])
                 reference[segment] = values[chosen].mean(axis=0) * usual
@@ -232,17 +197,19 @@ def _darkest(values: Floats, light: Light, most: float) -> Floats | None:
     beside a shadow; and as much of the sky is seen as elsewhere.
     """
     level = values @ light.direct / (light.direct @ light.direct)
-    first, last, usual, middle, high = np.quantile(level, [*_DARKEST, _USUAL, 0.5, _BRIGHTEST])
-    if first <= 0.0 or high <= most * usual or middle >= _EVEN * first:
+    first, last, usual, middle, high = np.quantile(
+        level, [*BODIES.darkest_quantiles, BODIES.usual_quantile, 0.5, BODIES.brightest_quantile]
+    )
+    if first <= 0.0 or high <= most * usual or middle >= BODIES.max_even_ratio * first:
         return None
-    low, wide = np.quantile(level, _CLEAN_GREY)
-    if wide - low < _PLATEAU:  # mostly without glint: the darkest lean away
+    low, wide = np.quantile(level, BODIES.clean_grey_quantiles)
+    if wide - low < BODIES.max_plateau:  # mostly without glint: the darkest lean away
         first, last = low, wide
     darkest = values[(level >= first) & (level <= last)].mean(axis=0)
     split = np.stack([light.direct, light.diffuse], axis=1)
     both = np.stack([darkest, np.median(values, axis=0)], axis=1)
     (_, (here, there)), *_ = np.linalg.lstsq(split, both, rcond=None)
-    return np.asarray(darkest) if here > _SKY * there else None
+    return np.asarray(darkest) if here > BODIES.min_sky * there else None
 
 
 def _additions(
@@ -254,18 +221,18 @@ def _additions(
     """
     first = neighbours[:, 0]
     mirrored = np.where(first[:, None] >= 0, finite_spectrum[first], 0.0)
-    lifted = values + _OFFSET + _LIFT * mirrored
+    lifted = values + BODIES.offset + BODIES.lift * mirrored
     body = np.full(len(values), segment)
     amount, _, added = unmix_spectra(lifted, body, finite_spectrum, light, 0.01, _AS_PIXEL, neighbours)
-    return amount[:, 2] + added.sum(axis=1) - _LIFT * mirrored.max(axis=1), amount[:, 0]
+    return amount[:, 2] + added.sum(axis=1) - BODIES.lift * mirrored.max(axis=1), amount[:, 0]
 
 
 def _common_glint(reference: Floats, places: list[Ints], paints: Paints, light: Light) -> Floats:
     """Return the glint that all of a body lies in (segment,), as other parts of the same paint show it."""
     size = np.array([here.size for here in places])
-    large = size[paints.other] >= _SHARE * size[paints.one]
+    large = size[paints.other] >= BODIES.min_part_share * size[paints.one]
     one, other = paints.one[large], paints.other[large]
-    amount, misfit, _ = unmix_spectra(reference[one], other, reference, light, GLINT_TOLERANCE, AS_GLINT)
+    amount, misfit, _ = unmix_spectra(reference[one], other, reference, light, GLINT.tolerance, AS_GLINT)
     glint = np.zeros(len(reference))
     np.maximum.at(glint, one[misfit < 1.0], amount[misfit < 1.0, 2])
     return glint

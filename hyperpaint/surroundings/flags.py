@@ -22,6 +22,7 @@ from hyperpaint.radiometry.slabs import line_chunked
 from hyperpaint.radiometry.spectral_axis import to_nominal
 
 from . import SceneModel, survey
+from .rules import FLAGS
 from .surveying import to_channels, to_nominal_channels
 
 if TYPE_CHECKING:
@@ -32,19 +33,6 @@ __all__ = ["LAYERS", "Flagged", "flag", "flag_line", "is_flagged"]
 
 LAYERS = ("glint_fraction", "blocked_direct", "adjacency", "adjacency_segment", "mirrored_sky")
 """Layers that bits are set from, and those that explain them."""
-
-ERROR, FLOOR = 0.007, 0.001
-"""Standard deviation of a channel beside its noise: a body is not quite the same all over, relative; and in
-reflectance [1]."""
-EVIDENCE = 9.0
-"""Squared standard deviations by which leaving glint or neighbours out must be worse: three of them."""
-_EXPECTED = (1.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
-_SPREAD = (0.1, 0.3, 10.0, 0.02, 0.2, 0.1, 0.2, 0.1)
-"""What amounts are without evidence, and how far from it they come to lie: weak beside a channel's noise."""
-_MOST_DIRECT = 1.1
-"""Direct light on what faces the sun, relative to a body as it is seen, which may lean away a little."""
-_PENUMBRA = 1
-"""Pixels from a cast shadow up to which missing light is part of it; what is missing elsewhere is tilt."""
 
 
 def flag(
@@ -228,10 +216,10 @@ def _origin(model: SceneModel) -> str:
 
 def _most(model: SceneModel) -> npt.NDArray[np.float64]:
     """Return the largest amounts: no surface gets more of the beam than one that faces the sun."""
-    most = np.full(len(_EXPECTED), np.inf)
+    most = np.full(len(FLAGS.expected), np.inf)
     zenith = float(model.attrs.get("sun_zenith", np.nan))
     if np.isfinite(zenith):
-        most[0] = _MOST_DIRECT / max(np.cos(np.radians(zenith)), 0.2)
+        most[0] = FLAGS.max_direct / max(np.cos(np.radians(zenith)), 0.2)
     return most
 
 
@@ -265,9 +253,9 @@ def _flag_block(
         seen,
         arguments.Bodies(model.bodies(start, stop), model.reference, neighbours),
         arguments.LightParts(1.0 - model.diffuse_fraction, model.diffuse_fraction),
-        arguments.ChannelErrors(np.hypot(model.noise, ERROR), FLOOR),
-        arguments.AmountPrior(np.array(_EXPECTED), np.array(_SPREAD), model.tilt, _most(model)),
-        EVIDENCE,
+        arguments.ChannelErrors(np.hypot(model.noise, FLAGS.relative_error), FLAGS.floor),
+        arguments.AmountPrior(np.array(FLAGS.expected), np.array(FLAGS.spread), model.tilt, _most(model)),
+        FLAGS.evidence_sd2,
         _lean(model),
         arguments.Unmixed(amount, added, together, misfit),
     )
@@ -282,7 +270,7 @@ def _flag_block(
     bits = np.zeros(shape, np.uint16)
     bits[layers["glint_fraction"] > limits["glint"]] |= np.uint16(Quality.GLINT)
     missing = layers["blocked_direct"]
-    cast = model.shade_distance[start:stop] <= _PENUMBRA
+    cast = model.shade_distance[start:stop] <= FLAGS.penumbra_px
     bits[(missing >= limits["shadow"]) & cast] |= np.uint16(Quality.SHADOW)
     bits[together > limits["adjacency"]] |= np.uint16(Quality.ADJACENCY)
     bits[model.edge_distance[start:stop] <= limits["edge"]] |= np.uint16(Quality.MIXED_EDGE)
@@ -295,8 +283,6 @@ def _flag_block(
 
 _LOOKED_FOR = Quality.GLINT | Quality.SHADOW | Quality.ADJACENCY | Quality.MIXED_EDGE
 _LIMITS = ("glint", "shadow", "adjacency", "edge")
-_SMILE = 1.0
-"""Wavelength shift above which spectra are compared at nominal wavelengths [nm], see `hyperpaint.flag`."""
 
 
 @dataclass(frozen=True)
@@ -358,4 +344,4 @@ def flag_line(
 def _has_smile(line: xr.Dataset) -> bool:
     if "wavelength_shift" not in line.variables:
         return False
-    return bool((np.abs(line["wavelength_shift"].values) > _SMILE).any())
+    return bool((np.abs(line["wavelength_shift"].values) > FLAGS.max_smile_nm).any())

@@ -10,11 +10,11 @@ import numpy.typing as npt
 from hyperpaint.base.arrays import Array, Bools, Floats, Ints
 
 from .model import CELL, GLINTED, LIT, SHADED
+from .rules import GLINT, MIXTURES
 from .segments import Touching, distinct_pairs
 
 __all__ = [
     "AS_GLINT",
-    "GLINT_TOLERANCE",
     "Light",
     "Matches",
     "Mixtures",
@@ -30,21 +30,6 @@ __all__ = [
 
 
 # spectra of segments are compared to so much of the reference, and so much reflectance [1]
-_SHADE_TOLERANCE, GLINT_TOLERANCE, _FLOOR = 0.08, 0.02, 0.0005
-_WORST = 0.11
-"""Misfit of a shadow, relative to what is seen, at most."""
-_DARKER = 0.5
-"""Brightness of a shadow, relative to its body, at most."""
-_LEAST_DIFFUSE, _MOST_DIFFUSE = 0.2, 1.15
-"""Amount of the sky's light in a shadow [1]."""
-_FADING = 0.35
-"""Step of pixels over a border, relative to how far both sides are apart, below which light fades out."""
-_LEAST_GLINT, _BODY_SHARE = 0.004, 1.0
-"""Glint of a segment [1], and pixels of its body relative to its own, at least."""
-_MOST_TILT = 1.1
-"""Direct light on what faces the sun, relative to a body that leans away a little and what a beam brings."""
-_ROUNDS = 6
-"""Turns after which no more glint is looked for beside what is known to be glint."""
 
 _NONE = (0.0, 1e-6)
 _AS_SHADE = np.transpose([(0.05, 0.15), (0.7, 0.5), _NONE, (0.0, 0.002), *(4 * [_NONE])])
@@ -130,7 +115,7 @@ def unmix_spectra(
         np.ascontiguousarray(seen, np.float32)[None],
         arguments.Bodies(body.astype(np.int32)[None], bodies, alone[None]),
         arguments.LightParts(light.direct, light.diffuse),
-        arguments.ChannelErrors(np.full(light.direct.size, noise), _FLOOR),
+        arguments.ChannelErrors(np.full(light.direct.size, noise), GLINT.floor),
         arguments.AmountPrior(expected, spread, np.full(len(bodies), spread[0]), np.full(PARTS, np.inf)),
         0.0,
         0.0,
@@ -170,13 +155,13 @@ def match_segments(
     zenith
         Of the sun [degree]; NaN where not known.
     """
-    most = _MOST_TILT / max(np.cos(np.radians(np.nan_to_num(zenith, nan=45.0))), 0.2)
+    most = GLINT.max_tilt / max(np.cos(np.radians(np.nan_to_num(zenith, nan=45.0))), 0.2)
     # a mirror image fades out, a body ends
     apart = np.abs(spectrum.mean(axis=1)[pairs.one] - spectrum.mean(axis=1)[pairs.other])
-    fading = (pairs.length >= 3) & (step < _FADING * apart)
+    fading = (pairs.length >= 3) & (step < GLINT.max_fading_step * apart)
     touch = pairs.one[fading], pairs.other[fading]
     state, body = shade.state.copy(), shade.body.copy()
-    for _ in range(_ROUNDS):
+    for _ in range(GLINT.rounds):
         if not _match_glint(spectrum, size, touch, light, state, body, most):
             break
     return Matches(state, body)
@@ -206,16 +191,18 @@ def _match_glint(
     near = near[0][lit], near[1][lit]
     one, other = _pairs_of_bodies(near, state, body, spectrum)
     amount, misfit, _ = unmix_spectra(
-        spectrum[one], other, np.nan_to_num(spectrum), light, GLINT_TOLERANCE, AS_GLINT
+        spectrum[one], other, np.nan_to_num(spectrum), light, GLINT.tolerance, AS_GLINT
     )
-    fits = (amount[:, 2] > _LEAST_GLINT) & (misfit < 1.0) & (size[other] >= _BODY_SHARE * size[one])
+    fits = (
+        (amount[:, 2] > GLINT.min_glint) & (misfit < 1.0) & (size[other] >= GLINT.min_body_share * size[one])
+    )
     # where the darker one could be the shadow, the brighter is no glint
     one, other, misfit = one[fits], other[fits], misfit[fits]
     fits = ~_could_be_shade(spectrum, other, one, light)[2]
     one, other, misfit = one[fits], other[fits], misfit[fits]
     # what leans towards the sun is brighter as well
     tilt, left, _ = unmix_spectra(
-        spectrum[one], other, np.nan_to_num(spectrum), light, GLINT_TOLERANCE, _AS_TILT
+        spectrum[one], other, np.nan_to_num(spectrum), light, GLINT.tolerance, _AS_TILT
     )
     tilted = (left < 1.0) & (tilt[:, 0] < most)
     return _assign(one[~tilted], other[~tilted], misfit[~tilted], GLINTED, state, body)
@@ -238,28 +225,21 @@ def _could_be_shade(
 ) -> tuple[Floats, Floats, npt.NDArray[np.bool_]]:
     """Return amounts, relative misfits, and whether ``one`` looks like ``other`` in shadow, pair by pair."""
     amount, misfit, _ = unmix_spectra(
-        spectrum[one], other, np.nan_to_num(spectrum), light, _SHADE_TOLERANCE, _AS_SHADE
+        spectrum[one], other, np.nan_to_num(spectrum), light, GLINT.shade_tolerance, _AS_SHADE
     )
-    misfit = misfit * _SHADE_TOLERANCE
+    misfit = misfit * GLINT.shade_tolerance
     level = spectrum.mean(axis=1)
-    fits = (level[one] < _DARKER * level[other]) & (misfit < _WORST) & (amount[:, 1] > _LEAST_DIFFUSE)
+    fits = (
+        (level[one] < GLINT.max_shade_brightness * level[other])
+        & (misfit < GLINT.max_shade_misfit)
+        & (amount[:, 1] > GLINT.min_shade_sky)
+    )
     # what hides the sky sends light instead, and never more than a bright wall in the sun
-    fits &= amount[:, 1] < _MOST_DIFFUSE
+    fits &= amount[:, 1] < GLINT.max_shade_sky
     fits &= amount[:, 0] < 0.02 + 0.14 * np.clip(1.0 - amount[:, 1], 0.0, 1.0)
     return amount, misfit, np.asarray(fits)
 
 
-_TOLERANCE, _FLOOR_OF_MIXTURES = 0.05, 0.0005
-"""What spectra are compared to: relative, and in reflectance [1]."""
-_NEIGHBOURS = 6
-"""Coloured segments around that may send light."""
-_RANKS, _REACH = 4, 60
-"""Segments that are kept of a cell, and how far from it they are [pixel]."""
-_LEAST_BRIGHT, _LEAST_COLOUR, _LEAST_PIXELS = 0.04, 0.3, 150
-"""Of a segment that sends light: mean reflectance [1], standard deviation over channels relative to that, and
-pixels."""
-_MOST_DIRECT, _MOST_SKY, _MOST_MISFIT = 0.4, 1.1, 0.3
-"""Of a segment that may lie in shadow: amounts of direct light and of the sky's, and misfit, at most."""
 _TOGETHER = 20_000
 """Pairs that are solved for together, for memory."""
 
@@ -316,7 +296,7 @@ def mixtures_of(segment: Ints, body: Ints, spectrum: Floats, senders: Ints, ligh
         none = np.empty(0)
         return Mixtures(segment, body, none, none, none, none)
     amount, misfit = (np.concatenate(values) for values in zip(*alone, strict=True))
-    possible = (amount[:, 0] < _MOST_DIRECT) & (amount[:, 1] < _MOST_SKY + 0.4) & (misfit < 0.6)
+    possible = (amount[:, 0] < MIXTURES.max_direct) & (amount[:, 1] < MIXTURES.max_sky + 0.4) & (misfit < 0.6)
     segment, body, misfit = segment[possible], body[possible], misfit[possible]
     amount = np.pad(amount[possible], ((0, 0), (0, 1)))
     for rank in range(senders.shape[1]):
@@ -332,7 +312,7 @@ def mixtures_of(segment: Ints, body: Ints, spectrum: Floats, senders: Ints, ligh
             )
             better = (rest < misfit[here]) & (more[:, 2] < 1.0 - more[:, 1])
             amount[here[better]], misfit[here[better]] = more[better], rest[better]
-    fits = (amount[:, 1] < _MOST_SKY) & (misfit < _MOST_MISFIT)
+    fits = (amount[:, 1] < MIXTURES.max_sky) & (misfit < MIXTURES.max_misfit)
     direct, sky, sent = amount[fits].T
     return Mixtures(segment[fits], body[fits], direct, sky, sent, misfit[fits])
 
@@ -350,23 +330,23 @@ def senders_of(number: npt.NDArray[np.int32], spectrum: Floats, size: Ints) -> n
     from hyperpaint.kernels.segmentation import nearest_sources
 
     level = spectrum.mean(axis=1)
-    sends = (level > _LEAST_BRIGHT) & (size >= _LEAST_PIXELS)
-    sends &= spectrum.std(axis=1) > _LEAST_COLOUR * level
+    sends = (level > MIXTURES.min_sender_level) & (size >= MIXTURES.min_sender_px)
+    sends &= spectrum.std(axis=1) > MIXTURES.min_sender_colour * level
     centre = number[::CELL, ::CELL]
-    labels = np.full((*centre.shape, _RANKS), -1, np.int32)
+    labels = np.full((*centre.shape, MIXTURES.neighbours_of_cell), -1, np.int32)
     labels[..., 0] = np.where(np.append(sends, False)[centre], centre, -1)
     distances = np.full(labels.shape, np.inf)
     distances[..., 0][labels[..., 0] >= 0] = 0.0
-    nearest_sources(labels, distances, _REACH / CELL)
-    here = np.repeat(centre.ravel().astype(np.int64), _RANKS)
+    nearest_sources(labels, distances, MIXTURES.reach_px / CELL)
+    here = np.repeat(centre.ravel().astype(np.int64), MIXTURES.neighbours_of_cell)
     nearest = labels.ravel().astype(np.int64)
     pairs, times = np.unique((here * size.size + nearest)[(here >= 0) & (nearest >= 0)], return_counts=True)
     one, other = pairs // max(size.size, 1), pairs % max(size.size, 1)
     order = np.lexsort((other, -times, one))
     one, other = one[order], other[order]
     rank = np.arange(one.size) - np.searchsorted(one, one)
-    senders = np.full((size.size, _NEIGHBOURS), -1, np.int64)
-    first = rank < _NEIGHBOURS
+    senders = np.full((size.size, MIXTURES.neighbours), -1, np.int64)
+    first = rank < MIXTURES.neighbours
     senders[one[first], rank[first]] = other[first]
     return senders
 
@@ -376,7 +356,7 @@ def solve(seen: Floats, body: Floats, sender: Floats | None, light: Light) -> tu
 
     The exact minimum: of all sets of parts, that which leaves least without any negative amount.
     """
-    sigma = _TOLERANCE * np.abs(seen) + _FLOOR_OF_MIXTURES
+    sigma = MIXTURES.tolerance * np.abs(seen) + MIXTURES.floor
     parts = [body * light.direct, body * light.diffuse]
     if sender is not None:
         parts.append(body * sender)
@@ -397,4 +377,4 @@ def solve(seen: Floats, body: Floats, sender: Floats | None, light: Light) -> tu
         best[better] = cost[better]
         amounts[better] = 0.0
         amounts[np.flatnonzero(better)[:, None], which] = amount[better]
-    return amounts, np.sqrt(np.maximum(best, 0.0) / seen.shape[1]) * _TOLERANCE
+    return amounts, np.sqrt(np.maximum(best, 0.0) / seen.shape[1]) * MIXTURES.tolerance

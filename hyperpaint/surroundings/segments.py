@@ -9,6 +9,8 @@ import numpy.typing as npt
 
 from hyperpaint.base.arrays import Array, Ints
 
+from .rules import SEGMENTS
+
 __all__ = [
     "Segments",
     "Touching",
@@ -21,22 +23,6 @@ __all__ = [
     "sample_pixels",
     "touching",
 ]
-
-
-STEP_FLOOR = 0.01
-"""Reflectance below which steps between pixels count for less [1]."""
-GRANULARITY = 1.0
-"""Scale of Felzenszwalb & Huttenlocher: a segment of n pixels is joined over steps 1/n above its own."""
-LEAST_PIXELS = 12
-"""Pixels of the smallest segment; what is smaller goes with its neighbour."""
-LEAST_CORE = 3
-"""Pixels with only their like around them that it has: what is thinner is a boundary."""
-SAMPLE = 2048
-"""Pixels of a segment that are looked at, at most."""
-_LEAST_BORDER = 3
-"""Sides of pixels from which on segments touch by more than a corner."""
-_BRIDGE = 3000
-"""Pixels of a segment that lies between two others, at most."""
 
 
 class Segments(NamedTuple):
@@ -87,18 +73,18 @@ def divide(channels: npt.NDArray[np.float32]) -> Segments:
 
     lines, columns, _ = channels.shape
     across, along = np.empty((2, lines, columns), np.float32)
-    step_sizes(channels, STEP_FLOOR, across, along)
+    step_sizes(channels, SEGMENTS.step_floor, across, along)
     steps = np.stack([across.ravel(), along.ravel()], axis=1).ravel()
     del across, along
     order = np.argsort(steps, kind="stable")
     order = order[: np.searchsorted(steps[order], np.inf)]
     parent = np.arange(lines * columns, dtype=np.int32)
     size = np.ones(parent.size, np.int32)
-    join_segments(order, steps, columns, GRANULARITY, parent, size)
+    join_segments(order, steps, columns, SEGMENTS.granularity, parent, size)
     has_data = np.isfinite(channels).mean(axis=2).ravel() > 0.5
     sure = np.empty(parent.size, np.bool_)
-    is_large(parent, size, columns, LEAST_PIXELS, LEAST_CORE, sure)
-    absorb(order, columns, LEAST_PIXELS, LEAST_CORE, parent, size)
+    is_large(parent, size, columns, SEGMENTS.min_pixels, SEGMENTS.min_core_px, sure)
+    absorb(order, columns, SEGMENTS.min_pixels, SEGMENTS.min_core_px, parent, size)
     number = np.empty(parent.size, np.int32)
     count = number_segments(parent, has_data, number)
     shape = lines, columns
@@ -107,7 +93,7 @@ def divide(channels: npt.NDArray[np.float32]) -> Segments:
 
 
 def sample_pixels(number: npt.NDArray[np.int32], chosen: npt.NDArray[np.bool_], count: int) -> list[Ints]:
-    """Return places of at most `SAMPLE` chosen pixels of every segment, evenly spread in line order.
+    """Return places of at most `max_sample_px` chosen pixels of every segment, evenly spread in line order.
 
     Segments without a chosen pixel give the first ones they have.
     """
@@ -120,7 +106,7 @@ def sample_pixels(number: npt.NDArray[np.int32], chosen: npt.NDArray[np.bool_], 
     for segment in range(count):
         first, middle, last = starts[2 * segment], starts[2 * segment + 1], starts[2 * segment + 2]
         here = order[first:middle] if middle > first else order[first:last]
-        samples.append(here[:: max(1, -(-here.size // SAMPLE))])
+        samples.append(here[:: max(1, -(-here.size // SEGMENTS.max_sample_px))])
     return samples
 
 
@@ -145,10 +131,10 @@ def beyond(pairs: Touching, size: Ints) -> tuple[Ints, Ints]:
     import scipy.sparse
 
     count = size.size
-    near = pairs.length >= _LEAST_BORDER
+    near = pairs.length >= SEGMENTS.min_border_sides
     one, other = pairs.one[near], pairs.other[near]
     touch = scipy.sparse.csr_array((np.ones(one.size), (one, other)), shape=(count, count))
-    small = scipy.sparse.diags_array((size < _BRIDGE).astype(np.float64))
+    small = scipy.sparse.diags_array((size < SEGMENTS.max_bridge_px).astype(np.float64))
     both = (touch + touch @ small @ touch).tocoo()
     row, column = (axis.astype(np.int64) for axis in both.coords)
     apart = row != column

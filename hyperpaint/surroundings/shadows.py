@@ -11,6 +11,7 @@ from hyperpaint.base.arrays import Array, Bools, Floats, Ints
 
 from .full_light import Light, Matches, Mixtures, in_parts, mixtures_of, senders_of, solve, without_sun
 from .model import LIT, SHADED
+from .rules import SHADOWS
 from .segments import Touching, beyond, distinct_pairs
 
 __all__ = ["match_shade", "shaded_pixels"]
@@ -18,79 +19,8 @@ __all__ = ["match_shade", "shaded_pixels"]
 
 _STEPS = np.array([[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]])
 """Directions (along, across) of the sides of `Touching`."""
-_DARKER = 0.5
-"""Brightness of a shadow, relative to its body, at most."""
-_LARGEST = 40
-"""Segments that may be the body of any."""
-_BODY_SHARE = 0.2
-"""Size of the lit part of a body, relative to its shadow, at least."""
-_ALIKE, _AS_BRIGHT = 0.08, 0.35
-"""Largest difference of spectra of mean 1, and of brightness, relative, of segments that look the same."""
-_LEAST_CONTACT = 4
-"""Sides of pixels over which a shadow touches its lit body, at least."""
-_OPEN_SKY, _LEAST_SKY = 0.75, 0.45
-"""Amount of the sky's light below which what hides it may send light; that of a clear shadow, at least."""
-_TIGHT, _LOOSE = 0.035, 0.045
-"""Misfits, relative to what is seen, of shadows beyond doubt and of those that the surroundings speak for."""
-_GROUND_SHARE = 0.1
-"""Share of all shadows that lie on a body that is ground, at least."""
-_SIDEWAYS = 0.35
-"""Mean direction of a border's sides against that of shadows, beyond which it faces the sun."""
-_ROUNDS = 12
-"""Turns in which shadows go on to what touches them, at most."""
 _LINES = 128
 """Lines that are looked at together, for memory."""
-_DIMMER, _MISSING, _PATCHY = 0.9, 0.8, 0.2
-"""Brightness of pixels that are looked at, direct light of those in shadow, and their misfit, at most."""
-
-
-class _Contact(NamedTuple):
-    """How a segment touches its lit body, at least: a share of its border, and which side that is on.
-
-    ``way`` is the mean direction of the sides in touch, 1 where all are away from the sun, -1 towards it.
-    """
-
-    border: float
-    way: float
-
-
-class _Direct(NamedTuple):
-    """Direct light, at most: what grey things send passes for it, the more of it the more sky they hide."""
-
-    open: float
-    hidden: float
-
-
-# What the rules of `match_shade` ask for, in the order of use: less where more speaks for a shadow already.
-# Set on rendered car parks, to what keeps glass and black paint out.
-_TELLING = 30
-"""Pixels of a clear shadow that tells to which side they fall, at least."""
-_CLEAR_DIRECT = _Direct(0.015, 0.12)
-"""Of clear shadows."""
-_SENT, _SENT_BESIDE = 0.5, 1.0
-"""Light of a neighbour in a clear shadow, relative to the hidden sky, at most: alone; beside another."""
-_SURE = _Contact(0.1, 0.2)
-"""Contact of shadows beyond doubt."""
-_ISLAND = 0.6
-"""Share of the border in touch with the lit body, from which on a shadow lies in it, on whatever side."""
-_ON_GROUND = _Contact(0.04, 0.1)
-"""Contact of shadows on the ground."""
-_SIDED, _SIDED_DIRECT = _Contact(0.15, 0.25), _Direct(0.05, 0.25)
-"""Those whose contact is plain, for which they may have more direct light."""
-_BESIDE = -0.2
-"""Side of clear shadows on the ground, whatever their share of contact."""
-_WORSE, _WORSE_BY = 1.5, 0.004
-"""Misfit as a shadow on the ground, times and more than that of the best on it, at most."""
-_DIM_MISFIT, _DARK_MISFIT = 0.18, 0.08
-"""Misfits of shadows on other bodies, in contact with shadows: with much of the sky's light; with little."""
-_MARKING_SKY, _MARKING_DIRECT = 0.22, 0.04
-"""Light of shadows on bay lines and kerbs: the sky's, at least; direct, at most."""
-_NEXT_CLEAR, _NEXT, _NEXT_MARKING = 0.04, 0.4, 0.3
-"""Share of the border in contact with shadows, at least: of clear ones, of others, and of markings."""
-_ENCLOSED, _ENCLOSED_DIRECT = 0.7, 0.25
-"""Share of it from which on a segment lies in shadow with more direct light; that, at most."""
-_SKY_OVER_SUN = 0.05
-"""Amount by which the sky's light exceeds direct light in single pixels in shadow, at least."""
 
 
 class Scene(NamedTuple):
@@ -168,14 +98,19 @@ def match_shade(
     ground = _ground(scene, state, body)
     on_ground = ground[mixtures.body]
     around = border[mixtures.segment]
-    touches = (length >= _ON_GROUND.border * around) & (way >= _ON_GROUND.way * length)
-    touches &= length >= _LEAST_CONTACT
-    loose = (mixtures.misfit < _LOOSE) & without_sun(mixtures)
-    sided = (length >= _SIDED.border * around) & (way >= _SIDED.way * length) & (mixtures.misfit < _LOOSE)
-    loose |= sided & (
-        mixtures.direct < _SIDED_DIRECT.open + _SIDED_DIRECT.hidden * (_OPEN_SKY - mixtures.sky)
+    touches = (length >= SHADOWS.on_ground.border * around) & (way >= SHADOWS.on_ground.way * length)
+    touches &= length >= SHADOWS.min_contact_sides
+    loose = (mixtures.misfit < SHADOWS.max_misfit) & without_sun(mixtures)
+    sided = (
+        (length >= SHADOWS.sided.border * around)
+        & (way >= SHADOWS.sided.way * length)
+        & (mixtures.misfit < SHADOWS.max_misfit)
     )
-    beside = (length >= _LEAST_CONTACT) & (way >= _BESIDE * length) & _clear(mixtures)
+    loose |= sided & (
+        mixtures.direct
+        < SHADOWS.sided_direct.open + SHADOWS.sided_direct.hidden * (SHADOWS.open_sky - mixtures.sky)
+    )
+    beside = (length >= SHADOWS.min_contact_sides) & (way >= SHADOWS.beside_way * length) & _clear(mixtures)
     best = _best_on_ground(mixtures, on_ground, count) & ~ground[mixtures.segment]
     _assign(mixtures, on_ground & best & ((touches & loose) | beside), state, body)
     _grow(mixtures, ground, best, length, way, scene, state, body)
@@ -188,12 +123,17 @@ def _candidates(scene: Scene, senders: Ints, light: Light) -> Mixtures:
     count = size.size
     is_finite = np.asarray(np.isfinite(spectrum).all(axis=1))
     level = np.where(is_finite, np.nan_to_num(spectrum).mean(axis=1), 0.0)
-    largest = np.argsort(-size, kind="stable")[:_LARGEST]
+    largest = np.argsort(-size, kind="stable")[: SHADOWS.large_segments]
     near, bridged = beyond(pairs, size)
     one = np.concatenate([near, np.repeat(np.arange(count), largest.size)])
     other = np.concatenate([bridged, np.tile(largest, count)])
-    fits = is_finite[one] & is_finite[other] & (one != other) & (level[one] < _DARKER * level[other])
-    fits &= (size[other] >= _BODY_SHARE * size[one]) & (level[one] > 0)
+    fits = (
+        is_finite[one]
+        & is_finite[other]
+        & (one != other)
+        & (level[one] < SHADOWS.max_brightness * level[other])
+    )
+    fits &= (size[other] >= SHADOWS.min_body_share * size[one]) & (level[one] > 0)
     return mixtures_of(*distinct_pairs(one[fits], other[fits], count), spectrum, senders, light)
 
 
@@ -216,33 +156,37 @@ def _alike(spectrum: Floats, one: Ints, other: Ints) -> Bools:
     level = spectrum.mean(axis=1)
     with np.errstate(divide="ignore", invalid="ignore"):
         shape = spectrum / level[:, None]
-        close = np.abs(level[one] / level[other] - 1.0) < _AS_BRIGHT
-    return np.asarray(close & (np.abs(shape[one] - shape[other]).max(axis=1) < _ALIKE))
+        close = np.abs(level[one] / level[other] - 1.0) < SHADOWS.max_level_difference
+    return np.asarray(close & (np.abs(shape[one] - shape[other]).max(axis=1) < SHADOWS.max_shape_difference))
 
 
 def _side_of_shadows(mixtures: Mixtures, sides: Floats, scene: Scene) -> Floats | None:
     """Return the direction (along, across) in which shadows fall, None without any."""
-    sure = _clear(mixtures) & (mixtures.sky > _LEAST_SKY) & (scene.size[mixtures.segment] >= _TELLING)
+    sure = (
+        _clear(mixtures)
+        & (mixtures.sky > SHADOWS.min_clear_sky)
+        & (scene.size[mixtures.segment] >= SHADOWS.min_telling_px)
+    )
     total = (sides[sure] @ _STEPS * scene.size[mixtures.segment[sure], None]).sum(axis=0)
     length = float(np.hypot(*total))
     return np.asarray(total / length) if length > 0 else None
 
 
-def _clear(mixtures: Mixtures, most_sent: float = _SENT) -> Bools:
+def _clear(mixtures: Mixtures, most_sent: float = SHADOWS.max_sent) -> Bools:
     """Tell which see much of the sky and, unlike glass and black paint, hardly anything else."""
-    hidden = np.clip(_OPEN_SKY - mixtures.sky, 0.0, 1.0)
-    little = mixtures.direct < _CLEAR_DIRECT.open + _CLEAR_DIRECT.hidden * hidden
+    hidden = np.clip(SHADOWS.open_sky - mixtures.sky, 0.0, 1.0)
+    little = mixtures.direct < SHADOWS.clear_direct.open + SHADOWS.clear_direct.hidden * hidden
     little &= mixtures.sent < most_sent * (1.0 - mixtures.sky)
-    return np.asarray(little & (mixtures.misfit < _TIGHT))
+    return np.asarray(little & (mixtures.misfit < SHADOWS.max_clear_misfit))
 
 
 def _beyond_doubt(mixtures: Mixtures, length: Floats, way: Floats, border: Floats) -> Bools:
     """Tell which are clear, and touch their lit body away from the sun, or all around."""
     around = border[mixtures.segment]
-    touches = (length >= _LEAST_CONTACT) & (length > _SURE.border * around)
-    away = way >= _SURE.way * length
-    island = (length > _ISLAND * around) & (way >= -_SIDEWAYS * length)
-    return np.asarray(_clear(mixtures) & (mixtures.sky > _LEAST_SKY) & touches & (away | island))
+    touches = (length >= SHADOWS.min_contact_sides) & (length > SHADOWS.sure.border * around)
+    away = way >= SHADOWS.sure.way * length
+    island = (length > SHADOWS.island_border * around) & (way >= -SHADOWS.sideways * length)
+    return np.asarray(_clear(mixtures) & (mixtures.sky > SHADOWS.min_clear_sky) & touches & (away | island))
 
 
 def _ground(scene: Scene, state: Array, body: Array) -> Bools:
@@ -250,7 +194,9 @@ def _ground(scene: Scene, state: Array, body: Array) -> Bools:
     count = scene.size.size
     area = np.bincount(body, np.where(state == SHADED, scene.size, 0), count)
     is_ground = np.zeros(count, bool)
-    for one in np.flatnonzero((area > _GROUND_SHARE * area.sum()) | (scene.size == scene.size.max())):
+    for one in np.flatnonzero(
+        (area > SHADOWS.min_ground_share * area.sum()) | (scene.size == scene.size.max())
+    ):
         is_ground |= _alike(scene.spectrum, np.arange(count), np.full(count, one))
     return is_ground
 
@@ -259,7 +205,7 @@ def _best_on_ground(mixtures: Mixtures, on_ground: Bools, count: int) -> Bools:
     """Tell which fit their segments about as well as any of the ground does."""
     least = np.full(count, np.inf)
     np.minimum.at(least, mixtures.segment[on_ground], mixtures.misfit[on_ground])
-    return np.asarray(mixtures.misfit < _WORSE * least[mixtures.segment] + _WORSE_BY)
+    return np.asarray(mixtures.misfit < SHADOWS.worse_factor * least[mixtures.segment] + SHADOWS.worse_by)
 
 
 def _grow(
@@ -274,23 +220,31 @@ def _grow(
 ) -> None:
     """Let shadows go on to what touches them."""
     around, on_ground = scene.border[mixtures.segment], ground[mixtures.body]
-    sunny = (way < -_SIDEWAYS * length) & (length > _SURE.border * around)
+    sunny = (way < -SHADOWS.sideways * length) & (length > SHADOWS.sure.border * around)
     fits = best & ~sunny & without_sun(mixtures)
-    on = fits & on_ground & (mixtures.misfit < _LOOSE) & (mixtures.sky < _OPEN_SKY)
-    bright = mixtures.sky > _LEAST_SKY
-    other = fits & ~on_ground & (mixtures.misfit < np.where(bright, _DIM_MISFIT, _DARK_MISFIT))
+    on = fits & on_ground & (mixtures.misfit < SHADOWS.max_misfit) & (mixtures.sky < SHADOWS.open_sky)
+    bright = mixtures.sky > SHADOWS.min_clear_sky
+    other = (
+        fits
+        & ~on_ground
+        & (mixtures.misfit < np.where(bright, SHADOWS.max_dim_misfit, SHADOWS.max_dark_misfit))
+    )
     dim = other & bright
     # dark glass against bay lines and kerbs has less of the sky
-    markings = other & (mixtures.sky > _MARKING_SKY) & (mixtures.direct < _MARKING_DIRECT)
-    clear = _clear(mixtures, most_sent=_SENT_BESIDE)
-    for _ in range(_ROUNDS):
+    markings = (
+        other & (mixtures.sky > SHADOWS.min_marking_sky) & (mixtures.direct < SHADOWS.max_marking_direct)
+    )
+    clear = _clear(mixtures, most_sent=SHADOWS.max_sent_beside)
+    for _ in range(SHADOWS.rounds):
         dark = state == SHADED
         shaded, below = (
             _touched(which, scene)[mixtures.segment] / around for which in (dark, dark & ground[body])
         )
-        enough = on & (shaded > np.where(clear, _NEXT_CLEAR, _NEXT))
-        enough |= (dim & (shaded > _NEXT)) | (markings & (below > _NEXT_MARKING))
-        enough |= best & ~sunny & (mixtures.direct < _ENCLOSED_DIRECT) & (shaded > _ENCLOSED)
+        enough = on & (shaded > np.where(clear, SHADOWS.next_clear, SHADOWS.next))
+        enough |= (dim & (shaded > SHADOWS.next)) | (markings & (below > SHADOWS.next_marking))
+        enough |= (
+            best & ~sunny & (mixtures.direct < SHADOWS.max_enclosed_direct) & (shaded > SHADOWS.enclosed)
+        )
         if not _assign(mixtures, enough, state, body):
             break
 
@@ -342,10 +296,10 @@ def shaded_pixels(
     asked = np.append(level, False)[number]
     for part in in_parts(len(number), _LINES):
         seen, segment = channels[part], number[part]
-        here = asked[part] & (seen.mean(axis=2) < _DIMMER * np.append(bright, 0.0)[segment])
+        here = asked[part] & (seen.mean(axis=2) < SHADOWS.max_pixel_level * np.append(bright, 0.0)[segment])
         body = reference[segment[here]]
         amount, misfit = solve(seen[here].astype(np.float64), body, None, light)
-        bluer = amount[:, 1] > amount[:, 0] + _SKY_OVER_SUN
-        missing = (amount[:, 0] < _MISSING) & bluer & (misfit < _PATCHY)
+        bluer = amount[:, 1] > amount[:, 0] + SHADOWS.min_pixel_sky_excess
+        missing = (amount[:, 0] < SHADOWS.max_pixel_direct) & bluer & (misfit < SHADOWS.max_pixel_misfit)
         shaded[part][here] = missing
     return shaded

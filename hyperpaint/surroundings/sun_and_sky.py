@@ -18,6 +18,7 @@ from hyperpaint.base.schema import BAND, PAINT
 from hyperpaint.light.sun import diffuse_fraction, solar_position
 
 from .model import SHADED
+from .rules import DIFFUSE
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -36,11 +37,6 @@ __all__ = [
     "sun_zenith_of",
 ]
 
-
-_LEAST_PIXELS = 60
-"""Pixels of a shadow that the diffuse fraction is taken from, at least."""
-_OPEN = (0.6, 0.9)
-"""Quantiles of brightness in the blue, between which its pixels see most of the sky."""
 
 SOURCES = ("model", "pvlib", "shadow")
 """Where the diffuse fraction may come from, beside a measured spectrum."""
@@ -185,7 +181,7 @@ def fraction_in_shadow(
     SchemaError
         There is no such shadow.
     """
-    shaded = np.flatnonzero((matches.state == SHADED) & (size >= _LEAST_PIXELS))
+    shaded = np.flatnonzero((matches.state == SHADED) & (size >= DIFFUSE.min_shadow_px))
     if not shaded.size:
         raise SchemaError(
             "diffuse='shadow' found no cast shadow of 60 pixels beside its ground in full sun; "
@@ -198,7 +194,7 @@ def fraction_in_shadow(
     values = flat[here].astype(np.float64)
     values = values[np.isfinite(values).all(axis=1)]
     blue = values[:, : max(1, values.shape[1] // 4)].mean(axis=1)
-    low, high = np.quantile(blue, _OPEN)
+    low, high = np.quantile(blue, DIFFUSE.open_sky_quantiles)
     open_ = values[(blue >= low) & (blue <= high)]
     return np.asarray(np.clip(open_.mean(axis=0) / spectrum[best], 0.0, 1.0))
 

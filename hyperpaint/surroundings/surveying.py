@@ -18,6 +18,7 @@ from hyperpaint.radiometry.slabs import line_chunked
 from .bodies import clean_references, nearest_coloured, same_paints
 from .full_light import Light, match_segments, median_spectra
 from .model import LIT, SHADED, SceneModel, two_nearest
+from .rules import SURVEY
 from .segments import border_steps, distance_to, divide, edge_distance, sample_pixels, touching
 from .shadows import match_shade, shaded_pixels
 from .sun_and_sky import (
@@ -42,11 +43,7 @@ __all__ = [
 ]
 
 
-CHANNELS = 24
-"""Channels of a cube that has more bands."""
 _TOGETHER = 8  # blocks read at a time: enough for the threads of a laptop, little enough for its memory
-_PAIRS = 100_000
-_DARK = 0.01
 
 
 def channel_numbers(wavelength: Array, good: Array) -> npt.NDArray[np.int64]:
@@ -56,7 +53,7 @@ def channel_numbers(wavelength: Array, good: Array) -> npt.NDArray[np.int64]:
     a 400-1000 nm camera are 25 nm wide.
     """
     order = np.flatnonzero(good)[np.argsort(wavelength[good], kind="stable")]
-    count = min(CHANNELS, order.size)
+    count = min(SURVEY.channels, order.size)
     numbers = np.full(wavelength.size, -1, np.int64)
     numbers[order] = np.arange(order.size) * count // max(order.size, 1)
     return numbers
@@ -171,23 +168,19 @@ def channel_noise(
     count = channels.shape[2]
     same = (number[:, 1:] == number[:, :-1]) & (number[:, 1:] >= 0) & inside[:, 1:] & inside[:, :-1]
     line, x = np.nonzero(same)
-    step = max(1, line.size // _PAIRS)
+    step = max(1, line.size // SURVEY.max_noise_pairs)
     line, x = line[::step], x[::step]
     if count < 3 or not line.size:
         return np.zeros(count)
     one, other = (channels[line, x + right].astype(np.float64) for right in (0, 1))
     apart, level = one - other, (one + other)[:, 1:-1] / 2
-    bent = (apart[:, 1:-1] - (apart[:, 2:] + apart[:, :-2]) / 2) / np.maximum(level, _DARK)
+    bent = (apart[:, 1:-1] - (apart[:, 2:] + apart[:, :-2]) / 2) / np.maximum(level, SURVEY.min_noise_level)
     noise = np.zeros(count - 2)
     for k, values in enumerate(bent.T):
         deviations = np.abs(values[np.isfinite(values)])
         # three variances of a channel: one and two halves, squared, of two pixels
         noise[k] = 1.4826 * np.median(deviations) / np.sqrt(3.0) if deviations.size else 0.0
     return np.pad(noise, 1, mode="edge")
-
-
-_EDGE = 2
-"""Pixels from a boundary from which on spectra count."""
 
 
 def survey(
@@ -292,7 +285,7 @@ def survey(
     count = segments.size.size
     distance = np.empty(segments.number.shape, np.uint8)
     boundary_distance(segments.number, segments.sure, 255, distance)
-    places = sample_pixels(segments.number, distance >= _EDGE, count)
+    places = sample_pixels(segments.number, distance >= SURVEY.min_edge_distance_px, count)
     spectrum = median_spectra(channels, places)
     side = shadow_side_of(line, sun_azimuth, heading)
     pairs = touching(segments.number, count)
@@ -308,7 +301,7 @@ def survey(
     paints = same_paints(spectrum, segments.size, pairs, matches, light)
     beside = two_nearest(neighbour, matches.body, paints.first, segments.number, 0).reshape(-1, 2)
     reference, tilt = clean_references(channels, places, spectrum, matches, paints, light, beside, zenith)
-    noise = channel_noise(channels, segments.number, distance >= _EDGE)
+    noise = channel_noise(channels, segments.number, distance >= SURVEY.min_edge_distance_px)
     level = ground & (matches.state == LIT)
     distance = edge_distance(segments, matches.body, paints.first)
     nearby = distance_to(np.append(matches.state == SHADED, False)[segments.number])

@@ -13,8 +13,9 @@ from hyperpaint.base.schema import Quality
 from hyperpaint.surroundings import SceneModel
 from hyperpaint.surroundings.model import SHADED
 
+from .rules import SURFACES
+
 __all__ = [
-    "DARK",
     "Limits",
     "Measures",
     "Piece",
@@ -24,18 +25,6 @@ __all__ = [
     "pieces",
     "ring_around",
 ]
-
-
-DARK = 0.05
-"""Mean reflectance below which a surface is a window, or a dark paint [1]."""
-_DARKEST, _SURE = 0.002, 0.0125
-"""Mean reflectance from which something is seen, and from which a bluish one is no shadow for sure [1]."""
-_BLUENESS = (0.65, 2.5)
-"""Of windows, which mirror the sky, and send a little of what is behind them."""
-_BLUE, _RED, _EDGE_OF_RED, _INFRARED = (430.0, 490.0), (660.0, 690.0), (735.0, 765.0), (790.0, 900.0)
-"""Of the red edge of leaves, and of what the sky's mirror image shows in [nm]."""
-_SAME_GROUND, _LEVELS = np.cos(np.radians(3.0)), 0.2
-"""Of what is like the ground: cosine of the spectral angle, and difference of the logarithm of length."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,7 +53,7 @@ class Surfaces:
         level = spectrum.mean(axis=1)
         blue, red, edge, infrared = (
             _mean_over(spectrum, model.channel_wavelength, span)
-            for span in (_BLUE, _RED, _EDGE_OF_RED, _INFRARED)
+            for span in (SURFACES.blue_nm, SURFACES.red_nm, SURFACES.edge_nm, SURFACES.infrared_nm)
         )
         blueness = blue / np.maximum(infrared, 1e-4)
         reference = np.nan_to_num(model.reference)
@@ -72,8 +61,12 @@ class Surfaces:
         direction = reference / np.maximum(length, 1e-9)
         ground = _like_the_largest(model, direction, length[:, 0])
         shade = model.state == SHADED
-        dark = (level > _DARKEST) & (level < DARK)
-        glassy = (blueness > _BLUENESS[0]) & (blueness < _BLUENESS[1]) & ~(shade & ground & (level < _SURE))
+        dark = (level > SURFACES.min_level) & (level < SURFACES.dark)
+        glassy = (
+            (blueness > SURFACES.blueness[0])
+            & (blueness < SURFACES.blueness[1])
+            & ~(shade & ground & (level < SURFACES.min_level_in_shade))
+        )
         dark &= glassy
         # leaves rise within 50 nm, and no further; pigments take their time
         leaves = (edge > 3.0 * red) & (infrared < 1.4 * edge)
@@ -91,8 +84,8 @@ def _like_the_largest(model: SceneModel, direction: Floats, length: Floats) -> B
         return np.zeros(0, bool)
     largest = largest_body(model)
     level = length / max(float(length[largest]), 1e-9)
-    like = (direction @ direction[largest] > _SAME_GROUND) & (
-        np.abs(np.log(np.maximum(level, 1e-9))) < _LEVELS
+    like = (direction @ direction[largest] > SURFACES.min_ground_cosine) & (
+        np.abs(np.log(np.maximum(level, 1e-9))) < SURFACES.max_ground_log_ratio
     )
     return np.asarray(like | (model.body == largest))
 
@@ -115,10 +108,6 @@ def ring_around(mask: Bools, width: int) -> Bools:
 
 
 _WRONG = Quality.SATURATED | Quality.IRRADIANCE_GAP | Quality.NO_DATA | Quality.OFF_SWATH
-_LEAST_CHANGE = 0.005
-"""Reflectance by which pixels may differ in any case [1]."""
-_AROUND = 5
-"""Side of the square that brightness and adjacency are averaged over [pixel]."""
 
 
 @dataclass(frozen=True)
@@ -256,7 +245,7 @@ def measured(
     own, most = _brightness(seen, lit)
     brightness = own if brightness is None else _smoothed(brightness, lit)
     # of dark paint, a tilt changes next to nothing
-    allowed = max(limits.brightness, _LEAST_CHANGE / max(most, 1e-6))
+    allowed = max(limits.brightness, SURFACES.min_change / max(most, 1e-6))
     left_out["another tilt"] = ~(np.abs(brightness - 1.0) <= allowed)
     usable = piece.inside.copy()
     lost = {}
@@ -312,8 +301,10 @@ def _smoothed(values: Array, valid: Bools) -> Floats:
     from scipy.ndimage import uniform_filter
 
     valid = valid & np.isfinite(values)
-    total = uniform_filter(np.where(valid, values, 0.0).astype(np.float64), _AROUND, mode="constant")
-    count = uniform_filter(valid.astype(np.float64), _AROUND, mode="constant")
+    total = uniform_filter(
+        np.where(valid, values, 0.0).astype(np.float64), SURFACES.square_px, mode="constant"
+    )
+    count = uniform_filter(valid.astype(np.float64), SURFACES.square_px, mode="constant")
     with np.errstate(invalid="ignore", divide="ignore"):
         return np.where(valid, total / count, np.nan)
 

@@ -15,20 +15,12 @@ from .candidates import Limits, Measures, Piece, Surfaces, measured
 from .footprints import Footprint, Scene, footprint_of
 from .judging import Verdict, judge_change, judge_lean, judge_pixels
 from .roofs import NoRoof, Roof, find_roof, level_light
+from .rules import CARS
 
 __all__ = ["Car", "Judged", "better_part", "find_cars", "judge_car", "settle_dark"]
 
 
 Judged = tuple[Piece, Measures, Verdict]
-
-_MOSTLY, _OVERLAP = 0.5, 0.3
-"""Share of a piece, or of the smaller footprint, from which on it lies on a car that is known."""
-_WIDER = (1.0, 2.0)
-"""Where too few pixels of a roof are of one brightness, it may differ by so many times more."""
-_MOST_MISFIT = 0.06
-"""Of what is seen in the middle of a roof, from the plane around it, relative [1]."""
-_CUT = 0.8
-"""Share of a roof that is looked at where the car is cut off by the picture's edge."""
 
 
 @dataclass(eq=False)
@@ -74,7 +66,7 @@ def find_cars(pieces: Iterable[Piece], scene: Scene) -> list[Car]:
     painted = owner.copy()
     for piece in sorted(pieces, key=lambda one: (-int(one.inside.sum()), one.first, one.body)):
         owners = painted[piece.window][piece.inside]
-        if (owners >= 0).mean() > _MOSTLY:
+        if (owners >= 0).mean() > CARS.min_piece_share:
             car = cars[int(np.bincount(owners[owners >= 0]).argmax())]
             if car.roof is not None and car.roof.complete:
                 car.pieces.append(piece)
@@ -116,7 +108,7 @@ def _same(footprint: Footprint, owner: npt.NDArray[np.int32], cars: list[Car]) -
     shared = np.bincount(there)
     number = int(shared.argmax())
     least = min(int(footprint.whole.sum()), cars[number].size)
-    return number if shared[number] > _OVERLAP * least else len(cars)
+    return number if shared[number] > CARS.min_overlap * least else len(cars)
 
 
 def judge_car(
@@ -173,7 +165,7 @@ def _judge_roof(
         verdict.objections.append("too little of the roof is lit to tell how bright it is where it is level")
         return piece, measured(piece, channels, layers, limits), verdict
     relative = brightness / level.middle
-    for times in _WIDER:
+    for times in CARS.wider:
         allowed = replace(limits, glint=np.inf, adjacency=np.inf, brightness=times * limits.brightness)
         measures = measured(piece, channels, layers, allowed, relative)
         if measures.pixels >= limits.min_pixels:
@@ -181,8 +173,8 @@ def _judge_roof(
     off = abs(float(np.median(relative[measures.usable])) - 1.0) if measures.pixels else 0.0
     judge_pixels(verdict, measures, limits)
     judge_lean(verdict, measures, zenith, "roof", level.misfit + level.unsure + off)
-    judge_change(verdict, level.change, zenith, _CUT if footprint.cut else 1.0)
-    if level.misfit > _MOST_MISFIT:
+    judge_change(verdict, level.change, zenith, CARS.seen_of_cut if footprint.cut else 1.0)
+    if level.misfit > CARS.max_misfit:
         verdict.objections.append(
             f"brightness in its middle is {level.misfit:.0%} off the plane around it: glint, or another tilt"
         )
@@ -233,14 +225,6 @@ def better_part(best: Judged) -> str:
     return f"another part of the same car is better: that at line {y:.0f}, column {x:.0f}"
 
 
-_SAME_PAINT = np.cos(np.radians(5.0))
-"""Of the spectral angle between two pieces of one paint, at most."""
-_FARTHEST = 300.0
-"""How far pieces of one car are apart, at most [pixel]."""
-_GROUND = 3
-"""Pixels of ground in a row that part two cars."""
-
-
 def settle_dark(judged: list[Judged], model: SceneModel, surfaces: Surfaces) -> None:
     """Object to all but one usable piece of a car: that of the most homogeneous colour, away from windows.
 
@@ -266,15 +250,15 @@ def _linked(one: Judged, other: Judged, model: SceneModel, surfaces: Surfaces) -
     """Tell whether two pieces are of one paint, and no ground lies between them."""
     spectra = [np.nan_to_num(model.reference[each[0].body]) for each in (one, other)]
     length = float(np.linalg.norm(spectra[0]) * np.linalg.norm(spectra[1]))
-    if float(spectra[0] @ spectra[1]) < _SAME_PAINT * length:
+    if float(spectra[0] @ spectra[1]) < CARS.min_paint_cosine * length:
         return False
     start, stop = one[0].middle, other[0].middle
     far = float(np.hypot(*(stop - start)))
-    if far > _FARTHEST:
+    if far > CARS.max_distance_px:
         return False
     steps = np.linspace(0.0, 1.0, max(2, int(np.ceil(far)) + 1))[:, None]
     y, x = np.rint(start + steps * (stop - start)).astype(np.int64).T
     way = model.segment[y, x]
     way = way[way >= 0]
     off = (surfaces.ground | surfaces.shade)[way] & ~surfaces.dark[way]
-    return bool(np.convolve(off, np.ones(_GROUND), "valid").max(initial=0.0) < _GROUND)
+    return bool(np.convolve(off, np.ones(CARS.min_ground_px), "valid").max(initial=0.0) < CARS.min_ground_px)

@@ -11,28 +11,11 @@ from hyperpaint.base.arrays import Array, Bools, Floats
 from hyperpaint.surroundings import SceneModel
 
 from .candidates import largest_body
+from .rules import FOOTPRINTS
 
 __all__ = ["Footprint", "Scene", "footprint_of", "hull_of"]
 
 
-_MIRRORED = 0.04
-"""Reflectance of a clear coat of index 1.5, ((n - 1) / (n + 1))^2 [1]."""
-_SAME_COLOUR = np.cos(np.radians(7.0))
-_DARKEST, _BRIGHTEST = 0.4, 1.7
-"""Brightness of a car's paint relative to the piece it is found from."""
-_LIKE_GROUND = 0.4
-"""Difference of the logarithm of reflectance up to which something may be ground."""
-_GAP = 2
-"""Pixels over which paint is joined."""
-_THIN, _THINNEST = 0.25, 2.5
-"""Half width of what is left out, relative to that of the part that is looked at, and at least [pixel]."""
-_WIDEST, _APART, _MOST_GROUND = 2.0, 4.5, 0.1
-"""Width of a car relative to its widest part, gaps relative to half of that, its share of ground; at most."""
-_AROUND, _FARTHEST = 2.5, 300
-"""How far is looked at first, relative to the piece; and at most [pixel]."""
-_GROWTH, _ROUNDS = 1.5, 6
-_TURN = 2.0
-"""Steps in which rectangles are turned [degree]."""
 _ROUNDING = 1e-6
 
 
@@ -59,7 +42,7 @@ class Scene(NamedTuple):
     @classmethod
     def of(cls, channels: Array, model: SceneModel) -> Scene:
         """Return that of a line's channels (line, column, channel) and its model."""
-        sky = (_MIRRORED * model.diffuse_fraction).astype(np.float32)
+        sky = (FOOTPRINTS.mirrored * model.diffuse_fraction).astype(np.float32)
         ground = np.nan_to_num(model.reference[largest_body(model)])
         return cls(channels, sky, channels.mean(axis=2), ground)
 
@@ -125,8 +108,8 @@ def footprint_of(
         Whether parts belong together that nothing but what is dark lies between, too.
     """
     shape = np.array(scene.level.shape)
-    pad = min(int(_AROUND * max(inside.shape)), _FARTHEST)
-    for _ in range(_ROUNDS):
+    pad = min(int(FOOTPRINTS.around * max(inside.shape)), FOOTPRINTS.max_around_px)
+    for _ in range(FOOTPRINTS.rounds):
         low = np.maximum(np.array(first) - pad, 0)
         high = np.minimum(np.array(first) + inside.shape + pad, shape)
         window = np.s_[low[0] : high[0], low[1] : high[1]]
@@ -145,7 +128,7 @@ def footprint_of(
             return Footprint(
                 place, like.paint | seed, whole, like.brightness, *_rectangle(whole), bool(sides.any())
             )
-        pad = int(_GROWTH * pad) + 8
+        pad = int(FOOTPRINTS.growth * pad) + 8
     return None
 
 
@@ -164,12 +147,19 @@ def _like(colour: Floats, scene: Scene, window: tuple[slice, slice]) -> _Like:
     own, ground = float(np.linalg.norm(colour)), float(np.linalg.norm(scene.ground))
     brightness = (seen @ colour) / own**2
     like = brightness * own / length
-    paint = (like > _SAME_COLOUR) & (brightness > _DARKEST) & (brightness < _BRIGHTEST)
+    paint = (
+        (like > FOOTPRINTS.min_cosine)
+        & (brightness > FOOTPRINTS.min_brightness)
+        & (brightness < FOOTPRINTS.max_brightness)
+    )
     as_ground = (seen @ scene.ground) / (length * ground)
-    near = np.abs(np.log(length / ground)) < _LIKE_GROUND
+    near = np.abs(np.log(length / ground)) < FOOTPRINTS.max_ground_log_ratio
     paint &= (like > as_ground) | ~near
     return _Like(
-        paint, ~paint & near & (as_ground > _SAME_COLOUR), ~paint & (length < _DARKEST * own), brightness
+        paint,
+        ~paint & near & (as_ground > FOOTPRINTS.min_cosine),
+        ~paint & (length < FOOTPRINTS.min_brightness * own),
+        brightness,
     )
 
 
@@ -182,15 +172,16 @@ def _whole(like: _Like, seed: Bools, across_windows: bool) -> Bools | None:
     from scipy.ndimage import binary_closing, binary_fill_holes, distance_transform_edt, label
 
     square = np.ones((3, 3), bool)
-    padded = np.pad(like.paint | seed, _GAP)
-    closed = binary_closing(padded, square, iterations=_GAP)[_GAP:-_GAP, _GAP:-_GAP]
+    gap = FOOTPRINTS.max_gap_px
+    padded = np.pad(like.paint | seed, gap)
+    closed = binary_closing(padded, square, iterations=gap)[gap:-gap, gap:-gap]
     joined = closed | like.dark if across_windows else closed
     parts, _ = label(joined, square)
     own = np.unique(parts[seed])
     filled = binary_fill_holes(closed & np.isin(parts, own[own > 0]))
     depth = distance_transform_edt(filled)
     # the depth where the seed is: a wall that the car touches may be wider
-    thick = max(_THINNEST, _THIN * float(depth[seed].max()))
+    thick = max(FOOTPRINTS.min_half_width_px, FOOTPRINTS.thin * float(depth[seed].max()))
     cores, count = label(depth > thick, square)
     sizes = np.bincount(cores[seed & (cores > 0)], minlength=count + 1)
     if not sizes.any():
@@ -214,11 +205,11 @@ def _gathered(
         nearest = min(left, key=lambda one: (gaps[one], one))
         left.remove(nearest)
         wider = whole | (cores == nearest)
-        if gaps[nearest] > _APART * float(depth[wider].max()):
+        if gaps[nearest] > FOOTPRINTS.max_apart * float(depth[wider].max()):
             break
         hull = hull_of(_grown(wider, thick, filled))
-        narrow = _rectangle(hull)[3] < _WIDEST * 2.0 * float(depth[wider].max())
-        if narrow and (hull & like.ground).sum() < _MOST_GROUND * hull.sum():
+        narrow = _rectangle(hull)[3] < FOOTPRINTS.max_width * 2.0 * float(depth[wider].max())
+        if narrow and (hull & like.ground).sum() < FOOTPRINTS.max_ground_share * hull.sum():
             whole, around = wider, hull
     return around
 
@@ -260,7 +251,7 @@ def _rectangle(mask: Bools) -> tuple[Floats, Floats, float, float]:
     """Return axis, centre, length and width of the smallest rectangle around a mask."""
     points = _border(mask)
     best: tuple[float, ...] = (np.inf,)
-    for angle in np.arange(0.0, 90.0, _TURN):
+    for angle in np.arange(0.0, 90.0, FOOTPRINTS.turn_deg):
         along = np.array([np.sin(np.radians(angle)), np.cos(np.radians(angle))])
         u, v = points @ along, points @ np.array([along[1], -along[0]])
         area = (np.ptp(u) + 1.0) * (np.ptp(v) + 1.0)

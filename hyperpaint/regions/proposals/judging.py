@@ -8,31 +8,14 @@ import numpy as np
 
 from hyperpaint.surroundings import SceneModel
 
-from .candidates import DARK, Limits, Measures, Piece, Surfaces, ring_around
+from .candidates import Limits, Measures, Piece, Surfaces, ring_around
+from .rules import JUDGING, SURFACES
 
 __all__ = ["Verdict", "judge_change", "judge_dark", "judge_lean", "judge_pixels"]
 
 
 _LEANS = {"roof": 1.5, "panel": 14.0, "dark paint": 12.0}
 """Degrees by which the middle of a roof, or any panel, may lean."""
-_TOLERANCE, _RELATIVE = 0.03, 0.06
-"""By how much a signature may be off: in reflectance, or relative where that is more [1]."""
-_GLOSS_CHANGE, _CROWN = 0.05, 7.0
-"""Relative change of brightness over a part of a car: of the sun's mirror image, and of a lean [degree]."""
-_ENOUGH = 200
-"""Pixels from which on more do not make a region better."""
-_RING = 8
-"""How far around dark paint is looked [pixel]."""
-_BRIGHT_RING, _STANDING_RING = 0.25, (0.05, 0.5)
-"""Share of what is around it that is brighter, at most; and darker but no shadow, as windows are."""
-_BRIGHTER = 1.1
-"""Brightness relative to its own from which on something is brighter."""
-_DARK_ANGLE = 1.0
-"""Median spectral angle to the median of paint as dark as glass, at most [degree]."""
-_MIRRORS = 1.1
-"""Blue relative to near infrared, of dark paint under a clear coat that mirrors the sky, at least."""
-_HALF_ANGLE, _HALF_ADJACENCY, _HALF_GLINT, _HALF_SPREAD = 2.0, 0.01, 0.02, 0.03
-"""What halves a score: spectral angle [degree]; the others [1]."""
 
 
 @dataclass
@@ -68,7 +51,7 @@ def judge_dark(
 ) -> Verdict:
     """Return what is thought of a piece that is as dark as glass, or like leaves."""
     verdict = Verdict()
-    if surfaces.vegetation[piece.body] and surfaces.level[piece.body] >= DARK:
+    if surfaces.vegetation[piece.body] and surfaces.level[piece.body] >= SURFACES.dark:
         verdict.scenery = True
         verdict.objections.append("its red edge is that of leaves")
         return verdict
@@ -76,7 +59,7 @@ def judge_dark(
     if verdict.kind:
         judge_pixels(verdict, measures, limits)
         judge_lean(verdict, measures, zenith, "dark paint")
-        if measures.angle > _DARK_ANGLE:
+        if measures.angle > JUDGING.max_dark_angle_deg:
             text = f"spectra differ by {measures.angle:.1f} degrees: windows, as dark, may be among them"
             verdict.objections.append(text)
     return verdict
@@ -86,12 +69,12 @@ def _judge_dark(verdict: Verdict, piece: Piece, model: SceneModel, surfaces: Sur
     """Tell dark paint from windows, shadows and dark ground by what is around it."""
     body = piece.body
     (y, x), (lines, columns) = piece.first, piece.inside.shape
-    pad = 3 + _RING + 1
+    pad = 3 + JUDGING.ring_px + 1
     top, left = max(y - pad, 0), max(x - pad, 0)
     around = model.segment[top : y + lines + pad, left : x + columns + pad]
     mask = np.zeros(around.shape, bool)
     mask[y - top : y - top + lines, x - left : x - left + columns] = piece.inside
-    beside = around[ring_around(mask, _RING)]
+    beside = around[ring_around(mask, JUDGING.ring_px)]
     beside = beside[beside >= 0]
     beside = beside[model.body[beside] != body]
     if not surfaces.dark[body] or not beside.size:
@@ -100,21 +83,21 @@ def _judge_dark(verdict: Verdict, piece: Piece, model: SceneModel, surfaces: Sur
         return
     level, own = surfaces.level[beside], surfaces.level[body]
     things = ~surfaces.ground[beside] & ~surfaces.shade[beside]
-    brighter = float((things & (level > _BRIGHTER * own)).mean())
-    standing = float((things & (level < own / _BRIGHTER)).mean())
-    if brighter > _BRIGHT_RING:
+    brighter = float((things & (level > JUDGING.brighter * own)).mean())
+    standing = float((things & (level < own / JUDGING.brighter)).mean())
+    if brighter > JUDGING.max_brighter:
         verdict.scenery = True
         verdict.objections.append(
             f"as dark as glass, and {brighter:.0%} of what is around it is not: a window"
         )
-    elif surfaces.blueness[body] < _MIRRORS:
+    elif surfaces.blueness[body] < JUDGING.min_blueness:
         verdict.objections.append("dark, and mirrors no sky as a clear coat does: ground, rubber or trim")
-    elif standing > _STANDING_RING[1]:
+    elif standing > JUDGING.darker[1]:
         verdict.scenery = True
         verdict.objections.append(
             f"dark, and {standing:.0%} of what is around it is darker: the edge of a shadow"
         )
-    elif standing < _STANDING_RING[0]:
+    elif standing < JUDGING.darker[0]:
         verdict.objections.append("dark, and no window is beside it: nothing says that it belongs to a car")
     else:
         verdict.kind = "dark paint"
@@ -145,7 +128,7 @@ def judge_lean(
     if not measures.pixels:
         return
     most = float(measures.spectrum.max())
-    allowed = max(_TOLERANCE, _RELATIVE * most)
+    allowed = max(JUDGING.tolerance, JUDGING.relative_tolerance * most)
     lean = _LEANS[part]
     if zenith is None:
         if part == "panel":
@@ -173,7 +156,7 @@ def judge_change(verdict: Verdict, change: float, zenith: float | None, part: fl
         How much of what is allowed, where less than the whole is seen [1].
     """
     slope = float(np.tan(np.radians(45.0 if zenith is None else zenith)))
-    allowed = part * (_GLOSS_CHANGE + float(np.radians(_CROWN)) * slope)
+    allowed = part * (JUDGING.gloss_change + float(np.radians(JUDGING.crown_deg)) * slope)
     if change > allowed:
         verdict.objections.append(
             f"brightness changes by {change:.0%} from its middle, more than the {allowed:.0%} of a crowned "
@@ -202,9 +185,11 @@ def judge_pixels(verdict: Verdict, measures: Measures, limits: Limits) -> None:
 
 def score_of(measures: Measures) -> float:
     """Return area x homogeneity / (1 + adjacency + glint + tilt), each over what halves the score."""
-    area = min(1.0, measures.pixels / _ENOUGH)
-    homogeneity = 1.0 / (1.0 + (measures.angle / _HALF_ANGLE) ** 2)
+    area = min(1.0, measures.pixels / JUDGING.enough_px)
+    homogeneity = 1.0 / (1.0 + (measures.angle / JUDGING.half_angle_deg) ** 2)
     against = (
-        measures.adjacency / _HALF_ADJACENCY + measures.glint / _HALF_GLINT + measures.spread / _HALF_SPREAD
+        measures.adjacency / JUDGING.half_adjacency
+        + measures.glint / JUDGING.half_glint
+        + measures.spread / JUDGING.half_spread
     )
     return float(area * homogeneity / (1.0 + against))

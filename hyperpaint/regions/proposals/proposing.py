@@ -18,10 +18,11 @@ from hyperpaint.surroundings.flags import flag
 from hyperpaint.surroundings.sun_and_sky import sun_zenith_of
 from hyperpaint.surroundings.surveying import to_channels
 
-from .candidates import DARK, Limits, Measures, Piece, Surfaces, measured, pieces
+from .candidates import Limits, Measures, Piece, Surfaces, measured, pieces
 from .cars import Judged, find_cars, judge_car, settle_dark
 from .footprints import Scene
 from .judging import Verdict, judge_dark
+from .rules import SURFACES
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -261,7 +262,7 @@ def propose_regions(
     for piece in pieces(scene, erode, max(min_pixels // 4, 1)):
         if surfaces.ground[piece.body]:
             continue
-        if surfaces.level[piece.body] >= DARK and not surfaces.vegetation[piece.body]:
+        if surfaces.level[piece.body] >= SURFACES.dark and not surfaces.vegetation[piece.body]:
             bright.append(piece)
         else:
             measures = measured(piece, channels, layers, limits)

@@ -9,32 +9,9 @@ import numpy as np
 from hyperpaint.base.arrays import Bools, Floats
 
 from .footprints import Footprint
+from .rules import ROOFS
 
 __all__ = ["Levelled", "NoRoof", "Roof", "find_roof", "level_light"]
-
-
-_MIDDLE, _SIDE = 0.4, 0.3
-"""Half widths of the car within which windows cross it, and from which on they run along it."""
-_DARK, _AS_PAINT = 0.07, 0.5
-"""Mean reflectance of a window, at most [1]; and relative to the paint, where this is bright."""
-_CROSSED = 0.4
-"""Share of a track across the car that is dark where a window crosses it."""
-_LEAST_WINDOW, _LEAST_RUN, _STRIP = 2, 5, 0.05
-"""Tracks of a window and of a roof, at least; length of a strip between windows, in car lengths, at most."""
-_LONGEST_BONNET, _LONGEST_WINDSCREEN, _SUNROOF, _TAIL = 0.38, 0.2, 0.24, 0.1
-"""Shares of a car's length: longer is a roof, may be a sunroof, is one; least beyond it, or it is a bed."""
-_UNSURE, _UNSURE_BESIDE = 0.015, 0.03
-"""How far a roof is level from where it is thought to be: in its middle, beside a sunroof [car length]."""
-_LEAST_ROOF_OF_CUT = 0.5
-"""Length of a roof relative to its car's width; what is shorter may be half of one."""
-_SIDED, _LONG_SIDED, _SURELY, _CENTRAL = 0.3, 0.5, 0.6, (0.33, 0.75)
-_VAN, _VAN_SIDED = 0.55, 0.15
-_CAR, _CUT_CAR = (1.7, 3.3), 1.2
-"""Length of a car relative to its width."""
-_WITHIN, _ROOF_WIDTH = 0.75, 0.6
-"""Part of a roof's width that is used; width of a roof relative to its car's, where no window shows it."""
-_LEAST_SEEN = 0.2
-"""Share of a roof's tracks in which its side window is seen, at least."""
 
 
 class Roof(NamedTuple):
@@ -115,7 +92,7 @@ def find_roof(car: Footprint, level: Floats) -> Roof | NoRoof:
 def _glass(car: Footprint, level: Floats) -> Bools:
     """Return which pixels of a car are dark as windows."""
     own = float(np.median(level[car.paint & car.whole]))
-    limit = min(max(_DARK, _AS_PAINT * own), own)
+    limit = min(max(ROOFS.max_window_level, ROOFS.max_window_of_paint * own), own)
     return np.asarray(~car.paint & car.whole & (level < limit))
 
 
@@ -129,14 +106,16 @@ def _frame(car: Footprint, axis: Floats, length: float, width: float) -> _Frame:
 
 def _roof_along(car: Footprint, glass: Bools, frame: _Frame) -> Roof | NoRoof:
     """Return the best roof among the stretches between windows along a frame."""
-    crossed = _share_of_tracks(glass, car.whole & (np.abs(frame.across) < _MIDDLE), frame) > _CROSSED
-    runs = _runs(crossed, _STRIP * frame.length)
+    crossed = (
+        _share_of_tracks(glass, car.whole & (np.abs(frame.across) < ROOFS.middle), frame) > ROOFS.min_crossed
+    )
+    runs = _runs(crossed, ROOFS.max_strip * frame.length)
     if not any(run.window for run in runs):
         return NoRoof("no window crosses it: nothing says that it belongs to a car", False)
     beside = _windows_beside(car, glass, frame)
     best: Roof | None = None
     for number, run in enumerate(runs):
-        if run.window or run.length < _LEAST_RUN:
+        if run.window or run.length < ROOFS.min_roof_px:
             continue
         grounds = _judge_run(car, runs, number, float(beside[run.first : run.last].mean()), frame)
         if grounds is None or (best is not None and best.worth >= grounds[1]):
@@ -147,8 +126,8 @@ def _roof_along(car: Footprint, glass: Bools, frame: _Frame) -> Roof | NoRoof:
             best = Roof(inside, middle, unsure, *grounds, 1 < number < len(runs) - 2)
     if best is not None:
         return best
-    slender = _CAR[0] < frame.length / frame.width < _CAR[1]
-    is_car = not car.cut and slender and float(beside.mean()) > _VAN_SIDED
+    slender = ROOFS.slenderness[0] < frame.length / frame.width < ROOFS.slenderness[1]
+    is_car = not car.cut and slender and float(beside.mean()) > ROOFS.van_sided
     return NoRoof("no roof is seen: nothing lies between windows, or is longer than a bonnet", is_car)
 
 
@@ -161,19 +140,26 @@ def _judge_run(
     ends = int(number > 0) + int(number + 1 < len(runs))
     evidence = f"side windows along {sided:.0%} of it"
     if car.cut:
-        if ends == 2 and sided > _LONG_SIDED and run.length > _LEAST_ROOF_OF_CUT * frame.width:
+        if ends == 2 and sided > ROOFS.long_sided and run.length > ROOFS.min_roof_of_cut * frame.width:
             return f"a roof: windows end it on both sides, {evidence}", share + sided
         return None
     slender = frame.length / frame.width
-    if not (_CAR[0] < slender < _CAR[1] or (ends == 2 and sided > _SURELY and slender > _CUT_CAR)):
+    if not (
+        ROOFS.slenderness[0] < slender < ROOFS.slenderness[1]
+        or (ends == 2 and sided > ROOFS.surely_sided and slender > ROOFS.min_slenderness)
+    ):
         return None
     evidence = f"{share:.0%} of the car's length, {evidence}"
     middle = 0.5 * (run.first + run.last) / frame.length
-    if ends == 2 and (sided > _SIDED or _CENTRAL[0] < middle < _CENTRAL[1]):
+    if ends == 2 and (sided > ROOFS.sided or ROOFS.central[0] < middle < ROOFS.central[1]):
         return f"a roof: windows end it on both sides, {evidence}", share + sided
-    if ends == 1 and sided > _SURELY:
+    if ends == 1 and sided > ROOFS.surely_sided:
         return f"a roof: a window ends it, {evidence}", share + sided
-    if ends == 1 and share > _LONGEST_BONNET and sided > (_LONG_SIDED if share < _VAN else _VAN_SIDED):
+    if (
+        ends == 1
+        and share > ROOFS.max_bonnet
+        and sided > (ROOFS.long_sided if share < ROOFS.min_van_roof else ROOFS.van_sided)
+    ):
         return f"a roof: a window ends it, and it is longer than any bonnet, {evidence}", share + sided
     return None
 
@@ -187,18 +173,18 @@ def _level_place(car: Footprint, runs: list[_Run], number: int, frame: _Frame) -
     run, unit = runs[number], frame.length
     middle = 0.5 * (run.first + run.last)
     for step in (-1, 1):
-        if car.cut or not 0 <= number + step < len(runs) or run.length > _LONGEST_BONNET * unit:
+        if car.cut or not 0 <= number + step < len(runs) or run.length > ROOFS.max_bonnet * unit:
             continue
         window = runs[number + step].length
         edge = float(run.first if step < 0 else run.last)
         beyond = sum(one.length for one in (runs[: number - 1] if step < 0 else runs[number + 2 :]))
-        if beyond < _TAIL * unit:
+        if beyond < ROOFS.min_tail * unit:
             continue
-        if window > _SUNROOF * unit:
-            return edge, _UNSURE_BESIDE * unit
-        if window > _LONGEST_WINDSCREEN * unit:
+        if window > ROOFS.min_sunroof * unit:
+            return edge, ROOFS.unsure_beside * unit
+        if window > ROOFS.max_windscreen * unit:
             return middle, abs(middle - edge)
-    return middle, _UNSURE * unit
+    return middle, ROOFS.unsure * unit
 
 
 def _roof(
@@ -210,12 +196,13 @@ def _roof(
     if car.cut and not (np.isfinite(left) and np.isfinite(right)):
         return None
     if np.isnan(left) and np.isnan(right):
-        left = right = _ROOF_WIDTH
+        left = right = ROOFS.roof_width
     left, right = (
-        2 * _ROOF_WIDTH - other if np.isnan(one) else one for one, other in ((left, right), (right, left))
+        2 * ROOFS.roof_width - other if np.isnan(one) else one
+        for one, other in ((left, right), (right, left))
     )
     centre, half = 0.5 * (right - left), 0.5 * (right + left)
-    inside = here & (np.abs(frame.across - centre) < _WITHIN * half)
+    inside = here & (np.abs(frame.across - centre) < ROOFS.used_width * half)
     if not inside.any():
         return None
     away = np.hypot(frame.along - level[0], (frame.across - centre) * 0.5 * frame.width)
@@ -225,12 +212,12 @@ def _roof(
 
 def _edge(glass: Bools, sign: int, frame: _Frame, run: _Run) -> float:
     """Return where side windows begin on one side of the axis, median over the tracks; NaN without them."""
-    beside = glass & (sign * frame.across > _SIDE)
+    beside = glass & (sign * frame.across > ROOFS.side)
     nearest = np.full(run.length, np.inf)
     track = (np.floor(frame.along[beside]).astype(np.int64) - run.first).clip(0, run.length - 1)
     np.minimum.at(nearest, track, sign * frame.across[beside])
     edges = nearest[np.isfinite(nearest)]
-    return float(np.median(edges)) if edges.size >= _LEAST_SEEN * nearest.size else np.nan
+    return float(np.median(edges)) if edges.size >= ROOFS.min_seen * nearest.size else np.nan
 
 
 def _share_of_tracks(which: Bools, of: Bools, frame: _Frame) -> Floats:
@@ -251,11 +238,11 @@ def _windows_beside(car: Footprint, glass: Bools, frame: _Frame) -> Bools:
     side_windows = []
     for sign in (-1, 1):
         aside = sign * frame.across
-        lit = car.whole & ~glass & (aside > _MIDDLE)
+        lit = car.whole & ~glass & (aside > ROOFS.middle)
         outermost = np.zeros(count)
         np.maximum.at(outermost, track[lit], aside[lit])
-        of = glass & (aside > _MIDDLE) & (aside < outermost[track])
-        side_windows.append(np.bincount(track[of], minlength=count) >= _LEAST_WINDOW)
+        of = glass & (aside > ROOFS.middle) & (aside < outermost[track])
+        side_windows.append(np.bincount(track[of], minlength=count) >= ROOFS.min_window_px)
     return max(side_windows, key=lambda one: int(one.sum()))
 
 
@@ -271,18 +258,12 @@ def _runs(crossed: Bools, strip: float) -> list[_Run]:
     merged: list[_Run] = []
     for number, run in enumerate(stretches):
         inner = 0 < number < len(stretches) - 1
-        least = strip if inner and not run.window else _LEAST_WINDOW
+        least = strip if inner and not run.window else ROOFS.min_window_px
         if merged and (run.length < least or merged[-1].window == run.window):
             merged[-1] = _Run(merged[-1].first, run.last, merged[-1].window)
         else:
             merged.append(run)
     return merged
-
-
-_ROUNDS = 30
-_ABOVE, _BELOW, _LEAST = 1.5, 3.0, 0.003
-"""Residuals that stay in the fit [standard deviations], and the least of these [1]: glint only adds."""
-_ENOUGH = 25
 
 
 class Levelled(NamedTuple):
@@ -328,17 +309,17 @@ def level_light(
         Direction (line, column) along the car.
     """
     y, x = np.nonzero(lit)
-    if y.size < _ENOUGH:
+    if y.size < ROOFS.min_fitted_px:
         return None
     place = np.stack([np.ones(y.size), y - middle[0], x - middle[1]], axis=1)
     seen = brightness[lit]
     fitted = np.ones(seen.size, bool)
-    for _ in range(_ROUNDS):
+    for _ in range(ROOFS.rounds):
         plane = np.linalg.lstsq(place[fitted], seen[fitted], rcond=None)[0]
         off = seen - place @ plane
-        spread = max(1.4826 * float(np.median(np.abs(off[fitted]))), _LEAST * abs(float(plane[0])))
-        chosen = (off < _ABOVE * spread) & (off > -_BELOW * spread)
-        if chosen.sum() < _ENOUGH or np.array_equal(chosen, fitted):
+        spread = max(1.4826 * float(np.median(np.abs(off[fitted]))), ROOFS.min_sd * abs(float(plane[0])))
+        chosen = (off < ROOFS.max_above_sd * spread) & (off > -ROOFS.max_below_sd * spread)
+        if chosen.sum() < ROOFS.min_fitted_px or np.array_equal(chosen, fitted):
             break
         fitted = chosen
     near = np.hypot(*(place[:, 1:].T)) < np.quantile(np.hypot(*(place[:, 1:].T)), 0.4)
