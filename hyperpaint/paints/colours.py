@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hyperpaint.base import schema
-from hyperpaint.base.arrays import Array, Floats
+from hyperpaint.base.arrays import Array, Floats, Floats32
 from hyperpaint.base.errors import SchemaError
 from hyperpaint.light.responses import band_spacing
 
@@ -117,7 +117,7 @@ def srgb(spectra: npt.ArrayLike, wavelength: npt.ArrayLike) -> Array:
     return encode_srgb(linear.clip(0.0, 1.0)).reshape(*values.shape[:-1], 3)
 
 
-def paint_colours(paints: xr.Dataset) -> npt.NDArray[np.float32]:
+def paint_colours(paints: xr.Dataset) -> Floats32:
     """Return the colour of every paint in daylight, (paint, 3), sRGB from 0 to 1; NaN where it has none.
 
     Bands that are not ``good`` are left out.

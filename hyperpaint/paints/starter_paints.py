@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
 
-from hyperpaint.base.arrays import Floats
+from hyperpaint.base.arrays import Array, Floats, Floats32
 from hyperpaint.base.errors import Problems, SchemaError
 from hyperpaint.base.schema import BAND, LIBRARY_VARIABLES, PAINT
 
@@ -89,7 +89,7 @@ def starter_library(
     nm = np.linspace(FIRST, LAST, BANDS) if wavelength is None else np.asarray(wavelength, np.float64)
     _check(members, nm)
     specs = _specs()
-    values: dict[str, npt.NDArray[Any]] = {
+    values: dict[str, Array] = {
         "reflectance": np.stack([_body(spec, nm) for spec in specs]),
         SPECULAR: np.stack([_specular(spec, nm) for spec in specs]),
     }
@@ -138,7 +138,7 @@ def _share(spec: PaintSpec) -> float:
     return 0.0 if spec.flakes is None else spec.flakes.share
 
 
-def _variants(spec: PaintSpec, nm: Floats, count: int, rng: np.random.Generator) -> npt.NDArray[np.float32]:
+def _variants(spec: PaintSpec, nm: Floats, count: int, rng: np.random.Generator) -> Floats32:
     """Return members (member, band) [1]."""
     interface = Interface()
     load = np.exp(_LOAD * rng.standard_normal(count))
@@ -152,9 +152,7 @@ def _variants(spec: PaintSpec, nm: Floats, count: int, rng: np.random.Generator)
     return variants
 
 
-def _library(
-    specs: list[PaintSpec], nm: Floats, values: dict[str, npt.NDArray[Any]], seed: int
-) -> xr.Dataset:
+def _library(specs: list[PaintSpec], nm: Floats, values: dict[str, Array], seed: int) -> xr.Dataset:
     import xarray as xr
 
     bands = xr.Dataset(

@@ -9,8 +9,8 @@ from dataclasses import dataclass, field
 from typing import Any, overload
 
 import numpy as np
-import numpy.typing as npt
 
+from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import Problems, SchemaError
 
 __all__ = ["COORDINATES", "Region", "Regions"]
@@ -58,8 +58,8 @@ class Region:
     """
 
     name: str
-    polygon: npt.NDArray[np.float64]
-    holes: tuple[npt.NDArray[np.float64], ...] = ()
+    polygon: Floats
+    holes: tuple[Floats, ...] = ()
     flightline: str = ""
     properties: Mapping[str, Any] = field(default_factory=dict)
 
@@ -194,7 +194,7 @@ def _name_problem(value: object, *, may_be_empty: bool) -> str | None:
     return None
 
 
-def _ring(ring: Any, index: int, problems: Problems) -> npt.NDArray[np.float64]:
+def _ring(ring: Any, index: int, problems: Problems) -> Floats:
     called = "polygon" if index == 0 else f"hole {index}"
     try:
         corners = np.array(ring, np.float64)

@@ -7,7 +7,6 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import numpy.typing as npt
 
 from hyperpaint.base import schema
 from hyperpaint.base.arrays import Bools, Floats, Ints
@@ -163,7 +162,7 @@ def _on_map(regions: Regions, line: xr.Dataset, shape: tuple[int, int]) -> list[
     return [_joined(found) for found in parts]
 
 
-def _inside(region: Region, x: Floats, y: Floats) -> npt.NDArray[np.bool_]:
+def _inside(region: Region, x: Floats, y: Floats) -> Bools:
     try:
         return contains(region.polygon, region.holes, x, y)
     except SchemaError as error:

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from hyperpaint.base.arrays import Floats, Ints
+from hyperpaint.base.arrays import Floats, Floats32, Ints
 
 from .full_light import AS_GLINT, Light, Matches, unmix_spectra
 from .model import CELL, LIT
@@ -17,7 +17,7 @@ from .segments import Touching, beyond, distinct_pairs
 __all__ = ["Paints", "clean_references", "coloured", "nearest_coloured", "same_paints"]
 
 
-def coloured(spectrum: Floats, light: Light) -> npt.NDArray[np.float64]:
+def coloured(spectrum: Floats, light: Light) -> Floats:
     """Return how coloured spectra are (segment,): what neither light nor grey explains, rms [1].
 
     Of the channels that are known; 0 where those are too few to tell.
@@ -36,25 +36,12 @@ def coloured(spectrum: Floats, light: Light) -> npt.NDArray[np.float64]:
 
 
 def nearest_coloured(
-    number: npt.NDArray[np.int32],
-    size: npt.NDArray[np.int64],
-    spectrum: Floats,
-    matches: Matches,
-    light: Light,
-    reach: int,
+    number: npt.NDArray[np.int32], size: Ints, spectrum: Floats, matches: Matches, light: Light, reach: int
 ) -> npt.NDArray[np.int32]:
     """Return the nearest coloured segments (cell_along, cell_cross, rank) that lie in full light.
 
-    Parameters
-    ----------
-    number : (line, column)
-        Segment of every pixel.
-    size, spectrum, matches
-        Of the segments.
-    light
-        Parts of the irradiance.
-    reach
-        How far light is followed [pixel].
+    Takes ``number`` (line, column): segment of every pixel; ``size``, ``spectrum``, ``matches``: of the
+    segments; ``light``: parts of the irradiance; ``reach``: how far light is followed [pixel].
     """
     from hyperpaint.kernels.segmentation import nearest_sources
 
@@ -128,7 +115,7 @@ def same_paints(spectrum: Floats, size: Ints, pairs: Touching, matches: Matches,
 
 
 def clean_references(
-    channels: npt.NDArray[np.float32],
+    channels: Floats32,
     places: list[Ints],
     spectrum: Floats,
     matches: Matches,
@@ -144,18 +131,10 @@ def clean_references(
     the sun can do, the darkest pixels that see as much of the sky are taken, and the rest is glint. Bodies
     that are glinted all over show their paint where another part of the car does.
 
-    Parameters
-    ----------
-    channels : (line, column, channel)
-        Reflectance [1].
-    places
-        Pixels of every segment.
-    spectrum, matches, paints, light
-        Of the segments, and the irradiance.
-    neighbours : (line x column, 2)
-        Coloured segments beside every pixel.
-    zenith
-        Of the sun [degree]; NaN where not known.
+    Takes ``channels`` (line, column, channel): reflectance [1]; ``places``: pixels of every segment;
+    ``spectrum``, ``matches``, ``paints``, ``light``: of the segments, and the irradiance; ``neighbours``
+    (line x column, 2): coloured segments beside every pixel; ``zenith``: of the sun [degree]; NaN where not
+    known.
     """
     finite_spectrum = np.nan_to_num(spectrum)
     reference, tilt = finite_spectrum.copy(), np.full(len(spectrum), BODIES.tilt)

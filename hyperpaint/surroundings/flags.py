@@ -11,10 +11,9 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import numpy.typing as npt
 
 from hyperpaint.base import schema
-from hyperpaint.base.arrays import Array, Progress
+from hyperpaint.base.arrays import Array, Floats, Progress
 from hyperpaint.base.errors import Problems, SchemaError
 from hyperpaint.base.many_outputs import split_outputs
 from hyperpaint.base.schema import ALONG_TRACK, CROSS_TRACK, Quality
@@ -214,7 +213,7 @@ def _origin(model: SceneModel) -> str:
     return f"diffuse fraction: {model.attrs.get('diffuse_fraction_from', 'unknown')}"
 
 
-def _most(model: SceneModel) -> npt.NDArray[np.float64]:
+def _most(model: SceneModel) -> Floats:
     """Return the largest amounts: no surface gets more of the beam than one that faces the sun."""
     most = np.full(len(FLAGS.expected), np.inf)
     zenith = float(model.attrs.get("sun_zenith", np.nan))

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from hyperpaint.base.arrays import Array, Bools, Floats, Ints
+from hyperpaint.base.arrays import Array, Bools, Floats, Floats32, Ints
 
 from .model import CELL, GLINTED, LIT, SHADED
 from .rules import GLINT, MIXTURES
@@ -53,7 +53,7 @@ class Matches(NamedTuple):
     body: npt.NDArray[np.int32]
 
 
-def median_spectra(channels: npt.NDArray[np.float32], places: list[Ints]) -> Floats:
+def median_spectra(channels: Floats32, places: list[Ints]) -> Floats:
     """Return the median (segment, channel) of the pixels at places; NaN where nothing is known."""
     flat = channels.reshape(-1, channels.shape[2])
     medians = np.full((len(places), channels.shape[2]), np.nan)
@@ -85,22 +85,11 @@ def unmix_spectra(
 ) -> tuple[Floats, Floats, Floats]:
     """Return amounts (n, part), misfits (n,) and what neighbours add (n, 2) of spectra (n, channel).
 
-    Parameters
-    ----------
-    seen : (n, channel)
-        Reflectance [1].
-    body : (n,)
-        What each shows, a row of ``bodies``.
-    bodies : (segment, channel)
-        Reflectance in full light [1].
-    light
-        Parts of the irradiance.
-    noise
-        Standard deviation relative to what is seen [1]; misfits are in units of it.
-    priors : (2, part)
-        What amounts are expected, and how far from it they may come to lie.
-    neighbours : (n, 2)
-        Rows of ``bodies`` that may send light, -1 for none; none by default.
+    Takes ``seen`` (n, channel): reflectance [1]; ``body`` (n,): what each shows, a row of ``bodies``;
+    ``bodies`` (segment, channel): reflectance in full light [1]; ``light``: parts of the irradiance;
+    ``noise``: standard deviation relative to what is seen [1]; misfits are in units of it; ``priors`` (2,
+    part): what amounts are expected, and how far from it they may come to lie; ``neighbours`` (n, 2): rows of
+    ``bodies`` that may send light, -1 for none; none by default.
     """
     from hyperpaint.kernels import arguments
     from hyperpaint.kernels.unmixing import PARTS, unmix_lines
@@ -125,35 +114,17 @@ def unmix_spectra(
 
 
 def match_segments(
-    spectrum: Floats,
-    size: Ints,
-    pairs: Touching,
-    light: Light,
-    shade: Matches,
-    step: Floats,
-    zenith: float,
+    spectrum: Floats, size: Ints, pairs: Touching, light: Light, shade: Matches, step: Floats, zenith: float
 ) -> Matches:
     r"""Find the segments that are others' surfaces in glint, beside those that are in shadow.
 
     A segment is in glint where
     :math:`\rho_B (c f_{dir} + V f_{dif}) + g f_{dir}` fits to 2 % with c and V near 1.
 
-    Parameters
-    ----------
-    spectrum : (segment, channel)
-        Reflectance [1].
-    size : (segment,)
-        Pixels.
-    pairs
-        Which segments touch.
-    light
-        Parts of the irradiance.
-    shade
-        What is known to be in shadow, from `hyperpaint.surroundings.shadows.match_shade`.
-    step : (pair,)
-        Mean difference of neighbouring pixels on the two sides of a border [1].
-    zenith
-        Of the sun [degree]; NaN where not known.
+    Takes ``spectrum`` (segment, channel): reflectance [1]; ``size`` (segment,): pixels; ``pairs``: which
+    segments touch; ``light``: parts of the irradiance; ``shade``: what is known to be in shadow, from
+    `hyperpaint.surroundings.shadows.match_shade`; ``step`` (pair,): mean difference of neighbouring pixels on
+    the two sides of a border [1]; ``zenith``: of the sun [degree]; NaN where not known.
     """
     most = GLINT.max_tilt / max(np.cos(np.radians(np.nan_to_num(zenith, nan=45.0))), 0.2)
     # a mirror image fades out, a body ends
@@ -220,9 +191,7 @@ def _assign(one: Ints, other: Ints, misfit: Floats, kind: int, state: Array, bod
     return any_assigned
 
 
-def _could_be_shade(
-    spectrum: Floats, one: Ints, other: Ints, light: Light
-) -> tuple[Floats, Floats, npt.NDArray[np.bool_]]:
+def _could_be_shade(spectrum: Floats, one: Ints, other: Ints, light: Light) -> tuple[Floats, Floats, Bools]:
     """Return amounts, relative misfits, and whether ``one`` looks like ``other`` in shadow, pair by pair."""
     amount, misfit, _ = unmix_spectra(
         spectrum[one], other, np.nan_to_num(spectrum), light, GLINT.shade_tolerance, _AS_SHADE
@@ -276,16 +245,8 @@ def mixtures_of(segment: Ints, body: Ints, spectrum: Floats, senders: Ints, ligh
     :math:`\rho_B (c f_{dir} + V f_{dif} + b \rho_n)` with c, V, b not negative; what a neighbour sends comes
     from where the sky is hidden, b < 1 - V. Pairs that cannot be are left out.
 
-    Parameters
-    ----------
-    segment, body : (n,)
-        Pairs to look at.
-    spectrum : (segment, channel)
-        Reflectance [1].
-    senders : (segment, rank)
-        Segments that may light one; -1 for none.
-    light
-        Parts of the irradiance.
+    Takes ``segment``, ``body`` (n,): pairs to look at; ``spectrum`` (segment, channel): reflectance [1];
+    ``senders`` (segment, rank): segments that may light one; -1 for none; ``light``: parts of the irradiance.
     """
     finite_spectrum = np.nan_to_num(spectrum)
     alone = [
@@ -322,7 +283,7 @@ def in_parts(count: int, together: int = _TOGETHER) -> list[slice]:
     return [slice(first, first + together) for first in range(0, count, together)]
 
 
-def senders_of(number: npt.NDArray[np.int32], spectrum: Floats, size: Ints) -> npt.NDArray[np.int64]:
+def senders_of(number: npt.NDArray[np.int32], spectrum: Floats, size: Ints) -> Ints:
     """Return the coloured segments nearest to most of each segment's pixels (segment, rank); -1 for none.
 
     What grey ones send cannot be told from direct light.

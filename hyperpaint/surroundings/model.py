@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from hyperpaint.base.arrays import Array, Floats
+from hyperpaint.base.arrays import Array, Floats, Ints
 from hyperpaint.base.errors import Problems, SchemaError
 from hyperpaint.base.schema import ALONG_TRACK, BAND, CROSS_TRACK, FORMAT_VERSION
 
@@ -28,18 +28,10 @@ CELL = 4
 def two_nearest(neighbour: Index, body: Index, paint: Index, number: Index, first: int) -> Index:
     """Return the two nearest coloured bodies, of other paint than its own, of the pixels of some lines.
 
-    Parameters
-    ----------
-    neighbour : (cell_along, cell_cross, rank)
-        Segments nearest to a cell, -1 for none.
-    body : (segment,)
-        Body of a segment.
-    paint : (segment,)
-        What is the same for all bodies of one paint.
-    number : (line, column)
-        Segment of every pixel of these lines, -1 without data.
-    first
-        Number of the first of these lines.
+    Takes ``neighbour`` (cell_along, cell_cross, rank): segments nearest to a cell, -1 for none; ``body``
+    (segment,): body of a segment; ``paint`` (segment,): what is the same for all bodies of one paint;
+    ``number`` (line, column): segment of every pixel of these lines, -1 without data; ``first``: number of
+    the first of these lines.
 
     Returns
     -------
@@ -174,7 +166,7 @@ class SceneModel:
     """
 
     wavelength: Floats
-    channel: npt.NDArray[np.int64]
+    channel: Ints
     channel_wavelength: Floats
     diffuse_fraction: Floats
     shift: Floats
@@ -183,7 +175,7 @@ class SceneModel:
     edge_distance: npt.NDArray[np.uint8]
     shade_distance: npt.NDArray[np.uint8]
     neighbour: npt.NDArray[np.int32]
-    size: npt.NDArray[np.int64]
+    size: Ints
     state: npt.NDArray[np.int8]
     body: npt.NDArray[np.int32]
     paint: npt.NDArray[np.int32]

@@ -50,93 +50,66 @@ class Direct(NamedTuple):
 class SurveyRules:
     """Channels of a line, and the pixels that represent a segment."""
 
-    channels: int = 24
-    """Channels of a cube with more bands: 25 nm wide for a 400-1000 nm camera."""
-    min_edge_distance_px: int = 2
-    """Distance from a boundary from which on spectra count [pixel]."""
-    max_noise_pairs: int = 100_000
-    """Pairs of neighbouring pixels that noise is estimated from, at most."""
-    min_noise_level: float = 0.01
-    """Reflectance that noise is relative to, at least [1]."""
+    channels: int = 24  #: Channels of a cube with more bands: 25 nm wide for a 400-1000 nm camera.
+    min_edge_distance_px: int = 2  #: Distance from a boundary from which on spectra count [pixel].
+    max_noise_pairs: int = 100_000  #: Pairs of neighbouring pixels that noise is estimated from, at most.
+    min_noise_level: float = 0.01  #: Reflectance that noise is relative to, at least [1].
 
 
 @dataclass(frozen=True)
 class SegmentRules:
     """Division of a line into segments of one surface in one light."""
 
-    step_floor: float = 0.01
-    """Reflectance below which steps between pixels count for less [1]."""
+    step_floor: float = 0.01  #: Reflectance below which steps between pixels count for less [1].
+    #: Scale k of Felzenszwalb & Huttenlocher (2004): n pixels are joined over steps k/n above their
+    #: own.
     granularity: float = 1.0
-    """Scale k of Felzenszwalb & Huttenlocher (2004): n pixels are joined over steps k/n above their own."""
-    min_pixels: int = 12
-    """Pixels of a segment, at least; what is smaller goes with its neighbour."""
-    min_core_px: int = 3
-    """Pixels with only their like around them, at least: what is thinner is a boundary."""
-    max_sample_px: int = 2048
-    """Pixels of a segment that are looked at, at most."""
-    min_border_sides: int = 3
-    """Sides of pixels from which on segments touch by more than a corner."""
-    max_bridge_px: int = 3000
-    """Pixels of a segment that links two others, at most."""
+    min_pixels: int = 12  #: Pixels of a segment, at least; what is smaller goes with its neighbour.
+    min_core_px: int = 3  #: Pixels with only their like around them, at least: what is thinner is a boundary.
+    max_sample_px: int = 2048  #: Pixels of a segment that are looked at, at most.
+    min_border_sides: int = 3  #: Sides of pixels from which on segments touch by more than a corner.
+    max_bridge_px: int = 3000  #: Pixels of a segment that links two others, at most.
 
 
 @dataclass(frozen=True)
 class GlintRules:
     """Segments that are another's surface under the sun's mirror image."""
 
-    shade_tolerance: float = 0.08
-    """Tolerance of spectra in shadow, relative to what is seen [1]."""
-    tolerance: float = 0.02
-    """Tolerance of spectra in glint, relative to what is seen [1]."""
-    floor: float = 0.0005
-    """Tolerance of any spectrum, in reflectance [1]."""
+    shade_tolerance: float = 0.08  #: Tolerance of spectra in shadow, relative to what is seen [1].
+    tolerance: float = 0.02  #: Tolerance of spectra in glint, relative to what is seen [1].
+    floor: float = 0.0005  #: Tolerance of any spectrum, in reflectance [1].
+    #: Misfit of what could be a shadow, relative to what is seen, at most [1].
     max_shade_misfit: float = 0.11
-    """Misfit of what could be a shadow, relative to what is seen, at most [1]."""
+    #: Brightness of what could be a shadow, relative to its body, at most [1].
     max_shade_brightness: float = 0.5
-    """Brightness of what could be a shadow, relative to its body, at most [1]."""
-    min_shade_sky: float = 0.2
-    """Amount of the sky's light in what could be a shadow, at least [1]."""
-    max_shade_sky: float = 1.15
-    """The same, at most [1]."""
+    min_shade_sky: float = 0.2  #: Amount of the sky's light in what could be a shadow, at least [1].
+    max_shade_sky: float = 1.15  #: The same, at most [1].
+    #: Step of pixels over a border, relative to the difference of both sides, below which light fades
+    #: out [1].
     max_fading_step: float = 0.35
-    """Step of pixels over a border, relative to the difference of both sides, below which light fades out
-    [1]."""
-    min_glint: float = 0.004
-    """Glint of a segment, at least [1]."""
-    min_body_share: float = 1.0
-    """Pixels of the body relative to those of the segment, at least [1]."""
+    min_glint: float = 0.004  #: Glint of a segment, at least [1].
+    min_body_share: float = 1.0  #: Pixels of the body relative to those of the segment, at least [1].
+    #: Direct light on what faces the sun, relative to a body that leans away a little, at most [1].
     max_tilt: float = 1.1
-    """Direct light on what faces the sun, relative to a body that leans away a little, at most [1]."""
-    rounds: int = 6
-    """Turns in which glint is looked for beside what is in glint already."""
+    rounds: int = 6  #: Turns in which glint is looked for beside what is in glint already.
 
 
 @dataclass(frozen=True)
 class MixtureRules:
     """Segments as bodies in the light of sun, sky and one neighbour."""
 
-    tolerance: float = 0.05
-    """Tolerance of spectra, relative to what is seen [1]."""
-    floor: float = 0.0005
-    """Tolerance of any spectrum, in reflectance [1]."""
-    neighbours: int = 6
-    """Coloured segments around that may send light."""
-    neighbours_of_cell: int = 4
-    """Segments that are kept of a cell."""
-    reach_px: int = 60
-    """Distance of those from the cell, at most [pixel]."""
-    min_sender_level: float = 0.04
-    """Mean reflectance of a segment that sends light, at least [1]."""
+    tolerance: float = 0.05  #: Tolerance of spectra, relative to what is seen [1].
+    floor: float = 0.0005  #: Tolerance of any spectrum, in reflectance [1].
+    neighbours: int = 6  #: Coloured segments around that may send light.
+    neighbours_of_cell: int = 4  #: Segments that are kept of a cell.
+    reach_px: int = 60  #: Distance of those from the cell, at most [pixel].
+    min_sender_level: float = 0.04  #: Mean reflectance of a segment that sends light, at least [1].
+    #: Standard deviation over channels of one, relative to its mean, at least [1].
     min_sender_colour: float = 0.3
-    """Standard deviation over channels of one, relative to its mean, at least [1]."""
-    min_sender_px: int = 150
-    """Pixels of one, at least."""
-    max_direct: float = 0.4
-    """Amount of direct light of what may lie in shadow, at most [1]."""
-    max_sky: float = 1.1
-    """Amount of the sky's light of the same, at most [1]."""
-    max_misfit: float = 0.3
-    """Misfit of the same, relative to what is seen, at most [1]."""
+    min_sender_px: int = 150  #: Pixels of one, at least.
+    max_direct: float = 0.4  #: Amount of direct light of what may lie in shadow, at most [1].
+    max_sky: float = 1.1  #: Amount of the sky's light of the same, at most [1].
+    max_misfit: float = 0.3  #: Misfit of the same, relative to what is seen, at most [1].
 
 
 @dataclass(frozen=True)
@@ -146,170 +119,135 @@ class ShadowRules:
     Set on ray-traced car parks, to what keeps glass and black paint out.
     """
 
-    max_brightness: float = 0.5
-    """Brightness of a shadow, relative to its body, at most [1]."""
-    large_segments: int = 40
-    """Largest segments, which may be the body of any."""
-    min_body_share: float = 0.2
-    """Size of the lit part of a body, relative to its shadow, at least [1]."""
+    max_brightness: float = 0.5  #: Brightness of a shadow, relative to its body, at most [1].
+    large_segments: int = 40  #: Largest segments, which may be the body of any.
+    min_body_share: float = 0.2  #: Size of the lit part of a body, relative to its shadow, at least [1].
+    #: Difference of spectra of mean 1 of segments that look the same, at most [1].
     max_shape_difference: float = 0.08
-    """Difference of spectra of mean 1 of segments that look the same, at most [1]."""
-    max_level_difference: float = 0.35
-    """Relative difference of their brightness, at most [1]."""
-    min_contact_sides: int = 4
-    """Sides of pixels over which a shadow touches its lit body, at least."""
-    open_sky: float = 0.75
-    """Amount of the sky's light below which what hides the sky may send light [1]."""
-    min_clear_sky: float = 0.45
-    """Amount of the sky's light in a clear shadow, at least [1]."""
-    max_clear_misfit: float = 0.035
-    """Misfit of a clear shadow, relative to what is seen, at most [1]."""
-    max_misfit: float = 0.045
-    """Misfit of a shadow that its surroundings speak for, at most [1]."""
-    min_ground_share: float = 0.1
-    """Share of all shadows that lie on a body that is ground, at least [1]."""
+    max_level_difference: float = 0.35  #: Relative difference of their brightness, at most [1].
+    min_contact_sides: int = 4  #: Sides of pixels over which a shadow touches its lit body, at least.
+    open_sky: float = 0.75  #: Amount of the sky's light below which what hides the sky may send light [1].
+    min_clear_sky: float = 0.45  #: Amount of the sky's light in a clear shadow, at least [1].
+    max_clear_misfit: float = 0.035  #: Misfit of a clear shadow, relative to what is seen, at most [1].
+    max_misfit: float = 0.045  #: Misfit of a shadow that its surroundings speak for, at most [1].
+    min_ground_share: float = 0.1  #: Share of all shadows that lie on a body that is ground, at least [1].
+    #: Mean direction of a border's sides against that of shadows, beyond which it faces the sun [1].
     sideways: float = 0.35
-    """Mean direction of a border's sides against that of shadows, beyond which it faces the sun [1]."""
-    rounds: int = 12
-    """Turns in which shadows go on to what touches them, at most."""
+    rounds: int = 12  #: Turns in which shadows go on to what touches them, at most.
+    #: Brightness of single pixels that are looked at, relative to their body, at most [1].
     max_pixel_level: float = 0.9
-    """Brightness of single pixels that are looked at, relative to their body, at most [1]."""
-    max_pixel_direct: float = 0.8
-    """Direct light of single pixels in shadow, at most [1]."""
-    max_pixel_misfit: float = 0.2
-    """Misfit of single pixels in shadow, at most [1]."""
+    max_pixel_direct: float = 0.8  #: Direct light of single pixels in shadow, at most [1].
+    max_pixel_misfit: float = 0.2  #: Misfit of single pixels in shadow, at most [1].
+    #: Sky's light less direct light of single pixels in shadow, at least [1].
     min_pixel_sky_excess: float = 0.05
-    """Sky's light less direct light of single pixels in shadow, at least [1]."""
-    min_telling_px: int = 30
-    """Pixels of a clear shadow that shows to which side shadows fall, at least."""
-    clear_direct: Direct = Direct(0.015, 0.12)  # noqa: RUF009  (a tuple, immutable)
-    """Direct light of clear shadows, at most."""
-    max_sent: float = 0.5
-    """Light of a neighbour in a clear shadow, relative to the hidden sky, at most [1]."""
-    max_sent_beside: float = 1.0
-    """The same beside another shadow [1]."""
-    sure: Contact = Contact(0.1, 0.2)  # noqa: RUF009  (a tuple, immutable)
-    """Contact of shadows beyond doubt, at least."""
+    min_telling_px: int = 30  #: Pixels of a clear shadow that shows to which side shadows fall, at least.
+    #: Direct light of clear shadows, at most.
+    clear_direct: Direct = Direct(0.015, 0.12)  # noqa: RUF009
+    max_sent: float = 0.5  #: Light of a neighbour in a clear shadow, relative to the hidden sky, at most [1].
+    max_sent_beside: float = 1.0  #: The same beside another shadow [1].
+    #: Contact of shadows beyond doubt, at least.
+    sure: Contact = Contact(0.1, 0.2)  # noqa: RUF009
+    #: Share of the border in touch with the lit body, from which on a shadow lies in it, on whatever
+    #: side [1].
     island_border: float = 0.6
-    """Share of the border in touch with the lit body, from which on a shadow lies in it, on whatever side
-    [1]."""
-    on_ground: Contact = Contact(0.04, 0.1)  # noqa: RUF009  (a tuple, immutable)
-    """Contact of shadows on the ground, at least."""
-    sided: Contact = Contact(0.15, 0.25)  # noqa: RUF009  (a tuple, immutable)
-    """Plain contact, with which a shadow on the ground may have more direct light."""
-    sided_direct: Direct = Direct(0.05, 0.25)  # noqa: RUF009  (a tuple, immutable)
-    """Direct light of those, at most."""
+    #: Contact of shadows on the ground, at least.
+    on_ground: Contact = Contact(0.04, 0.1)  # noqa: RUF009
+    #: Plain contact, with which a shadow on the ground may have more direct light.
+    sided: Contact = Contact(0.15, 0.25)  # noqa: RUF009
+    #: Direct light of those, at most.
+    sided_direct: Direct = Direct(0.05, 0.25)  # noqa: RUF009
+    #: Mean side of clear shadows on the ground, whatever their share of contact, at least [1].
     beside_way: float = -0.2
-    """Mean side of clear shadows on the ground, whatever their share of contact, at least [1]."""
-    worse_factor: float = 1.5
-    """Misfit relative to that of the best shadow on the ground, at most [1]."""
-    worse_by: float = 0.004
-    """What that may be exceeded by [1]."""
+    worse_factor: float = 1.5  #: Misfit relative to that of the best shadow on the ground, at most [1].
+    worse_by: float = 0.004  #: What that may be exceeded by [1].
+    #: Misfit on other bodies, beside shadows, with much of the sky's light, at most [1].
     max_dim_misfit: float = 0.18
-    """Misfit on other bodies, beside shadows, with much of the sky's light, at most [1]."""
-    max_dark_misfit: float = 0.08
-    """The same with little of it [1]."""
-    min_marking_sky: float = 0.22
-    """Sky's light of shadows on bay lines and kerbs, at least [1]."""
-    max_marking_direct: float = 0.04
-    """Direct light of the same, at most [1]."""
-    next_clear: float = 0.04
-    """Share of the border in contact with shadows of a clear one, at least [1]."""
-    next: float = 0.4
-    """The same of any other [1]."""
-    next_marking: float = 0.3
-    """The same of markings [1]."""
+    max_dark_misfit: float = 0.08  #: The same with little of it [1].
+    min_marking_sky: float = 0.22  #: Sky's light of shadows on bay lines and kerbs, at least [1].
+    max_marking_direct: float = 0.04  #: Direct light of the same, at most [1].
+    next_clear: float = 0.04  #: Share of the border in contact with shadows of a clear one, at least [1].
+    next: float = 0.4  #: The same of any other [1].
+    next_marking: float = 0.3  #: The same of markings [1].
+    #: Share of the border from which on a segment lies in shadow with more direct light [1].
     enclosed: float = 0.7
-    """Share of the border from which on a segment lies in shadow with more direct light [1]."""
-    max_enclosed_direct: float = 0.25
-    """That direct light, at most [1]."""
+    max_enclosed_direct: float = 0.25  #: That direct light, at most [1].
 
 
 @dataclass(frozen=True)
 class BodyRules:
     """Coloured neighbours, paints, and the spectra of bodies without glint."""
 
+    #: Neighbours of a cell that are kept; one or two of them may be its own body.
     neighbours_of_cell: int = 4
-    """Neighbours of a cell that are kept; one or two of them may be its own body."""
+    #: Colour of a segment whose light is looked for, see `coloured`, at least [1].
     min_sender_colour: float = 0.04
-    """Colour of a segment whose light is looked for, see `coloured`, at least [1]."""
-    min_sender_px: int = 40
-    """Pixels of that, at least."""
-    tilt: float = 0.1
-    """Spread of the amount of direct light within a body: how far its parts lean [1]."""
-    glint_tilt: float = 0.03
-    """The same where all that differs by more is glint for certain [1]."""
-    bright: float = 0.1
-    """Reflectance from which tilt looks like glint above the usual threshold [1]."""
+    min_sender_px: int = 40  #: Pixels of that, at least.
+    tilt: float = 0.1  #: Spread of the amount of direct light within a body: how far its parts lean [1].
+    glint_tilt: float = 0.03  #: The same where all that differs by more is glint for certain [1].
+    bright: float = 0.1  #: Reflectance from which tilt looks like glint above the usual threshold [1].
+    #: Colour relative to brightness below which a mirrored sun looks like more of the sun's light [1].
     max_grey_colour: float = 0.08
-    """Colour relative to brightness below which a mirrored sun looks like more of the sun's light [1]."""
+    #: Colour relative to brightness from which paints are told apart by it [1].
     min_paint_colour: float = 0.1
-    """Colour relative to brightness from which paints are told apart by it [1]."""
-    min_body_px: int = 50
-    """Pixels of a body that is looked at, at least."""
-    min_clean_px: int = 5
-    """Pixels that its reference is the mean of, at least."""
+    min_body_px: int = 50  #: Pixels of a body that is looked at, at least.
+    min_clean_px: int = 5  #: Pixels that its reference is the mean of, at least.
+    #: Difference of half of the pixels in what is added to them, where it is no noise [1].
     min_difference: float = 0.003
-    """Difference of half of the pixels in what is added to them, where it is no noise [1]."""
+    #: Quantiles of what is added to pixels, between which a body is seen as it is.
     clean_quantiles: tuple[float, float] = (0.01, 0.1)
-    """Quantiles of what is added to pixels, between which a body is seen as it is."""
-    clean_grey_quantiles: tuple[float, float] = (0.05, 0.35)
-    """The same of a grey body."""
-    min_glint_brightness: float = 1.3
-    """Brightness of glint, relative to what faces the sun, at least [1]."""
+    clean_grey_quantiles: tuple[float, float] = (0.05, 0.35)  #: The same of a grey body.
+    min_glint_brightness: float = 1.3  #: Brightness of glint, relative to what faces the sun, at least [1].
+    #: Brightness of half of a body, relative to its darkest parts, from which most of it is in glint
+    #: [1].
     min_mostly_glint: float = 1.08
-    """Brightness of half of a body, relative to its darkest parts, from which most of it is in glint [1]."""
+    #: Quantiles of a grey body's brightness without glint.
     darkest_quantiles: tuple[float, float] = (0.02, 0.1)
-    """Quantiles of a grey body's brightness without glint."""
-    usual_quantile: float = 0.15
-    """Quantile of the same as it mostly is without glint."""
-    brightest_quantile: float = 0.98
-    """Quantile of the same in glint."""
+    usual_quantile: float = 0.15  #: Quantile of the same as it mostly is without glint.
+    brightest_quantile: float = 0.98  #: Quantile of the same in glint.
+    #: Brightness of half of a body, relative to its darkest parts, at most: more is beside a shadow
+    #: [1].
     max_even_ratio: float = 3.5
-    """Brightness of half of a body, relative to its darkest parts, at most: more is beside a shadow [1]."""
+    #: Range of `clean_grey_quantiles` where most of a body is without glint, at most [1].
     max_plateau: float = 0.02
-    """Range of `clean_grey_quantiles` where most of a body is without glint, at most [1]."""
-    min_sky: float = 0.8
-    """Light of the sky on a body's darkest parts, relative to its median, at least [1]."""
+    min_sky: float = 0.8  #: Light of the sky on a body's darkest parts, relative to its median, at least [1].
+    #: Size of another part of the same paint that shows it without glint, relative to the body, at
+    #: least [1].
     min_part_share: float = 0.1
-    """Size of another part of the same paint that shows it without glint, relative to the body, at least
-    [1]."""
+    #: Reflectance added to every channel before pixels are unmixed, so that amounts below 0 show [1].
     offset: float = 0.1
-    """Reflectance added to every channel before pixels are unmixed, so that amounts below 0 show [1]."""
-    lift: float = 0.05
-    """Part of each neighbour's reflectance added for the same reason [1]."""
+    lift: float = 0.05  #: Part of each neighbour's reflectance added for the same reason [1].
 
 
 @dataclass(frozen=True)
 class DiffuseRules:
     """The diffuse fraction from a cast shadow in the image."""
 
-    min_shadow_px: int = 60
-    """Pixels of a shadow that the diffuse fraction is taken from, at least."""
+    min_shadow_px: int = 60  #: Pixels of a shadow that the diffuse fraction is taken from, at least.
+    #: Quantiles of brightness in the blue, between which its pixels see most of the sky.
     open_sky_quantiles: tuple[float, float] = (0.6, 0.9)
-    """Quantiles of brightness in the blue, between which its pixels see most of the sky."""
 
 
 @dataclass(frozen=True)
 class FlagRules:
     """Unmixing of single pixels."""
 
+    #: Standard deviation of a channel beside its noise, relative: bodies differ from place to place
+    #: [1].
     relative_error: float = 0.007
-    """Standard deviation of a channel beside its noise, relative: bodies differ from place to place [1]."""
-    floor: float = 0.001
-    """Standard deviation of a channel, in reflectance [1]."""
+    floor: float = 0.001  #: Standard deviation of a channel, in reflectance [1].
+    #: Squared standard deviations by which leaving glint or neighbours out is worse: three sigma.
     evidence_sd2: float = 9.0
-    """Squared standard deviations by which leaving glint or neighbours out is worse: three sigma."""
+    #: Amounts without evidence; parts as in `hyperpaint.kernels.unmixing` [1].
     expected: tuple[float, ...] = (1.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
-    """Amounts without evidence; parts as in `hyperpaint.kernels.unmixing` [1]."""
+    #: Standard deviations of the amounts from that: weak beside a channel's noise [1].
     spread: tuple[float, ...] = (0.1, 0.3, 10.0, 0.02, 0.2, 0.1, 0.2, 0.1)
-    """Standard deviations of the amounts from that: weak beside a channel's noise [1]."""
+    #: Direct light on what faces the sun, relative to a body that leans away a little, at most [1].
     max_direct: float = 1.1
-    """Direct light on what faces the sun, relative to a body that leans away a little, at most [1]."""
+    #: Distance from a cast shadow up to which missing light is part of it; elsewhere it is tilt
+    #: [pixel].
     penumbra_px: int = 1
-    """Distance from a cast shadow up to which missing light is part of it; elsewhere it is tilt [pixel]."""
+    #: Wavelength shift above which spectra are compared at nominal wavelengths [nm].
     max_smile_nm: float = 1.0
-    """Wavelength shift above which spectra are compared at nominal wavelengths [nm]."""
 
 
 SURVEY = SurveyRules()

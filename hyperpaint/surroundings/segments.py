@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from hyperpaint.base.arrays import Array, Ints
+from hyperpaint.base.arrays import Array, Bools, Floats32, Ints
 
 from .rules import SEGMENTS
 
@@ -39,7 +39,7 @@ class Segments(NamedTuple):
     """
 
     number: npt.NDArray[np.int32]
-    sure: npt.NDArray[np.bool_]
+    sure: Bools
     size: Ints
 
 
@@ -62,7 +62,7 @@ class Touching(NamedTuple):
     sides: Ints
 
 
-def divide(channels: npt.NDArray[np.float32]) -> Segments:
+def divide(channels: Floats32) -> Segments:
     """Return the segments of a line (line, column, channel).
 
     The steps between neighbouring pixels are taken from the gentlest on, and join what they lie between
@@ -92,7 +92,7 @@ def divide(channels: npt.NDArray[np.float32]) -> Segments:
     return Segments(number.reshape(shape), sure.reshape(shape), sizes)
 
 
-def sample_pixels(number: npt.NDArray[np.int32], chosen: npt.NDArray[np.bool_], count: int) -> list[Ints]:
+def sample_pixels(number: npt.NDArray[np.int32], chosen: Bools, count: int) -> list[Ints]:
     """Return places of at most `max_sample_px` chosen pixels of every segment, evenly spread in line order.
 
     Segments without a chosen pixel give the first ones they have.
@@ -148,7 +148,7 @@ def distinct_pairs(one: Ints, other: Ints, count: int) -> tuple[Ints, Ints]:
     return codes // max(count, 1), codes % max(count, 1)
 
 
-def border_steps(channels: npt.NDArray[np.float32], number: npt.NDArray[np.int32], pairs: Touching) -> Array:
+def border_steps(channels: Floats32, number: npt.NDArray[np.int32], pairs: Touching) -> Array:
     """Return the mean difference of brightness of the pixels on both sides of a border (pair,) [1]."""
     level = channels.mean(axis=2)
     count = int(number.max()) + 1
@@ -183,7 +183,7 @@ def edge_distance(
     return to_surface
 
 
-def distance_to(chosen: npt.NDArray[np.bool_]) -> npt.NDArray[np.uint8]:
+def distance_to(chosen: Bools) -> npt.NDArray[np.uint8]:
     """Return how many pixels every pixel is from a chosen one (line, column), 0 in one; at most 255."""
     from hyperpaint.kernels.segmentation import boundary_distance
 

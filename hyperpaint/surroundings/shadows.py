@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from hyperpaint.base.arrays import Array, Bools, Floats, Ints
+from hyperpaint.base.arrays import Array, Bools, Floats, Floats32, Ints
 
 from .full_light import Light, Matches, Mixtures, in_parts, mixtures_of, senders_of, solve, without_sun
 from .model import LIT, SHADED
@@ -63,20 +63,10 @@ def match_shade(
     2. The ground is what most of these lie on. On it, shadows may be darker and more coloured.
     3. From there they go on to segments that touch them, and are no part of what stands in the sun.
 
-    Parameters
-    ----------
-    number : (line, column)
-        Segment of every pixel, -1 without data.
-    spectrum : (segment, channel)
-        Reflectance [1].
-    size : (segment,)
-        Pixels.
-    pairs
-        Which segments touch.
-    light
-        Parts of the irradiance.
-    side : (2,)
-        Direction (along, across) in which shadows fall; found from the clearest of them if None.
+    Takes ``number`` (line, column): segment of every pixel, -1 without data; ``spectrum`` (segment, channel):
+    reflectance [1]; ``size`` (segment,): pixels; ``pairs``: which segments touch; ``light``: parts of the
+    irradiance; ``side`` (2,): direction (along, across) in which shadows fall; found from the clearest of
+    them if None.
     """
     count = len(spectrum)
     state, body = np.full(count, LIT, np.int8), np.arange(count, dtype=np.int32)
@@ -268,28 +258,15 @@ def _assign(mixtures: Mixtures, chosen: Bools, state: Array, body: Array) -> boo
 
 
 def shaded_pixels(
-    channels: npt.NDArray[np.float32],
-    number: npt.NDArray[np.int32],
-    level: Bools,
-    reference: Floats,
-    light: Light,
+    channels: Floats32, number: npt.NDArray[np.int32], level: Bools, reference: Floats, light: Light
 ) -> Bools:
     """Return the pixels (line, column) of level ground that lack direct light: shadows of thin things.
 
     What leans away from the sun lacks it as well, so that nothing but the ground can be asked.
 
-    Parameters
-    ----------
-    channels : (line, column, channel)
-        Reflectance [1].
-    number : (line, column)
-        Segment of every pixel, -1 without data.
-    level : (segment,)
-        True for ground in the sun.
-    reference : (segment, channel)
-        Reflectance of bodies in full light [1].
-    light
-        Parts of the irradiance.
+    Takes ``channels`` (line, column, channel): reflectance [1]; ``number`` (line, column): segment of every
+    pixel, -1 without data; ``level`` (segment,): true for ground in the sun; ``reference`` (segment,
+    channel): reflectance of bodies in full light [1]; ``light``: parts of the irradiance.
     """
     shaded = np.zeros(number.shape, bool)
     bright = reference.mean(axis=1)

@@ -9,10 +9,9 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import numpy.typing as npt
 
 from hyperpaint.base import schema
-from hyperpaint.base.arrays import Floats, Ints
+from hyperpaint.base.arrays import Floats, Floats32, Ints
 from hyperpaint.base.errors import MissingExtraError, Problems, SchemaError
 from hyperpaint.base.schema import BAND, PAINT
 from hyperpaint.light.sun import diffuse_fraction, solar_position
@@ -135,12 +134,8 @@ def diffuse_from_clear_sky(source: str, wavelength: Floats, zenith: float) -> Fl
 def measured_fraction(given: Any, wavelength: Floats) -> Floats:
     """Return a measured diffuse fraction at the bands' wavelengths.
 
-    Parameters
-    ----------
-    given : (band,) or DataArray with a coordinate ``wavelength``
-        Reading in the shade of a small disc over that in full light [1].
-    wavelength : (band,)
-        [nm]
+    Takes ``given`` (band,) or DataArray with a coordinate ``wavelength``: reading in the shade of a small
+    disc over that in full light [1]; ``wavelength`` (band,): [nm].
 
     Raises
     ------
@@ -164,11 +159,7 @@ def measured_fraction(given: Any, wavelength: Floats) -> Floats:
 
 
 def fraction_in_shadow(
-    channels: npt.NDArray[np.float32],
-    places: list[Ints],
-    spectrum: Floats,
-    size: Ints,
-    matches: Matches,
+    channels: Floats32, places: list[Ints], spectrum: Floats, size: Ints, matches: Matches
 ) -> Floats:
     r"""Return the diffuse fraction (channel,) from a shadow on the largest body that has one of some size.
 

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hyperpaint.base import schema
-from hyperpaint.base.arrays import Array, Floats, Progress
+from hyperpaint.base.arrays import Array, Bools, Floats, Floats32, Ints, Progress
 from hyperpaint.base.errors import Problems, SchemaError
 from hyperpaint.base.progress_reports import as_progress
 from hyperpaint.base.schema import ALONG_TRACK, BAND, CHUNK_LINES, CROSS_TRACK
@@ -46,7 +46,7 @@ __all__ = [
 _TOGETHER = 8  # blocks read at a time: enough for the threads of a laptop, little enough for its memory
 
 
-def channel_numbers(wavelength: Array, good: Array) -> npt.NDArray[np.int64]:
+def channel_numbers(wavelength: Array, good: Array) -> Ints:
     """Return the channel of every band: runs of as many good bands each; -1 for bands that are not good.
 
     The ends of the spectrum, where colours have their steepest edges, are not treated apart: 24 channels of
@@ -59,7 +59,7 @@ def channel_numbers(wavelength: Array, good: Array) -> npt.NDArray[np.int64]:
     return numbers
 
 
-def to_channels(block: Array, channel: npt.NDArray[np.int64]) -> npt.NDArray[np.float32]:
+def to_channels(block: Array, channel: Ints) -> Floats32:
     """Return the means (line, column, channel) of a block (line, band, column)."""
     from hyperpaint.kernels.unmixing import average_bands
 
@@ -68,9 +68,7 @@ def to_channels(block: Array, channel: npt.NDArray[np.int64]) -> npt.NDArray[np.
     return out
 
 
-def read_channels(
-    cube: xr.DataArray, channel: npt.NDArray[np.int64], progress: Progress | None
-) -> npt.NDArray[np.float32]:
+def read_channels(cube: xr.DataArray, channel: Ints, progress: Progress | None) -> Floats32:
     """Return the whole line in channels (line, column, channel), some blocks in memory at a time.
 
     A pixel's means depend on its own bands alone, so that blocks change no bit.
@@ -98,9 +96,7 @@ def read_channels(
     return out
 
 
-def without_unknown(
-    channels: npt.NDArray[np.float32], channel: npt.NDArray[np.int64]
-) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.int64]]:
+def without_unknown(channels: Floats32, channel: Ints) -> tuple[Floats32, Ints]:
     """Return a line in channels, and the channel of every band, without channels that most pixels lack.
 
     One channel that is dead for the whole line would otherwise leave no segment of which all is known. Where
@@ -115,9 +111,7 @@ def without_unknown(
     return np.ascontiguousarray(channels[..., retained]), numbers[channel]
 
 
-def shift_of_channels(
-    line: xr.Dataset, channel: npt.NDArray[np.int64], columns: int
-) -> npt.NDArray[np.float64]:
+def shift_of_channels(line: xr.Dataset, channel: Ints, columns: int) -> Floats:
     """Return by how much a channel's true wavelength differs from the nominal one (channel, column) [nm].
 
     0 where the line has no ``wavelength_shift``, or it is not known.
@@ -133,11 +127,7 @@ def shift_of_channels(
     return np.ascontiguousarray(bands @ np.broadcast_to(shift, (channel.size, columns)))
 
 
-def to_nominal_channels(
-    channels: npt.NDArray[np.float32],
-    centre: npt.NDArray[np.float64],
-    shift: npt.NDArray[np.float64],
-) -> None:
+def to_nominal_channels(channels: Floats32, centre: Floats, shift: Floats) -> None:
     """Take the smile out of channels (line, column, channel), in place: what they change by over the shift.
 
     The slope is that between the channels on both sides, which are much wider than any smile.
@@ -149,21 +139,15 @@ def to_nominal_channels(
         block -= np.nan_to_num(slope * shift.T).astype(np.float32)
 
 
-def channel_noise(
-    channels: npt.NDArray[np.float32], number: npt.NDArray[np.int32], inside: npt.NDArray[np.bool_]
-) -> npt.NDArray[np.float64]:
+def channel_noise(channels: Floats32, number: npt.NDArray[np.int32], inside: Bools) -> Floats:
     """Return the noise of channels (channel,), relative to what is seen [1].
 
     From second differences over the channels of what neighbouring pixels of one segment differ by: the
     light and the surface change little from pixel to pixel, and smoothly over the channels. 0 where nothing
     is known of it.
 
-    Parameters
-    ----------
-    channels : (line, column, channel)
-        Reflectance [1].
-    number, inside : (line, column)
-        Segment of every pixel, and whether it lies inside.
+    Takes ``channels`` (line, column, channel): reflectance [1]; ``number``, ``inside`` (line, column):
+    segment of every pixel, and whether it lies inside.
     """
     count = channels.shape[2]
     same = (number[:, 1:] == number[:, :-1]) & (number[:, 1:] >= 0) & inside[:, 1:] & inside[:, :-1]
@@ -313,7 +297,7 @@ def survey(
     )  # fmt: skip
 
 
-def _good_bands(line: xr.Dataset, cube: xr.DataArray, wavelength: Floats) -> npt.NDArray[np.bool_]:
+def _good_bands(line: xr.Dataset, cube: xr.DataArray, wavelength: Floats) -> Bools:
     """Return which bands are good (band,), of a line that can be looked at."""
     problems = Problems("this line cannot be surveyed", SchemaError)
     if not cube.size:
@@ -364,7 +348,7 @@ def _fraction(
     return diffuse_from_clear_sky(diffuse, wavelength, zenith), text[diffuse], zenith
 
 
-def _mean_of(values: Floats, channel: npt.NDArray[np.int64]) -> Floats:
+def _mean_of(values: Floats, channel: Ints) -> Floats:
     """Return the means of values (band,) over the bands of every channel (channel,)."""
     used = channel >= 0
     weight = np.bincount(channel[used])

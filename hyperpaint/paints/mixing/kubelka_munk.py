@@ -23,7 +23,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from hyperpaint.base.arrays import Floats
+from hyperpaint.base.arrays import Bools, Floats
 from hyperpaint.base.errors import PaintWarning, Problems, SchemaError
 from hyperpaint.base.mirrored_light import EXCLUDED, mirror_reflection
 from hyperpaint.base.schema import BAND
@@ -44,10 +44,7 @@ __all__ = [
 def absorption_to_scattering(reflectance: npt.ArrayLike) -> Floats:
     """Return K/S of a thick layer [1].
 
-    Parameters
-    ----------
-    reflectance
-        Of the layer without an interface [1], above 0 and up to 1, any shape.
+    Takes ``reflectance``: of the layer without an interface [1], above 0 and up to 1, any shape.
 
     Examples
     --------
@@ -61,10 +58,7 @@ def absorption_to_scattering(reflectance: npt.ArrayLike) -> Floats:
 def thick_layer_reflectance(ratio: npt.ArrayLike) -> Floats:
     """Return the reflectance of a thick layer without an interface [1]; undoes `absorption_to_scattering`.
 
-    Parameters
-    ----------
-    ratio
-        K/S [1], 0 or more, any shape.
+    Takes ``ratio``: K/S [1], 0 or more, any shape.
 
     Examples
     --------
@@ -180,7 +174,7 @@ class Coating:
         seen = self.interface.seen(thick_layer_reflectance(ratio)) + self.mirrored
         return np.asarray(np.clip(seen, 0.0, 1.0))
 
-    def _refuse_dark(self, dark: npt.NDArray[np.bool_], is_finite: Any, names: list[str]) -> None:
+    def _refuse_dark(self, dark: Bools, is_finite: Any, names: list[str]) -> None:
         if not self.mirrored.any():
             return
         problems = Problems("the library's reflectance cannot hold that much mirrored light", SchemaError)
@@ -199,15 +193,9 @@ class Coating:
 def coating_of(library: xr.Dataset, k1: float, k2: float, mirrored: Any) -> Coating:
     """Return what lies between the layers of a library's paints and their reflectance.
 
-    Parameters
-    ----------
-    library
-        Its reflectance may have the attribute ``mirror_reflection``.
-    k1, k2
-        See `Interface`.
-    mirrored
-        Mirrored light that the reflectance holds [1]: a number, or one a band. None: none where the library
-        says that it is excluded, or has it apart as ``specular_reflectance``; else k1.
+    Takes ``library``: its reflectance may have the attribute ``mirror_reflection``; ``k1``, ``k2``: see
+    `Interface`; ``mirrored``: mirrored light that the reflectance holds [1]: a number, or one a band. None:
+    none where the library says that it is excluded, or has it apart as ``specular_reflectance``; else k1.
 
     Raises
     ------

@@ -8,10 +8,9 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
-import numpy.typing as npt
 
 from hyperpaint.base import schema
-from hyperpaint.base.arrays import Floats
+from hyperpaint.base.arrays import Bools, Floats
 from hyperpaint.base.errors import PaintWarning, Problems, SchemaError
 from hyperpaint.base.schema import PAINT
 
@@ -138,12 +137,7 @@ def mix_paints(
 
 
 def shade_paints(
-    library: xr.Dataset,
-    depths: Sequence[float],
-    *,
-    k1: float = 0.04,
-    k2: float = 0.60,
-    mirrored: Any = None,
+    library: xr.Dataset, depths: Sequence[float], *, k1: float = 0.04, k2: float = 0.60, mirrored: Any = None
 ) -> xr.Dataset:
     r"""Make every paint of a library lighter and deeper: a ladder of depths of shade.
 
@@ -262,15 +256,11 @@ def _trimmed(values: dict[str, Floats]) -> dict[str, Floats]:
     return {**others, MEMBERS: values[MEMBERS][:, :most]} if most else others
 
 
-def _tell_of_partners(taken: npt.NDArray[np.bool_], members: Floats) -> None:
+def _tell_of_partners(taken: Bools, members: Floats) -> None:
     """Warn of members that the other parents of a paint have none for.
 
-    Parameters
-    ----------
-    taken
-        Whether a paint has a parent (new, parent).
-    members
-        Of the parents (parent, member, band).
+    Takes ``taken``: whether a paint has a parent (new, parent); ``members``: of the parents (parent, member,
+    band).
     """
     counts = np.isfinite(members).any(axis=2).sum(axis=1)
     alone = np.array([int((counts[own] - counts[own].min()).sum()) for own in taken])

@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hyperpaint.base import schema
-from hyperpaint.base.arrays import Floats
+from hyperpaint.base.arrays import Array, Bools, Floats, Floats32
 from hyperpaint.base.errors import PaintWarning, Problems, SchemaError
 from hyperpaint.base.schema import BAND, LIBRARY_VARIABLES, MEMBER, PAINT, QUANTILE
 from hyperpaint.base.units import convert
@@ -65,7 +65,7 @@ def text_column(texts: Sequence[str]) -> npt.NDArray[np.object_]:
     return column
 
 
-def specular_of(library: xr.Dataset) -> npt.NDArray[Any]:
+def specular_of(library: xr.Dataset) -> Array:
     """Return what the coats of a library mirror (paint, band) [1].
 
     Raises
@@ -79,27 +79,16 @@ def specular_of(library: xr.Dataset) -> npt.NDArray[Any]:
 def synthetic_library(
     library: xr.Dataset,
     names: Sequence[str],
-    values: Mapping[str, npt.NDArray[Any]],
+    values: Mapping[str, Array],
     parents: Sequence[Mapping[str, float]],
     method: str,
     **attrs: Any,
 ) -> xr.Dataset:
     """Return new paints as a library.
 
-    Parameters
-    ----------
-    library
-        What they were made from; its bands are theirs.
-    names
-        Of the new paints.
-    values
-        Spectra by the name of their variable.
-    parents
-        What each was made from, and by which shares.
-    method
-        How.
-    **attrs
-        Of the library.
+    Takes ``library``: what they were made from; its bands are theirs; ``names``: of the new paints;
+    ``values``: spectra by the name of their variable; ``parents``: what each was made from, and by which
+    shares; ``method``: how; ``**attrs``: of the library.
     """
     import xarray as xr
 
@@ -138,7 +127,7 @@ def synthetic_library(
     return paints
 
 
-def _spread(members: npt.NDArray[Any]) -> dict[str, npt.NDArray[Any]]:
+def _spread(members: Array) -> dict[str, Array]:
     """Return how far members (paint, member, band) are apart; NaN of fewer than two, or one."""
     # one paint after the other: a copy of all members would double the memory
     spreads = [_spread_of_paint(one[np.isfinite(one).any(axis=1)]) for one in members]
@@ -148,7 +137,7 @@ def _spread(members: npt.NDArray[Any]) -> dict[str, npt.NDArray[Any]]:
     }
 
 
-def _spread_of_paint(members: npt.NDArray[Any]) -> tuple[npt.NDArray[Any], npt.NDArray[Any]]:
+def _spread_of_paint(members: Array) -> tuple[Array, Array]:
     """Return standard deviation (band,) and quantiles (quantile, band) of members, band by band."""
     finite_count = np.isfinite(members).sum(axis=0)
     sd = np.full(finite_count.size, np.nan)
@@ -316,7 +305,7 @@ def _margins(members: Floats) -> tuple[Floats, Floats]:
     )
 
 
-def _members(library: xr.Dataset, count: int, form: str, bandwidth: float | None) -> npt.NDArray[np.float32]:
+def _members(library: xr.Dataset, count: int, form: str, bandwidth: float | None) -> Floats32:
     """Return the population (paint, member, band), if all options can be."""
     names = [PAINT, "reflectance", "member_reflectance", "wavelength"]
     variables, wrong = schema.find(library, names, schema.LIBRARY_VARIABLES)
@@ -333,7 +322,7 @@ def _members(library: xr.Dataset, count: int, form: str, bandwidth: float | None
     return np.asarray(variables["member_reflectance"].values)
 
 
-def _whole(spectra: Floats) -> tuple[npt.NDArray[np.bool_], Floats]:
+def _whole(spectra: Floats) -> tuple[Bools, Floats]:
     """Return the bands that most members have, and the members that have all of these."""
     is_finite = np.isfinite(spectra)
     is_finite = is_finite[is_finite.any(axis=1)]
@@ -342,7 +331,7 @@ def _whole(spectra: Floats) -> tuple[npt.NDArray[np.bool_], Floats]:
     return bands, spectra[is_finite[:, bands].all(axis=1)][:, bands]
 
 
-def _library(library: xr.Dataset, drawn: npt.NDArray[np.float32], form: str, seed: int) -> xr.Dataset:
+def _library(library: xr.Dataset, drawn: Floats32, form: str, seed: int) -> xr.Dataset:
     """Return what was drawn, with what is known of the paints."""
     count = drawn.shape[1]
     repeats = 1 if form == "members" else count

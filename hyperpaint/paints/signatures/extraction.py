@@ -42,20 +42,10 @@ def gather(
 ) -> tuple[dict[str, Array], dict[str, Array]]:
     """Return the spectra of pixels, single values of them, and small variables of the line.
 
-    Parameters
-    ----------
-    cubes
-        Cubes (along_track, band, cross_track), by name.
-    planes
-        Variables (along_track, cross_track), by name.
-    along, across : (pixel,)
-        Positions.
-    bands
-        Which bands.
-    small
-        Variables (along_track), which are read whole, in the same pass.
-    progress
-        Called with blocks done and to do.
+    Takes ``cubes``: cubes (along_track, band, cross_track), by name; ``planes``: variables (along_track,
+    cross_track), by name; ``along``, ``across`` (pixel,): positions; ``bands``: which bands; ``small``:
+    variables (along_track), which are read whole, in the same pass; ``progress``: called with blocks done and
+    to do.
 
     Returns
     -------

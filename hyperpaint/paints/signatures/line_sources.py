@@ -7,10 +7,9 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import numpy.typing as npt
 
 from hyperpaint.base import schema
-from hyperpaint.base.arrays import Array, Floats
+from hyperpaint.base.arrays import Array, Bools, Floats
 from hyperpaint.base.errors import Problems, SchemaError
 from hyperpaint.base.schema import BAND
 from hyperpaint.radiometry.counts_to_reflectance import reflectance
@@ -95,14 +94,8 @@ def mean_view(
 ) -> tuple[float, float]:
     r"""Return zenith angle and azimuth of the mean direction to the camera [degree], NaN where not known.
 
-    Parameters
-    ----------
-    viewing
-        Of the line.
-    pixels, lines : (pixel,)
-        Its variables at the pixels, and at their lines.
-    across : (pixel,)
-        Columns.
+    Takes ``viewing``: of the line; ``pixels``, ``lines`` (pixel,): its variables at the pixels, and at their
+    lines; ``across`` (pixel,): columns.
 
     Notes
     -----
@@ -201,7 +194,7 @@ class Source:
     viewing: Viewing
     wavelength: Floats
     fwhm: Floats
-    good: npt.NDArray[np.bool_]
+    good: Bools
     smoothing: str
     corrections: dict[str, str]
     components: dict[str, str]

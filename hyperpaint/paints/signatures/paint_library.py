@@ -97,19 +97,10 @@ class Draft:
     ) -> None:
         """Choose the pixels that are used, and those that stand for them.
 
-        Parameters
-        ----------
-        present : (pixel,)
-            Whether a pixel of the region has a value, without which it is left out.
-        planes
-            Variables of pixels (pixel,): ``quality``, its flags, none where it is not there; and what its
-            direction of view is made of.
-        lines
-            Variables of the line (along_track,).
-        exclude
-            Flags of the pixels that are left out.
-        most, seed
-            See `chosen_members`.
+        Takes ``present`` (pixel,): whether a pixel of the region has a value, without which it is left out;
+        ``planes``: variables of pixels (pixel,): ``quality``, its flags, none where it is not there; and what
+        its direction of view is made of; ``lines``: variables of the line (along_track,); ``exclude``: flags
+        of the pixels that are left out; ``most``, ``seed``: see `chosen_members`.
         """
         quality = planes.get("quality", np.zeros(self.along.size, np.uint16))
         self._used = (quality & np.uint16(exclude) == 0) & present
@@ -135,14 +126,8 @@ class Draft:
     def take_bands(self, cubes: Mapping[str, Array], bands: slice, centre: str) -> None:
         """Reduce some bands of the region's pixels.
 
-        Parameters
-        ----------
-        cubes
-            Reflectance and its uncertainties (pixel, band), by name.
-        bands
-            Which bands they are.
-        centre
-            See `summarise`.
+        Takes ``cubes``: reflectance and its uncertainties (pixel, band), by name; ``bands``: which bands they
+        are; ``centre``: see `summarise`.
         """
         values = cubes["reflectance"][self._used]
         summary = summarise(values, centre)
@@ -228,14 +213,9 @@ def paint_library(
 ) -> xr.Dataset:
     """Return finished signatures as a dataset.
 
-    Parameters
-    ----------
-    regions, drafts, flightlines
-        A region, its signature, and its flight line's name, in the same order.
-    sources
-        The flight lines, by name; their bands are the same.
-    notes
-        Attributes that say how it was made.
+    Takes ``regions``, ``drafts``, ``flightlines``: A region, its signature, and its flight line's name, in
+    the same order; ``sources``: the flight lines, by name; their bands are the same; ``notes``: attributes
+    that say how it was made.
     """
     import xarray as xr
 

@@ -55,12 +55,8 @@ class BandSummary:
 def summarise(values: Array, centre: str) -> BandSummary:
     """Return what is typical of pixels, band by band.
 
-    Parameters
-    ----------
-    values : (pixel, band)
-        Reflectance; what is not finite is missing, in that band only.
-    centre
-        One of `CENTRES`.
+    Takes ``values`` (pixel, band): reflectance; what is not finite is missing, in that band only; ``centre``:
+    one of `CENTRES`.
 
     Notes
     -----
@@ -116,10 +112,8 @@ def _trimmed_mean(ordered: Floats) -> float:
 def geometric_median(values: Array) -> Floats:
     """Return the spectrum whose distances to all others have the smallest sum (band,), by Weiszfeld's rule.
 
-    Parameters
-    ----------
-    values : (pixel, band)
-        What is not finite is missing; the distance of a spectrum is over the bands that it has.
+    Takes ``values`` (pixel, band): what is not finite is missing; the distance of a spectrum is over the
+    bands that it has.
     """
     there = np.isfinite(values)
     filled = np.where(there, values, 0.0).astype(np.float64)
@@ -145,14 +139,8 @@ def chosen_members(along: Array, across: Array, most: int, seed: int) -> npt.NDA
     The hash is of a pixel's position and the seed, so that the choice is of the pixels alone: not of chunks,
     nor of how many regions there are. A pixel that is left out makes room for one more, and moves no other.
 
-    Parameters
-    ----------
-    along, across : (pixel,)
-        Positions in the line.
-    most
-        How many are chosen.
-    seed
-        Another seed, another choice.
+    Takes ``along``, ``across`` (pixel,): positions in the line; ``most``: how many are chosen; ``seed``:
+    another seed, another choice.
 
     Examples
     --------
@@ -189,12 +177,8 @@ _MOST_CELLS = 2**18
 def effective_pixels(values: Array, along: Array, across: Array) -> float:
     r"""Return the number of independent pixels that would fix the mean as well as these.
 
-    Parameters
-    ----------
-    values : (pixel, band)
-        Reflectance in some bands; NaN where it is missing.
-    along, across : (pixel,)
-        Positions in the line.
+    Takes ``values`` (pixel, band): reflectance in some bands; NaN where it is missing; ``along``, ``across``
+    (pixel,): positions in the line.
 
     Notes
     -----

@@ -15,16 +15,7 @@ from hyperpaint.surroundings.model import SHADED
 
 from .rules import SURFACES
 
-__all__ = [
-    "Limits",
-    "Measures",
-    "Piece",
-    "Surfaces",
-    "largest_body",
-    "measured",
-    "pieces",
-    "ring_around",
-]
+__all__ = ["Limits", "Measures", "Piece", "Surfaces", "largest_body", "measured", "pieces", "ring_around"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -218,18 +209,10 @@ def measured(
 ) -> Measures:
     """Return what is measured of a piece, and which of its pixels a region can have.
 
-    Parameters
-    ----------
-    piece
-        Where.
-    channels : (line, column, channel)
-        Reflectance of the whole picture in the model's channels [1].
-    layers
-        ``glint_fraction``, ``blocked_direct``, ``adjacency`` and ``quality`` (line, column).
-    limits
-        What pixels keep to.
-    brightness : (line, column)
-        Of the piece's window, relative to what is level [1]; to its median unless given.
+    Takes ``piece``: where; ``channels`` (line, column, channel): reflectance of the whole picture in the
+    model's channels [1]; ``layers``: ``glint_fraction``, ``blocked_direct``, ``adjacency`` and ``quality``
+    (line, column); ``limits``: what pixels keep to; ``brightness`` (line, column): of the piece's window,
+    relative to what is level [1]; to its median unless given.
     """
     here = {name: layer[piece.window] for name, layer in layers.items()}
     seen = channels[piece.window].astype(np.float64)

@@ -198,12 +198,7 @@ def _piece_of(footprint: Footprint, roof: Roof, model: SceneModel, erode: int) -
 
 
 def _judge_panel(
-    piece: Piece,
-    car: Car,
-    channels: Array,
-    layers: Mapping[str, Array],
-    limits: Limits,
-    zenith: float | None,
+    piece: Piece, car: Car, channels: Array, layers: Mapping[str, Array], limits: Limits, zenith: float | None
 ) -> Judged:
     measures = measured(piece, channels, layers, limits)
     verdict = Verdict()

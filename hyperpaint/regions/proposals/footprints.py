@@ -94,18 +94,9 @@ def footprint_of(
 ) -> Footprint | None:
     """Return the car that a piece of paint is of; None where its colour goes on without an end.
 
-    Parameters
-    ----------
-    inside : (line, column)
-        The piece.
-    first
-        Line and column of its first pixel.
-    colour : (channel,)
-        Its reflectance, less the mirrored sky [1].
-    scene
-        What is seen.
-    across_windows
-        Whether parts belong together that nothing but what is dark lies between, too.
+    Takes ``inside`` (line, column): the piece; ``first``: line and column of its first pixel; ``colour``
+    (channel,): its reflectance, less the mirrored sky [1]; ``scene``: what is seen; ``across_windows``:
+    whether parts belong together that nothing but what is dark lies between, too.
     """
     shape = np.array(scene.level.shape)
     pad = min(int(FOOTPRINTS.around * max(inside.shape)), FOOTPRINTS.max_around_px)

@@ -112,18 +112,9 @@ def judge_lean(
 ) -> None:
     """Object where a lean that nothing shows could make the signature wrong.
 
-    Parameters
-    ----------
-    verdict
-        Gets the objection, or the reason.
-    measures
-        What is measured.
-    zenith
-        Of the sun [degree]; None where it is not known.
-    part
-        What it is a part of; says how far it may lean.
-    unsure
-        What its brightness may be off beside, relative [1].
+    Takes ``verdict``: gets the objection, or the reason; ``measures``: what is measured; ``zenith``: of the
+    sun [degree]; None where it is not known; ``part``: what it is a part of; says how far it may lean;
+    ``unsure``: what its brightness may be off beside, relative [1].
     """
     if not measures.pixels:
         return
@@ -144,16 +135,9 @@ def judge_change(verdict: Verdict, change: float, zenith: float | None, part: fl
 
     Metal flakes mirror the sun over a wide lobe: where it lies on a part of the roof, it lies on all of it.
 
-    Parameters
-    ----------
-    verdict
-        Gets the objection.
-    change
-        Half of what lies between the 10th and the 90th percentile of brightness, relative [1].
-    zenith
-        Of the sun [degree]; of 45 degrees where it is not known.
-    part
-        How much of what is allowed, where less than the whole is seen [1].
+    Takes ``verdict``: gets the objection; ``change``: half of what lies between the 10th and the 90th
+    percentile of brightness, relative [1]; ``zenith``: of the sun [degree]; of 45 degrees where it is not
+    known; ``part``: how much of what is allowed, where less than the whole is seen [1].
     """
     slope = float(np.tan(np.radians(45.0 if zenith is None else zenith)))
     allowed = part * (JUDGING.gloss_change + float(np.radians(JUDGING.crown_deg)) * slope)

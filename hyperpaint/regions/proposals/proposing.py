@@ -37,12 +37,8 @@ _STEPS = ((0, 1), (1, 0), (0, -1), (-1, 0))
 def outline(mask: Bools, first: tuple[int, int] = (0, 0)) -> tuple[Floats, tuple[Floats, ...]]:
     """Return the ring around a connected set of pixels, and those around its holes.
 
-    Parameters
-    ----------
-    mask : (line, column)
-        The pixels; neighbours share a side.
-    first
-        Line and column of the first pixel of ``mask`` in the flight line.
+    Takes ``mask`` (line, column): the pixels; neighbours share a side; ``first``: line and column of the
+    first pixel of ``mask`` in the flight line.
 
     Returns
     -------

@@ -72,12 +72,7 @@ class _Frame(NamedTuple):
 def find_roof(car: Footprint, level: Floats) -> Roof | NoRoof:
     """Return the roof of a car, or why none is found.
 
-    Parameters
-    ----------
-    car
-        Where.
-    level : (line, column)
-        Mean reflectance in its window [1].
+    Takes ``car``: where; ``level`` (line, column): mean reflectance in its window [1].
     """
     glass = _glass(car, level)
     roof = _roof_along(car, glass, _frame(car, car.axis, car.length, car.width))
@@ -295,18 +290,9 @@ def level_light(
     A crowned roof leans in proportion to the distance from its middle, and a small lean changes its light in
     proportion: brightness is a plane. What glint adds lies above it, and is left out round by round.
 
-    Parameters
-    ----------
-    brightness : (line, column)
-        Of the roof [1].
-    inside, lit
-        The roof, and what of it is fitted.
-    middle
-        Line and column.
-    unsure
-        How far along the axis the middle may be elsewhere [pixel].
-    axis : (2,)
-        Direction (line, column) along the car.
+    Takes ``brightness`` (line, column): of the roof [1]; ``inside``, ``lit``: the roof, and what of it is
+    fitted; ``middle``: line and column; ``unsure``: how far along the axis the middle may be elsewhere
+    [pixel]; ``axis`` (2,): direction (line, column) along the car.
     """
     y, x = np.nonzero(lit)
     if y.size < ROOFS.min_fitted_px:

@@ -28,195 +28,129 @@ __all__ = [
 class SurfaceRules:
     """Segments by their spectra, and the measures of a piece."""
 
-    dark: float = 0.05
-    """Mean reflectance below which a surface is a window, or a dark paint [1]."""
-    min_level: float = 0.002
-    """Mean reflectance from which something is seen [1]."""
+    dark: float = 0.05  #: Mean reflectance below which a surface is a window, or a dark paint [1].
+    min_level: float = 0.002  #: Mean reflectance from which something is seen [1].
+    #: Mean reflectance from which a bluish surface is no shadow for certain [1].
     min_level_in_shade: float = 0.0125
-    """Mean reflectance from which a bluish surface is no shadow for certain [1]."""
+    #: Blue over near infrared of windows, which mirror the sky [1].
     blueness: tuple[float, float] = (0.65, 2.5)
-    """Blue over near infrared of windows, which mirror the sky [1]."""
-    blue_nm: tuple[float, float] = (430.0, 490.0)
-    """Blue, in which the sky's mirror image shows [nm]."""
-    red_nm: tuple[float, float] = (660.0, 690.0)
-    """Red, below the red edge of leaves [nm]."""
-    edge_nm: tuple[float, float] = (735.0, 765.0)
-    """End of the red edge [nm]."""
-    infrared_nm: tuple[float, float] = (790.0, 900.0)
-    """Near infrared, beyond the red edge [nm]."""
+    blue_nm: tuple[float, float] = (430.0, 490.0)  #: Blue, in which the sky's mirror image shows [nm].
+    red_nm: tuple[float, float] = (660.0, 690.0)  #: Red, below the red edge of leaves [nm].
+    edge_nm: tuple[float, float] = (735.0, 765.0)  #: End of the red edge [nm].
+    infrared_nm: tuple[float, float] = (790.0, 900.0)  #: Near infrared, beyond the red edge [nm].
+    #: Cosine of the spectral angle to the ground of what is like it, at least: 3 degrees.
     min_ground_cosine: float = float(np.cos(np.radians(3.0)))
-    """Cosine of the spectral angle to the ground of what is like it, at least: 3 degrees."""
+    #: Difference of the logarithm of its length from the ground's, at most.
     max_ground_log_ratio: float = 0.2
-    """Difference of the logarithm of its length from the ground's, at most."""
-    min_change: float = 0.005
-    """Reflectance by which pixels may differ in any case [1]."""
-    square_px: int = 5
-    """Side of the square that brightness and adjacency are averaged over [pixel]."""
+    min_change: float = 0.005  #: Reflectance by which pixels may differ in any case [1].
+    square_px: int = 5  #: Side of the square that brightness and adjacency are averaged over [pixel].
 
 
 @dataclass(frozen=True)
 class FootprintRules:
     """The whole of a car around a piece of its paint."""
 
-    mirrored: float = 0.04
-    """Reflectance of a clear coat of index 1.5, ((n - 1) / (n + 1))^2 [1]."""
+    mirrored: float = 0.04  #: Reflectance of a clear coat of index 1.5, ((n - 1) / (n + 1))^2 [1].
+    #: Cosine of the spectral angle to the piece, at least: 7 degrees.
     min_cosine: float = float(np.cos(np.radians(7.0)))
-    """Cosine of the spectral angle to the piece, at least: 7 degrees."""
-    min_brightness: float = 0.4
-    """Brightness of a car's paint relative to the piece, at least [1]."""
-    max_brightness: float = 1.7
-    """The same, at most [1]."""
+    min_brightness: float = 0.4  #: Brightness of a car's paint relative to the piece, at least [1].
+    max_brightness: float = 1.7  #: The same, at most [1].
+    #: Difference of the logarithm of reflectance up to which something may be ground.
     max_ground_log_ratio: float = 0.4
-    """Difference of the logarithm of reflectance up to which something may be ground."""
-    max_gap_px: int = 2
-    """Gap over which paint is joined [pixel]."""
-    thin: float = 0.25
-    """Half width of what is left out, relative to that of the part that is looked at [1]."""
-    min_half_width_px: float = 2.5
-    """Half width of what stays, at least [pixel]."""
-    max_width: float = 2.0
-    """Width of a car relative to its widest part, at most [1]."""
-    max_apart: float = 4.5
-    """Gaps between its parts relative to half of that, at most [1]."""
-    max_ground_share: float = 0.1
-    """Share of ground in it, at most [1]."""
-    around: float = 2.5
-    """Margin that is looked at first, relative to the size of the piece [1]."""
-    max_around_px: int = 300
-    """That margin, at most [pixel]."""
-    growth: float = 1.5
-    """Factor by which the margin grows where the car reaches its edge [1]."""
-    rounds: int = 6
-    """How often the margin grows, at most."""
-    turn_deg: float = 2.0
-    """Steps in which rectangles are turned [degree]."""
+    max_gap_px: int = 2  #: Gap over which paint is joined [pixel].
+    thin: float = 0.25  #: Half width of what is left out, relative to that of the part that is looked at [1].
+    min_half_width_px: float = 2.5  #: Half width of what stays, at least [pixel].
+    max_width: float = 2.0  #: Width of a car relative to its widest part, at most [1].
+    max_apart: float = 4.5  #: Gaps between its parts relative to half of that, at most [1].
+    max_ground_share: float = 0.1  #: Share of ground in it, at most [1].
+    around: float = 2.5  #: Margin that is looked at first, relative to the size of the piece [1].
+    max_around_px: int = 300  #: That margin, at most [pixel].
+    growth: float = 1.5  #: Factor by which the margin grows where the car reaches its edge [1].
+    rounds: int = 6  #: How often the margin grows, at most.
+    turn_deg: float = 2.0  #: Steps in which rectangles are turned [degree].
 
 
 @dataclass(frozen=True)
 class RoofRules:
     """The roof between windows: across in half widths of the car, along in car lengths."""
 
-    middle: float = 0.4
-    """Half width within which windows cross the car."""
-    side: float = 0.3
-    """Half width from which on windows run along it."""
-    max_window_level: float = 0.07
-    """Mean reflectance of a window, at most [1]."""
-    max_window_of_paint: float = 0.5
-    """The same relative to the paint, where this is bright [1]."""
-    min_crossed: float = 0.4
-    """Dark share of a track across the car where a window crosses it, at least [1]."""
-    min_window_px: int = 2
-    """Tracks of a window, at least [pixel]."""
-    min_roof_px: int = 5
-    """Tracks of a roof, at least [pixel]."""
-    max_strip: float = 0.05
-    """Length of a strip of paint between windows that goes with them, at most."""
-    max_bonnet: float = 0.38
-    """Length of a bonnet, at most: what is longer is a roof."""
-    max_windscreen: float = 0.2
-    """Length of a windscreen, at most: what is longer may have a sunroof in it."""
-    min_sunroof: float = 0.24
-    """Length of a windscreen with a sunroof, at least."""
-    min_tail: float = 0.1
-    """What is left beyond such a window, at least: less is behind a bed."""
-    unsure: float = 0.015
-    """Distance of the level place from the middle of the roof, at most."""
-    unsure_beside: float = 0.03
-    """The same beside a sunroof."""
+    middle: float = 0.4  #: Half width within which windows cross the car.
+    side: float = 0.3  #: Half width from which on windows run along it.
+    max_window_level: float = 0.07  #: Mean reflectance of a window, at most [1].
+    max_window_of_paint: float = 0.5  #: The same relative to the paint, where this is bright [1].
+    min_crossed: float = 0.4  #: Dark share of a track across the car where a window crosses it, at least [1].
+    min_window_px: int = 2  #: Tracks of a window, at least [pixel].
+    min_roof_px: int = 5  #: Tracks of a roof, at least [pixel].
+    max_strip: float = 0.05  #: Length of a strip of paint between windows that goes with them, at most.
+    max_bonnet: float = 0.38  #: Length of a bonnet, at most: what is longer is a roof.
+    max_windscreen: float = 0.2  #: Length of a windscreen, at most: what is longer may have a sunroof in it.
+    min_sunroof: float = 0.24  #: Length of a windscreen with a sunroof, at least.
+    min_tail: float = 0.1  #: What is left beyond such a window, at least: less is behind a bed.
+    unsure: float = 0.015  #: Distance of the level place from the middle of the roof, at most.
+    unsure_beside: float = 0.03  #: The same beside a sunroof.
+    #: Length of the roof of a car at the picture's edge relative to its width: less may be half of one
+    #: [1].
     min_roof_of_cut: float = 0.5
-    """Length of the roof of a car at the picture's edge relative to its width: less may be half of one
-    [1]."""
-    sided: float = 0.3
-    """Share with side windows of a roof that windows end on both sides, at least [1]."""
-    long_sided: float = 0.5
-    """The same of a long part that one window ends [1]."""
-    surely_sided: float = 0.6
-    """The same of any part that one window ends [1]."""
+    sided: float = 0.3  #: Share with side windows of a roof that windows end on both sides, at least [1].
+    long_sided: float = 0.5  #: The same of a long part that one window ends [1].
+    surely_sided: float = 0.6  #: The same of any part that one window ends [1].
+    #: Where the middle of a roof lies along the car that windows end on both sides.
     central: tuple[float, float] = (0.33, 0.75)
-    """Where the middle of a roof lies along the car that windows end on both sides."""
-    min_van_roof: float = 0.55
-    """Length of the roof of a van, at least."""
-    van_sided: float = 0.15
-    """Share of it with side windows, at least [1]."""
-    slenderness: tuple[float, float] = (1.7, 3.3)
-    """Length of a car relative to its width [1]."""
-    min_slenderness: float = 1.2
-    """The same where windows show its roof for certain, at least [1]."""
-    used_width: float = 0.75
-    """Part of a roof's width that is used [1]."""
-    roof_width: float = 0.6
-    """Width of a roof relative to its car's, where no window shows it [1]."""
-    min_seen: float = 0.2
-    """Share of a roof's tracks in which its side window is seen, at least [1]."""
-    rounds: int = 30
-    """Turns in which glint is left out of the plane through a roof's brightness."""
+    min_van_roof: float = 0.55  #: Length of the roof of a van, at least.
+    van_sided: float = 0.15  #: Share of it with side windows, at least [1].
+    slenderness: tuple[float, float] = (1.7, 3.3)  #: Length of a car relative to its width [1].
+    min_slenderness: float = 1.2  #: The same where windows show its roof for certain, at least [1].
+    used_width: float = 0.75  #: Part of a roof's width that is used [1].
+    roof_width: float = 0.6  #: Width of a roof relative to its car's, where no window shows it [1].
+    min_seen: float = 0.2  #: Share of a roof's tracks in which its side window is seen, at least [1].
+    rounds: int = 30  #: Turns in which glint is left out of the plane through a roof's brightness.
+    #: Residuals that stay in the fit above the plane: glint only adds [standard deviation].
     max_above_sd: float = 1.5
-    """Residuals that stay in the fit above the plane: glint only adds [standard deviation]."""
-    max_below_sd: float = 3.0
-    """The same below it [standard deviation]."""
-    min_sd: float = 0.003
-    """That standard deviation relative to the brightness, at least [1]."""
-    min_fitted_px: int = 25
-    """Pixels of the fit, at least."""
+    max_below_sd: float = 3.0  #: The same below it [standard deviation].
+    min_sd: float = 0.003  #: That standard deviation relative to the brightness, at least [1].
+    min_fitted_px: int = 25  #: Pixels of the fit, at least.
 
 
 @dataclass(frozen=True)
 class JudgingRules:
     """Verdicts: how far a part may lean, how dark paint differs from glass, and the score."""
 
-    tolerance: float = 0.03
-    """Error of a signature, at most, in reflectance [1]."""
-    relative_tolerance: float = 0.06
-    """The same relative to reflectance, where that is more [1]."""
+    tolerance: float = 0.03  #: Error of a signature, at most, in reflectance [1].
+    relative_tolerance: float = 0.06  #: The same relative to reflectance, where that is more [1].
+    #: Change of brightness over a part under the sun's mirror image, relative, at most [1].
     gloss_change: float = 0.05
-    """Change of brightness over a part under the sun's mirror image, relative, at most [1]."""
-    crown_deg: float = 7.0
-    """Lean over a crowned part [degree]."""
-    enough_px: int = 200
-    """Pixels from which on more do not make a region better."""
-    ring_px: int = 8
-    """Width of the ring around dark paint that is looked at [pixel]."""
-    max_brighter: float = 0.25
-    """Share of the ring that is brighter, at most [1]."""
+    crown_deg: float = 7.0  #: Lean over a crowned part [degree].
+    enough_px: int = 200  #: Pixels from which on more do not make a region better.
+    ring_px: int = 8  #: Width of the ring around dark paint that is looked at [pixel].
+    max_brighter: float = 0.25  #: Share of the ring that is brighter, at most [1].
+    #: Share of the ring that is darker but no shadow, as windows are [1].
     darker: tuple[float, float] = (0.05, 0.5)
-    """Share of the ring that is darker but no shadow, as windows are [1]."""
-    brighter: float = 1.1
-    """Brightness relative to its own from which on something is brighter [1]."""
+    brighter: float = 1.1  #: Brightness relative to its own from which on something is brighter [1].
+    #: Median spectral angle to the median of paint as dark as glass, at most [degree].
     max_dark_angle_deg: float = 1.0
-    """Median spectral angle to the median of paint as dark as glass, at most [degree]."""
+    #: Blue relative to near infrared of dark paint under a clear coat, at least [1].
     min_blueness: float = 1.1
-    """Blue relative to near infrared of dark paint under a clear coat, at least [1]."""
-    half_angle_deg: float = 2.0
-    """Spectral angle that halves a score [degree]."""
-    half_adjacency: float = 0.01
-    """Adjacency that does [1]."""
-    half_glint: float = 0.02
-    """Glint that does [1]."""
-    half_spread: float = 0.03
-    """Spread of brightness that does [1]."""
+    half_angle_deg: float = 2.0  #: Spectral angle that halves a score [degree].
+    half_adjacency: float = 0.01  #: Adjacency that does [1].
+    half_glint: float = 0.02  #: Glint that does [1].
+    half_spread: float = 0.03  #: Spread of brightness that does [1].
 
 
 @dataclass(frozen=True)
 class CarRules:
     """Pieces of one car."""
 
-    min_piece_share: float = 0.5
-    """Share of a piece from which on it lies on a car seen before [1]."""
-    min_overlap: float = 0.3
-    """Share of the smaller footprint from which on two are of one car [1]."""
+    min_piece_share: float = 0.5  #: Share of a piece from which on it lies on a car seen before [1].
+    min_overlap: float = 0.3  #: Share of the smaller footprint from which on two are of one car [1].
+    #: Factors of the brightness limit, the next where too few pixels of a roof are within [1].
     wider: tuple[float, float] = (1.0, 2.0)
-    """Factors of the brightness limit, the next where too few pixels of a roof are within [1]."""
-    max_misfit: float = 0.06
-    """Misfit of the plane in the middle of a roof, relative, at most [1]."""
+    max_misfit: float = 0.06  #: Misfit of the plane in the middle of a roof, relative, at most [1].
+    #: Share of a roof that is looked at where the picture's edge cuts the car off [1].
     seen_of_cut: float = 0.8
-    """Share of a roof that is looked at where the picture's edge cuts the car off [1]."""
+    #: Cosine of the spectral angle between dark pieces of one paint, at least: 5 degrees.
     min_paint_cosine: float = float(np.cos(np.radians(5.0)))
-    """Cosine of the spectral angle between dark pieces of one paint, at least: 5 degrees."""
-    max_distance_px: float = 300.0
-    """Distance of dark pieces of one car, at most [pixel]."""
-    min_ground_px: int = 3
-    """Pixels of ground in a row that part two cars."""
+    max_distance_px: float = 300.0  #: Distance of dark pieces of one car, at most [pixel].
+    min_ground_px: int = 3  #: Pixels of ground in a row that part two cars.
 
 
 SURFACES = SurfaceRules()
