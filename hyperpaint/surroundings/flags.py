@@ -83,7 +83,8 @@ def flag(
     Raises
     ------
     SchemaError, UnitsError
-        Variables are missing, thresholds cannot be, or the model is of another line; all are listed.
+        Variables are missing, thresholds are negative or not finite, or the model is of another line; all are
+        listed.
 
     Notes
     -----
@@ -108,17 +109,9 @@ def flag(
 
     Known limits: glint on grey and white paint looks like tilt, and is taken for it where it varies little
     over a body; white lines, and some asphalt, are taken for asphalt in glint; dark glass for asphalt in
-    shadow. On six ray-traced car parks that were not looked at before (``tests/campaigns/flagged_scenes.py``:
-    solid paints, a signal-to-noise ratio of 100, outside mixed pixels) glint is found with precision 0.93 and
-    recall 0.78: 0.98 and 0.90 on coloured paint, 0.95 and 0.46 on grey and white, 1.00 and 0.76 on dark, 0.91
-    and 0.60 on glass. Shadow is found with 0.95 and 0.91: above 0.99 and 0.94 on the ground, 0.95 and 0.55 on
-    coloured paint, 0.39 and 0.58 on glass. With mixed pixels it is 0.73 and 0.77, and 0.90 and 0.83. Scenes
-    differ: glint has precision 0.80 to 0.99 and recall 0.71 to 0.93, shadow 0.80 to 0.99 and 0.86 to 0.98.
-    With flakes in the paints, whose own light is no glint, glint is found with 0.53 and 0.78, shadow with
-    0.93 and 0.91. The 0.95 aimed at for all of these is reached on analytic scenes only. Adjacency is flagged
-    on 0.7 % of coloured paint in the sun that gets less than 0.003 from other things, with flakes on 4 %;
-    mixed edges have 86 % of the pixels that more than one thing fills, or that touch such a pixel, and 83 %
-    of what they have is of these.
+    shadow, so that neither is found well on glass. Mixed pixels are found less well than whole ones. Flakes
+    in a paint, whose own light is no glint, are taken for it. For measured precision and recall see
+    docs/figures.md.
 
     References
     ----------
@@ -156,7 +149,7 @@ def flag(
 
 
 def _check(**limits: float) -> None:
-    problems = Problems("these thresholds cannot be", SchemaError)
+    problems = Problems("thresholds cannot be used", SchemaError)
     for name, value in limits.items():
         if isinstance(value, bool) or not np.isfinite(value) or value < 0:
             problems.add(f"{name}={value!r}, expected a number from 0 on")

@@ -16,7 +16,7 @@ from hyperpaint.base.schema import ALONG_TRACK, BAND, CHUNK_LINES, CROSS_TRACK
 from hyperpaint.radiometry.slabs import line_chunked
 
 from .bodies import clean_references, nearest_coloured, same_paints
-from .full_light import Light, match_segments, median_spectra
+from .full_light import Light, Matches, match_segments, median_spectra
 from .model import LIT, SHADED, SceneModel, two_nearest
 from .rules import SURVEY
 from .segments import border_steps, distance_to, divide, edge_distance, sample_pixels, touching
@@ -267,33 +267,39 @@ def survey(
     light = Light(1.0 - split, split)
     segments = divide(channels)
     count = segments.size.size
-    distance = np.empty(segments.number.shape, np.uint8)
-    boundary_distance(segments.number, segments.sure, 255, distance)
-    places = sample_pixels(segments.number, distance >= SURVEY.min_edge_distance_px, count)
+    boundary_px = np.empty(segments.number.shape, np.uint8)
+    boundary_distance(segments.number, segments.sure, 255, boundary_px)
+    is_inside = boundary_px >= SURVEY.min_edge_distance_px
+    places = sample_pixels(segments.number, is_inside, count)
     spectrum = median_spectra(channels, places)
     side = shadow_side_of(line, sun_azimuth, heading)
     pairs = touching(segments.number, count)
     steps = border_steps(channels, segments.number, pairs)
-    shade, ground = match_shade(segments.number, spectrum, segments.size, pairs, light, side)
-    matches = match_segments(spectrum, segments.size, pairs, light, shade, steps, zenith)
+
+    def matched(light: Light) -> tuple[Matches, Bools]:
+        shade, ground = match_shade(segments.number, spectrum, segments.size, pairs, light, side)
+        return match_segments(spectrum, segments.size, pairs, light, shade, steps, zenith), ground
+
+    matches, ground = matched(light)
     if isinstance(diffuse, str) and diffuse == "shadow":
         split = fraction_in_shadow(channels, places, spectrum, segments.size, matches)
         light = Light(1.0 - split, split)
-        shade, ground = match_shade(segments.number, spectrum, segments.size, pairs, light, side)
-        matches = match_segments(spectrum, segments.size, pairs, light, shade, steps, zenith)
+        matches, ground = matched(light)
     neighbour = nearest_coloured(segments.number, segments.size, spectrum, matches, light, reach)
     paints = same_paints(spectrum, segments.size, pairs, matches, light)
     beside = two_nearest(neighbour, matches.body, paints.first, segments.number, 0).reshape(-1, 2)
     reference, tilt = clean_references(channels, places, spectrum, matches, paints, light, beside, zenith)
-    noise = channel_noise(channels, segments.number, distance >= SURVEY.min_edge_distance_px)
+    noise = channel_noise(channels, segments.number, is_inside)
     level = ground & (matches.state == LIT)
-    distance = edge_distance(segments, matches.body, paints.first)
-    nearby = distance_to(np.append(matches.state == SHADED, False)[segments.number])
-    nearby[shaded_pixels(channels, segments.number, level, reference, light)] = 0
+    shade_distance = distance_to(np.append(matches.state == SHADED, False)[segments.number])
+    shade_distance[shaded_pixels(channels, segments.number, level, reference, light)] = 0
     return SceneModel(
-        wavelength, channel, centre, split, shift, noise, segments.number, distance, nearby, neighbour,
-        segments.size, matches.state, matches.body, paints.first, tilt, spectrum, reference,
-        {"diffuse_fraction_from": source, "reach": reach, "sun_zenith": zenith},
+        wavelength=wavelength, channel=channel, channel_wavelength=centre, diffuse_fraction=split,
+        shift=shift, noise=noise, segment=segments.number, shade_distance=shade_distance,
+        edge_distance=edge_distance(segments, matches.body, paints.first), neighbour=neighbour,
+        size=segments.size, state=matches.state, body=matches.body, paint=paints.first, tilt=tilt,
+        spectrum=spectrum, reference=reference,
+        attrs={"diffuse_fraction_from": source, "reach": reach, "sun_zenith": zenith},
     )  # fmt: skip
 
 

@@ -15,7 +15,17 @@ from hyperpaint.surroundings.model import SHADED
 
 from .rules import SURFACES
 
-__all__ = ["Limits", "Measures", "Piece", "Surfaces", "largest_body", "measured", "pieces", "ring_around"]
+__all__ = [
+    "Limits",
+    "Measures",
+    "Picture",
+    "Piece",
+    "Surfaces",
+    "largest_body",
+    "measured",
+    "pieces",
+    "ring_around",
+]
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,6 +124,27 @@ class Limits:
     min_pixels: int
 
 
+class Picture(NamedTuple):
+    """What is seen of a line.
+
+    Attributes
+    ----------
+    model
+        Its scene model.
+    channels : (line, column, channel)
+        Reflectance in the model's channels [1].
+    layers
+        ``glint_fraction``, ``blocked_direct``, ``adjacency`` and ``quality`` (line, column).
+    zenith
+        Of the sun [degree]; None where it is not known.
+    """
+
+    model: SceneModel
+    channels: Array
+    layers: Mapping[str, Array]
+    zenith: float | None
+
+
 class Piece(NamedTuple):
     """A connected part of a body, away from other bodies.
 
@@ -200,22 +231,14 @@ def pieces(model: SceneModel, erode: int, least: int) -> Iterator[Piece]:
                 yield Piece(number, (first[0], first[1]), mask)
 
 
-def measured(
-    piece: Piece,
-    channels: Array,
-    layers: Mapping[str, Array],
-    limits: Limits,
-    brightness: Floats | None = None,
-) -> Measures:
+def measured(piece: Piece, picture: Picture, limits: Limits, brightness: Floats | None = None) -> Measures:
     """Return what is measured of a piece, and which of its pixels a region can have.
 
-    Takes ``piece``: where; ``channels`` (line, column, channel): reflectance of the whole picture in the
-    model's channels [1]; ``layers``: ``glint_fraction``, ``blocked_direct``, ``adjacency`` and ``quality``
-    (line, column); ``limits``: what pixels keep to; ``brightness`` (line, column): of the piece's window,
-    relative to what is level [1]; to its median unless given.
+    ``brightness`` (line, column) is that of the piece's window, relative to what is level [1]; to its median
+    unless given.
     """
-    here = {name: layer[piece.window] for name, layer in layers.items()}
-    seen = channels[piece.window].astype(np.float64)
+    here = {name: layer[piece.window] for name, layer in picture.layers.items()}
+    seen = picture.channels[piece.window].astype(np.float64)
     inside = piece.inside & np.isfinite(seen).all(axis=2)
     left_out: dict[str, Bools] = {
         "without data": ~inside,

@@ -2,25 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from hyperpaint.base.arrays import Array
 from hyperpaint.surroundings import SceneModel
 
-from .candidates import Limits, Measures, Piece, Surfaces, measured
+from .candidates import Limits, Picture, Piece, Surfaces, measured
 from .footprints import Footprint, Scene, footprint_of
-from .judging import Verdict, judge_change, judge_lean, judge_pixels
+from .judging import Judged, Verdict, judge_change, judge_lean, judge_pixels
 from .roofs import NoRoof, Roof, find_roof, level_light
 from .rules import CARS
 
-__all__ = ["Car", "Judged", "better_part", "find_cars", "judge_car", "settle_dark"]
-
-
-Judged = tuple[Piece, Measures, Verdict]
+__all__ = ["Car", "better_part", "find_cars", "judge_car", "settle_dark"]
 
 
 @dataclass(eq=False)
@@ -85,18 +82,25 @@ def find_cars(pieces: Iterable[Piece], scene: Scene) -> list[Car]:
     return cars
 
 
-def _look_around(piece: Piece, scene: Scene) -> tuple[Footprint | None, Roof | NoRoof]:
+class _Seen(NamedTuple):
+    """What is seen around a piece: the car, and its roof."""
+
+    footprint: Footprint | None
+    roof: Roof | NoRoof
+
+
+def _look_around(piece: Piece, scene: Scene) -> _Seen:
     """Return the car around a piece, and its roof; what only windows join, too, where that shows a roof."""
     colour = np.median(scene.without_sky(piece.window)[piece.inside], axis=0)
-    seen: list[tuple[Footprint, Roof | NoRoof]] = []
+    seen: list[_Seen] = []
     for across_windows in (False, True):
         footprint = footprint_of(piece.inside, piece.first, colour, scene, across_windows)
         if footprint is None:
             break
-        seen.append((footprint, find_roof(footprint, scene.level[footprint.window])))
-        if isinstance(seen[-1][1], Roof):
+        seen.append(_Seen(footprint, find_roof(footprint, scene.level[footprint.window])))
+        if isinstance(seen[-1].roof, Roof):
             return seen[-1]
-    return seen[0] if seen else (None, NoRoof("its colour goes on beyond any car", False))
+    return seen[0] if seen else _Seen(None, NoRoof("its colour goes on beyond any car", False))
 
 
 def _same(footprint: Footprint, owner: npt.NDArray[np.int32], cars: list[Car]) -> int:
@@ -111,74 +115,59 @@ def _same(footprint: Footprint, owner: npt.NDArray[np.int32], cars: list[Car]) -
     return number if shared[number] > CARS.min_overlap * least else len(cars)
 
 
-def judge_car(
-    car: Car,
-    model: SceneModel,
-    channels: Array,
-    layers: Mapping[str, Array],
-    limits: Limits,
-    zenith: float | None,
-) -> list[Judged]:
+def judge_car(car: Car, picture: Picture, limits: Limits) -> list[Judged]:
     """Return the verdicts on a car's roof and of the other pieces of its paint; at most one is proposed."""
     judged = []
     best: Judged | None = None
     if car.roof is not None and car.footprint is not None:
-        one = _judge_roof(car.footprint, car.roof, model, channels, layers, limits, zenith)
+        one = _judge_roof(car.footprint, car.roof, picture, limits)
         if one is not None:
             judged.append(one)
-            best = None if one[2].objections else one
-    panels = [_judge_panel(piece, car, channels, layers, limits, zenith) for piece in car.pieces]
-    if best is None and judged and judged[0][1].pixels:
+            best = None if one.verdict.objections else one
+    panels = [_judge_panel(piece, car, picture, limits) for piece in car.pieces]
+    if best is None and judged and judged[0].measures.pixels:
         # what makes the level part wrong lies on the others, too
         for one in panels:
-            one[2].objections.append("the roof of the same car is refused")
+            one.verdict.objections.append("the roof of the same car is refused")
     elif best is None:
-        good = [one for one in panels if not one[2].objections]
-        best = max(good, key=lambda one: one[2].score, default=None)
+        good = [one for one in panels if not one.verdict.objections]
+        best = max(good, key=lambda one: one.verdict.score, default=None)
     for one in panels:
-        if best is not None and one is not best and not one[2].objections:
-            one[2].objections.append(better_part(best))
+        if best is not None and one is not best and not one.verdict.objections:
+            one.verdict.objections.append(better_part(best))
     return judged + panels
 
 
-def _judge_roof(
-    footprint: Footprint,
-    roof: Roof,
-    model: SceneModel,
-    channels: Array,
-    layers: Mapping[str, Array],
-    limits: Limits,
-    zenith: float | None,
-) -> Judged | None:
+def _judge_roof(footprint: Footprint, roof: Roof, picture: Picture, limits: Limits) -> Judged | None:
     """Return what is thought of a roof; None where nothing of it is away from edges."""
-    piece = _piece_of(footprint, roof, model, limits.erode)
+    piece = _piece_of(footprint, roof, picture.model, limits.erode)
     if piece is None:
         return None
     y, x = piece.first[0] - footprint.first[0], piece.first[1] - footprint.first[1]
     lines, columns = piece.inside.shape
     brightness = footprint.brightness[y : y + lines, x : x + columns]
-    lit = piece.inside & (layers["blocked_direct"][piece.window] < limits.shadow)
+    lit = piece.inside & (picture.layers["blocked_direct"][piece.window] < limits.shadow)
     middle = (roof.middle[0] - y, roof.middle[1] - x)
     level = level_light(brightness, piece.inside, lit, middle, roof.unsure, footprint.axis)
     verdict = Verdict("roof", reasons=[roof.reason])
     if level is None:
         verdict.objections.append("too little of the roof is lit to tell how bright it is where it is level")
-        return piece, measured(piece, channels, layers, limits), verdict
+        return Judged(piece, measured(piece, picture, limits), verdict)
     relative = brightness / level.middle
     for times in CARS.wider:
         allowed = replace(limits, glint=np.inf, adjacency=np.inf, brightness=times * limits.brightness)
-        measures = measured(piece, channels, layers, allowed, relative)
+        measures = measured(piece, picture, allowed, relative)
         if measures.pixels >= limits.min_pixels:
             break
     off = abs(float(np.median(relative[measures.usable])) - 1.0) if measures.pixels else 0.0
     judge_pixels(verdict, measures, limits)
-    judge_lean(verdict, measures, zenith, "roof", level.misfit + level.unsure + off)
-    judge_change(verdict, level.change, zenith, CARS.seen_of_cut if footprint.cut else 1.0)
+    judge_lean(verdict, measures, picture.zenith, "roof", level.misfit + level.unsure + off)
+    judge_change(verdict, level.change, picture.zenith, CARS.seen_of_cut if footprint.cut else 1.0)
     if level.misfit > CARS.max_misfit:
         verdict.objections.append(
             f"brightness in its middle is {level.misfit:.0%} off the plane around it: glint, or another tilt"
         )
-    return piece, measures, verdict
+    return Judged(piece, measures, verdict)
 
 
 def _piece_of(footprint: Footprint, roof: Roof, model: SceneModel, erode: int) -> Piece | None:
@@ -197,26 +186,24 @@ def _piece_of(footprint: Footprint, roof: Roof, model: SceneModel, erode: int) -
     return piece._replace(body=int(np.bincount(body).argmax())) if body.size else None
 
 
-def _judge_panel(
-    piece: Piece, car: Car, channels: Array, layers: Mapping[str, Array], limits: Limits, zenith: float | None
-) -> Judged:
-    measures = measured(piece, channels, layers, limits)
+def _judge_panel(piece: Piece, car: Car, picture: Picture, limits: Limits) -> Judged:
+    measures = measured(piece, picture, limits)
     verdict = Verdict()
     if not car.is_car:
         verdict.objections.append(car.reason)
-        return piece, measures, verdict
+        return Judged(piece, measures, verdict)
     verdict.kind = "panel"
     verdict.reasons.append("part of a car: windows cross it, and run along it")
     judge_pixels(verdict, measures, limits)
-    judge_lean(verdict, measures, zenith, "panel")
+    judge_lean(verdict, measures, picture.zenith, "panel")
     if measures.pixels:
-        judge_change(verdict, measures.change, zenith)
-    return piece, measures, verdict
+        judge_change(verdict, measures.change, picture.zenith)
+    return Judged(piece, measures, verdict)
 
 
 def better_part(best: Judged) -> str:
     """Return the objection to all other parts of a car."""
-    y, x = best[0].middle
+    y, x = best.piece.middle
     return f"another part of the same car is better: that at line {y:.0f}, column {x:.0f}"
 
 
@@ -226,7 +213,7 @@ def settle_dark(judged: list[Judged], model: SceneModel, surfaces: Surfaces) -> 
     Two are of one car where their spectra are the same but for brightness, and on the straight way from one
     to the other there is no ground.
     """
-    parts = [one for one in judged if one[2].kind and not one[2].objections]
+    parts = [one for one in judged if one.verdict.kind and not one.verdict.objections]
     group = list(range(len(parts)))
     for later in range(len(parts)):
         for earlier in range(later):
@@ -235,19 +222,19 @@ def settle_dark(judged: list[Judged], model: SceneModel, surfaces: Surfaces) -> 
                 group = [new if one == old else one for one in group]
     for name in dict.fromkeys(group):
         car = [part for part, of in zip(parts, group, strict=True) if of == name]
-        best = min(car, key=lambda one: one[1].angle)
+        best = min(car, key=lambda one: one.measures.angle)
         for one in car:
             if one is not best:
-                one[2].objections.append(better_part(best))
+                one.verdict.objections.append(better_part(best))
 
 
 def _linked(one: Judged, other: Judged, model: SceneModel, surfaces: Surfaces) -> bool:
     """Tell whether two pieces are of one paint, and no ground lies between them."""
-    spectra = [np.nan_to_num(model.reference[each[0].body]) for each in (one, other)]
+    spectra = [np.nan_to_num(model.reference[each.piece.body]) for each in (one, other)]
     length = float(np.linalg.norm(spectra[0]) * np.linalg.norm(spectra[1]))
     if float(spectra[0] @ spectra[1]) < CARS.min_paint_cosine * length:
         return False
-    start, stop = one[0].middle, other[0].middle
+    start, stop = one.piece.middle, other.piece.middle
     far = float(np.hypot(*(stop - start)))
     if far > CARS.max_distance_px:
         return False

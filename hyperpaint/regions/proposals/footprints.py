@@ -199,7 +199,7 @@ def _gathered(
         if gaps[nearest] > FOOTPRINTS.max_apart * float(depth[wider].max()):
             break
         hull = hull_of(_grown(wider, thick, filled))
-        narrow = _rectangle(hull)[3] < FOOTPRINTS.max_width * 2.0 * float(depth[wider].max())
+        narrow = _rectangle(hull).width < FOOTPRINTS.max_width * 2.0 * float(depth[wider].max())
         if narrow and (hull & like.ground).sum() < FOOTPRINTS.max_ground_share * hull.sum():
             whole, around = wider, hull
     return around
@@ -238,7 +238,16 @@ def _border(mask: Bools) -> Floats:
     return np.array([(row, x) for row, pair in zip(rows, ends, strict=True) for x in pair], np.float64)
 
 
-def _rectangle(mask: Bools) -> tuple[Floats, Floats, float, float]:
+class _Rectangle(NamedTuple):
+    """Axis, centre, length and width of a rectangle; the axis is along its longer side."""
+
+    axis: Floats
+    middle: Floats
+    length: float
+    width: float
+
+
+def _rectangle(mask: Bools) -> _Rectangle:
     """Return axis, centre, length and width of the smallest rectangle around a mask."""
     points = _border(mask)
     best: tuple[float, ...] = (np.inf,)
@@ -253,4 +262,4 @@ def _rectangle(mask: Bools) -> tuple[Floats, Floats, float, float]:
     aside = np.array([along[1], -along[0]])
     middle = 0.5 * (low + high) * along + 0.5 * (left + right) * aside
     long, wide = high - low + 1.0, right - left + 1.0
-    return (along, middle, long, wide) if long >= wide else (aside, middle, wide, long)
+    return _Rectangle(along, middle, long, wide) if long >= wide else _Rectangle(aside, middle, wide, long)

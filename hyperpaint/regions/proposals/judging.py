@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 
 from hyperpaint.surroundings import SceneModel
 
-from .candidates import Limits, Measures, Piece, Surfaces, ring_around
+from .candidates import Limits, Measures, Picture, Piece, Surfaces, ring_around
 from .rules import JUDGING, SURFACES
 
-__all__ = ["Verdict", "judge_change", "judge_dark", "judge_lean", "judge_pixels"]
+__all__ = ["Judged", "Verdict", "judge_change", "judge_dark", "judge_lean", "judge_pixels"]
 
 
 _LEANS = {"roof": 1.5, "panel": 14.0, "dark paint": 12.0}
@@ -41,13 +42,16 @@ class Verdict:
     scenery: bool = False
 
 
+class Judged(NamedTuple):
+    """A piece, what is measured of it, and what is thought of it."""
+
+    piece: Piece
+    measures: Measures
+    verdict: Verdict
+
+
 def judge_dark(
-    piece: Piece,
-    measures: Measures,
-    model: SceneModel,
-    surfaces: Surfaces,
-    limits: Limits,
-    zenith: float | None,
+    piece: Piece, measures: Measures, picture: Picture, surfaces: Surfaces, limits: Limits
 ) -> Verdict:
     """Return what is thought of a piece that is as dark as glass, or like leaves."""
     verdict = Verdict()
@@ -55,10 +59,10 @@ def judge_dark(
         verdict.scenery = True
         verdict.objections.append("its red edge is that of leaves")
         return verdict
-    _judge_dark(verdict, piece, model, surfaces)
+    _judge_dark(verdict, piece, picture.model, surfaces)
     if verdict.kind:
         judge_pixels(verdict, measures, limits)
-        judge_lean(verdict, measures, zenith, "dark paint")
+        judge_lean(verdict, measures, picture.zenith, "dark paint")
         if measures.angle > JUDGING.max_dark_angle_deg:
             text = f"spectra differ by {measures.angle:.1f} degrees: windows, as dark, may be among them"
             verdict.objections.append(text)

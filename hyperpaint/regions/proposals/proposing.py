@@ -18,10 +18,10 @@ from hyperpaint.surroundings.flags import flag
 from hyperpaint.surroundings.sun_and_sky import sun_zenith_of
 from hyperpaint.surroundings.surveying import to_channels
 
-from .candidates import Limits, Measures, Piece, Surfaces, measured, pieces
-from .cars import Judged, find_cars, judge_car, settle_dark
+from .candidates import Limits, Measures, Picture, Piece, Surfaces, measured, pieces
+from .cars import find_cars, judge_car, settle_dark
 from .footprints import Scene
-from .judging import Verdict, judge_dark
+from .judging import Judged, Verdict, judge_dark
 from .rules import SURFACES
 
 if TYPE_CHECKING:
@@ -212,7 +212,7 @@ def propose_regions(
     Raises
     ------
     SchemaError, UnitsError
-        Variables are missing, limits cannot be, or the model is of another line.
+        Variables are missing, limits are negative or not finite, or the model is of another line.
 
     Notes
     -----
@@ -221,11 +221,8 @@ def propose_regions(
     .. math:: score = \min(1, n/200) \; \frac{1}{1 + (\alpha/2°)^2} \;
               \frac{1}{1 + a/0.01 + g/0.02 + t/0.03}.
 
-    A proposal can be wrong. On traced car parks (tests/campaigns/proposed_cars.py), suns 20 to 50 degrees
-    from the zenith, cars of six procedural body types, the same as the rules were tuned on, but seeds 200 to
-    209 never used for that: of 54 whole cars of solid paints 48 signatures were right, none wrong, 6 refused.
-    With metallic paints among them, seeds 210 to 212: of 13 cars 7 right, 2 wrong, 4 refused. Flakes of a
-    tinted paint, whose lobe is so wide that a roof's light hardly changes, are taken for the body.
+    A proposal can be wrong, more often with metallic paints: flakes of a tinted paint, whose lobe is so wide
+    that a roof's light hardly changes, are taken for the body. For measured rates see docs/figures.md.
 
     The clear coat's mirror image of the sky is still in the spectra; see
     `hyperpaint.surroundings.sun_and_sky.remove_mirrored_sky`.
@@ -252,7 +249,7 @@ def propose_regions(
         model = survey(line, progress=progress, **options)
     scene = model if isinstance(model, SceneModel) else SceneModel.from_dataset(model)
     zenith = _zenith(line, options.get("sun_zenith"))
-    channels, layers = _read(line, scene)
+    picture = Picture(scene, *_read(line, scene), zenith)
     surfaces = Surfaces.of(scene)
     bright, judged = [], []
     for piece in pieces(scene, erode, max(min_pixels // 4, 1)):
@@ -261,11 +258,11 @@ def propose_regions(
         if surfaces.level[piece.body] >= SURFACES.dark and not surfaces.vegetation[piece.body]:
             bright.append(piece)
         else:
-            measures = measured(piece, channels, layers, limits)
-            judged.append((piece, measures, judge_dark(piece, measures, scene, surfaces, limits, zenith)))
+            measures = measured(piece, picture, limits)
+            judged.append(Judged(piece, measures, judge_dark(piece, measures, picture, surfaces, limits)))
     settle_dark(judged, scene, surfaces)
-    for car in find_cars(bright, Scene.of(channels, scene)):
-        judged += judge_car(car, scene, channels, layers, limits, zenith)
+    for car in find_cars(bright, Scene.of(picture.channels, scene)):
+        judged += judge_car(car, picture, limits)
     return _ranked(judged, most, flightline, name)
 
 
@@ -313,17 +310,19 @@ def _read(line: xr.Dataset, model: SceneModel) -> tuple[Array, dict[str, Array]]
 
 
 def _ranked(judged: list[Judged], most: int | None, flightline: str, name: str) -> Proposals:
-    good = [one for one in judged if not one[2].objections]
-    bad = sorted((one for one in judged if one[2].objections), key=lambda one: one[2].scenery)
-    good.sort(key=lambda one: (-one[2].score, one[0].first, one[0].body))
+    good = [one for one in judged if not one.verdict.objections]
+    bad = sorted((one for one in judged if one.verdict.objections), key=lambda one: one.verdict.scenery)
+    good.sort(key=lambda one: (-one.verdict.score, one.piece.first, one.piece.body))
     accepted_candidates = good[:most]
     digits = len(str(max(len(accepted_candidates), len(bad), 10)))
     accepted = [
-        _region(*one, f"{name}_{rank:0{digits}}", flightline, {"rank": rank, "score": round(one[2].score, 4)})
+        _region(
+            *one, f"{name}_{rank:0{digits}}", flightline, {"rank": rank, "score": round(one.verdict.score, 4)}
+        )
         for rank, one in enumerate(accepted_candidates, start=1)
     ]
     refused = [
-        _region(*one, f"refused_{rank:0{digits}}", flightline, {"refused": one[2].objections})
+        _region(*one, f"refused_{rank:0{digits}}", flightline, {"refused": one.verdict.objections})
         for rank, one in enumerate(bad, start=1)
     ]
     return Proposals(tuple(accepted), refused=Regions(tuple(refused)))

@@ -69,6 +69,20 @@ class _Frame(NamedTuple):
     width: float
 
 
+class _Grounds(NamedTuple):
+    """Why a stretch is a roof, and how surely."""
+
+    reason: str
+    worth: float
+
+
+class _LevelPlace(NamedTuple):
+    """Where along the car a roof is level, and how far that may be off [pixel]."""
+
+    along: float
+    unsure: float
+
+
 def find_roof(car: Footprint, level: Floats) -> Roof | NoRoof:
     """Return the roof of a car, or why none is found.
 
@@ -113,7 +127,7 @@ def _roof_along(car: Footprint, glass: Bools, frame: _Frame) -> Roof | NoRoof:
         if run.window or run.length < ROOFS.min_roof_px:
             continue
         grounds = _judge_run(car, runs, number, float(beside[run.first : run.last].mean()), frame)
-        if grounds is None or (best is not None and best.worth >= grounds[1]):
+        if grounds is None or (best is not None and best.worth >= grounds.worth):
             continue
         pixels = _roof(car, glass, frame, run, _level_place(car, runs, number, frame))
         if pixels is not None:
@@ -126,9 +140,7 @@ def _roof_along(car: Footprint, glass: Bools, frame: _Frame) -> Roof | NoRoof:
     return NoRoof("no roof is seen: nothing lies between windows, or is longer than a bonnet", is_car)
 
 
-def _judge_run(
-    car: Footprint, runs: list[_Run], number: int, sided: float, frame: _Frame
-) -> tuple[str, float] | None:
+def _judge_run(car: Footprint, runs: list[_Run], number: int, sided: float, frame: _Frame) -> _Grounds | None:
     """Return why a stretch is the roof, and how surely it is; None where it may be another part."""
     run = runs[number]
     share = run.length / frame.length
@@ -136,7 +148,7 @@ def _judge_run(
     evidence = f"side windows along {sided:.0%} of it"
     if car.cut:
         if ends == 2 and sided > ROOFS.long_sided and run.length > ROOFS.min_roof_of_cut * frame.width:
-            return f"a roof: windows end it on both sides, {evidence}", share + sided
+            return _Grounds(f"a roof: windows end it on both sides, {evidence}", share + sided)
         return None
     slender = frame.length / frame.width
     if not (
@@ -147,19 +159,21 @@ def _judge_run(
     evidence = f"{share:.0%} of the car's length, {evidence}"
     middle = 0.5 * (run.first + run.last) / frame.length
     if ends == 2 and (sided > ROOFS.sided or ROOFS.central[0] < middle < ROOFS.central[1]):
-        return f"a roof: windows end it on both sides, {evidence}", share + sided
+        return _Grounds(f"a roof: windows end it on both sides, {evidence}", share + sided)
     if ends == 1 and sided > ROOFS.surely_sided:
-        return f"a roof: a window ends it, {evidence}", share + sided
+        return _Grounds(f"a roof: a window ends it, {evidence}", share + sided)
     if (
         ends == 1
         and share > ROOFS.max_bonnet
         and sided > (ROOFS.long_sided if share < ROOFS.min_van_roof else ROOFS.van_sided)
     ):
-        return f"a roof: a window ends it, and it is longer than any bonnet, {evidence}", share + sided
+        return _Grounds(
+            f"a roof: a window ends it, and it is longer than any bonnet, {evidence}", share + sided
+        )
     return None
 
 
-def _level_place(car: Footprint, runs: list[_Run], number: int, frame: _Frame) -> tuple[float, float]:
+def _level_place(car: Footprint, runs: list[_Run], number: int, frame: _Frame) -> _LevelPlace:
     """Return where along the car a roof is level, and how far that may be off [pixel].
 
     A window beside it that is longer than a windscreen has a sunroof in it, and the roof is level beside it,
@@ -176,14 +190,14 @@ def _level_place(car: Footprint, runs: list[_Run], number: int, frame: _Frame) -
         if beyond < ROOFS.min_tail * unit:
             continue
         if window > ROOFS.min_sunroof * unit:
-            return edge, ROOFS.unsure_beside * unit
+            return _LevelPlace(edge, ROOFS.unsure_beside * unit)
         if window > ROOFS.max_windscreen * unit:
-            return middle, abs(middle - edge)
-    return middle, ROOFS.unsure * unit
+            return _LevelPlace(middle, abs(middle - edge))
+    return _LevelPlace(middle, ROOFS.unsure * unit)
 
 
 def _roof(
-    car: Footprint, glass: Bools, frame: _Frame, run: _Run, level: tuple[float, float]
+    car: Footprint, glass: Bools, frame: _Frame, run: _Run, level: _LevelPlace
 ) -> tuple[Bools, tuple[float, float], float] | None:
     """Return the pixels of a roof, and where it is level."""
     here = car.whole & (frame.along >= run.first) & (frame.along < run.last)
@@ -200,9 +214,9 @@ def _roof(
     inside = here & (np.abs(frame.across - centre) < ROOFS.used_width * half)
     if not inside.any():
         return None
-    away = np.hypot(frame.along - level[0], (frame.across - centre) * 0.5 * frame.width)
+    away = np.hypot(frame.along - level.along, (frame.across - centre) * 0.5 * frame.width)
     y, x = np.unravel_index(int(np.argmin(away)), away.shape)
-    return inside, (float(y), float(x)), level[1]
+    return inside, (float(y), float(x)), level.unsure
 
 
 def _edge(glass: Bools, sign: int, frame: _Frame, run: _Run) -> float:
