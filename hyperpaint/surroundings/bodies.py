@@ -67,17 +67,10 @@ _AS_PIXEL = np.transpose([(1.0, 0.2), (1.0, 0.3), (BODIES.offset, 0.1), (BODIES.
 
 
 class Paints(NamedTuple):
-    """Bodies of one paint.
+    """Bodies of one paint."""
 
-    Attributes
-    ----------
-    first : (segment,)
-        First of the bodies that show the same paint as a segment's.
-    one, other : (pair,)
-        Bodies near one another that do, both ways round.
-    """
-
-    first: npt.NDArray[np.int32]
+    first: npt.NDArray[np.int32]  #: (segment,): First of the bodies that show the same paint as a segment's.
+    #: (pair,): Bodies near one another that do, both ways round.
     one: Ints
     other: Ints
 

@@ -279,21 +279,11 @@ _LIMITS = ("glint", "shadow", "adjacency", "edge")
 
 @dataclass(frozen=True)
 class Flagged:
-    """A line with its flags.
+    """A line with its flags."""
 
-    Attributes
-    ----------
-    line
-        The line with ``quality``, and the layers its bits are set from, lazy.
-    seen
-        The line as it was looked at, with the model that holds for it.
-    model
-        From `hyperpaint.survey`.
-    """
-
-    line: xr.Dataset
-    seen: xr.Dataset
-    model: SceneModel
+    line: xr.Dataset  #: The line with ``quality``, and the layers its bits are set from, lazy.
+    seen: xr.Dataset  #: The line as it was looked at, with the model that holds for it.
+    model: SceneModel  #: From `hyperpaint.survey`.
 
 
 def is_flagged(line: xr.Dataset) -> bool:

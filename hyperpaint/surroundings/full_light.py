@@ -29,8 +29,6 @@ __all__ = [
 ]
 
 
-# spectra of segments are compared to so much of the reference, and so much reflectance [1]
-
 _NONE = (0.0, 1e-6)
 _AS_SHADE = np.transpose([(0.05, 0.15), (0.7, 0.5), _NONE, (0.0, 0.002), *(4 * [_NONE])])
 _AS_TILT = np.transpose([(1.0, 0.3), (1.0, 0.3), _NONE, (0.0, 0.01), *(4 * [_NONE])])
@@ -214,24 +212,16 @@ _TOGETHER = 20_000
 
 
 class Mixtures(NamedTuple):
-    """Segments as bodies in other light, each with one body.
+    """Segments as bodies in other light, each with one body."""
 
-    Attributes
-    ----------
-    segment, body : (n,)
-        Numbers of segments.
-    direct, sky, sent : (n,)
-        Amounts c, V and b [1].
-    misfit : (n,)
-        Root mean square of what remains, relative to what is seen [1].
-    """
-
+    #: (n,): Numbers of segments.
     segment: Ints
     body: Ints
+    #: (n,): Amounts c, V and b [1].
     direct: Floats
     sky: Floats
     sent: Floats
-    misfit: Floats
+    misfit: Floats  #: (n,): Root mean square of what remains, relative to what is seen [1].
 
 
 def without_sun(mixtures: Mixtures) -> Bools:

@@ -26,39 +26,22 @@ __all__ = [
 
 
 class Segments(NamedTuple):
-    """Segments of a line.
+    """Segments of a line."""
 
-    Attributes
-    ----------
-    number : (line, column), int32
-        Of every pixel; -1 without data.
-    sure : (line, column), bool
-        False where a pixel only goes with its neighbours.
-    size : (segment,), int64
-        Pixels.
-    """
-
-    number: npt.NDArray[np.int32]
-    sure: Bools
-    size: Ints
+    number: npt.NDArray[np.int32]  #: (line, column), int32: Of every pixel; -1 without data.
+    sure: Bools  #: (line, column), bool: False where a pixel only goes with its neighbours.
+    size: Ints  #: (segment,), int64: Pixels.
 
 
 class Touching(NamedTuple):
-    """Pairs of segments that touch, sorted, both ways round.
+    """Pairs of segments that touch, sorted, both ways round."""
 
-    Attributes
-    ----------
-    one, other : (pair,)
-        Segments.
-    length : (pair,)
-        Sides of pixels that lie between them.
-    sides : (pair, 4)
-        How many of these sides are steps from one to the other along, against, to the right and to the left.
-    """
-
+    #: (pair,): Segments.
     one: Ints
     other: Ints
-    length: Ints
+    length: Ints  #: (pair,): Sides of pixels that lie between them.
+    #: (pair, 4): How many of these sides are steps from one to the other along, against, to the right and to
+    #: the left.
     sides: Ints
 
 

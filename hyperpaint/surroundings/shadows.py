@@ -24,23 +24,12 @@ _LINES = 128
 
 
 class Scene(NamedTuple):
-    """What is known of segments before shadows are.
+    """What is known of segments before shadows are."""
 
-    Attributes
-    ----------
-    spectrum : (segment, channel)
-        Reflectance [1].
-    size : (segment,)
-        Pixels.
-    pairs
-        Which segments touch.
-    border : (segment,)
-        Sides of pixels around a segment, those at the edge of the picture among them.
-    """
-
-    spectrum: Floats
-    size: Ints
-    pairs: Touching
+    spectrum: Floats  #: (segment, channel): Reflectance [1].
+    size: Ints  #: (segment,): Pixels.
+    pairs: Touching  #: Which segments touch.
+    #: (segment,): Sides of pixels around a segment, those at the edge of the picture among them.
     border: Floats
 
 

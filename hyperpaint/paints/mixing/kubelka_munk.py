@@ -125,18 +125,10 @@ _FEW = 0.05
 
 @dataclass(frozen=True, eq=False)
 class Coating:
-    """What lies between a layer of paint and its reflectance as the library holds it.
+    """What lies between a layer of paint and its reflectance as the library holds it."""
 
-    Attributes
-    ----------
-    interface
-        Of the layer.
-    mirrored : (band,) or ()
-        Mirrored light that the reflectance holds [1].
-    """
-
-    interface: Interface
-    mirrored: Floats
+    interface: Interface  #: Of the layer.
+    mirrored: Floats  #: (band,) or (): Mirrored light that the reflectance holds [1].
 
     def ratio(self, reflectance: npt.ArrayLike, names: list[str]) -> Floats:
         """Return K/S [1] of spectra (paint, ..., band); NaN where there is none.

@@ -164,40 +164,22 @@ _SMALL = ("time", "latitude", "longitude", "irradiance_age")
 
 @dataclass(frozen=True)
 class Source:
-    """What is drawn from one flight line.
+    """What is drawn from one flight line."""
 
-    Attributes
-    ----------
-    line
-        The line itself, dims named by role.
-    cubes
-        ``reflectance`` at nominal wavelengths, and its uncertainties where they are known, lazy.
-    planes, small
-        Variables of pixels and of lines.
-    viewing
-        From where its pixels are seen.
-    wavelength, fwhm : (band,), float64
-        [nm]; NaN where the width is not known.
-    good : (band,), bool
-    smoothing
-        How spectra are smoothed; "none".
-    corrections
-        What was corrected, by name, see `CORRECTIONS`.
-    components
-        What enters the uncertainties, by name.
-    """
-
-    line: xr.Dataset
+    line: xr.Dataset  #: The line itself, dims named by role.
+    #: ``reflectance`` at nominal wavelengths, and its uncertainties where they are known, lazy.
     cubes: dict[str, xr.DataArray]
+    #: Variables of pixels and of lines.
     planes: dict[str, xr.DataArray]
     small: dict[str, xr.DataArray]
-    viewing: Viewing
+    viewing: Viewing  #: From where its pixels are seen.
+    #: (band,), float64: [nm]; NaN where the width is not known.
     wavelength: Floats
     fwhm: Floats
-    good: Bools
-    smoothing: str
-    corrections: dict[str, str]
-    components: dict[str, str]
+    good: Bools  #: (band,), bool:
+    smoothing: str  #: How spectra are smoothed; "none".
+    corrections: dict[str, str]  #: What was corrected, by name, see `CORRECTIONS`.
+    components: dict[str, str]  #: What enters the uncertainties, by name.
 
 
 def source_of(

@@ -37,19 +37,13 @@ _SETTLED = 1e-7
 
 @dataclass(frozen=True)
 class BandSummary:
-    """What is typical of every band.
+    """What is typical of every band."""
 
-    Attributes
-    ----------
-    centre, sd : (band,), float64
-        Centre of the values, and their standard deviation; NaN where there are none (for sd, less than two).
-    quantiles : (quantile, band), float64
-        At `QUANTILES`.
-    """
-
+    #: (band,), float64: Centre of the values, and their standard deviation; NaN where there are none (for sd,
+    #: less than two).
     centre: Floats
     sd: Floats
-    quantiles: Floats
+    quantiles: Floats  #: (quantile, band), float64: At `QUANTILES`.
 
 
 def summarise(values: Array, centre: str) -> BandSummary:

@@ -30,18 +30,13 @@ __all__ = [
 
 @dataclass(frozen=True, eq=False)
 class Surfaces:
-    """What segments of a scene model are by their spectra.
+    """What segments of a scene model are by their spectra."""
 
-    Attributes
-    ----------
-    level, blueness : (segment,)
-        Mean reflectance [1]; ratio of blue to near infrared.
-    dark, ground, vegetation, shade : (segment,)
-        Whether it is dark as glass, like the largest body, green as leaves, in another body's shadow.
-    """
-
+    #: (segment,): Mean reflectance [1]; ratio of blue to near infrared.
     level: Floats
     blueness: Floats
+    #: (segment,): Whether it is dark as glass, like the largest body, green as leaves, in another body's
+    #: shadow.
     dark: Bools
     ground: Bools
     vegetation: Bools
@@ -125,42 +120,21 @@ class Limits:
 
 
 class Picture(NamedTuple):
-    """What is seen of a line.
+    """What is seen of a line."""
 
-    Attributes
-    ----------
-    model
-        Its scene model.
-    channels : (line, column, channel)
-        Reflectance in the model's channels [1].
-    layers
-        ``glint_fraction``, ``blocked_direct``, ``adjacency`` and ``quality`` (line, column).
-    zenith
-        Of the sun [degree]; None where it is not known.
-    """
-
-    model: SceneModel
-    channels: Array
+    model: SceneModel  #: Its scene model.
+    channels: Array  #: (line, column, channel): Reflectance in the model's channels [1].
+    #: ``glint_fraction``, ``blocked_direct``, ``adjacency`` and ``quality`` (line, column).
     layers: Mapping[str, Array]
-    zenith: float | None
+    zenith: float | None  #: Of the sun [degree]; None where it is not known.
 
 
 class Piece(NamedTuple):
-    """A connected part of a body, away from other bodies.
+    """A connected part of a body, away from other bodies."""
 
-    Attributes
-    ----------
-    body
-        Segment of the scene model.
-    first
-        Line and column of the first pixel of ``inside``.
-    inside : (line, column)
-        Its pixels.
-    """
-
-    body: int
-    first: tuple[int, int]
-    inside: Bools
+    body: int  #: Segment of the scene model.
+    first: tuple[int, int]  #: Line and column of the first pixel of ``inside``.
+    inside: Bools  #: (line, column): Its pixels.
 
     @property
     def window(self) -> tuple[slice, slice]:
@@ -175,40 +149,23 @@ class Piece(NamedTuple):
 
 
 class Measures(NamedTuple):
-    """What is measured of a piece.
+    """What is measured of a piece."""
 
-    Attributes
-    ----------
-    usable : (line, column)
-        Pixels that a region can have: the largest connected set of them.
-    spectrum : (channel,)
-        Median of these [1].
-    pixels
-        How many there are.
-    angle
-        Median spectral angle to the median [degree].
-    spread, slope
-        Of brightness: half of what lies between the 5th and 95th percentiles, and the median change from
-        pixel to pixel, relative.
-    change
-        Half of what lies between the 10th and 90th percentiles of brightness over all that is lit, relative.
-    glint, shadow, adjacency
-        Means over the usable pixels [1].
-    lost : mapping
-        Share of the piece that is left out, by the reason.
-    """
-
-    usable: Bools
-    spectrum: Floats
-    pixels: int
-    angle: float
+    usable: Bools  #: (line, column): Pixels that a region can have: the largest connected set of them.
+    spectrum: Floats  #: (channel,): Median of these [1].
+    pixels: int  #: How many there are.
+    angle: float  #: Median spectral angle to the median [degree].
+    #: Of brightness: half of what lies between the 5th and 95th percentiles, and the median change from pixel
+    #: to pixel, relative.
     spread: float
     slope: float
+    #: Half of what lies between the 10th and 90th percentiles of brightness over all that is lit, relative.
     change: float
+    #: Means over the usable pixels [1].
     glint: float
     shadow: float
     adjacency: float
-    lost: Mapping[str, float]
+    lost: Mapping[str, float]  #: mapping: Share of the piece that is left out, by the reason.
 
 
 def pieces(model: SceneModel, erode: int, least: int) -> Iterator[Piece]:

@@ -22,28 +22,16 @@ __all__ = ["Car", "better_part", "find_cars", "judge_car", "settle_dark"]
 
 @dataclass(eq=False)
 class Car:
-    """Pieces of paint that are of one car.
+    """Pieces of paint that are of one car."""
 
-    Attributes
-    ----------
-    pieces
-        Those of its paint.
-    footprint, roof
-        The car around its roof; None where it is not seen.
-    reason
-        Why there is no roof.
-    is_car
-        Whether windows show that it is one.
-    size
-        Pixels of its largest footprint.
-    """
-
-    pieces: list[Piece]
+    pieces: list[Piece]  #: Those of its paint.
+    #: The car around its roof; None where it is not seen.
     footprint: Footprint | None = None
     roof: Roof | None = None
+    #: Why there is no roof.
     reason: str = "its colour goes on beyond any car: nothing says that it belongs to one"
-    is_car: bool = False
-    size: int = 0
+    is_car: bool = False  #: Whether windows show that it is one.
+    size: int = 0  #: Pixels of its largest footprint.
 
     def add(self, piece: Piece, footprint: Footprint, roof: Roof | NoRoof) -> None:
         """Add a piece, and what is seen around it: of several footprints with a roof the largest counts."""

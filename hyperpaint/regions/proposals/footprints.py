@@ -20,24 +20,12 @@ _ROUNDING = 1e-6
 
 
 class Scene(NamedTuple):
-    """What is seen, for the whole picture.
+    """What is seen, for the whole picture."""
 
-    Attributes
-    ----------
-    channels : (line, column, channel)
-        Reflectance [1].
-    sky : (channel,)
-        What a level clear coat mirrors of the sky [1].
-    level : (line, column)
-        Mean reflectance [1].
-    ground : (channel,)
-        Reflectance of the largest body [1].
-    """
-
-    channels: Array
-    sky: Array
-    level: Array
-    ground: Floats
+    channels: Array  #: (line, column, channel): Reflectance [1].
+    sky: Array  #: (channel,): What a level clear coat mirrors of the sky [1].
+    level: Array  #: (line, column): Mean reflectance [1].
+    ground: Floats  #: (channel,): Reflectance of the largest body [1].
 
     @classmethod
     def of(cls, channels: Array, model: SceneModel) -> Scene:
@@ -52,35 +40,19 @@ class Scene(NamedTuple):
 
 
 class Footprint(NamedTuple):
-    """A car as it is seen from above.
+    """A car as it is seen from above."""
 
-    Attributes
-    ----------
-    first
-        Line and column of the first pixel of the masks.
-    paint, whole : (line, column)
-        Pixels of its colour; these and what they enclose, without what is thin.
-    brightness : (line, column)
-        Relative to the piece it was found from.
-    axis : (2,)
-        Unit vector (line, column) along its longer side.
-    middle : (2,)
-        Line and column of its centre in the masks.
-    length, width
-        [pixel]
-    cut
-        Whether it goes on beyond the picture.
-    """
-
-    first: tuple[int, int]
+    first: tuple[int, int]  #: Line and column of the first pixel of the masks.
+    #: (line, column): Pixels of its colour; these and what they enclose, without what is thin.
     paint: Bools
     whole: Bools
-    brightness: Floats
-    axis: Floats
-    middle: Floats
+    brightness: Floats  #: (line, column): Relative to the piece it was found from.
+    axis: Floats  #: (2,): Unit vector (line, column) along its longer side.
+    middle: Floats  #: (2,): Line and column of its centre in the masks.
+    #: [pixel]
     length: float
     width: float
-    cut: bool
+    cut: bool  #: Whether it goes on beyond the picture.
 
     @property
     def window(self) -> tuple[slice, slice]:

@@ -21,24 +21,14 @@ _LEANS = {"roof": 1.5, "panel": 14.0, "dark paint": 12.0}
 
 @dataclass
 class Verdict:
-    """What is thought of a piece.
+    """What is thought of a piece."""
 
-    Attributes
-    ----------
-    kind
-        "roof", "panel", "dark paint"; empty where nothing says that it is a car's.
-    score
-        0 to 1, from what is measured.
-    reasons, objections
-        What speaks for it, and what against; without objections it is proposed.
-    scenery
-        Whether it looks like leaves, a shadow or a window: refused, and told after all others.
-    """
-
-    kind: str = ""
-    score: float = 0.0
+    kind: str = ""  #: "roof", "panel", "dark paint"; empty where nothing says that it is a car's.
+    score: float = 0.0  #: 0 to 1, from what is measured.
+    #: What speaks for it, and what against; without objections it is proposed.
     reasons: list[str] = field(default_factory=list)
     objections: list[str] = field(default_factory=list)
+    #: Whether it looks like leaves, a shadow or a window: refused, and told after all others.
     scenery: bool = False
 
 

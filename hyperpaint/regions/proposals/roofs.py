@@ -15,30 +15,14 @@ __all__ = ["Levelled", "NoRoof", "Roof", "find_roof", "level_light"]
 
 
 class Roof(NamedTuple):
-    """The roof of a car.
+    """The roof of a car."""
 
-    Attributes
-    ----------
-    inside : (line, column)
-        Its pixels, in the footprint's window.
-    middle
-        Where it is level: line and column in that window.
-    unsure
-        How far along the car that may be off [pixel].
-    reason
-        Why it is thought to be one.
-    worth
-        How sure that is, to choose among several.
-    complete
-        Whether it lies between windows, and these between paint.
-    """
-
-    inside: Bools
-    middle: tuple[float, float]
-    unsure: float
-    reason: str
-    worth: float
-    complete: bool
+    inside: Bools  #: (line, column): Its pixels, in the footprint's window.
+    middle: tuple[float, float]  #: Where it is level: line and column in that window.
+    unsure: float  #: How far along the car that may be off [pixel].
+    reason: str  #: Why it is thought to be one.
+    worth: float  #: How sure that is, to choose among several.
+    complete: bool  #: Whether it lies between windows, and these between paint.
 
 
 class NoRoof(NamedTuple):
@@ -276,23 +260,12 @@ def _runs(crossed: Bools, strip: float) -> list[_Run]:
 
 
 class Levelled(NamedTuple):
-    """Brightness of a roof.
+    """Brightness of a roof."""
 
-    Attributes
-    ----------
-    middle
-        In its middle, relative to what brightness is given in [1].
-    misfit
-        How far what is seen there is off the fit [1].
-    unsure
-        What it may be off by because the middle is elsewhere [1].
-    change
-        Half of what lies between the 10th and 90th percentiles of the fit over the roof, relative [1].
-    """
-
-    middle: float
-    misfit: float
-    unsure: float
+    middle: float  #: In its middle, relative to what brightness is given in [1].
+    misfit: float  #: How far what is seen there is off the fit [1].
+    unsure: float  #: What it may be off by because the middle is elsewhere [1].
+    #: Half of what lies between the 10th and 90th percentiles of the fit over the roof, relative [1].
     change: float
 
 
