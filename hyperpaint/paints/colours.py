@@ -23,7 +23,6 @@ __all__ = [
     "colour_matching",
     "encode_srgb",
     "lab_of",
-    "nearest_colour",
     "paint_colours",
     "parse_colour",
     "srgb",
@@ -200,21 +199,6 @@ def srgb_hex(colour: npt.ArrayLike) -> str:
     if not np.isfinite(values).all():
         return ""
     return "#" + np.rint(values.clip(0.0, 1.0) * 255.0).astype(np.uint8).tobytes().hex()
-
-
-def nearest_colour(colour: npt.ArrayLike) -> str:
-    """Return the word for sRGB (rgb,) from 0 to 1; nothing for what is no colour.
-
-    Examples
-    --------
-    >>> nearest_colour([0.7, 0.1, 0.1])
-    'red'
-    """
-    values = np.asarray(colour, np.float64)
-    if not np.isfinite(values).all():
-        return ""
-    reference_lab = lab_of(np.stack([parse_colour(digits) for digits in COLOURS.values()]))
-    return list(COLOURS)[int(ciede2000(lab_of(values), reference_lab).argmin())]
 
 
 def lab_of(srgb: npt.ArrayLike) -> Floats:

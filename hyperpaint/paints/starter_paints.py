@@ -69,7 +69,7 @@ def starter_library(
     Raises
     ------
     SchemaError
-        ``members`` or ``wavelength`` cannot be; all are listed.
+        ``members`` or ``wavelength`` is out of range; all are listed.
 
     Notes
     -----
@@ -180,11 +180,12 @@ def _library(specs: list[PaintSpec], nm: Floats, values: dict[str, Array], seed:
         "family": ("Family of pigments", [_family(spec) for spec in specs]),
     }
     texts = {
-        name: (PAINT, text_column(column), {"long_name": told}) for name, (told, column) in about.items()
+        name: (PAINT, text_column(column), {"long_name": meaning})
+        for name, (meaning, column) in about.items()
     }
     roughness = np.array([spec.coat.roughness for spec in specs])
-    told = {"long_name": "GGX alpha of the clear coat", "units": "1"}
-    return paints.assign_coords({**texts, "roughness": (PAINT, roughness, told)})
+    attrs = {"long_name": "GGX alpha of the clear coat", "units": "1"}
+    return paints.assign_coords({**texts, "roughness": (PAINT, roughness, attrs)})
 
 
 def _is_visible(nm: Floats) -> bool:

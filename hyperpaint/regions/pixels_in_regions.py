@@ -154,12 +154,12 @@ def _on_map(regions: Regions, line: xr.Dataset, shape: tuple[int, int]) -> list[
         there_x, there_y = (
             _values(part.isel(rows, missing_dims="ignore"), stop - start, shape[1]) for part in (x, y)
         )
-        for region, found in zip(regions, parts, strict=True):
+        for region, pieces in zip(regions, parts, strict=True):
             inside = np.flatnonzero(_inside(region, there_x, there_y))
             if inside.size:
                 along, across = np.divmod(inside, shape[1])
-                found.append((along + start, across))
-    return [_joined(found) for found in parts]
+                pieces.append((along + start, across))
+    return [_joined(pieces) for pieces in parts]
 
 
 def _inside(region: Region, x: Floats, y: Floats) -> Bools:

@@ -1,4 +1,8 @@
-"""What is known of a scene after one look at all of it; flags are then a matter of single pixels."""
+"""One look at a whole scene, the flags and the corrections of light that follow from it.
+
+A line with reflectance comes in; a `SceneModel`, layers and bits of ``quality``, or corrected
+reflectance go out. For regions, paints, pictures and every room above. `rules` holds the thresholds.
+"""
 
 import lazy_loader
 

@@ -233,7 +233,7 @@ def mixtures_of(segment: Ints, body: Ints, spectrum: Floats, senders: Ints, ligh
     r"""Return segments as bodies in little sun, with the neighbour's light that leaves least.
 
     :math:`\rho_B (c f_{dir} + V f_{dif} + b \rho_n)` with c, V, b not negative; what a neighbour sends comes
-    from where the sky is hidden, b < 1 - V. Pairs that cannot be are left out.
+    from where the sky is hidden, b < 1 - V. Pairs without such amounts are left out.
 
     Takes ``segment``, ``body`` (n,): pairs to look at; ``spectrum`` (segment, channel): reflectance [1];
     ``senders`` (segment, rank): segments that may light one; -1 for none; ``light``: parts of the irradiance.

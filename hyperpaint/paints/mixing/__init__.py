@@ -1,8 +1,6 @@
 """New paints from old: mixtures, shades, and variants drawn from a measured population.
 
-Rooms: `kubelka_munk` (a thick layer and its interface), `coated` (a library's reflectance without and with
-its interface), `recipes` (mixtures and shades), `sampling` (variants), `synthetic` (the library of the new
-paints).
+A paint library comes in, a library of synthetic paints goes out. For the accessor and workflows.
 """
 
 from __future__ import annotations

@@ -74,8 +74,8 @@ def mix_paints(
     Raises
     ------
     SchemaError
-        It is no paint library; recipes name paints that are not there, or there more than once, or parts that
-        cannot be; an option is none; or paints are darker than the mirrored light that they are to hold. All
+        It is no paint library; recipes name paints that are not there, or there more than once, or parts
+        below 0; an option is none; or paints are darker than the mirrored light that they are to hold. All
         are listed.
     UnitsError
         Units cannot be read.

@@ -204,7 +204,7 @@ def sample_paints(
     Raises
     ------
     SchemaError
-        It has no members, or too few that are whole; or an option cannot be; all are listed.
+        It has no members, or too few that are whole; or an option is out of range; all are listed.
     UnitsError
         Units cannot be read.
 

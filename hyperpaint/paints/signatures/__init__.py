@@ -1,8 +1,7 @@
 """Paint signatures: what a paint reflects, from regions of calibrated flight lines.
 
-Rooms: `sources` (flight lines at nominal wavelengths), `gathering` (pixels out of lazy cubes), `reduction`
-(centre, spread, members), `independence` (how many pixels are independent), `viewing` (from where they are
-seen), `draft` (one signature), `library` (the dataset), `extraction` (all of it).
+Flight lines and regions come in, a paint library with spread and uncertainties goes out. For validation,
+report, workflows and the accessor.
 """
 
 from __future__ import annotations
