@@ -308,8 +308,8 @@ def correct_light(
     Raises
     ------
     SchemaError
-        ``reflectance`` or ``wavelength`` is missing, numbers are out of range, the light was corrected before (here,
-        or by ``tilt=`` of `hyperpaint.reflectance`), or the split is not known; all are listed.
+        ``reflectance`` or ``wavelength`` is missing, numbers are out of range, the light was corrected before
+        (here, or by ``tilt=`` of `hyperpaint.reflectance`), or the split is not known; all are listed.
 
     Notes
     -----
