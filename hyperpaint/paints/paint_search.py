@@ -73,8 +73,8 @@ def search_library(
     ------
     SchemaError
         It is no paint library, an option is out of range, ``like`` is not one spectrum or has under five
-        bands in common with the library, or the library sees too little of the visible to have colours. All of
-        a kind are listed.
+        bands in common with the library, or the library sees too little of the visible to have colours. All
+        of a kind are listed.
     UnitsError
         Units cannot be read.
 
