@@ -13,14 +13,7 @@ import zarr
 
 from hyperpaint.base.arrays import Progress
 from hyperpaint.base.errors import StoreError
-from hyperpaint.base.schema import (
-    BAND,
-    CROSS_TRACK,
-    FORMAT_VERSION,
-    STEP,
-    SWEEP_VARIABLES,
-    VARIABLES,
-)
+from hyperpaint.base.schema import BAND, CROSS_TRACK, FORMAT_VERSION, STEP, SWEEP_VARIABLES, VARIABLES
 
 from .stores import blosc_encoding, consolidate, create_array, labelled
 from .sweep import Sweep, SweepSettings

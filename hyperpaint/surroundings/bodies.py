@@ -9,9 +9,9 @@ import numpy.typing as npt
 
 from hyperpaint.base.arrays import Floats, Floats32, Ints
 
+from .detection_rules import BODIES, GLINT
 from .full_light import AS_GLINT, Light, Matches, unmix_spectra
 from .model import CELL, LIT
-from .rules import BODIES, GLINT
 from .segments import Touching, beyond, distinct_pairs
 
 __all__ = ["Paints", "clean_references", "coloured", "nearest_coloured", "same_paints"]

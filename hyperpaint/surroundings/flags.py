@@ -21,7 +21,7 @@ from hyperpaint.radiometry.slabs import line_chunked
 from hyperpaint.radiometry.spectral_axis import to_nominal
 
 from . import SceneModel, survey
-from .rules import FLAGS
+from .detection_rules import FLAGS
 from .surveying import to_channels, to_nominal_channels
 
 if TYPE_CHECKING:

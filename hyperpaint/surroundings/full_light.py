@@ -9,8 +9,8 @@ import numpy.typing as npt
 
 from hyperpaint.base.arrays import Array, Bools, Floats, Floats32, Ints
 
+from .detection_rules import GLINT, MIXTURES
 from .model import CELL, GLINTED, LIT, SHADED
-from .rules import GLINT, MIXTURES
 from .segments import Touching, distinct_pairs
 
 __all__ = [

@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 from hyperpaint.base.arrays import Array, Bools, Floats32, Ints
 
-from .rules import SEGMENTS
+from .detection_rules import SEGMENTS
 
 __all__ = [
     "Segments",

@@ -9,9 +9,9 @@ import numpy.typing as npt
 
 from hyperpaint.base.arrays import Array, Bools, Floats, Floats32, Ints
 
+from .detection_rules import SHADOWS
 from .full_light import Light, Matches, Mixtures, in_parts, mixtures_of, senders_of, solve, without_sun
 from .model import LIT, SHADED
-from .rules import SHADOWS
 from .segments import Touching, beyond, distinct_pairs
 
 __all__ = ["match_shade", "shaded_pixels"]

@@ -16,8 +16,8 @@ from hyperpaint.base.errors import MissingExtraError, Problems, SchemaError
 from hyperpaint.base.schema import BAND, PAINT
 from hyperpaint.light.sun import diffuse_fraction, solar_position
 
+from .detection_rules import DIFFUSE
 from .model import SHADED
-from .rules import DIFFUSE
 
 if TYPE_CHECKING:
     import xarray as xr

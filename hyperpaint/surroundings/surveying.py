@@ -16,9 +16,9 @@ from hyperpaint.base.schema import ALONG_TRACK, BAND, CHUNK_LINES, CROSS_TRACK
 from hyperpaint.radiometry.slabs import line_chunked
 
 from .bodies import clean_references, nearest_coloured, same_paints
+from .detection_rules import SURVEY
 from .full_light import Light, Matches, match_segments, median_spectra
 from .model import LIT, SHADED, SceneModel, two_nearest
-from .rules import SURVEY
 from .segments import border_steps, distance_to, divide, edge_distance, sample_pixels, touching
 from .shadows import match_shade, shaded_pixels
 from .sun_and_sky import (

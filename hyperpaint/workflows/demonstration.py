@@ -16,14 +16,14 @@ from hyperpaint.base.errors import MissingExtraError, StoreError
 from hyperpaint.base.schema import ALONG_TRACK, BAND, CROSS_TRACK
 from hyperpaint.simulation.collect import CAMERA_SOFTWARE, MARKER, PARTS
 
-from .paint_closure import (
+from .paint_closure import (  # fmt: skip
     PaintAgreement,
     aligned,
     blocks_with_truth,
     compare_paints,
     signature_problems,
     signature_table,
-)  # fmt: skip
+)
 from .pipeline import run
 
 if TYPE_CHECKING:

@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 
 from hyperpaint.base.arrays import Floats, Floats32
 from hyperpaint.base.schema import CUBE, IRRADIANCE_TIME, IRRADIANCE_WAVELENGTH, VARIABLES
-from hyperpaint.workflows.pipeline import KEPT_BITS
+
+from .pipeline import KEPT_BITS
 
 if TYPE_CHECKING:
     import xarray as xr

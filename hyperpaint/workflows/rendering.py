@@ -42,7 +42,8 @@ from hyperpaint.base.schema import CHUNK_LINES, FORMAT_VERSION
 from hyperpaint.io.store.budget import size_text
 from hyperpaint.io.store.listing import INPUTS
 from hyperpaint.simulation.rendering.scene_record import MOST_SAMPLES
-from hyperpaint.workflows.pipeline import Outcome, bars_on_stderr, computing_on, kept_groups, local_folder
+
+from .pipeline import Outcome, bars_on_stderr, computing_on, kept_groups, local_folder
 
 if TYPE_CHECKING:
     import xarray as xr

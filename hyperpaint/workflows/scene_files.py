@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from hyperpaint.base.errors import FormatError, Problems
-from hyperpaint.io.files.toml_tables import (
+from hyperpaint.io.files.toml_tables import (  # fmt: skip
     Check,
     TableReader,
     flag,
@@ -24,7 +24,7 @@ from hyperpaint.io.files.toml_tables import (
     texts,
     time,
     whole,
-)  # fmt: skip
+)
 from hyperpaint.simulation.rendering.materials import KINDS
 from hyperpaint.simulation.rendering.scene import INSTANCE_KINDS
 from hyperpaint.simulation.rendering.scene_record import MOST_SAMPLES

@@ -20,7 +20,7 @@ from hyperpaint.cli.program import main
 from hyperpaint.light.sun import diffuse_fraction, solar_position
 from hyperpaint.surroundings import flags
 from hyperpaint.surroundings.flags import flag_line, is_flagged
-from hyperpaint.workflows import signature_files
+from hyperpaint.workflows import library_files
 from hyperpaint.workflows.library_files import write_signatures
 
 LINES, BANDS, COLUMNS = 48, 24, 40
@@ -247,7 +247,7 @@ def test_the_origin_of_flags_outlives_reflectance(tmp_path: Path) -> None:
     assert again.quality.attrs["flags_from"] == flagged.quality.attrs["flags_from"]
     np.testing.assert_array_equal(again.quality, flagged.quality)
     region = hp.Region("a", [(1, 2), (12, 2), (12, 20), (1, 20)], flightline="raw_0")
-    made = signature_files.write_signatures(
+    made = library_files.write_signatures(
         tmp_path / "flagged.zarr", hp.Regions((region,)), tmp_path / "a.zarr", exclude=0
     )
     assert made.attrs["flags"] == "those of the store, " + flagged.quality.attrs["flags_from"]

@@ -13,7 +13,7 @@ from hyperpaint.base.schema import Quality
 from hyperpaint.surroundings import SceneModel
 from hyperpaint.surroundings.model import SHADED
 
-from .rules import SURFACES
+from .proposal_rules import SURFACES
 
 __all__ = [
     "Limits",

@@ -14,8 +14,8 @@ from hyperpaint.surroundings import SceneModel
 from .candidates import Limits, Picture, Piece, Surfaces, measured
 from .footprints import Footprint, Scene, footprint_of
 from .judging import Judged, Verdict, judge_change, judge_lean, judge_pixels
+from .proposal_rules import CARS
 from .roofs import NoRoof, Roof, find_roof, level_light
-from .rules import CARS
 
 __all__ = ["Car", "better_part", "find_cars", "judge_car", "settle_dark"]
 

@@ -11,7 +11,7 @@ from hyperpaint.base.arrays import Array, Bools, Floats
 from hyperpaint.surroundings import SceneModel
 
 from .candidates import largest_body
-from .rules import FOOTPRINTS
+from .proposal_rules import FOOTPRINTS
 
 __all__ = ["Footprint", "Scene", "footprint_of", "hull_of"]
 

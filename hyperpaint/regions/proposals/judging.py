@@ -10,7 +10,7 @@ import numpy as np
 from hyperpaint.surroundings import SceneModel
 
 from .candidates import Limits, Measures, Picture, Piece, Surfaces, ring_around
-from .rules import JUDGING, SURFACES
+from .proposal_rules import JUDGING, SURFACES
 
 __all__ = ["Judged", "Verdict", "judge_change", "judge_dark", "judge_lean", "judge_pixels"]
 

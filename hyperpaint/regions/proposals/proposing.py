@@ -22,7 +22,7 @@ from .candidates import Limits, Measures, Picture, Piece, Surfaces, measured, pi
 from .cars import find_cars, judge_car, settle_dark
 from .footprints import Scene
 from .judging import Judged, Verdict, judge_dark
-from .rules import SURFACES
+from .proposal_rules import SURFACES
 
 if TYPE_CHECKING:
     import xarray as xr

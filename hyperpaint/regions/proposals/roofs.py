@@ -9,7 +9,7 @@ import numpy as np
 from hyperpaint.base.arrays import Bools, Floats
 
 from .footprints import Footprint
-from .rules import ROOFS
+from .proposal_rules import ROOFS
 
 __all__ = ["Levelled", "NoRoof", "Roof", "find_roof", "level_light"]
 
