@@ -46,6 +46,7 @@ def _benchmarks() -> Iterator[Any]:
 
 @pytest.mark.skipif(not (ROOT / "benchmarks").is_dir(), reason="installed without its benchmarks")
 @pytest.mark.parametrize("kind", list(_benchmarks()))
+@pytest.mark.slow
 def test_benchmark_runs_at_its_smallest_size(kind: Any) -> None:
     methods = [name for name in dir(kind) if name.startswith(("time_", "track_", "timeraw_"))]
     assert methods

@@ -65,6 +65,7 @@ HEAVY = {
 
 
 @pytest.mark.parametrize("statement", ["import hyperpaint", "import hyperpaint.io.backends"])
+@pytest.mark.slow
 def test_importing_costs_what_xarray_costs(statement: str) -> None:
     code = f"import sys, xarray\nbefore = set(sys.modules)\n{statement}\nprint(*(set(sys.modules) - before))"
     done = subprocess.run(

@@ -150,6 +150,7 @@ def test_scatter_at_snr_100_under_the_reference_sun(
 
 
 @pytest.mark.parametrize("shape", ["gaussian", "slit"])
+@pytest.mark.slow
 def test_a_flight_with_a_wrong_camera_file_is_mended(shape: str, record_property: Any) -> None:
     truth = simulate_line(
         lines=64,
@@ -206,6 +207,7 @@ def test_scales_of_radiance_and_of_irradiance_do_not_matter(radiance: float, irr
         np.testing.assert_allclose(second[name], first[name], atol=2e-4)
 
 
+@pytest.mark.slow
 def test_chunks_change_no_bit() -> None:
     line = line_of(surface_reflectance(["grass", "panel_20"], GRID), shift=0.3, noise=0.01, lines=23)
     first = hp.alignment.align_to_irradiance(line, window=OXYGEN)

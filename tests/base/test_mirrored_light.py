@@ -45,7 +45,7 @@ def test_all_are_told_the_same(attrs: dict[str, str], apart: bool, expected: str
     paints = library(attrs, apart)
     assert mirror_reflection(paints) == expected
     coat = coat_of(paints, 0.0)
-    assert (coat.mirror_reflection, coat.told) == (expected or INCLUDED, expected is not None)
+    assert (coat.mirror_reflection, coat.is_declared) == (expected or INCLUDED, expected is not None)
     assert float(coating_of(paints, 0.04, 0.6, None).mirrored) == (0.0 if expected == EXCLUDED else 0.04)
     assert signatures_from(paints)[0].mirror == (expected or "unknown")
 

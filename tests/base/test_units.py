@@ -117,6 +117,7 @@ HOSTILE = [
 ]
 
 
+@pytest.mark.slow
 def test_hostile_text_is_refused_at_once() -> None:
     # in a process of its own, which can be ended
     code = (

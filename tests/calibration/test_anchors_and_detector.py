@@ -61,6 +61,7 @@ def spectrum(values: list[float], nm: list[float], units: str = "W m-2 sr-1 nm-1
     )
 
 
+@pytest.mark.slow
 def test_a_sphere_gives_every_element_its_gain(sweep: xr.Dataset) -> None:
     made = hp.calibrate(sweep)
     flat = spectrum([5.0, 5.0], [300.0, 1200.0], "uW cm-2 sr-1 nm-1")  # 0.05 in SI

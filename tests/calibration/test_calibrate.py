@@ -149,6 +149,7 @@ def test_an_array_read_from_the_red_end() -> None:
         )
 
 
+@pytest.mark.slow
 def test_lazy_sweeps_give_the_same_bits() -> None:
     sweep = sweep_of(bands=136)
     eager = hp.calibrate(sweep)
@@ -171,6 +172,7 @@ def test_a_beam_is_no_response() -> None:
         hp.calibrate(sweep_of(bands=136, columns=24, beam_fwhm_columns=16.0, beam_recorded=False))
 
 
+@pytest.mark.slow
 def test_a_flat_field_brings_what_lines_cannot_see() -> None:
     sweep = sweep_of(columns=40, nonuniformity=0.01)
     band = inside(sweep, 2.0)

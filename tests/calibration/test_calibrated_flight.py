@@ -14,6 +14,7 @@ from hyperpaint.simulation import simulate_collect, simulate_sweep
 
 
 @pytest.mark.parametrize("shape", ["gaussian", "slit"])
+@pytest.mark.slow
 def test_oxygen_window_from_a_calibrated_sweep(tmp_path: Path, shape: str) -> None:
     camera = {"columns": 16, "srf_shape": shape, "smile_nm": 0.5, "nonuniformity": 0, "seed": 3}
     path = simulate_collect(tmp_path / "c", scene="plan", lines=64, **camera)

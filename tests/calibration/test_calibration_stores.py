@@ -39,6 +39,7 @@ def test_what_is_written_is_read(lab: Path, tmp_path: Path) -> None:
     assert back.wavelength_residual_nm == made.wavelength_residual_nm
 
 
+@pytest.mark.slow
 def test_command_line(lab: Path, tmp_path: Path) -> None:
     out = tmp_path / "cal.zarr"
     done = CliRunner().invoke(main, ["calibrate", str(lab / "sweep.zarr"), "--out", str(out)])

@@ -134,6 +134,7 @@ def test_noise_that_nobody_tells_is_found(nonuniformity: float) -> None:
 # --- beam
 
 
+@pytest.mark.slow
 def test_a_beam_that_is_not_told_is_seen() -> None:
     wandering = {"columns": 24, "beam_fwhm_columns": 60.0, "beam_wander_columns": 6.0}
     with pytest.warns(PaintWarning, match="the beam's own profile would pass for response"):

@@ -12,6 +12,7 @@ import pytest
 import xarray as xr
 
 pytestmark = [
+    pytest.mark.campaign,
     pytest.mark.skipif(not Path("/proc/self/clear_refs").exists(), reason="memory is counted by Linux"),
     # the child never comes back to where the warning could matter
     pytest.mark.filterwarnings("ignore:.*multi-threaded.*fork:DeprecationWarning"),

@@ -8,6 +8,8 @@ from typing import Any
 
 import pytest
 
+pytestmark = pytest.mark.campaign
+
 
 @pytest.fixture
 def disks() -> Any:

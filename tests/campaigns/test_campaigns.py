@@ -17,6 +17,8 @@ from support import ROOT
 
 from hyperpaint.base.errors import IncompleteStoreError
 
+pytestmark = pytest.mark.campaign
+
 PARSERS = (
     *("envi", "asd", "asd-text", "asd-open", "svc", "irradiance-csv", "irradiance-open"),
     *("frame-index", "imu-gps", "sbet", "lcf", "eph-att", "nav-csv", "settings", "gps-time", "collect-toml"),

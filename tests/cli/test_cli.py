@@ -102,6 +102,7 @@ def test_usage_errors_exit_with_two(hyperpaint: Hyperpaint, tmp_path: Path) -> N
 # --- process -----------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_process_then_again(hyperpaint: Hyperpaint, collect: Path, tmp_path: Path) -> None:
     out = tmp_path / "lot.zarr"
     first = hyperpaint("process", collect, "--out", out)
@@ -275,6 +276,7 @@ def test_info_of_what_it_does_not_know(hyperpaint: Hyperpaint, source: Path, tmp
     assert "in it are calibration.zarr, collect.toml" in refused(hyperpaint("info", source))
 
 
+@pytest.mark.slow
 def test_info_and_verify_of_a_store(hyperpaint: Hyperpaint, collect: Path, tmp_path: Path) -> None:
     out = tmp_path / "lot.zarr"
     hp.process(collect, out, reflectance="none")

@@ -101,6 +101,7 @@ def shift(board: Path, *options: str) -> float:
 
 
 @_OLD_TRANSFORMS
+@pytest.mark.slow
 def test_a_camera_a_dem_and_a_boresight_put_pixels_in_their_place(board: Path) -> None:
     dem = ("--dem", str(board / "dem.tif"), "--dem-heights", "ellipsoid")
     level = ("--ground", str(xr.open_zarr(board / "collect" / "truth.zarr").attrs["ground"]))

@@ -89,6 +89,7 @@ def assert_same(one: xr.Dataset, other: xr.Dataset) -> None:
 # --- what is in it -----------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_the_store_is_whole_and_says_what_it_is(store: Path) -> None:
     assert hp.verify(store).ok
     groups = ["renders/cloudy", "renders/noon", "transport"]
@@ -216,6 +217,7 @@ def test_counts_do_not_depend_on_chunks(chunk: int) -> None:
     assert not np.array_equal(other.dark_counts, reference.dark_counts)
 
 
+@pytest.mark.slow
 def test_renders_do_not_depend_on_the_scheduler(store: Path, tmp_path: Path) -> None:
     distributed = pytest.importorskip("distributed")
     with dask.config.set(scheduler="synchronous"):
@@ -238,6 +240,7 @@ def test_renders_do_not_depend_on_the_scheduler(store: Path, tmp_path: Path) -> 
 # --- again, otherwise, interrupted -------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_a_finished_store_is_left_alone(hyperpaint: Hyperpaint, tmp_path: Path) -> None:
     file, out = scene_file(tmp_path), tmp_path / "out.zarr"
     first = hyperpaint("render", file, "--out", out, "--atmosphere", "noon", "--samples", 2)
@@ -281,6 +284,7 @@ with dask.config.set(scheduler="synchronous"):
 """
 
 
+@pytest.mark.slow
 def test_a_killed_run_is_resumed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     from hyperpaint.simulation.rendering import tracing
 

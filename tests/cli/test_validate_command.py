@@ -76,6 +76,7 @@ def references(tmp_path: Path) -> Path:
 # --- from the raw files to the table -----------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_simulate_process_signatures_validate(lot: Path) -> None:
     done = run("validate", lot / "paints.zarr", "--reference", lot / "raw/svc/*.sig")
     assert done.exit_code == 0, done.output

@@ -81,6 +81,7 @@ def test_without_errors_it_is_exact() -> None:
 
 
 @pytest.mark.parametrize("wobble", ["calm", "rough"])
+@pytest.mark.slow
 def test_eight_points_on_four_lines(wobble: str) -> None:
     """As the benchmark has it for 100 repeats: 0.01 degrees, 0.1 degrees of heading, 2 ms."""
     flown = flights(4, wobble)
@@ -175,6 +176,7 @@ def test_what_cannot_be_is_refused() -> None:
 
 
 @pytest.mark.parametrize("late", [-1.0, -0.3, 0.7])
+@pytest.mark.slow
 def test_a_clock_that_begins_with_another_swing_is_found(late: float) -> None:
     """Every swing of the platform has a minimum of its own, which leaves 6 pixel and a pitch off by 2."""
     flown = flights(4)

@@ -21,6 +21,7 @@ def check(flight: Flight, made: tuple) -> ConventionCheck:
     return check_conventions(line, nav, convention=declared, camera=camera, ground=flight.ground)
 
 
+@pytest.mark.slow
 def test_twelve_wrong_declarations() -> None:
     flight = flown(1, lines=1200)
     named, undecided, beside = [], [], []
@@ -35,11 +36,13 @@ def test_twelve_wrong_declarations() -> None:
 
 
 @pytest.mark.parametrize("seed", [201, 202, 203, 204])
+@pytest.mark.slow
 def test_nothing_is_named_of_a_right_declaration(seed: int) -> None:
     flight = flown(seed, lines=1000)
     assert check(flight, right(flight)).wrong == ()
 
 
+@pytest.mark.slow
 def test_the_suggestion_is_what_was_flown() -> None:
     flight = flown(3, lines=1000)
     line, nav, _ = right(flight)
@@ -63,6 +66,7 @@ def test_a_platform_that_flies_nose_up(mean_pitch: float) -> None:
     assert found["roll_positive"].verdict == "right"
 
 
+@pytest.mark.slow
 def test_two_at_once() -> None:
     flight = flown(3, lines=1000)
     line, nav, _ = right(flight)
@@ -85,6 +89,7 @@ def test_a_picture_of_nothing_tells_nothing() -> None:
     assert check(flight, (line, nav, declared)).wrong == ()
 
 
+@pytest.mark.slow
 def test_what_is_not_declared_is_said_to_be_so() -> None:
     flight = flown(5, lines=600)
     line, nav, _ = right(flight)

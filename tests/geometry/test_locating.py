@@ -251,6 +251,7 @@ def test_nothing_is_computed_until_asked(no_compute: Callable[[], Any]) -> None:
 
 
 @pytest.mark.parametrize("dem", [False, True])
+@pytest.mark.slow
 def test_no_bit_depends_on_chunks(dem: bool) -> None:
     line = flown(61, 5)
     if dem:

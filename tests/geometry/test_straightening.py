@@ -17,6 +17,8 @@ import hyperpaint as hp
 from hyperpaint.simulation import simulate_collect
 from hyperpaint.workflows.pipeline import process
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture(scope="module")
 def straightened() -> Any:

@@ -7,11 +7,13 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
 from support import ROOT
 
 HERE = Path(__file__).resolve().parent
 
 
+@pytest.mark.slow
 def test_kernels_run_without_compilation() -> None:
     subjects = ("radiometry", "uncertainty", "smoothing", "resampling", "rays")
     names = [HERE / f"test_kernels_{subject}.py" for subject in subjects]

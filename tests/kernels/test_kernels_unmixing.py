@@ -86,6 +86,7 @@ def least(
     return amount, float(np.sum((rows @ amount - right) ** 2))
 
 
+@pytest.mark.slow
 def test_unmixing_is_the_bounded_least_squares_of_scipy() -> None:
     given = scene()
     amount, added, together, misfit = unmix(given)

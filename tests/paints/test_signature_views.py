@@ -137,6 +137,7 @@ def test_sun_and_camera() -> None:
     assert_same_bits(library, extract_signatures(line.chunk(along_track=7), RAW))
 
 
+@pytest.mark.slow
 def test_look_angles_come_with_the_calibration(tmp_path: Path) -> None:
     collect = hp.simulate_collect(
         tmp_path / "raw", lines=32, bands=12, columns=16, scene="plan", truth=False, cubes=1

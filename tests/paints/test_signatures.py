@@ -178,6 +178,7 @@ def test_the_order_of_regions_changes_nothing() -> None:
 
 
 @pytest.mark.parametrize("size", [3_000, 12_000])
+@pytest.mark.slow
 def test_regions_read_some_bands_at_a_time(size: int, monkeypatch: pytest.MonkeyPatch) -> None:
     expected = extract_signatures(made(), TWO)
     from_counts = extract_signatures(raw(), RAW)

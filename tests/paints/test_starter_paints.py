@@ -64,6 +64,7 @@ def test_same_call_same_bits_and_another_seed_other_members(paints: xr.Dataset) 
     assert not np.array_equal(other.member_reflectance, paints.member_reflectance[:, :4])
 
 
+@pytest.mark.slow
 def test_members_surround_their_paint(paints: xr.Dataset) -> None:
     many = hp.paints.starter_library(members=400)
     apart = many.member_reflectance.median("member") - many.reflectance

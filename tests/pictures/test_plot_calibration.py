@@ -169,6 +169,7 @@ def test_without_matplotlib(monkeypatch: pytest.MonkeyPatch, calibration: xr.Dat
         calibration_report(calibration)
 
 
+@pytest.mark.slow
 def test_command_line_writes_the_picture(sweep: xr.Dataset, tmp_path: Path) -> None:
     pytest.importorskip("matplotlib")
     known = [name for name in sweep.variables if not str(name).startswith("true_")]

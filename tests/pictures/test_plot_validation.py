@@ -43,6 +43,7 @@ def test_curves_are_the_spectra() -> None:
     assert high >= float(np.abs(spectra["difference"]).max())
 
 
+@pytest.mark.slow
 def test_the_worst_of_many_are_shown(tmp_path: Path) -> None:
     count = MOST_PAIRS + 3
     names = [f"paint {n}" for n in range(count)]

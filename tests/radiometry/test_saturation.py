@@ -18,6 +18,7 @@ def scenes() -> Any:
     return module, {seed: module.trace_scene(seed) for seed in (302, 303)}
 
 
+@pytest.mark.slow
 def test_every_clipped_pixel_is_found_and_few_others(scenes: Any) -> None:
     module, of_seed = scenes
     found, clipped = [], []

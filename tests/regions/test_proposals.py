@@ -299,6 +299,7 @@ def test_command__needs_no_regions() -> None:
 # --- cars whose light is traced ----------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_proposals_on_traced_cars__are_right_or_refused() -> None:
     """Rationale: coats, cast shadows, glint and neighbours from geometry, which no rule here knows.
 

@@ -144,6 +144,7 @@ def whole(lot: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return place
 
 
+@pytest.mark.slow
 def test_a_page_of_everything(whole: Path) -> None:
     page = parsed(whole)
     shown = " ".join(page.words)
@@ -214,6 +215,7 @@ def test_a_page_is_never_replaced_unasked(lot: Path, tmp_path: Path) -> None:
             hp.report.write_report(lot, place)
 
 
+@pytest.mark.slow
 def test_a_library_beside_the_store(lot: Path, tmp_path: Path) -> None:
     hp.to_store(paints(hp.open_store(lot, "flightlines/raw_0")), tmp_path / "paints.zarr")
     hp.report.write_report(
@@ -254,6 +256,7 @@ def test_damage_is_named_and_the_rest_is_shown(lot: Path, tmp_path: Path) -> Non
     assert "red hood" in shown
 
 
+@pytest.mark.slow
 def test_the_command(lot: Path, tmp_path: Path) -> None:
     def call(*arguments: Any) -> Any:
         return CliRunner().invoke(main, ["report", *map(str, arguments)])

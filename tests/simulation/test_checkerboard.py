@@ -46,6 +46,7 @@ def test_lines_are_the_same_however_they_are_asked_for() -> None:
         np.testing.assert_array_equal(values[33:60], part.layers[name])
 
 
+@pytest.mark.slow
 def test_share_is_the_mean_over_pixel_and_exposure() -> None:
     """Expected: what 40 x 40 x 40 places and moments give, to what 80 of them can; on average, closer."""
     still = flight(wobble="none", boresight=(0, 0, 0), lever_arm=(0, 0, 0), course=0.0, board_turn=0.0)

@@ -61,6 +61,7 @@ def truth_of(folder: Path, dropped: list[int]) -> dict[str, xr.Dataset]:
     }
 
 
+@pytest.mark.slow
 def test_regions_lie_on_their_paint(rendered: Path) -> None:
     lines = truth_of(rendered, DROPPED)
     found = boxes(rendered)
@@ -90,6 +91,7 @@ def test_regions_say_what_is_known(rendered: Path) -> None:
         assert region.properties["colour"]
 
 
+@pytest.mark.slow
 def test_simulate_process_signatures_validate_without_a_drawing(tmp_path: Path) -> None:
     size = [text for name, value in SIZE.items() for text in (f"--{name}", value)]
     assert run("simulate", tmp_path / "sim", *size).exit_code == 0

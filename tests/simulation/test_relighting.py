@@ -329,6 +329,7 @@ def client() -> Any:
 
 @pytest.mark.parametrize("scheduler", ["synchronous", "threads", "cluster"])
 @pytest.mark.parametrize("chunk_lines", [1, 7, 24])
+@pytest.mark.slow
 def test_the_same_bits_whatever_the_chunks(client: Any, chunk_lines: int, scheduler: str) -> None:
     bands = BandSet(FEW_BANDS.wavelength, FEW_BANDS.fwhm, "gaussian", smile(16, 0.6))
     light = Atmosphere.clear(*SUN)

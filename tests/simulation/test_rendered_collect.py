@@ -60,6 +60,7 @@ def test_rendered_is_what_is_simulated_unless_told(tmp_path: Path) -> None:
     assert "east" not in simulate_line(lines=4, bands=3, columns=8)
 
 
+@pytest.mark.slow
 def test_same_seed_same_bytes_whatever_the_blocks(tmp_path: Path, collect: Path) -> None:
     first = digests(collect)
     for block in (7, 500):

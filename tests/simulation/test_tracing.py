@@ -71,6 +71,7 @@ def test_variables_are_those_of_the_table_before_and_after(whole: xr.Dataset, no
 
 @pytest.mark.parametrize("scheduler", ["synchronous", "threads", "cluster"])
 @pytest.mark.parametrize("chunk_lines", [1, 7, 24])
+@pytest.mark.slow
 def test_the_same_bits_whatever_the_chunks(
     whole: xr.Dataset, client: Any, chunk_lines: int, scheduler: str
 ) -> None:

@@ -11,6 +11,7 @@ from hyperpaint.surroundings.flags import LAYERS
 
 
 @pytest.mark.filterwarnings("ignore")
+@pytest.mark.slow
 def test_a_cluster_finds_the_same_flags() -> None:
     distributed = pytest.importorskip("distributed")
     nm = wavelengths()

@@ -104,6 +104,7 @@ def test_who_has_been_looked_at(tmp_path: Path, no_compute: Callable[[], Any]) -
     assert is_flagged(hp.open_store(path, "flightlines/raw_0"))
 
 
+@pytest.mark.slow
 def test_the_command_flags_first(lot: Path, tmp_path: Path, surveys: list[dict[str, Any]]) -> None:
     regions = hp.write_regions(hp.Regions((HOOD,)), tmp_path / "r.geojson")
     done = run("signatures", lot, "--regions", regions, "--out", tmp_path / "a.zarr")
@@ -204,6 +205,7 @@ def test_smile_is_taken_out_before_flags() -> None:
     assert flag_line(small).seen is small
 
 
+@pytest.mark.slow
 def test_the_report_shows_what_is_found(lot: Path, tmp_path: Path, surveys: list[dict[str, Any]]) -> None:
     pytest.importorskip("matplotlib")
     before = {path: path.read_bytes() for path in lot.rglob("*") if path.is_file()}
@@ -224,6 +226,7 @@ def test_the_report_shows_what_is_found(lot: Path, tmp_path: Path, surveys: list
     assert ">glint<" not in (tmp_path / "b.html").read_text()
 
 
+@pytest.mark.slow
 def test_the_report_of_a_line_without_a_sun(tmp_path: Path) -> None:
     pytest.importorskip("matplotlib")
     nowhere = stored(scene(placed=False), tmp_path)
@@ -235,6 +238,7 @@ def test_the_report_of_a_line_without_a_sun(tmp_path: Path) -> None:
     assert ">glint<" in (tmp_path / "b.html").read_text()
 
 
+@pytest.mark.slow
 def test_the_origin_of_flags_outlives_reflectance(tmp_path: Path) -> None:
     collect = hp.simulate_collect(
         tmp_path / "raw", lines=32, bands=24, columns=16, scene="plan", truth=False, cubes=1

@@ -14,6 +14,8 @@ from hyperpaint.simulation.rendering.four_curves import Atmosphere
 from hyperpaint.simulation.rendering.materials import KINDS
 from hyperpaint.simulation.rendering.platforms import pushbroom
 
+pytestmark = pytest.mark.slow
+
 ZENITH, AZIMUTH = 34.07, 94.19
 
 

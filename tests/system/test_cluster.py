@@ -327,6 +327,7 @@ def test_cluster_without_workers_is_refused(tmp_path: Path, monkeypatch: pytest.
 
 
 @pytest.mark.slow
+@pytest.mark.campaign
 def test_campaign_of_killed_workers(tmp_path: Path) -> None:
     faults = importlib.import_module("campaigns.faults.workers")
     made = importlib.import_module("campaigns.faults.outcome").Outcome("workers killed")
@@ -394,6 +395,7 @@ def cached(folder: Path, home: str) -> str:
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="where the user's cache lies is asked of Linux")
+@pytest.mark.slow
 def test_package_that_must_not_be_written(read_only_package: Path) -> None:
     home = read_only_package / "home"
     assert cached(read_only_package, str(home)) == "0 1"
@@ -402,6 +404,7 @@ def test_package_that_must_not_be_written(read_only_package: Path) -> None:
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="where the user's cache lies is asked of Linux")
+@pytest.mark.slow
 def test_nothing_can_be_written(read_only_package: Path) -> None:
     assert cached(read_only_package, "/dev/null") == "0 1"
     assert not list(read_only_package.rglob("*.nbi"))

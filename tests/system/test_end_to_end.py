@@ -11,6 +11,8 @@ import xarray as xr
 
 import hyperpaint as hp
 
+pytestmark = pytest.mark.slow
+
 LINES, BANDS, COLUMNS = 70, 272, 24
 
 

@@ -57,6 +57,7 @@ def test_the_same_bits_whatever_the_chunks(hard_line: xr.Dataset, chunks: Any, s
         assert_same(whole, reflectance(hard_line.chunk(chunks), keep_bits=12).compute())
 
 
+@pytest.mark.slow
 def test_the_same_bits_in_other_processes(hard_line: xr.Dataset) -> None:
     line = hard_line.chunk({"along_track": 20})
     with dask.config.set(scheduler="processes", num_workers=1):

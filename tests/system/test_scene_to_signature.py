@@ -20,6 +20,8 @@ import hyperpaint as hp
 from hyperpaint.simulation import SimulationSettings
 from hyperpaint.simulation.rendered_flight import RenderedFlight
 
+pytestmark = pytest.mark.slow
+
 #: Four times the exposure of noon for a quarter of its light; noise, twelve bits, smile and clocks as always.
 OVERCAST: dict[str, Any] = {
     "scene": "rendered", "lines": 200, "columns": 320, "bands": 90, "seed": 5, "samples": 48,

@@ -159,6 +159,7 @@ def test_units_are_converted_and_wanted() -> None:
 # --- wavelengths that are wrong ----------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_a_shift_of_wavelength_shows_in_the_oxygen_residual() -> None:
     line = simulate_line(lines=8, columns=3, smile_nm=0.0, noise=False)
     region = hp.Regions((hp.Region("hood", [(0, 0), (2, 0), (2, 7), (0, 7)]),))

@@ -16,6 +16,8 @@ from hyperpaint.cli.program import main
 from hyperpaint.workflows import demonstration
 from hyperpaint.workflows.demonstration import compare, refuse_foreign
 
+pytestmark = pytest.mark.slow
+
 SHAPE = ("--lines", "64", "--bands", "100", "--columns", "24")
 
 

@@ -14,6 +14,8 @@ from hyperpaint.workflows import paint_closure
 from hyperpaint.workflows.demonstration import compare
 from hyperpaint.workflows.paint_closure import compare_paints, signature_problems, signature_table
 
+pytestmark = pytest.mark.slow
+
 BANDS = (420.0, 980.0)
 
 

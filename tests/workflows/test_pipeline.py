@@ -67,6 +67,7 @@ def round_bits(values: np.ndarray[Any, Any], bits: int) -> np.ndarray[Any, Any]:
     return np.where(np.isnan(values), values, made)
 
 
+@pytest.mark.slow
 def test_a_collect_becomes_one_group_a_line_and_the_archives(store: Path) -> None:
     lines = [name for name in groups_of(store) if name.startswith("flightlines/")]
     assert len(lines) == 2
@@ -115,6 +116,7 @@ def test_overview_is_the_picture_of_the_line(store: Path) -> None:
     np.testing.assert_allclose(picture.values / 255.0, expected, atol=0.51 / 255)
 
 
+@pytest.mark.slow
 def test_rerun_changes_nothing(collect: Path, tmp_path: Path) -> None:
     out = tmp_path / "lot.zarr"
     first = run(collect, out)
@@ -125,6 +127,7 @@ def test_rerun_changes_nothing(collect: Path, tmp_path: Path) -> None:
     assert state_of(tmp_path) == before
 
 
+@pytest.mark.slow
 def test_rerun_writes_only_what_is_missing(collect: Path, tmp_path: Path) -> None:
     out = tmp_path / "lot.zarr"
     text = collect.read_text()
@@ -140,6 +143,7 @@ def test_rerun_writes_only_what_is_missing(collect: Path, tmp_path: Path) -> Non
     assert hp.verify(out).ok
 
 
+@pytest.mark.slow
 def test_other_inputs_are_refused_without_overwrite(collect: Path, tmp_path: Path) -> None:
     out = tmp_path / "lot.zarr"
     hp.process(collect, out)
@@ -156,6 +160,7 @@ def test_other_inputs_are_refused_without_overwrite(collect: Path, tmp_path: Pat
     assert hp.verify(out).ok
 
 
+@pytest.mark.slow
 def test_a_changed_cube_is_other_input(collect: Path, tmp_path: Path) -> None:
     out = tmp_path / "lot.zarr"
     hp.process(collect, out)
@@ -167,6 +172,7 @@ def test_a_changed_cube_is_other_input(collect: Path, tmp_path: Path) -> None:
         hp.process(collect, out)
 
 
+@pytest.mark.slow
 def test_lines_of_another_collect_are_never_mixed_in(collect: Path, tmp_path: Path) -> None:
     out = tmp_path / "lot.zarr"
     hp.process(collect, out)
@@ -198,6 +204,7 @@ def test_radiance_needs_no_irradiance(collect: Path, tmp_path: Path) -> None:
         np.testing.assert_array_equal(line["radiance"].values, line.paint.radiance()["radiance"].values)
 
 
+@pytest.mark.slow
 def test_reflectance_need_not_be_stored(collect: Path, store: Path, tmp_path: Path) -> None:
     out = hp.process(collect, tmp_path / "small.zarr", reflectance="none")
     for line, whole in zip(lines_of(out), lines_of(store), strict=True):
@@ -239,6 +246,7 @@ def test_progress_names_the_line_on_stderr(
     assert "100% Completed" in shown.err
 
 
+@pytest.mark.slow
 def test_a_cluster_gives_the_same_bits(collect: Path, store: Path, tmp_path: Path) -> None:
     distributed = pytest.importorskip("distributed")
     with distributed.LocalCluster(

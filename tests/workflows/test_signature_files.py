@@ -59,6 +59,7 @@ def test_command_makes_the_library_of_the_function(store: Path, drawn: Path, tmp
     assert sorted(path.name for path in tmp_path.iterdir()) == ["paints.zarr"]
 
 
+@pytest.mark.slow
 def test_command_again(store: Path, drawn: Path, tmp_path: Path) -> None:
     out = tmp_path / "paints.zarr"
     assert run(store, "--regions", drawn, "--out", out).exit_code == 0
@@ -81,6 +82,7 @@ def test_regions_without_a_flight_line(store: Path, tmp_path: Path) -> None:
     assert "'hood' names no flight line; there is 'raw_0', 'raw_16'" in done.stderr
 
 
+@pytest.mark.slow
 def test_bad_calls_are_one_message(store: Path, drawn: Path, tmp_path: Path) -> None:
     out = tmp_path / "l.zarr"
     bad = tmp_path / "bad.geojson"
@@ -131,6 +133,7 @@ def test_a_store_without_flight_lines(tmp_path: Path, drawn: Path) -> None:
         write_signatures(tmp_path / "other.zarr", drawn, tmp_path / "other.zarr")
 
 
+@pytest.mark.slow
 def test_flags_that_are_kept(store: Path, drawn: Path, tmp_path: Path) -> None:
     made = write_signatures(store, drawn, tmp_path / "l.zarr", keep=["GLINT", "shadow"])
     assert made.attrs["exclude"] == "saturated irradiance_gap adjacency mixed_edge no_data"
@@ -140,6 +143,7 @@ def test_flags_that_are_kept(store: Path, drawn: Path, tmp_path: Path) -> None:
     np.testing.assert_array_equal(made.n + made.n_excluded, [99, made.n[1] + made.n_excluded[1]])
 
 
+@pytest.mark.slow
 def test_flags_are_kept_or_excluded(store: Path, drawn: Path, tmp_path: Path) -> None:
     with pytest.raises(SchemaError, match="keep= and exclude="):
         write_signatures(store, drawn, tmp_path / "l.zarr", keep=["glint"], exclude=hp.Quality.SHADOW)

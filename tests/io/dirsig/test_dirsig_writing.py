@@ -165,6 +165,7 @@ def odd_libraries(draw: st.DrawFn) -> xr.Dataset:
         },
     ),
 )
+@pytest.mark.slow
 def test_any_library_is_written_strictly_or_refused(paints: xr.Dataset, options: dict[str, Any]) -> None:
     import tempfile
 

@@ -140,6 +140,7 @@ def test_what_fails_leaves_nothing_behind(tmp_path: Path, monkeypatch: pytest.Mo
     assert [path.name for path in tmp_path.iterdir()] == ["out"]
 
 
+@pytest.mark.slow
 def test_what_a_killed_writer_leaves_is_cleared_up(tmp_path: Path) -> None:
     code = (
         "import os, sys, numpy as np, xarray as xr, hyperpaint as hp\n"

@@ -9,6 +9,7 @@ from typing import Any
 import pytest
 
 pytestmark = [
+    pytest.mark.campaign,
     pytest.mark.skipif(not Path("/proc/self/clear_refs").exists(), reason="memory is counted by Linux"),
 ]
 

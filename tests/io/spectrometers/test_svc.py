@@ -402,6 +402,7 @@ def test_any_scans_come_back(tmp_path, values, comma) -> None:
     derandomize=True,
 )
 @given(data=st.data())
+@pytest.mark.slow
 def test_mutated_files_raise_nothing_but_format_errors(tmp_path, data) -> None:
     dates = {"time": "5/27/2025 9:39:32 AM, 5/27/2025 9:42:59 AM"}
     text = svc_text(GRID[::12], PANEL[::12], SURFACE[::12], **dates)

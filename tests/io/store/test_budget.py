@@ -217,6 +217,7 @@ except hyperpaint.base.errors.StoreError as error:
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="address space is limited on Linux")
+@pytest.mark.slow
 def test_a_process_of_too_little_address_space_is_refused_with_the_figure(
     collect: Path, tmp_path: Path
 ) -> None:
@@ -231,6 +232,7 @@ def test_a_process_of_too_little_address_space_is_refused_with_the_figure(
 
 @pytest.mark.slow
 @pytest.mark.skipif(sys.platform != "linux", reason="address space is limited on Linux")
+@pytest.mark.campaign
 def test_a_cube_larger_than_the_address_space(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     space = importlib.import_module("campaigns.address_space")
     assert space.show(tmp_path, 1100 * MIB, 1024 * MIB)
@@ -329,6 +331,7 @@ def test_what_an_interrupted_run_left_counts(tmp_path: Path, monkeypatch: pytest
 # --- process -----------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_process_takes_fewer_threads_and_the_same_bits_come_out(
     collect: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -361,6 +364,7 @@ def test_process_takes_fewer_threads_and_the_same_bits_come_out(
         np.testing.assert_array_equal(first[name].values, second[name].values)
 
 
+@pytest.mark.slow
 def test_process_refuses_what_cannot_fit(collect: Path, tmp_path: Path) -> None:
     out = tmp_path / "lot.zarr"
     with pytest.raises(StoreError, match=r"/flightlines/raw_0 needs .* but 10 MiB may be taken; .*raise"):
@@ -372,6 +376,7 @@ def test_process_refuses_what_cannot_fit(collect: Path, tmp_path: Path) -> None:
     hp.process(collect, out, memory_limit="10 MiB")  # there is nothing left to do
 
 
+@pytest.mark.slow
 def test_the_command_line_takes_a_limit(collect: Path, tmp_path: Path) -> None:
     out = ["process", str(collect), "--out", str(tmp_path / "lot.zarr"), "--memory-limit"]
     done = CliRunner().invoke(main, [*out, "10 MiB"])

@@ -98,6 +98,7 @@ def chunks_built(path: Path) -> int:
 @pytest.mark.parametrize(
     ("chunks_before_kill", "replacing"), [(0, False), (3, True), (12, False), (20, True), (20, False)]
 )
+@pytest.mark.slow
 def test_killed_writer(chunks_before_kill: int, replacing: bool, tmp_path: Path) -> None:
     path = tmp_path / "lot.zarr"
     if replacing:
@@ -319,6 +320,7 @@ def test_later_format_is_refused(store: Path, monkeypatch: pytest.MonkeyPatch) -
         open_store(store, GROUP)
 
 
+@pytest.mark.slow
 def test_second_writer_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "lot.zarr"
     writer = start_writer(path)

@@ -167,6 +167,7 @@ for number in range(20):
 """
 
 
+@pytest.mark.slow
 def test_a_reader_during_replacements_never_mixes(store: Path) -> None:
     command = [sys.executable, "-c", REPLACER, __file__, str(store)]
     writer = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)

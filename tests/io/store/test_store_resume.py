@@ -155,6 +155,7 @@ def assert_whole(path: Path, expected: dict[str, Any]) -> None:
 
 
 @pytest.mark.parametrize("seed", range(3))
+@pytest.mark.slow
 def test_killed_at_a_random_instant(seed: int, tmp_path: Path, whole: dict[str, Any]) -> None:
     path, log = tmp_path / "lot.zarr", tmp_path / "log"
     log.touch()
@@ -416,6 +417,7 @@ except hp.errors.StoreError:
 """
 
 
+@pytest.mark.slow
 def test_process_is_resumed_by_another_process(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     import hyperpaint as hp
     from hyperpaint.io.store import chunks

@@ -405,6 +405,7 @@ def test_memory_url_of_a_failed_writer_is_incomplete() -> None:
 
 
 @pytest.mark.parametrize("scheduler", ["threads", "processes", "synchronous"])
+@pytest.mark.slow
 def test_schedulers_write_the_same_bytes(scheduler: str, tmp_path: Path) -> None:
     with dask.config.set(scheduler="synchronous"):
         to_store(flightline(), tmp_path / "a.zarr")
@@ -436,6 +437,7 @@ def test_each_source_block_is_computed_once(tmp_path: Path) -> None:
     assert len(calls) == 3
 
 
+@pytest.mark.slow
 def test_import_stays_light() -> None:
     code = (
         "import sys, xarray; before = set(sys.modules); import hyperpaint.io.store; "

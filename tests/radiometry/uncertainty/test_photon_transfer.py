@@ -41,6 +41,7 @@ def test_a_flight_tells_its_camera(k: float, read_noise: float, texture: float) 
         assert plain < 0.8 * k
 
 
+@pytest.mark.slow
 def test_uncertainties_are_those_of_repetition() -> None:
     found = [estimate_noise(simulate_line(lines=32, bands=48, columns=80, seed=s)) for s in range(12)]
     for name, truth in (("electrons_per_count", 20.0), ("read_noise", 0.5)):

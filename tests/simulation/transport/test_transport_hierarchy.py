@@ -62,6 +62,7 @@ def soups() -> dict[str, np.ndarray]:
 
 
 @pytest.mark.parametrize("name", sorted(soups()))
+@pytest.mark.slow
 def test_rays_meet_what_trying_all_finds(name: str) -> None:
     triangles = soups()[name]
     geometry = geometry_of(triangles)
@@ -195,6 +196,7 @@ def test_hostile_geometry_is_refused(change: dict, words: str) -> None:
 
 
 @pytest.mark.skipif(not COMPILED, reason="a million triangles want a compiler")
+@pytest.mark.slow
 def test_a_million_triangles_are_sorted_in_seconds() -> None:
     n = 708
     x, y = np.meshgrid(np.arange(n + 1.0), np.arange(n + 1.0), indexing="ij")

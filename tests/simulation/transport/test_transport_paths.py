@@ -47,6 +47,7 @@ def same(first: Block, second: Block) -> None:
         np.testing.assert_array_equal(a, b, err_msg=name)
 
 
+@pytest.mark.slow
 def test_a_lambert_plane_is_exact_in_every_pixel() -> None:
     found = traced(
         joined(PLANE), materials(None), suns(sun(60), overcast=True), nadir(LINES, COLUMNS, width=8.0)

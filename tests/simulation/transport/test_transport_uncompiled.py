@@ -7,11 +7,13 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
 from support import ROOT
 
 HERE = Path(__file__).resolve().parent
 
 
+@pytest.mark.slow
 def test_transport_runs_without_compilation() -> None:
     subjects = ("random_numbers", "hierarchy", "surfaces", "codes", "paths", "mixing")
     names = [HERE / f"test_transport_{subject}.py" for subject in subjects]

@@ -343,6 +343,7 @@ def test_installed_plugin_opens_by_itself(tmp_path: Path) -> None:
         np.testing.assert_array_equal(xr.open_dataset(path).counts, toy("u2"))
 
 
+@pytest.mark.slow
 def test_declared_entry_point_opens_by_itself(tmp_path: Path) -> None:
     """As if installed: the entry point that pyproject.toml declares, in a fresh interpreter."""
     root = ROOT
@@ -366,6 +367,7 @@ def test_declared_entry_point_opens_by_itself(tmp_path: Path) -> None:
     assert result.stdout.split() == ["400", "400"], result.stderr
 
 
+@pytest.mark.slow
 def test_entry_point_module_imports_nothing_of_ours() -> None:
     code = (
         "import sys, xarray; before = set(sys.modules); import hyperpaint.io.backends\n"

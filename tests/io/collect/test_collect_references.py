@@ -73,6 +73,7 @@ def test_instruments_are_not_mixed(collect: Path) -> None:
         hp.open_collect(collect)
 
 
+@pytest.mark.slow
 def test_another_reference_is_other_input(collect: Path, tmp_path: Path) -> None:
     """Texts count by what they say: a store is the same in another process, and differs by a name."""
     out = tmp_path / "lot.zarr"

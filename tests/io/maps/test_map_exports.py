@@ -258,6 +258,7 @@ SELECTIONS: dict[str, dict[str, slice]] = {
 @pytest.mark.parametrize("selection", SELECTIONS)
 @pytest.mark.parametrize("kind", ["flight", "north"])
 @pytest.mark.parametrize("heading", [0.0, 37.0, 180.0, 270.0])
+@pytest.mark.slow
 def test_a_part_of_a_map_stays_in_its_place(
     tmp_path: Path, heading: float, kind: Any, selection: str
 ) -> None:
