@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import os
 import re
 from collections.abc import Sequence
@@ -356,26 +357,15 @@ def _column(name: Any, libraries: Sequence[xr.Dataset]) -> tuple[str, Array, dic
     """Return a coordinate of the paints, empty or NaN for those whose file does not say."""
     having = [library[name] for library in libraries if name in library.coords]
     kinds = {array.dtype.kind for array in having}
-    if kinds <= set("OUT"):
-        parts = [
-            list(lib[name].values) if name in lib.coords else [""] * lib.sizes[PAINT] for lib in libraries
-        ]
-        return PAINT, text_column([value for part in parts for value in part]), having[0].attrs
-    if len(kinds) == 1 and len(having) == len(libraries):
-        return PAINT, np.concatenate([array.values for array in having]), having[0].attrs
+    attrs = having[0].attrs
+    if len(kinds) == 1 and len(having) == len(libraries) and not kinds <= set("OUT"):
+        return PAINT, np.concatenate([array.values for array in having]), attrs
+    absent: Any = np.nan if kinds <= set("biuf") else ""
+    parts = (lib[name].values if name in lib.coords else [absent] * lib.sizes[PAINT] for lib in libraries)
+    values = list(itertools.chain.from_iterable(parts))
     if kinds <= set("biuf"):
-        numbers = [
-            np.asarray(lib[name].values, np.float64)
-            if name in lib.coords
-            else np.full(lib.sizes[PAINT], np.nan)
-            for lib in libraries
-        ]
-        return PAINT, np.concatenate(numbers), having[0].attrs
-    texts = [
-        [str(v) for v in lib[name].values] if name in lib.coords else [""] * lib.sizes[PAINT]
-        for lib in libraries
-    ]
-    return PAINT, text_column([value for part in texts for value in part]), having[0].attrs
+        return PAINT, np.array(values, np.float64), attrs
+    return PAINT, text_column(values if kinds <= set("OUT") else list(map(str, values))), attrs
 
 
 # --- Zarr stores -------------------------------------------------------------------------------------------

@@ -219,12 +219,9 @@ def _most_cells(stored: int) -> int:
 
 
 def with_metadata(
-    data: Mapping[str, Floats32],
-    axes: Mapping[str, Any],
-    names: Sequence[str],
-    metadata: Metadata | None,
+    data: Mapping[str, Floats32], axes: Mapping[str, Any], names: Sequence[str], metadata: Metadata | None,
     source: str,
-) -> xr.Dataset:
+) -> xr.Dataset:  # fmt: skip
     """Return spectra and their metadata as the library that was written.
 
     data: Values of the variables, (paint, band) or (paint, place, band).

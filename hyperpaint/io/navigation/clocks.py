@@ -141,13 +141,9 @@ def bracket(
 
 
 def tie_clock(
-    stamp: NDArray[np.int64],
-    utc: NDArray[np.int64],
-    rows: NDArray[np.int64],
-    source: str,
-    *,
+    stamp: NDArray[np.int64], utc: NDArray[np.int64], rows: NDArray[np.int64], source: str, *,
     daily: bool = False,
-) -> Clock:
+) -> Clock:  # fmt: skip
     """Make a clock of rows, after checking that its stamps and UTC run together."""
     check_increasing(stamp, rows, source)
     backwards = rows[1:][np.diff(utc) < 0]

@@ -315,14 +315,9 @@ def _stamps(
 
 
 def _counted(
-    table: Table,
-    column: _Column,
-    cells: list[str],
-    factor: float,
-    clock: str,
-    problems: Problems,
+    table: Table, column: _Column, cells: list[str], factor: float, clock: str, problems: Problems,
     has_time: NDArray[np.bool_],
-) -> tuple[NDArray[np.int64], NDArray[np.bool_], str]:
+) -> tuple[NDArray[np.int64], NDArray[np.bool_], str]:  # fmt: skip
     """Return the stamps of a column of numbers."""
     most = (2.0 * WEEK_S if clock == "week" else _LATEST_S) / factor
     numbers = Table(table.name, table.rows, {column.shown: cells})

@@ -51,6 +51,10 @@ _SBET_FIELDS = (
 _SBET_RECORD = np.dtype([(name, "<f8") for name in _SBET_FIELDS])
 _MAX_SBET_BYTES = 2**32
 """Bytes: 44 hours at 200 Hz."""
+_SBET_OTHERS = {
+    "platform_heading": "Heading from the north of the wander frame",
+    "wander_angle": "Platform heading less heading from true north",
+}
 _SBET_CONVENTION = Convention(angle_unit="radian")
 
 
@@ -80,25 +84,11 @@ def read_sbet(path: str | Path) -> PoseRecord:
     problems.raise_if_any()
     stamp = unwrap_weeks(nanoseconds(records["time"]))
     check_time_order(path.name, stamp, "record")
-    radian = {"units": "radian"}
-    return PoseRecord(
-        path.name,
-        "Applanix SBET",
-        stamp,
-        "week",
-        values,
-        _SBET_CONVENTION,
-        others={
-            "platform_heading": (
-                records["platform_heading"].astype(np.float64),
-                {**radian, "long_name": "Heading from the north of the wander frame"},
-            ),
-            "wander_angle": (
-                records["wander_angle"].astype(np.float64),
-                {**radian, "long_name": "Platform heading less heading from true north"},
-            ),
-        },
-    )
+    others = {
+        name: (records[name].astype(np.float64), {"units": "radian", "long_name": meaning})
+        for name, meaning in _SBET_OTHERS.items()
+    }
+    return PoseRecord(path.name, "Applanix SBET", stamp, "week", values, _SBET_CONVENTION, others=others)
 
 
 def _sbet_records(path: Path) -> np.ndarray[tuple[int], np.dtype[np.void]]:
@@ -240,15 +230,10 @@ def read_eph_att(path: str | Path) -> PoseRecord:
     stamp = unwrap_weeks(nanoseconds(seconds))
     check_time_order(data_path.name, stamp, "row")
     return PoseRecord(
-        data_path.name,
-        "AVIRIS-NG eph_att",
-        stamp,
-        "week",
-        values,
-        Convention(),
+        data_path.name, "AVIRIS-NG eph_att", stamp, "week", values, Convention(),
         assumed=("roll_positive", "pitch_positive", "euler_order", "height_reference"),
         week=_week_of_name(data_path.name, int(stamp[0])),
-    )
+    )  # fmt: skip
 
 
 def _refuse_others(header: EnviHeader, path: Path, data: Path) -> None:

@@ -155,11 +155,8 @@ def open_navigation(
         for name in POSE
     }
     for name, (_, about) in parts[0][0].others.items():
-        columns[name] = (
-            NAVIGATION_TIME,
-            np.concatenate([part[0].others[name][0] for part in parts]),
-            dict(about),
-        )
+        values = np.concatenate([record.others[name][0] for record, _, _ in parts])
+        columns[name] = (NAVIGATION_TIME, values, dict(about))
     time = np.concatenate([utc for _, utc, _ in parts]).astype("datetime64[ns]")
     return xr.Dataset(
         columns,

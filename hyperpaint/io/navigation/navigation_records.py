@@ -114,13 +114,10 @@ class Navigation:
         return self if stamp is None else replace(self, utc=midnight + stamp * 1000)
 
     def _where(self, keep: NDArray[np.bool_]) -> Navigation:
-        return Navigation(
-            self.name,
-            self.rows[keep],
-            {name: stamp[keep] for name, stamp in self.stamps.items()},
-            None if self.utc is None else self.utc[keep],
-            {name: value[keep] for name, value in self.values.items()},
-        )
+        stamps = {name: stamp[keep] for name, stamp in self.stamps.items()}
+        values = {name: value[keep] for name, value in self.values.items()}
+        utc = None if self.utc is None else self.utc[keep]
+        return Navigation(self.name, self.rows[keep], stamps, utc, values)
 
     def at(
         self, time: NDArray[np.datetime64], max_gap_s: float | None = None
@@ -189,11 +186,8 @@ def read_imu_gps(path: str | Path, correction: ClockCorrection | None = None) ->
         utc = _dates(table, _UTC_COLUMN, unaligned)
     record = Navigation(table.name, table.rows, _stamps(table), utc=None, values=values)
     if unaligned.all():
-        warnings.warn(
-            f"{path}: Roll is 0 throughout, the inertial system never aligned: no attitude",
-            PaintWarning,
-            stacklevel=2,
-        )
+        message = f"{path}: Roll is 0 throughout, the inertial system never aligned: no attitude"
+        warnings.warn(message, PaintWarning, stacklevel=2)
     if utc is None:
         return record
     keep = _dated(utc, next(iter(record.stamps.values()), None), unaligned)

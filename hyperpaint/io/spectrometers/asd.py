@@ -154,22 +154,17 @@ def _utc(spectrum: Spectrum, offset_h: float | None) -> np.datetime64:
 def _scale_of(spectra: Sequence[Spectrum]) -> dict[str, str]:
     """Return what reflectance is relative to, as attributes."""
     panels = sorted({spectrum.panel for spectrum in spectra} - {""})
-    return (
-        {"reflectance_scale": "absolute", "panel": listed(panels)}
-        if panels
-        else {"reflectance_scale": "relative"}
-    )
+    if not panels:
+        return {"reflectance_scale": "relative"}
+    return {"reflectance_scale": "absolute", "panel": listed(panels)}
 
 
 def _coords(spectra: Sequence[Spectrum], times: npt.NDArray[np.datetime64]) -> dict[str, Any]:
     names = name_spectra([(s.path or Path(s.source), _name_of(s)) for s in spectra])
+    about_wavelength = {**VARIABLES["wavelength"].attrs, "long_name": "Wavelength of the spectrometer"}
     coords: dict[str, Any] = {
         "spectrum": ("spectrum", np.array(names, object), {"long_name": "Name of the spectrum"}),
-        "wavelength": (
-            "wavelength",
-            spectra[0].wavelength,
-            {**VARIABLES["wavelength"].attrs, "long_name": "Wavelength of the spectrometer"},
-        ),
+        "wavelength": ("wavelength", spectra[0].wavelength, about_wavelength),
         "time": ("spectrum", times, {"long_name": "UTC at which the spectrum was saved"}),
         "source": ("spectrum", np.array([s.source for s in spectra], object), {"long_name": "File"}),
     }
@@ -204,12 +199,9 @@ def _files_of_folder(files: list[Path]) -> list[Path]:
 
 
 def read_spectra(
-    files: Sequence[Path],
-    quantity: str | None,
-    *,
-    absolute: bool = False,
+    files: Sequence[Path], quantity: str | None, *, absolute: bool = False,
     calibration: Mapping[str, str | os.PathLike[str]] | None = None,
-) -> tuple[list[Spectrum], str]:
+) -> tuple[list[Spectrum], str]:  # fmt: skip
     """Read binary files and text exports into spectra of one quantity on one set of wavelengths.
 
     Returns spectra : list of Spectrum: In the order of ``files``.
@@ -297,18 +289,12 @@ def _spectra_of(
         wavelength, values, saturated = derive_quantity(content, quantity, external, absolute=absolute)
         return [
             Spectrum(
-                source=content.name,
-                wavelength=wavelength,
-                values=values,
-                local_time=content.local_time,
-                utc_offset_h=content.utc_offset_h,
+                content.name, wavelength, values, content.local_time, content.utc_offset_h,
                 averaging_s=content.integration_ms * 1e-3 * max(content.sample_averages, 1),
-                dark_utc=content.dark_utc,
-                gps=content.gps,
-                saturated=saturated,
+                dark_utc=content.dark_utc, gps=content.gps, saturated=saturated,
                 panel=panel_of(content, external) if absolute else "",
             )
-        ]
+        ]  # fmt: skip
     if absolute:
         raise FormatError(
             f"{content.name}: a text export, to which no panel's reflectance can be put; give the binary file"
@@ -319,14 +305,11 @@ def _spectra_of(
     several = len(content.spectra) > 1
     return [
         Spectrum(
-            source=f"{content.name}:{column}" if several else content.name,
-            wavelength=content.wavelength,
-            values=values,
-            local_time=content.local_time,
-            averaging_s=averaging_s,
+            f"{content.name}:{column}" if several else content.name,
+            content.wavelength, values, content.local_time, averaging_s=averaging_s,
         )
         for column, values in zip(content.spectra, content.values, strict=True)
-    ]
+    ]  # fmt: skip
 
 
 def _external_calibration(calibration: Mapping[str, str | os.PathLike[str]]) -> dict[str, AsdFile]:

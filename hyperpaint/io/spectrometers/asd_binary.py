@@ -30,42 +30,17 @@ HEADER_BYTES = 484
 _LARGEST_FILE = 64 * 2**20  # ten times what 65,535 channels with every calibration block would need
 
 # name and struct format of each field of the header, in file order
+# ``saved`` is a C struct tm, the PC's local time; ``averages`` are of dark, reference, sample
 _HEADER = (
-    ("version", "3s"),
-    ("comment", "157s"),
-    ("saved", "9h"),  # C struct tm, the PC's local time
-    ("program_version", "B"),
-    ("file_version", "B"),
-    ("unused_itime", "B"),
-    ("dark_subtracted", "B"),
-    ("dark_epoch", "i"),
-    ("data_type", "B"),
-    ("reference_epoch", "i"),
-    ("first_wavelength", "f"),
-    ("wavelength_step", "f"),
-    ("data_format", "B"),
-    ("old_averages", "3B"),
-    ("application", "B"),
-    ("channels", "H"),
-    ("application_data", "128s"),
-    ("gps", "56s"),
-    ("integration_ms", "I"),
-    ("fore_optic", "h"),
-    ("dark_correction", "h"),
-    ("calibration_series", "H"),
-    ("instrument_number", "H"),
-    ("display_range", "4f"),
-    ("bits", "H"),
-    ("x_mode", "B"),
-    ("flags", "4B"),
-    ("averages", "3H"),  # dark, reference, sample
-    ("instrument", "B"),
-    ("bulb", "I"),
-    ("swir_gains_offsets", "4H"),
-    ("splices", "2f"),
-    ("smart_detector", "27s"),
-    ("spare", "5s"),
-)
+    ("version", "3s"), ("comment", "157s"), ("saved", "9h"), ("program_version", "B"), ("file_version", "B"),
+    ("unused_itime", "B"), ("dark_subtracted", "B"), ("dark_epoch", "i"), ("data_type", "B"),
+    ("reference_epoch", "i"), ("first_wavelength", "f"), ("wavelength_step", "f"), ("data_format", "B"),
+    ("old_averages", "3B"), ("application", "B"), ("channels", "H"), ("application_data", "128s"),
+    ("gps", "56s"), ("integration_ms", "I"), ("fore_optic", "h"), ("dark_correction", "h"),
+    ("calibration_series", "H"), ("instrument_number", "H"), ("display_range", "4f"), ("bits", "H"),
+    ("x_mode", "B"), ("flags", "4B"), ("averages", "3H"), ("instrument", "B"), ("bulb", "I"),
+    ("swir_gains_offsets", "4H"), ("splices", "2f"), ("smart_detector", "27s"), ("spare", "5s"),
+)  # fmt: skip
 _VERSIONS = {b"ASD": 1, b"asd": 1, **{f"as{n}".encode(): n for n in range(2, 9)}}
 _DTYPES: dict[int, np.dtype[Any]] = {0: np.dtype("<f4"), 1: np.dtype("<i4"), 2: np.dtype("<f8")}
 _DATA_TYPES = (

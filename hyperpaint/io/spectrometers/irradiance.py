@@ -172,14 +172,9 @@ def open_irradiance(
 
 
 def _check_arguments(
-    quantity: str | None,
-    clock_offset_s: float,
-    stamp: str,
-    fwhm_nm: float | None,
-    max_gap_s: float | None,
-    averaging_s: float | None,
-    clock_uncertainty_s: float | None,
-) -> None:
+    quantity: str | None, clock_offset_s: float, stamp: str, fwhm_nm: float | None, max_gap_s: float | None,
+    averaging_s: float | None, clock_uncertainty_s: float | None,
+) -> None:  # fmt: skip
     problems = Problems("an irradiance series cannot be opened as asked", SchemaError)
     if quantity not in (None, "irradiance"):
         problems.add(f"quantity={quantity!r}: expected 'irradiance'; hp.open_asd opens other quantities")
@@ -197,12 +192,9 @@ def _check_arguments(
 
 
 def _from_files(
-    files: Sequence[Path],
-    quantity: str | None,
-    utc_offset_h: float | None,
-    units: str | None,
+    files: Sequence[Path], quantity: str | None, utc_offset_h: float | None, units: str | None,
     calibration: Mapping[str, str | os.PathLike[str]] | None,
-) -> _Series:
+) -> _Series:  # fmt: skip
     kinds = [sniff(path) for path in files]
     if "csv" in kinds:
         foreign = [path.name for path, kind in zip(files, kinds, strict=True) if kind != "csv"]
@@ -246,27 +238,20 @@ def _from_csv(files: Sequence[Path], utc_offset_h: float | None, units: str | No
         )
     spectra = [
         Spectrum(
-            source=f"{table.name}:{line}",
-            wavelength=table.wavelength,
-            values=values,
-            local_time=time.replace(tzinfo=None),
+            f"{table.name}:{line}", table.wavelength, values, time.replace(tzinfo=None),
             utc_offset_h=None if (zone := time.utcoffset()) is None else zone / dt.timedelta(hours=1),
         )
         for table in tables
         for line, time, values in zip(table.lines, table.times, table.values, strict=True)
-    ]
+    ]  # fmt: skip
     spectra = mask_undefined(spectra, "irradiance")
     return _from_spectra(spectra, utc_offset_h, found_units, one_clock=False, fwhm=tables[0].fwhm_nm)
 
 
 def _from_spectra(
-    spectra: Sequence[Spectrum],
-    utc_offset_h: float | None,
-    units: str,
-    *,
-    one_clock: bool = True,
+    spectra: Sequence[Spectrum], utc_offset_h: float | None, units: str, *, one_clock: bool = True,
     **extra: Any,
-) -> _Series:
+) -> _Series:  # fmt: skip
     without_stamp = [spectrum.source for spectrum in spectra if spectrum.local_time is None]
     if without_stamp:
         raise TimeError(
@@ -289,11 +274,9 @@ def _from_spectra(
 
 
 def _from_xarray(
-    data: xr.Dataset | xr.DataArray,
-    utc_offset_h: float | None,
-    units: str | None,
+    data: xr.Dataset | xr.DataArray, utc_offset_h: float | None, units: str | None,
     origin: str = "an xarray object",
-) -> _Series:
+) -> _Series:  # fmt: skip
     if isinstance(data, xr.DataArray):
         data = data.to_dataset(name="irradiance")
     if "irradiance" not in data.data_vars:
@@ -367,11 +350,8 @@ def _refuse_duplicates(
     twice = np.flatnonzero(np.diff(times[order]) == np.timedelta64(0, "ns"))
     if not len(twice):
         return
-    problems = Problems(
-        "samples of one series have the same time stamp; leave one of each pair out, or write a csv series "
-        "with finer stamps",
-        TimeError,
-    )
+    advice = "leave one of each pair out, or write a csv series with finer stamps"
+    problems = Problems(f"samples of one series have the same time stamp; {advice}", TimeError)
     shown = twice[:_MOST_SHOWN]
     for first, second in zip(order[shown], order[shown + 1], strict=True):
         same = np.array_equal(series.values[first], series.values[second], equal_nan=True)
@@ -397,12 +377,9 @@ def _in_float32_range(series: _Series, order: npt.NDArray[np.intp], factor: floa
 
 
 def _dataset(
-    series: _Series,
-    times: npt.NDArray[np.datetime64],
-    values: Floats,
-    fwhm_nm: float | None,
+    series: _Series, times: npt.NDArray[np.datetime64], values: Floats, fwhm_nm: float | None,
     max_gap_s: float | None,
-) -> xr.Dataset:
+) -> xr.Dataset:  # fmt: skip
     fwhm = series.fwhm if fwhm_nm is None else fwhm_nm
     if fwhm is None:
         raise SchemaError(f"{series.origin} does not say the spectrometer's resolution; pass fwhm_nm=")
@@ -418,18 +395,12 @@ def _dataset(
     return xr.Dataset(
         {
             "irradiance": label(xr.DataArray(values.astype(np.float32), dims=dims), "irradiance"),
-            "irradiance_fwhm": label(
-                xr.DataArray(width, dims=dims[1:] if width.ndim else ()), "irradiance_fwhm"
-            ),
+            "irradiance_fwhm": label(xr.DataArray(width, dims=dims[1 : 1 + width.ndim]), "irradiance_fwhm"),
             "irradiance_max_gap": label(xr.DataArray(np.float64(gap_s)), "irradiance_max_gap"),
         },
         coords={
             IRRADIANCE_TIME: (IRRADIANCE_TIME, times, VARIABLES[IRRADIANCE_TIME].attrs),
-            IRRADIANCE_WAVELENGTH: (
-                IRRADIANCE_WAVELENGTH,
-                series.wavelength,
-                VARIABLES[IRRADIANCE_WAVELENGTH].attrs,
-            ),
+            IRRADIANCE_WAVELENGTH: (dims[1], series.wavelength, VARIABLES[IRRADIANCE_WAVELENGTH].attrs),
         },
         attrs={
             "irradiance_srf_shape": "gaussian",

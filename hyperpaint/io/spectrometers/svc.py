@@ -158,12 +158,9 @@ def open_svc(
 
 
 def _check_arguments(
-    quantity: str | None,
-    scan: str,
-    overlap: str,
-    joins: tuple[float, float] | None,
+    quantity: str | None, scan: str, overlap: str, joins: tuple[float, float] | None,
     utc_offset_h: float | None,
-) -> None:
+) -> None:  # fmt: skip
     problems = Problems("SVC files cannot be opened as asked", SchemaError)
     if quantity is not None and quantity not in QUANTITIES:
         problems.add(f"quantity={quantity!r}: expected one of {', '.join(QUANTITIES)}")

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from hyperpaint.base.arrays import Floats
+from hyperpaint.base.arrays import Array, Floats
 from hyperpaint.base.errors import PaintWarning
 from hyperpaint.base.schema import VARIABLES
 
@@ -90,11 +90,7 @@ def coords_of_times(
     for scan, name in sorted(names.items(), reverse=True):
         times = [clock.utc(file, both[scan], scan) for file, both in zip(contents, stamps, strict=True)]
         what = "white reference" if scan == 0 else "target"
-        coords[name] = (
-            "spectrum",
-            np.array(times, "datetime64[ns]"),
-            {"long_name": f"UTC of the scan of the {what}"},
-        )
+        coords[name] = _of_spectra(np.array(times, "datetime64[ns]"), f"UTC of the scan of the {what}")
     clock.warn()
     return coords
 
@@ -146,14 +142,17 @@ def coords_of_places(contents: Sequence[SvcFile], side: int) -> dict[str, Any]:
     unreadable = [file.name for file, place in zip(contents, places, strict=True) if place is None]
     warn_of("positions that cannot be read are NaN", unreadable)
     columns = np.array([place or _NOWHERE for place in places], np.float64).T
-    return {
-        name: (
-            "spectrum",
-            column,
-            {**VARIABLES[name].attrs, "long_name": f"{name.capitalize()} of the spectrometer"},
-        )
-        for name, column in zip(("latitude", "longitude"), columns, strict=True)
-    }
+    coords: dict[str, Any] = {}
+    for name, column in zip(("latitude", "longitude"), columns, strict=True):
+        attrs = {**VARIABLES[name].attrs, "long_name": f"{name.capitalize()} of the spectrometer"}
+        coords[name] = ("spectrum", column, attrs)
+    return coords
+
+
+def _of_spectra(values: Any, meaning: str, **attrs: str) -> tuple[str, Array, dict[str, str]]:
+    """Return a coordinate of the spectra; lists hold texts of any length."""
+    array = np.array(values, object) if isinstance(values, list) else values
+    return "spectrum", array, {"long_name": meaning, **attrs}
 
 
 def coords_of_files(measured: Sequence[SvcMeasurement], quantity: str) -> dict[str, Any]:
@@ -162,51 +161,28 @@ def coords_of_files(measured: Sequence[SvcMeasurement], quantity: str) -> dict[s
     names = name_spectra([(one.path, one.path.name.removesuffix(one.path.suffix)) for one in measured])
     errors = np.array([error_bits(file.header) for file in files], np.int64)
     factors = np.array([one.overlap.factors for one in measured], np.float64)
-
-    def text(values: Sequence[str], meaning: str) -> Any:
-        return "spectrum", np.array(values, object), {"long_name": meaning}
-
+    overlaps = [one.overlap_text for one in measured]
+    matched = np.array([one.overlap.matched for one in measured], bool)
+    instruments = [file.header.get("instrument", "") for file in files]
+    lines = [file.header.get("factors", "") for file in files]
+    headers = [json.dumps(dict(file.header), ensure_ascii=False) for file in files]
     coords: dict[str, Any] = {
-        "spectrum": text(names, "Name of the spectrum"),
-        "source": text([file.name for file in files], "File"),
-        "instrument": text([file.header.get("instrument", "") for file in files], "Instrument"),
-        "overlap": text(
-            [one.overlap_text for one in measured], "What became of channels where detectors overlap"
-        ),
-        "overlap_matched": (
-            "spectrum",
-            np.array([one.overlap.matched for one in measured], bool),
-            {"long_name": "Whether values were changed to make detectors meet"},
-        ),
-        "factors": text(
-            [file.header.get("factors", "") for file in files],
-            "Matching of the detectors as the file says it",
-        ),
-        "header": text(
-            [json.dumps(dict(file.header), ensure_ascii=False) for file in files],
-            "Header of the file as JSON",
-        ),
+        "spectrum": _of_spectra(names, "Name of the spectrum"),
+        "source": _of_spectra([file.name for file in files], "File"),
+        "instrument": _of_spectra(instruments, "Instrument"),
+        "overlap": _of_spectra(overlaps, "What became of channels where detectors overlap"),
+        "overlap_matched": _of_spectra(matched, "Whether values were changed to make detectors meet"),
+        "factors": _of_spectra(lines, "Matching of the detectors as the file says it"),
+        "header": _of_spectra(headers, "Header of the file as JSON"),
     }
     for scan, name in enumerate(SCANS):
-        coords[f"factor_{name}"] = (
-            "spectrum",
-            factors[:, scan],
-            {"long_name": f"VNIR over SWIR 1 in their overlap, scan of the {name}", "units": "1"},
-        )
-        coords[f"error_{name}"] = (
-            "spectrum",
-            errors[:, scan],
-            {"long_name": f"Error bits of the instrument, scan of the {name}; -1 where unknown"},
-        )
+        meaning = f"VNIR over SWIR 1 in their overlap, scan of the {name}"
+        coords[f"factor_{name}"] = _of_spectra(factors[:, scan], meaning, units="1")
+        meaning = f"Error bits of the instrument, scan of the {name}; -1 where unknown"
+        coords[f"error_{name}"] = _of_spectra(errors[:, scan], meaning)
     if quantity == "reflectance":
-        coords["column_difference"] = (
-            "spectrum",
-            _column_differences(files),
-            {
-                "long_name": "Largest distance of the file's own rounded reflectance from the recomputed",
-                "units": "1",
-            },
-        )
+        meaning = "Largest distance of the file's own rounded reflectance from the recomputed"
+        coords["column_difference"] = _of_spectra(_column_differences(files), meaning, units="1")
     return coords
 
 
