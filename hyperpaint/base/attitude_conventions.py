@@ -17,7 +17,6 @@ import numpy as np
 import numpy.typing as npt
 
 from .arrays import Floats
-from .constants import STAMP_TO_MID_EXPOSURES
 from .errors import Problems, SchemaError
 
 __all__ = ["Convention"]
@@ -207,25 +206,6 @@ class Convention:
                 "Convention(height_reference='geoid', geoid_undulation=...)"
             )
         return heights + self.geoid_undulation
-
-    def to_mid_exposure(self, exposure_time: npt.ArrayLike) -> Floats:
-        """Return what is to be added to a stamp to have the middle of the exposure [s].
-
-        Parameters
-        ----------
-        exposure_time
-            [s].
-
-        Raises
-        ------
-        SchemaError
-            ``stamp_reference`` is not declared.
-        """
-        if self.stamp_reference is None:
-            raise SchemaError(
-                "stamp_reference is not declared; expected 'start', 'mid' or 'end' (of the exposure)"
-            )
-        return np.asarray(exposure_time, np.float64) * STAMP_TO_MID_EXPOSURES[self.stamp_reference]
 
     def replace(self, **changes: Any) -> Convention:
         """Return the convention with other choices."""

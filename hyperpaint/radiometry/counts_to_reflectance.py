@@ -33,7 +33,7 @@ from .uncertainty.propagation import UNCERTAINTIES, uncertainty_inputs, with_unc
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["Panel", "radiance", "reflectance", "subtract_dark"]
+__all__ = ["Panel", "radiance", "reflectance"]
 
 _COUNTED = ("counts", "dark_counts", "radiance_gain", "exposure_time", "saturation_count")
 _LIGHT = ("irradiance", "irradiance_fwhm")
@@ -110,39 +110,6 @@ class Panel:
         nm = convert(known["wavelength"].astype(np.float64), "nm").values
         order = np.argsort(nm, kind="stable")
         return np.interp(wavelength, nm[order], known.values[order], np.nan, np.nan)
-
-
-def subtract_dark(counts: xr.DataArray, dark_counts: xr.DataArray) -> xr.DataArray:
-    """Return counts above the dark, to look at signals; `radiance` subtracts the dark itself.
-
-    Parameters
-    ----------
-    counts : (along_track, band, cross_track)
-        Raw counts [count].
-    dark_counts : (band, cross_track)
-        Counts with the lens capped [count]; several (dark_time) are averaged.
-
-    Returns
-    -------
-    (along_track, band, cross_track), float32, or float64 where the dark is
-        Counts above the dark [count]; negative values are kept.
-
-    Raises
-    ------
-    SchemaError
-        A unit is missing or not a count, or dims do not fit.
-    """
-    import xarray as xr
-
-    both = xr.Dataset({"counts": counts, "dark_counts": dark_counts})
-    found = schema.require(both, _COUNTED[:2], "counts above the dark")
-    dark = found["dark_counts"]
-    if "dark_time" in dark.dims:
-        dark = dark.mean("dark_time")
-    # float before the subtraction: 90 - 100 in uint16 is 65526
-    dtype = np.float64 if dark.dtype == np.float64 else np.float32
-    above = found["counts"].astype(dtype) - dark.astype(dtype)
-    return above.transpose(*schema.CUBE).assign_attrs(units="count", long_name="Counts above the dark")
 
 
 def radiance(dataset: xr.Dataset) -> xr.Dataset:

@@ -2,6 +2,8 @@ from .collect import (
     simulate_collect as simulate_collect,
     simulate_line as simulate_line,
 )
+from .rendering.materials import base_albedo as base_albedo
+from .rendering.platforms import platform_from_poses as platform_from_poses
 from .rendering.relighting import relight as relight
 from .rendering.tracing import trace as trace
 from .settings import SimulationSettings as SimulationSettings

@@ -53,8 +53,8 @@ class Checkerboard:
     Examples
     --------
     >>> board = Checkerboard((500.0, 800.0), 0.5, 90.0)
-    >>> board.corners(np.array([1.0, 0.0])), board.is_bright(np.array([500.1]), np.array([799.9]))
-    (array([500.5, 800. ]), array([False]))
+    >>> board.corners(np.array([1.0, 0.0]))
+    array([500.5, 800. ])
     """
 
     origin: tuple[float, float]
@@ -75,10 +75,6 @@ class Checkerboard:
         first, second = self._axes / self.square
         x, y = east - self.origin[0], north - self.origin[1]
         return np.stack([first[0] * x + first[1] * y, second[0] * x + second[1] * y])
-
-    def is_bright(self, east: Floats, north: Floats) -> NDArray[np.bool_]:
-        """Tell which places are on bright squares."""
-        return _is_odd(*np.floor(self.numbers(east, north)))
 
     def share(self, place: Floats, steps: Floats, weights: Floats) -> Floats:
         """Return which share of places around others is on bright squares.

@@ -16,7 +16,7 @@ from hyperpaint.base.errors import MissingExtraError, StoreError
 from hyperpaint.base.schema import ALONG_TRACK, BAND, CROSS_TRACK
 from hyperpaint.simulation.collect import CAMERA_SOFTWARE, MARKER, PARTS
 
-from .paint_closure import (  # fmt: skip
+from .paint_closure import (
     PaintAgreement,
     aligned,
     blocks_with_truth,

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from hyperpaint.base.errors import FormatError, Problems
-from hyperpaint.io.files.toml_tables import (  # fmt: skip
+from hyperpaint.io.files.toml_tables import (
     Check,
     TableReader,
     flag,

@@ -265,13 +265,6 @@ def test_conventions_are_stored_with_the_data(tmp_path: Path) -> None:
         Convention(roll_positive="up", column_order=3, declination=np.nan)  # type: ignore[arg-type]
 
 
-def test_stamps_and_mid_exposure() -> None:
-    for reference, wanted in (("start", 0.0025), ("mid", 0.0), ("end", -0.0025)):
-        assert Convention(stamp_reference=reference).to_mid_exposure(0.005) == wanted  # type: ignore[arg-type]
-    with pytest.raises(SchemaError, match="stamp_reference is not declared"):
-        Convention().to_mid_exposure(0.005)
-
-
 @pytest.mark.real_data
 def test_a_real_flight_with_every_other_row_left_out(shared_data: Path) -> None:
     path = shared_data / "nav" / "ang20170323t202244_eph_att"

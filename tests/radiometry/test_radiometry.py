@@ -17,7 +17,6 @@ from hyperpaint.radiometry.counts_to_reflectance import (
     Panel,
     radiance,
     reflectance,
-    subtract_dark,
     worked_example,
 )
 
@@ -218,13 +217,6 @@ def test_a_dark_without_a_value_makes_a_bad_element() -> None:
     assert np.isfinite(got.reflectance.values).sum() == got.reflectance.size - 24
     assert (got.quality.values[:, 2] == Quality.BAD_DETECTOR).all()  # one of twelve bands
     assert (np.delete(got.quality.values, 2, axis=1) == 0).all()
-
-
-def test_subtract_dark_is_a_view_of_the_signal() -> None:
-    line = flight(dtype=np.uint16).line
-    above = subtract_dark(line.counts, line.dark_counts)
-    assert above.dtype == np.float32
-    np.testing.assert_array_equal(above.values, line.counts.values.astype("f4") - line.dark_counts.values)
 
 
 # --------------------------------------------------------------------------------------- tilt and panels

@@ -110,15 +110,6 @@ def test_wobble_has_the_spread_it_is_given_and_follows_the_seed() -> None:
     assert not np.allclose(one.rotation, other.rotation)
 
 
-def test_lines_selected_are_the_same_lines() -> None:
-    flight = pushbroom(10, 3, wobble=1.0)
-    part = flight.select(4, 7)
-    np.testing.assert_array_equal(part.rotation, flight.rotation[4:7])
-    np.testing.assert_array_equal(part.utc, flight.utc[4:7])
-    assert part.utc.dtype == "datetime64[ns]"
-    assert (part.lines, part.columns) == (3, 3)
-
-
 def test_record_times_are_utc() -> None:
     time = np.array(["2021-07-20T17:00:00", "2021-07-20T17:00:10"], dtype="datetime64[ns]")
     lines = np.array(["2021-07-20T17:00:02.5", "2021-07-20T17:00:03"], dtype="datetime64[ns]")

@@ -144,7 +144,7 @@ def test_joining_refuses_names_that_mean_two_things() -> None:
         Scene.join([plane(1.0, GREY), plane(1.0, other, instance="b")])
     with pytest.raises(SchemaError, match="instance names used for more than one: box"):
         Scene.join([box((1, 1, 1), GREY), box((1, 1, 1), GREY)])
-    twice = Scene.join([box((1, 1, 1), GREY).prefixed("a_"), box((1, 1, 1), GREY).prefixed("b_")])
+    twice = Scene.join([box((1, 1, 1), GREY, instance=name) for name in ("a_box", "b_box")])
     assert [one.name for one in twice.instances] == ["a_box", "b_box"]
 
 

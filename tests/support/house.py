@@ -20,10 +20,10 @@ LOOSE = ("__init__", "__main__", "accessor", "paper")
 #: What stands for its content no better than `x` does.
 RIDDLES = ("made", "told", "found", "known", "kept")
 MAX_POSITIONAL = 8
-#: What xarray, zarr, Jupyter, panel and click call by name.
+#: What xarray, zarr, Jupyter, click, users of the picker and examples in docstrings call by name.
 _CALLED_BY_OTHERS = {
     "EnviBackendEntrypoint", "guess_can_open", "get_partial_values", "_repr_html_", "_repr_mimebundle_",
-    "get_command", "list_commands",
+    "get_command", "list_commands", "save", "worked_example",
 }  # fmt: skip
 
 Names = list[str]

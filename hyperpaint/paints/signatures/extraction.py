@@ -22,8 +22,8 @@ from hyperpaint.regions import Regions, pixels_of, regions_from
 from hyperpaint.regions.pixels_in_regions import Pixels
 
 from .line_sources import Smoothing, Source, lines_of, source_of
-from .paint_library import Draft, paint_library
 from .pixel_statistics import CENTRES
+from .signature_library import Draft, paint_library
 
 if TYPE_CHECKING:
     import xarray as xr

@@ -14,7 +14,7 @@ are the same rotation.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -144,11 +144,6 @@ class Platform:
     def utc(self) -> NDArray[np.datetime64]:
         """UTC at mid exposure, shape (line,), datetime64[ns]."""
         return np.asarray(self.start + self.time.astype("timedelta64[ns]"))
-
-    def select(self, start: int, stop: int) -> Platform:
-        """Return the lines from ``start`` to before ``stop``; their times count from the same moment."""
-        here = slice(start, stop)
-        return replace(self, origin=self.origin[here], rotation=self.rotation[here], time=self.time[here])
 
 
 def finite_floats(values: Any, name: str, problems: Problems) -> Floats:

@@ -316,10 +316,6 @@ class Scene:
             normals=self.normals @ turn.T,
         )
 
-    def prefixed(self, prefix: str) -> Scene:
-        """Return the scene with ``prefix`` before the names of its instances, to join it with its like."""
-        return replace(self, instances=tuple(replace(one, name=prefix + one.name) for one in self.instances))
-
 
 def plane(
     size: float | tuple[float, float] = 20.0,
