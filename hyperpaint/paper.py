@@ -71,10 +71,10 @@ def _amount(value: Amount, unit: str) -> Any:
     return value.to(unit) if _is_quantity(value) else registry().Quantity(value, unit)
 
 
-def _result(made: Any, unit: str, *given: Amount) -> Any:
-    """Return ``made`` in ``unit``: a Quantity where one was given, else a number."""
-    made = made.to(unit)
-    return made if any(map(_is_quantity, given)) else made.magnitude
+def _result(amount: Any, unit: str, *given: Amount) -> Any:
+    """Return ``amount`` in ``unit``: a Quantity where one was given, else a number."""
+    amount = amount.to(unit)
+    return amount if any(map(_is_quantity, given)) else amount.magnitude
 
 
 def _check(variant: str) -> bool:
@@ -170,8 +170,8 @@ def electrons(
         * _amount(wavelength, "nm")
         / (_amount(_PLANCK, "J s") * _amount(_LIGHT, "m s-1"))
     )
-    made = photons * _amount(efficiency, "1") * _amount(1.0, "electron")
-    return _result(made, "electron", flux, exposure, wavelength, efficiency)
+    amount = photons * _amount(efficiency, "1") * _amount(1.0, "electron")
+    return _result(amount, "electron", flux, exposure, wavelength, efficiency)
 
 
 def spectral_responsivity(
@@ -280,8 +280,8 @@ class Setup:
         width = _GAUSSIAN_AREA * _amount(self.flight_bandwidth, "nm")
         seen = _amount(radiance, _RADIANCE) * _amount(self.etendue, "m2 sr") * width
         energy = seen * _amount(self.flight_exposure, "s")
-        made = energy * _amount(self.peak_responsivity, "count J-1")
-        return _result(made, "count", radiance, *self._given())
+        amount = energy * _amount(self.peak_responsivity, "count J-1")
+        return _result(amount, "count", radiance, *self._given())
 
 
 def radiance_per_count(setup: Setup, *, variant: Variant = "corrected") -> Any:
@@ -320,12 +320,12 @@ def radiance_per_count(setup: Setup, *, variant: Variant = "corrected") -> Any:
     given = setup._given()
     if _check(variant):
         per_line = _amount(setup.band_spacing, "nm") * _amount(setup.line_area, "count")
-        made = flux * (lab / flight) / (_amount(setup.etendue, "m2 sr") * per_line)
-        return _result(made, f"{_RADIANCE} count-1", *given)
+        amount = flux * (lab / flight) / (_amount(setup.etendue, "m2 sr") * per_line)
+        return _result(amount, f"{_RADIANCE} count-1", *given)
     footprint = _amount(setup.ground_sample, "m") ** 2 * _amount(setup.ifov, "rad") ** 2
     widths = _amount(setup.reference_bandwidth, "nm") / _amount(setup.flight_bandwidth, "nm")
-    made = flux * (flight / lab) / (footprint * widths * _amount(setup.line_amplitude, "count"))
-    return _result(made, "W m-2 count-1", *given)
+    amount = flux * (flight / lab) / (footprint * widths * _amount(setup.line_amplitude, "count"))
+    return _result(amount, "W m-2 count-1", *given)
 
 
 def radiance(counts: Amount, dark: Amount, per_count: Amount, *, variant: Variant = "corrected") -> Any:
@@ -362,8 +362,8 @@ def radiance(counts: Amount, dark: Amount, per_count: Amount, *, variant: Varian
     signal = _amount(counts, "count") - _amount(dark, "count")
     if _check(variant):
         return _result(signal * _amount(per_count, f"{_RADIANCE} count-1"), _RADIANCE, *given)
-    made = signal * _amount(per_count, "W m-2 count-1") / _amount(np.pi, "sr")
-    return _result(made, "W m-2 sr-1", *given)
+    amount = signal * _amount(per_count, "W m-2 count-1") / _amount(np.pi, "sr")
+    return _result(amount, "W m-2 sr-1", *given)
 
 
 def reflectance(radiance: Amount, irradiance: Amount, *, variant: Variant = "corrected") -> Any:
@@ -396,5 +396,5 @@ def reflectance(radiance: Amount, irradiance: Amount, *, variant: Variant = "cor
     """
     L, E = _amount(radiance, _RADIANCE), _amount(irradiance, _IRRADIANCE)
     half_space = _amount(np.pi, "sr")
-    made = half_space * L / E if _check(variant) else L * E / half_space
-    return _result(made, "1", radiance, irradiance)
+    amount = half_space * L / E if _check(variant) else L * E / half_space
+    return _result(amount, "1", radiance, irradiance)

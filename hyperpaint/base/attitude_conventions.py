@@ -102,9 +102,9 @@ class Convention:
     def __post_init__(self) -> None:
         problems = Problems("this convention cannot be used", SchemaError)
         for name, choices in _CHOICES.items():
-            found = getattr(self, name)
-            if found not in choices and not (found is None and name in _UNDECLARED):
-                problems.add(f"{name} {found!r:.60}, expected {' or '.join(map(repr, choices))}")
+            choice = getattr(self, name)
+            if choice not in choices and not (choice is None and name in _UNDECLARED):
+                problems.add(f"{name} {choice!r:.60}, expected {' or '.join(map(repr, choices))}")
         for name in ("declination", "geoid_undulation"):
             number = getattr(self, name)
             if number is not None and not (_is_number(number) and np.isfinite(number)):
@@ -116,10 +116,10 @@ class Convention:
 
     def to_attrs(self) -> dict[str, str | float]:
         """Return the declaration as attributes of a dataset, ``convention_...``; None is left out."""
-        told = ((f.name, getattr(self, f.name)) for f in fields(self))
+        declared = ((f.name, getattr(self, f.name)) for f in fields(self))
         return {
             f"{_PREFIX}{name}": value if isinstance(value, str) else float(value)
-            for name, value in told
+            for name, value in declared
             if value is not None
         }
 
@@ -133,11 +133,11 @@ class Convention:
             They declare what does not exist.
         """
         names = {f.name for f in fields(cls)}
-        told = {name: attrs[f"{_PREFIX}{name}"] for name in names if f"{_PREFIX}{name}" in attrs}
+        declared = {name: attrs[f"{_PREFIX}{name}"] for name in names if f"{_PREFIX}{name}" in attrs}
         for name in ("declination", "geoid_undulation"):
-            if _is_number(told.get(name)):
-                told[name] = float(told[name])  # numpy's, after a round trip through netCDF
-        return cls(**told) if told else None
+            if _is_number(declared.get(name)):
+                declared[name] = float(declared[name])  # numpy's, after a round trip through netCDF
+        return cls(**declared) if declared else None
 
     @property
     def of_canonical(self) -> Convention:
@@ -181,10 +181,10 @@ class Convention:
         )
         given = zip(signs, (roll, pitch, heading), strict=True)
         x, y, z = np.broadcast_arrays(*(sign * scale * np.asarray(a, np.float64) for sign, a in given))
-        x, y, z = _known(x, y, z)
+        x, y, z = _nan_together(x, y, z)
         if self.euler_order != "ZYX":
             x, y, z = _reordered(x, y, z, self.euler_order)
-        x, y, z = _known(x, y, z + self._north(convergence))
+        x, y, z = _nan_together(x, y, z + self._north(convergence))
         # twice, as a hair less than 0 comes to 360 itself
         return _wrapped(x), y, np.mod(np.mod(z, 360.0), 360.0)
 
@@ -235,7 +235,7 @@ def _is_number(value: Any) -> bool:
     return isinstance(value, int | float | np.integer | np.floating) and not isinstance(value, bool)
 
 
-def _known(x: Floats, y: Floats, z: Floats) -> tuple[Floats, Floats, Floats]:
+def _nan_together(x: Floats, y: Floats, z: Floats) -> tuple[Floats, Floats, Floats]:
     """Return angles that are NaN, all three of them, where any is no finite number."""
     unknown = ~(np.isfinite(x) & np.isfinite(y) & np.isfinite(z))
     return np.where(unknown, np.nan, x), np.where(unknown, np.nan, y), np.where(unknown, np.nan, z)
@@ -262,10 +262,10 @@ def _reordered(roll: Floats, pitch: Floats, heading: Floats, order: str) -> tupl
 
 def _turn(axis: int, angle: Floats) -> Floats:
     """Return rotations about one axis (..., 3, 3)."""
-    made = np.zeros((*angle.shape, 3, 3))
+    rotations = np.zeros((*angle.shape, 3, 3))
     first, second = (axis + 1) % 3, (axis + 2) % 3
-    made[..., axis, axis] = 1.0
-    made[..., first, first] = made[..., second, second] = np.cos(angle)
-    made[..., second, first] = np.sin(angle)
-    made[..., first, second] = -np.sin(angle)
-    return made
+    rotations[..., axis, axis] = 1.0
+    rotations[..., first, first] = rotations[..., second, second] = np.cos(angle)
+    rotations[..., second, first] = np.sin(angle)
+    rotations[..., first, second] = -np.sin(angle)
+    return rotations

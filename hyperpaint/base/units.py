@@ -102,12 +102,12 @@ def registry(force_ndarray_like: bool = False) -> pint.UnitRegistry[Any]:
     """
     import pint
 
-    made: pint.UnitRegistry[Any] = pint.UnitRegistry(
+    units: pint.UnitRegistry[Any] = pint.UnitRegistry(
         None, preprocessors=[_spell_for_pint], force_ndarray_like=force_ndarray_like
     )
     for line in _DEFINITIONS.strip().splitlines():
-        made.define(line)
-    return made
+        units.define(line)
+    return units
 
 
 def _quantity(text: object) -> Any:
@@ -127,10 +127,10 @@ def _quantity(text: object) -> Any:
 def _parse(text: str) -> Any:
     units = registry()
     try:
-        made = units.Quantity(1.0, "") * units.parse_expression(text)
-        if not 0.0 < made.to_base_units().magnitude < float("inf"):
+        quantity = units.Quantity(1.0, "") * units.parse_expression(text)
+        if not 0.0 < quantity.to_base_units().magnitude < float("inf"):
             raise ValueError
-        return made
+        return quantity
     except Exception as error:  # pint leaks TypeError, tokenize errors and its own classes
         raise UnitsError(
             f"units {text!r} cannot be read; expected CF spelling such as 'W m-2 sr-1 nm-1'"
@@ -209,11 +209,11 @@ def convert(array: xr.DataArray, wanted: str, name: str | None = None) -> xr.Dat
     array([6.])
     """
     name = name or str(array.name)
-    found = array.attrs.get("units")
-    if found is None:
+    units = array.attrs.get("units")
+    if units is None:
         raise UnitsError(f"{name!r} has no units; set {name}.attrs['units'], for example to {wanted!r}")
     try:
-        factor = conversion_factor(str(found), wanted)
+        factor = conversion_factor(str(units), wanted)
     except UnitsError as error:
         raise UnitsError(f"{name!r}: {error}") from error
     if factor != 1.0:
@@ -241,17 +241,17 @@ def quantify(dataset: xr.Dataset) -> xr.Dataset:
 
     units = registry(force_ndarray_like=True)
     problems = Problems("a Quantity view cannot be made", UnitsError)
-    found = {}
+    unit_of = {}
     for name, array in dataset.data_vars.items():
         if "units" not in array.attrs or array.dtype.kind not in "fiu":
             continue
         text = array.attrs["units"]
         try:
-            found[name] = units.Unit(_spell_for_pint(canonical(text)))
+            unit_of[name] = units.Unit(_spell_for_pint(canonical(text)))
         except Exception:  # pint leaks its own classes
             problems.add(f"{str(name)!r} has units {text!r}; expected CF spelling without a scale")
     problems.raise_if_any()
     # coordinates are left alone: an index of Quantities can no longer be selected on
     plain = dict.fromkeys(dataset.coords)
-    quantified: xr.Dataset = dataset.pint.quantify({**plain, **found}, unit_registry=units)
+    quantified: xr.Dataset = dataset.pint.quantify({**plain, **unit_of}, unit_registry=units)
     return quantified

@@ -36,7 +36,7 @@ def step_sizes(channels: Array, floor: Any, across: Array, along: Array) -> None
                 size = np.inf
                 if other_line < lines and other_x < columns:
                     total = 0.0
-                    known = 0
+                    valid = 0
                     for k in range(count):
                         one, other = (
                             np.float64(channels[line, x, k]),
@@ -45,9 +45,9 @@ def step_sizes(channels: Array, floor: Any, across: Array, along: Array) -> None
                         if one == one and other == other:
                             step = (one - other) / (0.5 * (max(one, 0.0) + max(other, 0.0)) + floor)
                             total += step * step
-                            known += 1
-                    if 2 * known > count:
-                        size = np.sqrt(total / known)
+                            valid += 1
+                    if 2 * valid > count:
+                        size = np.sqrt(total / valid)
                 if way == 0:
                     across[line, x] = size
                 else:
@@ -139,16 +139,16 @@ def absorb(order: Array, columns: Any, least: Any, least_core: Any, parent: Arra
 
 
 @kernel
-def number_segments(parent: Array, known: Array, number: Array) -> Any:
+def number_segments(parent: Array, valid: Array, number: Array) -> Any:
     """Write the segment of every pixel, numbered in the order of their first pixels; return how many.
 
-    Pixels that are not ``known`` get -1.
+    Pixels that are not ``valid`` get -1.
     """
     count = 0
     names = np.full(parent.size, -1, np.int32)
     for pixel in range(parent.size):
         root = root_of(parent, pixel)
-        if not known[pixel]:
+        if not valid[pixel]:
             number[pixel] = -1
             continue
         if names[root] < 0:
@@ -186,14 +186,14 @@ def boundary_distance(body: Array, sure: Array, most: Any, distance: Array) -> N
     lines, columns = body.shape
     for line in range(lines):
         for x in range(columns):
-            found = most
+            nearest = most
             around = 1 if sure[line, x] else 2
             for dy in range(-around, around + 1):
                 for dx in range(-around, around + 1):
                     y, z = line + dy, x + dx
                     if 0 <= y < lines and 0 <= z < columns and body[y, z] != body[line, x]:
-                        found = 1 if sure[line, x] else 0
-            distance[line, x] = 0 if body[line, x] < 0 else found
+                        nearest = 1 if sure[line, x] else 0
+            distance[line, x] = 0 if body[line, x] < 0 else nearest
     for sweep in range(2):
         for i in range(lines):
             line = i if sweep == 0 else lines - 1 - i

@@ -63,7 +63,7 @@ class Tilt:
     diffuse_fraction: Any = None
 
     def __post_init__(self) -> None:
-        problems = Problems("this tilt cannot be", SchemaError)
+        problems = Problems("the tilt of the surface is out of range", SchemaError)
         if not 0.0 <= self.angle <= 90.0:
             problems.add(f"angle {self.angle:g}, expected 0 to 90 degrees from level")
         if not np.isfinite(self.azimuth):
@@ -273,7 +273,7 @@ def match_irradiance(
         },
         nodes,
     )
-    made = xr.apply_ufunc(
+    matched = xr.apply_ufunc(
         lambda spectra: _apply(matching, spectra).astype(np.float32),
         irradiance.chunk({schema.IRRADIANCE_WAVELENGTH: -1}) if irradiance.chunks else irradiance,
         input_core_dims=[[schema.IRRADIANCE_WAVELENGTH]],
@@ -287,7 +287,7 @@ def match_irradiance(
     quality = {
         name: (("node", "band"), getattr(matching, name)) for name in ("misfit", "noise_gain", "coverage")
     }
-    made = made.assign_coords(
+    matched = matched.assign_coords(
         node=(
             "node",
             np.atleast_1d(np.asarray(nodes, np.float64)),
@@ -300,7 +300,7 @@ def match_irradiance(
         ),
         **quality,
     )
-    return schema.label(made, "irradiance")
+    return schema.label(matched, "irradiance")
 
 
 def _operator(

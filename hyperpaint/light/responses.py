@@ -117,19 +117,19 @@ class Responses:
         if self.shape == "gaussian":
             # cut off, since products of far tails are denormal numbers, a hundred times slower
             tail = np.abs(distance) > _REACH * width
-            made = np.where(tail, 0.0, np.exp(-0.5 * (distance / (GAUSSIAN_SIGMA * width)) ** 2))
+            response = np.where(tail, 0.0, np.exp(-0.5 * (distance / (GAUSSIAN_SIGMA * width)) ** 2))
         elif self.shape == "slit":
             pixel = np.asarray(self.spacing)[band]
             edge = 0.5 * (width + pixel) - np.abs(distance)
-            made = np.clip(edge, 0.0, min(width, pixel))
+            response = np.clip(edge, 0.0, min(width, pixel))
         else:
-            made = np.interp(distance, np.asarray(self.offset), np.asarray(self.table)[band], 0.0, 0.0)
+            response = np.interp(distance, np.asarray(self.offset), np.asarray(self.table)[band], 0.0, 0.0)
         if self.slope is not None:
-            made = made * np.exp(self.slope[band] * distance)
-        total = made.sum()
+            response = response * np.exp(self.slope[band] * distance)
+        total = response.sum()
         if total <= 0:
             return np.zeros_like(grid)
-        return np.asarray(made / (total * (grid[1] - grid[0])))
+        return np.asarray(response / (total * (grid[1] - grid[0])))
 
 
 def problems_of_table(problems: Problems, offset: Any, table: Any, bands: int) -> None:

@@ -88,7 +88,7 @@ def line_light(
     TimeError
         Irradiance times do not increase, are missing, or there is no valid sample.
     SchemaError
-        ``max_gap`` or ``clock_uncertainty`` cannot be.
+        ``max_gap`` or ``clock_uncertainty`` is out of range.
 
     Notes
     -----
@@ -100,11 +100,11 @@ def line_light(
     check_irradiance_times(samples)
     _check_seconds(max_gap, clock_uncertainty)
     levels = np.reshape(levels, (samples.size, -1))
-    kept = np.flatnonzero(np.isfinite(levels).all(axis=1))
-    if kept.size == 0:
+    valid = np.flatnonzero(np.isfinite(levels).all(axis=1))
+    if valid.size == 0:
         raise TimeError("the irradiance record holds no valid spectrum")
     missing = np.isnat(lines)
-    stamps, ticks = lines.astype(np.int64), samples[kept].astype(np.int64)
+    stamps, ticks = lines.astype(np.int64), samples[valid].astype(np.int64)
     stamps = np.where(missing, ticks[0], stamps)
     low = np.searchsorted(ticks, stamps, side="right") - 1
     outside = (low < 0) | (stamps > ticks[-1])
@@ -116,11 +116,11 @@ def line_light(
     if max_gap is None:
         max_gap = 2.5 * float(np.median(np.diff(ticks))) / 1e9 if ticks.size > 1 else 0.0
     gap = ~outside & (interval / 1e9 > max_gap) & (weight > 0.0) & (weight < 1.0)
-    level = levels[kept].sum(axis=1)
+    level = levels[valid].sum(axis=1)
     change = np.abs(level[high] - level[low]) / np.maximum(np.minimum(level[high], level[low]), 1e-30)
     unlit = outside | gap | missing
     within = UNKNOWN_CLOCK if clock_uncertainty is None else clock_uncertainty
-    sensitivity = timing_sensitivity(stamps, ticks, levels[kept], within)
+    sensitivity = timing_sensitivity(stamps, ticks, levels[valid], within)
     sensitivity[unlit] = np.nan
     flags = np.zeros(lines.shape, np.uint16)
     flags[outside | gap] |= np.uint16(Quality.IRRADIANCE_GAP)
@@ -131,8 +131,8 @@ def line_light(
         flags[np.nan_to_num(zenith, nan=0.0) > LOW_SUN_ZENITH] |= np.uint16(Quality.LOW_SUN)
     flags[missing] = Quality.NO_DATA
     return LineLight(
-        kept[low].astype(np.int64),
-        kept[high].astype(np.int64),
+        valid[low].astype(np.int64),
+        valid[high].astype(np.int64),
         np.where(unlit, np.nan, weight),
         np.where(missing, np.nan, age).astype(np.float32),
         sensitivity.astype(np.float32),

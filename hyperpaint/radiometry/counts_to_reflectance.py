@@ -81,7 +81,7 @@ class Panel:
     Raises
     ------
     SchemaError
-        A reflectance that is not one, or an uncertainty that cannot be.
+        The reflectance or its uncertainty is out of range.
     """
 
     along_track: slice
@@ -106,10 +106,10 @@ class Panel:
         """Return the reflectance at wavelengths (band,) [nm]; NaN outside what is known."""
         if np.ndim(self.reflectance) == 0:
             return np.full(np.shape(wavelength), float(self.reflectance))
-        known = convert(self.reflectance, "1", "reflectance")
-        nm = convert(known["wavelength"].astype(np.float64), "nm").values
+        factor = convert(self.reflectance, "1", "reflectance")
+        nm = convert(factor["wavelength"].astype(np.float64), "nm").values
         order = np.argsort(nm, kind="stable")
-        return np.interp(wavelength, nm[order], known.values[order], np.nan, np.nan)
+        return np.interp(wavelength, nm[order], factor.values[order], np.nan, np.nan)
 
 
 def radiance(dataset: xr.Dataset) -> xr.Dataset:
@@ -134,7 +134,7 @@ def radiance(dataset: xr.Dataset) -> xr.Dataset:
     SchemaError, UnitsError
         Variables are missing, or have other dims or units; every problem is listed. The gain holds for
         linearised counts, or has no absolute scale (attributes ``linearity`` and ``absolute_scale`` of the
-        calibration). When computed: values that cannot be, such as a dark at another exposure.
+        calibration). When computed: values are out of range, such as a dark at another exposure.
 
     Notes
     -----
@@ -160,8 +160,8 @@ def radiance(dataset: xr.Dataset) -> xr.Dataset:
         return dataset.assign(schema.require(dataset, ["radiance"], "radiance"))
     cube, values = _cube_inputs(dataset, "radiance")
     _refuse_calibration(dataset, needs_scale=True)
-    (made,), quality, _ = slabs.calibrated(cube, make_plan, cube=values, light=None)
-    return _with(dataset, "radiance", made, quality)
+    (radiances,), quality, _ = slabs.calibrated(cube, make_plan, cube=values, light=None)
+    return _with(dataset, "radiance", radiances, quality)
 
 
 def reflectance(
@@ -214,7 +214,7 @@ def reflectance(
     SchemaError, UnitsError, TimeError
         Variables are missing, or have other dims or units, or irradiance times do not increase; every
         problem is listed. The gain holds for linearised counts, or has no absolute scale and there is no
-        ``panel``. When computed: values that cannot be.
+        ``panel``. When computed: values are out of range.
 
     Notes
     -----
@@ -272,11 +272,15 @@ def reflectance(
         _refuse_calibration(dataset, needs_scale=panel is None)
     cube, values = _cube_inputs(dataset, "reflectance")
     light = _light_inputs(dataset, attitude)
-    known = None if panel is None else _panel_inputs(dataset, panel)
     uncertain = (
         uncertainty_inputs(dataset, None if panel is None else panel.uncertainty) if uncertainty else None
     )
-    options = {"tilt": attitude, "panel": known, "keep_bits": keep_bits, "uncertain": uncertain}
+    options = {
+        "tilt": attitude,
+        "panel": None if panel is None else _panel_inputs(dataset, panel),
+        "keep_bits": keep_bits,
+        "uncertain": uncertain,
+    }
     cubes, quality, plan = slabs.calibrated(
         cube, make_plan, cubes=1 if uncertain is None else 3, cube=values, light=light, **options
     )
@@ -305,11 +309,11 @@ def _refuse_without(dataset: xr.Dataset, names: tuple[str, ...], purpose: str) -
 def _refuse_calibration(dataset: xr.Dataset, *, needs_scale: bool) -> None:
     """Refuse gains that do not hold for counts as they are, or that have no absolute scale."""
     problems = Problems("the calibration of this line cannot be applied to its counts", SchemaError)
-    told = dataset.attrs.get("linearity", "identity")
-    if not isinstance(told, str) and np.size(told):
+    linearity = dataset.attrs.get("linearity", "identity")
+    if not isinstance(linearity, str) and np.size(linearity):
         problems.add(
-            f"its gain holds for linearised counts (attribute linearity {np.ravel(told).tolist()}), which "
-            "these are not: calibrate without linearity=, or linearise the counts and drop the attribute"
+            f"its gain holds for linearised counts (attribute linearity {np.ravel(linearity).tolist()}), "
+            "which these are not: calibrate without linearity=, or linearise them and drop the attribute"
         )
     if needs_scale and dataset.attrs.get("absolute_scale") == "unknown":
         problems.add(
@@ -336,13 +340,13 @@ def _cube_inputs(dataset: xr.Dataset, purpose: str) -> tuple[xr.DataArray, dict[
     optional = [name for name in _OPTIONAL if name in dataset.variables]
     if not from_counts and "radiance_gain" in dataset.variables:
         optional.append("radiance_gain")  # tells the slope of the responsivity
-    found = schema.require(dataset, dict.fromkeys([*needed, *optional]), purpose)
-    cube = slabs.line_chunked(found.pop("counts" if from_counts else "radiance"))
+    arrays = schema.require(dataset, dict.fromkeys([*needed, *optional]), purpose)
+    cube = slabs.line_chunked(arrays.pop("counts" if from_counts else "radiance"))
     if not from_counts:
         cube = cube.astype(np.float32)
     if purpose == "radiance":
-        found.pop("wavelength_shift", None)
-    return cube, {name: slabs.small(array) for name, array in found.items()}
+        arrays.pop("wavelength_shift", None)
+    return cube, {name: slabs.small(array) for name, array in arrays.items()}
 
 
 def _light_inputs(dataset: xr.Dataset, tilt: Any) -> dict[str, Any]:
@@ -354,10 +358,10 @@ def _light_inputs(dataset: xr.Dataset, tilt: Any) -> dict[str, Any]:
     names += [name for name in companions if name in dataset.variables]
     if tilt is not None:
         names += ["latitude", "longitude"]
-    found = schema.require(dataset, names, "reflectance")
-    if found[IRRADIANCE_TIME].chunks is None:
-        check_irradiance_times(found[IRRADIANCE_TIME].values.astype("datetime64[ns]"))
-    values = {name: slabs.small(array) for name, array in found.items()}
+    arrays = schema.require(dataset, names, "reflectance")
+    if arrays[IRRADIANCE_TIME].chunks is None:
+        check_irradiance_times(arrays[IRRADIANCE_TIME].values.astype("datetime64[ns]"))
+    values = {name: slabs.small(array) for name, array in arrays.items()}
     values["srf_shape"] = _shape(dataset, "srf_shape")
     values["irradiance_srf_shape"] = _shape(dataset, "irradiance_srf_shape")
     return values
@@ -386,11 +390,11 @@ def _replace_irradiance(dataset: xr.Dataset, irradiance: Any) -> xr.Dataset:
             f"the Dataset given as irradiance= holds {held}, expected 'irradiance' and 'irradiance_fwhm'"
         )
     own = [name for name in dataset.variables if str(name).startswith("irradiance")]
-    kept = {name: text for name, text in dataset.attrs.items() if not name.startswith("irradiance")}
-    told = {name: text for name, text in irradiance.attrs.items() if str(name).startswith("irradiance")}
-    made = dataset.drop_vars(own).merge(irradiance[names], combine_attrs="override")
-    made.attrs = {**kept, **told}
-    return made
+    of_line = {name: text for name, text in dataset.attrs.items() if not name.startswith("irradiance")}
+    of_record = {name: text for name, text in irradiance.attrs.items() if str(name).startswith("irradiance")}
+    line = dataset.drop_vars(own).merge(irradiance[names], combine_attrs="override")
+    line.attrs = {**of_line, **of_record}
+    return line
 
 
 def _panel_inputs(dataset: xr.Dataset, panel: Panel) -> dict[str, Any]:
@@ -421,20 +425,20 @@ def _small_output(name: str, function: Any, plan: Any, dim: str, size: int) -> x
     return schema.label(xr.DataArray(values, dims=dim), name)
 
 
-def _with(dataset: xr.Dataset, name: str, made: Any, quality: Any) -> xr.Dataset:
+def _with(dataset: xr.Dataset, name: str, cube: Any, quality: Any) -> xr.Dataset:
     """Return the dataset with a calibrated cube and its quality, attributes set outright."""
     import xarray as xr
 
     flags = xr.DataArray(quality, dims=(ALONG_TRACK, CROSS_TRACK))
-    told: dict[str, Any] = {}
+    attrs: dict[str, Any] = {}
     if "quality" in dataset.variables:
         before = schema.require(dataset, ["quality"], name)["quality"].variable
         # what others found, such as glint or shadow, stays; what is found here from counts is found anew
         anew = int(_OWN_BITS[name]) if "counts" in dataset.variables else 0
         flags = flags | (before & np.uint16(0xFFFF ^ anew))
-        told = {name: text for name, text in before.attrs.items() if name == "flags_from"}
-    bits = schema.label(flags.astype(np.uint16), "quality", **told)
-    return dataset.assign({name: schema.label(xr.DataArray(made, dims=schema.CUBE), name), "quality": bits})
+        attrs = {name: text for name, text in before.attrs.items() if name == "flags_from"}
+    bits = schema.label(flags.astype(np.uint16), "quality", **attrs)
+    return dataset.assign({name: schema.label(xr.DataArray(cube, dims=schema.CUBE), name), "quality": bits})
 
 
 def worked_example() -> xr.Dataset:
@@ -466,7 +470,7 @@ def worked_example() -> xr.Dataset:
         IRRADIANCE_TIME: time + np.array([0, 2], "timedelta64[s]"),
         IRRADIANCE_WAVELENGTH: np.arange(400.0, 701.0),
     }
-    made = xr.Dataset(variables, coords)
-    for name in made.variables:
-        made[name].attrs = dict(schema.VARIABLES[str(name)].attrs)
-    return made
+    line = xr.Dataset(variables, coords)
+    for name in line.variables:
+        line[name].attrs = dict(schema.VARIABLES[str(name)].attrs)
+    return line

@@ -1,6 +1,6 @@
 """From a line's small variables to the `Plan` its slabs share: darks, limits, light.
 
-All of it runs once a line, inside the graph: values that cannot be are found when something is computed.
+All of it runs once a line, inside the graph: wrong values are reported when something is computed.
 """
 
 from __future__ import annotations
@@ -12,25 +12,24 @@ from typing import Any
 import numpy as np
 
 from hyperpaint.base.arrays import Array, Floats
+from hyperpaint.base.constants import QUANTISATION_VARIANCE_COUNT2, SATURATION_MARGIN_COUNTS
 from hyperpaint.base.errors import PaintWarning, Problems, SchemaError, TimeError
 from hyperpaint.base.schema import Quality
 from hyperpaint.light.illumination import Smile, Tilt, matched_series, smile_cells
 from hyperpaint.light.synchrony import LineLight, line_light
 
-from .slabs import QUANTISATION, Plan
+from .slabs import Plan
 from .uncertainty.propagation import error_terms
 
 __all__ = ["make_plan"]
 
 
-SATURATION_MARGIN = 16.0
-"""Counts below the converter's end from which a sample is no longer trusted."""
-NOISE_SIGMAS = 5.0
-DEFAULT_READ_NOISE = 2.0
+NOISE_MARGIN_SD = 5.0
+DEFAULT_READ_NOISE_COUNTS = 2.0
 """Spread of a dark count [count] where neither the calibration nor the dark tells."""
 BAD_BAND_SHARE = 0.05
 NEGATIVE_BAND_SHARE = 0.1
-SAME_EXPOSURE = 0.01
+SAME_EXPOSURE_SHARE = 0.01
 """Relative difference up to which a dark serves a line's exposure."""
 
 
@@ -68,7 +67,7 @@ def make_plan(
     Raises
     ------
     SchemaError, TimeError
-        Values that cannot be: all that were found.
+        Values are out of range or contradict one another; all are listed.
     """
     lines, bands, columns = shape
     from_counts = "dark_counts" in cube
@@ -133,7 +132,7 @@ def _check_values(cube: Mapping[str, Any], shape: tuple[int, int, int]) -> None:
     if not np.isfinite(gain).any():
         problems.add("'radiance_gain' holds no finite value")
     full = np.asarray(cube.get("saturation_count", np.inf), np.float64)
-    if (full <= 2 * SATURATION_MARGIN).any():
+    if (full <= 2 * SATURATION_MARGIN_COUNTS).any():
         problems.add(
             f"'saturation_count' is {np.nanmin(full):g}, expected that of the converter, such as 4095"
         )
@@ -157,12 +156,12 @@ def _darks(cube: Mapping[str, Any], exposure: Floats) -> tuple[Array, Array, Arr
     taken_at = cube.get("dark_exposure_time")
     if taken_at is not None:
         taken = np.broadcast_to(np.asarray(taken_at, np.float64), len(dark))
-        usable = np.abs(taken[:, None] / exposure - 1.0) <= SAME_EXPOSURE
+        usable = np.abs(taken[:, None] / exposure - 1.0) <= SAME_EXPOSURE_SHARE
         if not usable.all(axis=1).any():
             return _darks_in_exposure(dark, taken, exposure)
         dark = dark[usable.all(axis=1)]
         times = None if times is None else np.asarray(times)[usable.all(axis=1)]
-    elif np.ptp(exposure) > SAME_EXPOSURE * exposure.max():
+    elif np.ptp(exposure) > SAME_EXPOSURE_SHARE * exposure.max():
         text = "lines differ in exposure, and 'dark_exposure_time' is missing: one dark is taken for all"
         warnings.warn(text, PaintWarning, stacklevel=2)
     index, weight = np.zeros(exposure.size, np.int64), np.zeros(exposure.size, np.float32)
@@ -185,12 +184,12 @@ def _darks(cube: Mapping[str, Any], exposure: Floats) -> tuple[Array, Array, Arr
 
 def _darks_in_exposure(dark: Array, taken: Floats, exposure: Floats) -> tuple[Array, Array, Array]:
     """Return the fitted darks at the shortest and the longest exposure, and the place of lines between."""
-    if np.ptp(taken) <= SAME_EXPOSURE * taken.max():
-        found = np.unique(exposure.round(9)) * 1e3
+    if np.ptp(taken) <= SAME_EXPOSURE_SHARE * taken.max():
+        exposures_ms = np.unique(exposure.round(9)) * 1e3
         raise SchemaError(
             f"the dark was taken at {taken[0] * 1e3:g} ms, the line at "
-            f"{', '.join(f'{ms:g}' for ms in found[:4])} ms; take a dark at the line's exposure, or darks at "
-            "two exposures, from which bias and rate follow"
+            f"{', '.join(f'{ms:g}' for ms in exposures_ms[:4])} ms; take a dark at the line's exposure, or "
+            "darks at two exposures, from which bias and rate follow"
         )
     centred = taken - taken.mean()
     rate = np.tensordot(centred, dark, axes=(0, 0)) / (centred @ centred)
@@ -207,7 +206,7 @@ def _saturation_limit(cube: Mapping[str, Any], dtype: np.dtype[Any]) -> Array:
     """Return counts from which a sample is saturated, (1, 1) or (band, column)."""
     if "dark_counts" not in cube:
         return np.full((1, 1), np.inf, dtype)
-    limit = np.asarray(cube["saturation_count"], np.float64) - SATURATION_MARGIN
+    limit = np.asarray(cube["saturation_count"], np.float64) - SATURATION_MARGIN_COUNTS
     limit = np.where(np.isnan(limit), np.inf, limit)
     if np.issubdtype(dtype, np.integer):
         # an integer reaches a bound exactly when it reaches the bound rounded up
@@ -217,8 +216,8 @@ def _saturation_limit(cube: Mapping[str, Any], dtype: np.dtype[Any]) -> Array:
 
 def _noise_margin(cube: Mapping[str, Any], watched: Array) -> Array:
     """Return how far below the dark noise may take a sample (band, column) [count]; NaN where unwatched."""
-    noise = np.asarray(cube.get("read_noise", DEFAULT_READ_NOISE), np.float64)
-    margin = NOISE_SIGMAS * np.sqrt(noise**2 + QUANTISATION)
+    noise = np.asarray(cube.get("read_noise", DEFAULT_READ_NOISE_COUNTS), np.float64)
+    margin = NOISE_MARGIN_SD * np.sqrt(noise**2 + QUANTISATION_VARIANCE_COUNT2)
     return np.ascontiguousarray(np.where(watched, margin, np.nan), np.float32)
 
 
@@ -274,11 +273,11 @@ def _responsivity(cube: Mapping[str, Any]) -> Floats | None:
 
 
 def _mean_place(degrees: Any, name: str) -> float:
-    known = np.asarray(degrees, np.float64)
-    known = known[np.isfinite(known)]
-    if known.size == 0:
+    places = np.asarray(degrees, np.float64)
+    places = places[np.isfinite(places)]
+    if places.size == 0:
         raise SchemaError(f"tilt= needs the sun's position, but {name!r} is missing on every line")
-    return float(known.mean())
+    return float(places.mean())
 
 
 def _levels(spectra: Floats, channels: Floats) -> Floats:

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from hyperpaint.base.arrays import Array, Floats
+from hyperpaint.base.constants import lines_a_task
 from hyperpaint.base.many_outputs import split_outputs
 from hyperpaint.base.schema import CHUNK_LINES, CUBE, Quality
 from hyperpaint.kernels.arguments import (
@@ -32,15 +33,9 @@ if TYPE_CHECKING:
     import xarray as xr
 
 __all__ = [
-    "QUANTISATION", "Plan", "age_of_irradiance", "calibrate_lines", "calibrated", "line_chunked",
+    "Plan", "age_of_irradiance", "calibrate_lines", "calibrated", "line_chunked",
     "misfit_of_irradiance", "run_slab", "sensitivity_to_timing", "small",
 ]  # fmt: skip
-
-
-QUANTISATION = 1.0 / 12.0
-"""Variance that conversion to whole counts adds [count2]."""
-MAX_CHUNK_BYTES = 24_000_000
-"""Float32 output of one task; a larger block costs the allocator a trip to the kernel each time."""
 
 
 @dataclass(frozen=True)
@@ -130,8 +125,8 @@ def line_chunked(cube: xr.DataArray) -> xr.DataArray:
     """Return a cube as (along_track, band, cross_track) whose dask chunks are whole lines."""
     cube = cube.transpose(*CUBE)
     if cube.chunks is None:
-        line = cube.sizes[CUBE[1]] * cube.sizes[CUBE[2]] * np.dtype(np.float32).itemsize
-        lines = min(CHUNK_LINES, max(1, MAX_CHUNK_BYTES // max(line, 1)))
+        line_bytes = cube.sizes[CUBE[1]] * cube.sizes[CUBE[2]] * np.dtype(np.float32).itemsize
+        lines = lines_a_task(line_bytes, CHUNK_LINES)
         return cube.chunk({CUBE[0]: lines, CUBE[1]: -1, CUBE[2]: -1})
     if any(len(cube.variable.chunksizes[dim]) > 1 for dim in CUBE[1:]):
         return cube.chunk({CUBE[1]: -1, CUBE[2]: -1})

@@ -100,12 +100,12 @@ def to_nominal(dataset: xr.Dataset) -> xr.Dataset:
         )
     if "wavelength_shift" not in dataset.variables:
         return dataset[[*products, *_without_bands(dataset)]]
-    found = schema.require(dataset, ["wavelength", "wavelength_shift", *products], "nominal wavelengths")
-    shift = found["wavelength_shift"].values
-    first, weights = _lagrange_weights(found["wavelength"].values, np.atleast_2d(shift))
-    made = dataset[_without_bands(dataset)].drop_vars("wavelength_shift", errors="ignore")
+    arrays = schema.require(dataset, ["wavelength", "wavelength_shift", *products], "nominal wavelengths")
+    shift = arrays["wavelength_shift"].values
+    first, weights = _lagrange_weights(arrays["wavelength"].values, np.atleast_2d(shift))
+    nominal = dataset[_without_bands(dataset)].drop_vars("wavelength_shift", errors="ignore")
     for name in products:
-        cube = line_chunked(found[name])
+        cube = line_chunked(arrays[name])
         flat = xr.apply_ufunc(
             _resample,
             cube,
@@ -115,8 +115,8 @@ def to_nominal(dataset: xr.Dataset) -> xr.Dataset:
             dask="parallelized",
             output_dtypes=[np.float32],
         ).drop_vars("wavelength_shift", errors="ignore")
-        made[name] = schema.label(flat, name, spectral_axis="nominal wavelengths")
-    return made
+        nominal[name] = schema.label(flat, name, spectral_axis="nominal wavelengths")
+    return nominal
 
 
 def _without_bands(dataset: xr.Dataset) -> list[str]:
@@ -273,8 +273,8 @@ def _filter(
     if not cube:
         shaped = shaped.reshape(-1, first.size, 1)
     out = np.empty(shaped.shape, np.float32)
-    known = shaped if good is None else np.where(good[:, None], shaped, np.float32(np.nan))
-    filter_slab(np.ascontiguousarray(known), weights, first, box, fallback, out)
+    filtered = shaped if good is None else np.where(good[:, None], shaped, np.float32(np.nan))
+    filter_slab(np.ascontiguousarray(filtered), weights, first, box, fallback, out)
     if good is not None:
         out[:, ~good] = shaped[:, ~good]
     return out.reshape(values.shape)

@@ -19,9 +19,9 @@ import numpy.typing as npt
 
 from hyperpaint.base import schema
 from hyperpaint.base.arrays import Array, Floats
+from hyperpaint.base.constants import QUANTISATION_VARIANCE_COUNT2, SATURATION_MARGIN_COUNTS
 from hyperpaint.base.errors import PaintWarning, Problems, SchemaError
 from hyperpaint.base.schema import ALONG_TRACK, BAND, CROSS_TRACK, STEP
-from hyperpaint.radiometry.slabs import QUANTISATION
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -33,7 +33,6 @@ BLOCK_LINES = 8
 """Lines of a block, within which a column is asked to see one surface."""
 MOST_SAMPLES = 3_000_000
 """Samples that are read of a flight; more would tell no more."""
-SATURATION_MARGIN = 16.0
 _CLEAR = 12.0  # times the spread of a dark count; the mean of a block is then known to 3 %
 _EVEN = 0.15  # change of brightness that is texture; beyond is an edge or a glint
 _FEWEST = 200
@@ -141,50 +140,54 @@ def estimate_noise(dataset: xr.Dataset, *, repeated: bool = False) -> xr.Dataset
 def _sweep_points(dataset: xr.Dataset) -> tuple[_Points, float, str]:
     names = ["counts", "counts_variance", "dark_counts", "frame_count"]
     names += ["saturation_count"] if "saturation_count" in dataset.variables else []
-    found = schema.require(dataset, names, "photon transfer of a sweep", schema.SWEEP_VARIABLES)
+    arrays = schema.require(dataset, names, "photon transfer of a sweep", schema.SWEEP_VARIABLES)
     dims = (STEP, BAND, CROSS_TRACK)
-    counts = found["counts"].transpose(*dims)
-    signal = (counts - found["dark_counts"]).transpose(*dims).values.astype(np.float64)
-    variance = found["counts_variance"].transpose(*dims).values.astype(np.float64)
-    frames = found["frame_count"].values.astype(np.float64)
+    counts = arrays["counts"].transpose(*dims)
+    signal = (counts - arrays["dark_counts"]).transpose(*dims).values.astype(np.float64)
+    variance = arrays["counts_variance"].transpose(*dims).values.astype(np.float64)
+    frames = arrays["frame_count"].values.astype(np.float64)
     if (frames < 2).any():
         raise SchemaError("'frame_count' must be 2 or more: one frame has no variance")
-    if "saturation_count" in found:
+    if "saturation_count" in arrays:
         # clipping lowers the variance before the mean reaches the end
-        room = SATURATION_MARGIN + 5.0 * np.sqrt(np.maximum(variance, 0.0))
-        variance[counts.values + room >= np.asarray(found["saturation_count"], np.float64)] = np.nan
+        room = SATURATION_MARGIN_COUNTS + 5.0 * np.sqrt(np.maximum(variance, 0.0))
+        variance[counts.values + room >= np.asarray(arrays["saturation_count"], np.float64)] = np.nan
     bands = signal.shape[1]
     freedom = np.repeat(np.broadcast_to(frames - 1.0, len(signal)), signal.shape[2])[:, None]
     flat = [np.moveaxis(cube, 1, 2).reshape(-1, bands) for cube in (variance, signal)]
     points = _Points(flat[0], flat[1], np.ones_like(flat[1]), freedom)
-    return points, QUANTISATION, f"{len(signal)} steps of {frames.min():g} frames or more"
+    return points, QUANTISATION_VARIANCE_COUNT2, f"{len(signal)} steps of {frames.min():g} frames or more"
 
 
 def _line_points(dataset: xr.Dataset, repeated: bool) -> tuple[_Points, float, str]:
     names = ["counts", "dark_counts"]
     names += [n for n in ("saturation_count", "radiance_gain", "time") if n in dataset.variables]
-    found = schema.require(dataset, names, "photon transfer of a line")
-    counts, dark = found["counts"], found["dark_counts"]
+    arrays = schema.require(dataset, names, "photon transfer of a line")
+    counts, dark = arrays["counts"], arrays["dark_counts"]
     if "dark_time" in dark.dims:
         dark = dark.mean("dark_time")
     starts = _block_starts(counts.shape)
     lines = (starts[:, None] + np.arange(BLOCK_LINES)).ravel()
     blocks = counts.isel({ALONG_TRACK: lines}).values
     valid = np.ones(blocks.shape[:1], bool)
-    if "time" in found:
-        valid = ~np.isnat(found["time"].isel({ALONG_TRACK: lines}).values)
+    if "time" in arrays:
+        valid = ~np.isnat(arrays["time"].isel({ALONG_TRACK: lines}).values)
     cube = blocks.astype(np.float32) - dark.values.astype(np.float32)
-    if "saturation_count" in found:
-        limit = np.asarray(found["saturation_count"], np.float64) - SATURATION_MARGIN
+    if "saturation_count" in arrays:
+        limit = np.asarray(arrays["saturation_count"], np.float64) - SATURATION_MARGIN_COUNTS
         cube[blocks >= limit] = np.nan
-    if "radiance_gain" in found:
-        cube[:, ~np.isfinite(found["radiance_gain"].values)] = np.nan
+    if "radiance_gain" in arrays:
+        cube[:, ~np.isfinite(arrays["radiance_gain"].values)] = np.nan
     cube[~valid] = np.nan
     whole = np.issubdtype(counts.dtype, np.integer)
     shaped = cube.reshape(len(starts), BLOCK_LINES, *cube.shape[1:])
     points = _repeated_points(shaped) if repeated else _block_points(shaped)
     what = "repeated frames" if repeated else "blocks of a flight, texture taken out over bands"
-    return points, QUANTISATION if whole else 0.0, f"{len(starts)} x {BLOCK_LINES} lines: {what}"
+    return (
+        points,
+        QUANTISATION_VARIANCE_COUNT2 if whole else 0.0,
+        f"{len(starts)} x {BLOCK_LINES} lines: {what}",
+    )
 
 
 def _block_starts(shape: tuple[int, ...]) -> npt.NDArray[np.int64]:
@@ -243,10 +246,10 @@ def _block_points(cube: Array) -> _Points:
 
 def _dark_noise(cube: Array, mean: Array) -> float:
     """Return the spread of a count in the darkest tenth of what was seen [count]."""
-    known = np.isfinite(mean)
-    if not known.any():
+    valid = np.isfinite(mean)
+    if not valid.any():
         return 0.0
-    darkest = known & (mean <= np.quantile(mean[known], 0.1))
+    darkest = valid & (mean <= np.quantile(mean[valid], 0.1))
     return float(np.sqrt(np.median(cube.var(axis=1, ddof=1)[darkest])))
 
 
@@ -269,25 +272,25 @@ def _fit(points: _Points) -> _Transfer:
     """Return the line through variances that are those of noise alone."""
     from scipy.stats import chi2
 
-    known = np.isfinite(points.variance) & np.isfinite(points.by_signal)
-    if known.sum() < _FEWEST:
-        raise SchemaError(f"noise cannot be estimated: {known.sum()} variances, expected {_FEWEST} or more")
-    freedom = np.broadcast_to(points.freedom, known.shape)
-    slope, height = _first_guess(points, known, freedom)
+    valid = np.isfinite(points.variance) & np.isfinite(points.by_signal)
+    if valid.sum() < _FEWEST:
+        raise SchemaError(f"noise cannot be estimated: {valid.sum()} variances, expected {_FEWEST} or more")
+    freedom = np.broadcast_to(points.freedom, valid.shape)
+    slope, height = _first_guess(points, valid, freedom)
     edge = chi2.ppf(_KEPT, points.freedom) / points.freedom
     # the mean of what lies below the edge is a little below the mean of all
     loss = chi2.cdf(edge * points.freedom, points.freedom + 2.0) / _KEPT
     # neighbours in band share two thirds of their contrast
-    spread = np.sqrt(2.0 * 1.94 / (points.freedom[:, 0] * np.maximum(known.sum(axis=1), 1)))
-    used = known
+    spread = np.sqrt(2.0 * 1.94 / (points.freedom[:, 0] * np.maximum(valid.sum(axis=1), 1)))
+    used = valid
     for _ in range(8):
         model = np.maximum(slope * points.by_signal + height * points.by_floor, 1e-6)
-        ratio = np.where(known, points.variance / model, np.nan)
+        ratio = np.where(valid, points.variance / model, np.nan)
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", RuntimeWarning)  # blocks without a value
             typical = np.nanmean(np.minimum(ratio, 2.0 * edge), axis=1)
         even = typical < 1.0 + _BLOCK_SIGMAS * spread
-        used = known & even[:, None] & (ratio < edge)
+        used = valid & even[:, None] & (ratio < edge)
         if used.sum() < _FEWEST:
             raise SchemaError(
                 "noise cannot be estimated: no block is homogeneous; give repeated frames, or a lab sweep"
@@ -297,18 +300,18 @@ def _fit(points: _Points) -> _Transfer:
         if abs(slope - before) < 1e-4 * abs(slope):
             break
     low, high = (float(v) for v in np.percentile(points.by_signal[used] / points.by_floor[used], [1, 99]))
-    made = _Transfer(slope, height, covariance, used, low, high)
-    _refuse_unless_sure(made)
-    return made
+    transfer = _Transfer(slope, height, covariance, used, low, high)
+    _refuse_unless_sure(transfer)
+    return transfer
 
 
-def _first_guess(points: _Points, known: npt.NDArray[np.bool_], freedom: Floats) -> tuple[float, float]:
+def _first_guess(points: _Points, valid: npt.NDArray[np.bool_], freedom: Floats) -> tuple[float, float]:
     """Return slope and height of the lower envelope of binned medians."""
     from scipy.stats import chi2
 
-    signal = points.by_signal[known] / points.by_floor[known]
+    signal = points.by_signal[valid] / points.by_floor[valid]
     variance = (
-        points.variance[known] / points.by_floor[known] * (freedom[known] / chi2.median(freedom[known]))
+        points.variance[valid] / points.by_floor[valid] * (freedom[valid] / chi2.median(freedom[valid]))
     )
     edges = np.unique(np.quantile(signal, np.linspace(0, 1, _BINS + 1)))
     place = np.clip(np.searchsorted(edges, signal, side="right") - 1, 0, max(len(edges) - 2, 0))
@@ -343,10 +346,10 @@ def _solve(
     scale = np.sqrt(np.maximum(normal.sum(axis=-1).diagonal(), 1e-300))
 
     def solution(left_out: int | None) -> Floats:
-        kept = np.arange(_PARTS) != (-1 if left_out is None else left_out)
-        matrix, vector = normal[..., kept].sum(axis=-1), right[..., kept].sum(axis=-1)
-        found, *_ = np.linalg.lstsq(matrix / np.outer(scale, scale), vector / scale, rcond=None)
-        return np.asarray(found / scale)
+        parts = np.arange(_PARTS) != (-1 if left_out is None else left_out)
+        matrix, vector = normal[..., parts].sum(axis=-1), right[..., parts].sum(axis=-1)
+        scaled, *_ = np.linalg.lstsq(matrix / np.outer(scale, scale), vector / scale, rcond=None)
+        return np.asarray(scaled / scale)
 
     whole = solution(None)
     others = np.stack([solution(i) for i in range(_PARTS)])
@@ -355,64 +358,64 @@ def _solve(
     return float(whole[0]), float(whole[1]), covariance
 
 
-def _refuse_unless_sure(made: _Transfer) -> None:
-    relative = np.sqrt(made.covariance[0, 0]) / max(made.slope, 1e-300)
-    if made.slope > 0 and relative < _WORST_UNCERTAINTY:
+def _refuse_unless_sure(transfer: _Transfer) -> None:
+    relative = np.sqrt(transfer.covariance[0, 0]) / max(transfer.slope, 1e-300)
+    if transfer.slope > 0 and relative < _WORST_UNCERTAINTY:
         return
     raise SchemaError(
-        f"electrons per count cannot be told: signals of {made.low:.0f} to {made.high:.0f} counts give a "
-        f"slope of {made.slope:.3g} +- {np.sqrt(made.covariance[0, 0]):.2g} counts of variance a count; "
-        "take a line with dark and bright surfaces, or repeated frames of several levels"
+        f"electrons per count are uncertain: signals of {transfer.low:.0f} to {transfer.high:.0f} counts "
+        f"give a slope of {transfer.slope:.3g} +- {np.sqrt(transfer.covariance[0, 0]):.2g} counts of variance a "
+        "count; take a line with dark and bright surfaces, or repeated frames of several levels"
     )
 
 
-def _labelled(found: _Transfer, points: _Points, quantisation: float, source: str) -> xr.Dataset:
+def _labelled(transfer: _Transfer, points: _Points, quantisation: float, source: str) -> xr.Dataset:
     """Return the estimate with its uncertainties and the curve it rests on."""
     import xarray as xr
 
-    signal, variance, expected = _curve(found, points)
+    signal, variance, expected = _curve(transfer, points)
     misfit = float(np.max(np.abs(variance / expected - 1.0)))
-    chance = np.sqrt(4.0 / (float(points.freedom.mean()) * found.used.sum() / variance.size))
+    chance = np.sqrt(4.0 / (float(points.freedom.mean()) * transfer.used.sum() / variance.size))
     if misfit > _MISFIT + 4.0 * chance:
         text = (
             f"variances depart from the line by up to {misfit:.0%}: the scene is not homogeneous within "
             "blocks, or the light flickers; look at 'transfer_variance'"
         )
         warnings.warn(text, PaintWarning, stacklevel=3)
-    excess = found.height - quantisation
+    excess = transfer.height - quantisation
     noise = float(np.sqrt(max(excess, 0.0)))
     # at zero noise its square alone has an uncertainty
-    noise_u = float(np.sqrt(found.covariance[1, 1])) / (2.0 * noise) if noise > 0 else np.nan
-    limit = float(found.covariance[1, 1]) ** 0.25
+    noise_u = float(np.sqrt(transfer.covariance[1, 1])) / (2.0 * noise) if noise > 0 else np.nan
+    limit = float(transfer.covariance[1, 1]) ** 0.25
     values = {
-        "electrons_per_count": 1.0 / found.slope,
+        "electrons_per_count": 1.0 / transfer.slope,
         "read_noise": noise,
-        "electrons_per_count_u": float(np.sqrt(found.covariance[0, 0])) / found.slope**2,
+        "electrons_per_count_u": float(np.sqrt(transfer.covariance[0, 0])) / transfer.slope**2,
         "read_noise_u": float(np.nanmin([noise_u, limit])),
     }
-    made = xr.Dataset()
+    estimate = xr.Dataset()
     for name, value in values.items():
         array = xr.DataArray(np.float32(value))
         base = name.removesuffix("_u")
-        made[name] = schema.label(array, base)
+        estimate[name] = schema.label(array, base)
         if name != base:
-            made[name].attrs["long_name"] = f"Standard uncertainty of {base}"
-    made["transfer_variance"] = (
+            estimate[name].attrs["long_name"] = f"Standard uncertainty of {base}"
+    estimate["transfer_variance"] = (
         "transfer_signal",
         variance,
         {"units": "count2", "long_name": "Variance of a count"},
     )
     attrs = {"units": "count", "long_name": "Counts above the dark"}
-    made = made.assign_coords(transfer_signal=("transfer_signal", signal, attrs))
-    made.attrs["noise_source"] = f"photon transfer, {source}; {int(found.used.sum())} variances"
-    return made
+    estimate = estimate.assign_coords(transfer_signal=("transfer_signal", signal, attrs))
+    estimate.attrs["noise_source"] = f"photon transfer, {source}; {int(transfer.used.sum())} variances"
+    return estimate
 
 
-def _curve(found: _Transfer, points: _Points) -> tuple[Floats, Floats, Floats]:
+def _curve(transfer: _Transfer, points: _Points) -> tuple[Floats, Floats, Floats]:
     """Return mean signals, variances and variances of the line, in bins of as many points each."""
-    a, b, v = (array[found.used] for array in (points.by_signal, points.by_floor, points.variance))
+    a, b, v = (array[transfer.used] for array in (points.by_signal, points.by_floor, points.variance))
     order = np.argsort(a / b, kind="stable")
     bins = np.array_split(order, min(_BINS, max(1, order.size // 50)))
     x = np.array([(a[i] / b[i]).mean() for i in bins])
     y = np.array([(v[i] / b[i]).mean() for i in bins])
-    return x, y, np.maximum(found.slope * x + found.height, 1e-9)
+    return x, y, np.maximum(transfer.slope * x + transfer.height, 1e-9)

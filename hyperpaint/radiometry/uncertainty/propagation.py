@@ -13,11 +13,11 @@ import numpy as np
 
 from hyperpaint.base import schema
 from hyperpaint.base.arrays import Array, Floats
+from hyperpaint.base.constants import QUANTISATION_VARIANCE_COUNT2
 from hyperpaint.base.errors import Problems, SchemaError
 from hyperpaint.base.schema import ALONG_TRACK, CROSS_TRACK
 from hyperpaint.kernels.arguments import ErrorTerms
 from hyperpaint.radiometry import slabs
-from hyperpaint.radiometry.slabs import QUANTISATION
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -65,7 +65,7 @@ def uncertainty_inputs(dataset: xr.Dataset, panel: float | None) -> dict[str, An
     """
     problems = Problems("cannot compute uncertainties of reflectance", SchemaError)
     if "counts" not in dataset.variables:
-        problems.add("'counts' is missing: noise follows from counts, and cannot be had from radiance alone")
+        problems.add("'counts' is missing: noise follows from counts, not from radiance alone")
     for name in _NOISE[:2]:
         if name not in dataset.variables:
             problems.add(
@@ -74,8 +74,8 @@ def uncertainty_inputs(dataset: xr.Dataset, panel: float | None) -> dict[str, An
             )
     problems.raise_if_any()
     names = [name for name in (*_NOISE, *_SYSTEMATIC) if name in dataset.variables]
-    found = schema.require(dataset, names, "uncertainties of reflectance")
-    values = {name: slabs.small(array) for name, array in found.items()}
+    arrays = schema.require(dataset, names, "uncertainties of reflectance")
+    values = {name: slabs.small(array) for name, array in arrays.items()}
     return values if panel is None else {**values, "panel_u": panel}
 
 
@@ -87,13 +87,15 @@ def with_uncertainty(result: xr.Dataset, cubes: tuple[Any, ...], uncertain: dict
     """
     import xarray as xr
 
-    known = [name for name in _SYSTEMATIC if name in uncertain]
+    systematic = [name for name in _SYSTEMATIC if name in uncertain]
     if "panel_u" in uncertain:
-        known = [n for n in known if n not in ("radiance_gain_u_systematic", "irradiance_u_systematic")]
-        known.append("panel")
+        systematic = [
+            n for n in systematic if n not in ("radiance_gain_u_systematic", "irradiance_u_systematic")
+        ]
+        systematic.append("panel")
     entered = {
         "reflectance_u_random": [name for name in _NOISE if name in uncertain],
-        "reflectance_u_systematic": known,
+        "reflectance_u_systematic": systematic,
     }
     for name, cube in zip(UNCERTAINTIES, cubes, strict=True):
         attrs = {
@@ -140,7 +142,11 @@ def error_terms(
         return _rows(uncertain.get(name, 0.0), bad.shape)
 
     whole = np.issubdtype(np.dtype(dtype), np.integer)
-    floor = of("read_noise") ** 2 + of("dark_counts_u_random") ** 2 + (QUANTISATION if whole else 0.0)
+    floor = (
+        of("read_noise") ** 2
+        + of("dark_counts_u_random") ** 2
+        + (QUANTISATION_VARIANCE_COUNT2 if whole else 0.0)
+    )
     squares = [of("radiance_gain_u_random") ** 2]
     if "panel_u" in uncertain:
         # scaled to a panel, reflectance has the panel's uncertainty in place of what all elements share
@@ -178,12 +184,12 @@ def _irradiance_u(
     uncertain: Mapping[str, Any], cube: Mapping[str, Any], light: Mapping[str, Any] | None
 ) -> Floats:
     """Return the relative uncertainty of the irradiance of every band (1 or band, 1)."""
-    known = np.asarray(uncertain.get("irradiance_u_systematic", 0.0), np.float64)
-    if known.ndim == 0 or light is None:
-        return known.reshape(1, 1)
+    relative = np.asarray(uncertain.get("irradiance_u_systematic", 0.0), np.float64)
+    if relative.ndim == 0 or light is None:
+        return relative.reshape(1, 1)
     channels = np.asarray(light["irradiance_wavelength"], np.float64)
     order = np.argsort(channels, kind="stable")
-    at = np.interp(np.asarray(cube["wavelength"]), channels[order], known[order])
+    at = np.interp(np.asarray(cube["wavelength"]), channels[order], relative[order])
     return np.asarray(at[:, None])
 
 
@@ -277,8 +283,8 @@ def mean_uncertainty(region: xr.Dataset, dims: Sequence[str] | str | None = None
     ...     "reflectance": (pixels, rng.normal(0.3, 0.01, (20, 30))),
     ...     "reflectance_u_random": (pixels, np.full((20, 30), 0.01)),
     ...     "reflectance_u_systematic": (pixels, np.full((20, 30), 0.006))})
-    >>> found = mean_uncertainty(region)
-    >>> print(int(found.n), f"{float(found.u_random):.4f} {float(found.u_systematic):.4f}")
+    >>> mean = mean_uncertainty(region)
+    >>> print(int(mean.n), f"{float(mean.u_random):.4f} {float(mean.u_systematic):.4f}")
     600 0.0004 0.0060
     """
     import xarray as xr
@@ -307,7 +313,7 @@ def mean_uncertainty(region: xr.Dataset, dims: Sequence[str] | str | None = None
     if _nothing_known(region[names[2]], systematic):
         common = np.full_like(common, np.nan)
     effective = np.array([effective_number(plane) for plane in value])
-    made = {
+    estimates = {
         "mean": (mean, "Mean reflectance"),
         "n": (n, "Pixels"),
         "n_eff": (effective, "Independent pixels"),
@@ -316,7 +322,10 @@ def mean_uncertainty(region: xr.Dataset, dims: Sequence[str] | str | None = None
     }
     coords = {name: c for name, c in region["reflectance"].coords.items() if set(c.dims) <= set(rest)}
     result = xr.Dataset(
-        {k: (rest, v.reshape(shape), {"units": "1", "long_name": text}) for k, (v, text) in made.items()},
+        {
+            k: (rest, v.reshape(shape), {"units": "1", "long_name": text})
+            for k, (v, text) in estimates.items()
+        },
         coords,
     )
     for name, source in zip(("u_random", "u_systematic"), names[1:], strict=True):
@@ -358,8 +367,8 @@ def effective_number(plane: Floats) -> float:
     # a mean that was subtracted leaves -1/n in every pair
     correlation = (total + count / n) / np.maximum(count, 1.0)
     # every pair is counted from either end
-    told = (correlation > 2.0 / np.sqrt(np.maximum(count / 2.0, 1.0))) & (count > 0)
-    told[0] = True
-    reach = int(np.argmin(told)) if not told.all() else told.size
+    correlated = (correlation > 2.0 / np.sqrt(np.maximum(count / 2.0, 1.0))) & (count > 0)
+    correlated[0] = True
+    reach = int(np.argmin(correlated)) if not correlated.all() else correlated.size
     excess = float((correlation[1:reach] * count[1:reach]).sum()) / n
     return float(np.clip(n / (1.0 + excess), 1.0, n))
