@@ -251,12 +251,14 @@ def riddles() -> Names:
 
 
 def bare_refusals() -> Names:
-    """Return messages that say "cannot be" and nothing after it."""
+    """Return messages that say "cannot be" and nothing after it; docstrings are no messages."""
     bare = re.compile(r"cannot be(?! [a-z])|cannot be (had|told|so)\b")
     places = []
     for name, path in modules().items():
-        for node in ast.walk(tree_of(path)):
-            text = node.value if isinstance(node, ast.Constant) else None
+        tree = tree_of(path)
+        docs = {id(node.value) for node in ast.walk(tree) if isinstance(node, ast.Expr)}
+        for node in ast.walk(tree):
+            text = node.value if isinstance(node, ast.Constant) and id(node) not in docs else None
             if isinstance(text, str) and bare.search(text):
                 places += [f"{name}:{node.lineno}: {text.strip()[:60]!r}"]
     return places

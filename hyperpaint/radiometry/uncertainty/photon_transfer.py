@@ -362,10 +362,11 @@ def _refuse_unless_sure(transfer: _Transfer) -> None:
     relative = np.sqrt(transfer.covariance[0, 0]) / max(transfer.slope, 1e-300)
     if transfer.slope > 0 and relative < _WORST_UNCERTAINTY:
         return
+    error = np.sqrt(transfer.covariance[0, 0])
     raise SchemaError(
         f"electrons per count are uncertain: signals of {transfer.low:.0f} to {transfer.high:.0f} counts "
-        f"give a slope of {transfer.slope:.3g} +- {np.sqrt(transfer.covariance[0, 0]):.2g} counts of variance a "
-        "count; take a line with dark and bright surfaces, or repeated frames of several levels"
+        f"give a slope of {transfer.slope:.3g} +- {error:.2g} counts of variance a count; "
+        "take a line with dark and bright surfaces, or repeated frames of several levels"
     )
 
 
