@@ -67,7 +67,7 @@ class _Method:
         return _Method(self.__name__, self._home, accessor)
 
     @property
-    def __wrapped__(self) -> Callable[..., Any]:
+    def _function(self) -> Callable[..., Any]:
         room, _, name = self._home.partition(":")
         function: Callable[..., Any] = getattr(
             importlib.import_module(f"hyperpaint.{room}"), name or self.__name__
@@ -76,11 +76,11 @@ class _Method:
 
     @property
     def __doc__(self) -> str:  # type: ignore[override]
-        return inspect.cleandoc(self.__wrapped__.__doc__ or "") + _ABOUT_DIMS
+        return inspect.cleandoc(self._function.__doc__ or "") + _ABOUT_DIMS
 
     @property
     def __signature__(self) -> inspect.Signature:
-        signature = inspect.signature(self.__wrapped__)
+        signature = inspect.signature(self._function)
         first, *others = signature.parameters.values()
         dims = inspect.Parameter(
             "dims", inspect.Parameter.KEYWORD_ONLY, default=None, annotation="Dims | None"
@@ -97,7 +97,7 @@ class _Method:
         if self._accessor is None:  # PaintAccessor.rgb(accessor)
             accessor, *rest = arguments
             return _Method(self.__name__, self._home, accessor)(*rest, dims=dims, **options)
-        return self.__wrapped__(rename_to_roles(self._accessor._dataset, dims), *arguments, **options)
+        return self._function(rename_to_roles(self._accessor._dataset, dims), *arguments, **options)
 
 
 @xr.register_dataset_accessor("paint")

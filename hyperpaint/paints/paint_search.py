@@ -91,7 +91,7 @@ def search_library(
 
     Examples
     --------
-    >>> from hyperpaint import starter_library
+    >>> from hyperpaint.paints import starter_library
     >>> paints = starter_library(members=0)
     >>> search_library(paints, colour="red", limit=2)["paint"].values.tolist()
     ['Synthetic Signal Red', 'Synthetic Lunar Red']

@@ -121,7 +121,7 @@ def check_picture(path: Path) -> None:
     >>> check_picture(Path("calibration.xls"))
     Traceback (most recent call last):
     hyperpaint.base.errors.SchemaError: the picture cannot be written to calibration.xls:
-      expected a name that ends in one of .eps, ...
+      expected a name that ends in one of ..., .svg, ...
     """
     kinds = new_figure("a picture").canvas.get_supported_filetypes()
     problems = Problems(f"the picture cannot be written to {path}", SchemaError)

@@ -82,10 +82,12 @@ def paired(signatures: Sequence[Measured], references: Sequence[Measured], pairs
     problems.raise_if_any()
     left = tuple(f"{each.name} ({each.instrument})" for k, each in enumerate(references) if k not in used)
     if not matched:
+        mend = "name them with {}, or give regions a property reference"
         raise SchemaError(
             f"no paint has a reference of its name; paints are {_listed([s.name for s in signatures])}, "
-            f"references {_listed(left)}; name them with pairs={{paint: reference}}, or give regions a "
-            "property reference"
+            f"references {_listed(left)}",
+            mend=mend.format("pairs={paint: reference}"),
+            option=mend.format("--pairs"),
         )
     return Pairing(tuple(matched), tuple(alone), left, tuple(missed))
 

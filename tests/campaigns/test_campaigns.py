@@ -22,7 +22,7 @@ pytestmark = pytest.mark.campaign
 PARSERS = (
     *("envi", "asd", "asd-text", "asd-open", "svc", "irradiance-csv", "irradiance-open"),
     *("frame-index", "imu-gps", "sbet", "lcf", "eph-att", "nav-csv", "settings", "gps-time", "collect-toml"),
-    *("dirsig-ems", "dirsig-txt", "dirsig-mat"),
+    *("dirsig-ems", "dirsig-mat"),
     *("library-envi", "library-metadata", "library-csv", "library-text"),
 )
 

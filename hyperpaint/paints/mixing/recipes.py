@@ -99,7 +99,7 @@ def mix_paints(
 
     Examples
     --------
-    >>> from hyperpaint import starter_library
+    >>> from hyperpaint.paints import starter_library
     >>> paints = starter_library(members=0)
     >>> white, black = "Synthetic Polar White", "Synthetic Carbon Black"
     >>> grey = {"grey": {white: 9, black: 1}}
@@ -177,7 +177,7 @@ def shade_paints(
 
     Examples
     --------
-    >>> from hyperpaint import starter_library
+    >>> from hyperpaint.paints import starter_library
     >>> red = starter_library(members=0).isel(paint=[5])
     >>> ladder = shade_paints(red, [0.1, 1.0])
     >>> ladder["paint"].values.tolist(), ladder.reflectance[:, :60].mean("band").values.round(2)

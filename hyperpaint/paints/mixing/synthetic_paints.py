@@ -233,7 +233,7 @@ def sample_paints(
 
     Examples
     --------
-    >>> from hyperpaint import starter_library
+    >>> from hyperpaint.paints import starter_library
     >>> paints = starter_library(members=50)
     >>> drawn = sample_paints(paints.isel(paint=[0]), 200)
     >>> drawn["paint"].item(), dict(drawn.member_reflectance.sizes)
