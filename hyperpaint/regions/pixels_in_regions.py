@@ -15,6 +15,7 @@ from hyperpaint.base.schema import ALONG_TRACK, CROSS_TRACK
 
 from .geojson import regions_from
 from .outlines import Region, Regions
+from .polygons import contains
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -27,10 +28,6 @@ Pixels = tuple[Ints, Ints]
 
 _BLOCK_PIXELS = 2**20
 """Pixels whose place is looked at together."""
-_MAX_EDGES_PER_POINT = 100
-"""Edges that a horizontal line through a point crosses, on average: a zigzag has thousands."""
-_FREE_COMPARISONS = 10_000_000
-"""Comparisons of an edge with a point that any polygon may take."""
 
 _GROUND = (("east", "north"), ("easting", "northing"), ("longitude", "latitude"), ("lon", "lat"), ("x", "y"))
 _GEOGRAPHIC = ("longitude", "lon")
@@ -167,66 +164,6 @@ def _inside(region: Region, x: Floats, y: Floats) -> Bools:
         return contains(region.polygon, region.holes, x, y)
     except SchemaError as error:
         raise SchemaError(f"the pixels of region {region.name!r} cannot be found: {error}") from error
-
-
-def contains(polygon: Floats, holes: Sequence[Floats], x: Floats, y: Floats) -> Bools:
-    """Return which points lie in a polygon or on one of its edges (point,).
-
-    Parameters
-    ----------
-    polygon : (vertex, 2)
-        x and y of its corners, in order; the last is joined to the first.
-    holes
-        Rings cut out of it, as ``polygon``; a hole's edge belongs to the polygon.
-    x, y : (point,)
-        The points; NaN are in no polygon.
-
-    Raises
-    ------
-    SchemaError
-        Too many long edges: it would take minutes.
-
-    Notes
-    -----
-    Where a ring crosses itself, what it winds around an even number of times is outside (even-odd rule): no
-    ring is refused for that. GEOS decides on which side of an edge a point lies in double-double arithmetic:
-    exact for corners on pixels and their fractions, and on maps; not for corners that differ by 1e-16 at the
-    end of an edge of 1e9, nor below 1e-160.
-
-    Examples
-    --------
-    >>> square = np.array([[0.0, 0.0], [2.0, 0.0], [2.0, 2.0], [0.0, 2.0]])
-    >>> contains(square, [], np.array([1.0, 2.0, 2.1]), np.array([1.0, 0.5, 0.5])).tolist()
-    [True, True, False]
-    """
-    import shapely
-
-    _check_effort([polygon, *holes], x, y)
-    # ring by ring: overlapping holes of one polygon would cancel one another under the even-odd rule
-    outline, *cut_out = (shapely.Polygon(ring) for ring in (polygon, *holes))
-    shapely.prepare([outline, *cut_out])
-    inside = shapely.intersects_xy(outline, x, y)
-    for hole in cut_out:
-        inside &= ~shapely.contains_xy(hole, x, y)
-    return np.asarray(inside)
-
-
-def _check_effort(rings: Sequence[Floats], x: Floats, y: Floats) -> None:
-    """Refuse rings of which a horizontal line through a point crosses too many edges."""
-    low, high = rings[0].min(axis=0), rings[0].max(axis=0)
-    boxed = np.sort(y[(x >= low[0]) & (x <= high[0]) & (y >= low[1]) & (y <= high[1])])
-    comparisons = 0
-    for ring in rings:
-        start, stop = ring[:, 1], np.roll(ring[:, 1], -1)
-        first = np.searchsorted(boxed, np.minimum(start, stop), "left")
-        last = np.searchsorted(boxed, np.maximum(start, stop), "right")
-        comparisons += int((last - first).sum())
-    if comparisons > _FREE_COMPARISONS + _MAX_EDGES_PER_POINT * boxed.size:
-        raise SchemaError(
-            f"{comparisons / boxed.size:.0f} of its edges pass every one of {boxed.size} pixels",
-            expected=f"at most {_MAX_EDGES_PER_POINT}",
-            mend="split it, or give it fewer corners",
-        )
 
 
 def _values(part: xr.DataArray, lines: int, columns: int) -> Floats:

@@ -13,7 +13,7 @@ from hypothesis import given, settings, strategies as st
 
 from hyperpaint.base.errors import SchemaError
 from hyperpaint.regions import Region, Regions, pixels, pixels_in_regions, pixels_of, region_mask
-from hyperpaint.regions.pixels_in_regions import contains
+from hyperpaint.regions.polygons import contains
 
 SQUARE = [(1, 1), (5, 1), (5, 5), (1, 5)]
 
@@ -58,7 +58,29 @@ def fast(polygon: Any, holes: Any, points: Any) -> list[bool]:
 NEXT = float(np.nextafter(2.0, 3.0))
 # what pixels, their fractions and maps have; GEOS is exact there, but not for 1e9 and 1e-16 in one polygon
 awkward = st.sampled_from(
-    [0.0, 1.0, 2.0, 3.0, 5.0, 0.5, 1.5, 0.1, 0.3, 0.7, 1 / 3, NEXT, 2.0 - 2**-52, -1.0, 1e3, -1e3]
+    [
+        0.0,
+        1.0,
+        2.0,
+        3.0,
+        5.0,
+        0.5,
+        1.5,
+        0.1,
+        0.3,
+        0.7,
+        1 / 3,
+        NEXT,
+        2.0 - 2**-52,
+        1e-300,
+        3e-162,
+        7e-162,
+        1.1e-161,
+        5e-324,
+        -1.0,
+        1e9,
+        -1e9,
+    ]
 )
 corner = st.tuples(awkward, awkward)
 ring = st.lists(corner, min_size=3, max_size=9)

@@ -1,0 +1,141 @@
+"""Which points lie in a polygon: exactly, whatever its coordinates.
+
+A point on an edge is inside. To tell "on" from "beside", the sign of a cross product has to be that of the
+numbers as they stand and not of their rounding: where its float64 value is within the bound of its rounding
+error [1]_ it is computed again in rational numbers. shapely is not used: GEOS takes points a hair beside
+an edge for points on it (tests/regions/test_regions.py, corners divided by three).
+
+References
+----------
+.. [1] J. R. Shewchuk, "Adaptive Precision Floating-Point Arithmetic and Fast Robust Geometric Predicates",
+   Discrete Comput. Geom. 18, 305-363 (1997), section 4.1.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from fractions import Fraction
+
+import numpy as np
+import numpy.typing as npt
+
+from hyperpaint.base.arrays import Bools, Floats
+from hyperpaint.base.errors import SchemaError
+
+__all__ = ["contains"]
+
+Index = npt.NDArray[np.intp]
+
+_EPSILON = 2.0**-53
+_ROUNDING = (3.0 + 16.0 * _EPSILON) * _EPSILON
+_TINIEST = float(np.finfo(np.float64).tiny)
+
+_MOST_EDGES = 100
+"""Edges that pass a point on its left or right, on average: some of an outline, thousands of a zigzag."""
+_FREE = 10_000_000
+"""Comparisons of an edge with a point that any polygon may take."""
+
+
+def contains(polygon: Floats, holes: Sequence[Floats], x: Floats, y: Floats) -> Bools:
+    """Return which points lie in a polygon or on one of its edges (point,).
+
+    Parameters
+    ----------
+    polygon : (vertex, 2)
+        x and y of its corners, in order; the last is joined to the first.
+    holes
+        Rings cut out of it, as ``polygon``; a hole's edge belongs to the polygon.
+    x, y : (point,)
+        The points; NaN are in no polygon.
+
+    Raises
+    ------
+    SchemaError
+        Too many long edges: it would take minutes.
+
+    Notes
+    -----
+    Where a ring crosses itself, what it winds around an even number of times is outside (even-odd rule).
+
+    Examples
+    --------
+    >>> square = np.array([[0.0, 0.0], [2.0, 0.0], [2.0, 2.0], [0.0, 2.0]])
+    >>> contains(square, [], np.array([1.0, 2.0, 2.1]), np.array([1.0, 0.5, 0.5])).tolist()
+    [True, True, False]
+    """
+    low, high = polygon.min(axis=0), polygon.max(axis=0)
+    boxed = (x >= low[0]) & (x <= high[0]) & (y >= low[1]) & (y <= high[1])
+    near = np.flatnonzero(boxed)
+    # an edge then meets one run of points only
+    near = near[np.argsort(y[near], kind="stable")]
+    near_x, near_y = x[near], y[near]
+    rings = [polygon, *holes]
+    runs = [_runs(ring, near_y) for ring in rings]
+    _check_effort(sum(int((last - first).clip(0).sum()) for first, last in runs), near.size)
+    inside = np.ones(near.size, bool)
+    for number, (ring, (first, last)) in enumerate(zip(rings, runs, strict=True)):
+        # only points beside a ring can be in it
+        part = slice(int(first.min()), int(last.max())) if number else slice(0, near.size)
+        if part.start >= part.stop:
+            continue
+        within, edge = _ring(ring, near_x[part], near_y[part], first - part.start, last - part.start)
+        inside[part] &= ~within | edge if number else within | edge
+    belongs: Bools = np.zeros(x.size, bool)
+    belongs[near] = inside
+    return belongs
+
+
+def _check_effort(comparisons: int, points: int) -> None:
+    if comparisons > _FREE + _MOST_EDGES * points:
+        raise SchemaError(
+            f"{comparisons / points:.0f} of its edges pass every one of {points} pixels",
+            expected=f"at most {_MOST_EDGES}",
+            mend="split it, or give it fewer corners",
+        )
+
+
+def _runs(ring: Floats, y: Floats) -> tuple[Index, Index]:
+    """Return the first point beside every edge, and that after the last one (edge,); y ascends."""
+    closed = np.concatenate([ring, ring[:1]])[:, 1]
+    first = np.searchsorted(y, np.minimum(closed[:-1], closed[1:]), "left")
+    last = np.searchsorted(y, np.maximum(closed[:-1], closed[1:]), "right")
+    return first, last
+
+
+def _ring(ring: Floats, x: Floats, y: Floats, first: Index, last: Index) -> tuple[Bools, Bools]:
+    """Return which points a ring winds around an odd number of times, and which lie on it; y ascends."""
+    within = np.zeros(x.size, bool)
+    edge = np.zeros(x.size, bool)
+    closed = np.concatenate([ring, ring[:1]])
+    low, high = np.minimum(closed[:-1], closed[1:]), np.maximum(closed[:-1], closed[1:])
+    for k in np.flatnonzero(first < last):
+        run = slice(first[k], last[k])
+        start, stop = closed[k], closed[k + 1]
+        side = _side(start, stop, x[run], y[run])
+        edge[run] |= (side == 0) & (x[run] >= low[k, 0]) & (x[run] <= high[k, 0])
+        # a ray to the right crosses an edge that has the point on its inner side; a corner counts once
+        rises = (start[1] <= y[run]) & (y[run] < stop[1]) & (side > 0)
+        falls = (stop[1] <= y[run]) & (y[run] < start[1]) & (side < 0)
+        within[run] ^= rises | falls
+    return within, edge
+
+
+def _side(start: Floats, stop: Floats, x: Floats, y: Floats) -> npt.NDArray[np.int8]:
+    """Return 1 for points left of a directed edge, -1 right of it, 0 on its line."""
+    along_x, along_y = stop[0] - start[0], stop[1] - start[1]
+    off_x, off_y = x - start[0], y - start[1]
+    left, right = along_x * off_y, along_y * off_x
+    cross = left - right
+    side: npt.NDArray[np.int8] = np.sign(cross).astype(np.int8)
+    doubtful = np.abs(cross) <= _ROUNDING * (np.abs(left) + np.abs(right)) + _TINIEST
+    # a difference of zero is exact, and so is a product with it
+    doubtful &= ((along_x != 0) & (off_y != 0)) | ((along_y != 0) & (off_x != 0))
+    for k in np.flatnonzero(doubtful).tolist():
+        side[k] = _exact_side(start, stop, float(x[k]), float(y[k]))
+    return side
+
+
+def _exact_side(start: Floats, stop: Floats, x: float, y: float) -> int:
+    x0, y0, x1, y1 = (Fraction(float(value)) for value in (*start, *stop))
+    cross = (x1 - x0) * (Fraction(y) - y0) - (y1 - y0) * (Fraction(x) - x0)
+    return (cross > 0) - (cross < 0)
