@@ -163,6 +163,8 @@ def computing_on(address: str | None) -> Iterator[Client | None]:
     StoreError
         No worker comes.
     """
+    import dask
+
     from hyperpaint.io.store.computing import client_in_force
 
     if address is None:
@@ -177,12 +179,13 @@ def computing_on(address: str | None) -> Iterator[Client | None]:
         needed = MissingExtraError.of("distributed", "distributed", "processing on a cluster")
         raise needed from error
     try:
-        client = Client(address, timeout="10s", set_as_default=True)
+        # as default client, one that finds no scheduler would stay the default, and every later compute waits
+        client = Client(address, timeout="10s", set_as_default=False)
     except (OSError, ValueError, TimeoutError) as error:
         raise CollectError(
             f"no dask scheduler answers at {address!r} ({error}); expected something like tcp://host:8786"
         ) from error
-    with client:
+    with client, client.as_current(), dask.config.set(scheduler=client.get):
         _wait_for_workers(client)
         yield client
 

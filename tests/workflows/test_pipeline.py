@@ -8,6 +8,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import dask
 import numpy as np
 import pytest
 import xarray as xr
@@ -265,6 +266,7 @@ def test_a_wrong_address_is_one_error(collect: Path, tmp_path: Path) -> None:
     pytest.importorskip("distributed")
     with pytest.raises(hp.errors.CollectError, match="no dask scheduler answers at 'nonsense'"):
         hp.process(collect, tmp_path / "lot.zarr", scheduler="nonsense")
+    assert dask.config.get("scheduler", None) is None  # later computations run where they ran before
 
 
 def test_vendor_radiance_becomes_reflectance(collect: Path, store: Path, tmp_path: Path) -> None:
