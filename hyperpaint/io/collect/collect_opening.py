@@ -10,8 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from hyperpaint.base.errors import CollectError, Findings, Problems, Unavailable
 from hyperpaint.io.flightline.calibration_store import open_calibration
-from hyperpaint.io.flightline.flightline_opening import assemble
-from hyperpaint.io.flightline.line_parts import FlightlineInputs
+from hyperpaint.io.flightline.flightline_opening import FlightlineInputs, assemble
 from hyperpaint.io.flightline.timing import Timing
 from hyperpaint.io.navigation.navigation_records import Navigation, read_imu_gps
 from hyperpaint.io.spectrometers.reference_files import open_spectra

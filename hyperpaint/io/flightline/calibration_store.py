@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import functools
 import os
 import warnings
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -69,6 +71,7 @@ _OF_A_SWEEP = (
     "second_order",
 )
 _TABULATED = ("srf_offset", "srf")
+_LARGEST = {"wavelength_shift": (100.0, "nm"), "look_angle": (90.0, "degrees")}
 
 
 def open_calibration(source: str | os.PathLike[str] | xr.Dataset, *, group: str | None = None) -> xr.Dataset:
@@ -119,17 +122,19 @@ def open_calibration(source: str | os.PathLike[str] | xr.Dataset, *, group: str 
     if isinstance(source, xr.Dataset):
         return check_calibration(source)
     path = Path(source)
-    if not path.exists():
-        raise FormatError(f"{path}: no such calibration; expected a Zarr store or a netCDF file")
-    dataset = _read(path, group)
+    dataset = _read(path, group, "calibration", _load_store)
     if group is None and "radiance_gain" not in dataset.variables and (path / "calibration").is_dir():
-        dataset = _read(path, "calibration")
+        dataset = _read(path, "calibration", "calibration", _load_store)
     return check_calibration(dataset, str(path))
 
 
-def _read(path: Path, group: str | None) -> xr.Dataset:
+def _read(
+    path: Path, group: str | None, what: str, open_zarr: Callable[[Path, str | None], xr.Dataset]
+) -> xr.Dataset:
+    if not path.exists():
+        raise FormatError(f"{path}: no such {what}; expected a Zarr store or a netCDF file")
     try:
-        return _load_store(path, group) if path.is_dir() else load_netcdf(path, group)
+        return open_zarr(path, group) if path.is_dir() else load_netcdf(path, group)
     except Exception as error:  # zarr, codecs, numpy and the netCDF engines each have their own
         hint = "" if path.is_dir() else "; netCDF-4 needs: python -m pip install h5netcdf"
         raise FormatError(
@@ -219,24 +224,23 @@ def _variable(dataset: xr.Dataset, name: str) -> xr.DataArray:
 
 
 def _check_values(name: str, values: np.ndarray[Any, Any], problems: Problems) -> None:
+    finite = bool(np.isfinite(values).all())
     if name == "radiance_gain":
         gains = values[~np.isnan(values)]
+        bad = int((~np.isfinite(gains) | (gains <= 0)).sum())
         if not gains.size:
             problems.add(
                 "'radiance_gain' is NaN everywhere, expected a gain for the elements that are not bad"
             )
-        elif not (np.isfinite(gains).all() and (gains > 0).all()):
-            bad = int((~np.isfinite(gains) | (gains <= 0)).sum())
+        elif bad:
             problems.add(f"'radiance_gain' is zero, negative or infinite in {bad} elements; bad ones are NaN")
     elif name in ("wavelength", "fwhm", "band_spacing", "saturation_count", "electrons_per_count"):
-        if not (np.isfinite(values).all() and (values > 0).all()):
+        if not (finite and (values > 0).all()):
             problems.add(f"{name!r} is not finite and positive everywhere")
-    elif name == "wavelength_shift":
-        if not (np.isfinite(values).all() and (np.abs(values) < 100.0).all()):
-            problems.add("'wavelength_shift' is not finite and below 100 nm everywhere")
-    elif name == "look_angle":
-        if not (np.isfinite(values).all() and (np.abs(values) < 90.0).all()):
-            problems.add("'look_angle' is not finite and below 90 degrees everywhere")
+    elif name in _LARGEST:
+        largest, unit = _LARGEST[name]
+        if not (finite and (np.abs(values) < largest).all()):
+            problems.add(f"{name!r} is not finite and below {largest:g} {unit} everywhere")
     elif name.startswith("radiance_gain_u_") or name in ("wavelength_u", "irradiance_u_systematic"):
         if (values < 0).any():
             problems.add(f"{name!r} is negative in places, expected a standard uncertainty")
@@ -244,8 +248,39 @@ def _check_values(name: str, values: np.ndarray[Any, Any], problems: Problems) -
         levels = values[~np.isnan(values)] if name == "read_noise" else values
         if not (np.isfinite(levels).all() and (levels >= 0).all()):
             problems.add(f"{name!r} is not finite and at least zero everywhere")
-    elif name == "srf_offset" and not (np.isfinite(values).all() and (np.diff(values) > 0).all()):
+    elif name == "srf_offset" and not (finite and (np.diff(values) > 0).all()):
         problems.add("'srf_offset' does not increase strictly")
+
+
+def calibration_parts(calibration: xr.Dataset | None, is_counts: bool) -> dict[str, xr.DataArray]:
+    """Return what a line keeps of its calibration; of a radiance cube's, line shape and look angles."""
+    if calibration is None:
+        return {}
+    left = {
+        "dark_counts",
+        "dark_exposure_time",
+        "dark_bias",
+        "dark_rate",
+        "flat_field",  # in the gain already
+        "responsivity",
+        "saturation_count",
+    }
+    # the lines of a lab sweep stay with the calibration
+    own = {BAND, CROSS_TRACK, "srf_offset", "irradiance_wavelength"}
+    names = [
+        str(name)
+        for name, array in calibration.data_vars.items()
+        if name not in left and set(array.dims) <= own
+    ]
+    if not is_counts:
+        names = [name for name in names if name in ("srf", "look_angle")]
+    return {name: calibration[name].reset_coords(drop=True) for name in names}
+
+
+def scale_attrs(calibration: xr.Dataset | None) -> dict[str, Any]:
+    """Return what the calibration says of the counts and the scale that its gain holds for."""
+    names = ("linearity", "absolute_scale")
+    return {} if calibration is None else {k: calibration.attrs[k] for k in names if k in calibration.attrs}
 
 
 def open_sweep(path: str | os.PathLike[str], *, group: str | None = None) -> xr.Dataset:
@@ -271,15 +306,8 @@ def open_sweep(path: str | os.PathLike[str], *, group: str | None = None) -> xr.
     from hyperpaint.io.store import open_unverified
 
     path = Path(path)
-    if not path.exists():
-        raise FormatError(f"{path}: no such sweep; expected a Zarr store or a netCDF file")
-    try:
-        # counts change from step to step only along one dim: a chunk of steps is all that is in memory
-        opened = open_unverified(path, group, chunks={}) if path.is_dir() else load_netcdf(path, group)
-    except Exception as error:  # zarr, codecs, numpy and the netCDF engines each have their own
-        raise FormatError(
-            f"{path}: not a readable Zarr store or netCDF file ({type(error).__name__}: {error!s:.200})"
-        ) from error
+    # counts change from step to step only along one dim: a chunk of steps is all that is in memory
+    opened = _read(path, group, "sweep", functools.partial(open_unverified, chunks={}))
     if "counts" not in opened.variables or STEP not in opened["counts"].dims:
         held = ", ".join(sorted(map(str, opened.variables))[:8]) or "nothing"
         raise FormatError(f"{path}: no lab sweep: expected 'counts' (step, band, cross_track), found {held}")

@@ -24,7 +24,7 @@ from hyperpaint.base.schema import (
     require,
 )
 
-from .headwall import DarkFrames, cube_number, exposure_seconds, find_settings, read_settings, sum_dark
+from .headwall import DarkFrames, cube_number, exposure_seconds, exposure_sources, sum_dark
 from .timing import Timing, line_times, utc_of
 
 if TYPE_CHECKING:
@@ -169,14 +169,10 @@ def _reference(source: Any, timing: Timing, shape: tuple[int, ...] | None) -> _R
 def _exposure(opened: xr.Dataset, path: Path | None, name: str) -> float | None:
     if "exposure_time" in opened and opened["exposure_time"].ndim == 0:
         return float(require(opened, ["exposure_time"], "a dark correction")["exposure_time"])
-    settings = None if path is None else find_settings(path)
-    if settings is not None:
-        seconds = exposure_seconds(read_settings(settings), f"dark {name}: settings.txt")
-        if seconds is not None:
-            return seconds
-    return exposure_seconds(
-        json.loads(opened.attrs.get("envi_comments", "{}")), f"dark {name}: header comments"
+    stated = (
+        exposure_seconds(pairs, f"dark {name}: {source}") for source, pairs in exposure_sources(path, opened)
     )
+    return next((seconds for seconds in stated if seconds is not None), None)
 
 
 def _time(opened: xr.Dataset, path: Path | None, timing: Timing, lines: int) -> np.datetime64 | None:
@@ -235,8 +231,7 @@ def _combine(references: list[_Reference]) -> Dark:
         fewest = min(ref.frames.lines for ref in references)
         spread = None if variance is None else _labelled(np.sqrt(variance / fewest), "dark_counts_u_random")
         return Dark(counts, tuple(ref.exposure for ref in references), noise, source, spread)
-    exposures = {ref.exposure for ref in references}
-    if len(exposures) > 1:
+    if len({ref.exposure for ref in references}) > 1:
         shown = ", ".join(
             f"{ref.name} {'unknown' if ref.exposure is None else f'{ref.exposure * 1e3:g} ms'}"
             for ref in references

@@ -5,29 +5,31 @@ from __future__ import annotations
 import os
 import warnings
 from collections.abc import Mapping, Sequence
-from dataclasses import fields
+from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
 from hyperpaint.base.attitude_conventions import Convention
-from hyperpaint.base.errors import Findings, PaintWarning, SchemaError, Unavailable
-from hyperpaint.base.schema import ALONG_TRACK, BAND, CROSS_TRACK, label
+from hyperpaint.base.errors import Findings, FormatError, PaintWarning, SchemaError, Unavailable
+from hyperpaint.base.schema import (
+    ALONG_TRACK,
+    BAND,
+    CHUNK_LINES,
+    CROSS_TRACK,
+    CUBE,
+    VARIABLES,
+    label,
+    rename_to_roles,
+)
+from hyperpaint.base.units import conversion_factor, convert
 from hyperpaint.io.navigation.navigation_records import ASSUMED, Navigation
 from hyperpaint.io.spectrometers.irradiance_cut import cut_irradiance
 
-from .calibration_store import open_calibration
+from .calibration_store import calibration_parts, open_calibration, scale_attrs
 from .dark import Dark, open_dark
-from .line_parts import (
-    FlightlineInputs,
-    check_cube,
-    find_exposure,
-    find_saturation,
-    lazy_cube,
-    open_file,
-    path_of,
-)
+from .headwall import find_exposure
 from .timing import LineTimes, Timing, line_times
 
 if TYPE_CHECKING:
@@ -36,10 +38,39 @@ if TYPE_CHECKING:
 
     type_path = str | os.PathLike[str]
 
-__all__ = ["assemble", "open_flightline"]
+__all__ = ["FlightlineInputs", "assemble", "open_flightline"]
 
-#: Nanometres between header and calibration beyond which the user hears of it.
-_WAVELENGTH_TOLERANCE = 0.5
+#: Difference between the wavelengths of header and calibration above which a warning is given [nm].
+_WAVELENGTH_TOLERANCE_NM = 0.5
+_BLANK = np.uint16(65535)
+
+
+@dataclass(frozen=True, kw_only=True)
+class FlightlineInputs:
+    """What `assemble` needs; the fields are the arguments of `open_flightline`."""
+
+    cube: Path | xr.Dataset
+    timing: Timing | Unavailable
+    exposure_time: Any = None
+    dark: Any = None
+    calibration: type_path | xr.Dataset | Unavailable | None = None
+    irradiance: Any = None
+    bit_depth: int = 12
+    saturation_count: float | None = None
+    radiance_units: str | None = None
+    fwhm_nm: float | None = None
+    chunks: Any = "auto"
+    name: str | None = None
+    keep_whole_lines: bool = False
+    convention: Mapping[str, Any] = field(default_factory=dict)
+    attrs: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def path(self) -> Path:
+        """The cube's path, or what names it in messages where it is a Dataset."""
+        if isinstance(self.cube, Path):
+            return self.cube
+        return Path(self.name or str(self.cube.attrs.get("source", "cube")))
 
 
 def open_flightline(
@@ -179,15 +210,12 @@ def open_flightline(
         gps_leap_seconds=gps_leap_seconds,
         max_gap_s=nav_max_gap_s,
     )
-    calibration_source: Path | xr.Dataset | None = None
-    if calibration is not None:
-        calibration_source = calibration if isinstance(calibration, xr.Dataset) else Path(calibration)
     inputs = FlightlineInputs(
         cube=source,
         timing=timing,
         exposure_time=exposure_time,
         dark=dark,
-        calibration=calibration_source,
+        calibration=calibration,
         irradiance=irradiance,
         bit_depth=bit_depth,
         saturation_count=saturation_count,
@@ -212,17 +240,20 @@ def assemble(inputs: FlightlineInputs, findings: Findings) -> xr.Dataset:
     """
     import xarray as xr
 
-    path = path_of(inputs)
+    path = inputs.path
+    on_disk = inputs.cube if isinstance(inputs.cube, Path) else None
     cube: xr.DataArray | None = None
     opened = xr.Dataset()
     is_counts = True
     with findings.step():
-        opened = open_file(inputs)
+        opened = _open_file(inputs)
         is_counts = "counts" in opened
-        cube = check_cube(opened, inputs)
+        cube = _check_cube(opened, inputs)
     exposure: NDArray[np.float64] | None = None
     with findings.step():
-        exposure, exposure_source = find_exposure(inputs, path, opened, required=is_counts)
+        exposure, exposure_source = find_exposure(
+            inputs.exposure_time, on_disk, path.name, opened, required=is_counts
+        )
     calibration: xr.Dataset | None = None
     with findings.step():
         calibration = _calibration(inputs, cube, required=is_counts)
@@ -249,16 +280,16 @@ def assemble(inputs: FlightlineInputs, findings: Findings) -> xr.Dataset:
         meaning = _navigation_attrs(inputs.convention, timing) if timing.nav is not None else {}
     saturation: xr.DataArray | None = None
     with findings.step():
-        saturation = find_saturation(inputs, calibration)
+        saturation = _saturation(inputs, calibration)
     if findings.errors or cube is None or times is None:
         return xr.Dataset()
-    parts: dict[str, xr.DataArray] = {cube.name: lazy_cube(cube, times, inputs)}  # type: ignore[dict-item]
+    parts: dict[str, xr.DataArray] = {cube.name: _lazy_cube(cube, times, inputs)}  # type: ignore[dict-item]
     attrs: dict[str, Any] = {"name": inputs.name or path.name.split(".")[0], "source": path.name}
     if exposure is not None:
         dims = (ALONG_TRACK,) if exposure.ndim else ()
         parts["exposure_time"] = label(xr.DataArray(exposure, dims=dims), "exposure_time")
         attrs["exposure_source"] = exposure_source
-    parts |= _calibration_parts(calibration, is_counts)
+    parts |= calibration_parts(calibration, is_counts)
     if dark is not None and saturation is not None:
         parts |= {"saturation_count": saturation, **dark.variables(needs_noise="read_noise" not in parts)}
         attrs["dark_source"] = dark.source
@@ -271,7 +302,7 @@ def assemble(inputs: FlightlineInputs, findings: Findings) -> xr.Dataset:
         "irradiance_srf_shape": "gaussian"
         if irradiance is None
         else irradiance.attrs["irradiance_srf_shape"],
-        **_scale_attrs(calibration if is_counts else None),
+        **scale_attrs(calibration if is_counts else None),
         "time_source": times.source,
         "stamp": timing.stamp,
         **meaning,
@@ -282,65 +313,126 @@ def assemble(inputs: FlightlineInputs, findings: Findings) -> xr.Dataset:
     return line
 
 
+# --- cube --------------------------------------------------------------------------------------------------
+
+
+def _open_file(inputs: FlightlineInputs) -> xr.Dataset:
+    """Open the cube's file, or give the dims of a Dataset the names of their roles."""
+    from hyperpaint.io.envi.envi_cubes import open_envi
+
+    if isinstance(inputs.cube, Path):
+        opened = open_envi(inputs.cube, keep_whole_lines=inputs.keep_whole_lines)
+    else:
+        opened = rename_to_roles(inputs.cube)
+    return opened.rename(values="radiance") if "values" in opened and inputs.radiance_units else opened
+
+
+def _check_cube(opened: xr.Dataset, inputs: FlightlineInputs) -> xr.DataArray:
+    """Return ``counts`` or ``radiance`` in sensor geometry, with units."""
+    path = inputs.path
+    name = next((name for name in ("counts", "radiance") if name in opened), None)
+    if name is None:
+        held = ", ".join(map(str, opened.data_vars)) or "nothing"
+        raise FormatError(f"{path}: holds {held}, expected raw counts or radiance (then give radiance_units)")
+    cube = opened[name]
+    if set(cube.dims) != set(CUBE):
+        raise FormatError(
+            f"{path}: dims {tuple(map(str, cube.dims))}, expected {CUBE}: sensor geometry, not a map"
+        )
+    if not all(cube.sizes.values()):
+        raise FormatError(f"{path}: empty, {dict(cube.sizes)}")
+    if name == "counts" and (cube.dtype.kind != "u" or cube.dtype.itemsize > 2):
+        raise FormatError(
+            f"{path}: samples are {cube.dtype}, expected raw counts: uint16 (ENVI data type 12) or uint8 (1)"
+        )
+    if name == "radiance":
+        units = inputs.radiance_units or cube.attrs.get("units")
+        if units is None:
+            raise FormatError(
+                f"{path}: radiance without units; give radiance_units, for example 'mW cm-2 sr-1 um-1'"
+            )
+        cube = cube.assign_attrs(units=units)
+        # a wrong unit is reported now, with the other problems
+        conversion_factor(str(units), VARIABLES[name].units)
+    return cube if cube.dims == CUBE else cube.transpose(*CUBE)
+
+
+def _lazy_cube(cube: xr.DataArray, times: LineTimes, inputs: FlightlineInputs) -> xr.DataArray:
+    """Chunk the cube, convert it, blank its dropped lines; no sample is read."""
+    name = str(cube.name)
+    cube = cube.drop_vars(list(cube.coords)).drop_encoding()
+    dropped = np.flatnonzero(~times.recorded)
+    units = cube.attrs.get("units")
+    as_is = name == "counts" or (units == VARIABLES[name].units and cube.dtype == np.float32)
+    automatic = isinstance(inputs.chunks, str) and inputs.chunks == "auto"
+    if not automatic and inputs.chunks is not None:
+        cube = cube.chunk(inputs.chunks)
+    elif cube.chunks is None and (automatic or dropped.size or not as_is):
+        # without dask, converting or blanking would read the cube
+        cube = cube.chunk({ALONG_TRACK: CHUNK_LINES, BAND: -1, CROSS_TRACK: -1})
+    if name == "radiance":
+        cube = convert(cube.astype(np.float32, copy=False), VARIABLES[name].units)
+    elif cube.dtype != np.uint16:
+        cube = cube.astype(np.uint16)
+    if dropped.size:
+        blanked = cube.data.map_blocks(_blank, dropped=dropped, dtype=cube.dtype, meta=cube.data._meta)
+        cube = cube.copy(data=blanked)
+    return label(cube, name)
+
+
+def _blank(
+    block: NDArray[Any], dropped: NDArray[np.intp], block_info: Mapping[Any, Any] | None = None
+) -> NDArray[Any]:
+    """Return a block of lines without what stands in the dropped ones."""
+    start, stop = (block_info or {})[0]["array-location"][0]
+    inside = dropped[(dropped >= start) & (dropped < stop)] - start
+    if inside.size:
+        block = block.copy()
+        block[inside] = _BLANK if block.dtype == np.uint16 else np.nan
+    return block
+
+
+def _saturation(inputs: FlightlineInputs, calibration: xr.Dataset | None) -> xr.DataArray:
+    """Return ``saturation_count``: the argument, that of the calibration, or the converter's last count."""
+    import xarray as xr
+
+    given = inputs.saturation_count
+    if given is None and calibration is not None and "saturation_count" in calibration:
+        return calibration["saturation_count"].reset_coords(drop=True)
+    if given is None:
+        if not 1 <= inputs.bit_depth <= 16:
+            raise SchemaError(f"bit_depth {inputs.bit_depth}, expected 1 to 16")
+        given = 2**inputs.bit_depth - 1
+    if not 0 < given <= 65535:
+        raise SchemaError(f"saturation_count {given}, expected a count up to 65535")
+    return label(xr.DataArray(np.float32(given)), "saturation_count")
+
+
 # --- calibration -------------------------------------------------------------------------------------------
 
 
 def _calibration(inputs: FlightlineInputs, cube: xr.DataArray | None, *, required: bool) -> xr.Dataset | None:
     if isinstance(inputs.calibration, Unavailable):
         return None
+    line = inputs.path.name
     if inputs.calibration is None:
         if required:
-            raise SchemaError(f"{path_of(inputs).name}: no calibration; raw counts need one (calibration=)")
+            raise SchemaError(f"{line}: no calibration; raw counts need one (calibration=)")
         if cube is not None and "wavelength" not in cube.coords:
-            raise SchemaError(
-                f"{path_of(inputs).name}: no wavelengths in the header; give the calibration of this camera"
-            )
+            raise SchemaError(f"{line}: no wavelengths in the header; give the calibration of this camera")
         return None
     calibration = open_calibration(inputs.calibration)
-    if cube is not None:
-        gain = calibration["radiance_gain"]
-        expected = {dim: cube.sizes[dim] for dim in gain.dims}
-        if dict(gain.sizes) != expected:
-            raise SchemaError(
-                f"{path_of(inputs).name} has {_shape(expected)}, the calibration {_shape(gain.sizes)};"
-                " give the calibration of this camera and binning"
-            )
+    gain = calibration["radiance_gain"]
+    if cube is not None and any(cube.sizes[dim] != size for dim, size in gain.sizes.items()):
+        raise SchemaError(
+            f"{line} has {_shape(cube.sizes)}, the calibration {_shape(gain.sizes)};"
+            " give the calibration of this camera and binning"
+        )
     return calibration
 
 
 def _shape(sizes: Mapping[Any, int]) -> str:
     return f"{sizes[BAND]} bands x {sizes[CROSS_TRACK]} columns"
-
-
-def _calibration_parts(calibration: xr.Dataset | None, is_counts: bool) -> dict[str, xr.DataArray]:
-    """Return what a line keeps of its calibration; of a radiance cube's, line shape and look angles."""
-    if calibration is None:
-        return {}
-    left = {
-        "dark_counts",
-        "dark_exposure_time",
-        "dark_bias",
-        "dark_rate",
-        "flat_field",  # in the gain already
-        "responsivity",
-        "saturation_count",
-    }
-    # the lines of a lab sweep stay with the calibration
-    own = {BAND, CROSS_TRACK, "srf_offset", "irradiance_wavelength"}
-    names = [
-        str(name)
-        for name, array in calibration.data_vars.items()
-        if name not in left and set(array.dims) <= own
-    ]
-    if not is_counts:
-        names = [name for name in names if name in ("srf", "look_angle")]
-    return {name: calibration[name].reset_coords(drop=True) for name in names}
-
-
-def _scale_attrs(calibration: xr.Dataset | None) -> dict[str, Any]:
-    """Return what the calibration says of the counts and the scale that its gain holds for."""
-    names = ("linearity", "absolute_scale")
-    return {} if calibration is None else {k: calibration.attrs[k] for k in names if k in calibration.attrs}
 
 
 def _navigation_attrs(declared: Mapping[str, Any], timing: Timing) -> dict[str, Any]:
@@ -383,11 +475,9 @@ def _coordinates(
         coords["band_spacing"] = label(xr.DataArray(spacing, dims=BAND), "band_spacing")
     if calibration is not None and "wavelength" in opened.coords:
         apart = float(np.abs(opened["wavelength"].values - calibration["wavelength"].values).max())
-        if apart > _WAVELENGTH_TOLERANCE:
-            message = f"wavelengths of header and calibration are up to {apart:.3g} nm apart"
-            warnings.warn(
-                f"{path.name}: {message}; those of the calibration are used", PaintWarning, stacklevel=4
-            )
+        if apart > _WAVELENGTH_TOLERANCE_NM:
+            message = f"{path.name}: wavelengths of header and calibration are up to {apart:.3g} nm apart"
+            warnings.warn(f"{message}; those of the calibration are used", PaintWarning, stacklevel=4)
     along = {"time": times.time, "frame": times.frame, **times.place}
     coords |= {name: label(xr.DataArray(values, dims=ALONG_TRACK), name) for name, values in along.items()}
     return coords

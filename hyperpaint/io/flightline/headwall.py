@@ -7,16 +7,18 @@ are those that public code writes or reads (Nano-Hyperspec with APX-15, its olde
 
 from __future__ import annotations
 
+import json
 import re
-from collections.abc import Mapping, Sequence
+import warnings
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from hyperpaint.base.errors import FormatError, Problems, TimeError, UnitsError
-from hyperpaint.base.schema import CHUNK_LINES, CUBE
+from hyperpaint.base.errors import FormatError, PaintWarning, Problems, SchemaError, TimeError, UnitsError
+from hyperpaint.base.schema import ALONG_TRACK, CHUNK_LINES, CUBE
 from hyperpaint.base.units import conversion_factor
 from hyperpaint.io.files.reading import read_limited_text
 
@@ -31,7 +33,8 @@ __all__ = [
     "check_increasing",
     "cube_number",
     "exposure_seconds",
-    "find_settings",
+    "exposure_sources",
+    "find_exposure",
     "match_frames",
     "name_rows",
     "read_frame_index",
@@ -195,6 +198,57 @@ def exposure_seconds(pairs: Mapping[str, str], source: str) -> float | None:
         stated = ", ".join(f"{key} = {pairs[key]}" for key in exposures)
         raise FormatError(f"{source}: contradictory exposures {stated}")
     return next(iter(exposures.values()), None)
+
+
+def exposure_sources(cube: Path | None, opened: xr.Dataset) -> Iterator[tuple[str, Mapping[str, str]]]:
+    """Yield what may state the exposure of a cube: ``settings.txt`` beside it, the header's comments."""
+    settings = None if cube is None else find_settings(cube)
+    if settings is not None:
+        yield "settings.txt", read_settings(settings)
+    yield "header comments", json.loads(opened.attrs.get("envi_comments", "{}"))
+
+
+def find_exposure(
+    exposure_time: Any, cube: Path | None, name: str, opened: xr.Dataset, *, required: bool
+) -> tuple[NDArray[np.float64] | None, str]:
+    """Return seconds and where they come from: the argument, ``settings.txt``, the header's comments."""
+    given = None if exposure_time is None else np.asarray(exposure_time, np.float64)
+    if given is not None:
+        lines = opened.sizes.get(ALONG_TRACK)
+        if given.ndim > 1 or (given.ndim == 1 and lines is not None and given.size != lines):
+            raise SchemaError(
+                f"{name}: exposure_time has shape {given.shape}, expected a scalar or {lines} lines"
+            )
+        if not (np.isfinite(given).all() and (given > 0).all()):
+            raise SchemaError(f"{name}: exposure_time {given.min() * 1e3:g} ms, expected a positive number")
+    stated: dict[str, float] = {}
+    for source, pairs in exposure_sources(cube, opened):
+        try:
+            value = exposure_seconds(pairs, f"{name}: {source}")
+        except FormatError:
+            if given is None:
+                raise
+            continue
+        if value is not None:
+            stated[source] = value
+    words = ", ".join(f"{source} {value * 1e3:g} ms" for source, value in stated.items())
+    if given is not None:
+        if any(not np.allclose(given, value, rtol=1e-6, atol=0) for value in stated.values()):
+            message = f"exposure_time {given.flat[0] * 1e3:g} ms is used; {words}"
+            warnings.warn(f"{name}: {message}", PaintWarning, stacklevel=4)
+        return given, "given"
+    if stated:
+        source, value = next(iter(stated.items()))
+        if len(set(stated.values())) > 1:
+            warnings.warn(f"{name}: {words}; the first is used", PaintWarning, stacklevel=4)
+        return np.array(value), source
+    # an unread header is another problem, not a missing exposure
+    if required and opened.sizes:
+        raise SchemaError(
+            f"{name}: no exposure in settings.txt beside the cube nor in the header's comments;"
+            " give exposure_time [s] (exposure_time_ms in collect.toml)"
+        )
+    return None, ""
 
 
 # --- frame index -------------------------------------------------------------------------------------------
