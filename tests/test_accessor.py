@@ -56,6 +56,7 @@ line.paint.reflectance(uncertainly=True)
 """
 
 
+@pytest.mark.slow
 def test_mypy_knows_the_accessor(tmp_path: Path) -> None:
     api = pytest.importorskip("mypy.api")
     (tmp_path / "script.py").write_text(TYPED)
