@@ -13,7 +13,7 @@ from pathlib import Path
 
 from hyperpaint.base.errors import StoreError
 from hyperpaint.io.store.disk import flush_group
-from hyperpaint.io.store.location import sync_folder
+from hyperpaint.io.store.location import sync
 from hyperpaint.io.store.stage import Staging, discard, staging
 
 __all__ = ["publish_file", "published_files", "published_folder"]
@@ -64,7 +64,7 @@ def published_files(targets: Sequence[Path], *, overwrite: bool) -> Iterator[lis
                 key.unlink()
         for path, target in zip(written, targets, strict=True):
             os.replace(path, target)
-        sync_folder(key.parent)
+        sync(key.parent)
 
 
 @contextlib.contextmanager

@@ -18,9 +18,9 @@ from typing import TYPE_CHECKING, Any
 
 from hyperpaint.base.errors import PaintError, StoreError
 
-from .disk import at_once, start_flush
+from .disk import at_once
 from .layout import encode_chunk, storage_chunks
-from .location import plain_file
+from .location import plain_file, replace_file
 from .record import checksum
 
 if TYPE_CHECKING:
@@ -215,8 +215,8 @@ def write_chunk(folder: Path, key: str, parts: Sequence[bytes], value: int) -> N
     """Write the file ``key`` of an array's folder from ``parts``, then its record with the checksum."""
     path = folder / key
     _make_parents(folder, path)
-    _replace(path, parts, flush=True)
-    _replace(_record_of(path), [f"{key} {value:08x}\n".encode()])
+    replace_file(path, parts, durable=False)
+    replace_file(_record_of(path), [f"{key} {value:08x}\n".encode()], durable=False)
 
 
 def adopt(leftover: Path, target: Target, finished: dict[tuple[int, ...], int]) -> None:
@@ -295,17 +295,3 @@ def _make_parents(folder: Path, path: Path) -> None:
     # step by step from the array's folder: a task that outlives its failed run must not make that again
     for parent in reversed(path.relative_to(folder).parents[:-1]):
         (folder / parent).mkdir(exist_ok=True)
-
-
-def _replace(path: Path, parts: Sequence[bytes], *, flush: bool = False) -> None:
-    # a scheduler may run a task twice at once: each writes its own file, the last rename stands
-    temporary = path.with_name(f".{path.name}.{uuid.uuid4().hex}")
-    try:
-        with open(temporary, "wb") as file:
-            file.writelines(parts)
-            if flush:
-                start_flush(file)
-        os.replace(temporary, path)
-    except OSError:  # on a full disk its room is needed
-        temporary.unlink(missing_ok=True)
-        raise

@@ -28,7 +28,7 @@ from hyperpaint.base.errors import PaintError, StoreError
 
 from .budget import MARGIN, size_text, thread_space
 from .layout import storage_chunks
-from .location import Location, sync_folder
+from .location import Location, sync
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -170,14 +170,6 @@ _AT_ONCE = 8
 """Files flushed at a time: disks take several orders at once."""
 
 
-def start_flush(file: Any) -> None:
-    """Let the kernel begin to write a file to the disk, without waiting for it."""
-    if hasattr(os, "posix_fadvise"):
-        file.flush()
-        # Linux starts to write what it is told will not be needed; what is on its way stays in memory
-        os.posix_fadvise(file.fileno(), 0, 0, os.POSIX_FADV_DONTNEED)
-
-
 def flush_group(folder: Path, expected: Iterable[Path]) -> None:
     """Flush all files of a folder, then all its folders; return when the disk has them.
 
@@ -191,8 +183,8 @@ def flush_group(folder: Path, expected: Iterable[Path]) -> None:
     for path in expected:
         if os.fspath(path) not in files:
             raise FileNotFoundError(errno.ENOENT, "a finished chunk has been removed", os.fspath(path))
-    at_once(_flush, sorted(files), _AT_ONCE)
-    at_once(sync_folder, folders, _AT_ONCE)
+    at_once(sync, sorted(files), _AT_ONCE)
+    at_once(sync, folders, _AT_ONCE)
 
 
 def at_once(function: Callable[[_Item], _Result], items: Sequence[_Item], most: int) -> list[_Result]:
@@ -205,14 +197,6 @@ def at_once(function: Callable[[_Item], _Result], items: Sequence[_Item], most: 
         return [function(item) for item in items]
     with ThreadPoolExecutor(most) as pool:
         return list(pool.map(function, items))
-
-
-def _flush(path: str | Path) -> None:
-    descriptor = os.open(path, os.O_RDONLY)
-    try:
-        os.fsync(descriptor)
-    finally:
-        os.close(descriptor)
 
 
 _HERE = -100  # AT_FDCWD

@@ -14,7 +14,7 @@ from typing import Any
 from hyperpaint.base.errors import IncompleteStoreError
 from hyperpaint.base.schema import FORMAT_VERSION
 
-from .location import METADATA, Location, sync_folder
+from .location import METADATA, Location, sync
 from .record import ATTRIBUTES, COMPLETE, GroupRecord, metadata_checksum, read_record, sealed_attributes
 
 VOLATILE_ATTRS = ("created", "history", "hyperpaint_version", ATTRIBUTES, COMPLETE)
@@ -107,7 +107,7 @@ def _write_group(group: str, attributes: Mapping[str, Any], location: Location) 
     node = {"attributes": sealed_attributes(plain), "zarr_format": 3, "node_type": "group"}
     location.write_json(node, group, METADATA)
     if location.local is not None:
-        sync_folder((location.local / group).absolute().parent)
+        sync((location.local / group).absolute().parent)
 
 
 def unlist(group: str, location: Location) -> None:

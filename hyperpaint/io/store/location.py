@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import stat
-from collections.abc import Iterator
+import uuid
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -131,7 +133,7 @@ class Location:
         if self.local is None:
             self.fs.pipe_file(self.key(*parts), content)
         else:
-            replace_file(self.local.joinpath(*parts), content)
+            replace_file(self.local.joinpath(*parts), [content], durable=True)
 
     def groups(self) -> list[str]:
         """Return every group that holds arrays, sorted; unreadable nodes are passed over; see `nodes`."""
@@ -229,28 +231,20 @@ class Location:
         if self.local is None:
             prefix = self.key(group).rstrip("/") + "/"
             return {file.removeprefix(prefix) for file in self.fs.find(self.key(group))}
+        top = self.key(group)
+
+        def refuse(error: OSError) -> None:
+            if not isinstance(error, FileNotFoundError):
+                reason = error.strerror or error
+                raise StoreError(f"{error.filename!s:.200} cannot be listed: {reason}") from error
+
         paths: set[str] = set()
-        pending = [""]
-        while pending:
-            folder = pending.pop()
-            if folder.count("/") > _MOST_FOLDERS_DEEP:
-                raise StoreError(
-                    f"{self.key(group)}: folders more than {_MOST_FOLDERS_DEEP} deep, which no array has"
-                )
-            try:
-                with os.scandir(self.key(group, folder)) as entries:
-                    for entry in entries:
-                        path = f"{folder}/{entry.name}".lstrip("/")
-                        if entry.is_dir(follow_symlinks=False):
-                            pending.append(path)
-                        else:
-                            paths.add(path)
-            except FileNotFoundError:
-                continue
-            except OSError as error:
-                raise StoreError(
-                    f"{self.key(group, folder):.200} cannot be listed: {error.strerror or error}"
-                ) from error
+        for folder, folders, names in os.walk(top, onerror=refuse):
+            inside = folder[len(top) + 1 :]
+            if inside.count("/") > _MOST_FOLDERS_DEEP:
+                raise StoreError(f"{top}: folders more than {_MOST_FOLDERS_DEEP} deep, which no array has")
+            links = [name for name in folders if os.path.islink(os.path.join(folder, name))]
+            paths.update(f"{inside}/{name}".lstrip("/") for name in (*names, *links))
         return paths
 
 
@@ -284,22 +278,50 @@ def plain_file(root: str, key: str) -> os.stat_result | None:
     return status
 
 
-def replace_file(path: Path, content: bytes) -> None:
-    """Write a file so that it is there whole or not at all, even after a power failure."""
-    temporary = path.with_name(f".{path.name}.{os.getpid()}")
-    with open(temporary, "wb") as file:
-        file.write(content)
-        file.flush()
-        os.fsync(file.fileno())
-    os.replace(temporary, path)
-    sync_folder(path.parent)
+#: Names of half-written metadata, ours and zarr's.
+_TEMPORARY = re.compile(r"\.zarr\.json\.[0-9a-f]{1,32}|zarr\.[0-9a-f]{32}\.partial")
 
 
-def sync_folder(folder: Path) -> None:
-    """Make renames in a folder outlive a power failure."""
-    if os.name != "posix":
+def is_temporary(name: str) -> bool:
+    """Tell whether a file is one that a killed writer left half-written in a group's folder.
+
+    Examples
+    --------
+    >>> is_temporary(".zarr.json.4711"), is_temporary("notes.partial")
+    (True, False)
+    """
+    return _TEMPORARY.fullmatch(name) is not None
+
+
+def replace_file(path: Path, parts: Sequence[bytes], *, durable: bool) -> None:
+    """Write a file so that it is there whole or not at all; ``durable``: even after a power failure.
+
+    Otherwise the kernel begins to write it to the disk, and is not waited for.
+    """
+    # a scheduler may run a task twice at once: each writes its own file, the last rename stands
+    temporary = path.with_name(f".{path.name}.{uuid.uuid4().hex}")
+    try:
+        with open(temporary, "wb") as file:
+            file.writelines(parts)
+            file.flush()
+            if durable:
+                os.fsync(file.fileno())
+            elif hasattr(os, "posix_fadvise"):
+                # Linux starts to write what will not be needed; what is on its way stays in memory
+                os.posix_fadvise(file.fileno(), 0, 0, os.POSIX_FADV_DONTNEED)
+        os.replace(temporary, path)
+    except OSError:  # on a full disk its room is needed
+        temporary.unlink(missing_ok=True)
+        raise
+    if durable:
+        sync(path.parent)
+
+
+def sync(path: str | Path) -> None:
+    """Make a file, or renames in a folder, outlive a power failure."""
+    if os.name != "posix" and os.path.isdir(path):
         return
-    descriptor = os.open(folder, os.O_RDONLY)
+    descriptor = os.open(path, os.O_RDONLY)
     try:
         os.fsync(descriptor)
     finally:

@@ -9,9 +9,8 @@ from typing import TYPE_CHECKING, Any
 from hyperpaint.base.errors import IncompleteStoreError
 
 from .listing import groups_above, has_all_chunks, is_damaged
-from .location import METADATA, Location
+from .location import METADATA, Location, is_temporary
 from .record import CHUNKS, COMPLETE, read_record
-from .stage import is_temporary
 
 if TYPE_CHECKING:
     import xarray as xr

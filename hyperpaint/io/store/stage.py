@@ -20,7 +20,6 @@ from __future__ import annotations
 
 import contextlib
 import os
-import re
 import shutil
 import stat
 import time
@@ -33,7 +32,7 @@ from hyperpaint.base.errors import StoreError
 
 from .disk import exchange
 from .listing import groups_above, make_groups_above
-from .location import METADATA, Location, clean_group, sync_folder
+from .location import METADATA, Location, clean_group, is_temporary, sync
 from .record import CHUNKS
 
 _ROOT = "%root"
@@ -42,19 +41,6 @@ _PATIENCE_S = 3.0
 _EMPTY_AGE_S = 30.0
 """Age from which an empty lock is taken for what a power failure left: a writer fills it at once."""
 _TRIES = 20
-#: Half-written metadata, ours and zarr's.
-_TEMPORARY = re.compile(r"\.zarr\.json\.[0-9a-f]{1,32}|zarr\.[0-9a-f]{32}\.partial")
-
-
-def is_temporary(name: str) -> bool:
-    """Tell whether a file is one that a killed writer left half-written in a group's folder.
-
-    Examples
-    --------
-    >>> is_temporary(".zarr.json.4711"), is_temporary("notes.partial")
-    (True, False)
-    """
-    return _TEMPORARY.fullmatch(name) is not None
 
 
 class Staging:
@@ -95,8 +81,8 @@ class Staging:
             old = None
         else:
             old = self._exchanged(build, target) or self._replaced(build, target, group)
-        sync_folder(target.parent)
-        sync_folder(self.store.parent)
+        sync(target.parent)
+        sync(self.store.parent)
         if old is not None:
             discard(old)
 

@@ -102,19 +102,19 @@ def test_a_disk_of_unknown_size_is_no_reason_to_refuse(
 def test_a_disk_that_fills_up_says_what_was_needed(
     number: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    plain, path = chunks._replace, tmp_path / "lot.zarr"
+    plain, path = chunks.replace_file, tmp_path / "lot.zarr"
 
     def full(file: Path, parts: Any, **options: Any) -> None:
         if "c/2/" in str(file):
             raise OSError(number, os.strerror(number), str(file))
         plain(file, parts, **options)
 
-    monkeypatch.setattr(chunks, "_replace", full)
+    monkeypatch.setattr(chunks, "replace_file", full)
     with dask.config.set(scheduler="synchronous"):
         with pytest.raises(StoreError, match=rf"{os.strerror(number)}.*may take 1 MiB in all, .* make room"):
             to_store(line(), path, GROUP, source_token="a")
         assert not is_complete(path, GROUP)
-        monkeypatch.setattr(chunks, "_replace", plain)
+        monkeypatch.setattr(chunks, "replace_file", plain)
         to_store(line(), path, GROUP, source_token="a")
     assert verify(path).ok
     assert os.listdir(tmp_path) == ["lot.zarr"]
@@ -239,11 +239,11 @@ def test_a_disk_that_refuses_to_flush_leaves_nothing_finished(
     def broken(_: str) -> None:
         raise OSError(errno.EIO, "broken disk")
 
-    plain: Callable[[Any], None] = disk._flush
-    monkeypatch.setattr(disk, "_flush", broken)
+    plain: Callable[[Any], None] = disk.sync
+    monkeypatch.setattr(disk, "sync", broken)
     with pytest.raises(StoreError, match="broken disk"):
         to_store(line(), tmp_path / "lot.zarr", GROUP, source_token="a")
     assert not is_complete(tmp_path / "lot.zarr", GROUP)
-    monkeypatch.setattr(disk, "_flush", plain)
+    monkeypatch.setattr(disk, "sync", plain)
     to_store(line(), tmp_path / "lot.zarr", GROUP, source_token="a")
     assert verify(tmp_path / "lot.zarr").ok
