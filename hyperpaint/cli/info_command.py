@@ -327,9 +327,9 @@ def _collect(path: Path) -> Facts:
     yield "is", f"collect {collect.name!r}, {several}; every file opens"
     total = 0
     for entry in collect.flightlines:
-        line = tree[f"flightlines/{entry.id}"].to_dataset()
+        line = tree[f"flightlines/{entry.name}"].to_dataset()
         total += line["counts" if "counts" in line else "radiance"].nbytes
-        yield entry.id, _joined(facts_of_line(line))
+        yield str(entry.name), _joined(facts_of_line(line))
     if lit:
         yield "irradiance", _joined(facts_of_irradiance(tree["irradiance"].to_dataset()))
     for reference in collect.references:

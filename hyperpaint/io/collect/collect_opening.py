@@ -3,27 +3,19 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from hyperpaint.base.errors import CollectError, Findings, Problems, Unavailable
 from hyperpaint.io.flightline.calibration_store import open_calibration
-from hyperpaint.io.flightline.flightline_opening import FlightlineInputs, assemble
+from hyperpaint.io.flightline.flightline_opening import assemble
 from hyperpaint.io.flightline.timing import Timing
 from hyperpaint.io.navigation.navigation_records import Navigation, read_imu_gps
 from hyperpaint.io.spectrometers.reference_files import open_spectra
 
-from .collect_toml import (
-    Camera,
-    Collect,
-    FlightlineEntry,
-    IrradianceEntry,
-    ReferenceEntry,
-    parse_collect,
-    read_collect,
-)
+from .collect_toml import Collect, IrradianceEntry, ReferenceEntry, parse_collect, read_collect
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -43,7 +35,7 @@ class OpenedCollect:
         """Data file of every flight line, by the line's group (``flightlines/<id>``)."""
         from hyperpaint.io.envi.envi_cubes import find_pair
 
-        return {f"flightlines/{entry.id}": find_pair(entry.cube)[1] for entry in self.settings.flightlines}
+        return {f"flightlines/{entry.name}": find_pair(entry.path)[1] for entry in self.settings.flightlines}
 
 
 def open_collect(
@@ -85,16 +77,15 @@ def open_with_settings(
 
     path = source.path if isinstance(source, Collect) else Path(source)
     problems = Problems(f"{path} cannot be processed", CollectError)
-    reported: set[str] = set()
     if isinstance(source, Collect):
         collect = source
     else:
-        collect, reported = parse_collect(path, problems, need_irradiance=need_irradiance)
+        collect = parse_collect(path, problems, need_irradiance=need_irradiance)
     findings = Findings(str(path))
     calibration: xr.Dataset | Unavailable | None = None
-    if collect.calibration is not None or "calibration" in reported:
+    if collect.calibration is not None or collect.sweep is not None:
         calibration = Unavailable.REPORTED
-    if collect.calibration is not None:
+    if isinstance(collect.calibration, Path):
         with findings.step():
             calibration = open_calibration(collect.calibration)
     if collect.sweep is not None:
@@ -104,13 +95,18 @@ def open_with_settings(
     irradiance: xr.Dataset | Unavailable | None = Unavailable.REPORTED
     with findings.step():
         irradiance = _open_irradiance(collect.irradiance)
-    navigation = dict(_navigation(collect, findings))
+    navigation: dict[Path, Navigation] = {}
+    for file in collect.nav:
+        with findings.step():
+            navigation[file] = read_imu_gps(file, collect.clock.correction)
     lines: dict[str, xr.Dataset] = {}
     for entry in collect.flightlines:
-        own = Findings(entry.id)
-        inputs = _inputs(collect, entry, reported, navigation)
-        inputs = replace(inputs, calibration=calibration, irradiance=irradiance, chunks=chunks)
-        lines[entry.id] = assemble(inputs, own)
+        own, timing = Findings(str(entry.name)), entry.timing
+        if isinstance(timing, Timing) and isinstance(timing.nav, Path):
+            nav = navigation.get(timing.nav)
+            timing = Unavailable.REPORTED if nav is None else replace(timing, nav=nav)
+        parts: Any = {"calibration": calibration, "irradiance": irradiance, "chunks": chunks}
+        lines[f"/flightlines/{entry.name}"] = assemble(replace(entry, timing=timing, **parts), own)
         findings.errors += own.errors
     references = dict(_references(collect.references, findings))
     # what several lines share is reported once
@@ -118,7 +114,7 @@ def open_with_settings(
         problems.add(text)
     problems.raise_if_any()
     groups: dict[str, xr.Dataset] = {"/": xr.Dataset(attrs={"name": collect.name, "source": path.name})}
-    groups |= {f"/flightlines/{name}": line for name, line in lines.items()}
+    groups |= lines
     if isinstance(irradiance, xr.Dataset):
         groups["/irradiance"] = irradiance
     if isinstance(calibration, xr.Dataset):
@@ -158,56 +154,3 @@ def _references(entries: tuple[ReferenceEntry, ...], findings: Findings) -> Iter
                 )
             label = {} if entry.group == entry.instrument else {"instrument_name": entry.instrument}
             yield entry.group, opened[0].assign_attrs(label)
-
-
-def _navigation(collect: Collect, findings: Findings) -> Iterator[tuple[Path, Navigation]]:
-    """Read each navigation file once; the cubes of one flight share it."""
-    camera = collect.camera
-    for path in dict.fromkeys(entry.nav for entry in collect.flightlines):
-        if path is not None:
-            with findings.step():
-                yield path, read_imu_gps(path, _timing(camera).correction)
-
-
-def _timing(camera: Camera, **line: Any) -> Timing:
-    return Timing(
-        stamp=camera.stamp,
-        clock_offset_s=camera.clock_offset_s,
-        time_scale="gps" if camera.time_scale == "gps" else "utc",
-        gps_leap_seconds=camera.gps_leap_seconds,
-        **line,
-    )
-
-
-def _inputs(
-    collect: Collect, entry: FlightlineEntry, reported: set[str], navigation: Mapping[Path, Navigation]
-) -> FlightlineInputs:
-    camera = collect.camera
-    timing: Timing | Unavailable = Unavailable.REPORTED
-    if f"times of {entry.id}" not in reported and (entry.nav is None or entry.nav in navigation):
-        timing = _timing(
-            camera,
-            frame_index=entry.frame_index,
-            nav=None if entry.nav is None else navigation[entry.nav],
-            gps_time=entry.gps_time,
-            date=entry.date,
-            start_time=entry.start_time,
-            frame_period=entry.frame_period or camera.frame_period,
-        )
-    exposure = camera.exposure_time if entry.exposure_time is None else entry.exposure_time
-    attrs = {"collect": collect.name} | ({} if exposure is None else {"exposure_source": collect.path.name})
-    dark: Any = list(collect.dark) if isinstance(collect.dark, tuple) else collect.dark
-    return FlightlineInputs(
-        cube=entry.cube,
-        timing=timing,
-        exposure_time=exposure,
-        dark=Unavailable.REPORTED if "dark" in reported else dark,
-        bit_depth=camera.bit_depth,
-        saturation_count=camera.saturation_count,
-        radiance_units=camera.radiance_units,
-        fwhm_nm=camera.fwhm_nm,
-        name=entry.id,
-        keep_whole_lines=entry.keep_whole_lines,
-        attrs=attrs,
-        convention=collect.navigation,
-    )

@@ -5,19 +5,18 @@ from __future__ import annotations
 import os
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from hyperpaint.base.errors import CollectError, FormatError, Problems, TimeError
+from hyperpaint.base.errors import CollectError, FormatError, Problems, TimeError, Unavailable
 from hyperpaint.io.files import toml_tables as check
 from hyperpaint.io.files.toml_tables import TableReader, load_tables, shown
-from hyperpaint.io.flightline.timing import utc_of
+from hyperpaint.io.flightline.flightline_opening import FlightlineInputs
+from hyperpaint.io.flightline.timing import Timing, utc_of
 
 __all__ = [
-    "Camera",
     "Collect",
-    "FlightlineEntry",
     "IrradianceEntry",
     "ReferenceEntry",
     "parse_collect",
@@ -27,6 +26,7 @@ __all__ = [
 _ID = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,99}")
 #: Names that mean something to Zarr.
 _RESERVED = {"zarr.json", "c"}
+_CLOCK = ("stamp", "clock_offset_s", "time_scale", "gps_leap_seconds")
 _STAMP = check.one_of("start", "mid", "end")
 _SCHEMA: Mapping[str, Mapping[str, check.Check]] = {
     "collect": {"name": check.text, "description": check.text},
@@ -90,43 +90,11 @@ _LISTS = ("flightlines", "references")
 
 
 @dataclass(frozen=True)
-class Camera:
-    """``[camera]``: what holds for all flight lines; times in seconds."""
-
-    bit_depth: int = 12
-    saturation_count: float | None = None
-    exposure_time: float | None = None
-    frame_period: float | None = None
-    stamp: str = "end"
-    clock_offset_s: float | None = None
-    time_scale: str = "utc"
-    gps_leap_seconds: int | None = None
-    fwhm_nm: float | None = None
-    radiance_units: str | None = None
-
-
-@dataclass(frozen=True)
 class IrradianceEntry:
     """``[irradiance]``: files in a fixed order, and arguments of `open_irradiance`."""
 
     files: tuple[Path, ...]
     options: Mapping[str, Any] = field(default_factory=dict)
-
-
-@dataclass(frozen=True)
-class FlightlineEntry:
-    """One ``[[flightlines]]``; times in seconds."""
-
-    id: str
-    cube: Path
-    frame_index: Path | None = None
-    nav: Path | None = None
-    gps_time: Path | None = None
-    date: str | None = None
-    start_time: Any = None
-    exposure_time: float | None = None
-    frame_period: float | None = None
-    keep_whole_lines: bool = False
 
 
 @dataclass(frozen=True)
@@ -154,17 +122,13 @@ class Collect:
 
     path: Path  # The file
     name: str  # Of the collect
-    # camera, calibration, irradiance, flightlines, references: Its tables; ``irradiance`` and
-    # ``calibration`` None where not needed and not given
-    camera: Camera
-    calibration: Path | None
-    dark: tuple[Path, ...] | str | None  # Dark cubes, or ``"none"`` or ``"calibration"``
-    irradiance: IrradianceEntry | None
-    flightlines: tuple[FlightlineEntry, ...]
-    references: tuple[ReferenceEntry, ...] = ()
-    sweep: Path | None = None  # Lab sweep to calibrate in place of a ``calibration``
-    # What it declares of `hyperpaint.Convention`, by the names of its fields
-    navigation: Mapping[str, Any] = field(default_factory=dict)
+    flightlines: tuple[FlightlineInputs, ...]  # Their calibration and irradiance are still to be opened
+    calibration: Path | Unavailable | None  # None where not needed and not given
+    irradiance: IrradianceEntry | None  # As well
+    clock: Timing  # What the camera's table says of the clocks
+    nav: tuple[Path, ...]  # Navigation files, each once; the lines of one flight share them
+    references: tuple[ReferenceEntry, ...]
+    sweep: Path | None  # Lab sweep to calibrate in place of a ``calibration``
 
 
 # --- tables into checked values ----------------------------------------------------------------------------
@@ -181,10 +145,12 @@ class _Reader(TableReader):
     """Reads a collect's tables, of which one may be a word."""
 
     def __init__(self, path: Path, raw: Mapping[str, Any], problems: Problems) -> None:
-        #: Tables, and ids of flight lines without times, whose problems have been noted.
-        self.reported: set[str] = set()
         self.dark = self._dark_word(raw)
         super().__init__(path, raw, _SCHEMA, _LISTS, problems)
+        self.file_name = path.name
+        self.collect_name = self.one("collect").get("name", path.resolve().parent.name)
+        self.clock = Timing(**{key: value for key, value in self.one("camera").items() if key in _CLOCK})
+        self.nav: dict[Path, None] = {}
 
     def _dark_word(self, raw: Mapping[str, Any]) -> str | None:
         word = raw.get("dark")
@@ -204,22 +170,20 @@ class _Reader(TableReader):
 # --- tables into dataclasses -------------------------------------------------------------------------------
 
 
-def _seconds(table: Mapping[str, Any], key: str) -> float | None:
-    return None if key not in table else float(f"{table[key] / 1000:.12g}")
+def _seconds(key: str, *tables: Mapping[str, Any]) -> float | None:
+    """Return seconds from the milliseconds of the first table that has them."""
+    return next((float(f"{table[key] / 1000:.12g}") for table in tables if key in table), None)
 
 
-def _camera(reader: _Reader) -> Camera:
-    table = reader.one("camera")
-    same = ("bit_depth", "saturation_count", "stamp", "clock_offset_s", "time_scale", "gps_leap_seconds")
-    given = {key: table[key] for key in (*same, "fwhm_nm", "radiance_units") if key in table}
-    return Camera(
-        **given,
-        exposure_time=_seconds(table, "exposure_time_ms"),
-        frame_period=_seconds(table, "frame_period_ms"),
-    )
+def _camera(reader: _Reader) -> dict[str, Any]:
+    """Return what holds for all flight lines."""
+    table, dark = reader.one("camera"), _dark(reader)
+    same = ("bit_depth", "saturation_count", "fwhm_nm", "radiance_units")
+    convention = {key: value for key, value in reader.one("navigation").items() if key != "?"}
+    return {key: table[key] for key in same if key in table} | {"dark": dark, "convention": convention}
 
 
-def _calibration(reader: _Reader) -> tuple[Path | None, Path | None]:
+def _calibration(reader: _Reader) -> tuple[Path | Unavailable | None, Path | None]:
     """Return the paths of a calibration and of a lab sweep, of which there is one at most."""
     table = reader.one("calibration")
     if {"path", "sweep"} <= table["?"]:
@@ -229,18 +193,16 @@ def _calibration(reader: _Reader) -> tuple[Path | None, Path | None]:
     if reader.tables["calibration"] and not table["?"] & {"path", "sweep"}:
         reader.problems.add("[calibration] path is missing (or sweep, a lab sweep)")
     if path is None and sweep is None and table["?"]:
-        reader.reported.add("calibration")
+        return Unavailable.REPORTED, None
     return path, sweep
 
 
-def _dark(reader: _Reader) -> tuple[Path, ...] | str | None:
+def _dark(reader: _Reader) -> tuple[Path, ...] | str | Unavailable | None:
     if reader.dark is not None:
         return reader.dark
     table = reader.one("dark")
     cubes = reader.files("[dark]", "cubes", table["cubes"]) if "cubes" in table else ()
-    if not cubes and table["?"]:
-        reader.reported.add("dark")
-    return cubes or None
+    return cubes or (Unavailable.REPORTED if table["?"] else None)
 
 
 def _irradiance(reader: _Reader) -> IrradianceEntry | None:
@@ -260,9 +222,9 @@ def _irradiance(reader: _Reader) -> IrradianceEntry | None:
 
 
 def _flightline(
-    reader: _Reader, number: int, table: Mapping[str, Any], camera: Camera
-) -> FlightlineEntry | None:
-    place = f"[[flightlines]] {number + 1}"
+    reader: _Reader, number: int, table: Mapping[str, Any], shared: Mapping[str, Any]
+) -> FlightlineInputs | None:
+    place, camera = f"[[flightlines]] {number + 1}", reader.one("camera")
     if "cube" not in table:
         if "cube" not in table["?"]:
             reader.problems.add(f"{place} cube is missing")
@@ -274,30 +236,40 @@ def _flightline(
         reader.problems.add(f"{place} id = {shown(name)}, expected {expected}")
     before = len(reader.problems)
     paths = {key: reader.path(place, key, table.get(key)) for key in ("frame_index", "nav", "gps_time")}
+    if paths["nav"] is not None:
+        reader.nav[paths["nav"]] = None
     start = table.get("start_time")
     if start is not None:
         try:
             start = utc_of(start, "start_time")
         except TimeError as error:
             reader.problems.add(f"{place} {error}")
-    _check_timing(reader, place, table, camera)
-    if len(reader.problems) > before:
-        reader.reported.add(f"times of {name}")
+    _check_timing(reader, place, table)
+    timing: Timing | Unavailable = Unavailable.REPORTED
+    if len(reader.problems) == before:
+        timing = replace(
+            reader.clock,
+            **paths,
+            date=str(table["date"]) if "date" in table else None,
+            start_time=start,
+            frame_period=_seconds("frame_period_ms", table, camera),
+        )
     if cube is None:
         return None
-    return FlightlineEntry(
-        name,
-        cube,
-        **paths,
-        date=str(table["date"]) if "date" in table else None,
-        start_time=start,
-        exposure_time=_seconds(table, "exposure_time_ms"),
-        frame_period=_seconds(table, "frame_period_ms"),
+    exposure = _seconds("exposure_time_ms", table, camera)
+    source = {} if exposure is None else {"exposure_source": reader.file_name}
+    return FlightlineInputs(
+        **shared,
+        cube=cube,
+        timing=timing,
+        exposure_time=exposure,
+        name=name,
         keep_whole_lines=table.get("keep_whole_lines", False),
+        attrs={"collect": reader.collect_name, **source},
     )
 
 
-def _check_timing(reader: _Reader, place: str, table: Mapping[str, Any], camera: Camera) -> None:
+def _check_timing(reader: _Reader, place: str, table: Mapping[str, Any]) -> None:
     given = table["?"]
     period = "frame_period_ms" in given or "frame_period_ms" in reader.one("camera")["?"]
     by_index = "frame_index" in given and given & {"nav", "start_time", "gps_time", "date"}
@@ -309,20 +281,20 @@ def _check_timing(reader: _Reader, place: str, table: Mapping[str, Any], camera:
             f"{place} no line times: found {', '.join(stated) or 'nothing'},"
             " expected frame_index and nav, or start_time and frame_period_ms"
         )
-    if "date" in given and camera.clock_offset_s is None:
+    if "date" in given and reader.clock.clock_offset_s is None:
         reader.problems.add(
             f"{place} date needs [camera] clock_offset_s: UTC = computer clock + clock_offset_s"
         )
 
 
-def _flightlines(reader: _Reader, camera: Camera) -> tuple[FlightlineEntry, ...]:
-    tables = reader.tables["flightlines"]
+def _flightlines(reader: _Reader) -> tuple[FlightlineInputs, ...]:
+    tables, shared = reader.tables["flightlines"], _camera(reader)
     if not tables:
         reader.problems.add("no [[flightlines]]: at least one with a cube is needed")
-    candidates = [_flightline(reader, number, table, camera) for number, table in enumerate(tables)]
+    candidates = [_flightline(reader, number, table, shared) for number, table in enumerate(tables)]
     entries = [entry for entry in candidates if entry is not None]
     # as on file systems that ignore case
-    names = [entry.id.lower() for entry in entries]
+    names = [str(entry.name).lower() for entry in entries]
     for name in sorted({name for name in names if names.count(name) > 1}):
         reader.problems.add(
             f"[[flightlines]] id {name!r} is given to {names.count(name)} lines; each needs its own"
@@ -351,36 +323,30 @@ def _references(reader: _Reader) -> tuple[ReferenceEntry, ...]:
     return tuple(entries)
 
 
-def parse_collect(path: Path, problems: Problems, *, need_irradiance: bool) -> tuple[Collect, set[str]]:
-    """Read what of a ``collect.toml`` is valid, so that what it names can be checked as well.
+def parse_collect(path: Path, problems: Problems, *, need_irradiance: bool) -> Collect:
+    """Return what of a ``collect.toml`` is valid, so that what it names can be checked as well.
 
     ``path``: the file; ``problems``: takes what is wrong; ``need_irradiance``: false where only radiance is
-    wanted.
-
-    Returns what is valid, and ``"calibration"``, ``"dark"`` and ``"times of <id>"`` where their problems have
-    been noted.
+    wanted. What is `Unavailable` has had its problem noted.
 
     Raises `CollectError`: The file cannot be read, or is not TOML.
     """
     reader = _Reader(path, _load(path), problems)
-    camera = _camera(reader)
     irradiance = _irradiance(reader)
     if need_irradiance and "irradiance" not in reader.given:
         problems.add("no [irradiance]: reflectance needs the spectrometer's files (not needed for radiance)")
     calibration, sweep = _calibration(reader)
-    collect = Collect(
+    return Collect(
         path=path,
-        name=reader.one("collect").get("name", path.resolve().parent.name),
-        camera=camera,
+        name=reader.collect_name,
+        flightlines=_flightlines(reader),
         calibration=calibration,
-        dark=_dark(reader),
         irradiance=irradiance,
-        flightlines=_flightlines(reader, camera),
+        clock=reader.clock,
+        nav=tuple(reader.nav),
         references=_references(reader),
         sweep=sweep,
-        navigation={key: value for key, value in reader.one("navigation").items() if key != "?"},
     )
-    return collect, reader.reported
 
 
 def read_collect(path: str | os.PathLike[str], *, need_irradiance: bool = True) -> Collect:
@@ -401,6 +367,6 @@ def read_collect(path: str | os.PathLike[str], *, need_irradiance: bool = True) 
     """
     path = Path(path)
     problems = Problems(f"{path} cannot be processed", CollectError)
-    collect, _ = parse_collect(path, problems, need_irradiance=need_irradiance)
+    collect = parse_collect(path, problems, need_irradiance=need_irradiance)
     problems.raise_if_any()
     return collect

@@ -15,6 +15,7 @@ from hypothesis import HealthCheck, given, settings, strategies as st
 from hyperpaint.base.errors import CollectError
 from hyperpaint.io.collect.collect_opening import open_collect, read_collect
 from hyperpaint.io.envi.envi_array import EnviArray
+from hyperpaint.io.flightline.timing import Timing
 from hyperpaint.simulation.collect import simulate_collect
 
 LINES = 60
@@ -69,17 +70,19 @@ def test_what_the_file_says(folder: Path) -> None:
     )
     collect = read_collect(path)
     assert collect.name == "simulated car park"
-    assert (collect.camera.exposure_time, collect.camera.frame_period) == (0.005, 0.007)
-    assert (collect.camera.stamp, collect.camera.clock_offset_s, collect.camera.time_scale) == (
+    assert (collect.clock.stamp, collect.clock.clock_offset_s, collect.clock.time_scale) == (
         "mid",
         1.5,
         "gps",
     )
     assert collect.calibration == folder / "calibration.zarr"
-    assert collect.dark == (folder / "dark" / "raw_0.hdr",)
-    assert [line.id for line in collect.flightlines] == ["raw_0", "raw_30"]
-    assert [line.exposure_time for line in collect.flightlines] == [0.004, None]
-    assert collect.flightlines[0].nav == collect.flightlines[1].nav == folder / "flight" / "imu_gps.txt"
+    assert [line.name for line in collect.flightlines] == ["raw_0", "raw_30"]
+    assert [line.exposure_time for line in collect.flightlines] == [0.004, 0.005]
+    assert collect.nav == (folder / "flight" / "imu_gps.txt",)
+    for line in collect.flightlines:
+        assert line.dark == (folder / "dark" / "raw_0.hdr",)
+        assert isinstance(line.timing, Timing)
+        assert (line.timing.stamp, line.timing.frame_period, line.timing.nav) == ("mid", 0.007, *collect.nav)
     assert collect.irradiance is not None
     assert collect.irradiance.files == tuple(sorted((folder / "asd").glob("*.asd")))
     assert collect.irradiance.options == {
@@ -94,7 +97,7 @@ def test_no_dark_is_said_in_either_way(folder: Path, said: str) -> None:
     path = change(folder, (r"^\[dark\]\ncubes = .*\n", ""))
     text = path.read_text()
     path.write_text(said + text if said.startswith("dark") else text + said)
-    assert read_collect(path).dark == "none"
+    assert {line.dark for line in read_collect(path).flightlines} == {"none"}
     tree = open_collect(path)
     assert (tree["flightlines/raw_0/dark_counts"] == 0).all()
 
