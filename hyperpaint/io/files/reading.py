@@ -5,6 +5,7 @@ A pattern stays inside one folder, and ``**`` follows no link.
 
 from __future__ import annotations
 
+import contextlib
 import fnmatch
 import os
 import re
@@ -157,59 +158,40 @@ def matching_files(folder: Path, pattern: str, most: int = MOST_ENTRIES) -> list
     parts = [part for part in pattern.replace(os.sep, "/").split("/") if part != "."]
     if os.path.isabs(pattern) or os.path.splitdrive(pattern)[0] or ".." in parts:
         raise ValueError("expected a pattern inside the folder of the file")
-    work = _Work(most)
+    left = most
+
+    def look(number: int) -> None:
+        nonlocal left
+        left -= number
+        if left < 0:
+            raise ValueError(f"more than {most} files and folders to look at; name their folder")
+
+    def entries(place: str) -> list[os.DirEntry[str]]:
+        look(1)
+        inside: list[os.DirEntry[str]] = []
+        # no folder, or not ours to read: nothing in it matches
+        with contextlib.suppress(OSError), os.scandir(place) as listed:
+            for entry in listed:
+                look(1)
+                inside.append(entry)
+        return inside
+
+    def matches(base: str, part: str) -> Iterator[str]:
+        if part == "**":
+            pending = [base]
+            while pending:
+                yield (place := pending.pop())
+                shown = (entry for entry in entries(place) if not entry.name.startswith("."))
+                pending += [entry.path for entry in shown if entry.is_dir(follow_symlinks=False)]
+        elif is_pattern(part):
+            names = fnmatch.filter((entry.name for entry in entries(base)), part)
+            yield from (os.path.join(base, n) for n in names if part.startswith(".") or not n.startswith("."))
+        else:
+            look(1)
+            if os.path.lexists(path := os.path.join(base, part)):
+                yield path
+
     paths = [str(folder)]
     for part in filter(None, parts):
-        paths = list(dict.fromkeys(path for base in paths for path in work.step(base, part)))
+        paths = list(dict.fromkeys(path for base in paths for path in matches(base, part)))
     return sorted(Path(path) for path in paths)
-
-
-class _Work:
-    """One pattern's walk, which counts what it looks at."""
-
-    def __init__(self, most: int) -> None:
-        self.left = self.most = most
-
-    def step(self, base: str, part: str) -> Iterator[str]:
-        """Yield what a part of the pattern matches in a folder."""
-        if part == "**":
-            yield from self._folders(base)
-        elif not is_pattern(part):
-            self._count(1)
-            path = os.path.join(base, part)
-            if os.path.lexists(path):
-                yield path
-        else:
-            names = [entry.name for entry in self._entries(base)]
-            hidden = part.startswith(".")
-            for name in fnmatch.filter(names, part):
-                if hidden or not name.startswith("."):
-                    yield os.path.join(base, name)
-
-    def _folders(self, base: str) -> Iterator[str]:
-        pending = [base]
-        while pending:
-            folder = pending.pop()
-            yield folder
-            pending += [
-                entry.path
-                for entry in self._entries(folder)
-                if not entry.name.startswith(".") and entry.is_dir(follow_symlinks=False)
-            ]
-
-    def _entries(self, folder: str) -> list[os.DirEntry[str]]:
-        listed = []
-        try:
-            with os.scandir(folder) as entries:
-                for entry in entries:
-                    self._count(1)
-                    listed.append(entry)
-        except OSError:  # no folder, or not ours to read: nothing in it matches
-            return listed
-        self._count(1)
-        return listed
-
-    def _count(self, number: int) -> None:
-        self.left -= number
-        if self.left < 0:
-            raise ValueError(f"more than {self.most} files and folders to look at; name their folder")

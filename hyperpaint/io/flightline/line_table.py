@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -23,7 +22,6 @@ _FIRST = (
     *("frame", "time", "latitude", "longitude", "altitude", "roll", "pitch", "heading"),
     *("exposure_time", "irradiance_age"),
 )
-_ROWS = 4096
 
 
 def write_line_table(line: xr.Dataset, path: str | os.PathLike[str], *, overwrite: bool = False) -> Path:
@@ -76,8 +74,8 @@ def write_line_table(line: xr.Dataset, path: str | os.PathLike[str], *, overwrit
     ):
         file.writelines(f"# {key}: {value}\n" for key, value in declared.items())
         file.write(",".join(["line", *columns]) + "\n")
-        for first in range(0, line.sizes[ALONG_TRACK], _ROWS):
-            file.writelines(_rows(columns, first))
+        cells = (map(str, range(line.sizes[ALONG_TRACK])), *map(_texts, columns.values()))
+        file.writelines(",".join(row) + "\n" for row in zip(*cells, strict=True))
     return path
 
 
@@ -100,12 +98,6 @@ def _columns(line: xr.Dataset) -> dict[str, Any]:
         plain = units in (None, "", "1") or values.dtype.kind in "Mb" or "," in str(units)
         columns[name if plain else f"{name} [{units}]"] = np.broadcast_to(values, (lines,))
     return columns
-
-
-def _rows(columns: dict[str, Any], first: int) -> Iterator[str]:
-    cells = [_texts(values[first : first + _ROWS]) for values in columns.values()]
-    for number, row in enumerate(zip(*cells, strict=True), start=first):
-        yield ",".join([str(number), *row]) + "\n"
 
 
 def _texts(values: Any) -> list[str]:
