@@ -1,13 +1,12 @@
 """The memory a run takes, known before it starts.
 
 Memory is modelled, not measured: a fixed share, the calibration and matched spectra that every task reads,
-and for every thread the slabs of lines it has in hand. Peaks measured at 272 x 640 and
-136 x 320 elements, with 1 to 4 threads and 32 to 128 lines a task, lay 5 to 17 % below the model with kernels
-compiled before; `MARGIN` comes on top.
+and for every thread the slabs of lines it has in hand; `MARGIN` comes on top. What was measured against the
+model is in the figures of merit (docs).
 
 Where the address space is limited as well (``ulimit -v``, some batch systems), more is needed than what
 becomes resident: stacks, and the arenas that glibc reserves for every thread. `HELPER_SPACE` and
-`THREAD_SPACE` are what was measured of it.
+`THREAD_SPACE` stand for them.
 """
 
 from __future__ import annotations
@@ -54,9 +53,7 @@ USABLE = 0.8
 HELPER_SPACE = 48 * 2**20
 """Address space of each thread that zarr starts for its files, beyond what becomes resident.
 
-They are up to four more than there are processors. On two processors, with six of them and the event loop,
-runs that became resident with 172 MiB (one thread) and 270 MiB (two) failed within 400 and 550 MiB of address
-space, and passed within 550 and 700.
+They are up to four more than there are processors.
 """
 
 THREAD_SPACE = 72 * 2**20
@@ -70,19 +67,6 @@ SMILE_STEP = 0.5
 class Load:
     """What one flight line asks of memory; all in bytes.
 
-    Attributes
-    ----------
-    scan_line
-        Counts and float32 product of one scan line.
-    light
-        Irradiance of one scan line while it is interpolated.
-    encoded
-        The chunk that is encoded, of the widest stored cube, and its result.
-    shared
-        Calibration, darks and matched spectra, which all tasks read.
-    lines
-        Scan lines of the flight line.
-
     Examples
     --------
     >>> load = Load(scan_line=1_044_480, light=34_816, encoded=33_423_360, shared=4_000_000, lines=640)
@@ -90,11 +74,11 @@ class Load:
     479
     """
 
-    scan_line: int
-    light: int
-    encoded: int
-    shared: int
-    lines: int
+    scan_line: int  # Counts and float32 product of one scan line
+    light: int  # Irradiance of one scan line while it is interpolated
+    encoded: int  # The chunk that is encoded, of the widest stored cube, and its result
+    shared: int  # Calibration, darks and matched spectra, which all tasks read
+    lines: int  # Scan lines of the flight line
 
     @classmethod
     def of(cls, line: xr.Dataset) -> Load:
@@ -137,21 +121,11 @@ def _smile_cells(line: xr.Dataset) -> int:
 
 @dataclass(frozen=True)
 class Demand:
-    """How a run is done so that it stays within its memory.
+    """How a run is done so that it stays within its memory."""
 
-    Attributes
-    ----------
-    lines
-        Scan lines a task.
-    threads
-        Threads at once, in one process.
-    needed
-        Peak memory of that process, margin included [byte].
-    """
-
-    lines: int
-    threads: int
-    needed: int
+    lines: int  # Scan lines a task
+    threads: int  # Threads at once, in one process
+    needed: int  # Peak memory of that process, margin included [byte]
 
 
 def fit(
@@ -168,25 +142,12 @@ def fit(
 
     Lines are halved first, down to the 32 of a storage chunk, then threads are taken away one by one.
 
-    Parameters
-    ----------
-    loads
-        Name of a flight line to its load; lines are processed one after the other.
-    lines, threads
-        What is wished for.
-    fixed
-        Memory there is without any slab [byte].
-    limit
-        Most memory of the process [byte]; None for no limit.
-    least_threads
-        Threads that there are at least.
-    a_thread
-        What each thread takes besides its slabs [byte]; see `thread_space`.
+    ``loads``: by name of the flight line; they are processed one after the other; ``lines``, ``threads``: the
+    numbers wished for, of threads ``least_threads`` at least; ``fixed``: memory without any slab; ``limit``:
+    most memory of the process, None for no limit; ``a_thread``: what each thread takes besides its slabs, see
+    `thread_space`; all in bytes.
 
-    Raises
-    ------
-    StoreError
-        Not even the fewest threads with 32 lines a task stay within the limit.
+    Raises `StoreError`: Not even the fewest threads with 32 lines a task stay within the limit.
 
     Examples
     --------
@@ -211,7 +172,7 @@ def fit(
         mend = "fewer threads a worker, " if least_threads > 1 else ""
         which = "the limit of the address space (ulimit -v)" if a_thread else "the memory limit"
         raise StoreError(
-            f"/{worst} needs {size_text(plan.needed)} of memory with {_counted(plan.threads, 'thread')} "
+            f"/{worst} needs {size_text(plan.needed)} of memory with {counted(plan.threads, 'thread')} "
             f"and {plan.lines} lines a task, the fewest possible, but {size_text(limit)} may be taken; "
             f"{mend}end other programs, raise {which}, or take a larger machine"
         )
@@ -222,12 +183,7 @@ def fit(
 
 
 def parse_size(size: str | int) -> int:
-    """Return a size such as ``"2 GiB"`` in bytes.
-
-    Raises
-    ------
-    SchemaError
-        It is no positive size.
+    """Return a size such as ``"2 GiB"`` in bytes; SchemaError where it is no positive size.
 
     Examples
     --------
@@ -261,7 +217,10 @@ def available_memory(system: Path = Path("/")) -> int:
 
 def _shared_memory(system: Path) -> int:
     """Return what the machine and its container leave: other programs take of it as well."""
-    return min([_machine_memory(), *_container_memory(system)])
+    import psutil
+
+    # with the cache of files, which gives way
+    return min([int(psutil.virtual_memory().available), *_container_memory(system)])
 
 
 def process_limit(resident: int, limit: int | None = None) -> int:
@@ -303,13 +262,6 @@ def _address_space() -> int | None:
     return limit - int(psutil.Process().memory_info().vms) - helpers * HELPER_SPACE
 
 
-def _machine_memory() -> int:
-    import psutil
-
-    # with the cache of files, which gives way
-    return int(psutil.virtual_memory().available)
-
-
 def _container_memory(system: Path) -> Iterable[int]:
     """Yield what the control groups of this process (version 2 or 1), and those above them, leave.
 
@@ -334,11 +286,9 @@ def _container_memory(system: Path) -> Iterable[int]:
 
 
 def _reclaimable(group: Path) -> int:
-    for line in _read(group / "memory.stat").splitlines():
-        name, _, value = line.partition(" ")
-        if name in ("inactive_file", "total_inactive_file") and value.isdigit():
-            return int(value)
-    return 0
+    statistics = dict(line.split(" ", 1) for line in _read(group / "memory.stat").splitlines() if " " in line)
+    values = (statistics.get(name, "") for name in ("inactive_file", "total_inactive_file"))
+    return next((int(value) for value in values if value.isdigit()), 0)
 
 
 def _read(path: Path) -> str:
@@ -374,35 +324,20 @@ def limited_threads(count: int | None) -> Iterator[None]:
     """Let dask take no more threads than that; None leaves them as they are."""
     import dask
 
-    if count is None or count >= thread_count():
-        yield
-        return
-    with dask.config.set(num_workers=count, pool=None):
+    saved = count is not None and count < thread_count()
+    with dask.config.set(num_workers=count, pool=None) if saved else contextlib.nullcontext():
         yield
 
 
 def check_memory(dataset: xr.Dataset, subject: str) -> int | None:
     """Return how many threads may store a dataset at once; refuse one of which not even one block fits.
 
-    Its dask chunks are as they are, so that only threads can be saved. No value is read.
+    Its dask chunks are as they are, so that only threads can be saved. No value is read. What is made of dask
+    arrays counts: cubes along the flight are computed together, line by line; of the others, each alone.
 
-    Parameters
-    ----------
-    dataset
-        What is made of dask arrays counts; what is in memory does not. Cubes along the flight are computed
-        together, line by line; of the others, each alone.
-    subject
-        Names it in the error.
+    ``subject`` names the dataset in errors. Returns None where nothing is known against any number.
 
-    Returns
-    -------
-    int or None
-        None where nothing is known against any number.
-
-    Raises
-    ------
-    StoreError
-        One block is larger than the memory that is available; the figures are given.
+    Raises `StoreError`: One block is larger than the memory that is available; the figures are given.
     """
     cubes = [v for v in dataset.variables.values() if v.chunks and ALONG_TRACK in v.dims and v.ndim > 1]
     available = available_memory()
@@ -416,7 +351,7 @@ def check_memory(dataset: xr.Dataset, subject: str) -> int | None:
     surely = lines * sum(a_line) + encoded + thread_space()
     if surely > available:
         raise StoreError(
-            f"{subject} needs {size_text(surely)} of memory for one dask chunk of {_counted(lines, 'line')}, "
+            f"{subject} needs {size_text(surely)} of memory for one dask chunk of {counted(lines, 'line')}, "
             f"but {size_text(available)} are available; take fewer lines a chunk (chunks={{'{ALONG_TRACK}': "
             f"{CHUNK_LINES}}}), end other programs, or raise the memory limit"
         )
@@ -463,5 +398,6 @@ def size_text(size: int) -> str:
     return f"{size / 2**30:.2f} GiB" if size >= 2**30 else f"{math.ceil(size / 2**20)} MiB"
 
 
-def _counted(number: int, noun: str) -> str:
+def counted(number: int, noun: str) -> str:
+    """Return a number of things, in the singular or plural."""
     return f"{number} {noun}{'' if number == 1 else 's'}"
