@@ -310,7 +310,7 @@ def _head(store: str | os.PathLike[str], opened: dict[str, xr.Dataset], problems
     """Return what stands above all sections: what the store is, and what is wrong with it."""
     import datetime
 
-    from hyperpaint.io.store.listing import version_of_program
+    from hyperpaint.io.store.groups import version_of_program
 
     now = datetime.datetime.now(datetime.UTC).isoformat(sep=" ", timespec="seconds")
     collects = [str(group.attrs["collect"]) for group in opened.values() if "collect" in group.attrs]

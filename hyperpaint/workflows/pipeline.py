@@ -22,7 +22,7 @@ from hyperpaint.base.errors import (
     StoreError,
 )
 from hyperpaint.base.schema import ALONG_TRACK, CHUNK_LINES, FORMAT_VERSION
-from hyperpaint.io.store.listing import INPUTS
+from hyperpaint.io.store.groups import INPUTS
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -106,9 +106,8 @@ def kept_groups(
         Groups of other inputs stand where ours would, or beside them; all are listed.
     """
     from hyperpaint.io.store import is_complete, open_store
-    from hyperpaint.io.store.listing import groups_above
+    from hyperpaint.io.store.groups import groups_above, problems_above
     from hyperpaint.io.store.location import Location
-    from hyperpaint.io.store.overwriting import problems_above
 
     if not out.exists():
         return []
@@ -140,7 +139,7 @@ def kept_groups(
 
 
 def _has_all_chunks(location: Location, group: str) -> bool:
-    from hyperpaint.io.store.listing import has_all_chunks
+    from hyperpaint.io.store.groups import has_all_chunks
     from hyperpaint.io.store.record import read_record
 
     record = read_record(location, group)

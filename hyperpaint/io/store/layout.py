@@ -12,7 +12,7 @@ from __future__ import annotations
 import functools
 import itertools
 import math
-from collections.abc import Hashable, Mapping, Sequence
+from collections.abc import Collection, Hashable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from hyperpaint.base.errors import Problems, StoreError
@@ -38,21 +38,7 @@ _CODEC = {"cname": "lz4", "clevel": 5}
 
 
 def storage_chunks(dims: Sequence[Hashable], shape: Sequence[int], itemsize: int) -> tuple[int, ...]:
-    """Return the storage chunk of an array.
-
-    Parameters
-    ----------
-    dims
-        Dim names.
-    shape
-        Sizes.
-    itemsize
-        Bytes of one sample.
-
-    Returns
-    -------
-    tuple of int
-        Chunk sizes, each at least 1.
+    """Return the storage chunk of an array, each size at least 1; ``itemsize``: bytes of one sample.
 
     Examples
     --------
@@ -78,19 +64,8 @@ def regroup(pieces: Sequence[int], step: int) -> tuple[int, ...]:
     """Return dask chunks along one dim that start at multiples of the storage chunk.
 
     Borders move down to the next multiple of ``step``; those that meet become one. What is aligned already
-    comes back unchanged, so nothing is recomputed or moved without need.
-
-    Parameters
-    ----------
-    pieces
-        Dask chunks along the dim.
-    step
-        Storage chunk along the dim.
-
-    Returns
-    -------
-    tuple of int
-        Multiples of ``step``, but for the last.
+    comes back unchanged, so nothing is recomputed or moved without need. ``pieces``: dask chunks along the
+    dim; ``step``: storage chunk along it.
 
     Examples
     --------
@@ -102,13 +77,8 @@ def regroup(pieces: Sequence[int], step: int) -> tuple[int, ...]:
     size = sum(pieces)
     if size == 0:
         return tuple(pieces)
-    borders = {0, size}
-    border = 0
-    for piece in pieces:
-        border += piece
-        borders.add(border // step * step)
-    ordered = sorted(borders)
-    return tuple(after - before for before, after in itertools.pairwise(ordered))
+    borders = {0, size, *(border // step * step for border in itertools.accumulate(pieces))}
+    return tuple(after - before for before, after in itertools.pairwise(sorted(borders)))
 
 
 def fill_value(dtype: np.dtype[Any]) -> Any:
@@ -200,9 +170,15 @@ def prepare(dataset: xr.Dataset, group: str) -> xr.Dataset:
     prepared = dataset.drop_encoding()
     changed = {name: _prepared(variable) for name, variable in prepared.variables.items()}
     replaced = {name: new for name, new in changed.items() if new is not prepared.variables[name]}
-    return prepared.assign({n: v for n, v in replaced.items() if n not in prepared.coords}).assign_coords(
-        {n: v for n, v in replaced.items() if n in prepared.coords}
-    )
+    return with_variables(prepared, replaced, prepared.coords)
+
+
+def with_variables(
+    dataset: xr.Dataset, variables: Mapping[Any, xr.Variable], coords: Collection[Hashable]
+) -> xr.Dataset:
+    """Return a dataset with variables added or replaced; those named in ``coords`` become coordinates."""
+    inner = {name: variable for name, variable in variables.items() if name not in coords}
+    return dataset.assign_coords({n: v for n, v in variables.items() if n in coords}).assign(inner)
 
 
 def _prepared(variable: xr.Variable) -> xr.Variable:

@@ -13,7 +13,14 @@ from hyperpaint.base.errors import IncompleteStoreError, StoreError
 
 from .documents import check_node
 from .location import Location, clean_group
-from .record import GroupRecord, attributes_checksum, metadata_checksum, read_record, read_seal
+from .record import (
+    GroupRecord,
+    attributes_checksum,
+    metadata_checksum,
+    read_record,
+    read_seal,
+    recorded_form,
+)
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -165,13 +172,5 @@ def _complete_record(location: Location, group: str) -> GroupRecord:
     if attributes_checksum(node) != record.attributes:
         raise IncompleteStoreError(f"{where} has attributes other than recorded; write the group again")
     for name, array in record.arrays.items():
-        document = location.metadata(group, name)
-        if document is None or metadata_checksum(document) != array.metadata:
-            state = "is missing" if document is None else "has metadata other than recorded"
-            raise IncompleteStoreError(f"array {name!r} in {where} {state}; write the group again")
-        form = check_node(document, location.key(group, name))
-        if form is None or form.grid != array.grid:
-            raise IncompleteStoreError(
-                f"array {name!r} in {where} has {form and form.grid} chunks, recorded are {array.grid}"
-            )
+        recorded_form(location, group, name, array)
     return record

@@ -21,6 +21,7 @@ from typing import TYPE_CHECKING, Any
 from hyperpaint.base.errors import IncompleteStoreError, StoreError
 from hyperpaint.base.schema import FORMAT_VERSION
 
+from .documents import ChunkForm, check_node
 from .location import Location
 
 if TYPE_CHECKING:
@@ -41,21 +42,12 @@ _SEAL = re.compile(r"token=([0-9A-Za-z_-]{1,64}) chunks=([0-9a-f]{8}) attributes
 
 @dataclass(frozen=True)
 class ArrayRecord:
-    """One array of a group.
+    """One array of a group."""
 
-    Attributes
-    ----------
-    metadata
-        Checksum of its ``zarr.json``.
-    grid
-        Number of chunks along each dim.
-    chunks
-        crc32c of the decoded samples of every chunk, little-endian, in C order of the grid; what an edge
-        chunk holds beyond the array does not count.
-    """
-
-    metadata: int
-    grid: tuple[int, ...]
+    metadata: int  # Checksum of its ``zarr.json``
+    grid: tuple[int, ...]  # Number of chunks along each dim
+    # crc32c of the decoded samples of every chunk, little-endian, in C order of the grid; what an edge chunk
+    # holds beyond the array does not count
     chunks: tuple[int, ...]
 
     def to_document(self) -> dict[str, Any]:
@@ -87,21 +79,11 @@ class ArrayRecord:
 
 @dataclass(frozen=True)
 class GroupRecord:
-    """The completion record of a group.
+    """The completion record of a group."""
 
-    Attributes
-    ----------
-    token
-        Names inputs and parameters: equal tokens, equal content.
-    attributes
-        Checksum of the group's attributes, the seal left out.
-    arrays
-        Name to record.
-    """
-
-    token: str
-    attributes: int
-    arrays: Mapping[str, ArrayRecord] = field(default_factory=dict)
+    token: str  # Names inputs and parameters: equal tokens, equal content
+    attributes: int  # Checksum of the group's attributes, the seal left out
+    arrays: Mapping[str, ArrayRecord] = field(default_factory=dict)  # By name
 
     @property
     def digest(self) -> int:
@@ -168,6 +150,25 @@ def _array_records(location: Location, group: str, where: str) -> dict[str, Arra
                 f"the record {location.key(group, name, CHUNKS)} is damaged: {error!r}; write the group again"
             ) from None
     return records
+
+
+def recorded_form(location: Location, group: str, name: str, record: ArrayRecord) -> ChunkForm:
+    """Return the form of an array's chunks.
+
+    IncompleteStoreError where its metadata are not those recorded.
+    """
+    document = location.metadata(group, name)
+    if document is None:
+        state = "is missing"
+    elif metadata_checksum(document) != record.metadata:
+        state = "has metadata other than recorded"
+    else:
+        form = check_node(document, location.key(group, name))
+        if form is not None and form.grid == record.grid:
+            return form
+        state = f"has {form and form.grid} chunks, recorded are {record.grid}"
+    where = f"array {name!r} in group {'/' + group!r} of {location.url}"
+    raise IncompleteStoreError(f"{where} {state}; write the group again")
 
 
 def attributes_checksum(node: Mapping[str, Any]) -> int:

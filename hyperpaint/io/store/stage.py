@@ -31,7 +31,7 @@ from urllib.parse import quote, unquote
 from hyperpaint.base.errors import StoreError
 
 from .disk import exchange
-from .listing import groups_above, make_groups_above
+from .groups import groups_above, make_groups_above
 from .location import METADATA, Location, clean_group, is_temporary, sync
 from .record import CHUNKS
 
@@ -173,26 +173,19 @@ class Staging:
 
 def _temporaries(store: Path, above: Collection[str]) -> Iterator[str]:
     """Yield half-written metadata in the folders of a store and of groups ``above``, through no link."""
-    pending = [os.fspath(store), *(os.fspath(store / name) for name in above if name)]
-    seen: set[str] = set()
-    while pending:
-        folder = pending.pop()
-        if folder in seen or (folder != os.fspath(store) and os.path.islink(folder)):
-            continue
-        seen.add(folder)
-        try:
-            with os.scandir(folder) as listed:
-                entries = list(listed)
-        except OSError:
-            continue
-        for entry in entries:
-            if entry.is_dir(follow_symlinks=False):
-                inside = os.path.lexists(os.path.join(entry.path, METADATA))
-                # of a recorded array nothing is half-written
-                if inside and not os.path.lexists(os.path.join(entry.path, CHUNKS)):
-                    pending.append(entry.path)
-            elif is_temporary(entry.name) and entry.is_file(follow_symlinks=False):
-                yield entry.path
+    tops = dict.fromkeys([store, *(store / name for name in above if not (store / name).is_symlink())])
+    for folder, folders, names in (step for top in tops for step in os.walk(top)):
+        places = {name: os.path.join(folder, name) for name in (*folders, *names)}
+        # of a recorded array nothing is half-written
+        folders[:] = [
+            name
+            for name in folders
+            if os.path.lexists(os.path.join(places[name], METADATA))
+            and not os.path.lexists(os.path.join(places[name], CHUNKS))
+        ]
+        for name in filter(is_temporary, names):
+            if stat.S_ISREG(os.lstat(places[name]).st_mode):
+                yield places[name]
 
 
 def discard(build: Path) -> None:

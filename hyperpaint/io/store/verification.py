@@ -10,8 +10,8 @@ from typing import Any
 
 from hyperpaint.base.errors import StoreError
 
+from .budget import counted
 from .chunks import region
-from .documents import check_node
 from .location import METADATA, Location
 from .record import (
     CHUNKS,
@@ -22,9 +22,10 @@ from .record import (
     has_sealed_attributes,
     metadata_checksum,
     read_record,
+    recorded_form,
 )
 
-#: Names without a node that are told one by one.
+#: Most names without a node, and most strays of a folder, that are listed one by one.
 _MOST_LISTED = 20
 
 _NO_RECORDS = (
@@ -60,14 +61,10 @@ class StoreReport:
         return not self.problems
 
     def __str__(self) -> str:
-        state = _count(len(self.problems), "problem") if self.problems else "whole"
-        held = f"{_count(len(self.groups), 'group')}, {_count(self.chunks, 'chunk')}"
+        state = counted(len(self.problems), "problem") if self.problems else "whole"
+        held = f"{counted(len(self.groups), 'group')}, {counted(self.chunks, 'chunk')}"
         head = f"{self.path}: {held}, {state}"
         return "\n  ".join([head, *self.problems])
-
-
-def _count(number: int, thing: str) -> str:
-    return f"{number} {thing}{'' if number == 1 else 's'}"
 
 
 def verify(path: str | os.PathLike[str]) -> StoreReport:
@@ -102,9 +99,8 @@ def verify(path: str | os.PathLike[str]) -> StoreReport:
     memory://small.zarr: 1 group, 1 chunk, whole
     """
     location = _location(path)
-    problems: list[str] = []
     groups = location.groups()
-    problems.extend(_root_problems(location, groups))
+    problems = list(_until_error(_root_problems(location, groups)))
     chunks = 0
     for group in groups:
         try:
@@ -116,7 +112,7 @@ def verify(path: str | os.PathLike[str]) -> StoreReport:
             problems.append(f"/{group}: no completion record; it was never finished, write it again")
             continue
         chunks += sum(len(array.chunks) for array in record.arrays.values())
-        problems.extend(_group_problems(location, group, record))
+        problems.extend(_until_error(_group_problems(location, group, record)))
     return StoreReport(location.url, tuple(groups), chunks, tuple(dict.fromkeys(problems)))
 
 
@@ -136,12 +132,16 @@ def _location(path: str | os.PathLike[str]) -> Location:
     return location
 
 
-def _root_problems(location: Location, groups: list[str]) -> Iterator[str]:
+def _until_error(lines: Iterator[str]) -> Iterator[str]:
+    """Yield what a check finds; where it cannot go on, the error is the last line."""
     try:
-        root = location.read_json("", METADATA) or {}
+        yield from lines
     except StoreError as error:
         yield str(error)
-        return
+
+
+def _root_problems(location: Location, groups: list[str]) -> Iterator[str]:
+    root = location.read_json("", METADATA) or {}
     consolidated = root.get("consolidated_metadata")
     listed = consolidated.get("metadata") if isinstance(consolidated, dict) else None
     if not isinstance(listed, dict):
@@ -152,24 +152,15 @@ def _root_problems(location: Location, groups: list[str]) -> Iterator[str]:
         f"/{name}: its metadata cannot be read" for name, kind in nodes.items() if kind == "unreadable"
     )
     for group in ("", *(name for name, kind in nodes.items() if kind == "group")):
-        yield from _folder_problems(location, group)
+        yield from _until_error(_folder_problems(location, group))
     gone = [name for name in listed if name not in nodes]
     for name in gone[:_MOST_LISTED]:
         yield f"/{name[:200]}: listed in the root's metadata but not there"
     if len(gone) > _MOST_LISTED:
         yield f"/: {len(gone) - _MOST_LISTED} more nodes listed in the root's metadata but not there"
     for name, document in listed.items():
-        if name not in nodes:
-            continue
-        try:
-            actual = location.metadata(name)
-        except StoreError as error:
-            yield str(error)
-            continue
-        if actual is None:
-            yield f"/{name}: listed in the root's metadata but not there"
-        elif not isinstance(document, dict) or not _same_node(document, actual):
-            yield f"/{name}: the root's consolidated metadata are not those of the node"
+        if name in nodes:
+            yield from _until_error(_listed_problems(location, name, document))
     for group in groups:
         if group and group not in listed:
             yield f"/{group}: not listed in the root's consolidated metadata; run the writer again"
@@ -177,11 +168,7 @@ def _root_problems(location: Location, groups: list[str]) -> Iterator[str]:
 
 def _folder_problems(location: Location, group: str) -> Iterator[str]:
     """Yield what is in a group's folder and not of the store, and whether its attributes are others."""
-    try:
-        node, strays = location.metadata(group), location.strays(group)
-    except StoreError as error:
-        yield str(error)
-        return
+    node, strays = location.metadata(group), location.strays(group)
     for name in strays[:_MOST_LISTED]:
         yield f"/{group}/{name}".replace("//", "/") + ": neither a group nor an array of the store"
     if len(strays) > _MOST_LISTED:
@@ -190,22 +177,22 @@ def _folder_problems(location: Location, group: str) -> Iterator[str]:
         yield f"/{group}: attributes are not those that were written; run the writer again"
 
 
-def _same_node(listed: dict[str, Any], actual: dict[str, Any]) -> bool:
-    plain = {key: value for key, value in listed.items() if key != "consolidated_metadata"}
-    return metadata_checksum(plain) == metadata_checksum(actual)
+def _listed_problems(location: Location, name: str, document: Any) -> Iterator[str]:
+    """Yield whether the root describes a node as it is."""
+    actual = location.metadata(name)
+    if actual is None:
+        yield f"/{name}: listed in the root's metadata but not there"
+        return
+    listed = {**document, "consolidated_metadata": None} if isinstance(document, dict) else {}
+    if metadata_checksum(listed) != metadata_checksum({**actual, "consolidated_metadata": None}):
+        yield f"/{name}: the root's consolidated metadata are not those of the node"
 
 
 def _group_problems(location: Location, group: str, record: GroupRecord) -> Iterator[str]:
-    where = f"/{group}"
-    try:
-        node = location.metadata(group)
-    except StoreError as error:
-        yield str(error)
-        return
-    if node is None or attributes_checksum(node) != record.attributes:
-        yield f"{where}: attributes are not those recorded"
+    if attributes_checksum(location.metadata(group) or {}) != record.attributes:
+        yield f"/{group}: attributes are not those recorded"
     for name, array in record.arrays.items():
-        yield from _array_problems(location, group, name, array)
+        yield from _until_error(_array_problems(location, group, name, array))
 
 
 def _array_problems(location: Location, group: str, name: str, record: ArrayRecord) -> Iterator[str]:
@@ -215,31 +202,15 @@ def _array_problems(location: Location, group: str, name: str, record: ArrayReco
     from .guard import guarded
 
     where = f"{group}/{name}" if group else name
+    recorded_form(location, group, name, record)
     try:
-        document = location.metadata(where)
-    except StoreError as error:
-        yield str(error)
-        return
-    if document is None:
-        yield f"/{where}: the array is missing"
-        return
-    if metadata_checksum(document) != record.metadata:
-        yield f"/{where}: metadata are not those recorded"
-        return  # its chunks cannot be read without them
-    try:
-        form = check_node(document, f"/{where}")
         array = zarr.open_array(guarded(location), path=where, mode="r", zarr_format=3)
+    except StoreError:
+        raise
     except Exception as error:  # zarr's own checks have classes of their own
-        yield str(error) if isinstance(error, StoreError) else f"/{where}: {type(error).__name__}: {error}"
+        yield f"/{where}: {type(error).__name__}: {error}"
         return
-    if form is None or form.grid != record.grid:
-        yield f"/{where}: has {form and form.grid} chunks, recorded are {record.grid}"
-        return
-    try:
-        present = location.files(where)
-    except StoreError as error:
-        yield str(error)
-        return
+    present = location.files(where)
     positions = list(np.ndindex(record.grid))
     keys = [array.metadata.encode_chunk_key(position) for position in positions]
     for stray in sorted(present - {*keys, METADATA, CHUNKS}):

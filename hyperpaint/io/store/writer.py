@@ -17,13 +17,18 @@ from . import chunks, computing, layout
 from .budget import check_memory, limited_threads
 from .chunks import adopt, is_mendable
 from .disk import check_disk, disk_needed, errors_of_the_system, flush_group
-from .listing import (
+from .groups import (
     INPUTS,
     VOLATILE_ATTRS,
+    damaged_groups,
     finish_root,
     groups_above,
     is_listed,
+    is_named_by_content,
     make_groups_above,
+    occupant,
+    problems_above,
+    reads_from,
     rebuild_groups,
     stamped,
     unlist,
@@ -31,7 +36,6 @@ from .listing import (
     without_known_warnings,
 )
 from .location import METADATA, Location, clean_group
-from .overwriting import damaged_groups, is_named_by_content, occupant, problems_above, reads_from
 from .record import (
     CHUNKS,
     COMPLETE,
@@ -110,7 +114,7 @@ def to_store(
     StoreError
         The group exists, is being written, feeds the data, or cannot be written; or names, dtypes or
         attributes cannot be stored; all problems of the call are listed. Or disk or memory would not suffice,
-        or ran out, of which the needed figure is told. The store is as it was.
+        or ran out; the figure needed is given. The store is as it was.
 
     Examples
     --------
@@ -360,9 +364,7 @@ def _write_arrays(
     with computing.errors_of_the_cluster(f"cannot store /{job.group}"):
         _write_metadata(dataset.assign_attrs(stamped(dataset.attrs, "to_store")), list(streamed), place.url)
         node = zarr.open_group(place.url, mode="r+", zarr_format=3, use_consolidated=False)
-        targets = {
-            name: _target(_writable(node, name), name, variable, place) for name, variable in streamed.items()
-        }
+        targets = {name: _target(node, name, variable, place) for name, variable in streamed.items()}
         finished = _taken_up(targets, leftovers)
         lazy = {
             name: chunks.lazy_checksums(variable, targets[name], finished[name])
@@ -404,16 +406,13 @@ def _chunk_files(dataset: xr.Dataset, folder: Path, arrays: Mapping[str, ArrayRe
                 yield folder.joinpath(name, "c", *map(str, position))
 
 
-def _target(array: Any, name: str, variable: xr.Variable, place: Location) -> chunks.Target:
-    folder = None if place.local is None else place.local / name
-    return chunks.Target(array, folder, array.chunks, layout.fill_value(variable.dtype))
-
-
-def _writable(node: Any, name: str) -> Any:
+def _target(node: Any, name: str, variable: xr.Variable, place: Location) -> chunks.Target:
     import zarr
 
-    place = node.store_path / name
-    return zarr.open_array(place, mode="r+", zarr_format=3, config={"write_empty_chunks": True})
+    config: Any = {"write_empty_chunks": True}
+    array = zarr.open_array(node.store_path / name, mode="r+", zarr_format=3, config=config)
+    folder = None if place.local is None else place.local / name
+    return chunks.Target(array, folder, array.chunks, layout.fill_value(variable.dtype))
 
 
 def _taken_up(
@@ -437,10 +436,7 @@ def _remove_hidden(place: Location) -> None:
 def _write_metadata(dataset: xr.Dataset, streamed: list[str], url: str) -> None:
     """Let xarray write the metadata of all variables and the values of those that are not streamed."""
     holders = {name: chunks.placeholder(dataset.variables[name]) for name in streamed}
-    coords = {name: holder for name, holder in holders.items() if name in dataset.coords}
-    others = {name: holder for name, holder in holders.items() if name not in coords}
-    small = dataset.drop_vars(streamed).compute()
-    template = small.assign_coords(coords).assign(others)[list(dataset.variables)]
-    encoding = {name: layout.encoding_of(variable) for name, variable in dataset.variables.items()}
+    template = layout.with_variables(dataset.drop_vars(streamed).compute(), holders, dataset.coords)
+    template, encoding = template[list(dataset.variables)], layout.encoding(dataset)
     with without_known_warnings():
         template.to_zarr(url, mode="w", encoding=encoding, zarr_format=3, consolidated=False, compute=False)

@@ -20,7 +20,7 @@ from support.codecs import plain_zarr
 
 from hyperpaint.base.errors import StoreError
 from hyperpaint.io.store import is_complete, list_groups, open_store, to_store, verify
-from hyperpaint.io.store.overwriting import reads_from
+from hyperpaint.io.store.groups import reads_from
 
 CUBE = ("along_track", "band", "cross_track")
 GROUP = "flightlines/raw_0"
