@@ -31,24 +31,12 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Target:
-    """A Zarr array that blocks are written to; pickles small, for processes and clusters.
+    """A Zarr array that blocks are written to; pickles small, for processes and clusters."""
 
-    Attributes
-    ----------
-    array
-        The Zarr array.
-    folder
-        Its folder on a local disk: chunks are then encoded and written without zarr's event loop.
-    chunk
-        Storage chunk.
-    fill
-        Fills what an edge chunk lacks.
-    """
-
-    array: Any
-    folder: Path | None
-    chunk: tuple[int, ...]
-    fill: Any
+    array: Any  # The Zarr array
+    folder: Path | None  # On a local disk: chunks are then encoded and written without zarr's event loop
+    chunk: tuple[int, ...]  # Storage chunk
+    fill: Any  # Fills what an edge chunk lacks
 
     def write(self, block: np.ndarray[Any, Any], offset: tuple[int, ...]) -> np.ndarray[Any, Any]:
         """Write a block of whole chunks that starts at the chunk ``offset`` of the grid; return checksums.

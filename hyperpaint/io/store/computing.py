@@ -20,6 +20,8 @@ from typing import TYPE_CHECKING, Any, NoReturn
 from hyperpaint.base.errors import PaintError, StoreError
 from hyperpaint.base.schema import ALONG_TRACK
 
+from .disk import RUN_AGAIN
+
 if TYPE_CHECKING:
     import dask.array as da
     import numpy as np
@@ -30,7 +32,6 @@ if TYPE_CHECKING:
 RETRIES = 3
 """How often a cluster repeats a task that raised an error, before the error counts."""
 
-_AGAIN = "run again: the chunks that are finished will be taken up"
 _SAME_FILES = "; every worker must see the same files, under the same paths"
 _CANCELLED = (asyncio.CancelledError, concurrent.futures.CancelledError)
 
@@ -40,11 +41,11 @@ Found = Generator[tuple[Key, Any], None, None]
 
 @dataclass(frozen=True)
 class _Block:
-    """One block: the array it is of, its place among the array's checksums, and words for its lines."""
+    """One block to compute."""
 
     array: str
-    sums: tuple[slice, ...]
-    words: str
+    sums: tuple[slice, ...]  # Its place among the array's checksums
+    words: str  # Name its lines in messages
 
 
 def compute(
@@ -100,10 +101,10 @@ def errors_of_the_cluster(what: str) -> Iterator[None]:
     except PaintError:
         raise
     except (Exception, *_CANCELLED) as error:
-        reason = _told_of_cluster(error)
+        reason = _cluster_failure(error)
         if reason is None:
             raise
-        raise StoreError(f"{what}: {reason}; {_AGAIN}") from error
+        raise StoreError(f"{what}: {reason}; {RUN_AGAIN}") from error
 
 
 # --- blocks ------------------------------------------------------------------------------------------------
@@ -166,7 +167,7 @@ def _on_threads(
 
 
 def _failed_task(error: BaseException) -> Any:
-    """Return the key of the task that raised an error, None where dask does not tell."""
+    """Return the key of the task that raised an error, None where it is not known."""
     from dask.local import execute_task
 
     for frame, _ in traceback.walk_tb(error.__traceback__):
@@ -209,13 +210,13 @@ def _with_bar(results: Found, total: int) -> Found:
     """Draw a bar while blocks come in; distributed's own vanishes in notebooks and at its end."""
     bar = BlockBar(total)
     with contextlib.closing(results), contextlib.ExitStack() as stack:
-        stack.callback(sys.stdout.write, "\n")  # an error is told below the bar
+        stack.callback(sys.stdout.write, "\n")  # an error is reported below the bar
         for each in results:
             bar.advance()
             yield each
 
 
-def _told_of_cluster(error: BaseException) -> str | None:
+def _cluster_failure(error: BaseException) -> str | None:
     """Return what happened to the cluster, None for an error of other origin."""
     if type(error).__name__ == "KilledWorker":
         times = getattr(error, "allowed_failures", 0) + 1
@@ -232,13 +233,13 @@ def _told_of_cluster(error: BaseException) -> str | None:
 
 def _raise_named(error: BaseException, place: str, hint: str = "") -> NoReturn:
     """Raise a task's error so that it names the block; those of system, memory, cluster as StoreError."""
-    reason = _told_of_cluster(error)
+    reason = _cluster_failure(error)
     if reason is None and not isinstance(error, PaintError) and isinstance(error, OSError | MemoryError):
         reason = f"{type(error).__name__}: {error}{hint}; mend this"
     if reason is None:
         error.add_note(f"while storing {place}")
         raise error
-    raise StoreError(f"cannot store {place}: {reason}; {_AGAIN}") from error
+    raise StoreError(f"cannot store {place}: {reason}; {RUN_AGAIN}") from error
 
 
 _WIDTH = 40
@@ -271,7 +272,7 @@ class BlockBar:
 
 @contextlib.contextmanager
 def bar_over_blocks(keys: Collection[Any]) -> Iterator[None]:
-    """Draw a bar while dask computes these keys in this process; an error is told below the bar."""
+    """Draw a bar while dask computes these keys in this process; an error is reported below the bar."""
     from dask.callbacks import Callback
 
     bar, wanted = BlockBar(len(keys)), set(keys)

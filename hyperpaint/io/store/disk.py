@@ -42,6 +42,7 @@ _SIGN_AND_EXPONENT = 9
 _BLOCK = 4096
 """Least room of a file or folder; a chunk is a file in two folders, with a record beside it for a while."""
 
+RUN_AGAIN = "run again: the chunks that are finished will be taken up"
 _FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 
 
@@ -97,7 +98,7 @@ def check_disk(store: Path, needed: int, begun: Iterable[Path] = ()) -> None:
 
 
 def _free(store: Path) -> int | None:
-    """Return the free bytes of the disk on which a store is, or will be; None where that cannot be told."""
+    """Return the free bytes of the disk on which a store is, or will be; None where it is not known."""
     for folder in store.absolute().parents:
         with contextlib.suppress(OSError):
             return shutil.disk_usage(folder).free
@@ -122,28 +123,25 @@ def errors_of_the_system(location: Location, groups: Mapping[str, xr.Dataset]) -
             raise StoreError(f"{error}; {_room(location, groups)}") from cause
         raise
     except OSError as error:
-        raise StoreError(_told(error, location, groups)) from error
+        reason = _reason(error, location, groups)
+        raise StoreError(f"cannot write {location.url}: {reason} and {RUN_AGAIN}") from error
     except (MemoryError, RuntimeError) as error:
-        # threads that cannot be started are told as a RuntimeError
+        # threads that cannot be started raise a RuntimeError
         if isinstance(error, RuntimeError) and "start new thread" not in str(error):
             raise
         raise StoreError(
             f"cannot write {location.url}: memory ran out ({str(error) or 'nothing can be allocated'}); take "
-            "fewer lines a dask chunk or fewer threads, end other programs, or raise the limit; run again: "
-            "the chunks that are finished will be taken up"
+            f"fewer lines a dask chunk or fewer threads, end other programs, or raise the limit; {RUN_AGAIN}"
         ) from error
 
 
-def _told(error: OSError, location: Location, groups: Mapping[str, xr.Dataset]) -> str:
+def _reason(error: OSError, location: Location, groups: Mapping[str, xr.Dataset]) -> str:
     reason = error.strerror or str(error)
-    again = "run again: the chunks that are finished will be taken up"
     if error.errno in _FULL:
-        reason = f"{reason}; {_room(location, groups)}"
-    elif error.filename and location.local is not None and not _is_beside(error.filename, location.local):
-        reason = f"{reason}: {error.filename}, which it is made from; mend this"
-    else:
-        reason = f"{reason}{f' ({error.filename})' if error.filename else ''}; mend this"
-    return f"cannot write {location.url}: {reason} and {again}"
+        return f"{reason}; {_room(location, groups)}"
+    if error.filename and location.local is not None and not _is_beside(error.filename, location.local):
+        return f"{reason}: {error.filename}, which it is made from; mend this"
+    return f"{reason}{f' ({error.filename})' if error.filename else ''}; mend this"
 
 
 def _room(location: Location, groups: Mapping[str, xr.Dataset]) -> str:
@@ -156,10 +154,9 @@ def _room(location: Location, groups: Mapping[str, xr.Dataset]) -> str:
 
 def _is_beside(file: object, store: Path) -> bool:
     """Tell whether a file is in a store or in the folder where it is staged."""
-    above = os.path.abspath(store.parent)
-    inside = (
-        os.path.relpath(os.path.abspath(os.fsdecode(file)), above) if isinstance(file, str | bytes) else ""
-    )
+    if not isinstance(file, str | bytes):
+        return False
+    inside = os.path.relpath(os.path.abspath(os.fsdecode(file)), os.path.abspath(store.parent))
     return inside.split(os.sep)[0] in (store.name, f".partial-{store.name}")
 
 
@@ -175,16 +172,13 @@ def flush_group(folder: Path, expected: Iterable[Path]) -> None:
 
     FileNotFoundError where one of the files ``expected`` is missing: somebody may have removed it.
     """
-    files: set[str] = set()
-    folders: list[Path] = []
-    for above, _, names in os.walk(folder, topdown=False):
-        files.update(os.path.join(above, name) for name in names)
-        folders.append(Path(above))
+    walked = list(os.walk(folder, topdown=False))
+    files = {os.path.join(above, name) for above, _, names in walked for name in names}
     for path in expected:
         if os.fspath(path) not in files:
             raise FileNotFoundError(errno.ENOENT, "a finished chunk has been removed", os.fspath(path))
     at_once(sync, sorted(files), _AT_ONCE)
-    at_once(sync, folders, _AT_ONCE)
+    at_once(sync, [above for above, _, _ in walked], _AT_ONCE)
 
 
 def at_once(function: Callable[[_Item], _Result], items: Sequence[_Item], most: int) -> list[_Result]:

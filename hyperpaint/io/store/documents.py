@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, TypeGuard
 
@@ -63,22 +63,12 @@ _OTHER_READER = "if you trust it, open it with plain xarray.open_zarr, then writ
 
 @dataclass(frozen=True)
 class ChunkForm:
-    """What every encoded chunk of an array has to be.
+    """What every encoded chunk of an array has to be."""
 
-    Attributes
-    ----------
-    shape, chunk
-        Sizes of the array and of its chunks.
-    item_bytes
-        Bytes of a sample; 0 for text, whose samples have no fixed length.
-    codecs
-        Names of the codecs from bytes to bytes, in the order in which they encode.
-    """
-
-    shape: tuple[int, ...]
-    chunk: tuple[int, ...]
-    item_bytes: int
-    codecs: tuple[str, ...]
+    shape: tuple[int, ...]  # Of the array
+    chunk: tuple[int, ...]  # Shape of a chunk
+    item_bytes: int  # Of a sample; 0 for text, whose samples have no fixed length
+    codecs: tuple[str, ...]  # Names of those from bytes to bytes, in the order in which they encode
 
     @property
     def is_text(self) -> bool:
@@ -111,32 +101,25 @@ def parse_document(raw: bytes, where: str) -> dict[str, Any]:
 
     IncompleteStoreError where it is no JSON object, or larger, deeper or longer than any metadata of a store.
     """
-    problem = _too_much(raw)
-    if not problem:
+    containers = raw.count(b"{") + raw.count(b"[")
+    # not even parsed: its values could fill the memory
+    if len(raw) > MOST_JSON_BYTES:
+        problem = f"{len(raw)} bytes, expected metadata of at most {MOST_JSON_BYTES}"
+    elif containers > _MOST_CONTAINERS or raw.count(b",") > _MOST_SEPARATORS:
+        problem = f"more values than metadata of a store have ({_MOST_CONTAINERS} objects and lists)"
+    else:
         try:
             document = json.loads(raw)
         except (ValueError, RecursionError) as error:
             problem = f"{type(error).__name__}: {error}"
         else:
-            if isinstance(document, dict) and not _is_deep(document):
+            if not isinstance(document, dict):
+                problem = f"expected a JSON object, found {type(document).__name__}"
+            elif _is_deep(document):
+                problem = f"values are nested more than {_MOST_DEPTH} deep"
+            else:
                 return document
-            kind = type(document).__name__
-            problem = (
-                f"values are nested more than {_MOST_DEPTH} deep"
-                if isinstance(document, dict)
-                else f"expected a JSON object, found {kind}"
-            )
     raise IncompleteStoreError(f"{where} is damaged: {problem}")
-
-
-def _too_much(raw: bytes) -> str:
-    """Return why a document is not even parsed: its values could fill the memory."""
-    if len(raw) > MOST_JSON_BYTES:
-        return f"{len(raw)} bytes, expected metadata of at most {MOST_JSON_BYTES}"
-    containers = raw.count(b"{") + raw.count(b"[")
-    if containers > _MOST_CONTAINERS or raw.count(b",") > _MOST_SEPARATORS:
-        return f"more values than metadata of a store have ({_MOST_CONTAINERS} objects and lists)"
-    return ""
 
 
 def _is_deep(document: dict[str, Any]) -> bool:
@@ -167,17 +150,10 @@ def check_node(document: Mapping[str, Any], where: str) -> ChunkForm | None:
 def array_form(document: Mapping[str, Any], where: str) -> ChunkForm:
     """Return what the chunks of an array have to be, from its ``zarr.json``.
 
-    Parameters
-    ----------
-    document
-        Parsed metadata.
-    where
-        Names the array in messages.
+    ``document``: parsed metadata; ``where``: names the array in messages.
 
-    Raises
-    ------
-    StoreError
-        Data type, sizes, codecs or another entry is not one that is read; all problems are listed.
+    Raises `StoreError`: Data type, sizes, codecs or another entry is not one that is read; all problems are
+    listed.
 
     Examples
     --------
@@ -191,21 +167,19 @@ def array_form(document: Mapping[str, Any], where: str) -> ChunkForm:
     problems = Problems(f"{where} will not be read", StoreError)
     item_bytes = _item_bytes(document.get("data_type"), problems)
     shape = _sizes(document.get("shape"), 0)
-    chunk = _chunk(document.get("chunk_grid"))
+    grid, configuration = _named(document.get("chunk_grid"))
+    chunk = _sizes(configuration.get("chunk_shape"), 1) if grid == "regular" else None
     if shape is None:
         problems.add(f"shape {document.get('shape')!r:.80}; expected at most {_MOST_DIMS} sizes below 2**48")
     if chunk is None:
         problems.add(f"chunk_grid {document.get('chunk_grid')!r:.120}; expected a regular one, sizes from 1")
     codecs = _codecs(document.get("codecs"), text=item_bytes == 0, problems=problems)
     _check_others(document, problems)
-    if shape is not None and chunk is not None:
-        form = ChunkForm(shape, chunk, item_bytes or 0, codecs)
-        if item_bytes is not None:
-            _check_sizes(form, problems)
-        problems.raise_if_any()
-        return form
+    form = ChunkForm(shape or (), chunk or (), item_bytes or 0, codecs)
+    if not (shape is None or chunk is None or item_bytes is None):
+        _check_sizes(form, problems)
     problems.raise_if_any()
-    raise AssertionError  # a missing shape or chunk has been reported
+    return form
 
 
 def _is_whole(value: Any) -> TypeGuard[int]:
@@ -229,11 +203,6 @@ def _named(entry: Any) -> tuple[str, dict[str, Any]]:
         if isinstance(configuration, dict):
             return entry["name"], configuration
     return "", {}
-
-
-def _chunk(grid: Any) -> tuple[int, ...] | None:
-    name, configuration = _named(grid)
-    return _sizes(configuration.get("chunk_shape"), 1) if name == "regular" else None
 
 
 def _item_bytes(data_type: Any, problems: Problems) -> int | None:
@@ -261,10 +230,10 @@ def _codecs(entries: Any, *, text: bool, problems: Problems) -> tuple[str, ...]:
         return ()
     named = [_named(entry) for entry in entries]
     names = tuple(name for name, _ in named)
-    for entry, name in zip(entries, names, strict=True):
-        if name not in _CODECS:
-            problems.add(f"codec {name or entry!r:.60}", expected=expected, mend=_OTHER_READER)
-            return ()
+    foreign = [name or entry for entry, name in zip(entries, names, strict=True) if name not in _CODECS]
+    if foreign:
+        problems.add(f"codec {foreign[0]!r:.60}", expected=expected, mend=_OTHER_READER)
+        return ()
     if names[0] != first or names[1:] not in _BYTES_TO_BYTES or named[0][1].get("endian") == "big":
         problems.add(f"codecs {', '.join(names)}", expected=expected, mend=_OTHER_READER)
     if wrong := [name for name, configuration in named if not _is_plain(configuration)]:
@@ -281,12 +250,9 @@ def _is_plain(configuration: Mapping[str, Any]) -> bool:
         return value is None or isinstance(value, bool) or (_is_whole(value) and abs(value) < 2**31)
 
     return all(
-        small(value)
-        or (
-            isinstance(value, list)
-            and len(value) <= _MOST_DIMS
-            and all(_is_whole(v) and small(v) for v in value)
-        )
+        len(value) <= _MOST_DIMS and all(_is_whole(number) and small(number) for number in value)
+        if isinstance(value, list)
+        else small(value)
         for value in configuration.values()
     )
 
@@ -296,18 +262,14 @@ def _check_others(document: Mapping[str, Any], problems: Problems) -> None:
         problems.add("storage_transformers; expected none")
     if len(json.dumps(document.get("fill_value"))) > _MOST_FILL:
         problems.add(f"a fill_value of more than {_MOST_FILL} characters")
-    names = document.get("dimension_names")
-    if names is not None and not _are_names(names):
+    names = document.get("dimension_names", [])
+    if not isinstance(names, list | None) or not all(
+        name is None or (isinstance(name, str) and len(name) <= _MOST_NAME) for name in names or ()
+    ):
         problems.add(f"dimension_names {names!r:.80}; expected one short text for each dim")
     name, configuration = _named(document.get("chunk_key_encoding", "default"))
     if name not in ("default", "v2") or configuration.get("separator", "/") not in ("/", "."):
         problems.add(f"chunk_key_encoding {document.get('chunk_key_encoding')!r:.80}; expected 'default'")
-
-
-def _are_names(names: Any) -> TypeGuard[Sequence[str | None]]:
-    return isinstance(names, list) and all(
-        name is None or (isinstance(name, str) and len(name) <= _MOST_NAME) for name in names
-    )
 
 
 def _check_sizes(form: ChunkForm, problems: Problems) -> None:

@@ -167,6 +167,9 @@ class _Guard:
     def __dask_tokenize__(self) -> tuple[str, str, str]:
         return (type(self).__name__, self.url, self.content)
 
+    async def get_partial_values(self, prototype: Any, key_ranges: Any) -> list[Any]:
+        return [await self.get(key, prototype, byte_range) for key, byte_range in key_ranges]  # type: ignore[attr-defined]
+
     def _array_of(self, key: str) -> str | None:
         """Return the path of the array that a chunk is of; None where it is of none read so far."""
         parts = key.split("/")
@@ -204,7 +207,9 @@ class _Guard:
             self._check_recorded_metadata(key, document)
         if form is not None:
             inner = len(document["codecs"]) - len(form.codecs)
-            self.forms[path], self.codecs[path] = form, _as_objects(document["codecs"][inner:])
+            stored = document["codecs"][inner:]
+            self.codecs[path] = [{"name": codec} if isinstance(codec, str) else codec for codec in stored]
+            self.forms[path] = form
             document["codecs"] = document["codecs"][:inner]
         return json.dumps(document).encode()
 
@@ -237,6 +242,7 @@ class _Guard:
 
     def _is_recorded(self, path: str, key: str, decoded: np.ndarray[Any, Any]) -> bool:
         """Tell whether a decoded chunk has the checksum that was recorded for its place."""
+        import numcodecs
         import numpy as np
 
         assert self.record is not None
@@ -249,7 +255,7 @@ class _Guard:
             slice(part.stop - part.start) for part in region(place, form.chunk, form.shape)
         )
         if form.is_text:
-            values = _texts(decoded).reshape(form.chunk)[(*inside, ...)]
+            values = numcodecs.VLenUTF8().decode(decoded.tobytes()).reshape(form.chunk)[(*inside, ...)]
         else:
             values = decoded.reshape(*form.chunk, form.item_bytes)[inside]
         return checksum(values) == array.chunks[int(np.ravel_multi_index(place, array.grid)) if place else 0]
@@ -263,17 +269,6 @@ class _Guard:
         what = "" if key.rpartition("/")[2] == METADATA else "the chunk "
         mend = "run hyperpaint.verify, and write the group again"
         return IncompleteStoreError(f"{what}{self.url}/{key} {state}; {mend}")
-
-
-def _as_objects(codecs: list[Any]) -> list[dict[str, Any]]:
-    return [{"name": entry} if isinstance(entry, str) else entry for entry in codecs]
-
-
-def _texts(decoded: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
-    import numcodecs
-
-    texts: np.ndarray[Any, Any] = numcodecs.VLenUTF8().decode(decoded.tobytes())
-    return texts
 
 
 def _is_old(key: str) -> bool:
@@ -303,9 +298,6 @@ class _LocalGuard(_Guard, LocalStore):  # type: ignore[misc]
             raise StoreError(f"{self.url}/{key} cannot be read: {error.strerror or error}") from error
         return self._checked(key, content, prototype)
 
-    async def get_partial_values(self, prototype: Any, key_ranges: Any) -> list[Any]:
-        return [await self.get(key, prototype, byte_range) for key, byte_range in key_ranges]
-
 
 class _RemoteGuard(_Guard, FsspecStore):  # type: ignore[misc]
     """A place behind a URL. How long an object is shows only once it is there."""
@@ -318,6 +310,3 @@ class _RemoteGuard(_Guard, FsspecStore):  # type: ignore[misc]
         if content is not None and len(content) > most:
             raise StoreError(f"{self.url}/{key} has {len(content)} bytes, expected at most {most}")
         return await asyncio.to_thread(self._checked, key, content, prototype)
-
-    async def get_partial_values(self, prototype: Any, key_ranges: Any) -> list[Any]:
-        return [await self.get(key, prototype, byte_range) for key, byte_range in key_ranges]

@@ -38,33 +38,19 @@ def clean_group(group: str | None) -> str:
 
 @dataclass(frozen=True)
 class Location:
-    """A store's place.
+    """A store's place."""
 
-    Attributes
-    ----------
-    url
-        What zarr and xarray open.
-    root
-        Path inside the file system ``fs``.
-    local
-        The folder, where the store is on a local disk.
-    """
-
-    url: str
-    root: str
+    url: str  # What zarr and xarray open
+    root: str  # Path inside the file system ``fs``
     fs: Any
-    local: Path | None
+    local: Path | None  # The folder, where the store is on a local disk
 
     @classmethod
     def of(cls, path: str | os.PathLike[str]) -> Location:
         """Return the place named by a path or a URL.
 
-        Raises
-        ------
-        MissingExtraError
-            The package for this kind of URL is not installed; its name is given.
-        StoreError
-            The URL is of no known kind, or what it leads to cannot be opened.
+        Raises `MissingExtraError`: The package for this kind of URL is not installed; its name is given.
+        Raises `StoreError`: The URL is of no known kind, or what it leads to cannot be opened.
         """
         from fsspec.core import url_to_fs  # type: ignore[import-untyped]
 
