@@ -13,7 +13,7 @@ import contextlib
 import sys
 import time
 import traceback
-from collections.abc import Collection, Generator, Iterable, Iterator, Mapping
+from collections.abc import Generator, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, NoReturn
 
@@ -154,10 +154,19 @@ def _on_threads(
     get: Any, graph: dict[Key, Any], blocks: Mapping[Key, _Block], group: str, *, progress: bool
 ) -> Found:
     """Yield keys and checksums, all at the end; ``get`` is any scheduler of dask in this process."""
+    from dask.callbacks import Callback
+
     keys = list(blocks)
     with contextlib.ExitStack() as stack:
         if progress:
-            stack.enter_context(bar_over_blocks(keys))
+            bar = stack.enter_context(_bar(len(keys)))
+            bar.advance(0)
+
+            def count(key: Any, *_: Any) -> None:
+                if key in blocks:
+                    bar.advance()
+
+            stack.enter_context(Callback(posttask=count))
         try:
             results = get(graph, keys)
         except Exception as error:
@@ -208,9 +217,7 @@ def _on_cluster(client: Client, graph: dict[Key, Any], blocks: Mapping[Key, _Blo
 
 def _with_bar(results: Found, total: int) -> Found:
     """Draw a bar while blocks come in; distributed's own vanishes in notebooks and at its end."""
-    bar = BlockBar(total)
-    with contextlib.closing(results), contextlib.ExitStack() as stack:
-        stack.callback(sys.stdout.write, "\n")  # an error is reported below the bar
+    with contextlib.closing(results), _bar(total) as bar:
         for each in results:
             bar.advance()
             yield each
@@ -271,20 +278,10 @@ class BlockBar:
 
 
 @contextlib.contextmanager
-def bar_over_blocks(keys: Collection[Any]) -> Iterator[None]:
-    """Draw a bar while dask computes these keys in this process; an error is reported below the bar."""
-    from dask.callbacks import Callback
-
-    bar, wanted = BlockBar(len(keys)), set(keys)
-
-    def count(key: Any, *_: Any) -> None:
-        if key in wanted:
-            bar.advance()
-
-    bar.advance(0)
+def _bar(total: int) -> Iterator[BlockBar]:
+    """Yield a bar; an error is reported below it."""
     try:
-        with Callback(posttask=count):
-            yield
+        yield BlockBar(total)
     finally:
         sys.stdout.write("\n")
         sys.stdout.flush()

@@ -258,12 +258,11 @@ def _is_foreign(location: Location) -> bool:
         return False
     if location.local is not None and not location.local.is_dir():
         return True
-    # without the root's metadata it is still one where a group of it is
-    return bool(_entries(location, "")) and not any(_is_sealed(each, location) for each in location.groups())
-
-
-def _is_sealed(group: str, location: Location) -> bool:
-    return COMPLETE in ((location.metadata(group) or {}).get("attributes") or {})
+    # without the root's metadata it is still one where a group of it is sealed
+    nodes = (location.metadata(group) or {} for group in location.groups())
+    return bool(_entries(location, "")) and not any(
+        COMPLETE in (node.get("attributes") or {}) for node in nodes
+    )
 
 
 def _entries(location: Location, group: str) -> list[str]:

@@ -155,6 +155,8 @@ def prepare(dataset: xr.Dataset, group: str) -> xr.Dataset:
 
     StoreError where names, dtypes or attributes cannot be stored; all are listed.
     """
+    import xarray as xr
+
     problems = Problems(f"the dataset cannot be stored as group {'/' + group!r}", StoreError)
     _check_attrs("the dataset", dataset.attrs, problems)
     for name, variable in dataset.variables.items():
@@ -164,7 +166,8 @@ def prepare(dataset: xr.Dataset, group: str) -> xr.Dataset:
             problems.add(f"{name!r} has dtype {variable.dtype}; expected numbers, booleans, times or text")
         elif variable.dtype.kind == "O" and (wrong := _not_text(variable)):
             problems.add(f"{name!r} holds Python objects ({wrong}); expected text, or a numeric dtype")
-    for name in sorted({str(index.dim) for index in dataset.xindexes.values() if _is_multi(index)}):
+    multi = xr.indexes.PandasMultiIndex
+    for name in sorted({str(index.dim) for index in dataset.xindexes.values() if isinstance(index, multi)}):
         problems.add(f"{name!r} has a multi-index; call .reset_index({name!r}) first")
     problems.raise_if_any()
     prepared = dataset.drop_encoding()
@@ -195,12 +198,6 @@ def _prepared(variable: xr.Variable) -> xr.Variable:
         for pieces, each, size in zip(variable.data.chunks, step, variable.shape, strict=True)
     )
     return variable if chunks == variable.data.chunks else variable.copy(data=variable.data.rechunk(chunks))
-
-
-def _is_multi(index: Any) -> bool:
-    import xarray as xr
-
-    return isinstance(index, xr.indexes.PandasMultiIndex)
 
 
 def is_at_hand(variable: xr.Variable) -> bool:
