@@ -59,19 +59,11 @@ def open_with_settings(
 ) -> OpenedCollect:
     """Open everything a ``collect.toml`` names, without reading a cube, and keep what it says.
 
-    Parameters
-    ----------
-    source
-        The file, or its settings where it has been read and checked before.
-    need_irradiance, chunks
-        See `hyperpaint.open_collect`.
-    calibrate
-        Turns the path of a lab sweep into a calibration.
+    ``source``: the file, or its settings where it has been read and checked before; ``calibrate``: turns the
+    path of a lab sweep into a calibration; the others: see `hyperpaint.open_collect`.
 
-    Raises
-    ------
-    CollectError
-        The file, or anything it names, cannot be used; all problems of all files are listed.
+    Raises `CollectError`: The file, or anything it names, cannot be used; all problems of all files are
+    listed.
     """
     import xarray as xr
 

@@ -15,17 +15,10 @@ from hyperpaint.io.files.toml_tables import TableReader, load_tables, shown
 from hyperpaint.io.flightline.flightline_opening import FlightlineInputs
 from hyperpaint.io.flightline.timing import Timing, utc_of
 
-__all__ = [
-    "Collect",
-    "IrradianceEntry",
-    "ReferenceEntry",
-    "parse_collect",
-    "read_collect",
-]
-
 _ID = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,99}")
 #: Names that mean something to Zarr.
 _RESERVED = {"zarr.json", "c"}
+_SIDE_FILES = ("frame_index", "nav", "gps_time")
 _CLOCK = ("stamp", "clock_offset_s", "time_scale", "gps_leap_seconds")
 _STAMP = check.one_of("start", "mid", "end")
 _SCHEMA: Mapping[str, Mapping[str, check.Check]] = {
@@ -134,13 +127,6 @@ class Collect:
 # --- tables into checked values ----------------------------------------------------------------------------
 
 
-def _load(path: Path) -> dict[str, Any]:
-    try:
-        return load_tables(path, "a collect.toml")
-    except FormatError as error:
-        raise CollectError(str(error)) from error
-
-
 class _Reader(TableReader):
     """Reads a collect's tables, of which one may be a word."""
 
@@ -235,7 +221,7 @@ def _flightline(
         expected = "letters, digits, '.', '_' and '-': it names a group of the store"
         reader.problems.add(f"{place} id = {shown(name)}, expected {expected}")
     before = len(reader.problems)
-    paths = {key: reader.path(place, key, table.get(key)) for key in ("frame_index", "nav", "gps_time")}
+    paths: dict[str, Any] = {key: reader.path(place, key, table.get(key)) for key in _SIDE_FILES}
     if paths["nav"] is not None:
         reader.nav[paths["nav"]] = None
     start = table.get("start_time")
@@ -331,7 +317,10 @@ def parse_collect(path: Path, problems: Problems, *, need_irradiance: bool) -> C
 
     Raises `CollectError`: The file cannot be read, or is not TOML.
     """
-    reader = _Reader(path, _load(path), problems)
+    try:
+        reader = _Reader(path, load_tables(path, "a collect.toml"), problems)
+    except FormatError as error:
+        raise CollectError(str(error)) from error
     irradiance = _irradiance(reader)
     if need_irradiance and "irradiance" not in reader.given:
         problems.add("no [irradiance]: reflectance needs the spectrometer's files (not needed for radiance)")
@@ -352,18 +341,11 @@ def parse_collect(path: Path, problems: Problems, *, need_irradiance: bool) -> C
 def read_collect(path: str | os.PathLike[str], *, need_irradiance: bool = True) -> Collect:
     """Read and check a ``collect.toml``; what it names is looked for, not opened.
 
-    Parameters
-    ----------
-    path
-        The file; paths in it are relative to its folder.
-    need_irradiance
-        False where only radiance is wanted.
+    ``path``: the file; paths in it are relative to its folder; ``need_irradiance``: false where only radiance
+    is wanted.
 
-    Raises
-    ------
-    CollectError
-        Not TOML (with the line), unknown keys, wrong types or values, what is missing or not found; all
-        problems are listed.
+    Raises `CollectError`: Not TOML (with the line), unknown keys, wrong types or values, what is missing or
+    not found; all problems are listed.
     """
     path = Path(path)
     problems = Problems(f"{path} cannot be processed", CollectError)

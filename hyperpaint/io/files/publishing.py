@@ -22,13 +22,7 @@ _MEND = "pass {}, or choose another path"
 
 
 def publish_file(path: Path, content: bytes, *, overwrite: bool) -> None:
-    """Write a file whole or not at all.
-
-    Raises
-    ------
-    StoreError
-        It exists, or is being written by somebody else; or the system refuses. What was there stays.
-    """
+    """Write a file whole or not at all, as `published_files`."""
     with published_files([path], overwrite=overwrite) as (temporary,):
         temporary.write_bytes(content)
 
@@ -40,17 +34,10 @@ def published_files(targets: Sequence[Path], *, overwrite: bool) -> Iterator[lis
     The last file is what the product is opened by: it is the first to go, where another is replaced, and the
     last to appear, so that what is opened is always of one product.
 
-    Parameters
-    ----------
-    targets
-        Files of one folder.
-    overwrite
-        Whether files that exist may be replaced.
+    ``targets``: files of one folder; ``overwrite``: whether files that exist may be replaced.
 
-    Raises
-    ------
-    StoreError
-        A file exists, or is being written by somebody else; or the system refuses. What was there stays.
+    Raises `StoreError`: A file exists, or is being written by another process; or the system refuses. What
+    was there stays.
     """
     key = targets[-1]
     _refuse_existing(targets, overwrite=overwrite)
@@ -71,21 +58,13 @@ def published_files(targets: Sequence[Path], *, overwrite: bool) -> Iterator[lis
 def published_folder(target: Path, *, overwrite: bool, foreign: Callable[[Path], str]) -> Iterator[Path]:
     """Yield a folder to fill, which gets its place when the block ends well.
 
-    Parameters
-    ----------
-    target
-        Its place: new, an empty folder, or an earlier product.
-    overwrite
-        Whether an earlier product may be replaced.
-    foreign
-        What a folder that is not empty holds and this product does not, such as "other files"; nothing for
-        an earlier product. What holds anything else is never replaced.
+    ``target``: its place, which is new, an empty folder, or an earlier product; ``overwrite``: whether an
+    earlier product may be replaced; ``foreign``: returns what a folder that is not empty holds and this
+    product does not, such as "other files", and nothing for an earlier product. What holds anything else is
+    never replaced.
 
-    Raises
-    ------
-    StoreError
-        The folder holds something else, or a product that may not be replaced, or is being written by
-        somebody else; or the system refuses. What was there stays.
+    Raises `StoreError`: The folder holds something else, or a product that may not be replaced, or is being
+    written by another process; or the system refuses. What was there stays.
     """
     _refuse_folder(target, foreign, overwrite=overwrite)
     with _built(target) as (stage, build):

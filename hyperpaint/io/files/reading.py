@@ -31,21 +31,9 @@ MOST_NETCDF_BYTES = 2**30
 
 
 def read_limited(path: Path, limit: int, expected: str) -> bytes:
-    """Return the bytes of a file that is read whole.
+    """Return the bytes of a file that is read whole; ``expected`` names the kind of file in messages.
 
-    Parameters
-    ----------
-    path
-        The file.
-    limit
-        Most bytes that such a file has.
-    expected
-        Names the kind of file in messages.
-
-    Raises
-    ------
-    FormatError
-        The file cannot be read, or is larger than ``limit``.
+    Raises `FormatError`: The file cannot be read, or is larger than ``limit`` bytes.
     """
     try:
         status = path.stat()
@@ -66,10 +54,7 @@ def read_limited_text(path: Path, limit: int, expected: str) -> bytes:
 
     A line is split into cells, each of which takes thirty times its bytes.
 
-    Raises
-    ------
-    FormatError
-        As `read_limited`; or a line is longer than `LONGEST_LINE`.
+    Raises `FormatError`: As `read_limited`; or a line is longer than `LONGEST_LINE`.
     """
     data = read_limited(path, limit, expected)
     if len(data) > LONGEST_LINE:
@@ -98,12 +83,8 @@ def decoded_text(data: bytes) -> str:
 def load_netcdf(path: Path, group: str | None = None) -> xr.Dataset:
     """Load a small netCDF file whole.
 
-    Raises
-    ------
-    FormatError
-        It declares more than `MOST_NETCDF_BYTES`, or is no plain file.
-    Exception
-        Whatever the engine raises where the file is damaged.
+    Raises `FormatError`: It declares more than `MOST_NETCDF_BYTES`, or is no plain file. Where it is damaged,
+    whatever the engine raises.
     """
     import xarray as xr
 
@@ -130,22 +111,11 @@ def matching_files(folder: Path, pattern: str, most: int = MOST_ENTRIES) -> list
     """Return the files and folders that a pattern matches, sorted.
 
     As `glob.glob`, but it cannot be made to walk the whole disk, nor around in links without end: at most
-    ``most`` entries are looked at.
+    ``most`` entries are looked at. Between the slashes of a pattern are names with ``*``, ``?`` and
+    ``[...]``; ``**`` stands for any folders, links left out. None of these matches a leading dot.
 
-    Parameters
-    ----------
-    folder
-        Patterns are relative to it.
-    pattern
-        Names between slashes with ``*``, ``?`` and ``[...]``; ``**`` stands for any folders, links left out.
-        None of these matches a leading dot.
-    most
-        Bound on the entries.
-
-    Raises
-    ------
-    ValueError
-        The pattern leads out of the folder, is too long, or matches too much; with the reason.
+    Raises `ValueError`: The pattern leads out of the folder, is too long, or matches too much; with the
+    reason.
 
     Examples
     --------

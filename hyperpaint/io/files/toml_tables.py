@@ -17,43 +17,16 @@ from hyperpaint.base.errors import FormatError, Problems
 
 from .reading import is_pattern, matching_files, read_limited
 
-__all__ = [
-    "Check",
-    "TableReader",
-    "flag",
-    "load_tables",
-    "not_negative",
-    "number",
-    "one_of",
-    "positive",
-    "shown",
-    "suggestion",
-    "table",
-    "text",
-    "texts",
-    "time",
-    "whole",
-]
-
 _MAX_BYTES = 1 << 20
 #: A key of so many parts: tomllib's time for it grows with the square of their number.
 _LONG_KEY = re.compile(rb"""(?:\.[ \t]*(?:[A-Za-z0-9_-]+|"[^"\n]{0,99}"|'[^'\n]{0,99}')[ \t]*){64}""")
 
 
 def load_tables(path: Path, kind: str) -> dict[str, Any]:
-    """Return the tables of a file.
+    """Return the tables of a file; ``kind`` names the kind of file in messages.
 
-    Parameters
-    ----------
-    path
-        The file.
-    kind
-        Names the kind of file in messages.
-
-    Raises
-    ------
-    FormatError
-        It cannot be read, is larger than such files are, or is not TOML (with the place of the mistake).
+    Raises `FormatError`: It cannot be read, is larger than such files are, or is not TOML (with the place of
+    the mistake).
     """
     raw = read_limited(path, _MAX_BYTES, kind)
     if _LONG_KEY.search(raw):
@@ -83,26 +56,12 @@ def shown(value: Any) -> str:
 class TableReader:
     """Takes checked values out of the tables of a file, noting every problem.
 
-    Parameters
-    ----------
-    path
-        The file; paths in it are relative to its folder.
-    raw
-        Its tables.
-    schema
-        Check of every key of every table.
-    lists
-        Tables that may be there several times.
-    problems
-        Takes what is wrong.
+    ``path``: the file; paths in it are relative to its folder; ``raw``: its tables; ``schema``: check of
+    every key of every table; ``lists``: tables that may be there several times; ``problems``: takes what is
+    wrong.
 
-    Attributes
-    ----------
-    tables
-        What is valid of every table of the schema. In each, ``"?"`` is the set of keys that were given:
-        keys that were there but wrong are not missing.
-    given
-        Names of the tables that were given.
+    Attribute ``tables``: what is valid of every table of the schema. In each, ``"?"`` is the set of keys that
+    were given: keys that were there but wrong are not missing. ``given``: names of the tables given.
     """
 
     def __init__(
@@ -202,66 +161,47 @@ Check = Callable[[Any], str | None]
 """Takes a value, and returns None where it is good, else what was expected."""
 
 
-def text(value: Any) -> str | None:
-    """Expect text that is not blank."""
-    return None if isinstance(value, str) and value.strip() else "a text"
+def _expect(expected: str, is_good: Callable[[Any], bool]) -> Check:
+    def check(value: Any) -> str | None:
+        return None if is_good(value) else expected
+
+    return check
 
 
-def number(value: Any) -> str | None:
-    """Expect a number; TOML's ``inf`` and ``nan`` are none."""
+def _is_text(value: Any) -> bool:
+    return isinstance(value, str) and bool(value.strip())
+
+
+def _is_number(value: Any) -> bool:
+    """Tell whether it is a number; TOML's ``inf`` and ``nan`` are none."""
     # compared, not converted: a whole number may be larger than any float
-    good = isinstance(value, (int, float)) and not isinstance(value, bool)
-    return None if good and abs(value) <= sys.float_info.max else "a number"
+    is_number = isinstance(value, int | float) and not isinstance(value, bool)
+    return is_number and abs(value) <= sys.float_info.max
 
 
-def positive(value: Any) -> str | None:
-    """Expect a number above 0."""
-    return None if number(value) is None and value > 0 else "a positive number"
-
-
-def not_negative(value: Any) -> str | None:
-    """Expect a number from 0 on."""
-    return None if number(value) is None and value >= 0 else "a number from 0 on"
+text = _expect("a text", _is_text)
+number = _expect("a number", _is_number)
+positive = _expect("a positive number", lambda value: _is_number(value) and value > 0)
+not_negative = _expect("a number from 0 on", lambda value: _is_number(value) and value >= 0)
+flag = _expect("true or false", lambda value: isinstance(value, bool))
+table = _expect("a table of texts", lambda value: isinstance(value, dict))
+#: Or text that spells one.
+time = _expect("a date or time", lambda value: isinstance(value, str | datetime.date))
+texts = _expect(
+    "a text or a list of texts",
+    lambda value: all(map(_is_text, value if isinstance(value, list) and value else [value])),
+)
 
 
 def whole(least: int, most: int) -> Check:
     """Expect a whole number between two, both included."""
-
-    def check(value: Any) -> str | None:
-        good = isinstance(value, int) and not isinstance(value, bool) and least <= value <= most
-        return None if good else f"a whole number from {least} to {most}"
-
-    return check
-
-
-def flag(value: Any) -> str | None:
-    """Expect true or false."""
-    return None if isinstance(value, bool) else "true or false"
+    return _expect(
+        f"a whole number from {least} to {most}",
+        lambda value: isinstance(value, int) and not isinstance(value, bool) and least <= value <= most,
+    )
 
 
 def one_of(*allowed: str) -> Check:
     """Expect one of these words."""
-
-    def check(value: Any) -> str | None:
-        return (
-            None if isinstance(value, str) and value in allowed else f"one of {', '.join(map(repr, allowed))}"
-        )
-
-    return check
-
-
-def texts(value: Any) -> str | None:
-    """Expect a text, or a list of some."""
-    several = value if isinstance(value, list) and value else [value]
-    return None if all(text(one) is None for one in several) else "a text or a list of texts"
-
-
-def table(value: Any) -> str | None:
-    """Expect a table."""
-    return None if isinstance(value, dict) else "a table of texts"
-
-
-def time(value: Any) -> str | None:
-    """Expect a date or time, or text that spells one."""
-    good = isinstance(value, (str, datetime.date))
-    return None if good else "a date or time"
+    words = ", ".join(map(repr, allowed))
+    return _expect(f"one of {words}", lambda value: isinstance(value, str) and value in allowed)

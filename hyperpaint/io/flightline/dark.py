@@ -143,7 +143,7 @@ def _check_shape(actual: tuple[int, ...], shape: tuple[int, ...] | None, name: s
 
 
 def _reference(source: Any, timing: Timing, shape: tuple[int, ...] | None) -> _Reference:
-    """Sum one dark cube, and learn its time and exposure from the files beside it."""
+    """Sum one dark cube, and read its time and exposure from the files beside it."""
     import xarray as xr
 
     from hyperpaint.io.envi.envi_cubes import open_envi

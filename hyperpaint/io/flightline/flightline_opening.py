@@ -436,7 +436,7 @@ def _shape(sizes: Mapping[Any, int]) -> str:
 
 
 def _navigation_attrs(declared: Mapping[str, Any], timing: Timing) -> dict[str, Any]:
-    """Return what the poses of a line mean, and what of that nobody has declared.
+    """Return what the poses of a line mean, and what of that is assumed, not declared.
 
     Raises `SchemaError`: A declaration that does not exist.
     """

@@ -26,26 +26,6 @@ if TYPE_CHECKING:
     import xarray as xr
     from numpy.typing import NDArray
 
-__all__ = [
-    "DarkFrames",
-    "FrameIndex",
-    "Table",
-    "check_increasing",
-    "cube_number",
-    "exposure_seconds",
-    "exposure_sources",
-    "find_exposure",
-    "match_frames",
-    "name_rows",
-    "read_frame_index",
-    "read_settings",
-    "read_table",
-    "read_text",
-    "sum_dark",
-    "time_of_day",
-    "to_integers",
-]
-
 _MAX_SETTINGS = 16 << 20
 _MAX_TABLE = 1 << 30
 _MAX_FRAME = 1 << 40
@@ -287,7 +267,9 @@ def read_frame_index(path: str | Path) -> FrameIndex:
     steps = np.flatnonzero(np.diff(frame) <= 0)
     if steps.size or frame[0] < 0 or frame[-1] > _MAX_FRAME:
         wrong = table.rows[steps + 1] if steps.size else table.rows[:1]
-        raise FormatError(f"{path}: frame numbers repeat, run backwards or are absurd in {name_rows(wrong)}")
+        raise FormatError(
+            f"{path}: frame numbers repeat, run backwards or are out of range in {name_rows(wrong)}"
+        )
     if ":" not in table.columns[name][0]:
         stamp = to_integers(table, name)
         check_increasing(stamp, table.rows, f"{path}: column {name!r}")
@@ -357,7 +339,7 @@ def match_frames(
     """Tell which frame each line of a cube is.
 
     ``index``: frame index of the cube, or of the whole flight; ``lines``: lines of the cube; ``cube``: its
-    path: ``raw_<N>`` and its neighbours tell the cube's part of a whole flight's index; ``shortened``: the
+    path: ``raw_<N>`` and its neighbours give the cube's part of a whole flight's index; ``shortened``: the
     file was cut short and only its whole lines are kept: it may hold fewer lines than rows.
 
     Returns frame numbers (along_track,), and rows of the index (along_track,), -1 for a dropped frame.
