@@ -1,12 +1,8 @@
 """The disk under a store: its free space, files that survive a power failure, folders that change places.
 
-The kernel keeps written files in memory for half a minute or so. Before a group is sealed with its completion
-record, and before it is renamed into its place, every file of it and every folder is therefore flushed to the
-disk: a sealed group that is there after a power failure is whole. A group under construction may have lost
-files; what is taken up of it is checked against its checksums first.
-
-Writing a chunk to the disk begins as soon as it is in its file, while others are computed, so that little is
-left to wait for at the end.
+The kernel keeps written files in memory for half a minute or so. A group is therefore flushed, every file and
+folder of it, before it is sealed and before it gets its place; chunks begin to be written as soon as they are
+in their files, so that little is left to wait for at the end.
 """
 
 from __future__ import annotations
@@ -170,7 +166,7 @@ _AT_ONCE = 8
 def flush_group(folder: Path, expected: Iterable[Path]) -> None:
     """Flush all files of a folder, then all its folders; return when the disk has them.
 
-    FileNotFoundError where one of the files ``expected`` is missing: somebody may have removed it.
+    FileNotFoundError where one of the files ``expected`` is missing: another process may have removed it.
     """
     walked = list(os.walk(folder, topdown=False))
     files = {os.path.join(above, name) for above, _, names in walked for name in names}

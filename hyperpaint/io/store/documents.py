@@ -1,6 +1,6 @@
 """What the metadata of a store may say, whoever wrote it: bounded JSON, plain numbers, known codecs.
 
-A store from somebody else is a program for the libraries that read it: its metadata name the codecs that
+A store from another source is a program for the libraries that read it: its metadata name the codecs that
 are run, and how much memory is allocated for a chunk. Here is what hyperpaint accepts; `guard` holds the
 chunks to it.
 

@@ -40,7 +40,7 @@ _OLD_METADATA = (".zarray", ".zgroup", ".zattrs", ".zmetadata")
 def guarded(
     location: Location, *, group: str = "", record: GroupRecord | None = None, content: str = ""
 ) -> LocalStore | FsspecStore:
-    """Return a read-only Zarr store over a place that nobody vouches for.
+    """Return a read-only Zarr store over a place that is not trusted.
 
     With ``group`` and its completion ``record``, what is read of the group must be what was recorded, and a
     chunk that is missing is refused, where it would otherwise read as the fill value. ``content`` names what

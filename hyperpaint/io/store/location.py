@@ -138,7 +138,7 @@ class Location:
             group = pending.pop()
             for child in self.folders(group):
                 path = f"{group}/{child}" if group else child
-                if (kind := self._node_type(path)) in ("group", "array", "unreadable"):
+                if (kind := self.node_type(path)) in ("group", "array", "unreadable"):
                     kinds[path] = str(kind)
                     if len(kinds) > MOST_NODES:
                         raise StoreError(
@@ -147,14 +147,6 @@ class Location:
                 if kind == "group":
                     pending.append(path)
         return kinds
-
-    def subgroups(self, group: str) -> list[str]:
-        """Return the names of the groups right below a group."""
-        return [
-            child
-            for child in self.folders(group)
-            if self._node_type(f"{group}/{child}" if group else child) == "group"
-        ]
 
     def folders(self, group: str) -> list[str]:
         """Return the names of the folders in a group.
@@ -202,10 +194,11 @@ class Location:
         return sorted(
             name
             for name, is_folder in visible
-            if not is_folder or self._node_type(f"{group}/{name}".lstrip("/")) is None
+            if not is_folder or self.node_type(f"{group}/{name}".lstrip("/")) is None
         )
 
-    def _node_type(self, path: str) -> str | None:
+    def node_type(self, path: str) -> str | None:
+        """Return ``group``, ``array`` or ``unreadable``, None where there is no node."""
         try:
             document = self.read_json(path, METADATA)
         except StoreError:

@@ -1,7 +1,7 @@
 """Open stores, and refuse what was never finished, or may not be read at all.
 
 Whoever wrote a store, nothing of it is decoded before its metadata (`documents`) and each chunk as it is read
-(`guard`) have been checked. What only every chunk together can tell, `verification` finds.
+(`guard`) have been checked. What only all chunks together show, `verification` finds.
 """
 
 from __future__ import annotations

@@ -134,9 +134,8 @@ def read_record(location: Location, group: str) -> GroupRecord | None:
 
 def _array_records(location: Location, group: str, where: str) -> dict[str, ArrayRecord]:
     records = {}
-    subgroups = set(location.subgroups(group))
     for name in location.folders(group):
-        if name in subgroups:
+        if location.node_type(f"{group}/{name}".lstrip("/")) == "group":
             continue
         document = location.read_json(group, name, CHUNKS)
         if document is None:

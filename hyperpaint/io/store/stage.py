@@ -8,12 +8,11 @@
 * ``discarded-<number>``: what is being removed.
 
 A finished group and the one it replaces change places in one step, where the system can exchange two names
-(Linux, most local disks): at no instant is there no group. Elsewhere it takes two renames; what a writer
-killed in between leaves is put right by the next one.
+(Linux, most local disks): at no instant is there no group. Elsewhere it takes two renames.
 
 Whatever a killed writer left there is put right by the next one, before it does anything else. It takes up
-what was built of the same group with the same content, and removes the rest. Nothing there is trusted: links
-and names that lead elsewhere are refused.
+what was built of the same group with the same content, and removes the rest. Links and names that lead
+elsewhere are refused.
 """
 
 from __future__ import annotations
@@ -223,7 +222,7 @@ def locked(lock: Path, store: Path) -> Iterator[None]:
 
     `filelock.SoftFileLock` writes the process, its start and its host into the file, and takes over the lock
     of a process that has died; a file without such a record it takes over after 2 s without a change.
-    StoreError where another writer holds it, where nobody can see from here whether that one has died, or
+    StoreError where another writer holds it, where it cannot be seen from here whether that one has died, or
     where it is no file.
     """
     import filelock
@@ -260,7 +259,7 @@ def _refuse_what_is_no_lock(lock: Path, store: Path) -> None:
             raise StoreError(
                 f"{lock} is a link, a folder or a pipe",
                 expected="the file that a writer leaves there",
-                mend=f"delete it once you know that nobody writes {store}",
+                mend=f"delete it once no process writes {store}",
             )
         if not status.st_size and time.time() - status.st_mtime > _EMPTY_AGE_S:
             os.unlink(lock)

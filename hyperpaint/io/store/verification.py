@@ -30,7 +30,7 @@ _MOST_LISTED = 20
 
 _NO_RECORDS = (
     "icechunk keeps no checksums of chunks to compare with, so read a group whole instead: where it was "
-    "written with hyperpaint.encoding, a damaged chunk raises"
+    "written with hyperpaint.io.encoding, a damaged chunk raises"
 )
 
 
@@ -71,7 +71,7 @@ def verify(path: str | os.PathLike[str]) -> StoreReport:
     """Read every chunk of a store and compare it with the completion records.
 
     Finds groups that were never finished, chunks that are missing, damaged, exchanged, stale or not of the
-    store, metadata that were changed, and groups that are listed but gone. Safe on a store from anybody:
+    store, metadata that were changed, and groups that are listed but gone. Safe on a store from any source:
     what may not be read (foreign codecs and data types, chunks that would not decode to what is declared,
     links) is reported and not touched; plain `xarray.open_zarr` has no such guard.
 

@@ -184,7 +184,11 @@ def _plan(
     if isinstance(data, xr.Dataset):
         nodes = {group: data}
     else:
-        nodes = {_inside(group, data, part): part.to_dataset(inherit=False) for part in data.subtree}
+        # the tree itself, whose path is ".", is stored as ``group``
+        paths = {f"{group}/{part.relative_to(data)}": part for part in data.subtree}
+        nodes = {
+            path.removesuffix("/.").strip("/"): part.to_dataset(inherit=False) for path, part in paths.items()
+        }
     jobs, attrs = [], {}
     for name, node in nodes.items():
         dataset = _without_foreign_inputs(node, source_token)
@@ -203,12 +207,6 @@ def _without_foreign_inputs(dataset: xr.Dataset, source_token: str | None) -> xr
     unmarked = dataset.copy(deep=False)
     del unmarked.attrs[INPUTS]
     return unmarked
-
-
-def _inside(group: str, tree: xr.DataTree, node: xr.DataTree) -> str:
-    """Return the group of a node, the tree itself being stored as ``group``."""
-    path = node.path.removeprefix(tree.path) if node is not tree else ""
-    return "/".join(part for part in (group, path.strip("/")) if part)
 
 
 def _token(dataset: xr.Dataset, source_token: str | None) -> str:

@@ -193,9 +193,9 @@ def test_only_our_codec_tells_a_flipped_bit(plain: Path, tmp_path: Path, protect
 def test_verify_says_what_to_do_instead(plain: Path, tmp_path: Path) -> None:
     folder = tmp_path / "lot.icechunk"
     repository = ingest(plain, icechunk.local_filesystem_storage(str(folder)))
-    with pytest.raises(hp.StoreError, match=r"is an icechunk repository.*hyperpaint\.encoding"):
+    with pytest.raises(hp.StoreError, match=r"is an icechunk repository.*hyperpaint\.io\.encoding"):
         hp.verify(folder)
-    with pytest.raises(hp.StoreError, match=r"folder or URL, not by IcechunkStore.*hyperpaint\.encoding"):
+    with pytest.raises(hp.StoreError, match=r"folder or URL, not by IcechunkStore.*hyperpaint\.io\.encoding"):
         hp.verify(repository.readonly_session("main").store)
     with pytest.raises(hp.StoreError, match="load it whole where it is in icechunk"):
         open_group(repository, LINE).paint.verify()
