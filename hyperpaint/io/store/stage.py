@@ -31,7 +31,7 @@ from hyperpaint.base.errors import StoreError
 
 from .disk import exchange
 from .groups import groups_above, make_groups_above
-from .location import METADATA, Location, clean_group, is_temporary, sync
+from .location import METADATA, MOST_DEPTH, Location, clean_group, is_temporary, sync
 from .record import CHUNKS
 
 _ROOT = "%root"
@@ -175,6 +175,8 @@ def _temporaries(store: Path, above: Collection[str]) -> Iterator[str]:
     tops = dict.fromkeys([store, *(store / name for name in above if not (store / name).is_symlink())])
     for folder, folders, names in (step for top in tops for step in os.walk(top)):
         places = {name: os.path.join(folder, name) for name in (*folders, *names)}
+        if len(Path(folder).relative_to(store).parts) > MOST_DEPTH:
+            folders.clear()  # deeper groups are of no store
         # of a recorded array nothing is half-written
         folders[:] = [
             name
