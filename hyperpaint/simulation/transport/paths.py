@@ -7,6 +7,10 @@ The radiance of a pixel is the sum over its paths of
 with the irradiance E of the source, the reflectances of what scattered the light, and a weight w that does
 not depend on wavelength. A path's code says which source and which reflectances; equal codes of a pixel are
 added up.
+
+Random numbers have no state: a stream that is drawn from in turn would give other numbers for other blocks of
+lines. A counter-based generator gives the number that belongs to (seed, line, column, sample, draw), whoever
+asks, in any order.
 """
 
 from __future__ import annotations
@@ -32,17 +36,21 @@ from .codes import (
 )
 from .hierarchy import STACK, Geometry, closest, occluded
 from .path_blocks import Block, Rays, Settings, Sources, check
-from .random_numbers import uniforms
 from .surfaces import BASE, COAT, ENDED, WIDENED_ALPHA, Lobes, Surfaces, lobes_at, scatter, sun_weights
 from .vectors import Frame, Vector, along, dot, frame_of, from_frame, in_frame, unit
 
-__all__ = ["WIDENED_ALPHA", "Block", "Rays", "Settings", "Sources", "trace_lines"]
+__all__ = ["WIDENED_ALPHA", "Block", "Rays", "Settings", "Sources", "philox", "trace_lines", "uniforms"]
 
 
 _CAMERA, _SCATTER, _SUN, _SLOT, _LOBE = 0, 16, 1024, 65536, 65537  # what random numbers are for
 _GOLDEN = 0.6180339887498949  # multiples of it spread evenly over the unit interval
 _FACING = 1e-9  # a sun at a smaller cosine does not shine on a surface
 _LIFT = 1e-9  # of the size of the coordinates
+_MASK = np.uint64(0xFFFFFFFF)
+_HALF = np.uint64(32)
+_MULTIPLIER_0, _MULTIPLIER_1 = np.uint64(0xD2511F53), np.uint64(0xCD9E8D57)
+_WEYL_0, _WEYL_1 = np.uint64(0x9E3779B9), np.uint64(0xBB67AE85)
+_STEP = 2.0**-32
 
 
 class _Room(NamedTuple):
@@ -161,6 +169,58 @@ def _room(settings: Settings, suns: int) -> _Room:
         first=np.zeros(5),
         seen=np.zeros(suns),
         cosines=np.zeros(suns),
+    )
+
+
+@borrowing_kernel
+def philox(c0: Any, c1: Any, c2: Any, c3: Any, k0: Any, k1: Any) -> tuple[Any, Any, Any, Any]:
+    """Return four words of 32 bits: Philox4x32-10.
+
+    Parameters
+    ----------
+    c0, c1, c2, c3
+        The counter, words of 32 bits held in uint64.
+    k0, k1
+        The key, likewise.
+
+    Notes
+    -----
+    J. K. Salmon, M. A. Moraes, R. O. Dror, D. E. Shaw, "Parallel random numbers: as easy as 1, 2, 3", SC11
+    (2011). Products of two 32-bit words fit 64 bits: nothing overflows, compiled or not.
+    """
+    for _ in range(10):
+        product_0 = _MULTIPLIER_0 * c0
+        product_1 = _MULTIPLIER_1 * c2
+        c0 = (product_1 >> _HALF) ^ c1 ^ k0
+        c2 = (product_0 >> _HALF) ^ c3 ^ k1
+        c1 = product_1 & _MASK
+        c3 = product_0 & _MASK
+        k0 = (k0 + _WEYL_0) & _MASK
+        k1 = (k1 + _WEYL_1) & _MASK
+    return c0, c1, c2, c3
+
+
+@borrowing_kernel
+def uniforms(seed: Any, line: Any, column: Any, sample: Any, draw: Any) -> tuple[float, float, float, float]:
+    """Return four numbers inside (0, 1) that belong to one draw of one sample of one pixel.
+
+    Parameters
+    ----------
+    seed
+        Non-negative integer.
+    line, column, sample, draw
+        Non-negative integers below 2^32: the absolute scan line, the column, the sample of the pixel, and
+        what the numbers are for.
+    """
+    key = np.uint64(seed)
+    a, b, c, d = philox(
+        np.uint64(line), np.uint64(column), np.uint64(sample), np.uint64(draw), key & _MASK, key >> _HALF
+    )
+    return (
+        (np.float64(a) + 0.5) * _STEP,
+        (np.float64(b) + 0.5) * _STEP,
+        (np.float64(c) + 0.5) * _STEP,
+        (np.float64(d) + 0.5) * _STEP,
     )
 
 
