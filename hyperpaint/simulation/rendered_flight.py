@@ -24,7 +24,6 @@ from .rendering.camera_bands import BandSet
 from .rendering.car_parks import car_park
 from .rendering.lighting import ProductTable
 from .rendering.painting import factor_spectra
-from .rendering.path_codes import FIRST_SUN, SKY, is_direct, is_indirect, is_mirrored
 from .rendering.platforms import Platform
 from .rendering.scene import Scene
 from .rendering.scene_record import SceneRecord, TraceSettings
@@ -33,6 +32,7 @@ from .rendering.tracing import PreparedScene, prepare_scene, trace_block
 from .rendering.truth_layers import LabelTables
 from .settings import SWATH_M, SimulationSettings
 from .trajectories import TransverseMercator
+from .transport.path_codes import FIRST_SUN, SKY, is_direct, is_indirect, is_mirrored
 from .transport.paths import Block
 
 __all__ = ["GLINT", "RenderedFlight"]

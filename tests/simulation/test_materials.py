@@ -201,10 +201,10 @@ class TestDataclasses:
 @pytest.mark.parametrize("measured", [0.05, 0.5, 0.9])
 def test_the_tracer_sees_what_was_measured(measured: float) -> None:
     # the weight of sunlight scattered once by the base, times its factor, near normal
-    from hyperpaint.simulation.rendering.path_codes import is_direct, is_indirect, is_mirrored
     from hyperpaint.simulation.rendering.platforms import pushbroom
     from hyperpaint.simulation.rendering.scene import plane
     from hyperpaint.simulation.rendering.tracing import trace
+    from hyperpaint.simulation.transport.path_codes import is_direct, is_indirect, is_mirrored
 
     paint = Material("paint", "red", "paint", Coat())
     traced = trace(plane(100.0, paint), pushbroom(2, 3, altitude=50.0), [(2.0, 180.0)], samples=4).compute()

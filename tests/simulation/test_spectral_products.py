@@ -18,14 +18,14 @@ from hyperpaint.simulation.rendering import lighting
 from hyperpaint.simulation.rendering.camera_bands import BandResponses, BandSet, cell_means
 from hyperpaint.simulation.rendering.four_curves import Atmosphere
 from hyperpaint.simulation.rendering.lighting import ProductTable
-from hyperpaint.simulation.rendering.path_codes import (
+from hyperpaint.simulation.settings import SimulationSettings
+from hyperpaint.simulation.transport.path_codes import (
     PathCodes,
     is_direct,
     is_indirect,
     is_mirrored,
     source_of,
 )
-from hyperpaint.simulation.settings import SimulationSettings
 
 NAMES = list(CAR_PAINTS)
 CODES = PathCodes.of(len(NAMES), 4)

@@ -17,7 +17,7 @@ The light
 The camera
     `platform_geometry` and the flights of `platforms`; `camera_bands`.
 Tracing
-    `path_codes`, `scene_record` (what a traced dataset keeps of its scene), `tracing`.
+    `scene_record` (what a traced dataset keeps of its scene), `tracing`.
 Relighting
     `painting` (which spectrum every factor has), `lighting`, `truth_layers` and `relighting`.
 """

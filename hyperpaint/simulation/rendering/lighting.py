@@ -18,10 +18,17 @@ from numpy.typing import NDArray
 from hyperpaint.base.arrays import Array, Floats, Floats32, Ints
 from hyperpaint.base.errors import SchemaError
 from hyperpaint.simulation.camera import Imager
+from hyperpaint.simulation.transport.path_codes import (
+    FIRST_SUN,
+    OVERCAST_SKY,
+    SKY,
+    PathCodes,
+    is_direct,
+    source_of,
+)
 
 from .camera_bands import BandResponses, BandSet, cell_means
 from .four_curves import Atmosphere
-from .path_codes import FIRST_SUN, OVERCAST_SKY, SKY, PathCodes, is_direct, source_of
 from .scene_record import TraceSettings, sun_vectors
 from .truth_layers import light_shares, share_weights
 

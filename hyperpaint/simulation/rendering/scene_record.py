@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 
 from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import Problems, SchemaError
+from hyperpaint.simulation.transport.path_codes import MOST_SUNS, PathCodes
 
 from .materials import KINDS, Coat, Flakes, Material
-from .path_codes import MOST_SUNS, PathCodes
 from .scene import Factor, Instance, Scene
 
 __all__ = ["MOST_SAMPLES", "SceneRecord", "TraceSettings", "sun_vectors"]

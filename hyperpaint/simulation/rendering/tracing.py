@@ -26,10 +26,10 @@ from hyperpaint.base.schema import (
     dtype_of,
     label,
 )
+from hyperpaint.simulation.transport.path_codes import PathCodes
 
 from .four_curves import Atmosphere, preset_atmosphere
 from .materials import internal_reflectance
-from .path_codes import PathCodes
 from .scene_record import SceneRecord, TraceSettings, sun_vectors
 from .truth_layers import LabelTables
 

@@ -15,9 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hyperpaint.base.arrays import Array, Ints
+from hyperpaint.simulation.transport.path_codes import is_direct, is_indirect, is_mirrored
 
 from .materials import KINDS
-from .path_codes import is_direct, is_indirect, is_mirrored
 from .scene_record import SceneRecord
 from .scene_spectra import FOURTEEN
 

@@ -1,10 +1,4 @@
-"""Codes of paths: made, added up by pixel, and written.
-
-A code is a non-negative int64. Bits 0 to 2 name the source: `SKY`, `OVERCAST`, and from `FIRST_SUN` on the
-suns. Bit 3, `ADD_MIRROR`: the light left the first surface through its coat's lobe. Bit 4, `ADD_INDIRECT`:
-the path met more than one surface. From `FIRST_DIGIT` on: numbers of the factors plus 1, largest in the
-lowest bits, 0 for none.
-"""
+"""Codes of paths (see `path_codes`): made, added up by pixel, and written."""
 
 from __future__ import annotations
 
@@ -15,15 +9,10 @@ import numpy as np
 from hyperpaint.base.arrays import Array
 from hyperpaint.base.jit import borrowing_kernel
 
-__all__ = [
-    "ADD_INDIRECT", "ADD_MIRROR", "FIRST_DIGIT", "FIRST_SUN", "OVERCAST", "SKY",
-    "PathTable", "add_path", "with_factor", "write_paths",
-]  # fmt: skip
+from .path_codes import FIRST_DIGIT
 
+__all__ = ["PathTable", "add_path", "with_factor", "write_paths"]
 
-SKY, OVERCAST, FIRST_SUN = 0, 1, 2
-ADD_MIRROR, ADD_INDIRECT = 8, 16
-FIRST_DIGIT = 5
 
 _MULTIPLIER = np.uint64(0x9E3779B1)
 

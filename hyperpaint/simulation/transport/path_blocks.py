@@ -9,12 +9,10 @@ import numpy as np
 from hyperpaint.base.arrays import Array
 
 from .hierarchy import Geometry
+from .path_codes import FIRST_DIGIT, MOST_SUNS, USABLE_BITS
 from .surfaces import Surfaces
 
 __all__ = ["Block", "Rays", "Settings", "Sources", "check"]
-
-
-_MOST_SUNS = 6
 
 
 class Rays(NamedTuple):
@@ -153,17 +151,17 @@ def check(
     """
     wrong = []
     first_line, samples, depth, digit_bits, seed = settings
-    if 5 + depth * digit_bits > 63:
-        wrong.append(
-            f"{depth} factors of {digit_bits} bits do not fit a code: 5 + {depth} x {digit_bits} > 63"
-        )
+    if FIRST_DIGIT + depth * digit_bits > USABLE_BITS:
+        wrong.append(f"{depth} factors of {digit_bits} bits do not fit a code of {USABLE_BITS} bits")
     if min(samples, depth, digit_bits) < 1 or min(seed, first_line) < 0:
         wrong.append("samples, depth and digit_bits must be positive, seed and first_line not negative")
     if seed >= 2**63 or max(first_line + len(rays.origin), samples) > 2**32:
         wrong.append("seed must fit 63 bits, the numbers of lines and samples 32")
     suns = len(sources.suns)
-    if suns > _MOST_SUNS or np.shape(sources.sun_radius) != (suns,) or np.shape(sources.suns) != (suns, 3):
-        wrong.append(f"suns {np.shape(sources.suns)} with radii {np.shape(sources.sun_radius)}; at most 6")
+    if suns > MOST_SUNS or np.shape(sources.sun_radius) != (suns,) or np.shape(sources.suns) != (suns, 3):
+        wrong.append(
+            f"suns {np.shape(sources.suns)} with radii {np.shape(sources.sun_radius)}; at most {MOST_SUNS}"
+        )
     elif not np.allclose(np.linalg.norm(sources.suns, axis=1), 1.0, atol=1e-6):
         wrong.append("directions to suns must be unit vectors")
     if len({part.shape for part in surfaces}) > 1:

@@ -23,19 +23,10 @@ import numpy as np
 from hyperpaint.base.arrays import Array
 from hyperpaint.base.jit import borrowing_kernel
 
-from .codes import (
-    ADD_INDIRECT,
-    ADD_MIRROR,
-    FIRST_SUN,
-    OVERCAST,
-    SKY,
-    PathTable,
-    add_path,
-    with_factor,
-    write_paths,
-)
+from .codes import PathTable, add_path, with_factor, write_paths
 from .hierarchy import STACK, Geometry, closest, occluded
 from .path_blocks import Block, Rays, Settings, Sources, check
+from .path_codes import FIRST_SUN, INDIRECT, MIRROR, OVERCAST_SKY, SKY
 from .surfaces import BASE, COAT, ENDED, WIDENED_ALPHA, Lobes, Surfaces, lobes_at, scatter, sun_weights
 from .vectors import Frame, Vector, along, dot, frame_of, from_frame, in_frame, unit
 
@@ -381,12 +372,6 @@ def _evenly(place: _Place) -> float:
 
 
 @borrowing_kernel
-def _record(room: _Room, code: int, weight: float) -> None:
-    """Add a path to its pixel."""
-    add_path(room.table, code, weight)
-
-
-@borrowing_kernel
 def _record_first(sources: Sources, room: _Room, distance: float, point: Vector, normal: Vector) -> None:
     """Add up what is known of the first hits."""
     room.first[0] += 1.0
@@ -423,10 +408,10 @@ def _trace_sample(
             label = _as_label(material, geometry.face_instance[face])
             _record_first(sources, room, distance, point, normal)
         else:
-            code |= ADD_INDIRECT
+            code |= INDIRECT
         codes = _Codes(
             with_factor(code, surfaces.base_factor[material], settings.digit_bits),
-            code | ADD_MIRROR if bounce == 0 else code,
+            code | MIRROR if bounce == 0 else code,
             with_factor(code, surfaces.flake_factor[material], settings.digit_bits),
         )
         _record_suns(scene, room, hit, lobes, codes, beta, place, bounce)
@@ -465,9 +450,9 @@ def _record_suns(
         if occluded(scene.geometry, room.stack, hit.point, towards, np.inf):
             continue
         base, coat, flakes = sun_weights(lobes, in_frame(hit.frame, towards))
-        _record(room, codes.base | FIRST_SUN + sun, beta * base)
-        _record(room, codes.coat | FIRST_SUN + sun, beta * coat)
-        _record(room, codes.flakes | FIRST_SUN + sun, beta * flakes)
+        add_path(room.table, codes.base | FIRST_SUN + sun, beta * base)
+        add_path(room.table, codes.coat | FIRST_SUN + sun, beta * coat)
+        add_path(room.table, codes.flakes | FIRST_SUN + sun, beta * flakes)
         if bounce == 0:
             room.seen[sun] += 1.0
 
@@ -475,6 +460,6 @@ def _record_suns(
 @borrowing_kernel
 def _record_sky(sources: Sources, room: _Room, code: int, beta: float, direction: Vector) -> None:
     """Add a path that has escaped."""
-    _record(room, code | SKY, beta)
+    add_path(room.table, code | SKY, beta)
     if sources.overcast:
-        _record(room, code | OVERCAST, 1.5 * direction[2] * beta)  # nothing from below the horizon
+        add_path(room.table, code | OVERCAST_SKY, 1.5 * direction[2] * beta)  # nothing from below the horizon

@@ -9,7 +9,8 @@ import pytest
 from hypothesis import given, settings, strategies as st
 from support.transport_scenes import COMPILED, code
 
-from hyperpaint.simulation.transport.codes import SKY, PathTable, add_path, with_factor, write_paths
+from hyperpaint.simulation.transport.codes import PathTable, add_path, with_factor, write_paths
+from hyperpaint.simulation.transport.path_codes import SKY
 
 
 def table(size: int = 4096) -> PathTable:

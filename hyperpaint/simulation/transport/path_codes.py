@@ -22,8 +22,8 @@ from hyperpaint.base.arrays import Bools, Ints
 from hyperpaint.base.errors import SchemaError
 
 __all__ = [
-    "FIRST_SUN", "INDIRECT", "MIRROR", "MOST_SUNS", "OVERCAST_SKY", "SKY", "PathCodes", "is_direct",
-    "is_indirect", "is_mirrored", "source_of",
+    "FIRST_DIGIT", "FIRST_SUN", "INDIRECT", "MIRROR", "MOST_SUNS", "OVERCAST_SKY", "SKY", "USABLE_BITS",
+    "PathCodes", "is_direct", "is_indirect", "is_mirrored", "source_of",
 ]  # fmt: skip
 
 
@@ -36,9 +36,10 @@ MOST_SUNS = 6
 MIRROR, INDIRECT = 1 << 3, 1 << 4
 """Bits of the flags."""
 
+FIRST_DIGIT, USABLE_BITS = 5, 63
+"""Lowest bit of the first digit, and bits of a code that is not negative."""
+
 _SOURCE_MASK = 7
-_FIRST_DIGIT = 5
-_USABLE_BITS = 63
 
 
 def source_of(codes: Ints) -> Ints:
@@ -97,8 +98,8 @@ class PathCodes:
         if depth < 1:
             raise SchemaError(f"depth={depth}, expected at least 1 scattering")
         bits = max(factors, 1).bit_length()
-        if _FIRST_DIGIT + depth * bits > _USABLE_BITS:
-            most = (_USABLE_BITS - _FIRST_DIGIT) // bits
+        if FIRST_DIGIT + depth * bits > USABLE_BITS:
+            most = (USABLE_BITS - FIRST_DIGIT) // bits
             raise SchemaError(
                 f"{factors} spectra and depth={depth} do not fit into the code of a path; "
                 "there is a spectrum for each material, two where it has flakes; "
@@ -112,11 +113,11 @@ class PathCodes:
         """Return the code of a path."""
         code = source | (MIRROR if mirror else 0) | (INDIRECT if indirect else 0)
         for place, factor in enumerate(sorted(factors, reverse=True)):
-            code |= (factor + 1) << (_FIRST_DIGIT + place * self.digit_bits)
+            code |= (factor + 1) << (FIRST_DIGIT + place * self.digit_bits)
         return code
 
     def factors(self, codes: Ints) -> Ints:
         """Return the factors of every code, shape (code, depth); -1 where there is none."""
-        shifts = _FIRST_DIGIT + self.digit_bits * np.arange(self.depth)
+        shifts = FIRST_DIGIT + self.digit_bits * np.arange(self.depth)
         digits = (np.asarray(codes, np.int64)[:, None] >> shifts) & ((1 << self.digit_bits) - 1)
         return np.asarray(digits - 1)
