@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields
 from typing import Any, TypeGuard
 
@@ -13,16 +13,9 @@ import numpy as np
 from hyperpaint.base.errors import Problems, SchemaError
 
 __all__ = [
-    "NEAR_SUNSET",
-    "SCENES",
-    "SHAPES",
-    "SKIES",
-    "STAMPS",
-    "SWATH_M",
-    "WOBBLES",
-    "SimulationSettings",
-    "is_number",
-]
+    "MOST_SAMPLES", "NEAR_SUNSET", "SCENES", "SHAPES", "SKIES", "STAMPS", "SWATH_M", "WOBBLES",
+    "SimulationSettings", "check_choice", "check_flag", "check_number", "check_whole", "is_number",
+]  # fmt: skip
 
 STAMPS = ("start", "mid", "end")
 """What a time stamp may mark of an exposure."""
@@ -39,6 +32,9 @@ WOBBLES = ("none", "slow", "calm", "rough")
 
 SWATH_M = 16.0
 """Width of a scene across the track, unless it is a checkerboard."""
+
+MOST_SAMPLES = 1 << 14
+"""Paths of a pixel that the tracer takes."""
 
 SKIES = ("clear", "near_sunset", "overcast")
 """Kinds of light."""
@@ -302,11 +298,9 @@ class SimulationSettings:
             "irradiance_stamp": STAMPS,
         }  # fmt: skip
         for name, allowed in choices.items():
-            if getattr(self, name) not in allowed:
-                problems.add(f"{name}={getattr(self, name)!r}, expected one of {', '.join(allowed)}")
+            check_choice(problems, name, getattr(self, name), allowed)
         for name in ("coat", "neighbours", "noise", "dark_noise", "quantise"):
-            if not isinstance(getattr(self, name), bool):
-                problems.add(f"{name}={getattr(self, name)!r}, expected True or False")
+            check_flag(problems, name, getattr(self, name))
         if not _is_start_time(self.start_time):
             problems.add(
                 f"start_time={self.start_time!r}, expected text like '2021-07-20T17:10:00', "
@@ -315,20 +309,9 @@ class SimulationSettings:
 
     def _check_numbers(self, problems: Problems) -> None:
         for name, (lowest, highest) in _WHOLE.items():
-            value = getattr(self, name)
-            if (
-                isinstance(value, bool)
-                or not isinstance(value, int | np.integer)
-                or not lowest <= value <= highest
-            ):
-                problems.add(f"{name}={value!r}, expected a whole number from {lowest} to {highest}")
+            check_whole(problems, name, getattr(self, name), lowest, highest)
         for name, (low, high) in _RANGES.items():
-            value = getattr(self, name)
-            above_0 = name in _POSITIVE
-            if not is_number(value) or not low <= value <= high or (above_0 and value == 0):
-                bounds = "above 0" if above_0 else f"from {low:g}"
-                bounds += "" if high == np.inf else f" to {high:g}"
-                problems.add(f"{name}={value!r}, expected a number {bounds}")
+            check_number(problems, name, getattr(self, name), low, high, above=name in _POSITIVE)
         for name, length in (("cloud", 3), ("irradiance_gap", 2)):
             value = getattr(self, name)
             if value is not None and not _are_numbers(value, length):
@@ -391,9 +374,39 @@ class SimulationSettings:
 
 
 def is_number(value: object) -> TypeGuard[float]:
-    """Tell whether a value is a finite number, and no truth value."""
+    """Return whether a value is a finite number, and no truth value."""
     kinds = int | float | np.integer | np.floating
-    return isinstance(value, kinds) and not isinstance(value, bool) and bool(np.isfinite(value))
+    return isinstance(value, kinds) and not isinstance(value, bool) and bool(-1e300 < value < 1e300)
+
+
+def check_choice(problems: Problems, name: str, value: object, allowed: Iterable[str]) -> None:
+    """Note a value that is none of the names allowed."""
+    if value not in allowed:
+        problems.add(f"{name}={value!r:.60}, expected one of {', '.join(allowed)}")
+
+
+def check_flag(problems: Problems, name: str, value: object) -> None:
+    """Note a value that is not a truth value."""
+    if not isinstance(value, bool):
+        problems.add(f"{name}={value!r:.60}, expected True or False")
+
+
+def check_whole(problems: Problems, name: str, value: object, low: int, high: int | None = None) -> None:
+    """Note a value that is no whole number from ``low`` to ``high``."""
+    is_whole = isinstance(value, int | np.integer) and not isinstance(value, bool)
+    if not is_whole or value < low or (high is not None and value > high):
+        most = "on" if high is None else f"to {high}"
+        problems.add(f"{name}={value!r:.60}, expected a whole number from {low} {most}")
+
+
+def check_number(
+    problems: Problems, name: str, value: object, low: float, high: float = np.inf, *, above: bool = False
+) -> None:
+    """Note a value that is no finite number from ``low`` to ``high``; ``above`` leaves ``low`` itself out."""
+    if not is_number(value) or not low <= value <= high or (above and value == low):
+        least = f"above {low:g}" if above else f"from {low:g}"
+        most = "" if high == np.inf else f" to {high:g}"
+        problems.add(f"{name}={value!r:.60}, expected a number {least}{most}")
 
 
 def _are_numbers(value: object, length: int) -> bool:
@@ -419,7 +432,7 @@ _WHOLE = {
     "bands": (2, 10_000),
     "columns": (1, 100_000),
     "seed": (0, 2**63 - 1),
-    "samples": (1, 1 << 14),  # what the tracer takes
+    "samples": (1, MOST_SAMPLES),
     "cubes": (1, 10_000),
     "bit_depth": (1, 16),
     "dark_frames": (1, 100_000),

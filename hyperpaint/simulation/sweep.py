@@ -25,7 +25,7 @@ from hyperpaint.base.errors import Problems, SchemaError
 from hyperpaint.base.schema import MONOCHROMATOR_SHAPES
 
 from .camera import CAMERA_FIELDS, Camera
-from .settings import SimulationSettings, is_number
+from .settings import SimulationSettings, check_choice, check_flag, check_number, check_whole, is_number
 
 __all__ = ["Frames", "Sweep", "SweepSettings"]
 
@@ -123,21 +123,15 @@ class SweepSettings:
 
     def __post_init__(self) -> None:
         problems = Problems("the sweep cannot be simulated", SchemaError)
-        if self.monochromator_shape not in MONOCHROMATOR_SHAPES:
-            allowed = ", ".join(MONOCHROMATOR_SHAPES)
-            problems.add(f"monochromator_shape={self.monochromator_shape!r}, expected one of {allowed}")
-        for name, (lowest, highest) in _WHOLE.items():
-            value = getattr(self, name)
-            if isinstance(value, bool) or not isinstance(value, int) or not lowest <= value <= highest:
-                problems.add(f"{name}={value!r}, expected a whole number from {lowest} to {highest}")
+        check_choice(problems, "monochromator_shape", self.monochromator_shape, MONOCHROMATOR_SHAPES)
+        for name in ("steps", "frames"):
+            check_whole(problems, name, getattr(self, name), 1, 100_000)
         for name, (low, high) in _RANGES.items():
-            if not _inside(getattr(self, name), low, high):
-                problems.add(f"{name}={getattr(self, name)!r}, expected a number from {low:g} to {high:g}")
+            check_number(problems, name, getattr(self, name), low, high)
         for name in ("variance", "beam_recorded"):
-            if not isinstance(getattr(self, name), bool):
-                problems.add(f"{name}={getattr(self, name)!r}, expected True or False")
-        if self.beam_fwhm_columns is not None and not _inside(self.beam_fwhm_columns, 0.1, 1e6):
-            problems.add(f"beam_fwhm_columns={self.beam_fwhm_columns!r}, expected a number from 0.1, or None")
+            check_flag(problems, name, getattr(self, name))
+        if self.beam_fwhm_columns is not None:
+            check_number(problems, "beam_fwhm_columns", self.beam_fwhm_columns, 0.1, 1e6)
         for name, (low, high) in _PER_STEP.items():
             self._check_per_step(problems, name, low, high)
         problems.raise_if_any()
@@ -147,7 +141,8 @@ class SweepSettings:
         if name == "dark_exposure_ms" and value is None:
             return
         values = np.atleast_1d(np.asarray(value, dtype=object))
-        if values.ndim != 1 or not len(values) or not all(_inside(one, low, high) for one in values.tolist()):
+        within = (is_number(one) and low <= one <= high for one in values.tolist())
+        if values.ndim != 1 or not len(values) or not all(within):
             problems.add(f"{name}={value!r}, expected one number from {low:g} to {high:g}, or one a step")
         elif name != "dark_exposure_ms" and np.ndim(value) and len(values) != self.steps:
             problems.add(
@@ -207,12 +202,6 @@ class SweepSettings:
         return np.array(np.broadcast_to(np.asarray(value, dtype=np.float64), self.steps))
 
 
-def _inside(value: object, low: float, high: float) -> bool:
-    return is_number(value) and bool(low <= value <= high)
-
-
-_WHOLE = {"steps": (1, 100_000), "frames": (1, 100_000)}
-
 _RANGES = {
     "first_step_nm": (300.0, 1200.0), "last_step_nm": (300.0, 1200.0),
     "monochromator_offset_nm": (-50.0, 50.0), "monochromator_jitter_nm": (0.0, 50.0),
@@ -234,10 +223,8 @@ _LINE_NOISE, _DARK_NOISE, _POWER_METER, _DIAL = 30, 31, 32, 33
 _GAUSSIAN_REACH = 3.2  # full widths; beyond them lies less than 1e-13 of a Gaussian's area
 _GRID_STEP = {"gaussian": 0.05, "triangle": 0.02}  # nm, coarsest allowed; corners want the finer one
 _SHIFT_STEP = 0.1  # nm, coarsest allowed
-_WINGS = (
-    60.0,
-    0.6,
-)  # spread of scattered light [nm], and the share of it that does not cover all bands alike
+#: Spread of scattered light [nm], and the share of it that does not cover all bands alike.
+_WINGS = (60.0, 0.6)
 
 
 @dataclass(frozen=True)

@@ -41,7 +41,7 @@ from hyperpaint.base.errors import MissingExtraError, Problems, SchemaError, Sto
 from hyperpaint.base.schema import CHUNK_LINES, FORMAT_VERSION
 from hyperpaint.io.store.budget import size_text
 from hyperpaint.io.store.groups import INPUTS
-from hyperpaint.simulation.rendering.scene_record import MOST_SAMPLES
+from hyperpaint.simulation.settings import MOST_SAMPLES
 
 from .pipeline import Outcome, bars_on_stderr, computing_on, kept_groups, local_folder
 

@@ -27,7 +27,7 @@ from hyperpaint.io.files.toml_tables import (
 )
 from hyperpaint.simulation.rendering.materials import KINDS
 from hyperpaint.simulation.rendering.scene import INSTANCE_KINDS
-from hyperpaint.simulation.rendering.scene_record import MOST_SAMPLES
+from hyperpaint.simulation.settings import MOST_SAMPLES
 
 __all__ = [
     "MATERIAL", "SCHEMA", "AtmosphereEntry", "MeshEntry", "Sampling", "SceneFile", "example_scene",

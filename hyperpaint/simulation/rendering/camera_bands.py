@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import Problems, SchemaError
 from hyperpaint.simulation.camera import Imager, line_shape
-from hyperpaint.simulation.settings import SHAPES, SimulationSettings
+from hyperpaint.simulation.settings import SHAPES, SimulationSettings, check_choice
 
 __all__ = ["BandResponses", "BandSet", "cell_means"]
 
@@ -79,8 +79,7 @@ class BandSet:
             problems.add(f"fwhm has shape {fwhm.shape}, expected one value or {wavelength.shape}")
         elif not np.all(fwhm > 0):
             problems.add("fwhm must be positive [nm]")
-        if self.shape not in SHAPES:
-            problems.add(f"shape is {self.shape!r}, expected one of {', '.join(SHAPES)}")
+        check_choice(problems, "shape", self.shape, SHAPES)
         shift = None
         if self.wavelength_shift is not None:
             shift = _floats(self.wavelength_shift, "wavelength_shift", problems)

@@ -21,6 +21,7 @@ from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import Problems, SchemaError
 from hyperpaint.base.units import convert
 from hyperpaint.simulation.atmosphere import spectral_grid
+from hyperpaint.simulation.settings import check_number
 
 from .sky_models import (
     CIE_OVERCAST_SHARE,
@@ -110,12 +111,9 @@ class Atmosphere:
             object.__setattr__(self, name, array)
         problems = Problems(f"atmosphere {self.name!r} cannot be used", SchemaError)
         self._check_curves(problems)
-        if not 0.0 <= self.sun_zenith <= _LOWEST_SUN:
-            problems.add(f"sun_zenith is {self.sun_zenith!r}, expected 0 to {_LOWEST_SUN:g} degrees")
-        if not np.isfinite(self.sun_azimuth):
-            problems.add(f"sun_azimuth is {self.sun_azimuth!r}, expected degrees clockwise from north")
-        if not 0.0 <= self.overcast_share <= 1.0:
-            problems.add(f"overcast_share is {self.overcast_share!r}, expected 0 (uniform) to 1")
+        check_number(problems, "sun_zenith", self.sun_zenith, 0.0, _LOWEST_SUN)
+        check_number(problems, "sun_azimuth", self.sun_azimuth, -np.inf)
+        check_number(problems, "overcast_share", self.overcast_share, 0.0, 1.0)
         problems.raise_if_any()
 
     def _check_curves(self, problems: Problems) -> None:

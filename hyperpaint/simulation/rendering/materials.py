@@ -24,6 +24,7 @@ import numpy.typing as npt
 
 from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import PaintWarning, Problems, SchemaError
+from hyperpaint.simulation.settings import check_choice, check_number
 
 __all__ = [
     "KINDS", "Coat", "Flakes", "Material", "base_albedo", "coated_reflectance", "fresnel_reflectance",
@@ -61,10 +62,8 @@ class Coat:
 
     def __post_init__(self) -> None:
         problems = Problems("a clear coat cannot be made", SchemaError)
-        if not 1.001 <= self.index <= 3.0:
-            problems.add(f"index is {self.index!r}, expected a refractive index from 1.001 to 3")
-        if not 0.0 <= self.roughness <= 1.0:
-            problems.add(f"roughness is {self.roughness!r}, expected a GGX alpha from 0 to 1")
+        check_number(problems, "index", self.index, 1.001, 3.0)
+        check_number(problems, "roughness", self.roughness, 0.0, 1.0)
         problems.raise_if_any()
 
 
@@ -93,10 +92,8 @@ class Flakes:
 
     def __post_init__(self) -> None:
         problems = Problems("metal flakes cannot be made", SchemaError)
-        if not 0.0 <= self.share <= 1.0:
-            problems.add(f"share is {self.share!r}, expected 0 to 1")
-        if not 0.0 < self.roughness <= 1.0:
-            problems.add(f"roughness is {self.roughness!r}, expected a GGX alpha above 0 and up to 1")
+        check_number(problems, "share", self.share, 0.0, 1.0)
+        check_number(problems, "roughness", self.roughness, 0.0, 1.0, above=True)
         if not self.spectrum:
             problems.add("spectrum is empty, expected a name such as 'aluminium'")
         problems.raise_if_any()
@@ -137,8 +134,7 @@ class Material:
             problems.add("its name is empty")
         if not self.spectrum:
             problems.add("spectrum is empty, expected the name of a reflectance spectrum")
-        if self.kind not in KINDS:
-            problems.add(f"kind is {self.kind!r}, expected one of {', '.join(KINDS)}")
+        check_choice(problems, "kind", self.kind, KINDS)
         if self.flakes is not None and self.coat is None:
             problems.add("it has flakes but no coat; give it coat=Coat()")
         problems.raise_if_any()

@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike
 
 from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import Problems, SchemaError
+from hyperpaint.simulation.settings import check_number, check_whole, is_number
 
 from .platform_geometry import (
     MOST_COLUMNS,
@@ -152,21 +153,18 @@ def _oscillations(moment: Floats, number: int, seed: int, stream: int) -> Floats
 
 def _check_pushbroom(given: dict[str, Any]) -> None:
     problems = Problems("the flight cannot be flown", SchemaError)
-    for name, most in (("lines", MOST_LINES), ("columns", MOST_COLUMNS)):
-        if not (_is_whole(given[name]) and 1 <= given[name] <= most):
-            problems.add(f"{name}={given[name]!r:.60}, expected a whole number from 1 to {most}")
-    if not (_is_whole(given["seed"]) and given["seed"] >= 0):
-        problems.add(f"seed={given['seed']!r:.60}, expected a whole number from 0 on")
+    check_whole(problems, "lines", given["lines"], 1, MOST_LINES)
+    check_whole(problems, "columns", given["columns"], 1, MOST_COLUMNS)
+    check_whole(problems, "seed", given["seed"], 0)
     for name, (lowest, highest) in _RANGES.items():
-        value = given[name]
-        if value is not None and not (_is_number(value) and lowest <= value <= highest):
-            problems.add(f"{name}={value!r:.60}, expected a number from {lowest:g} to {highest:g}")
+        if given[name] is not None:
+            check_number(problems, name, given[name], lowest, highest)
     for name in ("centre", "start"):
         value = given[name]
         if value is not None and not (_is_tuple(value, 2) and max(map(abs, value)) <= 1e6):
             problems.add(f"{name}={value!r:.60}, expected east and north within 1e6 m")
     several = given["wobble"] if _is_tuple(given["wobble"], 3) else (given["wobble"],)
-    if not all(_is_number(each) and 0 <= each <= 20 for each in several):
+    if not all(is_number(each) and 0 <= each <= 20 for each in several):
         problems.add(f"wobble={given['wobble']!r:.60}, expected one number or three from 0 to 20 degrees")
     for one, other in (("ground_sample", "ifov"), ("speed", "line_spacing")):
         if given[one] is not None and given[other] is not None:
@@ -203,18 +201,8 @@ _RANGES = {
 }
 
 
-def _is_whole(value: object) -> bool:
-    return isinstance(value, int | np.integer) and not isinstance(value, bool)
-
-
-def _is_number(value: Any) -> bool:
-    if isinstance(value, bool) or not isinstance(value, int | float | np.integer | np.floating):
-        return False
-    return -1e300 < float(value) < 1e300 if not isinstance(value, int) else abs(value) < 10**300
-
-
 def _is_tuple(value: Any, length: int) -> bool:
-    return isinstance(value, Sequence) and len(value) == length and all(map(_is_number, value))
+    return isinstance(value, Sequence) and len(value) == length and all(map(is_number, value))
 
 
 def _moment(value: np.datetime64 | str) -> np.datetime64:
@@ -302,12 +290,9 @@ def platform_from_poses(
         )
     }  # fmt: skip
     _check_poses(poses, seconds, problems)
-    if not (_is_whole(columns) and 1 <= columns <= MOST_COLUMNS):
-        problems.add(f"columns={columns!r:.60}, expected a whole number from 1 to {MOST_COLUMNS}")
-    for name, value in (("ifov", ifov), ("exposure_time", exposure_time)):
-        least, most = _RANGES[name]
-        if not (_is_number(value) and least <= value <= most):
-            problems.add(f"{name}={value!r:.60}, expected a number from {least:g} to {most:g}")
+    check_whole(problems, "columns", columns, 1, MOST_COLUMNS)
+    check_number(problems, "ifov", ifov, *_RANGES["ifov"])
+    check_number(problems, "exposure_time", exposure_time, *_RANGES["exposure_time"])
     problems.raise_if_any()
     _check_lines(seconds, at, exposure_time, line_time is None, problems)
     problems.raise_if_any()

@@ -13,16 +13,14 @@ from numpy.typing import NDArray
 
 from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import Problems, SchemaError
+from hyperpaint.simulation.settings import MOST_SAMPLES, check_number, check_whole
 from hyperpaint.simulation.transport.path_codes import MOST_SUNS, PathCodes
 
 from .materials import KINDS, Coat, Flakes, Material
 from .scene import Factor, Instance, Scene
 
-__all__ = ["MOST_SAMPLES", "SceneRecord", "TraceSettings", "sun_vectors"]
+__all__ = ["SceneRecord", "TraceSettings", "sun_vectors"]
 
-
-MOST_SAMPLES = 1 << 14
-"""Paths of a pixel that are taken."""
 
 _MOST_SLOTS = 4096
 
@@ -71,21 +69,12 @@ class TraceSettings:
                 problems.add(f"sun {number} is {sun!r}, expected (zenith, azimuth) in degrees")
             elif not 0.0 <= sun[0] < 90.0:
                 problems.add(f"sun {number} has zenith {sun[0]:g}, expected 0 to below 90 degrees")
-        for name, low, high in (
-            ("samples", 1, MOST_SAMPLES),
-            ("depth", 1, 32),
-            ("seed", 0, 2**63 - 1),
-            ("slots", 1, _MOST_SLOTS),
-        ):
-            value = getattr(self, name)
-            if name == "slots" and value is None:
-                continue
-            if isinstance(value, bool) or not isinstance(value, int | np.integer):
-                problems.add(f"{name}={value!r}, expected a whole number")
-            elif not low <= value <= high:
-                problems.add(f"{name}={value}, expected {low} to {high}")
-        if not (np.isfinite(self.sun_radius) and 0.0 <= self.sun_radius < 45.0):
-            problems.add(f"sun_radius={self.sun_radius!r}, expected degrees from 0 to below 45")
+        check_whole(problems, "samples", self.samples, 1, MOST_SAMPLES)
+        check_whole(problems, "depth", self.depth, 1, 32)
+        check_whole(problems, "seed", self.seed, 0, 2**63 - 1)
+        if self.slots is not None:
+            check_whole(problems, "slots", self.slots, 1, _MOST_SLOTS)
+        check_number(problems, "sun_radius", self.sun_radius, 0.0, 45.0)
         problems.raise_if_any()
 
     @property

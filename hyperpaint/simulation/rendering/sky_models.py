@@ -37,6 +37,7 @@ import numpy as np
 from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import MissingExtraError, Problems, SchemaError
 from hyperpaint.simulation.atmosphere import Sky
+from hyperpaint.simulation.settings import check_number
 
 __all__ = [
     "CIE_OVERCAST_SHARE", "HAZE", "Haze", "built_in_sky", "check_wavelengths", "cloud_factor",
@@ -191,7 +192,7 @@ def cloud_factor(oktas: float) -> float:
     0.25
     """
     if not 0.0 <= oktas <= 8.0:
-        raise SchemaError(f"cloud amount is {oktas!r} oktas, expected 0 (clear) to 8 (overcast)")
+        raise SchemaError(f"oktas={oktas!r}, expected 0 (clear) to 8 (overcast)")
     return float(1.0 - 0.75 * (oktas / 8.0) ** 3.4)
 
 
@@ -223,10 +224,8 @@ def cloud_transmittance(wavelength: Floats, oktas: float, *, colour: float = 0.2
     array([0.306, 0.25 , 0.216, 0.208])
     """
     problems = Problems("clouds cannot be made", SchemaError)
-    if not 0.0 <= oktas <= 8.0:
-        problems.add(f"cloud amount is {oktas!r} oktas, expected 0 (clear) to 8 (overcast)")
-    if not 0.0 <= colour <= 1.0:
-        problems.add(f"colour is {colour!r}, expected 0 (grey) to 1")
+    check_number(problems, "oktas", oktas, 0.0, 8.0)
+    check_number(problems, "colour", colour, 0.0, 1.0)
     problems.raise_if_any()
     factor = cloud_factor(oktas)
     tint = colour * (1.0 - factor)
@@ -276,16 +275,12 @@ class Haze:
 
     def __post_init__(self) -> None:
         problems = Problems("haze cannot be made", SchemaError)
-        longest = _CONTRAST / _MOLECULES
-        if not 0.0 < self.visibility <= longest:
-            problems.add(f"visibility is {self.visibility!r} m, expected above 0 and up to {longest:.0f} m")
-        if not 0.0 <= self.angstrom <= 4.0:
-            problems.add(f"angstrom is {self.angstrom!r}, expected 0 to 4")
+        check_number(problems, "visibility", self.visibility, 0.0, _CONTRAST / _MOLECULES, above=True)
+        check_number(problems, "angstrom", self.angstrom, 0.0, 4.0)
         if not -1.0 < self.asymmetry < 1.0:
-            problems.add(f"asymmetry is {self.asymmetry!r}, expected between -1 and 1")
+            problems.add(f"asymmetry={self.asymmetry!r}, expected a number between -1 and 1")
         for name in ("scattering_albedo", "ground"):
-            if not 0.0 <= getattr(self, name) <= 1.0:
-                problems.add(f"{name} is {getattr(self, name)!r}, expected 0 to 1")
+            check_number(problems, name, getattr(self, name), 0.0, 1.0)
         problems.raise_if_any()
 
     def _coefficients(self, wavelength: Floats) -> tuple[Floats, Floats]:
