@@ -230,7 +230,7 @@ def test_problems_of_a_park_are_listed() -> None:
             margin=np.nan, paints=[],
         )  # fmt: skip
     for words in (
-        "length is 0.0",
+        "length=0.0",
         "occupancy",
         "'tank'",
         "'sea'",

@@ -5,6 +5,9 @@ line along x = 0 sees all of it. Across it lie grass with trees, a kerb, and the
 turns: two rows share an aisle, and stand back to back with the next two. In the east it ends at a wall. What
 chance decides is drawn from a generator keyed by (seed, bay, row), so that a longer park of the same seed
 holds the cars of the shorter one, under the same names.
+
+A crown is a cloud of leaves: two triangles each, bent along the midrib, most of them near the surface of a
+few overlapping blobs and turned any way around facing outwards. Leaves are Lambert and let no light through.
 """
 
 from __future__ import annotations
@@ -15,16 +18,17 @@ from typing import Literal
 
 import numpy as np
 
+from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import Problems, SchemaError
 from hyperpaint.simulation.paint_spectra import PANELS
+from hyperpaint.simulation.settings import check_choice, check_number, check_whole
 
 from .car_bodies import CAR_TYPES, car_body
 from .materials import Coat, Material
 from .pavements import BAY, Layout, paved, strips_across, worn
-from .primitives import cuboid, put_together
+from .primitives import Mesh, cuboid, put_together, smoothed, tube, uniform
 from .scene import Instance, Scene
 from .scene_spectra import FOURTEEN, paint_spec, parse_name
-from .street_furniture import brick_wall, hedge, lamp_post, leafy_tree
 
 __all__ = ["NEIGHBOURS", "car_park"]
 
@@ -34,6 +38,7 @@ NEIGHBOURS = ("trees", "walls", "hedges", "lamps")
 _PANEL_SIZE, _PANEL_PERIOD, _PANEL_START = 0.90, 30.0, 1.4  # grey panels lie along the aisle [m]
 _TREE_PITCH, _LAMP_PITCH = 7.5, 25.0  # along the edges [m]
 _CHANCE_OF_TYPE = {"sedan": 0.27, "hatchback": 0.28, "estate": 0.15, "suv": 0.18, "van": 0.06, "pickup": 0.06}
+_LEAF = 0.20  # length of a leaf, or of the tuft that stands for several [m]
 _CARS, _PAINTS, _TREES = 1, 2, 3  # what a random number is for
 
 
@@ -118,7 +123,19 @@ def car_park(
         coat,
         flakes,
     )
-    _check(chosen, length, neighbours, line_width=line_width, leaves=leaves, margin=margin)
+    problems = Problems("the car park cannot be laid out", SchemaError)
+    check_number(problems, "occupancy", occupancy, 0.0, 1.0)
+    check_number(problems, "length", length, 0.0, 10_000.0, above=True)
+    check_number(problems, "line_width", line_width, 0.02, 1.0)
+    check_number(problems, "margin", margin, 0.0, 10_000.0)
+    check_whole(problems, "leaves", leaves, 0, 100_000)
+    check_whole(problems, "seed", seed, 0)
+    for what, names, allowed in (("neighbours", neighbours, NEIGHBOURS), ("types", chosen.types, CAR_TYPES)):
+        for one in names:
+            check_choice(problems, what, one, allowed)
+    if not chosen.paints or not chosen.types:
+        problems.add("paints or types are empty, expected at least one name of each")
+    problems.raise_if_any()
     layout = strips_across(length, width, rows, margin=margin, line_width=line_width, islands=islands)
     ground = put_together([paved(layout), *worn(layout, seed)])
     things = [ground.scene(_SURROUNDINGS, Instance("ground", "ground"))]
@@ -162,42 +179,6 @@ class _Choices:
         """Return the kind of a car."""
         chances = np.array([_CHANCE_OF_TYPE[kind] for kind in self.types])
         return self.types[int(rng.choice(len(chances), p=chances / chances.sum()))]
-
-
-def _check(
-    chosen: _Choices,
-    length: float,
-    neighbours: Sequence[str],
-    *,
-    line_width: float,
-    leaves: int,
-    margin: float,
-) -> None:
-    problems = Problems("the car park cannot be laid out", SchemaError)
-    if not 0.0 <= chosen.occupancy <= 1.0:
-        problems.add(f"occupancy is {chosen.occupancy}, expected 0 to 1")
-    if not 0.0 < length <= 10_000.0:
-        problems.add(f"length is {length} m, expected more than 0 and at most 10000 m")
-    for name, value, low, high, unit in (
-        ("line_width", line_width, 0.02, 1, " m"), ("margin", margin, 0, 10_000, " m"),
-        ("leaves", leaves, 0, 100_000, ""),
-    ):  # fmt: skip
-        if not low <= value <= high:
-            problems.add(f"{name} is {value}{unit}", expected=f"{low:g} to {high}{unit}")
-    if chosen.seed < 0:
-        problems.add(f"seed is {chosen.seed}, expected 0 or more")
-    for what, names, allowed in (
-        ("neighbours", neighbours, NEIGHBOURS),
-        ("types", chosen.types, tuple(CAR_TYPES)),
-    ):
-        unknown = [one for one in names if one not in allowed]
-        if unknown:
-            problems.add(
-                f"{what} has {', '.join(map(repr, unknown))}, expected names from {', '.join(allowed)}"
-            )
-    if not chosen.paints or not chosen.types:
-        problems.add("paints or types are empty, expected at least one name of each")
-    problems.raise_if_any()
 
 
 _GLOSS = Coat(1.5, 0.02)
@@ -269,7 +250,7 @@ def _trees(layout: Layout, seed: int, leaves: int) -> Iterator[Scene]:
     for name, (east, north) in places.items():
         rng = np.random.default_rng([seed, _TREES, round(1000 * north), round(1000 * (east + layout.width))])
         crown = rng.uniform(1.4, 2.1)
-        tree = leafy_tree(rng, height=crown * rng.uniform(2.4, 3.0), crown=crown, leaves=leaves)
+        tree = _leafy_tree(rng, crown * rng.uniform(2.4, 3.0), crown, leaves)
         at = (east + rng.uniform(-0.2, 0.2), north + rng.uniform(-0.5, 0.5), 0.0)
         yield tree.shifted(at).scene(_SURROUNDINGS, Instance(name, "tree"))
 
@@ -277,19 +258,88 @@ def _trees(layout: Layout, seed: int, leaves: int) -> Iterator[Scene]:
 def _enclosure(layout: Layout, seed: int, neighbours: Sequence[str]) -> Iterator[Scene]:
     """Yield the wall in the east, and the hedge behind the trees in the west."""
     if "walls" in neighbours:
-        wall = brick_wall(layout.length).shifted((layout.wall, 0.0, 0.0))
+        wall = _brick_wall(layout.length).shifted((layout.wall, 0.0, 0.0))
         yield wall.scene(_SURROUNDINGS, Instance("wall", "wall"))
     if "hedges" in neighbours:
         rng = np.random.default_rng([seed, _TREES])
         side = layout.wall - 0.8 if "walls" not in neighbours else layout.west_trees - 1.2
-        yield (
-            hedge(rng, layout.length)
-            .shifted((side, 0.0, 0.0))
-            .scene(_SURROUNDINGS, Instance("hedge", "tree"))
-        )
+        leaves = _hedge(rng, layout.length).shifted((side, 0.0, 0.0))
+        yield leaves.scene(_SURROUNDINGS, Instance("hedge", "tree"))
 
 
 def _lamps(layout: Layout) -> Iterator[Scene]:
     for number, north in enumerate(np.arange(8.75, layout.length, _LAMP_PITCH)):
-        post = lamp_post().shifted((layout.lamps, float(north), 0.0))
+        post = _lamp_post().shifted((layout.lamps, float(north), 0.0))
         yield post.scene(_SURROUNDINGS, Instance(f"lamp_{number:03d}", "other"))
+
+
+def _leafy_tree(rng: np.random.Generator, height: float, crown: float, leaves: int) -> Mesh:
+    """Return a tree that stands on the origin, its top ``height`` and the radius of its ``crown`` [m]."""
+    middle = np.array([0.0, 0.0, height - 0.95 * crown])
+    blobs = 9
+    direction = _directions(rng, blobs)
+    direction[:, 2] = 0.75 * np.abs(direction[:, 2]) - 0.2
+    centres = middle + crown * 0.55 * direction
+    radii = crown * rng.uniform(0.38, 0.52, blobs)
+    chosen = rng.choice(blobs, leaves, p=radii**2 / (radii**2).sum())
+    outward = _directions(rng, leaves)
+    places = centres[chosen] + (radii[chosen] * rng.uniform(0.55, 1.0, leaves) ** 0.5)[:, None] * outward
+    places[:, 2] = np.minimum(places[:, 2], height)
+    trunk = tube((0, 0, -0.05), middle, (0.045 * crown + 0.06, 0.05), "bark", sides=8)
+    boughs = [
+        tube(middle - (0, 0, 0.4 * crown), centre, (0.05, 0.02), "bark", sides=5) for centre in centres[:5]
+    ]
+    return put_together([_foliage(rng, places, outward), smoothed(trunk), *boughs])
+
+
+def _hedge(rng: np.random.Generator, length: float) -> Mesh:
+    """Return a clipped hedge from the origin to the north, with 160 leaves a square metre of its outside."""
+    height, thickness = 1.3, 0.7
+    core = cuboid((0.8 * thickness, length - 0.1, 0.9 * height), "leaf").shifted((0, length / 2, -0.05))
+    top, side, end = length * thickness, length * height, thickness * height
+    sizes = np.array([top, side, side, end, end])
+    normals = np.array([[0, 0, 1], [-1, 0, 0], [1, 0, 0], [0, -1, 0], [0, 1, 0]], np.float64)
+    count = int(160.0 * sizes.sum())
+    outward = normals[rng.choice(5, count, p=sizes / sizes.sum())]
+    inside = rng.uniform(-1.0, 1.0, (count, 3))
+    places = np.where(outward != 0, outward * rng.uniform(0.85, 1.0, (count, 1)), inside)
+    places = 0.5 * places * (thickness, length, height) + (0.0, 0.5 * length, 0.5 * height)
+    return put_together([_foliage(rng, places, outward), core])
+
+
+def _brick_wall(length: float) -> Mesh:
+    """Return a wall with a coping from the origin to the north, 1.6 m high and 0.24 m thick."""
+    body = cuboid((0.24, length, 1.6 + 0.05), "brick").shifted((0, length / 2, -0.05))
+    coping = cuboid((0.24 + 0.08, length, 0.06), "concrete").shifted((0, length / 2, 1.6))
+    return put_together([body, coping])
+
+
+def _lamp_post() -> Mesh:
+    """Return a lamp that stands on the origin, 6 m high, its arm to the east."""
+    post = smoothed(tube((0, 0, -0.05), (0, 0, 6.0), (0.07, 0.045), "steel", sides=8))
+    beam = smoothed(tube((0, 0, 6.0), (1.2, 0, 6.0 + 0.12), (0.035, 0.03), "steel", sides=6))
+    head = cuboid((0.55, 0.24, 0.07), "steel").shifted((1.2 + 0.2, 0, 6.0 + 0.09))
+    glass = cuboid((0.45, 0.18, 0.02), "lamp").shifted((1.2 + 0.2, 0, 6.0 + 0.075))
+    foot = cuboid((0.3, 0.3, 0.1), "steel").shifted((0, 0, -0.02))
+    return put_together([post, beam, head, glass, foot])
+
+
+def _directions(rng: np.random.Generator, count: int) -> Floats:
+    vectors = rng.standard_normal((count, 3))
+    return np.asarray(vectors / np.linalg.norm(vectors, axis=1, keepdims=True))
+
+
+def _foliage(rng: np.random.Generator, places: Floats, outward: Floats) -> Mesh:
+    """Return leaves at ``places`` (leaf, 3) that face roughly ``outward`` (leaf, 3) and up."""
+    count = len(places)
+    facing = outward + (0.0, 0.0, 0.5) + 0.9 * rng.standard_normal((count, 3))
+    facing /= np.linalg.norm(facing, axis=1, keepdims=True)
+    along = np.cross(facing, _directions(rng, count))
+    along /= np.linalg.norm(along, axis=1, keepdims=True)
+    aside = np.cross(facing, along)
+    size = _LEAF * rng.uniform(0.7, 1.3, (count, 1))
+    fold = 0.12 * size * facing
+    tip, edge = 0.5 * size * along, 0.32 * size * aside
+    corners = np.stack([places - tip, places + edge + fold, places + tip, places - edge + fold], axis=1)
+    first = 4 * np.arange(count)[:, None, None]
+    return uniform(corners.reshape(-1, 3), (first + np.array([[0, 1, 2], [0, 2, 3]])).reshape(-1, 3), "leaf")
