@@ -18,7 +18,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hyperpaint.base.arrays import Floats
-from hyperpaint.base.errors import Problems, SchemaError
+from hyperpaint.base.errors import MissingExtraError, Problems, SchemaError
 from hyperpaint.base.units import convert
 from hyperpaint.simulation.atmosphere import spectral_grid
 from hyperpaint.simulation.settings import check_number
@@ -30,7 +30,7 @@ from .sky_models import (
     built_in_sky,
     check_wavelengths,
     cloud_transmittance,
-    spectrl2_sky,
+    relative_air_mass,
 )
 
 if TYPE_CHECKING:
@@ -112,7 +112,8 @@ class Atmosphere:
         problems = Problems(f"atmosphere {self.name!r} cannot be used", SchemaError)
         self._check_curves(problems)
         check_number(problems, "sun_zenith", self.sun_zenith, 0.0, _LOWEST_SUN)
-        check_number(problems, "sun_azimuth", self.sun_azimuth, -np.inf)
+        if not np.isfinite(self.sun_azimuth):
+            problems.add(f"sun_azimuth={self.sun_azimuth!r}, expected degrees clockwise from north")
         check_number(problems, "overcast_share", self.overcast_share, 0.0, 1.0)
         problems.raise_if_any()
 
@@ -158,8 +159,8 @@ class Atmosphere:
 
         Parameters
         ----------
-        sun_zenith, sun_azimuth
-            Where the sun stands [degree].
+        sun_zenith, sun_azimuth, name
+            As for the class.
         aerosol
             Aerosol optical depth of the whole atmosphere at 500 nm.
         ozone
@@ -171,8 +172,6 @@ class Atmosphere:
         wavelength
             Grid, shape (wavelength,) [nm]; by default 340 to 1100 nm in steps of 0.05 nm. The sky has no
             absorption bands beyond 1000 nm.
-        name
-            What to call it.
 
         Raises
         ------
@@ -181,29 +180,16 @@ class Atmosphere:
         """
         grid = spectral_grid(*_RANGE) if wavelength is None else np.asarray(wavelength, dtype=np.float64)
         sun, sky = built_in_sky(grid, sun_zenith, aerosol=aerosol, ozone=ozone, water=water)
-        return cls._hazy(grid, sun, sky, sun_zenith, sun_azimuth, haze=haze, name=name)
+        return cls._hazy(grid, sun, sky, haze, sun_zenith=sun_zenith, sun_azimuth=sun_azimuth, name=name)
 
     @classmethod
-    def _hazy(
-        cls,
-        wavelength: Floats,
-        sun: Floats,
-        sky: Floats,
-        sun_zenith: float,
-        sun_azimuth: float,
-        *,
-        haze: Haze | None,
-        overcast_share: float = 0.0,
-        name: str = "",
-    ) -> Atmosphere:
+    def _hazy(cls, grid: Floats, sun: Floats, sky: Floats, haze: Haze | None, **more: Any) -> Atmosphere:
         """Return an atmosphere whose third and fourth curve follow from the first two."""
-        extinction = path = np.zeros_like(wavelength)
+        extinction = path = np.zeros_like(grid)
         if haze is not None:
-            extinction = haze.extinction(wavelength)
-            path = haze.path_radiance(wavelength, sun, sky, sun_zenith)
-        return cls(
-            wavelength, sun, sky, extinction, path, sun_zenith, sun_azimuth, overcast_share, name, haze
-        )
+            extinction = haze.extinction(grid)
+            path = haze.path_radiance(grid, sun, sky, more["sun_zenith"])
+        return cls(grid, sun, sky, extinction, path, haze=haze, **more)
 
     @classmethod
     def spectrl2(
@@ -228,12 +214,8 @@ class Atmosphere:
 
         Parameters
         ----------
-        sun_zenith, sun_azimuth
-            Where the sun stands [degree]; distrust zenith angles beyond 85.
-        aerosol
-            Aerosol optical depth at 500 nm.
-        ozone
-            Ozone column [atm cm].
+        sun_zenith, sun_azimuth, aerosol, ozone, haze, name
+            As for `clear`; distrust zenith angles beyond 85 degrees.
         precipitable_water
             Water column [cm].
         ground
@@ -242,12 +224,8 @@ class Atmosphere:
             At the ground [Pa].
         dayofyear
             For the distance of the sun.
-        haze
-            The air before the camera; None for none.
         wavelength
             Grid, shape (wavelength,), within 300 to 4000 [nm]; by default 340 to 1100 nm in steps of 0.5 nm.
-        name
-            What to call it.
 
         Raises
         ------
@@ -257,17 +235,24 @@ class Atmosphere:
             The sun is not above the horizon, or the grid leaves SPECTRL2's.
         """
         grid = spectral_grid(*_RANGE, 0.5) if wavelength is None else np.asarray(wavelength, dtype=np.float64)
-        sun, sky = spectrl2_sky(
-            grid,
-            sun_zenith,
-            aerosol=aerosol,
-            ozone=ozone,
-            precipitable_water=precipitable_water,
-            ground=ground,
-            pressure=pressure,
+        check_wavelengths(grid)
+        try:
+            from pvlib.spectrum import spectrl2
+        except ImportError as error:
+            needed = MissingExtraError.of("pvlib", "sim", "the SPECTRL2 atmosphere")
+            raise needed from error
+        table = spectrl2(
+            apparent_zenith=sun_zenith, aoi=sun_zenith, surface_tilt=0.0, ground_albedo=ground,
+            surface_pressure=pressure, relative_airmass=relative_air_mass(sun_zenith),
+            precipitable_water=precipitable_water, ozone=ozone, aerosol_turbidity_500nm=aerosol,
             dayofyear=dayofyear,
-        )
-        return cls._hazy(grid, sun, sky, sun_zenith, sun_azimuth, haze=haze, name=name)
+        )  # fmt: skip
+        coarse = np.asarray(table["wavelength"], dtype=np.float64)
+        if not (coarse[0] <= grid[0] and grid[-1] <= coarse[-1]):
+            span = f"from {grid[0]:g} to {grid[-1]:g} nm"
+            raise SchemaError(f"wavelength goes {span}; SPECTRL2 covers {coarse[0]:g} to {coarse[-1]:g} nm")
+        sun, sky = (np.interp(grid, coarse, np.ravel(table[name])) for name in ("dni", "dhi"))
+        return cls._hazy(grid, sun, sky, haze, sun_zenith=sun_zenith, sun_azimuth=sun_azimuth, name=name)
 
     @classmethod
     def from_irradiance(
@@ -288,19 +273,15 @@ class Atmosphere:
         ----------
         series
             Has ``irradiance`` (irradiance_time, irradiance_wavelength), total on a level surface.
-        sun_zenith, sun_azimuth
-            Where the sun stood [degree].
+        sun_zenith, sun_azimuth, overcast_share, name
+            As for the class.
         time
             When, UTC; between two samples the irradiance is interpolated. None where there is one sample.
         direct_fraction
             Direct over total irradiance, one number or shape (wavelength,): 0 under an overcast sky. By
             default that of the built-in clear sky with this sun.
-        overcast_share
-            See the class.
         haze
             The air before the camera; None for none.
-        name
-            What to call it.
 
         Raises
         ------
@@ -327,9 +308,8 @@ class Atmosphere:
             )
         sun = total * fraction / np.cos(np.radians(sun_zenith))
         sky = total * (1.0 - fraction)
-        return cls._hazy(
-            grid, sun, sky, sun_zenith, sun_azimuth, haze=haze, overcast_share=overcast_share, name=name
-        )
+        where = {"sun_zenith": sun_zenith, "sun_azimuth": sun_azimuth, "overcast_share": overcast_share}
+        return cls._hazy(grid, sun, sky, haze, **where, name=name)
 
     @classmethod
     def from_table(
@@ -351,10 +331,8 @@ class Atmosphere:
             columns. Headings are a name and its units: ``wavelength [nm]``, ``sun [W m-2 nm-1]`` (normal to
             the beam), ``sky [W m-2 nm-1]`` (on a level surface), and, both or neither,
             ``extinction [m-1]`` and ``path_radiance [W m-2 sr-1 nm-1 m-1]``, or others of the same dimension.
-        sun_zenith, sun_azimuth
-            Where the sun stands [degree].
-        overcast_share
-            See the class.
+        sun_zenith, sun_azimuth, overcast_share
+            As for the class.
         haze
             Where the table says nothing of it, the air before the camera; None for none.
         name
@@ -374,20 +352,11 @@ class Atmosphere:
         curves = read_table(table)
         if name is None:
             name = "table" if isinstance(table, Mapping) else Path(table).stem
-        sun, sky = curves["sun"], curves["sky"]
-        atmosphere = cls._hazy(
-            curves["wavelength"],
-            sun,
-            sky,
-            sun_zenith,
-            sun_azimuth,
-            haze=None if "extinction" in curves else haze,
-            overcast_share=overcast_share,
-            name=name,
-        )
-        if "extinction" not in curves:
-            return atmosphere
-        return replace(atmosphere, extinction=curves["extinction"], path_radiance=curves["path_radiance"])
+        if "extinction" in curves:
+            haze = None
+        where = {"sun_zenith": sun_zenith, "sun_azimuth": sun_azimuth, "overcast_share": overcast_share}
+        hazy = cls._hazy(curves["wavelength"], curves["sun"], curves["sky"], haze, **where, name=name)
+        return replace(hazy, **curves)
 
     def clouded(self, oktas: float, *, colour: float = 0.24) -> Atmosphere:
         """Return this clear atmosphere with clouds over it; what they do to light is said in `sky_models`.
@@ -506,10 +475,9 @@ def preset_atmosphere(name: str) -> Atmosphere:
     >>> preset_atmosphere("near_sunset").sun_zenith
     82.0
     """
-    if name == "noon":
-        return Atmosphere.clear(25.0, 180.0, name=name)
     if name == "near_sunset":
         return Atmosphere.clear(82.0, 265.0, name=name)
-    if name == "cloudy":
-        return replace(Atmosphere.clear(25.0, 180.0).clouded(8.0), name=name)
+    if name in PRESETS:
+        noon = Atmosphere.clear(25.0, 180.0, name=name)
+        return noon if name == "noon" else replace(noon.clouded(8.0), name=name)
     raise SchemaError(f"there is no atmosphere {name!r}; expected one of {', '.join(PRESETS)}")

@@ -35,13 +35,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from hyperpaint.base.arrays import Floats
-from hyperpaint.base.errors import MissingExtraError, Problems, SchemaError
+from hyperpaint.base.errors import Problems, SchemaError
 from hyperpaint.simulation.atmosphere import Sky
 from hyperpaint.simulation.settings import check_number
 
 __all__ = [
     "CIE_OVERCAST_SHARE", "HAZE", "Haze", "built_in_sky", "check_wavelengths", "cloud_factor",
-    "cloud_transmittance", "relative_air_mass", "spectrl2_sky",
+    "cloud_transmittance", "relative_air_mass",
 ]  # fmt: skip
 
 
@@ -87,61 +87,6 @@ def built_in_sky(
     direct, diffuse = sky.irradiance(wavelength)
     # Sky gives the direct light of a level surface
     return direct / np.cos(np.radians(sun_zenith)), diffuse
-
-
-def spectrl2_sky(
-    wavelength: Floats,
-    sun_zenith: float,
-    *,
-    aerosol: float = 0.10,
-    ozone: float = 0.31,
-    precipitable_water: float = 1.5,
-    ground: float = 0.15,
-    pressure: float = 101325.0,
-    dayofyear: int = 172,
-) -> tuple[Floats, Floats]:
-    """Return direct normal and diffuse level irradiance of SPECTRL2 [W m-2 nm-1].
-
-    Parameters
-    ----------
-    wavelength
-        Shape (wavelength,), within 300 to 4000 [nm]; straight lines join SPECTRL2's samples.
-    sun_zenith
-        Angle between the sun and the vertical [degree].
-    aerosol, ozone, precipitable_water, ground, pressure, dayofyear
-        As for `Atmosphere.spectrl2`.
-
-    Raises
-    ------
-    MissingExtraError
-        pvlib is not installed.
-    SchemaError
-        The sun is not above the horizon, or the wavelengths are no grid or leave SPECTRL2's.
-    """
-    check_wavelengths(wavelength)
-    try:
-        from pvlib.spectrum import spectrl2
-    except ImportError as error:
-        needed = MissingExtraError.of("pvlib", "sim", "the SPECTRL2 atmosphere")
-        raise needed from error
-    table = spectrl2(
-        apparent_zenith=sun_zenith,
-        aoi=sun_zenith,
-        surface_tilt=0.0,
-        ground_albedo=ground,
-        surface_pressure=pressure,
-        relative_airmass=relative_air_mass(sun_zenith),
-        precipitable_water=precipitable_water,
-        ozone=ozone,
-        aerosol_turbidity_500nm=aerosol,
-        dayofyear=dayofyear,
-    )
-    coarse = np.asarray(table["wavelength"], dtype=np.float64)
-    if not (coarse[0] <= wavelength[0] and wavelength[-1] <= coarse[-1]):
-        span = f"from {wavelength[0]:g} to {wavelength[-1]:g} nm"
-        raise SchemaError(f"wavelength goes {span}; SPECTRL2 covers {coarse[0]:g} to {coarse[-1]:g} nm")
-    sun, sky = (np.interp(wavelength, coarse, np.ravel(table[name])) for name in ("dni", "dhi"))
-    return sun, sky
 
 
 def relative_air_mass(sun_zenith: float) -> float:
