@@ -26,10 +26,9 @@ from .rendering.lighting import ProductTable
 from .rendering.painting import factor_spectra
 from .rendering.platforms import Platform
 from .rendering.scene import Scene
-from .rendering.scene_record import SceneRecord, TraceSettings
+from .rendering.scene_record import LabelTables, SceneRecord, TraceSettings
 from .rendering.scene_spectra import paint_spec, spectrum_of
 from .rendering.tracing import PreparedScene, prepare_scene, trace_block
-from .rendering.truth_layers import LabelTables
 from .settings import SWATH_M, SimulationSettings
 from .trajectories import TransverseMercator
 from .transport.path_codes import FIRST_SUN, SKY, is_direct, is_indirect, is_mirrored

@@ -27,13 +27,13 @@ from hyperpaint.base.schema import VARIABLES
 from hyperpaint.simulation.camera import smile
 from hyperpaint.simulation.rendering.camera_bands import BandSet
 from hyperpaint.simulation.rendering.four_curves import Atmosphere
+from hyperpaint.simulation.rendering.lighting import SHARES
 from hyperpaint.simulation.rendering.materials import Coat, Flakes, Material, base_albedo, coated_reflectance
 from hyperpaint.simulation.rendering.painting import factor_spectra
 from hyperpaint.simulation.rendering.platforms import pushbroom
 from hyperpaint.simulation.rendering.scene import plane
 from hyperpaint.simulation.rendering.scene_record import SceneRecord
 from hyperpaint.simulation.rendering.scene_spectra import paint_spec, spectrum_of
-from hyperpaint.simulation.rendering.truth_layers import SHARES
 from hyperpaint.simulation.transport import paths
 
 SAMPLES = {"samples": 8, "seed": 3, "overcast": True}

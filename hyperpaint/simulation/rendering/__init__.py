@@ -19,5 +19,5 @@ The camera
 Tracing
     `scene_record` (what a traced dataset keeps of its scene), `tracing`.
 Relighting
-    `painting` (which spectrum every factor has), `lighting`, `truth_layers` and `relighting`.
+    `painting` (which spectrum every factor has), `lighting` and `relighting`.
 """

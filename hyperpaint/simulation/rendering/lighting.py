@@ -3,6 +3,10 @@
 A path of weight ``w`` adds ``w E(lambda)/pi x product of its factors`` to the radiance of a pixel. The second
 part depends on nothing but the path's code, of which a scene has some thousands: it is made once for every
 code, for whole bands, and kept.
+
+Shares are those of the light that the scene sends to the camera, before the air between: of radiance, mean
+over all bands at the wavelengths of the centre column. Light of the sun and of the sky add up to 1; glint,
+the mirrored sky and indirect light are parts of them that exclude one another.
 """
 
 from __future__ import annotations
@@ -24,16 +28,20 @@ from hyperpaint.simulation.transport.path_codes import (
     SKY,
     PathCodes,
     is_direct,
+    is_indirect,
+    is_mirrored,
     source_of,
 )
 
 from .camera_bands import BandResponses, BandSet, cell_means
 from .four_curves import Atmosphere
 from .scene_record import TraceSettings, sun_vectors
-from .truth_layers import light_shares, share_weights
 
-__all__ = ["Lighting", "ProductTable", "make_lighting", "source_spectra", "traced_sun"]
+__all__ = ["SHARES", "Lighting", "ProductTable", "make_lighting", "source_spectra", "traced_sun"]
 
+
+SHARES = ("sun_share", "sky_share", "glint_share", "mirrored_sky_share", "indirect_share")
+"""Layers that say where the light of a pixel came from."""
 
 _SAME_DIRECTION = 0.01  # degree
 
@@ -138,16 +146,29 @@ class Lighting:
         return out
 
     def shares(self, weight: Floats32, code: Array, variation: Floats | None) -> Floats32:
-        """Return where the light came from, (line, share, column); see `truth_layers.SHARES`."""
+        """Return where the light came from, (line, share, column); see `SHARES`."""
         from hyperpaint.simulation.transport.mixing import index_paths, mix
 
         distinct, index = index_paths(code)
         node = int(np.abs(self.table.bands.nodes).argmin())
         level = self.table.rows(distinct)[node].mean(axis=1, dtype=np.float64)
-        parts = share_weights(distinct, level.astype(np.float32))
+        parts = _share_weights(distinct, level.astype(np.float32))
         sums = np.empty((len(weight), parts.shape[1], weight.shape[2]), np.float32)
         mix(_varied(weight, code, variation), index, parts, sums)
-        return light_shares(sums)
+        whole = sums[:, :1]
+        dark = np.full_like(sums[:, 1:], np.nan)
+        return np.divide(sums[:, 1:], whole, out=dark, where=whole > 0)
+
+
+def _share_weights(codes: Ints, level: Floats32) -> Floats32:
+    """Return what a path's weight counts for in all light and in every one of `SHARES`, (path, 1 + share).
+
+    ``level`` is the mean product of every path over the bands, (path,).
+    """
+    sun, mirrored, indirect = is_direct(codes), is_mirrored(codes), is_indirect(codes)
+    mirror_image = mirrored & ~indirect
+    parts = [np.ones(codes.shape, bool), sun, ~sun, mirror_image & sun, mirror_image & ~sun, indirect]
+    return np.stack([np.where(part, level, 0.0) for part in parts], axis=1).astype(np.float32)
 
 
 def _varied(weight: Floats32, code: Array, variation: Floats | None) -> Floats32:

@@ -31,10 +31,9 @@ from hyperpaint.simulation.camera import convolve_gaussian
 
 from .camera_bands import BandResponses, BandSet, cell_means
 from .four_curves import Atmosphere, preset_atmosphere
-from .lighting import Lighting, make_lighting, source_spectra, traced_sun
+from .lighting import SHARES, Lighting, make_lighting, source_spectra, traced_sun
 from .painting import FactorSpectra, factor_spectra
-from .scene_record import SceneRecord, TraceSettings
-from .truth_layers import SHARES, LabelTables
+from .scene_record import LabelTables, SceneRecord, TraceSettings
 
 if TYPE_CHECKING:
     import dask.array as da

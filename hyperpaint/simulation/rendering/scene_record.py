@@ -1,25 +1,26 @@
-"""What a traced dataset keeps of its scene and of how it was traced: text in its attributes."""
+"""What a traced dataset keeps of its scene and of how it was traced, and the labels that follow from it."""
 
 from __future__ import annotations
 
 import json
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hyperpaint.base.arrays import Floats
+from hyperpaint.base.arrays import Array, Floats
 from hyperpaint.base.errors import Problems, SchemaError
 from hyperpaint.simulation.settings import MOST_SAMPLES, check_number, check_whole
 from hyperpaint.simulation.transport.path_codes import MOST_SUNS, PathCodes
 
 from .materials import KINDS, Coat, Flakes, Material
 from .scene import Factor, Instance, Scene
+from .scene_spectra import FOURTEEN
 
-__all__ = ["SceneRecord", "TraceSettings", "sun_vectors"]
+__all__ = ["LabelTables", "SceneRecord", "TraceSettings", "sun_vectors"]
 
 
 _MOST_SLOTS = 4096
@@ -226,6 +227,69 @@ class SceneRecord:
     def is_car(self) -> NDArray[np.bool_]:
         """True for every instance that is a car."""
         return np.array([instance.kind == "car" for instance in self.instances], bool)
+
+
+@dataclass(frozen=True, eq=False)
+class LabelTables:
+    """Labels that follow from the material or the instance of a pixel.
+
+    Attributes
+    ----------
+    surface_class : (material + 1,), int16
+        Number of the semantic class; the last entry serves the sky.
+    paint_id : (material + 1,), int16
+        Number of the paint spectrum; -1 for what is no paint.
+    car_id : (instance + 1,), int32
+        The instance itself where it is a car, else -1.
+    paints
+        Names of the paint spectra.
+    """
+
+    surface_class: NDArray[np.int16]
+    paint_id: NDArray[np.int16]
+    car_id: NDArray[np.int32]
+    paints: tuple[str, ...]
+
+    @classmethod
+    def of(cls, record: SceneRecord, names: Sequence[str] | None = None) -> LabelTables:
+        """Return the tables of a scene.
+
+        Parameters
+        ----------
+        record
+            The scene.
+        names
+            Spectrum of every material, where it is not that of the scene.
+        """
+        given = [material.spectrum for material in record.materials] if names is None else list(names)
+        is_paint = [material.kind == "paint" for material in record.materials]
+        # built-in paints first, all of them: a number means the same paint in every scene of a training set
+        others = {name for name, paint in zip(given, is_paint, strict=True) if paint}.difference(FOURTEEN)
+        paints = (*FOURTEEN, *sorted(others))
+        number = [paints.index(name) if paint else -1 for name, paint in zip(given, is_paint, strict=True)]
+        cars = np.where(record.is_car, np.arange(len(record.instances)), -1)
+        return cls(
+            np.append(record.kinds, -1).astype(np.int16),
+            np.array([*number, -1], np.int16),
+            np.append(cars, -1).astype(np.int32),
+            paints,
+        )
+
+    def layers(self, material: Array, instance: Array) -> dict[str, Array]:
+        """Return the label layers of pixels; -1, the sky, takes the last entry of each table."""
+        return {
+            "surface_class": self.surface_class[material],
+            "paint_id": self.paint_id[material],
+            "car_id": self.car_id[instance],
+        }
+
+    def attrs(self, name: str) -> dict[str, Any]:
+        """Return the CF attributes that say what the numbers of a label layer mean."""
+        if name not in ("surface_class", "paint_id"):
+            return {}
+        meanings = KINDS if name == "surface_class" else [paint.replace(" ", "_") for paint in self.paints]
+        numbers = np.arange(len(meanings), dtype=np.int16)
+        return {"flag_values": numbers, "flag_meanings": " ".join(meanings)}
 
 
 def _parsed(attrs: Mapping[Any, Any], name: str, problems: Problems) -> list[Any]:

@@ -30,8 +30,7 @@ from hyperpaint.simulation.transport.path_codes import PathCodes
 
 from .four_curves import Atmosphere, preset_atmosphere
 from .materials import internal_reflectance
-from .scene_record import SceneRecord, TraceSettings, sun_vectors
-from .truth_layers import LabelTables
+from .scene_record import LabelTables, SceneRecord, TraceSettings, sun_vectors
 
 if TYPE_CHECKING:
     import dask.array as da
