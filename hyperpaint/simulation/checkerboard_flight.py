@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -107,11 +106,6 @@ def _is_odd(first: Floats, second: Floats) -> NDArray[np.bool_]:
 class CheckerboardFlight(Flight):
     """A flight over a checkerboard.
 
-    Parameters
-    ----------
-    settings
-        Size and effects.
-
     Examples
     --------
     >>> flight = CheckerboardFlight(SimulationSettings(lines=8, bands=4, columns=32, scene="checkerboard"))
@@ -128,18 +122,15 @@ class CheckerboardFlight(Flight):
         east, north = map(float, self.plane.project(self.frame.latitude, self.frame.longitude))
         self.board = Checkerboard((east, north), settings.square, settings.board_turn)
         place = f"of what the middle of the pixel shows at mid exposure, on {self.plane.crs}"
-        self.layers = MappingProxyType(
-            {
-                "bright_share": Layer(
-                    "float32", {"long_name": "Share of the pixel on bright squares", "units": "1"}
-                ),
-                "east": Layer("float64", {"long_name": f"East {place}", "units": "m"}),
-                "north": Layer("float64", {"long_name": f"North {place}", "units": "m"}),
-                "height": Layer(
-                    "float64", {"long_name": "Height above the ellipsoid of that place", "units": "m"}
-                ),
-            }
-        )
+        metres = {
+            "east": f"East {place}", "north": f"North {place}",
+            "height": "Height above the ellipsoid of that place",
+        }  # fmt: skip
+        share = {"long_name": "Share of the pixel on bright squares", "units": "1"}
+        self.layers = {
+            "bright_share": Layer("float32", share),
+            **{name: Layer("float64", {"long_name": text, "units": "m"}) for name, text in metres.items()},
+        }
         rho = reflectance(list(_SQUARES), self.grid)
         integrals = self.imager.integrals(np.concatenate([light * rho for light in self.sky]), self.grid)
         #: INT rho_m E_k R, shape (light, square, band, cross_track)
@@ -173,19 +164,18 @@ class CheckerboardFlight(Flight):
         shares = layers["bright_share"]
         glint = np.zeros((number, columns), bool)
         block = Lines((shares > 0.5).astype(np.int16), glint, *self._cubes(number, into), layers)
-        factors = self.light.factors(self.line_times[start:stop] / 1e9)
+        factors = self._factors(start, stop)
 
-        def expose(row: int) -> None:
-            seen = np.zeros((self.settings.bands, columns))
+        def seen(row: int) -> Floats:
+            reflected = np.zeros((self.settings.bands, columns))
             for factor, (dark, bright) in zip(factors[:, row], self._reflected, strict=True):
-                seen += factor * (dark + shares[row] * (bright - dark))
-            self._record(block, row, start + row, factors[:, row], seen)
+                reflected += factor * (dark + shares[row] * (bright - dark))
+            return reflected
 
-        self._for_lines(number, expose)
-        return block
+        return self._expose(block, start, factors, seen)
 
     def clean_paint(self, lines: Lines) -> NDArray[np.int32]:
-        """Tell which pixels lie within a square."""
+        """Return the paint of pixels that lie within a square, -1 of all others."""
         shares = lines.layers["bright_share"]
         return np.where((shares == 0.0) | (shares == 1.0), super().clean_paint(lines), np.int32(-1))
 

@@ -217,11 +217,6 @@ class Flight(abc.ABC):
         column = np.arange(self.settings.columns) - 0.5 * (self.settings.columns - 1)
         return np.asarray(np.degrees(np.arctan(column * PIXEL_ANGLE)))
 
-    @property
-    def etendue(self) -> float:
-        """Etendue of an element [m2 sr]."""
-        return self.camera.etendue
-
     @cached_property
     def start(self) -> int:
         """UTC at mid exposure of the first line [ns since 1970]."""
@@ -282,16 +277,27 @@ class Flight(abc.ABC):
         np.divide(seen, incident, out=block.reflectance[row], casting="same_kind")
         np.divide(seen, np.pi * self.response_area, out=block.radiance[row], casting="same_kind")
         seen *= 1.0 / np.pi
-        signal = expected_counts(seen, settings.exposure_time, self.etendue)
+        signal = expected_counts(seen, settings.exposure_time, self.camera.etendue)
         signal[self.bad] = 0.0
         rng = self._rng(_NOISE, line) if settings.noise else None
         block.counts[row] = self.detector.read(signal, rng)
 
-    @staticmethod
-    def _for_lines(number: int, expose: Callable[[int], None]) -> None:
-        """Work on lines in threads: numpy lets go of the interpreter, each line draws its own numbers."""
+    def _expose(self, block: Lines, start: int, factors: Floats, seen: Callable[[int], Floats]) -> Lines:
+        """Record what ``seen`` gives for every row of a block that begins at a line, and return the block.
+
+        Rows go in threads: numpy lets go of the interpreter, each line draws its own numbers.
+        """
+
+        def expose(row: int) -> None:
+            self._record(block, row, start + row, factors[:, row], seen(row))
+
         with ThreadPoolExecutor(max_workers=os.cpu_count()) as pool:
-            list(pool.map(expose, range(number)))
+            list(pool.map(expose, range(len(block.counts))))
+        return block
+
+    def _factors(self, start: int, stop: int) -> Floats:
+        """Return factors of direct and diffuse light at mid exposure of lines, shape (2, along_track)."""
+        return self.light.factors(self.line_times[start:stop] / 1e9)
 
     def dark_frames(self) -> NDArray[np.uint16]:
         """Return the dark cube, shape (along_track, band, cross_track)."""

@@ -141,13 +141,7 @@ _TEXTURED = np.array([not name.startswith("panel") for name in MATERIALS])
 
 
 class PlanFlight(Flight):
-    """A flight over the car park in plan view.
-
-    Parameters
-    ----------
-    settings
-        Size and effects.
-    """
+    """A flight over the car park in plan view."""
 
     surfaces = tuple(MATERIALS)
     paints = tuple(CAR_PAINTS)
@@ -168,14 +162,12 @@ class PlanFlight(Flight):
         surface = self.park.surface(start, stop)
         mirrored = np.stack([self._mirrored(start + row, surface[row]) for row in range(number)])
         block = Lines(surface, mirrored > 0, *self._cubes(number, into))
-        factors = self.light.factors(self.line_times[start:stop] / 1e9)
+        factors = self._factors(start, stop)
 
-        def expose(row: int) -> None:
-            seen = self._seen(start + row, surface[row], factors[:, row], mirrored[row])
-            self._record(block, row, start + row, factors[:, row], seen)
+        def seen(row: int) -> Floats:
+            return self._seen(start + row, surface[row], factors[:, row], mirrored[row])
 
-        self._for_lines(number, expose)
-        return block
+        return self._expose(block, start, factors, seen)
 
     def _seen(self, line: int, surface: NDArray[np.int16], factors: Floats, mirrored: Floats) -> Floats:
         """Return pi INT L R of every element of a line, shape (band, cross_track)."""

@@ -51,11 +51,6 @@ _LINES_AT_ONCE = 4  # of a thread
 class RenderedFlight(Flight):
     """A flight over a car park of triangles.
 
-    Parameters
-    ----------
-    settings
-        Size and effects.
-
     Raises
     ------
     SchemaError
@@ -147,22 +142,16 @@ class RenderedFlight(Flight):
 
     def lines(self, start: int, stop: int, into: Lines | None = None) -> Lines:
         """Return lines ``start`` to ``stop``; the same whatever lines are asked for together."""
-        number = stop - start
         block = self._trace(start, stop)
-        factors = self.light.factors(self.line_times[start:stop] / 1e9)
+        factors = self._factors(start, stop)
         record = Lines(
-            self._surface[block.material], self._glint(block, factors), *self._cubes(number, into),
+            self._surface[block.material], self._glint(block, factors), *self._cubes(stop - start, into),
             self._label(block),
         )  # fmt: skip
         # on its way to counts, INT L R stands where the radiance will be
         self._shine(block, factors, record.radiance)
         per_element = np.pi * self.imager.element_factor
-
-        def expose(row: int) -> None:
-            self._record(record, row, start + row, factors[:, row], record.radiance[row] * per_element)
-
-        self._for_lines(number, expose)
-        return record
+        return self._expose(record, start, factors, lambda row: record.radiance[row] * per_element)
 
     def _trace(self, start: int, stop: int) -> Block:
         """Return the paths of lines; threads share them, since the tracer lets go of the interpreter."""

@@ -80,7 +80,7 @@ def write_calibration(flight: Flight, path: Path) -> None:
             "hyperpaint_format": FORMAT_VERSION,
             "name": "simulated calibration",
             "srf_shape": flight.settings.srf_shape,
-            "etendue": flight.etendue,
+            "etendue": flight.camera.etendue,
             "history": f"exact calibration of the simulated imager, seed {flight.settings.seed}",
         },
     )
