@@ -25,12 +25,14 @@ from .atmosphere import spectral_grid
 from .settings import SimulationSettings
 
 __all__ = [
-    "CAMERA_FIELDS", "ETENDUE", "Camera", "Detector", "Imager", "convolve_gaussian", "expected_counts",
-    "filled_etendue", "line_shape", "nominal_responsivity", "smile",
+    "CAMERA_FIELDS", "ETENDUE", "GAUSSIAN_REACH", "Camera", "Detector", "Imager", "convolve_gaussian",
+    "cubic_weights", "expected_counts", "filled_etendue", "line_shape", "nominal_responsivity", "smile",
 ]  # fmt: skip
 
 
-_GAUSSIAN_REACH = 3.2  # full widths; beyond them lies less than 1e-13 of a Gaussian's area
+GAUSSIAN_REACH = 3.2
+"""Full widths from its centre beyond which less than 1e-13 of a Gaussian's area lies."""
+
 # small products: on a busy machine the threads that BLAS wakes for large ones wait longer than they work
 _COLUMNS_AT_ONCE = 16
 _PLANCK_TIMES_LIGHT = 6.62607015e-34 * 2.99792458e8
@@ -110,12 +112,24 @@ def convolve_gaussian(spectra: Floats, grid: Floats, centres: Floats, fwhm: floa
     step = grid[1] - grid[0]
     convolved = np.empty((len(spectra), len(centres)))
     for index, centre in enumerate(centres):
-        start, stop = np.searchsorted(
-            grid, (centre - _GAUSSIAN_REACH * fwhm, centre + _GAUSSIAN_REACH * fwhm)
-        )
+        start, stop = np.searchsorted(grid, (centre - GAUSSIAN_REACH * fwhm, centre + GAUSSIAN_REACH * fwhm))
         weights = line_shape(grid[start:stop] - centre, fwhm, 0.0, "gaussian", step)
         convolved[:, index] = spectra[:, start:stop] @ weights / weights.sum()
     return convolved
+
+
+def cubic_weights(place: Floats) -> Floats:
+    """Return the weights of the points at -1, 0, 1 and 2 at a place between 0 and 1, a last axis of 4."""
+    t = np.asarray(place, np.float64)
+    return np.stack(
+        [
+            -t * (t - 1) * (t - 2) / 6,
+            (t + 1) * (t - 1) * (t - 2) / 2,
+            -(t + 1) * t * (t - 2) / 2,
+            (t + 1) * t * (t - 1) / 6,
+        ],
+        axis=-1,
+    )
 
 
 def smile(columns: int, nanometres: float) -> Floats:
@@ -192,7 +206,7 @@ class Imager:
         """Distance from a band's nominal centre beyond which no column responds [nm]."""
         smile_reach = float(np.abs(self.wavelength_shift).max())
         if self.shape == "gaussian":
-            return _GAUSSIAN_REACH * float(self.band_fwhm.max()) + smile_reach
+            return GAUSSIAN_REACH * float(self.band_fwhm.max()) + smile_reach
         return float((self.band_fwhm + self.spacing).max()) / 2 + smile_reach + 0.1
 
     def response(self, band: int, grid: Floats) -> Floats:

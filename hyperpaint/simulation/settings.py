@@ -10,11 +10,13 @@ from typing import Any, TypeGuard
 
 import numpy as np
 
+from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import Problems, SchemaError
 
 __all__ = [
     "MOST_SAMPLES", "NEAR_SUNSET", "SCENES", "SHAPES", "SKIES", "STAMPS", "SWATH_M", "WOBBLES",
-    "SimulationSettings", "check_choice", "check_flag", "check_number", "check_whole", "is_number",
+    "SimulationSettings", "check_choice", "check_flag", "check_number", "check_whole", "finite_floats",
+    "is_number",
 ]  # fmt: skip
 
 STAMPS = ("start", "mid", "end")
@@ -407,6 +409,18 @@ def check_number(
         least = f"above {low:g}" if above else f"from {low:g}"
         most = "" if high == np.inf else f" to {high:g}"
         problems.add(f"{name}={value!r:.60}, expected a number {least}{most}")
+
+
+def finite_floats(values: Any, name: str, problems: Problems) -> Floats:
+    """Return values as a new float64 array, noting what is no array of finite numbers."""
+    try:
+        array = np.array(values, dtype=np.float64, order="C")
+    except (TypeError, ValueError):
+        problems.add(f"{name} is not an array of numbers")
+        return np.zeros(0)
+    if not np.isfinite(array).all():
+        problems.add(f"{name} holds {np.count_nonzero(~np.isfinite(array))} values that are not finite")
+    return array
 
 
 def _are_numbers(value: object, length: int) -> bool:

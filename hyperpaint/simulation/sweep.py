@@ -24,7 +24,7 @@ from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import Problems, SchemaError
 from hyperpaint.base.schema import MONOCHROMATOR_SHAPES
 
-from .camera import CAMERA_FIELDS, Camera
+from .camera import CAMERA_FIELDS, GAUSSIAN_REACH, Camera, cubic_weights
 from .settings import SimulationSettings, check_choice, check_flag, check_number, check_whole, is_number
 
 __all__ = ["Frames", "Sweep", "SweepSettings"]
@@ -220,7 +220,6 @@ _PER_STEP = {
 # keys of the random streams: [seed, stream, step], so that nothing depends on which steps are made
 _LINE_NOISE, _DARK_NOISE, _POWER_METER, _DIAL = 30, 31, 32, 33
 
-_GAUSSIAN_REACH = 3.2  # full widths; beyond them lies less than 1e-13 of a Gaussian's area
 _GRID_STEP = {"gaussian": 0.05, "triangle": 0.02}  # nm, coarsest allowed; corners want the finer one
 _SHIFT_STEP = 0.1  # nm, coarsest allowed
 #: Spread of scattered light [nm], and the share of it that does not cover all bands alike.
@@ -393,7 +392,7 @@ def _line_quadrature(fwhm: float, shape: str, other_width: float) -> tuple[Float
     """
     parts = int(np.ceil(fwhm / min(_GRID_STEP[shape], fwhm / 40.0, other_width / 40.0)))
     step = fwhm / parts
-    reach = parts if shape == "triangle" else int(np.ceil(_GAUSSIAN_REACH * parts))
+    reach = parts if shape == "triangle" else int(np.ceil(GAUSSIAN_REACH * parts))
     offset = np.asarray(np.arange(-reach, reach + 1) * step, dtype=np.float64)
     if shape == "triangle":
         height = np.asarray(1.0 - np.abs(offset) / fwhm)
@@ -415,12 +414,6 @@ def _shift_table(shifts: Floats, step: float) -> tuple[Floats, Floats]:
     table = distinct[0] + step * np.arange(-1, parts + 2)
     place = (shifts - table[0]) / step
     left = np.clip(np.floor(place).astype(int), 1, len(table) - 3)
-    u = place - left
-    cubic = (
-        -u * (u - 1) * (u - 2) / 6, (u + 1) * (u - 1) * (u - 2) / 2, -(u + 1) * u * (u - 2) / 2,
-        (u + 1) * u * (u - 1) / 6,
-    )  # fmt: skip
     weights = np.zeros((len(shifts), len(table)))
-    for place_of, weight in zip(range(-1, 3), cubic, strict=True):
-        weights[np.arange(len(shifts)), left + place_of] = weight
+    np.put_along_axis(weights, left[:, None] + np.arange(-1, 3), cubic_weights(place - left), axis=1)
     return table, weights

@@ -20,8 +20,8 @@ from numpy.typing import NDArray
 
 from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import Problems, SchemaError
-from hyperpaint.simulation.camera import Imager, line_shape
-from hyperpaint.simulation.settings import SHAPES, SimulationSettings, check_choice
+from hyperpaint.simulation.camera import Imager, cubic_weights, line_shape
+from hyperpaint.simulation.settings import SHAPES, SimulationSettings, check_choice, finite_floats
 
 __all__ = ["BandResponses", "BandSet", "cell_means"]
 
@@ -69,12 +69,12 @@ class BandSet:
 
     def __post_init__(self) -> None:
         problems = Problems("these bands cannot be rendered", SchemaError)
-        wavelength = _floats(self.wavelength, "wavelength", problems)
+        wavelength = finite_floats(self.wavelength, "wavelength", problems)
         if wavelength.ndim != 1 or not wavelength.size:
             problems.add(f"wavelength has shape {wavelength.shape}, expected (band,)")
         elif not (np.all(np.diff(wavelength) > 0) and wavelength[0] > 0):
             problems.add("wavelength must be positive and increase from band to band [nm]; sort the bands")
-        fwhm = _floats(self.fwhm, "fwhm", problems)
+        fwhm = finite_floats(self.fwhm, "fwhm", problems)
         if fwhm.shape not in ((), (1,), wavelength.shape):
             problems.add(f"fwhm has shape {fwhm.shape}, expected one value or {wavelength.shape}")
         elif not np.all(fwhm > 0):
@@ -82,7 +82,7 @@ class BandSet:
         check_choice(problems, "shape", self.shape, SHAPES)
         shift = None
         if self.wavelength_shift is not None:
-            shift = _floats(self.wavelength_shift, "wavelength_shift", problems)
+            shift = finite_floats(self.wavelength_shift, "wavelength_shift", problems)
             if shift.ndim != 1 or not shift.size:
                 problems.add(f"wavelength_shift has shape {shift.shape}, expected (cross_track,)")
         problems.raise_if_any()
@@ -213,31 +213,6 @@ class BandSet:
     def highest(self) -> float:
         """Return the highest wavelength at which any element responds [nm]."""
         return float(self.wavelength[-1] + self.nodes.max() + self.reach)
-
-
-def cubic_weights(place: Floats) -> Floats:
-    """Return the weights of the points at -1, 0, 1 and 2 at a place between 0 and 1, a last axis of 4."""
-    t = np.asarray(place, np.float64)
-    return np.stack(
-        [
-            -t * (t - 1) * (t - 2) / 6,
-            (t + 1) * (t - 1) * (t - 2) / 2,
-            -(t + 1) * t * (t - 2) / 2,
-            (t + 1) * t * (t - 1) / 6,
-        ],
-        axis=-1,
-    )
-
-
-def _floats(values: Any, name: str, problems: Problems) -> Floats:
-    try:
-        array = np.array(values, np.float64)
-    except (TypeError, ValueError):
-        problems.add(f"{name} is {type(values).__name__}, expected numbers [nm]")
-        return np.zeros(0)
-    if not np.isfinite(array).all():
-        problems.add(f"{name} holds values that are not finite")
-    return array
 
 
 _FACTOR_STEP = 0.5  # nm between the points at which products of reflectances are taken

@@ -15,17 +15,17 @@ are the same rotation.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import Problems, SchemaError
+from hyperpaint.simulation.settings import finite_floats
 
 __all__ = [
-    "MOST_COLUMNS", "MOST_LINES", "START", "STEEPEST", "Platform", "attitude_of", "finite_floats",
-    "interpolate", "matrices", "quaternions", "turns",
+    "MOST_COLUMNS", "MOST_LINES", "START", "STEEPEST", "Platform", "attitude_of", "interpolate",
+    "matrices", "quaternions", "turns",
 ]  # fmt: skip
 
 
@@ -144,18 +144,6 @@ class Platform:
     def utc(self) -> NDArray[np.datetime64]:
         """UTC at mid exposure, shape (line,), datetime64[ns]."""
         return np.asarray(self.start + self.time.astype("timedelta64[ns]"))
-
-
-def finite_floats(values: Any, name: str, problems: Problems) -> Floats:
-    """Return values as float64, noting what is no array of finite numbers."""
-    try:
-        array = np.ascontiguousarray(values, dtype=np.float64)
-    except (TypeError, ValueError):
-        problems.add(f"{name} is not an array of numbers")
-        return np.zeros(0)
-    if not np.isfinite(array).all():
-        problems.add(f"{name} holds {np.count_nonzero(~np.isfinite(array))} values that are not finite")
-    return array
 
 
 #: north, east, down into east, north, up, and the other way round

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 
 from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import Problems, SchemaError
-from hyperpaint.simulation.settings import check_number, check_whole, is_number
+from hyperpaint.simulation.settings import check_number, check_whole, finite_floats, is_number
 
 from .platform_geometry import (
     MOST_COLUMNS,
@@ -18,7 +18,6 @@ from .platform_geometry import (
     START,
     STEEPEST,
     Platform,
-    finite_floats,
     interpolate,
     matrices,
     quaternions,
