@@ -24,7 +24,8 @@ from hyperpaint.simulation.rendering.four_curves import Atmosphere
 from hyperpaint.simulation.rendering.materials import Coat, Material
 from hyperpaint.simulation.rendering.platform_geometry import matrices, quaternions
 from hyperpaint.simulation.rendering.platforms import Platform
-from hyperpaint.simulation.rendering.scene import Scene, box, plane
+from hyperpaint.simulation.rendering.primitives import box
+from hyperpaint.simulation.rendering.scene import Scene, plane
 
 pytestmark = pytest.mark.skipif(
     importlib.util.find_spec("mitsuba") is None, reason="Mitsuba is not installed (extra oracles)"

@@ -11,8 +11,8 @@ from hypothesis import given, settings, strategies as st
 
 from hyperpaint.base.errors import PaintWarning, SchemaError
 from hyperpaint.simulation.rendering.materials import Coat, Flakes, Material
-from hyperpaint.simulation.rendering.primitives import cuboid, polygon, put_together, smoothed, tube
-from hyperpaint.simulation.rendering.scene import PARTS, Factor, Instance, Scene, box, plane
+from hyperpaint.simulation.rendering.primitives import box, cuboid, polygon, put_together, smoothed, tube
+from hyperpaint.simulation.rendering.scene import PARTS, Factor, Instance, Scene, plane
 
 GREY = Material("grey", "panel_20", "panel")
 RED = Material("red", "red", "paint", Coat(), Flakes(0.3))
@@ -66,7 +66,7 @@ def test_all_problems_are_listed_at_once() -> None:
         f"face_instance hold numbers from {2**40}",
         "face_part",
         "material names used for more than one: grey",
-        "kind 'spaceship', expected one of ground",
+        "='spaceship', expected one of ground",
         "instance 1 has an empty name",
     ):
         assert words in message

@@ -12,7 +12,8 @@ from hyperpaint.simulation.rendering.camera_bands import BandSet
 from hyperpaint.simulation.rendering.four_curves import Atmosphere
 from hyperpaint.simulation.rendering.materials import Coat, Flakes, Material, measured_factor
 from hyperpaint.simulation.rendering.platforms import Platform, pushbroom
-from hyperpaint.simulation.rendering.scene import Instance, Scene, box, plane
+from hyperpaint.simulation.rendering.primitives import box
+from hyperpaint.simulation.rendering.scene import Instance, Scene, plane
 from hyperpaint.simulation.rendering.scene_record import SceneRecord
 from hyperpaint.simulation.rendering.scene_spectra import spectrum_of
 

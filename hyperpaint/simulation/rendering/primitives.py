@@ -13,7 +13,7 @@ from hyperpaint.base.arrays import Floats, Ints
 from .materials import Material
 from .scene import PARTS, Instance, Scene, has_area
 
-__all__ = ["Mesh", "cuboid", "lattice", "polygon", "put_together", "smoothed", "tube", "uniform"]
+__all__ = ["Mesh", "box", "cuboid", "lattice", "polygon", "put_together", "smoothed", "tube", "uniform"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -123,6 +123,24 @@ def cuboid(size: Sequence[float], surface: str, part: str = "") -> Mesh:
     corners = np.array([[x, y, z] for z in (0.0, 1.0) for y in (-0.5, 0.5) for x in (-0.5, 0.5)])
     quads = np.array([[0, 2, 3, 1], [4, 5, 7, 6], [0, 1, 5, 4], [1, 3, 7, 5], [3, 2, 6, 7], [2, 0, 4, 6]])
     return uniform(corners * np.asarray(size, np.float64), quads[:, [0, 1, 2, 0, 2, 3]], surface, part)
+
+
+def box(
+    size: Sequence[float],
+    material: Material,
+    *,
+    centre: Sequence[float] = (0.0, 0.0, 0.0),
+    instance: Instance | str = "box",
+) -> Scene:
+    """Return a closed box of one material as a scene, the middle of its foot at ``centre`` [m].
+
+    Examples
+    --------
+    >>> box((1.0, 2.0, 3.0), Material("brick", "brick", "wall")).area.sum()
+    np.float64(22.0)
+    """
+    thing = Instance(instance) if isinstance(instance, str) else instance
+    return cuboid(size, "all").shifted(centre).scene({"all": material}, thing)
 
 
 def tube(

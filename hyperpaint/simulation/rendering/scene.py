@@ -13,11 +13,12 @@ from numpy.typing import ArrayLike, NDArray
 
 from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import PaintWarning, Problems, SchemaError
+from hyperpaint.simulation.settings import check_choice
 
 from .materials import Material
 
 __all__ = [
-    "INSTANCE_KINDS", "PARTS", "Factor", "Instance", "Scene", "box", "has_area", "plane", "warn_of_dropped",
+    "INSTANCE_KINDS", "PARTS", "Factor", "Instance", "Scene", "has_area", "plane", "warn_of_dropped",
 ]  # fmt: skip
 
 
@@ -139,7 +140,9 @@ class Scene:
         _check_range(problems, "face_instance", instance, len(self.instances), "instances")
         _check_range(problems, "face_part", part, len(PARTS), "PARTS")
         _check_names(problems, "material", [material.name for material in self.materials])
-        _check_instances(problems, self.instances)
+        _check_names(problems, "instance", [instance.name for instance in self.instances])
+        for thing in self.instances:
+            check_choice(problems, f"kind of instance {thing.name!r}", thing.kind, INSTANCE_KINDS)
         problems.raise_if_any()
         with_area = has_area(vertices, faces)
         warn_of_dropped(self.name, with_area)
@@ -337,11 +340,6 @@ def plane(
     instance
         What it is.
 
-    Returns
-    -------
-    Scene
-        Of one instance.
-
     Raises
     ------
     SchemaError
@@ -355,55 +353,10 @@ def plane(
     east, north = (size, size) if isinstance(size, int | float) else size
     corners = np.array([[-0.5, -0.5, 0.0], [0.5, -0.5, 0.0], [0.5, 0.5, 0.0], [-0.5, 0.5, 0.0]])
     vertices = corners * (east, north, 1.0) + np.asarray(centre, np.float64)
-    thing = (
-        Instance(instance, "ground" if instance == "ground" else "other")
-        if isinstance(instance, str)
-        else instance
-    )
+    if isinstance(instance, str):
+        instance = Instance(instance, "ground" if instance == "ground" else "other")
     made_of = material or Material("asphalt", "asphalt", "asphalt")
-    return Scene.from_arrays(vertices, [[0, 1, 2], [0, 2, 3]], made_of, instance=thing)
-
-
-def box(
-    size: Sequence[float],
-    material: Material,
-    *,
-    centre: Sequence[float] = (0.0, 0.0, 0.0),
-    instance: Instance | str = "box",
-) -> Scene:
-    """Return a closed box with faces that look outwards, of twelve triangles.
-
-    Parameters
-    ----------
-    size
-        Along east, north and up [m].
-    material
-        What it is made of.
-    centre
-        Of its foot: east, north and up [m].
-    instance
-        What it is.
-
-    Returns
-    -------
-    Scene
-        Of one instance.
-
-    Raises
-    ------
-    SchemaError
-        As for `plane`.
-
-    Examples
-    --------
-    >>> box((1.0, 2.0, 3.0), Material("brick", "brick", "wall")).area.sum()
-    np.float64(22.0)
-    """
-    corners = np.array([[x, y, z] for z in (0.0, 1.0) for y in (-0.5, 0.5) for x in (-0.5, 0.5)])
-    quads = [[0, 2, 3, 1], [4, 5, 7, 6], [0, 1, 5, 4], [1, 3, 7, 5], [3, 2, 6, 7], [2, 0, 4, 6]]
-    faces = [[quad[i] for i in corner] for quad in quads for corner in ((0, 1, 2), (0, 2, 3))]
-    vertices = corners * np.asarray(size, np.float64) + np.asarray(centre, np.float64)
-    return Scene.from_arrays(vertices, faces, material, instance=instance)
+    return Scene.from_arrays(vertices, [[0, 1, 2], [0, 2, 3]], made_of, instance=instance)
 
 
 def _array(
@@ -444,24 +397,12 @@ def _check_range(problems: Problems, name: str, numbers: NDArray[Any], count: in
         )
 
 
-def _check_instances(problems: Problems, instances: Sequence[Instance]) -> None:
-    _check_names(problems, "instance", [instance.name for instance in instances])
-    for instance in instances:
-        if instance.kind not in INSTANCE_KINDS:
-            expected = _one_of(INSTANCE_KINDS)
-            problems.add(f"instance {instance.name!r} is of the kind {instance.kind!r}, expected {expected}")
-
-
 def _check_names(problems: Problems, what: str, names: Sequence[str]) -> None:
     if "" in names:
         problems.add(f"{what} {names.index('')} has an empty name")
     if len(set(names)) < len(names):
         twice = sorted(name for name, count in Counter(names).items() if count > 1)
         problems.add(f"{what} names used for more than one: {', '.join(twice[:5])}; names must differ")
-
-
-def _one_of(names: Sequence[str]) -> str:
-    return "one of " + ", ".join(names)
 
 
 def _crossed(vertices: Floats, faces: NDArray[np.int64]) -> Floats:
