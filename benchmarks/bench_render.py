@@ -5,7 +5,6 @@
 from __future__ import annotations
 
 import functools
-import math
 
 import numpy as np
 
@@ -55,9 +54,8 @@ def lighting(smile=0.0):
     record = SceneRecord.of(scene())
     settings = prepared(64).settings
     sky = preset_atmosphere("noon")
-    cosine = math.cos(math.radians(sky.sun_zenith))
-    made = _lighting(bands, record, settings, sky, factor_spectra(record, bands), cosine)
-    return dask.compute(made, scheduler="synchronous")[0]
+    light = _lighting(bands, record, settings, sky, factor_spectra(record, bands))
+    return dask.compute(light, scheduler="synchronous")[0]
 
 
 @functools.cache

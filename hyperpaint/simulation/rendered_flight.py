@@ -76,11 +76,12 @@ class RenderedFlight(Flight):
         self.layers = _layers(self._scene.labels, self.plane)
         self._surface = np.array([self.surfaces.index(name) for name in spectra], np.int16)
         self._cosine = float(np.cos(np.radians(settings.sun[0])))
-        self._products = ProductTable.of_imager(
-            self.imager, self._scene.codes, self.grid,
+        bands, light = (
+            BandSet.of_imager(self.imager),
             {SKY: self.sky[1], FIRST_SUN: self.sky[0] / self._cosine},
-            factor_spectra(record, BandSet.of_imager(self.imager)),
-        )  # fmt: skip
+        )
+        factors = factor_spectra(record, bands)
+        self._products = ProductTable.of(bands, self._scene.codes, self.grid, light, factors, normalise=False)
 
     def paint_reflectance(self, names: Sequence[str], wavelength: Floats) -> Floats:
         """Return the reflectance of paints without their mirror reflection, shape (name, wavelength)."""

@@ -157,7 +157,9 @@ def test_mixing_is_the_weighted_sum_over_paths(shift: Any) -> None:
 
 def test_an_imager_integrates_without_norm() -> None:
     camera = Camera.of(SimulationSettings(bands=40, columns=7, smile_nm=0.8, srf_shape="slit"))
-    table = ProductTable.of_imager(camera.imager, CODES, LIGHT.wavelength, SOURCES, paints)
+    table = ProductTable.of(
+        BandSet.of_imager(camera.imager), CODES, LIGHT.wavelength, SOURCES, paints, normalise=False
+    )
     codes = some_codes()[::97]
     grid = np.arange(340.0, 1080.0, 0.05)
     spectra = np.stack([np.interp(grid, GRID, product(code)) for code in codes.tolist()])

@@ -21,7 +21,6 @@ from numpy.typing import NDArray
 
 from hyperpaint.base.arrays import Array, Floats, Floats32, Ints
 from hyperpaint.base.errors import SchemaError
-from hyperpaint.simulation.camera import Imager
 from hyperpaint.simulation.transport.path_codes import (
     FIRST_SUN,
     OVERCAST_SKY,
@@ -75,13 +74,7 @@ def traced_sun(atmosphere: Atmosphere, settings: TraceSettings) -> int:
 
 
 def source_spectra(atmosphere: Atmosphere, settings: TraceSettings) -> dict[int, Floats]:
-    """Return the irradiance of every source of a trace that shines, by number, on the atmosphere's grid.
-
-    Raises
-    ------
-    SchemaError
-        As `traced_sun`.
-    """
+    """Return the irradiance of every source of a trace that shines, by number, on the atmosphere's grid."""
     sun = traced_sun(atmosphere, settings)
     share = atmosphere.overcast_share
     spectra = {SKY: atmosphere.sky * (1.0 - share), FIRST_SUN + sun: atmosphere.sun}
@@ -179,12 +172,7 @@ def _varied(weight: Floats32, code: Array, variation: Floats | None) -> Floats32
 
 
 def make_lighting(
-    bands: BandSet,
-    codes: PathCodes,
-    atmosphere: Mapping[str, Floats],
-    sources: Mapping[int, Floats],
-    factors: Floats,
-    sun_cosine: float,
+    bands: BandSet, codes: PathCodes, atmosphere: Atmosphere, settings: TraceSettings, factors: Floats
 ) -> Lighting:
     """Return the light, the spectra and the camera of a relighting, as its tasks need them.
 
@@ -194,22 +182,18 @@ def make_lighting(
         Of the camera.
     codes
         How paths are numbered.
-    atmosphere
-        ``wavelength`` [nm], ``extinction`` and ``path_radiance``, as in `Atmosphere`.
-    sources
-        From `source_spectra`.
+    atmosphere, settings
+        The light, and how the scene was traced.
     factors : (factor, grid)
         All factors on the grid of `BandResponses`.
-    sun_cosine
-        Cosine of the zenith angle of the traced sun.
     """
-    wavelength = atmosphere["wavelength"]
+    wavelength, sources = atmosphere.wavelength, source_spectra(atmosphere, settings)
+    sun_cosine = float(np.cos(np.radians(settings.suns[traced_sun(atmosphere, settings)][0])))
     table = ProductTable.of(bands, codes, wavelength, sources, lambda _grid: factors)
     responses = BandResponses(bands, (float(wavelength[0]), float(wavelength[-1])))
-    air = [
-        cell_means(wavelength, atmosphere[name], responses.fine) for name in ("extinction", "path_radiance")
-    ]
-    extinction, path = table.to_columns(responses.means(np.stack(air))).astype(np.float32)
+    curves = atmosphere.extinction, atmosphere.path_radiance
+    air = np.stack([cell_means(wavelength, curve, responses.fine) for curve in curves])
+    extinction, path = table.to_columns(responses.means(air)).astype(np.float32)
     light = {number: table.to_columns(table.irradiance(number)) for number in sources}
     direct = sum((light[number] for number in light if number >= FIRST_SUN), np.zeros(1)) * sun_cosine
     diffuse = sum((light[number] for number in light if number < FIRST_SUN), np.zeros(1))
@@ -224,8 +208,6 @@ class ProductTable:
 
     Threads share one table. It can be sent to other processes, where it starts empty. No product depends on
     what was asked for before or beside it.
-
-    Use `of` for radiance as a calibrated camera would state it, `of_imager` for what a detector integrates.
 
     Attributes
     ----------
@@ -286,6 +268,10 @@ class ProductTable:
     ) -> ProductTable:
         """Return the table of a calibrated camera: means over the responses [W m-2 sr-1 nm-1].
 
+        With ``normalise=False`` it is that of a detector: INT L R d lambda [W m-2 sr-1 count J-1]. Where the
+        bands are `BandSet.of_imager`, the elements' own factors (`Imager.element_factor`) are left to the
+        caller; mixed, and multiplied by them, it is what `simulation.camera.expected_counts` takes.
+
         Parameters
         ----------
         bands
@@ -310,36 +296,6 @@ class ProductTable:
             for number, spectrum in sources.items()
         }
         return cls(responses, codes, fine, factors(responses.grid))
-
-    @classmethod
-    def of_imager(
-        cls,
-        imager: Imager,
-        codes: PathCodes,
-        wavelength: Floats,
-        sources: Mapping[int, Floats],
-        factors: Callable[[Floats], Floats],
-    ) -> ProductTable:
-        """Return the table of a detector: INT L R d lambda, not normalised [W m-2 sr-1 count J-1].
-
-        ``R`` is responsivity x line shape, with the smile at the table's nodes; the elements' own factors
-        (`Imager.element_factor`) are left to the caller. Mixed, and multiplied by that factor, it is what
-        `hyperpaint.simulation.camera.expected_counts` takes. Parameters are those of `of`.
-
-        Examples
-        --------
-        >>> from hyperpaint.simulation.camera import Camera
-        >>> from hyperpaint.simulation.settings import SimulationSettings
-        >>> camera = Camera.of(SimulationSettings(bands=8, columns=5))
-        >>> codes = PathCodes.of(factors=1, depth=4)
-        >>> light = np.array([300.0, 1100.0]), {0: np.full(2, np.pi)}  # a radiance of one
-        >>> table = ProductTable.of_imager(camera.imager, codes, *light, lambda grid: np.ones((1, grid.size)))
-        >>> rows = table.rows(np.array([codes.code(0, (0,))]))[:, 0]
-        >>> seen = table.to_columns(rows.astype(np.float64)) * camera.imager.element_factor
-        >>> bool(np.allclose(seen, camera.response_area, rtol=1e-5))
-        True
-        """
-        return cls.of(BandSet.of_imager(imager), codes, wavelength, sources, factors, normalise=False)
 
     def rows(self, codes: Ints) -> NDArray[np.float32]:
         """Return the products of paths, shape (node, path, band), float32.
@@ -384,11 +340,6 @@ class ProductTable:
             As traced; empty slots add nothing.
         out : (line, band, column)
             Overwritten; in the units of the table.
-
-        Raises
-        ------
-        SchemaError
-            As `rows`.
         """
         from hyperpaint.simulation.transport.mixing import index_paths, mix, mix_shifted
 

@@ -31,7 +31,7 @@ from hyperpaint.simulation.camera import convolve_gaussian
 
 from .camera_bands import BandResponses, BandSet, cell_means
 from .four_curves import Atmosphere, preset_atmosphere
-from .lighting import SHARES, Lighting, make_lighting, source_spectra, traced_sun
+from .lighting import SHARES, Lighting, make_lighting, traced_sun
 from .painting import FactorSpectra, factor_spectra
 from .scene_record import LabelTables, SceneRecord, TraceSettings
 
@@ -136,7 +136,7 @@ def relight(
     painted = factor_spectra(record, camera, paints, spectra, clip=clip)
     sun = traced_sun(sky, settings)
     cosine = float(np.cos(np.radians(settings.suns[sun][0])))
-    light = _lighting(camera, record, settings, sky, painted, cosine)
+    light = _lighting(camera, record, settings, sky, painted)
     paths = [_whole_lines(variables[name]) for name in _PATHS]
     cubes = _lazy_cubes(paths, light, factors, camera, truth=truth)
     line = _dataset(cubes, traced, camera, _tables(record, painted))
@@ -195,24 +195,13 @@ def _variation(variation: npt.ArrayLike | None, lines: int) -> Floats | None:
 
 
 def _lighting(
-    bands: BandSet,
-    record: SceneRecord,
-    settings: TraceSettings,
-    sky: Atmosphere,
-    painted: FactorSpectra,
-    sun_cosine: float,
+    bands: BandSet, record: SceneRecord, settings: TraceSettings, sky: Atmosphere, painted: FactorSpectra
 ) -> Any:
     """Return the `Lighting` that all tasks share, lazily: one node of the graph."""
     import dask
 
-    return dask.delayed(make_lighting, pure=True)(
-        bands,
-        record.codes(settings),
-        {name: getattr(sky, name) for name in ("wavelength", "extinction", "path_radiance")},
-        source_spectra(sky, settings),
-        painted(BandResponses(bands).grid),
-        sun_cosine,
-    )
+    factors = painted(BandResponses(bands).grid)
+    return dask.delayed(make_lighting, pure=True)(bands, record.codes(settings), sky, settings, factors)
 
 
 def _whole_lines(array: xr.DataArray) -> da.Array:
@@ -243,7 +232,7 @@ def _lazy_cubes(
     behind_air = (light, None, surface, "lbx", distance, "lx")
     shares = da.blockwise(_shares_task, "lcx", light, None, *traced, new_axes={"c": len(SHARES)}, **cube)
     return {
-        "radiance": da.blockwise(_sensor_task, "lbx", *behind_air, **cube),
+        "radiance": da.blockwise(Lighting.at_sensor, "lbx", *behind_air, **cube),
         "reflectance": da.blockwise(_reflectance_task, "lbx", light, None, surface, "lbx", *varied, **cube),
         **{name: shares[:, place] for place, name in enumerate(SHARES)},
     }
@@ -263,10 +252,6 @@ def _surface_task(light: Lighting, weight: Any, code: Any, variation: Any) -> Ar
 def _radiance_task(light: Lighting, weight: Any, code: Any, variation: Any, distance: Array) -> Array:
     surface = _surface_task(light, weight, code, variation)
     return light.at_sensor(surface, distance, in_place=True)
-
-
-def _sensor_task(light: Lighting, surface: Array, distance: Array) -> Array:
-    return light.at_sensor(surface, distance)
 
 
 def _reflectance_task(light: Lighting, surface: Array, variation: Any) -> Array:
@@ -308,22 +293,12 @@ def _dataset(
         if name in traced.variables:
             line[name] = traced[name].variable
     if "material" in traced.variables:
-        line["paint_id"] = label(
-            _paint_layer(traced["material"], tables), "paint_id", **tables.attrs("paint_id")
-        )
+        paint_id = xr.apply_ufunc(
+            tables.paint_id.__getitem__, traced["material"].reset_coords(drop=True), dask="parallelized",
+            output_dtypes=[dtype_of("paint_id")], keep_attrs=True,
+        )  # fmt: skip
+        line["paint_id"] = label(paint_id, "paint_id", **tables.attrs("paint_id"))
     return line
-
-
-def _paint_layer(material: xr.DataArray, tables: LabelTables) -> xr.DataArray:
-    """Return the number of the paint of every pixel, after repainting."""
-    plain = material.reset_coords(drop=True)
-    if plain.chunks is None:
-        return plain.copy(data=tables.paint_id[plain.values])
-    return plain.copy(data=plain.data.map_blocks(_look_up, tables.paint_id, dtype=dtype_of("paint_id")))
-
-
-def _look_up(numbers: Array, table: Array) -> Array:
-    return table[numbers]
 
 
 _FWHM, _STEP = 3.0, 1.0  # nm, of the field spectrometer
