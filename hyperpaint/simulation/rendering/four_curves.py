@@ -28,6 +28,7 @@ from .sky_models import (
     HAZE,
     Haze,
     built_in_sky,
+    check_curves,
     check_wavelengths,
     cloud_transmittance,
     relative_air_mass,
@@ -110,27 +111,12 @@ class Atmosphere:
             array.setflags(write=False)  # presets are shared
             object.__setattr__(self, name, array)
         problems = Problems(f"atmosphere {self.name!r} cannot be used", SchemaError)
-        self._check_curves(problems)
+        check_curves(problems, {name: getattr(self, name) for name in ("wavelength", *_CURVES)})
         check_number(problems, "sun_zenith", self.sun_zenith, 0.0, _LOWEST_SUN)
         if not np.isfinite(self.sun_azimuth):
             problems.add(f"sun_azimuth={self.sun_azimuth!r}, expected degrees clockwise from north")
         check_number(problems, "overcast_share", self.overcast_share, 0.0, 1.0)
         problems.raise_if_any()
-
-    def _check_curves(self, problems: Problems) -> None:
-        grid = self.wavelength
-        try:
-            check_wavelengths(grid)
-        except SchemaError as error:
-            problems.add(str(error))
-        for name, (units, _) in _CURVES.items():
-            curve = getattr(self, name)
-            if curve.shape != grid.shape:
-                problems.add(f"{name} has shape {curve.shape}, expected that of wavelength, {grid.shape}")
-            elif not np.isfinite(curve).all():
-                problems.add(f"{name} has {int((~np.isfinite(curve)).sum())} values that are not finite")
-            elif (curve < 0.0).any():
-                problems.add(f"{name} falls to {curve.min():.4g}, expected nothing below 0 {units}")
 
     @property
     def sun_cosine(self) -> float:

@@ -16,7 +16,7 @@ from hyperpaint.base.errors import FormatError, PaintWarning, Problems, SchemaEr
 from hyperpaint.base.schema import require
 from hyperpaint.base.units import conversion_factor
 
-from .sky_models import check_wavelengths
+from .sky_models import check_curves, check_wavelengths
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -131,7 +131,7 @@ def read_table(table: str | Path | Mapping[str, npt.ArrayLike]) -> dict[str, Flo
     factors = _read_headings(headings, problems)
     problems.raise_if_any()
     curves = {name: rows[:, column] * factor for name, (column, factor) in factors.items()}
-    _check_values(curves, problems)
+    check_curves(problems, curves)
     problems.raise_if_any()
     return curves
 
@@ -212,18 +212,3 @@ def _read_headings(headings: Sequence[Any], problems: Problems) -> dict[str, tup
     if ("extinction" in curves) != ("path_radiance" in curves):
         problems.add("extinction and path_radiance come together: give both or neither")
     return curves
-
-
-def _check_values(curves: Mapping[str, Floats], problems: Problems) -> None:
-    grid = curves["wavelength"]
-    if len(grid) < 2:
-        problems.add(f"{len(grid)} rows, expected at least 2")
-        return
-    for name, curve in curves.items():
-        wrong = int((~np.isfinite(curve)).sum())
-        if wrong:
-            problems.add(f"column {name!r} has {wrong} values that are not finite")
-        elif (curve < 0.0).any():
-            problems.add(f"column {name!r} falls to {curve.min():.4g}, expected nothing below 0")
-    if np.isfinite(grid).all() and not (grid[0] > 0.0 and (np.diff(grid) > 0.0).all()):
-        problems.add("wavelength must be positive and increasing; sort the rows, drop duplicates")

@@ -30,6 +30,7 @@ and where nothing is absorbed, J is the radiance of the sky: then a path changes
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -40,7 +41,7 @@ from hyperpaint.simulation.atmosphere import Sky
 from hyperpaint.simulation.settings import check_number
 
 __all__ = [
-    "CIE_OVERCAST_SHARE", "HAZE", "Haze", "built_in_sky", "check_wavelengths", "cloud_factor",
+    "CIE_OVERCAST_SHARE", "HAZE", "Haze", "built_in_sky", "check_curves", "check_wavelengths", "cloud_factor",
     "cloud_transmittance", "relative_air_mass",
 ]  # fmt: skip
 
@@ -57,6 +58,22 @@ def check_wavelengths(wavelength: Floats) -> None:
         raise SchemaError(f"wavelength has shape {wavelength.shape}, expected one dim and at least 2 samples")
     if not (np.isfinite(wavelength).all() and wavelength[0] > 0.0 and (np.diff(wavelength) > 0.0).all()):
         raise SchemaError("wavelength must be positive, finite and increasing [nm]; sort it, drop duplicates")
+
+
+def check_curves(problems: Problems, curves: Mapping[str, Floats]) -> None:
+    """Note what cannot be light over ``wavelength``: other shapes, values not finite or below 0."""
+    grid = curves["wavelength"]
+    try:
+        check_wavelengths(grid)
+    except SchemaError as error:
+        problems.add(str(error))
+    for name, curve in curves.items():
+        if curve.shape != grid.shape:
+            problems.add(f"{name} has shape {curve.shape}, expected that of wavelength, {grid.shape}")
+        elif not np.isfinite(curve).all():
+            problems.add(f"{name} has {int((~np.isfinite(curve)).sum())} values that are not finite")
+        elif (curve < 0.0).any():
+            problems.add(f"{name} falls to {curve.min():.4g}, expected nothing below 0")
 
 
 def built_in_sky(
