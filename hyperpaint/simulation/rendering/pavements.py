@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 
-from hyperpaint.base.errors import Problems, SchemaError
+from hyperpaint.base.errors import SchemaError
 
 from .primitives import Mesh, cuboid, polygon, put_together, uniform
 
@@ -110,13 +111,11 @@ def strips_across(
     edge = _GRASS + _KERB + _GUTTER
     most = max((n for n in range(1, 200) if _least_width(n) <= width + 1e-9), default=0)
     wanted = most if rows is None else rows
-    problems = Problems("the car park cannot be laid out", SchemaError)
     if not 1 <= wanted <= most:
         least = _least_width(max(wanted, 1))
-        problems.add(
+        raise SchemaError(
             f"{max(wanted, 1)} rows of bays need a width of {least:.1f} m or more, found {width:g} m"
         )
-    problems.raise_if_any()
     aisles = (wanted + 1) // 2
     aisle = min(_AISLE + (width - _least_width(wanted)) / aisles, _WIDEST_AISLE) if wanted < 4 else _AISLE
     west, row_ends, aisle_ends = edge - 0.5 * width, [], []
@@ -206,13 +205,9 @@ def _tufts(layout: Layout, seed: int) -> list[Mesh]:
 
 def _gaps(rows: tuple[tuple[float, float], ...], west: float, east: float) -> Iterator[tuple[float, float]]:
     """Yield what lies between the rows: aisles and gutters."""
-    begin = west
-    for row in rows:
-        if row[0] - begin > 1e-6:
-            yield begin, row[0]
-        begin = row[1]
-    if east - begin > 1e-6:
-        yield begin, east
+    for begin, end in itertools.pairwise([(west, west), *rows, (east, east)]):
+        if end[0] - begin[1] > 1e-6:
+            yield begin[1], end[0]
 
 
 def _bays(layout: Layout, begin: float, end: float, first: float, last: float) -> Iterator[Mesh]:

@@ -102,10 +102,8 @@ def mix(
     ValueError
         For shapes that do not fit, and rows outside the table.
     """
-    spectra = np.ascontiguousarray(table, np.float32)
-    _check(weight, index, spectra.shape, out)
-    weights, rows = np.ascontiguousarray(weight, np.float32), np.ascontiguousarray(index, np.int32)
-    _mix(weights, rows, spectra[None], np.empty((_TILE, out.shape[1]), np.float32), out)
+    columns = out.shape[2]
+    mix_shifted(weight, index, np.asarray(table)[None], np.zeros(columns, int), np.ones((columns, 1)), out)
 
 
 def mix_shifted(
@@ -185,22 +183,6 @@ def _write_tile(sums: Array, first: int, last: int, line: int, out: Array) -> No
     for band in range(out.shape[1]):
         for column in range(first, last):
             out[line, band, column] = sums[column - first, band]
-
-
-@borrowing_kernel
-def _mix(weight: Array, index: Array, table: Array, sums: Array, out: Array) -> None:
-    """See `mix`."""
-    columns = out.shape[2]
-    for line in range(out.shape[0]):
-        for first in range(0, columns, _TILE):
-            last = min(first + _TILE, columns)
-            _clear(sums)
-            for column in range(first, last):
-                for slot in range(weight.shape[1]):
-                    row = index[line, slot, column]
-                    if row >= 0:
-                        _add_row(sums, column - first, table, 0, row, weight[line, slot, column])
-            _write_tile(sums, first, last, line, out)
 
 
 @borrowing_kernel
