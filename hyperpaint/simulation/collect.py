@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import itertools
 import shutil
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -201,10 +201,12 @@ def simulate_collect(
     _write_sky(flight.sky_samples(), settings, root / "asd")
     write_references(flight, root)
     from .stores import write_calibration
+    from .sweep_stores import store_sweep
 
     write_calibration(flight, root / "calibration.zarr")
     if lab is not None:
-        _write_lab(lab, root / "lab", truth)
+        (root / "lab").mkdir()
+        store_sweep(lab, root / "lab" / "sweep.zarr", truth=truth)
     _write_flight(flight, root, block_lines, progress, truth)
     path = root / "collect.toml"
     # a reader that finds this file finds all the others whole
@@ -220,13 +222,6 @@ def _flight_of(settings: SimulationSettings) -> Flight:
     from .rendered_flight import RenderedFlight  # brings the tracer along
 
     return RenderedFlight(settings)
-
-
-def _write_lab(sweep: Sweep, folder: Path, truth: bool) -> None:
-    from .sweep_stores import store_sweep
-
-    folder.mkdir()
-    store_sweep(sweep, folder / "sweep.zarr", truth=truth)
 
 
 def _prepare(root: Path, overwrite: bool) -> Path:
@@ -300,11 +295,6 @@ def _write_sky(samples: SkySamples, settings: SimulationSettings, folder: Path) 
         write_asd(name, spectrum, stamp=stamp, utc_offset=zone, reference_stamp=reference)
 
 
-def _blocks(start: int, stop: int, size: int) -> Iterator[tuple[int, int]]:
-    for begin in range(start, stop, size):
-        yield begin, min(begin + size, stop)
-
-
 def _write_flight(
     flight: Flight, root: Path, block_lines: int, progress: Progress | None, with_truth: bool
 ) -> None:
@@ -324,7 +314,8 @@ def _write_flight(
         with BilWriter(
             folder / f"raw_{name}", flight.wavelength, settings.columns, _comments(flight)
         ) as cube:
-            for begin, end in _blocks(first, last, block_lines):
+            for begin in range(first, last, block_lines):
+                end = min(begin + block_lines, last)
                 block = flight.lines(begin, end, into=memory)
                 memory = block if memory is None or len(memory.counts) < len(block.counts) else memory
                 is_recorded = recorded[begin:end]

@@ -19,7 +19,15 @@ from .flight import Flight, Lines
 from .instruments import ASD_WAVELENGTH
 from .trajectories import CONVENTION
 
-__all__ = ["TruthStore", "consolidate", "create_array", "labelled", "line_dataset", "write_calibration"]
+__all__ = [
+    "TruthStore",
+    "consolidate",
+    "create_array",
+    "labelled",
+    "line_dataset",
+    "write_calibration",
+    "write_small",
+]
 
 ALONG_TRACK, BAND, CROSS_TRACK = CUBE
 _PLANE = (ALONG_TRACK, CROSS_TRACK)
@@ -85,17 +93,18 @@ def write_calibration(flight: Flight, path: Path) -> None:
         },
     )
     # one chunk each, and everything written: a missing chunk is then a fault
-    encoding = blosc_encoding(calibration)
-    for name, array in calibration.variables.items():
-        encoding[name] |= {"chunks": array.shape} if array.ndim else {}
-    calibration.to_zarr(path, mode="w", zarr_format=3, consolidated=False, encoding=encoding)
+    chunks = {
+        str(name): {"chunks": array.shape} for name, array in calibration.variables.items() if array.ndim
+    }
+    write_small(calibration, path, **chunks)
     consolidate(path)
 
 
-def blosc_encoding(dataset: xr.Dataset) -> dict[Any, dict[str, Any]]:
-    """Return the encoding of small arrays: zarr's own default, zstd, is none that hyperpaint reads."""
+def write_small(dataset: xr.Dataset, path: Path, **encoding: dict[str, Any]) -> None:
+    """Write small arrays as a new store; zarr's own default, zstd, is no codec that hyperpaint reads."""
     codec = BloscCodec(typesize=1, cname="lz4", clevel=5, shuffle="bitshuffle")
-    return {name: {"compressors": [codec]} for name in dataset.variables}
+    encodings = {name: {"compressors": [codec], **encoding.get(str(name), {})} for name in dataset.variables}
+    dataset.to_zarr(path, mode="w", zarr_format=3, consolidated=False, encoding=encodings)
 
 
 def consolidate(path: Path) -> None:
@@ -161,10 +170,8 @@ class TruthStore:
             },
         )  # fmt: skip
         head = head.assign(_corners(flight))
-        time_encoding = {"dtype": "int64", "units": TIME_UNITS, "calendar": "proleptic_gregorian"}
-        encoding = blosc_encoding(head)
-        encoding["time"] |= time_encoding
-        head.to_zarr(path, mode="w", zarr_format=3, consolidated=False, encoding=encoding)
+        time = {"dtype": "int64", "units": TIME_UNITS, "calendar": "proleptic_gregorian"}
+        write_small(head, path, time=time)
         group = zarr.open_group(path, mode="r+")
         layers: dict[str, tuple[tuple[str, ...], str, dict[str, Any]]] = {
             "reflectance": (CUBE, "float32", VARIABLES["reflectance"].attrs),

@@ -15,7 +15,7 @@ from hyperpaint.base.arrays import Progress
 from hyperpaint.base.errors import StoreError
 from hyperpaint.base.schema import BAND, CROSS_TRACK, FORMAT_VERSION, STEP, SWEEP_VARIABLES, VARIABLES
 
-from .stores import blosc_encoding, consolidate, create_array, labelled
+from .stores import consolidate, create_array, labelled, write_small
 from .sweep import Sweep, SweepSettings
 
 __all__ = ["simulate_sweep", "store_sweep", "write_sweep"]
@@ -36,8 +36,8 @@ def _is_one_dark(sweep: Sweep) -> bool:
     return bool(np.all(exposures == exposures[0]))
 
 
-def _small_variables(sweep: Sweep) -> dict[str, xr.Variable]:
-    """Return all but the counts."""
+def _without_cubes(sweep: Sweep) -> xr.Dataset:
+    """Return all of a sweep but its counts."""
     settings, camera = sweep.settings, sweep.camera
     values: dict[str, Any] = {
         "flux": sweep.recorded_flux,
@@ -50,19 +50,16 @@ def _small_variables(sweep: Sweep) -> dict[str, xr.Variable]:
         "etendue": camera.etendue,
         "saturation_count": camera.detector(0.0).saturation_count,
     }
-    return {name: labelled(SWEEP_VARIABLES[name], value) for name, value in values.items()}
-
-
-def _attrs(sweep: Sweep) -> dict[str, Any]:
-    return {
+    attrs = {
         "name": "simulated monochromator sweep",
-        "monochromator_shape": sweep.settings.monochromator_shape,
-        "history": f"simulated by hyperpaint, seed {sweep.settings.camera.seed}",
+        "monochromator_shape": settings.monochromator_shape,
+        "history": f"simulated by hyperpaint, seed {settings.camera.seed}",
     }
-
-
-def _step_wavelength(sweep: Sweep) -> xr.Variable:
-    return labelled(SWEEP_VARIABLES["step_wavelength"], sweep.settings.dial)
+    return xr.Dataset(
+        {name: labelled(SWEEP_VARIABLES[name], value) for name, value in values.items()},
+        {"step_wavelength": labelled(SWEEP_VARIABLES["step_wavelength"], settings.dial)},
+        attrs,
+    )
 
 
 def sweep_truth(sweep: Sweep) -> xr.Dataset:
@@ -88,22 +85,6 @@ def sweep_truth(sweep: Sweep) -> xr.Dataset:
     return xr.Dataset(
         {f"{TRUTH}{name}": variable for name, variable in variables.items()},
         attrs={f"{TRUTH}srf_shape": imager.shape},
-    )
-
-
-def sweep_dataset(sweep: Sweep) -> xr.Dataset:
-    """Return a whole sweep in memory, with its truth."""
-    cubes = {name: np.empty(shape, dtype=np.float32) for name, shape in _shapes(sweep).items()}
-    _fill(sweep, cubes)
-    truth = sweep_truth(sweep)
-    return xr.Dataset(
-        {
-            **{name: labelled(SWEEP_VARIABLES[name], values) for name, values in cubes.items()},
-            **_small_variables(sweep),
-            **truth.data_vars,
-        },
-        coords={"step_wavelength": _step_wavelength(sweep)},
-        attrs={**_attrs(sweep), **truth.attrs},
     )
 
 
@@ -146,9 +127,13 @@ def simulate_sweep(
     >>> round(float(responsivity / truth), 3)
     1.0
     """
-    return sweep_dataset(
-        Sweep(SweepSettings.of({"steps": steps, "bands": bands, "columns": columns, "seed": seed, **effects}))
-    )
+    values = {"steps": steps, "bands": bands, "columns": columns, "seed": seed, **effects}
+    sweep = Sweep(SweepSettings.of(values))
+    cubes = {name: np.empty(shape, dtype=np.float32) for name, shape in _shapes(sweep).items()}
+    _fill(sweep, cubes)
+    line, truth = _without_cubes(sweep), sweep_truth(sweep)
+    line = line.assign({name: labelled(SWEEP_VARIABLES[name], values) for name, values in cubes.items()})
+    return line.assign(truth.data_vars).assign_attrs(truth.attrs)
 
 
 def write_sweep(
@@ -211,20 +196,21 @@ def write_sweep(
 def store_sweep(sweep: Sweep, path: Path, *, truth: bool = True, progress: Progress | None = None) -> None:
     """Write a sweep where nothing stands yet, and its truth beside it."""
     if truth:
-        true_values = sweep_truth(sweep).assign_attrs(hyperpaint_format=FORMAT_VERSION)
-        true_values.to_zarr(
-            _truth_beside(path), mode="w", zarr_format=3, consolidated=False,
-            encoding=blosc_encoding(true_values),
-        )  # fmt: skip
+        write_small(sweep_truth(sweep).assign_attrs(hyperpaint_format=FORMAT_VERSION), _truth_beside(path))
         consolidate(_truth_beside(path))
     # xarray writes the small arrays; the cubes are filled step by step and never held whole
-    head = xr.Dataset(
-        _small_variables(sweep),
-        coords={"step_wavelength": _step_wavelength(sweep)},
-        attrs={"hyperpaint_format": FORMAT_VERSION, **_attrs(sweep)},
-    )
-    head.to_zarr(path, mode="w", zarr_format=3, consolidated=False, encoding=blosc_encoding(head))
-    _write_cubes(sweep, path, progress)
+    head = _without_cubes(sweep)
+    write_small(head.assign_attrs({"hyperpaint_format": FORMAT_VERSION, **head.attrs}), path)
+    group, cubes = zarr.open_group(path, mode="r+"), {}
+    for name, shape in _shapes(sweep).items():
+        row = SWEEP_VARIABLES[name]
+        dims = next(d for d in (row.dims, *row.alternatives) if len(d) == len(shape))
+        # a step a chunk; one dark for all steps is one chunk
+        length = 1 if len(shape) == 3 else shape[0]
+        cubes[name] = create_array(
+            group, name, shape, dims=dims, dtype=row.dtype, attrs=row.attrs, chunk_length=length
+        )
+    _fill(sweep, cubes, progress)
     consolidate(path)
 
 
@@ -243,20 +229,6 @@ def _clear(target: Path, overwrite: bool) -> None:
             mend=mend.format("overwrite=True"), option=mend.format("--overwrite"),
         )  # fmt: skip
     shutil.rmtree(target)
-
-
-def _write_cubes(sweep: Sweep, path: Path, progress: Progress | None) -> None:
-    group = zarr.open_group(path, mode="r+")
-    cubes = {}
-    for name, shape in _shapes(sweep).items():
-        row = SWEEP_VARIABLES[name]
-        dims = next(d for d in (row.dims, *row.alternatives) if len(d) == len(shape))
-        # a step a chunk; one dark for all steps is one chunk
-        length = 1 if len(shape) == 3 else shape[0]
-        cubes[name] = create_array(
-            group, name, shape, dims=dims, dtype=row.dtype, attrs=row.attrs, chunk_length=length
-        )
-    _fill(sweep, cubes, progress)
 
 
 def _shapes(sweep: Sweep) -> dict[str, tuple[int, ...]]:
