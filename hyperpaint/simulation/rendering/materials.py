@@ -320,16 +320,6 @@ def base_albedo(
     geometry, specular_included
         As for `measured_factor`.
 
-    Returns
-    -------
-    numpy.ndarray
-        float64, shape of ``reflectance``, 0 to 1.
-
-    Raises
-    ------
-    SchemaError
-        As for `measured_factor`.
-
     Examples
     --------
     >>> base_albedo([0.05, 0.5]).round(4)
@@ -353,16 +343,6 @@ def coated_reflectance(
         Refractive index of the coat.
     geometry, specular_included
         As for `measured_factor`.
-
-    Returns
-    -------
-    numpy.ndarray
-        float64 reflectance factor, shape of ``albedo`` [1].
-
-    Raises
-    ------
-    SchemaError
-        The geometry is unknown.
 
     Examples
     --------

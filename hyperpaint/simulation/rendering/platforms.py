@@ -89,10 +89,6 @@ def pushbroom(
     start_time
         UTC at mid exposure of the first line.
 
-    Returns
-    -------
-    Platform
-
     Raises
     ------
     SchemaError
@@ -261,10 +257,6 @@ def platform_from_poses(
         Roll, pitch and heading of the camera in the frame of the navigation unit [degree].
     lever_arm
         Camera in that frame: forward, right, down [m].
-
-    Returns
-    -------
-    Platform
 
     Raises
     ------

@@ -80,11 +80,7 @@ class TraceSettings:
 
     @property
     def slot_count(self) -> int:
-        """Slots of a pixel.
-
-        In car parks 24 for each source, times the square root of samples / 64, hold all paths of nine pixels
-        in ten; what the rest lose adds 0.1 to 0.3 % (r.m.s.) to an image's noise.
-        """
+        """Slots of a pixel: 24 for each source, times the square root of samples / 64, unless given."""
         if self.slots is not None:
             return self.slots
         sources = len(self.suns) + 1 + self.overcast

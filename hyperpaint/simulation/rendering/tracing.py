@@ -132,11 +132,6 @@ def trace_block(prepared: PreparedScene, platform: Platform, start: int, stop: i
         The whole flight line.
     start, stop
         Lines.
-
-    Returns
-    -------
-    Block
-        Arrays of these lines; see `hyperpaint.simulation.transport.path_blocks.Block`.
     """
     here = slice(start, stop)
     edges = platform.column_edges, platform.along_edges

@@ -84,10 +84,6 @@ def build_geometry(
     face_material, face_instance
         Labels, shape (face,), integers.
 
-    Returns
-    -------
-    Geometry
-
     Raises
     ------
     ValueError
