@@ -77,11 +77,11 @@ class RenderedFlight(Flight):
         self._surface = np.array([self.surfaces.index(name) for name in spectra], np.int16)
         self._cosine = float(np.cos(np.radians(settings.sun[0])))
         bands, light = (
-            BandSet.of_imager(self.imager),
+            BandSet.of(self.imager),
             {SKY: self.sky[1], FIRST_SUN: self.sky[0] / self._cosine},
         )
         factors = factor_spectra(record, bands)
-        self._products = ProductTable.of(bands, self._scene.codes, self.grid, light, factors, normalise=False)
+        self._products = ProductTable(bands, self._scene.codes, self.grid, light, factors, normalise=False)
 
     def paint_reflectance(self, names: Sequence[str], wavelength: Floats) -> Floats:
         """Return the reflectance of paints without their mirror reflection, shape (name, wavelength)."""

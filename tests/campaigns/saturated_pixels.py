@@ -61,7 +61,7 @@ def exposed(traced: Any, sky: Any, exposure: float, seed: int, bands: int = 60) 
 
     settings = {"bands": bands, "columns": traced.sizes["cross_track"], "seed": seed, "smile_nm": 0.0}
     camera, whole = (Camera.of(SimulationSettings(**settings, bit_depth=bits)) for bits in (BITS, 16))
-    relit = hp.simulation.relight(traced, BandSet.of_imager(camera.imager), atmosphere=sky, truth=False)
+    relit = hp.simulation.relight(traced, BandSet.of(camera.imager), atmosphere=sky, truth=False)
     light = relit["radiance"].chunk(along_track=32)
     line = counts_of(light, camera, exposure, seed, "noon").compute()
     unclipped, noiseless = (

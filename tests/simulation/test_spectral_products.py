@@ -99,7 +99,7 @@ def test_codes_that_do_not_fit_are_refused() -> None:
 def test_products_are_dense_integrals(shape: str, fwhm: float, responsivity: Any) -> None:
     """Sharp lines and steep edges; the sum itself is no better than some 1e-5."""
     bands = BandSet(np.linspace(399.356, 1001.42, 272), np.array(fwhm), shape, None, responsivity)
-    table = ProductTable.of(bands, CODES, LIGHT.wavelength, SOURCES, paints)
+    table = ProductTable(bands, CODES, LIGHT.wavelength, SOURCES, paints)
     codes = some_codes()[::97]
     rows = table.rows(codes)
     assert rows.dtype == np.float32
@@ -112,7 +112,7 @@ def test_products_are_dense_integrals(shape: str, fwhm: float, responsivity: Any
 def test_the_slope_of_the_responsivity_counts() -> None:
     centres = np.linspace(750.0, 775.0, 12)
     flat, sloping = (
-        ProductTable.of(
+        ProductTable(
             BandSet(centres, np.array(6.0), "gaussian", None, response),
             CODES,
             LIGHT.wavelength,
@@ -128,7 +128,7 @@ def test_columns_see_their_own_wavelengths() -> None:
     shift = 1.5 * np.linspace(-1.0, 1.0, 9) ** 2
     centres = np.linspace(399.356, 1001.42, 272)
     bands = BandSet(centres, np.array(6.0), "gaussian", shift)
-    table = ProductTable.of(bands, CODES, LIGHT.wavelength, SOURCES, paints)
+    table = ProductTable(bands, CODES, LIGHT.wavelength, SOURCES, paints)
     codes = some_codes()[::61]
     seen = at_columns(table, codes)
     for column in (0, 1, 4, 7):
@@ -140,7 +140,7 @@ def test_columns_see_their_own_wavelengths() -> None:
 @pytest.mark.parametrize("shift", [None, np.linspace(-0.6, 0.7, 5)], ids=["no smile", "smile"])
 def test_mixing_is_the_weighted_sum_over_paths(shift: Any) -> None:
     bands = BandSet(np.linspace(450.0, 900.0, 7), np.array(6.0), wavelength_shift=shift)
-    table = ProductTable.of(bands, CODES, LIGHT.wavelength, SOURCES, paints)
+    table = ProductTable(bands, CODES, LIGHT.wavelength, SOURCES, paints)
     rng, known = np.random.default_rng(1), some_codes(6)
     codes = rng.choice(known, (2, 3, 5))
     codes[:, 2, :2] = -1  # empty slots, whatever their weight
@@ -157,9 +157,7 @@ def test_mixing_is_the_weighted_sum_over_paths(shift: Any) -> None:
 
 def test_an_imager_integrates_without_norm() -> None:
     camera = Camera.of(SimulationSettings(bands=40, columns=7, smile_nm=0.8, srf_shape="slit"))
-    table = ProductTable.of(
-        BandSet.of_imager(camera.imager), CODES, LIGHT.wavelength, SOURCES, paints, normalise=False
-    )
+    table = ProductTable(BandSet.of(camera.imager), CODES, LIGHT.wavelength, SOURCES, paints, normalise=False)
     codes = some_codes()[::97]
     grid = np.arange(340.0, 1080.0, 0.05)
     spectra = np.stack([np.interp(grid, GRID, product(code)) for code in codes.tolist()])
@@ -169,7 +167,7 @@ def test_an_imager_integrates_without_norm() -> None:
 
 
 def test_a_source_without_light_gives_nothing() -> None:
-    table = ProductTable.of(BandSet.of(), CODES, LIGHT.wavelength, {2: LIGHT.sun, 3: 0 * LIGHT.sun}, paints)
+    table = ProductTable(BandSet.of(), CODES, LIGHT.wavelength, {2: LIGHT.sun, 3: 0 * LIGHT.sun}, paints)
     assert not table.rows(np.array([0, 1, 3, 4])).any()
     np.testing.assert_allclose(
         table.irradiance(2)[0],
@@ -181,8 +179,8 @@ def test_a_source_without_light_gives_nothing() -> None:
 def test_who_asks_first_changes_no_bit() -> None:
     codes = some_codes()
     args = (BandSet.of(), CODES, LIGHT.wavelength, SOURCES, paints)
-    together = ProductTable.of(*args).rows(codes)
-    one_by_one, shared = ProductTable.of(*args), ProductTable.of(*args)
+    together = ProductTable(*args).rows(codes)
+    one_by_one, shared = ProductTable(*args), ProductTable(*args)
     for place in np.random.default_rng(1).permutation(codes.size)[:50]:
         np.testing.assert_array_equal(one_by_one.rows(codes[place : place + 1])[:, 0], together[:, place])
     np.testing.assert_array_equal(one_by_one.rows(codes), together)
@@ -198,7 +196,7 @@ def test_who_asks_first_changes_no_bit() -> None:
 
 def test_a_table_travels_without_what_it_has_made(monkeypatch: pytest.MonkeyPatch) -> None:
     codes = some_codes()
-    table = ProductTable.of(BandSet.of(), CODES, LIGHT.wavelength, SOURCES, paints)
+    table = ProductTable(BandSet.of(), CODES, LIGHT.wavelength, SOURCES, paints)
     empty = len(pickle.dumps(table))
     rows = table.rows(codes)
     assert len(pickle.dumps(table)) == empty
@@ -213,7 +211,7 @@ def test_a_table_travels_without_what_it_has_made(monkeypatch: pytest.MonkeyPatc
 
 
 def test_codes_of_another_scene_are_refused() -> None:
-    table = ProductTable.of(
+    table = ProductTable(
         BandSet.of(), PathCodes.of(3, 4), LIGHT.wavelength, SOURCES, lambda nm: np.ones((2, nm.size))
     )
     assert table.rows(np.empty(0, np.int64)).shape == (1, 0, 272)
@@ -247,7 +245,7 @@ def test_bands_that_cannot_be_are_all_named() -> None:
 @pytest.mark.parametrize("bands", [1, 2, 5, 272])
 def test_few_bands(bands: int) -> None:
     centres = np.linspace(420.0, 980.0, bands)
-    table = ProductTable.of(
+    table = ProductTable(
         BandSet(centres, np.array(6.0)), CODES, LIGHT.wavelength, {0: np.ones_like(LIGHT.sky)}, paints
     )
     np.testing.assert_allclose(table.rows(np.array([0])), 1 / np.pi, rtol=1e-6)

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import Problems, SchemaError
-from hyperpaint.simulation.camera import Imager, cubic_weights, line_shape
+from hyperpaint.simulation.camera import cubic_weights, line_shape
 from hyperpaint.simulation.settings import SHAPES, SimulationSettings, check_choice, finite_floats
 
 __all__ = ["BandResponses", "BandSet", "cell_means"]
@@ -98,22 +98,11 @@ class BandSet:
         return cls(wavelength, np.full(camera.bands, camera.fwhm_nm), camera.srf_shape)
 
     @classmethod
-    def of_imager(cls, imager: Imager) -> BandSet:
-        """Return the bands of a simulated imager, with its smile and the slope of its responsivity."""
-        shift = np.asarray(imager.wavelength_shift, np.float64)
-        return cls(
-            np.asarray(imager.wavelength),
-            np.array(imager.band_fwhm),
-            imager.shape,
-            shift if shift.any() else None,
-            imager.responsivity,
-        )
-
-    @classmethod
     def of(cls, bands: Any = None) -> BandSet:
         """Return anything with ``wavelength`` and ``fwhm`` as bands; None is the Nano-Hyperspec.
 
-        A Dataset says the shape in its attribute ``srf_shape``, anything else in ``shape``.
+        A Dataset says the shape in its attribute ``srf_shape``, anything else in ``shape``. Of a simulated
+        imager come the smile and the slope of its responsivity, and not the elements' own factors.
 
         Raises
         ------
@@ -124,8 +113,6 @@ class BandSet:
             return cls.nano_hyperspec()
         if isinstance(bands, cls):
             return bands
-        if isinstance(bands, Imager):
-            return cls.of_imager(bands)
         problems = Problems("these bands cannot be rendered", SchemaError)
         for name in ("wavelength", "fwhm"):
             if getattr(bands, name, None) is None:

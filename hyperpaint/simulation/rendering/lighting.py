@@ -189,7 +189,7 @@ def make_lighting(
     """
     wavelength, sources = atmosphere.wavelength, source_spectra(atmosphere, settings)
     sun_cosine = float(np.cos(np.radians(settings.suns[traced_sun(atmosphere, settings)][0])))
-    table = ProductTable.of(bands, codes, wavelength, sources, lambda _grid: factors)
+    table = ProductTable(bands, codes, wavelength, sources, lambda _grid: factors)
     responses = BandResponses(bands, (float(wavelength[0]), float(wavelength[-1])))
     curves = atmosphere.extinction, atmosphere.path_radiance
     air = np.stack([cell_means(wavelength, curve, responses.fine) for curve in curves])
@@ -206,15 +206,30 @@ _LARGEST_CACHE = 96 * 2**20  # bytes of products that are kept; more are made ag
 class ProductTable:
     """Band spectra by code, made when they are first asked for.
 
+    Of a calibrated camera they are means over the responses [W m-2 sr-1 nm-1]. With ``normalise=False`` they
+    are those of a detector: INT L R d lambda [W m-2 sr-1 count J-1]. For an imager, the elements'
+    own factors (`Imager.element_factor`) are left to the caller: mixed, and multiplied by them, it is what
+    `simulation.camera.expected_counts` takes.
+
     Threads share one table. It can be sent to other processes, where it starts empty. No product depends on
     what was asked for before or beside it.
 
-    Attributes
+    Parameters
     ----------
     bands
         Of the camera.
     codes
         How codes are read.
+    wavelength : (point,)
+        Of the sources, increasing [nm]. Responses end where it does.
+    sources
+        Number of a source to its irradiance, shape (point,) [W m-2 nm-1]: direct normal of a sun, level
+        diffuse of a sky. Sources that are not named are dark.
+    factors
+        Gives all factors at wavelengths [nm], shape (factor, wavelength); see
+        `hyperpaint.simulation.rendering.painting.factor_spectra`.
+    normalise
+        As for `BandResponses`.
 
     Examples
     --------
@@ -222,23 +237,30 @@ class ProductTable:
 
     >>> light = np.array([300.0, 1100.0]), {2: np.array([1.3, 1.3])}
     >>> codes, bands = PathCodes.of(factors=1, depth=4), BandSet.nano_hyperspec()
-    >>> table = ProductTable.of(bands, codes, *light, lambda grid: np.full((1, grid.size), 0.4))
+    >>> table = ProductTable(bands, codes, *light, lambda grid: np.full((1, grid.size), 0.4))
     >>> rows = table.rows(np.array([codes.code(2, (0,))]))
     >>> rows.shape, rows.dtype, round(float(rows[0, 0, 0]), 6)  # (node, path, band), 0.4 x 1.3 / pi
     ((1, 1, 272), dtype('float32'), 0.165521)
     """
 
     def __init__(
-        self, responses: BandResponses, codes: PathCodes, sources: Mapping[int, Floats], factors: Floats
-    ) -> None:
-        self.bands, self.codes = responses.bands, codes
-        lit = {number: spectrum for number, spectrum in sources.items() if spectrum.any()}
+        self, bands: BandSet, codes: PathCodes, wavelength: Floats, sources: Mapping[int, Floats],
+        factors: Callable[[Floats], Floats], *, normalise: bool = True,
+    ) -> None:  # fmt: skip
+        self.bands, self.codes = bands, codes
+        covered = float(wavelength[0]), float(wavelength[-1])
+        responses = BandResponses(bands, covered, normalise=normalise)
+        means = {
+            number: cell_means(wavelength, np.asarray(spectrum, np.float64), responses.fine)
+            for number, spectrum in sources.items()
+        }
+        lit = {number: spectrum for number, spectrum in means.items() if spectrum.any()}
         self._row_of_source = np.full(8, -1, np.int64)
         self._row_of_source[list(lit)] = np.arange(len(lit))
         spectra = np.stack([*lit.values()]) if lit else np.zeros((1, responses.fine.size))
         self._weights = responses.weights(spectra) / np.pi
         self._first_band = responses.first_band
-        self._factors = np.ascontiguousarray(factors, np.float64)
+        self._factors = np.ascontiguousarray(factors(responses.grid), np.float64)
         self._start_empty()
 
     def _start_empty(self) -> None:
@@ -255,48 +277,6 @@ class ProductTable:
         self.__dict__.update(state)
         self._start_empty()
 
-    @classmethod
-    def of(
-        cls,
-        bands: BandSet,
-        codes: PathCodes,
-        wavelength: Floats,
-        sources: Mapping[int, Floats],
-        factors: Callable[[Floats], Floats],
-        *,
-        normalise: bool = True,
-    ) -> ProductTable:
-        """Return the table of a calibrated camera: means over the responses [W m-2 sr-1 nm-1].
-
-        With ``normalise=False`` it is that of a detector: INT L R d lambda [W m-2 sr-1 count J-1]. Where the
-        bands are `BandSet.of_imager`, the elements' own factors (`Imager.element_factor`) are left to the
-        caller; mixed, and multiplied by them, it is what `simulation.camera.expected_counts` takes.
-
-        Parameters
-        ----------
-        bands
-            Of the camera.
-        codes
-            How codes are read.
-        wavelength : (point,)
-            Of the sources, increasing [nm]. Responses end where it does.
-        sources
-            Number of a source to its irradiance, shape (point,) [W m-2 nm-1]: direct normal of a sun, level
-            diffuse of a sky. Sources that are not named are dark.
-        factors
-            Gives all factors at wavelengths [nm], shape (factor, wavelength); see
-            `hyperpaint.simulation.rendering.painting.factor_spectra`.
-        normalise
-            As for `BandResponses`.
-        """
-        covered = float(wavelength[0]), float(wavelength[-1])
-        responses = BandResponses(bands, covered, normalise=normalise)
-        fine = {
-            number: cell_means(wavelength, np.asarray(spectrum, np.float64), responses.fine)
-            for number, spectrum in sources.items()
-        }
-        return cls(responses, codes, fine, factors(responses.grid))
-
     def rows(self, codes: Ints) -> NDArray[np.float32]:
         """Return the products of paths, shape (node, path, band), float32.
 
@@ -311,7 +291,8 @@ class ProductTable:
             A code names a factor that the scene does not have.
         """
         codes = np.ascontiguousarray(codes, np.int64)
-        cached_codes, products = self._snapshot()
+        with self._lock:
+            cached_codes, products = self._cached_codes, self._products
         place = _lookup(cached_codes, codes)
         missing = np.flatnonzero(place < 0)
         if not missing.size:
@@ -353,10 +334,6 @@ class ProductTable:
     def irradiance(self, source: int) -> Floats:
         """Return what the bands see of a source itself, shape (node, band)."""
         return np.pi * self.rows(np.array([source], np.int64))[:, 0].astype(np.float64)
-
-    def _snapshot(self) -> tuple[Ints, NDArray[np.float32]]:
-        with self._lock:
-            return self._cached_codes, self._products
 
     def _make(self, codes: Ints) -> NDArray[np.float32]:
         from hyperpaint.simulation.transport.mixing import integrate_bands
