@@ -16,7 +16,7 @@ from hyperpaint.base.errors import Problems, SchemaError
 __all__ = [
     "MOST_SAMPLES", "NEAR_SUNSET", "SCENES", "SHAPES", "SKIES", "STAMPS", "SWATH_M", "WOBBLES",
     "SimulationSettings", "check_choice", "check_flag", "check_number", "check_whole", "finite_floats",
-    "is_number",
+    "is_number", "moment_of",
 ]  # fmt: skip
 
 STAMPS = ("start", "mid", "end")
@@ -423,6 +423,14 @@ def finite_floats(values: Any, name: str, problems: Problems) -> Floats:
     return array
 
 
+def moment_of(value: Any) -> np.datetime64:
+    """Return a time [ns]; NaT for what is none."""
+    try:
+        return np.datetime64(np.asarray(value, "datetime64[ns]").item(), "ns")
+    except (ValueError, TypeError):
+        return np.datetime64("NaT", "ns")
+
+
 def _are_numbers(value: object, length: int) -> bool:
     return isinstance(value, tuple | list) and len(value) == length and all(map(is_number, value))
 
@@ -431,11 +439,7 @@ def _is_start_time(value: object) -> bool:
     # the spectrometer's files count seconds in 32 bits
     if not isinstance(value, str) or not _ISO_TIME.fullmatch(value):
         return False
-    try:
-        moment = np.datetime64(value, "ns")
-    except ValueError:
-        return False
-    return bool(np.datetime64("1980-01-01") <= moment < np.datetime64("2038-01-01"))
+    return bool(np.datetime64("1980-01-01") <= moment_of(value) < np.datetime64("2038-01-01"))
 
 
 _ISO_TIME = re.compile(r"[0-9]{4}-[0-9]{2}-[0-9]{2}([T ][0-9]{2}:[0-9]{2}(:[0-9]{2}(\.[0-9]{1,9})?)?)?")

@@ -15,6 +15,7 @@ from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import FormatError, PaintWarning, Problems, SchemaError, UnitsError
 from hyperpaint.base.schema import require
 from hyperpaint.base.units import conversion_factor
+from hyperpaint.simulation.settings import moment_of
 
 from .sky_models import check_curves, check_wavelengths
 
@@ -71,12 +72,13 @@ def read_irradiance(series: xr.Dataset, time: Any = None) -> tuple[Floats, Float
         return grid, _without_noise(values[0])
     times = require(series, ["irradiance_time"], "the irradiance at one time")["irradiance_time"].values
     stamps = times.astype("datetime64[ns]").astype(np.int64)
-    when = _nanoseconds(time)
+    moment = moment_of(time)
+    if np.isnat(moment):
+        raise SchemaError(f"time is {time!r}, expected UTC such as '2020-06-21T17:00:15'")
+    when = moment.astype(np.int64)
     if not len(stamps) or not stamps[0] <= when <= stamps[-1]:
         span = f"from {times[0]} to {times[-1]}" if len(stamps) else "empty"
-        raise SchemaError(
-            f"time {np.datetime64(time, 'ns')} is outside the irradiance series, which is {span}"
-        )
+        raise SchemaError(f"time {moment} is outside the irradiance series, which is {span}")
     after = min(max(int(np.searchsorted(stamps, when)), 1), len(stamps) - 1) if len(stamps) > 1 else 0
     before = max(after - 1, 0)
     weight = 0.0 if after == before else (when - stamps[before]) / (stamps[after] - stamps[before])
@@ -92,16 +94,6 @@ def _without_noise(irradiance: Floats) -> Floats:
         warnings.warn(msg, PaintWarning, stacklevel=4)
         return np.maximum(irradiance, 0.0)
     return irradiance
-
-
-def _nanoseconds(time: Any) -> np.int64:
-    try:
-        moment = np.datetime64(time, "ns")
-    except (ValueError, TypeError):
-        moment = np.datetime64("NaT", "ns")
-    if np.isnat(moment):
-        raise SchemaError(f"time is {time!r}, expected UTC such as '2020-06-21T17:00:15'")
-    return moment.astype(np.int64)
 
 
 def read_table(table: str | Path | Mapping[str, npt.ArrayLike]) -> dict[str, Floats]:

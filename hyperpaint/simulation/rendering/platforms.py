@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 
 from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import Problems, SchemaError
-from hyperpaint.simulation.settings import check_number, check_whole, finite_floats, is_number
+from hyperpaint.simulation.settings import check_number, check_whole, finite_floats, is_number, moment_of
 
 from .platform_geometry import (
     MOST_COLUMNS,
@@ -201,15 +201,11 @@ def _is_tuple(value: Any, length: int) -> bool:
 
 
 def _moment(value: np.datetime64 | str) -> np.datetime64:
-    try:
-        # "now" would be another flight at every call
-        spelled = "NaT" if isinstance(value, str) and not value[:1].isdigit() else value
-        moment = np.asarray(spelled, dtype="datetime64[ns]").reshape(())
-    except (ValueError, TypeError):
-        moment = np.asarray("NaT", dtype="datetime64[ns]")
+    # "now" would be another flight at every call
+    moment = moment_of("NaT" if isinstance(value, str) and not value[:1].isdigit() else value)
     if not np.datetime64("1980-01-01") <= moment < np.datetime64("2100-01-01"):
         raise SchemaError(f"start_time={value!r:.60}, expected a UTC time such as '2021-07-20T17:10:00'")
-    return np.datetime64(moment.item(), "ns")
+    return moment
 
 
 # --- a flight as it was recorded ---------------------------------------------------------------------------
