@@ -209,12 +209,6 @@ class Imager:
             return GAUSSIAN_REACH * float(self.band_fwhm.max()) + smile_reach
         return float((self.band_fwhm + self.spacing).max()) / 2 + smile_reach + 0.1
 
-    def response(self, band: int, grid: Floats) -> Floats:
-        """Return R_b,x on an even wavelength grid, shape (grid, cross_track) [count J-1]."""
-        return np.asarray(
-            self._common_response(band, grid, self.wavelength_shift) * self.element_factor[band]
-        )
-
     def _common_response(self, band: int, grid: Floats, shift: Floats) -> Floats:
         """Return R_b without the elements' own factors at wavelength shifts [nm], shape (grid, shift)."""
         offset = grid[:, None] - (self.wavelength[band] + shift)

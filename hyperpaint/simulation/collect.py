@@ -60,14 +60,9 @@ _MARGIN = 40.0  # nm beyond the outer channels, more than a line shape reaches
 
 
 def write_references(flight: Flight, folder: Path) -> None:
-    """Write a file of each spectrometer for every paint of the cars.
+    """Write a file of each spectrometer for every paint of the cars, named by paint.
 
-    Parameters
-    ----------
-    flight
-        Knows the paints and the light.
-    folder
-        Of the collect; receives the folders `SVC_FOLDER` and `ASD_FOLDER`, with files named by paint.
+    The folder of the collect receives the folders `SVC_FOLDER` and `ASD_FOLDER`.
     """
     settings = flight.settings
     svc, asd = folder / SVC_FOLDER, folder / ASD_FOLDER

@@ -14,6 +14,7 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from functools import cached_property
 from types import MappingProxyType
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -73,20 +74,11 @@ ORIGIN = (43.0845, -77.6749, 160.0)
 """Latitude and longitude [degree] of the ground under the first line, and its height [m]."""
 
 
-@dataclass(frozen=True)
-class Layer:
-    """What a layer of truth is.
-
-    Attributes
-    ----------
-    dtype
-        Of its values, shape (along_track, cross_track).
-    attrs
-        Attributes: ``long_name``, ``units`` and the like.
-    """
+class Layer(NamedTuple):
+    """What a layer of truth is, shape (along_track, cross_track)."""
 
     dtype: str
-    attrs: Mapping[str, object]
+    attrs: Mapping[str, object]  # ``long_name``, ``units`` and the like
 
 
 @dataclass(frozen=True)

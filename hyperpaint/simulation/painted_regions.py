@@ -22,9 +22,8 @@ __all__ = ["REGIONS", "PaintedRectangles"]
 REGIONS = "regions.geojson"
 """The file."""
 
-_STEEPEST = (
-    0.1  # rise over run between neighbouring pixels; roofs and bonnets are below, doors and flanks above
-)
+#: Rise over run between neighbouring pixels; roofs and bonnets are below, doors and flanks above.
+_STEEPEST = 0.1
 _FEWEST = 6  # pixels along the shorter side
 _MARGIN = 8  # parts of the shorter side; one is left free at each edge
 
@@ -33,12 +32,7 @@ _Box = tuple[int, int, int, int]
 
 
 class PaintedRectangles:
-    """The largest clean rectangle of every paint, found line by line.
-
-    Parameters
-    ----------
-    flight
-        Knows which pixels are clean.
+    """The largest clean rectangle of every paint, found line by line; a flight knows which pixels are clean.
 
     Examples
     --------
@@ -68,15 +62,7 @@ class PaintedRectangles:
         self._tall = np.zeros(columns, np.int64)
 
     def add(self, lines: Lines, recorded: NDArray[np.bool_]) -> None:
-        """Look at further lines of the flight line, of which only recorded ones count.
-
-        Parameters
-        ----------
-        lines
-            In order, without a gap.
-        recorded
-            Shape (along_track,).
-        """
+        """Look at further lines of the flight line, in order; only ``recorded`` ones (along_track,) count."""
         labels = self._flight.clean_paint(lines)
         ups = np.asarray(lines.layers.get("up", np.zeros(labels.shape)), np.float64)
         for label, up in zip(labels[recorded], ups[recorded], strict=True):
@@ -130,12 +116,7 @@ class PaintedRectangles:
     def write(self, path: Path, generator: str) -> None:
         """Write the regions as GeoJSON in coordinates of the sensor.
 
-        Parameters
-        ----------
-        path
-            The file.
-        generator
-            What made it, by which it is known from regions that somebody drew.
+        They name their ``generator``, which regions that were drawn by hand do not have.
         """
         features = ",\n".join(json.dumps(feature) for feature in self.features())
         head = '"type": "FeatureCollection",\n"coordinates": "sensor",\n'

@@ -144,15 +144,7 @@ def _corners(flight: Flight) -> dict[str, xr.Variable]:
 
 
 class TruthStore:
-    """``truth.zarr``, filled line block by line block.
-
-    Parameters
-    ----------
-    flight
-        What is simulated.
-    path
-        The store; replaced where it exists.
-    """
+    """``truth.zarr`` of a flight, filled line block by line block; replaced where it exists."""
 
     def __init__(self, flight: Flight, path: Path) -> None:
         settings = flight.settings

@@ -15,12 +15,11 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from hyperpaint.base.arrays import Floats
+from hyperpaint.base.arrays import Floats, Floats32
 from hyperpaint.base.errors import Problems, SchemaError
 from hyperpaint.base.schema import MONOCHROMATOR_SHAPES
 
@@ -226,30 +225,15 @@ _SHIFT_STEP = 0.1  # nm, coarsest allowed
 _WINGS = (60.0, 0.6)
 
 
-@dataclass(frozen=True)
-class Frames:
-    """Frames of one step, reduced.
+class Frames(NamedTuple):
+    """Frames of one step, reduced, shape (band, cross_track)."""
 
-    Attributes
-    ----------
-    mean
-        Shape (band, cross_track), float32 [count].
-    variance
-        Of one frame over the frames, shape as mean, float32 [count2].
-    """
-
-    mean: NDArray[np.float32]
-    variance: NDArray[np.float32]
+    mean: Floats32  # [count]
+    variance: Floats32  # of one frame over the frames [count2]
 
 
 class Sweep:
-    """A sweep, step by step.
-
-    Parameters
-    ----------
-    settings
-        Camera and effects.
-    """
+    """A sweep, step by step."""
 
     def __init__(self, settings: SweepSettings) -> None:
         self.settings = settings

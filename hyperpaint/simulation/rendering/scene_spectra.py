@@ -247,11 +247,6 @@ def parse_name(name: str) -> tuple[str, int, bool] | None:
     return match[1], int(match[2]), match[3] is not None
 
 
-def seen_through_coat(pigments: Pigments, wavelength: Floats) -> Floats:
-    """Return the near-normal reflectance of a base under the usual clear coat, mirror reflection excluded."""
-    return coated_reflectance(pigments.albedo(wavelength), Coat().index)
-
-
 @functools.lru_cache(maxsize=4096)
 def _generate(family: str, number: int) -> tuple[PaintSpec, Pigments]:
     if family not in FAMILIES:
@@ -383,7 +378,8 @@ def spectrum_of(name: str) -> Spectrum:
         pigments = pigments_of(family, number)
         if flakes:
             return _limited(pigments.flakes)
-        return _limited(lambda wavelength: seen_through_coat(pigments, wavelength))
+        # near normal, under the usual clear coat, mirror reflection excluded
+        return _limited(lambda wavelength: coated_reflectance(pigments.albedo(wavelength), Coat().index))
     if name in SPECTRA:
         return _limited(SPECTRA[name])
     close = difflib.get_close_matches(name, SPECTRA, 1)

@@ -72,20 +72,7 @@ class PreparedScene(NamedTuple):
 
 
 def prepare_scene(scene: Scene, settings: TraceSettings) -> PreparedScene:
-    """Sort a scene's triangles for rays, and gather what is known of its surfaces.
-
-    Parameters
-    ----------
-    scene
-        What is seen.
-    settings
-        How it is traced.
-
-    Raises
-    ------
-    SchemaError
-        There are too many spectra for the depth.
-    """
+    """Sort a scene's triangles for rays, and gather what is known of its surfaces."""
     from hyperpaint.simulation.transport.hierarchy import build_geometry
     from hyperpaint.simulation.transport.path_blocks import Sources
 
@@ -122,17 +109,7 @@ def _surfaces(record: SceneRecord) -> Surfaces:
 
 
 def trace_block(prepared: PreparedScene, platform: Platform, start: int, stop: int) -> Block:
-    """Trace the lines from ``start`` to before ``stop``, now.
-
-    Parameters
-    ----------
-    prepared
-        From `prepare_scene`.
-    platform
-        The whole flight line.
-    start, stop
-        Lines.
-    """
+    """Trace the lines from ``start`` to before ``stop`` of a whole flight line, now."""
     here = slice(start, stop)
     edges = platform.column_edges, platform.along_edges
     return _trace_rays(prepared, platform.origin[here], platform.rotation[here], edges, start)
