@@ -7,5 +7,5 @@ from .rendering.platforms import platform_from_poses as platform_from_poses
 from .rendering.relighting import relight as relight
 from .rendering.tracing import trace as trace
 from .settings import SimulationSettings as SimulationSettings
+from .stores import simulate_sweep as simulate_sweep, write_sweep as write_sweep
 from .sweep import SweepSettings as SweepSettings
-from .sweep_stores import simulate_sweep as simulate_sweep, write_sweep as write_sweep

@@ -195,8 +195,7 @@ def simulate_collect(
     _write_dark(flight, root / "dark")
     _write_sky(flight.sky_samples(), settings, root / "asd")
     write_references(flight, root)
-    from .stores import write_calibration
-    from .sweep_stores import store_sweep
+    from .stores import store_sweep, write_calibration
 
     write_calibration(flight, root / "calibration.zarr")
     if lab is not None:

@@ -1,8 +1,10 @@
-"""Calibration and truth as labelled arrays: the only part of the simulator that knows xarray and zarr."""
+"""Calibration, truth and sweeps as labelled arrays: what of the simulator knows xarray and zarr."""
 
 from __future__ import annotations
 
+import shutil
 import warnings
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -12,32 +14,40 @@ import zarr
 from numpy.typing import NDArray
 from zarr.codecs import BloscCodec
 
-from hyperpaint.base.schema import CHUNK_LINES, CUBE, FORMAT_VERSION, TIME_UNITS, VARIABLES, Variable
+from hyperpaint.base.arrays import Progress
+from hyperpaint.base.errors import StoreError
+from hyperpaint.base.schema import (
+    CHUNK_LINES,
+    CUBE,
+    FORMAT_VERSION,
+    STEP,
+    SWEEP_VARIABLES,
+    TIME_UNITS,
+    VARIABLES,
+    Variable,
+)  # fmt: skip
 
 from .checkerboard_flight import CheckerboardFlight
 from .flight import Flight, Lines
 from .instruments import ASD_WAVELENGTH
+from .sweep import Sweep, SweepSettings
 from .trajectories import CONVENTION
 
 __all__ = [
-    "TruthStore",
-    "consolidate",
-    "create_array",
-    "labelled",
-    "line_dataset",
-    "write_calibration",
-    "write_small",
-]
+    "TruthStore", "labelled", "line_dataset", "simulate_sweep", "store_sweep", "write_calibration",
+    "write_sweep",
+]  # fmt: skip
 
 ALONG_TRACK, BAND, CROSS_TRACK = CUBE
 _PLANE = (ALONG_TRACK, CROSS_TRACK)
+
+TRUTH = "true_"
+"""Opens the names of what a real sweep would not know."""
 
 _MASKS = {
     "saturated": "True where the converter was full in any band",
     "glint": "True where the pixel mirrors the sun",
 }
-
-_NO_DATA_ATTRS = {"long_name": "True where the frame was never recorded"}
 
 
 def _surface_attrs(flight: Flight) -> dict[str, Any]:
@@ -96,18 +106,18 @@ def write_calibration(flight: Flight, path: Path) -> None:
     chunks = {
         str(name): {"chunks": array.shape} for name, array in calibration.variables.items() if array.ndim
     }
-    write_small(calibration, path, **chunks)
-    consolidate(path)
+    _write_small(calibration, path, **chunks)
+    _consolidate(path)
 
 
-def write_small(dataset: xr.Dataset, path: Path, **encoding: dict[str, Any]) -> None:
+def _write_small(dataset: xr.Dataset, path: Path, **encoding: dict[str, Any]) -> None:
     """Write small arrays as a new store; zarr's own default, zstd, is no codec that hyperpaint reads."""
     codec = BloscCodec(typesize=1, cname="lz4", clevel=5, shuffle="bitshuffle")
     encodings = {name: {"compressors": [codec], **encoding.get(str(name), {})} for name in dataset.variables}
     dataset.to_zarr(path, mode="w", zarr_format=3, consolidated=False, encoding=encodings)
 
 
-def consolidate(path: Path) -> None:
+def _consolidate(path: Path) -> None:
     """Gather the metadata at the root, where plain `xarray.open_zarr` looks first."""
     with warnings.catch_warnings():
         # zarr warns that consolidated metadata is not yet in the specification of version 3
@@ -120,15 +130,6 @@ def _time(flight: Flight, recorded: NDArray[np.bool_] | None = None) -> xr.Varia
     if recorded is not None:
         stamps[~recorded] = np.datetime64("NaT", "ns")
     return _variable("time", stamps)
-
-
-def _mounting(flight: Flight) -> dict[str, Any]:
-    """Return how the camera was mounted, and the map that places are told on."""
-    settings, path = flight.settings, flight.trajectory
-    return {
-        "crs": flight.plane.crs, "ground": flight.frame.height, "boresight": list(path.boresight),
-        "lever_arm": list(path.lever_arm), "frame_clock_offset_s": float(settings.frame_clock_offset_s),
-    }  # fmt: skip
 
 
 def _corners(flight: Flight) -> dict[str, xr.Variable]:
@@ -154,33 +155,33 @@ class TruthStore:
             "time": _time(flight),
             "frame": _variable("frame", np.arange(settings.lines)),
         }
-        head = xr.Dataset(
-            coords=coords,
-            attrs={
-                "hyperpaint_format": FORMAT_VERSION, "name": "truth of a simulated collect",
-                "srf_shape": settings.srf_shape, "irradiance_srf_shape": "gaussian", **_mounting(flight),
-            },
-        )  # fmt: skip
-        head = head.assign(_corners(flight))
+        attrs = {
+            "hyperpaint_format": FORMAT_VERSION, "name": "truth of a simulated collect",
+            "srf_shape": settings.srf_shape, "irradiance_srf_shape": "gaussian", "crs": flight.plane.crs,
+            "ground": flight.frame.height, "boresight": list(flight.trajectory.boresight),
+            "lever_arm": list(flight.trajectory.lever_arm),
+            "frame_clock_offset_s": float(settings.frame_clock_offset_s),
+        }  # fmt: skip
+        head = xr.Dataset(_corners(flight), coords, attrs)
         time = {"dtype": "int64", "units": TIME_UNITS, "calendar": "proleptic_gregorian"}
-        write_small(head, path, time=time)
+        _write_small(head, path, time=time)
         group = zarr.open_group(path, mode="r+")
         layers: dict[str, tuple[tuple[str, ...], str, dict[str, Any]]] = {
             "reflectance": (CUBE, "float32", VARIABLES["reflectance"].attrs),
             "radiance": (CUBE, "float32", VARIABLES["radiance"].attrs),
             "surface": (_PLANE, "int16", _surface_attrs(flight)),
-            "no_data": ((ALONG_TRACK,), "bool", _NO_DATA_ATTRS),
+            "no_data": ((ALONG_TRACK,), "bool", {"long_name": "True where the frame was never recorded"}),
             **{name: (_PLANE, "bool", {"long_name": text}) for name, text in _MASKS.items()},
             **{name: (_PLANE, layer.dtype, dict(layer.attrs)) for name, layer in flight.layers.items()},
         }
         sizes = dict(zip(CUBE, settings.shape, strict=True))
         self._arrays = {
-            name: create_array(
+            name: _create_array(
                 group, name, tuple(sizes[dim] for dim in dims), dims=dims, dtype=dtype, attrs=attrs
             )
             for name, (dims, dtype, attrs) in layers.items()
         }
-        consolidate(path)
+        _consolidate(path)
 
     def write(self, start: int, lines: Lines, recorded: NDArray[np.bool_]) -> None:
         """Write the lines from ``start`` on."""
@@ -197,7 +198,7 @@ def _saturated(lines: Lines, full: int) -> NDArray[np.bool_]:
     return np.asarray((lines.counts >= full - 0.5).any(axis=1))
 
 
-def create_array(
+def _create_array(
     group: zarr.Group, name: str, shape: tuple[int, ...], *, dims: tuple[str, ...], dtype: str,
     attrs: dict[str, Any], chunk_length: int = CHUNK_LINES,
 ) -> Any:  # fmt: skip
@@ -220,7 +221,6 @@ def line_dataset(flight: Flight, block: Lines, *, matched: bool) -> xr.Dataset:
     counts[~recorded] = 65535
     dark = flight.dark_frames().mean(axis=0) if settings.quantise else detector.dark
     samples = flight.sky_samples()
-    dims = ("irradiance_time", BAND, CROSS_TRACK)
     line = xr.Dataset(
         {
             "counts": xr.Variable(CUBE, counts, VARIABLES["counts"].attrs),
@@ -260,7 +260,239 @@ def line_dataset(flight: Flight, block: Lines, *, matched: bool) -> xr.Dataset:
         },
     )
     if matched:
-        line["matched_irradiance"] = xr.Variable(
-            dims, flight.matched_irradiance(samples.factors), VARIABLES["irradiance"].attrs
-        )
+        values, dims = flight.matched_irradiance(samples.factors), ("irradiance_time", BAND, CROSS_TRACK)
+        line["matched_irradiance"] = xr.Variable(dims, values, VARIABLES["irradiance"].attrs)
     return line
+
+
+def _scalar_or_step(values: Any) -> Any:
+    """Return what does not change from step to step as one number."""
+    return values[0] if np.all(values == values[0]) else values
+
+
+def _is_one_dark(sweep: Sweep) -> bool:
+    return np.ndim(_scalar_or_step(sweep.settings.dark_exposure_time)) == 0
+
+
+def _without_cubes(sweep: Sweep) -> xr.Dataset:
+    """Return all of a sweep but its counts."""
+    settings, camera = sweep.settings, sweep.camera
+    values: dict[str, Any] = {
+        "flux": sweep.recorded_flux,
+        "capture_fraction": settings.capture_fraction,
+        "exposure_time": _scalar_or_step(settings.exposure_time),
+        "dark_exposure_time": _scalar_or_step(settings.dark_exposure_time),
+        "monochromator_fwhm": _scalar_or_step(settings.monochromator_fwhm),
+        "frame_count": settings.frames,
+        "dark_frame_count": settings.camera.dark_frames,
+        "etendue": camera.etendue,
+        "saturation_count": camera.detector(0.0).saturation_count,
+    }
+    attrs = {
+        "name": "simulated monochromator sweep",
+        "monochromator_shape": settings.monochromator_shape,
+        "history": f"simulated by hyperpaint, seed {settings.camera.seed}",
+    }
+    return xr.Dataset(
+        {name: labelled(SWEEP_VARIABLES[name], value) for name, value in values.items()},
+        {"step_wavelength": labelled(SWEEP_VARIABLES["step_wavelength"], settings.dial)},
+        attrs,
+    )
+
+
+def sweep_truth(sweep: Sweep) -> xr.Dataset:
+    """Return what the calibration of a sweep should find; names open with `TRUTH`."""
+    settings, camera = sweep.settings, sweep.camera
+    imager = camera.imager
+    seen = np.where(camera.bad, np.nan, camera.response_area / imager.spacing[:, None])
+    values: dict[str, Any] = {
+        "radiance_gain": camera.radiance_gain(), "responsivity": seen, "wavelength": imager.wavelength,
+        "wavelength_shift": imager.wavelength_shift, "fwhm": imager.band_fwhm, "dark_bias": camera.dark_bias,
+        "dark_rate": camera.dark_rate, "electrons_per_count": camera.electrons_per_count,
+        "read_noise": camera.read_noise,
+    }  # fmt: skip
+    variables = {name: labelled(VARIABLES[name], value) for name, value in values.items()}
+    # of the gain every digit: a calibration is to be compared with it to 1e-3 and better
+    variables["radiance_gain"] = variables["radiance_gain"].copy(data=values["radiance_gain"])
+    variables["step_wavelength"] = labelled(SWEEP_VARIABLES["step_wavelength"], sweep.wavelength)
+    variables["bad"] = xr.Variable(
+        (BAND, CROSS_TRACK), camera.bad, {"long_name": "True at elements that see no light"}
+    )
+    flux_attrs = {**SWEEP_VARIABLES["flux"].attrs, "long_name": "Radiant flux, as every column receives it"}
+    variables["flux"] = xr.Variable((STEP, CROSS_TRACK), sweep.power[:, None] * sweep.beam, flux_attrs)
+    if settings.stray_light:
+        variables["stray_light"] = labelled(VARIABLES["stray_light"], sweep.stray_matrix)
+    return xr.Dataset(
+        {f"{TRUTH}{name}": variable for name, variable in variables.items()},
+        attrs={f"{TRUTH}srf_shape": imager.shape},
+    )
+
+
+def simulate_sweep(
+    *, steps: int = 61, bands: int = 272, columns: int = 640, seed: int = 0, **effects: Any
+) -> xr.Dataset:
+    """Simulate a monochromator sweep in memory, with its truth.
+
+    Parameters
+    ----------
+    steps
+        Wavelengths of the sweep, from ``first_step_nm`` to ``last_step_nm``.
+    bands, columns, seed
+        Of the camera. A collect with equal settings is flown with the same camera.
+    **effects
+        Fields of `hyperpaint.simulation.SweepSettings`: ``monochromator_fwhm_nm``, ``stray_light`` ...; and,
+        of the camera, those of `hyperpaint.simulation.SimulationSettings`: ``smile_nm``, ``srf_shape``,
+        ``noise`` ... ``quantise=False`` leaves counts that are not whole.
+
+    Returns
+    -------
+    The sweep as the store holds one: ``counts`` (step, band, cross_track), float32 mean of the frames with
+    the dark still in them, ``counts_variance``, ``dark_counts``, ``flux`` ... Beside it the truth, each
+    variable named ``true_``: ``true_radiance_gain``, ``true_wavelength``, ``true_wavelength_shift``,
+    ``true_fwhm``, ``true_responsivity``, ``true_dark_bias``, ``true_dark_rate``, ``true_bad`` ...
+
+    Raises
+    ------
+    SchemaError
+        An effect is unknown or out of range; all are listed.
+
+    Examples
+    --------
+    The light of a line, summed over its bands, gives the responsivity where it falls.
+
+    >>> sweep = simulate_sweep(steps=3, columns=2, smile_nm=0, nonuniformity=0, noise=False, quantise=False)
+    >>> line = (sweep.counts - sweep.dark_counts).sum("band") / sweep.exposure_time
+    >>> responsivity = (line / sweep.flux / sweep.capture_fraction).isel(step=1, cross_track=0)
+    >>> truth = np.interp(700.0, sweep.true_wavelength, sweep.true_responsivity[:, 0])
+    >>> round(float(responsivity / truth), 3)
+    1.0
+    """
+    values = {"steps": steps, "bands": bands, "columns": columns, "seed": seed, **effects}
+    sweep = Sweep(SweepSettings.of(values))
+    cubes = {name: np.empty(shape, dtype=np.float32) for name, shape in _shapes(sweep).items()}
+    _fill(sweep, cubes)
+    line, truth = _without_cubes(sweep), sweep_truth(sweep)
+    line = line.assign({name: labelled(SWEEP_VARIABLES[name], values) for name, values in cubes.items()})
+    return line.assign(truth.data_vars).assign_attrs(truth.attrs)
+
+
+def write_sweep(
+    path: str | Path,
+    *,
+    steps: int = 61,
+    bands: int = 272,
+    columns: int = 640,
+    seed: int = 0,
+    truth: bool = True,
+    overwrite: bool = False,
+    progress: Progress | None = None,
+    **effects: Any,
+) -> Path:
+    """Simulate a sweep and write it as a Zarr store, step by step.
+
+    Parameters
+    ----------
+    path
+        The store. Its truth goes into a store of its own beside it: ``sweep.zarr`` has ``sweep_truth.zarr``.
+    steps, bands, columns, seed
+        As for `hyperpaint.simulation.simulate_sweep`.
+    truth
+        Write the truth.
+    overwrite
+        Replace an earlier sweep.
+    progress
+        Called with steps done and steps to do.
+    **effects
+        As for `hyperpaint.simulation.simulate_sweep`.
+
+    Returns
+    -------
+    ``path``.
+
+    Raises
+    ------
+    SchemaError
+        An effect is unknown or out of range; all are listed.
+    StoreError
+        There is something at the path already, and ``overwrite`` is not set.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     path = write_sweep(f"{folder}/sweep.zarr", steps=3, bands=8, columns=4)
+    ...     dict(xr.open_zarr(path).counts.sizes)
+    {'step': 3, 'band': 8, 'cross_track': 4}
+    """
+    values = {"steps": steps, "bands": bands, "columns": columns, "seed": seed, **effects}
+    sweep = Sweep(SweepSettings.of(values))
+    path = Path(path)
+    for target in (path, _truth_beside(path)):
+        _clear(target, overwrite)
+    store_sweep(sweep, path, truth=truth, progress=progress)
+    return path
+
+
+def store_sweep(sweep: Sweep, path: Path, *, truth: bool = True, progress: Progress | None = None) -> None:
+    """Write a sweep where nothing stands yet, and its truth beside it."""
+    if truth:
+        _write_small(sweep_truth(sweep).assign_attrs(hyperpaint_format=FORMAT_VERSION), _truth_beside(path))
+        _consolidate(_truth_beside(path))
+    # xarray writes the small arrays; the cubes are filled step by step and never held whole
+    head = _without_cubes(sweep)
+    head.attrs = {"hyperpaint_format": FORMAT_VERSION, **head.attrs}
+    _write_small(head, path)
+    group, cubes = zarr.open_group(path, mode="r+"), {}
+    for name, shape in _shapes(sweep).items():
+        row = SWEEP_VARIABLES[name]
+        dims = next(d for d in (row.dims, *row.alternatives) if len(d) == len(shape))
+        # a step a chunk; one dark for all steps is one chunk
+        length = 1 if len(shape) == 3 else shape[0]
+        cubes[name] = _create_array(
+            group, name, shape, dims=dims, dtype=row.dtype, attrs=row.attrs, chunk_length=length
+        )
+    _fill(sweep, cubes, progress)
+    _consolidate(path)
+
+
+def _truth_beside(path: Path) -> Path:
+    return path.with_name(f"{path.stem}_truth{path.suffix}")
+
+
+def _clear(target: Path, overwrite: bool) -> None:
+    if not target.exists():
+        return
+    # an earlier sweep is a Zarr store; anything else is not ours to remove
+    if not overwrite or not (target / "zarr.json").is_file():
+        mend = "name another path, or replace an earlier sweep with {}"
+        raise StoreError(
+            f"{target} exists already",
+            mend=mend.format("overwrite=True"), option=mend.format("--overwrite"),
+        )  # fmt: skip
+    shutil.rmtree(target)
+
+
+def _shapes(sweep: Sweep) -> dict[str, tuple[int, ...]]:
+    """Return the shapes of the cubes of a sweep, by name."""
+    settings, camera = sweep.settings, sweep.settings.camera
+    shape = (settings.steps, camera.bands, camera.columns)
+    shapes: dict[str, tuple[int, ...]] = {
+        "counts": shape, "dark_counts": shape[1:] if _is_one_dark(sweep) else shape
+    }  # fmt: skip
+    return {**shapes, "counts_variance": shape} if settings.variance else shapes
+
+
+def _fill(sweep: Sweep, cubes: Mapping[str, Any], progress: Progress | None = None) -> None:
+    """Write the frames of every step into arrays of `_shapes`."""
+    one_dark = _is_one_dark(sweep)
+    if one_dark:
+        cubes["dark_counts"][...] = sweep.dark(0).mean
+    for step in range(sweep.settings.steps):
+        frames = sweep.frames(step)
+        cubes["counts"][step] = frames.mean
+        if "counts_variance" in cubes:
+            cubes["counts_variance"][step] = frames.variance
+        if not one_dark:
+            cubes["dark_counts"][step] = sweep.dark(step).mean
+        if progress is not None:
+            progress(step + 1, sweep.settings.steps)
