@@ -6,8 +6,8 @@ its own writers: a chain that recovers the truth from them has shown something. 
 `paint_spectra` the surfaces, `camera` the camera, `trajectories` how it wobbles over the earth, `flight` what
 they do line by line: over a flat picture of a car park (`plan_flight`), over one of triangles
 (`rendered_flight`, `rendering`) or over squares of known corners (`checkerboard_flight`). `instruments`
-writes the files, `stores` truth and sweeps, `painted_regions` where the paints are, `collect` the whole; `sweep`
-shines a monochromator into the same camera.
+writes the files, `stores` truth and sweeps, `painted_regions` where the paints are, `collect` the whole;
+`sweep` shines a monochromator into the same camera.
 """
 
 import lazy_loader
