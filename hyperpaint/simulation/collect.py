@@ -142,7 +142,7 @@ def simulate_collect(
         The same seed gives the same bytes of every instrument file.
     scene
         "rendered": a car park of triangles whose light is traced, with shadows, glint and mixed pixels.
-        "plan": a flat picture in which a pixel sees one level surface, made in no time. "checkerboard": level
+        "plan": a flat picture in which a pixel sees one level surface, made at once. "checkerboard": level
         squares whose corners are known on the map.
     truth
         Write ``truth.zarr``: radiance and reflectance of every sample, class and masks of every pixel; but

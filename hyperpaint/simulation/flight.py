@@ -180,7 +180,7 @@ class Flight(abc.ABC):
         return {}
 
     def clean_paint(self, lines: Lines) -> NDArray[np.int32]:
-        """Tell which pixels show the paint of a car and nothing else, in the sun without its mirror image.
+        """Return which pixels show the paint of a car and nothing else, in the sun without its mirror image.
 
         Returns
         -------
@@ -332,7 +332,7 @@ class Flight(abc.ABC):
 
     @cached_property
     def plane(self) -> TransverseMercator:
-        """The map that places are told on."""
+        """The map projection of places in the truth."""
         return TransverseMercator.of(*ORIGIN[:2])
 
     @cached_property

@@ -1,4 +1,4 @@
-"""A flight over a flat picture of a car park: made in no time, for tests of single functions and huge cubes.
+"""A flight over a flat picture of a car park: quickly made, for tests of single functions and huge cubes.
 
 Across the track lie grass, a kerb, a row of bays, the aisle with grey panels and a second row of bays; the
 bays repeat every 2.5 m. The swath is always 16 m wide, so that a line of few columns is a coarse picture of

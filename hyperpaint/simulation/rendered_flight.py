@@ -93,7 +93,7 @@ class RenderedFlight(Flight):
         return {"colour": paint_spec(paint).colour, "finish": "solid"}
 
     def clean_paint(self, lines: Lines) -> NDArray[np.int32]:
-        """Tell which pixels show the paint of one car and nothing else, in full sun and without glint."""
+        """Return which pixels show the paint of one car and nothing else, in full sun and without glint."""
         paint, car = super().clean_paint(lines), np.asarray(lines.layers["car_id"], np.int32)
         clean = (paint >= 0) & (car >= 0)
         clean &= (lines.layers["purity"] == 1.0) & (lines.layers["shadow"] == 0.0)
@@ -176,7 +176,7 @@ class RenderedFlight(Flight):
         }  # fmt: skip
 
     def _glint(self, block: Block, factors: Floats) -> NDArray[np.bool_]:
-        """Tell where the mirror image of the sun adds `GLINT` to the reflectance, shape (line, column)."""
+        """Return where the mirror image of the sun adds `GLINT` to the reflectance, shape (line, column)."""
         mirrored = is_direct(block.code) & is_mirrored(block.code) & ~is_indirect(block.code)
         weight = np.where(mirrored, block.weight, 0.0).sum(axis=1)
         level = self._incident.mean(axis=(1, 2)) @ factors

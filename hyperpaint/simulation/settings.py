@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, fields
 from typing import Any, TypeGuard
 
@@ -56,7 +56,7 @@ class SimulationSettings:
     seed
         Chooses the scene, the detector's pattern, the noise. The light's spectral lines never change.
     scene
-        "plan": a flat picture in which a pixel sees one level Lambert surface, made in no time. "rendered": a
+        "plan": a flat picture in which a pixel sees one level Lambert surface, made at once. "rendered": a
         car park of triangles, whose light is traced along the camera's own wobbling line of sight, with
         shadows, glint, light between neighbours and mixed pixels. "checkerboard": level Lambert squares seen
         along that line of sight, for questions of place.
@@ -381,9 +381,9 @@ def is_number(value: object) -> TypeGuard[float]:
     return isinstance(value, kinds) and not isinstance(value, bool) and bool(-1e300 < value < 1e300)
 
 
-def check_choice(problems: Problems, name: str, value: object, allowed: Iterable[str]) -> None:
+def check_choice(problems: Problems, name: str, value: object, allowed: Collection[str]) -> None:
     """Note a value that is none of the names allowed."""
-    if value not in allowed:
+    if value not in tuple(allowed):
         problems.add(f"{name}={value!r:.60}, expected one of {', '.join(allowed)}")
 
 
@@ -393,7 +393,7 @@ def check_flag(problems: Problems, name: str, value: object) -> None:
         problems.add(f"{name}={value!r:.60}, expected True or False")
 
 
-def check_whole(problems: Problems, name: str, value: object, low: int, high: int | None = None) -> None:
+def check_whole(problems: Problems, name: str, value: Any, low: int, high: int | None = None) -> None:
     """Note a value that is no whole number from ``low`` to ``high``."""
     is_whole = isinstance(value, int | np.integer) and not isinstance(value, bool)
     if not is_whole or value < low or (high is not None and value > high):

@@ -1,4 +1,4 @@
-"""Light that somebody measured or computed: an irradiance series at one time, and tables of spectra."""
+"""Measured or computed light: an irradiance series at one time, and tables of spectra."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ def read_irradiance(series: xr.Dataset, time: Any = None) -> tuple[Floats, Float
     if time is None:
         if len(values) != 1:
             raise SchemaError(
-                f"the irradiance series has {len(values)} samples; say which with time=..., in UTC"
+                f"the irradiance series has {len(values)} samples; name one with time=..., in UTC"
             )
         return grid, _without_noise(values[0])
     times = require(series, ["irradiance_time"], "the irradiance at one time")["irradiance_time"].values

@@ -67,7 +67,7 @@ def relight(
     Parameters
     ----------
     traced
-        From `hyperpaint.trace`, or the store it was written to.
+        From `hyperpaint.simulation.trace`, or the store it was written to.
     bands
         A `BandSet`, an imager of the simulator, or a Dataset with ``wavelength`` and ``fwhm`` (attribute
         ``srf_shape``); by default the 272 bands of a Nano-Hyperspec.
@@ -358,7 +358,7 @@ def _sample_times(traced: xr.Dataset, lines: int) -> NDArray[np.datetime64]:
         first, last = (np.datetime64(traced.attrs[f"time_coverage_{end}"], "ns") for end in ("start", "end"))
     except (KeyError, ValueError, TypeError) as error:
         raise SchemaError(
-            f"this is no traced dataset (see hyperpaint.trace): time_coverage_start or _end: {error}"
+            f"no traced dataset (see hyperpaint.simulation.trace): time_coverage_start or _end: {error}"
         ) from error
     between = np.empty(0, "datetime64[ns]")
     if lines:

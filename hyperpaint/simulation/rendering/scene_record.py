@@ -177,7 +177,7 @@ class SceneRecord:
         SchemaError
             Attributes are missing or damaged; all are listed.
         """
-        problems = Problems("this is no traced dataset (see hyperpaint.trace)", SchemaError)
+        problems = Problems("this is no traced dataset (see hyperpaint.simulation.trace)", SchemaError)
         texts = {
             name: _parsed(attrs, name, problems) for name in ("materials", "instances", "factors", "suns")
         }
@@ -202,7 +202,7 @@ class SceneRecord:
             )
         except (TypeError, KeyError, IndexError, AttributeError, ValueError) as error:
             raise SchemaError(
-                f"this is no traced dataset (see hyperpaint.trace): its attributes are damaged ({error})"
+                f"no traced dataset (see hyperpaint.simulation.trace): its attributes are damaged ({error})"
             ) from error
         return record, settings
 

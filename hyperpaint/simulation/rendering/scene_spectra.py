@@ -123,7 +123,7 @@ class PaintSpec:
     colour
         In a word.
     trade_name
-        Make-believe.
+        Invented.
     coat
         The clear coat.
     flakes

@@ -144,8 +144,9 @@ def trace(
 ) -> xr.Dataset:
     r"""Trace the paths of light through a scene, without their spectra.
 
-    What comes out serves any paints, atmosphere and camera response (`hyperpaint.relight`), without tracing
-    again: only geometry, sun directions and coats are fixed. Store it with `hyperpaint.to_store`.
+    What comes out serves any paints, atmosphere and camera response (`hyperpaint.simulation.relight`),
+    without tracing again: only geometry, sun directions and coats are fixed. Store it with
+    `hyperpaint.to_store`.
 
     Parameters
     ----------

@@ -48,17 +48,17 @@ def source_of(codes: Ints) -> Ints:
 
 
 def is_direct(codes: Ints) -> Bools:
-    """Tell which paths begin at a sun; what begins at the sky is diffuse."""
+    """Return which paths begin at a sun; what begins at the sky is diffuse."""
     return np.asarray((codes & _SOURCE_MASK) >= FIRST_SUN)
 
 
 def is_mirrored(codes: Ints) -> Bools:
-    """Tell which paths left the first surface through its coat."""
+    """Return which paths left the first surface through its coat."""
     return np.asarray((codes & MIRROR) != 0)
 
 
 def is_indirect(codes: Ints) -> Bools:
-    """Tell which paths met more than one surface."""
+    """Return which paths met more than one surface."""
     return np.asarray((codes & INDIRECT) != 0)
 
 
