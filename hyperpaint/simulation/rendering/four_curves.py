@@ -342,7 +342,9 @@ class Atmosphere:
             haze = None
         where = {"sun_zenith": sun_zenith, "sun_azimuth": sun_azimuth, "overcast_share": overcast_share}
         hazy = cls._hazy(curves["wavelength"], curves["sun"], curves["sky"], haze, **where, name=name)
-        return replace(hazy, **curves)
+        if "extinction" not in curves:
+            return hazy
+        return replace(hazy, extinction=curves["extinction"], path_radiance=curves["path_radiance"])
 
     def clouded(self, oktas: float, *, colour: float = 0.24) -> Atmosphere:
         """Return this clear atmosphere with clouds over it; what they do to light is said in `sky_models`.
