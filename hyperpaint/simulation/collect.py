@@ -297,8 +297,7 @@ def _write_flight(
     settings, folder = flight.settings, root / "flight"
     truth = TruthStore(flight, root / "truth.zarr") if with_truth else None
     painted = PaintedRectangles(flight)
-    recorded = np.ones(settings.lines, dtype=bool)
-    recorded[settings.dropped_frames] = False
+    recorded = settings.recorded
     starts = settings.cube_starts.tolist()
     memory: Lines | None = None
     for first, last in itertools.pairwise(starts):
@@ -335,7 +334,7 @@ def _write_flight(
 
 
 def _collect_text(settings: SimulationSettings, with_sweep: bool) -> str:
-    recorded = np.setdiff1d(np.arange(settings.lines), settings.dropped_frames)
+    recorded = np.flatnonzero(settings.recorded)
     names = [int(recorded[recorded >= first][0]) for first in settings.cube_starts[:-1]]
     flightlines = "".join(
         f"""

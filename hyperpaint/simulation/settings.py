@@ -290,6 +290,11 @@ class SimulationSettings:
         return np.sort(rng.choice(inner, self.dropped, replace=False)).astype(np.int64)
 
     @property
+    def recorded(self) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
+        """True for every frame that was recorded, shape (line,)."""
+        return ~np.isin(np.arange(self.lines), self.dropped_frames)
+
+    @property
     def cube_starts(self) -> np.ndarray[tuple[int], np.dtype[np.int64]]:
         """First frame of every cube, and one past the last frame of the flight."""
         return np.linspace(0, self.lines, self.cubes + 1).astype(np.int64)

@@ -215,8 +215,7 @@ def _create_array(
 def line_dataset(flight: Flight, block: Lines, *, matched: bool) -> xr.Dataset:
     """Return all lines of a flight as a flight line Dataset with its truth."""
     settings, detector = flight.settings, flight.detector
-    recorded = np.ones(settings.lines, dtype=bool)
-    recorded[settings.dropped_frames] = False
+    recorded = settings.recorded
     counts = detector.convert(block.counts) if settings.quantise else block.counts
     counts[~recorded] = 65535
     dark = flight.dark_frames().mean(axis=0) if settings.quantise else detector.dark

@@ -125,14 +125,8 @@ _COLUMNS = 10
 def car_body(kind: str, rng: np.random.Generator) -> Mesh:
     """Return a car that stands on the ground around the origin, its nose to the north.
 
-    Surfaces are "paint", "glass", "trim", "tyre", "rim", "lamp", "tail_lamp" and "plate".
-
-    Parameters
-    ----------
-    kind
-        One of `CAR_TYPES`.
-    rng
-        Chooses its size and what it has on its roof.
+    It is of one of `CAR_TYPES`; ``rng`` chooses its size and what it has on its roof. Surfaces are "paint",
+    "glass", "trim", "tyre", "rim", "lamp", "tail_lamp" and "plate".
 
     Examples
     --------

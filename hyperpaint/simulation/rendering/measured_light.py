@@ -42,22 +42,7 @@ _NEEDED = ("wavelength", "sun", "sky")
 def read_irradiance(series: xr.Dataset, time: Any = None) -> tuple[Floats, Floats]:
     """Return the wavelengths [nm] and the irradiance [W m-2 nm-1] of a series at one time.
 
-    Parameters
-    ----------
-    series
-        Has ``irradiance`` (irradiance_time, irradiance_wavelength).
-    time
-        When, UTC; None where there is one sample.
-
-    Raises
-    ------
-    SchemaError
-        The series is not as the schema wants it, or the time is not within it.
-
-    Warns
-    -----
-    PaintWarning
-        Noise around zero, down to -1 % of the largest value, is set to 0.
+    Arguments, errors and the warning are those of `Atmosphere.from_irradiance`.
     """
     names = ["irradiance", "irradiance_wavelength"]
     arrays = require(series, names, "the atmosphere of an irradiance series")
@@ -97,20 +82,7 @@ def _without_noise(irradiance: Floats) -> Floats:
 
 
 def read_table(table: str | Path | Mapping[str, npt.ArrayLike]) -> dict[str, Floats]:
-    """Return the curves of a table by name, in the units of `Atmosphere`.
-
-    Parameters
-    ----------
-    table
-        Path of a text file, or columns by heading; see `Atmosphere.from_table`.
-
-    Raises
-    ------
-    FormatError
-        The table is not as described there; all problems are listed.
-    OSError
-        The file cannot be read.
-    """
+    """Return the curves of a table by name, in the units of `Atmosphere`; see `Atmosphere.from_table`."""
     if isinstance(table, Mapping):
         subject, headings, columns = "table", list(table), list(table.values())
         problems = Problems("the table of an atmosphere cannot be used", FormatError)

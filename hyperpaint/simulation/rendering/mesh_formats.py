@@ -53,14 +53,7 @@ class RawTriangles(NamedTuple):
 
 
 def parse_obj(data: bytes, where: str) -> RawTriangles:
-    r"""Return the triangles of an OBJ file; polygons become fans.
-
-    Parameters
-    ----------
-    data
-        The whole file.
-    where
-        Its name, for messages.
+    r"""Return the triangles of an OBJ file, which messages call ``where``; polygons become fans.
 
     Raises
     ------
@@ -239,14 +232,7 @@ def read_glb(data: bytes, where: str) -> RawTriangles:
 
 
 def strip_glb(data: bytes, where: str) -> Stripped:
-    """Return a GLB file with nothing but its triangles.
-
-    Parameters
-    ----------
-    data
-        The whole file.
-    where
-        Its name, for messages.
+    """Return a GLB file, which messages call ``where``, with nothing but its triangles.
 
     Raises
     ------

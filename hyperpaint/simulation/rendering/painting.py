@@ -96,16 +96,8 @@ def factor_spectra(
         What is known of the scene.
     bands
         Tabulated spectra must cover their centres to half a width; they are constant beyond their ends.
-    paints
-        New spectra by name of an instance (its paint), of a material, or of a spectrum that materials have;
-        the first counts most. A value is a name, ``(wavelength [nm], reflectance)``, a DataArray with a
-        coordinate ``wavelength``, or a function of wavelength [nm]. A car that was traced with flakes gets
-        as many as the named paint has, and none from a measured spectrum; one traced without stays so.
-    spectra
-        Spectra by name, as values of ``paints`` or as a library (``reflectance`` along ``paint``); they go
-        before the built-in ones of the same name.
-    clip
-        Limit reflectances to 0 to 1 in place of an error.
+    paints, spectra, clip
+        As for `relighting.relight`.
 
     Raises
     ------

@@ -206,13 +206,7 @@ def interpolate(first: Floats, second: Floats, part: Floats) -> Floats:
 
 
 def attitude_of(rotation: Floats) -> Floats:
-    """Return roll, pitch, heading halfway between two rotations [degree], shape (line, 3).
-
-    Parameters
-    ----------
-    rotation
-        Shape (line, 2, 3, 3), as `matrices` returns them.
-    """
+    """Return roll, pitch, heading halfway between two rotations [degree], of (line, 2, 3, 3), (line, 3)."""
     sum_of_both = _SCENE @ rotation.sum(axis=1)
     # the rotation nearest to the sum is the one halfway (Moakher 2002)
     left, _, right = np.linalg.svd(sum_of_both)

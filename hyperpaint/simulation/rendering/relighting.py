@@ -75,7 +75,8 @@ def relight(
         New spectra by name of an instance ("car_007": its paint), of a material, or of a spectrum that
         materials of the scene have; the first counts most. A value is the name of a spectrum, ``(wavelength
         [nm], reflectance)``, a DataArray with a coordinate ``wavelength``, or a function of wavelength [nm].
-        Reflectances are near normal, without the specular component.
+        Reflectances are near normal, without the specular component. A car that was traced with flakes gets
+        as many as the named paint has, and none from a measured spectrum; one traced without stays so.
     atmosphere
         The light; or the name of a preset one: "noon", "near_sunset", "cloudy".
     spectra

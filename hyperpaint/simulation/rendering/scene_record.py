@@ -34,18 +34,8 @@ class TraceSettings:
     ----------
     suns
         Zenith and azimuth, clockwise from north, of every sun [degree].
-    samples
-        Paths of a pixel.
-    depth
-        Most scatterings of a path.
-    seed
-        Of the random numbers.
-    slots
-        Different paths that a pixel can hold; None for as many as nearly all pixels of a car park have.
-    overcast
-        Also record the sky of radiance proportional to the cosine of the zenith angle.
-    sun_radius
-        Angular radius of the suns [degree]; 0 for points.
+    samples, depth, seed, slots, overcast, sun_radius
+        As for `tracing.trace`.
 
     Raises
     ------

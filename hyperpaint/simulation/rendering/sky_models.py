@@ -82,16 +82,7 @@ def built_in_sky(
     """Return direct normal and diffuse level irradiance of the simulator's own sky [W m-2 nm-1].
 
     The model of `hyperpaint.simulation.atmosphere.Sky`, with the air mass of Kasten & Young in place of
-    1 / cos(zenith).
-
-    Parameters
-    ----------
-    wavelength
-        Increasing, shape (wavelength,) [nm].
-    sun_zenith
-        Angle between the sun and the vertical [degree].
-    aerosol, ozone, water
-        As for `Sky`.
+    1 / cos(zenith), at increasing wavelengths [nm]; all else as for `Sky`.
 
     Raises
     ------
