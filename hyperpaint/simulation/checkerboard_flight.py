@@ -154,13 +154,12 @@ class CheckerboardFlight(Flight):
     def lines(self, start: int, stop: int, into: Lines | None = None) -> Lines:
         """Return lines ``start`` to ``stop``; the same whatever lines are asked for together."""
         number, columns = stop - start, self.settings.columns
+        begins = range(start, stop, _LINES_AT_ONCE)
+        parts = [self._look(begin, min(begin + _LINES_AT_ONCE, stop)) for begin in begins]
         layers: dict[str, NDArray[Any]] = {
-            name: np.empty((number, columns), layer.dtype) for name, layer in self.layers.items()
+            name: np.concatenate([part[name] for part in parts]).astype(layer.dtype)
+            for name, layer in self.layers.items()
         }
-        for begin in range(0, number, _LINES_AT_ONCE):
-            here = slice(begin, min(begin + _LINES_AT_ONCE, number))
-            for name, values in self._look(start + here.start, start + here.stop).items():
-                layers[name][here] = values
         shares = layers["bright_share"]
         glint = np.zeros((number, columns), bool)
         block = Lines((shares > 0.5).astype(np.int16), glint, *self._cubes(number, into), layers)

@@ -102,17 +102,13 @@ def build_geometry(
     material = np.asarray(face_material, np.int32)
     instance = np.asarray(face_instance, np.int32)
     if material.shape != (len(corners),) or instance.shape != (len(corners),):
-        message = f"{len(corners)} faces, but {material.shape} materials and {instance.shape} instances"
-        raise ValueError(message)
+        raise ValueError(f"{len(corners)} faces, materials {material.shape} and instances {instance.shape}")
     if len(shading) not in (0, len(points)):
-        message = f"{len(shading)} normals for {len(points)} vertices"
-        raise ValueError(message)
+        raise ValueError(f"{len(shading)} normals for {len(points)} vertices")
     if len(corners) and not (corners.min() >= 0 and corners.max() < len(points)):
-        message = f"faces number corners {corners.min()} to {corners.max()}, vertices are {len(points)}"
-        raise ValueError(message)
+        raise ValueError(f"faces number corners {corners.min()} to {corners.max()} of {len(points)} vertices")
     if not (np.abs(points) <= _LARGEST).all():
-        message = f"vertices must be finite and within {_LARGEST:g} m"
-        raise ValueError(message)
+        raise ValueError(f"vertices must be finite and within {_LARGEST:g} m")
 
     triangles = points[corners]
     across = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])

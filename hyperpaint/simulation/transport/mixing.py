@@ -138,11 +138,11 @@ def mix_shifted(
     share = np.ascontiguousarray(node_weight, np.float32)
     columns = out.shape[2]
     if first.shape != (columns,) or share.ndim != 2 or len(share) != columns:
-        message = f"nodes {first.shape} and weights {share.shape} for {columns} columns"
-        raise ValueError(message)
+        raise ValueError(f"nodes {first.shape} and weights {share.shape} for {columns} columns")
     if columns and not (first.min() >= 0 and first.max() + share.shape[1] <= len(spectra)):
-        message = f"columns need nodes up to {first.max() + share.shape[1] - 1}, the table has {len(spectra)}"
-        raise ValueError(message)
+        raise ValueError(
+            f"columns need nodes up to {first.max() + share.shape[1] - 1}, the table has {len(spectra)}"
+        )
     weights, rows = np.ascontiguousarray(weight, np.float32), np.ascontiguousarray(index, np.int32)
     sums = np.empty((_TILE, out.shape[1]), np.float32)
     _mix_shifted(weights, rows, spectra, first, share, sums, out)
@@ -152,14 +152,13 @@ def _check(weight: Array, index: Array, shape: tuple[int, ...], out: Array) -> N
     """Refuse what the loops would read or write outside of."""
     lines, _, columns = weight.shape
     if index.shape != weight.shape or out.shape != (lines, shape[1], columns):
-        message = f"weights {weight.shape}, index {index.shape}, table {shape} and out {out.shape} do not fit"
-        raise ValueError(message)
+        raise ValueError(
+            f"weights {weight.shape}, index {index.shape}, table {shape}, out {out.shape} do not fit"
+        )
     if out.dtype != np.float32 or not out.flags.c_contiguous:
-        message = f"out must be contiguous float32, not {out.dtype}"
-        raise ValueError(message)
+        raise ValueError(f"out must be contiguous float32, not {out.dtype}")
     if index.size and int(index.max()) >= shape[0]:
-        message = f"index {index.max()} is outside a table of {shape[0]} spectra"
-        raise ValueError(message)
+        raise ValueError(f"index {index.max()} is outside a table of {shape[0]} spectra")
 
 
 @borrowing_kernel
