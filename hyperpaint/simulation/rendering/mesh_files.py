@@ -130,10 +130,10 @@ def _contents(file: Path) -> bytes:
 def _check(raw: RawTriangles, where: str) -> None:
     if not len(raw.faces):
         raise FormatError(f"{where}: there are no triangles in it, expected a mesh with faces")
-    if raw.faces.min() < 0 or raw.faces.max() >= len(raw.vertices):
-        raise FormatError(
-            f"{where}: faces name vertices beyond the {len(raw.vertices)} there are; the file is damaged"
-        )
+    first, last, count = int(raw.faces.min()), int(raw.faces.max()), len(raw.vertices)
+    if first < 0 or last >= count:
+        wrong = last + 1 if last >= count else first
+        raise FormatError(f"{where}: a face names vertex {wrong}, but there are {count}; the file is damaged")
     bad = np.flatnonzero(~np.isfinite(raw.vertices).all(axis=1))
     if len(bad):
         raise FormatError(

@@ -36,7 +36,7 @@ class RawTriangles(NamedTuple):
     vertices : (vertex, 3) float64
         In the file's units and axes.
     faces : (face, 3) int64
-        Vertices of every triangle, in range.
+        Vertices of every triangle; `read_mesh` checks that they exist.
     face_group : (face,) int64
         Number of the group of every triangle.
     groups : tuple of (str, str)
@@ -58,7 +58,7 @@ def parse_obj(data: bytes, where: str) -> RawTriangles:
     Raises
     ------
     FormatError
-        A line cannot be read, or a face names a vertex that does not exist.
+        A line cannot be read.
 
     Examples
     --------
@@ -101,9 +101,6 @@ def parse_obj(data: bytes, where: str) -> RawTriangles:
             group = -1
     vertices = np.asarray(coordinates, np.float64).reshape(-1, 3)
     faces = np.asarray(corners, np.int64).reshape(-1, 3)
-    if faces.size and (faces.min() < 0 or faces.max() >= len(vertices)):
-        wrong = int(faces.max()) + 1 if faces.max() >= len(vertices) else int(faces.min())
-        raise FormatError(f"{where}: a face names vertex {wrong}, but there are {len(vertices)}; {_CUT}")
     return RawTriangles(vertices, faces, np.asarray(face_group, np.int64), tuple(groups))
 
 
