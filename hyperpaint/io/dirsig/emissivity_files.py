@@ -126,10 +126,9 @@ MOST_BYTES = 128 * 2**20
 """Of an ``.ems`` file: a thousand curves of 2000 wavelengths have some 36 MB."""
 
 MOST_CURVES = 100_000
-_WEIGHTS = 91
 _WAVENUMBERS = np.arange(39850.0, 349.0, -100.0)
 _LONGEST = 100.0  # [um]
-_MOST_TOLD = 8
+_MOST_SHOWN = 8
 
 # quantifiers that give nothing back: a long line is read once
 _NUMBER = rb"[+-]?+(?:[0-9]{1,40}+(?:\.[0-9]{0,40}+)?+|\.[0-9]{1,40}+)(?:[eE][+-]?+[0-9]{1,4}+)?+"
@@ -179,10 +178,13 @@ def _parse(data: bytes, name: str) -> Emissivity:
     text = data.replace(b"\r\n", b"\n") if b"\r" in data else data
     if not text.endswith(b"\n"):
         text += b"\n"
-    lines = text.split(b"\n", _WEIGHTS + 1)
-    count = _count(lines[0], problems)
-    if len(lines) < _WEIGHTS + 2:
-        problems.add(f"{len(lines) - 1} lines, expected the number of curves, {_WEIGHTS} weights and curves")
+    lines = text.split(b"\n", _ANGLES + 1)
+    match = _COUNT.fullmatch(lines[0])
+    count = int(match[1]) if match else 0
+    if not 1 <= count <= MOST_CURVES:
+        problems.add(f"line 1: {_shown(lines[0])}, expected a number of curves, 1 to {MOST_CURVES}")
+    if len(lines) < _ANGLES + 2:
+        problems.add(f"{len(lines) - 1} lines, expected the number of curves, {_ANGLES} weights and curves")
         problems.raise_if_any()
     weights = _weights(lines[1:-1], problems)
     problems.raise_if_any()
@@ -191,22 +193,12 @@ def _parse(data: bytes, name: str) -> Emissivity:
     return Emissivity(weights, tuple(curves), layout)
 
 
-def _count(line: bytes, problems: Problems) -> int:
-    match = _COUNT.fullmatch(line)
-    count = int(match[1]) if match else 0
-    if not 1 <= count <= MOST_CURVES:
-        problems.add(f"line 1: {_shown(line)}, expected a number of curves, 1 to {MOST_CURVES}")
-    return count
-
-
 def _weights(lines: list[bytes], problems: Problems) -> Floats:
-    wrong = [number for number, line in enumerate(lines, 2) if not _ONE_NUMBER.fullmatch(line)]
-    for number in wrong[:_MOST_TOLD]:
-        problems.add(
-            f"line {number}: {_shown(lines[number - 2])}, expected the weight of {number - 2} degrees"
-        )
+    wrong = [angle for angle, line in enumerate(lines) if not _ONE_NUMBER.fullmatch(line)]
+    for angle in wrong[:_MOST_SHOWN]:
+        problems.add(f"line {angle + 2}: {_shown(lines[angle])}, expected the weight of {angle} degrees")
     if wrong:
-        return np.ones(_WEIGHTS)
+        return np.ones(_ANGLES)
     weights = np.array([float(line) for line in lines])
     if not (np.isfinite(weights).all() and weights.min() >= 0.0):
         problems.add("a weight of a view angle is negative or beyond numbers, expected 0 or more")
@@ -219,7 +211,7 @@ def _curves(body: bytes, count: int, problems: Problems) -> tuple[str, list[Curv
     start = body.rfind(b"\n", 0, blank) + 1
     new = _NEW_MARK.match(body, start) is not None
     if not new and not _OLD_MARK.match(body, start):
-        line = _WEIGHTS + 2 + body.count(b"\n", 0, start)
+        line = _ANGLES + 2 + body.count(b"\n", 0, start)
         first = body[start : body.find(b"\n", start)]
         problems.add(f"line {line}: {_shown(first)}, expected {CURVE_BEGIN} or the number 0 of a curve")
         return "", []
@@ -230,17 +222,23 @@ def _curves(body: bytes, count: int, problems: Problems) -> tuple[str, list[Curv
         return layout, []
     curves = []
     ends = [mark.start() for mark in marks[1:]] + [len(body)]
-    line = _WEIGHTS + 3 + body.count(b"\n", 0, start)
+    line = _ANGLES + 3 + body.count(b"\n", 0, start)
     for number, (heading, end) in enumerate(zip(marks, ends, strict=True)):
         if not new and int(heading[1]) != number:
             problems.add(f"line {line - 1}: curve {int(heading[1])}, expected {number}")
         rows = body[heading.end() : end]
         if (table := _table(rows, line, problems)) is not None:
-            curve, wrong = _new_curve(table) if new else _old_curve(table)
-            if wrong:
+            axis, emissivity = table.T.copy()
+            if wrong := (_wavelength_problem(axis) if new else _wavenumber_problem(axis)):
                 problems.add(f"curve {number}, from line {line}: {wrong}")
-            curves.append(curve)
-        if len(problems) >= _MOST_TOLD:
+            elif not (np.isfinite(emissivity).all() and emissivity.min() >= 0.0 and emissivity.max() <= 1.0):
+                problems.add(
+                    f"curve {number}, from line {line}: emissivity from {emissivity.min():g} to "
+                    f"{emissivity.max():g}, expected 0 to 1; is it percent?"
+                )
+            else:
+                curves.append(Curve(axis if new else 1e4 / axis, emissivity))
+        if len(problems) >= _MOST_SHOWN:
             break
         line += rows.count(b"\n") + 1
     return layout, curves
@@ -259,23 +257,13 @@ def _table(rows: bytes, line: int, problems: Problems) -> Floats | None:
     return None
 
 
-def _new_curve(table: Floats) -> tuple[Curve, str]:
-    wavelength, emissivity = table.T.copy()
-    return Curve(wavelength, emissivity), _wavelength_problem(wavelength) or _value_problem(
-        emissivity, "emissivity"
+def _wavenumber_problem(wavenumber: Floats) -> str:
+    if np.array_equal(wavenumber, _WAVENUMBERS):
+        return ""
+    return (
+        f"{len(wavenumber)} rows, expected the {len(_WAVENUMBERS)} wavenumbers 39850, 39750, ... 350 cm-1 of "
+        "the old layout"
     )
-
-
-def _old_curve(table: Floats) -> tuple[Curve, str]:
-    wavenumber, emissivity = table.T.copy()
-    wrong = _value_problem(emissivity, "emissivity")
-    if not np.array_equal(wavenumber, _WAVENUMBERS):
-        wrong = (
-            f"{len(wavenumber)} rows, expected the {len(_WAVENUMBERS)} wavenumbers "
-            "39850, 39750, ... 350 cm-1 of the old layout"
-        )
-        return Curve(wavenumber, emissivity), wrong
-    return Curve(1e4 / wavenumber, emissivity), wrong
 
 
 def _wavelength_problem(wavelength: Floats) -> str:
@@ -284,12 +272,6 @@ def _wavelength_problem(wavelength: Floats) -> str:
     if wavelength[-1] > _LONGEST:
         return f"wavelengths up to {wavelength[-1]:g}, expected micrometres; are these nanometres?"
     return ""
-
-
-def _value_problem(values: Floats, name: str) -> str:
-    if np.isfinite(values).all() and values.min() >= 0.0 and values.max() <= 1.0:
-        return ""
-    return f"{name} from {values.min():g} to {values.max():g}, expected 0 to 1; is it percent?"
 
 
 def _shown(line: bytes) -> str:
@@ -320,22 +302,23 @@ def open_emissivity(path: str | os.PathLike[str]) -> xr.Dataset:
             f"{place}: curves on different wavelengths, expected the same for all; read_emissivity has each"
         )
     members = 1.0 - np.array([curve.emissivity for curve in file.curves])
-    values = {
-        "reflectance": members.mean(axis=0, dtype=np.float64)[np.newaxis].astype(np.float32),
-        "member_reflectance": members[np.newaxis].astype(np.float32),
-    }
-    dims = {"reflectance": (PAINT, BAND), "member_reflectance": (PAINT, MEMBER, BAND)}
-    meanings = {
-        "reflectance": "Reflectance, mean of the curves",
-        "member_reflectance": "Reflectance of a curve",
-    }
+    centre = members.mean(axis=0, dtype=np.float64)[np.newaxis].astype(np.float32)
+    about_centre = {"units": "1", "long_name": "Reflectance, mean of the curves"}
+    about_members = {"units": "1", "long_name": "Reflectance of a curve"}
     # nm at the grid that is written, so that a file's text survives
-    shown = np.round(wavelength * 1e3, 10)
+    nm = np.round(wavelength * 1e3, 10)
     return xr.Dataset(
-        {name: (dims[name], values[name], {"units": "1", "long_name": meanings[name]}) for name in values},
+        {
+            "reflectance": ((PAINT, BAND), centre, about_centre),
+            "member_reflectance": (
+                (PAINT, MEMBER, BAND),
+                members[np.newaxis].astype(np.float32),
+                about_members,
+            ),
+        },
         {
             PAINT: np.array([place.stem], object),
-            "wavelength": (BAND, shown, LIBRARY_VARIABLES["wavelength"].attrs),
+            "wavelength": (BAND, nm, LIBRARY_VARIABLES["wavelength"].attrs),
         },
         {"source": place.name, "layout": f"DIRSIG emissivity, {file.layout}"},
     )

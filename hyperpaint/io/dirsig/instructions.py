@@ -12,17 +12,11 @@ from .material_list import Section
 
 __all__ = ["THERMAL", "glist_text", "material_section", "readme_text"]
 
-THERMAL = {
-    "specific_heat": "SPECIFIC_HEAT",
-    "mass_density": "MASS_DENSITY",
-    "thermal_conductivity": "THERMAL_CONDUCTIVITY",
-    "solar_absorption": "SOLAR_ABSORPTION",
-    "thermal_emissivity": "THERMAL_EMISSIVITY",
-    "exposed_area": "EXPOSED_AREA",
-    "thickness": "THICKNESS",
-}
-"""Parameters of DIRSIG's temperature solver Therm."""
-
+THERMAL = (
+    "specific_heat", "mass_density", "thermal_conductivity", "solar_absorption", "thermal_emissivity",
+    "exposed_area", "thickness",
+)  # fmt: skip
+"""Parameters of DIRSIG's temperature solver Therm, whose keys are these in capitals."""
 
 _CURVES = {
     "members": "one curve for every pixel, from which DIRSIG's texture can draw",
@@ -48,16 +42,13 @@ def material_section(
     """
     colour = ", ".join(f"{value:.3g}" for value in record["editor_color"])
     sampled = (("ENABLE_SAMPLED_DIFFUSE", "FALSE"),) if rad_solver == "Classic" else ()
-    values = tuple((THERMAL[key], f"{float(value):.6g}") for key, value in (thermal or {}).items())
+    values = tuple((key.upper(), f"{float(value):.6g}") for key, value in (thermal or {}).items())
     if surface == "ClassicEmissivity":
         fraction = f"{record['specular_fraction']:g}"
         files = (("FILENAME", record["emissivity_file"]), ("SPECULAR_FRACTION", fraction))
-        properties: tuple[Any, ...] = (("EMISSIVITY_PROP_NAME", surface), Section("EMISSIVITY_PROP", files))
+        properties = Section("EMISSIVITY_PROP", files)
     else:
-        properties = (
-            ("REFLECTANCE_PROP_NAME", surface),
-            Section("REFLECTANCE_PROP", (("TXT_FILENAME", record["reflectance_file"]),)),
-        )
+        properties = Section("REFLECTANCE_PROP", (("TXT_FILENAME", record["reflectance_file"]),))
     return Section(
         "MATERIAL_ENTRY",
         (
@@ -69,7 +60,7 @@ def material_section(
             Section("RAD_SOLVER", sampled),
             ("TEMP_SOLVER_NAME", "Therm" if thermal else "Null"),
             Section("TEMP_SOLVER", values),
-            Section("SURFACE_PROPERTIES", properties),
+            Section("SURFACE_PROPERTIES", ((f"{properties.name}_NAME", surface), properties)),
         ),
     )
 

@@ -12,6 +12,7 @@ from __future__ import annotations
 import os
 import re
 import unicodedata
+from collections import Counter
 from collections.abc import Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -108,7 +109,7 @@ def _unique(texts: list[str], taken: Collection[str], suffix: str) -> list[str]:
 MOST_BYTES = 16 * 2**20
 MOST_LINES = 400_000
 _DEEPEST = 16
-_MOST_TOLD = 8
+_MOST_SHOWN = 8
 _OPENED = re.compile(r"([A-Za-z_][A-Za-z0-9_]*+)[ \t]*+\{")
 _VARIABLE = re.compile(r"([A-Za-z_][A-Za-z0-9_.]*+)[ \t]*+=[ \t]*+(.*+)")
 _LOOK_UP = re.compile(r"([^ \t:{}=]++)[ \t]*+:[ \t]*+([^ \t:{}=]++)")
@@ -186,7 +187,9 @@ def read_materials(path: str | os.PathLike[str]) -> tuple[Material, ...]:
     problems.raise_if_any()
     entries = [item for item in top if item.name == _ENTRY]
     materials = [_material(entry, number, problems) for number, entry in enumerate(entries, start=1)]
-    _check_ids(materials, problems)
+    counts = Counter(material.id for material in materials)
+    for token in [token for token, count in counts.items() if count > 1][:_MOST_SHOWN]:
+        problems.add(f"ID {token[:40]!r} is there twice, expected another for every material")
     if not top:
         problems.add(f"no section, expected some {_ENTRY} {{ ... }}")
     problems.raise_if_any()
@@ -211,9 +214,9 @@ def _parse(text: str, problems: Problems) -> list[Section]:
             items.append((pair[1], pair[2]))
         else:
             problems.add(f"line {number}: {line[:60]!r}, {_expected(line, len(opened))}")
-            if len(problems) >= _MOST_TOLD:
+            if len(problems) >= _MOST_SHOWN:
                 return []
-    for name, number, _ in opened[1:][:_MOST_TOLD]:
+    for name, number, _ in opened[1:][:_MOST_SHOWN]:
         problems.add(f"line {number}: section {name} is not closed, expected a line '}}' for it")
     return opened[0][2]
 
@@ -230,7 +233,7 @@ def _material(entry: Section, number: int, problems: Problems) -> Material:
     # DIRSIG 3 wrote MATERIAL_ID and MATERIAL_NAME
     token, name = (entry.get(key) or entry.get(f"MATERIAL_{key}") or "" for key in ("ID", "NAME"))
     who = f"material {number} ({token[:40]!r})"
-    if len(problems) < _MOST_TOLD:
+    if len(problems) < _MOST_SHOWN:
         if not _TOKEN.fullmatch(token):
             problems.add(f"{who}: expected an ID without blanks")
         if not name:
@@ -245,14 +248,10 @@ def _material(entry: Section, number: int, problems: Problems) -> Material:
 
 def _section_problems(section: Section) -> Iterator[str]:
     """Yield what is wrong in a section: what is there twice, and names without what they name."""
-    keys = [item[0] if isinstance(item, tuple) else item.name for item in section.items]
-    seen: set[str] = set()
-    for key in keys:
-        if key in seen:
-            yield f"{key} is there twice in {section.name}"
-        seen.add(key)
+    keys = Counter(item[0] if isinstance(item, tuple) else item.name for item in section.items)
+    yield from (f"{key} is there twice in {section.name}" for key, count in keys.items() if count > 1)
     inside = {item.name for item in section.sections()}
-    for key in sorted(seen - inside):
+    for key in sorted(keys.keys() - inside):
         part = key.removesuffix("_NAME")
         if part != key and part.endswith(("_SOLVER", "_PROP")) and part not in inside:
             yield f"{key} without a section {part}"
@@ -265,14 +264,6 @@ def _is_fraction(text: str) -> bool:
         return 0.0 <= float(text) <= 1.0
     except ValueError:
         return False
-
-
-def _check_ids(materials: Sequence[Material], problems: Problems) -> None:
-    seen: set[str] = set()
-    for material in materials:
-        if material.id in seen and len(problems) < _MOST_TOLD:
-            problems.add(f"ID {material.id[:40]!r} is there twice, expected another for every material")
-        seen.add(material.id)
 
 
 def materials_text(entries: Iterable[Section]) -> str:

@@ -42,8 +42,7 @@ class Coat:
 
     mirror_reflection: str  # Whether the library's reflectance holds it: ``included`` or ``excluded``
     is_declared: bool  # Whether the library says so
-    # Fraction of DIRSIG's reflectance that is specular; ``library`` for what the library's
-    # ``specular_reflectance`` gives
+    # Fraction of DIRSIG's reflectance that is specular; ``library`` for that of its ``specular_reflectance``
     specular: float | str
 
     @property
@@ -81,8 +80,8 @@ def coat_of(library: xr.Dataset, specular: float | str) -> Coat:
     Raises `SchemaError`: The attribute ``mirror_reflection`` is neither of both; the specular fraction is not
     from 0 to below 1, or would count the coat twice, or is to be taken from a library that has none.
     """
-    problems = Problems("no specular term can be written", SchemaError)
-    apart = "specular_reflectance" in library.variables
+    problems = Problems("the specular term cannot be written", SchemaError)
+    apart = _SPECULAR in library.variables
     declared = None
     try:
         declared = mirror_reflection(library)
@@ -90,12 +89,9 @@ def coat_of(library: xr.Dataset, specular: float | str) -> Coat:
         problems.add(str(error))
     # of measured reflectance the safe guess: a coat that is counted twice is not seen by anyone
     mirror = declared or INCLUDED
-    number = specular if not isinstance(specular, str) else None
-    if number is not None and not 0.0 <= number < 1.0:
+    if specular != "library" and (isinstance(specular, str) or not 0.0 <= specular < 1.0):
         problems.add(f"specular={specular!r}, expected 0 to below 1, or 'library'")
-    if isinstance(specular, str) and specular != "library":
-        problems.add(f"specular={specular!r}, expected a number or 'library'")
-    elif specular == "library" and not apart:
+    if specular == "library" and not apart:
         problems.add("specular='library', but the library has no specular_reflectance (paint, band)")
     elif specular != 0.0 and mirror == INCLUDED:
         problems.add(
@@ -104,8 +100,14 @@ def coat_of(library: xr.Dataset, specular: float | str) -> Coat:
             f"--specular-sky), with reflectance.attrs['mirror_reflection'] = {EXCLUDED!r}"
         )
     problems.raise_if_any()
-    return Coat(mirror, declared is not None, number if number is not None else specular)
+    return Coat(mirror, declared is not None, specular)
 
+
+_SPECULAR = "specular_reflectance"
+_ROWS = {
+    **LIBRARY_VARIABLES,
+    _SPECULAR: Variable(_SPECULAR, (PAINT, BAND), "1", "float32", "Mirror reflectance"),
+}
 
 CURVES = {"members": "member_reflectance", "quantiles": "reflectance_quantiles", "centre": "reflectance"}
 """Which variable of a library holds the curves of a paint."""
@@ -190,42 +192,21 @@ def blocks_of(library: xr.Dataset, choices: Choices) -> Iterator[tuple[slice, di
     library's own order of bands.
     """
     name = CURVES[choices.curves]
-    names = list(dict.fromkeys(["reflectance", name, *_specular(library)]))
+    names = [key for key in dict.fromkeys(["reflectance", name, _SPECULAR]) if key in library.variables]
     count = library.sizes[PAINT]
     size = 4 * library[name].size // max(count, 1)
     step = max(1, _BLOCK_BYTES // max(size, 1))
     # a chunk is decoded as a whole: once is enough
-    chunk = _chunk_of(library[name])
+    stored = library[name].chunksizes or library[name].encoding.get("preferred_chunks", {})
+    chunk = max(1, int(np.ravel(stored.get(PAINT, 1))[0]))
     step = chunk * max(1, step // chunk) if chunk * size <= 8 * _BLOCK_BYTES else step
     for start in range(0, count, step):
         paints = slice(start, min(start + step, count))
         part = library[names].isel({PAINT: paints}).load()
-        arrays = require(part, names, "DIRSIG materials", {**LIBRARY_VARIABLES, **_extra(part)})
+        arrays = require(part, names, "DIRSIG materials", _ROWS)
         blocks = {key: array.values for key, array in arrays.items()}
         curves = blocks[name] if blocks[name].ndim == 3 else blocks[name][:, np.newaxis]
         yield paints, {**blocks, "centre": blocks["reflectance"], "curves": curves}
-
-
-def _specular(library: xr.Dataset) -> list[str]:
-    return ["specular_reflectance"] if "specular_reflectance" in library.variables else []
-
-
-def _extra(library: xr.Dataset) -> dict[str, Any]:
-    """Return a row for what the table of libraries may not know."""
-    if "specular_reflectance" in LIBRARY_VARIABLES or not _specular(library):
-        return {}
-    dims = (PAINT, BAND)
-    return {
-        "specular_reflectance": Variable("specular_reflectance", dims, "1", "float32", "Mirror reflectance")
-    }
-
-
-def _chunk_of(array: xr.DataArray) -> int:
-    """Return how many paints are stored together."""
-    if array.chunks is not None:
-        return int(array.chunks[array.dims.index(PAINT)][0])
-    stored = array.encoding.get("preferred_chunks", {})
-    return max(1, int(stored.get(PAINT, 1)))
 
 
 def curves_of(axis: Axis, centre: Array, curves: Array, choices: Choices) -> PaintCurves:
