@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import Any
 
 from hyperpaint.base.errors import FormatError, Problems
-from hyperpaint.io.files.reading import decoded_text, read_limited_text
+from hyperpaint.io.files.reading import decoded_text, read_limited_text, unique_names
 
 __all__ = [
     "Material",
@@ -70,7 +70,7 @@ def material_names(names: Iterable[str], taken: Collection[str] = ()) -> list[st
     """
     plain = [plain_name(name) for name in names]
     usable = [text if text.strip("_ ") else f"paint {number}" for number, text in enumerate(plain, start=1)]
-    return _unique(usable, taken, " ({})")
+    return unique_names(usable, taken, fold=str.casefold)
 
 
 def material_ids(names: Iterable[str], taken: Collection[str] = ()) -> list[str]:
@@ -88,22 +88,7 @@ def material_ids(names: Iterable[str], taken: Collection[str] = ()) -> list[str]
             # a scene's own materials are often numbered
             token = f"paint_{token}"
         tokens.append(token or f"paint_{number}")
-    return _unique(tokens, taken, "_{}")
-
-
-def _unique(texts: list[str], taken: Collection[str], suffix: str) -> list[str]:
-    """Return the texts, with a number where one is there already in upper or lower case."""
-    used = {text.casefold() for text in taken}
-    count: dict[str, int] = {}
-    unique = []
-    for text in texts:
-        key, given = text.casefold(), text
-        while given.casefold() in used:
-            count[key] = count.get(key, 1) + 1
-            given = text + suffix.format(count[key])
-        used.add(given.casefold())
-        unique.append(given)
-    return unique
+    return unique_names(tokens, taken, suffix="_{}", fold=str.casefold)
 
 
 MOST_BYTES = 16 * 2**20

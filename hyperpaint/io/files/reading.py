@@ -10,7 +10,7 @@ import fnmatch
 import os
 import re
 import stat
-from collections.abc import Iterator
+from collections.abc import Callable, Collection, Iterable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -19,7 +19,10 @@ from hyperpaint.base.errors import FormatError
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["decoded_text", "is_pattern", "load_netcdf", "matching_files", "read_limited", "read_limited_text"]
+__all__ = [
+    "decoded_text", "is_pattern", "load_netcdf", "matching_files", "read_limited", "read_limited_text",
+    "unique_names",
+]  # fmt: skip
 
 LONGEST_LINE = 2**20
 """Bytes of a line of text: spectra side by side have some 12 a cell."""
@@ -78,6 +81,32 @@ def decoded_text(data: bytes) -> str:
         return data.decode("utf-8-sig")
     except UnicodeDecodeError:
         return data.decode("latin-1")
+
+
+def unique_names(
+    names: Iterable[str], taken: Collection[str] = (), *, suffix: str = " ({})",
+    fold: Callable[[str], str] = str,
+) -> list[str]:  # fmt: skip
+    """Return the names with a number, from 2 on, behind each that is there already.
+
+    taken: Names that none may have; suffix: of the number; fold: makes those alike that count as the same.
+
+    Examples
+    --------
+    >>> unique_names(["red", "Red", "blue"], ["blue"], suffix="_{}", fold=str.lower)
+    ['red', 'Red_2', 'blue_2']
+    """
+    used = set(map(fold, taken))
+    last_numbers: dict[str, int] = {}
+    unique: list[str] = []
+    for name in names:
+        candidate = name
+        while fold(candidate) in used:
+            last_numbers[fold(name)] = last_numbers.get(fold(name), 1) + 1
+            candidate = name + suffix.format(last_numbers[fold(name)])
+        used.add(fold(candidate))
+        unique.append(candidate)
+    return unique
 
 
 def load_netcdf(path: Path, group: str | None = None) -> xr.Dataset:

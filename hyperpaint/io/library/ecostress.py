@@ -19,6 +19,7 @@ from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import FormatError, Problems, SchemaError
 from hyperpaint.base.schema import LIBRARY_VARIABLES, PAINT
 from hyperpaint.io.files.publishing import published_folder
+from hyperpaint.io.files.reading import decoded_text, unique_names
 
 from .library_spectra import Spectra, reflectances, text_column
 from .metadata import typed_values
@@ -257,7 +258,6 @@ def _file_names(names: Sequence[str]) -> list[str]:
     ['Gruen_matt', 'a_b', 'A_b_2', 'unnamed', 'aux_']
     """
     stems: list[str] = []
-    taken: set[str] = set()
     for name in names:
         plain = unicodedata.normalize("NFKD", name.translate(_SPELLINGS))
         words = "".join(
@@ -266,15 +266,8 @@ def _file_names(names: Sequence[str]) -> list[str]:
             if not unicodedata.combining(c)
         )
         stem = "_".join(words.split())[:_LONGEST_STEM] or "unnamed"
-        if stem.lower() in _RESERVED:
-            stem += "_"
-        unique, turn = stem, 1
-        while unique.lower() in taken:
-            turn += 1
-            unique = f"{stem}_{turn}"
-        taken.add(unique.lower())
-        stems.append(unique)
-    return stems
+        stems.append(f"{stem}_" if stem.lower() in _RESERVED else stem)
+    return unique_names(stems, suffix="_{}", fold=str.lower)
 
 
 def _said_of_all(library: xr.Dataset, micrometres: Floats) -> dict[str, list[Any]]:
@@ -343,14 +336,5 @@ def _text(name: str, about: dict[str, Any], micrometres: Floats, values: Floats)
 
 def _encoded(text: str) -> bytes:
     """Return latin-1, as these libraries use it; UTF-8 where that would not lead back."""
-    try:
-        raw = text.encode("latin-1")
-    except UnicodeEncodeError:
-        return text.encode()
-    if raw.isascii():
-        return raw
-    try:
-        raw.decode("utf-8")
-    except UnicodeDecodeError:
-        return raw
-    return text.encode()
+    raw = text.encode("latin-1", "replace")
+    return raw if decoded_text(raw) == text else text.encode()

@@ -26,6 +26,7 @@ from hyperpaint.io.envi.envi_cubes import find_pair
 from hyperpaint.io.envi.envi_grammar import bare
 from hyperpaint.io.envi.envi_header import MAX_LIBRARY_HEADER_BYTES, EnviHeader, read_header
 from hyperpaint.io.files.publishing import published_files
+from hyperpaint.io.files.reading import unique_names
 
 from .library_spectra import OWN_AXES, Spectra, check_wavelengths, library_of, reflectances, text_column
 from .metadata import metadata_path, metadata_text, read_metadata
@@ -286,18 +287,7 @@ def _header_names(names: Sequence[str]) -> list[str]:
     >>> _header_names(["red, matt", "blue", "", "blue"])
     ['red; matt', 'blue', 'unnamed', 'blue (2)']
     """
-    unique_names: list[str] = []
-    taken: set[str] = set()
-    counts: dict[str, int] = {}
-    for name in names:
-        plain = name.translate(_FORBIDDEN).strip() or "unnamed"
-        unique = plain
-        while unique in taken:
-            counts[plain] = counts.get(plain, 1) + 1
-            unique = f"{plain} ({counts[plain]})"
-        taken.add(unique)
-        unique_names.append(unique)
-    return unique_names
+    return unique_names(name.translate(_FORBIDDEN).strip() or "unnamed" for name in names)
 
 
 def _record_name(paint: str, variable: str, inner: int) -> str:

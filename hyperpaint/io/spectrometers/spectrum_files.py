@@ -13,6 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hyperpaint.base.errors import FormatError, Problems, TimeError
+from hyperpaint.io.files.reading import unique_names
 
 __all__ = ["Paths", "check_utc_offset", "find_paths", "for_all", "listed", "name_spectra", "same_grids"]
 
@@ -94,17 +95,10 @@ def name_spectra(sources: Sequence[tuple[Path, str]]) -> list[str]:
     ['a/red', 'b/red', 'blue']
     """
     count = Counter(name for _, name in sources)
-    unique_names: list[str] = []
-    taken: Counter[str] = Counter()
-    for path, name in sources:
-        folder = path.parent.name if count[name] > 1 else ""
-        wanted = unique = f"{folder}/{name}" if folder else name
-        while taken[unique]:
-            taken[wanted] += 1
-            unique = f"{wanted} ({taken[wanted]})"
-        taken[unique] += 1
-        unique_names.append(unique)
-    return unique_names
+    return unique_names(
+        f"{path.parent.name}/{name}" if count[name] > 1 and path.parent.name else name
+        for path, name in sources
+    )
 
 
 def check_utc_offset(hours: float) -> None:
