@@ -25,7 +25,7 @@ from hyperpaint.base.schema import (
 )
 from hyperpaint.base.units import conversion_factor, convert
 from hyperpaint.io.navigation.navigation_records import ASSUMED, Navigation
-from hyperpaint.io.spectrometers.irradiance_cut import cut_irradiance
+from hyperpaint.io.spectrometers.irradiance import cut_irradiance
 
 from .calibration_store import calibration_parts, open_calibration, scale_attrs
 from .dark import Dark, open_dark

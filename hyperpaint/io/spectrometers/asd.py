@@ -15,14 +15,24 @@ import numpy.typing as npt
 import xarray as xr
 
 from hyperpaint.base.arrays import Floats
-from hyperpaint.base.errors import FormatError, PaintWarning, Problems, SchemaError, TimeError
+from hyperpaint.base.errors import FormatError, PaintWarning, SchemaError, TimeError
 from hyperpaint.base.schema import VARIABLES, label
 
 from .asd_binary import AsdCalibration, AsdFile, AsdGps, is_asd, read_asd
 from .asd_calibration import CALIBRATION_KEYS, derive_quantity, panel_of
 from .asd_text import AsdText, is_asd_text, read_asd_text
 from .irradiance_files import is_irradiance_csv
-from .spectrum_files import Paths, check_utc_offset, find_paths, for_all, listed, name_spectra, same_grids
+from .spectrum_files import (
+    QUANTITIES,
+    Paths,
+    check_utc_offset,
+    common_quantity,
+    find_paths,
+    for_all,
+    listed,
+    name_spectra,
+    require_one_grid,
+)
 
 __all__ = [
     "AsdCalibration", "AsdFile", "AsdGps", "Spectrum", "find_files", "mask_undefined", "open_asd", "read_asd",
@@ -31,7 +41,6 @@ __all__ = [
 
 Kind = Literal["binary", "text", "csv", "unknown"]
 
-QUANTITIES = ("counts", "radiance", "reflectance", "irradiance")
 _QUANTITY_OF_DATA_TYPE = {"raw": "counts", **{name: name for name in QUANTITIES[1:]}}
 _HEAD_BYTES = 16 * 1024
 _TEXT_SUFFIXES = (".txt", ".tsv", ".csv")
@@ -222,7 +231,7 @@ def read_spectra(
         for path, of_file in zip(files, derived, strict=True)
         for spectrum in of_file
     ]
-    _require_one_grid(spectra)
+    require_one_grid((spectrum.source, spectrum.wavelength) for spectrum in spectra)
     _warn_of_dark(contents, wanted)
     return mask_undefined(spectra, wanted), wanted
 
@@ -260,19 +269,15 @@ def sniff(path: Path) -> Kind:
 
 def _common_quantity(contents: Sequence[AsdFile | AsdText]) -> str:
     """Return the quantity that all files say they are, or seem to be."""
-    names_by_quantity: dict[str | None, list[str]] = {}
-    for content in contents:
-        if isinstance(content, AsdFile):
-            key = _QUANTITY_OF_DATA_TYPE.get(content.data_type)
-        else:
-            key = content.likely_quantity
-        names_by_quantity.setdefault(key, []).append(content.name)
-    if len(names_by_quantity) > 1 or None in names_by_quantity:
-        problems = Problems("the quantity of the spectra is not clear; pass quantity=", FormatError)
-        for key, names in names_by_quantity.items():
-            problems.add(f"{key or 'unknown'}: {', '.join(names)}")
-        problems.raise_if_any()
-    quantity = next(str(key) for key in names_by_quantity)
+    quantity = common_quantity(
+        (
+            _QUANTITY_OF_DATA_TYPE.get(content.data_type)
+            if isinstance(content, AsdFile)
+            else content.likely_quantity,
+            content.name,
+        )
+        for content in contents
+    )
     texts = [content.name for content in contents if isinstance(content, AsdText)]
     if texts:
         _warn(
@@ -318,15 +323,6 @@ def _external_calibration(calibration: Mapping[str, str | os.PathLike[str]]) -> 
         raise SchemaError(f"calibration keys {unknown}: expected some of {', '.join(CALIBRATION_KEYS)}")
     read = for_all(calibration.values(), read_asd)
     return {CALIBRATION_KEYS[key]: file for key, file in zip(calibration, read, strict=True)}
-
-
-def _require_one_grid(spectra: Sequence[Spectrum]) -> None:
-    groups = same_grids((spectrum.source, spectrum.wavelength) for spectrum in spectra)
-    if len(groups) > 1:
-        problems = Problems("spectra differ in their wavelengths; open them apart", FormatError)
-        for nm, names in groups:
-            problems.add(f"{len(nm)} from {nm[0]:g} to {nm[-1]:g} nm: {', '.join(names)}")
-        problems.raise_if_any()
 
 
 def _warn_of_dark(contents: Sequence[AsdFile | AsdText], quantity: str) -> None:

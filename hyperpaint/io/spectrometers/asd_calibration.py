@@ -11,6 +11,7 @@ from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import FormatError
 
 from .asd_binary import AsdFile
+from .spectrum_files import ratio
 
 __all__ = ["CALIBRATION_KEYS", "derive_quantity", "panel_of"]
 
@@ -38,7 +39,7 @@ def derive_quantity(
                 f"{file.name}: no white reference in the file, so no reflectance; "
                 "pass quantity='counts', or give files saved after the white reference was taken"
             )
-        values = _ratio(file.spectrum, file.reference)
+        values = ratio(file.spectrum, file.reference)
         if absolute:
             with np.errstate(all="ignore"):
                 values = values * _needed_blocks(file, ("ABS",), "absolute reflectance", external)["ABS"][0]
@@ -86,16 +87,8 @@ def _responsivity(file: AsdFile, quantity: str, external: Mapping[str, AsdFile])
             f"{file.name}: integration time {file.integration_ms:g} ms, that of the calibration "
             f"{lamp_ms:g} ms; expected positive numbers"
         )
-    per_count = _ratio(blocks["LMP"][0], lamp_counts) * (lamp_ms / file.integration_ms)
+    per_count = ratio(blocks["LMP"][0], lamp_counts) * (lamp_ms / file.integration_ms)
     return per_count * blocks["BSE"][0] / np.pi if quantity == "radiance" else per_count
-
-
-def _ratio(numerator: Floats, denominator: Floats) -> Floats:
-    """Return the ratio, NaN where the denominator is zero or undefined."""
-    ratio = np.full(numerator.shape, np.nan)
-    with np.errstate(all="ignore"):  # damaged values; what is not finite is reported later
-        np.divide(numerator, denominator, out=ratio, where=denominator != 0.0)
-    return ratio
 
 
 def _splices(file: AsdFile) -> tuple[float, float]:

@@ -16,20 +16,21 @@ import xarray as xr
 from hyperpaint.base.arrays import Floats
 from hyperpaint.base.constants import STAMP_TO_MID_EXPOSURES
 from hyperpaint.base.errors import FormatError, Problems, SchemaError, TimeError, UnitsError
-from hyperpaint.base.schema import IRRADIANCE_TIME, IRRADIANCE_WAVELENGTH, VARIABLES, label
+from hyperpaint.base.schema import IRRADIANCE_TIME, IRRADIANCE_WAVELENGTH, VARIABLES, label, require
 from hyperpaint.base.units import conversion_factor, convert
 
 from .asd import Spectrum, find_files, mask_undefined, read_spectra, sniff, utc_offsets
 from .irradiance_files import is_store, read_irradiance_csv, stored_series
-from .spectrum_files import Paths, check_utc_offset, listed
+from .spectrum_files import Paths, check_utc_offset, for_all, listed
 
-__all__ = ["open_irradiance"]
+__all__ = ["cut_irradiance", "open_irradiance"]
 
 Stamp = Literal["start", "mid", "end"]
 
 ASD_FWHM_NM = 3.0
 _ASD_FWHM_SOURCE = f"assumed: {ASD_FWHM_NM:g} nm, the resolution of ASD instruments at 700 nm"
 _GAP_INTERVALS = 2.5
+_MARGIN = np.timedelta64(60, "s")
 #: Pairs of samples with one stamp that a message names.
 _MOST_SHOWN = 20
 
@@ -218,14 +219,7 @@ def _from_files(
 
 
 def _from_csv(files: Sequence[Path], utc_offset_h: float | None, units: str | None) -> _Series:
-    problems = Problems("csv series cannot be used", FormatError)
-    tables = []
-    for path in files:
-        try:
-            tables.append(read_irradiance_csv(path))
-        except FormatError as error:
-            problems.add(str(error))
-    problems.raise_if_any()
+    tables = for_all(files, read_irradiance_csv)
     names = listed([table.name for table in tables])
     for what in ("units", "fwhm_nm", "wavelength"):
         if any(not np.array_equal(getattr(table, what), getattr(tables[0], what)) for table in tables):
@@ -442,4 +436,46 @@ def _check_magnitude(wavelength: Floats, values: Floats) -> None:
     raise UnitsError(
         f"the median irradiance of 400-1000 nm is {brightest:.3g} W m-2 nm-1, {direction}; are the values in "
         "other units (uW labelled as W?) or another quantity, such as counts? Pass units=, or convert them"
+    )
+
+
+def cut_irradiance(irradiance: xr.Dataset, time: npt.NDArray[np.datetime64]) -> xr.Dataset:
+    """Cut an irradiance record to a line +- 60 s, and at least to its bracketing samples.
+
+    irradiance: ``irradiance`` (irradiance_time, irradiance_wavelength), ``irradiance_fwhm``,
+        ``irradiance_max_gap`` and, where known, ``irradiance_clock_uncertainty``.
+    time: UTC of the lines, NaT allowed, (along_track,).
+    Returns xarray.Dataset: In memory, in the units of the table.
+    Raises SchemaError: Variables or units are missing.
+    Raises TimeError: Irradiance times do not increase, or no sample and no interval covers the line.
+    """
+    names = ["irradiance", "irradiance_fwhm", "irradiance_max_gap"]
+    if "irradiance_clock_uncertainty" in irradiance:
+        names.append("irradiance_clock_uncertainty")
+    variables = require(irradiance, names, "the irradiance of a flight line")
+    stamps = variables["irradiance"][IRRADIANCE_TIME].values.astype("datetime64[ns]")
+    if np.isnat(stamps).any() or (np.diff(stamps) <= np.timedelta64(0, "ns")).any():
+        raise TimeError("irradiance times repeat, run backwards or are missing; sort them and drop repeats")
+    flown = time[~np.isnat(time)]
+    if not flown.size or not stamps.size or stamps[-1] < flown.min() or stamps[0] > flown.max():
+        raise TimeError(
+            f"the irradiance record covers {_span(stamps) or 'nothing'}, the line was flown "
+            f"{_span(flown) or 'at unknown times'}; check utc_offset_h and clock_offset_s"
+        )
+    first, last = flown.min(), flown.max()
+    start = min(
+        np.searchsorted(stamps, first - _MARGIN), max(np.searchsorted(stamps, first, side="right") - 1, 0)
+    )
+    stop = max(np.searchsorted(stamps, last + _MARGIN, side="right"), np.searchsorted(stamps, last) + 1)
+    cut = xr.Dataset({name: label(array, name) for name, array in variables.items()})
+    cut = cut.isel({IRRADIANCE_TIME: slice(int(start), int(stop))}).load()
+    cut = cut.assign_coords({IRRADIANCE_TIME: cut[IRRADIANCE_TIME].astype("datetime64[ns]")})
+    shape = irradiance.attrs.get("irradiance_srf_shape", "gaussian")
+    return cut.drop_encoding().assign_attrs(irradiance_srf_shape=shape)
+
+
+def _span(times: npt.NDArray[np.datetime64]) -> str:
+    """Return from when to when times are; empty where there is none."""
+    return (
+        "{} to {} UTC".format(*np.datetime_as_string([times.min(), times.max()], "s")) if times.size else ""
     )

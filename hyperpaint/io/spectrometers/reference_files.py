@@ -36,25 +36,8 @@ def open_references(paths: Sequence[str | os.PathLike[str]]) -> list[xr.Dataset]
     datasets = [dataset for store in stores for dataset in _of_store(store)]
     if others:
         files = find_paths(others, _spectra_in, ".sig or .asd files, text exports, or a library")
-        datasets += _of_files(files)
+        datasets += _opened(files, "reflectance", references=True)
     return datasets
-
-
-def _of_files(files: Sequence[Path]) -> list[xr.Dataset]:
-    from hyperpaint.io.library import open_library
-
-    spectra = [path for path in files if _is_spectrum(path)]
-    problems = Problems("references cannot be opened", FormatError)
-    datasets = _opened(spectra, "reflectance", problems, apart=True)
-    datasets += _one_by_one(open_library, [path for path in files if path not in spectra], problems)
-    problems.raise_if_any()
-    return datasets
-
-
-def _is_spectrum(path: Path) -> bool:
-    from .asd import sniff
-
-    return path.suffix.lower() in (".sig", ".asd") or sniff(path) in ("binary", "text")
 
 
 def _of_store(path: Path) -> list[xr.Dataset]:
@@ -73,56 +56,54 @@ def _spectra_in(inside: list[Path]) -> list[Path]:
     return own or [path for path in inside if path.suffix.lower() in (".txt", ".tsv", ".csv")]
 
 
-def open_spectra(
-    files: Sequence[Path], quantity: str | None = None, *, apart: bool = False
-) -> list[xr.Dataset]:
+def open_spectra(files: Sequence[Path], quantity: str | None = None) -> list[xr.Dataset]:
     """Open files of field spectrometers, those of one instrument together.
 
     files: SVC ``.sig``, ASD binary or text exports, in any mixture.
     quantity: See `hyperpaint.open_svc` and `hyperpaint.open_asd`; by default what the files hold.
-    apart: Open files one by one where they differ in wavelengths.
     Raises FormatError: Files cannot be read, or are of no kind known; all are named.
     """
-    problems = Problems("references cannot be opened", FormatError)
-    datasets = _opened(files, quantity, problems, apart=apart)
-    problems.raise_if_any()
-    return datasets
+    return _opened(files, quantity, references=False)
 
 
-def _opened(
-    files: Sequence[Path], quantity: str | None, problems: Problems, *, apart: bool
-) -> list[xr.Dataset]:
-    """Open spectra as `open_spectra`; note what cannot be opened."""
+def _opened(files: Sequence[Path], quantity: str | None, *, references: bool) -> list[xr.Dataset]:
+    """Open spectra as `open_spectra`; references may differ in wavelengths, or be libraries."""
+    from hyperpaint.io.library import open_library
+
     from .asd import open_asd, sniff
     from .svc import open_svc
 
-    kinds: dict[Any, list[Path]] = {}
+    problems = Problems("references cannot be opened", FormatError)
+    files_by_opener: dict[Any, list[Path]] = {}
+    libraries: list[Path] = []
     for path in files:
-        if path.suffix.lower() == ".sig":
-            kinds.setdefault(open_svc, []).append(path)
+        suffix = path.suffix.lower()
+        if suffix == ".sig":
+            files_by_opener.setdefault(open_svc, []).append(path)
         elif sniff(path) in ("binary", "text"):
-            kinds.setdefault(open_asd, []).append(path)
+            files_by_opener.setdefault(open_asd, []).append(path)
+        elif references and suffix != ".asd":
+            libraries.append(path)
         else:
             problems.add(f"{path}: no file of a field spectrometer; expected .sig, .asd or a text export")
     datasets: list[xr.Dataset] = []
-    for opener, own in kinds.items():
-        try:
-            datasets.append(opener(own, quantity))
-        except PaintError as error:
-            if not apart or len(own) == 1:
-                problems.add(str(error))
-                continue
-            datasets += _one_by_one(opener, own, problems, quantity=quantity)
-    return datasets
 
-
-def _one_by_one(opener: Any, files: Sequence[Path], problems: Problems, **options: Any) -> list[xr.Dataset]:
-    datasets = []
-    for path in files:
+    def error_of(opener: Any, *arguments: Any) -> str:
         try:
-            datasets.append(opener(path, **options))
+            datasets.append(opener(*arguments))
         except PaintError as error:
-            problems.add(str(error))
+            return str(error)
+        return ""
+
+    errors: list[str] = []
+    for opener, own in files_by_opener.items():
+        error = error_of(opener, own, quantity)
+        one_by_one = error and references and len(own) > 1
+        errors += [error_of(opener, path, quantity) for path in own] if one_by_one else [error]
+    errors += [error_of(open_library, path) for path in libraries]
+    for error in filter(None, errors):
+        problems.add(error)
+    problems.raise_if_any()
     return datasets
 
 

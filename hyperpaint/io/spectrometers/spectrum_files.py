@@ -12,10 +12,15 @@ from typing import TypeVar
 import numpy as np
 import numpy.typing as npt
 
-from hyperpaint.base.errors import FormatError, Problems, TimeError
+from hyperpaint.base.errors import FormatError, Problem, Problems, TimeError
 from hyperpaint.io.files.reading import unique_names
 
-__all__ = ["Paths", "check_utc_offset", "find_paths", "for_all", "listed", "name_spectra", "same_grids"]
+__all__ = [
+    "QUANTITIES", "Paths", "check_utc_offset", "common_quantity", "find_paths", "for_all", "listed",
+    "name_spectra", "ratio", "require_one_grid", "same_grids",
+]  # fmt: skip
+
+QUANTITIES = ("counts", "radiance", "reflectance", "irradiance")
 
 Paths = str | os.PathLike[str] | Sequence[str | os.PathLike[str]]
 _T = TypeVar("_T")
@@ -81,6 +86,50 @@ def same_grids(
     for name, wavelength in grids:
         groups.setdefault(wavelength.tobytes(), (wavelength, []))[1].append(name)
     return list(groups.values())
+
+
+def require_one_grid(
+    grids: Iterable[tuple[str, npt.NDArray[np.float64]]], advice: Callable[[], str] = str
+) -> None:
+    """Refuse spectra on several sets of wavelengths; ``advice`` goes with the message.
+
+    Raises FormatError: There are several; each is listed with the names of its spectra.
+    """
+    groups = same_grids(grids)
+    if len(groups) > 1:
+        remarks = [", overlap kept" if np.any(np.diff(nm) <= 0.0) else "" for nm, _ in groups]
+        problems = [
+            Problem(f"{len(nm)} from {nm[0]:g} to {nm[-1]:g} nm{remark}: {', '.join(names)}")
+            for (nm, names), remark in zip(groups, remarks, strict=True)
+        ]
+        raise FormatError(
+            f"spectra differ in their wavelengths; open them apart{advice()}", problems=problems
+        )
+
+
+def common_quantity(quantities: Iterable[tuple[str | None, str]]) -> str:
+    """Return the quantity that all files hold.
+
+    quantities: Quantity, None where unknown, and name of each file.
+    Raises FormatError: One is unknown, or they differ; all are listed.
+    """
+    names_by_quantity: dict[str | None, list[str]] = {}
+    for quantity, name in quantities:
+        names_by_quantity.setdefault(quantity, []).append(name)
+    if len(names_by_quantity) > 1 or None in names_by_quantity:
+        problems = [Problem(f"{key or 'unknown'}: {', '.join(of)}") for key, of in names_by_quantity.items()]
+        raise FormatError("the quantity of the spectra is not clear; pass quantity=", problems=problems)
+    return next(str(quantity) for quantity in names_by_quantity)
+
+
+def ratio(
+    numerator: npt.NDArray[np.float64], denominator: npt.NDArray[np.float64]
+) -> npt.NDArray[np.float64]:
+    """Return the ratio, NaN where the denominator is zero or undefined."""
+    quotient = np.full(numerator.shape, np.nan)
+    with np.errstate(all="ignore"):  # damaged values; what is not finite is reported later
+        np.divide(numerator, denominator, out=quotient, where=denominator != 0.0)
+    return quotient
 
 
 def name_spectra(sources: Sequence[tuple[Path, str]]) -> list[str]:

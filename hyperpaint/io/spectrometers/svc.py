@@ -15,7 +15,17 @@ from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import FormatError, Problems, SchemaError
 from hyperpaint.base.schema import label
 
-from .spectrum_files import Paths, check_utc_offset, find_paths, for_all, same_grids
+from .spectrum_files import (
+    QUANTITIES,
+    Paths,
+    check_utc_offset,
+    common_quantity,
+    find_paths,
+    for_all,
+    ratio,
+    require_one_grid,
+    same_grids,
+)
 from .svc_coords import (
     SCANS,
     SvcMeasurement,
@@ -23,7 +33,6 @@ from .svc_coords import (
     coords_of_files,
     coords_of_places,
     coords_of_times,
-    defined,
     warn_of,
 )
 from .svc_layout import SvcFile, detectors_of, items, overlap_of, read_svc
@@ -36,7 +45,6 @@ Overlap = Literal["keep", "trim"]
 SVC_JOINS = (990.0, 1900.0)
 """Where the vendor's software ends a detector unless told otherwise [nm]."""
 
-QUANTITIES = ("counts", "radiance", "reflectance", "irradiance")
 _SCALE = {"radiance": 1e-6, "irradiance": 1e-6, "counts": 1.0}  # files count in 1e-10 W cm-2 [sr-1] nm-1
 
 
@@ -134,8 +142,10 @@ def open_svc(
         return _measurement(*both, wanted, side, joins, trim=overlap == "trim")
 
     measured = for_all(zip(contents, files, strict=True), measure)
-    _require_one_grid(measured)
-    values = np.stack([defined(one.values) for one in measured])
+    require_one_grid(
+        ((one.file.name, one.wavelength) for one in measured), lambda: _joins_that_help(measured)
+    )
+    values = np.stack([np.where(np.isfinite(one.values), one.values, np.nan) for one in measured])
     warn_of(
         "samples that are undefined (not finite) become NaN",
         [one.file.name for one, row in zip(measured, values, strict=True) if np.isnan(row).any()],
@@ -179,16 +189,15 @@ def _check_arguments(
 
 def _common_quantity(contents: Sequence[SvcFile], side: int) -> str:
     """Return what the files hold: of targets, reflectance, where both scans are in radiance."""
-    names_by_quantity: dict[str, list[str]] = {}
-    for file in contents:
-        reflects = side == 1 and file.units == ("radiance", "radiance") and file.has_reference
-        names_by_quantity.setdefault("reflectance" if reflects else file.units[side], []).append(file.name)
-    if len(names_by_quantity) > 1:
-        problems = Problems("the files differ in what they hold; pass quantity=", FormatError)
-        for key, names in names_by_quantity.items():
-            problems.add(f"{key}: {', '.join(names)}")
-        problems.raise_if_any()
-    return next(iter(names_by_quantity))
+    return common_quantity(
+        (
+            "reflectance"
+            if side == 1 and file.units == ("radiance", "radiance") and file.has_reference
+            else file.units[side],
+            file.name,
+        )
+        for file in contents
+    )
 
 
 def _measurement(
@@ -235,10 +244,7 @@ def _reflectance(file: SvcFile) -> Floats:
         )
     if reason:
         raise FormatError(f"{file.name}: {reason}")
-    ratio = np.full(len(file.target), np.nan)
-    with np.errstate(all="ignore"):  # damaged values; what is not finite is reported later
-        np.divide(file.target, file.reference, out=ratio, where=file.reference != 0.0)
-    return ratio
+    return ratio(file.target, file.reference)
 
 
 def _handovers(file: SvcFile, joins: tuple[float, float] | None) -> tuple[float, ...]:
@@ -265,19 +271,6 @@ def _trimmed(file: SvcFile, handovers: Sequence[float]) -> npt.NDArray[np.bool_]
         used[:start] &= file.wavelength[:start] <= join
         used[start:] &= file.wavelength[start:] > join
     return used
-
-
-def _require_one_grid(measured: Sequence[SvcMeasurement]) -> None:
-    groups = same_grids((one.file.name, one.wavelength) for one in measured)
-    if len(groups) == 1:
-        return
-    problems = Problems(
-        f"the files differ in their wavelengths; open them apart{_joins_that_help(measured)}", FormatError
-    )
-    for nm, names in groups:
-        remark = ", overlap kept" if np.any(np.diff(nm) <= 0.0) else ""
-        problems.add(f"{len(nm)} from {nm[0]:g} to {nm[-1]:g} nm{remark}: {', '.join(names)}")
-    problems.raise_if_any()
 
 
 def _joins_that_help(measured: Sequence[SvcMeasurement]) -> str:

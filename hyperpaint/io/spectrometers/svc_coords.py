@@ -24,7 +24,7 @@ from .svc_layout import DETECTORS, SvcFile, SvcOverlap, error_bits, pair, positi
 
 __all__ = [
     "SCANS", "SvcMeasurement", "coords_of_channels", "coords_of_files", "coords_of_places", "coords_of_times",
-    "defined", "orders_of", "read_gps_time", "read_stamp", "utc_of", "warn_of",
+    "orders_of", "read_gps_time", "read_stamp", "utc_of", "warn_of",
 ]  # fmt: skip
 
 SCANS = ("reference", "target")
@@ -53,11 +53,6 @@ class SvcMeasurement:
         if self.trimmed_at:
             return f"trimmed @ {', '.join(f'{join:g}' for join in self.trimmed_at)} nm"
         return self.overlap.text
-
-
-def defined(values: Floats) -> Floats:
-    """Return the values with NaN for what is not finite."""
-    return np.where(np.isfinite(values), values, np.nan)
 
 
 def coords_of_channels(measured: Sequence[SvcMeasurement]) -> dict[str, Any]:

@@ -36,19 +36,9 @@ _MAGIC = re.compile(rb"(?:\xef\xbb\xbf)?\s*/\*+[^\r\n]{0,80}Spectra Vista", re.I
 _NUMBER = re.compile(r"[-+]?(?:\d+(?:[.,]\d*)?|[.,]\d+)(?:[eE][-+]?\d{1,5})?", re.ASCII)
 # what Windows writes where a ratio does not exist
 _NO_NUMBERS = {
-    "nan": math.nan,
-    "-nan": math.nan,
-    "n.def.": math.nan,
-    "1.#qnan": math.nan,
-    "-1.#ind": math.nan,
-    "infinity": math.inf,
-    "-infinity": -math.inf,
-    "+unendlich": math.inf,
-    "-unendlich": -math.inf,
-    "\N{INFINITY}": math.inf,
-    "-\N{INFINITY}": -math.inf,
-    "1.#inf": math.inf,
-    "-1.#inf": -math.inf,
+    **dict.fromkeys(("nan", "-nan", "n.def.", "1.#qnan", "-1.#ind"), math.nan),
+    **dict.fromkeys(("infinity", "+unendlich", "\N{INFINITY}", "1.#inf"), math.inf),
+    **dict.fromkeys(("-infinity", "-unendlich", "-\N{INFINITY}", "-1.#inf"), -math.inf),
 }
 _CHANNELS = re.compile(r"HR-(\d{3,4})(?!\d)")
 

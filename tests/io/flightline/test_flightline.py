@@ -17,7 +17,7 @@ from hyperpaint.io.envi.envi_array import EnviArray
 from hyperpaint.io.flightline.calibration_store import open_calibration
 from hyperpaint.io.flightline.flightline_opening import open_flightline
 from hyperpaint.io.navigation.navigation_records import read_imu_gps
-from hyperpaint.io.spectrometers.irradiance_cut import cut_irradiance
+from hyperpaint.io.spectrometers.irradiance import cut_irradiance
 
 LINES, BANDS, COLUMNS = 70, 3, 4
 T0 = np.datetime64("2021-07-23T12:00:00", "ns")
