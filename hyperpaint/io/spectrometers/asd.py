@@ -19,7 +19,6 @@ from hyperpaint.base.errors import FormatError, PaintWarning, SchemaError, TimeE
 from hyperpaint.base.schema import VARIABLES, label
 
 from .asd_binary import AsdCalibration, AsdFile, AsdGps, is_asd, read_asd
-from .asd_calibration import CALIBRATION_KEYS, derive_quantity, panel_of
 from .asd_text import AsdText, is_asd_text, read_asd_text
 from .irradiance_files import is_irradiance_csv
 from .spectrum_files import (
@@ -31,6 +30,7 @@ from .spectrum_files import (
     for_all,
     listed,
     name_spectra,
+    ratio,
     require_one_grid,
 )
 
@@ -42,6 +42,10 @@ __all__ = [
 Kind = Literal["binary", "text", "csv", "unknown"]
 
 _QUANTITY_OF_DATA_TYPE = {"raw": "counts", **{name: name for name in QUANTITIES[1:]}}
+_CALIBRATION_KEYS = {"lamp": "LMP", "fore_optic": "FO", "panel": "BSE", "absolute": "ABS"}
+"""What users call the files of an instrument's calibration, and the kind of block each replaces."""
+
+_NEEDED_BLOCKS = {"irradiance": ("LMP", "FO"), "radiance": ("LMP", "FO", "BSE")}
 _HEAD_BYTES = 16 * 1024
 _TEXT_SUFFIXES = (".txt", ".tsv", ".csv")
 
@@ -291,13 +295,13 @@ def _spectra_of(
     content: AsdFile | AsdText, quantity: str, external: Mapping[str, AsdFile], absolute: bool
 ) -> list[Spectrum]:
     if isinstance(content, AsdFile):
-        wavelength, values, saturated = derive_quantity(content, quantity, external, absolute=absolute)
+        wavelength, values, saturated = _derived(content, quantity, external, absolute=absolute)
         return [
             Spectrum(
                 content.name, wavelength, values, content.local_time, content.utc_offset_h,
                 averaging_s=content.integration_ms * 1e-3 * max(content.sample_averages, 1),
                 dark_utc=content.dark_utc, gps=content.gps, saturated=saturated,
-                panel=panel_of(content, external) if absolute else "",
+                panel=_panel_of(content, external) if absolute else "",
             )
         ]  # fmt: skip
     if absolute:
@@ -318,11 +322,11 @@ def _spectra_of(
 
 
 def _external_calibration(calibration: Mapping[str, str | os.PathLike[str]]) -> dict[str, AsdFile]:
-    unknown = sorted(set(calibration) - set(CALIBRATION_KEYS))
+    unknown = sorted(set(calibration) - set(_CALIBRATION_KEYS))
     if unknown:
-        raise SchemaError(f"calibration keys {unknown}: expected some of {', '.join(CALIBRATION_KEYS)}")
+        raise SchemaError(f"calibration keys {unknown}: expected some of {', '.join(_CALIBRATION_KEYS)}")
     read = for_all(calibration.values(), read_asd)
-    return {CALIBRATION_KEYS[key]: file for key, file in zip(calibration, read, strict=True)}
+    return {_CALIBRATION_KEYS[key]: file for key, file in zip(calibration, read, strict=True)}
 
 
 def _warn_of_dark(contents: Sequence[AsdFile | AsdText], quantity: str) -> None:
@@ -404,3 +408,87 @@ def _offset_hint(spectrum: Spectrum) -> str:
 
 def _warn(message: str) -> None:
     warnings.warn(message, PaintWarning, stacklevel=2)
+
+
+# --- from counts to quantities -----------------------------------------------------------------------------
+
+
+def _derived(
+    file: AsdFile, quantity: str, external: Mapping[str, AsdFile], *, absolute: bool = False
+) -> tuple[Floats, Floats, npt.NDArray[np.bool_]]:
+    """Return the wavelengths, the values in ``quantity``, and where the detector was saturated.
+
+    See the notes of `open_asd` for the formulas; ``external`` holds calibration files by kind, which win
+    over the blocks in the file. ``absolute`` multiplies reflectance by that of the white panel.
+
+    Raises FormatError: The reference or calibration blocks that the quantity needs are missing.
+    """
+    wavelength, values = file.wavelength, file.spectrum
+    if quantity == "reflectance":
+        if file.reference is None:
+            raise FormatError(
+                f"{file.name}: no white reference in the file, so no reflectance; "
+                "pass quantity='counts', or give files saved after the white reference was taken"
+            )
+        values = ratio(file.spectrum, file.reference)
+        if absolute:
+            with np.errstate(all="ignore"):
+                values = values * _needed_blocks(file, ("ABS",), "absolute reflectance", external)["ABS"][0]
+    elif quantity in _NEEDED_BLOCKS:
+        with np.errstate(all="ignore"):  # damaged values; what is not finite is reported later
+            values = file.spectrum * _responsivity(file, quantity, external)
+        vnir = wavelength <= _splices(file)[0]
+        return wavelength[vnir], values[vnir], _saturated(file)[vnir]
+    return wavelength, values, _saturated(file)
+
+
+def _panel_of(file: AsdFile, external: Mapping[str, AsdFile]) -> str:
+    """Return the name of the panel whose reflectance makes that of the file absolute; empty without one."""
+    if "ABS" in external:
+        return external["ABS"].name
+    return file.calibrations["ABS"].name if "ABS" in file.calibrations else ""
+
+
+def _needed_blocks(
+    file: AsdFile, kinds: tuple[str, ...], purpose: str, external: Mapping[str, AsdFile]
+) -> dict[str, tuple[Floats, float]]:
+    """Return values and integration time [ms] of the calibration blocks of some kinds."""
+    blocks = {kind: (block.values, block.integration_ms) for kind, block in file.calibrations.items()}
+    for kind, other in external.items():
+        if kind in kinds and not np.array_equal(other.wavelength, file.wavelength):
+            raise FormatError(f"{file.name}: its wavelengths are not those of calibration file {other.name}")
+        blocks[kind] = (other.spectrum, other.integration_ms)
+    missing = [kind for kind in kinds if kind not in blocks]
+    if missing:
+        keys = [key for key, kind in _CALIBRATION_KEYS.items() if kind in missing]
+        raise FormatError(
+            f"{file.name}: no calibration block {' and '.join(missing)} in the file, so no {purpose}; pass "
+            f"calibration={{{', '.join(f'{key!r}: path' for key in keys)}}} with the instrument's files "
+            "(.ill, .raw, .ref), or export the spectra as text with the vendor's software"
+        )
+    return blocks
+
+
+def _responsivity(file: AsdFile, quantity: str, external: Mapping[str, AsdFile]) -> Floats:
+    """Return irradiance or radiance per count (wavelength)."""
+    blocks = _needed_blocks(file, _NEEDED_BLOCKS[quantity], quantity, external)
+    lamp_counts, lamp_ms = blocks["FO"]
+    if file.integration_ms <= 0 or lamp_ms <= 0:
+        raise FormatError(
+            f"{file.name}: integration time {file.integration_ms:g} ms, that of the calibration "
+            f"{lamp_ms:g} ms; expected positive numbers"
+        )
+    per_count = ratio(blocks["LMP"][0], lamp_counts) * (lamp_ms / file.integration_ms)
+    return per_count * blocks["BSE"][0] / np.pi if quantity == "radiance" else per_count
+
+
+def _splices(file: AsdFile) -> list[float]:
+    """Return the last wavelengths of VNIR and SWIR 1, infinite where there is no further detector."""
+    return [splice if splice > 0 else np.inf for splice in file.splices]
+
+
+def _saturated(file: AsdFile) -> npt.NDArray[np.bool_]:
+    first, second = _splices(file)
+    detector = np.searchsorted([first, max(first, second)], file.wavelength)
+    flags = np.array([name in file.saturated for name in ("VNIR", "SWIR1", "SWIR2")])
+    return flags[detector]
