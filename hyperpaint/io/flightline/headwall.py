@@ -82,34 +82,40 @@ def read_table(path: str | Path, what: str, *, needs: Sequence[str]) -> Table:
         raise FormatError(
             f"{path}: a {what} starts with a header that names {list(needs)} once, found {lines[0][:120]!r}"
         )
-    cells: list[list[str]] = []
-    rows: list[int] = []
-    wrong: list[int] = []
+    rows: list[tuple[int, list[str]]] = []
     for number, line in enumerate(lines[1:], start=2):
         if not line.strip():
             continue
         row = line.split(separator, -1 if separator else len(names) - 1)
         while len(row) > len(names) and not row[-1].strip():
             row.pop()  # a tab at the end of the line
-        if len(row) == len(names):
-            cells.append(row)
-            rows.append(number)
-        else:
-            wrong.append(number)
+        rows.append((number, row))
+    return table_of(path, names, rows)
+
+
+def table_of(path: Path, names: Sequence[str], rows: Sequence[tuple[int, list[str]]]) -> Table:
+    """Return cells under the names of their columns.
+
+    ``rows``: line number and cells of each.
+
+    Raises `FormatError`: There are no rows, or some have another number of cells than there are names.
+    """
+    wrong = [number for number, cells in rows if len(cells) != len(names)]
     if wrong:
         raise FormatError(f"{path}: {name_rows(wrong)} without {len(names)} cells; mend or delete")
-    if not cells:
-        raise FormatError(f"{path}: a header without rows")
-    columns = [list(column) for column in zip(*cells, strict=True)]
-    return Table(path.name, np.array(rows, np.int64), dict(zip(names, columns, strict=True)))
+    if not rows:
+        raise FormatError(f"{path}: no rows of {', '.join(names)[:80]}")
+    columns = map(list, zip(*(cells for _, cells in rows), strict=True))
+    numbers = np.array([number for number, _ in rows], np.int64)
+    return Table(path.name, numbers, dict(zip(names, columns, strict=True)))
 
 
-def name_rows(rows: Sequence[int] | NDArray[np.int64]) -> str:
-    """Return ``"line 7"`` or ``"lines 7, 9, 11 ... (40 in all)"`` for a message."""
-    shown = ", ".join(str(int(row)) for row in rows[:5])
+def name_rows(rows: Sequence[int] | NDArray[np.int64], row: str = "line") -> str:
+    """Return ``"line 7"`` or ``"lines 7, 9, 11 ... (40 in all)"`` for a message; ``row``: what a row is."""
+    shown = ", ".join(str(int(number)) for number in rows[:5])
     if len(rows) == 1:
-        return f"line {shown}"
-    return f"lines {shown}" + (f" ... ({len(rows)} in all)" if len(rows) > 5 else "")
+        return f"{row} {shown}"
+    return f"{row}s {shown}" + (f" ... ({len(rows)} in all)" if len(rows) > 5 else "")
 
 
 def to_integers(table: Table, name: str) -> NDArray[np.int64]:

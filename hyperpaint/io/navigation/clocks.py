@@ -6,7 +6,7 @@ Offsets and leap seconds are data: nothing is corrected that the caller did not 
 from __future__ import annotations
 
 import warnings
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
 
@@ -19,8 +19,9 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 __all__ = [
-    "LEAP_SECONDS", "LEAP_SECONDS_EXPIRY", "NAT", "NS_PER_S", "Clock", "ClockCorrection", "bracket",
-    "gps_to_utc", "overlap", "tie_clock",
+    "GPS_EPOCH", "LEAP_SECONDS", "LEAP_SECONDS_EXPIRY", "NAT", "NS_PER_S", "WEEK_S", "Clock",
+    "ClockCorrection", "bracket", "gps_to_utc", "instants", "nanoseconds", "overlap", "refuse_backwards",
+    "tie_clock", "unwrap_weeks",
 ]  # fmt: skip
 
 LEAP_SECONDS: Mapping[str, int] = {
@@ -38,6 +39,9 @@ NAT = np.iinfo(np.int64).min
 """NaT of a datetime64 as an integer."""
 
 NS_PER_S = 1_000_000_000
+WEEK_S = 604_800
+GPS_EPOCH: int = np.datetime64("1980-01-06", "ns").astype(np.int64).item()
+"""Nanoseconds from 1970 to the beginning of GPS time, on its own clock."""
 _NS_PER_US = 1000
 _MAX_OFFSET_S = 1e9
 _DAY = 86_400_000_000  # us
@@ -75,6 +79,50 @@ def gps_to_utc(gps: NDArray[np.int64], leap_seconds: int | None = None) -> NDArr
         )
     utc: NDArray[np.int64] = gps - offsets[place] * NS_PER_S
     return utc
+
+
+def nanoseconds(seconds: NDArray[np.float64]) -> NDArray[np.int64]:
+    """Return seconds, finite and below 1e10, as whole nanoseconds; the whole part keeps every digit."""
+    whole = np.floor(seconds)
+    whole_ns: NDArray[np.int64] = whole.astype(np.int64) * NS_PER_S
+    return whole_ns + np.round((seconds - whole) * NS_PER_S).astype(np.int64)
+
+
+def unwrap_weeks(stamp: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Return nanoseconds of the week that count on where the seconds begin anew at the end of a week."""
+    back = np.diff(stamp) < -(WEEK_S // 2) * NS_PER_S
+    weeks = np.concatenate([np.zeros(1, np.int64), np.cumsum(back, dtype=np.int64)])
+    unwrapped: NDArray[np.int64] = stamp + weeks * (WEEK_S * NS_PER_S)
+    return unwrapped
+
+
+def instants(texts: Sequence[str]) -> NDArray[np.datetime64]:
+    """Return texts like ``2024-06-01T12:00:00.5`` as times [ns]; NaT for what the calendar does not have."""
+    try:
+        return np.array(texts, "datetime64[ns]")
+    except ValueError:  # the 31st of a shorter month, the 25th hour
+        return np.array([_instant(text) for text in texts])
+
+
+def _instant(text: str) -> np.datetime64:
+    try:
+        return np.datetime64(text, "ns")
+    except ValueError:
+        return np.datetime64("NaT", "ns")
+
+
+def refuse_backwards(
+    name: str, stamp: NDArray[np.int64], rows: NDArray[np.int64] | None = None, row: str = "line"
+) -> None:
+    """Refuse a record whose time runs backwards.
+
+    rows: Numbers of its rows in the file, by default from 1 on; row: what a row is called in messages.
+    Raises TimeError: It does; the rows are named.
+    """
+    wrong = np.flatnonzero(np.diff(stamp) < 0) + 1
+    if wrong.size:
+        numbers = wrong + 1 if rows is None else rows[wrong]
+        raise TimeError(f"{name}: time runs backwards in {name_rows(numbers, row)}; delete or re-order them")
 
 
 @dataclass(frozen=True)
@@ -146,9 +194,7 @@ def tie_clock(
 ) -> Clock:  # fmt: skip
     """Make a clock of rows, after checking that its stamps and UTC run together."""
     check_increasing(stamp, rows, source)
-    backwards = rows[1:][np.diff(utc) < 0]
-    if backwards.size:
-        raise TimeError(f"{source}: UTC runs backwards in {name_rows(backwards)}; delete or re-order them")
+    refuse_backwards(f"{source}, UTC", utc, rows)
     # a receiver slower than the log repeats its time: a new value counts from its first row
     first = np.concatenate([[True], np.diff(utc) > 0])
     stamp, utc, rows = stamp[first], utc[first], rows[first]

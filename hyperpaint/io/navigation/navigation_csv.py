@@ -13,19 +13,10 @@ import numpy as np
 from hyperpaint.base.attitude_conventions import Convention
 from hyperpaint.base.errors import FormatError, Problems, SchemaError, UnitsError
 from hyperpaint.base.units import conversion_factor
-from hyperpaint.io.flightline.headwall import Table, name_rows, read_text
+from hyperpaint.io.flightline.headwall import Table, name_rows, read_text, table_of
 
-from .navigation_records import limited_numbers
-from .pose_records import (
-    GPS_EPOCH,
-    POSE,
-    WEEK_S,
-    PoseRecord,
-    check_poses,
-    check_time_order,
-    nanoseconds,
-    unwrap_weeks,
-)
+from .clocks import GPS_EPOCH, NS_PER_S, WEEK_S, instants, nanoseconds, refuse_backwards, unwrap_weeks
+from .navigation_records import POSE, PoseRecord, check_poses, limited_numbers
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -115,7 +106,7 @@ def read_navigation_csv(path: str | Path) -> PoseRecord:
     timed_stamps = stamp[has_time]
     if clock == "week":
         timed_stamps = unwrap_weeks(timed_stamps)
-    check_time_order(path.name, timed_stamps, "row")
+    refuse_backwards(path.name, timed_stamps, row="row")
     left_out = int((~has_time).sum())
     return PoseRecord(
         path.name, "csv", timed_stamps, "week" if clock == "week" else "1970",
@@ -150,26 +141,12 @@ def _split(path: Path) -> tuple[dict[str, str], list[_Column], Table]:
         raise FormatError(
             f"{path}: expected a header that names {', '.join(POSE)} and a time, found {head.strip()[:80]!r}"
         )
-    rows: list[int] = []
-    rows_of_cells: list[list[str]] = []
-    wrong: list[int] = []
-    for number, line in enumerate(lines[start + 1 :], start=start + 2):
-        if not line.strip() or line.lstrip().startswith("#"):
-            continue
-        row = line.split(separator, len(header))
-        if len(row) != len(header):
-            wrong.append(number)
-            continue
-        rows.append(number)
-        rows_of_cells.append(row)
-    if wrong or not rows_of_cells:
-        what = f"{name_rows(wrong)} without {len(header)} cells; mend or delete" if wrong else "no rows"
-        raise FormatError(f"{path}: {what}")
-    columns = {
-        column.shown: list(cells)
-        for column, cells in zip(header, zip(*rows_of_cells, strict=True), strict=True)
-    }
-    return comments, header, Table(path.name, np.array(rows, np.int64), columns)
+    rows = [
+        (number, line.split(separator, len(header)))
+        for number, line in enumerate(lines[start + 1 :], start=start + 2)
+        if line.strip() and not line.lstrip().startswith("#")
+    ]
+    return comments, header, table_of(path, [column.shown for column in header], rows)
 
 
 def _plain(text: str) -> str:
@@ -355,13 +332,6 @@ def _iso(
             zone = match[8].replace(":", "")
             minutes = int(zone[1:3]) * 60 + int(zone[3:5])
             shifts[place] = (-minutes if zone[0] == "-" else minutes) * 60
-    try:
-        stamps_ns = np.array(texts, "datetime64[ns]").astype(np.int64)
-    except ValueError:  # the 31st of a shorter month, the 25th hour
-        stamps_ns = np.zeros(len(cells), np.int64)
-        for place, text in enumerate(texts):
-            try:
-                stamps_ns[place] = np.datetime64(text, "ns").astype(np.int64)
-            except ValueError:
-                bad[place] = True
-    return stamps_ns - shifts * 1_000_000_000, rows[bad]
+    stamps = instants(texts)
+    bad |= np.isnat(stamps)
+    return stamps.astype(np.int64) - shifts * NS_PER_S, rows[bad]

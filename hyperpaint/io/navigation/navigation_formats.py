@@ -27,19 +27,10 @@ from hyperpaint.base.attitude_conventions import Convention
 from hyperpaint.base.errors import FormatError, Problems
 from hyperpaint.io.envi.envi_cubes import find_pair
 from hyperpaint.io.envi.envi_header import EnviHeader, read_header
-from hyperpaint.io.flightline.headwall import Table, name_rows, read_text
+from hyperpaint.io.flightline.headwall import Table, name_rows, read_text, table_of
 
-from .navigation_records import LIMITS, limited_numbers
-from .pose_records import (
-    GPS_EPOCH,
-    WEEK_S,
-    PoseRecord,
-    check_poses,
-    check_seconds,
-    check_time_order,
-    nanoseconds,
-    unwrap_weeks,
-)
+from .clocks import GPS_EPOCH, NS_PER_S, WEEK_S, nanoseconds, refuse_backwards, unwrap_weeks
+from .navigation_records import LIMITS, PoseRecord, check_poses, check_seconds, limited_numbers
 
 __all__ = ["is_eph_att", "read_eph_att", "read_lcf", "read_sbet"]
 
@@ -83,7 +74,7 @@ def read_sbet(path: str | Path) -> PoseRecord:
     check_poses(values, "radian", problems, "record")
     problems.raise_if_any()
     stamp = unwrap_weeks(nanoseconds(records["time"]))
-    check_time_order(path.name, stamp, "record")
+    refuse_backwards(path.name, stamp, row="record")
     others = {
         name: (records[name].astype(np.float64), {"units": "radian", "long_name": meaning})
         for name, meaning in _SBET_OTHERS.items()
@@ -144,7 +135,7 @@ def read_lcf(path: str | Path) -> PoseRecord:
     problems.raise_if_any()
     weekly = bool((seconds <= 2.0 * WEEK_S).all())
     stamp = unwrap_weeks(nanoseconds(seconds)) if weekly else nanoseconds(seconds) + GPS_EPOCH
-    check_time_order(path.name, stamp, "row")
+    refuse_backwards(path.name, stamp, row="row")
     return PoseRecord(
         path.name, "Resonon lcf", stamp, "week" if weekly else "1970", values, _LCF_CONVENTION,
         assumed=("euler_order",),
@@ -163,26 +154,12 @@ def _lcf_time_problem(seconds: np.ndarray[tuple[int], np.dtype[np.float64]], tab
 
 
 def _lcf_table(path: Path) -> Table:
-    rows: list[int] = []
-    cells: list[list[str]] = []
-    wrong: list[int] = []
-    for number, line in enumerate(read_text(path, _MAX_LCF_BYTES).split("\n"), start=1):
-        if not line.strip():
-            continue
-        row = line.replace(",", " ").split(None, _MAX_LCF_CELLS)
-        if len(row) < len(_LCF_COLUMNS) or (cells and len(row) != len(cells[0])) or len(row) > _MAX_LCF_CELLS:
-            wrong.append(number)
-            continue
-        rows.append(number)
-        cells.append(row)
-    if wrong or not cells:
-        said = f"{name_rows(wrong)} without them" if wrong else "no rows"
-        raise FormatError(
-            f"{path}: expected at least {len(_LCF_COLUMNS)} columns ({', '.join(_LCF_COLUMNS)}), found {said}"
-        )
-    columns = list(zip(*cells, strict=True))
-    named = {name: list(columns[place]) for place, name in enumerate(_LCF_COLUMNS)}
-    return Table(path.name, np.array(rows, np.int64), named)
+    lines = enumerate(read_text(path, _MAX_LCF_BYTES).split("\n"), start=1)
+    rows = [
+        (number, line.replace(",", " ").split(None, _MAX_LCF_CELLS)) for number, line in lines if line.strip()
+    ]
+    width = min(len(rows[0][1]), _MAX_LCF_CELLS) if rows else 0
+    return table_of(path, [*_LCF_COLUMNS, *map(str, range(len(_LCF_COLUMNS), width))], rows)
 
 
 _EPH_ATT_BANDS = {
@@ -228,7 +205,7 @@ def read_eph_att(path: str | Path) -> PoseRecord:
     check_poses(values, "degree", problems, "row")
     problems.raise_if_any()
     stamp = unwrap_weeks(nanoseconds(seconds))
-    check_time_order(data_path.name, stamp, "row")
+    refuse_backwards(data_path.name, stamp, row="row")
     return PoseRecord(
         data_path.name, "AVIRIS-NG eph_att", stamp, "week", values, Convention(),
         assumed=("roll_positive", "pitch_positive", "euler_order", "height_reference"),
@@ -263,6 +240,6 @@ def _week_of_name(name: str, first: int) -> int | None:
         started = int(np.datetime64(text, "ns").astype(np.int64)) - GPS_EPOCH
     except ValueError:
         return None
-    week = round((started - first) / (WEEK_S * 1_000_000_000))
-    late = abs(started - first - week * WEEK_S * 1_000_000_000)
-    return week if week >= 0 and late < _MAX_START_DIFFERENCE_S * 1_000_000_000 and day[:4] < "2199" else None
+    week = round((started - first) / (WEEK_S * NS_PER_S))
+    late = abs(started - first - week * WEEK_S * NS_PER_S)
+    return week if week >= 0 and late < _MAX_START_DIFFERENCE_S * NS_PER_S and day[:4] < "2199" else None

@@ -5,16 +5,19 @@ from __future__ import annotations
 import datetime
 import itertools
 import os
+import re
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, get_args
 
 import numpy as np
 
 from hyperpaint.base.attitude_conventions import Convention
-from hyperpaint.base.errors import Findings, FormatError, SchemaError, TimeError
+from hyperpaint.base.errors import Findings, FormatError, Problems, SchemaError, TimeError
 
-from .pose_records import POSE, PoseRecord, TimeSource, utc_of_record
+from .clocks import GPS_EPOCH, NS_PER_S, WEEK_S, ClockCorrection, refuse_backwards
+from .navigation_records import ASSUMED, POSE, Navigation, PoseRecord, read_gps_time, read_imu_gps
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -27,6 +30,10 @@ NavigationFormat = Literal["imu_gps", "sbet", "lcf", "eph_att", "csv"]
 Paths = str | os.PathLike[str] | Sequence[str | os.PathLike[str]]
 
 _HEAD = 4096
+_DATE = re.compile(r"[0-9]{4}-[0-9]{2}-[0-9]{2}")
+_DAY_NS = 86_400 * NS_PER_S
+_LAST_WEEK = 11_479
+"""Of the year 2199: nanoseconds overflow in the 23rd century."""
 _MEANINGS = {
     "latitude": "Latitude of the navigation's reference point, north positive",
     "longitude": "Longitude of the navigation's reference point, east positive",
@@ -139,7 +146,9 @@ def open_navigation(
     findings = Findings("the navigation cannot be used")
     for path in files:
         with findings.step():
-            record = _read(path, format or navigation_format(path), source, gps_time)
+            kind = format or navigation_format(path)
+            own_clock = None if gps_time is None else Path(gps_time)
+            record = _headwall(path, source, own_clock) if kind == "imu_gps" else read_record(path, kind)
             parts.append((record, *utc_of_record(record, source)))
     findings.raise_if_any()
     parts.sort(key=lambda part: int(part[1][0]))
@@ -196,12 +205,6 @@ def navigation_format(path: str | Path) -> NavigationFormat:
 # --- one file ----------------------------------------------------------------------------------------------
 
 
-def _read(path: Path, format: NavigationFormat, source: TimeSource, gps_time: Any) -> PoseRecord:
-    if format == "imu_gps":
-        return _headwall(path, source, None if gps_time is None else Path(gps_time))
-    return read_record(path, format)
-
-
 def read_record(path: Path, format: NavigationFormat) -> PoseRecord:
     """Read a file of any format but ``imu_gps``, its stamps as they are.
 
@@ -218,8 +221,6 @@ def read_record(path: Path, format: NavigationFormat) -> PoseRecord:
 
 def _headwall(path: Path, source: TimeSource, gps_time: Path | None) -> PoseRecord:
     """Read ``imu_gps.txt``; its stamps stay as they are, for `utc_of_record` to correct."""
-    from .navigation_records import ASSUMED, Navigation, read_gps_time, read_imu_gps
-
     record: Navigation = read_imu_gps(path)
     own_clock = record.utc is None
     if own_clock and gps_time is not None:
@@ -231,15 +232,119 @@ def _headwall(path: Path, source: TimeSource, gps_time: Path | None) -> PoseReco
             f"{path.name} holds no date; give gps_time= (gps_time.txt of the same flight), or date= and "
             "clock_offset_s= (UTC = the computer's clock + clock_offset_s)"
         )
-    wrong = record.rows[1:][np.diff(record.utc) < 0]
-    if wrong.size:
-        from hyperpaint.io.flightline.headwall import name_rows
-
-        raise TimeError(f"{path.name}: UTC runs backwards in {name_rows(wrong)}; delete or re-order them")
+    refuse_backwards(path.name, record.utc, record.rows)
     return PoseRecord(
         path.name, "Headwall imu_gps", record.utc, "1970", record.values, Convention(), assumed=ASSUMED,
         time_scale="utc",
     )  # fmt: skip
+
+
+# --- its stamps as UTC -------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class TimeSource:
+    """What the caller says of the clock of a navigation record; see `open_navigation`."""
+
+    week: int | None = None
+    date: str | datetime.date | None = None
+    leap_seconds: int | None = None
+    time_scale: Literal["gps", "utc"] | None = None
+    clock_offset_s: float | None = None
+
+    def check(self) -> None:
+        """Raise one error that lists what cannot be.
+
+        Raises TimeError: A week, date, number of leap seconds, time scale or offset that does not exist.
+        """
+        problems = Problems("the clock of the navigation cannot be as described", TimeError)
+        week, leap = self.week, self.leap_seconds
+        if week is not None and not (_is_whole(week) and 0 <= week <= _LAST_WEEK):
+            problems.add(f"week {week!r:.40}, expected the number of weeks since 1980-01-06, such as 2158")
+        if leap is not None and not (_is_whole(leap) and 0 <= leap <= 100):
+            problems.add(f"leap_seconds {leap!r:.40}, expected GPS minus UTC in whole seconds, such as 18")
+        if self.time_scale not in (None, "gps", "utc"):
+            problems.add(f"time_scale {self.time_scale!r:.40}, expected 'gps' or 'utc'")
+        if self.date is not None and self.midnight is None:
+            problems.add(f"date {str(self.date)!r:.40}, expected one like '2024-06-01'")
+        offset = self.clock_offset_s
+        if offset is not None and not abs(offset) <= 1e9:
+            problems.add(f"clock_offset_s {offset!r:.40}, expected seconds, at most 1e9 either way")
+        problems.raise_if_any()
+
+    @property
+    def midnight(self) -> int | None:
+        """Nanoseconds from 1970 to 0 h of the date; None where there is none, or it is no date."""
+        text = str(self.date)
+        if self.date is None or not _DATE.fullmatch(text) or not "1980-01-06" <= text < "2199-12-25":
+            return None
+        try:
+            return int(np.datetime64(text, "ns").astype(np.int64))
+        except ValueError:  # the 31st of a shorter month
+            return None
+
+
+def _is_whole(value: Any) -> bool:
+    return isinstance(value, int | np.integer) and not isinstance(value, bool)
+
+
+def utc_of_record(record: PoseRecord, source: TimeSource) -> tuple[NDArray[np.int64], dict[str, Any]]:
+    """Return UTC [ns since 1970-01-01] of the rows of a record, and attributes that say how it came about.
+
+    Raises TimeError: Seconds of the week without a week or date; a week or date that the stamps contradict;
+        times before GPS time began.
+    Warns PaintWarning: Times beyond the table of leap seconds, ``leap_seconds`` not given.
+    """
+    stamp = record.stamp
+    attrs: dict[str, Any] = {}
+    if record.counts_from == "week":
+        week, said = _week_of(record, source)
+        stamp = stamp + (GPS_EPOCH + week * WEEK_S * NS_PER_S)
+        attrs = {"gps_week": week, "gps_week_source": said}
+    _refuse_another_date(record, int(stamp[0]), source)
+    scale = source.time_scale or record.time_scale
+    leap = record.leap_seconds if source.leap_seconds is None else int(source.leap_seconds)
+    correction = ClockCorrection(source.clock_offset_s or 0.0, scale, leap)
+    utc = correction.apply(stamp)
+    attrs["time_scale"] = scale
+    if scale == "gps":
+        steps = np.unique((stamp - (utc - round(correction.offset_s * NS_PER_S))) // NS_PER_S)
+        attrs["leap_seconds"] = int(steps[0]) if steps.size == 1 else ", ".join(map(str, steps.tolist()))
+        attrs["leap_seconds_source"] = (
+            "given" if source.leap_seconds is not None else record.name if leap is not None else "IERS table"
+        )
+    attrs["clock_offset_s"] = float(correction.offset_s)
+    return utc, attrs
+
+
+def _week_of(record: PoseRecord, source: TimeSource) -> tuple[int, str]:
+    """Return the GPS week in which the stamps count, and who says so."""
+    if source.week is not None:
+        return int(source.week), "given"
+    if source.midnight is not None:
+        # the week that brings the first row nearest to noon of the day: a date may be local
+        noon = source.midnight + _DAY_NS // 2 - GPS_EPOCH
+        return max(0, round((noon - int(record.stamp[0])) / (WEEK_S * NS_PER_S))), "from the date given"
+    if record.week is not None:
+        return record.week, f"said by {record.name}"
+    first = int(record.stamp[0]) // NS_PER_S
+    day = ("Sunday", "Monday", "Tuesday", "Wednesday", "Thursday", "Friday", "Saturday")[first // 86_400 % 7]
+    raise TimeError(
+        f"{record.name} counts seconds of a GPS week (from {first} s: a {day}) and does not say which week; "
+        "give week=, the weeks since 1980-01-06, or date='YYYY-MM-DD' of the flight"
+    )
+
+
+def _refuse_another_date(record: PoseRecord, first: int, source: TimeSource) -> None:
+    problems = Problems(f"{record.name} is of another day than was given", TimeError)
+    shown = np.datetime64(first // NS_PER_S, "s")
+    if source.midnight is not None and abs(first - source.midnight - _DAY_NS // 2) > 1.5 * _DAY_NS:
+        problems.add(f"it begins at {shown}, date is {source.date}; correct the one that is wrong")
+    if source.week is not None and record.counts_from != "week":
+        stamp_week = (first - GPS_EPOCH) // (WEEK_S * NS_PER_S)
+        if stamp_week != source.week:
+            problems.add(f"it begins at {shown}, in week {stamp_week}; week is {source.week}")
+    problems.raise_if_any()
 
 
 # --- the dataset -------------------------------------------------------------------------------------------

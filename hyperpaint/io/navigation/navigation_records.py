@@ -1,7 +1,8 @@
 """Navigation records: where the camera was, how it was turned, and what UTC its clocks showed.
 
-``imu_gps.txt`` is read by its header names (three generations of the program), ``gps_time.txt`` ties the
-recording computer's clock to the receiver's. `clocks` turns what they show into UTC.
+A reader of any format fills a `PoseRecord`, which `navigation_opening` turns into UTC and labels. Of the
+files of Headwall, ``imu_gps.txt`` is read by its header names (three generations of the program), and
+``gps_time.txt`` ties the recording computer's clock to the receiver's.
 """
 
 from __future__ import annotations
@@ -11,10 +12,11 @@ import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
+from hyperpaint.base.attitude_conventions import Convention
 from hyperpaint.base.errors import FormatError, PaintWarning, Problems, TimeError
 from hyperpaint.io.flightline.headwall import (
     FrameIndex,
@@ -27,12 +29,25 @@ from hyperpaint.io.flightline.headwall import (
     to_integers,
 )
 
-from .clocks import NAT, NS_PER_S, Clock, ClockCorrection, bracket, overlap, tie_clock
+from .clocks import (
+    NAT,
+    NS_PER_S,
+    Clock,
+    ClockCorrection,
+    bracket,
+    instants,
+    overlap,
+    refuse_backwards,
+    tie_clock,
+)
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-__all__ = ["ASSUMED", "LIMITS", "Navigation", "limited_numbers", "read_gps_time", "read_imu_gps"]
+__all__ = [
+    "ASSUMED", "LIMITS", "POSE", "Navigation", "PoseRecord", "check_poses", "check_seconds",
+    "limited_numbers", "read_gps_time", "read_imu_gps",
+]  # fmt: skip
 
 _MONTHS = ("jan", "feb", "mar", "apr", "may", "jun", "jul", "aug", "sep", "oct", "nov", "dec")
 _DATE_TIME = re.compile(
@@ -46,6 +61,8 @@ _COLUMNS = {
 }  # fmt: skip
 LIMITS = dict(_COLUMNS.values())
 """The largest magnitude of each that is a position or an angle at all [degree, m]."""
+POSE = tuple(LIMITS)
+"""``latitude longitude altitude roll pitch heading``."""
 ASSUMED = (
     *("roll_positive", "pitch_positive", "heading_positive", "heading_reference"),
     *("angle_unit", "euler_order", "height_reference"),
@@ -54,6 +71,57 @@ ASSUMED = (
 _ATTITUDE = ("roll", "pitch", "heading")
 _CLOCK_COLUMNS = ("timestamp", "systemtime", "gps_utc")
 _UTC_COLUMN = "gps_utc_date&time"
+
+
+@dataclass(frozen=True)
+class PoseRecord:
+    """One navigation file."""
+
+    name: str  # file name, for messages
+    format: str  # what the file is
+    stamp: NDArray[np.int64]  # nanoseconds, (row,)
+    # ``"1970"``, as the clock shows it; or the start of a GPS ``"week"``
+    counts_from: Literal["1970", "week"]
+    # `POSE` (row,), float64: latitude and longitude [degree], altitude [m], angles in the unit of the
+    # convention; NaN where unknown
+    values: Mapping[str, NDArray[np.float64]] = field(repr=False)
+    convention: Convention  # what the numbers mean, as far as the format or the file says
+    assumed: tuple[str, ...] = ()  # fields of the convention that nothing published states
+    time_scale: Literal["gps", "utc"] = "gps"  # what the stamps count, unless the caller knows better
+    week: int | None = None  # what the file itself says
+    leap_seconds: int | None = None
+    # Further columns (row,) with their attributes
+    others: Mapping[str, tuple[NDArray[Any], Mapping[str, str]]] = field(default_factory=dict, repr=False)
+    attrs: Mapping[str, Any] = field(default_factory=dict)  # anything else that is to be kept
+
+
+def check_poses(values: Mapping[str, NDArray[np.float64]], unit: str, problems: Problems, row: str) -> None:
+    """Note positions and angles that are none, NaN allowed.
+
+    values: `POSE`: latitude and longitude [degree], altitude [m].
+    unit: Of roll, pitch and heading: ``"degree"`` or ``"radian"``.
+    problems: Takes what is wrong.
+    row: What a row of the file is called in messages.
+    """
+    for name, limit in LIMITS.items():
+        # a heading less an angle of wander may pass a full turn
+        most = 2.0 * np.pi * 1.25 if name in _ATTITUDE and unit == "radian" else limit * 1.25
+        most = limit if name not in _ATTITUDE else most
+        with np.errstate(invalid="ignore"):
+            wrong = np.flatnonzero(~(np.abs(values[name]) <= most) & ~np.isnan(values[name]))
+        if wrong.size:
+            where = name_rows(wrong + 1, row)
+            problems.add(f"{name} is {values[name][wrong[0]]:g} in {where}, expected within +-{most:.4g}")
+
+
+def check_seconds(name: str, seconds: NDArray[np.float64], most: float, problems: Problems, row: str) -> None:
+    """Note times that are not finite, negative, or beyond ``most`` seconds."""
+    wrong = np.flatnonzero(~((seconds >= 0.0) & (seconds <= most)))
+    if wrong.size:
+        problems.add(
+            f"time is {seconds[wrong[0]]:g} s in {name_rows(wrong + 1, row)}, expected 0 to {most:g} s; "
+            f"is {name} of this format?"
+        )
 
 
 # --- imu_gps.txt -------------------------------------------------------------------------------------------
@@ -133,9 +201,7 @@ class Navigation:
         """
         if self.utc is None:
             raise TimeError(f"{self.name} holds no UTC; give gps_time, or date and clock_offset_s")
-        if np.any(np.diff(self.utc) < 0):
-            rows = self.rows[1:][np.diff(self.utc) < 0]
-            raise TimeError(f"{self.name}: UTC runs backwards in {name_rows(rows)}; delete or re-order them")
+        refuse_backwards(self.name, self.utc, self.rows)
         new = np.concatenate([[True], np.diff(self.utc) > 0])
         knots = self.utc[new]
         place, weight, inside = bracket(knots, time.astype("datetime64[ns]").astype(np.int64))
@@ -222,11 +288,7 @@ def _number(cell: str) -> float:
 
 def _dates(table: Table, column: str, unaligned: NDArray[np.bool_]) -> NDArray[np.int64]:
     """Return nanoseconds since 1970-01-01, the least int64 where an unaligned row has no date."""
-    texts = [_iso(cell) for cell in table.columns[column]]
-    try:
-        dates = np.array(texts, "datetime64[ns]")
-    except ValueError:  # the 31st of a shorter month, the 25th hour
-        dates = np.array([_instant(text) for text in texts])
+    dates = instants([_iso(cell) for cell in table.columns[column]])
     wrong = table.rows[np.isnat(dates) & ~unaligned]
     if wrong.size:
         raise FormatError(
@@ -248,13 +310,6 @@ def _iso(cell: str) -> str:
             return "NaT"
         month = str(_MONTHS.index(month.lower()) + 1)
     return f"{year}-{month:0>2}-{day:0>2}T{hour:0>2}:{minute}:{second}.{fraction or '0'}"
-
-
-def _instant(text: str) -> np.datetime64:
-    try:
-        return np.datetime64(text, "ns")
-    except ValueError:
-        return np.datetime64("NaT", "ns")
 
 
 def _stamps(table: Table) -> dict[str, NDArray[np.int64]]:

@@ -136,7 +136,7 @@ def test_whole_seconds_need_a_steady_rate(tmp_path: Path) -> None:
         ("Frame#\tTimestamp\n0\t5.5\n", FormatError, "line 2"),
         ("Frame#\tTimestamp\n0\t1_000\n", FormatError, "line 2"),
         ("Frame#\tTimestamp\n0\t99999999999999999999\n", FormatError, "line 2"),
-        ("Frame#\tTimestamp\n", FormatError, "without rows"),
+        ("Frame#\tTimestamp\n", FormatError, "no rows"),
         ("0\t5\n1\t6\n", FormatError, "header"),
         ("Frame#\n0\n", FormatError, "one column"),
         ("", FormatError, "header"),

@@ -152,7 +152,7 @@ def test_a_record_that_never_aligned_is_told(tmp_path: Path) -> None:
         ({"utc": "2021/Foo/30 00:00:00.0"}, FormatError, "line 4"),
         ({"stamp": 10_500}, TimeError, "line 4"),
         ({"stamp": 7}, TimeError, "line 4"),
-        ({"utc": T0 - MS}, TimeError, "UTC runs backwards in line 4"),
+        ({"utc": T0 - MS}, TimeError, "UTC: time runs backwards in line 4"),
         ({"utc": T0 + np.timedelta64(18, "s")}, TimeError, r"steps by \+17\.9.* line 4|backwards"),
     ],
 )
