@@ -10,7 +10,7 @@ from __future__ import annotations
 import io
 import itertools
 import os
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -129,38 +129,23 @@ class EnviArray(BackendArray):
             )
 
     def _gather(self, file: io.FileIO, along: list[Ints], into: Array) -> None:
-        """Read boxes of the file that hold the wanted samples, and keep those."""
-        _, rows, columns = self.file_shape
-        row_bytes = columns * self.stored.itemsize
-        plane_bytes = rows * row_bytes
-        planes, lines, samples = along
-        width = (int(samples[-1]) - int(samples[0]) + 1) * self.stored.itemsize
-        line_runs = list(_runs(lines, row_bytes, width, _GAP, None))
-        plane_gap = -1  # each plane for itself, where its lines come in several runs
-        if len(line_runs) == 1:
-            width += (int(lines[-1]) - int(lines[0])) * row_bytes
-            plane_gap = _GAP
-        for first, last in _runs(planes, plane_bytes, width, plane_gap, _BOX):
-            for top, bottom in line_runs:
-                chosen = (planes[first:last], lines[top:bottom], samples)
-                box = self._box(file, chosen)
-                into[first:last, top:bottom] = box
-
-    def _box(self, file: io.FileIO, chosen: tuple[Ints, Ints, Ints]) -> Array:
-        """Read from the first to the last wanted sample and return the wanted ones."""
-        _, rows, columns = self.file_shape
-        low, high = [int(wanted[0]) for wanted in chosen], [int(wanted[-1]) for wanted in chosen]
-        # several planes are read with all lines between them, one plane from its first wanted line on
-        top, height = (0, rows) if high[0] > low[0] else (low[1], high[1] - low[1] + 1)
-        box = np.empty((high[0] - low[0] + 1, height, columns), self.stored)
-        start = (low[1] - top) * columns + low[2]
-        stop = ((high[0] - low[0]) * height + high[1] - top) * columns + high[2] + 1
-        self._fill(file, (low[0] * rows + top) * columns + start, box.reshape(-1)[start:stop])
-        planes, lines, samples = (
-            _selector(wanted - base) for wanted, base in zip(chosen, (low[0], top, 0), strict=True)
-        )
-        picked: Array = box[planes][:, lines][:, :, samples]
-        return picked
+        """Read boxes of lines of the file that hold the wanted samples, and keep those."""
+        planes, rows, samples = along
+        columns = self.file_shape[2]
+        # lines of the file, counted through all planes
+        lines = (planes[:, np.newaxis] * self.file_shape[1] + rows).ravel()
+        first, last = int(samples[0]), int(samples[-1])
+        gaps = np.diff(lines) * columns - (last - first + 1)
+        lines_a_box = max(1, _BOX // (columns * self.stored.itemsize))
+        breaks = (gaps * self.stored.itemsize > _GAP) | (np.diff((lines - lines[0]) // lines_a_box) != 0)
+        edges = [0, *(np.flatnonzero(breaks) + 1).tolist(), len(lines)]
+        for start, stop in itertools.pairwise(edges):
+            top = int(lines[start])
+            box = np.empty((int(lines[stop - 1]) - top + 1, columns), self.stored)
+            wanted = box.reshape(-1)[first : (len(box) - 1) * columns + last + 1]
+            self._fill(file, top * columns + first, wanted)
+            place = np.unravel_index(np.arange(start, stop), into.shape[:2])
+            into[place] = box[_selector(lines[start:stop] - top)][:, _selector(samples)]
 
     def _fill(self, file: io.FileIO, first: int, into: Array) -> None:
         """Read samples from number `first` on into contiguous memory, byte for byte."""
@@ -201,22 +186,6 @@ def _is_slab(along: list[Ints], file_shape: tuple[int, int, int]) -> bool:
         and np.array_equal(columns, np.arange(file_shape[2]))
         and bool((np.diff(planes) == 1).all())
     )
-
-
-def _runs(
-    positions: Ints, pitch: int, width: int, gap: int, largest: int | None
-) -> Iterator[tuple[int, int]]:
-    """Group sorted positions whose pieces, `width` of every `pitch` bytes, are read at once.
-
-    Yields tuple of int: First and last + 1 of the indices into `positions`.
-    """
-    breaks = np.diff(positions) * pitch - width > gap
-    if gap < 0:
-        breaks[:] = True
-    if largest is not None:
-        breaks |= np.diff(positions // max(1, largest // pitch)) != 0
-    edges = [0, *(np.flatnonzero(breaks) + 1).tolist(), len(positions)]
-    yield from itertools.pairwise(edges)
 
 
 def _selector(positions: Ints) -> slice | Ints:

@@ -29,6 +29,8 @@ from hyperpaint.io.maps.map_grids import (
     stored_float,
 )
 
+from .envi_grammar import braced
+
 if TYPE_CHECKING:
     import xarray as xr
     from numpy.typing import NDArray
@@ -204,22 +206,16 @@ def _spectral(dataset: xr.Dataset) -> list[str]:
             rows.append(f"default bands = {{{', '.join(str(band + 1) for band in chosen)}}}")
     for key, name in (("fwhm", "fwhm"), ("bbl", "good")):
         variable = dataset.variables.get(name)
-        if (
-            variable is not None
-            and variable.dims == (BAND,)
-            and np.isfinite(variable.values.astype(np.float64)).all()
-        ):
+        if variable is None or variable.dims != (BAND,):
+            continue
+        if np.isfinite(variable.values.astype(np.float64)).all():
             flags = [str(int(value)) for value in variable.values]
-            rows.append(f"{key} = {_wrapped(flags) if key == 'bbl' else _listed(variable.values)}")
+            rows.append(f"{key} = {braced(flags) if key == 'bbl' else _listed(variable.values)}")
     return rows
 
 
 def _listed(values: NDArray[Any]) -> str:
-    return _wrapped([repr(float(value)) for value in values])
-
-
-def _wrapped(values: list[str]) -> str:
-    return "{\n " + ",\n ".join(", ".join(values[at : at + 8]) for at in range(0, len(values), 8)) + "}"
+    return braced([repr(float(value)) for value in values])
 
 
 def _printable(text: str) -> str:

@@ -21,7 +21,7 @@ import xarray as xr
 from xarray.core import indexing
 
 from hyperpaint.base import schema, units
-from hyperpaint.base.errors import FormatError, PaintWarning, Problems, UnitsError
+from hyperpaint.base.errors import FormatError, PaintWarning, Problem, Problems, UnitsError
 
 from .envi_array import EnviArray, Scaling
 from .envi_header import EnviHeader, MapInfo, read_header
@@ -230,10 +230,8 @@ def _lines_in_file(header: EnviHeader, path: Path, size: int, keep_whole_lines: 
         )
     else:
         problem += "\ncheck samples, bands, lines and data type, or copy the file again"
-    problems = Problems(f"ENVI data file {str(path)!r} does not fit its header", FormatError)
-    problems.add(problem)
-    problems.raise_if_any()
-    return header.lines
+    subject = f"ENVI data file {str(path)!r} does not fit its header"
+    raise FormatError(subject, problems=[Problem(problem)])
 
 
 def _warn(header: EnviHeader, path: Path, lines: int) -> None:
@@ -297,22 +295,17 @@ def _quantity(header: EnviHeader) -> tuple[str, dict[str, Any]]:
 
 
 def _scaling(header: EnviHeader, name: str) -> Scaling | None:
-    gained = _has_gain(header)
-    divisor = header.reflectance_scale_factor
-    if divisor == 1.0:
-        divisor = None
+    gained, ignore = _has_gain(header), header.data_ignore_value
+    divisor = None if header.reflectance_scale_factor == 1.0 else header.reflectance_scale_factor
     stored = header.dtype.newbyteorder("=")
-    scaled = gained or divisor is not None or name in ("radiance", "reflectance")
-    if not scaled and (header.data_ignore_value is None or stored.kind in "iu"):
-        return None
+    changed = gained or divisor is not None
+    scaled = (changed or name in ("radiance", "reflectance")) and stored.kind != "c"
     wanted = np.dtype(np.float32) if scaled else stored
-    if stored.kind == "c":
-        wanted = stored
-    if wanted == stored and not gained and divisor is None and header.data_ignore_value is None:
+    if wanted == stored and not changed and (ignore is None or stored.kind in "iu"):
         return None
     return Scaling(
         dtype=wanted,
-        ignore=header.data_ignore_value,
+        ignore=ignore,
         divisor=divisor,
         gain=header.data_gain_values if gained else None,
         offset=header.data_offset_values if gained else None,
@@ -337,14 +330,13 @@ def _map_coordinates(info: MapInfo, lines: int, samples: int) -> dict[str, Any]:
     column, row = info.reference_pixel
     x = info.reference[0] + (np.arange(samples) + 1.5 - column) * info.pixel_size[0]
     y = info.reference[1] - (np.arange(lines) + 1.5 - row) * info.pixel_size[1]
-    geographic = info.projection.lower().startswith("geographic")
-    unit = {"meters": "m", "metres": "m", "feet": "ft", "degrees": "degree"}.get(info.units.lower())
-    if geographic:
+    if info.projection.lower().startswith("geographic"):
         x_attrs = {"standard_name": "longitude", "units": "degrees_east"}
         y_attrs = {"standard_name": "latitude", "units": "degrees_north"}
     else:
-        x_attrs = {"standard_name": "projection_x_coordinate", **({"units": unit} if unit else {})}
-        y_attrs = {"standard_name": "projection_y_coordinate", **({"units": unit} if unit else {})}
+        unit = {"meters": "m", "metres": "m", "feet": "ft", "degrees": "degree"}.get(info.units.lower())
+        unit_attrs = {"units": unit} if unit else {}
+        x_attrs, y_attrs = ({"standard_name": f"projection_{name}_coordinate", **unit_attrs} for name in "xy")
     return {"y": ("y", y, y_attrs), "x": ("x", x, x_attrs)}
 
 

@@ -8,33 +8,24 @@ metadata.
 from __future__ import annotations
 
 import io
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 
-from hyperpaint.base.errors import Problems
+from hyperpaint.base.errors import FormatError, Problems
 
-__all__ = ["Findings", "Scanned", "bare", "scan", "shown"]
+__all__ = ["HeaderFindings", "Scanned", "bare", "braced", "scan", "shown"]
 
 MAX_ENTRIES = 10_000
 _MAX_SHOWN = 20
 
 
-class Findings:
-    """Problems, notes and warnings, the flood of a damaged file cut short."""
+class HeaderFindings(Problems):
+    """What makes a header unusable, and notes and warnings, the flood of a damaged file cut short."""
 
-    def __init__(self, problems: Problems) -> None:
-        self._problems = problems
+    def __init__(self, name: str) -> None:
+        super().__init__(f"{name} cannot be used", FormatError)
         self.notes: list[str] = []
         self.warnings: list[str] = []
-
-    def problem(self, text: str) -> None:
-        """Add what makes the header unusable."""
-        self._problems.add(text)
-
-    @property
-    def flooded(self) -> bool:
-        """Whether there are so many problems that more would not help."""
-        return len(self._problems) >= _MAX_SHOWN
 
     def note(self, text: str, *, warn: bool = False) -> None:
         """Add what was inferred or looks odd; `warn` where values may be wrong for it."""
@@ -42,10 +33,6 @@ class Findings:
             self.notes.append(text)
             if warn:
                 self.warnings.append(text)
-
-    def raise_if_any(self) -> None:
-        """Raise one error that lists the problems."""
-        self._problems.raise_if_any()
 
 
 @dataclass
@@ -61,13 +48,13 @@ def shown(text: str) -> str:
     return repr(text if len(text) <= 60 else text[:57] + "...")
 
 
-def scan(text: str, findings: Findings) -> Scanned:
+def scan(text: str, findings: HeaderFindings) -> Scanned:
     """Split the text into keys with raw values, and comment pairs."""
     lines = enumerate(io.StringIO(text, newline=None), start=1)
     scanned = Scanned()
     _, first = next(lines, (1, ""))
     if first.split() != ["ENVI"]:
-        findings.problem(f"first line is {shown(first.rstrip())}, expected 'ENVI'")
+        findings.add(f"first line is {shown(first.rstrip())}, expected 'ENVI'")
         return scanned
     entries = 0
     for number, line in lines:
@@ -80,19 +67,21 @@ def scan(text: str, findings: Findings) -> Scanned:
             key, equals, value = line.partition("=")
             key, value = " ".join(key.lower().split()), value.strip()
             if not equals or not key:
-                findings.problem(f"line {number} is {shown(line)}, expected 'key = value' or a comment (;)")
+                findings.add(f"line {number} is {shown(line)}, expected 'key = value' or a comment (;)")
             else:
                 if value.startswith("{"):
-                    value = _braced(value, number, key, lines, findings)
+                    value = _closed(value, number, key, lines, findings)
                 _store(scanned.fields, key, value, f"line {number}", findings)
         entries += bool(line)
-        if entries > MAX_ENTRIES or findings.flooded:
-            findings.problem(f"reading stopped at line {number}; is it the data file?")
+        if entries > MAX_ENTRIES or len(findings) >= _MAX_SHOWN:
+            findings.add(f"reading stopped at line {number}; is it the data file?")
             return Scanned()
     return scanned
 
 
-def _braced(value: str, number: int, key: str, lines: Iterator[tuple[int, str]], findings: Findings) -> str:
+def _closed(
+    value: str, number: int, key: str, lines: Iterator[tuple[int, str]], findings: HeaderFindings
+) -> str:
     """Return a braced value whole, taking more lines until its brace closes."""
     parts: list[str] = []
     part = value
@@ -100,7 +89,7 @@ def _braced(value: str, number: int, key: str, lines: Iterator[tuple[int, str]],
         parts.append(part)
         _, following = next(lines, (0, None))
         if following is None:
-            findings.problem(f"{key!r}: the brace opened on line {number} is never closed")
+            findings.add(f"{key!r}: the brace opened on line {number} is never closed")
             return "\n".join(parts) + "}"
         part = following.rstrip()
     inside, _, after = part.partition("}")
@@ -109,22 +98,27 @@ def _braced(value: str, number: int, key: str, lines: Iterator[tuple[int, str]],
     return "\n".join([*parts, inside]) + "}"
 
 
-def _store(into: dict[str, str], key: str, value: str, where: str, findings: Findings) -> None:
+def _store(into: dict[str, str], key: str, value: str, where: str, findings: HeaderFindings) -> None:
     if key not in into:
         into[key] = value
     elif into[key] == value:
         findings.note(f"{key!r} is given twice, with the same value")
     else:
-        findings.problem(
+        findings.add(
             f"{where}: {key!r} is given again as {shown(value)}, before as {shown(into[key])}; "
             "delete the wrong one"
         )
 
 
-def _store_comment(into: dict[str, str], key: str, value: str, findings: Findings) -> None:
+def _store_comment(into: dict[str, str], key: str, value: str, findings: HeaderFindings) -> None:
     """Keep the first of two: a processing step repeats comments, and must not make the cube unreadable."""
     if into.setdefault(key, value) != value:
         findings.note(f"comment {shown(key)} is given twice: the first is kept", warn=True)
+
+
+def braced(values: Sequence[str]) -> str:
+    """Return a list as ENVI writes it, eight values a line."""
+    return "{\n " + ",\n ".join(", ".join(values[at : at + 8]) for at in range(0, len(values), 8)) + "}"
 
 
 def bare(text: str) -> str:

@@ -16,9 +16,10 @@ import numpy as np
 import numpy.typing as npt
 
 from hyperpaint.base.arrays import Floats
-from hyperpaint.base.errors import FormatError, Problems
+from hyperpaint.base.errors import FormatError
+from hyperpaint.io.files.reading import decoded_text
 
-from .envi_grammar import Findings, Scanned, bare, scan, shown
+from .envi_grammar import HeaderFindings, Scanned, bare, scan, shown
 
 __all__ = ["EnviHeader", "MapInfo", "parse_header", "read_header"]
 
@@ -132,11 +133,7 @@ def read_header(path: str | os.PathLike[str], limit: int = MAX_HEADER_BYTES) -> 
     name = f"ENVI header {os.fspath(path)!r}"
     if len(raw) > limit:
         raise FormatError(f"{name} cannot be read: it is over {limit >> 20} MB; is it the data file?")
-    try:
-        text = raw.decode("utf-8-sig")
-    except UnicodeDecodeError:
-        text = raw.decode("latin-1")
-    return parse_header(text, name)
+    return parse_header(decoded_text(raw), name)
 
 
 def parse_header(text: str, name: str = "ENVI header") -> EnviHeader:
@@ -164,7 +161,7 @@ def parse_header(text: str, name: str = "ENVI header") -> EnviHeader:
     >>> header.comments["Exposure (ms)"]
     '5'
     """
-    findings = Findings(Problems(f"{name} cannot be used", FormatError))
+    findings = HeaderFindings(name)
     scanned = scan(text, findings)
     header = _interpret(scanned, findings) if scanned.fields else None
     findings.raise_if_any()
@@ -176,7 +173,7 @@ def parse_header(text: str, name: str = "ENVI header") -> EnviHeader:
 class _Reader:
     """Turns raw values into checked ones; notes a problem and returns None where one is wrong."""
 
-    def __init__(self, fields: Mapping[str, str], findings: Findings) -> None:
+    def __init__(self, fields: Mapping[str, str], findings: HeaderFindings) -> None:
         self.fields = fields
         self.findings = findings
 
@@ -185,10 +182,10 @@ class _Reader:
         kind = "a whole number above 0" if least else "a whole number, 0 or above"
         if text is None:
             if default is None:
-                self.findings.problem(f"{key!r} is missing; expected {kind}")
+                self.findings.add(f"{key!r} is missing; expected {kind}")
             return default or 0
         if re.fullmatch(r"\+?[0-9]{1,30}", text) is None or int(text) < least:
-            self.findings.problem(f"{key!r} is {shown(text)}, expected {kind}")
+            self.findings.add(f"{key!r} is {shown(text)}, expected {kind}")
             return 0
         return int(text)
 
@@ -197,7 +194,7 @@ class _Reader:
         if text is not None and text.lower() in allowed:
             return allowed[text.lower()]
         stated = "missing" if text is None else shown(text)
-        self.findings.problem(f"{key!r} is {stated}, expected one of {', '.join(allowed)}")
+        self.findings.add(f"{key!r} is {stated}, expected one of {', '.join(allowed)}")
         return None
 
     def number(self, key: str) -> float | None:
@@ -207,7 +204,7 @@ class _Reader:
         try:
             return _to_float(bare(text))
         except ValueError:
-            self.findings.problem(f"{key!r} is {shown(text)}, expected one number")
+            self.findings.add(f"{key!r} is {shown(text)}, expected one number")
             return None
 
     def numbers(self, key: str, count: int, per: str) -> Floats | None:
@@ -221,18 +218,18 @@ class _Reader:
         # counted before it is split: a list of millions never becomes objects unless the cube is as large
         size = sum(1 for _ in _ITEM.finditer(text))
         if size != count:
-            self.findings.problem(
+            self.findings.add(
                 f"{key!r} has {size} values for {count} {per}; expected one for each, or no {key!r} at all"
             )
             return None
         try:
             values = np.array([_to_float(item) for item in _ITEM.findall(text)], dtype=np.float64)
         except ValueError as error:
-            self.findings.problem(f"{key!r}: {error}, expected numbers")
+            self.findings.add(f"{key!r}: {error}, expected numbers")
             return None
         if not np.isfinite(values).all():
             where = int(np.flatnonzero(~np.isfinite(values))[0]) + 1
-            self.findings.problem(f"{key!r}: value {where} is {values[where - 1]}, expected finite numbers")
+            self.findings.add(f"{key!r}: value {where} is {values[where - 1]}, expected finite numbers")
             return None
         return values
 
@@ -247,7 +244,7 @@ def _to_float(text: str) -> float:
     raise ValueError(f"{shown(text)} is not a number")
 
 
-def _interpret(scanned: Scanned, findings: Findings) -> EnviHeader:
+def _interpret(scanned: Scanned, findings: HeaderFindings) -> EnviHeader:
     reader = _Reader(scanned.fields, findings)
     lines, samples, bands = (reader.integer(key, least=1) for key in ("lines", "samples", "bands"))
     offset = reader.integer("header offset", least=0, default=0)
@@ -260,10 +257,10 @@ def _interpret(scanned: Scanned, findings: Findings) -> EnviHeader:
     wavelength, fwhm = _spectral_axis(reader, count, per, names)
     good = reader.numbers("bbl", count, per)
     if good is not None and not np.isin(good, (0.0, 1.0)).all():
-        findings.problem("'bbl' holds values other than 0 (bad band) and 1 (good band)")
+        findings.add("'bbl' holds values other than 0 (bad band) and 1 (good band)")
     scale = reader.number("reflectance scale factor")
     if scale is not None and not (math.isfinite(scale) and scale > 0):
-        findings.problem(f"'reflectance scale factor' is {scale}, expected a number above 0")
+        findings.add(f"'reflectance scale factor' is {scale}, expected a number above 0")
     return EnviHeader(
         lines=lines,
         samples=samples,
@@ -306,9 +303,9 @@ def _refuse_unsupported(reader: _Reader) -> None:
     for key in ("major frame offsets", "minor frame offsets"):
         text = reader.fields.get(key, "")
         if set(bare(text)) - set("0, \t\n"):
-            reader.findings.problem(f"{key!r} is {shown(text)}: padded lines are not supported")
+            reader.findings.add(f"{key!r} is {shown(text)}: padded lines are not supported")
     if reader.fields.get("file compression", "0") != "0":
-        reader.findings.problem("'file compression' is set: unpack the data file and set it to 0")
+        reader.findings.add("'file compression' is set: unpack the data file and set it to 0")
 
 
 def _ignore_value(reader: _Reader) -> int | float | None:
@@ -326,7 +323,7 @@ def _band_names(reader: _Reader, bands: int) -> tuple[str, ...]:
         return ()
     count = text.rstrip(", \t\n").count(",") + 1
     if count > max(1000, 10 * bands):
-        reader.findings.problem(f"'band names' has {count} names for {bands} bands; delete the list")
+        reader.findings.add(f"'band names' has {count} names for {bands} bands; delete the list")
         return ()
     if count != bands:
         reader.findings.note(f"'band names' has {count} names for {bands} bands: names ignored")
@@ -347,7 +344,7 @@ def _spectral_axis(
         reader.findings.note(f"wavelength units are {text!r}: the lists are not read as wavelengths")
         return None, None
     if unit not in _UNSAID and unit not in _NANOMETRES:
-        reader.findings.problem(
+        reader.findings.add(
             f"'wavelength units' is {shown(text)}, expected Nanometers, Micrometers, Angstroms, "
             "Millimeters, Centimeters, Meters, Wavenumber, GHz, MHz, Index or Unknown"
         )
@@ -362,9 +359,9 @@ def _spectral_axis(
         if wavelength is not None:
             wavelength = _in_nanometres(wavelength, factor, "wavelength", reader)
             if (wavelength <= 0).any():
-                reader.findings.problem("'wavelength' holds values that are not above 0")
+                reader.findings.add("'wavelength' holds values that are not above 0")
     if fwhm is not None and (fwhm < 0).any():
-        reader.findings.problem("'fwhm' holds values below 0")
+        reader.findings.add("'fwhm' holds values below 0")
     return wavelength, None if fwhm is None else _in_nanometres(fwhm, factor, "fwhm", reader)
 
 
@@ -372,11 +369,11 @@ def _in_nanometres(values: Floats, factor: float, name: str, reader: _Reader) ->
     with np.errstate(over="ignore"):
         nanometres: Floats = values * factor
     if not np.isfinite(nanometres).all():
-        reader.findings.problem(f"{name!r} holds values up to {values.max():.3g}: no wavelength is so long")
+        reader.findings.add(f"{name!r} holds values up to {values.max():.3g}: no wavelength is so long")
     return nanometres
 
 
-def _nanometres_per_unit(unit: str, wavelength: Floats | None, findings: Findings) -> float:
+def _nanometres_per_unit(unit: str, wavelength: Floats | None, findings: HeaderFindings) -> float:
     if wavelength is None or wavelength.size == 0:
         return _NANOMETRES.get(unit, 1.0)
     longest = float(wavelength.max())
@@ -394,7 +391,7 @@ def _nanometres_per_unit(unit: str, wavelength: Floats | None, findings: Finding
     return factor
 
 
-def _wavelength_of_names(names: tuple[str, ...], findings: Findings) -> Floats | None:
+def _wavelength_of_names(names: tuple[str, ...], findings: HeaderFindings) -> Floats | None:
     """Return the wavelengths that GDAL leaves in band names, such as ``399.356 nm``."""
     centres = []
     for name in names:
@@ -422,13 +419,13 @@ def _map_info(reader: _Reader) -> MapInfo | None:
         column, row, x, y, width, height = map(_to_float, [*plain[1:7], *[""] * (7 - len(plain))])
         rotation = _to_float(words.get("rotation", "0").strip())
     except ValueError as error:
-        reader.findings.problem(
+        reader.findings.add(
             f"'map info' is {shown(text)} ({error}); expected projection, reference column and row, x, y, "
             "pixel width and height, then zone, datum, units=..., rotation=..."
         )
         return None
     if not all(map(math.isfinite, (column, row, x, y, width, height, rotation))) or min(width, height) <= 0:
-        reader.findings.problem(f"'map info' is {shown(text)}; expected finite numbers and sizes above 0")
+        reader.findings.add(f"'map info' is {shown(text)}; expected finite numbers and sizes above 0")
         return None
     return MapInfo(
         projection=plain[0],
