@@ -20,8 +20,8 @@ if TYPE_CHECKING:
     import xarray as xr
 
 __all__ = [
-    "decoded_text", "is_pattern", "load_netcdf", "matching_files", "read_limited", "read_limited_text",
-    "unique_names",
+    "decoded_text", "head_of", "is_pattern", "load_netcdf", "matching_files", "number", "numbers",
+    "read_limited", "read_limited_text", "unique_names",
 ]  # fmt: skip
 
 LONGEST_LINE = 2**20
@@ -69,6 +69,17 @@ def read_limited_text(path: Path, limit: int, expected: str) -> bytes:
     return data
 
 
+def head_of(path: Path, count: int) -> bytes:
+    """Return the first bytes of a file; none of what is no plain file, or cannot be read."""
+    try:
+        if path.is_file():  # a pipe would wait
+            with path.open("rb") as stream:
+                return stream.read(count)
+    except OSError:
+        pass
+    return b""
+
+
 def decoded_text(data: bytes) -> str:
     """Return the bytes of a file as text: UTF-8, with or without a mark, else latin-1, which any bytes are.
 
@@ -81,6 +92,29 @@ def decoded_text(data: bytes) -> str:
         return data.decode("utf-8-sig")
     except UnicodeDecodeError:
         return data.decode("latin-1")
+
+
+def number(text: str) -> float | None:
+    """Return a number, NaN of an empty cell, None of anything else.
+
+    Unlike float(), takes neither underscores, other scripts' digits, nor infinities.
+    """
+    text = text.strip()
+    if not text:
+        return float("nan")
+    if len(text) > 64 or not text.isascii() or "_" in text:
+        return None
+    try:
+        value = float(text)
+    except ValueError:
+        return None
+    return None if value in (float("inf"), float("-inf")) else value
+
+
+def numbers(cells: Iterable[str]) -> list[float] | None:
+    """Return cells as `number` does; None where one is anything else."""
+    values = [number(cell) for cell in cells]
+    return None if None in values else [value for value in values if value is not None]
 
 
 def unique_names(

@@ -6,9 +6,9 @@ paint has several (from 1), then the values. The first row has the wavelengths [
 
 from __future__ import annotations
 
+import contextlib
 import csv
 import io
-import warnings
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -16,14 +16,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hyperpaint.base.arrays import Floats, Floats32
-from hyperpaint.base.errors import FormatError, PaintWarning, Problems
-from hyperpaint.base.schema import BAND, PAINT
+from hyperpaint.base.errors import FormatError, Problems
+from hyperpaint.base.schema import BAND
 from hyperpaint.io.files.publishing import published_files
+from hyperpaint.io.files.reading import numbers
 
 from .library_spectra import check_wavelengths
-from .metadata import metadata_path, metadata_text, read_metadata
-from .records import CENTRE, Key, blocks_of, names_of, placements, spectral_variables, with_metadata
-from .text_spectra import number
+from .metadata import metadata_path, metadata_text
+from .records import CENTRE, Key, blocks_of, names_of, restored, spectral_variables
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -55,24 +55,18 @@ def write_csv_library(
     Raises StoreError: Files exist, or cannot be written.
     """
     variables = spectral_variables(library)
-    names = names_of(library)
     metadata = metadata_text(library, variables)
-    starts = [_starting(name) for name in names]
+    starts = [_starting(name) for name in names_of(library)]
     row = ",%.9g" * library.sizes[BAND] + "\n"
-    total = len(variables) * len(names)
     with published_files([metadata_path(path), path], overwrite=overwrite) as (metadata_file, table):
         metadata_file.write_bytes(metadata.encode())
         with open(table, "w", encoding="utf-8", newline="") as file:
             wavelengths = [repr(float(value)) for value in library["wavelength"].values]
             file.write(",".join([*_HEAD, *wavelengths]) + "\n")
-            for block in blocks_of(library, variables):
+            for block in blocks_of(library, variables, progress):
                 for paint, inner, values in zip(block.paint, block.inner, block.values, strict=True):
                     place = "" if inner < 0 else str(inner + 1)
                     file.write(f"{starts[paint]},{block.variable},{place}" + row % tuple(values.tolist()))
-                if progress is not None and block.paint.size:
-                    progress(variables.index(block.variable) * len(names) + int(block.paint[-1]) + 1, total)
-    if progress is not None:
-        progress(total, total)
 
 
 def _starting(name: str) -> str:
@@ -96,18 +90,7 @@ def read_csv_library(path: Path) -> xr.Dataset:
     check_wavelengths(wavelength, source)
     if not names:
         raise FormatError(f"{source}: no row of {CENTRE!r}; write the library anew")
-    placed = placements(keys, len(names), wavelength.size, source)
-    values = np.array(rows, np.float32)
-    for placement in placed.values():
-        placement.put(0, values)
-    sidecar = metadata_path(path)
-    sizes = {PAINT: len(names), BAND: wavelength.size}
-    metadata = read_metadata(sidecar, sizes) if sidecar.exists() else None
-    if metadata is None:
-        text = f"{source}: {sidecar.name} is missing: what is known beside the spectra is lost"
-        warnings.warn(text, PaintWarning, stacklevel=5)
-    data = {name: placement.values for name, placement in placed.items()}
-    return with_metadata(data, {"wavelength": wavelength}, names, metadata, source)
+    return restored(path, names, keys, {"wavelength": wavelength}, [(0, np.array(rows, np.float32))])
 
 
 def _table(path: Path) -> tuple[Floats, list[str], list[Key], list[Floats32]]:
@@ -180,8 +163,8 @@ def _cells(path: Path) -> Iterator[list[str]]:
 
 
 def _wavelengths(row: list[str], source: str) -> Floats:
-    head, wavelengths = row[: len(_HEAD)], [number(cell) for cell in row[len(_HEAD) :]]
-    if tuple(head) != _HEAD or None in wavelengths or not 0 < len(wavelengths) <= _MOST_BANDS:
+    wavelengths = numbers(row[len(_HEAD) :])
+    if tuple(row[: len(_HEAD)]) != _HEAD or not wavelengths or len(wavelengths) > _MOST_BANDS:
         raise FormatError(
             f"{source}: its first row is {','.join(row)[:60]!r}, expected {','.join(_HEAD)} and wavelengths"
         )
@@ -190,23 +173,16 @@ def _wavelengths(row: list[str], source: str) -> Floats:
 
 def _values(row: list[str], bands: int) -> Floats32 | None:
     """Return the numbers of a row, None where they are none or too many."""
-    if len(row) != len(_HEAD) + bands:
+    cells, plain = row[len(_HEAD) :], None
+    if len(cells) != bands:
         return None
-    numbers = _floats(row[len(_HEAD) :])
-    if numbers is None:
-        return None
-    with np.errstate(over="ignore"):
-        values = np.array(numbers, np.float64).astype(np.float32)
-    return None if np.isinf(values).any() else values
-
-
-def _floats(cells: list[str]) -> list[float] | None:
-    """Return cells as numbers; the plain ones of our own files several times faster than by `number`."""
     text = "".join(cells)
     if text.isascii() and "_" not in text and len(text) <= 64 * len(cells):
-        try:
-            return list(map(float, cells))
-        except ValueError:  # an empty cell, perhaps
-            pass
-    numbers = [number(cell) for cell in cells]
-    return None if None in numbers else [value for value in numbers if value is not None]
+        with contextlib.suppress(ValueError):  # an empty cell, perhaps
+            plain = list(map(float, cells))  # several times faster than `numbers`
+    plain = plain or numbers(cells)
+    if plain is None:
+        return None
+    with np.errstate(over="ignore"):
+        values = np.array(plain, np.float64).astype(np.float32)
+    return None if np.isinf(values).any() else values

@@ -19,12 +19,19 @@ from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import FormatError, Problems, SchemaError
 from hyperpaint.base.schema import LIBRARY_VARIABLES, PAINT
 from hyperpaint.io.files.publishing import published_folder
-from hyperpaint.io.files.reading import decoded_text, unique_names
+from hyperpaint.io.files.reading import decoded_text, number, numbers, unique_names
 
 from .library_spectra import Spectra, reflectances, text_column
 from .metadata import typed_values
 from .records import CENTRE, names_of
-from .text_spectra import in_nanometres, lines_of, number, numbers_of_lines, wavelength_factor
+from .text_spectra import (
+    PERCENT,
+    in_nanometres,
+    lines_of,
+    numbers_of_lines,
+    other_quantity,
+    wavelength_factor,
+)
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -45,9 +52,7 @@ _METADATA = "hyperpaint metadata "
 _KEY = re.compile(rf"\s*({'|'.join(map(re.escape, _KEYS))})\s*:(.*)", re.IGNORECASE)
 _SPELLED = {key.lower(): key for key in _KEYS}
 _ABOUT_THE_AXES = _KEYS[_KEYS.index("First Column") :]
-_PERCENT = re.compile(r"percent|%", re.IGNORECASE)
 _FRACTION = re.compile(r"fraction|unitless|decimal|\b0 ?(?:-|to) ?1\b|\(1\)", re.IGNORECASE)
-_OTHER_QUANTITY = re.compile(r"transmi|emissiv|absorb|radianc", re.IGNORECASE)
 
 
 def is_ecostress(head: str) -> bool:
@@ -70,9 +75,8 @@ def read_ecostress(path: Path, *, scale: float | None = None, wavelength: Floats
         if key not in fields:
             problems.add(f"{key!r} is missing in its header")
     said = _scale_of(fields.get("Y Units", ""))
-    if other_quantity := _OTHER_QUANTITY.search(fields.get("Y Units", "")):
-        units = f"{fields['Y Units'][:60]!r} ({other_quantity[0]}...)"
-        problems.add(f"'Y Units' is {units}, expected reflectance")
+    if other_quantity(fields.get("Y Units", "")):
+        problems.add(f"'Y Units' is {fields['Y Units'][:60]!r}, expected reflectance")
     problems.raise_if_any()
     table = numbers_of_lines(lines, first, 2, source)
     notes = _compared(fields, table, source)
@@ -111,11 +115,11 @@ def _header(lines: list[str], source: str) -> tuple[dict[str, str], int, bool]:
 
 def _is_pair(line: str) -> bool:
     cells = line.split(None, 2)
-    return len(cells) == 2 and all(number(cell) is not None for cell in cells)
+    return len(cells) == 2 and numbers(cells) is not None
 
 
 def _scale_of(units: str) -> float | None:
-    if _PERCENT.search(units):
+    if PERCENT.search(units):
         return 100.0
     return 1.0 if _FRACTION.search(units) else None
 
@@ -169,9 +173,7 @@ def _metadata_column(name: str, value: Any, source: str) -> Any:
         return text_column([value])
     if value is None:
         return np.array([np.nan])
-    if isinstance(value, bool) or (isinstance(value, int) and abs(value) < 2**53):
-        return np.array([value])
-    if isinstance(value, float) and np.isfinite(value):
+    if (isinstance(value, int) and abs(value) < 2**53) or (isinstance(value, float) and np.isfinite(value)):
         return np.array([value])
     raise FormatError(f"{source}: metadata {name!r} is {str(value)[:60]!r}, expected text or a number")
 

@@ -23,14 +23,15 @@ from hyperpaint.base.arrays import Array, Floats
 from hyperpaint.base.errors import FormatError, PaintWarning, Problems, SchemaError
 from hyperpaint.base.schema import BAND, PAINT
 from hyperpaint.io.envi.envi_cubes import find_pair
-from hyperpaint.io.envi.envi_grammar import bare
+from hyperpaint.io.envi.envi_grammar import bare, braced
 from hyperpaint.io.envi.envi_header import MAX_LIBRARY_HEADER_BYTES, EnviHeader, read_header
 from hyperpaint.io.files.publishing import published_files
 from hyperpaint.io.files.reading import unique_names
 
 from .library_spectra import OWN_AXES, Spectra, check_wavelengths, library_of, reflectances, text_column
-from .metadata import metadata_path, metadata_text, read_metadata
-from .records import CENTRE, Key, blocks_of, names_of, placements, spectral_variables, with_metadata
+from .metadata import metadata_path, metadata_text
+from .records import CENTRE, Key, blocks_of, names_of, restored, spectral_variables
+from .text_spectra import PERCENT, other_quantity
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -40,8 +41,6 @@ __all__ = ["read_envi_library", "write_envi_library"]
 _BLOCK_BYTES = 16 * 2**20
 _MOST_CLASSES_BYTES = 16 * 2**20
 _TITLE_SCALE = re.compile(r"(?<![A-Za-z])[*x\u00d7]\s*(10{1,6}|1e[+]?[1-9])\b", re.IGNORECASE)
-_TITLE_PERCENT = re.compile(r"percent|%", re.IGNORECASE)
-_OTHER_QUANTITY = re.compile(r"radiance|transmi|emissiv|absorb", re.IGNORECASE)
 _WAVELENGTHS = re.compile(r"wave", re.IGNORECASE)
 _BANDWIDTHS = re.compile(r"resolution|bandpass|fwhm", re.IGNORECASE)
 _ERROR_BARS = re.compile(r"\s*error ?bars? to (?:preceding|previous)", re.IGNORECASE)
@@ -206,13 +205,12 @@ def _scale(header: EnviHeader, source: str) -> float | None:
     titles = bare(header.fields.get("z plot titles", ""))
     # the first names the wavelengths, and may itself hold commas
     title = titles.rpartition(",")[2]
-    if (other_quantity := _OTHER_QUANTITY.search(title)) and "reflect" not in title.lower():
-        shown = f"{title.strip()[:60]!r} ({other_quantity[0]})"
-        raise FormatError(f"{source}: its z plot title is {shown}, expected reflectance")
+    if other_quantity(title):
+        raise FormatError(f"{source}: its z plot title is {title.strip()[:60]!r}, expected reflectance")
     said = None
     if match := _TITLE_SCALE.search(title):
         said = float(match[1])
-    elif _TITLE_PERCENT.search(title):
+    elif PERCENT.search(title):
         said = 100.0
     if factor is not None and said is not None and factor != said:
         raise FormatError(
@@ -254,19 +252,8 @@ def _own(header: EnviHeader, path: Path) -> xr.Dataset:
     if header.wavelength is None or header.dtype != np.dtype("<f4"):
         raise FormatError(f"{source}: its header is not as hyperpaint writes it; write the library anew")
     names, keys = _keys_of(bare(header.fields.get("spectra names", "")), header.lines, source)
-    placed = placements(keys, len(names), header.samples, source)
-    sidecar = metadata_path(path)
-    sizes = {"paint": len(names), "band": header.samples}
-    metadata = read_metadata(sidecar, sizes) if sidecar.exists() else None
-    if metadata is None:
-        text = f"{source}: {sidecar.name} is missing: names are those of the header, and all else is lost"
-        warnings.warn(text, PaintWarning, stacklevel=6)
-    for first, rows in _records(header, path):
-        for placement in placed.values():
-            placement.put(first, rows)
-    data = {name: placement.values for name, placement in placed.items()}
     axes = {"wavelength": header.wavelength, "fwhm": header.fwhm, "good": header.good}
-    return with_metadata(data, axes, names, metadata, source)
+    return restored(path, names, keys, axes, _records(header, path))
 
 
 _MARK = "hyperpaint library"
@@ -314,15 +301,11 @@ def _keys_of(text: str, count: int, source: str) -> tuple[list[str], list[Key]]:
     if text.count(",") + 1 != count:
         raise FormatError(f"{source}: {text.count(',') + 1} spectra names for {count} spectra; write it anew")
     records = [name.strip() for name in text.split(",")]
-    names = list(_paints(records))
+    names = [record for record in records if _BAR not in record]
     places = {name: at for at, name in enumerate(names)}
     if len(places) != len(names) or records[: len(names)] != names:
         raise FormatError(f"{source}: its first records are not its paints, each once; write it anew")
     return names, [_key(record, places, source) for record in records]
-
-
-def _paints(records: Sequence[str]) -> Iterator[str]:
-    return (record for record in records if _BAR not in record)
 
 
 def _key(record: str, places: dict[str, int], source: str) -> Key:
@@ -347,21 +330,16 @@ def write_envi_library(
     variables = spectral_variables(library)
     names = _header_names(names_of(library))
     metadata = metadata_text(library, variables)
-    total = len(variables) * len(names)
     records: list[str] = []
     targets = [data, metadata_path(data), data.with_suffix(".hdr")]
     with published_files(targets, overwrite=overwrite) as (values_file, metadata_file, header_file):
         with open(values_file, "wb") as file:
-            for block in blocks_of(library, variables):
+            for block in blocks_of(library, variables, progress):
                 np.asarray(block.values, "<f4").tofile(file)
                 places = zip(block.paint.tolist(), block.inner.tolist(), strict=True)
                 records += [_record_name(names[paint], block.variable, inner) for paint, inner in places]
-                if progress is not None and block.paint.size:
-                    progress(variables.index(block.variable) * len(names) + int(block.paint[-1]) + 1, total)
         header_file.write_bytes(_header(library, records))
         metadata_file.write_bytes(metadata.encode())
-    if progress is not None:
-        progress(total, total)
 
 
 def _header(library: xr.Dataset, records: Sequence[str]) -> bytes:
@@ -388,7 +366,7 @@ def _header(library: xr.Dataset, records: Sequence[str]) -> bytes:
         "reflectance scale factor = 1.0",
         "z plot titles = {Wavelength (nm), Reflectance}",
         f"{_MARK} = 1",
-        *(f"{key} = {{\n {_wrapped(values)}}}" for key, values in lists.items()),
+        *(f"{key} = {braced(values)}" for key, values in lists.items()),
     ]
     text = ("\n".join(lines) + "\n").encode()
     if len(text) > MAX_LIBRARY_HEADER_BYTES:
@@ -397,9 +375,3 @@ def _header(library: xr.Dataset, records: Sequence[str]) -> bytes:
             f"{MAX_LIBRARY_HEADER_BYTES} are read again; shorten names, write fewer members, or write Zarr"
         )
     return text
-
-
-def _wrapped(values: Sequence[str]) -> str:
-    """Return a list as ENVI writes it, some values a line."""
-    rows = (", ".join(values[at : at + 8]) for at in range(0, len(values), 8))
-    return ",\n ".join(rows)

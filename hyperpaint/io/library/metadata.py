@@ -10,6 +10,7 @@ import json
 import math
 import re
 from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -38,29 +39,17 @@ _DTYPES = (
 _TIME = re.compile(r"[0-9]{4}-[0-9]{2}-[0-9]{2}T[0-9]{2}:[0-9]{2}:[0-9]{2}\.[0-9]{9}")
 
 
+@dataclass
 class Metadata:
-    """Metadata of a library, read and checked.
+    """Metadata of a library, read and checked."""
 
-    Attributes
-    ----------
-    attrs
-        Of the dataset.
-    sizes
-        Of the dims that its spectra have beside paint and band.
-    spectra
-        Dims and attributes of the variables that hold spectra.
-    variables
-        The others, with the coordinates among them.
-    coordinates
-        Their names.
-    """
-
-    def __init__(self) -> None:
-        self.attrs: dict[str, Any] = {}
-        self.sizes: dict[str, int] = {}
-        self.spectra: dict[str, tuple[tuple[str, ...], dict[str, Any]]] = {}
-        self.variables: dict[str, tuple[tuple[str, ...], Array, dict[str, Any]]] = {}
-        self.coordinates: set[str] = set()
+    attrs: dict[str, Any] = field(default_factory=dict)  # of the dataset
+    # Of the dims that its spectra have beside paint and band
+    sizes: dict[str, int] = field(default_factory=dict)
+    # Dims and attributes of the variables that hold spectra; then the others, the coordinates among them
+    spectra: dict[str, tuple[tuple[str, ...], dict[str, Any]]] = field(default_factory=dict)
+    variables: dict[str, tuple[tuple[str, ...], Array, dict[str, Any]]] = field(default_factory=dict)
+    coordinates: set[str] = field(default_factory=set)  # their names
 
 
 def metadata_path(data: Path) -> Path:
@@ -231,14 +220,15 @@ def _variable(
     if kind not in _DTYPES or not isinstance(attrs, dict):
         problems.add(f"{name[:60]!r}: expected a known dtype, and attributes")
         return None
-    flat: list[Any] = []
     try:
-        shape = _flatten(entry.get("values"), len(dims), flat)
+        nested = np.array(entry.get("values"), object)
+        if nested.ndim != len(dims) or any(isinstance(value, list) for value in nested.flat):
+            raise ValueError("expected lists as deep as its dims, of equal lengths")
         # dims that no spectrum has get their size from the first variable that has them
-        expected = tuple(sizes.setdefault(dim, size) for dim, size in zip(dims, shape, strict=True))
-        if shape != expected:
-            raise ValueError(f"shape {shape}, expected {expected}")
-        values = typed_values(flat, kind).reshape(shape)
+        expected = tuple(sizes.setdefault(dim, size) for dim, size in zip(dims, nested.shape, strict=True))
+        if nested.shape != expected:
+            raise ValueError(f"shape {nested.shape}, expected {expected}")
+        values = typed_values(nested.ravel().tolist(), kind).reshape(nested.shape)
     except (ValueError, TypeError, OverflowError) as error:
         problems.add(f"{name[:60]!r} ({kind}): {error!s:.100}")
         return None
@@ -256,30 +246,14 @@ def _dims_of(entry: Any, problems: Problems, name: str) -> tuple[str, ...] | Non
     return None
 
 
-def _flatten(values: Any, depth: int, into: list[Any]) -> tuple[int, ...]:
-    """Gather the values of nested lists; return their shape."""
-    if depth == 0:
-        into.append(values)
-        return ()
-    if not isinstance(values, list):
-        raise ValueError("expected lists as deep as its dims")
-    shapes = {_flatten(value, depth - 1, into) for value in values}
-    if len(shapes) > 1:
-        raise ValueError("its lists have different lengths")
-    return (len(values), *(shapes.pop() if shapes else (0,) * (depth - 1)))
-
-
 def typed_values(flat: list[Any], kind: str) -> Array:
     """Return values that JSON held as those of a dtype.
 
     Raises ValueError: One is of another kind, or out of range.
     """
-    if kind == "str":
+    if kind in ("str", "datetime64[ns]"):
         _each(flat, str)
-        return text_column(flat)
-    if kind == "datetime64[ns]":
-        _each(flat, str)
-        return _times(flat)
+        return text_column(flat) if kind == "str" else _times(flat)
     if kind == "bool":
         _each(flat, bool)
         return np.array(flat, np.bool_)

@@ -15,7 +15,8 @@ import numpy as np
 from hyperpaint.base.arrays import Array, Floats
 from hyperpaint.base.errors import FormatError, Problems, StoreError
 from hyperpaint.base.schema import BAND, LIBRARY_VARIABLES, PAINT
-from hyperpaint.io.files.reading import is_pattern, matching_files
+from hyperpaint.io.files.reading import head_of
+from hyperpaint.io.spectrometers.spectrum_files import find_paths
 
 from .csv_library import is_csv_library, read_csv_library
 from .ecostress import is_ecostress, read_ecostress
@@ -124,7 +125,12 @@ def open_library(
     if isinstance(path, str | os.PathLike) and _is_store(path):
         options.refuse_for(path)
         return _read_store(path)
-    files = _files(path)
+    files = find_paths(
+        path,
+        lambda inside: _spectra_among([file for file in inside if file.suffix.lower() in _TEXT_SUFFIXES]),
+        "text files of spectra, or the library's file by its name",
+        lambda matches: _spectra_among([file for file in matches if file.suffix.lower() != ".json"]),
+    )
     if len(files) == 1:
         return _opened(files[0], options)
     problems = Problems("the library cannot be opened", FormatError)
@@ -167,46 +173,6 @@ def _axis(given: Path_ | Any | None, name: str) -> Floats | None:
 # --- which files -------------------------------------------------------------------------------------------
 
 
-def _files(paths: Path_ | Sequence[Path_]) -> list[Path]:
-    """Return the files of a path, a folder, a pattern, or a list of these."""
-    entries = [paths] if isinstance(paths, str | os.PathLike) else list(paths)
-    problems = Problems("the library cannot be opened", FormatError)
-    files: list[Path] = []
-    for entry in entries:
-        path = Path(entry)
-        if path.is_dir():
-            matches = _of_folder(path)
-            if not matches:
-                problems.add(f"{path}: a folder without text files of spectra; name the library's file in it")
-        elif os.path.lexists(path) or not is_pattern(str(path)):
-            matches = [path]
-        else:
-            matches = _of_pattern(path, problems)
-        files += matches
-    if not files and not problems:
-        problems.add("an empty list of files; name at least one")
-    problems.raise_if_any()
-    return files
-
-
-def _of_folder(folder: Path) -> list[Path]:
-    return _spectra_among([path for path in folder.iterdir() if path.suffix.lower() in _TEXT_SUFFIXES])
-
-
-def _of_pattern(pattern: Path, problems: Problems) -> list[Path]:
-    parts = pattern.parts
-    first = next(at for at, part in enumerate(parts) if is_pattern(part))
-    try:
-        matches = matching_files(Path(*parts[:first]), "/".join(parts[first:]))
-    except ValueError as error:
-        problems.add(f"{pattern}: {error}")
-        return []
-    files = _spectra_among([path for path in matches if path.suffix.lower() != ".json" and not path.is_dir()])
-    if not files:
-        problems.add(f"{pattern}: no spectra found")
-    return files
-
-
 def _spectra_among(paths: Sequence[Path]) -> list[Path]:
     """Return the files that are to hold spectra, in the order of their names; numbers count as such.
 
@@ -216,7 +182,8 @@ def _spectra_among(paths: Sequence[Path]) -> list[Path]:
     candidates = [
         path
         for path in paths
-        if not path.name.startswith(".")
+        if not path.is_dir()
+        and not path.name.startswith(".")
         and not path.name.endswith(_ANCILLARY)
         and not _goes_with_spectra(_head(path))
     ]
@@ -243,13 +210,7 @@ def _natural(text: str) -> list[tuple[int, str]]:
 
 def _head(path: Path) -> str:
     """Return the beginning of a file as text; nothing of what is none."""
-    try:
-        if not path.is_file():
-            return ""
-        with open(path, "rb") as file:
-            return file.read(_HEAD_BYTES).decode("latin-1").removeprefix("\xef\xbb\xbf")
-    except OSError:
-        return ""
+    return head_of(path, _HEAD_BYTES).decode("latin-1").removeprefix("\xef\xbb\xbf")
 
 
 # --- one file ----------------------------------------------------------------------------------------------
@@ -262,25 +223,23 @@ def _opened(path: Path, options: _Options) -> xr.Dataset:
         raise FormatError(f"{path}: {kind}; expected a spectral library")
     try:
         return _by_content(path, options)
+    except StoreError:
+        raise
     except OSError as error:
-        if isinstance(error, StoreError):
-            raise
         raise FormatError(f"{path}: cannot be read ({error.strerror or error})") from error
 
 
 def _by_content(path: Path, options: _Options) -> xr.Dataset:
     nm, scale = options.wavelength, options.scale
-    if path.suffix.lower() == ".ems":
+    suffix, head = path.suffix.lower(), _head(path)
+    if suffix == ".ems":
         from hyperpaint.io.dirsig import open_emissivity
 
         return open_emissivity(path)
-    if path.suffix.lower() in _ENVI_SUFFIXES:
-        return read_envi_library(path, scale=scale, wavelength=nm, fwhm=options.fwhm)
-    head = _head(path)
-    if is_csv_library(head):
+    if suffix not in _ENVI_SUFFIXES and is_csv_library(head):
         options.refuse_for(path)
         return read_csv_library(path)
-    if path.suffix.lower() not in _TEXT_SUFFIXES and path.with_suffix(".hdr").is_file():
+    if suffix in _ENVI_SUFFIXES or (suffix not in _TEXT_SUFFIXES and path.with_suffix(".hdr").is_file()):
         return read_envi_library(path, scale=scale, wavelength=nm, fwhm=options.fwhm)
     if is_usgs(head):
         return library_of(read_usgs(path, scale=scale, wavelength=nm, fwhm=options.fwhm))

@@ -11,19 +11,24 @@ from pathlib import Path
 import numpy as np
 
 from hyperpaint.base.arrays import Floats
-from hyperpaint.base.errors import FormatError, Problems
+from hyperpaint.base.errors import FormatError
+from hyperpaint.io.files.reading import numbers
 
 from .library_spectra import Spectra, reflectances
-from .text_spectra import in_nanometres, lines_of, number, wavelength_factor
+from .text_spectra import (
+    PERCENT,
+    in_nanometres,
+    lines_of,
+    numbers_of_lines,
+    other_quantity,
+    wavelength_factor,
+)
 
 __all__ = ["read_plain_table"]
 
 _MOST_PREAMBLE = 500
-_MOST_SHOWN = 5
-_PERCENT = re.compile(r"percent|%", re.IGNORECASE)
 _GENERIC = re.compile(r"|r|rho|y|values?|.*(?:reflect|average|mean).*", re.IGNORECASE)
 _SPREAD = re.compile(r"standard.dev|std|\bsd\b|sigma", re.IGNORECASE)
-_OTHER_QUANTITY = re.compile(r"radiance|transmi|emissiv|absorb|\bcounts?\b|\bDN\b", re.IGNORECASE)
 
 
 @dataclass(frozen=True)
@@ -41,8 +46,7 @@ class _Dialect:
         cells = self.cells(line.strip(" "))
         if len(cells) < 2 or not cells[0].strip():
             return None
-        numbers = [number(cell.replace(",", ".") if self.comma else cell) for cell in cells]
-        return None if None in numbers else [value for value in numbers if value is not None]
+        return numbers(cell.replace(",", ".") if self.comma else cell for cell in cells)
 
 
 _DIALECTS = (
@@ -67,7 +71,8 @@ def read_plain_table(path: Path, *, scale: float | None = None, wavelength: Floa
     source = path.name
     lines = lines_of(path, "a table of wavelengths and reflectance")
     first, dialect, columns = _beginning(lines, source)
-    table = _numbers(lines, first, dialect, columns, source)
+    written = ["" if line.lstrip().startswith("#") else line for line in lines]
+    table = numbers_of_lines(written, first, columns, source, dialect.row)
     if columns > 2 and np.isnan(table[:, -1]).all():  # every line ends with a separator
         table, columns = table[:, :-1], columns - 1
     _check_order(table[:, 0], source)
@@ -75,10 +80,10 @@ def read_plain_table(path: Path, *, scale: float | None = None, wavelength: Floa
     names, spread = _names(preamble, dialect, columns, path.stem)
     said = " ".join(preamble)
     heading = preamble[-1] if preamble else ""
-    if (other_quantity := _OTHER_QUANTITY.search(heading)) and not re.search("reflect", said, re.IGNORECASE):
-        raise FormatError(f"{source}: its heading says {other_quantity[0]!r}, expected reflectance")
+    if (quantity := other_quantity(heading)) and "reflect" not in said.lower():
+        raise FormatError(f"{source}: its heading says {quantity!r}, expected reflectance")
     factor, note = wavelength_factor(said, table[:, 0], source)
-    percent = 100.0 if _PERCENT.search(heading) else None
+    percent = 100.0 if PERCENT.search(heading) else None
     values = reflectances(table[:, 1:].T, source, said=percent, given=scale)
     return Spectra(
         source=source,
@@ -105,24 +110,6 @@ def _beginning(lines: Sequence[str], source: str) -> tuple[int, _Dialect, int]:
     raise FormatError(f"{source}: no table of numbers, expected a wavelength and one or more values a line")
 
 
-def _numbers(lines: Sequence[str], first: int, dialect: _Dialect, columns: int, source: str) -> Floats:
-    problems = Problems(f"{source} cannot be read", FormatError)
-    rows = []
-    for at, line in enumerate(lines[first:], first + 1):
-        if not line.strip() or line.lstrip().startswith("#"):
-            continue
-        row = dialect.row(line)
-        if row is None or len(row) != columns:
-            problems.add(f"line {at}: {line.strip()[:60]!r}, expected {columns} numbers")
-            if len(problems) == _MOST_SHOWN:
-                break
-        else:
-            rows.append(np.array(row, np.float64))
-    problems.raise_if_any()
-    table: Floats = np.array(rows, np.float64)
-    return table
-
-
 def _check_order(wavelength: Floats, source: str) -> None:
     """Refuse a first column that wanders: it may step back where detectors join, not more."""
     steps = np.diff(wavelength)
@@ -141,9 +128,8 @@ def _names(preamble: Sequence[str], dialect: _Dialect, columns: int, stem: str) 
     names = [heading.strip() for heading in headings[1 : count + 1]]
     if count == 1:
         return [stem if not names or _GENERIC.fullmatch(names[0]) else names[0]], spread
-    return [name or f"column {at}" for at, name in enumerate(names, 2)] or [
-        f"column {at}" for at in range(2, columns + 1)
-    ], spread
+    names = names or [""] * count
+    return [name or f"column {at}" for at, name in enumerate(names, 2)], spread
 
 
 def _headings(preamble: Sequence[str], dialect: _Dialect, columns: int) -> list[str]:

@@ -6,29 +6,30 @@ band, then their members. A record is told by its variable, its paint, and its p
 
 from __future__ import annotations
 
+import itertools
 import unicodedata
+import warnings
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
 
 from hyperpaint.base import schema
-from hyperpaint.base.arrays import Floats32, Ints
-from hyperpaint.base.errors import FormatError, Problems, SchemaError
+from hyperpaint.base.arrays import Floats32, Ints, Progress
+from hyperpaint.base.errors import FormatError, PaintWarning, Problems, SchemaError
 from hyperpaint.base.schema import BAND, LIBRARY_VARIABLES, MEMBER, PAINT
 
 from .library_spectra import text_column
+from .metadata import Metadata, metadata_path, read_metadata
 
 if TYPE_CHECKING:
     import xarray as xr
 
-    from .metadata import Metadata
-
 __all__ = [
-    "CENTRE", "Key", "blocks_of", "checked_library", "names_of", "placements", "spectral_variables",
-    "with_metadata",
+    "CENTRE", "Key", "blocks_of", "checked_library", "names_of", "restored", "spectral_variables",
 ]  # fmt: skip
 
 CENTRE = "reflectance"
@@ -124,43 +125,41 @@ def spectral_variables(library: xr.Dataset) -> list[str]:
     return sorted(names, key=lambda name: (name != CENTRE, MEMBER in library[name].dims))
 
 
-def blocks_of(library: xr.Dataset, names: Iterable[str]) -> Iterator[Block]:
+def blocks_of(library: xr.Dataset, names: Sequence[str], progress: Progress | None = None) -> Iterator[Block]:
     """Yield the records of variables, some 16 MiB at a time; padding beyond the last member is left out.
 
-    Lazy arrays are computed one chunk of paints at a time.
+    Lazy arrays are computed one chunk of paints at a time. ``progress`` counts the paints of all variables.
     """
-    for name in names:
+    paints = library.sizes[PAINT]
+    for number, name in enumerate(names):
         array = library[name]
         inner = [dim for dim in array.dims if dim not in (PAINT, BAND)]
         array = array.transpose(PAINT, *inner, BAND)
         for start, stop in _pieces(array):
             values: Floats32 = np.asarray(array[start:stop].values, np.float32)
-            if not inner:
+            if inner:
+                is_stored = np.ones(values.shape[:2], np.bool_)
+                if inner == [MEMBER]:
+                    has_value: npt.NDArray[np.bool_] = np.any(~np.isnan(values), axis=2)
+                    # up to the last member that has a value
+                    is_stored[:] = np.logical_or.accumulate(has_value[:, ::-1], axis=1)[:, ::-1]
+                paint, place = np.nonzero(is_stored)
+                yield Block(name, paint + start, place, values[is_stored])
+            else:
                 places = np.arange(start, stop)
                 yield Block(name, places, np.full(stop - start, -1), np.ascontiguousarray(values))
-                continue
-            is_stored = np.ones(values.shape[:2], np.bool_)
-            if inner == [MEMBER]:
-                has_value: npt.NDArray[np.bool_] = np.any(~np.isnan(values), axis=2)
-                # up to the last member that has a value
-                is_stored[:] = np.logical_or.accumulate(has_value[:, ::-1], axis=1)[:, ::-1]
-            paint, place = np.nonzero(is_stored)
-            yield Block(name, paint + start, place, values[is_stored])
+            if progress is not None:
+                progress(number * paints + stop, len(names) * paints)
 
 
 def _pieces(array: xr.DataArray) -> Iterator[tuple[int, int]]:
-    """Yield ranges of paints: dask's own chunks, else as many as fit a block."""
+    """Return ranges of paints: dask's own chunks, else as many as fit a block."""
     if array.chunks is not None:
-        sizes: Sequence[int] = array.chunks[0]
+        edges = [0, *itertools.accumulate(array.chunks[0])]
     else:
-        row = max(1, array.nbytes // array.shape[0])
-        step = max(1, _BLOCK_BYTES // row)
-        sizes = [step] * (array.shape[0] // step) + [array.shape[0] % step]
-    start = 0
-    for size in sizes:
-        if size:
-            yield start, start + size
-        start += size
+        step = max(1, _BLOCK_BYTES // max(1, array.nbytes // array.shape[0]))
+        edges = [*range(0, array.shape[0], step), array.shape[0]]
+    return itertools.pairwise(dict.fromkeys(edges))
 
 
 # --- and back ----------------------------------------------------------------------------------------------
@@ -211,6 +210,31 @@ def placements(keys: Sequence[Key], paints: int, bands: int, source: str) -> dic
         values = np.full((paints, *places, bands), np.nan, np.float32)
         by_variable[variable] = Placement(records, paint, inner, values)
     return by_variable
+
+
+def restored(
+    path: Path, names: Sequence[str], keys: Sequence[Key], axes: Mapping[str, Any],
+    rows: Iterable[tuple[int, Floats32]],
+) -> xr.Dataset:  # fmt: skip
+    """Return the library that was written to a file, with the metadata beside it.
+
+    names: Of the paints; keys: what each record is; axes: see `with_metadata`.
+    rows: Records, some at a time, each lot with the number of its first.
+    Raises FormatError: Records or metadata are damaged, or do not go together.
+    Warns PaintWarning: The metadata are missing.
+    """
+    bands = len(axes["wavelength"])
+    placed = placements(keys, len(names), bands, path.name)
+    sidecar = metadata_path(path)
+    metadata = read_metadata(sidecar, {PAINT: len(names), BAND: bands}) if sidecar.exists() else None
+    if metadata is None:
+        text = f"{path.name}: {sidecar.name} is missing: names are those of the file, and all else is lost"
+        warnings.warn(text, PaintWarning, stacklevel=6)
+    for first, lot in rows:
+        for placement in placed.values():
+            placement.put(first, lot)
+    data = {name: placement.values for name, placement in placed.items()}
+    return with_metadata(data, axes, names, metadata, path.name)
 
 
 def _most_cells(stored: int) -> int:

@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
 
 from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import FormatError, Problems
-from hyperpaint.io.files.reading import decoded_text, read_limited_text
+from hyperpaint.io.files.reading import decoded_text, numbers, read_limited_text
 
-__all__ = ["in_nanometres", "lines_of", "number", "numbers_of_lines", "wavelength_factor"]
+__all__ = [
+    "PERCENT", "in_nanometres", "lines_of", "numbers_of_lines", "other_quantity",
+    "wavelength_factor",
+]  # fmt: skip
 
 MOST_BYTES = 32 * 2**20
 """Bytes of a text file that is read whole: 100,000 bands of 30 spectra."""
@@ -20,6 +24,8 @@ _MOST_SHOWN = 5
 _BREAK = re.compile(r"\r\n|\r|\n")
 _MICROMETRE = re.compile(r"\b(?:um|micromet(?:er|re)s?|microns?)\b|[µμ]m\b", re.IGNORECASE)
 _NANOMETRE = re.compile(r"\b(?:nm|nanomet(?:er|re)s?)\b", re.IGNORECASE)
+PERCENT = re.compile(r"percent|%", re.IGNORECASE)
+_OTHER_QUANTITY = re.compile(r"radianc\w*|transmi|emissiv|absorb|\bcounts?\b|\bDN\b", re.IGNORECASE)
 _OTHER = re.compile(r"\b(?:wave ?numbers?|cm\^?-1|1/cm|angstroms?|[GT]Hz)\b", re.IGNORECASE)
 
 
@@ -34,43 +40,29 @@ def lines_of(path: Path, expected: str) -> list[str]:
     return _BREAK.split(decoded_text(raw))
 
 
-def number(text: str) -> float | None:
-    """Return a number, NaN of an empty cell, None of anything else.
-
-    Unlike float(), takes neither underscores, other scripts' digits, nor infinities.
-    """
-    text = text.strip()
-    if not text:
-        return float("nan")
-    if len(text) > 64 or not text.isascii() or "_" in text:
-        return None
-    try:
-        value = float(text)
-    except ValueError:
-        return None
-    return None if value in (float("inf"), float("-inf")) else value
-
-
-def numbers_of_lines(lines: list[str], first: int, columns: int, source: str) -> Floats:
-    """Return lines of blank-separated numbers, (line, column); empty lines are passed over.
+def numbers_of_lines(
+    lines: Sequence[str], first: int, columns: int, source: str,
+    numbers_of: Callable[[str], list[float] | None] | None = None,
+) -> Floats:  # fmt: skip
+    """Return lines of numbers, (line, column); empty lines are passed over.
 
     first: Index of the first line of numbers.
     columns: Numbers of each line.
+    numbers_of: Returns the numbers of a line, None where it is anything else; by default blanks part them.
     Raises FormatError: Lines hold something else; the first are listed.
     """
     problems = Problems(f"{source} cannot be read", FormatError)
     rows = []
     for at, line in enumerate(lines[first:], first + 1):
-        cells = line.split(None, columns)
-        if not cells:
+        if not line.strip():
             continue
-        row = [number(cell) for cell in cells]
-        if len(row) != columns or None in row:
+        row = numbers_of(line) if numbers_of else numbers(line.split(None, columns))
+        if row is None or len(row) != columns:
             problems.add(f"line {at}: {line.strip()[:60]!r}, expected {columns} number{'s'[: columns - 1]}")
             if len(problems) == _MOST_SHOWN:
                 break
         else:
-            rows.append(row)
+            rows.append(np.array(row, np.float64))
     problems.raise_if_any()
     return np.array(rows, np.float64).reshape(-1, columns)
 
@@ -80,6 +72,12 @@ def in_nanometres(values: Floats, factor: float) -> Floats:
     with np.errstate(over="ignore"):
         nanometres: Floats = values * factor
     return nanometres
+
+
+def other_quantity(text: str) -> str:
+    """Return the word that says that values are no reflectance; empty where there is none."""
+    match = _OTHER_QUANTITY.search(text)
+    return match[0] if match and "reflect" not in text.lower() else ""
 
 
 def wavelength_factor(text: str, wavelength: Floats, source: str) -> tuple[float, str]:

@@ -17,6 +17,7 @@ import xarray as xr
 from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import FormatError, PaintWarning, SchemaError, TimeError
 from hyperpaint.base.schema import VARIABLES, label
+from hyperpaint.io.files.reading import head_of
 
 from .asd_binary import AsdCalibration, AsdFile, AsdGps, is_asd, read_asd
 from .asd_text import AsdText, is_asd_text, read_asd_text
@@ -257,13 +258,7 @@ def _read_file(path: Path) -> AsdFile | AsdText:
 
 def sniff(path: Path) -> Kind:
     """Return what kind of spectra a file holds, by its first bytes; ``unknown`` also where there is none."""
-    if not path.is_file():  # a pipe would wait
-        return "unknown"
-    try:
-        with path.open("rb") as stream:
-            head = stream.read(_HEAD_BYTES)
-    except OSError:
-        return "unknown"
+    head = head_of(path, _HEAD_BYTES)
     if is_asd(head):
         return "binary"
     if is_asd_text(head):

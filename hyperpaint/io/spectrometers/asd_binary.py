@@ -364,9 +364,11 @@ def _parse_gps(cursor: Cursor, block: bytes) -> AsdGps | None:
     if latitude == longitude == altitude == 0.0:
         return None
     try:
+        if not abs(altitude) < 1e5:
+            raise ValueError
         fix = dt.time(hour, minute, second)
         # west positive in the file
-        return AsdGps(_degrees(latitude, 90.0), -_degrees(longitude, 180.0), _metres(altitude), fix)
+        return AsdGps(_degrees(latitude, 90.0), -_degrees(longitude, 180.0), altitude, fix)
     except ValueError as error:
         raise cursor.error(
             f"GPS position {latitude}, {longitude}, {altitude} m at {hour}:{minute}:{second}, "
@@ -381,12 +383,6 @@ def _degrees(ddmm: float, limit: float) -> float:
     if minutes >= 60.0:
         raise ValueError
     return math.copysign(degrees + minutes / 60.0, ddmm)
-
-
-def _metres(altitude: float) -> float:
-    if not abs(altitude) < 1e5:
-        raise ValueError
-    return altitude
 
 
 def _plain_text(raw: bytes) -> str:

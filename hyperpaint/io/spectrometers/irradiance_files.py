@@ -13,7 +13,7 @@ import numpy.typing as npt
 import xarray as xr
 
 from hyperpaint.base.errors import FormatError, IncompleteStoreError
-from hyperpaint.io.files.reading import load_netcdf, read_limited_text
+from hyperpaint.io.files.reading import load_netcdf, number, numbers, read_limited_text
 
 __all__ = ["is_irradiance_csv", "is_store", "read_irradiance_csv", "stored_series"]
 
@@ -69,19 +69,19 @@ def read_irradiance_csv(path: str | os.PathLike[str]) -> IrradianceTable:
 def _parse(name: str, text: str) -> IrradianceTable:
     comments: dict[str, str] = {}
     rows: list[tuple[int, list[str]]] = []
-    for number, line in enumerate(text.split("\n"), start=1):
+    for line_number, line in enumerate(text.split("\n"), start=1):
         if line.startswith("#"):
             key, _, value = line[1:].partition(":")
             comments[key.strip().lower()] = value.strip()
         elif line.strip():
-            rows.append((number, [cell.strip().strip('"') for cell in line.strip().split(",")]))
+            rows.append((line_number, [cell.strip().strip('"') for cell in line.strip().split(",")]))
     if not rows or rows[0][1][0].lower() != "time":
         raise FormatError(f"{name}: no header 'time,<wavelength>,...': not an irradiance series")
     wavelength = _wavelength(name, rows[0][1][1:])
     if len(rows) < 2:
         raise FormatError(f"{name}: no rows; expected a time and {len(wavelength)} values in each")
     times, values = [], np.empty((len(rows) - 1, len(wavelength)))
-    for index, (number, cells) in enumerate(rows[1:]):
+    for index, (line_number, cells) in enumerate(rows[1:]):
         try:
             times.append(_time(cells[0]))
             if len(cells) != len(wavelength) + 1:
@@ -89,31 +89,24 @@ def _parse(name: str, text: str) -> IrradianceTable:
             values[index] = [float(cell) if cell else math.nan for cell in cells[1:]]
         except (ValueError, OverflowError) as error:
             raise FormatError(
-                f"{name}: line {number} cannot be read ({error}); expected an ISO 8601 time such as "
+                f"{name}: line {line_number} cannot be read ({error}); expected an ISO 8601 time such as "
                 f"2024-05-21T12:00:00Z and {len(wavelength)} numbers"
             ) from error
     if len({time.tzinfo is None for time in times}) > 1:
         raise FormatError(f"{name}: some stamps have a zone and some have not; give it to all or to none")
-    lines = tuple(number for number, _ in rows[1:])
+    lines = tuple(line_number for line_number, _ in rows[1:])
     return IrradianceTable(
         name, tuple(times), lines, wavelength, values, comments.get("units"), _width(name, comments)
     )
 
 
 def _wavelength(name: str, cells: list[str]) -> npt.NDArray[np.float64]:
-    try:
-        wavelength = np.array([float(cell) for cell in cells], np.float64)
-    except ValueError as error:
+    wavelength = np.array(numbers(cells) or [], np.float64)
+    if not (wavelength.size and wavelength[0] > 0 and np.all(np.diff(wavelength) > 0)):
         raise FormatError(
-            f"{name}: the header cannot be read ({error}); expected 'time' and wavelengths in nm"
-        ) from error
-    if not (
-        len(wavelength)
-        and np.all(np.isfinite(wavelength))
-        and np.all(wavelength > 0)
-        and np.all(np.diff(wavelength) > 0)
-    ):
-        raise FormatError(f"{name}: the wavelengths in the header must be positive and increase")
+            f"{name}: the header is 'time,{','.join(cells)[:60]}', expected 'time' and wavelengths in "
+            "nm, which must be positive and increase"
+        )
     return wavelength
 
 
@@ -127,11 +120,8 @@ def _time(cell: str) -> dt.datetime:
 def _width(name: str, comments: dict[str, str]) -> float | None:
     if "fwhm_nm" not in comments:
         return None
-    try:
-        width = float(comments["fwhm_nm"])
-    except ValueError:
-        width = math.nan
-    if not 0 < width < math.inf:
+    width = number(comments["fwhm_nm"])
+    if width is None or not width > 0:
         raise FormatError(f"{name}: '# fwhm_nm: {comments['fwhm_nm'][:40]}', expected a positive number")
     return width
 

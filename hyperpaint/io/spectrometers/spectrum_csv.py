@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from hyperpaint.base.errors import FormatError, Problems
 from hyperpaint.base.schema import VARIABLES
-from hyperpaint.io.files.reading import read_limited_text
+from hyperpaint.io.files.reading import numbers, read_limited_text
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -37,21 +37,21 @@ def read_spectrum_csv(
     """
     path = Path(path)
     problems = Problems(f"{path} is no spectrum", FormatError)
-    rows: list[tuple[float, float]] = []
+    rows: list[list[float]] = []
     text = read_limited_text(path, _MAX_BYTES, "a spectrum of two columns").decode("utf-8", "replace")
     for number, line in enumerate(text.splitlines(), 1):
         content = line.strip().lstrip("\ufeff")
         if not content or content.startswith("#"):
             continue
-        row = _numbers(content)
-        if row is not None:
+        row = numbers(content.replace(",", " ").replace(";", " ").split())
+        if row is not None and len(row) == 2:
             rows.append(row)
         elif rows or number > headings:
             problems.add(f"line {number}: {content[:60]!r}, expected a wavelength [nm] and a value")
             if len(problems) == _MOST_SHOWN:
                 problems.raise_if_any()
     table = np.array(rows, dtype=np.float64).reshape(-1, 2)
-    wavelength, values = table[:, 0].copy(), table[:, 1].copy()
+    wavelength, values = table.T.copy()
     if len(rows) < 2:
         problems.add(f"{len(rows)} lines of numbers, expected two at least")
     elif not (np.isfinite(table).all() and (np.diff(wavelength) > 0).all()):
@@ -60,16 +60,6 @@ def read_spectrum_csv(
         problems.add(f"wavelengths from {wavelength[0]:g} to {wavelength[-1]:g}, expected nanometres")
     problems.raise_if_any()
     return wavelength, values
-
-
-def _numbers(line: str) -> tuple[float, float] | None:
-    parts = line.replace(",", " ").replace(";", " ").split()
-    if len(parts) != 2:
-        return None
-    try:
-        return float(parts[0]), float(parts[1])
-    except ValueError:
-        return None
 
 
 _MAX_HEADING_LINES = 40
@@ -114,7 +104,7 @@ def read_certificate(path: str | os.PathLike[str]) -> xr.DataArray:
         )
     attrs = {**VARIABLES["wavelength"].attrs, "long_name": "Wavelength of the certificate"}
     return xr.DataArray(
-        values.astype(np.float64),
+        values,
         dims="wavelength",
         coords={"wavelength": ("wavelength", wavelength, attrs)},
         name="reflectance",

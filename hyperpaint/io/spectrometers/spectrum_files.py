@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import glob
 import os
 from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
@@ -13,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hyperpaint.base.errors import FormatError, Problem, Problems, TimeError
-from hyperpaint.io.files.reading import unique_names
+from hyperpaint.io.files.reading import is_pattern, matching_files, unique_names
 
 __all__ = [
     "QUANTITIES", "Paths", "check_utc_offset", "common_quantity", "find_paths", "for_all", "listed",
@@ -27,30 +26,37 @@ _T = TypeVar("_T")
 _R = TypeVar("_R")
 
 
-def find_paths(paths: Paths, of_folder: Callable[[list[Path]], list[Path]], expected: str) -> list[Path]:
+def find_paths(
+    paths: Paths, of_folder: Callable[[list[Path]], list[Path]], expected: str,
+    of_pattern: Callable[[list[Path]], list[Path]] = list,
+) -> list[Path]:  # fmt: skip
     """Return the files that ``paths`` names: a file, a glob, a folder, or a list of these.
 
-    of_folder: Picks the spectra among the files of a folder.
+    of_folder, of_pattern: Pick the spectra among the files of a folder, and among what a glob matches.
     expected: What is looked for, for messages.
-    Raises FormatError: Nothing is there.
+    Raises FormatError: Nothing is there, or a glob leads out of its folder or matches too much.
     """
     if isinstance(paths, str | os.PathLike):
         paths = [paths]
     problems = Problems("spectra cannot be opened", FormatError)
     files: list[Path] = []
     for entry in paths:
-        text = os.fspath(entry)
-        path = Path(text)
+        path = Path(entry)
         if path.is_dir():
             # what only looks like a file is kept: to read it is an error that names it, and none goes missing
             inside = sorted(p for p in path.iterdir() if not p.is_dir() and not p.name.startswith("."))
             matches = of_folder(inside)
-        elif path.exists() or not glob.has_magic(text):
+        elif os.path.lexists(path) or not is_pattern(str(path)):
             matches = [path]
         else:
-            matches = [Path(match) for match in sorted(glob.glob(text, recursive=True))]
+            first = next(at for at, part in enumerate(path.parts) if is_pattern(part))
+            try:
+                matches = of_pattern(matching_files(Path(*path.parts[:first]), "/".join(path.parts[first:])))
+            except ValueError as error:
+                problems.add(f"{path}: {error}")
+                continue
         if not matches:
-            problems.add(f"{text}: no spectra found; expected {expected}")
+            problems.add(f"{path}: no spectra found; expected {expected}")
         files += matches
     if not files and not problems:
         problems.add("an empty list of files; name at least one")

@@ -304,7 +304,7 @@ def test_csv_needs_zone_units_and_width(tmp_path):
         ("", "no header"),
         ("time,600,500\n", "must be positive and increase"),
         ("time,nan\n", "must be positive and increase"),
-        ("time,a\n", "header cannot be read"),
+        ("time,a\n", "header is .time,a., expected"),
         ("time,500\n", "no rows"),
         ("time,500\nnoon,1\n", "line 2 cannot be read"),
         ("time,500\n2024-05-21T12:00:00Z,1,2\n", "2 values"),
