@@ -11,6 +11,9 @@ import numpy as np
 
 from hyperpaint.base.errors import FormatError, Problems
 from hyperpaint.io.files.reading import read_limited_text
+from hyperpaint.io.flightline.headwall import name_rows, table_of
+
+from .navigation_records import limited_numbers
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -19,7 +22,6 @@ __all__ = ["read_control_points"]
 
 _MAX_BYTES = 16 << 20
 _MOST_ROWS = 100_000
-_MOST_SHOWN = 8
 _LARGEST = 1e8
 _NUMBERS = ("along_track", "cross_track", "east", "north", "height")
 _ALIASES = {
@@ -86,27 +88,23 @@ def read_control_points(path: str | Path) -> xr.Dataset:
         if header.count(name) != 1:
             problems.add(f"{header.count(name)} columns for {name!r} in {rows[0][1][:80]!r}, expected one")
     problems.raise_if_any()
-    cells: dict[str, list[str]] = {name: [] for name in ("name", "flightline")}
-    numbers: dict[str, list[float]] = {name: [] for name in _NUMBERS}
-    for number, line in rows[1:]:
-        row = _cells(line, mark)
-        if len(row) != len(header):
-            problems.add(f"line {number}: {len(row)} cells, expected {len(header)}")
-        else:
-            for name in _NUMBERS:
-                numbers[name].append(_number(row[header.index(name)], name, number, problems))
-            for name, column in cells.items():
-                column.append(row[header.index(name)].strip()[:200] if name in header else "")
-        if len(problems) >= _MOST_SHOWN:
-            break
+    table = table_of(path, header, [(number, _cells(line, mark)) for number, line in rows[1:]])
+    numbers = {name: limited_numbers(table, name, _LARGEST, problems) for name in _NUMBERS}
+    for name, values in numbers.items():
+        if np.isnan(values).any():
+            problems.add(f"column {name!r} is not finite in {name_rows(table.rows[np.isnan(values)])}")
     problems.raise_if_any()
     keys = {name: f"{name}_pixel" if name.endswith("_track") else name for name in _NUMBERS}
+    texts = {name: table.columns.get(name, [""] * len(table.rows)) for name in ("name", "flightline")}
     points = xr.Dataset(
         {
-            keys[name]: ("point", np.array(values), {"units": "1" if name.endswith("_track") else "m"})
+            keys[name]: ("point", values, {"units": "1" if name.endswith("_track") else "m"})
             for name, values in numbers.items()
         },
-        coords={name: ("point", np.array(values, dtype=str)) for name, values in cells.items()},
+        coords={
+            name: ("point", np.array([cell.strip()[:200] for cell in cells], dtype=str))
+            for name, cells in texts.items()
+        },
         attrs={"source": path.name},
     )
     for comment in comments:
@@ -125,13 +123,3 @@ def _cells(line: str, mark: str) -> list[str]:
 
 def _plain(cell: str) -> str:
     return _UNIT.sub("", cell.strip()).strip().lower().replace(" ", "_")
-
-
-def _number(cell: str, name: str, line: int, problems: Problems) -> float:
-    try:
-        number = float(cell)
-    except ValueError:
-        number = float("nan")
-    if not abs(number) <= _LARGEST:
-        problems.add(f"line {line}: {name} {cell[:40]!r}, expected a finite number")
-    return number

@@ -243,11 +243,7 @@ def _angle_unit(
 
 
 def _values(table: Table, column: _Column, wanted: str, problems: Problems) -> NDArray[np.float64]:
-    cells = table.columns[column.shown]
-    if not all(cell.strip() for cell in cells):
-        cells = [cell if cell.strip() else "nan" for cell in cells]
-    one_column = Table(table.name, table.rows, {column.shown: cells})
-    numbers = limited_numbers(one_column, column.shown, 1e6, problems)
+    numbers = limited_numbers(table, column.shown, 1e6, problems, empty="nan")
     if wanted == "degree" and conversion_factor(str(column.unit), "radian") == 1.0:
         return np.degrees(numbers)  # all digits: the factors of units have twelve
     factor = conversion_factor(str(column.unit), wanted)

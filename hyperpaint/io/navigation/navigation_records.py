@@ -264,9 +264,14 @@ def read_imu_gps(path: str | Path, correction: ClockCorrection | None = None) ->
     )._where(keep)
 
 
-def limited_numbers(table: Table, column: str, limit: float, problems: Problems) -> NDArray[np.float64]:
-    """Return a column of numbers, NaN allowed; what is beyond a limit or no number is noted."""
-    cells = table.columns[column]
+def limited_numbers(
+    table: Table, column: str, limit: float, problems: Problems, empty: str = ""
+) -> NDArray[np.float64]:
+    """Return a column of numbers, NaN allowed; what is beyond a limit or no number is noted.
+
+    empty: What an empty cell stands for, if for a number.
+    """
+    cells = [cell if cell.strip() else empty for cell in table.columns[column]]
     try:
         numbers = np.array(list(map(float, cells)))
     except ValueError:

@@ -37,9 +37,9 @@ def test_a_table(tmp_path: Path) -> None:
         ("line,sample,east,north,height\n", "0 points"),
         ("line,sample,east,north\n1,2,3,4\n", "'height'"),
         ("line,row,sample,east,north,height\n1,1,2,3,4,5\n", "2 columns for 'along_track'"),
-        ("line,sample,east,north,height\n1,2,3,4\n", "line 2: 4 cells"),
-        ("line,sample,east,north,height\n1,2,3,nan,5\n", "line 2: north 'nan'"),
-        ("line,sample,east,north,height\n1,2,x,4,inf\n", "line 2: east 'x'"),
+        ("line,sample,east,north,height\n1,2,3,4\n", "line 2 without 5 cells"),
+        ("line,sample,east,north,height\n1,2,3,nan,5\n", "'north' is not finite in line 2"),
+        ("line,sample,east,north,height\n1,2,x,4,inf\n", "'east' is not a number within 1e.08 in line 2"),
     ],
 )
 def test_what_is_wrong_is_named(tmp_path: Path, text: str, told: str) -> None:
