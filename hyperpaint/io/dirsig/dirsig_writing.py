@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from hyperpaint.base.arrays import Array
-from hyperpaint.base.errors import FormatError, PaintWarning, Problems, SchemaError, StoreError
+from hyperpaint.base.errors import FormatError, PaintWarning, Problem, Problems, SchemaError, StoreError
 from hyperpaint.base.schema import LIBRARY_VARIABLES, PAINT, require
 from hyperpaint.io.files.publishing import published_folder
 from hyperpaint.io.files.reading import read_limited
@@ -40,7 +40,7 @@ from .paint_curves import (
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["EMISSIVITY", "REFLECTANCE", "export_folder", "write_dirsig", "write_marker"]
+__all__ = ["write_dirsig"]
 
 EMISSIVITY, REFLECTANCE = "emissivity", "reflectance"
 
@@ -68,13 +68,6 @@ def export_folder(folder: str | os.PathLike[str], *, overwrite: bool) -> Iterato
         yield build
 
 
-def write_marker(build: Path, content: Mapping[str, Any]) -> None:
-    """Write what an export says of itself, by which it is known for one."""
-    document = {"format": _FORMAT, "version": 1, **content}
-    text = json.dumps(document, indent=1, ensure_ascii=False) + "\n"
-    (build / _MARKER).write_bytes(text.encode("utf-8", "backslashreplace"))
-
-
 def _foreign(folder: Path) -> str:
     try:
         document = json.loads(read_limited(folder / _MARKER, _MOST_BYTES, "an export"))
@@ -85,7 +78,7 @@ def _foreign(folder: Path) -> str:
 
 
 SURFACES = ("ClassicEmissivity", "SimpleReflectance")
-_MOST_TOLD = 20
+_MOST_SHOWN = 20
 _AT_ONCE = 64
 """Curves whose text is made at a time."""
 
@@ -218,15 +211,17 @@ def write_dirsig(
             for record in records
         )
         attrs = {**coat.attrs, "surface": surface, "curves_of": kind, **_source(library)}
+        # by which an export is known for one
+        marker = {"format": _FORMAT, "version": 1, **attrs, "paints": records}
         written = {
             "materials.mat": materials_text(entries),
             "paints.glist": glist_text(records),
             "README.txt": readme_text(records, attrs),
+            _MARKER: json.dumps(marker, indent=1, ensure_ascii=False) + "\n",
         }
         for name, text in written.items():
             # what is no letter in any encoding may stand in a name all the same
             (build / name).write_bytes(text.encode("utf-8", "backslashreplace"))
-        write_marker(build, {**attrs, "paints": records})
     _warn(records)
     return _summary(records, {**attrs, "folder": os.fspath(folder)})
 
@@ -318,24 +313,20 @@ def _write_spectra(
     progress: Callable[[int, int], None] | None,
 ) -> None:
     """Write the files of all paints, and complete their records; after a problem only look for others."""
-    problems = Problems("paints cannot be written for DIRSIG", SchemaError)
+    problems: list[Problem] = []
     formats: dict[bytes, tuple[ColumnText, ColumnText]] = {}
-    more = 0
     for paints, values in blocks_of(library, choices):
         for number, record in enumerate(records[paints]):
             centre, curves = values["centre"][number], values["curves"][number]
             try:
                 spectra = curves_of(axis, centre, curves, choices)
             except PaintProblemError as error:
-                if len(problems) < _MOST_TOLD:
-                    problems.add(f"{record['paint']!r}: {error}")
-                else:
-                    more += 1
+                problems.append(Problem(f"{record['paint']!r}: {error}"))
                 continue
             mirror = values["specular_reflectance"][number] if "specular_reflectance" in values else None
             fraction = coat.fraction(np.where(axis.good, centre[axis.order], np.nan),
                                      None if mirror is None else mirror[axis.order])  # fmt: skip
-            if not len(problems):
+            if not problems:
                 key = spectra.wavelength.tobytes()
                 if key not in formats:
                     formats.clear()  # paints in turn are alike; what they need is not kept for ever
@@ -343,9 +334,9 @@ def _write_spectra(
                 record |= _write_paint(spectra, fraction, build, record, *formats[key])
         if progress is not None:
             progress(paints.stop, len(records))
-    if more:
-        problems.add(f"and {more} more paints")
-    problems.raise_if_any()
+    if problems:
+        more = [Problem(f"and {len(problems) - _MOST_SHOWN} more paints")] if problems[_MOST_SHOWN:] else []
+        raise SchemaError("paints cannot be written for DIRSIG", problems=problems[:_MOST_SHOWN] + more)
 
 
 def _write_paint(
@@ -367,7 +358,6 @@ def _write_paint(
     outside = int(((spectra.centre < 0.0) | (spectra.centre > 1.0)).sum())
     centre = np.clip(spectra.centre, 0.0, 1.0)
     (build / record["reflectance_file"]).write_bytes(plain_text.text(centre[np.newaxis]))
-    beyond = [name for name, is_so in (("below", spectra.below), ("above", spectra.above)) if is_so]
     return {
         "wavelength": [float(spectra.wavelength[0]), float(spectra.wavelength[-1])],
         "measured": list(spectra.measured),
@@ -378,7 +368,7 @@ def _write_paint(
         "interpolated": spectra.interpolated,
         "centre_interpolated": spectra.centre_interpolated,
         "left_out": spectra.left_out,
-        "extrapolated": " and ".join(beyond),
+        "extrapolated": spectra.extrapolated,
         "specular_fraction": fraction,
         "editor_color": _colour(spectra.wavelength, centre),
     }

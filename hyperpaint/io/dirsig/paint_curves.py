@@ -143,9 +143,7 @@ class PaintCurves:
     centre: Array  # Reflectance (wavelength,) [1]
     curves: Array  # Reflectance of the population (curve, wavelength) [1]
     measured: tuple[float, float]  # First and last wavelength that were measured [nm]
-    # below, above: Whether a sample was added below or above that
-    below: bool
-    above: bool
+    extrapolated: str  # Where a sample was added beyond that: ``below``, ``above``, both, or empty
     # interpolated, centre_interpolated: Samples of the curves, and of the centre, that were filled in
     # between others
     interpolated: int
@@ -241,11 +239,12 @@ def curves_of(axis: Axis, centre: Array, curves: Array, choices: Choices) -> Pai
     centre = np.interp(wavelength, axis.wavelength[usable], centre[usable])
     low, high = choices.wavelength_range or measured
     before, after = int(below), int(above)
+    extrapolated = " and ".join(name for name, is_so in (("below", below), ("above", above)) if is_so)
     return PaintCurves(
         np.concatenate([[low][:before], wavelength, [high][:after]]),
         np.pad(centre, (before, after), "edge"),
         np.pad(curves, ((0, 0), (before, after)), "edge"),
-        measured, below, above, filled, int(holes.sum()), left_out,
+        measured, extrapolated, filled, int(holes.sum()), left_out,
     )  # fmt: skip
 
 

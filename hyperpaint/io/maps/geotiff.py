@@ -7,8 +7,7 @@ afterwards, by GDAL, in the same streaming way.
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -92,7 +91,7 @@ def write_geotiff(
     >>> write_geotiff(ortho, "ortho.tif", bands="rgb")  # doctest: +SKIP
     PosixPath('ortho.tif')
     """
-    _rasterio()
+    rasterio = _rasterio()
     path = Path(path)
     array = product_of(map, variable)
     if "y" not in array.dims:
@@ -111,11 +110,14 @@ def write_geotiff(
     picture = isinstance(bands, str) and bands == "rgb"
     stored = _picture(array, stretch) if picture else _plain(array)
     names, tags = _descriptions(map, str(array.name), chosen)
-    with published_files([path], overwrite=overwrite) as (target,), _told(path):
+    with published_files([path], overwrite=overwrite) as (target,):
         plain = target.with_name("plain.tif") if cog else target
-        _write(plain, stored, grid, picture, names, tags, progress)
-        if cog:
-            _optimise(plain, target, picture)
+        try:
+            _write(plain, stored, grid, picture, names, tags, progress)
+            if cog:
+                _optimise(plain, target, picture)
+        except rasterio.errors.RasterioError as error:
+            raise StoreError(f"{path} cannot be written: {error}") from error
     return path
 
 
@@ -126,15 +128,6 @@ def _rasterio() -> Any:
         needed = MissingExtraError.of("rasterio", "geo", "writing a GeoTIFF")
         raise needed from error
     return rasterio
-
-
-@contextmanager
-def _told(path: Path) -> Iterator[None]:
-    """Turn what GDAL refuses into an error of ours."""
-    try:
-        yield
-    except _rasterio().errors.RasterioError as error:
-        raise StoreError(f"{path} cannot be written: {error}") from error
 
 
 # --- values ------------------------------------------------------------------------------------------------
