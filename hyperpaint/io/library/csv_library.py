@@ -150,16 +150,13 @@ class _Owner:
 
 def _cells(path: Path) -> Iterator[list[str]]:
     """Yield the rows as texts."""
-    source = path.name
     try:
         if not path.is_file() or path.stat().st_size > _MOST_BYTES:
             raise FormatError(f"{path}: no plain file, or over {_MOST_BYTES} bytes, expected a paint library")
         with open(path, encoding="utf-8-sig", newline="") as file:
-            for row in csv.reader(file, strict=True):
-                if row:
-                    yield row
+            yield from filter(None, csv.reader(file, strict=True))
     except (csv.Error, UnicodeDecodeError, OSError) as error:
-        raise FormatError(f"{source} cannot be read: {error!s:.200}") from error
+        raise FormatError(f"{path.name} cannot be read: {error!s:.200}") from error
 
 
 def _wavelengths(row: list[str], source: str) -> Floats:

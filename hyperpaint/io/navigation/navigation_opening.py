@@ -23,6 +23,9 @@ if TYPE_CHECKING:
     import xarray as xr
     from numpy.typing import NDArray
 
+    #: A file's record, its UTC [ns since 1970-01-01], and attributes that say how it came about.
+    Part = tuple[PoseRecord, NDArray[np.int64], dict[str, Any]]
+
 __all__ = ["navigation_format", "open_navigation", "read_record"]
 
 NAVIGATION_TIME = "navigation_time"
@@ -142,7 +145,7 @@ def open_navigation(
         raise SchemaError(
             f"format {format!r:.40}, expected {', '.join(map(repr, get_args(NavigationFormat)))}"
         )
-    parts: list[tuple[PoseRecord, NDArray[np.int64], dict[str, Any]]] = []
+    parts: list[Part] = []
     findings = Findings("the navigation cannot be used")
     for path in files:
         with findings.step():
@@ -350,7 +353,7 @@ def _refuse_another_date(record: PoseRecord, first: int, source: TimeSource) -> 
 # --- the dataset -------------------------------------------------------------------------------------------
 
 
-def _refuse_mixtures(parts: Sequence[tuple[PoseRecord, NDArray[np.int64], dict[str, Any]]]) -> None:
+def _refuse_mixtures(parts: Sequence[Part]) -> None:
     first = parts[0][0]
     for (before, earlier, _), (record, utc, _) in itertools.pairwise(parts):
         if (record.format, record.convention, set(record.others)) != (
@@ -384,9 +387,7 @@ def _convention(record: PoseRecord, given: Convention | Mapping[str, Any] | None
 
 
 def _attributes(
-    parts: Sequence[tuple[PoseRecord, NDArray[np.int64], dict[str, Any]]],
-    meant: Convention,
-    given: Convention | Mapping[str, Any] | None,
+    parts: Sequence[Part], meant: Convention, given: Convention | Mapping[str, Any] | None
 ) -> dict[str, Any]:
     record, _, timed = parts[0]
     attrs: dict[str, Any] = {
