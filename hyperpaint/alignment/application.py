@@ -3,18 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+import xarray as xr
 
 from hyperpaint.base import schema
 from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import Problems, SchemaError
 from hyperpaint.base.schema import BAND, CROSS_TRACK
-
-if TYPE_CHECKING:
-    import xarray as xr
 
 __all__ = ["apply_alignment"]
 
@@ -166,8 +164,6 @@ def _replaced(
     factor: Any,
 ) -> xr.Dataset:
     """Return the line with what was found in place, and a sentence that says so."""
-    import xarray as xr
-
     centres, wavelength = np.atleast_1d(alignment["window_centre"].values), variables["wavelength"].values
     order = np.argsort(centres)
 

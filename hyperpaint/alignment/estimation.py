@@ -9,10 +9,10 @@ reflectance is.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
+import xarray as xr
 
 from hyperpaint.base import schema
 from hyperpaint.base.arrays import Array, Floats
@@ -35,9 +35,6 @@ from .least_squares import (
     fit_columns,
 )
 from .oxygen import Progress, mean_over_lines
-
-if TYPE_CHECKING:
-    import xarray as xr
 
 __all__ = ["align_to_irradiance"]
 
@@ -240,8 +237,6 @@ def _labelled(
     estimates: list[Estimate], pixels: npt.NDArray[np.int64], column: Floats, max_uncertainty: float
 ) -> xr.Dataset:
     """Return estimates as a Dataset (window, cross_track), with flags that know the noise and the pixels."""
-    import xarray as xr
-
     value = np.stack([each.value for each in estimates])
     covariance = np.stack([each.covariance for each in estimates])
     spread = np.sqrt(np.stack([covariance[..., 0, 0], covariance[..., 1, 1]], axis=-1))

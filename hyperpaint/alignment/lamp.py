@@ -5,10 +5,11 @@ from __future__ import annotations
 import functools
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+import xarray as xr
 
 from hyperpaint.base import schema
 from hyperpaint.base.arrays import Array, Floats
@@ -16,9 +17,6 @@ from hyperpaint.base.errors import SchemaError
 from hyperpaint.base.schema import IRRADIANCE_TIME, IRRADIANCE_WAVELENGTH
 from hyperpaint.light.responses import GAUSSIAN_SIGMA, Matching, Responses, log_slope, matching_operator
 from hyperpaint.light.synchrony import line_light
-
-if TYPE_CHECKING:
-    import xarray as xr
 
 __all__ = ["FACTORS", "Declared", "IrradianceTable", "Light", "mean_light", "table_of_bands"]
 

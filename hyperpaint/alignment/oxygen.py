@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 import numpy.typing as npt
+import xarray as xr
 
 from hyperpaint.base import schema
 from hyperpaint.base.arrays import Floats, Progress
@@ -13,9 +12,6 @@ from hyperpaint.base.errors import SchemaError
 from hyperpaint.base.schema import ALONG_TRACK, BAND, CROSS_TRACK
 from hyperpaint.radiometry.counts_to_reflectance import reflectance
 from hyperpaint.radiometry.slabs import line_chunked
-
-if TYPE_CHECKING:
-    import xarray as xr
 
 __all__ = ["Progress", "mean_over_lines", "oxygen_depth", "oxygen_residual"]
 
@@ -104,8 +100,6 @@ def oxygen_residual(dataset: xr.Dataset, *, progress: Progress | None = None) ->
     >>> bool(abs(oxygen_residual(line)).max() < 0.01 < abs(oxygen_residual(moved)).min())
     True
     """
-    import xarray as xr
-
     dataset = schema.rename_to_roles(dataset)
     if "reflectance" not in dataset.variables:
         dataset = reflectance(dataset)

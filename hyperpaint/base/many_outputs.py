@@ -7,15 +7,13 @@ dtype object, and every output picks its own out of it; dask fuses the picking w
 from __future__ import annotations
 
 from collections.abc import Hashable, Mapping
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import Any, TypeVar
 
+import dask.array as da
 import numpy as np
 import numpy.typing as npt
 
 from .arrays import Array
-
-if TYPE_CHECKING:
-    import dask.array as da
 
 __all__ = ["split_outputs"]
 
@@ -41,8 +39,6 @@ def split_outputs(
     sizes
         Length of the dims of outputs that ``blocks`` lacks.
     """
-    import dask.array as da
-
     return {
         key: da.blockwise(
             _pick, index, blocks, dims, key=key, concatenate=False, dtype=np.dtype(dtype),

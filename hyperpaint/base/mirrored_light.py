@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+import xarray as xr
 
 from .errors import SchemaError
-
-if TYPE_CHECKING:
-    import xarray as xr
 
 __all__ = ["EXCLUDED", "INCLUDED", "mirror_reflection"]
 

@@ -8,7 +8,10 @@ from __future__ import annotations
 
 from collections.abc import Hashable, Iterable, Mapping
 from enum import IntFlag
-from typing import TYPE_CHECKING, Any
+from typing import Any
+
+import numpy as np
+import xarray as xr
 
 from .errors import Problems, SchemaError
 from .units import convert
@@ -31,10 +34,6 @@ from .variables import (
     VARIABLES,
     Variable,
 )
-
-if TYPE_CHECKING:
-    import numpy as np
-    import xarray as xr
 
 __all__ = [
     "ALONG_TRACK", "BAND", "CHUNK_LINES", "CROSS_TRACK", "CUBE", "DIM_ALIASES", "FLAG", "FORMAT_VERSION",
@@ -124,8 +123,6 @@ def rename_to_roles(dataset: xr.Dataset, dims: Mapping[str, Hashable] | None = N
 
 def quality_attrs() -> dict[str, Any]:
     """Return the CF attributes of ``quality``."""
-    import numpy as np
-
     return {
         **VARIABLES["quality"].attrs,
         "flag_masks": np.array([int(flag) for flag in Quality], dtype=np.uint16),
@@ -199,6 +196,4 @@ def find(
 
 def dtype_of(name: str) -> np.dtype[Any]:
     """Return the numpy dtype of a variable of the table."""
-    import numpy as np
-
     return np.dtype(VARIABLES[name].dtype)

@@ -12,12 +12,12 @@ import re
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import xarray as xr
 
 from .errors import MissingExtraError, Problems, UnitsError
 
 if TYPE_CHECKING:
     import pint
-    import xarray as xr
 
 __all__ = ["canonical", "conversion_factor", "convert", "quantify", "registry", "same_dimension"]
 

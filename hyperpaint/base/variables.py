@@ -8,12 +8,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
+
+import xarray as xr
 
 from .units import same_dimension
-
-if TYPE_CHECKING:
-    import xarray as xr
 
 __all__ = [
     "ALONG_TRACK", "BAND", "CROSS_TRACK", "CUBE", "FLAG", "IRRADIANCE_TIME", "IRRADIANCE_WAVELENGTH",

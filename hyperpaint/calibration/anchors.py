@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import warnings
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+import xarray as xr
 
 from hyperpaint.base.arrays import Bools, Floats
 from hyperpaint.base.constants import SATURATION_MARGIN_COUNTS
@@ -15,9 +16,6 @@ from hyperpaint.base.units import convert, same_dimension
 from hyperpaint.light.responses import Responses, log_slope
 
 from .detector import coefficients_of, linearised
-
-if TYPE_CHECKING:
-    import xarray as xr
 
 _ELEMENT = (BAND, CROSS_TRACK)
 _NODE_SPACING = 0.25  # nm; over so little the mean of a spectrum over a band is straight
@@ -195,8 +193,6 @@ def _with_gain(
     calibration: xr.Dataset, gain: Floats, anchor: str, uncertainty: float, *, same_shape: bool = False
 ) -> xr.Dataset:
     """Return the calibration with another gain, and all that belongs to its scale."""
-    import xarray as xr
-
     good = np.isfinite(gain).mean(axis=1) > 0.5
     systematic = np.where(good, np.float32(uncertainty), np.float32(np.nan)).astype(np.float32)
     stale = ["radiance_gain_u_systematic", "quantum_efficiency", "responsivity"]
@@ -383,8 +379,6 @@ def calibration_from_coefficients(
     >>> round(float(made.radiance_gain[0, 0]), 9), made.radiance_gain.units
     (0.0001, 'W m-2 sr-1 nm-1 s count-1')
     """
-    import xarray as xr
-
     wanted = VARIABLES["radiance_gain"].units
     if coefficients.ndim != 2 or set(coefficients.dims) != set(_ELEMENT):
         raise SchemaError(f"coefficients have dims {tuple(map(str, coefficients.dims))}, expected {_ELEMENT}")

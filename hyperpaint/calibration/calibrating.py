@@ -6,9 +6,10 @@ import itertools
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+import xarray as xr
 from numpy.polynomial import chebyshev
 
 from hyperpaint.base.arrays import Bools, Floats
@@ -31,9 +32,6 @@ from .line_fits import SHAPES, Fits
 from .responsivity import line_pull
 from .steps import FROM_SCATTER, Lines, Read, fit_as_seen, fit_through, read_lines
 from .wavelength_map import WavelengthMap, fit_wavelength_map
-
-if TYPE_CHECKING:
-    import xarray as xr
 
 _FEWEST = 4
 _UNEVEN = 0.75  # of the flux's uncertainty: a fall over the columns that is let pass
@@ -129,8 +127,6 @@ def calibrate(
     >>> bool(abs(error.isel(band=slice(20, 116))).max() < 2e-3), made.srf_shape
     (True, 'gaussian')
     """
-    import xarray as xr
-
     given: Any = sweep
     if not isinstance(given, xr.Dataset):
         raise SchemaError(

@@ -5,10 +5,11 @@ from __future__ import annotations
 import warnings
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+import xarray as xr
 
 from hyperpaint.base.arrays import Bools, Floats
 from hyperpaint.base.constants import QUANTISATION_VARIANCE_COUNT2
@@ -23,9 +24,6 @@ from .responsivity import element_gain, second_order_factor, shape_variance
 from .steps import FROM_FRAMES, Lines, Read
 from .views import PLANCK_TIMES_LIGHT
 from .wavelength_map import WavelengthMap
-
-if TYPE_CHECKING:
-    import xarray as xr
 
 _ILL_CONDITIONED = 0.7  # width of the monochromator over that of the camera
 _TOLERANCE = (0.01, 0.05)  # nm by which an element may lie beyond the outer step: at least, and at most
@@ -170,8 +168,6 @@ class Result:
 
     def dataset(self, flat: Floats | None) -> xr.Dataset:
         """Return the calibration."""
-        import xarray as xr
-
         gain, has_gain = self.gain
         if not has_gain.any():
             raise SchemaError(
@@ -421,8 +417,6 @@ def _levelled(gain: Floats, flat: Floats | None) -> Floats:
 
 
 def _labelled(value: Any, name: str) -> xr.DataArray:
-    import xarray as xr
-
     spec = VARIABLES[name]
     array = np.asarray(value)
     dims = next(d for d in (spec.dims, *spec.alternatives) if len(d) == array.ndim)

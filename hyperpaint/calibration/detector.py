@@ -4,17 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+import xarray as xr
 
 from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import Problems, SchemaError
-from hyperpaint.base.schema import BAND, CROSS_TRACK, label
-
-if TYPE_CHECKING:
-    import xarray as xr
+from hyperpaint.base.schema import BAND, CROSS_TRACK, label, require
 
 _ELEMENT = (BAND, CROSS_TRACK)
 _SAME_EXPOSURE = 1e-3
@@ -130,10 +128,6 @@ def dark_model(darks: xr.Dataset | Sequence[xr.Dataset]) -> xr.Dataset:
     >>> round(float(model.dark_bias[0, 0]), 6), round(float(model.dark_rate[0, 0]), 6)
     (100.0, 50.0)
     """
-    import xarray as xr
-
-    from hyperpaint.base.schema import require
-
     given = [darks] if isinstance(darks, xr.Dataset) else list(darks)
     problems = Problems("no dark model can be made", SchemaError)
     frames: list[Floats] = []

@@ -7,17 +7,15 @@ second order as a share of the line at twice its wavelength.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+import xarray as xr
 
 from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import SchemaError
 from hyperpaint.base.schema import BAND
-
-if TYPE_CHECKING:
-    import xarray as xr
 
 _MOST_AMPLIFIED = 10.0  # sum of a row of the inverse, beyond which the light would be mostly stray
 
@@ -148,8 +146,6 @@ def correct_stray_light(cube: xr.DataArray, stray_light: xr.DataArray) -> xr.Dat
     >>> correct_stray_light(seen, D).round(6).values
     array([[2., 1.]])
     """
-    import xarray as xr
-
     name = str(stray_light.name or "stray_light")
     matrix = np.asarray(stray_light.transpose(BAND, "source_band").to_numpy(), np.float64)
     if BAND not in cube.dims or matrix.shape != (cube.sizes[BAND],) * 2 or not np.isfinite(matrix).all():

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+import xarray as xr
 
 from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import SchemaError
@@ -16,9 +17,6 @@ from hyperpaint.kernels.line_fits import profiles
 from .detector import coefficients_of, deviant_darks, linearised
 from .lab_sweep import LabSweep, check_sweep
 from .line_fits import SHAPES, find_line
-
-if TYPE_CHECKING:
-    import xarray as xr
 
 PLANCK_TIMES_LIGHT = 6.62607015e-34 * 2.99792458e8
 """[J m]"""

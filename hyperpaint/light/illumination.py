@@ -9,10 +9,11 @@ from __future__ import annotations
 import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+import xarray as xr
 
 from hyperpaint.base import schema
 from hyperpaint.base.arrays import Array, Floats
@@ -21,9 +22,6 @@ from hyperpaint.base.units import convert
 
 from .responses import Matching, Responses, log_slope, matching_operator
 from .sun import diffuse_fraction, solar_position
-
-if TYPE_CHECKING:
-    import xarray as xr
 
 __all__ = ["Smile", "Tilt", "match_irradiance", "matched_series", "smile_cells"]
 
@@ -246,8 +244,6 @@ def match_irradiance(
     >>> print(matched.dims, matched.values.round(4))
     ('irradiance_time', 'node', 'band') [[[1.3 1.3]]]
     """
-    import xarray as xr
-
     problems = Problems("irradiance cannot be matched to the imager's bands", SchemaError)
     dims = schema.VARIABLES["irradiance"].dims
     if set(irradiance.dims) != set(dims):

@@ -9,9 +9,12 @@ Both are lazy: one task a slab of lines, one pass over memory.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+import dask
+import dask.array as da
 import numpy as np
+import xarray as xr
 
 from hyperpaint.base import schema
 from hyperpaint.base.errors import Problems, SchemaError
@@ -25,13 +28,11 @@ from hyperpaint.base.schema import (
 )
 from hyperpaint.base.units import convert
 from hyperpaint.light.illumination import Tilt
+from hyperpaint.light.synchrony import check_irradiance_times
 
 from . import slabs
 from .planning import make_plan
 from .uncertainty.propagation import UNCERTAINTIES, uncertainty_inputs, with_uncertainty
-
-if TYPE_CHECKING:
-    import xarray as xr
 
 __all__ = ["Panel", "radiance", "reflectance"]
 
@@ -351,8 +352,6 @@ def _cube_inputs(dataset: xr.Dataset, purpose: str) -> tuple[xr.DataArray, dict[
 
 def _light_inputs(dataset: xr.Dataset, tilt: Any) -> dict[str, Any]:
     """Return the irradiance and its companions, checked as far as their labels allow."""
-    from hyperpaint.light.synchrony import check_irradiance_times
-
     names = [*_LIGHT, IRRADIANCE_TIME, IRRADIANCE_WAVELENGTH]
     companions = ("irradiance_max_gap", "irradiance_clock_uncertainty")
     names += [name for name in companions if name in dataset.variables]
@@ -376,8 +375,6 @@ def _shape(dataset: xr.Dataset, attr: str) -> str:
 
 def _replace_irradiance(dataset: xr.Dataset, irradiance: Any) -> xr.Dataset:
     """Return the line with another irradiance record, and all that belongs to it, in place of its own."""
-    import xarray as xr
-
     if not isinstance(irradiance, xr.Dataset):
         raise SchemaError(
             f"irradiance= is {type(irradiance).__name__}, expected a Dataset with 'irradiance' and "
@@ -417,18 +414,12 @@ def _panel_inputs(dataset: xr.Dataset, panel: Panel) -> dict[str, Any]:
 
 def _small_output(name: str, function: Any, plan: Any, dim: str, size: int) -> xr.DataArray:
     """Return a variable that the plan holds, lazily."""
-    import dask
-    import dask.array as da
-    import xarray as xr
-
     values = da.from_delayed(dask.delayed(function, pure=True)(plan), (size,), np.float32)
     return schema.label(xr.DataArray(values, dims=dim), name)
 
 
 def _with(dataset: xr.Dataset, name: str, cube: Any, quality: Any) -> xr.Dataset:
     """Return the dataset with a calibrated cube and its quality, attributes set outright."""
-    import xarray as xr
-
     flags = xr.DataArray(quality, dims=(ALONG_TRACK, CROSS_TRACK))
     attrs: dict[str, Any] = {}
     if "quality" in dataset.variables:
@@ -447,8 +438,6 @@ def worked_example() -> xr.Dataset:
     E 1.3 W m-2 nm-1 on a surface of reflectance 0.4; etendue 1.8598e-11 m2 sr, 5 ms, bands 6 nm wide of
     peak response 2e16 counts per joule: 1966.09 counts above the dark.
     """
-    import xarray as xr
-
     gaussian_area = np.sqrt(np.pi / (4 * np.log(2)))
     etendue, exposure, peak, fwhm = 1.8598e-11, 5e-3, 2.0e16, 6.0
     gain = 1.0 / (etendue * peak * gaussian_area * fwhm)

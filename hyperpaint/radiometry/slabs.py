@@ -9,9 +9,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+import dask
+import dask.array as da
 import numpy as np
+import xarray as xr
 
 from hyperpaint.base.arrays import Array, Floats
 from hyperpaint.base.constants import lines_a_task
@@ -27,10 +30,6 @@ from hyperpaint.kernels.arguments import (
 )
 from hyperpaint.light.illumination import Smile
 from hyperpaint.light.synchrony import LineLight
-
-if TYPE_CHECKING:
-    import dask.array as da
-    import xarray as xr
 
 __all__ = [
     "Plan", "age_of_irradiance", "calibrate_lines", "calibrated", "line_chunked",
@@ -215,9 +214,6 @@ def calibrated(
     planner, **inputs
         Makes the plan, from the cube's shape, dtype and slabs and these.
     """
-    import dask
-    import dask.array as da
-
     counts = source.data
     if counts.dtype not in (np.dtype(np.uint16), np.dtype(np.float32)):
         counts = counts.astype(np.float32)

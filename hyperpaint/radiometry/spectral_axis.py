@@ -6,10 +6,9 @@ Savitzky-Golay filter of the same width does (see docs/figures.md).
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 import numpy.typing as npt
+import xarray as xr
 
 from hyperpaint.base import schema
 from hyperpaint.base.arrays import Array
@@ -17,9 +16,6 @@ from hyperpaint.base.errors import Problems, SchemaError
 from hyperpaint.light.responses import band_spacing
 
 from .slabs import line_chunked
-
-if TYPE_CHECKING:
-    import xarray as xr
 
 __all__ = ["METHODS", "at", "smooth", "to_nominal"]
 
@@ -90,8 +86,6 @@ def to_nominal(dataset: xr.Dataset) -> xr.Dataset:
     Cubic (Lagrange) over the four nearest bands. Nothing is extrapolated: the outermost bands are NaN in
     columns that do not reach the nominal wavelength, and so is a value one of whose four bands is missing.
     """
-    import xarray as xr
-
     dataset = schema.rename_to_roles(dataset)
     products = [name for name in ("radiance", "reflectance") if name in dataset.variables]
     if not products:
@@ -209,8 +203,6 @@ def smooth(
     >>> print(smooth(step, "box", 3).reflectance.values.round(2))
     [0.   0.   0.33 0.67 1.   1.  ]
     """
-    import xarray as xr
-
     if schema.BAND not in dataset.dims:
         dataset = schema.rename_to_roles(dataset)
     problems = Problems("cannot smooth", SchemaError)

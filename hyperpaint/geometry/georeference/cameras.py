@@ -3,19 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
 
 import numpy as np
+import xarray as xr
 
 from hyperpaint.base.arrays import Floats
+from hyperpaint.base.attitude_conventions import Convention
 from hyperpaint.base.errors import Problems, SchemaError
 from hyperpaint.base.schema import CROSS_TRACK
 from hyperpaint.base.units import convert
-
-if TYPE_CHECKING:
-    import xarray as xr
-
-    from hyperpaint.base.attitude_conventions import Convention
 
 __all__ = ["PinholeCamera", "directions", "look_angles"]
 

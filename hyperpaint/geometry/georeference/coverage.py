@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+import json
+from typing import Any
 
+import dask
 import numpy as np
+import xarray as xr
 
 from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import MissingExtraError, SchemaError
 from hyperpaint.base.schema import require
 
 from .geodesy import between_maps, crs_of
-
-if TYPE_CHECKING:
-    import xarray as xr
 
 __all__ = ["footprint", "spacing"]
 
@@ -122,8 +122,6 @@ def spacing(located: xr.Dataset) -> dict[str, float]:
 
 def _places(located: xr.Dataset) -> tuple[Floats, Floats, str]:
     """Return east and north of every pixel [m], and their map."""
-    import dask
-
     coordinates = require(located, ["east", "north"], "what a line covers")
     crs = coordinates["east"].attrs.get("crs")
     if not isinstance(crs, str):
@@ -160,8 +158,6 @@ def _reversed(east: Floats, north: Floats) -> float:
 
 def _geometry(outline: Any) -> dict[str, Any]:
     """Return an outline as the geometry of GeoJSON, in lists."""
-    import json
-
     import shapely
 
     geometry: dict[str, Any] = json.loads(shapely.to_geojson(outline))

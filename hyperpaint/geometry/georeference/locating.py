@@ -4,15 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+import dask
+import dask.array as da
 import numpy as np
+import xarray as xr
 
 from hyperpaint.base.arrays import Floats, Ints
 from hyperpaint.base.attitude_conventions import Convention
 from hyperpaint.base.constants import lines_a_task
 from hyperpaint.base.errors import Problems, SchemaError
 from hyperpaint.base.schema import ALONG_TRACK, BAND, CHUNK_LINES, CROSS_TRACK, Quality, label, require
+from hyperpaint.kernels.arguments import LineFrames, LineRays, Raster
+from hyperpaint.kernels.rays import PLACES, level_places, raster_places
 
 from .attitude_rotations import matrices, quaternions
 from .cameras import PinholeCamera, directions, look_angles
@@ -37,9 +42,6 @@ from .poses import (
     with_convention,
 )
 from .terrain import Terrain, grid_of, terrain_of
-
-if TYPE_CHECKING:
-    import xarray as xr
 
 __all__ = ["Mounting", "Swath", "locate", "places_of", "swath_of"]
 
@@ -92,9 +94,6 @@ def places_of(swath: Swath, block_id: tuple[int, ...]) -> Floats:
 
 def place_lines(swath: Swath, poses: Floats) -> Floats:
     """Return x, y, height [m], zenith and azimuth [degree] (part, line, column) of lines with poses."""
-    from hyperpaint.kernels.arguments import LineFrames, LineRays, Raster
-    from hyperpaint.kernels.rays import PLACES, level_places, raster_places
-
     latitude, longitude, altitude = poses[:3]
     body = _MAP_FROM_NED @ matrices(quaternions(*poses[3:]))
     origin = np.ascontiguousarray(body @ np.array(swath.mounting.lever_arm, np.float64))
@@ -236,8 +235,6 @@ def locate(
     columns = _pose_inputs(line, navigation, meaning, clock_offset_s)
     grid = None if dem is None else grid_of(dem)
     if crs is None and _is_lazy(*columns.values()):
-        import dask
-
         (columns,) = dask.compute(columns)
     options = {"clock_offset_s": clock_offset_s, "max_gap_s": max_gap_s, "interpolation": interpolation}
     poses = _call(_poses, convention=meaning, crs=crs, **columns, **options)
@@ -373,11 +370,7 @@ def _poses(
 
 def _with_poses(line: xr.Dataset, poses: Any, chunks: tuple[int, ...]) -> xr.Dataset:
     """Return the line with the poses used, in chunks of its cube where they are lazy."""
-    import xarray as xr
-
     if not isinstance(poses, np.ndarray):
-        import dask.array as da
-
         shape = (len(POSE), line.sizes[ALONG_TRACK])
         poses = da.from_delayed(poses, shape, np.float64).rechunk((1, chunks))
     coordinates = {
@@ -393,9 +386,6 @@ def _lazy_places(
     poses: Any, across: Any, along: Any, mounting: Mounting, surface: Any, crs: str, starts: Any
 ) -> Any:
     """Return what is known of every pixel (part, line, column), one task a slab."""
-    import dask
-    import dask.array as da
-
     parts = {"poses": poses, "across": across, "along": along, "ground": surface}
     swath = _call(swath_of, **parts, mounting=mounting, crs=crs, starts=starts)
     chunks = ((len(_PLACES),), tuple(int(n) for n in np.diff(starts)), (len(across),))
@@ -407,8 +397,6 @@ def _lazy_places(
 
 def _with_places(line: xr.Dataset, places: Any, crs: str) -> xr.Dataset:
     """Return the line with its places, and the flag where there are none."""
-    import xarray as xr
-
     dims = (ALONG_TRACK, CROSS_TRACK)
     attrs: dict[str, dict[str, str]] = {name: {"grid_mapping": "spatial_ref"} for name in _PLACES}
     for name, standard in (("east", "projection_x_coordinate"), ("north", "projection_y_coordinate")):
@@ -437,15 +425,11 @@ def _line_chunks(line: xr.Dataset) -> tuple[int, ...]:
 
 
 def _is_lazy(*values: Any) -> bool:
-    import dask
-
     return any(dask.is_dask_collection(value) for value in values)
 
 
 def _call(function: Any, **inputs: Any) -> Any:
     """Return a small result: at once of what is in memory, else as a node of the graph."""
-    import dask
-
     if _is_lazy(*inputs.values()):
         return dask.delayed(function, pure=True)(**inputs)
     return function(**inputs)

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
 
 import numpy as np
 import numpy.typing as npt
+import xarray as xr
 
 from hyperpaint.base.arrays import Array, Bools, Floats, Ints
 from hyperpaint.base.attitude_conventions import Convention
@@ -17,9 +18,6 @@ from hyperpaint.base.units import conversion_factor, convert
 
 from .attitude_rotations import angles_of, quaternions, slerp
 from .geodesy import meridian_convergence
-
-if TYPE_CHECKING:
-    import xarray as xr
 
 __all__ = [
     "ANGLES", "NAVIGATION_TIME", "POSE", "Interpolation", "canonical_navigation", "canonical_values",
@@ -96,8 +94,6 @@ def with_convention(attrs: Mapping[Any, Any], convention: Convention) -> dict[An
 
 
 def _labelled(values: Any, name: str, dims: tuple[Any, ...]) -> xr.DataArray:
-    import xarray as xr
-
     return label(xr.DataArray(values, dims=dims), name)
 
 
@@ -220,8 +216,6 @@ def interpolate_pose(
     TimeError
         Times of the record run backwards.
     """
-    import xarray as xr
-
     convention = convention_of(navigation, convention, "this navigation record")
     columns = pose_columns(navigation, convention)
     values = canonical_values(*(columns[n].values for n in POSE), convention=convention, crs=crs)

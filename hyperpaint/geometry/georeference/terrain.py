@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+import xarray as xr
 
 from hyperpaint.base.arrays import Array, Floats
 from hyperpaint.base.attitude_conventions import Convention
@@ -14,9 +15,6 @@ from hyperpaint.base.errors import Problems, SchemaError
 from hyperpaint.kernels.rays import BLOCK
 
 from .geodesy import crs_of
-
-if TYPE_CHECKING:
-    import xarray as xr
 
 __all__ = ["Terrain", "TerrainGrid", "grid_of", "terrain_of"]
 

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
 
 import numpy as np
+import xarray as xr
 
 from hyperpaint.base.arrays import Bools, Floats
 from hyperpaint.base.attitude_conventions import Convention
@@ -19,9 +20,6 @@ from hyperpaint.geometry.georeference import PinholeCamera
 from .hypotheses import Hypothesis, Scored, fields_of, score
 from .motion_fit import Refined, costs_of, fit_clock, fit_height
 from .pose_motion import Setting, course_of, local_metres, setting_of, units_of
-
-if TYPE_CHECKING:
-    import xarray as xr
 
 __all__ = ["ConventionCheck", "Finding", "Verdict", "check_conventions"]
 

@@ -9,11 +9,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, NoReturn
+from typing import Any, NoReturn
 
 import numpy as np
+import xarray as xr
 
 from hyperpaint.base.arrays import Bools, Floats, Floats32
+from hyperpaint.base.attitude_conventions import Convention
 from hyperpaint.base.errors import SchemaError, TimeError
 from hyperpaint.base.schema import ALONG_TRACK, IRRADIANCE_TIME, IRRADIANCE_WAVELENGTH, require
 from hyperpaint.geometry.georeference import PinholeCamera
@@ -23,11 +25,6 @@ from .hypotheses import Hypothesis
 from .motion_fit import amplitude, costs_of, fit_clock
 from .picture_motion import picture_of
 from .pose_motion import setting_of
-
-if TYPE_CHECKING:
-    import xarray as xr
-
-    from hyperpaint.base.attitude_conventions import Convention
 
 __all__ = ["ClockOffset", "LightOffset", "estimate_clock_offset", "light_offset"]
 
@@ -213,8 +210,6 @@ def _refuse(reason: str) -> NoReturn:
 
 
 def _curve(offsets: Floats, misfit: Floats) -> xr.DataArray:
-    import xarray as xr
-
     return xr.DataArray(
         misfit,
         dims=("offset",),

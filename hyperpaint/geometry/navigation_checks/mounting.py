@@ -4,20 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
+import xarray as xr
 
 from hyperpaint.base.arrays import Bools, Floats
+from hyperpaint.base.attitude_conventions import Convention
 from hyperpaint.base.errors import Problems, SchemaError
 from hyperpaint.geometry.georeference import PinholeCamera
 
 from .sightings import Sightings, sightings_of
-
-if TYPE_CHECKING:
-    import xarray as xr
-
-    from hyperpaint.base.attitude_conventions import Convention
 
 __all__ = ["BoresightSolution", "solve_boresight"]
 
@@ -247,8 +244,6 @@ def _sights(
     start: Floats,
 ) -> list[Sightings]:
     """Return the points, line by line."""
-    import xarray as xr
-
     crs = points.attrs.get("crs") if crs is None else crs
     if crs is None:
         raise SchemaError("which map east and north are of is not known; give crs=")
@@ -462,8 +457,6 @@ def _refuse_unidentifiable(slopes: Floats, names: list[str], used: Bools) -> flo
 
 
 def _labelled(covariance: Floats, names: list[str]) -> xr.DataArray:
-    import xarray as xr
-
     units = ", ".join(_UNITS[name] for name in names)
     return xr.DataArray(
         covariance,
@@ -474,8 +467,6 @@ def _labelled(covariance: Floats, names: list[str]) -> xr.DataArray:
 
 
 def _residuals(points: xr.Dataset, misses: Floats, used: Bools) -> xr.Dataset:
-    import xarray as xr
-
     labels = [str(n) for n in points["name"].values] if "name" in points.variables else [""] * used.size
     distance = {"units": "1", "long_name": "Distance [pixel]"}
     return xr.Dataset(

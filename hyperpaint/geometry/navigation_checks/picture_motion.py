@@ -8,16 +8,14 @@ alike; and how alike the ground is over a given way, the rows themselves tell, a
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+import xarray as xr
 
 from hyperpaint.base.arrays import Array, Floats, Floats32, Ints
 from hyperpaint.base.errors import SchemaError
 from hyperpaint.base.schema import ALONG_TRACK, BAND, CROSS_TRACK
-
-if TYPE_CHECKING:
-    import xarray as xr
 
 __all__ = ["RowMotion", "picture_of", "row_motion"]
 

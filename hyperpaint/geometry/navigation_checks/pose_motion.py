@@ -4,16 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+import xarray as xr
 
 from hyperpaint.base.arrays import Bools, Floats
 from hyperpaint.base.attitude_conventions import Convention
 from hyperpaint.base.constants import WGS84_ECCENTRICITY_SQUARED, WGS84_SEMI_MAJOR_AXIS_M
 from hyperpaint.base.errors import SchemaError
 from hyperpaint.base.schema import ALONG_TRACK, require
+from hyperpaint.geometry.georeference import PinholeCamera
 from hyperpaint.geometry.georeference.attitude_rotations import matrices, quaternions
 from hyperpaint.geometry.georeference.cameras import look_angles
 from hyperpaint.geometry.georeference.poses import (
@@ -26,9 +28,6 @@ from hyperpaint.geometry.georeference.poses import (
 )
 
 from .picture_motion import RowMotion, picture_of, row_motion
-
-if TYPE_CHECKING:
-    import xarray as xr
 
 __all__ = [
     "MAX_LINES", "Motion", "Recorded", "Setting", "View", "course_of", "local_metres", "recorded_poses",
@@ -172,8 +171,6 @@ def view_of(
     SchemaError
         The camera is not known; see `hyperpaint.geometry.georeference.cameras.look_angles`.
     """
-    from hyperpaint.geometry.georeference import PinholeCamera
-
     across, along = look_angles(line, camera, Convention(column_order="left_to_right"))
     right, forward = np.tan(np.radians(np.asarray(across))), np.tan(np.radians(np.asarray(along)))
     column = np.arange(right.size)

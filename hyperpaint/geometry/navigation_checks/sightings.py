@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+import xarray as xr
 
 from hyperpaint.base.arrays import Bools, Floats, Ints
+from hyperpaint.base.attitude_conventions import Convention
 from hyperpaint.base.constants import WGS84_ECCENTRICITY_SQUARED, WGS84_SEMI_MAJOR_AXIS_M
 from hyperpaint.base.errors import SchemaError
 from hyperpaint.base.schema import require
@@ -23,11 +25,6 @@ from hyperpaint.geometry.georeference.poses import (
     pose_columns,
     poses_at,
 )
-
-if TYPE_CHECKING:
-    import xarray as xr
-
-    from hyperpaint.base.attitude_conventions import Convention
 
 __all__ = ["Sightings", "sightings_of"]
 

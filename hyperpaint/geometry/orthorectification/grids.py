@@ -8,15 +8,15 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+import dask
+import dask.array as da
 import numpy as np
+from dask.callbacks import Callback
 
 from hyperpaint.base.arrays import Array, Floats, Progress
 from hyperpaint.base.errors import SchemaError
-
-if TYPE_CHECKING:
-    import dask.array as da
 
 __all__ = [
     "Axes", "Box", "MapGrid", "Progress", "Survey", "box_of", "covering", "direction_of_flight",
@@ -264,9 +264,6 @@ def _computed(
     east: da.Array, north: da.Array, slabs: list[int], axes: Axes, progress: Progress | None
 ) -> list[Any]:
     """Return what is found in slabs, with the progress told where it can be."""
-    import dask
-    from dask.callbacks import Callback
-
     blocks = [array.to_delayed(optimize_graph=False).ravel() for array in (east, north)]
     look = dask.delayed(_looked_at, pure=False)
     tasks = [look(blocks[0][slab], blocks[1][slab], axes) for slab in slabs]

@@ -9,6 +9,9 @@ from typing import Any
 import numpy as np
 
 from hyperpaint.base.arrays import Array, Bools, Floats, Ints
+from hyperpaint.kernels.arguments import InverseTile, LinePositions, MapCells, Places
+from hyperpaint.kernels.gathering import gather_bilinear, gather_nearest
+from hyperpaint.kernels.inverse_map import fill_between, invert_lines
 
 from .grids import MapGrid, Survey
 
@@ -124,9 +127,6 @@ def index_tile(
     east, north
         Where the pixels of the slabs lie (line, column).
     """
-    from hyperpaint.kernels.arguments import InverseTile, LinePositions, MapCells
-    from hyperpaint.kernels.inverse_map import invert_lines
-
     shape = rows.stop - rows.start, cols.stop - cols.start
     place, nearest = np.full((2, *shape), np.nan), np.full((2, *shape), -1, np.int32)
     rank, hits = np.full(shape, np.inf), np.zeros(shape, np.uint16)
@@ -144,8 +144,6 @@ def index_tile(
 
 def gaps_of(plan: Plan, rows: slice, cols: slice, index: TileIndex) -> Array:
     """Return whether cells that no patch covers lie between the ends of lines (row, col)."""
-    from hyperpaint.kernels.inverse_map import fill_between
-
     frame = plan.grid.frame
     inside: Bools = np.zeros(index.hits.shape, bool)
     offset = plan.between - frame[:2]
@@ -193,9 +191,6 @@ def map_spectra(reading: Reading, starts: Sequence[int], slabs: Sequence[Array],
     empty
         What cells get that no patch covers.
     """
-    from hyperpaint.kernels.arguments import Places
-    from hyperpaint.kernels.gathering import gather_bilinear, gather_nearest
-
     bands, columns = slabs[0].shape[1:]
     bilinear = reading.along.size > 0
     dtype = np.asarray(empty).dtype

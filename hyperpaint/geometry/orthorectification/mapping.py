@@ -4,9 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
 
+import dask
+import dask.array as da
 import numpy as np
+import xarray as xr
 
 from hyperpaint.base.errors import Problems, SchemaError
 from hyperpaint.base.schema import ALONG_TRACK, BAND, CHUNK_LINES, CROSS_TRACK, dtype_of, label, require
@@ -16,10 +19,6 @@ from hyperpaint.geometry.georeference.geodesy import crs_of, grid_mapping_attrs
 from .grids import MapGrid, Progress, Survey, box_of, covering, direction_of_flight, north_axes, survey_lines
 from .indexing import RULES, Plan, areas_between, needed_slabs
 from .tiling import Tiles, in_slabs, mapped, prepared, tile_windows
-
-if TYPE_CHECKING:
-    import dask.array as da
-    import xarray as xr
 
 __all__ = ["map_report", "orthorectify"]
 
@@ -264,8 +263,6 @@ def _check_tiles(grid: MapGrid, tile: int) -> None:
 def _dataset(
     line: xr.Dataset, names: Sequence[str], tiles: Tiles, lines: tuple[int, ...], crs: str | None
 ) -> xr.Dataset:
-    import xarray as xr
-
     variables = mapped(line, names, tiles, lines)
     for name in ("glt_line", "glt_sample", "nearest_line", "nearest_sample", "hits", "gap"):
         part = tiles.gap if name == "gap" else tiles.part(name.removeprefix("glt_"), dtype_of(name))
@@ -283,8 +280,6 @@ def _dataset(
 
 def _coordinates(tiles: Tiles, crs: str | None, line: xr.Dataset) -> dict[str, Any]:
     """Return the coordinates of a map."""
-    import xarray as xr
-
     grid = tiles.grid
     transform = " ".join(repr(float(number)) for number in grid.transform)
     attrs: dict[str, Any] = {"GeoTransform": transform}
@@ -350,8 +345,6 @@ def map_report(made: xr.Dataset) -> dict[str, float]:
     >>> map_report(made.assign(gap=made.hits == np.array([[0, 9], [9, 9]])))
     {'cells': 4, 'covered': 2, 'gaps': 1, 'multiple': 1, 'most_hits': 2}
     """
-    import dask
-
     missing = [name for name in ("hits", "gap") if name not in made.variables]
     if missing:
         raise SchemaError(

@@ -8,9 +8,13 @@ from __future__ import annotations
 import uuid
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+import dask.array as da
 import numpy as np
+import xarray as xr
+from dask.base import tokenize
+from dask.highlevelgraph import HighLevelGraph
 
 from hyperpaint.base.arrays import Array
 from hyperpaint.base.errors import Problems, SchemaError
@@ -30,10 +34,6 @@ from .indexing import (
     plane_values,
     reading_of,
 )
-
-if TYPE_CHECKING:
-    import dask.array as da
-    import xarray as xr
 
 __all__ = ["Tiles", "empty_value", "in_slabs", "mapped", "prepared", "tile_windows"]
 
@@ -75,8 +75,6 @@ class Tiles:
         bilinear: bool,
     ) -> Tiles:
         """Return tiles whose index follows from where the pixels lie."""
-        from dask.base import tokenize
-
         starts = tuple(np.cumsum((0, *east.chunks[0][:-1])).tolist())
         shared = {f"orthorectification-plan-{tokenize(plan)}": plan}
         key = next(iter(shared))
@@ -195,10 +193,6 @@ def _array(
     shared: Mapping[str, Any] | None = None,
 ) -> da.Array:
     """Return the array of some tasks, by place; its name follows from what it is made of."""
-    import dask.array as da
-    from dask.base import tokenize
-    from dask.highlevelgraph import HighLevelGraph
-
     name = f"{label}-{tokenize([source.name for source in sources], chunks, str(dtype), options)}"
     layer = {(name, *place): task for place, task in tasks.items()} | dict(shared or {})
     graph = HighLevelGraph.from_collections(name, layer, dependencies=list(sources))
@@ -310,8 +304,6 @@ def mapped(line: xr.Dataset, names: Sequence[str], tiles: Tiles, lines: tuple[in
     lines
         Lines of every slab.
     """
-    import xarray as xr
-
     variables = {}
     for name in names:
         values = _on_map(line[name], name, tiles, lines)
@@ -356,8 +348,6 @@ def in_slabs(array: xr.DataArray, lines: tuple[int, ...]) -> da.Array:
     if not isinstance(values, np.ndarray):
         lazy: da.Array = array.chunk(chunks).data
         return lazy
-    import dask.array as da
-
     name = f"in-memory-{uuid.uuid4().hex}"
     meta = np.empty((0,) * values.ndim, values.dtype)
     return da.from_array(_InMemory(values), tuple(chunks.values()), name, asarray=False, meta=meta)

@@ -12,19 +12,16 @@ from __future__ import annotations
 
 import warnings
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
+import xarray as xr
 
 from hyperpaint.base import schema
 from hyperpaint.base.arrays import Array, Floats
 from hyperpaint.base.constants import QUANTISATION_VARIANCE_COUNT2, SATURATION_MARGIN_COUNTS
 from hyperpaint.base.errors import PaintWarning, Problems, SchemaError
 from hyperpaint.base.schema import ALONG_TRACK, BAND, CROSS_TRACK, STEP
-
-if TYPE_CHECKING:
-    import xarray as xr
 
 __all__ = ["estimate_noise"]
 
@@ -372,8 +369,6 @@ def _refuse_unless_sure(transfer: _Transfer) -> None:
 
 def _labelled(transfer: _Transfer, points: _Points, quantisation: float, source: str) -> xr.Dataset:
     """Return the estimate with its uncertainties and the curve it rests on."""
-    import xarray as xr
-
     signal, variance, expected = _curve(transfer, points)
     misfit = float(np.max(np.abs(variance / expected - 1.0)))
     chance = np.sqrt(4.0 / (float(points.freedom.mean()) * transfer.used.sum() / variance.size))

@@ -7,9 +7,10 @@ however they came about: the noise of a calibration is systematic for all that i
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+import xarray as xr
 
 from hyperpaint.base import schema
 from hyperpaint.base.arrays import Array, Floats
@@ -18,9 +19,6 @@ from hyperpaint.base.errors import Problems, SchemaError
 from hyperpaint.base.schema import ALONG_TRACK, CROSS_TRACK
 from hyperpaint.kernels.arguments import ErrorTerms
 from hyperpaint.radiometry import slabs
-
-if TYPE_CHECKING:
-    import xarray as xr
 
 __all__ = [
     "NONE_KNOWN", "UNCERTAINTIES", "effective_number", "error_terms", "mean_uncertainty",
@@ -85,8 +83,6 @@ def with_uncertainty(result: xr.Dataset, cubes: tuple[Any, ...], uncertain: dict
     obsarray knows errors that are independent and errors that are common along a dim. The gain's own error of
     every element is common to all lines only; taken as common to all samples it is never underrated.
     """
-    import xarray as xr
-
     systematic = [name for name in _SYSTEMATIC if name in uncertain]
     if "panel_u" in uncertain:
         systematic = [
@@ -287,8 +283,6 @@ def mean_uncertainty(region: xr.Dataset, dims: Sequence[str] | str | None = None
     >>> print(int(mean.n), f"{float(mean.u_random):.4f} {float(mean.u_systematic):.4f}")
     600 0.0004 0.0060
     """
-    import xarray as xr
-
     over = [dims] if isinstance(dims, str) else list(dims or (ALONG_TRACK, CROSS_TRACK))
     names = ("reflectance", *UNCERTAINTIES)
     problems = Problems("a mean with its uncertainty cannot be computed", SchemaError)
