@@ -36,36 +36,16 @@ PAINT, MEMBER, QUANTILE, FLAG = "paint", "member", "quantile", "flag"
 
 @dataclass(frozen=True)
 class Variable:
-    """One row of the table.
+    """One row of the table."""
 
-    Attributes
-    ----------
-    name
-        Name in datasets and stores.
-    dims
-        Dims in storage order; `alternatives` lists the other shapes that are allowed.
-    units
-        CF spelling, as written to disk; empty for flags, names and time stamps.
-    dtype
-        numpy dtype name, before and after compute.
-    meaning
-        One line; becomes ``long_name``.
-    alternatives
-        Other dims that are allowed.
-    standard_name
-        Of the CF conventions, where there is one.
-    coordinate
-        Whether it is a coordinate rather than a data variable.
-    """
-
-    name: str
-    dims: tuple[str, ...]
-    units: str
-    dtype: str
-    meaning: str
-    alternatives: tuple[tuple[str, ...], ...] = ()
-    standard_name: str = ""
-    coordinate: bool = False
+    name: str  #: Name in datasets and stores
+    dims: tuple[str, ...]  #: Dims in storage order; `alternatives` lists the other shapes that are allowed
+    units: str  #: CF spelling, as written to disk; empty for flags, names and time stamps
+    dtype: str  #: numpy dtype name, before and after compute
+    meaning: str  #: One line; becomes ``long_name``
+    alternatives: tuple[tuple[str, ...], ...] = ()  #: Other dims that are allowed
+    standard_name: str = ""  #: Of the CF conventions, where there is one
+    coordinate: bool = False  #: Whether it is a coordinate rather than a data variable
 
     @property
     def attrs(self) -> dict[str, Any]:

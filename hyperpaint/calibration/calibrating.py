@@ -330,14 +330,10 @@ _CHANGING = 1.0 / 3.0  # of the tolerance, by which a profile may change from st
 
 @dataclass(frozen=True, eq=False)
 class _Profiles:
-    """Smooth log profiles of the lines' areas over the columns.
+    """Smooth log profiles of the lines' areas over the columns."""
 
-    Attributes
-    ----------
-    level, spread : (step, cross_track)
-        The profile about its median, and its standard deviation; NaN where a line is not trusted.
-    """
-
+    #: level, spread (step, cross_track): the profile about its median, and its standard deviation; NaN where
+    #: a line is not trusted
     level: Floats
     spread: Floats
 

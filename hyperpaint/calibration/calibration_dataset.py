@@ -65,43 +65,25 @@ def _nodes(lines: Lines, lab: LabSweep, surface: WavelengthMap) -> Floats:
 
 @dataclass(frozen=True, eq=False)
 class Result:
-    """Everything that has been found, on its way into a Dataset.
+    """Everything that has been found, on its way into a Dataset."""
 
-    Attributes
-    ----------
-    lab, read, lines, surface
-        Sweep, its windows, the fits, and the wavelength map.
-    line_slope : (step,)
-        d ln responsivity / d wavelength [nm-1].
-    pull : (step,)
-        How far that slope moves the lines [nm].
-    shape, misfit
-        Line shape of the camera, and how badly each shape fits.
-    bad : (band, cross_track)
-    budget, linearity
-        As given.
-    placed : (step, cross_track)
-        Good fits where the map says they should be.
-    fwhm : (band,)
-        Width of every band [nm].
-    differences
-        Relative standard deviation of the elements about the lines.
-    """
-
+    #: lab, read, lines, surface: sweep, its windows, the fits, and the wavelength map
     lab: LabSweep
     read: Read
     lines: Lines
     surface: WavelengthMap
-    line_slope: Floats
-    pull: Floats
+    line_slope: Floats  #: (step,): d ln responsivity / d wavelength [nm-1]
+    pull: Floats  #: (step,): how far that slope moves the lines [nm]
+    #: shape, misfit: line shape of the camera, and how badly each shape fits
     shape: str
     misfit: dict[str, float]
-    bad: Bools
+    bad: Bools  #: (band, cross_track)
+    #: budget, linearity: as given
     budget: Budget
     linearity: tuple[float, ...]
-    placed: Bools
-    fwhm: Floats
-    differences: float
+    placed: Bools  #: (step, cross_track): good fits where the map says they should be
+    fwhm: Floats  #: (band,): width of every band [nm]
+    differences: float  #: Relative standard deviation of the elements about the lines
 
     @cached_property
     def wavelength(self) -> Floats:

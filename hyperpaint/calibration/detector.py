@@ -27,25 +27,15 @@ _DARK_U = 1.0
 
 @dataclass(frozen=True, eq=False)
 class DarkModel:
-    """Dark counts as bias + rate x exposure.
+    """Dark counts as bias + rate x exposure."""
 
-    Attributes
-    ----------
-    bias, rate : (band, cross_track)
-        [count], [count s-1]; from darks at one exposure the bias is all there is, and the rate is NaN.
-    exposures
-        Different exposures that it was made from [s].
-    residual
-        Root mean square distance of the darks from the model [count].
-    taken : (dark,)
-        Exposure of every dark [s].
-    """
-
+    #: bias, rate (band, cross_track): [count], [count s-1]; from darks at one exposure the bias is all there
+    #: is, and the rate is NaN
     bias: Floats
     rate: Floats
-    exposures: tuple[float, ...]
-    residual: float
-    taken: Floats
+    exposures: tuple[float, ...]  #: Different exposures that it was made from [s]
+    residual: float  #: Root mean square distance of the darks from the model [count]
+    taken: Floats  #: (dark,): exposure of every dark [s]
 
     @property
     def known_rate(self) -> bool:

@@ -27,18 +27,10 @@ _MOVED = 0.01  # band, for a derivative
 
 @dataclass(frozen=True)
 class Differences:
-    """How far elements lie from the smooth lines through them.
+    """How far elements lie from the smooth lines through them."""
 
-    Attributes
-    ----------
-    relative
-        Standard deviation of the elements' own factors [1].
-    slope
-        Variance of a step's mean that follows the signal, where noise was not known [count].
-    """
-
-    relative: float
-    slope: float
+    relative: float  #: Standard deviation of the elements' own factors [1]
+    slope: float  #: Variance of a step's mean that follows the signal, where noise was not known [count]
 
 
 def _widths(lab: LabSweep, lines: Lines, surface: WavelengthMap) -> Floats:

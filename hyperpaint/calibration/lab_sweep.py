@@ -30,57 +30,29 @@ _OPTIONAL = (
 
 @dataclass(frozen=True, eq=False)
 class LabSweep:
-    """A checked sweep, in the units of the table, its small variables in memory.
+    """A checked sweep, in the units of the table, its small variables in memory."""
 
-    Attributes
-    ----------
-    counts, variance
-        Lazy where the sweep was: (step, band, cross_track); ``variance`` None where it is not known.
-    dark
-        Dark counts at the exposure of any step.
-    wavelength : (step,)
-        Of the monochromator [nm].
-    width : (step,)
-        Full width at half maximum of its line [nm].
-    triangular
-        Whether its line is a triangle, else a Gaussian.
-    exposure : (step,)
-        [s]
-    frames : (step,)
-        Frames averaged.
-    dark_frames
-        Frames averaged in a dark; None where that is not known.
-    power : (step, cross_track)
-        Radiant flux that enters slit width x one column, all bands together [W]; ones where only the shape of
-        the responsivity can be had, NaN in columns of which none is told.
-    etendue : (cross_track,)
-        [m2 sr]
-    saturation
-        Count at which the converter is full, or None; scalar or (band, cross_track).
-    electrons_per_count, read_noise
-        None where they are not known; the median of the elements.
-    absolute
-        Whether flux, capture fraction and etendue were all given.
-    by_column
-        Whether the light of every column was told, rather than that of the beam.
-    """
-
+    #: counts, variance: lazy where the sweep was: (step, band, cross_track); ``variance`` None where it is
+    #: not known
     counts: xr.DataArray
     variance: xr.DataArray | None
-    dark: DarkModel
-    wavelength: Floats
-    width: Floats
-    triangular: bool
-    exposure: Floats
-    frames: Floats
-    dark_frames: float | None
+    dark: DarkModel  #: Dark counts at the exposure of any step
+    wavelength: Floats  #: (step,): of the monochromator [nm]
+    width: Floats  #: (step,): full width at half maximum of its line [nm]
+    triangular: bool  #: Whether its line is a triangle, else a Gaussian
+    exposure: Floats  #: (step,): [s]
+    frames: Floats  #: (step,): frames averaged
+    dark_frames: float | None  #: Frames averaged in a dark; None where that is not known
+    #: (step, cross_track): radiant flux that enters slit width x one column, all bands together [W]; ones
+    #: where only the shape of the responsivity can be had, NaN in columns of which none is given
     power: Floats
-    etendue: Floats
-    saturation: Floats | None
+    etendue: Floats  #: (cross_track,): [m2 sr]
+    saturation: Floats | None  #: Count at which the converter is full, or None; scalar or (band, cross_track)
+    #: electrons_per_count, read_noise: None where they are not known; the median of the elements
     electrons_per_count: float | None
     read_noise: float | None
-    absolute: bool
-    by_column: bool
+    absolute: bool  #: Whether flux, capture fraction and etendue were all given
+    by_column: bool  #: Whether the light of every column is given, rather than that of the beam
 
     @property
     def shape(self) -> tuple[int, int, int]:

@@ -63,37 +63,23 @@ class Light:
 
 @dataclass(frozen=True, eq=False)
 class Window:
-    """The bands about the line of one step, column by column.
+    """The bands about the line of one step, column by column."""
 
-    Attributes
-    ----------
-    columns : (line,)
-        Lit columns.
-    first : (line,)
-        Band of the first sample; negative where the window begins before the array.
-    values : (line, sample)
-        Counts less dark and background; NaN outside the array and at bad elements.
-    background, background_variance : (line,)
-        What was taken off [count], and the variance of it in units of that of one band.
-    saturated : (line,)
-        Whether a sample is at the converter's end.
-    beam : (cross_track,)
-        Light of every column relative to the brightest; NaN where no element is good.
-    out_of_band : (band,)
-        Counts of the bands outside the window relative to the area, mean of the lit columns; 0 inside.
-    band
-        Where the line peaks.
-    """
-
-    columns: npt.NDArray[np.int64]
+    columns: npt.NDArray[np.int64]  #: (line,): lit columns
+    #: (line,): band of the first sample; negative where the window begins before the array
     first: npt.NDArray[np.int64]
+    #: (line, sample): counts less dark and background; NaN outside the array and at bad elements
     values: Floats
+    #: background, background_variance (line,): what was taken off [count], and the variance of it in units
+    #: of that of one band
     background: Floats
     background_variance: Floats
-    saturated: Bools
+    saturated: Bools  #: (line,): whether a sample is at the converter's end
+    #: (cross_track,): light of every column relative to the brightest; NaN where no element is good
     beam: Floats
+    #: (band,): counts of the bands outside the window relative to the area, mean of the lit columns; 0 inside
     out_of_band: Floats
-    band: int
+    band: int  #: Where the line peaks
 
     @property
     def places(self) -> Floats:
@@ -108,38 +94,23 @@ class Window:
 
 @dataclass(frozen=True, eq=False)
 class Fits:
-    """Fits of one step's lines; widths and centres in bands.
+    """Fits of one step's lines; widths and centres in bands."""
 
-    Attributes
-    ----------
-    parameters : (line, 4)
-        Centre [band], own full width at half maximum of the camera [band], area [count], offset [count].
-    covariance : (line, 4, 4)
-        Of the parameters.
-    width : (line,)
-        Full width at half maximum of the line as it is seen [band].
-    amplitude : (line,)
-        Height [count].
-    area, area_variance : (line,)
-        Sum over bands [count]: as measured, with what was not seen taken from the fit.
-    unseen : (line,)
-        Share of the area that was taken from the fit.
-    chi2, degrees : (line,)
-        Weighted sum of squared residuals and degrees of freedom.
-    converged : (line,)
-        Whether the search has ended at finite numbers.
-    """
-
+    #: (line, 4): centre [band], own full width at half maximum of the camera [band], area [count], offset
+    #: [count]
     parameters: Floats
-    covariance: Floats
-    width: Floats
-    amplitude: Floats
+    covariance: Floats  #: (line, 4, 4): of the parameters
+    width: Floats  #: (line,): full width at half maximum of the line as it is seen [band]
+    amplitude: Floats  #: (line,): height [count]
+    #: area, area_variance (line,): sum over bands [count]: as measured, with what was not seen taken from
+    #: the fit
     area: Floats
     area_variance: Floats
-    unseen: Floats
+    unseen: Floats  #: (line,): share of the area that was taken from the fit
+    #: chi2, degrees (line,): weighted sum of squared residuals and degrees of freedom
     chi2: Floats
     degrees: Floats
-    converged: Bools
+    converged: Bools  #: (line,): whether the search has ended at finite numbers
 
 
 def find_line(net: Floats, raw: Floats, bad: Bools, saturation: Floats | None) -> Window | None:

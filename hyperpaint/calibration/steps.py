@@ -30,24 +30,12 @@ _SIGNAL_EDGES = np.concatenate([[-np.inf], np.geomspace(2.0, 65536.0, 40), [np.i
 
 @dataclass(frozen=True, eq=False)
 class Read:
-    """What is kept of a sweep once it has been read.
+    """What is kept of a sweep once it has been read."""
 
-    Attributes
-    ----------
-    windows
-        One a step; None where there is no line.
-    rows : (step, band)
-        Counts outside the lines relative to the lines' areas.
-    noise
-        Of one frame.
-    noise_source
-        Says where the noise model comes from.
-    """
-
-    windows: list[Window | None]
-    rows: Floats
-    noise: NoiseModel
-    noise_source: str
+    windows: list[Window | None]  #: One a step; None where there is no line
+    rows: Floats  #: (step, band): counts outside the lines relative to the lines' areas
+    noise: NoiseModel  #: Of one frame
+    noise_source: str  #: Says where the noise model comes from
 
 
 @dataclass(eq=False)

@@ -112,23 +112,16 @@ _POINTS = 201
 
 @dataclass(frozen=True, eq=False)
 class FittedLine:
-    """One line in one column.
+    """One line in one column."""
 
-    Attributes
-    ----------
-    wavelength
-        Of the monochromator [nm].
-    distance, counts, residual : (sample,)
-        Of the bands near the line: distance from its centre [nm], counts above dark and background, and those
-        less the fit, relative to the line's height. Empty where there is no sweep.
-    curve_distance, curve : (point,)
-        The fit [nm], [count].
-    """
-
-    wavelength: float
+    wavelength: float  #: Of the monochromator [nm]
+    #: distance, counts, residual (sample,): of the bands near the line: distance from its centre [nm],
+    #: counts above dark and background, and those less the fit, relative to the line's height. Empty where
+    #: there is no sweep.
     distance: Floats
     counts: Floats
     residual: Floats
+    #: curve_distance, curve (point,): the fit [nm], [count]
     curve_distance: Floats
     curve: Floats
 

@@ -21,28 +21,16 @@ _HALVINGS = 40
 
 @dataclass(frozen=True, eq=False)
 class WavelengthMap:
-    """Wavelength as a tensor of Chebyshev polynomials in band and column.
+    """Wavelength as a tensor of Chebyshev polynomials in band and column."""
 
-    Attributes
-    ----------
-    coefficients : (band degree + 1, column degree + 1)
-        [nm]
-    bands, columns
-        Sizes of the array.
-    lit
-        First and last column that the fit has seen; beyond them the surface stays as it is there.
-    residual
-        Robust standard deviation of the lines about the surface [nm].
-    weight : (line,)
-        Tukey's weights of the lines.
-    """
-
-    coefficients: Floats
+    coefficients: Floats  #: (band degree + 1, column degree + 1): [nm]
+    #: bands, columns: sizes of the array
     bands: int
     columns: int
+    #: First and last column that the fit has seen; beyond them the surface stays as it is there
     lit: tuple[int, int]
-    residual: float
-    weight: Floats
+    residual: float  #: Robust standard deviation of the lines about the surface [nm]
+    weight: Floats  #: (line,): Tukey's weights of the lines
 
     def at(self, band: npt.ArrayLike, column: npt.ArrayLike) -> Floats:
         """Return the wavelength at fractional bands and columns [nm]."""

@@ -30,31 +30,21 @@ _FEW = 20
 
 
 class Tally(NamedTuple):
-    """What is counted of a line, column by column: memory of `calibrate_slab`.
+    """What is counted of a line, column by column: memory of `calibrate_slab`."""
 
-    Attributes
-    ----------
-    peak, negative : (column,)
-        Highest counts over the bands, and how many bands lie under the dark.
-    saturated, below : (column,), uint16
-        Whether an element reaches its limit, or lies under the dark beyond noise.
-    """
-
+    #: peak, negative (column,): highest counts over the bands, and how many bands lie under the dark
     peak: Array
     negative: Array
+    #: saturated, below (column,) uint16: whether an element reaches its limit, or lies under the dark beyond
+    #: noise
     saturated: Array
     below: Array
 
 
 class BandLight(NamedTuple):
-    """What dark-subtracted counts times gain are divided by, and its inverse, of a band and the two before.
+    """What dark-subtracted counts times gain are divided by, and its inverse, of a band and two before."""
 
-    Attributes
-    ----------
-    irradiance, inverse : (3, column), float32
-        Band ``b`` is in row ``b % 3``.
-    """
-
+    #: irradiance, inverse (3, column) float32: band ``b`` is in row ``b % 3``
     irradiance: Array
     inverse: Array
 

@@ -190,21 +190,13 @@ def _cost(gram: Array, right: Array, amount: Array) -> Any:
 
 
 class Equations(NamedTuple):
-    """Normal equations of a pixel.
+    """Normal equations of a pixel."""
 
-    Attributes
-    ----------
-    gram : (part, part), right : (part,)
-    valid
-        Channels with data.
-    used
-        Parts that the pixel has: those of its own, and of the neighbours that light it.
-    """
-
+    #: gram (part, part), right (part,)
     gram: Array
     right: Array
-    valid: Any
-    used: Any
+    valid: Any  #: Channels with data
+    used: Any  #: Parts that the pixel has: those of its own, and of the neighbours that light it
 
 
 @kernel

@@ -104,20 +104,11 @@ class Tilt:
 
 @dataclass(frozen=True)
 class Smile:
-    """The smile as the kernels want it: a cubic in every cell between two wavelength shifts.
+    """The smile as the kernels want it: a cubic in every cell between two wavelength shifts."""
 
-    Attributes
-    ----------
-    nodes : (node,)
-        Wavelength shifts [nm]; a single 0 where there is no smile.
-    shift : (1 or band, column), float32
-        Place of a column in its cell, 0 to 1.
-    edges : (1 or band, run + 1), cells : (1 or band, run)
-        Runs of neighbouring columns that share a cell.
-    """
-
-    nodes: Floats
-    shift: Array
+    nodes: Floats  #: (node,): wavelength shifts [nm]; a single 0 where there is no smile
+    shift: Array  #: (1 or band, column) float32: place of a column in its cell, 0 to 1
+    #: edges (1 or band, run + 1), cells (1 or band, run): runs of neighbouring columns that share a cell
     edges: Array
     cells: Array
 

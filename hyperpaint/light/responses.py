@@ -43,29 +43,17 @@ class Responses:
     """Spectral responses of a set of bands.
 
     A response is the line shape times the responsivity, which over one band is an exponential in wavelength.
-
-    Attributes
-    ----------
-    wavelength : (band,)
-        Centres [nm].
-    fwhm : (band,)
-        Full widths at half maximum [nm].
-    shape
-        ``"gaussian"``; ``"slit"``: the slit image, a box ``fwhm`` wide, seen by a pixel one band spacing
-        wide, which makes a trapezoid; ``"tabulated"``: `table` on `offset`.
-    spacing : (band,)
-        Band spacing [nm]; only the slit shape uses it.
-    slope : (band,)
-        Relative slope of the responsivity, d ln R / d wavelength [nm-1].
-    offset : (srf_offset,), table : (band, srf_offset)
-        Tabulated line shapes: distances from the centre [nm] and values of any scale.
     """
 
-    wavelength: Floats
-    fwhm: Floats
+    wavelength: Floats  #: (band,): centres [nm]
+    fwhm: Floats  #: (band,): full widths at half maximum [nm]
+    #: ``"gaussian"``; ``"slit"``: the slit image, a box ``fwhm`` wide, seen by a pixel one band spacing wide,
+    #: which makes a trapezoid; ``"tabulated"``: `table` on `offset`
     shape: str = "gaussian"
-    spacing: Floats | None = None
-    slope: Floats | None = None
+    spacing: Floats | None = None  #: (band,): band spacing [nm]; only the slit shape uses it
+    slope: Floats | None = None  #: (band,): relative slope of the responsivity, d ln R / d wavelength [nm-1]
+    #: offset (srf_offset,), table (band, srf_offset): tabulated line shapes: distances from the centre [nm]
+    #: and values of any scale
     offset: Floats | None = None
     table: Floats | None = None
 
@@ -203,25 +191,16 @@ def log_slope(wavelength: Floats, responsivity: Floats, width: Floats) -> Floats
 
 @dataclass(frozen=True)
 class Matching:
-    """Operators from a spectrometer's channels to an imager's bands.
+    """Operators from a spectrometer's channels to an imager's bands."""
 
-    Attributes
-    ----------
-    weights : (node, band, channel)
-        Weights on the spectrometer's channels; each row sums to 1, or is NaN where the spectrometer does not
-        cover the band.
-    misfit : (node, band)
-        Root-mean-square distance of the two responses over that of the imager's [1].
-    noise_gain : (node, band)
-        Norm of a row: the noise of a matched value over that of one channel [1].
-    coverage : (node, band)
-        Part of the imager's response inside the spectrometer's range [1].
-    """
-
+    #: (node, band, channel): weights on the spectrometer's channels; each row sums to 1, or is NaN where the
+    #: spectrometer does not cover the band
     weights: Floats
+    #: (node, band): root-mean-square distance of the two responses over that of the imager's [1]
     misfit: Floats
+    #: (node, band): norm of a row: the noise of a matched value over that of one channel [1]
     noise_gain: Floats
-    coverage: Floats
+    coverage: Floats  #: (node, band): part of the imager's response inside the spectrometer's range [1]
 
 
 def matching_operator(

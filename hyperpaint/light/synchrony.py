@@ -32,28 +32,17 @@ TIMING_EFFECT = 0.01
 
 @dataclass(frozen=True)
 class LineLight:
-    """Which irradiance samples light each line.
+    """Which irradiance samples light each line."""
 
-    Attributes
-    ----------
-    before, after : (line,), int64
-        The samples on either side of the line.
-    weight : (line,), float64
-        Of the later sample; NaN where the line has no light.
-    age : (line,), float32
-        Time to the nearest sample [s].
-    sensitivity : (line,), float32
-        What an error of the clocks could do to reflectance, relative [1]; see `timing_sensitivity`.
-    flags : (line,), uint16
-        Bits of `Quality` that hold for the whole line.
-    """
-
+    #: before, after (line,) int64: the samples on either side of the line
     before: npt.NDArray[np.int64]
     after: npt.NDArray[np.int64]
-    weight: Floats
-    age: npt.NDArray[np.float32]
+    weight: Floats  #: (line,) float64: of the later sample; NaN where the line has no light
+    age: npt.NDArray[np.float32]  #: (line,) float32: time to the nearest sample [s]
+    #: (line,) float32: what an error of the clocks could do to reflectance, relative [1]; see
+    #: `timing_sensitivity`
     sensitivity: npt.NDArray[np.float32]
-    flags: npt.NDArray[np.uint16]
+    flags: npt.NDArray[np.uint16]  #: (line,) uint16: bits of `Quality` that hold for the whole line
 
 
 def line_light(

@@ -39,63 +39,39 @@ __all__ = [
 
 @dataclass(frozen=True)
 class Plan:
-    """All that a slab needs beside its counts.
+    """All that a slab needs beside its counts."""
 
-    Attributes
-    ----------
-    dark : (n, band, column), float32
-        Darks, one after the other in time.
-    dark_index, dark_weight : (line,)
-        The dark of a line lies between ``dark[i]`` and ``dark[i + 1]``, at this weight of the later.
-    gain : (band, column), float32
-        Radiance per count rate [W m-2 sr-1 nm-1 s count-1]; NaN marks a bad element.
-    rate : (line,), float64
-        Inverse exposure time [s-1]; 1 for a radiance cube, NaN for a line without data.
-    scale : (band,), float64
-        Factor of a known panel in the scene; 1 without.
-    series : (time, band, cell, 1 or 4), float64, or None
-        Matched irradiance [W m-2 nm-1], as cubics over the smile; None for radiance.
-    lines
-        The spectra around every line in time; None for radiance.
-    misfit : (band,), float32
-        Largest distance of the matched response from the imager's over the smile, relative [1].
-    smile
-        Cells of the smile, and where columns lie in them.
-    saturation_limit : (1, 1) or (band, column), like the counts
-        Counts from which a sample is saturated.
-    noise_margin : (band, column), float32
-        How far below the dark noise may take a sample [count]; NaN for elements that set no flag, being bad
-        or in a band that is not good.
-    most_negative
-        Bands under the dark that a pixel may have before it is flagged.
-    line_flags : (line,), column_flags : (column,), uint16
-        Bits of `Quality` that hold for whole lines and columns.
-    cleared_bits
-        Mantissa bits that rounding clears; 0 rounds nothing.
-    starts : (slab,)
-        First line of every slab.
-    error_terms
-        None where uncertainties were not asked for.
-    """
-
-    dark: Array
+    dark: Array  #: (n, band, column) float32: darks, one after the other in time
+    #: dark_index, dark_weight (line,): the dark of a line lies between ``dark[i]`` and ``dark[i + 1]``, at
+    #: this weight of the later
     dark_index: Array
     dark_weight: Array
+    #: (band, column) float32: radiance per count rate [W m-2 sr-1 nm-1 s count-1]; NaN marks a bad element
     gain: Array
+    #: (line,) float64: inverse exposure time [s-1]; 1 for a radiance cube, NaN for a line without data
     rate: Floats
-    scale: Floats
+    scale: Floats  #: (band,) float64: factor of a known panel in the scene; 1 without
+    #: (time, band, cell, 1 or 4) float64, or None: matched irradiance [W m-2 nm-1], as cubics over the smile;
+    #: None for radiance
     series: Floats | None
-    lines: LineLight | None
+    lines: LineLight | None  #: The spectra around every line in time; None for radiance
+    #: (band,) float32: largest distance of the matched response from the imager's over the smile, relative
+    #: [1]
     misfit: Array
-    smile: Smile
+    smile: Smile  #: Cells of the smile, and where columns lie in them
+    #: (1, 1) or (band, column), like the counts: counts from which a sample is saturated
     saturation_limit: Array
+    #: (band, column) float32: how far below the dark noise may take a sample [count]; NaN for elements that
+    #: set no flag, being bad or in a band that is not good
     noise_margin: Array
-    most_negative: int
+    most_negative: int  #: Bands under the dark that a pixel may have before it is flagged
+    #: line_flags (line,), column_flags (column,) uint16: bits of `Quality` that hold for whole lines and
+    #: columns
     line_flags: Array
     column_flags: Array
-    cleared_bits: int
-    starts: Array
-    error_terms: ErrorTerms | None = None
+    cleared_bits: int  #: Mantissa bits that rounding clears; 0 rounds nothing
+    starts: Array  #: (slab,): first line of every slab
+    error_terms: ErrorTerms | None = None  #: None where uncertainties were not asked for
 
     def light(self, start: int, stop: int) -> Array:
         """Return what the kernel multiplies or divides lines by, (line, band, cell, 1 or 4), float32."""

@@ -43,20 +43,14 @@ _MISFIT = 0.1
 
 @dataclass(frozen=True)
 class _Points:
-    """Variances, and what slope and height of the photon transfer are multiplied by in each.
+    """Variances, and what slope and height of the photon transfer are multiplied by in each."""
 
-    Attributes
-    ----------
-    variance, by_signal, by_floor : (block, band)
-        Mean square, and its regressors: the expected value is by_signal / k + by_floor x floor; NaN left out.
-    freedom : (1 or block, 1)
-        Degrees of freedom of a variance.
-    """
-
+    #: variance, by_signal, by_floor (block, band): mean square, and its regressors: the expected value is
+    #: by_signal / k + by_floor x floor; NaN left out
     variance: Floats
     by_signal: Floats
     by_floor: Floats
-    freedom: Floats
+    freedom: Floats  #: (1 or block, 1): degrees of freedom of a variance
 
 
 def estimate_noise(dataset: xr.Dataset, *, repeated: bool = False) -> xr.Dataset:
