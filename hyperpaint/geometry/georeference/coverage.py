@@ -15,7 +15,7 @@ from hyperpaint.base.schema import require
 
 from .geodesy import between_maps, crs_of
 
-__all__ = ["footprint", "spacing"]
+__all__ = ["footprint", "line_ends", "spacing"]
 
 
 _LONGITUDE_LATITUDE = "OGC:CRS84"
@@ -58,7 +58,7 @@ def footprint(located: xr.Dataset, *, crs: Any = None) -> dict[str, Any]:
         raise needed from error
 
     east, north, source = _places(located)
-    ends = _ends(east, north)
+    ends = line_ends(east, north)
     is_placed = np.all(np.isfinite(ends), axis=(1, 2))
     follows = np.flatnonzero(is_placed[1:] & is_placed[:-1])
     if not follows.size:
@@ -74,7 +74,7 @@ def footprint(located: xr.Dataset, *, crs: Any = None) -> dict[str, Any]:
     outline = shapely.transform(whole, lambda xy: between_maps(xy, source, wanted))
     return {
         "type": "Feature",
-        "geometry": _geometry(outline),
+        "geometry": json.loads(shapely.to_geojson(outline)),
         "properties": {"area": float(whole.area), "lines": int(is_placed.sum()), "crs": wanted},
     }
 
@@ -130,9 +130,9 @@ def _places(located: xr.Dataset) -> tuple[Floats, Floats, str]:
     return np.asarray(east), np.asarray(north), crs
 
 
-def _ends(east: Floats, north: Floats) -> Floats:
+def line_ends(east: Floats, north: Floats) -> Floats:
     """Return the outermost pixels of every line that have a place (line, 2, 2); NaN where none has."""
-    is_placed = np.isfinite(east)
+    is_placed = np.isfinite(east) & np.isfinite(north)
     first = is_placed.argmax(axis=1)
     last = is_placed.shape[1] - 1 - is_placed[:, ::-1].argmax(axis=1)
     rows = np.arange(len(east))
@@ -154,11 +154,3 @@ def _reversed(east: Floats, north: Floats) -> float:
     if not steps.size:
         return np.nan
     return float((steps @ steps.mean(axis=0) < 0.0).mean())
-
-
-def _geometry(outline: Any) -> dict[str, Any]:
-    """Return an outline as the geometry of GeoJSON, in lists."""
-    import shapely
-
-    geometry: dict[str, Any] = json.loads(shapely.to_geojson(outline))
-    return geometry

@@ -23,6 +23,7 @@ __all__ = [
 
 GEODETIC = "EPSG:4979"
 """Latitude, longitude and height above the ellipsoid of WGS 84, which positions are in."""
+_GEOCENTRIC = "EPSG:4978"
 
 _MAX_LATITUDE_DEG = 89.9
 """Latitude beyond which east and north change too fast for what is done here [degree]."""
@@ -45,16 +46,13 @@ def _crs(text: str) -> pyproj.CRS:
 
 
 @functools.lru_cache(maxsize=64)
-def _to_map(wkt: str) -> pyproj.Transformer:
-    """Return what turns longitude, latitude [degree] and height [m] into x, y of a map."""
-    transformer: pyproj.Transformer = _pyproj().Transformer.from_crs(GEODETIC, _crs(wkt), always_xy=True)
-    return transformer
+def _transformer(source: str, target: str) -> pyproj.Transformer:
+    """Return what turns coordinates of one reference system into another's, x or longitude first.
 
-
-@functools.lru_cache(maxsize=1)
-def _geocentric() -> pyproj.Transformer:
-    """Return what turns longitude, latitude [degree] and height [m] into geocentric X, Y, Z [m]."""
-    transformer: pyproj.Transformer = _pyproj().Transformer.from_crs(GEODETIC, "EPSG:4978", always_xy=True)
+    Heights [m] belong to `GEODETIC` and to geocentric X, Y, Z [m] alone; of others the horizontal is taken.
+    """
+    systems = (name if name in (GEODETIC, _GEOCENTRIC) else _crs(name) for name in (source, target))
+    transformer: pyproj.Transformer = _pyproj().Transformer.from_crs(*systems, always_xy=True)
     return transformer
 
 
@@ -173,16 +171,8 @@ def between_maps(places: Floats, source: str, target: str) -> Floats:
     """Return places (n, 2) of one reference system in another, x or longitude first."""
     if source == target:
         return places
-    x, y = _between(source, target).transform(places[:, 0], places[:, 1])
+    x, y = _transformer(source, target).transform(places[:, 0], places[:, 1])
     return np.stack([x, y], axis=-1)
-
-
-@functools.lru_cache(maxsize=16)
-def _between(source: str, target: str) -> pyproj.Transformer:
-    transformer: pyproj.Transformer = _pyproj().Transformer.from_crs(
-        _crs(source), _crs(target), always_xy=True
-    )
-    return transformer
 
 
 def is_in_metres(crs: str) -> bool:
@@ -257,12 +247,11 @@ def polynomials(
 
 
 def _fit(latitude: Floats, longitude: Floats, altitude: Floats, reach: Floats, crs: str) -> Floats:
-    origin = np.stack(_geocentric().transform(longitude, latitude, altitude), axis=-1)
+    geocentric = _transformer(GEODETIC, _GEOCENTRIC)
+    origin = np.stack(geocentric.transform(longitude, latitude, altitude), axis=-1)
     around = origin[:, None] + (_OFFSETS * reach[:, None, None]) @ _east_north_up(latitude, longitude)
-    lon, lat, height = _geocentric().transform(
-        around[..., 0], around[..., 1], around[..., 2], direction="INVERSE"
-    )
-    x, y, *_ = _to_map(crs).transform(lon, lat, height)
+    lon, lat, height = geocentric.transform(*np.moveaxis(around, -1, 0), direction="INVERSE")
+    x, y, *_ = _transformer(GEODETIC, crs).transform(lon, lat, height)
     if _crs(crs).is_geographic:
         x = x[:, :1] + (x - x[:, :1] + 180.0) % 360.0 - 180.0
     coefficients = np.stack([_coefficients(np.asarray(value), reach) for value in (x, y, height)])

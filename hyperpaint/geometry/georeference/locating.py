@@ -36,14 +36,14 @@ from .poses import (
     Interpolation,
     canonical_values,
     check_interpolation,
-    convention_of,
+    convention_of_line,
     pose_columns,
     poses_at,
     with_convention,
 )
 from .terrain import Terrain, grid_of, terrain_of
 
-__all__ = ["Mounting", "Swath", "locate", "places_of", "swath_of"]
+__all__ = ["Swath", "locate", "places_of"]
 
 
 _MAP_FROM_NED = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
@@ -53,51 +53,26 @@ _MIN_REACH_M, _MAX_REACH_M = 10.0, 20_000.0
 
 
 @dataclass(frozen=True)
-class Mounting:
-    """How a camera sits in the body."""
-
-    boresight: tuple[float, float, float]  #: Roll, pitch, heading of the camera in the body [degree]
-    #: Projection centre from the point that positions are of: forward, right, down [m]
-    lever_arm: tuple[float, float, float]
-
-
-@dataclass(frozen=True)
 class Swath:
     """All that a slab of lines needs."""
 
     poses: Floats  #: (6, line) float64: canonical; see `hyperpaint.geometry.georeference.poses.POSE`
     look: Floats  #: (column, 3) float64: directions of the columns in the camera's frame
-    mounting: Mounting  #: How the camera sits in the body
+    boresight: tuple[float, float, float]  #: Roll, pitch, heading of the camera in the body [degree]
+    #: Projection centre from the point that positions are of: forward, right, down [m]
+    lever_arm: tuple[float, float, float]
     ground: float | Terrain  #: Height of level ground above the ellipsoid [m], or a raster of heights
     crs: str  #: Map
     starts: Ints  #: (slab + 1,): first line of every slab, and the number of lines
 
 
-def swath_of(
-    poses: Floats,
-    across: Floats,
-    along: Floats,
-    mounting: Mounting,
-    ground: float | Terrain,
-    crs: str,
-    starts: Ints,
-) -> Swath:
-    """Return what all tasks share."""
-    return Swath(poses, directions(np.asarray(across), np.asarray(along)), mounting, ground, crs, starts)
-
-
 def places_of(swath: Swath, block_id: tuple[int, ...]) -> Floats:
-    """Return what is known of the pixels of a slab (part, line, column), float64."""
-    here = slice(int(swath.starts[block_id[1]]), int(swath.starts[block_id[1] + 1]))
-    return place_lines(swath, swath.poses[:, here])
-
-
-def place_lines(swath: Swath, poses: Floats) -> Floats:
-    """Return x, y, height [m], zenith and azimuth [degree] (part, line, column) of lines with poses."""
+    """Return x, y, height [m], zenith and azimuth [degree] of the pixels of a slab (part, line, column)."""
+    poses = swath.poses[:, swath.starts[block_id[1]] : swath.starts[block_id[1] + 1]]
     latitude, longitude, altitude = poses[:3]
     body = _MAP_FROM_NED @ matrices(quaternions(*poses[3:]))
-    origin = np.ascontiguousarray(body @ np.array(swath.mounting.lever_arm, np.float64))
-    rotation = np.ascontiguousarray(body @ matrices(quaternions(*swath.mounting.boresight)))
+    origin = np.ascontiguousarray(body @ np.array(swath.lever_arm, np.float64))
+    rotation = np.ascontiguousarray(body @ matrices(quaternions(*swath.boresight)))
     lowest = swath.ground if isinstance(swath.ground, float) else swath.ground.lowest
     reach = np.clip(altitude - lowest, _MIN_REACH_M, _MAX_REACH_M)
     x, y, height = polynomials(latitude, longitude, altitude, reach, swath.crs)
@@ -230,7 +205,7 @@ def locate(
     """
     _check(line, boresight, lever_arm, ground, dem, clock_offset_s)
     check_interpolation(interpolation, max_gap_s)
-    meaning = _meaning(line, navigation, convention)
+    meaning = convention_of_line(line, navigation, convention)
     across, along = look_angles(line, camera, meaning)
     columns = _pose_inputs(line, navigation, meaning, clock_offset_s)
     grid = None if dem is None else grid_of(dem)
@@ -239,19 +214,24 @@ def locate(
     options = {"clock_offset_s": clock_offset_s, "max_gap_s": max_gap_s, "interpolation": interpolation}
     poses = _call(_poses, convention=meaning, crs=crs, **columns, **options)
     crs = _map_of(poses, crs)
-    mounting = Mounting(_triple(boresight), _triple(lever_arm))
     surface = None if ground is None else float(ground)
     if dem is not None:
         heights = dem.squeeze(drop=True).transpose("y", "x").data
         surface = _call(terrain_of, heights=heights, grid=grid)
     chunks = _line_chunks(line)
-    starts = np.concatenate([[0], np.cumsum(chunks)])
-    places = _lazy_places(poses, across, along, mounting, surface, crs, starts)
-    located = _with_poses(line, poses, chunks)
-    located = _with_places(located, places, crs)
+    turn, arm = _triple(boresight), _triple(lever_arm)
+    swath = _call(
+        Swath, poses=poses, look=_call(directions, across=across, along=along), boresight=turn, lever_arm=arm,
+        ground=surface, crs=crs, starts=np.concatenate([[0], np.cumsum(chunks)]),
+    )  # fmt: skip
+    places = da.map_blocks(
+        places_of, dask.delayed(swath, pure=True), chunks=((len(_PLACES),), chunks, (len(across),)),
+        dtype=np.float64, meta=np.empty((0, 0, 0)), name=None,
+    )  # fmt: skip
+    located = _with_places(_with_poses(line, poses, chunks), places, crs)
     settings = {
-        "boresight": list(mounting.boresight),
-        "lever_arm": list(mounting.lever_arm),
+        "boresight": list(turn),
+        "lever_arm": list(arm),
         "ground": "dem" if ground is None else float(ground),
         "clock_offset_s": float(clock_offset_s),
         "pose_interpolation": interpolation if "recorded" in columns else "none",
@@ -289,16 +269,6 @@ def _check(
         if number is not None and not np.isfinite(number):
             problems.add(f"{name} {number!r}, expected a finite number")
     problems.raise_if_any()
-
-
-def _meaning(line: xr.Dataset, navigation: xr.Dataset | None, convention: Convention | None) -> Convention:
-    """Return what the angles mean, with the order of columns that the line declares where it does not."""
-    source, subject = (line, "this line") if navigation is None else (navigation, "this navigation record")
-    declared = convention_of(source, convention, subject)
-    own = Convention.from_attrs(line.attrs)
-    if declared.column_order is None and own is not None:
-        declared = declared.replace(column_order=own.column_order)
-    return declared
 
 
 def _triple(three: Sequence[float]) -> tuple[float, float, float]:
@@ -380,19 +350,6 @@ def _with_poses(line: xr.Dataset, poses: Any, chunks: tuple[int, ...]) -> xr.Dat
 
 
 # --- places ------------------------------------------------------------------------------------------------
-
-
-def _lazy_places(
-    poses: Any, across: Any, along: Any, mounting: Mounting, surface: Any, crs: str, starts: Any
-) -> Any:
-    """Return what is known of every pixel (part, line, column), one task a slab."""
-    parts = {"poses": poses, "across": across, "along": along, "ground": surface}
-    swath = _call(swath_of, **parts, mounting=mounting, crs=crs, starts=starts)
-    chunks = ((len(_PLACES),), tuple(int(n) for n in np.diff(starts)), (len(across),))
-    return da.map_blocks(
-        places_of, dask.delayed(swath, pure=True), chunks=chunks, dtype=np.float64,
-        meta=np.empty((0, 0, 0)), name=None,
-    )  # fmt: skip
 
 
 def _with_places(line: xr.Dataset, places: Any, crs: str) -> xr.Dataset:

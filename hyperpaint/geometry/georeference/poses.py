@@ -21,7 +21,7 @@ from .geodesy import meridian_convergence
 
 __all__ = [
     "ANGLES", "NAVIGATION_TIME", "POSE", "Interpolation", "canonical_navigation", "canonical_values",
-    "check_interpolation", "convention_of", "interpolate_pose", "pose_columns", "poses_at",
+    "check_interpolation", "convention_of_line", "interpolate_pose", "pose_columns", "poses_at",
     "with_convention",
 ]  # fmt: skip
 
@@ -78,7 +78,7 @@ def canonical_navigation(
     >>> canonical_navigation(record, convention=mirrored)["roll"].values
     array([-1.])
     """
-    convention = convention_of(navigation, convention, "this navigation record")
+    convention = convention_of(navigation, convention)
     columns = pose_columns(navigation, convention)
     values = canonical_values(*(columns[n].values for n in POSE), convention=convention, crs=crs)
     dims = columns["roll"].dims
@@ -97,14 +97,28 @@ def _labelled(values: Any, name: str, dims: tuple[Any, ...]) -> xr.DataArray:
     return label(xr.DataArray(values, dims=dims), name)
 
 
-def convention_of(dataset: xr.Dataset, convention: Convention | None, subject: str) -> Convention:
-    """Return the convention given, else that of the attributes.
+def convention_of_line(
+    line: xr.Dataset, navigation: xr.Dataset | None, convention: Convention | None
+) -> Convention:
+    """Return the convention of a line's poses, with the line's order of columns where it declares none.
 
     Raises
     ------
     SchemaError
-        There is neither.
+        Neither the argument nor the attributes of the record, or of the line without one, declare it.
     """
+    source, subject = (line, "this line") if navigation is None else (navigation, "this navigation record")
+    declared = convention_of(source, convention, subject)
+    own = Convention.from_attrs(line.attrs)
+    if declared.column_order is None and own is not None:
+        declared = declared.replace(column_order=own.column_order)
+    return declared
+
+
+def convention_of(
+    dataset: xr.Dataset, convention: Convention | None, subject: str = "this navigation record"
+) -> Convention:
+    """Return the convention given, else that of the attributes; SchemaError where there is neither."""
     declared = convention or Convention.from_attrs(dataset.attrs)
     if declared is None:
         raise SchemaError(
@@ -216,7 +230,7 @@ def interpolate_pose(
     TimeError
         Times of the record run backwards.
     """
-    convention = convention_of(navigation, convention, "this navigation record")
+    convention = convention_of(navigation, convention)
     columns = pose_columns(navigation, convention)
     values = canonical_values(*(columns[n].values for n in POSE), convention=convention, crs=crs)
     poses = poses_at(

@@ -16,10 +16,11 @@ from hyperpaint.base.errors import SchemaError
 from hyperpaint.base.schema import ALONG_TRACK
 from hyperpaint.base.units import conversion_factor
 from hyperpaint.geometry.georeference import PinholeCamera
+from hyperpaint.geometry.georeference.poses import ANGLES
 
 from .hypotheses import Hypothesis, Scored, fields_of, score
 from .motion_fit import Refined, costs_of, fit_clock, fit_height
-from .pose_motion import Setting, course_of, local_metres, setting_of, units_of
+from .pose_motion import Setting, course_of, local_metres, setting_of
 
 __all__ = ["ConventionCheck", "Finding", "Verdict", "check_conventions"]
 
@@ -180,8 +181,10 @@ def check_conventions(
         lever_arm=lever_arm, image=image, lines=lines, crs=crs,
     )  # fmt: skip
     findings = _findings(setting)
-    labelled = units_of(line, navigation)
-    if labelled is not None and conversion_factor(labelled, setting.declared.angle_unit) != 1.0:
+    source = line if navigation is None else navigation
+    labelled, *others = {str(source[name].attrs.get("units")) for name in ANGLES}
+    is_labelled = not others and labelled != "None"
+    if is_labelled and conversion_factor(labelled, setting.declared.angle_unit) != 1.0:
         evidence = f"the variables are labelled {labelled!r}"
         wrong = Finding("angle_unit", setting.declared.angle_unit, "wrong", labelled, evidence)
         findings = [wrong if one.field == "angle_unit" else one for one in findings]

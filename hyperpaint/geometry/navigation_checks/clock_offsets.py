@@ -26,7 +26,7 @@ from .motion_fit import amplitude, costs_of, fit_clock
 from .picture_motion import picture_of
 from .pose_motion import setting_of
 
-__all__ = ["ClockOffset", "LightOffset", "estimate_clock_offset", "light_offset"]
+__all__ = ["ClockOffset", "estimate_clock_offset"]
 
 
 @dataclass(frozen=True)
@@ -147,9 +147,7 @@ def estimate_clock_offset(
     if not 0.0 < max_offset_s < np.inf:
         raise SchemaError(f"max_offset_s {max_offset_s!r}, expected a time above 0 [s]")
     if irradiance is not None:
-        light = light_offset(line, irradiance, image, lines, max_offset_s, max_uncertainty_s or 1.0)
-        curve = _curve(light.offsets, light.misfit)
-        return ClockOffset(light.offset, light.sd, "irradiance", light.evidence, curve)
+        return _light_offset(line, irradiance, image, lines, max_offset_s, max_uncertainty_s or 1.0)
     setting = setting_of(
         line, navigation, convention=convention, camera=camera, ground=ground, boresight=boresight,
         lever_arm=lever_arm, image=image, lines=lines, crs=crs,
@@ -225,33 +223,15 @@ def _curve(offsets: Floats, misfit: Floats) -> xr.DataArray:
 _EPS = 1e-12
 
 
-@dataclass(frozen=True)
-class LightOffset:
-    """What is to be added to the stamps of irradiance, and why."""
-
-    offset: float  #: Offset and its standard uncertainty [s]
-    sd: float
-    evidence: str  #: Why it is believed
-    #: (offset,): what was tried, and what it leaves over what is left of a light that does not change
-    offsets: Floats
-    misfit: Floats
-
-
-def light_offset(
+def _light_offset(
     line: xr.Dataset,
     irradiance: xr.Dataset,
     image: xr.DataArray | None,
     lines: slice | None,
     most: float,
     loosest: float,
-) -> LightOffset:
-    """Return the offset at which the light and the brightness of lines change together.
-
-    Raises
-    ------
-    TimeError
-        It cannot be told; the reason is given.
-    """
+) -> ClockOffset:
+    """Return the offset at which the light and the brightness of lines change together; else TimeError."""
     part = line if lines is None else line.isel({ALONG_TRACK: lines})
     part_image = image if image is None or lines is None else image.isel({ALONG_TRACK: lines})
     asked = [IRRADIANCE_TIME, IRRADIANCE_WAVELENGTH, "irradiance"]
@@ -291,11 +271,11 @@ def light_offset(
     return _best(offsets, seen, meant, covered, loosest)
 
 
-def _best(offsets: Floats, seen: Floats, meant: Floats, covered: Bools, loosest: float) -> LightOffset:
+def _best(offsets: Floats, seen: Floats, meant: Floats, covered: Bools, loosest: float) -> ClockOffset:
     """Return the best offset, unless it is none."""
     seen = seen - np.median(seen)
     centred = meant - meant.mean(axis=1, keepdims=True)
-    scale = min(_scale(seen - m) for m in centred[covered])
+    scale = 1.4826 * min(float(np.median(np.abs(seen - m))) for m in centred[covered]) + _EPS
     cost = np.full(meant.shape, np.nan)
     cost[covered] = _clipped(seen - centred[covered], scale)
     left, none = cost.mean(axis=1), float(_clipped(seen, scale).mean())
@@ -326,7 +306,7 @@ def _best(offsets: Floats, seen: Floats, meant: Floats, covered: Bools, loosest:
         _refuse(f"it is {offset:+.2f} +- {sd:.2f} s, while {loosest:g} s is asked for")
     share = 100.0 * (1.0 - left[best] / none)
     evidence = f"the light explains {share:.0f} % of the changes of brightness, log odds {gain:.0f}"
-    return LightOffset(offset, sd, evidence, offsets, np.sqrt(left / none))
+    return ClockOffset(offset, sd, "irradiance", evidence, _curve(offsets, np.sqrt(left / none)))
 
 
 def _minimum(offsets: Floats, cost: Floats) -> float:
@@ -337,10 +317,6 @@ def _minimum(offsets: Floats, cost: Floats) -> float:
     low, mid, high = cost[best - 1 : best + 2]
     part = 0.5 * (low - high) / max(float(low + high - 2.0 * mid), _EPS)
     return float(offsets[best] + np.clip(part, -1.0, 1.0) * (offsets[1] - offsets[0]))
-
-
-def _scale(values: Floats) -> float:
-    return 1.4826 * float(np.median(np.abs(values))) + _EPS
 
 
 def _clipped(values: Floats, scale: float) -> Floats:

@@ -45,11 +45,12 @@ class Hypothesis:
 
     def poses(self, recorded: Recorded, clock_offset_s: float = 0.0) -> Floats:
         """Return canonical poses (6, line)."""
+        columns = recorded.columns
         if self.positions == POSITIONS[1]:
-            recorded = recorded.swapped()
+            columns = {**columns, "latitude": columns["longitude"], "longitude": columns["latitude"]}
         elif self.positions == POSITIONS[2]:
-            recorded = recorded.mirrored()
-        return recorded.at(self.convention, clock_offset_s)
+            columns = {**columns, "longitude": -columns["longitude"]}
+        return replace(recorded, columns=columns).at(self.convention, clock_offset_s)
 
     def view(self, view: View) -> View:
         """Return where zones look with this order of columns."""

@@ -64,14 +64,8 @@ def robust_scale(values: Floats) -> float:
 def residuals(seen: RowMotion, meant: Motion, used: Bools, interval: float) -> Residuals:
     """Return what is left of a picture's motion, the ground's slant and the clock's lag taken out.
 
-    Parameters
-    ----------
-    seen, meant
-        Motion of the picture, and of the poses.
-    used : (line - 1, zone)
-        Which are compared.
-    interval
-        Between lines [s].
+    ``seen`` and ``meant`` are the motion of the picture and of the poses, compared where ``used`` (line - 1,
+    zone); ``interval`` is that between lines [s].
 
     Notes
     -----
@@ -155,18 +149,8 @@ def fit_clock(
 ) -> Refined:
     """Return the offset of the clock [s] at which poses and picture move together.
 
-    Parameters
-    ----------
-    seen
-        Motion of the picture.
-    poses
-        Canonical poses (6, line) at an offset of the clock [s].
-    view
-        How the camera looks down.
-    used : (line - 1, zone)
-        What is compared.
-    start
-        Offset that is already nearly right [s].
+    ``poses`` gives canonical poses (6, line) at an offset; what is ``used`` (line - 1, zone) is compared;
+    ``start`` is an offset that is already nearly right [s].
 
     Notes
     -----

@@ -28,14 +28,7 @@ _WAVELENGTHS = (500.0, 850.0)
 
 
 def picture_of(line: xr.Dataset, image: xr.DataArray | None) -> Floats32:
-    """Return a picture (along_track, cross_track) of a line, read once.
-
-    Parameters
-    ----------
-    line
-        Has ``counts``, ``radiance`` or ``reflectance``.
-    image
-        The picture itself, (along_track, cross_track), instead.
+    """Return a picture (along_track, cross_track) of a line's cube, or the ``image`` given, read once.
 
     Raises
     ------

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -19,11 +19,10 @@ from hyperpaint.geometry.georeference import PinholeCamera
 from hyperpaint.geometry.georeference.attitude_rotations import matrices, quaternions
 from hyperpaint.geometry.georeference.cameras import look_angles
 from hyperpaint.geometry.georeference.poses import (
-    ANGLES,
     NAVIGATION_TIME,
     POSE,
     canonical_values,
-    convention_of,
+    convention_of_line,
     poses_at,
 )
 
@@ -31,7 +30,7 @@ from .picture_motion import RowMotion, picture_of, row_motion
 
 __all__ = [
     "MAX_LINES", "Motion", "Recorded", "Setting", "View", "course_of", "local_metres", "recorded_poses",
-    "setting_of", "units_of", "view_of",
+    "setting_of",
 ]  # fmt: skip
 
 
@@ -61,15 +60,6 @@ class Recorded:
         columns = (self.columns[name] for name in POSE)
         values = canonical_values(*columns, convention=convention, crs=self.crs)
         return poses_at(self.times, values, self.wanted, clock_offset_s=clock_offset_s)
-
-    def swapped(self) -> Recorded:
-        """Return the same with latitude and longitude in each other's place."""
-        latitude, longitude = self.columns["longitude"], self.columns["latitude"]
-        return replace(self, columns={**self.columns, "latitude": latitude, "longitude": longitude})
-
-    def mirrored(self) -> Recorded:
-        """Return the same with longitudes of the other sign."""
-        return replace(self, columns={**self.columns, "longitude": -self.columns["longitude"]})
 
 
 @dataclass(frozen=True)
@@ -156,38 +146,6 @@ def recorded_poses(line: xr.Dataset, navigation: xr.Dataset | None, crs: Any = N
     return Recorded(times.astype("datetime64[ns]"), columns, wanted.astype("datetime64[ns]"), crs)
 
 
-def view_of(
-    line: xr.Dataset,
-    camera: Any,
-    centres: Floats,
-    boresight: tuple[float, float, float],
-    lever_arm: tuple[float, float, float],
-    ground: float,
-) -> tuple[View, bool]:
-    """Return where zones look, and whether the order of columns matters: not with a table, which has signs.
-
-    Raises
-    ------
-    SchemaError
-        The camera is not known; see `hyperpaint.geometry.georeference.cameras.look_angles`.
-    """
-    across, along = look_angles(line, camera, Convention(column_order="left_to_right"))
-    right, forward = np.tan(np.radians(np.asarray(across))), np.tan(np.radians(np.asarray(along)))
-    column = np.arange(right.size)
-    view = View(
-        np.interp(centres, column, right), np.interp(centres, column, forward),
-        np.interp(centres, column, np.gradient(right)), boresight, lever_arm, ground,
-    )  # fmt: skip
-    return view, isinstance(camera, PinholeCamera)
-
-
-def units_of(line: xr.Dataset, navigation: xr.Dataset | None) -> str | None:
-    """Return the unit that all three angles are labelled with; None where they are not."""
-    source = line if navigation is None else navigation
-    labels = {str(source[name].attrs.get("units")) for name in ANGLES}
-    return labels.pop() if len(labels) == 1 and "None" not in labels else None
-
-
 # --- a line as a check sees it -------------------------------------------------------------------------
 
 
@@ -244,20 +202,16 @@ def setting_of(
     SchemaError
         No convention, camera, height of the ground, pose or picture; too few lines or columns.
     """
-    source, subject = (line, "this line") if navigation is None else (navigation, "this navigation record")
-    declared = convention_of(source, convention, subject)
-    own = Convention.from_attrs(line.attrs)
-    if own is not None:
-        declared = declared.replace(
-            column_order=declared.column_order or own.column_order,
-            stamp_reference=declared.stamp_reference or own.stamp_reference,
-        )
+    declared = convention_of_line(line, navigation, convention)
+    if declared.stamp_reference is None:
+        declared = declared.replace(stamp_reference=line.attrs.get("convention_stamp_reference"))
     if ground is None:
         located_ground = line.attrs.get("ground")
         if not isinstance(located_ground, int | float):
             raise SchemaError("the height of the ground is not known; give ground= [m above the ellipsoid]")
         ground = float(located_ground)
-    chosen = _middle(line.sizes[ALONG_TRACK]) if lines is None else lines
+    first = max((line.sizes[ALONG_TRACK] - MAX_LINES) // 2, 0)
+    chosen = slice(first, min(first + MAX_LINES, line.sizes[ALONG_TRACK])) if lines is None else lines
     part = line.isel({ALONG_TRACK: chosen})
     if part.sizes[ALONG_TRACK] < _MIN_LINES:
         raise SchemaError(f"{part.sizes[ALONG_TRACK]} lines, expected {_MIN_LINES} at least")
@@ -266,17 +220,15 @@ def setting_of(
         raise SchemaError("the picture is too narrow, or shows nothing at all; expected 64 columns at least")
     roll, pitch, heading = (float(angle) for angle in boresight)
     forward, right, down = (float(length) for length in lever_arm)
-    view, matter = view_of(
-        line, camera, seen.centres, (roll, pitch, heading), (forward, right, down), float(ground)
-    )
+    tangents = look_angles(line, camera, Convention(column_order="left_to_right"))
+    to_right, ahead = (np.tan(np.radians(np.asarray(angles))) for angles in tangents)
+    columns = (to_right, ahead, np.gradient(to_right))
+    of_zones = (np.interp(seen.centres, np.arange(to_right.size), values) for values in columns)
+    view = View(*of_zones, (roll, pitch, heading), (forward, right, down), float(ground))
     recorded = recorded_poses(part, navigation, crs)
     steps = np.diff(recorded.wanted.astype(np.int64)) / 1e9
     exposure = float(np.median(part["exposure_time"].values)) if "exposure_time" in part.variables else np.nan
-    return Setting(
-        declared, recorded, seen, view, matter, float(np.median(steps[steps > 0])), exposure, chosen
-    )
-
-
-def _middle(count: int) -> slice:
-    first = max((count - MAX_LINES) // 2, 0)
-    return slice(first, min(first + MAX_LINES, count))
+    # a table of look angles has signs, so that the order of columns is known
+    columns_matter = isinstance(camera, PinholeCamera)
+    interval = float(np.median(steps[steps > 0]))
+    return Setting(declared, recorded, seen, view, columns_matter, interval, exposure, chosen)

@@ -21,7 +21,7 @@ from hyperpaint.geometry.georeference.geodesy import between_maps, crs_of
 from hyperpaint.geometry.georeference.poses import (
     NAVIGATION_TIME,
     canonical_values,
-    convention_of,
+    convention_of_line,
     pose_columns,
     poses_at,
 )
@@ -56,16 +56,9 @@ class Sightings:
     def misses(self, boresight: Floats, height: float, clock: float, lines: float = 0.0) -> Floats:
         """Return by how much points are not where they were seen (point, 2): forward, right [tangent].
 
-        Parameters
-        ----------
-        boresight
-            Roll, pitch, heading of the camera in the body [degree].
-        height
-            Added to the altitude of the record [m].
-        clock
-            Added to the time of the line to have that of the record [s].
-        lines
-            Lines by which the points are said to be seen later than they were.
+        ``boresight`` is roll, pitch, heading of the camera in the body [degree]; ``height`` [m] is added to
+        the altitude of the record, ``clock`` [s] to the time of the line; ``lines`` is by how many lines the
+        points are taken to be seen later than they were.
         """
         way = self._ways(boresight, height, clock, lines)
         return np.asarray(way[:, :2] / way[:, 2:] - np.stack([self.forward, self.right], axis=-1))
@@ -142,12 +135,8 @@ def sightings_of(
     SchemaError
         Points are outside the line, or where it has no time or pose; no convention, camera or pose.
     """
-    source, subject = (line, "this line") if navigation is None else (navigation, "this navigation record")
-    meant = convention_of(source, convention, subject)
-    own = line.attrs.get("convention_column_order")
-    if meant.column_order is None and own is not None:
-        meant = meant.replace(column_order=own)
-    columns = pose_columns(source, meant)
+    meant = convention_of_line(line, navigation, convention)
+    columns = pose_columns(line if navigation is None else navigation, meant)
     values = canonical_values(*(column.values for column in columns.values()), convention=meant, crs=crs)
     time = require(line, ["time"], "control points")["time"].values.astype("datetime64[ns]")
     recorded = time if navigation is None else navigation[NAVIGATION_TIME].values.astype("datetime64[ns]")

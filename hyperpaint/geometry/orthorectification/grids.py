@@ -17,6 +17,7 @@ from dask.callbacks import Callback
 
 from hyperpaint.base.arrays import Array, Floats, Progress
 from hyperpaint.base.errors import SchemaError
+from hyperpaint.geometry.georeference.coverage import line_ends
 
 __all__ = [
     "Axes", "Box", "MapGrid", "Progress", "Survey", "box_of", "covering", "direction_of_flight",
@@ -93,18 +94,16 @@ class MapGrid:
         east, north = self._place(0.0, 0.0)
         return (east, size * a, size * c, north, size * b, size * d)
 
-    def _place(self, row: float, col: float) -> tuple[float, float]:
+    def _place(self, row: Any, col: Any) -> tuple[Any, Any]:
+        """Return east and north of places in rows and columns of cells [m]."""
         (a, b), (c, d) = self.axes.right, self.axes.down
         y, x = (self.first[0] + row) * self.gsd, (self.first[1] + col) * self.gsd
         return self.axes.anchor[0] + x * a + y * c, self.axes.anchor[1] + x * b + y * d
 
     def centres(self, rows: slice, cols: slice) -> tuple[Floats, Floats]:
         """Return east and north of the centres of cells (row, col) [m]."""
-        row = np.arange(rows.start, rows.stop)[:, None] + 0.5
-        col = np.arange(cols.start, cols.stop)[None, :] + 0.5
-        (a, b), (c, d) = self.axes.right, self.axes.down
-        y, x = (self.first[0] + row) * self.gsd, (self.first[1] + col) * self.gsd
-        return self.axes.anchor[0] + x * a + y * c, self.axes.anchor[1] + x * b + y * d
+        row, col = (np.arange(part.start, part.stop) + 0.5 for part in (rows, cols))
+        return self._place(row[:, None], col[None, :])
 
     @property
     def frame(self) -> Floats:
@@ -301,10 +300,7 @@ def _looked_at(east: Floats, north: Floats, axes: Axes) -> tuple[Floats, tuple[F
         out[lines, column] = reduce(
             way if is_placed.all() else np.where(is_placed[lines], way, empty), axis=1
         )
-    first = is_placed[lines].argmax(axis=1)
-    last = is_placed.shape[1] - 1 - is_placed[lines, ::-1].argmax(axis=1)
-    for column, at in ((4, first), (6, last)):
-        out[lines, column], out[lines, column + 1] = east[lines, at], north[lines, at]
+    out[lines, 4:8] = line_ends(east[lines], north[lines]).reshape(-1, 4)
     across = [part[:, 1::step] - part[:, :-1:step] for part in (east, north)]
     out[:, 8] = _medians(np.hypot(*across))
     out[:-1, 9] = _medians(np.hypot(*np.diff(some, axis=1)))

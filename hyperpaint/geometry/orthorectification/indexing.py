@@ -16,8 +16,8 @@ from hyperpaint.kernels.inverse_map import fill_between, invert_lines
 from .grids import MapGrid, Survey
 
 __all__ = [
-    "RULES", "Plan", "Reading", "TileIndex", "Window", "areas_between", "column_values", "gaps_of",
-    "index_tile", "line_values", "map_spectra", "needed_slabs", "plane_values", "reading_of",
+    "RULES", "Plan", "Reading", "TileIndex", "Window", "areas_between", "gaps_of", "index_tile",
+    "map_spectra", "nearest_values", "needed_slabs", "plane_values", "reading_of",
 ]  # fmt: skip
 
 
@@ -77,19 +77,7 @@ def areas_between(survey: Survey) -> Floats:
 def needed_slabs(
     survey: Survey, grid: MapGrid, chunks: Sequence[int], windows: Sequence[Sequence[Window]]
 ) -> dict[tuple[int, int], list[int]]:
-    """Return the slabs of lines that cover each tile.
-
-    Parameters
-    ----------
-    survey
-        Boxes of the lines, along the axes of the grid.
-    grid
-        How the cells lie.
-    chunks
-        Lines of every slab.
-    windows
-        Cells of the tiles, by row and column.
-    """
+    """Return the slabs of lines that cover each tile; ``chunks`` are the lines of every slab."""
     ends = np.cumsum(chunks)
     cells = survey.boxes / grid.gsd - np.repeat([grid.first[1], grid.first[0]], 2) - 0.5
     low, high = np.fmin(cells[:-1], cells[1:]), np.fmax(cells[:-1], cells[1:])
@@ -116,16 +104,7 @@ def index_tile(
 ) -> TileIndex:
     """Return the places of the line at the cells of a tile.
 
-    Parameters
-    ----------
-    plan
-        What all tiles share.
-    rows, cols
-        Cells of the tile.
-    starts
-        First line of every slab.
-    east, north
-        Where the pixels of the slabs lie (line, column).
+    ``starts`` are the first lines of the slabs, whose pixels lie at ``east`` and ``north`` (line, column).
     """
     shape = rows.stop - rows.start, cols.stop - cols.start
     place, nearest = np.full((2, *shape), np.nan), np.full((2, *shape), -1, np.int32)
@@ -178,18 +157,9 @@ def _whole(line: Array, sample: Array) -> tuple[Ints, Ints]:
 
 
 def map_spectra(reading: Reading, starts: Sequence[int], slabs: Sequence[Array], empty: Any) -> Array:
-    """Return spectra (row, col, band) of slabs (line, band, column).
+    """Return spectra (row, col, band) of slabs (line, band, column), of which ``starts`` are the first lines.
 
-    Parameters
-    ----------
-    reading
-        The pixels to read, and whether to interpolate, which makes whole numbers float32.
-    starts
-        First line of every slab.
-    slabs
-        Lines, slab by slab.
-    empty
-        What cells get that no patch covers.
+    Cells that no patch covers get ``empty``, whose type is that of the result.
     """
     bands, columns = slabs[0].shape[1:]
     bilinear = reading.along.size > 0
@@ -216,14 +186,9 @@ def map_spectra(reading: Reading, starts: Sequence[int], slabs: Sequence[Array],
 def plane_values(
     reading: Reading, starts: Sequence[int], slabs: Sequence[Array], flags: bool, empty: Any
 ) -> Array:
-    """Return values (row, col) of slabs (line, column).
+    """Return values (row, col) of slabs (line, column), see `map_spectra`.
 
-    Parameters
-    ----------
-    reading, starts, slabs, empty
-        See `map_spectra`.
-    flags
-        Whether the bits of all pixels that interpolation looks at are joined, instead of interpolated.
+    With ``flags`` the bits of all pixels that interpolation looks at are joined, instead of interpolated.
     """
     out = np.full(reading.shape[0] * reading.shape[1], empty, slabs[0].dtype)
     for slab, start, here in _by_slab(reading, starts, slabs):
@@ -245,17 +210,9 @@ def plane_values(
     return out.reshape(reading.shape)
 
 
-def line_values(index: TileIndex, values: Array, empty: Any) -> Array:
-    """Return values (row, col) of what every line has one of, of the nearest line."""
-    return _looked_up(index.nearest_line, values, empty)
-
-
-def column_values(index: TileIndex, values: Array, empty: Any) -> Array:
-    """Return values (row, col) of what every column has one of, of the nearest column."""
-    return _looked_up(index.nearest_sample, values, empty)
-
-
-def _looked_up(place: Array, values: Array, empty: Any) -> Array:
+def nearest_values(index: TileIndex, values: Array, of_lines: bool, empty: Any) -> Array:
+    """Return values (row, col) of what every line, or else every column, has one of: of the nearest."""
+    place = index.nearest_line if of_lines else index.nearest_sample
     return np.where(place >= 0, values[np.maximum(place, 0)], np.asarray(empty, values.dtype))
 
 

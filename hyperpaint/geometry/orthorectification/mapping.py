@@ -294,25 +294,15 @@ def _coordinates(tiles: Tiles, crs: str | None, line: xr.Dataset) -> dict[str, A
         east, _ = grid.centres(slice(0, 1), slice(0, cols))
         _, north = grid.centres(slice(0, rows), slice(0, 1))
         for name, values, towards in (("x", east[0], "east"), ("y", north[:, 0], "north")):
-            axis_attrs = {
-                "units": "m",
-                "standard_name": f"projection_{name}_coordinate",
-                "axis": name.upper(),
-            }
-            coordinates[name] = (
-                name,
-                values,
-                {**axis_attrs, "long_name": f"Map coordinate to the {towards}", **named},
-            )
+            axis = {"standard_name": f"projection_{name}_coordinate", "axis": name.upper()}
+            meaning = f"Map coordinate to the {towards}"
+            coordinates[name] = (name, values, {"units": "m", **axis, "long_name": meaning, **named})
         return coordinates
     for name, values, way in (("x", x * size, "to the right of"), ("y", y * size, "down from")):
         meaning = f"Distance {way} the corner of the grid, which lies along the flight"
         # no map coordinates: whoever looks for some is to find east and north
-        coordinates[name] = (
-            name,
-            values,
-            {"units": "m", "long_name": meaning, "crs": "grid along the flight"},
-        )
+        attrs = {"units": "m", "long_name": meaning, "crs": "grid along the flight"}
+        coordinates[name] = (name, values, attrs)
     for name, lazy in zip(("east", "north"), tiles.centres(), strict=True):
         coordinates[name] = label(xr.DataArray(lazy, dims=("y", "x")), name, **named)
     return coordinates

@@ -26,11 +26,10 @@ from .grids import MapGrid
 from .indexing import (
     Plan,
     Window,
-    column_values,
     gaps_of,
     index_tile,
-    line_values,
     map_spectra,
+    nearest_values,
     plane_values,
     reading_of,
 )
@@ -122,13 +121,9 @@ class Tiles:
         reading = self.nearest if kind == "nearest" or not self.bilinear else self.before
         return self._tile_array("map-plane", plane_values, reading, plane, (kind == "flags", empty))
 
-    def lines(self, values: da.Array, empty: Any) -> da.Array:
-        """Return values (row, col) of what every line has one of (line,), in one chunk."""
-        return self._tile_array("map-lines", line_values, self.index, values, (empty,))
-
-    def columns(self, values: da.Array, empty: Any) -> da.Array:
-        """Return values (row, col) of what every column has one of (column,), in one chunk."""
-        return self._tile_array("map-columns", column_values, self.index, values, (empty,))
+    def row_or_column(self, values: da.Array, of_lines: bool, empty: Any) -> da.Array:
+        """Return values (row, col) of what every line, or else every column, has one of, in one chunk."""
+        return self._tile_array("map-nearest", nearest_values, self.index, values, (of_lines, empty))
 
     def centres(self) -> tuple[da.Array, da.Array]:
         """Return east and north of the centres of cells (row, col) [m]."""
@@ -291,19 +286,7 @@ def empty_value(name: str, dtype: np.dtype[Any]) -> Any:
 
 
 def mapped(line: xr.Dataset, names: Sequence[str], tiles: Tiles, lines: tuple[int, ...]) -> dict[str, Any]:
-    """Return the variables on a map, by their names there.
-
-    Parameters
-    ----------
-    line
-        What `prepared` has returned.
-    names
-        Variables.
-    tiles
-        The map.
-    lines
-        Lines of every slab.
-    """
+    """Return the variables of a `prepared` line on a map, by their names there; ``lines``: of every slab."""
     variables = {}
     for name in names:
         values = _on_map(line[name], name, tiles, lines)
@@ -325,9 +308,12 @@ def _on_map(array: xr.DataArray, name: str, tiles: Tiles, lines: tuple[int, ...]
     array = array.astype("datetime64[ns]") if array.dtype.kind == "M" else array
     empty = empty_value(name, array.dtype)
     if array.ndim == 2:
-        return tiles.plane(in_slabs(array.transpose(*_PIXEL), lines), _kind(array, name), empty)
+        kind = "bilinear" if array.dtype.kind == "f" and name not in _TURNING else "nearest"
+        if "flag_masks" in array.attrs or name == "quality":
+            kind = "flags"
+        return tiles.plane(in_slabs(array.transpose(*_PIXEL), lines), kind, empty)
     values = array.chunk({array.dims[0]: -1}).data
-    return tiles.lines(values, empty) if array.dims == (ALONG_TRACK,) else tiles.columns(values, empty)
+    return tiles.row_or_column(values, array.dims == (ALONG_TRACK,), empty)
 
 
 class _InMemory:
@@ -351,10 +337,3 @@ def in_slabs(array: xr.DataArray, lines: tuple[int, ...]) -> da.Array:
     name = f"in-memory-{uuid.uuid4().hex}"
     meta = np.empty((0,) * values.ndim, values.dtype)
     return da.from_array(_InMemory(values), tuple(chunks.values()), name, asarray=False, meta=meta)
-
-
-def _kind(array: xr.DataArray, name: str) -> str:
-    """Return how a plane is brought to the map where spectra are interpolated."""
-    if "flag_masks" in array.attrs or name == "quality":
-        return "flags"
-    return "bilinear" if array.dtype.kind == "f" and name not in _TURNING else "nearest"
