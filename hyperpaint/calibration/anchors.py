@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from hyperpaint.base.arrays import Bools, Floats
+from hyperpaint.base.arrays import Floats
 from hyperpaint.base.constants import SATURATION_MARGIN_COUNTS
 from hyperpaint.base.errors import PaintWarning, Problems, SchemaError
 from hyperpaint.base.schema import ALONG_TRACK, BAND, CROSS_TRACK, VARIABLES, label, require
@@ -167,7 +167,9 @@ def anchor_to_radiance(
     level = _band_means(calibration, response_inputs, spectrum)
     signal, exposure = _signal(frames, calibration)
     signal = linearised(coefficients_of(calibration.attrs))(signal)
-    signal[:, _unlit(calibration, signal.shape[1])] = np.nan
+    first, last = calibration.attrs.get("lit_columns", (0, signal.shape[1] - 1))
+    # no line of the sweep shows the wavelengths of the other columns
+    signal[:, :first] = signal[:, last + 1 :] = np.nan
     with np.errstate(divide="ignore", invalid="ignore"):
         gain = np.where(signal > 0, level * exposure / signal, np.nan)
     if scale == "common":
@@ -180,13 +182,6 @@ def anchor_to_radiance(
         )
     anchor = f"radiance of a known source, {scale} scale"
     return _with_gain(calibration, gain, anchor, uncertainty, same_shape=scale == "common")
-
-
-def _unlit(calibration: xr.Dataset, columns: int) -> Bools:
-    """Return the columns (cross_track,) whose wavelengths no line of the sweep has told."""
-    first, last = calibration.attrs.get("lit_columns", (0, columns - 1))
-    column = np.arange(columns)
-    return np.asarray((column < first) | (column > last))
 
 
 def _with_gain(

@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import warnings
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -139,7 +139,7 @@ def calibrate(
     bad = _bad_at_the_door(lab, bad_elements)
     flat = None if flat_field is None else factors_of(flat_field, bad.shape)
     read = read_lines(lab, bad, linearised(linearity), flat, tick)
-    _need_lines(lab, read)
+    _check_lines(lab, read)
     seen, fits = fit_as_seen(lab, read, tick)
     _need_trusted(read, seen, fits)
     rough = _map(seen, lab, lab.wavelength, smile_degree)
@@ -156,7 +156,7 @@ def calibrate(
                 window.leave_out(bad)
         lines = fit_through(lab, read, rough, SHAPES[shape], fits, lambda: None)
     read, lines, differences = _with_differences(lab, read, lines, rough, SHAPES[shape], fits)
-    _say_what_is_left_out(lab, read)
+    _warn_of_saturation(lab, read)
     surface, slope, pull = _map_through(lines, lab, read, rough, shape, smile_degree)
     placed = placed_lines(lab, lines, surface, pull)
     if not lab.by_column and flat is None:
@@ -230,13 +230,18 @@ def _bad_at_the_door(lab: LabSweep, given: xr.DataArray | None) -> Bools:
     return bad
 
 
-def _need_lines(lab: LabSweep, read: Read) -> None:
+def _check_lines(lab: LabSweep, read: Read) -> None:
+    """Refuse a sweep with too few lines above the noise, and warn of the steps that are left out."""
     dark = [float(w) for w, window in zip(lab.wavelength, read.windows, strict=True) if window is None]
     if len(dark) > len(read.windows) - _FEWEST:
         raise SchemaError(
             f"this lab sweep cannot be calibrated:\n  no line above the noise at {len(dark)} of "
             f"{len(read.windows)} steps ({listed(dark, 'nm')}); is the dark that of these "
             "exposures, and was the lamp on?"
+        )
+    if dark:
+        warnings.warn(
+            f"no line above the noise at {listed(dark, 'nm')}: left out", PaintWarning, stacklevel=3
         )
 
 
@@ -283,16 +288,10 @@ def _misfits(by_shape: Mapping[str, Lines]) -> dict[str, float]:
     }
 
 
-def _say_what_is_left_out(lab: LabSweep, read: Read) -> None:
-    wavelength = lab.wavelength
-    without = [float(w) for w, window in zip(wavelength, read.windows, strict=True) if window is None]
-    if without:
-        warnings.warn(
-            f"no line above the noise at {listed(without, 'nm')}: left out", PaintWarning, stacklevel=3
-        )
+def _warn_of_saturation(lab: LabSweep, read: Read) -> None:
     full = [
         f"{w:g} nm ({int(window.saturated.sum())} of {window.saturated.size} lit columns)"
-        for w, window in zip(wavelength, read.windows, strict=True)
+        for w, window in zip(lab.wavelength, read.windows, strict=True)
         if window is not None and window.saturated.any()
     ]
     if full:
@@ -328,16 +327,6 @@ _SURE = 4.5  # standard deviations of noise and of the elements' differences
 _CHANGING = 1.0 / 3.0  # of the tolerance, by which a profile may change from step to step
 
 
-@dataclass(frozen=True, eq=False)
-class _Profiles:
-    """Smooth log profiles of the lines' areas over the columns."""
-
-    #: level, spread (step, cross_track): the profile about its median, and its standard deviation; NaN where
-    #: a line is not trusted
-    level: Floats
-    spread: Floats
-
-
 def beam_problem(wavelength: Floats, areas: Floats, tolerance: float) -> str | None:
     """Return what betrays a beam that does not light all columns alike, or None.
 
@@ -349,17 +338,17 @@ def beam_problem(wavelength: Floats, areas: Floats, tolerance: float) -> str | N
     steps = np.flatnonzero(count >= max(4.0, 0.5 * count.max()))
     if steps.size < 4:
         return None
-    profiles = _profiles(areas[steps])
-    fall = np.nanmax(profiles.level, axis=1) - np.nanmin(profiles.level, axis=1)
-    sure = fall - _SURE * np.sqrt(2.0) * np.nanmax(profiles.spread, axis=1)
-    mean = np.nanmean(profiles.level, axis=0)
-    mean_spread = np.nanmax(profiles.spread / np.sqrt(np.isfinite(profiles.level).sum(axis=0)))
+    level, spread = _profiles(areas[steps])
+    fall = np.nanmax(level, axis=1) - np.nanmin(level, axis=1)
+    sure = fall - _SURE * np.sqrt(2.0) * np.nanmax(spread, axis=1)
+    mean = np.nanmean(level, axis=0)
+    mean_spread = np.nanmax(spread / np.sqrt(np.isfinite(level).sum(axis=0)))
     if np.ptp(mean) - _SURE * np.sqrt(2.0) * mean_spread > tolerance or sure.max() > tolerance:
         worst = int(np.argmax(sure))
         at = wavelength[steps[worst]]
         return f"lines fall by {1.0 - np.exp(-fall[worst]):.1%} over the columns (at {at:g} nm)"
-    changes = np.nanmean((profiles.level - mean) ** 2, axis=0)
-    noise = np.nanmean(profiles.spread**2, axis=0)
+    changes = np.nanmean((level - mean) ** 2, axis=0)
+    noise = np.nanmean(spread**2, axis=0)
     column = int(np.argmax(changes - noise))
     excess = float(np.sqrt(max(changes[column] - 2.0 * noise[column], 0.0)))
     if excess > _CHANGING * tolerance:
@@ -369,7 +358,8 @@ def beam_problem(wavelength: Floats, areas: Floats, tolerance: float) -> str | N
     return None
 
 
-def _profiles(areas: Floats) -> _Profiles:
+def _profiles(areas: Floats) -> tuple[Floats, Floats]:
+    """Return smooth log profiles of areas over columns about their medians, and their standard deviations."""
     lit = np.flatnonzero(np.isfinite(areas).any(axis=0))
     level = np.full((len(areas), lit.size), np.nan)
     spread = level.copy()
@@ -385,4 +375,4 @@ def _profiles(areas: Floats) -> _Profiles:
         rms = float(np.sqrt(((log - fitted) ** 2).sum() / free))
         level[row, is_lit] = fitted - np.median(fitted)
         spread[row, is_lit] = rms * np.sqrt(np.einsum("ij,ji->i", terms, inverse))
-    return _Profiles(level, spread)
+    return level, spread

@@ -14,13 +14,12 @@ from hyperpaint.base.arrays import Bools, Floats
 from hyperpaint.kernels.line_fits import AREA, profiles
 
 from .lab_sweep import LabSweep
-from .line_fits import SHAPES, Window
-from .steps import Lines, Read
+from .line_fits import SHAPES, NoiseModel, Window
+from .steps import SIGNAL_BINS, Lines, Read, binned
 from .wavelength_map import WavelengthMap, fit_width
 
 _BRIGHT = 0.12  # of a line's height, from which a dead element would show
 _DEVIANT = 0.5  # of the light of its line, by which such an element is off
-_SIGNAL_EDGES = np.concatenate([[-np.inf], np.geomspace(2.0, 65536.0, 40), [np.inf]])
 _FEWEST = 20  # samples of a bin
 _MOVED = 0.01  # band, for a derivative
 
@@ -105,7 +104,7 @@ def element_differences(
     does not hold for bright samples, and their noise is determined too.
     """
     widths = _widths(lab, lines, surface)
-    tally = np.zeros((4, len(_SIGNAL_EDGES) - 1))
+    tally = np.zeros((4, SIGNAL_BINS))
     shares = []
     for step, window in enumerate(read.windows):
         if window is None or not lines.trusted[step].any():
@@ -125,9 +124,8 @@ def element_differences(
         # beyond lies scattered light
         bright = model > _BRIGHT * model.max(axis=1, keepdims=True)
         shares.append(excess[bright].sum() / (model**2 * loose)[bright].sum())
-        bins = np.searchsorted(_SIGNAL_EDGES, model[bright], side="right") - 1
-        for row, weight in enumerate((np.ones_like(model), model * loose, model**2 * loose, excess)):
-            tally[row] += np.bincount(bins, weight[bright], tally.shape[1])
+        weights = (model * loose, model**2 * loose, excess)
+        tally += binned(model[bright], *(weight[bright] for weight in weights))
     if not shares:
         return Differences(0.0, 0.0)
     if known_noise:
@@ -232,25 +230,15 @@ def complete_edge_lines(
         if cut.any():
             centre = surface.band_of(float(light[step]), window.columns)
             _complete(
-                lab,
-                read,
-                lines,
-                surface,
-                step=step,
-                cut=cut,
-                centre=centre,
-                fwhm=float(fwhm[step]),
-                shape=shape,
-            )
+                lab, read.noise, lines, surface, step, window,
+                cut=cut, centre=centre, fwhm=float(fwhm[step]), shape=shape,
+            )  # fmt: skip
 
 
 def _complete(
-    lab: LabSweep, read: Read, lines: Lines, surface: WavelengthMap, *,
-    step: int, cut: Bools, centre: Floats, fwhm: float, shape: str,
+    lab: LabSweep, noise: NoiseModel, lines: Lines, surface: WavelengthMap, step: int, window: Window, *,
+    cut: Bools, centre: Floats, fwhm: float, shape: str,
 ) -> None:  # fmt: skip
-    window = read.windows[step]
-    if window is None:
-        return
     spacing = surface.spacing(centre, window.columns)
     width, source = fwhm / spacing, lab.width[step] / spacing
     frames = float(lab.frames[step])
@@ -264,7 +252,7 @@ def _complete(
     is_finite = np.isfinite(window.values)
     values = np.where(is_finite, window.values, 0.0)
     unit = np.where(is_finite, profile(0.0, 1.0), 0.0)
-    variance = read.noise.variance(values, frames) + (1e-4 * values.max(axis=1, keepdims=True)) ** 2
+    variance = noise.variance(values, frames) + (1e-4 * values.max(axis=1, keepdims=True)) ** 2
     weight = np.where(is_finite, 1.0 / np.maximum(variance, 1e-300), 0.0)
     norm = np.maximum((weight * unit**2).sum(axis=1), 1e-300)
 
@@ -277,14 +265,13 @@ def _complete(
     seen = unit.sum(axis=1)
     area = values.sum(axis=1) + (1.0 - seen) * fitted
     # what the place and the width are not known to, the area is not known to either
-    by_place = (1.0 - seen) * (area_of(profile(1e-3, 1.0)) - fitted) / 1e-3
-    by_place -= (profile(1e-3, 1.0) * is_finite - unit).sum(axis=1) * fitted / 1e-3
-    by_width = (1.0 - seen) * (area_of(profile(0.0, 1.0 + 1e-3)) - fitted) / 1e-3
-    by_width -= (profile(0.0, 1.0 + 1e-3) * is_finite - unit).sum(axis=1) * fitted / 1e-3
-    noise = (
-        np.where(is_finite, read.noise.variance(values, frames), 0.0).sum(axis=1) + (1.0 - seen) ** 2 / norm
+    by_place, by_width = (
+        (1.0 - seen) * (area_of(changed) - fitted) / 1e-3
+        - (changed * is_finite - unit).sum(axis=1) * fitted / 1e-3
+        for changed in (profile(1e-3, 1.0), profile(0.0, 1.0 + 1e-3))
     )
-    total = noise + (by_place * surface.residual / spacing) ** 2 + (by_width * _OWN_WIDTH_U) ** 2
+    by_noise = np.where(is_finite, noise.variance(values, frames), 0.0).sum(axis=1) + (1.0 - seen) ** 2 / norm
+    total = by_noise + (by_place * surface.residual / spacing) ** 2 + (by_width * _OWN_WIDTH_U) ** 2
     apart = np.abs(np.where(is_finite, values - fitted[:, None] * unit, 0.0))
     height = np.abs(fitted) * profile(0.0, 1.0).max(axis=1)
     # one free parameter: what is not noise is a dead element, or a line elsewhere

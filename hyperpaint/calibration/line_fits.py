@@ -222,6 +222,14 @@ def _brightest(light: Floats) -> float:
     return float(np.median(stacked, axis=1).max())
 
 
+def fitted(samples: LineSamples, shape: int, triangular: bool, parameters: Floats) -> LineFits:
+    """Improve ``parameters`` (line, 4) in place, and return them with what the fits say of them."""
+    lines = len(parameters)
+    fits = LineFits(parameters, np.empty((lines, 4, 4)), np.empty(lines), np.zeros(lines, np.bool_))
+    fit_lines(samples, shape, triangular, fits)
+    return fits
+
+
 def fit_beam(beam: Floats) -> tuple[float, float]:
     """Return centre and full width at half maximum of the beam over columns; NaN where it shows no peak."""
     is_finite = np.isfinite(beam)
@@ -232,12 +240,10 @@ def fit_beam(beam: Floats) -> tuple[float, float]:
     if is_finite.sum() < 8 or not total > 0:
         return np.nan, np.nan
     centre = float((np.maximum(values, 0.0) * columns).sum() / total)
-    parameters = np.array([[centre, total / _GAUSS, total, 0.0]])
-    covariance, chi2, converged = np.empty((1, 4, 4)), np.empty(1), np.zeros(1, np.bool_)
     samples = LineSamples(values[None], weights, np.zeros(1, np.int64), np.zeros(1))
-    fit_lines(samples, GAUSSIAN, False, LineFits(parameters, covariance, chi2, converged))
-    middle, width, area, offset = parameters[0]
-    peaked = bool(converged[0]) and width < 3.0 * beam.size and -width < middle < beam.size + width
+    fits = fitted(samples, GAUSSIAN, False, np.array([[centre, total / _GAUSS, total, 0.0]]))
+    middle, width, area, offset = fits.parameters[0]
+    peaked = bool(fits.converged[0]) and width < 3.0 * beam.size and -width < middle < beam.size + width
     if not peaked or not abs(offset) < 0.5 * area / (width * _GAUSS):
         return np.nan, np.nan
     return float(middle), float(width)
@@ -254,52 +260,49 @@ def fit_window(
     is_finite = np.isfinite(window.values)
     values = np.where(is_finite, window.values, 0.0)
     parameters = _start(window, light) if start is None else _restart(start, light)
-    model = values if start is None else _model(window, start, shape, light, parameters)
+    model = values
+    if start is not None:
+        model = start.parameters[:, AREA, None] * _profiles(window, parameters, shape, light)
     height = np.max(np.where(is_finite, values, -np.inf), axis=1, keepdims=True)
     # weights that follow each count's own noise favour low counts: they follow a model where there is one
     floor = (1e-4 * height) ** 2 if start is not None else (3e-2 * height) ** 2
     variance = noise.variance(model, frames) + floor
-    covariance, chi2, converged, used = _fit_twice(window, values, variance, parameters, shape, light)
+    fits, used = _fit_twice(window, values, variance, parameters, shape, light)
     unit = _profiles(window, parameters, shape, light)
     area, unseen = _area(window, parameters, unit, used)
     area_variance = np.where(used, noise.variance(np.where(used, values, 0.0), frames), 0.0).sum(axis=1)
     area_variance += used.sum(axis=1) ** 2 * window.background_variance * noise.variance(np.zeros(1), frames)
-    area_variance += unseen**2 * covariance[:, AREA, AREA]
+    area_variance += unseen**2 * fits.covariance[:, AREA, AREA]
     width = np.empty(len(values))
     full_widths(parameters[:, WIDTH].copy(), light.width, shape, light.triangular, width)
     return Fits(
         parameters=parameters,
-        covariance=covariance,
+        covariance=fits.covariance,
         width=width,
         amplitude=parameters[:, AREA] * _peaks(parameters, shape, light),
         area=area,
         area_variance=area_variance,
         unseen=unseen,
-        chi2=chi2,
+        chi2=fits.chi2,
         degrees=np.maximum(used.sum(axis=1) - 4.0, 1.0),
-        converged=converged & np.isfinite(area) & (parameters[:, AREA] > 0),
+        converged=fits.converged & np.isfinite(area) & (parameters[:, AREA] > 0),
     )
 
 
 def _fit_twice(
     window: Window, values: Floats, variance: Floats, parameters: Floats, shape: int, light: Light
-) -> tuple[Floats, Floats, Bools, Bools]:
-    """Fit in place, and again without the worst sample where that is no noise.
-
-    Returns covariance, chi2, whether the search has ended, and the samples that were used.
-    """
-    lines = len(values)
-    covariance, chi2, converged = np.empty((lines, 4, 4)), np.empty(lines), np.zeros(lines, np.bool_)
+) -> tuple[LineFits, Bools]:
+    """Fit in place, and again without the worst sample where that is no noise; return what was used, too."""
     used = np.isfinite(window.values)
     begin = parameters.copy()
     for last in (False, True):
         parameters[:] = np.where(np.isfinite(parameters), parameters, begin)
         samples = LineSamples(values, np.where(used, 1.0 / variance, 0.0), window.first, light.width)
-        fit_lines(samples, shape, light.triangular, LineFits(parameters, covariance, chi2, converged))
+        fits = fitted(samples, shape, light.triangular, parameters)
         if last:
             break
-        fitted = parameters[:, AREA, None] * _profiles(window, parameters, shape, light)
-        apart = np.where(used, np.abs(values - fitted - parameters[:, OFFSET, None]), 0.0)
+        model = parameters[:, AREA, None] * _profiles(window, parameters, shape, light)
+        apart = np.where(used, np.abs(values - model - parameters[:, OFFSET, None]), 0.0)
         amplitude = np.abs(parameters[:, AREA] * _peaks(parameters, shape, light))
         worst = apart.max(axis=1, keepdims=True)
         # one dead element pulls its neighbours' fit, so only the worst goes
@@ -307,7 +310,7 @@ def _fit_twice(
         if not far.any():
             break
         used &= ~far
-    return covariance, chi2, converged, used
+    return fits, used
 
 
 def _start(window: Window, light: Light) -> Floats:
@@ -328,10 +331,6 @@ def _restart(start: Fits, light: Light) -> Floats:
     parameters = start.parameters.copy()
     parameters[:, WIDTH] = np.sqrt(np.maximum(start.width**2 - light.width**2, (0.3 * start.width) ** 2))
     return parameters
-
-
-def _model(window: Window, start: Fits, shape: int, light: Light, parameters: Floats) -> Floats:
-    return np.asarray(start.parameters[:, AREA, None] * _profiles(window, parameters, shape, light))
 
 
 def _profiles(window: Window, parameters: Floats, shape: int, light: Light) -> Floats:

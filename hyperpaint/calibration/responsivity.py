@@ -19,11 +19,11 @@ from __future__ import annotations
 import numpy as np
 
 from hyperpaint.base.arrays import Bools, Floats
-from hyperpaint.kernels.arguments import LineFits, LineSamples
-from hyperpaint.kernels.line_fits import CENTRE, fit_lines, profiles
+from hyperpaint.kernels.arguments import LineSamples
+from hyperpaint.kernels.line_fits import CENTRE, profiles
 
 from .lab_sweep import LabSweep
-from .line_fits import SHAPES, NoiseModel
+from .line_fits import SHAPES, NoiseModel, fitted
 
 _WIDEST_GAP = 3.0  # median steps; over more than that nothing is interpolated
 
@@ -188,8 +188,6 @@ def _fitted(
     line = light @ parts
     line *= amplitude / line.max()
     variance = noise.variance(line, frames) + (1e-4 * amplitude) ** 2
-    parameters = np.array([[0.0, own, line.sum(), 0.0]])
-    covariance, chi2, converged = np.empty((1, 4, 4)), np.empty(1), np.zeros(1, np.bool_)
     samples = LineSamples(line[None], 1.0 / variance[None], np.array([-half]), np.array([source]))
-    fit_lines(samples, shape, lab.triangular, LineFits(parameters, covariance, chi2, converged))
-    return float(parameters[0, CENTRE]) if converged[0] else 0.0
+    fits = fitted(samples, shape, lab.triangular, np.array([[0.0, own, line.sum(), 0.0]]))
+    return float(fits.parameters[0, CENTRE]) if fits.converged[0] else 0.0

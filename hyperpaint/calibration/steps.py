@@ -26,6 +26,7 @@ _CLIPPED = 3  # bands of a column that reach the highest count of the sweep: a l
 _SAME_COUNT = 0.25
 _INSIDE = 0.5  # full widths between a line's centre and the edge of the array, at least
 _SIGNAL_EDGES = np.concatenate([[-np.inf], np.geomspace(2.0, 65536.0, 40), [np.inf]])
+SIGNAL_BINS = len(_SIGNAL_EDGES) - 1
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,7 +102,7 @@ def read_lines(
     steps, bands, _ = lab.shape
     windows: list[Window | None] = []
     rows = np.zeros((steps, bands))
-    tally = np.zeros((3, len(_SIGNAL_EDGES) - 1))
+    tally = np.zeros((3, SIGNAL_BINS))
     scatter = []
     highest = np.full(bad.shape, -np.inf)
     for step in range(steps):
@@ -111,7 +112,8 @@ def read_lines(
         variance = lab.frame_variance(step)
         if variance is not None:
             full = lab.saturation is not None and raw >= lab.saturation - float(SATURATION_MARGIN_COUNTS)
-            _count_in(tally, net, variance, bad | full)
+            is_counted = np.isfinite(net) & np.isfinite(variance) & ~(bad | full)
+            tally += binned(net[is_counted], net[is_counted], variance[is_counted])
         if flat is not None:
             net = net * flat
         window = find_line(net, raw, bad, lab.saturation)
@@ -130,12 +132,10 @@ def read_lines(
     return Read(windows, rows, noise, source)
 
 
-def _count_in(tally: Floats, net: Floats, variance: Floats, bad: Bools) -> None:
-    is_finite = np.isfinite(net) & np.isfinite(variance) & ~bad
-    signal, spread = net[is_finite], variance[is_finite]
+def binned(signal: Floats, *values: Floats) -> Floats:
+    """Return, for bins of the signal [count], the number of samples and the sums of values (row, bin)."""
     bins = np.searchsorted(_SIGNAL_EDGES, signal, side="right") - 1
-    for row, weight in enumerate((None, signal, spread)):
-        tally[row] += np.bincount(bins, weight, tally.shape[1])
+    return np.stack([np.bincount(bins, weight, SIGNAL_BINS) for weight in (None, *values)])
 
 
 def _noise_model(lab: LabSweep, tally: Floats, scatter: list[float]) -> tuple[NoiseModel, str]:
@@ -144,11 +144,7 @@ def _noise_model(lab: LabSweep, tally: Floats, scatter: list[float]) -> tuple[No
     alone = lab.dark.leverage(float(np.median(lab.exposure))) / (lab.dark_frames or np.median(lab.frames))
     used = tally[0] > 50
     if used.sum() >= 3 and tally[2][used].any():
-        count, signal, variance = (
-            tally[0][used],
-            tally[1][used] / tally[0][used],
-            tally[2][used] / tally[0][used],
-        )
+        count, (signal, variance) = tally[0][used], tally[1:, used] / tally[0][used]
         weight = np.sqrt(count) / np.maximum(variance, 1e-6)
         terms = np.column_stack([np.ones_like(signal), signal]) * weight[:, None]
         constant, slope = np.linalg.lstsq(terms, variance * weight, rcond=None)[0]

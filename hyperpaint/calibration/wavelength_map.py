@@ -120,14 +120,17 @@ def _robust(
         sigma = 1.4826 * float(np.median(np.abs(residual)))
         if sigma < 1e-9 or np.abs(solved - last).max() < 1e-7:
             break
-        z = residual / (_TUKEY * sigma)
-        tukey = np.where(np.abs(z) < 1.0, (1.0 - z**2) ** 2, 0.0)
+        tukey = _biweight(residual / (_TUKEY * sigma))
     inliers = tukey > 0
     freedom = max(inliers.sum() - terms.shape[1], 1)
     rms = float(np.sqrt(((wavelength - terms @ solved)[inliers] ** 2).sum() / freedom))
     shape = (degrees[0] + 1, degrees[1] + 1)
     lit = (int(column.min()), int(column.max()))
     return WavelengthMap(solved.reshape(shape), bands, columns, lit, rms, tukey)
+
+
+def _biweight(z: Floats) -> Floats:
+    return np.where(np.abs(z) < 1.0, (1.0 - z**2) ** 2, 0.0)
 
 
 def _weighted(terms: Floats, values: Floats, weight: Floats) -> Floats:
@@ -155,7 +158,6 @@ def fit_width(wavelength: Floats, width: Floats, uncertainty: Floats, at: Floats
         sigma = 1.4826 * float(np.median(np.abs(residual)))
         if sigma < 1e-9:
             break
-        z = residual / (_TUKEY * sigma)
-        tukey = np.where(np.abs(z) < 1.0, (1.0 - z**2) ** 2, 0.0)
+        tukey = _biweight(residual / (_TUKEY * sigma))
     inside = np.clip(at, low, high)
     return np.asarray(chebyshev.chebval(2.0 * (inside - low) / scale - 1.0, solved))
