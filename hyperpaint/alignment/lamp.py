@@ -15,7 +15,14 @@ from hyperpaint.base import schema
 from hyperpaint.base.arrays import Array, Floats
 from hyperpaint.base.errors import SchemaError
 from hyperpaint.base.schema import IRRADIANCE_TIME, IRRADIANCE_WAVELENGTH
-from hyperpaint.light.responses import GAUSSIAN_SIGMA, Matching, Responses, log_slope, matching_operator
+from hyperpaint.light.responses import (
+    GAUSSIAN_SIGMA,
+    Matching,
+    Responses,
+    log_slope,
+    matching_operator,
+    mean_responsivity,
+)
 from hyperpaint.light.synchrony import line_light
 
 __all__ = ["FACTORS", "Declared", "IrradianceTable", "Light", "mean_light", "table_of_bands"]
@@ -103,20 +110,11 @@ def _imager(values: dict[str, Array], shape: str) -> Responses:
     wavelength, fwhm = values["wavelength"], values["fwhm"]
     slope = None
     if "radiance_gain" in values:
-        gain = np.asarray(values["radiance_gain"], np.float64)
-        usable = np.isfinite(gain) & (gain > 0)
-        total = np.where(usable, 1.0 / np.where(usable, gain, 1.0), 0.0).sum(axis=1)
-        with np.errstate(invalid="ignore"):
-            slope = log_slope(wavelength, total / usable.sum(axis=1), 2.0 * fwhm)
+        slope = log_slope(wavelength, mean_responsivity(values["radiance_gain"]), 2.0 * fwhm)
     return Responses(
-        wavelength,
-        fwhm,
-        shape,
-        spacing=values.get("band_spacing"),
-        slope=slope,
-        offset=values.get("srf_offset"),
-        table=values.get("srf"),
-    )
+        wavelength, fwhm, shape, spacing=values.get("band_spacing"), slope=slope,
+        offset=values.get("srf_offset"), table=values.get("srf"),
+    )  # fmt: skip
 
 
 SHIFT_STEP = 0.5
@@ -245,14 +243,7 @@ def irradiance_table(
             log[:, index] = np.where((seen > 0.0) & ~touched, np.log(seen), np.nan)
     gain = np.array([np.nan_to_num(matching.noise_gain).max() for matching in operators])
     variance = np.stack([_variance(_widened(imager, float(factor))) for factor in FACTORS])
-    return IrradianceTable(
-        wavelength=imager.wavelength,
-        shifts=shifts,
-        factors=FACTORS,
-        log=log,
-        noise_gain=gain,
-        variance=variance,
-    )
+    return IrradianceTable(imager.wavelength, shifts, FACTORS, log, gain, variance)
 
 
 @functools.lru_cache(maxsize=4)

@@ -131,14 +131,10 @@ class Smile:
 
 
 def smile_cells(wavelength_shift: npt.ArrayLike | None, columns: int) -> Smile:
-    """Return the nodes, cells and runs of a smile.
+    """Return the nodes, cells and runs of a smile over a number of columns.
 
-    Parameters
-    ----------
-    wavelength_shift : (cross_track,) or (band, cross_track)
-        True minus nominal wavelength of each column [nm]; None or all zero for no smile.
-    columns
-        Number of columns.
+    ``wavelength_shift`` (cross_track,) or (band, cross_track) is the true minus the nominal wavelength of
+    each column [nm]; None or all zero for no smile.
 
     Raises
     ------
@@ -246,20 +242,11 @@ def match_irradiance(
     channels = irradiance[schema.IRRADIANCE_WAVELENGTH]
     if "units" in channels.attrs:
         channels = convert(channels, "nm")
-    matching = _operator(
-        channels.values,
-        irradiance_fwhm,
-        irradiance_srf_shape,
-        {
-            "wavelength": wavelength,
-            "fwhm": fwhm,
-            "srf_shape": srf_shape,
-            "responsivity": responsivity,
-            "srf_offset": srf_offset,
-            "srf": srf,
-        },
-        nodes,
-    )
+    imager = {
+        "wavelength": wavelength, "fwhm": fwhm, "srf_shape": srf_shape, "responsivity": responsivity,
+        "srf_offset": srf_offset, "srf": srf,
+    }  # fmt: skip
+    matching = _operator(channels.values, irradiance_fwhm, irradiance_srf_shape, imager, nodes)
     matched = xr.apply_ufunc(
         lambda spectra: _apply(matching, spectra).astype(np.float32),
         irradiance.chunk({schema.IRRADIANCE_WAVELENGTH: -1}) if irradiance.chunks else irradiance,
@@ -274,17 +261,10 @@ def match_irradiance(
     quality = {
         name: (("node", "band"), getattr(matching, name)) for name in ("misfit", "noise_gain", "coverage")
     }
+    shifts, centres = (np.atleast_1d(np.asarray(values, np.float64)) for values in (nodes, wavelength))
     matched = matched.assign_coords(
-        node=(
-            "node",
-            np.atleast_1d(np.asarray(nodes, np.float64)),
-            {"units": "nm", "long_name": "Wavelength shift"},
-        ),
-        wavelength=(
-            "band",
-            np.atleast_1d(np.asarray(wavelength, np.float64)),
-            schema.VARIABLES["wavelength"].attrs,
-        ),
+        node=("node", shifts, {"units": "nm", "long_name": "Wavelength shift"}),
+        wavelength=("band", centres, schema.VARIABLES["wavelength"].attrs),
         **quality,
     )
     return schema.label(matched, "irradiance")
@@ -304,14 +284,9 @@ def _operator(
     slope = None if responsivity is None else log_slope(wavelength, np.asarray(responsivity), 2.0 * fwhm)
     spectrometer = Responses(channels, irradiance_fwhm, irradiance_shape)
     bands = Responses(
-        wavelength,
-        fwhm,
-        imager["srf_shape"],
-        spacing=imager.get("spacing"),
-        slope=slope,
-        offset=imager["srf_offset"],
-        table=imager["srf"],
-    )
+        wavelength, fwhm, imager["srf_shape"], spacing=imager.get("spacing"), slope=slope,
+        offset=imager["srf_offset"], table=imager["srf"],
+    )  # fmt: skip
     matching = matching_operator(spectrometer, bands, nodes)
     sharp = np.flatnonzero(np.nanmax(np.nan_to_num(matching.noise_gain), axis=0) > MAX_NOISE_GAIN)
     if sharp.size:

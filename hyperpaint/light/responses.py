@@ -19,7 +19,7 @@ from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import Problems, SchemaError
 from hyperpaint.base.schema import SRF_SHAPES
 
-__all__ = ["Matching", "Responses", "band_spacing", "log_slope", "matching_operator"]
+__all__ = ["Matching", "Responses", "band_spacing", "log_slope", "matching_operator", "mean_responsivity"]
 
 
 GAUSSIAN_SIGMA = 1.0 / (2.0 * np.sqrt(2.0 * np.log(2.0)))
@@ -160,20 +160,26 @@ def band_spacing(wavelength: npt.ArrayLike) -> Floats:
     return np.asarray(np.abs(np.gradient(wavelength)))
 
 
+def mean_responsivity(gain: npt.ArrayLike) -> Floats:
+    """Return the mean responsivity of every band, any scale, from gains (band, column).
+
+    Gains that are not positive and finite are left out; NaN of a band that is bad in every column.
+    """
+    gain = np.asarray(gain, np.float64)
+    usable = np.isfinite(gain) & (gain > 0)
+    total = np.where(usable, 1.0 / np.where(usable, gain, 1.0), 0.0).sum(axis=1)
+    with np.errstate(invalid="ignore"):
+        return np.asarray(total / usable.sum(axis=1))
+
+
 def log_slope(wavelength: Floats, responsivity: Floats, width: Floats) -> Floats:
     """Return d ln R / d wavelength at every band [nm-1].
 
     The slope at the band of the parabola through its neighbours: at the ends of the array, where they lie to
     one side, a straight line would take the curvature for slope.
 
-    Parameters
-    ----------
-    wavelength : (band,)
-        Centres [nm].
-    responsivity : (band,)
-        Relative responsivity, any scale; values that are not positive and finite are left out.
-    width : (band,)
-        Half width of the window of the fit [nm].
+    ``responsivity`` (band,) is of any scale; values that are not positive and finite are left out. ``width``
+    (band,) is the half width of the window of the fit [nm].
     """
     usable = np.isfinite(responsivity) & (responsivity > 0)
     log = np.log(np.where(usable, responsivity, 1.0))

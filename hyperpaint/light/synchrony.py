@@ -56,21 +56,13 @@ def line_light(
 ) -> LineLight:
     """Return the neighbours and weights of every line in an irradiance record.
 
-    Parameters
-    ----------
-    time : (line,)
-        UTC at mid exposure; NaT for a line without data. They need not be in order.
-    irradiance_time : (sample,)
-        UTC of the samples; must increase.
-    levels : (sample,) or (sample, interval)
-        Irradiance of each sample, summed over 400-1000 nm or over intervals of it, any scale; NaN marks a
-        sample to leave out.
-    max_gap
-        Longest interval that is interpolated [s]; 2.5 median intervals by default.
-    latitude, longitude : (line,)
-        Place of the camera [degree]; without them the sun's height is not judged.
-    clock_uncertainty
-        How far the clocks of camera and spectrometer may disagree [s]; `UNKNOWN_CLOCK` by default.
+    ``time`` (line,) is UTC at mid exposure, in any order, NaT for a line without data; ``irradiance_time``
+    (sample,) is UTC of the samples and must increase. ``levels`` (sample,) or (sample, interval) are the
+    irradiance of each sample, summed over 400-1000 nm or over intervals of it, any scale; NaN marks a sample
+    to leave out. ``max_gap`` is the longest interval that is interpolated [s], 2.5 median intervals by
+    default; without the camera's ``latitude`` and ``longitude`` (line,) [degree] the sun's height is not
+    judged; ``clock_uncertainty`` is how far the clocks of camera and spectrometer may disagree [s],
+    `UNKNOWN_CLOCK` by default.
 
     Raises
     ------
@@ -132,16 +124,9 @@ def line_light(
 def timing_sensitivity(stamps: Array, ticks: Array, levels: Floats, within: float) -> Floats:
     r"""Return the largest error that clocks could cause in the irradiance of each line (line,), relative [1].
 
-    Parameters
-    ----------
-    stamps : (line,), int64
-        Times of the lines [ns].
-    ticks : (sample,), int64
-        Times of the samples, increasing [ns].
-    levels : (sample, interval)
-        Irradiance of each sample, summed over intervals of wavelength, any scale.
-    within
-        How far the clocks may disagree [s].
+    ``stamps`` (line,) and ``ticks`` (sample,), which increase, are times of lines and samples, int64 [ns];
+    ``levels`` (sample, interval) irradiances summed over intervals of wavelength, any scale; ``within`` is
+    how far the clocks may disagree [s].
 
     Notes
     -----

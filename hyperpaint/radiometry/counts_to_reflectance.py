@@ -51,18 +51,12 @@ _OPTIONAL = (
     "srf",
     "srf_offset",
 )
-#: Bits that are found anew, for each product; the others are what someone else found, and stay.
-_OWN_BITS = {
-    "radiance": Quality.SATURATED | Quality.BELOW_DARK | Quality.BAD_DETECTOR | Quality.NO_DATA,
-    "reflectance": Quality.SATURATED
-    | Quality.BELOW_DARK
-    | Quality.BAD_DETECTOR
-    | Quality.NO_DATA
-    | Quality.IRRADIANCE_GAP
-    | Quality.ILLUMINATION_UNSTABLE
-    | Quality.LOW_SUN
-    | Quality.TIMING_SENSITIVE,
-}
+_BITS_OF_COUNTS = Quality.SATURATED | Quality.BELOW_DARK | Quality.BAD_DETECTOR | Quality.NO_DATA
+_BITS_OF_LIGHT = (
+    Quality.IRRADIANCE_GAP | Quality.ILLUMINATION_UNSTABLE | Quality.LOW_SUN | Quality.TIMING_SENSITIVE
+)
+_OWN_BITS = {"radiance": _BITS_OF_COUNTS, "reflectance": _BITS_OF_COUNTS | _BITS_OF_LIGHT}
+"""Bits that are found anew, for each product; others were set elsewhere, and stay."""
 
 
 @dataclass(frozen=True)
@@ -292,10 +286,16 @@ def reflectance(
     if uncertain is not None:
         result = with_uncertainty(result, cubes[1:], uncertain)
     lines, bands = cube.sizes[ALONG_TRACK], cube.sizes[BAND]
-    age = _small_output("irradiance_age", slabs.age_of_irradiance, plan, ALONG_TRACK, lines)
-    timing = _small_output("timing_sensitivity", slabs.sensitivity_to_timing, plan, ALONG_TRACK, lines)
-    misfit = _small_output("irradiance_misfit", slabs.misfit_of_irradiance, plan, BAND, bands)
-    return result.assign(irradiance_age=age, timing_sensitivity=timing, irradiance_misfit=misfit)
+    light_of_lines = dask.delayed(slabs.light_of_lines, pure=True)
+    small = {
+        "irradiance_age": (light_of_lines(plan, "age"), ALONG_TRACK, lines),
+        "timing_sensitivity": (light_of_lines(plan, "sensitivity"), ALONG_TRACK, lines),
+        "irradiance_misfit": (plan.misfit, BAND, bands),
+    }
+    for name, (values, dim, size) in small.items():
+        array = xr.DataArray(da.from_delayed(values, (size,), np.float32), dims=dim)
+        result[name] = schema.label(array, name)
+    return result
 
 
 def _refuse_without(dataset: xr.Dataset, names: tuple[str, ...], purpose: str) -> None:
@@ -410,12 +410,6 @@ def _panel_inputs(dataset: xr.Dataset, panel: Panel) -> dict[str, Any]:
         wavelength = wavelength.map_blocks(panel.at, dtype=np.float64)
         return {"observed": seen.data, "reflectance": wavelength}
     return {"observed": seen.data, "reflectance": panel.at(wavelength)}
-
-
-def _small_output(name: str, function: Any, plan: Any, dim: str, size: int) -> xr.DataArray:
-    """Return a variable that the plan holds, lazily."""
-    values = da.from_delayed(dask.delayed(function, pure=True)(plan), (size,), np.float32)
-    return schema.label(xr.DataArray(values, dims=dim), name)
 
 
 def _with(dataset: xr.Dataset, name: str, cube: Any, quality: Any) -> xr.Dataset:

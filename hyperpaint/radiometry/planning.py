@@ -16,6 +16,7 @@ from hyperpaint.base.constants import QUANTISATION_VARIANCE_COUNT2, SATURATION_M
 from hyperpaint.base.errors import PaintWarning, Problems, SchemaError, TimeError
 from hyperpaint.base.schema import Quality
 from hyperpaint.light.illumination import Smile, Tilt, matched_series, smile_cells
+from hyperpaint.light.responses import mean_responsivity
 from hyperpaint.light.synchrony import LineLight, line_light
 
 from .slabs import Plan
@@ -45,24 +46,13 @@ def make_plan(
     keep_bits: int | None = None,
     uncertain: Mapping[str, Any] | None = None,
 ) -> Plan:
-    """Gather what every slab of a cube needs.
+    """Gather what every slab of a cube (along_track, band, cross_track) needs; ``starts``: its first lines.
 
-    Parameters
-    ----------
-    shape, dtype
-        Of the cube (along_track, band, cross_track).
-    starts : (slab,)
-        First line of every slab.
-    cube
-        Values of `dark_counts`, `radiance_gain`, `exposure_time` and the other variables of the table, by
-        name; without dark counts the cube is radiance, and a gain tells its responsivity only.
-    light
-        Values of `irradiance` and its companions; None for radiance.
-    tilt, panel, keep_bits
-        See `hyperpaint.radiometry.counts_to_reflectance.reflectance`.
-    uncertain
-        Values of `electrons_per_count`, `read_noise` and of the uncertainties that are known, by name; None
-        where uncertainties were not asked for.
+    ``cube`` holds the values of ``dark_counts``, ``radiance_gain``, ``exposure_time`` and the other variables
+    of the table, by name; without dark counts the cube is radiance, and a gain tells its responsivity only.
+    ``light`` holds irradiance and its companions, None for radiance; ``uncertain`` noise and the known
+    uncertainties, None where none are asked for. ``tilt``, ``panel`` and ``keep_bits`` are those of
+    `hyperpaint.radiometry.counts_to_reflectance.reflectance`.
 
     Raises
     ------
@@ -248,7 +238,7 @@ def _illuminate(
         "srf_shape": light["srf_shape"],
         "srf_offset": cube.get("srf_offset"),
         "srf": cube.get("srf"),
-        "responsivity": _responsivity(cube),
+        "responsivity": mean_responsivity(cube["radiance_gain"]) if "radiance_gain" in cube else None,
     }
     matched, misfit = matched_series(
         spectra[used], channels, light["irradiance_fwhm"], light["irradiance_srf_shape"], imager, smile.nodes
@@ -259,17 +249,6 @@ def _illuminate(
         matched = matched * onto[:, None, :]
     light_of_lines = LineLight(before, after, lines.weight, lines.age, lines.sensitivity, lines.flags)
     return smile.cubics(matched), light_of_lines, misfit.max(axis=0).astype(np.float32)
-
-
-def _responsivity(cube: Mapping[str, Any]) -> Floats | None:
-    """Return the mean relative responsivity of every band; NaN where it is bad in every column."""
-    if "radiance_gain" not in cube:
-        return None
-    gain = np.asarray(cube["radiance_gain"], np.float64)
-    usable = np.isfinite(gain)
-    total = np.where(usable, 1.0 / np.where(usable, gain, 1.0), 0.0).sum(axis=1)
-    with np.errstate(invalid="ignore"):
-        return np.asarray(total / usable.sum(axis=1))
 
 
 def _mean_place(degrees: Any, name: str) -> float:

@@ -32,8 +32,7 @@ from hyperpaint.light.illumination import Smile
 from hyperpaint.light.synchrony import LineLight
 
 __all__ = [
-    "Plan", "age_of_irradiance", "calibrate_lines", "calibrated", "line_chunked",
-    "misfit_of_irradiance", "run_slab", "sensitivity_to_timing", "small",
+    "Plan", "calibrate_lines", "calibrated", "light_of_lines", "line_chunked", "run_slab", "small",
 ]  # fmt: skip
 
 
@@ -114,16 +113,9 @@ _NO_ERROR_TERMS = ErrorTerms(_NO_ROWS, _NO_ROWS, _NO_ROWS, _NO_ROWS, _NO_ROWS)
 
 
 def calibrate_lines(plan: Plan, counts: Array, start: int, out: SlabOutputs) -> None:
-    """Calibrate the lines from ``start`` on into given memory.
+    """Calibrate contiguous counts (line, band, column), uint16 or float32, from line ``start`` on.
 
-    Parameters
-    ----------
-    counts : (line, band, column), uint16 or float32
-        Contiguous.
-    start
-        Number of the first of them in the cube.
-    out
-        Written unless empty; uncertainties need the plan's ``error_terms``.
+    What of ``out`` is not empty is written; uncertainties need the plan's ``error_terms``.
     """
     from hyperpaint.kernels.radiometry import calibrate_slab
 
@@ -159,19 +151,9 @@ def run_slab(counts: Array, plan: Plan, block_id: tuple[int, ...]) -> tuple[Arra
     return out[:2] if certain else tuple(out)
 
 
-def age_of_irradiance(plan: Plan) -> Array:
-    """Return the time from every line to the nearest irradiance sample (line,) [s]."""
-    return np.full(plan.rate.shape, np.nan, np.float32) if plan.lines is None else plan.lines.age
-
-
-def sensitivity_to_timing(plan: Plan) -> Array:
-    """Return what an error of the clocks could do to every line (line,), relative [1]."""
-    return np.full(plan.rate.shape, np.nan, np.float32) if plan.lines is None else plan.lines.sensitivity
-
-
-def misfit_of_irradiance(plan: Plan) -> Array:
-    """Return how far every band's matched response is from the imager's (band,) [1]."""
-    return plan.misfit
+def light_of_lines(plan: Plan, name: str) -> Array:
+    """Return ``age`` or ``sensitivity`` of the `LineLight` of every line (line,); NaN without light."""
+    return np.full(plan.rate.shape, np.nan, np.float32) if plan.lines is None else getattr(plan.lines, name)
 
 
 def calibrated(

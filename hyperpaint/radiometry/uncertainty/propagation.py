@@ -47,14 +47,7 @@ _ABSOLUTE = (
 
 
 def uncertainty_inputs(dataset: xr.Dataset, panel: float | None) -> dict[str, Any]:
-    """Return what is known of noise and of systematic errors, by name.
-
-    Parameters
-    ----------
-    dataset
-        A flight line.
-    panel
-        Relative uncertainty of a panel in the scene [1]; None without.
+    """Return what is known of a line's noise and systematic errors, by name; ``panel`` is a panel's [1].
 
     Raises
     ------
@@ -116,16 +109,8 @@ def error_terms(
 ) -> ErrorTerms:
     """Return what the uncertainty of every sample follows from; what is not known is zero.
 
-    Parameters
-    ----------
-    uncertain
-        See `uncertainty_inputs`.
-    cube, light
-        The small variables of the line, by name.
-    dtype
-        Of the counts.
-    bad : (band, column)
-        Elements without a gain.
+    ``uncertain`` is that of `uncertainty_inputs`; ``cube`` and ``light`` are the small variables of the line,
+    by name; ``bad`` (band, column) are elements without a gain.
 
     Raises
     ------
@@ -155,17 +140,8 @@ def error_terms(
     if wavelength_u.any() or offset.any():
         steps = _band_steps(np.asarray(cube["wavelength"], np.float64))
         slope = (wavelength_u[:, None] * steps).astype(np.float32)
-    return ErrorTerms(
-        per_electron=_float32(1.0 / of("electrons_per_count")),
-        noise_floor=_float32(floor),
-        relative=_float32(np.sqrt(sum(squares[1:], squares[0]))),
-        offset=_float32(offset),
-        slope=slope,
-    )
-
-
-def _float32(values: Floats) -> Array:
-    return np.ascontiguousarray(values, np.float32)
+    terms = (1.0 / of("electrons_per_count"), floor, np.sqrt(sum(squares[1:], squares[0])), offset)
+    return ErrorTerms(*(np.ascontiguousarray(values, np.float32) for values in terms), slope)
 
 
 def _rows(values: Any, shape: tuple[int, ...]) -> Floats:
@@ -286,8 +262,7 @@ def mean_uncertainty(region: xr.Dataset, dims: Sequence[str] | str | None = None
     over = [dims] if isinstance(dims, str) else list(dims or (ALONG_TRACK, CROSS_TRACK))
     names = ("reflectance", *UNCERTAINTIES)
     problems = Problems("a mean with its uncertainty cannot be computed", SchemaError)
-    problems_of = [name for name in names if name not in region.variables]
-    for name in problems_of:
+    for name in (name for name in names if name not in region.variables):
         problems.add(f"{name!r} is missing; make it with .paint.reflectance(uncertainty=True)")
     for dim in over:
         if dim not in region.dims:
