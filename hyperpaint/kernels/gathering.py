@@ -32,20 +32,10 @@ def _turn(source: Array, start: int, stop: int, out: Array) -> None:
 def gather_nearest(
     slab: Array, lines: Array, columns: Array, cells: Array, turned: Array, out: Array
 ) -> None:
-    """Copy the spectra of pixels to cells.
+    """Copy the spectra of pixels of a slab (line, band, column) to ``out`` (cell, band).
 
-    Parameters
-    ----------
-    slab : (line, band, column)
-        Any numbers.
-    lines, columns : (pixel,), int64
-        Pixels in the slab, line by line.
-    cells : (pixel,), int64
-        Where each goes.
-    turned : (column, band), like out
-        Memory to work in.
-    out : (cell, band)
-        Written.
+    ``lines`` and ``columns`` (pixel,) are the pixels, line by line, and ``cells`` (pixel,) where each goes;
+    ``turned`` (column, band), of the type of ``out``, is memory to work in.
     """
     k = 0
     while k < lines.size:
@@ -65,20 +55,10 @@ def gather_nearest(
 def gather_bilinear(
     slab: Array, after: Array, places: Places, turned: Array, turned_next: Array, out: Array
 ) -> None:
-    """Write spectra between the four pixels around each place.
+    """Write spectra (cell, band) between the four pixels around each place in a slab (line, band, column).
 
-    Parameters
-    ----------
-    slab : (line, band, column)
-        Any numbers.
-    after : (band, column)
-        The line that follows the slab.
-    places
-        In the slab.
-    turned, turned_next : (column, band), like out
-        Memory to work in.
-    out : (cell, band), float32 or float64
-        Written; NaN where one of the pixels looked at is.
+    They are NaN where one of the pixels looked at is. ``after`` (band, column) is the line that follows the
+    slab; ``turned`` and ``turned_next`` (column, band), of the type of ``out``, are memory to work in.
     """
     lines, columns, along, across, cells = places
     last = slab.shape[2] - 1

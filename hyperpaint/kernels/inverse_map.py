@@ -108,19 +108,7 @@ def _to_cells(east: Array, north: Array, frame: Array, x: Array, y: Array) -> tu
 def invert_lines(positions: LinePositions, first: int, last: int, cells: MapCells, out: InverseTile) -> None:
     """Write the place in a flight line of every cell of a tile, as far as some of its lines cover it.
 
-    Parameters
-    ----------
-    positions
-        Where the pixels of some lines lie, and those of the line before.
-    first, last
-        Number of the first of these lines, and of the last line of the flight.
-    cells
-        The tile.
-    out
-        Written.
-
-    Notes
-    -----
+    ``first`` and ``last`` are the numbers of the first of these lines, and of the last line of the flight.
     Lines may go back over themselves: every patch is visited, whichever way round it lies.
     """
     east, north = positions.east, positions.north
@@ -194,16 +182,10 @@ def invert_lines(positions: LinePositions, first: int, last: int, cells: MapCell
 
 @kernel
 def fill_between(ends: Array, frame: Array, corner: tuple[int, int], inside: Array) -> None:
-    """Mark the cells that lie between the ends of lines that follow one another.
+    """Mark the cells whose centres lie between the ends of successive lines: ``inside`` (row, col).
 
-    Parameters
-    ----------
-    ends : (pair, 4, 2), float64
-        East and north of the corners of the area between two lines, in the order around it [m].
-    frame, corner
-        See `hyperpaint.kernels.arguments.MapCells`.
-    inside : (row, col), bool
-        Set where the centre of a cell lies in one of the areas.
+    ``ends`` (pair, 4, 2) are east and north of the corners of the area between two lines, in the order around
+    it [m]; ``frame`` and ``corner`` those of `hyperpaint.kernels.arguments.MapCells`.
     """
     first_row, first_col = corner
     last_row, last_col = first_row + inside.shape[0] - 1.0, first_col + inside.shape[1] - 1.0

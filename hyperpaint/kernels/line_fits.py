@@ -73,18 +73,9 @@ def _four_boxes(x: float, a: float, b: float, c: float) -> float:
 def line_profile(x: float, width: float, source: float, shape: int, triangular: bool) -> float:
     """Return the profile of a line, of unit area, at a distance from its centre [samples].
 
-    Parameters
-    ----------
-    x
-        Distance from the centre.
-    width
-        Full width at half maximum of the instrument's own response: of a slit, the width of its image.
-    source
-        Full width at half maximum of the light.
-    shape
-        `GAUSSIAN`, or `SLIT`: a box ``width`` wide seen by samples one wide.
-    triangular
-        Whether the light has a triangular line, else a Gaussian one.
+    ``width`` is the full width at half maximum of the instrument's own response, whose ``shape`` is
+    `GAUSSIAN`, or `SLIT`: a box ``width`` wide, the slit's image, seen by samples one wide. ``source`` is the
+    full width at half maximum of the light, whose line is triangular or else Gaussian.
     """
     if shape == GAUSSIAN:
         if triangular and source > _NARROWEST:
@@ -222,16 +213,9 @@ def _fit_line(
 
 @kernel
 def fit_lines(samples: LineSamples, shape: int, triangular: bool, fits: LineFits) -> None:
-    """Fit offset + area x profile to every row by the method of Levenberg and Marquardt.
+    """Fit offset + area x profile (see `line_profile`) to every row, by Levenberg and Marquardt's method.
 
-    Parameters
-    ----------
-    samples
-        The rows.
-    shape, triangular
-        See `line_profile`.
-    fits
-        Where to begin, and what is written.
+    ``fits`` hold where to begin, and are written.
     """
     parameters, covariance, chi2, converged = fits
     for line in range(samples.values.shape[0]):
@@ -250,15 +234,7 @@ def fit_lines(samples: LineSamples, shape: int, triangular: bool, fits: LineFits
 
 @kernel
 def profiles(places: Array, width: Array, source: Array, shape: int, triangular: bool, out: Array) -> None:
-    """Write the unit-area profile of every line at distances from its centre.
-
-    Parameters
-    ----------
-    places, out : (line, sample), float64
-    width, source : (line,), float64
-    shape, triangular
-        See `line_profile`.
-    """
+    """Write the `line_profile` of every line at distances (line, sample) from its centre."""
     for line in range(places.shape[0]):
         for i in range(places.shape[1]):
             out[line, i] = line_profile(places[line, i], width[line], source[line], shape, triangular)
@@ -266,14 +242,7 @@ def profiles(places: Array, width: Array, source: Array, shape: int, triangular:
 
 @kernel
 def full_widths(width: Array, source: Array, shape: int, triangular: bool, out: Array) -> None:
-    """Write the full width at half maximum of lines as they are seen, by bisection.
-
-    Parameters
-    ----------
-    width, source, out : (line,), float64
-    shape, triangular
-        See `line_profile`.
-    """
+    """Write the full width at half maximum (line,) of lines as they are seen, by bisection."""
     for line in range(width.shape[0]):
         if not np.isfinite(width[line] + source[line]):
             out[line] = np.nan

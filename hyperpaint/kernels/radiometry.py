@@ -289,15 +289,8 @@ def propagate_line(
 ) -> None:
     """Write the random and the systematic uncertainty of a line, whose reflectance is not yet rounded.
 
-    The systematic one of a band needs the light of the band after it, and so comes one band later.
-
-    Parameters
-    ----------
-    gain : (band, column), float32
-    light, terms, out
-        See `calibrate_slab`.
-    lit
-        Memory.
+    The systematic one of a band needs the light of the band after it, and so comes one band later. ``gain``
+    is (band, column); ``lit`` is memory to work in.
     """
     values = out.cube[line]
     last = values.shape[0] - 1
@@ -356,18 +349,10 @@ def calibrate_slab(
     cleared_bits: Any,
     out: SlabOutputs,
 ) -> None:
-    """Calibrate whole lines, flag them, say how sure they are, and round what is written.
+    """Calibrate whole lines of counts (line, band, column), uint16 or float32, with flags and uncertainties.
 
-    Parameters
-    ----------
-    counts : (line, band, column), uint16 or float32
-    calibration, light, limits, flags, terms
-        Of these lines; see `hyperpaint.kernels.arguments`. The terms may be empty where no uncertainty is
-        written.
-    cleared_bits : uint32
-        Mantissa bits cleared in what is written; 0 writes all.
-    out
-        Written, as far as it is not empty.
+    What of ``out`` is not empty is written, with ``cleared_bits`` of the mantissas cleared. ``terms`` may be
+    empty where no uncertainty is written.
     """
     n_line, n_band, n_column = counts.shape
     dark, gain = calibration.dark, calibration.gain

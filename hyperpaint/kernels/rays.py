@@ -123,16 +123,9 @@ def _direction(rays: LineRays, line: int, column: int) -> Vector:
 
 @kernel
 def level_places(rays: LineRays, frames: LineFrames, ground: float, out: Array) -> None:
-    """Follow the rays of lines to the surface that is everywhere ``ground`` above the ellipsoid.
+    """Follow the rays of lines to the surface that is everywhere ``ground`` [m] above the ellipsoid.
 
-    Parameters
-    ----------
-    rays, frames
-        Of these lines.
-    ground
-        Height of the ground [m].
-    out : (`PLACES`, line, column), float64
-        Written; NaN where a ray meets no ground.
+    ``out`` (`PLACES`, line, column) is written; NaN where a ray meets no ground.
     """
     for line in range(rays.origin.shape[0]):
         e, n, u = rays.origin[line, 0], rays.origin[line, 1], rays.origin[line, 2]
@@ -281,17 +274,8 @@ def _first_hit(raster: Raster, ray: tuple[Parabola, Parabola, Parabola]) -> floa
 
 @kernel
 def raster_places(rays: LineRays, frames: LineFrames, raster: Raster, out: Array) -> None:
-    """Follow the rays of lines to the first point of a bilinear surface through a raster of heights.
+    """Follow the rays of lines to the first point of a bilinear surface through a raster; see `level_places`.
 
-    Parameters
-    ----------
-    rays, frames, out
-        See `level_places`.
-    raster
-        The surface.
-
-    Notes
-    -----
     What is hidden from the camera is not seen: the first hit counts. A ray that leaves a hole, or comes in
     over the edge, below the surface has met the ground where it is not known, and gets NaN.
     """

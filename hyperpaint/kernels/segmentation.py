@@ -17,16 +17,10 @@ __all__ = [
 
 @kernel
 def step_sizes(channels: Array, floor: Any, across: Array, along: Array) -> None:
-    """Write the relative step from every pixel to the next one across and along the track.
+    """Write the relative step from every pixel to the next one across and along the track (line, column).
 
-    Parameters
-    ----------
-    channels : (line, column, channel), float32
-        Reflectances [1]; a pixel without data is NaN in the first channel.
-    floor
-        What is added to the mean of two reflectances before their difference is divided by it [1].
-    across, along : (line, column), float32
-        Root mean square over channels, written; infinite where there is no next pixel or no data.
+    It is the root mean square over ``channels`` (line, column, channel), reflectances [1], of differences
+    over their mean plus ``floor`` [1]; infinite where there is no next pixel or no data.
     """
     lines, columns, count = channels.shape
     for line in range(lines):
@@ -70,18 +64,9 @@ def join_segments(order: Array, steps: Array, columns: Any, scale: Any, parent: 
     Two segments are joined where the step between them is no larger than the largest step that holds either
     of them together, plus ``scale`` over its size.
 
-    Parameters
-    ----------
-    order : (step,)
-        Places in ``steps``, sorted: 2 x pixel for the step across, 2 x pixel + 1 for that along.
-    steps : (2 x pixel,)
-        Size of the steps, of all pixels.
-    columns
-        Pixels of a line.
-    scale
-        See above.
-    parent, size : (pixel,), int32
-        Written: the tree of every pixel, and at its root the pixels of the segment.
+    ``order`` (step,) are places in ``steps`` (2 x pixel,), sorted: 2 x pixel for the step across, 2 x pixel +
+    1 for that along; ``columns`` the pixels of a line. Written are the tree of every pixel, ``parent``
+    (pixel,), and at its root the ``size`` of the segment in pixels.
     """
     within = np.zeros(parent.size, np.float32)
     for place in order:
@@ -172,16 +157,9 @@ def is_large(parent: Array, size: Array, columns: Any, least: Any, least_core: A
 def boundary_distance(body: Array, sure: Array, most: Any, distance: Array) -> None:
     """Write how many pixels (of eight neighbours) every pixel is from one of another body or of none.
 
-    Parameters
-    ----------
-    body : (line, column), int32
-        What pixels show; -1 for nothing known.
-    sure : (line, column), bool
-        False where a pixel only goes with its neighbours: 0 where another body is within 2 pixels.
-    most
-        Where counting ends, at most 255.
-    distance : (line, column), uint8
-        Written: 0 in a mixed pixel, 1 beside another body, and so on.
+    ``body`` (line, column) is what pixels show, -1 for nothing known. The ``distance`` is 0 in a mixed pixel,
+    1 beside another body, and so on up to ``most``, at most 255. Where a pixel is not ``sure``, as it only
+    goes with its neighbours, it is 0 where another body is within 2 pixels.
     """
     lines, columns = body.shape
     for line in range(lines):
@@ -232,14 +210,9 @@ def offer(label: Any, squared: Any, labels: Array, distances: Array) -> None:
 def nearest_sources(labels: Array, distances: Array, reach: Any) -> None:
     """Spread labels from the cells that have one to all cells within reach, keeping the nearest ones.
 
-    Parameters
-    ----------
-    labels : (line, column, place), int32
-        The label of a cell at the first place, -1 where it has none; the nearest labels, written.
-    distances : (line, column, place), float64
-        0 where there is a label, else infinite; distances in cells, written.
-    reach
-        Labels go no further [cell].
+    ``labels`` (line, column, place) hold the label of a cell at the first place, -1 where it has none, and
+    then the nearest labels; ``distances`` 0 where there is a label, else infinity, and then those of the
+    labels [cell]; labels go no further than ``reach`` [cell].
     """
     lines, columns, places = labels.shape
     for _ in range(2):

@@ -37,18 +37,12 @@ def accumulate_row(
 def filter_slab(
     values: Array, weights: Array, first: Array, renormalise: Any, fallback: Array, out: Array
 ) -> None:
-    """Write the weighted sum of each band's window.
+    """Write the weighted sum of each band's window of values (line, band, column), float32.
 
-    Parameters
-    ----------
-    values, out : (line, band, column), float32
-    weights : (band, width), float32; first : (band,), int64
-        Weights of the window of a band, and the band it begins at; a row sums to 1.
-    renormalise
-        Whether a window with missing values is divided by the weights that are left (a mean), or taken from
-        ``fallback`` (a filter with negative weights, whose rest may sum to nothing).
-    fallback : (band, width, width), float32
-        Row ``k`` of a band: weights of the window without its ``k``-th value.
+    ``weights`` (band, width) are those of a band's window, which begins at the band ``first`` (band,); a row
+    sums to 1. With ``renormalise`` a window with missing values is divided by the weights that are left (a
+    mean); else row ``k`` of ``fallback`` (band, width, width) has the weights without the ``k``-th value (a
+    filter with negative weights, whose rest may sum to nothing).
 
     Notes
     -----
@@ -104,13 +98,8 @@ def without_missing(
 def resample_slab(values: Array, first: Array, weights: Array, out: Array) -> None:
     """Write sum_k weights[band, column, k] values[first + k]; NaN where a tap with weight is missing.
 
-    Parameters
-    ----------
-    values, out : (line, band, column), float32
-    first : (band, column), int64
-        First of the four bands that are weighed.
-    weights : (band, column, 4), float32
-        NaN where there is nothing to interpolate between.
+    ``first`` (band, column) is the first of the four bands that are weighed; ``weights`` are NaN where there
+    is nothing to interpolate between. Values are (line, band, column), float32.
     """
     for line in range(values.shape[0]):
         for band in range(out.shape[1]):

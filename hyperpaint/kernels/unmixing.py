@@ -30,16 +30,9 @@ _INDEPENDENT = 0.25
 
 @kernel
 def average_bands(cube: Array, channel: Array, out: Array) -> None:
-    """Write means over groups of bands, pixel by pixel.
+    """Write means (line, column, group) of a cube (line, band, column) over groups of bands, pixel by pixel.
 
-    Parameters
-    ----------
-    cube : (line, band, column), float32
-        Reflectance [1].
-    channel : (band,), int64
-        Group of every band; -1 for none.
-    out : (line, column, group), float32
-        Written; NaN where half of a group's bands or more are missing.
+    ``channel`` (band,) is the group of every band, -1 for none; NaN where half of a group or more is missing.
     """
     lines, bands, columns = cube.shape
     groups = out.shape[2]
@@ -123,21 +116,9 @@ def minimise(gram: Array, right: Array, most: Array, held: Array, amount: Array)
     pass a limit is held there, and one whose gradient points back inside is let go, the steepest first. Each
     turn makes the value smaller, so that no set of parts comes twice.
 
-    Parameters
-    ----------
-    gram : (part, part)
-        Positive definite.
-    right, most : (part,)
-        Linear term, and the largest amounts.
-    held : (part,), bool
-        Parts that stay as they are; the others may be changed.
-    amount : (part,)
-        Start, within the limits, and minimum.
-
-    Returns
-    -------
-    bool
-        Whether it was found; False, with the best so far, after more turns than there are sets.
+    ``gram`` (part, part) is positive definite; ``most`` (part,) are the largest amounts; parts that are
+    ``held`` stay as they are; ``amount`` (part,) is the start, within the limits, and the minimum. Returns
+    whether it was found; False, with the best so far, after more turns than there are sets.
     """
     count = right.size
     free = np.empty(count, np.bool_)
@@ -302,19 +283,10 @@ def unmix_lines(
     The minimum of sum(((seen - parts amount) / sigma)^2) + sum(((amount - expected) / spread)^2) with
     sigma = noise x seen + floor and amounts from 0 to the most. NaN where less than half is known.
 
-    Parameters
-    ----------
-    seen : (line, column, channel), float32
-        Reflectance [1].
-    bodies, light, errors, prior
-        See `hyperpaint.kernels.arguments`.
-    evidence
-        By how much leaving glint or neighbours out must enlarge the sum, 9 for three standard deviations;
-        they are left out otherwise. 0: nothing is left out.
-    lean
-        By how much more direct light than usual is expected where there is glint, at most the body's tilt.
-    out
-        Written.
+    ``seen`` (line, column, channel) is reflectance [1]. ``evidence`` is by how much leaving glint or
+    neighbours out must enlarge the sum, 9 for three standard deviations; they are left out otherwise; 0:
+    nothing is left out. ``lean`` is by how much more direct light than usual is expected where there is
+    glint, at most the body's tilt.
     """
     lines, columns, channels = seen.shape
     parts, nothing = np.empty((PARTS, channels)), np.zeros(channels)
