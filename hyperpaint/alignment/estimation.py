@@ -33,6 +33,7 @@ from .least_squares import (
     estimate,
     fewest_bands,
     fit_columns,
+    stacked,
 )
 from .oxygen import Progress, mean_over_lines
 
@@ -165,7 +166,11 @@ def align_to_irradiance(
     spectrum = np.full((declared.wavelength.size, mean.shape[1]), np.nan)
     spectrum[used] = mean
     spectrum, pixels, shift, column = _grouped(spectrum, pixels, declared.shift(mean.shape[1]), group)
-    fits = [_fit_window(inside, declared, light, spectrum, shift, degree, max_shift) for inside in chosen]
+    fits = []
+    for inside in chosen:
+        limits = (float(shift[inside].min()) - max_shift, float(shift[inside].max()) + max_shift)
+        table = table_of_bands(declared.light, light, declared.bands(inside), limits, fewest_bands(degree))
+        fits.append(fit_columns(table, spectrum[inside], shift[inside], degree, max_shift))
     apart = [estimate(fit, inside, declared, shift) for fit, inside in zip(fits, chosen, strict=True)]
     report = _labelled(apart if separate else [combined(apart)], pixels, column, max_uncertainty)
     return _with_spectra(report, fits, chosen, declared, separate).assign_attrs(
@@ -199,76 +204,50 @@ def _grouped(
     starts = np.arange(0, pixels.size, group)
     # an element that is bad in one column is left out of the group's mean; its gain makes no step in radiance
     # but its neighbours' surface does, so that columns with one are weighed out whole
-    weight = np.where(np.isfinite(spectrum).all(axis=0, where=_any_column(spectrum)), pixels, 0)
+    in_any_column = np.isfinite(spectrum).any(axis=1, keepdims=True)
+    weight = np.where(np.isfinite(spectrum).all(axis=0, where=in_any_column), pixels, 0)
     total = np.add.reduceat(weight, starts)
-    with np.errstate(invalid="ignore", divide="ignore"):
-        share = weight / np.repeat(total, np.diff(np.append(starts, pixels.size)))
-    mean = np.add.reduceat(np.where(share > 0, spectrum, 0.0) * share, starts, axis=1)
     size = np.diff(np.append(starts, pixels.size))
+    with np.errstate(invalid="ignore", divide="ignore"):
+        share = weight / np.repeat(total, size)
+    mean = np.add.reduceat(np.where(share > 0, spectrum, 0.0) * share, starts, axis=1)
     return (
-        np.where(_any_column(spectrum) & (total > 0), mean, np.nan),
+        np.where(in_any_column & (total > 0), mean, np.nan),
         total,
         np.add.reduceat(shift, starts, axis=1) / size,
         np.add.reduceat(columns, starts) / size,
     )
 
 
-def _any_column(spectrum: Floats) -> Array:
-    """Return which bands are there in any column, (band, 1)."""
-    return np.asarray(np.isfinite(spectrum).any(axis=1, keepdims=True))
-
-
-def _fit_window(
-    inside: Array,
-    declared: Declared,
-    light: Floats,
-    spectrum: Floats,
-    shift: Floats,
-    degree: int,
-    max_shift: float,
-) -> Fit:
-    """Return what the bands of one window tell of every column."""
-    limits = (float(shift[inside].min()) - max_shift, float(shift[inside].max()) + max_shift)
-    table = table_of_bands(declared.light, light, declared.bands(inside), limits, fewest_bands(degree))
-    return fit_columns(table, spectrum[inside], shift[inside], degree, max_shift)
-
-
 def _labelled(
     estimates: list[Estimate], pixels: npt.NDArray[np.int64], column: Floats, max_uncertainty: float
 ) -> xr.Dataset:
     """Return estimates as a Dataset (window, cross_track), with flags that know the noise and the pixels."""
-    value = np.stack([each.value for each in estimates])
-    covariance = np.stack([each.covariance for each in estimates])
+    value, covariance, flag = (stacked(estimates, name) for name in ("value", "covariance", "flag"))
     spread = np.sqrt(np.stack([covariance[..., 0, 0], covariance[..., 1, 1]], axis=-1))
     fwhm = np.array([each.fwhm for each in estimates])[:, None]
-    flag = np.stack([each.flag for each in estimates])
     with np.errstate(invalid="ignore"):
         noisy = ~(spread[..., 0] <= max_uncertainty) & ~np.isnan(value[..., 0])
         correlation = covariance[..., 0, 1] / (spread[..., 0] * spread[..., 1])
     flag |= np.where(noisy, FLAGS["too_noisy"], 0).astype(np.uint8)
     flag |= np.where(pixels < FEWEST_PIXELS, FLAGS["no_data"], 0).astype(np.uint8)
     each = {
-        "wavelength_shift": value[..., 0] + np.stack([each.shift for each in estimates]),
+        "wavelength_shift": value[..., 0] + stacked(estimates, "shift"),
         "wavelength_shift_u": spread[..., 0],
         "shift_correction": value[..., 0],
         "fwhm": value[..., 1] * fwhm,
         "fwhm_u": spread[..., 1] * fwhm,
         "fwhm_factor": value[..., 1],
         "correlation": correlation,
-        "residual": np.stack([each.residual for each in estimates]),
-        "residual_declared": np.stack([each.residual_declared for each in estimates]),
-        "chi2": np.stack([each.chi2 for each in estimates]),
+        **{name: stacked(estimates, name) for name in ("residual", "residual_declared", "chi2")},
         "flag": flag,
     }
     report = xr.Dataset({name: (("window", CROSS_TRACK), values) for name, values in each.items()})
     report["pixels"] = (CROSS_TRACK, pixels)
+    centre_attrs = {"units": "nm", "long_name": "Mean wavelength of the bands of a window"}
     return report.assign_coords(
         column=(CROSS_TRACK, column, {"long_name": "Column, or mean column of a group", "units": "1"}),
-        window_centre=(
-            "window",
-            [each.centre for each in estimates],
-            {"units": "nm", "long_name": "Mean wavelength of the bands of a window"},
-        ),
+        window_centre=("window", [estimate.centre for estimate in estimates], centre_attrs),
     )
 
 

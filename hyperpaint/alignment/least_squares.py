@@ -26,6 +26,7 @@ __all__ = [
     "estimate",
     "fewest_bands",
     "fit_columns",
+    "stacked",
 ]
 
 RESIDUAL_FLOOR = 1e-4
@@ -81,13 +82,8 @@ class _Smooth:
         scale = np.ptp(wavelength) / 2.0
         place = (wavelength - wavelength.min()) / scale - 1.0
         powers = np.polynomial.legendre.legvander(place, degree)
-        derivatives = np.stack(
-            [
-                np.polynomial.legendre.legval(place, np.polynomial.legendre.legder(row))
-                for row in np.eye(degree + 1)
-            ],
-            axis=-1,
-        )
+        polynomials = [np.polynomial.Legendre.basis(power) for power in range(degree + 1)]
+        derivatives = np.stack([each.deriv()(place) for each in polynomials], axis=-1)
         basis, upper = np.linalg.qr(used.T[:, :, None] * powers)
         upper = np.where(used.any(axis=0).reshape(-1, 1, 1), upper, np.eye(degree + 1))
         return cls(used, basis, derivatives / scale @ np.linalg.inv(upper))
@@ -130,12 +126,8 @@ class _Ratio:
     ) -> tuple[Floats, Floats]:
         """Return the normal matrix (column, 2, 2) and right side (column, 2) of a Gauss-Newton step."""
         place = self.declared + tilt + shift
-        slopes = np.stack(
-            [
-                self.smooth.without(self.table.at(place, factor, dx=1)),
-                self.smooth.without(self.table.at(place, factor, dy=1)),
-            ]
-        )
+        derivatives = (self.table.at(place, factor, dx=1), self.table.at(place, factor, dy=1))
+        slopes = np.stack([self.smooth.without(derivative) for derivative in derivatives])
         return np.einsum("ibx,jbx->xij", slopes, slopes), np.einsum("ibx,bx->xi", slopes, away)
 
     def _at(self, tilt: Floats, shift: Floats, factor: Floats) -> Floats:
@@ -261,12 +253,10 @@ def _uncertainties(
         shift_u = np.where(lit, np.sqrt(variance * factor / determinant), np.inf)
         factor_u = np.where(lit, np.sqrt(variance * shift / determinant), np.inf)
         correlation = np.where(lit, -common / np.sqrt(shift * factor), 0.0)
-    lost = np.full(has_bands.shape, np.nan)
-    return (
-        np.where(has_bands, shift_u, lost),
-        np.where(has_bands, factor_u, lost),
-        np.where(has_bands, correlation, lost),
+    shift_u, factor_u, correlation = (
+        np.where(has_bands, values, np.nan) for values in (shift_u, factor_u, correlation)
     )
+    return shift_u, factor_u, correlation
 
 
 Window = tuple[float, float]
@@ -375,11 +365,14 @@ def estimate(fit: Fit, inside: Array, declared: Declared, shift: Floats) -> Esti
     )
 
 
+def stacked(estimates: list[Estimate], name: str) -> Array:
+    """Return a field of several estimates as one array (estimate, ...)."""
+    return np.stack([getattr(each, name) for each in estimates])
+
+
 def combined(windows: list[Estimate]) -> Estimate:
     """Return the mean of the windows that can tell, weighted with the inverse of their covariances."""
-    value = np.stack([each.value for each in windows])
-    covariance = np.stack([each.covariance for each in windows])
-    flag = np.stack([each.flag for each in windows])
+    value, covariance, flag = (stacked(windows, name) for name in ("value", "covariance", "flag"))
     is_reliable = (flag == 0) & np.isfinite(covariance).all(axis=(2, 3))
     covariance = covariance * _one_noise(windows, is_reliable)[..., None, None]
     # where no window can tell, the first says why
@@ -393,21 +386,17 @@ def combined(windows: list[Estimate]) -> Estimate:
     chi2 = np.einsum("wxi,wxij,wxj->x", away, weight, away)
     freedom = 2 * (is_reliable.sum(axis=0) - 1)
     # of a single window, its own
-    single, only, columns = (
-        is_reliable.sum(axis=0) == 1,
-        np.argmax(is_reliable, axis=0),
-        np.arange(is_reliable.shape[1]),
-    )
-    own_freedom = np.stack([each.freedom for each in windows])
+    single, only = is_reliable.sum(axis=0) == 1, np.argmax(is_reliable, axis=0)
+    columns = np.arange(is_reliable.shape[1])
     return Estimate(
         value=mean,
         covariance=np.where(single[:, None, None], covariance[only, columns], total),
-        shift=np.mean(np.stack([each.shift for each in windows]), axis=0),
+        shift=np.mean(stacked(windows, "shift"), axis=0),
         fwhm=float(np.mean([each.fwhm for each in windows])),
         centre=float(np.mean([each.centre for each in windows])),
         residual=_pooled(windows, is_reliable, "residual"),
         residual_declared=_pooled(windows, is_reliable, "residual_declared"),
-        freedom=np.where(is_reliable, own_freedom, 0).sum(axis=0),
+        freedom=np.where(is_reliable, stacked(windows, "freedom"), 0).sum(axis=0),
         flag=np.where(single, flag[only, columns], 0).astype(np.uint8),
         chi2=np.where(freedom > 0, chi2 / np.maximum(freedom, 1), np.nan),
     )
@@ -415,8 +404,8 @@ def combined(windows: list[Estimate]) -> Estimate:
 
 def _pooled(windows: list[Estimate], is_reliable: Array, name: str) -> Floats:
     """Return a residual (column,) over the windows that can tell."""
-    freedom = np.where(is_reliable, np.stack([each.freedom for each in windows]), 0)
-    square = np.where(is_reliable, np.stack([getattr(each, name) for each in windows]) ** 2, 0.0)
+    freedom = np.where(is_reliable, stacked(windows, "freedom"), 0)
+    square = np.where(is_reliable, stacked(windows, name) ** 2, 0.0)
     with np.errstate(invalid="ignore"):
         return np.asarray(np.sqrt((freedom * square).sum(axis=0) / freedom.sum(axis=0)))
 
@@ -426,9 +415,7 @@ def _one_noise(windows: list[Estimate], is_reliable: Array) -> Floats:
 
     Variances from a few tens of bands are uncertain by a third, and would make weights as uncertain.
     """
-    own = np.where(
-        is_reliable, np.stack([np.maximum(each.residual, RESIDUAL_FLOOR) for each in windows]) ** 2, np.nan
-    )
+    own = np.where(is_reliable, np.maximum(stacked(windows, "residual"), RESIDUAL_FLOOR) ** 2, np.nan)
     pooled = np.maximum(_pooled(windows, is_reliable, "residual"), RESIDUAL_FLOOR) ** 2
     with np.errstate(invalid="ignore", all="ignore"):
         largest, least = (np.where(is_reliable, own, end) for end in (-np.inf, np.inf))
