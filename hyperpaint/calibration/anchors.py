@@ -15,7 +15,7 @@ from hyperpaint.base.schema import ALONG_TRACK, BAND, CROSS_TRACK, VARIABLES, la
 from hyperpaint.base.units import convert, same_dimension
 from hyperpaint.light.responses import Responses, log_slope
 
-from .detector import coefficients_of, linearised
+from .detector import coefficients_of, linearised, row_medians
 
 _ELEMENT = (BAND, CROSS_TRACK)
 _NODE_SPACING = 0.25  # nm; over so little the mean of a spectrum over a band is straight
@@ -308,12 +308,8 @@ def _slope(calibration: xr.Dataset, response_inputs: dict[str, Any]) -> Floats |
     if "radiance_gain" not in calibration.variables:
         return None
     gain = calibration["radiance_gain"].transpose(*_ELEMENT).to_numpy().astype(np.float64)
-    level = np.full(len(gain), np.nan)
-    rows = np.isfinite(gain).any(axis=1)
-    level[rows] = 1.0 / np.nanmedian(gain[rows], axis=1)
-    return log_slope(
-        response_inputs["wavelength"].to_numpy(), level, 2.0 * response_inputs["fwhm"].to_numpy()
-    )
+    wavelength, fwhm = (response_inputs[name].to_numpy() for name in ("wavelength", "fwhm"))
+    return log_slope(wavelength, 1.0 / row_medians(gain), 2.0 * fwhm)
 
 
 def _mean_over(responses: Responses, band: int, grid: Floats, values: Floats) -> float:

@@ -17,7 +17,7 @@ from hyperpaint.base.errors import PaintWarning, SchemaError
 from hyperpaint.base.schema import BAND, CROSS_TRACK
 
 from .calibration_dataset import Budget, Result, line_level
-from .detector import deviant_darks, factors_of, linearised
+from .detector import deviant_darks, factors_of, linearised, row_medians
 from .elements import (
     Differences,
     at_steps,
@@ -27,7 +27,7 @@ from .elements import (
     element_differences,
     placed_lines,
 )
-from .lab_sweep import LabSweep, check_sweep, listed
+from .lab_sweep import LabSweep, check_sweep, listed, refused
 from .line_fits import SHAPES, Fits
 from .responsivity import line_pull
 from .steps import FROM_SCATTER, Lines, Read, fit_as_seen, fit_through, read_lines
@@ -224,9 +224,7 @@ def _bad_at_the_door(lab: LabSweep, given: xr.DataArray | None) -> Bools:
             raise SchemaError(f"bad_elements has sizes {dict(given.sizes)}, expected {expected}")
         bad = bad | given.transpose(BAND, CROSS_TRACK).to_numpy().astype(bool)
     if bad.all():
-        raise SchemaError(
-            "this lab sweep cannot be calibrated:\n  no element has a finite dark that is not saturated"
-        )
+        raise refused("no element has a finite dark that is not saturated")
     return bad
 
 
@@ -234,10 +232,9 @@ def _check_lines(lab: LabSweep, read: Read) -> None:
     """Refuse a sweep with too few lines above the noise, and warn of the steps that are left out."""
     dark = [float(w) for w, window in zip(lab.wavelength, read.windows, strict=True) if window is None]
     if len(dark) > len(read.windows) - _FEWEST:
-        raise SchemaError(
-            f"this lab sweep cannot be calibrated:\n  no line above the noise at {len(dark)} of "
-            f"{len(read.windows)} steps ({listed(dark, 'nm')}); is the dark that of these "
-            "exposures, and was the lamp on?"
+        raise refused(
+            f"no line above the noise at {len(dark)} of {len(read.windows)} steps ({listed(dark, 'nm')}); is "
+            "the dark that of these exposures, and was the lamp on?"
         )
     if dark:
         warnings.warn(
@@ -262,9 +259,8 @@ def _need_trusted(read: Read, lines: Lines, fits: Sequence[Fits | None]) -> None
             "than a line is wide cannot tell its place; widen the monochromator's line"
         )
     reasons = reasons or ["the others lie at the edge of the array: give more steps"]
-    raise SchemaError(
-        f"this lab sweep cannot be calibrated:\n  {trusted} steps have lines that can be trusted, expected "
-        f"{_FEWEST} or more; {'; '.join(reasons)}"
+    raise refused(
+        f"{trusted} steps have lines that can be trusted, expected {_FEWEST} or more; {'; '.join(reasons)}"
     )
 
 
@@ -313,7 +309,7 @@ def _map_through(
         return np.interp(lab.wavelength, at, values)
 
     def middle(values: Floats) -> Floats:
-        return at_all_steps(np.nanmedian(np.where(lines.trusted, values, np.nan)[lit_steps], axis=1))
+        return at_all_steps(row_medians(values, lines.trusted)[lit_steps])
 
     slope = at_all_steps(np.gradient(np.log(level[lit_steps]), at))
     spacing = rough.spacing(np.nan_to_num(lines.centre), np.arange(lab.shape[2]))

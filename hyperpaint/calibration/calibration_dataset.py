@@ -13,11 +13,12 @@ import xarray as xr
 
 from hyperpaint.base.arrays import Bools, Floats
 from hyperpaint.base.constants import QUANTISATION_VARIANCE_COUNT2
-from hyperpaint.base.errors import PaintWarning, SchemaError
+from hyperpaint.base.errors import PaintWarning
 from hyperpaint.base.schema import VARIABLES, dtype_of, label
 
+from .detector import row_medians
 from .elements import at_steps, line_wavelengths
-from .lab_sweep import LabSweep
+from .lab_sweep import LabSweep, refused
 from .line_fits import fit_beam
 from .out_of_band import common_offset, second_order_share, stray_light_matrix, wing_in_window
 from .responsivity import element_gain, second_order_factor, shape_variance
@@ -48,12 +49,7 @@ class Budget:
 
 def line_level(lines: Lines, lab: LabSweep, surface: WavelengthMap, used: Bools | None = None) -> Floats:
     """Return the integrated response that the lines saw (step,) [count nm J-1], median of the columns."""
-    nodes = _nodes(lines, lab, surface)
-    is_used = lines.trusted if used is None else used
-    level = np.full(len(nodes), np.nan)
-    rows = is_used.any(axis=1)
-    level[rows] = np.nanmedian(np.where(is_used, nodes, np.nan)[rows], axis=1)
-    return level
+    return row_medians(_nodes(lines, lab, surface), lines.trusted if used is None else used)
 
 
 def _nodes(lines: Lines, lab: LabSweep, surface: WavelengthMap) -> Floats:
@@ -152,9 +148,7 @@ class Result:
         """Return the calibration."""
         gain, has_gain = self.gain
         if not has_gain.any():
-            raise SchemaError(
-                "this lab sweep cannot be calibrated:\n  no column has four lines that can be trusted"
-            )
+            raise refused("no column has four lines that can be trusted")
         if self.lab.absolute:
             self._check_plausible(gain)
         self._warn_of_width()
@@ -231,13 +225,9 @@ class Result:
         for step, window in enumerate(self.read.windows):
             if window is not None:
                 beam[step] = fit_beam(window.beam)
-        centre = np.full(steps, np.nan)
-        width = np.full(steps, np.nan)
         used = self.placed.any(axis=1)
-        centre[used] = np.nanmedian(np.where(self.placed, lines.centre, np.nan)[used], axis=1)
-        width[used] = np.nanmedian(
-            np.where(self.placed, lines.width * self.line_spacing, np.nan)[used], axis=1
-        )
+        centre = row_medians(lines.centre, self.placed)
+        width = row_medians(lines.width * self.line_spacing, self.placed)
         rows, at = self.read.rows[used], self.lab.wavelength[used]
         second = np.full(steps, np.nan)
         second[used] = second_order_share(rows, at, self.centre_wavelength, width[used])
@@ -270,19 +260,15 @@ class Result:
         low, high = (electrons, electrons) if electrons is not None else _ELECTRONS
         at = "" if electrons is None else f" at {electrons:.3g} electrons a count"
         if best * low > 1.05:
-            problem = (
-                f"{best * low:.3g} electrons out per photon in{at}, expected below 1: flux x capture_fraction"
-            )
-            problem += " x exposure_time is too small"
+            share, expected, size = best * low, "below 1", "small"
         elif best * high < 1e-3:
-            problem = f"{best * high:.3g} electrons out per photon in{at}, expected above 0.001: flux x"
-            problem += " capture_fraction x exposure_time is too large"
+            share, expected, size = best * high, "above 0.001", "large"
         else:
             return
-        raise SchemaError(
-            f"this lab sweep cannot be calibrated:\n  {problem}; check the units of flux (uW said to be W?) "
-            "and of exposure_time (ms said to be s?), and capture_fraction; without an absolute scale, pass "
-            "absolute=False"
+        raise refused(
+            f"{share:.3g} electrons out per photon in{at}, expected {expected}: flux x capture_fraction x "
+            f"exposure_time is too {size}; check the units of flux (uW said to be W?) and of exposure_time "
+            "(ms said to be s?), and capture_fraction; without an absolute scale, pass absolute=False"
         )
 
     @cached_property
@@ -306,8 +292,7 @@ class Result:
     def wing(self) -> float:
         """Share of the lines' areas that is light scattered into their windows [1]."""
         used = self.placed.any(axis=1)
-        centre = np.nanmedian(np.where(self.placed, self.lines.centre, np.nan)[used], axis=1)
-        return wing_in_window(self.read.rows[used], centre)
+        return wing_in_window(self.read.rows[used], row_medians(self.lines.centre, self.placed)[used])
 
     def _dark_check(self) -> dict[str, float]:
         """Return what a wrong dark would do to the light off the lines, and how wrong it looks, and warn."""
@@ -392,10 +377,7 @@ def _levelled(gain: Floats, flat: Floats | None) -> Floats:
     """Return gains on counts as they are, from those on counts that a flat field has levelled."""
     if flat is None:
         return gain.copy()
-    common = np.full(len(gain), np.nan)
-    rows = np.isfinite(gain).any(axis=1)
-    common[rows] = np.nanmedian(gain[rows], axis=1)
-    return np.asarray(common[:, None] * flat)
+    return np.asarray(row_medians(gain)[:, None] * flat)
 
 
 def _labelled(value: Any, name: str) -> xr.DataArray:

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 import xarray as xr
 
-from hyperpaint.base.arrays import Floats
+from hyperpaint.base.arrays import Bools, Floats
 from hyperpaint.base.errors import Problems, SchemaError
 from hyperpaint.base.schema import BAND, CROSS_TRACK, label, require
 
@@ -285,7 +285,15 @@ def linearised(coefficients: Sequence[float]) -> Callable[[Any], Any]:
     return apply
 
 
-def deviant_darks(dark: Floats, saturation: Floats | None) -> npt.NDArray[np.bool_]:
+def row_medians(values: Floats, used: Bools | None = None) -> Floats:
+    """Return the median of every row over what is used and not NaN; NaN where that is nothing."""
+    chosen = values if used is None else np.where(used, values, np.nan)
+    medians, rows = np.full(len(chosen), np.nan), ~np.isnan(chosen).all(axis=1)
+    medians[rows] = np.nanmedian(chosen[rows], axis=1)
+    return medians
+
+
+def deviant_darks(dark: Floats, saturation: Floats | None) -> Bools:
     """Return the elements (band, cross_track) whose dark is not finite, saturated or far from all others."""
     finite = np.isfinite(dark)
     levels = np.where(finite, dark, np.nan)

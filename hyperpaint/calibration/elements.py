@@ -13,6 +13,7 @@ import numpy as np
 from hyperpaint.base.arrays import Bools, Floats
 from hyperpaint.kernels.line_fits import AREA, profiles
 
+from .detector import row_medians
 from .lab_sweep import LabSweep
 from .line_fits import SHAPES, NoiseModel, Window
 from .steps import SIGNAL_BINS, Lines, Read, binned
@@ -38,7 +39,7 @@ def _widths(lab: LabSweep, lines: Lines, surface: WavelengthMap) -> Floats:
     own = lines.own_width * surface.spacing(np.nan_to_num(lines.centre), columns)
     count = lines.trusted.sum(axis=1)
     fitted_steps = np.flatnonzero(count >= max(0.5 * count.max(), 1))  # a few at the edge may all be wrong
-    middle = np.nanmedian(np.where(lines.trusted, own, np.nan)[fitted_steps], axis=1)
+    middle = row_medians(own, lines.trusted)[fitted_steps]
     return np.asarray(np.interp(lab.wavelength, lab.wavelength[fitted_steps], middle))
 
 
@@ -179,10 +180,7 @@ def placed_lines(lab: LabSweep, lines: Lines, surface: WavelengthMap, pull: Floa
     apart = np.abs(line_wavelengths(lines, surface, pull) - lab.wavelength[:, None])
     misfit = np.where(lines.trusted, lines.chi2 / lines.degrees, np.nan)
     width = np.where(lines.trusted, lines.own_width, np.nan)
-    usual, usual_width = np.ones((len(apart), 1)), np.ones((len(apart), 1))
-    rows = lines.trusted.any(axis=1)
-    usual[rows, 0] = np.maximum(np.nanmedian(misfit[rows], axis=1), 1.0)
-    usual_width[rows, 0] = np.nanmedian(width[rows], axis=1)
+    usual, usual_width = np.maximum(row_medians(misfit), 1.0)[:, None], row_medians(width)[:, None]
     with np.errstate(invalid="ignore"):
         like_others = (misfit < _ODD * usual) & (np.abs(width / usual_width - 1.0) < _ODD_WIDTH)
         return np.asarray(like_others & (apart < max(_MISPLACED, 6.0 * surface.residual)))

@@ -9,11 +9,12 @@ import numpy as np
 import xarray as xr
 
 from hyperpaint.base.arrays import Floats
-from hyperpaint.base.errors import Problems, SchemaError
+from hyperpaint.base.errors import Problem, Problems, SchemaError
 from hyperpaint.base.schema import CROSS_TRACK, MONOCHROMATOR_SHAPES, STEP, SWEEP_VARIABLES, find
 
 from .detector import DarkModel, fit_dark_model
 
+_REFUSAL = "this lab sweep cannot be calibrated"
 _FEWEST_STEPS = 4
 _REQUIRED = ("counts", "dark_counts", "step_wavelength", "exposure_time", "monochromator_fwhm")
 _ABSOLUTE = ("flux", "capture_fraction", "etendue")
@@ -79,6 +80,11 @@ def listed(values: Any, unit: str = "", limit: int = 6) -> str:
     return f"{text}{f' {unit}' if unit else ''}{more}"
 
 
+def refused(problem: str) -> SchemaError:
+    """Return the error for one problem of a sweep."""
+    return SchemaError(_REFUSAL, problems=[Problem(problem)])
+
+
 def check_sweep(sweep: xr.Dataset, *, absolute: bool = True) -> LabSweep:
     """Return a sweep in the units of the table, or say all that is wrong with it.
 
@@ -95,7 +101,7 @@ def check_sweep(sweep: xr.Dataset, *, absolute: bool = True) -> LabSweep:
     SchemaError
         Variables, dims, units or values are missing or impossible; all problems are listed.
     """
-    problems = Problems("this lab sweep cannot be calibrated", SchemaError)
+    problems = Problems(_REFUSAL, SchemaError)
     arrays = _variables(sweep, absolute, problems)
     steps = sweep.sizes.get(STEP, 0)
     columns = sweep.sizes.get(CROSS_TRACK, 0)
@@ -127,7 +133,7 @@ def check_sweep(sweep: xr.Dataset, *, absolute: bool = True) -> LabSweep:
     dark = _dark(arrays, values, problems)
     problems.raise_if_any()
     if dark is None:
-        raise SchemaError("this lab sweep cannot be calibrated:\n  no dark follows from 'dark_counts'")
+        raise refused("no dark follows from 'dark_counts'")
     return _assembled(arrays, values, dark, (steps, columns), shape == "triangle")
 
 

@@ -10,10 +10,10 @@ import numpy as np
 
 from hyperpaint.base.arrays import Bools, Floats
 from hyperpaint.base.constants import QUANTISATION_VARIANCE_COUNT2, SATURATION_MARGIN_COUNTS
-from hyperpaint.base.errors import PaintWarning, SchemaError
+from hyperpaint.base.errors import PaintWarning
 from hyperpaint.kernels.line_fits import CENTRE, GAUSSIAN, WIDTH
 
-from .lab_sweep import LabSweep, listed
+from .lab_sweep import LabSweep, listed, refused
 from .line_fits import Fits, Light, NoiseModel, Window, find_line, fit_window
 from .wavelength_map import WavelengthMap
 
@@ -168,9 +168,9 @@ def _check_told(lab: LabSweep, windows: list[Window | None]) -> None:
         if window is not None and (missing := int((~np.isfinite(lab.power[step, window.columns])).sum()))
     ]
     if untold:
-        raise SchemaError(
-            f"this lab sweep cannot be calibrated:\n  flux x capture_fraction is zero or nan in columns that "
-            f"counts show to be lit: {listed(untold)}; measure it there"
+        raise refused(
+            "flux x capture_fraction is zero or nan in columns that counts show to be lit: "
+            f"{listed(untold)}; measure it there"
         )
 
 
@@ -199,9 +199,9 @@ def _check_monotone(lab: LabSweep, windows: list[Window | None]) -> None:
         where = listed(
             [f"{lab.wavelength[peaks[k + 1][0]]:g} nm at band {place[k + 1]}, after {place[k]}" for k in back]
         )
-        raise SchemaError(
-            "this lab sweep cannot be calibrated:\n  lines do not move along the array as the wavelengths "
-            f"do: {where}; are the steps in order, and do counts and step_wavelength belong together?"
+        raise refused(
+            f"lines do not move along the array as the wavelengths do: {where}; are the steps in order, and "
+            "do counts and step_wavelength belong together?"
         )
 
 
