@@ -19,7 +19,7 @@ import numpy.typing as npt
 from .arrays import Floats
 from .errors import Problems, SchemaError
 
-__all__ = ["Convention"]
+__all__ = ["Convention", "wrapped"]
 
 
 _PREFIX = "convention_"
@@ -186,7 +186,7 @@ class Convention:
             x, y, z = _reordered(x, y, z, self.euler_order)
         x, y, z = _nan_together(x, y, z + self._north(convergence))
         # twice, as a hair less than 0 comes to 360 itself
-        return _wrapped(x), y, np.mod(np.mod(z, 360.0), 360.0)
+        return wrapped(x), y, np.mod(np.mod(z, 360.0), 360.0)
 
     def ellipsoidal(self, height: npt.ArrayLike) -> Floats:
         """Return heights above the ellipsoid [m].
@@ -241,7 +241,7 @@ def _nan_together(x: Floats, y: Floats, z: Floats) -> tuple[Floats, Floats, Floa
     return np.where(unknown, np.nan, x), np.where(unknown, np.nan, y), np.where(unknown, np.nan, z)
 
 
-def _wrapped(angle: Floats) -> Floats:
+def wrapped(angle: Floats) -> Floats:
     """Return angles within -180 and 180; those that are there already keep their bits."""
     return np.where(np.abs(angle) > 180.0, (angle + 180.0) % 360.0 - 180.0, angle)
 

@@ -138,12 +138,9 @@ def check_sweep(sweep: xr.Dataset, *, absolute: bool = True) -> LabSweep:
 
 
 def _variables(sweep: xr.Dataset, absolute: bool, problems: Problems) -> dict[str, xr.DataArray]:
-    wanted = [*_REQUIRED, *(name for name in (*_ABSOLUTE, *_OPTIONAL) if name in sweep.variables)]
-    if absolute:
-        wanted = [*_REQUIRED, *_ABSOLUTE, *(name for name in _OPTIONAL if name in sweep.variables)]
-    elif "flux" not in wanted:
-        wanted.insert(5, "flux")
-    arrays, wrong = find(sweep, wanted, SWEEP_VARIABLES)
+    needed = [*_REQUIRED, *(_ABSOLUTE if absolute else _ABSOLUTE[:1])]
+    others = [n for n in (*_ABSOLUTE, *_OPTIONAL) if n in sweep.variables and n not in needed]
+    arrays, wrong = find(sweep, [*needed, *others], SWEEP_VARIABLES)
     for problem in wrong:
         problems.add(problem)
     kinds = {name: array for name, array in arrays.items() if array.dtype.kind not in "iuf"}

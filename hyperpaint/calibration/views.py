@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -173,7 +173,7 @@ def fitted_lines(
         own = float(lines["line_own_fwhm"].isel(at))
         across = float(np.interp(centre, np.arange(wavelength.size), spacing))
         source = calibration.attrs["monochromator_fwhm_nm"] if lab is None else lab.width[step]
-        shape = _Shape(calibration.attrs, own / abs(across), float(source) / abs(across))
+        profile = _profile(calibration.attrs, own / abs(across), float(source) / abs(across))
         reach = _REACH * float(np.hypot(own, source)) / abs(across)
         curve_at = np.linspace(-reach, reach, _POINTS)
         place, counts = np.empty(0), np.empty(0)
@@ -186,31 +186,25 @@ def fitted_lines(
                 float(lines["step_wavelength"][step]),
                 place * across,
                 counts,
-                counts / amplitude - shape.at(place),
+                counts / amplitude - profile(place),
                 curve_at * across,
-                amplitude * shape.at(curve_at),
+                amplitude * profile(curve_at),
             )
         )
     return fitted
 
 
-class _Shape:
-    """The profile of a line of unit height; widths in bands."""
+def _profile(attrs: Mapping[Any, Any], own: float, source: float) -> Callable[[Floats], Floats]:
+    """Return the profile of a line of unit height over the distance from its centre; all in bands."""
+    shape, triangular = SHAPES[str(attrs["srf_shape"])], attrs["monochromator_shape"] == "triangle"
 
-    def __init__(self, attrs: dict[str, object], own: float, source: float) -> None:
-        self._own, self._source = np.array([own]), np.array([source])
-        self._shape = SHAPES[str(attrs["srf_shape"])]
-        self._triangular = attrs["monochromator_shape"] == "triangle"
-        self._peak = float(self._of(np.zeros(1))[0])
+    def of_unit_area(place: Floats) -> Floats:
+        out = np.empty((1, place.size))
+        profiles(place[None], np.array([own]), np.array([source]), shape, triangular, out)
+        return out[0]
 
-    def _of(self, place: Floats) -> Floats:
-        out: Floats = np.empty((1, place.size), np.float64)
-        profiles(place[None], self._own, self._source, self._shape, self._triangular, out)
-        return np.asarray(out[0])
-
-    def at(self, place: Floats) -> Floats:
-        """Return it at distances from the centre [band]."""
-        return np.asarray(self._of(place) / self._peak)
+    peak = of_unit_area(np.zeros(1))
+    return lambda place: of_unit_area(place) / peak
 
 
 def _samples(lab: LabSweep, calibration: xr.Dataset, step: int, column: int) -> tuple[Floats, Floats]:

@@ -11,7 +11,7 @@ import numpy.typing as npt
 import xarray as xr
 
 from hyperpaint.base.arrays import Array, Bools, Floats, Ints
-from hyperpaint.base.attitude_conventions import Convention
+from hyperpaint.base.attitude_conventions import Convention, wrapped
 from hyperpaint.base.errors import Problems, SchemaError, TimeError
 from hyperpaint.base.schema import ALONG_TRACK, label
 from hyperpaint.base.units import conversion_factor, convert
@@ -336,9 +336,7 @@ def _positions_between(knots: Ints, values: Floats, wanted: Ints, gap: float, in
     else:
         after = np.minimum(before + 1, knots.size - 1)
         positions = values[:, before] + weight * (values[:, after] - values[:, before])
-    positions[1] = np.where(
-        np.abs(positions[1]) > 180.0, (positions[1] + 180.0) % 360.0 - 180.0, positions[1]
-    )
+    positions[1] = wrapped(positions[1])
     return np.where(is_covered, positions, np.nan)
 
 

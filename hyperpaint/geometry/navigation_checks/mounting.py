@@ -188,7 +188,7 @@ def solve_boresight(
         lines, control_points, navigation, (forward, right, down), camera, convention, crs, start
     )
     free = [PARAMETERS.index(name) for name in names]
-    white = [sight.whitening(start[:3], float(start[3]), float(start[4])) for sight in sights]
+    white = [sight.whitening(start) for sight in sights]
     points = _Points(sights, start, free, control_points.sizes["point"], white)
     plausible = _plausible(points)
     _refuse_unidentifiable(points.slopes(start[free], plausible), names, plausible)
@@ -294,14 +294,13 @@ class _Points:
         """Return misses of all points (point, 2) [pixel of picking]."""
         at, misses = self.parameters(free), np.zeros((self.count, 2))
         for sight, white in zip(self.sights, self.white, strict=True):
-            tangents = sight.misses(at[:3], float(at[3]), float(at[4]))
-            misses[sight.index] = np.einsum("nij,nj->ni", white, tangents)
+            misses[sight.index] = np.einsum("nij,nj->ni", white, sight.misses(at))
         return misses
 
     def whitened(self, free: Floats) -> _Points:
         """Return the same with the motion of points in the picture as it is with these parameters."""
         at = self.parameters(free)
-        return replace(self, white=[s.whitening(at[:3], float(at[3]), float(at[4])) for s in self.sights])
+        return replace(self, white=[sight.whitening(at) for sight in self.sights])
 
     def slopes(self, free: Floats, used: Bools) -> Floats:
         """Return derivatives of the misses of points that are used (2 point, parameter)."""
@@ -346,12 +345,12 @@ def _fit(
 def _plausible(points: _Points) -> Bools:
     """Tell which points miss by no more than a mounting or a clock could account for."""
     at, plausible = points.start, np.ones(points.count, bool)
-    misses = [s.misses(at[:3], float(at[3]), float(at[4])) for s in points.sights]
+    misses = [sight.misses(at) for sight in points.sights]
     middle = np.median(np.concatenate(misses), axis=0)
     for sight, miss in zip(points.sights, misses, strict=True):
         limit = RULES.blunder_fields * max(sight.field_of_view, 0.5)
         far = np.linalg.norm(miss - middle, axis=1) > limit
-        plausible[sight.index] = ~(far | sight.behind(at[:3], float(at[3]), float(at[4])))
+        plausible[sight.index] = ~(far | sight.behind(at))
     return plausible if 2 * plausible.sum() > points.count else np.ones(points.count, bool)
 
 
@@ -380,9 +379,8 @@ def _clock_candidates(points: _Points, plausible: Bools) -> list[Floats]:
         # misses of all clocks are in one unit, that of the start
         fixed = replace(points, start=np.append(points.start[:4], clock), free=points.free[:-1])
         free = fixed.start[fixed.free]
-        there = plausible & np.isfinite(fixed.misses(free)).all(
-            axis=1
-        )  # the record may end before the others
+        # the record may end before the others
+        there = plausible & np.isfinite(fixed.misses(free)).all(axis=1)
         if free.size and there.any():
             # far away soft-L1 is slow, and the other clock beside it is no place to begin
             rough = _fit(fixed, free, there, roughly=True)

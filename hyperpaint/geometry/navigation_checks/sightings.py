@@ -53,34 +53,34 @@ class Sightings:
     field_of_view: float  #: Way between the outermost columns [tangent]
     _cache: dict[tuple[float, float], Floats] = field(default_factory=dict, repr=False)
 
-    def misses(self, boresight: Floats, height: float, clock: float, lines: float = 0.0) -> Floats:
+    def misses(self, mounting: Floats, lines: float = 0.0) -> Floats:
         """Return by how much points are not where they were seen (point, 2): forward, right [tangent].
 
-        ``boresight`` is roll, pitch, heading of the camera in the body [degree]; ``height`` [m] is added to
-        the altitude of the record, ``clock`` [s] to the time of the line; ``lines`` is by how many lines the
-        points are taken to be seen later than they were.
+        ``mounting`` is roll, pitch, heading of the camera in the body [degree], what is added to the altitude
+        of the record [m], and to the time of the line [s]; ``lines`` is by how many lines the points are
+        taken to be seen later than they were.
         """
-        way = self._ways(boresight, height, clock, lines)
+        way = self._ways(mounting, lines)
         return np.asarray(way[:, :2] / way[:, 2:] - np.stack([self.forward, self.right], axis=-1))
 
-    def behind(self, boresight: Floats, height: float, clock: float) -> Bools:
+    def behind(self, mounting: Floats) -> Bools:
         """Tell which points are behind the camera (point,), where a miss means nothing."""
-        return np.asarray(self._ways(boresight, height, clock, 0.0)[:, 2] <= 0.0)
+        return np.asarray(self._ways(mounting, 0.0)[:, 2] <= 0.0)
 
-    def whitening(self, boresight: Floats, height: float, clock: float) -> Floats:
+    def whitening(self, mounting: Floats) -> Floats:
         """Return what turns misses into pixels of picking (point, 2, 2).
 
         A pixel in the line and one in the column move a point by two directions in the camera's frame; what
         is picked with the same care in both is then of unit covariance.
         """
-        later, earlier = (self.misses(boresight, height, clock, by) for by in (0.5, -0.5))
-        moved = later - earlier
+        moved = self.misses(mounting, 0.5) - self.misses(mounting, -0.5)
         floor = _MIN_PICKING_PX**2 * (self.step**2).sum(axis=-1)[:, None, None] * np.eye(2)
         both = moved[:, :, None] * moved[:, None] + self.step[:, :, None] * self.step[:, None] + floor
         return np.asarray(np.linalg.inv(np.linalg.cholesky(both)))
 
-    def _ways(self, boresight: Floats, height: float, clock: float, lines: float) -> Floats:
+    def _ways(self, mounting: Floats, lines: float) -> Floats:
         """Return the ways from the camera to the points in its frame (point, 3) [m]."""
+        *boresight, height, clock = mounting.tolist()
         poses = self._poses(clock, lines)
         body = matrices(quaternions(*poses[3:]))
         centre, axes = _place(poses[0], poses[1], poses[2] + height)
@@ -164,9 +164,9 @@ def sightings_of(
         step[np.clip(np.round(column).astype(np.int64), 0, across.size - 1)], lever_arm, index,
         float(np.hypot(np.ptp(along), np.ptp(across))),
     )  # fmt: skip
-    missing = (
-        ~np.isfinite(sightings.misses(np.zeros(3), 0.0, clock)).all(axis=1) if rows.any() else outside | True
-    )
+    missing = np.ones(at.size, bool)
+    if rows.any():
+        missing = ~np.isfinite(sightings.misses(np.array([0.0, 0.0, 0.0, 0.0, clock]))).all(axis=1)
     if missing.any():
         raise SchemaError(
             f"points {index[missing].tolist()} are on lines without time or pose; look at gaps of the record"

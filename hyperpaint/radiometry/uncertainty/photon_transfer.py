@@ -145,8 +145,7 @@ def _sweep_points(dataset: xr.Dataset) -> tuple[_Points, float, str]:
         variance[counts.values + room >= np.asarray(arrays["saturation_count"], np.float64)] = np.nan
     bands = signal.shape[1]
     freedom = np.repeat(np.broadcast_to(frames - 1.0, len(signal)), signal.shape[2])[:, None]
-    flat = [np.moveaxis(cube, 1, 2).reshape(-1, bands) for cube in (variance, signal)]
-    points = _Points(flat[0], flat[1], np.ones_like(flat[1]), freedom)
+    points = _Points(_by_band(variance), _by_band(signal), np.ones((len(freedom), bands)), freedom)
     return points, QUANTISATION_VARIANCE_COUNT2, f"{len(signal)} steps of {frames.min():g} frames or more"
 
 
@@ -195,12 +194,17 @@ def _block_starts(shape: tuple[int, ...]) -> npt.NDArray[np.int64]:
     return np.unique(np.linspace(0, there - 1, wanted).astype(np.int64)) * BLOCK_LINES
 
 
+def _by_band(array: Array) -> Array:
+    """Return values (block, band, column) as (block x column, band)."""
+    return np.moveaxis(array, 1, 2).reshape(-1, array.shape[1])
+
+
 def _repeated_points(cube: Array) -> _Points:
     """Return variances (block x column, band) of frames (block, frame, band, column) of one scene."""
     variance = cube.var(axis=1, ddof=1, dtype=np.float64)
     mean = cube.mean(axis=1, dtype=np.float64)
-    flat = [np.moveaxis(a, 1, 2).reshape(-1, cube.shape[2]) for a in (variance, mean)]
-    return _Points(flat[0], flat[1], np.ones_like(flat[1]), np.full((1, 1), cube.shape[1] - 1.0))
+    variance, signal = _by_band(variance), _by_band(mean)
+    return _Points(variance, signal, np.ones_like(signal), np.full((1, 1), cube.shape[1] - 1.0))
 
 
 def _block_points(cube: Array) -> _Points:
@@ -229,10 +233,8 @@ def _block_points(cube: Array) -> _Points:
         near &= (r > 0.5) & (r < 2.0)
     by_signal = middle * (1.0 + 0.25 * (ratio[0] + ratio[1]))
     by_floor = 1.0 + 0.25 * (ratio[0] ** 2 + ratio[1] ** 2)
-    variance = np.where(near, variance, np.nan)
-    flat = [np.moveaxis(a, 1, 2).reshape(-1, middle.shape[1]) for a in (variance, by_signal, by_floor)]
-    values, signals, floors = (array.astype(np.float64) for array in flat)
-    return _Points(values, signals, floors, np.full((1, 1), freedom))
+    values = (np.where(near, variance, np.nan), by_signal, by_floor)
+    return _Points(*(_by_band(array).astype(np.float64) for array in values), np.full((1, 1), freedom))
 
 
 def _dark_noise(cube: Array, mean: Array) -> float:
