@@ -41,7 +41,7 @@ __all__ = ["align_to_irradiance"]
 
 
 FEWEST_PIXELS = 8
-"""Pixels below which a column tells nothing."""
+"""Pixels below which a column is not used."""
 #: Units and meaning of what the check reports; wavelength_shift and fwhm are those of the table.
 _REPORTED = {
     "wavelength_shift_u": ("nm", "Standard uncertainty of the wavelength shift"),

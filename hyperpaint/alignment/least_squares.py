@@ -37,7 +37,7 @@ _FEWEST_FREEDOM = 3
 
 @dataclass(frozen=True)
 class Fit:
-    """What one window of bands tells of every column; NaN where it tells nothing."""
+    """What follows from one window of bands for every column; NaN where nothing does."""
 
     # shift, shift_u, factor, factor_u, correlation (column,): Wavelength minus the declared one [nm] and
     # width over the declared one [1], with their standard uncertainties and the correlation of their errors
@@ -242,7 +242,7 @@ def _uncertainties(
 ) -> tuple[Floats, Floats, Floats]:
     """Return the standard uncertainties of shift and factor from the residual, and their correlation.
 
-    Infinite where the light has no lines, NaN where a column tells nothing.
+    Infinite where the light has no lines, NaN where a column has too few bands.
     """
     variance = np.maximum((after**2).sum(axis=0) / np.maximum(freedom, 1), RESIDUAL_FLOOR**2)
     shift, factor, common = normal[:, 0, 0], normal[:, 1, 1], normal[:, 0, 1]
@@ -266,7 +266,7 @@ WINDOWS = ((740.0, 800.0), (890.0, 985.0))
 _RECORD_MARGIN = 15.0
 """How far beyond a window the irradiance record must reach to be used unasked [nm]."""
 FLAGS = {"no_data": 1, "too_noisy": 2, "at_limit": 4, "record_too_coarse": 8}
-"""Why a column cannot tell."""
+"""Why a column is not used."""
 MAX_NOISE_GAIN = 3.0
 _SAME_NOISE = 3.0
 """Ratio of the windows' variances up to which they are taken for one."""
@@ -344,7 +344,7 @@ class Estimate:
 
 
 def estimate(fit: Fit, inside: Array, declared: Declared, shift: Floats) -> Estimate:
-    """Return what one window tells; its flags but that of noise, which is for the mean to decide."""
+    """Return the estimate of one window; its flags but that of noise, which is for the mean to decide."""
     flag = np.where(np.isfinite(fit.shift), 0, FLAGS["no_data"])
     flag |= np.where(fit.at_limit, FLAGS["at_limit"], 0)
     with np.errstate(invalid="ignore"):
@@ -371,11 +371,11 @@ def stacked(estimates: list[Estimate], name: str) -> Array:
 
 
 def combined(windows: list[Estimate]) -> Estimate:
-    """Return the mean of the windows that can tell, weighted with the inverse of their covariances."""
+    """Return the mean of the windows that are reliable, weighted with the inverse of their covariances."""
     value, covariance, flag = (stacked(windows, name) for name in ("value", "covariance", "flag"))
     is_reliable = (flag == 0) & np.isfinite(covariance).all(axis=(2, 3))
     covariance = covariance * _one_noise(windows, is_reliable)[..., None, None]
-    # where no window can tell, the first says why
+    # where no window is reliable, the first says why
     is_reliable[0] |= ~is_reliable.any(axis=0)
     plain = np.where(is_reliable[..., None, None] & np.isfinite(covariance), covariance, np.eye(2))
     weight = np.where(is_reliable[..., None, None], np.linalg.inv(plain), 0.0)
@@ -403,7 +403,7 @@ def combined(windows: list[Estimate]) -> Estimate:
 
 
 def _pooled(windows: list[Estimate], is_reliable: Array, name: str) -> Floats:
-    """Return a residual (column,) over the windows that can tell."""
+    """Return a residual (column,) over the windows that are reliable."""
     freedom = np.where(is_reliable, stacked(windows, "freedom"), 0)
     square = np.where(is_reliable, stacked(windows, name) ** 2, 0.0)
     with np.errstate(invalid="ignore"):

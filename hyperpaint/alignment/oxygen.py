@@ -16,7 +16,7 @@ from hyperpaint.radiometry.slabs import line_chunked
 __all__ = ["Progress", "mean_over_lines", "oxygen_depth", "oxygen_residual"]
 
 _FIRST_LINES = 64
-"""Lines that tell which elements are bad."""
+"""Lines that bad elements are recognised in."""
 
 
 def mean_over_lines(
@@ -90,7 +90,7 @@ def oxygen_residual(dataset: xr.Dataset, *, progress: Progress | None = None) ->
     through its shoulders, 740-753 and 775-788 nm. The place is on the steep side of the band, where shift
     and width both show: with a 6 nm camera the depth is about -0.06 for each nanometre that declared
     wavelengths are too long, and 0.03 for each that declared widths are too large. The two can cancel;
-    `hyperpaint.align_to_irradiance` tells them apart.
+    `hyperpaint.align_to_irradiance` separates them.
 
     Examples
     --------

@@ -86,7 +86,7 @@ def etendue_from_pupil(diameter: float, field_along_slit: float, field_across_sl
 
 
 def _check_lengths(values: dict[str, float], high: float) -> None:
-    problems = Problems("no etendue can be told", SchemaError)
+    problems = Problems("the etendue cannot be computed", SchemaError)
     for name, value in values.items():
         if not 0 < value < high:
             problems.add(f"{name}={value!r}, expected above 0 and below {high:g}, in metres and radians")
@@ -135,7 +135,7 @@ def anchor_to_radiance(
         ``counts`` ([along_track,] band, cross_track), ``dark_counts`` (band, cross_track) at the same
         exposure and ``exposure_time`` of a sphere or panel that fills the field. A dark whose
         ``dark_exposure_time`` is another needs ``dark_rate`` in the calibration. A ``linearity`` that the
-        calibration tells is applied to these counts as well.
+        calibration declares is applied to these counts as well.
     radiance
         Its spectral radiance with units, on one dim with a coordinate of that name or ``wavelength`` [nm].
     scale
@@ -304,7 +304,7 @@ def _band_means(calibration: xr.Dataset, response_inputs: dict[str, Any], spectr
 
 
 def _slope(calibration: xr.Dataset, response_inputs: dict[str, Any]) -> Floats | None:
-    """Return the slope of the log responsivity over a band (band,) [nm-1], where a gain tells it."""
+    """Return the slope of the log responsivity over a band (band,) [nm-1], where there is a gain."""
     if "radiance_gain" not in calibration.variables:
         return None
     gain = calibration["radiance_gain"].transpose(*_ELEMENT).to_numpy().astype(np.float64)

@@ -36,7 +36,7 @@ from .wavelength_map import WavelengthMap, fit_wavelength_map
 _FEWEST = 4
 _UNEVEN = 0.75  # of the flux's uncertainty: a fall over the columns that is let pass
 _LEAST_UNEVEN = 0.01
-_UNDERSAMPLED = 1.2  # full widths in bands, below which place and width of a line cannot be told
+_UNDERSAMPLED = 1.2  # full widths in bands, below which place and width of a line are not determined
 
 
 def calibrate(
@@ -64,7 +64,7 @@ def calibrate(
         ([step,] band, cross_track) [count], ``step_wavelength`` (step), ``monochromator_fwhm`` [nm],
         ``exposure_time`` [s], ``flux`` [W] of the whole beam, ``capture_fraction`` [1] and ``etendue`` [m2
         sr]. ``flux`` per step is taken as equal in all lit columns, so that column differences are response;
-        per step and column it is what each column gets, and nothing need be told of unlit ones. Optional:
+        per step and column it is what each column gets, and unlit ones need none. Optional:
         ``counts_variance``, ``frame_count``, ``dark_frame_count``, ``dark_exposure_time``,
         ``saturation_count``, ``electrons_per_count``, ``read_noise``. Attribute
         ``monochromator_shape``: "gaussian" or "triangle". Lazy variables are read one step at a time.
@@ -96,7 +96,7 @@ def calibrate(
         In memory: ``radiance_gain`` (band, cross_track), NaN where it would be extrapolated or the element
         is bad, with its uncertainties; coordinates ``wavelength``, ``fwhm``, ``good`` (band),
         ``wavelength_shift``; the dark; ``responsivity``; ``stray_light``; and the lines it was made from.
-        Attributes tell the choices.
+        Attributes name the choices.
 
     Raises
     ------
@@ -106,9 +106,9 @@ def calibrate(
     Warns
     -----
     PaintWarning
-        Steps were left out; the monochromator's line is too wide to tell the camera's from; the beam's own
+        Steps were left out; the monochromator's line is too wide to determine the camera's; the beam's own
         profile is taken for response; columns are not lit; lines look clipped; the dark is off; the noise is
-        not told.
+        not known.
 
     Notes
     -----
@@ -176,7 +176,7 @@ def calibrate(
 def _with_differences(
     lab: LabSweep, read: Read, lines: Lines, surface: WavelengthMap, shape: int, fits: list[Fits | None]
 ) -> tuple[Read, Lines, Differences]:
-    """Return how much elements differ, and fits whose noise is that of the lines where nothing told it."""
+    """Return how much elements differ, and fits whose noise is that of the lines where it was not known."""
     is_noise_known = read.noise_source != FROM_SCATTER
     differences = element_differences(lab, read, lines, surface, shape, known_noise=is_noise_known)
     if is_noise_known:
@@ -256,7 +256,7 @@ def _need_trusted(read: Read, lines: Lines, fits: Sequence[Fits | None]) -> None
     if width < _UNDERSAMPLED or lost > 0.5 * total:
         reasons.append(
             f"{lost} of {total} fits fail, of lines {width:.2g} bands wide: bands that lie further apart "
-            "than a line is wide cannot tell its place; widen the monochromator's line"
+            "than a line is wide do not show its place; widen the monochromator's line"
         )
     reasons = reasons or ["the others lie at the edge of the array: give more steps"]
     raise refused(

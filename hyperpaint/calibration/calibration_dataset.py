@@ -34,7 +34,7 @@ _ELECTRONS = (0.05, 2000.0)  # a count, of any camera
 
 @dataclass(frozen=True)
 class Budget:
-    """Standard uncertainties that the sweep itself cannot tell: relative, and of the dial [nm]."""
+    """Standard uncertainties that do not follow from the sweep: relative, and of the dial [nm]."""
 
     flux: float
     capture: float

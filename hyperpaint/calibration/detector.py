@@ -39,7 +39,7 @@ class DarkModel:
 
     @property
     def known_rate(self) -> bool:
-        """Whether darks at two exposures or more tell the rate."""
+        """Whether the rate follows from darks at two exposures or more."""
         return len(self.exposures) > 1
 
     def reaches(self, exposure: float) -> bool:
@@ -51,7 +51,7 @@ class DarkModel:
 
     @property
     def spread(self) -> float:
-        """Standard deviation of one dark about the model [count]; 0 where there are too few to tell."""
+        """Standard deviation of one dark about the model [count]; 0 where there are too few."""
         free = len(self.taken) - (2 if self.known_rate else 1)
         return self.residual * float(np.sqrt(len(self.taken) / free)) if free > 0 else 0.0
 
@@ -266,7 +266,7 @@ def linearity(signal: npt.ArrayLike, measured: npt.ArrayLike, degree: int = 3) -
 
 
 def coefficients_of(attrs: Mapping[Any, Any]) -> tuple[float, ...]:
-    """Return the `linearity` that the attributes of a calibration tell."""
+    """Return the `linearity` that the attributes of a calibration declare."""
     stated = attrs.get("linearity", ())
     return () if isinstance(stated, str) else tuple(float(value) for value in np.atleast_1d(stated))
 

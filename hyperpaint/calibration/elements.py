@@ -59,7 +59,7 @@ def _unit_lines(
 def deviant_elements(lab: LabSweep, read: Read, lines: Lines, surface: WavelengthMap, shape: int) -> Bools:
     """Return the elements (band, cross_track) whose light is not that of the line they stand in.
 
-    Place and width of a line are those that all others tell, which one dead element cannot disturb; its
+    Place and width of a line follow from all others, which one dead element cannot disturb; its
     height is the median over its bands. Of lines at the edge of the array a side is enough.
     """
     _, bands, columns = lab.shape
@@ -209,7 +209,7 @@ def at_steps(lab: LabSweep, surface: WavelengthMap, of_bands: Floats) -> Floats:
 
 _LEAST_SEEN = 0.3  # of a line's area
 _MAX_EDGE_RESIDUAL = 0.15  # share of a line's height; a larger residual belongs to another line
-_OWN_WIDTH_U = 0.005  # relative uncertainty of the width at the edge, where no line has told it
+_OWN_WIDTH_U = 0.005  # relative uncertainty of the width at the edge, where no line shows it
 
 
 def complete_edge_lines(

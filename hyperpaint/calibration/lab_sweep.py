@@ -178,7 +178,7 @@ def _check_positive(
 ) -> None:
     wrong = ~(np.isfinite(values) & (values > 0) & (values <= high))
     if dims == (STEP, CROSS_TRACK):
-        # columns that the beam does not reach have no flux; whether one is lit, its counts tell
+        # columns that the beam does not reach have no flux; its counts show whether one is lit
         dark = wrong & ((values == 0) | np.isnan(values))
         wrong &= ~dark | wrong.all(axis=1, keepdims=True)
     if not wrong.any():

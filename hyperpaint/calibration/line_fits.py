@@ -27,7 +27,7 @@ from hyperpaint.kernels.line_fits import (
 )
 
 SHAPES = {"gaussian": GAUSSIAN, "slit": SLIT}
-"""Line shapes a sweep can tell apart, and what the kernel calls them."""
+"""Line shapes that a sweep distinguishes, and what the kernel calls them."""
 
 LIT = 0.2
 """Share of the brightest column from which a column counts as lit."""
@@ -36,7 +36,7 @@ REACH = 2.2
 """Half the window of a line in full widths at half maximum; beyond lie 2e-7 of a Gaussian's area."""
 
 _DEVIANT = 0.15  # of a line's height: an element this far from the fit is not noise
-_FEWEST_BESIDE = 12  # bands beyond a window from which its background is told
+_FEWEST_BESIDE = 12  # bands beyond a window from which its background is estimated
 _GAUSS = np.sqrt(np.pi / (4.0 * np.log(2.0)))  # area of a Gaussian of unit height and full width
 
 
@@ -351,7 +351,7 @@ def _area(window: Window, parameters: Floats, unit: Floats, used: Bools) -> tupl
 
     What the bands that were read do not hold of a line lies beyond the edge of the array, or on bad elements.
     Bands far apart, more than half a line's width, sum to a little more or less than the light, depending on
-    where between them it falls; the profile tells how much.
+    where between them it falls; the profile says how much.
     """
     measured = np.where(used, window.values, 0.0).sum(axis=1)
     total = np.maximum(unit.sum(axis=1), 1e-300)

@@ -27,7 +27,7 @@ GAUSSIAN, SLIT = 0, 1
 _SIGMA = 1.0 / (2.0 * math.sqrt(2.0 * math.log(2.0)))
 _ROOT2 = math.sqrt(2.0)
 _ROOT2PI = math.sqrt(2.0 * math.pi)
-_NARROWEST = 0.05  # samples; a box narrower than this cannot be told from none
+_NARROWEST = 0.05  # samples; a box narrower than this does not differ from none
 _STEPS = 60
 
 

@@ -135,12 +135,12 @@ def problems_of_table(problems: Problems, offset: Any, table: Any, bands: int) -
 
 
 def _even_spacing(wavelength: Floats) -> Floats:
-    """Return the spacing of bands that are all there; a choice of bands does not tell how wide pixels are."""
+    """Return the spacing of bands that are all there; a choice of bands has no width of pixels."""
     steps = np.abs(np.diff(wavelength))
     jumps = np.abs(np.log(steps[1:] / steps[:-1])) if steps.all() else np.array([np.inf])
     if wavelength.size < 2 or jumps.max(initial=0.0) > np.log(1.3):
         raise SchemaError(
-            "a slit-shaped response needs the camera's band spacing, which the bands here do not tell; give "
+            "a slit-shaped response needs the camera's band spacing, which the bands here do not give; give "
             "'band_spacing' (band) [nm], or choose bands after the reflectance is computed"
         )
     return band_spacing(wavelength)

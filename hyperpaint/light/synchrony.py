@@ -25,7 +25,7 @@ UNSTABLE_CHANGE = 0.02
 """Relative change of the 400-1000 nm irradiance between two samples above which light is unstable."""
 LOW_SUN_ZENITH = 75.0
 UNKNOWN_CLOCK = 40.0
-"""Error of clocks [s] that nobody has checked: GPS time taken for UTC is 18 s off, TAI 37 s."""
+"""Error of clocks [s] that are not checked: GPS time taken for UTC is 18 s off, TAI 37 s."""
 TIMING_EFFECT = 0.01
 """Relative change of irradiance within the clocks' uncertainty above which a line is timing sensitive."""
 

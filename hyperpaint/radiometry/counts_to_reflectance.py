@@ -340,7 +340,7 @@ def _cube_inputs(dataset: xr.Dataset, purpose: str) -> tuple[xr.DataArray, dict[
         needed += ["time", "wavelength", "fwhm", *(n for n in _LIGHT if n not in dataset.variables)]
     optional = [name for name in _OPTIONAL if name in dataset.variables]
     if not from_counts and "radiance_gain" in dataset.variables:
-        optional.append("radiance_gain")  # tells the slope of the responsivity
+        optional.append("radiance_gain")  # gives the slope of the responsivity
     arrays = schema.require(dataset, dict.fromkeys([*needed, *optional]), purpose)
     cube = slabs.line_chunked(arrays.pop("counts" if from_counts else "radiance"))
     if not from_counts:

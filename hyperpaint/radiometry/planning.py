@@ -27,7 +27,7 @@ __all__ = ["make_plan"]
 
 NOISE_MARGIN_SD = 5.0
 DEFAULT_READ_NOISE_COUNTS = 2.0
-"""Spread of a dark count [count] where neither the calibration nor the dark tells."""
+"""Spread of a dark count [count] where neither the calibration nor the dark gives it."""
 BAD_BAND_SHARE = 0.05
 NEGATIVE_BAND_SHARE = 0.1
 SAME_EXPOSURE_SHARE = 0.01
@@ -49,7 +49,7 @@ def make_plan(
     """Gather what every slab of a cube (along_track, band, cross_track) needs; ``starts``: its first lines.
 
     ``cube`` holds the values of ``dark_counts``, ``radiance_gain``, ``exposure_time`` and the other variables
-    of the table, by name; without dark counts the cube is radiance, and a gain tells its responsivity only.
+    of the table, by name; without dark counts the cube is radiance, and a gain gives its responsivity only.
     ``light`` holds irradiance and its companions, None for radiance; ``uncertain`` noise and the known
     uncertainties, None where none are asked for. ``tilt``, ``panel`` and ``keep_bits`` are those of
     `hyperpaint.radiometry.counts_to_reflectance.reflectance`.

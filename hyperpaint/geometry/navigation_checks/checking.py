@@ -39,7 +39,7 @@ class Finding:
     declared
         What is declared.
     verdict
-        ``"right"``, ``"wrong"``, or ``"undecided"``: neither the track nor the picture can tell.
+        ``"right"``, ``"wrong"``, or ``"undecided"``: neither the track nor the picture decides.
     likely
         What it looks like instead; empty where it is right.
     evidence
@@ -78,7 +78,7 @@ class ConventionCheck:
 
     @property
     def undecided(self) -> tuple[str, ...]:
-        """Names of what could not be told."""
+        """Names of what could not be decided."""
         return tuple(one.field for one in self.findings if one.verdict == "undecided")
 
     def __getitem__(self, field: str) -> Finding:
@@ -132,8 +132,7 @@ def check_conventions(
     A platform that rolls shifts the rows of a picture sideways, and one that pitches makes them more or less
     alike; what positions and angles mean decides which shifts are to be expected. All combinations of signs,
     units, orders of rotation and of columns, and of latitude and longitude, are compared by how well they
-    explain the picture. Nothing is changed: what looks wrong is named, and what cannot be told is said to be
-    so.
+    explain the picture. Nothing is changed: what looks wrong is named, and so is what cannot be decided.
 
     Parameters
     ----------
@@ -168,10 +167,10 @@ def check_conventions(
 
     Notes
     -----
-    What it cannot tell, on one line: which north headings count from, since a heading that is off by a
+    What one line cannot decide: which north headings count from, since a heading that is off by a
     constant looks like wind, or like structures that lean on the ground; ``"ZYX"`` from ``"ZXY"``, which
     differ by the product of roll and pitch; a wrong stamp from a clock that is off by as much. Where the
-    platform does not wobble nothing can be told of signs.
+    platform does not wobble signs cannot be decided.
 
     The shift between rows is `hyperpaint.geometry.navigation_checks.picture_motion`, what is to be expected
     `hyperpaint.geometry.navigation_checks.pose_motion`.
@@ -369,7 +368,7 @@ def _stamps(setting: Setting, best: Hypothesis, used: Bools) -> Finding:
 
 
 def _north(hypothesis: Hypothesis, setting: Setting) -> Finding:
-    """Return the angle between heading and course, from which alone no north can be told."""
+    """Return the angle between heading and course, from which alone no north follows."""
     poses = hypothesis.poses(setting.recorded)
     has_heading = np.isfinite(poses[5])
     turned = np.exp(1j * np.radians(poses[5][has_heading] - course_of(poses)))

@@ -123,7 +123,7 @@ def estimate_clock_offset(
     max_offset_s
         How far to look to either side [s].
     max_uncertainty_s
-        Uncertainty beyond which nothing is told [s]; by default 0.05 from navigation, 1 from irradiance.
+        Uncertainty beyond which an offset is refused [s]; by default 0.05 from navigation, 1 from irradiance.
     convention, camera, ground, boresight, lever_arm, crs
         See `hyperpaint.locate`; for navigation alone.
     image, lines
@@ -137,8 +137,8 @@ def estimate_clock_offset(
     Raises
     ------
     TimeError
-        It cannot be told: the light is flat, the platform does not move, the picture does not follow, several
-        offsets fit alike, or the best is at the end of those tried. The reason is given.
+        There is no certain offset: the light is flat, the platform does not move, the picture does not
+        follow, several offsets fit alike, or the best is at the end of those tried. The reason is given.
     SchemaError
         Neither or both records; what is needed is missing.
     """

@@ -104,8 +104,8 @@ def score(
 
     Notes
     -----
-    A picture cannot tell a world from its mirror image, in which roll, heading, the order of columns and
-    longitudes are all of the other sign. So every declaration is taken as wrong with odds of 1 to 400 only.
+    A picture does not separate a world from its mirror image, in which roll, heading, the order of columns
+    and longitudes are all of the other sign. Every declaration is taken as wrong with odds of 1 to 400 only.
 
     Residuals are taken as normal, those beyond `RULES.clip_sd` standard deviations as outliers, and as fewer
     than they are by what those of the best resemble their neighbours; see `motion_fit`.

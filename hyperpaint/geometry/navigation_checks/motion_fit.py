@@ -70,7 +70,7 @@ def residuals(seen: RowMotion, meant: Motion, used: Bools, interval: float) -> R
     Notes
     -----
     Whatever leans on the ground seems to move sideways as the camera moves on: in proportion to the way, and
-    for every line alike where structures are parallel. That part is not told from a heading that is off, and
+    for every line alike where structures are parallel. That part looks like an error of the heading, and is
     taken out before hypotheses are compared; as is what a clock that is late by some milliseconds would do.
     """
     late = np.gradient(meant.shift, axis=0) / interval if meant.shift.shape[0] > 1 else 0 * meant.shift
@@ -137,7 +137,7 @@ def inflation(left: Floats) -> float:
 
 @dataclass(frozen=True)
 class Refined:
-    """A number that the picture tells."""
+    """A number estimated from the picture."""
 
     value: float  #: The number and its standard uncertainty
     sd: float

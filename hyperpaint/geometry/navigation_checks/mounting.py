@@ -24,7 +24,7 @@ _UNITS = {"roll": "degree", "pitch": "degree", "heading": "degree", "height": "m
 _STEPS = {"roll": 1e-3, "pitch": 1e-3, "heading": 1e-3, "height": 1e-3, "clock": 5e-4}
 """Over which misses are differenced."""
 _MAX_SD = {"roll": 5.0, "pitch": 5.0, "heading": 5.0, "height": 50.0, "clock": 1.0}
-"""Uncertainty, of picking to one pixel, beyond which nothing is known: what anyone can see without points."""
+"""Uncertainty, of picking to one pixel, beyond which points add nothing to what is known without them."""
 _FIELDS = ("along_track_pixel", "cross_track_pixel", "east", "north", "height")
 
 
@@ -32,7 +32,7 @@ _FIELDS = ("along_track_pixel", "cross_track_pixel", "east", "north", "height")
 class Rules:
     """Thresholds of a solution, and where they come from."""
 
-    #: Factor by which what is solved with a parameter may widen its uncertainty: beyond it nothing is told.
+    #: Factor by which what is solved with a parameter may widen its uncertainty: beyond it is refused.
     max_widening: float = 30.0
     #: Standard deviations of picking [pixel] beyond which a point is left out: 1 in 25,000 of good ones.
     outlier_sd: float = 4.5
@@ -161,7 +161,7 @@ def solve_boresight(
     Raises
     ------
     SchemaError
-        What is solved cannot be told from these points, which names what of it and the reason; clocks apart
+        These points do not determine the parameters, which are named with the reason; clocks apart
         fit alike, or none fits; points outside of lines, of lines that are not given, or without a pose;
         variables or a map are missing.
     MissingExtraError

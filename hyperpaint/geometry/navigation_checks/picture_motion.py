@@ -1,8 +1,8 @@
-"""One grey picture of a flight line, and how it moves from row to row, as the picture alone tells it.
+"""One grey picture of a flight line, and how it moves from row to row, by the picture alone.
 
 A line camera that rolls shifts its rows sideways. That shift can be measured wherever the ground is rough.
 How far two rows are apart along the track cannot be measured so, but the farther they are the less they are
-alike; and how alike the ground is over a given way, the rows themselves tell, across the track.
+alike; how alike the ground is over a given way follows from the rows themselves, across the track.
 """
 
 from __future__ import annotations

@@ -150,7 +150,7 @@ def recorded_poses(line: xr.Dataset, navigation: xr.Dataset | None, crs: Any = N
 
 
 MAX_LINES = 4000
-"""Lines that a check looks at unless told otherwise: those in the middle."""
+"""Lines that a check looks at by default: those in the middle."""
 _MIN_LINES = 64
 _MAX_STEADY_INTERVALS = 1.5
 """Median intervals between lines beyond which frames are missing."""

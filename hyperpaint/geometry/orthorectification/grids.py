@@ -29,7 +29,7 @@ Box = tuple[float, float, float, float]
 """Least and largest way to the right, then down, from the anchor of axes [m]."""
 
 _MIN_ELONGATION = 2.0
-"""How much longer than wide a track is, to tell a direction of flight."""
+"""How much longer than wide a track is, to have a direction of flight."""
 _ROUNDING_CELLS = 1e-6
 """Part of a cell that is not worth a cell of its own."""
 
@@ -129,7 +129,7 @@ def flight_axes(left: Floats, right: Floats) -> Axes:
     Notes
     -----
     The direction is the longest axis of the middles of the lines. A track that is hardly longer than it is
-    wide tells none; square to the lines is taken instead.
+    wide has none; square to the lines is taken instead.
     """
     middle = (left + right) / 2
     _, spread, directions = np.linalg.svd(middle - middle.mean(axis=0), full_matrices=False)
@@ -262,7 +262,7 @@ _NOTHING_PLACED = (
 def _computed(
     east: da.Array, north: da.Array, slabs: list[int], axes: Axes, progress: Progress | None
 ) -> list[Any]:
-    """Return what is found in slabs, with the progress told where it can be."""
+    """Return what is found in slabs, with the progress reported where possible."""
     blocks = [array.to_delayed(optimize_graph=False).ravel() for array in (east, north)]
     look = dask.delayed(_looked_at, pure=False)
     tasks = [look(blocks[0][slab], blocks[1][slab], axes) for slab in slabs]
@@ -275,7 +275,7 @@ def _computed(
             waiting.discard(key)
             progress(len(tasks) - len(waiting), len(tasks))
 
-    # schedulers of a cluster do not call it: they tell of the end alone
+    # schedulers of a cluster do not call it: they report the end alone
     with Callback(posttask=report):
         surveyed = list(dask.compute(*tasks))
     if waiting:

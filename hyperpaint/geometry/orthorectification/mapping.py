@@ -300,7 +300,7 @@ def _coordinates(tiles: Tiles, crs: str | None, line: xr.Dataset) -> dict[str, A
         return coordinates
     for name, values, way in (("x", x * size, "to the right of"), ("y", y * size, "down from")):
         meaning = f"Distance {way} the corner of the grid, which lies along the flight"
-        # no map coordinates: whoever looks for some is to find east and north
+        # these are no map coordinates: east and north are
         attrs = {"units": "m", "long_name": meaning, "crs": "grid along the flight"}
         coordinates[name] = (name, values, attrs)
     for name, lazy in zip(("east", "north"), tiles.centres(), strict=True):

@@ -29,7 +29,7 @@ __all__ = ["estimate_noise"]
 BLOCK_LINES = 8
 """Lines of a block, within which a column is asked to see one surface."""
 MOST_SAMPLES = 3_000_000
-"""Samples that are read of a flight; more would tell no more."""
+"""Samples that are read of a flight; more would add nothing."""
 _CLEAR = 12.0  # times the spread of a dark count; the mean of a block is then known to 3 %
 _EVEN = 0.15  # change of brightness that is texture; beyond is an edge or a glint
 _FEWEST = 200
@@ -83,7 +83,7 @@ def estimate_noise(dataset: xr.Dataset, *, repeated: bool = False) -> xr.Dataset
     ------
     SchemaError
         Variables are missing or have other dims or units; or signals do not reach far enough apart for a
-        slope: the message tells their range.
+        slope: the message gives their range.
 
     Warns
     -----

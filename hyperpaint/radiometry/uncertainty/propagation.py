@@ -241,7 +241,7 @@ def mean_uncertainty(region: xr.Dataset, dims: Sequence[str] | str | None = None
               n_{eff} = n^2 \Big/ \sum_{ij} c_{ij}
 
     with :math:`c_{ij}` the autocorrelation of the pixels at their distance, summed from the centre outwards
-    until it is not told from zero. A surface's texture counts as correlated noise in it: the region should be
+    until it is not above zero. A surface's texture counts as correlated noise in it: the region should be
     homogeneous, since a gradient over it leaves few independent pixels. A common error is common to the mean
     as well: only the random part shrinks. What is here is how sure the mean of *these* pixels is, not how far
     another part of the surface may differ.
