@@ -199,9 +199,9 @@ def _profile(attrs: Mapping[Any, Any], own: float, source: float) -> Callable[[F
     shape, triangular = SHAPES[str(attrs["srf_shape"])], attrs["monochromator_shape"] == "triangle"
 
     def of_unit_area(place: Floats) -> Floats:
-        out = np.empty((1, place.size))
+        out: Floats = np.empty((1, place.size))
         profiles(place[None], np.array([own]), np.array([source]), shape, triangular, out)
-        return out[0]
+        return np.asarray(out[0])
 
     peak = of_unit_area(np.zeros(1))
     return lambda place: of_unit_area(place) / peak

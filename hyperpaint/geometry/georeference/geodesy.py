@@ -250,7 +250,8 @@ def _fit(latitude: Floats, longitude: Floats, altitude: Floats, reach: Floats, c
     geocentric = _transformer(GEODETIC, _GEOCENTRIC)
     origin = np.stack(geocentric.transform(longitude, latitude, altitude), axis=-1)
     around = origin[:, None] + (_OFFSETS * reach[:, None, None]) @ _east_north_up(latitude, longitude)
-    lon, lat, height = geocentric.transform(*np.moveaxis(around, -1, 0), direction="INVERSE")
+    x, y, z = np.moveaxis(around, -1, 0)
+    lon, lat, height = geocentric.transform(x, y, z, direction="INVERSE")
     x, y, *_ = _transformer(GEODETIC, crs).transform(lon, lat, height)
     if _crs(crs).is_geographic:
         x = x[:, :1] + (x - x[:, :1] + 180.0) % 360.0 - 180.0

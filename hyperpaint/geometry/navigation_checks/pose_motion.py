@@ -222,9 +222,12 @@ def setting_of(
     forward, right, down = (float(length) for length in lever_arm)
     tangents = look_angles(line, camera, Convention(column_order="left_to_right"))
     to_right, ahead = (np.tan(np.radians(np.asarray(angles))) for angles in tangents)
-    columns = (to_right, ahead, np.gradient(to_right))
-    of_zones = (np.interp(seen.centres, np.arange(to_right.size), values) for values in columns)
-    view = View(*of_zones, (roll, pitch, heading), (forward, right, down), float(ground))
+    look_right, look_forward, step = (
+        np.interp(seen.centres, np.arange(to_right.size), values)
+        for values in (to_right, ahead, np.gradient(to_right))
+    )
+    arm = (forward, right, down)
+    view = View(look_right, look_forward, step, (roll, pitch, heading), arm, float(ground))
     recorded = recorded_poses(part, navigation, crs)
     steps = np.diff(recorded.wanted.astype(np.int64)) / 1e9
     exposure = float(np.median(part["exposure_time"].values)) if "exposure_time" in part.variables else np.nan

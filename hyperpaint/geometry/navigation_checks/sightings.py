@@ -164,9 +164,9 @@ def sightings_of(
         step[np.clip(np.round(column).astype(np.int64), 0, across.size - 1)], lever_arm, index,
         float(np.hypot(np.ptp(along), np.ptp(across))),
     )  # fmt: skip
-    missing = np.ones(at.size, bool)
+    missing: Bools = np.ones(at.size, bool)
     if rows.any():
-        missing = ~np.isfinite(sightings.misses(np.array([0.0, 0.0, 0.0, 0.0, clock]))).all(axis=1)
+        missing[:] = ~np.isfinite(sightings.misses(np.array([0.0, 0.0, 0.0, 0.0, clock]))).all(axis=1)
     if missing.any():
         raise SchemaError(
             f"points {index[missing].tolist()} are on lines without time or pose; look at gaps of the record"

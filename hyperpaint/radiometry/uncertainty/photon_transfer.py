@@ -234,7 +234,8 @@ def _block_points(cube: Array) -> _Points:
     by_signal = middle * (1.0 + 0.25 * (ratio[0] + ratio[1]))
     by_floor = 1.0 + 0.25 * (ratio[0] ** 2 + ratio[1] ** 2)
     values = (np.where(near, variance, np.nan), by_signal, by_floor)
-    return _Points(*(_by_band(array).astype(np.float64) for array in values), np.full((1, 1), freedom))
+    variances, signals, floors = (_by_band(array).astype(np.float64) for array in values)
+    return _Points(variances, signals, floors, np.full((1, 1), freedom))
 
 
 def _dark_noise(cube: Array, mean: Array) -> float:

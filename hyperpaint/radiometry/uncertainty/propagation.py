@@ -141,7 +141,8 @@ def error_terms(
         steps = _band_steps(np.asarray(cube["wavelength"], np.float64))
         slope = (wavelength_u[:, None] * steps).astype(np.float32)
     terms = (1.0 / of("electrons_per_count"), floor, np.sqrt(sum(squares[1:], squares[0])), offset)
-    return ErrorTerms(*(np.ascontiguousarray(values, np.float32) for values in terms), slope)
+    per_electron, noise, relative, dark = (np.ascontiguousarray(values, np.float32) for values in terms)
+    return ErrorTerms(per_electron, noise, relative, dark, slope)
 
 
 def _rows(values: Any, shape: tuple[int, ...]) -> Floats:
