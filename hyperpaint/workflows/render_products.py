@@ -116,7 +116,7 @@ class Render:
         """
         from hyperpaint.simulation.rendering.camera_bands import BandSet
 
-        bands = BandSet.of_imager(self.camera.imager)
+        bands = BandSet.of(self.camera.imager)
         return bands if product == "counts" else replace(bands, responsivity=None)
 
 
