@@ -120,8 +120,6 @@ def write_navigation(
 
     Parameters
     ----------
-    path
-        The file.
     pose
         roll, pitch, heading, latitude, longitude [degree], altitude [m], each of shape (row,).
     stamps
@@ -149,8 +147,6 @@ def write_sbet(path: Path, pose: Mapping[str, Floats], utc: NDArray[np.datetime6
 
     Parameters
     ----------
-    path
-        The file.
     pose
         As for `write_navigation`; heights above the ellipsoid.
     utc
@@ -187,8 +183,6 @@ def write_asd(path: Path, irradiance: Floats, *, stamp: int, utc_offset: int, re
 
     Parameters
     ----------
-    path
-        The file.
     irradiance
         On `ASD_WAVELENGTH`, shape (726,) [W m-2 nm-1].
     stamp
@@ -216,8 +210,6 @@ def write_asd_reflectance(
 
     Parameters
     ----------
-    path
-        The file.
     radiance, white
         Of the surface and of the panel, on `ASD_WAVELENGTH`, shape (726,) [W m-2 sr-1 nm-1].
     stamp, utc_offset, reference_stamp
@@ -387,8 +379,6 @@ def write_svc(
 
     Parameters
     ----------
-    path
-        The file.
     white, target
         Radiance on `svc_wavelengths`, shape (1024,) [W m-2 sr-1 nm-1].
     stamps

@@ -176,16 +176,7 @@ def make_lighting(
 ) -> Lighting:
     """Return the light, the spectra and the camera of a relighting, as its tasks need them.
 
-    Parameters
-    ----------
-    bands
-        Of the camera.
-    codes
-        How paths are numbered.
-    atmosphere, settings
-        The light, and how the scene was traced.
-    factors : (factor, grid)
-        All factors on the grid of `BandResponses`.
+    ``factors`` (factor, grid) are those of all paths, on the grid of `BandResponses`.
     """
     wavelength, sources = atmosphere.wavelength, source_spectra(atmosphere, settings)
     sun_cosine = float(np.cos(np.radians(settings.suns[traced_sun(atmosphere, settings)][0])))

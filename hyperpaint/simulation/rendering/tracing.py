@@ -49,26 +49,14 @@ Sun = tuple[float, float] | Atmosphere | str
 
 
 class PreparedScene(NamedTuple):
-    """A scene as the kernel takes it; made once, shared by all tasks.
-
-    Attributes
-    ----------
-    geometry, surfaces, sources
-        Arrays of the kernel.
-    codes
-        How paths are numbered.
-    settings
-        How the scene is traced.
-    labels
-        What follows from the number of a material or an instance.
-    """
+    """A scene as the kernel takes it; made once, shared by all tasks."""
 
     geometry: Geometry
     surfaces: Surfaces
     sources: Sources
-    codes: PathCodes
+    codes: PathCodes  # how paths are numbered
     settings: TraceSettings
-    labels: LabelTables
+    labels: LabelTables  # what follows from the number of a material or an instance
 
 
 def prepare_scene(scene: Scene, settings: TraceSettings) -> PreparedScene:
