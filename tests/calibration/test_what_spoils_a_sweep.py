@@ -329,10 +329,10 @@ def test_an_anchor_of_a_linearised_calibration_is_linearised() -> None:
 
 def check_travel(change: Callable[[xr.Dataset], xr.Dataset]) -> None:
     """The line keeps what its calibration says of counts and scale."""
-    from hyperpaint.io.flightline.flightline_opening import _scale_attrs
+    from hyperpaint.io.flightline.calibration_store import scale_attrs
 
     made = change(xr.Dataset())
-    assert _scale_attrs(made) == made.attrs
+    assert scale_attrs(made) == made.attrs
 
 
 def test_lines_keep_what_the_calibration_says() -> None:
