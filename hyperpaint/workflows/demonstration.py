@@ -59,58 +59,38 @@ RMSE mean: of the mean spectrum, over bands. O2 window: its largest relative err
 
 @dataclass(frozen=True)
 class Agreement:
-    """Recovered against true reflectance of one material [1].
-
-    Attributes
-    ----------
-    material
-        Its name.
-    pixels
-        Pixels of it without a quality flag.
-    true, recovered
-        Means over its pixels and bands.
-    rmse_of_mean
-        Root mean square over bands of the error of its mean spectrum.
-    rmse
-        Root mean square error of its single samples.
-    oxygen
-        Largest relative error of its mean spectrum in the oxygen window, 750 to 780 nm.
-    """
+    """Recovered against true reflectance of one material [1]."""
 
     material: str
-    pixels: int
-    true: float
+    pixels: int  #: Without a quality flag.
+    true: float  #: Mean over pixels and bands, as ``recovered``.
     recovered: float
-    rmse_of_mean: float
-    rmse: float
-    oxygen: float
+    rmse_of_mean: float  #: RMS over bands of the error of the mean spectrum.
+    rmse: float  #: RMS error of single samples.
+    oxygen: float  #: Largest relative error of the mean spectrum in the oxygen window, 750 to 780 nm.
 
     @property
     def bias(self) -> float:
         """Mean recovered minus mean true reflectance."""
         return self.recovered - self.true
 
+    @property
+    def cells(self) -> tuple[str, ...]:
+        """A row of the table of a `Comparison`."""
+        return (
+            self.material, f"{self.pixels}", f"{self.true:.4f}", f"{self.recovered:.4f}", f"{self.bias:+.5f}",
+            f"{self.rmse_of_mean:.5f}", f"{self.rmse:.5f}", f"{100 * self.oxygen:.2f} %",
+        )  # fmt: skip
+
 
 @dataclass(frozen=True)
 class Comparison:
-    """Recovered against true reflectance of a collect.
+    """Recovered against true reflectance of a collect."""
 
-    Attributes
-    ----------
-    materials
-        One agreement each, in the simulator's order.
-    overall
-        Of all pixels together.
-    flagged
-        Share of pixels left out because of a quality flag.
-    paints
-        One agreement for every paint of a rendered scene.
-    """
-
-    materials: tuple[Agreement, ...]
-    overall: Agreement
-    flagged: float
-    paints: tuple[PaintAgreement, ...] = ()
+    materials: tuple[Agreement, ...]  #: In the simulator's order.
+    overall: Agreement  #: Of all pixels together.
+    flagged: float  #: Share of pixels left out because of a quality flag.
+    paints: tuple[PaintAgreement, ...] = ()  #: Of a rendered scene.
 
     @property
     def problems(self) -> tuple[str, ...]:
@@ -136,43 +116,20 @@ class Comparison:
 
     def __str__(self) -> str:
         head = ("material", "pixels", "true", "recovered", "bias", "RMSE mean", "RMSE", "O2 window")
-        lines = aligned([head, *(_row(one) for one in (*self.materials, self.overall))])
+        lines = aligned([head, *(one.cells for one in (*self.materials, self.overall))])
         rule = "-" * len(lines[0])
         return "\n".join([lines[0], rule, *lines[1:-1], rule, lines[-1]])
 
 
-def _row(one: Agreement) -> tuple[str, ...]:
-    return (
-        one.material, f"{one.pixels}", f"{one.true:.4f}", f"{one.recovered:.4f}", f"{one.bias:+.5f}",
-        f"{one.rmse_of_mean:.5f}", f"{one.rmse:.5f}", f"{100 * one.oxygen:.2f} %",
-    )  # fmt: skip
-
-
 def compare(store: Path, truth: Path) -> Comparison:
-    """Compare the reflectance in a store with the truth of a simulated collect.
+    """Compare the reflectance in a store with the truth (``truth.zarr``) of its simulated collect.
 
     Over bands that are good and between 420 and 980 nm, and pixels without a quality flag; truth stays on
     each column's own wavelengths, as reflectance does. Of a rendered scene, signatures of paints are compared
     too, with what a field spectrometer saw (see `compare_paints`).
 
-    Parameters
-    ----------
-    store
-        Made by `process`; read with plain `xarray.open_zarr`.
-    truth
-        The ``truth.zarr`` of that collect.
-
-    Returns
-    -------
-    Comparison
-        ``str`` of it is a table.
-
-    Raises
-    ------
-    StoreError
-        The store holds no flight line.
-    FormatError
-        Files of the field spectrometer beside the truth of a rendered scene cannot be read.
+    Raises `StoreError`: the store holds no flight line; `FormatError`: files of the field spectrometer beside
+    the truth of a rendered scene cannot be read.
     """
     import xarray as xr
 
@@ -258,11 +215,8 @@ class _Sums:
 def refuse_foreign(folder: Path, *, overwrite: bool) -> None:
     """Refuse a folder whose content a simulated collect must not replace.
 
-    Raises
-    ------
-    StoreError
-        The folder is not empty and no earlier demonstration; with ``overwrite``, it holds raw data that no
-        simulation wrote.
+    Raises `StoreError`: it is not empty and no earlier demonstration; with ``overwrite``, it holds raw data
+    that no simulation wrote.
     """
     if not folder.is_dir() or not any(folder.iterdir()):
         return
@@ -304,36 +258,15 @@ def run_demonstration(
     """Simulate a collect, process it as if it were real, and compare with its truth.
 
     Leaves the raw files, ``collect.toml``, ``truth.zarr``, ``regions.geojson``, the store ``lot.zarr`` and,
-    where matplotlib is installed, ``quicklook.png`` in the folder.
+    where matplotlib is installed, ``quicklook.png`` in the folder, and replaces those of an earlier
+    demonstration.
 
-    Parameters
-    ----------
-    folder
-        Made where it does not exist; an earlier demonstration in it is replaced.
-    lines, bands, columns, seed, scene
-        As for `simulate_collect`.
-    samples
-        Rays a pixel of a rendered scene; by default the simulator's.
-    overwrite
-        Write into a folder that holds other files, which stay.
-    progress
-        Show progress of the processing on stderr.
-    simulated
-        Called with lines done and lines to do while the collect is simulated.
-    say
-        Called with every line of text.
+    ``lines`` to ``samples`` are as for `simulate_collect`; with ``overwrite`` the folder may hold other
+    files, which stay; ``progress`` shows the processing on stderr; ``simulated`` is called with lines done
+    and to do while the collect is simulated, ``say`` with every text.
 
-    Returns
-    -------
-    Comparison
-        Recovered against true reflectance; ``ok`` tells whether all is within tolerance.
-
-    Raises
-    ------
-    StoreError
-        The folder holds something that must stay, or cannot be written.
-    SchemaError
-        A size or the scene is out of range; all problems are listed.
+    Raises `StoreError`: the folder holds something that must stay, or cannot be written; `SchemaError`: a
+    size or the scene is out of range; all problems are listed.
     """
     from hyperpaint.simulation import simulate_collect
 
@@ -349,13 +282,9 @@ def run_demonstration(
     outcome = run(collect, folder / STORE, overwrite=True, progress=progress)
     say(f"processed as if it were real in {time.perf_counter() - middle:.1f} s: {outcome.path}")
     comparison = compare(outcome.path, folder / "truth.zarr")
-    say("")
-    say(str(comparison))
-    say("")
-    say(_LEGEND.format(*BANDS_NM, *OXYGEN_NM, 100 * comparison.flagged))
+    say(f"\n{comparison}\n\n{_LEGEND.format(*BANDS_NM, *OXYGEN_NM, 100 * comparison.flagged)}")
     if comparison.paints:
-        say("")
-        say(signature_table(comparison.paints))
+        say(f"\n{signature_table(comparison.paints)}")
     _say_verdict(comparison, say)
     _draw(outcome.path, folder / PICTURE, say)
     return comparison

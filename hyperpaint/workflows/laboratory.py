@@ -18,30 +18,10 @@ __all__ = ["calibrate_sweep", "open_collect", "write_calibration"]
 def calibrate_sweep(
     path: str | os.PathLike[str], *, progress: Callable[[int, int], None] | None = None, **options: Any
 ) -> xr.Dataset:
-    """Return the calibration that a stored lab sweep gives.
+    """Return the calibration of a stored lab sweep (see `open_sweep`); ``options`` are those of `calibrate`.
 
-    Parameters
-    ----------
-    path
-        See `hyperpaint.io.flightline.calibration_store.open_sweep`.
-    progress
-        Called with steps done and to do.
-    **options
-        Of `hyperpaint.calibrate`.
-
-    Returns
-    -------
-    xarray.Dataset
-
-    Raises
-    ------
-    FormatError, SchemaError
-        The sweep cannot be read, or cannot be calibrated; all problems are listed.
-
-    Warns
-    -----
-    PaintWarning
-        As `hyperpaint.calibrate`.
+    Raises `FormatError`, `SchemaError`: the sweep cannot be read, or cannot be calibrated; all problems are
+    listed. Warns as `calibrate`.
     """
     from hyperpaint.calibration import calibrate
     from hyperpaint.io.flightline.calibration_store import open_sweep
@@ -63,33 +43,14 @@ def write_calibration(
     progress: Callable[[int, int], None] | None = None,
     **options: Any,
 ) -> xr.Dataset:
-    """Write the calibration that a stored lab sweep gives into a store, and return it.
+    """Write the calibration of a stored lab sweep into a store, and return it; see `calibrate_sweep`.
 
-    Parameters
-    ----------
-    sweep
-        The sweep's store.
-    out
-        Folder of the calibration's store.
-    overwrite
-        Replace another calibration; one of the same content is left alone.
-    report
-        Picture to draw of it, see `hyperpaint.calibration_report`; none by default.
-    progress, **options
-        As `calibrate_sweep`.
+    ``overwrite`` replaces another calibration; one of the same content is left alone. ``report``: picture to
+    draw of it, see `hyperpaint.pictures.calibration_report`.
 
-    Returns
-    -------
-    xarray.Dataset
-
-    Raises
-    ------
-    FormatError, SchemaError
-        As `calibrate_sweep`; or the picture cannot be written.
-    MissingExtraError
-        A picture is wanted, and matplotlib is not installed.
-    StoreError
-        The store cannot be written, or holds something else.
+    Raises `FormatError`, `SchemaError`: as `calibrate_sweep`, or the picture cannot be written;
+    `MissingExtraError`: the picture needs matplotlib; `StoreError`: the store cannot be written, or holds
+    something else.
     """
     from hyperpaint.io.store import to_store
 

@@ -49,45 +49,35 @@ def write_signatures(
 ) -> xr.Dataset:
     """Write the signatures of regions on the flight lines of a store, and return them.
 
-    Flight lines that nobody has flagged are surveyed and flagged first; those that were keep their flags.
-    Reflectance is computed from the stored counts where they are, with its uncertainties where the noise of
-    the camera is known; else it is what is stored.
+    Lines without flags are surveyed and flagged first. Reflectance is computed from the stored counts where
+    they are, with its uncertainties where the noise of the camera is known; else it is what is stored.
 
     Parameters
     ----------
     store
         A store with groups ``flightlines/<id>``, as `hyperpaint.process` writes it.
     regions
-        See `hyperpaint.regions_from`; None has `hyperpaint.propose_regions` propose some on every line, with
-        the survey that flags were made with.
-    out
-        Folder of the library's store.
+        See `hyperpaint.regions.regions_from`; None has `hyperpaint.regions.propose_regions` propose some on
+        every line, with the survey that flags were made with.
     keep
         Names of flags whose pixels are used, though they are left out otherwise; not with ``exclude``.
     flags
-        False flags nothing; or thresholds of `hyperpaint.flag` and options of `hyperpaint.survey`, by name.
+        False flags nothing; or thresholds of `hyperpaint.surroundings.flag` and options of its survey.
     sun_zenith
         For flags, proposals and the mirrored sky [degree]; by default from time and position of each line.
-    overwrite
-        Replace another library; one of the same content is left alone.
     progress
         Called with work done and to do: surveys, then extraction.
     **options
         As `hyperpaint.extract_signatures`.
 
-    Returns
-    -------
-    xarray.Dataset
-        The attribute ``flags`` says where flags are from.
-
     Raises
     ------
     FormatError, MissingExtraError, SchemaError, UnitsError
-        As `hyperpaint.extract_signatures` and `hyperpaint.flag`; or ``keep`` names an unknown flag, or comes
-        with ``exclude``.
+        As `hyperpaint.extract_signatures` and `hyperpaint.surroundings.flag`; or ``keep`` names an unknown
+        flag, or comes with ``exclude``.
     StoreError
         The store has no finished flight line of the regions; or the library cannot be written, or its store
-        holds something else.
+        holds something else, and ``overwrite`` is False.
     """
     from hyperpaint.io.store import to_store
     from hyperpaint.paints.signatures import extract_signatures
@@ -236,26 +226,13 @@ def validate_files(
     panel: str | os.PathLike[str] | None = None,
     **options: Any,
 ) -> Validation:
-    """Compare a stored paint library with references in files.
+    """Compare a stored paint library with references in files; see `hyperpaint.validate` for the options.
 
-    Parameters
-    ----------
-    library
-        A paint library, see `hyperpaint.open_library`.
-    references
-        See `hyperpaint.io.spectrometers.reference_files.open_references`. By default those of the store that
-        the library was made from, where it stands beside the library.
-    pairs
-        See `hyperpaint.io.spectrometers.reference_files.read_pairs`.
-    panel
-        See `hyperpaint.read_certificate`.
-    **options
-        Of `hyperpaint.validate`.
+    ``references`` are as of `open_references`, by default those of the store that the library was made from,
+    where it is beside the library; ``pairs`` as of `read_pairs`, ``panel`` as of `read_certificate`.
 
-    Raises
-    ------
-    FormatError, SchemaError, StoreError, UnitsError
-        Something cannot be read, or as `hyperpaint.validate`.
+    Raises `FormatError`, `SchemaError`, `StoreError`, `UnitsError`: something cannot be read, or as
+    `validate`.
     """
     from hyperpaint.io.library import open_library
     from hyperpaint.io.spectrometers.reference_files import open_references, read_pairs
@@ -287,13 +264,7 @@ def _store_of(signatures: xr.Dataset, library: Path) -> Path:
 
 
 def check_table(path: Path, *, overwrite: bool = False) -> None:
-    """Refuse a place for a table before anything is read.
-
-    Raises
-    ------
-    StoreError
-        A table may not go there; all reasons are listed.
-    """
+    """Refuse a place for a table before anything is read (`StoreError`, which lists all reasons)."""
     problems = Problems(f"the table cannot be written to {path}", StoreError)
     if path.suffix.lower() not in _TABLES:
         problems.add(f"expected a name that ends in {' or '.join(_TABLES)}")
@@ -313,12 +284,8 @@ def check_table(path: Path, *, overwrite: bool = False) -> None:
 def write_table(validation: Validation, path: str | os.PathLike[str], *, overwrite: bool = False) -> None:
     """Write the statistics of a validation: ``.csv``, a line for every part of every pair, or ``.json``.
 
-    Numbers have all their digits; what is not known is empty, or null.
-
-    Raises
-    ------
-    StoreError
-        The table may not go there, or cannot be written.
+    Numbers have all their digits; what is not known is empty, or null. Raises `StoreError`: see
+    `check_table`.
     """
     from hyperpaint.io.files.publishing import publish_file
 

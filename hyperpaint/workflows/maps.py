@@ -34,16 +34,11 @@ def map_of_store(
     crs: str | None = None,
     **options: Any,
 ) -> xr.Dataset:
-    """Return the map of a flight line of a store, lazily; options as of `hyperpaint.locate`.
+    """Return the map of a flight line of a store, lazily; options as of `hyperpaint.geometry.locate`.
 
-    Raises
-    ------
-    SchemaError
-        The store has no such line, or several and none is named; a line that is located needs no options; the
-        order of the columns is given and the line declares no other convention; a DEM does not say what its
-        heights are above.
-    MissingExtraError
-        A DEM needs rioxarray (extra ``geo``).
+    Raises `SchemaError`: the store has no such line, or several and none is named; options are given for a
+    line that is located, or an order of columns for one without a convention; a DEM does not say what its
+    heights are above. Raises `MissingExtraError`: a DEM needs rioxarray (extra ``geo``).
     """
     flightline = _line_of(store, line)
     location: dict[str, Any] = {"ground": ground, "boresight": boresight, "lever_arm": lever_arm, "crs": crs}
@@ -74,12 +69,7 @@ def map_of_store(
 def write_map(orthomap: xr.Dataset, path: Path, *, overwrite: bool = False, progress: bool = False) -> None:
     """Write a map as GeoTIFF, or all of it as a Zarr store, by the end of its name.
 
-    Raises
-    ------
-    StoreError
-        There is something already.
-    MissingExtraError
-        A GeoTIFF needs rasterio (extra ``geo``).
+    Raises `StoreError`: the place is taken; `MissingExtraError`: a GeoTIFF needs rasterio (extra ``geo``).
     """
     if path.suffix.lower() in (".tif", ".tiff"):
         from hyperpaint.io.maps.geotiff import write_geotiff

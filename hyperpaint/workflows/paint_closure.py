@@ -40,52 +40,23 @@ class PaintAgreement:
     """The signature of one paint: a mean over pure, sunlit, unflagged pixels of roofs, bonnets and boots.
 
     Pixels in which the clear coat mirrors the sun are left out.
-
-    Attributes
-    ----------
-    paint
-        Its name.
-    cars
-        Cars that it was seen on.
-    pixels
-        Pixels that were averaged.
-    recovered
-        Mean over bands [1].
-    error
-        Recovered against true signature of the same pixels: root mean square over bands, relative.
-    field
-        Mean over bands of what a field spectrometer saw near normal [1].
     """
 
     paint: str
-    cars: int
-    pixels: int
-    recovered: float
-    error: float
-    field: float
+    cars: int  #: Cars that it was seen on.
+    pixels: int  #: Pixels that were averaged.
+    recovered: float  #: Mean over bands [1].
+    error: float  #: Recovered against true signature of the same pixels: RMS over bands, relative.
+    field: float  #: Mean over bands of what a field spectrometer saw near normal [1].
 
 
 def compare_paints(store: Path, truth: Path, bands: tuple[float, float]) -> tuple[PaintAgreement, ...]:
-    """Compare the signatures of the paints of a rendered collect with their truth.
+    """Return the signatures of the paints of a rendered collect against their truth, by name.
 
-    Parameters
-    ----------
-    store
-        Made by `process`.
-    truth
-        The ``truth.zarr`` of that collect, beside which lie the spectrometer's files, ``asd_reflectance``.
-    bands
-        First and last wavelength that count [nm].
+    ``store`` was made by `process`, ``truth`` is the ``truth.zarr`` of the collect, beside which lie the
+    spectrometer's files, ``asd_reflectance``; ``bands`` are the first and last wavelength that count [nm].
 
-    Returns
-    -------
-    tuple of PaintAgreement
-        Paints that were seen, by name.
-
-    Raises
-    ------
-    FormatError
-        The spectrometer's files are missing or cannot be read.
+    Raises `FormatError`: the spectrometer's files are missing or cannot be read.
     """
     import xarray as xr
 

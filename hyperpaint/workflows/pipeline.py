@@ -44,31 +44,15 @@ _URL = re.compile(r"[A-Za-z][A-Za-z0-9+.-]+:/|.*::")
 
 @dataclass(frozen=True)
 class Outcome:
-    """What a run did.
+    """What a run did."""
 
-    Attributes
-    ----------
-    path
-        The store.
-    written
-        Groups that were written.
-    unchanged
-        Groups that were there already, made from the same inputs and parameters.
-    """
-
-    path: Path
-    written: tuple[str, ...]
-    unchanged: tuple[str, ...]
+    path: Path  #: The store.
+    written: tuple[str, ...]  #: Groups that were written.
+    unchanged: tuple[str, ...]  #: Groups that were there already, made from the same inputs and parameters.
 
 
 def local_folder(out: str | Path, command: str) -> Path:
-    """Return the store's folder; refuse what is none.
-
-    Raises
-    ------
-    StoreError
-        ``out`` is a URL.
-    """
+    """Return the store's folder; refuse a URL (`StoreError`)."""
     if _URL.match(os.fspath(out)):
         raise StoreError(
             f"{command} writes to a folder, not to {os.fspath(out)!r}; {command} to a folder and copy it, or "
@@ -87,23 +71,10 @@ def kept_groups(
 ) -> list[str]:
     """Return the groups that are there already; refuse a store that holds anything else.
 
-    Parameters
-    ----------
-    groups
-        Those that are to be there, each with its `INPUTS`.
-    out
-        The store.
-    overwrite
-        Whether groups made from something else are to be replaced.
-    command
-        What writes the store, named in messages.
-    only
-        No other group whose name begins with the first may be there: it would not be of the second.
+    ``groups`` are those that are to be there, each with its `INPUTS`; ``command`` is named in messages. Where
+    ``only`` is a prefix and a subject, no other group of that prefix may be there: it is not of the subject.
 
-    Raises
-    ------
-    StoreError
-        Groups of other inputs stand where ours would, or beside them; all are listed.
+    Raises `StoreError`: groups of other inputs stand where ours would, or beside them; all are listed.
     """
     from hyperpaint.io.store import is_complete, open_store
     from hyperpaint.io.store.groups import groups_above, problems_above
@@ -153,14 +124,8 @@ def _has_all_chunks(location: Location, group: str) -> bool:
 def computing_on(address: str | None) -> Iterator[Client | None]:
     """Make a cluster the place where dask computes; the caller's own, or threads, without an address.
 
-    Raises
-    ------
-    MissingExtraError
-        distributed is not installed.
-    CollectError
-        No scheduler answers there.
-    StoreError
-        No worker comes.
+    Raises `MissingExtraError`: distributed is not installed; `CollectError`: no scheduler answers there;
+    `StoreError`: the cluster has no worker.
     """
     import dask
 

@@ -35,55 +35,21 @@ _NOISE, _DARK = 20, 21
 
 @dataclass(frozen=True)
 class Render:
-    """Light, camera and paints, which make a flight line of a traced scene.
-
-    Attributes
-    ----------
-    atmosphere
-        The light.
-    camera
-        What sees it.
-    platform
-        Whose flight it is.
-    spectra
-        Spectra of the user's, wavelength [nm] and reflectance, by name.
-    paints
-        What is repainted: name of a spectrum, material or instance, to that of a spectrum.
-    """
+    """Light, camera and paints, which make a flight line of a traced scene."""
 
     atmosphere: Atmosphere
     camera: Camera
     platform: Platform
-    spectra: Mapping[str, tuple[Floats, Floats]]
-    paints: Mapping[str, str]
+    spectra: Mapping[str, tuple[Floats, Floats]]  #: The user's: wavelength [nm] and reflectance, by name.
+    paints: Mapping[str, str]  #: Name of a spectrum, material or instance to that of its new spectrum.
 
     def of(
         self, traced: xr.Dataset, *, product: str, true_reflectance: bool, seed: int, noise: bool
     ) -> xr.Dataset:
-        """Return the flight line of a traced scene, lazily.
+        """Return the flight line of a traced scene, lazily; see `hyperpaint.render_scene`.
 
-        Parameters
-        ----------
-        traced
-            From `hyperpaint.trace`, or as it is stored.
-        product
-            "radiance" or "counts".
-        true_reflectance
-            Whether the reflectance without noise stays.
-        seed
-            Of the camera's noise.
-        noise
-            Whether it has any.
-
-        Returns
-        -------
-        xarray.Dataset
-            A flight line; see `hyperpaint.workflows.rendering.render_scene`.
-
-        Raises
-        ------
-        SchemaError
-            As `hyperpaint.relight`.
+        ``product`` is "radiance" or "counts"; ``true_reflectance`` stays in it where wanted; ``seed`` and
+        ``noise`` are those of the camera. Raises `SchemaError` as `relight`.
         """
         from hyperpaint.pictures.plot import overview
         from hyperpaint.simulation.rendering.relighting import relight
@@ -142,12 +108,8 @@ def _round_bits(values: Floats32) -> Floats32:
 def irradiance_series(relit: xr.Dataset, platform: Platform) -> xr.Dataset:
     """Return a render with the irradiance that a spectrometer logs all through the flight, every 2 s.
 
-    Parameters
-    ----------
-    relit
-        From `relight` in steady light: it has the spectrum.
-    platform
-        Whose flight the record covers, with some seconds to spare.
+    ``relit`` is in steady light and has the spectrum; the record covers the flight with some seconds to
+    spare.
     """
     first, last = (moment.astype("datetime64[s]") for moment in platform.utc[[0, -1]])
     count = int((last - first).astype(np.int64) + 2 * _MARGIN) // _INTERVAL + 2
@@ -181,29 +143,10 @@ def counts_of(
 ) -> xr.Dataset:
     """Return the counts of a camera that sees this radiance, with everything that calibrates them.
 
-    Lazy. Noise is drawn line by line from a generator keyed by the seed, the name and the line's number, so
-    that no count depends on how lines are grouped, or where they are computed.
-
-    Parameters
-    ----------
-    radiance
-        Means over the camera's responses (along_track, band, cross_track) [W m-2 sr-1 nm-1].
-    camera
-        The camera.
-    exposure_time
-        [s]
-    seed
-        Of the noise.
-    name
-        Of the render: those of one scene in another light have other noise.
-    noise
-        Shot and read noise; without it counts are rounded all the same.
-
-    Returns
-    -------
-    xarray.Dataset
-        ``counts``, ``dark_counts``, ``radiance_gain``, ``exposure_time``, ``saturation_count``,
-        ``electrons_per_count`` and ``read_noise``.
+    Lazy. Noise is drawn line by line from a generator keyed by the seed, the render's name and the line's
+    number, so that no count depends on how lines are grouped, or where they are computed; without ``noise``
+    counts are rounded all the same. ``radiance`` holds means over the camera's responses (along_track, band,
+    cross_track) [W m-2 sr-1 nm-1], ``exposure_time`` is in [s].
     """
     import dask.array as da
     import xarray as xr

@@ -37,7 +37,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from hyperpaint.base.errors import MissingExtraError, Problems, SchemaError, StoreError
+from hyperpaint.base.errors import Problems, SchemaError, StoreError
 from hyperpaint.base.schema import CHUNK_LINES, FORMAT_VERSION
 from hyperpaint.io.store.budget import size_text
 from hyperpaint.io.store.groups import INPUTS
@@ -319,30 +319,13 @@ _WIDTH, _DPI = 4.0, 150  # of one picture [inch]
 
 
 def draw_renders(store: Path, groups: Sequence[str], path: Path) -> None:
-    """Draw the stored overviews of renders side by side, north up.
+    """Draw the stored overviews of renders (``groups`` of the store) side by side, north up.
 
-    Parameters
-    ----------
-    store
-        Written by `hyperpaint.render_scene`.
-    groups
-        Groups of the store; those without an overview are passed over.
-    path
-        The picture: its suffix says its format.
-
-    Raises
-    ------
-    MissingExtraError
-        matplotlib is not installed.
-    StoreError
-        No group has an overview: there are fewer than three visible bands; or the format is not known.
+    Raises `MissingExtraError`: matplotlib is not installed; `StoreError`: no group has an overview, of fewer
+    than three visible bands; `SchemaError`: matplotlib writes no such picture.
     """
-    try:
-        from matplotlib.figure import Figure
-    except ImportError as error:
-        needed = MissingExtraError.of("matplotlib", "viz", "a picture")
-        raise needed from error
     from hyperpaint.io.store import open_store
+    from hyperpaint.pictures.figures import new_figure, save_figure
 
     opened = {group: open_store(store, group) for group in groups}
     shown = {group: dataset["overview"] for group, dataset in opened.items() if "overview" in dataset}
@@ -350,7 +333,7 @@ def draw_renders(store: Path, groups: Sequence[str], path: Path) -> None:
         raise StoreError(f"{store} has no overview to draw: a picture takes three visible bands")
     lines, columns = next(iter(shown.values())).shape[:2]
     size = (_WIDTH * len(shown), _WIDTH * min(lines / columns, 5.0) + 0.4)
-    figure = Figure(figsize=size, layout="constrained")
+    figure = new_figure("a picture", figsize=size, layout="constrained")
     for axes, (group, picture) in zip(
         figure.subplots(1, len(shown), squeeze=False)[0], shown.items(), strict=True
     ):
@@ -358,7 +341,4 @@ def draw_renders(store: Path, groups: Sequence[str], path: Path) -> None:
         axes.imshow(picture.values, origin="lower", interpolation="nearest")
         axes.set_title(group.rpartition("/")[2].replace("_", " "))
         axes.set_axis_off()
-    try:
-        figure.savefig(path, dpi=_DPI)
-    except ValueError as error:
-        raise StoreError(f"{path}: {error}") from error
+    save_figure(figure, path, dpi=_DPI)

@@ -209,47 +209,20 @@ class Sampling:
 
 @dataclass(frozen=True)
 class SceneFile:
-    """What a ``scene.toml`` says, its paths absolute and found.
-
-    Attributes
-    ----------
-    path
-        The file.
-    name
-        Of the scene.
-    scene
-        ``[scene]``: its ``kind`` and what that kind takes.
-    meshes
-        Files with triangles.
-    platform, camera
-        Arguments of `hyperpaint.simulation.rendering.platforms.pushbroom`, and fields of
-        `hyperpaint.simulation.SimulationSettings`.
-    atmospheres
-        At least one.
-    sampling
-        How rays are drawn.
-    spectra
-        Name to the file of a spectrum.
-    paints
-        What is repainted: name of a spectrum, material or instance, to that of a spectrum.
-    product
-        "radiance" or "counts".
-    true_reflectance
-        Whether the reflectance without noise is stored as well.
-    """
+    """What a ``scene.toml`` says, its paths absolute and found."""
 
     path: Path
     name: str
-    scene: Mapping[str, Any]
+    scene: Mapping[str, Any]  #: ``[scene]``: its ``kind`` and what that kind takes.
     meshes: tuple[MeshEntry, ...]
-    platform: Mapping[str, Any]
-    camera: Mapping[str, Any]
-    atmospheres: tuple[AtmosphereEntry, ...]
+    platform: Mapping[str, Any]  #: Arguments of `hyperpaint.simulation.rendering.platforms.pushbroom`.
+    camera: Mapping[str, Any]  #: Fields of `hyperpaint.simulation.SimulationSettings`.
+    atmospheres: tuple[AtmosphereEntry, ...]  #: At least one.
     sampling: Sampling
     spectra: Mapping[str, Path]
-    paints: Mapping[str, str]
+    paints: Mapping[str, str]  #: Name of a spectrum, material or instance to that of its new spectrum.
     product: str = "radiance"
-    true_reflectance: bool = True
+    true_reflectance: bool = True  #: Whether the reflectance without noise is stored as well.
 
 
 def example_scene() -> str:
@@ -258,22 +231,10 @@ def example_scene() -> str:
 
 
 def read_scene_file(path: str | os.PathLike[str]) -> SceneFile:
-    """Read and check a ``scene.toml``; what it names is looked for, not opened.
+    """Read and check a ``scene.toml``; what it names is looked for from its folder, not opened.
 
-    Parameters
-    ----------
-    path
-        The file; paths in it are relative to its folder.
-
-    Returns
-    -------
-    SceneFile
-
-    Raises
-    ------
-    FormatError
-        Not TOML (with the line), unknown keys, wrong types or values, what is missing or not found; all
-        problems are listed.
+    Raises `FormatError`: not TOML (with the line), unknown keys, wrong types or values, what is missing or
+    not found; all problems are listed.
     """
     path = Path(path)
     raw = load_tables(path, "a scene.toml")

@@ -31,30 +31,14 @@ Spectrum = tuple[NDArray[np.float64], NDArray[np.float64]]
 
 @dataclass(frozen=True)
 class Parts:
-    """Everything that a render is made of.
-
-    Attributes
-    ----------
-    scene
-        What is seen.
-    platform
-        Where from.
-    camera
-        By what.
-    noise
-        Whether the camera has any.
-    atmospheres
-        In which light; all of them are traced.
-    spectra
-        Spectra of the file, wavelength [nm] and reflectance.
-    """
+    """Everything that a render is made of."""
 
     scene: Scene
     platform: Platform
     camera: Camera
-    noise: bool
-    atmospheres: tuple[Atmosphere, ...]
-    spectra: Mapping[str, Spectrum]
+    noise: bool  #: Whether the camera has any.
+    atmospheres: tuple[Atmosphere, ...]  #: All of them are traced.
+    spectra: Mapping[str, Spectrum]  #: Those of the file, wavelength [nm] and reflectance.
 
     @property
     def suns(self) -> list[tuple[float, float]]:
@@ -70,12 +54,8 @@ class Parts:
 def build_parts(file: SceneFile) -> Parts:
     """Return what a scene file describes.
 
-    Raises
-    ------
-    FormatError
-        Something in the file, or in a file that it names, cannot be used; all problems are listed.
-    MissingExtraError
-        A mesh needs a package that is not installed.
+    Raises `FormatError`: something in the file, or in a file that it names, cannot be used; all problems are
+    listed. Raises `MissingExtraError`: a mesh needs a package that is not installed.
     """
     problems = Problems(f"{file.path} cannot be rendered", FormatError)
     parts: dict[str, Any] = {}
@@ -101,13 +81,7 @@ def build_parts(file: SceneFile) -> Parts:
 
 
 def chosen_atmospheres(parts: Parts, names: Sequence[str]) -> tuple[Atmosphere, ...]:
-    """Return the atmospheres of these names, all where there are none.
-
-    Raises
-    ------
-    SchemaError
-        The scene file has none of that name.
-    """
+    """Return the atmospheres of these names, all without names; `SchemaError` where one is unknown."""
     by_name = {each.name: each for each in parts.atmospheres}
     unknown = [name for name in names if name not in by_name]
     if unknown:
