@@ -11,7 +11,7 @@ from typing import Self
 __all__ = [
     "CollectError", "Findings", "FormatError", "IncompleteStoreError", "MissingExtraError", "PaintError",
     "PaintWarning", "Problem", "Problems", "SchemaError", "StoreError", "TimeError", "Unavailable",
-    "UnitsError",
+    "UnitsError", "needs_extra",
 ]  # fmt: skip
 
 
@@ -143,6 +143,15 @@ class MissingExtraError(PaintError, ImportError):
     def of(cls, package: str, extra: str, purpose: str) -> MissingExtraError:
         """Return the error for ``package``, which ``pip install 'hyperpaint[extra]'`` brings."""
         return cls(f"{purpose} needs {package}; install it with: python -m pip install 'hyperpaint[{extra}]'")
+
+
+@contextlib.contextmanager
+def needs_extra(package: str, extra: str, purpose: str) -> Iterator[None]:
+    """Turn the ImportError of a package that an extra installs into a `MissingExtraError`."""
+    try:
+        yield
+    except ImportError as error:
+        raise MissingExtraError.of(package, extra, purpose) from error
 
 
 class PaintWarning(UserWarning):

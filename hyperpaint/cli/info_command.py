@@ -37,24 +37,13 @@ _HEAD = 4096
 
 
 def describe_path(path: str | Path) -> str:
-    """Return what a file or store is: dims, units, wavelengths, times, exposure, completeness.
+    """Return what a file, a Zarr store or a group of one is: dims, units, wavelengths, times, completeness.
 
     Reads headers and small files; of cubes and stores no sample. Of a ``collect.toml`` everything is opened
     that `process` would open; shown is what it would do.
 
-    Parameters
-    ----------
-    path
-        A file, a Zarr store, or a group inside one (``lot.zarr/flightlines/raw_0``).
-
-    Raises
-    ------
-    FormatError
-        The file is damaged, or of no kind known here.
-    CollectError
-        The collect cannot be processed; all problems are listed.
-    StoreError
-        The folder is not a Zarr store.
+    Raises `FormatError`: the file is damaged, or of no kind known here; `CollectError`: the collect cannot be
+    processed; all problems are listed; `StoreError`: the folder is not a Zarr store.
     """
     path = Path(path)
     if not path.exists():

@@ -75,24 +75,12 @@ def colour_matching(wavelength: npt.ArrayLike) -> Array:
 
 
 def srgb(spectra: npt.ArrayLike, wavelength: npt.ArrayLike) -> Array:
-    """Return the colours of reflectance spectra in daylight.
+    """Return the colours of reflectance spectra in daylight (..., 3), sRGB from 0 to 1, white being 1.
 
-    Parameters
-    ----------
-    spectra : (..., band)
-        Reflectance [1]; where it is NaN the neighbours stand in.
-    wavelength : (band,)
-        Increasing [nm].
+    ``spectra`` (..., band): reflectance [1]; where it is NaN the neighbours stand in; ``wavelength`` (band,):
+    increasing [nm]. NaN where no visible band has a value.
 
-    Returns
-    -------
-    (..., 3), float32
-        sRGB from 0 to 1, white being a reflectance of 1; NaN where no visible band has a value.
-
-    Raises
-    ------
-    SchemaError
-        There are fewer than three bands between 380 and 780 nm.
+    Raises `SchemaError`: there are fewer than three bands between 380 and 780 nm.
 
     Examples
     --------
@@ -164,12 +152,7 @@ _TO_XYZ = np.array(
 
 
 def parse_colour(colour: str) -> Floats:
-    """Return sRGB (rgb,) from 0 to 1 of a colour's name or hexadecimal digits.
-
-    Raises
-    ------
-    SchemaError
-        It is neither.
+    """Return sRGB (rgb,) from 0 to 1 of a colour's name or hexadecimal digits; `SchemaError` for others.
 
     Examples
     --------

@@ -11,72 +11,37 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from hyperpaint.base.errors import MissingExtraError, Problems, SchemaError
+from hyperpaint.base.errors import Problems, SchemaError, needs_extra
 
 __all__ = [
-    "axes_or_new",
-    "check_picture",
-    "data_uri",
-    "encode_png",
-    "label_for",
-    "new_figure",
-    "png_of",
+    "axes_or_new", "check_picture", "data_uri", "encode_png", "label_for", "new_figure", "png_of",
     "save_figure",
-]
+]  # fmt: skip
 
 _LONGEST_LABEL = 60
 
 
 def new_figure(purpose: str, **options: Any) -> Any:
-    """Return a matplotlib figure that no screen and no global state knows of.
+    """Return a matplotlib figure that no screen and no global state knows of, with options of `Figure`.
 
-    Parameters
-    ----------
-    purpose
-        Opens the message where matplotlib is missing, such as "a quicklook".
-    **options
-        Of `matplotlib.figure.Figure`.
-
-    Raises
-    ------
-    MissingExtraError
-        matplotlib is not installed.
+    ``purpose``, such as "a quicklook", opens the message where matplotlib is missing (`MissingExtraError`).
     """
-    try:
+    with needs_extra("matplotlib", "viz", purpose):
         from matplotlib.figure import Figure
-    except ImportError as error:
-        needed = MissingExtraError.of("matplotlib", "viz", purpose)
-        raise needed from error
     return Figure(**options)
 
 
 def axes_or_new(axes: Any, purpose: str, **options: Any) -> Any:
-    """Return the axes given, or those of a new figure of pyplot, which a notebook shows by itself.
-
-    Raises
-    ------
-    MissingExtraError
-        matplotlib is not installed.
-    """
+    """Return the axes given, or those of a new figure of pyplot, which a notebook shows by itself."""
     if axes is not None:
         return axes
-    try:
+    with needs_extra("matplotlib", "viz", purpose):
         from matplotlib import pyplot
-    except ImportError as error:
-        needed = MissingExtraError.of("matplotlib", "viz", purpose)
-        raise needed from error
     return pyplot.subplots(layout="constrained", **options)[1]
 
 
 def label_for(text: object, longest: int = _LONGEST_LABEL) -> str:
     r"""Return a text as matplotlib draws it letter by letter: no formula, nothing hidden, no control sign.
-
-    Parameters
-    ----------
-    text
-        What to draw.
-    longest
-        Letters at the most.
 
     Examples
     --------
@@ -91,13 +56,7 @@ def label_for(text: object, longest: int = _LONGEST_LABEL) -> str:
 
 
 def save_figure(figure: Any, path: str | Path | None, dpi: int = 110) -> None:
-    """Write a figure to a file, where one is named.
-
-    Raises
-    ------
-    SchemaError
-        matplotlib writes no such picture.
-    """
+    """Write a figure to a file, where one is named; `SchemaError` where matplotlib writes no such picture."""
     if path is None:
         return
     try:
@@ -107,14 +66,7 @@ def save_figure(figure: Any, path: str | Path | None, dpi: int = 110) -> None:
 
 
 def check_picture(path: Path) -> None:
-    """Refuse a place for a picture before anything is drawn.
-
-    Raises
-    ------
-    MissingExtraError
-        matplotlib is not installed.
-    SchemaError
-        A picture may not go there; all reasons are listed.
+    """Refuse a place for a picture before anything is drawn; all reasons are listed.
 
     Examples
     --------

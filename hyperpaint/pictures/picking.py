@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from hyperpaint.base import schema
 from hyperpaint.base.arrays import Floats, Floats32
-from hyperpaint.base.errors import MissingExtraError, PaintError, SchemaError
+from hyperpaint.base.errors import PaintError, SchemaError, needs_extra
 from hyperpaint.base.schema import ALONG_TRACK, CROSS_TRACK
 from hyperpaint.paints.signatures import extract_signatures
 from hyperpaint.regions import Region, Regions, regions_from, write_regions
@@ -83,17 +83,8 @@ def pick_regions(
 def corners_at(along: Sequence[float], across: Sequence[float], shape: tuple[int, int]) -> Floats | None:
     """Return places on the picture as corners of a polygon: whole pixels of the line, no two alike in a row.
 
-    Parameters
-    ----------
-    along, across
-        Places, as they were clicked.
-    shape
-        Lines and columns.
-
-    Returns
-    -------
-    (vertex, 2), float64, or None
-        x (cross_track) and y (along_track); None where they hold no area.
+    ``along`` and ``across`` are places as they were clicked, ``shape`` lines and columns. Returns (vertex,
+    2), x (cross_track) and y (along_track); None where the corners hold no area.
 
     Examples
     --------
@@ -115,10 +106,7 @@ def corners_at(along: Sequence[float], across: Sequence[float], shape: tuple[int
 class RegionPicker:
     """A picture of a flight line to draw regions on; see `pick_regions`.
 
-    Attributes
-    ----------
-    view
-        The widget: a layout of panel, which ``panel serve`` shows as well.
+    ``view`` is the widget: a layout of panel, which ``panel serve`` shows as well.
     """
 
     def __init__(
@@ -130,8 +118,9 @@ class RegionPicker:
         lines: int = 2000,
         exclude: schema.Quality | int | None = None,
     ) -> None:
-        _need_extra()
-
+        for package in ("panel", "bokeh"):
+            with needs_extra(package, "interactive", "drawing regions with the mouse"):
+                __import__(package)
         self._line = schema.rename_to_roles(line)
         self._shape = self._line.sizes[ALONG_TRACK], self._line.sizes[CROSS_TRACK]
         self._exclude = exclude
@@ -213,15 +202,6 @@ class RegionPicker:
         return self.view._repr_mimebundle_(include, exclude)
 
 
-def _need_extra() -> None:
-    for package in ("panel", "bokeh"):
-        try:
-            __import__(package)
-        except ImportError as error:
-            needed = MissingExtraError.of(package, "interactive", "drawing regions with the mouse")
-            raise needed from error
-
-
 def _on_sensor(regions: Any) -> Regions:
     outlines = Regions(()) if regions is None else regions_from(regions)
     if outlines.coordinates != "sensor":
@@ -248,13 +228,7 @@ _PICTURE_HEIGHT, _SPECTRA_HEIGHT = 460, 300
 
 
 class PickerView:
-    """The widget: tells the picker what the mouse did, and shows what came of it.
-
-    Attributes
-    ----------
-    layout
-        A column of panel.
-    """
+    """The widget, ``layout``: calls the picker with what the mouse did, and shows the result."""
 
     def __init__(self, picker: RegionPicker, picture: Floats32, shape: tuple[int, int]) -> None:
         import panel
@@ -273,12 +247,12 @@ class PickerView:
         self._name = widgets.TextInput(**_called(widgets.TextInput, "Rename it"), width=200)
         self._undo = widgets.Button(**_called(widgets.Button, "Undo corner"), width=110, align="end")
         self._remove = widgets.Button(**_called(widgets.Button, "Remove region"), width=120, align="end")
-        self._told = panel.pane.HTML("", sizing_mode="stretch_width", align="end")
+        self._message = panel.pane.HTML("", sizing_mode="stretch_width", align="end")
         self.layout = panel.Column(
             panel.pane.HTML(_HELP, sizing_mode="stretch_width"),
             panel.pane.Bokeh(self._picture(picture, shape), sizing_mode="stretch_width"),
             panel.Row(
-                self._chosen, self._name, self._undo, self._remove, self._told, sizing_mode="stretch_width"
+                self._chosen, self._name, self._undo, self._remove, self._message, sizing_mode="stretch_width"
             ),
             panel.pane.Bokeh(self._spectra(), sizing_mode="stretch_width"),
             sizing_mode="stretch_width",
@@ -357,7 +331,7 @@ class PickerView:
         self._draft.data = {"along": [], "across": []}
         self._show(name)
         if name is None:
-            self._told.object = "these corners hold no area: click three or more, double-click the last"
+            self._message.object = "these corners hold no area: click three or more, double-click the last"
 
     def _draw_draft(self, stop: int | None, *more: tuple[float, float]) -> None:
         draft = self._draft.data
@@ -379,7 +353,7 @@ class PickerView:
         problem = self._picker.rename(name, new)
         self._show(new.strip() if problem is None else name)
         if problem is not None:
-            self._told.object = html.escape(problem)
+            self._message.object = html.escape(problem)
 
     def _drop(self) -> None:
         if self._chosen.value is not None:
@@ -420,7 +394,7 @@ class PickerView:
         }
         problems = self._show_spectra(regions, widths)
         count = f"{len(regions)} region{'' if len(regions) == 1 else 's'}"
-        self._told.object = "<br>".join(map(html.escape, problems)) or count
+        self._message.object = "<br>".join(map(html.escape, problems)) or count
 
     def _show_spectra(self, regions: Regions, widths: list[float]) -> list[str]:
         """Show the spectrum of every region; return what is wrong with some."""

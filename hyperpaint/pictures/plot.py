@@ -128,17 +128,8 @@ def _levels(linear: xr.DataArray, lines: Any, stretch: tuple[float, float]) -> t
 def overview(dataset: xr.Dataset) -> xr.DataArray | None:
     """Return a small true-colour picture of a flight line, as it is stored beside it.
 
-    Lazy, from the same slabs that are written: no cube is read twice.
-
-    Parameters
-    ----------
-    dataset
-        Has ``reflectance`` (along_track, band, cross_track) and ``wavelength``.
-
-    Returns
-    -------
-    DataArray or None
-        (overview_y, overview_x, rgb) uint8, of at most `OVERVIEW_SHAPE`; None without three visible bands.
+    Lazy, from the same slabs that are written: no cube is read twice. (overview_y, overview_x, rgb) uint8, of
+    at most `OVERVIEW_SHAPE`; None without three visible bands.
     """
     along, across = schema.ALONG_TRACK, schema.CROSS_TRACK
     steps = {
@@ -204,13 +195,7 @@ def quicklook(dataset: xr.Dataset, path: str | Path | None = None, *, lines: int
 
 
 def flags_of(dataset: xr.Dataset) -> Array:
-    """Return the flags of all pixels (along_track, cross_track), as integers.
-
-    Raises
-    ------
-    SchemaError
-        ``quality`` is missing, on other dims, or no integers.
-    """
+    """Return the flags of all pixels (along_track, cross_track), as integers."""
     quality = schema.require(dataset, ["quality"], "a picture of flags")["quality"]
     if quality.dtype.kind not in "iu":
         raise SchemaError(f"quality is {quality.dtype}, expected uint16: one bit a flag")

@@ -131,15 +131,7 @@ def background(dataset: xr.Dataset, step: int) -> Array:
 
 
 def draw_outlines(axes: Any, regions: Iterable[Region]) -> None:
-    """Draw the outlines of regions, with their names, over a picture made by `flag_overlay`.
-
-    Parameters
-    ----------
-    axes
-        matplotlib axes, x is along_track.
-    regions
-        In sensor coordinates.
-    """
+    """Draw regions (sensor coordinates) with their names on axes of `flag_overlay`, x along_track."""
     from matplotlib.patheffects import withStroke
 
     seen = [withStroke(linewidth=2.5, foreground="black")]

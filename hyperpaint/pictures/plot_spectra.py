@@ -154,20 +154,10 @@ def _draw_paints(axes: Any, library: xr.Dataset, paints: str | Iterable[str] | N
 def draw_band(
     axes: Any, paint: xr.Dataset, wavelength: Array, is_good: Array, spread: str, colour: Any
 ) -> None:
-    """Shade how far the pixels of one paint are spread.
+    """Shade how far the pixels of one paint of a library are spread; see `spectrum` for ``spread``.
 
-    Parameters
-    ----------
-    axes
-        matplotlib axes.
-    paint
-        One paint of a library.
-    wavelength, is_good : (band,)
-        Of the bands, and which of them may be shown.
-    spread
-        See `spectrum`; what the library does not hold is not drawn.
-    colour
-        Of the shade.
+    ``wavelength`` and ``is_good`` (band,): of the bands, and which of them may be shown. What the library
+    does not hold is not drawn.
     """
     if spread == "quantiles" and "reflectance_quantiles" in paint:
         levels = paint[schema.QUANTILE].values

@@ -254,13 +254,7 @@ def _crs(document: Mapping[str, Any], problems: Problems) -> str | None:
 
 
 def _region(feature: Any) -> Region:
-    """Return a feature as a region.
-
-    Raises
-    ------
-    SchemaError
-        It is none.
-    """
+    """Return a feature as a region; `SchemaError` where it is none."""
     if not isinstance(feature, Mapping) or feature.get("type") != "Feature":
         raise SchemaError(f"{type(feature).__name__}, expected a Feature")
     properties = feature.get("properties")

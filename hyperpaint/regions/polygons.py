@@ -39,23 +39,12 @@ _FREE = 10_000_000
 def contains(polygon: Floats, holes: Sequence[Floats], x: Floats, y: Floats) -> Bools:
     """Return which points lie in a polygon or on one of its edges (point,).
 
-    Parameters
-    ----------
-    polygon : (vertex, 2)
-        x and y of its corners, in order; the last is joined to the first.
-    holes
-        Rings cut out of it, as ``polygon``; a hole's edge belongs to the polygon.
-    x, y : (point,)
-        The points; NaN are in no polygon.
+    ``polygon`` (vertex, 2): x and y of its corners, in order, the last joined to the first; ``holes``: rings
+    cut out of it, whose edges belong to the polygon; ``x``, ``y`` (point,): the points; NaN are in no
+    polygon. Where a ring crosses itself, what it winds around an even number of times is outside (even-odd
+    rule).
 
-    Raises
-    ------
-    SchemaError
-        Too many long edges: it would take minutes.
-
-    Notes
-    -----
-    Where a ring crosses itself, what it winds around an even number of times is outside (even-odd rule).
+    Raises `SchemaError`: too many long edges: it would take minutes.
 
     Examples
     --------

@@ -54,16 +54,8 @@ def line_section(
 ) -> Iterator[Part]:
     """Yield the parts of a flight line's section; each is to be drawn before the next is asked for.
 
-    Parameters
-    ----------
-    line
-        The flight line.
-    lines
-        Lines of a picture at the most.
-    regions
-        Outlined on the picture, in sensor coordinates.
-    note
-        What is said of the flags.
+    A picture has ``lines`` lines at the most; ``regions``, in sensor coordinates, are outlined on it, and
+    ``note`` is said of the flags.
     """
     yield "facts", lambda: page_part("facts", pairs=list(facts_of_line(line)))
     yield from _pictures(line, lines, regions)

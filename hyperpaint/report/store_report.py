@@ -39,21 +39,11 @@ _SOUGHT = "Glint, shadow and light of neighbours"
 
 @dataclass(frozen=True)
 class Written:
-    """What a report came to.
+    """What a report came to."""
 
-    Attributes
-    ----------
-    path
-        The page.
-    flightlines
-        Groups that it shows.
-    problems
-        What of the store could not be read, as the page says it too.
-    """
-
-    path: Path
-    flightlines: tuple[str, ...]
-    problems: tuple[str, ...]
+    path: Path  #: The page.
+    flightlines: tuple[str, ...]  #: Groups that it shows.
+    problems: tuple[str, ...]  #: What of the store could not be read, as the page says it too.
 
 
 def write_report(
@@ -121,7 +111,8 @@ def write_report(
     from hyperpaint.io.store import list_groups
 
     new_figure("a report")  # before anything is read
-    place = _checked_place(store, Path(out), overwrite)
+    place = Path(out)
+    _check_place(store, place, overwrite)
     if lines < 1:
         raise SchemaError(f"lines={lines}, expected 1 or more")
     opened, problems = _opened(store, list_groups(store))
@@ -134,13 +125,11 @@ def write_report(
         raise StoreError(f"{store} has nothing to show, neither a flight line nor signatures: {reason}")
     outlines = _outlines(shown, libraries, problems)
     steps = len(shown) + len(libraries) + ("calibration" in opened)
-    parts: list[tuple[str, Iterator[Part]]] = [
-        *(
-            (name, _flagged_section(line, lines, outlines[name], flags, sun_zenith, share))
-            for (name, line), share in zip(shown.items(), _shares(progress, steps), strict=False)
-        ),
-        *((name, library_section(library)) for name, library in libraries.items()),
-    ]
+    parts: list[tuple[str, Iterator[Part]]] = []
+    for number, (name, line) in enumerate(shown.items()):
+        share = part_of(progress, number, steps)
+        parts.append((name, _flagged_section(line, lines, outlines[name], flags, sun_zenith, share)))
+    parts += [(name, library_section(library)) for name, library in libraries.items()]
     if "calibration" in opened:
         parts.append(("calibration", calibration_section(opened["calibration"])))
     sections = []
@@ -155,11 +144,6 @@ def write_report(
     if progress is not None:
         progress(1000 * steps, 1000 * steps)
     return Written(place, tuple(shown), tuple(problems))
-
-
-def _shares(progress: Progress | None, steps: int) -> list[Progress | None]:
-    """Return what each of several sections tells its progress to."""
-    return [part_of(progress, number, steps) for number in range(steps)]
 
 
 def _flagged_section(
@@ -194,14 +178,8 @@ def _with_flags(line: xr.Dataset, sun_zenith: float | None, progress: Progress |
 # --- what there is to show ---------------------------------------------------------------------------------
 
 
-def _checked_place(store: str | os.PathLike[str], place: Path, overwrite: bool) -> Path:
-    """Return where the page goes.
-
-    Raises
-    ------
-    StoreError
-        It may not go there; all reasons are listed.
-    """
+def _check_place(store: str | os.PathLike[str], place: Path, overwrite: bool) -> None:
+    """Refuse a place for the page; all reasons are listed."""
     problems = Problems(f"the report cannot be written to {place}", StoreError)
     inside, around = place.resolve(), Path(store).resolve()
     if inside == around or around in inside.parents:
@@ -217,7 +195,6 @@ def _checked_place(store: str | os.PathLike[str], place: Path, overwrite: bool) 
     if not place.absolute().parent.is_dir():
         problems.add(f"there is no folder {place.absolute().parent}")
     problems.raise_if_any()
-    return place
 
 
 def _opened(store: str | os.PathLike[str], groups: Sequence[str]) -> tuple[dict[str, xr.Dataset], list[str]]:

@@ -300,21 +300,10 @@ def is_flagged(line: xr.Dataset) -> bool:
 def flag_line(
     line: xr.Dataset, *, progress: Callable[[int, int], None] | None = None, **options: Any
 ) -> Flagged:
-    """Survey a line, and flag it.
+    """Survey a line with ``reflectance``, and flag it; of a smile above 1 nm, at nominal wavelengths.
 
-    Parameters
-    ----------
-    line
-        With ``reflectance``. Where its smile is above 1 nm, spectra are brought to nominal wavelengths first.
-    progress
-        Called with lines surveyed and to do; flags are lazy.
-    **options
-        Thresholds of `hyperpaint.flag`, and options of `hyperpaint.survey`.
-
-    Raises
-    ------
-    MissingExtraError, SchemaError, UnitsError
-        As `hyperpaint.flag` and `hyperpaint.survey`.
+    ``options`` are thresholds of `flag` and options of `survey`; ``progress`` is called with lines surveyed
+    and to do; flags are lazy. Raises as `flag` and `survey`.
     """
     seen = to_nominal(line) if _has_smile(line) else line
     limits = {name: options.pop(name) for name in _LIMITS if name in options}

@@ -28,15 +28,10 @@ CELL = 4
 def two_nearest(neighbour: Index, body: Index, paint: Index, number: Index, first: int) -> Index:
     """Return the two nearest coloured bodies, of other paint than its own, of the pixels of some lines.
 
-    Takes ``neighbour`` (cell_along, cell_cross, rank): segments nearest to a cell, -1 for none; ``body``
-    (segment,): body of a segment; ``paint`` (segment,): what is the same for all bodies of one paint;
-    ``number`` (line, column): segment of every pixel of these lines, -1 without data; ``first``: number of
-    the first of these lines.
-
-    Returns
-    -------
-    (line, column, 2), int32
-        Numbers of segments, -1 for none.
+    (line, column, 2), int32: numbers of segments, -1 for none. Takes ``neighbour`` (cell_along, cell_cross,
+    rank): segments nearest to a cell, -1 for none; ``body`` (segment,): body of a segment; ``paint``
+    (segment,): what is the same for all bodies of one paint; ``number`` (line, column): segment of every
+    pixel of these lines, -1 without data; ``first``: number of the first of these lines.
     """
     lines, columns = number.shape
     cells = neighbour[(first + np.arange(lines)) // CELL][:, np.arange(columns) // CELL]
@@ -195,13 +190,7 @@ class SceneModel:
         return np.append(self.body, np.int32(-1))[segment]
 
     def neighbours(self, start: int, stop: int) -> npt.NDArray[np.int32]:
-        """Return the two nearest coloured bodies, of other paint than its own, of the pixels of some lines.
-
-        Returns
-        -------
-        (line, column, 2), int32
-            Numbers of segments, -1 for none.
-        """
+        """Return `two_nearest` of the pixels of some lines (line, column, 2); -1 for none."""
         return two_nearest(self.neighbour, self.body, self.paint, self.segment[start:stop], start)
 
     def to_dataset(self) -> xr.Dataset:
@@ -218,11 +207,8 @@ class SceneModel:
     def from_dataset(cls, dataset: xr.Dataset) -> SceneModel:
         """Return the model that a Dataset holds.
 
-        Raises
-        ------
-        SchemaError
-            Variables are missing or have other dims, types or sizes, or numbers point at segments or channels
-            that are not there, or the diffuse fraction leaves 0 to 1; all are listed.
+        Raises `SchemaError`: variables are missing or have other dims, types or sizes, or numbers point at
+        segments or channels that are not there, or the diffuse fraction leaves 0 to 1; all are listed.
         """
         problems = Problems("this is no scene model", SchemaError)
         fields: dict[str, Any] = {}

@@ -12,9 +12,9 @@ import numpy as np
 
 from hyperpaint.base import schema
 from hyperpaint.base.arrays import Floats, Floats32, Ints
-from hyperpaint.base.errors import MissingExtraError, Problems, SchemaError
+from hyperpaint.base.errors import Problems, SchemaError, needs_extra
 from hyperpaint.base.schema import BAND, PAINT
-from hyperpaint.light.sun import diffuse_fraction, solar_position
+from hyperpaint.light.sun import air_mass, diffuse_fraction, solar_position
 
 from .detection_rules import DIFFUSE
 from .model import SHADED
@@ -42,13 +42,7 @@ SOURCES = ("model", "pvlib", "shadow")
 
 
 def sun_zenith_of(line: xr.Dataset, sun_zenith: float | None) -> float:
-    """Return the zenith angle of the sun [degree], given or from time and place of the line.
-
-    Raises
-    ------
-    SchemaError
-        Neither is known.
-    """
+    """Return the zenith angle of the sun [degree], given or from time and place of the line."""
     if sun_zenith is not None:
         if not 0.0 <= sun_zenith <= 90.0:
             raise SchemaError(f"sun_zenith={sun_zenith!r}, expected 0 to 90 degrees")
@@ -98,21 +92,11 @@ def diffuse_from_clear_sky(source: str, wavelength: Floats, zenith: float) -> Fl
 
     pvlib's SPECTRL2 (Bird & Riordan, J. Climate Appl. Meteor. 25, 87, 1986) is asked for sea level, 1.5 cm of
     water vapour, 0.31 atm-cm of ozone and a turbidity of 0.1 at 500 nm.
-
-    Raises
-    ------
-    MissingExtraError
-        pvlib is not installed.
     """
     if source != "pvlib":
         return diffuse_fraction(wavelength, zenith)
-    try:
+    with needs_extra("pvlib", "sim", "the direct/diffuse split of SPECTRL2"):
         from pvlib.spectrum import spectrl2
-    except ImportError as error:
-        needed = MissingExtraError.of("pvlib", "sim", "the direct/diffuse split of SPECTRL2")
-        raise needed from error
-    from hyperpaint.light.sun import air_mass
-
     spectra: Any = spectrl2(
         apparent_zenith=zenith,
         aoi=zenith,
@@ -132,15 +116,10 @@ def diffuse_from_clear_sky(source: str, wavelength: Floats, zenith: float) -> Fl
 
 
 def measured_fraction(given: Any, wavelength: Floats) -> Floats:
-    """Return a measured diffuse fraction at the bands' wavelengths.
+    """Return a measured diffuse fraction at the bands' wavelengths; `SchemaError` where it does not fit them.
 
     Takes ``given`` (band,) or DataArray with a coordinate ``wavelength``: reading in the shade of a small
     disc over that in full light [1]; ``wavelength`` (band,): [nm].
-
-    Raises
-    ------
-    SchemaError
-        It does not fit the bands, or leaves 0 to 1.
     """
     if hasattr(given, "coords") and "wavelength" in given.coords:
         nm = np.asarray(given["wavelength"].values, np.float64)
@@ -165,12 +144,7 @@ def fraction_in_shadow(
 
     :math:`f_{dif} = \rho_{shadow} / \rho_{sun}`, of the pixels of the shadow that see most of the sky: the
     60th to 90th percentile of brightness in the bluest quarter. What things around hide of the sky, and light
-    that comes off them, is not known, and remains in it.
-
-    Raises
-    ------
-    SchemaError
-        There is no such shadow.
+    that comes off them, is not known, and remains in it. Raises `SchemaError`: there is no such shadow.
     """
     shaded = np.flatnonzero((matches.state == SHADED) & (size >= DIFFUSE.min_shadow_px))
     if not shaded.size:

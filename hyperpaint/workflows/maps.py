@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from hyperpaint.base.attitude_conventions import Convention
-from hyperpaint.base.errors import MissingExtraError, SchemaError
+from hyperpaint.base.errors import SchemaError, needs_extra
 from hyperpaint.geometry.georeference import PinholeCamera
 from hyperpaint.geometry.orthorectification import orthorectify
 
@@ -98,11 +98,8 @@ def _line_of(store: Path, line: str | None) -> xr.Dataset:
 
 
 def _heights(path: Path, reference: str | None, undulation: float | None) -> xr.DataArray:
-    try:
+    with needs_extra("rioxarray", "geo", "opening a DEM"):
         import rioxarray
-    except ImportError as error:
-        needed = MissingExtraError.of("rioxarray", "geo", "opening a DEM")
-        raise needed from error
     dem: Any = rioxarray.open_rasterio(path, masked=True)
     references = {"height_reference": reference, "geoid_undulation": undulation}
     heights: xr.DataArray = dem.assign_attrs(

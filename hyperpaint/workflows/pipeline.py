@@ -15,12 +15,12 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from hyperpaint.base.errors import (
     CollectError,
-    MissingExtraError,
     PaintError,
     Problems,
     SchemaError,
     StoreError,
-)
+    needs_extra,
+)  # fmt: skip
 from hyperpaint.base.schema import ALONG_TRACK, CHUNK_LINES, FORMAT_VERSION
 from hyperpaint.io.store.groups import INPUTS
 
@@ -137,11 +137,8 @@ def computing_on(address: str | None) -> Iterator[Client | None]:
             _wait_for_workers(client)
         yield client
         return
-    try:
+    with needs_extra("distributed", "distributed", "processing on a cluster"):
         from distributed import Client
-    except ImportError as error:
-        needed = MissingExtraError.of("distributed", "distributed", "processing on a cluster")
-        raise needed from error
     try:
         # as default client, one that finds no scheduler would stay the default, and every later compute waits
         client = Client(address, timeout="10s", set_as_default=False)

@@ -42,9 +42,7 @@ __all__ = [
 
 
 def absorption_to_scattering(reflectance: npt.ArrayLike) -> Floats:
-    """Return K/S of a thick layer [1].
-
-    Takes ``reflectance``: of the layer without an interface [1], above 0 and up to 1, any shape.
+    """Return K/S [1] of a thick layer without an interface from its reflectance, above 0 and up to 1 [1].
 
     Examples
     --------
@@ -56,9 +54,7 @@ def absorption_to_scattering(reflectance: npt.ArrayLike) -> Floats:
 
 
 def thick_layer_reflectance(ratio: npt.ArrayLike) -> Floats:
-    """Return the reflectance of a thick layer without an interface [1]; undoes `absorption_to_scattering`.
-
-    Takes ``ratio``: K/S [1], 0 or more, any shape.
+    """Return the reflectance [1] of a thick layer from its K/S [1]; undoes `absorption_to_scattering`.
 
     Examples
     --------
@@ -133,16 +129,9 @@ class Coating:
     def ratio(self, reflectance: npt.ArrayLike, names: list[str]) -> Floats:
         """Return K/S [1] of spectra (paint, ..., band); NaN where there is none.
 
-        Raises
-        ------
-        SchemaError
-            Over a twentieth of the spectra of a paint is darker than the light that the coat mirrors; all
-            such paints are listed.
-
-        Warns
-        -----
-        PaintWarning
-            Some values no such layer can have; they are replaced by the nearest that it can.
+        Raises `SchemaError`: over a twentieth of the spectra of a paint is darker than the light that the
+        coat mirrors; all such paints are listed. Warns of values that no such layer can have; they are
+        replaced by the nearest that it can.
         """
         values = np.asarray(reflectance, np.float64)
         layer = self.interface.layer(values - self.mirrored)
@@ -189,10 +178,7 @@ def coating_of(library: xr.Dataset, k1: float, k2: float, mirrored: Any) -> Coat
     `Interface`; ``mirrored``: mirrored light that the reflectance holds [1]: a number, or one a band. None:
     none where the library says that it is excluded, or has it apart as ``specular_reflectance``; else k1.
 
-    Raises
-    ------
-    SchemaError
-        One of them is no reflectance, or the attribute says neither; all are listed.
+    Raises `SchemaError`: one of them is no reflectance, or the attribute says neither; all are listed.
     """
     interface = Interface(k1, k2)
     problems = Problems("the light that the coat mirrors is not known", SchemaError)

@@ -66,13 +66,7 @@ def text_column(texts: Sequence[str]) -> npt.NDArray[np.object_]:
 
 
 def specular_of(library: xr.Dataset) -> Array:
-    """Return what the coats of a library mirror (paint, band) [1].
-
-    Raises
-    ------
-    UnitsError
-        Its units are missing or cannot be read.
-    """
+    """Return what the coats of a library mirror (paint, band) [1]."""
     return np.asarray(convert(library[SPECULAR], "1").transpose(PAINT, BAND).values)
 
 

@@ -40,20 +40,13 @@ def gather(
     small: Mapping[str, xr.DataArray],
     progress: Progress | None = None,
 ) -> tuple[dict[str, Array], dict[str, Array]]:
-    """Return the spectra of pixels, single values of them, and small variables of the line.
+    """Return the spectra of pixels (pixel, band), float32, by cube, and values by name of other variables.
 
     Takes ``cubes``: cubes (along_track, band, cross_track), by name; ``planes``: variables (along_track,
     cross_track), by name; ``along``, ``across`` (pixel,): positions; ``bands``: which bands; ``small``:
     variables (along_track), which are read whole, in the same pass; ``progress``: called with blocks done and
-    to do.
-
-    Returns
-    -------
-    spectra
-        (pixel, band), float32, by name of the cube.
-    values
-        Of the planes (pixel,) and of the small variables (along_track,), by name; and ``present`` (pixel,),
-        whether a pixel has a value in any band of the first cube, also in one that was not asked for.
+    to do. Values are those of the planes (pixel,) and of the small variables (along_track,), and ``present``
+    (pixel,), whether a pixel has a value in any band of the first cube, also in one that was not asked for.
     """
     import dask
 

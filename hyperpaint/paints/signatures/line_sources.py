@@ -45,22 +45,11 @@ _ALONG_THE_VERTICAL = 1e-6
 class Viewing:
     """What a flight line says of its directions of view.
 
-    Parameters
-    ----------
-    found
-        Those that it has of ``view_zenith``, ``view_azimuth`` (along_track, cross_track), ``look_angle``
-        (cross_track) and `ATTITUDE` (along_track) [degree].
-    problems
-        Why others cannot be used.
-
-    Attributes
-    ----------
-    planes, lines
-        Variables of pixels and of lines that directions are made of.
-    look : (cross_track,), float64
-        Look angles [degree]; None where they are not needed.
-    description
-        Where directions are from, or why they are not known.
+    Takes ``variables``: those that it has of ``view_zenith``, ``view_azimuth`` (along_track, cross_track),
+    ``look_angle`` (cross_track) and `ATTITUDE` (along_track) [degree]; ``problems``: why others cannot be
+    used. Directions are made of ``planes`` and ``lines``, variables of pixels and of lines, and of ``look``,
+    the look angles (cross_track,) [degree], None where they are not needed; ``description`` says where
+    directions are from, or why they are not known.
     """
 
     def __init__(self, variables: Mapping[str, xr.DataArray], problems: tuple[str, ...] = ()) -> None:
@@ -187,11 +176,8 @@ def source_of(
 ) -> Source:
     """Return what signatures need of a flight line; nothing of a cube is computed.
 
-    Raises
-    ------
-    SchemaError, UnitsError
-        There is no reflectance, and none can be computed; it is smoothed already, or the mirrored sky
-        removed; or it is not known where the sun is.
+    Raises `SchemaError`, `UnitsError`: there is no reflectance, and none can be computed; it is smoothed
+    already, or the mirrored sky removed; or it is not known where the sun is.
     """
     line = schema.rename_to_roles(line)
     if "reflectance" not in line.variables:
@@ -241,10 +227,7 @@ def source_of(
 def lines_of(line: Any, regions: Regions) -> dict[str, tuple[xr.Dataset, list[int]]]:
     """Return the flight lines that regions are on, and the positions of the regions on each.
 
-    Raises
-    ------
-    SchemaError
-        A region names another line than there is, or none where there are several; all are listed.
+    Raises `SchemaError`: a region names another line than there is, or none where there are several.
     """
     problems = Problems("regions cannot be found on their flight lines", SchemaError)
     given = _by_name(line)

@@ -31,31 +31,13 @@ _NAT = np.datetime64("NaT", "ns")
 
 
 class Draft:
-    """What is known so far of the signature of one region.
+    """What is known so far of the signature of one region, at ``place`` of a flight line.
 
-    Parameters
-    ----------
-    source
-        The flight line.
-    place
-        Positions of the region's pixels along and across the track.
-
-    Attributes
-    ----------
-    n, excluded
-        Pixels that are used, and that are left out.
-    flags
-        Of the pixels that are used.
-    share : (flag,), float64
-        How many of all pixels have each flag [1].
-    spectra
-        ``reflectance``, ``reflectance_sd``, and uncertainties (band,), ``reflectance_quantiles`` (quantile,
-        band), ``member_reflectance`` (member, band), float64; NaN where not known.
-    member_place
-        Positions of the members along and across the track.
-    at
-        ``time``, ``sun_zenith``, ``sun_azimuth``, ``irradiance_age``, ``view_zenith``, ``view_azimuth``,
-        ``relative_azimuth``.
+    ``n`` pixels are used, with ``flags``, ``excluded`` ones left out; ``share`` (flag,) of all has each flag
+    [1]. ``spectra`` holds ``reflectance``, ``reflectance_sd``, and uncertainties (band,),
+    ``reflectance_quantiles`` (quantile, band) and ``member_reflectance`` (member, band), float64, NaN where
+    not known; ``member_place`` positions of the members along and across the track; ``at`` time, sun, view
+    and age of the irradiance.
     """
 
     def __init__(self, source: Source, place: Pixels) -> None:

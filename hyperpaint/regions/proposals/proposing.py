@@ -38,14 +38,8 @@ def outline(mask: Bools, first: tuple[int, int] = (0, 0)) -> tuple[Floats, tuple
     """Return the ring around a connected set of pixels, and those around its holes.
 
     Takes ``mask`` (line, column): the pixels; neighbours share a side; ``first``: line and column of the
-    first pixel of ``mask`` in the flight line.
-
-    Returns
-    -------
-    polygon : (vertex, 2), float64
-        x (column) and y (line) of its corners, halfway between pixel centres.
-    holes
-        Rings cut out of it.
+    first pixel of ``mask`` in the flight line. Rings are x (column) and y (line) of corners (vertex, 2),
+    halfway between pixel centres.
 
     Examples
     --------
