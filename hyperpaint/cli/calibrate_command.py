@@ -7,7 +7,7 @@ from typing import Any
 
 import click
 
-from .console import is_watched, progress_bar
+from .console import EXISTING, FILE, PLACE, is_watched, progress_bar
 
 __all__ = ["calibrate"]
 
@@ -24,32 +24,30 @@ A collect.toml can also name the sweep itself:
   [calibration]
   sweep = 'lab/sweep.zarr'""",
 )
-@click.argument("sweep", metavar="SWEEP.zarr", type=click.Path(exists=True, path_type=Path))
-@click.option(
-    "--out", required=True, metavar="CAL.zarr", type=click.Path(path_type=Path), help="The calibration."
-)
+@click.argument("sweep", metavar="SWEEP.zarr", type=EXISTING)
+@click.option("--out", required=True, metavar="CAL.zarr", type=PLACE, help="The calibration.")
 @click.option(
     "--shape", "srf_shape", type=click.Choice(["gaussian", "slit"]),
     help="Line shape of the camera.  [default: the one that the lines fit better]",
 )  # fmt: skip
 @click.option(
-    "--flux-uncertainty", type=click.FloatRange(0.0, 1.0), metavar="SHARE", default=0.04, show_default=True,
+    "--flux-uncertainty", type=click.FloatRange(0.0, 1.0), metavar="SHARE", default=0.04,
     help="Relative standard uncertainty of the power meter.",
 )  # fmt: skip
 @click.option(
-    "--capture-uncertainty", type=click.FloatRange(0.0, 1.0), metavar="SHARE", default=0.0, show_default=True,
+    "--capture-uncertainty", type=click.FloatRange(0.0, 1.0), metavar="SHARE", default=0.0,
     help="The same of the capture fraction.",
 )  # fmt: skip
 @click.option(
-    "--etendue-uncertainty", type=click.FloatRange(0.0, 1.0), metavar="SHARE", default=0.0, show_default=True,
+    "--etendue-uncertainty", type=click.FloatRange(0.0, 1.0), metavar="SHARE", default=0.0,
     help="The same of the etendue.",
 )  # fmt: skip
 @click.option(
     "--wavelength-uncertainty", type=click.FloatRange(0.0, 10.0), metavar="NM", default=0.1,
-    show_default=True, help="Standard uncertainty of the monochromator's dial.",
+    help="Standard uncertainty of the monochromator's dial.",
 )  # fmt: skip
 @click.option(
-    "--report", metavar="PICTURE", type=click.Path(dir_okay=False, path_type=Path),
+    "--report", metavar="PICTURE", type=FILE,
     help="Also draw lines, residuals, smile and gain (png, pdf ...).",
 )  # fmt: skip
 @click.option(

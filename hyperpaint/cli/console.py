@@ -4,19 +4,32 @@ from __future__ import annotations
 
 import contextlib
 import sys
-from collections.abc import Iterator
-from typing import Any
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import click
 
-__all__ = ["FAILED_CHECK", "WRONG_INPUT", "is_watched", "listed", "progress_bar"]
+if TYPE_CHECKING:
+    from hyperpaint.workflows.pipeline import Outcome
+
+__all__ = [
+    "EXISTING", "EXISTING_FILE", "FAILED_CHECK", "FILE", "FOLDER", "PLACE", "WRONG_INPUT", "given_of",
+    "is_watched", "progress_bar", "say_outcome",
+]  # fmt: skip
+
+PLACE = click.Path(path_type=Path)
+FILE = click.Path(dir_okay=False, path_type=Path)
+FOLDER = click.Path(file_okay=False, path_type=Path)
+EXISTING = click.Path(exists=True, path_type=Path)
+EXISTING_FILE = click.Path(exists=True, dir_okay=False, path_type=Path)
 
 FAILED_CHECK, WRONG_INPUT = 1, 2
 """Exit status of a command: the data fail a check, or the call or an input is wrong."""
 
 
 def is_watched(quiet: bool) -> bool:
-    """Tell whether progress is wanted: a log file is no place for a bar."""
+    """Return whether progress is wanted: not in a log file."""
     return not quiet and sys.stderr.isatty()
 
 
@@ -40,6 +53,19 @@ def progress_bar(label: str, shown: bool) -> Iterator[Any]:
         yield update
 
 
-def listed(groups: tuple[str, ...]) -> str:
-    """Return groups of a store for reading."""
-    return ", ".join(f"/{group}" for group in groups)
+def given_of(options: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the options that the call names; the others have the defaults of the function."""
+    return {name: value for name, value in options.items() if value is not None}
+
+
+def say_outcome(outcome: Outcome) -> None:
+    """Say which groups of a store were written, and which were there already."""
+    written, unchanged = (
+        ", ".join(f"/{group}" for group in groups) for groups in (outcome.written, outcome.unchanged)
+    )
+    if not written:
+        click.echo(f"{outcome.path} is already complete: same inputs, same parameters; nothing was done")
+        return
+    click.echo(f"{outcome.path}: wrote {written}")
+    if unchanged:
+        click.echo(f"{outcome.path}: {unchanged} there already, from the same inputs")

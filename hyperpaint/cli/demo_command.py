@@ -7,7 +7,7 @@ from typing import Any
 
 import click
 
-from .console import FAILED_CHECK, is_watched, progress_bar
+from .console import FAILED_CHECK, FOLDER, is_watched, progress_bar
 
 __all__ = ["demo"]
 
@@ -18,19 +18,13 @@ __all__ = ["demo"]
 Example:
   hyperpaint demo --out demo""",
 )
+@click.option("--out", "folder", required=True, type=FOLDER, help="Folder for everything the demo makes.")
+@click.option("--lines", default=256, type=click.IntRange(min=8), help="Scan lines.")
+@click.option("--bands", default=272, type=click.IntRange(min=8), help="Spectral bands.")
+@click.option("--columns", default=320, type=click.IntRange(min=8), help="Columns.")
+@click.option("--seed", default=0, type=click.IntRange(min=0), help="Random seed; same seed, same files.")
 @click.option(
-    "--out", "folder", required=True, type=click.Path(file_okay=False, path_type=Path),
-    help="Folder for everything the demo makes.",
-)  # fmt: skip
-@click.option("--lines", default=256, show_default=True, type=click.IntRange(min=8), help="Scan lines.")
-@click.option("--bands", default=272, show_default=True, type=click.IntRange(min=8), help="Spectral bands.")
-@click.option("--columns", default=320, show_default=True, type=click.IntRange(min=8), help="Columns.")
-@click.option(
-    "--seed", default=0, show_default=True, type=click.IntRange(min=0),
-    help="Random seed; same seed, same files.",
-)  # fmt: skip
-@click.option(
-    "--scene", type=click.Choice(["rendered", "plan"]), default="rendered", show_default=True,
+    "--scene", type=click.Choice(["rendered", "plan"]), default="rendered",
     help="A car park of triangles whose light is traced, or a flat picture.",
 )  # fmt: skip
 @click.option("--samples", type=int, metavar="N", help="Rays a pixel of a rendered scene.  [default: 16]")

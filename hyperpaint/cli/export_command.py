@@ -7,7 +7,7 @@ from typing import Any
 
 import click
 
-from .console import is_watched, progress_bar
+from .console import EXISTING, EXISTING_FILE, PLACE, is_watched, progress_bar
 
 __all__ = ["export"]
 
@@ -24,13 +24,13 @@ Examples:
   hyperpaint export paints.zarr --format envi --out paints.sli
   hyperpaint export paints.zarr --format ecostress --out spectra""",
 )
-@click.argument("library", metavar="LIB", type=click.Path(exists=True, path_type=Path))
+@click.argument("library", metavar="LIB", type=EXISTING)
 @click.option(
     "--format", "form", required=True, type=click.Choice(["dirsig", *_LIBRARIES]),
     help="DIRSIG materials, an ENVI .sli, CSV with JSON, one text file a paint, or a Zarr store.",
 )  # fmt: skip
 @click.option(
-    "--out", required=True, metavar="OUT", type=click.Path(path_type=Path),
+    "--out", required=True, metavar="OUT", type=PLACE,
     help="Where to write: a file for envi (.sli) and csv, a new or empty folder for the others.",
 )  # fmt: skip
 @click.option(
@@ -55,7 +55,7 @@ Examples:
     help="DIRSIG: what materials use.  [default: ClassicEmissivity]",
 )  # fmt: skip
 @click.option(
-    "--scene-materials", type=click.Path(exists=True, dir_okay=False, path_type=Path), metavar="SCENE.mat",
+    "--scene-materials", type=EXISTING_FILE, metavar="SCENE.mat",
     help="DIRSIG: use no ID of this material list again.",
 )  # fmt: skip
 @click.option("--overwrite", is_flag=True, help="Replace an earlier export.")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +22,8 @@ from hyperpaint.report.summaries import (
     size_of,
     times_of,
 )
+
+from .console import EXISTING
 
 __all__ = ["describe_path", "info"]
 
@@ -67,11 +69,7 @@ def _file(path: Path) -> Facts:
     if path.suffix.lower() == ".sig":
         return _svc(path)
     kind: str = sniff(path)
-    readers: Mapping[str, Callable[[Path], Facts]] = {
-        "binary": _asd,
-        "text": _asd_text,
-        "csv": _irradiance_csv,
-    }
+    readers = {"binary": _asd, "text": _asd_text, "csv": _irradiance_csv}
     if kind in readers:
         return readers[kind](path)
     name = path.name.lower()
@@ -110,10 +108,8 @@ def _envi(path: Path) -> Facts:
         return
     opened = open_envi(path)
     name, cube = next(iter(opened.data_vars.items()))
-    yield (
-        "is",
-        f"ENVI cube, {header.interleave}, {header.dtype.newbyteorder('=')}, {size_of(data.stat().st_size)}",
-    )
+    form = f"{header.interleave}, {header.dtype.newbyteorder('=')}, {size_of(data.stat().st_size)}"
+    yield "is", f"ENVI cube, {form}"
     yield str(name), form_of(cube)
     yield from facts_of_bands(opened)
     exposure = exposure_seconds(header.comments, header_path.name)
@@ -126,20 +122,16 @@ def _asd(path: Path) -> Facts:
 
     file = read_asd(path)
     yield "is", f"ASD spectrum, binary version {file.version}, {file.instrument} {file.instrument_number}"
-    yield (
-        "holds",
-        f"{file.data_type} (stored as raw counts){'' if file.reference is None else ', white reference'}",
-    )
+    panel = "" if file.reference is None else ", white reference"
+    yield "holds", f"{file.data_type} (stored as raw counts){panel}"
     yield "wavelength", range_of(file.wavelength, "nm")
     zone = "zone unknown" if file.utc_offset_h is None else f"UTC{file.utc_offset_h:+g} h"
     yield "saved", f"{file.local_time} by the logging PC ({zone})"
     yield "exposure", f"{file.integration_ms:g} ms, {file.sample_averages} averaged"
     optic = "cosine receptor" if file.fore_optic >= 180 else f"{file.fore_optic} degree"
     yield "fore optic", "none" if file.fore_optic == 0 else optic
-    yield (
-        "calibration",
-        ", ".join(f"{kind} ({block.name})" for kind, block in file.calibrations.items()) or "none",
-    )
+    blocks = (f"{kind} ({block.name})" for kind, block in file.calibrations.items())
+    yield "calibration", ", ".join(blocks) or "none"
     yield "position", "" if file.gps is None else f"{file.gps.latitude:.6f}, {file.gps.longitude:.6f}"
     yield "saturated", ", ".join(sorted(file.saturated))
 
@@ -171,10 +163,8 @@ def _asd_text(path: Path) -> Facts:
 
     text = read_asd_text(path)
     yield "is", f"text export of ASD spectra: {len(text.spectra)} spectra"
-    yield (
-        "holds",
-        f"{text.likely_quantity} (a guess from the plot range)" if text.likely_quantity else "unknown units",
-    )
+    likely = text.likely_quantity
+    yield "holds", f"{likely} (a guess from the plot range)" if likely else "unknown units"
     yield "wavelength", range_of(text.wavelength, "nm")
     yield "saved", "" if text.local_time is None else f"{text.local_time} by the logging PC (zone unknown)"
     yield "exposure", "" if text.integration_ms is None else f"{text.integration_ms:g} ms"
@@ -190,7 +180,7 @@ def _irradiance_csv(path: Path) -> Facts:
 
 
 def _spectra_if_any(path: Path) -> Facts:
-    """Tell what a table holds; one that cannot be read may be something else altogether."""
+    """Yield what a table holds; one that cannot be read may be no table of spectra."""
     try:
         yield from _library(path)
     except FormatError as error:
@@ -205,21 +195,18 @@ def _library(path: Path) -> Facts:
     library = open_library(path)
     form = library.attrs.get("format", library.attrs.get("layout", "paint library"))
     yield "is", f"{form}: {counted(library.sizes['paint'], 'spectrum').replace('spectrums', 'spectra')}"
-    yield "paints", _named(library)
+    yield "paints", _first_of(library["paint"].values)
     yield from ((str(name), form_of(array)) for name, array in library.data_vars.items())
     yield from facts_of_bands(library)
-    about = [
-        str(name) for name, array in library.coords.items() if array.dims == ("paint",) and name != "paint"
-    ]
-    yield "also says", ", ".join(about)
+    about = (str(name) for name, array in library.coords.items() if array.dims == ("paint",))
+    yield "also says", ", ".join(name for name in about if name != "paint")
     yield "notes", str(library.attrs.get("notes", "")).replace("; ", "\n")
 
 
-def _named(library: Any) -> str:
-    names = [str(name) for name in library["paint"].values[:_MOST_NAMED]]
-    more = library.sizes["paint"] - len(names)
+def _first_of(names: Sequence[object]) -> str:
+    more = len(names) - _MOST_NAMED
     # a name may hold a comma
-    return "; ".join(names) + (f"; and {more} more" if more > 0 else "")
+    return "; ".join(map(str, names[:_MOST_NAMED])) + (f"; and {more} more" if more > 0 else "")
 
 
 def _materials(path: Path) -> Facts:
@@ -227,9 +214,7 @@ def _materials(path: Path) -> Facts:
 
     materials = read_materials(path)
     yield "is", f"DIRSIG material list: {counted(len(materials), 'material')}"
-    names = "; ".join(f"{one.id} ({one.name})" for one in materials[:_MOST_NAMED])
-    more = len(materials) - _MOST_NAMED
-    yield "materials", names + (f"; and {more} more" if more > 0 else "")
+    yield "materials", _first_of([f"{one.id} ({one.name})" for one in materials])
 
 
 def _frame_index(path: Path) -> Facts:
@@ -325,11 +310,8 @@ def _collect(path: Path) -> Facts:
         yield "references", f"{reference.instrument}: {counted(len(reference.files), 'file')}"
     product = "reflectance" if lit else "radiance only, since there is no irradiance"
     options = "" if lit else " --to radiance"
-    yield (
-        "process",
-        f"would store {several} ({size_of(total)} of cubes), quality and {product}:\n"
-        f"hyperpaint process {path} --out STORE.zarr{options}",
-    )
+    stored = f"{several} ({size_of(total)} of cubes), quality and {product}"
+    yield "process", f"would store {stored}:\nhyperpaint process {path} --out STORE.zarr{options}"
 
 
 def _folder(path: Path) -> Facts:
@@ -381,7 +363,8 @@ def _group(path: Path, name: str) -> Facts:
     elif "irradiance" in group:
         yield from facts_of_irradiance(group)
     else:
-        yield "paints", _named(group) if "paint" in group.coords and group["paint"].ndim == 1 else ""
+        named = "paint" in group.coords and group["paint"].ndim == 1
+        yield "paints", _first_of(group["paint"].values) if named else ""
         yield from ((str(key), form_of(array)) for key, array in sorted(group.data_vars.items(), key=str))
         yield from facts_of_bands(group)
 
@@ -400,7 +383,7 @@ Examples:
   hyperpaint info collect.toml
   hyperpaint info lot.zarr/flightlines/raw_0""",
 )
-@click.argument("path", type=click.Path(exists=True, path_type=Path))
+@click.argument("path", type=EXISTING)
 def info(path: Path) -> None:
     """Show what a file or store is: dims, units, wavelengths, times, exposure, completeness.
 

@@ -7,7 +7,7 @@ from typing import Any
 
 import click
 
-from .console import is_watched, progress_bar
+from .console import EXISTING, PLACE, given_of, is_watched, progress_bar
 
 __all__ = ["make_map"]
 
@@ -31,10 +31,10 @@ Heights are above the ellipsoid, as GPS gives them, and not above the sea: a car
 at -30 m. Where the map is shifted or torn, look first at --boresight, --ground, --clock-offset and
 --column-order. What the signs of angles mean is declared in the table [navigation] of collect.toml.""",
 )
-@click.argument("store", metavar="STORE.zarr", type=click.Path(exists=True, path_type=Path))
+@click.argument("store", metavar="STORE.zarr", type=EXISTING)
 @click.option("--line", metavar="ID", help="Flight line of the store.  [default: the only one]")
 @click.option(
-    "--out", required=True, metavar="MAP", type=click.Path(path_type=Path),
+    "--out", required=True, metavar="MAP", type=PLACE,
     help="map.tif, all bands in a GeoTIFF; or map.zarr, with flags, times and the place of every cell.",
 )  # fmt: skip
 @click.option("--gsd", type=float, metavar="M", help="Edge of a cell.  [default: spacing of the pixels]")
@@ -43,14 +43,11 @@ at -30 m. Where the map is shifted or torn, look first at --boresight, --ground,
     "[default: north for .tif, flight for .zarr]",
 )  # fmt: skip
 @click.option(
-    "--method", type=click.Choice(["nearest", "bilinear"]), default="nearest", show_default=True,
+    "--method", type=click.Choice(["nearest", "bilinear"]), default="nearest",
     help="Spectra as they are, or interpolated.",
 )  # fmt: skip
 @click.option("--ground", type=float, metavar="M", help="Height of level ground.")
-@click.option(
-    "--dem", type=click.Path(exists=True, path_type=Path), metavar="FILE",
-    help="Heights, instead of --ground.",
-)  # fmt: skip
+@click.option("--dem", type=EXISTING, metavar="FILE", help="Heights, instead of --ground.")
 @click.option(
     "--dem-heights", type=click.Choice(["ellipsoid", "geoid"]), help="What the heights of --dem are above."
 )
@@ -81,7 +78,7 @@ def make_map(
     if out.suffix.lower() not in (".tif", ".tiff", ".zarr"):
         raise click.UsageError(f"--out {out}: expected a name that ends in .tif or .zarr")
     chosen = grid or ("flight" if out.suffix.lower() == ".zarr" else "north")
-    given = {name: value for name, value in options.items() if value is not None}
+    given = given_of(options)
     with progress_bar("looking", is_watched(quiet)) as shown:
         orthomap = map_of_store(store, line, gsd=gsd, grid=chosen, method=method, progress=shown, **given)
     write_map(orthomap, out, overwrite=overwrite, progress=is_watched(quiet))

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from .console import is_watched, progress_bar
+from .console import EXISTING, FILE, PLACE, is_watched, progress_bar
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -39,7 +39,7 @@ The starter library is synthetic: forty car paints computed from a few parameter
 theory. None of them was measured, and names are make-believe. Its reflectance is that of the body; what clear
 coat and flakes mirror is specular_reflectance.""",
 )
-@click.argument("library", metavar="[LIB]", required=False, type=click.Path(exists=True, path_type=Path))
+@click.argument("library", metavar="[LIB]", required=False, type=EXISTING)
 @click.option(
     "--name", metavar="TEXT", help="Part of the name, or a pattern with * and ?; case is no matter."
 )
@@ -65,12 +65,9 @@ coat and flakes mirror is specular_reflectance.""",
     "--members", type=click.IntRange(min=0, max=10_000), metavar="N",
     help="Variants of each paint of the starter library.  [default: 24]",
 )  # fmt: skip
+@click.option("--out", metavar="OUT", type=PLACE, help="Also save the paints found; .zarr, .sli or .csv.")
 @click.option(
-    "--out", metavar="OUT", type=click.Path(path_type=Path),
-    help="Also save the paints found; .zarr, .sli or .csv.",
-)  # fmt: skip
-@click.option(
-    "--picture", metavar="PICTURE", type=click.Path(dir_okay=False, path_type=Path),
+    "--picture", metavar="PICTURE", type=FILE,
     help="Also draw their spectra and colours (png, pdf ...).",
 )  # fmt: skip
 @click.option("--overwrite", is_flag=True, help="Replace a library that is there.")
@@ -147,6 +144,8 @@ def _spectrum(like: str | None, paints: xr.Dataset) -> Any:
 
 def _table(matches: xr.Dataset) -> str:
     """Return a line of text for every paint, with how far off it is."""
+    from hyperpaint.validation.validation_result import aligned
+
     columns = [[str(name) for name in matches["paint"].values]]
     properties = [name for name in _ABOUT if name in matches.variables and matches[name].dims == ("paint",)]
     columns += [[str(value) for value in matches[name].values] for name in properties]
@@ -154,9 +153,5 @@ def _table(matches: xr.Dataset) -> str:
         columns.append([f"looks {value:.1f} off" for value in matches["colour_difference"].values])
     if "spectral_angle" in matches.coords:
         columns.append([f"angle {value:.4f} rad" for value in matches["spectral_angle"].values])
-    widths = [max(map(len, column)) for column in columns]
-    rows = zip(*columns, strict=True)
-    return "\n".join(
-        "  " + "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip()
-        for row in rows
-    )
+    rows = aligned(list(zip(*columns, strict=True)), names=len(columns))
+    return "\n".join(f"  {row}" for row in rows)

@@ -7,7 +7,7 @@ from typing import Any
 
 import click
 
-from .console import is_watched, listed
+from .console import EXISTING_FILE, PLACE, is_watched, say_outcome
 
 __all__ = ["process"]
 
@@ -20,18 +20,14 @@ Examples:
   hyperpaint process collect.toml --out lot.zarr --reflectance none     a third of the disk
   hyperpaint process collect.toml --out lot.zarr --scheduler tcp://node0:8786""",
 )
-@click.argument(
-    "collect", metavar="COLLECT.toml", type=click.Path(exists=True, dir_okay=False, path_type=Path)
-)
+@click.argument("collect", metavar="COLLECT.toml", type=EXISTING_FILE)
+@click.option("--out", required=True, metavar="STORE.zarr", type=PLACE, help="The store.")
 @click.option(
-    "--out", required=True, metavar="STORE.zarr", type=click.Path(path_type=Path), help="The store."
-)
-@click.option(
-    "--to", type=click.Choice(["radiance", "reflectance"]), default="reflectance", show_default=True,
+    "--to", type=click.Choice(["radiance", "reflectance"]), default="reflectance",
     help="Radiance needs no irradiance.",
 )  # fmt: skip
 @click.option(
-    "--reflectance", type=click.Choice(["none", "stored"]), default="stored", show_default=True,
+    "--reflectance", type=click.Choice(["none", "stored"]), default="stored",
     help="'stored' also writes the computed cube, for other programs; 'none' leaves it to be computed "
     "from counts.",
 )  # fmt: skip
@@ -50,10 +46,4 @@ def process(collect: Path, out: Path, quiet: bool, **options: Any) -> None:
     """
     from hyperpaint.workflows.pipeline import run
 
-    done = run(collect, out, progress=is_watched(quiet), **options)
-    if not done.written:
-        click.echo(f"{out} is already complete: same inputs, same parameters; nothing was done")
-        return
-    click.echo(f"{out}: wrote {listed(done.written)}")
-    if done.unchanged:
-        click.echo(f"{out}: {listed(done.unchanged)} there already, from the same inputs")
+    say_outcome(run(collect, out, progress=is_watched(quiet), **options))

@@ -86,7 +86,7 @@ def _short_warnings() -> Iterator[None]:
 
 @click.group(
     cls=Program,
-    context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100},
+    context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100, "show_default": True},
     epilog="""\b
 Examples:
   hyperpaint demo --out demo                          see the whole chain on a simulated collect

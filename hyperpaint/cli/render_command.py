@@ -7,7 +7,7 @@ from typing import Any
 
 import click
 
-from .console import is_watched, listed
+from .console import EXISTING_FILE, FILE, PLACE, is_watched, say_outcome
 
 __all__ = ["render"]
 
@@ -38,10 +38,8 @@ Then, in Python:
   traced = xr.open_zarr("scene.zarr", group="transport")
   traced.paint.relight(paints={"car_003": "red"}, atmosphere="cloudy")    no tracing again""",
 )
-@click.argument("scene", metavar="SCENE.toml", type=click.Path(exists=True, dir_okay=False, path_type=Path))
-@click.option(
-    "--out", required=True, metavar="SCENE.zarr", type=click.Path(path_type=Path), help="The store."
-)
+@click.argument("scene", metavar="SCENE.toml", type=EXISTING_FILE)
+@click.option("--out", required=True, metavar="SCENE.zarr", type=PLACE, help="The store.")
 @click.option(
     "--samples", type=int, metavar="N", help="Rays of a pixel.  [default: what the file says, or 64]"
 )
@@ -54,7 +52,7 @@ Then, in Python:
     help="Render under this one of the file only; may be given several times.",
 )  # fmt: skip
 @click.option(
-    "--picture", metavar="PICTURE", type=click.Path(dir_okay=False, path_type=Path),
+    "--picture", metavar="PICTURE", type=FILE,
     help="Also draw the renders side by side (png, pdf ...).",
 )  # fmt: skip
 @click.option("--scheduler", metavar="ADDRESS", help="Compute on this dask.distributed cluster.")
@@ -72,17 +70,10 @@ def render(scene: Path, out: Path, picture: Path | None, quiet: bool, **options:
     shadow, shares of sun, sky, glint and indirect light. Everything is checked before anything is written; an
     interrupted run is resumed by running it again, a store that is already complete is left as it is.
     """
-    from hyperpaint.workflows.rendering import run
+    from hyperpaint.workflows.rendering import draw_renders, run
 
-    done = run(scene, out, progress=is_watched(quiet), **options)
-    if not done.written:
-        click.echo(f"{out} is already complete: same inputs, same parameters; nothing was done")
-    else:
-        click.echo(f"{out}: wrote {listed(done.written)}")
-        if done.unchanged:
-            click.echo(f"{out}: {listed(done.unchanged)} there already, from the same inputs")
+    outcome = run(scene, out, progress=is_watched(quiet), **options)
+    say_outcome(outcome)
     if picture is not None:
-        from hyperpaint.workflows.rendering import draw_renders
-
-        draw_renders(out, (*done.written, *done.unchanged), picture)
+        draw_renders(out, (*outcome.written, *outcome.unchanged), picture)
         click.echo(f"look at it in {picture}")

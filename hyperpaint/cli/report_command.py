@@ -7,7 +7,7 @@ from typing import Any
 
 import click
 
-from .console import FAILED_CHECK, is_watched, progress_bar
+from .console import EXISTING, FAILED_CHECK, PLACE, is_watched, progress_bar
 
 __all__ = ["make_report"]
 
@@ -21,24 +21,19 @@ Examples:
   hyperpaint report lot.zarr --out report.html --signatures paints.zarr
   hyperpaint report lot.zarr --out raw_0.html --line raw_0 --overwrite""",
 )
-@click.argument("store", metavar="STORE.zarr", type=click.Path(exists=True, path_type=Path))
-@click.option(
-    "--out", required=True, metavar="REPORT.html", type=click.Path(path_type=Path), help="The page."
-)
+@click.argument("store", metavar="STORE.zarr", type=EXISTING)
+@click.option("--out", required=True, metavar="REPORT.html", type=PLACE, help="The page.")
 @click.option(
     "--line", "flightlines", multiple=True, metavar="ID",
     help="Show this flight line only; may be given several times.",
 )  # fmt: skip
+@click.option("--signatures", metavar="LIB.zarr", type=EXISTING, help="Show the paints of this library too.")
 @click.option(
-    "--signatures", metavar="LIB.zarr", type=click.Path(exists=True, path_type=Path),
-    help="Show the paints of this library too.",
-)  # fmt: skip
-@click.option(
-    "--lines", type=click.IntRange(min=1), default=1000, show_default=True,
+    "--lines", type=click.IntRange(min=1), default=1000,
     help="Lines of a picture at the most; of a longer flight line every n-th is read.",
 )  # fmt: skip
 @click.option(
-    "--flags/--no-flags", default=True, show_default=True,
+    "--flags/--no-flags", default=True,
     help="Look for glint, shadow and light of neighbours, on lines where nobody has.",
 )  # fmt: skip
 @click.option(

@@ -7,7 +7,7 @@ from typing import Any
 
 import click
 
-from .console import is_watched, progress_bar
+from .console import EXISTING, PLACE, given_of, is_watched, progress_bar
 
 __all__ = ["make_signatures"]
 
@@ -23,31 +23,27 @@ Examples:
   hyperpaint signatures lot.zarr --regions cars.geojson --out paints.zarr --no-flags
   hyperpaint signatures lot.zarr --regions cars.geojson --out paints.zarr --smooth box --window 5""",
 )
-@click.argument("store", metavar="STORE.zarr", type=click.Path(exists=True, path_type=Path))
+@click.argument("store", metavar="STORE.zarr", type=EXISTING)
 @click.option(
-    "--regions", metavar="R.geojson", type=click.Path(exists=True, path_type=Path),
+    "--regions", metavar="R.geojson", type=EXISTING,
     help="The regions.  [default: some are proposed by rule]",
 )  # fmt: skip
-@click.option(
-    "--out", required=True, metavar="LIB.zarr", type=click.Path(path_type=Path), help="The paint library."
-)
+@click.option("--out", required=True, metavar="LIB.zarr", type=PLACE, help="The paint library.")
 @click.option(
     "--keep", multiple=True, metavar="FLAG",
     help="Use pixels with this flag, which are left out otherwise, such as shadow.",
 )  # fmt: skip
 @click.option(
     "--centre", type=click.Choice(["trimmed_mean", "geometric_median", "median"]), default="trimmed_mean",
-    show_default=True, help="What stands for a region's pixels.",
+    help="What stands for a region's pixels.",
 )  # fmt: skip
 @click.option(
     "--smooth", type=click.Choice(["savitzky-golay", "box"]), help="Smooth spectra.  [default: not at all]"
 )
-@click.option(
-    "--window", type=int, default=11, show_default=True, help="Bands that are smoothed over, an odd number."
-)
+@click.option("--window", type=int, default=11, help="Bands that are smoothed over, an odd number.")
 @click.option("--specular-sky", is_flag=True, help="Subtract the sky that a clear coat mirrors.")
 @click.option(
-    "--flags/--no-flags", default=True, show_default=True,
+    "--flags/--no-flags", default=True,
     help="Look for glint, shadow and light of neighbours first, on lines where nobody has.",
 )  # fmt: skip
 @click.option(
@@ -69,11 +65,11 @@ Examples:
     help="Limit of a coloured neighbour's light.  [default: 0.01]",
 )  # fmt: skip
 @click.option(
-    "--members", type=click.IntRange(min=0), default=256, show_default=True,
+    "--members", type=click.IntRange(min=0), default=256,
     help="Pixels of a region that are kept as they are.",
 )  # fmt: skip
 @click.option(
-    "--min-pixels", type=click.IntRange(min=1), default=5, show_default=True,
+    "--min-pixels", type=click.IntRange(min=1), default=5,
     help="Pixels that a region must have left.",
 )  # fmt: skip
 @click.option("--overwrite", is_flag=True, help="Replace a library made from something else.")
@@ -94,7 +90,7 @@ def make_signatures(
 
     smoothing = None if smooth is None else {"method": smooth, "window": window}
     limits = {name: options.pop(name) for name in ("diffuse", "glint", "shadow", "adjacency")}
-    given = {name: value for name, value in limits.items() if value is not None}
+    given = given_of(limits)
     if given and not flags:
         named = ", ".join(f"--{name}" for name in given)
         raise click.UsageError(f"--no-flags looks for nothing; leave out {named}")

@@ -7,7 +7,7 @@ from typing import Any
 
 import click
 
-from .console import is_watched, progress_bar
+from .console import FOLDER, given_of, is_watched, progress_bar
 
 __all__ = ["simulate"]
 
@@ -22,13 +22,13 @@ Examples:
   hyperpaint simulate sim --scene checkerboard --swath 5 --wobble rough
   hyperpaint simulate sim --no-noise --no-smile --seed 7 --overwrite""",
 )
-@click.argument("folder", metavar="DIR", type=click.Path(file_okay=False, path_type=Path))
-@click.option("--lines", default=512, show_default=True, type=int, help="Scan lines.")
-@click.option("--bands", default=272, show_default=True, type=int, help="Spectral bands.")
-@click.option("--columns", default=320, show_default=True, type=int, help="Columns.")
-@click.option("--seed", default=0, show_default=True, type=int, help="Random seed; same seed, same files.")
+@click.argument("folder", metavar="DIR", type=FOLDER)
+@click.option("--lines", default=512, type=int, help="Scan lines.")
+@click.option("--bands", default=272, type=int, help="Spectral bands.")
+@click.option("--columns", default=320, type=int, help="Columns.")
+@click.option("--seed", default=0, type=int, help="Random seed; same seed, same files.")
 @click.option(
-    "--scene", type=click.Choice(["rendered", "plan", "checkerboard"]), default="rendered", show_default=True,
+    "--scene", type=click.Choice(["rendered", "plan", "checkerboard"]), default="rendered",
     help="A car park of triangles whose light is traced, a flat picture, or squares of known corners.",
 )  # fmt: skip
 @click.option(
@@ -98,7 +98,7 @@ Examples:
     "--utc-offset", "utc_offset_h", type=float, metavar="H", help="UTC offset of the logging PC [h]."
 )
 @click.option("--sun-zenith", type=float, metavar="DEGREE", help="Zenith angle of the sun.")
-@click.option("--truth/--no-truth", default=True, show_default=True, help="Write truth.zarr.")
+@click.option("--truth/--no-truth", default=True, help="Write truth.zarr.")
 @click.option(
     "--sweep", is_flag=True,
     help="Write a lab sweep of the same camera too, which collect.toml then names for its calibration.",
@@ -115,7 +115,7 @@ def simulate(folder: Path, truth: bool, sweep: bool, overwrite: bool, quiet: boo
     from hyperpaint.simulation import simulate_collect
     from hyperpaint.workflows.demonstration import refuse_foreign
 
-    given = {name: value for name, value in settings.items() if value is not None}
+    given = given_of(settings)
     if overwrite:
         refuse_foreign(folder, overwrite=True)
     with progress_bar("simulating", is_watched(quiet)) as simulated:

@@ -8,7 +8,7 @@ from typing import Any
 
 import click
 
-from .console import FAILED_CHECK
+from .console import EXISTING, EXISTING_FILE, FAILED_CHECK, FILE, given_of
 
 __all__ = ["validate"]
 
@@ -58,23 +58,20 @@ Examples:
 A paint's reference is the one its region names (property reference), else the one of its own name, with or
 without folder and suffix; --pairs says otherwise. Nothing is paired by likeness.""",
 )
-@click.argument("library", metavar="LIBRARY", type=click.Path(exists=True, path_type=Path))
+@click.argument("library", metavar="LIBRARY", type=EXISTING)
 @click.option(
     "--reference", "references", multiple=True, metavar="FILES",
     help="File, glob or folder of .sig or .asd files, a paint library, or a store; may be repeated. "
     " [default: the references of the store that the library was made from]",
 )  # fmt: skip
-@click.option(
-    "--pairs", metavar="PAIRS.csv", type=click.Path(exists=True, dir_okay=False, path_type=Path),
-    help="Lines of paint and reference.",
-)  # fmt: skip
+@click.option("--pairs", metavar="PAIRS.csv", type=EXISTING_FILE, help="Lines of paint and reference.")
 @click.option(
     "--tolerance", multiple=True, metavar="LIMIT", callback=_limits,
     help="Largest RMSE of reflectance, or NAME=LIMIT of bias, mae, spectral_angle [rad], scale or "
     "scale_free_error; may be given several times.  [default: 0.02]",
 )  # fmt: skip
 @click.option(
-    "--panel", metavar="CERTIFICATE.csv", type=click.Path(exists=True, dir_okay=False, path_type=Path),
+    "--panel", metavar="CERTIFICATE.csv", type=EXISTING_FILE,
     help="Reflectance of the white panel that the references are relative to.",
 )  # fmt: skip
 @click.option(
@@ -85,12 +82,9 @@ without folder and suffix; --pairs says otherwise. Nothing is paired by likeness
     "--reference-fwhm", type=click.FloatRange(min=0.0, min_open=True), metavar="NM",
     help="Width of the references' channels.  [default: what files say, or is usual for the instrument]",
 )  # fmt: skip
+@click.option("--out", metavar="TABLE", type=FILE, help="Also write the statistics (csv or json).")
 @click.option(
-    "--out", metavar="TABLE", type=click.Path(dir_okay=False, path_type=Path),
-    help="Also write the statistics (csv or json).",
-)  # fmt: skip
-@click.option(
-    "--plot", "picture", metavar="PICTURE", type=click.Path(dir_okay=False, path_type=Path),
+    "--plot", "picture", metavar="PICTURE", type=FILE,
     help="Also draw spectra and differences (png, pdf ...).",
 )  # fmt: skip
 @click.option(
@@ -119,7 +113,7 @@ def validate(
         from hyperpaint.pictures.figures import check_picture
 
         check_picture(picture)
-    given = {name: value for name, value in options.items() if value is not None}
+    given = given_of(options)
     validation = validate_files(library, references, **given)
     click.echo(validation.table())
     if out is not None:

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from .console import FAILED_CHECK
+from .console import FAILED_CHECK, PLACE
 
 __all__ = ["verify"]
 
@@ -17,7 +17,7 @@ __all__ = ["verify"]
 Example:
   hyperpaint verify lot.zarr""",
 )
-@click.argument("store", metavar="STORE.zarr", type=click.Path(path_type=Path))
+@click.argument("store", metavar="STORE.zarr", type=PLACE)
 @click.pass_context
 def verify(ctx: click.Context, /, store: Path) -> None:
     """Read every chunk of a store and compare it with its record; exit status 1 where one is wrong."""

@@ -118,9 +118,7 @@ class RegionPicker:
         lines: int = 2000,
         exclude: schema.Quality | int | None = None,
     ) -> None:
-        for package in ("panel", "bokeh"):
-            with needs_extra(package, "interactive", "drawing regions with the mouse"):
-                __import__(package)
+        _need_extra()
         self._line = schema.rename_to_roles(line)
         self._shape = self._line.sizes[ALONG_TRACK], self._line.sizes[CROSS_TRACK]
         self._exclude = exclude
@@ -200,6 +198,12 @@ class RegionPicker:
 
     def _repr_mimebundle_(self, include: Any = None, exclude: Any = None) -> Any:
         return self.view._repr_mimebundle_(include, exclude)
+
+
+def _need_extra() -> None:
+    for package in ("panel", "bokeh"):
+        with needs_extra(package, "interactive", "drawing regions with the mouse"):
+            __import__(package)
 
 
 def _on_sensor(regions: Any) -> Regions:

@@ -12,7 +12,10 @@ import numpy as np
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["MEANINGS", "Validation"]
+__all__ = ["MEANINGS", "STATISTICS", "Validation", "aligned"]
+
+STATISTICS = ("bias", "rmse", "mae", "spectral_angle", "scale", "scale_free_error")
+"""Names of the statistics: those of a validation's table, in its order, and of tolerances."""
 
 MEANINGS: Mapping[str, str] = {
     "bias": "Mean of signature minus reference",
@@ -137,7 +140,7 @@ class Validation:
 
     def table(self) -> str:
         """Return all statistics as a text, with what there is to know of each pair."""
-        lines = _aligned([_HEAD, *self._rows()])
+        lines = aligned([_HEAD, *self._rows()], names=3)
         parts = [lines[0], "-" * len(lines[0]), *lines[1:], "", *_LEGEND, *self._remarks(), self.verdict]
         return "\n".join(_printable(line) for line in parts)
 
@@ -163,29 +166,26 @@ class Validation:
         """Return a row of cells for every part of every pair that has bands."""
         statistics = self.statistics
         rows: list[tuple[str, ...]] = []
-        last = -1
         for row in range(statistics.sizes["pair"]):
-            paint, reference = self._texts("paint")[row], self._texts("reference")[row]
+            paint, reference, instrument = (
+                _short(self._texts(name)[row]) for name in ("paint", "reference", "instrument")
+            )
+            oxygen = self._oxygen(row)
             for column in range(statistics.sizes["part"]):
                 one = statistics.isel(pair=row, part=column)
                 count, left = int(one["bands"]), int(one["bands_left_out"])
                 if not count:
                     continue
-                angle = (np.degrees(float(one[name])) for name in ("spectral_angle", "spectral_angle_u"))
-                cells = [
-                    _with_uncertainty(float(one[n]), float(one[f"{n}_u"])) for n in ("bias", "rmse", "mae")
-                ]
-                cells.append(_with_uncertainty(*angle))
-                cells += [
-                    _with_uncertainty(float(one[n]), float(one[f"{n}_u"]))
-                    for n in ("scale", "scale_free_error")
-                ]
-                part = str(one["part"].values)
-                oxygen = self._oxygen(row) if row != last else ""
-                last = row
+                cells = []
+                for name in STATISTICS:
+                    value, u = float(one[name]), float(one[f"{name}_u"])
+                    if name == "spectral_angle":
+                        value, u = np.degrees(value), np.degrees(u)
+                    cells.append(_with_uncertainty(value, u))
                 verdict = "FAILS" if not one["passes"] else "" if one["judged"] else "not judged"
-                names = _short(paint), f"{_short(reference)} ({_short(self._texts('instrument')[row])})"
-                rows.append((*names, part, f"{count}/{count + left}", *cells, oxygen, verdict))
+                names = paint, f"{reference} ({instrument})", str(one["part"].values)
+                rows.append((*names, f"{count}/{count + left}", *cells, oxygen, verdict))
+                oxygen = ""  # once a pair
         return rows
 
     def _oxygen(self, row: int) -> str:
@@ -251,12 +251,18 @@ def _printable(text: str) -> str:
     return "".join(sign if sign.isprintable() else "\ufffd" for sign in text)
 
 
-def _aligned(rows: Sequence[Sequence[str]]) -> list[str]:
-    """Return cells as lines: names to the left, numbers to the right."""
+def aligned(rows: Sequence[Sequence[str]], names: int = 1) -> list[str]:
+    """Return cells as lines: the first columns, of names, to the left, numbers to the right.
+
+    Examples
+    --------
+    >>> aligned([("paint", "pixels"), ("red", "9")])
+    ['paint  pixels', 'red         9']
+    """
     widths = [max(len(row[column]) for row in rows) for column in range(len(rows[0]))]
     return [
         "  ".join(
-            cell.ljust(width) if column < 3 else cell.rjust(width)
+            cell.ljust(width) if column < names else cell.rjust(width)
             for column, (cell, width) in enumerate(zip(row, widths, strict=True))
         ).rstrip()
         for row in rows

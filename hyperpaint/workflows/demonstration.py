@@ -15,10 +15,10 @@ from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import MissingExtraError, StoreError
 from hyperpaint.base.schema import ALONG_TRACK, BAND, CROSS_TRACK
 from hyperpaint.simulation.collect import CAMERA_SOFTWARE, MARKER, PARTS
+from hyperpaint.validation.validation_result import aligned
 
 from .paint_closure import (
     PaintAgreement,
-    aligned,
     blocks_with_truth,
     compare_paints,
     signature_problems,

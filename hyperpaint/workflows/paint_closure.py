@@ -12,13 +12,13 @@ import numpy.typing as npt
 
 from hyperpaint.base.arrays import Floats
 from hyperpaint.base.schema import ALONG_TRACK, BAND, CHUNK_LINES, CROSS_TRACK
+from hyperpaint.validation.validation_result import aligned
 
 if TYPE_CHECKING:
     import xarray as xr
 
 __all__ = [
-    "MAX_ERROR", "PaintAgreement", "aligned", "blocks_with_truth", "compare_paints", "signature_problems",
-    "signature_table",
+    "PaintAgreement", "blocks_with_truth", "compare_paints", "signature_problems", "signature_table",
 ]  # fmt: skip
 
 
@@ -172,21 +172,3 @@ def signature_table(paints: Sequence[PaintAgreement]) -> str:
     ]  # fmt: skip
     lines = aligned([head, *rows])
     return "\n".join([lines[0], "-" * len(lines[0]), *lines[1:], "", _LEGEND])
-
-
-def aligned(rows: Sequence[Sequence[str]]) -> list[str]:
-    """Return the rows of a table as text: the first column to the left, the others to the right.
-
-    Examples
-    --------
-    >>> aligned([("paint", "pixels"), ("red", "9")])
-    ['paint  pixels', 'red         9']
-    """
-    widths = [max(len(row[column]) for row in rows) for column in range(len(rows[0]))]
-    return [
-        "  ".join(
-            cell.rjust(width) if column else cell.ljust(width)
-            for column, (cell, width) in enumerate(zip(row, widths, strict=True))
-        )
-        for row in rows
-    ]

@@ -13,14 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from hyperpaint.base.errors import (
-    CollectError,
-    PaintError,
-    Problems,
-    SchemaError,
-    StoreError,
-    needs_extra,
-)  # fmt: skip
+from hyperpaint.base.errors import CollectError, PaintError, Problems, SchemaError, StoreError, needs_extra
 from hyperpaint.base.schema import ALONG_TRACK, CHUNK_LINES, FORMAT_VERSION
 from hyperpaint.io.store.groups import INPUTS
 
