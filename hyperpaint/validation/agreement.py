@@ -11,11 +11,9 @@ from hyperpaint.base.arrays import Floats
 from hyperpaint.light.responses import Responses, matching_operator
 
 from .measured_spectra import Measured
+from .validation_result import STATISTICS
 
-__all__ = ["STATISTICS", "Operator", "bands_of", "operator_onto", "statistics_of", "uncertainty_of"]
-
-STATISTICS = ("bias", "rmse", "mae", "spectral_angle", "scale", "scale_free_error")
-"""Names of the statistics: those of a validation's table, and of tolerances."""
+__all__ = ["Operator", "bands_of", "operator_onto", "statistics_of", "uncertainty_of"]
 
 _LEAST_SHAPE = 3  # bands: of one, angle and scale-free error are always 0
 

@@ -63,7 +63,8 @@ def paired(signatures: Sequence[Measured], references: Sequence[Measured], pairs
     missed: list[str] = []
     used: set[int] = set()
     for signature in signatures:
-        names = _names_for(signature) if wanted is None else wanted.get(signature.name, ())
+        named = (signature.wanted or signature.name,)
+        names = named if wanted is None else wanted.get(signature.name, ())
         own = sorted({k for name in names for k in _called(name, references, problems)})
         if not own:
             asks = wanted is None and bool(signature.wanted)
@@ -108,7 +109,12 @@ def _called(name: str, references: Sequence[Measured], problems: Problems) -> li
         places = {references[k].names.place for k in own}
         if len(places) > 1:
             several = len({dataset for dataset, _ in places}) > 1
-            held = _listed([_whereabouts(references[k]) if several else references[k].name for k in own])
+            held = _listed(
+                [
+                    references[k].name + (f" (dataset {references[k].names.place[0]})" if several else "")
+                    for k in own
+                ]
+            )
             mend = "name one, or all that are repeated readings, with {}, or leave files out"
             problems.add(
                 f"{name!r} may be any of {held} of {instrument}",
@@ -116,14 +122,6 @@ def _called(name: str, references: Sequence[Measured], problems: Problems) -> li
                 option=mend.format("--pairs"),
             )
     return [k for own in matches.values() for k in own]
-
-
-def _whereabouts(reference: Measured) -> str:
-    return f"{reference.name} (dataset {reference.names.place[0]})"
-
-
-def _names_for(signature: Measured) -> tuple[str, ...]:
-    return (signature.wanted or signature.name,)
 
 
 def _said(
@@ -220,14 +218,13 @@ class Compared:
 
     def warnings(self) -> list[str]:
         """Return what a user can act on."""
-        messages = []
         name, own, other = self.pair.signature.name, self.pair.signature.mirror, self.mirror
-        if {own, other} in ({"included", "excluded"}, {"included", "mixed"}, {"excluded", "mixed"}):
-            messages.append(
-                f"{name}: the mirror image of the sky is {own} in the signature, {other} in the reference; a "
-                "clear coat's adds 0.04 of the share of skylight; see remove_mirrored_sky"
-            )
-        return messages
+        if own == other or not {own, other} <= {"included", "excluded", "mixed"}:
+            return []
+        return [
+            f"{name}: the mirror image of the sky is {own} in the signature, {other} in the reference; a "
+            "clear coat's adds 0.04 of the share of skylight; see remove_mirrored_sky"
+        ]
 
     def notes(self) -> tuple[str, ...]:
         """Return what a reader of the result should know."""

@@ -268,7 +268,7 @@ def _of_spectrometer(dataset: xr.Dataset, dataset_number: int, fwhm: float | Non
             serial=_text_of(dataset, "instrument", number, "spectrum"),
             notes=(*channels.notes, *_errors_told(dataset, number)),
             **_overlap_of(texts_of["overlap"], _flag_of(dataset, "overlap_matched", number)),
-            mirror=_one_of(_MIRRORS, texts_of["mirror_reflection"]),
+            mirror=mirror if (mirror := texts_of["mirror_reflection"]) in _MIRRORS else UNKNOWN,
             absolute=attrs.get("reflectance_scale", "relative") == "absolute",
         )
 
@@ -318,10 +318,6 @@ def _overlap_of(text: Any, matched: Any) -> dict[str, Any]:
     return {"overlap": overlap, "matched": bool(matched) or overlap == "matched"}
 
 
-def _one_of(choices: tuple[str, ...], value: Any) -> str:
-    return str(value) if value in choices else UNKNOWN
-
-
 # --- channels that the spectra of a dataset share ----------------------------------------------------------
 
 
@@ -342,9 +338,8 @@ class _Channels:
         wavelength = np.asarray(wavelength, np.float64)
         axis = join_detectors(wavelength)
         at = wavelength[axis.order]
-        notes = (
-            [f"detectors joined at {', '.join(f'{nm:.4g}' for nm in axis.joins)} nm"] if axis.joins else []
-        )
+        joins = ", ".join(f"{nm:.4g}" for nm in axis.joins)
+        notes = [f"detectors joined at {joins} nm"] if joins else []
         if said is not None:
             _check_widths(np.array([said]), at)
             return cls(

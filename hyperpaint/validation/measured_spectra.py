@@ -5,16 +5,13 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import PurePath
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import Problems, SchemaError
 from hyperpaint.base.units import convert
-
-if TYPE_CHECKING:
-    pass
 
 __all__ = ["Measured", "Names", "names_of_paint", "names_of_spectrum", "scaled_by_panel"]
 
@@ -25,7 +22,7 @@ _SUFFIXES = (".asd", ".sig", ".txt", ".tsv", ".csv")
 class Names:
     """How one spectrum is called."""
 
-    shown: str  # As results tell it
+    shown: str  # As results name it
     # What it may be called by: its own names; these without suffix; those without folder too, which spectra
     # of other folders may share. Where one is meant, none of a later rank counts.
     ranks: tuple[frozenset[str], frozenset[str], frozenset[str]]
@@ -119,7 +116,7 @@ class Measured:
 
     @property
     def name(self) -> str:
-        """Name as results tell it."""
+        """Name in results."""
         return self.names.shown
 
     @property

@@ -12,11 +12,11 @@ from hyperpaint.alignment import oxygen_depth
 from hyperpaint.base.arrays import Bools, Floats
 from hyperpaint.base.errors import PaintWarning, Problems, SchemaError
 
-from .agreement import STATISTICS, statistics_of, uncertainty_of
+from .agreement import statistics_of, uncertainty_of
 from .comparing import Compared, compare, paired
 from .dataset_spectra import references_from, signatures_from
 from .measured_spectra import scaled_by_panel
-from .validation_result import MEANINGS, Validation
+from .validation_result import MEANINGS, STATISTICS, Validation
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -182,7 +182,7 @@ def validate(
 
 
 def _scatter(compared: Compared, limits: Mapping[str, float]) -> list[str]:
-    """Return that repeated readings are further apart than what is to be told by their mean."""
+    """Return that repeated readings are further apart than the tolerance of their mean."""
     limit = min((limits[name] for name in ("rmse", "mae") if name in limits), default=np.inf)
     if compared.scatter <= limit:
         return []
@@ -277,14 +277,9 @@ def _statistics(
 
 
 def _attrs(name: str) -> dict[str, str]:
-    units = {
-        "spectral_angle": "rad",
-        "spectral_angle_u": "rad",
-        "first_wavelength": "nm",
-        "last_wavelength": "nm",
-    }
+    units = "rad" if name.startswith("spectral_angle") else "nm" if name.endswith("wavelength") else "1"
     meaning = MEANINGS[name] if name in MEANINGS else f"Standard uncertainty of {name.removesuffix('_u')}"
-    return {"units": units.get(name, "1"), "long_name": meaning}
+    return {"units": units, "long_name": meaning}
 
 
 def _passes(
