@@ -39,8 +39,8 @@ __all__ = [
     "ALONG_TRACK", "BAND", "CHUNK_LINES", "CROSS_TRACK", "CUBE", "DIM_ALIASES", "FLAG", "FORMAT_VERSION",
     "IRRADIANCE_TIME", "IRRADIANCE_WAVELENGTH", "LIBRARY_VARIABLES", "MEMBER", "MONOCHROMATOR_SHAPES",
     "PAINT", "QUANTILE", "SLOT", "SRF_SHAPES", "STEP", "SUN", "SWEEP_VARIABLES", "TIME_UNITS",
-    "VARIABLES", "Quality", "Variable", "dtype_of", "find", "label", "quality_attrs", "rename_to_roles",
-    "require",
+    "VARIABLES", "Quality", "Variable", "dtype_of", "find", "flag_names", "flags_named", "label",
+    "quality_attrs", "rename_to_roles", "require",
 ]  # fmt: skip
 
 FORMAT_VERSION = 1
@@ -81,6 +81,32 @@ class Quality(IntFlag):
     OFF_SWATH = 1024
     NO_DATA = 2048
     TIMING_SENSITIVE = 4096
+
+
+def flag_names(bits: int = -1) -> list[str]:
+    """Return the names of the flags in some bits, of all by default, as attributes and messages have them.
+
+    Examples
+    --------
+    >>> flag_names(Quality.GLINT | Quality.MIXED_EDGE)
+    ['glint', 'mixed_edge']
+    """
+    return [str(flag.name).lower() for flag in Quality if flag & bits]
+
+
+def flags_named(names: Iterable[str]) -> list[Quality]:
+    """Return flags by their names, in any case.
+
+    Raises
+    ------
+    SchemaError
+        There is no such flag; all unknown names are listed.
+    """
+    by_name = dict(zip(flag_names(), Quality, strict=True))
+    names = list(names)
+    if unknown := [name for name in names if name.lower() not in by_name]:
+        raise SchemaError(f"no flag {', '.join(map(repr, unknown))}; flags are {', '.join(by_name)}")
+    return [by_name[name.lower()] for name in names]
 
 
 def rename_to_roles(dataset: xr.Dataset, dims: Mapping[str, Hashable] | None = None) -> xr.Dataset:
@@ -126,7 +152,7 @@ def quality_attrs() -> dict[str, Any]:
     return {
         **VARIABLES["quality"].attrs,
         "flag_masks": np.array([int(flag) for flag in Quality], dtype=np.uint16),
-        "flag_meanings": " ".join(str(flag.name).lower() for flag in Quality),
+        "flag_meanings": " ".join(flag_names()),
     }
 
 

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
     from hyperpaint.simulation.rendering.scene_spectra import PaintSpec
 
-__all__ = ["MOST_MEMBERS", "starter_library"]
+__all__ = ["starter_library"]
 
 
 FIRST, LAST, BANDS = 400.0, 1000.0, 272
@@ -161,18 +161,10 @@ def _library(specs: list[PaintSpec], nm: Floats, values: dict[str, Array], seed:
         {"title": "parameters of pigments, hyperpaint.simulation"},
     )
     names = [f"Synthetic {spec.trade_name}" for spec in specs]
-    paints = synthetic_library(
-        bands,
-        names,
-        values,
-        [{spec.name: 1.0} for spec in specs],
-        "Kubelka-Munk from parametric K/S",
-        seed=seed,
-    )
+    parents = [{spec.name: 1.0} for spec in specs]
+    paints = synthetic_library(bands, names, values, parents, "Kubelka-Munk from parametric K/S", seed=seed)
     paints.attrs["title"] = "Starter library: synthetic car paints, none of them measured"
-    swatches = (
-        [srgb_hex(colour) for colour in paint_colours(paints)] if _is_visible(nm) else [""] * len(specs)
-    )
+    swatches = [srgb_hex(colour) for colour in paint_colours(paints)]
     about = {
         "finish": ("Finish", [spec.finish for spec in specs]),
         "colour": ("Colour in words", [spec.colour for spec in specs]),
@@ -186,10 +178,6 @@ def _library(specs: list[PaintSpec], nm: Floats, values: dict[str, Array], seed:
     roughness = np.array([spec.coat.roughness for spec in specs])
     attrs = {"long_name": "GGX alpha of the clear coat", "units": "1"}
     return paints.assign_coords({**texts, "roughness": (PAINT, roughness, attrs)})
-
-
-def _is_visible(nm: Floats) -> bool:
-    return bool(((nm > 380.0) & (nm < 780.0)).sum() >= 3)
 
 
 def _family(spec: PaintSpec) -> str:

@@ -20,8 +20,8 @@ if TYPE_CHECKING:
     import xarray as xr
 
 __all__ = [
-    "OVERVIEW_SHAPE", "draw_irradiance", "draw_reflectance", "flags_of", "known_quantiles", "overview",
-    "quicklook", "rgb",
+    "draw_irradiance", "draw_reflectance", "flag_shares", "flags_of", "known_quantiles", "overview",
+    "percent", "quicklook", "rgb",
 ]  # fmt: skip
 
 
@@ -180,15 +180,14 @@ def quicklook(dataset: xr.Dataset, path: str | Path | None = None, *, lines: int
     dataset = dataset.isel({schema.ALONG_TRACK: slice(None, None, step)})
     picture, quality = rgb(dataset).values, flags_of(dataset)
     grid = figure.add_gridspec(2, 3, height_ratios=(3, 1.3))
-    shown, flags, light = figure.add_subplot(grid[0, :2]), figure.add_subplot(grid[0, 2]), None
+    shown, flags = figure.add_subplot(grid[0, :2]), figure.add_subplot(grid[0, 2])
     shown.imshow(picture.swapaxes(0, 1), aspect="auto", interpolation="nearest")
     shown.set(
         title=f"{label_for(dataset.attrs.get('name', 'flight line'))}: true colour", ylabel="cross_track"
     )
     shown.set_xlabel("along_track" + (f" (every {step})" if step > 1 else ""))
     _draw_flags(flags, quality)
-    light = figure.add_subplot(grid[1, :2])
-    draw_irradiance(light, dataset)
+    draw_irradiance(figure.add_subplot(grid[1, :2]), dataset)
     draw_reflectance(figure.add_subplot(grid[1, 2]), dataset)
     save_figure(figure, path)
     return figure
@@ -202,17 +201,31 @@ def flags_of(dataset: xr.Dataset) -> Array:
     return np.asarray(quality.values)
 
 
+def flag_shares(quality: Array) -> dict[schema.Quality, float]:
+    """Return the share of pixels under every flag that occurs.
+
+    Examples
+    --------
+    >>> flag_shares(np.array([[1, 0], [65, 0]], np.uint16))
+    {<Quality.SATURATED: 1>: 0.5, <Quality.GLINT: 64>: 0.25}
+    """
+    counts = {flag: np.count_nonzero(quality & int(flag)) for flag in schema.Quality}
+    return {flag: float(count) / quality.size for flag, count in counts.items() if count}
+
+
+def percent(share: float) -> str:
+    """Return a share for reading; what is there never reads as nothing."""
+    if 0 < share < 5e-6:
+        return "< 0.001 %"
+    return f"{100 * share:.3f}".rstrip("0").rstrip(".") + " %"
+
+
 def _draw_flags(axes: Any, quality: Array) -> None:
     """Draw the share of pixels under every flag that occurs."""
-    share = {flag: float((quality & int(flag) != 0).mean()) for flag in schema.Quality}
-    occurring = {flag: part for flag, part in share.items() if part > 0}
-    names = [str(flag.name).lower().replace("_", " ") for flag in occurring] or ["no flag set"]
-    bars = axes.barh(names, [100 * part for part in occurring.values()] or [0.0], height=0.6, color="#b5543c")
-    axes.bar_label(
-        bars,
-        [f" {100 * part:.3f}".rstrip("0").rstrip(".") + " %" for part in occurring.values()] or [""],
-        fontsize="small",
-    )
+    shares = flag_shares(quality)
+    names = [name.replace("_", " ") for name in schema.flag_names(sum(shares))] or ["no flag set"]
+    bars = axes.barh(names, [100 * part for part in shares.values()] or [0.0], height=0.6, color="#b5543c")
+    axes.bar_label(bars, [f" {percent(part)}" for part in shares.values()] or [""], fontsize="small")
     axes.set(title="quality", xlabel="pixels [%]", ylim=(max(len(names), 8) - 0.4, -0.6))
     axes.set_xlim(0, 1.3 * axes.get_xlim()[1])
 

@@ -17,12 +17,12 @@ from hyperpaint.radiometry.counts_to_reflectance import reflectance
 from hyperpaint.regions import Region, pixels_of, regions_from
 
 from .figures import axes_or_new, label_for, new_figure, save_figure
-from .plot import flags_of, rgb
+from .plot import flag_shares, flags_of, percent, rgb
 
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["FLAG_COLOURS", "adjacency_figure", "background", "draw_outlines", "flag_overlay", "flag_shares"]
+__all__ = ["FLAG_COLOURS", "adjacency_figure", "background", "draw_outlines", "flag_overlay"]
 
 
 FLAG_COLOURS: Mapping[Quality, str] = {
@@ -103,18 +103,6 @@ def flag_overlay(
     return axes
 
 
-def flag_shares(quality: Array) -> dict[Quality, float]:
-    """Return the share of pixels under every flag that occurs.
-
-    Examples
-    --------
-    >>> flag_shares(np.array([[1, 0], [65, 0]], np.uint16))
-    {<Quality.SATURATED: 1>: 0.5, <Quality.GLINT: 64>: 0.25}
-    """
-    shares = {flag: float(np.count_nonzero(quality & int(flag))) / max(quality.size, 1) for flag in Quality}
-    return {flag: share for flag, share in shares.items() if share > 0}
-
-
 def background(dataset: xr.Dataset, step: int) -> Array:
     """Return a picture of every ``step``-th line, (line, column, rgb), 0 to 1: the stored one if it fits."""
     if "overview" in dataset.variables:
@@ -149,10 +137,8 @@ def draw_outlines(axes: Any, regions: Iterable[Region]) -> None:
 def _show(axes: Any, picture: Array, dataset: xr.Dataset, **options: Any) -> Any:
     """Show a picture (line, column, ...) so that whole numbers are pixel centres of the flight line."""
     edges = dataset.sizes[ALONG_TRACK] - 0.5, dataset.sizes[CROSS_TRACK] - 0.5
-    return axes.imshow(
-        picture.swapaxes(0, 1), aspect="auto", interpolation="nearest",
-        extent=(-0.5, edges[0], edges[1], -0.5), **options,
-    )  # fmt: skip
+    options = {"aspect": "auto", "extent": (-0.5, edges[0], edges[1], -0.5), **options}
+    return axes.imshow(picture.swapaxes(0, 1), interpolation="nearest", **options)
 
 
 def _title(dataset: xr.Dataset) -> str:
@@ -168,11 +154,7 @@ def _flags_named(flags: Quality | str | Iterable[str] | None) -> tuple[Quality, 
         return ()
     if isinstance(flags, Quality):
         return tuple(flag for flag in Quality if flag & flags)
-    names = [flags] if isinstance(flags, str) else [str(name) for name in flags]
-    by_name = {str(flag.name).lower(): flag for flag in Quality}
-    if unknown := [name for name in names if name.lower() not in by_name]:
-        raise SchemaError(f"no flag {', '.join(map(repr, unknown))}; flags are {', '.join(by_name)}")
-    return tuple(by_name[name.lower()] for name in names)
+    return tuple(schema.flags_named([flags] if isinstance(flags, str) else map(str, flags)))
 
 
 def _draw_flags(
@@ -190,22 +172,15 @@ def _draw_flags(
     for flag in sorted(shown, key=lambda flag: -shares.get(flag, 0.0)):
         drawn[(bits & int(flag)) != 0] = (*to_rgb(FLAG_COLOURS[flag]), opacity)
     _show(axes, drawn, dataset)
-    names = {flag: str(flag.name).lower().replace("_", " ") for flag in shown}
-    handles = [
-        Patch(facecolor=FLAG_COLOURS[flag], label=f"{name}  {_percent(shares.get(flag, 0.0))}")
-        for flag, name in names.items()
-    ]
+    handles = []
+    for flag in shown:
+        name = str(flag.name).lower().replace("_", " ")
+        label = f"{name}  {percent(shares.get(flag, 0.0))}"
+        handles.append(Patch(facecolor=FLAG_COLOURS[flag], label=label))
     axes.legend(
         handles=handles or [Patch(facecolor="none", label="no flag set")], loc="upper left",
         bbox_to_anchor=(1.0, 1.0), fontsize="small", frameon=False, title="pixels",
     )  # fmt: skip
-
-
-def _percent(share: float) -> str:
-    """Return a share for reading; what is there never reads as nothing."""
-    if 0 < share < 5e-6:
-        return "< 0.001 %"
-    return f"{100 * share:.3f}".rstrip("0").rstrip(".") + " %"
 
 
 def _blocks(values: Array, step: int, combine: Any) -> Array:
@@ -413,10 +388,7 @@ def _mean(values: Array, axis: int) -> Array:
 
 
 def _draw_picture(axes: Any, line: xr.Dataset, pair: Sequence[Region], route: Array) -> None:
-    edges = line.sizes[ALONG_TRACK] - 0.5, line.sizes[CROSS_TRACK] - 0.5
-    axes.imshow(
-        background(line, 1).swapaxes(0, 1), interpolation="nearest", extent=(-0.5, edges[0], edges[1], -0.5)
-    )
+    _show(axes, background(line, 1), line, aspect="equal")
     for region, colour in zip(pair, (_NEAR, _FAR), strict=True):
         across, along = np.vstack([region.polygon, region.polygon[:1]]).T
         axes.plot(along, across, color="white", linewidth=3.0)
@@ -440,7 +412,7 @@ def _draw_spectrum(axes: Any, nm: Array, values: Array, colour: str, style: str,
     order = np.argsort(nm, kind="stable")
     nm, mean = nm[order], _mean(values, axis=0)[order]
     if name is not None:
-        is_finite = np.isfinite(mean)  # nobody knows anything of the other bands
+        is_finite = np.isfinite(mean)
         low, high = np.nanquantile(values[:, order][:, is_finite], _QUARTILES, axis=0)
         axes.fill_between(nm[is_finite], low, high, color=colour, alpha=0.15, linewidth=0)
     axes.plot(nm, mean, style, color=colour, label=None if name is None else label_for(name))

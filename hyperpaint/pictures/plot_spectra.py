@@ -15,6 +15,7 @@ from hyperpaint.base.schema import ALONG_TRACK, BAND, CROSS_TRACK, Quality
 from hyperpaint.paints.colours import paint_colours
 from hyperpaint.paints.signatures import EXCLUDED, extract_signatures
 from hyperpaint.paints.signatures.extraction import gather
+from hyperpaint.paints.signatures.pixel_statistics import QUANTILES
 from hyperpaint.radiometry.counts_to_reflectance import radiance, reflectance
 from hyperpaint.regions import pixels_of, regions_from
 
@@ -24,7 +25,7 @@ from .plot import known_quantiles
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["MOST_PAINTS", "draw_band", "find_usable", "library_overview", "spectrum", "triptych"]
+__all__ = ["MOST_PAINTS", "find_usable", "library_overview", "spectrum", "triptych"]
 
 
 SPREADS = ("quantiles", "sd", "none")
@@ -32,7 +33,6 @@ MOST_CURVES = 24
 MOST_PIXELS = 4096
 """Pixels of a region that a triptych is drawn from; of a larger one every n-th."""
 
-_QUANTILES = (0.05, 0.25, 0.5, 0.75, 0.95)
 _LABELS = {
     "counts": "counts",
     "radiance": "radiance [W m$^{-2}$ sr$^{-1}$ nm$^{-1}$]",
@@ -174,10 +174,13 @@ def draw_band(
 def _wavelength_of(dataset: xr.Dataset) -> tuple[Array, Array]:
     """Return wavelengths [nm], and which bands are to be used."""
     wavelength = schema.require(dataset, ["wavelength"], "a picture of spectra")["wavelength"].values
-    good = (
-        dataset["good"].values.astype(bool) if "good" in dataset.variables else np.ones(wavelength.size, bool)
-    )
-    return wavelength, good
+    return wavelength, _good_of(dataset)
+
+
+def _good_of(dataset: xr.Dataset) -> Array:
+    if "good" in dataset.variables:
+        return np.asarray(dataset["good"].values, bool)
+    return np.ones(dataset.sizes[BAND], bool)
 
 
 # --- pixels ------------------------------------------------------------------------------------------------
@@ -205,7 +208,7 @@ def _draw_pixels(axes: Any, dataset: xr.Dataset, places: Array) -> None:
         at = wavelength + shift[:, across]
         shown = np.where(is_good, spectra["reflectance"][number], np.nan)
         bits = int(values["quality"][number]) if planes else 0
-        flags = ", ".join(str(flag.name).lower().replace("_", " ") for flag in Quality if flag & bits)
+        flags = ", ".join(schema.flag_names(bits)).replace("_", " ")
         label = f"({along}, {across})" + (f": {flags}" if flags else "")
         (curve,) = axes.plot(at, shown, lw=1.2, label=label)
         if names:
@@ -293,7 +296,7 @@ def triptych(
 
 def _draw_quantiles(axes: Any, wavelength: Array, values: Array) -> None:
     """Draw the median of pixels (pixel, band) and their spread; bands without any value stay empty."""
-    parts = known_quantiles(values, _QUANTILES)
+    parts = known_quantiles(values, QUANTILES)
     axes.fill_between(wavelength, parts[0], parts[4], color="#0072B2", alpha=0.15, lw=0, label="5 to 95 %")
     axes.fill_between(wavelength, parts[1], parts[3], color="#0072B2", alpha=0.3, lw=0, label="middle half")
     axes.plot(wavelength, parts[2], color="#0072B2", lw=1.6, label="median")
@@ -384,10 +387,7 @@ def library_overview(
     size = (_PANEL[0] * columns, _PANEL[1] * rows + 0.4)
     figure = new_figure("a picture of a paint library", figsize=size, layout="constrained")
     grid = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False)
-    wavelength = variables["wavelength"].values
-    good = (
-        paints["good"].values.astype(bool) if "good" in paints.variables else np.ones(wavelength.size, bool)
-    )
+    wavelength, good = variables["wavelength"].values, _good_of(paints)
     colours = paint_colours(paints)
     for number, axes in enumerate(grid.ravel()):
         if number < shown:

@@ -9,7 +9,6 @@ from __future__ import annotations
 import contextlib
 import json
 import os
-import stat
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
@@ -17,6 +16,7 @@ from typing import Any
 import numpy as np
 
 from hyperpaint.base.errors import FormatError, PaintError, Problems, SchemaError, StoreError
+from hyperpaint.io.files.reading import read_limited
 
 from .outlines import COORDINATES, Region, Regions
 
@@ -60,7 +60,9 @@ def read_regions(path: str | os.PathLike[str]) -> Regions:
     ('hood',)
     """
     place = Path(path)
-    raw = _read(place)
+    if "\0" in str(place):
+        raise FormatError(f"{place!s:.200}: no path has a NUL in it; check the path")
+    raw = read_limited(place, MOST_BYTES, "GeoJSON")
     if raw.count(b"[") + raw.count(b"{") > _MOST_CONTAINERS or raw.count(b",") > _MOST_SEPARATORS:
         raise FormatError(
             f"{place}: more values than {MOST_REGIONS} regions have, expected GeoJSON of some regions"
@@ -163,21 +165,6 @@ def regions_from(source: Any) -> Regions:
         f"regions are {type(source).__name__}, expected hyperpaint.Regions, the path of a GeoJSON file, "
         "or its content"
     )
-
-
-def _read(place: Path) -> bytes:
-    expected = f"expected GeoJSON of at most {MOST_BYTES} bytes; check the path"
-    try:
-        status = place.stat()
-        if stat.S_ISREG(status.st_mode) and status.st_size <= MOST_BYTES:
-            with open(place, "rb") as file:
-                return file.read(MOST_BYTES)
-    except (OSError, ValueError) as error:
-        raise FormatError(
-            f"{place}: cannot be read ({getattr(error, 'strerror', None) or error}); check the path"
-        ) from error
-    size = f"{status.st_size} bytes" if stat.S_ISREG(status.st_mode) else "a folder, pipe or device"
-    raise FormatError(f"{place}: {size}, {expected}")
 
 
 def _json(value: Any) -> str:

@@ -17,12 +17,12 @@ import numpy as np
 from hyperpaint.base import schema
 from hyperpaint.base.arrays import Array, Floats32
 from hyperpaint.base.errors import PaintError, SchemaError
-from hyperpaint.base.schema import ALONG_TRACK, CROSS_TRACK, PAINT, Quality
+from hyperpaint.base.schema import ALONG_TRACK, CROSS_TRACK, PAINT
 from hyperpaint.paints.colours import paint_colours
 from hyperpaint.pictures.figures import data_uri, encode_png, new_figure, png_of
-from hyperpaint.pictures.plot import draw_irradiance, draw_reflectance, flags_of
+from hyperpaint.pictures.plot import draw_irradiance, draw_reflectance, flag_shares, flags_of
 from hyperpaint.pictures.plot_calibration import calibration_report
-from hyperpaint.pictures.plot_flags import background, draw_outlines, flag_overlay, flag_shares
+from hyperpaint.pictures.plot_flags import background, draw_outlines, flag_overlay
 from hyperpaint.pictures.plot_spectra import find_usable, library_overview
 from hyperpaint.radiometry.counts_to_reflectance import reflectance
 from hyperpaint.regions import Region, regions_from
@@ -99,33 +99,31 @@ def _true_colour(line: xr.Dataset, lines: int, drawn: list[bool]) -> Markup:
 
 
 def _flags(line: xr.Dataset, lines: int, regions: Sequence[Region], heading: str) -> Markup:
-    figure = new_figure("a report", figsize=(10, 3.8), layout="constrained")
-    axes = flag_overlay(line, lines=lines, axes=figure.add_subplot())
-    draw_outlines(axes, regions)
-    return _figure(figure, "Pixels with a flag; where several are set, the rarest is shown.", heading)
+    axes = _new_axes(3.8)
+    draw_outlines(flag_overlay(line, lines=lines, axes=axes), regions)
+    return _figure(axes.figure, "Pixels with a flag; where several are set, the rarest is shown.", heading)
 
 
 def _layer(line: xr.Dataset, lines: int, layer: str) -> Markup:
-    figure = new_figure("a report", figsize=(10, 3.4), layout="constrained")
-    flag_overlay(line, layer=layer, lines=lines, axes=figure.add_subplot())
-    return _figure(figure, f"{schema.VARIABLES[layer].meaning}.")
+    axes = flag_overlay(line, layer=layer, lines=lines, axes=_new_axes(3.4))
+    return _figure(axes.figure, f"{schema.VARIABLES[layer].meaning}.")
 
 
 def _irradiance(line: xr.Dataset) -> Markup:
-    figure = new_figure("a report", figsize=(10, 3.2), layout="constrained")
-    draw_irradiance(figure.add_subplot(), line)
+    axes = _new_axes(3.2)
+    draw_irradiance(axes, line)
     caption = "Downwelling irradiance around the line, and when the line was flown."
-    return _figure(figure, caption, "Irradiance over time")
+    return _figure(axes.figure, caption, "Irradiance over time")
 
 
 def _reflectance(line: xr.Dataset) -> Markup:
-    figure = new_figure("a report", figsize=(10, 3.6), layout="constrained")
+    axes = _new_axes(3.6)
     few = max(1, line.sizes[ALONG_TRACK] // 50)
     some = line.isel({ALONG_TRACK: slice(None, None, few)})
-    draw_reflectance(figure.add_subplot(), some if "reflectance" in some else reflectance(some))
+    draw_reflectance(axes, some if "reflectance" in some else reflectance(some))
     every = "all lines" if few == 1 else f"one line in {few}"
     caption = f"How reflectance is spread over the pixels of {every}, band by band."
-    return _figure(figure, caption, "Reflectance")
+    return _figure(axes.figure, caption, "Reflectance")
 
 
 def _table_of_flags(quality: Array, heading: str) -> Markup:
@@ -172,7 +170,7 @@ def _table_of_paints(library: xr.Dataset) -> Markup:
             "rgb": _rgb_text(colour),
             "name": values[PAINT][k],
             "numbers": [f"{values[name][k]:.0f}" for name in columns],
-            "flags": ", ".join(str(flag.name).lower() for flag in Quality if int(quality[k]) & int(flag)),
+            "flags": ", ".join(schema.flag_names(int(quality[k]))),
             "extra": [values[name][k] for name in extra],
         }
         for k, colour in enumerate(paint_colours(shown))
@@ -210,6 +208,10 @@ def calibration_section(calibration: xr.Dataset) -> Iterator[Part]:
         caption = "Lines of the lab sweep and what they came to."
         yield "lab sweep", lambda: _figure(calibration_report(calibration), caption)
     yield "provenance", lambda: _provenance(calibration.attrs)
+
+
+def _new_axes(height: float) -> Any:
+    return new_figure("a report", figsize=(10, height), layout="constrained").add_subplot()
 
 
 def _figure(figure: Any, caption: str, heading: str = "") -> Markup:

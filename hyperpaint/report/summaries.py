@@ -9,8 +9,9 @@ import numpy as np
 import numpy.typing as npt
 
 from hyperpaint.base import schema
-from hyperpaint.base.schema import ALONG_TRACK, BAND, IRRADIANCE_TIME, IRRADIANCE_WAVELENGTH, Quality
+from hyperpaint.base.schema import ALONG_TRACK, BAND, IRRADIANCE_TIME, IRRADIANCE_WAVELENGTH
 from hyperpaint.pictures.figures import data_uri, encode_png
+from hyperpaint.pictures.plot import flag_shares
 
 from .pages import page_part
 
@@ -183,7 +184,7 @@ def _summary(dataset: xr.Dataset) -> tuple[str, list[tuple[str, str]]]:
     title = f"{kind} {name}".strip()
     facts = _attempt(lambda: list(source(dataset)), None)
     if facts is None:
-        facts = [(str(key), form_of(array)) for key, array in dataset.data_vars.items()][:_MOST_NAMES]
+        facts = list(_forms(dataset))
     facts.append(("size", size_of(dataset.nbytes)))
     return title, [(name, fact) for name, fact in facts if fact]
 
@@ -200,7 +201,12 @@ def _kind(dataset: xr.Dataset) -> tuple[str, Any]:
         return "paint library", _library
     if ALONG_TRACK in dataset.dims:
         return "flight line", _line
-    return "dataset", lambda group: [(str(k), form_of(v)) for k, v in group.data_vars.items()][:_MOST_NAMES]
+    return "dataset", _forms
+
+
+def _forms(dataset: xr.Dataset) -> Facts:
+    for name in list(dataset.data_vars)[:_MOST_NAMES]:
+        yield str(name), form_of(dataset[name])
 
 
 def _line(line: xr.Dataset) -> Facts:
@@ -222,8 +228,7 @@ def _flags(line: xr.Dataset) -> str:
     values = quality.values
     if values.dtype.kind not in "ui" or not values.size:
         return ""
-    shares = {flag: np.count_nonzero(values & int(flag)) / values.size for flag in Quality}
-    texts = (f"{str(f.name).lower()} {100 * share:.2g} %" for f, share in shares.items() if share)
+    texts = (f"{str(f.name).lower()} {100 * share:.2g} %" for f, share in flag_shares(values).items())
     return ", ".join(texts) or "no flag set"
 
 

@@ -6,9 +6,11 @@ The one place where readers meet signatures and validation.
 from __future__ import annotations
 
 import csv
+import functools
 import io
 import json
 import math
+import operator
 import os
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -18,7 +20,7 @@ import numpy as np
 
 from hyperpaint.base.errors import PaintError, Problems, SchemaError, StoreError
 from hyperpaint.base.progress_reports import part_of
-from hyperpaint.base.schema import Quality
+from hyperpaint.base.schema import flags_named
 from hyperpaint.surroundings.flags import Flagged, flag_line, is_flagged
 
 if TYPE_CHECKING:
@@ -80,7 +82,7 @@ def write_signatures(
         holds something else, and ``overwrite`` is False.
     """
     from hyperpaint.io.store import to_store
-    from hyperpaint.paints.signatures import extract_signatures
+    from hyperpaint.paints.signatures import EXCLUDED, extract_signatures
     from hyperpaint.regions import regions_from
 
     inside, around = Path(out).resolve(), Path(store).resolve()
@@ -89,7 +91,7 @@ def write_signatures(
     if keep:
         if options.get("exclude") is not None:
             raise SchemaError("keep= and exclude= say the same in two ways; pass one of them")
-        options["exclude"] = _excluded(keep)
+        options["exclude"] = EXCLUDED & ~functools.reduce(operator.or_, flags_named(keep))
     given = None if regions is None else regions_from(regions)
     lines, looked_at = _lines(store, () if given is None else given.flightlines)
     wanted = [name for name in lines if flags is not False and name not in looked_at]
@@ -190,18 +192,6 @@ def _proposed(
     return regions
 
 
-def _excluded(keep: Sequence[str]) -> Quality:
-    from hyperpaint.paints.signatures import EXCLUDED
-
-    flags = {str(flag.name).lower(): flag for flag in Quality}
-    if unknown := [name for name in keep if name.lower() not in flags]:
-        raise SchemaError(f"no flag {', '.join(map(repr, unknown))}; flags are {', '.join(flags)}")
-    exclude = EXCLUDED
-    for name in keep:
-        exclude &= ~flags[name.lower()]
-    return exclude
-
-
 def table_of(library: xr.Dataset) -> str:
     """Return a line of text for every paint of a library."""
     names = [str(name) for name in library["paint"].values]
@@ -295,9 +285,13 @@ def write_table(validation: Validation, path: str | os.PathLike[str], *, overwri
     publish_file(path, text.encode(), overwrite=overwrite)
 
 
+def _names_by_part(table: xr.Dataset) -> list[str]:
+    return [str(name) for name, array in table.data_vars.items() if array.dims == ("pair", "part")]
+
+
 def _as_csv(validation: Validation) -> str:
     table = validation.statistics
-    by_part = [str(name) for name, array in table.data_vars.items() if array.dims == ("pair", "part")]
+    by_part = _names_by_part(table)
     written = io.StringIO()
     rows = csv.writer(written, lineterminator="\n")
     rows.writerow([*_PAIR, "part", *by_part, *_DEPTHS])
@@ -312,7 +306,7 @@ def _as_csv(validation: Validation) -> str:
 
 def _as_json(validation: Validation) -> str:
     table = validation.statistics
-    by_part = [str(name) for name, array in table.data_vars.items() if array.dims == ("pair", "part")]
+    by_part = _names_by_part(table)
     pairs = []
     for row in range(table.sizes["pair"]):
         pair = table.isel(pair=row)

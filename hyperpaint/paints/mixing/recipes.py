@@ -129,7 +129,8 @@ def mix_paints(
             for name, array in values.items()
             if name != SPECULAR
         }
-        settings = {"k1": k1, "k2": k2, "scattering": "equal" if scattering is None else _listed(scattering)}
+        named = [f"{name} {number:g}" for name, number in (scattering or {}).items()]
+        settings = {"k1": k1, "k2": k2, "scattering": ", ".join(named) if scattering is not None else "equal"}
     if MEMBERS in values:
         _tell_of_partners(weights > 0.0, values[MEMBERS])
     values = _trimmed(specular | mix)
@@ -209,11 +210,6 @@ def shade_paints(
     return shaded.assign_coords(depth=(PAINT, np.tile(factors, count), attrs))
 
 
-def _listed(numbers: Mapping[str, float]) -> str:
-    """Return numbers by name for an attribute."""
-    return ", ".join(f"{name} {number:g}" for name, number in numbers.items())
-
-
 def _averaged(weights: Floats, values: Floats) -> Floats:
     """Return weighted sums (new, ..., band) of (paint, ..., band); what a recipe does not take is no NaN."""
     sums = np.zeros((len(weights), *values.shape[1:]))
@@ -234,12 +230,12 @@ def _spectra(library: xr.Dataset, parents: list[str] | None) -> dict[str, Floats
     if parents is not None:
         names = [str(name) for name in library[PAINT].values]
         library = library.isel({PAINT: [names.index(name) for name in parents]})
-    some = [name for name in (MEMBERS,) if name in library.variables]
-    variables = schema.require(library, ["reflectance", *some], "new paints", schema.LIBRARY_VARIABLES)
+    names = [name for name in ("reflectance", MEMBERS) if name in library.variables]
+    variables = schema.require(library, names, "new paints", schema.LIBRARY_VARIABLES)
     spectra = {name: np.asarray(array.values, np.float64) for name, array in variables.items()}
     if SPECULAR in library.variables:
         spectra[SPECULAR] = np.asarray(specular_of(library), np.float64)
-    if some:
+    if MEMBERS in spectra:
         # members are mixed by their turn: what is none comes after them all
         absent = ~np.isfinite(spectra[MEMBERS]).any(axis=2)
         order = np.argsort(absent, axis=1, kind="stable")[:, :, np.newaxis]

@@ -16,6 +16,7 @@ from hyperpaint.base.arrays import Array, Bools, Floats, Floats32
 from hyperpaint.base.errors import PaintWarning, Problems, SchemaError
 from hyperpaint.base.schema import BAND, LIBRARY_VARIABLES, MEMBER, PAINT, QUANTILE
 from hyperpaint.base.units import convert
+from hyperpaint.paints.signatures.pixel_statistics import QUANTILES
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -51,9 +52,6 @@ _MEANINGS = {
     SPECULAR: "Reflectance of the clear coat and of flakes, near the mirror direction",
     MEMBERS: "Reflectance of synthetic variants of a paint",
 }
-QUANTILES = (0.05, 0.25, 0.5, 0.75, 0.95)
-"""Those of signatures."""
-
 _LASTING = ("mirror_reflection", "mirrored_sky_removed", "light_corrected", "tilt", "smoothing")
 """Attributes of reflectance that are as true of what is made from it."""
 
@@ -294,9 +292,8 @@ def _margins(members: Floats) -> tuple[Floats, Floats]:
     middle = np.median(members, axis=0)
     # of a normal distribution, its standard deviation, which single members do not change
     spread = 1.4826 * np.median(np.abs(members - middle), axis=0)
-    return np.maximum(_MARGIN, _NOISE * spread - middle), np.maximum(
-        _MARGIN, _NOISE * spread - (1.0 - middle)
-    )
+    below, above = (np.maximum(_MARGIN, _NOISE * spread - away) for away in (middle, 1.0 - middle))
+    return below, above
 
 
 def _members(library: xr.Dataset, count: int, form: str, bandwidth: float | None) -> Floats32:

@@ -16,7 +16,7 @@ import numpy as np
 from hyperpaint.base.arrays import Array, Progress
 from hyperpaint.base.errors import Problems, SchemaError
 from hyperpaint.base.progress_reports import part_of
-from hyperpaint.base.schema import ALONG_TRACK, BAND, CROSS_TRACK, Quality
+from hyperpaint.base.schema import ALONG_TRACK, BAND, CROSS_TRACK, Quality, flag_names
 from hyperpaint.radiometry.slabs import line_chunked
 from hyperpaint.regions import Regions, pixels_of, regions_from
 from hyperpaint.regions.pixels_in_regions import Pixels
@@ -301,8 +301,7 @@ class _Options:
     @property
     def notes(self) -> dict[str, Any]:
         """Attributes of the library that say the same."""
-        excluded = [str(flag.name).lower() for flag in Quality if flag & self.exclude]
-        return {**asdict(self), "exclude": " ".join(excluded) or "none"}
+        return {**asdict(self), "exclude": " ".join(flag_names(self.exclude)) or "none"}
 
 
 @dataclass(frozen=True)
@@ -322,7 +321,8 @@ def _reduce(
     along, across = (
         np.concatenate([getattr(draft, axis) for draft in batch]) for axis in ("along", "across")
     )
-    read = None if progress is None else _first_half(progress)
+    # reading is the first half of the work, reducing the second
+    read = None if progress is None else lambda done, blocks: progress(done, 2 * blocks)
     spectra, values = gather(source.cubes, source.planes, along, across, part.bands, source.small, read)
     of_lines = {key: values[key] for key in source.small}
     start = 0
@@ -407,20 +407,12 @@ def _refuse_divided(
     problems.raise_if_any()
 
 
-def _first_half(progress: Progress) -> Progress:
-    """Return a progress for reading, after which comes reducing."""
-    return lambda done, blocks: progress(done, 2 * blocks)
-
-
 def _refuse_small(regions: Regions, drafts: Sequence[Draft], min_pixels: int) -> None:
     problems = Problems("there are regions with too few pixels left", SchemaError)
     for region, draft in zip(regions, drafts, strict=True):
         if draft.n < min_pixels:
-            flags = ", ".join(
-                f"{share:.0%} {str(flag.name).lower()}"
-                for flag, share in zip(Quality, draft.share, strict=True)
-                if share > 0
-            )
+            shares = zip(flag_names(), draft.share, strict=True)
+            flags = ", ".join(f"{share:.0%} {name}" for name, share in shares if share > 0)
             problems.add(
                 f"region {region.name!r}: {draft.n} of {draft.along.size} pixels are left, expected "
                 f"{min_pixels} ({flags or 'no flags'}); draw it elsewhere, exclude less, or lower min_pixels"

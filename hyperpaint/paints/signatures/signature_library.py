@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from hyperpaint.base.arrays import Array
-from hyperpaint.base.schema import BAND, LIBRARY_VARIABLES, Quality, quality_attrs
+from hyperpaint.base.schema import BAND, LIBRARY_VARIABLES, Quality, flag_names, quality_attrs
 from hyperpaint.light.sun import solar_position
 from hyperpaint.radiometry.uncertainty.propagation import NONE_KNOWN, UNCERTAINTIES
 from hyperpaint.regions import Regions
@@ -171,17 +171,6 @@ def _geometry(lines: Mapping[str, Array]) -> dict[str, Any]:
     }
 
 
-_GEOMETRY = (
-    "sun_zenith",
-    "sun_azimuth",
-    "view_zenith",
-    "view_azimuth",
-    "relative_azimuth",
-    "irradiance_age",
-    "time",
-)
-"""What is known of how and when a paint was seen."""
-
 _MOST_PROPERTIES = 64
 """Properties that become coordinates; all are in the coordinate ``region`` as well."""
 
@@ -215,12 +204,12 @@ def paint_library(
     values["member_reflectance"] = [_padded(d.spectra["member_reflectance"], most, np.nan) for d in drafts]
     for axis, name in enumerate(("member_along_track", "member_cross_track")):
         values[name] = [_padded(draft.member_place[axis], most, -1) for draft in drafts]
-    for name in _GEOMETRY:
+    for name in drafts[0].at:
         values[name] = [draft.at[name] for draft in drafts]
     values |= {
         "paint": list(regions.names),
         "quantile": list(QUANTILES),
-        "flag": [str(flag.name).lower() for flag in Quality],
+        "flag": flag_names(),
         "flightline": list(flightlines),
         "region": [json.dumps(region.feature(), ensure_ascii=False) for region in regions],
         "wavelength": first.wavelength,
@@ -250,12 +239,20 @@ def paint_library(
         "regions": regions.digest,
         "coordinates_of_regions": regions.coordinates,
         "spectral_axis": "nominal wavelengths",
-        "view_geometry": "; ".join(dict.fromkeys(source.viewing.description for source in sources.values())),
-        "smoothing": "; ".join(dict.fromkeys(source.smoothing for source in sources.values())),
-        "corrections": "; ".join(dict.fromkeys(_corrected(source) for source in sources.values())),
+        "view_geometry": _joined(source.viewing.description for source in sources.values()),
+        "smoothing": _joined(source.smoothing for source in sources.values()),
+        "corrections": _joined(
+            _joined(f"{name}: {text}" for name, text in source.corrections.items()) or "none"
+            for source in sources.values()
+        ),
         **notes,
     }
     return library
+
+
+def _joined(texts: Iterable[str]) -> str:
+    """Return texts that several flight lines have, each once."""
+    return "; ".join(dict.fromkeys(texts))
 
 
 def _padded(values: Array, size: int, fill: float) -> Array:
@@ -275,16 +272,14 @@ def _uncertainty_attrs(name: str, sources: Mapping[str, Source]) -> dict[str, An
     """Return attributes of an uncertainty that say what entered it."""
     if name not in UNCERTAINTIES:
         return {}
-    entered = [source.components.get(name, NONE_KNOWN) for source in sources.values()]
-    return {"components": "; ".join(dict.fromkeys(entered))}
+    return {"components": _joined(source.components.get(name, NONE_KNOWN) for source in sources.values())}
 
 
 def _corrections(sources: Mapping[str, Source]) -> dict[str, str]:
     """Return attributes that say what was corrected, so that nothing is corrected again."""
     names = dict.fromkeys(name for source in sources.values() for name in source.corrections)
     return {
-        name: "; ".join(dict.fromkeys(source.corrections.get(name, "none") for source in sources.values()))
-        for name in names
+        name: _joined(source.corrections.get(name, "none") for source in sources.values()) for name in names
     }
 
 
@@ -292,10 +287,6 @@ def _mirror_reflection(sources: Mapping[str, Source]) -> str:
     """Return whether spectra hold what a coat mirrors; one line that does decides."""
     removed = all("mirrored_sky_removed" in source.corrections for source in sources.values())
     return "excluded" if removed else "included"
-
-
-def _corrected(source: Source) -> str:
-    return "; ".join(f"{name}: {text}" for name, text in source.corrections.items()) or "none"
 
 
 def _sources(sources: Mapping[str, Source]) -> str:
