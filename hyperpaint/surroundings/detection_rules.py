@@ -9,24 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import NamedTuple
 
-__all__ = [
-    "BODIES",
-    "DIFFUSE",
-    "FLAGS",
-    "GLINT",
-    "MIXTURES",
-    "SEGMENTS",
-    "SHADOWS",
-    "SURVEY",
-    "BodyRules",
-    "DiffuseRules",
-    "FlagRules",
-    "GlintRules",
-    "MixtureRules",
-    "SegmentRules",
-    "ShadowRules",
-    "SurveyRules",
-]
+__all__ = ["BODIES", "DIFFUSE", "FLAGS", "GLINT", "MIXTURES", "SEGMENTS", "SHADOWS", "SURVEY"]
 
 
 class Contact(NamedTuple):

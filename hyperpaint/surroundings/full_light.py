@@ -14,19 +14,9 @@ from .model import CELL, GLINTED, LIT, SHADED
 from .segments import Touching, distinct_pairs
 
 __all__ = [
-    "AS_GLINT",
-    "Light",
-    "Matches",
-    "Mixtures",
-    "in_parts",
-    "match_segments",
-    "median_spectra",
-    "mixtures_of",
-    "senders_of",
-    "solve",
-    "unmix_spectra",
-    "without_sun",
-]
+    "AS_GLINT", "Light", "Matches", "Mixtures", "in_parts", "match_segments", "median_spectra", "mixtures_of",
+    "senders_of", "solve", "unmix_spectra", "without_sun",
+]  # fmt: skip
 
 
 _NONE = (0.0, 1e-6)
@@ -136,16 +126,6 @@ def match_segments(
     return Matches(state, body)
 
 
-def _pairs_of_bodies(
-    near: tuple[Ints, Ints], state: Array, body: Array, spectrum: Floats
-) -> tuple[Ints, Ints]:
-    """Return the segments that are not matched yet, each with the bodies near it."""
-    one, other = near[0], body[near[1]].astype(np.int64)
-    is_finite = np.asarray(np.isfinite(spectrum).all(axis=1))
-    open_ = (state[one] == LIT) & (one != other) & is_finite[one] & is_finite[other]
-    return distinct_pairs(one[open_], other[open_], len(spectrum))
-
-
 def _match_glint(
     spectrum: Floats,
     size: Ints,
@@ -155,10 +135,13 @@ def _match_glint(
     body: Array,
     most: float,
 ) -> bool:
-    """Match segments to what they are with the sun's mirror image; tell whether any was."""
+    """Match segments to what they are with the sun's mirror image; return whether any was."""
+    # the segments that are not matched yet, each with the bodies near it
     lit = state[near[1]] != SHADED
-    near = near[0][lit], near[1][lit]
-    one, other = _pairs_of_bodies(near, state, body, spectrum)
+    one, other = near[0][lit], body[near[1][lit]].astype(np.int64)
+    is_finite = np.asarray(np.isfinite(spectrum).all(axis=1))
+    open_ = (state[one] == LIT) & (one != other) & is_finite[one] & is_finite[other]
+    one, other = distinct_pairs(one[open_], other[open_], len(spectrum))
     amount, misfit, _ = unmix_spectra(
         spectrum[one], other, np.nan_to_num(spectrum), light, GLINT.tolerance, AS_GLINT
     )
@@ -167,44 +150,39 @@ def _match_glint(
     )
     # where the darker one could be the shadow, the brighter is no glint
     one, other, misfit = one[fits], other[fits], misfit[fits]
-    fits = ~_could_be_shade(spectrum, other, one, light)[2]
+    fits = ~_could_be_shade(spectrum, other, one, light)
     one, other, misfit = one[fits], other[fits], misfit[fits]
     # what leans towards the sun is brighter as well
     tilt, left, _ = unmix_spectra(
         spectrum[one], other, np.nan_to_num(spectrum), light, GLINT.tolerance, _AS_TILT
     )
     tilted = (left < 1.0) & (tilt[:, 0] < most)
-    return _assign(one[~tilted], other[~tilted], misfit[~tilted], GLINTED, state, body)
+    return _assign(one[~tilted], other[~tilted], misfit[~tilted], state, body)
 
 
-def _assign(one: Ints, other: Ints, misfit: Floats, kind: int, state: Array, body: Array) -> bool:
-    """Give segments, and those whose body they were, the body that fits best; tell whether any got one."""
+def _assign(one: Ints, other: Ints, misfit: Floats, state: Array, body: Array) -> bool:
+    """Give segments, and those whose body they were, the body that fits best; return whether any got one."""
     any_assigned = False
     for place in np.argsort(misfit, kind="stable"):
         segment, parent = one[place], other[place]
         if state[segment] == LIT and body[parent] != segment:
-            state[segment] = kind
+            state[segment] = GLINTED
             body[body == segment] = body[parent]
             any_assigned = True
     return any_assigned
 
 
-def _could_be_shade(spectrum: Floats, one: Ints, other: Ints, light: Light) -> tuple[Floats, Floats, Bools]:
-    """Return amounts, relative misfits, and whether ``one`` looks like ``other`` in shadow, pair by pair."""
+def _could_be_shade(spectrum: Floats, one: Ints, other: Ints, light: Light) -> Bools:
+    """Return whether ``one`` looks like ``other`` in shadow, pair by pair."""
     amount, misfit, _ = unmix_spectra(
         spectrum[one], other, np.nan_to_num(spectrum), light, GLINT.shade_tolerance, _AS_SHADE
     )
-    misfit = misfit * GLINT.shade_tolerance
-    level = spectrum.mean(axis=1)
-    fits = (
-        (level[one] < GLINT.max_shade_brightness * level[other])
-        & (misfit < GLINT.max_shade_misfit)
-        & (amount[:, 1] > GLINT.min_shade_sky)
-    )
+    direct, sky, level = amount[:, 0], amount[:, 1], spectrum.mean(axis=1)
+    fits = (sky > GLINT.min_shade_sky) & (misfit * GLINT.shade_tolerance < GLINT.max_shade_misfit)
+    fits &= level[one] < GLINT.max_shade_brightness * level[other]
     # what hides the sky sends light instead, and never more than a bright wall in the sun
-    fits &= amount[:, 1] < GLINT.max_shade_sky
-    fits &= amount[:, 0] < 0.02 + 0.14 * np.clip(1.0 - amount[:, 1], 0.0, 1.0)
-    return amount, misfit, np.asarray(fits)
+    fits &= (sky < GLINT.max_shade_sky) & (direct < 0.02 + 0.14 * np.clip(1.0 - sky, 0.0, 1.0))
+    return np.asarray(fits)
 
 
 _TOGETHER = 20_000

@@ -12,17 +12,9 @@ from hyperpaint.base.arrays import Array, Bools, Floats32, Ints
 from .detection_rules import SEGMENTS
 
 __all__ = [
-    "Segments",
-    "Touching",
-    "beyond",
-    "border_steps",
-    "distance_to",
-    "distinct_pairs",
-    "divide",
-    "edge_distance",
-    "sample_pixels",
-    "touching",
-]
+    "Segments", "Touching", "beyond", "border_steps", "distance_to", "distinct_pairs", "divide",
+    "edge_distance", "sample_pixels", "touching",
+]  # fmt: skip
 
 
 class Segments(NamedTuple):

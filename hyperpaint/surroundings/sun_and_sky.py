@@ -25,16 +25,9 @@ if TYPE_CHECKING:
     from .full_light import Matches
 
 __all__ = [
-    "CORRECTIONS",
-    "SOURCES",
-    "correct_light",
-    "diffuse_from_clear_sky",
-    "fraction_in_shadow",
-    "measured_fraction",
-    "remove_mirrored_sky",
-    "shadow_side_of",
-    "sun_zenith_of",
-]
+    "CORRECTIONS", "SOURCES", "correct_light", "diffuse_from_clear_sky", "fraction_in_shadow",
+    "measured_fraction", "remove_mirrored_sky", "shadow_side_of", "sun_zenith_of",
+]  # fmt: skip
 
 
 SOURCES = ("model", "pvlib", "shadow")

@@ -33,14 +33,7 @@ from .sun_and_sky import (
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = [
-    "channel_noise",
-    "channel_numbers",
-    "read_channels",
-    "survey",
-    "to_channels",
-    "to_nominal_channels",
-]
+__all__ = ["channel_noise", "channel_numbers", "survey", "to_channels", "to_nominal_channels"]
 
 
 _TOGETHER = 8  # blocks read at a time: enough for the threads of a laptop, little enough for its memory

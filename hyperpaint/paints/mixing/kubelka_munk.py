@@ -31,14 +31,7 @@ from hyperpaint.base.schema import BAND
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = [
-    "BLACKEST",
-    "Coating",
-    "Interface",
-    "absorption_to_scattering",
-    "coating_of",
-    "thick_layer_reflectance",
-]
+__all__ = ["Interface", "absorption_to_scattering", "coating_of", "thick_layer_reflectance"]
 
 
 def absorption_to_scattering(reflectance: npt.ArrayLike) -> Floats:

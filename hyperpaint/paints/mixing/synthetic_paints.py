@@ -22,14 +22,9 @@ if TYPE_CHECKING:
     import xarray as xr
 
 __all__ = [
-    "MEMBERS",
-    "SPECULAR",
-    "draw_variants",
-    "sample_paints",
-    "specular_of",
-    "synthetic_library",
+    "MEMBERS", "SPECULAR", "draw_variants", "sample_paints", "specular_of", "synthetic_library",
     "text_column",
-]
+]  # fmt: skip
 
 
 MEMBERS = "member_reflectance"

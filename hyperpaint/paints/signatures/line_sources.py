@@ -21,17 +21,7 @@ from hyperpaint.surroundings.sun_and_sky import CORRECTIONS, remove_mirrored_sky
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = [
-    "ATTITUDE",
-    "Smoothing",
-    "Source",
-    "Viewing",
-    "lines_of",
-    "mean_view",
-    "relative_azimuth",
-    "source_of",
-    "viewing_of",
-]
+__all__ = ["ATTITUDE", "Smoothing", "Source", "lines_of", "mean_view", "relative_azimuth", "source_of"]
 
 
 ATTITUDE = ("roll", "pitch", "heading")

@@ -11,15 +11,8 @@ from hyperpaint.base.arrays import Array, Floats
 from hyperpaint.radiometry.uncertainty.propagation import effective_number
 
 __all__ = [
-    "CENTRES",
-    "QUANTILES",
-    "SMEAR",
-    "BandSummary",
-    "chosen_members",
-    "effective_pixels",
-    "geometric_median",
-    "summarise",
-]
+    "CENTRES", "QUANTILES", "SMEAR", "chosen_members", "effective_pixels", "geometric_median", "summarise",
+]  # fmt: skip
 
 
 CENTRES = ("trimmed_mean", "geometric_median", "median")

@@ -16,16 +16,9 @@ from hyperpaint.surroundings.model import SHADED
 from .proposal_rules import SURFACES
 
 __all__ = [
-    "Limits",
-    "Measures",
-    "Picture",
-    "Piece",
-    "Surfaces",
-    "largest_body",
-    "measured",
-    "pieces",
-    "ring_around",
-]
+    "Limits", "Measures", "Picture", "Piece", "Surfaces", "largest_body", "measured", "pieces", "ring_around",
+    "window_of",
+]  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)
@@ -129,6 +122,12 @@ class Picture(NamedTuple):
     zenith: float | None  #: Of the sun [degree]; None where it is not known.
 
 
+def window_of(first: tuple[int, int], mask: Bools) -> tuple[slice, slice]:
+    """Return the part of a picture that a mask lies in whose first pixel is at a line and column."""
+    (y, x), (lines, columns) = first, mask.shape
+    return slice(y, y + lines), slice(x, x + columns)
+
+
 class Piece(NamedTuple):
     """A connected part of a body, away from other bodies."""
 
@@ -139,8 +138,7 @@ class Piece(NamedTuple):
     @property
     def window(self) -> tuple[slice, slice]:
         """The part of the picture that it lies in."""
-        (y, x), (lines, columns) = self.first, self.inside.shape
-        return slice(y, y + lines), slice(x, x + columns)
+        return window_of(self.first, self.inside)
 
     @property
     def middle(self) -> Floats:
@@ -153,19 +151,19 @@ class Measures(NamedTuple):
 
     usable: Bools  #: (line, column): Pixels that a region can have: the largest connected set of them.
     spectrum: Floats  #: (channel,): Median of these [1].
-    pixels: int  #: How many there are.
-    angle: float  #: Median spectral angle to the median [degree].
+    lost: Mapping[str, float]  #: Share of the piece that is left out, by the reason.
+    pixels: int = 0  #: How many there are; what is measured of none is NaN.
+    angle: float = np.nan  #: Median spectral angle to the median [degree].
     #: Of brightness: half of what lies between the 5th and 95th percentiles, and the median change from pixel
     #: to pixel, relative.
-    spread: float
-    slope: float
+    spread: float = np.nan
+    slope: float = np.nan
     #: Half of what lies between the 10th and 90th percentiles of brightness over all that is lit, relative.
-    change: float
+    change: float = np.nan
     #: Means over the usable pixels [1].
-    glint: float
-    shadow: float
-    adjacency: float
-    lost: Mapping[str, float]  #: mapping: Share of the piece that is left out, by the reason.
+    glint: float = np.nan
+    shadow: float = np.nan
+    adjacency: float = np.nan
 
 
 def pieces(model: SceneModel, erode: int, least: int) -> Iterator[Piece]:
@@ -216,9 +214,8 @@ def measured(piece: Piece, picture: Picture, limits: Limits, brightness: Floats 
         lost[reason] = float((usable & mask).sum() / piece.inside.sum())
         usable &= ~mask
     usable = _largest(usable)
-    measures = _measures(
-        usable, seen, brightness, here, {name: share for name, share in lost.items() if share}
-    )
+    lost = {name: share for name, share in lost.items() if share}
+    measures = _measures(usable, seen, brightness, here, lost)
     if not lit.any():
         return measures
     low, high = np.quantile(brightness[lit], [0.1, 0.9])
@@ -230,9 +227,7 @@ def _measures(
 ) -> Measures:
     count = int(usable.sum())
     if not count:
-        nothing = np.full(seen.shape[2], np.nan)
-        nan = float("nan")
-        return Measures(usable, nothing, 0, nan, nan, nan, nan, nan, nan, nan, lost)
+        return Measures(usable, np.full(seen.shape[2], np.nan), lost)
     values = seen[usable]
     middle = np.median(values, axis=0)
     length = np.linalg.norm(values, axis=1) * np.linalg.norm(middle)
@@ -240,19 +235,14 @@ def _measures(
     low, high = np.quantile(brightness[usable], [0.05, 0.95])
     steps = [np.abs(np.diff(brightness, axis=axis))[_both(usable, axis)] for axis in (0, 1)]
     joined = np.concatenate(steps)
-    return Measures(
-        usable,
-        middle,
-        count,
-        float(np.median(angles)),
-        0.5 * float(high - low),
-        float(np.median(joined)) if joined.size else 0.0,
-        float("nan"),
-        float(here["glint_fraction"][usable].mean()),
-        float(here["blocked_direct"][usable].mean()),
-        float(here["adjacency"][usable].mean()),
-        lost,
+    glint, shadow, adjacency = (
+        float(here[name][usable].mean()) for name in ("glint_fraction", "blocked_direct", "adjacency")
     )
+    return Measures(
+        usable, middle, lost, pixels=count, angle=float(np.median(angles)), spread=0.5 * float(high - low),
+        slope=float(np.median(joined)) if joined.size else 0.0, glint=glint, shadow=shadow,
+        adjacency=adjacency,
+    )  # fmt: skip
 
 
 def _both(mask: Bools, axis: int) -> Bools:

@@ -17,7 +17,7 @@ from .judging import Judged, Verdict, judge_change, judge_lean, judge_pixels
 from .proposal_rules import CARS
 from .roofs import NoRoof, Roof, find_roof, level_light
 
-__all__ = ["Car", "better_part", "find_cars", "judge_car", "settle_dark"]
+__all__ = ["Car", "find_cars", "judge_car", "settle_dark"]
 
 
 @dataclass(eq=False)

@@ -10,7 +10,7 @@ import numpy.typing as npt
 from hyperpaint.base.arrays import Array, Bools, Floats
 from hyperpaint.surroundings import SceneModel
 
-from .candidates import largest_body
+from .candidates import largest_body, window_of
 from .proposal_rules import FOOTPRINTS
 
 __all__ = ["Footprint", "Scene", "footprint_of", "hull_of"]
@@ -57,8 +57,7 @@ class Footprint(NamedTuple):
     @property
     def window(self) -> tuple[slice, slice]:
         """The part of the picture that the masks are of."""
-        (y, x), (lines, columns) = self.first, self.whole.shape
-        return slice(y, y + lines), slice(x, x + columns)
+        return window_of(self.first, self.whole)
 
 
 def footprint_of(

@@ -10,18 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-__all__ = [
-    "CARS",
-    "FOOTPRINTS",
-    "JUDGING",
-    "ROOFS",
-    "SURFACES",
-    "CarRules",
-    "FootprintRules",
-    "JudgingRules",
-    "RoofRules",
-    "SurfaceRules",
-]
+__all__ = ["CARS", "FOOTPRINTS", "JUDGING", "ROOFS", "SURFACES"]
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,7 @@ from hyperpaint.base.arrays import Bools, Floats
 from .footprints import Footprint
 from .proposal_rules import ROOFS
 
-__all__ = ["Levelled", "NoRoof", "Roof", "find_roof", "level_light"]
+__all__ = ["NoRoof", "Roof", "find_roof", "level_light"]
 
 
 class Roof(NamedTuple):
