@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from hyperpaint.base.errors import Problems, SchemaError, needs_extra
+from hyperpaint.base.errors import SchemaError, needs_extra
 
 __all__ = [
     "axes_or_new", "check_picture", "data_uri", "encode_png", "label_for", "new_figure", "png_of",
@@ -75,15 +75,13 @@ def check_picture(path: Path) -> None:
     hyperpaint.base.errors.SchemaError: the picture cannot be written to calibration.xls:
       expected a name that ends in one of ..., .svg, ...
     """
+    from hyperpaint.io.files.publishing import check_place
+
     kinds = new_figure("a picture").canvas.get_supported_filetypes()
-    problems = Problems(f"the picture cannot be written to {path}", SchemaError)
-    if path.suffix.lower().removeprefix(".") not in kinds:
-        problems.add(f"expected a name that ends in one of {', '.join(f'.{each}' for each in sorted(kinds))}")
-    if path.is_dir():
-        problems.add("that is a folder; name a file in it, such as agreement.png")
-    if not path.absolute().parent.is_dir():
-        problems.add(f"there is no folder {path.absolute().parent}")
-    problems.raise_if_any()
+    suffixes = [f".{kind}" for kind in sorted(kinds)]
+    check_place(
+        path, "the picture", example="agreement.png", kinds=suffixes, overwrite=True, error=SchemaError
+    )
 
 
 def png_of(figure: Any, dpi: int = 110) -> bytes:

@@ -13,9 +13,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from hyperpaint.base.arrays import Progress
-from hyperpaint.base.errors import PaintError, Problems, SchemaError, StoreError
+from hyperpaint.base.errors import PaintError, SchemaError, StoreError
 from hyperpaint.base.progress_reports import part_of
 from hyperpaint.base.schema import ALONG_TRACK, CROSS_TRACK, PAINT
+from hyperpaint.io.files.publishing import check_place, publish_file
 from hyperpaint.pictures.figures import new_figure
 from hyperpaint.radiometry.counts_to_reflectance import reflectance
 from hyperpaint.surroundings.flags import flag_line, is_flagged
@@ -107,12 +108,11 @@ def write_report(
     >>> write_report("lot.zarr", "report.html").problems     # doctest: +SKIP
     ()
     """
-    from hyperpaint.io.files.publishing import publish_file
     from hyperpaint.io.store import list_groups
 
     new_figure("a report")  # before anything is read
     place = Path(out)
-    _check_place(store, place, overwrite)
+    check_place(place, "the report", example="report.html", store=Path(store), overwrite=overwrite)
     if lines < 1:
         raise SchemaError(f"lines={lines}, expected 1 or more")
     opened, problems = _opened(store, list_groups(store))
@@ -176,25 +176,6 @@ def _with_flags(line: xr.Dataset, sun_zenith: float | None, progress: Progress |
 
 
 # --- what there is to show ---------------------------------------------------------------------------------
-
-
-def _check_place(store: str | os.PathLike[str], place: Path, overwrite: bool) -> None:
-    """Refuse a place for the page; all reasons are listed."""
-    problems = Problems(f"the report cannot be written to {place}", StoreError)
-    inside, around = place.resolve(), Path(store).resolve()
-    if inside == around or around in inside.parents:
-        problems.add("that is in the store itself; choose another path")
-    elif place.is_dir():
-        problems.add("that is a folder; name a file in it, such as report.html")
-    elif place.exists() and not overwrite:
-        problems.add(
-            "it exists already",
-            mend="pass overwrite=True to replace it",
-            option="pass --overwrite to replace it",
-        )
-    if not place.absolute().parent.is_dir():
-        problems.add(f"there is no folder {place.absolute().parent}")
-    problems.raise_if_any()
 
 
 def _opened(store: str | os.PathLike[str], groups: Sequence[str]) -> tuple[dict[str, xr.Dataset], list[str]]:

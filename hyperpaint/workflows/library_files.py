@@ -18,9 +18,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from hyperpaint.base.errors import PaintError, Problems, SchemaError, StoreError
+from hyperpaint.base.errors import PaintError, SchemaError, StoreError
 from hyperpaint.base.progress_reports import part_of
 from hyperpaint.base.schema import flags_named
+from hyperpaint.io.files.publishing import check_place, publish_file
 from hyperpaint.surroundings.flags import Flagged, flag_line, is_flagged
 
 if TYPE_CHECKING:
@@ -255,20 +256,7 @@ def _store_of(signatures: xr.Dataset, library: Path) -> Path:
 
 def check_table(path: Path, *, overwrite: bool = False) -> None:
     """Refuse a place for a table before anything is read (`StoreError`, which lists all reasons)."""
-    problems = Problems(f"the table cannot be written to {path}", StoreError)
-    if path.suffix.lower() not in _TABLES:
-        problems.add(f"expected a name that ends in {' or '.join(_TABLES)}")
-    if path.is_dir():
-        problems.add("that is a folder; name a file in it, such as agreement.csv")
-    elif path.exists() and not overwrite:
-        problems.add(
-            "it exists already",
-            mend="pass overwrite=True to replace it",
-            option="pass --overwrite to replace it",
-        )
-    if not path.absolute().parent.is_dir():
-        problems.add(f"there is no folder {path.absolute().parent}")
-    problems.raise_if_any()
+    check_place(path, "the table", example="agreement.csv", kinds=_TABLES, overwrite=overwrite)
 
 
 def write_table(validation: Validation, path: str | os.PathLike[str], *, overwrite: bool = False) -> None:
@@ -277,8 +265,6 @@ def write_table(validation: Validation, path: str | os.PathLike[str], *, overwri
     Numbers have all their digits; what is not known is empty, or null. Raises `StoreError`: see
     `check_table`.
     """
-    from hyperpaint.io.files.publishing import publish_file
-
     path = Path(path)
     check_table(path, overwrite=overwrite)
     text = _as_csv(validation) if path.suffix.lower() == ".csv" else _as_json(validation)

@@ -11,14 +11,40 @@ import os
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
-from hyperpaint.base.errors import StoreError
+from hyperpaint.base.errors import PaintError, Problems, StoreError
 from hyperpaint.io.store.disk import flush_group
 from hyperpaint.io.store.location import sync
 from hyperpaint.io.store.stage import Staging, discard, staging
 
-__all__ = ["publish_file", "published_files", "published_folder"]
+__all__ = ["check_place", "publish_file", "published_files", "published_folder"]
 
 _MEND = "pass {}, or choose another path"
+
+
+def check_place(
+    path: Path, product: str, *, example: str, kinds: Sequence[str] = (), store: Path | None = None,
+    overwrite: bool = False, error: type[PaintError] = StoreError,
+) -> None:  # fmt: skip
+    """Refuse a place for a file before anything is read or drawn; all reasons are listed.
+
+    Messages name the ``product``, such as "the table", and an ``example`` of a name. ``kinds`` are the
+    suffixes that it may have, any by default; it may not be in ``store``.
+    """
+    problems = Problems(f"{product} cannot be written to {path}", error)
+    if kinds and path.suffix.lower() not in kinds:
+        several = "one of " + ", ".join(kinds) if len(kinds) > 2 else " or ".join(kinds)
+        problems.add(f"expected a name that ends in {several}")
+    if store is not None and store.resolve() in (path.resolve(), *path.resolve().parents):
+        problems.add("that is in the store itself; choose another path")
+    elif path.is_dir():
+        problems.add(f"that is a folder; name a file in it, such as {example}")
+    elif path.exists() and not overwrite:
+        replace = "pass {} to replace it"
+        mend, option = (replace.format(text) for text in ("overwrite=True", "--overwrite"))
+        problems.add("it exists already", mend=mend, option=option)
+    if not path.absolute().parent.is_dir():
+        problems.add(f"there is no folder {path.absolute().parent}")
+    problems.raise_if_any()
 
 
 def publish_file(path: Path, content: bytes, *, overwrite: bool) -> None:
