@@ -15,7 +15,7 @@ import numpy.typing as npt
 from hyperpaint.base import schema
 from hyperpaint.base.arrays import Floats, Floats32
 from hyperpaint.base.errors import PaintError, SchemaError, needs_extra
-from hyperpaint.base.schema import ALONG_TRACK, CROSS_TRACK
+from hyperpaint.base.schema import ALONG_TRACK, CROSS_TRACK, Quality
 from hyperpaint.paints.signatures import extract_signatures
 from hyperpaint.regions import Region, Regions, regions_from, write_regions
 
@@ -33,7 +33,7 @@ def pick_regions(
     *,
     flightline: str = "",
     lines: int = 2000,
-    exclude: schema.Quality | int | None = None,
+    exclude: Quality | int | None = None,
 ) -> RegionPicker:
     """Return a widget to draw regions on a flight line with the mouse.
 
@@ -77,7 +77,7 @@ def pick_regions(
     >>> picker                                                 # doctest: +SKIP
     >>> line.paint.signatures(picker.regions)                  # doctest: +SKIP
     """
-    return RegionPicker(line, regions, flightline=flightline, lines=lines, exclude=exclude)
+    return RegionPicker(line, regions, flightline, lines, exclude)
 
 
 def corners_at(along: Sequence[float], across: Sequence[float], shape: tuple[int, int]) -> Floats | None:
@@ -110,13 +110,7 @@ class RegionPicker:
     """
 
     def __init__(
-        self,
-        line: xr.Dataset,
-        regions: Any = None,
-        *,
-        flightline: str = "",
-        lines: int = 2000,
-        exclude: schema.Quality | int | None = None,
+        self, line: xr.Dataset, regions: Any, flightline: str, lines: int, exclude: Quality | int | None
     ) -> None:
         _need_extra()
         self._line = schema.rename_to_roles(line)

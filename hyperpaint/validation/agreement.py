@@ -21,16 +21,9 @@ _LEAST_SHAPE = 3  # bands: of one, angle and scale-free error are always 0
 def statistics_of(signature: Floats, reference: Floats) -> dict[str, Floats]:
     r"""Return the statistics of agreement over the last axis.
 
-    Parameters
-    ----------
-    signature, reference : (..., band), float64
-        Reflectance [1], no value missing.
-
-    Returns
-    -------
-    dict of (...,), float64
-        By the names in `STATISTICS`, [1], of the angle [rad]; NaN without bands, the last three where a
-        spectrum is zero, and angle and scale-free error of fewer than three bands, which have no shape.
+    Takes ``signature``, ``reference`` (..., band): reflectance [1], no value missing. By the names in
+    `STATISTICS`, [1], of the angle [rad]; NaN without bands, the last three where a spectrum is zero, and
+    angle and scale-free error of fewer than three bands, which have no shape.
 
     Notes
     -----
@@ -87,17 +80,8 @@ def uncertainty_of(
 ) -> dict[str, Floats]:
     r"""Return the standard uncertainty of every statistic of `statistics_of`.
 
-    Parameters
-    ----------
-    signature, reference : (band,)
-        Reflectance [1].
-    signature_errors, reference_errors : (draw, band)
-        What may be wrong with them, at random [1].
-
-    Returns
-    -------
-    dict of (), float64
-        By the names in `STATISTICS`, in their units.
+    Takes ``signature``, ``reference`` (band,): reflectance [1]; ``signature_errors``, ``reference_errors``
+    (draw, band): what may be wrong with them, at random [1].
 
     Notes
     -----

@@ -21,7 +21,7 @@ from .validation_result import MEANINGS
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["Compared", "Pair", "Pairing", "compare", "paired"]
+__all__ = ["Compared", "compare", "paired"]
 
 _MOST_NAMED = 12
 

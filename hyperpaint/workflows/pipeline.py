@@ -314,7 +314,7 @@ def _check_words(to: str, reflectance: str) -> None:
 def _opened(
     collect: str | Path | Collect, lines: int, parameters: Mapping[str, Any]
 ) -> tuple[OpenedCollect, dict[str, xr.Dataset]]:
-    """Open a collect with so many lines a task; return it, and the groups of a store."""
+    """Open a collect with so many lines a task; return it, and groups of a store that name their inputs."""
     from hyperpaint.io.collect.collect_opening import open_with_settings
 
     from .laboratory import calibrate_sweep
@@ -323,11 +323,6 @@ def _opened(
         collect, need_irradiance=parameters["to"] == "reflectance", chunks={ALONG_TRACK: lines},
         calibrate=calibrate_sweep,
     )  # fmt: skip
-    return opened, _groups(opened, parameters)
-
-
-def _groups(opened: OpenedCollect, parameters: Mapping[str, Any]) -> dict[str, xr.Dataset]:
-    """Return the groups of a store as they were opened, each naming what it is made from."""
     tree, cubes = opened.tree, opened.cubes
     groups = {}
     references = (f"references/{name}" for name in tree.children.get("references", {}))
@@ -335,10 +330,9 @@ def _groups(opened: OpenedCollect, parameters: Mapping[str, Any]) -> dict[str, x
         if f"/{name}" not in tree.groups:
             continue
         dataset = tree[name].to_dataset()
-        said = dict(parameters) if name in cubes else {}
-        digest = _digest(dataset, cubes.get(name), said)
+        digest = _digest(dataset, cubes.get(name), dict(parameters) if name in cubes else {})
         groups[name] = dataset.assign_attrs({INPUTS: digest})
-    return groups
+    return opened, groups
 
 
 def _digest(dataset: xr.Dataset, cube: Path | None, parameters: Mapping[str, Any]) -> str:

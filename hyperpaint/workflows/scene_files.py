@@ -30,8 +30,7 @@ from hyperpaint.simulation.rendering.scene import INSTANCE_KINDS
 from hyperpaint.simulation.settings import MOST_SAMPLES
 
 __all__ = [
-    "MATERIAL", "SCHEMA", "AtmosphereEntry", "MeshEntry", "Sampling", "SceneFile", "example_scene",
-    "read_scene_file",
+    "MATERIAL", "AtmosphereEntry", "MeshEntry", "Sampling", "SceneFile", "example_scene", "read_scene_file",
 ]  # fmt: skip
 
 SCENE_KINDS = ("car_park", "plane", "empty")
