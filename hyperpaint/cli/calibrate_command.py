@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +11,11 @@ import click
 from .console import EXISTING, FILE, PLACE, is_watched, progress_bar
 
 __all__ = ["calibrate"]
+
+
+def _uncertainty(name: str, default: float, text: str) -> Callable[[Any], Any]:
+    share = click.FloatRange(0.0, 1.0)
+    return click.option(f"--{name}-uncertainty", type=share, metavar="SHARE", default=default, help=text)
 
 
 @click.command(
@@ -30,18 +36,9 @@ A collect.toml can also name the sweep itself:
     "--shape", "srf_shape", type=click.Choice(["gaussian", "slit"]),
     help="Line shape of the camera.  [default: the one that the lines fit better]",
 )  # fmt: skip
-@click.option(
-    "--flux-uncertainty", type=click.FloatRange(0.0, 1.0), metavar="SHARE", default=0.04,
-    help="Relative standard uncertainty of the power meter.",
-)  # fmt: skip
-@click.option(
-    "--capture-uncertainty", type=click.FloatRange(0.0, 1.0), metavar="SHARE", default=0.0,
-    help="The same of the capture fraction.",
-)  # fmt: skip
-@click.option(
-    "--etendue-uncertainty", type=click.FloatRange(0.0, 1.0), metavar="SHARE", default=0.0,
-    help="The same of the etendue.",
-)  # fmt: skip
+@_uncertainty("flux", 0.04, "Relative standard uncertainty of the power meter.")
+@_uncertainty("capture", 0.0, "The same of the capture fraction.")
+@_uncertainty("etendue", 0.0, "The same of the etendue.")
 @click.option(
     "--wavelength-uncertainty", type=click.FloatRange(0.0, 10.0), metavar="NM", default=0.1,
     help="Standard uncertainty of the monochromator's dial.",

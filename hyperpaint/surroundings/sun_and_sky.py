@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from .full_light import Matches
 
 __all__ = [
-    "CORRECTIONS", "SOURCES", "correct_light", "diffuse_from_clear_sky", "fraction_in_shadow",
+    "CORRECTIONS", "SOURCES", "SUN_FROM", "correct_light", "diffuse_from_clear_sky", "fraction_in_shadow",
     "measured_fraction", "remove_mirrored_sky", "shadow_side_of", "sun_zenith_of",
 ]  # fmt: skip
 
@@ -34,19 +34,23 @@ SOURCES = ("model", "pvlib", "shadow")
 """Where the diffuse fraction may come from, beside a measured spectrum."""
 
 
+SUN_FROM = ("time", "latitude", "longitude")
+"""Variables of a line that say where the sun is."""
+
+
 def sun_zenith_of(line: xr.Dataset, sun_zenith: float | None) -> float:
     """Return the zenith angle of the sun [degree], given or from time and place of the line."""
     if sun_zenith is not None:
         if not 0.0 <= sun_zenith <= 90.0:
             raise SchemaError(f"sun_zenith={sun_zenith!r}, expected 0 to 90 degrees")
         return float(sun_zenith)
-    if not {"time", "latitude", "longitude"} <= set(line.variables):
+    if not set(SUN_FROM) <= set(line.variables):
         raise SchemaError(
             "the sun's place is not known: the line has no time, latitude and longitude",
             mend="give sun_zenith= [degree], or diffuse= with a measured spectrum",
             option="give --sun-zenith",
         )
-    zenith, _ = solar_position(*(line[name].values for name in ("time", "latitude", "longitude")))
+    zenith, _ = solar_position(*(line[name].values for name in SUN_FROM))
     if not np.isfinite(zenith).any():
         raise SchemaError(
             "time, latitude or longitude is missing on every line",
@@ -63,8 +67,8 @@ def shadow_side_of(line: xr.Dataset, sun_azimuth: float | None, heading: float |
     """
     if heading is None and "heading" in line.variables:
         heading = _mean_angle(line["heading"].values)
-    if sun_azimuth is None and {"time", "latitude", "longitude"} <= set(line.variables):
-        _, azimuth = solar_position(*(line[name].values for name in ("time", "latitude", "longitude")))
+    if sun_azimuth is None and set(SUN_FROM) <= set(line.variables):
+        _, azimuth = solar_position(*(line[name].values for name in SUN_FROM))
         sun_azimuth = _mean_angle(azimuth)
     if heading is None or sun_azimuth is None:
         return None

@@ -23,6 +23,7 @@ from .segments import border_steps, distance_to, divide, edge_distance, sample_p
 from .shadows import match_shade, shaded_pixels
 from .sun_and_sky import (
     SOURCES,
+    SUN_FROM,
     diffuse_from_clear_sky,
     fraction_in_shadow,
     measured_fraction,
@@ -324,7 +325,7 @@ def _fraction(
 ) -> tuple[Floats, str, float]:
     """Return the diffuse fraction (band,) to start from, where it is from, and the sun's zenith angle."""
     if not isinstance(diffuse, str):
-        has_sun = sun_zenith is not None or {"time", "latitude", "longitude"} <= set(line.variables)
+        has_sun = sun_zenith is not None or set(SUN_FROM) <= set(line.variables)
         zenith = sun_zenith_of(line, sun_zenith) if has_sun else float("nan")
         return measured_fraction(diffuse, wavelength), "a measured spectrum", zenith
     if diffuse not in SOURCES:

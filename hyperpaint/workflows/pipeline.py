@@ -25,7 +25,9 @@ if TYPE_CHECKING:
     from hyperpaint.io.store.budget import Demand
     from hyperpaint.io.store.location import Location
 
-__all__ = ["Outcome", "bars_on_stderr", "computing_on", "kept_groups", "local_folder", "process", "run"]
+__all__ = [
+    "Outcome", "computing_on", "kept_groups", "local_folder", "process", "run", "store_group", "token_of",
+]  # fmt: skip
 
 
 WORKERS_WAIT = 60
@@ -156,11 +158,17 @@ def _wait_for_workers(client: Client) -> None:
         ) from error
 
 
-@contextlib.contextmanager
-def bars_on_stderr() -> Iterator[None]:
-    """Send progress bars to stderr, so that stdout holds results only."""
-    with contextlib.redirect_stdout(sys.stderr):
-        yield
+def token_of(dataset: xr.Dataset) -> str:
+    """Return the digest of all that a group is made from."""
+    return str(dataset.attrs[INPUTS])
+
+
+def store_group(dataset: xr.Dataset, out: Path, name: str, *, overwrite: bool, progress: bool) -> None:
+    """Write a group that names its inputs; bars go to stderr, so that stdout holds results only."""
+    from hyperpaint.io.store import to_store
+
+    with contextlib.redirect_stdout(sys.stderr) if progress else contextlib.nullcontext():
+        to_store(dataset, out, name, overwrite=overwrite, progress=progress, source_token=token_of(dataset))
 
 
 KEPT_BITS = 12
@@ -255,7 +263,7 @@ def run(
     scheduler: str | None = None, memory_limit: str | int | None = None, overwrite: bool = False,
     progress: bool = False,
 ) -> Outcome:  # fmt: skip
-    """Do what `process` does, and tell what was written; the arguments are those of `process`."""
+    """Do what `process` does, and return what was written; the arguments are those of `process`."""
     import xarray as xr
 
     from hyperpaint.io.store import to_store
@@ -281,17 +289,14 @@ def run(
         if demand.lines < lines_a_task:
             opened, groups = _opened(opened.settings, demand.lines, parameters)
         products = {name: _product(groups[name], name, to, reflectance) for name in pending}
-        check_room(products, out, {name: _token(dataset) for name, dataset in products.items()})
+        check_room(products, out, {name: token_of(dataset) for name, dataset in products.items()})
         _rehearse(products, collect, client)
         lines = [name for name, dataset in products.items() if ALONG_TRACK in dataset.dims]
         for name, dataset in products.items():
             if progress and name in lines:
                 which = f"flight line {lines.index(name) + 1} of {len(lines)}"
                 sys.stderr.write(f"{name}: {which}, {dataset.sizes[ALONG_TRACK]} scan lines\n")
-            with bars_on_stderr() if progress else contextlib.nullcontext():
-                to_store(
-                    dataset, out, name, overwrite=overwrite, progress=progress, source_token=_token(dataset)
-                )
+            store_group(dataset, out, name, overwrite=overwrite, progress=progress)
         root = xr.DataTree(xr.Dataset(attrs=opened.tree.attrs))
         to_store(root, out, overwrite=overwrite)
     return Outcome(out, tuple(products), tuple(complete))
@@ -352,10 +357,6 @@ def _digest(dataset: xr.Dataset, cube: Path | None, parameters: Mapping[str, Any
             # of texts numpy holds places in memory
             digest.update(repr(values.tolist()).encode() if values.dtype == object else values.tobytes())
     return digest.hexdigest()[:32]
-
-
-def _token(dataset: xr.Dataset) -> str:
-    return str(dataset.attrs[INPUTS])
 
 
 def _product(dataset: xr.Dataset, name: str, to: Product, storage: Kept) -> xr.Dataset:

@@ -43,7 +43,7 @@ from hyperpaint.io.store.budget import size_text
 from hyperpaint.io.store.groups import INPUTS
 from hyperpaint.simulation.settings import MOST_SAMPLES
 
-from .pipeline import Outcome, bars_on_stderr, computing_on, kept_groups, local_folder
+from .pipeline import Outcome, computing_on, kept_groups, local_folder, store_group, token_of
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -143,10 +143,10 @@ def run(
     atmospheres: Sequence[str] = (), scheduler: str | None = None, overwrite: bool = False,
     progress: bool = False,
 ) -> Outcome:  # fmt: skip
-    """Do what `render_scene` does, and tell what was written; the arguments are those of `render_scene`."""
+    """Do what `render_scene` does, and return what was written; the arguments are those of `render_scene`."""
     import xarray as xr
 
-    from hyperpaint.io.store import to_store
+    from hyperpaint.io.store import open_store, to_store
     from hyperpaint.io.store.computing import errors_of_the_cluster
     from hyperpaint.io.store.writer import check_room
 
@@ -167,16 +167,16 @@ def run(
         complete = kept_groups(planned, out, overwrite=overwrite, command="render")
         _refuse_orphans(out, planned, complete)
         pending = [name for name in planned if name not in complete]
-        tokens = {name: str(planned[name].attrs[INPUTS]) for name in pending}
+        tokens = {name: token_of(planned[name]) for name in pending}
         check_room({name: planned[name] for name in pending}, out, tokens)
         for name in pending:
-            dataset = traced if name == TRANSPORT else _of_stored(out, name, file, parts)
+            dataset = traced
+            if name != TRANSPORT:  # of the scene as it is stored
+                stored = open_store(out, TRANSPORT)
+                dataset = _renders(stored, file, parts, [name.removeprefix(RENDERS)])[name]
             if progress:
                 sys.stderr.write(_announcement(name, file))
-            with bars_on_stderr() if progress else contextlib.nullcontext():
-                to_store(
-                    dataset, out, name, overwrite=overwrite, progress=progress, source_token=tokens[name]
-                )
+            store_group(dataset, out, name, overwrite=overwrite, progress=progress)
         text = file.path.read_text(encoding="utf-8")
         root = xr.DataTree(xr.Dataset(attrs={"name": file.name, "scene_file": text}))
         to_store(root, out, overwrite=True)
@@ -269,14 +269,6 @@ def _renders(
                 noise=parts.noise,
             ).assign_attrs({INPUTS: _digest(inputs)})  # fmt: skip
     return renders
-
-
-def _of_stored(out: Path, group: str, file: SceneFile, parts: Parts) -> xr.Dataset:
-    """Return a render of the scene as it is stored."""
-    from hyperpaint.io.store import open_store
-
-    stored = open_store(out, TRANSPORT)
-    return _renders(stored, file, parts, [group.removeprefix(RENDERS)])[group]
 
 
 def _refuse_orphans(out: Path, planned: Mapping[str, Any], complete: Sequence[str]) -> None:

@@ -87,11 +87,8 @@ def _materials(value: Any) -> str | None:
         if not isinstance(table, dict) or "spectrum" not in table:
             return f"for {name!r:.40} a spectrum, or a table with spectrum"
         for key, entry in table.items():
-            wrong = (
-                MATERIAL[key](entry)
-                if key in MATERIAL
-                else f"none of that name; known are {', '.join(MATERIAL)}"
-            )
+            unknown = f"none of that name; known are {', '.join(MATERIAL)}"
+            wrong = MATERIAL[key](entry) if key in MATERIAL else unknown
             if wrong is not None:
                 return f"for {name!r:.40}.{key:.40} {wrong}"
     return None
@@ -367,9 +364,9 @@ def _atmosphere(reader: TableReader, place: str, table: Mapping[str, Any]) -> At
         reader.problems.add(f"{place} name = {shown(name)}, expected {expected}")
     if sources and sources[0] != "preset" and "sun_zenith_deg" not in table["?"]:
         reader.problems.add(f"{place} sun_zenith_deg is missing: {sources[0]} does not say where the sun is")
-    for key, source in (("direct_fraction", "irradiance"), ("time", "irradiance")):
-        if key in table["?"] and sources != [source]:
-            reader.problems.add(f"{place} {key} needs {source}, the files of a spectrometer")
+    for key in ("direct_fraction", "time"):
+        if key in table["?"] and sources != ["irradiance"]:
+            reader.problems.add(f"{place} {key} needs irradiance, the files of a spectrometer")
     files = reader.files(place, "irradiance", table["irradiance"]) if "irradiance" in table else ()
     skipped = {"?", "name", *_SOURCES}
     options = {key: value for key, value in table.items() if key not in skipped}

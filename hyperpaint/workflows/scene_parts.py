@@ -59,12 +59,8 @@ def build_parts(file: SceneFile) -> Parts:
     """
     problems = Problems(f"{file.path} cannot be rendered", FormatError)
     parts: dict[str, Any] = {}
-    for name, build in (
-        ("scene", _scene),
-        ("camera", _camera),
-        ("atmospheres", _atmospheres),
-        ("spectra", _spectra),
-    ):
+    builders = {"scene": _scene, "camera": _camera, "atmospheres": _atmospheres, "spectra": _spectra}
+    for name, build in builders.items():
         try:
             parts[name] = build(file)
         except ImportError:
@@ -146,9 +142,7 @@ def _mesh(entry: MeshEntry) -> Scene:
         )
         for part, said in options.get("materials", {}).items()
     }
-    painted = [
-        each.spectrum for each in (default, *parts.values()) if each is not None and each.kind == "paint"
-    ]
+    painted = [one.spectrum for one in (default, *parts.values()) if one is not None and one.kind == "paint"]
     thing = Instance(entry.name, kind, painted[0] if kind == "car" and painted else "")
     mesh = read_mesh(
         entry.path, parts, default=default, instance=thing, unit=float(options.get("unit_m", 1.0)),
@@ -198,12 +192,9 @@ def _camera(file: SceneFile) -> Camera:
 
     options = {key: value for key, value in file.camera.items() if key != "noise"}
     size = {"columns": file.platform["columns"], "lines": max(2, file.platform["lines"])}
-    times = {
-        f"{key}_ms": file.platform[key] * 1e3
-        for key in ("exposure_time", "frame_period")
-        if key in file.platform
-    }
-    return Camera.of(SimulationSettings.of({**options, **size, **times}))
+    times = [key for key in ("exposure_time", "frame_period") if key in file.platform]
+    options |= {f"{key}_ms": file.platform[key] * 1e3 for key in times}
+    return Camera.of(SimulationSettings.of({**options, **size}))
 
 
 # --- in which light ----------------------------------------------------------------------------------------

@@ -105,27 +105,23 @@ def _computed(tasks: list[Any], progress: Progress | None) -> list[Any]:
         return list(dask.compute(*tasks))
     client = getattr(get_scheduler(), "__self__", None)
     if hasattr(client, "scheduler_info"):
-        return _on_cluster(client, tasks, progress)
+        from distributed import as_completed
+
+        futures = client.compute(tasks)
+        for done, _ in enumerate(as_completed(futures), start=1):
+            progress(done, len(futures))
+        return list(client.gather(futures))
     from dask.callbacks import Callback
 
     waiting = {task.key for task in tasks}
 
-    def told(key: Any, *_: Any) -> None:
+    def report(key: Any, *_: Any) -> None:
         if key in waiting:
             waiting.discard(key)
             progress(len(tasks) - len(waiting), len(tasks))
 
-    with Callback(posttask=told):
+    with Callback(posttask=report):
         return list(dask.compute(*tasks))
-
-
-def _on_cluster(client: Any, tasks: list[Any], progress: Progress) -> list[Any]:
-    from distributed import as_completed
-
-    futures = client.compute(tasks)
-    for done, _ in enumerate(as_completed(futures), start=1):
-        progress(done, len(futures))
-    return list(client.gather(futures))
 
 
 EXCLUDED = (

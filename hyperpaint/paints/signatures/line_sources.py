@@ -35,14 +35,16 @@ _ALONG_THE_VERTICAL = 1e-6
 class Viewing:
     """What a flight line says of its directions of view.
 
-    Takes ``variables``: those that it has of ``view_zenith``, ``view_azimuth`` (along_track, cross_track),
-    ``look_angle`` (cross_track) and `ATTITUDE` (along_track) [degree]; ``problems``: why others cannot be
-    used. Directions are made of ``planes`` and ``lines``, variables of pixels and of lines, and of ``look``,
-    the look angles (cross_track,) [degree], None where they are not needed; ``description`` says where
-    directions are from, or why they are not known.
+    Those of pixels, ``view_zenith`` and ``view_azimuth`` (along_track, cross_track), go before ``look_angle``
+    (cross_track) with `ATTITUDE` (along_track) [degree]. ``planes`` and ``lines`` are the variables of pixels
+    and lines, ``look`` (cross_track,) the look angles [degree], None where they are not needed;
+    ``description`` says where directions are from, or why they are not known: what cannot be used is named
+    there, not refused.
     """
 
-    def __init__(self, variables: Mapping[str, xr.DataArray], problems: tuple[str, ...] = ()) -> None:
+    def __init__(self, line: xr.Dataset) -> None:
+        names = [name for name in (*_PIXELS, "look_angle", *ATTITUDE) if name in line.variables]
+        variables, problems = schema.find(line, names)
         self.planes: dict[str, xr.DataArray] = {}
         self.lines: dict[str, xr.DataArray] = {}
         self.look: Floats | None = None
@@ -59,13 +61,6 @@ class Viewing:
             missing = [name for name in ("look_angle", "roll", "pitch") if name not in variables]
             reason = f"not known: no view_zenith of the pixels, and no {', '.join(missing)}"
             self.description = "; ".join([reason, *problems])
-
-
-def viewing_of(line: xr.Dataset) -> Viewing:
-    """Return what a line says of its directions of view; what is no such variable is named, not refused."""
-    names = [name for name in (*_PIXELS, "look_angle", *ATTITUDE) if name in line.variables]
-    variables, problems = schema.find(line, names)
-    return Viewing(variables, tuple(problems))
 
 
 def mean_view(
@@ -107,9 +102,8 @@ def mean_view(
     north, east = float((away * np.cos(angle)).mean()), float((away * np.sin(angle)).mean())
     level = np.hypot(north, east)
     mean_zenith = float(np.degrees(np.arctan2(level, np.cos(np.radians(zenith)).mean())))
-    return mean_zenith, float(
-        np.degrees(np.arctan2(east, north)) % 360.0
-    ) if level > _ALONG_THE_VERTICAL else np.nan
+    mean_azimuth = float(np.degrees(np.arctan2(east, north)) % 360.0)
+    return mean_zenith, mean_azimuth if level > _ALONG_THE_VERTICAL else np.nan
 
 
 def _from_attitude(look: Array, roll: Array, pitch: Array, heading: Array) -> tuple[Floats, Floats]:
@@ -196,7 +190,7 @@ def source_of(
         options = {"method": smoothing} if isinstance(smoothing, str) else dict(smoothing)
         nominal = smooth(nominal, **options)
     cube = nominal["reflectance"]
-    viewing = viewing_of(line)
+    viewing = Viewing(line)
     size = cube.sizes[BAND]
     wavelength = variables["wavelength"].values.astype(np.float64)
     return Source(

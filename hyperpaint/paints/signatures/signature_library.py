@@ -220,7 +220,9 @@ def paint_library(
     for name, row in LIBRARY_VARIABLES.items():
         flags = quality_attrs() if name == "quality" else {}
         attrs = {**flags, **row.attrs, **_uncertainty_attrs(name, sources)}
-        library[name] = xr.DataArray(_typed(values[name], row.dtype), dims=row.dims, attrs=attrs)
+        # text of any length, as stores hold it
+        array = np.array(values[name], object if row.dtype == "str" else row.dtype)
+        library[name] = xr.DataArray(array, dims=row.dims, attrs=attrs)
     library = library.set_coords([name for name, row in LIBRARY_VARIABLES.items() if row.coordinate])
     properties = {
         name: ("paint", column, {"long_name": f"Property {name} of the regions"})
@@ -259,13 +261,6 @@ def _padded(values: Array, size: int, fill: float) -> Array:
     padded = np.full((size, *values.shape[1:]), fill, values.dtype)
     padded[: len(values)] = values
     return padded
-
-
-def _typed(values: Any, dtype: str) -> Array:
-    if dtype == "datetime64[ns]":
-        return np.array(values, dtype)
-    # text of any length, as stores hold it
-    return np.array(values, object if dtype == "str" else dtype)
 
 
 def _uncertainty_attrs(name: str, sources: Mapping[str, Source]) -> dict[str, Any]:
