@@ -34,7 +34,7 @@ Examples:
 )  # fmt: skip
 @click.option(
     "--flags/--no-flags", default=True,
-    help="Look for glint, shadow and light of neighbours, on lines where nobody has.",
+    help="Look for glint, shadow and light of neighbours, on lines without such flags.",
 )  # fmt: skip
 @click.option(
     "--sun-zenith", type=click.FloatRange(0.0, 90.0), metavar="DEGREE",

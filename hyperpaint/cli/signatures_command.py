@@ -44,7 +44,7 @@ Examples:
 @click.option("--specular-sky", is_flag=True, help="Subtract the sky that a clear coat mirrors.")
 @click.option(
     "--flags/--no-flags", default=True,
-    help="Look for glint, shadow and light of neighbours first, on lines where nobody has.",
+    help="Look for glint, shadow and light of neighbours first, on lines without such flags.",
 )  # fmt: skip
 @click.option(
     "--sun-zenith", type=click.FloatRange(0.0, 90.0), metavar="DEGREE",

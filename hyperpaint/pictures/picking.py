@@ -169,7 +169,7 @@ class RegionPicker:
             tuple(replace(region, **changes) if region.name == old else region for region in self._regions)
         )
 
-    # --- what is told about a region -----------------------------------------------------------------------
+    # --- the spectrum of a region ---------------------------------------------------------------------------
 
     def spectrum_of(self, region: Region) -> tuple[Floats, Floats] | str:
         """Return wavelengths [nm] and quantiles of reflectance (5, 50, 95 %; band), or why there are none."""

@@ -252,11 +252,11 @@ def adjacency_figure(
     Parameters
     ----------
     line
-        A flight line with ``reflectance`` and ``wavelength``; with ``adjacency``, as `hyperpaint.flag` makes
-        it, that is drawn along the transect as well.
+        A flight line with ``reflectance`` and ``wavelength``; with ``adjacency``, as
+        `hyperpaint.surroundings.flag` makes it, that is drawn along the transect as well.
     near, far
-        Regions of one surface, beside the neighbour and away from it, see `hyperpaint.regions_from`. The
-        transect leads from the middle of the first to that of the second.
+        Regions of one surface, beside the neighbour and away from it, see `hyperpaint.regions.regions_from`.
+        The transect leads from the middle of the first to that of the second.
     path
         Where the picture is written.
     without

@@ -357,7 +357,7 @@ def library_overview(
     columns
         Paints side by side.
     spread
-        See `hyperpaint.spectrum`.
+        See `hyperpaint.pictures.spectrum`.
 
     Returns
     -------

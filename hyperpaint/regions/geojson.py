@@ -49,7 +49,7 @@ def read_regions(path: str | os.PathLike[str]) -> Regions:
     Raises
     ------
     FormatError
-        The file is not GeoJSON, or holds what is no region; all features that are not are told.
+        The file is not GeoJSON, or holds what is no region; all features that are not are listed.
 
     Examples
     --------

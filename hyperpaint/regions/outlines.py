@@ -106,7 +106,7 @@ class Regions(Sequence[Region]):
     coordinates
         "sensor": x is cross_track and y along_track; or "map".
     crs
-        Coordinate reference system of a map, such as ``"EPSG:32618"``; None where it is not told.
+        Coordinate reference system of a map, such as ``"EPSG:32618"``; None where it is not given.
 
     Raises
     ------

@@ -229,7 +229,7 @@ def _ground(line: xr.Dataset, crs: str | None) -> tuple[xr.DataArray, xr.DataArr
         return line[x].reset_coords(drop=True), line[y].reset_coords(drop=True), there[others[0]]
     if not fitting or (wanted is None and len(fitting) > 1):
         held = ", ".join(f"{x} and {y} ({pair_crs or 'unknown'})" for (x, y), pair_crs in there.items())
-        stated = "do not tell their crs" if crs is None else f"are in {crs!r:.80}"
+        stated = "name no crs" if crs is None else f"are in {crs!r:.80}"
         raise SchemaError(
             f"the regions {stated}, the line has {held}; write the regions in one of these, and name it"
         )

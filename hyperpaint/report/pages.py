@@ -1,4 +1,4 @@
-"""HTML of texts that nobody vouches for: jinja2 escapes every text, nothing outside the page is named."""
+"""HTML of texts from anywhere: jinja2 escapes every text, nothing outside the page is named."""
 
 from __future__ import annotations
 

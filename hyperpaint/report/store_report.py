@@ -80,8 +80,9 @@ def write_report(
         Lines of a picture at the most; of a longer flight line every n-th is read. Flags are read whole, two
         bytes a pixel.
     flags
-        Look for glint, shadow and light of neighbours on lines where nobody has, see `hyperpaint.flag`, and
-        show what is found; of a line where that cannot be done, the page says why. Nothing is stored.
+        Look for glint, shadow and light of neighbours on lines without these flags, see
+        `hyperpaint.surroundings.flag`, and show what is found; of a line where that cannot be done, the page
+        says why. Nothing is stored.
     sun_zenith
         For that [degree]; by default from time and position of each line.
     overwrite
@@ -154,7 +155,7 @@ def _flagged_section(
     sun_zenith: float | None,
     progress: Progress | None,
 ) -> Iterator[Part]:
-    """Yield the parts of a flight line's section, flags looked for first where nobody has."""
+    """Yield the parts of a flight line's section, flags looked for first where the line has none."""
     note = ""
     if flags and {"reflectance", "irradiance"} & set(line.variables):
         try:

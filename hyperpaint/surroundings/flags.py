@@ -47,15 +47,15 @@ def flag(
 ) -> xr.Dataset:
     r"""Set the bits of glint, shadow, adjacency and mixed edges, and add the layers they are set from.
 
-    Lazy and pointwise given ``model``: one task a slab of lines. Without a model, `hyperpaint.survey` is run
-    first, which reads the line once.
+    Lazy and pointwise given ``model``: one task a slab of lines. Without a model,
+    `hyperpaint.surroundings.survey` is run first, which reads the line once.
 
     Parameters
     ----------
     line
         A flight line with ``reflectance`` (along_track, band, cross_track) [1] and ``wavelength``.
     model
-        From `hyperpaint.survey` of the same line, or the Dataset it was stored as.
+        From `hyperpaint.surroundings.survey` of the same line, or the Dataset it was stored as.
     glint
         ``glint_fraction`` above which a pixel is in glint [1].
     shadow
@@ -66,9 +66,9 @@ def flag(
     edge
         Pixels from a boundary up to which it is a mixed one, 0 for those in between only.
     progress
-        See `hyperpaint.survey`; used where there is no model.
+        See `hyperpaint.surroundings.survey`; used where there is no model.
     **options
-        Those of `hyperpaint.survey`, where there is no model.
+        Those of `hyperpaint.surroundings.survey`, where there is no model.
 
     Returns
     -------
@@ -283,11 +283,11 @@ class Flagged:
 
     line: xr.Dataset  #: The line with ``quality``, and the layers its bits are set from, lazy.
     seen: xr.Dataset  #: The line as it was looked at, with the model that holds for it.
-    model: SceneModel  #: From `hyperpaint.survey`.
+    model: SceneModel  #: From `hyperpaint.surroundings.survey`.
 
 
 def is_flagged(line: xr.Dataset) -> bool:
-    """Tell whether somebody has looked for glint, shadow, adjacency or mixed edges.
+    """Return whether a line was searched for glint, shadow, adjacency or mixed edges.
 
     Reads ``quality``, where its attributes do not say so.
     """

@@ -122,8 +122,8 @@ def _check_numbers(fields: dict[str, Any], sizes: Mapping[Any, int], problems: P
 class SceneModel:
     """Segments of a flight line, what they look like in full light, and what stands beside them.
 
-    Made by `hyperpaint.survey`; `to_dataset` makes something that can be stored. Spectra are those of
-    *channels*, means over some neighbouring bands.
+    Made by `hyperpaint.surroundings.survey`; `to_dataset` makes something that can be stored. Spectra are
+    those of *channels*, means over some neighbouring bands.
 
     Attributes
     ----------

@@ -235,7 +235,7 @@ def _touched(which: Bools, scene: Scene) -> Floats:
 
 
 def _assign(mixtures: Mixtures, chosen: Bools, state: Array, body: Array) -> bool:
-    """Give segments the body, itself lit, that fits best; tell whether any got one."""
+    """Give segments the body, itself lit, that fits best; return whether any got one."""
     any_ = False
     for place in np.flatnonzero(chosen)[np.argsort(mixtures.misfit[chosen], kind="stable")]:
         segment, parent = mixtures.segment[place], body[mixtures.body[place]]

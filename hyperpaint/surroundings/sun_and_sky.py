@@ -201,7 +201,7 @@ def remove_mirrored_sky(
     sky_view_factor
         Part of the mirrored directions that show sky [1].
     diffuse, sun_zenith
-        Direct/diffuse split, see `hyperpaint.survey`.
+        Direct/diffuse split, see `hyperpaint.surroundings.survey`.
 
     Returns
     -------
@@ -253,7 +253,7 @@ def correct_light(
 ) -> xr.Dataset:
     r"""Divide by the light that a tilted surface, or one with part of its sky hidden, gets.
 
-    Lazy. For one surface, whose attitude is known or was found (`hyperpaint.flag` gives 1 - c as
+    Lazy. For one surface, whose attitude is known or was found (`hyperpaint.surroundings.flag` gives 1 - c as
     ``blocked_direct``); `hyperpaint.reflectance` takes a `Tilt` where it is known in degrees.
 
     Parameters
@@ -268,7 +268,7 @@ def correct_light(
     neighbour_reflectance
         Of what hides the rest [1].
     diffuse, sun_zenith
-        Direct/diffuse split, see `hyperpaint.survey`.
+        Direct/diffuse split, see `hyperpaint.surroundings.survey`.
 
     Returns
     -------

@@ -99,7 +99,7 @@ def uncertainty_of(
 
 _SAME_WAVELENGTH = 1e-3  # nm
 _NOISE_GAIN = 3.0
-"""Above it, channels are so much wider than a band that what they tell of it is mostly noise."""
+"""Above it, channels are so much wider than a band that what they show of it is mostly noise."""
 _SAME_WIDTH = 1.02
 
 

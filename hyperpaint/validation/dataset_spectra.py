@@ -26,10 +26,10 @@ __all__ = ["Axis", "channel_widths", "join_detectors", "references_from", "signa
 _MOST_DETECTORS = 8
 
 _WIDTHS: dict[str, tuple[float, ...]] = {"asd": (3.0, 10.0, 10.0), "svc": (3.5, 9.5, 6.5)}
-"""Widths of the channels of three detectors, as the makers of FieldSpec 3/4 and HR-1024i tell them [nm]."""
+"""Widths of the channels of three detectors, as the makers of FieldSpec 3/4 and HR-1024i give them [nm]."""
 _NAMES = {"asd": ("asd", "fieldspec", "handheld"), "svc": ("svc", "spectra vista", "hr-1024", "hr-768")}
 _EDGES = (1000.0, 1900.0)
-"""Where the detectors end, of a file that does not tell them apart [nm]."""
+"""Where the detectors end, of a file that does not separate them [nm]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,7 +88,7 @@ def channel_widths(wavelength: Floats, detector: npt.NDArray[Any], instrument: s
     """Return how wide channels are, where the data do not say, and what that was taken from.
 
     ``wavelength``, ``detector`` (channel,): increasing wavelengths [nm], and the detector that each is of;
-    ``instrument``: its name, as the data tell it.
+    ``instrument``: its name, as the data give it.
 
     Returns full widths at half maximum (channel,) [nm], and what they were taken from, for a reader of the
     result.
@@ -274,7 +274,7 @@ def _of_spectrometer(dataset: xr.Dataset, dataset_number: int, fwhm: float | Non
 
 
 def _detectors_of(dataset: xr.Dataset) -> npt.NDArray[np.intp] | None:
-    """Return the number of every channel's detector in the order of the file; None where it is not told."""
+    """Return the number of every channel's detector in the order of the file; None where it is not given."""
     if "detector" not in dataset.variables or dataset["detector"].dims != ("wavelength",):
         return None
     names = [str(name) for name in dataset["detector"].values]

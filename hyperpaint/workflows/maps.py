@@ -57,7 +57,7 @@ def map_of_store(
         if convention is None:
             raise SchemaError(
                 f"{store} does not declare what the angles and heights of its line mean, and makers differ: "
-                "--column-order does not tell it; declare roll_positive, pitch_positive, heading_positive, "
+                "--column-order does not say it; declare roll_positive, pitch_positive, heading_positive, "
                 "heading_reference, euler_order and height_reference in the table [navigation] of "
                 "collect.toml and process the collect again"
             )

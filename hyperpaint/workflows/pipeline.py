@@ -236,9 +236,9 @@ def process(
         ``to`` or ``reflectance`` is none of the words above, or ``memory_limit`` is no size.
     StoreError
         ``out`` is a URL; the store holds something else, is being written, or cannot be written; or memory
-        or disk would not suffice, of which the needed figure is told before anything is written; or workers,
-        or the scheduler, were lost, or a block failed again and again: the message names it, and the same
-        call finishes the run.
+        or disk would not suffice, of which the message names the needed figure before anything is written; or
+        workers, or the scheduler, were lost, or a block failed again and again: the message names it, and the
+        same call finishes the run.
     MissingExtraError
         ``scheduler`` is given, and distributed is not installed.
 

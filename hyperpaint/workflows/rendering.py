@@ -123,7 +123,7 @@ def render_scene(
         An argument is out of range, a name unknown, or spectra do not cover the bands or leave 0 to 1.
     StoreError
         The store holds something else, is being written, or cannot be written, or memory or disk would not
-        suffice, of which the needed figure is told before anything is written.
+        suffice, of which the message names the needed figure before anything is written.
     MissingExtraError
         A package is not installed that ``scheduler`` or a mesh needs.
 

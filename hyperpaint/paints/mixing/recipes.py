@@ -149,14 +149,14 @@ def shade_paints(
     depths
         Of shade, relative to the paint as it is [1]: pigment per scatterer. 0.1 is a tint, a part of the
         paint in nine of a white that absorbs nothing; 2 has twice the pigment. To darken with black, mix it
-        in: `hyperpaint.mix_paints`.
+        in: `hyperpaint.paints.mix_paints`.
     k1, k2, mirrored
-        See `hyperpaint.mix_paints`.
+        See `hyperpaint.paints.mix_paints`.
 
     Returns
     -------
     Dataset
-        A paint library as of `hyperpaint.mix_paints`, every paint at every depth, named
+        A paint library as of `hyperpaint.paints.mix_paints`, every paint at every depth, named
         ``"<paint> x <depth>"``; the coordinate ``depth`` (paint) [1] says which.
 
     Raises

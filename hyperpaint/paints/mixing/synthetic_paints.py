@@ -144,7 +144,7 @@ def _json(value: Any) -> str:
 
 
 def _shares(parents: Mapping[str, float]) -> str:
-    # twelve digits tell any recipe, without the last bits of a division
+    # twelve digits identify any recipe, without the last bits of a division
     return _json([float(f"{share:.12g}") for share in parents.values()])
 
 

@@ -165,7 +165,7 @@ def extract_signatures(
         A flight line with ``reflectance``, or with what `hyperpaint.reflectance` needs to compute it; several
         by name, or a DataTree of them.
     regions
-        `Regions`, the path of a GeoJSON file or its content, see `hyperpaint.regions_from`.
+        `Regions`, the path of a GeoJSON file or its content, see `hyperpaint.regions.regions_from`.
     exclude
         Pixels with one of these flags are left out; 0 leaves out none. By default those of pixels whose
         reflectance is not that of the surface: saturated, irradiance_gap, no_data, glint, shadow, adjacency
@@ -176,9 +176,10 @@ def extract_signatures(
         "trimmed_mean": per band, without what is farther from the centre than three spreads, until nothing
         more is; "geometric_median" of whole spectra; or "median" per band.
     smooth
-        Method of `hyperpaint.smooth`, or its arguments by name; applied to the spectrum of every pixel.
+        Method of `hyperpaint.radiometry.smooth`, or its arguments by name; applied to the spectrum of every
+        pixel.
     specular_sky
-        Subtract the sky that a clear coat mirrors, see `hyperpaint.remove_mirrored_sky`.
+        Subtract the sky that a clear coat mirrors, see `hyperpaint.surroundings.remove_mirrored_sky`.
     sun_zenith
         For that [degree]; by default from time and position of each line.
     min_pixels
@@ -224,7 +225,7 @@ def extract_signatures(
     over the :math:`n_b` pixels that have a value in a band, NaN where none has, with :math:`c_{ij}` the
     autocorrelation of reflectance at the distance of two pixels, averaged over bands; :math:`n_{eff}` is
     :math:`n / 1.3` at most, since the camera moves on while a line is exposed.
-    Smoothing makes the random one smaller than is told here. How far another part of the paint may differ,
+    Smoothing makes the random one smaller than is stated here. How far another part of the paint may differ,
     ``reflectance_sd`` and the quantiles say. All bits are the same for any chunking, in any order of the
     regions.
 

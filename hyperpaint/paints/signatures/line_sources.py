@@ -129,7 +129,7 @@ def relative_azimuth(first: float, second: float) -> float:
 
 
 Smoothing = str | Mapping[str, Any] | None
-"""Method of `hyperpaint.smooth`, or its arguments by name; None smooths nothing."""
+"""Method of `hyperpaint.radiometry.smooth`, or its arguments by name; None smooths nothing."""
 
 _NOISE_KNOWN = {"counts", "electrons_per_count", "read_noise"}
 _SMALL = ("time", "latitude", "longitude", "irradiance_age")

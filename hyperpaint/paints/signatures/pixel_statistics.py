@@ -155,7 +155,7 @@ track, and of the variance of a white scene neighbours share c = (0.7 / 6) / (0.
 """
 
 FEWEST = 32
-"""Pixels from which their correlation can be told."""
+"""Pixels from which their correlation can be estimated."""
 
 _MOST_CELLS = 2**18
 """Cells of the grid on which correlation is looked at; of a larger region its first lines are."""
@@ -172,10 +172,10 @@ def effective_pixels(values: Array, along: Array, across: Array) -> float:
     .. math:: n_{eff} = n^2 \Big/ \sum_{ij} \overline{c_{ij}}
 
     with :math:`c_{ij}` the autocorrelation of a band's values at the distance of two pixels, summed from the
-    centre outwards until it is not told from zero (as `hyperpaint.mean_uncertainty`), averaged over bands:
-    the harmonic mean of their numbers. Values are cut at three robust spreads from the median first, since
-    single outliers hide what their neighbours have in common. It is n / 1.3 at most, see `SMEAR`, and just
-    that of fewer than 32 pixels, of which it cannot be told.
+    centre outwards until it is not told from zero (as `hyperpaint.radiometry.mean_uncertainty`), averaged
+    over bands: the harmonic mean of their numbers. Values are cut at three robust spreads from the median
+    first, since single outliers hide what their neighbours have in common. It is n / 1.3 at most, see
+    `SMEAR`, and just that of fewer than 32 pixels, of which it cannot be estimated.
     """
     count = len(values)
     most = max(1.0, count / SMEAR)

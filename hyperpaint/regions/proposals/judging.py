@@ -28,7 +28,7 @@ class Verdict:
     #: What speaks for it, and what against; without objections it is proposed.
     reasons: list[str] = field(default_factory=list)
     objections: list[str] = field(default_factory=list)
-    #: Whether it looks like leaves, a shadow or a window: refused, and told after all others.
+    #: Whether it looks like leaves, a shadow or a window: refused, and listed after all others.
     scenery: bool = False
 
 

@@ -171,7 +171,7 @@ def propose_regions(
     line
         A flight line with ``reflectance`` (along_track, band, cross_track) [1] and ``wavelength``.
     model
-        From `hyperpaint.survey` of the same line; made with ``options`` where it is not given.
+        From `hyperpaint.surroundings.survey` of the same line; made with ``options`` where it is not given.
     most
         How many regions at most; all unless given.
     min_pixels
@@ -180,7 +180,7 @@ def propose_regions(
         Pixels from the edge of a body that are left out.
     glint, shadow, adjacency
         Largest ``glint_fraction``, ``blocked_direct`` and, as a mean over 5 x 5 pixels, ``adjacency`` of a
-        pixel, see `hyperpaint.flag` [1]; of a roof only ``blocked_direct``.
+        pixel, see `hyperpaint.surroundings.flag` [1]; of a roof only ``blocked_direct``.
     brightness
         Largest relative difference of a pixel, as a mean over 5 x 5, from the middle of a roof or the median
         of another piece; of dark paint as much as changes reflectance by 0.005 [1].
@@ -191,9 +191,9 @@ def propose_regions(
     name
         Names of the regions begin with it.
     progress
-        See `hyperpaint.survey`; used where there is no model.
+        See `hyperpaint.surroundings.survey`; used where there is no model.
     **options
-        Those of `hyperpaint.survey`; ``sun_zenith`` serves beside a model, too.
+        Those of `hyperpaint.surroundings.survey`; ``sun_zenith`` serves beside a model, too.
 
     Returns
     -------
@@ -274,7 +274,7 @@ def _check(limits: Limits, most: int | None) -> None:
 
 
 def _zenith(line: xr.Dataset, given: float | None) -> float | None:
-    """Return the zenith angle of the sun [degree], None where nothing tells it."""
+    """Return the zenith angle of the sun [degree], None where it is not known."""
     try:
         return sun_zenith_of(line, given)
     except SchemaError:
@@ -284,7 +284,7 @@ def _zenith(line: xr.Dataset, given: float | None) -> float | None:
 
 
 def _read(line: xr.Dataset, model: SceneModel) -> tuple[Array, dict[str, Array]]:
-    """Return the line in channels (line, column, channel), and the layers that tell light apart.
+    """Return the line in channels (line, column, channel), and the layers that separate kinds of light.
 
     Both come of one pass over the line.
     """
