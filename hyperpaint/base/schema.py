@@ -39,8 +39,8 @@ __all__ = [
     "ALONG_TRACK", "BAND", "CHUNK_LINES", "CROSS_TRACK", "CUBE", "DIM_ALIASES", "FLAG", "FORMAT_VERSION",
     "IRRADIANCE_TIME", "IRRADIANCE_WAVELENGTH", "LIBRARY_VARIABLES", "MEMBER", "MONOCHROMATOR_SHAPES",
     "PAINT", "QUANTILE", "SLOT", "SRF_SHAPES", "STEP", "SUN", "SWEEP_VARIABLES", "TIME_UNITS",
-    "VARIABLES", "Quality", "Variable", "dtype_of", "find", "flag_names", "flags_named", "label",
-    "quality_attrs", "rename_to_roles", "require",
+    "VARIABLES", "Quality", "Variable", "dtype_of", "find", "flag_names", "flag_shares", "flags_named",
+    "label", "quality_attrs", "rename_to_roles", "require",
 ]  # fmt: skip
 
 FORMAT_VERSION = 1
@@ -92,6 +92,19 @@ def flag_names(bits: int = -1) -> list[str]:
     ['glint', 'mixed_edge']
     """
     return [str(flag.name).lower() for flag in Quality if flag & bits]
+
+
+def flag_shares(quality: np.ndarray[Any, Any]) -> dict[Quality, float]:
+    """Return the share of pixels under every flag that occurs.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> flag_shares(np.array([[1, 0], [65, 0]], np.uint16))
+    {<Quality.SATURATED: 1>: 0.5, <Quality.GLINT: 64>: 0.25}
+    """
+    counts = {flag: int(((quality & int(flag)) != 0).sum()) for flag in Quality}
+    return {flag: count / quality.size for flag, count in counts.items() if count}
 
 
 def flags_named(names: Iterable[str]) -> list[Quality]:

@@ -195,7 +195,7 @@ def _library(path: Path) -> Facts:
     library = open_library(path)
     form = library.attrs.get("format", library.attrs.get("layout", "paint library"))
     yield "is", f"{form}: {counted(library.sizes['paint'], 'spectrum').replace('spectrums', 'spectra')}"
-    yield "paints", _first_of(library["paint"].values)
+    yield "paints", _first_of(library["paint"].values.tolist())
     yield from ((str(name), form_of(array)) for name, array in library.data_vars.items())
     yield from facts_of_bands(library)
     about = (str(name) for name, array in library.coords.items() if array.dims == ("paint",))
@@ -364,7 +364,7 @@ def _group(path: Path, name: str) -> Facts:
         yield from facts_of_irradiance(group)
     else:
         named = "paint" in group.coords and group["paint"].ndim == 1
-        yield "paints", _first_of(group["paint"].values) if named else ""
+        yield "paints", _first_of(group["paint"].values.tolist()) if named else ""
         yield from ((str(key), form_of(array)) for key, array in sorted(group.data_vars.items(), key=str))
         yield from facts_of_bands(group)
 

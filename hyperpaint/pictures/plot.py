@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     import xarray as xr
 
 __all__ = [
-    "draw_irradiance", "draw_reflectance", "flag_shares", "flags_of", "known_quantiles", "overview",
+    "draw_irradiance", "draw_reflectance", "flags_of", "known_quantiles", "overview",
     "percent", "quicklook", "rgb",
 ]  # fmt: skip
 
@@ -201,18 +201,6 @@ def flags_of(dataset: xr.Dataset) -> Array:
     return np.asarray(quality.values)
 
 
-def flag_shares(quality: Array) -> dict[schema.Quality, float]:
-    """Return the share of pixels under every flag that occurs.
-
-    Examples
-    --------
-    >>> flag_shares(np.array([[1, 0], [65, 0]], np.uint16))
-    {<Quality.SATURATED: 1>: 0.5, <Quality.GLINT: 64>: 0.25}
-    """
-    counts = {flag: np.count_nonzero(quality & int(flag)) for flag in schema.Quality}
-    return {flag: float(count) / quality.size for flag, count in counts.items() if count}
-
-
 def percent(share: float) -> str:
     """Return a share for reading; what is there never reads as nothing."""
     if 0 < share < 5e-6:
@@ -222,7 +210,7 @@ def percent(share: float) -> str:
 
 def _draw_flags(axes: Any, quality: Array) -> None:
     """Draw the share of pixels under every flag that occurs."""
-    shares = flag_shares(quality)
+    shares = schema.flag_shares(quality)
     names = [name.replace("_", " ") for name in schema.flag_names(sum(shares))] or ["no flag set"]
     bars = axes.barh(names, [100 * part for part in shares.values()] or [0.0], height=0.6, color="#b5543c")
     axes.bar_label(bars, [f" {percent(part)}" for part in shares.values()] or [""], fontsize="small")

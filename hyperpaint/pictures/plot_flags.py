@@ -17,7 +17,7 @@ from hyperpaint.radiometry.counts_to_reflectance import reflectance
 from hyperpaint.regions import Region, pixels_of, regions_from
 
 from .figures import axes_or_new, label_for, new_figure, save_figure
-from .plot import flag_shares, flags_of, percent, rgb
+from .plot import flags_of, percent, rgb
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -165,7 +165,7 @@ def _draw_flags(
     from matplotlib.patches import Patch
 
     quality = flags_of(dataset)
-    shares = flag_shares(quality)
+    shares = schema.flag_shares(quality)
     shown = wanted or tuple(shares)
     bits = _blocks(quality, step, np.bitwise_or)
     drawn = np.zeros((*bits.shape, 4), np.float32)

@@ -20,7 +20,7 @@ from hyperpaint.base.errors import PaintError, SchemaError
 from hyperpaint.base.schema import ALONG_TRACK, CROSS_TRACK, PAINT
 from hyperpaint.paints.colours import paint_colours
 from hyperpaint.pictures.figures import data_uri, encode_png, new_figure, png_of
-from hyperpaint.pictures.plot import draw_irradiance, draw_reflectance, flag_shares, flags_of
+from hyperpaint.pictures.plot import draw_irradiance, draw_reflectance, flags_of
 from hyperpaint.pictures.plot_calibration import calibration_report
 from hyperpaint.pictures.plot_flags import background, draw_outlines, flag_overlay
 from hyperpaint.pictures.plot_spectra import find_usable, library_overview
@@ -127,7 +127,7 @@ def _reflectance(line: xr.Dataset) -> Markup:
 
 
 def _table_of_flags(quality: Array, heading: str) -> Markup:
-    shares = flag_shares(quality)
+    shares = schema.flag_shares(quality)
     if not shares:
         return page_part("paragraph", text="No flag is set on any pixel.", heading=heading)
     rows = [

@@ -11,7 +11,6 @@ import numpy.typing as npt
 from hyperpaint.base import schema
 from hyperpaint.base.schema import ALONG_TRACK, BAND, IRRADIANCE_TIME, IRRADIANCE_WAVELENGTH
 from hyperpaint.pictures.figures import data_uri, encode_png
-from hyperpaint.pictures.plot import flag_shares
 
 from .pages import page_part
 
@@ -228,7 +227,7 @@ def _flags(line: xr.Dataset) -> str:
     values = quality.values
     if values.dtype.kind not in "ui" or not values.size:
         return ""
-    texts = (f"{str(f.name).lower()} {100 * share:.2g} %" for f, share in flag_shares(values).items())
+    texts = (f"{str(f.name).lower()} {100 * share:.2g} %" for f, share in schema.flag_shares(values).items())
     return ", ".join(texts) or "no flag set"
 
 

@@ -16,7 +16,8 @@ pytest.importorskip("matplotlib")
 from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 
-from hyperpaint.pictures.plot_flags import FLAG_COLOURS, background, draw_outlines, flag_overlay, flag_shares
+from hyperpaint.base.schema import flag_shares
+from hyperpaint.pictures.plot_flags import FLAG_COLOURS, background, draw_outlines, flag_overlay
 
 
 def axes() -> object:

@@ -222,9 +222,7 @@ def test_degrees_are_not_metres() -> None:
     )
     region = Region("a", [(-78, 47), (-76, 47), (-77, 48)])
     assert pixels(region, both, coordinates="map", crs="OGC:CRS84")[0].size > 50
-    with pytest.raises(
-        SchemaError, match=r"name no crs, the line has east and north \(EPSG:32618\)"
-    ):
+    with pytest.raises(SchemaError, match=r"name no crs, the line has east and north \(EPSG:32618\)"):
         pixels(region, both, coordinates="map")
     # of another map: brought to that of the line, where it lies elsewhere
     assert not pixels(region, both, coordinates="map", crs="EPSG:2225")[0].size

@@ -104,7 +104,7 @@ def _computed(tasks: list[Any], progress: Progress | None) -> list[Any]:
     if progress is None or not tasks:
         return list(dask.compute(*tasks))
     client = getattr(get_scheduler(), "__self__", None)
-    if hasattr(client, "scheduler_info"):
+    if client is not None and hasattr(client, "scheduler_info"):
         from distributed import as_completed
 
         futures = client.compute(tasks)
