@@ -150,12 +150,12 @@ def test_clicks_draw_and_a_double_click_closes(shown: Any) -> None:
     assert view._chosen.options == ["roof", "region 1"]
     assert view._name.value == view._chosen.value == "region 1"
     assert view._curves.data["name"] == ["roof", "region 1"]
-    assert view._told.object == "2 regions"
+    assert view._message.object == "2 regions"
 
 
 def test_too_few_corners_are_told(shown: Any) -> None:
     shown._shown.close(10, 0)
-    assert "no area" in shown._shown._told.object
+    assert "no area" in shown._shown._message.object
     assert len(shown.regions) == 1
 
 
@@ -177,7 +177,7 @@ def test_a_corner_is_undone_a_region_renamed_and_removed(shown: Any) -> None:
     view._name.value = "<b>bonnet"
     assert shown.regions.names == ("<b>bonnet",)
     view._name.value = ""
-    assert "&#x27;&#x27; is empty" in view._told.object
+    assert "&#x27;&#x27; is empty" in view._message.object
     assert view._name.value == "<b>bonnet"
     view._remove.clicks += 1
     assert len(shown.regions) == 0
