@@ -138,6 +138,7 @@ class EnviArray(BackendArray):
         gaps = np.diff(lines) * columns - (last - first + 1)
         lines_a_box = max(1, _BOX // (columns * self.stored.itemsize))
         breaks = (gaps * self.stored.itemsize > _GAP) | (np.diff((lines - lines[0]) // lines_a_box) != 0)
+        breaks |= np.diff(lines) < 0  # a plane that is asked for again
         edges = [0, *(np.flatnonzero(breaks) + 1).tolist(), len(lines)]
         for start, stop in itertools.pairwise(edges):
             top = int(lines[start])
