@@ -13,6 +13,7 @@ import xarray as xr
 
 pytestmark = [
     pytest.mark.campaign,
+    pytest.mark.timeout(0),  # a child ends by an alarm of its own, for which pytest-timeout would answer
     pytest.mark.skipif(not Path("/proc/self/clear_refs").exists(), reason="memory is counted by Linux"),
     # the child never comes back to where the warning could matter
     pytest.mark.filterwarnings("ignore:.*multi-threaded.*fork:DeprecationWarning"),

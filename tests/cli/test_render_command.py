@@ -23,6 +23,8 @@ from hyperpaint.simulation.camera import Camera
 from hyperpaint.simulation.settings import SimulationSettings
 from hyperpaint.workflows import render_products
 
+pytestmark = pytest.mark.slow  # the tracer is compiled
+
 Hyperpaint = Callable[..., Result]
 
 SCENE = """\

@@ -335,6 +335,7 @@ def spoil_layer(line: xr.Dataset) -> xr.Dataset:
         ("flightlines/raw_0", spoil_layer, "glint_fraction"),
     ],
 )
+@pytest.mark.slow
 def test_odd_contents_are_named_and_the_rest_is_shown(
     lot: Path, tmp_path: Path, group: str, spoil: Callable[[xr.Dataset], xr.Dataset], named: str
 ) -> None:
