@@ -151,6 +151,7 @@ def test_look_angles_come_with_the_calibration(tmp_path: Path) -> None:
     assert np.isfinite(library.view_zenith).all()
 
 
+@pytest.mark.slow
 def test_traced_rays_come_from_there() -> None:
     from hyperpaint.simulation.rendering.platforms import pushbroom
     from hyperpaint.simulation.rendering.scene import plane
