@@ -10,6 +10,15 @@ from typing import Any
 
 import dask
 import pytest
+from hypothesis import HealthCheck, settings
+
+# one profile for all property tests: how fast the machine is today fails none of them, and fixtures of a test
+# are not changed by its examples
+settings.register_profile(
+    "hyperpaint", deadline=None,
+    suppress_health_check=[HealthCheck.too_slow, HealthCheck.function_scoped_fixture],
+)  # fmt: skip
+settings.load_profile("hyperpaint")
 
 SHARED_DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
 _REAL: dict[str, int] = {"ran": 0, "without an oracle": 0, "skipped": 0}
