@@ -18,6 +18,7 @@ import numpy.typing as npt
 
 from .arrays import Floats
 from .errors import Problems, SchemaError
+from .units import takes_quantities
 
 __all__ = ["Convention", "wrapped"]
 
@@ -37,6 +38,7 @@ _CHOICES: Mapping[str, tuple[str, ...]] = {
 _UNDECLARED = ("stamp_reference", "column_order")
 
 
+@takes_quantities(declination="degree", geoid_undulation="m")
 @dataclass(frozen=True, kw_only=True)
 class Convention:
     """What the numbers of a navigation system, and the columns of a camera, mean.

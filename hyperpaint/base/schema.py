@@ -14,7 +14,7 @@ import numpy as np
 import xarray as xr
 
 from .errors import Problems, SchemaError
-from .units import convert
+from .units import convert, plain, same_dimension
 from .variables import (
     ALONG_TRACK,
     BAND,
@@ -40,7 +40,7 @@ __all__ = [
     "IRRADIANCE_TIME", "IRRADIANCE_WAVELENGTH", "LIBRARY_VARIABLES", "MEMBER", "MONOCHROMATOR_SHAPES",
     "PAINT", "QUANTILE", "SLOT", "SRF_SHAPES", "STEP", "SUN", "SWEEP_VARIABLES", "TIME_UNITS",
     "VARIABLES", "Quality", "Variable", "dtype_of", "find", "flag_names", "flag_shares", "flags_named",
-    "label", "quality_attrs", "rename_to_roles", "require",
+    "label", "quality_attrs", "rename_to_roles", "require", "with_numbers",
 ]  # fmt: skip
 
 FORMAT_VERSION = 1
@@ -125,6 +125,9 @@ def flags_named(names: Iterable[str]) -> list[Quality]:
 def rename_to_roles(dataset: xr.Dataset, dims: Mapping[str, Hashable] | None = None) -> xr.Dataset:
     """Return ``dataset`` with its dims named by role: ``along_track``, ``band``, ``cross_track``.
 
+    Quantities become numbers (`hyperpaint.base.units.plain`), and coordinates along one dim are in the units
+    of the table from here on.
+
     Parameters
     ----------
     dataset
@@ -137,6 +140,7 @@ def rename_to_roles(dataset: xr.Dataset, dims: Mapping[str, Hashable] | None = N
     SchemaError
         ``dims`` names a role or a dim that does not exist.
     """
+    dataset = _with_table_units(plain(dataset))
     names: dict[Hashable, Hashable] = {}
     for role, name in (dims or {}).items():
         if role not in CUBE or name not in dataset.dims:
@@ -158,6 +162,27 @@ def rename_to_roles(dataset: xr.Dataset, dims: Mapping[str, Hashable] | None = N
         dataset = dataset.reset_index(indexed)
     names = {old: new for old, new in names.items() if old != new}
     return dataset.rename_dims(names) if names else dataset
+
+
+def with_numbers(line: xr.Dataset) -> xr.Dataset:
+    """Return a flight line whose lines and columns are numbered by index coordinates, where they were not.
+
+    A crop keeps them, and so its place; ``band`` has none, since two cameras would be joined by number.
+    """
+    places = {dim: np.arange(line.sizes[dim]) for dim in (ALONG_TRACK, CROSS_TRACK) if dim in line.dims}
+    return line.assign_coords(
+        {dim: (dim, place, VARIABLES[dim].attrs) for dim, place in places.items() if dim not in line.coords}
+    )
+
+
+def _with_table_units(dataset: xr.Dataset) -> xr.Dataset:
+    converted = {}
+    for name in (str(name) for name in dataset.coords if name in VARIABLES):
+        variable, wanted = dataset.variables[name], VARIABLES[name].units
+        units = variable.attrs.get("units", wanted)
+        if wanted != units and variable.ndim < 2 and same_dimension(str(units), wanted):
+            converted[name] = convert(dataset[name], wanted).variable
+    return dataset.assign_coords(converted) if converted else dataset
 
 
 def quality_attrs() -> dict[str, Any]:
@@ -222,7 +247,7 @@ def find(
                 f"{name!r} is missing: {spec.meaning.lower()} ({shape}) [{spec.units or spec.dtype}]"
             )
             continue
-        array = dataset[name]
+        array = plain(dataset[name])
         wrong = spec.dim_problem(array) or spec.unit_problem(array)
         if wrong:
             problems.append(wrong)

@@ -2,24 +2,33 @@
 
 The registry is private, and in it the steradian, the count and the electron are dimensions: a forgotten
 ``pi sr`` between radiance and irradiance is then an error, where pint's own registry, like UDUNITS, lets it
-pass. No Quantity ever enters an array, a graph or a store.
+pass. No Quantity ever enters an array, a graph or a store: `takes_quantities` and `plain` turn those of any
+registry into numbers with text beside them where they come in.
 """
 
 from __future__ import annotations
 
+import datetime
 import functools
+import inspect
 import re
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable, Mapping
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 import xarray as xr
 
-from .errors import MissingExtraError, Problems, UnitsError
+from .errors import Problems, UnitsError, needs_extra
 
 if TYPE_CHECKING:
     import pint
 
-__all__ = ["canonical", "conversion_factor", "convert", "quantify", "registry", "same_dimension"]
+__all__ = [
+    "canonical", "conversion_factor", "convert", "in_units", "plain", "quantify", "registry",
+    "same_dimension", "takes_quantities",
+]  # fmt: skip
+
+_Public = TypeVar("_Public", bound=Callable[..., Any])
 
 _DEFINITIONS = """
 nano- = 1e-9 = n-
@@ -36,7 +45,7 @@ second = [time] = s = sec
 gram = [mass] = g
 kelvin = [temperature] = K
 steradian = [solid_angle] = sr
-count = [count] = _ = counts = digital_number = digital_numbers = DN = dn = adu = ADU
+count = [count] = _ = counts = digital_number = digital_numbers = DN = dn = adu = ADU = ct
 electron = [electron_count] = _ = electrons
 radian = [] = rad
 degree = 0.017453292519943295 = deg = degrees = arcdegree
@@ -49,7 +58,7 @@ hertz = 1 / second = Hz
 newton = kilogram * meter / second ** 2 = N
 joule = newton * meter = J
 watt = joule / second = W
-angstrom = 1e-10 * meter
+angstrom = 1e-10 * meter = Å
 micron = 1e-6 * meter
 foot = 0.3048 * meter = ft = feet
 flick = 1e10 * watt / steradian / meter ** 3
@@ -57,6 +66,8 @@ flick = 1e10 * watt / steradian / meter ** 3
 
 # m-2 -> m**-2, but neither 1e-3 nor nm_2 is touched
 _CF_POWER = re.compile(r"(?<![0-9.A-Za-z_µμ])([A-Za-zµμ]+)\^?(-?[0-9]+)\b")
+# the dot of UDUNITS between units, as in W.m-2; not that of 1.e-3
+_DOT = re.compile(r"([A-Za-zµμ]-?[0-9]*)\.(?=[A-Za-zµμ])")
 # ENVI writes words where CF writes symbols
 _WORDS = {
     "nanometers": "nm",
@@ -78,18 +89,20 @@ _SAFE_POWER = re.compile(r"(?<=[A-Za-z0-9µμ .])(?:\*\*|\^)\s*[-+]?[0-9]{1,2}(?
 # pint would turn raised digits into a power of its own, after the check above
 _RAISED = re.compile("[⁺⁻]?[⁰¹²³⁴⁵⁶⁷⁸⁹]+")
 _LOWERED = str.maketrans("⁺⁻⁰¹²³⁴⁵⁶⁷⁸⁹", "+-0123456789")
+# pint's parser leaves out what it does not know, such as a question mark
+_READABLE = re.compile(r"[A-Za-z0-9µμ°ÅÅ%_*/^()+\-.\s]*")
 _WORD = re.compile("|".join(rf"(?<![A-Za-z]){re.escape(word)}(?![A-Za-z])" for word in _WORDS), re.IGNORECASE)
 
 
 def _plain_powers(text: str) -> str:
-    """Return ``text`` with raised digits written as powers, which can then be judged."""
+    """Return ``text`` with raised digits written as powers, which can then be judged, and dots as spaces."""
+    text = _DOT.sub(r"\1 ", text.replace("·", " "))
     return _RAISED.sub(lambda match: f"**{match[0].translate(_LOWERED)} ", text)
 
 
 def _spell_for_pint(text: str) -> str:
     text = _WORD.sub(lambda match: _WORDS[match[0].lower()], text)
-    text = _plain_powers(text).replace("·", " ")
-    return _CF_POWER.sub(r"\1**\2", text)
+    return _CF_POWER.sub(r"\1**\2", _plain_powers(text))
 
 
 @functools.cache
@@ -107,6 +120,8 @@ def registry(force_ndarray_like: bool = False) -> pint.UnitRegistry[Any]:
     )
     for line in _DEFINITIONS.strip().splitlines():
         units.define(line)
+    for towards in ("_north", "N", "_N", "_east", "E", "_E", "_true"):  # CF's latitude, longitude, heading
+        units.define(f"@alias degree = degree{towards} = degrees{towards}")
     return units
 
 
@@ -116,7 +131,8 @@ def _quantity(text: object) -> Any:
     # pint evaluates powers, so that 9**9**9 or s1000000000000 would never return
     text = _plain_powers(text[:201])
     huge = any(len(power.lstrip("-")) > 2 for _, power in _CF_POWER.findall(text))
-    if len(text) > 200 or huge or len(_POWER.findall(text)) != len(_SAFE_POWER.findall(text)):
+    unsafe = len(_POWER.findall(text)) != len(_SAFE_POWER.findall(text))
+    if len(text) > 200 or huge or unsafe or not _READABLE.fullmatch(text):
         raise UnitsError(
             f"units {text[:60]!r} cannot be read; expected CF spelling such as 'W m-2 sr-1 nm-1'"
         )
@@ -190,7 +206,7 @@ def convert(array: xr.DataArray, wanted: str, name: str | None = None) -> xr.Dat
     Parameters
     ----------
     array
-        Labelled values with a ``units`` attribute.
+        Labelled values with a ``units`` attribute, or Quantities, whose own unit counts.
     wanted
         Units in CF spelling.
     name
@@ -208,6 +224,7 @@ def convert(array: xr.DataArray, wanted: str, name: str | None = None) -> xr.Dat
     >>> convert(width, "nm").values
     array([6.])
     """
+    array = plain(array)
     name = name or str(array.name)
     units = array.attrs.get("units")
     if units is None:
@@ -215,7 +232,7 @@ def convert(array: xr.DataArray, wanted: str, name: str | None = None) -> xr.Dat
     try:
         factor = conversion_factor(str(units), wanted)
     except UnitsError as error:
-        raise UnitsError(f"{name!r}: {error}") from error
+        raise error.about(repr(name)) from error
     if factor != 1.0:
         # as an integer, a factor of 0.001 would be 0
         kind = np.result_type(array.dtype, np.float16)
@@ -223,35 +240,246 @@ def convert(array: xr.DataArray, wanted: str, name: str | None = None) -> xr.Dat
     return array.assign_attrs(units=wanted)
 
 
-def quantify(dataset: xr.Dataset) -> xr.Dataset:
-    """Return ``dataset`` with its data variables as pint Quantities of hyperpaint's registry.
+# --- Quantities of any registry ----------------------------------------------------------------------------
+
+
+def _is_quantity(value: object) -> bool:
+    """Tell whether a value carries its unit: a Quantity of pint, or of astropy or unyt."""
+    if isinstance(value, xr.DataArray):  # has any of these where its attributes do
+        return False
+    is_pint = hasattr(value, "magnitude") and hasattr(value, "units")
+    return is_pint or (hasattr(value, "to_value") and (hasattr(value, "unit") or hasattr(value, "units")))
+
+
+def _magnitude(quantity: Any) -> Any:
+    number = quantity.magnitude if hasattr(quantity, "magnitude") else quantity.value
+    return number.item() if isinstance(number, np.ndarray) and number.ndim == 0 else number
+
+
+def _unit_text(quantity: Any) -> str:
+    """Return the unit of a Quantity in CF spelling.
+
+    Each part of it is read by its full name, since symbols mean different things to different registries; one
+    that ours does not know is resolved by its own.
+    """
+    if not hasattr(quantity, "unit_items"):  # astropy and unyt
+        return str(getattr(quantity, "unit", None) or quantity.units)
+    scale, powers = 1.0, []
+    for name, power in quantity.unit_items():
+        parts = [(name, 1)]
+        if not same_dimension(name, name):
+            one, zero = (type(quantity)(number, name).to_root_units() for number in (1.0, 0.0))
+            if zero.magnitude:
+                raise UnitsError(f"units {name!r} have a zero of their own", expected="multiples of a unit")
+            scale *= one.magnitude**power
+            parts = list(one.unit_items())
+        powers += [(_symbol(part), own * power) for part, own in parts]
+    text = " ".join(symbol if power == 1 else f"{symbol}{power:g}" for symbol, power in powers)
+    return f"{scale:.15g} {text}".strip() if scale != 1.0 else text or "1"
+
+
+def _symbol(name: str) -> str:
+    try:
+        return str(registry().get_symbol(name))
+    except Exception:  # pint's own class; the text is then refused where it is read
+        return name
+
+
+def plain(labelled: Any) -> Any:
+    """Return a Dataset, DataArray or DataTree whose Quantities are numbers with ``units`` attributes.
+
+    The unit of a Quantity replaces the attribute. What holds no Quantity is returned as it is; nothing is
+    computed.
+
+    Raises
+    ------
+    UnitsError
+        A unit cannot be written in CF spelling, or Quantities are inside the blocks of a dask array.
+
+    Examples
+    --------
+    >>> import pint, xarray as xr
+    >>> width = xr.DataArray(pint.Quantity([6.0, 7.0], "nm"), dims="band", attrs={"units": "um"})
+    >>> plain(width).attrs, plain(width).values
+    ({'units': 'nm'}, array([6., 7.]))
+    """
+    if isinstance(labelled, xr.DataTree):
+        datasets = {path: node.to_dataset(inherit=False) for path, node in labelled.subtree_with_keys}
+        numbers = {path: plain(dataset) for path, dataset in datasets.items()}
+        changed = any(numbers[path] is not dataset for path, dataset in datasets.items())
+        return xr.DataTree.from_dict(numbers, name=labelled.name) if changed else labelled
+    # the public `data` would read a lazily opened variable
+    variables = labelled.variables if isinstance(labelled, xr.Dataset) else labelled.coords.variables
+    held = {name: variable._data for name, variable in variables.items()}
+    whole = labelled.variable._data if isinstance(labelled, xr.DataArray) else None
+    for name, data in [*held.items(), (getattr(labelled, "name", None), whole)]:
+        if _is_quantity(getattr(data, "_meta", None)):
+            raise UnitsError(
+                f"{name!r} is a dask array of Quantities",
+                mend=f"make it a Quantity of a dask array, such as pint.Quantity({name}.data, unit)",
+            )
+    if _is_quantity(whole):
+        labelled = labelled.copy(data=_magnitude(whole)).assign_attrs(units=_unit_text(whole))
+    coords = {name: data for name, data in held.items() if _is_quantity(data)}
+    if not coords:
+        return labelled
+    values = {
+        name: (variables[name].dims, _magnitude(data), {**variables[name].attrs, "units": _unit_text(data)})
+        for name, data in coords.items()
+    }
+    return labelled.assign(values) if isinstance(labelled, xr.Dataset) else labelled.assign_coords(values)
+
+
+def in_units(value: Any, wanted: str, name: str) -> Any:
+    """Return an argument as plain numbers in the units ``wanted``.
+
+    Parameters
+    ----------
+    value
+        Plain numbers, which are in these units already and come back as they are; a Quantity of any registry,
+        a DataArray, which needs units unless they are 1, a timedelta; or a sequence of such.
+    wanted
+        Units in CF spelling.
+    name
+        What messages call the argument.
+
+    Raises
+    ------
+    UnitsError
+        The unit is missing, unreadable, or of another dimension.
+
+    Examples
+    --------
+    >>> import pint
+    >>> in_units(pint.Quantity(525, "ft"), "m", "ground"), in_units(160.02, "m", "ground")
+    (160.02, 160.02)
+    """
+    if isinstance(value, xr.DataArray):
+        value = plain(value)
+        return value if wanted == "1" and "units" not in value.attrs else convert(value, wanted, name)
+    if isinstance(value, list | tuple):  # of any depth; text in them is for the function to refuse
+        numbers = [each if isinstance(each, str) else in_units(each, wanted, name) for each in value]
+        changed = any(number is not each for number, each in zip(numbers, value, strict=True))
+        return type(value)(numbers) if changed else value
+    if isinstance(value, str) or (hasattr(value, "dimensionality") and not _is_quantity(value)):
+        raise UnitsError(f"{name}={str(value)!r}", expected=f"a number [{wanted}] or a Quantity")
+    if not _carries_unit(value):
+        return value
+    try:
+        if _is_quantity(value):
+            number, factor = _magnitude(value), conversion_factor(_unit_text(value), wanted)
+        else:
+            number, factor = value / np.timedelta64(1, "s"), conversion_factor("s", wanted)
+    except UnitsError as error:
+        raise error.about(name) from error
+    return number if factor == 1.0 else number * factor
+
+
+def _carries_unit(value: object) -> bool:
+    is_duration = getattr(getattr(value, "dtype", None), "kind", "") == "m"
+    return is_duration or isinstance(value, datetime.timedelta | xr.DataArray) or _is_quantity(value)
+
+
+def takes_quantities(**units: str) -> Callable[[_Public], _Public]:
+    """Return a decorator for public functions and dataclasses: the one door for the units of strangers.
+
+    Quantities in datasets become numbers with text beside them (`plain`), arguments numbers in the units that
+    are named (`in_units`); an argument whose units are not named is a pure number.
+
+    Examples
+    --------
+    >>> import pint
+    >>> @takes_quantities(ground="m")
+    ... def height(ground: float, share: float = 0.0) -> tuple[float, float]:
+    ...     return ground, share
+    >>> height(pint.Quantity(2.0, "km"), share=pint.Quantity(50.0, "percent"))
+    (2000.0, 0.5)
+    >>> height(pint.Quantity(2.0, "s"))
+    Traceback (most recent call last):
+    hyperpaint.base.errors.UnitsError: ground: units 's' are not convertible to 'm'; ...
+    """
+
+    def decorated(target: Any) -> Any:
+        function = vars(target)["__init__"] if isinstance(target, type) else target
+        names = list(inspect.signature(function).parameters)
+
+        def number(value: Any, name: str) -> Any:
+            # a class lists all that is wrong with its fields, text among it
+            is_own = isinstance(target, type) and isinstance(value, str)
+            return value if is_own else _number(value, units, name)
+
+        @functools.wraps(function)
+        def with_numbers(*arguments: Any, **options: Any) -> Any:
+            numbers = [number(value, name) for name, value in zip(names, arguments, strict=False)]
+            numbers += arguments[len(names) :]  # too many are for the function to refuse
+            return function(*numbers, **{name: number(value, name) for name, value in options.items()})
+
+        if not isinstance(target, type):
+            return with_numbers
+        setattr(target, "__init__", with_numbers)  # noqa: B010 (mypy takes a plain assignment for unsound)
+        return target
+
+    return decorated
+
+
+def _number(value: Any, units: Mapping[str, str], name: str) -> Any:
+    """Return one argument of a public function without Quantities; itself where it has none."""
+    if name in units:
+        return in_units(value, units[name], name)
+    if isinstance(value, xr.Dataset | xr.DataArray | xr.DataTree):
+        return plain(value)
+    if isinstance(value, Mapping):
+        numbers = {key: _number(each, units, str(key)) for key, each in value.items()}
+        return numbers if any(numbers[key] is not each for key, each in value.items()) else value
+    if isinstance(value, list | tuple):
+        members = [_number(each, units, name) for each in value]
+        return type(value)(members) if any(a is not b for a, b in zip(members, value, strict=True)) else value
+    return in_units(value, "1", name) if _is_quantity(value) else value
+
+
+# --- a view in Quantities ----------------------------------------------------------------------------------
+
+
+def quantify(dataset: xr.Dataset, units: pint.UnitRegistry[Any] | None = None) -> xr.Dataset:
+    """Return ``dataset`` with its data variables as pint Quantities of a registry, hyperpaint's by default.
 
     Raises
     ------
     MissingExtraError
         pint-xarray is not installed.
     UnitsError
-        Units cannot be read, or carry a scale, which a Quantity's unit cannot; all are listed.
+        Units cannot be read, carry a scale, which a Quantity's unit cannot, or are not those of the registry;
+        all are listed.
     """
-    try:
+    with needs_extra("pint-xarray", "units", "a Quantity view"):
         import pint_xarray  # noqa: F401
-    except ImportError as error:
-        needed = MissingExtraError.of("pint-xarray", "units", "a Quantity view")
-        raise needed from error
 
-    units = registry(force_ndarray_like=True)
+    units = units or registry(force_ndarray_like=True)
+    if not (units.force_ndarray_like or units.force_ndarray):
+        raise UnitsError(
+            "the registry turns 0-d arrays into plain numbers",
+            mend="make it by pint.UnitRegistry(force_ndarray_like=True)",
+        )
     problems = Problems("a Quantity view cannot be made", UnitsError)
     unit_of = {}
+    dataset = plain(dataset)
     for name, array in dataset.data_vars.items():
         if "units" not in array.attrs or array.dtype.kind not in "fiu":
             continue
         text = array.attrs["units"]
         try:
-            unit_of[name] = units.Unit(_spell_for_pint(canonical(text)))
+            full_names = f"{registry().Unit(_spell_for_pint(canonical(text))):C}"
         except Exception:  # pint leaks its own classes
-            problems.add(f"{str(name)!r} has units {text!r}; expected CF spelling without a scale")
+            problems.add(f"{str(name)!r} has units {text!r}", expected="CF spelling without a scale")
+            continue
+        try:
+            unit_of[name] = units.Unit(full_names)
+        except Exception as error:
+            problems.add(
+                f"{str(name)!r} has units {text!r}; {error!s:.100}",
+                mend="define it, as by registry.define('electron = [electron_count]'), or drop the variable",
+            )
     problems.raise_if_any()
     # coordinates are left alone: an index of Quantities can no longer be selected on
-    plain = dict.fromkeys(dataset.coords)
-    quantified: xr.Dataset = dataset.pint.quantify({**plain, **unit_of}, unit_registry=units)
-    return quantified
+    variables = dataset[list(unit_of)].drop_vars(dataset.coords, errors="ignore")
+    return dataset.assign(variables.pint.quantify(unit_of, unit_registry=units).data_vars)
