@@ -207,6 +207,9 @@ class LinePositions(NamedTuple):
     #: east_before, north_before (column,) float64: the same of the line before; NaN where there is none
     east_before: Array
     north_before: Array
+    #: (line, column - 1) bool: whether four pixels, with those of the line before, span no patch; empty where
+    #: all do
+    hidden: Array
 
 
 class MapCells(NamedTuple):

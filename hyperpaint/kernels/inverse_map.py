@@ -111,7 +111,7 @@ def invert_lines(positions: LinePositions, first: int, last: int, cells: MapCell
     ``first`` and ``last`` are the numbers of the first of these lines, and of the last line of the flight.
     Lines may go back over themselves: every patch is visited, whichever way round it lies.
     """
-    east, north = positions.east, positions.north
+    east, north, hidden = positions.east, positions.north, positions.hidden
     place, nearest, rank, hits = out
     frame, (first_row, first_col), rule = cells.frame, cells.corner, cells.rule
     last_row, last_col = first_row + hits.shape[0] - 1.0, first_col + hits.shape[1] - 1.0
@@ -130,6 +130,8 @@ def invert_lines(positions: LinePositions, first: int, last: int, cells: MapCell
                 box[4, j] = x0[j] + y0[j] + x1[j] + y1[j]
             for j in range(columns - 1):
                 if not abs(box[4, j] + box[4, j + 1]) < math.inf:  # a corner is not known
+                    continue
+                if hidden.size and hidden[i, j]:
                     continue
                 left, right = min(box[0, j], box[0, j + 1]), max(box[1, j], box[1, j + 1])
                 upper, lower = min(box[2, j], box[2, j + 1]), max(box[3, j], box[3, j + 1])

@@ -49,15 +49,28 @@ class BandLight(NamedTuple):
     inverse: Array
 
 
-# --- values, row by row: all arguments are (column,)
+# --- values, row by row
 
 
 @borrowing_kernel
-def scale_row(counts: Array, dark: Array, gain: Array, scale: Any, saturation_limit: Any, out: Array) -> None:
-    """Write gain * scale * (counts - dark); NaN from ``saturation_limit`` counts on."""
-    for x in range(out.size):
-        value = (np.float32(counts[x]) - dark[x]) * (gain[x] * scale)
-        out[x] = value if counts[x] < saturation_limit else _NAN
+def scale_row(
+    counts: Array,
+    dark: Array,
+    gain: Array,
+    scale: Any,
+    saturation_limit: Any,
+    place: tuple[int, int],
+    out: Array,
+) -> None:
+    """Write gain * scale * (counts - dark) of a ``place`` (line, band); NaN from ``saturation_limit`` on.
+
+    Indexed by line and band: views of four rows would cost a quarter of the loop.
+    """
+    line, band = place
+    for x in range(counts.shape[2]):
+        raw = counts[line, band, x]
+        value = (np.float32(raw) - dark[band, x]) * (gain[band, x] * scale)
+        out[line, band, x] = value if raw < saturation_limit else _NAN
 
 
 @borrowing_kernel
@@ -312,30 +325,23 @@ def propagate_line(
 
 
 @borrowing_kernel
-def calibrate_row(
-    counts: Array,
-    dark: Array,
-    gain: Array,
-    light: LightCells,
-    limits: CountLimits,
-    highest: Any,
-    place: tuple[int, int],
+def divide_by_light(
+    counts: Array, dark: Array, gain: Array, light: LightCells, saturation_limit: Any, place: tuple[int, int],
     out: Array,
-) -> None:
-    """Write the values of one band of one line, ``place``; the other arguments but light are (column,)."""
+) -> None:  # fmt: skip
+    """Write the values of one band of one line, ``place``, under light that varies over the columns.
+
+    ``counts`` and ``out`` are (line, band, column), ``dark`` and ``gain`` (band, column).
+    """
     line, band = place
-    if light.coefficients.shape[3] == 1:
-        scale_row(counts, dark, gain, light.coefficients[line, band, 0, 0], highest, out)
-    else:
-        own = band if light.shift.shape[0] > 1 else 0
-        for run in range(light.cells.shape[1]):
-            first, last = light.edges[own, run], light.edges[own, run + 1]
-            divide_row(
-                counts[first:last], dark[first:last], gain[first:last], light.shift[own, first:last],
-                light.coefficients[line, band, light.cells[own, run]], highest, out[first:last],
-            )  # fmt: skip
-    if limits.saturation.size > 1:
-        limit_row(counts, limits.saturation[band], out)
+    own = band if light.shift.shape[0] > 1 else 0
+    for run in range(light.cells.shape[1]):
+        first, last = light.edges[own, run], light.edges[own, run + 1]
+        divide_row(
+            counts[line, band, first:last], dark[band, first:last], gain[band, first:last],
+            light.shift[own, first:last], light.coefficients[line, band, light.cells[own, run]],
+            saturation_limit, out[line, band, first:last],
+        )  # fmt: skip
 
 
 @kernel
@@ -358,6 +364,7 @@ def calibrate_slab(
     dark, gain = calibration.dark, calibration.gain
     flagging = out.quality.shape[0] > 0
     doubting = out.u_random.shape[0] > 0
+    uniform = light.coefficients.shape[3] == 1
     # what is written, as the bits that are rounded
     bits, u_random_bits = out.cube.view(np.uint32), out.u_random.view(np.uint32)
     u_systematic_bits = out.u_systematic.view(np.uint32)
@@ -381,10 +388,13 @@ def calibrate_slab(
         tally.peak[:] = 0
         tally.negative[:] = 0
         for band in range(n_band):
-            calibrate_row(
-                counts[line, band], line_dark[band], gain[band], light, limits, highest, (line, band),
-                out.cube[line, band],
-            )  # fmt: skip
+            if uniform:  # handing ``light`` on, five arrays, would cost as much as half of the row
+                scale = light.coefficients[line, band, 0, 0]
+                scale_row(counts, line_dark, gain, scale, highest, (line, band), out.cube)
+            else:
+                divide_by_light(counts, line_dark, gain, light, highest, (line, band), out.cube)
+            if limits.saturation.size > 1:
+                limit_row(counts[line, band], limits.saturation[band], out.cube[line, band])
             if cleared_bits > 0 and not doubting:
                 round_row(bits[line, band], cleared_bits)
             if flagging:

@@ -22,7 +22,7 @@ def inverted(east, north, shape, *, rule=NADIR, longest=1e9, first=0, last=None,
         e, n = (part[start : start + (slab or len(east))].copy() for part in (east, north))
         cells = MapCells(UNIT, corner, longest, rule)
         out = InverseTile(place, nearest, rank, hits)
-        invert_lines(LinePositions(e, n, *before), first + start, last, cells, out)
+        invert_lines(LinePositions(e, n, *before, np.zeros((0, 0), bool)), first + start, last, cells, out)
         before = np.stack([e[-1], n[-1]])
     return place, nearest, hits
 
