@@ -6,6 +6,7 @@ xarray loads this module at any user's first `open_dataset`: it imports nothing 
 from __future__ import annotations
 
 import os
+import re
 from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
@@ -15,7 +16,7 @@ from xarray.backends import BackendEntrypoint
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["EnviBackendEntrypoint"]
+__all__ = ["AsdBackendEntrypoint", "EnviBackendEntrypoint", "SvcBackendEntrypoint"]
 
 # a file with another suffix is taken for ENVI data only if "name.suffix.hdr" lies beside it
 _DATA_SUFFIXES = ("", ".img", ".dat", ".raw", ".bil", ".bip", ".bsq")
@@ -24,7 +25,7 @@ _DATA_SUFFIXES = ("", ".img", ".dat", ".raw", ".bil", ".bip", ".bsq")
 class EnviBackendEntrypoint(BackendEntrypoint):
     """Opens ENVI cubes lazily: ``xr.open_dataset("raw_0.hdr")``, or with ``engine="envi"``.
 
-    See `hyperpaint.io.envi.envi_cubes.open_envi` for what is returned.
+    See `hyperpaint.io.envi.envi_cubes.open_envi` for what is returned; lines and columns are numbered.
     """
 
     description: ClassVar[str] = "ENVI cubes (.hdr and data file) through hyperpaint"
@@ -76,20 +77,89 @@ class EnviBackendEntrypoint(BackendEntrypoint):
         FileNotFoundError
             There is no such file.
         """
+        from hyperpaint.base.schema import with_numbers
+
         from .envi.envi_cubes import open_envi
 
-        dataset = open_envi(filename_or_obj, keep_whole_lines=keep_whole_lines)
-        if drop_variables is None:
-            return dataset
-        dropped = [drop_variables] if isinstance(drop_variables, str) else list(drop_variables)
-        return dataset.drop_vars(dropped, errors="ignore")
+        cube = open_envi(filename_or_obj, keep_whole_lines=keep_whole_lines)
+        return with_numbers(_without(cube, drop_variables))
+
+
+class _SpectrometerEntrypoint(BackendEntrypoint):
+    """What the engines of field spectrometers share: one file is one spectrum."""
+
+    open_dataset_parameters: ClassVar[tuple[str, ...]] = ("filename_or_obj", "drop_variables", "quantity")
+    suffix: ClassVar[str]
+    beginning: ClassVar[bytes]
+    """Regular expression that the first bytes of a file match."""
+
+    def guess_can_open(self, filename_or_obj: Any) -> bool:
+        """Tell whether this is a file of the instrument, by its suffix and its first bytes."""
+        if not isinstance(filename_or_obj, str | os.PathLike):
+            return False
+        path = Path(os.fsdecode(filename_or_obj))
+        return path.suffix.lower() == self.suffix and bool(re.match(self.beginning, _first_bytes(path, 120)))
+
+
+class AsdBackendEntrypoint(_SpectrometerEntrypoint):
+    """Opens binary files of ASD spectrometers: ``xr.open_dataset("white.asd")``, or with ``engine="asd"``.
+
+    See `hyperpaint.open_asd` for what is returned, for many files at once and for all options.
+    """
+
+    description: ClassVar[str] = "ASD field spectrometers (.asd) through hyperpaint"
+    suffix, beginning = ".asd", rb"ASD|asd|as[2-8]"
+
+    def open_dataset(
+        self,
+        filename_or_obj: Any,
+        *,
+        drop_variables: str | Iterable[str] | None = None,
+        quantity: str | None = None,
+    ) -> xr.Dataset:
+        """Open one spectrum; see `hyperpaint.open_asd` for ``quantity`` and the errors."""
+        from .spectrometers.asd import open_asd
+
+        return _without(open_asd(filename_or_obj, quantity), drop_variables)
+
+
+class SvcBackendEntrypoint(_SpectrometerEntrypoint):
+    """Opens files of SVC spectrometers: ``xr.open_dataset("hood.sig")``, or with ``engine="svc"``.
+
+    See `hyperpaint.open_svc` for what is returned, for many files at once and for all options.
+    """
+
+    description: ClassVar[str] = "SVC field spectrometers (.sig) through hyperpaint"
+    suffix, beginning = ".sig", rb"(?i)(\xef\xbb\xbf)?\s*/\*+[^\r\n]{0,80}Spectra Vista"
+
+    def open_dataset(
+        self,
+        filename_or_obj: Any,
+        *,
+        drop_variables: str | Iterable[str] | None = None,
+        quantity: str | None = None,
+    ) -> xr.Dataset:
+        """Open one spectrum; see `hyperpaint.open_svc` for ``quantity`` and the errors."""
+        from .spectrometers.svc import open_svc
+
+        return _without(open_svc(filename_or_obj, quantity), drop_variables)
+
+
+def _without(dataset: xr.Dataset, drop_variables: str | Iterable[str] | None) -> xr.Dataset:
+    dropped = [drop_variables] if isinstance(drop_variables, str) else list(drop_variables or ())
+    return dataset.drop_vars(dropped, errors="ignore")
 
 
 def _is_envi_header(path: Path) -> bool:
+    return _first_bytes(path, 7).removeprefix(b"\xef\xbb\xbf").startswith(b"ENVI")
+
+
+def _first_bytes(path: Path, count: int) -> bytes:
+    """Return how a file begins; nothing of what is no file that can be read."""
     try:
         if not path.is_file():  # a pipe would wait
-            return False
+            return b""
         with open(path, "rb") as file:
-            return file.read(7).removeprefix(b"\xef\xbb\xbf").startswith(b"ENVI")
+            return file.read(count)
     except (OSError, ValueError):
-        return False
+        return b""

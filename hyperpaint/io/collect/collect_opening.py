@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterator
+import warnings
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from hyperpaint.base.errors import CollectError, Findings, Problems, Unavailable
+from hyperpaint.base.errors import CollectError, Findings, PaintWarning, Problems, Unavailable
 from hyperpaint.io.flightline.calibration_store import open_calibration
 from hyperpaint.io.flightline.flightline_opening import assemble
 from hyperpaint.io.flightline.timing import Timing
@@ -16,6 +17,7 @@ from hyperpaint.io.navigation.navigation_records import Navigation, read_imu_gps
 from hyperpaint.io.spectrometers.reference_files import open_spectra
 
 from .collect_toml import Collect, IrradianceEntry, ReferenceEntry, parse_collect, read_collect
+from .joining import JoinedLine, join_lines
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -29,13 +31,15 @@ class OpenedCollect:
 
     tree: xr.DataTree
     settings: Collect
+    members: Mapping[str, tuple[str, ...]]  # Names of the cubes of every line, by its group
 
     @property
-    def cubes(self) -> dict[str, Path]:
-        """Data file of every flight line, by the line's group (``flightlines/<id>``)."""
+    def cubes(self) -> dict[str, tuple[Path, ...]]:
+        """Data files of every flight line, by the line's group (``flightlines/<id>``)."""
         from hyperpaint.io.envi.envi_cubes import find_pair
 
-        return {f"flightlines/{entry.name}": find_pair(entry.path)[1] for entry in self.settings.flightlines}
+        files = {str(entry.name): find_pair(entry.path)[1] for entry in self.settings.flightlines}
+        return {group: tuple(files[name] for name in names) for group, names in self.members.items()}
 
 
 def open_collect(
@@ -56,11 +60,13 @@ def open_with_settings(
     need_irradiance: bool = True,
     chunks: Any = "auto",
     calibrate: Callable[[Path], xr.Dataset] | None = None,
+    mount: Callable[[xr.Dataset, Mapping[str, Any]], xr.Dataset] | None = None,
 ) -> OpenedCollect:
     """Open everything a ``collect.toml`` names, without reading a cube, and keep what it says.
 
     ``source``: the file, or its settings where it has been read and checked before; ``calibrate``: turns the
-    path of a lab sweep into a calibration; the others: see `hyperpaint.open_collect`.
+    path of a lab sweep into a calibration; ``mount``: adds to a line what the table ``[geometry]`` says; the
+    others: see `hyperpaint.open_collect`.
 
     Raises `CollectError`: The file, or anything it names, cannot be used; all problems of all files are
     listed.
@@ -98,7 +104,11 @@ def open_with_settings(
             nav = navigation.get(timing.nav)
             timing = Unavailable.REPORTED if nav is None else replace(timing, nav=nav)
         parts: Any = {"calibration": calibration, "irradiance": irradiance, "chunks": chunks}
-        lines[f"/flightlines/{entry.name}"] = assemble(replace(entry, timing=timing, **parts), own)
+        line = assemble(replace(entry, timing=timing, **parts), own)
+        if mount is not None and line.sizes:
+            with own.step():
+                line = mount(line, collect.geometry)
+        lines[str(entry.name)] = line
         findings.errors += own.errors
     references = dict(_references(collect.references, findings))
     # what several lines share is reported once
@@ -106,13 +116,37 @@ def open_with_settings(
         problems.add(text)
     problems.raise_if_any()
     groups: dict[str, xr.Dataset] = {"/": xr.Dataset(attrs={"name": collect.name, "source": path.name})}
-    groups |= lines
+    joined = dict(_joined(collect, lines, irradiance))
+    groups |= {f"/flightlines/{name}": flown.line for name, flown in joined.items()}
     if isinstance(irradiance, xr.Dataset):
         groups["/irradiance"] = irradiance
     if isinstance(calibration, xr.Dataset):
         groups["/calibration"] = calibration
     groups |= {f"/references/{name}": dataset for name, dataset in references.items()}
-    return OpenedCollect(xr.DataTree.from_dict(groups), collect)
+    members = {f"flightlines/{name}": flown.members for name, flown in joined.items()}
+    return OpenedCollect(xr.DataTree.from_dict(groups), collect, members)
+
+
+def _joined(
+    collect: Collect, lines: Mapping[str, xr.Dataset], irradiance: Any
+) -> Iterator[tuple[str, JoinedLine]]:
+    """Yield the lines by their names; cubes of one table become one line where the recording goes on."""
+    import xarray as xr
+
+    record = irradiance if isinstance(irradiance, xr.Dataset) else None
+    flights = {names[0]: (names, wanted) for names, wanted in collect.flights if names}
+    inside = {name for names, _ in flights.values() for name in names[1:]}
+    for name, line in lines.items():
+        if name not in flights and name not in inside:
+            yield name, JoinedLine(line, (name,))
+        if name in flights:
+            names, wanted = flights[name]
+            parts = list(join_lines({each: lines[each] for each in names}, record))
+            for part in parts:
+                if part.interruption:
+                    message = f"{part.members[0]} is a flight line of its own: {part.interruption}"
+                    warnings.warn(message, PaintWarning, stacklevel=4)
+                yield (wanted if wanted and len(parts) == 1 else part.members[0]), part
 
 
 def _calibrated(sweep: Path, calibrate: Callable[[Path], xr.Dataset] | None) -> xr.Dataset:

@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+import itertools
 import os
 import re
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 from hyperpaint.base.errors import CollectError, FormatError, Problems, TimeError, Unavailable
 from hyperpaint.io.files import toml_tables as check
+from hyperpaint.io.files.reading import is_pattern
 from hyperpaint.io.files.toml_tables import TableReader, load_tables, shown
 from hyperpaint.io.flightline.flightline_opening import FlightlineInputs
+from hyperpaint.io.flightline.headwall import cube_number, frame_index_beside, navigation_beside
 from hyperpaint.io.flightline.timing import Timing, utc_of
 
 _ID = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,99}")
@@ -46,6 +49,15 @@ _SCHEMA: Mapping[str, Mapping[str, check.Check]] = {
         "declination": check.number,
         "geoid_undulation": check.number,
         "grid_crs": check.text,
+    },
+    "geometry": {
+        "ground": check.number,
+        "dem": check.text,
+        "dem_heights": check.one_of("ellipsoid", "geoid"),
+        "geoid": check.number,
+        "fov_deg": check.positive,
+        "boresight_deg": check.three_numbers,
+        "lever_arm_m": check.three_numbers,
     },
     "calibration": {"path": check.text, "sweep": check.text},
     "dark": {"cubes": check.texts},
@@ -122,6 +134,10 @@ class Collect:
     nav: tuple[Path, ...]  # Navigation files, each once; the lines of one flight share them
     references: tuple[ReferenceEntry, ...]
     sweep: Path | None  # Lab sweep to calibrate in place of a ``calibration``
+    # Ground [m above the ellipsoid] or dem (a path), and how the camera sits in the platform
+    geometry: Mapping[str, Any]
+    # Names of cubes of one table, a pattern or a folder, in their order, with the id that the table gives
+    flights: tuple[tuple[tuple[str, ...], str | None], ...]
 
 
 # --- tables into checked values ----------------------------------------------------------------------------
@@ -130,6 +146,8 @@ class Collect:
 class _Reader(TableReader):
     """Reads a collect's tables, of which one may be a word."""
 
+    outside = True  # files of camera and spectrometer are often copied to different folders
+
     def __init__(self, path: Path, raw: Mapping[str, Any], problems: Problems) -> None:
         self.dark = self._dark_word(raw)
         super().__init__(path, raw, _SCHEMA, _LISTS, problems)
@@ -137,6 +155,7 @@ class _Reader(TableReader):
         self.collect_name = self.one("collect").get("name", path.resolve().parent.name)
         self.clock = Timing(**{key: value for key, value in self.one("camera").items() if key in _CLOCK})
         self.nav: dict[Path, None] = {}
+        self.flights: list[tuple[tuple[str, ...], str | None]] = []
 
     def _dark_word(self, raw: Mapping[str, Any]) -> str | None:
         word = raw.get("dark")
@@ -207,20 +226,39 @@ def _irradiance(reader: _Reader) -> IrradianceEntry | None:
     return IrradianceEntry(reader.files("[irradiance]", "files", table["files"]), options)
 
 
-def _flightline(
+def _cubes(
     reader: _Reader, number: int, table: Mapping[str, Any], shared: Mapping[str, Any]
-) -> FlightlineInputs | None:
-    place, camera = f"[[flightlines]] {number + 1}", reader.one("camera")
+) -> Iterator[FlightlineInputs | None]:
+    """Yield the cubes of one ``[[flightlines]]``: one, or those of a pattern or a folder in their order."""
+    place = f"[[flightlines]] {number + 1}"
     if "cube" not in table:
         if "cube" not in table["?"]:
             reader.problems.add(f"{place} cube is missing")
-        return None
-    cube = reader.path(place, "cube", table["cube"])
+        return
+    text = table["cube"]
+    is_folder = os.path.isdir(reader.folder / text)  # of names too long for a path, too, false
+    if not (is_folder or is_pattern(text)):
+        yield _flightline(reader, place, table, reader.path(place, "cube", text), shared)
+        return
+    found = reader.files(place, "cube", f"{text.rstrip('/')}/*.hdr" if is_folder else text)
+    headers = [path for path in found if path.suffix.lower() == ".hdr"] or list(found)
+    headers.sort(key=lambda path: (path.parent, cube_number(path) or 0, path.name))
+    names = tuple(path.name.split(".")[0] for path in headers)
+    reader.flights.append((names, table.get("id")))
+    for name, cube in zip(names, headers, strict=True):
+        yield _flightline(reader, place, {**table, "id": name}, cube, shared)
+
+
+def _flightline(
+    reader: _Reader, place: str, table: Mapping[str, Any], cube: Path | None, shared: Mapping[str, Any]
+) -> FlightlineInputs | None:
+    camera = reader.one("camera")
     name = table.get("id", Path(table["cube"]).name.split(".")[0])
     if not _ID.fullmatch(name) or name in _RESERVED:
         expected = "letters, digits, '.', '_' and '-': it names a group of the store"
         reader.problems.add(f"{place} id = {shown(name)}, expected {expected}")
     before = len(reader.problems)
+    table = _with_files_beside(table, cube)
     paths: dict[str, Any] = {key: reader.path(place, key, table.get(key)) for key in _SIDE_FILES}
     if paths["nav"] is not None:
         reader.nav[paths["nav"]] = None
@@ -255,6 +293,18 @@ def _flightline(
     )
 
 
+def _with_files_beside(table: Mapping[str, Any], cube: Path | None) -> Mapping[str, Any]:
+    """Return the table with the frame index and the navigation beside the cube, where none is named."""
+    given = table["?"]
+    if cube is None or not os.path.isdir(cube.parent) or given & {"frame_index", "start_time"}:
+        return table
+    beside = {"frame_index": frame_index_beside(cube)}
+    if not given & {"nav", "gps_time", "date"}:
+        beside["nav"] = navigation_beside(cube)
+    found = {key: str(path.absolute()) for key, path in beside.items() if path is not None}
+    return {**table, **found, "?": given | set(found)}
+
+
 def _check_timing(reader: _Reader, place: str, table: Mapping[str, Any]) -> None:
     given = table["?"]
     period = "frame_period_ms" in given or "frame_period_ms" in reader.one("camera")["?"]
@@ -277,8 +327,8 @@ def _flightlines(reader: _Reader) -> tuple[FlightlineInputs, ...]:
     tables, shared = reader.tables["flightlines"], _camera(reader)
     if not tables:
         reader.problems.add("no [[flightlines]]: at least one with a cube is needed")
-    candidates = [_flightline(reader, number, table, shared) for number, table in enumerate(tables)]
-    entries = [entry for entry in candidates if entry is not None]
+    candidates = (_cubes(reader, number, table, shared) for number, table in enumerate(tables))
+    entries = [entry for entry in itertools.chain.from_iterable(candidates) if entry is not None]
     # as on file systems that ignore case
     names = [str(entry.name).lower() for entry in entries]
     for name in sorted({name for name in names if names.count(name) > 1}):
@@ -286,6 +336,15 @@ def _flightlines(reader: _Reader) -> tuple[FlightlineInputs, ...]:
             f"[[flightlines]] id {name!r} is given to {names.count(name)} lines; each needs its own"
         )
     return tuple(entries)
+
+
+def _geometry(reader: _Reader) -> dict[str, Any]:
+    table = {key: value for key, value in reader.one("geometry").items() if key != "?"}
+    if "dem" in table:
+        table["dem"] = reader.path("[geometry]", "dem", table["dem"])
+        if "ground" in table:
+            reader.problems.add("[geometry] has both ground and dem; keep the one that is to be used")
+    return {key: tuple(value) if isinstance(value, list) else value for key, value in table.items()}
 
 
 def _references(reader: _Reader) -> tuple[ReferenceEntry, ...]:
@@ -335,6 +394,8 @@ def parse_collect(path: Path, problems: Problems, *, need_irradiance: bool) -> C
         nav=tuple(reader.nav),
         references=_references(reader),
         sweep=sweep,
+        geometry=_geometry(reader),
+        flights=tuple(reader.flights),
     )
 
 

@@ -18,6 +18,7 @@ import numpy as np
 
 from hyperpaint.base.errors import SchemaError
 from hyperpaint.base.schema import ALONG_TRACK, BAND, CROSS_TRACK
+from hyperpaint.base.units import takes_quantities
 from hyperpaint.io.files.publishing import published_files
 from hyperpaint.io.maps.map_grids import (
     RGB_WAVELENGTHS,
@@ -48,6 +49,7 @@ _BLOCK = 64 * 2**20
 """Bytes of an array in memory that are written at a time."""
 
 
+@takes_quantities()
 def write_envi(
     dataset: xr.Dataset,
     path: str | os.PathLike[str],

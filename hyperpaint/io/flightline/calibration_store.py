@@ -153,7 +153,7 @@ def _load_store(path: Path, group: str | None) -> xr.Dataset:
     ours = COMPLETE in attributes or any(
         location.has(name, array, CHUNKS) for array in location.folders(name)
     )
-    return open_store(path, group, chunks=None).load() if ours else load_unverified(path, group)
+    return open_store(path, group or "", chunks=None).load() if ours else load_unverified(path, group)
 
 
 def check_calibration(dataset: xr.Dataset, subject: str = "this Dataset") -> xr.Dataset:

@@ -13,17 +13,9 @@ import numpy as np
 
 from hyperpaint.base.attitude_conventions import Convention
 from hyperpaint.base.errors import Findings, FormatError, PaintWarning, SchemaError, Unavailable
-from hyperpaint.base.schema import (
-    ALONG_TRACK,
-    BAND,
-    CHUNK_LINES,
-    CROSS_TRACK,
-    CUBE,
-    VARIABLES,
-    label,
-    rename_to_roles,
-)
-from hyperpaint.base.units import conversion_factor, convert
+from hyperpaint.base.schema import CHUNK_LINES, label, rename_to_roles, with_numbers
+from hyperpaint.base.units import conversion_factor, convert, takes_quantities
+from hyperpaint.base.variables import ALONG_TRACK, BAND, CROSS_TRACK, CUBE, VARIABLES
 from hyperpaint.io.navigation.navigation_records import ASSUMED, Navigation
 from hyperpaint.io.spectrometers.irradiance import cut_irradiance
 
@@ -73,6 +65,10 @@ class FlightlineInputs:
         return Path(self.name or str(self.cube.attrs.get("source", "cube")))
 
 
+@takes_quantities(
+    exposure_time="s", frame_period="s", nav_clock_offset_s="s", nav_max_gap_s="s",
+    saturation_count="count", fwhm_nm="nm",
+)  # fmt: skip
 def open_flightline(
     cube: type_path | xr.Dataset,
     *,
@@ -295,7 +291,7 @@ def assemble(inputs: FlightlineInputs, findings: Findings) -> xr.Dataset:
         attrs["dark_source"] = dark.source
     if irradiance is not None:
         parts |= {str(key): value for key, value in irradiance.data_vars.items()}
-    line = xr.Dataset(parts, _coordinates(opened, calibration, times, inputs, path))
+    line = with_numbers(xr.Dataset(parts, _coordinates(opened, calibration, times, inputs, path)))
     line.attrs = {
         **attrs,
         "srf_shape": "gaussian" if calibration is None else calibration.attrs["srf_shape"],

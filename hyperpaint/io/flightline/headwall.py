@@ -35,6 +35,8 @@ _TIME_OF_DAY = re.compile(r"(\d{1,2}):(\d{2}):(\d{2})(?: +(\d{1,6})|\.(\d{1,6})\
 _INTEGER = re.compile(r"[+-]?[0-9]{1,16}(?:\.0*)?")
 _EXPOSURE = re.compile(r"(?:exposure|integration)(?: time)? *\(([^()]*)\)", re.IGNORECASE)
 _CUBE_NUMBER = re.compile(r"raw_(\d{1,12})", re.IGNORECASE)
+_FRAME_INDEX = re.compile(r"frameindex_?(\d{0,12})\.txt", re.IGNORECASE)
+_IMU_GPS = re.compile(r".*imu.*gps.*\.txt", re.IGNORECASE)
 
 
 # --- text and tables ---------------------------------------------------------------------------------------
@@ -184,6 +186,21 @@ def exposure_seconds(pairs: Mapping[str, str], source: str) -> float | None:
         stated = ", ".join(f"{key} = {pairs[key]}" for key in exposures)
         raise FormatError(f"{source}: contradictory exposures {stated}")
     return next(iter(exposures.values()), None)
+
+
+def lens_lengths(pairs: Mapping[str, str]) -> tuple[float, float] | None:
+    """Return focal length [mm] and pixel pitch [um] that the comment lines of a header state, if any.
+
+    None also where pixels are binned: which of rows and columns lie across the track is not said.
+    """
+    plain = {" ".join(key.split()).lower(): text for key, text in pairs.items()}
+    if any(text.strip() != "1" for key, text in plain.items() if key.endswith(" binning")):
+        return None
+    try:
+        lengths = float(plain["lens efl (mm)"]), float(plain["array pixel pitch (um)"])
+    except (KeyError, ValueError):
+        return None
+    return lengths if all(np.isfinite(length) and length > 0 for length in lengths) else None
 
 
 def exposure_sources(cube: Path | None, opened: xr.Dataset) -> Iterator[tuple[str, Mapping[str, str]]]:
@@ -337,6 +354,25 @@ def cube_number(cube: Path) -> int | None:
     """Return N of ``raw_<N>``, the number of the cube's first frame, or None."""
     match = _CUBE_NUMBER.fullmatch(cube.name.split(".")[0])
     return int(match[1]) if match else None
+
+
+def frame_index_beside(cube: Path) -> Path | None:
+    """Return the frame index in the folder of a cube: the last that begins at its first frame or before."""
+    matches = [match for path in cube.parent.iterdir() if (match := _FRAME_INDEX.fullmatch(path.name))]
+    numbers = {int(match[1] or 0): cube.with_name(match[0]) for match in matches}
+    first = cube_number(cube)
+    if first is None:
+        return next(iter(numbers.values())) if len(numbers) == 1 else None
+    return max(((number, path) for number, path in numbers.items() if number <= first), default=(0, None))[1]
+
+
+def navigation_beside(cube: Path) -> Path | None:
+    """Return ``imu_gps.txt`` of the folder of a cube, or of the one above; the only one of such a name."""
+    for folder in (cube.parent, cube.parent.parent):
+        records = [path for path in folder.iterdir() if _IMU_GPS.fullmatch(path.name)]
+        if records:
+            return records[0] if len(records) == 1 else None
+    return None
 
 
 def match_frames(

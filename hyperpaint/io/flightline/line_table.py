@@ -11,6 +11,7 @@ import numpy as np
 from hyperpaint.base.attitude_conventions import Convention
 from hyperpaint.base.errors import SchemaError
 from hyperpaint.base.schema import ALONG_TRACK
+from hyperpaint.base.units import takes_quantities
 from hyperpaint.io.files.publishing import published_files
 
 if TYPE_CHECKING:
@@ -24,6 +25,7 @@ _FIRST = (
 )
 
 
+@takes_quantities()
 def write_line_table(line: xr.Dataset, path: str | os.PathLike[str], *, overwrite: bool = False) -> Path:
     """Write what a flight line has one of for each scan line as comma-separated values.
 

@@ -15,6 +15,7 @@ import numpy as np
 
 from hyperpaint.base.attitude_conventions import Convention
 from hyperpaint.base.errors import Findings, FormatError, Problems, SchemaError, TimeError
+from hyperpaint.base.units import takes_quantities
 
 from .clocks import GPS_EPOCH, NS_PER_S, WEEK_S, ClockCorrection, refuse_backwards
 from .navigation_records import ASSUMED, POSE, Navigation, PoseRecord, read_gps_time, read_imu_gps
@@ -47,6 +48,7 @@ _MEANINGS = {
 }
 
 
+@takes_quantities(clock_offset_s="s")
 def open_navigation(
     paths: Paths,
     *,

@@ -17,7 +17,7 @@ from hyperpaint.base.arrays import Floats
 from hyperpaint.base.constants import STAMP_TO_MID_EXPOSURES
 from hyperpaint.base.errors import FormatError, Problems, SchemaError, TimeError, UnitsError
 from hyperpaint.base.schema import IRRADIANCE_TIME, IRRADIANCE_WAVELENGTH, VARIABLES, label, require
-from hyperpaint.base.units import conversion_factor, convert
+from hyperpaint.base.units import conversion_factor, convert, takes_quantities
 
 from .asd import Spectrum, find_files, mask_undefined, read_spectra, sniff, utc_offsets
 from .irradiance_files import is_store, read_irradiance_csv, stored_series
@@ -54,6 +54,7 @@ class _Series:
     attrs: Mapping[str, Any] = field(default_factory=dict)
 
 
+@takes_quantities(clock_offset_s="s", fwhm_nm="nm", max_gap_s="s", averaging_s="s", clock_uncertainty_s="s")
 def open_irradiance(
     paths: Paths | xr.Dataset | xr.DataArray,
     quantity: str | None = None,

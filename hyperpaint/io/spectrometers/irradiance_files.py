@@ -150,7 +150,7 @@ def stored_series(path: Path) -> xr.Dataset:
             group, node = "irradiance", inner
         ours = "hyperpaint_format" in (node.get("attributes") or {})
         # ours is refused where it was never finished
-        return open_store(path, group, chunks=None).load() if ours else load_unverified(path, group)
+        return open_store(path, group or "", chunks=None).load() if ours else load_unverified(path, group)
     except IncompleteStoreError as error:
         if ours:
             raise

@@ -47,7 +47,7 @@ def _of_store(path: Path) -> list[xr.Dataset]:
     wanted = [g for g in groups if g.startswith(_GROUP)] or [g for g in groups if not g]
     if not wanted:
         raise FormatError(f"{path}: expected a paint library, or groups {_GROUP}<instrument>")
-    return [open_store(path, group or None) for group in wanted]
+    return [open_store(path, group) for group in wanted]
 
 
 def _spectra_in(inside: list[Path]) -> list[Path]:

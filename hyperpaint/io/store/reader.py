@@ -7,9 +7,9 @@ Whoever wrote a store, nothing of it is decoded before its metadata (`documents`
 from __future__ import annotations
 
 import os
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, overload
 
-from hyperpaint.base.errors import IncompleteStoreError, StoreError
+from hyperpaint.base.errors import IncompleteStoreError, Problems, StoreError
 
 from .documents import check_node
 from .location import Location, clean_group
@@ -55,8 +55,16 @@ def is_complete(path: str | os.PathLike[str], group: str | None = None) -> bool:
     return True
 
 
-def open_store(path: str | os.PathLike[str], group: str | None = None, **kwargs: Any) -> xr.Dataset:
-    """Open a finished group lazily, like `xarray.open_zarr`.
+@overload
+def open_store(path: str | os.PathLike[str], group: str, **kwargs: Any) -> xr.Dataset: ...
+
+
+@overload
+def open_store(path: str | os.PathLike[str], group: None = None, **kwargs: Any) -> Any: ...
+
+
+def open_store(path: str | os.PathLike[str], group: str | None = None, **kwargs: Any) -> Any:
+    """Open a finished group lazily, like `xarray.open_zarr`, or all of a collect's store.
 
     The group must be sealed and its metadata those recorded; each chunk must be there and hold what was
     recorded for it, which shows when it is read. A group that is replaced while it is open is not read any
@@ -67,14 +75,15 @@ def open_store(path: str | os.PathLike[str], group: str | None = None, **kwargs:
     path
         Folder or URL of the store.
     group
-        Group inside it; by default the root.
+        Group inside it, ``""`` for the root; by default the root, or all groups where that holds no arrays.
     **kwargs
         Passed to `xarray.open_zarr`, such as ``chunks={"along_track": 256}``.
 
     Returns
     -------
-    xarray.Dataset
-        With one dask chunk to a storage chunk, unless ``chunks`` says otherwise.
+    xarray.Dataset or xarray.DataTree
+        With one dask chunk to a storage chunk, unless ``chunks`` says otherwise. A tree of all groups where
+        they were asked for.
 
     Raises
     ------
@@ -86,6 +95,8 @@ def open_store(path: str | os.PathLike[str], group: str | None = None, **kwargs:
         data types, sizes or links that no store of ours has.
     """
     location, name = Location.of(path), clean_group(group)
+    if group is None and (groups := location.groups()) and "" not in groups:
+        return _opened_tree(path, groups, **kwargs)
     before = read_seal(location, name)
     try:
         record = _complete_record(location, name)
@@ -97,6 +108,20 @@ def open_store(path: str | os.PathLike[str], group: str | None = None, **kwargs:
         raise IncompleteStoreError(
             f"group {'/' + name!r} of {location.url} was replaced while it was opened; open it again"
         ) from error
+
+
+def _opened_tree(path: str | os.PathLike[str], groups: list[str], **kwargs: Any) -> xr.DataTree:
+    import xarray as xr
+
+    problems = Problems(f"{os.fspath(path)} cannot be opened whole", IncompleteStoreError)
+    opened: dict[str, xr.Dataset | xr.DataTree] = {}
+    for group in groups:
+        try:
+            opened[group] = open_store(path, group, **kwargs)
+        except IncompleteStoreError as error:
+            problems.add(str(error), mend="open the others by open_store(path, group)")
+    problems.raise_if_any()
+    return xr.DataTree.from_dict(opened)
 
 
 def open_unverified(path: str | os.PathLike[str], group: str | None = None, **kwargs: Any) -> xr.Dataset:

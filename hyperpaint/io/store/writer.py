@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 from hyperpaint.base.errors import Problems, StoreError
 from hyperpaint.base.schema import FORMAT_VERSION
+from hyperpaint.base.units import takes_quantities
 
 from . import chunks, computing, layout
 from .budget import check_memory, limited_threads
@@ -54,6 +55,7 @@ if TYPE_CHECKING:
 PathT = TypeVar("PathT", str, Path)
 
 
+@takes_quantities()
 def to_store(
     data: xr.Dataset | xr.DataTree,
     path: PathT,

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 import xarray as xr
-from hypothesis import HealthCheck, given, settings, strategies as st
+from hypothesis import given, settings, strategies as st
 
 from hyperpaint.base.errors import CollectError
 from hyperpaint.io.collect.collect_opening import open_collect, read_collect
@@ -59,6 +59,24 @@ def problems_of(path: Path, *, opened: bool = False, **options: Any) -> str:
 
 
 # --- what is right -----------------------------------------------------------------------------------------
+
+
+def test_the_frame_index_and_the_navigation_beside_a_cube_are_found(folder: Path) -> None:
+    expected = open_collect(folder / "collect.toml")["flightlines/raw_0"].to_dataset()
+    path = change(folder, (r"^frame_index = .*\n", ""), (r"^nav = .*\n", ""))
+    found = open_collect(path)["flightlines/raw_0"].to_dataset()
+    xr.testing.assert_identical(found, expected)
+    for name in ("frameIndex_0.txt", "imu_gps.txt"):
+        (folder / "flight" / name).unlink()
+    assert "[[flightlines]] 1 no line times: found frame_period_ms" in problems_of(path)
+
+
+def test_patterns_may_begin_outside_the_folder(folder: Path) -> None:
+    expected = open_collect(folder / "collect.toml")["irradiance"].to_dataset()
+    shutil.move(folder / "asd", folder.parent / "asd_elsewhere")
+    for pattern in ("../asd_elsewhere/*.asd", f"{folder.parent}/asd_elsewhere/*.asd"):
+        path = change(folder, (r'^files = ".*asd\w*/\*\.asd"\nquantity', f'files = "{pattern}"\nquantity'))
+        xr.testing.assert_identical(open_collect(path)["irradiance"].to_dataset(), expected)
 
 
 def test_what_the_file_says(folder: Path) -> None:
@@ -204,7 +222,6 @@ def test_every_problem_of_the_file_is_listed(folder: Path) -> None:
         "[[flightlines]] 1 cube = 'flight/raw_1.hdr': no such file",
         "unknown table or key 'colect'; did you mean 'collect'?",
         "[[flightlines]] 3 id = '../escape'",
-        "[[flightlines]] 3 no line times: found frame_period_ms",
         "[[references]] 3 instrument missing",
         "[[references]] 3 files = 3, expected a text or a list of texts",
     ):
@@ -278,7 +295,7 @@ def test_one_problem_shared_by_the_lines_is_said_once(folder: Path) -> None:
     assert "no line times" not in text
 
 
-@settings(max_examples=120, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=120)
 @given(data=st.text(max_size=25), place=st.integers(0, 700), cut=st.integers(0, 25))
 def test_mutated_files_raise_only_collect_errors(simulated: Path, data: str, place: int, cut: int) -> None:
     whole = (simulated / "collect.toml").read_text()

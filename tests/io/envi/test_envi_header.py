@@ -282,7 +282,7 @@ _VALUES = st.one_of(
 )
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=200)
 @given(st.lists(st.tuples(_KEYS, _VALUES), max_size=6), st.booleans())
 def test_any_header_is_read_or_refused(pairs: list[tuple[str, str]], sound: bool) -> None:
     text = "\n".join(f"{key} = {value}" for key, value in pairs)

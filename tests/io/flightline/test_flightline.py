@@ -156,6 +156,17 @@ def test_a_line_has_everything_that_calibrates_it(folder: Path, counts: np.ndarr
     json.dumps(line.attrs)
 
 
+def test_lines_and_columns_are_numbered_and_bands_are_not(folder: Path) -> None:
+    line = open_line(folder)
+    assert set(line.indexes) >= {"along_track", "cross_track"}
+    for dim in ("along_track", "cross_track"):
+        np.testing.assert_array_equal(line[dim], np.arange(line.sizes[dim]))
+        assert line[dim].dtype == np.int64
+    # an index would join two cameras by the number of a band, in silence
+    assert "band" not in line.coords
+    assert line.isel(along_track=[2, 3])["along_track"].values.tolist() == [2, 3]
+
+
 def test_nothing_of_the_cube_is_read(folder: Path, monkeypatch: pytest.MonkeyPatch, no_compute: Any) -> None:
     dark = xr.Dataset({"dark_counts": (ELEMENT, np.zeros((BANDS, COLUMNS)), {"units": "count"})})
 

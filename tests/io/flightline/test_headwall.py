@@ -149,7 +149,7 @@ def test_damaged_frame_index(tmp_path: Path, text: str, error: type[Exception], 
         read_frame_index(write(tmp_path / "f.txt", text))
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=150)
 @given(data=st.binary(max_size=60), place=st.integers(0, 60), cut=st.integers(0, 60))
 def test_mutated_frame_index_raises_only_its_errors(
     tmp_path_factory: pytest.TempPathFactory, data: bytes, place: int, cut: int

@@ -59,7 +59,7 @@ def test_a_table_of_lines(tmp_path: Path) -> None:
     assert "assumed" not in flight.attrs
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(st.data())
 def test_the_pose_comes_back_bit_for_bit(
     tmp_path_factory: pytest.TempPathFactory, data: st.DataObject

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings, strategies as st
+from hypothesis import given, settings, strategies as st
 
 from hyperpaint.base.errors import FormatError
 from hyperpaint.io.navigation.control_points import read_control_points
@@ -54,7 +54,7 @@ def test_no_file(tmp_path: Path) -> None:
         read_control_points(tmp_path / "none.csv")
 
 
-@settings(max_examples=80, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=80)
 @given(where=st.integers(0, len(TABLE)), what=st.binary(max_size=12))
 def test_damaged_files_are_refused_or_read(tmp_path: Path, where: int, what: bytes) -> None:
     data = TABLE.encode()

@@ -212,7 +212,7 @@ def test_a_binary_log_under_the_same_name_is_called_so(tmp_path: Path) -> None:
         read_imu_gps(path)
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=150)
 @given(data=st.binary(max_size=40), place=st.integers(0, 420), cut=st.integers(0, 40))
 def test_mutated_navigation_raises_only_its_errors(
     tmp_path_factory: pytest.TempPathFactory, data: bytes, place: int, cut: int
@@ -231,7 +231,7 @@ def test_mutated_navigation_raises_only_its_errors(
     assert made.time.dtype == "datetime64[ns]"
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=100)
 @given(data=st.binary(max_size=30), place=st.integers(0, 100), cut=st.integers(0, 30))
 def test_mutated_gps_time_raises_only_its_errors(
     tmp_path_factory: pytest.TempPathFactory, data: bytes, place: int, cut: int

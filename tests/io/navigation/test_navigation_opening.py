@@ -160,7 +160,7 @@ def test_time_that_runs_backwards_is_refused(tmp_path: Path) -> None:
         hp.open_navigation(write_sbet(tmp_path / "flight.sbet", [5.0, 6.0, 5.5]), week=2158)
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(st.data())
 def test_sbet_angles_and_times_come_back(
     tmp_path_factory: pytest.TempPathFactory, data: st.DataObject

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings, strategies as st
+from hypothesis import given, settings, strategies as st
 
 from hyperpaint.base.errors import FormatError, PaintWarning, SchemaError, TimeError
 from hyperpaint.io.spectrometers.asd import find_files, open_asd, read_asd
@@ -404,8 +404,6 @@ def test_a_position_west_and_south(write_asd):
 
 @settings(
     max_examples=250,
-    deadline=1000,
-    suppress_health_check=[HealthCheck.function_scoped_fixture],
     derandomize=True,
 )
 @given(data=st.data())

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings, strategies as st
+from hypothesis import given, settings, strategies as st
 
 import hyperpaint as hp
 from hyperpaint.base.errors import FormatError
@@ -85,7 +85,7 @@ def test_no_pairs(tmp_path: Path, name: str, content: bytes, told: str) -> None:
 HEADS = st.sampled_from([b"", b'{"a":', b"a,b\n"])
 
 
-@settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=150)
 @given(st.binary(max_size=80), st.sampled_from(["a.csv", "a.json"]), HEADS)
 def test_any_bytes_are_read_or_refused(tmp_path: Path, data: bytes, name: str, head: bytes) -> None:
     path = tmp_path / name

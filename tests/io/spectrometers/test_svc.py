@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import xarray as xr
-from hypothesis import HealthCheck, given, settings, strategies as st
+from hypothesis import given, settings, strategies as st
 from support.svc_texts import GRID, MATCHED, PANEL, SURFACE, german, svc_text
 
 import hyperpaint as hp
@@ -375,7 +375,7 @@ def test_metadata_that_cannot_be_read_is_missing_and_said(write) -> None:
 # --- properties
 
 
-@settings(max_examples=40, deadline=2000, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=40)
 @given(
     values=st.lists(st.tuples(st.integers(1, 10**9), st.integers(-(10**6), 10**9)), min_size=2, max_size=30),
     comma=st.booleans(),
@@ -397,8 +397,6 @@ def test_any_scans_come_back(tmp_path, values, comma) -> None:
 
 @settings(
     max_examples=300,
-    deadline=2000,
-    suppress_health_check=[HealthCheck.function_scoped_fixture],
     derandomize=True,
 )
 @given(data=st.data())

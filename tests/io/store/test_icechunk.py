@@ -140,6 +140,7 @@ repository = icechunk.Repository.open(icechunk.local_filesystem_storage(sys.argv
 session = repository.writable_session("main")
 line = xr.open_zarr(session.store, group=sys.argv[2], consolidated=False)
 product = line.paint.reflectance()[["reflectance", "quality"]].reset_coords(drop=True)
+product = product.drop_vars("cross_track")
 product.to_zarr(
     session.store, group="products/raw_0", encoding=hp.io.encoding(product), consolidated=False, compute=False
 )

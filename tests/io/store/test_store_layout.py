@@ -91,7 +91,7 @@ def test_float_fill_is_nan_of_the_dtype() -> None:
     assert np.isnan(fill)
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(
     st.lists(st.integers(1, 50), min_size=1, max_size=5),
     st.sampled_from([(6,), (1, 5), (2, 2, 2)]),

@@ -96,7 +96,7 @@ json_values = st.recursive(
 )
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=150)
 @given(key=st.sampled_from(sorted(document())), value=json_values)
 def test_any_metadata_are_read_or_refused(key: str, value: Any) -> None:
     try:
@@ -138,7 +138,7 @@ def test_honest_frames_pass(count: int, noise: bool) -> None:
         decoded(form("blosc", count=count + 1), frame)
 
 
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=300)
 @given(place=st.integers(0, 400), new=st.binary(max_size=6), cut=st.integers(0, 400))
 def test_any_frame_passes_or_is_refused_and_never_holds_more(place: int, new: bytes, cut: int) -> None:
     frame = bytearray(Blosc().encode(np.arange(96, dtype="i4")))

@@ -1,0 +1,108 @@
+"""Cubes of one flight as one line, where the recording goes on from one to the next."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from hyperpaint.base.schema import ALONG_TRACK, IRRADIANCE_TIME, with_numbers
+from hyperpaint.io.spectrometers.irradiance import cut_irradiance
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+__all__ = ["JoinedLine", "join_lines"]
+
+MAX_STEP_PERIODS = 2.5
+"""Line periods from the last line of a cube to the first of the next, up to which the recording goes on: one
+lost frame is bridged, as in the navigation."""
+
+
+@dataclass(frozen=True)
+class JoinedLine:
+    """A line of one or more cubes."""
+
+    line: xr.Dataset
+    members: tuple[str, ...]  #: Ids of its cubes; the first names it
+    interruption: str = ""  #: Why it does not go on from the line before
+
+
+def join_lines(lines: Mapping[str, xr.Dataset], irradiance: xr.Dataset | None) -> Iterator[JoinedLine]:
+    """Yield the lines that cubes of one flight make, in their order.
+
+    Parameters
+    ----------
+    lines
+        Id to the line of each cube, in the order of recording.
+    irradiance
+        The whole record, of which each line takes what covers it; None where there is none.
+    """
+    groups: list[list[str]] = []
+    reasons: list[str] = []
+    for name in lines:
+        reason = _interruption(lines, groups[-1][-1], name) if groups else ""
+        if groups and not reason:
+            groups[-1].append(name)
+        else:
+            groups.append([name])
+            reasons.append(reason)
+    for members, reason in zip(groups, reasons, strict=True):
+        yield JoinedLine(_joined([lines[name] for name in members], irradiance), tuple(members), reason)
+
+
+def _interruption(lines: Mapping[str, xr.Dataset], before: str, name: str) -> str:
+    """Return why a cube does not go on where the one before ended; empty where it does."""
+    first, second = lines[before], lines[name]
+    times, after = (line["time"].values.astype("datetime64[ns]") for line in (first, second))
+    # lines of lost frames are blank, without a time
+    timed, timed_after = (np.flatnonzero(~np.isnat(values)) for values in (times, after))
+    if timed.size < 2 or not timed_after.size:
+        return f"the times of {before} or {name} are not known"
+    period = np.median(np.diff(times[timed]).astype(np.int64) / np.diff(timed)).astype("timedelta64[ns]")
+    blank = int(times.size - 1 - timed[-1] + timed_after[0])
+    step = after[timed_after[0]] - times[timed[-1]] - blank * period
+    if not np.timedelta64(0) < step <= MAX_STEP_PERIODS * period:
+        seconds, usual = step / np.timedelta64(1, "s"), period / np.timedelta64(1, "s")
+        return f"{name} begins {seconds:.3g} s after {before} ended, where lines are {usual:.3g} s apart"
+    if set(first.variables) != set(second.variables):
+        return (
+            f"{name} and {before} differ in {sorted(map(str, set(first.variables) ^ set(second.variables)))}"
+        )
+    different = [
+        str(key)
+        for key, variable in first.variables.items()
+        if not {ALONG_TRACK, IRRADIANCE_TIME} & set(variable.dims)
+        and not variable.equals(second.variables[key])
+    ]
+    return f"{name} and {before} differ in {', '.join(different)}" if different else ""
+
+
+def _joined(lines: list[xr.Dataset], irradiance: xr.Dataset | None) -> xr.Dataset:
+    if len(lines) == 1:
+        return lines[0]
+    import xarray as xr
+
+    bare = [line.drop_dims(IRRADIANCE_TIME, errors="ignore").drop_vars(ALONG_TRACK) for line in lines]
+    joined: xr.Dataset = xr.concat(
+        bare, ALONG_TRACK, data_vars="minimal", coords="minimal", compat="override", join="override",
+        combine_attrs="override",
+    )  # fmt: skip
+    joined = with_numbers(joined)  # they count on from cube to cube
+    # the tasks that one cube would have been read in
+    for name, variable in bare[0].variables.items():
+        if variable.chunks is not None and ALONG_TRACK in variable.dims:
+            joined[name] = joined[name].chunk({ALONG_TRACK: variable.chunksizes[ALONG_TRACK][0]})
+    if irradiance is not None:
+        joined = joined.merge(cut_irradiance(irradiance, joined["time"].values), compat="override")
+    return joined.assign_attrs(_attrs(lines))
+
+
+def _attrs(lines: list[xr.Dataset]) -> dict[str, Any]:
+    """Return the attributes that are those of all cubes together."""
+    return {
+        "source": ", ".join(str(line.attrs["source"]) for line in lines),
+        "dropped_frames": sum(int(line.attrs["dropped_frames"]) for line in lines),
+    }

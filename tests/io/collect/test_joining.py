@@ -1,0 +1,104 @@
+"""Cubes of one flight: one line where the recording goes on, else lines of their own, with the reason."""
+
+from __future__ import annotations
+
+import re
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+import xarray as xr
+
+import hyperpaint as hp
+from hyperpaint.io.collect.joining import join_lines
+
+CAMERA = {"scene": "plan", "lines": 60, "bands": 8, "columns": 6, "seed": 4, "truth": False}
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory: pytest.TempPathFactory) -> xr.Dataset:
+    """The line of one cube."""
+    path = hp.simulate_collect(tmp_path_factory.mktemp("whole"), **CAMERA)
+    return hp.open_collect(path)["flightlines/raw_0"].to_dataset()
+
+
+@pytest.fixture(scope="module")
+def cut(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The same flight cut into five cubes; its ``collect.toml`` with one table for all."""
+    path = hp.simulate_collect(tmp_path_factory.mktemp("cut"), cubes=5, **CAMERA)
+    return with_lines(path, 'cube = "flight/raw_*.hdr"')
+
+
+def with_lines(path: Path, *tables: str) -> Path:
+    """Replace the tables [[flightlines]] of a collect."""
+    text = re.sub(r"\[\[flightlines\]\][^\[]*", "", path.read_text(encoding="utf-8"))
+    text += "".join(f"\n[[flightlines]]\n{table}\n" for table in tables)
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+@pytest.mark.parametrize("cubes", ['"flight/raw_*.hdr"', '"flight"', '"flight/"'])
+def test_a_flight_that_goes_on_is_one_line(whole: xr.Dataset, cut: Path, tmp_path: Path, cubes: str) -> None:
+    shutil.copytree(cut.parent, tmp_path / "raw")
+    path = with_lines(tmp_path / "raw" / "collect.toml", f"cube = {cubes}")
+    lines = hp.open_collect(path)["flightlines"]
+    assert set(lines.children) == {"raw_0"}
+    line = lines["raw_0"].to_dataset()
+    assert line.attrs["source"] == "raw_0.hdr, raw_12.hdr, raw_24.hdr, raw_36.hdr, raw_48.hdr"
+    xr.testing.assert_identical(line.drop_attrs(), whole.drop_attrs())
+    np.testing.assert_array_equal(
+        line.paint.reflectance()["reflectance"].values, whole.paint.reflectance()["reflectance"].values
+    )
+
+
+def test_the_line_has_the_name_it_is_given(cut: Path, tmp_path: Path) -> None:
+    shutil.copytree(cut.parent, tmp_path / "raw")
+    path = with_lines(tmp_path / "raw" / "collect.toml", 'id = "north"\ncube = "flight/raw_*.hdr"')
+    assert set(hp.open_collect(path)["flightlines"].children) == {"north"}
+
+
+def test_a_cube_that_is_missing_makes_two_lines_and_says_why(cut: Path, tmp_path: Path) -> None:
+    shutil.copytree(cut.parent, tmp_path / "raw")
+    for name in ("raw_24", "raw_24.hdr", "frameIndex_24.txt"):
+        (tmp_path / "raw" / "flight" / name).unlink()
+    with pytest.warns(
+        hp.errors.PaintWarning, match=r"raw_36 is a flight line of its own: .* after raw_12 ended"
+    ):
+        lines = hp.open_collect(tmp_path / "raw" / "collect.toml")["flightlines"]
+    assert {name: line.sizes["along_track"] for name, line in lines.children.items()} == {
+        "raw_0": 24,
+        "raw_36": 24,
+    }
+
+
+def test_tables_of_their_own_stay_lines_of_their_own(cut: Path, tmp_path: Path) -> None:
+    shutil.copytree(cut.parent, tmp_path / "raw")
+    tables = [f'cube = "flight/raw_{number}.hdr"' for number in (0, 12)]
+    lines = hp.open_collect(with_lines(tmp_path / "raw" / "collect.toml", *tables))["flightlines"]
+    assert set(lines.children) == {"raw_0", "raw_12"}
+
+
+def test_a_store_of_joined_cubes_is_the_store_of_one(cut: Path, whole: xr.Dataset, tmp_path: Path) -> None:
+    store = hp.process(cut, tmp_path / "lot.zarr")
+    line = xr.open_zarr(store, group="flightlines/raw_0")
+    np.testing.assert_array_equal(line["counts"].values, whole["counts"].values)
+    assert hp.process(cut, tmp_path / "lot.zarr") == store  # nothing to do
+
+
+def test_blank_lines_of_lost_frames_do_not_part_a_flight(tmp_path: Path) -> None:
+    """They have no time: the period is that of the lines that have one, and blank ones take a period each."""
+    path = hp.simulate_collect(tmp_path, cubes=3, **CAMERA)
+    tree = hp.open_collect(path)["flightlines"]
+    lines = {name: tree[name].to_dataset() for name in ("raw_0", "raw_20", "raw_40")}
+    for name, lost in (("raw_0", [5, 17, 18, 19]), ("raw_20", [0, 1, 2])):
+        times = lines[name]["time"].values.copy()
+        times[lost] = np.datetime64("NaT")
+        lines[name] = lines[name].assign_coords(time=lines[name]["time"].copy(data=times))
+    (flown,) = join_lines(lines, None)
+    assert flown.members == ("raw_0", "raw_20", "raw_40")
+    assert int(np.isnat(flown.line["time"].values).sum()) == 7
+    # a pause is one all the same
+    late = lines["raw_20"]["time"] + np.timedelta64(1, "s")
+    lines["raw_20"] = lines["raw_20"].assign_coords(time=late)
+    assert next(len(each.members) for each in join_lines(lines, None)) == 1
