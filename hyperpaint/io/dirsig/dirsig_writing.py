@@ -16,6 +16,7 @@ import numpy as np
 from hyperpaint.base.arrays import Array
 from hyperpaint.base.errors import FormatError, PaintWarning, Problem, Problems, SchemaError, StoreError
 from hyperpaint.base.schema import LIBRARY_VARIABLES, PAINT, require
+from hyperpaint.base.units import takes_quantities
 from hyperpaint.io.files.publishing import published_folder
 from hyperpaint.io.files.reading import read_limited
 
@@ -85,6 +86,7 @@ _AT_ONCE = 64
 _RGB = (640.0, 550.0, 460.0)
 
 
+@takes_quantities(wavelength_range="nm")
 def write_dirsig(
     library: xr.Dataset,
     folder: str | os.PathLike[str],
@@ -92,7 +94,7 @@ def write_dirsig(
     curves: str | None = None,
     wavelength_range: tuple[float, float] | None = None,
     extrapolate: bool = False,
-    gaps: str = "refuse",
+    gaps: str | None = None,
     specular: float | str = 0.0,
     surface: str = "ClassicEmissivity",
     rad_solver: str = "Classic",
@@ -124,8 +126,11 @@ def write_dirsig(
     extrapolate
         Hold curves constant where ``wavelength_range`` goes beyond what was measured; the README says where.
     gaps
-        What to do about bands without values, or not ``good``, between others: ``refuse``, or ``interpolate``
-        by a straight line; the README says how many. At both ends they are left away.
+        What to do about bands without values, or not ``good``, between others: ``interpolate`` by a straight
+        line, or ``refuse``. By default they are interpolated, with a warning; the README says in which
+        curves, and at which wavelengths: complete curves come first in a file. Bands that no pixel has at an
+        end are left away; single members that lack an end are left out, and where all do, the centre is the
+        only curve.
     specular
         Fraction of reflectance that DIRSIG shall mirror [1], or ``library`` to take it from the library's
         ``specular_reflectance`` (paint, band). Only for reflectance without mirrored light.
@@ -149,10 +154,10 @@ def write_dirsig(
     Returns
     -------
     Dataset
-        What was written (paint): ``material_id``, ``emissivity_file``, ``curves``, their samples ``clipped``
-        and ``interpolated``, those of the ``.txt`` ``centre_clipped`` and ``centre_interpolated``, members
-        ``left_out``, the range and ``extrapolated``. Its attributes say what became of mirrored light:
-        ``mirror_reflection``, ``specular_term``.
+        What was written (paint): ``material_id``, ``emissivity_file``, ``curves``, how many of them are
+        ``complete``, their samples ``clipped`` and ``interpolated``, those of the ``.txt`` ``centre_clipped``
+        and ``centre_interpolated``, members ``left_out``, the range and ``extrapolated``. Its attributes say
+        what became of mirrored light: ``mirror_reflection``, ``specular_term``.
 
     Raises
     ------
@@ -200,7 +205,7 @@ def write_dirsig(
     kind = _checked(library, curves, wavelength_range, gaps, surface, rad_solver, thermal, specular)
     coat = coat_of(library, specular)
     axis = Axis(library)
-    choices = Choices(kind, wavelength_range, extrapolate, gaps)
+    choices = Choices(kind, wavelength_range, extrapolate, gaps or GAPS[0])
     records = _names(library, scene_materials)
     with export_folder(folder, overwrite=overwrite) as build:
         _write_spectra(library, build, axis, choices, coat, records, progress)
@@ -222,7 +227,7 @@ def write_dirsig(
         for name, text in written.items():
             # what is no letter in any encoding may stand in a name all the same
             (build / name).write_bytes(text.encode("utf-8", "backslashreplace"))
-    _warn(records)
+    _warn(records, gaps_said=gaps is not None)
     return _summary(records, {**attrs, "folder": os.fspath(folder)})
 
 
@@ -230,7 +235,7 @@ def _checked(
     library: xr.Dataset,
     curves: str | None,
     wavelength_range: Any,
-    gaps: str,
+    gaps: str | None,
     surface: str,
     rad_solver: str,
     thermal: Mapping[str, float] | None,
@@ -255,7 +260,7 @@ def _checked(
         problems.add(
             f"wavelength_range={wavelength_range!r}, expected two wavelengths such as (400, 1000) [nm]"
         )
-    if gaps not in GAPS:
+    if gaps not in (None, *GAPS):
         problems.add(f"gaps={gaps!r}, expected {' or '.join(GAPS)}")
     if surface not in SURFACES:
         problems.add(f"surface={surface!r}, expected {' or '.join(SURFACES)}")
@@ -363,6 +368,9 @@ def _write_paint(
         "measured": list(spectra.measured),
         "bands": len(spectra.wavelength),
         "curves": len(spectra.curves),
+        "complete": spectra.complete,
+        "gaps": [round(float(nm), 2) for nm in spectra.gaps],
+        "is_centre": spectra.is_centre,
         "clipped": clipped,
         "centre_clipped": outside,
         "interpolated": spectra.interpolated,
@@ -388,14 +396,18 @@ def _source(library: xr.Dataset) -> dict[str, str]:
     return {f"library_{name}": str(value) for name, value in texts.items()}
 
 
-def _warn(records: list[dict[str, Any]]) -> None:
+def _warn(records: list[dict[str, Any]], *, gaps_said: bool) -> None:
     """Tell what was done to the spectra that their reader would not expect."""
     messages = []
     for key, what in (("clipped", "samples outside 0 to 1 were clipped"),
                       ("centre_clipped", "samples of centres outside 0 to 1 were clipped"),
-                      ("left_out", "members that lack an end of the range were left out")):  # fmt: skip
+                      ("left_out", "members that lack an end of the range were left out"),
+                      ("is_centre", "paints have no member that reaches both ends: their centre is written"),
+                      ("interpolated", "samples in gaps of curves were filled in by straight lines"),
+                      ("centre_interpolated", "samples in gaps of centres were filled in by straight lines"),
+                      ):  # fmt: skip
         number, paints = sum(record[key] for record in records), sum(bool(record[key]) for record in records)
-        if number:
+        if number and not (gaps_said and "interpolated" in key):
             messages.append(f"{number} {what} (in {paints} of {len(records)} paints)")
     if messages:
         warnings.warn(f"DIRSIG materials: {'; '.join(messages)}; see README.txt", PaintWarning, stacklevel=3)
@@ -408,7 +420,8 @@ def _summary(records: list[dict[str, Any]], attrs: Mapping[str, str]) -> xr.Data
         return PAINT, np.array([record[key] for record in records], dtype)
 
     counts = (
-        "curves", "clipped", "centre_clipped", "interpolated", "centre_interpolated", "left_out", "bands"
+        "curves", "complete", "clipped", "centre_clipped", "interpolated", "centre_interpolated", "left_out",
+        "bands",
     )  # fmt: skip
     values: dict[str, Any] = {key: column(key, np.int64) for key in counts}
     values |= {key: column(key, object) for key in ("emissivity_file", "reflectance_file", "extrapolated")}

@@ -142,7 +142,26 @@ Values outside 0 to 1 were clipped to it, bands without values filled in by a st
 held constant, only where the table says so: of the curves + of the centre (reflectance/<ID>.txt).
 
 {_table(records)}
-"""
+{_gaps(records)}"""
+
+
+_MOST_GAPS = 12
+
+
+def _gaps(records: Sequence[Mapping[str, Any]]) -> str:
+    """Return where curves had gaps, paint by paint."""
+    rows = []
+    for record in records:
+        gaps = [f"{nm:.1f}" for nm in record["gaps"][:_MOST_GAPS]] + ["..."] * (
+            len(record["gaps"]) > _MOST_GAPS
+        )
+        alone = "; no member reaches both ends: the centre stands for them" if record["is_centre"] else ""
+        if gaps or alone:
+            complete = f"{record['complete']} of {record['curves']} curves are complete, and come first"
+            rows.append(
+                f"{record['id']}: {complete}" + f"; filled in at {', '.join(gaps)} nm" * bool(gaps) + alone
+            )
+    return "\n".join(["", "Gaps:", *rows, ""]) if rows else ""
 
 
 def _coat_advice(attrs: Mapping[str, str]) -> str:

@@ -112,7 +112,7 @@ _ROWS = {
 CURVES = {"members": "member_reflectance", "quantiles": "reflectance_quantiles", "centre": "reflectance"}
 """Which variable of a library holds the curves of a paint."""
 
-GAPS = ("refuse", "interpolate")
+GAPS = ("interpolate", "refuse")
 
 SHORTEST, LONGEST = 1.0, 1e5
 """Wavelengths that can be written [nm]."""
@@ -141,7 +141,9 @@ class PaintCurves:
 
     wavelength: Array  # Ascending (wavelength,) [nm]
     centre: Array  # Reflectance (wavelength,) [1]
-    curves: Array  # Reflectance of the population (curve, wavelength) [1]
+    curves: Array  # Reflectance of the population (curve, wavelength) [1], complete ones first
+    complete: int  # Curves of which no sample was filled in
+    gaps: Array  # Where samples of curves were filled in (wavelength,) [nm]
     measured: tuple[float, float]  # First and last wavelength that were measured [nm]
     extrapolated: str  # Where a sample was added beyond that: ``below``, ``above``, both, or empty
     # interpolated, centre_interpolated: Samples of the curves, and of the centre, that were filled in
@@ -149,6 +151,7 @@ class PaintCurves:
     interpolated: int
     centre_interpolated: int
     left_out: int  # Members that are not among the curves, for what they lack at the ends
+    is_centre: bool  # Whether no member reaches both ends, so that the centre stands for them
 
 
 class Axis:
@@ -232,20 +235,40 @@ def curves_of(axis: Axis, centre: Array, curves: Array, choices: Choices) -> Pai
         raise PaintProblemError(
             f"reflectance of {np.median(centre[usable]):g} in the middle, expected 0 to 1; is it percent?"
         )
-    curves, filled, left_out = _without_holes(wavelength, curves[:, chosen], choices)
-    holes = ~np.isfinite(centre[chosen])
-    if holes.any() and choices.gaps == "refuse":
-        raise PaintProblemError(_holes("the centre has", wavelength[holes]))
+    curves = curves[:, chosen]
+    whole = np.isfinite(curves[:, [0, -1]]).all(axis=1)
+    missing, holes = ~np.isfinite(curves), ~np.isfinite(centre[chosen])
+    if choices.gaps == "refuse":
+        if missing.any():
+            which = f"{int(missing.any(axis=1).sum())} of {len(curves)} curves have"
+            raise PaintProblemError(_holes(which, wavelength[missing.any(axis=0)]))
+        if holes.any():
+            raise PaintProblemError(_holes("the centre has", wavelength[holes]))
     centre = np.interp(wavelength, axis.wavelength[usable], centre[usable])
+    if whole.any():
+        curves, missing = curves[whole], missing[whole]
+        order = np.argsort(missing.any(axis=1), kind="stable")
+        curves, missing = curves[order], missing[order]
+        for row, gaps in zip(curves, missing, strict=True):
+            row[gaps] = np.interp(wavelength[gaps], wavelength[~gaps], row[~gaps])
+    else:
+        curves, missing = centre[np.newaxis], holes[np.newaxis]
     low, high = choices.wavelength_range or measured
     before, after = int(below), int(above)
     extrapolated = " and ".join(name for name, is_so in (("below", below), ("above", above)) if is_so)
     return PaintCurves(
-        np.concatenate([[low][:before], wavelength, [high][:after]]),
-        np.pad(centre, (before, after), "edge"),
-        np.pad(curves, ((0, 0), (before, after)), "edge"),
-        measured, extrapolated, filled, int(holes.sum()), left_out,
-    )  # fmt: skip
+        wavelength=np.concatenate([[low][:before], wavelength, [high][:after]]),
+        centre=np.pad(centre, (before, after), "edge"),
+        curves=np.pad(curves, ((0, 0), (before, after)), "edge"),
+        complete=int((~missing.any(axis=1)).sum()),
+        gaps=wavelength[missing.any(axis=0)],
+        measured=measured,
+        extrapolated=extrapolated,
+        interpolated=int(missing.sum()),
+        centre_interpolated=int(holes.sum()),
+        left_out=int((~whole).sum()),
+        is_centre=not whole.any(),
+    )
 
 
 def _beyond(measured: tuple[float, float], choices: Choices) -> tuple[bool, bool]:
@@ -279,26 +302,6 @@ def _holes(which: str, at: Array) -> str:
     """Return the message about bands [nm] without values inside the range."""
     shown = ", ".join(f"{nm:.1f}" for nm in at[:6]) + (", ..." if at.size > 6 else "")
     return (
-        f"{which} no value at {shown} nm, inside the range; pass gaps='interpolate' to fill them in, or a "
-        "wavelength_range without them"
+        f"{which} no value at {shown} nm, inside the range; leave gaps away to fill them in, or pass "
+        "a wavelength_range without them"
     )
-
-
-def _without_holes(wavelength: Array, curves: Array, choices: Choices) -> tuple[Array, int, int]:
-    """Return curves without NaN, the number of samples filled in, and of curves left out."""
-    missing = ~np.isfinite(curves)
-    if not missing.any():
-        return curves, 0, 0
-    if choices.gaps == "refuse":
-        which = f"{int(missing.any(axis=1).sum())} of {len(curves)} curves have"
-        raise PaintProblemError(_holes(which, wavelength[missing.any(axis=0)]))
-    whole = ~(missing[:, 0] | missing[:, -1])
-    if not whole.any():
-        raise PaintProblemError(
-            "no curve reaches both ends of the range; choose a shorter wavelength_range, or curves='centre'"
-        )
-    complete, missing = curves[whole], missing[whole]
-    for row, holes in zip(complete, missing, strict=True):
-        if holes.any():
-            row[holes] = np.interp(wavelength[holes], wavelength[~holes], row[~holes])
-    return complete, int(missing.sum()), int((~whole).sum())

@@ -1,7 +1,9 @@
 """Paint libraries as comma-separated values with their metadata beside them.
 
-A row is a spectrum: the paint, what of it (``reflectance``, ``member_reflectance``, ...), its place where a
-paint has several (from 1), then the values. The first row has the wavelengths [nm].
+A row is a spectrum: the paint, what is known of it (a column each), then reflectance. The first row has the
+names of the columns, and the wavelengths [nm]; units stand in the metadata. EcoSIS takes such tables. Where
+there are more spectra than centres, the paint is followed by ``variable`` (``reflectance``,
+``member_reflectance``, ...) and by ``place``, the number of a spectrum where a paint has several, from 1.
 """
 
 from __future__ import annotations
@@ -11,18 +13,18 @@ import csv
 import io
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from hyperpaint.base.arrays import Floats, Floats32
 from hyperpaint.base.errors import FormatError, Problems
-from hyperpaint.base.schema import BAND
+from hyperpaint.base.schema import BAND, PAINT
 from hyperpaint.io.files.publishing import published_files
-from hyperpaint.io.files.reading import numbers
+from hyperpaint.io.files.reading import number, numbers
 
-from .library_spectra import check_wavelengths
-from .metadata import metadata_path, metadata_text
+from .library_spectra import SHORTEST, check_wavelengths
+from .metadata import metadata_path, metadata_text, table_columns
 from .records import CENTRE, Key, blocks_of, names_of, restored, spectral_variables
 
 if TYPE_CHECKING:
@@ -30,15 +32,18 @@ if TYPE_CHECKING:
 
 __all__ = ["is_csv_library", "read_csv_library", "write_csv_library"]
 
-_HEAD = ("paint", "variable", "place")
+_KIND = ["variable", "place"]
 _MOST_BANDS = 100_000
 _MOST_BYTES = 2**32
 _MOST_SHOWN = 5
 
 
 def is_csv_library(head: str) -> bool:
-    """Tell from its first line whether a text is such a library."""
-    return head.startswith(",".join(_HEAD) + ",")
+    """Tell from its beginning whether a text is such a library: paints, and wavelengths across."""
+    first, end, _ = head.partition("\n")
+    cells = first.strip("\r").split(",")
+    nm = number(cells[-1 if end else -2]) if len(cells) > 2 else None  # the last may have been cut off
+    return cells[0] == PAINT and nm is not None and nm >= SHORTEST
 
 
 # --- writing -----------------------------------------------------------------------------------------------
@@ -49,30 +54,35 @@ def write_csv_library(
 ) -> None:
     """Write a checked library to ``path``, and its metadata to ``<path>.json``.
 
-    Nine digits a value: float32 comes back as it was.
+    Nine digits a value: float32 comes back as it was. Text beyond ASCII opens with the mark by which Excel
+    knows UTF-8.
 
     Raises SchemaError: Names or metadata cannot be written.
     Raises StoreError: Files exist, or cannot be written.
     """
     variables = spectral_variables(library)
     metadata = metadata_text(library, variables)
-    starts = [_starting(name) for name in names_of(library)]
+    columns = table_columns(library)
+    kind = [] if variables == [CENTRE] else _KIND
+    head = _line([PAINT, *kind, *columns, *(repr(float(value)) for value in library["wavelength"].values)])
+    names = [_line([name]) for name in names_of(library)]
+    about = [_line(["", *cells]) for cells in zip(*columns.values(), strict=True)] or [""] * len(names)
+    coding = "utf-8" if "".join([head, *names, *about]).isascii() else "utf-8-sig"
     row = ",%.9g" * library.sizes[BAND] + "\n"
     with published_files([metadata_path(path), path], overwrite=overwrite) as (metadata_file, table):
         metadata_file.write_bytes(metadata.encode())
-        with open(table, "w", encoding="utf-8", newline="") as file:
-            wavelengths = [repr(float(value)) for value in library["wavelength"].values]
-            file.write(",".join([*_HEAD, *wavelengths]) + "\n")
+        with open(table, "w", encoding=coding, newline="") as file:
+            file.write(head + "\n")
             for block in blocks_of(library, variables, progress):
                 for paint, inner, values in zip(block.paint, block.inner, block.values, strict=True):
-                    place = "" if inner < 0 else str(inner + 1)
-                    file.write(f"{starts[paint]},{block.variable},{place}" + row % tuple(values.tolist()))
+                    what = f",{block.variable},{'' if inner < 0 else inner + 1}" if kind else ""
+                    file.write(names[paint] + what + about[paint] + row % tuple(values.tolist()))
 
 
-def _starting(name: str) -> str:
-    """Return a name as a cell."""
+def _line(cells: list[str]) -> str:
+    """Return cells as a line, quoted where they must be; a single empty one is no line."""
     buffer = io.StringIO()
-    csv.writer(buffer, lineterminator="").writerow([name, ""])
+    csv.writer(buffer, lineterminator="").writerow([*cells, ""])
     return buffer.getvalue()[:-1]
 
 
@@ -86,40 +96,51 @@ def read_csv_library(path: Path) -> xr.Dataset:
     Warns PaintWarning: The metadata are missing.
     """
     source = path.name
-    wavelength, names, keys, rows = _table(path)
-    check_wavelengths(wavelength, source)
-    if not names:
+    table = _table(path)
+    check_wavelengths(table.wavelength, source)
+    if not table.names:
         raise FormatError(f"{source}: no row of {CENTRE!r}; write the library anew")
-    return restored(path, names, keys, {"wavelength": wavelength}, [(0, np.array(rows, np.float32))])
+    rows = [(0, np.array(table.rows, np.float32))]
+    return restored(path, table.names, table.keys, {"wavelength": table.wavelength}, rows, table.columns)
 
 
-def _table(path: Path) -> tuple[Floats, list[str], list[Key], list[Floats32]]:
-    """Return wavelengths, names of the paints, what each row is, and the rows."""
-    source = path.name
-    problems = Problems(f"{source} cannot be read", FormatError)
-    names: list[str] = []
-    keys: list[Key] = []
-    rows: list[Floats32] = []
-    owner = _Owner()
+class _Table(NamedTuple):
+    """What a file holds."""
+
+    wavelength: Floats
+    names: list[str]  # of the paints
+    columns: dict[str, list[str]]  # what is said of each paint
+    keys: list[Key]  # what each row is
+    rows: list[Floats32]
+
+
+def _table(path: Path) -> _Table:
+    problems = Problems(f"{path.name} cannot be read", FormatError)
     cells = _cells(path)
-    wavelength = _wavelengths(next(cells, []), source)
+    head, wavelength = _head(next(cells, []), path.name)
+    has_kind = head[1:3] == _KIND
+    first = 3 if has_kind else 1
+    table = _Table(wavelength, [], {name: [] for name in head[first:]}, [], [])
+    owner = _Owner()
     for at, row in enumerate(cells, 2):
-        values = _values(row, wavelength.size)
-        key = owner.key(row) if values is not None else None
+        values = _values(row[len(head) :], wavelength.size)
+        key = owner.key(*(row[:3] if has_kind else (row[0], CENTRE, ""))) if values is not None else None
         if values is None or key is None:
             problems.add(
-                f"row {at}: {','.join(row)[:60]!r}, expected a paint, what of it, its place, and "
-                f"{wavelength.size} numbers"
+                f"row {at}: {','.join(row)[:60]!r}, expected {', '.join(head)[:60]}, and {wavelength.size} "
+                "numbers"
             )
             if len(problems) == _MOST_SHOWN:
                 break
             continue
         if key[0] == CENTRE:
-            names.append(row[0])
-        keys.append(key)
-        rows.append(values)
+            table.names.append(row[0])
+            for column, cell in zip(table.columns.values(), row[first:], strict=False):
+                column.append(cell)
+        table.keys.append(key)
+        table.rows.append(values)
     problems.raise_if_any()
-    return wavelength, names, keys, rows
+    return table
 
 
 class _Owner:
@@ -130,8 +151,7 @@ class _Owner:
         self._count = 0
         self._last: dict[tuple[str, str], tuple[int, int]] = {}
 
-    def key(self, row: list[str]) -> Key | None:
-        name, variable, place = row[: len(_HEAD)]
+    def key(self, name: str, variable: str, place: str) -> Key | None:
         if variable == CENTRE and not place:
             self._paints.setdefault(name, []).append(self._count)
             self._count += 1
@@ -159,18 +179,24 @@ def _cells(path: Path) -> Iterator[list[str]]:
         raise FormatError(f"{path.name} cannot be read: {error!s:.200}") from error
 
 
-def _wavelengths(row: list[str], source: str) -> Floats:
-    wavelengths = numbers(row[len(_HEAD) :])
-    if tuple(row[: len(_HEAD)]) != _HEAD or not wavelengths or len(wavelengths) > _MOST_BANDS:
+def _head(row: list[str], source: str) -> tuple[list[str], Floats]:
+    """Return the names of the columns before the wavelengths, and these."""
+    first = len(row)
+    while first and number(row[first - 1]) is not None:
+        first -= 1
+    head, wavelengths = row[:first], numbers(row[first:]) or []
+    plain = all(name.isidentifier() for name in head) and len(set(head)) == len(head)
+    if head[:1] != [PAINT] or not plain or not 0 < len(wavelengths) <= _MOST_BANDS:
         raise FormatError(
-            f"{source}: its first row is {','.join(row)[:60]!r}, expected {','.join(_HEAD)} and wavelengths"
+            f"{source}: its first row is {','.join(row)[:60]!r}, expected {PAINT}, names of columns, each "
+            "once, and wavelengths"
         )
-    return np.array(wavelengths, np.float64)
+    return head, np.array(wavelengths, np.float64)
 
 
-def _values(row: list[str], bands: int) -> Floats32 | None:
+def _values(cells: list[str], bands: int) -> Floats32 | None:
     """Return the numbers of a row, None where they are none or too many."""
-    cells, plain = row[len(_HEAD) :], None
+    plain = None
     if len(cells) != bands:
         return None
     text = "".join(cells)

@@ -22,7 +22,7 @@ from hyperpaint.io.files.publishing import published_folder
 from hyperpaint.io.files.reading import decoded_text, number, numbers, unique_names
 
 from .library_spectra import Spectra, reflectances, text_column
-from .metadata import typed_values
+from .metadata import paint_columns, typed_values
 from .records import CENTRE, names_of
 from .text_spectra import (
     PERCENT,
@@ -221,7 +221,7 @@ def write_ecostress_library(
     values = values[:, used_bands]
     _refuse_gaps(values, names)
     micrometres = np.asarray(library["wavelength"].values, np.float64)[used_bands] / 1e3
-    columns = {**_said_of_all(library, micrometres), **_columns_of_paints(library)}
+    columns = {**_said_of_all(library, micrometres), **paint_columns(library)}
     with published_folder(path, overwrite=overwrite, foreign=_foreign) as folder:
         for at, (name, stem) in enumerate(zip(names, _file_names(names), strict=True)):
             about = {key: column[at] for key, column in columns.items()}
@@ -288,23 +288,6 @@ def _range(micrometres: Floats) -> str:
     if micrometres.max() <= 3.0:
         return "VSWIR"
     return "TIR" if micrometres.min() >= 2.0 else "All"
-
-
-def _columns_of_paints(library: xr.Dataset) -> dict[str, list[Any]]:
-    """Return what the library says of each paint, as texts and numbers."""
-    columns: dict[str, list[Any]] = {}
-    for name in sorted(library.variables, key=str):  # xarray's order of coordinates differs from run to run
-        array = library.variables[name]
-        # the name of a file that was read is none of the file that is written
-        if array.dims != (PAINT,) or name in (PAINT, "file") or not str(name).isidentifier():
-            continue
-        values = array.values
-        if values.dtype.kind == "M":
-            columns[str(name)] = ["" if np.isnat(value) else str(value) for value in values]
-        elif values.dtype.kind in "biufOUT":
-            plain = values.tolist()
-            columns[str(name)] = [None if isinstance(v, float) and not np.isfinite(v) else v for v in plain]
-    return columns
 
 
 def _text(name: str, about: dict[str, Any], micrometres: Floats, values: Floats) -> str:

@@ -3,7 +3,8 @@
 The two records that begin a library of the USGS are its wavelengths and bandwidths, and its records "error
 bars to preceding" belong to the spectrum before them; neither is a spectrum. Libraries of our own say
 ``hyperpaint library = 1`` in their header; there a name leads back to the paint and to what the record is of
-it (``red | member 3``), see `records`.
+it (``red | member 3``), see `records`. Where every record is a paint, lists ``paint make``, ``paint year``
+and the like hold a value for each.
 """
 
 from __future__ import annotations
@@ -29,7 +30,7 @@ from hyperpaint.io.files.publishing import published_files
 from hyperpaint.io.files.reading import unique_names
 
 from .library_spectra import OWN_AXES, Spectra, check_wavelengths, library_of, reflectances, text_column
-from .metadata import metadata_path, metadata_text
+from .metadata import metadata_path, metadata_text, table_columns
 from .records import CENTRE, Key, blocks_of, names_of, restored, spectral_variables
 from .text_spectra import PERCENT, other_quantity
 
@@ -253,7 +254,7 @@ def _own(header: EnviHeader, path: Path) -> xr.Dataset:
         raise FormatError(f"{source}: its header is not as hyperpaint writes it; write the library anew")
     names, keys = _keys_of(bare(header.fields.get("spectra names", "")), header.lines, source)
     axes = {"wavelength": header.wavelength, "fwhm": header.fwhm, "good": header.good}
-    return restored(path, names, keys, axes, _records(header, path))
+    return restored(path, names, keys, axes, _records(header, path), {})
 
 
 _MARK = "hyperpaint library"
@@ -350,6 +351,11 @@ def _header(library: xr.Dataset, records: Sequence[str]) -> bytes:
     if "good" in library.variables:
         lists["bbl"] = ["1" if value else "0" for value in library["good"].values]
     lists["spectra names"] = list(records)
+    if len(records) == library.sizes[PAINT]:
+        columns = table_columns(library).items()
+        lists |= {
+            f"paint {name}": [cell.translate(_FORBIDDEN) for cell in column] for name, column in columns
+        }
     lines = [
         "ENVI",
         f"description = {{Paint library of hyperpaint: {library.sizes[PAINT]} paints}}",

@@ -26,7 +26,10 @@ from .library_spectra import text_column
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["Metadata", "metadata_path", "metadata_text", "read_metadata", "typed_values"]
+__all__ = [
+    "Metadata", "metadata_path", "metadata_text", "paint_columns", "read_metadata", "table_columns",
+    "typed_values",
+]  # fmt: skip
 
 VERSION = 1
 MOST_BYTES = 16 * 2**20
@@ -97,6 +100,36 @@ def metadata_text(library: xr.Dataset, spectra: Iterable[str]) -> str:
             "drop variables, write fewer paints, or write Zarr"
         )
     return text
+
+
+def paint_columns(library: xr.Dataset) -> dict[str, list[Any]]:
+    """Return what a library says of each paint, as texts and numbers; None for a number that is none."""
+    columns: dict[str, list[Any]] = {}
+    for name in sorted(library.variables, key=str):  # xarray's order of coordinates differs from run to run
+        array = library.variables[name]
+        # the name of a file that was read is none of the file that is written
+        if array.dims != (PAINT,) or name in (PAINT, "file") or not str(name).isidentifier():
+            continue
+        values = array.values
+        if values.dtype.kind == "M":
+            columns[str(name)] = ["" if np.isnat(value) else str(value) for value in values]
+        elif values.dtype.kind in "biufOUT":
+            plain = values.tolist()
+            columns[str(name)] = [None if isinstance(v, float) and not math.isfinite(v) else v for v in plain]
+    return columns
+
+
+_NO_COLUMNS = ("region", "variable", "place", "nan", "inf", "infinity")
+"""Names that are no columns of a table: an outline as JSON, other columns, what reads as a number."""
+
+
+def table_columns(library: xr.Dataset) -> dict[str, list[str]]:
+    """Return what a library says of each paint as cells of a table, without line breaks."""
+    return {
+        name: [" ".join(str("" if value is None else value).split()) for value in values]
+        for name, values in paint_columns(library).items()
+        if name.lower() not in _NO_COLUMNS
+    }
 
 
 def _dumped(value: Any) -> str:

@@ -342,7 +342,7 @@ def _read_store(path: str | os.PathLike[str]) -> xr.Dataset:
     if "" not in groups:
         named = ", ".join(f"{os.fspath(path)}/{group}" for group in groups) or "none"
         raise FormatError(f"{os.fspath(path)} holds no paint library at its root; groups found: {named}")
-    library = open_store(path)
+    library = open_store(path, "")
     rows = {name: LIBRARY_VARIABLES[name] for name in (PAINT, "reflectance", "wavelength")}
     missing = [name for name in rows if name not in library.variables]
     wrong = [row.dim_problem(library[name]) for name, row in rows.items() if name not in missing]

@@ -18,12 +18,13 @@ import numpy as np
 import numpy.typing as npt
 
 from hyperpaint.base import schema
-from hyperpaint.base.arrays import Floats32, Ints, Progress
+from hyperpaint.base.arrays import Array, Floats32, Ints, Progress
 from hyperpaint.base.errors import FormatError, PaintWarning, Problems, SchemaError
 from hyperpaint.base.schema import BAND, LIBRARY_VARIABLES, MEMBER, PAINT
+from hyperpaint.io.files.reading import numbers
 
 from .library_spectra import text_column
-from .metadata import Metadata, metadata_path, read_metadata
+from .metadata import Metadata, metadata_path, read_metadata, table_columns
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -214,27 +215,42 @@ def placements(keys: Sequence[Key], paints: int, bands: int, source: str) -> dic
 
 def restored(
     path: Path, names: Sequence[str], keys: Sequence[Key], axes: Mapping[str, Any],
-    rows: Iterable[tuple[int, Floats32]],
+    rows: Iterable[tuple[int, Floats32]], columns: Mapping[str, Sequence[str]],
 ) -> xr.Dataset:  # fmt: skip
     """Return the library that was written to a file, with the metadata beside it.
 
     names: Of the paints; keys: what each record is; axes: see `with_metadata`.
     rows: Records, some at a time, each lot with the number of its first.
+    columns: What the file itself says of each paint: taken where the metadata do not say it.
     Raises FormatError: Records or metadata are damaged, or do not go together.
-    Warns PaintWarning: The metadata are missing.
+    Warns PaintWarning: The metadata are missing, or the file says otherwise.
     """
     bands = len(axes["wavelength"])
     placed = placements(keys, len(names), bands, path.name)
     sidecar = metadata_path(path)
     metadata = read_metadata(sidecar, {PAINT: len(names), BAND: bands}) if sidecar.exists() else None
     if metadata is None:
-        text = f"{path.name}: {sidecar.name} is missing: names are those of the file, and all else is lost"
+        text = f"{path.name}: {sidecar.name} is missing: names and columns are those of the file, units lost"
         warnings.warn(text, PaintWarning, stacklevel=6)
     for first, lot in rows:
         for placement in placed.values():
             placement.put(first, lot)
     data = {name: placement.values for name, placement in placed.items()}
-    return with_metadata(data, axes, names, metadata, path.name)
+    library = with_metadata(data, axes, names, metadata, path.name)
+    written = {} if metadata is None else table_columns(library)
+    if edited := [name for name, cells in columns.items() if list(cells) != written.get(name, cells)]:
+        text = f"{path.name}: {', '.join(edited)} differ from {sidecar.name}, which is taken; delete it to "
+        warnings.warn(f"{text}take the table", PaintWarning, stacklevel=6)
+    # numbers of the table of variables would come without their units
+    taken = {*library.variables, *library.dims, *LIBRARY_VARIABLES}
+    added = {name: (PAINT, _column(cells)) for name, cells in columns.items() if name not in taken}
+    return library.assign_coords(added)
+
+
+def _column(cells: Sequence[str]) -> Array:
+    """Return cells as numbers, where all of them are or are empty; else as text."""
+    values = numbers(cell or "nan" for cell in cells)
+    return text_column(cells) if values is None or not any(cells) else np.array(values)
 
 
 def _most_cells(stored: int) -> int:

@@ -8,13 +8,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from hyperpaint.base.arrays import Progress
-from hyperpaint.base.errors import FormatError
-from hyperpaint.base.schema import PAINT
+from hyperpaint.base.errors import FormatError, SchemaError
+from hyperpaint.base.schema import BAND, PAINT
+from hyperpaint.base.units import takes_quantities
 
 from .csv_library import write_csv_library
 from .ecostress import write_ecostress_library
 from .envi_library import write_envi_library
-from .records import checked_library
+from .records import CENTRE, checked_library, spectral_variables
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -46,27 +47,38 @@ _WRITERS: dict[str, Callable[..., Any]] = {
 FORMATS = tuple(_WRITERS)
 """Names of the formats."""
 
+_CURVES = {
+    "envi": ("centre", "all"), "ecostress": ("centre",), "csv": ("centre", "all"), "zarr": ("all", "centre"),
+}  # fmt: skip
+"""What of a paint each format can hold, the default first."""
+
 _OF_SUFFIX = {".sli": "envi", ".hdr": "envi", ".csv": "csv", ".zarr": "zarr"}
 
 
+@takes_quantities()
 def write_library(
     library: xr.Dataset,
     path: str | os.PathLike[str],
     *,
     format: str | None = None,
+    curves: str | None = None,
     overwrite: bool = False,
     progress: Progress | None = None,
 ) -> Path:
     """Write a paint library.
 
-    * ``envi``: ``x.sli`` (float32), its header ``x.hdr`` and metadata ``x.sli.json``; holds everything.
-    * ``csv``: ``x.csv``, a row a spectrum, and metadata ``x.csv.json``; everything.
-    * ``zarr``: a store, see `hyperpaint.to_store`; everything.
+    * ``envi``: ``x.sli`` (float32), its header ``x.hdr`` and metadata ``x.sli.json``; the header lists what
+      is said of the paints as well (``paint make = {...}``).
+    * ``csv``: ``x.csv``, which opens as a table in pandas, R and spreadsheets and uploads to EcoSIS: the
+      paint, a column for each thing said of it, then reflectance [1] at wavelengths [nm]; units and all else
+      in ``x.csv.json``.
+    * ``zarr``: a store, see `hyperpaint.to_store`.
     * ``ecostress``: a folder with ``<paint>.spectrum.txt`` for every paint; centres at good bands, and what
       is one value a paint.
 
-    `hyperpaint.open_library` opens each of them; what is written from that is the same again. Nothing appears
-    under its name before it is whole. Lazy libraries are computed some paints at a time.
+    `hyperpaint.open_library` opens each of them; with ``curves="all"`` it returns the library that was
+    written, bit for bit. Nothing appears under its name before it is whole. Lazy libraries are computed some
+    paints at a time.
 
     Parameters
     ----------
@@ -78,6 +90,10 @@ def write_library(
         to a name without a suffix.
     format
         One of the above; by default that of the suffix: ``.sli``, ``.csv`` or ``.zarr``.
+    curves
+        ``centre`` for one spectrum a paint, the default of ``envi``, ``csv`` and ``ecostress``: members,
+        quantiles, spread and uncertainties are left out. ``all`` for all of them, the default of ``zarr``;
+        ``ecostress`` cannot hold it.
     overwrite
         Replace a library that is there. A folder that holds anything else is never replaced.
     progress
@@ -93,8 +109,8 @@ def write_library(
     FormatError
         The format is unknown, or cannot be told from the suffix.
     SchemaError
-        It is no paint library; or names, values or attributes are such that the format cannot hold them; all
-        problems are listed.
+        ``curves`` is none that the format holds; it is no paint library; or names, values or attributes are
+        such that the format cannot hold them; all problems are listed.
     StoreError
         Something is there already, is being written, or cannot be written; what was there stays.
     UnitsError
@@ -124,9 +140,22 @@ def write_library(
         raise FormatError(
             f"{given}; expected format= one of {', '.join(FORMATS)}, or suffix .sli, .csv, .zarr"
         )
+    kinds = _CURVES[chosen]
+    if curves is not None and curves not in kinds:
+        raise SchemaError(f"curves={curves!r}, expected {' or '.join(kinds)} for {chosen}")
     path = _named(path, chosen)
-    _WRITERS[chosen](checked_library(library), path, overwrite=overwrite, progress=progress)
+    library = checked_library(library)
+    if (curves or kinds[0]) == "centre":
+        library = _centres(library)
+    _WRITERS[chosen](library, path, overwrite=overwrite, progress=progress)
     return path
+
+
+def _centres(library: xr.Dataset) -> xr.Dataset:
+    """Return a library with one spectrum a paint, and what belongs to no other."""
+    others = [name for name in spectral_variables(library) if name != CENTRE]
+    inner = {dim for name in others for dim in library[name].dims} - {PAINT, BAND}
+    return library.drop_vars(others).drop_dims(inner, errors="ignore")
 
 
 def _named(path: Path, format: str) -> Path:

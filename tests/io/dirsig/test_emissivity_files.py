@@ -169,7 +169,7 @@ def test_what_is_no_such_file_is_refused(data: bytes, tmp_path: Path) -> None:
 # --- text --------------------------------------------------------------------------------------------------
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(
     st.lists(st.floats(0.01, 99_000), min_size=1, max_size=12, unique_by=lambda nm: round(nm, 2)),
     st.integers(1, 4),

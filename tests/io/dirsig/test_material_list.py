@@ -101,7 +101,7 @@ _KEYS = st.from_regex(r"[A-Z][A-Z0-9_]{0,12}", fullmatch=True).filter(lambda key
 _VALUES = st.text("abcXYZ019 .,/()-", max_size=20).map(str.strip)
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(st.dictionaries(_KEYS, _VALUES, max_size=6), st.dictionaries(_KEYS, _VALUES, max_size=4))
 def test_write_read_write_is_stable(outer: dict[str, str], inner: dict[str, str]) -> None:
     import tempfile
@@ -141,7 +141,7 @@ def test_names_become_plain(name: str, plain: str, token: str) -> None:
     assert material_ids([name]) == [token]
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(st.lists(st.text(max_size=12), max_size=12), st.lists(st.text("abAB_ 2()", max_size=4), max_size=6))
 def test_no_two_names_or_tokens_are_alike(names: list[str], taken: list[str]) -> None:
     for function in (material_ids, material_names):

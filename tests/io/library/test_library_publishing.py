@@ -184,7 +184,7 @@ def test_members_are_written_some_paints_at_a_time(tmp_path: Path) -> None:
     )
     done: list[tuple[int, int]] = []
     path = hp.write_library(
-        library, tmp_path / "many.sli", progress=lambda *call: done.append((len(seen), call[0]))
+        library, tmp_path / "many.sli", curves="all", progress=lambda *call: done.append((len(seen), call[0]))
     )
     assert seen == list(range(0, 400, 20))
     # what is computed is written before the next is

@@ -8,9 +8,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pandas as pd
 import pytest
 import xarray as xr
-from hypothesis import HealthCheck, given, settings, strategies as st
+from hypothesis import given, settings, strategies as st
 from support import painted_lines
 from support.library_examples import NAMES, make_library
 
@@ -37,7 +38,7 @@ def trip(library: xr.Dataset, folder: Path, name: str, **options: Any) -> xr.Dat
 @pytest.mark.parametrize("name", ["paints.sli", "paints.csv"])
 def test_sli_and_csv__give_the_library_back(library: xr.Dataset, tmp_path: Path, name: str) -> None:
     """Expected: every value, dtype, attribute and name, members with their padding, and NaN as it was."""
-    found = trip(library, tmp_path, name)
+    found = trip(library, tmp_path, name, curves="all")
     xr.testing.assert_identical(found, library)
     for variable in library.variables:
         assert found[variable].dtype == library[variable].dtype, variable
@@ -48,7 +49,7 @@ def test_files_do_not_depend_on_the_order_of_coordinates(
     library: xr.Dataset, tmp_path: Path, name: str
 ) -> None:
     """xarray gathers coordinates from sets, whose order follows PYTHONHASHSEED."""
-    options = {"format": "ecostress"} if name == "paints" else {}
+    options = {"format": "ecostress"} if name == "paints" else {"curves": "all"}
     library = library.isel(band=[0, 1, 3, 4, 5, 6])
     coords = {key: library.variables[key] for key in reversed([*library.coords])}
     turned = xr.Dataset(library.reset_coords(drop=True).data_vars, coords, library.attrs)
@@ -100,7 +101,7 @@ def test_ecostress__is_read_by_spy(library: xr.Dataset, tmp_path: Path) -> None:
 def test_sli__is_read_by_spy(library: xr.Dataset, tmp_path: Path) -> None:
     """Expected: SPy finds the centres first, under their names, and members named after their paint."""
     envi = pytest.importorskip("spectral.io.envi")
-    path = hp.write_library(library, tmp_path / "paints.sli")
+    path = hp.write_library(library, tmp_path / "paints.sli", curves="all")
     theirs = envi.open(str(path.with_suffix(".hdr")), str(path))
     assert list(theirs.names[:5]) == ["red; matt", "Grün", "Grün (2)", 'a/b "x" / c (d)', "unnamed"]
     np.testing.assert_array_equal(theirs.spectra[:5], library["reflectance"].values)
@@ -109,14 +110,16 @@ def test_sli__is_read_by_spy(library: xr.Dataset, tmp_path: Path) -> None:
     np.testing.assert_array_equal(theirs.bands.centers, library["wavelength"].values)
 
 
-def test_csv__is_a_table_for_everyone(library: xr.Dataset, tmp_path: Path) -> None:
-    path = hp.write_library(library, tmp_path / "paints.csv")
-    with open(path, encoding="utf-8", newline="") as file:
+def test_csv__of_all_curves_says_what_each_row_is(library: xr.Dataset, tmp_path: Path) -> None:
+    path = hp.write_library(library, tmp_path / "paints.csv", curves="all")
+    with open(path, encoding="utf-8-sig", newline="") as file:
         head, *rows = csv.reader(file)
     assert head[:3] == ["paint", "variable", "place"]
-    assert [float(cell) for cell in head[3:]] == library["wavelength"].values.tolist()
+    first = len(head) - library.sizes["band"]
+    assert [float(cell) for cell in head[first:]] == library["wavelength"].values.tolist()
+    assert {len(row) for row in rows} == {len(head)}
     assert [row[0] for row in rows[:5]] == NAMES
-    assert [np.float32(cell) for cell in rows[1][3:]] == library["reflectance"].values[1].tolist()
+    assert [np.float32(cell) for cell in rows[1][first:]] == library["reflectance"].values[1].tolist()
     members = [row for row in rows if row[1] == "member_reflectance"]
     assert [(row[0], row[2]) for row in members if row[0] == "Grün"] == [
         *[("Grün", str(place)) for place in (1, 2)],  # padding is left out
@@ -126,11 +129,110 @@ def test_csv__is_a_table_for_everyone(library: xr.Dataset, tmp_path: Path) -> No
     assert metadata["variables"]["make"]["values"] == library["make"].values.tolist()
 
 
+def test_csv__is_a_rectangle_for_pandas_and_excel(library: xr.Dataset, tmp_path: Path) -> None:
+    """Expected: a row a paint, what is said of it, then numbers alone; Excel knows UTF-8 by its mark."""
+    path = hp.write_library(library, tmp_path / "paints.csv")
+    assert path.read_bytes().startswith(b"\xef\xbb\xbfpaint,make,n,n_eff,quality,time,year,400.0,")
+    table = pd.read_csv(path, keep_default_na=False, na_values={"n_eff": [""]}, dtype={"make": str})
+    assert table["paint"].tolist() == NAMES
+    assert table["make"].tolist() == ["VW", "", "Škoda", "a b", "ß"]
+    assert table["year"].tolist() == [2001, 2, 3, 4, 5]
+    np.testing.assert_array_equal(table["n_eff"], library["n_eff"])
+    assert str(table["time"][0]) == "2024-05-21T11:33:07.123456789"
+    values = table.iloc[:, table.columns.get_loc("400.0") :]
+    assert [float(name) for name in values.columns] == library["wavelength"].values.tolist()
+    np.testing.assert_array_equal(values.to_numpy("f4"), library["reflectance"].values)
+    plain = library.isel(paint=[0]).assign_coords(make=("paint", np.array(["VW"], object)))
+    assert hp.write_library(plain, tmp_path / "plain.csv").read_bytes().startswith(b"paint,")
+
+
+@pytest.mark.parametrize("name", ["paints.sli", "paints.csv"])
+def test_centres__are_the_default_and_come_back(library: xr.Dataset, tmp_path: Path, name: str) -> None:
+    """Expected: the centre and what is said of paints, to the bit; no member, quantile or spread."""
+    found = trip(library, tmp_path, name)
+    left = library.drop_vars(["reflectance_sd"]).drop_dims(["member", "quantile"])
+    xr.testing.assert_identical(found, left)
+    if name == "paints.csv":
+        rows = (tmp_path / "one" / name).read_text(encoding="utf-8-sig").splitlines()
+        assert len(rows) == 1 + len(NAMES)
+    else:
+        assert (tmp_path / "one" / name).stat().st_size == 4 * library["reflectance"].size
+
+
+@SPY_ON_NUMPY_2_5
+def test_sli__header_says_what_is_known_of_the_paints(library: xr.Dataset, tmp_path: Path) -> None:
+    envi = pytest.importorskip("spectral.io.envi")
+    path = hp.write_library(library, tmp_path / "paints.sli")
+    theirs = envi.open(str(path.with_suffix(".hdr")), str(path))
+    assert theirs.spectra.shape == library["reflectance"].shape
+    assert theirs.metadata["paint make"] == ["VW", "", "Škoda", "a b", "ß"]
+    assert theirs.metadata["paint year"] == ["2001", "2", "3", "4", "5"]
+
+
+def test_formats_hold_what_they_can(library: xr.Dataset, tmp_path: Path) -> None:
+    with pytest.raises(SchemaError, match="curves='all', expected centre for ecostress"):
+        hp.write_library(library, tmp_path / "paints", format="ecostress", curves="all")
+    with pytest.raises(SchemaError, match="curves='members', expected centre or all for csv"):
+        hp.write_library(library, tmp_path / "paints.csv", curves="members")
+    found = hp.open_library(hp.write_library(library, tmp_path / "paints.zarr", curves="centre"))
+    assert not {"member", "quantile"} & {*found.dims}
+
+
+def test_csv__written_by_earlier_versions_opens(library: xr.Dataset, tmp_path: Path) -> None:
+    """Rationale: the earlier table had no columns between the place and the wavelengths, and no mark."""
+    path = hp.write_library(library, tmp_path / "paints.csv", curves="all")
+    with open(path, encoding="utf-8-sig", newline="") as file:
+        rows = list(csv.reader(file))
+    first = len(rows[0]) - library.sizes["band"]
+    with open(path, "w", encoding="utf-8", newline="") as file:
+        csv.writer(file, lineterminator="\n").writerows(row[:3] + row[first:] for row in rows)
+    xr.testing.assert_identical(hp.open_library(path), library)
+
+
+def test_csv__edited_in_a_spreadsheet(library: xr.Dataset, tmp_path: Path) -> None:
+    """Expected: a column that is new is taken; one that contradicts the metadata is not, which is said."""
+    path = hp.write_library(library, tmp_path / "paints.csv")
+    table = pd.read_csv(path, keep_default_na=False)
+    table.insert(1, "finish", ["matt", "matt", "gloss", "gloss", ""])
+    table.insert(1, "layers", [1, 2, 3, 4, ""])
+    table.to_csv(path, index=False)
+    found = hp.open_library(path)
+    assert found["finish"].values.tolist() == ["matt", "matt", "gloss", "gloss", ""]
+    np.testing.assert_array_equal(found["layers"].values, [1, 2, 3, 4, np.nan])
+    table["make"] = "Seat"
+    table.to_csv(path, index=False)
+    with pytest.warns(PaintWarning, match=r"make differ from paints\.csv\.json, which is taken; delete it"):
+        assert hp.open_library(path)["make"].values[0] == "VW"
+    path.with_name("paints.csv.json").unlink()
+    with pytest.warns(PaintWarning, match="is missing"):
+        found = hp.open_library(path)
+    assert set(found["make"].values) == {"Seat"}
+    np.testing.assert_array_equal(found["reflectance"].values, library["reflectance"].values)
+    assert "n" not in found.variables  # its units are lost
+    hp.write_library(found, tmp_path / "again.csv")
+
+
+@pytest.mark.parametrize(
+    ("first", "row", "said"),
+    [
+        ("paint,make,make,400,500", "a,b,c,1,1", "names of columns, each once"),
+        ("paint,my make,400,500", "a,b,1,1", "names of columns"),
+        ("paint,make,400,500", "a,1,1", "row 2: 'a,1,1', expected paint, make, and 2 numbers"),
+        ("paint,make,400,500", "a,b,1,x", "row 2: 'a,b,1,x'"),
+        ("paint,make,400,-500", "a,b,1,1", "no table of numbers|wavelength"),
+    ],
+)
+def test_csv__what_is_no_table_is_said(first: str, row: str, said: str, tmp_path: Path) -> None:
+    (tmp_path / "x.csv").write_text(f"{first}\n{row}\n")
+    with pytest.raises(FormatError, match=said):
+        hp.open_library(tmp_path / "x.csv")
+
+
 @pytest.mark.parametrize("name", ["paints.sli", "paints.csv"])
 def test_without_metadata__spectra_and_members_still_lead_back(
     library: xr.Dataset, tmp_path: Path, name: str
 ) -> None:
-    path = hp.write_library(library, tmp_path / name)
+    path = hp.write_library(library, tmp_path / name, curves="all")
     path.with_name(path.name + ".json").unlink()
     with pytest.warns(PaintWarning, match=r"paints\.\w+\.json is missing"):
         found = hp.open_library(path)
@@ -138,18 +240,18 @@ def test_without_metadata__spectra_and_members_still_lead_back(
         np.testing.assert_array_equal(found[variable].values, library[variable].values)
         assert found[variable].dims == library[variable].dims
     assert found["paint"].values[0] == ("red; matt" if name.endswith("sli") else "red, matt")
-    assert "make" not in found.coords
+    assert ("make" in found.coords) == name.endswith("csv")
 
 
 @pytest.mark.parametrize("name", ["paints.sli", "paints.csv"])
 def test_metadata_of_another_library__are_refused(library: xr.Dataset, tmp_path: Path, name: str) -> None:
-    path = hp.write_library(library, tmp_path / name)
+    path = hp.write_library(library, tmp_path / name, curves="all")
     shifted = library.assign_coords(wavelength=library["wavelength"] + 1.0)
-    other = hp.write_library(shifted, tmp_path / "other" / name)
+    other = hp.write_library(shifted, tmp_path / "other" / name, curves="all")
     path.with_name(path.name + ".json").write_bytes(other.with_name(path.name + ".json").read_bytes())
     with pytest.raises(FormatError, match=r"'wavelength' differs; they are of two libraries"):
         hp.open_library(path)
-    fewer = hp.write_library(library.isel(paint=[0, 1]), tmp_path / "fewer" / name)
+    fewer = hp.write_library(library.isel(paint=[0, 1]), tmp_path / "fewer" / name, curves="all")
     path.with_name(path.name + ".json").write_bytes(fewer.with_name(path.name + ".json").read_bytes())
     with pytest.raises(FormatError, match=r"shape \(2,\), expected \(5,\)"):
         hp.open_library(path)
@@ -159,8 +261,8 @@ def test_metadata_of_another_library__are_refused(library: xr.Dataset, tmp_path:
 def test_lazy_libraries__are_written_as_loaded_ones(tmp_path: Path, name: str) -> None:
     library = make_library()
     lazy = library.chunk({"paint": 2, "member": 3, "band": 4})
-    eager = hp.write_library(library, tmp_path / "eager" / name)
-    done = hp.write_library(lazy, tmp_path / "lazy" / name)
+    eager = hp.write_library(library, tmp_path / "eager" / name, curves="all")
+    done = hp.write_library(lazy, tmp_path / "lazy" / name, curves="all")
     if not done.is_dir():
         assert files_of(done.parent) == files_of(eager.parent)
     xr.testing.assert_identical(
@@ -195,7 +297,9 @@ def test_units__are_brought_to_those_of_the_table(library: xr.Dataset, tmp_path:
 def test_descending_wavelengths__stay_as_they_are(library: xr.Dataset, tmp_path: Path) -> None:
     falling = library.isel(band=slice(None, None, -1))
     for name in ("paints.sli", "paints.csv"):
-        xr.testing.assert_identical(hp.open_library(hp.write_library(falling, tmp_path / name)), falling)
+        xr.testing.assert_identical(
+            hp.open_library(hp.write_library(falling, tmp_path / name, curves="all")), falling
+        )
 
 
 def test_what_cannot_be_written__is_said_all_at_once(library: xr.Dataset, tmp_path: Path) -> None:
@@ -235,7 +339,7 @@ def test_bands_that_are_not_good__are_left_out_of_ecostress(library: xr.Dataset,
     )
 
 
-@settings(max_examples=25, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=25)
 @given(
     names=st.lists(
         st.text(st.characters(exclude_categories=("Cs", "Cc", "Zl", "Zp")), max_size=12),
@@ -271,14 +375,14 @@ def test_any_names_and_values__come_back(
     )
     for name in ("paints.sli", "paints.csv"):
         folder = tmp_path_factory.mktemp("any")
-        xr.testing.assert_identical(trip(library, folder, name), library)
+        xr.testing.assert_identical(trip(library, folder, name, curves="all"), library)
 
 
 @pytest.mark.parametrize("name", ["paints.sli", "paints.csv"])
 def test_signatures_of_a_flight__come_back_whole(tmp_path: Path, name: str) -> None:
     """Rationale: what `extract_signatures` makes holds regions, flags, times and uncertainties as well."""
     paints = hp.extract_signatures(painted_lines.made(), painted_lines.TWO, members=5)
-    found = trip(paints, tmp_path, name)
+    found = trip(paints, tmp_path, name, curves="all")
     assert set(found.variables) == set(paints.variables)
     assert set(found.coords) == set(paints.coords)
     for variable in paints.variables:
@@ -293,7 +397,7 @@ def test_what_is_read_from_others__can_be_written(shared_data: Path, tmp_path: P
     """Rationale: 2,457 names with runs of blanks, wavelengths that fall, missing values, error bars."""
     usgs = hp.open_library(shared_data / "envi_sli" / "s07_AV95_envi.sli")
     for name in ("usgs.sli", "usgs.csv"):
-        xr.testing.assert_identical(trip(usgs, tmp_path, name), usgs)
+        xr.testing.assert_identical(trip(usgs, tmp_path, name, curves="all"), usgs)
     text = hp.open_library(sorted((shared_data / "spectra_ascii").glob("PVC_*.txt")))
     found = trip(text, tmp_path, "pvc", format="ecostress")
     np.testing.assert_array_equal(found["reflectance"].values, text["reflectance"].values)
