@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import datetime
 import difflib
+import itertools
 import os
 import re
 import stat
@@ -16,6 +17,9 @@ from typing import Any
 from hyperpaint.base.errors import FormatError, Problems
 
 from .reading import is_pattern, matching_files, read_limited
+
+UNKNOWN = "?"
+"""Stands where a value is still to be filled in."""
 
 _MAX_BYTES = 1 << 20
 #: A key of so many parts: tomllib's time for it grows with the square of their number.
@@ -64,6 +68,9 @@ class TableReader:
     were given: keys that were there but wrong are not missing. ``given``: names of the tables given.
     """
 
+    #: Whether patterns may begin outside the folder of the file, as plain paths may.
+    outside = False
+
     def __init__(
         self,
         path: Path,
@@ -105,8 +112,10 @@ class TableReader:
             if check is None:
                 self.problems.add(f"{place} unknown key {key!r}{suggestion(key, self.schema[name])}")
                 continue
-            expected = check(value)
-            if expected is None:
+            expected = check(None if value == UNKNOWN else value)
+            if value == UNKNOWN:
+                self.problems.add(f"{place} {key} is still {UNKNOWN!r}: fill in {expected}")
+            elif expected is None:
                 valid[key] = value
             else:
                 self.problems.add(f"{place} {key} = {shown(value)}, expected {expected}")
@@ -135,17 +144,25 @@ class TableReader:
         paths: list[Path] = []
         for text in value if isinstance(value, list) else [value]:
             if "\0" not in text and is_pattern(text) and not os.path.lexists(self.folder / text):
+                base, pattern = _anchored(text) if self.outside else ("", text)
                 try:
-                    matches = matching_files(self.folder, text)
+                    matches = matching_files(self.folder / base, pattern)
                 except ValueError as error:
                     self.problems.add(f"{place} {key} = {shown(text)}: {error}")
                     continue
                 paths += [match for match in matches if not _is_special(match)]
                 if not matches:
-                    self.problems.add(f"{place} {key} = {text!r}: matches no file in {self.folder}")
+                    self.problems.add(f"{place} {key} = {text!r}: matches no file in {self.folder / base}")
             elif (path := self.path(place, key, text)) is not None:
                 paths.append(path)
         return tuple(dict.fromkeys(paths))
+
+
+def _anchored(pattern: str) -> tuple[str, str]:
+    """Split a pattern after its plain folders, such as ``../asd``: those are the user's word."""
+    parts = Path(pattern).parts
+    plain = list(itertools.takewhile(lambda part: not is_pattern(part), parts))
+    return str(Path(*plain)), "/".join(parts[len(plain) :])
 
 
 def _is_special(path: Path) -> bool:
@@ -187,6 +204,10 @@ flag = _expect("true or false", lambda value: isinstance(value, bool))
 table = _expect("a table of texts", lambda value: isinstance(value, dict))
 #: Or text that spells one.
 time = _expect("a date or time", lambda value: isinstance(value, str | datetime.date))
+three_numbers = _expect(
+    "three numbers",
+    lambda value: isinstance(value, list) and len(value) == 3 and all(map(_is_number, value)),
+)
 texts = _expect(
     "a text or a list of texts",
     lambda value: all(map(_is_text, value if isinstance(value, list) and value else [value])),

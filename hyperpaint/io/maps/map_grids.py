@@ -81,8 +81,6 @@ def nearest_bands(wavelength: ArrayLike, wanted: tuple[float, ...]) -> list[int]
 Transform = tuple[float, float, float, float, float, float]
 
 SPATIAL_REF = "spatial_ref"
-ALONG_FLIGHT = "grid along the flight"
-"""What `hyperpaint.orthorectify` calls the reference system of ``x`` and ``y`` that are distances."""
 _TOLERANCE = 1e-6
 """Part of a pixel by which steps may differ over the whole grid."""
 _ROUNDING = 1e-9
@@ -113,11 +111,10 @@ def grid_of(dataset: xr.Dataset) -> Grid | None:
 
     ``x`` and ``y`` at pixel centres tell it, since they follow every selection of cells, and ``GeoTransform``
     of ``spatial_ref`` does not: it counts where they are not there, and for what they do not tell (the step
-    of a single row or column, and how a grid along the flight lies, in which they are distances from the
-    corner of its first cell).
+    of a single row or column). A grid along the flight has ``east`` and ``north`` (y, x) instead.
 
-    Raises `SchemaError`: ``GeoTransform`` is not six finite numbers; ``x`` and ``y`` are not evenly spaced;
-    or the grid is turned and they are not distances along it.
+    Raises `SchemaError`: ``GeoTransform`` is not six finite numbers; ``x`` and ``y``, or ``east`` and
+    ``north``, are not evenly spaced; or the grid is turned and ``x`` and ``y`` are not distances along it.
     """
     attrs = dataset[SPATIAL_REF].attrs if SPATIAL_REF in dataset.variables else {}
     reference_system = attrs.get("crs_wkt") or attrs.get("spatial_ref")
@@ -126,17 +123,21 @@ def grid_of(dataset: xr.Dataset) -> Grid | None:
     transform = None if text is None else _numbers(text)
     axes = [dataset.variables.get(name) for name in ("x", "y")]
     if any(axis is None or axis.dims != (name,) for name, axis in zip("xy", axes, strict=True)):
-        return None if transform is None else Grid(transform, wkt)
+        places = [dataset.variables.get(name) for name in ("east", "north")]
+        is_placed = all(plane is not None and set(plane.dims) == {"y", "x"} for plane in places)
+        if transform is None or not is_placed:
+            return None if transform is None else Grid(transform, wkt)
+        computed = _by_places(dataset, transform)
+        return Grid(transform if _same(computed, transform, dataset) else computed, wkt)
     if transform is None:
         if any(dataset.sizes[name] < 2 for name in ("x", "y")):
             return None
         transform = _north_up(dataset, (math.nan, math.nan))
         return Grid(transform, wkt)
     _, b, c, _, e, f = transform
-    along = dataset["x"].attrs.get("crs") == ALONG_FLIGHT
-    if along or c != 0.0 or e != 0.0:
+    if c != 0.0 or e != 0.0:
         computed = _along(dataset, transform)
-        if not along and not _same(computed, transform, dataset):
+        if not _same(computed, transform, dataset):
             raise SchemaError(
                 f"GeoTransform of {SPATIAL_REF} is turned, and 'x' and 'y' are not the distances of all its "
                 "cells from its corner, so that nothing tells which cells these are; drop 'x' and 'y' where "
@@ -154,8 +155,31 @@ def _north_up(dataset: xr.Dataset, steps: tuple[float, float]) -> Transform:
     return x, width, 0.0, y, 0.0, height
 
 
+def _by_places(dataset: xr.Dataset, transform: Transform) -> Transform:
+    """Return the grid whose cells lie where the first row and column say; a single one has the step given."""
+    _, b, c, _, e, f = transform
+    size = max(math.hypot(b, e), math.hypot(c, f))
+    numbers: list[float] = []
+    for name, by_column, by_row in (("east", b, c), ("north", e, f)):
+        plane = dataset[name].transpose("y", "x")
+        steps = []
+        for values, step in ((plane[0].values, by_column), (plane[:, 0].values, by_row)):
+            if values.size > 1:
+                step = float(values[-1] - values[0]) / (values.size - 1)
+            even = values[0] + step * np.arange(values.size)
+            if not np.abs(values - even).max() <= _TOLERANCE * size + _ROUNDING:
+                raise SchemaError(
+                    f"the place of this map is not known: {name!r} is not evenly spaced",
+                    mend="choose cells at even steps",
+                )
+            steps.append(step)
+        numbers += [float(plane[0, 0]) - sum(steps) / 2.0, *steps]
+    a, b, c, d, e, f = numbers
+    return a, b, c, d, e, f
+
+
 def _along(dataset: xr.Dataset, transform: Transform) -> Transform:
-    """Return the part of a grid whose cells lie at distances from its corner."""
+    """Return the grid whose cells lie at the distances ``x`` and ``y`` from its corner."""
     a, b, c, d, e, f = transform
     sizes = math.hypot(b, e), math.hypot(c, f)
     (x, width), (y, height) = _windows(dataset, sizes)
