@@ -6,6 +6,11 @@ from .georeference import (
     locate as locate,
     spacing as spacing,
 )
+from .mosaicking import (
+    find_tie_points as find_tie_points,
+    mosaic as mosaic,
+    seamlines as seamlines,
+)
 from .navigation_checks import (
     check_conventions as check_conventions,
     estimate_clock_offset as estimate_clock_offset,

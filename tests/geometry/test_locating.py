@@ -142,6 +142,19 @@ def test_the_antimeridian_and_southern_zones() -> None:
         utm_zone(85.0, 0.0)
 
 
+def test_what_a_line_declares_stands_for_what_is_not_asked() -> None:
+    line = still(roll=1.0, pitch=2.0, heading=30.0)
+    turn, arm = (0.5, -0.3, 1.0), (0.2, 0.1, -0.4)
+    asked = hp.geometry.locate(line, ground=20.0, boresight=turn, lever_arm=arm, camera=CAMERA)
+    declaring = line.assign_attrs(ground=20.0, boresight=list(turn), lever_arm=list(arm))
+    xr.testing.assert_identical(hp.geometry.locate(declaring, camera=CAMERA), asked)
+    # what is asked for wins, a height model over a level ground too
+    other = hp.geometry.locate(declaring, ground=0.0, boresight=(0, 0, 0), lever_arm=(0, 0, 0), camera=CAMERA)
+    xr.testing.assert_identical(other, hp.geometry.locate(line, ground=0.0, camera=CAMERA))
+    with pytest.raises(SchemaError, match="ground 'low', expected a finite number"):
+        hp.geometry.locate(line.assign_attrs(ground="low"), camera=CAMERA)
+
+
 def test_tables_of_look_angles() -> None:
     line = flown(6, 5)
     across, along = np.array([-20.0, -9.0, 0.5, 11.0, 21.0]), np.array([0.1, 0.0, -0.1, 0.0, 0.2])

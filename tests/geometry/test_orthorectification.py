@@ -221,8 +221,9 @@ def test_bounds_make_one_grid_for_several_lines() -> None:
     np.testing.assert_array_equal(maps[0].x, maps[1].x)
     np.testing.assert_allclose(maps[0].x[0], 500_000.005)
     np.testing.assert_allclose(maps[0].y[0], 3_760_000.295)
-    whole = hp.geometry.orthorectify(located(fly(80, 40, seed=1)), 0.01, variables=["quality"])
-    part = hp.geometry.orthorectify(located(fly(80, 40, seed=1)), 0.01, variables=["quality"], bounds=bounds)
+    along = {"grid": "flight", "variables": ["quality"]}
+    whole = hp.geometry.orthorectify(located(fly(80, 40, seed=1)), 0.01, **along)
+    part = hp.geometry.orthorectify(located(fly(80, 40, seed=1)), 0.01, **along, bounds=bounds)
     east, north = centres(part)
     np.testing.assert_allclose(part.east, east, atol=1e-7)
     np.testing.assert_allclose(part.north, north, atol=1e-7)

@@ -4,9 +4,9 @@ from .cameras import PinholeCamera
 from .coverage import footprint, spacing
 from .geodesy import meridian_convergence, utm_zone
 from .locating import locate
-from .poses import canonical_navigation, interpolate_pose
+from .poses import LOCATION_UNITS, canonical_navigation, interpolate_pose
 
 __all__ = [
-    "PinholeCamera", "canonical_navigation", "footprint", "interpolate_pose", "locate",
+    "LOCATION_UNITS", "PinholeCamera", "canonical_navigation", "footprint", "interpolate_pose", "locate",
     "meridian_convergence", "spacing", "utm_zone",
 ]  # fmt: skip

@@ -12,7 +12,7 @@ from hyperpaint.base.arrays import Floats
 from hyperpaint.base.attitude_conventions import Convention
 from hyperpaint.base.errors import Problems, SchemaError
 from hyperpaint.base.schema import CROSS_TRACK
-from hyperpaint.base.units import convert
+from hyperpaint.base.units import convert, takes_quantities
 
 __all__ = ["PinholeCamera", "directions", "look_angles"]
 
@@ -21,6 +21,7 @@ _MAX_LOOK_ANGLE_DEG = 89.0
 """Angle from the optical axis from which a camera no longer looks down."""
 
 
+@takes_quantities(pixel_pitch="m", focal_length="m", field_of_view="degree")
 @dataclass(frozen=True)
 class PinholeCamera:
     """A line camera whose columns are evenly spaced behind one projection centre.

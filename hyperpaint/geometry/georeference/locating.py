@@ -16,6 +16,7 @@ from hyperpaint.base.attitude_conventions import Convention
 from hyperpaint.base.constants import lines_a_task
 from hyperpaint.base.errors import Problems, SchemaError
 from hyperpaint.base.schema import ALONG_TRACK, BAND, CHUNK_LINES, CROSS_TRACK, Quality, label, require
+from hyperpaint.base.units import convert, takes_quantities
 from hyperpaint.kernels.arguments import LineFrames, LineRays, Raster
 from hyperpaint.kernels.rays import PLACES, level_places, raster_places
 
@@ -31,6 +32,7 @@ from .geodesy import (
     utm_zone,
 )
 from .poses import (
+    LOCATION_UNITS,
     NAVIGATION_TIME,
     POSE,
     Interpolation,
@@ -100,12 +102,13 @@ _PLACES = ("east", "north", "ground_height", "view_zenith", "view_azimuth")
 """Coordinates added, in the order in which the kernels write them."""
 
 
+@takes_quantities(**LOCATION_UNITS)
 def locate(
     line: xr.Dataset,
     *,
     navigation: xr.Dataset | None = None,
-    boresight: Sequence[float] = (0.0, 0.0, 0.0),
-    lever_arm: Sequence[float] = (0.0, 0.0, 0.0),
+    boresight: Sequence[float] | None = None,
+    lever_arm: Sequence[float] | None = None,
     ground: float | None = None,
     dem: xr.DataArray | None = None,
     crs: Any = None,
@@ -127,15 +130,17 @@ def locate(
         `hyperpaint.interpolate_pose`.
     boresight
         Roll, pitch and heading of the camera in the body [degree], a rotation as that of the body itself:
-        first heading, then pitch, then roll.
+        first heading, then pitch, then roll; by default the line's attribute ``boresight``, else zero.
     lever_arm
-        From the point that positions are of to the camera's projection centre, forward, right, down [m].
+        From the point that positions are of to the camera's projection centre, forward, right, down [m]; by
+        default the line's attribute ``lever_arm``, else zero.
     ground
-        Height of level ground above the ellipsoid [m]; either this or ``dem``.
+        Height of level ground above the ellipsoid [m]; either this or ``dem``; by default the line's
+        attribute ``ground``.
     dem
-        Heights (y, x) [m] with coordinates of cell centres and a crs, as rioxarray opens them. Its attribute
-        ``height_reference`` declares what they are above: ``"ellipsoid"``, or ``"geoid"`` with
-        ``geoid_undulation`` [m].
+        Heights (y, x) [m, unless an attribute ``units`` says otherwise] with coordinates of cell centres and
+        a crs, as rioxarray opens them. Its attribute ``height_reference`` declares what they are above:
+        ``"ellipsoid"``, or ``"geoid"`` with ``geoid_undulation`` [m].
     crs
         Map of ``east`` and ``north``, projected and in metres; by default the UTM zone of the line's centre.
     camera
@@ -203,6 +208,9 @@ def locate(
     >>> located.view_azimuth.values.round().tolist()
     [[90.0, 0.0, 270.0]]
     """
+    boresight, lever_arm, ground = _declared(line, boresight, lever_arm, ground, dem)
+    if dem is not None and "units" in dem.attrs:
+        dem = convert(dem, "m", "dem")
     _check(line, boresight, lever_arm, ground, dem, clock_offset_s)
     check_interpolation(interpolation, max_gap_s)
     meaning = convention_of_line(line, navigation, convention)
@@ -243,6 +251,22 @@ def locate(
 # --- what is asked for -------------------------------------------------------------------------------------
 
 
+def _declared(
+    line: xr.Dataset,
+    boresight: Sequence[float] | None,
+    lever_arm: Sequence[float] | None,
+    ground: float | None,
+    dem: xr.DataArray | None,
+) -> tuple[Sequence[float], Sequence[float], Any]:
+    """Return the mounting and the ground as asked for, else as the line's attributes declare them."""
+    level: Sequence[float] = (0.0, 0.0, 0.0)
+    turn = line.attrs.get("boresight", level) if boresight is None else boresight
+    arm = line.attrs.get("lever_arm", level) if lever_arm is None else lever_arm
+    if ground is None and dem is None:
+        ground = line.attrs.get("ground")
+    return turn, arm, ground
+
+
 def _check(
     line: xr.Dataset,
     boresight: Sequence[float],
@@ -266,8 +290,9 @@ def _check(
     if (ground is None) == (dem is None):
         problems.add("give the height of the ground above the ellipsoid (ground=, in m), or dem=, not both")
     for name, number in (("ground", ground), ("clock_offset_s", clock_offset_s)):
-        if number is not None and not np.isfinite(number):
-            problems.add(f"{name} {number!r}, expected a finite number")
+        is_number = isinstance(number, int | float | np.number) and np.isfinite(number)
+        if number is not None and not is_number:
+            problems.add(f"{name} {number!r:.80}, expected a finite number")
     problems.raise_if_any()
 
 

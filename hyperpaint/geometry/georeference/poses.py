@@ -14,15 +14,15 @@ from hyperpaint.base.arrays import Array, Bools, Floats, Ints
 from hyperpaint.base.attitude_conventions import Convention, wrapped
 from hyperpaint.base.errors import Problems, SchemaError, TimeError
 from hyperpaint.base.schema import ALONG_TRACK, label
-from hyperpaint.base.units import conversion_factor, convert
+from hyperpaint.base.units import conversion_factor, convert, takes_quantities
 
 from .attitude_rotations import angles_of, quaternions, slerp
 from .geodesy import meridian_convergence
 
 __all__ = [
-    "ANGLES", "NAVIGATION_TIME", "POSE", "Interpolation", "canonical_navigation", "canonical_values",
-    "check_interpolation", "convention_of_line", "interpolate_pose", "pose_columns", "poses_at",
-    "with_convention",
+    "ANGLES", "LOCATION_UNITS", "NAVIGATION_TIME", "POSE", "Interpolation", "canonical_navigation",
+    "canonical_values", "check_interpolation", "convention_of_line", "interpolate_pose", "pose_columns",
+    "poses_at", "with_convention",
 ]  # fmt: skip
 
 Interpolation = Literal["linear", "cubic"]
@@ -36,6 +36,11 @@ _NS_PER_S = 1e9
 _NAT = np.iinfo(np.int64).min
 _GAP_INTERVALS, _MIN_GAP_S = 2.5, 0.1
 """Intervals, and seconds, that a gap is longer than."""
+
+LOCATION_UNITS = {
+    "ground": "m", "boresight": "degree", "lever_arm": "m", "clock_offset_s": "s", "max_gap_s": "s",
+}  # fmt: skip
+"""Units of the arguments that say how a line is located."""
 
 
 # --- canonical form ----------------------------------------------------------------------------------------
@@ -188,6 +193,7 @@ def canonical_values(
 # --- at given times ----------------------------------------------------------------------------------------
 
 
+@takes_quantities(clock_offset_s="s", max_gap_s="s")
 def interpolate_pose(
     navigation: xr.Dataset,
     time: xr.DataArray,

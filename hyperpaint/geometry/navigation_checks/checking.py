@@ -14,8 +14,8 @@ from hyperpaint.base.attitude_conventions import Convention
 from hyperpaint.base.constants import STAMP_TO_MID_EXPOSURES
 from hyperpaint.base.errors import SchemaError
 from hyperpaint.base.schema import ALONG_TRACK
-from hyperpaint.base.units import conversion_factor
-from hyperpaint.geometry.georeference import PinholeCamera
+from hyperpaint.base.units import conversion_factor, takes_quantities
+from hyperpaint.geometry.georeference import LOCATION_UNITS, PinholeCamera
 from hyperpaint.geometry.georeference.poses import ANGLES
 
 from .hypotheses import Hypothesis, Scored, fields_of, score
@@ -114,6 +114,7 @@ class Rules:
 RULES = Rules()
 
 
+@takes_quantities(**LOCATION_UNITS)
 def check_conventions(
     line: xr.Dataset,
     navigation: xr.Dataset | None = None,

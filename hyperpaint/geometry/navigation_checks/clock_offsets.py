@@ -18,7 +18,8 @@ from hyperpaint.base.arrays import Bools, Floats, Floats32
 from hyperpaint.base.attitude_conventions import Convention
 from hyperpaint.base.errors import SchemaError, TimeError
 from hyperpaint.base.schema import ALONG_TRACK, IRRADIANCE_TIME, IRRADIANCE_WAVELENGTH, require
-from hyperpaint.geometry.georeference import PinholeCamera
+from hyperpaint.base.units import takes_quantities
+from hyperpaint.geometry.georeference import LOCATION_UNITS, PinholeCamera
 from hyperpaint.light.synchrony import check_irradiance_times
 
 from .hypotheses import Hypothesis
@@ -93,6 +94,7 @@ class ClockOffset:
         return f"{self.method}: {self.offset_s:+.4f} +- {self.uncertainty_s:.4f} s ({self.evidence})"
 
 
+@takes_quantities(**LOCATION_UNITS, max_offset_s="s", max_uncertainty_s="s")
 def estimate_clock_offset(
     line: xr.Dataset,
     *,

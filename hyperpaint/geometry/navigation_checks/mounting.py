@@ -12,17 +12,17 @@ import xarray as xr
 from hyperpaint.base.arrays import Bools, Floats
 from hyperpaint.base.attitude_conventions import Convention
 from hyperpaint.base.errors import Problems, SchemaError
-from hyperpaint.geometry.georeference import PinholeCamera
+from hyperpaint.base.units import takes_quantities
+from hyperpaint.geometry.georeference import LOCATION_UNITS, PinholeCamera
 
+from .misses import PARAMETERS, STEPS, Misses, TieMisses
 from .sightings import Sightings, sightings_of
 
 __all__ = ["BoresightSolution", "solve_boresight"]
 
 
-PARAMETERS = ("roll", "pitch", "heading", "height", "clock")
+_ANGLES = ("roll", "pitch", "heading")
 _UNITS = {"roll": "degree", "pitch": "degree", "heading": "degree", "height": "m", "clock": "s"}
-_STEPS = {"roll": 1e-3, "pitch": 1e-3, "heading": 1e-3, "height": 1e-3, "clock": 5e-4}
-"""Over which misses are differenced."""
 _MAX_SD = {"roll": 5.0, "pitch": 5.0, "heading": 5.0, "height": 50.0, "clock": 1.0}
 """Uncertainty, of picking to one pixel, beyond which points add nothing to what is known without them."""
 _FIELDS = ("along_track_pixel", "cross_track_pixel", "east", "north", "height")
@@ -114,12 +114,13 @@ class BoresightSolution:
         return "\n".join(rows)
 
 
+@takes_quantities(**LOCATION_UNITS)
 def solve_boresight(
     lines: xr.Dataset | Mapping[str, xr.Dataset],
     control_points: xr.Dataset,
     *,
     navigation: xr.Dataset | Mapping[str, xr.Dataset] | None = None,
-    solve: Sequence[str] = PARAMETERS,
+    solve: Sequence[str] | None = None,
     boresight: Sequence[float] = (0.0, 0.0, 0.0),
     lever_arm: Sequence[float] = (0.0, 0.0, 0.0),
     clock_offset_s: float = 0.0,
@@ -128,7 +129,7 @@ def solve_boresight(
     crs: Any = None,
     largest_picking_sd: float = 3.0,
 ) -> BoresightSolution:
-    r"""Solve for the mounting of a camera, and its clock, from ground control points (eager).
+    r"""Solve for the mounting of a camera, and its clock, from points (eager).
 
     Parameters
     ----------
@@ -137,12 +138,14 @@ def solve_boresight(
     control_points
         ``along_track_pixel``, ``cross_track_pixel`` where a point is seen, fractions of a pixel from the
         centre of the first; ``east``, ``north`` and ``height`` above the ellipsoid [m] where it is (point);
-        with several lines ``flightline``. See `hyperpaint.read_control_points`.
+        with several lines ``flightline``. See `hyperpaint.read_control_points`. Or tie points (point, side),
+        whose place is not known, as `hyperpaint.geometry.find_tie_points` returns them.
     navigation
         See `hyperpaint.locate`; one of all lines, or one of each by its name.
     solve
         Which of ``"roll"``, ``"pitch"``, ``"heading"``, ``"height"`` (added to the record's altitude) and
-        ``"clock"`` (added to the lines' time); the others stay as given.
+        ``"clock"`` (added to the lines' time); the others stay as given. By default all of control points,
+        and the three angles of tie points.
     boresight, lever_arm, clock_offset_s
         Where to begin; ``lever_arm`` is not solved for.
     camera, convention
@@ -178,10 +181,17 @@ def solve_boresight(
     The sum of squares has a minimum with every swing of the platform: the clock is looked for within 1 s of
     where it begins. Points that miss by more than twice the field of view are left out from the start.
 
+    The place of a tie point is the mean of where both lines of sight reach its ``height``, whatever the
+    parameters are. Lines of one course and height all shift alike, and leave pitch, height or clock open:
+    opposite and crossing lines are what tells them.
+
     Pitch and clock both move points along the track: on a line that does not turn they are one. Lines of
     opposite courses part them, as does the platform's own wobble.
     """
-    names = _checked(solve, control_points)
+    pairs = control_points.sizes["point"] if "side" in control_points.dims else 0
+    if pairs:
+        control_points = _sides(control_points)
+    names = _checked((_ANGLES if pairs else PARAMETERS) if solve is None else solve, control_points)
     start = np.array([*boresight, 0.0, clock_offset_s], np.float64)
     forward, right, down = (float(length) for length in lever_arm)
     sights = _sights(
@@ -189,14 +199,18 @@ def solve_boresight(
     )
     free = [PARAMETERS.index(name) for name in names]
     white = [sight.whitening(start) for sight in sights]
-    points = _Points(sights, start, free, control_points.sizes["point"], white)
+    points = Misses(sights, start, free, control_points.sizes["point"], white)
+    if pairs:
+        heights = control_points["height"].values.astype(np.float64)
+        points = TieMisses(sights, start, free, points.count, white, heights)
     plausible = _plausible(points)
-    _refuse_unidentifiable(points.slopes(start[free], plausible), names, plausible)
+    _refuse_unidentifiable(points, start[free], names, plausible)
     fit = _best_fit(points, plausible)
     slopes = fit.points.slopes(fit.free, fit.used)
-    condition = _refuse_unidentifiable(slopes, names, fit.used)
+    condition = _refuse_unidentifiable(fit.points, fit.free, names, fit.used)
     misses = fit.points.misses(fit.free)
-    freedom = 2 * int(fit.used.sum()) - len(free)
+    # half of what two lines tell of a tie point is its place
+    freedom = (1 if pairs else 2) * int(fit.used.sum()) - len(free)
     variance = float((misses[fit.used] ** 2).sum()) / freedom
     if variance > largest_picking_sd**2:
         raise SchemaError(
@@ -210,6 +224,11 @@ def solve_boresight(
         _labelled(np.asarray(variance * np.linalg.inv(slopes.T @ slopes), np.float64), names),
         _residuals(control_points, misses, fit.used), float(np.sqrt(variance)), condition,
     )  # fmt: skip
+
+
+def _sides(ties: xr.Dataset) -> xr.Dataset:
+    """Return tie points as points: those that the first line of each pair sees, then those of the second."""
+    return xr.concat([ties.isel(side=side) for side in range(2)], "point", data_vars="all")
 
 
 def _checked(solve: Sequence[str], points: xr.Dataset) -> list[str]:
@@ -274,61 +293,22 @@ def _sights(
     return sights
 
 
-@dataclass(frozen=True)
-class _Points:
-    """Misses of all points as a function of what is solved for."""
-
-    sights: list[Sightings]
-    start: Floats  #: all five parameters where the solution begins
-    free: list[int]  #: positions in `PARAMETERS` of those that are solved for
-    count: int
-    white: list[Floats]  #: turns the misses of each sighting into pixels of picking
-
-    def parameters(self, free: Floats) -> Floats:
-        """Return all five parameters."""
-        parameters = self.start.copy()
-        parameters[self.free] = free
-        return parameters
-
-    def misses(self, free: Floats) -> Floats:
-        """Return misses of all points (point, 2) [pixel of picking]."""
-        at, misses = self.parameters(free), np.zeros((self.count, 2))
-        for sight, white in zip(self.sights, self.white, strict=True):
-            misses[sight.index] = np.einsum("nij,nj->ni", white, sight.misses(at))
-        return misses
-
-    def whitened(self, free: Floats) -> _Points:
-        """Return the same with the motion of points in the picture as it is with these parameters."""
-        at = self.parameters(free)
-        return replace(self, white=[sight.whitening(at) for sight in self.sights])
-
-    def slopes(self, free: Floats, used: Bools) -> Floats:
-        """Return derivatives of the misses of points that are used (2 point, parameter)."""
-        columns = []
-        for k, parameter in enumerate(self.free):
-            step = np.zeros(free.size)
-            step[k] = _STEPS[PARAMETERS[parameter]]
-            change = self.misses(free + step) - self.misses(free - step)
-            columns.append(change[used].ravel() / (2.0 * step[k]))
-        return np.stack(columns, axis=1)
-
-
 class _Fit(NamedTuple):
     """Parameters that fit, of which points, and the median distance that these are left with [pixel]."""
 
     free: Floats
     used: Bools
     left: float
-    points: _Points
+    points: Misses
 
 
 def _fit(
-    points: _Points, free: Floats, used: Bools, scale: float | None = None, roughly: bool = False
+    points: Misses, free: Floats, used: Bools, scale: float | None = None, roughly: bool = False
 ) -> Floats:
     """Return the parameters that fit best, or nearly; with a scale [pixel] by soft-L1."""
     from scipy.optimize import least_squares
 
-    units = np.array([_STEPS[PARAMETERS[p]] for p in points.free])
+    units = np.array([STEPS[PARAMETERS[p]] for p in points.free])
     solution = least_squares(
         lambda u: np.nan_to_num(points.misses(u * units)[used].ravel(), nan=1e3),
         free / units,
@@ -342,7 +322,7 @@ def _fit(
     return np.asarray(solution.x * units)
 
 
-def _plausible(points: _Points) -> Bools:
+def _plausible(points: Misses) -> Bools:
     """Tell which points miss by no more than a mounting or a clock could account for."""
     at, plausible = points.start, np.ones(points.count, bool)
     misses = [sight.misses(at) for sight in points.sights]
@@ -354,7 +334,7 @@ def _plausible(points: _Points) -> Bools:
     return plausible if 2 * plausible.sum() > points.count else np.ones(points.count, bool)
 
 
-def _best_fit(points: _Points, plausible: Bools) -> _Fit:
+def _best_fit(points: Misses, plausible: Bools) -> _Fit:
     """Return the fit with the clock that fits best; SchemaError where another fits nearly as well."""
     if PARAMETERS.index("clock") not in points.free:
         return _robust_fit(points, points.start[points.free], plausible)
@@ -372,7 +352,7 @@ def _best_fit(points: _Points, plausible: Bools) -> _Fit:
     return best._replace(points=points.whitened(best.free))
 
 
-def _clock_candidates(points: _Points, plausible: Bools) -> list[Floats]:
+def _clock_candidates(points: Misses, plausible: Bools) -> list[Floats]:
     """Return where to begin: the best of clocks around, the others fit to each."""
     begun, left = [], []
     for clock in points.start[4] + np.array(RULES.clock_search_s):
@@ -393,7 +373,7 @@ def _clock_candidates(points: _Points, plausible: Bools) -> list[Floats]:
     return [begun[k] for k in sorted(near, key=lambda k: left[k])[: RULES.max_clock_candidates]]
 
 
-def _robust_fit(points: _Points, free: Floats, plausible: Bools) -> _Fit:
+def _robust_fit(points: Misses, free: Floats, plausible: Bools) -> _Fit:
     """Return the fit without points that lie off, first by soft-L1, then by leaving them out."""
     used, count = plausible, int(plausible.sum())
     free = _fit(points, free, used)
@@ -403,7 +383,7 @@ def _robust_fit(points: _Points, free: Floats, plausible: Bools) -> _Fit:
         free = _fit(points, free, used, 1.5 * scale)
     freedom = np.sqrt(2 * count / max(2 * count - len(points.free), 1))
     for _ in range(RULES.max_outlier_rounds):
-        away = np.linalg.norm(points.misses(free), axis=1)
+        away = points.distances(free)
         # the median of the distance of a point is 1.177 standard deviations of line or column
         scale = freedom * max(float(np.nanmedian(away[used])) / 1.1774, 1e-6)
         good = (away < RULES.outlier_sd * scale) & plausible
@@ -422,13 +402,12 @@ def _median_distance(misses: Floats) -> float:
     return float(np.median(np.where(np.isfinite(away), away, np.inf)))
 
 
-def _refuse_unidentifiable(slopes: Floats, names: list[str], used: Bools) -> float:
+def _refuse_unidentifiable(points: Misses, free: Floats, names: list[str], used: Bools) -> float:
     """Return the condition number; SchemaError names parameters that move no points, or as others do."""
-    length = np.linalg.norm(slopes, axis=0)
-    problems = Problems(
-        f"{int(used.sum())} control points do not tell all of {', '.join(names)}", SchemaError
-    )
-    for name, size in zip(names, length, strict=True):
+    slopes, alone = points.slopes(free, used), points.lengths(free, used)
+    length = np.maximum(np.linalg.norm(slopes, axis=0), 1e-12)
+    problems = Problems(f"{int(used.sum())} points do not tell all of {', '.join(names)}", SchemaError)
+    for name, size in zip(names, alone, strict=True):
         if not size * _MAX_SD[name] > 1.0:
             problems.add(
                 f"{name}: {_MAX_SD[name]:g} {_UNITS[name]} would move points by less than a pixel; leave it "
@@ -438,13 +417,15 @@ def _refuse_unidentifiable(slopes: Floats, names: list[str], used: Bools) -> flo
     _, singular, turned = np.linalg.svd(slopes / length, full_matrices=False)
     condition = float(singular[0] / singular[-1]) if singular[-1] > 0 else np.inf
     widened = np.sqrt(((turned.T / np.maximum(singular, 1e-12)) ** 2).sum(axis=1))
+    # a tie point moves with both lines, and tells the less the more alike they move it
+    widened *= np.maximum(alone / length, 1.0)
     loose = [k for k in range(len(names)) if widened[k] > RULES.max_widening]
     if 2 * used.sum() <= len(names) or loose:
         for k in loose:
             partners = [n for j, n in enumerate(names) if j != k and abs(turned[-1, j]) > 0.3]
             problems.add(
                 f"{names[k]}: its uncertainty is {min(widened[k], 1e9):.3g} times that of {names[k]} alone, "
-                f"since {' and '.join(partners) or 'others'} would move the points alike"
+                f"since {' and '.join(partners) or 'both lines'} would move the points alike"
             )
         problems.add(
             f"condition number {min(condition, 1e12):.3g}; add lines of other courses, heights or with more "

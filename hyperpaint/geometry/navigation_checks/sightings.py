@@ -67,6 +67,24 @@ class Sightings:
         """Tell which points are behind the camera (point,), where a miss means nothing."""
         return np.asarray(self._ways(mounting, 0.0)[:, 2] <= 0.0)
 
+    def hits(self, mounting: Floats, height: Floats) -> Floats:
+        """Return geocentric places (point, 3) where the lines of sight reach a height [m]."""
+        *boresight, above, clock = mounting.tolist()
+        poses = self._poses(clock, 0.0)
+        body = matrices(quaternions(*poses[3:]))
+        centre, axes = _place(poses[0], poses[1], poses[2] + above)
+        look = np.stack([self.forward, self.right, np.ones_like(self.right)], axis=-1)
+        arm = body @ np.array(self.lever_arm)
+        ray = np.einsum("nij,nj->ni", body, look @ matrices(quaternions(*boresight)).T)
+        fall = poses[2] + above - arm[:, 2] - height[self.index]
+        aside = (ray[:, :2] ** 2).sum(axis=-1)
+        reach = fall / ray[:, 2]
+        # ground of equal height falls off under the tangent plane by 8 cm in a kilometre
+        for _ in range(2):
+            reach = (fall + reach**2 * aside / (2.0 * WGS84_SEMI_MAJOR_AXIS_M)) / ray[:, 2]
+        way = arm + reach[:, None] * ray
+        return np.asarray(centre + np.einsum("nji,nj->ni", axes, way))
+
     def whitening(self, mounting: Floats) -> Floats:
         """Return what turns misses into pixels of picking (point, 2, 2).
 

@@ -16,8 +16,8 @@ from hyperpaint.kernels.inverse_map import fill_between, invert_lines
 from .grids import MapGrid, Survey
 
 __all__ = [
-    "RULES", "Plan", "Reading", "TileIndex", "Window", "areas_between", "gaps_of", "index_tile",
-    "map_spectra", "nearest_values", "needed_slabs", "plane_values", "reading_of",
+    "RULES", "Plan", "Reading", "TileIndex", "Window", "areas_between", "gaps_of", "hidden_between",
+    "index_tile",    "map_spectra", "nearest_values", "needed_slabs", "plane_values", "reading_of",
 ]  # fmt: skip
 
 
@@ -36,6 +36,8 @@ class Plan:
     rule: int  #: Position in `RULES`
     longest: float  #: Edge from which four pixels do not span a patch [cell]
     last: int  #: Number of the last line
+    #: How far neighbouring pixels may be shifted against each other by their heights [m]
+    parallax: float
     #: (pair, 4, 2) float64: east and north of the corners of the area from every line that has a place to
     #: the next that has, around it [m]
     between: Floats
@@ -101,24 +103,51 @@ def index_tile(
     starts: Sequence[int],
     east: Sequence[Floats],
     north: Sequence[Floats],
+    *relief: Sequence[Floats],
 ) -> TileIndex:
     """Return the places of the line at the cells of a tile.
 
-    ``starts`` are the first lines of the slabs, whose pixels lie at ``east`` and ``north`` (line, column).
+    ``starts`` are the first lines of the slabs, whose pixels lie at ``east`` and ``north`` (line, column);
+    ``relief`` are the height of what they show [m], and the tangent of the zenith angle they are seen at,
+    where that is known: between pixels far apart in height there is ground that neither shows.
     """
     shape = rows.stop - rows.start, cols.stop - cols.start
     place, nearest = np.full((2, *shape), np.nan), np.full((2, *shape), -1, np.int32)
     rank, hits = np.full(shape, np.inf), np.zeros(shape, np.uint16)
     out = InverseTile(place, nearest, rank, hits)
     cells = MapCells(plan.grid.frame, (rows.start, cols.start), plan.longest, plan.rule)
-    follows, before = -1, (np.empty(0), np.empty(0))
-    for start, *slab in zip(starts, east, north, strict=True):
+    follows, before = -1, [np.empty(0)] * (2 + len(relief))
+    for start, *slab in zip(starts, east, north, *relief, strict=True):
         if start != follows:
-            before = np.full(slab[0].shape[1], np.nan), np.full(slab[0].shape[1], np.nan)
-        e, n = (np.ascontiguousarray(part) for part in slab)
-        invert_lines(LinePositions(e, n, *before), start, plan.last, cells, out)
-        before, follows = (e[-1], n[-1]), start + len(e)
+            before = [np.full(slab[0].shape[1], np.nan)] * len(slab)
+        e, n, *surface = (np.ascontiguousarray(part) for part in slab)
+        hidden = np.zeros((0, 0), bool)
+        if surface:
+            hidden = hidden_between(surface[0], surface[1], before[2:], plan.parallax)
+        invert_lines(LinePositions(e, n, before[0], before[1], hidden), start, plan.last, cells, out)
+        before, follows = [e[-1], n[-1], *(part[-1] for part in surface)], start + len(e)
     return TileIndex(place[0], place[1], nearest[0], nearest[1], hits)
+
+
+def hidden_between(height: Floats, tangent: Floats, before: Sequence[Floats], parallax: float) -> Bools:
+    """Return between which pixels and those of the line before there is hidden ground (line, column - 1).
+
+    ``height`` [m] and ``tangent`` of the zenith angle (line, column) are of lines that follow one another,
+    ``before`` (column,) those of the line before. Of four pixels that span a patch, the difference of heights
+    times the tangent is by how much some are shifted on the map against where their neighbours see past them.
+    That is more than their spacing only where the surface falls away steeper than the line of sight; on a
+    wall that is seen it is just the spacing.
+    """
+    heights, tangents = (
+        np.concatenate([first[None], lines]) for first, lines in zip(before, (height, tangent), strict=True)
+    )
+
+    def of_patches(reduce: np.ufunc, values: Floats) -> Floats:
+        of_pairs = reduce(values[:-1], values[1:])
+        return np.asarray(reduce(of_pairs[:, :-1], of_pairs[:, 1:]))
+
+    drop = of_patches(np.maximum, heights) - of_patches(np.minimum, heights)
+    return np.asarray(drop * of_patches(np.maximum, tangents) > parallax)
 
 
 def gaps_of(plan: Plan, rows: slice, cols: slice, index: TileIndex) -> Array:

@@ -13,31 +13,41 @@ import xarray as xr
 
 from hyperpaint.base.errors import Problems, SchemaError
 from hyperpaint.base.schema import ALONG_TRACK, BAND, CHUNK_LINES, CROSS_TRACK, dtype_of, label, require
-from hyperpaint.geometry.georeference import locate
+from hyperpaint.base.units import takes_quantities
+from hyperpaint.geometry.georeference import LOCATION_UNITS, locate
 from hyperpaint.geometry.georeference.geodesy import crs_of, grid_mapping_attrs
 
 from .grids import MapGrid, Progress, Survey, box_of, covering, direction_of_flight, north_axes, survey_lines
 from .indexing import RULES, Plan, areas_between, needed_slabs
+from .plausibility import swath_attrs
 from .tiling import Tiles, in_slabs, mapped, prepared, tile_windows
 
 __all__ = ["map_report", "orthorectify"]
 
 
-_GRIDS = ("flight", "north")
+_GRIDS = ("north", "flight")
 _METHODS = ("nearest", "bilinear")
+_RELIEF = ("ground_height", "view_zenith")
+_MAX_PARALLAX_PX = 1.05
+"""Shift of neighbouring pixels by their heights beyond which ground between them is hidden [spacing across].
+
+On a wall that the camera sees it is 1, whatever its height. With 1.25 a sixth of the hidden cells behind cars
+is shown; with 0.6 no fewer than with 1.05, and more of what was seen is lost (support/hidden_ground.py).
+"""
 _MAX_TILES = 100_000
 """A graph of more takes minutes and gigabytes before anything is computed."""
 
 
+@takes_quantities(**LOCATION_UNITS, gsd="m", bounds="m")
 def orthorectify(
     line: xr.Dataset,
     gsd: float | None = None,
     *,
-    grid: Literal["flight", "north"] = "flight",
+    grid: Literal["north", "flight"] = "north",
     variables: Iterable[str] | None = None,
     method: Literal["nearest", "bilinear"] = "nearest",
     multi_hit: Literal["nadir", "first", "last"] = "nadir",
-    max_stretch: float = 20.0,
+    max_stretch: float = 3.0,
     tile: int = 256,
     bounds: Sequence[float] | None = None,
     progress: Progress | None = None,
@@ -57,9 +67,9 @@ def orthorectify(
         Edge of a cell [m]; by default the larger of the spacings across and along the track, as medians over
         lines. Finer cells repeat pixels, coarser ones leave pixels out: nothing is averaged.
     grid
-        ``"flight"``: rows across the flight, which goes up; best to work with, since a tile then needs few
-        lines. ``"north"``: north up, cells starting at whole multiples of ``gsd``, so that several lines
-        share one grid.
+        ``"north"``: north up, cells starting at whole multiples of ``gsd``, so that several lines share one
+        grid. ``"flight"``: rows across the flight, which goes up; smaller, and quicker, since a tile then
+        needs few lines.
     variables
         What comes along: cubes, and whatever pixels, lines or columns have one of. By default reflectance
         (else radiance; with neither it is computed from counts), ``quality``, ``time`` as ``line_time``,
@@ -74,7 +84,8 @@ def orthorectify(
         (``"nadir"``), or the first or last in time. Spectra are never averaged.
     max_stretch
         Four neighbouring pixels with an edge longer than this many cells, or pixel spacings where these are
-        larger, are a gap, and nothing is drawn between them.
+        larger, are a gap, and nothing is drawn between them: two frames that were lost are bridged, three are
+        not.
     tile
         Rows and columns of a task.
     bounds
@@ -92,9 +103,10 @@ def orthorectify(
         the nearest of the four pixels around it; ``hits``: how many patches of four pixels show a cell;
         ``gap``, where none does between the ends of the lines. Where nothing is shown, numbers are NaN, whole
         numbers as their attribute ``empty_value`` says, and ``quality`` is ``off_swath``. ``spatial_ref``
-        holds the crs and the ``GeoTransform`` of GDAL. ``x`` and ``y`` are map coordinates with north up;
-        along the flight they are distances from the corner of the grid, and ``east`` and ``north`` (y, x) are
-        map coordinates.
+        holds the crs and the ``GeoTransform`` of GDAL. ``x`` and ``y`` are map coordinates with north up. A
+        grid along the flight is turned, as its GeoTransform says, and has ``east`` and ``north`` (y, x) in
+        their place: programs would take distances for map coordinates. (The ``reproject`` of rioxarray wants
+        to be given a target for it, or another map to match.)
 
     Raises
     ------
@@ -113,6 +125,11 @@ def orthorectify(
     Four neighbouring pixels span a bilinear patch on the map; of every cell whose centre lies in it,
     the patch is inverted. That is exact, needs no search radius and leaves no holes in a line that has none
     [1]_.
+
+    On a line that was located on a raster of heights, ground that is hidden behind a car or a house is a gap:
+    where the heights of four neighbouring pixels shift them against each other by more than their spacing,
+    the surface falls away steeper than the line of sight, and nothing between them was seen. Some cells along
+    the edges of what stands up, which were seen in part, go with it.
 
     Where pixels lie is computed twice: once to learn the extent, and once a tile. Of a long line over a DEM,
     ``line = line.assign_coords(east=line.east.compute(), north=line.north.compute())`` trades 16 bytes a
@@ -135,7 +152,7 @@ def orthorectify(
     >>> dims, attrs = ("along_track", "cross_track"), {"units": "m"}
     >>> line = xr.Dataset({"red": (dims, np.arange(9.0).reshape(3, 3))})
     >>> line = line.assign_coords(east=(dims, east, attrs), north=(dims, north, attrs))
-    >>> orthorectify(line, variables="red").red.values
+    >>> orthorectify(line, 2.0, grid="flight", variables="red").red.values
     array([[6., 7., 8.],
            [3., 4., 5.],
            [0., 1., 2.]])
@@ -144,15 +161,16 @@ def orthorectify(
     line = _located(line, location)
     line, names = prepared(line, variables)
     lines = _line_chunks(line, names)
-    east, north, crs = _places(line, lines)
+    (east, north, *relief), crs = _places(line, lines)
     survey, made_grid = _planned(east, north, gsd, grid, bounds, progress)
     _check_tiles(made_grid, tile)
     windows = tile_windows(made_grid.shape, tile)
     stretch = max_stretch * max(1.0, survey.gsd / made_grid.gsd)
     last = line.sizes[ALONG_TRACK] - 1
-    plan = Plan(made_grid, RULES.index(multi_hit), stretch, last, areas_between(survey))
+    parallax = _MAX_PARALLAX_PX * survey.across
+    plan = Plan(made_grid, RULES.index(multi_hit), stretch, last, parallax, areas_between(survey))
     slabs = needed_slabs(survey, made_grid, lines, windows)
-    tiles = Tiles.of(plan, windows, slabs, east, north, bilinear=method == "bilinear")
+    tiles = Tiles.of(plan, windows, slabs, (east, north, *relief), bilinear=method == "bilinear")
     rectified = _dataset(line, names, tiles, lines, crs)
     settings = {
         "gsd": made_grid.gsd,
@@ -162,6 +180,7 @@ def orthorectify(
         "resampling": method,
         "multi_hit": multi_hit,
         "max_stretch": float(max_stretch),
+        **swath_attrs(line, survey.across, survey.along),
     }
     rectified.attrs = {**line.attrs, **settings}
     return rectified
@@ -220,15 +239,22 @@ def _line_chunks(line: xr.Dataset, names: Sequence[str]) -> tuple[int, ...]:
     return (CHUNK_LINES,) * full + ((rest,) if rest else ())
 
 
-def _places(line: xr.Dataset, lines: tuple[int, ...]) -> tuple[da.Array, da.Array, str | None]:
-    """Return east and north [m] in slabs, and their crs."""
+def _places(line: xr.Dataset, lines: tuple[int, ...]) -> tuple[list[da.Array], str | None]:
+    """Return east and north [m], heights and tangents of zenith angles if they differ, in slabs; the crs."""
     coordinates = require(line, ["east", "north"], "a map")
     if min(coordinates["east"].shape) < 2:
         lines_, columns = coordinates["east"].shape
         raise SchemaError(f"{lines_} lines of {columns} columns make no map; two of each are needed")
     crs = coordinates["east"].attrs.get("crs")
-    east, north = (in_slabs(coordinates[name], lines).astype(np.float64) for name in ("east", "north"))
-    return east, north, crs
+    # a line that was located on level ground says its height
+    is_level = isinstance(line.attrs.get("ground"), int | float)
+    relief = []
+    if not is_level and set(_RELIEF) <= set(line.variables):
+        surface = require(line, _RELIEF, "a map without hidden ground")
+        height, zenith = (in_slabs(surface[name], lines).astype(np.float64) for name in _RELIEF)
+        relief = [height, np.tan(np.radians(zenith))]
+    east, north = (in_slabs(each, lines).astype(np.float64) for each in coordinates.values())
+    return [east, north, *relief], crs
 
 
 def _planned(
@@ -288,8 +314,7 @@ def _coordinates(tiles: Tiles, crs: str | None, line: xr.Dataset) -> dict[str, A
         attrs |= line["spatial_ref"].attrs if stands else grid_mapping_attrs(crs_of(crs))
     coordinates: dict[str, Any] = {"spatial_ref": ((), np.int64(0), {**attrs, "GeoTransform": transform})}
     named = {} if crs is None else {"crs": crs}
-    (rows, cols), size = grid.shape, grid.gsd
-    x, y = (np.arange(count) + 0.5 for count in (cols, rows))
+    rows, cols = grid.shape
     if grid.axes.right == (1.0, 0.0):
         east, _ = grid.centres(slice(0, 1), slice(0, cols))
         _, north = grid.centres(slice(0, rows), slice(0, 1))
@@ -298,11 +323,7 @@ def _coordinates(tiles: Tiles, crs: str | None, line: xr.Dataset) -> dict[str, A
             meaning = f"Map coordinate to the {towards}"
             coordinates[name] = (name, values, {"units": "m", **axis, "long_name": meaning, **named})
         return coordinates
-    for name, values, way in (("x", x * size, "to the right of"), ("y", y * size, "down from")):
-        meaning = f"Distance {way} the corner of the grid, which lies along the flight"
-        # these are no map coordinates: east and north are
-        attrs = {"units": "m", "long_name": meaning, "crs": "grid along the flight"}
-        coordinates[name] = (name, values, attrs)
+    # distances from a corner as x and y: with a crs beside them, programs see the Gulf of Guinea
     for name, lazy in zip(("east", "north"), tiles.centres(), strict=True):
         coordinates[name] = label(xr.DataArray(lazy, dims=("y", "x")), name, **named)
     return coordinates

@@ -68,22 +68,21 @@ class Tiles:
         plan: Plan,
         windows: list[list[Window]],
         slabs: dict[Place, list[int]],
-        east: da.Array,
-        north: da.Array,
+        places: Sequence[da.Array],
         *,
         bilinear: bool,
     ) -> Tiles:
-        """Return tiles whose index follows from where the pixels lie."""
-        starts = tuple(np.cumsum((0, *east.chunks[0][:-1])).tolist())
+        """Return tiles whose index follows from the places of pixels: see `index_tile`."""
+        starts = tuple(np.cumsum((0, *places[0].chunks[0][:-1])).tolist())
         shared = {f"orthorectification-plan-{tokenize(plan)}": plan}
         key = next(iter(shared))
         tasks: dict[Place, Any] = {}
         for place, (rows, cols) in _each(windows):
             first = [starts[slab] for slab in slabs[place]]
-            read = [[(of.name, slab, 0) for slab in slabs[place]] for of in (east, north)]
+            read = [[(of.name, slab, 0) for slab in slabs[place]] for of in places]
             tasks[place] = (index_tile, key, rows, cols, first, *read)
         single = ((1,) * len(windows), (1,) * len(windows[0]))
-        index = _array("map-index", tasks, single, object, [east, north], plan, shared)
+        index = _array("map-index", tasks, single, object, places, plan, shared)
         gaps = {p: (gaps_of, key, *window, (index.name, *p)) for p, window in _each(windows)}
         gap = _array("map-gap", gaps, _chunks(windows), np.bool_, [index], plan, shared)
         nearest, before = (

@@ -1,0 +1,13 @@
+"""From several flight lines to one map, and from their overlaps to what a camera's mounting is solved from.
+
+Located lines or maps come in; files: `strips` (lines on one grid, cut into its tiles), `composing` (`mosaic`:
+which line counts at a cell), `levelling` (one factor a line and band),
+`seams` (the areas of the lines as GeoJSON), `tie_points` (places that two lines
+show).
+"""
+
+from .composing import mosaic
+from .seams import seamlines
+from .tie_points import find_tie_points
+
+__all__ = ["find_tie_points", "mosaic", "seamlines"]

@@ -1,0 +1,377 @@
+"""Several flight lines as one map: of every cell the line that shows it best."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from operator import getitem
+from typing import Any, Literal
+
+import dask.array as da
+import numpy as np
+import xarray as xr
+from dask.base import tokenize
+from dask.highlevelgraph import HighLevelGraph
+
+from hyperpaint.base.arrays import Array, Progress
+from hyperpaint.base.errors import Problems, SchemaError
+from hyperpaint.base.schema import BAND, Quality
+from hyperpaint.base.units import takes_quantities
+from hyperpaint.geometry.georeference import LOCATION_UNITS
+from hyperpaint.geometry.orthorectification import MapGrid
+from hyperpaint.io.store.layout import TILE as STORE_TILE
+
+from .levelling import LEVELLED_BY, overlap_factors
+from .strips import Recipe, Strip, fill_of, located_lines, named_lines, shared_grid, strips_of
+
+__all__ = ["mosaic"]
+
+
+RULES = ("nadir", "unflagged", "newest")
+_RANKED_BY = {
+    "nadir": ("view_zenith",), "unflagged": ("quality", "view_zenith"), "newest": ("line_time",)
+}  # fmt: skip
+"""What a rule needs of every line."""
+_EMPTY_PIXEL = int(Quality.OFF_SWATH | Quality.NO_DATA)
+"""Flags of pixels that hold nothing: any other line is better."""
+_LOCATION = (
+    "navigation", "boresight", "lever_arm", "ground", "dem", "crs", "camera", "clock_offset_s", "convention",
+    "max_gap_s", "interpolation",
+)  # fmt: skip
+NO_LINE = np.int16(-1)
+Place = tuple[int, int]
+
+
+@takes_quantities(**LOCATION_UNITS, gsd="m")
+def mosaic(
+    lines: Mapping[str, xr.Dataset] | Sequence[xr.Dataset],
+    gsd: float | None = None,
+    *,
+    rule: Literal["nadir", "unflagged", "newest"] = "nadir",
+    levelling: Literal["overlap"] | None = None,
+    variables: Iterable[str] | None = None,
+    tile: int = 256,
+    progress: Progress | None = None,
+    **options: Any,
+) -> xr.Dataset:
+    """Return several flight lines as one map with north up; every cell is of one line.
+
+    Lazy but for one look at where the pixels of each line lie. A tile reads the lines that show it, one
+    after another, and no others.
+
+    Parameters
+    ----------
+    lines
+        Flight lines by their names, located or to be located with the options of `hyperpaint.locate`; or maps
+        with north up, as `hyperpaint.geometry.orthorectify` returns them, on grids that fit. Lines of a
+        sequence are numbered.
+    gsd
+        Edge of a cell [m]; by default that of the maps, else the largest spacing of the pixels of any line.
+    rule
+        Which line counts where several show a cell: that which looks down most steeply (``"nadir"``, by
+        ``view_zenith``); the same, but pixels without any flag of ``quality`` first (``"unflagged"``); or
+        that flown last (``"newest"``, by ``line_time``). Whatever the rule, pixels without data
+        (``no_data``, ``off_swath``) come last. Between equals the first name in alphabetical order counts.
+    levelling
+        ``"overlap"`` multiplies the spectra of every line by one factor a band, so that lines agree where
+        unflagged cells of two overlap: robust least squares on the logarithm of their ratio, which keeps the
+        mean of all lines. It makes seams fade, and brings errors of one line into the others: off by default.
+        Looking at all overlaps is eager.
+    variables
+        What comes along, as of `hyperpaint.geometry.orthorectify`; all lines must have it.
+    tile
+        Rows and columns of a task.
+    progress
+        Called with slabs looked at and to do, for every line.
+    **options
+        ``method``, ``multi_hit`` and ``max_stretch`` of `hyperpaint.geometry.orthorectify`, and options of
+        `hyperpaint.locate`, which hold for all lines.
+
+    Returns
+    -------
+    xarray.Dataset
+        The variables (y, x[, band]) of the line that counts, never averaged, and unchanged but by levelling.
+        ``flightline`` (y, x): its number, whose name ``flag_values`` and ``flag_meanings`` tell, -1 where no
+        line shows a cell; ``line_count``: how many do; ``gap``: none does, but within the ends of a line;
+        ``levelling_factor`` (source, band), where asked for.
+        Sides of more than 256 cells begin at whole multiples of 128, as chunks of a store do.
+        Otherwise as `hyperpaint.geometry.orthorectify`, whose ``nearest_line`` and ``nearest_sample`` are the
+        pixel of that line.
+
+    Raises
+    ------
+    SchemaError
+        No lines, or ones on different maps or grids, of different wavelengths, units or types, or without
+        what the rule needs; options that do not exist; all of a kind are listed.
+    TimeError, UnitsError, MissingExtraError
+        As `hyperpaint.locate`.
+
+    See Also
+    --------
+    hyperpaint.geometry.orthorectify
+
+    Examples
+    --------
+    Two lines side by side, of which the second looks down more steeply at what both show:
+
+    >>> import numpy as np, xarray as xr
+    >>> def line(first, zenith):
+    ...     north, east = np.meshgrid([9.0, 7.0, 5.0], first + np.array([1.0, 3.0, 5.0]), indexing="ij")
+    ...     dims, metres = ("along_track", "cross_track"), {"units": "m"}
+    ...     planes = {"red": (dims, np.full((3, 3), first)), "view_zenith": (dims, np.full((3, 3), zenith))}
+    ...     places = {"east": (dims, east, metres), "north": (dims, north, metres)}
+    ...     return xr.Dataset(planes).assign_coords(places)
+    >>> pair = {"first": line(0.0, 9.0), "second": line(2.0, 5.0)}
+    >>> both = mosaic(pair, 2.0, variables=["red", "view_zenith"])
+    >>> both.red.values[0], both.flightline.values[0], both.flightline.attrs["flag_meanings"]
+    (array([0., 2., 2., 2.]), array([0, 1, 1, 1], dtype=int16), 'first second')
+    """
+    named = named_lines(lines)
+    _check(rule, gsd, tile, levelling)
+    location = {name: options.pop(name) for name in _LOCATION if name in options}
+    named = located_lines(named, location)
+    shared = shared_grid(named, gsd, progress)
+    strips = strips_of(named, shared, variables, tile, **options)
+    needed = _RANKED_BY[rule]
+    lacking = [s.name for s in strips if not set(needed) <= set(s.map.variables)]
+    if lacking:
+        raise SchemaError(
+            f"rule {rule!r} chooses by {' and '.join(needed)}, which {', '.join(lacking)} lack",
+            mend="locate the lines, add it to variables=, or choose another rule",
+            option="choose another --rule",
+        )
+    return _composed(strips, _aligned(shared.grid), rule, tile, levelling)
+
+
+def _check(rule: Any, gsd: Any, tile: Any, levelling: Any) -> None:
+    problems = Problems("these lines make no mosaic", SchemaError)
+    if rule not in RULES:
+        problems.add(f"rule {rule!r:.60}", expected=" or ".join(map(repr, RULES)))
+    if levelling not in (None, "overlap"):
+        problems.add(f"levelling {levelling!r:.60}", expected="'overlap' or None")
+    if gsd is not None and not (np.ndim(gsd) == 0 and 0.0 < gsd < np.inf):
+        problems.add(f"gsd {gsd!r:.60}", expected="a length above 0 [m]")
+    if not (isinstance(tile, int | np.integer) and tile > 0):
+        problems.add(f"tile {tile!r:.60}", expected="a whole number of cells above 0")
+    problems.raise_if_any()
+
+
+def _planes(
+    rule: str, names: list[str], fills: list[Any], size: int, recipes: dict[int, Recipe], gaps: list[Recipe]
+) -> dict[str, Array]:
+    """Return the choice of a tile, and the planes ``names`` of the lines that count (row, col).
+
+    ``recipes`` are those of the planes, by the number of the line.
+    """
+    shape = size, size
+    line, shown = np.full(shape, NO_LINE), np.zeros(shape, np.uint8)
+    out = {name: np.full(shape, fill) for name, fill in zip(names, fills, strict=True)}
+    best: list[Array] = []
+    for number, recipe in recipes.items():
+        plane = dict(zip(names, recipe.values(), strict=True))
+        ranks = _ranks(rule, plane)
+        if not best:
+            best = [np.zeros(shape, rank.dtype) for rank in ranks]
+        # of a tuple of ranks the first that differs decides; equals stay with the line that came first
+        better, equal = np.zeros(shape, bool), np.ones(shape, bool)
+        for rank, least in zip(ranks, best, strict=True):
+            better |= equal & (rank < least)
+            equal &= rank == least
+        is_shown = plane["hits"] > 0
+        shown += is_shown
+        wins = is_shown & (better | (line == NO_LINE))
+        line[wins] = number
+        for rank, least in zip(ranks, best, strict=True):
+            least[wins] = rank[wins]
+        for name, values in plane.items():
+            out[name][wins] = values[wins]
+    within = np.zeros(shape, bool)
+    for recipe in gaps:
+        within |= recipe.values()[0]
+    return {**out, "flightline": line, "line_count": shown, "gap": within & (line == NO_LINE)}
+
+
+def _spectra(line: Array, fill: Any, bands: int, recipes: dict[int, Recipe], factors: Array | None) -> Array:
+    """Return the spectra of a tile (row, col, band), of the lines that count; of others nothing is read.
+
+    ``factors`` (line, band) multiply them.
+    """
+    out = np.full((*line.shape, bands), fill)
+    for number, recipe in recipes.items():
+        here = line == number
+        if here.any():
+            (tile,) = recipe.values()
+            out[here] = tile[here] if factors is None else tile[here] * factors[number]
+    return out
+
+
+def _ranks(rule: str, plane: Mapping[str, Array]) -> list[Array]:
+    """Return what the pixels of a line are ranked by, the most important first; the least is best."""
+    quality = plane.get("quality", np.zeros_like(plane["hits"]))
+    ranks = [(quality & _EMPTY_PIXEL) != 0]
+    if rule == "newest":
+        time = plane["line_time"].astype("datetime64[ns]").astype(np.int64)
+        # NaT is the least integer, and the oldest
+        return [*ranks, -np.maximum(time, -np.iinfo(np.int64).max)]
+    if rule == "unflagged":
+        ranks.append(quality != 0)
+    return [*ranks, np.where(np.isnan(plane["view_zenith"]), np.inf, plane["view_zenith"])]
+
+
+@dataclass(frozen=True)
+class _Tiles:
+    """The tiles of a mosaic, and the lines that each of them reads."""
+
+    strips: list[Strip]
+    first: Place  #: Row and column of the first tile
+    count: Place  #: Tiles down and to the right
+    size: int  #: Rows and columns of a tile
+
+    def _array(
+        self, name: str, tasks: Mapping[Any, Any], dtype: Any, bands: tuple[int, ...], of: list[da.Array]
+    ) -> da.Array:
+        """Return the array of some tasks, by place."""
+        layer = {(name, *place, *(0 for _ in bands)): task for place, task in tasks.items()}
+        graph = HighLevelGraph.from_collections(name, layer, dependencies=of)
+        rows, cols = ((1 if dtype is object else self.size,) * count for count in self.count)
+        chunks = (rows, cols, *((size,) for size in bands))
+        return da.Array(graph, name, chunks=chunks, meta=np.empty((0,) * len(chunks), dtype))
+
+    def factors(self, variable: str) -> Array:
+        """Return what levels a cube (line, band), of its type."""
+        first = self.strips[0].map[variable]
+        tiles = (self._recipes([*LEVELLED_BY, variable], place) for place in np.ndindex(self.count))
+        return overlap_factors(tiles, len(self.strips), first.shape[2]).astype(first.dtype)
+
+    def _recipes(self, names: list[str], place: Place) -> dict[int, Recipe]:
+        at = self.first[0] + place[0], self.first[1] + place[1]
+        strips = enumerate(self.strips)
+        return {number: strip.recipe(names, at) for number, strip in strips if strip.reaches(at)}
+
+    def planes(self, rule: str, names: list[str]) -> da.Array:
+        """Return the `_planes` of every tile, as an array of one dict a tile."""
+        first = self.strips[0].map
+        fills = [fill_of(name, first[name].dtype) for name in names]
+        tasks = {}
+        for place in np.ndindex(self.count):
+            at = self.first[0] + place[0], self.first[1] + place[1]
+            gaps = [strip.recipe(["gap"], at) for strip in self.strips if strip.covers(at)]
+            given = (rule, names, fills, self.size, self._recipes(names, place), gaps)
+            tasks[place] = (partial(_planes, *given),)
+        sources = [[strip.map[name].data.name for name in names] for strip in self.strips]
+        name = f"mosaic-planes-{tokenize(sources, rule, self.first, self.count, self.size)}"
+        return self._array(name, tasks, object, (), [])
+
+    def plane(self, planes: da.Array, name: str, dtype: Any) -> da.Array:
+        """Return one of the planes (row, col)."""
+        tasks = {place: (getitem, (planes.name, *place), name) for place in np.ndindex(self.count)}
+        return self._array(f"mosaic-{name}-{planes.name[14:]}", tasks, dtype, (), [planes])
+
+    def spectra(self, lines: da.Array, variable: str, factors: Array | None) -> da.Array:
+        """Return spectra (row, col, band) of the lines that count."""
+        first = self.strips[0].map[variable]
+        fill, (bands,) = fill_of(variable, first.dtype), first.shape[2:]
+        tasks = {}
+        for place in np.ndindex(self.count):
+            given = {"fill": fill, "bands": bands, "factors": factors}
+            recipes = self._recipes([variable], place)
+            tasks[place] = (partial(_spectra, recipes=recipes, **given), (lines.name, *place))
+        name = f"mosaic-{variable}-{tokenize(lines.name, variable, factors)}"
+        return self._array(name, tasks, first.dtype, (bands,), [lines])
+
+
+def _aligned(grid: MapGrid) -> MapGrid:
+    """Return a grid whose larger sides begin where a chunk of a store would.
+
+    Tiles begin at whole multiples of their size on the map. Where a mosaic of several begins between two
+    chunks of a store, every chunk is written from up to four tiles, which are held until then.
+    """
+    starts = [
+        first - first % STORE_TILE if size > 2 * STORE_TILE else first
+        for first, size in zip(grid.first, grid.shape, strict=True)
+    ]
+    sizes = [size + first - start for first, size, start in zip(grid.first, grid.shape, starts, strict=True)]
+    return replace(grid, first=(starts[0], starts[1]), shape=(sizes[0], sizes[1]))
+
+
+def _composed(strips: list[Strip], grid: MapGrid, rule: str, tile: int, levelling: str | None) -> xr.Dataset:
+    """Return the mosaic of lines on one grid."""
+    first = strips[0].map
+    starts = [start // tile for start in grid.first]
+    ends = [-(-(start + size) // tile) for start, size in zip(grid.first, grid.shape, strict=True)]
+    tiles = _Tiles(strips, (starts[0], starts[1]), (ends[0] - starts[0], ends[1] - starts[1]), tile)
+    common = [str(name) for name in first.data_vars if name != "gap"]
+    flat = [name for name in common if first[name].ndim == 2]
+    planes = tiles.planes(rule, flat)
+    numbers = np.arange(len(strips), dtype=np.int16)
+    meanings = " ".join(strip.name.replace(" ", "_") for strip in strips)
+    flags = {"flag_values": numbers, "flag_meanings": meanings, "empty_value": int(NO_LINE)}
+    own: dict[str, tuple[Any, str, dict[str, Any]]] = {
+        "flightline": (np.int16, "Flight line that shows a cell", flags),
+        "line_count": (np.uint8, "How many flight lines show a cell", {"units": "1"}),
+        "gap": (np.bool_, "Whether no line shows a cell within the ends of any", {}),
+    }
+    variables: dict[str, Any] = {}
+    for name, (dtype, meaning, attrs) in own.items():
+        attrs |= {"long_name": meaning, "grid_mapping": "spatial_ref"}
+        variables[name] = (("y", "x"), tiles.plane(planes, name, dtype), attrs)
+    factors = None
+    if levelling is not None:
+        factors = tiles.factors(_cube_to_level(first, flat))
+        about = {"units": "1", "long_name": "Factor of the spectra of a line, from its overlaps with others"}
+        variables["levelling_factor"] = (("source", BAND), factors, about)
+        variables["source"] = ("source", [strip.name for strip in strips], {"long_name": "Flight line"})
+    for name in common:
+        lazy = (
+            tiles.plane(planes, name, first[name].dtype)
+            if name in flat
+            else tiles.spectra(variables["flightline"][1], name, factors)
+        )
+        variables[name] = (first[name].dims, lazy, {**first[name].attrs, "grid_mapping": "spatial_ref"})
+    of_bands = {
+        name: coordinate.variable
+        for name, coordinate in first.coords.items()
+        if coordinate.dims == (BAND,)
+        and all(coordinate.variable.identical(s.map[name].variable) for s in strips)
+    }
+    attrs = {
+        key: value for key, value in first.attrs.items()
+        if all(repr(strip.map.attrs.get(key)) == repr(value) for strip in strips)
+    }  # fmt: skip
+    attrs |= {"gsd": grid.gsd, "grid": "north", "mosaic_rule": rule, "levelling": levelling or "none"}
+    attrs["flightlines"] = [strip.name for strip in strips]
+    whole = xr.Dataset(variables, of_bands, attrs)
+    # tiles reach beyond the lines
+    offset = [start - k * tile for start, k in zip(grid.first, starts, strict=True)]
+    rows, cols = (slice(k, k + size) for k, size in zip(offset, grid.shape, strict=True))
+    return whole.isel(y=rows, x=cols).assign_coords(_coordinates(first, grid))
+
+
+def _cube_to_level(first: xr.Dataset, flat: list[str]) -> str:
+    """Return the name of the one cube of a map."""
+    cubes = [str(name) for name in first.data_vars if name not in flat and first[name].ndim == 3]
+    missing = [name for name in LEVELLED_BY if name not in first.variables]
+    if len(cubes) != 1 or first[cubes[0]].dtype.kind != "f" or missing:
+        raise SchemaError(
+            f"levelling, with {', '.join(cubes) or 'no cube'} and without {', '.join(missing) or 'nothing'}",
+            expected="one cube of floats, such as reflectance, with quality",
+            mend="give variables=",
+        )
+    return cubes[0]
+
+
+def _coordinates(first: xr.Dataset, grid: MapGrid) -> dict[str, Any]:
+    """Return the coordinates of a map with north up, with what those of a line say of themselves."""
+    rows, cols = grid.shape
+    (east, _), (_, north) = (
+        grid.centres(slice(0, 1), slice(0, cols)),
+        grid.centres(slice(0, rows), slice(0, 1)),
+    )
+    attrs = first["spatial_ref"].attrs if "spatial_ref" in first.variables else {}
+    transform = " ".join(repr(float(number)) for number in grid.transform)
+    return {
+        "x": ("x", east[0], first["x"].attrs if "x" in first.coords else {"units": "m"}),
+        "y": ("y", north[:, 0], first["y"].attrs if "y" in first.coords else {"units": "m"}),
+        "spatial_ref": ((), np.int64(0), {**attrs, "GeoTransform": transform}),
+    }

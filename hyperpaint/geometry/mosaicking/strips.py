@@ -1,0 +1,336 @@
+"""Several flight lines as maps on one grid, each cut into the tiles of the mosaic.
+
+A line is surveyed once for where it lies, and then orthorectified over the tiles that it touches, so that
+its own tiles are those of the mosaic and nothing is cut up again.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import dask
+import dask.array as da
+import numpy as np
+import xarray as xr
+from dask._task_spec import convert_legacy_graph, cull
+from dask.highlevelgraph import HighLevelGraph
+
+from hyperpaint.base.arrays import Array, Progress
+from hyperpaint.base.errors import Problems, SchemaError
+from hyperpaint.base.schema import ALONG_TRACK, BAND, CHUNK_LINES, CROSS_TRACK
+from hyperpaint.geometry.georeference import locate
+from hyperpaint.geometry.orthorectification import MapGrid, orthorectify
+from hyperpaint.geometry.orthorectification.grids import Survey, covering, north_axes, survey_lines
+from hyperpaint.geometry.orthorectification.indexing import needed_slabs
+from hyperpaint.geometry.orthorectification.tiling import empty_value, in_slabs, tile_windows
+
+__all__ = ["Strip", "located_lines", "named_lines", "shared_grid", "strips_of"]
+
+
+_ON_GRID_CELLS = 1e-3
+"""Part of a cell by which grids may miss one another and still be one."""
+_SAME_WAVELENGTH_NM = 1e-6
+_NEEDED = ("hits", "gap")
+"""What every map from `orthorectify` has, and a mosaic is composed by."""
+
+
+@dataclass(frozen=True)
+class Strip:
+    """One line as a map on the grid of the mosaic."""
+
+    name: str
+    map: xr.Dataset  #: Variables (y, x[, band]), lazy, in chunks of the tiles of the mosaic
+    corner: tuple[int, int]  #: Row and column of its first tile
+    touched: Array  #: (tile row, tile column) bool: whether the line shows any cell of a tile
+
+    def covers(self, place: tuple[int, int]) -> bool:
+        """Tell whether the map has a tile at a place in the mosaic."""
+        return all(
+            0 <= k - first < size
+            for k, first, size in zip(place, self.corner, self.touched.shape, strict=True)
+        )
+
+    def reaches(self, place: tuple[int, int]) -> bool:
+        """Tell whether the line may show a cell of a tile."""
+        return self.covers(place) and bool(self.touched[place[0] - self.corner[0], place[1] - self.corner[1]])
+
+    def recipe(self, names: Sequence[str], place: tuple[int, int]) -> Recipe:
+        """Return what makes a tile of some variables."""
+        row, col = place[0] - self.corner[0], place[1] - self.corner[1]
+        arrays = [self.map[name].data for name in names]
+        keys = [(array.name, row, col, *(0,) * (array.ndim - 2)) for array in arrays]
+        return Recipe(cull(self._graph, keys), keys)
+
+    @cached_property
+    def _graph(self) -> dict[Any, Any]:
+        merged = HighLevelGraph.merge(*(array.data.dask for array in self.map.data_vars.values()))
+        graph: dict[Any, Any] = convert_legacy_graph(dict(merged))
+        return graph
+
+
+@dataclass(frozen=True)
+class Recipe:
+    """The tasks of one tile of one line, which run one after another within a task of the mosaic.
+
+    As tasks of their own they would be shared with the neighbouring tiles, and the slabs of all lines of a
+    row of tiles be held until the row is done: memory would grow with the number of lines. The price is that
+    a slab is computed for every tile it reaches into.
+    """
+
+    graph: dict[Any, Any]
+    keys: list[Any]
+
+    def values(self) -> list[Array]:
+        """Return the tile of every variable."""
+        return list(dask.get(self.graph, self.keys))
+
+
+def named_lines(lines: Any) -> dict[str, xr.Dataset]:
+    """Return lines by their names, in the order of these; without names they are numbered as they come."""
+    if isinstance(lines, xr.DataTree):
+        lines = {name: branch.to_dataset() for name, branch in lines.children.items()}
+    if not isinstance(lines, Mapping | Sequence) or isinstance(lines, xr.Dataset) or not lines:
+        raise SchemaError(
+            f"{type(lines).__name__} is no collection of flight lines; give a dict of datasets by their names"
+        )
+    if isinstance(lines, Mapping):
+        return {str(name): lines[name] for name in sorted(lines, key=str)}
+    digits = len(str(len(lines) - 1))
+    return {f"{number:0{digits}}": line for number, line in enumerate(lines)}
+
+
+def is_map(line: xr.Dataset) -> bool:
+    """Tell whether a dataset is on a map already."""
+    return {"y", "x"} <= set(line.dims)
+
+
+def located_lines(lines: Mapping[str, xr.Dataset], location: Mapping[str, Any]) -> dict[str, xr.Dataset]:
+    """Return the lines with the places of their pixels; maps and located lines as they are."""
+    located = {}
+    for name, line in lines.items():
+        placed = is_map(line) or all(
+            axis in line.variables and set(line[axis].dims) == {ALONG_TRACK, CROSS_TRACK}
+            for axis in ("east", "north")
+        )
+        located[name] = line if placed else locate(line, **location)
+    return located
+
+
+@dataclass(frozen=True)
+class SharedGrid:
+    """The grid of a mosaic, and where each line lies on it."""
+
+    grid: MapGrid
+    surveys: dict[str, Survey]  #: Of lines that are no maps yet
+    grids: dict[str, MapGrid]  #: Of every line: the cells it covers
+
+
+def shared_grid(lines: Mapping[str, xr.Dataset], gsd: float | None, progress: Progress | None) -> SharedGrid:
+    """Return the grid that covers all lines; eager in where they lie, a line at a time.
+
+    Raises
+    ------
+    SchemaError
+        The lines are on different maps; maps have other cells than the mosaic, or are turned; all are listed.
+    """
+    problems = Problems("these lines make no mosaic", SchemaError)
+    crs = {name: _crs(line) for name, line in lines.items()}
+    if len(set(crs.values())) > 1:
+        listed = ", ".join(f"{name}: {one}" for name, one in crs.items())
+        problems.add(f"lines on different maps ({listed})", mend="give crs=", option="give --crs")
+    surveys = {
+        name: survey_lines(*_places(line), north_axes(), progress)
+        for name, line in lines.items()
+        if not is_map(line)
+    }
+    transforms = {name: _transform(name, line, problems) for name, line in lines.items() if is_map(line)}
+    problems.raise_if_any()
+    size = gsd
+    if size is None:
+        size = next(
+            (one[1] for one in transforms.values()), max((s.gsd for s in surveys.values()), default=np.nan)
+        )
+    size = float(size)
+    axes = north_axes()
+    if transforms:
+        # maps of others begin anywhere; those of hyperpaint at whole multiples of a cell
+        east, *_, north, _, _ = next(iter(transforms.values()))
+        phase = [way - size * round(way / size) for way in (east, north)]
+        if max(map(abs, phase)) > _ON_GRID_CELLS * size:
+            axes = type(axes)(axes.right, (phase[0], phase[1]))
+    grids = {name: covering(axes, size, survey.box, whole=False) for name, survey in surveys.items()}
+    for name, transform in transforms.items():
+        col, row = (
+            (transform[0] - axes.anchor[0]) / size, -(transform[3] - axes.anchor[1]) / size
+        )  # fmt: skip
+        off = max(abs(col - round(col)), abs(row - round(row)), abs(transform[1] / size - 1.0) * 1e4)
+        if off > _ON_GRID_CELLS:
+            problems.add(
+                f"{name} has cells of {transform[1]:.9g} m from ({transform[0]:.9g}, {transform[3]:.9g})",
+                expected=f"cells of {size:.9g} m on the grid of the others",
+                mend="orthorectify all lines with one gsd and grid='north', or give the lines",
+            )
+        shape = lines[name].sizes["y"], lines[name].sizes["x"]
+        grids[name] = MapGrid(axes, size, (round(row), round(col)), shape)
+    problems.raise_if_any()
+    firsts = np.array([grid.first for grid in grids.values()])
+    ends = firsts + [grid.shape for grid in grids.values()]
+    first, end = firsts.min(axis=0).tolist(), ends.max(axis=0).tolist()
+    shape = (end[0] - first[0], end[1] - first[1])
+    return SharedGrid(MapGrid(axes, size, (first[0], first[1]), shape), surveys, grids)
+
+
+def strips_of(
+    lines: Mapping[str, xr.Dataset],
+    shared: SharedGrid,
+    variables: Iterable[str] | None,
+    tile: int,
+    **options: Any,
+) -> list[Strip]:
+    """Return all lines on the grid of the mosaic, cut into its tiles; options as of `orthorectify`.
+
+    Raises
+    ------
+    SchemaError
+        Lines have other wavelengths, units or types than the first; maps lack what a mosaic is composed by.
+    """
+    strips = []
+    for name, line in lines.items():
+        corner, rows, cols = _tiles_of(shared.grids[name], tile)
+        if is_map(line):
+            strips.append(_cut(name, line, shared.grids[name], (corner, rows, cols), variables))
+            continue
+        own = replace(shared.grid, first=(rows[0], cols[0]), shape=(rows[-1] - rows[0], cols[-1] - cols[0]))
+        west, _, _, north, _, _ = own.transform
+        bounds = (west, north - own.shape[0] * own.gsd, west + own.shape[1] * own.gsd, north)
+        strip = orthorectify(
+            line, own.gsd, grid="north", variables=variables, tile=tile, bounds=bounds, **options
+        )
+        survey = shared.surveys[name]
+        windows = tile_windows(own.shape, tile)
+        touched = np.zeros((len(windows), len(windows[0])), bool)
+        for place, slabs in needed_slabs(survey, own, [len(survey.boxes)], windows).items():
+            touched[place] = bool(slabs)
+        strips.append(Strip(name, strip, corner, touched))
+    _check_alike(strips)
+    return strips
+
+
+def _tiles_of(part: MapGrid, tile: int) -> tuple[tuple[int, int], list[int], list[int]]:
+    """Return row and column of the first tile that a map touches, and the edges of all, in rows and columns.
+
+    Tiles are counted from the anchor of the grid, as cells are: those of a line do not move when another
+    line joins the mosaic, and with them no rounding does.
+    """
+    edges, corner = [], []
+    for first, count in zip(part.first, part.shape, strict=True):
+        begin, end = first // tile, -(-(first + count) // tile)
+        edges.append([k * tile for k in range(begin, end + 1)])
+        corner.append(begin)
+    return (corner[0], corner[1]), edges[0], edges[1]
+
+
+def _cut(
+    name: str,
+    line: xr.Dataset,
+    own: MapGrid,
+    tiles: tuple[tuple[int, int], list[int], list[int]],
+    variables: Iterable[str] | None,
+) -> Strip:
+    """Return a map cut along the tiles of the mosaic, and padded to whole ones."""
+    missing = [needed for needed in _NEEDED if needed not in line.variables]
+    if missing:
+        raise SchemaError(
+            f"the map {name} has no {', '.join(missing)}, which tell what it shows",
+            mend="give what hyperpaint.geometry.orthorectify returns, or the flight line",
+        )
+    corner, *edges = tiles
+    pads, sizes = [], []
+    for start, count, edge in zip(own.first, own.shape, edges, strict=True):
+        pads.append((start - edge[0], edge[-1] - (start + count)))
+        sizes.append(tuple(np.diff(edge).tolist()))
+    names = list(line.data_vars) if variables is None else [*dict.fromkeys([*_NEEDED, *variables])]
+    cut = {}
+    for variable in (held for held in names if {"y", "x"} <= set(line[held].dims)):
+        array = line[variable].transpose("y", "x", ...)
+        data = array.chunk(dict(zip(("y", "x"), map(max, sizes), strict=True))).data
+        if any(map(any, pads)):
+            rest = [(0, 0)] * (data.ndim - 2)
+            data = da.pad(data, [*pads, *rest], constant_values=fill_of(str(variable), data.dtype))
+        data = data.rechunk((*sizes, *(-1,) * (data.ndim - 2)))
+        cut[variable] = xr.DataArray(data, dims=array.dims, attrs=array.attrs)
+    of_bands = {key: line[key].variable for key in line.coords if line[key].dims == (BAND,)}
+    named = {
+        axis: (axis, np.zeros(sum(size)), line[axis].attrs)
+        for axis, size in zip(("y", "x"), sizes, strict=True)
+    }
+    strip = xr.Dataset(cut, coords={**of_bands, **named, **_reference(line)}, attrs=line.attrs)
+    return Strip(name, strip, corner, np.ones([len(size) for size in sizes], bool))
+
+
+def fill_of(name: str, dtype: np.dtype[Any]) -> Any:
+    """Return what a cell of a mosaic gets that no line shows."""
+    return dtype.type(0) if name == "hits" else empty_value(name, dtype)
+
+
+def _check_alike(strips: Sequence[Strip]) -> None:
+    """Refuse lines whose bands, units or types are not those of the first; all are listed."""
+    problems = Problems("these lines make no mosaic", SchemaError)
+    first = strips[0]
+    for strip in strips[1:]:
+        for name in first.map.data_vars:
+            ours, theirs = first.map[name], strip.map.variables.get(name)
+            if theirs is None:
+                problems.add(f"{strip.name} has no {name}, which {first.name} has", mend="give variables=")
+                continue
+            for what, new, old in (
+                ("type", theirs.dtype, ours.dtype),
+                ("size", theirs.shape[2:], ours.shape[2:]),
+                ("units", theirs.attrs.get("units"), ours.attrs.get("units")),
+            ):
+                if new != old:
+                    problems.add(f"{what} of {name} of {strip.name} {new}", expected=f"{old} of {first.name}")
+        one, two = (np.asarray(s.map.coords.get("wavelength", ())) for s in (first, strip))
+        if one.shape != two.shape or not np.allclose(one, two, rtol=0, atol=_SAME_WAVELENGTH_NM):
+            problems.add(f"wavelengths of {strip.name} are not those of {first.name}")
+    problems.raise_if_any()
+
+
+def _places(line: xr.Dataset) -> tuple[da.Array, da.Array]:
+    """Return east and north of the pixels of a located line [m], in slabs."""
+    chunks = line["east"].variable.chunksizes.get(ALONG_TRACK)
+    if chunks is None:
+        full, rest = divmod(line.sizes[ALONG_TRACK], CHUNK_LINES)
+        chunks = (CHUNK_LINES,) * full + ((rest,) if rest else ())
+    east, north = (
+        in_slabs(line[axis].transpose(ALONG_TRACK, CROSS_TRACK), chunks) for axis in ("east", "north")
+    )
+    return east, north
+
+
+def _reference(line: xr.Dataset) -> dict[str, xr.Variable]:
+    return {"spatial_ref": line["spatial_ref"].variable} if "spatial_ref" in line.variables else {}
+
+
+def _crs(line: xr.Dataset) -> Any:
+    """Return what the map of a line is called, for comparison."""
+    if not is_map(line):
+        return line["east"].attrs.get("crs")
+    named = line["x"].attrs.get("crs") if "x" in line.coords else None
+    return named or _reference(line).get("spatial_ref", xr.Variable((), 0)).attrs.get("crs_wkt")
+
+
+def _transform(name: str, line: xr.Dataset, problems: Problems) -> tuple[float, ...]:
+    """Return the GeoTransform of a map; what is wrong with it is added to the problems."""
+    text = _reference(line).get("spatial_ref", xr.Variable((), 0)).attrs.get("GeoTransform")
+    numbers = () if text is None else tuple(float(number) for number in str(text).split())
+    fine = len(numbers) == 6 and numbers[1] == -numbers[5] > 0.0 and numbers[2] == numbers[4] == 0.0
+    if not fine:
+        problems.add(
+            f"the map {name} has the GeoTransform {text}", expected="square cells with north up",
+            mend="orthorectify with grid='north'",
+        )  # fmt: skip
+    return numbers

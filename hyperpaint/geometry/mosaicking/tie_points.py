@@ -1,0 +1,296 @@
+"""The same places on the ground in two overlapping lines, found in their pictures."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import xarray as xr
+
+from hyperpaint.base.arrays import Array, Bools, Floats, Progress
+from hyperpaint.base.errors import SchemaError
+from hyperpaint.base.schema import BAND, CUBE
+from hyperpaint.base.units import takes_quantities
+from hyperpaint.geometry.georeference import LOCATION_UNITS
+from hyperpaint.geometry.orthorectification import orthorectify
+
+from .strips import is_map, located_lines, named_lines, shared_grid
+
+__all__ = ["find_tie_points"]
+
+
+_PICTURED = ("counts", "radiance", "reflectance")
+_FIELDS = ("glt_line", "glt_sample", "ground_height")
+
+
+@dataclass(frozen=True)
+class Rules:
+    """Thresholds of the search, and where they come from."""
+
+    #: Cells from the middle of a patch to its edge: large enough for a few objects, small enough that the
+    #: camera's errors are one shift in it.
+    half_patch: int = 20
+    #: Least correlation that is taken for the same place. Noise of half the contrast leaves 0.8.
+    min_correlation: float = 0.8
+    #: What another place within the search may reach, as a part of the best: beyond it the pattern repeats.
+    max_rival: float = 0.9
+    #: Least standard deviation of a patch along its flattest direction, relative to its mean.
+    min_texture: float = 0.01
+    max_patches: int = 150  #: patches of a pair of lines, those with the most texture
+    outlier_sd: float = 4.0  #: standard deviations of shifts from a plane through those of a pair
+
+
+RULES = Rules()
+
+
+@dataclass(frozen=True)
+class _Picture:
+    """One line as a picture on the shared grid."""
+
+    corner: tuple[int, int]
+    image: Floats  #: (row, col); NaN where nothing is shown
+    fields: Floats  #: (field, row, col): of `_FIELDS`
+
+
+@takes_quantities(**LOCATION_UNITS, gsd="m", search_m="m")
+def find_tie_points(
+    lines: Mapping[str, xr.Dataset] | Sequence[xr.Dataset],
+    gsd: float | None = None,
+    *,
+    search_m: float | None = None,
+    band: int | None = None,
+    rules: Rules = RULES,
+    progress: Progress | None = None,
+    **location: Any,
+) -> xr.Dataset:
+    """Find places that two overlapping lines show, for `hyperpaint.geometry.solve_boresight` (eager).
+
+    Parameters
+    ----------
+    lines
+        Flight lines by their names, located or to be located with the options of `hyperpaint.locate`.
+    gsd
+        Edge of a cell in which pictures are compared [m]; by default twice the largest spacing of pixels.
+    search_m
+        How far apart on the map the two lines may show one place [m]; by default 16 cells. It should be less
+        than half the distance at which the ground repeats itself.
+    band
+        Number of the band that is looked at, of counts, else radiance, else reflectance; by default the
+        middle one.
+    rules
+        Thresholds.
+    progress
+        Called with pairs of lines done and to do.
+    **location
+        Options of `hyperpaint.locate`.
+
+    Returns
+    -------
+    xarray.Dataset
+        ``along_track_pixel`` and ``cross_track_pixel`` (point, side): where each of the two lines shows the
+        place, in fractions of a pixel from the centre of the first; ``flightline`` (point, side);
+        ``east``, ``north`` and ``height`` (point) [m]: where the first of them places it; ``shift``
+        (point, side): how far east and north the second places it of that [m]; ``quality`` (point): the
+        correlation, 1 at the most.
+
+    Raises
+    ------
+    SchemaError
+        Less than two lines, maps in their place, no cube, or no overlap in which anything is found.
+
+    Notes
+    -----
+    Both lines are resampled bilinearly on one grid with north up. Patches with texture in every direction are
+    looked for in the other line by normalised cross-correlation, whose peak is refined by a paraboloid.
+    Patterns that repeat within the search, and shifts apart from a plane through all of a pair, are left out.
+    """
+    named = named_lines(lines)
+    if len(named) < 2 or any(map(is_map, named.values())):
+        raise SchemaError("tie points are of two flight lines or more, in the geometry of the camera")
+    named = located_lines(named, location)
+    if gsd is None:
+        gsd = 2.0 * shared_grid(named, None, None).grid.gsd
+    shared = shared_grid(named, gsd, None)
+    pictures = {name: _picture(line, shared.grids[name], gsd, band) for name, line in named.items()}
+    reach = 16 if search_m is None else max(1, round(search_m / gsd))
+    pairs = list(itertools.combinations(named, 2))
+    rows, names = [], []
+    for count, (first, second) in enumerate(pairs, start=1):
+        ties = _ties_of(pictures[first], pictures[second], reach, rules)
+        rows.append(ties)
+        names += [(first, second)] * len(ties)
+        if progress is not None:
+            progress(count, len(pairs))
+    table = np.concatenate(rows)
+    if not len(table):
+        raise SchemaError(
+            f"no tie points between {', '.join(named)}; do the lines overlap, and by more than "
+            f"{2 * rules.half_patch * gsd:.3g} m?",
+            mend="give a larger search_m=, another band= or gsd=",
+        )
+    east, north = shared.grid.axes.anchor
+    row, col, shift_down, shift_right, quality, height = table[:, :6].T
+    pixels = table[:, 6:].reshape(-1, 2, 2)
+    side = ("point", "side")
+    return xr.Dataset(
+        {
+            "along_track_pixel": (side, pixels[:, :, 0]),
+            "cross_track_pixel": (side, pixels[:, :, 1]),
+            "flightline": (side, np.array(names)),
+            "east": ("point", east + (col + 0.5) * gsd, {"units": "m"}),
+            "north": ("point", north - (row + 0.5) * gsd, {"units": "m"}),
+            "height": ("point", height, {"units": "m"}),
+            "shift": (side, np.stack([shift_right, -shift_down], axis=-1) * gsd, {"units": "m"}),
+            "quality": ("point", quality, {"units": "1", "long_name": "Correlation of the two pictures"}),
+        },
+        attrs={"crs": next(iter(named.values()))["east"].attrs.get("crs"), "gsd": gsd},
+    )
+
+
+def _picture(line: xr.Dataset, grid: Any, gsd: float, band: int | None) -> _Picture:
+    cubes = [name for name in _PICTURED if name in line.variables and set(line[name].dims) == set(CUBE)]
+    if not cubes or "ground_height" not in line.variables:
+        raise SchemaError(
+            "a line has no counts, radiance or reflectance to look at, or no ground_height",
+            mend="locate lines with hyperpaint.locate before",
+        )
+    number = line.sizes[BAND] // 2 if band is None else band
+    seen = line[cubes[0]].isel({BAND: number}, drop=True).astype(np.float32)
+    names = {name for name in line.data_vars if BAND in line[name].dims}
+    flat = line.drop_vars([*names, *(n for n in line.coords if BAND in line[n].dims)]).assign(picture=seen)
+    orthomap = orthorectify(
+        flat, gsd, grid="north", variables=["picture", "ground_height"], method="bilinear"
+    )[["picture", *_FIELDS]].compute()
+    fields = np.stack([orthomap[name].values for name in _FIELDS])
+    return _Picture(grid.first, orthomap["picture"].values.astype(np.float64), fields)
+
+
+def _ties_of(one: _Picture, other: _Picture, reach: int, rules: Rules) -> Floats:
+    """Return row, col, shift down and right, correlation, height and pixels of ties (tie, 10)."""
+    half = rules.half_patch
+    first = np.maximum(one.corner, other.corner)
+    last = np.minimum(
+        np.add(one.corner, one.image.shape), np.add(other.corner, other.image.shape)
+    )  # fmt: skip
+    if (last - first <= 2 * half).any():
+        return np.empty((0, 10))
+    centres = [
+        (row, col)
+        for row in range(first[0] + half, last[0] - half, half)
+        for col in range(first[1] + half, last[1] - half, half)
+    ]
+    textures = np.array([_texture(_window(one, place, half)) for place in centres])
+    order = np.argsort(-textures, kind="stable")[: rules.max_patches]
+    ties = []
+    for place in (centres[k] for k in order if textures[k] > rules.min_texture):
+        shift, quality = _match(_window(one, place, half), _window(other, place, half + reach), rules)
+        if quality < rules.min_correlation:
+            continue
+        seen_by_one = _at(one, np.array(place, float))
+        seen_by_other = _at(other, np.array(place) + shift)
+        tie = [*place, *shift, quality, seen_by_one[2], *seen_by_one[:2], *seen_by_other[:2]]
+        if np.isfinite(tie).all():
+            ties.append(tie)
+    table = np.array(ties, np.float64).reshape(-1, 10)
+    return table[_on_a_plane(table, rules)]
+
+
+def _window(picture: _Picture, place: Sequence[int], half: int) -> Floats:
+    """Return cells around a place of the shared grid; NaN beyond the picture."""
+    out = np.full((2 * half + 1,) * 2, np.nan)
+    low = [k - half - c for k, c in zip(place, picture.corner, strict=True)]
+    begin = [max(k, 0) for k in low]
+    end = [min(k + 2 * half + 1, size) for k, size in zip(low, picture.image.shape, strict=True)]
+    if begin[0] < end[0] and begin[1] < end[1]:
+        inside = tuple(slice(b - k, e - k) for b, e, k in zip(begin, end, low, strict=True))
+        out[inside] = picture.image[begin[0] : end[0], begin[1] : end[1]]
+    return out
+
+
+def _texture(patch: Floats) -> float:
+    """Return the root of the lesser eigenvalue of the mean product of gradients, relative to the mean."""
+    if np.isnan(patch).any() or not patch.mean() > 0.0:
+        return 0.0
+    down, right = np.gradient(patch / patch.mean())
+    across = float((down * right).mean())
+    matrix = np.array([[float((down**2).mean()), across], [across, float((right**2).mean())]])
+    return float(np.sqrt(max(np.linalg.eigvalsh(matrix)[0], 0.0)))
+
+
+def _match(patch: Floats, window: Floats, rules: Rules) -> tuple[Floats, float]:
+    """Return by how many rows and columns a patch lies off the middle of a window, and its correlation."""
+    from scipy.signal import fftconvolve
+
+    none = np.zeros(2), 0.0
+    is_shown = np.isfinite(window)
+    if is_shown.mean() < 0.25:
+        return none
+    size, middle = patch.size, float(window[is_shown].mean())
+    filled = np.where(is_shown, window - middle, 0.0)
+    weights = patch - patch.mean()
+    box = np.ones(patch.shape)
+    sums, squares, counts = (fftconvolve(of, box, "valid") for of in (filled, filled**2, is_shown * 1.0))
+    spread = np.sqrt(np.maximum(squares - sums**2 / size, 1e-12 * middle**2)) * np.linalg.norm(weights)
+    score = fftconvolve(filled, weights[::-1, ::-1], "valid") / spread
+    score[counts < size - 0.5] = -1.0  # a place is compared whole or not at all
+    peak = np.unravel_index(int(np.argmax(score)), score.shape)
+    best, reach = float(score[peak]), score.shape[0] // 2
+    if not all(0 < k < n - 1 for k, n in zip(peak, score.shape, strict=True)):
+        return none
+    near = score[peak[0] - 1 : peak[0] + 2, peak[1] - 1 : peak[1] + 2]
+    if near.min() <= -1.0 or _rival(score, peak) > rules.max_rival * best:
+        return none
+    return np.array(peak) - reach + _summit(near), best
+
+
+def _rival(score: Floats, peak: Sequence[Any]) -> float:
+    """Return the highest local maximum other than the peak."""
+    from scipy.ndimage import maximum_filter
+
+    others = np.where(score == maximum_filter(score, 5), score, -1.0)
+    others[tuple(peak)] = -1.0
+    return float(others.max())
+
+
+def _summit(near: Floats) -> Floats:
+    """Return how far the summit of the paraboloid through 3 x 3 values lies off their middle."""
+    y, x = np.meshgrid([-1.0, 0.0, 1.0], [-1.0, 0.0, 1.0], indexing="ij")
+    terms = np.stack([np.ones(9), y.ravel(), x.ravel(), y.ravel() ** 2, x.ravel() ** 2, (x * y).ravel()], 1)
+    _, a, b, aa, bb, ab = np.linalg.lstsq(terms, near.ravel(), rcond=None)[0]
+    try:
+        summit = np.linalg.solve(np.array([[2 * aa, ab], [ab, 2 * bb]]), [-a, -b])
+    except np.linalg.LinAlgError:
+        return np.zeros(2)
+    return np.asarray(np.clip(summit, -1.0, 1.0))
+
+
+def _at(picture: _Picture, place: Array) -> Floats:
+    """Return the fields at a fraction of a row and column; NaN beyond what is shown."""
+    at = place - picture.corner
+    low = np.floor(at).astype(int)
+    if (low < 0).any() or (low + 1 >= picture.image.shape).any():
+        return np.full(len(_FIELDS), np.nan)
+    (y, x), (row, col) = at - low, low
+    four = picture.fields[:, row : row + 2, col : col + 2]
+    weights = np.array([[(1 - y) * (1 - x), (1 - y) * x], [y * (1 - x), y * x]])
+    return np.asarray((four * weights).sum(axis=(1, 2)))
+
+
+def _on_a_plane(table: Floats, rules: Rules) -> Bools:
+    """Tell which ties of a pair are shifted as a plane through their shifts says."""
+    good = np.ones(len(table), bool)
+    terms = np.column_stack([np.ones(len(table)), table[:, :2] - table[:, :2].mean(axis=0, keepdims=True)]) \
+        if len(table) else np.empty((0, 3))  # fmt: skip
+    for _ in range(10):
+        if good.sum() < 6:
+            return good
+        plane = np.linalg.lstsq(terms[good], table[good, 2:4], rcond=None)[0]
+        away = np.linalg.norm(table[:, 2:4] - terms @ plane, axis=1)
+        limit = rules.outlier_sd * max(float(np.median(away[good])) / 1.1774, 0.05)
+        if (good == (away < limit)).all():
+            return good
+        good = away < limit
+    return good

@@ -1,0 +1,68 @@
+"""How high a line was flown, how wide its swath is and how square its pixels: what a wrong height changes."""
+
+from __future__ import annotations
+
+import warnings
+from typing import Any
+
+import numpy as np
+import xarray as xr
+
+from hyperpaint.base.errors import PaintWarning
+from hyperpaint.base.schema import CROSS_TRACK
+
+__all__ = ["describe_swath", "swath_attrs"]
+
+MIN_HEIGHT_M, MAX_HEIGHT_M = 5.0, 10_000.0
+"""Of the camera above the ground. Heights above the sea are up to 106 m off those above the ellipsoid."""
+MIN_SWATH_M, MAX_SWATH_M = 4.0, 10_000.0
+"""Of a whole camera; narrower than two cars beside one another."""
+MAX_ASPECT = 5.0
+"""Longer over shorter side of a pixel; frame rates are set for square ones."""
+WHOLE_CAMERA = 200
+"""Columns from which on a line is no crop or example, whose swath and pixels may have any shape."""
+
+
+def swath_attrs(line: xr.Dataset, across: float, along: float) -> dict[str, float]:
+    """Return attributes of a map: ``swath``, ``height_above_ground`` [m] and ``pixel_aspect``, if known.
+
+    Takes a located line and the median distances of its columns and lines [m]. Warns (`PaintWarning`) where
+    one of them is absurd.
+    """
+    attrs = {"swath": across * line.sizes[CROSS_TRACK], "pixel_aspect": along / across}
+    ground = line.attrs.get("ground")
+    if isinstance(ground, float | int) and "altitude" in line.variables:
+        altitude = line["altitude"].values
+        attrs["height_above_ground"] = float(np.median(altitude[np.isfinite(altitude)])) - ground
+    attrs = {name: float(value) for name, value in attrs.items() if np.isfinite(value)}
+    texts = list(_absurdities(attrs, is_whole=line.sizes[CROSS_TRACK] >= WHOLE_CAMERA))
+    if texts:
+        name = line.attrs.get("name", "this line")
+        warnings.warn(f"{name}: {'; '.join(texts)}; check ground and camera", PaintWarning, stacklevel=3)
+    return attrs
+
+
+def _absurdities(attrs: dict[str, float], *, is_whole: bool) -> list[str]:
+    texts = []
+    height = attrs.get("height_above_ground", MIN_HEIGHT_M)
+    if not MIN_HEIGHT_M <= height <= MAX_HEIGHT_M:
+        texts.append(
+            f"the camera is {height:.4g} m above the ground, expected {MIN_HEIGHT_M:g} to {MAX_HEIGHT_M:g} m "
+            "(ground is above the ellipsoid, not above the sea)"
+        )
+    swath = attrs.get("swath", MIN_SWATH_M)
+    if is_whole and not MIN_SWATH_M <= swath <= MAX_SWATH_M:
+        texts.append(f"the swath is {swath:.3g} m wide, expected {MIN_SWATH_M:g} to {MAX_SWATH_M:g} m")
+    aspect = attrs.get("pixel_aspect", 1.0)
+    if is_whole and not 1 / MAX_ASPECT <= aspect <= MAX_ASPECT:
+        texts.append(
+            f"pixels are {aspect:.3g} times as long as wide, expected {1 / MAX_ASPECT:g} to {MAX_ASPECT:g}"
+        )
+    return texts
+
+
+def describe_swath(attrs: dict[Any, Any]) -> str:
+    """Return a line of text of what `swath_attrs` added to a map."""
+    units = {"height_above_ground": "{:.1f} m above the ground", "swath": "swath {:.1f} m"}
+    units["pixel_aspect"] = "pixels {:.2f} times as long as wide"
+    return ", ".join(text.format(attrs[name]) for name, text in units.items() if name in attrs)

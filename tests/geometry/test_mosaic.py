@@ -1,0 +1,203 @@
+"""Several lines on one map: every cell is of the line that shows it best, and of no other."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import dask
+import dask.array as da
+import numpy as np
+import pytest
+import xarray as xr
+from support.flown_lines import GSD, HEIGHT, fly, located
+from support.plain_mosaics import plain_mosaic
+
+import hyperpaint as hp
+from hyperpaint.base.errors import SchemaError
+
+CUBE = ("along_track", "band", "cross_track")
+NAMES = ["radiance", "quality", "line_time", "view_zenith", "nearest_line"]
+START = np.datetime64("2021-07-20T17:10:00", "ns")
+
+
+def flown_line(
+    number: int, heading: float, shift: tuple[float, float], *, lines: int = 90, chunk: int | None = 32
+) -> xr.Dataset:
+    """Return a located line of random spectra, with flags, its own place, and its own time."""
+    flown = fly(lines, 50, "rough", heading=heading, seed=number)
+    rng = np.random.default_rng(number)
+    flown = type(flown)(
+        flown.east + shift[0], flown.north + shift[1], flown.up, flown.position, flown.attitude
+    )
+    cube = rng.random((lines, 4, 50)).astype(np.float32)
+    line = located(flown, chunk=None, radiance=(CUBE, cube, {"units": "W m-2 sr-1 nm-1"}))
+    across = np.hypot(
+        flown.east - flown.position[:, :1] - shift[0], flown.north - flown.position[:, 1:2] - shift[1]
+    )
+    zenith = np.degrees(np.arctan2(across, HEIGHT))
+    flags = rng.choice(np.uint16([0, 0, 0, 64, 128, 2048]), size=flown.east.shape)
+    return line.assign(
+        view_zenith=(CUBE[::2], zenith, {"units": "degree"}),
+        quality=(CUBE[::2], flags),
+        time=("along_track", line.time.values + np.timedelta64(100 * number, "s")),
+    ).pipe(lambda one: one if chunk is None else one.chunk(along_track=chunk))
+
+
+def flown_lines(**options: Any) -> dict[str, xr.Dataset]:
+    """Return four: two side by side on opposite courses, one that crosses both, one that lies apart."""
+    places = {"a": (10.0, (0.0, 0.0)), "b": (190.0, (0.21, 0.05)), "c": (95.0, (0.1, 0.0))}
+    return {
+        name: flown_line(number, heading, shift, **options)
+        for number, (name, (heading, shift)) in enumerate(places.items())
+    }
+
+
+def apart(**options: Any) -> xr.Dataset:
+    return flown_line(7, 45.0, (40 * GSD, -3.0), lines=300, **options)
+
+
+@pytest.mark.parametrize("rule", ["nadir", "unflagged", "newest"])
+def test_it_is_what_a_loop_over_cells_finds(rule: Any) -> None:
+    lines = flown_lines()
+    made = hp.geometry.mosaic(lines, GSD, rule=rule, tile=37).compute()
+    maps = {name: hp.geometry.orthorectify(line, GSD, grid="north").compute() for name, line in lines.items()}
+    expected = plain_mosaic(maps, rule, NAMES)
+    for name, values in expected.items():
+        assert made[name].dtype == values.dtype
+        np.testing.assert_array_equal(made[name].values, values, err_msg=name)
+    # all three count somewhere, and many cells have a choice
+    assert set(np.unique(made.flightline)) == {-1, 0, 1, 2}
+    assert int((made.line_count > 1).sum()) > 1000
+    # maps given, whose tiles are others, are the same
+    given = hp.geometry.mosaic(maps, rule=rule, tile=64).compute()
+    xr.testing.assert_identical(given[[*NAMES, "flightline", "gap"]], made[[*NAMES, "flightline", "gap"]])
+
+
+@pytest.mark.parametrize("rule", ["nadir", "unflagged", "newest"])
+def test_neither_order_nor_tiles_nor_chunks_change_anything(rule: Any) -> None:
+    whole = hp.geometry.mosaic(flown_lines(), GSD, rule=rule).compute()
+    lines = dict(reversed(flown_lines(chunk=7).items()))
+    xr.testing.assert_identical(hp.geometry.mosaic(lines, GSD, rule=rule).compute(), whole)
+    places = ["glt_line", "glt_sample"]
+    for chunk, tile in ((None, 33), (90, 100)):
+        made = hp.geometry.mosaic(flown_lines(chunk=chunk), GSD, rule=rule, tile=tile).compute()
+        xr.testing.assert_identical(made.drop_vars(places), whole.drop_vars(places))
+        # fractions of a line are counted from the corner of a tile, and rounded there
+        xr.testing.assert_allclose(made[places], whole[places], rtol=0, atol=1e-6)
+
+
+def test_a_line_elsewhere_changes_nothing() -> None:
+    lines = flown_lines()
+    few = hp.geometry.mosaic(lines, GSD).compute()
+    many = hp.geometry.mosaic({**lines, "z": apart()}, GSD).compute()
+    assert many.sizes["y"] > few.sizes["y"] + 200
+    here = many.sel(x=few.x, y=few.y)
+    for name in few.data_vars:
+        np.testing.assert_array_equal(here[name].values, few[name].values, err_msg=str(name))
+    assert (many.flightline == 3).any()
+
+
+def test_it_is_lazy_and_reads_only_the_lines_of_a_tile() -> None:
+    read: list[tuple[str, int]] = []
+    lines = {**flown_lines(chunk=16), "z": apart(chunk=16)}
+    for name, line in lines.items():
+
+        def block(block_id: Any = None, name: str = name) -> np.ndarray:
+            read.append((name, block_id[0]))
+            return np.ones((16, 3, 50), np.float32)
+
+        slabs = da.map_blocks(
+            block, chunks=((16,) * 19, (3,), (50,)), dtype=np.float32, meta=np.empty((0, 0, 0), "f4")
+        )
+        lines[name] = line.assign(radiance=(CUBE, slabs[: line.sizes["along_track"]], line.radiance.attrs))
+    made = hp.geometry.mosaic(lines, GSD, tile=32)
+    assert not read
+    assert all(dask.is_dask_collection(part.data) for part in made.data_vars.values())
+    made.radiance[-32:].compute(scheduler="sync")
+    assert {name for name, _ in read} == {"z"}
+    assert {slab for _, slab in read} <= set(range(9))
+
+
+def test_what_a_cell_is_of_is_said() -> None:
+    made = hp.geometry.mosaic(flown_lines(), GSD)
+    assert made.flightline.attrs["flag_meanings"] == "a b c"
+    assert made.flightline.attrs["flag_values"].tolist() == [0, 1, 2]
+    assert made.attrs["flightlines"] == ["a", "b", "c"]
+    assert made.attrs["mosaic_rule"] == "nadir"
+    computed = made.compute()
+    is_shown = computed.flightline >= 0
+    assert (np.isfinite(computed.view_zenith) == is_shown).all()
+    assert not (computed.gap & is_shown).any()
+    assert ((computed.line_count > 0) == is_shown).all()
+    assert (computed.quality.values[~is_shown.values] == 1024).all()
+
+
+def test_what_does_not_fit_is_refused() -> None:
+    lines = flown_lines()
+    with pytest.raises(SchemaError, match=r"rule 'best'.*\n.*gsd -1"):
+        hp.geometry.mosaic(lines, -1.0, rule="best")  # type: ignore[arg-type]
+    with pytest.raises(SchemaError, match="dict of datasets"):
+        hp.geometry.mosaic({})
+    with pytest.raises(SchemaError, match=r"view_zenith, which a, b, c lack"):
+        hp.geometry.mosaic(lines, variables=["quality"])
+    with pytest.raises(SchemaError, match=r"b has no view_zenith, which a has"):
+        hp.geometry.mosaic({**lines, "b": lines["b"].drop_vars("view_zenith")})
+    elsewhere = lines["b"].assign_coords(east=lines["b"].east.assign_attrs(crs="EPSG:32618"))
+    with pytest.raises(SchemaError, match=r"a: EPSG:32617, b: EPSG:32618.*give crs="):
+        hp.geometry.mosaic({**lines, "b": elsewhere})
+    maps = {name: hp.geometry.orthorectify(line, GSD, grid="north") for name, line in lines.items()}
+    maps["b"] = hp.geometry.orthorectify(lines["b"], 1.5 * GSD, grid="north")
+    with pytest.raises(SchemaError, match=r"b has cells of 0.012 m.*expected cells of 0.008 m"):
+        hp.geometry.mosaic(maps)
+    maps["b"] = hp.geometry.orthorectify(lines["b"], GSD, grid="flight")
+    with pytest.raises(SchemaError, match=r"the map b has the GeoTransform.*north up"):
+        hp.geometry.mosaic(maps)
+    counts = {**lines, "b": lines["b"].assign(radiance=lines["b"].radiance.assign_attrs(units="mW"))}
+    with pytest.raises(SchemaError, match=r"units of radiance of b mW, expected W m-2 sr-1 nm-1 of a"):
+        hp.geometry.mosaic(counts, variables=["radiance", "view_zenith"])
+
+
+def test_seamlines_enclose_the_cells_of_each_line() -> None:
+    features = pytest.importorskip("rasterio.features")
+    made = hp.geometry.mosaic(flown_lines(), GSD).compute()
+    areas = hp.geometry.seamlines(made)
+    assert [area["properties"]["flightline"] for area in areas["features"]] == ["a", "b", "c"]
+    assert areas["crs"]["properties"]["name"] == "EPSG:32617"
+    east, a, b, north, c, d = (float(part) for part in made.spatial_ref.attrs["GeoTransform"].split())
+    burnt = features.rasterize(
+        [(area["geometry"], number) for number, area in enumerate(areas["features"])],
+        made.flightline.shape, fill=-1, transform=(a, b, east, c, d, north), dtype="int16",
+    )  # fmt: skip
+    np.testing.assert_array_equal(burnt, made.flightline.values)
+    with pytest.raises(SchemaError, match="no mosaic"):
+        hp.geometry.seamlines(made.drop_vars("flightline"))
+
+
+def test_levelling_finds_the_gains_of_lines() -> None:
+    """Lines over one smooth ground, each with gains of its own; flagged pixels and some others are astray."""
+    rng = np.random.default_rng(3)
+    gains = {name: rng.uniform(0.8, 1.25, 4) for name in ("a", "b", "c", "z")}
+    lines = {**flown_lines(), "z": apart()}
+    for name, line in lines.items():
+        waves = np.sin(9.0 * (line.east.values - 5e5)) * np.cos(8.0 * (line.north.values - 3.76e6))
+        ground = 1.0 + 0.3 * waves
+        astray = (line.quality.values != 0) | (rng.random(ground.shape) < 0.05)
+        cube = ground[:, None] * gains[name][:, None] * np.where(astray, 3.0, 1.0)[:, None]
+        lines[name] = line.assign(radiance=(CUBE, cube.astype(np.float32), line.radiance.attrs))
+    plain = hp.geometry.mosaic(lines, GSD).compute()
+    made = hp.geometry.mosaic(lines, GSD, levelling="overlap").compute()
+    assert (plain.attrs["levelling"], made.attrs["levelling"]) == ("none", "overlap")
+    assert "levelling_factor" not in plain
+    factor = {name: made.levelling_factor.sel(source=name).values for name in "abcz"}
+    level = np.array([factor[name] * gains[name] for name in "abc"])
+    np.testing.assert_allclose(level, level.mean(axis=0, keepdims=True).repeat(3, 0), rtol=0.005)
+    # the mean of lines that hang together stays, and a line apart is as it was
+    np.testing.assert_allclose(sum(np.log(factor[name]) for name in "abc"), 0.0, atol=1e-5)
+    assert (factor["z"] == 1.0).all()
+    for number, name in enumerate("abcz"):
+        cells = plain.flightline.values == number
+        np.testing.assert_array_equal(
+            made.radiance.values[cells], plain.radiance.values[cells] * factor[name]
+        )
+    with pytest.raises(SchemaError, match="no two overlap"):
+        hp.geometry.mosaic({"a": lines["a"], "z": lines["z"]}, GSD, levelling="overlap")

@@ -1,0 +1,125 @@
+"""Tie points found in the pictures of lines over a checkerboard, and the mounting that follows from them.
+
+The simulator has its own geodesy, rotations and navigation; nothing of the way back is shared with it.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+import xarray as xr
+
+import hyperpaint as hp
+from hyperpaint.base.errors import SchemaError
+from hyperpaint.simulation import simulate_collect
+from hyperpaint.workflows.pipeline import process
+
+pytest.importorskip("pyproj")
+
+GSD, SQUARE, TURN = 0.008, 0.64, 27.0
+MOUNTED, LEVER_ARM = (0.4, -0.6, 0.8), (0.05, -0.02, 0.12)
+COURSES = {"north": 0.0, "east": 90.0, "south": 180.0, "west": 270.0, "again": 0.0}
+CROSSING = ("north", "east", "south", "west")
+
+
+@pytest.fixture(scope="module")
+def flight(tmp_path_factory: pytest.TempPathFactory) -> dict[str, tuple[xr.Dataset, xr.Dataset]]:
+    """Return lines that leave one place for the four quarters, one twice, with what is true of them."""
+    folder = tmp_path_factory.mktemp("crossing")
+    flown = {}
+    for seed, (name, course) in enumerate(COURSES.items()):
+        collect = simulate_collect(
+            folder / name, lines=384, columns=640, bands=4, scene="checkerboard", swath=640 * GSD,
+            square=SQUARE, board_turn=TURN, wobble="calm", boresight=MOUNTED, lever_arm=LEVER_ARM,
+            course=course, seed=seed,
+        )  # fmt: skip
+        process(collect, folder / f"{name}.zarr", reflectance="none")
+        line = xr.open_zarr(folder / f"{name}.zarr", group="flightlines/raw_0")
+        flown[name] = line, xr.open_zarr(folder / name / "truth.zarr")
+    return flown
+
+
+def placed(flight: Any, boresight: Any, *names: str) -> dict[str, xr.Dataset]:
+    return {
+        name: line.paint.locate(
+            ground=truth.attrs["ground"], crs=truth.attrs["crs"], boresight=boresight, lever_arm=LEVER_ARM
+        )
+        for name, (line, truth) in flight.items()
+        if name in names
+    }
+
+
+@pytest.mark.slow
+def test_ties_show_one_place_and_solve_the_mounting(flight: Any) -> None:
+    from campaigns.saddle_points import misplacement
+
+    lines = placed(flight, (0.0, 0.0, 0.0), *CROSSING)
+    ties = hp.geometry.find_tie_points(lines, search_m=0.4)
+    assert ties.sizes["point"] > 60
+    # by the truth, both lines show one place
+    places = []
+    for side in range(2):
+        spots = ties.isel(side=side)
+        for axis in ("east", "north"):
+            values = [
+                float(
+                    flight[name][1][axis]
+                    .drop_vars(["along_track", "cross_track"], errors="ignore")
+                    .interp(along_track=line, cross_track=sample)
+                )
+                for name, line, sample in zip(
+                    spots.flightline.values, spots.along_track_pixel.values, spots.cross_track_pixel.values,
+                    strict=True,
+                )
+            ]  # fmt: skip
+            places.append(values)
+    apart = np.hypot(*(np.array(places[:2]) - np.array(places[2:]))) / GSD
+    assert np.median(apart) < 0.5
+    fit = hp.geometry.solve_boresight(lines, ties, lever_arm=LEVER_ARM)
+    assert fit.solved == ("roll", "pitch", "heading")
+    lines = placed(flight, fit.boresight, *CROSSING)
+    made = hp.geometry.mosaic(lines, GSD, method="bilinear", variables=["counts", "view_zenith"])
+    picture = made["counts"].isel(band=1).values
+    transform = tuple(map(float, made["spatial_ref"].attrs["GeoTransform"].split()))
+    truth = flight["north"][1]
+    corners = truth["corner_east"].values, truth["corner_north"].values
+    miss = misplacement(picture.astype(float), transform, *corners, TURN, SQUARE)
+    assert len(miss) > 40
+    rms = np.sqrt((miss**2).sum(axis=1).mean())
+    assert rms <= 0.3
+    np.testing.assert_allclose(fit.boresight, MOUNTED, atol=0.02)
+
+
+@pytest.mark.slow
+def test_no_overlap_is_said(flight: Any) -> None:
+    lines = placed(flight, MOUNTED, "north")
+    apart = {
+        "a": lines["north"].isel(along_track=slice(0, 100)),
+        "b": lines["north"].isel(along_track=slice(250, 384)),
+    }
+    with pytest.raises(SchemaError, match="no tie points between a, b"):
+        hp.geometry.find_tie_points(apart)
+    with pytest.raises(SchemaError, match="two flight lines or more"):
+        hp.geometry.find_tie_points(lines)
+
+
+@pytest.mark.slow
+def test_lines_of_one_course_do_not_tell_the_pitch(flight: Any) -> None:
+    lines = placed(flight, (0.0, 0.0, 0.0), "north", "again")
+    ties = hp.geometry.find_tie_points(lines)
+
+    with pytest.raises(SchemaError, match=r"(?s)pitch: its uncertainty.*add lines of other courses"):
+        hp.geometry.solve_boresight(lines, ties, lever_arm=LEVER_ARM)
+
+
+@pytest.mark.slow
+def test_a_false_tie_is_left_out_on_both_sides(flight: Any) -> None:
+    lines = placed(flight, (0.3, -0.5, 0.6), *CROSSING)
+    ties = hp.geometry.find_tie_points(lines, search_m=0.4).copy(deep=True)
+    ties["cross_track_pixel"][7, 1] += 15.0
+    fit = hp.geometry.solve_boresight(lines, ties, lever_arm=LEVER_ARM)
+    count = ties.sizes["point"]
+    assert np.flatnonzero(fit.points.outlier).tolist() == [7, 7 + count]
+    np.testing.assert_allclose(fit.boresight, MOUNTED, atol=0.02)
