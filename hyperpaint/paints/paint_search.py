@@ -12,7 +12,7 @@ from hyperpaint.base import schema
 from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import Problems, SchemaError
 from hyperpaint.base.schema import BAND, LIBRARY_VARIABLES, PAINT
-from hyperpaint.base.units import convert
+from hyperpaint.base.units import convert, takes_quantities
 
 from .colours import ciede2000, lab_of, paint_colours, parse_colour
 
@@ -28,6 +28,7 @@ _WIDEST_STEP = 4.0
 _UMLAUTS = str.maketrans({"ä": "ae", "ö": "oe", "ü": "ue", "æ": "ae", "œ": "oe", "ø": "oe", "å": "aa"})
 
 
+@takes_quantities(maximum_angle="rad")
 def search_library(
     library: xr.Dataset,
     *,

@@ -10,6 +10,7 @@ import numpy.typing as npt
 from hyperpaint.base.arrays import Array, Floats, Floats32
 from hyperpaint.base.errors import Problems, SchemaError
 from hyperpaint.base.schema import BAND, LIBRARY_VARIABLES, PAINT
+from hyperpaint.base.units import takes_quantities
 
 from .colours import paint_colours, srgb_hex
 from .mixing.kubelka_munk import Interface, absorption_to_scattering, thick_layer_reflectance
@@ -42,6 +43,7 @@ _LOAD, _HUE_NM, _LEVEL = 0.08, 0.8, 0.02
 and of the light that reaches a spot of the car (relative)."""
 
 
+@takes_quantities(wavelength="nm")
 def starter_library(
     *, members: int = 24, seed: int = 0, wavelength: npt.ArrayLike | None = None
 ) -> xr.Dataset:

@@ -19,6 +19,7 @@ from hyperpaint.base.errors import FormatError, PaintError, Problems, SchemaErro
 from hyperpaint.io.files.reading import read_limited
 
 from .outlines import COORDINATES, Region, Regions
+from .vector_files import VECTOR_FILES, features_of
 
 __all__ = ["read_regions", "regions_from", "write_regions"]
 
@@ -34,13 +35,14 @@ _MOST_TOLD = 20
 
 
 def read_regions(path: str | os.PathLike[str]) -> Regions:
-    """Return the regions of a GeoJSON file.
+    """Return the regions of a GeoJSON file, or of a GeoPackage, Shapefile or FlatGeobuf.
 
     Parameters
     ----------
     path
-        The file. Features are polygons with a property ``name``, and ``flightline`` where the collect has
-        several; every other property is kept, other members of features are not.
+        The file; others than GeoJSON need pyogrio or fiona, and are in coordinates of a map. Features are
+        polygons with a property ``name``, and ``flightline`` where the collect has several; every other
+        property is kept, other members of features are not.
 
     Returns
     -------
@@ -50,6 +52,8 @@ def read_regions(path: str | os.PathLike[str]) -> Regions:
     ------
     FormatError
         The file is not GeoJSON, or holds what is no region; all features that are not are listed.
+    MissingExtraError
+        Neither pyogrio nor fiona is installed.
 
     Examples
     --------
@@ -62,6 +66,8 @@ def read_regions(path: str | os.PathLike[str]) -> Regions:
     place = Path(path)
     if "\0" in str(place):
         raise FormatError(f"{place!s:.200}: no path has a NUL in it; check the path")
+    if place.suffix.lower() in VECTOR_FILES:
+        return _collection(features_of(place, MOST_REGIONS), str(place))
     raw = read_limited(place, MOST_BYTES, "GeoJSON")
     if raw.count(b"[") + raw.count(b"{") > _MOST_CONTAINERS or raw.count(b",") > _MOST_SEPARATORS:
         raise FormatError(

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import hashlib
+import html
 import json
+import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, overload
@@ -25,6 +27,8 @@ LARGEST = 1e9
 """Coordinate that no pixel and no place has."""
 
 _LONGEST_NAME = 200
+_MOST_SHOWN = 60
+_COLOUR = re.compile("#[0-9a-fA-F]{6}")
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,7 +108,8 @@ class Regions(Sequence[Region]):
     regions
         The regions; no two have the same name.
     coordinates
-        "sensor": x is cross_track and y along_track; or "map".
+        "sensor": x is cross_track and y along_track, by their index coordinates where a line has them, which
+        a crop keeps, else counted from 0; or "map".
     crs
         Coordinate reference system of a map, such as ``"EPSG:32618"``; None where it is not given.
 
@@ -169,11 +174,43 @@ class Regions(Sequence[Region]):
             collection["crs"] = {"type": "name", "properties": {"name": self.crs}}
         return {**collection, "features": [region.feature() for region in self.regions]}
 
+    def _repr_html_(self) -> str:
+        """Return the outlines with their names, for a notebook of either theme; texts are escaped."""
+        kind = self.crs or self.coordinates
+        more = f", of which {_MOST_SHOWN} are shown" if len(self) > _MOST_SHOWN else ""
+        shown = "".join(_drawn(region, self.coordinates) for region in self.regions[:_MOST_SHOWN])
+        title = f"{len(self)} regions ({kind}){more}"
+        return (
+            f'<div style="font:13px/1.45 system-ui,sans-serif"><strong>{html.escape(title)}</strong>'
+            f'<div style="display:flex;flex-wrap:wrap;gap:2px 14px">{shown}</div></div>'
+        )
+
     @property
     def digest(self) -> str:
         """Digest of all that the regions say: equal digests, equal regions."""
         text = json.dumps(self.__geo_interface__, sort_keys=True)
         return hashlib.sha256(text.encode()).hexdigest()[:32]
+
+
+def _drawn(region: Region, coordinates: str) -> str:
+    """Return a region's outline, filled with its property ``colour``, its name and its flight line."""
+    rings = [np.asarray(ring, np.float64) for ring in (region.polygon, *region.holes)]
+    low, high = rings[0].min(axis=0), rings[0].max(axis=0)
+    scale = 20.0 / max((high - low).max(), 1e-12)
+    # lines of a sensor count downwards, as a screen's do, and north is up
+    turned = np.array([1.0, 1.0 if coordinates == "sensor" else -1.0])
+    corners = [((ring - (low + high) / 2.0) * scale * turned + 12.0).round(1) for ring in rings]
+    step = max(1, len(corners[0]) // 100)
+    path = "".join(f"M{' L'.join(f'{x:g},{y:g}' for x, y in ring[::step].tolist())}Z" for ring in corners)
+    colour = str(region.properties.get("colour") or region.properties.get("color") or "none")
+    fill = colour if _COLOUR.fullmatch(colour) else "none"
+    title = " ".join(part for part in (region.name, region.flightline and f"({region.flightline})") if part)
+    style = "width:24px;height:24px;vertical-align:middle"
+    return (
+        f'<span><svg viewBox="0 0 24 24" aria-hidden="true" style="{style}">'
+        f'<path d="{path}" fill="{fill}" fill-rule="evenodd" stroke="currentColor"/></svg> '
+        f"{html.escape(title)}</span>"
+    )
 
 
 def _number(value: float) -> int | float:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
@@ -20,9 +20,10 @@ from .polygons import contains
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["Pixels", "pixels", "pixels_of", "region_mask"]
+__all__ = ["Pixels", "located_for", "numbers_of", "pixels", "pixels_of", "region_mask", "renumbered"]
 
 
+RegionsT = TypeVar("RegionsT", bound=Regions)
 Pixels = tuple[Ints, Ints]
 """Positions along and across the track, line by line."""
 
@@ -32,6 +33,8 @@ _BLOCK_PIXELS = 2**20
 _GROUND = (("east", "north"), ("easting", "northing"), ("longitude", "latitude"), ("lon", "lat"), ("x", "y"))
 _GEOGRAPHIC = ("longitude", "lon")
 _DEGREES = "EPSG:4326"
+_SHOWN = ("nearest_sample", "nearest_line")
+"""Of a map: column and line of the flight line that every cell shows."""
 
 
 def pixels(
@@ -44,16 +47,19 @@ def pixels(
     region
         A polygon.
     line
-        A flight line; for a map with the place of every pixel on the ground, as ``longitude`` and
-        ``latitude``, ``east`` and ``north`` (along_track, cross_track), or ``x`` and ``y`` of a map.
+        A flight line, or a map. Coordinates of a map need the place of every pixel on the ground, as
+        ``longitude`` and ``latitude``, ``east`` and ``north`` (along_track, cross_track), or ``x`` and ``y``
+        of a map; a line that has poses and the attribute ``ground`` alone is located for it. Coordinates of
+        the sensor are those of the pixels that a map shows, where it says so (``nearest_line`` and
+        ``nearest_sample``).
     coordinates, crs
         What the region's coordinates are, see `Regions`.
 
     Returns
     -------
     along_track, cross_track : (pixel,), int64
-        Positions, line by line. A pixel belongs to the region where its centre lies in the polygon or on its
-        edge.
+        Positions, line by line; rows and columns of a map. A pixel belongs to the region where its centre
+        lies in the polygon or on its edge.
 
     Raises
     ------
@@ -84,7 +90,7 @@ def region_mask(regions: Any, line: xr.Dataset) -> xr.DataArray:
 
     Returns
     -------
-    (along_track, cross_track), int16
+    (along_track, cross_track), of a map (y, x), int16
         Position of the region among ``regions``, the later one where several overlap; -1 elsewhere. The
         attributes ``flag_values`` and ``flag_meanings`` name them.
 
@@ -96,6 +102,7 @@ def region_mask(regions: Any, line: xr.Dataset) -> xr.DataArray:
     import xarray as xr
 
     region_list = regions_from(regions)
+    dims = "yx" if {"y", "x"} <= set(line.dims) else (ALONG_TRACK, CROSS_TRACK)
     line = schema.rename_to_roles(line)
     places = pixels_of(region_list, line)
     mask = np.full((line.sizes[ALONG_TRACK], line.sizes[CROSS_TRACK]), -1, np.int16)
@@ -106,7 +113,7 @@ def region_mask(regions: Any, line: xr.Dataset) -> xr.DataArray:
         "flag_values": np.arange(-1, len(region_list), dtype=np.int16),
         "flag_meanings": " ".join(["none", *(name.replace(" ", "_") for name in region_list.names)]),
     }
-    return xr.DataArray(mask, dims=(ALONG_TRACK, CROSS_TRACK), name="region", attrs=attrs)
+    return xr.DataArray(mask, dims=tuple(dims), name="region", attrs=attrs)
 
 
 def pixels_of(regions: Regions, line: xr.Dataset) -> list[Pixels]:
@@ -121,30 +128,75 @@ def pixels_of(regions: Regions, line: xr.Dataset) -> list[Pixels]:
             problems.add(f"it has no dim {dim!r}, only {', '.join(map(str, line.dims))}; name it with dims=")
     problems.raise_if_any()
     shape = line.sizes[ALONG_TRACK], line.sizes[CROSS_TRACK]
-    if regions.coordinates == "sensor":
-        return [_on_sensor(region, shape) for region in regions]
-    return _on_map(regions, line, shape)
+    if regions.coordinates == "map":
+        line = located_for(regions, line)
+        x, y, crs = _ground(line, regions.crs)
+        if crs is not None and regions.crs is not None:
+            regions = _moved(regions, crs)
+        return _by_place(regions, x, y, shape)
+    if set(_SHOWN) <= set(line.variables):
+        # cells of a map are told by the pixel that they show; -1 shows none
+        across, along = (line[name].reset_coords(drop=True) for name in _SHOWN)
+        return _by_place(regions, across.where(across >= 0), along.where(along >= 0), shape)
+    columns, rows = numbers_of(line, CROSS_TRACK), numbers_of(line, ALONG_TRACK)
+    return [_on_axes(region, columns, rows) for region in regions]
 
 
-def _on_sensor(region: Region, shape: tuple[int, int]) -> Pixels:
-    low, high = region.polygon.min(axis=0), region.polygon.max(axis=0)
-    first = [max(0, int(np.ceil(edge))) for edge in low]
-    last = [min(size - 1, int(np.floor(edge))) for edge, size in zip(high, reversed(shape), strict=True)]
-    if first[0] > last[0] or first[1] > last[1]:
-        return _joined([])
-    across = np.arange(first[0], last[0] + 1)
-    parts = []
-    for start, stop in _blocks(first[1], last[1] + 1, across.size):
-        y, x = np.meshgrid(np.arange(start, stop), across, indexing="ij")
-        inside = _inside(region, x.ravel().astype(float), y.ravel().astype(float))
-        parts.append((y.ravel()[inside], x.ravel()[inside]))
-    return _joined(parts)
+def located_for(regions: Regions, line: xr.Dataset) -> xr.Dataset:
+    """Return a flight line with the places that regions of a map need: located where it has poses alone.
+
+    Raises `SchemaError`: the height of the ground is not known; or as `hyperpaint.locate`.
+    """
+    from hyperpaint.geometry.georeference import locate
+    from hyperpaint.geometry.georeference.poses import POSE
+
+    named = schema.rename_to_roles(line)
+    is_placed = any(_is_place(named, pair) for pair in _GROUND)
+    if regions.coordinates != "map" or is_placed or not set(POSE) <= set(named.variables):
+        return line
+    if not isinstance(named.attrs.get("ground"), int | float):
+        raise SchemaError(
+            "the regions are of a map, and the flight line has poses but no height of the ground to find "
+            "its pixels there",
+            mend="give the height above the ellipsoid: locate(line, ground=...) or dem=, or the attribute "
+            "ground [m] of the line",
+            option="give --ground or --dem, or [geometry] ground in collect.toml and process again",
+        )
+    return locate(named)
 
 
-def _on_map(regions: Regions, line: xr.Dataset, shape: tuple[int, int]) -> list[Pixels]:
-    x, y, source = _ground(line, regions.crs)
-    if source is not None and regions.crs is not None:
-        regions = _moved(regions, source)
+def numbers_of(line: xr.Dataset, dim: str) -> Floats:
+    """Return the numbers of a flight line's lines or columns: its index coordinate, else 0, 1, 2 ...
+
+    A crop keeps those of the whole line, and so regions of the whole line outline the same things on it.
+    """
+    if dim in line.coords and line[dim].dims == (dim,) and line[dim].dtype.kind in "iuf":
+        return np.asarray(line[dim].values, np.float64)
+    return np.arange(line.sizes[dim], dtype=np.float64)
+
+
+def renumbered(regions: RegionsT, line: xr.Dataset, *, back: bool = False) -> RegionsT:
+    """Return regions in positions of a line as regions in its numbers, or ``back`` from them to positions."""
+    numbers = [numbers_of(line, dim) for dim in (CROSS_TRACK, ALONG_TRACK)]
+    first = np.array([own[0] for own in numbers])
+    step = np.array([(own[-1] - own[0]) / max(own.size - 1, 1) or 1.0 for own in numbers])
+    if not first.any() and (step == 1.0).all():
+        return regions
+
+    def moved(ring: Floats) -> Floats:
+        return np.asarray((ring - first) / step if back else ring * step + first)
+
+    members = (
+        replace(region, polygon=moved(region.polygon), holes=tuple(moved(hole) for hole in region.holes))
+        for region in regions
+    )
+    return replace(regions, regions=tuple(members))
+
+
+def _by_place(regions: Regions, x: xr.DataArray, y: xr.DataArray, shape: tuple[int, int]) -> list[Pixels]:
+    """Return the pixels of every region by their coordinates, a block of lines at a time."""
+    if x.dims == (CROSS_TRACK,) and y.dims == (ALONG_TRACK,):
+        return [_on_axes(region, x.values.astype(float), y.values.astype(float)) for region in regions]
     parts: list[list[Pixels]] = [[] for _ in regions]
     for start, stop in _blocks(0, shape[0], shape[1]):
         rows = {ALONG_TRACK: slice(start, stop)}
@@ -157,6 +209,18 @@ def _on_map(regions: Regions, line: xr.Dataset, shape: tuple[int, int]) -> list[
                 along, across = np.divmod(inside, shape[1])
                 pieces.append((along + start, across))
     return [_joined(pieces) for pieces in parts]
+
+
+def _on_axes(region: Region, x: Floats, y: Floats) -> Pixels:
+    """Return the cells of a map with north up: looked at are those in the box around the region."""
+    low, high = region.polygon.min(axis=0), region.polygon.max(axis=0)
+    across, along = (np.flatnonzero((axis >= low[k]) & (axis <= high[k])) for k, axis in enumerate((x, y)))
+    parts = []
+    for start, stop in _blocks(0, along.size, across.size):
+        row, col = np.meshgrid(along[start:stop], across, indexing="ij")
+        inside = _inside(region, x[col.ravel()], y[row.ravel()])
+        parts.append((row.ravel()[inside], col.ravel()[inside]))
+    return _joined(parts)
 
 
 def _inside(region: Region, x: Floats, y: Floats) -> Bools:
@@ -198,7 +262,13 @@ def _moved(regions: Regions, crs: str) -> Regions:
     source, target = crs_of(_normal(str(regions.crs))), crs_of(crs)
 
     def moved(ring: Any) -> Floats:
-        return between_maps(np.asarray(ring, np.float64), source, target)
+        corners = between_maps(np.asarray(ring, np.float64), source, target)
+        if not np.isfinite(corners).all():
+            raise SchemaError(
+                f"a corner at {ring[0][0]:g}, {ring[0][1]:g} is no place of {regions.crs!r:.60}",
+                mend="name the crs that the regions are in",
+            )
+        return corners
 
     members = (
         replace(region, polygon=moved(region.polygon), holes=tuple(moved(hole) for hole in region.holes))
@@ -246,9 +316,16 @@ def _is_place(line: xr.Dataset, pair: tuple[str, str]) -> bool:
 
 
 def _crs_of(line: xr.Dataset, pair: tuple[str, str]) -> str | None:
-    stated = line[pair[0]].attrs.get("crs", line.attrs.get("crs"))
     if pair[0] in _GEOGRAPHIC:
         return _DEGREES
+    stated = line[pair[0]].attrs.get("crs", line.attrs.get("crs"))
+    if stated is None and "spatial_ref" in line.variables:
+        from hyperpaint.geometry.georeference.geodesy import crs_of
+
+        # as rioxarray opens a GeoTIFF
+        mapping = line["spatial_ref"].attrs
+        wkt = mapping.get("crs_wkt") or mapping.get("spatial_ref")
+        stated = None if wkt is None else crs_of(wkt)
     return _normal(stated) if isinstance(stated, str) else None
 
 
@@ -258,4 +335,6 @@ def _normal(crs: str) -> str:
     if text.lower().startswith("urn:ogc:def:crs:"):
         parts = text.split(":")
         text = f"{parts[4]}:{parts[-1]}"
-    return _DEGREES if text.upper() in ("OGC:CRS84", _DEGREES, "WGS84") else text.upper()
+    if text.upper() in ("OGC:CRS84", _DEGREES, "WGS84"):
+        return _DEGREES
+    return text if "[" in text else text.upper()  # names within WKT have their case

@@ -266,6 +266,17 @@ def test_proposals__do_not_depend_on_chunks() -> None:
     assert line.paint.propose_regions(sun_zenith=ZENITH).digest in digests
 
 
+def test_proposals__on_a_crop_have_the_numbers_of_the_line() -> None:
+    line = drawn()
+    numbered = line.assign_coords(
+        along_track=np.arange(line.sizes["along_track"]) + 1000,
+        cross_track=np.arange(line.sizes["cross_track"]) + 50,
+    )
+    for bare, moved in zip(propose(line), propose(numbered), strict=True):
+        np.testing.assert_array_equal(moved.polygon, np.add(bare.polygon, [50, 1000]))
+    assert all((region.polygon >= [49, 999]).all() for region in propose(numbered).refused)
+
+
 def test_proposals__go_into_a_file_and_back(tmp_path: Any) -> None:
     """Rationale: people edit proposals. Expected: GeoJSON as any regions, what is refused stays out of it."""
     found = propose(drawn(), flightline="raw_0")

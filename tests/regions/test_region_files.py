@@ -7,13 +7,13 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from hypothesis import HealthCheck, given, settings, strategies as st
+from hypothesis import given, settings, strategies as st
 
 from hyperpaint.base.errors import FormatError, SchemaError, StoreError
 from hyperpaint.regions import Region, Regions, geojson, read_regions, regions_from, write_regions
 
 SQUARE = [(1, 1), (5, 1), (5, 5), (1, 5)]
-FILES = settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+FILES = settings(max_examples=60)
 
 plain = st.recursive(
     st.none()

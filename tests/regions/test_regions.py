@@ -5,6 +5,7 @@ from __future__ import annotations
 from fractions import Fraction
 from itertools import pairwise
 from typing import Any
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
@@ -13,6 +14,7 @@ from hypothesis import given, settings, strategies as st
 
 from hyperpaint.base.errors import SchemaError
 from hyperpaint.regions import Region, Regions, pixels, pixels_in_regions, pixels_of, region_mask
+from hyperpaint.regions.pixels_in_regions import renumbered
 from hyperpaint.regions.polygons import contains
 
 SQUARE = [(1, 1), (5, 1), (5, 5), (1, 5)]
@@ -86,14 +88,14 @@ corner = st.tuples(awkward, awkward)
 ring = st.lists(corner, min_size=3, max_size=9)
 
 
-@settings(max_examples=250, deadline=None)
+@settings(max_examples=250)
 @given(polygon=ring, holes=st.lists(ring, max_size=2), points=st.lists(corner, min_size=1, max_size=12))
 def test_points_of_any_polygon_as_in_rational_numbers(polygon: Any, holes: Any, points: Any) -> None:
     # rings that cross and touch themselves, edges that meet points by a hair, holes outside
     assert fast(polygon, holes, points) == [slow(polygon, holes, *point) for point in points]
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(
     start=st.tuples(st.integers(-9, 9), st.integers(-9, 9)),
     step=st.tuples(st.integers(-7, 7), st.integers(-7, 7)),
@@ -303,3 +305,57 @@ def test_pixels_of_many_regions_are_those_of_each() -> None:
     for found, region in zip(pixels_of(many, line()), many, strict=True):
         for axis, expected in enumerate(pixels(region, line())):
             np.testing.assert_array_equal(found[axis], expected)
+
+
+def test_regions_show_their_outlines_in_a_notebook() -> None:
+    hole = ((2.0, 2.0), (3.0, 2.0), (3.0, 3.0))
+    regions = Regions(
+        (
+            Region("hood", [(0, 0), (8, 0), (8, 4)], (np.array(hole),), "raw_0", {"colour": "#ff8000"}),
+            Region("<i>roof</i>", [(0, 0), (8, 0), (8, 4)], properties={"colour": 'red" onload="x'}),
+        )
+    )
+    shown = regions._repr_html_()
+    assert "2 regions (sensor)" in shown
+    assert "hood (raw_0)" in shown
+    assert shown.count("<svg") == shown.count('stroke="currentColor"') == 2
+    # eight columns fill 20 of 24 pixels; lines count downwards
+    assert 'd="M2,7 L22,7 L22,17ZM' in shown
+    assert 'fill="#ff8000"' in shown
+    assert "onload" not in shown
+    assert "<i>" not in shown
+    north_up = Regions(regions.regions, "map", "EPSG:32617")._repr_html_()
+    assert 'd="M2,17 L22,17 L22,7ZM' in north_up
+    assert "EPSG:32617" in north_up
+    many = Regions(tuple(Region(f"r{k}", [(0, 0), (1, 0), (1, 1)]) for k in range(70)))._repr_html_()
+    assert "70 regions (sensor), of which 60 are shown" in many
+    ElementTree.fromstring(shown)
+
+
+def test_regions_of_a_line_outline_the_same_on_its_crop() -> None:
+    values = np.arange(20 * 12, dtype=np.int64).reshape(20, 12)
+    line = xr.Dataset(
+        {"number": (("along_track", "cross_track"), values)},
+        {"along_track": np.arange(20), "cross_track": np.arange(12)},
+    )
+    regions = Regions((Region("a", [(3, 6), (8, 6), (8, 11), (4, 12)]),))
+    whole = line.number.values[pixels_of(regions, line)[0]]
+    crop = line.isel(along_track=slice(5, 15), cross_track=slice(2, 10))
+    np.testing.assert_array_equal(crop.number.values[pixels_of(regions, crop)[0]], whole)
+    # what lies off the crop is left out, and thinned lines keep those of theirs that lie inside
+    half = line.isel(along_track=slice(9, None))
+    inside = half.number.values[pixels_of(regions, half)[0]]
+    assert set(inside) == {number for number in whole if number >= 9 * 12}
+    thinned = line.isel(along_track=slice(None, None, 2))
+    inside = thinned.number.values[pixels_of(regions, thinned)[0]]
+    assert set(inside) == {number for number in whole if number // 12 % 2 == 0}
+    mask = region_mask(regions, crop)
+    assert set(crop.number.values[mask.values == 0]) == set(whole)
+    # without numbers, positions are meant
+    bare = crop.drop_vars(["along_track", "cross_track"])
+    assert set(bare.number.values[pixels_of(regions, bare)[0]]) != set(whole)
+    # there and back
+    shifted = renumbered(regions, crop, back=True)
+    np.testing.assert_array_equal(shifted[0].polygon, regions[0].polygon - [2, 5])
+    np.testing.assert_array_equal(renumbered(shifted, crop)[0].polygon, regions[0].polygon)
+    assert renumbered(regions, line) is regions

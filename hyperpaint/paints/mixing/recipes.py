@@ -13,6 +13,7 @@ from hyperpaint.base import schema
 from hyperpaint.base.arrays import Bools, Floats
 from hyperpaint.base.errors import PaintWarning, Problems, SchemaError
 from hyperpaint.base.schema import PAINT
+from hyperpaint.base.units import takes_quantities
 
 from .kubelka_munk import coating_of
 from .synthetic_paints import MEMBERS, SPECULAR, specular_of, synthetic_library
@@ -28,6 +29,7 @@ METHODS = ("kubelka-munk", "linear")
 """How paints are mixed: as pigments in a pot, or as areas side by side."""
 
 
+@takes_quantities()
 def mix_paints(
     library: xr.Dataset,
     recipes: Mapping[str, Mapping[str, float]],
@@ -137,6 +139,7 @@ def mix_paints(
     return synthetic_library(library, list(shares), values, list(shares.values()), method, **settings)
 
 
+@takes_quantities()
 def shade_paints(
     library: xr.Dataset, depths: Sequence[float], *, k1: float = 0.04, k2: float = 0.60, mirrored: Any = None
 ) -> xr.Dataset:

@@ -16,12 +16,13 @@ import numpy as np
 from hyperpaint.base.arrays import Array, Progress
 from hyperpaint.base.errors import Problems, SchemaError
 from hyperpaint.base.progress_reports import part_of
-from hyperpaint.base.schema import ALONG_TRACK, BAND, CROSS_TRACK, Quality, flag_names
+from hyperpaint.base.schema import ALONG_TRACK, BAND, CROSS_TRACK, CUBE, Quality, flag_names
+from hyperpaint.base.units import takes_quantities
 from hyperpaint.radiometry.slabs import line_chunked
 from hyperpaint.regions import Regions, pixels_of, regions_from
-from hyperpaint.regions.pixels_in_regions import Pixels
 
 from .line_sources import Smoothing, Source, lines_of, source_of
+from .map_cells import Shown, shown_pixels
 from .pixel_statistics import CENTRES
 from .signature_library import Draft, paint_library
 
@@ -50,27 +51,32 @@ def gather(
     """
     import dask
 
-    chunked = {name: line_chunked(cube) for name, cube in cubes.items()}
-    lines = next(iter(chunked.values())).variable.chunksizes[ALONG_TRACK]
-    whole: dict[str, Any] = {ALONG_TRACK: lines, CROSS_TRACK: -1}
-    aligned = [cube.chunk({**whole, BAND: -1}) for cube in chunked.values()]
-    aligned += [plane.transpose(ALONG_TRACK, CROSS_TRACK).chunk(whole) for plane in planes.values()]
+    first = next(iter(cubes.values()))
+    # lines of the slabs that a flight line is computed in; a map has tiles, and rows of any width
+    sizes = (line_chunked(first) if first.chunks is None else first).variable.chunksizes
+    blocked: dict[str, Any] = {dim: sizes[dim] for dim in (ALONG_TRACK, CROSS_TRACK)}
+    aligned = [cube.transpose(*CUBE).chunk({**blocked, BAND: -1}) for cube in cubes.values()]
+    aligned += [plane.transpose(ALONG_TRACK, CROSS_TRACK).chunk(blocked) for plane in planes.values()]
     blocks = [array.data.to_delayed(optimize_graph=False).ravel() for array in aligned]
-    edges = np.concatenate([[0], np.cumsum(lines)])
-    home = np.searchsorted(edges, along, side="right") - 1
+    rows, columns = (np.concatenate([[0], np.cumsum(part)]) for part in blocked.values())
+    block_row, block_column = (
+        np.searchsorted(edges, place, side="right") - 1 for edges, place in ((rows, along), (columns, across))
+    )
+    home = block_row * (len(columns) - 1) + block_column
     order = np.argsort(home, kind="stable")
-    touched, first = np.unique(home[order], return_index=True)
-    wanted = np.split(order, first[1:]) if touched.size else []
+    touched, starts = np.unique(home[order], return_index=True)
+    wanted = np.split(order, starts[1:]) if touched.size else []
     take = dask.delayed(_taken, pure=False)
+    here = along - rows[block_row], across - columns[block_column]
     tasks = [
-        take([of[block] for of in blocks], len(cubes), along[pixel] - edges[block], across[pixel], bands)
+        take([of[block] for of in blocks], len(cubes), *(part[pixel] for part in here), bands)
         for block, pixel in zip(touched, wanted, strict=True)
     ]
     lazy = {name: _whole(array) for name, array in small.items() if array.chunks is not None}
     results = _computed([*tasks, *lazy.values()], progress)
     values = {name: array.values for name, array in small.items() if name not in lazy}
     values |= dict(zip(lazy, results[len(tasks) :], strict=True))
-    width = len(range(*bands.indices(next(iter(cubes.values())).sizes[BAND])))
+    width = len(range(*bands.indices(first.sizes[BAND])))
     spectra = {name: np.empty((along.size, width), np.float32) for name in cubes}
     values |= {name: np.empty(along.size, plane.dtype) for name, plane in planes.items()}
     values["present"] = np.empty(along.size, bool)
@@ -139,6 +145,7 @@ GATHERED_BYTES = 256 * 2**20
 """Samples of pixels that are held at once; a region of more is done some bands at a time."""
 
 
+@takes_quantities(sun_zenith="degree")
 def extract_signatures(
     line: xr.Dataset | xr.DataTree | Mapping[str, xr.Dataset],
     regions: Any,
@@ -162,10 +169,12 @@ def extract_signatures(
     Parameters
     ----------
     line
-        A flight line with ``reflectance``, or with what `hyperpaint.reflectance` needs to compute it; several
-        by name, or a DataTree of them.
+        A flight line with ``reflectance``, or with what `hyperpaint.reflectance` needs to compute it; or a
+        map of one, as `hyperpaint.geometry.orthorectify` makes it; several by name, or a DataTree of them.
     regions
-        `Regions`, the path of a GeoJSON file or its content, see `hyperpaint.regions.regions_from`.
+        `Regions`, the path of a GeoJSON file or its content, see `hyperpaint.regions.regions_from`. Those in
+        coordinates of a map may be of another reference system; a line that has poses but no places is
+        located for them, with the height of the ground that it says.
     exclude
         Pixels with one of these flags are left out; 0 leaves out none. By default those of pixels whose
         reflectance is not that of the surface: saturated, irradiance_gap, no_data, glint, shadow, adjacency
@@ -213,6 +222,10 @@ def extract_signatures(
 
     Notes
     -----
+    Of a map that says which pixel of the flight line a cell shows, every pixel counts once, and members are
+    named by their places in the flight line; a map of nearest pixels leaves some out, so that more are had
+    of the located line itself.
+
     Spectra are brought to the nominal wavelengths first. A sample that is missing in a pixel is missing in
     that band only. The direction of view is that of the line's ``view_zenith`` and ``view_azimuth``, else of
     ``look_angle``, ``roll``, ``pitch`` and ``heading``; without any it is NaN, and the attribute
@@ -315,9 +328,7 @@ def _reduce(
 ) -> None:
     """Gather the pixels of some regions, and reduce them."""
     batch = [drafts[position] for position in part.batch]
-    along, across = (
-        np.concatenate([getattr(draft, axis) for draft in batch]) for axis in ("along", "across")
-    )
+    along, across = (np.concatenate([draft.cells[axis] for draft in batch]) for axis in (0, 1))
     # reading is the first half of the work, reducing the second
     read = None if progress is None else lambda done, blocks: progress(done, 2 * blocks)
     spectra, values = gather(source.cubes, source.planes, along, across, part.bands, source.small, read)
@@ -351,15 +362,15 @@ def _check_bands(sources: Mapping[str, Source]) -> None:
     problems.raise_if_any()
 
 
-def _places(regions: Regions, lines: Mapping[str, Any], sources: Mapping[str, Source]) -> list[Pixels]:
+def _places(regions: Regions, lines: Mapping[str, Any], sources: Mapping[str, Source]) -> list[Shown]:
     problems = Problems("there are regions without pixels", SchemaError)
     places: list[Any] = [None] * len(regions)
     for name, (_, positions) in lines.items():
         part = Regions(tuple(regions[k] for k in positions), regions.coordinates, regions.crs)
         line = sources[name].line
-        for position, place in zip(positions, pixels_of(part, line), strict=True):
+        for position, place in zip(positions, shown_pixels(line, pixels_of(part, line)), strict=True):
             places[position] = place
-            if not place[0].size:
+            if not place.size:
                 size = f"{line.sizes['along_track']} lines of {line.sizes['cross_track']} columns"
                 problems.add(f"region {regions[position].name!r} holds no pixel of the line ({size})")
     problems.raise_if_any()
@@ -367,7 +378,7 @@ def _places(regions: Regions, lines: Mapping[str, Any], sources: Mapping[str, So
 
 
 def _rounds(
-    source: Source, positions: Sequence[int], places: Sequence[Pixels]
+    source: Source, positions: Sequence[int], places: Sequence[Shown]
 ) -> Iterator[tuple[list[int], slice]]:
     """Yield which regions are gathered together, and which bands of them."""
     bands = source.wavelength.size
@@ -375,7 +386,7 @@ def _rounds(
     batch: list[int] = []
     held = 0
     for position in positions:
-        needed = places[position][0].size * pixel
+        needed = places[position].size * pixel
         if batch and held + needed > GATHERED_BYTES:
             yield batch, slice(0, bands)
             batch, held = [], 0
@@ -391,12 +402,12 @@ def _rounds(
 
 
 def _refuse_divided(
-    rounds: Sequence[_Round], sources: Mapping[str, Source], places: Sequence[Pixels], regions: Regions
+    rounds: Sequence[_Round], sources: Mapping[str, Source], places: Sequence[Shown], regions: Regions
 ) -> None:
     problems = Problems("the geometric median needs whole spectra of all pixels at once", SchemaError)
     for part in rounds:
         if part.bands.start == 0 and part.bands.stop < sources[part.line].wavelength.size:
-            name, count = regions[part.batch[0]].name, places[part.batch[0]][0].size
+            name, count = regions[part.batch[0]].name, places[part.batch[0]].size
             problems.add(
                 f"region {name!r} has {count} pixels, more than {GATHERED_BYTES >> 20} MiB; "
                 'cut it smaller, or take centre="trimmed_mean"'

@@ -11,12 +11,15 @@ import numpy as np
 from hyperpaint.base import schema
 from hyperpaint.base.arrays import Array, Bools, Floats
 from hyperpaint.base.errors import Problems, SchemaError
-from hyperpaint.base.schema import BAND
+from hyperpaint.base.schema import ALONG_TRACK, BAND, CROSS_TRACK
 from hyperpaint.radiometry.counts_to_reflectance import reflectance
 from hyperpaint.radiometry.spectral_axis import smooth, to_nominal
 from hyperpaint.radiometry.uncertainty.propagation import NONE_KNOWN, UNCERTAINTIES
 from hyperpaint.regions import Regions
+from hyperpaint.regions.pixels_in_regions import located_for
 from hyperpaint.surroundings.sun_and_sky import CORRECTIONS, remove_mirrored_sky
+
+from .map_cells import middle_of_map
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -163,11 +166,24 @@ def source_of(
     Raises `SchemaError`, `UnitsError`: there is no reflectance, and none can be computed; it is smoothed
     already, or the mirrored sky removed; or it is not known where the sun is.
     """
+    import xarray as xr
+
     line = schema.rename_to_roles(line)
+    middle = middle_of_map(line)
     if "reflectance" not in line.variables:
         line = reflectance(line, uncertainty=set(line.variables) >= _NOISE_KNOWN)
     names = ["reflectance", *(name for name in UNCERTAINTIES if name in line.variables)]
-    optional = [name for name in ("quality", "fwhm", "good", *_SMALL) if name in line.variables]
+    # a map has of every cell what a line has once
+    of_cells = {
+        name: line[own].reset_coords(drop=True)
+        for name, own in (("time", "line_time"), ("irradiance_age", "irradiance_age"))
+        if own in line.variables and set(line[own].dims) == {ALONG_TRACK, CROSS_TRACK}
+    }
+    optional = [
+        name
+        for name in ("quality", "fwhm", "good", *_SMALL)
+        if name in line.variables and name not in of_cells
+    ]
     variables = schema.require(line, [*names, "wavelength", *optional], "paint signatures")
     line = line.assign({name: variables[name] for name in names})
     before = variables["reflectance"].attrs.get("smoothing")
@@ -193,11 +209,19 @@ def source_of(
     viewing = Viewing(line)
     size = cube.sizes[BAND]
     wavelength = variables["wavelength"].values.astype(np.float64)
+    small = {**{name: variables[name] for name in _SMALL if name in variables}, **viewing.lines}
+    if middle is not None:
+        rows = np.ones(line.sizes[ALONG_TRACK])
+        small |= {
+            name: xr.DataArray(value * rows, dims=ALONG_TRACK)
+            for name, value in zip(("latitude", "longitude"), middle, strict=True)
+        }
+    quality = {"quality": variables["quality"]} if "quality" in variables else {}
     return Source(
         line=line,
         cubes={"reflectance": cube, **{name: variables[name] for name in names[1:]}},
-        planes={**({"quality": variables["quality"]} if "quality" in variables else {}), **viewing.planes},
-        small={**{name: variables[name] for name in _SMALL if name in variables}, **viewing.lines},
+        planes={**quality, **of_cells, **viewing.planes},
+        small=small,
         viewing=viewing,
         wavelength=wavelength,
         fwhm=variables["fwhm"].values.astype(np.float64) if "fwhm" in variables else np.full(size, np.nan),
@@ -209,7 +233,7 @@ def source_of(
 
 
 def lines_of(line: Any, regions: Regions) -> dict[str, tuple[xr.Dataset, list[int]]]:
-    """Return the flight lines that regions are on, and the positions of the regions on each.
+    """Return the flight lines that regions are on, located where need be, and the regions' positions on each.
 
     Raises `SchemaError`: a region names another line than there is, or none where there are several.
     """
@@ -222,7 +246,9 @@ def lines_of(line: Any, regions: Regions) -> dict[str, tuple[xr.Dataset, list[in
     for position, region in enumerate(regions):
         wanted = only if only is not None and (nameless or not region.flightline) else region.flightline
         if wanted in given:
-            lines.setdefault(wanted, (given[wanted], []))[1].append(position)
+            if wanted not in lines:
+                lines[wanted] = (located_for(regions, given[wanted]), [])
+            lines[wanted][1].append(position)
             continue
         held = ", ".join(map(repr, given)) or "no flight line"
         naming = f"is of flight line {region.flightline!r}" if region.flightline else "names no flight line"

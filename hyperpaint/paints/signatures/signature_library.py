@@ -9,13 +9,22 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from hyperpaint.base.arrays import Array
-from hyperpaint.base.schema import BAND, LIBRARY_VARIABLES, Quality, flag_names, quality_attrs
+from hyperpaint.base.schema import (
+    ALONG_TRACK,
+    BAND,
+    CROSS_TRACK,
+    LIBRARY_VARIABLES,
+    Quality,
+    flag_names,
+    quality_attrs,
+)
 from hyperpaint.light.sun import solar_position
 from hyperpaint.radiometry.uncertainty.propagation import NONE_KNOWN, UNCERTAINTIES
 from hyperpaint.regions import Regions
-from hyperpaint.regions.pixels_in_regions import Pixels
+from hyperpaint.regions.pixels_in_regions import Pixels, numbers_of
 
 from .line_sources import Source, mean_view, relative_azimuth
+from .map_cells import Shown
 from .pixel_statistics import QUANTILES, chosen_members, effective_pixels, summarise
 
 if TYPE_CHECKING:
@@ -31,18 +40,20 @@ _NAT = np.datetime64("NaT", "ns")
 
 
 class Draft:
-    """What is known so far of the signature of one region, at ``place`` of a flight line.
+    """What is known so far of the signature of one region, at a place of a flight line or of a map of it.
 
     ``n`` pixels are used, with ``flags``, ``excluded`` ones left out; ``share`` (flag,) of all has each flag
     [1]. ``spectra`` holds ``reflectance``, ``reflectance_sd``, and uncertainties (band,),
     ``reflectance_quantiles`` (quantile, band) and ``member_reflectance`` (member, band), float64, NaN where
-    not known; ``member_place`` positions of the members along and across the track; ``at`` time, sun, view
+    not known; ``member_place`` numbers of the members along and across the track; ``at`` time, sun, view
     and age of the irradiance.
     """
 
-    def __init__(self, source: Source, place: Pixels) -> None:
+    def __init__(self, source: Source, place: Shown) -> None:
         bands = source.cubes["reflectance"].sizes[BAND]
-        self.along, self.across = place
+        self.cells = place.cells
+        self._is_of_line = place.cells is place.pixels  # those of a map are positions in the line it shows
+        self.along, self.across = place.pixels
         self.n = 0
         self.excluded = 0
         self.flags = 0
@@ -93,11 +104,15 @@ class Draft:
         along, across = self.along[self._used], self.across[self._used]
         self._chosen = chosen_members(along, across, most, seed)
         self.member_place = along[self._chosen], across[self._chosen]
+        if self._is_of_line:
+            numbers = (numbers_of(self._source.line, dim) for dim in (ALONG_TRACK, CROSS_TRACK))
+            rows, columns = (own.astype(np.int64) for own in numbers)
+            self.member_place = rows[self.member_place[0]], columns[self.member_place[1]]
         bands = self._source.cubes["reflectance"].sizes[BAND]
         self.spectra["member_reflectance"] = np.full((self._chosen.size, bands), np.nan)
-        of_lines = {name: values[along] for name, values in lines.items()}
-        self.at = _geometry(of_lines)
+        of_lines = {name: values[self.cells[0][self._used]] for name, values in lines.items()}
         of_pixels = {name: values[self._used] for name, values in planes.items()}
+        self.at = _geometry({**of_lines, **of_pixels})
         zenith, azimuth = mean_view(self._source.viewing, of_pixels, of_lines, across)
         self.at |= {
             "view_zenith": zenith,
@@ -150,7 +165,7 @@ def _mean(values: Array, there: Array, power: float) -> Array:
 
 
 def _geometry(lines: Mapping[str, Array]) -> dict[str, Any]:
-    """Return time, sun and age of the irradiance, from those of every pixel's line."""
+    """Return time, sun and age of the irradiance, from those of every pixel, or of its line."""
     time = lines.get("time", np.full(0, _NAT)).astype("datetime64[ns]")
     time = time[~np.isnat(time)]
     middle = _NAT

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -11,8 +11,10 @@ import numpy as np
 from hyperpaint.base import schema
 from hyperpaint.base.arrays import Array, Bools, Floats, Progress
 from hyperpaint.base.errors import Problems, SchemaError
+from hyperpaint.base.units import takes_quantities
 from hyperpaint.radiometry.slabs import line_chunked
 from hyperpaint.regions import Region, Regions
+from hyperpaint.regions.pixels_in_regions import renumbered
 from hyperpaint.surroundings import SceneModel, survey
 from hyperpaint.surroundings.flags import flag
 from hyperpaint.surroundings.sun_and_sky import sun_zenith_of
@@ -123,6 +125,7 @@ class Proposals(Regions):
         return "\n".join(rows)
 
 
+@takes_quantities(angle="degree", sun_zenith="degree", sun_azimuth="degree", heading="degree")
 def propose_regions(
     line: xr.Dataset,
     model: SceneModel | xr.Dataset | None = None,
@@ -257,7 +260,8 @@ def propose_regions(
     settle_dark(judged, scene, surfaces)
     for car in find_cars(bright, Scene.of(picture.channels, scene)):
         judged += judge_car(car, picture, limits)
-    return _ranked(judged, most, flightline, name)
+    proposals = _ranked(judged, most, flightline, name)
+    return replace(renumbered(proposals, line), refused=renumbered(proposals.refused, line))
 
 
 def _check(limits: Limits, most: int | None) -> None:

@@ -27,7 +27,7 @@ def test_judds_table() -> None:
     np.testing.assert_allclose(absorption_to_scattering([0.5, 0.1, 0.9]), [0.25, 4.05, 0.005556], rtol=1e-4)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(st.floats(1e-6, 1.0), st.floats(0.0, 0.9), st.floats(0.0, 0.9))
 def test_both_are_undone_and_bounded(layer: float, k1: float, k2: float) -> None:
     interface = Interface(k1, k2)

@@ -1,0 +1,117 @@
+"""Cells of a map as pixels of the flight line that they show.
+
+Nearest resampling repeats pixels and leaves others out; statistics are of pixels, each of them once.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import math
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from hyperpaint.base.errors import MissingExtraError, SchemaError
+from hyperpaint.base.schema import ALONG_TRACK, CROSS_TRACK
+from hyperpaint.regions.pixels_in_regions import Pixels
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+__all__ = ["Shown", "middle_of_map", "shown_pixels"]
+
+_PLACES = ("nearest_line", "nearest_sample", "glt_line", "glt_sample")
+
+
+class Shown(NamedTuple):
+    """The pixels of a region: where they are read, and which of the flight line they are."""
+
+    cells: Pixels
+    pixels: Pixels
+
+    @property
+    def size(self) -> int:
+        """Number of pixels."""
+        return int(self.cells[0].size)
+
+
+def shown_pixels(line: xr.Dataset, places: Sequence[Pixels]) -> list[Shown]:
+    """Return the pixels in regions, each once, from the cells of a map that lie in them (eager).
+
+    ``line`` is a flight line or a map, its dims named by role; ``places`` are positions in it, by region. A
+    pixel that several cells show is in the region where that cell is which lies nearest to its centre, and is
+    read there. Cells that show nothing are no pixels. Of a flight line, and of a map that does not say which
+    pixels its cells show, positions are left as they are.
+    """
+    import dask
+
+    if not set(_PLACES) <= set(line.variables):
+        return [Shown(place, place) for place in places]
+    # so far may the cell lie that is nearest to the centre of a pixel
+    attrs = {"spacing_across": 1.0, "spacing_along": 1.0, "gsd": 1.0, **line.attrs}
+    reach = 1 + math.ceil(max(attrs["spacing_across"], attrs["spacing_along"]) / attrs["gsd"])
+    windows = [_window(place, reach) for place in places]
+    planes = [line[name].reset_coords(drop=True).transpose(ALONG_TRACK, CROSS_TRACK) for name in _PLACES]
+    # together: what regions share is read once
+    tables = dask.compute(*([plane.isel(window).data for plane in planes] for window in windows))
+    return [
+        _once(place, window, *table) for place, window, table in zip(places, windows, tables, strict=True)
+    ]
+
+
+def _window(place: Pixels, reach: int) -> dict[str, slice]:
+    """Return the cells around a region."""
+    if not place[0].size:
+        return {ALONG_TRACK: slice(0, 0), CROSS_TRACK: slice(0, 0)}
+    return {
+        dim: slice(max(0, int(axis.min()) - reach), int(axis.max()) + reach + 1)
+        for dim, axis in zip((ALONG_TRACK, CROSS_TRACK), place, strict=True)
+    }
+
+
+def _once(
+    place: Pixels,
+    window: dict[str, slice],
+    line: np.ndarray,
+    sample: np.ndarray,
+    at_line: np.ndarray,
+    at_sample: np.ndarray,
+) -> Shown:
+    """Return every pixel once, of the cells of a window (row, col) that lie in a region."""
+    corner = window[ALONG_TRACK].start, window[CROSS_TRACK].start
+    inside = np.zeros(line.shape, bool)
+    inside[place[0] - corner[0], place[1] - corner[1]] = True
+    row, col = np.nonzero(line >= 0)
+    along, across = line[row, col].astype(np.int64), sample[row, col].astype(np.int64)
+    away = np.hypot(at_line[row, col] - along, at_sample[row, col] - across)
+    # pixels in the order of the flight line, of each the nearest cell first
+    order = np.lexsort((away, across, along))
+    pixel = np.stack([along[order], across[order]])
+    first = np.r_[True, (np.diff(pixel, axis=1) != 0).any(axis=0)] if order.size else np.zeros(0, bool)
+    nearest = order[first]
+    nearest = nearest[inside[row[nearest], col[nearest]]]
+    cells = row[nearest] + corner[0], col[nearest] + corner[1]
+    return Shown(cells, (along[nearest], across[nearest]))
+
+
+def middle_of_map(line: xr.Dataset) -> tuple[float, float] | None:
+    """Return latitude and longitude of the middle of a map [degree]; None of a flight line, or unknown."""
+    from hyperpaint.geometry.georeference.geodesy import between_maps, crs_of
+
+    mapping = line["spatial_ref"].attrs if "spatial_ref" in line.variables else {}
+    axes = [line.variables.get(name) for name in ("x", "y")]
+    wkt = mapping.get("crs_wkt") or mapping.get("spatial_ref")
+    if wkt is None or "GeoTransform" not in mapping:
+        return None
+    if all(axis is not None and axis.ndim == 1 for axis in axes):
+        middle = [float(np.mean(axis.values)) for axis in axes if axis is not None]
+    else:
+        a, b, c, d, e, f = map(float, str(mapping["GeoTransform"]).split())
+        col, row = line.sizes[CROSS_TRACK] / 2, line.sizes[ALONG_TRACK] / 2
+        middle = [a + b * col + c * row, d + e * col + f * row]
+    # the sun's place is the only use: it is missing then, and nothing else
+    with contextlib.suppress(MissingExtraError, SchemaError):
+        ((longitude, latitude),) = between_maps(np.array([middle]), crs_of(wkt), "EPSG:4326").tolist()
+        return latitude, longitude
+    return None

@@ -1,0 +1,105 @@
+"""Polygons of GeoPackage, Shapefile and FlatGeobuf as GeoJSON, through pyogrio, else fiona."""
+
+from __future__ import annotations
+
+import importlib.util
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from hyperpaint.base.errors import FormatError, MissingExtraError
+from hyperpaint.io.files.reading import head_of
+
+__all__ = ["VECTOR_FILES", "features_of"]
+
+VECTOR_FILES = {".gpkg": b"SQLite format 3\0", ".shp": b"\0\0\x27\x0a", ".fgb": b"fgb"}
+"""Suffixes, and what files begin with: the reader goes by content, and other kinds name further files."""
+
+_MOST_BYTES = 256 * 2**20
+
+
+def features_of(path: Path, most: int) -> dict[str, Any]:
+    """Return the polygons of a vector file as a FeatureCollection in coordinates of a map.
+
+    At most one more than ``most`` features are read.
+
+    Raises `FormatError`: the file is damaged, of another kind, without a crs, or has several layers of
+    polygons; `MissingExtraError`: neither pyogrio nor fiona is installed.
+    """
+    magic = VECTOR_FILES[path.suffix.lower()]
+    if not head_of(path, len(magic)) == magic or path.stat().st_size > _MOST_BYTES:
+        raise FormatError(f"{path}: no {path.suffix[1:]} file of some regions; check what the file is")
+    installed = [name for name in ("pyogrio", "fiona") if importlib.util.find_spec(name)]
+    if not installed:
+        raise MissingExtraError(
+            f"{path.suffix} files need pyogrio or fiona, and neither is installed",
+            mend="pip install pyogrio, or save the layer as GeoJSON in QGIS",
+        )
+    read = _by_pyogrio if installed[0] == "pyogrio" else _by_fiona
+    try:
+        crs, features = read(path, most)
+    except (FormatError, MissingExtraError):
+        raise
+    except Exception as error:  # either has errors of its own for every driver
+        raise FormatError(f"{path}: {installed[0]} cannot read it: {error!s:.200}") from error
+    if not crs:
+        raise FormatError(
+            f"{path}: no crs, so that nothing tells where its regions lie; set that of the layer"
+        )
+    return {"type": "FeatureCollection", "coordinates": "map", "crs": crs, "features": features}
+
+
+def _by_pyogrio(path: Path, most: int) -> tuple[str | None, list[dict[str, Any]]]:
+    import pyogrio
+
+    try:
+        import shapely
+    except ImportError as error:
+        raise MissingExtraError(
+            "polygons that pyogrio reads need shapely, which is not installed", mend="pip install shapely"
+        ) from error
+    layers = [str(name) for name, kind in pyogrio.list_layers(path) if kind is not None]
+    meta, _, shapes, columns = pyogrio.raw.read(path, layer=_only(path, layers), max_features=most + 1)
+    names = [str(name) for name in meta["fields"]]
+    features = [
+        {
+            "type": "Feature",
+            "geometry": None if shape is None else shapely.from_wkb(shape).__geo_interface__,
+            "properties": {name: _plain(value) for name, value in zip(names, row, strict=True)},
+        }
+        for shape, *row in zip(shapes, *columns, strict=True)
+    ]
+    return meta["crs"], features
+
+
+def _by_fiona(path: Path, most: int) -> tuple[str | None, list[dict[str, Any]]]:
+    import fiona
+
+    with fiona.open(path, layer=_only(path, fiona.listlayers(path))) as layer:
+        features = [
+            {
+                "type": "Feature",
+                "geometry": one.geometry and one.geometry.__geo_interface__,
+                "properties": {name: _plain(value) for name, value in one.properties.items()},
+            }
+            for _, one in zip(range(most + 1), layer, strict=False)
+        ]
+        return layer.crs.to_wkt() or None, features
+
+
+def _only(path: Path, layers: list[str]) -> str:
+    # styles that QGIS keeps beside a layer are no layer
+    layers = [name for name in layers if name != "layer_styles"]
+    if len(layers) != 1:
+        held = ", ".join(map(repr, layers)) or "none"
+        raise FormatError(f"{path}: layers {held}, expected one; save the one with the regions alone")
+    return layers[0]
+
+
+def _plain(value: Any) -> Any:
+    """Return a property as JSON holds it; what is not there is None."""
+    value = value.item() if isinstance(value, np.generic) else value
+    if isinstance(value, float) and value != value:
+        return None
+    return value if value is None or isinstance(value, str | int | float | bool) else str(value)
