@@ -22,7 +22,7 @@ def statistics_of(signature: Floats, reference: Floats) -> dict[str, Floats]:
     r"""Return the statistics of agreement over the last axis.
 
     Takes ``signature``, ``reference`` (..., band): reflectance [1], no value missing. By the names in
-    `STATISTICS`, [1], of the angle [rad]; NaN without bands, the last three where a spectrum is zero, and
+    `STATISTICS`, [1], of the angle [degree]; NaN without bands, the last three where a spectrum is zero, and
     angle and scale-free error of fewer than three bands, which have no shape.
 
     Notes
@@ -65,7 +65,7 @@ def statistics_of(signature: Floats, reference: Floats) -> dict[str, Floats]:
         "bias": difference.mean(axis=-1),
         "rmse": np.sqrt((difference**2).mean(axis=-1)),
         "mae": np.abs(difference).mean(axis=-1),
-        "spectral_angle": np.where(there, angle, np.nan),
+        "spectral_angle": np.where(there, np.degrees(angle), np.nan),
         "scale": scale[..., 0],
         "scale_free_error": np.where(shaped, np.sqrt((left**2).mean(axis=-1)), np.nan),
     }

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import itertools
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -21,7 +22,7 @@ from .validation_result import MEANINGS
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["Compared", "compare", "paired"]
+__all__ = ["Compared", "between_references", "compare", "paired"]
 
 _MOST_NAMED = 12
 
@@ -32,6 +33,7 @@ class Pair:
 
     signature: Measured
     references: tuple[Measured, ...]  # Repeated readings, of which the mean is compared
+    between: bool = False  # Whether the signature is a reference too, of another instrument
 
 
 @dataclass(frozen=True)
@@ -152,6 +154,34 @@ def _listed(names: Sequence[str]) -> str:
     return (shown or "none") + (f" and {len(names) - _MOST_NAMED} more" if len(names) > _MOST_NAMED else "")
 
 
+def between_references(pairs: Sequence[Pair]) -> list[Pair]:
+    """Return pairs of the references of one paint, of two instruments each."""
+    of_paint: dict[int, list[Pair]] = {}
+    for pair in pairs:
+        of_paint.setdefault(id(pair.signature), []).append(pair)
+    return [
+        Pair(_mean_of(one), other.references, between=True)
+        for own in of_paint.values()
+        for one, other in itertools.combinations(own, 2)
+    ]
+
+
+def _mean_of(pair: Pair) -> Measured:
+    """Return the mean of repeated readings, on the channels of the first, under the name of the paint."""
+    first = pair.references[0]
+    named = replace(first, names=replace(first.names, shown=pair.signature.name))
+    if len(pair.references) == 1:
+        return named
+    onto = [operator_onto(first, each) for each in pair.references]
+    values = np.stack([use(each.values) for use, each in zip(onto, pair.references, strict=True)])
+    sd = values.std(axis=0, ddof=1)
+    systematic = np.zeros(sd.shape) if first.u_systematic is None else first.u_systematic
+    return replace(
+        named, values=values.mean(axis=0), sd=sd, count=len(values), u_random=None,
+        u_systematic=np.hypot(sd / np.sqrt(len(values)), systematic),
+    )  # fmt: skip
+
+
 DRAWS = 1000
 """Draws of the uncertainty: it is known to 2 % itself."""
 
@@ -177,7 +207,8 @@ class Compared:
     @property
     def instrument(self) -> str:
         """Instrument of the references."""
-        return self.pair.references[0].instrument
+        own = self.pair.references[0].instrument
+        return f"{self.pair.signature.instrument} against {own}" if self.pair.between else own
 
     @property
     def used(self) -> npt.NDArray[np.bool_]:

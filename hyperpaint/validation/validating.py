@@ -11,12 +11,13 @@ import numpy as np
 from hyperpaint.alignment import oxygen_depth
 from hyperpaint.base.arrays import Bools, Floats
 from hyperpaint.base.errors import PaintWarning, Problems, SchemaError
+from hyperpaint.base.units import takes_quantities
 
 from .agreement import statistics_of, uncertainty_of
-from .comparing import Compared, compare, paired
+from .comparing import Compared, between_references, compare, paired
 from .dataset_spectra import references_from, signatures_from
 from .measured_spectra import scaled_by_panel
-from .validation_result import MEANINGS, STATISTICS, Validation
+from .validation_result import DARKEST, FLOOR, MEANINGS, RELATIVE, STATISTICS, Validation
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -31,19 +32,22 @@ PARTS: Mapping[str, tuple[float, float]] = {
 }
 """Parts of the spectrum [nm]: the first wavelength belongs to it, the last does not."""
 
-TOLERANCE = 0.02
-"""RMSE that references and signatures of one place are expected to agree to [1]."""
+TOLERANCE: Mapping[str, float] = {RELATIVE: 0.05, FLOOR: 0.005}
+"""RMSE that signatures and references are expected to agree to: a share of the paint's level and what is
+added [1]. It is the specification of surface reflectance of MODIS and Landsat, +-(0.005 + 0.05 rho): Vermote
+and Kotchenova, J. Geophys. Res. 113, D23S90 (2008)."""
 
 _LEAST_BANDS, _LEAST_SHARE = 3, 0.5
 """Bands of a part, and share of all its bands, that are compared where it is judged."""
 
 
+@takes_quantities(reference_fwhm="nm", parts="nm")
 def validate(
     signatures: xr.Dataset,
     references: Any,
     pairs: Mapping[str, str | Sequence[str]] | None = None,
     *,
-    tolerance: float | Mapping[str, float] = TOLERANCE,
+    tolerance: float | Mapping[str, float] | None = None,
     panel: xr.DataArray | xr.Dataset | None = None,
     parts: Mapping[str, tuple[float, float]] | None = None,
     reference_fwhm: float | None = None,
@@ -68,10 +72,15 @@ def validate(
         likeness. Several readings of one instrument are averaged where they are of one folder and dataset, or
         ``pairs`` names them all.
     tolerance
-        Largest RMSE [1]; or limits by name of a statistic: ``bias``, ``rmse``, ``mae``, ``spectral_angle``
-        [rad], ``scale`` (its distance from 1), ``scale_free_error``. All are to be met in every part that has
-        bands. Uncertainty does not widen them. Less than 3 bands, or half of a part's, pass nothing: where a
-        part that ``parts`` names, or every part of a pair, has no more, the pair fails.
+        By default RMSE may be 0.005 + 5 % of the paint's level, the mean of the reference in a part: 0.0065
+        of a black of 0.03, 0.045 of a white of 0.8. It is what surface reflectance of MODIS and Landsat is
+        specified to [1]_. A number is the largest RMSE at any level [1]. A mapping has limits by name:
+        ``relative`` (a share of the level) and ``floor`` (what is added, 0.005 by default), and statistics:
+        ``bias``, ``rmse``, ``mae``, ``spectral_angle`` [degree], ``scale`` (its distance from 1),
+        ``scale_free_error``. All are to be met in every part that has bands. Uncertainty does not widen them.
+        A part of less than 3 bands, or half of its bands, or whose limit is more than half of its level, is
+        not judged: it can fail, not pass. Where ``parts`` names it, or no part of a pair is judged, the pair
+        fails.
     panel
         Certified reflectance of the white panel on ``wavelength`` [1], which multiplies references that are
         relative to it.
@@ -89,7 +98,8 @@ def validate(
     -------
     Validation
         Statistics of every pair and part with uncertainties, spectra on common bands, what was not paired,
-        and whether all is within tolerance.
+        and whether all is within tolerance. Where several instruments measured a paint, ``between`` holds
+        the same of their references against one another.
 
     Raises
     ------
@@ -102,8 +112,8 @@ def validate(
     Warns
     -----
     PaintWarning
-        One of a pair includes the mirror image of the sky, the other does not; repeated readings are further
-        apart than the tolerance.
+        One of a pair includes the mirror image of the sky, the other does not; repeated readings, or those of
+        two instruments, are further apart than the tolerance.
 
     Notes
     -----
@@ -128,6 +138,11 @@ def validate(
     not seem sure. A component that is not known does not enter, and the result says so; one that is known in
     other bands leaves uncertainties NaN.
 
+    References
+    ----------
+    .. [1] E. F. Vermote, S. Kotchenova, "Atmospheric correction for the monitoring of land surfaces",
+       J. Geophys. Res. 113, D23S90 (2008).
+
     Examples
     --------
     >>> import xarray as xr
@@ -141,7 +156,7 @@ def validate(
     ...     {"reflectance": (("paint", "band"), [0.21 + 0.001 * (at - 400.0)], {"units": "1"})},
     ...     {"paint": ["hood"], "wavelength": ("band", at, {"units": "nm"})},
     ... )
-    >>> found = validate(paints, field, reference_fwhm=3.0)
+    >>> found = validate(paints, field, reference_fwhm=3.0)  # 0.01 of 0.35: less than 0.005 + 5 %
     >>> found.passed, round(float(found.statistics.bias.sel(part="VIS").item()), 4)
     (True, 0.01)
     """
@@ -154,6 +169,8 @@ def validate(
         measured = scaled_by_panel(measured, panel)
     pairing = paired(signatures_from(signatures), measured, pairs)
     compared = [compare(pair, seed) for pair in pairing.pairs]
+    between = [compare(pair, seed) for pair in between_references(pairing.pairs)]
+    between = [each for each in between if each.used.any()]
     problems = Problems("there are pairs without a band in common", SchemaError)
     for each in compared:
         if not each.used.any():
@@ -163,12 +180,14 @@ def validate(
     problems.raise_if_any()
     scatters = [_scatter(each, limits) for each in compared]
     mirrors = [text for each in compared for text in each.warnings()]
+    references_apart = _between(between, parts, limits, named=named)
     scatter_texts = [
         f"{each.pair.signature.name}: {text}"
         for each, texts in zip(compared, scatters, strict=True)
         for text in texts
     ]
-    for text in dict.fromkeys((*mirrors, *scatter_texts)):
+    disagreements = [] if references_apart is None else _disagreements(references_apart.statistics)
+    for text in dict.fromkeys((*mirrors, *scatter_texts, *disagreements)):
         warnings.warn(text, PaintWarning, stacklevel=2)
     return Validation(
         statistics=_statistics(compared, parts, limits, named=named),
@@ -178,30 +197,76 @@ def validate(
         unpaired_references=pairing.references,
         missing=pairing.signatures if require_all else pairing.missing,
         tolerance=limits,
+        between=references_apart,
     )
+
+
+def _between(
+    compared: Sequence[Compared],
+    parts: Mapping[str, tuple[float, float]],
+    limits: Mapping[str, float],
+    *,
+    named: bool,
+) -> Validation | None:
+    """Return how far references of one paint agree; None where one instrument alone measured each."""
+    if not compared:
+        return None
+    return Validation(
+        statistics=_statistics(compared, parts, limits, named=named),
+        spectra=tuple(each.dataset() for each in compared),
+        notes=((),) * len(compared),
+        unpaired_signatures=(), unpaired_references=(), missing=(), tolerance=limits,
+    )  # fmt: skip
+
+
+def _disagreements(between: xr.Dataset) -> list[str]:
+    """Return which instruments disagree about a paint."""
+    outside = (between["judged"] & ~between["passes"]).values
+    return [
+        f"{one['paint'].item()}: {one['instrument'].item()} is beyond the tolerance in "
+        f"{', '.join(between['part'].values[outside[row]])}; which of them is right?"
+        for row in np.flatnonzero(outside.any(axis=1))
+        for one in [between.isel(pair=row)]
+    ]
+
+
+def _rmse_limit(limits: Mapping[str, float], level: Floats) -> Floats:
+    """Return the largest RMSE that passes at levels of the reference; NaN where none is named."""
+    most = np.full(np.shape(level), limits.get("rmse", np.inf))
+    if RELATIVE in limits:
+        most = np.fmin(most, limits[FLOOR] + limits[RELATIVE] * np.abs(level))
+    return np.where(np.isfinite(most), most, np.nan)
 
 
 def _scatter(compared: Compared, limits: Mapping[str, float]) -> list[str]:
     """Return that repeated readings are further apart than the tolerance of their mean."""
-    limit = min((limits[name] for name in ("rmse", "mae") if name in limits), default=np.inf)
-    if compared.scatter <= limit:
+    level = np.asarray(compared.reference[compared.used].mean())
+    limit = float(np.fmin(_rmse_limit(limits, level), limits.get("mae", np.nan)))
+    if not compared.scatter > limit:
         return []
     return [
-        f"readings of the reference scatter by {compared.scatter:.2g}, more than the tolerance of {limit:g}; "
-        "are they of one paint?"
+        f"readings of the reference scatter by {compared.scatter:.2g}, more than the tolerance of "
+        f"{limit:.2g}; are they of one paint?"
     ]
 
 
 def _limits(tolerance: Any) -> dict[str, float]:
-    given = dict(tolerance) if isinstance(tolerance, Mapping) else {"rmse": tolerance}
+    given = {"rmse": tolerance} if tolerance is not None else TOLERANCE
+    given = dict(tolerance) if isinstance(tolerance, Mapping) else dict(given)
     problems = Problems("tolerance= cannot be used", SchemaError)
     for name, limit in given.items():
-        if name not in STATISTICS:
-            problems.add(f"there is no statistic {name!r}; there is {', '.join(STATISTICS)}")
+        if name not in (RELATIVE, FLOOR, *STATISTICS):
+            problems.add(
+                f"there is no statistic {name!r}; there is {', '.join((RELATIVE, FLOOR, *STATISTICS))}"
+            )
         if isinstance(limit, bool) or not isinstance(limit, int | float) or not limit >= 0.0:
             problems.add(f"{name}: {limit!r}, expected a number that is not negative")
     if not given:
         problems.add("no limit; name one, such as 0.02 of RMSE")
+    if FLOOR in given and RELATIVE not in given:
+        problems.add("floor is added to a share of the paint's level; name relative as well, such as 0.05")
+    if RELATIVE in given:
+        given.setdefault(FLOOR, TOLERANCE[FLOOR])
     problems.raise_if_any()
     return {name: float(limit) for name, limit in given.items()}
 
@@ -230,7 +295,7 @@ def _statistics(
     shape = len(compared), len(parts)
     statistics = {name: np.full(shape, np.nan) for name in STATISTICS}
     statistics |= {f"{name}_u": np.full(shape, np.nan) for name in STATISTICS}
-    statistics |= {"coverage": np.full(shape, np.nan)}
+    statistics |= {"coverage": np.full(shape, np.nan), "level": np.full(shape, np.nan)}
     bands, left_out = np.zeros(shape, np.int64), np.zeros(shape, np.int64)
     for row, each in enumerate(compared):
         for column, edges in enumerate(parts.values()):
@@ -241,17 +306,20 @@ def _statistics(
                 continue
             sides = each.signature[here], each.reference[here]
             statistics["coverage"][row, column] = each.coverage[here].min()
+            statistics["level"][row, column] = each.reference[here].mean()
             for name, value in statistics_of(*sides).items():
                 statistics[name][row, column] = value
             if each.errors is not None:
                 drawn = uncertainty_of(*sides, *(errors[:, here] for errors in each.errors))
                 for name, value in drawn.items():
                     statistics[f"{name}_u"][row, column] = value
+    statistics["rmse_limit"] = _rmse_limit(limits, statistics["level"])
     dims = ("pair", "part")
     variables: dict[str, Any] = {name: (dims, values, _attrs(name)) for name, values in statistics.items()}
     variables["bands"] = (dims, bands, _attrs("bands"))
     variables["bands_left_out"] = (dims, left_out, _attrs("bands_left_out"))
-    judged = (bands >= _LEAST_BANDS) & (bands >= _LEAST_SHARE * (bands + left_out))
+    too_dark = statistics["rmse_limit"] > DARKEST * statistics["level"] if RELATIVE in limits else False
+    judged = (bands >= _LEAST_BANDS) & (bands >= _LEAST_SHARE * (bands + left_out)) & ~np.asarray(too_dark)
     for name, flags in (("judged", judged), ("passes", _passes(statistics, judged, limits, named=named))):
         variables[name] = (dims, flags, {"long_name": MEANINGS[name]})
     for name, side in (("oxygen_residual", "signature"), ("reference_oxygen_residual", "reference")):
@@ -277,7 +345,7 @@ def _statistics(
 
 
 def _attrs(name: str) -> dict[str, str]:
-    units = "rad" if name.startswith("spectral_angle") else "nm" if name.endswith("wavelength") else "1"
+    units = "degree" if name.startswith("spectral_angle") else "nm" if name.endswith("wavelength") else "1"
     meaning = MEANINGS[name] if name in MEANINGS else f"Standard uncertainty of {name.removesuffix('_u')}"
     return {"units": units, "long_name": meaning}
 
@@ -291,7 +359,12 @@ def _passes(
     nothing of the pair is judged.
     """
     within, outside = np.ones(judged.shape, bool), np.zeros(judged.shape, bool)
-    for name, limit in limits.items():
+    of_statistics: dict[str, Any] = {
+        name: limit for name, limit in limits.items() if name in STATISTICS and name != "rmse"
+    }
+    if "rmse" in limits or RELATIVE in limits:
+        of_statistics["rmse"] = statistics["rmse_limit"]
+    for name, limit in of_statistics.items():
         away = np.abs(statistics[name] - 1.0 if name == "scale" else statistics[name])
         # of NaN, neither is true
         within &= away <= limit

@@ -14,6 +14,9 @@ if TYPE_CHECKING:
 
 __all__ = ["MEANINGS", "STATISTICS", "Validation", "aligned"]
 
+RELATIVE, FLOOR = "relative", "floor"
+"""Names of a tolerance of RMSE that grows with the paint's level: a share of it, and what is added."""
+
 STATISTICS = ("bias", "rmse", "mae", "spectral_angle", "scale", "scale_free_error")
 """Names of the statistics: those of a validation's table, in its order, and of tolerances."""
 
@@ -24,11 +27,13 @@ MEANINGS: Mapping[str, str] = {
     "spectral_angle": "Angle between signature and reference",
     "scale": "Factor that brings the reference nearest to the signature",
     "scale_free_error": "Root mean square difference after the signature is divided by scale",
+    "level": "Mean of the reference",
+    "rmse_limit": "Largest RMSE that passes",
     "coverage": "Part of a band's response that both sides see, the least of the bands used",
     "bands": "Bands that were compared",
     "bands_left_out": "Bands of the part that one side does not see whole, or has no value in",
     "passes": "Whether all that the tolerance names is within it, and the part judged where it has to be",
-    "judged": "Whether enough bands were compared for a part to be judged",
+    "judged": "Whether a part can be judged: enough bands, and a level that the tolerance can tell from none",
     "oxygen_residual": "Depth of the oxygen A band left in the signature; negative where overcorrected",
     "reference_oxygen_residual": "Depth of the oxygen A band left in the reference",
     "paint": "Name of the paint",
@@ -54,6 +59,7 @@ _HEAD = (
     "bands",
     "bias",
     "RMSE",
+    "limit",
     "MAE",
     "angle",
     "scale",
@@ -63,8 +69,13 @@ _HEAD = (
 )
 _LEGEND = (
     "differences of reflectance, signature minus reference; uncertainty of the last digits in brackets",
-    "angle in degrees; scale-free: RMSE after division by scale; oxygen: residual of signature / reference.",
+    "limit: largest RMSE that passes; angle in degrees; scale-free: RMSE after division by scale;",
+    "oxygen: residual of signature / reference.",
 )
+DARKEST = 0.5
+"""Share of a paint's level that the tolerance of RMSE may be, for a part to be judged: beyond it, twice as
+bright would pass."""
+
 _MOST_NAMES = 6
 _LONGEST_NAME = 40
 
@@ -77,8 +88,9 @@ class Validation:
     ----------
     statistics
         Dataset on (pair, part): ``bias``, ``rmse``, ``mae``, ``scale``, ``scale_free_error`` [1] and
-        ``spectral_angle`` [rad], each with its standard uncertainty ``<name>_u`` (NaN where nothing is known
-        of it); ``bands``, ``bands_left_out``, ``coverage``, ``judged`` and ``passes``; on (pair,)
+        ``spectral_angle`` [degree], each with its standard uncertainty ``<name>_u`` (NaN where nothing is
+        known of it); ``level``, ``rmse_limit``, ``bands``, ``bands_left_out``, ``coverage``, ``judged`` and
+        ``passes``; on (pair,)
         ``oxygen_residual``, that of the reference, and who was compared: ``paint``, ``reference``,
         ``instrument``, ``overlap``, ``overlap_matched``.
     spectra
@@ -91,7 +103,10 @@ class Validation:
     missing
         Those of the signatures that had to have one.
     tolerance
-        Limits by name of a statistic.
+        Limits by name of a statistic, and ``relative`` and ``floor``.
+    between
+        References of one paint against one another, where several instruments measured it: the same, a pair
+        for two instruments. It does not decide whether signatures pass.
     """
 
     statistics: xr.Dataset
@@ -101,6 +116,7 @@ class Validation:
     unpaired_references: tuple[str, ...]
     missing: tuple[str, ...]
     tolerance: Mapping[str, float]
+    between: Validation | None = None
 
     @property
     def passed(self) -> bool:
@@ -122,13 +138,22 @@ class Validation:
         """Return the name of a part that does not pass, with the reason where that is a lack of bands."""
         one = self.statistics.isel(pair=row, part=column)
         count, left = int(one["bands"]), int(one["bands_left_out"])
-        reason = "" if one["judged"] else f" ({count} of {count + left} bands, too few to judge)"
-        return f"{one['part'].item()}{reason}"
+        if one["judged"]:
+            return str(one["part"].item())
+        reason = f"{count} of {count + left} bands, too few to judge"
+        if float(one["rmse_limit"]) > DARKEST * float(one["level"]):
+            level, limit = float(one["level"]), float(one["rmse_limit"])
+            reason = f"level {level:.4f}, too dark for a tolerance of {limit:.4f}"
+        return f"{one['part'].item()} ({reason})"
 
     @property
     def verdict(self) -> str:
         """One line: how many pairs are within the tolerance, and how many paints have one."""
-        limits = ", ".join(f"{name} {limit:g}" for name, limit in self.tolerance.items())
+        named = dict(self.tolerance)
+        texts = []
+        if RELATIVE in named:
+            texts = [f"RMSE {named.pop(FLOOR):g} + {100.0 * named.pop(RELATIVE):g} % of the paint's level"]
+        limits = ", ".join([*texts, *(f"{name} {limit:g}" for name, limit in named.items())])
         count = self.statistics.sizes["pair"]
         good = int(self.statistics["passes"].all("part").sum())
         paints = len(set(self._texts("paint")))
@@ -140,8 +165,13 @@ class Validation:
 
     def table(self) -> str:
         """Return all statistics as a text, with what there is to know of each pair."""
-        lines = aligned([_HEAD, *self._rows()], names=3)
-        parts = [lines[0], "-" * len(lines[0]), *lines[1:], "", *_LEGEND, *self._remarks(), self.verdict]
+        rows = self._rows()
+        lines = aligned([_HEAD, *rows, *(self.between._rows() if self.between else [])], names=3)
+        parts = [lines[0], "-" * len(lines[0]), *lines[1 : len(rows) + 1]]
+        if self.between:
+            parts += ["", "references against one another, the first minus the second:"]
+            parts += lines[len(rows) + 1 :]
+        parts += ["", *_LEGEND, *self._remarks(), self.verdict]
         return "\n".join(_printable(line) for line in parts)
 
     def __repr__(self) -> str:
@@ -149,9 +179,10 @@ class Validation:
 
     def _repr_html_(self) -> str:
         cell = "padding:1px 10px 1px 0;text-align:right"
+        own = [*self._rows(), *(self.between._rows() if self.between else [])]
         rows = "".join(
             "<tr>" + "".join(f'<{tag} style="{cell}">{html.escape(text)}</{tag}>' for text in row) + "</tr>"
-            for tag, row in [("th", _HEAD), *(("td", row) for row in self._rows())]
+            for tag, row in [("th", _HEAD), *(("td", row) for row in own)]
         )
         remarks = "".join(f"<li>{html.escape(text)}</li>" for text in (*self._remarks(), *_LEGEND))
         return (
@@ -178,11 +209,10 @@ class Validation:
                     continue
                 cells = []
                 for name in STATISTICS:
-                    value, u = float(one[name]), float(one[f"{name}_u"])
-                    if name == "spectral_angle":
-                        value, u = np.degrees(value), np.degrees(u)
-                    cells.append(_with_uncertainty(value, u))
-                verdict = "FAILS" if not one["passes"] else "" if one["judged"] else "not judged"
+                    cells.append(_with_uncertainty(float(one[name]), float(one[f"{name}_u"])))
+                    if name == "rmse":
+                        cells.append(_plain(float(one["rmse_limit"]), 4))
+                verdict = "FAIL" if not one["passes"] else "pass" if one["judged"] else "not judged"
                 names = paint, f"{reference} ({instrument})", str(one["part"].values)
                 rows.append((*names, f"{count}/{count + left}", *cells, oxygen, verdict))
                 oxygen = ""  # once a pair

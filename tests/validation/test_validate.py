@@ -41,7 +41,7 @@ def test_statistics_are_those_of_plain_numpy() -> None:
     d = s - r
     expected = {
         "bias": d.mean(), "rmse": np.sqrt((d**2).mean()), "mae": np.abs(d).mean(),
-        "spectral_angle": np.arccos((s @ r) / np.linalg.norm(s) / np.linalg.norm(r)),
+        "spectral_angle": np.degrees(np.arccos((s @ r) / np.linalg.norm(s) / np.linalg.norm(r))),
         "scale": (s @ r) / (r @ r),
     }  # fmt: skip
     for name, wanted in expected.items():
@@ -190,7 +190,7 @@ def test_uncertainties_of_the_library_are_propagated() -> None:
     expected = np.hypot(0.003 / np.sqrt(NM.size), 0.04 * values.mean())
     assert value_of(found, "bias_u") == pytest.approx(expected, rel=0.08)
     assert value_of(found, "scale_u") == pytest.approx(0.04, rel=0.08)
-    assert value_of(found, "spectral_angle_u") < 0.02  # what is common to all bands has no shape
+    assert value_of(found, "spectral_angle_u") < np.degrees(0.02)  # what is common to all bands has no shape
     np.testing.assert_allclose(found.spectra[0]["signature_u"], np.hypot(0.003, 0.04 * values), rtol=0.15)
     assert any("without that of the reference" in note for note in found.notes[0])
 
@@ -273,9 +273,75 @@ def test_instruments_are_compared_apart() -> None:
     signatures, references = agreeing()
     nm = np.arange(390.0, 1011.0, 1.5)
     other = field(1.1 * seen(nm, 3.5), nm=nm, fwhm=3.5, instrument="SVC")
-    found = hp.validate(signatures, [references, other])
+    with pytest.warns(PaintWarning, match="hood: ASD against SVC is beyond the tolerance in VIS, NIR, all"):
+        found = hp.validate(signatures, [references, other])
     assert found.statistics.instrument.values.tolist() == ["ASD", "SVC"]
     np.testing.assert_allclose(found.statistics["scale"].sel(part="all"), [1.0, 1 / 1.1], rtol=1e-4)
+
+
+def test_instruments_are_compared_with_each_other() -> None:
+    """Expected: plain numpy of both on the coarser's channels, whatever the signature is; the mean of
+    repeated readings; and a verdict that decides nothing about the signature."""
+    nm = np.arange(390.0, 1011.0, 1.5)
+    paints = library(2.0 * seen(NM, 6.0))
+    asd = field(np.outer([0.98, 1.02], seen(np.arange(380.0, 1021.0), 3.0)), ["hood_0", "hood_1"])
+    svc = field(1.03 * seen(nm, 3.5), ["hood_s"], nm=nm, fwhm=3.5, instrument="SVC")
+    found = hp.validate(paints, [asd, svc], {"hood": ["hood_0", "hood_1", "hood_s"]})
+    assert not found.passed
+    between = found.between
+    assert between is not None
+    assert between.statistics["instrument"].values.tolist() == ["ASD against SVC"]
+    assert between.statistics["paint"].values.tolist() == ["hood"]
+    inside = (nm >= 400) & (nm < 700)
+    expected = np.sqrt((((1.0 - 1.03) * seen(nm, 3.5)[inside]) ** 2).mean())
+    assert value_of(between, "rmse", "VIS") == pytest.approx(expected, rel=2e-3)
+    assert value_of(between, "scale") == pytest.approx(1 / 1.03, rel=1e-4)
+    assert between.passed
+    text = found.table()
+    assert "references against one another" in text
+    assert [line.split()[-1] for line in text.splitlines() if "ASD against SVC" in line] == ["pass"] * 3
+    assert hp.validate(paints, [svc], {"hood": "hood_s"}).between is None
+
+
+# --- what is within the tolerance --------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("level", [0.003, 0.008, 0.015, 0.03, 0.06, 0.2, 0.5])
+@pytest.mark.parametrize("error", [1.7, 1.0 / 1.7])
+def test_seventy_percent_too_high_never_passes(level: float, error: float) -> None:
+    """Rationale: an RMSE of 0.02 passed a black that was 70 % too high."""
+    nm = np.arange(380.0, 1021.0)
+    paints, truth = library(np.full(NM.size, level * error)), field(np.full(nm.size, level))
+    found = hp.validate(paints, truth)
+    assert not found.passed
+    assert "FAIL" in found.table()
+    # the right level passes, unless it is within the floor
+    right = hp.validate(library(np.full(NM.size, level)), truth)
+    assert right.passed == (level > 0.012)
+    if not right.passed:
+        assert "too dark for a tolerance of 0.00" in right.problems[0]
+
+
+@pytest.mark.parametrize("level", [0.02, 0.1, 0.8])
+def test_the_limit_is_a_share_of_the_level_and_a_floor(level: float) -> None:
+    """Expected: 0.005 + 5 %, just inside passes and just outside fails; other shares as they are said."""
+    nm = np.arange(380.0, 1021.0)
+    truth = field(np.full(nm.size, level))
+    for tolerance, limit in ((None, 0.005 + 0.05 * level), ({"relative": 0.1, "floor": 0.0}, 0.1 * level)):
+        for share, passes in ((0.99, True), (1.01, False), (-0.99, True), (-1.01, False)):
+            found = hp.validate(library(np.full(NM.size, level + share * limit)), truth, tolerance=tolerance)
+            assert found.passed is passes
+            assert value_of(found, "rmse_limit") == pytest.approx(limit, rel=1e-5)
+            assert value_of(found, "level") == pytest.approx(level, rel=1e-5)
+    assert hp.validate(library(np.full(NM.size, level + 0.3)), truth, tolerance=0.31).passed
+
+
+def test_every_row_says_whether_it_passes() -> None:
+    paints = library([smooth(NM), 1.2 * smooth(NM)], ("hood", "roof"))
+    references = library([smooth(NM)] * 2, ("hood", "roof"))
+    rows = [line for line in hp.validate(paints, references).table().splitlines() if "/" in line]
+    assert [row.split()[-1] for row in rows if row.startswith("hood")] == ["pass"] * 3
+    assert [row.split()[-1] for row in rows if row.startswith("roof")] == ["FAIL"] * 3
 
 
 # --- what is refused, and what is told ---------------------------------------------------------------------
@@ -335,6 +401,7 @@ def test_mirrored_sky_on_one_side_only_warns() -> None:
         ({"tolerance": {"colour": 1.0}}, "no statistic 'colour'"),
         ({"tolerance": -1.0}, "expected a number that is not negative"),
         ({"tolerance": {}}, "no limit"),
+        ({"tolerance": {"floor": 0.01}}, "name relative as well"),
         ({"parts": {}}, "expected names with"),
         ({"parts": {"x": (700.0, 400.0)}}, "first and last wavelength"),
         ({"references": []}, "there is none"),
@@ -369,8 +436,8 @@ def test_parts_without_bands_are_not_judged() -> None:
 def test_tolerance_of_several_statistics() -> None:
     signatures, references = agreeing()
     brighter = signatures.assign(reflectance=(signatures["reflectance"] * 1.1).assign_attrs(units="1"))
-    assert hp.validate(brighter, references, tolerance={"spectral_angle": 1e-3, "scale": 0.11}).passed
-    assert not hp.validate(brighter, references, tolerance={"spectral_angle": 1e-3, "scale": 0.09}).passed
+    assert hp.validate(brighter, references, tolerance={"spectral_angle": 0.06, "scale": 0.11}).passed
+    assert not hp.validate(brighter, references, tolerance={"spectral_angle": 0.06, "scale": 0.09}).passed
 
 
 def test_texts_are_only_texts() -> None:
@@ -391,7 +458,7 @@ def test_dtypes_and_units() -> None:
     for name in ("bias", "rmse", "mae", "scale", "scale_free_error", "coverage", "oxygen_residual"):
         assert table[name].dtype == np.float64
         assert table[name].attrs["units"] == "1"
-    assert table["spectral_angle"].attrs["units"] == "rad"
+    assert table["spectral_angle"].attrs["units"] == "degree"
     assert table["bands"].dtype == np.int64
     assert table["passes"].dtype == bool
     assert all(array.attrs["long_name"] for array in table.data_vars.values())

@@ -93,7 +93,8 @@ def test_instruments_of_one_make_are_compared_apart(tmp_path: Path) -> None:
             f"instrument= HI: {serial} (HR-1024i)\nerror= 0, {serial}\n{times}",
         )
     both = hp.open_svc([tmp_path / "s1", tmp_path / "s2"], utc_offset_h=2)
-    found = hp.validate(library(np.full(NM.size, 0.3), ("red",)), both)
+    with pytest.warns(PaintWarning, match=r"red: SVC HI: 1 \(HR-1024i\) against SVC HI: 2 .* is beyond"):
+        found = hp.validate(library(np.full(NM.size, 0.3), ("red",)), both)
     assert found.statistics["instrument"].values.tolist() == ["SVC HI: 1 (HR-1024i)", "SVC HI: 2 (HR-1024i)"]
     np.testing.assert_allclose(found.statistics["bias"].sel(part="all"), [-0.01, 0.01], atol=1e-4)
     assert "the instrument set error bits 1 in the target scan" in found.notes[0]

@@ -61,7 +61,7 @@ def test_red_turf_from_the_air_against_the_field(shared_data: Path) -> None:
     paints = library((ground * red / lawn)[here], ("AstroRedBaseball",), nm=centre[here], fwhm=None)
     paints = paints.assign_coords(fwhm=("band", fwhm[here], {"units": "nm"}))
     found = hp.validate(paints, field_red, tolerance=1.0)
-    assert value_of(found, "spectral_angle") < 0.2
+    assert value_of(found, "spectral_angle") < 12.0
     assert 0.6 < value_of(found, "scale") < 1.5
 
 

@@ -22,15 +22,17 @@ def test_statistics_by_hand() -> None:
     assert found["mae"] == pytest.approx(0.2 / 3)
     assert found["rmse"] == pytest.approx(math.sqrt(0.02 / 3))
     dot, ss, rr = 0.02 + 0.25 + 0.2, 0.04 + 0.25 + 0.16, 0.01 + 0.25 + 0.25
-    assert found["spectral_angle"] == pytest.approx(math.acos(dot / math.sqrt(ss * rr)))
+    assert found["spectral_angle"] == pytest.approx(math.degrees(math.acos(dot / math.sqrt(ss * rr))))
     k = dot / rr
     assert found["scale"] == pytest.approx(k)
     left = [(a / k - b) ** 2 for a, b in zip(s, r, strict=True)]
     assert found["scale_free_error"] == pytest.approx(math.sqrt(sum(left) / 3))
-    assert found["scale_free_error"] == pytest.approx(math.tan(found["spectral_angle"]) * math.sqrt(rr / 3))
+    assert found["scale_free_error"] == pytest.approx(
+        math.tan(math.radians(found["spectral_angle"])) * math.sqrt(rr / 3)
+    )
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(SPECTRA, SPECTRA, st.floats(0.2, 5.0))
 def test_what_a_factor_does_not_change(s: np.ndarray, r: np.ndarray, factor: float) -> None:
     one, other = statistics_of(s, r), statistics_of(factor * s, r)
@@ -39,7 +41,7 @@ def test_what_a_factor_does_not_change(s: np.ndarray, r: np.ndarray, factor: flo
     assert other["scale"] == pytest.approx(factor * one["scale"])
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(SPECTRA, SPECTRA)
 def test_order_of_sizes(s: np.ndarray, r: np.ndarray) -> None:
     found = statistics_of(s, r)
@@ -51,14 +53,14 @@ def test_order_of_sizes(s: np.ndarray, r: np.ndarray) -> None:
         assert swapped[name] == pytest.approx(found[name], abs=1e-12)
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(SPECTRA, st.floats(0.2, 5.0))
 def test_equal_shapes_have_no_angle(s: np.ndarray, factor: float) -> None:
     found = statistics_of(s, s)
     assert [float(found[name]) for name in ("bias", "rmse", "mae", "spectral_angle")] == [0.0] * 4
     assert found["scale"] == pytest.approx(1.0, abs=1e-15)
     assert found["scale_free_error"] < 1e-15
-    assert statistics_of(factor * s, s)["spectral_angle"] < 1e-15
+    assert statistics_of(factor * s, s)["spectral_angle"] < 1e-13
 
 
 def test_nothing_gives_nothing() -> None:
