@@ -4,6 +4,10 @@ from .plot import (
     rgb as rgb,
 )
 from .plot_calibration import calibration_report as calibration_report
+from .plot_chain import (
+    straightening as straightening,
+    triptych as triptych,
+)
 from .plot_flags import (
     adjacency_figure as adjacency_figure,
     flag_overlay as flag_overlay,
@@ -11,6 +15,5 @@ from .plot_flags import (
 from .plot_spectra import (
     library_overview as library_overview,
     spectrum as spectrum,
-    triptych as triptych,
 )
 from .plot_validation import validation_figure as validation_figure

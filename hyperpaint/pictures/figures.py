@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import base64
 import struct
+import textwrap
 import zlib
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -14,8 +16,8 @@ import numpy.typing as npt
 from hyperpaint.base.errors import SchemaError, needs_extra
 
 __all__ = [
-    "axes_or_new", "check_picture", "data_uri", "encode_png", "label_for", "new_figure", "png_of",
-    "save_figure",
+    "axes_or_new", "check_picture", "columns_for", "data_uri", "encode_png", "ink_of", "label_for",
+    "legend_below", "new_figure", "panel_width", "png_of", "save_figure",
 ]  # fmt: skip
 
 _LONGEST_LABEL = 60
@@ -38,6 +40,71 @@ def axes_or_new(axes: Any, purpose: str, **options: Any) -> Any:
     with needs_extra("matplotlib", "viz", purpose):
         from matplotlib import pyplot
     return pyplot.subplots(layout="constrained", **options)[1]
+
+
+def ink_of(axes: Any, strength: float = 1.0) -> tuple[float, float, float]:
+    """Return the colour of text on axes, mixed with what lies below: seen in light and in dark themes.
+
+    ``strength``: 1 for text itself, 0 for the ground.
+    """
+    from matplotlib import rcParams
+    from matplotlib.colors import to_rgb
+
+    ground = axes.get_facecolor()
+    ink, paper = np.array(to_rgb(rcParams["text.color"])), np.array(to_rgb(ground))
+    red, green, blue = (strength * ink + (1.0 - strength) * paper).tolist()
+    return red, green, blue
+
+
+_LETTERS = 15.0  # of small text in an inch
+_BELOW = 0.5  # what ticks and the label of an axis take [inch]
+
+
+def panel_width(axes: Any) -> float:
+    """Return the width of the part of the figure that is kept for axes and their labels [inch]."""
+    width, spec = float(axes.figure.get_size_inches()[0]), axes.get_subplotspec()
+    if spec is None:
+        return width
+    outer = spec.get_topmost_subplotspec()
+    return width * float(len(outer.colspan) / outer.get_gridspec().ncols)
+
+
+def legend_below(axes: Any, *others: Any, entries: Mapping[str, Any] | None = None, **options: Any) -> None:
+    """Name the curves below their axes, off the curves, and those of ``others``, in as many columns as fit.
+
+    Long names are broken: what is wider than the axes would squeeze them. ``entries``: more handles by name.
+    """
+    from matplotlib.transforms import ScaledTranslation
+
+    named: dict[str, Any] = dict(entries or {})
+    for each in (*others, axes):
+        handles, labels = each.get_legend_handles_labels()
+        named |= dict(zip(labels, handles, strict=True))
+    if not named:
+        return
+    figure = axes.figure
+    room = panel_width(axes) - 1.0
+    texts = [textwrap.fill(label, max(12, int(_LETTERS * (room - 0.4)))) for label in named]
+    longest = max(len(line) for text in texts for line in text.splitlines())
+    columns = max(1, min(len(texts), int(room / (longest / _LETTERS + 0.6))))
+    settings = {"fontsize": "small", "frameon": False, "ncols": columns, "handlelength": 1.6, **options}
+    # below the label of the axis
+    place = axes.transAxes + ScaledTranslation(0.0, -_BELOW, figure.dpi_scale_trans)
+    axes.legend(
+        named.values(), texts, loc="upper left", bbox_to_anchor=(0.0, 0.0), bbox_transform=place,
+        borderaxespad=0.0, **settings,
+    )  # fmt: skip
+
+
+def columns_for(width: float, panel: float, most: int) -> int:
+    """Return how many panels of a width [inch] stand side by side.
+
+    Examples
+    --------
+    >>> columns_for(13.0, 4.0, 4), columns_for(3.6, 4.0, 4)
+    (3, 1)
+    """
+    return max(1, min(most, int(width // panel)))
 
 
 def label_for(text: object, longest: int = _LONGEST_LABEL) -> str:

@@ -18,6 +18,7 @@ from hyperpaint.base.errors import PaintError, SchemaError, needs_extra
 from hyperpaint.base.schema import ALONG_TRACK, CROSS_TRACK, Quality
 from hyperpaint.paints.signatures import extract_signatures
 from hyperpaint.regions import Region, Regions, regions_from, write_regions
+from hyperpaint.regions.pixels_in_regions import renumbered
 
 from .plot_flags import background
 
@@ -113,11 +114,13 @@ class RegionPicker:
         self, line: xr.Dataset, regions: Any, flightline: str, lines: int, exclude: Quality | int | None
     ) -> None:
         _need_extra()
-        self._line = schema.rename_to_roles(line)
+        # places on the picture are positions; what is given and drawn has the numbers of the line
+        self._numbered = schema.rename_to_roles(line)
+        self._line = self._numbered.drop_vars((ALONG_TRACK, CROSS_TRACK), errors="ignore")
         self._shape = self._line.sizes[ALONG_TRACK], self._line.sizes[CROSS_TRACK]
         self._exclude = exclude
         self._flightline = flightline
-        self._regions = _on_sensor(regions)
+        self._regions = renumbered(_on_sensor(regions), self._numbered, back=True)
         self._spectra: dict[bytes, tuple[Floats, Floats] | str] = {}
         step = max(1, -(-self._shape[0] // max(lines, 1)))
         self._shown = PickerView(self, background(self._line, step), self._shape)
@@ -126,6 +129,11 @@ class RegionPicker:
     @property
     def regions(self) -> Regions:
         """What is drawn now, in sensor coordinates: x is cross_track, y along_track, whole pixels."""
+        return renumbered(self._regions, self._numbered)
+
+    @property
+    def drawn(self) -> Regions:
+        """The same in positions on the picture."""
         return self._regions
 
     def save(self, path: str | os.PathLike[str], *, overwrite: bool = False) -> Path:
@@ -260,7 +268,7 @@ class PickerView:
         self._name.param.watch(lambda event: self._rename(event.new), "value")
         self._undo.on_click(lambda _: self._draw_draft(-1))
         self._remove.on_click(lambda _: self._drop())
-        self._show(picker.regions.names[-1] if len(picker.regions) else None)
+        self._show(picker.drawn.names[-1] if len(picker.drawn) else None)
 
     # --- figures -------------------------------------------------------------------------------------------
 
@@ -274,7 +282,7 @@ class PickerView:
         plot = figure(
             name="picture", height=_PICTURE_HEIGHT, sizing_mode="stretch_width",
             tools="pan,wheel_zoom,reset", active_scroll="wheel_zoom",
-            x_axis_label="along_track", y_axis_label="cross_track",
+            x_axis_label="along_track [line], flown to the right", y_axis_label="cross_track [column]",
             x_range=Range1d(-0.5, lines - 0.5, bounds=(-0.5, lines - 0.5)),
             # the first column on top, as in every other picture
             y_range=Range1d(columns - 0.5, -0.5, bounds=(-0.5, columns - 0.5)),
@@ -304,7 +312,7 @@ class PickerView:
 
         plot = figure(
             name="spectra", height=_SPECTRA_HEIGHT, sizing_mode="stretch_width", tools="pan,box_zoom,reset",
-            x_axis_label="wavelength [nm]", y_axis_label="reflectance factor",
+            x_axis_label="wavelength [nm]", y_axis_label="reflectance factor [1]",
             title="median, 5 to 95 % of the pixels",
         )  # fmt: skip
         plot.patches("nm", "reflectance", source=self._shades, color="colour", alpha=0.15, line_alpha=0.0)
@@ -371,7 +379,7 @@ class PickerView:
             self._showing = False
 
     def _show_all(self, name: str | None) -> None:
-        regions = self._picker.regions
+        regions = self._picker.drawn
         wanted = name or self._chosen.value
         chosen = wanted if wanted in regions.names else regions.names[-1] if len(regions) else None
         self._chosen.options = list(regions.names)

@@ -14,7 +14,8 @@ from hyperpaint.base.errors import SchemaError
 from hyperpaint.paints.colours import encode_srgb, srgb_weights
 from hyperpaint.radiometry.counts_to_reflectance import reflectance
 
-from .figures import label_for, new_figure, save_figure
+from .figures import columns_for, ink_of, label_for, legend_below, new_figure, save_figure
+from .orientation import map_dims, orientation_of, show_picture
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -45,7 +46,10 @@ def rgb(dataset: xr.Dataset, *, stretch: tuple[float, float] = (2.0, 98.0)) -> x
     Returns
     -------
     (along_track, cross_track, rgb), float32
-        sRGB from 0 to 1. Saturated pixels are white, pixels without any value black.
+        sRGB from 0 to 1, with the coordinates of the pixels; of a map (y, x, rgb), with its ``spatial_ref``.
+        Saturated pixels are white, pixels without any value black. The array is named ``true_colour``, the
+        colours of dim ``rgb`` are ``red``, ``green``, ``blue``: ``picture.hvplot.rgb(x="x", y="y",
+        bands="rgb")``, ``picture.transpose("rgb", "y", "x").rio.to_raster(...)``.
 
     Raises
     ------
@@ -84,15 +88,21 @@ def rgb(dataset: xr.Dataset, *, stretch: tuple[float, float] = (2.0, 98.0)) -> x
         output_dtypes=[np.float32],
         dask_gufunc_kwargs={"output_sizes": {"rgb": 3}},
     ).drop_vars(["wavelength", "fwhm", "good", "wavelength_shift"], errors="ignore")
+    own_dims = map_dims(cube)
     dims = [dim for dim in source.dims if dim != schema.BAND]
     low, high = _levels(linear, dims[0], stretch)
     shown = ((linear - low) / np.maximum(high - low, np.float32(1e-6))).clip(0.0, 1.0)
     picture: xr.DataArray = xr.apply_ufunc(
         encode_srgb, shown, dask="parallelized", output_dtypes=[np.float32]
     )
-    picture = picture.transpose(*dims, "rgb").rename("rgb")
+    picture = picture.transpose(*dims, "rgb").rename("true_colour")
+    axes = {name: (name, cube[name].values, cube[name].attrs) for name in own_dims.values()}
+    picture = picture.drop_vars(list(axes)).rename(own_dims).assign_coords(axes)
     picture = picture.assign_coords(rgb=("rgb", ["red", "green", "blue"]))
     picture.attrs = {"long_name": "True colour (sRGB)", "stretch": f"{stretch[0]:g} to {stretch[1]:g} %"}
+    for kept in (cube.attrs, cube.encoding):
+        if "grid_mapping" in kept:
+            picture.attrs["grid_mapping"] = kept["grid_mapping"]
     return picture
 
 
@@ -105,7 +115,7 @@ def _mix(values: Array, *, weights: Array) -> Array:
 
 
 def _levels(linear: xr.DataArray, lines: Any, stretch: tuple[float, float]) -> tuple[Any, Any]:
-    """Return what becomes black and white, from a part of the lines, lazily."""
+    """Return what becomes black and white, lazily, from a part of the lines, of pixels that have values."""
     import xarray as xr
 
     if stretch == (0.0, 100.0):
@@ -114,15 +124,22 @@ def _levels(linear: xr.DataArray, lines: Any, stretch: tuple[float, float]) -> t
     if some.chunks is not None:
         some = some.chunk(-1)
     levels = xr.apply_ufunc(
-        lambda picture: np.percentile(picture.mean(axis=-1), stretch, axis=(-2, -1)).astype(np.float32),
+        _percentiles,
         some.transpose(..., "rgb"),
         input_core_dims=[list(some.dims)],
+        kwargs={"stretch": stretch},
         output_core_dims=[["level"]],
         dask="parallelized",
         output_dtypes=[np.float32],
         dask_gufunc_kwargs={"output_sizes": {"level": 2}},
     )
     return levels.isel(level=0), levels.isel(level=1)
+
+
+def _percentiles(picture: Array, *, stretch: tuple[float, float]) -> Array:
+    brightness = picture.mean(axis=-1)[picture.any(axis=-1)]
+    levels = np.percentile(brightness if brightness.size else [0.0], stretch)
+    return np.asarray(levels, np.float32)
 
 
 def overview(dataset: xr.Dataset) -> xr.DataArray | None:
@@ -147,7 +164,9 @@ def overview(dataset: xr.Dataset) -> xr.DataArray | None:
     return small.rename("overview")
 
 
-def quicklook(dataset: xr.Dataset, path: str | Path | None = None, *, lines: int = 1000) -> Any:
+def quicklook(
+    dataset: xr.Dataset, path: str | Path | None = None, *, lines: int = 1000, width: float = 11.0
+) -> Any:
     """Draw a flight line: true colour, quality, irradiance over time.
 
     Eager: computes a picture of at most ``lines`` lines.
@@ -160,6 +179,8 @@ def quicklook(dataset: xr.Dataset, path: str | Path | None = None, *, lines: int
         Where to write a picture (PNG, PDF, ...); nowhere by default.
     lines
         Lines shown at the most; of a longer line every n-th is read.
+    width
+        Of the figure [inch]; below 8 the panels stand one above the other.
 
     Returns
     -------
@@ -172,23 +193,25 @@ def quicklook(dataset: xr.Dataset, path: str | Path | None = None, *, lines: int
     SchemaError
         There is no reflectance, or nothing that it follows from; or matplotlib writes no such picture.
     """
-    figure = new_figure("a quicklook", figsize=(11, 7), layout="constrained")
+    is_wide = columns_for(width, 4.0, 2) > 1
+    figure = new_figure("a quicklook", figsize=(width, 8.0 if is_wide else 15.0), layout="constrained")
     dataset = schema.rename_to_roles(dataset)
     if "reflectance" not in dataset.variables or "quality" not in dataset.variables:
         dataset = reflectance(dataset)
     step = max(1, dataset.sizes[schema.ALONG_TRACK] // lines)
+    orientation = orientation_of(dataset)
     dataset = dataset.isel({schema.ALONG_TRACK: slice(None, None, step)})
-    picture, quality = rgb(dataset).values, flags_of(dataset)
-    grid = figure.add_gridspec(2, 3, height_ratios=(3, 1.3))
-    shown, flags = figure.add_subplot(grid[0, :2]), figure.add_subplot(grid[0, 2])
-    shown.imshow(picture.swapaxes(0, 1), aspect="auto", interpolation="nearest")
-    shown.set(
-        title=f"{label_for(dataset.attrs.get('name', 'flight line'))}: true colour", ylabel="cross_track"
-    )
-    shown.set_xlabel("along_track" + (f" (every {step})" if step > 1 else ""))
-    _draw_flags(flags, quality)
-    draw_irradiance(figure.add_subplot(grid[1, :2]), dataset)
-    draw_reflectance(figure.add_subplot(grid[1, 2]), dataset)
+    names = ("flags", "light", "spectra")
+    mosaic = [["picture", name] for name in names] if is_wide else [["picture"], *([name] for name in names)]
+    heights = (1.3, 1.0, 1.0) if is_wide else (2.0, 1.0, 1.0, 1.0)
+    panels = figure.subplot_mosaic(mosaic, height_ratios=heights)
+    show_picture(panels["picture"], rgb(dataset).values, orientation)
+    every = f", every {step}th line" if step > 1 else ""
+    name = label_for(dataset.attrs.get("name", "flight line"))
+    panels["picture"].set_title(f"{name}: true colour{every}")
+    _draw_flags(panels["flags"], flags_of(dataset))
+    draw_irradiance(panels["light"], dataset)
+    draw_reflectance(panels["spectra"], dataset)
     save_figure(figure, path)
     return figure
 
@@ -214,7 +237,7 @@ def _draw_flags(axes: Any, quality: Array) -> None:
     names = [name.replace("_", " ") for name in schema.flag_names(sum(shares))] or ["no flag set"]
     bars = axes.barh(names, [100 * part for part in shares.values()] or [0.0], height=0.6, color="#b5543c")
     axes.bar_label(bars, [f" {percent(part)}" for part in shares.values()] or [""], fontsize="small")
-    axes.set(title="quality", xlabel="pixels [%]", ylim=(max(len(names), 8) - 0.4, -0.6))
+    axes.set(title="flags", xlabel="share of pixels [%]", ylim=(max(len(names), 8) - 0.4, -0.6))
     axes.set_xlim(0, 1.3 * axes.get_xlim()[1])
 
 
@@ -233,7 +256,7 @@ def draw_irradiance(axes: Any, dataset: xr.Dataset) -> None:
     start = series[schema.IRRADIANCE_TIME].values[0]
     seconds = (series[schema.IRRADIANCE_TIME].values - start) / np.timedelta64(1, "s")
     samples = series[schema.IRRADIANCE_WAVELENGTH].values
-    for nm, colour in ((450.0, "#3566a8"), (550.0, "#4d8f3a"), (850.0, "#8c3b6b")):
+    for nm, colour in ((450.0, "#3399DD"), (550.0, "#009E73"), (850.0, "#D55E00")):
         if samples.min() <= nm <= samples.max():
             axes.plot(
                 seconds, series.values[:, np.abs(samples - nm).argmin()], color=colour, label=f"{nm:.0f} nm"
@@ -241,11 +264,12 @@ def draw_irradiance(axes: Any, dataset: xr.Dataset) -> None:
     times = dataset["time"].values if "time" in dataset.coords else np.empty(0, "datetime64[ns]")
     flown = (times[~np.isnat(times)] - start) / np.timedelta64(1, "s")
     if flown.size:
-        axes.axvspan(flown.min(), flown.max(), color="0.9", zorder=0, label="line")
-    axes.set(title="downwelling irradiance", xlabel=f"seconds after {str(start)[:19]} UTC")
-    axes.set_ylabel("W m$^{-2}$ nm$^{-1}$")
+        axes.axvspan(flown.min(), flown.max(), color=ink_of(axes, 0.15), zorder=0, label="line")
+    day, _, clock = str(start)[:19].partition("T")
+    axes.set(title=f"irradiance, {day}", xlabel=f"time after {clock} UTC [s]")
+    axes.set_ylabel("irradiance [W m$^{-2}$ nm$^{-1}$]")
     axes.set_ylim(0, 1.05 * axes.get_ylim()[1])
-    axes.legend(fontsize="small", loc="lower right", ncols=2)
+    legend_below(axes)
 
 
 def draw_reflectance(axes: Any, dataset: xr.Dataset) -> None:
@@ -256,12 +280,12 @@ def draw_reflectance(axes: Any, dataset: xr.Dataset) -> None:
     values = some.transpose(..., schema.BAND).values.reshape(-1, some.sizes[schema.BAND])
     parts = known_quantiles(values, (0.05, 0.25, 0.5, 0.75, 0.95))
     wavelength = dataset["wavelength"].values
-    axes.fill_between(wavelength, parts[0], parts[4], color="0.92", label="5 to 95 %")
-    axes.fill_between(wavelength, parts[1], parts[3], color="0.8", label="middle half")
-    axes.plot(wavelength, parts[2], color="0.2", label="median")
-    axes.set(title="reflectance of all pixels", xlabel="wavelength [nm]")
+    axes.fill_between(wavelength, parts[0], parts[4], color=ink_of(axes, 0.12), label="5 to 95 %")
+    axes.fill_between(wavelength, parts[1], parts[3], color=ink_of(axes, 0.3), label="middle half")
+    axes.plot(wavelength, parts[2], color=ink_of(axes, 0.9), label="median")
+    axes.set(title="reflectance of all pixels", xlabel="wavelength [nm]", ylabel="reflectance factor [1]")
     axes.set_ylim(bottom=0)
-    axes.legend(fontsize="small")
+    legend_below(axes)
 
 
 def known_quantiles(values: Array, levels: Sequence[float]) -> Array:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import textwrap
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -12,7 +13,7 @@ from hyperpaint.base.arrays import Array
 from hyperpaint.base.errors import Problems, SchemaError
 from hyperpaint.base.schema import BAND, CROSS_TRACK, STEP
 
-from .figures import check_picture, new_figure, save_figure
+from .figures import check_picture, columns_for, ink_of, legend_below, new_figure, panel_width, save_figure
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -22,9 +23,10 @@ __all__ = ["calibration_report"]
 Values = dict[str, Any]
 
 # of Okabe and Ito's palette, which colour-blind readers can tell apart
-_BLUE, _VERMILION, _BLACK = "#0072B2", "#D55E00", "#000000"
-_FAINT, _UNTRUSTED, _NOTHING = "0.75", "#F0E6D2", "0.88"
+_BLUE, _VERMILION = "#3399DD", "#D55E00"
+_UNTRUSTED = "#E69F00"
 
+_NARROW = 4.4  # [inch]
 _LINES_SHOWN = 5
 _PARTS = ("random", "systematic")
 _COLUMNS_SHOWN = 200  # curves of one panel at the most
@@ -50,6 +52,7 @@ def calibration_report(
     path: str | Path | None = None,
     *,
     column: int | None = None,
+    width: float = 15.0,
 ) -> Any:
     """Draw what a lab sweep came to, to be judged at a glance.
 
@@ -67,6 +70,8 @@ def calibration_report(
         Where to write a picture (PNG, PDF, ...); nowhere by default.
     column
         Whose lines are shown and whose curve stands out; by default the centre of those that were lit.
+    width
+        Of the figure [inch]; 4.5 of it are a panel's, the others stand below.
 
     Returns
     -------
@@ -87,21 +92,28 @@ def calibration_report(
     >>> sweep = simulate_sweep(steps=31, bands=136, columns=4)
     >>> figure = calibration_report(calibrate(sweep), sweep)
     """
-    figure = new_figure("a calibration report", figsize=(15, 8.8), layout="constrained")
+    columns = columns_for(width, 4.5, 3)
+    rows = -(-6 // columns)
+    figure = new_figure("a calibration report", figsize=(width, 4.6 * rows), layout="constrained")
     if path is not None:
         check_picture(Path(path))
     values = _values(calibration, sweep, column)
     figure.set_layout_engine("constrained", w_pad=0.08, h_pad=0.08)
-    figure.suptitle(_title(calibration, values), fontsize="medium")
-    grid = figure.add_gridspec(2, 3)
-    fits = grid[0, 0].subgridspec(2, 1, height_ratios=(3, 1), hspace=0.05)
+    title = textwrap.fill(_title(calibration, values), max(30, int(11 * width)))
+    figure.suptitle(title, fontsize="medium")
+    heights = (1.3,) + (1.0,) * (rows - 1)  # the first panel is two
+    cells = figure.add_gridspec(rows, columns, height_ratios=heights if columns == 1 else None)
+    grid = [cells[divmod(number, columns)] for number in range(6)]
+    fits = grid[0].subgridspec(2, 1, height_ratios=(3, 1), hspace=0.05)
     lines = figure.add_subplot(fits[0])
     _draw_lines(lines, figure.add_subplot(fits[1], sharex=lines), calibration, sweep, values)
-    _draw_residuals(figure.add_subplot(grid[0, 1]), values)
-    _draw_smile(figure.add_subplot(grid[0, 2]), values)
-    _draw_widths(figure.add_subplot(grid[1, 0]), values)
-    _draw_responsivity(figure.add_subplot(grid[1, 1]), values)
-    _draw_uncertainty(figure.add_subplot(grid[1, 2]), values)
+    _draw_residuals(figure.add_subplot(grid[1]), values)
+    _draw_smile(figure.add_subplot(grid[2]), values)
+    _draw_widths(figure.add_subplot(grid[3]), values)
+    _draw_responsivity(figure.add_subplot(grid[4]), values)
+    _draw_uncertainty(figure.add_subplot(grid[5]), values)
+    for axes in figure.axes:
+        axes.set_title(textwrap.fill(axes.get_title(), int(9 * width / columns)))
     save_figure(figure, path)
     return figure
 
@@ -155,19 +167,18 @@ def _draw_lines(
     parts = np.linspace(0, max(usable.size - 1, 0), _LINES_SHOWN + 2)[1:-1].round().astype(int)
     steps = sorted(set(usable[parts].tolist())) if usable.size else []
     drawn = fitted_lines(calibration, sweep, steps, values["column"])
-    colours = colormaps["viridis"](np.linspace(0.0, 0.9, max(len(drawn), 1)))
+    colours = colormaps["viridis"](np.linspace(0.3, 0.85, max(len(drawn), 1)))
     for line, colour in zip(drawn, colours, strict=False):
         axes.plot(line.curve_distance, line.curve, color=colour, lw=1.2, label=f"{line.wavelength:g} nm")
         axes.plot(line.distance, line.counts, "o", color=colour, ms=4)
         below.plot(line.distance, 100 * line.residual, "o-", color=colour, ms=2.5, lw=0.6)
-    axes.set(title=f"lines and their fits, column {values['column']}", ylabel="counts above dark")
+    axes.set(title=f"lines and their fits, column {values['column']}", ylabel="counts above dark [count]")
     axes.tick_params(labelbottom=False)
     axes.set_ylim(bottom=min(0.0, axes.get_ylim()[0]))
-    if drawn:
-        _legend(axes)
     below.axhline(0, color="0.6", lw=0.8, zorder=0)
     below.set(xlabel="distance from the line [nm]", ylabel="counts - fit\n[% of height]")
     largest = max((float(np.abs(100 * line.residual).max(initial=0.0)) for line in drawn), default=0.0)
+    legend_below(below, axes)
     below.set_ylim(*(np.array([-1.15, 1.15]) * max(largest, 0.1)))
 
 
@@ -185,9 +196,11 @@ def _draw_map(axes: Any, wavelength: Array, values: Array, label: str, **style: 
     picture = axes.pcolormesh(
         _edges(wavelength), columns, np.ma.masked_invalid(values.T), rasterized=True, **style
     )
-    axes.set_facecolor(_NOTHING)
-    axes.figure.colorbar(picture, ax=axes, label=label, pad=0.02)
-    axes.set(xlabel="wavelength [nm]", ylabel="cross_track")
+    axes.set_facecolor(ink_of(axes, 0.15))
+    # beside narrow axes it would squeeze all that stand above and below
+    place = {"location": "bottom", "pad": 0.03} if panel_width(axes) < _NARROW else {"pad": 0.02}
+    axes.figure.colorbar(picture, ax=axes, label=label, **place)
+    axes.set(xlabel="wavelength [nm]", ylabel="cross_track [column]")
     return picture
 
 
@@ -222,11 +235,6 @@ def _draw_smile(axes: Any, values: Values) -> None:
     axes.set_title("smile")
 
 
-def _legend(axes: Any) -> None:
-    """Name the curves, on white: what is shaded may lie below."""
-    axes.legend(fontsize="small", framealpha=0.9, edgecolor="none")
-
-
 def _shade_untrusted(axes: Any, values: Values) -> None:
     """Shade the wavelengths whose bands have no gain."""
     edges = _edges(values["wavelength"])
@@ -234,7 +242,7 @@ def _shade_untrusted(axes: Any, values: Values) -> None:
     begins, ends = np.flatnonzero(lost[1:] & ~lost[:-1]), np.flatnonzero(~lost[1:] & lost[:-1])
     for number, (begin, end) in enumerate(zip(begins.tolist(), ends.tolist(), strict=True)):
         label = None if number else "no gain"
-        axes.axvspan(edges[begin], edges[end], color=_UNTRUSTED, lw=0, zorder=0, label=label)
+        axes.axvspan(edges[begin], edges[end], color=_UNTRUSTED, alpha=0.2, lw=0, zorder=0, label=label)
     axes.set_xlim(edges.min(), edges.max())
     axes.set_xlabel("wavelength [nm]")
 
@@ -258,7 +266,7 @@ def _draw_widths(axes: Any, values: Values) -> None:
         axes.set_ylim(low[inner].min() - margin, high[inner].max() + margin)
     _shade_untrusted(axes, values)
     axes.set(title="width of the bands, monochromator taken out", ylabel="FWHM [nm]")
-    _legend(axes)
+    legend_below(axes)
 
 
 def _draw_responsivity(axes: Any, values: Values) -> None:
@@ -269,7 +277,7 @@ def _draw_responsivity(axes: Any, values: Values) -> None:
     step = -(-responsivity.shape[1] // _COLUMNS_SHOWN)
     curves = [np.column_stack([wavelength, curve]) for curve in responsivity[:, ::step].T]
     every = "all columns" if step == 1 else f"every {step}th column"
-    axes.add_collection(LineCollection(curves, colors=_FAINT, linewidths=0.5, label=every))
+    axes.add_collection(LineCollection(curves, colors=[ink_of(axes, 0.3)], linewidths=0.5, label=every))
     axes.plot(
         wavelength, responsivity[:, values["column"]], color=_BLUE, lw=1.8,
         label=f"column {values['column']}",
@@ -278,22 +286,23 @@ def _draw_responsivity(axes: Any, values: Values) -> None:
     _shade_untrusted(axes, values)
     axes.set(title="responsivity", ylabel="counts per joule in a pixel [count J$^{-1}$]")
     axes.set_ylim(bottom=0)
-    _legend(axes)
+    legend_below(axes)
 
 
 def _draw_uncertainty(axes: Any, values: Values) -> None:
     """Draw how sure the gain is: what averages out and what does not."""
     wavelength = values["wavelength"]
     random, common = (_over_columns(100 * values[f"radiance_gain_u_{part}"]) for part in _PARTS)
-    axes.semilogy(wavelength, np.hypot(random, common), color=_BLACK, lw=2.5, label="both")
+    axes.semilogy(wavelength, np.hypot(random, common), color=ink_of(axes), lw=2.5, label="both")
     axes.semilogy(wavelength, common, "--", color=_VERMILION, lw=1.5, label="systematic: power meter, optics")
     axes.semilogy(wavelength, random, color=_BLUE, lw=1.2, label="random: noise of the lines")
     _shade_untrusted(axes, values)
     axes.yaxis.set_major_formatter("{x:g}")
+    axes.yaxis.set_minor_formatter("{x:g}")
     low, high = axes.get_ylim()
     axes.set_ylim(low, 2.0 * high)
     axes.set(title="standard uncertainty of the gain", ylabel="relative to the gain [%]")
-    _legend(axes)
+    legend_below(axes)
 
 
 def _over_columns(values: Array) -> Array:

@@ -12,11 +12,23 @@ from hyperpaint.base import schema
 from hyperpaint.base.arrays import Array
 from hyperpaint.base.errors import Problems, SchemaError
 from hyperpaint.base.schema import ALONG_TRACK, BAND, CROSS_TRACK, Quality
+from hyperpaint.base.units import takes_quantities
 from hyperpaint.paints.signatures.extraction import gather
 from hyperpaint.radiometry.counts_to_reflectance import reflectance
 from hyperpaint.regions import Region, pixels_of, regions_from
+from hyperpaint.regions.pixels_in_regions import numbers_of
 
-from .figures import axes_or_new, label_for, new_figure, save_figure
+from .figures import (
+    axes_or_new,
+    columns_for,
+    ink_of,
+    label_for,
+    legend_below,
+    new_figure,
+    panel_width,
+    save_figure,
+)
+from .orientation import Orientation, orientation_of, show_picture
 from .plot import flags_of, percent, rgb
 
 if TYPE_CHECKING:
@@ -26,21 +38,26 @@ __all__ = ["FLAG_COLOURS", "adjacency_figure", "background", "draw_outlines", "f
 
 
 FLAG_COLOURS: Mapping[Quality, str] = {
-    Quality.SATURATED: "#ff2d2d",
-    Quality.BELOW_DARK: "#7b4fd6",
-    Quality.BAD_DETECTOR: "#8a8a8a",
-    Quality.IRRADIANCE_GAP: "#b08d00",
-    Quality.ILLUMINATION_UNSTABLE: "#f0e442",
-    Quality.LOW_SUN: "#8c510a",
-    Quality.GLINT: "#00d5ff",
-    Quality.SHADOW: "#2456d8",
-    Quality.ADJACENCY: "#ff4fc3",
-    Quality.MIXED_EDGE: "#17b978",
-    Quality.OFF_SWATH: "#3d3d3d",
+    Quality.SATURATED: "#ff3300",
+    Quality.BELOW_DARK: "#330080",
+    Quality.BAD_DETECTOR: "#808080",
+    Quality.IRRADIANCE_GAP: "#80334d",
+    Quality.ILLUMINATION_UNSTABLE: "#e6ffb3",
+    Quality.LOW_SUN: "#990000",
+    Quality.GLINT: "#4de6cc",
+    Quality.SHADOW: "#0033ff",
+    Quality.ADJACENCY: "#9980ff",
+    Quality.MIXED_EDGE: "#66b380",
+    Quality.OFF_SWATH: "#99ccff",
     Quality.NO_DATA: "#000000",
-    Quality.TIMING_SENSITIVE: "#ff9a1f",
+    Quality.TIMING_SENSITIVE: "#e6cc00",
 }
-"""Colour of every flag, the same in all pictures."""
+"""Colour of every flag, the same in all pictures.
+
+Palettes for colour-blind readers have 8 colours (Okabe and Ito) or 10 (Tol), flags are 13: these were
+searched so that any two differ by 15 or more in CIEDE2000, also as protanopes and deuteranopes see them
+(Machado et al., IEEE Trans. Vis. Comput. Graph. 15, 1291, 2009).
+"""
 
 
 def flag_overlay(
@@ -77,7 +94,8 @@ def flag_overlay(
     Returns
     -------
     matplotlib.axes.Axes
-        x is along_track, y is cross_track, in pixels of the flight line.
+        x is cross_track, y is along_track, flown upwards, in pixels of the flight line; of a map its own x
+        and y, north up. Nothing is mirrored, and pixels are as long as on the ground where that is known.
 
     Raises
     ------
@@ -92,14 +110,16 @@ def flag_overlay(
         _check_layer(dataset, layer)
     if "quality" not in dataset.variables and (layer is None or wanted):
         dataset = reflectance(dataset)
-    axes = axes_or_new(axes, "a picture of flags", figsize=(11, 4.5))
     step = max(1, -(-dataset.sizes[ALONG_TRACK] // max(lines, 1)))
-    _show(axes, background(dataset, step), dataset)
-    axes.set(xlabel="along_track", ylabel="cross_track", title=_title(dataset))
+    orientation = orientation_of(dataset)
+    height = min(max(orientation.height_of(4.0), 3.5), 12.0) + 1.0
+    axes = axes_or_new(axes, "a picture of flags", figsize=(6.8, height))
+    show_picture(axes, background(dataset, step), orientation)
+    axes.set(title=_title(dataset))
     if layer is not None:
-        _draw_layer(axes, dataset, layer, step, opacity)
+        _draw_layer(axes, dataset, orientation, layer, step, opacity)
     if layer is None or wanted:
-        _draw_flags(axes, dataset, wanted, step, opacity)
+        _draw_flags(axes, dataset, orientation, wanted, step, opacity)
     return axes
 
 
@@ -119,30 +139,26 @@ def background(dataset: xr.Dataset, step: int) -> Array:
 
 
 def draw_outlines(axes: Any, regions: Iterable[Region]) -> None:
-    """Draw regions (sensor coordinates) with their names on axes of `flag_overlay`, x along_track."""
+    """Draw regions (sensor coordinates) with their names on axes of `flag_overlay`, x cross_track."""
     from matplotlib.patheffects import withStroke
 
     seen = [withStroke(linewidth=2.5, foreground="black")]
     for region in regions:
         for ring in (region.polygon, *region.holes):
             x, y = np.vstack([ring, ring[:1]]).T
-            axes.plot(y, x, color="white", lw=1.0, path_effects=seen)
+            axes.plot(x, y, color="white", lw=1.0, path_effects=seen)
         across, along = region.polygon.mean(axis=0)
         axes.text(
-            along, across, label_for(region.name), color="white", fontsize="x-small", ha="center",
+            across, along, label_for(region.name), color="white", fontsize="x-small", ha="center",
             va="center", clip_on=True, path_effects=seen,
         )  # fmt: skip
 
 
-def _show(axes: Any, picture: Array, dataset: xr.Dataset, **options: Any) -> Any:
-    """Show a picture (line, column, ...) so that whole numbers are pixel centres of the flight line."""
-    edges = dataset.sizes[ALONG_TRACK] - 0.5, dataset.sizes[CROSS_TRACK] - 0.5
-    options = {"aspect": "auto", "extent": (-0.5, edges[0], edges[1], -0.5), **options}
-    return axes.imshow(picture.swapaxes(0, 1), interpolation="nearest", **options)
-
-
 def _title(dataset: xr.Dataset) -> str:
     return label_for(dataset.attrs.get("name", "flight line"))
+
+
+_NARROW = 5.0  # [inch], below which what explains a picture stands below it
 
 
 # --- flags -------------------------------------------------------------------------------------------------
@@ -158,7 +174,12 @@ def _flags_named(flags: Quality | str | Iterable[str] | None) -> tuple[Quality, 
 
 
 def _draw_flags(
-    axes: Any, dataset: xr.Dataset, wanted: tuple[Quality, ...], step: int, opacity: float
+    axes: Any,
+    dataset: xr.Dataset,
+    orientation: Orientation,
+    wanted: tuple[Quality, ...],
+    step: int,
+    opacity: float,
 ) -> None:
     """Lay one colour a flag over the picture, the rarest on top, and name them with their shares."""
     from matplotlib.colors import to_rgb
@@ -171,16 +192,21 @@ def _draw_flags(
     drawn = np.zeros((*bits.shape, 4), np.float32)
     for flag in sorted(shown, key=lambda flag: -shares.get(flag, 0.0)):
         drawn[(bits & int(flag)) != 0] = (*to_rgb(FLAG_COLOURS[flag]), opacity)
-    _show(axes, drawn, dataset)
-    handles = []
+    show_picture(axes, drawn, orientation)
+    entries = {}
     for flag in shown:
         name = str(flag.name).lower().replace("_", " ")
         label = f"{name}  {percent(shares.get(flag, 0.0))}"
-        handles.append(Patch(facecolor=FLAG_COLOURS[flag], label=label))
-    axes.legend(
-        handles=handles or [Patch(facecolor="none", label="no flag set")], loc="upper left",
-        bbox_to_anchor=(1.0, 1.0), fontsize="small", frameon=False, title="pixels",
-    )  # fmt: skip
+        entries[label] = Patch(facecolor=FLAG_COLOURS[flag], edgecolor="0.5", lw=0.5)
+    entries = entries or {"no flag set": Patch(facecolor="none")}
+    title = "share of pixels"
+    if panel_width(axes) < _NARROW:
+        legend_below(axes, entries=entries, title=title, alignment="left")
+    else:
+        axes.legend(
+            entries.values(), entries.keys(), loc="upper left", bbox_to_anchor=(1.0, 1.0), fontsize="small",
+            frameon=False, title=title,
+        )  # fmt: skip
 
 
 def _blocks(values: Array, step: int, combine: Any) -> Array:
@@ -205,7 +231,9 @@ def _check_layer(dataset: xr.Dataset, layer: str) -> None:
         )
 
 
-def _draw_layer(axes: Any, dataset: xr.Dataset, layer: str, step: int, opacity: float) -> None:
+def _draw_layer(
+    axes: Any, dataset: xr.Dataset, orientation: Orientation, layer: str, step: int, opacity: float
+) -> None:
     """Lay a layer over the picture: nothing at zero, opaque from a third of the range on."""
     from matplotlib.cm import ScalarMappable
     from matplotlib.colors import Normalize
@@ -218,23 +246,26 @@ def _draw_layer(axes: Any, dataset: xr.Dataset, layer: str, step: int, opacity: 
     size = max(abs(low), abs(high)) if both else high
     size = size if size > 0 else 1.0
     colours = ScalarMappable(Normalize(-size if both else 0.0, size), "PuOr_r" if both else "inferno")
-    shown = _show(axes, np.ma.masked_invalid(values), dataset, cmap=colours.cmap, norm=colours.norm)
+    masked = np.ma.masked_invalid(values)
+    shown = show_picture(axes, masked, orientation, cmap=colours.cmap, norm=colours.norm)
     part = np.abs(values) if both else np.maximum(values, 0.0)
-    shown.set_alpha(np.nan_to_num(opacity * np.clip(3.0 * part / size, 0.0, 1.0)).swapaxes(0, 1))
+    shown.set_alpha(np.nan_to_num(opacity * np.clip(3.0 * part / size, 0.0, 1.0)))
     units = str(array.attrs.get("units", ""))
-    caption = label_for(layer) if units in ("", "1") else f"{label_for(layer)} [{label_for(units)}]"
-    axes.figure.colorbar(colours, ax=axes, label=caption, pad=0.01, fraction=0.04)
+    caption = f"{label_for(layer)} [{label_for(units)}]" if units else label_for(layer)
+    place = {"location": "bottom", "pad": 0.02} if panel_width(axes) < _NARROW else {"pad": 0.01}
+    axes.figure.colorbar(colours, ax=axes, label=caption, fraction=0.04, **place)
 
 
 # --- light of neighbours -------------------------------------------------------------------------------
 
 
-_COLOURS = ("#2456d8", "#17a05f", "#d62728", "#7a3b12")
+_COLOURS = ("#3399DD", "#009E73", "#D55E00", "#CC79A7")
 """Of bands by rising wavelength, as long as there are no more; then those of matplotlib."""
-_NEAR, _FAR = "#d62728", "#5c5c5c"
+_NEAR, _FAR = "#D55E00", "#808080"
 _QUARTILES = (0.25, 0.75)
 
 
+@takes_quantities(wavelengths="nm")
 def adjacency_figure(
     line: xr.Dataset,
     near: Any,
@@ -244,6 +275,7 @@ def adjacency_figure(
     without: xr.Dataset | None = None,
     wavelengths: Sequence[float] = (450.0, 550.0, 650.0, 850.0),
     width: int = 5,
+    figure_width: float = 15.0,
 ) -> Any:
     r"""Draw what a coloured neighbour adds to a surface: the picture, a transect, and spectra near and far.
 
@@ -265,6 +297,8 @@ def adjacency_figure(
         Of the bands along the transect [nm].
     width
         Pixels across the transect that are averaged.
+    figure_width
+        Of the figure [inch]; below 10 the panels stand one above the other.
 
     Returns
     -------
@@ -283,7 +317,9 @@ def adjacency_figure(
     A neighbour of reflectance :math:`\rho_n` adds :math:`F \rho_n` to the light of a surface, with F the part
     of its hemisphere that the lit neighbour fills: the nearer, the more, and only in the neighbour's colour.
     """
-    figure = new_figure("a figure of adjacency", figsize=(15, 4.6), layout="constrained")
+    is_wide = columns_for(figure_width, 5.0, 3) > 1
+    size = (figure_width, 5.6 if is_wide else 14.0)
+    figure = new_figure("a figure of adjacency", figsize=size, layout="constrained")
     line = schema.rename_to_roles(line)
     variables = schema.require(line, ["reflectance", "wavelength"], "a figure of adjacency")
     lines = {"": line} if without is None else {"": line, "without": schema.rename_to_roles(without)}
@@ -291,10 +327,12 @@ def adjacency_figure(
     places = pixels_of(pair, line)
     route, away = _transect(places, line.sizes[ALONG_TRACK], line.sizes[CROSS_TRACK], width)
     nm = variables["wavelength"].values
-    panels = figure.subplot_mosaic(
-        [["picture", "along", "spectra"], ["picture", "added", "spectra"]],
-        width_ratios=(0.9, 1.2, 1.2), height_ratios=(3, 2),
-    )  # fmt: skip
+    beside = {"width_ratios": (0.9, 1.2, 1.2), "height_ratios": (3, 2)}
+    panels = (
+        figure.subplot_mosaic([["picture", "along", "spectra"], ["picture", "added", "spectra"]], **beside)
+        if is_wide
+        else figure.subplot_mosaic([["picture"], ["along"], ["added"], ["spectra"]])
+    )
     _draw_picture(panels["picture"], line, pair, route[:, width // 2])
     seen = {}
     for name, each in lines.items():
@@ -311,7 +349,8 @@ def adjacency_figure(
     if "adjacency" in line.variables:
         layer = line["adjacency"].transpose(ALONG_TRACK, CROSS_TRACK).values
         flagged = _mean(layer[route[..., 0], route[..., 1]], axis=1)
-        panels["added"].plot(away, flagged, ":", color="black", linewidth=1.8, label="adjacency, as flagged")
+        ink = ink_of(panels["added"])
+        panels["added"].plot(away, flagged, ":", color=ink, linewidth=1.8, label="adjacency, as flagged [1]")
     _finish(panels, without is not None)
     save_figure(figure, path)
     return figure
@@ -319,9 +358,9 @@ def adjacency_figure(
 
 def _finish(panels: dict[str, Any], compared: bool) -> None:
     """Name axes and curves."""
-    panels["along"].set(ylabel="reflectance")
-    panels["added"].set(xlabel="distance from the near end [pixel]", ylabel="added")
-    panels["spectra"].set(xlabel="wavelength [nm]", ylabel="reflectance", ylim=(0, None))
+    panels["along"].set(ylabel="reflectance factor [1]")
+    panels["added"].set(xlabel="distance from the near end [pixel]", ylabel="added [1]")
+    panels["spectra"].set(xlabel="wavelength [nm]", ylabel="reflectance factor [1]", ylim=(0, None))
     panels["along"].tick_params(labelbottom=False)
     panels["along"].sharex(panels["added"])
     for name in ("along", "added", "spectra"):
@@ -329,12 +368,14 @@ def _finish(panels: dict[str, Any], compared: bool) -> None:
         axes.spines[["top", "right"]].set_visible(False)
         if compared and name != "added":
             axes.plot([], [], "--", color="0.4", label="without the neighbour's colour")
-        if axes.get_legend_handles_labels()[0]:
-            axes.legend(frameon=False, fontsize="small")
-    if not panels["added"].lines:
+    legend_below(panels["spectra"])
+    if panels["added"].lines:
+        legend_below(panels["added"], panels["along"])
+    else:
         panels["added"].set_axis_off()
         panels["along"].tick_params(labelbottom=True)
         panels["along"].set(xlabel=panels["added"].get_xlabel())
+        legend_below(panels["along"])
 
 
 def _checked(lines: dict[str, xr.Dataset], near: Any, far: Any, width: int) -> Any:
@@ -388,13 +429,16 @@ def _mean(values: Array, axis: int) -> Array:
 
 
 def _draw_picture(axes: Any, line: xr.Dataset, pair: Sequence[Region], route: Array) -> None:
-    _show(axes, background(line, 1), line, aspect="equal")
+    show_picture(axes, background(line, 1), orientation_of(line))
     for region, colour in zip(pair, (_NEAR, _FAR), strict=True):
         across, along = np.vstack([region.polygon, region.polygon[:1]]).T
-        axes.plot(along, across, color="white", linewidth=3.0)
-        axes.plot(along, across, color=colour, linewidth=1.5)
-    axes.annotate("", route[-1], route[0], arrowprops={"arrowstyle": "->", "color": "black"})
-    axes.set(xlabel="along_track", ylabel="cross_track")
+        axes.plot(across, along, color="white", linewidth=3.0)
+        axes.plot(across, along, color=colour, linewidth=1.5)
+    rows, columns = numbers_of(line, ALONG_TRACK), numbers_of(line, CROSS_TRACK)
+    start, stop = ((columns[across], rows[along]) for along, across in route[[0, -1]])
+    for thickness, colour in ((3.0, "white"), (1.2, "black")):
+        arrow = {"arrowstyle": "->", "color": colour, "linewidth": thickness}
+        axes.annotate("", stop, start, arrowprops=arrow)
 
 
 def _draw_bands(

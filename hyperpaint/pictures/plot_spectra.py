@@ -12,32 +12,29 @@ from hyperpaint.base import schema
 from hyperpaint.base.arrays import Array, Floats32
 from hyperpaint.base.errors import Problems, SchemaError
 from hyperpaint.base.schema import ALONG_TRACK, BAND, CROSS_TRACK, Quality
-from hyperpaint.paints.colours import paint_colours
-from hyperpaint.paints.signatures import EXCLUDED, extract_signatures
+from hyperpaint.base.units import takes_quantities
+from hyperpaint.paints.colours import ciede2000, lab_of, paint_colours, srgb
+from hyperpaint.paints.signatures import extract_signatures
 from hyperpaint.paints.signatures.extraction import gather
-from hyperpaint.paints.signatures.pixel_statistics import QUANTILES
-from hyperpaint.radiometry.counts_to_reflectance import radiance, reflectance
-from hyperpaint.regions import pixels_of, regions_from
+from hyperpaint.radiometry.counts_to_reflectance import reflectance
 
-from .figures import axes_or_new, label_for, new_figure, save_figure
-from .plot import known_quantiles
+from .figures import axes_or_new, ink_of, label_for, legend_below, new_figure, save_figure
 
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["MOST_PAINTS", "find_usable", "library_overview", "spectrum", "triptych"]
+__all__ = [
+    "MOST_CURVES", "MOST_PAINTS", "draw_curve", "find_usable", "good_of", "library_overview", "pixel_colours",
+    "pixel_label", "spectrum", "styles_of",
+]  # fmt: skip
 
 
 SPREADS = ("quantiles", "sd", "none")
 MOST_CURVES = 24
-MOST_PIXELS = 4096
-"""Pixels of a region that a triptych is drawn from; of a larger one every n-th."""
+"""Curves of one figure at the most."""
 
-_LABELS = {
-    "counts": "counts",
-    "radiance": "radiance [W m$^{-2}$ sr$^{-1}$ nm$^{-1}$]",
-    "reflectance": "reflectance factor",
-}
+_ALIKE = 12.0  # CIEDE2000, below which colours of curves are told apart by their dashes
+_DASHES = ("-", "--", "-.", ":", (0, (6, 1, 1, 1, 1, 1)))
 
 
 def spectrum(
@@ -52,7 +49,9 @@ def spectrum(
 ) -> Any:
     """Draw reflectance over wavelength: of regions or pixels of a flight line, or of the paints of a library.
 
-    Eager: of a flight line the blocks of lines are read that hold the pixels.
+    Each curve has the colour of its paint in daylight, with a rim that shows on light and dark ground; those
+    of colours that are hard to tell apart differ in their dashes. Eager: of a flight line the blocks of lines
+    are read that hold the pixels.
 
     Parameters
     ----------
@@ -97,10 +96,34 @@ def spectrum(
         if not library:
             dataset = extract_signatures(dataset, regions, exclude=exclude, members=0, min_pixels=1)
         _draw_paints(axes, dataset, paints, spread)
-    axes.set(xlabel="wavelength [nm]", ylabel=_LABELS["reflectance"])
+    axes.set(xlabel="wavelength [nm]", ylabel="reflectance factor [1]")
     axes.set_ylim(bottom=min(0.0, axes.get_ylim()[0]))
-    axes.legend(fontsize="small", frameon=False)
+    legend_below(axes)
     return axes
+
+
+def styles_of(colours: Array) -> list[dict[str, Any]]:
+    """Return how curves of these colours (curve, rgb) are drawn: with dashes that tell like ones apart.
+
+    A curve without a colour, NaN, takes one of matplotlib's.
+    """
+    lab = lab_of(colours)
+    styles: list[dict[str, Any]] = []
+    for number, colour in enumerate(colours):
+        known = bool(np.isfinite(colour).all())
+        alike = int((ciede2000(lab[:number], lab[number]) < _ALIKE).sum()) if known else 0
+        shown = tuple(np.asarray(colour, np.float64).tolist()) if known else f"C{number % 10}"
+        styles.append({"color": shown, "ls": _DASHES[alike % len(_DASHES)]})
+    return styles
+
+
+def draw_curve(axes: Any, x: Array, y: Array, style: dict[str, Any], label: str | None = None) -> Any:
+    """Draw a curve in a colour of its own, with a rim that shows on any ground; return that colour."""
+    from matplotlib.patheffects import Normal, withStroke
+
+    rim = withStroke(linewidth=2.8, foreground=ink_of(axes, 0.45))
+    axes.plot(x, y, lw=1.7, label=label, path_effects=[rim, Normal()], **style)
+    return style["color"]
 
 
 def _is_library(dataset: xr.Dataset) -> bool:
@@ -142,13 +165,15 @@ def _draw_paints(axes: Any, library: xr.Dataset, paints: str | Iterable[str] | N
             f"{len(wanted)} curves, expected at most {MOST_CURVES}; name some, or see library_overview"
         )
     problems.raise_if_any()
-    for name in wanted:
-        own = library.isel({schema.PAINT: names.index(name)})
+    places = [names.index(name) for name in wanted]
+    styles = styles_of(paint_colours(library)[places])
+    for name, place, style in zip(wanted, places, styles, strict=True):
+        own = library.isel({schema.PAINT: place})
         wavelength, is_good = _wavelength_of(own)
         centre = np.where(is_good, own["reflectance"].values, np.nan)
         count = f" (n = {int(own['n'])})" if "n" in own else ""
-        (curve,) = axes.plot(wavelength, centre, lw=1.6, label=label_for(name) + count)
-        draw_band(axes, own, wavelength, is_good, spread, curve.get_color())
+        draw_band(axes, own, wavelength, is_good, spread, style["color"])
+        draw_curve(axes, wavelength, centre, style, label_for(name) + count)
 
 
 def draw_band(
@@ -174,10 +199,11 @@ def draw_band(
 def _wavelength_of(dataset: xr.Dataset) -> tuple[Array, Array]:
     """Return wavelengths [nm], and which bands are to be used."""
     wavelength = schema.require(dataset, ["wavelength"], "a picture of spectra")["wavelength"].values
-    return wavelength, _good_of(dataset)
+    return wavelength, good_of(dataset)
 
 
-def _good_of(dataset: xr.Dataset) -> Array:
+def good_of(dataset: xr.Dataset) -> Array:
+    """Return which bands are to be used (band,)."""
     if "good" in dataset.variables:
         return np.asarray(dataset["good"].values, bool)
     return np.ones(dataset.sizes[BAND], bool)
@@ -204,131 +230,37 @@ def _draw_pixels(axes: Any, dataset: xr.Dataset, places: Array) -> None:
     if "wavelength_shift" in dataset.variables:
         own = schema.require(dataset, ["wavelength_shift"], "a picture of spectra")["wavelength_shift"]
         shift = np.broadcast_to(own.values, shift.shape)
+    shown = np.where(is_good, spectra["reflectance"], np.nan)
+    styles = styles_of(pixel_colours(shown, wavelength))
     for number, (along, across) in enumerate(places.tolist()):
         at = wavelength + shift[:, across]
-        shown = np.where(is_good, spectra["reflectance"][number], np.nan)
-        bits = int(values["quality"][number]) if planes else 0
-        flags = ", ".join(schema.flag_names(bits)).replace("_", " ")
-        label = f"({along}, {across})" + (f": {flags}" if flags else "")
-        (curve,) = axes.plot(at, shown, lw=1.2, label=label)
+        label = pixel_label(along, across, int(values["quality"][number]) if planes else 0)
         if names:
             u = np.sqrt(sum(spectra[name][number].astype(np.float64) ** 2 for name in names))
-            axes.fill_between(at, shown - u, shown + u, color=curve.get_color(), alpha=0.25, lw=0)
+            below, above = shown[number] - u, shown[number] + u
+            axes.fill_between(at, below, above, color=styles[number]["color"], alpha=0.25, lw=0)
+        draw_curve(axes, at, shown[number], styles[number], label)
 
 
-# --- from counts to reflectance ----------------------------------------------------------------------------
+def pixel_colours(reflectance: Array, wavelength: Array) -> Array:
+    """Return the colours of pixels (pixel, rgb) in daylight; NaN without three visible bands."""
+    order = np.argsort(wavelength, kind="stable")
+    try:
+        return srgb(reflectance[:, order], wavelength[order])
+    except SchemaError:
+        return np.full((len(reflectance), 3), np.nan)
 
 
-def triptych(
-    dataset: xr.Dataset, region: Any, path: str | Path | None = None, *, exclude: Quality | int | None = None
-) -> Any:
-    r"""Draw one region as counts, as radiance and as reflectance, side by side.
+def pixel_label(along: int, across: int, bits: int) -> str:
+    """Return a pixel's place, and its flags.
 
-    Eager: the blocks of lines are read that hold the region. Curves are medians over the pixels, shades the
-    middle half and 5 to 95 % of them; of a region of more than 4096 pixels every n-th is taken.
-
-    Parameters
-    ----------
-    dataset
-        A flight line with ``counts`` and what calibrates them.
-    region
-        A `hyperpaint.Region`, or anything that `hyperpaint.read_regions` knows and that holds one.
-    path
-        Where to write a picture (PNG, PDF, ...); nowhere by default.
-    exclude
-        Flags of pixels that are left out; by default as `hyperpaint.extract_signatures` does.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
-        Of three axes. Beside the counts stand the dark ones and the saturation count; beside the radiance
-        that of a white surface, :math:`\pi^{-1} E`, at the time nearest to the region.
-
-    Raises
-    ------
-    FormatError
-        The region cannot be read.
-    MissingExtraError
-        matplotlib is not installed.
-    SchemaError, UnitsError
-        There is more than one region, none of its pixels are left, or the flight line lacks what reflectance
-        follows from.
+    Examples
+    --------
+    >>> pixel_label(3, 4, Quality.GLINT | Quality.LOW_SUN)
+    '(3, 4): low sun, glint'
     """
-    figure = new_figure("a triptych", figsize=(13, 4.2), layout="constrained")
-    dataset = schema.rename_to_roles(dataset)
-    counts = schema.require(dataset, ["counts", "wavelength"], "a triptych")["counts"]
-    outlined = regions_from(region)
-    if len(outlined) != 1:
-        raise SchemaError(
-            f"a triptych shows one region, found {len(outlined)}; index them, such as regions[0]"
-        )
-    calibrated = reflectance(dataset)
-    cubes = {
-        "counts": counts,
-        "radiance": radiance(dataset)["radiance"],
-        "reflectance": calibrated["reflectance"],
-    }
-    along, across = pixels_of(outlined, dataset)[0]
-    step = max(1, -(-along.size // MOST_PIXELS))
-    planes = {"quality": calibrated["quality"]}
-    along, across = along[::step], across[::step]
-    spectra, values = gather(cubes, planes, along, across, slice(None), {})
-    used = (values["quality"] & int(EXCLUDED if exclude is None else exclude)) == 0
-    used &= np.isfinite(spectra["reflectance"]).any(axis=1)
-    if not used.any():
-        name = outlined[0].name
-        raise SchemaError(
-            f"region {name!r}: none of {along.size} pixels is left; draw it elsewhere, or exclude less"
-        )
-    figure.suptitle(f"{label_for(outlined[0].name)}: {int(used.sum())} of {along.size} pixels")
-    wavelength, is_good = _wavelength_of(dataset)
-    for axes, (name, cube) in zip(figure.subplots(1, 3), spectra.items(), strict=True):
-        _draw_quantiles(axes, wavelength, np.where(is_good, cube[used], np.nan))
-        axes.set(title=name, xlabel="wavelength [nm]", ylabel=_LABELS[name])
-    _draw_limits(figure.axes[0], dataset, wavelength, across[used])
-    _draw_white(figure.axes[1], dataset, along[used])
-    for axes in figure.axes:
-        axes.set_ylim(bottom=0)
-        axes.legend(fontsize="small", frameon=False)
-    save_figure(figure, path)
-    return figure
-
-
-def _draw_quantiles(axes: Any, wavelength: Array, values: Array) -> None:
-    """Draw the median of pixels (pixel, band) and their spread; bands without any value stay empty."""
-    parts = known_quantiles(values, QUANTILES)
-    axes.fill_between(wavelength, parts[0], parts[4], color="#0072B2", alpha=0.15, lw=0, label="5 to 95 %")
-    axes.fill_between(wavelength, parts[1], parts[3], color="#0072B2", alpha=0.3, lw=0, label="middle half")
-    axes.plot(wavelength, parts[2], color="#0072B2", lw=1.6, label="median")
-
-
-def _draw_limits(axes: Any, dataset: xr.Dataset, wavelength: Array, across: Array) -> None:
-    """Draw the dark counts of the region's columns, and the count at which the converter is full."""
-    columns = np.unique(across)
-    dark = dataset["dark_counts"] if "dark_counts" in dataset.variables else None
-    if dark is not None and dark.dims == (BAND, CROSS_TRACK):
-        own = np.median(dark.values[:, columns], axis=1)
-        axes.plot(wavelength, own, color="0.4", lw=1, ls="--", label="dark")
-    full = dataset["saturation_count"] if "saturation_count" in dataset.variables else None
-    if full is not None and full.ndim == 0:
-        axes.axhline(float(full), color="#D55E00", lw=1, ls=":", label="saturation")
-
-
-def _draw_white(axes: Any, dataset: xr.Dataset, along: Array) -> None:
-    """Draw the radiance of a white surface under the irradiance of that moment, where the camera sees."""
-    if "irradiance" not in dataset.variables or "time" not in dataset.coords:
-        return
-    series = schema.require(dataset, ["irradiance"], "a triptych")["irradiance"]
-    times = dataset["time"].values[along]
-    times = times[~np.isnat(times)]
-    if not times.size:
-        return
-    moment = np.abs(series[schema.IRRADIANCE_TIME].values - np.sort(times)[times.size // 2]).argmin()
-    samples = series[schema.IRRADIANCE_WAVELENGTH].values
-    low, high = axes.get_xlim()
-    there = (samples >= low) & (samples <= high)
-    white = series.isel({schema.IRRADIANCE_TIME: int(moment)}).values[there] / np.pi
-    axes.plot(samples[there], white, color="0.4", lw=1, ls="--", label="white surface")
+    flags = ", ".join(schema.flag_names(bits)).replace("_", " ")
+    return f"({along}, {across})" + (f": {flags}" if flags else "")
 
 
 # --- paint libraries -----------------------------------------------------------------------------------
@@ -338,11 +270,11 @@ MOST_PAINTS = 48
 """Paints of one figure at the most."""
 
 _PANEL = (2.9, 2.1)  # [inch]
-_CURVE = "#222222"
 _KINDS = {"float32": "fiu", "float64": "fiu", "int64": "iu", "uint16": "iu", "bool": "b"}
 """Kinds of dtypes that serve for one of the table."""
 
 
+@takes_quantities()
 def library_overview(
     paints: xr.Dataset, path: str | Path | None = None, *, columns: int = 4, spread: str = "quantiles"
 ) -> Any:
@@ -362,7 +294,8 @@ def library_overview(
     Returns
     -------
     matplotlib.figure.Figure
-        Of at most 48 paints; its title says how many more there are. All axes have the same scale.
+        Of at most 48 paints; its title says how many more there are. All axes have the same scale. Spectra
+        are in the paints' own colours.
 
     Raises
     ------
@@ -387,7 +320,7 @@ def library_overview(
     size = (_PANEL[0] * columns, _PANEL[1] * rows + 0.4)
     figure = new_figure("a picture of a paint library", figsize=size, layout="constrained")
     grid = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False)
-    wavelength, good = variables["wavelength"].values, _good_of(paints)
+    wavelength, good = variables["wavelength"].values, good_of(paints)
     colours = paint_colours(paints)
     for number, axes in enumerate(grid.ravel()):
         if number < shown:
@@ -400,6 +333,8 @@ def library_overview(
         axes.tick_params(labelbottom=True)
         axes.set_xlabel("wavelength [nm]", fontsize="small")
     grid[0, 0].set_ylim(bottom=min(0.0, grid[0, 0].get_ylim()[0]))
+    for axes in grid[:, 0]:
+        axes.set_ylabel("reflectance factor [1]", fontsize="small")
     if count > shown:
         figure.suptitle(f"the first {shown} of {count} paints")
     save_figure(figure, path)
@@ -430,8 +365,9 @@ def _draw_paint(
 ) -> None:
     from matplotlib.patches import Rectangle
 
-    draw_band(axes, paint, wavelength, good, spread, _CURVE)
-    axes.plot(wavelength, np.where(good, paint["reflectance"].values, np.nan), color=_CURVE, lw=1.3)
+    (style,) = styles_of(colour[np.newaxis])
+    draw_band(axes, paint, wavelength, good, spread, ink_of(axes, 0.6))
+    draw_curve(axes, wavelength, np.where(good, paint["reflectance"].values, np.nan), style)
     count = f"  n = {int(paint['n'])}" if "n" in paint else ""
     title = label_for(paint[schema.PAINT].item()) + count
     axes.set_title(title, fontsize="small", loc="left", pad=11 if np.isfinite(colour).all() else None)

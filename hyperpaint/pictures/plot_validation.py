@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import textwrap
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -9,7 +10,7 @@ import numpy as np
 
 from hyperpaint.base.errors import SchemaError
 
-from .figures import label_for, new_figure, save_figure
+from .figures import ink_of, label_for, legend_below, new_figure, save_figure
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -21,15 +22,19 @@ __all__ = ["MOST_PAIRS", "validation_figure"]
 MOST_PAIRS = 24
 """Pairs of one figure at the most."""
 
-_PANEL = (4.3, 3.3)  # [inch]
-_SIGNATURE, _REFERENCE, _DIFFERENCE = "#0072B2", "#D55E00", "#222222"
+_PANEL = (3.6, 3.9)  # [inch]
+_SIGNATURE = "#3399DD"
+_REFERENCES = (("#D55E00", "--"), ("#009E73", "-."), ("#CC79A7", ":"), ("#E69F00", (0, (6, 1, 1, 1))))
+"""Colours and dashes of the references of one paint, an instrument each: of Okabe and Ito."""
 _LEAST_SPAN = 0.005  # of the axis of differences
 
 
 def validation_figure(
     validation: Validation, path: str | Path | None = None, *, columns: int = 3, limit: float | None = None
 ) -> Any:
-    """Draw every signature over its reference, with their spread, and the difference below.
+    """Draw every signature over its references, with their spread, and the differences below.
+
+    References of several instruments are drawn over one another.
 
     Parameters
     ----------
@@ -38,14 +43,15 @@ def validation_figure(
     path
         Where to write a picture (PNG, PDF, ...); nowhere by default.
     columns
-        Pairs side by side.
+        Paints side by side.
     limit
-        Half range of all axes of differences [1]; by default that of the largest, or the tolerance of RMSE.
+        Half range of all axes of differences [1]; by default that of the largest, or the limit of RMSE, which
+        is shaded.
 
     Returns
     -------
     matplotlib.figure.Figure
-        Of at most 24 pairs, the worst first where there are more; its title says so. Shades are a standard
+        Of at most 24 paints, the worst first where there are more; its title says so. Shades are a standard
         deviation of pixels or readings; of the difference, its standard uncertainty. Bands that were not
         compared are left blank.
 
@@ -61,86 +67,109 @@ def validation_figure(
     shown = _chosen(validation)
     columns = min(columns, len(shown))
     rows = -(-len(shown) // columns)
-    size = (_PANEL[0] * columns, _PANEL[1] * rows + 0.5)
+    size = (_PANEL[0] * columns, _PANEL[1] * rows + 0.7)
     figure = new_figure("a picture of a validation", figsize=size, layout="constrained")
     grid = figure.add_gridspec(2 * rows, columns, height_ratios=[2.4, 1.0] * rows)
     limit = limit or _half_range(validation, shown)
-    for place, pair in enumerate(shown):
+    for place, pairs in enumerate(shown):
         row, column = divmod(place, columns)
         upper = figure.add_subplot(grid[2 * row, column])
         lower = figure.add_subplot(grid[2 * row + 1, column], sharex=upper)
-        _draw_spectra(upper, validation, pair)
-        _draw_difference(lower, validation, pair, limit, labelled=column == 0)
+        _draw_spectra(upper, validation, pairs)
+        _draw_differences(lower, validation, pairs, limit, labelled=column == 0)
         upper.tick_params(labelbottom=False)
+        legend_below(lower, upper, fontsize="x-small")
         if column == 0:
-            upper.set_ylabel("reflectance factor", fontsize="small")
-        if place + columns >= len(shown):
-            lower.set_xlabel("wavelength [nm]", fontsize="small")
-    count = len(validation.spectra)
+            upper.set_ylabel("reflectance factor [1]", fontsize="small")
+        lower.set_xlabel("wavelength [nm]", fontsize="small")
+    count = len(_by_paint(validation))
     cut = f", the {len(shown)} worst of {count} shown" if count > len(shown) else ""
-    figure.suptitle(label_for(validation.verdict, longest=120) + cut, fontsize="medium")
+    title = textwrap.fill(label_for(validation.verdict, longest=150) + cut, max(30, int(13 * size[0])))
+    figure.suptitle(title, fontsize="small")
     save_figure(figure, path)
     return figure
 
 
-def _chosen(validation: Validation) -> list[int]:
-    """Return the pairs that are drawn: all, or those of the largest RMSE."""
-    count = len(validation.spectra)
-    if count <= MOST_PAIRS:
-        return list(range(count))
-    worst = validation.statistics["rmse"].max("part").values
-    return [int(pair) for pair in np.argsort(-np.nan_to_num(worst), kind="stable")[:MOST_PAIRS]]
+def _by_paint(validation: Validation) -> list[list[int]]:
+    """Return the pairs of every paint."""
+    pairs: dict[str, list[int]] = {}
+    for number, spectra in enumerate(validation.spectra):
+        pairs.setdefault(str(spectra.attrs["paint"]), []).append(number)
+    return list(pairs.values())
 
 
-def _half_range(validation: Validation, shown: list[int]) -> float:
-    largest = [float(np.abs(validation.spectra[pair]["difference"]).max()) for pair in shown]
-    tolerance = validation.tolerance.get("rmse", 0.0)
-    return 1.15 * max(_LEAST_SPAN, tolerance, *(each for each in largest if np.isfinite(each)))
+def _chosen(validation: Validation) -> list[list[int]]:
+    """Return the paints that are drawn, the pairs of each: all, or those of the largest RMSE."""
+    paints = _by_paint(validation)
+    if len(paints) <= MOST_PAIRS:
+        return paints
+    rmse = np.nan_to_num(validation.statistics["rmse"].max("part").values)
+    return sorted(paints, key=lambda pairs: -max(rmse[pairs]))[:MOST_PAIRS]
 
 
-def _draw_spectra(axes: Any, validation: Validation, pair: int) -> None:
-    spectra = validation.spectra[pair]
-    for name, colour, dash in (("signature", _SIGNATURE, "-"), ("reference", _REFERENCE, "--")):
-        at, values = _whole(spectra, spectra[name])
-        legend = "signature" if name == "signature" else f"reference ({spectra.attrs['instrument']})"
-        axes.plot(at, values, color=colour, ls=dash, lw=1.5, label=label_for(legend))
-        if f"{name}_sd" in spectra:
-            _, sd = _whole(spectra, spectra[f"{name}_sd"])
-            axes.fill_between(at, values - sd, values + sd, color=colour, alpha=0.2, lw=0)
-    names = [str(spectra.attrs[key]) for key in ("paint", "reference")]
-    title = names[0] if names[0] == names[1] else f"{names[0]} / {names[1]}"
-    axes.set_title(label_for(title), fontsize="small", loc="left")
-    axes.set_title(_figures_of(validation, pair), fontsize="x-small", loc="right", color="0.35")
+def _half_range(validation: Validation, shown: list[list[int]]) -> float:
+    drawn = [pair for pairs in shown for pair in pairs]
+    largest = [float(np.abs(validation.spectra[pair]["difference"]).max()) for pair in drawn]
+    limits = np.nan_to_num(validation.statistics["rmse_limit"].values[drawn]).max()
+    return 1.15 * max(_LEAST_SPAN, float(limits), *(each for each in largest if np.isfinite(each)))
+
+
+def _draw_spectra(axes: Any, validation: Validation, pairs: list[int]) -> None:
+    first = validation.spectra[pairs[0]]
+    _draw_side(axes, first, "signature", "signature", _SIGNATURE, "-")
+    for number, pair in enumerate(pairs):
+        spectra = validation.spectra[pair]
+        label = f"reference ({spectra.attrs['instrument']}): {_figures_of(validation, pair)}"
+        _draw_side(axes, spectra, "reference", label, *_REFERENCES[number % len(_REFERENCES)])
+    names = [str(first.attrs["paint"]), *(str(validation.spectra[pair].attrs["reference"]) for pair in pairs)]
+    axes.set_title(label_for(" / ".join(dict.fromkeys(names)), longest=34), fontsize="small", loc="left")
     axes.set_ylim(bottom=min(0.0, axes.get_ylim()[0]))
     axes.tick_params(labelsize="small")
-    axes.legend(fontsize="x-small", frameon=False)
+
+
+def _draw_side(axes: Any, spectra: xr.Dataset, name: str, label: str, colour: str, dashes: Any) -> None:
+    at, values = _whole(spectra, spectra[name])
+    axes.plot(at, values, color=colour, ls=dashes, lw=1.5, label=label_for(label, longest=120))
+    if f"{name}_sd" in spectra:
+        _, sd = _whole(spectra, spectra[f"{name}_sd"])
+        axes.fill_between(at, values - sd, values + sd, color=colour, alpha=0.2, lw=0)
 
 
 def _figures_of(validation: Validation, pair: int) -> str:
-    """Return RMSE and scale over the part with most bands."""
+    """Return RMSE, its limit and scale over the part with most bands."""
+    whole = _whole_part(validation, pair)
+    limit = float(whole["rmse_limit"])
+    most = f" of {limit:.4f}" if np.isfinite(limit) else ""
+    return f"RMSE {float(whole['rmse']):.4f}{most}, scale {float(whole['scale']):.3f}"
+
+
+def _whole_part(validation: Validation, pair: int) -> xr.Dataset:
     one = validation.statistics.isel(pair=pair)
-    whole = one.isel(part=int(one["bands"].values.argmax()))
-    return f"RMSE {float(whole['rmse']):.4f}, scale {float(whole['scale']):.3f}"
+    return one.isel(part=int(one["bands"].values.argmax()))
 
 
-def _draw_difference(axes: Any, validation: Validation, pair: int, limit: float, *, labelled: bool) -> None:
-    spectra = validation.spectra[pair]
-    at, values = _whole(spectra, spectra["difference"])
-    axes.axhline(0.0, color="0.7", lw=0.8)
-    if "rmse" in validation.tolerance:
-        edge = validation.tolerance["rmse"]
-        axes.axhspan(-edge, edge, color="#009E73", alpha=0.08, lw=0)
-    axes.plot(at, values, color=_DIFFERENCE, lw=1.0)
-    uncertainties = [
-        _whole(spectra, spectra[name])[1] for name in ("signature_u", "reference_u") if name in spectra
-    ]
-    if uncertainties:
-        u = np.sqrt(sum(each**2 for each in uncertainties))
-        axes.fill_between(at, values - u, values + u, color=_DIFFERENCE, alpha=0.2, lw=0)
+def _draw_differences(
+    axes: Any, validation: Validation, pairs: list[int], limit: float, *, labelled: bool
+) -> None:
+    axes.axhline(0.0, color=ink_of(axes, 0.4), lw=0.8)
+    for number, pair in enumerate(pairs):
+        spectra = validation.spectra[pair]
+        colour, dashes = _REFERENCES[number % len(_REFERENCES)]
+        at, values = _whole(spectra, spectra["difference"])
+        edge = float(_whole_part(validation, pair)["rmse_limit"])
+        if np.isfinite(edge) and not number:
+            axes.axhspan(-edge, edge, color="#009E73", alpha=0.12, lw=0)
+        axes.plot(at, values, color=colour, ls=dashes, lw=1.2)
+        uncertainties = [
+            _whole(spectra, spectra[name])[1] for name in ("signature_u", "reference_u") if name in spectra
+        ]
+        if uncertainties:
+            u = np.sqrt(sum(each**2 for each in uncertainties))
+            axes.fill_between(at, values - u, values + u, color=colour, alpha=0.2, lw=0)
     axes.set_ylim(-limit, limit)
     axes.tick_params(labelsize="small")
     if labelled:
-        axes.set_ylabel("difference", fontsize="small")
+        axes.set_ylabel("difference [1]", fontsize="small")
 
 
 def _whole(spectra: xr.Dataset, array: xr.DataArray) -> tuple[Any, Any]:

@@ -17,10 +17,10 @@ import numpy as np
 from hyperpaint.base import schema
 from hyperpaint.base.arrays import Array, Floats32
 from hyperpaint.base.errors import PaintError, SchemaError
-from hyperpaint.base.schema import ALONG_TRACK, CROSS_TRACK, PAINT
+from hyperpaint.base.schema import ALONG_TRACK, CROSS_TRACK, PAINT, rename_to_roles
 from hyperpaint.paints.colours import paint_colours
 from hyperpaint.pictures.figures import data_uri, encode_png, new_figure, png_of
-from hyperpaint.pictures.plot import draw_irradiance, draw_reflectance, flags_of
+from hyperpaint.pictures.plot import draw_irradiance, draw_reflectance, flags_of, rgb
 from hyperpaint.pictures.plot_calibration import calibration_report
 from hyperpaint.pictures.plot_flags import background, draw_outlines, flag_overlay
 from hyperpaint.pictures.plot_spectra import find_usable, library_overview
@@ -28,13 +28,13 @@ from hyperpaint.radiometry.counts_to_reflectance import reflectance
 from hyperpaint.regions import Region, regions_from
 
 from .pages import page_part
-from .summaries import facts_of_bands, facts_of_line
+from .summaries import facts_of_bands, facts_of_line, facts_of_map
 
 if TYPE_CHECKING:
     import xarray as xr
     from markupsafe import Markup
 
-__all__ = ["Part", "calibration_section", "library_section", "line_section", "regions_of"]
+__all__ = ["Part", "calibration_section", "library_section", "line_section", "map_section", "regions_of"]
 
 MOST_ROWS = 500
 """Paints of a table at the most."""
@@ -68,6 +68,28 @@ def line_section(
     yield "provenance", lambda: _provenance(line.attrs)
 
 
+def map_section(orthomap: xr.Dataset, rows: int) -> Iterator[Part]:
+    """Yield the parts of a map's section; its picture, north or the flight up, has ``rows`` at the most."""
+    step = max(1, -(-orthomap.sizes["y"] // rows))
+    named = rename_to_roles(orthomap)
+
+    def picture() -> Markup:
+        shown = np.asarray(
+            rgb(named.isel({ALONG_TRACK: slice(None, None, step), CROSS_TRACK: slice(None, None, step)}))
+        )
+        bytes_ = np.ascontiguousarray((np.nan_to_num(shown).clip(0.0, 1.0) * 255.0 + 0.5).astype(np.uint8))
+        caption = f"{orthomap.sizes['y']} rows down, {orthomap.sizes['x']} columns to the right."
+        return page_part("true_colour", src=data_uri(encode_png(bytes_)), caption=caption)
+
+    yield "facts", lambda: page_part("facts", pairs=list(facts_of_map(orthomap)))
+    yield "true colour", picture
+    if "quality" in named.variables:
+        yield "shares of flags", lambda: _table_of_flags(flags_of(named), "Flags")
+    if "reflectance" in named.variables:
+        yield "reflectance", partial(_reflectance, named)
+    yield "provenance", lambda: _provenance(orthomap.attrs)
+
+
 def _pictures(line: xr.Dataset, lines: int, regions: Sequence[Region]) -> Iterator[Part]:
     """Yield true colour, flags on it, and their shares."""
     drawn: list[bool] = []
@@ -99,13 +121,13 @@ def _true_colour(line: xr.Dataset, lines: int, drawn: list[bool]) -> Markup:
 
 
 def _flags(line: xr.Dataset, lines: int, regions: Sequence[Region], heading: str) -> Markup:
-    axes = _new_axes(3.8)
+    axes = _new_axes(7.5)  # lines are flown upwards
     draw_outlines(flag_overlay(line, lines=lines, axes=axes), regions)
     return _figure(axes.figure, "Pixels with a flag; where several are set, the rarest is shown.", heading)
 
 
 def _layer(line: xr.Dataset, lines: int, layer: str) -> Markup:
-    axes = flag_overlay(line, layer=layer, lines=lines, axes=_new_axes(3.4))
+    axes = flag_overlay(line, layer=layer, lines=lines, axes=_new_axes(7.0))
     return _figure(axes.figure, f"{schema.VARIABLES[layer].meaning}.")
 
 

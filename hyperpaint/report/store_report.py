@@ -22,7 +22,15 @@ from hyperpaint.radiometry.counts_to_reflectance import reflectance
 from hyperpaint.surroundings.flags import flag_line, is_flagged
 
 from .pages import page_part
-from .report_sections import LAYERS, Part, calibration_section, library_section, line_section, regions_of
+from .report_sections import (
+    LAYERS,
+    Part,
+    calibration_section,
+    library_section,
+    line_section,
+    map_section,
+    regions_of,
+)  # fmt: skip
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -44,6 +52,7 @@ class Written:
 
     path: Path  #: The page.
     flightlines: tuple[str, ...]  #: Groups that it shows.
+    maps: tuple[str, ...]  #: Groups of maps that it shows.
     problems: tuple[str, ...]  #: What of the store could not be read, as the page says it too.
 
 
@@ -61,14 +70,14 @@ def write_report(
 ) -> Written:
     """Write what a store holds as one HTML page that needs nothing else.
 
-    For every flight line: true colour, flags on it and their shares, irradiance over time, how reflectance is
-    spread, provenance; then paint signatures and the calibration, where there are any. What cannot be read is
-    named on the page, and does not keep the rest from it.
+    For every flight line and map: true colour, flags on it and their shares, irradiance over time, how
+    reflectance is spread, provenance; then paint signatures and the calibration, where there are any. What
+    cannot be read is named on the page, and does not keep the rest from it.
 
     Parameters
     ----------
     store
-        A finished store, as `hyperpaint.process` or `hyperpaint.render_scene` writes it.
+        A finished store, as `hyperpaint.process` or `hyperpaint.render_scene` writes it, or of a map.
     out
         The page, a file.
     flightlines
@@ -118,18 +127,20 @@ def write_report(
         raise SchemaError(f"lines={lines}, expected 1 or more")
     opened, problems = _opened(store, list_groups(store))
     shown = _chosen({name: line for name, line in opened.items() if _is_line(line)}, flightlines, store)
+    maps = {name or Path(store).name: group for name, group in opened.items() if _is_map(group)}
     libraries = {name: group for name, group in opened.items() if _is_library(group)}
     if signatures is not None:
         libraries[Path(signatures).name] = _library(signatures)
-    if not shown and not libraries:
+    if not shown and not libraries and not maps:
         reason = "; ".join(problems) or f"its groups are {', '.join(opened) or 'none'}"
-        raise StoreError(f"{store} has nothing to show, neither a flight line nor signatures: {reason}")
+        raise StoreError(f"{store} has nothing to show, no flight line, map or signatures: {reason}")
     outlines = _outlines(shown, libraries, problems)
     steps = len(shown) + len(libraries) + ("calibration" in opened)
     parts: list[tuple[str, Iterator[Part]]] = []
     for number, (name, line) in enumerate(shown.items()):
         share = part_of(progress, number, steps)
         parts.append((name, _flagged_section(line, lines, outlines[name], flags, sun_zenith, share)))
+    parts += [(name, map_section(group, lines)) for name, group in maps.items()]
     parts += [(name, library_section(library)) for name, library in libraries.items()]
     if "calibration" in opened:
         parts.append(("calibration", calibration_section(opened["calibration"])))
@@ -144,7 +155,7 @@ def write_report(
     publish_file(place, page.encode("utf-8", "replace"), overwrite=True)
     if progress is not None:
         progress(1000 * steps, 1000 * steps)
-    return Written(place, tuple(shown), tuple(problems))
+    return Written(place, tuple(shown), tuple(maps), tuple(problems))
 
 
 def _flagged_section(
@@ -197,6 +208,10 @@ def _is_line(group: xr.Dataset) -> bool:
     return {ALONG_TRACK, CROSS_TRACK} <= set(group.dims) and bool(cubes)
 
 
+def _is_map(group: xr.Dataset) -> bool:
+    return {"y", "x"} <= set(group.dims)
+
+
 def _is_library(group: xr.Dataset) -> bool:
     return "reflectance" in group.variables and PAINT in group["reflectance"].dims
 
@@ -218,7 +233,7 @@ def _chosen(
 def _library(path: str | os.PathLike[str]) -> xr.Dataset:
     from hyperpaint.io.store import open_store
 
-    library = open_store(path)
+    library = open_store(path, "")
     if not _is_library(library):
         raise SchemaError(
             f"{path} is no paint library; expected reflectance (paint, band), as hyperpaint signatures writes"

@@ -10,6 +10,8 @@ import numpy.typing as npt
 
 from hyperpaint.base import schema
 from hyperpaint.base.schema import ALONG_TRACK, BAND, IRRADIANCE_TIME, IRRADIANCE_WAVELENGTH
+from hyperpaint.io.maps.map_grids import Grid, grid_of
+from hyperpaint.paints.colours import paint_colours, srgb_hex
 from hyperpaint.pictures.figures import data_uri, encode_png
 
 from .pages import page_part
@@ -18,8 +20,9 @@ if TYPE_CHECKING:
     import xarray as xr
 
 __all__ = [
-    "Facts", "counted", "facts_of_bands", "facts_of_irradiance", "facts_of_line", "form_of", "range_of",
-    "size_of", "stored_overview", "summary_html", "summary_text", "times_of",
+    "Facts", "counted", "facts_of_bands", "facts_of_grid", "facts_of_irradiance", "facts_of_line",
+    "facts_of_map", "form_of", "range_of", "size_of", "stored_overview", "summary_html", "summary_text",
+    "times_of",
 ]  # fmt: skip
 
 
@@ -42,6 +45,34 @@ def facts_of_line(line: xr.Dataset) -> Facts:
     yield "dark", str(line.attrs.get("dark_source", ""))
     if "irradiance" in line:
         yield "irradiance", f"{counted(line.sizes[IRRADIANCE_TIME], 'sample')} around the line"
+
+
+def facts_of_map(dataset: xr.Dataset) -> Facts:
+    """Yield what stands for a map (y, x): its cells, where they lie, what they hold."""
+    grid = grid_of(dataset)
+    yield "map", f"{dataset.sizes['y']} x {dataset.sizes['x']} cells"
+    if grid is not None:
+        yield from facts_of_grid(grid, (dataset.sizes["y"], dataset.sizes["x"]))
+    for name, array in dataset.data_vars.items():
+        if BAND in array.dims:
+            yield str(name), form_of(array)
+    yield from facts_of_bands(dataset)
+    for name in ("resampling", "multi_hit"):
+        yield name.replace("_", " "), str(dataset.attrs.get(name, ""))
+    planes = sorted(str(name) for name, array in dataset.data_vars.items() if BAND not in array.dims)
+    yield "also holds", ", ".join(planes)
+
+
+def facts_of_grid(grid: Grid, shape: tuple[int, int]) -> Facts:
+    """Yield where the cells (row, col) of a grid lie."""
+    a, b, c, d, e, f = grid.transform
+    rows, cols = shape
+    x, y = ([p + q * j + r * i for i in (0, rows) for j in (0, cols)] for p, q, r in ((a, b, c), (d, e, f)))
+    heading = np.degrees(np.arctan2(-c, -f)) % 360.0
+    up = "north up" if c == e == 0.0 and f < 0.0 < b else f"up is {heading:.1f} degrees from north"
+    yield "cells", f"{np.hypot(b, e):.6g} x {np.hypot(c, f):.6g} map units, {up}"
+    yield "bounds", f"x {min(x):.10g} to {max(x):.10g}, y {min(y):.10g} to {max(y):.10g}"
+    yield "crs", "not known" if grid.wkt is None else grid.wkt.partition('"')[2].partition('"')[0]
 
 
 def facts_of_irradiance(dataset: xr.Dataset) -> Facts:
@@ -108,7 +139,7 @@ def size_of(count: int) -> str:
     return f"{size:.1f} GB"
 
 
-_MOST_OVERVIEW_BYTES = 8 * 2**20
+_MOST_READ_BYTES = 8 * 2**20
 _MOST_NAMES = 40
 
 # of the page it is shown on, so that it is at home in the light and in the dark
@@ -150,7 +181,26 @@ def summary_html(dataset: xr.Dataset) -> str:
     if picture is not None:
         step = max(1, -(-picture.shape[0] // 480))
         src = data_uri(encode_png(np.ascontiguousarray(picture[::step, :: max(1, step // 2)].swapaxes(0, 1))))
-    return str(page_part("summary", title=title, pairs=facts, src=src, style=_STYLE, cell_style=_CELL))
+    content = {"title": title, "pairs": facts, "src": src, "style": _STYLE, "cell_style": _CELL}
+    return str(page_part("summary", **content, paints=_attempt(lambda: _swatches(dataset), [])))
+
+
+def _swatches(dataset: xr.Dataset) -> list[tuple[str, str, str]]:
+    """Return colour, name and number of pixels of the first paints of a library, where it is at hand."""
+    if _kind(dataset)[0] != "paint library":
+        return []
+    library = dataset.isel({schema.PAINT: slice(_MOST_NAMES)})
+    if not _is_at_hand(dataset["reflectance"]):
+        return []
+    colours = [srgb_hex(colour) for colour in paint_colours(library)]
+    counts = [f"n = {count}" for count in library["n"].values] if "n" in library else [""] * len(colours)
+    return list(zip(colours, map(str, library[schema.PAINT].values), counts, strict=True))
+
+
+def _is_at_hand(array: xr.DataArray) -> bool:
+    """Tell whether reading an array computes nothing, and reads little."""
+    # what came out of a store knows the chunks it had there
+    return (array.chunks is None or "chunks" in array.encoding) and array.nbytes <= _MOST_READ_BYTES
 
 
 def stored_overview(dataset: xr.Dataset) -> npt.NDArray[np.uint8] | None:
@@ -159,10 +209,8 @@ def stored_overview(dataset: xr.Dataset) -> npt.NDArray[np.uint8] | None:
         return None
     stored = dataset["overview"]
     row = schema.VARIABLES["overview"]
-    # what came out of a store knows the chunks it had there
-    at_hand = stored.chunks is None or "chunks" in stored.encoding
     fits = stored.dims == row.dims and stored.dtype == row.dtype and stored.shape[-1] == 3 and stored.size
-    if not (at_hand and fits and stored.nbytes <= _MOST_OVERVIEW_BYTES):
+    if not (fits and _is_at_hand(stored)):
         return None
     return np.asarray(stored.values)
 

@@ -38,7 +38,7 @@ def picker(monkeypatch: pytest.MonkeyPatch) -> RegionPicker:
 PLACES = st.floats(-5.0, 30.0)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(st.lists(st.tuples(PLACES, PLACES), max_size=8))
 def test_corners_are_whole_pixels_of_the_line(places: list[tuple[float, float]]) -> None:
     made = corners_at([place[0] for place in places], [place[1] for place in places], (24, 6))
@@ -195,3 +195,21 @@ def test_the_picture_puts_pixel_centres_on_whole_numbers(shown: Any) -> None:
     assert image.data_source.data["image"][0].shape == (6, 24)
     # the first column is on top
     assert plot.object.y_range.start > plot.object.y_range.end
+
+
+def test_on_a_crop_regions_have_the_numbers_of_the_line(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(picking, "PickerView", NoView)
+    monkeypatch.setattr(picking, "_need_extra", lambda: None)
+    line = flight().line.assign_coords(along_track=np.arange(24) + 100, cross_track=np.arange(6) + 10)
+    begin = hp.Regions((hp.Region("roof", [(11, 102), (14, 102), (14, 109)]),))
+    picker = pick_regions(line, begin)
+    assert picker.regions.digest == begin.digest
+    # where it is on the picture, of which a click says the place
+    assert picker.drawn[0].polygon.tolist() == [[1, 2], [4, 2], [4, 9]]
+    name = picker.add([2, 9, 9], [1, 1, 4])
+    assert picker.regions[1].polygon.tolist() == [[11, 102], [11, 109], [14, 109]]
+    (_, drawn) = picker.spectrum_of(picker.drawn[1])
+    library = hp.extract_signatures(line, picker.regions[1:2], members=0, min_pixels=1)
+    middle = library["reflectance_quantiles"].sel(quantile=0.5, method="nearest")[0]
+    np.testing.assert_allclose(drawn[1], middle, equal_nan=True)
+    assert name == "region 1"

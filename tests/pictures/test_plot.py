@@ -80,6 +80,60 @@ def test_lazy_labelled_and_float32(no_compute: Any) -> None:
     assert "units" not in made.attrs
 
 
+def on_a_map(lines: int = 12, columns: int = 9) -> xr.Dataset:
+    """Return a map of three colours, as `orthorectify` makes it: north up, UTM, with a spatial_ref."""
+    pyproj = pytest.importorskip("pyproj")
+    values = np.random.default_rng(0).uniform(0.05, 0.6, (lines, columns, NM.size)).astype("f4")
+    return xr.Dataset(
+        {"reflectance": (("y", "x", "band"), values, {"units": "1", "grid_mapping": "spatial_ref"})},
+        {
+            "wavelength": ("band", NM, {"units": "nm"}),
+            "y": 4_770_000.0 - 0.5 * np.arange(lines),
+            "x": 300_000.0 + 0.5 * np.arange(columns),
+            "spatial_ref": ((), 0, pyproj.CRS("EPSG:32616").to_cf()),
+        },
+    )
+
+
+@pytest.mark.parametrize("lazy", [False, True])
+def test_the_colours_clash_with_nothing(lazy: bool, tmp_path: Any) -> None:
+    """Rationale: of an array named as its own coordinate no Dataset is made, which hvplot and netCDF need."""
+    line = flight(lines=20).line
+    made = rgb(line.chunk(along_track=8) if lazy else line).assign_coords(along_track=np.arange(100, 120))
+    whole = made.to_dataset()
+    assert list(whole.data_vars) == ["true_colour"]
+    made.to_netcdf(tmp_path / "picture.nc", engine="h5netcdf")
+    np.testing.assert_array_equal(whole["true_colour"].sel(along_track=105, rgb="red"), made.values[5, :, 0])
+    frame = whole.isel(rgb=0).to_dataframe()
+    assert len(frame) == made.size // 3
+
+
+def test_index_coordinates_of_a_line_stay() -> None:
+    line = flight(lines=20).line.paint.reflectance().assign_coords(along_track=np.arange(7, 27))
+    made = rgb(line)
+    assert made["along_track"].values.tolist() == list(range(7, 27))
+    assert set(made.dims) == {"along_track", "cross_track", "rgb"}
+
+
+@pytest.mark.filterwarnings("ignore:Use `@` matmul:PendingDeprecationWarning")  # rioxarray, of affine
+@pytest.mark.parametrize("called", [rgb, lambda cube: cube.paint.rgb()])
+def test_a_map_stays_a_map(called: Any) -> None:
+    """Expected: y, x, their coordinates and the CRS; rioxarray reprojects the picture as it does the cube."""
+    pytest.importorskip("rioxarray")
+    cube = on_a_map()
+    made = called(cube)
+    assert made.dims == ("y", "x", "rgb")
+    for name in ("y", "x"):
+        xr.testing.assert_identical(made[name].drop_vars("spatial_ref"), cube[name].drop_vars("spatial_ref"))
+        assert name in made.indexes
+    there = made.transpose("rgb", "y", "x")
+    assert there.rio.crs.to_epsg() == 32616
+    warped = there.rio.reproject("EPSG:4326")
+    expected = cube["reflectance"].transpose("band", "y", "x").rio.reproject("EPSG:4326")
+    np.testing.assert_allclose(warped["x"], expected["x"])
+    np.testing.assert_allclose(warped["y"], expected["y"])
+
+
 def test_without_visible_bands() -> None:
     line = scene(np.ones((2, NM.size)))
     with pytest.raises(SchemaError, match="three bands"):

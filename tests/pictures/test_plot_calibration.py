@@ -54,7 +54,7 @@ def test_every_axis_says_what_it_shows(figure: Any) -> None:
     titles = ("lines and", "wavelength residual", "smile", "width of", "responsivity", "standard uncertainty")
     ylabels = [panel(figure, title).get_ylabel() for title in titles]
     assert ylabels == [
-        *("counts above dark", "cross_track", "cross_track", "FWHM [nm]"),
+        *("counts above dark [count]", "cross_track [column]", "cross_track [column]", "FWHM [nm]"),
         *("counts per joule in a pixel [count J$^{-1}$]", "relative to the gain [%]"),
     ]
     assert all(panel(figure, title).get_xlabel() == "wavelength [nm]" for title in titles[1:])

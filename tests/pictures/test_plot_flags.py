@@ -17,6 +17,7 @@ from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 
 from hyperpaint.base.schema import flag_shares
+from hyperpaint.paints.colours import ciede2000, encode_srgb, lab_of
 from hyperpaint.pictures.plot_flags import FLAG_COLOURS, background, draw_outlines, flag_overlay
 
 
@@ -44,15 +45,37 @@ def test_every_flag_has_its_own_colour() -> None:
     assert len({to_rgb(colour) for colour in FLAG_COLOURS.values()}) == len(Quality)
 
 
+# Machado, Oliveira and Fernandes (2009), severity 1, in linear sRGB
+SEEN_BY = {
+    "everyone": np.eye(3),
+    "protanopes": np.array(
+        [[0.152286, 1.052583, -0.204868], [0.114503, 0.786281, 0.099216], [-0.003882, -0.048116, 1.051998]]
+    ),
+    "deuteranopes": np.array(
+        [[0.367322, 0.860646, -0.227968], [0.280085, 0.672501, 0.047413], [-0.011820, 0.042940, 0.968881]]
+    ),
+}
+
+
+@pytest.mark.parametrize("readers", SEEN_BY)
+def test_colours_of_flags_are_told_apart(readers: str) -> None:
+    """Expected: any two differ by 15 in CIEDE2000, of which 1 can just be seen; those before, by 1."""
+    encoded = np.array([to_rgb(colour) for colour in FLAG_COLOURS.values()])
+    linear = np.where(encoded <= 0.04045, encoded / 12.92, ((encoded + 0.055) / 1.055) ** 2.4)
+    lab = lab_of(encode_srgb(np.clip(linear @ SEEN_BY[readers].T, 0.0, 1.0)))
+    apart = ciede2000(lab[:, np.newaxis], lab) + 1e3 * np.eye(len(lab))
+    assert apart.min() > 15.0
+
+
 def test_flagged_pixels_have_the_colour_of_their_rarest_flag(line: xr.Dataset) -> None:
     drawn = flag_overlay(line, opacity=0.6, axes=axes()).images[1].get_array()
-    assert drawn.shape == (6, 40, 4)  # columns down, lines to the right
+    assert drawn.shape == (40, 6, 4)  # lines upwards, columns to the right
     expected = np.zeros((40, 6), bool)
     expected[3, 1] = expected[10:20, 2] = True
-    np.testing.assert_array_equal(drawn[..., 3].T > 0, expected)
-    np.testing.assert_allclose(drawn[1, 3], [*to_rgb(FLAG_COLOURS[Quality.GLINT]), 0.6], atol=1e-6)
-    np.testing.assert_allclose(drawn[2, 12, :3], to_rgb(FLAG_COLOURS[Quality.SHADOW]), atol=1e-6)
-    np.testing.assert_allclose(drawn[2, 15, :3], to_rgb(FLAG_COLOURS[Quality.SATURATED]), atol=1e-6)
+    np.testing.assert_array_equal(drawn[..., 3] > 0, expected)
+    np.testing.assert_allclose(drawn[3, 1], [*to_rgb(FLAG_COLOURS[Quality.GLINT]), 0.6], atol=1e-6)
+    np.testing.assert_allclose(drawn[12, 2, :3], to_rgb(FLAG_COLOURS[Quality.SHADOW]), atol=1e-6)
+    np.testing.assert_allclose(drawn[15, 2, :3], to_rgb(FLAG_COLOURS[Quality.SATURATED]), atol=1e-6)
 
 
 def test_the_legend_tells_shares_of_all_pixels(line: xr.Dataset) -> None:
@@ -73,25 +96,25 @@ def test_chosen_flags_alone(line: xr.Dataset) -> None:
 
 def test_a_picture_of_fewer_lines_loses_no_flag(line: xr.Dataset) -> None:
     made = flag_overlay(line, "glint", lines=10, axes=axes())
-    drawn = made.images[1].get_array()[..., 3].T > 0
+    drawn = made.images[1].get_array()[..., 3] > 0
     assert drawn.shape == (10, 6)
     assert np.argwhere(drawn).tolist() == [[0, 1], [3, 2]]
-    assert made.images[1].get_extent() == [-0.5, 39.5, 5.5, -0.5]
+    assert made.images[1].get_extent() == [-0.5, 5.5, -0.5, 39.5]
 
 
 def test_layers_are_values_over_the_picture(line: xr.Dataset) -> None:
     made = flag_overlay(line, layer="glint_fraction", axes=axes())
     assert made.get_legend() is None
     layer = made.images[1]
-    assert layer.get_array()[4, 8] == np.float32(0.5)
+    assert layer.get_array()[8, 4] == np.float32(0.5)
     assert layer.get_array().mask[0, 0]
     alpha = layer.get_alpha()
-    assert alpha[4, 8] == pytest.approx(0.75)
+    assert alpha[8, 4] == pytest.approx(0.75)
     assert alpha[3, 3] == 0
     labels = [other.get_ylabel() for other in made.figure.axes]
-    assert "glint_fraction" in labels
+    assert "glint_fraction [1]" in labels
     fewer = flag_overlay(line, "shadow", layer="glint_fraction", lines=10, axes=axes())
-    assert float(fewer.images[1].get_array()[4].max()) == 0.5
+    assert float(fewer.images[1].get_array()[:, 4].max()) == 0.5
     assert fewer.get_legend() is not None
 
 
@@ -101,7 +124,7 @@ def test_layers_below_zero_are_drawn_about_zero(line: xr.Dataset) -> None:
     tilt = line.assign(blocked_direct=(("along_track", "cross_track"), both))
     layer = flag_overlay(tilt, layer="blocked_direct", axes=axes()).images[1]
     assert (layer.norm.vmin, layer.norm.vmax) == pytest.approx((-0.6, 0.6))
-    np.testing.assert_allclose(layer.get_alpha()[0, [0, 25, 35]], [0.75, 0.75, 0.0], atol=1e-6)
+    np.testing.assert_allclose(layer.get_alpha()[[0, 25, 35], 0], [0.75, 0.75, 0.0], atol=1e-6)
     # a little noise below zero is no sign
     both[:20] = -0.01
     assert flag_overlay(tilt, layer="blocked_direct", axes=axes()).images[1].norm.vmin == 0
@@ -123,7 +146,7 @@ def test_a_line_without_flags_says_so(line: xr.Dataset) -> None:
 
 def test_quality_is_computed_where_it_is_missing() -> None:
     made = flag_overlay(flight(lines=12).line, axes=axes())
-    assert made.get_xlabel() == "along_track"
+    assert made.get_ylabel() == "along_track [line], flown upwards"
 
 
 def test_the_stored_picture_is_taken_where_it_fits(line: xr.Dataset) -> None:
@@ -142,6 +165,6 @@ def test_outlines_close_and_lie_where_the_region_is() -> None:
     made = Figure().add_subplot()
     draw_outlines(made, [Region("$roof", [(1, 10), (4, 10), (4, 20)])])
     x, y = made.lines[0].get_data()
-    assert x.tolist() == [10, 10, 20, 10]
-    assert y.tolist() == [1, 4, 4, 1]
+    assert x.tolist() == [1, 4, 4, 1]
+    assert y.tolist() == [10, 10, 20, 10]
     assert made.texts[0].get_text() == r"\$roof"

@@ -20,7 +20,8 @@ pytest.importorskip("matplotlib")
 from matplotlib.figure import Figure
 
 from hyperpaint.paints.colours import paint_colours
-from hyperpaint.pictures.plot_spectra import MOST_PAINTS, library_overview, spectrum, triptych
+from hyperpaint.pictures.plot_chain import triptych
+from hyperpaint.pictures.plot_spectra import MOST_PAINTS, library_overview, spectrum
 
 LEFT = hp.Region("left", [(0, 0), (2, 0), (2, 19), (0, 19)])
 RIGHT = hp.Region("_right $x", [(3, 0), (5, 0), (5, 19), (3, 19)])
@@ -148,6 +149,44 @@ def test_a_triptych_shows_the_medians_of_all_three(line: xr.Dataset, tmp_path: A
     np.testing.assert_allclose(
         white, line.irradiance.sel(irradiance_wavelength=nm).values[nearest] / np.pi, rtol=1e-6
     )
+
+
+def test_single_pixels_go_through_the_chain(line: xr.Dataset) -> None:
+    """Expected: each pixel's own counts, radiance and reflectance, in its own colour, flags or not."""
+    places = [(3, 4), (10, 1)]
+    full = line.paint.reflectance().compute()
+    full["quality"][3, 4] |= np.uint16(Quality.GLINT)
+    figure = triptych(line, pixels=places)
+    cubes = (line.counts, line.paint.radiance().radiance, full.reflectance)
+    colours = srgb(full.reflectance.values[[3, 10], :, [4, 1]], line.wavelength.values)
+    for made, cube in zip(figure.axes, cubes, strict=True):
+        for drawn, place, colour in zip(made.lines[:2], places, colours, strict=True):
+            np.testing.assert_allclose(drawn.get_ydata(), cube.values[place[0], :, place[1]], rtol=1e-6)
+            np.testing.assert_allclose(drawn.get_color(), colour, atol=1e-6)
+    labels = [text.get_text() for text in figure.axes[2].get_legend().get_texts()]
+    assert [label[:7] for label in labels] == ["(3, 4)", "(10, 1)"] or labels[0].startswith("(3, 4)")
+    with pytest.raises(SchemaError, match="give one of them"):
+        triptych(line, LEFT, pixels=places)
+    with pytest.raises(SchemaError, match=r"\(99, 0\) is outside of 20 lines of 6 columns"):
+        triptych(line, pixels=[(99, 0)])
+    with pytest.raises(SchemaError, match="expected whole"):
+        triptych(line, pixels=[(1.5, 0)])
+
+
+def test_curves_have_the_colours_of_their_paints(paints: xr.Dataset) -> None:
+    nm = np.arange(400.0, 800.0, 10.0)
+    spectra = np.stack([0.05 + 0.7 * (nm > 600), 0.06 + 0.7 * (nm > 600), np.full(nm.size, 0.9)])
+    library = xr.Dataset(
+        {"reflectance": (("paint", "band"), spectra.astype("f4"), {"units": "1"})},
+        {"wavelength": ("band", nm, {"units": "nm"}), "paint": ["red", "like it", "white"]},
+    )
+    drawn = spectrum(library, axes=axes()).lines
+    for curve, colour in zip(drawn, paint_colours(library), strict=True):
+        np.testing.assert_allclose(curve.get_color(), colour, atol=1e-6)
+    assert drawn[0].get_linestyle() == "-" != drawn[1].get_linestyle()
+    # white on white has a rim, seen on any ground
+    rim = drawn[2].get_path_effects()[0]._gc["foreground"]
+    assert 0.3 < np.mean(rim) < 0.7
 
 
 def test_a_triptych_is_of_one_region_with_pixels_left(line: xr.Dataset) -> None:

@@ -34,13 +34,23 @@ def test_curves_are_the_spectra() -> None:
     )
     assert len(upper.collections) == 1  # the spread of the pixels
     assert upper.get_title(loc="left") == "hood"
-    assert f"RMSE {float(found.statistics['rmse'].sel(part='all').item()):.4f}" in upper.get_title(
-        loc="right"
-    )
-    assert "reference (ASD)" in [text.get_text() for text in upper.get_legend().get_texts()]
+    texts = " ".join(" ".join(text.get_text().split()) for text in lower.get_legend().get_texts())
+    rmse, limit = (float(found.statistics[name].sel(part="all").item()) for name in ("rmse", "rmse_limit"))
+    assert f"reference (ASD): RMSE {rmse:.4f} of {limit:.4f}" in texts
     low, high = lower.get_ylim()
     assert low == -high
     assert high >= float(np.abs(spectra["difference"]).max())
+
+
+def test_instruments_are_drawn_over_one_another() -> None:
+    paints, asd = agreeing()
+    nm = np.arange(390.0, 1011.0, 1.5)
+    svc = field(1.01 * seen(nm, 3.5), nm=nm, fwhm=3.5, instrument="SVC")
+    figure = hp.pictures.validation_figure(hp.validate(paints, [asd, svc]))
+    upper, lower = figure.axes
+    assert len(upper.lines) == 3
+    assert len(lower.lines) == 1 + 2
+    assert len({line.get_linestyle() for line in upper.lines}) == 3
 
 
 @pytest.mark.slow

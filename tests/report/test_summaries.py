@@ -133,3 +133,43 @@ def test_labels_are_letters() -> None:
     assert label_for("_hidden") == " _hidden"
     assert label_for("a\nb\x00") == "a\ufffdb\ufffd"
     assert len(label_for("x" * 500)) == 60
+
+
+def test_a_library_shows_the_colours_of_its_paints() -> None:
+    nm = np.arange(400.0, 701.0, 10.0)
+    spectra = [np.where(nm > 600, 0.8, 0.03), np.full(nm.size, 0.9), np.full(nm.size, np.nan)]
+    library = xr.Dataset(
+        {
+            "reflectance": (("paint", "band"), np.float32(spectra), {"units": "1"}),
+            "n": ("paint", [120, 7, 0], {"units": "1"}),
+        },
+        {"paint": ["red", "<b>white</b>", "none"], "wavelength": ("band", nm, {"units": "nm"})},
+    )
+    shown = library.paint._repr_html_()
+    colours = re.findall(r"background:(#[0-9a-f]{6})", shown)
+    red, white = (np.frombuffer(bytes.fromhex(colour[1:]), np.uint8).astype(int) for colour in colours)
+    assert red[0] > 200
+    assert red[1:].max() < 100
+    # level spectra are grey: 0.9 is 243 in sRGB
+    assert np.abs(white - 243).max() <= 2
+    assert shown.count('role="img"') == 3
+    assert "n = 120" in shown
+    assert "<b>" not in shown
+    assert "&lt;b&gt;white" in shown
+    # at home on a page of either theme
+    assert "currentColor" in shown
+    assert "color:" not in shown.replace("border-color:", "")
+    with_quantities = library.assign(reflectance=library.reflectance * 100)
+    with_quantities["reflectance"].attrs["units"] = "percent"
+    assert re.findall(r"background:(#[0-9a-f]{6})", with_quantities.paint._repr_html_()) == colours
+
+
+def test_colours_are_not_computed(no_compute: Any) -> None:
+    nm = np.arange(400.0, 701.0, 10.0)
+    library = xr.Dataset(
+        {"reflectance": (("paint", "band"), np.full((2, nm.size), 0.5, "f4"), {"units": "1"})},
+        {"paint": ["a", "b"], "wavelength": ("band", nm, {"units": "nm"})},
+    )
+    lazy = library.assign(reflectance=library.reflectance.chunk(paint=1))
+    with no_compute():
+        assert 'role="img"' not in lazy.paint._repr_html_()

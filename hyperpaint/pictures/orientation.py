@@ -1,0 +1,137 @@
+"""Which way pictures are shown: never mirrored, pixels as long as they are on the ground.
+
+A flight line stands upright, flown upwards, with its columns as they lie on the ground; a map has north up.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from hyperpaint.base.arrays import Array
+from hyperpaint.base.schema import ALONG_TRACK, CROSS_TRACK
+from hyperpaint.regions.pixels_in_regions import numbers_of
+
+from .figures import label_for
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+__all__ = ["Orientation", "map_dims", "orientation_of", "show_picture"]
+
+
+@dataclass(frozen=True)
+class Orientation:
+    """How the pixels of a picture lie on its axes."""
+
+    extent: tuple[float, float, float, float]  # first and last column's edges, first and last line's edges
+    is_mirrored: bool  # whether columns run to the left of the flight, so that their axis is turned round
+    goes_down: bool  # whether the vertical axis grows downwards
+    aspect: float  # length of a pixel along the vertical axis over that along the horizontal one
+    labels: tuple[str, str]  # of the horizontal and of the vertical axis
+
+    @property
+    def limits(self) -> tuple[tuple[float, float], tuple[float, float]]:
+        """Ends of the horizontal axis from left to right, and of the vertical one upwards."""
+        left, right, *vertical = self.extent
+        across = (right, left) if self.is_mirrored else (left, right)
+        low, high = sorted(vertical)
+        return across, (high, low) if self.goes_down else (low, high)
+
+    def height_of(self, width: float) -> float:
+        """Return how high a picture of a width is."""
+        left, right, low, high = self.extent
+        return width * self.aspect * abs((high - low) / (right - left))
+
+
+def map_dims(cube: xr.DataArray | xr.Dataset) -> dict[str, str]:
+    """Return y and x by the roles that they were given, where coordinates tell that it is a map."""
+    pairs = {ALONG_TRACK: "y", CROSS_TRACK: "x"}
+    is_map = all(name in cube.coords and cube[name].dims == (role,) for role, name in pairs.items())
+    return pairs if is_map else {}
+
+
+def orientation_of(dataset: xr.Dataset) -> Orientation:
+    """Return how a flight line, or a map, is to be shown.
+
+    Columns are turned round where ``east`` and ``north`` of the pixels, or else the declared column order,
+    say that they run to the left of the flight. Pixels are as long as the ground between their centres where
+    that is known, else square.
+    """
+    lines, columns = dataset.sizes[ALONG_TRACK], dataset.sizes[CROSS_TRACK]
+    if map_dims(dataset) and lines > 1 and columns > 1:
+        return _of_map(dataset)
+    # whole numbers are centres of pixels; a crop keeps those of its line
+    along, across = numbers_of(dataset, ALONG_TRACK), numbers_of(dataset, CROSS_TRACK)
+    extent = (across[0] - 0.5, across[-1] + 0.5, along[0] - 0.5, along[-1] + 0.5)
+    labels = ("cross_track [column]{}", "along_track [line], flown upwards")
+    steps = _ground_steps(dataset)
+    if steps is not None:
+        forward, right = steps
+        mirrored = right[0] * forward[1] - right[1] * forward[0] < 0.0
+        aspect = float(np.hypot(*forward) / np.hypot(*right))
+        return Orientation(extent, bool(mirrored), False, aspect, (labels[0].format(""), labels[1]))
+    order = dataset.attrs.get("convention_column_order")
+    assumed = "" if order in ("left_to_right", "right_to_left") else ", taken to run to the right"
+    return Orientation(extent, order == "right_to_left", False, 1.0, (labels[0].format(assumed), labels[1]))
+
+
+def _of_map(dataset: xr.Dataset) -> Orientation:
+    x, y = (np.asarray(dataset[name].values, np.float64) for name in ("x", "y"))
+    half_x, half_y = (0.5 * float(values[-1] - values[0]) / (values.size - 1) for values in (x, y))
+    extent = (float(x[0]) - half_x, float(x[-1]) + half_x, float(y[0]) - half_y, float(y[-1]) + half_y)
+    named = [dataset[name].attrs for name in ("x", "y")]
+    units = [str(attrs.get("units", "")) for attrs in named]
+    own_grid = any("along the flight" in f"{a.get('crs')} {a.get('long_name')}" for a in named)
+    # the grid along a flight counts down from its corner
+    names = ("to the right in the grid", "down in the grid") if own_grid else ("east", "north, up")
+    labels = [
+        f"{name} [{label_for(unit)}]" if unit else name for name, unit in zip(names, units, strict=True)
+    ]
+    return Orientation(extent, half_x < 0, own_grid, 1.0, (labels[0], labels[1]))
+
+
+def _ground_steps(dataset: xr.Dataset) -> tuple[Array, Array] | None:
+    """Return (east, north) from line to line and from column to column [m]; None where it is not known."""
+    if not all(
+        name in dataset.coords and set(dataset[name].dims) == {ALONG_TRACK, CROSS_TRACK}
+        for name in ("east", "north")
+    ):
+        return None
+    lines, columns = dataset.sizes[ALONG_TRACK], dataset.sizes[CROSS_TRACK]
+    if lines < 2 or columns < 2:
+        return None
+    # along the middle column and across the middle line: nothing else is computed
+    middle_column = dataset[["east", "north"]].isel({CROSS_TRACK: columns // 2}).compute()
+    middle_line = dataset[["east", "north"]].isel({ALONG_TRACK: lines // 2}).compute()
+    steps = [
+        np.array([_mean_step(part[name].values) for name in ("east", "north")])
+        for part in (middle_column, middle_line)
+    ]
+    if not all(np.isfinite(step).all() and np.hypot(*step) > 0.0 for step in steps):
+        return None
+    return steps[0], steps[1]
+
+
+def _mean_step(values: Array) -> float:
+    """Return the mean difference of neighbours, between the first and the last value that is known."""
+    places = np.flatnonzero(np.isfinite(values))
+    if places.size < 2:
+        return float("nan")
+    return float((values[places[-1]] - values[places[0]]) / (places[-1] - places[0]))
+
+
+def show_picture(axes: Any, picture: Array, orientation: Orientation, **options: Any) -> Any:
+    """Show a picture (line, column, ...) on axes in pixels of the line, or metres of the map."""
+    shown = axes.imshow(
+        picture, origin="lower", extent=orientation.extent, aspect=orientation.aspect,
+        interpolation="nearest", **options,
+    )  # fmt: skip
+    across, upwards = orientation.limits
+    axes.set(xlim=across, ylim=upwards, xlabel=orientation.labels[0], ylabel=orientation.labels[1])
+    axes.ticklabel_format(useOffset=False, style="plain")
+    axes.tick_params(labelsize="small")
+    axes.locator_params(axis="x", nbins=4)  # easting takes six digits
+    return shown
