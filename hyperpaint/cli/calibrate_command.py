@@ -22,7 +22,7 @@ def _uncertainty(name: str, default: float, text: str) -> Callable[[Any], Any]:
     short_help="Turn a lab sweep into a calibration.",
     epilog="""\b
 Examples:
-  hyperpaint calibrate lab/sweep.zarr --out calibration.zarr --report calibration.png
+  hyperpaint calibrate lab/sweep.zarr --report calibration.png
   hyperpaint calibrate lab/sweep.zarr --out calibration.zarr --flux-uncertainty 0.02 --overwrite
 
 \b
@@ -31,7 +31,10 @@ A collect.toml can also name the sweep itself:
   sweep = 'lab/sweep.zarr'""",
 )
 @click.argument("sweep", metavar="SWEEP.zarr", type=EXISTING)
-@click.option("--out", required=True, metavar="CAL.zarr", type=PLACE, help="The calibration.")
+@click.option(
+    "--out", metavar="CAL.zarr", type=PLACE,
+    help="The calibration.  [default: calibration.zarr beside SWEEP.zarr]",
+)  # fmt: skip
 @click.option(
     "--shape", "srf_shape", type=click.Choice(["gaussian", "slit"]),
     help="Line shape of the camera.  [default: the one that the lines fit better]",
@@ -53,7 +56,7 @@ A collect.toml can also name the sweep itself:
 @click.option("--overwrite", is_flag=True, help="Replace a calibration made from something else.")
 @click.option("--quiet", is_flag=True, help="No progress bar.")
 def calibrate(
-    sweep: Path, out: Path, report: Path | None, relative: bool, quiet: bool, **options: Any
+    sweep: Path, out: Path | None, report: Path | None, relative: bool, quiet: bool, **options: Any
 ) -> None:
     """Turn a monochromator sweep into the calibration of a camera.
 
@@ -66,6 +69,7 @@ def calibrate(
     """
     from hyperpaint.workflows.laboratory import write_calibration
 
+    out = out or sweep.with_name("calibration.zarr")
     with progress_bar("calibrating", is_watched(quiet)) as shown:
         calibration = write_calibration(
             sweep, out, absolute=not relative, report=report, progress=shown, **options

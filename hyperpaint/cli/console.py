@@ -14,8 +14,8 @@ if TYPE_CHECKING:
     from hyperpaint.workflows.pipeline import Outcome
 
 __all__ = [
-    "EXISTING", "EXISTING_FILE", "FAILED_CHECK", "FILE", "FOLDER", "PLACE", "WRONG_INPUT", "given_of",
-    "is_watched", "progress_bar", "say_outcome",
+    "EXISTING", "EXISTING_FILE", "FAILED_CHECK", "FILE", "FOLDER", "PLACE", "WRONG_INPUT", "beside",
+    "given_of", "is_watched", "progress_bar", "say_outcome",
 ]  # fmt: skip
 
 PLACE = click.Path(path_type=Path)
@@ -51,6 +51,11 @@ def progress_bar(label: str, shown: bool) -> Iterator[Any]:
                 stack.close()
 
         yield update
+
+
+def beside(source: Path, name: str) -> Path:
+    """Return where a product goes that nobody gave a place: to its source, under a name of its own."""
+    return source.absolute().parent / name if source.name in ("", ".", "..") else source.with_name(name)
 
 
 def given_of(options: Mapping[str, Any]) -> dict[str, Any]:

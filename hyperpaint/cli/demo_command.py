@@ -18,7 +18,10 @@ __all__ = ["demo"]
 Example:
   hyperpaint demo --out demo""",
 )
-@click.option("--out", "folder", required=True, type=FOLDER, help="Folder for everything the demo makes.")
+@click.option(
+    "--out", "folder", type=FOLDER, default="hyperpaint_demo", show_default=True,
+    help="Folder for everything the demo makes.",
+)  # fmt: skip
 @click.option("--lines", default=256, type=click.IntRange(min=8), help="Scan lines.")
 @click.option("--bands", default=272, type=click.IntRange(min=8), help="Spectral bands.")
 @click.option("--columns", default=320, type=click.IntRange(min=8), help="Columns.")

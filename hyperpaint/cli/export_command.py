@@ -7,35 +7,39 @@ from typing import Any
 
 import click
 
-from .console import EXISTING, EXISTING_FILE, PLACE, is_watched, progress_bar
+from .console import EXISTING, EXISTING_FILE, PLACE, beside, is_watched, progress_bar
 
 __all__ = ["export"]
 
 _LIBRARIES = ("envi", "csv", "ecostress", "zarr")
+_NAMES = {"envi": "{}.sli", "csv": "{}.csv", "zarr": "{}_export.zarr"}
 
 
 @click.command(
     short_help="Write a paint library for simulators and other programs.",
     epilog="""\b
 Examples:
-  hyperpaint export paints.zarr --format dirsig --out dirsig
-  hyperpaint export paints.zarr --format dirsig --out dirsig --range 400 1000 --gaps interpolate
+  hyperpaint export paints.zarr --format dirsig
+  hyperpaint export paints.zarr --format dirsig --out dirsig --range 400 1000 --gaps refuse
   hyperpaint export paints.zarr --format dirsig --out dirsig --scene-materials scene.mat
-  hyperpaint export paints.zarr --format envi --out paints.sli
+  hyperpaint export paints.zarr --format csv --out paints.csv
+  hyperpaint export paints.zarr --format envi --out paints.sli --curves all
   hyperpaint export paints.zarr --format ecostress --out spectra""",
 )
 @click.argument("library", metavar="LIB", type=EXISTING)
 @click.option(
     "--format", "form", required=True, type=click.Choice(["dirsig", *_LIBRARIES]),
-    help="DIRSIG materials, an ENVI .sli, CSV with JSON, one text file a paint, or a Zarr store.",
+    help="DIRSIG materials, an ENVI .sli, a CSV table, one text file a paint, or a Zarr store.",
 )  # fmt: skip
 @click.option(
-    "--out", required=True, metavar="OUT", type=PLACE,
-    help="Where to write: a file for envi (.sli) and csv, a new or empty folder for the others.",
+    "--out", metavar="OUT", type=PLACE,
+    help="Where to write: a file for envi (.sli) and csv, a new or empty folder for the others.  "
+    "[default: beside LIB, of its name for a file, of the format's for a folder]",
 )  # fmt: skip
 @click.option(
-    "--curves", type=click.Choice(["members", "quantiles", "centre"]),
-    help="DIRSIG: what becomes the curves of a paint.  [default: members where there are any]",
+    "--curves", type=click.Choice(["centre", "all", "members", "quantiles"]),
+    help="centre: one spectrum a paint; all: members, quantiles and spread as well; DIRSIG: centre, members "
+    "or quantiles.  [default: centre; zarr all; DIRSIG members where there are any]",
 )  # fmt: skip
 @click.option(
     "--range", "wavelength_range", type=float, nargs=2, metavar="LOW HIGH", default=None,
@@ -43,8 +47,8 @@ Examples:
 )  # fmt: skip
 @click.option("--extrapolate", is_flag=True, help="DIRSIG: hold curves constant beyond what was measured.")
 @click.option(
-    "--gaps", type=click.Choice(["refuse", "interpolate"]),
-    help="DIRSIG: what to do about bands without values.  [default: refuse]",
+    "--gaps", type=click.Choice(["interpolate", "refuse"]),
+    help="DIRSIG: what to do about bands without values.  [default: interpolate, and say so]",
 )  # fmt: skip
 @click.option(
     "--specular", metavar="SHARE",
@@ -60,7 +64,7 @@ Examples:
 )  # fmt: skip
 @click.option("--overwrite", is_flag=True, help="Replace an earlier export.")
 @click.option("--quiet", is_flag=True, help="No progress bar.")
-def export(library: Path, form: str, out: Path, overwrite: bool, quiet: bool, **options: Any) -> None:
+def export(library: Path, form: str, out: Path | None, overwrite: bool, quiet: bool, **options: Any) -> None:
     """Write a paint library for simulators and other programs.
 
     LIB is a library's Zarr store, as `signatures` writes it, or any file of spectra that hyperpaint reads.
@@ -69,8 +73,11 @@ def export(library: Path, form: str, out: Path, overwrite: bool, quiet: bool, **
     """
     from hyperpaint.io.library import open_library, write_library
 
+    out = out or beside(library, _NAMES.get(form, form).format(library.stem))
     given = {name: value for name, value in options.items() if value not in (None, False)}
-    if given and form != "dirsig":
+    curves = given.get("curves")
+    if set(given) - {"curves"} and form != "dirsig":
+        given.pop("curves", None)
         names = ", ".join(f"--{name.replace('_', '-').replace('wavelength-', '')}" for name in given)
         raise click.UsageError(f"{names} only with --format dirsig")
     paints = open_library(library)
@@ -80,12 +87,19 @@ def export(library: Path, form: str, out: Path, overwrite: bool, quiet: bool, **
 
             materials = write_dirsig(paints, out, overwrite=overwrite, progress=shown, **_options(given))
             click.echo(f"{out}: {materials.sizes['paint']} paints, {int(materials['curves'].sum())} curves")
+            if filled := int(materials["interpolated"].sum()):
+                complete = int(materials["complete"].sum())
+                click.echo(
+                    f"{complete} curves are complete; {filled} samples in gaps of the others filled in"
+                )
             attrs = materials.attrs
             click.echo(f"mirrored light {attrs['mirror_reflection']}, {attrs['mirror_reflection_source']}")
             click.echo(f"how to add them: {out / 'README.txt'}")
             return
-        path = write_library(paints, out, format=form, overwrite=overwrite, progress=shown)
+        path = write_library(paints, out, format=form, curves=curves, overwrite=overwrite, progress=shown)
     click.echo(f"{path}: {paints.sizes['paint']} paints, {paints.sizes['band']} bands")
+    if curves is None and form in ("envi", "csv") and "member_reflectance" in paints.variables:
+        click.echo("one row a paint, its centre; --curves all writes members, quantiles and spread as well")
 
 
 def _options(given: dict[str, Any]) -> dict[str, Any]:

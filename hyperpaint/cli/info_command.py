@@ -2,21 +2,25 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 import numpy as np
 
-from hyperpaint.base.errors import FormatError, IncompleteStoreError, StoreError
+from hyperpaint.base.errors import CollectError, FormatError, IncompleteStoreError, StoreError
 from hyperpaint.base.schema import ALONG_TRACK
+from hyperpaint.regions.vector_files import VECTOR_FILES
 from hyperpaint.report.summaries import (
     Facts,
     counted,
     facts_of_bands,
+    facts_of_grid,
     facts_of_irradiance,
     facts_of_line,
+    facts_of_map,
     form_of,
     range_of,
     size_of,
@@ -25,17 +29,29 @@ from hyperpaint.report.summaries import (
 
 from .console import EXISTING
 
-__all__ = ["describe_path", "info"]
+if TYPE_CHECKING:
+    from hyperpaint.workflows.field_folder import FieldFolder
+
+__all__ = ["describe_path", "facts_of_path", "info"]
 
 _EXPECTED = (
-    "expected an ENVI header or cube, an ASD file, an SVC .sig file, a text or csv export of spectra, "
+    "expected an ENVI header or cube, a GeoTIFF, regions in GeoJSON, an ASD file, an SVC .sig file, "
+    "a text or csv export of spectra, "
     "a spectral library, a DIRSIG .ems or .mat file, a frame index, imu_gps.txt, "
     "SBET, .lcf or csv navigation, settings.txt, "
-    "a collect.toml, or a Zarr store or a group in it"
+    "a collect.toml, the folder of a field day, or a Zarr store or a group in it"
 )
 _TABLES = (".txt", ".csv", ".tsv", ".asc")
 _MOST_NAMED = 5
 _HEAD = 4096
+
+
+def facts_of_path(path: str | Path) -> dict[str, str]:
+    """Return what `describe_path` says, by name; what is empty is not known."""
+    path = Path(path)
+    if not path.exists():
+        raise FormatError(f"no such file or folder: {path}")
+    return dict(_folder(path) if path.is_dir() else _file(path))
 
 
 def describe_path(path: str | Path) -> str:
@@ -47,10 +63,7 @@ def describe_path(path: str | Path) -> str:
     Raises `FormatError`: the file is damaged, or of no kind known here; `CollectError`: the collect cannot be
     processed; all problems are listed; `StoreError`: the folder is not a Zarr store.
     """
-    path = Path(path)
-    if not path.exists():
-        raise FormatError(f"no such file or folder: {path}")
-    facts = dict(_folder(path) if path.is_dir() else _file(path))
+    facts = facts_of_path(path)
     width = max(map(len, facts))
     indent = "\n" + " " * (width + 4)
     rows = (f"  {name.ljust(width)}  {text.replace(chr(10), indent)}" for name, text in facts.items() if text)
@@ -66,6 +79,10 @@ def _file(path: Path) -> Facts:
         return _poses(path)
     if path.suffix.lower() == ".hdr":
         return _envi(path)
+    if path.suffix.lower() in (".tif", ".tiff"):
+        return _geotiff(path)
+    if path.suffix.lower() in (".geojson", *VECTOR_FILES):
+        return _regions(path)
     if path.suffix.lower() == ".sig":
         return _svc(path)
     kind: str = sniff(path)
@@ -115,6 +132,42 @@ def _envi(path: Path) -> Facts:
     exposure = exposure_seconds(header.comments, header_path.name)
     yield "exposure", "" if exposure is None else f"{exposure * 1e3:g} ms (header comments)"
     yield "notes", "\n".join(header.notes)
+
+
+def _geotiff(path: Path) -> Facts:
+    from hyperpaint.io.maps.geotiff import read_geotiff_header
+
+    header = read_geotiff_header(path)
+    yield "is", f"GeoTIFF, {size_of(path.stat().st_size)}"
+    rows, cols = header.shape
+    yield "map", f"{rows} x {cols} cells, {counted(header.bands, 'band')}, {header.dtype}"
+    if header.grid is not None:
+        yield from facts_of_grid(header.grid, header.shape)
+    else:
+        yield "crs", "not known, nor where it lies"
+    nm = [band.removesuffix(" nm") for band in header.descriptions if band.endswith(" nm")]
+    yield "wavelength", range_of([float(text) for text in nm], "nm") if len(nm) == header.bands else ""
+    yield (
+        "bands",
+        "" if len(nm) == header.bands else _first_of([text for text in header.descriptions if text]),
+    )
+    yield "overviews", ", ".join(f"1:{factor}" for factor in header.overviews) or "none"
+
+
+def _regions(path: Path) -> Facts:
+    from hyperpaint.regions import read_regions
+
+    regions = read_regions(path)
+    yield "is", f"{counted(len(regions), 'region')} in coordinates of the {regions.coordinates}"
+    yield "names", _first_of(regions.names)
+    yield "crs", "" if regions.coordinates == "sensor" else regions.crs or "not said"
+    yield "flight lines", ", ".join(regions.flightlines)
+    if len(regions):
+        corners = np.concatenate([region.polygon for region in regions])
+        (x0, y0), (x1, y1) = corners.min(axis=0), corners.max(axis=0)
+        yield "bounds", f"x {x0:.10g} to {x1:.10g}, y {y0:.10g} to {y1:.10g}"
+    properties = dict.fromkeys(name for region in regions for name in region.properties)
+    yield "also says", ", ".join(properties)
 
 
 def _asd(path: Path) -> Facts:
@@ -319,14 +372,43 @@ def _folder(path: Path) -> Facts:
         return _store(path)
     if any(path.glob("*.spectrum.txt")):
         return _library(path)
-    names = sorted(
-        entry.name
-        for entry in path.iterdir()
-        if entry.suffix.lower() in (".toml", ".hdr", ".asd", ".sig", ".zarr")
-        and not entry.name.startswith(".")
+    from hyperpaint.workflows.field_folder import find_field_files
+
+    try:
+        return _field_folder(find_field_files(path))
+    except CollectError as error:
+        raise StoreError(
+            f"{path} is a folder, not a Zarr store, and not that of a field day: {error}; {_EXPECTED}"
+        ) from error
+
+
+def _field_folder(field: FieldFolder) -> Facts:
+    """Yield what `init` would write a collect.toml from."""
+    yield "is", f"folder of a field day: {counted(len(field.cubes), 'raw cube')}"
+    for cube in field.cubes:
+        beside = {"frame index": cube.frame_index, "navigation": cube.navigation}
+        words = [name if place else f"no {name}" for name, place in beside.items()]
+        exposure = "exposure" if cube.has_exposure else "no exposure"
+        yield _within(field.folder, cube.header), ", ".join([*words, exposure])
+    yield "dark", ", ".join(_within(field.folder, one) for one in field.darks) or "none"
+    for name, place in (("calibration", field.calibration), ("lab sweep", field.sweep)):
+        yield name, "" if place is None else _within(field.folder, place)
+    yield "irradiance", ", ".join(_within(field.folder, place) for place, _ in field.irradiance) or "none"
+    yield (
+        "references",
+        ", ".join(
+            f"{instrument} in {_within(field.folder, place)}" for instrument, place, _ in field.references
+        ),
     )
-    seen = f"; in it are {', '.join(names[:8])}{' ...' if len(names) > 8 else ''}" if names else ""
-    raise StoreError(f"{path} is a folder, not a Zarr store{seen}; {_EXPECTED}")
+    yield "not used", "\n".join(field.notes)
+    if (field.folder / "collect.toml").exists():
+        yield "process", f"hyperpaint run {field.folder}"
+    else:
+        yield "process", f"hyperpaint init {field.folder} writes a collect.toml of it"
+
+
+def _within(folder: Path, path: Path) -> str:
+    return str(path.relative_to(folder) if path.is_relative_to(folder) else path)
 
 
 def _store(path: Path) -> Facts:
@@ -360,6 +442,8 @@ def _group(path: Path, name: str) -> Facts:
         yield from facts_of_line(group)
         shown = ("counts", "radiance", "reflectance", "irradiance", "exposure_time")
         yield "also holds", ", ".join(sorted(str(key) for key in group.data_vars if key not in shown))
+    elif {"y", "x"} <= set(group.dims):
+        yield from facts_of_map(group)
     elif "irradiance" in group:
         yield from facts_of_irradiance(group)
     else:
@@ -384,11 +468,17 @@ Examples:
   hyperpaint info lot.zarr/flightlines/raw_0""",
 )
 @click.argument("path", type=EXISTING)
-def info(path: Path) -> None:
+@click.option("--json", "as_json", is_flag=True, help="The same as JSON, for programs.")
+def info(path: Path, as_json: bool) -> None:
     """Show what a file or store is: dims, units, wavelengths, times, exposure, completeness.
 
-    PATH is an ENVI header or cube, an ASD file, a text or csv export, a frame index, a navigation record, a
-    collect.toml, or a Zarr store or one of its groups. Of a collect everything is opened; shown is what
-    `process` would do.
+    PATH is an ENVI header or cube, a GeoTIFF, regions, an ASD file, a text or csv export, a frame index, a
+    navigation record, a collect.toml, the folder of a field day, or a Zarr store or one of its groups. Of a
+    collect everything is opened; shown is what `process` would do.
     """
-    click.echo(describe_path(path))
+    if not as_json:
+        click.echo(describe_path(path))
+        return
+    facts = {name: text.split("\n") if "\n" in text else text for name, text in facts_of_path(path).items()}
+    document = {"path": str(path), **{name: text for name, text in facts.items() if text}}
+    click.echo(json.dumps(document, indent=1, ensure_ascii=False))

@@ -7,11 +7,10 @@ from typing import Any
 
 import click
 
-from .console import EXISTING, PLACE, given_of, is_watched, progress_bar
+from .console import EXISTING, PLACE, beside, given_of, is_watched, progress_bar
+from .location_options import takes_location
 
 __all__ = ["make_map"]
-
-_ANGLES = click.Tuple([float, float, float])
 
 
 @click.command(
@@ -34,53 +33,43 @@ at -30 m. Where the map is shifted or torn, look first at --boresight, --ground,
 @click.argument("store", metavar="STORE.zarr", type=EXISTING)
 @click.option("--line", metavar="ID", help="Flight line of the store.  [default: the only one]")
 @click.option(
-    "--out", required=True, metavar="MAP", type=PLACE,
-    help="map.tif, all bands in a GeoTIFF; or map.zarr, with flags, times and the place of every cell.",
+    "--out", metavar="MAP", type=PLACE,
+    help="map.tif, all bands in a GeoTIFF with overviews; or map.zarr, with flags, times and the place "
+    "of every cell.  [default: ID.tif, or map.tif, beside STORE.zarr]",
 )  # fmt: skip
 @click.option("--gsd", type=float, metavar="M", help="Edge of a cell.  [default: spacing of the pixels]")
 @click.option(
-    "--grid", type=click.Choice(["flight", "north"]), help="Cells along the flight, or north up.  "
-    "[default: north for .tif, flight for .zarr]",
+    "--grid", type=click.Choice(["north", "flight"]), default="north",
+    help="North up, or along the flight: smaller, and turned on the map.",
 )  # fmt: skip
 @click.option(
     "--method", type=click.Choice(["nearest", "bilinear"]), default="nearest",
     help="Spectra as they are, or interpolated.",
 )  # fmt: skip
-@click.option("--ground", type=float, metavar="M", help="Height of level ground.")
-@click.option("--dem", type=EXISTING, metavar="FILE", help="Heights, instead of --ground.")
-@click.option(
-    "--dem-heights", type=click.Choice(["ellipsoid", "geoid"]), help="What the heights of --dem are above."
-)
-@click.option("--geoid", type=float, metavar="M", help="Height of the geoid above the ellipsoid there.")
-@click.option("--field-of-view", type=float, metavar="DEGREE", help="Between the outer edges of the columns.")
-@click.option("--focal-length-mm", type=float, metavar="MM", help="With --pixel-pitch-um, instead.")
-@click.option("--pixel-pitch-um", type=float, metavar="UM", help="Distance of columns on the detector.")
-@click.option(
-    "--column-order", type=click.Choice(["left_to_right", "right_to_left"]), help="Which way the columns go."
-)
-@click.option("--boresight", type=_ANGLES, metavar="R P H", help="Turn of the camera in the body [degree].")
-@click.option("--lever-arm", type=_ANGLES, metavar="F R D", help="Camera from the antenna [m].")
-@click.option("--clock-offset", type=float, metavar="S", help="Added to line times.")
-@click.option("--crs", metavar="EPSG:N", help="Map.  [default: UTM zone of the line]")
+@takes_location
+@click.option("--stac", is_flag=True, help="Write a STAC item beside it, map.json.")
+@click.option("--geozarr", is_flag=True, help="Say where map.zarr lies in the attributes of GeoZarr too.")
 @click.option("--overwrite", is_flag=True, help="Replace a map that is there.")
 @click.option("--quiet", is_flag=True, help="No progress bar.")
-def make_map(
-    store: Path, line: str | None, out: Path, gsd: float | None, grid: Any, method: Any, overwrite: bool,
-    quiet: bool, **options: Any,
-) -> None:  # fmt: skip
+def make_map(store: Path, line: str | None, out: Path | None, quiet: bool, **options: Any) -> None:
     """Straighten a flight line into a map of square cells, from GPS and attitude of its lines.
 
     Reflectance comes along, computed from counts where the store has no other; into a store also flags, line
     times, view angles, and which line and column every cell shows. Nothing is averaged.
     """
+    from hyperpaint.geometry.orthorectification.plausibility import describe_swath
     from hyperpaint.workflows.maps import map_of_store, write_map
 
+    out = out or beside(store, f"{line or 'map'}.tif")
+    writing = {name: options.pop(name) for name in ("stac", "geozarr", "overwrite")}
+    if writing["geozarr"] and out.suffix.lower() != ".zarr":
+        raise click.UsageError(f"--geozarr is of Zarr stores, and --out is {out}")
     if out.suffix.lower() not in (".tif", ".tiff", ".zarr"):
         raise click.UsageError(f"--out {out}: expected a name that ends in .tif or .zarr")
-    chosen = grid or ("flight" if out.suffix.lower() == ".zarr" else "north")
     given = given_of(options)
     with progress_bar("looking", is_watched(quiet)) as shown:
-        orthomap = map_of_store(store, line, gsd=gsd, grid=chosen, method=method, progress=shown, **given)
-    write_map(orthomap, out, overwrite=overwrite, progress=is_watched(quiet))
+        orthomap = map_of_store(store, line, progress=shown, **given)
+    notes = write_map(orthomap, out, progress=is_watched(quiet), **writing)
     rows, cols = orthomap.sizes["y"], orthomap.sizes["x"]
-    click.echo(f"{out}: {rows} x {cols} cells of {orthomap.attrs['gsd']:.4g} m")
+    facts = [f"{rows} x {cols} cells of {orthomap.attrs['gsd']:.4g} m", describe_swath(orthomap.attrs), notes]
+    click.echo(f"{out}: {', '.join(fact for fact in facts if fact)}")

@@ -16,12 +16,15 @@ __all__ = ["process"]
     short_help="Process a collect into one Zarr store.",
     epilog="""\b
 Examples:
-  hyperpaint process collect.toml --out lot.zarr
+  hyperpaint process collect.toml
   hyperpaint process collect.toml --out lot.zarr --reflectance none     a third of the disk
   hyperpaint process collect.toml --out lot.zarr --scheduler tcp://node0:8786""",
 )
 @click.argument("collect", metavar="COLLECT.toml", type=EXISTING_FILE)
-@click.option("--out", required=True, metavar="STORE.zarr", type=PLACE, help="The store.")
+@click.option(
+    "--out", metavar="STORE.zarr", type=PLACE,
+    help="The store.  [default: products/lot.zarr beside COLLECT.toml, as run makes it]",
+)  # fmt: skip
 @click.option(
     "--to", type=click.Choice(["radiance", "reflectance"]), default="reflectance",
     help="Radiance needs no irradiance.",
@@ -38,12 +41,14 @@ Examples:
 )  # fmt: skip
 @click.option("--overwrite", is_flag=True, help="Replace groups made from other inputs or parameters.")
 @click.option("--quiet", is_flag=True, help="No progress bar.")
-def process(collect: Path, out: Path, quiet: bool, **options: Any) -> None:
+def process(collect: Path, out: Path | None, quiet: bool, **options: Any) -> None:
     """Process a collect into one Zarr store of calibrated flight lines.
 
     Everything is checked before anything is written. An interrupted run is resumed by running it again; a
     store that is already complete is left as it is.
     """
+    from hyperpaint.workflows.field_day import store_of
     from hyperpaint.workflows.pipeline import run
 
+    out = out or store_of(collect)
     say_outcome(run(collect, out, progress=is_watched(quiet), **options))

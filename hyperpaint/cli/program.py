@@ -24,9 +24,9 @@ from .console import WRONG_INPUT
 __all__ = ["main"]
 
 COMMANDS = {
-    **{name: name for name in ("calibrate", "demo", "export", "info", "process", "render", "simulate")},
-    **{name: name for name in ("validate", "verify")},
-    "orthorectify": "make_map", "paints": "list_paints", "report": "make_report",
+    **{name: name for name in ("calibrate", "demo", "export", "info", "init", "process", "render", "run")},
+    **{name: name for name in ("simulate", "validate", "verify")},
+    "mosaic": "make_mosaic", "orthorectify": "make_map", "paints": "list_paints", "report": "make_report",
     "signatures": "make_signatures",
 }  # fmt: skip
 """Every command, with the name of its function in ``<command>_command.py``."""
@@ -89,20 +89,26 @@ def _short_warnings() -> Iterator[None]:
     context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100, "show_default": True},
     epilog="""\b
 Examples:
-  hyperpaint demo --out demo                          see the whole chain on a simulated collect
+  hyperpaint demo                                     see the whole chain on a simulated collect
+  hyperpaint init 2021_07_20                          a commented collect.toml of what lies in a folder
+  hyperpaint run 2021_07_20                           all of it: store, paints, validation, maps, report
+
+\b
+Step by step:
   hyperpaint info flight/raw_0.hdr                    what is this file?
   hyperpaint info collect.toml                        does everything open, and what would be done?
-  hyperpaint calibrate sweep.zarr --out cal.zarr      a lab sweep to a calibration
+  hyperpaint calibrate sweep.zarr                     a lab sweep to a calibration
   hyperpaint process collect.toml --out lot.zarr      raw counts to calibrated reflectance
   hyperpaint verify lot.zarr                          is every chunk of it there and right?
   hyperpaint orthorectify lot.zarr --ground 152.4 --out map.tif   a map (see its --help for the camera)
+  hyperpaint mosaic lot.zarr --out mosaic.tif         all its lines on one map
   hyperpaint signatures lot.zarr --regions cars.geojson --out paints.zarr
   hyperpaint validate paints.zarr --reference 'svc/*.sig'
   hyperpaint export paints.zarr --format dirsig --out dirsig
   hyperpaint paints --colour red                      red ones of the synthetic starter library
   hyperpaint report lot.zarr --out report.html        all of it on one page
   hyperpaint render --example > scene.toml            a synthetic scene to begin with
-  hyperpaint render scene.toml --out scene.zarr       its cubes, with what is true of every pixel
+  hyperpaint render scene.toml                        its cubes, with what is true of every pixel
 
 \b
 Then, in Python:
@@ -110,6 +116,10 @@ Then, in Python:
   line = xr.open_zarr("lot.zarr", group="flightlines/raw_0")
   line.paint.reflectance()                            lazy, from the stored counts
   line.paint.quicklook("line.png")
+
+\b
+Commands and options are completed by the shell, after this in its start file:
+  eval "$(_HYPERPAINT_COMPLETE=bash_source hyperpaint)"     zsh_source for zsh
 
 Exit status: 0 done, 1 the data fail a check, 2 the call or an input is wrong.""",
 )

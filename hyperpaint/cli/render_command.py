@@ -25,7 +25,7 @@ def _print_example(ctx: click.Context, _: click.Parameter, wanted: bool) -> None
     epilog="""\b
 Examples:
   hyperpaint render --example > scene.toml                       a car park to begin with
-  hyperpaint render scene.toml --out scene.zarr
+  hyperpaint render scene.toml
   hyperpaint render scene.toml --out quick.zarr --samples 8      a first look
   hyperpaint render scene.toml --out scene.zarr --atmosphere noon --picture noon.png
 
@@ -39,7 +39,9 @@ Then, in Python:
   traced.paint.relight(paints={"car_003": "red"}, atmosphere="cloudy")    no tracing again""",
 )
 @click.argument("scene", metavar="SCENE.toml", type=EXISTING_FILE)
-@click.option("--out", required=True, metavar="SCENE.zarr", type=PLACE, help="The store.")
+@click.option(
+    "--out", metavar="SCENE.zarr", type=PLACE, help="The store.  [default: SCENE.zarr beside SCENE.toml]"
+)
 @click.option(
     "--samples", type=int, metavar="N", help="Rays of a pixel.  [default: what the file says, or 64]"
 )
@@ -62,7 +64,7 @@ Then, in Python:
     "--example", is_flag=True, is_eager=True, expose_value=False, callback=_print_example,
     help="Print a commented SCENE.toml and exit.",
 )  # fmt: skip
-def render(scene: Path, out: Path, picture: Path | None, quiet: bool, **options: Any) -> None:
+def render(scene: Path, out: Path | None, picture: Path | None, quiet: bool, **options: Any) -> None:
     """Render a synthetic scene: cubes of hundreds of bands, with what is true of every pixel.
 
     Light is traced once, without spectra, into the group transport; each atmosphere then becomes a group
@@ -72,6 +74,7 @@ def render(scene: Path, out: Path, picture: Path | None, quiet: bool, **options:
     """
     from hyperpaint.workflows.rendering import draw_renders, run
 
+    out = out or scene.with_suffix(".zarr")
     outcome = run(scene, out, progress=is_watched(quiet), **options)
     say_outcome(outcome)
     if picture is not None:

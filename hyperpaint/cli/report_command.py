@@ -7,7 +7,7 @@ from typing import Any
 
 import click
 
-from .console import EXISTING, FAILED_CHECK, PLACE, is_watched, progress_bar
+from .console import EXISTING, FAILED_CHECK, PLACE, beside, is_watched, progress_bar
 
 __all__ = ["make_report"]
 
@@ -17,12 +17,15 @@ __all__ = ["make_report"]
     short_help="Show what a store holds on one page.",
     epilog="""\b
 Examples:
-  hyperpaint report lot.zarr --out report.html
+  hyperpaint report lot.zarr
   hyperpaint report lot.zarr --out report.html --signatures paints.zarr
-  hyperpaint report lot.zarr --out raw_0.html --line raw_0 --overwrite""",
+  hyperpaint report lot.zarr --out raw_0.html --line raw_0 --overwrite
+  hyperpaint report map.zarr --out map.html""",
 )
 @click.argument("store", metavar="STORE.zarr", type=EXISTING)
-@click.option("--out", required=True, metavar="REPORT.html", type=PLACE, help="The page.")
+@click.option(
+    "--out", metavar="REPORT.html", type=PLACE, help="The page.  [default: report.html beside STORE.zarr]"
+)
 @click.option(
     "--line", "flightlines", multiple=True, metavar="ID",
     help="Show this flight line only; may be given several times.",
@@ -44,7 +47,13 @@ Examples:
 @click.option("--quiet", is_flag=True, help="No progress bar.")
 @click.pass_context
 def make_report(
-    ctx: click.Context, /, store: Path, out: Path, flightlines: tuple[str, ...], quiet: bool, **options: Any
+    ctx: click.Context,
+    /,
+    store: Path,
+    out: Path | None,
+    flightlines: tuple[str, ...],
+    quiet: bool,
+    **options: Any,
 ) -> None:
     """Show what a store holds on one page of HTML that needs nothing else.
 
@@ -54,15 +63,20 @@ def make_report(
     """
     from hyperpaint.report.store_report import write_report
 
+    out = out or beside(store, "report.html")
     with progress_bar("drawing", is_watched(quiet)) as shown:
         done = write_report(store, out, flightlines=flightlines or None, progress=shown, **options)
-    click.echo(f"{done.path}: {_listed(done.flightlines)}, {done.path.stat().st_size / 1e6:.1f} MB")
+    click.echo(
+        f"{done.path}: {_listed(done.flightlines, done.maps)}, {done.path.stat().st_size / 1e6:.1f} MB"
+    )
     for problem in done.problems:
         click.echo(f"cannot be read: {problem}", err=True)
     if done.problems:
         ctx.exit(FAILED_CHECK)
 
 
-def _listed(groups: tuple[str, ...]) -> str:
+def _listed(groups: tuple[str, ...], maps: tuple[str, ...]) -> str:
     names = ", ".join(group.rpartition("/")[2] for group in groups)
-    return f"{len(groups)} flight line{'' if len(groups) == 1 else 's'}" + (f" ({names})" if names else "")
+    lines = f"{len(groups)} flight line{'' if len(groups) == 1 else 's'}" + (f" ({names})" if names else "")
+    shown = f"map {', '.join(maps)}" if maps else ""
+    return ", ".join(part for part in (lines if groups or not maps else "", shown) if part)

@@ -7,7 +7,8 @@ from typing import Any
 
 import click
 
-from .console import EXISTING, PLACE, given_of, is_watched, progress_bar
+from .console import EXISTING, PLACE, beside, given_of, is_watched, progress_bar
+from .location_options import takes_location
 
 __all__ = ["make_signatures"]
 
@@ -21,14 +22,24 @@ Examples:
   hyperpaint signatures lot.zarr --out paints.zarr                     roofs of cars, proposed by rule
   hyperpaint signatures lot.zarr --regions cars.geojson --out paints.zarr --keep shadow
   hyperpaint signatures lot.zarr --regions cars.geojson --out paints.zarr --no-flags
-  hyperpaint signatures lot.zarr --regions cars.geojson --out paints.zarr --smooth box --window 5""",
+  hyperpaint signatures lot.zarr --regions cars.geojson --out paints.zarr --smooth box --window 5
+  hyperpaint signatures lot.zarr --regions qgis.geojson --out paints.zarr --ground 152.4
+  hyperpaint signatures map.zarr --regions qgis.geojson --out paints.zarr
+
+\b
+Options from --ground on place the lines for regions of a map; by default the store says it.""",
 )
 @click.argument("store", metavar="STORE.zarr", type=EXISTING)
 @click.option(
     "--regions", metavar="R.geojson", type=EXISTING,
     help="The regions.  [default: some are proposed by rule]",
 )  # fmt: skip
-@click.option("--out", required=True, metavar="LIB.zarr", type=PLACE, help="The paint library.")
+@click.option(
+    "--out",
+    metavar="LIB.zarr",
+    type=PLACE,
+    help="The paint library.  [default: paints.zarr beside STORE.zarr]",
+)
 @click.option(
     "--keep", multiple=True, metavar="FLAG",
     help="Use pixels with this flag, which are left out otherwise, such as shadow.",
@@ -72,30 +83,42 @@ Examples:
     "--min-pixels", type=click.IntRange(min=1), default=5,
     help="Pixels that a region must have left.",
 )  # fmt: skip
+@takes_location
 @click.option("--overwrite", is_flag=True, help="Replace a library made from something else.")
 @click.option("--quiet", is_flag=True, help="No progress bar.")
 def make_signatures(
-    store: Path, regions: Path | None, out: Path, smooth: str | None, window: int, flags: bool, quiet: bool,
-    **options: Any,
+    store: Path, regions: Path | None, out: Path | None, smooth: str | None, window: int, flags: bool,
+    quiet: bool, **options: Any,
 ) -> None:  # fmt: skip
     """Turn regions of a processed store into a library of paint signatures.
 
-    Regions are polygons in GeoJSON, x the column and y the line of the cube, each with a property name (and
-    flightline, where the store has several). A paint has centre, spread, quantiles, single pixels,
+    STORE is what process writes, or a map of orthorectify. Regions are polygons in GeoJSON, x the column and
+    y the line of the cube, or in coordinates of a map where the file names a crs, each with a property name
+    (and flightline, where the store has several). A paint has centre, spread, quantiles, single pixels,
     uncertainty, flags and all that its region says. Left out are saturated pixels, and those in glint, in
     shadow or in a neighbour's light. Lines of which the store does not say where these are, as process leaves
     them, are looked at as a whole first; --no-flags does without.
     """
-    from hyperpaint.workflows.library_files import table_of, write_signatures
+    from hyperpaint.workflows.library_files import NOT_LOOKED_FOR, table_of, write_signatures
+    from hyperpaint.workflows.maps import LOCATION
 
     smoothing = None if smooth is None else {"method": smooth, "window": window}
     limits = {name: options.pop(name) for name in ("diffuse", "glint", "shadow", "adjacency")}
     given = given_of(limits)
+    location = given_of({name: options.pop(name) for name in LOCATION})
     if given and not flags:
         named = ", ".join(f"--{name}" for name in given)
         raise click.UsageError(f"--no-flags looks for nothing; leave out {named}")
+    out = out or beside(store, "paints.zarr")
     with progress_bar("flags and signatures" if flags else "extracting", is_watched(quiet)) as shown:
         library = write_signatures(
-            store, regions, out, smooth=smoothing, flags=given or flags, progress=shown, **options
+            store, regions, out, smooth=smoothing, flags=given or flags, location=location, progress=shown,
+            **options,
+        )  # fmt: skip
+    if flags and library.attrs["flags"] == NOT_LOOKED_FOR:
+        click.echo(
+            "glint, shadow and light of neighbours were not looked for: a map is not searched; signatures of "
+            "the flight line's own store leave them out",
+            err=True,
         )
     click.echo(f"{out}: {library.sizes['paint']} paints, {library.sizes['band']} bands\n{table_of(library)}")

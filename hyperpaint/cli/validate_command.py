@@ -51,7 +51,7 @@ Examples:
   hyperpaint validate paints.zarr --reference 'svc/*.sig'
   hyperpaint validate paints.zarr --reference 'svc/*.sig' --panel spectralon.csv --plot agreement.png
   hyperpaint validate paints.zarr --reference 'asd/*.asd' --pairs pairs.csv --out agreement.csv
-  hyperpaint validate paints.zarr --tolerance 0.02 --tolerance spectral_angle=0.06
+  hyperpaint validate paints.zarr --tolerance relative=0.1 --tolerance spectral_angle=3
   hyperpaint validate paints.zarr --reference other.zarr --part red=620-700
 
 \b
@@ -67,8 +67,9 @@ without folder and suffix; --pairs says otherwise. Nothing is paired by likeness
 @click.option("--pairs", metavar="PAIRS.csv", type=EXISTING_FILE, help="Lines of paint and reference.")
 @click.option(
     "--tolerance", multiple=True, metavar="LIMIT", callback=_limits,
-    help="Largest RMSE of reflectance, or NAME=LIMIT of bias, mae, spectral_angle [rad], scale or "
-    "scale_free_error; may be given several times.  [default: 0.02]",
+    help="Largest RMSE of reflectance, or NAME=LIMIT of relative (a share of the paint's level), floor "
+    "(added to it), bias, mae, spectral_angle [degree], scale or scale_free_error; may be given several "
+    "times.  [default: relative=0.05, floor=0.005]",
 )  # fmt: skip
 @click.option(
     "--panel", metavar="CERTIFICATE.csv", type=EXISTING_FILE,
@@ -102,7 +103,8 @@ def validate(
 
     Both are brought to common bands with the responses of their channels. Prints, for every paint and part of
     the spectrum, bias, RMSE, MAE, spectral angle, scale and scale-free error, with uncertainties where they
-    are known; and what was not paired. Exit status 1 outside tolerance, or where a reference is missing that
+    are known; pass or fail for each; references of several instruments against one another; and what was
+    not paired. Exit status 1 outside tolerance, or where a reference is missing that
     a region names, or a part has too few bands to judge.
     """
     from hyperpaint.workflows.library_files import check_table, validate_files, write_table

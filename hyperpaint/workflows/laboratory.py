@@ -1,18 +1,21 @@
-"""Lab sweeps in files: the one place where readers and calibration meet."""
+"""Collects and lab sweeps in files: the one place where readers meet calibration and geometry."""
 
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+
+import xarray as xr
 
 from hyperpaint.base.errors import SchemaError
 
 if TYPE_CHECKING:
-    import xarray as xr
+    from hyperpaint.io.collect.collect_opening import OpenedCollect
+    from hyperpaint.io.collect.collect_toml import Collect
 
-__all__ = ["calibrate_sweep", "open_collect", "write_calibration"]
+__all__ = ["calibrate_sweep", "open_collect", "opened_collect", "write_calibration"]
 
 
 def calibrate_sweep(
@@ -111,6 +114,45 @@ def open_collect(
     >>> sorted(tree.children), sorted(tree["flightlines"].children)
     (['calibration', 'flightlines', 'irradiance', 'references'], ['raw_0', 'raw_20'])
     """
-    from hyperpaint.io.collect.collect_opening import open_collect as opened
+    return opened_collect(path, need_irradiance=need_irradiance, chunks=chunks).tree
 
-    return opened(path, need_irradiance=need_irradiance, chunks=chunks, calibrate=calibrate_sweep)
+
+def opened_collect(
+    collect: str | os.PathLike[str] | Collect, *, need_irradiance: bool = True, chunks: Any = "auto"
+) -> OpenedCollect:
+    """Open a collect, as `open_collect` does, and keep what it says."""
+    from hyperpaint.io.collect.collect_opening import open_with_settings
+
+    return open_with_settings(
+        collect, need_irradiance=need_irradiance, chunks=chunks, calibrate=calibrate_sweep, mount=_mounted
+    )
+
+
+def _mounted(line: xr.Dataset, geometry: Mapping[str, Any]) -> xr.Dataset:
+    """Return a flight line with what ``[geometry]`` says of its camera and of the ground.
+
+    Attributes ``ground`` [m above the ellipsoid], ``boresight`` and ``lever_arm`` are what
+    `hyperpaint.geometry.locate` goes by; the field of view becomes the angle of every column, which a crop
+    of the line keeps.
+    """
+    names = {"ground": "ground", "boresight_deg": "boresight", "lever_arm_m": "lever_arm"}
+    attrs = {
+        names[key]: list(value) if isinstance(value, tuple) else float(value)
+        for key, value in geometry.items()
+        if key in names
+    }
+    if "fov_deg" in geometry and "roll" in line.variables:
+        from hyperpaint.base.attitude_conventions import Convention
+        from hyperpaint.base.schema import CROSS_TRACK, label
+        from hyperpaint.geometry.georeference import PinholeCamera
+
+        declared = Convention.from_attrs(line.attrs)
+        if declared is None or declared.column_order is None:
+            raise SchemaError(
+                "[geometry] fov_deg does not say which way the columns go; declare [navigation] "
+                'column_order = "left_to_right" or "right_to_left"'
+            )
+        camera = PinholeCamera(line.sizes[CROSS_TRACK], field_of_view=geometry["fov_deg"], edges="outer")
+        angles = xr.DataArray(camera.look_across(declared.column_order), dims=(CROSS_TRACK,))
+        line = line.assign_coords(look_across=label(angles, "look_across"))
+    return line.assign_attrs(attrs)

@@ -8,6 +8,7 @@ from __future__ import annotations
 import csv
 import functools
 import io
+import itertools
 import json
 import math
 import operator
@@ -18,9 +19,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from hyperpaint.base.errors import PaintError, SchemaError, StoreError
+from hyperpaint.base.errors import PaintError, Problems, SchemaError, StoreError
 from hyperpaint.base.progress_reports import part_of
-from hyperpaint.base.schema import flags_named
+from hyperpaint.base.schema import ALONG_TRACK, CROSS_TRACK, flags_named
 from hyperpaint.io.files.publishing import check_place, publish_file
 from hyperpaint.surroundings.flags import Flagged, flag_line, is_flagged
 
@@ -30,10 +31,12 @@ if TYPE_CHECKING:
     from hyperpaint.regions import Regions
     from hyperpaint.validation import Validation
 
-__all__ = ["check_table", "table_of", "validate_files", "write_signatures", "write_table"]
+__all__ = ["NOT_LOOKED_FOR", "check_table", "table_of", "validate_files", "write_signatures", "write_table"]
 
 
 _MOST_TOLD = 10
+NOT_LOOKED_FOR = "not looked for"
+"""Attribute ``flags`` of a library whose lines have no flags of glint, shadow and neighbours."""
 _SHARED = ("glint", "shadow", "adjacency", "sun_zenith")
 """Options of flags that proposals take as well."""
 
@@ -46,11 +49,12 @@ def write_signatures(
     keep: Sequence[str] = (),
     flags: bool | Mapping[str, Any] = True,
     sun_zenith: float | None = None,
+    location: Mapping[str, Any] | None = None,
     overwrite: bool = False,
     progress: Callable[[int, int], None] | None = None,
     **options: Any,
 ) -> xr.Dataset:
-    """Write the signatures of regions on the flight lines of a store, and return them.
+    """Write the signatures of regions on the flight lines of a store, or on a map, and return them.
 
     Lines without flags are surveyed and flagged first. Reflectance is computed from the stored counts where
     they are, with its uncertainties where the noise of the camera is known; else it is what is stored.
@@ -58,7 +62,8 @@ def write_signatures(
     Parameters
     ----------
     store
-        A store with groups ``flightlines/<id>``, as `hyperpaint.process` writes it.
+        A store with groups ``flightlines/<id>``, as `hyperpaint.process` writes it; or one of a single line
+        or map, as `hyperpaint.workflows.maps.write_map` does. A map is not searched for flags.
     regions
         See `hyperpaint.regions.regions_from`; None has `hyperpaint.regions.propose_regions` propose some on
         every line, with the survey that flags were made with.
@@ -68,6 +73,9 @@ def write_signatures(
         False flags nothing; or thresholds of `hyperpaint.surroundings.flag` and options of its survey.
     sun_zenith
         For flags, proposals and the mirrored sky [degree]; by default from time and position of each line.
+    location
+        Options of `hyperpaint.workflows.maps.location_of`, by which lines are placed for regions of a map; by
+        default as the lines say.
     progress
         Called with work done and to do: surveys, then extraction.
     **options
@@ -95,7 +103,10 @@ def write_signatures(
         options["exclude"] = EXCLUDED & ~functools.reduce(operator.or_, flags_named(keep))
     given = None if regions is None else regions_from(regions)
     lines, looked_at = _lines(store, () if given is None else given.flightlines)
-    wanted = [name for name in lines if flags is not False and name not in looked_at]
+    maps = {name for name, line in lines.items() if ALONG_TRACK not in line.dims}
+    if location or (maps and given is None):
+        lines = _placed(lines, given, location or {}, maps)
+    wanted = [name for name in lines if flags is not False and name not in looked_at | maps]
     surveys = {} if flags is True or flags is False else dict(flags)
     surveys.setdefault("sun_zenith", sun_zenith)
     flagged = {}
@@ -114,6 +125,25 @@ def write_signatures(
     return library
 
 
+def _placed(
+    lines: Mapping[str, xr.Dataset], regions: Regions | None, location: Mapping[str, Any], maps: set[str]
+) -> dict[str, xr.Dataset]:
+    """Return lines with places, by the options that are given for it."""
+    from hyperpaint.geometry import locate
+
+    from .maps import location_of
+
+    problems = Problems("signatures cannot be extracted", SchemaError)
+    if maps and regions is None:
+        problems.add("regions are proposed on flight lines, and this is a map; draw some, and name them")
+    if location and maps:
+        problems.add(f"a map has its places; {', '.join(location)} would do nothing")
+    elif location and (regions is None or regions.coordinates != "map"):
+        problems.add(f"{', '.join(location)} place lines for regions of a map, and these are of the sensor")
+    problems.raise_if_any()
+    return {name: locate(line, **location_of(line, **location)) for name, line in lines.items()}
+
+
 def _lines(
     store: str | os.PathLike[str], wanted: tuple[str, ...]
 ) -> tuple[dict[str, xr.Dataset], frozenset[str]]:
@@ -121,15 +151,23 @@ def _lines(
     from hyperpaint.io.store import list_groups, open_store
     from hyperpaint.radiometry.counts_to_reflectance import reflectance
 
-    groups = [group for group in list_groups(store) if group.startswith("flightlines/")]
+    listed = list_groups(store)
+    groups = [group for group in listed if group.startswith("flightlines/")]
     names = [group.removeprefix("flightlines/") for group in groups]
-    if not groups:
+    opened = {}
+    if listed == [""]:
+        only = open_store(store)
+        if {ALONG_TRACK, CROSS_TRACK} <= set(only.dims) or {"y", "x"} <= set(only.dims):
+            opened[str(only.attrs.get("name", ""))] = only
+    for name in names if not wanted or not set(wanted) <= set(names) else wanted:
+        opened[name] = open_store(store, f"flightlines/{name}")
+    if not opened:
         raise StoreError(
-            f"{store} holds no flight line; expected groups flightlines/<id>, as hyperpaint process writes"
+            f"{store} holds no flight line; expected groups flightlines/<id>, as hyperpaint process writes, "
+            "or a map (y, x)"
         )
     lines, flagged = {}, set()
-    for name in names if not wanted or not set(wanted) <= set(names) else wanted:
-        line = open_store(store, f"flightlines/{name}")
+    for name, line in opened.items():
         # as it is stored: computed from counts, all of them would be read for it
         if is_flagged(line):
             flagged.add(name)
@@ -162,7 +200,7 @@ def _origin(
             origins.append(str(flagged[name].line["quality"].attrs["flags_from"]))
         else:
             text = str(line["quality"].attrs.get("flags_from", "not said from what"))
-            origins.append(f"those of the store, {text}" if name in looked_at else "not looked for")
+            origins.append(f"those of the store, {text}" if name in looked_at else NOT_LOOKED_FOR)
     return "; ".join(dict.fromkeys(origins))
 
 
@@ -276,33 +314,38 @@ def _names_by_part(table: xr.Dataset) -> list[str]:
 
 
 def _as_csv(validation: Validation) -> str:
-    table = validation.statistics
-    by_part = _names_by_part(table)
+    names = [*_PAIR, "part", *_names_by_part(validation.statistics), *_DEPTHS]
     written = io.StringIO()
     rows = csv.writer(written, lineterminator="\n")
-    rows.writerow([*_PAIR, "part", *by_part, *_DEPTHS])
-    for row in range(table.sizes["pair"]):
-        pair = table.isel(pair=row)
-        for column in range(table.sizes["part"]):
-            one = pair.isel(part=column)
-            cells = [_plain(one[name].values.item()) for name in (*_PAIR, "part", *by_part, *_DEPTHS)]
+    rows.writerow(names)
+    between = [] if validation.between is None else [validation.between.statistics]
+    for table in (validation.statistics, *between):
+        for row, column in itertools.product(range(table.sizes["pair"]), range(table.sizes["part"])):
+            one = table.isel(pair=row, part=column)
+            cells = [_plain(one[name].values.item()) for name in names]
             rows.writerow(["" if cell is None else cell for cell in cells])
     return written.getvalue()
 
 
-def _as_json(validation: Validation) -> str:
+def _pairs_of(validation: Validation) -> list[dict[str, Any]]:
+    """Return what is known of each pair, as JSON holds it."""
     table = validation.statistics
-    by_part = _names_by_part(table)
     pairs = []
     for row in range(table.sizes["pair"]):
         pair = table.isel(pair=row)
         entry = {name: _plain(pair[name].values.item()) for name in (*_PAIR, *_DEPTHS)}
         entry["notes"] = list(validation.notes[row])
         entry["parts"] = {
-            str(part): {name: _plain(pair[name].values[column].item()) for name in by_part}
+            str(part): {name: _plain(pair[name].values[column].item()) for name in _names_by_part(table)}
             for column, part in enumerate(table["part"].values)
         }
         pairs.append(entry)
+    return pairs
+
+
+def _as_json(validation: Validation) -> str:
+    table = validation.statistics
+    by_part = _names_by_part(table)
     document = {
         "passed": validation.passed,
         "tolerance": dict(validation.tolerance),
@@ -314,7 +357,8 @@ def _as_json(validation: Validation) -> str:
                 strict=True,
             )
         },
-        "pairs": pairs,
+        "pairs": _pairs_of(validation),
+        "references_against_one_another": [] if validation.between is None else _pairs_of(validation.between),
         "unpaired_signatures": list(validation.unpaired_signatures),
         "unpaired_references": list(validation.unpaired_references),
         "missing": list(validation.missing),

@@ -2,23 +2,40 @@
 
 from __future__ import annotations
 
+import inspect
+import json
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from hyperpaint.base.attitude_conventions import Convention
 from hyperpaint.base.errors import SchemaError, needs_extra
 from hyperpaint.geometry.georeference import PinholeCamera
+from hyperpaint.geometry.mosaicking import mosaic, seamlines
 from hyperpaint.geometry.orthorectification import orthorectify
 
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["map_of_store", "write_map"]
+__all__ = ["LOCATION", "location_of", "map_of_store", "mosaic_of_store", "write_map", "write_seamlines"]
 
 
-def map_of_store(
-    store: Path,
-    line: str | None,
+def map_of_store(store: Path, line: str | None, **options: Any) -> xr.Dataset:
+    """Return the map of a flight line of a store, lazily.
+
+    ``options`` are those of `location_of`, and of `hyperpaint.geometry.orthorectify`.
+
+    Raises `SchemaError`: the store has no such line, or several and none is named; options are given for a
+    line that is located; or as `location_of`.
+    """
+    flightline = _line_of(store, line)
+    names = LOCATION & set(options)
+    location = location_of(flightline, **{name: options.pop(name) for name in names})
+    return orthorectify(flightline, **options, **location)
+
+
+def location_of(
+    flightline: xr.Dataset,
     *,
     ground: float | None = None,
     dem: Path | None = None,
@@ -32,15 +49,12 @@ def map_of_store(
     lever_arm: tuple[float, float, float] | None = None,
     clock_offset: float | None = None,
     crs: str | None = None,
-    **options: Any,
-) -> xr.Dataset:
-    """Return the map of a flight line of a store, lazily; options as of `hyperpaint.geometry.locate`.
+) -> dict[str, Any]:
+    """Return options of `hyperpaint.geometry.locate` from plain numbers and paths, as commands take them.
 
-    Raises `SchemaError`: the store has no such line, or several and none is named; options are given for a
-    line that is located, or an order of columns for one without a convention; a DEM does not say what its
+    Raises `SchemaError`: an order of columns for a line without a convention; a DEM does not say what its
     heights are above. Raises `MissingExtraError`: a DEM needs rioxarray (extra ``geo``).
     """
-    flightline = _line_of(store, line)
     location: dict[str, Any] = {"ground": ground, "boresight": boresight, "lever_arm": lever_arm, "crs": crs}
     location["clock_offset_s"] = clock_offset
     location["dem"] = None if dem is None else _heights(dem, dem_heights, geoid)
@@ -56,29 +70,92 @@ def map_of_store(
         convention = Convention.from_attrs(flightline.attrs)
         if convention is None:
             raise SchemaError(
-                f"{store} does not declare what the angles and heights of its line mean, and makers differ: "
+                "the store does not declare what the angles and heights of its line mean, and makers differ: "
                 "--column-order does not say it; declare roll_positive, pitch_positive, heading_positive, "
                 "heading_reference, euler_order and height_reference in the table [navigation] of "
                 "collect.toml and process the collect again"
             )
         location["convention"] = convention.replace(column_order=column_order)
-    given = {name: value for name, value in location.items() if value is not None}
-    return orthorectify(flightline, **options, **given)
+    return {name: value for name, value in location.items() if value is not None}
 
 
-def write_map(orthomap: xr.Dataset, path: Path, *, overwrite: bool = False, progress: bool = False) -> None:
-    """Write a map as GeoTIFF, or all of it as a Zarr store, by the end of its name.
+LOCATION = frozenset(inspect.signature(location_of).parameters) - {"flightline"}
+"""Names of the options of `location_of`."""
 
-    Raises `StoreError`: the place is taken; `MissingExtraError`: a GeoTIFF needs rasterio (extra ``geo``).
+
+def mosaic_of_store(store: Path, names: Sequence[str], **options: Any) -> xr.Dataset:
+    """Return the mosaic of flight lines of a store, of all without names; options as of `mosaic`.
+
+    Raises `SchemaError`: the store has no named flight lines, or not these.
     """
+    from hyperpaint.io.store import list_groups, open_store
+
+    prefix = "flightlines/"
+    held = [group.removeprefix(prefix) for group in list_groups(store) if group.startswith(prefix)]
+    missing = [name for name in names if name not in held]
+    if missing or not held:
+        present, absent = ", ".join(held) or "none", ", ".join(missing) or "named line"
+        raise SchemaError(f"{store} holds the flight lines {present}; there is no {absent}")
+    lines = {name: open_store(store, f"{prefix}{name}") for name in names or held}
+    given = {name: options.pop(name) for name in LOCATION & set(options)}
+    # one camera flew them all
+    location = location_of(next(iter(lines.values())), **given)
+    return mosaic(lines, **options, **location)
+
+
+def write_seamlines(orthomap: xr.Dataset, path: Path) -> None:
+    """Write the area that each line of a mosaic shows, as GeoJSON."""
+    from hyperpaint.io.files.publishing import published_files
+
+    text = json.dumps(seamlines(orthomap))
+    with published_files([path], overwrite=True) as (target,):
+        target.write_text(text, encoding="utf-8")
+
+
+def write_map(
+    orthomap: xr.Dataset,
+    path: Path,
+    *,
+    stac: bool = False,
+    geozarr: bool = False,
+    overwrite: bool = False,
+    progress: bool = False,
+) -> str:
+    """Write a map as GeoTIFF with overviews, or all of it as a Zarr store, by the end of its name.
+
+    With ``stac`` a STAC item stands beside it, ``<name>.json``. With ``geozarr`` the store says in the
+    attributes of GeoZarr too where it lies; netCDF has no place for these. Returns what was written beside
+    the map itself.
+
+    Raises `SchemaError`: nothing tells when or where it was recorded, for a STAC item; `StoreError`: the
+    place is taken; `MissingExtraError`: a GeoTIFF needs rasterio (extra ``geo``).
+    """
+    from hyperpaint.io.files.publishing import check_place, publish_file
+    from hyperpaint.io.maps.map_metadata import geozarr_attrs, stac_item, with_own_transform
+
+    notes = []
+    item = path.with_suffix(".json")
+    if stac:
+        check_place(item, "the STAC item", example="map.json", overwrite=overwrite)
+    orthomap = with_own_transform(orthomap)
     if path.suffix.lower() in (".tif", ".tiff"):
-        from hyperpaint.io.maps.geotiff import write_geotiff
+        from hyperpaint.io.maps.geotiff import read_geotiff_header, write_geotiff
 
         write_geotiff(orthomap, path, overwrite=overwrite)
-        return
-    from hyperpaint.io.store import to_store
+        factors = ", ".join(f"1:{factor}" for factor in read_geotiff_header(path).overviews)
+        notes.append(f"overviews {factors}" if factors else "too small for overviews")
+    else:
+        from hyperpaint.io.store import open_store, to_store
 
-    to_store(orthomap, path, overwrite=overwrite, progress=progress)
+        if geozarr:
+            orthomap = orthomap.assign_attrs(geozarr_attrs(orthomap))
+        to_store(orthomap, path, overwrite=overwrite, progress=progress)
+        orthomap = open_store(path)
+    if stac:
+        content = json.dumps(stac_item(orthomap, path), indent=1, allow_nan=False)
+        publish_file(item, content.encode(), overwrite=overwrite)
+        notes.append(f"STAC item {item}")
+    return ", ".join(notes)
 
 
 def _line_of(store: Path, line: str | None) -> xr.Dataset:
@@ -93,7 +170,7 @@ def _line_of(store: Path, line: str | None) -> xr.Dataset:
         held = ", ".join(map(repr, lines))
         asked = "give --line" if line is None else f"there is no {line!r}"
         raise SchemaError(f"{store} holds the flight lines {held}; {asked}")
-    flightline: xr.Dataset = open_store(store, f"{prefix}{name}") if lines else open_store(store)
+    flightline: xr.Dataset = open_store(store, f"{prefix}{name}") if lines else open_store(store, "")
     return flightline
 
 

@@ -320,14 +320,11 @@ def _opened(
     collect: str | Path | Collect, lines: int, parameters: Mapping[str, Any]
 ) -> tuple[OpenedCollect, dict[str, xr.Dataset]]:
     """Open a collect with so many lines a task; return it, and groups of a store that name their inputs."""
-    from hyperpaint.io.collect.collect_opening import open_with_settings
+    from .laboratory import opened_collect
 
-    from .laboratory import calibrate_sweep
-
-    opened = open_with_settings(
-        collect, need_irradiance=parameters["to"] == "reflectance", chunks={ALONG_TRACK: lines},
-        calibrate=calibrate_sweep,
-    )  # fmt: skip
+    opened = opened_collect(
+        collect, need_irradiance=parameters["to"] == "reflectance", chunks={ALONG_TRACK: lines}
+    )
     tree, cubes = opened.tree, opened.cubes
     groups = {}
     references = (f"references/{name}" for name in tree.children.get("references", {}))
@@ -335,18 +332,18 @@ def _opened(
         if f"/{name}" not in tree.groups:
             continue
         dataset = tree[name].to_dataset()
-        digest = _digest(dataset, cubes.get(name), dict(parameters) if name in cubes else {})
+        digest = _digest(dataset, cubes.get(name, ()), dict(parameters) if name in cubes else {})
         groups[name] = dataset.assign_attrs({INPUTS: digest})
     return opened, groups
 
 
-def _digest(dataset: xr.Dataset, cube: Path | None, parameters: Mapping[str, Any]) -> str:
-    """Return a digest of all values but the cube's, of the cube's size and time, and of the parameters."""
+def _digest(dataset: xr.Dataset, cubes: tuple[Path, ...], parameters: Mapping[str, Any]) -> str:
+    """Return a digest of all values but the cubes', of the cubes' sizes and times, and of the parameters."""
     import dask
     import numpy as np
 
     digest = hashlib.sha256(json.dumps([FORMAT_VERSION, KEPT_BITS, parameters], sort_keys=True).encode())
-    if cube is not None:
+    for cube in cubes:
         status = cube.stat()
         digest.update(f"{cube.name} {status.st_size} {status.st_mtime_ns}".encode())
     digest.update(json.dumps(dataset.attrs, sort_keys=True, default=str).encode())

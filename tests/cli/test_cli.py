@@ -273,7 +273,9 @@ def test_info_of_a_collect_without_light(hyperpaint: Hyperpaint, collect: Path) 
 def test_info_of_what_it_does_not_know(hyperpaint: Hyperpaint, source: Path, tmp_path: Path) -> None:
     (tmp_path / "poem.txt").write_text("roses are red")
     assert "not a kind of file known here" in refused(hyperpaint("info", tmp_path / "poem.txt"))
-    assert "in it are calibration.zarr, collect.toml" in refused(hyperpaint("info", source))
+    assert "no raw cube" in refused(hyperpaint("info", tmp_path))
+    # the folder of a collect is that of a field day
+    assert "1 raw cube" in hyperpaint("info", source).stdout
 
 
 @pytest.mark.slow

@@ -90,6 +90,20 @@ def test_libraries(form: str, name: str, export: Export, store: Path, tmp_path: 
     assert "--gaps only with --format dirsig" in again.output
 
 
+def test_one_row_a_paint_or_all_of_them(export: Export, store: Path, tmp_path: Path) -> None:
+    """Expected: two paints with three members each are 2 rows, or 2 x (1 + 3)."""
+    done = export(store, "--format", "csv", "--out", tmp_path / "p.csv")
+    assert "one row a paint, its centre; --curves all writes members" in done.output
+    assert len((tmp_path / "p.csv").read_text("utf-8-sig").splitlines()) == 1 + 2
+    done = export(store, "--format", "csv", "--out", tmp_path / "all.csv", "--curves", "all")
+    assert "one row" not in done.output
+    assert len((tmp_path / "all.csv").read_text("utf-8-sig").splitlines()) == 1 + 8
+    done = export(store, "--format", "csv", "--out", tmp_path / "x.csv", "--curves", "members")
+    assert (done.exit_code, "expected centre or all for csv" in done.output) == (2, True)
+    done = export(store, "--format", "dirsig", "--out", tmp_path / "x", "--curves", "all")
+    assert (done.exit_code, "expected members, quantiles, centre" in done.output) == (2, True)
+
+
 def test_what_is_no_library(export: Export, tmp_path: Path) -> None:
     (tmp_path / "x.txt").write_text("nothing")
     done = export(tmp_path / "x.txt", "--format", "dirsig", "--out", tmp_path / "out")

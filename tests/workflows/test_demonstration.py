@@ -36,7 +36,7 @@ def test_demo_leaves_what_it_says(demo: tuple[Path, str]) -> None:
     left = {entry.name for entry in folder.iterdir()} - {"quicklook.png"}
     assert left == {
         "asd", "asd_reflectance", "calibration.zarr", "collect.toml", "dark", "flight", "lot.zarr",
-        "regions.geojson", "svc", "truth.zarr",
+        "regions.geojson", "survey.csv", "svc", "truth.zarr",
     }  # fmt: skip
     assert hp.verify(folder / "lot.zarr").ok
     assert "within tolerance" in shown

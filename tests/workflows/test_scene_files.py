@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings, strategies as st
+from hypothesis import given, settings, strategies as st
 
 from hyperpaint.base.errors import FormatError, SchemaError
 from hyperpaint.io.spectrometers.spectrum_csv import read_spectrum_csv
@@ -250,7 +250,7 @@ def test_folders_and_long_files_are_refused(tmp_path: Path) -> None:
     assert "64 parts" in refused(path)
 
 
-@settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=60)
 @given(st.data())
 def test_mutated_files_raise_only_our_errors(tmp_path: Path, data: st.DataObject) -> None:
     text = bytearray(example_scene().encode())
@@ -294,7 +294,7 @@ def test_spectra_that_are_none_are_refused(tmp_path: Path, text: str, problem: s
         read_spectrum_csv(path)
 
 
-@settings(max_examples=50, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=50)
 @given(st.binary(max_size=200))
 def test_any_bytes_are_a_spectrum_or_refused(tmp_path: Path, content: bytes) -> None:
     path = tmp_path / "mine.csv"

@@ -1,0 +1,88 @@
+"""xarray's entry point to whole collects; here, since opening one may calibrate a lab sweep on the way.
+
+xarray loads this module at any user's first `open_dataset`: it imports nothing but xarray.
+"""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, ClassVar
+
+from xarray.backends import BackendEntrypoint
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+__all__ = ["CollectBackendEntrypoint"]
+
+
+class CollectBackendEntrypoint(BackendEntrypoint):
+    """Opens what a ``collect.toml`` names: ``xr.open_datatree("collect.toml")``, or ``engine="hyperpaint"``.
+
+    See `hyperpaint.open_collect` for what is returned.
+    """
+
+    description: ClassVar[str] = "Collects (collect.toml) through hyperpaint"
+    supports_groups: ClassVar[bool] = True
+    open_dataset_parameters: ClassVar[tuple[str, ...]] = (
+        "filename_or_obj", "drop_variables", "group", "need_irradiance",
+    )  # fmt: skip
+
+    def guess_can_open(self, filename_or_obj: Any) -> bool:
+        """Tell whether this is a TOML file with a table of flight lines."""
+        if not isinstance(filename_or_obj, str | os.PathLike):
+            return False
+        path = Path(os.fsdecode(filename_or_obj))
+        try:
+            if path.suffix.lower() != ".toml" or not path.is_file():
+                return False
+            with open(path, "rb") as file:
+                return b"[flightlines" in file.read(2**16).replace(b" ", b"")
+        except (OSError, ValueError):
+            return False
+
+    def open_datatree(
+        self, filename_or_obj: Any, *, drop_variables: Any = None, need_irradiance: bool = True
+    ) -> xr.DataTree:
+        """Open all that the file names; see `hyperpaint.open_collect` for the options and the errors."""
+        from .laboratory import open_collect
+
+        tree = open_collect(filename_or_obj, need_irradiance=need_irradiance)
+        dropped = [drop_variables] if isinstance(drop_variables, str) else list(drop_variables or ())
+        return (
+            tree.map_over_datasets(lambda node: node.drop_vars(dropped, errors="ignore")) if dropped else tree
+        )
+
+    def open_groups_as_dict(self, filename_or_obj: Any, **options: Any) -> dict[str, xr.Dataset]:
+        """Open all that the file names, as datasets by group."""
+        tree = self.open_datatree(filename_or_obj, **options)
+        return {path: node.to_dataset() for path, node in tree.to_dict().items()}
+
+    def open_dataset(
+        self,
+        filename_or_obj: Any,
+        *,
+        drop_variables: Any = None,
+        group: str | None = None,
+        need_irradiance: bool = True,
+    ) -> xr.Dataset:
+        """Open one group, such as ``flightlines/raw_0``.
+
+        Raises
+        ------
+        SchemaError
+            The collect has no such group, or none was named; those that exist are listed.
+        """
+        from hyperpaint.base.errors import SchemaError
+
+        tree = self.open_datatree(
+            filename_or_obj, drop_variables=drop_variables, need_irradiance=need_irradiance
+        )
+        groups = {node.path.lstrip("/"): node for node in tree.subtree if node.has_data}
+        if (name := (group or "").strip("/")) not in groups:
+            raise SchemaError(
+                f"group {group!r} of a collect", expected=f"one of {', '.join(sorted(groups))}",
+                mend="or open all of it by xarray.open_datatree",
+            )  # fmt: skip
+        return groups[name].to_dataset()

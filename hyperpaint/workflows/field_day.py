@@ -1,0 +1,394 @@
+"""A whole field day in one call: from a ``collect.toml`` to store, library, validation, maps and report.
+
+Every step is a workflow of its own; here they are put in order, and left alone where what they are made from
+has not changed.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+from collections.abc import Callable, Collection, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from hyperpaint.base.errors import CollectError, PaintError, Problems, SchemaError
+from hyperpaint.base.progress_reports import part_of
+
+if TYPE_CHECKING:
+    from hyperpaint.io.collect.collect_toml import Collect
+
+__all__ = ["STEPS", "FieldDay", "StepOutcome", "run_field_day", "store_of"]
+
+STEPS = ("process", "signatures", "validate", "map", "dirsig", "report")
+"""What a field day is made of, in this order; each may be left out, but for the first."""
+
+RECORD = "steps.json"
+"""What every step was made from; a step of the same inputs is not done again."""
+
+_PRODUCTS = {
+    "signatures": "paints.zarr", "validate": "agreement.csv", "dirsig": "dirsig", "report": "report.html",
+}  # fmt: skip
+
+Progress = Callable[[int, int], None]
+
+
+@dataclass(frozen=True)
+class StepOutcome:
+    """What became of one step.
+
+    Attributes
+    ----------
+    step
+        One of `STEPS`.
+    state
+        ``"done"``, ``"unchanged"`` (there already, from the same inputs), ``"left out"`` or ``"failed"``.
+    text
+        What was written, or why nothing was.
+    paths
+        What is there to be looked at.
+    """
+
+    step: str
+    state: str
+    text: str
+    paths: tuple[Path, ...] = ()
+
+
+@dataclass(frozen=True)
+class FieldDay:
+    """Outcomes of all steps, and whether the validation passed; None where nothing was compared.
+
+    ``errors``: of the steps that failed.
+    """
+
+    out: Path
+    outcomes: tuple[StepOutcome, ...]
+    passed: bool | None = None
+    errors: tuple[PaintError, ...] = ()
+
+    def __str__(self) -> str:
+        width = max(map(len, STEPS))
+        rows = [f"{one.step:<{width}}  {one.state:<9}  {one.text}" for one in self.outcomes]
+        return "\n".join(rows)
+
+
+def run_field_day(
+    collect: str | os.PathLike[str],
+    out: str | os.PathLike[str] | None = None,
+    *,
+    regions: str | os.PathLike[str] | None = None,
+    skip: Collection[str] = (),
+    specular_sky: bool = False,
+    overwrite: bool = False,
+    progress: Callable[[str], Progress | None] | None = None,
+    say: Callable[[StepOutcome], None] = lambda _: None,
+) -> FieldDay:
+    """Do all that a field day asks for: process, signatures, validation, maps, DIRSIG materials, report.
+
+    A step whose inputs are those of an earlier run is left as it is, so that an interrupted run goes on where
+    it ended. A step that the collect has nothing for (no references, no height of the ground) is left out,
+    and says so. Where processing is done, a step that fails says why, and the others are done.
+
+    Parameters
+    ----------
+    collect
+        A ``collect.toml``, such as ``hyperpaint init`` writes, or the folder that holds it.
+    out
+        Folder of the products; by default ``products`` beside the ``collect.toml``.
+    regions
+        Regions of paint; by default ``regions.geojson`` beside the ``collect.toml``, else roofs of cars that
+        are proposed by rule.
+    skip
+        Names of `STEPS` that are left out; not ``"process"``.
+    specular_sky
+        Subtract the sky that clear coats mirror from the signatures, see `hyperpaint.extract_signatures`:
+        what a field spectrometer with a contact probe, or a sphere, does not see.
+    overwrite
+        Replace products of other inputs.
+    progress
+        Called with the name of a step; returns what is called with work done and to do.
+    say
+        Called with each outcome as soon as it is known.
+
+    Returns
+    -------
+    FieldDay
+        ``str`` of it is a table.
+
+    Raises
+    ------
+    SchemaError
+        ``skip`` names no step.
+    CollectError, FormatError, StoreError, UnitsError, MissingExtraError
+        As `hyperpaint.process`.
+
+    Examples
+    --------
+    >>> print(run_field_day("2021_07_20/collect.toml"))                           # doctest: +SKIP
+    """
+    from hyperpaint.io.collect.collect_toml import read_collect
+
+    _check_steps(skip)
+    path = Path(collect)
+    if path.is_dir():
+        path = path / "collect.toml"
+        if not path.exists():
+            raise CollectError(
+                f"{path.parent} holds no collect.toml",
+                mend=f"`hyperpaint init {path.parent}` writes one from what lies there",
+            )
+    settings = read_collect(path)
+    folder = store_of(path).parent if out is None else Path(out)
+    if regions is None and (path.parent / "regions.geojson").is_file():
+        regions = path.parent / "regions.geojson"
+    day = _Day(
+        settings=settings,
+        out=folder,
+        regions=None if regions is None else Path(regions),
+        skip=frozenset(skip),
+        specular_sky=specular_sky,
+        overwrite=overwrite,
+        progress=progress or (lambda _: None),
+        is_watched=progress is not None,
+        say=say,
+    )
+    folder.mkdir(parents=True, exist_ok=True)
+    for step in STEPS:
+        day.do(step)
+    return FieldDay(folder, tuple(day.outcomes), day.passed, tuple(day.errors))
+
+
+def store_of(collect: Path) -> Path:
+    """Return where the store of a collect is written, where nobody says otherwise."""
+    return collect.parent / "products" / "lot.zarr"
+
+
+def _check_steps(skip: Collection[str]) -> None:
+    problems = Problems("the field day cannot be run", SchemaError)
+    for name in skip:
+        if name == "process":
+            problems.add("skip='process': all other steps need the store; call theirs instead")
+        elif name not in STEPS:
+            problems.add(f"skip={name!r}: expected {', '.join(map(repr, STEPS[1:]))}")
+    problems.raise_if_any()
+
+
+@dataclass
+class _Day:
+    """A run under way."""
+
+    settings: Collect
+    out: Path
+    regions: Path | None
+    skip: frozenset[str]
+    specular_sky: bool
+    overwrite: bool
+    progress: Callable[[str], Progress | None]
+    is_watched: bool
+    say: Callable[[StepOutcome], None]
+    outcomes: list[StepOutcome] = field(default_factory=list)
+    passed: bool | None = None
+    errors: list[PaintError] = field(default_factory=list)
+
+    @property
+    def store(self) -> Path:
+        return self.out / store_of(self.settings.path).name
+
+    @property
+    def library(self) -> Path:
+        return self.out / "paints.zarr"
+
+    @property
+    def _steps(self) -> dict[str, Callable[[], str]]:
+        return {
+            "signatures": self._signatures, "validate": self._validate, "map": self._map,
+            "dirsig": self._dirsig, "report": self._report,
+        }  # fmt: skip
+
+    def do(self, step: str) -> None:
+        """Do one step, unless it is left out or its products are those of the same inputs."""
+        if step in self.skip:
+            self._note(StepOutcome(step, "left out", "as asked"))
+            return
+        if step == "process":
+            self._note(self._process())
+            return
+        missing = self._lacks(step)
+        if missing:
+            self._note(StepOutcome(step, "left out", missing))
+            return
+        inputs, products = self._digest(step), self._products(step)
+        if self._record().get(step) == inputs and all(product.exists() for product in products):
+            if step == "validate":
+                self.passed = self._record().get("passed")
+            self._note(StepOutcome(step, "unchanged", _listed(products), products))
+            return
+        try:
+            text = self._steps[step]()
+        except PaintError as error:
+            # the steps after it do not depend on it, but for the library, which they look for
+            self.errors.append(error)
+            self._note(StepOutcome(step, "failed", str(error)))
+            return
+        entries: dict[str, Any] = {step: inputs}
+        if step == "validate":
+            entries["passed"] = self.passed
+        self._write_record(entries)
+        self._note(StepOutcome(step, "done", text, products))
+
+    @property
+    def _library_failed(self) -> bool:
+        return any(each.step == "signatures" and each.state == "failed" for each in self.outcomes)
+
+    def _note(self, outcome: StepOutcome) -> None:
+        self.outcomes.append(outcome)
+        self.say(outcome)
+
+    # --- what a step needs and is made from ---
+
+    def _lacks(self, step: str) -> str:
+        """Return why the collect has nothing for a step; empty where it has."""
+        needs_library = step in ("validate", "dirsig")
+        if needs_library and self._library_failed:
+            return "the signatures failed, and those that are there are of an earlier run"
+        if needs_library and not self.library.exists():
+            return "there is no library of signatures"
+        if step == "validate" and not self.settings.references:
+            return "the collect names no [[references]]"
+        if step == "validate" and self.regions is None:
+            return (
+                "paints that are proposed by rule have names of their own; draw regions that are named as "
+                "the references are, or compare with hyperpaint validate --pairs"
+            )
+        if step == "map":
+            if not {"ground", "dem"} & set(self.settings.geometry):
+                return "the height of the ground is not known: [geometry] ground, above the ellipsoid, or dem"
+            if not self._mapped():
+                return "no flight line has navigation"
+        return ""
+
+    def _products(self, step: str) -> tuple[Path, ...]:
+        if step == "map":
+            return tuple(self.out / f"{name}.tif" for name in self._mapped())
+        return (self.out / _PRODUCTS[step],)
+
+    def _mapped(self) -> tuple[str, ...]:
+        """Return the flight lines of the store that have navigation."""
+        from hyperpaint.io.store import list_groups, open_store
+
+        lines = [name for name in list_groups(self.store) if name.startswith("flightlines/")]
+        located = [name for name in lines if "latitude" in open_store(self.store, name).variables]
+        return tuple(name.removeprefix("flightlines/") for name in located)
+
+    def _digest(self, step: str) -> str:
+        """Return a digest of what a step is made from: the store's groups, regions, settings, the version."""
+        from hyperpaint.io.store import list_groups, open_store
+        from hyperpaint.io.store.groups import INPUTS, version_of_program
+
+        groups = {
+            name: open_store(self.store, name).attrs.get(INPUTS) for name in list_groups(self.store) if name
+        }
+        parts: list[Any] = [version_of_program(), step, groups]
+        if step != "map":
+            parts.append(self.specular_sky)
+        if step in ("signatures", "validate", "dirsig", "report"):
+            parts.append(
+                None if self.regions is None else hashlib.sha256(self.regions.read_bytes()).hexdigest()
+            )
+        if step == "map":
+            parts.append({key: str(value) for key, value in sorted(self.settings.geometry.items())})
+        if step == "report":
+            parts.append(self.library.exists() and not self._library_failed)
+        return hashlib.sha256(json.dumps(parts, sort_keys=True, default=str).encode()).hexdigest()
+
+    def _record(self) -> dict[str, Any]:
+        from hyperpaint.io.files.reading import read_limited
+
+        path = self.out / RECORD
+        if not path.is_file():
+            return {}
+        try:
+            record = json.loads(read_limited(path, 1 << 20, "the record of a field day"))
+        except ValueError:
+            return {}
+        return record if isinstance(record, dict) else {}
+
+    def _write_record(self, entries: Mapping[str, Any]) -> None:
+        from hyperpaint.io.files.publishing import publish_file
+
+        content = json.dumps({**self._record(), **entries}, indent=1, sort_keys=True)
+        publish_file(self.out / RECORD, content.encode(), overwrite=True)
+
+    # --- the steps ---
+
+    def _process(self) -> StepOutcome:
+        from .pipeline import run
+
+        done = run(self.settings.path, self.store, overwrite=self.overwrite, progress=self.is_watched)
+        state = "done" if done.written else "unchanged"
+        return StepOutcome("process", state, str(self.store), (self.store,))
+
+    def _signatures(self) -> str:
+        from .library_files import write_signatures
+
+        library = write_signatures(
+            self.store, self.regions, self.library, overwrite=True, specular_sky=self.specular_sky,
+            progress=self.progress("signatures"),
+        )  # fmt: skip
+        return f"{self.library}: {library.sizes['paint']} paints"
+
+    def _validate(self) -> str:
+        from .library_files import validate_files, write_table
+
+        validation = validate_files(self.library)
+        self.passed = validation.passed
+        table = self.out / "agreement.csv"
+        write_table(validation, table, overwrite=True)
+        verdict = "passed" if validation.passed else f"NOT passed: {'; '.join(validation.problems[:3])}"
+        return f"{table}: {verdict}"
+
+    def _map(self) -> str:
+        from hyperpaint.geometry.orthorectification.plausibility import describe_swath
+
+        from .maps import map_of_store, write_map
+
+        lines, texts = self._mapped(), []
+        for number, line in enumerate(lines):
+            share = part_of(self.progress("map"), number, len(lines))
+            orthomap = map_of_store(
+                self.store, line, gsd=None, grid="north", method="nearest", progress=share,
+                **{name: self.settings.geometry.get(name) for name in ("dem", "dem_heights", "geoid")},
+            )  # fmt: skip
+            path = self.out / f"{line}.tif"
+            write_map(orthomap, path, overwrite=True)
+            texts.append(f"{path}: {describe_swath(orthomap.attrs)}")
+        return "\n".join(texts)
+
+    def _dirsig(self) -> str:
+        from hyperpaint.io.dirsig import write_dirsig
+        from hyperpaint.io.library import open_library
+
+        folder = self.out / "dirsig"
+        materials = write_dirsig(
+            open_library(self.library), folder, gaps="interpolate", overwrite=True,
+            progress=self.progress("dirsig"),
+        )  # fmt: skip
+        return f"{folder}: {materials.sizes['paint']} materials"
+
+    def _report(self) -> str:
+        from hyperpaint.report.store_report import write_report
+
+        signatures = self.library if self.library.exists() and not self._library_failed else None
+        done = write_report(
+            self.store, self.out / "report.html", signatures=signatures, overwrite=True,
+            progress=self.progress("report"),
+        )  # fmt: skip
+        problems = f"; cannot be read: {'; '.join(done.problems)}" if done.problems else ""
+        return f"{done.path}{problems}"
+
+
+def _listed(paths: Collection[Path]) -> str:
+    return ", ".join(map(str, paths))

@@ -1,0 +1,409 @@
+"""What lies in the folder of a field day: cubes, darks, spectra, the calibration and surveyed points."""
+
+from __future__ import annotations
+
+import contextlib
+import csv
+import math
+import os
+import re
+import warnings
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+import numpy.typing as npt
+
+from hyperpaint.base.errors import CollectError, FormatError, PaintError, PaintWarning
+from hyperpaint.base.schema import CROSS_TRACK
+
+if TYPE_CHECKING:
+    from hyperpaint.io.spectrometers.asd import Spectrum
+
+__all__ = ["FieldFolder", "FlightCube", "Lens", "Survey", "find_field_files"]
+
+_MAX_SURVEY_BYTES = 1 << 20
+MAX_DEPTH = 6
+MAX_ENTRIES = 50_000
+"""Folders below the one that is looked at, and files and folders in it, beyond which it is no field day."""
+
+_STORES = (".zarr", ".nc")
+_SURVEY = re.compile(r"survey|gcp|control.?point", re.IGNORECASE)
+_HEIGHT = re.compile(r"(?:(?:ellipsoid(?:al)?|ell|wgs84|hae)[ _-]?(?:height|elevation|h)|hae)", re.IGNORECASE)
+
+MAX_SURVEY_SPREAD_M = 1.0
+"""Between the lowest and the highest point, up to which one height stands for the ground; 1 m seen from 50 m
+moves the outer columns of a 20 degree swath by 0.18 m."""
+
+
+@dataclass(frozen=True)
+class Lens:
+    """What a header says of the camera."""
+
+    focal_length_mm: float
+    pixel_pitch_um: float
+    columns: int
+
+    @property
+    def field_of_view(self) -> float:
+        """Angle between the outer edges of the columns [degree]."""
+        half = self.columns / 2 * self.pixel_pitch_um * 1e-3 / self.focal_length_mm
+        return 2.0 * math.degrees(math.atan(half))
+
+
+@dataclass(frozen=True)
+class Survey:
+    """Heights of surveyed points above the ellipsoid."""
+
+    path: Path
+    height: float  # Median [m]
+    spread: float  # Of all points [m]
+    points: int
+
+
+@dataclass(frozen=True)
+class FlightCube:
+    """One raw cube of a flight, and what lies beside it."""
+
+    header: Path
+    frame_index: Path | None  # None: line times must come from elsewhere
+    navigation: Path | None
+    has_exposure: bool  # whether settings.txt or the header states it
+    lens: Lens | None = None  # None: the header says none, or pixels are binned
+
+
+@dataclass(frozen=True)
+class FieldFolder:
+    """What was found in the folder of a field day."""
+
+    folder: Path
+    cubes: tuple[FlightCube, ...]
+    darks: tuple[Path, ...]
+    calibration: Path | None
+    sweep: Path | None
+    #: Folders of spectra: of downwelling irradiance, and (instrument, folder, suffix) of reflectance.
+    irradiance: tuple[tuple[Path, str], ...]
+    references: tuple[tuple[str, Path, str], ...]
+    #: Hours of the irradiance's clock ahead of UTC, None where no file says them.
+    utc_offset_h: float | None
+    #: Least and largest seconds to be added to that clock with which the record covers the flight; None
+    #: where its times, or those of the flight, are not known.
+    clock_offsets_s: tuple[float, float] | None
+    survey: Survey | None = None
+    #: What was seen and not used, with the reason.
+    notes: tuple[str, ...] = field(default=())
+
+
+def find_field_files(
+    folder: str | os.PathLike[str],
+    *,
+    asd: str | os.PathLike[str] | None = None,
+    dark: str | os.PathLike[str] | None = None,
+    calibration: str | os.PathLike[str] | None = None,
+) -> FieldFolder:
+    """Look at what the folder of a field day holds; headers and small files are read, no cube.
+
+    Parameters
+    ----------
+    folder
+        Searched with the folders below it, to a depth of six.
+    asd, dark, calibration
+        Folders, and the calibration or lab sweep, that lie elsewhere.
+
+    Raises
+    ------
+    CollectError
+        There is no raw cube, the folder is none, or holds more than a field day does.
+
+    Notes
+    -----
+    An integer ENVI cube is raw; one with ``dark`` in its name, or in that of a folder between, is a dark. A
+    folder of ASD files is irradiance or reflectance by what its files hold, in each case all of one kind.
+    """
+    folder = Path(folder)
+    if not folder.is_dir():
+        raise CollectError(f"{folder} is no folder; expected the one that holds the flight's cubes")
+    seen = _Seen(folder)
+    for path in _walk(folder):
+        seen.add(path)
+    for extra, kind in ((dark, "dark"), (asd, "spectra")):
+        if extra is not None:
+            seen.add_folder(Path(extra), kind)
+    if calibration is not None:
+        seen.calibrations = [Path(calibration)]
+    return seen.result()
+
+
+class _Seen:
+    """Files of a folder by what they are."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self.raw: list[Path] = []
+        self.darks: list[Path] = []
+        self.spectra: dict[tuple[Path, str], list[Path]] = {}
+        self.calibrations: list[Path] = []
+        self.surveys: list[Path] = []
+        self.notes: list[str] = []
+
+    def add(self, path: Path) -> None:
+        """Add a file or a store by its name and, of a cube, by its header."""
+        suffix = path.suffix.lower()
+        if suffix == ".hdr":
+            inner = path.relative_to(self.folder) if path.is_relative_to(self.folder) else path
+            is_dark = any("dark" in part.lower() for part in inner.parts)
+            self._add_cube(path, is_dark=is_dark)
+        elif suffix in (".asd", ".sig"):
+            self.spectra.setdefault((path.parent, suffix), []).append(path)
+        elif suffix in _STORES and not (path / "flightlines").is_dir():  # a processed collect holds its own
+            self.calibrations.append(path)
+        elif suffix == ".csv" and _SURVEY.search(path.stem):
+            self.surveys.append(path)
+
+    def add_folder(self, folder: Path, kind: str) -> None:
+        """Add what lies elsewhere; a dark there needs no name that says so."""
+        if not folder.is_dir():
+            raise CollectError(f"{folder} is no folder; expected one of {kind} files")
+        for path in _walk(folder):
+            if kind == "dark" and path.suffix.lower() == ".hdr":
+                self._add_cube(path, is_dark=True)
+            elif kind == "spectra" and path.suffix.lower() in (".asd", ".sig"):
+                self.add(path)
+
+    def _add_cube(self, path: Path, *, is_dark: bool) -> None:
+        from hyperpaint.io.envi.envi_cubes import find_pair
+        from hyperpaint.io.envi.envi_header import read_header
+
+        try:
+            header = read_header(path)
+            find_pair(path)
+        except PaintError as error:
+            self.notes.append(f"{path.name} is not used: {error}")
+            return
+        if header.is_spectral_library:
+            return
+        if header.dtype.kind not in "ui":
+            self.notes.append(f"{self._shown(path)} is not used: {header.dtype}, raw counts are integers")
+            return
+        (self.darks if is_dark else self.raw).append(path)
+
+    def _shown(self, path: Path) -> str:
+        return os.path.relpath(path, self.folder)
+
+    def result(self) -> FieldFolder:
+        """Return what was found, in the order of flight."""
+        if not self.raw:
+            seen = f"; {'; '.join(self.notes)}" if self.notes else ""
+            raise CollectError(
+                f"no raw cube in {self.folder}, expected ENVI headers (raw_0.hdr) beside cubes, at most "
+                f"{MAX_DEPTH} folders deep{seen}"
+            )
+        stored, sweep = self._calibration()
+        irradiance, references = self._instruments()
+        cubes = tuple(self._flight_cubes())
+        record = _record_times([path for folder, _ in irradiance for path in self.spectra[folder, ".asd"]])
+        return FieldFolder(
+            folder=self.folder,
+            cubes=cubes,
+            darks=tuple(sorted(self.darks)),
+            calibration=stored,
+            sweep=sweep,
+            irradiance=tuple(irradiance),
+            references=tuple(references),
+            utc_offset_h=record.utc_offset_h,
+            clock_offsets_s=record.offsets_for(cubes),
+            survey=self._survey(),
+            notes=tuple(self.notes),
+        )
+
+    def _flight_cubes(self) -> Iterator[FlightCube]:
+        from hyperpaint.io.envi.envi_cubes import open_envi
+        from hyperpaint.io.envi.envi_header import read_header
+        from hyperpaint.io.flightline.headwall import (
+            cube_number,
+            find_exposure,
+            frame_index_beside,
+            lens_lengths,
+            navigation_beside,
+        )
+
+        for header in sorted(self.raw, key=lambda path: (path.parent, cube_number(path) or 0, path.name)):
+            has_exposure, lens = False, None
+            with contextlib.suppress(PaintError), warnings.catch_warnings():
+                warnings.simplefilter("ignore", PaintWarning)
+                opened = open_envi(header)
+                has_exposure = find_exposure(None, header, header.name, opened, required=False)[0] is not None
+                comments = read_header(header).comments
+                lengths = lens_lengths(comments)
+                lens = None if lengths is None else Lens(*lengths, opened.sizes[CROSS_TRACK])
+            beside = frame_index_beside(header), navigation_beside(header)
+            yield FlightCube(header, *beside, has_exposure, lens)
+
+    def _survey(self) -> Survey | None:
+        """Return the surveyed points, of which there is one file, where they lie at about one height."""
+        if len(self.surveys) != 1:
+            if self.surveys:
+                names = ", ".join(map(self._shown, self.surveys))
+                self.notes.append(f"several surveys ({names}): none is chosen for the height of the ground")
+            return None
+        (path,) = self.surveys
+        try:
+            heights = _surveyed_heights(path)
+        except FormatError as error:
+            self.notes.append(f"{self._shown(path)} is not used: {error}")
+            return None
+        spread = float(np.ptp(heights))
+        if spread > MAX_SURVEY_SPREAD_M:
+            self.notes.append(
+                f"{self._shown(path)} is not used: its points lie {spread:.2f} m apart in height, and one "
+                f"height is meant for up to {MAX_SURVEY_SPREAD_M:g} m; name a dem"
+            )
+            return None
+        return Survey(path, float(np.median(heights)), spread, heights.size)
+
+    def _calibration(self) -> tuple[Path | None, Path | None]:
+        """Return the calibration, else the lab sweep, of which there is one."""
+        from hyperpaint.io.flightline.calibration_store import open_calibration, open_sweep
+
+        calibrations, sweeps = [], []
+        for path in self.calibrations:
+            with contextlib.suppress(PaintError):
+                open_calibration(path)
+                calibrations.append(path)
+                continue
+            with contextlib.suppress(PaintError):
+                open_sweep(path)
+                sweeps.append(path)
+        several = calibrations or sweeps
+        if len(several) > 1:
+            names = ", ".join(map(self._shown, several))
+            self.notes.append(f"several calibrations ({names}): none is chosen; name one with --calibration")
+            return None, None
+        return (several[0], None) if calibrations else (None, several[0] if sweeps else None)
+
+    def _instruments(self) -> tuple[list[tuple[Path, str]], list[tuple[str, Path, str]]]:
+        """Return folders of irradiance, and of reflectance with what measured it."""
+        irradiance: list[tuple[Path, str]] = []
+        references: list[tuple[str, Path, str]] = []
+        for (folder, suffix), files in sorted(self.spectra.items()):
+            if suffix == ".sig":
+                references.append(("svc", folder, suffix))
+                continue
+            try:
+                quantity = _read_quietly(sorted(files)[:1])[1]
+            except PaintError as error:
+                self.notes.append(f"{self._shown(folder)}/*.asd is not used: {error}")
+                continue
+            if quantity == "irradiance":
+                irradiance.append((folder, suffix))
+            elif quantity == "reflectance":
+                references.append(("asd", folder, suffix))
+            else:
+                self.notes.append(f"{self._shown(folder)}/*.asd is not used: it holds {quantity}")
+        return irradiance, references
+
+
+def _surveyed_heights(path: Path) -> npt.NDArray[np.float64]:
+    """Return the heights above the ellipsoid [m] of a table of surveyed points.
+
+    Raises `FormatError`: it has no column that says so in its name, or cells that are no finite numbers.
+    """
+    from hyperpaint.io.files.reading import read_limited_text
+
+    text = read_limited_text(path, _MAX_SURVEY_BYTES, "a table of surveyed points").decode(
+        "utf-8-sig", "replace"
+    )
+    rows = list(csv.reader(line for line in text.splitlines() if line.strip() and line[0] != "#"))
+    columns = [n for n, cell in enumerate(rows[0]) if _HEIGHT.search(cell)] if rows else []
+    if len(columns) != 1 or len(rows) < 2:
+        raise FormatError(
+            f"{len(columns)} columns of heights above the ellipsoid in {max(len(rows) - 1, 0)} rows; "
+            "expected one that says so, such as ellipsoidal_height_m: heights above the sea differ by tens "
+            "of metres"
+        )
+    try:
+        heights = np.array([float(row[columns[0]]) for row in rows[1:]])
+    except (ValueError, IndexError) as error:
+        raise FormatError(f"a height is no number: {error}") from error
+    if not np.isfinite(heights).all():
+        raise FormatError("a height is not finite")
+    return heights
+
+
+def _read_quietly(files: list[Path]) -> tuple[list[Spectrum], str]:
+    """Return the spectra of ASD files and what they hold, without warnings, which come when they are used."""
+    from hyperpaint.io.spectrometers.asd import read_spectra
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", PaintWarning)
+        return read_spectra(files, None)
+
+
+@dataclass(frozen=True)
+class _Record:
+    """When the irradiance was logged, by the clock of its PC."""
+
+    first: np.datetime64 | None = None
+    last: np.datetime64 | None = None
+    utc_offset_h: float | None = None
+
+    def offsets_for(self, cubes: Iterable[FlightCube]) -> tuple[float, float] | None:
+        """Return the seconds to be added to the clock with which the record covers all cubes."""
+        spans = [span for cube in cubes if (span := _flown(cube)) is not None]
+        if self.first is None or self.last is None or self.utc_offset_h is None or not spans:
+            return None
+        zone = np.timedelta64(round(self.utc_offset_h * 3600), "s")
+        first = max(last for _, last in spans) - (self.last - zone)
+        last = min(first for first, _ in spans) - (self.first - zone)
+        return first / np.timedelta64(1, "s"), last / np.timedelta64(1, "s")
+
+
+def _record_times(files: list[Path]) -> _Record:
+    """Return the times of the first and last file by name, as a logger numbers them."""
+    if not files:
+        return _Record()
+    ordered = sorted(files)
+    try:
+        spectra = _read_quietly(list(dict.fromkeys((ordered[0], ordered[-1]))))[0]
+    except PaintError:
+        return _Record()
+    zones = [spectrum.utc_offset_h for spectrum in spectra if spectrum.utc_offset_h is not None]
+    stamps = [
+        np.datetime64(spectrum.local_time, "ns") for spectrum in spectra if spectrum.local_time is not None
+    ]
+    zone = zones[0] if zones else None
+    return _Record(min(stamps), max(stamps), zone) if stamps else _Record(utc_offset_h=zone)
+
+
+def _flown(cube: FlightCube) -> tuple[np.datetime64, np.datetime64] | None:
+    """Return when the first and the last line of a cube's frame index were recorded [UTC]."""
+    from hyperpaint.io.flightline.headwall import read_frame_index
+    from hyperpaint.io.navigation.navigation_records import read_imu_gps
+
+    if cube.frame_index is None or cube.navigation is None:
+        return None
+    try:
+        index = read_frame_index(cube.frame_index)
+        times = read_imu_gps(cube.navigation).clock_for(index).at(index.stamp)
+    except PaintError:
+        return None
+    times = times[~np.isnat(times)]
+    return (times.min(), times.max()) if times.size else None
+
+
+def _walk(folder: Path) -> Iterator[Path]:
+    """Yield files, and stores as they are, in the order of their names; hidden ones are left out."""
+    entries = 0
+    for place, folders, names in os.walk(folder):
+        entries += len(folders) + len(names)
+        if entries > MAX_ENTRIES:
+            raise CollectError(f"{folder} holds more than {MAX_ENTRIES} files; name the folder of one flight")
+        stores = [name for name in folders if Path(name).suffix.lower() in _STORES]
+        yield from (Path(place, name) for name in sorted(stores))
+        depth = len(Path(place).relative_to(folder).parts)
+        folders[:] = sorted(
+            name for name in folders if name not in stores and not name.startswith(".") and depth < MAX_DEPTH
+        )
+        yield from (Path(place, name) for name in sorted(names) if not name.startswith("."))

@@ -1,0 +1,167 @@
+"""`run_field_day`: two commands from a folder to products; what is there already is left alone."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+import xarray as xr
+from click.testing import CliRunner
+
+import hyperpaint as hp
+from hyperpaint.cli.program import main
+from hyperpaint.workflows.field_day import STEPS, FieldDay, run_field_day
+
+pytestmark = pytest.mark.slow
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Folder of a simulated flight with its regions of paint and the height of its ground."""
+    folder = tmp_path_factory.mktemp("day")
+    hp.simulate_collect(folder, lines=320, bands=24, columns=256, seed=0, clock_offset_s=0.0, samples=4)
+    (folder / "collect.toml").rename(folder / "author.toml")
+    return folder
+
+
+@pytest.fixture(scope="module")
+def day(folder: Path) -> FieldDay:
+    written = CliRunner().invoke(main, ["init", str(folder)])
+    assert written.exit_code == 0, written.output
+    return run_field_day(folder / "collect.toml", skip=["report"])
+
+
+def test_every_step_is_done(day: FieldDay) -> None:
+    assert [outcome.step for outcome in day.outcomes] == list(STEPS)
+    states = {outcome.step: outcome.state for outcome in day.outcomes}
+    assert states.pop("report") == "left out"
+    assert set(states.values()) == {"done"}, str(day)
+    for outcome in day.outcomes:
+        assert all(path.exists() for path in outcome.paths)
+
+
+def test_pixels_lie_where_the_simulator_saw_them(folder: Path) -> None:
+    """Ground, lens and mounting are those of the table [geometry]: nothing is passed to locate."""
+    line = hp.open_collect(folder / "author.toml")["flightlines/raw_0"].to_dataset()
+    truth = xr.open_zarr(folder / "truth.zarr")
+    flat = abs(truth["height"] - line.attrs["ground"]).values < 0.02  # pavement, not cars
+    located = line.paint.locate(crs=truth.attrs["crs"])
+    pixel = float(abs(np.diff(truth["east"].values[0])).mean())
+    assert flat.mean() > 0.3
+    for axis in ("east", "north"):
+        miss = (located[axis].values - truth[axis].values)[flat]
+        # the truth is the mean place of a few random rays a pixel
+        assert abs(np.median(miss)) < 0.01 * pixel
+        assert np.percentile(abs(miss), 95) < 0.5 * pixel
+
+
+def test_a_second_run_does_nothing(day: FieldDay, folder: Path) -> None:
+    times = {path: path.stat().st_mtime_ns for path in sorted(day.out.rglob("*")) if path.is_file()}
+    again = run_field_day(folder / "collect.toml", skip=["report"])
+    assert {outcome.state for outcome in again.outcomes} == {"unchanged", "left out"}
+    assert {path: path.stat().st_mtime_ns for path in sorted(day.out.rglob("*")) if path.is_file()} == times
+    assert again.passed == day.passed
+
+
+def test_a_step_that_lost_its_product_is_done_again(day: FieldDay, folder: Path) -> None:
+    (day.out / "agreement.csv").unlink()
+    again = run_field_day(folder / "collect.toml", skip=["report"])
+    states = {outcome.step: outcome.state for outcome in again.outcomes}
+    assert states["validate"] == "done"
+    assert states["signatures"] == states["map"] == states["dirsig"] == "unchanged"
+
+
+def test_what_a_collect_does_not_have_is_said(day: FieldDay, folder: Path, tmp_path: Path) -> None:
+    copied = tmp_path / "bare"
+    shutil.copytree(folder, copied, ignore=shutil.ignore_patterns("products", "svc", "asd_reflectance"))
+    text = (copied / "collect.toml").read_text(encoding="utf-8").replace("ground = ", "# ground = ")
+    (copied / "collect.toml").write_text(text.partition("\n[[references]]")[0], encoding="utf-8")
+    bare = run_field_day(copied / "collect.toml", skip=["dirsig", "report"])
+    said = {outcome.step: outcome.text for outcome in bare.outcomes if outcome.state == "left out"}
+    assert "[[references]]" in said["validate"]
+    assert "[geometry] ground" in said["map"]
+    assert bare.passed is None
+
+
+def test_steps_have_names(tmp_path: Path) -> None:
+    with pytest.raises(hp.SchemaError, match=r"(?s)skip='process'.*skip='albedo'"):
+        run_field_day(tmp_path / "collect.toml", skip=["process", "albedo"])
+
+
+def test_a_spoilt_record_only_costs_time(day: FieldDay, folder: Path) -> None:
+    record = day.out / "steps.json"
+    kept = record.read_bytes()
+    record.write_text("[1, 2")
+    again = run_field_day(folder / "collect.toml", skip=["signatures", "map", "dirsig", "report"])
+    assert {one.step: one.state for one in again.outcomes}["validate"] == "done"
+    assert json.loads(record.read_text())["validate"] == json.loads(kept)["validate"]
+
+
+def test_a_step_that_fails_does_not_end_the_day(
+    day: FieldDay, folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(*_: object, **__: object) -> None:
+        raise hp.StoreError("the disk is full")
+
+    (day.out / "raw_0.tif").unlink()
+    (day.out / "agreement.csv").unlink()
+    with monkeypatch.context() as patch:
+        patch.setattr("hyperpaint.workflows.library_files.validate_files", refuse)
+        again = CliRunner().invoke(main, ["run", str(folder), "--skip", "report"])
+    assert again.exit_code == 2
+    assert "validate    failed" in again.output
+    assert "the disk is full" in again.output
+    assert "map         done" in again.output
+    assert (day.out / "raw_0.tif").exists()
+
+
+def test_proposed_paints_are_not_compared_by_name(day: FieldDay, folder: Path, tmp_path: Path) -> None:
+    copied = tmp_path / "proposed"
+    shutil.copytree(
+        folder, copied, ignore=shutil.ignore_patterns("regions.geojson", "products", "truth.zarr")
+    )
+    shutil.copytree(day.out / "lot.zarr", copied / "products" / "lot.zarr")
+    proposed = run_field_day(copied, skip=["map", "dirsig", "report"])
+    outcome = {one.step: one for one in proposed.outcomes}["validate"]
+    assert outcome.state == "left out"
+    assert "--pairs" in outcome.text
+
+
+def test_a_flight_cut_into_five_cubes_has_the_same_signatures(
+    day: FieldDay, folder: Path, tmp_path: Path
+) -> None:
+    """ASD files and darks lie elsewhere as well; no bit of any paint differs."""
+    cut = tmp_path / "cut"
+    hp.simulate_collect(
+        cut, lines=320, bands=24, columns=256, seed=0, clock_offset_s=0.0, samples=4, cubes=5, truth=False
+    )
+    (cut / "collect.toml").unlink()
+    shutil.copy(folder / "regions.geojson", cut)
+    for name in ("asd", "dark"):
+        shutil.move(cut / name, tmp_path / name)
+    elsewhere = ["--asd", str(tmp_path / "asd"), "--dark", str(tmp_path / "dark")]
+    written = CliRunner().invoke(main, ["init", str(cut), *elsewhere])
+    assert "5 cubes, 1 dark" in written.output
+    other = run_field_day(cut, skip=["validate", "map", "dirsig", "report"])
+    one, five = (hp.open_library(each.out / "paints.zarr") for each in (day, other))
+    assert set(one.data_vars) == set(five.data_vars)
+    for name in one.data_vars:
+        assert one[name].values.tobytes() == five[name].values.tobytes(), name
+
+
+def test_paints_of_an_earlier_run_do_not_stand_for_those_that_failed(
+    day: FieldDay, folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(*_: object, **__: object) -> None:
+        raise hp.SchemaError("no region holds a pixel")
+
+    with monkeypatch.context() as patch:
+        patch.setattr("hyperpaint.workflows.library_files.write_signatures", refuse)
+        again = run_field_day(folder, specular_sky=True, skip=["map", "report"])
+    states = {one.step: one.state for one in again.outcomes}
+    assert day.passed is not None
+    assert (day.out / "paints.zarr").exists()
+    assert (states["signatures"], states["validate"], states["dirsig"]) == ("failed", "left out", "left out")
