@@ -1,4 +1,4 @@
-"""The ``.paint`` accessor: the spelling of hyperpaint's functions on a Dataset, and nothing else.
+"""The ``.paint`` accessors: the spelling of hyperpaint's functions on a Dataset or DataArray, nothing else.
 
 Every method is the function that `METHODS` names, with the dataset as its first argument: same arguments,
 same docstring (``line.paint.reflectance?``). What type checkers and editors see stands in ``accessor.pyi``,
@@ -15,9 +15,11 @@ from typing import TYPE_CHECKING, Any
 import xarray as xr
 
 if TYPE_CHECKING:
+    import pint
+
     from .io.store import StoreReport
 
-__all__ = ["METHODS", "PaintAccessor"]
+__all__ = ["ARRAY_METHODS", "METHODS", "PaintAccessor", "PaintArrayAccessor"]
 
 METHODS = {
     "radiance": "radiometry",
@@ -45,6 +47,9 @@ METHODS = {
 }
 """The room of each method's function, and the function's name where it is another."""
 
+ARRAY_METHODS = ("smooth", "at", "to_nominal", "rgb", "spectrum")
+"""Those of a DataArray: what needs nothing but a cube, or one spectrum, and its coordinates."""
+
 _ABOUT_DIMS = """
 
 As a method it takes the dataset as its first argument, and ``dims``, a mapping such as
@@ -57,14 +62,14 @@ Dims = Mapping[str, Hashable]
 class _Method:
     # A function of a room, loaded when it is called or looked at; on the class it is bound to no accessor.
 
-    def __init__(self, name: str, home: str, accessor: PaintAccessor | None = None) -> None:
+    def __init__(self, name: str, home: str, accessor: Any = None) -> None:
         self.__name__ = name
         self.__qualname__ = f"PaintAccessor.{name}"
         self._home = home
         self._accessor = accessor
 
-    def __get__(self, accessor: PaintAccessor | None, owner: type[PaintAccessor]) -> _Method:
-        return _Method(self.__name__, self._home, accessor)
+    def __get__(self, accessor: Any, owner: type[Any]) -> _Method:
+        return type(self)(self.__name__, self._home, accessor)
 
     @property
     def _function(self) -> Callable[..., Any]:
@@ -96,7 +101,7 @@ class _Method:
 
         if self._accessor is None:  # PaintAccessor.rgb(accessor)
             accessor, *rest = arguments
-            return _Method(self.__name__, self._home, accessor)(*rest, dims=dims, **options)
+            return type(self)(self.__name__, self._home, accessor)(*rest, dims=dims, **options)
         return self._function(rename_to_roles(self._accessor._dataset, dims), *arguments, **options)
 
 
@@ -141,16 +146,68 @@ class PaintAccessor:
             )
         return verify(source)
 
-    def quantify(self) -> xr.Dataset:
+    def quantify(self, registry: pint.UnitRegistry[Any] | None = None) -> xr.Dataset:
         """Return a view for pint-xarray users: data variables as Quantities (extra ``units``).
 
-        Coordinates stay plain, so that they can still be selected on. Quantities are for looking and for
-        arithmetic in a session; stores, graphs and hyperpaint's own functions take the plain dataset.
+        Coordinates stay plain, so that they can still be selected on. hyperpaint's functions take such a view
+        as well as the plain dataset, and return plain ones; so does ``.pint.dequantify()``.
+
+        Parameters
+        ----------
+        registry
+            Yours, such as ``pint.UnitRegistry(force_ndarray_like=True)``; by default hyperpaint's, in which
+            sr, count and electron are dimensions.
+
+        Raises
+        ------
+        UnitsError
+            Units cannot be read, or are not those of the registry; all are listed.
         """
         from .base.units import quantify
 
-        return quantify(self._dataset)
+        return quantify(self._dataset, registry)
+
+
+class _ArrayMethod(_Method):
+    # The same for a DataArray: of what comes back, its own variable is returned.
+
+    def __call__(self, *arguments: Any, dims: Dims | None = None, **options: Any) -> Any:
+        result = super().__call__(*arguments, dims=dims, **options)
+        return result if self._accessor is None else self._accessor._own(result)
+
+
+@xr.register_dataarray_accessor("paint")
+class PaintArrayAccessor:
+    """Methods on one cube, such as ``line.reflectance.paint.rgb()``. Each returns something new.
+
+    A coordinate ``paint``, as that of a library's reflectance, is reached by ``array["paint"]``.
+    """
+
+    def __init__(self, array: xr.DataArray) -> None:
+        self._array = array
+
+    @property
+    def _name(self) -> Hashable:
+        name = self._array.name
+        return "values" if name is None or name in self._array.coords else name
+
+    @property
+    def _dataset(self) -> xr.Dataset:
+        return self._array.to_dataset(name=self._name)
+
+    def _own(self, result: Any) -> Any:
+        """Return the array of a resulting Dataset; what is none as it is."""
+        return result[self._name].rename(self._array.name) if isinstance(result, xr.Dataset) else result
+
+    def quantify(self, registry: pint.UnitRegistry[Any] | None = None) -> xr.DataArray:
+        """Return a view for pint-xarray users, a Quantity; see `PaintAccessor.quantify`."""
+        from .base.units import quantify
+
+        quantified: xr.DataArray = self._own(quantify(self._dataset, registry))
+        return quantified
 
 
 for _name, _home in METHODS.items():
     setattr(PaintAccessor, _name, _Method(_name, _home))
+for _name in ARRAY_METHODS:
+    setattr(PaintArrayAccessor, _name, _ArrayMethod(_name, METHODS[_name]))

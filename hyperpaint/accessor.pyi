@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy.typing as npt
+import pint
 import xarray as xr
 
 from hyperpaint.alignment.least_squares import Window
@@ -27,6 +28,7 @@ from hyperpaint.simulation.rendering.four_curves import Atmosphere
 from hyperpaint.surroundings.model import SceneModel
 
 METHODS: dict[str, str]
+ARRAY_METHODS: tuple[str, ...]
 Dims = Mapping[str, Hashable]
 
 class PaintDataset(xr.Dataset):
@@ -35,6 +37,12 @@ class PaintDataset(xr.Dataset):
     @property
     def paint(self) -> PaintAccessor: ...
 
+class PaintDataArray(xr.DataArray):
+    """A DataArray whose ``.paint`` is known."""
+
+    @property
+    def paint(self) -> PaintArrayAccessor: ...
+
 class PaintAccessor:
     """Methods on a flight line; each returns something new, lazily unless it says otherwise."""
 
@@ -42,7 +50,7 @@ class PaintAccessor:
     def _repr_html_(self) -> str: ...
     def verify(self) -> StoreReport:
         """Read every chunk of the store that the dataset was opened from (eager)."""
-    def quantify(self) -> PaintDataset:
+    def quantify(self, registry: pint.UnitRegistry[Any] | None = None) -> PaintDataset:
         """Return a view for pint-xarray users: data variables as Quantities (extra ``units``)."""
 
     def radiance(self, *, dims: Dims | None = None) -> PaintDataset:
@@ -136,8 +144,8 @@ class PaintAccessor:
         self,
         *,
         navigation: xr.Dataset | None = None,
-        boresight: Sequence[float] = (0.0, 0.0, 0.0),
-        lever_arm: Sequence[float] = (0.0, 0.0, 0.0),
+        boresight: Sequence[float] | None = None,
+        lever_arm: Sequence[float] | None = None,
         ground: float | None = None,
         dem: xr.DataArray | None = None,
         crs: Any = None,
@@ -153,11 +161,11 @@ class PaintAccessor:
         self,
         gsd: float | None = None,
         *,
-        grid: Literal["flight", "north"] = "flight",
+        grid: Literal["north", "flight"] = "north",
         variables: Iterable[str] | None = None,
         method: Literal["nearest", "bilinear"] = "nearest",
         multi_hit: Literal["nadir", "first", "last"] = "nadir",
-        max_stretch: float = 20.0,
+        max_stretch: float = 3.0,
         tile: int = 256,
         bounds: Sequence[float] | None = None,
         progress: Progress | None = None,
@@ -203,7 +211,12 @@ class PaintAccessor:
     def rgb(self, *, stretch: tuple[float, float] = (2.0, 98.0), dims: Dims | None = None) -> xr.DataArray:
         """Return a true-colour picture: reflectance through the CIE 1931 observer to sRGB."""
     def quicklook(
-        self, path: str | Path | None = None, *, lines: int = 1000, dims: Dims | None = None
+        self,
+        path: str | Path | None = None,
+        *,
+        lines: int = 1000,
+        width: float = 11.0,
+        dims: Dims | None = None,
     ) -> Any:
         """Draw a flight line: true colour, quality, irradiance over time."""
     def spectrum(
@@ -220,13 +233,15 @@ class PaintAccessor:
         """Draw reflectance over wavelength: of regions or pixels of a flight line, or of the paints of a library."""
     def triptych(
         self,
-        region: Any,
+        region: Any = None,
         path: str | Path | None = None,
         *,
+        pixels: Sequence[int] | Sequence[Sequence[int]] | None = None,
         exclude: Quality | int | None = None,
+        width: float = 13.0,
         dims: Dims | None = None,
     ) -> Any:
-        """Draw one region as counts, as radiance and as reflectance, side by side."""
+        """Draw one region, or single pixels, as counts, as radiance and as reflectance, side by side."""
     def flag_overlay(
         self,
         flags: Quality | str | Iterable[str] | None = None,
@@ -251,3 +266,33 @@ class PaintAccessor:
         dims: Dims | None = None,
     ) -> PaintDataset:
         """Return the radiance of a traced scene under an atmosphere, as a camera's bands see it."""
+
+class PaintArrayAccessor:
+    """Methods on one cube; each returns something new."""
+
+    def __init__(self, array: xr.DataArray) -> None: ...
+    def quantify(self, registry: pint.UnitRegistry[Any] | None = None) -> PaintDataArray:
+        """Return a view for pint-xarray users, a Quantity."""
+
+    def smooth(
+        self, method: str = "savitzky-golay", window: int = 11, *, order: int = 2, dims: Dims | None = None
+    ) -> PaintDataArray:
+        """Smooth ``reflectance`` over the bands."""
+    def at(self, wavelength: npt.ArrayLike, *, dims: Dims | None = None) -> PaintDataArray:
+        """Return the bands nearest to one or several wavelengths."""
+    def to_nominal(self, *, dims: Dims | None = None) -> PaintDataArray:
+        """Return spectra at the nominal wavelengths: the smile taken out."""
+    def rgb(self, *, stretch: tuple[float, float] = (2.0, 98.0), dims: Dims | None = None) -> xr.DataArray:
+        """Return a true-colour picture: reflectance through the CIE 1931 observer to sRGB."""
+    def spectrum(
+        self,
+        regions: Any = None,
+        *,
+        pixels: Sequence[int] | Sequence[Sequence[int]] | None = None,
+        paints: str | Iterable[str] | None = None,
+        spread: str = "quantiles",
+        exclude: Quality | int | None = None,
+        axes: Any = None,
+        dims: Dims | None = None,
+    ) -> Any:
+        """Draw reflectance over wavelength: of regions or pixels of a flight line, or of the paints of a library."""

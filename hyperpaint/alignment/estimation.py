@@ -18,6 +18,7 @@ from hyperpaint.base import schema
 from hyperpaint.base.arrays import Array, Floats
 from hyperpaint.base.errors import Problems, SchemaError
 from hyperpaint.base.schema import ALONG_TRACK, BAND, CROSS_TRACK
+from hyperpaint.base.units import takes_quantities
 from hyperpaint.radiometry.counts_to_reflectance import radiance
 
 from .lamp import Declared, mean_light, table_of_bands
@@ -59,6 +60,7 @@ _REPORTED = {
 }
 
 
+@takes_quantities(window="nm", max_shift="nm", max_uncertainty="nm")
 def align_to_irradiance(
     line: xr.Dataset,
     *,

@@ -10,6 +10,7 @@ from hyperpaint.base import schema
 from hyperpaint.base.arrays import Floats, Progress
 from hyperpaint.base.errors import SchemaError
 from hyperpaint.base.schema import ALONG_TRACK, BAND, CROSS_TRACK
+from hyperpaint.base.units import takes_quantities
 from hyperpaint.radiometry.counts_to_reflectance import reflectance
 from hyperpaint.radiometry.slabs import line_chunked
 
@@ -131,6 +132,7 @@ def _parts(wavelength: Floats) -> tuple[npt.NDArray[np.bool_], Floats]:
     return shoulders, np.clip(1.0 - np.abs(wavelength - CENTRE) / REACH, 0.0, None)
 
 
+@takes_quantities(wavelength="nm", spectrum="1")
 def oxygen_depth(wavelength: Floats, spectrum: Floats) -> float:
     """Return the depth of the oxygen A band left in one spectrum, see `oxygen_residual`.
 

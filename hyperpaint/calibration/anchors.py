@@ -12,7 +12,7 @@ from hyperpaint.base.arrays import Floats
 from hyperpaint.base.constants import SATURATION_MARGIN_COUNTS
 from hyperpaint.base.errors import PaintWarning, Problems, SchemaError
 from hyperpaint.base.schema import ALONG_TRACK, BAND, CROSS_TRACK, VARIABLES, label, require
-from hyperpaint.base.units import convert, same_dimension
+from hyperpaint.base.units import convert, same_dimension, takes_quantities
 from hyperpaint.light.responses import Responses, log_slope
 
 from .detector import coefficients_of, linearised, row_medians
@@ -23,6 +23,7 @@ _LEAST_COVER = 0.999
 _SAME_EXPOSURE = 0.01  # relative
 
 
+@takes_quantities(pixel_pitch="m", slit_width="m")
 def etendue_from_optics(f_number: float, pixel_pitch: float, slit_width: float) -> float:
     r"""Return the etendue of a detector element from the image side [m2 sr].
 
@@ -61,6 +62,7 @@ def etendue_from_optics(f_number: float, pixel_pitch: float, slit_width: float) 
     return float(pixel_pitch * slit_width * np.pi / (4.0 * f_number**2))
 
 
+@takes_quantities(diameter="m", field_along_slit="rad", field_across_slit="rad")
 def etendue_from_pupil(diameter: float, field_along_slit: float, field_across_slit: float) -> float:
     """Return the etendue of a detector element from the pupil's side [m2 sr].
 
@@ -93,6 +95,7 @@ def _check_lengths(values: dict[str, float], high: float) -> None:
     problems.raise_if_any()
 
 
+@takes_quantities(reflectance="1")
 def panel_radiance(irradiance: xr.DataArray, reflectance: float | xr.DataArray) -> xr.DataArray:
     """Return the spectral radiance of a level Lambertian panel [W m-2 sr-1 nm-1]: ``reflectance x E / pi``.
 
@@ -116,6 +119,7 @@ def panel_radiance(irradiance: xr.DataArray, reflectance: float | xr.DataArray) 
     return label(radiance, "radiance")
 
 
+@takes_quantities()
 def anchor_to_radiance(
     calibration: xr.Dataset,
     frames: xr.Dataset,
@@ -324,6 +328,7 @@ def _mean_over(responses: Responses, band: int, grid: Floats, values: Floats) ->
     return float((response[inside] * np.interp(fine[inside], grid, values)).sum() / response[inside].sum())
 
 
+@takes_quantities(exposure_time="s")
 def calibration_from_coefficients(
     coefficients: xr.DataArray,
     wavelength: xr.DataArray,

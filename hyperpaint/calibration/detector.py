@@ -13,6 +13,7 @@ import xarray as xr
 from hyperpaint.base.arrays import Bools, Floats
 from hyperpaint.base.errors import Problems, SchemaError
 from hyperpaint.base.schema import BAND, CROSS_TRACK, label, require
+from hyperpaint.base.units import takes_quantities
 
 _ELEMENT = (BAND, CROSS_TRACK)
 _SAME_EXPOSURE = 1e-3
@@ -157,6 +158,7 @@ def dark_model(darks: xr.Dataset | Sequence[xr.Dataset]) -> xr.Dataset:
     )
 
 
+@takes_quantities(exposure_time="s")
 def dark_at(model: xr.Dataset, exposure_time: float) -> xr.DataArray:
     """Return the ``dark_counts`` (band, cross_track) [count] of a dark model at an exposure [s].
 
@@ -166,6 +168,7 @@ def dark_at(model: xr.Dataset, exposure_time: float) -> xr.DataArray:
     return label(dark.astype(np.float32), "dark_counts")
 
 
+@takes_quantities()
 def flat_field(frames: xr.DataArray, dark: xr.DataArray | None = None) -> xr.DataArray:
     """Return the factors that level the columns of each band, from evenly lit frames.
 
@@ -220,6 +223,7 @@ def factors_of(flat: xr.DataArray, shape: tuple[int, ...]) -> Floats:
     return np.asarray(flat.transpose(*_ELEMENT).to_numpy(), np.float64)
 
 
+@takes_quantities()
 def linearity(signal: npt.ArrayLike, measured: npt.ArrayLike, degree: int = 3) -> tuple[float, ...]:
     r"""Return the polynomial that turns measured counts into ones proportional to the light.
 

@@ -16,6 +16,7 @@ import xarray as xr
 from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import SchemaError
 from hyperpaint.base.schema import BAND
+from hyperpaint.base.units import takes_quantities
 
 _MOST_AMPLIFIED = 10.0  # sum of a row of the inverse, beyond which the light would be mostly stray
 
@@ -118,6 +119,7 @@ def _second_order(step_wavelength: Floats, share: Floats, wavelength: Floats, wi
     return np.asarray(level * shape / np.maximum(shape.sum(axis=0), 1.0))
 
 
+@takes_quantities()
 def correct_stray_light(cube: xr.DataArray, stray_light: xr.DataArray) -> xr.DataArray:
     """Return a cube without the light that its bands saw of other bands.
 

@@ -12,6 +12,7 @@ import xarray as xr
 from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import SchemaError
 from hyperpaint.base.schema import BAND, CROSS_TRACK, STEP, label, require
+from hyperpaint.base.units import takes_quantities
 from hyperpaint.kernels.line_fits import profiles
 
 from .detector import coefficients_of, deviant_darks, linearised
@@ -53,6 +54,7 @@ def relative_responsivity(calibration: xr.Dataset) -> xr.DataArray:
     return relative.rename("relative_responsivity")
 
 
+@takes_quantities(electrons_per_count="electron count-1")
 def quantum_efficiency(
     calibration: xr.Dataset, electrons_per_count: float | xr.DataArray | None = None
 ) -> xr.DataArray:

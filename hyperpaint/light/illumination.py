@@ -18,7 +18,7 @@ import xarray as xr
 from hyperpaint.base import schema
 from hyperpaint.base.arrays import Array, Floats
 from hyperpaint.base.errors import PaintWarning, Problems, SchemaError
-from hyperpaint.base.units import convert
+from hyperpaint.base.units import convert, takes_quantities
 
 from .responses import Matching, Responses, log_slope, matching_operator
 from .sun import diffuse_fraction, solar_position
@@ -31,6 +31,7 @@ NODE_SPACING = 0.5
 MAX_NOISE_GAIN = 3.0
 
 
+@takes_quantities(angle="degree", azimuth="degree")
 @dataclass(frozen=True)
 class Tilt:
     """The attitude of a surface that is not level, and what it sees.
@@ -160,6 +161,7 @@ def smile_cells(wavelength_shift: npt.ArrayLike | None, columns: int) -> Smile:
     return Smile(nodes, (shift / NODE_SPACING - first - cell).astype(np.float32), edges, cells)
 
 
+@takes_quantities(wavelength="nm", fwhm="nm", irradiance_fwhm="nm", nodes="nm", srf_offset="nm")
 def match_irradiance(
     irradiance: xr.DataArray,
     wavelength: npt.ArrayLike,

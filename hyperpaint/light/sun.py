@@ -6,6 +6,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hyperpaint.base.arrays import Floats
+from hyperpaint.base.units import takes_quantities
 
 __all__ = ["air_mass", "diffuse_fraction", "solar_position"]
 
@@ -13,6 +14,7 @@ __all__ = ["air_mass", "diffuse_fraction", "solar_position"]
 _J2000 = np.datetime64("2000-01-01T12:00:00", "ns")
 
 
+@takes_quantities(latitude="degree", longitude="degree")
 def solar_position(
     time: npt.ArrayLike, latitude: npt.ArrayLike, longitude: npt.ArrayLike
 ) -> tuple[Floats, Floats]:

@@ -26,7 +26,7 @@ from hyperpaint.base.schema import (
     IRRADIANCE_WAVELENGTH,
     Quality,
 )
-from hyperpaint.base.units import convert
+from hyperpaint.base.units import convert, takes_quantities
 from hyperpaint.light.illumination import Tilt
 from hyperpaint.light.synchrony import check_irradiance_times
 
@@ -59,6 +59,7 @@ _OWN_BITS = {"radiance": _BITS_OF_COUNTS, "reflectance": _BITS_OF_COUNTS | _BITS
 """Bits that are found anew, for each product; others were set elsewhere, and stay."""
 
 
+@takes_quantities()
 @dataclass(frozen=True)
 class Panel:
     """A target of known reflectance in the scene.
@@ -107,6 +108,7 @@ class Panel:
         return np.interp(wavelength, nm[order], factor.values[order], np.nan, np.nan)
 
 
+@takes_quantities()
 def radiance(dataset: xr.Dataset) -> xr.Dataset:
     r"""Spectral radiance at the sensor, from raw counts.
 
@@ -159,6 +161,7 @@ def radiance(dataset: xr.Dataset) -> xr.Dataset:
     return _with(dataset, "radiance", radiances, quality)
 
 
+@takes_quantities(tilt="degree")
 def reflectance(
     dataset: xr.Dataset,
     irradiance: xr.Dataset | None = None,

@@ -13,6 +13,7 @@ import xarray as xr
 from hyperpaint.base import schema
 from hyperpaint.base.arrays import Array
 from hyperpaint.base.errors import Problems, SchemaError
+from hyperpaint.base.units import convert, takes_quantities
 from hyperpaint.light.responses import band_spacing
 
 from .slabs import line_chunked
@@ -22,6 +23,7 @@ __all__ = ["METHODS", "at", "smooth", "to_nominal"]
 METHODS = ("savitzky-golay", "box")
 
 
+@takes_quantities(wavelength="nm")
 def at(dataset: xr.Dataset, wavelength: npt.ArrayLike) -> xr.Dataset:
     """Return the bands nearest to one or several wavelengths.
 
@@ -156,6 +158,7 @@ def _lagrange_weights(wavelength: Array, shift: Array) -> tuple[Array, Array]:
     return np.ascontiguousarray(first), np.ascontiguousarray(weights, np.float32)
 
 
+@takes_quantities()
 def smooth(
     dataset: xr.Dataset, method: str = "savitzky-golay", window: int = 11, *, order: int = 2
 ) -> xr.Dataset:
@@ -220,7 +223,7 @@ def smooth(
     if method == "savitzky-golay" and not 0 <= order < window - 1:
         problems.add(f"order {order}, expected 0 to {window - 2} for a window of {window}")
     problems.raise_if_any()
-    array = dataset["reflectance"]
+    array = convert(dataset["reflectance"], "1")
     first, weights, fallback = _window_weights(method, window, order, array.sizes[schema.BAND])
     cube = set(schema.CUBE) == set(array.dims)
     source = line_chunked(array) if cube else array

@@ -23,7 +23,7 @@ from hyperpaint.base.schema import CHUNK_LINES
 from .atmosphere import spectral_grid
 from .camera import convolve_gaussian
 from .checkerboard_flight import CheckerboardFlight
-from .flight import ORIGIN, Flight, Lines, SkySamples, sky_irradiance
+from .flight import ORIGIN, PIXEL_ANGLE, Flight, Lines, SkySamples, sky_irradiance
 from .instruments import (
     ASD_WAVELENGTH,
     SVC_DETECTORS,
@@ -91,9 +91,12 @@ def write_references(flight: Flight, folder: Path) -> None:
         )  # fmt: skip
 
 
+SURVEY = "survey.csv"
+"""Points of the pavement, as a GNSS receiver on a pole would log them."""
+
 PARTS = (
     "flight", "dark", "asd", SVC_FOLDER, ASD_FOLDER, "lab", "calibration.zarr", "truth.zarr", REGIONS,
-    "collect.toml",
+    SURVEY, "collect.toml",
 )  # fmt: skip
 """Files and folders of a simulated collect."""
 
@@ -178,7 +181,7 @@ def simulate_collect(
     >>> with tempfile.TemporaryDirectory() as folder:
     ...     path = simulate_collect(folder, lines=8, bands=4, columns=6, scene="plan")
     ...     print(*sorted(entry.name for entry in path.parent.iterdir()))
-    asd asd_reflectance calibration.zarr collect.toml dark flight regions.geojson svc truth.zarr
+    asd asd_reflectance calibration.zarr collect.toml dark flight regions.geojson survey.csv svc truth.zarr
     """
     settings = SimulationSettings.of(
         {"lines": lines, "bands": bands, "columns": columns, "seed": seed, "scene": scene, **effects}
@@ -202,9 +205,10 @@ def simulate_collect(
         (root / "lab").mkdir()
         store_sweep(lab, root / "lab" / "sweep.zarr", truth=truth)
     _write_flight(flight, root, block_lines, progress, truth)
+    _write_survey(flight, root / SURVEY)
     path = root / "collect.toml"
     # a reader that finds this file finds all the others whole
-    path.write_text(_collect_text(settings, lab is not None), encoding="utf-8")
+    path.write_text(_collect_text(flight, lab is not None), encoding="utf-8")
     return path
 
 
@@ -333,7 +337,21 @@ def _write_flight(
     write_sbet(folder / "trajectory.sbet", pose, utc)
 
 
-def _collect_text(settings: SimulationSettings, with_sweep: bool) -> str:
+def _write_survey(flight: Flight, path: Path) -> None:
+    """Write places of the ground under the first, middle and last line; heights above the ellipsoid."""
+    pose = flight.pose(np.array([0.0, 0.5, 1.0]) * flight.line_times[-1] / 1e9)
+    places = flight.frame.local(pose["latitude"], pose["longitude"], flight.frame.height)
+    places[:, 2] = 0.0
+    rows = zip(*flight.frame.geodetic(places), strict=True)
+    text = "".join(
+        f"P{number},{latitude:.9f},{longitude:.9f},{height:.3f}\n"
+        for number, (latitude, longitude, height) in enumerate(rows, start=1)
+    )
+    path.write_text(f"name,latitude,longitude,ellipsoidal_height_m\n{text}", encoding="ascii")
+
+
+def _collect_text(flight: Flight, with_sweep: bool) -> str:
+    settings = flight.settings
     recorded = np.flatnonzero(settings.recorded)
     names = [int(recorded[recorded >= first][0]) for first in settings.cube_starts[:-1]]
     flightlines = "".join(
@@ -347,6 +365,9 @@ nav = "flight/imu_gps.txt"
         for name in names
     )
     navigation = "\n".join(f'{key} = "{value}"' for key, value in CONVENTION.items())
+    half_width = settings.columns / 2 * PIXEL_ANGLE
+    mounting = {"boresight_deg": flight.trajectory.boresight, "lever_arm_m": flight.trajectory.lever_arm}
+    geometry = "\n".join(f"{key} = {[float(number) for number in three]}" for key, three in mounting.items())
     uncertainty_s = settings.clock_uncertainty_s
     calibration = 'sweep = "lab/sweep.zarr"' if with_sweep else 'path = "calibration.zarr"'
     clock = "" if uncertainty_s is None else f"clock_uncertainty_s = {float(uncertainty_s)!r}\n"
@@ -369,6 +390,11 @@ cubes = ["dark/raw_0.hdr"]
 
 [navigation]
 {navigation}
+
+[geometry]
+ground = {flight.frame.height!r}
+fov_deg = {2 * np.degrees(np.arctan(half_width)):.9f}
+{geometry}
 
 [irradiance]
 files = "asd/*.asd"

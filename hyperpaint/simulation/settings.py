@@ -12,6 +12,7 @@ import numpy as np
 
 from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import Problems, SchemaError
+from hyperpaint.base.units import takes_quantities
 
 __all__ = [
     "MOST_SAMPLES", "NEAR_SUNSET", "SCENES", "SHAPES", "SKIES", "STAMPS", "SWATH_M", "WOBBLES",
@@ -45,6 +46,14 @@ NEAR_SUNSET = (80.0, 292.0)
 """Zenith angle and azimuth of the sun near sunset [degree]."""
 
 
+@takes_quantities(
+    swath="m", square="m", board_turn="degree", course="degree", boresight="degree", lever_arm="m",
+    sun_zenith="degree", sun_azimuth="degree", exposure_time_ms="ms", frame_period_ms="ms",
+    first_wavelength="nm", last_wavelength="nm", dispersion_bow_nm="nm", fwhm_nm="nm", smile_nm="nm",
+    irradiance_fwhm_nm="nm", electrons_per_count="electron count-1", read_noise="count", dark_level="count",
+    dark_pattern="count", irradiance_margin_s="s", frame_clock_offset_s="s", clock_offset_s="s",
+    clock_uncertainty_s="s", utc_offset_h="h",
+)  # fmt: skip
 @dataclass(frozen=True, kw_only=True)
 class SimulationSettings:
     """Size and effects of a simulated collect; every effect can be switched off.

@@ -125,11 +125,13 @@ def _consolidate(path: Path) -> None:
         zarr.consolidate_metadata(path)
 
 
-def _time(flight: Flight, recorded: NDArray[np.bool_] | None = None) -> xr.Variable:
+def _line_coords(flight: Flight, recorded: NDArray[np.bool_] | None = None) -> dict[str, xr.Variable]:
     stamps = (flight.start + flight.line_times).astype("datetime64[ns]")
     if recorded is not None:
         stamps[~recorded] = np.datetime64("NaT", "ns")
-    return _variable("time", stamps)
+    lines, _, columns = (np.arange(size) for size in flight.settings.shape)
+    values = {"time": stamps, "frame": lines, ALONG_TRACK: lines, CROSS_TRACK: columns}
+    return {name: _variable(name, each) for name, each in values.items()}
 
 
 def _corners(flight: Flight) -> dict[str, xr.Variable]:
@@ -152,8 +154,7 @@ class TruthStore:
         self._full = flight.detector.saturation_count
         coords = {
             **_band_coords(flight),
-            "time": _time(flight),
-            "frame": _variable("frame", np.arange(settings.lines)),
+            **_line_coords(flight),
         }
         attrs = {
             "hyperpaint_format": FORMAT_VERSION, "name": "truth of a simulated collect",
@@ -241,8 +242,7 @@ def line_dataset(flight: Flight, block: Lines, *, matched: bool) -> xr.Dataset:
         },
         coords={
             **_band_coords(flight),
-            "time": _time(flight, recorded),
-            "frame": _variable("frame", np.arange(settings.lines)),
+            **_line_coords(flight, recorded),
             **{
                 name: _variable(name, values) for name, values in flight.pose(flight.line_times / 1e9).items()
             },

@@ -22,6 +22,7 @@ import numpy as np
 from hyperpaint.base.arrays import Floats, Floats32
 from hyperpaint.base.errors import Problems, SchemaError
 from hyperpaint.base.schema import MONOCHROMATOR_SHAPES
+from hyperpaint.base.units import takes_quantities
 
 from .camera import CAMERA_FIELDS, GAUSSIAN_REACH, Camera, cubic_weights
 from .settings import SimulationSettings, check_choice, check_flag, check_number, check_whole, is_number
@@ -35,6 +36,10 @@ PerStep = float | Sequence[float] | Floats
 _FRAME_FIELDS = frozenset({"noise", "dark_noise", "quantise", "dark_frames"})
 
 
+@takes_quantities(
+    first_step_nm="nm", last_step_nm="nm", monochromator_fwhm_nm="nm", monochromator_offset_nm="nm",
+    monochromator_jitter_nm="nm", beam_power_w="W", step_exposure_ms="ms", dark_exposure_ms="ms",
+)  # fmt: skip
 @dataclass(frozen=True, kw_only=True)
 class SweepSettings:
     """Effects of a simulated monochromator sweep; every effect can be switched off.

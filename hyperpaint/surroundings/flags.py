@@ -17,6 +17,7 @@ from hyperpaint.base.arrays import Array, Floats, Progress
 from hyperpaint.base.errors import Problems, SchemaError
 from hyperpaint.base.many_outputs import split_outputs
 from hyperpaint.base.schema import ALONG_TRACK, CROSS_TRACK, Quality
+from hyperpaint.base.units import takes_quantities
 from hyperpaint.radiometry.slabs import line_chunked
 from hyperpaint.radiometry.spectral_axis import to_nominal
 
@@ -34,6 +35,7 @@ LAYERS = ("glint_fraction", "blocked_direct", "adjacency", "adjacency_segment", 
 """Layers that bits are set from, and those that explain them."""
 
 
+@takes_quantities(sun_zenith="degree", sun_azimuth="degree", heading="degree")
 def flag(
     line: xr.Dataset,
     model: SceneModel | xr.Dataset | None = None,

@@ -6,6 +6,8 @@ Corrections (mirrored sky, tilt, hidden sky) are made on request only; each says
 
 from __future__ import annotations
 
+import contextlib
+from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -14,6 +16,7 @@ from hyperpaint.base import schema
 from hyperpaint.base.arrays import Floats, Floats32, Ints
 from hyperpaint.base.errors import Problems, SchemaError, needs_extra
 from hyperpaint.base.schema import BAND, PAINT
+from hyperpaint.base.units import convert, takes_quantities
 from hyperpaint.light.sun import air_mass, diffuse_fraction, solar_position
 
 from .detection_rules import DIFFUSE
@@ -180,6 +183,7 @@ _WIDTHS = ("reflectance_sd", "reflectance_u_random", "reflectance_u_systematic")
 """Of a flight line or of a paint library: what moves with a level, and what only scales."""
 
 
+@takes_quantities(sun_zenith="degree")
 def remove_mirrored_sky(
     line: xr.Dataset,
     *,
@@ -235,6 +239,7 @@ def remove_mirrored_sky(
     line = schema.rename_to_roles(line)
     # what a tilted surface mirrors is subtracted before all is divided by its light
     _check(line, CORRECTIONS, strength=strength, sky_view_factor=sky_view_factor)
+    line = _as_fractions(line)
     fraction, source = _fraction_of(line, diffuse, sun_zenith)
     taken = (strength * sky_view_factor * fraction).astype(np.float32)
     text = f"F0 {strength:g} x sky view {sky_view_factor:g} x diffuse fraction ({source})"
@@ -242,6 +247,7 @@ def remove_mirrored_sky(
     return _with(line, corrected, "mirrored_sky_removed", text)
 
 
+@takes_quantities(direct="1", sky_view_factor="1", sun_zenith="degree")
 def correct_light(
     line: xr.Dataset,
     *,
@@ -301,11 +307,13 @@ def correct_light(
         if np.ndim(value) == 0 and not hasattr(value, "dims")
     }
     _check(line, ("light_corrected", "tilt"), most=10.0, neighbour_reflectance=neighbour_reflectance, **plain)
+    line = _as_fractions(line)
     fraction, source = _fraction_of(line, diffuse, sun_zenith)
     sky = _on_bands(fraction)
-    light = direct * (1.0 - sky) + sky_view_factor * sky + (1.0 - sky_view_factor) * neighbour_reflectance
-    light = light.where(light > 0)
-    corrected = {name: line[name] / light for name in (*_LEVELS, *_WIDTHS) if name in line.variables}
+    with _same_pixels():
+        light = direct * (1.0 - sky) + sky_view_factor * sky + (1.0 - sky_view_factor) * neighbour_reflectance
+        light = light.where(light > 0)
+        corrected = {name: line[name] / light for name in (*_LEVELS, *_WIDTHS) if name in line.variables}
     factors = {
         name: f"{value:g}" if name in plain else "given"
         for name, value in (("direct", direct), ("sky view", sky_view_factor))
@@ -327,6 +335,27 @@ def _check(line: xr.Dataset, done: tuple[str, ...], *, most: float = 1.0, **numb
         if name in before:
             problems.add(f"it was before: {name} is {before[name]!r}; {_MENDED[name]}")
     problems.raise_if_any()
+
+
+@contextlib.contextmanager
+def _same_pixels() -> Iterator[None]:
+    """Refuse arrays of other lines or columns than the line's, which xarray would cut to those in common."""
+    import xarray as xr
+
+    try:
+        with xr.set_options(arithmetic_join="exact"):
+            yield
+    except xr.AlignmentError as error:
+        raise SchemaError(
+            "direct= or sky_view_factor= is of other lines or columns than the line",
+            mend="crop them alike, or drop their coordinates along_track and cross_track",
+        ) from error
+
+
+def _as_fractions(line: xr.Dataset) -> xr.Dataset:
+    """Return the line with what is corrected in units of 1."""
+    names = [name for name in (*_LEVELS, *_WIDTHS) if name in line.variables]
+    return line.assign({name: convert(line[name], "1") for name in names})
 
 
 def _fraction_of(line: xr.Dataset, diffuse: Any, sun_zenith: float | None) -> tuple[Any, str]:

@@ -13,6 +13,7 @@ from hyperpaint.base.arrays import Array, Bools, Floats, Floats32, Ints, Progres
 from hyperpaint.base.errors import Problems, SchemaError
 from hyperpaint.base.progress_reports import as_progress
 from hyperpaint.base.schema import ALONG_TRACK, BAND, CHUNK_LINES, CROSS_TRACK
+from hyperpaint.base.units import takes_quantities
 from hyperpaint.radiometry.slabs import line_chunked
 
 from .bodies import clean_references, nearest_coloured, same_paints
@@ -161,6 +162,7 @@ def channel_noise(channels: Floats32, number: npt.NDArray[np.int32], inside: Boo
     return np.pad(noise, 1, mode="edge")
 
 
+@takes_quantities(sun_zenith="degree", sun_azimuth="degree", heading="degree")
 def survey(
     line: xr.Dataset,
     *,

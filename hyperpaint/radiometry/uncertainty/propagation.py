@@ -17,6 +17,7 @@ from hyperpaint.base.arrays import Array, Floats
 from hyperpaint.base.constants import QUANTISATION_VARIANCE_COUNT2
 from hyperpaint.base.errors import Problems, SchemaError
 from hyperpaint.base.schema import ALONG_TRACK, CROSS_TRACK
+from hyperpaint.base.units import takes_quantities
 from hyperpaint.kernels.arguments import ErrorTerms
 from hyperpaint.radiometry import slabs
 
@@ -208,6 +209,7 @@ def _check_uncertainties(uncertain: Mapping[str, Any], bad: Array) -> None:
 # --- means over pixels: what is random averages out, what is common does not
 
 
+@takes_quantities()
 def mean_uncertainty(region: xr.Dataset, dims: Sequence[str] | str | None = None) -> xr.Dataset:
     r"""Mean reflectance over pixels, and how sure it is.
 

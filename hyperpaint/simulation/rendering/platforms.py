@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike
 
 from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import Problems, SchemaError
+from hyperpaint.base.units import takes_quantities
 from hyperpaint.simulation.settings import check_number, check_whole, finite_floats, is_number, moment_of
 
 from .platform_geometry import (
@@ -211,6 +212,18 @@ def _moment(value: np.datetime64 | str) -> np.datetime64:
 # --- a flight as it was recorded ---------------------------------------------------------------------------
 
 
+@takes_quantities(
+    east="m",
+    north="m",
+    up="m",
+    roll="degree",
+    pitch="degree",
+    heading="degree",
+    ifov="rad",
+    exposure_time="s",
+    boresight="degree",
+    lever_arm="m",
+)
 def platform_from_poses(
     time: ArrayLike,
     east: ArrayLike,

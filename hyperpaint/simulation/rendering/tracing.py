@@ -26,6 +26,7 @@ from hyperpaint.base.schema import (
     dtype_of,
     label,
 )
+from hyperpaint.base.units import takes_quantities
 from hyperpaint.simulation.transport.path_codes import PathCodes
 
 from .four_curves import Atmosphere, preset_atmosphere
@@ -117,6 +118,7 @@ def _trace_rays(
     return block
 
 
+@takes_quantities(sun_radius="degree")
 def trace(
     scene: Scene,
     platform: Platform,
