@@ -17,6 +17,7 @@ def main() -> None:
     park = car_park(length=30.0)
     flight = pushbroom(48, 64, altitude=60.0, ground_sample=0.25, centre=(0.0, 15.0))
     bands = BandSet(np.array([450.0, 550.0, 650.0, 850.0]), np.full(4, 6.0))
+    print("| samples | slots | pixels whose paths all fit | noise |\n| --- | --- | --- | --- |")
     for samples in (16, 64, 256):
         usual, ample = (trace(park, flight, samples=samples, slots=slots).compute() for slots in (None, 2048))
         slots = usual.sizes["slot"]

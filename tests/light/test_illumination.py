@@ -90,7 +90,7 @@ def test_match_refuses() -> None:
 # ------------------------------------------------------------------------------------------------- smile
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(
     seed=st.integers(0, 10_000),
     columns=st.integers(1, 40),

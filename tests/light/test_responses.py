@@ -18,7 +18,7 @@ def gaussian(distance: np.ndarray, fwhm: float) -> np.ndarray:
     return made / made.sum()
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(
     spectrometer=st.floats(1.5, 5.0),
     imager=st.floats(1.5, 12.0),

@@ -20,7 +20,7 @@ def ns(seconds: object) -> np.ndarray:
 # --- neighbours --------------------------------------------------------------------------------------------
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(
     steps=st.lists(st.integers(1, 10**11), min_size=1, max_size=12),
     lines=st.lists(st.integers(-(10**10), 10**12), min_size=1, max_size=20),
@@ -75,7 +75,7 @@ def test_far_from_1970_no_bit_is_lost() -> None:
 # --- clocks ------------------------------------------------------------------------------------------------
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(
     seed=st.integers(0, 10**6),
     samples=st.integers(2, 30),

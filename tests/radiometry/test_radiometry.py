@@ -45,7 +45,7 @@ def test_worked_example_with_gains_built_by_hand() -> None:
         np.testing.assert_allclose(values(line), 0.400000, atol=1e-6)
 
 
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=15)
 @given(
     seed=st.integers(0, 2**31),
     exposure=st.floats(1e-4, 0.1),

@@ -36,7 +36,7 @@ def test_grey_clouds_have_no_colour() -> None:
 
 
 @given(st.floats(0.0, 8.0), st.floats(0.0, 85.0))
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 def test_light_is_split_and_never_negative(oktas: float, zenith: float) -> None:
     clear = Atmosphere.clear(zenith, wavelength=GRID)
     cloudy = clear.clouded(oktas)

@@ -52,13 +52,13 @@ class TestFresnel:
         assert_allclose(fresnel_reflectance(np.cos(brewster), 1.5), 0.5 * ((1 - 2.25) / (1 + 2.25)) ** 2)
 
     @given(INDICES)
-    @settings(max_examples=20, deadline=None)
+    @settings(max_examples=20)
     def test_the_closed_form_is_the_integral(self, index: float) -> None:
         integral = quad(lambda u: 2.0 * u * float(fresnel_reflectance(u, index)), 0.0, 1.0)[0]
         assert_allclose(hemispherical_reflectance(index), integral, rtol=1e-6)
 
     @given(st.floats(1.2, 2.2))
-    @settings(max_examples=10, deadline=None)
+    @settings(max_examples=10)
     def test_internal_reflectance_is_the_integral_from_within(self, index: float) -> None:
         def inside(u: float) -> float:
             sine = index * np.sqrt(1.0 - u**2)

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import xarray as xr
-from hypothesis import HealthCheck, given, settings, strategies as st
+from hypothesis import given, settings, strategies as st
 from numpy.testing import assert_allclose
 
 from hyperpaint.base.errors import FormatError, PaintWarning, SchemaError
@@ -198,7 +198,7 @@ class TestTable:
             Atmosphere.from_table(tmp_path / "none.csv", sun_zenith=30.0)
 
     @given(st.binary(max_size=300) | st.text(alphabet="waveln gth[m],su\n0159.e-#()_°٣ ", max_size=300))
-    @settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+    @settings(max_examples=150)
     def test_whatever_a_file_holds(self, tmp_path: Path, text: str | bytes) -> None:
         for before in (b"", HEADER.encode() + b"\n"):
             content = before + (text if isinstance(text, bytes) else text.encode())

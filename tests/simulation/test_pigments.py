@@ -31,7 +31,7 @@ INFRARED = GRID > 850
 
 
 @given(st.sampled_from(FAMILIES), st.integers(0, 10**9 - 1))
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=150)
 def test_generated_paints_are_physical_and_smooth(family: str, number: int) -> None:
     paint = generate_paint(family, number)
     spectra = [paint.reflectance(GRID)]
@@ -50,7 +50,7 @@ def test_generated_paints_are_physical_and_smooth(family: str, number: int) -> N
 
 
 @given(st.sampled_from(FAMILIES), st.integers(0, 10**6))
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 def test_a_number_is_one_paint(family: str, number: int) -> None:
     name = f"pigment:{family}:{number}"
     generate_paint.__globals__["_generate"].cache_clear()

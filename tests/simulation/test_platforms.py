@@ -58,7 +58,7 @@ def test_roll_is_right_wing_down_and_pitch_nose_up() -> None:
     np.testing.assert_allclose(ground_of(pitched, 0, 0)[0], [0, 10 * math.tan(math.radians(5)), 0], atol=1e-9)
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(ANGLE, ANGLE, st.floats(0.0, 359.9))
 def test_rotations_are_those_of_scipy_and_angles_come_back(roll: float, pitch: float, heading: float) -> None:
     flight = platform_from_poses(

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings, strategies as st
+from hypothesis import given, settings, strategies as st
 
 from hyperpaint.base.errors import FormatError, MissingExtraError, PaintError, PaintWarning, SchemaError
 from hyperpaint.simulation.rendering.materials import Material
@@ -283,7 +283,7 @@ def test_a_ply_with_numbers_that_are_none_is_refused(tmp_path: Path, trimesh: An
 
 
 @given(st.integers(0, 3), st.binary(max_size=12), st.data())
-@settings(max_examples=80, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=80)
 def test_damage_raises_only_errors_in_words(
     tmp_path: Path, trimesh: Any, which: int, junk: bytes, data: Any
 ) -> None:
@@ -304,7 +304,7 @@ def test_damage_raises_only_errors_in_words(
 
 @pytest.mark.parametrize("parse", [parse_obj, check_ply, strip_glb])
 @given(data=st.binary(max_size=200))
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 def test_parsers_are_total(parse: Any, data: bytes) -> None:
     try:
         parse(data, "x")

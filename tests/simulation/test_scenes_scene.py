@@ -109,7 +109,7 @@ def test_triangles_without_area_are_dropped_with_their_labels() -> None:
 
 
 @given(st.floats(1e-6, 1e6), st.floats(-1e3, 1e3))
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 def test_size_does_not_decide_what_has_area(scale: float, shift: float) -> None:
     vertices = scale * np.array(TRIANGLE) + scale * shift
     with warnings.catch_warnings():

@@ -16,7 +16,7 @@ import textwrap
 from pathlib import Path
 from typing import Any
 
-from hyperpaint.accessor import METHODS
+from hyperpaint.accessor import ARRAY_METHODS, METHODS
 
 STUB = Path(__file__).resolve().parents[2] / "hyperpaint" / "accessor.pyi"
 
@@ -29,6 +29,7 @@ is one again. `PaintDataset` exists for type checkers only: import it under ``if
 '''
 _CLASS = '''
 METHODS: dict[str, str]
+ARRAY_METHODS: tuple[str, ...]
 Dims = Mapping[str, Hashable]
 
 class PaintDataset(xr.Dataset):
@@ -37,6 +38,12 @@ class PaintDataset(xr.Dataset):
     @property
     def paint(self) -> PaintAccessor: ...
 
+class PaintDataArray(xr.DataArray):
+    """A DataArray whose ``.paint`` is known."""
+
+    @property
+    def paint(self) -> PaintArrayAccessor: ...
+
 class PaintAccessor:
     """Methods on a flight line; each returns something new, lazily unless it says otherwise."""
 
@@ -44,8 +51,17 @@ class PaintAccessor:
     def _repr_html_(self) -> str: ...
     def verify(self) -> StoreReport:
         """Read every chunk of the store that the dataset was opened from (eager)."""
-    def quantify(self) -> PaintDataset:
+    def quantify(self, registry: pint.UnitRegistry[Any] | None = None) -> PaintDataset:
         """Return a view for pint-xarray users: data variables as Quantities (extra ``units``)."""
+'''
+
+_ARRAY_CLASS = '''
+class PaintArrayAccessor:
+    """Methods on one cube; each returns something new."""
+
+    def __init__(self, array: xr.DataArray) -> None: ...
+    def quantify(self, registry: pint.UnitRegistry[Any] | None = None) -> PaintDataArray:
+        """Return a view for pint-xarray users, a Quantity."""
 '''
 
 
@@ -55,6 +71,7 @@ def stub() -> str:
         "xr": "import xarray as xr",
         "Mapping": "from collections.abc import Mapping",
         "Hashable": "from collections.abc import Hashable",
+        "pint": "import pint",
         "StoreReport": "from hyperpaint.io.store import StoreReport",
     }
     methods = []
@@ -62,7 +79,13 @@ def stub() -> str:
         room, _, function_name = home.partition(":")
         function = getattr(importlib.import_module(f"hyperpaint.{room}"), function_name or name)
         methods.append(_method(name, function, imports))
-    return "\n".join([_HEAD, *sorted(set(imports.values())), _CLASS, *methods]) + "\n"
+    on_arrays = [
+        text.replace("-> PaintDataset", "-> PaintDataArray")
+        for name, text in zip(METHODS, methods, strict=True)
+        if name in ARRAY_METHODS
+    ]
+    parts = [_HEAD, *sorted(set(imports.values())), _CLASS, *methods, _ARRAY_CLASS, *on_arrays]
+    return "\n".join(parts) + "\n"
 
 
 def _method(name: str, function: Any, imports: dict[str, str]) -> str:

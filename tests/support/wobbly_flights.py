@@ -29,6 +29,7 @@ class Flight:
     lines: int = 1200
     columns: int = 256
     heading: float = 37.0
+    pitch: float = 0.0  #: Mean, nose up [degree]
     crab: float = 4.0
     latitude: float = 43.1
     longitude: float = -77.6
@@ -64,7 +65,7 @@ class Flight:
     def attitude(self, t: np.ndarray) -> np.ndarray:
         """Return true roll, pitch, heading (n, 3) [degree] at seconds of the navigation's clock."""
         made = [(w * np.sin(2 * np.pi * f * t[:, None] + p)).sum(axis=1) for f, w, p in self.turns]
-        return np.stack([made[0], made[1], self.heading + self.crab + made[2]], axis=1)
+        return np.stack([made[0], self.pitch + made[1], self.heading + self.crab + made[2]], axis=1)
 
     def places(self, t: np.ndarray) -> np.ndarray:
         """Return east, north, up (n, 3) of the navigation's reference point [m]."""

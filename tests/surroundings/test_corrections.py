@@ -152,3 +152,14 @@ def test_a_library_corrected_is_that_of_a_line_corrected() -> None:
         for library in (early, late):
             with pytest.raises(SchemaError, match="it was before"):
                 correct(library)
+
+
+def test_light_of_other_lines_is_refused() -> None:
+    numbered = line(0.3 + 0.0 * NM).assign_coords(along_track=np.arange(4))
+    direct = xr.DataArray(np.full(4, 0.9), dims="along_track", coords={"along_track": np.arange(4)})
+    crop, correct_light = numbered.isel(along_track=slice(1, 3)), hp.surroundings.correct_light
+    alike = correct_light(crop, direct=direct.isel(along_track=slice(1, 3)), sun_zenith=30.0)
+    assert alike.sizes["along_track"] == 2
+    # xarray would cut both to the lines that they have in common
+    with pytest.raises(SchemaError, match="other lines or columns"):
+        correct_light(crop, direct=direct, sun_zenith=30.0)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time as clock
 from typing import Any
 
 import dask
@@ -10,7 +9,7 @@ import dask.array as da
 import numpy as np
 import pytest
 import xarray as xr
-from hypothesis import HealthCheck, given, settings, strategies as st
+from hypothesis import given, settings, strategies as st
 from support.strategies import SHIFT, START, assert_same, chunkings, flight, stored, values
 
 from hyperpaint.base.errors import SchemaError
@@ -65,7 +64,7 @@ def test_the_same_bits_in_other_processes(hard_line: xr.Dataset) -> None:
     assert_same(reflectance(line), other)
 
 
-@settings(max_examples=8, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=8)
 @given(data=st.data())
 def test_the_same_bits_for_any_chunks(hard_line: xr.Dataset, data: st.DataObject) -> None:
     chunks = {
@@ -139,7 +138,8 @@ def test_two_tasks_a_slab_at_the_most(tmp_path: Any) -> None:
     assert (sizes[96] - sizes[16]) / 10 <= 2
 
 
-def test_graph_of_a_long_line_is_quick(no_compute: Any, record_property: Any) -> None:
+def test_graph_of_a_long_line_computes_nothing(no_compute: Any) -> None:
+    """How long it takes, benchmarks/bench_graph.py measures."""
     line = flight(lines=1, bands=272, columns=640).line
     lines = 100_000
     long = line.drop_dims("along_track").assign_coords(
@@ -147,13 +147,10 @@ def test_graph_of_a_long_line_is_quick(no_compute: Any, record_property: Any) ->
     )
     cube = da.zeros((lines, 272, 640), chunks=(32, -1, -1), dtype=np.uint16)
     long["counts"] = (("along_track", "band", "cross_track"), cube, {"units": "count"})
-    begin = clock.perf_counter()
     with no_compute():
-        made = reflectance(long)["reflectance"]
-        dask.optimize(made)
-    spent = clock.perf_counter() - begin
-    record_property("seconds", spent)
-    assert spent < 2.0
+        cube = reflectance(long)["reflectance"]
+        dask.optimize(cube)
+    assert cube.shape == (lines, 272, 640)
 
 
 def test_inputs_are_never_changed(hard_line: xr.Dataset) -> None:

@@ -391,12 +391,6 @@ def toml_pattern_over_the_whole_disk(folder: Path) -> Path:
 
 
 @bomb("collect")
-def toml_pattern_that_leads_out(folder: Path) -> Path:
-    (folder.parent / "bait/sky.asd").write_bytes(bytes(100))
-    return _irradiance_files(folder, "../bait/*.asd")
-
-
-@bomb("collect")
 def toml_pattern_around_in_links(folder: Path) -> Path:
     for name in "ab":
         (folder / name).symlink_to(".")

@@ -330,8 +330,8 @@ def _write_libraries(folder: Path) -> None:
         attrs={"title": "paints"},
     )
     folder.mkdir()
-    write_library(paints, folder / "paints.sli")
-    write_library(paints, folder / "paints.csv")
+    write_library(paints, folder / "paints.sli", curves="all")
+    write_library(paints, folder / "paints.csv", curves="all")
     write_library(paints, folder / "text", format="ecostress")
 
 

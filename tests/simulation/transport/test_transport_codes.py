@@ -27,7 +27,7 @@ def written(paths: list[tuple[int, float]], slots: int, draw: float = 0.5) -> tu
 
 
 @given(st.lists(st.integers(0, 6), max_size=4), st.integers(3, 14))
-@settings(max_examples=100 if COMPILED else 20, deadline=None)
+@settings(max_examples=100 if COMPILED else 20)
 def test_factors_in_any_order_are_one_code(factors: list[int], bits: int) -> None:
     found = set()
     for order in itertools.permutations(factors):
@@ -72,7 +72,7 @@ def test_few_slots_keep_the_heaviest_and_the_total() -> None:
 
 
 @given(st.lists(st.floats(1e-6, 1e3), min_size=1, max_size=40), st.integers(1, 12), st.floats(1e-9, 1 - 1e-9))
-@settings(max_examples=200 if COMPILED else 20, deadline=None)
+@settings(max_examples=200 if COMPILED else 20)
 def test_any_pixel_fits_its_slots(weights: list[float], slots: int, draw: float) -> None:
     codes, found = written(list(enumerate(weights)), slots, draw)
     assert (codes >= 0).sum() == min(slots, len(weights))

@@ -1,0 +1,581 @@
+"""Sixty things that people do to xarray objects in a notebook, done to lines, libraries and stores."""
+
+from __future__ import annotations
+
+import copy
+import pickle
+from collections.abc import Callable
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+import xarray as xr
+
+import hyperpaint as hp
+from hyperpaint.simulation import simulate_collect, simulate_line
+
+LINES, BANDS, COLUMNS = 48, 20, 12
+
+
+@pytest.fixture(scope="module")
+def desk(tmp_path_factory: pytest.TempPathFactory) -> SimpleNamespace:
+    """What lies on a user's desk: a line in memory and in a store, a library, a collect."""
+    folder = tmp_path_factory.mktemp("desk")
+    line = simulate_line(lines=LINES, bands=BANDS, columns=COLUMNS).paint.reflectance().compute()
+    store = hp.to_store(line, folder / "lot.zarr", "flightlines/raw_0")
+    hp.to_store(line.isel(along_track=slice(0, 32)), store, "flightlines/raw_1")
+    regions = hp.Regions(
+        tuple(
+            hp.Region(f"paint {k}", [(1, 10 * k + 1), (9, 10 * k + 1), (9, 10 * k + 7), (1, 10 * k + 7)])
+            for k in range(3)
+        )
+    )
+    with np.errstate(all="ignore"):
+        library = hp.extract_signatures(line, regions, exclude=0)
+    return SimpleNamespace(
+        folder=folder, line=line, store=store, library=library, regions=regions,
+        lazy=xr.open_zarr(store, group="flightlines/raw_0"),
+        collect=simulate_collect(folder / "collect", scene="plan", lines=40, bands=4, columns=6, cubes=2),
+    )  # fmt: skip
+
+
+def same(first: Any, second: Any) -> None:
+    np.testing.assert_allclose(np.asarray(first), np.asarray(second), rtol=1e-6)
+
+
+HABITS: dict[str, Callable[[SimpleNamespace], Any]] = {}
+
+
+def habit(function: Callable[[SimpleNamespace], Any]) -> Callable[[SimpleNamespace], Any]:
+    HABITS[function.__name__] = function
+    return function
+
+
+# --- choosing ----------------------------------------------------------------------------------------------
+
+
+@habit
+def sel_a_line_by_its_number(desk: SimpleNamespace) -> None:
+    same(desk.line.sel(along_track=7).reflectance, desk.line.isel(along_track=7).reflectance)
+
+
+@habit
+def sel_a_slice_includes_its_end(desk: SimpleNamespace) -> None:
+    part = desk.line.sel(along_track=slice(10, 20), cross_track=slice(2, 5))
+    assert (part.sizes["along_track"], part.sizes["cross_track"]) == (11, 4)
+
+
+@habit
+def sel_the_nearest(desk: SimpleNamespace) -> None:
+    assert int(desk.line.sel(along_track=7.4, method="nearest").along_track) == 7
+
+
+@habit
+def a_crop_of_a_crop_keeps_its_place(desk: SimpleNamespace) -> None:
+    crop = desk.line.isel(along_track=slice(10, None)).isel(along_track=slice(5, 9))
+    assert crop.along_track.values.tolist() == [15, 16, 17, 18]
+    same(crop.sel(along_track=16).reflectance, desk.line.isel(along_track=16).reflectance)
+
+
+@habit
+def isel_pixels_by_arrays(desk: SimpleNamespace) -> None:
+    rows, columns = xr.DataArray([1, 5, 9], dims="pixel"), xr.DataArray([0, 2, 4], dims="pixel")
+    assert desk.line.reflectance.isel(along_track=rows, cross_track=columns).dims == ("pixel", "band")
+
+
+@habit
+def sel_pixels_by_arrays(desk: SimpleNamespace) -> None:
+    rows, columns = xr.DataArray([1, 5, 9], dims="pixel"), xr.DataArray([0, 2, 4], dims="pixel")
+    picked = desk.line.reflectance.sel(along_track=rows, cross_track=columns)
+    same(picked, desk.line.reflectance.isel(along_track=rows, cross_track=columns))
+
+
+@habit
+def where_flags_are_not_set(desk: SimpleNamespace) -> None:
+    clean = desk.line.reflectance.where(desk.line.quality == 0)
+    assert clean.dims == ("along_track", "band", "cross_track") or set(clean.dims) == set(
+        desk.line.reflectance.dims
+    )
+
+
+@habit
+def where_drops_what_is_empty(desk: SimpleNamespace) -> None:
+    part = desk.line.where(desk.line.along_track < 5, drop=True)
+    assert part.along_track.values.tolist() == [0, 1, 2, 3, 4]
+
+
+@habit
+def drop_and_query(desk: SimpleNamespace) -> None:
+    assert desk.line.query(along_track="along_track > 40").sizes["along_track"] == LINES - 41
+
+
+@habit
+def thin_head_and_tail(desk: SimpleNamespace) -> None:
+    assert desk.line.thin(along_track=4).along_track.values[:3].tolist() == [0, 4, 8]
+    assert int(desk.line.tail(along_track=1).along_track[0]) == LINES - 1
+
+
+@habit
+def swap_dims_to_wavelength(desk: SimpleNamespace) -> None:
+    by_wavelength = desk.line.reflectance.swap_dims(band="wavelength")
+    near = by_wavelength.sel(wavelength=550, method="nearest")
+    same(near, desk.line.paint.at(550.0).reflectance)
+
+
+@habit
+def slices_of_wavelength(desk: SimpleNamespace) -> None:
+    red = desk.line.reflectance.swap_dims(band="wavelength").sel(wavelength=slice(600, 700))
+    assert ((red.wavelength >= 600) & (red.wavelength <= 700)).all()
+
+
+@habit
+def interp_over_wavelength(desk: SimpleNamespace) -> None:
+    at = desk.line.reflectance.swap_dims(band="wavelength").interp(wavelength=[500.0, 550.0])
+    low, high = desk.line.reflectance.min(), desk.line.reflectance.max()
+    assert ((at >= low) & (at <= high) | at.isnull()).all()
+
+
+@habit
+def interp_between_lines(desk: SimpleNamespace) -> None:
+    middle = desk.line.reflectance.interp(along_track=[3.5])
+    same(
+        middle.isel(along_track=0),
+        desk.line.reflectance.isel(along_track=[3, 4]).mean("along_track", skipna=False),
+    )
+
+
+# --- statistics --------------------------------------------------------------------------------------------
+
+
+@habit
+def mean_of_an_area(desk: SimpleNamespace) -> None:
+    assert desk.line.reflectance.mean(["along_track", "cross_track"]).sizes == {"band": BANDS}
+
+
+@habit
+def weighted_mean_over_bands(desk: SimpleNamespace) -> None:
+    weights = desk.line.wavelength.fillna(0.0)
+    mean = desk.line.reflectance.weighted(weights).mean("band")
+    own = (desk.line.reflectance * weights).sum("band") / weights.where(desk.line.reflectance.notnull()).sum(
+        "band"
+    )
+    np.testing.assert_allclose(mean, own.transpose(*mean.dims), rtol=1e-5)
+
+
+@habit
+def weighted_mean_of_lines(desk: SimpleNamespace) -> None:
+    weights = xr.DataArray(np.ones(LINES), dims="along_track", coords={"along_track": np.arange(LINES)})
+    same(
+        desk.line.reflectance.weighted(weights).mean("along_track"), desk.line.reflectance.mean("along_track")
+    )
+
+
+@habit
+def coarsen_lines(desk: SimpleNamespace) -> None:
+    coarse = desk.line.reflectance.coarsen(along_track=4, cross_track=3).mean()
+    assert coarse.along_track.values[:2].tolist() == [1.5, 5.5]
+
+
+@habit
+def rolling_mean_of_lines(desk: SimpleNamespace) -> None:
+    assert desk.line.reflectance.rolling(along_track=5, center=True).mean().sizes["along_track"] == LINES
+
+
+@habit
+def rolling_over_bands(desk: SimpleNamespace) -> None:
+    assert desk.line.reflectance.rolling(band=3, center=True).mean().sizes["band"] == BANDS
+
+
+@habit
+def resample_in_time(desk: SimpleNamespace) -> None:
+    timed = desk.line.reflectance.swap_dims(along_track="time")
+    assert timed.resample(time="100ms").mean().sizes["time"] == 4
+
+
+@habit
+def resample_the_irradiance(desk: SimpleNamespace) -> None:
+    assert desk.line.irradiance.resample(irradiance_time="4s").mean().sizes["irradiance_time"] >= 2
+
+
+@habit
+def groupby_columns(desk: SimpleNamespace) -> None:
+    means = desk.line.reflectance.groupby("cross_track").mean("along_track")
+    same(
+        means.transpose("band", "cross_track"),
+        desk.line.reflectance.mean("along_track").transpose("band", "cross_track"),
+    )
+
+
+@habit
+def groupby_a_mask_of_regions(desk: SimpleNamespace) -> None:
+    mask = hp.regions.region_mask(desk.regions, desk.line)
+    means = desk.line.reflectance.groupby(mask.rename("region")).mean()
+    assert means.region.values.tolist() == [-1, 0, 1, 2]
+
+
+@habit
+def signatures_of_a_crop_are_those_of_the_line(desk: SimpleNamespace) -> None:
+    crop = desk.line.isel(along_track=slice(8, 20), cross_track=slice(0, 11))
+    region = desk.regions[1:2]
+    options: dict[str, Any] = {"exclude": 0}
+    of_crop, of_line = (each.paint.signatures(region, **options) for each in (crop, desk.line))
+    xr.testing.assert_equal(of_crop.reflectance, of_line.reflectance)
+    inside = of_crop.member_along_track.values[of_crop.member_along_track.values >= 0]
+    assert (inside.min(), inside.max()) == (11, 17)
+
+
+@habit
+def groupby_bins_of_wavelength(desk: SimpleNamespace) -> None:
+    parts = desk.line.reflectance.groupby_bins("wavelength", [400, 500, 600, 700]).mean("band")
+    assert parts.sizes["wavelength_bins"] == 3
+
+
+@habit
+def groupby_bins_of_lines(desk: SimpleNamespace) -> None:
+    assert (
+        desk.line.reflectance.groupby_bins("along_track", 4).mean("along_track").sizes["along_track_bins"]
+        == 4
+    )
+
+
+@habit
+def groupby_with_names(desk: SimpleNamespace) -> None:
+    firsts = desk.library.reflectance.groupby(desk.library["paint"].str.slice(0, 5)).mean()
+    assert firsts.sizes["paint"] == 1
+
+
+@habit
+def quantiles_and_medians(desk: SimpleNamespace) -> None:
+    assert desk.line.reflectance.quantile([0.1, 0.9], "along_track").sizes["quantile"] == 2
+
+
+@habit
+def idxmax_gives_the_line(desk: SimpleNamespace) -> None:
+    brightest = desk.line.reflectance.isel(band=3, cross_track=2)
+    assert int(brightest.idxmax("along_track")) == int(brightest.argmax("along_track"))
+
+
+@habit
+def derivative_over_wavelength(desk: SimpleNamespace) -> None:
+    assert desk.line.reflectance.differentiate("wavelength").shape == desk.line.reflectance.shape
+
+
+@habit
+def integrate_over_wavelength(desk: SimpleNamespace) -> None:
+    assert desk.line.reflectance.fillna(0).integrate("wavelength").shape == (LINES, COLUMNS)
+
+
+@habit
+def ratios_of_bands(desk: SimpleNamespace) -> None:
+    nir, red = (desk.line.paint.at(nm).reflectance for nm in (800.0, 670.0))
+    index = (nir - red) / (nir + red)
+    assert index.shape == (LINES, COLUMNS)
+
+
+@habit
+def angles_between_pixels(desk: SimpleNamespace) -> None:
+    cube = desk.line.reflectance.fillna(0)
+    dot = xr.dot(cube, cube.isel(along_track=0, cross_track=0, drop=True), dim="band")
+    assert dot.shape == (LINES, COLUMNS)
+
+
+# --- joining -----------------------------------------------------------------------------------------------
+
+
+@habit
+def concat_two_crops(desk: SimpleNamespace) -> None:
+    parts = [desk.line.isel(along_track=slice(0, 20)), desk.line.isel(along_track=slice(20, None))]
+    whole = xr.concat(parts, "along_track", data_vars="minimal", coords="minimal", compat="override")
+    assert whole.along_track.values.tolist() == list(range(LINES))
+    same(whole.reflectance, desk.line.reflectance)
+
+
+@habit
+def combine_crops_in_any_order(desk: SimpleNamespace) -> None:
+    parts = [
+        desk.line[["reflectance"]].isel(along_track=slice(20, None)),
+        desk.line[["reflectance"]].isel(along_track=slice(0, 20)),
+    ]
+    same(xr.combine_by_coords(parts, combine_attrs="override").reflectance, desk.line.reflectance)
+
+
+@habit
+def merge_products_of_a_line(desk: SimpleNamespace) -> None:
+    other = desk.line[["reflectance"]].rename(reflectance="before")
+    assert {"before", "counts"} <= set(xr.merge([desk.line, other], compat="override").data_vars)
+
+
+@habit
+def concat_two_lines(desk: SimpleNamespace) -> None:
+    second = xr.open_zarr(desk.store, group="flightlines/raw_1")
+    parts = [desk.line[["reflectance"]], second.paint.reflectance()[["reflectance"]]]
+    both = xr.concat(parts, "line", join="inner", coords="minimal", compat="override")
+    assert both.sizes["along_track"] == 32
+
+
+@habit
+def the_difference_of_a_crop_is_where_it_belongs(desk: SimpleNamespace) -> None:
+    difference = desk.line.reflectance.isel(along_track=slice(10, 20)) - desk.line.reflectance
+    assert difference.along_track.values.tolist() == list(range(10, 20))
+    assert float(abs(difference).max()) == 0.0
+
+
+@habit
+def two_cameras_are_not_joined_by_the_number_of_a_band(desk: SimpleNamespace) -> None:
+    assert "band" not in desk.line.coords
+    with pytest.raises(ValueError, match="band"):
+        desk.line.reflectance + desk.line.reflectance.isel(band=slice(0, 5))
+
+
+# --- files -------------------------------------------------------------------------------------------------
+
+
+def again(dataset: xr.Dataset, desk: SimpleNamespace, name: str) -> xr.Dataset:
+    path = desk.folder / name
+    dataset.to_netcdf(path, engine="h5netcdf")
+    return xr.load_dataset(path, engine="h5netcdf")
+
+
+@habit
+def line_to_netcdf_and_back(desk: SimpleNamespace) -> None:
+    back = again(desk.line, desk, "line.nc")
+    xr.testing.assert_equal(back.drop_encoding(), desk.line)
+    same(back.drop_vars("reflectance").paint.reflectance().reflectance, desk.line.reflectance)
+
+
+@habit
+def library_to_netcdf_and_back(desk: SimpleNamespace) -> None:
+    xr.testing.assert_equal(again(desk.library, desk, "library.nc"), desk.library)
+
+
+@habit
+def line_to_plain_zarr_and_back(desk: SimpleNamespace) -> None:
+    desk.line.to_zarr(desk.folder / "plain.zarr", mode="w", consolidated=False)
+    xr.testing.assert_equal(xr.open_zarr(desk.folder / "plain.zarr", consolidated=False).load(), desk.line)
+
+
+@habit
+def the_store_keeps_the_numbers(desk: SimpleNamespace) -> None:
+    crop = desk.line.isel(along_track=slice(8, 40), cross_track=slice(3, 9))
+    hp.to_store(crop, desk.folder / "crop.zarr")
+    stored = hp.open_store(desk.folder / "crop.zarr")
+    assert stored.along_track.values.tolist() == list(range(8, 40))
+    assert isinstance(stored.indexes["cross_track"].dtype, np.dtype)
+
+
+@habit
+def open_the_whole_store(desk: SimpleNamespace) -> None:
+    tree = hp.open_store(desk.store)
+    assert isinstance(tree, xr.DataTree)
+    assert sorted(tree["flightlines"].children) == ["raw_0", "raw_1"]
+    same(tree["flightlines/raw_0"].to_dataset().paint.reflectance().reflectance, desk.line.reflectance)
+
+
+@habit
+def open_a_store_with_xarray_alone(desk: SimpleNamespace) -> None:
+    tree = xr.open_datatree(desk.store, engine="zarr", consolidated=False)
+    assert tree["flightlines/raw_0"].sizes["along_track"] == LINES
+
+
+@habit
+def open_a_collect_with_xarray_alone(desk: SimpleNamespace) -> None:
+    for options in ({}, {"engine": "hyperpaint"}):
+        tree = xr.open_datatree(desk.collect, **options)
+        xr.testing.assert_identical(tree, hp.open_collect(desk.collect))
+    one = xr.open_dataset(desk.collect, group="flightlines/raw_0")
+    assert one.counts.dims == ("along_track", "band", "cross_track")
+    with pytest.raises(hp.SchemaError, match="flightlines/raw_0"):
+        xr.open_dataset(desk.collect)
+
+
+@habit
+def open_a_spectrum_with_xarray_alone(desk: SimpleNamespace) -> None:
+    asd = sorted(desk.collect.parent.rglob("*.asd"))[0]
+    sig = sorted(desk.collect.parent.rglob("*.sig"))[0]
+    xr.testing.assert_identical(xr.open_dataset(asd), hp.open_asd(asd))
+    xr.testing.assert_identical(xr.open_dataset(sig), hp.open_svc(sig))
+    assert "radiance" in xr.open_dataset(sig, engine="svc", quantity="radiance")
+    assert "time" not in xr.open_dataset(asd, engine="asd", drop_variables="time").variables
+
+
+@habit
+def pickle_everything(desk: SimpleNamespace) -> None:
+    for each in (desk.line, desk.lazy, desk.library, desk.lazy.paint.reflectance(), desk.regions):
+        back = pickle.loads(pickle.dumps(each))
+        assert back == each if each is desk.regions else back.identical(each)
+
+
+@habit
+def copy_deeply(desk: SimpleNamespace) -> None:
+    other = copy.deepcopy(desk.line)
+    other["counts"][:] = 0
+    assert (desk.line.counts != 0).any()
+
+
+@habit
+def library_to_dataframe(desk: SimpleNamespace) -> None:
+    frame = desk.library[["reflectance", "reflectance_sd"]].to_dataframe()
+    assert len(frame) == desk.library.sizes["paint"] * BANDS
+    assert desk.library.reflectance.to_pandas().shape == (3, BANDS)
+
+
+@habit
+def line_to_dataframe(desk: SimpleNamespace) -> None:
+    frame = desk.line[["quality"]].to_dataframe()
+    assert frame.index.names == ["along_track", "cross_track"]
+
+
+@habit
+def json_of_a_dict(desk: SimpleNamespace) -> None:
+    assert xr.Dataset.from_dict(desk.library.to_dict()).sizes == desk.library.sizes
+
+
+# --- dask --------------------------------------------------------------------------------------------------
+
+
+@habit
+def persist(desk: SimpleNamespace) -> None:
+    same(desk.lazy.paint.reflectance().reflectance.persist(), desk.line.reflectance)
+
+
+@habit
+def map_blocks(desk: SimpleNamespace) -> None:
+    cube = desk.lazy.paint.reflectance().unify_chunks().reflectance
+    same(cube.map_blocks(lambda block: 2 * block, template=cube), 2 * desk.line.reflectance)
+
+
+@habit
+def apply_ufunc_over_bands(desk: SimpleNamespace) -> None:
+    cube = desk.lazy.paint.reflectance().reflectance
+    options: dict[str, Any] = {"dask": "parallelized", "output_dtypes": [np.float32]}
+    mean = xr.apply_ufunc(np.nanmean, cube, input_core_dims=[["band"]], kwargs={"axis": -1}, **options)
+    same(mean, desk.line.reflectance.mean("band"))
+
+
+@habit
+def rechunk_by_bands(desk: SimpleNamespace) -> None:
+    cut = desk.lazy.chunk(band=5, along_track=7, cross_track=4)
+    same(cut.paint.reflectance().reflectance, desk.line.reflectance)
+
+
+@habit
+def unify_chunks_of_small_indexes(desk: SimpleNamespace) -> None:
+    assert desk.lazy.along_track.chunks is None
+    assert desk.lazy.unify_chunks().sizes["along_track"] == LINES
+
+
+@habit
+def stack_pixels_and_back(desk: SimpleNamespace) -> None:
+    pixels = desk.line.reflectance.stack(pixel=("along_track", "cross_track"))
+    back = pixels.unstack("pixel")
+    same(back.transpose(*desk.line.reflectance.dims), desk.line.reflectance)
+
+
+@habit
+def one_cube_alone_has_the_methods_of_a_cube(desk: SimpleNamespace) -> None:
+    cube = desk.line.reflectance
+    xr.testing.assert_identical(cube.paint.at(550.0), desk.line.paint.at(550.0).reflectance)
+    xr.testing.assert_identical(cube.paint.rgb(), desk.line.paint.rgb())
+    smoothed = cube.paint.smooth(window=5)
+    assert smoothed.name == "reflectance"
+    same(smoothed, desk.line.paint.smooth(window=5).reflectance)
+    assert (2 * cube).rename(None).paint.at([500.0, 600.0]).sizes["band"] == 2
+    assert desk.line.wavelength.paint.at(550.0).name == "wavelength"
+    assert cube.isel(along_track=0, cross_track=0).paint.at(550.0).ndim == 0
+    with pytest.raises(hp.SchemaError, match="'reflectance' is missing"):
+        desk.line.radiance.paint.smooth() if "radiance" in desk.line else desk.line.counts.paint.smooth()
+
+
+@habit
+def a_tree_of_lines(desk: SimpleNamespace) -> None:
+    tree = xr.DataTree.from_dict({"a": desk.line, "b": desk.line.isel(along_track=slice(0, 9))})
+    done = tree.map_over_datasets(lambda node: node.paint.reflectance() if "counts" in node else node)
+    assert done["b"].sizes["along_track"] == 9
+
+
+# --- units, pictures, maps ---------------------------------------------------------------------------------
+
+
+@habit
+def quantify_and_dequantify(desk: SimpleNamespace) -> None:
+    pytest.importorskip("pint_xarray")
+    view = desk.line.paint.quantify()
+    lit = (view.irradiance * 2).pint.to("mW m-2 nm-1")
+    same(lit.pint.magnitude, 2000 * desk.line.irradiance)
+    same(view.pint.dequantify().paint.reflectance().reflectance, desk.line.reflectance)
+
+
+@habit
+def plot_an_image(desk: SimpleNamespace) -> None:
+    plt = pytest.importorskip("matplotlib.pyplot")
+    drawn = desk.line.reflectance.isel(band=5).plot()
+    assert drawn.axes.get_xlabel().startswith("Column")
+    plt.close("all")
+
+
+@habit
+def plot_spectra(desk: SimpleNamespace) -> None:
+    plt = pytest.importorskip("matplotlib.pyplot")
+    assert len(desk.library.reflectance.plot.line(x="wavelength", hue="paint")) == 3
+    desk.line.reflectance.isel(along_track=3, cross_track=[1, 5]).plot.line(x="wavelength")
+    plt.close("all")
+
+
+@habit
+def plot_facets_and_histograms(desk: SimpleNamespace) -> None:
+    plt = pytest.importorskip("matplotlib.pyplot")
+    desk.line.reflectance.isel(band=[2, 9]).plot(col="band")
+    desk.line.reflectance.plot.hist()
+    plt.close("all")
+
+
+@habit
+def hvplot_an_image(desk: SimpleNamespace) -> None:
+    pytest.importorskip("hvplot.xarray")
+    image = desk.line.paint.at(550.0).reflectance.hvplot.image(x="cross_track", y="along_track")
+    assert [dim.name for dim in image.kdims] == ["cross_track", "along_track"]
+
+
+@habit
+def hvplot_with_a_slider_over_wavelength(desk: SimpleNamespace) -> None:
+    pytest.importorskip("hvplot.xarray")
+    cube = desk.line.reflectance.swap_dims(band="wavelength")
+    slider = cube.hvplot.image(x="cross_track", y="along_track", groupby="wavelength", dynamic=False)
+    assert len(slider) == BANDS
+
+
+@habit
+def hvplot_lines_by_paint(desk: SimpleNamespace) -> None:
+    pytest.importorskip("hvplot.xarray")
+    curves = desk.library.reflectance.swap_dims(band="wavelength").hvplot.line(x="wavelength", by="paint")
+    assert len(curves) == 3
+
+
+@habit
+def the_accessor_of_rioxarray(desk: SimpleNamespace) -> None:
+    pytest.importorskip("rioxarray")
+    flat = (
+        desk.line.reflectance.isel(band=0)
+        .rio.set_spatial_dims("cross_track", "along_track")
+        .rio.write_crs("EPSG:32617")
+    )
+    assert flat.rio.width == COLUMNS
+    assert flat.rio.clip_box(2, 3, 5, 9).shape == (7, 4)
+
+
+@habit
+def look_at_it(desk: SimpleNamespace) -> None:
+    for each in (desk.line, desk.library, desk.lazy):
+        assert repr(each.paint)
+        assert each.paint._repr_html_()
+        assert each._repr_html_()
+    assert repr(desk.regions)
+
+
+@pytest.mark.parametrize("name", HABITS)
+@pytest.mark.filterwarnings(
+    "ignore::FutureWarning", "ignore::DeprecationWarning", "ignore::PendingDeprecationWarning"
+)
+def test_a_habit(name: str, desk: SimpleNamespace) -> None:
+    HABITS[name](desk)
