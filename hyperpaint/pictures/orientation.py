@@ -1,6 +1,7 @@
 """Which way pictures are shown: never mirrored, pixels as long as they are on the ground.
 
 A flight line stands upright, flown upwards, with its columns as they lie on the ground; a map has north up.
+On pages, where a line would be too tall, it lies: flown to the right.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ from .figures import label_for
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["Orientation", "map_dims", "orientation_of", "show_picture"]
+__all__ = ["Orientation", "laid_down", "map_dims", "orientation_of", "show_picture"]
 
 
 @dataclass(frozen=True)
@@ -121,6 +122,12 @@ def _mean_step(values: Array) -> float:
     if places.size < 2:
         return float("nan")
     return float((values[places[-1]] - values[places[0]]) / (places[-1] - places[0]))
+
+
+def laid_down(picture: Array, orientation: Orientation) -> Array:
+    """Return a picture (line, column, ...) of a flight line as (row, line, ...), flown to the right."""
+    # flown to the right, the columns to the right of the flight are the lower ones
+    return np.asarray((picture[:, ::-1] if orientation.is_mirrored else picture).swapaxes(0, 1))
 
 
 def show_picture(axes: Any, picture: Array, orientation: Orientation, **options: Any) -> Any:

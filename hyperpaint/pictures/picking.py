@@ -20,6 +20,7 @@ from hyperpaint.paints.signatures import extract_signatures
 from hyperpaint.regions import Region, Regions, regions_from, write_regions
 from hyperpaint.regions.pixels_in_regions import renumbered
 
+from .orientation import orientation_of
 from .plot_flags import background
 
 if TYPE_CHECKING:
@@ -123,7 +124,8 @@ class RegionPicker:
         self._regions = renumbered(_on_sensor(regions), self._numbered, back=True)
         self._spectra: dict[bytes, tuple[Floats, Floats] | str] = {}
         step = max(1, -(-self._shape[0] // max(lines, 1)))
-        self._shown = PickerView(self, background(self._line, step), self._shape)
+        is_mirrored = orientation_of(self._numbered).is_mirrored
+        self._shown = PickerView(self, background(self._line, step), self._shape, is_mirrored=is_mirrored)
         self.view = self._shown.layout
 
     @property
@@ -236,7 +238,9 @@ _PICTURE_HEIGHT, _SPECTRA_HEIGHT = 460, 300
 class PickerView:
     """The widget, ``layout``: calls the picker with what the mouse did, and shows the result."""
 
-    def __init__(self, picker: RegionPicker, picture: Floats32, shape: tuple[int, int]) -> None:
+    def __init__(
+        self, picker: RegionPicker, picture: Floats32, shape: tuple[int, int], *, is_mirrored: bool
+    ) -> None:
         import panel
         from bokeh.models import ColumnDataSource
 
@@ -256,7 +260,7 @@ class PickerView:
         self._message = panel.pane.HTML("", sizing_mode="stretch_width", align="end")
         self.layout = panel.Column(
             panel.pane.HTML(_HELP, sizing_mode="stretch_width"),
-            panel.pane.Bokeh(self._picture(picture, shape), sizing_mode="stretch_width"),
+            panel.pane.Bokeh(self._picture(picture, shape, is_mirrored), sizing_mode="stretch_width"),
             panel.Row(
                 self._chosen, self._name, self._undo, self._remove, self._message, sizing_mode="stretch_width"
             ),
@@ -272,20 +276,21 @@ class PickerView:
 
     # --- figures -------------------------------------------------------------------------------------------
 
-    def _picture(self, picture: Floats32, shape: tuple[int, int]) -> Any:
+    def _picture(self, picture: Floats32, shape: tuple[int, int], is_mirrored: bool) -> Any:
         from bokeh.events import DoubleTap, Tap
         from bokeh.models import PointDrawTool, Range1d
         from bokeh.plotting import figure
 
         lines, columns = shape
+        edges = (-0.5, columns - 0.5)
         # what taps would select is nothing: they draw
         plot = figure(
             name="picture", height=_PICTURE_HEIGHT, sizing_mode="stretch_width",
             tools="pan,wheel_zoom,reset", active_scroll="wheel_zoom",
             x_axis_label="along_track [line], flown to the right", y_axis_label="cross_track [column]",
             x_range=Range1d(-0.5, lines - 0.5, bounds=(-0.5, lines - 0.5)),
-            # the first column on top, as in every other picture
-            y_range=Range1d(columns - 0.5, -0.5, bounds=(-0.5, columns - 0.5)),
+            # flown to the right, the columns to the right of the flight are the lower ones
+            y_range=Range1d(*(edges if is_mirrored else edges[::-1]), bounds=edges),
         )  # fmt: skip
         plot.image_rgba([_rgba(picture)], x=-0.5, y=-0.5, dw=lines, dh=columns, level="image")
         plot.patches(
@@ -437,7 +442,7 @@ def _colour(number: int) -> str:
 
 
 def _rgba(picture: Floats32) -> npt.NDArray[np.uint32]:
-    """Return a picture (line, column, 3) as bokeh draws it, columns down and lines to the right."""
+    """Return a picture (line, column, 3) as bokeh draws it, columns as rows and lines to the right."""
     pixels = np.full((*picture.shape[:2], 4), 255, np.uint8)
     pixels[..., :3] = (picture.clip(0.0, 1.0) * 255.0 + 0.5).astype(np.uint8)
     return np.ascontiguousarray(pixels.swapaxes(0, 1)).view(np.uint32)[..., 0]

@@ -20,6 +20,7 @@ from hyperpaint.base.errors import PaintError, SchemaError
 from hyperpaint.base.schema import ALONG_TRACK, CROSS_TRACK, PAINT, rename_to_roles
 from hyperpaint.paints.colours import paint_colours
 from hyperpaint.pictures.figures import data_uri, encode_png, new_figure, png_of
+from hyperpaint.pictures.orientation import laid_down, orientation_of
 from hyperpaint.pictures.plot import draw_irradiance, draw_reflectance, flags_of, rgb
 from hyperpaint.pictures.plot_calibration import calibration_report
 from hyperpaint.pictures.plot_flags import background, draw_outlines, flag_overlay
@@ -114,10 +115,15 @@ def _true_colour(line: xr.Dataset, lines: int, drawn: list[bool]) -> Markup:
         picture = background(line, max(1, -(-line.sizes[ALONG_TRACK] // lines)))
     except SchemaError as error:  # no reflectance, no visible bands
         return page_part("paragraph", text=f"There is no picture: {error}", heading="True colour")
-    bytes_ = np.ascontiguousarray((picture.clip(0.0, 1.0) * 255.0 + 0.5).astype(np.uint8).swapaxes(0, 1))
-    size = f"{line.sizes[ALONG_TRACK]} lines to the right, {line.sizes[CROSS_TRACK]} columns down"
+    orientation = orientation_of(line)
+    shown = laid_down((picture.clip(0.0, 1.0) * 255.0 + 0.5).astype(np.uint8), orientation)
+    columns = "upwards" if orientation.is_mirrored else "downwards"
+    caption = (
+        f"{line.sizes[ALONG_TRACK]} lines, flown to the right;"
+        f" {line.sizes[CROSS_TRACK]} columns, counted {columns}."
+    )
     drawn.append(True)
-    return page_part("true_colour", src=data_uri(encode_png(bytes_)), caption=f"{size}.")
+    return page_part("true_colour", src=data_uri(encode_png(np.ascontiguousarray(shown))), caption=caption)
 
 
 def _flags(line: xr.Dataset, lines: int, regions: Sequence[Region], heading: str) -> Markup:

@@ -13,6 +13,7 @@ from hyperpaint.base.schema import ALONG_TRACK, BAND, IRRADIANCE_TIME, IRRADIANC
 from hyperpaint.io.maps.map_grids import Grid, grid_of
 from hyperpaint.paints.colours import paint_colours, srgb_hex
 from hyperpaint.pictures.figures import data_uri, encode_png
+from hyperpaint.pictures.orientation import laid_down, orientation_of
 
 from .pages import page_part
 
@@ -180,7 +181,10 @@ def summary_html(dataset: xr.Dataset) -> str:
     src = ""
     if picture is not None:
         step = max(1, -(-picture.shape[0] // 480))
-        src = data_uri(encode_png(np.ascontiguousarray(picture[::step, :: max(1, step // 2)].swapaxes(0, 1))))
+        # the declared order of columns: places on the ground would be computed
+        orientation = orientation_of(dataset.drop_vars(["east", "north"], errors="ignore"))
+        shown = laid_down(picture[::step, :: max(1, step // 2)], orientation)
+        src = data_uri(encode_png(np.ascontiguousarray(shown)))
     content = {"title": title, "pairs": facts, "src": src, "style": _STYLE, "cell_style": _CELL}
     return str(page_part("summary", **content, paints=_attempt(lambda: _swatches(dataset), [])))
 

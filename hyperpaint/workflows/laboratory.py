@@ -7,9 +7,13 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
 import xarray as xr
 
-from hyperpaint.base.errors import SchemaError
+from hyperpaint.base.arrays import Floats
+from hyperpaint.base.errors import FormatError, SchemaError
+from hyperpaint.base.schema import CROSS_TRACK, label
+from hyperpaint.io.files.reading import decoded_text, numbers, read_limited_text
 
 if TYPE_CHECKING:
     from hyperpaint.io.collect.collect_opening import OpenedCollect
@@ -132,8 +136,8 @@ def _mounted(line: xr.Dataset, geometry: Mapping[str, Any]) -> xr.Dataset:
     """Return a flight line with what ``[geometry]`` says of its camera and of the ground.
 
     Attributes ``ground`` [m above the ellipsoid], ``boresight`` and ``lever_arm`` are what
-    `hyperpaint.geometry.locate` goes by; the field of view becomes the angle of every column, which a crop
-    of the line keeps.
+    `hyperpaint.geometry.locate` goes by; the field of view, or the file that ``look_angle`` names, becomes
+    the angle of every column, which a crop of the line keeps.
     """
     names = {"ground": "ground", "boresight_deg": "boresight", "lever_arm_m": "lever_arm"}
     attrs = {
@@ -141,18 +145,40 @@ def _mounted(line: xr.Dataset, geometry: Mapping[str, Any]) -> xr.Dataset:
         for key, value in geometry.items()
         if key in names
     }
-    if "fov_deg" in geometry and "roll" in line.variables:
-        from hyperpaint.base.attitude_conventions import Convention
-        from hyperpaint.base.schema import CROSS_TRACK, label
-        from hyperpaint.geometry.georeference import PinholeCamera
+    if geometry.get("look_angle") is not None:
+        angles = _column_angles(geometry["look_angle"], line.sizes[CROSS_TRACK])
+    elif "fov_deg" in geometry and "roll" in line.variables:
+        angles = _pinhole_angles(line, geometry["fov_deg"])
+    else:
+        return line.assign_attrs(attrs)
+    table = xr.DataArray(angles, dims=(CROSS_TRACK,))
+    return line.assign_coords(look_across=label(table, "look_across")).assign_attrs(attrs)
 
-        declared = Convention.from_attrs(line.attrs)
-        if declared is None or declared.column_order is None:
-            raise SchemaError(
-                "[geometry] fov_deg does not say which way the columns go; declare [navigation] "
-                'column_order = "left_to_right" or "right_to_left"'
-            )
-        camera = PinholeCamera(line.sizes[CROSS_TRACK], field_of_view=geometry["fov_deg"], edges="outer")
-        angles = xr.DataArray(camera.look_across(declared.column_order), dims=(CROSS_TRACK,))
-        line = line.assign_coords(look_across=label(angles, "look_across"))
-    return line.assign_attrs(attrs)
+
+_MAX_ANGLE_FILE_BYTES = 2**20
+
+
+def _column_angles(path: Path, columns: int) -> Floats:
+    """Return the angles of a text file with one number a column, positive to the right [degree]."""
+    expected = "a text file with the angle of every column, positive to the right [degree]"
+    text = decoded_text(read_limited_text(path, _MAX_ANGLE_FILE_BYTES, expected))
+    angles = numbers(text.replace(",", " ").split())
+    if angles is None or len(angles) != columns:
+        found = "words" if angles is None else f"{len(angles)} numbers"
+        raise FormatError(f"{path}: {found}, expected {columns} angles, one a column [degree]")
+    return np.asarray(angles, np.float64)
+
+
+def _pinhole_angles(line: xr.Dataset, fov_deg: float) -> Floats:
+    """Return the angles of the columns of a pinhole with a field of view between outer edges [degree]."""
+    from hyperpaint.base.attitude_conventions import Convention
+    from hyperpaint.geometry.georeference import PinholeCamera
+
+    declared = Convention.from_attrs(line.attrs)
+    if declared is None or declared.column_order is None:
+        raise SchemaError(
+            "[geometry] fov_deg does not say which way the columns go; declare [navigation] "
+            'column_order = "left_to_right" or "right_to_left"'
+        )
+    camera = PinholeCamera(line.sizes[CROSS_TRACK], field_of_view=fov_deg, edges="outer")
+    return camera.look_across(declared.column_order)

@@ -23,7 +23,7 @@ BEGIN = hp.Regions((hp.Region("roof", [(1, 2), (4, 2), (4, 9)], properties={"col
 class NoView:
     """Stands in for the widget where panel is not installed."""
 
-    def __init__(self, *_: Any) -> None:
+    def __init__(self, *_: Any, **__: Any) -> None:
         self.layout = None
 
 

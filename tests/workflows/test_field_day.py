@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import shutil
 from pathlib import Path
 
@@ -56,6 +57,23 @@ def test_pixels_lie_where_the_simulator_saw_them(folder: Path) -> None:
         # the truth is the mean place of a few random rays a pixel
         assert abs(np.median(miss)) < 0.01 * pixel
         assert np.percentile(abs(miss), 95) < 0.5 * pixel
+
+
+def test_angles_of_a_file_are_those_of_the_field_of_view(folder: Path) -> None:
+    angles = hp.open_collect(folder / "author.toml")["flightlines/raw_0"].to_dataset()["look_across"].values
+    text = re.sub(r"fov_deg = \S+", 'look_angle = "angles.txt"', (folder / "author.toml").read_text("utf-8"))
+    other = folder / "angles.toml"
+    other.write_text(text, encoding="utf-8")
+    (folder / "angles.txt").write_text("\n".join(map(repr, angles.tolist())), encoding="utf-8")
+    read = hp.open_collect(other)["flightlines/raw_0"].to_dataset()
+    assert (read["look_across"].values == angles).all()
+    assert read["look_across"].attrs["units"] == "degree"
+    for wrong, said in (("1 2 3", "3 numbers"), ("left", "words")):
+        (folder / "angles.txt").write_text(wrong, encoding="utf-8")
+        with pytest.raises(hp.PaintError, match=rf"angles\.txt: {said}, expected \d+ angles"):
+            hp.open_collect(other)
+    for name in ("angles.toml", "angles.txt"):
+        (folder / name).unlink()
 
 
 def test_a_second_run_does_nothing(day: FieldDay, folder: Path) -> None:

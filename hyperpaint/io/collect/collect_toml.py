@@ -56,6 +56,7 @@ _SCHEMA: Mapping[str, Mapping[str, check.Check]] = {
         "dem_heights": check.one_of("ellipsoid", "geoid"),
         "geoid": check.number,
         "fov_deg": check.positive,
+        "look_angle": check.text,
         "boresight_deg": check.three_numbers,
         "lever_arm_m": check.three_numbers,
     },
@@ -340,10 +341,12 @@ def _flightlines(reader: _Reader) -> tuple[FlightlineInputs, ...]:
 
 def _geometry(reader: _Reader) -> dict[str, Any]:
     table = {key: value for key, value in reader.one("geometry").items() if key != "?"}
-    if "dem" in table:
-        table["dem"] = reader.path("[geometry]", "dem", table["dem"])
-        if "ground" in table:
-            reader.problems.add("[geometry] has both ground and dem; keep the one that is to be used")
+    for key in ("dem", "look_angle"):
+        if key in table:
+            table[key] = reader.path("[geometry]", key, table[key])
+    for one, other in (("ground", "dem"), ("fov_deg", "look_angle")):
+        if one in table and other in table:
+            reader.problems.add(f"[geometry] has both {one} and {other}; keep the one that is to be used")
     return {key: tuple(value) if isinstance(value, list) else value for key, value in table.items()}
 
 
