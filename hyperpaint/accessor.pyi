@@ -203,6 +203,7 @@ class PaintAccessor:
         specular_sky: bool = False,
         sun_zenith: float | None = None,
         min_pixels: int = 5,
+        drop_small: bool = False,
         seed: int = 0,
         progress: Progress | None = None,
         dims: Dims | None = None,

@@ -83,6 +83,10 @@ Options from --ground on place the lines for regions of a map; by default the st
     "--min-pixels", type=click.IntRange(min=1), default=5,
     help="Pixels that a region must have left.",
 )  # fmt: skip
+@click.option(
+    "--drop-small", is_flag=True,
+    help="Leave regions with fewer out and name them, in place of an error.",
+)  # fmt: skip
 @takes_location
 @click.option("--overwrite", is_flag=True, help="Replace a library made from something else.")
 @click.option("--quiet", is_flag=True, help="No progress bar.")
@@ -121,4 +125,6 @@ def make_signatures(
             "the flight line's own store leave them out",
             err=True,
         )
+    for text in library.attrs.get("left_out", ()):
+        click.echo(f"left out {text}", err=True)
     click.echo(f"{out}: {library.sizes['paint']} paints, {library.sizes['band']} bands\n{table_of(library)}")

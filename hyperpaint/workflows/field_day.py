@@ -253,7 +253,7 @@ class _Day:
         """Return why the collect has nothing for a step; empty where it has."""
         needs_library = step in ("validate", "dirsig")
         if needs_library and self._library_failed:
-            return "the signatures failed, and those that are there are of an earlier run"
+            return "the signatures failed; a library that is there is of an earlier run"
         if needs_library and not self.library.exists():
             return "there is no library of signatures"
         if step == "validate" and not self.settings.references:
@@ -336,9 +336,10 @@ class _Day:
 
         library = write_signatures(
             self.store, self.regions, self.library, overwrite=True, specular_sky=self.specular_sky,
-            progress=self.progress("signatures"),
+            drop_small=True, progress=self.progress("signatures"),
         )  # fmt: skip
-        return f"{self.library}: {library.sizes['paint']} paints"
+        left_out = [f"left out {text}" for text in library.attrs.get("left_out", ())]
+        return "\n".join([f"{self.library}: {library.sizes['paint']} paints", *left_out])
 
     def _validate(self) -> str:
         from .library_files import validate_files, write_table

@@ -48,6 +48,23 @@ def test_all_regions_with_too_few_pixels_are_named() -> None:
         extract_signatures(line, beyond)
 
 
+def test_a_region_with_too_few_pixels_is_dropped_on_request(tmp_path: Path) -> None:
+    line = made()
+    cells = pixels(TWO[0], line)
+    line["quality"].values[cells] |= int(Quality.SHADOW)
+    with pytest.raises(SchemaError, match="drop_small=True"):
+        extract_signatures(line, TWO)
+    library = extract_signatures(line, TWO, drop_small=True)
+    assert library.equals(extract_signatures(line, TWO[1:]))
+    (said,) = library.attrs["left_out"]
+    assert f"{TWO[0].name!r}: 0 of {cells[0].size} pixels are left" in said
+    hp.write_library(library, tmp_path / "paints.zarr")
+    assert hp.open_library(tmp_path / "paints.zarr").attrs["left_out"] == [said]
+    line["quality"].values[:] |= int(Quality.SHADOW)
+    with pytest.raises(SchemaError, match="too few pixels left"):
+        extract_signatures(line, TWO, drop_small=True)
+
+
 def test_a_pixel_without_any_value_is_left_out() -> None:
     line = made()
     line["reflectance"].values[5, :, 3] = np.nan

@@ -157,6 +157,7 @@ def extract_signatures(
     specular_sky: bool = False,
     sun_zenith: float | None = None,
     min_pixels: int = 5,
+    drop_small: bool = False,
     seed: int = 0,
     progress: Progress | None = None,
 ) -> xr.Dataset:
@@ -193,6 +194,9 @@ def extract_signatures(
         For that [degree]; by default from time and position of each line.
     min_pixels
         Pixels that a region must have left.
+    drop_small
+        Leave a region with fewer out, and name it in the attribute ``left_out``, in place of an error. With
+        no region left it is one all the same.
     seed
         Another seed keeps other members.
     progress
@@ -216,9 +220,9 @@ def extract_signatures(
     FormatError
         The regions cannot be read.
     SchemaError, UnitsError
-        Options, lines or regions that cannot be used: a region without pixels, or with too few left;
-        flight lines of different bands; a sky that was removed before, or a sun whose place is not known. All
-        of a kind are listed.
+        Options, lines or regions that cannot be used: a region without pixels, or with too few left (see
+        ``drop_small``); flight lines of different bands; a sky that was removed before, or a sun whose place
+        is not known. All of a kind are listed.
 
     Notes
     -----
@@ -277,10 +281,18 @@ def extract_signatures(
     for number, each in enumerate(rounds):
         reported = part_of(progress, number, len(rounds))
         _reduce(each, sources[each.line], drafts, options, reported)
-    _refuse_small(region_list, drafts, min_pixels)
-    return paint_library(
-        region_list, drafts, [names[k] for k in range(len(region_list))], sources, options.notes
-    )
+    small = _small(region_list, drafts, min_pixels)
+    kept = [number for number in range(len(region_list)) if number not in small]
+    if small and not (drop_small and kept):
+        problems = Problems("there are regions with too few pixels left", SchemaError)
+        for text in small.values():
+            problems.add(
+                f"{text}; draw it elsewhere, exclude less, lower min_pixels, or pass drop_small=True"
+            )
+        problems.raise_if_any()
+    left = Regions(tuple(region_list[k] for k in kept), region_list.coordinates, region_list.crs)
+    library = paint_library(left, [drafts[k] for k in kept], [names[k] for k in kept], sources, options.notes)
+    return library.assign_attrs(left_out=list(small.values())) if small else library
 
 
 @dataclass(frozen=True)
@@ -415,14 +427,15 @@ def _refuse_divided(
     problems.raise_if_any()
 
 
-def _refuse_small(regions: Regions, drafts: Sequence[Draft], min_pixels: int) -> None:
-    problems = Problems("there are regions with too few pixels left", SchemaError)
-    for region, draft in zip(regions, drafts, strict=True):
+def _small(regions: Regions, drafts: Sequence[Draft], min_pixels: int) -> dict[int, str]:
+    """Return what is to be said of the regions with too few pixels left, by their position."""
+    texts = {}
+    for number, (region, draft) in enumerate(zip(regions, drafts, strict=True)):
         if draft.n < min_pixels:
             shares = zip(flag_names(), draft.share, strict=True)
             flags = ", ".join(f"{share:.0%} {name}" for name, share in shares if share > 0)
-            problems.add(
+            texts[number] = (
                 f"region {region.name!r}: {draft.n} of {draft.along.size} pixels are left, expected "
-                f"{min_pixels} ({flags or 'no flags'}); draw it elsewhere, exclude less, or lower min_pixels"
+                f"{min_pixels} ({flags or 'no flags'})"
             )
-    problems.raise_if_any()
+    return texts
