@@ -34,7 +34,8 @@ Maps need the height of the ground [m above the ellipsoid] in collect.toml: [geo
     help="Regions of paint.  [default: regions.geojson beside COLLECT.toml, else proposed by rule]",
 )  # fmt: skip
 @click.option(
-    "--skip", multiple=True, type=click.Choice(["signatures", "validate", "map", "dirsig", "report"]),
+    "--skip", multiple=True,
+    type=click.Choice(["signatures", "validate", "map", "mosaic", "dirsig", "report"]),
     help="Leave out this step; may be given several times.",
 )  # fmt: skip
 @click.option(
@@ -48,8 +49,9 @@ def run(ctx: click.Context, /, collect: Path, quiet: bool, **options: Any) -> No
     """Do all that a field day asks for, from the instruments' files to the report.
 
     Processes the collect, flags it, makes signatures of regions, compares them with the references, writes a
-    map of each line that has navigation, DIRSIG materials and a report. A step whose inputs have not changed
-    is left as it is: an interrupted run goes on where it ended. Exit status 1 where the validation fails.
+    map of each line that has navigation and one of all of them, DIRSIG materials and a report. A step whose
+    inputs have not changed is left as it is: an interrupted run goes on where it ended. Exit status 1 where
+    the validation fails.
     """
     from hyperpaint.workflows.field_day import StepOutcome, run_field_day
 

@@ -22,14 +22,15 @@ if TYPE_CHECKING:
 
 __all__ = ["STEPS", "FieldDay", "StepOutcome", "run_field_day", "store_of"]
 
-STEPS = ("process", "signatures", "validate", "map", "dirsig", "report")
+STEPS = ("process", "signatures", "validate", "map", "mosaic", "dirsig", "report")
 """What a field day is made of, in this order; each may be left out, but for the first."""
 
 RECORD = "steps.json"
 """What every step was made from; a step of the same inputs is not done again."""
 
 _PRODUCTS = {
-    "signatures": "paints.zarr", "validate": "agreement.csv", "dirsig": "dirsig", "report": "report.html",
+    "signatures": "paints.zarr", "validate": "agreement.csv", "mosaic": "mosaic.tif", "dirsig": "dirsig",
+    "report": "report.html",
 }  # fmt: skip
 
 Progress = Callable[[int, int], None]
@@ -205,7 +206,7 @@ class _Day:
     def _steps(self) -> dict[str, Callable[[], str]]:
         return {
             "signatures": self._signatures, "validate": self._validate, "map": self._map,
-            "dirsig": self._dirsig, "report": self._report,
+            "mosaic": self._mosaic, "dirsig": self._dirsig, "report": self._report,
         }  # fmt: skip
 
     def do(self, step: str) -> None:
@@ -263,11 +264,13 @@ class _Day:
                 "paints that are proposed by rule have names of their own; draw regions that are named as "
                 "the references are, or compare with hyperpaint validate --pairs"
             )
-        if step == "map":
+        if step in ("map", "mosaic"):
             if not {"ground", "dem"} & set(self.settings.geometry):
                 return "the height of the ground is not known: [geometry] ground, above the ellipsoid, or dem"
             if not self._mapped():
                 return "no flight line has navigation"
+        if step == "mosaic" and len(self._mapped()) < 2:
+            return "one flight line makes no mosaic"
         return ""
 
     def _products(self, step: str) -> tuple[Path, ...]:
@@ -292,13 +295,13 @@ class _Day:
             name: open_store(self.store, name).attrs.get(INPUTS) for name in list_groups(self.store) if name
         }
         parts: list[Any] = [version_of_program(), step, groups]
-        if step != "map":
+        if step not in ("map", "mosaic"):
             parts.append(self.specular_sky)
         if step in ("signatures", "validate", "dirsig", "report"):
             parts.append(
                 None if self.regions is None else hashlib.sha256(self.regions.read_bytes()).hexdigest()
             )
-        if step == "map":
+        if step in ("map", "mosaic"):
             parts.append({key: str(value) for key, value in sorted(self.settings.geometry.items())})
         if step == "report":
             parts.append(self.library.exists() and not self._library_failed)
@@ -360,13 +363,26 @@ class _Day:
         for number, line in enumerate(lines):
             share = part_of(self.progress("map"), number, len(lines))
             orthomap = map_of_store(
-                self.store, line, gsd=None, grid="north", method="nearest", progress=share,
-                **{name: self.settings.geometry.get(name) for name in ("dem", "dem_heights", "geoid")},
-            )  # fmt: skip
+                self.store, line, gsd=None, grid="north", method="nearest", progress=share, **self._heights
+            )
             path = self.out / f"{line}.tif"
             write_map(orthomap, path, overwrite=True)
             texts.append(f"{path}: {describe_swath(orthomap.attrs)}")
         return "\n".join(texts)
+
+    def _mosaic(self) -> str:
+        from .maps import mosaic_of_store, write_map
+
+        path = self.out / _PRODUCTS["mosaic"]
+        given = {name: value for name, value in self._heights.items() if value is not None}
+        mosaic = mosaic_of_store(self.store, (), progress=self.progress("mosaic"), **given)
+        write_map(mosaic, path, overwrite=True)
+        return f"{path}: lines {', '.join(mosaic.attrs['flightlines'])}, the steepest view on top"
+
+    @property
+    def _heights(self) -> dict[str, Any]:
+        """What a height model needs to place the lines; its values are None without one."""
+        return {name: self.settings.geometry.get(name) for name in ("dem", "dem_heights", "geoid")}
 
     def _dirsig(self) -> str:
         from hyperpaint.io.dirsig import write_dirsig

@@ -14,6 +14,7 @@ from click.testing import CliRunner
 
 import hyperpaint as hp
 from hyperpaint.cli.program import main
+from hyperpaint.io.maps.geotiff import read_geotiff_header
 from hyperpaint.workflows.field_day import STEPS, FieldDay, run_field_day
 
 pytestmark = pytest.mark.slow
@@ -38,7 +39,7 @@ def day(folder: Path) -> FieldDay:
 def test_every_step_is_done(day: FieldDay) -> None:
     assert [outcome.step for outcome in day.outcomes] == list(STEPS)
     states = {outcome.step: outcome.state for outcome in day.outcomes}
-    assert states.pop("report") == "left out"
+    assert states.pop("report") == states.pop("mosaic") == "left out"
     assert set(states.values()) == {"done"}, str(day)
     for outcome in day.outcomes:
         assert all(path.exists() for path in outcome.paths)
@@ -102,6 +103,24 @@ def test_what_a_collect_does_not_have_is_said(day: FieldDay, folder: Path, tmp_p
     assert "[[references]]" in said["validate"]
     assert "[geometry] ground" in said["map"]
     assert bare.passed is None
+
+
+def test_lines_make_one_map(folder: Path, tmp_path: Path) -> None:
+    copied = tmp_path / "two"
+    shutil.copytree(folder, copied, ignore=shutil.ignore_patterns("products"))
+    text = (copied / "author.toml").read_text(encoding="utf-8")
+    start = text.index("[[flightlines]]")
+    (table,) = re.findall(r"\[\[flightlines\]\]\n(?:[^\[\n].*\n?)+", text[start:])
+    again = re.sub(r'id = "\w+"', 'id = "again"', table)
+    assert again != table
+    (copied / "collect.toml").write_text(text.replace(table, f"{table}\n{again}\n"), encoding="utf-8")
+    day = run_field_day(copied, skip=["signatures", "validate", "dirsig", "report"])
+    said = {outcome.step: outcome for outcome in day.outcomes}
+    assert said["mosaic"].state == "done", str(day)
+    assert "again, raw_0" in said["mosaic"].text or "raw_0, again" in said["mosaic"].text
+    one, both = (read_geotiff_header(day.out / f"{name}.tif") for name in ("raw_0", "mosaic"))
+    assert one.shape == pytest.approx(both.shape, rel=0.1)  # cells of a mosaic are of the mean spacing
+    assert (one.bands, one.dtype) == (both.bands, both.dtype)
 
 
 def test_steps_have_names(tmp_path: Path) -> None:
