@@ -28,7 +28,6 @@ QUICK = (
     ("frame_number_of_10_to_18", "frame-index"),
     ("pipe_in_place_of_a_file", "irradiance"),
     ("toml_key_of_100000_parts", "collect"),
-    ("toml_pattern_over_the_whole_disk", "collect"),
     ("toml_pattern_of_stars_around_in_links", "collect"),
     ("toml_names_a_pipe", "collect"),
     ("json_50000_deep", "open-store"),
