@@ -67,6 +67,18 @@ Examples:
     "--smile", "smile_nm", type=float, metavar="NM", help="Wavelength shift at the edge of the swath."
 )
 @click.option("--no-smile", "smile_nm", flag_value=0.0, type=float, help="The same as --smile 0.")
+@click.option(
+    "--psf-across", "psf_across_columns", type=float, metavar="COLUMNS",
+    help="Full width of the point spread across the track.  [default: 0]",
+)  # fmt: skip
+@click.option("--psf-along", "psf_along_lines", type=float, metavar="LINES", help="The same along the track.")
+@click.option(
+    "--keystone", "keystone_columns", type=float, metavar="COLUMNS",
+    help="Columns by which the last band's image lies right of the middle band's.",
+)  # fmt: skip
+@click.option("--stray-light", type=float, metavar="SHARE", help="Light scattered into all bands.")
+@click.option("--pedestal", type=float, metavar="COUNTS", help="Counts of every frame but the dark ones.")
+@click.option("--masked-columns", type=int, metavar="N", help="Columns at either edge that see no light.")
 @click.option("--noise/--no-noise", default=None, help="Shot and read noise in the scene.")
 @click.option("--dark-noise/--no-dark-noise", default=None, help="Read noise in the dark frames.")
 @click.option("--bit-depth", type=int, help="Bits of the converter.")

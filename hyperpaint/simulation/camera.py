@@ -13,15 +13,17 @@ element's own factor near one. With etendue A Omega and exposure t it counts
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hyperpaint.base.arrays import Floats
+from hyperpaint.base.schema import BAND, VARIABLES
 
 from .atmosphere import spectral_grid
+from .optics import Optics, OpticsSettings
 from .settings import SimulationSettings
 
 __all__ = [
@@ -336,6 +338,7 @@ CAMERA_FIELDS = frozenset(
         "bands", "columns", "seed", "first_wavelength", "last_wavelength", "dispersion_bow_nm", "srf_shape",
         "fwhm_nm", "fwhm_slope", "smile_nm", "bit_depth", "electrons_per_count", "read_noise", "dark_level",
         "dark_pattern", "dark_rate", "nonuniformity", "column_nonuniformity", "bad_elements",
+        *(field.name for field in fields(OpticsSettings)),
     }
 )  # fmt: skip
 """Fields of `hyperpaint.simulation.SimulationSettings` that make the camera."""
@@ -356,9 +359,13 @@ class Camera:
     dark_bias, dark_rate
         Counts at no exposure [count] and their growth [count s-1], shape (band, cross_track).
     bad
-        True at elements that see no light, shape (band, cross_track).
+        True at elements that see no light, those of masked columns too, shape (band, cross_track).
     electrons_per_count, read_noise, bit_depth
         As in `hyperpaint.simulation.camera.Detector`.
+    optics
+        Blur, keystone and stray light; None for a camera without.
+    pedestal
+        What every frame but the dark ones has on top of its dark [count].
     """
 
     imager: Imager
@@ -368,6 +375,8 @@ class Camera:
     electrons_per_count: float
     read_noise: float
     bit_depth: int
+    optics: Optics | None = None
+    pedestal: float = 0.0
 
     @classmethod
     def of(cls, settings: SimulationSettings) -> Camera:
@@ -398,6 +407,8 @@ class Camera:
         bad = np.zeros(shape, dtype=bool)
         rng = np.random.default_rng([settings.seed, _BAD])
         bad.flat[rng.choice(bad.size, settings.bad_elements, replace=False)] = True
+        if masked := settings.masked_columns:
+            bad[:, :masked] = bad[:, -masked:] = True
         return cls(
             imager,
             np.maximum(settings.dark_level + settings.dark_pattern * normal(_DARK), 0.0),
@@ -406,6 +417,8 @@ class Camera:
             settings.electrons_per_count,
             settings.read_noise,
             settings.bit_depth,
+            Optics.of(settings, imager.wavelength),
+            settings.pedestal,
         )
 
     def detector(self, exposure_time: float) -> Detector:
@@ -417,6 +430,21 @@ class Camera:
     def etendue(self) -> float:
         """Etendue of an element [m2 sr]."""
         return ETENDUE
+
+    @property
+    def imperfections(self) -> dict[str, tuple[tuple[str, ...], Floats, dict[str, str]]]:
+        """Dims, values and attributes of what optics and electronics do, by name, where they do it."""
+        values: dict[str, tuple[tuple[str, ...], Floats, dict[str, str]]] = {}
+        if self.optics is not None and self.optics.has_stray_light:
+            row = VARIABLES["stray_light"]
+            values["stray_light"] = row.dims, self.optics.stray_matrix, dict(row.attrs)
+        if self.optics is not None and self.optics.keystone.any():
+            text = {"long_name": "Displacement of a band's image to the right", "units": "column"}
+            values["keystone"] = (BAND,), self.optics.keystone, text
+        if self.pedestal:
+            text = {"long_name": "Counts of a frame beyond its light and its dark", "units": "count"}
+            values["pedestal"] = (), np.asarray(self.pedestal), text
+        return values
 
     @cached_property
     def response_area(self) -> Floats:

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from hyperpaint.base.arrays import Floats
 
-from .flight import PIXEL_ANGLE, Flight, Layer, Lines
+from .flight import PIXEL_ANGLE, Flight, Layer, Lines, Seen
 from .paint_spectra import reflectance
 from .settings import SimulationSettings
 
@@ -151,8 +151,7 @@ class CheckerboardFlight(Flight):
         east, north = corners[((corners >= low) & (corners <= high)).all(axis=1)].T
         return {"east": east, "north": north}
 
-    def lines(self, start: int, stop: int, into: Lines | None = None) -> Lines:
-        """Return lines ``start`` to ``stop``; the same whatever lines are asked for together."""
+    def _view(self, start: int, stop: int, into: Lines | None) -> Seen:
         number, columns = stop - start, self.settings.columns
         begins = range(start, stop, _LINES_AT_ONCE)
         parts = [self._look(begin, min(begin + _LINES_AT_ONCE, stop)) for begin in begins]
@@ -171,7 +170,7 @@ class CheckerboardFlight(Flight):
                 reflected += factor * (dark + shares[row] * (bright - dark))
             return reflected
 
-        return self._expose(block, start, factors, seen)
+        return Seen(block, seen)
 
     def clean_paint(self, lines: Lines) -> NDArray[np.int32]:
         """Return the paint of pixels that lie within a square, -1 of all others."""

@@ -24,12 +24,13 @@ from hyperpaint.base.arrays import Floats, Floats32
 from .atmosphere import Light, Sky, spectral_grid
 from .camera import Camera, convolve_gaussian, expected_counts
 from .instruments import ASD_AVERAGES, ASD_INTEGRATION_MS, ASD_WAVELENGTH
+from .optics import Optics
 from .paint_spectra import reflectance
 from .rendering.sky_models import cloud_transmittance, relative_air_mass
 from .settings import SimulationSettings
 from .trajectories import LocalFrame, Trajectory, TransverseMercator
 
-__all__ = ["ORIGIN", "PIXEL_ANGLE", "Flight", "Layer", "Lines", "SkySamples", "sky_irradiance"]
+__all__ = ["ORIGIN", "PIXEL_ANGLE", "Flight", "Layer", "Lines", "Seen", "SkySamples", "sky_irradiance"]
 
 
 _OVERCAST = 8.0  # oktas
@@ -105,6 +106,21 @@ class Lines:
     radiance: NDArray[np.float32]
     reflectance: NDArray[np.float32]
     layers: Mapping[str, NDArray[np.generic]] = field(default_factory=dict)
+
+    def part(self, start: int, stop: int) -> Lines:
+        """Return the rows ``start`` to ``stop``, without a copy."""
+        rows = slice(start, stop)
+        return Lines(
+            self.surface[rows], self.glint[rows], self.counts[rows], self.radiance[rows],
+            self.reflectance[rows], {name: values[rows] for name, values in self.layers.items()},
+        )  # fmt: skip
+
+
+class Seen(NamedTuple):
+    """Lines, and what gives pi INT L R of the elements (band, column) of any of their rows, to overwrite."""
+
+    lines: Lines
+    elements: Callable[[int], Floats]
 
 
 @dataclass(frozen=True)
@@ -187,7 +203,8 @@ class Flight(abc.ABC):
         Shape (along_track, cross_track): the place of the paint in ``paints``, plus the number of paints
         times that of the car where cars have numbers; -1 for all other pixels.
         """
-        return np.where(lines.glint, -1, self._paint_of_surface[lines.surface]).astype(np.int32)
+        is_hidden = lines.glint | self.bad.all(axis=0)
+        return np.where(is_hidden, -1, self._paint_of_surface[lines.surface]).astype(np.int32)
 
     @cached_property
     def _paint_of_surface(self) -> NDArray[np.int32]:
@@ -239,9 +256,10 @@ class Flight(abc.ABC):
         """
         return np.asarray(np.einsum("kt,kbx->tbx", factors, self._incident) / self.response_area)
 
-    @abc.abstractmethod
     def lines(self, start: int, stop: int, into: Lines | None = None) -> Lines:
         """Return lines ``start`` to ``stop``; the same whatever lines are asked for together.
+
+        Radiance and reflectance are those of the scene, before the camera's optics blur it.
 
         Parameters
         ----------
@@ -250,6 +268,16 @@ class Flight(abc.ABC):
         into
             Lines no longer needed, whose memory is used again; fresh memory costs more than the arithmetic.
         """
+        optics = self.camera.optics
+        if optics is None:
+            return self._expose(self._view(start, stop, into), start)
+        first, last = max(start - optics.reach, 0), min(stop + optics.reach, self.settings.lines)
+        seen = self._view(first, last, into)
+        return self._expose_through(optics, seen, first, range(start, stop))
+
+    @abc.abstractmethod
+    def _view(self, start: int, stop: int, into: Lines | None) -> Seen:
+        """Return lines whose counts, radiance and reflectance are yet to be filled, and what they see."""
 
     def _cubes(self, number: int, into: Lines | None) -> tuple[Floats32, Floats32, Floats32]:
         """Return memory for counts, radiance and reflectance of a number of lines."""
@@ -258,34 +286,57 @@ class Flight(abc.ABC):
             return np.empty(shape, np.float32), np.empty(shape, np.float32), np.empty(shape, np.float32)
         return into.counts[:number], into.radiance[:number], into.reflectance[:number]
 
-    def _record(self, block: Lines, row: int, line: int, factors: Floats, seen: Floats) -> None:
-        """Fill one row's counts, radiance and reflectance; the line's number in the flight chooses the noise.
-
-        ``factors`` are of direct and diffuse light; ``seen`` is pi INT L R of every element, and overwritten.
-        """
-        settings = self.settings
+    def _note(self, seen: Seen, row: int, line: int) -> Floats:
+        """Fill one row's radiance and reflectance, and return pi INT L R of its elements (band, column)."""
+        light = seen.elements(row)
+        factors = self._factors(line, line + 1)[:, 0]
         incident = self._incident[0] * factors[0]
         incident += factors[1] * self._incident[1]
-        np.divide(seen, incident, out=block.reflectance[row], casting="same_kind")
-        np.divide(seen, np.pi * self.response_area, out=block.radiance[row], casting="same_kind")
-        seen *= 1.0 / np.pi
-        signal = expected_counts(seen, settings.exposure_time, self.camera.etendue)
+        np.divide(light, incident, out=seen.lines.reflectance[row], casting="same_kind")
+        np.divide(light, np.pi * self.response_area, out=seen.lines.radiance[row], casting="same_kind")
+        return light
+
+    def _count(self, light: Floats, line: int) -> Floats:
+        """Return counts of pi INT L R (band, column), overwritten; the line's number chooses the noise."""
+        settings = self.settings
+        light *= 1.0 / np.pi
+        signal = expected_counts(light, settings.exposure_time, self.camera.etendue)
         signal[self.bad] = 0.0
         rng = self._rng(_NOISE, line) if settings.noise else None
-        block.counts[row] = self.detector.read(signal, rng)
+        counts = self.detector.read(signal, rng)
+        if settings.pedestal:
+            counts += settings.pedestal
+        return counts
 
-    def _expose(self, block: Lines, start: int, factors: Floats, seen: Callable[[int], Floats]) -> Lines:
-        """Record what ``seen`` gives for every row of a block that begins at a line, and return the block.
+    def _expose(self, seen: Seen, start: int) -> Lines:
+        """Record all rows of lines that begin at ``start``, and return them.
 
         Rows go in threads: numpy lets go of the interpreter, each line draws its own numbers.
         """
 
         def expose(row: int) -> None:
-            self._record(block, row, start + row, factors[:, row], seen(row))
+            seen.lines.counts[row] = self._count(self._note(seen, row, start + row), start + row)
 
         with ThreadPoolExecutor(max_workers=os.cpu_count()) as pool:
-            list(pool.map(expose, range(len(block.counts))))
-        return block
+            list(pool.map(expose, range(len(seen.lines.counts))))
+        return seen.lines
+
+    def _expose_through(self, optics: Optics, seen: Seen, first: int, lines: range) -> Lines:
+        """Record ``lines`` of those that begin at ``first``, through the optics, and return them."""
+        factor = self.imager.element_factor
+
+        def common(row: int) -> Floats:
+            return self._note(seen, row, first + row) / factor
+
+        with ThreadPoolExecutor(max_workers=os.cpu_count()) as pool:
+            light = list(pool.map(common, range(len(seen.lines.counts))))
+
+            def expose(line: int) -> None:
+                window = [light[row - first] for row in optics.rows_of(line, self.settings.lines)]
+                seen.lines.counts[line - first] = self._count(optics.image(window) * factor, line)
+
+            list(pool.map(expose, lines))
+        return seen.lines.part(lines.start - first, lines.stop - first)
 
     def _factors(self, start: int, stop: int) -> Floats:
         """Return factors of direct and diffuse light at mid exposure of lines, shape (2, along_track)."""

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from hyperpaint.base.arrays import Floats
 
-from .flight import Flight, Lines
+from .flight import Flight, Lines, Seen
 from .paint_spectra import CAR_PAINTS, MATERIALS, PANELS, reflectance
 from .settings import SWATH_M, SimulationSettings
 
@@ -156,8 +156,7 @@ class PlanFlight(Flight):
             [part.transpose(1, 0, 2).reshape(settings.bands, -1) for part in np.split(integrals, 2)]
         )
 
-    def lines(self, start: int, stop: int, into: Lines | None = None) -> Lines:
-        """Return lines ``start`` to ``stop``; the same whatever lines are asked for together."""
+    def _view(self, start: int, stop: int, into: Lines | None) -> Seen:
         number = stop - start
         surface = self.park.surface(start, stop)
         mirrored = np.stack([self._mirrored(start + row, surface[row]) for row in range(number)])
@@ -167,7 +166,7 @@ class PlanFlight(Flight):
         def seen(row: int) -> Floats:
             return self._seen(start + row, surface[row], factors[:, row], mirrored[row])
 
-        return self._expose(block, start, factors, seen)
+        return Seen(block, seen)
 
     def _seen(self, line: int, surface: NDArray[np.int16], factors: Floats, mirrored: Floats) -> Floats:
         """Return pi INT L R of every element of a line, shape (band, cross_track)."""

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import SchemaError
 
-from .flight import PIXEL_ANGLE, Flight, Layer, Lines
+from .flight import PIXEL_ANGLE, Flight, Layer, Lines, Seen
 from .rendering.camera_bands import BandSet
 from .rendering.car_parks import car_park
 from .rendering.lighting import ProductTable
@@ -141,8 +141,7 @@ class RenderedFlight(Flight):
             *self.trajectory.camera(moment), edges, along, self.line_times, settings.exposure_time
         )
 
-    def lines(self, start: int, stop: int, into: Lines | None = None) -> Lines:
-        """Return lines ``start`` to ``stop``; the same whatever lines are asked for together."""
+    def _view(self, start: int, stop: int, into: Lines | None) -> Seen:
         block = self._trace(start, stop)
         factors = self._factors(start, stop)
         record = Lines(
@@ -152,7 +151,7 @@ class RenderedFlight(Flight):
         # on its way to counts, INT L R stands where the radiance will be
         self._shine(block, factors, record.radiance)
         per_element = np.pi * self.imager.element_factor
-        return self._expose(record, start, factors, lambda row: record.radiance[row] * per_element)
+        return Seen(record, lambda row: record.radiance[row] * per_element)
 
     def _trace(self, start: int, stop: int) -> Block:
         """Return the paths of lines; threads share them, since the tracer lets go of the interpreter."""

@@ -13,6 +13,7 @@ import numpy as np
 from hyperpaint.base.errors import Problems, SchemaError
 from hyperpaint.base.units import takes_quantities
 
+from .optics import OpticsSettings
 from .setting_checks import (
     check_choice,
     check_flag,
@@ -60,12 +61,14 @@ NEAR_SUNSET = (80.0, 292.0)
     sun_zenith="degree", sun_azimuth="degree", exposure_time_ms="ms", frame_period_ms="ms",
     first_wavelength="nm", last_wavelength="nm", dispersion_bow_nm="nm", fwhm_nm="nm", smile_nm="nm",
     irradiance_fwhm_nm="nm", electrons_per_count="electron count-1", read_noise="count", dark_level="count",
-    dark_pattern="count", irradiance_margin_s="s", frame_clock_offset_s="s", clock_offset_s="s",
-    clock_uncertainty_s="s", utc_offset_h="h",
+    dark_pattern="count", pedestal="count", irradiance_margin_s="s", frame_clock_offset_s="s",
+    clock_offset_s="s", clock_uncertainty_s="s", utc_offset_h="h",
 )  # fmt: skip
 @dataclass(frozen=True, kw_only=True)
-class SimulationSettings:
+class SimulationSettings(OpticsSettings):
     """Size and effects of a simulated collect; every effect can be switched off.
+
+    Point spread, keystone, stray light and pedestal are the attributes of `OpticsSettings`.
 
     Attributes
     ----------
@@ -261,6 +264,7 @@ class SimulationSettings:
         problems = Problems("the collect cannot be simulated", SchemaError)
         self._check_choices(problems)
         self._check_numbers(problems)
+        self.check_optics(problems)
         if not len(problems):
             self._check_together(problems)
         problems.raise_if_any()
@@ -377,10 +381,13 @@ class SimulationSettings:
             problems.add(f"cubes={self.cubes}, expected at most one for every two of the {self.lines} lines")
         if self.bad_elements > self.bands * self.columns:
             problems.add(f"bad_elements={self.bad_elements}, of {self.bands * self.columns} elements")
-        if self.dark_level + self.dark_rate * self.exposure_time >= 2**self.bit_depth - 1:
+        if 2 * self.masked_columns >= self.columns:
+            problems.add(f"masked_columns={self.masked_columns} at both edges, of {self.columns} columns")
+        dark = self.dark_level + self.dark_rate * self.exposure_time + self.pedestal
+        if dark >= 2**self.bit_depth - 1:
             problems.add(
-                f"dark_level={self.dark_level} and dark_rate={self.dark_rate} fill the converter "
-                f"of {self.bit_depth} bits"
+                f"dark_level={self.dark_level}, dark_rate={self.dark_rate} and pedestal={self.pedestal} fill "
+                f"the converter of {self.bit_depth} bits"
             )
         if self.cloud is not None and not (0 <= self.cloud[0] <= 1 and self.cloud[1] > 0):
             problems.add(f"cloud={self.cloud}, expected a fraction from 0 to 1 and a duration above 0 s")

@@ -91,8 +91,10 @@ def _calibration(flight: Flight) -> dict[str, xr.Variable]:
 
 def write_calibration(flight: Flight, path: Path) -> None:
     """Write ``calibration.zarr``: the gain of every element, wavelengths, smile, line shape, noise."""
+    optics = flight.camera.optics
+    stray_light = {} if optics is None else {"stray_light": _variable("stray_light", optics.stray_matrix)}
     calibration = xr.Dataset(
-        _calibration(flight),
+        _calibration(flight) | stray_light,
         coords=_band_coords(flight),
         attrs={
             "hyperpaint_format": FORMAT_VERSION,
@@ -301,7 +303,7 @@ def _without_cubes(sweep: Sweep) -> xr.Dataset:
 
 def sweep_truth(sweep: Sweep) -> xr.Dataset:
     """Return what the calibration of a sweep should find; names open with `TRUTH`."""
-    settings, camera = sweep.settings, sweep.camera
+    camera = sweep.camera
     imager = camera.imager
     seen = np.where(camera.bad, np.nan, camera.response_area / imager.spacing[:, None])
     values: dict[str, Any] = {
@@ -319,8 +321,7 @@ def sweep_truth(sweep: Sweep) -> xr.Dataset:
     )
     flux_attrs = {**SWEEP_VARIABLES["flux"].attrs, "long_name": "Radiant flux, as every column receives it"}
     variables["flux"] = xr.Variable((STEP, CROSS_TRACK), sweep.power[:, None] * sweep.beam, flux_attrs)
-    if settings.stray_light:
-        variables["stray_light"] = labelled(VARIABLES["stray_light"], sweep.stray_matrix)
+    variables |= {name: xr.Variable(*each) for name, each in camera.imperfections.items()}
     return xr.Dataset(
         {f"{TRUTH}{name}": variable for name, variable in variables.items()},
         attrs={f"{TRUTH}srf_shape": imager.shape},
@@ -348,7 +349,8 @@ def simulate_sweep(
     The sweep as the store holds one: ``counts`` (step, band, cross_track), float32 mean of the frames with
     the dark still in them, ``counts_variance``, ``dark_counts``, ``flux`` ... Beside it the truth, each
     variable named ``true_``: ``true_radiance_gain``, ``true_wavelength``, ``true_wavelength_shift``,
-    ``true_fwhm``, ``true_responsivity``, ``true_dark_bias``, ``true_dark_rate``, ``true_bad`` ...
+    ``true_fwhm``, ``true_responsivity``, ``true_dark_bias``, ``true_dark_rate``, ``true_bad``; where
+    the camera has them also ``true_stray_light``, ``true_keystone`` and ``true_pedestal``.
 
     Raises
     ------

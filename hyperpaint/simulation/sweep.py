@@ -78,8 +78,6 @@ class SweepSettings:
         Frames averaged in a step.
     variance
         Whether the variance of the frames is kept.
-    stray_light
-        Light scattered into broad wings over all bands, relative to the line.
     second_order
         Light of the grating's second order, which falls where twice its wavelength belongs, relative to the
         first.
@@ -121,7 +119,6 @@ class SweepSettings:
     dark_exposure_ms: PerStep | None = None
     frames: int = 50
     variance: bool = True
-    stray_light: float = 0.0
     second_order: float = 0.0
     nonlinearity: float = 0.0
 
@@ -210,8 +207,8 @@ _RANGES = {
     "first_step_nm": (300.0, 1200.0), "last_step_nm": (300.0, 1200.0),
     "monochromator_offset_nm": (-50.0, 50.0), "monochromator_jitter_nm": (0.0, 50.0),
     "beam_power_w": (1e-15, 1e3), "capture_fraction": (1e-15, 1.0), "beam_wander_columns": (0.0, 1e6),
-    "flux_bias": (-0.9, 10.0), "flux_noise": (0.0, 0.3), "stray_light": (0.0, 0.5),
-    "second_order": (0.0, 1.0), "nonlinearity": (-0.5, 0.5),
+    "flux_bias": (-0.9, 10.0), "flux_noise": (0.0, 0.3), "second_order": (0.0, 1.0),
+    "nonlinearity": (-0.5, 0.5),
 }  # fmt: skip
 
 _PER_STEP = {
@@ -226,8 +223,6 @@ _LINE_NOISE, _DARK_NOISE, _POWER_METER, _DIAL = 30, 31, 32, 33
 
 _GRID_STEP = {"gaussian": 0.05, "triangle": 0.02}  # nm, coarsest allowed; corners want the finer one
 _SHIFT_STEP = 0.1  # nm, coarsest allowed
-#: Spread of scattered light [nm], and the share of it that does not cover all bands alike.
-_WINGS = (60.0, 0.6)
 
 
 class Frames(NamedTuple):
@@ -284,22 +279,13 @@ class Sweep:
             return np.asarray(reading)
         return np.asarray(reading[:, None] * self.beam)
 
-    @cached_property
-    def stray_matrix(self) -> Floats:
-        """Counts that a band gains from light of another, per count of that, shape (band, source_band)."""
-        wavelength = self.camera.imager.wavelength
-        spread, peaked = _WINGS
-        wing = np.exp(-np.abs(wavelength[:, None] - wavelength) / spread)
-        wing = peaked * wing / wing.sum(axis=0) + (1.0 - peaked) / len(wavelength)
-        return np.asarray(self.settings.stray_light * wing)
-
     def line_integrals(self, step: int) -> Floats:
         """Return INT m_k R_b,x d lambda without the elements' own factors, shape (band, cross_track)."""
         integrals = self._order(step, 1)
         if self.settings.second_order:
             integrals += self.settings.second_order * self._order(step, 2)
-        if self.settings.stray_light:
-            integrals += self.stray_matrix @ integrals
+        if (optics := self.camera.optics) is not None and optics.has_stray_light:
+            integrals += optics.stray_matrix @ integrals
         return integrals
 
     def _order(self, step: int, order: int) -> Floats:
@@ -324,6 +310,10 @@ class Sweep:
         """Return the noise-free counts above dark, shape (band, cross_track) [count]."""
         settings, imager = self.settings, self.camera.imager
         energy = settings.exposure_time[step] * settings.capture_fraction * self.power[step] * self.beam[step]
+        # the beam is what enters the slit, which the fore optics have blurred already; behind it, a band's
+        # image is displaced
+        if self.camera.optics is not None:
+            energy = self.camera.optics.displaced(energy)
         signal = energy * self.line_integrals(step) * imager.element_factor
         signal[self.camera.bad] = 0.0
         if settings.nonlinearity:
@@ -334,7 +324,7 @@ class Sweep:
     def frames(self, step: int) -> Frames:
         """Return the frames of a step."""
         settings = self.settings
-        dark = self.camera.detector(float(settings.exposure_time[step])).dark
+        dark = self.camera.detector(float(settings.exposure_time[step])).dark + self.camera.pedestal
         rng = self._rng(_LINE_NOISE, step) if settings.camera.noise else None
         return self._average(self.signal(step), dark, settings.frames, rng)
 

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     import xarray as xr
 
     from hyperpaint.simulation.camera import Camera, Detector
+    from hyperpaint.simulation.optics import Optics
     from hyperpaint.simulation.rendering.camera_bands import BandSet
     from hyperpaint.simulation.rendering.four_curves import Atmosphere
     from hyperpaint.simulation.rendering.platforms import Platform
@@ -145,22 +146,37 @@ def counts_of(
 
     Lazy. Noise is drawn line by line from a generator keyed by the seed, the render's name and the line's
     number, so that no count depends on how lines are grouped, or where they are computed; without ``noise``
-    counts are rounded all the same. ``radiance`` holds means over the camera's responses (along_track, band,
-    cross_track) [W m-2 sr-1 nm-1], ``exposure_time`` is in [s].
+    counts are rounded all the same. The camera's optics blur the scene before it is counted. ``radiance``
+    holds means over the camera's responses (along_track, band, cross_track) [W m-2 sr-1 nm-1],
+    ``exposure_time`` is in [s].
     """
     import dask.array as da
     import xarray as xr
 
-    detector = camera.detector(exposure_time)
     # a mean radiance of one gives t A INT R counts; elements that see no light give none
-    scale = np.where(camera.bad, 0.0, exposure_time * camera.etendue * camera.response_area)
+    scale, factor = exposure_time * camera.etendue * camera.response_area, np.where(camera.bad, 0.0, 1.0)
+    if camera.optics is not None:  # which do not know the elements
+        scale, factor = scale / camera.imager.element_factor, factor * camera.imager.element_factor
+    detector = camera.detector(exposure_time)
     key = (seed, _NOISE, zlib.crc32(name.encode()))
     cube = radiance.transpose(*CUBE).data
-    lines = da.arange(cube.shape[0], chunks=(cube.chunks[0],), dtype=np.int64)[:, None, None]
-    counts = da.map_blocks(
-        _expose, cube, lines, scale=scale, detector=detector, key=key if noise else None, dtype=np.uint16,
-        meta=np.empty((0, 0, 0), dtype=np.uint16),
+    reach = 0 if camera.optics is None else camera.optics.reach
+    number, stops = cube.shape[0], np.cumsum(cube.chunks[0]).tolist()
+    exposure = _Exposure(
+        detector, camera.optics, scale, factor, camera.pedestal, key if noise else None, number
     )  # fmt: skip
+    blocks = []
+    for start, stop in zip([0, *stops], stops, strict=False):
+        # lines around a block that blur into it
+        first, last = max(start - reach, 0), min(stop + reach, number)
+        seen = cube[first:last].rechunk(-1)
+        chunks = ((stop - start,), *seen.chunks[1:])
+        block = da.map_blocks(
+            exposure.counts, seen, first=first, lines=range(start, stop), dtype=np.uint16, chunks=chunks,
+            meta=np.empty((0, 0, 0), dtype=np.uint16),
+        )  # fmt: skip
+        blocks.append(block)
+    counts = da.concatenate(blocks)
     variables = {
         "counts": xr.Variable(CUBE, counts, VARIABLES["counts"].attrs),
         "dark_counts": _variable("dark_counts", _dark(detector, key) if noise else detector.dark),
@@ -173,16 +189,34 @@ def counts_of(
     return xr.Dataset(variables)
 
 
-def _expose(
-    cube: Floats32, lines: NDArray[np.int64], *, scale: Floats, detector: Detector,
-    key: tuple[int, ...] | None,
-) -> NDArray[np.uint16]:  # fmt: skip
-    """Return the counts of a block of lines, one line after the other: no float64 cube is made."""
-    block = np.empty(cube.shape, dtype=np.uint16)
-    for seen, number, counts in zip(cube, lines.ravel(), block, strict=True):
-        rng = None if key is None else np.random.default_rng([*key, int(number)])
-        counts[...] = detector.convert(detector.read(seen * scale, rng)[None])[0]
-    return block
+@dataclass(frozen=True)
+class _Exposure:
+    """How a camera counts the lines of a scene."""
+
+    detector: Detector
+    optics: Optics | None
+    scale: Floats  # Counts of a mean radiance of one, shape (band, cross_track)
+    factor: Floats  # The elements' own share of that, 0 where they see no light, shape (band, cross_track)
+    pedestal: float
+    key: tuple[int, ...] | None  # Of the noise; None for none
+    number: int  # Lines of the scene
+
+    def counts(self, cube: Floats32, first: int, lines: range) -> NDArray[np.uint16]:
+        """Return the counts of lines, of a cube that begins at line ``first``, one line after the other."""
+        counts = np.empty((len(lines), *cube.shape[1:]), dtype=np.uint16)
+        for line, row in zip(lines, counts, strict=True):
+            rng = None if self.key is None else np.random.default_rng([*self.key, line])
+            read = self.detector.read(self._signal(cube, first, line), rng)
+            if self.pedestal:
+                read += self.pedestal
+            row[...] = self.detector.convert(read[None])[0]
+        return counts
+
+    def _signal(self, cube: Floats32, first: int, line: int) -> Floats:
+        if self.optics is None:
+            return np.asarray(cube[line - first] * (self.scale * self.factor))
+        window = [cube[row - first] * self.scale for row in self.optics.rows_of(line, self.number)]
+        return self.optics.image(window) * self.factor
 
 
 def _dark(detector: Detector, key: tuple[int, ...]) -> Floats:

@@ -53,6 +53,11 @@ def _numbers(length: int) -> Check:
     return check
 
 
+def _kernel(value: Any) -> str | None:
+    good = isinstance(value, list) and all(isinstance(row, list) for row in value)
+    return None if good else "a list of rows, each a list of numbers"
+
+
 def _number_or(length: int) -> Check:
     several = _numbers(length)
 
@@ -140,6 +145,9 @@ SCHEMA: Mapping[str, Mapping[str, Check]] = {
         "electrons_per_count": positive, "read_noise": number, "dark_level": number, "dark_pattern": number,
         "dark_rate": number, "dark_frames": whole(1, 100_000), "nonuniformity": number,
         "column_nonuniformity": number, "bad_elements": whole(0, 2**40), "noise": flag, "seed": _seed,
+        "psf_across_columns": number, "psf_along_lines": number, "psf_kernel": _kernel,
+        "keystone_columns": number, "stray_light": number, "pedestal": number,
+        "masked_columns": whole(0, 10_000),
     },
     "atmospheres": {
         "name": text, "preset": text, "table": text, "irradiance": texts, "time": time,

@@ -444,8 +444,8 @@ def test_wrong_settings(wrong: dict[str, Any]) -> None:
 
 def test_all_problems_are_listed_together() -> None:
     with pytest.raises(SchemaError) as caught:
-        SweepSettings(steps=0, stray_light=-1.0, monochromator_shape="box", beam_power_w="bright")  # type: ignore[arg-type]
-    for name in ("steps", "stray_light", "monochromator_shape", "beam_power_w"):
+        SweepSettings(steps=0, second_order=-1.0, monochromator_shape="box", beam_power_w="bright")  # type: ignore[arg-type]
+    for name in ("steps", "second_order", "monochromator_shape", "beam_power_w"):
         assert name in str(caught.value)
 
 

@@ -1,0 +1,292 @@
+"""What optics and spectrograph do to a scene before a detector counts it: blur, displace, scatter.
+
+The fore optics blur the scene across and along the track, the same in all bands; behind the slit the
+spectrograph displaces a band's image along the slit (keystone) and scatters light into other bands. Of the
+integrals I = INT L R0 s d lambda that places of the scene give an element without factor of its own
+
+    I'[b, y, x] = SUM_ij k_ij I[b, y - i, x - j - keystone_b],    I'' = (1 + D) I',
+
+k of unit sum, so that no light is lost. The scene is taken as constant within each column: an image displaced
+by a part f of a column is f of one neighbour and 1 - f of the other, whose centre of mass has moved by f.
+Beyond its outer lines and columns the scene is taken as mirrored in its edge. The smile changes too little
+from column to column for the order of blur and response to matter.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from hyperpaint.base.arrays import Floats
+from hyperpaint.base.errors import Problems
+
+from .setting_checks import check_number, check_whole, is_number
+
+__all__ = ["Optics", "OpticsSettings", "keystone", "point_spread", "stray_light_wings"]
+
+_SIGMAS = 1.0 / (2.0 * np.sqrt(2.0 * np.log(2.0)))  # standard deviations in a full width at half maximum
+_TAIL = 1e-9  # weight below which neighbours are left out of a point spread
+_RANK = 1e-12  # of the largest singular value of a kernel, below which a term is rounding
+#: Spread of scattered light [nm], and the share of it that does not cover all bands alike.
+_WINGS = (60.0, 0.6)
+_WIDEST = 50.0  # full width of a point spread [pixels]
+
+
+@dataclass(frozen=True, kw_only=True)
+class OpticsSettings:
+    """Imperfections of a camera's optics and electronics, all off by default.
+
+    Attributes
+    ----------
+    psf_across_columns, psf_along_lines
+        Full width at half maximum of a Gaussian point spread, across the track [columns] and along it
+        [lines]; its variance is kept however narrow it is. 0 for none.
+    psf_kernel
+        A point spread of your own, odd numbers of lines and columns, weights from 0 on, which are divided by
+        their sum; None for the Gaussian. What lies right and behind in it moves light right and behind.
+    keystone_columns
+        Columns by which the image of the last band is displaced to the right, and that of the first to the
+        left; the bands between in proportion.
+    stray_light
+        Light scattered into broad wings over all bands, relative to what a band sees itself.
+    pedestal
+        Counts that every frame of the scene and of the lab has on top of its dark [count].
+    masked_columns
+        Columns at either edge of the detector that see no light; their gain is NaN. What they count beyond
+        their dark is the pedestal.
+
+    Examples
+    --------
+    >>> OpticsSettings(psf_across_columns=1.5, keystone_columns=0.3).stray_light
+    0.0
+    """
+
+    psf_across_columns: float = 0.0
+    psf_along_lines: float = 0.0
+    psf_kernel: Sequence[Sequence[float]] | None = None
+    keystone_columns: float = 0.0
+    stray_light: float = 0.0
+    pedestal: float = 0.0
+    masked_columns: int = 0
+
+    def check_optics(self, problems: Problems) -> None:
+        """Note what no camera can have."""
+        for name, (low, high) in _RANGES.items():
+            check_number(problems, name, getattr(self, name), low, high)
+        check_whole(problems, "masked_columns", self.masked_columns, 0, 10_000)
+        if self.psf_kernel is None:
+            return
+        if not _is_kernel(self.psf_kernel):
+            shown = f"{self.psf_kernel!r:.60}"
+            problems.add(
+                f"psf_kernel={shown}, expected rows of equally many numbers from 0 on, rows and columns odd "
+                f"and at most {_MOST_TAPS}, with a sum above 0"
+            )
+        elif self.psf_across_columns or self.psf_along_lines:
+            problems.add("psf_kernel and a Gaussian point spread are both given, expected one of them")
+
+
+_MOST_TAPS = 101
+_RANGES = {
+    "psf_across_columns": (0.0, _WIDEST), "psf_along_lines": (0.0, _WIDEST),
+    "keystone_columns": (-20.0, 20.0), "stray_light": (0.0, 0.5), "pedestal": (-1000.0, 30_000.0),
+}  # fmt: skip
+
+
+def _is_kernel(value: Any) -> bool:
+    try:
+        rows = [list(row) for row in value]
+    except TypeError:
+        return False
+    width = len(rows[0]) if rows else 0
+    odd = len(rows) % 2 == width % 2 == 1 and max(len(rows), width) <= _MOST_TAPS
+    good = odd and all(len(row) == width and all(is_number(x) and x >= 0 for x in row) for row in rows)
+    return good and sum(map(sum, rows)) > 0
+
+
+def point_spread(fwhm: float) -> Floats:
+    """Return the weights of neighbours in a Gaussian blur, of unit sum, the middle one its own.
+
+    Parameters
+    ----------
+    fwhm
+        Full width at half maximum [pixels].
+
+    Notes
+    -----
+    The discrete analogue of a Gaussian, w_n = exp(-t) I_n(t) with the modified Bessel function I_n [1]_: its
+    variance is t = sigma^2 exactly, where samples of a Gaussian narrower than a pixel have too little.
+
+    References
+    ----------
+    .. [1] T. Lindeberg, "Scale-space for discrete signals", IEEE Trans. PAMI 12 (1990) 234-254,
+       https://doi.org/10.1109/34.49051
+
+    Examples
+    --------
+    >>> weights = point_spread(1.0)
+    >>> place = np.arange(len(weights)) - len(weights) // 2
+    >>> print(f"{weights.sum():.6f} {(weights * place**2).sum() * 8 * np.log(2):.6f}")
+    1.000000 1.000000
+    """
+    from scipy.special import ive
+
+    variance = (_SIGMAS * fwhm) ** 2
+    reach = int(np.ceil(8.0 * _SIGMAS * fwhm + 8.0))
+    half = np.asarray(ive(np.arange(reach + 1), variance))
+    half = half[: int(np.flatnonzero(half > _TAIL).max()) + 1]
+    weights = np.concatenate([half[:0:-1], half])
+    return np.asarray(weights / weights.sum())
+
+
+def keystone(bands: int, columns: float) -> Floats:
+    """Return how far every band's image is displaced to the right, shape (band,) [columns].
+
+    Examples
+    --------
+    >>> keystone(5, 0.4)
+    array([-0.4, -0.2,  0. ,  0.2,  0.4])
+    """
+    return np.asarray(columns * np.linspace(-1.0, 1.0, bands))
+
+
+def stray_light_wings(wavelength: Floats, share: float) -> Floats:
+    """Return counts that a band gains from light of another, per count of that, shape (band, source_band).
+
+    Each column sums to ``share``: some of it falls off with the distance in wavelength, the rest covers all
+    bands alike.
+
+    Examples
+    --------
+    >>> stray_light_wings(np.array([400.0, 700.0, 1000.0]), 0.02).sum(axis=0).round(6)
+    array([0.02, 0.02, 0.02])
+    """
+    spread, peaked = _WINGS
+    wing = np.exp(-np.abs(wavelength[:, None] - wavelength) / spread)
+    wing = peaked * wing / wing.sum(axis=0) + (1.0 - peaked) / len(wavelength)
+    return np.asarray(share * wing)
+
+
+class _Term(NamedTuple):
+    """A point spread as a product: weights of lines (line,), and of columns in every band (band, column)."""
+
+    along: Floats
+    across: Floats
+
+
+class Optics:
+    """Blur, keystone and stray light of a camera; `image` takes a scene through them.
+
+    Parameters
+    ----------
+    settings
+        What is on.
+    wavelength
+        Centres of the bands, shape (band,) [nm].
+
+    Attributes
+    ----------
+    reach
+        Lines before and behind one that reach into it.
+    keystone
+        Displacement of the bands' images, shape (band,) [columns].
+    has_stray_light, stray_matrix
+        Whether there is any, and `stray_light_wings` of it.
+
+    Examples
+    --------
+    >>> optics = Optics(OpticsSettings(keystone_columns=0.25), np.array([400.0, 1000.0]))
+    >>> optics.image([np.array([[0.0, 1.0, 0.0], [0.0, 1.0, 0.0]])])
+    array([[0.25, 0.75, 0.  ],
+           [0.  , 0.75, 0.25]])
+    """
+
+    def __init__(self, settings: OpticsSettings, wavelength: Floats) -> None:
+        bands = len(wavelength)
+        self.keystone = keystone(bands, settings.keystone_columns)
+        self.stray_matrix = stray_light_wings(wavelength, settings.stray_light)
+        self.has_stray_light = settings.stray_light > 0
+        if settings.psf_kernel is None:
+            pairs = [(point_spread(settings.psf_along_lines), point_spread(settings.psf_across_columns))]
+        else:
+            pairs = _products(np.asarray(settings.psf_kernel, np.float64))
+        self._terms = [_Term(along, _displaced(across, self.keystone)) for along, across in pairs]
+        self.reach = len(pairs[0][0]) // 2
+
+    @classmethod
+    def of(cls, settings: OpticsSettings, wavelength: Floats) -> Optics | None:
+        """Return the optics of these settings, or None where nothing of them is on."""
+        blurs = settings.psf_across_columns or settings.psf_along_lines or settings.psf_kernel is not None
+        is_on = blurs or settings.keystone_columns or settings.stray_light
+        return cls(settings, wavelength) if is_on else None
+
+    def image(self, window: Sequence[Floats]) -> Floats:
+        """Return what the elements of a line get, shape (band, column).
+
+        Parameters
+        ----------
+        window
+            The line in the middle of ``2 * reach + 1``, each (band, column), without the elements' factors.
+        """
+        total = np.zeros(window[0].shape)
+        for along, across in self._terms:
+            line = np.zeros_like(total)
+            # a scene moves light to where it goes, so the line in front gets the weight behind the middle
+            for weight, row in zip(along[::-1].tolist(), window, strict=True):
+                line += weight * row
+            total += _convolved(line, across)
+        if self.has_stray_light:
+            total += self.stray_matrix @ total
+        return total
+
+    def displaced(self, profile: Floats) -> Floats:
+        """Return what every band gets of a profile along the slit (column,), shape (band, column)."""
+        return _convolved(np.broadcast_to(profile, (len(self.keystone), len(profile))),
+                          _displaced(np.ones(1), self.keystone))  # fmt: skip
+
+    def rows_of(self, line: int, lines: int) -> list[int]:
+        """Return the lines of the window of a line, those beyond the first and last of ``lines`` mirrored.
+
+        Examples
+        --------
+        >>> Optics(OpticsSettings(psf_kernel=[[1], [1], [1]]), np.array([400.0, 500.0])).rows_of(0, 4)
+        [0, 0, 1]
+        """
+        place = np.arange(line - self.reach, line + self.reach + 1) % (2 * lines)
+        return [int(row) for row in np.minimum(place, 2 * lines - 1 - place)]
+
+
+def _products(kernel: Floats) -> list[tuple[Floats, Floats]]:
+    """Return a kernel (line, column), of unit sum, as pairs of weights along and across that add up to it."""
+    left, value, right = np.linalg.svd(kernel / kernel.sum(), full_matrices=False)
+    rank = int(np.count_nonzero(value > _RANK * value[0]))
+    return [(left[:, k] * value[k], right[k]) for k in range(rank)]
+
+
+def _displaced(across: Floats, shift: Floats) -> Floats:
+    """Return weights (column,) displaced by the shifts of the bands, shape (band, column), odd."""
+    extra = int(np.ceil(np.abs(shift).max()))
+    whole = np.floor(shift).astype(int)
+    weights = np.zeros((len(shift), len(across) + 2 * extra))
+    places = zip((whole + extra).tolist(), (shift - whole).tolist(), strict=True)
+    for band, (start, part) in enumerate(places):
+        weights[band, start : start + len(across)] += (1.0 - part) * across
+        if part:
+            weights[band, start + 1 : start + 1 + len(across)] += part * across
+    return weights
+
+
+def _convolved(line: Floats, weights: Floats) -> Floats:
+    """Return a line (band, column) convolved along its columns with weights (band, column)."""
+    reach, columns = weights.shape[1] // 2, line.shape[1]
+    padded = np.pad(line, ((0, 0), (reach, reach)), mode="symmetric") if reach else line
+    result = np.zeros(line.shape)
+    for place in range(weights.shape[1]):
+        each = weights[:, place, None]
+        if each.any():
+            start = 2 * reach - place
+            result += each * padded[:, start : start + columns]
+    return result

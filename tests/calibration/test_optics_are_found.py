@@ -1,0 +1,82 @@
+"""What optics and electronics of the simulated camera do, as the calibration of its lab sweep finds it.
+
+Smile, stray light and a dark that is off have estimators. Keystone has one where the beam is narrow and stays
+where it is: `beam_centre`. A point spread has none: all columns of a monochromator's light look alike.
+"""
+
+from __future__ import annotations
+
+import warnings
+from typing import Any
+
+import numpy as np
+import pytest
+
+import hyperpaint as hp
+from hyperpaint.base.errors import PaintWarning
+from hyperpaint.calibration import correct_stray_light
+from hyperpaint.simulation import simulate_line, simulate_sweep
+
+CAMERA: dict[str, Any] = {"bands": 136, "columns": 12}
+EXACT: dict[str, Any] = {"noise": False, "quantise": False}
+
+
+@pytest.mark.parametrize("share", [0.005, 0.02])
+def test_stray_light_of_the_sweep_mends_a_flight(share: float) -> None:
+    sweep = simulate_sweep(**CAMERA, stray_light=share)
+    calibration = hp.calibrate(sweep)
+    matrix, truth = calibration.stray_light.values, sweep.true_stray_light.values
+    distance = np.abs(np.subtract.outer(np.arange(136), np.arange(136)))
+    # what falls into a line's own window cannot be told from the line
+    far = distance > 12
+    assert matrix[far].sum() == pytest.approx(truth[far].sum(), rel=0.1)
+    flight: dict[str, Any] = {"lines": 24, "glint": 0.0, **CAMERA, **EXACT}
+    hazy, clear = simulate_line(**flight, stray_light=share), simulate_line(**flight)
+    seen, true = ((line.counts - line.dark_counts).astype("f8") for line in (hazy, clear))
+    error = {
+        name: float(np.median(np.abs(cube / true - 1)))
+        for name, cube in (("none", seen), ("swept", correct_stray_light(seen, calibration.stray_light)))
+    }
+    assert error["none"] == pytest.approx(share, rel=0.1)
+    assert error["swept"] < 0.3 * share
+
+
+@pytest.mark.parametrize("pedestal", [-3.0, 2.0, 5.0])
+def test_a_pedestal_is_the_dark_that_is_off(pedestal: float) -> None:
+    with pytest.warns(PaintWarning, match="the dark is off by as much"):
+        calibration = hp.calibrate(simulate_sweep(**CAMERA, pedestal=pedestal))
+    assert calibration.dark_offset_count == pytest.approx(pedestal, abs=0.02)
+
+
+def test_smile_is_found_behind_any_optics() -> None:
+    optics = {"psf_across_columns": 2.0, "keystone_columns": 0.6, "stray_light": 0.01}
+    sweep = simulate_sweep(bands=136, columns=40, smile_nm=0.8, **optics)
+    calibration = hp.calibrate(sweep)
+    error = calibration.wavelength_shift - sweep.true_wavelength_shift
+    assert float(np.abs(error).max()) < 0.02
+
+
+def test_masked_columns_have_no_gain() -> None:
+    with pytest.warns(PaintWarning, match="4 of 12 columns are not lit"):
+        calibration = hp.calibrate(simulate_sweep(**CAMERA, masked_columns=2))
+    is_blind = np.isnan(calibration.radiance_gain.values).all(axis=0)
+    np.testing.assert_array_equal(is_blind, np.isin(np.arange(12), [0, 1, 10, 11]))
+
+
+@pytest.mark.parametrize(("nonuniformity", "tolerance"), [(0.0, 0.01), (0.02, 0.06)])
+def test_a_narrow_beam_shows_the_keystone(nonuniformity: float, tolerance: float) -> None:
+    sweep = simulate_sweep(
+        bands=136, columns=41, beam_fwhm_columns=12.0, smile_nm=0.0, keystone_columns=0.6,
+        nonuniformity=nonuniformity,
+    )  # fmt: skip
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", "22 of 41 columns are not lit", PaintWarning)
+        calibration = hp.calibrate(sweep)
+    keystone = np.interp(sweep.step_wavelength, sweep.true_wavelength, sweep.true_keystone)
+    error = calibration.beam_centre.values - 20.0 - keystone
+    assert np.nanmax(np.abs(error)) < tolerance
+
+
+def test_an_even_beam_shows_no_keystone() -> None:
+    plain, skew = (simulate_sweep(**CAMERA, steps=5, keystone_columns=k) for k in (0.0, 0.6))
+    np.testing.assert_allclose(plain.counts, skew.counts, rtol=1e-6)
