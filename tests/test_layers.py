@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 from support import house
-from support.rooms import ALONE, ROOMS
+from support.rooms import ALONE, ROOMS, SKY
 
 import hyperpaint
 
@@ -32,6 +32,12 @@ def test_imports_point_down(name: str) -> None:
         assert targets <= ALONE[room]
     elif room in ROOMS:
         assert targets <= {*ROOMS[: ROOMS.index(room)], "paper"}
+
+
+def test_the_simulator_shares_the_sky_and_nothing_else_of_the_light() -> None:
+    for name in MODULES:
+        if house.room_of(name) == "simulation":
+            assert {target for target in IMPORTS[name]["inside"] if target.startswith("light")} <= SKY
 
 
 def test_kernels_are_loops_over_arrays() -> None:

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 import numpy.typing as npt
 
 from hyperpaint.base.arrays import Floats
 from hyperpaint.base.units import takes_quantities
 
-__all__ = ["air_mass", "diffuse_fraction", "solar_position"]
+__all__ = ["Scatterers", "air_mass", "diffuse_fraction", "scattered_light", "solar_position"]
 
 
 _J2000 = np.datetime64("2000-01-01T12:00:00", "ns")
@@ -132,16 +134,58 @@ def diffuse_fraction(
     >>> print(diffuse_fraction([450.0, 850.0], zenith=28.0).round(2))
     [0.23 0.06]
     """
-    um = np.atleast_1d(np.asarray(wavelength, np.float64)) / 1000.0
+    nm = np.atleast_1d(np.asarray(wavelength, np.float64))
     if zenith > 90.0:  # all light comes from the sky
-        return np.ones_like(um)
+        return np.ones_like(nm)
+    air = Scatterers(aerosol_optical_depth, angstrom_exponent, pressure, ground_reflectance)
+    direct, diffuse = scattered_light(nm, zenith, air)
+    return np.asarray(diffuse / (diffuse + direct))
+
+
+class Scatterers(NamedTuple):
+    """What scatters light in a clear atmosphere.
+
+    Attributes
+    ----------
+    aerosol
+        Optical depth at 500 nm [1].
+    angstrom
+        Exponent of its decrease with wavelength [1].
+    pressure
+        At the ground [Pa].
+    ground
+        Mean reflectance of the surroundings [1].
+    """
+
+    aerosol: float = 0.1
+    angstrom: float = 1.14
+    pressure: float = 101_325.0
+    ground: float = 0.2
+
+
+def scattered_light(
+    wavelength: Floats, zenith: float, air: Scatterers, mass: float | None = None
+) -> tuple[Floats, Floats]:
+    """Return direct and diffuse irradiance of level ground over that of the sun above the air, without gases.
+
+    The scattering half of SPECTRL2, see `diffuse_fraction`, at ``wavelength`` (point,) [nm] with the sun at
+    ``zenith`` [degree]; ``mass`` is the air mass of the direct path, by default that of `air_mass`.
+
+    Examples
+    --------
+    >>> direct, diffuse = scattered_light(np.array([450.0, 850.0]), 60.0, Scatterers())
+    >>> print(direct.round(3), diffuse.round(3))
+    [0.256 0.434] [0.138 0.045]
+    """
+    um = wavelength / 1000.0
     cosine = max(np.cos(np.radians(zenith)), 1e-3)
-    mass = float(air_mass(zenith))
-    optical_depth = aerosol_optical_depth * (um / 0.5) ** -angstrom_exponent
+    if mass is None:
+        mass = float(air_mass(zenith))
+    optical_depth = air.aerosol * (um / 0.5) ** -air.angstrom
     albedo = 0.945 * np.exp(-0.095 * np.log(um / 0.4) ** 2)
 
     def transmittances(path: float) -> tuple[Floats, Floats, Floats]:
-        rayleigh = np.exp(-path * pressure / 101_325.0 / (um**4 * (115.6406 - 1.335 / um**2)))
+        rayleigh = np.exp(-path * air.pressure / 101_325.0 / (um**4 * (115.6406 - 1.335 / um**2)))
         return rayleigh, np.exp(-albedo * optical_depth * path), np.exp(-(1 - albedo) * optical_depth * path)
 
     def forward(cosine: float) -> float:
@@ -160,6 +204,5 @@ def diffuse_fraction(
     )
     rayleigh, scattering, absorption = transmittances(1.8)
     sky = absorption * (0.5 * (1 - rayleigh) + (1 - forward(1 / 1.8)) * rayleigh * (1 - scattering))
-    twice = (direct + once) * sky * ground_reflectance / (1 - sky * ground_reflectance)
-    diffuse = (once + twice) * short
-    return np.asarray(diffuse / (diffuse + direct))
+    twice = (direct + once) * sky * air.ground / (1 - sky * air.ground)
+    return direct, (once + twice) * short

@@ -1,20 +1,24 @@
 """Downwelling irradiance with spectral structure finer than any instrument here.
 
-The light is a sum of two spectra, direct and diffuse, each with its own factor in time. Solar continuum:
-Planck's law at 5772 K. Clear sky: Rayleigh, Angstrom aerosol and ozone after Bird & Riordan (1986), SPECTRL2,
-in its simplest form. Lines: the oxygen A and B bands from the rotational constants of O2 (Herzberg 1950),
-so that the sharp band head is where it belongs; water and the weak solar lines at random positions that
-never change; the strong Fraunhofer lines where they are. What counts is not the sky's exact depth but that
-lines are far narrower than the instruments, as in nature: shared interpolation cannot hide a mismatch.
+The light is a sum of two spectra, direct and diffuse, each with its own factor in time. Their level is that
+of `hyperpaint.light.clear_sky`, a table at 1 nm; here it gets lines far narrower than the instruments, as in
+nature: shared interpolation cannot hide a mismatch. Lines: the oxygen A and B bands from the rotational
+constants of O2 (Herzberg 1950), so that the sharp band head is where it belongs; water and the weak solar
+lines at random positions that never change; the strong Fraunhofer lines where they are. In every cell of
+1 nm they are scaled such that its mean is the table's: the solar lines leave its sunlight, and the bands let
+through at an air mass of 1.5 what they let through in ASTM G173. At other air masses lines saturate.
 """
 
 from __future__ import annotations
 
+import functools
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
 from hyperpaint.base.arrays import Floats
+from hyperpaint.light.clear_sky import TABLE_AIR_MASS, ClearSky, sunlight_table
 
 __all__ = ["GRID_STEP", "Light", "Sky", "spectral_grid"]
 
@@ -61,7 +65,7 @@ class Sky:
     ozone
         Ozone column [atm cm].
     water
-        Precipitable water relative to a usual summer day.
+        Precipitable water relative to that of ASTM G173, 1.416 cm.
     airmass
         Relative optical air mass of the direct path; None for that of a plane-parallel atmosphere,
         1 / cos(sun_zenith), which is 5 % too long at 82 degrees and 11 % at 85.
@@ -71,7 +75,7 @@ class Sky:
     >>> wavelength = spectral_grid(500.0, 600.0)
     >>> direct, diffuse = Sky().irradiance(wavelength)
     >>> round(float((direct + diffuse)[1000]), 2)
-    1.41
+    1.55
     """
 
     sun_zenith: float = 25.0
@@ -82,30 +86,75 @@ class Sky:
 
     def irradiance(self, wavelength: Floats) -> tuple[Floats, Floats]:
         """Return direct and diffuse irradiance of a level surface [W m-2 nm-1]."""
-        cosine = np.cos(np.radians(self.sun_zenith))
-        mass = 1.0 / cosine if self.airmass is None else self.airmass
-        microns = wavelength / 1000.0
-        rayleigh = np.exp(-0.008735 * microns**-4.08 * mass)
-        aerosol = np.exp(-self.aerosol * (wavelength / 500.0) ** -1.3 * mass)
-        chappuis = 0.125 * np.exp(-0.5 * ((wavelength - 602.0) / 45.0) ** 2)
-        gases = np.exp(
-            -(self.ozone * chappuis + _oxygen(wavelength) + self.water * _water(wavelength)) * mass
-        )
-        top = solar_irradiance(wavelength) * cosine * gases
-        direct = top * rayleigh * aerosol
-        diffuse = top * (0.5 * (1.0 - rayleigh) + 0.8 * (1.0 - aerosol) * rayleigh)
-        return direct, diffuse
+        mass = 1.0 / np.cos(np.radians(self.sun_zenith)) if self.airmass is None else self.airmass
+        sky = ClearSky(self.sun_zenith, self.aerosol, ozone=self.ozone, water=self.water, airmass=float(mass))
+        fine = _fine_structure()
+        # below its cells, and beyond them, the table itself
+        mixed, water = (np.interp(wavelength, fine.wavelength, part) for part in (fine.mixed, fine.water))
+        return sky.below(wavelength, solar_irradiance(wavelength), mixed + self.water * water)
 
 
 def solar_irradiance(wavelength: Floats) -> Floats:
     """Return the sun's irradiance above the atmosphere, with its lines [W m-2 nm-1]."""
-    metres = wavelength * 1e-9
-    planck = 2 * 6.62607015e-34 * 2.99792458e8**2 / metres**5 / np.expm1(0.01438777 / (metres * 5772.0))
-    solid_angle = np.pi * (6.957e8 / 1.495979e11) ** 2
-    transmitted = np.exp(-_solar_lines(wavelength))
+    table, fine = sunlight_table(), _fine_structure()
+    lines = np.interp(wavelength, fine.wavelength, fine.lines)
+    return np.asarray(np.interp(wavelength, table.wavelength, table.extraterrestrial) * lines)
+
+
+class _FineStructure(NamedTuple):
+    """What the table of 1 nm does not have; every part has shape (wavelength,)."""
+
+    wavelength: Floats  # steps of `GRID_STEP` where there are lines, those of the table elsewhere
+    lines: Floats  # of the sun: a factor whose mean over 1 nm is 1
+    mixed: Floats  # optical depth of oxygen for one air mass
+    water: Floats  # and of the usual water
+
+
+_LINED = (300.0, 1100.0)  # nm
+
+
+@functools.cache
+def _fine_structure() -> _FineStructure:
+    """Return the lines, scaled cell by cell to the table."""
+    table = sunlight_table()
+    per_cell = round(1.0 / GRID_STEP)
+    first, last = _LINED
+    # cells reach half a step of the table to both sides of its wavelengths
+    nm: Floats = first - 0.5 + GRID_STEP * np.arange(round((last - first + 1.0) * per_cell), dtype=np.float64)
+    solar = np.exp(-_solar_lines(nm))
     for centre, width, depth in _FRAUNHOFER:
-        transmitted *= 1.0 - depth * np.exp(-4 * np.log(2) * ((wavelength - centre) / width) ** 2)
-    return np.asarray(planck * solid_angle * 1e-9 * transmitted)
+        solar *= 1.0 - depth * np.exp(-4 * np.log(2) * ((nm - centre) / width) ** 2)
+    half = per_cell // 2
+    means = np.convolve(np.pad(solar, half, mode="edge"), np.full(per_cell, 1.0 / per_cell), "same")
+    cells = np.searchsorted(table.wavelength, np.arange(first, last + 1.0))
+    beyond = table.wavelength > last + 1.0
+
+    def scaled(lines: Floats, depth: Floats) -> Floats:
+        inside = _scaled_to_cells(lines.reshape(-1, per_cell), depth[cells]).ravel()
+        return np.append(inside, depth[beyond])
+
+    return _FineStructure(
+        wavelength=np.append(nm, table.wavelength[beyond]),
+        lines=np.append(solar / means[half:-half], np.ones(beyond.sum())),
+        mixed=scaled(_oxygen(nm), table.mixed),
+        water=scaled(_water(nm), table.water),
+    )
+
+
+def _scaled_to_cells(lines: Floats, depth: Floats) -> Floats:
+    """Return optical depths (cell, point) whose mean transmittance in every cell is that of ``depth``.
+
+    ``lines`` (cell, point) says how the depth is spread; a tenth of its mean is a continuum, so that there is
+    an answer where a cell has no line. Transmittances are those at the air mass of the table. Bisection.
+    """
+    shape = lines + 0.1 * lines.mean(axis=1, keepdims=True) + 1e-6
+    target = np.exp(-TABLE_AIR_MASS * depth)
+    low, high = np.zeros(depth.shape), np.full(depth.shape, 1e9)
+    for _ in range(100):
+        middle = np.where(high < 1e8, 0.5 * (low + high), np.maximum(4.0 * low, 1e-3))
+        left = np.exp(-TABLE_AIR_MASS * middle[:, None] * shape).mean(axis=1)
+        low, high = np.where(left > target, middle, low), np.where(left > target, high, middle)
+    return np.where(depth[:, None] > 0.0, low[:, None] * shape, 0.0)
 
 
 def _sum_of_lines(wavelength: Floats, centres: Floats, depths: Floats, width: float) -> Floats:

@@ -53,7 +53,7 @@ def sky_irradiance(sky: str, sun_zenith: float, wavelength: Floats) -> Floats:
     --------
     >>> direct, diffuse = sky_irradiance("overcast", 25.0, np.array([550.0, 850.0]))
     >>> direct, diffuse.round(3)
-    (array([0., 0.]), array([0.329, 0.191]))
+    (array([0., 0.]), array([0.362, 0.17 ]))
     """
     # the layers of the air are curved, which matters where the sun is low
     airmass = relative_air_mass(sun_zenith) if sky == "near_sunset" else None

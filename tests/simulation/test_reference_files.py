@@ -111,9 +111,9 @@ def test_svc_files_hold_the_paints(collect: Path) -> None:
         assert len(rows) == 1024
         np.testing.assert_array_equal(rows[:, 0], svc_wavelengths())
         np.testing.assert_allclose(rows[:, 3], 100 * rows[:, 2] / rows[:, 1], atol=0.0051)
-        # what a detector's resolution takes from the paints' edges
+        # what a detector's resolution takes from the paints' edges, most at the sun's G band, 430 nm
         true = reflectance([path.stem], rows[:, 0])[0]
-        np.testing.assert_allclose(rows[:, 2] / rows[:, 1], true, atol=0.004)
+        np.testing.assert_allclose(rows[:, 2] / rows[:, 1], true, atol=0.0045)
 
 
 def test_svc_counts_radiance_in_units_of_the_instrument(collect: Path) -> None:
@@ -165,7 +165,7 @@ def test_asd_files_hold_the_paints(collect: Path) -> None:
     wavelength = made["wavelength"].values
     for index, path in enumerate(made["source"].values.tolist()):
         true = reflectance([Path(path).stem], wavelength)[0]
-        np.testing.assert_allclose(made["reflectance"].values[index], true, atol=0.003)
+        np.testing.assert_allclose(made["reflectance"].values[index], true, atol=0.004)
     seconds = (np.datetime64("2021-07-20T17:10:00") - made["time"].values) / np.timedelta64(1, "s")
     assert (seconds > 0).all()
     assert (seconds < 7200).all()

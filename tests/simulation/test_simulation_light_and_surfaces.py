@@ -22,7 +22,7 @@ def test_noon_irradiance_is_of_the_right_level() -> None:
             strict=False,
         )
     )
-    assert 1.1 < at[450] < 1.6
+    assert 1.2 < at[450] < 1.7
     assert 1.2 < at[550] < 1.6
     assert 1.1 < at[650] < 1.5
     assert 0.75 < at[870] < 1.0

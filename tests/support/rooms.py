@@ -6,9 +6,9 @@ from __future__ import annotations
 ROOMS = (
     "base",
     "kernels",
-    "simulation",
     "io",
     "light",
+    "simulation",
     "radiometry",
     "calibration",
     "alignment",
@@ -28,7 +28,10 @@ ROOMS = (
 ALONE: dict[str, set[str]] = {
     "base": set(),
     "kernels": {"base"},
-    "simulation": {"base"},
+    "simulation": {"base", "light"},
     "io": {"base"},
     "paper": {"base"},
 }
+#: What the simulator may know of the light: the sky itself, which renderer and corrections must mean alike.
+#: What the chain does with light (matching, splits, responses) it must not see.
+SKY = {"light.clear_sky", "light.sky_functions"}

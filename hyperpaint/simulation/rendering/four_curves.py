@@ -91,7 +91,7 @@ class Atmosphere:
     --------
     >>> noon = Atmosphere.clear(25.0)
     >>> round(float(np.interp(550.0, noon.wavelength, noon.irradiance)), 1)
-    1.4
+    1.6
     """
 
     wavelength: Floats

@@ -1,0 +1,174 @@
+"""A clear sky: how much light comes from the sun and from the sky, at 1 nm.
+
+In comes the state of the air and the sun's zenith angle; out go spectra. The one thing that the chain and the
+simulator share: both mean the same light, and neither checks it against the other (the tests have tables of
+ASTM G173 and SPECTRL2 by pvlib for that). How the sky's light is spread over directions: `sky_functions`.
+
+Above the air: the extraterrestrial spectrum of ASTM G173 at 1 nm. Rayleigh, Angstrom aerosol, ozone and the
+coupling of ground and air: SPECTRL2 (Bird & Riordan, J. Climate Appl. Meteor. 25, 87, 1986). Oxygen, carbon
+dioxide and water: what is left of G173's direct beam after these, as optical depths of 1 nm cells.
+"""
+
+from __future__ import annotations
+
+import functools
+from dataclasses import dataclass
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from hyperpaint.base.arrays import Floats
+from hyperpaint.base.errors import SchemaError
+
+from .sun import Scatterers, air_mass, scattered_light
+
+__all__ = ["ClearSky", "SunlightTable", "ozone_mass", "sunlight_table"]
+
+
+TABLE_AIR_MASS = 1.5
+"""Relative air mass at which the table's cells of 1 nm have their depths [1]."""
+
+OZONE_HEIGHT_KM, EARTH_RADIUS_KM = 22.0, 6370.0
+
+
+class SunlightTable(NamedTuple):
+    """Sunlight above the air and what gases take of it; every part has shape (wavelength,).
+
+    Attributes
+    ----------
+    wavelength
+        300 to 2500, steps of 1 up to 1700, of 5 beyond [nm].
+    extraterrestrial
+        At one astronomical unit [W m-2 nm-1].
+    ozone
+        Absorption coefficient, base e [cm-1].
+    mixed, water
+        Optical depth of oxygen and carbon dioxide, and of 1.416 cm of water, for one air mass [1].
+    """
+
+    wavelength: Floats
+    extraterrestrial: Floats
+    ozone: Floats
+    mixed: Floats
+    water: Floats
+
+
+@functools.cache
+def sunlight_table() -> SunlightTable:
+    """Return the table that comes with the package.
+
+    Examples
+    --------
+    >>> table = sunlight_table()
+    >>> print(np.interp(550.0, table.wavelength, table.extraterrestrial).round(3))
+    1.863
+    """
+    path = Path(__file__).with_name("sunlight_1nm.csv")
+    rows = [line for line in path.read_text(encoding="utf-8").splitlines() if not line.startswith("#")]
+    values = np.array([line.split(",") for line in rows[1:]], np.float64).T
+    values.setflags(write=False)  # shared
+    return SunlightTable(*values)
+
+
+def ozone_mass(sun_zenith: float) -> float:
+    """Return the relative air mass of a layer of ozone at 22 km (SPECTRL2, eq. 2-10).
+
+    Examples
+    --------
+    >>> round(ozone_mass(82.0), 2)
+    6.19
+    """
+    height = OZONE_HEIGHT_KM / EARTH_RADIUS_KM
+    cosine = np.cos(np.radians(sun_zenith))
+    return float((1.0 + height) / np.sqrt(cosine**2 + 2.0 * height))
+
+
+@dataclass(frozen=True)
+class ClearSky:
+    r"""The irradiance of level ground under a clear sky.
+
+    Attributes
+    ----------
+    sun_zenith
+        Angle between the sun and the vertical, below 90 [degree].
+    aerosol, angstrom
+        Aerosol optical depth at 500 nm, and the exponent of its decrease with wavelength [1].
+    ozone
+        Ozone column [atm cm].
+    water
+        Precipitable water relative to that of ASTM G173, 1.416 cm [1].
+    pressure
+        At the ground [Pa].
+    ground
+        Reflectance of the surroundings, which brightens the sky [1].
+    airmass
+        Relative optical air mass of the direct path [1]; None for `hyperpaint.light.sun.air_mass`.
+
+    Raises
+    ------
+    SchemaError
+        The sun is not above the horizon.
+
+    Notes
+    -----
+    With :math:`t_{dir}, t_{dif}` of SPECTRL2's scattering half (`hyperpaint.light.sun.scattered_light`),
+
+    .. math:: E_{dir} = E_0 t_{dir} T_{gas}, \quad E_{dif} = E_0 t_{dif} T_{gas}, \quad
+              T_{gas} = e^{-k_{O_3} c_{O_3} m_{O_3} - (\tau_{mix} + w \tau_{H_2O}) m}
+
+    ASTM G173-03; R. E. Bird and C. Riordan, J. Climate Appl. Meteor. 25, 87 (1986),
+    doi:10.1175/1520-0450(1986)025<0087:SSSMFD>2.0.CO;2.
+
+    Examples
+    --------
+    >>> direct, diffuse = ClearSky(sun_zenith=25.0).irradiance(np.array([450.0, 550.0, 850.0]))
+    >>> print(direct.round(2), diffuse.round(2))
+    [1.29 1.33 0.76] [0.38 0.22 0.05]
+    """
+
+    sun_zenith: float = 25.0
+    aerosol: float = 0.10
+    angstrom: float = 1.14
+    ozone: float = 0.31
+    water: float = 1.0
+    pressure: float = 101_325.0
+    ground: float = 0.2
+    airmass: float | None = None
+
+    def __post_init__(self) -> None:
+        if not 0.0 <= self.sun_zenith < 90.0:
+            raise SchemaError(f"sun_zenith is {self.sun_zenith!r}, expected 0 to below 90 degrees")
+
+    @property
+    def mass(self) -> float:
+        """Relative optical air mass of the direct path [1]."""
+        return float(air_mass(self.sun_zenith)) if self.airmass is None else self.airmass
+
+    def irradiance(self, wavelength: Floats) -> tuple[Floats, Floats]:
+        """Return direct and diffuse irradiance of level ground [W m-2 nm-1], at the resolution of the table.
+
+        Takes ``wavelength`` (point,), 300 to 2500 [nm]; `SchemaError` beyond.
+        """
+        table = sunlight_table()
+        if wavelength.size and not 300.0 <= wavelength.min() <= wavelength.max() <= 2500.0:
+            span = f"{wavelength.min():g} to {wavelength.max():g} nm"
+            raise SchemaError(f"wavelength goes from {span}; the clear sky covers 300 to 2500 nm")
+        above, mixed, water = (
+            np.interp(wavelength, table.wavelength, part)
+            for part in (table.extraterrestrial, table.mixed, table.water)
+        )
+        return self.below(wavelength, above, mixed + self.water * water)
+
+    def below(self, wavelength: Floats, above: Floats, depth: Floats) -> tuple[Floats, Floats]:
+        """Return direct and diffuse irradiance of level ground for other sunlight and other bands of gases.
+
+        Takes ``above``, sunlight above the air [W m-2 nm-1], and ``depth``, the optical depth of mixed gases
+        and water for one air mass [1], both (point,) at ``wavelength`` [nm].
+        """
+        table = sunlight_table()
+        ozone = self.ozone * np.interp(wavelength, table.wavelength, table.ozone)
+        gases = above * np.exp(-ozone * ozone_mass(self.sun_zenith) - depth * self.mass)
+        air = Scatterers(self.aerosol, self.angstrom, self.pressure, self.ground)
+        direct, diffuse = scattered_light(wavelength, self.sun_zenith, air, self.mass)
+        return gases * direct, gases * diffuse
