@@ -258,12 +258,13 @@ class PaintAccessor:
         self,
         bands: Any = None,
         *,
-        paints: Mapping[str, Any] | None = None,
+        paints: Mapping[str, Any] | xr.Dataset | None = None,
         atmosphere: Atmosphere | str = "noon",
         spectra: Mapping[str, Any] | xr.Dataset | None = None,
         variation: npt.ArrayLike | None = None,
         truth: bool = True,
         clip: bool = False,
+        hold_edges: bool = False,
         dims: Dims | None = None,
     ) -> PaintDataset:
         """Return the radiance of a traced scene under an atmosphere, as a camera's bands see it."""

@@ -28,6 +28,7 @@ Examples:
   hyperpaint render scene.toml
   hyperpaint render scene.toml --out quick.zarr --samples 8      a first look
   hyperpaint render scene.toml --out scene.zarr --atmosphere noon --picture noon.png
+  hyperpaint render scene.toml --paints paints.zarr --out again.zarr     with paints of a flight
 
 \b
 Then, in Python:
@@ -52,6 +53,16 @@ Then, in Python:
 @click.option(
     "--atmosphere", "atmospheres", multiple=True, metavar="NAME",
     help="Render under this one of the file only; may be given several times.",
+)  # fmt: skip
+@click.option(
+    "--paints", metavar="LIBRARY", type=PLACE,
+    help="Paint the cars with this library (.zarr, .sli, .csv, .ems, .mat, a folder of text ...): a paint "
+    "that is called like one of the scene takes its place, the others are dealt to the other cars.",
+)  # fmt: skip
+@click.option(
+    "--hold-edges/--no-hold-edges", default=None,
+    help="Hold spectra beyond their last band with values, and bridge bands without.  [default: what the "
+    "file says, or not]",
 )  # fmt: skip
 @click.option(
     "--picture", metavar="PICTURE", type=FILE,

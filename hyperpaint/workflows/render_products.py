@@ -41,8 +41,9 @@ class Render:
     atmosphere: Atmosphere
     camera: Camera
     platform: Platform
-    spectra: Mapping[str, tuple[Floats, Floats]]  #: The user's: wavelength [nm] and reflectance, by name.
+    spectra: Mapping[str, Any]  #: The user's by name: (wavelength [nm], reflectance), or a paint library.
     paints: Mapping[str, str]  #: Name of a spectrum, material or instance to that of its new spectrum.
+    hold_edges: bool = False  #: As of `hyperpaint.simulation.relight`.
 
     def of(
         self, traced: xr.Dataset, *, product: str, true_reflectance: bool, seed: int, noise: bool
@@ -57,7 +58,7 @@ class Render:
 
         relit = relight(
             traced, self._bands(product), paints=dict(self.paints), atmosphere=self.atmosphere,
-            spectra=dict(self.spectra),
+            spectra=dict(self.spectra), hold_edges=self.hold_edges,
         )  # fmt: skip
         picture = overview(relit)
         line = relit.rename(reflectance="true_reflectance")

@@ -20,9 +20,10 @@ The tables of the file, each key with its unit in its name; `EXAMPLE` shows them
 ``[sampling]``
     ``samples``, ``depth``, ``slots``, ``seed``, ``sun_radius_deg``.
 ``[spectra]``, ``[paints]``
-    Name to a file with a spectrum; name of a spectrum, material or car to that of its new spectrum.
+    Name to a file with a spectrum, or to a paint library, whose paints are "name/paint"; name of a spectrum,
+    material or car to that of its new spectrum.
 ``[output]``
-    ``product``: "radiance" or "counts"; ``true_reflectance``.
+    ``product``: "radiance" or "counts"; ``true_reflectance``; ``hold_edges``.
 """
 
 from __future__ import annotations
@@ -74,6 +75,8 @@ def render_scene(
     samples: int | None = None,
     to: str | None = None,
     atmospheres: Sequence[str] = (),
+    paints: str | Path | None = None,
+    hold_edges: bool | None = None,
     scheduler: str | None = None,
     overwrite: bool = False,
     progress: bool = False,
@@ -103,6 +106,14 @@ def render_scene(
         ``"radiance"`` or ``"counts"``, in place of what the file says.
     atmospheres
         Names of those of the file that are to be rendered; all by default.
+    paints
+        A paint library, such as signatures of a flight: anything that `hyperpaint.write_library` or
+        `hyperpaint.write_dirsig` wrote. A paint that is called like a spectrum, a material or a thing of the
+        scene goes there, the others in turn to the cars that are left; what the file says in ``[paints]``
+        comes before. The scene is not traced again.
+    hold_edges
+        Hold spectra constant beyond their last band with values, and bridge bands without, in place of what
+        the file says.
     scheduler
         Address of a dask.distributed scheduler, whose workers see the same files. By default the client
         that is active, else threads.
@@ -133,15 +144,15 @@ def render_scene(
     >>> xr.open_zarr(path, group="renders/noon").paint.reflectance()            # doctest: +SKIP
     """
     return run(
-        path, out, samples=samples, to=to, atmospheres=atmospheres, scheduler=scheduler, overwrite=overwrite,
-        progress=progress,
+        path, out, samples=samples, to=to, atmospheres=atmospheres, paints=paints, hold_edges=hold_edges,
+        scheduler=scheduler, overwrite=overwrite, progress=progress,
     ).path  # fmt: skip
 
 
 def run(
     path: str | Path, out: str | Path, *, samples: int | None = None, to: str | None = None,
-    atmospheres: Sequence[str] = (), scheduler: str | None = None, overwrite: bool = False,
-    progress: bool = False,
+    atmospheres: Sequence[str] = (), paints: str | Path | None = None, hold_edges: bool | None = None,
+    scheduler: str | None = None, overwrite: bool = False, progress: bool = False,
 ) -> Outcome:  # fmt: skip
     """Do what `render_scene` does, and return what was written; the arguments are those of `render_scene`."""
     import xarray as xr
@@ -155,8 +166,12 @@ def run(
 
     out = local_folder(out, "render")
     file = _changed(read_scene_file(path), samples, to)
+    if hold_edges is not None:
+        file = dataclasses.replace(file, hold_edges=hold_edges)
     _check_disk_roughly(file, out)
     parts = build_parts(file)
+    if paints is not None:
+        file, parts = _painted(file, parts, Path(paints))
     chosen = [each.name for each in chosen_atmospheres(parts, atmospheres)]
     with contextlib.ExitStack() as stack:
         client = stack.enter_context(computing_on(scheduler))
@@ -196,6 +211,20 @@ def _changed(file: SceneFile, samples: int | None, to: str | None) -> SceneFile:
     if samples is not None:
         file = dataclasses.replace(file, sampling=dataclasses.replace(file.sampling, samples=samples))
     return file if to is None else dataclasses.replace(file, product=to)
+
+
+def _painted(file: SceneFile, parts: Parts, paints: Path) -> tuple[SceneFile, Parts]:
+    """Return the file and its parts with the paints of a library; what the file says comes before."""
+    from hyperpaint.simulation.rendering.given_spectra import by_name
+    from hyperpaint.simulation.rendering.painting import dealt_paints
+    from hyperpaint.simulation.rendering.scene_record import SceneRecord
+
+    from .render_libraries import read_paints
+
+    library = by_name(read_paints(paints))
+    dealt = dealt_paints(SceneRecord.of(parts.scene), list(library))
+    file = dataclasses.replace(file, paints={**dealt, **file.paints})
+    return file, dataclasses.replace(parts, spectra={**library, **parts.spectra})
 
 
 def _check_disk_roughly(file: SceneFile, out: Path) -> None:
@@ -249,6 +278,7 @@ def _renders(
     traced: xr.Dataset, file: SceneFile, parts: Parts, names: Sequence[str]
 ) -> dict[str, xr.Dataset]:
     """Return the renders of a traced scene by group."""
+    from .render_libraries import spectra_digest
     from .render_products import Render
 
     renders = {}
@@ -259,11 +289,14 @@ def _renders(
                 "atmosphere": _light(atmosphere),
                 "camera": dict(file.camera),
                 "exposure_time": parts.platform.exposure_time,
-                "spectra": {name: _content(path) for name, path in file.spectra.items()},
+                "spectra": spectra_digest(parts.spectra),
+                "hold_edges": file.hold_edges,
                 "paints": dict(file.paints),
                 "product": [file.product, file.true_reflectance, file.sampling.seed],
             }
-            render = Render(atmosphere, parts.camera, parts.platform, parts.spectra, file.paints)
+            render = Render(
+                atmosphere, parts.camera, parts.platform, parts.spectra, file.paints, file.hold_edges
+            )
             renders[RENDERS + atmosphere.name] = render.of(
                 traced, product=file.product, true_reflectance=file.true_reflectance, seed=file.sampling.seed,
                 noise=parts.noise,

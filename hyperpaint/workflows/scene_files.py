@@ -161,7 +161,7 @@ SCHEMA: Mapping[str, Mapping[str, Check]] = {
     },
     "spectra": {},
     "paints": {},
-    "output": {"product": one_of("radiance", "counts"), "true_reflectance": flag},
+    "output": {"product": one_of("radiance", "counts"), "true_reflectance": flag, "hold_edges": flag},
 }  # fmt: skip
 """Check of every key of every table; the keys of `NAMED` are names."""
 
@@ -227,6 +227,7 @@ class SceneFile:
     paints: Mapping[str, str]  #: Name of a spectrum, material or instance to that of its new spectrum.
     product: str = "radiance"
     true_reflectance: bool = True  #: Whether the reflectance without noise is stored as well.
+    hold_edges: bool = False  #: Whether spectra go on where they end, and over bands without values.
 
 
 def example_scene() -> str:

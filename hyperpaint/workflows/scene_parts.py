@@ -7,11 +7,10 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hyperpaint.base.errors import FormatError, PaintError, Problems, SchemaError
-from hyperpaint.io.spectrometers.spectrum_csv import read_spectrum_csv
 
+from .render_libraries import read_spectra
 from .scene_files import MATERIAL
 
 if TYPE_CHECKING:
@@ -26,9 +25,6 @@ if TYPE_CHECKING:
 __all__ = ["Parts", "build_parts", "chosen_atmospheres"]
 
 
-Spectrum = tuple[NDArray[np.float64], NDArray[np.float64]]
-
-
 @dataclass(frozen=True)
 class Parts:
     """Everything that a render is made of."""
@@ -38,7 +34,7 @@ class Parts:
     camera: Camera
     noise: bool  #: Whether the camera has any.
     atmospheres: tuple[Atmosphere, ...]  #: All of them are traced.
-    spectra: Mapping[str, Spectrum]  #: Those of the file, wavelength [nm] and reflectance.
+    spectra: Mapping[str, Any]  #: Those of the file: (wavelength [nm], reflectance), or a paint library.
 
     @property
     def suns(self) -> list[tuple[float, float]]:
@@ -248,13 +244,19 @@ def _atmosphere(entry: AtmosphereEntry) -> Atmosphere:
     return replace(atmosphere, name=entry.name)
 
 
-def _spectra(file: SceneFile) -> dict[str, Spectrum]:
+def _spectra(file: SceneFile) -> dict[str, Any]:
     problems = Problems("spectra cannot be read", FormatError)
-    spectra = {}
+    spectra: dict[str, Any] = {}
     for name, path in file.spectra.items():
         try:
-            spectra[name] = read_spectrum_csv(path)
-        except FormatError as error:
+            value = read_spectra(path)
+        except PaintError as error:
             problems.add(str(error))
+            continue
+        if isinstance(value, dict):  # paints with wavelengths of their own
+            single = len(value) == 1
+            spectra |= {name if single else f"{name}/{paint}": one for paint, one in value.items()}
+        else:
+            spectra[name] = value
     problems.raise_if_any()
     return spectra

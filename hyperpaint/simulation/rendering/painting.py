@@ -2,45 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from hyperpaint.base.arrays import Floats
-from hyperpaint.base.errors import PaintError, Problems, SchemaError
-from hyperpaint.base.units import convert
+from hyperpaint.base.errors import Problems, SchemaError
 
 from .camera_bands import BandSet
+from .given_spectra import SpectrumReader, by_name, is_library, some_names
 from .materials import Flakes, measured_factor
 from .scene_record import SceneRecord
-from .scene_spectra import Spectrum, paint_spec, spectrum_of
+from .scene_spectra import Spectrum, paint_spec
 
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["FactorSpectra", "Table", "factor_spectra"]
-
-
-@dataclass(frozen=True, eq=False)
-class Table:
-    """A tabulated spectrum: linear between its points, constant beyond them.
-
-    Attributes
-    ----------
-    wavelength : (point,)
-        Increasing [nm].
-    reflectance : (point,)
-        [1]
-    """
-
-    wavelength: Floats
-    reflectance: Floats
-
-    def __call__(self, wavelength: Floats) -> Floats:
-        """Return the reflectance at ``wavelength`` [nm]."""
-        return np.interp(wavelength, self.wavelength, self.reflectance)
+__all__ = ["FactorSpectra", "dealt_paints", "factor_spectra"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,10 +63,11 @@ class FactorSpectra:
 def factor_spectra(
     record: SceneRecord,
     bands: BandSet,
-    paints: Mapping[str, Any] | None = None,
+    paints: Mapping[str, Any] | xr.Dataset | None = None,
     spectra: Mapping[str, Any] | xr.Dataset | None = None,
     *,
     clip: bool = False,
+    hold_edges: bool = False,
 ) -> FactorSpectra:
     """Return the spectra of all factors of a scene.
 
@@ -96,7 +77,7 @@ def factor_spectra(
         What is known of the scene.
     bands
         Tabulated spectra must cover their centres to half a width; they are constant beyond their ends.
-    paints, spectra, clip
+    paints, spectra, clip, hold_edges
         As for `relighting.relight`.
 
     Raises
@@ -105,20 +86,67 @@ def factor_spectra(
         Names are unknown, values cannot be read, leave 0 to 1, or do not cover the bands; all are listed.
     """
     problems = Problems("the scene cannot be painted", SchemaError)
-    library = {str(name): value for name, value in _library(spectra).items()}
-    assigned, scales = _painted(record, dict(paints or {}), library, problems)
-    by_name: dict[str, Spectrum] = {}
-    for name in dict.fromkeys(assigned):
-        spectrum = _spectrum(library.get(name, name), name, problems)
-        if spectrum is not None:
-            _check_values(name, spectrum, bands, problems, clip=clip)
-            by_name[name] = _near_bands(spectrum, bands)
+    library = by_name(spectra)
+    wanted: Any = {} if paints is None else paints
+    if is_library(paints):
+        dealt = by_name(paints)
+        library |= dealt
+        wanted = dealt_paints(record, list(dealt))
+    assigned, scales = _painted(record, dict(wanted), library, problems)
+    reader = SpectrumReader(library, bands, problems, clip=clip, hold_edges=hold_edges)
+    read = {name: reader.read(name) for name in dict.fromkeys(assigned)}
     problems.raise_if_any()
+    reader.warn()
+    spectra_by_name = {name: spectrum for name, spectrum in read.items() if spectrum is not None}
     coats = []
     for factor in record.factors:
         coat = record.materials[factor.material].coat
         coats.append(None if coat is None or factor.flakes else coat.index)
-    return FactorSpectra(tuple(assigned), tuple(coats), by_name, tuple(scales), clip)
+    return FactorSpectra(tuple(assigned), tuple(coats), spectra_by_name, tuple(scales), clip)
+
+
+def dealt_paints(record: SceneRecord, names: Sequence[str]) -> dict[str, str]:
+    """Return which paint of a library goes where in a scene.
+
+    A paint that is called like a spectrum, a material or a thing of the scene goes there. The others are
+    dealt in turn, in their order, to the cars that none has gone to.
+
+    Parameters
+    ----------
+    record
+        What is known of the scene.
+    names
+        Of the paints.
+
+    Raises
+    ------
+    SchemaError
+        No paint goes anywhere: none has a name of the scene, which has no car.
+
+    Examples
+    --------
+    >>> from .car_parks import car_park
+    >>> record = SceneRecord.of(car_park(length=5.0, width=16.0, neighbours=(), seed=1))
+    >>> [one.paint for one in record.instances if one.kind == "car"]
+    ['light_blue', 'dark_red', 'yellow', 'white']
+    >>> dealt_paints(record, ["yellow", "roof 7"])
+    {'yellow': 'yellow', 'car_000': 'roof 7', 'car_001': 'roof 7', 'car_003': 'roof 7'}
+    """
+    labels = [{material.name, material.spectrum} for material in record.materials]
+    cars = {instance.name for instance in record.instances}
+    dealt = {name: name for name in names if name in cars.union(*labels)}
+    rest = [name for name in names if name not in dealt]
+    free = [
+        instance.name
+        for instance, members in zip(record.instances, record.members, strict=True)
+        if instance.kind == "car" and not dealt.keys() & {instance.name}.union(*(labels[n] for n in members))
+    ]
+    if rest and not free and not dealt:
+        raise SchemaError(
+            f"the scene has no car for {some_names(rest)}; name what shall have them: "
+            f"paints={{{record.materials[0].name!r}: ...}}"
+        )
+    return dealt | {car: rest[number % len(rest)] for number, car in enumerate(free) if rest}
 
 
 def _painted(
@@ -138,7 +166,7 @@ def _painted(
         if key not in rank:
             problems.add(
                 f"paints[{key!r}] names no instance, material or spectrum of the scene; "
-                f"spectra are {_some(original)}, instances {_some(instances)}"
+                f"spectra are {some_names(original)}, instances {some_names(instances)}"
             )
     for key in sorted((key for key in paints if key in rank), key=rank.__getitem__):
         name = paints[key] if isinstance(paints[key], str) else key
@@ -191,7 +219,7 @@ def _paint_of(record: SceneRecord, instance: int, problems: Problems) -> list[in
     painted = [number for number in members if record.materials[number].kind == "paint"]
     chosen = painted or list(members)
     if len(chosen) != 1:
-        names = _some([record.materials[number].name for number in chosen])
+        names = some_names([record.materials[number].name for number in chosen])
         problems.add(f"paints[{name!r}]: it has {len(chosen)} materials to paint; name one of them: {names}")
         return []
     shared = [
@@ -201,102 +229,8 @@ def _paint_of(record: SceneRecord, instance: int, problems: Problems) -> list[in
     ]
     if shared:
         material = record.materials[chosen[0]].name
-        problems.add(f"paints[{name!r}]: {_some(shared)} would change too; name the material, {material!r}")
+        problems.add(
+            f"paints[{name!r}]: {some_names(shared)} would change too; name the material, {material!r}"
+        )
         return []
     return chosen
-
-
-def _some(names: list[str]) -> str:
-    different = list(dict.fromkeys(names))
-    return ", ".join(map(repr, different[:12])) + (", ..." if len(different) > 12 else "")
-
-
-def _library(spectra: Any) -> Mapping[Any, Any]:
-    if spectra is None:
-        return {}
-    if isinstance(spectra, Mapping) and not hasattr(spectra, "data_vars"):
-        return spectra
-    reflectance = getattr(spectra, "reflectance", None)
-    if (
-        reflectance is None
-        or "paint" not in getattr(reflectance, "dims", ())
-        or "paint" not in spectra.coords
-    ):
-        raise SchemaError(
-            "spectra is no mapping of names to spectra, and no library with reflectance(paint, band)"
-        )
-    return {str(name): reflectance.isel(paint=place) for place, name in enumerate(spectra["paint"].values)}
-
-
-def _spectrum(value: Any, name: str, problems: Problems) -> Spectrum | None:
-    """Return what a user gave for a spectrum as a function."""
-    if callable(value) and not hasattr(value, "dims"):
-        spectrum: Spectrum = value
-        return spectrum
-    if isinstance(value, str):
-        try:
-            return spectrum_of(value)
-        except SchemaError as error:
-            problems.add(f"{error}; or give it with spectra={{{value!r}: ...}}")
-            return None
-    try:
-        wavelength, reflectance = _columns(value)
-    except (PaintError, TypeError, ValueError) as error:
-        problems.add(
-            f"spectrum {name!r} cannot be read ({error}); expected a name, (wavelength [nm], reflectance), "
-            "or a DataArray with a coordinate 'wavelength'"
-        )
-        return None
-    if wavelength.ndim != 1 or wavelength.shape != reflectance.shape or wavelength.size < 2:
-        problems.add(
-            f"spectrum {name!r} has wavelengths {wavelength.shape} and reflectances {reflectance.shape}, "
-            "expected two of the same length, at least 2"
-        )
-        return None
-    if not np.isfinite(wavelength).all() or not (np.diff(wavelength) > 0).all():
-        problems.add(f"spectrum {name!r}: wavelengths do not increase; sort them")
-        return None
-    return Table(wavelength, reflectance)
-
-
-def _columns(value: Any) -> tuple[Floats, Floats]:
-    if hasattr(value, "dims"):
-        if "wavelength" not in value.coords:
-            raise ValueError("it has no coordinate 'wavelength'")
-        axis = value["wavelength"]
-        axis = convert(axis, "nm") if "units" in axis.attrs else axis
-        values = convert(value, "1") if "units" in value.attrs else value
-        return np.asarray(axis.values, np.float64), np.asarray(values.values, np.float64)
-    wavelength, reflectance = value
-    return np.asarray(wavelength, np.float64), np.asarray(reflectance, np.float64)
-
-
-def _near_bands(spectrum: Spectrum, bands: BandSet) -> Spectrum:
-    """Return the part of a table that bands see: what is missing at 1900 nm need not bother them."""
-    if not isinstance(spectrum, Table):
-        return spectrum
-    start = max(int(np.searchsorted(spectrum.wavelength, bands.lowest())) - 1, 0)
-    stop = int(np.searchsorted(spectrum.wavelength, bands.highest())) + 1
-    return Table(spectrum.wavelength[start:stop], spectrum.reflectance[start:stop])
-
-
-def _check_values(name: str, spectrum: Spectrum, bands: BandSet, problems: Problems, *, clip: bool) -> None:
-    near = _near_bands(spectrum, bands)
-    if isinstance(spectrum, Table) and isinstance(near, Table):
-        first, last = spectrum.wavelength[[0, -1]]
-        low, high = bands.wavelength[[0, -1]]
-        if first > low + bands.fwhm[0] / 2 or last < high - bands.fwhm[-1] / 2:
-            problems.add(
-                f"spectrum {name!r} covers {first:.1f} to {last:.1f} nm, expected the bands, "
-                f"{low:.1f} to {high:.1f} nm"
-            )
-        values = near.reflectance
-    else:
-        values = np.asarray(spectrum(np.arange(bands.lowest(), bands.highest() + 1.0)), np.float64)
-    if not (values.size and np.isfinite(values).all()):
-        problems.add(f"spectrum {name!r} holds values that are not finite; cut or fill them first")
-    elif not clip and (values.min() < 0.0 or values.max() > 1.0):
-        problems.add(
-            f"spectrum {name!r} goes from {values.min():.4g} to {values.max():.4g}, expected 0 to 1; "
-            "divide per cent by 100, or pass clip=True"
-        )

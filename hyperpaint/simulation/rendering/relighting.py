@@ -55,12 +55,13 @@ def relight(
     traced: xr.Dataset,
     bands: Any = None,
     *,
-    paints: Mapping[str, Any] | None = None,
+    paints: Mapping[str, Any] | xr.Dataset | None = None,
     atmosphere: Atmosphere | str = "noon",
     spectra: Mapping[str, Any] | xr.Dataset | None = None,
     variation: npt.ArrayLike | None = None,
     truth: bool = True,
     clip: bool = False,
+    hold_edges: bool = False,
 ) -> xr.Dataset:
     r"""Return the radiance of a traced scene under an atmosphere, as a camera's bands see it.
 
@@ -76,12 +77,15 @@ def relight(
         materials of the scene have; the first counts most. A value is the name of a spectrum, ``(wavelength
         [nm], reflectance)``, a DataArray with a coordinate ``wavelength``, or a function of wavelength [nm].
         Reflectances are near normal, without the specular component. A car that was traced with flakes gets
-        as many as the named paint has, and none from a measured spectrum; one traced without stays so.
+        as many as the named paint has, and none from a measured spectrum; one traced without stays so. A
+        paint library instead of a mapping: its paints go where a spectrum, material or instance has their
+        name, the others in turn to the cars that are left.
     atmosphere
         The light; or the name of a preset one: "noon", "near_sunset", "cloudy".
     spectra
         Further spectra by name, as values of ``paints`` or as a paint library; they go before the built-in
-        ones of the same name.
+        ones of the same name. A library as a value: of one paint it is that name's spectrum, of several each
+        is ``name/paint``.
     variation
         Factors of direct and of diffuse light in every line, shape (2, along_track), such as a cloud's that
         passes while the camera flies.
@@ -89,6 +93,9 @@ def relight(
         Add ``reflectance`` and the layers that say where light came from.
     clip
         Limit reflectances to 0 to 1 where they would be an error.
+    hold_edges
+        Hold tabulated spectra constant beyond their ends and their last bands with values, and bridge bands
+        without values, or not ``good``, by straight lines; they are an error otherwise.
 
     Returns
     -------
@@ -106,6 +113,12 @@ def relight(
         The dataset is no traced one; the atmosphere's sun (to 0.01 degrees) or its overcast sky was not
         traced, or it does not cover the bands; names are unknown, spectra leave 0 to 1 or do not cover the
         bands; ``variation`` has another shape. All problems of a kind are listed.
+
+    Warns
+    -----
+    PaintWarning
+        Noise takes paints of a library a little beyond 0 to 1, where they are cut; or a library says that it
+        holds the light that coats mirror, which the renderer adds once more.
 
     Notes
     -----
@@ -134,7 +147,7 @@ def relight(
     lines, columns = (variables["distance"].sizes[dim] for dim in (ALONG_TRACK, CROSS_TRACK))
     _check(camera, sky, columns)
     factors = _variation(variation, lines)
-    painted = factor_spectra(record, camera, paints, spectra, clip=clip)
+    painted = factor_spectra(record, camera, paints, spectra, clip=clip, hold_edges=hold_edges)
     sun = traced_sun(sky, settings)
     cosine = float(np.cos(np.radians(settings.suns[sun][0])))
     light = _lighting(camera, record, settings, sky, painted)

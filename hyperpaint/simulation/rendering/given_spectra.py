@@ -1,0 +1,310 @@
+"""Spectra that a user gives: names, tables, functions, and paints of a library with their populations."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from hyperpaint.base.arrays import Bools, Floats
+from hyperpaint.base.errors import PaintError, PaintWarning, Problems, SchemaError
+from hyperpaint.base.mirrored_light import INCLUDED, mirror_reflection
+from hyperpaint.base.schema import BAND, MEMBER, PAINT
+from hyperpaint.base.units import convert
+
+from .camera_bands import BandSet
+from .scene_spectra import Spectrum, spectrum_of
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+__all__ = ["SpectrumReader", "Table", "by_name", "is_library", "some_names"]
+
+
+MOST_MEMBERS = 512
+"""Members of a population that are kept for a render: more would change its quantiles by less than 0.2 %."""
+
+_NOISE = 0.05
+"""How far noise may take a measured reflectance beyond 0 or 1 [1]; more is an error of scale or of light."""
+
+_MOST_SHOWN = 6
+
+
+@dataclass(frozen=True, eq=False)
+class Table:
+    """A tabulated spectrum: linear between its points, constant beyond them.
+
+    Attributes
+    ----------
+    wavelength : (point,)
+        Increasing [nm].
+    reflectance : (point,)
+        [1]
+    members : (member, point)
+        Its population; None without [1].
+    """
+
+    wavelength: Floats
+    reflectance: Floats
+    members: Floats | None = None
+
+    def __call__(self, wavelength: Floats) -> Floats:
+        """Return the reflectance at ``wavelength`` [nm]."""
+        return np.interp(wavelength, self.wavelength, self.reflectance)
+
+
+def is_library(value: Any) -> bool:
+    """Return whether a value is a dataset with ``reflectance`` (paint, band)."""
+    if not hasattr(value, "data_vars") or "reflectance" not in value:
+        return False
+    return PAINT in value["reflectance"].dims
+
+
+def _paints_of(library: xr.Dataset) -> dict[str, xr.Dataset]:
+    """Return the paints of a library by name, each with what the renderer takes of it, unread.
+
+    Raises
+    ------
+    SchemaError
+        It is none, its paints have no names, or two have the same.
+    """
+    if not is_library(library) or PAINT not in library.variables:
+        raise SchemaError(
+            "spectra is no mapping of names to spectra, and no library with reflectance(paint, band)"
+        )
+    names = [str(name) for name in library[PAINT].values]
+    if twice := sorted({name for name in names if names.count(name) > 1}):
+        raise SchemaError(
+            f"the library has two paints {', '.join(map(repr, twice))}; give each its own name, or choose "
+            "one by its place with library.isel(paint=...)"
+        )
+    wanted = [name for name in ("reflectance", "member_reflectance") if name in library.variables]
+    slim = library[wanted].reset_coords(drop=True)
+    about = ("wavelength", "good")
+    slim = slim.assign_coords({name: library[name].variable for name in about if name in library.variables})
+    slim.attrs = dict(library.attrs)
+    return {name: slim.isel({PAINT: place}) for place, name in enumerate(names)}
+
+
+def by_name(spectra: Any) -> dict[str, Any]:
+    """Return spectra by name: a library's paints; a library inside a mapping as ``name/paint``.
+
+    One of a single paint keeps the mapping's name.
+    """
+    if spectra is None:
+        return {}
+    if is_library(spectra) or not isinstance(spectra, Mapping):
+        library: Any = spectra
+        return dict(_paints_of(library))
+    named: dict[str, Any] = {}
+    for name, value in spectra.items():
+        if not is_library(value):
+            named[str(name)] = value
+            continue
+        paints = _paints_of(value)
+        single = len(paints) == 1
+        named |= {str(name) if single else f"{name}/{paint}": one for paint, one in paints.items()}
+    return named
+
+
+class SpectrumReader:
+    """Makes functions of what a user gives for spectra, and gathers what is wrong with them.
+
+    Parameters
+    ----------
+    given
+        Spectra by name, as `by_name` returns them.
+    bands
+        That the spectra must cover.
+    problems
+        Where to add what is wrong.
+    clip
+        Limit reflectances to 0 to 1 where they would be an error.
+    hold_edges
+        Hold spectra constant beyond their last good band, and bridge bands without values by straight lines.
+    """
+
+    def __init__(
+        self, given: Mapping[str, Any], bands: BandSet, problems: Problems, *, clip: bool, hold_edges: bool
+    ) -> None:
+        self._given, self._bands, self._problems = given, bands, problems
+        self._clip, self._hold = clip, hold_edges
+        self._clipped: list[str] = []
+        self._mirroring: list[str] = []
+
+    def read(self, name: str) -> Spectrum | None:
+        """Return a spectrum by name as a function; None where it is wrong."""
+        spectrum = self._spectrum(self._given.get(name, name), name)
+        if spectrum is not None:
+            self._check_values(name, spectrum)
+            return _near_bands(spectrum, self._bands)
+        return None
+
+    def warn(self) -> None:
+        """Warn of what was taken though it may mislead."""
+        if self._clipped:
+            msg = (
+                f"noise takes {some_names(self._clipped)} beyond 0 to 1 by {_NOISE:g} at most; cut there for "
+                "the render"
+            )
+            warnings.warn(msg, PaintWarning, stacklevel=4)
+        if self._mirroring:
+            msg = (
+                f"{some_names(self._mirroring)} hold the light that the coat mirrors, and the renderer adds "
+                "its own; extract signatures with specular_sky=True (--specular-sky)"
+            )
+            warnings.warn(msg, PaintWarning, stacklevel=4)
+
+    def _spectrum(self, value: Any, name: str) -> Spectrum | None:
+        problems = self._problems
+        if callable(value) and not hasattr(value, "dims"):
+            spectrum: Spectrum = value
+            return spectrum
+        if isinstance(value, str):
+            try:
+                return spectrum_of(value)
+            except SchemaError as error:
+                inside = [key for key in self._given if key.startswith(f"{value}/")]
+                hint = (
+                    f"it has {some_names(inside)}; name one"
+                    if inside
+                    else f"or give it with spectra={{{value!r}: ...}}"
+                )
+                problems.add(f"{error}; {hint}")
+                return None
+        try:
+            table = self._measured(value, name) if hasattr(value, "data_vars") else Table(*_columns(value))
+        except (PaintError, TypeError, ValueError) as error:
+            problems.add(
+                f"spectrum {name!r} cannot be read ({error}); expected a name, (wavelength [nm], "
+                "reflectance), a DataArray with a coordinate 'wavelength', or a paint library"
+            )
+            return None
+        return self._checked(table, name)
+
+    def _checked(self, table: Table, name: str) -> Table | None:
+        nm, reflectance = table.wavelength, table.reflectance
+        if nm.ndim != 1 or nm.shape != reflectance.shape or nm.size < 2:
+            self._problems.add(
+                f"spectrum {name!r} has wavelengths {nm.shape} and reflectances {reflectance.shape}, "
+                "expected two of the same length, at least 2"
+            )
+            return None
+        if not np.isfinite(nm).all() or not (np.diff(nm) > 0).all():
+            self._problems.add(f"spectrum {name!r}: wavelengths do not increase; sort them")
+            return None
+        used = np.isfinite(reflectance)
+        if not self._hold:  # values may end half a width inside of the outer bands' centres
+            low, high = self._bands.wavelength[[0, -1]]
+            used |= (nm >= low + self._bands.fwhm[0] / 2) & (nm <= high - self._bands.fwhm[-1] / 2)
+        if used.sum() < 2:
+            where = _runs(nm, ~np.isfinite(reflectance))
+            self._problems.add(f"spectrum {name!r} holds values that are not finite at {where} nm; fill them")
+            return None
+        members = None if table.members is None else _whole(table.members[:, used])
+        return Table(nm[used], reflectance[used], members)
+
+    def _measured(self, paint: xr.Dataset, name: str) -> Table:
+        """Return a paint of a library: bands in order, those that are not good without values."""
+        nm, reflectance = _columns(paint["reflectance"])
+        order = np.argsort(nm, kind="stable")
+        good = np.ones(nm.size, bool)
+        if "good" in paint.coords:
+            good = np.asarray(paint["good"].values, bool)
+        values = np.where(good, reflectance, np.nan)[order]
+        members = None
+        if "member_reflectance" in paint:
+            rows = np.asarray(convert(paint["member_reflectance"], "1").transpose(MEMBER, BAND).values)
+            members = _thinned(np.where(good, rows, np.nan)[:, order].astype(np.float64))
+        if mirror_reflection(paint) == INCLUDED:
+            self._mirroring.append(name)
+        outside = (values < 0.0) | (values > 1.0)
+        if outside.any() and bool((np.abs(values[outside] - 0.5) <= 0.5 + _NOISE).all()):
+            self._clipped.append(name)
+            values = np.clip(values, 0.0, 1.0)
+        return Table(nm[order], values, members)
+
+    def _check_values(self, name: str, spectrum: Spectrum) -> None:
+        bands, problems = self._bands, self._problems
+        near = _near_bands(spectrum, bands)
+        if isinstance(spectrum, Table) and isinstance(near, Table):
+            first, last = spectrum.wavelength[[0, -1]]
+            low, high = bands.wavelength[[0, -1]]
+            if not self._hold and (first > low + bands.fwhm[0] / 2 or last < high - bands.fwhm[-1] / 2):
+                problems.add(
+                    f"spectrum {name!r} covers {first:.1f} to {last:.1f} nm, expected the bands, "
+                    f"{low:.1f} to {high:.1f} nm; hold_edges=True (--hold-edges) holds its ends"
+                )
+            values = near.reflectance
+            missing = ~np.isfinite(values)
+            if missing.any():
+                where = _runs(near.wavelength, missing)
+                problems.add(
+                    f"spectrum {name!r} holds values that are not finite at {where} nm; cut or fill them "
+                    "first, or hold_edges=True (--hold-edges) holds and bridges them"
+                )
+                return
+        else:
+            values = np.asarray(spectrum(np.arange(bands.lowest(), bands.highest() + 1.0)), np.float64)
+        if not (values.size and np.isfinite(values).all()):
+            problems.add(f"spectrum {name!r} holds values that are not finite; cut or fill them first")
+        elif not self._clip and (values.min() < 0.0 or values.max() > 1.0):
+            problems.add(
+                f"spectrum {name!r} goes from {values.min():.4g} to {values.max():.4g}, expected 0 to 1; "
+                "divide per cent by 100, or pass clip=True"
+            )
+
+
+def _columns(value: Any) -> tuple[Floats, Floats]:
+    if hasattr(value, "dims"):
+        if "wavelength" not in value.coords:
+            raise ValueError("it has no coordinate 'wavelength'")
+        axis = value["wavelength"]
+        axis = convert(axis, "nm") if "units" in axis.attrs else axis
+        values = convert(value, "1") if "units" in value.attrs else value
+        return np.asarray(axis.values, np.float64), np.asarray(values.values, np.float64)
+    wavelength, reflectance = value
+    return np.asarray(wavelength, np.float64), np.asarray(reflectance, np.float64)
+
+
+def _near_bands(spectrum: Spectrum, bands: BandSet) -> Spectrum:
+    """Return the part of a table that bands see: what is missing at 1900 nm need not bother them."""
+    if not isinstance(spectrum, Table):
+        return spectrum
+    last = spectrum.wavelength.size - 1
+    start = min(max(int(np.searchsorted(spectrum.wavelength, bands.lowest())) - 1, 0), last)
+    stop = max(int(np.searchsorted(spectrum.wavelength, bands.highest())) + 1, start + 1)
+    near = slice(start, stop)
+    members = None if spectrum.members is None else _whole(spectrum.members[:, near])
+    return Table(spectrum.wavelength[near], spectrum.reflectance[near], members)
+
+
+def _thinned(members: Floats) -> Floats:
+    """Return at most `MOST_MEMBERS` of the members that have values, evenly among them."""
+    used = members[np.isfinite(members).any(axis=1)]
+    if len(used) <= MOST_MEMBERS:
+        return used
+    return np.asarray(used[np.linspace(0, len(used) - 1, MOST_MEMBERS).round().astype(np.int64)])
+
+
+def _whole(members: Floats) -> Floats | None:
+    """Return the members without gaps; None of fewer than two."""
+    whole = members[np.isfinite(members).all(axis=1)]
+    return whole if len(whole) > 1 else None
+
+
+def _runs(wavelength: Floats, missing: Bools) -> str:
+    """Return where values are missing, neighbours together."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], missing, [False]]).astype(np.int8)))
+    runs = [(wavelength[begin], wavelength[end - 1]) for begin, end in edges.reshape(-1, 2)]
+    texts = [f"{low:.1f}" if low == high else f"{low:.1f} to {high:.1f}" for low, high in runs]
+    return ", ".join(texts[:_MOST_SHOWN]) + (", ..." if len(texts) > _MOST_SHOWN else "")
+
+
+def some_names(names: Iterable[str]) -> str:
+    """Return some of different names, in quotes."""
+    different = list(dict.fromkeys(names))
+    return ", ".join(map(repr, different[:12])) + (", ..." if len(different) > 12 else "")
