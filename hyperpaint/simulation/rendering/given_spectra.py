@@ -16,6 +16,7 @@ from hyperpaint.base.schema import BAND, MEMBER, PAINT
 from hyperpaint.base.units import convert
 
 from .camera_bands import BandSet
+from .octaves import MEASURED
 from .scene_spectra import Spectrum, spectrum_of
 
 if TYPE_CHECKING:
@@ -51,9 +52,17 @@ class Table:
     reflectance: Floats
     members: Floats | None = None
 
+    octaves = MEASURED
+
     def __call__(self, wavelength: Floats) -> Floats:
         """Return the reflectance at ``wavelength`` [nm]."""
         return np.interp(wavelength, self.wavelength, self.reflectance)
+
+    def population(self, wavelength: Floats) -> Floats | None:
+        """Return the members at ``wavelength`` [nm], (member, wavelength); None without."""
+        if self.members is None:
+            return None
+        return np.stack([np.interp(wavelength, self.wavelength, row) for row in self.members])
 
 
 def is_library(value: Any) -> bool:
@@ -217,7 +226,10 @@ class SpectrumReader:
         values = np.where(good, reflectance, np.nan)[order]
         members = None
         if "member_reflectance" in paint:
-            rows = np.asarray(convert(paint["member_reflectance"], "1").transpose(MEMBER, BAND).values)
+            population = paint["member_reflectance"].transpose(MEMBER, BAND)
+            rows = np.asarray(
+                (convert(population, "1") if "units" in population.attrs else population).values
+            )
             members = _thinned(np.where(good, rows, np.nan)[:, order].astype(np.float64))
         if mirror_reflection(paint) == INCLUDED:
             self._mirroring.append(name)

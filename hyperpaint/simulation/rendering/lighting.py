@@ -14,7 +14,7 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,6 +35,9 @@ from hyperpaint.simulation.transport.path_codes import (
 from .camera_bands import BandResponses, BandSet, cell_means
 from .four_curves import Atmosphere
 from .scene_record import TraceSettings, sun_vectors
+
+if TYPE_CHECKING:
+    from hyperpaint.simulation.transport.texturing import Texture
 
 __all__ = ["SHARES", "Lighting", "ProductTable", "make_lighting", "source_spectra", "traced_sun"]
 
@@ -103,7 +106,9 @@ class Lighting:
     extinction: Floats32
     path_radiance: Floats32
 
-    def surface_radiance(self, weight: Floats32, code: Array, variation: Floats | None) -> Floats32:
+    def surface_radiance(
+        self, weight: Floats32, code: Array, variation: Floats | None, texture: Texture | None = None
+    ) -> Floats32:
         """Return what the scene sends to the camera, (line, band, column) [W m-2 sr-1 nm-1].
 
         Parameters
@@ -112,10 +117,12 @@ class Lighting:
             As traced.
         variation : (line, 2)
             Factors of direct and diffuse light; None for ones.
+        texture
+            Members of populations that pixels show; None for the means.
         """
         lines, _, columns = weight.shape
         out = np.empty((lines, self.table.bands.wavelength.size, columns), np.float32)
-        self.table.mix(_varied(weight, code, variation), code, out)
+        self.table.mix(_varied(weight, code, variation), code, out, texture)
         return out
 
     def at_sensor(self, surface: Floats32, distance: Floats32, *, in_place: bool = False) -> Floats32:
@@ -303,7 +310,13 @@ class ProductTable:
         at_columns = sum(at_nodes[..., first + j, :] * weight[:, j, None] for j in range(4))
         return np.moveaxis(np.asarray(at_columns), -2, -1)
 
-    def mix(self, weight: NDArray[np.float32], codes: Ints, out: NDArray[np.float32]) -> None:
+    def mix(
+        self,
+        weight: NDArray[np.float32],
+        codes: Ints,
+        out: NDArray[np.float32],
+        texture: Texture | None = None,
+    ) -> None:
         """Write the sum of weight x product over the paths of every pixel, with the smile of each column.
 
         Parameters
@@ -312,15 +325,19 @@ class ProductTable:
             As traced; empty slots add nothing.
         out : (line, band, column)
             Overwritten; in the units of the table.
+        texture
+            Members of populations that pixels show; None for the means.
         """
-        from hyperpaint.simulation.transport.mixing import index_paths, mix, mix_shifted
+        from hyperpaint.simulation.transport.mixing import index_paths, mix_shifted
 
         distinct, index = index_paths(codes)
         products = self.rows(distinct)
-        if self.bands.wavelength_shift is None:
-            mix(weight, index, products[0], out)
-        else:
-            mix_shifted(weight, index, products, *self.bands.between_nodes(), out)
+        columns = out.shape[2]
+        nodes = np.zeros(columns, np.int64), np.ones((columns, 1))
+        if self.bands.wavelength_shift is not None:
+            nodes = self.bands.between_nodes()
+        factors = None if texture is None else self.codes.factors(distinct)
+        mix_shifted(weight, index, products, *nodes, out, texture, factors)
 
     def irradiance(self, source: int) -> Floats:
         """Return what the bands see of a source itself, shape (node, band)."""

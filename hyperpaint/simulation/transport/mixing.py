@@ -10,6 +10,8 @@ import numpy.typing as npt
 from hyperpaint.base.arrays import Array
 from hyperpaint.base.jit import borrowing_kernel, kernel
 
+from .texturing import Texture
+
 __all__ = ["index_paths", "integrate_bands", "mix", "mix_shifted", "through_air"]
 
 
@@ -113,6 +115,8 @@ def mix_shifted(
     node: npt.NDArray[Any],
     node_weight: npt.NDArray[Any],
     out: npt.NDArray[np.float32],
+    texture: Texture | None = None,
+    factors: npt.NDArray[np.int64] | None = None,
 ) -> None:
     """Write the sum over slots of weight times spectrum, the spectra those of each column.
 
@@ -126,6 +130,9 @@ def mix_shifted(
         First of the nodes between which a column lies, shape (column,), integers.
     node_weight
         Weights of the nodes from there on, shape (column, 4 or fewer).
+    texture, factors
+        Members that pixels show in place of the mean, and the factors of every path, (path, digit), by which
+        paths are known that the member changes.
 
     Raises
     ------
@@ -144,8 +151,14 @@ def mix_shifted(
             f"columns need nodes up to {first.max() + share.shape[1] - 1}, the table has {len(spectra)}"
         )
     weights, rows = np.ascontiguousarray(weight, np.float32), np.ascontiguousarray(index, np.int32)
-    sums = np.empty((_TILE, out.shape[1]), np.float32)
-    _mix_shifted(weights, rows, spectra, first, share, sums, out)
+    if texture is None or factors is None:
+        row = np.full((out.shape[0], columns), -1, np.int32)
+        texture = Texture(row, np.zeros(0, np.int64), np.zeros((0, out.shape[1]), np.float32))
+        factors = np.zeros((0, 1), np.int64)
+    elif texture.row.shape != (out.shape[0], columns) or texture.ratio.shape[1] != out.shape[1]:
+        raise ValueError(f"texture {texture.row.shape}, {texture.ratio.shape} for {out.shape}")
+    sums = np.empty((2, _TILE, out.shape[1]), np.float32)
+    _mix_shifted(weights, rows, spectra, first, share, texture, np.ascontiguousarray(factors), sums, out)
 
 
 def _check(weight: Array, index: Array, shape: tuple[int, ...], out: Array) -> None:
@@ -185,23 +198,46 @@ def _write_tile(sums: Array, first: int, last: int, line: int, out: Array) -> No
 
 
 @borrowing_kernel
+def _is_changed(factors: Array, path: int, factor: int) -> bool:
+    """Return whether a path has a factor."""
+    has = False
+    for digit in range(factors.shape[1]):
+        has = has or factors[path, digit] == factor
+    return has
+
+
+@borrowing_kernel
+def _apply(sums: Array, changed: Array, column: int, ratio: Array, row: int) -> None:
+    """Add what the member of a pixel changes to what it does not."""
+    for band in range(sums.shape[1]):
+        sums[column, band] += changed[column, band] * ratio[row, band]
+
+
+@borrowing_kernel
 def _mix_shifted(
-    weight: Array, index: Array, table: Array, node: Array, node_weight: Array, sums: Array, out: Array
-) -> None:
-    """See `mix_shifted`."""
+    weight: Array, index: Array, table: Array, node: Array, node_weight: Array, texture: Texture,
+    factors: Array, sums: Array, out: Array,
+) -> None:  # fmt: skip
+    """See `mix_shifted`; ``sums`` (2, column, band) is of what no member changes, and of what one does."""
     columns = out.shape[2]
     for line in range(out.shape[0]):
         for first in range(0, columns, _TILE):
             last = min(first + _TILE, columns)
-            _clear(sums)
+            _clear(sums[0])
             for column in range(first, last):
+                member = texture.row[line, column]
+                if member >= 0:
+                    _clear(sums[1, column - first : column - first + 1])
                 for slot in range(weight.shape[1]):
                     row = index[line, slot, column]
                     if row >= 0:
+                        part = 1 if member >= 0 and _is_changed(factors, row, texture.factor[member]) else 0
                         for k in range(node_weight.shape[1]):
                             share = weight[line, slot, column] * node_weight[column, k]
-                            _add_row(sums, column - first, table, node[column] + k, row, share)
-            _write_tile(sums, first, last, line, out)
+                            _add_row(sums[part], column - first, table, node[column] + k, row, share)
+                if member >= 0:
+                    _apply(sums[0], sums[1], column - first, texture.ratio, member)
+            _write_tile(sums[0], first, last, line, out)
 
 
 @kernel

@@ -1,0 +1,93 @@
+"""Populations of spectra behind the factors of a scene: which members there are, and how they vary in space.
+
+A pixel shows one member of the population of what it shows most of: in the products of its paths, the factor
+of that surface is multiplied by member over mean, band by band. Paths stay as they were traced; what other
+surfaces throw on a pixel has the mean. Members are ranked by their brightness, and a smooth random field over
+the surface gives the rank, so that each is equally likely and neighbours resemble one another (`Octaves`).
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from hyperpaint.base.arrays import Array, Floats, Floats32
+
+from .camera_bands import BandSet
+from .octaves import Octaves
+from .painting import FactorSpectra
+from .scene_record import SceneRecord
+
+if TYPE_CHECKING:
+    from hyperpaint.simulation.transport.texturing import Grain
+
+__all__ = ["Populations", "populations_of", "rows_of_pixels"]
+
+
+_DARKEST = 1e-4
+"""Mean below which a member is not divided by it [1]."""
+
+_BRIGHTEST = 50.0
+"""Member over mean at the most: noise about a mean of nearly nothing [1]."""
+
+
+class Populations(NamedTuple):
+    """Members of all populations of a scene, as the mixing of paths takes them."""
+
+    grain: Grain
+    factor: Array  # (row,) that a member changes
+    ratio: Floats32  # (row, band) member over mean
+
+
+def populations_of(record: SceneRecord, painted: FactorSpectra, bands: BandSet) -> Populations | None:
+    """Return the populations of a scene's materials; None where no spectrum has one.
+
+    The mean over the members of a population is the spectrum itself, in every band.
+    """
+    from hyperpaint.simulation.transport.texturing import Grain
+
+    count = np.zeros((2, len(record.materials)), np.int64)
+    members: list[tuple[Octaves, int, int, Floats]] = []
+    for place, (factor, name) in enumerate(zip(record.factors, painted.names, strict=True)):
+        spectrum: Any = painted.spectra[name]
+        if factor.flakes or getattr(spectrum, "population", None) is None:
+            continue
+        rows = spectrum.population(bands.wavelength)
+        if rows is not None:
+            members.append((spectrum.octaves, factor.material, place, rows))
+    if not members:
+        return None
+    most = max(len(octaves.lengths) for octaves, *_ in members)
+    shape = len(record.materials), most
+    lengths, shares, averaged = np.ones(shape), np.zeros(shape), np.zeros(shape[0], bool)
+    ratios, factors, first = [], [], 0
+    for octaves, material, place, rows in members:
+        ratios.append(_over_mean(rows))
+        factors.append(np.full(len(rows), place, np.int64))
+        count[:, material] = first, len(rows)
+        first += len(rows)
+        lengths[material, : len(octaves.lengths)] = octaves.lengths
+        shares[material, : len(octaves.shares)] = octaves.shares
+        averaged[material] = octaves.is_averaged
+    grain = Grain(count[0], count[1], lengths, shares, averaged)
+    return Populations(grain, np.concatenate(factors), np.concatenate(ratios).astype(np.float32))
+
+
+def _over_mean(rows: Floats) -> Floats:
+    """Return members (member, band) over their mean, the dark ones first."""
+    mean = rows.mean(axis=0)
+    ratio = np.clip(rows, 0.0, 1.0) / np.maximum(mean, _DARKEST)
+    ratio = np.minimum(ratio, _BRIGHTEST)
+    # what was cut off below 0 or above 1 must not change the mean
+    ratio /= np.maximum(ratio.mean(axis=0), _DARKEST)
+    return np.asarray(ratio[np.argsort(rows.mean(axis=1), kind="stable")])
+
+
+def rows_of_pixels(
+    material: Array, instance: Array, east: Array, north: Array, up: Array, *, grain: Grain, seed: int
+) -> Array:
+    """Return the rows of the members that pixels show, (line, column); see `texturing.member_rows`."""
+    from hyperpaint.simulation.transport.texturing import member_rows
+
+    return member_rows(material, instance, np.stack([east, north, up]), grain, seed)

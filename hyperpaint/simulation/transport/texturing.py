@@ -1,0 +1,167 @@
+"""Which member of its population every pixel shows: smooth random fields over the places of a scene.
+
+A field is value noise on cubes of a lattice, smoothly between their corners, of variance one everywhere:
+
+    g(x) = SUM_i w_i z_i / sqrt(SUM_i w_i^2)
+
+with normal numbers z that belong to a corner, to a thing of the scene and to an octave, so that no value
+depends on what is asked for beside it. Octaves of several lengths add up; the rank of a pixel's member in its
+population is the normal distribution's function of their sum.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from hyperpaint.base.arrays import Array
+from hyperpaint.base.jit import borrowing_kernel
+
+from .paths import philox
+
+__all__ = ["Grain", "Texture", "member_rows"]
+
+
+_MASK = 0xFFFFFFFF
+_STEP = 2.0**-32
+
+
+class Grain(NamedTuple):
+    """How populations vary from place to place; arrays of a row for every material.
+
+    Attributes
+    ----------
+    first, count : (material,) int64
+        First row of its members, and their number; 0 without a population.
+    length : (material, octave) float64
+        Distance over which an octave varies [m].
+    share : (material, octave) float64
+        Part of the variance [1].
+    is_averaged : (material,) bool
+        Whether pixels larger than an octave's length see it averaged; what was measured of pixels is not.
+    """
+
+    first: Array
+    count: Array
+    length: Array
+    share: Array
+    is_averaged: Array
+
+
+class Texture(NamedTuple):
+    """What turns the mean spectra of pixels into those of members.
+
+    Attributes
+    ----------
+    row : (line, column) int32
+        Row of the member; -1 where there is none.
+    factor : (row,) int64
+        Factor of a path that it changes.
+    ratio : (row, band) float32
+        What that factor is multiplied by [1].
+    """
+
+    row: Array
+    factor: Array
+    ratio: Array
+
+
+def member_rows(material: Array, instance: Array, place: Array, grain: Grain, seed: int) -> Array:
+    """Return the row of the member that every pixel shows, (line, column) int32; -1 where there is none.
+
+    Parameters
+    ----------
+    material, instance : (line, column) int32
+        What a pixel shows; -1 for the sky.
+    place : (3, line, column) float64
+        Where it is [m].
+    grain
+        Of every material.
+    seed
+        Another seed gives another field.
+
+    Examples
+    --------
+    >>> grain = Grain(*map(np.array, ([0], [9], [[0.1]], [[1.0]], [False])))
+    >>> label = np.zeros((1, 4), np.int32)
+    >>> place = np.stack([np.array([[0.0, 0.01, 3.0, 9.0]]), 0.0 * label, 0.0 * label])
+    >>> member_rows(label, label, place, grain, 0)[0, 0] == member_rows(label, label, place, grain, 0)[0, 0]
+    np.True_
+    """
+    rows = np.full(material.shape, -1, np.int32)
+    pixel = _pixel_sizes(place)
+    labels = np.ascontiguousarray(material, np.int32), np.ascontiguousarray(instance, np.int32)
+    _write_rows(*labels, np.ascontiguousarray(place, np.float64), pixel, grain, int(seed) & _MASK, rows)
+    return rows
+
+
+def _pixel_sizes(place: Array) -> Array:
+    """Return the median distance of neighbours in every line [m]: of that line alone, whatever the block."""
+    if place.shape[2] < 2:
+        return np.zeros(place.shape[1])
+    apart = np.hypot(*np.diff(place[:2], axis=2))
+    sizes = np.zeros(place.shape[1])
+    for line, row in enumerate(apart):
+        finite = row[np.isfinite(row)]
+        if finite.size:
+            sizes[line] = np.median(finite)
+    return sizes
+
+
+@borrowing_kernel
+def _write_rows(
+    material: Array, instance: Array, place: Array, pixel: Array, grain: Grain, seed: int, rows: Array
+) -> None:
+    """Write the member of every pixel that has one."""
+    for line in range(rows.shape[0]):
+        for column in range(rows.shape[1]):
+            made_of = material[line, column]
+            if made_of < 0 or grain.count[made_of] == 0:
+                continue
+            x, y, z = place[0, line, column], place[1, line, column], place[2, line, column]
+            if not (math.isfinite(x) and math.isfinite(y) and math.isfinite(z)):
+                continue
+            total = 0.0
+            for octave in range(grain.length.shape[1]):
+                length, share = grain.length[made_of, octave], grain.share[made_of, octave]
+                if grain.is_averaged[made_of]:
+                    share /= 1.0 + (pixel[line] / length) ** 2
+                if share > 0.0:
+                    field = _noise(x / length, y / length, z / length, instance[line, column], octave, seed)
+                    total += math.sqrt(share) * field
+            rank = 0.5 * (1.0 + math.erf(total * math.sqrt(0.5)))
+            count = grain.count[made_of]
+            rows[line, column] = grain.first[made_of] + min(int(rank * count), count - 1)
+
+
+@borrowing_kernel
+def _noise(x: float, y: float, z: float, instance: int, octave: int, seed: int) -> float:
+    """Return the field at a place in units of the lattice."""
+    i, j, k = math.floor(x), math.floor(y), math.floor(z)
+    u, v, w = _smooth(x - i), _smooth(y - j), _smooth(z - k)
+    total, square = 0.0, 0.0
+    for corner in range(8):
+        a, b, c = corner & 1, (corner >> 1) & 1, corner >> 2
+        weight = (u if a else 1.0 - u) * (v if b else 1.0 - v) * (w if c else 1.0 - w)
+        if weight > 0.0:
+            total += weight * _normal(i + a, j + b, k + c, instance, octave, seed)
+            square += weight * weight
+    return total / math.sqrt(square)
+
+
+@borrowing_kernel
+def _smooth(t: float) -> float:
+    return t * t * (3.0 - 2.0 * t)
+
+
+@borrowing_kernel
+def _normal(i: int, j: int, k: int, instance: int, octave: int, seed: int) -> float:
+    """Return the normal number of a corner (Box & Muller 1958)."""
+    a, b, _, _ = philox(
+        np.uint64(int(i) & _MASK), np.uint64(int(j) & _MASK), np.uint64(int(k) & _MASK),
+        np.uint64(octave), np.uint64(int(instance) & _MASK), np.uint64(seed),
+    )  # fmt: skip
+    radius = math.sqrt(-2.0 * math.log((np.float64(a) + 0.5) * _STEP))
+    return radius * math.cos(2.0 * math.pi * (np.float64(b) + 0.5) * _STEP)
