@@ -265,6 +265,7 @@ class PaintAccessor:
         truth: bool = True,
         clip: bool = False,
         hold_edges: bool = False,
+        population: bool = True,
         dims: Dims | None = None,
     ) -> PaintDataset:
         """Return the radiance of a traced scene under an atmosphere, as a camera's bands see it."""
