@@ -51,6 +51,10 @@ Examples:
     help="DIRSIG: what to do about bands without values.  [default: interpolate, and say so]",
 )  # fmt: skip
 @click.option(
+    "--max-curves", type=click.IntRange(1), metavar="N",
+    help="DIRSIG: curves of a paint at the most.  [default: all; 64 of a scene]",
+)  # fmt: skip
+@click.option(
     "--specular", metavar="SHARE",
     help="DIRSIG: share of reflectance to mirror, or 'library'; only for body reflectance.  [default: 0]",
 )  # fmt: skip

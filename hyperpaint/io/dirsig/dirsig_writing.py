@@ -7,7 +7,7 @@ import json
 import os
 import re
 import warnings
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -22,7 +22,7 @@ from hyperpaint.io.files.reading import read_limited
 
 from .emissivity_files import CURVE_BEGIN, ColumnText, emissivity_head
 from .instructions import THERMAL, glist_text, material_section, readme_text
-from .material_list import material_ids, material_names, materials_text, read_materials
+from .material_list import Material, material_ids, material_names, materials_text, read_materials
 from .paint_curves import (
     CURVES,
     GAPS,
@@ -41,21 +41,29 @@ from .paint_curves import (
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["write_dirsig"]
+__all__ = [
+    "EMISSIVITY", "FORMAT", "MARKER", "REFLECTANCE", "export_folder", "paint_records", "write_dirsig",
+    "write_spectra",
+]  # fmt: skip
 
 EMISSIVITY, REFLECTANCE = "emissivity", "reflectance"
 
-_MARKER = "paints.json"
-_FORMAT = "hyperpaint DIRSIG export"
+MARKER = "paints.json"
+"""Name of the file by which an export is known for one."""
+
+FORMAT = "hyperpaint DIRSIG export"
 _MOST_BYTES = 256 * 2**20
 _URL = re.compile(r"[A-Za-z][A-Za-z0-9+.-]+:/|.*::")
 
 
 @contextlib.contextmanager
-def export_folder(folder: str | os.PathLike[str], *, overwrite: bool) -> Iterator[Path]:
+def export_folder(
+    folder: str | os.PathLike[str], *, overwrite: bool, inside: Sequence[str] = (EMISSIVITY, REFLECTANCE)
+) -> Iterator[Path]:
     """Yield a folder to write an export to, which gets its place when the block ends well.
 
-    ``folder``: the place: new, empty, or an earlier export; ``overwrite``: whether that may be replaced.
+    ``folder``: the place: new, empty, or an earlier export; ``overwrite``: whether that may be replaced;
+    ``inside``: folders to make in it.
 
     Raises `StoreError`: The place holds anything else, or an export that may not be replaced; another writes
     there; or it cannot be written. Also for whatever the disk refuses inside.
@@ -64,17 +72,17 @@ def export_folder(folder: str | os.PathLike[str], *, overwrite: bool) -> Iterato
         raise StoreError(f"{os.fspath(folder)!r} is a URL, expected a folder; write to a folder and copy it")
     place = Path(os.path.abspath(folder))
     with published_folder(place, overwrite=overwrite, foreign=_foreign) as build:
-        for name in (EMISSIVITY, REFLECTANCE):
-            (build / name).mkdir()
+        for name in inside:
+            (build / name).mkdir(parents=True)
         yield build
 
 
 def _foreign(folder: Path) -> str:
     try:
-        document = json.loads(read_limited(folder / _MARKER, _MOST_BYTES, "an export"))
+        document = json.loads(read_limited(folder / MARKER, _MOST_BYTES, "an export"))
     except (FormatError, ValueError, RecursionError):
         document = None
-    ours = isinstance(document, dict) and document.get("format") == _FORMAT
+    ours = isinstance(document, dict) and document.get("format") == FORMAT
     return "" if ours else "other files"
 
 
@@ -95,6 +103,7 @@ def write_dirsig(
     wavelength_range: tuple[float, float] | None = None,
     extrapolate: bool = False,
     gaps: str | None = None,
+    max_curves: int | None = None,
     specular: float | str = 0.0,
     surface: str = "ClassicEmissivity",
     rad_solver: str = "Classic",
@@ -131,6 +140,8 @@ def write_dirsig(
         curves, and at which wavelengths: complete curves come first in a file. Bands that no pixel has at an
         end are left away; single members that lack an end are left out, and where all do, the centre is the
         only curve.
+    max_curves
+        Curves of a paint at the most, at even ranks of their brightness, complete ones first; None for all.
     specular
         Fraction of reflectance that DIRSIG shall mirror [1], or ``library`` to take it from the library's
         ``specular_reflectance`` (paint, band). Only for reflectance without mirrored light.
@@ -156,8 +167,8 @@ def write_dirsig(
     Dataset
         What was written (paint): ``material_id``, ``emissivity_file``, ``curves``, how many of them are
         ``complete``, their samples ``clipped`` and ``interpolated``, those of the ``.txt`` ``centre_clipped``
-        and ``centre_interpolated``, members ``left_out``, the range and ``extrapolated``. Its attributes say
-        what became of mirrored light: ``mirror_reflection``, ``specular_term``.
+        and ``centre_interpolated``, members ``left_out`` and ``thinned``, the range and ``extrapolated``. Its
+        attributes say what became of mirrored light: ``mirror_reflection``, ``specular_term``.
 
     Raises
     ------
@@ -203,12 +214,14 @@ def write_dirsig(
     emissivity/Tuerkis_matt.ems README.txt emissivity materials.mat paints.glist paints.json reflectance
     """
     kind = _checked(library, curves, wavelength_range, gaps, surface, rad_solver, thermal, specular)
+    if max_curves is not None and not (isinstance(max_curves, int) and max_curves >= 1):
+        raise SchemaError(f"max_curves={max_curves!r}, expected a whole number above 0, or None")
     coat = coat_of(library, specular)
     axis = Axis(library)
-    choices = Choices(kind, wavelength_range, extrapolate, gaps or GAPS[0])
-    records = _names(library, scene_materials)
+    choices = Choices(kind, wavelength_range, extrapolate, gaps or GAPS[0], max_curves)
+    records = paint_records(library, () if scene_materials is None else read_materials(scene_materials))
     with export_folder(folder, overwrite=overwrite) as build:
-        _write_spectra(library, build, axis, choices, coat, records, progress)
+        write_spectra(library, build, axis, choices, coat, records, progress)
         entries = (
             material_section(
                 record, surface=surface, rad_solver=rad_solver, thermal=thermal, double_sided=double_sided
@@ -217,12 +230,12 @@ def write_dirsig(
         )
         attrs = {**coat.attrs, "surface": surface, "curves_of": kind, **_source(library)}
         # by which an export is known for one
-        marker = {"format": _FORMAT, "version": 1, **attrs, "paints": records}
+        marker = {"format": FORMAT, "version": 1, **attrs, "paints": records}
         written = {
             "materials.mat": materials_text(entries),
             "paints.glist": glist_text(records),
             "README.txt": readme_text(records, attrs),
-            _MARKER: json.dumps(marker, indent=1, ensure_ascii=False) + "\n",
+            MARKER: json.dumps(marker, indent=1, ensure_ascii=False) + "\n",
         }
         for name, text in written.items():
             # what is no letter in any encoding may stand in a name all the same
@@ -286,9 +299,11 @@ def _is_number(value: Any) -> bool:
     return isinstance(value, int | float | np.number) and bool(np.isfinite(value))
 
 
-def _names(library: xr.Dataset, scene: str | os.PathLike[str] | None) -> list[dict[str, Any]]:
-    """Return the beginning of every paint's record: what it is called, where its files are, what is known."""
-    taken = () if scene is None else read_materials(scene)
+def paint_records(library: xr.Dataset, taken: Collection[Material]) -> list[dict[str, Any]]:
+    """Return the beginning of every paint's record: what it is called, where its files are, what is known.
+
+    IDs and names of materials that are ``taken`` are not used again.
+    """
     names = [str(name) for name in library[PAINT].values] if PAINT in library.variables else []
     names = names or [f"paint {number}" for number in range(1, library.sizes[PAINT] + 1)]
     tokens = material_ids(names, [material.id for material in taken])
@@ -308,7 +323,7 @@ def _names(library: xr.Dataset, scene: str | os.PathLike[str] | None) -> list[di
     ]
 
 
-def _write_spectra(
+def write_spectra(
     library: xr.Dataset,
     build: Path,
     axis: Axis,
@@ -376,6 +391,7 @@ def _write_paint(
         "interpolated": spectra.interpolated,
         "centre_interpolated": spectra.centre_interpolated,
         "left_out": spectra.left_out,
+        "thinned": spectra.thinned,
         "extrapolated": spectra.extrapolated,
         "specular_fraction": fraction,
         "editor_color": _colour(spectra.wavelength, centre),
@@ -421,7 +437,7 @@ def _summary(records: list[dict[str, Any]], attrs: Mapping[str, str]) -> xr.Data
 
     counts = (
         "curves", "complete", "clipped", "centre_clipped", "interpolated", "centre_interpolated", "left_out",
-        "bands",
+        "thinned", "bands",
     )  # fmt: skip
     values: dict[str, Any] = {key: column(key, np.int64) for key in counts}
     values |= {key: column(key, object) for key in ("emissivity_file", "reflectance_file", "extrapolated")}

@@ -128,7 +128,7 @@ Several curves
 --------------
 An .ems file with many curves is the variability within a paint. DIRSIG picks among them with a
 texture map of the material (see "Classic Emissivity" and texture in its manual). materials.mat
-names no map: which picture fits is up to the scene.
+names no map: which picture fits is up to the scene.{_thinned(records)}
 
 Clear coat
 ----------
@@ -143,6 +143,13 @@ held constant, only where the table says so: of the curves + of the centre (refl
 
 {_table(records)}
 {_gaps(records)}"""
+
+
+def _thinned(records: Sequence[Mapping[str, Any]]) -> str:
+    """Return how many curves were left out for their number."""
+    rows = [f"{each['id']} {each['thinned']}" for each in records if each["thinned"]]
+    text = "\nLeft out since there were more than asked for, at even ranks of brightness: "
+    return text + ", ".join(rows) + "." if rows else ""
 
 
 _MOST_GAPS = 12

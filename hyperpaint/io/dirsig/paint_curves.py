@@ -133,6 +133,7 @@ class Choices:
     wavelength_range: tuple[float, float] | None  # Low and high end [nm]; None for all that was measured
     extrapolate: bool  # Whether curves are held constant beyond what was measured
     gaps: str  # What is done about bands without values between others: one of `GAPS`
+    max_curves: int | None = None  # Curves of a paint at the most; None for all
 
 
 @dataclass(frozen=True, eq=False)
@@ -152,6 +153,7 @@ class PaintCurves:
     centre_interpolated: int
     left_out: int  # Members that are not among the curves, for what they lack at the ends
     is_centre: bool  # Whether no member reaches both ends, so that the centre stands for them
+    thinned: int = 0  # Curves left out since there were more than asked for
 
 
 class Axis:
@@ -251,8 +253,10 @@ def curves_of(axis: Axis, centre: Array, curves: Array, choices: Choices) -> Pai
         curves, missing = curves[order], missing[order]
         for row, gaps in zip(curves, missing, strict=True):
             row[gaps] = np.interp(wavelength[gaps], wavelength[~gaps], row[~gaps])
+        kept = thinned_rows(curves, missing.any(axis=1), choices.max_curves)
     else:
-        curves, missing = centre[np.newaxis], holes[np.newaxis]
+        curves, missing, kept = centre[np.newaxis], holes[np.newaxis], np.zeros(1, np.int64)
+    thinned, curves, missing = len(curves) - len(kept), curves[kept], missing[kept]
     low, high = choices.wavelength_range or measured
     before, after = int(below), int(above)
     extrapolated = " and ".join(name for name, is_so in (("below", below), ("above", above)) if is_so)
@@ -268,7 +272,30 @@ def curves_of(axis: Axis, centre: Array, curves: Array, choices: Choices) -> Pai
         centre_interpolated=int(holes.sum()),
         left_out=int((~whole).sum()),
         is_centre=not whole.any(),
+        thinned=thinned,
     )
+
+
+def thinned_rows(curves: Array, is_filled: Array, most: int | None) -> Array:
+    """Return the rows of a population (curve, wavelength) to write: at most ``most``, in their order.
+
+    They stand at even ranks of the curves' means, so that brightness keeps its distribution; complete curves
+    alone are taken where they suffice.
+
+    Examples
+    --------
+    >>> population = np.array([[0.3], [0.1], [0.2], [0.5], [0.4]])
+    >>> thinned_rows(population, np.zeros(5, bool), 3)
+    array([1, 0, 3])
+    """
+    if most is None or len(curves) <= most:
+        return np.arange(len(curves))
+    rows = np.flatnonzero(~is_filled) if np.count_nonzero(~is_filled) >= most else np.arange(len(curves))
+    ranked = rows[np.argsort(curves[rows].mean(axis=1), kind="stable")]
+    # the middles of equal parts: the ends of a distribution are not worth more than its inside
+    places = np.floor((np.arange(most) + 0.5) * len(ranked) / most).astype(np.int64)
+    chosen = ranked[places]
+    return chosen[np.argsort(is_filled[chosen], kind="stable")]
 
 
 def _beyond(measured: tuple[float, float], choices: Choices) -> tuple[bool, bool]:

@@ -186,3 +186,51 @@ def test_the_marker_does_not_depend_on_the_order_of_coordinates(tmp_path: Path) 
     one, two = ((tmp_path / folder / "paints.json").read_bytes() for folder in ("one", "two"))
     assert one == two
     assert b'"area": "b"' in one
+
+
+# --- populations ------------------------------------------------------------------------------------------
+
+
+def crowd(members: int, seed: int = 0) -> xr.Dataset:
+    """Return a library of one paint whose members differ in brightness, every third with a gap."""
+    rng = np.random.default_rng(seed)
+    nm = np.linspace(400.0, 1000.0, 31)
+    level = rng.lognormal(0.0, 0.2, members)[:, None]
+    values = (0.2 * level * (1.0 + 0.3 * np.sin(nm / 90.0))).astype(np.float32)
+    values[::3, 12] = np.nan
+    units = {"units": "1"}
+    return xr.Dataset(
+        {
+            "reflectance": (("paint", "band"), np.nanmedian(values, axis=0)[None], units),
+            "member_reflectance": (("paint", "member", "band"), values[None], units),
+        },
+        {"paint": ["red"], "wavelength": ("band", nm, {"units": "nm"})},
+    )
+
+
+def test_a_population_is_thinned_at_even_ranks(tmp_path: Path) -> None:
+    library = crowd(300)
+    summary = hp.write_dirsig(library, tmp_path / "out", max_curves=50, gaps="interpolate")
+    assert int(summary.curves[0]) == int(summary.complete[0]) == 50
+    assert int(summary.thinned[0]) == 250
+    curves = 1.0 - np.stack(
+        [each.emissivity for each in read_emissivity(tmp_path / "out/emissivity/red.ems").curves]
+    )
+    whole = library.member_reflectance.values[0]
+    whole = whole[np.isfinite(whole).all(axis=1)]
+    for share in (0.1, 0.25, 0.5, 0.75, 0.9):
+        expected = np.quantile(whole.mean(axis=1), share)
+        assert np.quantile(curves.mean(axis=1), share) == pytest.approx(expected, rel=0.02)
+    assert "red 250" in (tmp_path / "out" / "README.txt").read_text()
+
+
+def test_gaps_are_taken_where_complete_curves_do_not_suffice(tmp_path: Path) -> None:
+    summary = hp.write_dirsig(crowd(30), tmp_path / "out", max_curves=25, gaps="interpolate")
+    assert (int(summary.curves[0]), int(summary.thinned[0])) == (25, 5)
+    assert 15 <= int(summary.complete[0]) < 25
+
+
+@pytest.mark.parametrize("wrong", [0, 2.5])
+def test_a_number_of_curves(tmp_path: Path, wrong: Any) -> None:
+    with pytest.raises(SchemaError, match="max_curves"):
+        hp.write_dirsig(crowd(3), tmp_path / "out", max_curves=wrong)
