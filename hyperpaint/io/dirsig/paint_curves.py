@@ -253,7 +253,7 @@ def curves_of(axis: Axis, centre: Array, curves: Array, choices: Choices) -> Pai
         curves, missing = curves[order], missing[order]
         for row, gaps in zip(curves, missing, strict=True):
             row[gaps] = np.interp(wavelength[gaps], wavelength[~gaps], row[~gaps])
-        kept = thinned_rows(curves, missing.any(axis=1), choices.max_curves)
+        kept = thinned_rows(curves, np.asarray(missing.any(axis=1)), choices.max_curves)
     else:
         curves, missing, kept = centre[np.newaxis], holes[np.newaxis], np.zeros(1, np.int64)
     thinned, curves, missing = len(curves) - len(kept), curves[kept], missing[kept]

@@ -1,0 +1,355 @@
+"""A whole scene of triangles for the simulator DIRSIG: geometry, materials with populations, maps, lists."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hyperpaint.base.arrays import Array
+from hyperpaint.base.errors import Problems, SchemaError
+from hyperpaint.base.mirrored_light import EXCLUDED, mirror_reflection
+from hyperpaint.base.schema import LIBRARY_VARIABLES, PAINT, require
+from hyperpaint.base.units import takes_quantities
+
+from .dirsig_writing import (
+    EMISSIVITY,
+    FORMAT,
+    MARKER,
+    REFLECTANCE,
+    export_folder,
+    paint_records,
+    write_spectra,
+)
+from .emissivity_files import read_emissivity
+from .instructions import material_section
+from .material_list import Material, Section, material_ids, materials_text
+from .paint_curves import GAPS, Axis, Choices, coat_of
+from .scene_texts import (
+    Triangles,
+    geometry_list_text,
+    material_colours_text,
+    obj_lines,
+    scene_readme_text,
+    scene_text,
+    simulation_text,
+    texture_picture,
+)
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+__all__ = ["write_dirsig_scene"]
+
+MAX_CURVES = 64
+"""Curves of a population at the most, unless asked for otherwise."""
+
+_WINDOW_NM = (400.0, 700.0)  # of a texture's picture
+#: Wavelengths that materials must cover [nm] for a scene to have the feature.
+_FEATURES = {"vis": (410.0, 690.0), "nir": (710.0, 890.0)}
+_SPECULAR = "specular_reflectance"
+
+
+class _Surface(NamedTuple):
+    """What faces are made of: a spectrum, under a coat of a refractive index, or none (0)."""
+
+    spectrum: str
+    coat_index: float
+
+
+@takes_quantities(wavelength_range="nm")
+def write_dirsig_scene(
+    scene: Triangles,
+    folder: str | os.PathLike[str],
+    paints: xr.Dataset | Sequence[xr.Dataset],
+    *,
+    repaint: Mapping[str, str] | None = None,
+    origin: tuple[float, float, float] = (0.0, 0.0, 0.0),
+    max_curves: int = MAX_CURVES,
+    wavelength_range: tuple[float, float] | None = None,
+    extrapolate: bool = False,
+    gaps: str | None = None,
+    texture_m: float = 2.0,
+    overwrite: bool = False,
+    progress: Callable[[int, int], None] | None = None,
+) -> xr.Dataset:
+    r"""Write a scene of triangles as files of the simulator DIRSIG.
+
+    Written are the geometry as OBJ with its MTL, a geometry list, the ``.scene``, a skeleton of a ``.jsim``,
+    the materials with their spectra, a texture map of every population, and a README that says how to run
+    it, what each construct was checked against, and what could not be checked. The folder appears when all
+    is written, or not at all.
+
+    Parameters
+    ----------
+    scene
+        As `hyperpaint.simulation` makes it: ``vertices`` [m], ``faces``, ``materials`` ...
+    folder
+        New or empty.
+    paints
+        A paint library, or several of which the first that has a name counts: ``reflectance`` (paint, band)
+        [1] under the names of the spectra that the scene's materials have. Members become a population.
+    repaint
+        New spectra by the name of an instance (its paint), of a material, or of a spectrum; the first counts
+        most.
+    origin
+        Latitude and longitude [degree] of the scene's origin, and its height [m].
+    max_curves
+        Curves of a population at the most, at even ranks of their brightness, complete ones first.
+    wavelength_range, extrapolate, gaps
+        As for `write_dirsig`.
+    texture_m
+        What one picture of a texture covers [m].
+    overwrite
+        Replace an earlier export; never anything else.
+    progress
+        Called with the number of materials done and of all.
+
+    Returns
+    -------
+    Dataset
+        What was written (paint): ``material_id``, ``curves``, ``complete``, ``thinned``,
+        ``specular_fraction``, ``faces``, and ``texture`` where there is one. Attributes: ``name``,
+        ``features``, ``coverage_nm``.
+
+    Raises
+    ------
+    SchemaError
+        A spectrum of the scene is in no library, a name of ``repaint`` is not in the scene, an option is out
+        of range, or paints have no values or holes at the ends; all are listed.
+    StoreError
+        The folder holds something, is being written by another, or cannot be written.
+
+    Notes
+    -----
+    A clear coat of index n becomes a SPECULAR_FRACTION: the coat's reflectance at normal incidence, F_0 =
+    ((n - 1) / (n + 1))^2, as a share of itself and the body's mean. It is only written where a library
+    declares its reflectance free of mirrored light; otherwise the coat would count twice.
+
+    Examples
+    --------
+    >>> import tempfile, xarray as xr
+    >>> from hyperpaint.simulation.rendering.materials import Material
+    >>> from hyperpaint.simulation.rendering.scene import plane
+    >>> grey = xr.DataArray([[0.2, 0.2]], dims=("paint", "band"), attrs={"units": "1"})
+    >>> nm = ("band", [400.0, 1000.0], {"units": "nm"})
+    >>> paints = xr.Dataset({"reflectance": grey}, {"paint": ["panel_20"], "wavelength": nm})
+    >>> scene = plane(2.0, Material("grey", "panel_20", "panel"))
+    >>> with tempfile.TemporaryDirectory() as out:
+    ...     summary = write_dirsig_scene(scene, out, paints)
+    ...     print(summary.features, *sorted(path.name for path in Path(out).iterdir()))
+    vis,nir README.txt geometry ground.jsim ground.scene maps materials paints.json
+    """
+    libraries = list(paints) if isinstance(paints, Sequence) else [paints]
+    _check_options(origin, max_curves, texture_m)
+    for library in libraries:
+        require(library, ["reflectance", "wavelength"], "a DIRSIG scene", LIBRARY_VARIABLES)
+    surfaces, face_surface = _surfaces(scene, dict(repaint or {}))
+    shares = _by_library(libraries, surfaces)
+    choices = Choices("centre", wavelength_range, extrapolate, gaps or GAPS[0], max_curves)
+    stem = material_ids([scene.name or "scene"])[0]
+    title = scene.name or "scene"
+    with export_folder(folder, overwrite=overwrite, inside=_FOLDERS) as build:
+        records = _write_materials(build / "materials", libraries, shares, surfaces, choices, progress)
+        by_surface = {record.pop("surface"): record for record in records}
+        ordered = [by_surface[number] for number in range(len(surfaces))]
+        counts = np.bincount(face_surface, minlength=len(surfaces))
+        for record, count in zip(ordered, counts.tolist(), strict=True):
+            record["faces"] = count
+        attrs = _attrs(scene, ordered, origin, texture_m)
+        _write_pictures(build, ordered, attrs["window_nm"])
+        _write_geometry(build / "geometry", scene, stem, ordered, face_surface, texture_m)
+        entries = (
+            material_section(
+                record, surface="ClassicEmissivity", rad_solver="Classic", thermal=None, double_sided=True
+            )
+            for record in ordered
+        )
+        window = attrs["window_nm"]
+        texts = {
+            f"materials/{stem}.mat": materials_text(entries),
+            f"{stem}.scene": scene_text(title, stem, ordered, origin, attrs["features"], window),
+            f"{stem}.jsim": simulation_text(stem),
+            "README.txt": scene_readme_text(title, stem, ordered, attrs),
+            MARKER: json.dumps({"format": FORMAT, "version": 1, **attrs, "paints": ordered}, indent=1) + "\n",
+        }
+        for name, text in texts.items():
+            (build / name).write_bytes(text.encode("utf-8", "backslashreplace"))
+    return _summary(ordered, {"name": title, **attrs, "folder": os.fspath(folder)})
+
+
+_FOLDERS = (
+    "geometry/lists", "geometry/objects", f"materials/{EMISSIVITY}", f"materials/{REFLECTANCE}", "maps",
+)  # fmt: skip
+
+
+def _check_options(origin: Any, max_curves: Any, texture_m: Any) -> None:
+    problems = Problems("no DIRSIG scene can be written", SchemaError)
+    if not isinstance(max_curves, int) or max_curves < 1:
+        problems.add(f"max_curves={max_curves!r}, expected a whole number above 0")
+    if not isinstance(texture_m, int | float) or not 1e-3 <= texture_m <= 1e4:
+        problems.add(f"texture_m={texture_m!r}, expected 0.001 to 10000 m")
+    three = np.asarray(origin, np.float64)
+    if three.shape != (3,) or not np.isfinite(three).all() or not (abs(three[:2]) <= [90.0, 360.0]).all():
+        problems.add(f"origin={origin!r}, expected latitude and longitude [degree] and height [m]")
+    problems.raise_if_any()
+
+
+def _surfaces(scene: Triangles, repaint: dict[str, str]) -> tuple[list[_Surface], NDArray[np.int64]]:
+    """Return what faces are made of, and which of it every face is (face,)."""
+    problems = Problems("the scene cannot be painted", SchemaError)
+    materials, instances = scene.materials, scene.instances
+    names = {each.name for each in (*materials, *instances)} | {each.spectrum for each in materials}
+    for key in repaint.keys() - names:
+        problems.add(f"repaint[{key!r}] names no instance, material or spectrum of the scene")
+    problems.raise_if_any()
+    pair = scene.face_material.astype(np.int64) * len(instances) + scene.face_instance
+    distinct, face_pair = np.unique(pair, return_inverse=True)
+    numbers: dict[_Surface, int] = {}
+    surface_of_pair = []
+    for each in distinct.tolist():
+        material, instance = materials[each // len(instances)], instances[each % len(instances)]
+        spectrum = repaint.get(material.name, repaint.get(material.spectrum, material.spectrum))
+        if material.kind == "paint":
+            spectrum = repaint.get(instance.name, spectrum)
+        surface = _Surface(spectrum, float(material.coat.index) if material.coat is not None else 0.0)
+        surface_of_pair.append(numbers.setdefault(surface, len(numbers)))
+    return list(numbers), np.asarray(surface_of_pair, np.int64)[face_pair.ravel()]
+
+
+def _by_library(libraries: Sequence[xr.Dataset], surfaces: Sequence[_Surface]) -> list[list[tuple[int, int]]]:
+    """Return, of every library, the surfaces that it paints: their numbers, and places of their paints."""
+    problems = Problems("the scene cannot be painted", SchemaError)
+    shares: list[list[tuple[int, int]]] = [[] for _ in libraries]
+    places = [{str(name): place for place, name in enumerate(each[PAINT].values)} for each in libraries]
+    for number, surface in enumerate(surfaces):
+        owner = next((k for k, names in enumerate(places) if surface.spectrum in names), None)
+        if owner is None:
+            problems.add(f"spectrum {surface.spectrum!r} of the scene is in no library")
+        else:
+            shares[owner].append((number, places[owner][surface.spectrum]))
+    problems.raise_if_any()
+    return shares
+
+
+def _write_materials(
+    build: Path, libraries: Sequence[xr.Dataset], shares: Sequence[list[tuple[int, int]]],
+    surfaces: Sequence[_Surface], choices: Choices, progress: Callable[[int, int], None] | None,
+) -> list[dict[str, Any]]:  # fmt: skip
+    """Write the spectra of all surfaces, and return their records, which say of which ``surface``."""
+    records: list[dict[str, Any]] = []
+    for library, share in zip(libraries, shares, strict=True):
+        if not share:
+            continue
+        numbers, places = zip(*share, strict=True)
+        coats = np.array([surfaces[number].coat_index for number in numbers])
+        part = _with_coats(library.isel({PAINT: list(places)}), coats)
+        taken = [Material(record["id"], record["name"], Section("")) for record in records]
+        mine = paint_records(part, taken)
+        kind = "members" if "member_reflectance" in part.variables else "centre"
+        coat = coat_of(part, "library" if _SPECULAR in part.variables else 0.0)
+        write_spectra(part, build, Axis(part), replace(choices, curves=kind), coat, mine, None)
+        for record, number in zip(mine, numbers, strict=True):
+            record |= {"surface": number, **coat.attrs}
+        records += mine
+        if progress is not None:
+            progress(len(records), len(surfaces))
+    return records
+
+
+def _with_coats(library: xr.Dataset, coat_index: Array) -> xr.Dataset:
+    """Return a library whose coats mirror what their index says, where it is free of mirrored light."""
+    import xarray as xr
+
+    plain = library.drop_vars(_SPECULAR, errors="ignore")
+    if mirror_reflection(library) != EXCLUDED:
+        return plain
+    normal = np.where(coat_index > 0, ((coat_index - 1.0) / (coat_index + 1.0)) ** 2, 0.0)
+    band = next(dim for dim in library["reflectance"].dims if dim != PAINT)
+    mirrored = np.broadcast_to(normal[:, None], (len(normal), library.sizes[band])).astype(np.float32)
+    return plain.assign({_SPECULAR: xr.Variable((PAINT, band), mirrored, {"units": "1"})})
+
+
+def _attrs(
+    scene: Triangles, records: Sequence[Mapping[str, Any]], origin: Sequence[float], texture_m: float
+) -> dict[str, Any]:
+    low = max(record["wavelength"][0] for record in records)
+    high = min(record["wavelength"][1] for record in records)
+    has = [name for name, (first, last) in _FEATURES.items() if low <= first and high >= last]
+    window = max(low, _WINDOW_NM[0]), min(high, _WINDOW_NM[1])
+    coated = sum(record["specular_fraction"] > 0 for record in records)
+    included = sum(record["mirror_reflection"] != EXCLUDED for record in records)
+    advice = (
+        f"{coated} materials have a clear coat as SPECULAR_FRACTION, of the body's colour and mirror-like."
+    )
+    if included:
+        advice += (
+            f"\nThe curves of {included} hold what a coat mirrored when they were measured, or do not say: "
+            "these\nhave none; do not add one, it would count twice."
+        )
+    return {
+        "origin": [float(value) for value in origin],
+        "faces": len(scene.faces),
+        "texture_m": float(texture_m),
+        "coverage_nm": [low, high],
+        "features": ",".join(has),
+        "window_nm": list(window if window[0] < window[1] else (low, high)),
+        "coat_advice": advice,
+    }
+
+
+def _write_pictures(build: Path, records: Sequence[dict[str, Any]], window: Sequence[float]) -> None:
+    """Write a picture for every population, and name it in its record."""
+    for record in records:
+        record["texture"] = ""
+        if record["curves"] < 2:
+            continue
+        curves = read_emissivity(build / "materials" / record["emissivity_file"]).curves
+        picture = texture_picture(np.array([_mean(curve, window) for curve in curves]), record["id"])
+        if picture is not None:
+            record["texture"] = f"{record['id']}.pgm"
+            head = f"P5\n{picture.shape[1]} {picture.shape[0]}\n255\n".encode()
+            (build / "maps" / record["texture"]).write_bytes(head + picture.tobytes())
+
+
+def _mean(curve: Any, window: Sequence[float]) -> float:
+    """Return the mean reflectance of a curve over wavelengths [nm]."""
+    grid = np.linspace(window[0], window[1], 301)
+    return float(1.0 - np.interp(grid, curve.wavelength * 1000.0, curve.emissivity).mean())
+
+
+def _write_geometry(
+    build: Path, scene: Triangles, stem: str, records: Sequence[Mapping[str, Any]],
+    face_surface: NDArray[np.int64], texture_m: float,
+) -> None:  # fmt: skip
+    identifiers = [record["id"] for record in records]
+    with open(build / "objects" / f"{stem}.obj", "w", encoding="ascii", newline="\n") as file:
+        for line in obj_lines(scene, identifiers, face_surface, f"{stem}.mtl", texture_m):
+            file.write(line + "\n")
+    (build / "objects" / f"{stem}.mtl").write_text(material_colours_text(records), encoding="ascii")
+    (build / "lists" / f"{stem}.glist").write_text(
+        geometry_list_text(f"objects/{stem}.obj"), encoding="ascii"
+    )
+
+
+def _summary(records: Sequence[Mapping[str, Any]], attrs: Mapping[str, Any]) -> xr.Dataset:
+    import xarray as xr
+
+    def column(key: str, dtype: Any) -> tuple[str, Array]:
+        return PAINT, np.array([record[key] for record in records], dtype)
+
+    values: dict[str, Any] = {
+        key: column(key, np.int64) for key in ("curves", "complete", "thinned", "faces", "interpolated")
+    }
+    values |= {
+        "specular_fraction": column("specular_fraction", np.float64),
+        "texture": column("texture", object),
+    }
+    coords = {PAINT: column("paint", object), "material_id": column("id", object)}
+    return xr.Dataset(values, coords, {"title": "DIRSIG scene", **attrs})
