@@ -22,6 +22,7 @@ Examples:
   hyperpaint export paints.zarr --format dirsig
   hyperpaint export paints.zarr --format dirsig --out dirsig --range 400 1000 --gaps refuse
   hyperpaint export paints.zarr --format dirsig --out dirsig --scene-materials scene.mat
+  hyperpaint export paints.zarr --format dirsig --out lot --scene scene.toml
   hyperpaint export paints.zarr --format csv --out paints.csv
   hyperpaint export paints.zarr --format envi --out paints.sli --curves all
   hyperpaint export paints.zarr --format ecostress --out spectra""",
@@ -66,6 +67,10 @@ Examples:
     "--scene-materials", type=EXISTING_FILE, metavar="SCENE.mat",
     help="DIRSIG: use no ID of this material list again.",
 )  # fmt: skip
+@click.option(
+    "--scene", type=EXISTING_FILE, metavar="SCENE.toml",
+    help="DIRSIG: write the whole scene of a render, painted with LIB.",
+)  # fmt: skip
 @click.option("--overwrite", is_flag=True, help="Replace an earlier export.")
 @click.option("--quiet", is_flag=True, help="No progress bar.")
 def export(library: Path, form: str, out: Path | None, overwrite: bool, quiet: bool, **options: Any) -> None:
@@ -86,6 +91,12 @@ def export(library: Path, form: str, out: Path | None, overwrite: bool, quiet: b
         raise click.UsageError(f"{names} only with --format dirsig")
     paints = open_library(library)
     with progress_bar("writing", is_watched(quiet)) as shown:
+        if "scene" in given:
+            from hyperpaint.workflows.dirsig_export import export_dirsig_scene
+
+            _echo_scene(out, export_dirsig_scene(**_of_scene(given), folder=out, library=paints,
+                                                 overwrite=overwrite, progress=shown))  # fmt: skip
+            return
         if form == "dirsig":
             from hyperpaint.io.dirsig import write_dirsig
 
@@ -104,6 +115,24 @@ def export(library: Path, form: str, out: Path | None, overwrite: bool, quiet: b
     click.echo(f"{path}: {paints.sizes['paint']} paints, {paints.sizes['band']} bands")
     if curves is None and form in ("envi", "csv") and "member_reflectance" in paints.variables:
         click.echo("one row a paint, its centre; --curves all writes members, quantiles and spread as well")
+
+
+def _of_scene(given: dict[str, Any]) -> dict[str, Any]:
+    """Return the options of a whole scene."""
+    others = sorted(set(given) - {"scene", "wavelength_range", "extrapolate", "gaps", "max_curves"})
+    if others:
+        names = ", ".join(f"--{name.replace('_', '-')}" for name in others)
+        raise click.UsageError(f"{names} not with --scene, whose materials are ClassicEmissivity")
+    return {"scene_file": given["scene"], **{key: given[key] for key in given if key != "scene"}}
+
+
+def _echo_scene(out: Path, written: Any) -> None:
+    populations = int((written["curves"] > 1).sum())
+    click.echo(
+        f"{out}: {written.sizes['paint']} materials, {populations} of them populations, "
+        f"{written.attrs['faces']} triangles, {written.attrs['features']}"
+    )
+    click.echo(f"how to run it, and what was checked: {out / 'README.txt'}")
 
 
 def _options(given: dict[str, Any]) -> dict[str, Any]:

@@ -111,3 +111,44 @@ def test_what_is_no_library(export: Export, tmp_path: Path) -> None:
     assert done.output.startswith("error: ")
     assert export(tmp_path / "x.txt", "--format", "obj", "--out", tmp_path / "out").exit_code == 2
     assert not (tmp_path / "out").exists()
+
+
+SCENE = """
+[scene]
+kind = "car_park"
+length_m = 12.0
+seed = 3
+[platform]
+lines = 4
+columns = 4
+altitude_m = 15.0
+ground_sample_m = 0.1
+[paints]
+car_000 = "Türkis, matt"
+"""
+
+
+def test_a_scene(export: Export, store: Path, tmp_path: Path) -> None:
+    (tmp_path / "scene.toml").write_text(SCENE)
+    out = tmp_path / "lot"
+    done = export(store, "--format", "dirsig", "--out", out, "--scene", tmp_path / "scene.toml", "--quiet")
+    assert done.exit_code == 0, done.output
+    assert "1 of them populations" in done.output
+    assert "vis,nir" in done.output
+    (materials,) = (out / "materials").glob("*.mat")
+    tokens = {material.id for material in read_materials(materials)}
+    assert {"Tuerkis_matt", "asphalt"} <= tokens
+    again = open_emissivity(out / "materials/emissivity/Tuerkis_matt.ems").member_reflectance[0]
+    np.testing.assert_allclose(again, open_library(store).member_reflectance[0], atol=1e-6)
+    assert [path.name for path in (out / "maps").iterdir()] == ["Tuerkis_matt.pgm"]
+
+
+def test_options_that_a_scene_has_not(export: Export, store: Path, tmp_path: Path) -> None:
+    (tmp_path / "scene.toml").write_text(SCENE)
+    options = ("--format", "dirsig", "--scene", tmp_path / "scene.toml", "--specular", "0.1")
+    refused = export(store, "--out", tmp_path / "lot", *options)
+    assert refused.exit_code == 2
+    assert "--specular not with --scene" in refused.output
+    assert not (tmp_path / "lot").exists()
+    refused = export(store, "--format", "csv", "--scene", tmp_path / "scene.toml")
+    assert "--scene only with --format dirsig" in refused.output

@@ -1,0 +1,118 @@
+"""A scene file as a scene of the simulator DIRSIG, painted with a library that was measured."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from hyperpaint.base.arrays import Floats
+from hyperpaint.base.mirrored_light import EXCLUDED
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+    from .scene_parts import Parts
+
+__all__ = ["export_dirsig_scene"]
+
+_GRID_NM = np.arange(380.0, 1051.0, 2.0)  # of spectra that are formulas
+
+
+def export_dirsig_scene(
+    scene_file: str | os.PathLike[str],
+    folder: str | os.PathLike[str],
+    library: xr.Dataset | None = None,
+    *,
+    overwrite: bool = False,
+    progress: Callable[[int, int], None] | None = None,
+    **options: Any,
+) -> xr.Dataset:
+    r"""Write the scene of a ``scene.toml`` for DIRSIG.
+
+    Parameters
+    ----------
+    scene_file
+        As `hyperpaint.render_scene` takes it; its ``[paints]`` repaint.
+    folder
+        New or empty.
+    library
+        Measured paints, which go before the file's ``[spectra]`` and before the built-in spectra of the same
+        name.
+    overwrite, progress, **options
+        As for `hyperpaint.io.dirsig.write_dirsig_scene`.
+
+    Returns
+    -------
+    Dataset
+        What was written, as `hyperpaint.io.dirsig.write_dirsig_scene` says it.
+
+    Raises
+    ------
+    FormatError, SchemaError, StoreError
+        As `hyperpaint.render_scene` and `hyperpaint.io.dirsig.write_dirsig_scene`.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> with tempfile.TemporaryDirectory() as place:
+    ...     path = Path(place, "lawn.toml")
+    ...     text = '[scene]\nkind = "plane"\nspectrum = "grass"\n[platform]\nlines = 2\ncolumns = 2\n'
+    ...     _ = path.write_text(text + "ground_sample_m = 0.1\naltitude_m = 15.0\n")
+    ...     export_dirsig_scene(path, Path(place, "out")).material_id.values.tolist()
+    ['grass']
+    """
+    from hyperpaint.io.dirsig import write_dirsig_scene
+    from hyperpaint.simulation.flight import ORIGIN
+
+    from .scene_files import read_scene_file
+    from .scene_parts import build_parts
+
+    file = read_scene_file(Path(scene_file))
+    parts = build_parts(file)
+    repaint = dict(file.paints)
+    formulas = _formulas(parts, repaint)
+    libraries = [formulas] if library is None else [library, formulas]
+    return write_dirsig_scene(
+        parts.scene, folder, libraries, repaint=repaint, origin=ORIGIN, overwrite=overwrite,
+        progress=progress, **options,
+    )  # fmt: skip
+
+
+def _formulas(parts: Parts, repaint: Mapping[str, str]) -> xr.Dataset:
+    """Return the spectra of a scene as the simulator knows them: the file's own, and the built-in ones.
+
+    A paint with flakes is what pigment and flakes reflect together; DIRSIG has no flakes.
+    """
+    import xarray as xr
+
+    from hyperpaint.base.errors import SchemaError
+    from hyperpaint.simulation.rendering.scene_spectra import spectrum_of
+
+    flakes = {each.spectrum: each.flakes for each in parts.scene.materials if each.flakes is not None}
+    names = [each.spectrum for each in parts.scene.materials] + list(repaint.values())
+    spectra: dict[str, Floats] = {}
+    for name in dict.fromkeys(names):
+        if name in parts.spectra:
+            wavelength, values = parts.spectra[name]
+            spectra[name] = np.interp(_GRID_NM, wavelength, values, left=np.nan, right=np.nan)
+            continue
+        try:
+            body = spectrum_of(name)(_GRID_NM)
+        except SchemaError:
+            continue  # of the library, or unknown, of which the writer says more
+        mixed = flakes.get(name)
+        if mixed is not None:
+            body = (1.0 - mixed.share) * body + mixed.share * spectrum_of(mixed.spectrum)(_GRID_NM)
+        spectra[name] = body
+    reflectance = np.array(list(spectra.values()), np.float32).reshape(-1, len(_GRID_NM))
+    return xr.Dataset(
+        {"reflectance": (("paint", "band"), reflectance, {"units": "1", "mirror_reflection": EXCLUDED})},
+        {
+            "paint": np.array(list(spectra), object),
+            "wavelength": ("band", _GRID_NM, {"units": "nm"}),
+        },
+    )
