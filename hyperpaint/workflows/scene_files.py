@@ -25,6 +25,7 @@ from hyperpaint.io.files.toml_tables import (
     time,
     whole,
 )
+from hyperpaint.simulation.rendering.car_parks import FLEETS
 from hyperpaint.simulation.rendering.materials import KINDS
 from hyperpaint.simulation.rendering.scene import INSTANCE_KINDS
 from hyperpaint.simulation.settings import MOST_SAMPLES
@@ -115,6 +116,7 @@ SCHEMA: Mapping[str, Mapping[str, Check]] = {
         "rows": whole(1, 100),
         "occupancy": _share,
         "paints": _words,
+        "fleet": one_of(*FLEETS),
         "types": _words,
         "neighbours": _words,
         "panels": flag,

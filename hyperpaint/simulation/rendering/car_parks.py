@@ -28,12 +28,16 @@ from .materials import Coat, Material
 from .pavements import BAY, Layout, paved, strips_across, worn
 from .primitives import Mesh, cuboid, put_together, smoothed, tube, uniform
 from .scene import Instance, Scene
-from .scene_spectra import FOURTEEN, paint_spec, parse_name
+from .scene_spectra import FOURTEEN, fleet_names, is_paint, paint_spec
 
-__all__ = ["NEIGHBOURS", "car_park"]
+__all__ = ["FLEETS", "NEIGHBOURS", "car_park"]
 
 NEIGHBOURS = ("trees", "walls", "hedges", "lamps")
 """What may stand around the cars."""
+
+FLEETS = ("solid", "real")
+"""Paints of the cars: the fourteen of the catalogue in equal numbers on clean uniform ground; or colours,
+finishes, age and dust in the shares of a fleet (`hyperpaint.simulation.rendering.fleet`), on worn ground."""
 
 _PANEL_SIZE, _PANEL_PERIOD, _PANEL_START = 0.90, 30.0, 1.4  # grey panels lie along the aisle [m]
 _TREE_PITCH, _LAMP_PITCH = 7.5, 25.0  # along the edges [m]
@@ -49,6 +53,7 @@ def car_park(
     rows: int | None = None,
     occupancy: float = 0.85,
     paints: Sequence[str] | None = None,
+    fleet: str = "solid",
     types: Sequence[str] | None = None,
     seed: int = 0,
     neighbours: Sequence[str] = ("trees", "walls", "lamps"),
@@ -72,7 +77,9 @@ def car_park(
     occupancy
         Share of the bays that are taken.
     paints
-        Names of spectra, each used once before any is used again; `FOURTEEN` unless given.
+        Names of spectra, each used once before any is used again; those of the ``fleet`` unless given.
+    fleet
+        One of `FLEETS`. With "real" asphalt, concrete, lines and lawns are worn as well.
     types
         Which `CAR_TYPES` there are; all unless given.
     seed
@@ -116,15 +123,17 @@ def car_park(
     ['car', 'ground', 'panel']
     """
     chosen = _Choices(
-        FOURTEEN if paints is None else tuple(paints),
+        _paints_of_fleet(fleet, seed) if paints is None else tuple(paints),
         tuple(CAR_TYPES) if types is None else tuple(types),
         seed,
         occupancy,
         coat,
         flakes,
+        _WORN if fleet == "real" else _SURROUNDINGS,
     )
     problems = Problems("the car park cannot be laid out", SchemaError)
     check_number(problems, "occupancy", occupancy, 0.0, 1.0)
+    check_choice(problems, "fleet", fleet, FLEETS)
     check_number(problems, "length", length, 0.0, 10_000.0, above=True)
     check_number(problems, "line_width", line_width, 0.02, 1.0)
     check_number(problems, "margin", margin, 0.0, 10_000.0)
@@ -138,14 +147,15 @@ def car_park(
     problems.raise_if_any()
     layout = strips_across(length, width, rows, margin=margin, line_width=line_width, islands=islands)
     ground = put_together([paved(layout), *worn(layout, seed)])
-    things = [ground.scene(_SURROUNDINGS, Instance("ground", "ground"))]
+    made_of = chosen.surroundings
+    things = [ground.scene(made_of, Instance("ground", "ground"))]
     if panels:
         things += _panels(layout)
     things += _cars(layout, chosen)
     if "trees" in neighbours:
-        things += _trees(layout, seed, leaves)
+        things += _trees(layout, chosen, leaves)
     if "walls" in neighbours or "hedges" in neighbours:
-        things += _enclosure(layout, seed, neighbours)
+        things += _enclosure(layout, chosen, neighbours)
     if "lamps" in neighbours:
         things += _lamps(layout)
     return Scene.join(things, name)
@@ -161,16 +171,20 @@ class _Choices:
     occupancy: float
     coat: Coat | Literal["own"] | None
     flakes: bool
+    surroundings: dict[str, Material]
 
     def material(self, name: str, paint: str) -> Material:
         """Return the surface of a car that has a paint."""
-        in_catalogue = paint in FOURTEEN or parse_name(paint) is not None
-        surface = paint_spec(paint).material(name) if in_catalogue else Material(name, paint, "paint", Coat())
+        surface = (
+            paint_spec(paint).material(name) if is_paint(paint) else Material(name, paint, "paint", Coat())
+        )
         coat = surface.coat if self.coat == "own" else self.coat
         return replace(surface, coat=coat, flakes=surface.flakes if self.flakes and coat else None)
 
     def paint(self, number: int) -> str:
         """Return the paint of a car: as many successive cars as there are paints have all of them."""
+        if len(self.paints) == _FLEET_SIZE:  # spread evenly over the shares as they come
+            return self.paints[number % _FLEET_SIZE]
         deck, card = divmod(number, len(self.paints))
         order = np.random.default_rng([self.seed, _PAINTS, deck]).permutation(len(self.paints))
         return self.paints[int(order[card])]
@@ -179,6 +193,17 @@ class _Choices:
         """Return the kind of a car."""
         chances = np.array([_CHANCE_OF_TYPE[kind] for kind in self.types])
         return self.types[int(rng.choice(len(chances), p=chances / chances.sum()))]
+
+
+_FLEET_SIZE = 5000
+"""Different cars of a fleet: more than a car park has bays."""
+
+
+def _paints_of_fleet(fleet: str, seed: int) -> tuple[str, ...]:
+    """Return the paints of a fleet; those of a real one in an order that has the shares in every part."""
+    if fleet != "real":
+        return FOURTEEN
+    return fleet_names(int(np.random.default_rng([seed, _PAINTS]).integers(0, 10**8)), _FLEET_SIZE)
 
 
 _GLOSS = Coat(1.5, 0.02)
@@ -205,6 +230,21 @@ _SURROUNDINGS = {
 }
 """What all that is no car paint is made of, by the words that meshes use."""
 
+_WORN = {
+    **_SURROUNDINGS,
+    **{
+        name: replace(_SURROUNDINGS[name], spectrum=spectrum)
+        for name, spectrum in (
+            ("asphalt", "worn_asphalt"),
+            ("patch", "worn_patch"),
+            ("line", "worn_line"),
+            ("concrete", "weathered_concrete"),
+            ("grass", "mixed_grass"),
+        )
+    },
+}
+"""The same after some years."""
+
 
 def _cars(layout: Layout, chosen: _Choices) -> Iterator[Scene]:
     dealt = 0  # paints go by cars, not by places, so that none is lost to an empty bay
@@ -223,7 +263,7 @@ def _cars(layout: Layout, chosen: _Choices) -> Iterator[Scene]:
             north = (bay + 0.5) * BAY[1] + float(np.clip(rng.normal(0.0, 0.09), -0.2, 0.2))
             # most drive in nose first: away from the aisle
             heading = (90.0 if rng.random() < (0.7 if row % 2 else 0.3) else 270.0) + rng.normal(0.0, 1.2)
-            thing = body.scene({**_SURROUNDINGS, "paint": own}, Instance(car, "car", paint))
+            thing = body.scene({**chosen.surroundings, "paint": own}, Instance(car, "car", paint))
             yield thing.moved((east, north, 0.0), heading)
 
 
@@ -240,7 +280,7 @@ def _panels(layout: Layout) -> Iterator[Scene]:
             yield plate.shifted(at).scene(panel, Instance(f"{name}_{line:03d}", "panel"))
 
 
-def _trees(layout: Layout, seed: int, leaves: int) -> Iterator[Scene]:
+def _trees(layout: Layout, chosen: _Choices, leaves: int) -> Iterator[Scene]:
     places = {
         f"tree_west_{number:03d}": (layout.west_trees, float(y))
         for number, y in enumerate(np.arange(2.5, layout.length, _TREE_PITCH))
@@ -248,23 +288,25 @@ def _trees(layout: Layout, seed: int, leaves: int) -> Iterator[Scene]:
     for bay, (begin, end) in layout.islands():
         places[f"tree_{bay:03d}_{begin:+.0f}"] = (0.5 * (begin + end), (bay + 0.5) * BAY[1])
     for name, (east, north) in places.items():
-        rng = np.random.default_rng([seed, _TREES, round(1000 * north), round(1000 * (east + layout.width))])
+        rng = np.random.default_rng(
+            [chosen.seed, _TREES, round(1000 * north), round(1000 * (east + layout.width))]
+        )
         crown = rng.uniform(1.4, 2.1)
         tree = _leafy_tree(rng, crown * rng.uniform(2.4, 3.0), crown, leaves)
         at = (east + rng.uniform(-0.2, 0.2), north + rng.uniform(-0.5, 0.5), 0.0)
-        yield tree.shifted(at).scene(_SURROUNDINGS, Instance(name, "tree"))
+        yield tree.shifted(at).scene(chosen.surroundings, Instance(name, "tree"))
 
 
-def _enclosure(layout: Layout, seed: int, neighbours: Sequence[str]) -> Iterator[Scene]:
+def _enclosure(layout: Layout, chosen: _Choices, neighbours: Sequence[str]) -> Iterator[Scene]:
     """Yield the wall in the east, and the hedge behind the trees in the west."""
     if "walls" in neighbours:
         wall = _brick_wall(layout.length).shifted((layout.wall, 0.0, 0.0))
-        yield wall.scene(_SURROUNDINGS, Instance("wall", "wall"))
+        yield wall.scene(chosen.surroundings, Instance("wall", "wall"))
     if "hedges" in neighbours:
-        rng = np.random.default_rng([seed, _TREES])
+        rng = np.random.default_rng([chosen.seed, _TREES])
         side = layout.wall - 0.8 if "walls" not in neighbours else layout.west_trees - 1.2
         leaves = _hedge(rng, layout.length).shifted((side, 0.0, 0.0))
-        yield leaves.scene(_SURROUNDINGS, Instance("hedge", "tree"))
+        yield leaves.scene(chosen.surroundings, Instance("hedge", "tree"))
 
 
 def _lamps(layout: Layout) -> Iterator[Scene]:

@@ -16,8 +16,8 @@ from hyperpaint.base.schema import BAND, MEMBER, PAINT
 from hyperpaint.base.units import convert
 
 from .camera_bands import BandSet
-from .octaves import MEASURED
 from .scene_spectra import Spectrum, spectrum_of
+from .weathering import MEASURED
 
 if TYPE_CHECKING:
     import xarray as xr

@@ -336,8 +336,9 @@ class ProductTable:
         nodes = np.zeros(columns, np.int64), np.ones((columns, 1))
         if self.bands.wavelength_shift is not None:
             nodes = self.bands.between_nodes()
-        factors = None if texture is None else self.codes.factors(distinct)
-        mix_shifted(weight, index, products, *nodes, out, texture, factors)
+        if texture is not None:
+            texture = texture._replace(paths=self.codes.factors(distinct))
+        mix_shifted(weight, index, products, *nodes, out, texture)
 
     def irradiance(self, source: int) -> Floats:
         """Return what the bands see of a source itself, shape (node, band)."""

@@ -15,9 +15,9 @@ import numpy as np
 from hyperpaint.base.arrays import Array, Floats, Floats32
 
 from .camera_bands import BandSet
-from .octaves import Octaves
 from .painting import FactorSpectra
 from .scene_record import SceneRecord
+from .weathering import Octaves
 
 if TYPE_CHECKING:
     from hyperpaint.simulation.transport.texturing import Grain

@@ -307,7 +307,7 @@ def _surface_task(
 
     texture = None
     if populations is not None:
-        texture = Texture(_only(rows), populations.factor, populations.ratio)
+        texture = Texture(_only(rows), populations.factor, populations.ratio, np.zeros((0, 1), np.int64))
     return light.surface_radiance(_only(weight), _only(code), _only(variation), texture)
 
 

@@ -9,7 +9,8 @@ A base is as thick as light goes. Its albedo follows from the absorption over th
 R_inf = 1 + K/S - sqrt((K/S)^2 + 2 K/S) (Kubelka & Munk 1931), and K/S from absorption edges and bands; what
 an instrument sees of it through the clear coat near normal, without the mirror reflection, is
 `materials.coated_reflectance`. Families differ in where they absorb and what they are mixed with; a number
-chooses one paint of a family, always the same.
+chooses one paint of a family, always the same. "fleet:<number>" is a car of a real fleet, with its age and
+dust. What weather has worn ("worn_asphalt") is a population, see `weathering`.
 """
 
 from __future__ import annotations
@@ -17,97 +18,34 @@ from __future__ import annotations
 import difflib
 import functools
 import re
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import SchemaError
-from hyperpaint.simulation.paint_spectra import CAR_PAINTS, MATERIALS, Bump, Edge, Feature, Paint, Plain
+from hyperpaint.simulation.paint_spectra import CAR_PAINTS, MATERIALS, Bump, Edge, Paint, Plain
 
+from .base_coats import FAMILIES, HUES, Pigments, aluminium, mix
+from .fleet import DIRT, FleetPaint, fleet_paint
 from .materials import Coat, Flakes, Material, coated_reflectance
+from .weathering import WEATHERED, Weathered
 
 __all__ = [
-    "FAMILIES", "FINISHES", "FOURTEEN", "SPECTRA", "PaintSpec", "Pigments", "Spectrum", "generate_paint",
-    "paint_spec", "spectrum_of",
+    "FAMILIES", "FINISHES", "FOURTEEN", "SPECTRA", "PaintSpec", "Pigments", "Spectrum", "fleet_names",
+    "generate_paint", "is_paint", "paint_spec", "spectrum_of",
 ]  # fmt: skip
 
 
 FINISHES = ("solid", "metallic", "pearl")
 """What a paint looks like when one walks around it."""
 
-FAMILIES = ("white", "solid", "tinted", "grey", "carbon_black", "ir_black", "metallic", "pearl")
-"""What `generate_paint` makes: titanium white; a coloured pigment; the same in a white base; carbon in a
-white base; carbon; a dye that is black to the eye and transparent in the near infrared; colour over aluminium
-flakes; colour among mica flakes with an interference colour."""
-
-#: Edges and bands of K/S of the coloured pigments: kind, centre and its spread [nm], width [nm], height.
-_HUES: dict[str, tuple[tuple[str, float, float, float, float], ...]] = {
-    "red": (("edge", 605.0, 10.0, -8.0, 7.0),),
-    "orange": (("edge", 563.0, 8.0, -8.0, 7.0),),
-    "yellow": (("edge", 510.0, 9.0, -8.0, 6.0),),
-    "green": (("edge", 485.0, 8.0, -12.0, 5.0), ("bump", 655.0, 12.0, 48.0, 5.0)),
-    "turquoise": (("edge", 430.0, 8.0, -12.0, 2.5), ("bump", 648.0, 10.0, 55.0, 5.0)),
-    "blue": (
-        ("edge", 415.0, 6.0, -14.0, 2.0), ("bump", 635.0, 12.0, 60.0, 6.0), ("bump", 562.0, 8.0, 35.0, 1.8),
-    ),
-    "violet": (("bump", 568.0, 9.0, 40.0, 5.0), ("edge", 412.0, 5.0, -12.0, 1.5)),
-    "brown": (("edge", 575.0, 12.0, -32.0, 4.5),),
-}  # fmt: skip
-
-_FLAKE_DEPTH = 0.05  # of the flakes, times S of the pigment
-_TITANIUM = Edge(404.0, -5.0, 4.0)  # rutile absorbs in the ultraviolet
 _ADJECTIVES = ("Arctic", "Alpine", "Baltic", "Desert", "Harbour", "Imperial", "Lunar", "Monsoon", "Nordic",
                "Polar", "Solar", "Tundra")  # fmt: skip
 _NAME = re.compile(r"pigment:([a-z_]{1,20}):([0-9]{1,9})(:flakes)?")
-
-
-@dataclass(frozen=True)
-class Pigments:
-    """What is in a base coat.
-
-    Attributes
-    ----------
-    absorption
-        K/S at every wavelength.
-    absorbers
-        What they add at some.
-    interference
-        Optical thickness of the mica flakes' film [nm] and depth of its modulation, 0 to 1; None without.
-    """
-
-    absorption: float
-    absorbers: tuple[Feature, ...] = ()
-    interference: tuple[float, float] | None = None
-
-    def albedo(self, wavelength: Floats) -> Floats:
-        """Return the albedo of the base under the coat at ``wavelength`` [nm], 0 to 1."""
-        # without an interface, Paint is the bare Kubelka-Munk layer
-        return Paint(self.absorption, self.absorbers, interface=0.0, internal=0.0)(wavelength)
-
-    def flakes(self, wavelength: Floats) -> Floats:
-        """Return the reflectance of the flakes, seen through the tinted binder, 0 to 1.
-
-        Light passes the tint twice, down to a flake and back, each time a twentieth of the depth in which the
-        pigment would scatter it (S d = 0.05). A film on mica adds a comb cos^2(2 pi d / lambda).
-        """
-        tint = np.full_like(wavelength, self.absorption, dtype=np.float64)
-        for absorber in self.absorbers:
-            tint += absorber(wavelength)
-        bare = aluminium(wavelength)
-        if self.interference is not None:
-            thickness, depth = self.interference
-            bare = bare * (1.0 - depth * np.cos(2.0 * np.pi * thickness / wavelength) ** 2)
-        return np.asarray(bare * np.exp(-2.0 * _FLAKE_DEPTH * tint))
-
-
-def aluminium(wavelength: Floats) -> Floats:
-    """Return the reflectance of aluminium in a binder, with its dip of the interband transition at 825 nm.
-
-    A smooth curve through handbook values of the bare metal, about 0.92 in the green and 0.87 at 825 nm.
-    """
-    return 0.92 - 0.01 * (wavelength - 550.0) / 1000.0 + Bump(825.0, 65.0, -0.045)(wavelength)
+_FLEET = re.compile(r"fleet:([0-9]{1,9})(:flakes)?")
+_DULLED = 0.03  # by which a coat grows rougher in a year, relatively
 
 
 @dataclass(frozen=True)
@@ -188,7 +126,7 @@ def paint_spec(name: str) -> PaintSpec:
     Parameters
     ----------
     name
-        One of `FOURTEEN`, or "pigment:<family>:<number>" with one of `FAMILIES`.
+        One of `FOURTEEN`, "pigment:<family>:<number>" with one of `FAMILIES`, or "fleet:<number>".
 
     Raises
     ------
@@ -202,12 +140,52 @@ def paint_spec(name: str) -> PaintSpec:
     """
     if name in _CATALOGUE:
         return _CATALOGUE[name]
+    fleet = _FLEET.fullmatch(name)
+    if fleet is not None and fleet[2] is None:
+        return _fleet_spec(int(fleet[1]))
     parsed = parse_name(name)
     if parsed is None or parsed[2]:
         raise SchemaError(
-            f"there is no paint {name!r}; expected one of {', '.join(FOURTEEN)}, or pigment:<family>:<number>"
+            f"there is no paint {name!r}; expected one of {', '.join(FOURTEEN)}, "
+            "pigment:<family>:<number> or fleet:<number>"
         )
     return generate_paint(parsed[0], parsed[1])
+
+
+def is_paint(name: str) -> bool:
+    """Return whether a spectrum is a car paint that is known here, of a catalogue or generated."""
+    named = name in _CATALOGUE or parse_name(name) is not None or _FLEET.fullmatch(name) is not None
+    return named and not name.endswith(":flakes")
+
+
+def fleet_names(first: int, count: int) -> tuple[str, ...]:
+    """Return the names of so many cars of the fleet.
+
+    Examples
+    --------
+    >>> fleet_names(7, 2)
+    ('fleet:7', 'fleet:8')
+    """
+    return tuple(f"fleet:{number}" for number in range(first, first + count))
+
+
+def _fleet_spec(number: int) -> PaintSpec:
+    """Return the paint of a car of the fleet: an older coat is duller."""
+    car, name = fleet_paint(number), f"fleet:{number}"
+    flakes = Flakes(car.flake_share, car.flake_lobe, f"{name}:flakes") if car.flake_share else None
+    coat = Coat()
+    coat = replace(coat, index=car.index, roughness=coat.roughness * (1.0 + _DULLED * car.age))
+    adjective = _ADJECTIVES[number % len(_ADJECTIVES)]
+    return PaintSpec(name, car.finish, car.colour, f"{adjective} {car.colour.title()}", coat, flakes)
+
+
+def _fleet_base(car: FleetPaint) -> Weathered:
+    """Return what shows of a car between its flakes, with the dust that lies on it."""
+
+    def members(wavelength: Floats) -> Floats:
+        return car.weathered(coated_reflectance(car.pigments.albedo(wavelength), car.index), wavelength)
+
+    return Weathered(members, DIRT)
 
 
 def generate_paint(family: str, number: int) -> PaintSpec:
@@ -254,10 +232,10 @@ def _generate(family: str, number: int) -> tuple[PaintSpec, Pigments]:
     if not 0 <= number < 10**9:
         raise SchemaError(f"the number of a paint is {number!r}, expected 0 to 999999999")
     rng = np.random.default_rng([FAMILIES.index(family), number])
-    hue = str(rng.choice(list(_HUES)))
+    hue = str(rng.choice(list(HUES)))
     adjective = str(rng.choice(_ADJECTIVES))
     roughness = float(rng.uniform(0.02, 0.08))
-    pigments, colour = _mix(family, hue, rng)
+    pigments, colour = mix(family, hue, rng)
     finish, flakes = "solid", None
     name = f"pigment:{family}:{number}"
     if family in ("metallic", "pearl"):
@@ -267,43 +245,6 @@ def _generate(family: str, number: int) -> tuple[PaintSpec, Pigments]:
         flakes = Flakes(float(rng.uniform(low, high)), float(lobe), f"{name}:flakes")
     trade_name = f"{adjective} {colour.title()}"
     return PaintSpec(name, finish, colour, trade_name, Coat(roughness=roughness), flakes), pigments
-
-
-def _mix(family: str, hue: str, rng: np.random.Generator) -> tuple[Pigments, str]:
-    """Return the base of one paint, and its colour in words."""
-    if family == "white":
-        return Pigments(rng.uniform(0.002, 0.012), (_TITANIUM,)), "white"
-    if family == "grey":
-        return Pigments(rng.uniform(0.15, 1.5), (_TITANIUM,)), "grey"
-    if family == "carbon_black":
-        return Pigments(rng.uniform(8.0, 20.0), (Edge(800.0, 90.0, -rng.uniform(0.0, 3.0)),)), "black"
-    if family == "ir_black":
-        edge = Edge(rng.uniform(700.0, 770.0), -rng.uniform(12.0, 22.0), rng.uniform(9.0, 15.0))
-        return Pigments(rng.uniform(0.08, 0.4), (edge,)), "black"
-    strength = np.exp(rng.uniform(np.log(0.6), np.log(1.6)))
-    colour = hue
-    if family == "tinted":
-        strength *= np.exp(rng.uniform(np.log(0.03), np.log(0.2)))
-        colour = f"light {hue}"
-    floor = float(np.exp(rng.uniform(np.log(0.02), np.log(0.2))))
-    absorbers = _absorbers(_HUES[hue], float(strength), rng)
-    if family == "tinted":
-        return Pigments(0.2 * floor, (*absorbers, _TITANIUM)), colour
-    if family == "pearl":
-        film = (float(rng.uniform(180.0, 420.0)), float(rng.uniform(0.2, 0.5)))
-        return Pigments(floor, absorbers, film), colour
-    return Pigments(floor, absorbers), colour
-
-
-def _absorbers(
-    rows: Sequence[tuple[str, float, float, float, float]], strength: float, rng: np.random.Generator
-) -> tuple[Feature, ...]:
-    features: list[Feature] = []
-    for kind, centre, spread, width, height in rows:
-        feature = Edge if kind == "edge" else Bump
-        at = centre + rng.normal(0.0, spread / 2.0)
-        features.append(feature(at, width * rng.uniform(0.8, 1.3), strength * height * rng.uniform(0.8, 1.2)))
-    return tuple(features)
 
 
 Spectrum = Callable[[Floats], Floats]
@@ -339,6 +280,7 @@ SPECTRA: dict[str, Spectrum] = {
     "bark": Plain(0.11, 0.22, [Edge(600.0, 60.0, 0.04)]),
     "steel": Plain(0.36, 0.06),
     "patch": Plain(0.055, 0.05),
+    **WEATHERED,
 }
 """The named spectra; generated paints are reached by `spectrum_of` alone."""
 
@@ -349,8 +291,8 @@ def spectrum_of(name: str) -> Spectrum:
     Parameters
     ----------
     name
-        A key of `SPECTRA`; or of a generated paint, "pigment:<family>:<number>", with ":flakes" behind it for
-        those of its flakes.
+        A key of `SPECTRA`; or of a generated paint, "pigment:<family>:<number>" or "fleet:<number>", with
+        ":flakes" behind it for those of its flakes.
 
     Returns
     -------
@@ -380,6 +322,12 @@ def spectrum_of(name: str) -> Spectrum:
             return _limited(pigments.flakes)
         # near normal, under the usual clear coat, mirror reflection excluded
         return _limited(lambda wavelength: coated_reflectance(pigments.albedo(wavelength), Coat().index))
+    fleet = _FLEET.fullmatch(name)
+    if fleet is not None:
+        car = fleet_paint(int(fleet[1]))
+        return _limited(car.pigments.flakes) if fleet[2] else _fleet_base(car)
+    if name in WEATHERED:
+        return WEATHERED[name]
     if name in SPECTRA:
         return _limited(SPECTRA[name])
     close = difflib.get_close_matches(name, SPECTRA, 1)

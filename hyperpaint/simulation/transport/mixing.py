@@ -116,7 +116,6 @@ def mix_shifted(
     node_weight: npt.NDArray[Any],
     out: npt.NDArray[np.float32],
     texture: Texture | None = None,
-    factors: npt.NDArray[np.int64] | None = None,
 ) -> None:
     """Write the sum over slots of weight times spectrum, the spectra those of each column.
 
@@ -130,9 +129,8 @@ def mix_shifted(
         First of the nodes between which a column lies, shape (column,), integers.
     node_weight
         Weights of the nodes from there on, shape (column, 4 or fewer).
-    texture, factors
-        Members that pixels show in place of the mean, and the factors of every path, (path, digit), by which
-        paths are known that the member changes.
+    texture
+        Members that pixels show in place of the mean; None for none.
 
     Raises
     ------
@@ -151,14 +149,13 @@ def mix_shifted(
             f"columns need nodes up to {first.max() + share.shape[1] - 1}, the table has {len(spectra)}"
         )
     weights, rows = np.ascontiguousarray(weight, np.float32), np.ascontiguousarray(index, np.int32)
-    if texture is None or factors is None:
-        row = np.full((out.shape[0], columns), -1, np.int32)
-        texture = Texture(row, np.zeros(0, np.int64), np.zeros((0, out.shape[1]), np.float32))
-        factors = np.zeros((0, 1), np.int64)
+    if texture is None:
+        row, nothing = np.full((out.shape[0], columns), -1, np.int32), np.zeros(0, np.int64)
+        texture = Texture(row, nothing, np.zeros((0, out.shape[1]), np.float32), nothing[:, None])
     elif texture.row.shape != (out.shape[0], columns) or texture.ratio.shape[1] != out.shape[1]:
         raise ValueError(f"texture {texture.row.shape}, {texture.ratio.shape} for {out.shape}")
     sums = np.empty((2, _TILE, out.shape[1]), np.float32)
-    _mix_shifted(weights, rows, spectra, first, share, texture, np.ascontiguousarray(factors), sums, out)
+    _mix_shifted(weights, rows, spectra, first, share, texture, sums, out)
 
 
 def _check(weight: Array, index: Array, shape: tuple[int, ...], out: Array) -> None:
@@ -216,7 +213,7 @@ def _apply(sums: Array, changed: Array, column: int, ratio: Array, row: int) -> 
 @borrowing_kernel
 def _mix_shifted(
     weight: Array, index: Array, table: Array, node: Array, node_weight: Array, texture: Texture,
-    factors: Array, sums: Array, out: Array,
+    sums: Array, out: Array,
 ) -> None:  # fmt: skip
     """See `mix_shifted`; ``sums`` (2, column, band) is of what no member changes, and of what one does."""
     columns = out.shape[2]
@@ -231,7 +228,11 @@ def _mix_shifted(
                 for slot in range(weight.shape[1]):
                     row = index[line, slot, column]
                     if row >= 0:
-                        part = 1 if member >= 0 and _is_changed(factors, row, texture.factor[member]) else 0
+                        part = (
+                            1
+                            if member >= 0 and _is_changed(texture.paths, row, texture.factor[member])
+                            else 0
+                        )
                         for k in range(node_weight.shape[1]):
                             share = weight[line, slot, column] * node_weight[column, k]
                             _add_row(sums[part], column - first, table, node[column] + k, row, share)

@@ -33,7 +33,7 @@ class Grain(NamedTuple):
 
     Attributes
     ----------
-    first, count : (material,) int64
+    first, members : (material,) int64
         First row of its members, and their number; 0 without a population.
     length : (material, octave) float64
         Distance over which an octave varies [m].
@@ -44,7 +44,7 @@ class Grain(NamedTuple):
     """
 
     first: Array
-    count: Array
+    members: Array
     length: Array
     share: Array
     is_averaged: Array
@@ -61,11 +61,14 @@ class Texture(NamedTuple):
         Factor of a path that it changes.
     ratio : (row, band) float32
         What that factor is multiplied by [1].
+    paths : (path, digit) int64
+        Factors of every path that is mixed; -1 for none.
     """
 
     row: Array
     factor: Array
     ratio: Array
+    paths: Array
 
 
 def member_rows(material: Array, instance: Array, place: Array, grain: Grain, seed: int) -> Array:
@@ -118,7 +121,7 @@ def _write_rows(
     for line in range(rows.shape[0]):
         for column in range(rows.shape[1]):
             made_of = material[line, column]
-            if made_of < 0 or grain.count[made_of] == 0:
+            if made_of < 0 or grain.members[made_of] == 0:
                 continue
             x, y, z = place[0, line, column], place[1, line, column], place[2, line, column]
             if not (math.isfinite(x) and math.isfinite(y) and math.isfinite(z)):
@@ -132,7 +135,7 @@ def _write_rows(
                     field = _noise(x / length, y / length, z / length, instance[line, column], octave, seed)
                     total += math.sqrt(share) * field
             rank = 0.5 * (1.0 + math.erf(total * math.sqrt(0.5)))
-            count = grain.count[made_of]
+            count = grain.members[made_of]
             rows[line, column] = grain.first[made_of] + min(int(rank * count), count - 1)
 
 

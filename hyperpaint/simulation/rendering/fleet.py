@@ -1,0 +1,158 @@
+"""A fleet as it stands in car parks: colours, finishes, age and dust in their shares.
+
+Colours, of a hundred cars: 39 white, 23 black, 16 grey, 8 silver, 14 coloured. Makers of paints count new
+cars every year: BASF's Color Report has white 39, grey 16, silver 8 in 2022 and white 36, black 21, grey 15,
+silver 9 in 2023, 19 coloured in both, blue 8 of them; Axalta's of 2017 has 26 solid and 13 pearl among 39
+white [1]_ [2]_. Other finishes are not published by colour: here nearly all grey and silver are metallic, and
+six in ten of all cars have flakes or mica.
+
+Consecutive numbers are spread evenly over the shares (R2 sequence), so that a small car park has them too.
+
+References
+----------
+.. [1] BASF, "Color Report for Automotive OEM Coatings", 2022 and 2023.
+.. [2] Axalta, "Global Automotive Color Popularity Report", 2017.
+"""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from hyperpaint.base.arrays import Floats
+
+from .base_coats import HUES, Pigments, absorbers_of, mix
+from .weathering import Octaves, dusty
+
+__all__ = ["COLOUR_SHARES", "DIRT", "FINISH_SHARES", "FLAKE_SHARES", "FleetPaint", "fleet_paint"]
+
+
+COLOUR_SHARES: Mapping[str, float] = {
+    "white": 0.39, "black": 0.23, "grey": 0.16, "silver": 0.08, "coloured": 0.14,
+}  # fmt: skip
+"""Of all cars."""
+
+FINISH_SHARES: Mapping[str, Mapping[str, float]] = {
+    "white": {"solid": 2 / 3, "pearl": 1 / 3},
+    "black": {"solid": 0.40, "metallic": 0.45, "pearl": 0.15},
+    "grey": {"solid": 0.10, "metallic": 0.85, "pearl": 0.05},
+    "silver": {"metallic": 1.0},
+    "coloured": {"solid": 0.25, "metallic": 0.50, "pearl": 0.25},
+}
+"""Of the cars of a colour."""
+
+HUE_SHARES: Mapping[str, float] = {
+    "blue": 0.55, "red": 0.27, "green": 0.06, "brown": 0.06, "orange": 0.03, "yellow": 0.03,
+}  # fmt: skip
+"""Of the coloured cars."""
+
+FLAKE_SHARES: Mapping[str, tuple[float, float]] = {
+    "white": (0.10, 0.20), "black": (0.03, 0.10), "grey": (0.15, 0.35), "silver": (0.45, 0.65),
+    "coloured": (0.08, 0.28),
+}  # fmt: skip
+"""Least and most of the light in the paint that meets flakes."""
+
+_MEAN_AGE = 9.0  # years of a car on the road
+_COVER, _COVER_SPREAD, _MOST_COVER = 0.015, 0.7, 0.30  # of dust: median, spread of its logarithm
+_DIRTY, _DIRT = 0.08, 0.10  # cars that have not been washed for long, and what lies on them more
+_MEMBERS = 24
+
+DIRT = Octaves((0.5, 0.06), (0.6, 0.4))
+"""How dust lies on a car."""
+
+_R2 = (0.7548776662466927, 0.5698402909980532)
+"""Steps of the sequence: powers of the inverse of the plastic number (M. Roberts 2018)."""
+
+
+@dataclass(frozen=True)
+class FleetPaint:
+    """The paint of one car of the fleet.
+
+    Attributes
+    ----------
+    colour, finish
+        In words; the finish is "solid", "metallic" or "pearl".
+    pigments
+        Of its base coat.
+    flake_share, flake_lobe
+        Part of the light in the paint that meets flakes, and GGX alpha of their lobe; 0 of a solid paint.
+    age
+        Of the car [years].
+    cover
+        Part of it that dust covers [1].
+    index
+        Refractive index of its clear coat.
+    """
+
+    colour: str
+    finish: str
+    pigments: Pigments
+    flake_share: float
+    flake_lobe: float
+    age: float
+    cover: float
+    index: float
+
+    def weathered(self, clean: Floats, wavelength: Floats) -> Floats:
+        """Return the reflectance of a clean base (wavelength,) under the dust of many places of the car."""
+        place = np.random.default_rng([41, int(1e9 * self.cover)]).standard_normal((_MEMBERS, 1))
+        cover = np.minimum(self.cover * np.exp(0.6 * place - 0.18), 0.6)
+        return dusty(clean, cover, wavelength)
+
+
+@functools.lru_cache(maxsize=4096)
+def fleet_paint(number: int) -> FleetPaint:
+    """Return the paint of a car of the fleet; the same number always gives the same paint.
+
+    Examples
+    --------
+    >>> fleets = [fleet_paint(number) for number in range(200)]
+    >>> sum(one.colour == "white" for one in fleets), sum(one.finish != "solid" for one in fleets)
+    (78, 120)
+    """
+    rng = np.random.default_rng([43, number])
+    even = [(0.5 + (number + 1) * step) % 1.0 for step in _R2]
+    group = _chosen(COLOUR_SHARES, even[0])
+    finish = _chosen(FINISH_SHARES[group], even[1])
+    colour, pigments = _pigments(group, finish, rng)
+    low, high = FLAKE_SHARES[group]
+    share, lobe = float(rng.uniform(low, high)), float(rng.uniform(0.25, 0.45))
+    age = float(min(rng.gamma(2.0, _MEAN_AGE / 2.0), 30.0))
+    cover = _COVER * np.exp(_COVER_SPREAD * rng.standard_normal()) + _DIRT * (rng.random() < _DIRTY)
+    has_flakes = finish != "solid"
+    return FleetPaint(
+        colour=colour, finish=finish, pigments=pigments, flake_share=share if has_flakes else 0.0,
+        flake_lobe=lobe if has_flakes else 0.0, age=age, cover=float(min(cover, _MOST_COVER)),
+        index=float(rng.uniform(1.48, 1.55)),
+    )  # fmt: skip
+
+
+def _chosen(shares: Mapping[str, float], place: float) -> str:
+    """Return the name whose share of the unit interval holds a place."""
+    last = np.searchsorted(np.cumsum(list(shares.values())), place, side="right")
+    return list(shares)[min(int(last), len(shares) - 1)]
+
+
+def _pigments(group: str, finish: str, rng: np.random.Generator) -> tuple[str, Pigments]:
+    """Return a colour in words, and what makes it."""
+    film = None
+    if finish == "pearl":
+        film = float(rng.uniform(180.0, 420.0)), float(rng.uniform(0.1, 0.4))
+    if group == "coloured":
+        hue = _chosen(HUE_SHARES, rng.random())
+        strength, floor = np.exp(rng.uniform(np.log(0.6), np.log(1.6))), np.exp(rng.uniform(-3.5, -1.2))
+        return hue, Pigments(float(floor), absorbers_of(HUES[hue], float(strength), rng), film)
+    if group == "black":
+        family = "ir_black" if finish == "solid" and rng.random() < 0.2 else "carbon_black"
+    else:
+        family = "white" if group == "white" else "grey"
+    base, _ = mix(family, "blue", rng)
+    # grey is ground in carbon from light to anthracite; silver is nearly all flakes
+    ranges = {"grey": (0.3, 4.0), "silver": (0.08, 0.3)}
+    absorption = base.absorption
+    if group in ranges:
+        absorption = float(np.exp(rng.uniform(*np.log(ranges[group]))))
+    return group, Pigments(absorption, base.absorbers, film)
