@@ -87,6 +87,8 @@ class Sky:
     def irradiance(self, wavelength: Floats) -> tuple[Floats, Floats]:
         """Return direct and diffuse irradiance of a level surface [W m-2 nm-1]."""
         mass = 1.0 / np.cos(np.radians(self.sun_zenith)) if self.airmass is None else self.airmass
+        # the tails of wide responses reach beyond the table, whose ends stand for what lies there
+        wavelength = wavelength.clip(*sunlight_table().wavelength[[0, -1]])
         sky = ClearSky(self.sun_zenith, self.aerosol, ozone=self.ozone, water=self.water, airmass=float(mass))
         fine = _fine_structure()
         # below its cells, and beyond them, the table itself
