@@ -235,7 +235,7 @@ def convert(array: xr.DataArray, wanted: str, name: str | None = None) -> xr.Dat
         raise error.about(repr(name)) from error
     if factor != 1.0:
         # as an integer, a factor of 0.001 would be 0
-        kind = np.result_type(array.dtype, np.float16)
+        kind = np.result_type(array.dtype, np.float16 if array.dtype.kind == "f" else np.float32)
         array = array.copy(data=array.data * kind.type(factor))
     return array.assign_attrs(units=wanted)
 

@@ -57,9 +57,9 @@ def map_dims(cube: xr.DataArray | xr.Dataset) -> dict[str, str]:
 def orientation_of(dataset: xr.Dataset) -> Orientation:
     """Return how a flight line, or a map, is to be shown.
 
-    Columns are turned round where ``east`` and ``north`` of the pixels, or else the declared column order,
-    say that they run to the left of the flight. Pixels are as long as the ground between their centres where
-    that is known, else square.
+    Columns are turned round where ``east`` and ``north`` of the pixels, or else ``look_across``, or else the
+    declared column order, say that they run to the left of the flight. Pixels are as long as the ground
+    between their centres where that is known, else square.
     """
     lines, columns = dataset.sizes[ALONG_TRACK], dataset.sizes[CROSS_TRACK]
     if map_dims(dataset) and lines > 1 and columns > 1:
@@ -74,9 +74,17 @@ def orientation_of(dataset: xr.Dataset) -> Orientation:
         mirrored = right[0] * forward[1] - right[1] * forward[0] < 0.0
         aspect = float(np.hypot(*forward) / np.hypot(*right))
         return Orientation(extent, bool(mirrored), False, aspect, (labels[0].format(""), labels[1]))
-    order = dataset.attrs.get("convention_column_order")
+    order = _order_of_angles(dataset) or dataset.attrs.get("convention_column_order")
     assumed = "" if order in ("left_to_right", "right_to_left") else ", taken to run to the right"
     return Orientation(extent, order == "right_to_left", False, 1.0, (labels[0].format(assumed), labels[1]))
+
+
+def _order_of_angles(dataset: xr.Dataset) -> str | None:
+    """Return the order of the columns by the angles that the line has of them, as `locate` takes them."""
+    if "look_across" not in dataset.variables or dataset["look_across"].dims != (CROSS_TRACK,):
+        return None
+    slope = _mean_step(dataset["look_across"].values)
+    return "left_to_right" if slope > 0.0 else "right_to_left" if slope < 0.0 else None
 
 
 def _of_map(dataset: xr.Dataset) -> Orientation:

@@ -9,16 +9,17 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from hyperpaint.base.errors import CollectError, PaintError, Problems, SchemaError
+from hyperpaint.base.errors import CollectError, PaintError, Problems, SchemaError, StoreError
 from hyperpaint.base.progress_reports import part_of
 
 if TYPE_CHECKING:
     from hyperpaint.io.collect.collect_toml import Collect
+    from hyperpaint.regions import Regions
 
 __all__ = ["STEPS", "FieldDay", "StepOutcome", "run_field_day", "store_of"]
 
@@ -26,7 +27,8 @@ STEPS = ("process", "signatures", "validate", "map", "mosaic", "dirsig", "report
 """What a field day is made of, in this order; each may be left out, but for the first."""
 
 RECORD = "steps.json"
-"""What every step was made from; a step of the same inputs is not done again."""
+"""What every step was made from, and what it wrote: a step of the same inputs is not done again, and what
+something else wrote is not replaced unasked."""
 
 _PRODUCTS = {
     "signatures": "paints.zarr", "validate": "agreement.csv", "mosaic": "mosaic.tif", "dirsig": "dirsig",
@@ -108,7 +110,7 @@ def run_field_day(
         Subtract the sky that clear coats mirror from the signatures, see `hyperpaint.extract_signatures`:
         what a field spectrometer with a contact probe, or a sphere, does not see.
     overwrite
-        Replace products of other inputs.
+        Replace a store of other inputs, and products that were not written by a run.
     progress
         Called with the name of a step; returns what is called with work done and to do.
     say
@@ -122,7 +124,7 @@ def run_field_day(
     Raises
     ------
     SchemaError
-        ``skip`` names no step.
+        ``skip`` names no step, or there is no such file of regions.
     CollectError, FormatError, StoreError, UnitsError, MissingExtraError
         As `hyperpaint.process`.
 
@@ -148,7 +150,7 @@ def run_field_day(
     day = _Day(
         settings=settings,
         out=folder,
-        regions=None if regions is None else Path(regions),
+        regions=None if regions is None else _read_regions(Path(regions)),
         skip=frozenset(skip),
         specular_sky=specular_sky,
         overwrite=overwrite,
@@ -167,6 +169,15 @@ def store_of(collect: Path) -> Path:
     return collect.parent / "products" / "lot.zarr"
 
 
+def _read_regions(path: Path) -> Regions:
+    """Return the regions of a file: before hours of processing, not after them."""
+    from hyperpaint.regions import read_regions
+
+    if not path.exists():
+        raise SchemaError(f"regions {path}: no such file; check the path")
+    return read_regions(path)
+
+
 def _check_steps(skip: Collection[str]) -> None:
     problems = Problems("the field day cannot be run", SchemaError)
     for name in skip:
@@ -183,7 +194,7 @@ class _Day:
 
     settings: Collect
     out: Path
-    regions: Path | None
+    regions: Regions | None
     skip: frozenset[str]
     specular_sky: bool
     overwrite: bool
@@ -222,23 +233,42 @@ class _Day:
             self._note(StepOutcome(step, "left out", missing))
             return
         inputs, products = self._digest(step), self._products(step)
-        if self._record().get(step) == inputs and all(product.exists() for product in products):
+        entry = self._record().get(step)
+        if entry == {"inputs": inputs, "products": _states(products)} and all(map(Path.exists, products)):
             if step == "validate":
                 self.passed = self._record().get("passed")
             self._note(StepOutcome(step, "unchanged", _listed(products), products))
             return
         try:
+            self._refuse_foreign(entry, products)
+            # whatever is there from now on is of this run, should it be interrupted
+            self._write_record({step: _UNKNOWN})
             text = self._steps[step]()
         except PaintError as error:
             # the steps after it do not depend on it, but for the library, which they look for
             self.errors.append(error)
             self._note(StepOutcome(step, "failed", str(error)))
             return
-        entries: dict[str, Any] = {step: inputs}
+        entries: dict[str, Any] = {step: {"inputs": inputs, "products": _states(products)}}
         if step == "validate":
             entries["passed"] = self.passed
         self._write_record(entries)
         self._note(StepOutcome(step, "done", text, products))
+
+    def _refuse_foreign(self, entry: Any, products: Collection[Path]) -> None:
+        """Refuse to replace what another command wrote where a product belongs."""
+        if self.overwrite or entry == _UNKNOWN:
+            return
+        states = entry["products"] if entry else {}
+        foreign = [
+            path for path in products if path.exists() and _states([path])[path.name] != states.get(path.name)
+        ]
+        if foreign:
+            raise StoreError(
+                f"{_listed(foreign)}: not written by a run, or changed since",
+                mend="move it away, or pass overwrite=True",
+                option="move it away, or use --overwrite",
+            )
 
     @property
     def _library_failed(self) -> bool:
@@ -298,11 +328,14 @@ class _Day:
         if step not in ("map", "mosaic"):
             parts.append(self.specular_sky)
         if step in ("signatures", "validate", "dirsig", "report"):
-            parts.append(
-                None if self.regions is None else hashlib.sha256(self.regions.read_bytes()).hexdigest()
-            )
+            parts.append(None if self.regions is None else self.regions.digest)
+        if step in ("validate", "dirsig", "report"):
+            parts.append(_states([self.library]))
         if step in ("map", "mosaic"):
             parts.append({key: str(value) for key, value in sorted(self.settings.geometry.items())})
+            parts.append(
+                _states(value for value in self.settings.geometry.values() if isinstance(value, Path))
+            )
         if step == "report":
             parts.append(self.library.exists() and not self._library_failed)
         return hashlib.sha256(json.dumps(parts, sort_keys=True, default=str).encode()).hexdigest()
@@ -316,8 +349,11 @@ class _Day:
         try:
             record = json.loads(read_limited(path, 1 << 20, "the record of a field day"))
         except ValueError:
-            return {}
-        return record if isinstance(record, dict) else {}
+            record = None
+        entries = record if isinstance(record, dict) else dict.fromkeys(STEPS)
+        # what a spoilt record does not say any more may be of a run
+        return {step: _UNKNOWN if step in STEPS and not _is_entry(entry) else entry
+                for step, entry in entries.items()}  # fmt: skip
 
     def _write_record(self, entries: Mapping[str, Any]) -> None:
         from hyperpaint.io.files.publishing import publish_file
@@ -337,9 +373,11 @@ class _Day:
     def _signatures(self) -> str:
         from .library_files import write_signatures
 
+        # lines carry all of [geometry] but a height model, which only regions of a map need
+        is_map = self.regions is not None and self.regions.coordinates == "map"
         library = write_signatures(
             self.store, self.regions, self.library, overwrite=True, specular_sky=self.specular_sky,
-            drop_small=True, progress=self.progress("signatures"),
+            location=self._heights if is_map else {}, drop_small=True, progress=self.progress("signatures"),
         )  # fmt: skip
         left_out = [f"left out {text}" for text in library.attrs.get("left_out", ())]
         return "\n".join([f"{self.library}: {library.sizes['paint']} paints", *left_out])
@@ -374,15 +412,17 @@ class _Day:
         from .maps import mosaic_of_store, write_map
 
         path = self.out / _PRODUCTS["mosaic"]
-        given = {name: value for name, value in self._heights.items() if value is not None}
-        mosaic = mosaic_of_store(self.store, (), progress=self.progress("mosaic"), **given)
+        # lines without navigation lie nowhere; the map has said which there are
+        lines = self._mapped()
+        mosaic = mosaic_of_store(self.store, lines, progress=self.progress("mosaic"), **self._heights)
         write_map(mosaic, path, overwrite=True)
         return f"{path}: lines {', '.join(mosaic.attrs['flightlines'])}, the steepest view on top"
 
     @property
     def _heights(self) -> dict[str, Any]:
-        """What a height model needs to place the lines; its values are None without one."""
-        return {name: self.settings.geometry.get(name) for name in ("dem", "dem_heights", "geoid")}
+        """What a height model needs to place the lines; nothing without one."""
+        geometry = self.settings.geometry
+        return {name: geometry[name] for name in ("dem", "dem_heights", "geoid") if name in geometry}
 
     def _dirsig(self) -> str:
         from hyperpaint.io.dirsig import write_dirsig
@@ -405,6 +445,29 @@ class _Day:
         )  # fmt: skip
         problems = f"; cannot be read: {'; '.join(done.problems)}" if done.problems else ""
         return f"{done.path}{problems}"
+
+
+_UNKNOWN: dict[str, Any] = {"inputs": None, "products": None}
+"""Entry of a step that is under way, or of which nothing is known: any product may be its own."""
+
+
+def _is_entry(entry: Any) -> bool:
+    return isinstance(entry, dict) and set(entry) == set(_UNKNOWN) and isinstance(entry["products"], dict)
+
+
+def _states(paths: Iterable[Path]) -> dict[str, str]:
+    """Return sizes and times of files by name, of a folder those of all its files together."""
+    states: dict[str, str] = {}
+    for path in paths:
+        files = sorted(each for each in path.rglob("*") if each.is_file()) if path.is_dir() else [path]
+        marks = [[str(each.relative_to(path)), *_mark(each)] for each in files if each.exists()]
+        states[path.name] = hashlib.sha256(json.dumps(marks).encode()).hexdigest() if marks else ""
+    return states
+
+
+def _mark(path: Path) -> tuple[int, int]:
+    status = path.stat()
+    return status.st_size, status.st_mtime_ns
 
 
 def _listed(paths: Collection[Path]) -> str:

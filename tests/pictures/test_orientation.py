@@ -86,3 +86,12 @@ def test_a_map_has_north_up(rows_go_south: bool) -> None:
     assert far_north[1] > south[1]
     assert axes.images[0].get_extent()[2] == north[0] - 0.25 * np.sign(north[1] - north[0])
     assert (axes.get_xlabel(), axes.get_ylabel()) == ("east [m]", "north, up [m]")
+
+
+def test_angles_of_the_columns_count_before_the_declared_order() -> None:
+    line = xr.Dataset({"a": (("along_track", "cross_track"), np.zeros((4, 3)))})
+    line.attrs["convention_column_order"] = "left_to_right"
+    assert not orientation_of(line).is_mirrored
+    turned = line.assign_coords(look_across=("cross_track", [9.0, 0.0, -9.0], {"units": "degree"}))
+    assert orientation_of(turned).is_mirrored
+    assert orientation_of(turned).labels[0] == "cross_track [column]"

@@ -36,6 +36,17 @@ def day(folder: Path) -> FieldDay:
     return run_field_day(folder / "collect.toml", skip=["report"])
 
 
+def write_level_dem(path: Path, located: xr.Dataset, height: float) -> None:
+    """Write a raster of one height around a located line."""
+    rasterio = pytest.importorskip("rasterio")
+    west, north = float(located["east"].min()) - 50.0, float(located["north"].max()) + 50.0
+    size = int(max(np.ptp(located[name].values) for name in ("east", "north"))) + 100
+    profile = {"driver": "GTiff", "width": size, "height": size, "count": 1, "dtype": "float32"}
+    transform = rasterio.Affine(1.0, 0.0, west, 0.0, -1.0, north)
+    with rasterio.open(path, "w", crs=located["east"].attrs["crs"], transform=transform, **profile) as dem:
+        dem.write(np.full((size, size), height, np.float32), 1)
+
+
 def test_every_step_is_done(day: FieldDay) -> None:
     assert [outcome.step for outcome in day.outcomes] == list(STEPS)
     states = {outcome.step: outcome.state for outcome in day.outcomes}
@@ -128,13 +139,71 @@ def test_steps_have_names(tmp_path: Path) -> None:
         run_field_day(tmp_path / "collect.toml", skip=["process", "albedo"])
 
 
-def test_a_spoilt_record_only_costs_time(day: FieldDay, folder: Path) -> None:
-    record = day.out / "steps.json"
-    kept = record.read_bytes()
+def test_a_spoilt_record_only_costs_time(day: FieldDay, folder: Path, tmp_path: Path) -> None:
+    copied = tmp_path / "spoilt"
+    shutil.copytree(folder, copied)
+    record = copied / "products" / "steps.json"
+    kept = json.loads(record.read_text())
     record.write_text("[1, 2")
-    again = run_field_day(folder / "collect.toml", skip=["signatures", "map", "dirsig", "report"])
+    again = run_field_day(copied, skip=["signatures", "map", "dirsig", "report"])
     assert {one.step: one.state for one in again.outcomes}["validate"] == "done"
-    assert json.loads(record.read_text())["validate"] == json.loads(kept)["validate"]
+    assert json.loads(record.read_text())["validate"]["inputs"] == kept["validate"]["inputs"]
+
+
+def test_products_of_another_library_are_made_again(day: FieldDay, folder: Path, tmp_path: Path) -> None:
+    copied = tmp_path / "other"
+    shutil.copytree(folder, copied)
+    library = copied / "products" / "paints.zarr"
+    first = hp.open_library(library).load()
+    shutil.rmtree(library)
+    hp.write_library(first.isel(paint=slice(0, 3)), library)
+    skip = ["map", "mosaic", "report"]
+    again = run_field_day(copied, skip=skip)
+    states = {outcome.step: outcome for outcome in again.outcomes}
+    assert states["signatures"].state == "failed"
+    assert "paints.zarr: not written by a run" in states["signatures"].text
+    assert hp.open_library(library).sizes["paint"] == 3  # it is the user's
+    used = run_field_day(copied, skip=["signatures", *skip])
+    assert {one.step: one.text for one in used.outcomes}["dirsig"].endswith("3 materials")
+    mended = run_field_day(copied, skip=skip, overwrite=True)
+    states = {outcome.step: outcome for outcome in mended.outcomes}
+    assert {states[step].state for step in ("signatures", "validate", "dirsig")} == {"done"}
+    assert hp.open_library(library).sizes["paint"] == first.sizes["paint"]
+
+
+@pytest.mark.filterwarnings("ignore:Use `@` matmul:PendingDeprecationWarning")  # rioxarray, of affine
+def test_a_height_model_places_regions_and_is_looked_at_again(folder: Path, tmp_path: Path) -> None:
+    copied = tmp_path / "dem"
+    shutil.copytree(folder, copied, ignore=shutil.ignore_patterns("products"))
+    line = hp.open_collect(copied / "author.toml")["flightlines/raw_0"].to_dataset()
+    located = line.paint.locate()
+    write_level_dem(copied / "dem.tif", located, line.attrs["ground"])
+    text = re.sub(
+        r"(?m)^ground = .*$", 'dem = "dem.tif"\ndem_heights = "ellipsoid"',
+        (copied / "author.toml").read_text("utf-8"),
+    )  # fmt: skip
+    (copied / "collect.toml").write_text(text, encoding="utf-8")
+    roof = hp.read_regions(copied / "regions.geojson")[0]
+    x, y = np.round(roof.polygon).astype(int).T
+    x, y = x.clip(0, line.sizes["cross_track"] - 1), y.clip(0, line.sizes["along_track"] - 1)
+    corners = np.stack([located[name].values[y, x] for name in ("east", "north")], axis=-1)
+    drawn = hp.Region("roof", corners, flightline="raw_0")
+    crs = located["east"].attrs["crs"]
+    hp.write_regions(hp.Regions((drawn,), "map", crs), copied / "drawn.geojson")
+    skip = ["validate", "mosaic", "dirsig", "report"]
+    day = run_field_day(copied, regions=copied / "drawn.geojson", skip=skip)
+    states = {outcome.step: outcome for outcome in day.outcomes}
+    assert {states[step].state for step in ("signatures", "map")} == {"done"}, str(day)
+    (copied / "dem.tif").unlink()
+    write_level_dem(copied / "dem.tif", located, line.attrs["ground"] - 20.0)
+    day = run_field_day(copied, regions=copied / "drawn.geojson", skip=["signatures", *skip])
+    assert {one.step: one.state for one in day.outcomes}["map"] == "done"
+
+
+def test_regions_are_read_before_anything_is_processed(folder: Path, tmp_path: Path) -> None:
+    with pytest.raises(hp.SchemaError, match=r"typo\.geojson: no such file"):
+        run_field_day(folder / "collect.toml", tmp_path / "none", regions=tmp_path / "typo.geojson")
+    assert not (tmp_path / "none").exists()
 
 
 def test_a_step_that_fails_does_not_end_the_day(
