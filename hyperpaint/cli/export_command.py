@@ -71,6 +71,7 @@ Examples:
     "--scene", type=EXISTING_FILE, metavar="SCENE.toml",
     help="DIRSIG: write the whole scene of a render, painted with LIB.",
 )  # fmt: skip
+@click.option("--coat-brdf", is_flag=True, help="DIRSIG: clear coats of a scene as the BRDF Shell Target.")
 @click.option("--overwrite", is_flag=True, help="Replace an earlier export.")
 @click.option("--quiet", is_flag=True, help="No progress bar.")
 def export(library: Path, form: str, out: Path | None, overwrite: bool, quiet: bool, **options: Any) -> None:
@@ -98,6 +99,8 @@ def export(library: Path, form: str, out: Path | None, overwrite: bool, quiet: b
                                                  overwrite=overwrite, progress=shown))  # fmt: skip
             return
         if form == "dirsig":
+            if given.pop("coat_brdf", False):
+                raise click.UsageError("--coat-brdf only with --scene")
             from hyperpaint.io.dirsig import write_dirsig
 
             materials = write_dirsig(paints, out, overwrite=overwrite, progress=shown, **_options(given))
@@ -119,7 +122,9 @@ def export(library: Path, form: str, out: Path | None, overwrite: bool, quiet: b
 
 def _of_scene(given: dict[str, Any]) -> dict[str, Any]:
     """Return the options of a whole scene."""
-    others = sorted(set(given) - {"scene", "wavelength_range", "extrapolate", "gaps", "max_curves"})
+    others = sorted(
+        set(given) - {"scene", "wavelength_range", "extrapolate", "gaps", "max_curves", "coat_brdf"}
+    )
     if others:
         names = ", ".join(f"--{name.replace('_', '-')}" for name in others)
         raise click.UsageError(f"{names} not with --scene, whose materials are ClassicEmissivity")

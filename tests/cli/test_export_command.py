@@ -150,5 +150,7 @@ def test_options_that_a_scene_has_not(export: Export, store: Path, tmp_path: Pat
     assert refused.exit_code == 2
     assert "--specular not with --scene" in refused.output
     assert not (tmp_path / "lot").exists()
+    refused = export(store, "--format", "dirsig", "--out", tmp_path / "lot", "--coat-brdf")
+    assert "--coat-brdf only with --scene" in refused.output
     refused = export(store, "--format", "csv", "--scene", tmp_path / "scene.toml")
     assert "--scene only with --format dirsig" in refused.output

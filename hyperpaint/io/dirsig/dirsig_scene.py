@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from hyperpaint.base.arrays import Array
 from hyperpaint.base.errors import Problems, SchemaError
-from hyperpaint.base.mirrored_light import EXCLUDED, mirror_reflection
+from hyperpaint.base.mirrored_light import EXCLUDED, INCLUDED, mirror_reflection
 from hyperpaint.base.schema import LIBRARY_VARIABLES, PAINT, require
 from hyperpaint.base.units import takes_quantities
 
@@ -33,6 +33,7 @@ from .material_list import Material, Section, material_ids, materials_text
 from .paint_curves import GAPS, Axis, Choices, coat_of
 from .scene_texts import (
     Triangles,
+    fit_text,
     geometry_list_text,
     material_colours_text,
     obj_lines,
@@ -57,10 +58,16 @@ _SPECULAR = "specular_reflectance"
 
 
 class _Surface(NamedTuple):
-    """What faces are made of: a spectrum, under a coat of a refractive index, or none (0)."""
+    """What faces are made of: a spectrum, under a coat of a refractive index and roughness, or none (0)."""
 
     spectrum: str
     coat_index: float
+    roughness: float  # 0 where it is not written
+
+    @property
+    def mirrored(self) -> float:
+        """Reflectance of the coat for light from the normal [1]."""
+        return ((self.coat_index - 1.0) / (self.coat_index + 1.0)) ** 2 if self.coat_index else 0.0
 
 
 @takes_quantities(wavelength_range="nm")
@@ -75,6 +82,7 @@ def write_dirsig_scene(
     wavelength_range: tuple[float, float] | None = None,
     extrapolate: bool = False,
     gaps: str | None = None,
+    coat_brdf: bool = False,
     texture_m: float = 2.0,
     overwrite: bool = False,
     progress: Callable[[int, int], None] | None = None,
@@ -104,6 +112,9 @@ def write_dirsig_scene(
         Curves of a population at the most, at even ranks of their brightness, complete ones first.
     wavelength_range, extrapolate, gaps
         As for `write_dirsig`.
+    coat_brdf
+        Write clear coats as the BRDF Shell Target, which mirrors white light into a lobe of the coat's
+        roughness; else as SPECULAR_FRACTION, which has the body's colour.
     texture_m
         What one picture of a texture covers [m].
     overwrite
@@ -129,8 +140,9 @@ def write_dirsig_scene(
     Notes
     -----
     A clear coat of index n becomes a SPECULAR_FRACTION: the coat's reflectance at normal incidence, F_0 =
-    ((n - 1) / (n + 1))^2, as a share of itself and the body's mean. It is only written where a library
-    declares its reflectance free of mirrored light; otherwise the coat would count twice.
+    ((n - 1) / (n + 1))^2, as a share of itself and the body's mean; or, with ``coat_brdf``, a Shell Target
+    with F_0 in its first term. Either is only written where a library declares its reflectance free of
+    mirrored light; otherwise the coat would count twice. The README says what of Shell Target was checked.
 
     Examples
     --------
@@ -150,13 +162,15 @@ def write_dirsig_scene(
     _check_options(origin, max_curves, texture_m)
     for library in libraries:
         require(library, ["reflectance", "wavelength"], "a DIRSIG scene", LIBRARY_VARIABLES)
-    surfaces, face_surface = _surfaces(scene, dict(repaint or {}))
+    surfaces, face_surface = _surfaces(scene, dict(repaint or {}), with_roughness=coat_brdf)
     shares = _by_library(libraries, surfaces)
     choices = Choices("centre", wavelength_range, extrapolate, gaps or GAPS[0], max_curves)
     stem = material_ids([scene.name or "scene"])[0]
     title = scene.name or "scene"
     with export_folder(folder, overwrite=overwrite, inside=_FOLDERS) as build:
-        records = _write_materials(build / "materials", libraries, shares, surfaces, choices, progress)
+        records = _write_materials(
+            build / "materials", libraries, shares, surfaces, choices, coat_brdf=coat_brdf, progress=progress
+        )
         by_surface = {record.pop("surface"): record for record in records}
         ordered = [by_surface[number] for number in range(len(surfaces))]
         counts = np.bincount(face_surface, minlength=len(surfaces))
@@ -167,10 +181,11 @@ def write_dirsig_scene(
         _write_geometry(build / "geometry", scene, stem, ordered, face_surface, texture_m)
         entries = (
             material_section(
-                record, surface="ClassicEmissivity", rad_solver="Classic", thermal=None, double_sided=True
+                record, surface="ShellTarget" if record["fit_file"] else "ClassicEmissivity",
+                rad_solver="Generic" if record["fit_file"] else "Classic", thermal=None, double_sided=True,
             )
             for record in ordered
-        )
+        )  # fmt: skip
         window = attrs["window_nm"]
         texts = {
             f"materials/{stem}.mat": materials_text(entries),
@@ -185,7 +200,8 @@ def write_dirsig_scene(
 
 
 _FOLDERS = (
-    "geometry/lists", "geometry/objects", f"materials/{EMISSIVITY}", f"materials/{REFLECTANCE}", "maps",
+    "geometry/lists", "geometry/objects", f"materials/{EMISSIVITY}", f"materials/{REFLECTANCE}",
+    "materials/brdf", "maps",
 )  # fmt: skip
 
 
@@ -201,7 +217,9 @@ def _check_options(origin: Any, max_curves: Any, texture_m: Any) -> None:
     problems.raise_if_any()
 
 
-def _surfaces(scene: Triangles, repaint: dict[str, str]) -> tuple[list[_Surface], NDArray[np.int64]]:
+def _surfaces(
+    scene: Triangles, repaint: dict[str, str], *, with_roughness: bool
+) -> tuple[list[_Surface], NDArray[np.int64]]:
     """Return what faces are made of, and which of it every face is (face,)."""
     problems = Problems("the scene cannot be painted", SchemaError)
     materials, instances = scene.materials, scene.instances
@@ -218,7 +236,9 @@ def _surfaces(scene: Triangles, repaint: dict[str, str]) -> tuple[list[_Surface]
         spectrum = repaint.get(material.name, repaint.get(material.spectrum, material.spectrum))
         if material.kind == "paint":
             spectrum = repaint.get(instance.name, spectrum)
-        surface = _Surface(spectrum, float(material.coat.index) if material.coat is not None else 0.0)
+        surface = _Surface(spectrum, 0.0, 0.0)
+        if (coat := material.coat) is not None:
+            surface = _Surface(spectrum, float(coat.index), float(coat.roughness) if with_roughness else 0.0)
         surface_of_pair.append(numbers.setdefault(surface, len(numbers)))
     return list(numbers), np.asarray(surface_of_pair, np.int64)[face_pair.ravel()]
 
@@ -240,7 +260,8 @@ def _by_library(libraries: Sequence[xr.Dataset], surfaces: Sequence[_Surface]) -
 
 def _write_materials(
     build: Path, libraries: Sequence[xr.Dataset], shares: Sequence[list[tuple[int, int]]],
-    surfaces: Sequence[_Surface], choices: Choices, progress: Callable[[int, int], None] | None,
+    surfaces: Sequence[_Surface], choices: Choices, *, coat_brdf: bool,
+    progress: Callable[[int, int], None] | None,
 ) -> list[dict[str, Any]]:  # fmt: skip
     """Write the spectra of all surfaces, and return their records, which say of which ``surface``."""
     records: list[dict[str, Any]] = []
@@ -248,32 +269,55 @@ def _write_materials(
         if not share:
             continue
         numbers, places = zip(*share, strict=True)
-        coats = np.array([surfaces[number].coat_index for number in numbers])
-        part = _with_coats(library.isel({PAINT: list(places)}), coats)
+        mirrored = np.array([surfaces[number].mirrored for number in numbers])
+        is_body = mirror_reflection(library) == EXCLUDED
+        part = _with_coats(library.isel({PAINT: list(places)}), mirrored * is_body, as_brdf=coat_brdf)
         taken = [Material(record["id"], record["name"], Section("")) for record in records]
         mine = paint_records(part, taken)
         kind = "members" if "member_reflectance" in part.variables else "centre"
         coat = coat_of(part, "library" if _SPECULAR in part.variables else 0.0)
         write_spectra(part, build, Axis(part), replace(choices, curves=kind), coat, mine, None)
         for record, number in zip(mine, numbers, strict=True):
-            record |= {"surface": number, **coat.attrs}
+            record |= {
+                "surface": number,
+                "mirror_reflection": EXCLUDED if is_body else coat.mirror_reflection,
+            }
+            record["fit_file"] = ""
+            if coat_brdf and is_body and surfaces[number].coat_index:
+                record["fit_file"] = f"brdf/{record['id']}.fit"
+                (build / record["fit_file"]).write_text(_fit_of(build, record, surfaces[number]))
         records += mine
         if progress is not None:
             progress(len(records), len(surfaces))
     return records
 
 
-def _with_coats(library: xr.Dataset, coat_index: Array) -> xr.Dataset:
-    """Return a library whose coats mirror what their index says, where it is free of mirrored light."""
+def _with_coats(library: xr.Dataset, mirrored: Array, *, as_brdf: bool) -> xr.Dataset:
+    """Return a library whose coats mirror so much (paint,) [1]: beside the body, or as a BRDF with it."""
     import xarray as xr
 
     plain = library.drop_vars(_SPECULAR, errors="ignore")
-    if mirror_reflection(library) != EXCLUDED:
+    if not mirrored.any():
         return plain
-    normal = np.where(coat_index > 0, ((coat_index - 1.0) / (coat_index + 1.0)) ** 2, 0.0)
-    band = next(dim for dim in library["reflectance"].dims if dim != PAINT)
-    mirrored = np.broadcast_to(normal[:, None], (len(normal), library.sizes[band])).astype(np.float32)
-    return plain.assign({_SPECULAR: xr.Variable((PAINT, band), mirrored, {"units": "1"})})
+    level = xr.DataArray(mirrored.astype(np.float32), dims=PAINT)
+    if not as_brdf:
+        specular = (xr.zeros_like(plain["reflectance"]) + level).assign_attrs(units="1")
+        return plain.assign({_SPECULAR: specular.transpose(*plain["reflectance"].dims)})
+    names = [name for name in ("reflectance", "member_reflectance") if name in plain.variables]
+    whole = {
+        name: (plain[name] + level).transpose(*plain[name].dims).assign_attrs(plain[name].attrs)
+        for name in names
+    }
+    for values in whole.values():
+        values.attrs["mirror_reflection"] = INCLUDED
+    return plain.assign(whole)
+
+
+def _fit_of(build: Path, record: Mapping[str, Any], surface: _Surface) -> str:
+    """Return the ``.fit`` file of a coated paint, whose centre, coat included, is written already."""
+    micrometre, whole = np.loadtxt(build / record["reflectance_file"], unpack=True)
+    body = np.maximum(whole - surface.mirrored, 0.0)
+    return fit_text(surface.coat_index, surface.roughness, micrometre * 1000.0, body)
 
 
 def _attrs(
@@ -283,11 +327,17 @@ def _attrs(
     high = min(record["wavelength"][1] for record in records)
     has = [name for name, (first, last) in _FEATURES.items() if low <= first and high >= last]
     window = max(low, _WINDOW_NM[0]), min(high, _WINDOW_NM[1])
-    coated = sum(record["specular_fraction"] > 0 for record in records)
+    shares = sum(record["specular_fraction"] > 0 for record in records)
+    lobes = sum(bool(record["fit_file"]) for record in records)
     included = sum(record["mirror_reflection"] != EXCLUDED for record in records)
     advice = (
-        f"{coated} materials have a clear coat as SPECULAR_FRACTION, of the body's colour and mirror-like."
+        f"{shares} materials have a clear coat as SPECULAR_FRACTION, of the body's colour and mirror-like."
     )
+    if lobes:
+        advice = (
+            f"{lobes} materials have a clear coat as the BRDF Shell Target; their curves hold what it "
+            "mirrors of\nlight from the normal."
+        )
     if included:
         advice += (
             f"\nThe curves of {included} hold what a coat mirrored when they were measured, or do not say: "

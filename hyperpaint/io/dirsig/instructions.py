@@ -25,6 +25,16 @@ _CURVES = {
 }
 
 
+_SOLVERS = {
+    "Classic": (("ENABLE_SAMPLED_DIFFUSE", "FALSE"),),
+    "Generic": (
+        ("INITIAL_SAMPLE_COUNT", "100"), ("SAMPLE_DECAY_RATE", "2"), ("MAX_BOUNCES", "3"),
+        ("MU_SAMPLES", "10"), ("PHI_SAMPLES", "20"), ("MIN_QUAD_SAMPLES", "1"),
+    ),
+}  # fmt: skip
+"""What DIRSIG's own files say of a radiometry solver."""
+
+
 def material_section(
     record: Mapping[str, Any],
     *,
@@ -35,15 +45,18 @@ def material_section(
 ) -> Section:
     """Return the entry of one paint in a material list.
 
-    ``record``: a paint's line of ``paints.json``; ``surface``: ``ClassicEmissivity`` or
-    ``SimpleReflectance``; ``rad_solver``: name of the radiometry solver; ``thermal``: values of `THERMAL`;
-    None for a material whose temperature is not computed; ``double_sided``: whether the back of a facet shows
-    the paint too.
+    ``record``: a paint's line of ``paints.json``; ``surface``: ``ClassicEmissivity``, ``SimpleReflectance``,
+    or ``ShellTarget`` with a ``fit_file``; ``rad_solver``: name of the radiometry solver; ``thermal``: values
+    of `THERMAL`; None for a material whose temperature is not computed; ``double_sided``: whether the back of
+    a facet shows the paint too.
     """
     colour = ", ".join(f"{value:.3g}" for value in record["editor_color"])
-    sampled = (("ENABLE_SAMPLED_DIFFUSE", "FALSE"),) if rad_solver == "Classic" else ()
+    sampled = _SOLVERS.get(rad_solver, ())
     values = tuple((key.upper(), f"{float(value):.6g}") for key, value in (thermal or {}).items())
-    if surface == "ClassicEmissivity":
+    if surface == "ShellTarget":
+        files = (("EMISSIVITY_FILE", record["emissivity_file"]), ("BRDF_FIT_FILE", record["fit_file"]))
+        properties = Section("REFLECTANCE_PROP", files)
+    elif surface == "ClassicEmissivity":
         fraction = f"{record['specular_fraction']:g}"
         files = (("FILENAME", record["emissivity_file"]), ("SPECULAR_FRACTION", fraction))
         properties = Section("EMISSIVITY_PROP", files)

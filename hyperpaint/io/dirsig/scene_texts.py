@@ -16,7 +16,7 @@ from hyperpaint.base.arrays import Array, Floats
 from .material_list import plain_name
 
 __all__ = [
-    "Triangles", "geometry_list_text", "material_colours_text", "obj_lines", "scene_readme_text",
+    "Triangles", "fit_text", "geometry_list_text", "material_colours_text", "obj_lines", "scene_readme_text",
     "scene_text", "simulation_text", "texture_picture",
 ]  # fmt: skip
 
@@ -151,6 +151,74 @@ def texture_picture(means: Array, name: str) -> NDArray[np.uint8] | None:
     return np.asarray(level[rank * len(means) // grain.size].reshape(grain.shape))
 
 
+_FIT_STEP_NM = 20.0
+_SMOOTH_DEG = 90.0  # shadowing and obscuration of a coat, which has hardly any: tau and omega
+
+
+def fit_text(index: float, roughness: float, wavelength: Array, body: Array) -> str:
+    r"""Return the ``.fit`` file of a clear coat over a Lambert body, for DIRSIG's Shell Target BRDF.
+
+    That is the Beard-Maxwell model of the NEF database [1]_, equation 10,
+
+    .. math:: f = \frac{F(\beta)}{F(0)} \frac{B e^{-(\theta_h / \sigma)^2} \cos^2 \theta_h}
+                  {\cos \theta_i \cos \theta_r} S + \rho_d + \frac{2 \rho_v}{\cos \theta_i + \cos \theta_r}
+
+    with B such that the first term reflects F(0) of light from the normal, :math:`\rho_d` the body over pi,
+    and no :math:`\rho_v`. DHR is all that is reflected of light from the normal. Blocks of parameters stand
+    at many wavelengths, where they need no scaling, whatever is done in between.
+
+    Parameters
+    ----------
+    index, roughness
+        Refractive index of the coat, and GGX alpha of its surface, whose peak the Gaussian has.
+    wavelength, body
+        Reflectance of the body as it is seen through the coat (wavelength,) [nm], [1].
+
+    References
+    ----------
+    .. [1] H. B. Westlund, G. W. Meyer, "A BRDF database employing the Beard-Maxwell reflection model",
+       Graphics Interface 2002, 189-200, https://doi.org/10.20380/GI2002.22
+
+    Examples
+    --------
+    >>> text = fit_text(1.5, 0.05, np.array([400.0, 410.0]), np.array([0.1, 0.1]))
+    >>> print(*text.splitlines()[:6], sep="\n")
+    FIT_PARAMS {
+        LAMBDA = 0.4
+        N = 1.5
+        K = 0
+        DHR = 0.14
+        BIAS = 1.28092
+    """
+    normal = ((index - 1.0) / (index + 1.0)) ** 2
+    sigma = max(roughness, 1e-4)
+    # light from the normal leaves at twice the facet's tilt: d omega = 2 sin(2 theta) d theta d phi
+    tilt = np.linspace(0.0, min(8.0 * sigma, np.pi / 4.0), 4001)
+    shadow = np.degrees(tilt) / _SMOOTH_DEG
+    shadow = (1.0 + shadow * np.exp(-2.0 * shadow)) / (1.0 + shadow)
+    lobe = np.exp(-((tilt / sigma) ** 2)) * np.cos(tilt) ** 2 * shadow * _fresnel(tilt, index) / normal
+    flux = float(np.trapezoid(2.0 * np.pi * lobe * 2.0 * np.sin(2.0 * tilt), tilt))
+    number = max(2, int(np.ceil((wavelength[-1] - wavelength[0]) / _FIT_STEP_NM)) + 1)
+    blocks = []
+    for nm in np.linspace(wavelength[0], wavelength[-1], number).tolist():
+        level = float(np.interp(nm, wavelength, body))
+        values = {
+            "LAMBDA": nm / 1000.0, "N": index, "K": 0.0, "DHR": normal + level, "BIAS": normal / flux,
+            "SIGMA": sigma, "TAU": _SMOOTH_DEG, "OMEGA": _SMOOTH_DEG, "RHO_D": level / np.pi, "RHO_V": 0.0,
+        }  # fmt: skip
+        rows = "".join(f"    {key} = {value:.6g}\n" for key, value in values.items())
+        blocks.append(f"FIT_PARAMS {{\n{rows}}}\n")
+    return "".join(blocks)
+
+
+def _fresnel(angle: Array, index: float) -> Array:
+    """Return the reflectance of an interface for unpolarised light at angles from its normal [rad]."""
+    outside, inside = np.cos(angle), np.sqrt(1.0 - (np.sin(angle) / index) ** 2)
+    across = (outside - index * inside) / (outside + index * inside)
+    along = (index * outside - inside) / (index * outside + inside)
+    return np.asarray(0.5 * (across**2 + along**2))
+
+
 _ORIGIN = ("latitude", "longitude", "altitude")
 
 
@@ -252,9 +320,11 @@ geometry/objects/{stem}.obj, {stem}.mtl
     {attrs["faces"]} triangles in metres, x east, y north, z up; usemtl names IDs of materials;
     colours for other programs
 materials/{stem}.mat
-    {len(records)} materials, ClassicEmissivity
+    {len(records)} materials
 materials/emissivity/<ID>.ems, materials/reflectance/<ID>.txt
     their curves, and the centre of each
+materials/brdf/<ID>.fit
+    the coats, where they are a BRDF
 maps/<ID>.pgm
     a picture of every population of several curves
 paints.json
@@ -277,7 +347,7 @@ brightness does, both in standard deviations, over {first:g} to {last:g} nm.
 Clear coats
 -----------
 {attrs["coat_advice"]}
-Flakes, roughness and gloss are not in these files.
+Flakes are not in these files.
 
 Checked against
 ---------------
@@ -306,6 +376,13 @@ scene2hdf                                          docs/new/scene2hdf.html
   FILENAME, SPECULAR_FRACTION
 .ems: CURVE_BEGIN, several curves                  docs/new/ems.html; ideal_mat_1.ems [2]
 which models vary with wavelength                  docs/new/surface_props.html
+OBJ: usemtl names IDs, vt, vn, triangles           docs/new/obj.html; dirsig.blogspot.com/2010/10 (using
+                                                     OBJ for scene geometry); demo VertexNormals2
+ShellTarget: EMISSIVITY_FILE, BRDF_FIT_FILE;       two readers of RIT's own files: scene_coverage.py [1], and
+  FIT_PARAMS, LAMBDA [micrometre], N, K, DHR,        the car example of an fVDB toolbox, which renders the
+  BIAS, SIGMA [rad], TAU, OMEGA [degree], RHO_D,     demo VertexNormals2 (loader.py, radiometry.py, after
+  RHO_V                                              Westlund and Meyer 2002)
+Generic solver and its keys                        hypersonic.mat [1]
 
 Pages are those of https://dirsig.cis.rit.edu, docs/manual of http://www.dirsig.org.
 [1] RIT's Lake Tahoe scene, as kept in github.com/KevinKearney/protoDIRSIG, config_repo and
@@ -314,11 +391,12 @@ manifold_config_repo. [2] github.com/Rendered-ai/dirsig-channel.
 
 _UNCHECKED = """\
 * DIRSIG itself has not run these files.
-* That the names behind usemtl are looked up as material IDs where the .glist has no <assign>: taken from a
-  bundle of [1], hypersonic.glist, whose .mat has the ID and whose .glist names nothing else.
 * That SPECULAR_FRACTION is the specular share of reflectance: taken from its name.
-* A coat as a BRDF. The Ward BRDF is the same at all wavelengths (surface_props.html) and would take the paint
-  its colour; Shell Target and PriestGermer carry colour, but no page or file within reach shows their keys.
+* Shell Target: no .mat or .fit with it was at hand, only programs that read them, which say nothing of other
+  keys it may need (demo Brdf1 speaks of an interpolation "method"), nor whether DHR is of the whole surface,
+  as here, or of its first term alone.
+* Other coats: the Ward BRDF is the same at all wavelengths (surface_props.html) and would take the paint its
+  colour; no keys of PriestGermer were seen.
 * Words of properties/features other than vis, nir, swir, sources, exoatm; what mingsd and maxgsd of 0 mean.
 * Temperatures: there is no thermal solver, so that only reflected light means anything.
 """

@@ -18,7 +18,7 @@ from hyperpaint.base.errors import SchemaError, StoreError
 from hyperpaint.io.dirsig import read_materials, write_dirsig_scene
 from hyperpaint.io.dirsig.scene_texts import texture_picture
 from hyperpaint.simulation.rendering.car_parks import car_park
-from hyperpaint.simulation.rendering.materials import Coat, Material
+from hyperpaint.simulation.rendering.materials import Coat, Material, fresnel_reflectance
 from hyperpaint.simulation.rendering.mesh_formats import parse_obj
 from hyperpaint.simulation.rendering.scene import Instance, Scene
 from hyperpaint.simulation.rendering.scene_spectra import spectrum_of
@@ -208,6 +208,76 @@ def test_coats_become_specular_shares_where_reflectance_is_the_bodys(tmp_path: P
     measured = write_dirsig_scene(boxes(), tmp_path / "measured", library(["red", "asphalt"]))
     assert (measured.specular_fraction == 0.0).all()
     assert "it would count twice" in (tmp_path / "measured" / "README.txt").read_text()
+
+
+def blocks_of_fit(path: Path) -> list[dict[str, float]]:
+    blocks = re.findall(r"FIT_PARAMS \{\n(.*?)\n\}", path.read_text(), re.DOTALL)
+    return [{k: float(v) for k, v in re.findall(r"(\w+) = (\S+)", block)} for block in blocks]
+
+
+def beard_maxwell(fit: dict[str, float], light: NDArray[Any], view: NDArray[Any]) -> NDArray[Any]:
+    """Return first term and whole of the BRDF of Westlund and Meyer (2002), equation 10 [sr-1]."""
+    half = light + view
+    half /= np.linalg.norm(half, axis=-1, keepdims=True)
+    beta = np.arccos(np.clip((half * light).sum(axis=-1), -1.0, 1.0))
+    tilt = np.arccos(np.clip(half[..., 2], -1.0, 1.0))
+
+    def fresnel(angle: Any) -> Any:
+        inside = np.sqrt(1.0 - (np.sin(angle) / fit["N"]) ** 2)
+        across = (np.cos(angle) - fit["N"] * inside) / (np.cos(angle) + fit["N"] * inside)
+        along = (inside - fit["N"] * np.cos(angle)) / (inside + fit["N"] * np.cos(angle))
+        return 0.5 * (across**2 + along**2)
+
+    obscured = np.degrees(tilt) / fit["OMEGA"]
+    shadow = (1.0 + obscured * np.exp(-2.0 * np.degrees(beta) / fit["TAU"])) / (1.0 + obscured)
+    first = fresnel(beta) / fresnel(0.0) * fit["BIAS"] * np.exp(-((tilt / fit["SIGMA"]) ** 2))
+    first = first * np.cos(tilt) ** 2 / (light[..., 2] * view[..., 2]) * shadow
+    return np.stack([first, first + fit["RHO_D"] + 2.0 * fit["RHO_V"] / (light[..., 2] + view[..., 2])])
+
+
+def test_a_coat_as_a_brdf_reflects_what_its_curve_says(tmp_path: Path) -> None:
+    paints = library(["red", "asphalt"], mirror_reflection="excluded")
+    summary = write_dirsig_scene(boxes(), tmp_path / "out", paints, coat_brdf=True)
+    assert (summary.specular_fraction == 0.0).all()
+    folder = tmp_path / "out/materials"
+    fits = blocks_of_fit(folder / "brdf/red.fit")
+    assert [path.name for path in (folder / "brdf").iterdir()] == ["red.fit"]
+    by_id = {material.id: material.entry for material in read_materials(folder / "Two_cars_Ae.mat")}
+    surface = by_id["red"].section("SURFACE_PROPERTIES")
+    assert surface is not None
+    assert surface.get("REFLECTANCE_PROP_NAME") == "ShellTarget"
+    named = surface.section("REFLECTANCE_PROP")
+    assert named is not None
+    assert (folder / str(named.get("BRDF_FIT_FILE"))).is_file()
+    _, micrometre, curves = strict_ems(folder / str(named.get("EMISSIVITY_FILE")))
+    # light from the normal, reflected all over the hemisphere: fine where the lobe is
+    edges = np.concatenate([np.linspace(0.0, 0.6, 3001), np.linspace(0.6, np.pi / 2 - 1e-6, 2000)[1:]])
+    zenith = 0.5 * (edges[1:] + edges[:-1])
+    ring = 2.0 * np.pi * (np.cos(edges[:-1]) - np.cos(edges[1:]))
+    view = np.stack([np.sin(zenith), np.zeros_like(zenith), np.cos(zenith)], axis=-1)
+    light = np.broadcast_to([0.0, 0.0, 1.0], view.shape).copy()
+    body = np.interp([fit["LAMBDA"] for fit in fits], NM / 1000.0, paints.reflectance.sel(paint="red").values)
+    for fit, level in zip(fits, body.tolist(), strict=True):
+        first, whole = (beard_maxwell(fit, light, view) * np.cos(zenith) * ring).sum(axis=1)
+        assert first == pytest.approx(0.04, rel=2e-3)
+        assert whole == pytest.approx(0.04 + level, rel=3e-3)
+        assert whole == pytest.approx(fit["DHR"], rel=3e-3)
+        assert whole == pytest.approx(1.0 - np.interp(fit["LAMBDA"], micrometre, curves[0]), rel=3e-3)
+    assert max(np.diff([fit["LAMBDA"] for fit in fits])) < 0.021
+    # the peak is that of the renderer's own lobe, F D / (4 cos^2), D = 1 / (pi alpha^2)
+    angle = np.radians(20.0)
+    inward = np.array([np.sin(angle), 0.0, np.cos(angle)])
+    mirrored = inward * [-1.0, 1.0, 1.0]
+    peak = float(beard_maxwell(fits[0], inward.copy(), mirrored)[0])
+    alpha = boxes().materials[0].coat.roughness  # type: ignore[union-attr]
+    ggx = float(fresnel_reflectance(np.cos(angle))) / (4.0 * np.pi * alpha**2 * np.cos(angle) ** 2)
+    assert peak == pytest.approx(ggx, rel=0.02)
+
+
+def test_no_brdf_is_written_over_mirrored_light(tmp_path: Path) -> None:
+    write_dirsig_scene(boxes(), tmp_path / "out", library(["red", "asphalt"]), coat_brdf=True)
+    assert not list((tmp_path / "out/materials/brdf").iterdir())
+    assert "ShellTarget" not in (tmp_path / "out/materials/Two_cars_Ae.mat").read_text()
 
 
 def test_names_and_normals(tmp_path: Path) -> None:
