@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
+import tracemalloc
 from pathlib import Path
 from typing import Any
 
@@ -199,6 +200,21 @@ def test_files_do_not_depend_on_how_lines_are_grouped(tmp_path: Path) -> None:
         camera = Camera.of(SimulationSettings(**size))
         assert camera.optics is not None
         np.testing.assert_array_equal(calibration.stray_light, camera.optics.stray_matrix)
+
+
+def test_memory_does_not_grow_with_the_flight() -> None:
+    def peak(lines: int) -> int:
+        flight = _flight_of(SimulationSettings(lines=lines, bands=20, columns=64, scene="plan", **EVERYTHING))
+        flight.lines(0, 32)
+        tracemalloc.start()
+        memory = None
+        for start in range(0, lines, 32):
+            memory = flight.lines(start, start + 32, into=memory)
+        highest = tracemalloc.get_traced_memory()[1]
+        tracemalloc.stop()
+        return highest
+
+    assert peak(512) < 1.1 * peak(128)
 
 
 def test_masked_columns_count_the_pedestal() -> None:
