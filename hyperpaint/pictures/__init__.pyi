@@ -12,6 +12,7 @@ from .plot_flags import (
     adjacency_figure as adjacency_figure,
     flag_overlay as flag_overlay,
 )
+from .plot_renders import chips_and_renders as chips_and_renders
 from .plot_spectra import (
     library_overview as library_overview,
     spectrum as spectrum,

@@ -58,9 +58,9 @@ FLAKE_SHARES: Mapping[str, tuple[float, float]] = {
 _MEAN_AGE = 9.0  # years of a car on the road
 _COVER, _COVER_SPREAD, _MOST_COVER = 0.015, 0.7, 0.30  # of dust: median, spread of its logarithm
 _DIRTY, _DIRT = 0.08, 0.10  # cars that have not been washed for long, and what lies on them more
-_MEMBERS = 24
+_MEMBERS = 64
 
-DIRT = Octaves((0.5, 0.06), (0.6, 0.4))
+DIRT = Octaves((0.6, 0.20, 0.06, 0.02), (0.4, 0.25, 0.2, 0.15))
 """How dust lies on a car."""
 
 _R2 = (0.7548776662466927, 0.5698402909980532)
@@ -99,7 +99,7 @@ class FleetPaint:
     def weathered(self, clean: Floats, wavelength: Floats) -> Floats:
         """Return the reflectance of a clean base (wavelength,) under the dust of many places of the car."""
         place = np.random.default_rng([41, int(1e9 * self.cover)]).standard_normal((_MEMBERS, 1))
-        cover = np.minimum(self.cover * np.exp(0.6 * place - 0.18), 0.6)
+        cover = np.minimum(self.cover * np.exp(0.45 * place - 0.10), 0.6)
         return dusty(clean, cover, wavelength)
 
 

@@ -51,7 +51,7 @@ MEASURED = Octaves((0.20, 0.05, 0.0125), (1 / 3, 1 / 3, 1 / 3), is_averaged=Fals
 DUST = Plain(0.24, 0.20, [Edge(530.0, 60.0, 0.05)])
 """Reflectance of mineral dust: brownish, brighter in the near infrared."""
 
-MEMBERS = 48
+MEMBERS = 96
 """Of a weathered surface."""
 
 _DRY = Plain(0.26, 0.40, [Edge(680.0, 40.0, 0.03), Bump(968.0, 22.0, -0.02)])  # blades
@@ -107,14 +107,14 @@ def _asphalt(stone: Callable[[Floats], Floats], kind: int) -> Callable[[Floats],
     def members(wavelength: Floats) -> Floats:
         level, dust, tint = _draws(kind, 3)
         worn = np.exp(0.20 * level) * stone(wavelength) * (1.0 + 0.06 * tint * (wavelength - 650.0) / 300.0)
-        return dusty(worn, 0.05 * np.exp(0.7 * dust), wavelength)
+        return dusty(worn, 0.05 * np.exp(0.45 * dust), wavelength)
 
     return members
 
 
 def _line(wavelength: Floats) -> Floats:
     level, wear, dirt = _draws(3, 3)
-    worn = 1.0 / (1.0 + np.exp(1.3 - 1.1 * wear))  # share of the asphalt that shows again
+    worn = 1.0 / (1.0 + np.exp(1.1 - 1.4 * wear))  # share of the asphalt that shows again
     paint = MATERIALS["painted_line"](wavelength) * np.exp(0.05 * level)
     bare = (1.0 - worn) * paint + worn * MATERIALS["asphalt"](wavelength) * np.exp(0.15 * level)
     return dusty(bare, 0.10 * np.exp(0.5 * dirt), wavelength)
@@ -135,13 +135,16 @@ def _grass(wavelength: Floats) -> Floats:
     return np.asarray(np.exp(0.22 * level) * blades)
 
 
-_STONES = Octaves((2.5, 0.40, 0.012), (0.25, 0.20, 0.55))
+_SLABS = Octaves((1.5, 0.45, 0.15, 0.04, 0.01), (0.25, 0.20, 0.15, 0.15, 0.25))
+_STONES = Octaves((3.0, 1.0, 0.35, 0.12, 0.04, 0.012), (0.14, 0.08, 0.06, 0.07, 0.15, 0.50))
 
 WEATHERED: dict[str, Weathered] = {
     "worn_asphalt": Weathered(_asphalt(MATERIALS["asphalt"], 1), _STONES),
     "worn_patch": Weathered(_asphalt(_PATCH, 2), _STONES),
-    "worn_line": Weathered(_line, Octaves((1.0, 0.10, 0.015), (0.35, 0.40, 0.25))),
-    "weathered_concrete": Weathered(_concrete, Octaves((1.5, 0.15, 0.010), (0.45, 0.30, 0.25))),
-    "mixed_grass": Weathered(_grass, Octaves((2.0, 0.30, 0.03), (0.30, 0.30, 0.40))),
+    "worn_line": Weathered(_line, Octaves((1.2, 0.35, 0.10, 0.03, 0.012), (0.25, 0.20, 0.20, 0.20, 0.15))),
+    "weathered_concrete": Weathered(
+        _concrete, Octaves((1.5, 0.45, 0.15, 0.04, 0.01), (0.25, 0.20, 0.15, 0.15, 0.25))
+    ),
+    "mixed_grass": Weathered(_grass, Octaves((2.0, 0.60, 0.20, 0.06, 0.02), (0.20, 0.15, 0.15, 0.25, 0.25))),
 }
 """Weathered surfaces by the names of their spectra."""

@@ -26,6 +26,8 @@ __all__ = ["Grain", "Texture", "member_rows"]
 
 _MASK = 0xFFFFFFFF
 _STEP = 2.0**-32
+_COS = tuple(math.cos(angle) for angle in (0.4, 1.5, 2.3, 0.9))
+_SIN = tuple(math.sin(angle) for angle in (0.4, 1.5, 2.3, 0.9))
 
 
 class Grain(NamedTuple):
@@ -132,8 +134,10 @@ def _write_rows(
                 if grain.is_averaged[made_of]:
                     share /= 1.0 + (pixel[line] / length) ** 2
                 if share > 0.0:
-                    field = _noise(x / length, y / length, z / length, instance[line, column], octave, seed)
-                    total += math.sqrt(share) * field
+                    # turned from octave to octave: no grid of a lattice shows
+                    u, v = _COS[octave % 4] / length, _SIN[octave % 4] / length
+                    a, b = u * x - v * y, v * x + u * y
+                    total += math.sqrt(share) * _noise(a, b, z / length, instance[line, column], octave, seed)
             rank = 0.5 * (1.0 + math.erf(total * math.sqrt(0.5)))
             count = grain.members[made_of]
             rows[line, column] = grain.first[made_of] + min(int(rank * count), count - 1)

@@ -1,0 +1,125 @@
+"""Paints as chips beside the scenes that they were rendered in."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from hyperpaint.base import schema
+from hyperpaint.base.arrays import Array
+from hyperpaint.base.errors import SchemaError
+from hyperpaint.base.schema import PAINT
+from hyperpaint.paints.colours import paint_colours, srgb
+
+from .figures import label_for, new_figure, save_figure
+from .orientation import orientation_of, show_picture
+from .plot import rgb
+from .plot_spectra import find_usable, good_of
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+__all__ = ["chips_and_renders"]
+
+
+MAX_CHIPS = 60
+"""Paints that are shown at the most."""
+
+_CHIP_PX = 16  # pixels along a chip's side, each a member of the population
+_CHIP, _RENDER = 0.85, 4.2  # widths [inch]
+
+
+def chips_and_renders(
+    paints: xr.Dataset,
+    renders: xr.Dataset | Mapping[str, xr.Dataset],
+    path: str | Path | None = None,
+    *,
+    columns: int = 7,
+    stretch: tuple[float, float] = (1.0, 99.0),
+) -> Any:
+    """Draw the paints of a library as chips, above scenes that were rendered with them.
+
+    Parameters
+    ----------
+    paints
+        A paint library. The pixels of a chip are members of its population, where the library has one.
+    renders
+        A render, as of `hyperpaint.simulation.relight` or a group of `hyperpaint.render_scene`; or several by
+        the name of their light.
+    path
+        Where to write a picture (PNG, PDF, ...); nowhere by default.
+    columns
+        Chips side by side.
+    stretch
+        As of `hyperpaint.pictures.rgb`, for every render.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+        Of at most 60 chips.
+
+    Raises
+    ------
+    MissingExtraError
+        matplotlib is not installed.
+    SchemaError
+        It is no paint library, or has no paints; there is no render, or one without three visible bands; or
+        matplotlib writes no such picture.
+
+    Examples
+    --------
+    >>> from hyperpaint.paints import starter_library
+    >>> line = open_store("scene.zarr", "renders/noon")                          # doctest: +SKIP
+    >>> chips_and_renders(starter_library(), line, "collage.png")                # doctest: +SKIP
+    """
+    paints, wrong = find_usable(paints)
+    variables = schema.require(paints, ["reflectance", "wavelength"], "chips", schema.LIBRARY_VARIABLES)
+    lines: dict[str, Any] = {"": renders}
+    if isinstance(renders, Mapping) and not hasattr(renders, "dims"):
+        lines = dict(renders)
+    if wrong or not paints.sizes[PAINT] or not lines:
+        found = "; ".join(wrong) or f"found {paints.sizes[PAINT]} paints and {len(lines)} renders"
+        raise SchemaError(f"a collage needs a paint library and a render: {found}")
+    count = min(paints.sizes[PAINT], MAX_CHIPS)
+    columns = max(1, min(columns, count))
+    rows = -(-count // columns)
+    orientations = {name: orientation_of(line) for name, line in lines.items()}
+    tallest = max(min(one.height_of(_RENDER), 2.5 * _RENDER) for one in orientations.values())
+    chip_height, width = 1.25 * _CHIP * rows, max(_RENDER * len(lines), (_CHIP + 0.2) * columns)
+    figure = new_figure(
+        "a collage of chips and renders", figsize=(width, chip_height + tallest + 0.6), layout="constrained"
+    )
+    above, below = figure.subfigures(2, 1, height_ratios=(chip_height, tallest + 0.4))
+    colours = paint_colours(paints)
+    for number, axes in enumerate(above.subplots(rows, columns, squeeze=False).ravel()):
+        axes.set_axis_off()
+        if number < count:
+            paint = paints.isel({PAINT: number})
+            axes.imshow(
+                _chip(paint, variables["wavelength"].values, colours[number]), interpolation="nearest"
+            )
+            axes.set_title(label_for(str(paint[PAINT].values), 26), fontsize=6, pad=2)
+    panels = below.subplots(1, len(lines), squeeze=False)[0]
+    for axes, (name, line) in zip(panels, lines.items(), strict=True):
+        show_picture(axes, rgb(line, stretch=stretch).values, orientations[name])
+        axes.set_axis_off()
+        axes.set_title(label_for(name.replace("_", " ")), fontsize="small")
+    save_figure(figure, path, dpi=150)
+    return figure
+
+
+def _chip(paint: xr.Dataset, wavelength: Array, colour: Array) -> Array:
+    """Return the picture of a chip (row, column, rgb), 0 to 1: of members where there are some."""
+    flat = np.broadcast_to(np.nan_to_num(colour), (_CHIP_PX, _CHIP_PX, 3))
+    if "member_reflectance" not in paint.variables:
+        return np.asarray(flat)
+    good = good_of(paint) & (wavelength > 380.0) & (wavelength < 780.0)
+    members = np.asarray(paint["member_reflectance"].transpose(schema.MEMBER, schema.BAND).values)[:, good]
+    members = members[np.isfinite(members).all(axis=1)]
+    if len(members) < 2 or good.sum() < 3:
+        return np.asarray(flat)
+    place = np.random.default_rng(0).integers(len(members), size=_CHIP_PX**2)
+    return np.asarray(srgb(members, wavelength[good])[place].reshape(_CHIP_PX, _CHIP_PX, 3)).clip(0.0, 1.0)
