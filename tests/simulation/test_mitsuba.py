@@ -134,7 +134,13 @@ def test_a_red_wall_beside_a_grey_panel(images: Images) -> None:
         assert np.abs(ours.mean(axis=axis) / flipped - 1.0).max() > 0.2
 
 
-PARK = car_park(length=10.0, width=16.0, neighbours=(), seed=1)
+#: Mitsuba's sky is below the horizon as well: the ground goes on until none of it is seen.
+PARK = Scene.join(
+    [
+        car_park(length=10.0, width=16.0, neighbours=(), seed=1),
+        plane(2e4, GROUND, centre=(0.0, 0.0, -0.02), instance="country"),
+    ]
+)
 ABOVE = FrameCamera((0.0, 5.0, 15.0), (0.0, 5.0, 0.0), field_of_view=50.0, rows=32, columns=32)
 
 

@@ -5,11 +5,10 @@ from __future__ import annotations
 import numba
 import numpy as np
 
-from hyperpaint.simulation.rendering.materials import internal_reflectance
 from hyperpaint.simulation.transport.hierarchy import Geometry, build_geometry
 from hyperpaint.simulation.transport.path_blocks import Block, Rays, Settings, Sources
 from hyperpaint.simulation.transport.paths import trace_lines
-from hyperpaint.simulation.transport.surfaces import Surfaces
+from hyperpaint.simulation.transport.surfaces import Surfaces, surfaces_of
 
 #: False where the tests run as plain Python, some hundred times slower.
 COMPILED = not numba.config.DISABLE_JIT
@@ -52,12 +51,11 @@ def materials(*coats: tuple[float, float] | None, flakes: float = 0.0, flake_alp
     """Return surfaces: None for Lambert, else index and alpha of the coat; factors in the same order."""
     count = len(coats)
     index = np.array([coat[0] if coat else 0.0 for coat in coats])
-    internal = np.array([float(internal_reflectance(n)) if n > 1 else 0.0 for n in index])
     flake_factor = np.arange(count, 2 * count) if flakes else np.full(count, -1)
-    return Surfaces(
+    return surfaces_of(
         index,
         np.array([coat[1] if coat else 0.0 for coat in coats]),
-        internal,
+        np.zeros(count),
         np.full(count, flakes),
         np.full(count, flake_alpha),
         np.arange(count, dtype=np.int32),

@@ -49,7 +49,9 @@ class Coat:
     index
         Refractive index, above 1 and up to 3.
     roughness
-        GGX alpha of its surface, 0 (a mirror) to 1.
+        GGX alpha of its surface, 0 (a mirror) to 1; by default that of a fresh topcoat.
+    waviness
+        Orange peel: root mean square slope of its waves of millimetres to a centimetre, 0 to 5 [degree].
 
     Raises
     ------
@@ -58,12 +60,14 @@ class Coat:
     """
 
     index: float = 1.5
-    roughness: float = 0.05
+    roughness: float = 1e-3
+    waviness: float = 0.15
 
     def __post_init__(self) -> None:
         problems = Problems("a clear coat cannot be made", SchemaError)
         check_number(problems, "index", self.index, 1.001, 3.0)
         check_number(problems, "roughness", self.roughness, 0.0, 1.0)
+        check_number(problems, "waviness", self.waviness, 0.0, 5.0)
         problems.raise_if_any()
 
 
@@ -87,7 +91,7 @@ class Flakes:
     """
 
     share: float
-    roughness: float = 0.35
+    roughness: float = 0.15
     spectrum: str = "aluminium"
 
     def __post_init__(self) -> None:

@@ -30,7 +30,6 @@ from hyperpaint.base.units import takes_quantities
 from hyperpaint.simulation.transport.path_codes import PathCodes
 
 from .four_curves import Atmosphere, preset_atmosphere
-from .materials import internal_reflectance
 from .scene_record import LabelTables, SceneRecord, TraceSettings, sun_vectors
 
 if TYPE_CHECKING:
@@ -76,20 +75,18 @@ def prepare_scene(scene: Scene, settings: TraceSettings) -> PreparedScene:
 
 
 def _surfaces(record: SceneRecord) -> Surfaces:
-    from hyperpaint.simulation.transport.surfaces import Surfaces
+    from hyperpaint.simulation.transport.surfaces import surfaces_of
 
     coats = [material.coat for material in record.materials]
     flakes = [material.flakes for material in record.materials]
-    index = np.array([0.0 if coat is None else coat.index for coat in coats])
     base_factor = np.full(len(coats), -1, np.int32)
     flake_factor = np.full(len(coats), -1, np.int32)
     for number, factor in enumerate(record.factors):
         (flake_factor if factor.flakes else base_factor)[factor.material] = number
-    internal = np.array([0.0 if coat is None else internal_reflectance(coat.index) for coat in coats])
-    return Surfaces(
-        index,
+    return surfaces_of(
+        np.array([0.0 if coat is None else coat.index for coat in coats]),
         np.array([1.0 if coat is None else coat.roughness for coat in coats]),
-        internal,
+        np.radians([0.0 if coat is None else coat.waviness for coat in coats]),
         np.array([0.0 if flake is None else flake.share for flake in flakes]),
         np.array([1.0 if flake is None else flake.roughness for flake in flakes]),
         base_factor,
@@ -129,7 +126,7 @@ def trace(
     seed: int = 0,
     slots: int | None = None,
     overcast: bool = False,
-    sun_radius: float = 0.0,
+    sun_radius: float = 0.267,
     chunk_lines: int = CHUNK_LINES,
 ) -> xr.Dataset:
     r"""Trace the paths of light through a scene, without their spectra.
@@ -162,7 +159,7 @@ def trace(
         Also record a sky of radiance proportional to the cosine of the zenith angle, for atmospheres with
         an ``overcast_share``; such an atmosphere among ``suns`` asks for it too.
     sun_radius
-        Angular radius of the suns [degree], 0.267 for the sun; 0 for a point, whose shadows are sharp.
+        Angular radius of the suns [degree]; 0 for a point, whose shadows are sharp.
     chunk_lines
         Lines of a dask chunk, which is one task.
 

@@ -164,12 +164,11 @@ def check(
         )
     elif not np.allclose(np.linalg.norm(sources.suns, axis=1), 1.0, atol=1e-6):
         wrong.append("directions to suns must be unit vectors")
-    if len({part.shape for part in surfaces}) > 1:
+    if len({len(part) for part in surfaces}) > 1:
         wrong.append("surfaces have parts of unequal length")
-    index, alpha, internal, share, flake_alpha = surfaces[:5]
-    shares = np.concatenate([alpha, internal, share, flake_alpha])
-    if not (np.isfinite(index).all() and ((shares >= 0) & (shares <= 1)).all() and (internal < 1).all()):
-        wrong.append("refractive indices must be finite, roughness and shares from 0 to 1, internal below 1")
+    index, shares = surfaces.numbers[:, 0], surfaces.numbers[:, 1:6]
+    if not (np.isfinite(index).all() and ((shares >= 0) & (shares <= 1)).all() and (shares[:, 4] > 0).all()):
+        wrong.append("refractive indices must be finite, roughness, slopes and shares from 0 to 1")
     factors = int(max(surfaces.base_factor.max(initial=-1), surfaces.flake_factor.max(initial=-1))) + 1
     if factors >= 1 << digit_bits:
         wrong.append(f"{factors} factors need more than {digit_bits} bits")

@@ -7,10 +7,6 @@ The radiance of a pixel is the sum over its paths of
 with the irradiance E of the source, the reflectances of what scattered the light, and a weight w that does
 not depend on wavelength. A path's code says which source and which reflectances; equal codes of a pixel are
 added up.
-
-Random numbers have no state: a stream that is drawn from in turn would give other numbers for other blocks of
-lines. A counter-based generator gives the number that belongs to (seed, line, column, sample, draw), whoever
-asks, in any order.
 """
 
 from __future__ import annotations
@@ -24,24 +20,37 @@ from hyperpaint.base.arrays import Array
 from hyperpaint.base.jit import borrowing_kernel
 
 from .codes import PathTable, add_path, with_factor, write_paths
+from .draws import even_pair, pixel_key, uniforms
 from .hierarchy import STACK, Geometry, closest, occluded
+from .hits import FACING, Hit, hit_at, leaves
 from .path_blocks import Block, Rays, Settings, Sources, check
 from .path_codes import FIRST_SUN, INDIRECT, MIRROR, OVERCAST_SKY, SKY
-from .surfaces import BASE, COAT, ENDED, WIDENED_ALPHA, Lobes, Surfaces, lobes_at, scatter, sun_weights
-from .vectors import Frame, Vector, along, dot, frame_of, from_frame, in_frame, unit
+from .surfaces import (
+    BLURRED_ALPHA,
+    COAT,
+    ENDED,
+    FLAKES,
+    RECYCLED,
+    SMALLEST_ALPHA,
+    WAVINESS,
+    WIDENED_ALPHA,
+    Lobes,
+    Surfaces,
+    lobes_at,
+    scatter,
+    scatter_body,
+    scatter_coat,
+    sun_weights,
+)
+from .vectors import Vector, dot, frame_of, from_frame, in_frame, unit
 
-__all__ = ["WIDENED_ALPHA", "Block", "Rays", "Settings", "Sources", "philox", "trace_lines", "uniforms"]
+__all__ = ["Block", "Rays", "Settings", "Sources", "trace_lines"]
 
 
-_CAMERA, _SCATTER, _SUN, _SLOT, _LOBE = 0, 16, 1024, 65536, 65537  # what random numbers are for
-_GOLDEN = 0.6180339887498949  # multiples of it spread evenly over the unit interval
-_FACING = 1e-9  # a sun at a smaller cosine does not shine on a surface
-_LIFT = 1e-9  # of the size of the coordinates
-_MASK = np.uint64(0xFFFFFFFF)
-_HALF = np.uint64(32)
-_MULTIPLIER_0, _MULTIPLIER_1 = np.uint64(0xD2511F53), np.uint64(0xCD9E8D57)
-_WEYL_0, _WEYL_1 = np.uint64(0x9E3779B9), np.uint64(0xBB67AE85)
-_STEP = 2.0**-32
+# what random numbers are for: pairs that cover a pixel's samples evenly, and from the third surface on others
+_PIXEL, _TIME, _BODY, _COAT, _SECOND_LOBE, _SECOND, _SUN = 0, 1, 2, 3, 4, 6, 8
+_SCATTER, _SHADOW, _SLOT = 16, 1024, 65537
+_LOBES = 5  # codes that a sun adds at a surface
 
 
 class _Room(NamedTuple):
@@ -72,14 +81,19 @@ class _Place(NamedTuple):
     line: int
     column: int
     sample: int
+    key: int  # of the pixel
+    mask: int  # a power of two less 1, not below the last sample
 
 
-class _Hit(NamedTuple):
-    """Where a path meets a surface."""
+class _Path(NamedTuple):
+    """Light on its way, followed backwards."""
 
-    point: Vector  # lifted off the surface
-    own: Vector  # normal of the triangle, on the side the path comes from
-    frame: Frame  # its last vector is the shading normal
+    origin: Vector
+    direction: Vector
+    beta: float  # its weight so far
+    code: int
+    spent: int  # factors in the code
+    least_alpha: float  # how rough a mirror is at least for a sun
 
 
 class _Codes(NamedTuple):
@@ -88,6 +102,8 @@ class _Codes(NamedTuple):
     base: int
     coat: int
     flakes: int
+    recycled: int  # by flakes, then by the base; -1 where the code has no room for both
+    twice: int  # by flakes, then by flakes
 
 
 def trace_lines(
@@ -118,29 +134,34 @@ def trace_lines(
 
     Notes
     -----
-    At every hit a shadow ray goes to every sun; the sky is met by escaping. One lobe is followed: the coat's
-    with a probability that grows with its reflectance, else the flakes' with their share, else the diffuse
-    base; weights are divided by the probability.
+    At every hit a shadow ray goes to every sun; the sky is met by escaping. At the first hit both the coat
+    and what lies under it are followed; later one lobe, the coat's with a probability that grows with its
+    reflectance, else the flakes' with their share, else the diffuse base; weights are divided by the
+    probability.
 
-    The coat is a GGX surface with exact Fresnel reflectance F and height-correlated shadowing. Light passes
-    it twice on the way to and from the base, which adds To Ti / (n^2 (1 - Fi)) to the weight, T = 1 - F: with
-    the factor rho (1 - Fi) / (1 - rho Fi) that is the reflectance of a diffuse base of albedo rho under a
-    smooth dielectric. Flakes are GGX mirrors under it, met by refracted light:
+    The coat is a GGX surface with exact Fresnel reflectance and height-correlated shadowing; orange peel
+    tilts it, and nothing else. Of light from a direction of cosine c it reflects E(c), the rest T = 1 - E
+    enters. Light passes it twice on the way to and from the base, which adds To Ti / <T> to the weight, <T>
+    the mean of T over diffuse light: with the factor rho (1 - Fi) / (1 - rho Fi), n^2 (1 - Fi) = <T>, that is
+    the reflectance of a diffuse base of albedo rho under a dielectric. Flakes are GGX mirrors under it, met
+    by refracted light:
 
         f = share To Ti / n^2  D G2 / (4 cos_o' cos_i')
 
-    with angles inside the coat (dashed); light they send beyond the critical angle is lost, and so is light
-    that goes on between flakes and base. The base keeps 1 - share. No term can add energy.
+    with angles inside the coat (dashed). What they send beyond the critical angle, or to other flakes, is the
+    part K(c) of what enters; it comes back to the paint, meets flakes with their share or else the base, and
+    leaves as To Ko Ti Ki / <T K>, multiplied by both factors: two scatterings of the ``depth``. The base
+    keeps 1 - share. With all factors 1 nothing is lost.
 
-    Uniform sky is radiance from every direction, below the horizon as well (a scene has an edge); overcast
-    sky, L = 1.5 cos(zenith angle) E / pi, is above it only.
+    The sky is above the horizon: light from below it ends at the ground beyond the scene. A ray of the camera
+    that meets nothing is no part of a pixel, which is the mean of the others; without any, weights are NaN.
     """
     settings = Settings(*map(int, settings))
     check(geometry, surfaces, sources, rays, settings, block)
     suns = np.ascontiguousarray(sources.suns, np.float64).reshape(-1, 3)
+    numbers, *factors = surfaces
     surfaces = Surfaces(
-        *(np.ascontiguousarray(part, np.float64) for part in surfaces[:5]),
-        *(np.ascontiguousarray(part, np.int32) for part in surfaces[5:]),
+        np.ascontiguousarray(numbers, np.float64), *(np.ascontiguousarray(part, np.int32) for part in factors)
     )
     sources = Sources(suns, np.ascontiguousarray(sources.sun_radius, np.float64), bool(sources.overcast))
     rays = Rays(*(np.ascontiguousarray(part, np.float64) for part in rays))
@@ -149,7 +170,7 @@ def trace_lines(
 
 def _room(settings: Settings, suns: int) -> _Room:
     """Return memory for the paths of a pixel."""
-    most = settings.samples * (settings.depth * suns * 3 + 2)
+    most = settings.samples * ((2 * settings.depth - 1) * suns * _LOBES + 4)
     size = 1 << max(4, (2 * most - 1).bit_length())
     return _Room(
         stack=np.empty(STACK, np.int64),
@@ -164,70 +185,27 @@ def _room(settings: Settings, suns: int) -> _Room:
 
 
 @borrowing_kernel
-def philox(c0: Any, c1: Any, c2: Any, c3: Any, k0: Any, k1: Any) -> tuple[Any, Any, Any, Any]:
-    """Return four words of 32 bits: Philox4x32-10.
-
-    Parameters
-    ----------
-    c0, c1, c2, c3
-        The counter, words of 32 bits held in uint64.
-    k0, k1
-        The key, likewise.
-
-    Notes
-    -----
-    J. K. Salmon, M. A. Moraes, R. O. Dror, D. E. Shaw, "Parallel random numbers: as easy as 1, 2, 3", SC11
-    (2011). Products of two 32-bit words fit 64 bits: nothing overflows, compiled or not.
-    """
-    for _ in range(10):
-        product_0 = _MULTIPLIER_0 * c0
-        product_1 = _MULTIPLIER_1 * c2
-        c0 = (product_1 >> _HALF) ^ c1 ^ k0
-        c2 = (product_0 >> _HALF) ^ c3 ^ k1
-        c1 = product_1 & _MASK
-        c3 = product_0 & _MASK
-        k0 = (k0 + _WEYL_0) & _MASK
-        k1 = (k1 + _WEYL_1) & _MASK
-    return c0, c1, c2, c3
-
-
-@borrowing_kernel
-def uniforms(seed: Any, line: Any, column: Any, sample: Any, draw: Any) -> tuple[float, float, float, float]:
-    """Return four numbers inside (0, 1) that belong to one draw of one sample of one pixel.
-
-    Parameters
-    ----------
-    seed
-        Non-negative integer.
-    line, column, sample, draw
-        Non-negative integers below 2^32: the absolute scan line, the column, the sample of the pixel, and
-        what the numbers are for.
-    """
-    key = np.uint64(seed)
-    a, b, c, d = philox(
-        np.uint64(line), np.uint64(column), np.uint64(sample), np.uint64(draw), key & _MASK, key >> _HALF
-    )
-    return (
-        (np.float64(a) + 0.5) * _STEP,
-        (np.float64(b) + 0.5) * _STEP,
-        (np.float64(c) + 0.5) * _STEP,
-        (np.float64(d) + 0.5) * _STEP,
-    )
-
-
-@borrowing_kernel
 def _trace(scene: _Scene, rays: Rays, settings: Settings, room: _Room, block: Block) -> None:
     """Trace every pixel of a block."""
+    mask = 1
+    while mask < settings.samples:
+        mask *= 2
     for line in range(block.material.shape[0]):
+        number = settings.first_line + line
         for column in range(block.material.shape[1]):
             _clear_pixel(room)
+            key = pixel_key(settings.seed, number, column)
             distinct = 0
             for sample in range(settings.samples):
-                label = _trace_sample(scene, rays, line, column, sample, settings, room)
+                place = _Place(settings.seed, number, column, sample, key, mask - 1)
+                label = _trace_sample(scene, rays, line, place, settings, room)
                 distinct = _vote(label, distinct, room)
             _write_pixel(block, line, column, distinct, settings, room)
-            draw, _, _, _ = uniforms(settings.seed, settings.first_line + line, column, 0, _SLOT)
-            write_paths(room.table, 1.0 / settings.samples, draw, block.weight, block.code, line, column)
+            draw, _, _, _ = uniforms(settings.seed, number, column, 0, _SLOT)
+            scale = 1.0 / max(room.first[0], 1.0)
+            write_paths(room.table, scale, draw, block.weight, block.code, line, column)
+            if room.first[0] == 0.0:  # nothing is met: nothing can be said
+                block.weight[line, 0, column], block.code[line, 0, column] = np.nan, SKY
 
 
 @borrowing_kernel
@@ -300,54 +278,16 @@ def _camera_axes(rays: Rays, line: int, end: int, forward: float, right: float) 
 
 
 @borrowing_kernel
-def _corner(array: Array, face: int, corner: int) -> Vector:
-    """Return a vector that belongs to the corner of a triangle."""
-    at = 9 * face + 3 * corner
-    return array[at], array[at + 1], array[at + 2]
-
-
-@borrowing_kernel
-def _at_hit(array: Array, face: int, weights: Vector) -> Vector:
-    """Return the mean of what belongs to the corners."""
-    point = along((0.0, 0.0, 0.0), _corner(array, face, 0), weights[0])
-    point = along(point, _corner(array, face, 1), weights[1])
-    return along(point, _corner(array, face, 2), weights[2])
-
-
-@borrowing_kernel
-def _normals(geometry: Geometry, face: int, weights: Vector, direction: Vector) -> tuple[Vector, Vector]:
-    """Return the triangle's normal and the shading normal, both on the side that a ray comes from."""
-    at = 3 * face
-    own = (geometry.face_normal[at], geometry.face_normal[at + 1], geometry.face_normal[at + 2])
-    if dot(own, direction) > 0.0:
-        own = (-own[0], -own[1], -own[2])
-    first = _corner(geometry.corner_normals, face, 0)
-    if first[0] == 0.0 and first[1] == 0.0 and first[2] == 0.0:
-        return own, own
-    shading = _at_hit(geometry.corner_normals, face, weights)
-    square = dot(shading, shading)
-    if square < 1e-12:
-        return own, own
-    shading = along((0.0, 0.0, 0.0), shading, math.copysign(1.0 / math.sqrt(square), dot(shading, own)))
-    if dot(shading, direction) > -_FACING:  # interpolated past the horizon
-        return own, own
-    return own, shading
-
-
-@borrowing_kernel
-def _lifted(point: Vector, normal: Vector) -> Vector:
-    """Return a point lifted off its surface by more than rounding may have sunk it."""
-    return along(point, normal, _LIFT * (1.0 + abs(point[0]) + abs(point[1]) + abs(point[2])))
-
-
-@borrowing_kernel
 def _towards_sun(sources: Sources, sun: int, place: _Place, bounce: int) -> Vector:
     """Return a direction to a point of a sun's disc, evenly over its solid angle."""
     middle = (sources.suns[sun, 0], sources.suns[sun, 1], sources.suns[sun, 2])
     radius = sources.sun_radius[sun]
     if radius <= 0.0:
         return middle
-    u, v, _, _ = uniforms(place.seed, place.line, place.column, place.sample, _SUN + 8 * bounce + sun)
+    if bounce == 0:
+        u, v = even_pair(place.key, place.sample, _SUN, place.mask)
+    else:
+        u, v, _, _ = uniforms(place.seed, place.line, place.column, place.sample, _SHADOW + bounce)
     fall = u * 2.0 * math.sin(0.5 * radius) ** 2  # 1 - cosine, without cancellation
     across = math.sqrt(fall * (2.0 - fall))
     angle = 2.0 * math.pi * v
@@ -358,17 +298,6 @@ def _towards_sun(sources: Sources, sun: int, place: _Place, bounce: int) -> Vect
 def _as_label(material: Any, instance: Any) -> Any:
     """Return two labels as one number, which sorts by material first."""
     return np.int64(material) << 32 | np.int64(instance)
-
-
-@borrowing_kernel
-def _evenly(place: _Place) -> float:
-    """Return the number that chooses a sample's first lobe.
-
-    Even over the samples of a pixel, from a random start: each lobe gets its share of them almost exactly.
-    Few paths follow a coat, and on a dark car by chance twice as many in one pixel as in the next would show.
-    """
-    start, _, _, _ = uniforms(place.seed, place.line, place.column, 0, _LOBE)
-    return (start + place.sample * _GOLDEN) % 1.0
 
 
 @borrowing_kernel
@@ -385,81 +314,152 @@ def _record_first(sources: Sources, room: _Room, distance: float, point: Vector,
 
 @borrowing_kernel
 def _trace_sample(
-    scene: _Scene, rays: Rays, line: int, column: int, sample: int, settings: Settings, room: _Room
+    scene: _Scene, rays: Rays, line: int, place: _Place, settings: Settings, room: _Room
 ) -> int:
-    """Follow one path, record what it gathers, and return the labels of its first hit as one number."""
+    """Follow one ray of the camera, record what it gathers, and return the labels of its first hit."""
     geometry, surfaces, sources = scene
-    place = _Place(settings.seed, settings.first_line + line, column, sample)
-    u, v, w, _ = uniforms(settings.seed, place.line, column, sample, _CAMERA)
-    origin, direction = _camera_ray(rays, line, column, u, v, w)
-    label, beta, code, widened = -1, 1.0, 0, False
-    for bounce in range(settings.depth):
-        distance, face, weights = closest(geometry, room.stack, room.entries, origin, direction, np.inf)
+    u, v = even_pair(place.key, place.sample, _PIXEL, place.mask)
+    w, chosen = even_pair(place.key, place.sample, _TIME, place.mask)
+    origin, direction = _camera_ray(rays, line, place.column, u, v, w)
+    distance, face, weights = closest(geometry, room.stack, room.entries, origin, direction, np.inf)
+    if face < 0:
+        return -1
+    material = geometry.face_material[face]
+    hit, point = hit_at(geometry, face, weights, direction, surfaces.numbers[material, WAVINESS])
+    back = (-direction[0], -direction[1], -direction[2])
+    lobes = lobes_at(
+        surfaces, material, in_frame(hit.frame, back), in_frame(hit.coat_frame, back), SMALLEST_ALPHA
+    )
+    _record_first(sources, room, distance, point, hit.frame[2])
+    codes = _codes_after(surfaces, material, 0, MIRROR, 0, settings)
+    _record_suns(scene, room, hit, lobes, codes, 1.0, place, 0)
+    if lobes.refraction > 1.0:
+        v, w = even_pair(place.key, place.sample, _COAT, place.mask)
+        kind, local, weight = scatter_coat(lobes, v, w)
+        towards = from_frame(hit.coat_frame, local)
+        if kind != ENDED and leaves(hit, towards):
+            path = _Path(hit.point, towards, weight, codes.coat, 0, BLURRED_ALPHA)
+            _follow(scene, room, path, place, settings, 1)
+    v, w = even_pair(place.key, place.sample, _BODY, place.mask)
+    kind, local, weight = scatter_body(surfaces.numbers, lobes, chosen, v, w)
+    code, spent = _code_of(codes, kind, 0, lobes.share, place, 0)
+    towards = from_frame(hit.frame, local)
+    if kind != ENDED and code >= 0 and leaves(hit, towards):
+        _follow(
+            scene, room, _Path(hit.point, towards, weight, code, spent, WIDENED_ALPHA), place, settings, 0
+        )
+    label: int = _as_label(material, geometry.face_instance[face])
+    return label
+
+
+@borrowing_kernel
+def _codes_after(
+    surfaces: Surfaces, material: int, code: int, mirrored: int, spent: int, settings: Settings
+) -> _Codes:
+    """Return the codes of a path after each lobe of a surface; ``mirrored`` is that after its coat."""
+    bits, base, flakes = settings.digit_bits, surfaces.base_factor[material], surfaces.flake_factor[material]
+    by_flakes = with_factor(code, flakes, bits)
+    recycled = twice = -1
+    if flakes >= 0 and spent + 2 <= settings.depth:
+        recycled, twice = with_factor(by_flakes, base, bits), with_factor(by_flakes, flakes, bits)
+    return _Codes(with_factor(code, base, bits), mirrored, by_flakes, recycled, twice)
+
+
+@borrowing_kernel
+def _code_of(
+    codes: _Codes, kind: int, spent: int, share: float, place: _Place, bounce: int
+) -> tuple[int, int]:
+    """Return the code of the lobe that was followed, and how many factors it has then."""
+    if kind == COAT:
+        return codes.coat, spent
+    if kind == FLAKES:
+        return codes.flakes, spent + 1
+    if kind != RECYCLED:
+        return codes.base, spent + 1
+    _, _, _, u = uniforms(place.seed, place.line, place.column, place.sample, _SCATTER + bounce)
+    return codes.twice if u < share else codes.recycled, spent + 2
+
+
+@borrowing_kernel
+def _follow(scene: _Scene, room: _Room, path: _Path, place: _Place, settings: Settings, branch: int) -> None:
+    """Follow a path from its first surface on, and record what it gathers.
+
+    ``branch`` is 1 for a path that left by the coat: its random numbers are others.
+    """
+    geometry, surfaces, sources = scene
+    origin, direction, beta, code, spent, least = path
+    for bounce in range(1, settings.depth):
+        _, face, weights = closest(geometry, room.stack, room.entries, origin, direction, np.inf)
         if face < 0:
-            _record_sky(sources, room, code, beta, direction)
-            return label
-        own, normal = _normals(geometry, face, weights, direction)
-        point = _at_hit(geometry.triangles, face, weights)
-        hit = _Hit(_lifted(point, own), own, frame_of(normal))
+            if direction[2] > 0.0:  # what goes down ends at the ground beyond the scene
+                _record_sky(sources, room, code, beta, direction)
+            return
+        if spent >= settings.depth:  # no room for another factor
+            return
+        hit, _ = hit_at(geometry, face, weights, direction, 0.0)
         material = geometry.face_material[face]
         view = in_frame(hit.frame, (-direction[0], -direction[1], -direction[2]))
-        lobes = lobes_at(surfaces, material, view, widened)
-        if bounce == 0:
-            label = _as_label(material, geometry.face_instance[face])
-            _record_first(sources, room, distance, point, normal)
+        lobes = lobes_at(surfaces, material, view, view, least)
+        code |= INDIRECT
+        codes = _codes_after(surfaces, material, code, code, spent, settings)
+        turn = 2 * bounce + branch
+        _record_suns(scene, room, hit, lobes, codes, beta, place, turn)
+        if bounce == 1:
+            u, _ = even_pair(place.key, place.sample, _SECOND_LOBE + branch, place.mask)
+            v, w = even_pair(place.key, place.sample, _SECOND + branch, place.mask)
         else:
-            code |= INDIRECT
-        codes = _Codes(
-            with_factor(code, surfaces.base_factor[material], settings.digit_bits),
-            code | MIRROR if bounce == 0 else code,
-            with_factor(code, surfaces.flake_factor[material], settings.digit_bits),
-        )
-        _record_suns(scene, room, hit, lobes, codes, beta, place, bounce)
-        u, v, w, _ = uniforms(settings.seed, place.line, column, sample, _SCATTER + bounce)
-        if bounce == 0:
-            u = _evenly(place)
-        kind, local, weight = scatter(lobes, u, v, w)
+            u, v, w, _ = uniforms(place.seed, place.line, place.column, place.sample, _SCATTER + turn)
+        kind, local, weight = scatter(surfaces.numbers, lobes, u, v, w)
+        code, spent = _code_of(codes, kind, spent, lobes.share, place, turn)
         origin, direction = hit.point, from_frame(hit.frame, local)
-        if kind == ENDED or dot(own, direction) <= 0.0:  # a shading normal may promise too much
-            return label
+        if kind == ENDED or code < 0 or not leaves(hit, direction):
+            return
         beta *= weight
-        code = codes.base if kind == BASE else (codes.coat if kind == COAT else codes.flakes)
-        widened = widened or kind == BASE
-    if not occluded(geometry, room.stack, origin, direction, np.inf):
+        least = max(least, BLURRED_ALPHA if kind == COAT else WIDENED_ALPHA)
+    if direction[2] > 0.0 and not occluded(geometry, room.stack, origin, direction, np.inf):
         _record_sky(sources, room, code, beta, direction)
-    return label
 
 
 @borrowing_kernel
 def _record_suns(
     scene: _Scene,
     room: _Room,
-    hit: _Hit,
+    hit: Hit,
     lobes: Lobes,
     codes: _Codes,
     beta: float,
     place: _Place,
     bounce: int,
 ) -> None:
-    """Add what a surface reflects of the suns that it sees."""
+    """Add what a surface reflects of the suns that it sees.
+
+    A shadow ray goes to some point of a disc; angles are those of its middle, lobes means over the disc.
+    """
     sources = scene.sources
     for sun in range(sources.suns.shape[0]):
-        towards = _towards_sun(sources, sun, place, bounce)
-        if dot(hit.frame[2], towards) < _FACING or dot(hit.own, towards) <= 0.0:
+        middle = (sources.suns[sun, 0], sources.suns[sun, 1], sources.suns[sun, 2])
+        if dot(hit.frame[2], middle) < FACING or not leaves(hit, middle):
             continue
+        towards = _towards_sun(sources, sun, place, bounce)
         if occluded(scene.geometry, room.stack, hit.point, towards, np.inf):
             continue
-        base, coat, flakes = sun_weights(lobes, in_frame(hit.frame, towards))
+        light, mirrored = in_frame(hit.frame, middle), in_frame(hit.coat_frame, middle)
+        base, coat, flakes, recycled = sun_weights(
+            scene.surfaces.numbers, lobes, light, mirrored, sources.sun_radius[sun]
+        )
         add_path(room.table, codes.base | FIRST_SUN + sun, beta * base)
         add_path(room.table, codes.coat | FIRST_SUN + sun, beta * coat)
         add_path(room.table, codes.flakes | FIRST_SUN + sun, beta * flakes)
+        if codes.recycled >= 0:
+            add_path(room.table, codes.recycled | FIRST_SUN + sun, beta * recycled * (1.0 - lobes.share))
+            add_path(room.table, codes.twice | FIRST_SUN + sun, beta * recycled * lobes.share)
         if bounce == 0:
             room.seen[sun] += 1.0
 
 
 @borrowing_kernel
 def _record_sky(sources: Sources, room: _Room, code: int, beta: float, direction: Vector) -> None:
-    """Add a path that has escaped."""
+    """Add a path that has escaped, upwards."""
     add_path(room.table, code | SKY, beta)
     if sources.overcast:
-        add_path(room.table, code | OVERCAST_SKY, 1.5 * direction[2] * beta)  # nothing from below the horizon
+        add_path(room.table, code | OVERCAST_SKY, 1.5 * direction[2] * beta)

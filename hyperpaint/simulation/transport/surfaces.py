@@ -1,8 +1,14 @@
 """What a surface does with light: Fresnel's equations, the GGX microfacet lobe, the diffuse lobe, their sum.
 
-Directions are given in the frame of the surface, z along its normal, and point away from it. Three lobes add
-up: the clear coat, metal flakes under it, and the diffuse base. Without a coat its index is 1, and every
-expression becomes that of a bare surface.
+Directions are given in the frame of the surface, z along its normal, and point away from it. Four lobes add
+up: the clear coat, metal flakes under it, light of the flakes that the coat throws back at the paint, and the
+diffuse base. Without a coat its index is 1, and every expression becomes that of a bare surface.
+
+No light is lost: what one reflection by a rough coat or by flakes does not account for (light that meets a
+second facet, or leaves the flakes beyond the critical angle) is measured when a scene is prepared, as a table
+over the cosine, and given to the lobes below: coat, then flakes, then base. C. Kulla, A. Conty, "Revisiting
+physically based shading at Imageworks", SIGGRAPH course (2017); C. Kelemen, L. Szirmay-Kalos, "A microfacet
+based coupled specular-matte BRDF model", Eurographics (2001).
 """
 
 from __future__ import annotations
@@ -10,51 +16,98 @@ from __future__ import annotations
 import math
 from typing import Any, NamedTuple
 
+import numpy as np
+
 from hyperpaint.base.arrays import Array
 from hyperpaint.base.jit import borrowing_kernel
 
 from .vectors import Vector, dot, unit
 
 __all__ = [
-    "BASE", "COAT", "ENDED", "FLAKES", "SMALLEST_ALPHA", "WIDENED_ALPHA", "Lobes", "Surfaces",
-    "facet_density", "facet_lambda", "fresnel",  "lobes_at", "refracted_cosine",
-    "sample_cosine", "sample_facet", "scatter", "sun_weights",
+    "BASE", "BLURRED_ALPHA", "COAT", "ENDED", "FLAKES", "RECYCLED", "SMALLEST_ALPHA", "WAVINESS",
+    "WIDENED_ALPHA", "Lobes", "Surfaces", "facet_density", "facet_lambda", "fresnel", "lobes_at",
+    "refracted_cosine", "sample_cosine", "sample_facet", "scatter", "scatter_body", "scatter_coat",
+    "sun_weights", "surfaces_of",
 ]  # fmt: skip
 
 
 #: A smoother coat is taken to be as rough as this: its image of a point sun would never be met.
-SMALLEST_ALPHA = 1e-3
+SMALLEST_ALPHA = 5e-4
+
+#: Nodes of the tables of lost light, evenly over the square root of the cosine: losses are at grazing angles.
+_NODES = 32
+_DRAWS = 24  # directions each way in the sum that makes a node
+
+
+# columns of what is known of a material
+_INDEX, _ALPHA, WAVINESS, _SHARE, _FLAKE_ALPHA, _ENTERING, _RETURNED = range(7)
+_SINGLE = 7  # first node of what one reflection gives of a smooth coat's reflectance
+_LOST = _SINGLE + _NODES  # first node of the part of the light that flakes alone would not let out again
 
 
 class Surfaces(NamedTuple):
-    """What is known of every material; arrays of shape (material,).
+    """What is known of every material. Made by `surfaces_of`; few arrays, since every call hands them on.
 
     Attributes
     ----------
-    coat_index : float64
-        Refractive index of the clear coat; 0 without one.
-    coat_alpha : float64
-        GGX alpha of the coat.
-    internal : float64
-        Hemispherical reflectance of the coat for diffuse light from within, `internal_reflectance` of
-        `rendering.materials`; 0 without a coat.
-    flake_share : float64
-        Part of the light that enters the paint and meets flakes.
-    flake_alpha : float64
-        GGX alpha of the flakes.
-    base_factor : int32
+    numbers : (material, column) float64
+        Refractive index of the clear coat (0 without one), its GGX alpha, the root mean square slope of its
+        orange peel [rad]; part of the light that enters the paint and meets flakes, GGX alpha of the flakes;
+        part of diffuse light that passes the coat, and the part of it that flakes alone would not let out
+        again; tables over the cosine of what one reflection gives of a smooth coat's reflectance, and of the
+        part of the light that enters and that flakes alone would not let out again.
+    base_factor : (material,) int32
         Number of the spectrum of the diffuse base.
-    flake_factor : int32
+    flake_factor : (material,) int32
         Number of the spectrum of the flakes; -1 without them.
     """
 
-    coat_index: Array
-    coat_alpha: Array
-    internal: Array
-    flake_share: Array
-    flake_alpha: Array
+    numbers: Array
     base_factor: Array
     flake_factor: Array
+
+
+def surfaces_of(
+    coat_index: Array,
+    coat_alpha: Array,
+    waviness: Array,
+    flake_share: Array,
+    flake_alpha: Array,
+    base_factor: Array,
+    flake_factor: Array,
+) -> Surfaces:
+    """Return surfaces with their tables of lost light.
+
+    Parameters
+    ----------
+    coat_index, coat_alpha, waviness
+        Of the coats, shape (material,): index 0 without one, GGX alpha, slope [rad].
+    flake_share, flake_alpha
+        Of the flakes.
+    base_factor, flake_factor
+        Numbers of the spectra; -1 without flakes.
+
+    Examples
+    --------
+    >>> one = np.ones(1)
+    >>> surfaces_of(1.5 * one, 1e-3 * one, 0 * one, 0 * one, one, [0], [-1]).numbers[0, 5].round(4)
+    np.float64(0.9082)
+    """
+    flake_factor = np.ascontiguousarray(flake_factor, np.int32)
+    numbers = np.ones((flake_factor.size, _LOST + _NODES))
+    for column, part in enumerate((coat_index, coat_alpha, waviness, flake_share, flake_alpha)):
+        numbers[:, column] = part
+    numbers[:, [_RETURNED, *range(_LOST, _LOST + _NODES)]] = 0.0
+    tables: dict[tuple[float, ...], Array] = {}
+    for number, row in enumerate(numbers):
+        if not (1.0 < row[_INDEX] < np.inf and 0.0 <= row[_ALPHA] <= 1.0):
+            continue  # bare, or refused later
+        key = row[_INDEX], row[_ALPHA], row[_FLAKE_ALPHA] if flake_factor[number] >= 0 else 0.0
+        if key not in tables:
+            tables[key] = row[_ENTERING:].copy()
+            _fill_tables(*key, tables[key])
+        row[_ENTERING:] = tables[key]
+    return Surfaces(numbers, np.ascontiguousarray(base_factor, np.int32), flake_factor)
 
 
 @borrowing_kernel
@@ -131,8 +184,11 @@ def sample_cosine(u: float, v: float) -> Vector:
 #: coats of a car park would lose half a per cent of its light past their horizons.
 WIDENED_ALPHA = 0.3
 
+#: After a mirror reflection, likewise: the glint of one coat in another.
+BLURRED_ALPHA = 0.05
+
 #: What a path has followed.
-BASE, COAT, FLAKES, ENDED = 0, 1, 2, 3
+BASE, COAT, FLAKES, RECYCLED, ENDED = 0, 1, 2, 3, 4
 
 #: A base under a coat is followed with four times its fair chance against the coat: paints reflect that much.
 _BASE_PREFERENCE = 0.25
@@ -143,44 +199,99 @@ _GRAZING = 1e-9  # cosines below this carry no light
 class Lobes(NamedTuple):
     """A surface, seen from one direction."""
 
+    material: int
     refraction: float  # index of the coat; 1 for none
     coat_alpha: float
     flake_alpha: float
     least_alpha: float  # that a sun sees
     share: float  # of the flakes
     outgoing: Vector  # where the path came from
+    mirrored: Vector  # the same in the frame of the coat, which orange peel tilts
     passed: float  # transmission of the coat towards there
     base: float  # weight of the base, without the transmission of what comes in
+    lost: float  # part of the flakes' light towards there that the coat throws back
 
 
 @borrowing_kernel
-def lobes_at(surfaces: Surfaces, material: int, view: Vector, widened: bool) -> Lobes:
-    """Return the lobes of a material, seen from a direction in the surface's frame."""
-    index = max(surfaces.coat_index[material], 1.0)
-    share = surfaces.flake_share[material] if surfaces.flake_factor[material] >= 0 else 0.0
+def _at_node(numbers: Array, material: int, first: int, cosine: float) -> Any:
+    """Return what a table of a material says of a cosine."""
+    place = math.sqrt(min(cosine, 1.0)) * (_NODES - 1)
+    node = min(int(place), _NODES - 2)
+    part = place - node
+    return (1.0 - part) * numbers[material, first + node] + part * numbers[material, first + node + 1]
+
+
+@borrowing_kernel
+def _between(row: Array, first: int, cosine: float) -> Any:
+    """Return the same of a single row."""
+    place = math.sqrt(cosine) * (_NODES - 1)
+    node = min(int(place), _NODES - 2)
+    part = place - node
+    return (1.0 - part) * row[first + node] + part * row[first + node + 1]
+
+
+@borrowing_kernel
+def _transmitted(numbers: Array, material: int, cosine: float, index: float) -> Any:
+    """Return the part of the light from a direction that enters a coat (or leaves it, towards there)."""
+    if index <= 1.0:
+        return 1.0
+    return 1.0 - fresnel(cosine, index) * _at_node(numbers, material, _SINGLE, cosine)
+
+
+@borrowing_kernel
+def lobes_at(surfaces: Surfaces, material: int, view: Vector, mirrored: Vector, least_alpha: float) -> Lobes:
+    """Return the lobes of a material.
+
+    Parameters
+    ----------
+    surfaces, material
+        Which one.
+    view, mirrored
+        Where it is seen from, in the frame of the surface and in that of its coat.
+    least_alpha
+        How rough its mirrors are at least for a sun.
+    """
+    numbers = surfaces.numbers
+    index = max(numbers[material, _INDEX], 1.0)
+    share = numbers[material, _SHARE] if surfaces.flake_factor[material] >= 0 else 0.0
     view = (view[0], view[1], max(view[2], _GRAZING))
-    passed, base = 1.0, 1.0
-    if index > 1.0:
-        passed = 1.0 - fresnel(view[2], index)
-        base = passed / (index * index * (1.0 - surfaces.internal[material]))
+    passed = _transmitted(numbers, material, view[2], index)
     return Lobes(
+        material,
         index,
-        max(surfaces.coat_alpha[material], SMALLEST_ALPHA),
-        max(surfaces.flake_alpha[material], SMALLEST_ALPHA),
-        WIDENED_ALPHA if widened else SMALLEST_ALPHA,
+        max(numbers[material, _ALPHA], SMALLEST_ALPHA),
+        max(numbers[material, _FLAKE_ALPHA], SMALLEST_ALPHA),
+        least_alpha,
         share,
         view,
+        (mirrored[0], mirrored[1], max(mirrored[2], _GRAZING)),
         passed,
-        base,
+        passed / numbers[material, _ENTERING],
+        _at_node(numbers, material, _LOST, view[2]) if share > 0.0 else 0.0,
     )
 
 
 @borrowing_kernel
-def _mirror(view: Vector, light: Vector, alpha: float) -> tuple[float, float]:
-    """Return pi f cos_i of a GGX mirror that reflects everything, and the cosine at its facets."""
+def _mirror(view: Vector, light: Vector, alpha: float, radius: float) -> tuple[float, float]:
+    """Return pi f cos_i of a GGX mirror that reflects everything, and the cosine at its facets.
+
+    It is the mean over a disc of light of an angular radius [rad] around a direction. In the plane of slopes,
+    in units of alpha, GGX is the stereographic image of an even sphere, 1 / (pi (1 + m^2)^2), and a disc
+    that of a cap: the part of the facets that mirror some of the disc is the cap's area over the sphere's.
+    """
     half = unit((view[0] + light[0], view[1] + light[1], view[2] + light[2]))
+    cosine = dot(view, half)
     shadow = 1.0 / (1.0 + facet_lambda(view[2], alpha) + facet_lambda(light[2], alpha))
-    return math.pi * facet_density(half[2], alpha) * shadow / (4.0 * view[2]), dot(view, half)
+    if radius > 0.0:
+        # normals turn half as far as light in the plane of incidence, 1 / (2 cos) as far across it
+        reach = 0.5 * radius / (alpha * math.sqrt(max(cosine, 1e-6)))
+        slope = math.sqrt(max(0.0, 1.0 - half[2] * half[2])) / (alpha * half[2])
+        cap = math.atan2(2.0 * reach, 1.0 + slope * slope - reach * reach)  # its angle, rim to rim
+        part = math.sin(0.5 * cap) / (reach * alpha * half[2] * half[2])
+        density = part * part / math.pi
+    else:
+        density = facet_density(half[2], alpha)
+    return math.pi * density * shadow / (4.0 * view[2]), cosine
 
 
 @borrowing_kernel
@@ -190,44 +301,85 @@ def _refracted(direction: Vector, index: float) -> Vector:
 
 
 @borrowing_kernel
-def sun_weights(lobes: Lobes, light: Vector) -> tuple[float, float, float]:
-    """Return what base, coat and flakes make of a sun at ``light``: pi f cos_i, without the factors."""
+def sun_weights(
+    numbers: Array, lobes: Lobes, light: Vector, mirrored: Vector, radius: float
+) -> tuple[float, float, float, float]:
+    """Return what base, coat, flakes and recycled light make of a sun: pi f cos_i, without the factors.
+
+    Parameters
+    ----------
+    numbers, lobes
+        Of the materials, and of one as it is seen.
+    light, mirrored
+        Towards the sun, in the frame of the surface and in that of its coat.
+    radius
+        Of the sun's disc [rad]; 0 for a point.
+    """
     cosine = light[2]
-    entered, coat, flakes = 1.0, 0.0, 0.0
+    entered, coat, flakes, recycled = 1.0, 0.0, 0.0, 0.0
     if lobes.refraction > 1.0:
-        entered = 1.0 - fresnel(cosine, lobes.refraction)
-        alpha = max(lobes.coat_alpha, lobes.least_alpha)
-        coat, facet = _mirror(lobes.outgoing, light, alpha)
-        coat *= fresnel(facet, lobes.refraction)
+        entered = _transmitted(numbers, lobes.material, cosine, lobes.refraction)
+        if mirrored[2] > _GRAZING:
+            alpha = max(lobes.coat_alpha, lobes.least_alpha)
+            coat, facet = _mirror(lobes.mirrored, mirrored, alpha, radius)
+            coat *= fresnel(facet, lobes.refraction)
     if lobes.share > 0.0:
         inside = _refracted(light, lobes.refraction)
         alpha = max(lobes.flake_alpha, lobes.least_alpha)
-        lobe, _ = _mirror(_refracted(lobes.outgoing, lobes.refraction), inside, alpha)
+        lobe, _ = _mirror(_refracted(lobes.outgoing, lobes.refraction), inside, alpha, 0.0)
         flakes = lobes.share * lobes.passed * entered * lobe
         flakes *= cosine / (inside[2] * lobes.refraction * lobes.refraction)
-    return (1.0 - lobes.share) * lobes.base * entered * cosine, coat, flakes
+        recycled = lobes.share * lobes.passed * lobes.lost * cosine
+        recycled *= _returned(numbers, lobes.material, cosine, entered)
+    return (1.0 - lobes.share) * lobes.base * entered * cosine, coat, flakes, recycled
 
 
 @borrowing_kernel
-def scatter(lobes: Lobes, u: float, v: float, w: float) -> tuple[int, Vector, float]:
-    """Return the lobe that a path follows, where to, and what its weight is multiplied by."""
+def _returned(numbers: Array, material: int, cosine: float, entered: float) -> float:
+    """Return how recycled light depends on a direction: 1 on an average over diffuse light."""
+    whole = numbers[material, _RETURNED]
+    return entered * _at_node(numbers, material, _LOST, cosine) / whole if whole > 0.0 else 0.0
+
+
+@borrowing_kernel
+def scatter(numbers: Array, lobes: Lobes, u: float, v: float, w: float) -> tuple[int, Vector, float]:
+    """Return the lobe that a path follows, where to, and what its weight is multiplied by.
+
+    Directions along the coat are in its own frame.
+    """
     chance = 0.0
     if lobes.refraction > 1.0:
         chance = (1.0 - lobes.passed) / (1.0 - lobes.passed + _BASE_PREFERENCE * lobes.passed)
     if u < chance:
-        kind = COAT
-        direction, weight = _scatter_by_facets(lobes.outgoing, lobes.coat_alpha, lobes.refraction, v, w)
-        weight /= chance
-    elif u < chance + (1.0 - chance) * lobes.share:
+        kind, direction, weight = scatter_coat(lobes, v, w)
+        return kind, direction, weight / chance
+    kind, direction, weight = scatter_body(numbers, lobes, (u - chance) / (1.0 - chance), v, w)
+    return kind, direction, weight / (1.0 - chance)
+
+
+@borrowing_kernel
+def scatter_coat(lobes: Lobes, v: float, w: float) -> tuple[int, Vector, float]:
+    """Return the same for the coat alone, followed for certain."""
+    direction, weight = _scatter_by_facets(lobes.mirrored, lobes.coat_alpha, lobes.refraction, v, w)
+    return COAT if weight > 0.0 else ENDED, direction, weight
+
+
+@borrowing_kernel
+def scatter_body(numbers: Array, lobes: Lobes, u: float, v: float, w: float) -> tuple[int, Vector, float]:
+    """Return the same for what lies under the coat: base, flakes or recycled light."""
+    if u < lobes.share * (1.0 - lobes.lost):
         kind = FLAKES
-        direction, weight = _scatter_by_flakes(lobes, v, w)
-        weight *= lobes.passed / (1.0 - chance)
+        direction, weight = _scatter_by_flakes(numbers, lobes, v, w)
+        weight *= lobes.passed / (1.0 - lobes.lost)
+    elif u < lobes.share:
+        kind = RECYCLED
+        direction = sample_cosine(v, w)
+        entered = _transmitted(numbers, lobes.material, direction[2], lobes.refraction)
+        weight = lobes.passed * _returned(numbers, lobes.material, direction[2], entered)
     else:
         kind = BASE
         direction = sample_cosine(v, w)
-        weight = lobes.base / (1.0 - chance)
-        if lobes.refraction > 1.0:
-            weight *= 1.0 - fresnel(direction[2], lobes.refraction)
+        weight = lobes.base * _transmitted(numbers, lobes.material, direction[2], lobes.refraction)
     if direction[2] < _GRAZING or weight <= 0.0:
         kind = ENDED
     return kind, direction, weight
@@ -253,17 +405,60 @@ def _scatter_by_facets(view: Vector, alpha: float, index: Any, u: float, v: floa
 
 
 @borrowing_kernel
-def _scatter_by_flakes(lobes: Lobes, u: float, v: float) -> tuple[Vector, float]:
+def _scatter_by_flakes(numbers: Array, lobes: Lobes, u: float, v: float) -> tuple[Vector, float]:
     """Return a direction from flakes, and G2 / G1 times the transmission on the way out.
 
     The weight is 0 where the light does not leave the coat.
     """
-    view = _refracted(lobes.outgoing, lobes.refraction)
-    inside, weight = _scatter_by_facets(view, lobes.flake_alpha, 0.0, u, v)
-    square = 1.0 - lobes.refraction * lobes.refraction * (1.0 - inside[2] * inside[2])
+    direction, weight = _leave_flakes(lobes.outgoing, lobes.refraction, lobes.flake_alpha, u, v)
+    if weight > 0.0:
+        weight *= _transmitted(numbers, lobes.material, direction[2], lobes.refraction)
+    return direction, weight
+
+
+@borrowing_kernel
+def _leave_flakes(view: Vector, index: float, alpha: float, u: float, v: float) -> tuple[Vector, float]:
+    """Return a direction outside, and G2 / G1; 0 beyond the critical angle."""
+    inside, weight = _scatter_by_facets(_refracted(view, index), alpha, 0.0, u, v)
+    square = 1.0 - index * index * (1.0 - inside[2] * inside[2])
     if weight == 0.0 or square < _GRAZING:
         return (0.0, 0.0, 0.0), 0.0
-    cosine = math.sqrt(square)
-    if lobes.refraction > 1.0:
-        weight *= 1.0 - fresnel(cosine, lobes.refraction)
-    return (inside[0] * lobes.refraction, inside[1] * lobes.refraction, cosine), weight
+    return (inside[0] * index, inside[1] * index, math.sqrt(square)), weight
+
+
+@borrowing_kernel
+def _fill_tables(index: float, alpha: float, flake_alpha: float, row: Array) -> None:
+    """Write what single reflections by a coat, and by flakes under it (alpha 0: none), account for.
+
+    Sums over the facets that are visible, as paths meet them; then the means over diffuse light. ``row`` are
+    the columns of a material from the transmission of diffuse light on.
+    """
+    single, lost = _SINGLE - _ENTERING, _LOST - _ENTERING
+    alpha, count = max(alpha, SMALLEST_ALPHA), _DRAWS * _DRAWS
+    for node in range(_NODES):
+        cosine = max(node / (_NODES - 1.0), 1e-3) ** 2
+        view = (math.sqrt(1.0 - cosine * cosine), 0.0, cosine)
+        total = 0.0
+        for i in range(count):
+            u, v = (i // _DRAWS + 0.5) / _DRAWS, (i % _DRAWS + 0.5) / _DRAWS
+            _, weight = _scatter_by_facets(view, alpha, index, u, v)
+            total += weight
+        row[single + node] = total / (count * fresnel(cosine, index))
+    for node in range(_NODES if flake_alpha > 0.0 else 0):
+        cosine = max(node / (_NODES - 1.0), 1e-3) ** 2
+        view = (math.sqrt(1.0 - cosine * cosine), 0.0, cosine)
+        total = 0.0
+        for i in range(count):
+            u, v = (i // _DRAWS + 0.5) / _DRAWS, (i % _DRAWS + 0.5) / _DRAWS
+            out, weight = _leave_flakes(view, index, max(flake_alpha, SMALLEST_ALPHA), u, v)
+            if weight > 0.0:
+                total += weight * (1.0 - fresnel(out[2], index) * _between(row, single, out[2]))
+        row[lost + node] = max(0.0, 1.0 - total / count)
+    entering, returned, steps = 0.0, 0.0, 16 * _NODES
+    for i in range(steps):
+        root = (i + 0.5) / steps
+        cosine = root * root
+        passed = 1.0 - fresnel(cosine, index) * _between(row, single, cosine)
+        entering += 4.0 * root * cosine / steps * passed  # 2 cos d(cos)
+        returned += 4.0 * root * cosine / steps * passed * _between(row, lost, cosine)
+    row[0], row[_RETURNED - _ENTERING] = entering, returned

@@ -24,9 +24,10 @@ from support.transport_scenes import (
     weight_of,
 )
 
+from hyperpaint.simulation.transport.draws import even_pair, philox, pixel_key, uniforms
 from hyperpaint.simulation.transport.hierarchy import build_geometry
 from hyperpaint.simulation.transport.path_blocks import Block, Rays, Settings
-from hyperpaint.simulation.transport.paths import philox, trace_lines, uniforms
+from hyperpaint.simulation.transport.paths import trace_lines
 
 PLANE = (ground(), QUAD, 0)
 SKY, OVERCAST, SUN = 0, 1, 2
@@ -38,7 +39,8 @@ def car_park() -> tuple:
     wall = rectangle([-3, 2.5, 0], [6, 0, 0], [0, 0, 2])
     boxes = [(*box(x, y, 0.8, 1.0), label) for x, y, label in ((-2, 0, 1), (0, 0.3, 2), (2, -0.5, 3))]
     surfaces = materials(None, (1.5, 0.05), (1.5, 0.1), (1.6, 0.02), None)
-    surfaces.flake_share[2], surfaces.flake_factor[2] = 0.5, 5
+    flakes = materials(None, None, (1.5, 0.1), None, None, flakes=0.5)
+    surfaces.numbers[2], surfaces.flake_factor[2] = flakes.numbers[2], 5
     return joined(PLANE, *boxes, (wall, QUAD, 4)), surfaces
 
 
@@ -172,8 +174,24 @@ def test_a_view_of_the_sky_has_no_labels() -> None:
     assert np.isnan(found.distance).all()
     assert np.isnan(found.position).all()
     assert np.isnan(found.sun_visibility).all()
-    np.testing.assert_allclose(weight_of(found, code(SKY)), 1)
-    np.testing.assert_allclose(weight_of(found, code(OVERCAST)), 1.5 * np.cos(np.radians(20)), rtol=1e-6)
+    assert np.isnan(found.weight[:, 0]).all()
+    assert (found.weight[:, 1:] == 0).all()
+    assert (found.code[:, 0] == code(SKY)).all()
+
+
+def test_rays_that_meet_nothing_are_no_part_of_a_pixel() -> None:
+    edge = (rectangle([-50, -50, 0.0], [50.0, 0, 0], [0, 100, 0]), QUAD, 0)  # half of the pixel
+    found = traced(joined(edge), materials(None), suns(sun(60)), nadir(1, 1, width=0.2), samples=64)
+    np.testing.assert_allclose(weight_of(found, code(SUN, 0)), 0.5, rtol=1e-6)
+    np.testing.assert_allclose(weight_of(found, code(SKY, 0)), 1.0, rtol=1e-6)
+
+
+def test_light_from_below_the_horizon_ends_at_the_ground() -> None:
+    """An upright wall without ground gets half of the even sky, and none through the earth."""
+    wall = (rectangle([0, -50, 0], [0, 100, 0], [0, 0, 50]), QUAD, 0)
+    count = 2048 if COMPILED else 64
+    found = traced(joined(wall), materials(None), suns(), staring([0, 0, 25.0], sun(80), 4), samples=count)
+    assert weight_of(found, code(SKY, 0)).mean() == pytest.approx(0.5, abs=0.005 if COMPILED else 0.1)
 
 
 def test_shadows_hide_the_sun_only() -> None:
@@ -253,9 +271,9 @@ def test_white_grooves_lose_nothing_but_the_last_bounce() -> None:
         ({"sources": suns(*[sun(10)] * 7)}, "at most 6"),
         ({"sources": suns(2 * sun(10))}, "unit vectors"),
         ({"surfaces": materials((1.5, np.nan), None)}, "from 0 to 1"),
-        ({"surfaces": materials(None, None)._replace(coat_index=np.array([np.inf, 0]))}, "must be finite"),
+        ({"surfaces": materials((np.inf, 0.1), None)}, "must be finite"),
         ({"surfaces": materials((1.5, 0.1), None, flakes=1.5)}, "from 0 to 1"),
-        ({"surfaces": materials(None, None)._replace(internal=np.zeros(1))}, "unequal length"),
+        ({"surfaces": materials(None, None)._replace(numbers=materials(None).numbers)}, "unequal length"),
         ({"surfaces": materials(None, None)._replace(base_factor=np.array([0, -1]))}, "a base factor"),
     ],
 )
@@ -310,3 +328,35 @@ def test_every_part_of_the_key_matters() -> None:
     ]  # fmt: skip
     assert len({uniforms(*place) for place in places}) == len(places)
     assert uniforms(1, 2, 3, 4, 5) == uniforms(1, 2, 3, 4, 5)
+
+
+@pytest.mark.parametrize("count", [16, 64, 100, 256])
+def test_even_pairs_share_out_the_square(count: int) -> None:
+    """Any 2^m points of a (0, 2)-sequence: one in each of 2^m boxes, of every shape of a power of two."""
+    mask = (1 << (count - 1).bit_length()) - 1
+    whole = 1 << (count.bit_length() - 1)
+    for draw in range(3):
+        key = pixel_key(5, 3, draw)
+        points = np.array([even_pair(key, sample, draw, mask) for sample in range(count)])
+        assert ((points > 0) & (points < 1)).all()
+        for across in (1 << power for power in range(whole.bit_length())):
+            boxes = (points[:whole] * (across, whole // across)).astype(int)
+            assert len({tuple(box) for box in boxes}) == whole
+
+
+def test_even_pairs_of_other_draws_and_pixels_are_others() -> None:
+    count = 256 if COMPILED else 64
+
+    def points(key: int, draw: int) -> np.ndarray:
+        return np.array([even_pair(key, sample, draw, count - 1) for sample in range(count)])
+
+    one = points(pixel_key(0, 1, 2), 0)
+    for other in (
+        points(pixel_key(0, 1, 2), 1),
+        points(pixel_key(0, 1, 3), 0),
+        points(pixel_key(1, 1, 2), 0),
+    ):
+        together = np.corrcoef(np.hstack([one, other]).T)
+        assert np.abs(together[:2, 2:]).max() < 5 / np.sqrt(count)
+    places = np.array([even_pair(pixel_key(9, 0, column), 7, 2, 63) for column in range(count)])
+    np.testing.assert_allclose(places.mean(axis=0), 0.5, atol=5 / np.sqrt(12 * count))

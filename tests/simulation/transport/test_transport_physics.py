@@ -93,28 +93,22 @@ def test_a_red_wall_beside_a_grey_panel() -> None:
 
 def white_furnace(alpha: float, zenith: float, flakes: float = 0.0, flake_alpha: float = 0.35) -> float:
     surfaces = materials((1.5, alpha), flakes=flakes, flake_alpha=flake_alpha)
-    rays = staring([0, 0, 0.0], sun(zenith, EAST), 64)
-    found = traced(joined(PLANE), surfaces, suns(), rays, samples=4096, depth=1, seed=3)
+    rays = staring([0, 0, 0.0], sun(zenith, EAST), 16)
+    found = traced(joined(PLANE), surfaces, suns(), rays, samples=2048, depth=2, seed=3)
     return float(found.weight.sum(axis=1, dtype=float).mean())
 
 
-@pytest.mark.parametrize("zenith", [0, 30, 60])
-@pytest.mark.parametrize("alpha", [0.001, 0.05, 0.1])
+@pytest.mark.parametrize("zenith", [0, 30, 60, 80, 85, 88])
+@pytest.mark.parametrize("alpha", [0.001, 0.05, 0.1, 0.5])
 def test_a_coated_white_base_in_a_white_furnace(alpha: float, zenith: float) -> None:
-    assert white_furnace(alpha, zenith) == pytest.approx(1, abs=5e-3)
+    assert white_furnace(alpha, zenith) == pytest.approx(1, abs=3e-3)
 
 
-@pytest.mark.parametrize("zenith", [0, 45, 60, 80])
-@pytest.mark.parametrize("flake_alpha", [0.15, 0.35, 0.6])
-def test_flakes_in_a_white_furnace_gain_nothing(zenith: float, flake_alpha: float) -> None:
-    found = white_furnace(0.05, zenith, flakes=0.5, flake_alpha=flake_alpha)
-    assert 0.6 < found <= 1.001
-
-
-@pytest.mark.parametrize("zenith", [70, 80, 88])
-@pytest.mark.parametrize("alpha", [0.1, 0.5])
-def test_rough_coats_at_grazing_angles_gain_nothing(alpha: float, zenith: float) -> None:
-    assert white_furnace(alpha, zenith) <= 1.001
+@pytest.mark.parametrize("zenith", [0, 45, 60, 80, 85])
+@pytest.mark.parametrize("share", [0.15, 0.3, 0.5, 0.65, 1.0])
+@pytest.mark.parametrize("flake_alpha", [0.12, 0.35, 0.6])
+def test_flakes_over_a_white_base_in_a_white_furnace(flake_alpha: float, share: float, zenith: float) -> None:
+    assert white_furnace(0.001, zenith, share, flake_alpha) == pytest.approx(1, abs=0.01)
 
 
 def test_overcast_sky_brings_the_same_light_to_a_plane() -> None:
@@ -135,7 +129,7 @@ def test_overcast_sky_favours_what_looks_up() -> None:
     assert expected == pytest.approx(1 / np.pi, rel=1e-3)
 
 
-def test_noise_falls_with_the_root_of_the_samples() -> None:
+def test_noise_falls_faster_than_the_root_of_the_samples() -> None:
     blocks = [(*box(x, 0.4, 0.5, 1.0), 1) for x in (-1.1, 1.1)]
     geometry = joined(PLANE, *blocks)
     rays = staring([0, 0, 0.0], sun(10, 180), 2000)
@@ -145,7 +139,7 @@ def test_noise_falls_with_the_root_of_the_samples() -> None:
         found = traced(geometry, materials(None, None), suns(), rays, samples=int(samples), seed=5)
         spread.append(weight_of(found, code(SKY, 0)).std())
     slope = np.polyfit(np.log(counts), np.log(spread), 1)[0]
-    assert slope == pytest.approx(-0.5, rel=0.1)
+    assert -1.0 < slope < -0.6
 
 
 def test_a_sun_with_a_disc_has_a_half_shadow() -> None:

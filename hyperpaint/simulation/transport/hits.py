@@ -1,0 +1,119 @@
+"""Where a ray meets a surface, and where light goes on from it: normals, lifted points, waves of the coat."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+from hyperpaint.base.arrays import Array
+from hyperpaint.base.jit import borrowing_kernel
+
+from .hierarchy import Geometry
+from .vectors import Frame, Vector, along, dot, frame_of
+from .waviness import waved
+
+__all__ = ["FACING", "Hit", "hit_at", "leaves"]
+
+
+#: A direction at a smaller cosine does not face a surface.
+FACING = 1e-9
+
+_LIFT = 1e-9  # of the size of the coordinates
+
+
+class Hit(NamedTuple):
+    """Where a path meets a surface."""
+
+    point: Vector  # lifted off the surface
+    own: Vector  # normal of the triangle, on the side the path comes from
+    frame: Frame  # its last vector is the shading normal
+    coat_frame: Frame  # the same with the waves of the coat
+    raised: bool  # the point lies on the smooth surface that the triangle stands for
+
+
+@borrowing_kernel
+def _corner(array: Array, face: int, corner: int) -> Vector:
+    """Return a vector that belongs to the corner of a triangle."""
+    at = 9 * face + 3 * corner
+    return array[at], array[at + 1], array[at + 2]
+
+
+@borrowing_kernel
+def _at_hit(array: Array, face: int, weights: Vector) -> Vector:
+    """Return the mean of what belongs to the corners."""
+    point = along((0.0, 0.0, 0.0), _corner(array, face, 0), weights[0])
+    point = along(point, _corner(array, face, 1), weights[1])
+    return along(point, _corner(array, face, 2), weights[2])
+
+
+@borrowing_kernel
+def _normals(geometry: Geometry, face: int, weights: Vector, direction: Vector) -> tuple[Vector, Vector]:
+    """Return the triangle's normal and the shading normal, both on the side that a ray comes from."""
+    at = 3 * face
+    own = (geometry.face_normal[at], geometry.face_normal[at + 1], geometry.face_normal[at + 2])
+    if dot(own, direction) > 0.0:
+        own = (-own[0], -own[1], -own[2])
+    first = _corner(geometry.corner_normals, face, 0)
+    if first[0] == 0.0 and first[1] == 0.0 and first[2] == 0.0:
+        return own, own
+    shading = _at_hit(geometry.corner_normals, face, weights)
+    square = dot(shading, shading)
+    if square < 1e-12:
+        return own, own
+    shading = along((0.0, 0.0, 0.0), shading, math.copysign(1.0 / math.sqrt(square), dot(shading, own)))
+    if dot(shading, direction) > -FACING:  # interpolated past the horizon
+        return own, own
+    return own, shading
+
+
+@borrowing_kernel
+def _on_smooth_surface(
+    geometry: Geometry, face: int, weights: Vector, point: Vector, normal: Vector
+) -> Vector:
+    """Return a point raised from its triangle to the curved surface that the corners' normals stand for.
+
+    J. Hanika, "Hacking the shadow terminator", Ray Tracing Gems II (2021), chapter 4: the mean of the point's
+    projections on the planes at the corners, where they lie above it.
+    """
+    raised = point
+    for corner in range(3):
+        up = _corner(geometry.corner_normals, face, corner)
+        up = along((0.0, 0.0, 0.0), up, math.copysign(1.0, dot(up, normal)))
+        below = dot(along(point, _corner(geometry.triangles, face, corner), -1.0), up)
+        raised = along(raised, up, -weights[corner] * min(0.0, below))
+    return raised
+
+
+@borrowing_kernel
+def hit_at(
+    geometry: Geometry, face: int, weights: Vector, direction: Vector, slope: float
+) -> tuple[Hit, Vector]:
+    """Return where a path goes on from a surface, and the point of the triangle itself.
+
+    ``slope`` is that of the coat's waves [rad], 0 for a flat one.
+    """
+    own, normal = _normals(geometry, face, weights, direction)
+    point = _at_hit(geometry.triangles, face, weights)
+    origin = point
+    if dot(own, normal) < 1.0 - 1e-12:
+        origin = _on_smooth_surface(geometry, face, weights, point, normal)
+    raised = dot(along(origin, point, -1.0), own) > 0.0
+    frame = frame_of(normal)
+    coat_frame = frame
+    if slope > 0.0:
+        tilted = waved(normal, point, slope)
+        if dot(tilted, direction) < -FACING:
+            coat_frame = frame_of(tilted)
+    return Hit(_lifted(origin, own), own, frame, coat_frame, raised), point
+
+
+@borrowing_kernel
+def _lifted(point: Vector, normal: Vector) -> Vector:
+    """Return a point lifted off its surface by more than rounding may have sunk it."""
+    return along(point, normal, _LIFT * (1.0 + abs(point[0]) + abs(point[1]) + abs(point[2])))
+
+
+@borrowing_kernel
+def leaves(hit: Hit, direction: Vector) -> bool:
+    """Return whether a direction leads away from a surface: a shading normal may promise too much."""
+    return hit.raised or dot(hit.own, direction) > 0.0
