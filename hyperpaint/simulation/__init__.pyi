@@ -2,6 +2,11 @@ from .collect import (
     simulate_collect as simulate_collect,
     simulate_line as simulate_line,
 )
+from .rendering.appearance import (
+    flop_index as flop_index,
+    gloss_units as gloss_units,
+    reflectance_factor as reflectance_factor,
+)
 from .rendering.materials import base_albedo as base_albedo
 from .rendering.platforms import platform_from_poses as platform_from_poses
 from .rendering.relighting import relight as relight

@@ -8,8 +8,8 @@ The tables of the file, each key with its unit in its name; `EXAMPLE` shows them
     (``size_m``, ``spectrum``) or "empty"; ``name``, ``seed``.
 ``[[meshes]]``
     ``path`` of an .obj, .glb or .ply file; ``spectrum``, or ``materials`` by the names of its parts;
-    ``name``, ``kind``, ``class``, ``coat_index``, ``coat_roughness``, ``flakes``; ``offset_m``,
-    ``heading_deg``, ``unit_m``, ``up``.
+    ``name``, ``kind``, ``class``, ``coat_index``, ``coat_roughness``, ``coat_gloss``, ``coat_waviness_deg``,
+    ``flakes``; ``offset_m``, ``heading_deg``, ``unit_m``, ``up``.
 ``[platform]``
     ``lines`` and ``columns``, and arguments of `hyperpaint.simulation.rendering.platforms.pushbroom`.
 ``[camera]``

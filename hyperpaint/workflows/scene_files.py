@@ -79,7 +79,7 @@ _share = _between(0.0, 1.0)
 
 MATERIAL: Mapping[str, Check] = {
     "spectrum": text, "class": one_of(*KINDS), "coat_index": _between(1.0, 3.0), "coat_roughness": _share,
-    "flakes": _share,
+    "coat_gloss": _between(1.0, 100.0), "coat_waviness_deg": _between(0.0, 5.0), "flakes": _share,
 }  # fmt: skip
 """What a material of a mesh may say of itself."""
 
@@ -124,6 +124,8 @@ SCHEMA: Mapping[str, Mapping[str, Check]] = {
         "coat": flag,
         "coat_index": _between(1.0, 3.0),
         "coat_roughness": _share,
+        "coat_gloss": _between(1.0, 100.0),
+        "coat_waviness_deg": _between(0.0, 5.0),
         "line_width_m": _between(0.02, 1.0),
         "leaves": whole(0, 100_000),
         "margin_m": _between(0.0, 10_000.0),

@@ -16,7 +16,7 @@ from .scene_files import MATERIAL
 if TYPE_CHECKING:
     from hyperpaint.simulation.camera import Camera
     from hyperpaint.simulation.rendering.four_curves import Atmosphere
-    from hyperpaint.simulation.rendering.materials import Material
+    from hyperpaint.simulation.rendering.materials import Coat, Material
     from hyperpaint.simulation.rendering.platforms import Platform
     from hyperpaint.simulation.rendering.scene import Scene
 
@@ -86,6 +86,7 @@ def chosen_atmospheres(parts: Parts, names: Sequence[str]) -> tuple[Atmosphere, 
 
 #: Keys of a car park with a unit, to arguments of `car_park`.
 _IN_METRES = ("length_m", "width_m", "line_width_m", "margin_m")
+_OF_COATS = {"index": "index", "roughness": "roughness", "gloss": "gloss", "waviness_deg": "waviness"}
 
 
 def _scene(file: SceneFile) -> Scene:
@@ -100,17 +101,16 @@ def _scene(file: SceneFile) -> Scene:
 
 def _car_park(file: SceneFile) -> Scene:
     from hyperpaint.simulation.rendering.car_parks import car_park
-    from hyperpaint.simulation.rendering.materials import Coat
 
     options = {key: value for key, value in file.scene.items() if key != "kind"}
     for key in _IN_METRES:
         if key in options:
             options[key.removesuffix("_m")] = float(options.pop(key))
-    coat = {key: options.pop(f"coat_{key}") for key in ("index", "roughness") if f"coat_{key}" in options}
+    coat = {key: options.pop(f"coat_{key}") for key in _OF_COATS if f"coat_{key}" in options}
     if not options.pop("coat", True):
         options["coat"] = None
     elif coat:
-        options["coat"] = Coat(**coat)
+        options["coat"] = _coat(coat)
     return car_park(**options)
 
 
@@ -147,14 +147,26 @@ def _mesh(entry: MeshEntry) -> Scene:
     return mesh.moved(options.get("offset_m", (0.0, 0.0, 0.0)), float(options.get("heading_deg", 0.0)))
 
 
+def _coat(said: Mapping[str, Any]) -> Coat:
+    """Return a clear coat of what is said of it; its gloss goes before its roughness."""
+    from hyperpaint.simulation.rendering.appearance import coat_of_gloss
+    from hyperpaint.simulation.rendering.materials import Coat
+
+    own = {_OF_COATS[key]: float(value) for key, value in said.items() if key != "gloss"}
+    if "gloss" in said:
+        own.pop("roughness", None)
+        return coat_of_gloss(float(said["gloss"]), **own)
+    return Coat(**own)
+
+
 def _material(name: str, said: Mapping[str, Any], kind: str) -> Material:
     """Return a material; what lies on a car is paint unless it is said to be something else."""
-    from hyperpaint.simulation.rendering.materials import Coat, Flakes, Material
+    from hyperpaint.simulation.rendering.materials import Flakes, Material
 
     surface = said.get("class", "paint" if kind == "car" else "other")
-    coat = {key: float(said[f"coat_{key}"]) for key in ("index", "roughness") if f"coat_{key}" in said}
+    coat = {key: said[f"coat_{key}"] for key in _OF_COATS if f"coat_{key}" in said}
     share = float(said.get("flakes", 0.0))
-    over = Coat(**coat) if coat or share or surface == "paint" else None
+    over = _coat(coat) if coat or share or surface == "paint" else None
     return Material(
         f"paint of {name}" if surface == "paint" else name, said["spectrum"], surface, over,
         Flakes(share) if share else None,

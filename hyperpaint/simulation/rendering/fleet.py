@@ -27,7 +27,7 @@ from hyperpaint.base.arrays import Floats
 from .base_coats import HUES, Pigments, absorbers_of, mix
 from .weathering import Octaves, dusty
 
-__all__ = ["COLOUR_SHARES", "DIRT", "FINISH_SHARES", "FLAKE_SHARES", "FleetPaint", "fleet_paint"]
+__all__ = ["COLOUR_SHARES", "DIRT", "FINISH_SHARES", "FLAKE_SHARES", "FLOPS", "FleetPaint", "fleet_paint"]
 
 
 COLOUR_SHARES: Mapping[str, float] = {
@@ -55,6 +55,9 @@ FLAKE_SHARES: Mapping[str, tuple[float, float]] = {
 }  # fmt: skip
 """Least and most of the light in the paint that meets flakes."""
 
+FLOPS = (5.0, 16.0)
+"""Least and most flop index that a paint with flakes is given, where its pigment and share allow it."""
+
 _MEAN_AGE = 9.0  # years of a car on the road
 _COVER, _COVER_SPREAD, _MOST_COVER = 0.015, 0.7, 0.30  # of dust: median, spread of its logarithm
 _DIRTY, _DIRT = 0.08, 0.10  # cars that have not been washed for long, and what lies on them more
@@ -77,8 +80,9 @@ class FleetPaint:
         In words; the finish is "solid", "metallic" or "pearl".
     pigments
         Of its base coat.
-    flake_share, flake_lobe
-        Part of the light in the paint that meets flakes, and GGX alpha of their lobe; 0 of a solid paint.
+    flake_share, flop
+        Part of the light in the paint that meets flakes, and its flop index, see
+        `hyperpaint.simulation.rendering.appearance.flop_index`; 0 of a solid paint.
     age
         Of the car [years].
     cover
@@ -91,7 +95,7 @@ class FleetPaint:
     finish: str
     pigments: Pigments
     flake_share: float
-    flake_lobe: float
+    flop: float
     age: float
     cover: float
     index: float
@@ -119,13 +123,13 @@ def fleet_paint(number: int) -> FleetPaint:
     finish = _chosen(FINISH_SHARES[group], even[1])
     colour, pigments = _pigments(group, finish, rng)
     low, high = FLAKE_SHARES[group]
-    share, lobe = float(rng.uniform(low, high)), float(rng.uniform(0.25, 0.45))
+    share, flop = float(rng.uniform(low, high)), float(rng.uniform(*FLOPS))
     age = float(min(rng.gamma(2.0, _MEAN_AGE / 2.0), 30.0))
     cover = _COVER * np.exp(_COVER_SPREAD * rng.standard_normal()) + _DIRT * (rng.random() < _DIRTY)
     has_flakes = finish != "solid"
     return FleetPaint(
         colour=colour, finish=finish, pigments=pigments, flake_share=share if has_flakes else 0.0,
-        flake_lobe=lobe if has_flakes else 0.0, age=age, cover=float(min(cover, _MOST_COVER)),
+        flop=flop if has_flakes else 0.0, age=age, cover=float(min(cover, _MOST_COVER)),
         index=float(rng.uniform(1.48, 1.55)),
     )  # fmt: skip
 

@@ -27,6 +27,7 @@ from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import SchemaError
 from hyperpaint.simulation.paint_spectra import CAR_PAINTS, MATERIALS, Bump, Edge, Paint, Plain
 
+from .appearance import flakes_of_flop
 from .base_coats import FAMILIES, HUES, Pigments, aluminium, mix
 from .fleet import DIRT, FleetPaint, fleet_paint
 from .materials import Coat, Flakes, Material, coated_reflectance
@@ -172,7 +173,9 @@ def fleet_names(first: int, count: int) -> tuple[str, ...]:
 def _fleet_spec(number: int) -> PaintSpec:
     """Return the paint of a car of the fleet: an older coat is duller."""
     car, name = fleet_paint(number), f"fleet:{number}"
-    flakes = Flakes(car.flake_share, car.flake_lobe, f"{name}:flakes") if car.flake_share else None
+    flakes = None
+    if car.flake_share:
+        flakes = _flopping(Flakes(car.flake_share, spectrum=f"{name}:flakes"), car.flop, car.pigments)
     coat = Coat()
     coat = replace(coat, index=car.index, roughness=coat.roughness * (1.0 + _DULLED * car.age))
     adjective = _ADJECTIVES[number % len(_ADJECTIVES)]
@@ -234,17 +237,26 @@ def _generate(family: str, number: int) -> tuple[PaintSpec, Pigments]:
     rng = np.random.default_rng([FAMILIES.index(family), number])
     hue = str(rng.choice(list(HUES)))
     adjective = str(rng.choice(_ADJECTIVES))
-    roughness = float(rng.uniform(0.02, 0.08))
+    roughness = float(rng.uniform(5e-4, 3e-3))  # 82 to 74 gloss units
     pigments, colour = mix(family, hue, rng)
     finish, flakes = "solid", None
     name = f"pigment:{family}:{number}"
     if family in ("metallic", "pearl"):
         finish = family
         low, high = (0.3, 0.7) if family == "metallic" else (0.15, 0.4)
-        lobe = rng.uniform(0.25, 0.45)
-        flakes = Flakes(float(rng.uniform(low, high)), float(lobe), f"{name}:flakes")
+        flop = float(rng.uniform(4.0, 15.0))
+        flakes = Flakes(float(rng.uniform(low, high)), spectrum=f"{name}:flakes")
+        flakes = _flopping(flakes, flop, pigments)
     trade_name = f"{adjective} {colour.title()}"
     return PaintSpec(name, finish, colour, trade_name, Coat(roughness=roughness), flakes), pigments
+
+
+def _flopping(flakes: Flakes, flop: float, pigments: Pigments) -> Flakes:
+    """Return flakes whose lobe gives a paint its flop index, or the nearest that it can have."""
+    grid = np.linspace(380.0, 780.0, 41)
+    paint = Material("paint", "body", "paint", Coat(), flakes)
+    body = coated_reflectance(pigments.albedo(grid), Coat().index)
+    return flakes_of_flop(flop, paint, grid, body, pigments.flakes(grid), nearest=True)
 
 
 Spectrum = Callable[[Floats], Floats]

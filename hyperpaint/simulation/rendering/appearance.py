@@ -1,0 +1,298 @@
+"""What instruments of the paint shop read of a paint: gloss units, and the flop index of metallics."""
+
+from __future__ import annotations
+
+import functools
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from hyperpaint.base.arrays import Floats
+from hyperpaint.base.errors import SchemaError
+
+from .materials import Coat, Flakes, Material, fresnel_reflectance, measured_factor
+
+__all__ = ["coat_of_gloss", "flakes_of_flop", "flop_index", "gloss_units", "reflectance_factor"]
+
+_GLOSS_ANGLE_DEG = 20.0
+_GLASS_INDEX = 1.567  # the black glass that reads 100
+_RECEPTOR_DEG = (1.8, 3.6)  # field of the receptor in the plane of incidence and across it: ISO 2813, table 1
+_SOURCE_DEG = (0.75, 2.5)  # image of the source
+_LIGHT_DEG = 45.0
+_ASPECULAR_DEG = (15.0, 45.0, 110.0)
+_ALPHAS = np.geomspace(0.03, 1.0, 40)  # GGX alpha of flakes among which a flop is looked for
+
+#: D65, relative, 380 to 780 nm by 20 nm (CIE 15).
+_D65 = (
+    49.98, 82.75, 93.43, 104.86, 117.81, 115.92, 109.35, 104.79, 104.41, 100.00, 95.79, 90.01, 87.70, 83.70,
+    80.21, 78.28, 71.61, 61.60, 75.09, 46.42, 63.38,
+)  # fmt: skip
+
+
+class _Lobes(NamedTuple):
+    """Reflectance factors of unit spectra: of a base, of flakes, and of the light that these recycle."""
+
+    base: float
+    flakes: float
+    recycled: float
+
+
+def gloss_units(coat: Coat) -> float:
+    """Return the gloss of a clear coat at 20 degrees, in gloss units: 100 for black glass of index 1.567.
+
+    The flux that a coat sends into the receptor over that of the glass (ISO 2813). The receptor sees 1.8
+    degrees in the plane of incidence and 3.6 across, the image of the source is 0.75 by 2.5 degrees. Facets
+    have the slopes of GGX, and orange peel, which is smaller than the spot of the instrument, adds Gaussian
+    ones. What the paint under the coat reflects is left out, as on a black paint.
+
+    Parameters
+    ----------
+    coat
+        Its index, roughness and waviness.
+
+    Examples
+    --------
+    >>> round(gloss_units(Coat(1.567, 0.0, 0.0)), 1)
+    100.0
+    >>> gloss_units(Coat()) > 80, gloss_units(Coat(roughness=0.05)) < 6
+    (True, True)
+    """
+    part = (np.arange(400) + 0.5) / 400  # of the facets
+    radius = coat.roughness * np.sqrt(part / (1.0 - part))
+    angle = 2.0 * np.pi * (np.arange(48) + 0.5) / 48
+    tilt, weight = np.polynomial.hermite_e.hermegauss(16)
+    tilt, weight = tilt * np.radians(coat.waviness) / np.sqrt(2.0), weight / weight.sum()
+    slopes = radius[:, None] * np.cos(angle)  # along either axis
+    across = radius[:, None] * np.sin(angle)
+    cosine = np.cos(np.radians(_GLOSS_ANGLE_DEG))
+    caught = 0.0
+    for one, its in zip(tilt, weight, strict=True):
+        for other, others in zip(tilt, weight, strict=True):
+            within = _overlap(2.0 * (slopes + one), 0) * _overlap(2.0 * cosine * (across + other), 1)
+            caught += its * others * float(within.mean())
+    mirrors = [float(fresnel_reflectance(cosine, index)) for index in (coat.index, _GLASS_INDEX)]
+    return float(100.0 * caught * mirrors[0] / mirrors[1])
+
+
+def _overlap(deflection: Floats, axis: int) -> Floats:
+    """Return the part of the source's image, shifted by an angle [rad], that the receptor sees."""
+    receptor, source = np.radians(_RECEPTOR_DEG[axis]), np.radians(_SOURCE_DEG[axis])
+    return np.asarray(np.clip((0.5 * (receptor + source) - np.abs(deflection)) / source, 0.0, 1.0))
+
+
+def coat_of_gloss(gloss: float, index: float = 1.5, waviness: float = Coat.waviness) -> Coat:
+    """Return the clear coat that reads a gloss at 20 degrees; undoes `gloss_units`.
+
+    Parameters
+    ----------
+    gloss
+        In gloss units, above 1.
+    index, waviness
+        As for `Coat`.
+
+    Raises
+    ------
+    SchemaError
+        No roughness of such a coat has this gloss.
+
+    Examples
+    --------
+    >>> round(coat_of_gloss(70.0).roughness, 4)
+    0.0036
+    """
+    low, high = 0.0, 1.0
+    most, least = (gloss_units(Coat(index, alpha, waviness)) for alpha in (low, high))
+    if not least < gloss <= most:
+        raise SchemaError(
+            f"gloss is {gloss}, expected {least:.1f} to {most:.1f} units for an index of {index} and a "
+            f"waviness of {waviness} degrees; a higher index is glossier"
+        )
+    for _ in range(30):
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if gloss_units(Coat(index, middle, waviness)) > gloss else (low, middle)
+    return Coat(index, 0.5 * (low + high), waviness)
+
+
+def _lobe_factors(index: float, alpha: float, light: float, view: float, azimuth: float) -> _Lobes:
+    """Return what the tracer's lobes make of light and view at zenith angles [degree], azimuth apart.
+
+    Of a smooth coat (index 0: none) over a base alone, and over flakes of an alpha (0: none) alone.
+    """
+    from hyperpaint.simulation.transport.surfaces import lobes_at, sun_weights, surfaces_of
+
+    one, factor = np.ones(1), np.array([0 if alpha else -1], np.int32)
+    surfaces = surfaces_of(index * one, 0 * one, 0 * one, 0.5 * one, alpha * one, 0 * factor, factor)
+    a, b, turn = np.radians([light, view, azimuth])
+    towards = float(np.sin(a)), 0.0, float(np.cos(a))
+    seen = float(np.sin(b) * np.cos(turn)), float(np.sin(b) * np.sin(turn)), float(np.cos(b))
+    lobes = lobes_at(surfaces, 0, seen, seen, 0.0)
+    base, _, flakes, recycled = sun_weights(surfaces.numbers, lobes, towards, towards, 0.0)
+    scale = (2.0 if alpha else 1.0) / towards[2]  # half of the light meets flakes, where there are any
+    return _Lobes(scale * base, 2.0 * flakes / towards[2], 2.0 * recycled / towards[2])
+
+
+def _added_up(lobes: _Lobes, share: float, pigment: Floats, metal: Floats) -> Floats:
+    """Return the reflectance factor of a paint part of whose light meets flakes."""
+    again = share * metal + (1.0 - share) * pigment
+    return (1.0 - share) * lobes.base * pigment + share * metal * (lobes.flakes + lobes.recycled * again)
+
+
+def reflectance_factor(
+    material: Material,
+    body: npt.ArrayLike,
+    flakes: npt.ArrayLike = 0.0,
+    *,
+    light: float,
+    view: float,
+    azimuth: float = 180.0,
+) -> Floats:
+    """Return the reflectance factor pi f of a paint at a geometry, without the mirror image in its coat.
+
+    Parameters
+    ----------
+    material
+        Its coat and flakes.
+    body
+        Reflectance of its spectrum, near normal, without the specular component, any shape [1].
+    flakes
+        Reflectance of its flakes.
+    light, view
+        Zenith angles [degree].
+    azimuth
+        Between them [degree]; 180 where the view is on the side of the mirror direction.
+
+    Examples
+    --------
+    >>> silver = Material("silver", "silver", "paint", Coat(), Flakes(0.5))
+    >>> near, far = (reflectance_factor(silver, 0.4, 0.85, light=45.0, view=view) for view in (30.0, 0.0))
+    >>> bool(near > 2 * far)
+    True
+    """
+    index = None if material.coat is None else material.coat.index
+    share, alpha = (
+        (0.0, 0.0) if material.flakes is None else (material.flakes.share, material.flakes.roughness)
+    )
+    lobes = _lobe_factors(index or 0.0, alpha, light, view, azimuth)
+    return np.asarray(_added_up(lobes, share, measured_factor(body, index), np.asarray(flakes, np.float64)))
+
+
+def flop_index(
+    material: Material, wavelength: npt.ArrayLike, body: npt.ArrayLike, flakes: npt.ArrayLike = 0.0
+) -> float:
+    """Return how much darker a paint gets away from its mirror direction: about 0 for a solid paint.
+
+    Alman's index 2.69 (L*15 - L*110)^1.11 / L*45^0.86 of CIE 1976 lightness at three aspecular angles, lit
+    at 45 degrees; D65, 10 degree observer (its luminosity as fitted by C. Wyman, P.-P. Sloan, P. Shirley,
+    JCGT 2 (2013)). A. B. J. Rodrigues, "Metallic flake sizes and flop index" (DuPont); ASTM E2194 has the
+    angles.
+
+    Parameters
+    ----------
+    material
+        Its coat and flakes.
+    wavelength
+        Of the reflectances [nm], shape (band,).
+    body, flakes
+        As for `reflectance_factor`, shape (band,) or one number.
+
+    Examples
+    --------
+    >>> solid, silver = (Material("m", "m", "paint", Coat(), lobe) for lobe in (None, Flakes(0.5, 0.3)))
+    >>> [round(flop_index(paint, [400.0, 700.0], 0.3, 0.85), 1) for paint in (solid, silver)]
+    [0.2, 2.7]
+    """
+    curves = _paint_curves(material, wavelength, body, flakes)
+    index = 0.0 if material.coat is None else material.coat.index
+    share, alpha = (
+        (0.0, 0.0) if material.flakes is None else (material.flakes.share, material.flakes.roughness)
+    )
+    return _flop(_three_geometries(index, alpha), share, *curves)
+
+
+def _paint_curves(
+    material: Material, wavelength: npt.ArrayLike, body: npt.ArrayLike, flakes: npt.ArrayLike
+) -> tuple[Floats, Floats]:
+    """Return the factors of base and flakes at the wavelengths of D65."""
+    grid = np.linspace(380.0, 780.0, len(_D65))
+    pigment, metal = (
+        np.interp(grid, np.asarray(wavelength, float), np.broadcast_to(curve, np.shape(wavelength)))
+        for curve in (body, flakes)
+    )
+    return measured_factor(pigment, None if material.coat is None else material.coat.index), metal
+
+
+def _three_geometries(index: float, alpha: float) -> list[_Lobes]:
+    views = [_LIGHT_DEG - aspecular for aspecular in _ASPECULAR_DEG]  # positive on the mirror's side
+    sides = [180.0 if view >= 0 else 0.0 for view in views]
+    return [
+        _lobe_factors(index, alpha, _LIGHT_DEG, abs(view), side)
+        for view, side in zip(views, sides, strict=True)
+    ]
+
+
+def _flop(geometries: list[_Lobes], share: float, pigment: Floats, metal: Floats) -> float:
+    grid = np.linspace(380.0, 780.0, len(_D65))
+    seen = np.array(_D65) * np.exp(-0.5 * ((grid - 556.1) / 46.14) ** 2)
+    lightness = []
+    for lobes in geometries:
+        luminance = float((seen * _added_up(lobes, share, pigment, metal)).sum() / seen.sum())
+        above = luminance > 216 / 24389
+        lightness.append(116.0 * np.cbrt(luminance) - 16.0 if above else 24389 / 27 * luminance)
+    near, face, far = lightness
+    return float(2.69 * max(near - far, 0.0) ** 1.11 / face**0.86)
+
+
+@functools.cache
+def _lobes_by_alpha(index: float) -> list[list[_Lobes]]:
+    return [_three_geometries(index, float(alpha)) for alpha in _ALPHAS]
+
+
+def flakes_of_flop(
+    flop: float,
+    material: Material,
+    wavelength: npt.ArrayLike,
+    body: npt.ArrayLike,
+    flakes: npt.ArrayLike,
+    *,
+    nearest: bool = False,
+) -> Flakes:
+    """Return the flakes of a paint, their lobe so broad that the paint has a flop index.
+
+    Parameters
+    ----------
+    flop
+        The index asked for; 15 to 17 is very high.
+    material
+        Its coat, and flakes whose share and spectrum stay.
+    wavelength, body, flakes
+        As for `flop_index`.
+    nearest
+        Take the lobe that comes nearest where none has the index.
+
+    Raises
+    ------
+    SchemaError
+        The paint has no flakes, or no lobe of this share has the index.
+
+    Examples
+    --------
+    >>> paint = Material("m", "m", "paint", Coat(), Flakes(0.5))
+    >>> lobe = flakes_of_flop(10.0, paint, [400.0, 700.0], 0.3, 0.85)
+    >>> round(flop_index(replace(paint, flakes=lobe), [400.0, 700.0], 0.3, 0.85), 1)
+    10.0
+    """
+    if material.flakes is None:
+        raise SchemaError(f"material {material.name!r} has no flakes; give it flakes=Flakes(share)")
+    own, index = material.flakes, 0.0 if material.coat is None else round(material.coat.index, 2)
+    curves = _paint_curves(material, wavelength, body, flakes)
+    flops = np.array([_flop(lobes, own.share, *curves) for lobes in _lobes_by_alpha(index)])
+    peak = int(flops.argmax())  # sharper lobes miss the first angle
+    if not (nearest or flops[-1] <= flop <= flops[peak]):
+        raise SchemaError(
+            f"flop is {flop}, expected {flops[-1]:.1f} to {flops[peak]:.1f} for a share of flakes of "
+            f"{own.share}; more flakes, or a darker pigment, flop more"
+        )
+    roughness = float(np.exp(np.interp(-flop, -flops[peak:], np.log(_ALPHAS[peak:]))))
+    return replace(own, roughness=roughness)
