@@ -1,0 +1,203 @@
+r"""How the light of a clear sky is spread over directions.
+
+Three functions a sun, of unit level irradiance each: uniform; molecular (brighter towards the horizon and
+along the sun's line, as Rayleigh's phase function has it); aureole (around the sun and towards the horizon,
+as aerosol does it). A clear sky is a sum of them with shares that are not negative and depend on wavelength,
+so that paths of light traced once serve every state of the air. With the cosine :math:`\mu` of the zenith
+angle and the angle :math:`\Theta` from the sun, :math:`u = \ln(\mu + 0.05)`, relative to a uniform sky,
+
+.. math:: f = \exp(c_0 + c_1 u + c_2 u^2 + c_3 u^3 + c_4 \Theta + c_5 \Theta^2 + c_6 \Theta^3 + c_7 u \Theta)
+
+Coefficients and shares are fits to a plane-parallel Monte Carlo of molecules and aerosol (Henyey-Greenstein,
+asymmetry 0.65, exponent 1.14, single-scattering albedo 0.94) over ground of 0.15, at ten suns, four aerosols
+and six wavelengths (``tests/campaigns/sky_table.py``); linear between them, held beyond. No clouds, no bands.
+"""
+
+from __future__ import annotations
+
+import functools
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from hyperpaint.base.arrays import Floats
+from hyperpaint.base.errors import SchemaError
+
+__all__ = [
+    "HORIZON_SHIFT", "clear_sky_shares", "function_shapes", "relative_radiance", "scattering_cosine",
+    "sunward_gain", "zenith_radiance",
+]  # fmt: skip
+
+
+HORIZON_SHIFT = 0.05
+"""Added to the cosine of the zenith angle in u [1]."""
+
+
+class _Tables(NamedTuple):
+    suns: Floats  # (sun,) [degree]
+    shapes: Floats  # (sun, function, coefficient)
+    aerosols: Floats  # (aerosol,) optical depth at 500 nm
+    wavelengths: Floats  # (wavelength,) [nm]
+    shares: Floats  # (sun, aerosol, wavelength, function)
+
+
+def _rows(name: str) -> Floats:
+    text = Path(__file__).with_name(name).read_text(encoding="utf-8").splitlines()
+    return np.array([line.split(",") for line in text if not line.startswith("#")][1:], np.float64)
+
+
+@functools.cache
+def _tables() -> _Tables:
+    shapes, weights = _rows("sky_shapes.csv"), _rows("sky_weights.csv")
+    suns, aerosols, wavelengths = (np.unique(weights[:, column]) for column in range(3))
+    sizes = suns.size, aerosols.size, wavelengths.size, 3
+    return _Tables(
+        suns, shapes[:, 2:].reshape(suns.size, 2, -1), aerosols, wavelengths, weights[:, 3:].reshape(sizes)
+    )
+
+
+def _between(nodes: Floats, values: Floats, at: float) -> Floats:
+    """Return values (node, ...) at one place, linear between nodes, held beyond."""
+    place = float(np.interp(at, nodes, np.arange(nodes.size)))
+    low = min(int(place), nodes.size - 2)
+    part = place - low
+    return np.asarray((1.0 - part) * values[low] + part * values[low + 1])
+
+
+def scattering_cosine(cosine: Floats, azimuth: Floats, sun_zenith: float) -> Floats:
+    """Return the cosine of the angle from the sun.
+
+    Takes the ``cosine`` of the zenith angle and the ``azimuth`` from the sun [rad], any shape, and the sun's
+    zenith angle [degree].
+    """
+    sun = np.radians(sun_zenith)
+    across = np.sqrt(np.maximum(0.0, 1.0 - cosine**2))
+    return np.asarray(cosine * np.cos(sun) + across * np.sin(sun) * np.cos(azimuth))
+
+
+def relative_radiance(shape: Floats, cosine: Floats, from_sun: Floats) -> Floats:
+    """Return a sky function over a uniform sky of the same level irradiance [1].
+
+    Takes one of `function_shapes` (8,), and the cosines of the zenith angle, above 0, and of the angle from
+    the sun, any shape.
+    """
+    u, t = np.log(cosine + HORIZON_SHIFT), np.arccos(np.clip(from_sun, -1.0, 1.0))
+    c = shape
+    power = c[0] * u + c[1] * u**2 + c[2] * u**3 + c[3] * t + c[4] * t**2 + c[5] * t**3 + c[6] * u * t + c[7]
+    return np.asarray(np.exp(power))
+
+
+class _Dome(NamedTuple):
+    """Directions of the upper half, for integrals: Gauss's rule in the cosine, even steps in azimuth."""
+
+    cosine: Floats  # (zenith, azimuth)
+    azimuth: Floats  # (zenith, azimuth), 0 to 180 degrees from the sun [rad]
+    level: Floats  # (zenith, azimuth): weights of level irradiance, of sum 1
+
+
+@functools.cache
+def _dome() -> _Dome:
+    nodes, weights = np.polynomial.legendre.leggauss(32)
+    cosine, azimuth = np.meshgrid(0.5 * (nodes + 1.0), (np.arange(48) + 0.5) / 48 * np.pi, indexing="ij")
+    return _Dome(cosine, azimuth, cosine * weights[:, None] / 48)
+
+
+@functools.lru_cache(maxsize=64)
+def function_shapes(sun_zenith: float) -> Floats:
+    """Return the coefficients of the molecular function and of the aureole (2, 8) for a sun [degree].
+
+    In the order of the exponent's terms, the constant :math:`c_0` last, such that the level irradiance is
+    that of a uniform sky.
+
+    Raises
+    ------
+    SchemaError
+        The sun is not above the horizon.
+
+    Examples
+    --------
+    >>> above, molecular = np.array(1.0), function_shapes(60.0)[0]
+    >>> print(relative_radiance(molecular, above, np.cos(np.radians(60.0))).round(1))
+    0.5
+    """
+    if not 0.0 <= sun_zenith < 90.0:
+        raise SchemaError(f"sun_zenith is {sun_zenith!r}, expected 0 to below 90 degrees")
+    tables, dome = _tables(), _dome()
+    rows = _between(tables.suns, tables.shapes, sun_zenith)
+    from_sun = scattering_cosine(dome.cosine, dome.azimuth, sun_zenith)
+    shapes = np.concatenate([rows, np.zeros((2, 1))], axis=1)
+    for shape in shapes:
+        shape[7] = -np.log((dome.level * relative_radiance(shape, dome.cosine, from_sun)).sum())
+    shapes.setflags(write=False)  # shared
+    return shapes
+
+
+def clear_sky_shares(wavelength: npt.ArrayLike, sun_zenith: float, aerosol: float = 0.1) -> Floats:
+    """Return what uniform, molecular and aureole function give of a clear sky's level irradiance [1].
+
+    Parameters
+    ----------
+    wavelength : (band,)
+        [nm]
+    sun_zenith
+        [degree]
+    aerosol
+        Optical depth at 500 nm [1].
+
+    Returns
+    -------
+    numpy.ndarray
+        (3, band), not negative, of sum 1.
+
+    Examples
+    --------
+    >>> print(clear_sky_shares([450.0, 850.0], 60.0).sum(axis=0))
+    [1. 1.]
+    """
+    tables, nm = _tables(), np.asarray(wavelength, np.float64)
+    rows = _between(tables.aerosols, _between(tables.suns, tables.shares, sun_zenith), aerosol)
+    shares = np.array([np.interp(nm, tables.wavelengths, row) for row in rows.T])
+    return np.asarray(shares / shares.sum(axis=0))
+
+
+def zenith_radiance(wavelength: npt.ArrayLike, sun_zenith: float, aerosol: float = 0.1) -> Floats:
+    """Return the radiance of a clear sky straight above over that of a uniform one (band,) [1].
+
+    Arguments as for `clear_sky_shares`.
+
+    Examples
+    --------
+    >>> print(zenith_radiance([450.0, 850.0], 60.0).round(1))
+    [0.5 0.3]
+    """
+    above = np.cos(np.radians(sun_zenith))
+    parts = [relative_radiance(shape, np.array(1.0), above) for shape in function_shapes(float(sun_zenith))]
+    return np.asarray(np.array([1.0, *parts]) @ clear_sky_shares(wavelength, sun_zenith, aerosol))
+
+
+def sunward_gain(wavelength: npt.ArrayLike, sun_zenith: float, aerosol: float = 0.1) -> Floats:
+    r"""Return by how much a clear sky lights a panel that leans towards the sun more than a level one.
+
+    Relative change of diffuse light for a unit change of :math:`c = \cos i / \cos \theta_s`, direct light,
+    by a small tilt (band,) [1]; arguments as for `clear_sky_shares`.
+
+    Notes
+    -----
+    A tilt :math:`\beta` towards the sun gives :math:`c - 1 = \beta \tan \theta_s` and, to first order, a gain
+    of :math:`\beta \int L \omega_x d\Omega / \int L \omega_z d\Omega` with :math:`\omega_x` level towards the
+    sun.
+    """
+    dome = _dome()
+    # with the sun straight above both are zero; their quotient is not
+    zenith = max(float(sun_zenith), 5.0)
+    from_sun = scattering_cosine(dome.cosine, dome.azimuth, zenith)
+    sunward = np.sqrt(1.0 - dome.cosine**2) / dome.cosine * np.cos(dome.azimuth)
+    sums = [
+        (dome.level * sunward * relative_radiance(shape, dome.cosine, from_sun)).sum()
+        for shape in function_shapes(zenith)
+    ]
+    return np.asarray(
+        np.array([0.0, *sums]) / np.tan(np.radians(zenith)) @ clear_sky_shares(wavelength, zenith, aerosol)
+    )

@@ -1,0 +1,142 @@
+"""Directions of the clear sky: the project's table, a Monte Carlo of its own, perezsky and CIE type 12."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from oracles.scattered_sky import Air, sky_radiance
+
+from hyperpaint.base.errors import SchemaError
+from hyperpaint.light.clear_sky import ClearSky
+from hyperpaint.light.sky_functions import (
+    clear_sky_shares,
+    function_shapes,
+    relative_radiance,
+    scattering_cosine,
+    sunward_gain,
+    zenith_radiance,
+)
+
+#: Sun zenith -> radiance at the zenith over that of a uniform sky, at 450, 550 and 850 nm: project notes.
+TABLE = {25.0: (0.99, 1.04, 1.18), 60.0: (0.53, 0.44, 0.34), 82.0: (0.51, 0.39, 0.26)}
+COSINE, AZIMUTH = np.meshgrid(
+    (np.arange(200) + 0.5) / 200, (np.arange(180) + 0.5) / 180 * np.pi, indexing="ij"
+)
+LEVEL = COSINE / COSINE.sum()
+
+
+def sky(nm: float, sun: float, cosine: np.ndarray, azimuth: np.ndarray, aerosol: float = 0.1) -> np.ndarray:
+    """Return the sky of the package over a uniform one."""
+    from_sun = scattering_cosine(cosine, azimuth, sun)
+    parts = [relative_radiance(shape, cosine, from_sun) for shape in function_shapes(sun)]
+    shares = clear_sky_shares([nm], sun, aerosol)[:, 0]
+    return shares[0] + shares[1] * parts[0] + shares[2] * parts[1]
+
+
+def visual_sky(sun: float) -> tuple[np.ndarray, float]:
+    """Return the luminance of the sky over its mean, of all directions and at the zenith."""
+    nm = np.arange(400.0, 700.0, 10.0)
+    weight = ClearSky(sun).irradiance(nm)[1] * np.exp(-0.5 * ((nm - 556.0) / 42.0) ** 2)
+    weight /= weight.sum()
+    everywhere = sum(part * sky(wave, sun, COSINE, AZIMUTH) for part, wave in zip(weight, nm, strict=True))
+    return np.asarray(everywhere), float(weight @ zenith_radiance(nm, sun))
+
+
+@pytest.mark.parametrize("sun", TABLE)
+def test_the_zenith_is_that_of_the_table(sun: float) -> None:
+    np.testing.assert_allclose(zenith_radiance([450.0, 550.0, 850.0], sun), TABLE[sun], rtol=0.07)
+
+
+@pytest.mark.parametrize("sun", [0.0, 8.0, 33.0, 60.0, 79.0, 88.0])
+def test_functions_have_the_light_of_a_uniform_sky(sun: float) -> None:
+    from_sun = scattering_cosine(COSINE, AZIMUTH, sun)
+    for shape in function_shapes(sun):
+        assert (LEVEL * relative_radiance(shape, COSINE, from_sun)).sum() == pytest.approx(1.0, abs=2e-3)
+    shares = clear_sky_shares(np.arange(350.0, 1100.0, 50.0), sun, 0.17)
+    assert (shares >= 0.0).all()
+    np.testing.assert_allclose(shares.sum(axis=0), 1.0, rtol=1e-12)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("sun", [33.0, 55.0, 73.0, 82.0])
+def test_the_whole_sky_is_that_of_the_monte_carlo(sun: float) -> None:
+    """At suns and wavelengths between those of the fit."""
+    for nm in (430.0, 620.0, 900.0):
+        truth = sky_radiance(nm, sun, photons=6000)
+        cosine, azimuth = np.meshgrid(truth.cosine, truth.azimuth, indexing="ij")
+        ratio = sky(nm, sun, cosine, azimuth) / truth.relative - 1.0
+        assert np.sqrt(truth.mean(ratio**2)) < 0.06
+        assert truth.mean(np.abs(1.0 / truth.relative - 1.0)) > 0.2  # what a uniform sky is off
+        assert zenith_radiance([nm], sun)[0] == pytest.approx(truth.zenith, rel=0.06)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("aerosol", "within"), [(0.03, 0.15), (0.25, 0.12)])
+def test_other_aerosol_is_worse_known(aerosol: float, within: float) -> None:
+    truth = sky_radiance(700.0, 55.0, Air(aerosol=aerosol), photons=6000)
+    assert zenith_radiance([700.0], 55.0, aerosol)[0] == pytest.approx(truth.zenith, rel=within)
+
+
+@pytest.mark.slow
+def test_the_monte_carlo_has_the_diffuse_light_of_spectrl2() -> None:
+    """The oracle itself, against a model that knows nothing of directions."""
+    pvlib = pytest.importorskip("pvlib")
+    for sun in (25.0, 60.0):
+        table = pvlib.spectrum.spectrl2(
+            apparent_zenith=sun, aoi=sun, surface_tilt=0, ground_albedo=0.15, surface_pressure=101325.0,
+            relative_airmass=1.0 / np.cos(np.radians(sun)), precipitable_water=0.0, ozone=0.0,
+            aerosol_turbidity_500nm=0.1, dayofyear=94,
+        )  # fmt: skip
+        share = np.ravel(table["dhi"]) / np.ravel(table["dni_extra"])
+        for nm in (450.0, 550.0, 870.0):
+            ours = sky_radiance(nm, sun, photons=3000, zeniths=16, azimuths=16).diffuse
+            assert ours == pytest.approx(np.interp(nm, table["wavelength"], share), rel=0.1)
+
+
+@pytest.mark.parametrize("sun", [45.0, 60.0, 75.0])
+def test_perezsky_means_the_same_sky(sun: float) -> None:
+    perezsky = pytest.importorskip("perezsky")
+    nm = np.arange(300.0, 2500.0, 5.0)
+    direct, diffuse = (5.0 * part.sum() for part in ClearSky(sun).irradiance(nm))
+    state = perezsky.perez_parameters(direct / np.cos(np.radians(sun)), diffuse, sun)
+    zenith = np.degrees(np.arccos(COSINE))
+    from_sun = np.degrees(np.arccos(scattering_cosine(COSINE, AZIMUTH, sun).clip(-1.0, 1.0)))
+    theirs = perezsky.relative_luminance(state, zenith.ravel(), from_sun.ravel()[:, None])[:, 0]
+    theirs = theirs.reshape(zenith.shape)
+    mean = (LEVEL * theirs).sum()
+    above = perezsky.relative_luminance(state, np.zeros(1), np.full((1, 1), sun))[0, 0]
+    ours, our_zenith = visual_sky(sun)
+    assert our_zenith == pytest.approx(above / mean, rel=0.07)
+    apart = np.sqrt((LEVEL * (ours * mean / theirs - 1.0) ** 2).sum())
+    uniform = np.sqrt((LEVEL * (mean / theirs - 1.0) ** 2).sum())
+    assert apart < 0.2 < 4.0 * apart < uniform
+
+
+@pytest.mark.parametrize("sun", [45.0, 60.0, 75.0])
+def test_cie_type_12_is_near(sun: float) -> None:
+    def relative(cosine: np.ndarray, angle: np.ndarray) -> np.ndarray:
+        around = 1.0 + 10.0 * (np.exp(-3.0 * angle) - np.exp(-1.5 * np.pi)) + 0.45 * np.cos(angle) ** 2
+        return np.asarray(around * (1.0 - np.exp(-0.32 / cosine)))
+
+    cie = relative(COSINE, np.arccos(scattering_cosine(COSINE, AZIMUTH, sun).clip(-1.0, 1.0)))
+    ours, _ = visual_sky(sun)
+    assert np.sqrt((LEVEL * (ours * (LEVEL * cie).sum() / cie - 1.0) ** 2).sum()) < 0.15
+
+
+@pytest.mark.parametrize("sun", [10.0, 45.0, 70.0])
+def test_a_panel_that_leans_to_the_sun_gets_more_sky(sun: float) -> None:
+    lean, nm = np.radians(3.0), np.array([450.0, 850.0])
+    for k, wave in enumerate(nm):
+        radiance = sky(wave, sun, COSINE, AZIMUTH)
+        sine = np.sqrt(1.0 - COSINE**2)
+        gains = []
+        for side in (1.0, -1.0):
+            seen = COSINE * np.cos(lean) + side * np.sin(lean) * sine * np.cos(AZIMUTH)
+            gains.append((radiance * np.maximum(seen, 0.0)).sum() / (radiance * COSINE).sum())
+        slope = (gains[0] - gains[1]) / (2.0 * np.sin(lean) * np.tan(np.radians(sun)))
+        assert sunward_gain(nm, sun)[k] == pytest.approx(slope, rel=0.05)
+
+
+def test_a_sun_below_the_horizon_has_no_clear_sky() -> None:
+    with pytest.raises(SchemaError, match="below 90"):
+        function_shapes(90.0)
