@@ -22,16 +22,18 @@ from hyperpaint.base.errors import SchemaError
 from .flight import PIXEL_ANGLE, Flight, Layer, Lines, Seen
 from .rendering.camera_bands import BandSet
 from .rendering.car_parks import car_park
-from .rendering.lighting import ProductTable
+from .rendering.four_curves import Atmosphere
+from .rendering.lighting import ProductTable, source_spectra
 from .rendering.painting import factor_spectra
 from .rendering.platforms import Platform
 from .rendering.scene import Scene
 from .rendering.scene_record import LabelTables, SceneRecord, TraceSettings
 from .rendering.scene_spectra import paint_spec, spectrum_of
+from .rendering.sky_models import CIE_OVERCAST_SHARE, clear_spread
 from .rendering.tracing import PreparedScene, prepare_scene, trace_block
 from .settings import SWATH_M, SimulationSettings
 from .trajectories import TransverseMercator
-from .transport.path_codes import FIRST_SUN, SKY, is_direct, is_indirect, is_mirrored
+from .transport.path_codes import is_direct, is_indirect, is_mirrored
 from .transport.paths import Block
 
 __all__ = ["GLINT", "RenderedFlight"]
@@ -68,7 +70,9 @@ class RenderedFlight(Flight):
         super().__init__(settings)
         scene = self._car_park()
         record = SceneRecord.of(scene)
-        trace = TraceSettings((settings.sun,), samples=settings.samples, seed=settings.seed)
+        overcast = settings.sky == "overcast"
+        numbers = {"samples": settings.samples, "seed": settings.seed}
+        trace = TraceSettings((settings.sun,), overcast=overcast, clear=not overcast, **numbers)
         self._scene: PreparedScene = prepare_scene(scene, trace)
         spectra = [material.spectrum for material in record.materials]
         self.surfaces = tuple(dict.fromkeys(spectra))
@@ -76,12 +80,20 @@ class RenderedFlight(Flight):
         self.layers = _layers(self._scene.labels, self.plane)
         self._surface = np.array([self.surfaces.index(name) for name in spectra], np.int16)
         self._cosine = float(np.cos(np.radians(settings.sun[0])))
-        bands, light = (
-            BandSet.of(self.imager),
-            {SKY: self.sky[1], FIRST_SUN: self.sky[0] / self._cosine},
-        )
+        bands = BandSet.of(self.imager)
+        light = source_spectra(self._atmosphere(overcast), trace)
         factors = factor_spectra(record, bands)
         self._products = ProductTable(bands, self._scene.codes, self.grid, light, factors, normalise=False)
+
+    def _atmosphere(self, overcast: bool) -> Atmosphere:
+        """Return the light, without air before the camera."""
+        direct, diffuse = self.sky
+        spread = clear_spread(self.grid, direct, self.settings.sun[0])
+        return Atmosphere(
+            self.grid, direct / self._cosine, diffuse, 0.0 * self.grid, 0.0 * self.grid, *self.settings.sun,
+            overcast_share=CIE_OVERCAST_SHARE if overcast else 0.0,
+            molecular=spread.molecular, aureole=spread.aureole,
+        )  # fmt: skip
 
     def paint_reflectance(self, names: Sequence[str], wavelength: Floats) -> Floats:
         """Return the reflectance of paints without their mirror reflection, shape (name, wavelength)."""

@@ -212,7 +212,7 @@ class Sampling:
     depth: int = 4
     slots: int | None = None
     seed: int = 0
-    sun_radius_deg: float = 0.0
+    sun_radius_deg: float = 0.267
 
 
 @dataclass(frozen=True)

@@ -207,7 +207,10 @@ def test_the_tracer_sees_what_was_measured(measured: float) -> None:
     from hyperpaint.simulation.transport.path_codes import is_direct, is_indirect, is_mirrored
 
     paint = Material("paint", "red", "paint", Coat())
-    traced = trace(plane(100.0, paint), pushbroom(2, 3, altitude=50.0), [(2.0, 180.0)], samples=4).compute()
+    traced = trace(
+        plane(100.0, paint), pushbroom(2, 3, altitude=50.0), [(2.0, 180.0)], samples=4, sun_radius=0.0
+    )
+    traced = traced.compute()
     codes = traced.transport_path.values
     base = is_direct(codes) & ~is_mirrored(codes) & ~is_indirect(codes) & (codes >= 0)
     weight = np.where(base, traced.transport_weight.values, 0.0).sum(axis=1)

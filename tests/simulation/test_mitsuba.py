@@ -70,7 +70,15 @@ def our_image(scene: Scene, sky: Atmosphere, camera: FrameCamera, samples: int, 
     for strip in range(STRIPS):
         still = Platform(origin, down, across, along[[strip + 1, strip]], np.arange(LINES))
         traced = hp.simulation.trace(
-            scene, still, [sky], samples=samples, depth=depth, seed=strip, slots=256, chunk_lines=1
+            scene,
+            still,
+            [sky],
+            samples=samples,
+            depth=depth,
+            seed=strip,
+            slots=256,
+            chunk_lines=1,
+            sun_radius=0.0,
         )
         made = hp.simulation.relight(traced, BANDS, atmosphere=sky, truth=False).radiance.mean("along_track")
         strips.append(made.transpose("cross_track", "band").values)

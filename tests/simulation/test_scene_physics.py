@@ -57,7 +57,7 @@ def seen(
     scene: Scene, platform: Platform, sky: Atmosphere, spectra: Any = None, **options: Any
 ) -> xr.Dataset:
     """Return what four bands see of a scene."""
-    traced = hp.simulation.trace(scene, platform, [sky], **options)
+    traced = hp.simulation.trace(scene, platform, [sky], **{"sun_radius": 0.0, **options})
     return hp.simulation.relight(traced, BANDS, atmosphere=sky, spectra=spectra).compute()
 
 
@@ -208,7 +208,7 @@ def test_a_million_triangles_look_like_two(record_property: Any) -> None:
 
 def test_reflectance_above_one_is_refused_or_clamped() -> None:
     sky = light(1.0, 0.3, 40.0, 200.0)
-    traced = hp.simulation.trace(plane(50.0, GREY), looking(), [sky], samples=4)
+    traced = hp.simulation.trace(plane(50.0, GREY), looking(), [sky], samples=4, sun_radius=0.0)
     bright = {"panel_20": ([300.0, 1100.0], [1.3, 1.3])}
     with pytest.raises(SchemaError, match=r"'panel_20' goes from 1.3 to 1.3, expected 0 to 1"):
         hp.simulation.relight(traced, BANDS, atmosphere=sky, spectra=bright)

@@ -28,7 +28,7 @@ from hyperpaint.simulation.rendering.scene import Scene, plane
 from hyperpaint.simulation.rendering.scene_record import SceneRecord, TraceSettings, sun_vectors
 
 SETTINGS: dict[str, Any] = {"samples": 8, "seed": 3, "overcast": True, "sun_radius": 0.27}
-DIMS = {"along_track": 24, "slot": 40, "cross_track": 16, "sun": 2}
+DIMS = {"along_track": 24, "slot": 72, "cross_track": 16, "sun": 2}
 
 
 def traced(chunk_lines: int = 32, **more: Any) -> xr.Dataset:
@@ -45,7 +45,8 @@ def whole() -> xr.Dataset:
 
 def test_slots_grow_with_sources_and_samples() -> None:
     one = TraceSettings.of([SUN]).slot_count
-    assert one == TraceSettings.of([SUN], samples=256).slot_count / 2 == 48
+    assert one == TraceSettings.of([SUN], samples=256).slot_count / 2 == 96
+    assert TraceSettings.of([SUN], clear=False).slot_count == one / 2
     assert TraceSettings.of([SUN, LOW_SUN], overcast=True).slot_count == 2 * one
     assert TraceSettings.of([SUN], samples=1).slot_count == 16
     assert TraceSettings.of([SUN], slots=5).slot_count == 5

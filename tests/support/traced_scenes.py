@@ -92,10 +92,15 @@ def radiance_by_hand(
         if code < 0:
             continue
         share = light.overcast_share
-        term = {0: sky * (1 - share), 1: sky * share}.get(code % 8, sun) / np.pi
-        if code % 8 > 2:
+        molecular, aureole = (
+            np.interp(grid, light.wavelength, part) for part in (light.molecular, light.aureole)
+        )
+        shares = {0: 1 - share - molecular - aureole, 1: share, 8: molecular, 9: aureole}
+        source = code % 32
+        if source not in (*shares, 2):
             continue  # another sun
-        digits = code >> 5
+        term = (sun if source == 2 else sky * shares[source]) / np.pi
+        digits = code >> 7
         for _ in range(settings.depth):
             digit = digits % 2**bits
             term = term * (spectra[digit - 1] if digit else 1.0)

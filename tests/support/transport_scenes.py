@@ -121,8 +121,8 @@ def code(
 ) -> int:
     """Return the code of a path, written as the contract words it."""
     digits = sorted((factor + 1 for factor in factors), reverse=True)
-    found = sum(digit << (5 + digit_bits * place) for place, digit in enumerate(digits))
-    return found + source + 8 * mirror + 16 * indirect
+    found = sum(digit << (7 + digit_bits * place) for place, digit in enumerate(digits))
+    return found + source + 32 * mirror + 64 * indirect
 
 
 def weight_of(block: Block, wanted: int) -> np.ndarray:

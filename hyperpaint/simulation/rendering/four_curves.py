@@ -30,6 +30,7 @@ from .sky_models import (
     built_in_sky,
     check_curves,
     check_wavelengths,
+    clear_spread,
     cloud_transmittance,
     relative_air_mass,
 )
@@ -45,6 +46,10 @@ _CURVES = {
     "sky": ("W m-2 nm-1", "Diffuse sky irradiance of a level surface"),
     "extinction": ("m-1", "Extinction coefficient of the air near the ground"),
     "path_radiance": ("W m-2 sr-1 nm-1 m-1", "Radiance that a metre of path adds"),
+}
+_SHARES = {
+    "molecular": ("1", "Share of skylight that is spread as molecules scatter it"),
+    "aureole": ("1", "Share of skylight that is spread around the sun, as aerosol scatters it"),
 }
 _NUMBERS = {
     "sun_zenith": ("degree", "Angle between the sun and the vertical"),
@@ -74,12 +79,15 @@ class Atmosphere:
     sun_zenith, sun_azimuth
         Where the sun stands: from the vertical, and clockwise from north [degree].
     overcast_share
-        Share of the diffuse irradiance whose radiance goes with the cosine of the zenith angle, the rest
-        being uniform: 0 a uniform sky, 4/7 a CIE overcast one (see `sky_models`), up to 1.
+        Share of the diffuse irradiance whose radiance goes with the cosine of the zenith angle: 0 to 1, 4/7
+        for a CIE overcast sky (see `sky_models`).
     name
         What to call it.
     haze
         What the third and fourth curve were made from; None where they were given.
+    molecular, aureole
+        Shares of the diffuse irradiance that are spread as the functions of a clear sky
+        (`hyperpaint.light.sky_functions`), shape (wavelength,) [1]; None for none. The rest is uniform.
 
     Raises
     ------
@@ -104,19 +112,32 @@ class Atmosphere:
     overcast_share: float = 0.0
     name: str = ""
     haze: Haze | None = None
+    molecular: Floats = None  # type: ignore[assignment]  # an array once it is there
+    aureole: Floats = None  # type: ignore[assignment]
 
     def __post_init__(self) -> None:
-        for name in ("wavelength", *_CURVES):
+        for name in _SHARES:
+            if getattr(self, name) is None:
+                object.__setattr__(self, name, np.zeros(np.shape(self.wavelength)))
+        for name in ("wavelength", *_CURVES, *_SHARES):
             array = np.array(getattr(self, name), dtype=np.float64)
             array.setflags(write=False)  # presets are shared
             object.__setattr__(self, name, array)
         problems = Problems(f"atmosphere {self.name!r} cannot be used", SchemaError)
-        check_curves(problems, {name: getattr(self, name) for name in ("wavelength", *_CURVES)})
+        check_curves(problems, {name: getattr(self, name) for name in ("wavelength", *_CURVES, *_SHARES)})
         check_number(problems, "sun_zenith", self.sun_zenith, 0.0, _LOWEST_SUN)
         if not np.isfinite(self.sun_azimuth):
             problems.add(f"sun_azimuth={self.sun_azimuth!r}, expected degrees clockwise from north")
         check_number(problems, "overcast_share", self.overcast_share, 0.0, 1.0)
+        if not problems and self.uniform.min(initial=0.0) < -1e-9:
+            whole = 1.0 - self.uniform.min()
+            problems.add(f"overcast_share, molecular and aureole come to {whole:.4g}, expected 1 at most")
         problems.raise_if_any()
+
+    @property
+    def uniform(self) -> Floats:
+        """Share of the diffuse irradiance that is uniform, shape (wavelength,) [1]."""
+        return np.asarray(1.0 - self.overcast_share - self.molecular - self.aureole)
 
     @property
     def sun_cosine(self) -> float:
@@ -166,7 +187,9 @@ class Atmosphere:
         """
         grid = spectral_grid(*_RANGE) if wavelength is None else np.asarray(wavelength, dtype=np.float64)
         sun, sky = built_in_sky(grid, sun_zenith, aerosol=aerosol, ozone=ozone, water=water)
-        return cls._hazy(grid, sun, sky, haze, sun_zenith=sun_zenith, sun_azimuth=sun_azimuth, name=name)
+        spread = clear_spread(grid, sun, sun_zenith, aerosol=aerosol)._asdict()
+        where = {"sun_zenith": sun_zenith, "sun_azimuth": sun_azimuth}
+        return cls._hazy(grid, sun, sky, haze, **where, **spread, name=name)
 
     @classmethod
     def _hazy(cls, grid: Floats, sun: Floats, sky: Floats, haze: Haze | None, **more: Any) -> Atmosphere:
@@ -238,7 +261,9 @@ class Atmosphere:
             span = f"from {grid[0]:g} to {grid[-1]:g} nm"
             raise SchemaError(f"wavelength goes {span}; SPECTRL2 covers {coarse[0]:g} to {coarse[-1]:g} nm")
         sun, sky = (np.interp(grid, coarse, np.ravel(table[name])) for name in ("dni", "dhi"))
-        return cls._hazy(grid, sun, sky, haze, sun_zenith=sun_zenith, sun_azimuth=sun_azimuth, name=name)
+        spread = clear_spread(grid, sun, sun_zenith, aerosol=aerosol)._asdict()
+        where = {"sun_zenith": sun_zenith, "sun_azimuth": sun_azimuth}
+        return cls._hazy(grid, sun, sky, haze, **where, **spread, name=name)
 
     @classmethod
     def from_irradiance(
@@ -295,7 +320,8 @@ class Atmosphere:
         sun = total * fraction / np.cos(np.radians(sun_zenith))
         sky = total * (1.0 - fraction)
         where = {"sun_zenith": sun_zenith, "sun_azimuth": sun_azimuth, "overcast_share": overcast_share}
-        return cls._hazy(grid, sun, sky, haze, **where, name=name)
+        spread = clear_spread(grid, sun, sun_zenith, overcast_share)._asdict()
+        return cls._hazy(grid, sun, sky, haze, **where, **spread, name=name)
 
     @classmethod
     def from_table(
@@ -341,7 +367,10 @@ class Atmosphere:
         if "extinction" in curves:
             haze = None
         where = {"sun_zenith": sun_zenith, "sun_azimuth": sun_azimuth, "overcast_share": overcast_share}
-        hazy = cls._hazy(curves["wavelength"], curves["sun"], curves["sky"], haze, **where, name=name)
+        spread = clear_spread(curves["wavelength"], curves["sun"], sun_zenith, overcast_share)._asdict()
+        hazy = cls._hazy(
+            curves["wavelength"], curves["sun"], curves["sky"], haze, **where, **spread, name=name
+        )
         if "extinction" not in curves:
             return hazy
         return replace(hazy, extinction=curves["extinction"], path_radiance=curves["path_radiance"])
@@ -380,6 +409,7 @@ class Atmosphere:
         return replace(
             self, sun=sun, sky=sky, path_radiance=path,
             overcast_share=(1.0 - hidden) * self.overcast_share + hidden * CIE_OVERCAST_SHARE,
+            molecular=(1.0 - hidden) * self.molecular, aureole=(1.0 - hidden) * self.aureole,
             name=f"{self.name}, {oktas:g} oktas" if self.name else f"{oktas:g} oktas",
         )  # fmt: skip
 
@@ -391,7 +421,10 @@ class Atmosphere:
             return {"units": row[0], "long_name": row[1]}
 
         variables = {
-            **{name: ("wavelength", getattr(self, name), attrs(row)) for name, row in _CURVES.items()},
+            **{
+                name: ("wavelength", getattr(self, name), attrs(row))
+                for name, row in (_CURVES | _SHARES).items()
+            },
             **{name: ((), np.float64(getattr(self, name)), attrs(row)) for name, row in _NUMBERS.items()},
         }
         grid = ("wavelength", self.wavelength, {"units": "nm", "long_name": "Wavelength"})
@@ -417,6 +450,8 @@ class Atmosphere:
         sun, sky, extinction, path = (
             convert(dataset[name], units).values for name, (units, _) in _CURVES.items()
         )
+        # atmospheres of before have a uniform sky
+        shares = {name: convert(dataset[name], "1").values for name in _SHARES if name in dataset.variables}
         zenith, azimuth, share = (
             float(convert(dataset[name], units)) for name, (units, _) in _NUMBERS.items()
         )
@@ -429,7 +464,7 @@ class Atmosphere:
                 f"attribute 'haze' is {text!r}, expected the JSON text that to_dataset writes"
             ) from error
         name = str(dataset.attrs.get("name", ""))
-        return cls(grid, sun, sky, extinction, path, zenith, azimuth, share, name, haze)
+        return cls(grid, sun, sky, extinction, path, zenith, azimuth, share, name, haze, **shares)
 
 
 PRESETS = ("noon", "near_sunset", "cloudy")

@@ -22,9 +22,12 @@ from numpy.typing import NDArray
 from hyperpaint.base.arrays import Array, Floats, Floats32, Ints
 from hyperpaint.base.errors import SchemaError
 from hyperpaint.simulation.transport.path_codes import (
+    CLEAR_SKY_FUNCTIONS,
+    FIRST_CLEAR_SKY,
     FIRST_SUN,
     OVERCAST_SKY,
     SKY,
+    SOURCES,
     PathCodes,
     is_direct,
     is_indirect,
@@ -54,14 +57,15 @@ def traced_sun(atmosphere: Atmosphere, settings: TraceSettings) -> int:
     Raises
     ------
     SchemaError
-        No sun was traced where the atmosphere has it, or no overcast sky where it has one.
+        No sun was traced where the atmosphere has it, or no overcast or clear sky where it has one.
     """
     towards = sun_vectors([(atmosphere.sun_zenith, atmosphere.sun_azimuth)])
     apart = np.degrees(
         2 * np.arcsin(np.linalg.norm(sun_vectors(settings.suns) - towards, axis=1).clip(0, 2) / 2)
     )
     nearest = int(apart.argmin())
-    if apart[nearest] > _SAME_DIRECTION and atmosphere.sun.any():
+    clear = bool((atmosphere.sky * (atmosphere.molecular + atmosphere.aureole)).any())
+    if apart[nearest] > _SAME_DIRECTION and (atmosphere.sun.any() or clear):
         there = ", ".join(f"({zenith:g}, {azimuth:g})" for zenith, azimuth in settings.suns)
         raise SchemaError(
             f"atmosphere {atmosphere.name!r} has its sun at (zenith, azimuth) = "
@@ -73,17 +77,24 @@ def traced_sun(atmosphere: Atmosphere, settings: TraceSettings) -> int:
             f"atmosphere {atmosphere.name!r} has an overcast share of {atmosphere.overcast_share:.3g}, "
             "but no overcast sky was traced; trace the scene with overcast=True"
         )
+    if clear and not settings.clear:
+        raise SchemaError(
+            f"atmosphere {atmosphere.name!r} has a clear sky, but none was traced",
+            mend="trace the scene with clear=True",
+        )
     return nearest
 
 
 def source_spectra(atmosphere: Atmosphere, settings: TraceSettings) -> dict[int, Floats]:
     """Return the irradiance of every source of a trace that shines, by number, on the atmosphere's grid."""
     sun = traced_sun(atmosphere, settings)
-    share = atmosphere.overcast_share
-    spectra = {SKY: atmosphere.sky * (1.0 - share), FIRST_SUN + sun: atmosphere.sun}
-    if share > 0:
-        spectra[OVERCAST_SKY] = atmosphere.sky * share
-    return spectra
+    first = FIRST_CLEAR_SKY + CLEAR_SKY_FUNCTIONS * sun
+    shares = {
+        SKY: atmosphere.uniform, OVERCAST_SKY: np.asarray(atmosphere.overcast_share),
+        first: atmosphere.molecular, first + 1: atmosphere.aureole,
+    }  # fmt: skip
+    skies = {number: atmosphere.sky * share for number, share in shares.items() if share.any()}
+    return {**skies, FIRST_SUN + sun: atmosphere.sun}
 
 
 @dataclass(frozen=True, eq=False)
@@ -193,8 +204,9 @@ def make_lighting(
     air = np.stack([cell_means(wavelength, curve, responses.fine) for curve in curves])
     extinction, path = table.to_columns(responses.means(air)).astype(np.float32)
     light = {number: table.to_columns(table.irradiance(number)) for number in sources}
-    direct = sum((light[number] for number in light if number >= FIRST_SUN), np.zeros(1)) * sun_cosine
-    diffuse = sum((light[number] for number in light if number < FIRST_SUN), np.zeros(1))
+    suns = [number for number in light if is_direct(np.array(number))]
+    direct = sum((light[number] for number in suns), np.zeros(1)) * sun_cosine
+    diffuse = sum((light[number] for number in light if number not in suns), np.zeros(1))
     return Lighting(table, np.asarray(direct), np.asarray(diffuse), extinction, path)
 
 
@@ -253,7 +265,7 @@ class ProductTable:
             for number, spectrum in sources.items()
         }
         lit = {number: spectrum for number, spectrum in means.items() if spectrum.any()}
-        self._row_of_source = np.full(8, -1, np.int64)
+        self._row_of_source = np.full(SOURCES, -1, np.int64)
         self._row_of_source[list(lit)] = np.arange(len(lit))
         spectra = np.stack([*lit.values()]) if lit else np.zeros((1, responses.fine.size))
         self._weights = responses.weights(spectra) / np.pi
@@ -330,7 +342,9 @@ class ProductTable:
         """
         from hyperpaint.simulation.transport.mixing import index_paths, mix_shifted
 
-        distinct, index = index_paths(codes)
+        # slots of dark sources are passed over
+        lit = self._row_of_source[source_of(codes)] >= 0
+        distinct, index = index_paths(np.where(lit, codes, -1))
         products = self.rows(distinct)
         columns = out.shape[2]
         nodes = np.zeros(columns, np.int64), np.ones((columns, 1))

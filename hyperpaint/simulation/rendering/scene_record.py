@@ -14,16 +14,23 @@ from numpy.typing import NDArray
 from hyperpaint.base.arrays import Array, Floats
 from hyperpaint.base.errors import Problems, SchemaError
 from hyperpaint.simulation.settings import MOST_SAMPLES, check_number, check_whole
-from hyperpaint.simulation.transport.path_codes import MOST_SUNS, PathCodes
+from hyperpaint.simulation.transport.path_codes import (
+    CLEAR_SKY_FUNCTIONS,
+    MOST_SUNS,
+    SOURCE_BITS,
+    PathCodes,
+)
 
 from .materials import KINDS, Coat, Flakes, Material
 from .scene import Factor, Instance, Scene
 from .scene_spectra import FOURTEEN
 
-__all__ = ["LabelTables", "SceneRecord", "TraceSettings", "sun_vectors"]
+__all__ = ["SUN_RADIUS_DEG", "LabelTables", "SceneRecord", "TraceSettings", "sun_vectors"]
 
 
 _MOST_SLOTS = 4096
+SUN_RADIUS_DEG = 0.267
+"""Angular radius of the sun [degree]."""
 
 
 @dataclass(frozen=True)
@@ -34,7 +41,7 @@ class TraceSettings:
     ----------
     suns
         Zenith and azimuth, clockwise from north, of every sun [degree].
-    samples, depth, seed, slots, overcast, sun_radius
+    samples, depth, seed, slots, overcast, clear, sun_radius
         As for `tracing.trace`.
 
     Raises
@@ -49,7 +56,8 @@ class TraceSettings:
     seed: int = 0
     slots: int | None = None
     overcast: bool = False
-    sun_radius: float = 0.0
+    clear: bool = True
+    sun_radius: float = SUN_RADIUS_DEG
 
     def __post_init__(self) -> None:
         problems = Problems("the scene cannot be traced", SchemaError)
@@ -73,7 +81,8 @@ class TraceSettings:
         """Slots of a pixel: 24 for each source, times the square root of samples / 64, unless given."""
         if self.slots is not None:
             return self.slots
-        sources = len(self.suns) + 1 + self.overcast
+        clear = CLEAR_SKY_FUNCTIONS * len(self.suns) if self.clear else 0
+        sources = len(self.suns) + 1 + self.overcast + clear
         return min(_MOST_SLOTS, max(16, 8 * math.ceil(3 * sources * math.sqrt(self.samples / 64))))
 
     @classmethod
@@ -155,6 +164,8 @@ class SceneRecord:
             "depth": int(settings.depth),
             "seed": int(settings.seed),
             "overcast": int(settings.overcast),
+            "clear": int(settings.clear),
+            "source_bits": SOURCE_BITS,
             "sun_radius": float(settings.sun_radius),
         }
 
@@ -167,11 +178,17 @@ class SceneRecord:
         SchemaError
             Attributes are missing or damaged; all are listed.
         """
+        if "factors" in attrs and attrs.get("source_bits", 3) != SOURCE_BITS:
+            raise SchemaError(
+                "this scene was traced by an older hyperpaint: its paths have 3 bits for their source, "
+                f"expected {SOURCE_BITS}, and know no clear sky",
+                mend="trace the scene again",
+            )
         problems = Problems("this is no traced dataset (see hyperpaint.simulation.trace)", SchemaError)
         texts = {
             name: _parsed(attrs, name, problems) for name in ("materials", "instances", "factors", "suns")
         }
-        for name in ("samples", "depth", "seed", "overcast"):
+        for name in ("samples", "depth", "seed", "overcast", "clear"):
             if not isinstance(attrs.get(name), int | np.integer):
                 problems.add(f"attribute {name!r} is {attrs.get(name)!r}, expected a whole number")
         problems.raise_if_any()
@@ -188,6 +205,7 @@ class SceneRecord:
                 depth=int(attrs["depth"]),
                 seed=int(attrs["seed"]),
                 overcast=bool(attrs["overcast"]),
+                clear=bool(attrs["clear"]),
                 sun_radius=float(attrs.get("sun_radius", 0.0)),
             )
         except (TypeError, KeyError, IndexError, AttributeError, ValueError) as error:

@@ -11,9 +11,11 @@ the ratio at 490 nm: overcast light is slightly bluer. Their coefficients were s
 & Czeplak stands for CF; beyond 700 nm the form is extrapolated; longer paths of light in clouds deepen the
 bands of water and oxygen, which is left out; the same authors found skies (Bering Sea) that do not follow it.
 
-*Direction*: the CIE overcast sky (Moon & Spencer 1942), L = L_zenith (1 + 2 cos theta) / 3, is a sum of a
-uniform sky and one whose radiance goes with cos theta. On a level surface the first gives pi L_z / 3 and the
-second 4 pi L_z / 9: shares of 3/7 and 4/7 of the diffuse irradiance.
+*Direction*: a clear sky is that of `hyperpaint.light.sky_functions`; between clear and overcast each counts
+by the part of the sky that clouds leave or hide. The CIE overcast sky (Moon & Spencer 1942), L = L_zenith
+(1 + 2 cos theta) / 3, is a sum of a uniform sky and one whose radiance goes with cos theta. On a level
+surface the first gives pi L_z / 3 and the second 4 pi L_z / 9: shares of 3/7 and 4/7 of the diffuse
+irradiance.
 
 *Air*: what the air between a surface and the camera takes away and adds, per metre.
 Extinction is that of air molecules plus haze, such that a black thing vanishes at the visibility V, where 2 %
@@ -32,17 +34,19 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
 from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import Problems, SchemaError
+from hyperpaint.light.sky_functions import clear_sky_shares
 from hyperpaint.simulation.atmosphere import Sky
 from hyperpaint.simulation.settings import check_number
 
 __all__ = [
-    "CIE_OVERCAST_SHARE", "HAZE", "Haze", "built_in_sky", "check_curves", "check_wavelengths", "cloud_factor",
-    "cloud_transmittance", "relative_air_mass",
+    "CIE_OVERCAST_SHARE", "HAZE", "Haze", "built_in_sky", "check_curves", "check_wavelengths", "clear_spread",
+    "cloud_factor", "cloud_transmittance", "relative_air_mass",
 ]  # fmt: skip
 
 
@@ -118,6 +122,25 @@ def relative_air_mass(sun_zenith: float) -> float:
     if not 0.0 <= sun_zenith <= 90.0:
         raise SchemaError(f"sun_zenith is {sun_zenith!r}, expected 0 to 90 degrees")
     return float(1.0 / (np.cos(np.radians(sun_zenith)) + 0.50572 * (96.07995 - sun_zenith) ** -1.6364))
+
+
+class Spread(NamedTuple):
+    """Shares of a clear sky's functions in the diffuse irradiance, see `Atmosphere`."""
+
+    molecular: Floats
+    aureole: Floats
+
+
+def clear_spread(
+    wavelength: Floats, sun: Floats, sun_zenith: float, overcast_share: float = 0.0, aerosol: float = 0.1
+) -> Spread:
+    """Return how a clear sky's light is spread.
+
+    None where no sun shines (``sun`` [W m-2 nm-1]); under an ``overcast_share`` what it leaves of the sky.
+    """
+    clear = max(0.0, 1.0 - overcast_share / CIE_OVERCAST_SHARE) if np.any(sun) else 0.0
+    _, molecular, aureole = clear * clear_sky_shares(wavelength, sun_zenith, aerosol)
+    return Spread(molecular, aureole)
 
 
 CIE_OVERCAST_SHARE = 4.0 / 7.0

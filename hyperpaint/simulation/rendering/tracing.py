@@ -27,10 +27,11 @@ from hyperpaint.base.schema import (
     label,
 )
 from hyperpaint.base.units import takes_quantities
+from hyperpaint.light.sky_functions import function_shapes
 from hyperpaint.simulation.transport.path_codes import PathCodes
 
 from .four_curves import Atmosphere, preset_atmosphere
-from .scene_record import LabelTables, SceneRecord, TraceSettings, sun_vectors
+from .scene_record import SUN_RADIUS_DEG, LabelTables, SceneRecord, TraceSettings, sun_vectors
 
 if TYPE_CHECKING:
     import dask.array as da
@@ -70,6 +71,9 @@ def prepare_scene(scene: Scene, settings: TraceSettings) -> PreparedScene:
     )
     radius = np.full(len(settings.suns), np.radians(settings.sun_radius))
     sources = Sources(sun_vectors(settings.suns), radius, settings.overcast)
+    if settings.clear:
+        shapes = np.stack([function_shapes(zenith) for zenith, _ in settings.suns])
+        sources = sources._replace(shapes=shapes)
     labels = LabelTables.of(record)
     return PreparedScene(geometry, _surfaces(record), sources, record.codes(settings), settings, labels)
 
@@ -126,7 +130,8 @@ def trace(
     seed: int = 0,
     slots: int | None = None,
     overcast: bool = False,
-    sun_radius: float = 0.267,
+    clear: bool = True,
+    sun_radius: float = SUN_RADIUS_DEG,
     chunk_lines: int = CHUNK_LINES,
 ) -> xr.Dataset:
     r"""Trace the paths of light through a scene, without their spectra.
@@ -158,8 +163,11 @@ def trace(
     overcast
         Also record a sky of radiance proportional to the cosine of the zenith angle, for atmospheres with
         an ``overcast_share``; such an atmosphere among ``suns`` asks for it too.
+    clear
+        Also record the functions of every sun's clear sky (`hyperpaint.light.sky_functions`); without them
+        only atmospheres whose sky is uniform or overcast can be used.
     sun_radius
-        Angular radius of the suns [degree]; 0 for a point, whose shadows are sharp.
+        Angular radius of the suns [degree], by default that of the sun; 0 for a point: sharp shadows.
     chunk_lines
         Lines of a dask chunk, which is one task.
 
@@ -190,7 +198,7 @@ def trace(
     >>> from hyperpaint.simulation.rendering.scene import plane
     >>> traced = trace(plane(100.0), pushbroom(64, 8), [(30.0, 180.0)], samples=4)
     >>> dict(traced.sizes)
-    {'along_track': 64, 'slot': 16, 'cross_track': 8, 'sun': 1}
+    {'along_track': 64, 'slot': 24, 'cross_track': 8, 'sun': 1}
     """
     directions, overcast_light = _directions(suns)
     settings = TraceSettings.of(
@@ -200,6 +208,7 @@ def trace(
         seed=seed,
         slots=slots,
         overcast=bool(overcast) or overcast_light,
+        clear=bool(clear),
         sun_radius=sun_radius,
     )
     if isinstance(chunk_lines, bool) or not isinstance(chunk_lines, int) or chunk_lines < 1:

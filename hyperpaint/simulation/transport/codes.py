@@ -1,4 +1,4 @@
-"""Codes of paths (see `path_codes`): made, added up by pixel, and written."""
+"""Codes of paths (see `path_codes`): put together, added up by pixel, and written."""
 
 from __future__ import annotations
 

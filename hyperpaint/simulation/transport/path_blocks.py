@@ -9,7 +9,7 @@ import numpy as np
 from hyperpaint.base.arrays import Array
 
 from .hierarchy import Geometry
-from .path_codes import FIRST_DIGIT, MOST_SUNS, USABLE_BITS
+from .path_codes import CLEAR_SKY_FUNCTIONS, FIRST_DIGIT, MOST_SUNS, USABLE_BITS
 from .surfaces import Surfaces
 
 __all__ = ["Block", "Rays", "Settings", "Sources", "check"]
@@ -47,11 +47,14 @@ class Sources(NamedTuple):
         Angular radius [rad]; 0 for a point.
     overcast : bool
         Record the overcast sky beside the uniform one.
+    shapes : (sun, function, 8) float64
+        Coefficients of the clear sky's functions, see `hyperpaint.light.sky_functions`; empty for none.
     """
 
     suns: Array
     sun_radius: Array
     overcast: bool
+    shapes: Array = np.zeros((0, CLEAR_SKY_FUNCTIONS, 8))
 
 
 class Block(NamedTuple):
@@ -162,6 +165,8 @@ def check(
         wrong.append(
             f"suns {np.shape(sources.suns)} with radii {np.shape(sources.sun_radius)}; at most {MOST_SUNS}"
         )
+    elif np.size(sources.shapes) and np.shape(sources.shapes) != (suns, CLEAR_SKY_FUNCTIONS, 8):
+        wrong.append(f"shapes {np.shape(sources.shapes)} of clear skies for {suns} suns")
     elif not np.allclose(np.linalg.norm(sources.suns, axis=1), 1.0, atol=1e-6):
         wrong.append("directions to suns must be unit vectors")
     if len({len(part) for part in surfaces}) > 1:

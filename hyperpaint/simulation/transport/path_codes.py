@@ -2,10 +2,11 @@
 
 One int64 says it all, so that a stored table of weights needs no key:
 
-* bits 0 to 2: the source: 0 the uniform sky, 1 the overcast sky, 2 and up the suns;
-* bit 3: the light left the first surface through its coat, as a mirror image;
-* bit 4: the path met more than one surface;
-* from bit 5 on ``depth`` digits of ``digit_bits`` bits, the lowest first: the number of a factor plus 1, or 0
+* bits 0 to 4: the source: 0 the uniform sky, 1 the overcast sky, 2 to 7 the suns, 8 and up the functions of
+  every sun's clear sky (`hyperpaint.light.sky_functions`): molecular 8, aureole 9, of the next sun 10, 11;
+* bit 5: the light left the first surface through its coat, as a mirror image;
+* bit 6: the path met more than one surface;
+* from bit 7 on ``depth`` digits of ``digit_bits`` bits, the lowest first: the number of a factor plus 1, or 0
   for none, in descending order, so that equal products have equal codes.
 
 A negative code is an empty slot.
@@ -22,34 +23,43 @@ from hyperpaint.base.arrays import Bools, Ints
 from hyperpaint.base.errors import SchemaError
 
 __all__ = [
-    "FIRST_DIGIT", "FIRST_SUN", "INDIRECT", "MIRROR", "MOST_SUNS", "OVERCAST_SKY", "SKY", "USABLE_BITS",
-    "PathCodes", "is_direct", "is_indirect", "is_mirrored", "source_of",
+    "CLEAR_SKY_FUNCTIONS", "FIRST_CLEAR_SKY", "FIRST_DIGIT", "FIRST_SUN", "INDIRECT", "MIRROR", "MOST_SUNS",
+    "OVERCAST_SKY", "SKY", "SOURCES", "SOURCE_BITS", "USABLE_BITS", "PathCodes", "is_direct", "is_indirect",
+    "is_mirrored", "source_of",
 ]  # fmt: skip
 
 
-SKY, OVERCAST_SKY, FIRST_SUN = 0, 1, 2
+SKY, OVERCAST_SKY, FIRST_SUN, FIRST_CLEAR_SKY = 0, 1, 2, 8
 """Numbers of the sources."""
 
-MOST_SUNS = 6
+MOST_SUNS = FIRST_CLEAR_SKY - FIRST_SUN
 """Suns that one trace holds."""
 
-MIRROR, INDIRECT = 1 << 3, 1 << 4
+CLEAR_SKY_FUNCTIONS = 2
+"""Functions of the clear sky of a sun, beside the uniform one."""
+
+SOURCE_BITS = 5
+"""Bits of the source; a trace says so in its attributes, since there were 3 once."""
+
+SOURCES = 1 << SOURCE_BITS
+"""Numbers that a source may have."""
+
+MIRROR, INDIRECT = 1 << SOURCE_BITS, 2 << SOURCE_BITS
 """Bits of the flags."""
 
-FIRST_DIGIT, USABLE_BITS = 5, 63
+FIRST_DIGIT, USABLE_BITS = SOURCE_BITS + 2, 63
 """Lowest bit of the first digit, and bits of a code that is not negative."""
-
-_SOURCE_MASK = 7
 
 
 def source_of(codes: Ints) -> Ints:
     """Return the number of the source of every code."""
-    return codes & _SOURCE_MASK
+    return codes & (SOURCES - 1)
 
 
 def is_direct(codes: Ints) -> Bools:
     """Return which paths begin at a sun; what begins at the sky is diffuse."""
-    return np.asarray((codes & _SOURCE_MASK) >= FIRST_SUN)
+    source = source_of(codes)
+    return np.asarray((source >= FIRST_SUN) & (source < FIRST_CLEAR_SKY))
 
 
 def is_mirrored(codes: Ints) -> Bools:

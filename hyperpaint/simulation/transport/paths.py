@@ -24,7 +24,8 @@ from .draws import even_pair, pixel_key, uniforms
 from .hierarchy import STACK, Geometry, closest, occluded
 from .hits import FACING, Hit, hit_at, leaves
 from .path_blocks import Block, Rays, Settings, Sources, check
-from .path_codes import FIRST_SUN, INDIRECT, MIRROR, OVERCAST_SKY, SKY
+from .path_codes import CLEAR_SKY_FUNCTIONS, FIRST_SUN, INDIRECT, MIRROR, SKY
+from .skies import record_sky
 from .surfaces import (
     BLURRED_ALPHA,
     COAT,
@@ -153,8 +154,9 @@ def trace_lines(
     leaves as To Ko Ti Ki / <T K>, multiplied by both factors: two scatterings of the ``depth``. The base
     keeps 1 - share. With all factors 1 nothing is lost.
 
-    The sky is above the horizon: light from below it ends at the ground beyond the scene. A ray of the camera
-    that meets nothing is no part of a pixel, which is the mean of the others; without any, weights are NaN.
+    The sky, uniform, overcast (L = 1.5 cos(zenith angle) E / pi) or a function of a clear one, is above the
+    horizon: light from below it ends at the ground beyond the scene. A ray of the camera that meets nothing
+    is no part of a pixel, which is the mean of the others; without any, weights are NaN.
     """
     settings = Settings(*map(int, settings))
     check(geometry, surfaces, sources, rays, settings, block)
@@ -163,14 +165,20 @@ def trace_lines(
     surfaces = Surfaces(
         np.ascontiguousarray(numbers, np.float64), *(np.ascontiguousarray(part, np.int32) for part in factors)
     )
-    sources = Sources(suns, np.ascontiguousarray(sources.sun_radius, np.float64), bool(sources.overcast))
+    sources = Sources(
+        suns,
+        np.ascontiguousarray(sources.sun_radius, np.float64),
+        bool(sources.overcast),
+        np.ascontiguousarray(sources.shapes, np.float64),
+    )
     rays = Rays(*(np.ascontiguousarray(part, np.float64) for part in rays))
     _trace(_Scene(geometry, surfaces, sources), rays, settings, _room(settings, len(suns)), block)
 
 
 def _room(settings: Settings, suns: int) -> _Room:
     """Return memory for the paths of a pixel."""
-    most = settings.samples * ((2 * settings.depth - 1) * suns * _LOBES + 4)
+    of_skies = 2 * (2 + CLEAR_SKY_FUNCTIONS * suns)  # either branch may end in the sky
+    most = settings.samples * ((2 * settings.depth - 1) * suns * _LOBES + of_skies)
     size = 1 << max(4, (2 * most - 1).bit_length())
     return _Room(
         stack=np.empty(STACK, np.int64),
@@ -392,7 +400,7 @@ def _follow(scene: _Scene, room: _Room, path: _Path, place: _Place, settings: Se
         _, face, weights = closest(geometry, room.stack, room.entries, origin, direction, np.inf)
         if face < 0:
             if direction[2] > 0.0:  # what goes down ends at the ground beyond the scene
-                _record_sky(sources, room, code, beta, direction)
+                record_sky(room.table, sources, code, beta, direction)
             return
         if spent >= settings.depth:  # no room for another factor
             return
@@ -417,7 +425,7 @@ def _follow(scene: _Scene, room: _Room, path: _Path, place: _Place, settings: Se
         beta *= weight
         least = max(least, BLURRED_ALPHA if kind == COAT else WIDENED_ALPHA)
     if direction[2] > 0.0 and not occluded(geometry, room.stack, origin, direction, np.inf):
-        _record_sky(sources, room, code, beta, direction)
+        record_sky(room.table, sources, code, beta, direction)
 
 
 @borrowing_kernel
@@ -455,11 +463,3 @@ def _record_suns(
             add_path(room.table, codes.twice | FIRST_SUN + sun, beta * recycled * lobes.share)
         if bounce == 0:
             room.seen[sun] += 1.0
-
-
-@borrowing_kernel
-def _record_sky(sources: Sources, room: _Room, code: int, beta: float, direction: Vector) -> None:
-    """Add a path that has escaped, upwards."""
-    add_path(room.table, code | SKY, beta)
-    if sources.overcast:
-        add_path(room.table, code | OVERCAST_SKY, 1.5 * direction[2] * beta)

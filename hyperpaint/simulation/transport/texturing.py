@@ -19,7 +19,7 @@ import numpy as np
 from hyperpaint.base.arrays import Array
 from hyperpaint.base.jit import borrowing_kernel
 
-from .paths import philox
+from .draws import philox
 
 __all__ = ["Grain", "Texture", "member_rows"]
 

@@ -79,7 +79,7 @@ def test_parts_have_their_types_and_empty_slots_come_last() -> None:
     assert (rising[used[:, 1:]] > 0).all()
     assert (found.weight[used] > 0).all()
     assert (found.weight[~used] == 0).all()
-    assert set(np.unique(found.code[used] & 7)) == {SKY, SUN, SUN + 1}
+    assert set(np.unique(found.code[used] & 31)) == {SKY, SUN, SUN + 1}
 
 
 @pytest.mark.parametrize("cuts", [(0, 1, 5, LINES), (0, LINES // 2, LINES)] if COMPILED else [(0, 1, 2)])
