@@ -126,6 +126,7 @@ class PaintAccessor:
         sky_view_factor: float = 1.0,
         diffuse: Any = "model",
         sun_zenith: float | None = None,
+        sky: str | None = None,
         dims: Dims | None = None,
     ) -> PaintDataset:
         """Subtract the sky that a clear coat mirrors, as seen from above."""
@@ -137,6 +138,7 @@ class PaintAccessor:
         neighbour_reflectance: float = 0.2,
         diffuse: Any = "model",
         sun_zenith: float | None = None,
+        sky: str | None = None,
         dims: Dims | None = None,
     ) -> PaintDataset:
         """Divide by the light that a tilted surface, or one with part of its sky hidden, gets."""

@@ -17,6 +17,7 @@ from hyperpaint.base.arrays import Floats, Floats32, Ints
 from hyperpaint.base.errors import Problems, SchemaError, needs_extra
 from hyperpaint.base.schema import BAND, PAINT
 from hyperpaint.base.units import convert, takes_quantities
+from hyperpaint.light.sky_functions import sunward_gain, zenith_radiance
 from hyperpaint.light.sun import air_mass, diffuse_fraction, solar_position
 
 from .detection_rules import DIFFUSE
@@ -28,8 +29,8 @@ if TYPE_CHECKING:
     from .full_light import Matches
 
 __all__ = [
-    "CORRECTIONS", "SOURCES", "SUN_FROM", "correct_light", "diffuse_from_clear_sky", "fraction_in_shadow",
-    "measured_fraction", "remove_mirrored_sky", "shadow_side_of", "sun_zenith_of",
+    "CORRECTIONS", "SKIES", "SOURCES", "SUN_FROM", "correct_light", "diffuse_from_clear_sky",
+    "fraction_in_shadow", "measured_fraction", "remove_mirrored_sky", "shadow_side_of", "sun_zenith_of",
 ]  # fmt: skip
 
 
@@ -167,6 +168,15 @@ def fraction_in_shadow(
 CORRECTIONS = ("mirrored_sky_removed", "light_corrected", "tilt")
 """Attributes of reflectance that say what was corrected."""
 
+SKIES = ("clear", "uniform", "overcast")
+"""Where the light of the sky comes from: `hyperpaint.light.sky_functions`, evenly, or CIE's overcast sky."""
+
+OVERCAST_ZENITH = 9.0 / 7.0
+"""Radiance of the zenith of a CIE overcast sky over that of a uniform one [1]."""
+
+MAX_TILT_GAIN = 0.3
+"""Change of the direct light up to which a surface gains sky with it, as one that leans [1]."""
+
 NORMAL_REFLECTANCE = 0.04
 """Of a clear coat of index 1.5, ((n - 1) / (n + 1))^2 [1]."""
 
@@ -191,6 +201,7 @@ def remove_mirrored_sky(
     sky_view_factor: float = 1.0,
     diffuse: Any = "model",
     sun_zenith: float | None = None,
+    sky: str | None = None,
 ) -> xr.Dataset:
     r"""Subtract the sky that a clear coat mirrors, as seen from above.
 
@@ -206,6 +217,9 @@ def remove_mirrored_sky(
         Part of the mirrored directions that show sky [1].
     diffuse, sun_zenith
         Direct/diffuse split, see `hyperpaint.surroundings.survey`.
+    sky
+        "clear", darker at the zenith than its mean when the sun is low; "uniform"; "overcast", brighter there
+        (CIE). By default clear with a modelled split, uniform with a measured one, which may be of any sky.
 
     Returns
     -------
@@ -218,15 +232,15 @@ def remove_mirrored_sky(
     SchemaError
         ``reflectance`` or ``wavelength`` is missing, numbers leave 0 to 1, the sky was removed before or all
         divided by a tilted surface's light (`correct_light`, or ``tilt=`` of `hyperpaint.reflectance`), or
-        the split is not known; all are listed.
+        the split or the sky is not known; all are listed.
 
     Notes
     -----
-    .. math:: \rho = \rho_{obs} - F_0 V f_{dif}
+    .. math:: \rho = \rho_{obs} - F_0 V f_{dif} L_z / \bar L
 
-    Of a tilted panel, the sky is removed first, and the light corrected then: what is mirrored does not
-    become more with the light that falls on the paint. The sky is taken to be as bright everywhere; near the
-    zenith it is darker than its mean when the sun is low.
+    with the radiance :math:`L_z` of the zenith, which a level panel mirrors, over the mean of the sky. Of a
+    tilted panel, the sky is removed first, and the light corrected then: what is mirrored does not become
+    more with the light that falls on the paint.
 
     Examples
     --------
@@ -234,15 +248,22 @@ def remove_mirrored_sky(
     >>> seen = xr.DataArray(np.float32([0.042, 0.033]), dims="band", attrs={"units": "1"})
     >>> paint = xr.Dataset({"reflectance": seen}, {"wavelength": ("band", [410.0, 850.0], {"units": "nm"})})
     >>> remove_mirrored_sky(paint, sun_zenith=30.0).reflectance.values.round(3)
-    array([0.031, 0.03 ], dtype=float32)
+    array([0.032, 0.031], dtype=float32)
     """
     line = schema.rename_to_roles(line)
     # what a tilted surface mirrors is subtracted before all is divided by its light
     _check(line, CORRECTIONS, strength=strength, sky_view_factor=sky_view_factor)
     line = _as_fractions(line)
     fraction, source = _fraction_of(line, diffuse, sun_zenith)
-    taken = (strength * sky_view_factor * fraction).astype(np.float32)
-    text = f"F0 {strength:g} x sky view {sky_view_factor:g} x diffuse fraction ({source})"
+    name = _sky_of(sky, diffuse)
+    above: Any = OVERCAST_ZENITH if name == "overcast" else 1.0
+    if name == "clear":
+        above = zenith_radiance(line["wavelength"].values, sun_zenith_of(line, sun_zenith))
+    taken = (strength * sky_view_factor * fraction * above).astype(np.float32)
+    text = (
+        f"F0 {strength:g} x sky view {sky_view_factor:g} x diffuse fraction ({source}) "
+        f"x zenith of a sky ({name})"
+    )
     corrected = {name: line[name] - _on_bands(taken) for name in _LEVELS if name in line.variables}
     return _with(line, corrected, "mirrored_sky_removed", text)
 
@@ -256,6 +277,7 @@ def correct_light(
     neighbour_reflectance: float = 0.2,
     diffuse: Any = "model",
     sun_zenith: float | None = None,
+    sky: str | None = None,
 ) -> xr.Dataset:
     r"""Divide by the light that a tilted surface, or one with part of its sky hidden, gets.
 
@@ -275,6 +297,8 @@ def correct_light(
         Of what hides the rest [1].
     diffuse, sun_zenith
         Direct/diffuse split, see `hyperpaint.surroundings.survey`.
+    sky
+        As for `remove_mirrored_sky`; under an overcast sky a small lean changes as little as under a uniform.
 
     Returns
     -------
@@ -290,7 +314,10 @@ def correct_light(
 
     Notes
     -----
-    .. math:: \rho = \rho_{obs} / (c f_{dir} + V f_{dif} + (1 - V) \rho_n)
+    .. math:: \rho = \rho_{obs} / (c f_{dir} + V (1 + g (c - 1)) f_{dif} + (1 - V) \rho_n)
+
+    with the gain g of diffuse light of a surface that leans towards the sun, 0 but under a clear sky
+    (`hyperpaint.light.sky_functions.sunward_gain`; to first order, up to `MAX_TILT_GAIN` of c).
 
     Examples
     --------
@@ -298,7 +325,7 @@ def correct_light(
     >>> seen = xr.DataArray(np.float32([0.4, 0.4]), dims="band", attrs={"units": "1"})
     >>> paint = xr.Dataset({"reflectance": seen}, {"wavelength": ("band", [410.0, 850.0], {"units": "nm"})})
     >>> correct_light(paint, direct=1.1, sun_zenith=30.0).reflectance.values.round(3)
-    array([0.373, 0.366], dtype=float32)
+    array([0.369, 0.364], dtype=float32)
     """
     line = schema.rename_to_roles(line)
     plain = {
@@ -309,9 +336,14 @@ def correct_light(
     _check(line, ("light_corrected", "tilt"), most=10.0, neighbour_reflectance=neighbour_reflectance, **plain)
     line = _as_fractions(line)
     fraction, source = _fraction_of(line, diffuse, sun_zenith)
-    sky = _on_bands(fraction)
+    model = _sky_of(sky, diffuse)
+    gain = np.zeros(fraction.shape)
+    if model == "clear":
+        gain = sunward_gain(line["wavelength"].values, sun_zenith_of(line, sun_zenith))
+    share, lean = _on_bands(fraction), np.clip(direct - 1.0, -MAX_TILT_GAIN, MAX_TILT_GAIN)
     with _same_pixels():
-        light = direct * (1.0 - sky) + sky_view_factor * sky + (1.0 - sky_view_factor) * neighbour_reflectance
+        seen = sky_view_factor * (1.0 + lean * _on_bands(gain)) * share
+        light = direct * (1.0 - share) + seen + (1.0 - sky_view_factor) * neighbour_reflectance
         light = light.where(light > 0)
         corrected = {name: line[name] / light for name in (*_LEVELS, *_WIDTHS) if name in line.variables}
     factors = {
@@ -319,7 +351,7 @@ def correct_light(
         for name, value in (("direct", direct), ("sky view", sky_view_factor))
     }
     parts = ", ".join(f"{name} {value}" for name, value in factors.items())
-    return _with(line, corrected, "light_corrected", f"{parts}, diffuse fraction ({source})")
+    return _with(line, corrected, "light_corrected", f"{parts}, diffuse fraction ({source}), sky ({model})")
 
 
 def _check(line: xr.Dataset, done: tuple[str, ...], *, most: float = 1.0, **numbers: float) -> None:
@@ -368,6 +400,15 @@ def _fraction_of(line: xr.Dataset, diffuse: Any, sun_zenith: float | None) -> tu
     zenith = sun_zenith_of(line, sun_zenith)
     fraction = diffuse_from_clear_sky(diffuse, wavelength, zenith)
     return fraction, f"{diffuse}, sun zenith {zenith:.4g} degree"
+
+
+def _sky_of(sky: str | None, diffuse: Any) -> str:
+    """Return which sky is meant; `SchemaError` where there is no such."""
+    if sky is None:
+        return "clear" if isinstance(diffuse, str) else "uniform"
+    if sky not in SKIES:
+        raise SchemaError(f"sky={sky!r}, expected one of {', '.join(SKIES)}")
+    return sky
 
 
 def _on_bands(values: Any) -> xr.DataArray:

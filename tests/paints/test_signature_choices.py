@@ -14,6 +14,7 @@ from support.painted_lines import CHUNKINGS, RAW, SPECTRA, TWO, assert_same_bits
 import hyperpaint as hp
 from hyperpaint import Quality, Region, Regions, SchemaError, extract_signatures
 from hyperpaint.base.schema import CUBE, LIBRARY_VARIABLES, VARIABLES
+from hyperpaint.light.sky_functions import zenith_radiance
 from hyperpaint.light.sun import diffuse_fraction
 from hyperpaint.regions import pixels, regions_from
 
@@ -133,7 +134,8 @@ def test_the_mirrored_sky_is_subtracted() -> None:
     seen, less = (line.paint.signatures(RAW, specular_sky=sky) for sky in (False, True))
     stamps = (line[name].values for name in ("time", "latitude", "longitude"))
     zenith = float(hp.light.solar_position(*stamps)[0].mean())
-    taken = 0.04 * diffuse_fraction(line.wavelength.values, zenith)
+    nm = line.wavelength.values
+    taken = 0.04 * diffuse_fraction(nm, zenith) * zenith_radiance(nm, zenith)
     assert taken.max() > 0.01
     for name in ("reflectance", "reflectance_quantiles", "member_reflectance"):
         lower = (seen[name] - less[name]).transpose(..., "band").mean("paint").values[..., 1:-1]

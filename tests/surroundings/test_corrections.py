@@ -15,6 +15,7 @@ from hyperpaint.simulation import simulate_line
 
 NM = np.linspace(400.0, 1000.0, 40)
 SKY = diffuse_fraction(NM, 35.0)
+PART = {"direct": 1.2, "sky_view_factor": 0.6}
 
 
 def line(values: Any) -> xr.Dataset:
@@ -29,7 +30,7 @@ def line(values: Any) -> xr.Dataset:
 def test_black_paint_without_its_blue_sky_is_black() -> None:
     seen = line(0.03 + 0.04 * SKY)
     assert float(seen.reflectance.max() / seen.reflectance.min()) > 1.3
-    made = hp.surroundings.remove_mirrored_sky(seen, sun_zenith=35.0)
+    made = hp.surroundings.remove_mirrored_sky(seen, sun_zenith=35.0, sky="uniform")
     assert made.reflectance.chunks is not None
     np.testing.assert_allclose(made.reflectance.values, 0.03, atol=1e-6)
     assert made.reflectance.dtype == np.float32
@@ -39,7 +40,7 @@ def test_black_paint_without_its_blue_sky_is_black() -> None:
 
 def test_a_tilted_panel_under_half_a_sky() -> None:
     light = 1.2 * (1 - SKY) + 0.6 * SKY + 0.4 * 0.2
-    made = hp.surroundings.correct_light(line(0.3 * light), direct=1.2, sky_view_factor=0.6, sun_zenith=35.0)
+    made = hp.surroundings.correct_light(line(0.3 * light), **PART, sun_zenith=35.0, sky="uniform")
     np.testing.assert_allclose(made.reflectance.values, 0.3, rtol=1e-5)
     assert made.reflectance.dims == ("along_track", "band", "cross_track")
 
@@ -49,7 +50,7 @@ def test_the_light_of_every_pixel() -> None:
     light = direct * (1 - xr.DataArray(SKY, dims="band")) + xr.DataArray(SKY, dims="band")
     seen = line(np.ones(NM.size))
     seen["reflectance"] = (seen.reflectance * 0.5 * light).astype(np.float32).assign_attrs(units="1")
-    made = hp.surroundings.correct_light(seen, direct=direct, sun_zenith=35.0)
+    made = hp.surroundings.correct_light(seen, direct=direct, sun_zenith=35.0, sky="uniform")
     np.testing.assert_allclose(made.reflectance.values, 0.5, rtol=1e-5)
 
 
@@ -71,7 +72,7 @@ def test_uncertainties_are_divided_by_the_same_light() -> None:
         name: (seen.reflectance * np.float32(part)).assign_attrs(units="1", components=name)
         for name, part in (("reflectance_u_random", 0.02), ("reflectance_u_systematic", 0.05))
     }
-    made = hp.surroundings.correct_light(seen.assign(u), direct=0.6, sun_zenith=35.0)
+    made = hp.surroundings.correct_light(seen.assign(u), direct=0.6, sun_zenith=35.0, sky="uniform")
     light = (0.6 * (1 - SKY) + SKY)[None, :, None]
     for name, array in u.items():
         assert made[name].chunks is not None
@@ -119,6 +120,7 @@ def test_a_tilted_panel_is_corrected_in_one_order_only() -> None:
         "sky_view_factor": float((1 + np.cos(np.radians(10.0))) / 2),
         "sun_zenith": float(zenith),
         "neighbour_reflectance": incidence.ground_reflectance,
+        "sky": "uniform",  # as Tilt has it
     }
     plain = hp.reflectance(seen)
     np.testing.assert_allclose(
@@ -127,7 +129,7 @@ def test_a_tilted_panel_is_corrected_in_one_order_only() -> None:
     sky = 0.04 * diffuse_fraction(seen.wavelength.values, float(zenith))[None, :, None]
     light = plain.reflectance.values / hp.surroundings.correct_light(plain, **options).reflectance.values
     bare = hp.surroundings.correct_light(
-        hp.surroundings.remove_mirrored_sky(plain, sun_zenith=float(zenith)), **options
+        hp.surroundings.remove_mirrored_sky(plain, sun_zenith=float(zenith), sky="uniform"), **options
     )
     np.testing.assert_allclose(bare.reflectance, (plain.reflectance - sky) / light, rtol=1e-4, atol=1e-5)
 
