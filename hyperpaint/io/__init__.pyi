@@ -3,5 +3,9 @@ from .envi.envi_cube_writing import write_envi as write_envi
 from .flightline.line_table import write_line_table as write_line_table
 from .maps.geotiff import write_geotiff as write_geotiff
 from .navigation.control_points import read_control_points as read_control_points
+from .skies.sixs import read_sixs as read_sixs
+from .skies.sky_table import read_sky_csv as read_sky_csv
+from .skies.tape7 import read_tape7 as read_tape7
+from .skies.uvspec import read_uvspec as read_uvspec
 from .spectrometers.spectrum_csv import read_certificate as read_certificate
 from .store import encoding as encoding

@@ -12,13 +12,13 @@ import json
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 import numpy.typing as npt
 
 from hyperpaint.base.arrays import Floats
-from hyperpaint.base.errors import MissingExtraError, Problems, SchemaError
+from hyperpaint.base.errors import Problems, SchemaError
 from hyperpaint.base.units import convert
 from hyperpaint.simulation.atmosphere import spectral_grid
 from hyperpaint.simulation.settings import check_number
@@ -27,12 +27,12 @@ from .sky_models import (
     CIE_OVERCAST_SHARE,
     HAZE,
     Haze,
+    Spread,
     built_in_sky,
     check_curves,
-    check_wavelengths,
     clear_spread,
     cloud_transmittance,
-    relative_air_mass,
+    spectrl2_sky,
 )
 
 if TYPE_CHECKING:
@@ -187,18 +187,21 @@ class Atmosphere:
         """
         grid = spectral_grid(*_RANGE) if wavelength is None else np.asarray(wavelength, dtype=np.float64)
         sun, sky = built_in_sky(grid, sun_zenith, aerosol=aerosol, ozone=ozone, water=water)
-        spread = clear_spread(grid, sun, sun_zenith, aerosol=aerosol)._asdict()
-        where = {"sun_zenith": sun_zenith, "sun_azimuth": sun_azimuth}
-        return cls._hazy(grid, sun, sky, haze, **where, **spread, name=name)
+        spread = clear_spread(grid, sun, sun_zenith, aerosol=aerosol)
+        return cls._hazy(
+            grid, sun, sky, haze, spread, sun_zenith=sun_zenith, sun_azimuth=sun_azimuth, name=name
+        )
 
     @classmethod
-    def _hazy(cls, grid: Floats, sun: Floats, sky: Floats, haze: Haze | None, **more: Any) -> Atmosphere:
+    def _hazy(
+        cls, grid: Floats, sun: Floats, sky: Floats, haze: Haze | None, spread: Spread, **more: Any
+    ) -> Atmosphere:
         """Return an atmosphere whose third and fourth curve follow from the first two."""
         extinction = path = np.zeros_like(grid)
         if haze is not None:
             extinction = haze.extinction(grid)
             path = haze.path_radiance(grid, sun, sky, more["sun_zenith"])
-        return cls(grid, sun, sky, extinction, path, haze=haze, **more)
+        return cls(grid, sun, sky, extinction, path, haze=haze, **spread._asdict(), **more)
 
     @classmethod
     def spectrl2(
@@ -244,26 +247,14 @@ class Atmosphere:
             The sun is not above the horizon, or the grid leaves SPECTRL2's.
         """
         grid = spectral_grid(*_RANGE, 0.5) if wavelength is None else np.asarray(wavelength, dtype=np.float64)
-        check_wavelengths(grid)
-        try:
-            from pvlib.spectrum import spectrl2
-        except ImportError as error:
-            needed = MissingExtraError.of("pvlib", "sim", "the SPECTRL2 atmosphere")
-            raise needed from error
-        table = spectrl2(
-            apparent_zenith=sun_zenith, aoi=sun_zenith, surface_tilt=0.0, ground_albedo=ground,
-            surface_pressure=pressure, relative_airmass=relative_air_mass(sun_zenith),
-            precipitable_water=precipitable_water, ozone=ozone, aerosol_turbidity_500nm=aerosol,
-            dayofyear=dayofyear,
-        )  # fmt: skip
-        coarse = np.asarray(table["wavelength"], dtype=np.float64)
-        if not (coarse[0] <= grid[0] and grid[-1] <= coarse[-1]):
-            span = f"from {grid[0]:g} to {grid[-1]:g} nm"
-            raise SchemaError(f"wavelength goes {span}; SPECTRL2 covers {coarse[0]:g} to {coarse[-1]:g} nm")
-        sun, sky = (np.interp(grid, coarse, np.ravel(table[name])) for name in ("dni", "dhi"))
-        spread = clear_spread(grid, sun, sun_zenith, aerosol=aerosol)._asdict()
-        where = {"sun_zenith": sun_zenith, "sun_azimuth": sun_azimuth}
-        return cls._hazy(grid, sun, sky, haze, **where, **spread, name=name)
+        air = {"aerosol_turbidity_500nm": aerosol, "ozone": ozone, "precipitable_water": precipitable_water}
+        sun, sky = spectrl2_sky(
+            grid, sun_zenith, ground_albedo=ground, surface_pressure=pressure, dayofyear=dayofyear, **air
+        )
+        spread = clear_spread(grid, sun, sun_zenith, aerosol=aerosol)
+        return cls._hazy(
+            grid, sun, sky, haze, spread, sun_zenith=sun_zenith, sun_azimuth=sun_azimuth, name=name
+        )
 
     @classmethod
     def from_irradiance(
@@ -320,8 +311,8 @@ class Atmosphere:
         sun = total * fraction / np.cos(np.radians(sun_zenith))
         sky = total * (1.0 - fraction)
         where = {"sun_zenith": sun_zenith, "sun_azimuth": sun_azimuth, "overcast_share": overcast_share}
-        spread = clear_spread(grid, sun, sun_zenith, overcast_share)._asdict()
-        return cls._hazy(grid, sun, sky, haze, **where, **spread, name=name)
+        spread = clear_spread(grid, sun, sun_zenith, overcast_share)
+        return cls._hazy(grid, sun, sky, haze, spread, **where, name=name)
 
     @classmethod
     def from_table(
@@ -343,6 +334,8 @@ class Atmosphere:
             columns. Headings are a name and its units: ``wavelength [nm]``, ``sun [W m-2 nm-1]`` (normal to
             the beam), ``sky [W m-2 nm-1]`` (on a level surface), and, both or neither,
             ``extinction [m-1]`` and ``path_radiance [W m-2 sr-1 nm-1 m-1]``, or others of the same dimension.
+            Or a Dataset from a reader of `hyperpaint.io.skies`, whose ``sky_radiance``, if any, is fitted
+            (`hyperpaint.light.fit_sky`).
         sun_zenith, sun_azimuth, overcast_share
             As for the class.
         haze
@@ -359,21 +352,21 @@ class Atmosphere:
         OSError
             The file cannot be read.
         """
-        from .measured_light import read_table
+        from .measured_light import read_sky, read_table
 
-        curves = read_table(table)
+        fitted = None
+        if isinstance(table, Mapping) and "direct_normal" in table:
+            curves, fitted = read_sky(cast("xr.Dataset", table), sun_zenith)
+        else:
+            curves = read_table(table)
         if name is None:
             name = "table" if isinstance(table, Mapping) else Path(table).stem
-        if "extinction" in curves:
-            haze = None
         where = {"sun_zenith": sun_zenith, "sun_azimuth": sun_azimuth, "overcast_share": overcast_share}
-        spread = clear_spread(curves["wavelength"], curves["sun"], sun_zenith, overcast_share)._asdict()
-        hazy = cls._hazy(
-            curves["wavelength"], curves["sun"], curves["sky"], haze, **where, **spread, name=name
-        )
-        if "extinction" not in curves:
-            return hazy
-        return replace(hazy, extinction=curves["extinction"], path_radiance=curves["path_radiance"])
+        air = [curves[name] for name in ("extinction", "path_radiance") if name in curves]
+        grid, sun, sky = curves["wavelength"], curves["sun"], curves["sky"]
+        spread = fitted or clear_spread(grid, sun, sun_zenith, overcast_share)
+        hazy = cls._hazy(grid, sun, sky, None if air else haze, spread, **where, name=name)
+        return replace(hazy, extinction=air[0], path_radiance=air[1]) if air else hazy
 
     def clouded(self, oktas: float, *, colour: float = 0.24) -> Atmosphere:
         """Return this clear atmosphere with clouds over it; what they do to light is said in `sky_models`.

@@ -14,19 +14,21 @@ import numpy.typing as npt
 from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import FormatError, PaintWarning, Problems, SchemaError, UnitsError
 from hyperpaint.base.schema import require
-from hyperpaint.base.units import conversion_factor
+from hyperpaint.base.units import conversion_factor, convert
+from hyperpaint.light.sky_fit import fit_sky
 from hyperpaint.simulation.settings import moment_of
 
-from .sky_models import check_curves, check_wavelengths
+from .sky_models import Spread, check_curves, check_wavelengths
 
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["read_irradiance", "read_table"]
+__all__ = ["read_irradiance", "read_sky", "read_table"]
 
 
 _MOST_BYTES = 16 * 2**20
 _MOST_PROBLEMS = 10
+_MISFIT = 0.25  # relative, root mean square: what a plain aerosol or a thin cloud does
 _NOISE = 0.01  # of the largest irradiance
 _HEADING = re.compile(r"([A-Za-z_]{1,40}) ?[\[(]([^\[\]()]{1,80})[\])]")
 _UNITS = {
@@ -98,6 +100,26 @@ def read_table(table: str | Path | Mapping[str, npt.ArrayLike]) -> dict[str, Flo
     check_curves(problems, curves)
     problems.raise_if_any()
     return curves
+
+
+def read_sky(table: xr.Dataset, sun_zenith: float) -> tuple[dict[str, Floats], Spread | None]:
+    """Return the curves of a table from `hyperpaint.io.skies`, and how its radiance is spread, if it has any.
+
+    Warns where the functions of the clear sky miss the radiance by more than `_MISFIT`.
+    """
+    curves = {
+        name: np.asarray(convert(table[there].reset_coords(drop=True), _UNITS[name]).values, np.float64)
+        for name, there in (("wavelength", "wavelength"), ("sun", "direct_normal"), ("sky", "diffuse"))
+    }
+    if "sky_radiance" not in table:
+        return curves, None
+    fit = fit_sky(table, sun_zenith)
+    worst = float(fit["misfit"].max())
+    if worst > _MISFIT:
+        source = table.attrs.get("source", "the table")
+        msg = f"the functions of the clear sky miss the radiance of {source} by {worst:.0%}"
+        warnings.warn(msg, PaintWarning, stacklevel=3)
+    return curves, Spread(*(fit["share"].sel(function=name).values for name in Spread._fields))
 
 
 def _stack_columns(headings: Sequence[Any], columns: Sequence[Any], problems: Problems) -> Floats:

@@ -39,14 +39,14 @@ from typing import NamedTuple
 import numpy as np
 
 from hyperpaint.base.arrays import Floats
-from hyperpaint.base.errors import Problems, SchemaError
+from hyperpaint.base.errors import MissingExtraError, Problems, SchemaError
 from hyperpaint.light.sky_functions import clear_sky_shares
 from hyperpaint.simulation.atmosphere import Sky
 from hyperpaint.simulation.settings import check_number
 
 __all__ = [
     "CIE_OVERCAST_SHARE", "HAZE", "Haze", "built_in_sky", "check_curves", "check_wavelengths", "clear_spread",
-    "cloud_factor", "cloud_transmittance", "relative_air_mass",
+    "cloud_factor", "cloud_transmittance", "relative_air_mass", "spectrl2_sky",
 ]  # fmt: skip
 
 
@@ -122,6 +122,30 @@ def relative_air_mass(sun_zenith: float) -> float:
     if not 0.0 <= sun_zenith <= 90.0:
         raise SchemaError(f"sun_zenith is {sun_zenith!r}, expected 0 to 90 degrees")
     return float(1.0 / (np.cos(np.radians(sun_zenith)) + 0.50572 * (96.07995 - sun_zenith) ** -1.6364))
+
+
+def spectrl2_sky(wavelength: Floats, sun_zenith: float, **air: float) -> tuple[Floats, Floats]:
+    """Return direct normal and diffuse level irradiance of SPECTRL2 by pvlib [W m-2 nm-1].
+
+    At ``wavelength`` (point,) [nm], the sun at ``sun_zenith`` [degree]; ``air`` as pvlib names it. Arguments
+    and errors are those of `Atmosphere.spectrl2`.
+    """
+    check_wavelengths(wavelength)
+    mass = relative_air_mass(sun_zenith)
+    try:
+        from pvlib.spectrum import spectrl2
+    except ImportError as error:
+        needed = MissingExtraError.of("pvlib", "sim", "the SPECTRL2 atmosphere")
+        raise needed from error
+    angles = {"apparent_zenith": sun_zenith, "aoi": sun_zenith, "surface_tilt": 0.0, "relative_airmass": mass}
+    table = spectrl2(**angles, **air)
+    coarse = np.asarray(table["wavelength"], dtype=np.float64)
+    first, last = wavelength[[0, -1]]
+    if not (coarse[0] <= first and last <= coarse[-1]):
+        span = f"from {first:g} to {last:g} nm"
+        raise SchemaError(f"wavelength goes {span}; SPECTRL2 covers {coarse[0]:g} to {coarse[-1]:g} nm")
+    sun, sky = (np.interp(wavelength, coarse, np.ravel(table[name])) for name in ("dni", "dhi"))
+    return sun, sky
 
 
 class Spread(NamedTuple):

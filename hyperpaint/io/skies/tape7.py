@@ -1,0 +1,91 @@
+"""Radiance of MODTRAN's ``tape7``: what a grey ground of known reflectance sends up says what it got."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from hyperpaint.base.errors import FormatError, SchemaError
+from hyperpaint.io.files.reading import numbers
+
+from .sky_table import sky_dataset, sky_lines
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+__all__ = ["read_tape7"]
+
+_NEEDED = ("FREQ", "TOT_TRANS", "GRND_RFLT", "DRCT_RFLT")
+#: Names of two words in MODTRAN 4 and 5, of one in 6.
+_TWO_WORDS = (
+    "TOT TRANS", "PTH THRML", "THRML SCT", "THRML EM", "SURF EMIS", "SOL SCAT", "SING SCAT", "SNGL SCAT",
+    "MULT SCAT", "GRND RFLT", "DRCT RFLT", "TOTAL RAD", "REF SOL", "DIR EM", "TOA SUN",
+)  # fmt: skip
+
+
+def read_tape7(path: str | Path, *, sun_zenith: float, ground: float) -> xr.Dataset:
+    r"""Return light at the ground from a ``tape7`` in radiance mode (IEMSCT 2) over wavenumbers.
+
+    Parameters
+    ----------
+    path
+        With a line of names FREQ [cm-1], TOT_TRANS, GRND_RFLT and DRCT_RFLT [W cm-2 sr-1 / cm-1].
+    sun_zenith
+        At the ground [degree].
+    ground
+        Reflectance of the ground in the run, the same at all wavelengths, above 0 (``SURREF``).
+
+    Returns
+    -------
+    Dataset
+        See `sky_dataset`.
+
+    Raises
+    ------
+    FormatError
+        There is no such line of names, as in ``.7sc`` and in runs over wavelengths, whose columns and units
+        are others: they are refused, not guessed.
+    SchemaError
+        The sun is not above the horizon, or the ground reflects nothing.
+
+    Notes
+    -----
+    .. math:: E = \pi L_{GRND} / (\rho T), \quad E_{dir} = \pi L_{DRCT} / (\rho T), \quad
+              L_\lambda = 10^{-3} \nu^2 L_\nu
+
+    with L per nm of m2 (L. Guanter et al., Int. J. Remote Sens. 30, 1407 (2009), has the same sums).
+    """
+    if not 0.0 <= sun_zenith < 90.0 or not 0.0 < ground <= 1.0:
+        raise SchemaError(
+            f"sun_zenith is {sun_zenith!r} and ground {ground!r}, expected 0 to below 90 degrees and 0 to 1"
+        )
+    lines = sky_lines(path)
+    place, names = next(((n, _names(line)) for n, line in enumerate(lines) if "FREQ" in line), (0, []))
+    if not set(_NEEDED) <= set(names):
+        raise FormatError(
+            f"{path}: no line of names with {', '.join(_NEEDED)}, expected a tape7 over wavenumbers",
+            mend="run MODTRAN with IEMSCT 2 and spectral units of cm-1, and give its tape7; "
+            "a .7sc is not read: give direct and diffuse light as CSV",
+        )
+    rows = []
+    for line in lines[place + 1 :]:
+        row = numbers(line.split())
+        if row is None or len(row) < len(names):  # the mark of the end, -9999., stands alone
+            break
+        rows.append(row[: len(names)])
+    table = dict(zip(names, np.array(rows, np.float64).reshape(-1, len(names)).T, strict=True))
+    lit = (table["FREQ"] > 0.0) & (table["TOT_TRANS"] > 1e-6)
+    wavenumber, transmitted = table["FREQ"][lit], table["TOT_TRANS"][lit]
+    scale = np.pi * 1e-3 * wavenumber**2 / (ground * transmitted)
+    whole, direct = scale * table["GRND_RFLT"][lit], scale * table["DRCT_RFLT"][lit]
+    diffuse = np.where(np.abs(whole - direct) <= 1e-5 * whole, 0.0, whole - direct)  # digits of the file
+    return sky_dataset(str(path), 1e7 / wavenumber, direct / np.cos(np.radians(sun_zenith)), diffuse)
+
+
+def _names(line: str) -> list[str]:
+    """Return the names of the columns, each one word."""
+    for name in _TWO_WORDS:
+        line = line.replace(name, name.replace(" ", "_"))
+    return line.split()

@@ -1,0 +1,101 @@
+"""The functions of the clear sky fitted to a table of its radiance, measured or by another model."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from hyperpaint.base.errors import SchemaError
+from hyperpaint.base.units import convert
+
+from .sky_functions import function_shapes, relative_radiance, scattering_cosine
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+__all__ = ["FUNCTIONS", "fit_sky"]
+
+FUNCTIONS = ("uniform", "molecular", "aureole")
+_FEWEST = 6  # directions
+
+
+def fit_sky(table: xr.Dataset, sun_zenith: float) -> xr.Dataset:
+    r"""Return the shares of the sky's functions that come nearest to a table of its radiance.
+
+    Parameters
+    ----------
+    table
+        Has ``sky_radiance`` (wavelength, sky_zenith, sky_azimuth) [W m-2 sr-1 nm-1], azimuth from the sun
+        [degree], as the readers of `hyperpaint.io.skies` return it; none below the horizon counts.
+    sun_zenith
+        [degree]
+
+    Returns
+    -------
+    Dataset
+        ``share`` (wavelength, function) of the level irradiance, not negative, of sum 1; ``misfit``
+        (wavelength), the relative deviation left, root mean square over directions as level ground weights
+        them.
+
+    Raises
+    ------
+    SchemaError
+        There is no radiance, or of fewer than 6 directions above the horizon.
+
+    Notes
+    -----
+    :math:`\min_{s \ge 0} \sum_j w_j (\sum_k s_k f_k(j) / L_j - 1)^2` with :math:`w_j = \cos \theta_j
+    \Delta \Omega_j` (C. L. Lawson and R. J. Hanson, Solving Least Squares Problems, 1974).
+
+    Examples
+    --------
+    >>> import xarray as xr
+    >>> dims, degree = ("wavelength", "sky_zenith", "sky_azimuth"), {"units": "degree"}
+    >>> even = np.full((1, 4, 4), 0.1)
+    >>> table = xr.Dataset(
+    ...     {"sky_radiance": (dims, even, {"units": "W m-2 sr-1 nm-1"})},
+    ...     {"wavelength": ("wavelength", [550.0], {"units": "nm"}),
+    ...      "sky_zenith": ("sky_zenith", [10.0, 30.0, 50.0, 70.0], degree),
+    ...      "sky_azimuth": ("sky_azimuth", [0.0, 60.0, 120.0, 180.0], degree)},
+    ... )
+    >>> fit_sky(table, 40.0).share.values.round(6)
+    array([[1., 0., 0.]])
+    """
+    import xarray as xr
+    from scipy.optimize import nnls
+
+    if "sky_radiance" not in table.variables:
+        raise SchemaError(
+            "the sky's table has no sky_radiance, expected it by wavelength, zenith and azimuth"
+        )
+    given = convert(table["sky_radiance"], "W m-2 sr-1 nm-1")
+    given = given.transpose("wavelength", "sky_zenith", "sky_azimuth")
+    angles = [
+        np.radians(convert(table[name].reset_coords(drop=True), "degree").values) for name in given.dims[1:]
+    ]
+    zenith, azimuth = np.meshgrid(*angles, indexing="ij")
+    cosine = np.cos(zenith)
+    lit = (cosine > 1e-3) & (given.values > 0.0).all(axis=0)
+    if lit.sum() < _FEWEST:
+        raise SchemaError(
+            f"sky_radiance has {int(lit.sum())} directions above the horizon, expected {_FEWEST}"
+        )
+    ring = np.abs(np.gradient(angles[0]))[:, None] if angles[0].size > 1 else np.ones((1, 1))
+    weight = (cosine * np.maximum(np.sin(zenith), 1e-3) * ring)[lit]
+    from_sun = scattering_cosine(cosine[lit], azimuth[lit], sun_zenith)
+    parts = [relative_radiance(shape, cosine[lit], from_sun) for shape in function_shapes(float(sun_zenith))]
+    functions = np.stack([np.ones_like(from_sun), *parts], axis=1)
+    scale = np.sqrt(weight / weight.sum())
+    shares, misfit = [], []
+    for radiance in given.values[:, lit]:
+        sums, rest = nnls(functions * (scale / radiance)[:, None], scale)
+        shares.append(sums / sums.sum())
+        misfit.append(rest)
+    return xr.Dataset(
+        {
+            "share": (("wavelength", "function"), np.array(shares), {"units": "1"}),
+            "misfit": ("wavelength", np.array(misfit), {"units": "1"}),
+        },
+        {"wavelength": table["wavelength"].variable, "function": list(FUNCTIONS)},
+    )

@@ -1,0 +1,199 @@
+"""Files of other programs' skies, as their documents and sources word them, and skies fitted to tables."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import xarray as xr
+from oracles.scattered_sky import sky_radiance
+
+import hyperpaint as hp
+from hyperpaint.base.errors import FormatError, PaintWarning, SchemaError
+from hyperpaint.io.skies.sky_table import read_sky_csv, sky_dataset
+from hyperpaint.light.sky_functions import (
+    clear_sky_shares,
+    function_shapes,
+    relative_radiance,
+    scattering_cosine,
+    zenith_radiance,
+)
+from hyperpaint.simulation.rendering.four_curves import Atmosphere
+
+SUN = 60.0
+ZENITHS, AZIMUTHS = np.arange(5.0, 86.0, 10.0), np.arange(0.0, 181.0, 20.0)
+
+
+def sky_of(nm: float) -> np.ndarray:
+    """Return the package's sky over a uniform one, (zenith, azimuth)."""
+    zenith, azimuth = np.meshgrid(np.radians(ZENITHS), np.radians(AZIMUTHS), indexing="ij")
+    from_sun = scattering_cosine(np.cos(zenith), azimuth, SUN)
+    parts = [relative_radiance(shape, np.cos(zenith), from_sun) for shape in function_shapes(SUN)]
+    shares = clear_sky_shares([nm], SUN)[:, 0]
+    return np.asarray(shares[0] + shares[1] * parts[0] + shares[2] * parts[1])
+
+
+def uvspec_text(order: int = 1) -> str:
+    """Return lines of disort with umu and phi; a row of downward umu first, as angles increase."""
+    lines = []
+    for nm, edir, edn in ((450.0, 500.0, 180.0), (850.0, 420.0, 40.0)):
+        lines.append(f" {nm:.3f} {edir:.4e} {edn:.4e} 6.1e+01 7.9e+01 4.5e+01 1.2e+01")
+        lines.append("     " + " ".join(f"{phi + 30.0:.4f}" for phi in AZIMUTHS))
+        radiance = sky_of(nm) * edn / np.pi
+        rows = [
+            f" {-np.cos(np.radians(zenith)):.8f} 0.0 " + " ".join(f"{value:.6e}" for value in row)
+            for zenith, row in zip(ZENITHS, radiance, strict=True)
+        ]
+        lines += rows[::order]
+        lines.append(" 0.50000000 0.0 " + " ".join("1.0e+00" for _ in AZIMUTHS))  # looks down
+    return "\n".join(lines) + "\n"
+
+
+@pytest.mark.parametrize("order", [1, -1])
+def test_uvspec_with_radiances(tmp_path: Path, order: int) -> None:
+    path = tmp_path / "uvspec.out"
+    path.write_text(uvspec_text(order))
+    table = hp.io.read_uvspec(
+        path, sun_zenith=SUN, sun_azimuth=30.0, units="mW m-2 nm-1", directions=ZENITHS.size + 1
+    )
+    np.testing.assert_allclose(table.direct_normal, [1.0, 0.84], rtol=1e-6)
+    np.testing.assert_allclose(table.diffuse, [0.18, 0.04], rtol=1e-6)
+    np.testing.assert_allclose(table.sky_zenith, ZENITHS, atol=1e-5)
+    np.testing.assert_allclose(table.sky_azimuth, AZIMUTHS, atol=1e-9)
+    np.testing.assert_allclose(table.sky_radiance[0], sky_of(450.0) * 0.18 / np.pi, rtol=1e-5)
+    fit = hp.light.fit_sky(table, SUN)
+    np.testing.assert_allclose(fit.share.T, clear_sky_shares([450.0, 850.0], SUN), atol=1e-4)
+    assert float(fit.misfit.max()) < 1e-4
+    light = Atmosphere.from_table(table, sun_zenith=SUN)
+    np.testing.assert_allclose(light.aureole, clear_sky_shares([450.0, 850.0], SUN)[2], atol=1e-4)
+    np.testing.assert_allclose(light.sun, table.direct_normal)
+
+
+def test_uvspec_without_radiances_and_other_columns(tmp_path: Path) -> None:
+    path = tmp_path / "uvspec.out"
+    path.write_text(" 450.0 500.0 180.0 1. 1. 1. 1.\n 451.0 500.0 181.0 1. 1. 1. 1.\n")
+    table = hp.io.read_uvspec(path, sun_zenith=0.0, units="mW m-2 nm-1")
+    np.testing.assert_allclose(table.direct_normal, 0.5)
+    assert "sky_radiance" not in table
+    with pytest.raises(FormatError, match="expected 12 lines"):
+        hp.io.read_uvspec(path, sun_zenith=0.0, units="mW m-2 nm-1", directions=10)
+    path.write_text(" 450.0 500.0 180.0 1.\n 451.0 500.0 181.0 1.\n")
+    with pytest.raises(FormatError, match=r"4 numbers, expected 7(?s:.*)output_user"):
+        hp.io.read_uvspec(path, sun_zenith=0.0, units="mW m-2 nm-1")
+    with pytest.raises(SchemaError, match="below 90"):
+        hp.io.read_uvspec(path, sun_zenith=95.0, units="mW m-2 nm-1")
+
+
+NAMES_5 = (
+    "   FREQ   TOT TRANS   PTH THRML   THRML SCT   SURF EMIS   SOL SCAT   SING SCAT   GRND RFLT   DRCT RFLT"
+)
+NAMES_6 = "    FREQ  TOT_TRANS   THRML_EM  THRML_SCT  SURF_EMIS  MULT_SCAT  SING_SCAT  GRND_RFLT  DRCT_RFLT"
+
+
+@pytest.mark.parametrize("names", [NAMES_5, NAMES_6])
+def test_tape7(tmp_path: Path, names: str) -> None:
+    wavenumber, transmitted, ground = np.array([22222.0, 18182.0, 11765.0]), 0.8, 0.3
+    nm = 1e7 / wavenumber
+    whole, direct = np.array([1.1, 1.0, 0.5]), np.array([0.8, 0.85, 0.46])  # on level ground
+    per_wavenumber = ground * transmitted / np.pi / (1e-3 * wavenumber**2)
+    rows = [
+        f"{nu:12.2f} {transmitted:.6f} 1e-9 9e-9 8e-9 2e-9 1e-9 {w:.8e} {d:.8e}"
+        for nu, w, d in zip(wavenumber, per_wavenumber * whole, per_wavenumber * direct, strict=True)
+    ]
+    path = tmp_path / "tape7"
+    path.write_text("\n".join(["    1    5    0    6", "   361976 U S STANDARD", names, *rows, "  -9999."]))
+    table = hp.io.read_tape7(path, sun_zenith=SUN, ground=ground)
+    np.testing.assert_allclose(table.wavelength, nm)
+    np.testing.assert_allclose(table.direct_normal, direct / 0.5, rtol=1e-6)
+    np.testing.assert_allclose(table.diffuse, whole - direct, rtol=1e-5)
+    path.write_text("    1    5\n  WAVLEN  TRANS\n 450.0 0.8\n")
+    with pytest.raises(FormatError, match=r"no line of names(?s:.*)\.7sc is not read"):
+        hp.io.read_tape7(path, sun_zenith=SUN, ground=ground)
+    with pytest.raises(SchemaError, match="ground 0"):
+        hp.io.read_tape7(path, sun_zenith=SUN, ground=0)
+
+
+SIXS = """\
+*                       spectral condition                                    *
+*             monochromatic calculation at wl : {micron:.3f} micron                   *
+*                         irr. at ground level (w/m2/mic)                     *
+*     direct solar irr.    atm. diffuse irr.    environment  irr              *
+*           {direct:9.3f}           {diffuse:9.3f}           {environment:9.3f}              *
+"""
+
+
+def test_sixs(tmp_path: Path) -> None:
+    paths = []
+    for micron, direct, diffuse in ((0.65, 700.0, 100.0), (0.45, 500.0, 180.0)):
+        paths.append(tmp_path / f"{micron}.txt")
+        paths[-1].write_text(SIXS.format(micron=micron, direct=direct, diffuse=diffuse, environment=4.0))
+    table = hp.io.read_sixs(paths, sun_zenith=SUN)
+    np.testing.assert_allclose(table.wavelength, [450.0, 650.0])
+    np.testing.assert_allclose(table.direct_normal, [1.0, 1.4])
+    np.testing.assert_allclose(table.diffuse, [0.184, 0.104])
+    paths[0].write_text(SIXS.replace("monochromatic calculation at wl", "value of filter function"))
+    with pytest.raises(FormatError, match=r"no monochromatic run(?s:.*)single wavelength"):
+        hp.io.read_sixs(paths, sun_zenith=SUN)
+
+
+def test_csv_of_radiances(tmp_path: Path) -> None:
+    rows = [
+        f"{nm},{z},{a},{0.1 * nm * (1 + z + a):.6f},1000,200"
+        for nm in (0.45, 0.55) for a in (0.0, 90.0) for z in (10.0, 40.0, 70.0)
+    ]  # fmt: skip
+    heading = (
+        "wavelength [um],zenith [degree],azimuth [degree],radiance [mW m-2 sr-1 nm-1],"
+        "direct_normal [mW m-2 nm-1],diffuse [mW m-2 nm-1]"
+    )
+    path = tmp_path / "sky.csv"
+    path.write_text("\n".join(["# a sky", heading, *rows]))
+    table = read_sky_csv(path)
+    np.testing.assert_allclose(table.wavelength, [450.0, 550.0])
+    np.testing.assert_allclose(table.direct_normal, 1.0)
+    assert float(table.sky_radiance.sel(sky_zenith=40.0, sky_azimuth=90.0)[1]) == pytest.approx(
+        0.055 * 131 / 1e3
+    )
+    path.write_text("\n".join([heading, *rows[:-1]]))
+    with pytest.raises(FormatError, match="every direction once"):
+        read_sky_csv(path)
+    path.write_text("wavelength [nm],sky [W m-2 nm-1]\n450,0.2\n")
+    with pytest.raises(FormatError, match="'diffuse', 'direct_normal'"):
+        read_sky_csv(path)
+
+
+@pytest.mark.slow
+def test_a_foreign_sky_is_fitted_and_the_misfit_said() -> None:
+    """The Monte Carlo's radiances at a wavelength; the zenith comes out as that of the built-in sky."""
+    truth = sky_radiance(550.0, SUN, photons=8000)
+    zenith, azimuth = np.degrees(np.arccos(truth.cosine)), np.degrees(truth.azimuth)
+    radiance = np.stack([truth.relative, truth.relative]) * 0.2 / np.pi
+    nm = np.array([549.0, 551.0])
+    table = sky_dataset("Monte Carlo", nm, np.ones(2), np.full(2, 0.2), (zenith, azimuth, radiance))
+    fit = hp.light.fit_sky(table, SUN)
+    assert 0.01 < float(fit.misfit[0]) < 0.06
+    parts = [relative_radiance(shape, np.array(1.0), np.array(0.5)) for shape in function_shapes(SUN)]
+    assert fit.share[0].values @ [1.0, *parts] == pytest.approx(truth.zenith, rel=0.06)
+    assert fit.share[0].values @ [1.0, *parts] == pytest.approx(zenith_radiance([550.0], SUN)[0], rel=0.06)
+
+
+def test_a_sky_that_is_none_of_ours_is_told() -> None:
+    stripes = np.where(np.arange(ZENITHS.size) % 2, 0.2, 0.02)[:, None] * np.ones(AZIMUTHS.size)
+    nm = np.array([450.0, 550.0])
+    table = sky_dataset(
+        "stripes", nm, np.ones(2), np.full(2, 0.2), (ZENITHS, AZIMUTHS, np.stack([stripes] * 2))
+    )
+    with pytest.warns(PaintWarning, match="miss the radiance of stripes by"):
+        Atmosphere.from_table(table, sun_zenith=SUN)
+    with pytest.raises(SchemaError, match="no sky_radiance"):
+        hp.light.fit_sky(table.drop_vars("sky_radiance"), SUN)
+    few = table.isel(sky_zenith=slice(0, 1), sky_azimuth=slice(0, 3))
+    with pytest.raises(SchemaError, match="3 directions above the horizon"):
+        hp.light.fit_sky(few, SUN)
+
+
+def test_what_is_no_light_is_refused() -> None:
+    nm = np.array([450.0, 450.0])
+    with pytest.raises(FormatError, match=r"there twice(?s:.*)diffuse has values"):
+        sky_dataset("a", nm, np.ones(2), np.array([0.1, -0.1]))
+    assert isinstance(sky_dataset("a", nm + np.arange(2.0), np.ones(2), np.ones(2)), xr.Dataset)
