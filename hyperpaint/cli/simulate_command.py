@@ -54,6 +54,10 @@ Examples:
 @click.option(
     "--sky", type=click.Choice(["clear", "near_sunset", "overcast"]), help="Kind of light.  [default: clear]"
 )
+@click.option(
+    "--fleet", type=click.Choice(["solid", "real"]),
+    help="Paints of a rendered scene: fourteen without flakes, or what is seen on roads.  [default: solid]",
+)  # fmt: skip
 @click.option("--coat/--no-coat", default=None, help="Clear coats of a rendered scene, or Lambert paints.")
 @click.option(
     "--neighbours/--no-neighbours", default=None, help="Trees, a wall and lamps around a rendered scene."

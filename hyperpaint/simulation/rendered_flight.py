@@ -26,6 +26,7 @@ from .rendering.four_curves import Atmosphere
 from .rendering.lighting import ProductTable, source_spectra
 from .rendering.painting import factor_spectra
 from .rendering.platforms import Platform
+from .rendering.populations import populations_of
 from .rendering.scene import Scene
 from .rendering.scene_record import LabelTables, SceneRecord, TraceSettings
 from .rendering.scene_spectra import paint_spec, spectrum_of
@@ -35,6 +36,7 @@ from .settings import SWATH_M, SimulationSettings
 from .trajectories import TransverseMercator
 from .transport.path_codes import is_direct, is_indirect, is_mirrored
 from .transport.paths import Block
+from .transport.texturing import Texture
 
 __all__ = ["GLINT", "RenderedFlight"]
 
@@ -83,6 +85,7 @@ class RenderedFlight(Flight):
         bands = BandSet.of(self.imager)
         light = source_spectra(self._atmosphere(overcast), trace)
         factors = factor_spectra(record, bands)
+        self._populations = populations_of(record, factors, bands)
         self._products = ProductTable(bands, self._scene.codes, self.grid, light, factors, normalise=False)
 
     def _atmosphere(self, overcast: bool) -> Atmosphere:
@@ -96,13 +99,23 @@ class RenderedFlight(Flight):
         )  # fmt: skip
 
     def paint_reflectance(self, names: Sequence[str], wavelength: Floats) -> Floats:
-        """Return the reflectance of paints without their mirror reflection, shape (name, wavelength)."""
-        return np.stack([spectrum_of(name)(wavelength) for name in names])
+        """Return the reflectance of paints without mirror reflection and flakes, shape (name, wavelength)."""
+        shares = [self._flakes(name) for name in names]
+        return np.stack(
+            [(1 - s) * spectrum_of(name)(wavelength) for s, name in zip(shares, names, strict=True)]
+        )
 
     def paint_properties(self, paint: str) -> Mapping[str, str]:
         """Return the colour of a paint, and its finish."""
-        # no paint of the scene has flakes, whatever the catalogue says
-        return {"colour": paint_spec(paint).colour, "finish": "solid"}
+        # no paint of a solid fleet has flakes, whatever the catalogue says
+        finish = paint_spec(paint).finish if self._flakes(paint) else "solid"
+        return {"colour": paint_spec(paint).colour, "finish": finish}
+
+    def _flakes(self, paint: str) -> float:
+        """Return how much of the light in a paint meets flakes in this scene."""
+        flakes = paint_spec(paint).flakes
+        has_some = flakes is not None and self.settings.fleet == "real" and self.settings.coat
+        return flakes.share if flakes is not None and has_some else 0.0
 
     def clean_paint(self, lines: Lines) -> NDArray[np.int32]:
         """Return which pixels show the paint of one car and nothing else, in full sun and without glint."""
@@ -128,7 +141,9 @@ class RenderedFlight(Flight):
             seed=settings.seed,
             neighbours=("trees", "walls", "lamps") if settings.neighbours else (),
             coat="own" if settings.coat else None,
-            flakes=False,  # a metallic paint has no one reflectance that a field spectrometer could confirm
+            fleet=settings.fleet,
+            # a metallic paint has no one reflectance that a field spectrometer could confirm
+            flakes=settings.fleet == "real",
             margin=float(_MARGIN + 2 * before),
             name="simulated car park",
         )
@@ -198,7 +213,14 @@ class RenderedFlight(Flight):
         """Write INT L R of every element but for its own factor, shape (line, band, column)."""
         direct, diffuse = factors[:, :, None, None]
         weight = (block.weight * np.where(is_direct(block.code), direct, diffuse)).astype(np.float32)
-        self._products.mix(weight, block.code, out)
+        self._products.mix(weight, block.code, out, self._texture(block))
+
+    def _texture(self, block: Block) -> Texture | None:
+        """Return which members of populations pixels show; None where nothing has one."""
+        if self._populations is None:
+            return None
+        labels, place = (block.material, block.instance), np.moveaxis(block.position, 1, 0)
+        return self._populations.texture(*labels, place, self.settings.seed)
 
 
 def _layers(labels: LabelTables, plane: TransverseMercator) -> dict[str, Layer]:

@@ -25,7 +25,7 @@ from .setting_checks import (
 )
 
 __all__ = [
-    "MOST_SAMPLES", "NEAR_SUNSET", "SCENES", "SHAPES", "SKIES", "STAMPS", "SWATH_M", "WOBBLES",
+    "FLEETS", "MOST_SAMPLES", "NEAR_SUNSET", "SCENES", "SHAPES", "SKIES", "STAMPS", "SWATH_M", "WOBBLES",
     "SimulationSettings", "check_choice", "check_flag", "check_number", "check_whole", "finite_floats",
     "is_number", "moment_of",
 ]  # fmt: skip
@@ -48,6 +48,9 @@ SWATH_M = 16.0
 
 MOST_SAMPLES = 1 << 14
 """Paths of a pixel that the tracer takes."""
+
+FLEETS = ("solid", "real")
+"""What cars are painted with: fourteen solid paints, or what is seen on roads (`rendering.fleet`)."""
 
 SKIES = ("clear", "near_sunset", "overcast")
 """Kinds of light."""
@@ -102,6 +105,8 @@ class SimulationSettings(OpticsSettings):
         "clear": the sun at ``sun_zenith`` and ``sun_azimuth``. "near_sunset": a clear sky with the sun 80
         degrees from the zenith, in the west, whatever the clock says. "overcast": no sun, and the same sky in
         all directions.
+    fleet
+        Paints of a rendered scene: "solid", fourteen without flakes; "real", flakes, dust, worn ground.
     coat
         Clear coats and flakes of a rendered scene's paints; False leaves Lambert paints of the same spectra.
     neighbours
@@ -215,6 +220,7 @@ class SimulationSettings(OpticsSettings):
     navigation_rate: int = 100
     samples: int = 16
     sky: str = "clear"
+    fleet: str = "solid"
     coat: bool = True
     neighbours: bool = True
     cubes: int = 1
@@ -324,7 +330,7 @@ class SimulationSettings(OpticsSettings):
     def _check_choices(self, problems: Problems) -> None:
         choices = {
             "scene": SCENES, "sky": SKIES, "wobble": WOBBLES, "srf_shape": SHAPES, "stamp": STAMPS,
-            "irradiance_stamp": STAMPS,
+            "irradiance_stamp": STAMPS, "fleet": FLEETS,
         }  # fmt: skip
         for name, allowed in choices.items():
             check_choice(problems, name, getattr(self, name), allowed)

@@ -25,10 +25,9 @@ from hyperpaint.io.files.toml_tables import (
     time,
     whole,
 )
-from hyperpaint.simulation.rendering.car_parks import FLEETS
 from hyperpaint.simulation.rendering.materials import KINDS
 from hyperpaint.simulation.rendering.scene import INSTANCE_KINDS
-from hyperpaint.simulation.settings import MOST_SAMPLES
+from hyperpaint.simulation.settings import FLEETS, MOST_SAMPLES
 
 __all__ = [
     "MATERIAL", "AtmosphereEntry", "MeshEntry", "Sampling", "SceneFile", "example_scene", "read_scene_file",

@@ -10,6 +10,7 @@ from support.traced_scenes import SUN, flat_light
 
 import hyperpaint as hp
 from hyperpaint.base.errors import SchemaError
+from hyperpaint.simulation.rendered_flight import RenderedFlight
 from hyperpaint.simulation.rendering.camera_bands import BandSet
 from hyperpaint.simulation.rendering.car_parks import car_park
 from hyperpaint.simulation.rendering.fleet import (
@@ -126,3 +127,17 @@ def test_asphalt_is_rendered_with_texture_that_averages_out() -> None:
     assert 0.10 < fine < 0.35
     assert usual < 0.85 * fine
     assert coarse < usual
+
+
+@pytest.mark.slow
+def test_a_simulated_flight_over_a_real_fleet() -> None:
+    settings = {"scene": "rendered", "lines": 24, "columns": 64, "bands": 8, "samples": 2, "fleet": "real"}
+    flight = RenderedFlight(hp.simulation.SimulationSettings(**settings))
+    assert all(paint.startswith("fleet:") for paint in flight.paints)
+    finishes = {flight.paint_properties(paint)["finish"] for paint in flight.paints}
+    assert "solid" in finishes
+    assert finishes & {"metallic", "pearl"}
+    whole = flight.lines(0, 24)
+    for start, stop in ((0, 5), (5, 24)):
+        part = flight.lines(start, stop)
+        np.testing.assert_array_equal(part.counts, whole.counts[start:stop])

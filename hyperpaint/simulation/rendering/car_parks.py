@@ -21,7 +21,7 @@ import numpy as np
 from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import Problems, SchemaError
 from hyperpaint.simulation.paint_spectra import PANELS
-from hyperpaint.simulation.settings import check_choice, check_number, check_whole
+from hyperpaint.simulation.settings import FLEETS, check_choice, check_number, check_whole
 
 from .car_bodies import CAR_TYPES, car_body
 from .materials import Coat, Material
@@ -30,14 +30,10 @@ from .primitives import Mesh, cuboid, put_together, smoothed, tube, uniform
 from .scene import Instance, Scene
 from .scene_spectra import FOURTEEN, fleet_names, is_paint, paint_spec
 
-__all__ = ["FLEETS", "NEIGHBOURS", "car_park"]
+__all__ = ["NEIGHBOURS", "car_park"]
 
 NEIGHBOURS = ("trees", "walls", "hedges", "lamps")
 """What may stand around the cars."""
-
-FLEETS = ("solid", "real")
-"""Paints of the cars: the fourteen of the catalogue in equal numbers on clean uniform ground; or colours,
-finishes, age and dust in the shares of a fleet (`hyperpaint.simulation.rendering.fleet`), on worn ground."""
 
 _PANEL_SIZE, _PANEL_PERIOD, _PANEL_START = 0.90, 30.0, 1.4  # grey panels lie along the aisle [m]
 _TREE_PITCH, _LAMP_PITCH = 7.5, 25.0  # along the edges [m]
@@ -79,7 +75,9 @@ def car_park(
     paints
         Names of spectra, each used once before any is used again; those of the ``fleet`` unless given.
     fleet
-        One of `FLEETS`. With "real" asphalt, concrete, lines and lawns are worn as well.
+        "solid": the fourteen paints of the catalogue in equal numbers, on clean uniform ground. "real":
+        colours, finishes, age and dust in the shares of a fleet (`hyperpaint.simulation.rendering.fleet`), on
+        asphalt, concrete, lines and lawns that are worn.
     types
         Which `CAR_TYPES` there are; all unless given.
     seed

@@ -20,7 +20,7 @@ from .scene_record import SceneRecord
 from .weathering import Octaves
 
 if TYPE_CHECKING:
-    from hyperpaint.simulation.transport.texturing import Grain
+    from hyperpaint.simulation.transport.texturing import Grain, Texture
 
 __all__ = ["Populations", "populations_of", "rows_of_pixels"]
 
@@ -38,6 +38,18 @@ class Populations(NamedTuple):
     grain: Grain
     factor: Array  # (row,) that a member changes
     ratio: Floats32  # (row, band) member over mean
+
+    def texture(self, material: Array, instance: Array, place: Array, seed: int) -> Texture:
+        """Return what pixels show at places (3, line, column) [m]; see `texturing.member_rows`."""
+        from hyperpaint.simulation.transport.texturing import member_rows
+
+        return self.of_rows(member_rows(material, instance, place, self.grain, seed))
+
+    def of_rows(self, rows: Array) -> Texture:
+        """Return what pixels show, of rows of members (line, column)."""
+        from hyperpaint.simulation.transport.texturing import Texture
+
+        return Texture(rows, self.factor, self.ratio, np.zeros((0, 1), np.int64))
 
 
 def populations_of(record: SceneRecord, painted: FactorSpectra, bands: BandSet) -> Populations | None:

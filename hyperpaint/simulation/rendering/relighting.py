@@ -303,11 +303,7 @@ def _only(nested: Any) -> Any:
 def _surface_task(
     light: Lighting, weight: Any, code: Any, variation: Any, rows: Any, populations: Populations | None
 ) -> Array:
-    from hyperpaint.simulation.transport.texturing import Texture
-
-    texture = None
-    if populations is not None:
-        texture = Texture(_only(rows), populations.factor, populations.ratio, np.zeros((0, 1), np.int64))
+    texture = None if populations is None else populations.of_rows(_only(rows))
     return light.surface_radiance(_only(weight), _only(code), _only(variation), texture)
 
 
