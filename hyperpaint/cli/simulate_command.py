@@ -56,7 +56,7 @@ Examples:
 )
 @click.option(
     "--fleet", type=click.Choice(["solid", "real"]),
-    help="Paints of a rendered scene: fourteen without flakes, or what is seen on roads.  [default: solid]",
+    help="Paints of a rendered scene: fourteen without flakes, or what is seen on roads.  [default: real]",
 )  # fmt: skip
 @click.option("--coat/--no-coat", default=None, help="Clear coats of a rendered scene, or Lambert paints.")
 @click.option(

@@ -220,7 +220,7 @@ class SimulationSettings(OpticsSettings):
     navigation_rate: int = 100
     samples: int = 16
     sky: str = "clear"
-    fleet: str = "solid"
+    fleet: str = "real"
     coat: bool = True
     neighbours: bool = True
     cubes: int = 1

@@ -102,7 +102,7 @@ def _scene(file: SceneFile) -> Scene:
 def _car_park(file: SceneFile) -> Scene:
     from hyperpaint.simulation.rendering.car_parks import car_park
 
-    options = {key: value for key, value in file.scene.items() if key != "kind"}
+    options = {"fleet": "real", **{key: value for key, value in file.scene.items() if key != "kind"}}
     for key in _IN_METRES:
         if key in options:
             options[key.removesuffix("_m")] = float(options.pop(key))

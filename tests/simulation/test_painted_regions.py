@@ -19,7 +19,7 @@ from hyperpaint.simulation.flight import Lines
 from hyperpaint.simulation.painted_regions import PaintedRectangles
 from hyperpaint.simulation.plan_flight import PlanFlight
 
-SIZE: dict[str, Any] = {"lines": 96, "bands": 40, "columns": 160, "samples": 8, "seed": 3}
+SIZE: dict[str, Any] = {"lines": 96, "bands": 40, "columns": 160, "samples": 8, "seed": 3, "fleet": "solid"}
 DROPPED = [30, 60, 61, 150]
 
 
@@ -32,7 +32,7 @@ def rendered(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A rendered collect of two cubes, in the middle of which frames were dropped."""
     folder = tmp_path_factory.mktemp("rendered")
     return simulate_collect(
-        folder, lines=200, bands=6, columns=240, samples=6, seed=3, cubes=2, dropped=DROPPED
+        folder, lines=200, bands=6, columns=240, samples=6, seed=3, cubes=2, dropped=DROPPED, fleet="solid"
     ).parent
 
 

@@ -21,6 +21,7 @@ from hyperpaint.simulation.rendered_flight import RenderedFlight
 
 SMALL: dict[str, Any] = {
     "scene": "rendered",
+    "fleet": "solid",
     "lines": 50,
     "bands": 10,
     "columns": 40,

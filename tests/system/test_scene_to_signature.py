@@ -26,7 +26,7 @@ pytestmark = pytest.mark.slow
 OVERCAST: dict[str, Any] = {
     "scene": "rendered", "lines": 200, "columns": 320, "bands": 90, "seed": 5, "samples": 48,
     "sky": "overcast", "coat": False, "neighbours": False, "exposure_time_ms": 20.0, "frame_period_ms": 25.0,
-    "dropped": 2,
+    "dropped": 2, "fleet": "solid",
 }  # fmt: skip
 
 

@@ -50,7 +50,7 @@ def test_demo_prints_an_aligned_table(demo: tuple[Path, str]) -> None:
     stop = next(number for number, line in enumerate(lines) if line.startswith("all pixels"))
     table = lines[start : stop + 1]
     assert len({len(line) for line in table}) == 1
-    assert {"asphalt", "grass"} <= {line.split()[0] for line in table}
+    assert {"worn_asphalt", "mixed_grass"} <= {line.split()[0] for line in table}
 
 
 def test_demo_draws_a_picture(demo: tuple[Path, str]) -> None:
@@ -79,9 +79,9 @@ def test_comparison_agrees_with_a_plain_computation(demo: tuple[Path, str]) -> N
     truth = xr.open_zarr(folder / "truth.zarr").isel(along_track=line["frame"].values).load()
     bands = (line["wavelength"].values >= 420) & (line["wavelength"].values <= 980)
     clean = line["quality"].values == 0
-    grass = str(truth["surface"].attrs["flag_meanings"]).split().index("grass")
+    grass = str(truth["surface"].attrs["flag_meanings"]).split().index("mixed_grass")
     chosen = clean & (truth["surface"].values == grass)
-    one = next(agreement for agreement in found.materials if agreement.material == "grass")
+    one = next(agreement for agreement in found.materials if agreement.material == "mixed_grass")
     rec = line["reflectance"].transpose(..., "band").values[chosen][:, bands].astype(np.float64)
     true = truth["reflectance"].transpose(..., "band").values[chosen][:, bands].astype(np.float64)
     assert one.pixels == chosen.sum()

@@ -24,7 +24,9 @@ pytestmark = pytest.mark.slow
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Folder of a simulated flight with its regions of paint and the height of its ground."""
     folder = tmp_path_factory.mktemp("day")
-    hp.simulate_collect(folder, lines=320, bands=24, columns=256, seed=0, clock_offset_s=0.0, samples=4)
+    hp.simulate_collect(
+        folder, lines=320, bands=24, columns=256, seed=0, clock_offset_s=0.0, samples=4, fleet="solid"
+    )
     (folder / "collect.toml").rename(folder / "author.toml")
     return folder
 
@@ -242,8 +244,9 @@ def test_a_flight_cut_into_five_cubes_has_the_same_signatures(
     """ASD files and darks lie elsewhere as well; no bit of any paint differs."""
     cut = tmp_path / "cut"
     hp.simulate_collect(
-        cut, lines=320, bands=24, columns=256, seed=0, clock_offset_s=0.0, samples=4, cubes=5, truth=False
-    )
+        cut, lines=320, bands=24, columns=256, seed=0, clock_offset_s=0.0, samples=4, cubes=5, truth=False,
+        fleet="solid",
+    )  # fmt: skip
     (cut / "collect.toml").unlink()
     shutil.copy(folder / "regions.geojson", cut)
     for name in ("asd", "dark"):

@@ -24,7 +24,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A small rendered collect, processed."""
     made = tmp_path_factory.mktemp("closure")
     collect = hp.simulate_collect(
-        made, lines=120, bands=24, columns=80, samples=8, seed=2, dropped=4, cubes=2
+        made, lines=120, bands=24, columns=80, samples=8, seed=2, dropped=4, cubes=2, fleet="solid"
     )
     hp.process(collect, made / "lot.zarr")
     return made
