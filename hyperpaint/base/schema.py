@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
+from .arrays import Floats
 from .errors import Problems, SchemaError
 from .units import convert, plain, same_dimension
 from .variables import (
@@ -40,7 +41,7 @@ __all__ = [
     "IRRADIANCE_TIME", "IRRADIANCE_WAVELENGTH", "LIBRARY_VARIABLES", "MEMBER", "MONOCHROMATOR_SHAPES",
     "PAINT", "QUANTILE", "SLOT", "SRF_SHAPES", "STEP", "SUN", "SWEEP_VARIABLES", "TIME_UNITS",
     "VARIABLES", "Quality", "Variable", "dtype_of", "find", "flag_names", "flag_shares", "flags_named",
-    "label", "quality_attrs", "rename_to_roles", "require", "with_numbers",
+    "label", "numbers_of", "quality_attrs", "rename_to_roles", "require", "with_numbers",
 ]  # fmt: skip
 
 FORMAT_VERSION = 1
@@ -173,6 +174,16 @@ def with_numbers(line: xr.Dataset) -> xr.Dataset:
     return line.assign_coords(
         {dim: (dim, place, VARIABLES[dim].attrs) for dim, place in places.items() if dim not in line.coords}
     )
+
+
+def numbers_of(line: xr.Dataset, dim: str) -> Floats:
+    """Return the numbers of a flight line's lines or columns: its index coordinate, else 0, 1, 2 ...
+
+    A crop keeps those of the whole line, and so regions of the whole line outline the same things on it.
+    """
+    if dim in line.coords and line[dim].dims == (dim,) and line[dim].dtype.kind in "iuf":
+        return np.asarray(line[dim].values, np.float64)
+    return np.arange(line.sizes[dim], dtype=np.float64)
 
 
 def _with_table_units(dataset: xr.Dataset) -> xr.Dataset:

@@ -12,8 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from hyperpaint.base.arrays import Array
-from hyperpaint.base.schema import ALONG_TRACK, CROSS_TRACK
-from hyperpaint.regions.pixels_in_regions import numbers_of
+from hyperpaint.base.schema import ALONG_TRACK, CROSS_TRACK, numbers_of
 
 from .figures import label_for
 

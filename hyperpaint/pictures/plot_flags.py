@@ -11,12 +11,11 @@ import numpy as np
 from hyperpaint.base import schema
 from hyperpaint.base.arrays import Array
 from hyperpaint.base.errors import Problems, SchemaError
-from hyperpaint.base.schema import ALONG_TRACK, BAND, CROSS_TRACK, Quality
+from hyperpaint.base.schema import ALONG_TRACK, BAND, CROSS_TRACK, Quality, numbers_of
 from hyperpaint.base.units import takes_quantities
 from hyperpaint.paints.signatures.extraction import gather
 from hyperpaint.radiometry.counts_to_reflectance import reflectance
 from hyperpaint.regions import Region, pixels_of, regions_from
-from hyperpaint.regions.pixels_in_regions import numbers_of
 
 from .figures import (
     axes_or_new,

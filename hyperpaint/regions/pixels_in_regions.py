@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -11,7 +11,7 @@ import numpy as np
 from hyperpaint.base import schema
 from hyperpaint.base.arrays import Bools, Floats, Ints
 from hyperpaint.base.errors import Problems, SchemaError
-from hyperpaint.base.schema import ALONG_TRACK, CROSS_TRACK
+from hyperpaint.base.schema import ALONG_TRACK, CROSS_TRACK, numbers_of
 
 from .geojson import regions_from
 from .outlines import Region, Regions
@@ -20,7 +20,7 @@ from .polygons import contains
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["Pixels", "located_for", "numbers_of", "pixels", "pixels_of", "region_mask", "renumbered"]
+__all__ = ["Pixels", "lines_of_cells", "located_for", "pixels", "pixels_of", "region_mask", "renumbered"]
 
 
 RegionsT = TypeVar("RegionsT", bound=Regions)
@@ -35,6 +35,8 @@ _GEOGRAPHIC = ("longitude", "lon")
 _DEGREES = "EPSG:4326"
 _SHOWN = ("nearest_sample", "nearest_line")
 """Of a map: column and line of the flight line that every cell shows."""
+_OF_LINE = "flightline"
+"""Of a map of several flight lines: which of them a cell shows."""
 
 
 def pixels(
@@ -51,7 +53,7 @@ def pixels(
         ``longitude`` and ``latitude``, ``east`` and ``north`` (along_track, cross_track), or ``x`` and ``y``
         of a map; a line that has poses and the attribute ``ground`` alone is located for it. Coordinates of
         the sensor are those of the pixels that a map shows, where it says so (``nearest_line`` and
-        ``nearest_sample``).
+        ``nearest_sample``); of a map of several flight lines those of the region's own line.
     coordinates, crs
         What the region's coordinates are, see `Regions`.
 
@@ -65,7 +67,8 @@ def pixels(
     ------
     SchemaError
         The line has no along_track and cross_track; or, for a map, no place of its pixels in that reference
-        system; or the polygon has too many long edges.
+        system; for a map of several flight lines, none of these named by a region in coordinates of the
+        sensor; or the polygon has too many long edges.
 
     Examples
     --------
@@ -137,9 +140,40 @@ def pixels_of(regions: Regions, line: xr.Dataset) -> list[Pixels]:
     if set(_SHOWN) <= set(line.variables):
         # cells of a map are told by the pixel that they show; -1 shows none
         across, along = (line[name].reset_coords(drop=True) for name in _SHOWN)
-        return _by_place(regions, across.where(across >= 0), along.where(along >= 0), shape)
+        places = across.where(across >= 0), along.where(along >= 0)
+        names = lines_of_cells(line)
+        if not names:
+            return _by_place(regions, *places, shape)
+        return _by_place(regions, *places, shape, (line[_OF_LINE], _own_lines(regions, names)))
     columns, rows = numbers_of(line, CROSS_TRACK), numbers_of(line, ALONG_TRACK)
     return [_on_axes(region, columns, rows) for region in regions]
+
+
+def lines_of_cells(line: xr.Dataset) -> dict[str, int]:
+    """Return the flight lines that the cells of a map show, with their numbers; none of a map of one line."""
+    if _OF_LINE not in line.variables or set(line[_OF_LINE].dims) != {ALONG_TRACK, CROSS_TRACK}:
+        return {}
+    attrs = line[_OF_LINE].attrs
+    numbers = np.atleast_1d(attrs.get("flag_values", ())).astype(int).tolist()
+    names = dict(zip(str(attrs.get("flag_meanings", "")).split(), numbers, strict=False))
+    return names if len(names) > 1 else {}
+
+
+def _own_lines(regions: Regions, names: Mapping[str, int]) -> list[int]:
+    """Return the number of the flight line that each region is drawn on."""
+    problems = Problems("pixels of regions cannot be found in this map of several flight lines", SchemaError)
+    for region in regions:
+        if region.flightline.replace(" ", "_") not in names:
+            named = (
+                f"is of flight line {region.flightline!r}" if region.flightline else "names no flight line"
+            )
+            problems.add(
+                f"region {region.name!r} in coordinates of the sensor {named}",
+                expected=f"one of {', '.join(names)}",
+                mend="give it the property flightline, or draw it in coordinates of the map",
+            )
+    problems.raise_if_any()
+    return [names[region.flightline.replace(" ", "_")] for region in regions]
 
 
 def located_for(regions: Regions, line: xr.Dataset) -> xr.Dataset:
@@ -165,16 +199,6 @@ def located_for(regions: Regions, line: xr.Dataset) -> xr.Dataset:
     return locate(named)
 
 
-def numbers_of(line: xr.Dataset, dim: str) -> Floats:
-    """Return the numbers of a flight line's lines or columns: its index coordinate, else 0, 1, 2 ...
-
-    A crop keeps those of the whole line, and so regions of the whole line outline the same things on it.
-    """
-    if dim in line.coords and line[dim].dims == (dim,) and line[dim].dtype.kind in "iuf":
-        return np.asarray(line[dim].values, np.float64)
-    return np.arange(line.sizes[dim], dtype=np.float64)
-
-
 def renumbered(regions: RegionsT, line: xr.Dataset, *, back: bool = False) -> RegionsT:
     """Return regions in positions of a line as regions in its numbers, or ``back`` from them to positions."""
     numbers = [numbers_of(line, dim) for dim in (CROSS_TRACK, ALONG_TRACK)]
@@ -193,8 +217,17 @@ def renumbered(regions: RegionsT, line: xr.Dataset, *, back: bool = False) -> Re
     return replace(regions, regions=tuple(members))
 
 
-def _by_place(regions: Regions, x: xr.DataArray, y: xr.DataArray, shape: tuple[int, int]) -> list[Pixels]:
-    """Return the pixels of every region by their coordinates, a block of lines at a time."""
+def _by_place(
+    regions: Regions,
+    x: xr.DataArray,
+    y: xr.DataArray,
+    shape: tuple[int, int],
+    of_lines: tuple[xr.DataArray, Sequence[int]] | None = None,
+) -> list[Pixels]:
+    """Return the pixels of every region by their coordinates, a block of lines at a time.
+
+    ``of_lines``: of a map of several flight lines, which of them each cell shows, and each region is on.
+    """
     if x.dims == (CROSS_TRACK,) and y.dims == (ALONG_TRACK,):
         return [_on_axes(region, x.values.astype(float), y.values.astype(float)) for region in regions]
     parts: list[list[Pixels]] = [[] for _ in regions]
@@ -203,8 +236,12 @@ def _by_place(regions: Regions, x: xr.DataArray, y: xr.DataArray, shape: tuple[i
         there_x, there_y = (
             _values(part.isel(rows, missing_dims="ignore"), stop - start, shape[1]) for part in (x, y)
         )
-        for region, pieces in zip(regions, parts, strict=True):
-            inside = np.flatnonzero(_inside(region, there_x, there_y))
+        numbers = None if of_lines is None else _values(of_lines[0].isel(rows), stop - start, shape[1])
+        for number, (region, pieces) in enumerate(zip(regions, parts, strict=True)):
+            is_in = _inside(region, there_x, there_y)
+            if of_lines is not None:
+                is_in &= numbers == of_lines[1][number]
+            inside = np.flatnonzero(is_in)
             if inside.size:
                 along, across = np.divmod(inside, shape[1])
                 pieces.append((along + start, across))

@@ -12,7 +12,7 @@ import xarray as xr
 
 from hyperpaint.base.arrays import Array, Bools, Floats, Progress
 from hyperpaint.base.errors import SchemaError
-from hyperpaint.base.schema import BAND, CUBE
+from hyperpaint.base.schema import ALONG_TRACK, BAND, CROSS_TRACK, CUBE
 from hyperpaint.base.units import takes_quantities
 from hyperpaint.geometry.georeference import LOCATION_UNITS
 from hyperpaint.geometry.orthorectification import orthorectify
@@ -160,7 +160,9 @@ def _picture(line: xr.Dataset, grid: Any, gsd: float, band: int | None) -> _Pict
     number = line.sizes[BAND] // 2 if band is None else band
     seen = line[cubes[0]].isel({BAND: number}, drop=True).astype(np.float32)
     names = {name for name in line.data_vars if BAND in line[name].dims}
-    flat = line.drop_vars([*names, *(n for n in line.coords if BAND in line[n].dims)]).assign(picture=seen)
+    # without index coordinates places are positions in the line, also in a crop
+    other = [n for n in line.coords if BAND in line[n].dims or n in (ALONG_TRACK, CROSS_TRACK)]
+    flat = line.drop_vars([*names, *other]).assign(picture=seen.drop_vars(other, errors="ignore"))
     orthomap = orthorectify(
         flat, gsd, grid="north", variables=["picture", "ground_height"], method="bilinear"
     )[["picture", *_FIELDS]].compute()

@@ -11,8 +11,18 @@ import dask.array as da
 import numpy as np
 import xarray as xr
 
+from hyperpaint.base.arrays import Array
 from hyperpaint.base.errors import Problems, SchemaError
-from hyperpaint.base.schema import ALONG_TRACK, BAND, CHUNK_LINES, CROSS_TRACK, dtype_of, label, require
+from hyperpaint.base.schema import (
+    ALONG_TRACK,
+    BAND,
+    CHUNK_LINES,
+    CROSS_TRACK,
+    dtype_of,
+    label,
+    numbers_of,
+    require,
+)
 from hyperpaint.base.units import takes_quantities
 from hyperpaint.geometry.georeference import LOCATION_UNITS, locate
 from hyperpaint.geometry.georeference.geodesy import crs_of, grid_mapping_attrs
@@ -28,6 +38,11 @@ __all__ = ["map_report", "orthorectify"]
 _GRIDS = ("north", "flight")
 _METHODS = ("nearest", "bilinear")
 _RELIEF = ("ground_height", "view_zenith")
+_AXES = {
+    "glt_line": ALONG_TRACK, "nearest_line": ALONG_TRACK, "glt_sample": CROSS_TRACK,
+    "nearest_sample": CROSS_TRACK,
+}  # fmt: skip
+"""The dim of the flight line that a place on it is along."""
 _MAX_PARALLAX_PX = 1.05
 """Shift of neighbouring pixels by their heights beyond which ground between them is hidden [spacing across].
 
@@ -100,13 +115,14 @@ def orthorectify(
     xarray.Dataset
         The variables on (y, x[, band]), all lazy, and ``glt_line`` and ``glt_sample``: the place of every
         cell in the line, in lines and columns and fractions of them; ``nearest_line`` and ``nearest_sample``:
-        the nearest of the four pixels around it; ``hits``: how many patches of four pixels show a cell;
-        ``gap``, where none does between the ends of the lines. Where nothing is shown, numbers are NaN, whole
-        numbers as their attribute ``empty_value`` says, and ``quality`` is ``off_swath``. ``spatial_ref``
-        holds the crs and the ``GeoTransform`` of GDAL. ``x`` and ``y`` are map coordinates with north up. A
-        grid along the flight is turned, as its GeoTransform says, and has ``east`` and ``north`` (y, x) in
-        their place: programs would take distances for map coordinates. (The ``reproject`` of rioxarray wants
-        to be given a target for it, or another map to match.)
+        the nearest of the four pixels around it; all by the index coordinates of the line where these are
+        whole numbers, and so those of the whole line in a crop; ``hits``: how many patches of four pixels
+        show a cell; ``gap``, where none does between the ends of the lines. Where nothing is shown, numbers
+        are NaN, whole numbers as their attribute ``empty_value`` says, and ``quality`` is ``off_swath``.
+        ``spatial_ref`` holds the crs and the ``GeoTransform`` of GDAL. ``x`` and ``y`` are map coordinates
+        with north up. A grid along the flight is turned, as its GeoTransform says, and has ``east`` and
+        ``north`` (y, x) in their place: programs would take distances for map coordinates. (The ``reproject``
+        of rioxarray wants to be given a target for it, or another map to match.)
 
     Raises
     ------
@@ -292,6 +308,8 @@ def _dataset(
     variables = mapped(line, names, tiles, lines)
     for name in ("glt_line", "glt_sample", "nearest_line", "nearest_sample", "hits", "gap"):
         part = tiles.gap if name == "gap" else tiles.part(name.removeprefix("glt_"), dtype_of(name))
+        if name in _AXES:
+            part = _numbered(part, line, _AXES[name])
         extra = {"empty_value": -1} if name.startswith("nearest") else {}
         of_cells = xr.DataArray(part, dims=("y", "x"))
         variables[name] = label(of_cells, name, grid_mapping="spatial_ref", **extra)
@@ -302,6 +320,25 @@ def _dataset(
     }
     dataset = xr.Dataset(variables, coords=of_bands)
     return dataset.assign_coords(_coordinates(tiles, crs, line))
+
+
+def _numbered(positions: da.Array, line: xr.Dataset, dim: str) -> da.Array:
+    """Return positions in a line (row, col) as its own numbers, which a crop keeps and regions are drawn in.
+
+    Numbers that are no whole ones from 0 on, as of averaged lines, name no pixel: positions stay as they are.
+    """
+    numbers = numbers_of(line, dim)
+    counted = np.arange(numbers.size)
+    is_whole = np.isfinite(numbers).all() and (numbers == np.round(numbers)).all() and numbers.min() >= 0.0
+    if not is_whole or numbers.max() > np.iinfo(np.int32).max or np.array_equal(numbers, counted):
+        return positions
+    return positions.map_blocks(_numbers_at, numbers, dtype=positions.dtype)
+
+
+def _numbers_at(positions: Array, numbers: Array) -> Array:
+    """Return the numbers at positions, straight between two of them; what is below 0 or NaN stays."""
+    at = np.interp(positions, np.arange(numbers.size), numbers)
+    return np.where(positions >= 0, at, positions).astype(positions.dtype)
 
 
 def _coordinates(tiles: Tiles, crs: str | None, line: xr.Dataset) -> dict[str, Any]:

@@ -16,7 +16,7 @@ from hyperpaint.radiometry.counts_to_reflectance import reflectance
 from hyperpaint.radiometry.spectral_axis import smooth, to_nominal
 from hyperpaint.radiometry.uncertainty.propagation import NONE_KNOWN, UNCERTAINTIES
 from hyperpaint.regions import Regions
-from hyperpaint.regions.pixels_in_regions import located_for
+from hyperpaint.regions.pixels_in_regions import lines_of_cells, located_for
 from hyperpaint.surroundings.sun_and_sky import CORRECTIONS, remove_mirrored_sky
 
 from .map_cells import middle_of_map
@@ -240,17 +240,20 @@ def lines_of(line: Any, regions: Regions) -> dict[str, tuple[xr.Dataset, list[in
     problems = Problems("regions cannot be found on their flight lines", SchemaError)
     given = _by_name(line)
     only = next(iter(given)) if len(given) == 1 else None
+    # a map of several lines holds the regions of each
+    shown = () if only is None else lines_of_cells(schema.rename_to_roles(given[only]))
     # a line that does not say its name is taken to be the regions' one
-    nameless = only == "" and len(regions.flightlines) < 2
+    nameless = only == "" and len(regions.flightlines) < 2 and not shown
     lines: dict[str, tuple[xr.Dataset, list[int]]] = {}
     for position, region in enumerate(regions):
-        wanted = only if only is not None and (nameless or not region.flightline) else region.flightline
+        is_own = nameless or not region.flightline or region.flightline.replace(" ", "_") in shown
+        wanted = only if only is not None and is_own else region.flightline
         if wanted in given:
             if wanted not in lines:
                 lines[wanted] = (located_for(regions, given[wanted]), [])
             lines[wanted][1].append(position)
             continue
-        held = ", ".join(map(repr, given)) or "no flight line"
+        held = ", ".join(map(repr, shown or given)) or "no flight line"
         naming = f"is of flight line {region.flightline!r}" if region.flightline else "names no flight line"
         problems.add(f"region {region.name!r} {naming}; there is {held}")
     problems.raise_if_any()

@@ -12,9 +12,10 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from hyperpaint.base.arrays import Ints
 from hyperpaint.base.errors import MissingExtraError, SchemaError
 from hyperpaint.base.schema import ALONG_TRACK, CROSS_TRACK
-from hyperpaint.regions.pixels_in_regions import Pixels
+from hyperpaint.regions.pixels_in_regions import Pixels, lines_of_cells
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -29,6 +30,8 @@ class Shown(NamedTuple):
 
     cells: Pixels
     pixels: Pixels
+    #: (pixel,): number of the flight line; of a map of several alone
+    lines: Ints | None = None
 
     @property
     def size(self) -> int:
@@ -52,7 +55,8 @@ def shown_pixels(line: xr.Dataset, places: Sequence[Pixels]) -> list[Shown]:
     attrs = {"spacing_across": 1.0, "spacing_along": 1.0, "gsd": 1.0, **line.attrs}
     reach = 1 + math.ceil(max(attrs["spacing_across"], attrs["spacing_along"]) / attrs["gsd"])
     windows = [_window(place, reach) for place in places]
-    planes = [line[name].reset_coords(drop=True).transpose(ALONG_TRACK, CROSS_TRACK) for name in _PLACES]
+    names = [*_PLACES, *(["flightline"] if lines_of_cells(line) else [])]
+    planes = [line[name].reset_coords(drop=True).transpose(ALONG_TRACK, CROSS_TRACK) for name in names]
     # together: what regions share is read once
     tables = dask.compute(*([plane.isel(window).data for plane in planes] for window in windows))
     return [
@@ -77,8 +81,12 @@ def _once(
     sample: np.ndarray,
     at_line: np.ndarray,
     at_sample: np.ndarray,
+    of_line: np.ndarray | None = None,
 ) -> Shown:
-    """Return every pixel once, of the cells of a window (row, col) that lie in a region."""
+    """Return every pixel once, of the cells of a window (row, col) that lie in a region.
+
+    In a map of several flight lines the same line and column are a pixel of each of them.
+    """
     corner = window[ALONG_TRACK].start, window[CROSS_TRACK].start
     inside = np.zeros(line.shape, bool)
     inside[place[0] - corner[0], place[1] - corner[1]] = True
@@ -86,13 +94,15 @@ def _once(
     along, across = line[row, col].astype(np.int64), sample[row, col].astype(np.int64)
     away = np.hypot(at_line[row, col] - along, at_sample[row, col] - across)
     # pixels in the order of the flight line, of each the nearest cell first
-    order = np.lexsort((away, across, along))
-    pixel = np.stack([along[order], across[order]])
+    keys = [across, along] if of_line is None else [across, along, of_line[row, col].astype(np.int64)]
+    order = np.lexsort((away, *keys))
+    pixel = np.stack([key[order] for key in keys])
     first = np.r_[True, (np.diff(pixel, axis=1) != 0).any(axis=0)] if order.size else np.zeros(0, bool)
     nearest = order[first]
     nearest = nearest[inside[row[nearest], col[nearest]]]
     cells = row[nearest] + corner[0], col[nearest] + corner[1]
-    return Shown(cells, (along[nearest], across[nearest]))
+    lines = None if of_line is None else keys[2][nearest]
+    return Shown(cells, (along[nearest], across[nearest]), lines)
 
 
 def middle_of_map(line: xr.Dataset) -> tuple[float, float] | None:

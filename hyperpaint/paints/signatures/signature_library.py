@@ -16,12 +16,13 @@ from hyperpaint.base.schema import (
     LIBRARY_VARIABLES,
     Quality,
     flag_names,
+    numbers_of,
     quality_attrs,
 )
 from hyperpaint.light.sun import solar_position
 from hyperpaint.radiometry.uncertainty.propagation import NONE_KNOWN, UNCERTAINTIES
 from hyperpaint.regions import Regions
-from hyperpaint.regions.pixels_in_regions import Pixels, numbers_of
+from hyperpaint.regions.pixels_in_regions import Pixels
 
 from .line_sources import Source, mean_view, relative_azimuth
 from .map_cells import Shown
@@ -54,6 +55,7 @@ class Draft:
         self.cells = place.cells
         self._is_of_line = place.cells is place.pixels  # those of a map are positions in the line it shows
         self.along, self.across = place.pixels
+        self._lines = place.lines
         self.n = 0
         self.excluded = 0
         self.flags = 0
@@ -77,7 +79,12 @@ class Draft:
     def n_eff(self) -> float:
         """Independent pixels among those used."""
         columns = np.concatenate([np.zeros((self.n, 0), np.float32), *self._columns], axis=1)
-        return effective_pixels(columns, self.along[self._used], self.across[self._used])
+        along = self.along[self._used]
+        if self._lines is not None and along.size:
+            # of several flight lines on a map: far apart, since pixels of two are no neighbours
+            own = np.unique(self._lines[self._used], return_inverse=True)[1]
+            along = along + own * (2 * int(np.ptp(along)) + 2)
+        return effective_pixels(columns, along, self.across[self._used])
 
     def choose(
         self,
