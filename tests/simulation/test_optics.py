@@ -35,7 +35,7 @@ EVERYTHING: dict[str, Any] = {
     "psf_across_columns": 1.7, "psf_along_lines": 1.3, "keystone_columns": 1.3, "stray_light": 0.03,
 }  # fmt: skip
 SMALL: dict[str, Any] = {
-    "lines": 40, "bands": 6, "columns": 24, "fwhm_nm": 120.0, "noise": False, "quantise": False
+    "lines": 40, "bands": 6, "columns": 24, "fwhm_nm": 25.0, "noise": False, "quantise": False
 }  # fmt: skip
 
 
