@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -41,7 +41,7 @@ def export_dirsig_scene(
         New or empty.
     library
         Measured paints, which go before the file's ``[spectra]`` and before the built-in spectra of the same
-        name.
+        name. Those that have no name of the scene are dealt in turn to the cars that nothing else paints.
     overwrite, progress, **options
         As for `hyperpaint.io.dirsig.write_dirsig_scene`.
 
@@ -74,12 +74,49 @@ def export_dirsig_scene(
     file = read_scene_file(Path(scene_file))
     parts = build_parts(file)
     repaint = dict(file.paints)
-    formulas = _formulas(parts, repaint)
-    libraries = [formulas] if library is None else [library, formulas]
+    libraries = [] if library is None else [library]
+    if library is not None:
+        repaint = dealt_paints(parts.scene, list(map(str, library["paint"].values)), repaint)
+    libraries += [*named_libraries(parts.spectra), _formulas(parts, repaint)]
     return write_dirsig_scene(
         parts.scene, folder, libraries, repaint=repaint, origin=ORIGIN, overwrite=overwrite,
         progress=progress, **options,
     )  # fmt: skip
+
+
+def dealt_paints(scene: Any, names: Sequence[str], repaint: Mapping[str, str]) -> dict[str, str]:
+    """Return the paints of things: those that are said, and the rest of ``names`` in turn on the other cars.
+
+    Examples
+    --------
+    >>> from hyperpaint.simulation.rendering.car_parks import car_park
+    >>> scene = car_park(length=5.0, width=16.0, neighbours=(), seed=1)
+    >>> [one.paint for one in scene.instances if one.kind == "car"]
+    ['light_blue', 'dark_red', 'yellow', 'white']
+    >>> dealt_paints(scene, ["yellow", "roof 7", "roof 8"], {"car_000": "roof 8"})
+    {'car_000': 'roof 8', 'car_001': 'roof 7', 'car_003': 'roof 7'}
+    """
+    known = {each.name for each in (*scene.materials, *scene.instances)}
+    known |= {each.spectrum for each in scene.materials} | set(repaint.values())
+    rest = [name for name in names if name not in known]
+    cars = [
+        each.name
+        for each in scene.instances
+        if each.kind == "car" and each.name not in repaint and not {each.paint} & {*names, *repaint}
+    ]
+    return {**repaint, **{car: rest[number % len(rest)] for number, car in enumerate(cars) if rest}}
+
+
+def named_libraries(spectra: Mapping[str, Any]) -> list[xr.Dataset]:
+    """Return the paint libraries among a file's spectra; paints are "<key>/<name>", or "<key>" if alone."""
+    libraries = []
+    for key, value in spectra.items():
+        if hasattr(value, "data_vars"):
+            names = [str(name) for name in value["paint"].values]
+            libraries.append(value.assign_coords(paint=[f"{key}/{name}" for name in names]))
+            if len(names) == 1:
+                libraries.append(value.assign_coords(paint=[key]))
+    return libraries
 
 
 def _formulas(parts: Parts, repaint: Mapping[str, str]) -> xr.Dataset:
@@ -96,8 +133,9 @@ def _formulas(parts: Parts, repaint: Mapping[str, str]) -> xr.Dataset:
     names = [each.spectrum for each in parts.scene.materials] + list(repaint.values())
     spectra: dict[str, Floats] = {}
     for name in dict.fromkeys(names):
-        if name in parts.spectra:
-            wavelength, values = parts.spectra[name]
+        given: Any = parts.spectra.get(name)
+        if given is not None and not hasattr(given, "data_vars"):
+            wavelength, values = given
             spectra[name] = np.interp(_GRID_NM, wavelength, values, left=np.nan, right=np.nan)
             continue
         try:

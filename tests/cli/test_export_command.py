@@ -133,14 +133,15 @@ def test_a_scene(export: Export, store: Path, tmp_path: Path) -> None:
     out = tmp_path / "lot"
     done = export(store, "--format", "dirsig", "--out", out, "--scene", tmp_path / "scene.toml", "--quiet")
     assert done.exit_code == 0, done.output
-    assert "1 of them populations" in done.output
+    assert "2 of them populations" in done.output
     assert "vis,nir" in done.output
     (materials,) = (out / "materials").glob("*.mat")
     tokens = {material.id for material in read_materials(materials)}
-    assert {"Tuerkis_matt", "asphalt"} <= tokens
+    # one paint is on the car that the file names, the other on the rest
+    assert {"Tuerkis_matt", "rot_blau", "asphalt"} <= tokens
     again = open_emissivity(out / "materials/emissivity/Tuerkis_matt.ems").member_reflectance[0]
     np.testing.assert_allclose(again, open_library(store).member_reflectance[0], atol=1e-6)
-    assert [path.name for path in (out / "maps").iterdir()] == ["Tuerkis_matt.pgm"]
+    assert {path.name for path in (out / "maps").iterdir()} == {"Tuerkis_matt.pgm", "rot_blau.pgm"}
 
 
 def test_options_that_a_scene_has_not(export: Export, store: Path, tmp_path: Path) -> None:
