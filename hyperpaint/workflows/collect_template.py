@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import itertools
 import os
+import re
 import textwrap
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
@@ -93,8 +94,9 @@ def _text(found: FieldFolder, base: Path) -> Iterator[str]:
     yield from _declared()
     yield from _geometry(found, relative)
     yield from _irradiance(found, relative)
+    ids = _folder_ids(found.cubes, relative)
     for cube, text in _tables(found.cubes, relative):
-        yield from _line(cube, text, relative)
+        yield from _line(cube, text, ids.get(cube.header.parent), relative)
     for instrument, folder, suffix in found.references:
         yield ""
         yield "[[references]]"
@@ -191,9 +193,34 @@ def _tables(cubes: Sequence[FlightCube], relative: Callable[[Path], str]) -> Ite
             yield from ((cube, relative(cube.header)) for cube in several)
 
 
-def _line(cube: FlightCube, text: str, relative: Callable[[Path], str]) -> Iterator[str]:
+def _folder_ids(cubes: Sequence[FlightCube], relative: Callable[[Path], str]) -> dict[Path, str]:
+    """Return what the lines of each folder are called by; nothing where no two cubes have the same name."""
+    stems = [_stem(cube).lower() for cube in cubes]
+    if len(set(stems)) == len(stems):
+        return {}
+    ids: dict[Path, str] = {}
+    for folder in dict.fromkeys(cube.header.parent for cube in cubes):
+        own = re.sub(r"[^A-Za-z0-9]+", "_", relative(folder)).strip("_")[:60] or "flight"
+        taken = {each.lower() for each in ids.values()}
+        # two letters at the least, and a name of no other folder
+        endings = ("", *(f"_{number}" for number in range(2, len(cubes) + 2)))
+        ids[folder] = next(
+            own + end for end in endings if len(own + end) > 1 and (own + end).lower() not in taken
+        )
+    return ids
+
+
+def _stem(cube: FlightCube) -> str:
+    return cube.header.name.split(".")[0]
+
+
+def _line(
+    cube: FlightCube, text: str, folder_id: str | None, relative: Callable[[Path], str]
+) -> Iterator[str]:
     yield ""
     yield "[[flightlines]]"
+    if folder_id is not None:
+        yield f"id = {_quoted(folder_id if text.endswith(_RAW_CUBES) else f'{folder_id}_{_stem(cube)}')}"
     yield f"cube = {_quoted(text)}"
     if text.endswith(_RAW_CUBES):
         yield "# each with its own frame index; cubes that go on where the one before ended are one line"

@@ -170,3 +170,22 @@ def test_a_processed_store_is_no_calibration_to_choose(folder: Path) -> None:
     path = write_collect_toml(find_field_files(folder))
     hp.process(path, folder / "products" / "lot.zarr")
     assert find_field_files(folder).calibration == folder / "calibration.zarr"
+
+
+def test_two_flights_whose_cubes_have_the_same_names_open(folder: Path) -> None:
+    shutil.copytree(folder / "flight", folder / "second flight")
+    path = write_collect_toml(find_field_files(folder))
+    lines = hp.open_collect(path)["flightlines"]
+    assert {name: line.sizes["along_track"] for name, line in lines.children.items()} == {
+        "flight": 40, "second_flight": 40,
+    }  # fmt: skip
+    # cubes that have a table each are named as well
+    (folder / "flight" / "raw_99.hdr").write_text("no cube", encoding="utf-8")
+    path = write_collect_toml(find_field_files(folder), overwrite=True)
+    tables = tomllib.loads(path.read_text(encoding="utf-8"))["flightlines"]
+    assert [table["id"] for table in tables] == ["flight_raw_0", "flight_raw_20", "second_flight"]
+
+
+def test_one_flight_needs_no_id(folder: Path) -> None:
+    path = write_collect_toml(find_field_files(folder))
+    assert "id" not in tomllib.loads(path.read_text(encoding="utf-8"))["flightlines"][0]

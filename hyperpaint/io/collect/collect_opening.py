@@ -146,7 +146,8 @@ def _joined(
                 if part.interruption:
                     message = f"{part.members[0]} is a flight line of its own: {part.interruption}"
                     warnings.warn(message, PaintWarning, stacklevel=4)
-                yield (wanted if wanted and len(parts) == 1 else part.members[0]), part
+                own = wanted if wanted and len(parts) == 1 else part.members[0]
+                yield own, replace(part, line=part.line.assign_attrs(name=own))
 
 
 def _calibrated(sweep: Path, calibrate: Callable[[Path], xr.Dataset] | None) -> xr.Dataset:

@@ -244,10 +244,23 @@ def _cubes(
     found = reader.files(place, "cube", f"{text.rstrip('/')}/*.hdr" if is_folder else text)
     headers = [path for path in found if path.suffix.lower() == ".hdr"] or list(found)
     headers.sort(key=lambda path: (path.parent, cube_number(path) or 0, path.name))
-    names = tuple(path.name.split(".")[0] for path in headers)
+    if "id" in table and not _is_id(reader, place, table["id"]):
+        return
+    # with an id, cubes of other folders may have the same names
+    prefix = f"{table['id']}_" if "id" in table else ""
+    names = tuple(prefix + path.name.split(".")[0] for path in headers)
     reader.flights.append((names, table.get("id")))
     for name, cube in zip(names, headers, strict=True):
         yield _flightline(reader, place, {**table, "id": name}, cube, shared)
+
+
+def _is_id(reader: _Reader, place: str, name: str) -> bool:
+    """Tell whether a group of the store can have this name; what is wrong with it is noted."""
+    if _ID.fullmatch(name) and name not in _RESERVED:
+        return True
+    expected = "letters, digits, '.', '_' and '-': it names a group of the store"
+    reader.problems.add(f"{place} id = {shown(name)}, expected {expected}")
+    return False
 
 
 def _flightline(
@@ -255,9 +268,7 @@ def _flightline(
 ) -> FlightlineInputs | None:
     camera = reader.one("camera")
     name = table.get("id", Path(table["cube"]).name.split(".")[0])
-    if not _ID.fullmatch(name) or name in _RESERVED:
-        expected = "letters, digits, '.', '_' and '-': it names a group of the store"
-        reader.problems.add(f"{place} id = {shown(name)}, expected {expected}")
+    _is_id(reader, place, name)
     before = len(reader.problems)
     table = _with_files_beside(table, cube)
     paths: dict[str, Any] = {key: reader.path(place, key, table.get(key)) for key in _SIDE_FILES}
@@ -330,11 +341,13 @@ def _flightlines(reader: _Reader) -> tuple[FlightlineInputs, ...]:
         reader.problems.add("no [[flightlines]]: at least one with a cube is needed")
     candidates = (_cubes(reader, number, table, shared) for number, table in enumerate(tables))
     entries = [entry for entry in itertools.chain.from_iterable(candidates) if entry is not None]
-    # as on file systems that ignore case
+    # as on file systems that ignore case; cubes of a pattern may become one line, of the id of its table
     names = [str(entry.name).lower() for entry in entries]
+    names += [wanted.lower() for members, wanted in reader.flights if members and wanted]
     for name in sorted({name for name in names if names.count(name) > 1}):
         reader.problems.add(
-            f"[[flightlines]] id {name!r} is given to {names.count(name)} lines; each needs its own"
+            f"[[flightlines]] id {name!r} is given to {names.count(name)} lines; each needs its own",
+            mend="give each table an id: cubes of a pattern are then called <id>_<name of the cube>",
         )
     return tuple(entries)
 

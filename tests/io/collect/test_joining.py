@@ -102,3 +102,40 @@ def test_blank_lines_of_lost_frames_do_not_part_a_flight(tmp_path: Path) -> None
     late = lines["raw_20"]["time"] + np.timedelta64(1, "s")
     lines["raw_20"] = lines["raw_20"].assign_coords(time=late)
     assert next(len(each.members) for each in join_lines(lines, None)) == 1
+
+
+DAY = 'id = "day"\n'
+
+
+@pytest.mark.parametrize(
+    ("tables", "problem"),
+    [
+        ([DAY + 'cube = "flight/raw_[01]*.hdr"', DAY + 'cube = "flight/raw_[34]*.hdr"'], "'day' is given"),
+        ([DAY + 'cube = "flight/raw_[01]*.hdr"', DAY + 'cube = "flight/raw_48.hdr"'], "'day' is given"),
+        ([DAY + 'cube = "flight"', 'id = "Day"\ncube = "flight/raw_[01]*.hdr"'], "'day' is given"),
+        (['id = "a/b"\ncube = "flight/raw_*.hdr"'], "id = 'a/b', expected letters"),
+        (['id = "c"\ncube = "flight"'], "id = 'c', expected letters"),
+        (['cube = "flight/raw_*.hdr"', 'cube = "flight/raw_1*.hdr"'], "'raw_12' is given"),
+    ],
+)  # fmt: skip
+def test_no_line_takes_the_place_of_another(
+    cut: Path, tmp_path: Path, tables: list[str], problem: str
+) -> None:
+    shutil.copytree(cut.parent, tmp_path / "raw")
+    with pytest.raises(hp.errors.PaintError, match=re.escape(problem)) as caught:
+        hp.open_collect(with_lines(tmp_path / "raw" / "collect.toml", *tables))
+    assert str(caught.value).count("expected letters") <= 1
+
+
+def test_flights_of_one_day_may_have_cubes_of_the_same_names(cut: Path, tmp_path: Path) -> None:
+    shutil.copytree(cut.parent, tmp_path / "raw")
+    shutil.copytree(tmp_path / "raw" / "flight", tmp_path / "raw" / "second")
+    (tmp_path / "raw" / "second" / "raw_24.hdr").unlink()
+    tables = ['id = "one"\ncube = "flight"', 'id = "two"\ncube = "second/raw_*.hdr"']
+    with pytest.warns(hp.errors.PaintWarning, match="two_raw_36 is a flight line of its own"):
+        lines = hp.open_collect(with_lines(tmp_path / "raw" / "collect.toml", *tables))["flightlines"]
+    assert {name: line.sizes["along_track"] for name, line in lines.children.items()} == {
+        "one": 60, "two_raw_0": 24, "two_raw_36": 24,
+    }  # fmt: skip
+    # regions of a line name it
+    assert {line.attrs["name"] for line in lines.children.values()} == set(lines.children)
