@@ -14,6 +14,7 @@ from support.painted_lines import RAW, TWO, assert_same_bits, made, raw
 
 import hyperpaint as hp
 from hyperpaint import Region, extract_signatures
+from hyperpaint.base.attitude_conventions import Convention
 from hyperpaint.base.schema import LIBRARY_VARIABLES, VARIABLES
 from hyperpaint.light.sun import solar_position
 
@@ -175,3 +176,68 @@ def test_traced_rays_come_from_there() -> None:
     # the middle of 64 rays through a pixel of 1.7 degrees
     assert float(library.view_zenith[0]) == pytest.approx(zenith, abs=0.1)
     assert float(library.view_azimuth[0]) == pytest.approx(azimuth % 360, abs=0.5)
+
+
+CONVENTIONS = {
+    "canonical": {},
+    "roll": {"roll_positive": "right_wing_up"},
+    "pitch": {"pitch_positive": "nose_down"},
+    "heading": {"heading_positive": "counterclockwise"},
+    "order": {"euler_order": "ZXY"},
+    "all": {"roll_positive": "right_wing_up", "pitch_positive": "nose_down", "euler_order": "XYZ"},
+    "magnetic": {"heading_reference": "magnetic", "declination": -6.5},
+    "grid": {"heading_reference": "grid", "grid_crs": "EPSG:32616"},
+}
+
+
+def posed(declared: dict[str, Any], *, mounted: tuple[float, ...] = (0.0, 0.0, 0.0)) -> xr.Dataset:
+    """Return a line with poses, and the angles that its calibration and a table of the camera have."""
+    line = with_camera(made(), heading=70.0)
+    place = {
+        "latitude": (34.0, "degrees_north"),
+        "longitude": (-81.0, "degrees_east"),
+        "altitude": (300.0, "m"),
+    }
+    line = line.assign_coords(
+        {
+            name: ("along_track", np.full(40, value), {"units": units})
+            for name, (value, units) in place.items()
+        }
+    )
+    convention = Convention(**declared)
+    return line.assign_attrs(convention.to_attrs(), ground=0.0, boresight=list(mounted))
+
+
+@pytest.mark.parametrize("mounted", [(0.0, 0.0, 0.0), (2.0, -3.0, 5.0)])
+@pytest.mark.parametrize("declared", CONVENTIONS)
+@pytest.mark.parametrize("table", ["look_angle", "look_along"])
+def test_a_line_is_seen_from_where_its_located_self_is(
+    declared: str, mounted: tuple[float, ...], table: str
+) -> None:
+    pytest.importorskip("pyproj")
+    line = posed(CONVENTIONS[declared], mounted=mounted)
+    angles: dict[str, Any] = {}
+    if table != "look_angle":
+        # of [geometry]: goes before what the calibration says
+        angles["look_across"] = ("cross_track", np.linspace(9.0, 31.0, 16), {"units": "degree"})
+    if table == "look_along":
+        angles["look_along"] = ("cross_track", np.linspace(1.0, 2.0, 16), {"units": "degree"})
+    line = line.assign_coords(angles)
+    seen, located = (extract_signatures(one, TWO, exclude=0) for one in (line, hp.geometry.locate(line)))
+    # the earth is round: over 100 m its vertical turns by a thousandth of a degree
+    np.testing.assert_allclose(seen.view_zenith, located.view_zenith, atol=0.003)
+    apart = np.abs((seen.view_azimuth - located.view_azimuth + 180.0) % 360.0 - 180.0)
+    assert float((apart * np.sin(np.radians(located.view_zenith))).max()) < 0.003
+    assert ("boresight" in seen.attrs["view_geometry"]) == any(mounted)
+
+
+def test_headings_from_an_unknown_north_give_no_azimuth() -> None:
+    grid = posed({"heading_reference": "grid"})
+    library, plain = (
+        extract_signatures(one, TWO, exclude=0) for one in (grid, posed({}).drop_vars("heading"))
+    )
+    # without azimuths both are plain means
+    np.testing.assert_allclose(library.view_zenith, plain.view_zenith)
+    assert np.isnan(library.view_azimuth).all()
+    nonsense = posed({}).assign_attrs(convention_roll_positive="sideways")
+    assert "sideways" in extract_signatures(nonsense, TWO, exclude=0).attrs["view_geometry"]

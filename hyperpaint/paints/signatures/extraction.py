@@ -232,8 +232,9 @@ def extract_signatures(
 
     Spectra are brought to the nominal wavelengths first. A sample that is missing in a pixel is missing in
     that band only. The direction of view is that of the line's ``view_zenith`` and ``view_azimuth``, else of
-    ``look_angle``, ``roll``, ``pitch`` and ``heading``; without any it is NaN, and the attribute
-    ``view_geometry`` says what is missing. The standard uncertainties are those of the mean of these pixels:
+    ``look_across`` or ``look_angle``, ``roll``, ``pitch`` and ``heading`` as the line declares them, and its
+    ``boresight``; without any it is NaN, and the attribute ``view_geometry`` says what is missing. The
+    standard uncertainties are those of the mean of these pixels:
 
     .. math:: u_r = \sqrt{\frac{\overline{u_{r,i}^2}}{\max(1, n_{eff} n_b / n)}}, \qquad
               u_s = \overline{u_{s,i}}, \qquad

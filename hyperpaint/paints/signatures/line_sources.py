@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -10,7 +11,8 @@ import numpy as np
 
 from hyperpaint.base import schema
 from hyperpaint.base.arrays import Array, Bools, Floats
-from hyperpaint.base.errors import Problems, SchemaError
+from hyperpaint.base.attitude_conventions import Convention
+from hyperpaint.base.errors import MissingExtraError, Problems, SchemaError
 from hyperpaint.base.schema import ALONG_TRACK, BAND, CROSS_TRACK
 from hyperpaint.radiometry.counts_to_reflectance import reflectance
 from hyperpaint.radiometry.spectral_axis import smooth, to_nominal
@@ -31,6 +33,7 @@ ATTITUDE = ("roll", "pitch", "heading")
 """Variables of a line that turn its camera."""
 
 _PIXELS = ("view_zenith", "view_azimuth")
+_LEVEL = (0.0, 0.0, 0.0)
 _ALONG_THE_VERTICAL = 1e-6
 """Horizontal part of a direction below which it has no azimuth, 0.2 arc seconds."""
 
@@ -38,28 +41,37 @@ _ALONG_THE_VERTICAL = 1e-6
 class Viewing:
     """What a flight line says of its directions of view.
 
-    Those of pixels, ``view_zenith`` and ``view_azimuth`` (along_track, cross_track), go before ``look_angle``
-    (cross_track) with `ATTITUDE` (along_track) [degree]. ``planes`` and ``lines`` are the variables of pixels
-    and lines, ``look`` (cross_track,) the look angles [degree], None where they are not needed;
-    ``description`` says where directions are from, or why they are not known: what cannot be used is named
-    there, not refused.
+    Those of pixels, ``view_zenith`` and ``view_azimuth`` (along_track, cross_track), go before
+    ``look_across``, or else ``look_angle`` (cross_track), with `ATTITUDE` (along_track) [degree], as the line
+    declares its angles, and with its ``boresight``. ``planes`` and ``lines`` are the variables of pixels and
+    lines, ``look`` and ``ahead`` (cross_track,) the look angles across and along the track [degree], None
+    where they are not needed; ``description`` says where directions are from, or why they are not known: what
+    cannot be used is named there, not refused.
     """
 
     def __init__(self, line: xr.Dataset) -> None:
-        names = [name for name in (*_PIXELS, "look_angle", *ATTITUDE) if name in line.variables]
+        look_names = ("look_across", "look_along", "look_angle")
+        names = [name for name in (*_PIXELS, *look_names, *ATTITUDE) if name in line.variables]
         variables, problems = schema.find(line, names)
         self.planes: dict[str, xr.DataArray] = {}
         self.lines: dict[str, xr.DataArray] = {}
         self.look: Floats | None = None
+        self.ahead: Floats | None = None
+        self.boresight: tuple[float, ...] = tuple(map(float, line.attrs.get("boresight", _LEVEL)))
+        #: What roll, pitch and heading mean, in degrees; None where that is nothing to convert
+        self.convention = _declared(line, problems)
+        look = next((name for name in ("look_across", "look_angle") if name in variables), None)
         if "view_zenith" in variables:
             self.planes = {name: variables[name] for name in _PIXELS if name in variables}
             self.description = " and ".join(self.planes) + " of the pixels"
-        elif {"look_angle", "roll", "pitch"} <= set(variables):
-            self.look = variables["look_angle"].values.astype(np.float64)
+        elif look is not None and {"roll", "pitch"} <= set(variables):
+            self.look = variables[look].values.astype(np.float64)
+            if "look_along" in variables:
+                self.ahead = variables["look_along"].values.astype(np.float64)
             self.lines = {name: variables[name] for name in ATTITUDE if name in variables}
-            self.description = (
-                f"look_angle with {', '.join(self.lines)}; no angle between camera and platform"
-            )
+            turn = ", ".join(f"{angle:g}" for angle in self.boresight)
+            mounting = f"boresight {turn}" if any(self.boresight) else "no angle between camera and platform"
+            self.description = "; ".join([f"{look} with {', '.join(self.lines)}", mounting, *problems])
         else:
             missing = [name for name in ("look_angle", "roll", "pitch") if name not in variables]
             reason = f"not known: no view_zenith of the pixels, and no {', '.join(missing)}"
@@ -81,7 +93,8 @@ def mean_view(
 
     .. math:: R_z(heading) \, R_y(\theta) \, R_x(\phi) \, (0, \sin\alpha, \cos\alpha)^T
 
-    in north, east and down; the camera is in the opposite direction. Directions are averaged as unit vectors,
+    in north, east and down, with the turn by the boresight before :math:`R_x` where there is one; the camera
+    is in the opposite direction. Directions are averaged as unit vectors,
     so that pixels on both sides of the nadir are seen from above. Without azimuths the zenith angle is the
     plain mean.
     """
@@ -89,8 +102,9 @@ def mean_view(
         zenith = pixels["view_zenith"].astype(np.float64)
         azimuth = pixels.get("view_azimuth", np.full(zenith.shape, np.nan)).astype(np.float64)
     elif viewing.look is not None:
-        heading = lines.get("heading", np.full(across.shape, np.nan))
-        zenith, azimuth = _from_attitude(viewing.look[across], lines["roll"], lines["pitch"], heading)
+        attitude = _canonical(viewing.convention, lines)
+        ahead = None if viewing.ahead is None else viewing.ahead[across]
+        zenith, azimuth = _from_attitude(viewing.look[across], ahead, viewing.boresight, *attitude)
     else:
         return np.nan, np.nan
     is_finite = np.isfinite(zenith)
@@ -109,8 +123,78 @@ def mean_view(
     return mean_zenith, mean_azimuth if level > _ALONG_THE_VERTICAL else np.nan
 
 
-def _from_attitude(look: Array, roll: Array, pitch: Array, heading: Array) -> tuple[Floats, Floats]:
-    """Return zenith angle and azimuth of the direction to the camera [degree]; see `mean_view`."""
+def _declared(line: xr.Dataset, problems: list[str]) -> Convention | None:
+    """Return what the angles of a line mean, in degrees; None where they are canonical or undeclared."""
+    try:
+        declared = Convention.from_attrs(line.attrs)
+    except SchemaError as error:
+        problems.append(str(error))
+        return None
+    if declared is None:
+        return None
+    # units of the variables have been taken out already
+    declared = declared.replace(angle_unit="degree", height_reference="ellipsoid", geoid_undulation=None)
+    return None if declared == declared.of_canonical else declared
+
+
+def _canonical(convention: Convention | None, lines: Mapping[str, Array]) -> list[Floats]:
+    """Return roll (right wing down), pitch (nose up) and heading from true north (pixel,) [degree].
+
+    Headings are NaN where it is not known which north they count from.
+    """
+    roll, pitch = lines["roll"], lines["pitch"]
+    heading = lines.get("heading", np.full(roll.shape, np.nan))
+    if convention is None:
+        return [roll, pitch, heading]
+    convergence = None
+    if convention.heading_reference == "grid" and {"latitude", "longitude"} <= set(lines):
+        convergence = _convergence(convention, lines)
+    is_known = np.isfinite(heading) & (convention.heading_reference != "grid" or convergence is not None)
+    is_known &= convention.heading_reference != "magnetic" or convention.declination is not None
+    if not is_known.all():
+        # the zenith angle needs no heading, if that is what the body is turned by first
+        unreferenced = convention.replace(heading_reference="true")
+        first = convention.euler_order.startswith("Z")
+        whole = unreferenced.canonical(
+            roll, pitch, np.where(np.isfinite(heading), heading, 0.0 if first else np.nan)
+        )
+        return [whole[0], whole[1], np.full(roll.shape, np.nan)]
+    return list(convention.canonical(roll, pitch, heading, convergence=convergence))
+
+
+def _convergence(convention: Convention, lines: Mapping[str, Array]) -> Floats | None:
+    """Return grid north, east of true north (pixel,) [degree]; None where the map is not known."""
+    from hyperpaint.geometry.georeference.geodesy import meridian_convergence
+
+    if convention.grid_crs is None:
+        return None
+    with contextlib.suppress(MissingExtraError, SchemaError):
+        return meridian_convergence(lines["latitude"], lines["longitude"], convention.grid_crs)
+    return None
+
+
+def _from_attitude(
+    look: Array,
+    along: Array | None,
+    boresight: tuple[float, ...],
+    roll: Array,
+    pitch: Array,
+    heading: Array,
+) -> tuple[Floats, Floats]:
+    """Return zenith angle and azimuth of the direction to the camera [degree]; see `mean_view`.
+
+    ``look`` and ``along`` are angles of the line of sight in the camera's frame, across and along the track.
+    """
+    if along is not None or any(boresight):
+        from hyperpaint.geometry.georeference.attitude_rotations import matrices, quaternions
+        from hyperpaint.geometry.georeference.cameras import directions
+
+        sight = directions(look, np.zeros(look.shape) if along is None else along)
+        level = np.zeros(roll.shape)
+        turn = matrices(quaternions(roll, pitch, level)) @ matrices(quaternions(*boresight))
+        north, east, down = np.einsum("pij,pj->ip", turn, sight)
+        zenith = np.degrees(np.arctan2(np.hypot(north, east), down))
+        return zenith, (np.degrees(np.arctan2(-east, -north)) + heading) % 360.0
     # roll turns the line of sight within the plane that look angles are in
     side, tilt = np.radians(look.astype(np.float64) - roll), np.radians(pitch.astype(np.float64))
     ahead, right = np.sin(tilt) * np.cos(side), np.sin(side)
