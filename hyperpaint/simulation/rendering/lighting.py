@@ -342,9 +342,11 @@ class ProductTable:
         """
         from hyperpaint.simulation.transport.mixing import index_paths, mix_shifted
 
-        # slots of dark sources are passed over
-        lit = self._row_of_source[source_of(codes)] >= 0
-        distinct, index = index_paths(np.where(lit, codes, -1))
+        distinct, index = index_paths(codes)
+        lit = self._row_of_source[source_of(distinct)] >= 0
+        if not lit.all():  # slots of dark sources are passed over
+            place = np.append(np.where(lit, np.cumsum(lit) - 1, -1), -1).astype(np.int32)
+            distinct, index = distinct[lit], place[index]
         products = self.rows(distinct)
         columns = out.shape[2]
         nodes = np.zeros(columns, np.int64), np.ones((columns, 1))
