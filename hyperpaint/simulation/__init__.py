@@ -1,4 +1,4 @@
-"""A simulator of whole collects with known truth, which shares no code with the processing chain.
+"""A simulator of whole collects with known truth; of the processing chain it shares the sky and nothing else.
 
 Settings go in; the instruments' own files, or flight lines in memory, come out with their truth. Tests, the
 demonstration and `hyperpaint render` call it. Its own physics in float64 from the sky to the converter, and

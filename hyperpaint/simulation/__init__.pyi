@@ -7,6 +7,7 @@ from .rendering.appearance import (
     gloss_units as gloss_units,
     reflectance_factor as reflectance_factor,
 )
+from .rendering.broken_clouds import BrokenClouds as BrokenClouds
 from .rendering.materials import base_albedo as base_albedo
 from .rendering.platforms import platform_from_poses as platform_from_poses
 from .rendering.relighting import relight as relight

@@ -13,7 +13,7 @@ What is seen
     `primitives`, `car_bodies` and `pavements`, of which `car_parks` makes a scene;
     `mesh_files` reads one, with `mesh_formats`.
 The light
-    `four_curves`, the atmosphere, from `sky_models` or `measured_light`.
+    `four_curves`, the atmosphere, from `sky_models` or `measured_light`; `broken_clouds` over it.
 The camera
     `platform_geometry` and the flights of `platforms`; `camera_bands`.
 Tracing

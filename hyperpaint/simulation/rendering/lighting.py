@@ -126,7 +126,7 @@ class Lighting:
         ----------
         weight, code : (line, slot, column)
             As traced.
-        variation : (line, 2)
+        variation : (line, 2) or (line, 2, column)
             Factors of direct and diffuse light; None for ones.
         texture
             Members of populations that pixels show; None for the means.
@@ -185,7 +185,7 @@ def _share_weights(codes: Ints, level: Floats32) -> Floats32:
 def _varied(weight: Floats32, code: Array, variation: Floats | None) -> Floats32:
     if variation is None:
         return weight
-    factors = variation.astype(np.float32)[:, :, None, None]
+    factors = variation.astype(np.float32).reshape(len(weight), 2, 1, -1)
     return np.asarray(weight * np.where(is_direct(code), factors[:, 0], factors[:, 1]))
 
 

@@ -29,6 +29,7 @@ from hyperpaint.base.schema import (
 )
 from hyperpaint.simulation.camera import convolve_gaussian
 
+from .broken_clouds import BrokenClouds
 from .camera_bands import BandResponses, BandSet, cell_means
 from .four_curves import Atmosphere, preset_atmosphere
 from .lighting import SHARES, Lighting, make_lighting, traced_sun
@@ -59,7 +60,7 @@ def relight(
     paints: Mapping[str, Any] | xr.Dataset | None = None,
     atmosphere: Atmosphere | str = "noon",
     spectra: Mapping[str, Any] | xr.Dataset | None = None,
-    variation: npt.ArrayLike | None = None,
+    variation: npt.ArrayLike | BrokenClouds | None = None,
     truth: bool = True,
     clip: bool = False,
     hold_edges: bool = False,
@@ -90,7 +91,8 @@ def relight(
         is ``name/paint``.
     variation
         Factors of direct and of diffuse light in every line, shape (2, along_track), such as a cloud's that
-        passes while the camera flies.
+        passes while the camera flies; or `BrokenClouds`, whose shadows move over the scene. Light that
+        reaches a pixel by way of other surfaces varies with that pixel's.
     truth
         Add ``reflectance`` and the layers that say where light came from.
     clip
@@ -156,19 +158,23 @@ def relight(
     camera = BandSet.of(bands)
     lines, columns = (variables["distance"].sizes[dim] for dim in (ALONG_TRACK, CROSS_TRACK))
     _check(camera, sky, columns)
-    factors = _variation(variation, lines)
+    factors = None if isinstance(variation, BrokenClouds) else _variation(variation, lines)
     painted = factor_spectra(record, camera, paints, spectra, clip=clip, hold_edges=hold_edges)
     sun = traced_sun(sky, settings)
     cosine = float(np.cos(np.radians(settings.suns[sun][0])))
     light = _lighting(camera, record, settings, sky, painted)
     paths = [_whole_lines(variables[name]) for name in _PATHS]
     texture = _texture(traced, record, painted, camera, settings.seed) if population else None
-    cubes = _lazy_cubes(paths, light, factors, camera, texture, truth=truth)
+    varied: Any = factors
+    if isinstance(variation, BrokenClouds):
+        varied = _shadowed(traced, variation, paths[0].chunks[0])
+    cubes = _lazy_cubes(paths, light, varied, camera, texture, truth=truth)
     line = _dataset(cubes, traced, camera, _tables(record, painted))
     if truth and "sun_visibility" in traced.variables:
         visible = traced["sun_visibility"].isel({SUN: sun}, drop=True)
         line["shadow"] = label((1.0 - visible).astype(np.float32), "shadow")
-    series = _irradiance_record(traced, sky, cosine, camera, factors)
+    at_station = variation if isinstance(variation, BrokenClouds) else factors
+    series = _irradiance_record(traced, sky, cosine, camera, at_station)
     attrs = {
         "hyperpaint_format": FORMAT_VERSION,
         "name": str(traced.attrs.get("name", record.name)),
@@ -219,6 +225,25 @@ def _variation(variation: npt.ArrayLike | None, lines: int) -> Floats | None:
     return np.ascontiguousarray(factors.T)
 
 
+def _shadowed(traced: xr.Dataset, clouds: BrokenClouds, chunks: tuple[int, ...]) -> da.Array:
+    """Return the factors of every pixel under broken clouds (line, 2, column), lazily."""
+    import dask.array as da
+
+    places = [_whole_lines(traced[name]).rechunk({0: chunks}) for name in ("east", "north")]
+    first = np.datetime64(traced.attrs["time_coverage_start"], "ns")
+    seconds = (traced["time"].data - first) / np.timedelta64(1, "s")
+    times = da.asarray(seconds).rechunk((chunks,))
+    columns = places[0].shape[1]
+    return da.blockwise(
+        _factors_task, "lvx", clouds, None, places[0], "lx", places[1], "lx", times, "l",
+        new_axes={"v": 2}, dtype=np.float64, meta=np.empty((0, 2, columns)),
+    )  # fmt: skip
+
+
+def _factors_task(clouds: BrokenClouds, east: Array, north: Array, seconds: Array) -> Array:
+    return np.moveaxis(clouds.factors(east, north, seconds[:, None]), 0, 1)
+
+
 def _lighting(
     bands: BandSet, record: SceneRecord, settings: TraceSettings, sky: Atmosphere, painted: FactorSpectra
 ) -> Any:
@@ -262,7 +287,7 @@ def _texture(
 def _lazy_cubes(
     paths: list[da.Array],
     light: Any,
-    variation: Floats | None,
+    variation: Any,
     bands: BandSet,
     texture: tuple[Any, Any] | None,
     *,
@@ -273,7 +298,9 @@ def _lazy_cubes(
 
     weight, code, distance = paths
     varied: tuple[Any, Any] = (None, None)
-    if variation is not None:
+    if isinstance(variation, da.Array):
+        varied = variation, "lvx"
+    elif variation is not None:
         varied = da.from_array(variation, chunks=(weight.chunks[0], -1)), "lv"
     traced = (weight, "lsx", code, "lsx", *varied)
     rows, populations = (None, None) if texture is None else texture
@@ -370,8 +397,9 @@ _MOST_TIMES = 2000
 
 
 def _irradiance_record(
-    traced: xr.Dataset, atmosphere: Atmosphere, sun_cosine: float, bands: BandSet, variation: Floats | None
-) -> xr.Dataset:
+    traced: xr.Dataset, atmosphere: Atmosphere, sun_cosine: float, bands: BandSet,
+    variation: Floats | BrokenClouds | None,
+) -> xr.Dataset:  # fmt: skip
     """Return ``irradiance`` and its companions as a spectrometer beside the scene records them.
 
     It is cut around the bands, begins before the flight and ends after it; where the light varies from line
@@ -380,9 +408,12 @@ def _irradiance_record(
     import xarray as xr
 
     centres, spectra = _spectra(atmosphere, sun_cosine, bands)
-    times = _sample_times(traced, 0 if variation is None else len(variation))
+    times = _sample_times(traced, 0 if variation is None else traced.sizes[ALONG_TRACK])
     values: Any = np.broadcast_to(spectra.sum(axis=0), (times.size, centres.size)).astype(np.float32)
-    if variation is not None:
+    if isinstance(variation, BrokenClouds):
+        seconds = (times - (times[0] + _MARGIN)) / np.timedelta64(1, "s")
+        values = (variation.factors(*variation.station, seconds).T @ spectra).astype(np.float32)
+    elif variation is not None:
         values = _varied(traced, times, variation, spectra)
     gap = np.diff(times).max() / np.timedelta64(1, "s")
     variables = {
