@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from hyperpaint.simulation.rendering.materials import Material
     from hyperpaint.simulation.rendering.scene import Scene
 
-__all__ = ["FrameCamera", "to_mitsuba"]
+__all__ = ["FrameCamera", "to_mitsuba", "write_mesh"]
 
 
 _SMOOTH = 0.02  # GGX alpha up to which a coat becomes a mirror
@@ -158,7 +158,7 @@ def to_mitsuba(
     folder.mkdir(parents=True, exist_ok=True)
     for number in np.unique(scene.face_material):
         path = folder / f"material_{number:04d}.ply"
-        _write_mesh(scene, int(number), path)
+        write_mesh(scene, int(number), path)
         name = scene.materials[number].name
         described[f"mesh of {name}"] = {
             "type": "ply",
@@ -300,7 +300,7 @@ def _two_sided(surface: dict[str, Any]) -> dict[str, Any]:
     return {"type": "twosided", "surface": surface}
 
 
-def _write_mesh(scene: Scene, number: int, path: Path) -> None:
+def write_mesh(scene: Scene, number: int, path: Path) -> None:
     """Write the triangles of one material as a binary PLY file whose corners carry their own normals."""
     faces = scene.faces[scene.face_material == number]
     corners = scene.vertices[faces]

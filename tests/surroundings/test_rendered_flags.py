@@ -11,7 +11,7 @@ from hyperpaint.base.schema import Quality
 from hyperpaint.light.sun import diffuse_fraction
 from hyperpaint.simulation.rendering.car_parks import car_park
 from hyperpaint.simulation.rendering.four_curves import Atmosphere
-from hyperpaint.simulation.rendering.materials import KINDS
+from hyperpaint.simulation.rendering.materials import KINDS, Coat
 from hyperpaint.simulation.rendering.platforms import pushbroom
 
 pytestmark = pytest.mark.slow
@@ -19,17 +19,28 @@ pytestmark = pytest.mark.slow
 ZENITH, AZIMUTH = 34.07, 94.19
 
 
+#: Coats, and pixels of coloured paint with glint that each has at least: a fresh one mirrors the sun sharply.
+COATS = {"worn": (Coat(roughness=0.05, waviness=0.0), 1000), "fresh": (Coat(), 25)}
+
+
+@pytest.fixture(scope="module", params=COATS)
+def coat(request: pytest.FixtureRequest) -> tuple[Coat, int]:
+    return COATS[request.param]
+
+
 @pytest.fixture(scope="module")
-def scene() -> xr.Dataset:
+def scene(coat: tuple[Coat, int]) -> xr.Dataset:
     """Return solid paints on seed 103: no threshold was tuned on it, though faults seen on it were mended."""
     sky = Atmosphere.clear(ZENITH, AZIMUTH)
-    park = car_park(length=11.7, width=16.0, seed=103, neighbours=("walls",), margin=10.0, flakes=False)
+    park = car_park(
+        length=11.7, width=16.0, seed=103, neighbours=("walls",), margin=10.0, flakes=False, coat=coat[0]
+    )
     flight = pushbroom(176, 192, altitude=15.0, ground_sample=0.035, line_spacing=0.035, start=(-4.0, 2.0))
     traced = hp.simulation.trace(park, flight, [sky], samples=96, seed=103, sun_radius=0.267)
     return hp.simulation.relight(traced, atmosphere=sky).compute()
 
 
-def test_shadows_on_the_ground_and_glint_on_coloured_paint(scene: xr.Dataset) -> None:
+def test_shadows_on_the_ground_and_glint_on_coloured_paint(scene: xr.Dataset, coat: tuple[Coat, int]) -> None:
     flagged = hp.surroundings.flag(scene, sun_zenith=ZENITH, sun_azimuth=AZIMUTH, heading=0.0).compute()
     bits = flagged.quality.values
     counted = (bits & int(Quality.MIXED_EDGE)) == 0
@@ -48,4 +59,5 @@ def test_shadows_on_the_ground_and_glint_on_coloured_paint(scene: xr.Dataset) ->
     glint = share / (direct * white).mean()
     found, true = (bits & int(Quality.GLINT)) > 0, glint > 0.02
     assert (found & true & paint).sum() >= 0.95 * (found & paint).sum()
-    assert (found & true & paint).sum() >= 0.9 * (true & paint).sum() > 900
+    assert (found & true & paint).sum() >= 0.9 * (true & paint).sum()
+    assert (true & paint).sum() > coat[1]
