@@ -60,6 +60,7 @@ def materials(*coats: tuple[float, float] | None, flakes: float = 0.0, flake_alp
         np.full(count, flake_alpha),
         np.arange(count, dtype=np.int32),
         flake_factor.astype(np.int32),
+        np.full(count, -1, np.int32),
     )
 
 

@@ -240,8 +240,9 @@ _WORN = {
             ("grass", "mixed_grass"),
         )
     },
+    "leaf": replace(_SURROUNDINGS["leaf"], transmittance="leaf_through"),
 }
-"""The same after some years."""
+"""The same after some years, and leaves that light shines through."""
 
 
 def _cars(layout: Layout, chosen: _Choices) -> Iterator[Scene]:

@@ -119,6 +119,9 @@ class Material:
         Clear coat; None for a Lambert surface.
     flakes
         Metal flakes; only under a coat. The spectrum is then that of the pigment between them.
+    transmittance
+        Name of the spectrum that a thin surface without a coat, such as a leaf, passes diffusely; empty for
+        what is opaque.
 
     Raises
     ------
@@ -131,6 +134,7 @@ class Material:
     kind: str = "other"
     coat: Coat | None = None
     flakes: Flakes | None = None
+    transmittance: str = ""
 
     def __post_init__(self) -> None:
         problems = Problems(f"material {self.name!r} cannot be made", SchemaError)
@@ -141,6 +145,8 @@ class Material:
         check_choice(problems, "kind", self.kind, KINDS)
         if self.flakes is not None and self.coat is None:
             problems.add("it has flakes but no coat; give it coat=Coat()")
+        if self.transmittance and self.coat is not None:
+            problems.add("it has a transmittance and a coat; only thin surfaces without a coat pass light")
         problems.raise_if_any()
 
 

@@ -157,7 +157,8 @@ def _painted(
     for factor in record.factors:
         material = record.materials[factor.material]
         flakes = material.flakes
-        original.append(flakes.spectrum if factor.flakes and flakes is not None else material.spectrum)
+        name = material.transmittance if factor.through else material.spectrum
+        original.append(flakes.spectrum if factor.flakes and flakes is not None else name)
     assigned, scales = list(original), [1.0] * len(original)
     instances = [instance.name for instance in record.instances]
     materials = [material.name for material in record.materials]

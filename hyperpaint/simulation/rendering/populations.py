@@ -63,7 +63,7 @@ def populations_of(record: SceneRecord, painted: FactorSpectra, bands: BandSet) 
     members: list[tuple[Octaves, int, int, Floats]] = []
     for place, (factor, name) in enumerate(zip(record.factors, painted.names, strict=True)):
         spectrum: Any = painted.spectra[name]
-        if factor.flakes or getattr(spectrum, "population", None) is None:
+        if factor.flakes or factor.through or getattr(spectrum, "population", None) is None:
             continue
         rows = spectrum.population(bands.wavelength)
         if rows is not None:

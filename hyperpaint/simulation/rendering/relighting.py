@@ -353,7 +353,7 @@ def _shares_task(light: Lighting, weight: Any, code: Any, variation: Any) -> Arr
 def _tables(record: SceneRecord, painted: FactorSpectra) -> LabelTables:
     names = [""] * len(record.materials)
     for factor, name in zip(record.factors, painted.names, strict=True):
-        if not factor.flakes:
+        if not (factor.flakes or factor.through):
             names[factor.material] = name
     return LabelTables.of(record, names)
 

@@ -63,10 +63,13 @@ class Factor:
         Number of the material.
     flakes
         False for the base of the material, True for its metal flakes.
+    through
+        True for what a thin surface passes.
     """
 
     material: int
     flakes: bool = False
+    through: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -280,18 +283,19 @@ class Scene:
 
     @property
     def factors(self) -> tuple[Factor, ...]:
-        """Every spectrum of the scene in the order of path codes: a base for each material, then the flakes.
+        """Every spectrum of the scene in the order of path codes: bases of all materials, flakes, plates.
 
         Examples
         --------
         >>> from hyperpaint.simulation.rendering.materials import Coat, Flakes
         >>> paint = Material("paint", "silver", "paint", Coat(), Flakes(0.3))
         >>> plane(1.0, paint).factors
-        (Factor(material=0, flakes=False), Factor(material=0, flakes=True))
+        (Factor(material=0, flakes=False, through=False), Factor(material=0, flakes=True, through=False))
         """
         bases = [Factor(number) for number in range(len(self.materials))]
         flakes = [Factor(i, True) for i, material in enumerate(self.materials) if material.flakes is not None]
-        return (*bases, *flakes)
+        plates = [Factor(i, through=True) for i, one in enumerate(self.materials) if one.transmittance]
+        return (*bases, *flakes, *plates)
 
     def moved(self, offset: Sequence[float] = (0.0, 0.0, 0.0), heading: float = 0.0) -> Scene:
         """Return the scene turned about the vertical through its origin, then shifted.

@@ -31,7 +31,7 @@ from .appearance import flakes_of_flop
 from .base_coats import FAMILIES, HUES, Pigments, aluminium, mix
 from .fleet import DIRT, FleetPaint, fleet_paint
 from .materials import Coat, Flakes, Material, coated_reflectance
-from .weathering import WEATHERED, Weathered
+from .weathering import WEATHERED, Weathered, leaf_transmittance
 
 __all__ = [
     "FAMILIES", "FINISHES", "FOURTEEN", "SPECTRA", "PaintSpec", "Pigments", "Spectrum", "fleet_names",
@@ -272,6 +272,7 @@ _MORE_PAINTS = {
     "brown": Paint(0.30, [Edge(570.0, -50.0, 3.0)]),
 }
 
+_LEAF = Plain(0.045, 0.01, [Bump(552.0, 28.0, 0.08), Edge(716.0, 12.0, 0.42), Bump(968.0, 22.0, -0.03)])
 _RED_LENS = Plain(0.03, 0.0, [Edge(606.0, 7.0, 0.35)])
 _REFLECTOR = Plain(0.30, 0.05)  # behind a clear lens
 
@@ -280,7 +281,8 @@ SPECTRA: dict[str, Spectrum] = {
     **{name: _without_mirror(paint) for name, paint in {**CAR_PAINTS, **_MORE_PAINTS}.items()},
     "glass": Plain(0.012),
     "aluminium": aluminium,
-    "leaf": Plain(0.045, 0.01, [Bump(552.0, 28.0, 0.08), Edge(716.0, 12.0, 0.42), Bump(968.0, 22.0, -0.03)]),
+    "leaf": _LEAF,
+    "leaf_through": lambda wavelength: leaf_transmittance(_LEAF(wavelength).clip(0.0, 1.0)),
     "brick": Plain(0.13, 0.10, [Edge(585.0, 22.0, 0.16), Bump(870.0, 60.0, -0.015)]),
     "lamp_red": _RED_LENS,
     "tail_lamp": _RED_LENS,

@@ -84,9 +84,10 @@ def _surfaces(record: SceneRecord) -> Surfaces:
     coats = [material.coat for material in record.materials]
     flakes = [material.flakes for material in record.materials]
     base_factor = np.full(len(coats), -1, np.int32)
-    flake_factor = np.full(len(coats), -1, np.int32)
+    flake_factor, through_factor = (np.full(len(coats), -1, np.int32) for _ in range(2))
     for number, factor in enumerate(record.factors):
-        (flake_factor if factor.flakes else base_factor)[factor.material] = number
+        plate = through_factor if factor.through else base_factor
+        (flake_factor if factor.flakes else plate)[factor.material] = number
     return surfaces_of(
         np.array([0.0 if coat is None else coat.index for coat in coats]),
         np.array([1.0 if coat is None else coat.roughness for coat in coats]),
@@ -95,6 +96,7 @@ def _surfaces(record: SceneRecord) -> Surfaces:
         np.array([1.0 if flake is None else flake.roughness for flake in flakes]),
         base_factor,
         flake_factor,
+        through_factor,
     )
 
 

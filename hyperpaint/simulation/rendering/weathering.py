@@ -21,7 +21,18 @@ import numpy as np
 from hyperpaint.base.arrays import Floats
 from hyperpaint.simulation.paint_spectra import MATERIALS, Bump, Edge, Plain
 
-__all__ = ["DUST", "MEASURED", "WEATHERED", "Octaves", "Weathered", "dusty"]
+from .materials import fresnel_reflectance, hemispherical_reflectance
+
+__all__ = [
+    "DUST",
+    "MEASURED",
+    "WEATHERED",
+    "Octaves",
+    "Weathered",
+    "dusty",
+    "leaf_optics",
+    "leaf_transmittance",
+]
 
 
 @dataclass(frozen=True)
@@ -96,6 +107,56 @@ class Weathered:
         """Return the reflectance at ``wavelength`` [nm], the mean of the members."""
         grid = np.asarray(wavelength, np.float64)
         return np.asarray(self.population(grid.ravel()).mean(axis=0).reshape(grid.shape))
+
+
+LEAF_INDEX, LEAF_LAYERS = 1.42, 1.55
+"""Refractive index of leaf tissue, and how many plates a leaf is like."""
+
+
+def leaf_optics(passed: Floats, layers: float = LEAF_LAYERS) -> tuple[Floats, Floats]:
+    """Return diffuse reflectance and transmittance of a leaf by what one of its plates passes inside [1].
+
+    A leaf is a pile of plates, whose two streams Stokes (1862) has summed; the first plate is met within 40
+    degrees of its normal, the others by diffuse light (Allen et al., J. Opt. Soc. Am. 59, 1376, 1969;
+    Jacquemoud and Baret, Remote Sens. Environ. 34, 75, 1990).
+
+    Examples
+    --------
+    >>> reflected, transmitted = leaf_optics(np.array([0.0, 0.9, 1.0]))
+    >>> reflected.round(2), (reflected + transmitted).round(2)
+    (array([0.03, 0.35, 0.49]), array([0.03, 0.73, 1.  ]))
+    """
+    sines = (np.arange(400) + 0.5) / 400 * np.sin(np.radians(40.0)) ** 2  # squares of them, even in flux
+    first = 1.0 - float(fresnel_reflectance(np.sqrt(1.0 - sines), LEAF_INDEX).mean())
+    outside = 1.0 - hemispherical_reflectance(LEAF_INDEX)
+    inside = outside / LEAF_INDEX**2
+    across = passed * inside / (1.0 - ((1.0 - inside) * passed) ** 2)
+    top, through = 1.0 - first + (1.0 - inside) * passed * first * across, first * across
+    t = np.maximum(outside * across, 1e-9)
+    r = 1.0 - outside + (1.0 - inside) * passed * t
+    root = np.sqrt(np.maximum((1 + r + t) * (1 + r - t) * (1 - r + t) * (1 - r - t), 0.0))
+    lossless = 1.0 - r - t < 1e-9
+    with np.errstate(divide="ignore", invalid="ignore"):
+        a, b = (1 + r**2 - t**2 + root) / (2 * r), ((1 - r**2 + t**2 + root) / (2 * t)) ** (layers - 1.0)
+        below = np.where(lossless, 1.0 - t / (t + (1 - t) * (layers - 1)), a * (b**2 - 1) / (a**2 * b**2 - 1))
+        under = np.where(lossless, 1.0 - below, b * (a**2 - 1) / (a**2 * b**2 - 1))
+    return np.asarray(top + through * below * t / (1.0 - below * r)), through * under / (1.0 - below * r)
+
+
+def leaf_transmittance(reflectance: Floats) -> Floats:
+    """Return what a leaf of a diffuse reflectance passes [1]; one brighter than leaves are passes the rest.
+
+    Examples
+    --------
+    >>> leaf_transmittance(np.array([0.06, 0.125, 0.468])).round(2)
+    array([0.05, 0.13, 0.49])
+    """
+    low, high = np.zeros_like(reflectance, np.float64), np.ones_like(reflectance, np.float64)
+    for _ in range(50):
+        middle = 0.5 * (low + high)
+        too_bright = leaf_optics(middle)[0] > reflectance
+        low, high = np.where(too_bright, low, middle), np.where(too_bright, middle, high)
+    return np.minimum(leaf_optics(low)[1], 1.0 - np.asarray(reflectance))
 
 
 def _draws(kind: int, columns: int) -> Floats:

@@ -12,7 +12,7 @@ from .hierarchy import Geometry
 from .vectors import Frame, Vector, along, dot, frame_of
 from .waviness import waved
 
-__all__ = ["FACING", "Hit", "hit_at", "leaves"]
+__all__ = ["FACING", "Hit", "behind", "hit_at", "leaves"]
 
 
 #: A direction at a smaller cosine does not face a surface.
@@ -105,6 +105,15 @@ def hit_at(
         if dot(tilted, direction) < -FACING:
             coat_frame = frame_of(tilted)
     return Hit(_lifted(origin, own), own, frame, coat_frame, raised), point
+
+
+@borrowing_kernel
+def behind(hit: Hit, point: Vector) -> Hit:
+    """Return the other side of a thin plate at a point of its triangle."""
+    own, normal = hit.own, hit.frame[2]
+    back = (-own[0], -own[1], -own[2])
+    frame = frame_of((-normal[0], -normal[1], -normal[2]))
+    return Hit(_lifted(point, back), back, frame, frame, False)
 
 
 @borrowing_kernel

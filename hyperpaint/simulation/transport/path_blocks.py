@@ -174,7 +174,7 @@ def check(
     index, shares = surfaces.numbers[:, 0], surfaces.numbers[:, 1:6]
     if not (np.isfinite(index).all() and ((shares >= 0) & (shares <= 1)).all() and (shares[:, 4] > 0).all()):
         wrong.append("refractive indices must be finite, roughness, slopes and shares from 0 to 1")
-    factors = int(max(surfaces.base_factor.max(initial=-1), surfaces.flake_factor.max(initial=-1))) + 1
+    factors = int(max(factor.max(initial=-1) for factor in surfaces[1:])) + 1
     if factors >= 1 << digit_bits:
         wrong.append(f"{factors} factors need more than {digit_bits} bits")
     if surfaces.base_factor.min(initial=0) < 0:

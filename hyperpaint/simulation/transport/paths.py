@@ -22,7 +22,7 @@ from hyperpaint.base.jit import borrowing_kernel
 from .codes import PathTable, add_path, with_factor, write_paths
 from .draws import even_pair, pixel_key, uniforms
 from .hierarchy import STACK, Geometry, closest, occluded
-from .hits import FACING, Hit, hit_at, leaves
+from .hits import FACING, Hit, behind, hit_at, leaves
 from .path_blocks import Block, Rays, Settings, Sources, check
 from .path_codes import CLEAR_SKY_FUNCTIONS, FIRST_SUN, INDIRECT, MIRROR, SKY
 from .skies import record_sky
@@ -51,6 +51,7 @@ __all__ = ["Block", "Rays", "Settings", "Sources", "trace_lines"]
 # what random numbers are for: pairs that cover a pixel's samples evenly, and from the third surface on others
 _PIXEL, _TIME, _BODY, _COAT, _SECOND_LOBE, _SECOND, _SUN = 0, 1, 2, 3, 4, 6, 8
 _SCATTER, _SHADOW, _SLOT = 16, 1024, 65537
+_BEHIND = 64  # added to the number of a scattering: draws for the sun behind a plate
 _LOBES = 5  # codes that a sun adds at a surface
 
 
@@ -157,6 +158,9 @@ def trace_lines(
     The sky, uniform, overcast (L = 1.5 cos(zenith angle) E / pi) or a function of a clear one, is above the
     horizon: light from below it ends at the ground beyond the scene. A ray of the camera that meets nothing
     is no part of a pixel, which is the mean of the others; without any, weights are NaN.
+
+    A thin plate (``through_factor``) has a Lambert lobe on either side, the one behind with a spectrum of its
+    own. Suns are met on both sides; both are followed from the first surface, one by an even chance later.
     """
     settings = Settings(*map(int, settings))
     check(geometry, surfaces, sources, rays, settings, block)
@@ -348,6 +352,15 @@ def _trace_sample(
         if kind != ENDED and leaves(hit, towards):
             path = _Path(hit.point, towards, weight, codes.coat, 0, BLURRED_ALPHA)
             _follow(scene, room, path, place, settings, 1)
+    if surfaces.through_factor[material] >= 0:  # a plate has no coat: its draws serve the side behind
+        rear, through = behind(hit, point), _codes_behind(surfaces, material, 0, settings)
+        _record_suns(scene, room, rear, lobes, through, 1.0, place, _BEHIND)
+        v, w = even_pair(place.key, place.sample, _COAT, place.mask)
+        kind, local, weight = scatter_body(surfaces.numbers, lobes, chosen, v, w)
+        towards = from_frame(rear.frame, local)
+        if kind != ENDED and leaves(rear, towards):
+            path = _Path(rear.point, towards, weight, through.base, 1, WIDENED_ALPHA)
+            _follow(scene, room, path, place, settings, 1)
     v, w = even_pair(place.key, place.sample, _BODY, place.mask)
     kind, local, weight = scatter_body(surfaces.numbers, lobes, chosen, v, w)
     code, spent = _code_of(codes, kind, 0, lobes.share, place, 0)
@@ -371,6 +384,13 @@ def _codes_after(
     if flakes >= 0 and spent + 2 <= settings.depth:
         recycled, twice = with_factor(by_flakes, base, bits), with_factor(by_flakes, flakes, bits)
     return _Codes(with_factor(code, base, bits), mirrored, by_flakes, recycled, twice)
+
+
+@borrowing_kernel
+def _codes_behind(surfaces: Surfaces, material: int, code: int, settings: Settings) -> _Codes:
+    """Return the codes of a path that has passed a plate, which has one lobe."""
+    through = with_factor(code, surfaces.through_factor[material], settings.digit_bits)
+    return _Codes(through, through, through, -1, -1)
 
 
 @borrowing_kernel
@@ -404,7 +424,7 @@ def _follow(scene: _Scene, room: _Room, path: _Path, place: _Place, settings: Se
             return
         if spent >= settings.depth:  # no room for another factor
             return
-        hit, _ = hit_at(geometry, face, weights, direction, 0.0)
+        hit, point = hit_at(geometry, face, weights, direction, 0.0)
         material = geometry.face_material[face]
         view = in_frame(hit.frame, (-direction[0], -direction[1], -direction[2]))
         lobes = lobes_at(surfaces, material, view, view, least)
@@ -417,6 +437,13 @@ def _follow(scene: _Scene, room: _Room, path: _Path, place: _Place, settings: Se
             v, w = even_pair(place.key, place.sample, _SECOND + branch, place.mask)
         else:
             u, v, w, _ = uniforms(place.seed, place.line, place.column, place.sample, _SCATTER + turn)
+        if surfaces.through_factor[material] >= 0:
+            rear, through = behind(hit, point), _codes_behind(surfaces, material, code, settings)
+            _record_suns(scene, room, rear, lobes, through, beta, place, turn + _BEHIND)
+            beta *= 2.0  # one of both sides is followed
+            _, _, _, side = uniforms(place.seed, place.line, place.column, place.sample, _SCATTER + turn)
+            if side > 0.5:
+                hit, codes = rear, through
         kind, local, weight = scatter(surfaces.numbers, lobes, u, v, w)
         code, spent = _code_of(codes, kind, spent, lobes.share, place, turn)
         origin, direction = hit.point, from_frame(hit.frame, local)

@@ -60,11 +60,14 @@ class Surfaces(NamedTuple):
         Number of the spectrum of the diffuse base.
     flake_factor : (material,) int32
         Number of the spectrum of the flakes; -1 without them.
+    through_factor : (material,) int32
+        Number of the spectrum that a thin plate, such as a leaf, passes diffusely; -1 of what is opaque.
     """
 
     numbers: Array
     base_factor: Array
     flake_factor: Array
+    through_factor: Array
 
 
 def surfaces_of(
@@ -75,6 +78,7 @@ def surfaces_of(
     flake_alpha: Array,
     base_factor: Array,
     flake_factor: Array,
+    through_factor: Array | None = None,
 ) -> Surfaces:
     """Return surfaces with their tables of lost light.
 
@@ -84,8 +88,8 @@ def surfaces_of(
         Of the coats, shape (material,): index 0 without one, GGX alpha, slope [rad].
     flake_share, flake_alpha
         Of the flakes.
-    base_factor, flake_factor
-        Numbers of the spectra; -1 without flakes.
+    base_factor, flake_factor, through_factor
+        Numbers of the spectra; -1 without flakes, and of what passes no light; None where nothing does.
 
     Examples
     --------
@@ -107,7 +111,10 @@ def surfaces_of(
             tables[key] = row[_ENTERING:].copy()
             _fill_tables(*key, tables[key])
         row[_ENTERING:] = tables[key]
-    return Surfaces(numbers, np.ascontiguousarray(base_factor, np.int32), flake_factor)
+    if through_factor is None:
+        through_factor = np.full_like(flake_factor, -1)
+    rest = (np.ascontiguousarray(part, np.int32) for part in (base_factor, flake_factor, through_factor))
+    return Surfaces(numbers, *rest)
 
 
 @borrowing_kernel
