@@ -128,7 +128,8 @@ def texture_picture(means: Array, name: str) -> NDArray[np.uint8] | None:
 
     DIRSIG gives a pixel the curve whose mean over the picture's wavelengths, in standard deviations of the
     population, is nearest to the pixel's brightness in standard deviations of the picture. Here pixels have
-    the brightness of the curves themselves, each curve as many pixels, so that both scales are one.
+    the brightness of the curves themselves, each curve as many pixels, so that both scales are one. Curves
+    nearer to each other than 1/255 of their range share pixels.
 
     ``means`` (curve,) are the curves' mean reflectances over those wavelengths; ``name`` seeds the grain.
     None where the curves are equally bright, or one.
@@ -340,9 +341,10 @@ Running it
 
 Populations
 -----------
-A material of several curves has a texture map. Its picture holds every curve equally often and repeats,
-mirrored, every {attrs["texture_m"]:g} m. DIRSIG gives a pixel the curve that stands where the pixel's
-brightness does, both in standard deviations, over {first:g} to {last:g} nm.
+A material of several curves has a texture map. Its picture holds every curve equally often, as far as its
+256 levels tell them apart, and repeats, mirrored, every {attrs["texture_m"]:g} m. DIRSIG gives a pixel the
+curve that stands where the pixel's brightness does, both in standard deviations, over {first:g} to
+{last:g} nm.
 
 Clear coats
 -----------
